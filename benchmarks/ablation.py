@@ -21,8 +21,8 @@ from needlefit.inference.problem import Problem, make_problem
 from needlefit.mechanics.control import Bevel
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
+from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
 from needlefit.synthetic.design import list_planned_insertions

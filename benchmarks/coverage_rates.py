@@ -21,8 +21,8 @@ from scipy.optimize import minimize
 
 from needlefit.datasets.read import read
 from needlefit.inference.problem import Problem, make_problem
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
+from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
 from needlefit.studies.simulated_data import simulate_measurement

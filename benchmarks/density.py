@@ -16,9 +16,9 @@ import numpy as np
 
 from needlefit.datasets.read import read
 from needlefit.inference.problem import make_problem
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.processes import one_thread
+from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
 

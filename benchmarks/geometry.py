@@ -26,8 +26,8 @@ from needlefit.inference import compared_points
 from needlefit.inference.proportions import estimate_proportion
 from needlefit.mechanics.batch import Jacobian, Jacobians, NeedleShapes
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
+from needlefit.project.toml import load
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.folds import leave_out
 from needlefit.studies.held_out_predictions import tabulate_held_out

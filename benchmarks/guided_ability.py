@@ -18,8 +18,8 @@ from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import Parameters, with_noise_scale
 from needlefit.inference.problem import Problem
 from needlefit.inference.tracking import TrackDraws, draw_baseline
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
+from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import SelectionRecord

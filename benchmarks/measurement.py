@@ -28,9 +28,9 @@ from needlefit.imaging.assembly import assemble_dataset
 from needlefit.imaging.reconstruct import reconstruct
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.inference.problem import Problem, make_problem
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.tasks import LocalPool, run_in_order
+from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
 from needlefit.synthetic.build import build_unscanned, describe_dataset

@@ -15,9 +15,9 @@ import numpy as np
 
 from needlefit.inference.optimize import minimize
 from needlefit.inference.sampling.importance import Effort, find_modes, sample_about_modes
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
+from needlefit.project.toml import load
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.job import Job, Settings, prepare
 from needlefit.studies.kinds.calibration import prepare_experiment, simulate_experiment

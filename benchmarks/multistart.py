@@ -29,9 +29,9 @@ from needlefit.inference.fit import StartPoint
 from needlefit.inference.objective import make_posterior_objective
 from needlefit.inference.optimize import minimize, search
 from needlefit.inference.problem import Problem, make_problem
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
+from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 

@@ -59,29 +59,29 @@ AREAS = {
     "likelihood": Area(
         ("inference/likelihood", "inference/posterior_density.py"),
         (
-            *("inference_likelihood", "inference_slopes", "inference_tracks"),
-            *("inference_marginal", "inference_depths"),
+            *("inference_likelihood", "inference_tracks"),
+            *("inference_marginal", "inference_depths", "inference_document"),
         ),
     ),
     "sampling": Area(
         tuple(
             f"inference/sampling/{name}.py" for name in ("convergence", "ensembles", "posterior", "sample")
         ),
-        ("inference_convergence", "inference_sample"),
+        ("inference_sample",),
     ),
     "importance": Area(
         ("inference/sampling/importance.py",),
-        ("inference_predictive_density", "inference_importance", "inference_specimens"),
+        ("inference_importance", "inference_specimens"),
     ),
     "metrics": Area(
-        ("metrics", "geometry/curves.py"), ("inference_metric", "registry", "geometry", "reporting_tables")
+        ("metrics", "geometry/curves.py"), ("inference_problem", "registry", "geometry", "reporting_tables")
     ),
     "registration": Area(
         ("imaging/registration", "geometry/frames.py"),
-        ("imaging_registration_faults", "geometry", "imaging_registration"),
+        ("geometry", "imaging_registration"),
     ),
     "resume": Area(
-        ("project/checkpoint.py", "project/manifest.py", "project/atomic_write.py"),
+        ("project/checkpoint.py", "project/folders.py"),
         ("project_checkpoint", "project_manifest"),
     ),
     "mechanics": Area(("mechanics",), MECHANICS),

@@ -33,9 +33,9 @@ from needlefit.inference.problem import Problem
 from needlefit.inference.sampling import sample as sampler
 from needlefit.mechanics import native
 from needlefit.mechanics.batch import Batch
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
+from needlefit.project.toml import load
 from needlefit.schemas.recipe import SampleRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.job import Job, Settings, prepare

@@ -19,9 +19,9 @@ from needlefit.datasets.select import select_insertions
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.optimize import minimize
 from needlefit.inference.problem import make_problem
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
+from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord

@@ -10,9 +10,9 @@ import argparse
 from dataclasses import replace
 
 from needlefit.inference.sampling.importance import LARGER_EFFORT, sample_about_fit
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
+from needlefit.project.toml import load
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.job import Settings, prepare
 from needlefit.studies.posterior_fit import find_fit

@@ -11,9 +11,9 @@ from dataclasses import replace
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.identifiability.identify import profile_parameters
 from needlefit.inference.optimize import minimize
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
+from needlefit.project.toml import load
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.job import Settings, metric_recipe, prepare
 

@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Rectangle
 
 from needlefit.mechanics.scene import Scene
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
+from needlefit.project.toml import load
 from needlefit.schemas.scene import SceneRecord
 from needlefit.viewer.recording import RecordedStep, RecordingWriter, make_head
 from needlefit.viewer.steering import Change, SteeredNeedle

@@ -89,8 +89,8 @@ def open_scene(name: str) -> "Scene":
         If there is no such scene, or its file holds a wrong, missing or unknown key.
     """
     from needlefit.mechanics.scene import Scene
-    from needlefit.project.load import load
     from needlefit.project.locate import file_label, find_file
+    from needlefit.project.toml import load
     from needlefit.schemas.scene import SceneRecord
 
     path = find_file("scene", name)

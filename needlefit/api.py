@@ -22,12 +22,11 @@ from needlefit.errors import ConfigError
 from needlefit.project.checkpoint import remove_checkpoint
 from needlefit.project.input_files import is_dir
 from needlefit.project.json_values import to_json_values
-from needlefit.project.load import check, load
 from needlefit.project.locate import FileKind, find_file, find_run, find_studies, is_path
 from needlefit.project.processes import count_cores
 from needlefit.project.progress import Progress, Stop, never_stop, no_progress
 from needlefit.project.tasks import THIS_PROCESS, TaskPool
-from needlefit.project.toml_lines import add_file_context
+from needlefit.project.toml import add_file_context, check, load
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord

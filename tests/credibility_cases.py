@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 from reporting_results import study, with_predictions
 
-from needlefit.project.manifest import write_manifest
+from needlefit.project.folders import write_manifest
 from needlefit.reporting.table_files import write_csv, write_json
 from needlefit.studies.run import Run
 from needlefit.studies.store import RESULTS_FILE, store_run

@@ -3,7 +3,7 @@
 import tempfile
 from pathlib import Path
 
-from needlefit.project.manifest import MANIFEST, write_manifest
+from needlefit.project.folders import MANIFEST, write_manifest
 from needlefit.studies.combined_report import rebuild
 from needlefit.studies.run import Run
 from needlefit.studies.store import store_run

@@ -16,8 +16,8 @@ from light_runs import blank_figures, few_draws  # noqa: F401 - fixtures
 import needlefit
 from needlefit import api
 from needlefit.errors import ConfigError
-from needlefit.project.load import load
 from needlefit.project.locate import find_file, shipped_folder
+from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.kinds import prediction

@@ -5,8 +5,7 @@ import json
 import pytest
 from test_cli import run
 
-from needlefit.project.load import read_toml
-from needlefit.project.toml_text import dumps
+from needlefit.project.toml import dumps, read_toml
 
 STUDY = {
     "schema": 2,

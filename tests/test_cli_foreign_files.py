@@ -21,8 +21,8 @@ from world import build_project
 
 from needlefit.cli.application import build
 from needlefit.project.checkpoint import open_checkpoint
+from needlefit.project.folders import MANIFEST, find_foreign, write_manifest
 from needlefit.project.locate import shipped_folder
-from needlefit.project.manifest import MANIFEST, find_foreign, write_manifest
 from needlefit.verification import run as verification
 from needlefit.viewer.steering import Change
 

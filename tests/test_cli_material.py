@@ -11,8 +11,8 @@ from compression_cases import gel_file
 from light_runs import blank_figures  # noqa: F401 - a fixture
 from test_cli import run
 
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
+from needlefit.project.toml import load
 from needlefit.schemas.medium import MaterialRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies import provenance

@@ -8,8 +8,8 @@ import pytest
 from test_cli import run
 
 from needlefit.mechanics.scene import Entry
-from needlefit.project.load import load
 from needlefit.project.locate import find_file, list_names
+from needlefit.project.toml import load
 from needlefit.project.unit_warnings import coarse_warnings, scene_warnings
 from needlefit.schemas.scene import SceneRecord
 

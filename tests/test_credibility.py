@@ -19,7 +19,7 @@ from reporting_results import stereo
 from test_cli import run
 
 from needlefit.errors import DataError
-from needlefit.project.manifest import write_manifest
+from needlefit.project.folders import write_manifest
 from needlefit.reporting.table_files import write_csv, write_json
 from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
 from needlefit.studies.job import Settings
@@ -184,10 +184,10 @@ def test_verification_of_another_mesh_covers_the_code_but_not_the_discretisation
 
 def test_a_figure_beside_the_numbers_is_shown_and_its_bytes_are_recorded(alone, tmp_path):
     folder = leave_verification(tmp_path)
-    assert find_code_verification(load_case(alone)).pictures == ()
+    assert find_code_verification(load_case(alone)).blocks == ()
     (folder / "convergence.pdf").write_bytes(b"figure")
-    (picture,) = find_code_verification(load_case(alone)).pictures
-    assert picture.path == folder / "convergence.pdf"
+    (picture,) = find_code_verification(load_case(alone)).blocks
+    assert picture["kind"] == "figure" and picture["path"] == folder / "convergence.pdf"
     assert "convergence.pdf" in load_case(alone).evidence[0].digests
 
 

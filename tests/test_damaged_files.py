@@ -17,9 +17,9 @@ from test_reporting_posterior import sampled
 import needlefit
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.inference.sampling.posterior import load, save
+from needlefit.project.folders import MANIFEST, find_changes, sha256, write_manifest
 from needlefit.project.input_files import convert_stored_errors
 from needlefit.project.locate import find_file, find_run, find_studies, find_study_or_fit, find_view_target
-from needlefit.project.manifest import MANIFEST, find_changes, sha256, write_manifest
 from needlefit.studies import store as stored_files
 from needlefit.studies.combined_report import rebuild
 from needlefit.studies.csv_tables import TableSchema, read_table
@@ -144,9 +144,8 @@ def test_values_that_were_never_written_are_refused(key, value, content, tmp_pat
     assert not (tmp_path / "again").exists()
 
 
-@pytest.mark.parametrize(
-    "values",
-    [
+def test_a_run_file_of_other_types_names_the_file(tmp_path):
+    for values in [
         [],
         {"name": 1},
         {"name": "a", "folds": {}},
@@ -157,16 +156,11 @@ def test_values_that_were_never_written_are_refused(key, value, content, tmp_pat
         {"k" * 300: {"name": "a"}},
         {"../elsewhere": {"name": "a"}},
         {"name": "a", "versions": {"k" * 300: 1}},
-    ],
-)
-def test_a_run_file_of_other_types_names_the_file(values, tmp_path):
-    (tmp_path / "run.json").write_text(json.dumps(values))
-    with pytest.raises(DataError) as caught:
-        read_run(tmp_path)
-    assert "run.json" in caught.value.where and len(str(caught.value)) < 1000
-
-
-def test_times_of_another_type_are_refused(tmp_path):
+    ]:
+        (tmp_path / "run.json").write_text(json.dumps(values))
+        with pytest.raises(DataError) as caught:
+            read_run(tmp_path)
+        assert "run.json" in caught.value.where and len(str(caught.value)) < 1000
     (tmp_path / "timing.json").write_text('{"seconds": "long"}')
     with pytest.raises(DataError):
         read_timing(tmp_path)
@@ -255,24 +249,18 @@ def test_a_name_that_no_file_can_have_is_not_found(name):
         assert caught.value.exit_code == 3
 
 
-@pytest.mark.parametrize(
-    ("form", "text", "column"),
-    [
+def test_a_number_that_is_never_written_as_infinite_is_refused(tmp_path):
+    for form, text, column in [
         (TableSchema(), "id,x_mm\na,1e999\nb,inf\n", "x_mm"),
         (TableSchema(), "id,x_mm\na,not determined\nb,-2.5e999\n", "x_mm"),
         (TableSchema(("id",), finite=("x_mm",)), "id,x_mm\na,1\nb,inf\n", "x_mm"),
         (TableSchema(("id",), finite=("x_mm",), finite_where="ok"), "id,x_mm,ok\na,inf,True\n", "x_mm"),
-    ],
-)
-def test_a_number_that_is_never_written_as_infinite_is_refused(form, text, column, tmp_path):
-    path = tmp_path / "table.csv"
-    path.write_text(text)
-    with pytest.raises(DataError) as caught:
-        read_table(path, form)
-    assert str(path) in caught.value.where and column in caught.value.where and "row" in caught.value.what
-
-
-def test_an_infinite_number_where_it_is_written_is_read(tmp_path):
+    ]:
+        path = tmp_path / "table.csv"
+        path.write_text(text)
+        with pytest.raises(DataError) as caught:
+            read_table(path, form)
+        assert str(path) in caught.value.where and column in caught.value.where and "row" in caught.value.what
     path = tmp_path / "table.csv"
     path.write_text("id,x_mm,ok\na,inf,False\nb,1,True\n")
     form = TableSchema(("id",), finite=("x_mm",), finite_where="ok")

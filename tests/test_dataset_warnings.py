@@ -22,16 +22,10 @@ from needlefit.datasets.read import check, check_all, read
 from needlefit.datasets.template import write_template
 from needlefit.datasets.write import write_dataset as write_curves
 from needlefit.geometry.surfaces import make_sheet
-from needlefit.project.load import load
+from needlefit.project import unit_warnings
 from needlefit.project.locate import find_file
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.unit_warnings import (
-    GAUGES_MM,
-    format_place,
-    likely_modulus,
-    medium_warnings,
-    needle_warnings,
-)
+from needlefit.project.toml import load
 from needlefit.schemas.scene import NeedleRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.job import Settings, prepare
@@ -98,23 +92,40 @@ def edit(file: Path, pattern: str, new: str) -> int:
     return n + 1
 
 
-@pytest.mark.parametrize("name", ["twin", "stereo_shapes", "guided_tips"])
-def test_no_shipped_dataset_gives_a_warning(name, monkeypatch):
-    faults, warnings = check_all(find_file("dataset", name))
-    assert warnings == [] and (name != "twin" or faults == [])
+def test_no_shipped_dataset_gives_a_warning_and_a_study_names_those_of_units_and_bevels(tmp_path):
+    for name in ["twin", "stereo_shapes", "guided_tips"]:
+        faults, warnings = check_all(find_file("dataset", name))
+        assert warnings == [] and (name != "twin" or faults == [])
+    notes = []
+    file = find_file("fit", "phantom1")
+    dataset = read(find_file("dataset", "twin"))
+    turned = replace(
+        dataset, warnings=(ResultWarning("bevel_side", "all turned"), ResultWarning("noise", "x"))
+    )
+    prepare("phantom1", load(file, FitRecord), Settings(file=file, note=notes.append), turned)
+    assert notes == ["warning: all turned"]
 
 
-def test_insertions_deflected_away_from_their_bevel_are_named(tmp_path):
+def test_insertions_deflected_away_from_their_bevel_and_copies_are_named(tmp_path):
     assert kinds(gel(tmp_path / "right")) == []
     _, (one,) = check_all(gel(tmp_path / "one", (1, -1, -1)))
     assert one.kind == "bevel_side" and one.what.startswith("b ") and one.where.endswith("insertions.csv:3")
     _, (every,) = check_all(gel(tmp_path / "all", (-1, -1, 1)))
     assert "all 3" in every.what and "flipped" in every.fix and "`bevel_side`" in every.fix
     assert read(tmp_path / "all").warnings == (every,)  # every fit reads the same
+    tmp_path /= "b"
+    tmp_path.mkdir()
+    file = gel(tmp_path)
+    (tmp_path / "centerlines/c.csv").write_bytes((tmp_path / "centerlines/a.csv").read_bytes())
+    _, (one,) = check_all(file)
+    assert (one.kind, one.where) == ("copy", f"{tmp_path}/insertions.csv:4") and "c " in one.what
 
 
 def test_the_bevel_sides_of_a_medium_that_bends_weakly_are_judged_together():
-    """Of the shipped chicken insertions hardly one bends clearly; together they do, by 6 deviations."""
+    weak = [BendResult(str(n), f"t:{n}", "unknown", "gel", 0.5) for n in range(8)]
+    wrong = BendResult("wrong", "t:9", "away", "gel", -40.0)
+    assert list(find_pooled_side_warnings([*weak, wrong], "bevel_side")) == []
+    # Of the shipped chicken insertions hardly one bends clearly; together they do, by 6 deviations.
     dataset = read(find_file("dataset", "twin"))
     chicken = [one for one in dataset.insertions if one.medium == "chicken"]
     shipped = [classify_insertion(one, one.id, dataset.noise) for one in chicken]
@@ -125,31 +136,10 @@ def test_the_bevel_sides_of_a_medium_that_bends_weakly_are_judged_together():
     assert one.where == "chicken-09" and "chicken-09, chicken-03" in one.what and "`bevel_side`" in one.fix
 
 
-def test_one_reversed_insertion_gives_no_warning_for_its_medium():
-    weak = [BendResult(str(n), f"t:{n}", "unknown", "gel", 0.5) for n in range(8)]
-    wrong = BendResult("wrong", "t:9", "away", "gel", -40.0)
-    assert list(find_pooled_side_warnings([*weak, wrong], "bevel_side")) == []
-
-
-def test_insertions_that_cannot_be_judged_do_not_count_together(tmp_path):
+def test_a_deflection_with_another_possible_cause_gives_no_warning(tmp_path):
+    for change in [{"base_moved": 2.0}, {"pose_shift_sd": 0.5}, {"pose_angle_sd": 0.02}]:
+        assert kinds(write_rows(tmp_path, into_gel(side=-1, **change))) == []
     assert kinds(write_rows(tmp_path, *(into_gel(name, side=-1, base_moved=2.0) for name in "abcd"))) == []
-
-
-@pytest.mark.parametrize(
-    "change", [{"base_moved": 2.0}, {"pose_shift_sd": 0.5}, {"pose_angle_sd": 0.02}], ids=str
-)
-def test_a_deflection_with_another_possible_cause_gives_no_warning(tmp_path, change):
-    assert kinds(write_rows(tmp_path, into_gel(side=-1, **change))) == []
-
-
-def test_a_copy_of_a_centreline_is_named(tmp_path):
-    file = gel(tmp_path)
-    (tmp_path / "centerlines/c.csv").write_bytes((tmp_path / "centerlines/a.csv").read_bytes())
-    _, (one,) = check_all(file)
-    assert (one.kind, one.where) == ("copy", f"{tmp_path}/insertions.csv:4") and "c " in one.what
-
-
-def test_free_shapes_and_straight_needles_give_no_bevel_warning(tmp_path):
     assert kinds(write_rows(tmp_path / "free", into_gel(side=-1, **FREE), frame={"pose": "free"})) == []
     straight = np.column_stack([X, 0.02 * np.random.default_rng(1).normal(size=(len(X), 2))])
     noise = {"point_sd_mm": 0.02}
@@ -200,41 +190,54 @@ def test_a_doubtful_length_of_a_needle_is_named_with_what_is_likely(tmp_path, ch
     file = tmp_path / "scene.toml"
     needle = NeedleRecord.model_validate(record().needle.model_dump() | changes)
     file.write_text("[needle]\n" + "\n".join(f"{name} = 1" for name in needle.model_dump()))
-    found = list(needle_warnings(needle, format_place(file)))
+    found = list(unit_warnings.needle_warnings(needle, unit_warnings.format_place(file)))
     lines = [n for n, name in enumerate(needle.model_dump(), start=2) if name == key]
     assert [one.where for one in found] == [f"{file}:{n}" for n in lines]
     assert all(f"`needle.{key}`" in one.what and all(text in one.fix for text in right) for one in found)
 
 
-@pytest.mark.parametrize(("length", "count"), [(15.0, 1), (5.9, 1), (40.0, 0), (0.15, 0)])
-def test_a_needle_too_short_for_its_rigidity_is_named(length, count):
-    needle = NeedleRecord(length_mm=length, flexural_rigidity_nmm2=1.0216e4)
-    found = list(needle_warnings(needle, lambda key: key))
-    assert [one.where for one in found] == ["needle.length_mm"] * count
-
-
-@pytest.mark.parametrize(
-    ("value", "unit", "right"),
-    [
+def test_values_in_another_unit_have_a_likely_one():
+    for length, count in [(15.0, 1), (5.9, 1), (40.0, 0), (0.15, 0)]:
+        needle = NeedleRecord(length_mm=length, flexural_rigidity_nmm2=1.0216e4)
+        found = list(unit_warnings.needle_warnings(needle, lambda key: key))
+        assert [one.where for one in found] == ["needle.length_mm"] * count
+    for value, unit, right in [
         *[(2e11, "Pa", 200), (8e4, "MPa", 80), (4e4, "MPa", 40), (2.9e7, "psi", 200), (1.16e7, "psi", 80)],
         *[(2.9e4, "ksi", 200), (3.6e3, "MPa", 3.6), (1e20, "", np.nan)],
-    ],
-)
-def test_the_likely_unit_of_a_modulus(value, unit, right):
-    found, in_gpa = likely_modulus(value)
-    assert found == unit and in_gpa == pytest.approx(right, rel=2e-3, nan_ok=True)
+    ]:
+        found, in_gpa = unit_warnings.likely_modulus(value)
+        assert found == unit and in_gpa == pytest.approx(right, rel=2e-3, nan_ok=True)
+    for changed, right in [
+        ({"mu1_pa": {"fixed": 220.0}}, ["write 220000"]),
+        ({"mu1_pa": {"bounds": [1.0, 250.0]}}, ["write 250000"]),
+        ({"bevel_mm": {"fixed": 1e-4}}, ["write 0.1"]),
+        ({"bevel_mm": {"bounds": [1e-6, 5e-4]}}, ["write 0.5"]),
+        ({"alpha1": {"fixed": 0.0}}, ["write a fitted exponent, or 1 if it is not known"]),
+        ({"alpha1": {"bounds": [-3.0, 5.0]}}, []),
+        ({"mu1_pa": {"bounds": [1.0, 1e12]}}, []),
+    ]:
+        found = list(unit_warnings.medium_warnings(medium(1, **changed), "medium"))
+        assert [one.fix for one in found] == right
+        assert all(f"`parameters.{next(iter(changed))}`" in one.what for one in found)
 
 
-@pytest.mark.parametrize(
-    ("factor", "unit"), [(0.1, "centimetres"), (1 / 25.4, "inches"), (1e3, "micrometres")], ids=str
-)
-def test_a_depth_in_another_unit_than_its_curve_is_named_with_the_line_of_its_row(tmp_path, factor, unit):
+def test_a_depth_in_another_unit_than_its_curve_is_named_with_the_line_of_its_row(tmp_path):
+    for factor, unit in [(0.1, "centimetres"), (1 / 25.4, "inches"), (1e3, "micrometres")]:
+        file = gel(tmp_path)
+        table = file.parent / "insertions.csv"
+        table.write_text(table.read_text().replace("50.0000", f"{50 * factor:.6g}"))
+        assert {one.where: unit in one.what and "depth_mm" in one.what for one in check(file)} == {
+            f"{table}:{line}": True for line in (2, 3, 4)
+        }
     file = gel(tmp_path)
+    edit(file, "insertions.csv", 'file = "insertions.csv"\ncolumns = { depth_mm = "Tiefe" }')
     table = file.parent / "insertions.csv"
-    table.write_text(table.read_text().replace("50.0000", f"{50 * factor:.6g}"))
-    assert {one.where: unit in one.what and "depth_mm" in one.what for one in check(file)} == {
-        f"{table}:{line}": True for line in (2, 3, 4)
-    }
+    table.write_text(table.read_text().replace("depth_mm", "Tiefe", 1).replace("50.0000", "0.05"))
+    faults = check(file)
+    assert len(faults) == 3
+    assert all(
+        "Tiefe" in one.what and "metres" in one.what and one.where.startswith(str(table)) for one in faults
+    )
 
 
 @pytest.mark.parametrize(("length", "unit"), [(15.0, "centimetres"), (5.906, "inches")])
@@ -298,14 +301,6 @@ def test_a_mistyped_column_of_the_insertions_is_named_with_the_nearest(tmp_path,
     assert all(f"`{new}`" in one.what and f"`{old}`" in one.what for one in found)
 
 
-def test_a_column_that_is_mapped_is_not_mistyped(tmp_path):
-    file = gel(tmp_path)
-    edit(file, "insertions.csv", 'file = "insertions.csv"\ncolumns = { bevel_side = "bevel_sid" }')
-    table = file.parent / "insertions.csv"
-    table.write_text(table.read_text().replace("bevel_side", "bevel_sid", 1))
-    assert kinds(file) == []
-
-
 @pytest.mark.parametrize(("name", "count"), [("SD_mm", 1), ("sd", 1), ("s_mm", 0)])
 def test_a_mistyped_column_of_centrelines_is_named_once(tmp_path, name, count):
     file = gel(tmp_path)
@@ -315,12 +310,6 @@ def test_a_mistyped_column_of_centrelines_is_named_once(tmp_path, name, count):
         curve.write_text("\n".join([f"{head},{name}", *(f"{one},0.02" for one in rows)]))
     _, warnings = check_all(file)
     assert [one.where for one in warnings] == [f"{tmp_path}/centerlines/a.csv:1"] * count
-
-
-@pytest.mark.parametrize("gauge", [18, 22, 25])
-def test_usual_needles_have_no_doubtful_diameter(tmp_path, gauge):
-    needle = record().needle.model_dump() | {"outer_diameter_mm": GAUGES_MM[gauge]}
-    assert kinds(gel(tmp_path, needle=needle)) == []
 
 
 @pytest.mark.parametrize(
@@ -360,18 +349,6 @@ def test_boundaries_in_a_unit_that_alone_gives_the_layers_listed(tmp_path, bound
     assert fault.where == place_of(file, "boundaries_mm") and fault.what.endswith(f" {unit}")
 
 
-def test_the_user_s_own_column_is_named(tmp_path):
-    file = gel(tmp_path)
-    edit(file, "insertions.csv", 'file = "insertions.csv"\ncolumns = { depth_mm = "Tiefe" }')
-    table = file.parent / "insertions.csv"
-    table.write_text(table.read_text().replace("depth_mm", "Tiefe", 1).replace("50.0000", "0.05"))
-    faults = check(file)
-    assert len(faults) == 3
-    assert all(
-        "Tiefe" in one.what and "metres" in one.what and one.where.startswith(str(table)) for one in faults
-    )
-
-
 def test_open_values_of_a_template_are_warnings_and_can_be_fitted(tmp_path):
     points = tmp_path / "points.csv"
     points.write_text("x_mm,y_mm,z_mm\n" + "".join(f"{x},{4e-4 * x * x},0\n" for x in range(0, 51, 5)))
@@ -384,7 +361,7 @@ def test_open_values_of_a_template_are_warnings_and_can_be_fitted(tmp_path):
         assert read(file).noise.stated
 
 
-def test_open_values_are_found_in_any_case_and_in_the_table(tmp_path):
+def test_open_values_are_found_and_mapped_columns_and_usual_diameters_are_not(tmp_path):
     file = gel(tmp_path, title="To fill in: what was inserted")
     table = tmp_path / "insertions.csv"
     head, *rows = table.read_text().splitlines()
@@ -395,25 +372,27 @@ def test_open_values_are_found_in_any_case_and_in_the_table(tmp_path):
     assert [one.kind for one in warnings] == ["placeholder"] * 2
     assert [one.where for one in warnings] == [place_of(file, "title"), f"{table}:3"]
     assert "`remark`" in warnings[1].what and " 2 " in warnings[1].what
+    file = gel(tmp_path)
+    edit(file, "insertions.csv", 'file = "insertions.csv"\ncolumns = { bevel_side = "bevel_sid" }')
+    table = file.parent / "insertions.csv"
+    table.write_text(table.read_text().replace("bevel_side", "bevel_sid", 1))
+    assert kinds(file) == []
+    for gauge in [18, 22, 25]:
+        needle = record().needle.model_dump() | {"outer_diameter_mm": unit_warnings.GAUGES_MM[gauge]}
+        assert kinds(gel(tmp_path, needle=needle)) == []
 
 
-def test_no_noise_is_a_warning_and_no_noise_of_tracks_a_fault(tmp_path, capsys):
+def test_data_without_any_error_or_point_are_a_fault(tmp_path):
     assert kinds(gel(tmp_path, noise={})) == ["no_noise"]
     edit(tmp_path / "dataset.toml", "^correlation_length", "correlation_length_mm = 1e9")
     (fault,) = check(tmp_path)
     assert "correlation_length_mm" in fault.what and fault.where.count(":") == 1
-
-
-def test_points_without_any_error_are_a_fault(tmp_path):
     curves = {"a": np.column_stack([CURVE, np.where(X > 0, 0.1, 0.0)])}
     for name, noise, count in (("none", {}, 1), ("some", {"point_sd_mm": 0.02}, 0)):
         file = write_rows(tmp_path / name, into_gel(), curves=curves, noise=noise)
         assert [one.where for one in check(file)] == [f"{file.parent / 'insertions.csv'}:2"] * count
     edit(file, "^point_sd_mm", "point_sd_mm = 1e-9")
     assert "point_sd_mm" in check(file)[0].what
-
-
-def test_nothing_left_of_a_free_shape_is_a_fault(tmp_path):
     frame = {"pose": "free", "drop_proximal_mm": 60.0}
     file = write_rows(tmp_path, into_gel(**FREE), frame=frame)
     (fault,) = check(file)
@@ -431,7 +410,7 @@ def plane(x: float):
     return make_sheet("sheet", (x, 0, 0), (1, 0, 0), 120, into=2)
 
 
-def test_a_surface_that_is_listed_twice_is_a_fault(tmp_path):
+def test_surfaces_listed_twice_turned_or_missed_are_faults(tmp_path):
     once = layered(tmp_path / "once", {"layers/a.stl": plane(20)})
     assert check(once) == []
     (by_name,) = {
@@ -442,9 +421,6 @@ def test_a_surface_that_is_listed_twice_is_a_fault(tmp_path):
     copies = {"layers/a.stl": plane(20), "layers/b.stl": plane(20)}
     (copied,) = check(layered(tmp_path / "copy", copies, layers=3))
     assert "as a and as b" in copied.what and copied.where.startswith(str(tmp_path / "copy/dataset.toml:"))
-
-
-def test_surfaces_in_ras_are_named_once_and_missed_ones_otherwise(tmp_path):
     (turned,) = check(layered(tmp_path / "turned", {"layers/a.stl": plane(-20)}))
     assert "RAS" in turned.what and "all 2" in turned.what
     missed = check(layered(tmp_path / "missed", {"layers/a.stl": plane(70)}))
@@ -464,32 +440,3 @@ def test_check_prints_warnings_and_strict_ends_with_5(tmp_path, capsys):
     assert (
         SURFACES and run("check", f"{tmp_path}/block/", "--strict") == 5
     )  # it states no noise of its points
-
-
-@pytest.mark.parametrize(
-    ("changed", "right"),
-    [
-        ({"mu1_pa": {"fixed": 220.0}}, ["write 220000"]),
-        ({"mu1_pa": {"bounds": [1.0, 250.0]}}, ["write 250000"]),
-        ({"bevel_mm": {"fixed": 1e-4}}, ["write 0.1"]),
-        ({"bevel_mm": {"bounds": [1e-6, 5e-4]}}, ["write 0.5"]),
-        ({"alpha1": {"fixed": 0.0}}, ["write a fitted exponent, or 1 if it is not known"]),
-        ({"alpha1": {"bounds": [-3.0, 5.0]}}, []),
-        ({"mu1_pa": {"bounds": [1.0, 1e12]}}, []),
-    ],
-)
-def test_a_parameter_of_a_medium_in_another_unit_is_named(changed, right):
-    found = list(medium_warnings(medium(1, **changed), "medium"))
-    assert [one.fix for one in found] == right
-    assert all(f"`parameters.{next(iter(changed))}`" in one.what for one in found)
-
-
-def test_a_study_names_units_and_bevel_sides_before_it_begins(tmp_path):
-    notes = []
-    file = find_file("fit", "phantom1")
-    dataset = read(find_file("dataset", "twin"))
-    turned = replace(
-        dataset, warnings=(ResultWarning("bevel_side", "all turned"), ResultWarning("noise", "x"))
-    )
-    prepare("phantom1", load(file, FitRecord), Settings(file=file, note=notes.append), turned)
-    assert notes == ["warning: all turned"]

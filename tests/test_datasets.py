@@ -2,21 +2,28 @@
 
 import dataclasses
 import math
+import os
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from needlefit.datasets.columns import InsertionRow
+from needlefit.datasets.formats.mat import read_curves
+from needlefit.datasets.formats.mrk_json import CurveStyle, write_mrk_json
 from needlefit.datasets.insertion import Noise
+from needlefit.datasets.markups import Markups
 from needlefit.datasets.noise import draw_point_noise, estimate_noise_floor
 from needlefit.datasets.read import check, read
 from needlefit.datasets.select import select_insertions
+from needlefit.datasets.template import write_template
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import make_cylinder, make_sheet
-from needlefit.project.toml_text import dumps
+from needlefit.project.toml import dumps
 from needlefit.schemas.dataset import DatasetRecord
 from needlefit.schemas.study import SelectionRecord
 
@@ -77,60 +84,53 @@ def block(folder, **changes):
 def test_a_written_dataset_is_read_back(tmp_path):
     dataset = read(block(tmp_path))
     assert check(tmp_path) == []
-    a, b, _ = dataset.insertions
-    assert (dataset.name, dataset.origin, dataset.pose, dataset.noise.registration_mean) == (
-        *("block", "synthetic", "known"),
-        0.19,
-    )
+    a, b, c = dataset.insertions
+    found = dataset.name, dataset.origin, dataset.pose, dataset.noise.registration_mean
+    assert found == ("block", "synthetic", "known", 0.19)
     assert dataset.needle.flexural_rigidity == pytest.approx(1.0216e4, rel=1e-4)
     assert (a.specimen, a.layers, a.layers_alternative, a.guide_distance) == ("one", 4, 4, None)
     assert (b.specimen, b.layers, b.layers_alternative, b.guide_distance) == ("two", 2, 3, 30.0)
     np.testing.assert_allclose(a.centerline, CURVE, atol=0.5e-4)
     np.testing.assert_allclose(a.planar, CURVE[:, :2], atol=1e-4)
     assert a.deflection == pytest.approx(1.0)
-
-
-def test_layers_come_from_the_surfaces_by_intersection(tmp_path):
-    """Along x the sheet lies at 20; the cylinder about (40, y, z) of radius 5 from 35 to 45."""
-    a = read(block(tmp_path)).insertions[0]
+    # Along x the sheet lies at 20; the cylinder about (40, y, z) of radius 5 from 35 to 45.
     assert a.sequence == (1, 2, 3, 2)
     y = 4e-4 * 40**2
     half = math.sqrt(25 - y**2)
     assert a.boundaries == pytest.approx([20, 40 - half, 40 + half], abs=0.03)
-
-
-def test_layers_given_as_depths_end_at_the_tip(tmp_path):
-    b = read(block(tmp_path)).insertions[1]
     assert b.sequence == (1, 2) and b.boundaries.tolist() == [20.0]
-
-
-def test_the_plane_is_the_bevels_or_the_shapes(tmp_path):
-    _, b, c = read(block(tmp_path)).insertions
     np.testing.assert_allclose(b.frame.rotation[:, 1], [0, 1, 0], atol=1e-6)
     np.testing.assert_allclose(c.frame.rotation[:, 1], [0, -1, 0], atol=1e-6)
     assert c.planar[-1, 1] == pytest.approx(-1.0)
     assert b.deflection == c.deflection == pytest.approx(1.0)  # both toward the bevel
 
 
-def test_out_of_plane_deflection_is_kept(tmp_path):
+def test_what_an_insertion_has_for_itself_is_written_and_read(tmp_path):
     twisted = CURVE + np.column_stack([0 * X, 0 * X, 0.3 * np.sin(X / 8)])
     bevel = np.array([0, 1.0, 0])
     file = write_dataset(tmp_path, record(), [row("a", bevel=bevel)], {"a": twisted}, SURFACES)
     a = read(file).insertions[0]
     np.testing.assert_allclose(a.out_of_plane, 0.3 * np.sin(X / 8), atol=1e-4)
-
-
-def test_the_pose_of_a_tilted_insertion_is_its_own(tmp_path):
-    """Moving needle and pose together changes nothing in C."""
+    # Moving needle and pose together changes nothing in C.
     c, s = math.cos(0.4), math.sin(0.4)
     turn = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
     shift = np.array([3.0, -5.0, 12.0])
     moved = row("a", "given", layers=2, entry=shift, direction=turn[:, 0])
     file = write_dataset(tmp_path, record(), [moved], {"a": CURVE @ turn.T + shift}, SURFACES)
     np.testing.assert_allclose(read(file).insertions[0].planar, CURVE[:, :2], atol=2e-4)
+    rows = [row("a", base_moved=-12.5), row("b")]
+    a, b = read(write_dataset(tmp_path, record(), rows, dict.fromkeys("ab", CURVE), SURFACES)).insertions
+    assert (a.base_moved, b.base_moved) == (-12.5, 0.0)
+    # A third of a turn about (1, 1, 1) takes x to y, y to z, z to x.
+    turned = Frame(np.array([-0.5, 0, 0]), np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]))
+    file = write_dataset(
+        tmp_path, record(), [row("a", "given", layers=2, patient=turned)], {"a": CURVE}, SURFACES
+    )
+    found = read(file).insertions[0].patient
+    np.testing.assert_allclose(found.to_world(np.eye(3)) - found.origin, np.eye(3)[[1, 2, 0]], atol=1e-8)
 
 
-def test_the_same_data_gives_the_same_bytes_and_digest(tmp_path):
+def test_the_same_data_gives_the_same_digest_and_additions_of_spreadsheets_are_ignored(tmp_path):
     one, two = block(tmp_path / "one"), block(tmp_path / "two")
     files = sorted(path.relative_to(tmp_path / "one") for path in one.parent.rglob("*.*"))
     assert len(files) == 7
@@ -138,15 +138,7 @@ def test_the_same_data_gives_the_same_bytes_and_digest(tmp_path):
         assert (one.parent / file).read_bytes() == (two.parent / file).read_bytes()
     assert read(one).digest == read(two).digest
     assert read(block(tmp_path / "three", title="another")).digest != read(one).digest
-
-
-def test_writing_needs_every_centreline_and_surface(tmp_path):
-    with pytest.raises(DataError, match=r"b, layers/core\.stl, layers/sheet\.stl"):
-        write_dataset(tmp_path, record(), [row("a"), row("b")], {"a": CURVE})
-
-
-def test_additions_of_spreadsheets_are_ignored(tmp_path):
-    """A byte order mark, CRLF, blank lines, spaces and quotes change nothing but the checksum."""
+    # A byte order mark, CRLF, blank lines, spaces and quotes change nothing but the checksum.
     file = block(tmp_path)
     before = read(file)
     for path in (tmp_path / "insertions.csv", tmp_path / "centerlines" / "a.csv"):
@@ -157,11 +149,24 @@ def test_additions_of_spreadsheets_are_ignored(tmp_path):
     np.testing.assert_array_equal(read(file).insertions[0].planar, before.insertions[0].planar)
 
 
+def test_writing_needs_every_centreline_and_surface(tmp_path):
+    with pytest.raises(DataError, match=r"b, layers/core\.stl, layers/sheet\.stl"):
+        write_dataset(tmp_path, record(), [row("a"), row("b")], {"a": CURVE})
+    own_layers(tmp_path / "one")
+    media = {
+        "block": {"surfaces": [{"file": "layers/{id}.stl", "kind": "sheet", "into": 2}]},
+        "given": {"boundaries_mm": [20.0]},
+    }
+    rows = [row("a"), row("b", "given")]
+    with pytest.raises(DataError, match=r" layers/a\.stl\n"):
+        write_dataset(tmp_path / "two", record(media=media), rows, dict.fromkeys("ab", CURVE), {})
+
+
 def without_checksums(file: Path):
     file.write_text(file.read_text().split("[checksums]")[0])
 
 
-def test_selection(tmp_path):
+def test_selections_and_empty_ones(tmp_path):
     dataset = read(block(tmp_path))
 
     def ids(layer_count_rule="listed", **keys):
@@ -172,11 +177,7 @@ def test_selection(tmp_path):
     assert ids("alternative", layers=(2,)) == "c"
     assert ids("alternative", layers=(3,)) == "b"
     assert ids(insertions=("c", "a"), depth_max_mm=50.0, depth_min_mm=50.0) == "ac"
-
-
-@pytest.mark.parametrize(
-    ("keys", "words"),
-    [
+    for keys, words in [
         ({"medium": "gel"}, "medium gel"),
         ({"insertions": ("a", "z")}, "insertion z"),
         ({"specimens": ("three",)}, "specimen three"),
@@ -185,48 +186,37 @@ def test_selection(tmp_path):
             r"no insertion of dataset block has medium = given and depth_min_mm = 51\n.*there are 1 in block "
             r"\(layers 4; depths 50 to 50 mm\); 2 in given \(layers 2; depths",
         ),
-    ],
-)
-def test_an_empty_selection_is_refused(tmp_path, keys, words):
-    dataset = read(block(tmp_path))
-    with pytest.raises(ConfigError, match=words):
-        select_insertions(dataset, SelectionRecord(**keys))
+    ]:
+        dataset = read(block(tmp_path))
+        with pytest.raises(ConfigError, match=words):
+            select_insertions(dataset, SelectionRecord(**keys))
 
 
-@pytest.mark.parametrize(("begins", "expected"), [(0.5, math.pi / 4), (0.0, 1 / 2)])
-def test_noise_floor_of_a_shift(begins, expected, tmp_path):
-    """Of an isotropic shift of mean length m a plane shows m pi / 4, a curve cut at its entry m / 2."""
-    dataset = read(block(tmp_path))
-    insertion = dataset.insertions[0]
-    insertion = dataclasses.replace(insertion, planar=insertion.planar + np.array([begins, 0.0]))
-    floor = estimate_noise_floor(dataset, insertion, np.random.default_rng(1), draws=3000)
-    assert floor["te_mm"] == pytest.approx(0.19 * expected, rel=0.03)
-    assert floor["ipe_mean_mm"] == pytest.approx(0.19 * expected, rel=0.03)
-
-
-def test_noise_floor_of_an_angle_grows_from_the_entry(tmp_path):
-    """A turn of standard deviation q leaves q L sqrt(2 / pi) at the tip on average, half of it overall."""
+def test_noise_floors_of_a_shift_and_of_an_angle(tmp_path):
+    # Of an isotropic shift of mean length m a plane shows m pi / 4, a curve cut at its entry m / 2.
+    for begins, expected in [(0.5, math.pi / 4), (0.0, 1 / 2)]:
+        dataset = read(block(tmp_path))
+        insertion = dataset.insertions[0]
+        insertion = dataclasses.replace(insertion, planar=insertion.planar + np.array([begins, 0.0]))
+        floor = estimate_noise_floor(dataset, insertion, np.random.default_rng(1), draws=3000)
+        assert floor["te_mm"] == pytest.approx(0.19 * expected, rel=0.03)
+        assert floor["ipe_mean_mm"] == pytest.approx(0.19 * expected, rel=0.03)
+    # A turn of standard deviation q leaves q L sqrt(2 / pi) at the tip on average, half of it overall.
     turned = row("a", "given", layers=2, pose_angle_sd=0.01)
     dataset = read(write_dataset(tmp_path, record(noise={}), [turned], {"a": CURVE}, SURFACES))
     floor = estimate_noise_floor(dataset, dataset.insertions[0], np.random.default_rng(1), draws=3000)
     assert floor["te_mm"] == pytest.approx(0.01 * 50 * math.sqrt(2 / math.pi), rel=0.05)
     assert floor["ipe_mean_mm"] == pytest.approx(floor["te_mm"] / 2, rel=0.01)
-
-
-def test_noise_that_is_not_stated_has_no_floor(tmp_path):
     dataset = read(block(tmp_path, noise={}))
     assert math.isnan(estimate_noise_floor(dataset, dataset.insertions[0], np.random.default_rng(1))["te_mm"])
 
 
-def test_point_noise_has_the_stated_covariance():
+def test_point_noise_has_the_stated_covariance_and_toml_text_is_read_back():
     curve = np.column_stack([np.arange(8.0), np.zeros(8)])
     noise = Noise(point_sd=0.3, correlated_sd=0.4, correlation_length=2.0)
     drawn = draw_point_noise(curve, noise, np.random.default_rng(1), 20000)[:, :, 1]
     lag = np.abs(np.subtract.outer(np.arange(8), np.arange(8)))
     np.testing.assert_allclose(np.cov(drawn.T), 0.16 * np.exp(-lag / 2) + 0.09 * np.eye(8), atol=0.01)
-
-
-def test_toml_text_is_read_back():
     import tomllib
 
     tables = {"a": 1, "b": 'say "x"\nü', "c": {"d e": [1.5, 2.0], "f": [{"g": True}]}, "h": {"i": {}}}
@@ -238,7 +228,7 @@ def test_toml_text_is_read_back():
 QUARTER = Frame(np.array([1.0, 2.0, 3.0]), np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))  # about z
 
 
-def test_deviations_of_points_are_kept_where_they_are_given(tmp_path):
+def test_deviations_and_scans_are_kept_where_they_are_given(tmp_path):
     sd = np.linspace(0.02, 0.3, 101)
     curves = {"a": np.column_stack([CURVE, sd]), "b": CURVE}
     rows = [row(name, "given", layers=2) for name in "ab"]
@@ -247,10 +237,7 @@ def test_deviations_of_points_are_kept_where_they_are_given(tmp_path):
     assert b.sd is None
     assert (tmp_path / "centerlines" / "a.csv").read_text().splitlines()[0] == "x_mm,y_mm,z_mm,sd_mm"
     assert (tmp_path / "centerlines" / "b.csv").read_text().splitlines()[0] == "x_mm,y_mm,z_mm"
-
-
-def test_every_insertion_may_have_its_own_scan(tmp_path):
-    """A quarter turn about z is the rotation vector (0, 0, 90) in degrees."""
+    # A quarter turn about z is the rotation vector (0, 0, 90) in degrees.
     rows = [row("a", "given", layers=2, patient=QUARTER), row("b", "given", layers=2)]
     file = write_dataset(tmp_path, record(), rows, dict.fromkeys("ab", CURVE), SURFACES)
     lines = (tmp_path / "insertions.csv").read_text().splitlines()
@@ -260,22 +247,6 @@ def test_every_insertion_may_have_its_own_scan(tmp_path):
     a, b = read(file).insertions
     np.testing.assert_allclose(a.patient.to_world([[5.0, 0, 0]]), [[1, 7, 3]], atol=1e-9)
     np.testing.assert_array_equal(b.patient.to_world([[5.0, 0, 0]]), [[5, 0, 0]])
-
-
-def test_a_base_that_was_moved_is_written_where_any_was(tmp_path):
-    rows = [row("a", base_moved=-12.5), row("b")]
-    a, b = read(write_dataset(tmp_path, record(), rows, dict.fromkeys("ab", CURVE), SURFACES)).insertions
-    assert (a.base_moved, b.base_moved) == (-12.5, 0.0)
-
-
-def test_a_turn_about_any_axis_is_written_and_read(tmp_path):
-    """A third of a turn about (1, 1, 1) takes x to y, y to z, z to x."""
-    turned = Frame(np.array([-0.5, 0, 0]), np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]))
-    file = write_dataset(
-        tmp_path, record(), [row("a", "given", layers=2, patient=turned)], {"a": CURVE}, SURFACES
-    )
-    found = read(file).insertions[0].patient
-    np.testing.assert_allclose(found.to_world(np.eye(3)) - found.origin, np.eye(3)[[1, 2, 0]], atol=1e-8)
 
 
 def own_layers(folder):
@@ -298,17 +269,14 @@ def own_layers(folder):
 
 
 def test_every_insertion_may_have_its_own_layers(tmp_path):
-    dataset = read(own_layers(tmp_path))
+    file = own_layers(tmp_path)
+    dataset = read(file)
     a, b = dataset.insertions
     assert a.sequence == b.sequence == (1, 2, 3, 2)
     assert (a.boundaries[0], b.boundaries[0]) == pytest.approx((20, 30), abs=1e-3)
     assert dataset.media == ("block",)
     assert [float(i.surfaces[0].mesh.vertices[0, 0]) for i in dataset.insertions] == [20, 30]
     assert a.surfaces[1] is b.surfaces[1]
-
-
-def test_own_layers_are_among_the_checksums_and_the_digest(tmp_path):
-    file = own_layers(tmp_path)
     before, path = read(file).digest, tmp_path / "layers" / "b_sheet.stl"
     text = path.read_text()
     path.write_text(text.replace("30.0", "30.5"))
@@ -320,12 +288,281 @@ def test_own_layers_are_among_the_checksums_and_the_digest(tmp_path):
     assert read(file).digest == before
 
 
-def test_a_dataset_without_its_insertions_own_layers_is_not_written(tmp_path):
-    own_layers(tmp_path / "one")
-    media = {
-        "block": {"surfaces": [{"file": "layers/{id}.stl", "kind": "sheet", "into": 2}]},
-        "given": {"boundaries_mm": [20.0]},
-    }
-    rows = [row("a"), row("b", "given")]
-    with pytest.raises(DataError, match=r" layers/a\.stl\n"):
-        write_dataset(tmp_path / "two", record(media=media), rows, dict.fromkeys("ab", CURVE), {})
+# ---- other people's files: long tables, MATLAB, templates, public data
+
+SHIPPED = Path(__file__).parent.parent / "data"
+
+LONG = """\
+schema = 1
+name = "long"
+origin = "synthetic"
+license = "CC0-1.0"
+source = "made up for the tests"
+how_to_get = "ask the tests"
+root = "$NEEDLEFIT_TEST_DATA/lab-*"
+frame = { pose = "free", drop_proximal_mm = 10.0 }
+needle = { length_mm = 150.0, flexural_rigidity_nmm2 = 6000.0 }
+media = { gel = {} }
+[insertions]
+id_template = "hole{hole}_{depth}"
+columns = { specimen = "hole", depth_mm = "depth" }
+constants = { medium = "gel", layers = 1 }
+[centerlines]
+file = "shapes.csv"
+group_by = ["hole", "depth"]
+columns = { x_mm = "u", y_mm = "w", z_mm = "out" }
+"""
+
+
+def shapes(folder, holes, depth=50):
+    folder.mkdir()
+    lines = [f"{h},{depth},{u:.4f},{w:.4f},{z:.4f}" for h in holes for u, w, z in CURVE]
+    (folder / "shapes.csv").write_text("\n".join(["hole,depth,u,w,out", *lines]) + "\n")
+
+
+@pytest.fixture
+def long(tmp_path, monkeypatch):
+    monkeypatch.setenv("NEEDLEFIT_TEST_DATA", str(tmp_path))
+    (tmp_path / "dataset.toml").write_text(LONG)
+    shapes(tmp_path / "lab-a", [1, 2])
+    shapes(tmp_path / "lab-b", [3])
+    return tmp_path / "dataset.toml"
+
+
+def test_a_long_table_is_read_through_its_mapping(long):
+    dataset = read(long)
+    assert [i.id for i in dataset.insertions] == ["hole1_50", "hole2_50", "hole3_50"]
+    assert [i.specimen for i in dataset.insertions] == ["1", "2", "3"]
+    first = dataset.insertions[0]
+    found = dataset.pose, dataset.drop_proximal, first.depth, first.pose_source
+    assert found == ("free", 10.0, 50.0, "none")
+    np.testing.assert_allclose(first.planar, CURVE[:, :2], atol=1e-3)  # x is the tangent at the entry
+    assert first.sequence == (1,)
+    path = long.parent / "lab-a" / "shapes.csv"
+    whole = path.read_text()
+    lines = whole.split("\n")
+    lines[129] = "2,50,nan,0,0"
+    path.write_text("\n".join(lines))
+    [fault] = check(long)
+    assert fault.where == f"{path}:130" and "u is 'nan'" in fault.what
+    path.write_text(whole)
+    shapes(long.parent / "lab-c", [2])
+    [fault] = check(long)
+    [fault] = check(long)
+    assert "hole2_50 " in fault.what and "folder" in fault.what
+
+
+def test_a_mapped_column_must_exist_and_be_constant(long):
+    long.write_text(LONG.replace('specimen = "hole"', 'specimen = "piece"'))
+    assert {"`piece`" in fault.what for fault in check(long)} == {True}
+    long.write_text(LONG.replace('specimen = "hole"', 'specimen = "w"'))
+    assert any("`w`" in fault.what and "hole1_50" in fault.what for fault in check(long))
+    for field in ("{length}", "{depth.real}", "{depth:9}"):
+        long.write_text(LONG.replace("{depth}", field))
+        assert all("id_template" in fault.what for fault in check(long)) and check(long)
+    long.write_text(LONG.replace("{depth}", "{depth}}"))
+    assert {fault.what for fault in check(long)} >= {"id is 'hole1_50}'"}
+
+
+def test_missing_data_is_reported_with_its_acquisition(long, monkeypatch):
+    monkeypatch.setenv("NEEDLEFIT_TEST_DATA", str(long.parent / "elsewhere"))
+    with pytest.raises(DataError, match=r"elsewhere[\s\S]*ask the tests"):
+        read(long)
+    monkeypatch.delenv("NEEDLEFIT_TEST_DATA")
+    with pytest.raises(DataError, match=r"NEEDLEFIT_TEST_DATA[\s\S]*ask the tests"):
+        read(long)
+
+
+def test_free_shapes_have_a_noise_floor_after_alignment(long):
+    """A correlated length much longer than the shape moves it as a whole, which alignment undoes."""
+    for length, low, high in ((1e6, 0.0, 0.005), (5.0, 0.05, 0.15)):
+        long.write_text(LONG + f"[noise]\ncorrelated_sd_mm = 0.1\ncorrelation_length_mm = {length}\n")
+        dataset = read(long)
+        floor = estimate_noise_floor(dataset, dataset.insertions[0], np.random.default_rng(2))
+        assert low < floor["ipe_mean_mm"] < high
+
+
+def test_matlab_centrelines_structs_and_cells_are_read(tmp_path):
+    (tmp_path / "centerlines").mkdir(parents=True)
+    file = write_dataset(
+        tmp_path, record(), [row("a", "given", layers=2)], {"a": CURVE}, SURFACES, checksums=False
+    )
+    planar = read(file).insertions[0].planar
+    (tmp_path / "centerlines" / "a.csv").unlink()
+    savemat(tmp_path / "centerlines" / "a.mat", {"needle": CURVE.round(4), "note": "a text", "rate": 3.0})
+    file.write_text(file.read_text().replace("{id}.csv", "{id}.mat"))
+    np.testing.assert_array_equal(read(file).insertions[0].planar, planar)
+    cells = np.empty(2, dtype=object)
+    cells[:] = [CURVE, 2 * CURVE]
+    savemat(tmp_path / "old.mat", {"run": {"shape": CURVE, "depth": 50.0}, "all": cells})
+    curves = read_curves(tmp_path / "old.mat")
+    assert sorted(curves) == ["all_1", "all_2", "run_shape"]
+    np.testing.assert_array_equal(curves["all_2"].values, 2 * CURVE)
+    with h5py.File(tmp_path / "new.mat", "w") as new:  # version 7.3 is HDF5, its matrices turned
+        new["x"] = CURVE.T
+        new["run/shape"] = 3 * CURVE.T
+        new["#refs#/a"] = 2 * CURVE.T
+        new.create_dataset("all", data=[[new["#refs#/a"].ref]], dtype=h5py.ref_dtype)
+    curves = read_curves(tmp_path / "new.mat")
+    assert sorted(curves) == ["all_1", "run_shape", "x"]
+    np.testing.assert_array_equal(curves["run_shape"].values, 3 * CURVE)
+
+
+@pytest.mark.sweep
+def test_matlab_faults(tmp_path):
+    file = write_dataset(
+        tmp_path, record(), [row("a", "given", layers=2)], {"a": CURVE}, SURFACES, checksums=False
+    )
+    file.write_text(file.read_text().replace("{id}.csv", "{id}.mat"))
+    path = tmp_path / "centerlines" / "a.mat"
+
+    def fault():
+        [only] = check(file)
+        assert only.where.startswith(str(path))
+        return only.what
+
+    assert "no such file" in fault()
+    path.write_bytes(b"nothing of MATLAB's, but long enough to look at" * 10)
+    assert "cannot be read" in fault()
+    savemat(path, {"x": np.zeros((5, 2))})
+    assert fault().endswith(" x")
+    savemat(path, {"x": CURVE, "y": CURVE})
+    assert "holds 2 curves: x, y" in fault()
+    broken = CURVE.copy()
+    broken[4, 1] = np.nan
+    savemat(path, {"x": broken})
+    assert "NaN" in fault()
+    assert check(file)[0].where.endswith("point 5")
+
+
+def test_a_template_passes_check_and_may_begin_with_centrelines(tmp_path):
+    file = write_template(tmp_path / "mine")
+    assert check(tmp_path / "mine") == []
+    dataset = read(file)
+    assert dataset.origin == "synthetic" and "made-up" in file.read_text()
+    assert [i.sequence for i in dataset.insertions] == [(1, 2), (1, 2)]
+    with pytest.raises(ConfigError, match="exists already"):
+        write_template(tmp_path / "mine")
+    lines = [f"{name},{x},{y},{z}" for name in ("first run", "r2") for x, y, z in 3 * CURVE]
+    (tmp_path / "runs.csv").write_text("\n".join(["id,x_mm,y_mm,z_mm", *lines]))
+    savemat(tmp_path / "runs.mat", {"r1": CURVE, "r2": CURVE})
+    from_csv = read(write_template(tmp_path / "a", tmp_path / "runs.csv"))
+    assert [i.id for i in from_csv.insertions] == ["first_run", "r2"]
+    assert from_csv.pose == "free" and from_csv.needle.length > from_csv.insertions[0].depth > 149
+    assert [i.id for i in read(write_template(tmp_path / "b", tmp_path / "runs.mat")).insertions] == [
+        "r1",
+        "r2",
+    ]
+
+
+def test_a_template_from_faulty_centrelines_lists_the_faults(tmp_path):
+    (tmp_path / "c.csv").write_text(
+        "x_mm,y_mm,z_mm\n" + "".join(f"{x},{y},{z}\n" for x, y, z in CURVE / 1000)
+    )
+    with pytest.raises(DataError, match="metres"):
+        write_template(tmp_path / "c", tmp_path / "c.csv")
+    (tmp_path / "d.csv").write_text("x,y\n1,2\n")
+    with pytest.raises(DataError, match="`x_mm` is missing"):
+        write_template(tmp_path / "d", tmp_path / "d.csv")
+    with pytest.raises(DataError, match="ending"):
+        write_template(tmp_path / "e", tmp_path / "e.xlsx")
+
+
+def long_table(path, header, curves):
+    lines = [f"{name},{x},{y},{z}" for name, curve in curves.items() for x, y, z in curve]
+    path.write_text("\n".join([header, *lines]) + "\n")
+    return path
+
+
+def test_a_failed_template_leaves_nothing_and_names_the_source(tmp_path):
+    source = long_table(
+        tmp_path / "runs.csv", "id,x_mm,y_mm,z_mm", {"good": CURVE, "bad": CURVE[::-1] / 1000}
+    )
+    with pytest.raises(DataError, match="bad: depth_mm") as error:
+        write_template(tmp_path / "mine", source)
+    assert f"{source}:103" in str(error.value)  # one header line, 101 good points
+    folded = CURVE[[*range(50), 51, 50, *range(52, 101)]]
+    long_table(source, "id,x_mm,y_mm,z_mm", {"good": CURVE, "bad": folded})
+    with pytest.raises(DataError, match="curve bad ") as error:
+        write_template(tmp_path / "mine", source)
+    assert f"{source}:154" in str(error.value)  # the fold is the 52nd point of the second curve
+    savemat(tmp_path / "runs.mat", {"bad": CURVE * [1, np.nan, 1]})
+    with pytest.raises(DataError, match=r"runs\.mat, point 1: curve bad .*\b101\b"):
+        write_template(tmp_path / "mine", tmp_path / "runs.mat")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["runs.csv", "runs.mat"]
+
+
+def test_a_template_lists_what_it_reads_and_ignores(tmp_path):
+    notes = []
+    source = long_table(tmp_path / "runs.csv", "run,x_mm,y_mm,z_mm", {"1": CURVE})
+    dataset = read(write_template(tmp_path / "mine", source, notes.append))
+    assert [insertion.id for insertion in dataset.insertions] == ["runs"]
+    assert len(notes) == 2 and all(note.startswith(f"{source}: ") for note in notes)
+    assert "`run`" in notes[0] and "`id`" in notes[1] and "101 rows" in notes[1]
+    for path in (source, tmp_path / "none.csv", tmp_path / "e.xlsx"):
+        source.write_text("x,y,z\n1,2,3\n")
+        with pytest.raises(DataError) as error:
+            write_template(tmp_path / "other", path)
+        assert str(path) in str(error.value)
+        assert "--from reads" in str(error.value) or "check the path" in error.value.fix
+
+
+def test_a_template_keeps_deviations_and_reports_changed_ids(tmp_path):
+    source = tmp_path / "runs.csv"
+    lines = [f"{x},{y},{z},0.25" for x, y, z in CURVE]
+    source.write_text("\n".join(["x_mm,y_mm,z_mm,sd_mm", *lines]) + "\n")
+    np.testing.assert_array_equal(read(write_template(tmp_path / "mine", source)).insertions[0].sd, 0.25)
+    tmp_path /= "b"
+    tmp_path.mkdir()
+    source = long_table(tmp_path / "runs.csv", "id,x_mm,y_mm,z_mm", {"a b": CURVE, "c": CURVE})
+    remarks: list[str] = []
+    file = write_template(tmp_path / "mine", source, remarks.append)
+    assert [one.id for one in read(file).insertions] == ["a_b", "c"]
+    assert len(remarks) == 1 and "a_b" in remarks[0]
+
+
+def test_a_curve_of_few_points_or_another_s_name_is_no_template(tmp_path):
+    source = long_table(tmp_path / "runs.csv", "id,x_mm,y_mm,z_mm", {"a": CURVE, "b": CURVE[:1]})
+    with pytest.raises(DataError, match=r"curve b .*\b1 points") as error:
+        write_template(tmp_path / "mine", source)
+    assert error.value.where == f"{source}:103"
+    source = long_table(tmp_path / "runs.csv", "id,x_mm,y_mm,z_mm", {"a b": CURVE, "a_b": CURVE})
+    with pytest.raises(DataError, match="'a_b' becomes a_b, as another"):
+        write_template(tmp_path / "mine", source)
+
+
+@pytest.mark.parametrize("name", ["=1+1", "+a", "-a", "@a", "a\u202eb", "\uff1da", "a\x07", " =a"])
+@pytest.mark.parametrize("ending", [".csv", ".mrk.json", ".fcsv"])
+def test_unsafe_names_of_curves_are_refused(name, ending, tmp_path):
+    source = tmp_path / f"runs{ending}"
+    if ending == ".csv":
+        long_table(source, "id,x_mm,y_mm,z_mm", {name: CURVE})
+    elif ending == ".mrk.json":
+        look = CurveStyle((0.0, 0.0, 0.0), 1.0)
+        write_mrk_json(source, [(Markups(source, name, "Curve", ("",) * len(CURVE), CURVE), look)])
+    else:
+        source = tmp_path / f"{name}.fcsv"
+        rows = "".join(f"{n},{x},{y},{z},0,0,0,1,1,1,0,p,,\n" for n, (x, y, z) in enumerate(CURVE))
+        source.write_text(f"# Markups fiducial file version = 4.11\n# CoordinateSystem = LPS\n{rows}")
+    with pytest.raises(DataError) as error:
+        write_template(tmp_path / "mine", source)
+    assert "refused" in error.value.what or "control" in str(error.value)
+    assert not (tmp_path / "mine").exists()
+
+
+@pytest.mark.skipif("NEEDLEFIT_REAL_DATA" not in os.environ, reason="NEEDLEFIT_REAL_DATA is not set")
+def test_the_public_stereo_shapes():
+    dataset = read(SHIPPED / "stereo_shapes")
+    depths = {insertion.depth for insertion in dataset.insertions}
+    assert depths == {105.0, 110.0, 115.0, 120.0}
+    assert len(dataset.insertions) == 4 * len({i.specimen for i in dataset.insertions}) >= 24
+    assert (dataset.needle.length, dataset.needle.flexural_rigidity) == (200.0, 6441.0)
+    for insertion in dataset.insertions:
+        assert np.sqrt(np.mean(insertion.out_of_plane**2)) < 0.31  # the source's greatest is 0.3
+        assert 2 < insertion.deflection < 20
+
+
+def test_missing_public_stereo_shapes_name_their_source(monkeypatch):
+    monkeypatch.delenv("NEEDLEFIT_REAL_DATA", raising=False)
+    [fault] = check(SHIPPED / "stereo_shapes")
+    assert "not set" in fault.what and "dlezcan1" not in fault.what and "shapes_planar.csv" in fault.fix

@@ -53,23 +53,21 @@ def test_the_option_states_the_measure_of_stress(tmp_path):
     with pytest.raises(DataError, match="stress") as error:
         read_compression(path)
     assert "--stress" in error.value.fix
+    with pytest.raises(DataError, match=r"nominal.*--stress.*true"):
+        read_compression(table(tmp_path, stretch=STRETCH, nominal_stress_kpa=KPA), "true")
+    with pytest.raises(DataError, match="no such file"):
+        read_compression(tmp_path / "none.csv")
 
 
-def test_an_unloading_is_left_out_and_its_loss_reported(tmp_path):
+def test_what_is_left_out_reversed_or_averaged_is_reported(tmp_path):
     back = [0.5 * y for y in KPA[::-1]]
     path = table(tmp_path, stretch=[*STRETCH, *STRETCH[::-1]], nominal_stress_kpa=[*KPA, *back])
     test = read_compression(path)
     assert test.specimens[0].stretch == pytest.approx(ONE.stretch)
     assert "gel.csv:61" in test.warnings[1] and "50 %" in test.warnings[1]
-
-
-def test_a_reversed_table_is_read_with_a_warning(tmp_path):
     test = read_compression(table(tmp_path, stretch=STRETCH[::-1], nominal_stress_kpa=KPA[::-1]))
     assert test.specimens[0].stress == pytest.approx(ONE.stress)
     assert "smallest stretch up" in test.warnings[1]
-
-
-def test_a_long_record_is_averaged_over_neighbours(tmp_path):
     many = np.linspace(1, 0.8, 1000)
     path = table(tmp_path, stretch=many, nominal_stress_kpa=10 * (1 - many))
     test = read_compression(path)
@@ -77,17 +75,9 @@ def test_a_long_record_is_averaged_over_neighbours(tmp_path):
     assert len(one.stretch) == 200 and one.stretch[0] == pytest.approx(np.mean(many[:5]))
     assert one.stress == pytest.approx(-0.01 * (1 - one.stretch))
     assert "200 points" in test.warnings[1]
-
-
-def test_a_preload_gives_a_warning(tmp_path):
-    assert not [
-        warning for warning in read_compression(_loaded(tmp_path, 0.0)).warnings if "at stretch 1" in warning
-    ]
-    warnings = read_compression(_loaded(tmp_path, 0.1)).warnings
-    assert " 9 % " in warnings[1] and "stretch 1" in warnings[1]  # 0.1 / 1.1
-
-
-def test_a_machine_that_waits_before_it_loads_is_read(tmp_path):
+    shaken = np.array(STRETCH) + 0.002 * np.random.default_rng(1).normal(size=60)
+    test = read_compression(table(tmp_path, stretch=np.minimum(shaken, 1), nominal_stress_kpa=KPA))
+    assert len(test.specimens[0].stretch) == 60 and np.all(np.diff(test.specimens[0].stretch) <= 0)
     waits = 500
     path = table(
         tmp_path,
@@ -98,14 +88,16 @@ def test_a_machine_that_waits_before_it_loads_is_read(tmp_path):
     assert one.stretch[-1] < one.stretch[0] == pytest.approx(STRETCH[0])
 
 
+def test_a_preload_gives_a_warning(tmp_path):
+    assert not [
+        warning for warning in read_compression(_loaded(tmp_path, 0.0)).warnings if "at stretch 1" in warning
+    ]
+    warnings = read_compression(_loaded(tmp_path, 0.1)).warnings
+    assert " 9 % " in warnings[1] and "stretch 1" in warnings[1]  # 0.1 / 1.1
+
+
 def _loaded(tmp_path, part):
     return table(tmp_path, stretch=STRETCH, nominal_stress_kpa=[y + part * KPA[-1] for y in KPA])
-
-
-def test_noise_in_the_stretch_is_no_unloading(tmp_path):
-    shaken = np.array(STRETCH) + 0.002 * np.random.default_rng(1).normal(size=60)
-    test = read_compression(table(tmp_path, stretch=np.minimum(shaken, 1), nominal_stress_kpa=KPA))
-    assert len(test.specimens[0].stretch) == 60 and np.all(np.diff(test.specimens[0].stretch) <= 0)
 
 
 @pytest.mark.parametrize(
@@ -148,13 +140,3 @@ def test_faulty_tables_are_refused_with_a_fix(tmp_path, columns, expected):
         read_compression(table(tmp_path, **columns))
     assert expected in str(error.value)
     assert error.value.fix or "fix:" in str(error.value)
-
-
-def test_the_option_may_not_contradict_the_column(tmp_path):
-    with pytest.raises(DataError, match=r"nominal.*--stress.*true"):
-        read_compression(table(tmp_path, stretch=STRETCH, nominal_stress_kpa=KPA), "true")
-
-
-def test_a_missing_file_is_reported(tmp_path):
-    with pytest.raises(DataError, match="no such file"):
-        read_compression(tmp_path / "gel.csv")

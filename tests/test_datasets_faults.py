@@ -234,10 +234,15 @@ def test_a_fault_is_named_with_its_place_and_its_fix(folder, where, words, fix, 
     assert fault.expected or "no such file" in fault.what or where is None
 
 
-def test_the_made_dataset_has_no_fault_and_the_alternative_reading_is_enough(folder):
+def test_what_is_no_fault_and_many_bad_cells(folder):
     assert check(folder) == []
     row(layers="3")(folder)
     assert check(folder) == []
+    points(CURVE + np.random.default_rng(5).normal(size=CURVE.shape) * 0.05)(folder)
+    assert check(folder) == []
+    points(CURVE * [1, np.nan, 1])(folder)
+    faults = check(folder)
+    assert len(faults) == 6 and "96 more" in faults[-1].what
 
 
 @pytest.mark.parametrize(("boundary", "layers"), [(-0.3, "1"), (0.3, "2")])
@@ -249,12 +254,6 @@ def test_a_tip_near_a_boundary_has_a_proposed_alternative(folder, boundary, laye
     row(medium="cut", layers=layers, layers_alternative=layers, boundary_sd_mm=sd)(folder)
     fault = the_fault(folder)
     assert ("layers_alternative" in fault.fix) == near and ("2" if boundary < 0 else "1") in fault.fix
-
-
-def test_many_bad_cells_are_listed_and_counted(folder):
-    points(CURVE * [1, np.nan, 1])(folder)
-    faults = check(folder)
-    assert len(faults) == 6 and "96 more" in faults[-1].what
 
 
 FOLDED = np.vstack([CURVE[:60], CURVE[40:]])
@@ -283,11 +282,6 @@ def test_a_wrong_centreline(folder, values, line, words, fix):
     fault = next(fault for fault in check(folder) if words in fault.what)
     assert fault.expected and fix in fault.fix
     assert line is None or place(fault, folder) == f"{B}:{line}"
-
-
-def test_noise_of_measurement_is_no_fold(folder):
-    points(CURVE + np.random.default_rng(5).normal(size=CURVE.shape) * 0.05)(folder)
-    assert check(folder) == []
 
 
 @pytest.mark.parametrize("name", [ROWS, B, CORE])

@@ -18,7 +18,6 @@ from needlefit.datasets.read import check, read
 from needlefit.datasets.template import write_template
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import ConfigError, DataError
-from needlefit.geometry.frames import to_lps
 
 anything = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 coordinate = st.floats(-1e6, 1e6)
@@ -72,37 +71,16 @@ def refused(path, reader=read_markups):
     return f"{error.where}: {error.what}"
 
 
-@pytest.mark.parametrize("system", ["LPS", "1"])
-def test_points_in_lps_stay_as_they_are(file, system):
-    found = read_markups(save(file, markup(system=system)))
-    assert found.points.tolist() == [[1, 2, 3], [4, 5, 6]]
-    assert (found.labels, found.name, found.kind, found.system) == (("F-1", "F-2"), "F", "Fiducial", "LPS")
-
-
-@pytest.mark.parametrize("system", ["RAS", "0"])
-def test_points_in_ras_are_turned(file, system):
-    """Right becomes left, anterior posterior; up stays up."""
-    found = read_markups(save(file, markup(system=system)))
-    assert found.points.tolist() == [[-1, -2, 3], [-4, -5, 6]]
-    assert found.system == "RAS"
-
-
-@given(st.lists(st.tuples(coordinate, coordinate, coordinate), min_size=1, max_size=9))
-def test_turning_twice_changes_nothing(points):
-    array = np.array(points)
-    np.testing.assert_array_equal(to_lps(to_lps(array, "RAS"), "RAS"), array)
-    np.testing.assert_array_equal(to_lps(array, "RAS")[:, 2], array[:, 2])
-
-
-@pytest.mark.parametrize(
-    ("units", "factor"), [("mm", 1), (None, 1), ("um", 1e-3), ("cm", 10), (["mm", "UCUM", "millimeter"], 1)]
-)
-def test_units_are_read_from_the_file(file, units, factor):
-    found = read_markups(save(file, markup(coordinateUnits=units)))
-    np.testing.assert_allclose(found.points, factor * np.array([[1, 2, 3], [4, 5, 6]]), rtol=1e-15)
-
-
-def test_points_that_were_never_placed_are_left_out(file):
+def test_points_are_read_in_lps_and_millimetres_and_unset_ones_left_out(file):
+    # Right becomes left, anterior posterior; up stays up.
+    for system, sign in [("LPS", 1), ("1", 1), ("RAS", -1), ("0", -1)]:
+        found = read_markups(save(file, markup(system=system)))
+        assert found.points.tolist() == [[sign, 2 * sign, 3], [4 * sign, 5 * sign, 6]]
+        assert (found.labels, found.name, found.kind) == (("F-1", "F-2"), "F", "Fiducial")
+        assert found.system == ("LPS" if sign > 0 else "RAS")
+    for units, factor in [("mm", 1), (None, 1), ("um", 1e-3), ("cm", 10), (["mm", "UCUM", "millimeter"], 1)]:
+        found = read_markups(save(file, markup(coordinateUnits=units)))
+        np.testing.assert_allclose(found.points, factor * np.array([[1, 2, 3], [4, 5, 6]]), rtol=1e-15)
     points = [
         point(1, "", positionStatus="undefined"),
         point(2, [1, 1, 1], positionStatus="preview"),
@@ -123,7 +101,7 @@ def test_every_kind_of_list_and_version_is_read(file, version):
     assert "holds 5 lists" in refused(file) and "`angle`" in refused(file)
 
 
-def test_faults_of_a_json_file(file):
+def test_faults_of_a_json_file(file, tmp_path):
     file.write_text('{"markups": [')
     assert "JSON" in refused(file)
     file.write_text("[" * 100_000)
@@ -143,6 +121,8 @@ def test_faults_of_a_json_file(file):
     assert "positionStatus is 'there'" in refused(
         save(file, markup(points=[point(1, [1, 2, 3], positionStatus="there")]))
     )
+    with pytest.raises(DataError, match="no such file"):
+        read_markups(tmp_path / "F.fcsv")
 
 
 @pytest.mark.parametrize(
@@ -152,11 +132,6 @@ def test_faults_of_a_json_file(file):
 def test_an_invalid_position_is_named(file, position):
     message = refused(save(file, markup(points=[(0, 0, 0), point(2, position)])))
     assert "list 1 `F`, point 2 (F-2): " in message
-
-
-def test_a_missing_file(tmp_path):
-    with pytest.raises(DataError, match="no such file"):
-        read_markups(tmp_path / "F.fcsv")
 
 
 @pytest.mark.parametrize(
@@ -290,9 +265,6 @@ def test_a_centreline_may_be_a_curve_of_slicer(tmp_path):
     ras = (CURVE * [-1, -1, 1]).tolist()
     save(folder / "a.mrk.json", markup("Curve", "RAS", ras), markup("Fiducial", name="markers"))
     np.testing.assert_allclose(read(file).insertions[0].centerline, CURVE, atol=1e-12)
-
-
-def test_the_pattern_of_centrelines_is_no_format(tmp_path):
     file, folder = dataset(tmp_path / "d", "{id}}{0}.mrk.json")
     save(folder / "a}{0}.mrk.json", markup("Curve", points=CURVE.tolist()))
     assert [i.id for i in read(file).insertions] == ["a"]
@@ -309,8 +281,8 @@ def test_a_centreline_may_be_an_fcsv_and_its_faults_name_lines(tmp_path):
     assert fault.where == f"{folder / 'a.fcsv'}:11" and "repeats the point" in fault.what
 
 
-def test_the_scan_is_placed_by_the_dataset(tmp_path):
-    """A quarter turn about z and a shift: what lies at (x, y, z) in the scan is at (-y + 1, x + 2, z + 3)."""
+def test_the_scan_is_placed_by_the_dataset_or_a_row(tmp_path):
+    # A quarter turn about z and a shift: what lies at (x, y, z) in the scan is at (-y + 1, x + 2, z + 3).
     motion = [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3]]
     file, folder = dataset(tmp_path / "d", "{id}.mrk.json", lps_to_world=motion)
     x, y, z = CURVE.T
@@ -318,10 +290,7 @@ def test_the_scan_is_placed_by_the_dataset(tmp_path):
     found = read(file)
     np.testing.assert_allclose(found.insertions[0].centerline, CURVE, atol=1e-12)
     np.testing.assert_allclose(found.insertions[0].patient.to_world([[5.0, 0, 0]]), [[1, 7, 3]], atol=1e-12)
-
-
-def test_a_row_may_place_its_scan_elsewhere(tmp_path):
-    """The row's motion, a half turn about z, is used, not the dataset's."""
+    # The row's motion, a half turn about z, is used, not the dataset's.
     identity = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]
     file, folder = dataset(tmp_path / "d", "{id}.mrk.json", lps_to_world=identity)
     table = file.parent / "insertions.csv"

@@ -1,7 +1,5 @@
 """Readers on anything: a table, or an error that names the place; never another exception."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -49,32 +47,6 @@ def test_numbers_and_lines_survive_whatever_blank_lines_stand_between(tmp_path, 
     values = np.column_stack([parse_numbers(table, column, found) for column in "ab"])
     assert not found and table.lines.tolist() == lines
     np.testing.assert_allclose(values, [row[:2] for row in rows], rtol=1e-14)
-
-
-@pytest.mark.sweep
-@given(st.data())
-@anything
-def test_check_reads_or_refuses_any_cell(tmp_path, data):
-    folder = tmp_path / "block"
-    if not folder.exists():
-        without_checksums(block(folder))
-    name = data.draw(st.sampled_from(["insertions.csv", "centerlines/b.csv"]))
-    path: Path = folder / name
-    original = path.read_text()
-    lines = original.split("\n")
-    line = data.draw(st.integers(0, min(len(lines), 8) - 1))
-    cells = lines[line].split(",")
-    place = data.draw(st.integers(0, len(cells) - 1))
-    cells[place] = data.draw(
-        st.sampled_from(["", "0", "-1", "1e308", "nan", "inf", "x", ",", '"', "é", "a", "1e-320"])
-    )
-    lines[line] = ",".join(cells)
-    try:
-        path.write_text("\n".join(lines))
-        for fault in check(folder):
-            assert fault.where and fault.what and str(folder) in fault.where
-    finally:
-        path.write_text(original)
 
 
 @pytest.mark.parametrize("read", [mat.read_curves, input_files.read_text])

@@ -33,7 +33,7 @@ def edit(folder, line, **cells):
     table(folder).write_text("\n".join(lines) + "\n")
 
 
-def test_runs_count_depth_and_guide_from_first_contact(tmp_path, runs):
+def test_runs_count_from_first_contact_and_an_invalid_reading_leaves_one_out(tmp_path, runs):
     dataset = read(written(tmp_path, runs))
     assert [one.id for one in dataset.insertions] == ["rest", "moved"]
     rest, moved = dataset.insertions
@@ -41,9 +41,6 @@ def test_runs_count_depth_and_guide_from_first_contact(tmp_path, runs):
     assert (rest.guided, moved.guided, moved.side, moved.sequence) == (False, True, 1, (1,))
     assert moved.tip == pytest.approx(runs[1].tip, abs=1e-5) and moved.heading is None
     assert check(tmp_path) == [] and dataset.noise.point_sd == 0.02
-
-
-def test_a_run_with_an_invalid_reading_is_left_out_and_reported(tmp_path, runs):
     folder = written(tmp_path, runs)
     edit(folder, 20, ok="0")
     dataset = read(folder)
@@ -82,19 +79,13 @@ def test_missing_columns_unknown_names_and_few_readings_are_refused(tmp_path, ru
         read(folder)
 
 
-def test_layers_need_their_boundaries(tmp_path, runs):
+def test_selections_and_layers_of_tracks(tmp_path, runs):
     folder = written(tmp_path, runs, TOML + "layers = [1, 2]\n")
     with pytest.raises(ConfigError, match=r"2 layers .*1 boundaries") as error:
         raise ConfigError(str(check(folder)[0]))
     assert "boundaries_mm" in str(error.value)
-
-
-def test_tracks_are_no_shapes(tmp_path, runs):
     with pytest.raises(DataError, match="tip tracks"):
         read_shapes(written(tmp_path, runs))
-
-
-def test_empty_selections_are_refused(tmp_path, runs):
     dataset = read(written(tmp_path, runs))
     assert [one.id for one in select_insertions(dataset, SelectionRecord(guided=True))] == ["moved"]
     with pytest.raises(ConfigError, match="insertion lost"):

@@ -14,8 +14,8 @@ from test_datasets import CURVE, record, row
 from needlefit.datasets.read import read
 from needlefit.datasets.write import write_dataset
 from needlefit.inference.parameters import Parameters
-from needlefit.project.load import load
 from needlefit.project.result_warnings import read_warnings, warnings_entry
+from needlefit.project.toml import load
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.fit_warnings import (
     RULES,

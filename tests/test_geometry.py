@@ -57,18 +57,6 @@ def test_a_frame_and_back_is_the_identity_and_keeps_distances(seed):
     local = frame.to_local(points)
     np.testing.assert_allclose(frame.to_world(local), points, atol=1e-10)
     np.testing.assert_allclose(arc_length(local), arc_length(points), atol=1e-10)
-
-
-def test_entry_frame_by_hand():
-    frame = make_entry_frame((1, 2, 3), (0, 0, 2), (0, 5, 7))
-    np.testing.assert_allclose(frame.rotation, [[0, 0, -1], [0, 1, 0], [1, 0, 0]], atol=1e-15)
-    np.testing.assert_allclose(
-        frame.to_local([[1, 2, 13], [1, 4, 3], [2, 2, 3]]), [[10, 0, 0], [0, 2, 0], [0, 0, -1]]
-    )
-
-
-@given(seeds)
-def test_entry_frame_is_right_handed_with_toward_on_its_left(seed):
     rng = np.random.default_rng(seed)
     direction, toward = rng.normal(size=(2, 3))
     frame = make_entry_frame((0, 0, 0), direction, toward)
@@ -78,12 +66,29 @@ def test_entry_frame_is_right_handed_with_toward_on_its_left(seed):
     assert frame.to_local([toward])[0, 2] == pytest.approx(0, abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("direction", "toward"), [((0, 0, 0), (0, 1, 0)), ((1, 0, 0), (2, 0, 0)), ((1, np.nan, 0), (0, 1, 0))]
-)
-def test_entry_frame_refuses_directions_that_span_no_plane(direction, toward):
-    with pytest.raises(DataError, match="expected"):
-        make_entry_frame((0, 0, 0), direction, toward)
+def test_entry_frames_arc_lengths_and_straight_curves_by_hand():
+    frame = make_entry_frame((1, 2, 3), (0, 0, 2), (0, 5, 7))
+    np.testing.assert_allclose(frame.rotation, [[0, 0, -1], [0, 1, 0], [1, 0, 0]], atol=1e-15)
+    np.testing.assert_allclose(
+        frame.to_local([[1, 2, 13], [1, 4, 3], [2, 2, 3]]), [[10, 0, 0], [0, 2, 0], [0, 0, -1]]
+    )
+    corner = np.array([[0.0, 0], [3, 4], [3, 10]])
+    np.testing.assert_allclose(arc_length(corner), [0, 5, 11])
+    np.testing.assert_allclose(
+        interpolate_at_arc(corner, [-1, 2.5, 8, 12]), [[0, 0], [1.5, 2], [3, 7], [3, 10]]
+    )
+    toward = find_bending_direction([[0, 0, 0], [0, 0, 5.0], [0, 0, 9.0]], (0, 0, 1))
+    assert toward @ [0, 0, 1] == 0
+    np.testing.assert_array_equal(toward, make_normal((0, 0, 1)))
+
+
+def test_directions_without_a_plane_and_curves_of_other_shapes_are_refused():
+    for direction, toward in [((0, 0, 0), (0, 1, 0)), ((1, 0, 0), (2, 0, 0)), ((1, np.nan, 0), (0, 1, 0))]:
+        with pytest.raises(DataError, match="expected"):
+            make_entry_frame((0, 0, 0), direction, toward)
+    for shapes in [((11, 2), (12, 2)), ((11, 3), (11, 3)), ((11,), (11,)), ((2, 11, 2), (2, 11, 2))]:
+        with pytest.raises(ValueError, match="cannot be compared"):
+            compare_curves(*(np.zeros(shape) for shape in shapes))
 
 
 @given(angles, shifts, shifts)
@@ -122,26 +127,12 @@ def test_resampling_a_straight_line_is_exact(seed, count):
     )
 
 
-def test_arc_length_by_hand_and_at_its_ends():
-    corner = np.array([[0.0, 0], [3, 4], [3, 10]])
-    np.testing.assert_allclose(arc_length(corner), [0, 5, 11])
-    np.testing.assert_allclose(
-        interpolate_at_arc(corner, [-1, 2.5, 8, 12]), [[0, 0], [1.5, 2], [3, 7], [3, 10]]
-    )
-
-
 @given(seeds)
 def test_bending_plane_follows_the_curve_into_any_frame(seed):
     rng = np.random.default_rng(seed)
     rotation = Rotation.random(rng=rng).as_matrix()
     curve = in_space(arc(200, 55)) @ rotation.T + rng.normal(size=3) * 50
     np.testing.assert_allclose(find_bending_direction(curve, rotation[:, 0]), rotation[:, 1], atol=1e-9)
-
-
-def test_a_straight_curve_bends_in_some_plane_through_it():
-    toward = find_bending_direction([[0, 0, 0], [0, 0, 5.0], [0, 0, 9.0]], (0, 0, 1))
-    assert toward @ [0, 0, 1] == 0
-    np.testing.assert_array_equal(toward, make_normal((0, 0, 1)))
 
 
 @given(seeds)
@@ -186,9 +177,6 @@ def test_errors_by_hand():
     assert {name: found[name] for name in expected} == pytest.approx(expected)
     assert curves.deflection == 4
     assert COMPARISON_POINTS == 101
-
-
-def test_a_needle_that_stayed_straight_has_no_finite_edp():
     line = np.column_stack([np.arange(5.0), np.zeros(5)])
     assert compute_metrics(compare_curves(line, line))["edp_percent"] == 0
     assert compute_metrics(compare_curves(line + np.array([0, 1]), line))["edp_percent"] == np.inf
@@ -202,7 +190,7 @@ def curves_with(distances, deflection):
 
 
 def test_errors_of_several_insertions_by_hand():
-    """All points together: 0, 1, 2, 0, 3 mm. Tip errors 2 and 3 mm, deflections 4 and -1 mm."""
+    # All points together: 0, 1, 2, 0, 3 mm. Tip errors 2 and 3 mm, deflections 4 and -1 mm.
     curves = [curves_with([0, 1, 2], 4), curves_with([0, 3], -1)]
     expected = {"te_mm": 2.5, "edp_percent": 100, "median_err_mm": 1, "ipe_mean_mm": 1.2, "ipe_max_mm": 3}
     expected["ipe_std_mm"] = np.sqrt(14 / 5 - 1.2**2)
@@ -213,9 +201,6 @@ def test_errors_of_several_insertions_by_hand():
     assert np.isnan(
         [pool_metric(METRICS["edp_percent"], [straight]), pool_metric(METRICS["te_mm"], [])]
     ).all()
-
-
-def test_the_mean_over_insertions_leaves_out_what_is_not_finite():
     edp = dataclasses.replace(METRICS["edp_percent"], pool=None)
     assert pool_metric(edp, [curves_with([0, 1], 0), curves_with([0, 1], 4), curves_with([0, 1], 2)]) == 37.5
     assert np.isnan(pool_metric(edp, [curves_with([0, 1], 0)]))
@@ -229,14 +214,6 @@ def test_the_metrics_of_tables_sentences_and_macros():
     assert {name: METRICS[name].macro_name for name in macros} == macros
     assert [METRICS[name].has_floor for name in macros] == [True, False, True, False]
     assert [METRICS[name].relative for name in macros] == [False, False, False, True]
-
-
-@pytest.mark.parametrize(
-    "shapes", [((11, 2), (12, 2)), ((11, 3), (11, 3)), ((11,), (11,)), ((2, 11, 2), (2, 11, 2))]
-)
-def test_curves_of_other_shapes_are_not_compared(shapes):
-    with pytest.raises(ValueError, match="cannot be compared"):
-        compare_curves(*(np.zeros(shape) for shape in shapes))
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Surfaces and their crossings against closed forms."""
 
 import pickle
+import struct
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from needlefit.errors import DataError
+from needlefit.geometry import surfaces
 from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.meshes import extract_solid
@@ -66,7 +68,7 @@ def test_crossings_of_a_cylinder_match_the_formula(offset, tilt):
 TOP = make_sheet("top", (0, 0, 0), (0, 0, 1), 80, into=2)
 
 
-def test_an_edge_between_triangles_is_crossed_once():
+def test_what_is_a_crossing():
     assert find_crossings([(0, 0, -10), (0, 0, 10)], [TOP]).sequence == (
         1,
         2,
@@ -74,20 +76,13 @@ def test_an_edge_between_triangles_is_crossed_once():
     assert find_crossings([(0, 0, -10), (0, 0, 0), (0, 0, 10)], [TOP]).arc.tolist() == [
         10
     ]  # and at a point of the curve
-
-
-def test_a_touch_is_no_crossing():
     assert find_crossings([(0, 0, -10), (5, 1, 0), (10, 0, -10)], [TOP]).sequence == (1,)
-
-
-def test_an_interface_at_the_first_or_last_point_makes_no_layer_without_length():
     assert find_crossings([(3, 1, 0), (3, 1, 10)], [TOP]).sequence == (2,)
     assert find_crossings([(3, 1, -10), (3, 1, 0)], [TOP]).sequence == (1,)
-
-
-def test_noise_at_an_interface_counts_once():
     jagged = [(0, 1, -5), (0, 1, 0.1), (0, 1, -0.1), (0, 1, 0.2), (0, 1, 5)]
     assert find_crossings(jagged, [TOP]).sequence == (1, 2)
+    met = find_crossings(line((0, 0, 0), (0, 0, 40)), [])
+    assert met.sequence == (1,) and met.arc.shape == (0,) and met.points.shape == (0, 3)
 
 
 def test_sheets_lead_inward_and_a_solid_wins():
@@ -100,21 +95,13 @@ def test_sheets_lead_inward_and_a_solid_wins():
     assert below.sequence == (4, 1)  # no sheet was crossed on the way
 
 
-def test_without_surfaces_there_is_one_layer():
-    met = find_crossings(line((0, 0, 0), (0, 0, 40)), [])
-    assert met.sequence == (1,) and met.arc.shape == (0,) and met.points.shape == (0, 3)
-
-
-def test_a_fine_surface_is_met_like_a_coarse_one():
+def test_fine_surfaces_are_met_like_coarse_ones_and_builders_give_valid_ones():
     mesh = TOP.mesh
     for _ in range(6):
         mesh = mesh.subdivide()
     fine = Surface("fine", mesh, "sheet", 2)
     curve = line((1, -7, -10), (4, 5, 30), 240)
     np.testing.assert_allclose(find_crossings(curve, [fine]).arc, find_crossings(curve, [TOP]).arc, atol=1e-9)
-
-
-def test_builders_give_valid_surfaces_of_the_right_size():
     core = make_cylinder("core", ((1, 2, 3), (1, 2, 23)), 5.0, into=4, facets=192)
     assert find_mesh_faults(core.mesh, "solid") == []
     assert find_mesh_faults(TOP.mesh, "sheet") == []
@@ -149,7 +136,7 @@ def test_faults_of_surfaces():
         assert len(faults) == 1 and words in faults[0], (words, faults)
 
 
-def test_a_surface_survives_its_file(tmp_path):
+def test_a_surface_survives_its_file_in_every_format(tmp_path):
     core = make_cylinder("core", ((1, 2, 3), (1, 2, 23)), 5.0, into=4)
     write_surface(core, tmp_path / "a" / "core.stl")
     again = read_surface(tmp_path / "a" / "core.stl", "solid", 4)
@@ -160,13 +147,10 @@ def test_a_surface_survives_its_file(tmp_path):
     assert (tmp_path / "b.stl").read_bytes() != b""
     write_surface(core, tmp_path / "c.stl")
     assert (tmp_path / "c.stl").read_bytes() == (tmp_path / "a" / "core.stl").read_bytes()
-
-
-@pytest.mark.parametrize("ending", ["stl", "ply", "obj"])
-def test_formats_of_surfaces(tmp_path, ending):
-    core = make_cylinder("core", ((0, 0, 0), (0, 0, 20)), 5.0, into=4)
-    core.mesh.export(tmp_path / f"core.{ending}")
-    assert find_mesh_faults(read_surface(tmp_path / f"core.{ending}", "solid", 4).mesh, "solid") == []
+    for ending in ["stl", "ply", "obj"]:
+        core = make_cylinder("core", ((0, 0, 0), (0, 0, 20)), 5.0, into=4)
+        core.mesh.export(tmp_path / f"core.{ending}")
+        assert find_mesh_faults(read_surface(tmp_path / f"core.{ending}", "solid", 4).mesh, "solid") == []
 
 
 @pytest.mark.parametrize("content", [None, b"", b"no mesh at all", b"solid x\nendsolid x\n"])
@@ -179,8 +163,8 @@ def test_files_without_a_surface_are_refused(tmp_path, content):
     assert content is None or all(name in error.value.expected for name in ("STL", "PLY", "OBJ"))
 
 
-def test_the_nearest_place_of_surfaces_has_a_distance_and_a_normal():
-    """Between a sheet at x = 0 and one at y = 5; beside the first, its rim is the nearest."""
+def test_the_nearest_place_of_surfaces_and_their_frames():
+    # Between a sheet at x = 0 and one at y = 5; beside the first, its rim is the nearest.
     surfaces = [
         make_sheet("a", (0, 0, 0), (1, 0, 0), 10, into=2),
         make_sheet("b", (0, 5, 0), (0, 1, 0), 10, into=3),
@@ -190,17 +174,14 @@ def test_the_nearest_place_of_surfaces_has_a_distance_and_a_normal():
     np.testing.assert_allclose(
         np.abs(found.normals), [[1, 0, 0], [0, 1, 0], [1, 0, 0], [1, 0, 0]], atol=1e-12
     )
-
-
-def test_a_surface_moves_with_its_frame():
     quarter = Frame(np.array([1.0, 2, 3]), np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))
     there = transform_surface(make_sheet("a", (5, 0, 0), (1, 0, 0), 10, into=2), quarter)
     np.testing.assert_allclose(there.mesh.vertices.mean(axis=0), [1, 7, 3])
     np.testing.assert_allclose(np.abs(there.mesh.face_normals), [[0, 1, 0]] * 2, atol=1e-12)
 
 
-def test_the_largest_piece_of_a_mesh_is_closed_and_faces_outward():
-    """A box of 8 x 8 x 8 with a cavity of 2 x 2 x 2, beside a box of 4 x 4 x 4, all inside out."""
+def test_the_largest_piece_of_a_mesh_is_closed_and_solids_are_alike_in_another_process():
+    # A box of 8 x 8 x 8 with a cavity of 2 x 2 x 2, beside a box of 4 x 4 x 4, all inside out.
     boxes = [trimesh.creation.box((size,) * 3) for size in (8, 2, 4)]
     boxes[1].invert()
     boxes[2].apply_translation([20, 0, 0])
@@ -209,12 +190,127 @@ def test_the_largest_piece_of_a_mesh_is_closed_and_faces_outward():
     assert (found.kind, found.into, len(found.mesh.faces)) == ("solid", 3, 12)
     assert found.mesh.volume == pytest.approx(512) and find_mesh_faults(found.mesh, "solid") == []
     assert others == pytest.approx((8 + 64) / 512)
-
-
-def test_a_solid_that_was_searched_contains_the_same_places_in_another_process():
     solid = make_cylinder("cylinder", ([0.0, 0.0, -20.0], [0.0, 0.0, 20.0]), 10.0, 2)
     line = [[-20.0, 0.0, 0.0], [20.0, 0.0, 0.0]]
     here = find_crossings(line, [solid])
     there = find_crossings(line, [pickle.loads(pickle.dumps(solid))])
     assert here.sequence == there.sequence == (1, 2, 1)
     assert np.array_equal(here.arc, there.arc)
+
+
+# ---- mesh files that are damaged, claim more than they hold, or name other files
+
+CORNERS = "0 0 0\n1 0 0\n0 1 0\n"
+EDGES = "element edge 1\nproperty int vertex1\nproperty int vertex2\n"
+OBJ = "".join(f"v {line}\n" for line in CORNERS.splitlines())
+FLOATS = struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)
+
+
+def ply(body=CORNERS + "3 0 1 2\n", vertices=3, faces=1, form="ascii", more="", count="uchar"):
+    head = (
+        f"ply\nformat {form} 1.0\n{more}element vertex {vertices}\nproperty float x\nproperty float y\n"
+        f"property float z\nelement face {faces}\nproperty list {count} int vertex_indices\nend_header\n"
+    )
+    return head.encode() + (body if isinstance(body, bytes) else body.encode())
+
+
+def binary(index, **fields):
+    return ply(FLOATS + b"\3" + struct.pack("<3i", 0, 1, index), form="binary_little_endian", **fields)
+
+
+def binary_with_edge(index):
+    body = struct.pack("<2i", 0, index) + FLOATS + b"\3" + struct.pack("<3i", 0, 1, 2)
+    return ply(body, more=EDGES, form="binary_little_endian")
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("a.obj", f"{OBJ}f 1 2 3\n"),
+        ("material.obj", f"mtllib /etc/passwd\nusemtl x\n{OBJ}f 1 2 3\n"),
+        ("a.ply", ply()),
+        ("binary.ply", binary(2)),
+        ("edges.ply", ply("0 2\n" + CORNERS + "3 0 1 2\n", more=EDGES)),
+        ("far_edges.ply", ply("0 2147483647\n" + CORNERS + "3 0 1 2\n", more=EDGES)),
+        ("binary_edges.ply", binary_with_edge(2**31 - 1)),
+        ("texture.ply", ply(more="comment TextureFile /etc/passwd\n")),
+        ("a.stl", bytes(80) + struct.pack("<I12fH", 1, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0)),
+    ],
+)
+def test_a_triangle(tmp_path, name, content):
+    path = tmp_path / name
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    mesh = read_surface(path, "sheet", 2).mesh
+    assert mesh.faces.shape == (1, 3) and mesh.area == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("beyond.obj", f"{OBJ}f 4000000000 1 2\n"),
+        ("before.obj", f"{OBJ}f -9 1 2\n"),
+        ("flat.obj", "v 1\nf 1 1 1\n"),
+        ("beyond.ply", ply(CORNERS + "3 0 1 7\n")),
+        ("before.ply", ply(CORNERS + "3 0 1 -1\n")),
+        ("beyond2.ply", binary(20_000)),
+        ("vertices.ply", ply(vertices=4_000_000_000)),
+        ("vertices2.ply", binary(2, vertices=4_000_000_000)),
+        ("faces.ply", ply(faces=4_000_000_000)),
+        ("digits.ply", ply(faces="9" * 5000)),
+        ("list.ply", ply(FLOATS + b"\xff" * 4 + bytes(12), form="binary_little_endian", count="uint")),
+        ("edges.ply", ply(more=EDGES)),
+        (
+            "edges2.ply",
+            ply(FLOATS, more=EDGES.replace("1\n", "4000000000\n", 1), form="binary_little_endian"),
+        ),
+        ("archive.ply", b"PK\3\4" + bytes(100)),
+        ("count.stl", bytes(80) + b"\xff\xff\xff\xff" + bytes(50)),
+        ("empty.stl", b""),
+        ("text.stl", b"root:x:0:0\n"),
+        ("a.zip", b"PK\3\4" + bytes(100)),
+        ("a.glb", b"glTF" + bytes(100)),
+    ],
+)
+def test_files_without_a_mesh_are_refused(tmp_path, name, content):
+    path = tmp_path / name
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    with pytest.raises(DataError) as found:
+        read_surface(path, "sheet", 2)
+    error = found.value
+    assert error.where == str(path) and error.expected and error.fix and "x:0" not in str(error)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "numbers"),
+    [
+        ("count.stl", bytes(80) + struct.pack("<I", 5) + bytes(50), ("134", "334")),
+        ("cut.stl", bytes(80) + struct.pack("<I", 1) + bytes(43), ("127", "134")),
+        ("beyond.obj", f"{OBJ}f 1/1 2/7 9/2\n".encode(), ("3",)),
+        ("cut.ply", binary(2)[:-5], ()),
+    ],
+)
+def test_the_error_names_the_fault_of_the_file(tmp_path, name, content, numbers):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(DataError) as found:
+        read_surface(path, "sheet", 2)
+    assert "Error" not in found.value.what and all(number in found.value.what for number in numbers)
+
+
+def test_a_mesh_is_a_regular_file_of_bounded_size(tmp_path, monkeypatch):
+    (tmp_path / "device.stl").symlink_to("/dev/zero")
+    (tmp_path / "folder.stl").mkdir()
+    (tmp_path / "large.stl").write_bytes(bytes(100))
+    monkeypatch.setattr(surfaces, "MAX_MESH_BYTES", 99)
+    for name in ("device.stl", "folder.stl", "large.stl", "gone.stl"):
+        with pytest.raises(DataError, match=name):
+            read_surface(tmp_path / name, "sheet", 2)
+
+
+@pytest.mark.parametrize("far", ["1e300", "nan", "-inf"])
+def test_invalid_coordinates_are_left_to_the_surface_check(tmp_path, far):
+    path = tmp_path / "a.obj"
+    path.write_text(f"{OBJ}v {far} 0 1\nf 1 2 3\nf 1 3 4\n")
+    mesh = read_surface(path, "sheet", 2).mesh
+    assert len(mesh.faces) == 2
+    assert bool(find_mesh_faults(mesh, "sheet")) or np.isfinite(mesh.vertices).all()

@@ -74,12 +74,17 @@ def with_surfaces(name, medium, *names):
     return replace(one, scan=replace(one.scan, medium=medium), layers=layers)
 
 
-def test_any_surface_name_gives_a_valid_file(tmp_path):
+def test_any_surface_name_gives_a_valid_file_and_media_share_none(tmp_path):
     one = with_surfaces("a", "gel", "skin {id}/2", "Fett (außen)", "fett au en", "x_1")
     assemble_dataset(tmp_path, [one], RECIPE, ABOUT)
     found = sorted(file.name for file in (tmp_path / "layers").iterdir())
     assert found == ["gel_Fett_au_en_.stl", "gel_fett_au_en.stl", "gel_skin_id_2.stl", "gel_x_1.stl"]
     assert check(tmp_path) == []
+    with pytest.raises(DataError, match=r" layers/gel_b_c\.stl") as error:
+        assemble_dataset(
+            tmp_path, [with_surfaces("a", "gel", "b_c"), with_surfaces("b", "gel_b", "c")], RECIPE, ABOUT
+        )
+    assert error.value.fix
 
 
 @pytest.mark.parametrize("names", [("x", "x", "x_1"), ("x", "X", "x_1"), ("é", "e", "e_1")])
@@ -88,14 +93,6 @@ def test_surfaces_of_one_name_are_numbered(names, tmp_path):
     found = {file.name.lower() for file in (tmp_path / "layers").iterdir()}
     assert len(found) == 3 and all(name.endswith(("_1.stl", "_2.stl", "_3.stl")) for name in found)
     assert check(tmp_path) == []
-
-
-def test_two_media_never_share_a_file(tmp_path):
-    with pytest.raises(DataError, match=r" layers/gel_b_c\.stl") as error:
-        assemble_dataset(
-            tmp_path, [with_surfaces("a", "gel", "b_c"), with_surfaces("b", "gel_b", "c")], RECIPE, ABOUT
-        )
-    assert error.value.fix
 
 
 @pytest.mark.sweep
@@ -113,9 +110,8 @@ def test_an_insertion_with_a_fault_is_left_out_and_reported(tmp_path):
     assert {one.scan.id for one in failed} == {"b"}
     assert check(tmp_path / "out") == []
     assert not (tmp_path / "out" / "centerlines" / "b.csv").exists()
-
-
-def test_nothing_but_faults_is_no_dataset_and_each_names_its_scan_and_the_recipe(tmp_path):
+    tmp_path /= "b"
+    tmp_path.mkdir()
     short = RECIPE.model_copy(update={"needle": RECIPE.needle.model_copy(update={"length_mm": 20.0})})
     kept, failed = assemble_checked(tmp_path / "out", [named("a"), named("b")], short, ABOUT)
     assert kept == () and not (tmp_path / "out").exists()
@@ -125,11 +121,15 @@ def test_nothing_but_faults_is_no_dataset_and_each_names_its_scan_and_the_recipe
     assert "needle.length_mm" in message and "recipe" in message and "dataset.toml" not in message
 
 
-def test_a_plain_reconstruction_warns_of_its_pose_only():
+def test_a_pose_and_a_bevel_of_another_direction_give_warnings():
     one = small()
     markers = one.registration.warnings
     (warning,) = (note for note in collect_warnings(one) if note not in markers and "bevel" not in note)
     assert "shaft" in warning
+    one = replace(changed_pose(), plane="stated")
+    away = -(one.patient.rotation.T @ one.frame.rotation[:, 1])
+    warnings = collect_warnings(replace(one, needle_axis=replace(one.needle_axis, bevel=away)))
+    assert any("180 degrees away" in text for text in warnings)
 
 
 def changed_pose(**changes):
@@ -177,10 +177,3 @@ def own_surface(profile):
 def test_doubtful_reconstructions_give_warnings(one, words):
 
     assert any(re.search(words, warning) for warning in collect_warnings(one())), collect_warnings(one())
-
-
-def test_a_bevel_of_another_direction_gives_a_warning():
-    one = replace(changed_pose(), plane="stated")
-    away = -(one.patient.rotation.T @ one.frame.rotation[:, 1])
-    warnings = collect_warnings(replace(one, needle_axis=replace(one.needle_axis, bevel=away)))
-    assert any("180 degrees away" in text for text in warnings)

@@ -121,15 +121,13 @@ def test_a_scan_whose_reader_crashes_costs_the_others_nothing(sample, tmp_path, 
     assert found[1].depth == pytest.approx(25.0, abs=0.3)
 
 
-def test_an_error_about_unpacked_files_names_those_that_were_packed(sample):
+def test_errors_name_packed_files_and_unexpected_ones_are_failures(sample, monkeypatch):
     packed, folder = pack_scan(sample), Path("/elsewhere/unpacked")
     parts = {name: f"{name} of {folder}/a.nrrd" for name in ("what", "where", "expected", "fix", "key")}
     named = packed.original(DataError(**parts), folder)
     assert isinstance(named, DataError)
     assert vars(named) == {name: f"{name} of {packed.root}/a.nrrd" for name in parts}
 
-
-def test_an_unexpected_error_in_one_scan_is_its_failure(sample, monkeypatch):
     def breaks(volume, scan, recipe):
         raise ZeroDivisionError("by nought")
 
@@ -181,8 +179,8 @@ def test_checkpoints_of_other_input_are_recomputed(change, sample, tmp_path, wor
 
 
 @pytest.mark.sweep
-def test_one_slice_stands_for_its_series(sample, tmp_path, worked):
-    """A series is named by any of its files; a change of another one is a change of the scan."""
+def test_any_change_of_a_series_a_checkpoint_or_a_last_digit_is_detected(sample, tmp_path, worked):
+    # A series is named by any of its files; a change of another one is a change of the scan.
     write_volume(read_volume(sample.volume), tmp_path / "series")
     first, *_, last = sorted((tmp_path / "series").iterdir())
     scan, folder = replace(sample, volume=first), tmp_path / "kept"
@@ -191,10 +189,9 @@ def test_one_slice_stands_for_its_series(sample, tmp_path, worked):
         file.write(b" ")
     reconstruct_all([scan], RECIPE, ReconstructionBatch(checkpoint=kept(folder)))
     assert worked.done == ["sample"] * 2
-
-
-@pytest.mark.sweep
-def test_any_changed_byte_of_a_checkpoint_is_detected(sample, tmp_path, worked):
+    tmp_path /= "b"
+    tmp_path.mkdir()
+    worked.done.clear()
     reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint=kept(tmp_path)))
     (file,), chance = tmp_path.glob("*.jsonl"), random.Random(1)
     whole = file.read_bytes()
@@ -209,10 +206,9 @@ def test_any_changed_byte_of_a_checkpoint_is_detected(sample, tmp_path, worked):
         file.write_bytes(data)
         reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint=kept(tmp_path)))
         assert len(worked.done) == number + 2
-
-
-@pytest.mark.sweep
-def test_numbers_of_a_scan_count_to_the_last_digit(sample, tmp_path, worked):
+    tmp_path /= "c"
+    tmp_path.mkdir()
+    worked.done.clear()
     reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint=kept(tmp_path)))
     moved = replace(sample, stage=replace(sample.stage, entry=sample.stage.entry + 1e-12))
     reconstruct_all([moved], RECIPE, ReconstructionBatch(checkpoint=kept(tmp_path)))

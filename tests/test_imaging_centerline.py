@@ -1,6 +1,7 @@
 """The needle's axis and tip from scans of needles of known equation."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import ct_cases as cases
@@ -8,23 +9,26 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from pydantic import ValidationError
-from scipy.spatial.transform import Rotation
+from reconstruction_cases import small
+from scipy.special import ndtr
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.smoothing_spline import find_empty_pieces
+from needlefit.imaging.needle import centerline, tip
 from needlefit.imaging.needle.axis_spline import (
     SHIFT_PER_TILT_MM,
     CrossSections,
     estimate_shared_sd,
     fit_axis,
 )
-from needlefit.imaging.needle.centerline import slice_sd, trace_needle
 from needlefit.imaging.needle.segmentation import find_components, list_thresholds, segment_needle
-from needlefit.imaging.reconstruct import examine
+from needlefit.imaging.needle.tip import RodModel
+from needlefit.imaging.reconstruct import MAX_DEPTH_SD_MM, collect_warnings, examine, list_tip_warnings
 from needlefit.imaging.scans import Scan
-from needlefit.imaging.volume import Volume, to_index, to_patient
-from needlefit.project.load import load
+from needlefit.imaging.spheres import PointSpread
+from needlefit.imaging.volume import Volume
+from needlefit.project.toml import load
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic.render import ScannerTable, SceneMarkers
 
@@ -38,7 +42,7 @@ SHAPES = {
 
 
 def found(volume, recipe=cases.RECIPE):
-    return trace_needle(volume, segment_needle(volume, recipe), recipe)
+    return centerline.trace_needle(volume, segment_needle(volume, recipe), recipe)
 
 
 @pytest.mark.parametrize("name", SHAPES)
@@ -58,47 +62,21 @@ def test_needles_of_known_equation(name):
 
 
 @pytest.mark.sweep
-def test_the_axis_follows_shifts_under_a_voxel():
-    shift = np.array([0.13, 0.31, 0.17])
-    still = found(cases.scan(cases.axis()))
-    moved = found(cases.scan(cases.axis() + shift))
-    assert_allclose(moved.tip - still.tip, shift, atol=0.06)
-    across = np.array(
-        [np.interp(30.0, line.points[:, 2], line.points[:, a]) for line in (still, moved) for a in (0, 1)]
-    )
-    assert_allclose(across[2:] - across[:2], shift[:2], atol=0.03)
-
-
-@pytest.mark.sweep
-def test_turning_volume_and_needle_together_turns_the_answer():
-    turn = Rotation.from_euler("xyz", [20, -35, 50], degrees=True).as_matrix()
-    shift = np.array([-30.0, 12.0, 7.0])
-    volume = cases.scan(cases.axis(curve=(2.0, 1.0)))
-    turned = Volume(volume.values, turn @ volume.origin + shift, volume.spacing, turn @ volume.direction)
-    still, moved = found(volume), found(turned)
-    assert_allclose(moved.tip, turn @ still.tip + shift, atol=0.04)
-    assert cases.off(moved.points, still.points @ turn.T + shift).max() < 0.03
-
-
-def test_indices_and_patient_positions_are_inverse():
-    volume = Volume(
-        np.zeros((4, 5, 6), np.float32),
-        np.array([1.0, 2, 3]),
-        np.array([0.5, 0.6, 2.0]),
-        np.eye(3)[[1, 2, 0]],
-    )
-    ijk = np.array([[0.0, 0, 0], [1.5, 2.25, 3.0]])
-    assert_allclose(to_index(volume, to_patient(volume, ijk)), ijk, atol=1e-12)
-    assert_allclose(to_patient(volume, [[1, 0, 0]]) - volume.origin, 0.5 * volume.direction[:, :1].T)
-
-
-@pytest.mark.sweep
-def test_slices_thicker_than_pixels_are_allowed():
+def test_thick_slices_and_ends_in_tissue():
     truth = cases.axis(tip=(3.0, 2.0, 28.0), curve=(2.0, 0.0))
     grid = cases.grid(size=(48, 48, 56), spacing=np.array([0.46, 0.46, 0.9]))
     line = found(cases.scan(truth, grid=grid))
     assert cases.off(line.points, truth).mean() < 0.05
     assert np.linalg.norm(line.tip - truth[-1]) < 0.2
+    truth = cases.axis()[34:]  # base in air, 6 mm above the face
+    line = found(cases.scan(truth))
+    assert np.linalg.norm(line.tip - truth[-1]) < 0.15
+    truth = cases.axis()[48:]  # base 4 mm under the face
+    volume = cases.scan(truth)
+    with pytest.raises(DataError, match="entry_direction"):
+        found(volume)
+    line = found(volume, cases.recipe(centerline={"entry_direction": [0, 0, 1]}))
+    assert np.linalg.norm(line.tip - truth[-1]) < 0.15
 
 
 @pytest.mark.sweep
@@ -126,27 +104,21 @@ def test_pieces_of_one_needle_are_joined():
     assert cases.off(line.points, truth).max() < 0.1
 
 
-def test_a_scan_without_metal():
+def test_what_is_no_needle_is_refused():
     with pytest.raises(DataError, match="tissue"):
         segment_needle(cases.scan(cases.axis() + FAR), cases.RECIPE)
-
-
-def test_a_threshold_that_nothing_exceeds():
-    recipe = cases.recipe(segmentation={"threshold_low_hu": 2000, "threshold_high_hu": 9000})
-    with pytest.raises(DataError, match="9000 HU"):
-        segment_needle(cases.scan(cases.axis()), recipe)
-
-
-def test_balls_alone_are_no_needle():
     balls = SceneMarkers(cases.ENTRY + np.array([[6.0, 3, 4], [-5, -6, 12], [4, -6, 20], [-7, 5, 30]]))
     volume = cases.scan(cases.axis() + FAR, scene={"markers": balls})
     with pytest.raises(DataError, match="is a tube"):
         segment_needle(volume, cases.RECIPE)
-
-
-def test_a_tip_beyond_the_volume():
     with pytest.raises(DataError, match=r"volume.* tip"):
         found(cases.scan(cases.axis(tip=(0.0, 0.0, 60.0))))
+    recipe = cases.recipe(segmentation={"threshold_low_hu": 2000, "threshold_high_hu": 9000})
+    with pytest.raises(DataError, match="9000 HU"):
+        segment_needle(cases.scan(cases.axis()), recipe)
+    recipe = cases.recipe(centerline={"entry_direction": [0, 0, -1]})
+    with pytest.raises(DataError, match=r"volume.* tip"):
+        found(cases.scan(cases.axis()), recipe)
 
 
 @pytest.mark.parametrize("contact", [None, cases.ENTRY])
@@ -160,36 +132,6 @@ def test_a_needle_whose_tip_alone_leaves_the_volume_is_not_reversed(tmp_path, co
         assert refused is not None and "entry_direction" in refused.fix
         soft = [float(length) for length in re.findall(r"(\d+) mm", refused.what)]
         assert_allclose(soft, [top - 12.0, 0.0], atol=1.5)
-
-
-def test_an_entry_direction_that_points_out_of_the_volume():
-    recipe = cases.recipe(centerline={"entry_direction": [0, 0, -1]})
-    with pytest.raises(DataError, match=r"volume.* tip"):
-        found(cases.scan(cases.axis()), recipe)
-
-
-@pytest.mark.sweep
-def test_the_end_in_tissue_is_the_tip_where_both_ends_are_seen():
-    truth = cases.axis()[34:]  # base in air, 6 mm above the face
-    line = found(cases.scan(truth))
-    assert np.linalg.norm(line.tip - truth[-1]) < 0.15
-
-
-@pytest.mark.sweep
-def test_two_ends_in_tissue_need_an_entry_direction():
-    truth = cases.axis()[48:]  # base 4 mm under the face
-    volume = cases.scan(truth)
-    with pytest.raises(DataError, match="entry_direction"):
-        found(volume)
-    line = found(volume, cases.recipe(centerline={"entry_direction": [0, 0, 1]}))
-    assert np.linalg.norm(line.tip - truth[-1]) < 0.15
-
-
-@pytest.mark.sweep
-def test_the_stated_deviations_grow_with_the_noise():
-    quiet, loud = (found(cases.scan(cases.axis(), noise_hu=hu)) for hu in (10.0, 200.0))
-    assert loud.sd.mean() > 2 * quiet.sd.mean()
-    assert loud.tip_sd[0] > 1.2 * quiet.tip_sd[0]
 
 
 @pytest.mark.sweep
@@ -215,7 +157,7 @@ def sections(shifts, tilt=0.0):
     return CrossSections(across, flat + 1000.0, flat + 10.0, np.column_stack([flat, flat + tilt]))
 
 
-def test_the_error_shared_by_sections_is_stated():
+def test_errors_shared_by_sections_gaps_and_thick_slices():
     none = sections(0.0)
     assert estimate_shared_sd(none, none, 0.5) == 0.0
     apart = sections(0.02)  # 0.02 mm along one of two directions
@@ -228,11 +170,23 @@ def test_the_error_shared_by_sections_is_stated():
     assert (
         estimate_shared_sd(sections(0.02 * (-1.0) ** np.arange(40)), none, 0.5) < 0.001
     )  # neighbours make up for it
+    s = np.concatenate([np.arange(0.0, 20.0, 0.5), np.arange(40.0, 60.1, 0.5)])
+    points = np.column_stack([s, 0.001 * s**2, 0 * s])
+    axis = fit_axis(s, points, np.ones(len(s)), 7.0)
+    assert not len(find_empty_pieces(s, axis.final_weights, axis.spline.t))
+    assert np.abs(axis.spline(30.0) - [30.0, 0.9, 0.0]).max() < 0.01
 
+    def deviation(thick, way):
+        s = np.arange(0.0, 60.0, 0.5)
+        axis = fit_axis(s, np.outer(s, np.array(way) / np.linalg.norm(way)), np.ones(len(s)), 7.0)
+        grid = np.zeros((4, 4, 4), np.float32)
+        return centerline.slice_sd(
+            Volume(grid, np.zeros(3), np.array([0.5, 0.5, thick]), np.eye(3)), axis, cases.RECIPE
+        )
 
-def test_the_shipped_recipe_states_the_defaults():
-    shipped = load(Path(__file__).parents[1] / "configs/reconstruction/default.toml", ReconstructionRecord)
-    assert shipped.model_copy(update={"title": ""}) == cases.RECIPE
+    assert 0.2 < deviation(2.0, [1, 0, 0]) < 2 / np.sqrt(12)
+    assert deviation(0.4, [1, 0, 0]) < 0.03
+    assert deviation(2.0, [0, 0, 1]) < 0.03
 
 
 @pytest.mark.parametrize(
@@ -252,49 +206,109 @@ def test_recipes_that_contradict_themselves(table):
         cases.recipe(**table)
 
 
-@pytest.mark.sweep
-@pytest.mark.parametrize(("angle", "most"), [(25.0, 0.2), (45.0, 0.2), (20.0, 0.4)])
-def test_a_bevel_unlike_the_recipe_s_moves_the_tip_by_little(angle, most):
-    """Taken at its word, the recipe's angle of 30 degrees would misplace the tip by 0.4 to 0.6 mm.
-
-    25, 20 and 45 degrees are two, three and five stated deviations off.
-    """
-    truth = cases.axis(tip=(1.0, 2.0, 28.0))
-    line = found(cases.scan(truth, bevel_deg=angle))
-    assert np.linalg.norm(line.tip - truth[-1]) < most
-
-
-def test_a_blunt_needle_has_no_side():
+def test_a_blunt_needle_has_no_side_and_the_shipped_recipe_states_the_defaults():
     truth = cases.axis(tip=(1.0, 2.0, 28.0))
     line = found(cases.scan(truth, bevel_deg=90.0), cases.recipe(needle={"bevel_deg": 90.0}))
     assert np.linalg.norm(line.tip - truth[-1]) < 0.05
     assert np.isnan(line.bevel).all()
+    shipped = load(Path(__file__).parents[1] / "configs/reconstruction/default.toml", ReconstructionRecord)
+    assert shipped.model_copy(update={"title": ""}) == cases.RECIPE
+
+
+# ---- the image of a needle's end
+
+RADIUS = 0.635
+TRUTH = cases.axis(tip=(1.0, 2.0, 28.0))
+
+
+def rod_image(spread, s, u=0.0, *, cotangent=0.0, roll=0.0, normal=(1.0, 0.0, 0.0)):
+    """Return the image of a rod at places s and u."""
+    model = RodModel(RADIUS, 8.0, 6.0, 2.9, normal)
+    s, u = np.broadcast_arrays(np.atleast_1d(s).astype(float), u)
+    splines = model.splines(model.transform(roll, cotangent), spread)
+    return model.sample(splines, s, np.asarray(u, dtype=float), 0 * s)
+
+
+def trace(volume, needle=cases.RECIPE):
+    return centerline.trace_needle(volume, segment_needle(volume, needle), needle)
+
+
+def test_an_end_fades_as_its_blur_does_and_a_bevel_s_point_lies_at_its_roll():
+    spread = PointSpread(0.45, 0.0, 0.3)
+    # across a Gaussian of a disc; by hand: 1 - exp(-r^2 / 2 sigma^2)
+    middle = 1 - np.exp(-(RADIUS**2) / (2 * 0.45**2))
+    assert_allclose(rod_image(spread, -4.0), middle, atol=0.01)
+    assert_allclose(rod_image(spread, 0.0), middle / 2, atol=0.01)
+    along = np.array([-0.5, -0.2, 0.2, 0.5])
+    upright = {"normal": (0.0, 0.0, 1.0)}
+    in_slices = rod_image(spread, along, **upright) / rod_image(spread, -4.0, **upright)
+    assert_allclose(in_slices, ndtr(-along / 0.45), atol=0.01)
+    sharp, plain = PointSpread(0.35, 3.0, 0.3), PointSpread(0.35, 0.0, 0.3)
+    beside = np.linspace(0.8, 2.0, 13)
+    assert rod_image(sharp, -4.0, beside).min() < -0.02
+    assert rod_image(plain, -4.0, beside).min() > -0.005
+    spread = PointSpread(0.35, 0.0, 0.2)
+    toward, away = (rod_image(spread, -0.6, u, cotangent=1.732) for u in (0.4, -0.4))
+    assert toward > 2 * away
+    assert_allclose(rod_image(spread, -0.6, -0.4, cotangent=1.732, roll=np.pi), toward, rtol=0.02)
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize("hu", [4000.0, 9000.0])
-def test_metal_below_and_above_the_ceiling(hu):
-    truth = cases.axis(tip=(1.0, 2.0, 28.0), curve=(2.0, 1.0))
-    line = found(cases.scan(truth, hu=hu))
-    assert cases.off(line.points, truth).mean() < 0.03
-    assert np.linalg.norm(line.tip - truth[-1]) < 0.15
+def test_a_model_that_is_not_to_be_trusted_gives_way_to_the_threshold(monkeypatch):
+    volume = cases.scan(TRUTH)
+    by_model = trace(volume)
+    assert by_model.tip_source == "model"
+    assert abs(by_model.tip_disagreement) < 0.5
+    monkeypatch.setattr(tip, "MAX_MODEL_SD_MM", 1e-6)
+    by_threshold = trace(volume)
+    assert by_threshold.tip_source == "threshold"
+    assert np.isnan(by_threshold.bevel).all()
+    assert np.linalg.norm(by_threshold.tip - TRUTH[-1]) < 0.6
+    assert by_threshold.tip_sd[0] >= cases.SPACING / 2
 
 
-def test_a_gap_without_sections_ends_no_piece_of_the_spline():
-    s = np.concatenate([np.arange(0.0, 20.0, 0.5), np.arange(40.0, 60.1, 0.5)])
-    points = np.column_stack([s, 0.001 * s**2, 0 * s])
-    axis = fit_axis(s, points, np.ones(len(s)), 7.0)
-    assert not len(find_empty_pieces(s, axis.final_weights, axis.spline.t))
-    assert np.abs(axis.spline(30.0) - [30.0, 0.9, 0.0]).max() < 0.01
+def test_ends_that_nothing_shows_are_refused_and_unsure_ones_are_warnings():
+    with pytest.raises(DataError, match="does not show") as caught:
+        tip._end_by_threshold(60.0, np.inf, cases.scan(TRUTH))
+    assert caught.value.fix
+    one = small()
+    with pytest.raises(DataError, match="inserted length"):
+        collect_warnings(replace(one, depth_sd=1.01 * MAX_DEPTH_SD_MM))
+    unsure = replace(one, needle_axis=replace(one.needle_axis, tip_sd=np.array([0.8, 0.1])))
+    assert "0.80 mm" in collect_warnings(unsure)[0]
+    fallen = replace(one, needle_axis=replace(one.needle_axis, tip_source="threshold"))
+    assert "threshold" in collect_warnings(fallen)[0]
+    # The needle's last 6 mm begin behind a gap of 3 mm.
+    one = small()
+    assert not any("beyond the tip" in note for note in list_tip_warnings(one))
+    s, core = one.profile.s, one.profile.core.copy()
+    core[(s > one.depth + 3.0) & (s < one.depth + 6.0)] = 2500.0
+    notes = list_tip_warnings(replace(one, profile=replace(one.profile, core=core)))
+    (distance,) = re.findall(r"(\d\.\d) mm beyond", notes[-1])
+    assert_allclose(float(distance), 3.0, atol=0.6)
 
 
-def test_a_needle_within_thick_slices_lies_anywhere_in_them():
-    def deviation(thick, way):
-        s = np.arange(0.0, 60.0, 0.5)
-        axis = fit_axis(s, np.outer(s, np.array(way) / np.linalg.norm(way)), np.ones(len(s)), 7.0)
-        grid = np.zeros((4, 4, 4), np.float32)
-        return slice_sd(Volume(grid, np.zeros(3), np.array([0.5, 0.5, thick]), np.eye(3)), axis, cases.RECIPE)
+@pytest.mark.sweep
+def test_the_bevel_s_side_is_left_open_where_noise_hides_it():
+    clear = trace(cases.scan(TRUTH, psf_mm=0.3))
+    assert clear.bevel_probability > tip.MIN_BEVEL_PROBABILITY
+    assert clear.bevel[1] > np.cos(np.radians(25))
+    hidden = trace(cases.scan(TRUTH, psf_mm=0.8, noise_hu=150.0))
+    assert hidden.bevel_probability < tip.MIN_BEVEL_PROBABILITY
+    assert np.isnan(hidden.bevel).all()
 
-    assert 0.2 < deviation(2.0, [1, 0, 0]) < 2 / np.sqrt(12)
-    assert deviation(0.4, [1, 0, 0]) < 0.03
-    assert deviation(2.0, [0, 0, 1]) < 0.03
+
+@pytest.mark.sweep
+def test_what_rays_hide_grows_with_the_needle_that_they_pass(monkeypatch):
+    volume = cases.scan(TRUTH)
+    seen = trace(volume)  # along the slices' normal: rays pass no more than its width and a slice
+    assert 0 < seen.hidden_length < 2.5
+    monkeypatch.setattr(tip, "measure_ray", lambda *known: 30.0)
+    hidden = trace(volume)
+    assert hidden.hidden_length == 30.0
+    assert hidden.tip_sd[0] >= 30.0 * tip.HIDDEN_END_SD_PER_MM > seen.tip_sd[0]
+    one = small()
+    notes = collect_warnings(
+        replace(one, needle_axis=replace(one.needle_axis, hidden_length=30.0)), ("other",)
+    )
+    assert notes.index("other") == 1 and "30 mm" in notes[0]

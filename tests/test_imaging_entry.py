@@ -2,19 +2,25 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from scipy.special import ndtr
 
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import make_sheet
 from needlefit.imaging.entry import (
+    EntryKnowledge,
     OutsideShaft,
+    choose_entry,
     compare_poses,
     find_entry_arc_length,
+    list_candidates,
     move_to_surface,
     pose_from_shaft,
     pose_from_stage,
     require_agreement,
 )
-from needlefit.imaging.reconstruction import EntryPose
+from needlefit.imaging.materials import find_rises, find_runs
+from needlefit.imaging.reconstruction import EntryPose, IntensityProfile
 from needlefit.imaging.registration.register import register, to_world
 from needlefit.imaging.scans import StagePose
 
@@ -39,16 +45,13 @@ def axis(direction):
     return np.asarray(direction) / np.linalg.norm(direction)
 
 
-def test_an_unbent_shaft_is_its_own_axis():
+def test_an_unbent_shaft_is_its_own_axis_and_the_final_tangent_is_not():
     direction = axis([1.0, 0.2, -0.1])
     pose = pose_from_shaft(shaft([3.0, -2.0, 5.0], direction), along_sd=0.1)
     assert pose.origin == pytest.approx([3.0, -2.0, 5.0], abs=1e-9)
     assert pose.direction == pytest.approx(direction, abs=1e-9)
     assert (pose.source, pose.along_sd) == ("shaft", 0.1)
-
-
-def test_the_final_tangent_is_not_taken_for_the_axis():
-    """Moved by 0.14 mm and turned by 1.3 degrees at the entry, as at 53 mm of depth."""
+    # Moved by 0.14 mm and turned by 1.3 degrees at the entry, as at 53 mm of depth.
     direction = axis([1.0, 0.0, 0.0])
     bent = shaft([0.0, 0, 0], direction, bend=(0.14, 0.0), turn=(np.radians(1.3), 0.0))
     pose = pose_from_shaft(bent, along_sd=0.0)
@@ -57,6 +60,9 @@ def test_the_final_tangent_is_not_taken_for_the_axis():
     chord = bent.points[-1] - bent.points[0]
     along_chord = bent.points[-1] + 53.0 * chord / np.linalg.norm(chord)
     assert np.linalg.norm(along_chord - [53.0, 0, 0]) > 2 * np.linalg.norm(tip - [53.0, 0, 0])
+    with pytest.raises(DataError, match=r"\b7\.\d mm .*shaft") as error:
+        pose_from_shaft(shaft([0.0, 0, 0], axis([1.0, 0, 0]), shown=9.0), along_sd=0.0)
+    assert "state the stage" in error.value.fix
 
 
 def test_the_stated_deviation_of_the_axis_is_its_error():
@@ -76,16 +82,10 @@ def test_the_stated_deviation_of_the_axis_is_its_error():
     assert np.std(z, axis=0) == pytest.approx([1.0, 1.0], abs=0.15)
 
 
-def test_a_shaft_that_hardly_shows_is_refused():
-    with pytest.raises(DataError, match=r"\b7\.\d mm .*shaft") as error:
-        pose_from_shaft(shaft([0.0, 0, 0], axis([1.0, 0, 0]), shown=9.0), along_sd=0.0)
-    assert "state the stage" in error.value.fix
-
-
 MARKERS = np.array([[0.0, 0, 0], [60, 0, 5], [5, 50, 0], [0, 10, 40], [45, 45, 30], [20, 5, 55]])
 
 
-def test_the_stage_keeps_its_pose_and_takes_the_errors_of_the_registration():
+def test_the_stage_keeps_its_pose_and_meets_the_tissue_at_its_surface():
     stage = StagePose(np.array([10.0, 0, 0]), axis([1.0, 0, 0]), shift_sd=0.05, angle_sd=0.001)
     alone = pose_from_stage(stage, None, np.zeros(3))
     assert (alone.shift_sd, alone.angle_sd, alone.source) == (0.05, 0.001, "stage")
@@ -97,17 +97,11 @@ def test_the_stage_keeps_its_pose_and_takes_the_errors_of_the_registration():
     assert 0.2 / np.sqrt(6) < pose.shift_sd < 0.2
     assert pose.angle_sd > 0.001
     assert pose.origin is stage.entry
-
-
-def test_the_axis_meets_the_tissue_where_its_surface_is():
     pose = EntryPose(np.array([0.5, 0, 0]), axis([1.0, 1.0, 0.0]), "shaft", 0.1, 0.01, 0.1)
     skin = make_sheet("skin", (2.0, 0, 0), (1, 0, 0), 50.0, into=1)
     inner = make_sheet("inner", (1.0, 0, 0), (1, 0, 0), 50.0, into=2)
     assert move_to_surface(pose, (inner, skin)).origin == pytest.approx([2.0, 1.5, 0.0])
     assert move_to_surface(pose, (inner,)) == pose
-
-
-def test_the_centreline_begins_in_the_plane_of_first_contact():
     pose = EntryPose(np.array([0.0, 0.3, 0]), axis([1.0, 0, 0]), "stage", 0.1, 0.01, 0.1)
     needle = np.column_stack([np.arange(-20.25, 30.0), np.zeros(51), np.zeros(51)])
     assert find_entry_arc_length(needle, pose) == pytest.approx(20.25)
@@ -133,19 +127,111 @@ def pose(origin=(0.0, 0, 0), direction=(1.0, 0, 0), shift_sd=0.3, angle_sd=0.02)
     return EntryPose(np.array(origin), axis(direction), "stage", shift_sd, angle_sd, 0.1)
 
 
-def test_stage_and_shaft_are_compared_across_the_axis():
+def test_stage_and_shaft_are_compared_across_the_axis_and_refused_where_they_differ():
     stage, shaft = pose(shift_sd=0.4), pose((7.0, 0.6, 0.8), (1.0, 0.0, 0.1))
     found = compare_poses(stage, shaft)
     assert found.offset == pytest.approx(1.0)  # 7 mm along the axis do not count
     assert found.offset_sd == pytest.approx(0.5)
     assert found.turn == pytest.approx(np.arctan(0.1))
     require_agreement(stage, shaft)
+    for shaft in [pose((0.0, 5.0, 0)), pose(direction=(1.0, 0.4, 0)), pose(direction=(1.0, 0, -0.4))]:
+        with pytest.raises(DataError, match="outside the tissue") as error:
+            require_agreement(pose(), shaft)
+        assert "LPS" in error.value.fix and "RAS" in error.value.fix
 
 
-@pytest.mark.parametrize(
-    "shaft", [pose((0.0, 5.0, 0)), pose(direction=(1.0, 0.4, 0)), pose(direction=(1.0, 0, -0.4))]
-)
-def test_a_stage_that_is_not_the_needle_s_is_refused(shaft):
-    with pytest.raises(DataError, match="outside the tissue") as error:
-        require_agreement(pose(), shaft)
-    assert "LPS" in error.value.fix and "RAS" in error.value.fix
+# ---- which of several places where soft material begins is the entry
+
+S = np.arange(-60.0, 48.0, 0.5)
+TIP = 40.0
+PLATE = ((-19.0, -1000.0, 110.0), (-11.0, 110.0, -1000.0))
+FACE = ((0.0, -1000.0, 35.0),)
+
+
+def profile(*edges, width=0.5, noise=3.0, seed=1):
+    """A profile with edges (mm, HU before, HU behind) of a needle that ends at `TIP`."""
+    around = np.full(len(S), edges[0][1])
+    for at, before, behind in edges:
+        around = around + (behind - before) * ndtr((S - at) / width)
+    around += noise * np.random.default_rng(seed).normal(size=len(S))
+    return IntensityProfile(S, np.where(S <= TIP, 3000.0, 35.0), around)
+
+
+def choose(shown, depth=None, thickness=None, distance=None, explained=()):
+    return choose_entry(shown, TIP, EntryKnowledge(depth, thickness, distance, np.array(explained)))
+
+
+def test_a_plate_before_air_is_no_tissue_and_a_narrow_gap_a_gap():
+    for width in [0.4, 1.2]:
+        choice = choose(profile(*PLATE, *FACE, width=width))
+        assert abs(choice.chosen.at) < 0.1
+        assert_allclose([one.depth for one in choice.candidates], [59.0, 40.0], atol=0.15)
+        assert len(choice.warnings) == 1
+    for gap in [2.0, 3.0, 6.0]:
+        shown = profile((-8.0 - gap, -1000.0, 110.0), (-gap, 110.0, -1000.0), *FACE, width=0.7)
+        choice = choose(shown, thickness=8.0)
+        assert abs(choice.chosen.at) < 0.15
+        assert abs(choice.chosen.at) < 3 * choice.chosen.sd
+        assert choice.warnings == ()
+    shown = profile(*PLATE, *FACE)
+    choice = choose(shown, thickness=8.0, distance=11.0)
+    assert abs(choice.chosen.at) < 0.1
+    assert choice.warnings == ()
+    assert len(choose(shown, thickness=8.0, distance=20.0).warnings) == 1  # of another rig
+    assert len(choose(shown, thickness=14.0).warnings) == 1  # no such plate
+    choice = choose(profile(*PLATE, *FACE), thickness=0.0)
+    assert_allclose(choice.chosen.at, -19.0, atol=0.1)
+    assert choice.warnings == ()
+
+
+def test_the_stated_length_names_the_candidate():
+    for depth, at in [(37.0, 0.0), (62.0, -19.0)]:
+        choice = choose(profile(*PLATE, *FACE), depth=depth)
+        assert_allclose(choice.chosen.at, at, atol=0.1)
+        assert choice.warnings == ()
+    shown = profile(*PLATE, *FACE)
+    assert len(choose(shown, depth=48.0).warnings) == 1
+    with pytest.raises(DataError) as refused:
+        choose(shown, depth=20.0)
+    assert refused.value.where == "expected_depth_mm"
+
+
+FLUSH = profile((-8.0, -1000.0, 110.0), (0.0, 110.0, 35.0), (13.0, 35.0, -5.0))
+
+
+def test_a_plate_that_lies_on_the_tissue_or_does_not_show_is_a_doubt():
+    choice = choose(FLUSH)
+    assert_allclose(choice.chosen.at, -8.0, atol=0.1)
+    assert len(choice.warnings) == 1
+    assert 1.0 < choice.chosen.sd < 2.0  # as bright as plastic; layers of gel are not
+    gel = choose(profile((-8.0, -1000.0, 60.0), (0.0, 60.0, 20.0)))
+    assert len(gel.warnings) == 1 and gel.chosen.sd < 0.1
+    stated = choose(FLUSH, thickness=8.0)
+    assert_allclose(stated.chosen.at, 0.0, atol=0.15)
+    assert stated.warnings == ()
+    assert choose(FLUSH, thickness=0.0).warnings == ()
+    assert choose(FLUSH, explained=[0.3]).warnings == ()
+    assert len(choose(FLUSH, explained=[13.0]).warnings) == 1
+    shown = profile(*FACE)
+    choice = choose(shown, thickness=8.0)
+    assert_allclose(choice.chosen.at, 8.0, atol=0.1)
+    assert len(choice.warnings) == 1
+    assert_allclose(choose(shown, thickness=8.0, distance=30.0).chosen.at, 0.0, atol=0.1)
+
+
+def test_candidates_are_rises_and_steps_before_the_tip_and_no_metal():
+    shown = profile((-55.0, 110.0, -1000.0), *FACE)
+    assert len(choose(shown).warnings) == 1
+    choice = choose(shown, thickness=8.0)
+    assert abs(choice.chosen.at) < 0.1
+    assert choice.warnings == ()
+    shown = profile((-24.0, -1000.0, 2500.0), (-16.0, 2500.0, -1000.0), *FACE)
+    assert [run.kind for run in find_runs(shown)] == ["air", "metal", "air", "soft"]
+    assert_allclose([at for _, at, _ in find_rises(shown)], [0.0], atol=0.1)
+    shown = profile((0.0, -1000.0, 35.0), (30.0, 35.0, -1000.0), (44.0, -1000.0, 35.0))
+    assert_allclose([one.at for one in list_candidates(shown, TIP)], [0.0], atol=0.1)
+    assert [one.change for one in list_candidates(FLUSH, TIP)] == ["rise", "step", "step"]
+    shown = profile(*FACE)
+    shown.around[:] += np.where(S > 0, -0.4 * S, 0)
+    assert [one.change for one in list_candidates(shown, TIP)] == ["rise"]
+    assert choose(profile((0.0, 35.0, 35.0))) is None

@@ -16,8 +16,8 @@ from pydicom.uid import (
     generate_uid,
 )
 from reading_here import child_process_reader, read_here  # noqa: F401
+from test_imaging_volume_dicom import refused
 
-from needlefit.errors import DataError
 from needlefit.imaging import volume_files
 from needlefit.imaging.scans import scan_id
 from needlefit.imaging.volume import Volume
@@ -25,14 +25,6 @@ from needlefit.imaging.volume_files import read_volume, write_volume
 
 pytestmark = pytest.mark.usefixtures("read_here")
 OTHER = generate_uid(entropy_srcs=["other"])
-
-
-def refused(path, **arguments):
-    with pytest.raises(DataError) as error:
-        read_volume(path, **arguments)
-    fault = error.value
-    assert fault.what and fault.where.startswith(str(path)) and fault.expected and fault.fix
-    return fault
 
 
 def pack(path, files, method=zipfile.ZIP_DEFLATED):
@@ -81,26 +73,22 @@ def directory(folder, names, uid):
 # ---- folders in folders
 
 
-def test_the_series_of_an_export_are_listed_with_their_folders_and_one_is_read_by_its_number(tmp_path):
+def test_the_series_of_an_export_are_listed_with_their_folders(tmp_path):
     fault = refused(export(tmp_path))
     assert "holds 2 series" in fault.what and "DICOM/ST1/SE2/" in fault.what and "--series" in fault.fix
     assert np.array_equal(read_volume(tmp_path, "3").values, NUMBERS)
     assert np.array_equal(read_volume(tmp_path, OTHER).values, NUMBERS[:3] + 1)
-
-
-def test_a_series_of_another_modality_is_no_candidate(tmp_path):
+    tmp_path /= "b"
+    tmp_path.mkdir()
     assert np.array_equal(read_volume(export(tmp_path, Modality="MR")).values, NUMBERS)
     fault = refused(tmp_path, series="4")
     assert "Modality is MR" in fault.what and "HU" in fault.expected
 
 
-@pytest.mark.parametrize("unit", ["OD", "MGML", "MG HA/CCM"])
-def test_values_that_are_no_hu_are_refused(tmp_path, unit):
-    fault = refused(save(tmp_path, series(RescaleType=unit)))
-    assert unit in fault.what and "micro-CT" in fault.fix
-
-
-def test_an_unspecified_unit_gives_a_warning(tmp_path):
+def test_values_that_are_no_hu_are_refused_and_an_unspecified_unit_gives_a_warning(tmp_path):
+    for unit in ["OD", "MGML", "MG HA/CCM"]:
+        fault = refused(save(tmp_path, series(RescaleType=unit)))
+        assert unit in fault.what and "micro-CT" in fault.fix
     (warning,) = read_volume(save(tmp_path, series(RescaleType="US"))).warnings
     assert "RescaleType" in warning
 
@@ -137,16 +125,15 @@ def test_an_archive_of_an_export(tmp_path):
     assert "export.zip" not in refused(path).what and "SE2/" in refused(path).what
 
 
-def test_an_archive_in_an_archive(tmp_path):
+def test_archives_in_archives_and_of_image_files(tmp_path):
     inner = pack(tmp_path / "inner.zip", save(tmp_path / "series", series())).read_bytes()
     middle = pack(tmp_path / "middle.zip", [("a/inner.zip", inner), ("readme.txt", b"CT")]).read_bytes()
     path = pack(tmp_path / "outer.zip", [("middle.zip", middle)])
     assert np.array_equal(read_volume(path).values, NUMBERS)
     deep = pack(tmp_path / "deep.zip", [("outer.zip", path.read_bytes())])
     assert "too many" in refused(deep).what
-
-
-def test_an_archive_of_image_files(tmp_path):
+    tmp_path /= "b"
+    tmp_path.mkdir()
     volume = Volume(NUMBERS.astype(np.float32), np.zeros(3), np.ones(3), np.eye(3))
     write_volume(volume, tmp_path / "a.nrrd")
     data = (tmp_path / "a.nrrd").read_bytes()
@@ -178,7 +165,7 @@ def encrypt(data):
         data[data.index(mark) + place] |= 1
 
 
-def test_damaged_and_encrypted_archives_are_refused(tmp_path):
+def test_damaged_encrypted_and_bloated_archives_are_refused(tmp_path, monkeypatch):
     files = [("a.dcm", bytes(1000))]
     assert "damaged" in refused(damaged(pack(tmp_path / "a.zip", files), lambda data: data.clear())).what
     assert "encrypted" in refused(damaged(pack(tmp_path / "b.zip", files), encrypt)).what
@@ -187,9 +174,6 @@ def test_damaged_and_encrypted_archives_are_refused(tmp_path):
         pack(tmp_path / "d.zip", files * 2)
     assert "damaged" in refused(tmp_path / "d.zip").what
     assert "empty" in refused(pack(tmp_path / "e.zip", [])).what
-
-
-def test_an_archive_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(volume_files, "EXEMPT_BYTES", 2**20)
     bomb = pack(tmp_path / "a.zip", [(f"{n}.dcm", bytes(2**20)) for n in range(3)])
     assert "unpacks" in refused(bomb).what
@@ -268,12 +252,11 @@ def test_frames_in_any_order_with_their_own_rescaling(tmp_path, packed):
     assert np.array_equal(read_volume(save(tmp_path / "a", [data])).values, NUMBERS * (1 + k) - k)
 
 
-def test_padding_of_frames(tmp_path):
+def test_padding_of_frames_and_faults_of_one_frame(tmp_path):
     volume = read_volume(save(tmp_path, [enhanced(PixelPaddingValue=5)]))
     assert volume.values[0, 0, 5] == volume.values.min() == 0
-
-
-def test_faults_of_one_frame_name_it(tmp_path):
+    tmp_path /= "b"
+    tmp_path.mkdir()
     data = enhanced()
     data.PerFrameFunctionalGroupsSequence[2].PlanePositionSequence[0].ImagePositionPatient = [-10, 20, 30]
     assert "frame" in refused(save(tmp_path / "twice", [data])).what

@@ -57,9 +57,8 @@ def test_a_file_that_crashed_a_reader_is_a_data_error(path, tmp_path, peak_befor
 
 @pytest.mark.parametrize("path", NATIVE[::8], ids=lambda path: path.name)
 def test_without_the_header_check_only_the_child_process_crashes(path):
-    with pytest.raises(DataError) as found:
+    with pytest.raises(DataError, match="SIG"):
         read_in_sandbox("needlefit.imaging.image_files:read_image", path, ReaderLimits(), {"path": str(path)})
-    assert "SIG" in found.value.what
 
 
 @pytest.mark.parametrize("name", ["mem-dicom-2480.dcm", "mem-dicom-3904.dcm"])
@@ -142,48 +141,6 @@ def test_voxels_in_a_device_or_folder(tmp_path):
             read_volume(metaimage(tmp_path / "a.mhd", ElementDataFile=name))
 
 
-LONG = "9" * 5000
-NRRD_FIELDS = (
-    "type",
-    "dimension",
-    "space",
-    "sizes",
-    "space_directions",
-    "endian",
-    "encoding",
-    "space_origin",
-)
-META_FIELDS = ("NDims", "TransformMatrix", "Offset", "ElementSpacing", "DimSize", "ElementType")
-
-
-@pytest.mark.sweep
-@pytest.mark.parametrize(
-    "value", [LONG, "3" + "0" * 99, "-1", "1e308", "nan nan nan", "", "9 " * 500, "%s%n"]
-)
-@pytest.mark.parametrize("field", [*NRRD_FIELDS, *META_FIELDS])
-def test_a_header_with_a_value_that_cannot_be(tmp_path, field, value):
-    """The check refuses it, or the reader does; where both pass there is a volume."""
-    make, name = (nrrd, "a.nrrd") if field in NRRD_FIELDS else (metaimage, "a.mha")
-    path = make(tmp_path / name, **{field: value})
-    try:
-        assert read_volume(path).values.size == VALUES.size
-    except DataError as error:
-        assert error.where == str(path) and "9999" not in str(error)
-
-
-@pytest.mark.sweep
-@pytest.mark.parametrize("at", [0, 40, 42, 56, 70, 72, 76, 108, 112, 252, 344])
-@pytest.mark.parametrize("entry", [b"\xff\xff\xff\x7f", b"\xff\xff\xff\xff", b"\0\0\0\0", b"\0\0\x80\x7f"])
-def test_a_nifti_header_with_a_value_that_cannot_be(tmp_path, at, entry):
-    path = nifti(tmp_path / "a.nii")
-    content = path.read_bytes()
-    path.write_bytes(content[:at] + entry + content[at + 4 :])
-    try:
-        assert read_volume(path).values.size == VALUES.size
-    except DataError as error:
-        assert error.where == str(path)
-
-
 @pytest.mark.parametrize("place", ["missing", "folder", "/dev/zero", "/dev/null", "socket.nrrd"])
 def test_non_regular_files_are_refused(tmp_path, place):
     (tmp_path / "folder").mkdir()
@@ -225,7 +182,7 @@ def test_encodings_of_nrrd(tmp_path, encoding):
         plain(path)
 
 
-def test_bzip2_and_several_files_of_voxels_are_named_as_what_is_not_read(tmp_path):
+def test_what_common_programs_leave_in_headers_is_read_or_named(tmp_path):
     packed = nrrd(tmp_path / "a.nrrd", encoding="bzip2", data=bz2.compress(VALUES.tobytes()))
     several = nrrd(tmp_path / "a.nhdr", data=b"", data_file="LIST 2")
     several.write_bytes(several.read_bytes().rstrip() + b"\nslice1.raw\nslice2.raw\n")
@@ -233,6 +190,28 @@ def test_bzip2_and_several_files_of_voxels_are_named_as_what_is_not_read(tmp_pat
         with pytest.raises(DataError) as caught:
             read_volume(path)
         assert word in caught.value.what and caught.value.fix
+    tmp_path /= "b"
+    tmp_path.mkdir()
+    # Comments, texts of any length, line ends of Windows, and what other programs leave in them.
+    path = nrrd(tmp_path / "a.nrrd", content="a scan", kinds="domain domain domain")
+    head, _, data = path.read_bytes().partition(b"\n\n")
+    more = [b"# made by hand", b"Segmentation_Terminology:=" + b"~^" * 5000, b"note:=a: b, caf\xc3\xa9 \xff"]
+    path.write_bytes(b"\n".join([head, *more]) + b"\n\n" + data)
+    plain(path)
+    path.write_bytes(b"\r\n".join(path.read_bytes()[: -len(data)].rstrip().split(b"\n")) + b"\r\n\r\n" + data)
+    plain(path)
+    path = metaimage(tmp_path / "a.mha")
+    path.write_bytes(b"Comment = " + b"x" * 200 + b"\nModality = MET_MOD_CT\n" + path.read_bytes())
+    plain(path)
+    tmp_path /= "c"
+    tmp_path.mkdir()
+    # A segmentation of 1 MiB whose voxels are all alike packs 1000-fold.
+    values = np.ones((64, 128, 128), np.uint8)
+    path = nrrd(
+        tmp_path / "a.nrrd", values, type="uint8", encoding="gzip", data=gzip.compress(values.tobytes())
+    )
+    assert path.stat().st_size < 5000
+    assert read_volume(path).values.sum() == values.size
 
 
 @pytest.mark.sweep
@@ -244,27 +223,3 @@ def test_headers_that_lie_beside_their_voxels(tmp_path):
         path = metaimage(tmp_path / "a.mhd", ElementDataFile="my scan.raw")
         path.write_bytes(b"HeaderSize = %d\n" % skip + path.read_bytes())
         plain(path)
-
-
-def test_headers_of_common_programs_are_read(tmp_path):
-    """Comments, texts of any length, line ends of Windows, and what other programs leave in them."""
-    path = nrrd(tmp_path / "a.nrrd", content="a scan", kinds="domain domain domain")
-    head, _, data = path.read_bytes().partition(b"\n\n")
-    more = [b"# made by hand", b"Segmentation_Terminology:=" + b"~^" * 5000, b"note:=a: b, caf\xc3\xa9 \xff"]
-    path.write_bytes(b"\n".join([head, *more]) + b"\n\n" + data)
-    plain(path)
-    path.write_bytes(b"\r\n".join(path.read_bytes()[: -len(data)].rstrip().split(b"\n")) + b"\r\n\r\n" + data)
-    plain(path)
-    path = metaimage(tmp_path / "a.mha")
-    path.write_bytes(b"Comment = " + b"x" * 200 + b"\nModality = MET_MOD_CT\n" + path.read_bytes())
-    plain(path)
-
-
-def test_a_volume_may_be_made_of_few_bytes(tmp_path):
-    """A segmentation of 1 MiB whose voxels are all alike packs 1000-fold."""
-    values = np.ones((64, 128, 128), np.uint8)
-    path = nrrd(
-        tmp_path / "a.nrrd", values, type="uint8", encoding="gzip", data=gzip.compress(values.tobytes())
-    )
-    assert path.stat().st_size < 5000
-    assert read_volume(path).values.sum() == values.size

@@ -60,12 +60,16 @@ def plain():
 
 
 @pytest.mark.sweep
-def test_balls_are_found_where_they_are(plain):
+def test_balls_are_found_where_they_are_by_any_threshold(plain):
     found = find_markers(plain, RECIPE, needle_of(plain))
     assert found.source == "volume"
     assert off(found).max() < 0.03
     assert (found.sd > 0.002).all()
     assert (found.sd < 0.05).all()
+    assert off(find_markers(plain, recipe(markers={"threshold_hu": 1500.0}))).max() < 0.03
+    with pytest.raises(DataError, match="exceed 5000 HU") as caught:
+        find_markers(plain, recipe(markers={"threshold_hu": 5000.0}))
+    assert "threshold_hu" in caught.value.fix
 
 
 @pytest.mark.parametrize(
@@ -79,18 +83,6 @@ def test_a_diameter_that_the_image_contradicts_is_a_warning_with_both(plain, sta
     for warning in found.warnings:
         measured, given = (float(x) for x in re.findall(r"(\d\.\d) mm", warning))
         assert (measured, given) == (3.0, stated)
-
-
-@pytest.mark.sweep
-def test_the_needle_is_no_marker_even_when_unknown(plain):
-    assert off(find_markers(plain, RECIPE)).max() < 0.03
-
-
-@pytest.mark.sweep
-@pytest.mark.parametrize("hu", [1600.0, 12000.0])
-def test_glass_and_tungsten_with_bloom_and_streaks(hu):
-    volume = with_balls(hu=hu, bloom=0.12, streaks=1.0, views=90)
-    assert off(find_markers(volume, RECIPE, needle_of(volume))).max() < 0.1
 
 
 @pytest.mark.sweep
@@ -116,7 +108,7 @@ def test_ball_on_the_face_of_the_phantom_is_not_pulled_by_it():
 
 
 @pytest.mark.sweep
-def test_ball_that_touches_the_needle_is_left_out_or_right():
+def test_balls_cut_or_touched_and_rails_are_no_markers():
     touching = ENTRY + np.array([0.635 + 1.5, 0, 10.0])
     near = ENTRY + np.array([0.635 + 1.5 + 1.0, 0, 22.0])
     places = np.array([PLACES[0], PLACES[2], touching, near])
@@ -126,17 +118,9 @@ def test_ball_that_touches_the_needle_is_left_out_or_right():
     gaps = cdist(places, found.centers).min(axis=1)
     assert gaps[:2].max() < 0.03
     assert (cdist(found.centers, places).min(axis=1) < 0.15).all()
-
-
-@pytest.mark.sweep
-def test_ball_cut_by_the_volume_is_left_out():
     end = (SHAPE[2] - 1) * SPACING
     places = np.vstack([PLACES, [[6.0, 9.0, end - 0.8], [0.5, 11.0, 15.0]]])
     assert off(find_markers(with_balls(places), RECIPE)).shape == (4,)
-
-
-@pytest.mark.sweep
-def test_rails_of_the_table_are_no_markers():
     slab = Frame(np.array([19.5, 11.0, 25.0]), np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]]))
     places = PLACES * [0.8, 1, 1]
     volume = with_balls(places, table=ScannerTable(slab, width=18.0))
@@ -165,19 +149,23 @@ def test_fewer_than_three_are_returned_and_refused_by_the_registration(count):
         register(found.centers, PLACES, found.sd)
 
 
-def test_needle_alone_holds_no_marker():
+def test_a_needle_alone_and_nothing_bright_hold_no_marker():
     volume = scan(axis())
     assert len(find_markers(volume, RECIPE, needle_of(volume)).centers) == 0
-
-
-@pytest.mark.sweep
-def test_balls_of_another_size_are_none(plain):
-    assert len(find_markers(plain, recipe(markers={"diameter_mm": 6.0})).centers) == 0
-    assert len(find_markers(with_balls(radius=0.8), RECIPE).centers) == 0
+    rng = np.random.default_rng(1)
+    dull = Volume(
+        rng.normal(40, 30, (40, 40, 40)).astype(np.float32), np.zeros(3), np.full(3, 0.5), np.eye(3)
+    )
+    with pytest.raises(DataError) as caught:
+        find_markers(dull, RECIPE)
+    assert caught.value.expected
+    assert caught.value.fix
 
 
 @pytest.mark.sweep
 def test_what_is_no_ball_is_listed_with_its_misfit(plain):
+    assert len(find_markers(plain, recipe(markers={"diameter_mm": 6.0})).centers) == 0
+    assert len(find_markers(with_balls(radius=0.8), RECIPE).centers) == 0
     larger = recipe(markers={"diameter_mm": 4.0})
     none = find_markers(plain, larger, needle_of(plain))
     assert len(none.centers) == 0
@@ -188,25 +176,6 @@ def test_what_is_no_ball_is_listed_with_its_misfit(plain):
     assert f"{min(one.misfit for one in none.rejected):.2f}" in seen
     lenient = recipe(markers={"diameter_mm": 4.0, "max_misfit": 0.4})
     assert off(find_markers(plain, lenient, needle_of(plain))).max() < 0.05
-
-
-@pytest.mark.sweep
-def test_threshold_of_the_recipe(plain):
-    assert off(find_markers(plain, recipe(markers={"threshold_hu": 1500.0}))).max() < 0.03
-    with pytest.raises(DataError, match="exceed 5000 HU") as caught:
-        find_markers(plain, recipe(markers={"threshold_hu": 5000.0}))
-    assert "threshold_hu" in caught.value.fix
-
-
-def test_nothing_bright_enough_is_an_error():
-    rng = np.random.default_rng(1)
-    dull = Volume(
-        rng.normal(40, 30, (40, 40, 40)).astype(np.float32), np.zeros(3), np.full(3, 0.5), np.eye(3)
-    )
-    with pytest.raises(DataError) as caught:
-        find_markers(dull, RECIPE)
-    assert caught.value.expected
-    assert caught.value.fix
 
 
 def fine_image(profile, blur, slice_blur):
@@ -235,9 +204,6 @@ def test_tables_show_the_blurred_ball_and_its_shortfall():
         at = np.rint(places / 0.1).astype(int)
         np.testing.assert_allclose(look_up(tables[table], places, 0 * places), expected[at, 0], atol=0.01)
         np.testing.assert_allclose(look_up(tables[table], 0 * places, places), expected[0, at], atol=0.01)
-
-
-def test_a_boosted_kernel_keeps_the_volume_and_undershoots():
     plain, boosted = (SphereTables(1.5, 5.0, (0.15, 0.1)).render(0.0, 0.4, b, 0.3)[BALL] for b in (0, 3))
     fine = np.arange(0.005, 4.5, 0.01)
     across, along = (x.ravel() for x in np.meshgrid(fine, fine, indexing="ij"))
@@ -293,9 +259,6 @@ def test_points_from_every_kind_of_file_are_lps(tmp_path):
     old = tmp_path / "a.fcsv"
     old.write_text("\n".join(["# CoordinateSystem = RAS", "# columns = label,x,y,z", *lines]) + "\n")
     np.testing.assert_allclose(read_markers(old), PLACES)
-
-
-def test_files_without_points_are_refused(tmp_path):
     short = tmp_path / "b.csv"
     short.write_text("x_mm,y_mm\n1,2\n")
     with pytest.raises(DataError, match="z_mm") as caught:
@@ -309,6 +272,11 @@ def test_files_without_points_are_refused(tmp_path):
         read_markers(tmp_path / "c.txt")
     with pytest.raises(DataError):
         read_markers(tmp_path / "missing.csv")
+    dull = Volume(np.zeros((40, 40, 40), dtype=np.float32), np.zeros(3), np.full(3, 0.5), np.eye(3))
+    given = read_fiducials(table(tmp_path / "f.csv", [[5.0, 6, 7], [9, 8, 7], [3, 9, 12]]), RECIPE)
+    same = refine_fiducials(given, dull, RECIPE)
+    np.testing.assert_array_equal(same.centers, given.centers)
+    np.testing.assert_array_equal(same.sd, given.sd)
 
 
 @pytest.mark.sweep
@@ -324,14 +292,13 @@ def test_fiducials_are_moved_to_the_balls_that_they_mark(plain, tmp_path):
     assert (moved.sd[:4] < 0.05).all()
     np.testing.assert_allclose(moved.centers[4:], landmark)
     assert moved.sd[4] == 0.3
-
-
-@pytest.mark.sweep
-def test_two_fiducials_do_not_share_a_ball(plain, tmp_path):
     pair = np.array([PLACES[0] + [0.2, 0, 0], PLACES[0] - [0.6, 0, 0]])
     moved = refine_fiducials(read_fiducials(table(tmp_path / "pair.csv", pair), RECIPE), plain, RECIPE)
     assert np.linalg.norm(moved.centers[0] - PLACES[0]) < 0.03
     np.testing.assert_allclose(moved.centers[1], pair[1])
+    given = read_fiducials(table(tmp_path / "out.csv", [[10.0, 10.0, 20.0], [80.0, 10.0, 20.0]]), RECIPE)
+    with pytest.raises(DataError, match="1 of 2 fiducials"):
+        refine_fiducials(given, plain, RECIPE)
 
 
 @pytest.mark.sweep
@@ -343,18 +310,3 @@ def test_ras_read_as_lps_is_noticed(tmp_path):
     given = read_fiducials(table(tmp_path / "ras.csv", (PLACES - middle) * RAS), RECIPE)
     with pytest.raises(DataError, match=r"RAS.* LPS"):
         refine_fiducials(given, volume, RECIPE)
-
-
-@pytest.mark.sweep
-def test_fiducials_outside_the_volume_are_refused(plain, tmp_path):
-    given = read_fiducials(table(tmp_path / "out.csv", [[10.0, 10.0, 20.0], [80.0, 10.0, 20.0]]), RECIPE)
-    with pytest.raises(DataError, match="1 of 2 fiducials"):
-        refine_fiducials(given, plain, RECIPE)
-
-
-def test_fiducials_in_a_scan_without_metal_stay(tmp_path):
-    dull = Volume(np.zeros((40, 40, 40), dtype=np.float32), np.zeros(3), np.full(3, 0.5), np.eye(3))
-    given = read_fiducials(table(tmp_path / "f.csv", [[5.0, 6, 7], [9, 8, 7], [3, 9, 12]]), RECIPE)
-    same = refine_fiducials(given, dull, RECIPE)
-    np.testing.assert_array_equal(same.centers, given.centers)
-    np.testing.assert_array_equal(same.sd, given.sd)

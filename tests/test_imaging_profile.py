@@ -1,15 +1,18 @@
 """Brightness along needles, the edge of the tissue, and pictures of the scan: known edges, known volumes."""
 
+from dataclasses import replace
+
 import ct_cases as cases
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.special import ndtr
 
+from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame, make_entry_frame
 from needlefit.imaging.materials import find_tissue_edge, sample_profile
 from needlefit.imaging.reconstruction import IntensityProfile, render_views
-from needlefit.imaging.volume import Volume, to_patient
+from needlefit.imaging.volume import Volume, require_hounsfield, to_patient
 from needlefit.synthetic.design import Phantom
 from needlefit.synthetic.render import Needle3D, Scanner, Scene3D, SceneMarkers, render_scan
 
@@ -43,57 +46,45 @@ def middle(volume):
 # the edge of the tissue
 
 
-@pytest.mark.parametrize("at", [-11.37, 0.0, 4.21])
-@pytest.mark.parametrize("width", [0.4, 1.5])
-def test_an_edge_is_found_where_it_is(at, width):
-    place, sd = found(edge(at, width))
-    assert abs(place - at) < 0.05
-    assert 0.02 < sd < 0.04 + 0.12 * width  # kernels and slices blur both sides differently
+def test_an_edge_is_found_where_it_is():
+    for at in [-11.37, 0.0, 4.21]:
+        for width in [0.4, 1.5]:
+            place, sd = found(edge(at, width))
+            assert abs(place - at) < 0.05
+            assert 0.02 < sd < 0.04 + 0.12 * width  # kernels and slices blur both sides differently
+    for at in [0.05, 0.25, 0.45]:
+        place, sd = found(edge(at, width=0.02, noise=0.5))
+        assert abs(place - at) < 0.5
+        assert sd < 0.2
 
 
-@pytest.mark.parametrize("at", [0.05, 0.25, 0.45])
-def test_an_edge_sharper_than_the_stations_lies_between_two_of_them(at):
-    place, sd = found(edge(at, width=0.02, noise=0.5))
-    assert abs(place - at) < 0.5
-    assert sd < 0.2
-
-
-def test_neither_cupping_nor_a_layer_near_by_nor_rays_move_the_edge():
+def test_neither_cupping_nor_a_layer_near_by_nor_gaps_move_the_edge():
     around = edge(2.3)
     around += np.where(S > 2.3, -6 * np.clip(S - 2.3, 0, 20), 0)  # a slope
     around += np.where(S > 6.3, 150.0, 0)  # another layer 4 mm behind
     around[[50, 71, 76]] += [300, -400, 350]  # rays
     place, _ = found(around)
     assert abs(place - 2.3) < 0.1
-
-
-def test_the_deviation_covers_the_scatter_and_grows_with_it():
-    answers = np.array([[found(edge(1.2, noise=n, seed=seed)) for seed in range(40)] for n in (20, 60)])
-    scatter, stated = answers[:, :, 0].std(axis=1), answers[:, :, 1].mean(axis=1)
-    assert (stated > scatter).all() and (stated < 5 * scatter).all()
-    assert stated[1] > 1.5 * stated[0]
-
-
-def test_unknown_stations_are_left_out():
     around = edge(3.0)
     around[S < -10] = np.nan
     around[::7] = np.nan
     assert abs(found(around)[0] - 3.0) < 0.06
 
 
-@pytest.mark.parametrize(
-    "around",
-    [
+def test_the_deviation_covers_the_scatter_and_there_is_no_edge_where_nothing_shows():
+    answers = np.array([[found(edge(1.2, noise=n, seed=seed)) for seed in range(40)] for n in (20, 60)])
+    scatter, stated = answers[:, :, 0].std(axis=1), answers[:, :, 1].mean(axis=1)
+    assert (stated > scatter).all() and (stated < 5 * scatter).all()
+    assert stated[1] > 1.5 * stated[0]
+    for around in [
         np.full(len(S), 35.0),
         np.full(len(S), -1000.0),
         np.full(len(S), np.nan),
         edge(29.0),  # a millimetre of tissue is none
         np.where(S < 0, -560.0, -440.0),  # lung, perhaps: no edge of air
         1000.0 - edge(0.0),  # tissue before air
-    ],
-)
-def test_no_edge_where_there_is_none(around):
-    assert found(np.array(around)) is None
+    ]:
+        assert found(np.array(around)) is None
 
 
 @pytest.mark.parametrize("tilt", [0.0, 20.0, 30.0])
@@ -133,9 +124,6 @@ def test_in_a_linear_volume_core_and_surroundings_are_that_of_the_axis():
     assert_allclose(shown.core, points @ gradient + 100, atol=1e-3)
     assert_allclose(shown.around, points @ gradient + 100, atol=1e-3)
     assert_allclose(shown.s, s)
-
-
-def test_outside_the_volume_there_is_no_edge():
     volume = linear(np.zeros(3))
     points = middle(volume) + np.linspace(0, 60, 31)[:, None] * [0.0, 1.0, 0.0]
     shown = sample_profile(volume, points, np.linspace(0, 60, 31))
@@ -211,3 +199,21 @@ def test_the_picture_shows_needle_entry_and_tip_where_they_are():
     assert beside[(x > -8) & (x < -2)].max() < -800
     assert beside[(x > 2) & (x < 12)].mean() == pytest.approx(40, abs=10)
     assert beside[(x > 16) & (x < 35)].mean() == pytest.approx(90, abs=10)
+
+
+@pytest.mark.parametrize(
+    ("convert", "words"),
+    [
+        (lambda hu: np.clip(hu + 1024, 0, 4095), "stored"),
+        (lambda hu: np.clip(hu + 1000, 0, None) * 2e-4, "micro-CT"),
+        (lambda hu: (np.clip(hu + 1000, 0, None) * 2e-4) - 0.01, "micro-CT"),  # noise below 0
+        (lambda hu: np.abs(hu + 1000) / 3, "MR"),
+    ],
+)
+def test_values_that_are_no_hu_are_refused(convert, words):
+    volume = cases.scan(cases.axis())
+    require_hounsfield(volume, "scan.nrrd")
+    other = replace(volume, values=convert(volume.values.astype(np.float64)).astype(np.float32))
+    with pytest.raises(DataError, match=words) as refused:
+        require_hounsfield(other, "scan.nrrd")
+    assert refused.value.where == "scan.nrrd" and refused.value.fix

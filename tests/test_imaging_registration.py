@@ -8,8 +8,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
+from needlefit.imaging.registration import pairing
+from needlefit.imaging.registration.pairing import (
+    MIN_SQUARED_MISFIT,
+    expected_chance_pairings,
+    find_pairings,
+    find_symmetries,
+    group_interchangeable,
+)
 from needlefit.imaging.registration.register import (
+    check_axis_signs,
     predict_mean_target_error,
     register,
     scan_frame,
@@ -82,7 +92,7 @@ def test_moving_the_scan_or_the_world_moves_the_answer_with_it(seed):
         assert np.linalg.eigvalsh(one.covariance) == pytest.approx(np.linalg.eigvalsh(first.covariance))
 
 
-def test_a_missing_and_a_spurious_marker_are_left_out_and_named():
+def test_missing_spurious_and_moved_markers_are_left_out_and_named():
     rng = np.random.default_rng(3)
     pose = pose_of(rng)
     found = pose.to_local(np.concatenate([LAYOUT[:5], [[10, 10, 10]]])) + 0.05 * rng.normal(size=(6, 3))
@@ -90,9 +100,6 @@ def test_a_missing_and_a_spurious_marker_are_left_out_and_named():
     assert registration.pairs.tolist() == [[n, n] for n in range(5)]
     assert "found markers 5" in registration.warnings[0]
     assert "known markers 5" in registration.warnings[1]
-
-
-def test_a_moved_marker_is_left_out_and_its_distance_reported():
     moved = LAYOUT.copy()
     moved[3] += [0, 0, 2.0]
     registration = register(moved, LAYOUT, 0.05)
@@ -100,9 +107,6 @@ def test_a_moved_marker_is_left_out_and_its_distance_reported():
     assert any(
         re.search(r"found marker 3 .*\b2\.00 mm .*known marker 3", text) for text in registration.warnings
     )
-
-
-def test_leave_one_out_of_a_single_wrong_marker_is_its_own_error():
     moved = LAYOUT.copy()
     moved[3] += [0, 0, 0.3]
     registration = register(moved, LAYOUT, 0.1)
@@ -110,7 +114,7 @@ def test_leave_one_out_of_a_single_wrong_marker_is_its_own_error():
     assert np.isnan(register(LAYOUT[:3], LAYOUT[:3], 0.1).leave_one_out).all()
 
 
-def test_kabsch_never_reflects_even_if_a_reflection_fits_better():
+def test_kabsch_never_reflects_and_meets_a_marker_that_alone_has_weight():
     frame = fit_kabsch(LAYOUT * [1, 1, -1], LAYOUT, np.ones(6))
     assert proper(frame.rotation)
     left = np.sum((LAYOUT - frame.to_world(LAYOUT * [1, 1, -1])) ** 2)
@@ -118,22 +122,27 @@ def test_kabsch_never_reflects_even_if_a_reflection_fits_better():
         0
     ] == pytest.approx(left)
     assert left > 100
-
-
-def test_a_marker_that_alone_has_weight_is_met_exactly():
     moving = np.array([[0, 0, 0], [10, 0, 0], [0, 10, 0]], dtype=float)
     weights = np.array([2.0, 1e-12, 1e-12])
     fixed = moving + np.array([[3, 0, 0], [0, 0, 0], [0, 0, 0]])
     assert fit_kabsch(moving, fixed, weights).to_world(moving[:1])[0] == pytest.approx([3, 0, 0], abs=1e-6)
 
 
-def test_precise_markers_count_for_more_than_loose_ones():
+def test_precise_markers_and_axes_count_for_more_than_loose_ones():
     loose = LAYOUT.copy()
     loose[0] += [0.5, 0, 0]
     sd = np.array([1.0, 0.01, 0.01, 0.01, 0.01, 0.01])
     registration = register(loose, LAYOUT, sd)
     assert np.abs(registration.residuals[1:]).max() < 1e-3
     assert registration.residuals[0] == pytest.approx([-0.5, 0, 0], abs=1e-3)
+    # Errors along the loose axis of the scan alone hardly reach the pose.
+    rng = np.random.default_rng(5)
+    noise = np.zeros((6, 3))
+    noise[:, 2] = 0.3 * rng.normal(size=6)
+    sharp = register(LAYOUT + noise, LAYOUT, np.tile([0.01, 0.01, 0.3], (6, 1)))
+    blunt = register(LAYOUT + noise, LAYOUT, 0.3)
+    angle = [np.linalg.norm(Rotation.from_matrix(r.rotation).as_rotvec()) for r in (sharp, blunt)]
+    assert angle[0] < angle[1] / 3
 
 
 def test_deviations_are_one_number_or_of_each_marker_and_axis_or_covariances():
@@ -150,17 +159,6 @@ def test_deviations_are_one_number_or_of_each_marker_and_axis_or_covariances():
     assert sets.variance_bound == pytest.approx(np.array([[9.0] * 3, [9.0] * 3, [4.0] * 3]))
     assert sets.typical_sd == pytest.approx(np.sqrt(14 / 3))
     assert sets.extent == pytest.approx(np.sqrt(19**2 + 80**2 + 42**2))
-
-
-def test_an_uncertain_axis_is_weighted_down():
-    """Errors along the loose axis of the scan alone hardly reach the pose."""
-    rng = np.random.default_rng(5)
-    noise = np.zeros((6, 3))
-    noise[:, 2] = 0.3 * rng.normal(size=6)
-    sharp = register(LAYOUT + noise, LAYOUT, np.tile([0.01, 0.01, 0.3], (6, 1)))
-    blunt = register(LAYOUT + noise, LAYOUT, 0.3)
-    angle = [np.linalg.norm(Rotation.from_matrix(r.rotation).as_rotvec()) for r in (sharp, blunt)]
-    assert angle[0] < angle[1] / 3
 
 
 # predicted errors
@@ -191,22 +189,13 @@ def test_the_error_at_the_centre_is_the_noise_over_the_root_of_the_number():
     assert target_covariance(registration, [[0, 0, 0]])[0] == pytest.approx(np.eye(3) * 0.25 / 4)
     # a Gaussian in three directions has the mean length sqrt(8 / pi) sigma
     assert predict_mean_target_error(registration, [[0, 0, 0]])[0] == pytest.approx(np.sqrt(8 / np.pi) * 0.25)
-
-
-def test_the_expected_residual_is_the_noise_less_what_the_fit_follows():
-    """E FRE^2 = (1 - 2 / N) FLE^2 (R. Sibson 1979), FLE^2 = 3 sigma^2."""
+    # E FRE^2 = (1 - 2 / N) FLE^2 (R. Sibson 1979), FLE^2 = 3 sigma^2.
     registration = register(LAYOUT, LAYOUT, 0.2)
     assert registration.expected_fre == pytest.approx(np.sqrt((1 - 2 / 6) * 3 * 0.2**2))
-
-
-def test_noise_along_one_axis_only_shifts_along_it():
-    """At the centre of equally noisy markers, the error is a mean: each axis keeps its own variance."""
+    # At the centre of equally noisy markers, the error is a mean: each axis keeps its own variance.
     registration = register(SQUARE, SQUARE, np.tile([0.1, 0.1, 0.6], (4, 1)), pairs=ITSELF)
     expected = np.diag([0.01, 0.01, 0.36]) / 4
     assert target_covariance(registration, [[0, 0, 0]])[0] == pytest.approx(expected)
-
-
-def test_noise_given_in_the_scan_turns_with_it():
     turn = Frame(np.zeros(3), Rotation.from_euler("x", 90, degrees=True).as_matrix())  # scan z is world -y
     registration = register(turn.to_local(SQUARE), SQUARE, np.tile([0.1, 0.1, 0.6], (4, 1)), pairs=ITSELF)
     assert np.diag(target_covariance(registration, [[0, 0, 0]])[0]) == pytest.approx(
@@ -241,9 +230,6 @@ def test_closest_points_keep_the_pairs_of_a_near_pose_and_drop_the_spurious():
     found = np.concatenate([LAYOUT[[4, 2, 0, 1, 5]] + 0.1 * rng.normal(size=(5, 3)), [[40, 0, 0]]])
     pairs = pair_by_icp(make_marker_sets(found, LAYOUT, 0.1, 0.0), rough)
     assert pairs.tolist() == [[0, 4], [1, 2], [2, 0], [3, 1], [4, 5]]
-
-
-def test_closest_points_weigh_markers_by_their_deviations():
     pose = pose_of(np.random.default_rng(1))
     sets = make_marker_sets(pose.to_local(LAYOUT), LAYOUT, [0.1, 0.1, 0.1, 3.0, 3.0, 3.0], 0.1)
     turned = Rotation.from_rotvec([0.1, -0.05, 0.1]).as_matrix() @ pose.rotation
@@ -256,8 +242,212 @@ def test_a_rough_pose_settles_what_a_symmetric_layout_leaves_open():
     assert np.allclose(registration.rotation, np.eye(3), atol=1e-9)
     half = Frame(np.array([1.0, 2, -1]), np.diag([-1.0, -1.0, 1.0]) @ rough.rotation)
     assert np.allclose(register(SQUARE, SQUARE, 0.1, rough=half).rotation, np.diag([-1, -1, 1]), atol=1e-9)
-
-
-def test_the_frame_of_a_registration_goes_both_ways():
     registration = register(LAYOUT + 3.0, LAYOUT, 0.1)
     assert scan_frame(registration).to_local(LAYOUT) == pytest.approx(LAYOUT + 3.0)
+
+
+# ---- what is refused: every fault is named and can be fixed
+
+
+CUBE = np.array([[x, y, z] for x in (-30, 30) for y in (-30, 30) for z in (-30, 30)], dtype=float)
+POSE = Frame(np.array([12.0, -85.0, 140.0]), Rotation.from_rotvec([0.4, -1.1, 0.7]).as_matrix())
+FOUND = POSE.to_local(LAYOUT)
+
+
+def refused(*arguments, **keywords):
+    with pytest.raises(DataError) as caught:
+        register(*arguments, **keywords)
+    error = caught.value
+    assert error.where
+    assert error.expected
+    assert error.fix
+    return str(error)
+
+
+@pytest.mark.parametrize(
+    ("found", "known", "sd", "word"),
+    [
+        (LAYOUT[:2], LAYOUT, 0.1, "2 markers"),
+        (LAYOUT, LAYOUT[:2], 0.1, "known markers: 2 markers"),
+        (LAYOUT, LAYOUT[:2], 0.1, "every marker"),
+        ([], LAYOUT, 0.1, "0 markers"),
+        (LAYOUT[:, :2], LAYOUT, 0.1, "no list of finite points"),
+        (np.where(LAYOUT == 5, np.nan, LAYOUT), LAYOUT, 0.1, "no list of finite points"),
+        (LAYOUT, LAYOUT, 0.0, "zero"),
+        (LAYOUT, LAYOUT, -0.1, "negative"),
+        (LAYOUT, LAYOUT, [0.1, 0.1], "6 markers"),
+        (LAYOUT, LAYOUT, np.nan, "deviations"),
+    ],
+)
+def test_markers_that_cannot_be_registered_are_refused(found, known, sd, word):
+    assert word in refused(found, known, sd)
+
+
+def test_markers_on_a_line_are_refused_exactly_and_within_noise():
+    line = np.outer(np.arange(4.0), [10.0, 20.0, 5.0])
+    assert "lie on a line" in refused(line, line, 0.1)
+    # 0.5 mm beside a line, known to 0.1 mm: the turn about it to 14 degrees
+    bent = np.array([[0, 0, 0], [35, 0, 0], [80, 0.5, 0]], dtype=float)
+    assert "degrees" in refused(bent, bent, 0.1)
+    assert register(bent * [1, 40, 1], bent * [1, 40, 1], 0.1).fre < 1e-9
+    text = refused(FOUND, LAYOUT, 50.0)
+    assert "known to 50 mm" in text and "line" not in text.split("fix")[1] and "reference_sd_mm" in text
+    layout = np.array([[0, 0, 0], [30, 0, 0], [75, 0, 0], [10, 40, 25]], dtype=float)
+    assert "lie on a line" in refused(layout[:3], layout, 0.1)
+
+
+def test_mirrored_and_flat_markers_and_ras_read_as_lps_are_reported():
+    for axis in [0, 1, 2]:
+        signs = np.ones(3)
+        signs[axis] = -1
+        assert "mirrored" in refused(FOUND * signs, LAYOUT, 0.1)
+        assert "mirrored" in refused(FOUND * signs, LAYOUT, 0.1, pairs=[[n, n] for n in range(6)])
+    flat = LAYOUT * [1, 1, 0]
+    registration = register(flat * [1, -1, 1], flat, 0.1)
+    assert np.linalg.det(registration.rotation) == pytest.approx(1)
+    assert any("mirrored scan" in remark for remark in registration.warnings)
+    flipped = FOUND * [-1, -1, 1]
+    assert register(flipped, LAYOUT, 0.1).fre < 1e-9
+    near = Frame(POSE.origin + 5.0, Rotation.from_rotvec([0.1, 0, 0.1]).as_matrix() @ POSE.rotation)
+    text = refused(flipped, LAYOUT, 0.1, rough=near)
+    assert "RAS" in text and "LPS" in text
+    assert register(FOUND, LAYOUT, 0.1, rough=near).fre < 1e-9
+
+
+def test_fiducials_of_a_file_are_compared_with_what_the_volume_shows():
+    check_axis_signs(FOUND[:4], FOUND, 0.5)
+    check_axis_signs(FOUND + 37, FOUND, 0.5)  # of other things
+    with pytest.raises(DataError, match=r"RAS.* LPS"):
+        check_axis_signs(FOUND[:4] * [-1, -1, 1], FOUND + 0.2, 0.5)
+    with pytest.raises(DataError, match="sign of x"):
+        check_axis_signs(FOUND[:4] * [-1, 1, 1], FOUND, 0.5)
+    points, mirrored = np.array([[1.0, 100, 100], [1, 160, 100], [1, 100, 160]]), np.array([-1, 1, 1])
+    near, far = points * [1.9, 1, 1], points * [2.1, 1, 1]
+    check_axis_signs(near, near * mirrored, 1.0)
+    with pytest.raises(DataError) as caught:
+        check_axis_signs(far, far * mirrored, 1.0)
+    assert "sign of x" in caught.value.what and "RAS" not in caught.value.what
+
+
+def test_a_wrong_spacing_or_unit_is_measured_and_not_corrected():
+    for factors, word in [
+        ((1.02, 1.02, 1.02), "1.0200 times too long in all"),
+        ((0.5, 0.5, 0.5), "2.0000 times too short in all"),
+        ((1.0, 1.0, 0.46), "2.1739 times too short along z"),
+        ((1.1, 1.1, 1.0), "1.1000 times too long along x and y"),
+    ]:
+        assert word in refused(FOUND * factors, LAYOUT, 0.1)
+    for unit, mm in [("metres", 1000), ("centimetres", 10), ("inches", 25.4), ("micrometres", 0.001)]:
+        for found in (FOUND, FOUND[1:]):
+            error = refused(found, LAYOUT / mm, 0.1)
+            assert unit in error and f"{mm:g}" in error
+    registration = register(FOUND * 1.004, LAYOUT, 0.1)
+    assert np.abs(np.linalg.svd(registration.rotation, compute_uv=False) - 1).max() < 1e-12
+    assert any("0.9960" in remark and "not done" in remark for remark in registration.warnings)
+    whole = {scale.along: scale for scale in registration.scale}["in all directions"]
+    # sd = sigma / sqrt(sum |x - mean|^2)
+    spread = np.sqrt(np.sum((1.004 * (LAYOUT - LAYOUT.mean(axis=0))) ** 2))
+    assert whole.sd == pytest.approx(0.1 / spread)
+    assert whole.factor == pytest.approx(1 / 1.004, abs=1e-5)
+
+
+def test_unrelated_markers_few_that_agree_and_understated_noise_are_refused():
+    rng = np.random.default_rng(8)
+    assert "no pairing" in refused(rng.uniform(-40, 40, (7, 3)), LAYOUT, 0.1)
+    rng = np.random.default_rng(9)
+    found = FOUND + 0.3 * rng.normal(size=(6, 3))
+    text = refused(found, LAYOUT, 0.03)
+    assert re.search(r"\b8 times .*\b6 ", text)
+    rng = np.random.default_rng(4)
+    found = np.concatenate([FOUND[:3], POSE.to_local(rng.uniform(-40, 40, (3, 3)))])
+    assert re.search(r"\b3 of the 6 .*\b6 known", refused(found, LAYOUT, 0.2))
+    sets = make_marker_sets(found, LAYOUT, 0.2, 0.0)
+    assert expected_chance_pairings(sets, 3) > 1e-3 > expected_chance_pairings(sets, 5)
+
+
+# pairings
+
+
+def test_pairs_are_taken_if_they_fit_and_corrected_if_they_do_not():
+    right = [[n, n] for n in range(6)]
+    assert register(FOUND, LAYOUT, 0.1, pairs=right).wrong_pairing_probability < 1e-3
+    assert register(FOUND, LAYOUT, 0.1, pairs=right[:4]).pairs.tolist() == right[:4]
+    text = refused(FOUND, LAYOUT, 0.1, pairs=[[0, 1], [1, 0], *right[2:]])
+    assert "0->1, 1->0" in text
+    assert "expected: 0->0, 1->1" in text
+    for pairs in [
+        [[0, 0], [1, 1]],
+        [[0, 0], [1, 1], [2, 1]],
+        [[0, 0], [1, 1], [2, 6]],
+        [[0, 0], [1, 1], [-1, 2]],
+        [0, 1],
+    ]:
+        assert "no pairing" in refused(FOUND, LAYOUT, 0.1, pairs=pairs)
+
+
+@settings(max_examples=25)
+@given(seeds)
+def test_any_wrong_pair_is_noticed(seed):
+    rng = np.random.default_rng(seed)
+    partner = rng.permutation(6)
+    if (partner == np.arange(6)).all():
+        return
+    found = FOUND + 0.1 * rng.normal(size=(6, 3))
+    assert "do not fit" in refused(found, LAYOUT, 0.1, pairs=np.column_stack([np.arange(6), partner]))
+
+
+def test_the_square_has_eight_turns_and_a_layout_is_asymmetric_above_its_misfit():
+    assert len(find_symmetries(SQUARE, 0.1)) == 8  # four about its normal, four half turns in its plane
+    text = refused(SQUARE, SQUARE, 0.1)
+    assert "symmetric" in text and "by 0 degrees" not in text
+    assert " 0, 1, 2, 3" in text
+    # An isosceles triangle, half base a, height h, one foot drawn out by e, its feet swapped by a half turn.
+    # That leaves (e, e, 0) along the base. The best shift takes 2 e / 3, the best turn, of moment 2 e h / 3
+    # against the inertia 2 a^2 + 2 h^2 / 3, its share:
+    # m^2 sigma^2 = e^2 (2 / 3 - (2 h / 3)^2 / (2 a^2 + 2 h^2 / 3)).
+    a, h, sigma = 30.0, 60.0, 0.1
+    misfit = 2 / 3 - (2 * h / 3) ** 2 / (2 * a**2 + 2 * h**2 / 3)
+    e = sigma * np.sqrt(MIN_SQUARED_MISFIT / misfit)
+    for share, turns in ((0.0, 2), (0.97, 2), (1.03, 1)):
+        triangle = [[-a, 0, 0], [a + share * e, 0, 0], [0, h, 0]]
+        assert len(find_symmetries(triangle, sigma)) == turns
+
+
+@pytest.mark.parametrize(
+    ("layout", "turns", "groups"),
+    [
+        (CUBE, 24, (tuple(range(8)),)),
+        (CUBE[[0, 3, 5, 6]], 12, ((0, 1, 2, 3),)),  # a regular tetrahedron
+        (np.diag([30.0, 30.0, 30.0]), 6, ((0, 1, 2),)),  # an equilateral triangle, turned over too
+        (np.array([[0, 0, 0], [60, 0, 0], [30, 50, 0]], dtype=float), 2, ((0, 1),)),  # isosceles
+        (LAYOUT, 1, ()),
+        (
+            np.array([[0, 0, 0], [60, 0, 0], [30, 50, 0], [30, 10, 40]], dtype=float),
+            1,
+            (),
+        ),  # mirror image alone
+    ],
+)
+def test_the_symmetry_group_of_a_layout(layout, turns, groups):
+    found = find_symmetries(layout, 0.1)
+    assert len(found) == turns
+    assert found[0].tolist() == list(range(len(layout)))
+    assert group_interchangeable(found) == groups
+
+
+def test_all_pairings_of_a_cube_are_its_turns_and_of_many_markers_the_right_one_is_found(monkeypatch):
+    sets = make_marker_sets(CUBE, CUBE, 0.1, 0.0)
+    candidates = find_pairings(sets, 8)
+    assert len(candidates) == 24
+    assert all(np.linalg.det(one.alignment.frame.rotation) == pytest.approx(1) for one in candidates)
+    rng = np.random.default_rng(6)
+    layout = rng.uniform(-40, 40, (12, 3))
+    found = np.concatenate([layout[2:], rng.uniform(-40, 40, (2, 3))]) + 0.1 * rng.normal(size=(12, 3))
+    registration = register(POSE.to_local(found), layout, 0.1)
+    assert registration.pairs.tolist() == [[n, n + 2] for n in range(10)]
+    monkeypatch.setattr(pairing, "MAX_PARTIAL_PAIRINGS", 2)
+    assert "partial pairings" in refused(FOUND, LAYOUT, 0.1)
+    registration = register(FOUND, LAYOUT, 0.1, rough=POSE)
+    assert registration.pairs.tolist() == [[n, n] for n in range(6)]
+    assert np.isnan(registration.wrong_pairing_probability)
+    assert any("too many pairings" in remark for remark in registration.warnings)

@@ -44,15 +44,14 @@ def refused(folder, *lines):
     return str(error.value)
 
 
-def test_a_scan_alone_has_the_name_of_its_volume_and_every_default(folder):
+def test_every_column_comes_through_and_has_a_default(folder):
     scans = read_scans(table(folder, "scan", "one.nrrd", "two.nii.gz", "series"))
     assert scans == tuple(
         Scan(name, folder / path, "medium")
         for name, path in (("one", "one.nrrd"), ("two", "two.nii.gz"), ("series", "series"))
     )
-
-
-def test_every_column_comes_through(folder):
+    lines = f"scan,surfaces,{STAGE},bevel_x,bevel_y,bevel_z,origin,layers", "one.nrrd" + "," * 14
+    assert read_scans(table(folder, *lines)) == (Scan("one", folder / "one.nrrd", "medium"),)
     columns = (
         f"id,scan,series,medium,specimen,mask,markers,fiducials,surfaces,surfaces_in,{STAGE},"
         "bevel_x,bevel_y,bevel_z,bevel_side,layers,layers_alternative,guide_distance_mm,origin"
@@ -75,11 +74,6 @@ def test_every_column_comes_through(folder):
     np.testing.assert_allclose(scan.stage.direction, [0, 0.6, 0.8])
     assert (scan.stage.shift_sd, scan.stage.angle_sd) == (0.1, pytest.approx(1.5 * np.pi / 180))
     np.testing.assert_array_equal(scan.bevel, [0, 0, 1])
-
-
-def test_empty_cells_are_defaults(folder):
-    lines = f"scan,surfaces,{STAGE},bevel_x,bevel_y,bevel_z,origin,layers", "one.nrrd" + "," * 14
-    assert read_scans(table(folder, *lines)) == (Scan("one", folder / "one.nrrd", "medium"),)
 
 
 @pytest.mark.parametrize(
@@ -125,70 +119,61 @@ def test_a_wrong_cell_is_named_with_its_line(folder, columns, cells, words):
     assert words in message and message.startswith(f"{folder / 'scans.csv'}:2: "), message
 
 
-def test_a_mistyped_column_is_an_error_that_names_the_nearest(folder):
+def test_faults_of_a_table_are_named_with_line_and_column(folder):
     message = refused(folder, "scan,marker,speciman", "one.nrrd,markers.csv,block")
     assert all(f"`{name}`" in message for name in ("marker", "markers", "speciman", "specimen"))
     assert f"{folder / 'scans.csv'}:1" in message
-
-
-def test_every_column_is_documented():
-    text = (Path(__file__).parent.parent / SCANS_DOCUMENT).read_text(encoding="utf-8")
-    between = {"entry_y_mm", "entry_z_mm", "entry_dx", "entry_dy"}  # `entry_x_mm` ... `entry_dz`
-    assert [name for name in SCAN_COLUMNS if f"`{name}`" not in text and name not in between] == []
-
-
-def test_a_table_without_volumes_is_refused(folder):
     assert "`scan`" in refused(folder, "id,medium", "a,gel")
-
-
-def test_an_empty_table_names_the_page_of_its_columns(folder):
     assert SCANS_DOCUMENT in refused(folder, "")
-
-
-def test_duplicate_ids_are_refused(folder):
     message = refused(folder, "id,scan", "one,two.nii.gz", ",one.nrrd")
     path = folder / "scans.csv"
     assert message.startswith(f"{path}:3: ") and " id one," in message and f"{path}:2 " in message
-
-
-def test_all_faults_are_reported_at_once(folder):
     message = refused(folder, "scan,layers,origin", "none.nrrd,two,guessed", "one.nrrd,1,", "two.nii.gz,-1,")
-    path = folder / "scans.csv"
     assert f"{path}: has 4 faults" in message
     for words in (":2: there is no scan", ":2: layers is 'two'", ":2: origin", ":4: layers is -1"):
         assert f"{path}{words}" in message
+    message = refused(folder, "scan,markers", "one.nrrd,markers.csv", "two.nii.gz,")
+    assert "scans.csv:3" in message and "one world" in message
 
 
-@pytest.mark.parametrize(
-    ("path", "id_"),
-    [
-        ("scans/a b (2).nii.gz", "a_b_2_"), ("layers.seg.nrrd", "layers"), ("x/../series7", "series7"),
-        ("IM0001.DCM", "IM0001"), ("Müller.nrrd", "Muller"), ("Mu\u0308ller.nrrd", "Muller"),
-        ("患者 7.nrrd", "7"), ("患者.nrrd", "scan"), ("v1.2", "v1.2"),
-    ],
-)  # fmt: skip
-def test_the_id_of_a_volume_is_its_name(path, id_):
-    assert scan_id(Path(path)) == id_
-
-
-def test_a_link_has_its_own_name(tmp_path):
+def test_every_column_is_documented_and_the_id_of_a_volume_is_its_name(tmp_path):
+    text = (Path(__file__).parent.parent / SCANS_DOCUMENT).read_text(encoding="utf-8")
+    between = {"entry_y_mm", "entry_z_mm", "entry_dx", "entry_dy"}  # `entry_x_mm` ... `entry_dz`
+    assert [name for name in SCAN_COLUMNS if f"`{name}`" not in text and name not in between] == []
+    for path, id_ in [
+        ("scans/a b (2).nii.gz", "a_b_2_"),
+        ("layers.seg.nrrd", "layers"),
+        ("x/../series7", "series7"),
+        ("IM0001.DCM", "IM0001"),
+        ("Müller.nrrd", "Muller"),
+        ("Mu\u0308ller.nrrd", "Muller"),
+        ("患者 7.nrrd", "7"),
+        ("患者.nrrd", "scan"),
+        ("v1.2", "v1.2"),
+    ]:
+        assert scan_id(Path(path)) == id_
     (tmp_path / "store").mkdir()
     (tmp_path / "needle7").symlink_to(tmp_path / "store")
     assert scan_id(tmp_path / "needle7") == "needle7"
     assert scan_id(tmp_path / "store" / "..") == tmp_path.name
 
 
-def test_a_medium_that_names_no_file_is_refused(folder):
+def test_options_of_volumes_named_one_by_one_are_checked(folder):
     for medium in ("../gel", "gel{id}", "pork loin"):
         with pytest.raises(DataError, match="medium is") as error:
             make_scans([folder / "one.nrrd"], medium=medium)
         assert error.value.fix
-
-
-def test_fiducials_need_markers(folder):
     with pytest.raises(DataError, match="no markers") as error:
         make_scans([folder / "one.nrrd"], fiducials=folder / "placed.mrk.json")
     assert "--markers" in error.value.fix
+    (folder / "one.nii").touch()
+    with pytest.raises(DataError, match=r" id one,.*one\.nrrd") as error:
+        make_scans([folder / "one.nrrd", folder / "one.nii"])
+    assert "table of scans" in error.value.fix
+    with pytest.raises(DataError, match="has 3 faults") as error:
+        make_scans([folder / "none"], markers=folder / "none.csv", layers=[str(folder / "none.stl")])
+    for words in ("none: ", "none.csv: ", "none.stl"):
+        assert words in str(error.value)
 
 
 def test_volumes_named_one_by_one_share_what_is_known(folder):
@@ -200,22 +185,3 @@ def test_volumes_named_one_by_one_share_what_is_known(folder):
     common = {"markers": markers, "surfaces": surfaces, "surfaces_in": "scan"}
     assert one == Scan("one", folder / "one.nrrd", "gel", **common)
     assert two == Scan("series", folder / "series", "gel", **common)
-
-
-def test_volumes_of_one_name_need_a_table(folder):
-    (folder / "one.nii").touch()
-    with pytest.raises(DataError, match=r" id one,.*one\.nrrd") as error:
-        make_scans([folder / "one.nrrd", folder / "one.nii"])
-    assert "table of scans" in error.value.fix
-
-
-def test_all_missing_options_are_reported_at_once(folder):
-    with pytest.raises(DataError, match="has 3 faults") as error:
-        make_scans([folder / "none"], markers=folder / "none.csv", layers=[str(folder / "none.stl")])
-    for words in ("none: ", "none.csv: ", "none.stl"):
-        assert words in str(error.value)
-
-
-def test_scans_of_one_table_lie_in_one_world(folder):
-    message = refused(folder, "scan,markers", "one.nrrd,markers.csv", "two.nii.gz,")
-    assert "scans.csv:3" in message and "one world" in message

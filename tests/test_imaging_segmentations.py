@@ -92,10 +92,13 @@ def test_segments_are_labels_where_the_scan_stands(tmp_path):
         assert marked[np.lexsort(marked.T)] == pytest.approx(places[np.lexsort(places.T)], abs=1e-9)
 
 
-def test_fractional_segments_count_from_one_half(tmp_path):
+def test_fractional_segments_count_from_one_half_and_overlaps_are_refused(tmp_path):
     skin, fat, _ = boxes()
     path = write_seg(tmp_path / "s.dcm", [np.where(skin, 0.8, 0.2) * (skin | fat)], "FRACTIONAL")
     assert np.count_nonzero(read_labels(path).volume.values) == np.count_nonzero(skin)
+    path = write_seg(tmp_path / "s.dcm", [skin, fat | skin])
+    assert "overlap: skin, fat" in refused(path).what
+    assert len(read_labels(path, ("fat",)).segments) == 1
 
 
 def test_the_surfaces_of_segments_are_solids_in_place(tmp_path):
@@ -106,9 +109,6 @@ def test_the_surfaces_of_segments_are_solids_in_place(tmp_path):
     assert [one.mesh.bounds[0, 0] for one in surfaces] == pytest.approx(low, abs=0.05)
     high = ORIGIN[2] + STEP * 19.5
     assert [one.mesh.bounds[1, 2] for one in surfaces] == pytest.approx([high] * 3, abs=0.05)
-
-
-def test_a_segmentation_of_another_frame_of_reference_is_refused(tmp_path):
     path = write_seg(tmp_path / "s.dcm", boxes())
     own = read_labels(path).volume.frame_of_reference
     assert own == slices()[0].FrameOfReferenceUID
@@ -133,13 +133,6 @@ def test_segments_are_chosen_by_name_in_any_file(tmp_path):
     source = parse_layer_source("s.dcm=segments:muscle, fat", tmp_path)
     assert source == LayerSource(path, segments=("muscle", "fat"))
     assert isinstance(parse_layer_source("s.dcm=solid:2", tmp_path), Fault)
-
-
-def test_segments_that_overlap_are_refused(tmp_path):
-    skin, fat, _ = boxes()
-    path = write_seg(tmp_path / "s.dcm", [skin, fat | skin])
-    assert "overlap: skin, fat" in refused(path).what
-    assert len(read_labels(path, ("fat",)).segments) == 1
 
 
 def test_a_segmentation_in_an_archive_and_as_a_mask(tmp_path):
@@ -240,13 +233,16 @@ def test_of_regions_that_lie_in_one_another_the_inner_one_comes_later(tmp_path):
     assert len(read_labels(write_contours(tmp_path / "t.dcm", thin)).segments) == 2
 
 
-def test_points_are_left_out_and_open_contours_refused(tmp_path):
+def test_points_are_left_out_and_open_or_damaged_contours_refused(tmp_path):
     regions = {"Body": cylinder(20.0), "Iso": [np.zeros((1, 3))]}
     path = write_contours(tmp_path / "rt.dcm", regions, {"Iso": "POINT"})
     assert [one.name for one in read_labels(path).segments] == ["Body"]
     assert "Iso" in refused(path, ("Iso",)).what
     write_contours(path, {"Body": cylinder(20.0)}, {"Body": "OPEN_PLANAR"})
     assert "0 segments" in refused(path).what
+    data = write_contours(tmp_path / "rt.dcm", {"Body": cylinder(20.0)}).read_bytes()
+    (tmp_path / "cut.dcm").write_bytes(data[: len(data) // 2])
+    refused(tmp_path / "cut.dcm")
 
 
 @pytest.mark.parametrize(
@@ -261,12 +257,6 @@ def test_points_are_left_out_and_open_contours_refused(tmp_path):
 )
 def test_contours_that_bound_nothing_are_refused(tmp_path, contours, word):
     assert word in refused(write_contours(tmp_path / "rt.dcm", {"Body": contours})).what
-
-
-def test_a_damaged_file_is_refused(tmp_path):
-    data = write_contours(tmp_path / "rt.dcm", {"Body": cylinder(20.0)}).read_bytes()
-    (tmp_path / "cut.dcm").write_bytes(data[: len(data) // 2])
-    refused(tmp_path / "cut.dcm")
 
 
 def test_voxels_inside_a_closed_surface():

@@ -19,16 +19,10 @@ def measured(depth, coefficients, side=1, points=801):
     return replace(insertion(depth, side=side), planar=planar)
 
 
-def test_no_coefficients_are_a_straight_line():
+def test_integrated_curvatures_are_lines_circles_and_clothoids():
     assert integrate_curvature(100.0, [], AT) == pytest.approx(np.column_stack([AT, 0 * AT]))
-
-
-def test_constant_curvature_is_a_circle():
     circle = 400 * np.column_stack([np.sin(AT / 400), 1 - np.cos(AT / 400)])
     assert integrate_curvature(100.0, [1 / 400], AT) == pytest.approx(circle, abs=1e-12)
-
-
-def test_linear_curvature_turns_by_its_integral_and_vanishes_at_the_tip():
     s = np.linspace(0, 100, 2001)
     points = integrate_curvature(100.0, [0.0, 2e-5], s)
     heading = np.unwrap(np.arctan2(*np.diff(points, axis=0).T[::-1]))
@@ -36,9 +30,6 @@ def test_linear_curvature_turns_by_its_integral_and_vanishes_at_the_tip():
     curvature = np.diff(heading) / np.diff(s)[0]
     assert curvature[0] == pytest.approx(2e-5 * 100, rel=1e-2) and curvature[-1] == pytest.approx(0, abs=1e-5)
     assert np.hypot(*np.diff(points, axis=0).T) == pytest.approx(0.05, rel=1e-6)  # arc length
-
-
-def test_before_the_entry_the_needle_is_straight():
     assert integrate_curvature(50.0, [0.01], [-10.0, 0.0]) == pytest.approx(np.array([[-10, 0], [0, 0]]))
 
 
@@ -69,21 +60,15 @@ def test_the_mean_shape_is_the_mean_of_the_turns_from_the_tip(pose):
     assert alone.rms < 0.01
 
 
-def test_the_rms_is_over_distances():
+def test_the_rms_is_over_distances_and_richer_curves_fit_no_worse():
     bent = replace(insertion(10.0), planar=np.array([[0.0, 0.3], [10.0, 0.3]]))
     assert fit_baseline("straight", "known", 0.0, [bent]).rms == pytest.approx(0.3)
-
-
-def test_richer_curves_fit_no_worse():
     tuned = [measured(d, (1e-3, 1e-5, 3e-7)) for d in (80.0, 100.0)]
     fits = fit_baselines("known", 0.0, tuned)
     nested = ["straight", "constant_curvature", "linear_curvature", "quadratic_curvature"]
     assert list(fits) == [*nested, "mean_shape"]
     errors = [fits[name].rms for name in nested]
     assert errors == sorted(errors, reverse=True)
-
-
-def test_unknown_names_and_empty_selections_are_errors():
     with pytest.raises(ConfigError, match="spline"):
         fit_baseline("spline", "known", 0.0, [measured(50.0, ())])
     with pytest.raises(ConfigError, match="no insertion"):

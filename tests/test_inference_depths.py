@@ -15,8 +15,8 @@ from needlefit.inference.likelihood.marginal import log_marginals
 from needlefit.inference.likelihood.nodes import make_group
 from needlefit.inference.likelihood.observation import make_observation, whiten_residuals
 from needlefit.mechanics.shape import compute_positions
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
+from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord
 

@@ -14,8 +14,8 @@ from needlefit.mechanics.packing import MAX_TOLERANCE_MM
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
+from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
 

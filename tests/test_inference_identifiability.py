@@ -9,7 +9,7 @@ import pytest
 from inference_cases import TRUTH, insertion, measure, medium, problem, two_layers
 
 from needlefit.inference.fit import Fit
-from needlefit.inference.identifiability.design_gain import OTHER_POINTS, expect_precision
+from needlefit.inference.identifiability import design_gain
 from needlefit.inference.identifiability.identify import (
     AGREEMENT,
     Identifiability,
@@ -22,6 +22,7 @@ from needlefit.inference.identifiability.identify import (
 )
 from needlefit.inference.identifiability.precision import format_sd
 from needlefit.inference.identifiability.profile import DEVIANCE_95, LikelihoodProfile
+from needlefit.inference.likelihood.nodes import ErrorAxis, Nodes, make_group, make_nodes
 from needlefit.studies.identification import identify_parameters, reconcile_verdict
 
 MIDDLE = math.log(0.1)
@@ -57,41 +58,31 @@ def test_the_sd_of_a_logarithm_is_a_percentage_or_a_factor(sd, logarithm, text):
     assert format_sd(sd, logarithm) == text
 
 
-def test_a_modulus_is_printed_in_one_unit():
+def test_words_of_a_profile_and_of_its_agreement_with_information_and_draws():
     profile = parabola("mu1_pa", math.log(1e6), low=math.log(71.2e3), high=math.log(14.4e6))
     judged = assess_parameter(ParameterProfile(profile, (math.log(1e3), math.log(1e9))), (1.0, PRIOR_SD))
     assert judged.profile_verdict.startswith("0.0712 to 14.4 MPa")
-
-
-def test_agreeing_information_profile_and_draws_are_reported_as_consistent():
     judged = assess_parameter(ParameterProfile(parabola(), BOUNDS), (0.1, PRIOR_SD))
     assert judged.determined and judged.agreement == AGREEMENT
     assert judged.profile_verdict == "0.0822 to 0.122 mm (95 %)"
-
-
-def test_a_curved_ridge_is_reported_as_wider_than_its_information():
     profile = parabola()
     wide = replace(profile, low=profile.best - 10 * 0.196)
     judged = assess_parameter(ParameterProfile(wide, BOUNDS), (0.1, PRIOR_SD))
     assert "10 times" in judged.agreement and "below" in judged.agreement
     assert not judged.determined
     assert "in part" in judged.agreement
-
-
-def test_an_open_profile_leaves_a_parameter_undetermined():
     judged = assess_parameter(
         ParameterProfile(parabola(ends=("bound", "closed"), low=BOUNDS[0]), BOUNDS), (0.1, PRIOR_SD)
     )
     assert not judged.determined
     assert judged.profile_verdict.startswith("not identifiable")
     assert re.findall(r"\d+\.\d+", judged.profile_verdict) == ["0.122", "0.001"]  # the limit and the bound
-
-
-def test_starts_outside_the_interval_are_reported():
     judged = assess_parameter(
         ParameterProfile(parabola(), BOUNDS), (0.1, PRIOR_SD), (math.log(0.05), math.log(0.1))
     )
     assert re.findall(r"[\d.]*\d", judged.agreement)[-2:] == ["0.05", "0.1"]
+    judged = assess_parameter(ParameterProfile(parabola(), BOUNDS), (0.25, PRIOR_SD))
+    assert "2.5 times" in judged.agreement
 
 
 def test_layers_of_one_material_share_the_alpha_that_is_freed():
@@ -120,6 +111,10 @@ def test_a_fit_of_good_data_closes_and_its_fixed_alphas_are_flat():
     assert {row["parameter"] for row in found.rows} == {*p.names, "alpha1", "alpha2"}
     assert all(not row["determined"] for row in found.rows if row["status"] == "fixed")
     assert min(row["deviance"] for row in found.points) == 0.0
+    p = two_layers(count=1)
+    one, two = (identify_parameters(p, profile_parameters(p, fit_at(p, TRUTH), jobs), {}) for jobs in (1, 2))
+    assert one.points == two.points
+    assert profile_parameters(p, fit_at(p, TRUTH), stop=lambda: True).parameters == ()
 
 
 def test_a_point_better_than_the_fit_is_reported_with_its_gain():
@@ -132,13 +127,6 @@ def test_a_point_better_than_the_fit_is_reported_with_its_gain():
         p.log_posterior(p.parameters.theta(worse)) + found.gain, abs=0.01
     )
     assert abs(profile_parameters(p, fit_at(p, TRUTH)).gain) < 0.01
-
-
-def test_threads_change_nothing_and_a_stop_leaves_out_what_has_not_begun():
-    p = two_layers(count=1)
-    one, two = (identify_parameters(p, profile_parameters(p, fit_at(p, TRUTH), jobs), {}) for jobs in (1, 2))
-    assert one.points == two.points
-    assert profile_parameters(p, fit_at(p, TRUTH), stop=lambda: True).parameters == ()
 
 
 def test_a_profile_overrules_a_verdict_that_the_information_gave():
@@ -156,27 +144,19 @@ def test_a_profile_overrules_a_verdict_that_the_information_gave():
 
 
 def test_four_equal_insertions_halve_the_deviations():
-    """Fisher information of a design adds up over its insertions."""
+    # Fisher information of a design adds up over its insertions.
     record = medium(1)
 
     def predict_deviations(count):
         p = problem(record, [measure(TRUTH, record, insertion(40.0)) for _ in range(count)])
-        return expect_precision(lambda values: p, TRUTH, np.random.default_rng(1))
+        return design_gain.expect_precision(lambda values: p, TRUTH, np.random.default_rng(1))
 
     one, four = predict_deviations(1), predict_deviations(4)
-    assert len(one.sds) == 1 + OTHER_POINTS
+    assert len(one.sds) == 1 + design_gain.OTHER_POINTS
     assert four.directions[0].sd == pytest.approx(one.directions[0].sd / 2, rel=0.02)
     assert one.prior_sds == pytest.approx([math.log(1e6) / math.sqrt(12), math.log(500) / math.sqrt(12)])
     assert np.all(one.sds <= one.prior_sds * (1 + 1e-9))
-
-
-def test_a_design_without_a_solution_is_none():
-    assert expect_precision(lambda values: None, TRUTH, np.random.default_rng(1)) is None
-
-
-def test_a_posterior_sd_that_the_information_does_not_imply_is_reported():
-    judged = assess_parameter(ParameterProfile(parabola(), BOUNDS), (0.25, PRIOR_SD))
-    assert "2.5 times" in judged.agreement
+    assert design_gain.expect_precision(lambda values: None, TRUTH, np.random.default_rng(1)) is None
 
 
 def test_draws_that_are_wider_than_the_information_decide_what_is_determined():
@@ -190,3 +170,68 @@ def test_draws_that_are_wider_than_the_information_decide_what_is_determined():
     assert local.determined["bevel_mm"] and not found.determined["bevel_mm"]
     assert found.sds["bevel_mm"] == pytest.approx(0.35, rel=0.05)
     assert min(one.sd for one in found.directions) > min(one.sd for one in local.directions)
+
+
+# ---- what one more insertion tells, of data linear in Gaussian parameters
+
+COVARIANCE = np.array([[1.0, -0.6], [-0.6, 0.5]])
+SLOPES = np.array([[1.5, 0.4], [0.2, 1.1], [-0.7, 0.9]])  # (R, P), whitened
+
+
+def predict_data(thetas: np.ndarray, by_depth: np.ndarray) -> design_gain.PredictedData:
+    """Draws of equal weight whose data are SLOPES theta; one uncertain depth moves them by `by_depth`."""
+    first = thetas @ SLOPES.T
+    white = np.stack([first, first + by_depth, first - by_depth], axis=1)  # (B, m, R)
+    turns = np.array([[1.0, 0.0, 0.0], [0.0, 0.5, -0.5]])
+    one = insertion(30.0)
+    nodes = Nodes(
+        (one,) * 3, np.empty((3, 0)), (ErrorAxis(),), turns, np.zeros((0, 3)), bevel=False, rule=None
+    )
+    count = len(thetas)
+    logs = np.full(count, -np.log(count))
+    return design_gain.PredictedData(logs, np.ones(count), np.zeros(count), white, make_group(nodes))
+
+
+@pytest.mark.parametrize("by_depth", [np.zeros(3), np.array([0.5, -1.0, 2.0])])
+def test_nested_gain_and_deviations_are_those_of_the_linear_gaussian_case(by_depth):
+    rng = np.random.default_rng(1)
+    thetas = rng.multivariate_normal([0.0, 0.0], COVARIANCE, size=1200)
+    found = design_gain.nested_gain(predict_data(thetas, by_depth), np.arange(400), thetas, rng)
+    noise = np.eye(3) + np.outer(by_depth, by_depth)  # the depth, integrated over
+    after = np.linalg.inv(np.linalg.inv(COVARIANCE) + SLOPES.T @ np.linalg.solve(noise, SLOPES))
+    nats = 0.5 * np.log(np.linalg.det(COVARIANCE) / np.linalg.det(after))
+    assert found.nats == pytest.approx(nats, abs=3.5 * found.nats_se)
+    assert found.nats_se < 0.06
+    assert found.sds == pytest.approx(np.sqrt(np.diag(after)), rel=0.05)
+    fall = 0.5 * np.log(np.diag(COVARIANCE) / np.diag(after))
+    assert found.quantity_nats == pytest.approx(fall, abs=0.05)
+
+
+def test_linear_gain_is_half_the_log_determinant_and_uninformative_data_have_none():
+    after = np.linalg.inv(np.linalg.inv(COVARIANCE) + SLOPES.T @ SLOPES)
+    nats = 0.5 * np.log(np.linalg.det(COVARIANCE) / np.linalg.det(after))
+    assert design_gain.linearized_gain(COVARIANCE, SLOPES) == pytest.approx(nats, rel=1e-9)
+    rng = np.random.default_rng(4)
+    thetas = rng.standard_normal((100, 1))
+    group = make_group(make_nodes(insertion(30.0), np.empty(0), "fixed"))
+    logs = np.full(100, -np.log(100.0))
+    blind = design_gain.PredictedData(logs, np.ones(100), np.zeros(100), np.zeros((100, 1, 5)), group)
+    found = design_gain.nested_gain(blind, np.arange(30), thetas, rng)
+    assert found.nats == pytest.approx(0.0, abs=1e-12)
+    assert found.quantity_nats == pytest.approx([0.0], abs=1e-12)
+    assert found.effective_sample_size == pytest.approx(100.0)
+
+
+def test_weights_count_as_draws():
+    """A draw of double weight is two draws."""
+    rng = np.random.default_rng(2)
+    thetas = rng.multivariate_normal([0.0, 0.0], COVARIANCE, size=50)
+    twice = np.concatenate([thetas, thetas[:10]])
+    heavy = predict_data(thetas, np.zeros(3))
+    weights = np.log(np.where(np.arange(50) < 10, 2.0, 1.0) / 60)
+    heavy = design_gain.PredictedData(weights, heavy.scales, heavy.spreads, heavy.white, heavy.group)
+    of = np.arange(20)
+    one = design_gain.nested_gain(heavy, of, thetas, np.random.default_rng(3))
+    other = design_gain.nested_gain(predict_data(twice, np.zeros(3)), of, twice, np.random.default_rng(3))
+    assert one.nats == pytest.approx(other.nats, rel=1e-12)
+    assert one.sds == pytest.approx(other.sds, rel=1e-9)

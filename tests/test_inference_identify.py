@@ -12,12 +12,18 @@ from needlefit.inference.fit import Fit, Start
 from needlefit.inference.identifiability.identify import identify, tip_range
 from needlefit.inference.identifiability.precision import (
     KNOWN_BY_PRIOR,
+    MIN_MODEL_ERROR,
+    NO_MODEL_ERROR,
+    STATED_TIES,
     cramer_rao,
     describe_combination,
     difference_jacobian,
     difference_steps,
+    estimate_model_error,
     principal_directions,
 )
+from needlefit.inference.likelihood.observation import Discrepancy
+from needlefit.inference.parameters import loosen_ties
 from needlefit.schemas.recipe import LikelihoodRecord
 
 FINE = Noise(point_sd=0.02)
@@ -34,7 +40,7 @@ def fit_at(p, values, *others):
     return Fit(theta, p.values(theta), best, tuple(starts), len(starts), 0, False)
 
 
-def test_undetermined_alpha_is_reported_with_its_effect():
+def test_undetermined_alpha_is_reported_and_takes_nothing_from_the_rest():
     record = medium(1, alpha1={"bounds": [-3, 5]})
     p = problem(record, [measure(TRUTH, record, insertion(d)) for d in (35.0, 50.0)], noise=FINE)
     verdict = identify(p, fit_at(p, TRUTH))
@@ -44,9 +50,6 @@ def test_undetermined_alpha_is_reported_with_its_effect():
     note = verdict.notes["alpha1"]
     assert "not determined" in note and "-3 to 5" in note and f"{moved:.2g} mm" in note
     assert verdict.sds["alpha1"] == pytest.approx(8 / math.sqrt(12), rel=0.01)  # its bounds, nothing more
-
-
-def test_freeing_alpha_does_not_change_what_is_known_of_the_rest():
     fixed, freed = medium(1), medium(1, alpha1={"bounds": [-3, 5]})
     made = [measure(TRUTH, fixed, insertion(d)) for d in (35.0, 50.0)]
     problems = (problem(record, made, noise=FINE) for record in (fixed, freed))
@@ -92,7 +95,7 @@ def test_a_parameter_at_its_bound_is_flagged(name, value, bound):
     assert f"{bound} bound" in verdict.notes[name]
 
 
-def test_where_no_noise_is_stated_the_residuals_stand_for_it():
+def test_residuals_stand_for_the_noise_or_widen_the_deviations():
     record = medium(1)
     rough = [
         measure(TRUTH, record, insertion(d), error=lambda xy: xy + 0.05 * np.sin(xy[:, :1] * 9))
@@ -102,10 +105,6 @@ def test_where_no_noise_is_stated_the_residuals_stand_for_it():
     assert not identify(stated, fit_at(stated, TRUTH)).noise_estimated
     verdict = identify(unstated, fit_at(unstated, TRUTH))
     assert verdict.noise_estimated and all(map(math.isfinite, verdict.sds.values()))
-
-
-def test_residuals_larger_than_the_noise_widen_the_deviations():
-    record = medium(1)
     still = insertion(45.0, angle_sd=0.0)
     wavy = [measure(TRUTH, record, still, error=lambda xy: xy + 0.2 * np.sin(xy[:, :1] * 9))]
     fine, coarse = (problem(record, wavy, noise=Noise(point_sd=sd)) for sd in (0.01, 0.1))
@@ -123,18 +122,14 @@ def test_information_of_a_linear_model_by_hand():
     information = slope.T @ slope  # [[4, 2], [2, 10]], inverse [[10, -2], [-2, 4]] / 36
     assert cramer_rao(information) == pytest.approx([math.sqrt(10) / 6, 2 / 6])
 
-
-def test_a_neighbour_that_fails_is_replaced_by_the_other():
     def one_sided(theta):
         return np.array([np.nan]) if theta[0] > 1 else np.array([5 * theta[0]])
 
     assert difference_jacobian(one_sided, np.array([1.0]), np.array([1e-3])).tolist() == [
         [pytest.approx(5.0)]
     ]
-
-
-def test_no_information_is_an_infinite_deviation():
     assert cramer_rao(np.diag([4.0, 0.0])).tolist() == [0.5, math.inf]
+    assert difference_steps(("mu1_pa", "alpha1"))[1] > difference_steps(("mu1_pa", "alpha1"))[0] > 0
 
 
 def test_directions_are_formatted_as_text():
@@ -161,10 +156,6 @@ def test_a_direction_that_a_tie_alone_knows_is_marked():
     assert all(one.is_informed for one in principal_directions(data + prior, names))
 
 
-def test_steps_suit_logarithms_and_alpha():
-    assert difference_steps(("mu1_pa", "alpha1"))[1] > difference_steps(("mu1_pa", "alpha1"))[0] > 0
-
-
 def test_needles_that_differ_widen_the_deviations_and_repeats_of_one_do_not_count_twice():
     """Every needle has a bevel of its own: their scatter, not the noise, says how well b is known."""
     record = medium(1, mu1_pa={"fixed": TRUTH["mu1_pa"]})
@@ -179,13 +170,10 @@ def test_needles_that_differ_widen_the_deviations_and_repeats_of_one_do_not_coun
     assert again.sds["bevel_mm"] == pytest.approx(verdict.sds["bevel_mm"], rel=0.01)
 
 
-def test_few_pieces_do_not_hide_their_insertions():
+def test_few_pieces_and_no_free_parameters():
     assert group_independent(["a", "b", "c"], ["piece", "piece", "piece"]) == ("a", "b", "c")
     holes = [f"hole{n // 2}" for n in range(10)]
     assert group_independent([str(n) for n in range(10)], holes) == tuple(holes)
-
-
-def test_without_free_parameters_the_result_is_empty():
     record = medium(1, mu1_pa={"fixed": 3e5}, bevel_mm={"fixed": 0.08})
     p = problem(record, [measure(TRUTH, record, insertion(30.0))])
     verdict = identify(p, fit_at(p, TRUTH))
@@ -204,3 +192,66 @@ def test_a_scale_of_the_noise_is_known_from_the_number_of_points_and_takes_nothi
     with_scale, without = (identify(p, fit_at(p, truth)) for p in (estimated, fixed))
     assert with_scale.sds["noise_scale"] == pytest.approx(1 / math.sqrt(2 * 2 * 101), rel=0.02)
     assert with_scale.sds["bevel_mm"] == pytest.approx(without.sds["bevel_mm"], rel=0.01)
+
+
+# ---- under which assumptions alone a parameter is determined: ties, and a model without error
+
+VALUES = {**TRUTH, "mu3_pa": 3e5, "alpha3": 1.0}
+
+
+def tied_problem(spread=1):
+    """Three layers; the third, deep one is tied to the first, which is thin."""
+    record = medium(3, mu3_pa={"tie": "mu1_pa", "spread": spread})
+    made = [
+        measure(VALUES, record, insertion(depth, (4.0, 9.0), (1, 2, 3), angle_sd=0.0))
+        for depth in (30.0, 40.0, 50.0)
+    ]
+    return problem(record, made, noise=Noise(point_sd=0.005))
+
+
+def test_ties_are_loosened_and_what_only_a_tie_determines_is_not_determined():
+    exact, spread = tied_problem().parameters, tied_problem(spread=1.2).parameters
+    loose = loosen_ties(exact)
+    assert "mu3_pa" in loose.names and not loose.ties
+    assert loose.prior.ties[0].name == "mu3_pa"
+    assert not loosen_ties(spread).prior.ties
+    assert loosen_ties(loosen_ties(spread)) == loosen_ties(spread)
+    p = tied_problem(spread=1.2)
+    verdict = identify(p, fit_at(p, VALUES))
+    assert verdict.sds["mu1_pa"] == pytest.approx(math.log(1.2), rel=0.05)  # from the third layer
+    assert verdict.conditions["mu1_pa"] == STATED_TIES and not verdict.determined["mu1_pa"]
+    assert STATED_TIES in verdict.notes["mu1_pa"]
+    assert verdict.determined["mu3_pa"] and verdict.determined["bevel_mm"]
+
+
+def test_each_loosened_assumption_widens_what_exact_ties_give():
+    p = tied_problem()
+    verdict = identify(p, fit_at(p, VALUES))
+    loose = {one.condition: one.sds for one in verdict.loosened}
+    assert list(loose) == [STATED_TIES, NO_MODEL_ERROR]
+    for name in p.names:
+        assert verdict.sds[name] < loose[STATED_TIES][name] < loose[NO_MODEL_ERROR][name]
+    assert loose[STATED_TIES]["mu1_pa"] > 10 * verdict.sds["mu1_pa"]
+    assert verdict.conditions["mu3_pa"] == NO_MODEL_ERROR  # the tie says as much
+
+
+def test_a_model_error_has_the_size_of_the_misfit_or_one_percent_of_the_deflection():
+    record = medium(1)
+    made = [measure(TRUTH, record, insertion(d, angle_sd=0.0)) for d in (35.0, 50.0)]
+    p = problem(record, made, noise=Noise(point_sd=1e-4))
+    theta = np.array(p.parameters.theta(TRUTH))
+    least = MIN_MODEL_ERROR * math.sqrt(np.mean([one.deflection**2 for one in p.insertions]))
+    assert estimate_model_error(p, theta).sd == pytest.approx(least)
+    verdict = identify(p, fit_at(p, TRUTH))
+    assert verdict.loosened[-1].sds["mu1_pa"] > 3 * verdict.sds["mu1_pa"]
+
+    def bend(planar):
+        wave = 0.2 * np.sin(2 * np.pi * planar[:, 0] / 30.0)
+        return planar + np.column_stack((0 * wave, wave))
+
+    made = [measure(TRUTH, record, insertion(d, angle_sd=0.0), error=bend) for d in (60.0, 70.0, 80.0)]
+    p = problem(record, made, noise=Noise(point_sd=0.01))
+    found = estimate_model_error(p, np.array(p.parameters.theta(TRUTH)))
+    assert 0.1 < found.sd < 0.3  # rms 0.14 mm
+    found = Discrepancy(0.5, 10.0).covariance(np.array([0.0, 10.0]))
+    assert found == pytest.approx(0.25 * np.array([[1, math.exp(-0.5)], [math.exp(-0.5), 1]]))

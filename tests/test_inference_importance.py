@@ -1,11 +1,12 @@
 """Importance sampling about modes: densities known in closed form come back, or k says that they do not."""
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from sampling_cases import Known, banana, gaussian, two_hills
-from scipy.stats import genpareto, multivariate_t, norm
+from scipy.stats import genpareto, multivariate_normal, multivariate_t, norm
 
 from needlefit.inference.fit import Fit, Start
 from needlefit.inference.sampling.importance import (
@@ -68,7 +69,7 @@ def test_a_correlated_gaussian_of_twenty_dimensions():
 
 
 def test_a_banana_is_recovered():
-    """E x1 = 1, var x1 = 2.25; x0 is normal; from its Laplace approximation alone k says that it does not."""
+    # E x1 = 1, var x1 = 2.25; x0 is normal; from its Laplace approximation alone k says that it does not.
     once = weighted(Known(banana, half=40.0), effort=Effort(rounds=1, min_ess=1))
     found = weighted(Known(banana, half=40.0))
     mean, covariance, errors = moments(found)
@@ -79,23 +80,17 @@ def test_a_banana_is_recovered():
     below = np.cumsum(np.exp(found.log_weights[order]))
     at = np.interp([0.05, 0.5, 0.95], below, found.thetas[order, 0])
     assert at == pytest.approx(norm.ppf([0.05, 0.5, 0.95]), abs=0.15)
-
-
-def test_horns_of_a_banana_are_seen_with_the_default_effort_too():
-    """Of weights that looked certified after one round, at the density itself, the mean was 0.5."""
+    # Of weights that looked certified after one round, at the density itself, the mean was 0.5.
     found = [weighted(Known(banana, half=40.0), effort=Effort(), seed=seed) for seed in range(6)]
     assert np.mean([moments(one)[0][1] for one in found if one.certified]) == pytest.approx(1.0, abs=0.2)
 
 
-def test_a_density_at_a_bound_is_recovered():
-    """exp(x) on [-10, 10]: 10 - x is exponential, its mean 1."""
+def test_a_density_at_a_bound_and_two_equal_modes_are_recovered():
+    # exp(x) on [-10, 10]: 10 - x is exponential, its mean 1.
     found = weighted(Known(lambda x: x[:, 0], 1), [10.0])
     mean, covariance, errors = moments(found)
     assert found.certified
     assert abs(mean[0] - 9.0) < 4 * errors[0] and covariance[0, 0] == pytest.approx(1.0, rel=0.2)
-
-
-def test_two_equal_modes_have_equal_weight():
     found = weighted(Known(two_hills), [[5.0, 0.0], [-5.0, 0.0]])
     assert found.certified
     assert np.exp(found.log_weights)[found.thetas[:, 0] > 0].sum() == pytest.approx(0.5, abs=0.06)
@@ -133,13 +128,20 @@ def test_a_plateau_at_the_end_of_a_winding_valley_is_found_along_the_profile(eff
     assert np.exp(found.log_weights)[found.thetas[:, 0] < 2].sum() == pytest.approx(share, abs=tolerance)
 
 
-def test_heavy_tails_are_not_certified():
-    """Weights of a Pareto law with k = 1.5 have no mean; k is drawn to 0.5, by ten weights."""
+def test_heavy_tails_are_not_certified_and_a_pareto_law_is_fitted():
+    # Weights of a Pareto law with k = 1.5 have no mean; k is drawn to 0.5, by ten weights.
     heavy = np.log(genpareto.rvs(1.5, size=20000, random_state=3))
     found = WeightedDraws(
         np.zeros((20000, 1)), np.zeros(20000), *smooth_weights(heavy), min_ess=1.0, log_evidence=0.0
     )
     assert found.k == pytest.approx(1.5, abs=0.4) and not found.certified
+    # Of 100 weights the 20 largest are smoothed; of 1500 it is 3 times the root (test above).
+    log_weights = np.sort(np.random.default_rng(2).normal(size=100))
+    smoothed, _ = smooth_weights(log_weights)
+    moved = np.abs(np.diff(smoothed) - np.diff(log_weights)) > 1e-9
+    assert not moved[:79].any() and moved[80:].all()
+    shape, scale = fit_pareto(np.sort(genpareto.rvs(0.4, scale=2.0, size=4000, random_state=1)))
+    assert (shape, scale) == (pytest.approx(0.4, abs=0.06), pytest.approx(2.0, rel=0.08))
 
 
 @pytest.mark.filterwarnings(r"ignore:\sArviZ is:FutureWarning")  # once a day
@@ -154,20 +156,41 @@ def test_smoothed_weights_are_arviz_s(shape):
     assert ours == pytest.approx(np.asarray(theirs), abs=1e-10)
 
 
-def test_the_tail_of_few_weights_is_a_fifth_of_them():
-    """Of 100 weights the 20 largest are smoothed; of 1500 it is 3 times the root (test above)."""
-    log_weights = np.sort(np.random.default_rng(2).normal(size=100))
-    smoothed, _ = smooth_weights(log_weights)
-    moved = np.abs(np.diff(smoothed) - np.diff(log_weights)) > 1e-9
-    assert not moved[:79].any() and moved[80:].all()
+def test_resampled_draws_stand_once_and_by_their_weight():
+    rng = np.random.default_rng(7)
+    known = WeightedDraws(np.zeros((400, 1)), np.zeros(400), np.log(np.full(400, 1 / 400)), 0.0, 1.0, 0.0)
+    assert len(set(resample(known, 79, rng).tolist())) == 79
+    uneven = np.log(np.repeat([1.5, 0.5], 200) / 400)
+    one = WeightedDraws(np.zeros((400, 1)), np.zeros(400), uneven, 0.0, 1.0, 0.0)
+    heavy = [np.mean(resample(one, 40, rng) < 200) for _ in range(50)]
+    assert np.mean(heavy) == pytest.approx(0.75, abs=0.05)
+    few = np.log(np.array([0.8, 0.2]))
+    drawn = resample(WeightedDraws(np.zeros((2, 1)), np.zeros(2), few, 0.0, 1.0, 0.0), 4000, rng)
+    assert np.mean(drawn == 0) == pytest.approx(0.8, abs=0.03)
+    # Weights of N(0, 1) on draws of N(0, 9): all 1000 taken once each would have a deviation of 3.
+    rng = np.random.default_rng(3)
+    wide = 3.0 * rng.standard_normal(1000)
+    log_weights = -0.5 * wide**2 + wide**2 / 18
+    log_weights -= np.logaddexp.reduce(log_weights)
+    found = WeightedDraws(wide[:, None], np.zeros(1000), log_weights, 0.0, 250.0, 0.0)
+    exact = np.sqrt(np.exp(log_weights) @ wide**2)
+    assert np.std(wide[resample(found, 1000, rng)]) == pytest.approx(exact, rel=0.02)
 
 
-def test_the_fit_finds_a_pareto_law():
-    shape, scale = fit_pareto(np.sort(genpareto.rvs(0.4, scale=2.0, size=4000, random_state=1)))
-    assert (shape, scale) == (pytest.approx(0.4, abs=0.06), pytest.approx(2.0, rel=0.08))
-
-
-def test_a_mixture_is_fitted_to_its_own_draws():
+def test_a_mixture_has_the_density_of_student_s_t_and_is_fitted_to_its_draws():
+    roots = np.array([[[1.0, 0.0], [0.5, 2.0]], [[0.3, 0.0], [0.0, 0.1]]])
+    mixture = StudentMixture(np.array([0.7, 0.3]), np.array([[0.0, 0.0], [6.0, 1.0]]), roots)
+    at = np.array([[0.0, 0.0], [5.9, 1.1], [-3.0, 40.0]])
+    parts = [multivariate_t(mixture.centres[k], roots[k] @ roots[k].T, df=5) for k in range(2)]
+    exact = np.log(0.7 * parts[0].pdf(at) + 0.3 * parts[1].pdf(at))
+    assert mixture.log_density(at) == pytest.approx(exact, abs=1e-12)
+    mixture = StudentMixture(
+        np.array([0.25, 0.75]), np.array([[-100.0], [3.0]]), np.array([[[1.0]], [[2.0]]])
+    )
+    draws = mixture.draw(20_000, np.random.default_rng(1))[:, 0]
+    upper = draws[draws > -50]
+    assert len(upper) / 20_000 == pytest.approx(0.75, abs=0.015)
+    assert np.quantile(upper, [0.05, 0.5, 0.95]) == pytest.approx([3 - 2 * 2.015, 3, 3 + 2 * 2.015], abs=0.15)
     rng = np.random.default_rng(2)
     true = StudentMixture(
         np.array([0.7, 0.3]), np.array([[0.0, 0.0], [6.0, 1.0]]), np.array([np.eye(2), 0.5 * np.eye(2)])
@@ -181,49 +204,6 @@ def test_a_mixture_is_fitted_to_its_own_draws():
         start = start.refit(draws, even, 1e-9 * np.eye(2))
     assert start.weights == pytest.approx(true.weights, abs=0.03)
     assert start.centres == pytest.approx(true.centres, abs=0.12)
-
-
-def test_resampled_draws_stand_once_and_by_their_weight():
-    rng = np.random.default_rng(7)
-    known = WeightedDraws(np.zeros((400, 1)), np.zeros(400), np.log(np.full(400, 1 / 400)), 0.0, 1.0, 0.0)
-    assert len(set(resample(known, 79, rng).tolist())) == 79
-    uneven = np.log(np.repeat([1.5, 0.5], 200) / 400)
-    one = WeightedDraws(np.zeros((400, 1)), np.zeros(400), uneven, 0.0, 1.0, 0.0)
-    heavy = [np.mean(resample(one, 40, rng) < 200) for _ in range(50)]
-    assert np.mean(heavy) == pytest.approx(0.75, abs=0.05)
-    few = np.log(np.array([0.8, 0.2]))
-    drawn = resample(WeightedDraws(np.zeros((2, 1)), np.zeros(2), few, 0.0, 1.0, 0.0), 4000, rng)
-    assert np.mean(drawn == 0) == pytest.approx(0.8, abs=0.03)
-
-
-def test_as_many_draws_as_there_are_have_the_spread_of_the_posterior_not_of_the_proposal():
-    """Weights of N(0, 1) on draws of N(0, 9): all 1000 taken once each would have a deviation of 3."""
-    rng = np.random.default_rng(3)
-    wide = 3.0 * rng.standard_normal(1000)
-    log_weights = -0.5 * wide**2 + wide**2 / 18
-    log_weights -= np.logaddexp.reduce(log_weights)
-    found = WeightedDraws(wide[:, None], np.zeros(1000), log_weights, 0.0, 250.0, 0.0)
-    exact = np.sqrt(np.exp(log_weights) @ wide**2)
-    assert np.std(wide[resample(found, 1000, rng)]) == pytest.approx(exact, rel=0.02)
-
-
-def test_the_density_of_a_mixture_is_that_of_students_t():
-    roots = np.array([[[1.0, 0.0], [0.5, 2.0]], [[0.3, 0.0], [0.0, 0.1]]])
-    mixture = StudentMixture(np.array([0.7, 0.3]), np.array([[0.0, 0.0], [6.0, 1.0]]), roots)
-    at = np.array([[0.0, 0.0], [5.9, 1.1], [-3.0, 40.0]])
-    parts = [multivariate_t(mixture.centres[k], roots[k] @ roots[k].T, df=5) for k in range(2)]
-    exact = np.log(0.7 * parts[0].pdf(at) + 0.3 * parts[1].pdf(at))
-    assert mixture.log_density(at) == pytest.approx(exact, abs=1e-12)
-
-
-def test_draws_of_a_mixture_have_its_quantiles():
-    mixture = StudentMixture(
-        np.array([0.25, 0.75]), np.array([[-100.0], [3.0]]), np.array([[[1.0]], [[2.0]]])
-    )
-    draws = mixture.draw(20_000, np.random.default_rng(1))[:, 0]
-    upper = draws[draws > -50]
-    assert len(upper) / 20_000 == pytest.approx(0.75, abs=0.015)
-    assert np.quantile(upper, [0.05, 0.5, 0.95]) == pytest.approx([3 - 2 * 2.015, 3, 3 + 2 * 2.015], abs=0.15)
 
 
 def made(theta: float, objective: float, index: int) -> Start:
@@ -240,9 +220,6 @@ def test_modes_are_distinct_ends_within_ten_nats_of_the_best():
     )
     fit = Fit((1.0,), {}, 2.0, starts, 5, 0, interrupted=False)
     assert find_modes(fit, np.array([10.0])).tolist() == [[1.0], [2.0], [4.0]]
-
-
-def test_ends_nearer_than_a_thousandth_of_the_bounds_in_every_parameter_are_one():
     ends = np.array([[1.0, 1.0], [1.0009, 1.09], [1.0011, 1.0], [1.0, 1.11]])
     assert select_distinct(ends, np.array([1.0, 100.0])).tolist() == [[1.0, 1.0], [1.0011, 1.0], [1.0, 1.11]]
 
@@ -260,7 +237,7 @@ def test_draws_are_certified_up_to_a_k_and_from_a_number_of_independent_draws(k,
 
 
 def test_a_predictive_density_by_hand():
-    """Effective sample sizes: 4 of equal weights, 1 / (0.8^2 + 0.2^2) of two."""
+    # Effective sample sizes: 4 of equal weights, 1 / (0.8^2 + 0.2^2) of two.
     both, first = draws_of([0.25] * 4, 0.2, 1.0, -3.0), draws_of([0.8, 0.2], 0.6, 1.0, -1.5)
     assert compute_ess(first.log_weights) == pytest.approx(1 / 0.68)
     found = compute_predictive_density(both, first)
@@ -268,7 +245,72 @@ def test_a_predictive_density_by_hand():
     assert found.se == pytest.approx(np.sqrt(0.25 + 0.68))
     assert found.shared_se == pytest.approx(np.sqrt(0.68))
     assert found.effective_sample_size == pytest.approx(1 / 0.68)
-
-
-def test_data_that_cannot_be_predicted_have_density_0():
     assert np.exp(ZERO_DENSITY.log_density) == 0.0 and ZERO_DENSITY.effective_sample_size == 0.0
+
+
+# ---- how probable further data are: evidences of linear Gaussian data
+
+SD, FREE = 0.02, 4
+
+
+def _case():
+    """Four numbers of which some points tell a little, and sixty further points much more."""
+    rng = np.random.default_rng(5)
+    few, many = rng.normal(size=(8, FREE)), rng.normal(size=(60, FREE))
+    truth = np.array([0.5, -0.3, 0.2, 0.1])
+    return [(a, a @ truth + sd * rng.normal(size=len(a)), sd) for a, sd in ((few, 0.3), (many, SD))]
+
+
+def _log_density(data):
+    def log_density(x):
+        return sum(
+            -0.5 * np.sum(((x @ a.T - y) / sd) ** 2, axis=1) - len(y) * math.log(sd * math.sqrt(2 * math.pi))
+            for a, y, sd in data
+        )
+
+    return log_density
+
+
+def _weighted(data, seed) -> WeightedDraws:
+    known = Known(_log_density(data), FREE)
+    rows = np.concatenate([a / sd for a, _, sd in data]), np.concatenate([y / sd for _, y, sd in data])
+    peak = np.linalg.lstsq(*rows)[0]
+    bounds = known.lower, known.upper
+    about, rng = [approximate_by_laplace(known.log_density, peak, *bounds)], np.random.default_rng(seed)
+    return sample_by_importance(known.log_density, about, bounds, rng)
+
+
+def _posterior(first):
+    a, y, sd = first
+    covariance = sd**2 * np.linalg.inv(a.T @ a)
+    return covariance @ a.T @ y / sd**2, covariance
+
+
+def _predictive(first, second):
+    (a, y, sd), (mean, covariance) = second, _posterior(first)
+    return multivariate_normal.logpdf(y, a @ mean, a @ covariance @ a.T + sd**2 * np.eye(len(y)))
+
+
+def test_the_density_of_further_data_is_the_ratio_of_evidences():
+    first, second = _case()
+    exact = _predictive(first, second)
+    densities = [
+        compute_predictive_density(_weighted([first, second], s), _weighted([first], 100 + s))
+        for s in range(8)
+    ]
+    errors = np.array([one.log_density - exact for one in densities])
+    assert np.all(np.abs(errors) < 0.1)
+    assert np.sqrt(np.mean(errors**2)) < 1.5 * densities[0].se < 0.2  # the stated error is the error
+    assert (
+        max(one.k for one in densities) < 0.7 and min(one.effective_sample_size for one in densities) >= 250
+    )
+
+
+def test_the_evidence_of_a_density_is_its_integral():
+    """A Gaussian, half of it beyond a bound."""
+    known = Known(lambda x: -0.5 * np.sum((x - 10.0) ** 2, axis=1) + 3.0, 1)
+    about = [approximate_by_laplace(known.log_density, np.array([9.9]), known.lower, known.upper)]
+    bounds, rng = (known.lower, known.upper), np.random.default_rng(2)
+    found = sample_by_importance(known.log_density, about, bounds, rng)
+    exact = 3.0 + math.log(0.5 * math.sqrt(2 * math.pi))
+    assert found.log_evidence == pytest.approx(exact, abs=4 * found.log_evidence_se)

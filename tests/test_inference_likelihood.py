@@ -3,12 +3,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from inference_cases import TRUTH, dataset, insertion, measure, medium, problem
+from inference_cases import TRUTH, assert_one_density, dataset, insertion, measure, medium, problem
 from scipy.stats import multivariate_normal, norm
 
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.noise import displace_by_pose
 from needlefit.errors import DataError
+from needlefit.geometry.frames import align_rigid, differentiate_align_rigid
+from needlefit.inference.identifiability.precision import difference_jacobian
 from needlefit.inference.likelihood.observation import (
     make_observation,
     points_covariance,
@@ -48,55 +50,40 @@ def test_independent_noise_gives_the_textbook_density():
     n = 41
     expected = -0.5 * 41 * (0.1 / 0.2) ** 2 - n * math.log(0.2) - 0.5 * n * math.log(2 * math.pi)
     assert got == pytest.approx(expected, rel=1e-12)
-
-
-def test_the_density_is_that_of_the_stated_covariance():
     noise, measured = Noise(0.19, 0.05, 0.1, 5.0), straight(angle_sd=0.01)
-    known = make_observation(dataset([], noise), measured)
-    spread = pose_modes(STRAIGHT) * pose_sds(measured, noise)
-    cov = points_covariance(STRAIGHT[:, 0], noise) + spread @ spread.T
-    curve = along(shift=(0.02, -0.1), angle=0.003, bump=0.07)
-    residual = curve(STRAIGHT[:, 0])[:, 1]
-    assert log_likelihood(known, curve) == pytest.approx(multivariate_normal(cov=cov).logpdf(residual))
-    assert np.linalg.inv(known.whitening) @ whiten_residuals(known, curve(STRAIGHT[:, 0])) == pytest.approx(
-        residual
-    )
+    known = make_observation(dataset([], noise), measured, likelihood=LikelihoodRecord(noise="independent"))
+    shift = 0.19 / math.sqrt(8 / math.pi)
+    sd = np.sqrt(0.05**2 + 0.1**2 + shift**2 + (0.01 * STRAIGHT[:, 0]) ** 2)
+    assert known.whitening == pytest.approx(np.diag(1 / sd))
+    with pytest.raises(DataError, match="point_sd_mm"):
+        make_observation(dataset([], Noise()), straight())
 
 
-def test_the_covariance_of_two_points_by_hand():
+def test_covariances_of_points_by_hand():
     noise = Noise(point_sd=0.3, correlated_sd=0.4, correlation_length=10.0)
     cov = points_covariance(np.array([0.0, 10.0]), noise)
     shared = 0.16 * math.exp(-1)
     assert cov == pytest.approx(np.array([[0.25, shared], [shared, 0.25]]))
     own = points_covariance(np.array([0.0, 10.0]), noise, np.array([0.1, 0.5]))
     assert own == pytest.approx(np.array([[0.1, 0.05 / math.e], [0.05 / math.e, 0.34]]))
-
-
-def test_smooth_errors_are_correlated_by_materns_function():
     noise = Noise(correlated_sd=0.2, correlation_length=10.0, correlation="matern32")
     cov = points_covariance(np.array([0.0, 1.0, 10.0]), noise)
     z = math.sqrt(3)
     assert cov[0, 2] == pytest.approx(0.04 * (1 + z) * math.exp(-z))
     assert 1 - cov[0, 1] / 0.04 == pytest.approx(0.5 * (z / 10) ** 2, rel=0.15)  # smooth: no first order
-
-
-def test_the_deviations_of_points_replace_the_datasets():
     noise, sd = Noise(point_sd=0.01, correlated_sd=0.3), np.linspace(0.1, 0.2, 41)
     known = make_observation(dataset([], noise), replace(straight(), sd=sd))
     inverse = np.linalg.inv(points_covariance(STRAIGHT[:, 0], noise, sd))
     assert known.whitening.T @ known.whitening == pytest.approx(inverse)
 
 
-def test_a_pose_moves_a_parabola_by_its_modes():
+def test_a_pose_moves_and_turns_about_the_entry():
     x = np.linspace(0.0, 40.0, 81)
     parabola = np.column_stack([x, 1e-3 * x**2])
     across, turn, along_axis = pose_modes(parabola).T
     assert across == pytest.approx(1.0) and turn == pytest.approx(x)
     assert along_axis == pytest.approx(-2e-3 * x, abs=1e-9)  # y(x - d) = y(x) - d y'(x)
-
-
-def test_a_pose_turns_about_the_entry_where_the_curve_begins_4_mm_in():
-    """0.01 rad about the entry moves a point by 0.01 of its depth: 0.04 mm at 4 mm, 0.4 mm at 40 mm."""
+    # 0.01 rad about the entry moves a point by 0.01 of its depth: 0.04 mm at 4 mm, 0.4 mm at 40 mm.
     begun = STRAIGHT[4:]
     assert pose_modes(begun)[[0, -1], 1] == pytest.approx([4.0, 40.0], abs=1e-12)
     known = make_observation(
@@ -106,23 +93,16 @@ def test_a_pose_turns_about_the_entry_where_the_curve_begins_4_mm_in():
     assert cov[0, 0] == pytest.approx(0.1**2 + 0.04**2)
     assert cov[-1, -1] == pytest.approx(0.1**2 + 0.4**2)
     assert cov[0, -1] == pytest.approx(0.04 * 0.4)
-
-
-def test_the_noise_floor_and_the_likelihood_turn_a_pose_alike():
-    begun = STRAIGHT[4:]
     normal = np.array([[0.0, 0.0, 1.0]])
     moved = displace_by_pose(begun, np.zeros(2), 0.01, normal)[0, :, 1]
     assert moved == pytest.approx(0.01 * pose_modes(begun)[:, 1], abs=1e-12)
-
-
-def test_pose_deviations_are_the_larger_of_two_statements():
     noise = Noise(registration_mean=0.2 * math.sqrt(8 / math.pi))
     assert pose_sds(straight(angle_sd=0.01), noise) == pytest.approx([0.2, 0.01, 0.2])
     assert pose_sds(replace(straight(), pose_shift_sd=0.5), noise) == pytest.approx([0.5, 0.0, 0.5])
 
 
 def test_a_very_wide_pose_prior_tends_to_the_projected_pose_up_to_its_constant():
-    """N(r; 0, C + M S^2 M^T) (2 pi)^(f / 2) det S tends to the density of what M leaves of r."""
+    # N(r; 0, C + M S^2 M^T) (2 pi)^(f / 2) det S tends to the density of what M leaves of r.
     rng, s = np.random.default_rng(7), STRAIGHT[:, 0]
     cov = points_covariance(s, Noise(point_sd=0.05, correlated_sd=0.1))
     free = pose_modes(np.column_stack([s, 1e-3 * s**2]))[:, :2]
@@ -136,45 +116,12 @@ def test_a_very_wide_pose_prior_tends_to_the_projected_pose_up_to_its_constant()
         assert log_norm - 0.5 * white @ white == pytest.approx(proper + constant, abs=1e-4)
         moved = whitening @ (residual + free @ [5.0, -0.1])
         assert moved == pytest.approx(white, abs=1e-9)
-
-
-def test_the_projected_density_is_the_integral_over_all_poses():
-    """By hand: two points that share a shift of any size leave their difference, of deviation sd sqrt 2.
-
-    The integral over d of N(r1 - d) N(r2 - d) is N(r1 - r2; 0, 2 sd^2).
-    """
+    # By hand: two points that share a shift of any size leave their difference, of deviation sd sqrt 2.
+    # The integral over d of N(r1 - d) N(r2 - d) is N(r1 - r2; 0, 2 sd^2).
     whitening, log_norm = whiten(0.3**2 * np.eye(2), np.ones((2, 1)))
     for residual in ([0.1, 0.5], [2.0, 2.4]):
         white = whitening @ residual
         assert log_norm - 0.5 * white @ white == pytest.approx(norm(scale=0.3 * math.sqrt(2)).logpdf(0.4))
-
-
-def test_independent_noise_keeps_each_points_whole_deviation():
-    noise, measured = Noise(0.19, 0.05, 0.1, 5.0), straight(angle_sd=0.01)
-    known = make_observation(dataset([], noise), measured, likelihood=LikelihoodRecord(noise="independent"))
-    shift = 0.19 / math.sqrt(8 / math.pi)
-    sd = np.sqrt(0.05**2 + 0.1**2 + shift**2 + (0.01 * STRAIGHT[:, 0]) ** 2)
-    assert known.whitening == pytest.approx(np.diag(1 / sd))
-
-
-def test_a_wrong_pose_within_its_prior_costs_little_and_a_wrong_shape_much():
-    noise = Noise(registration_mean=0.2 * math.sqrt(8 / math.pi), point_sd=0.05)  # 0.2 mm per axis
-    known = make_observation(dataset([], noise), straight(angle_sd=0.01))
-    best = log_likelihood(known, along())
-    assert best - log_likelihood(known, along(shift=(0.0, 0.2))) == pytest.approx(0.5, rel=0.1)
-    assert best - log_likelihood(known, along(angle=0.01)) == pytest.approx(0.5, rel=0.1)
-    assert best - log_likelihood(known, along(bump=0.25)) > 10
-    without = make_observation(dataset([], Noise(point_sd=0.05)), straight())
-    assert log_likelihood(without, along()) - log_likelihood(without, along(shift=(0.0, 0.2))) > 300
-
-
-def test_correlated_noise_forgives_a_long_wave_more_than_a_jump():
-    known = make_observation(
-        dataset([], Noise(point_sd=0.02, correlated_sd=0.2, correlation_length=20.0)), straight()
-    )
-    smooth = log_likelihood(known, lambda s: np.column_stack([s, 0.2 * np.sin(s / 10)]))
-    jumping = log_likelihood(known, lambda s: np.column_stack([s, 0.2 * (-1.0) ** np.arange(len(s))]))
-    assert smooth - jumping > 100
 
 
 def test_a_free_pose_costs_nothing():
@@ -195,11 +142,6 @@ def test_a_centreline_of_many_points_is_thinned_and_keeps_its_tip():
     )
 
 
-def test_missing_noise_is_an_error_that_names_the_key():
-    with pytest.raises(DataError, match="point_sd_mm"):
-        make_observation(dataset([], Noise()), straight())
-
-
 def test_the_whitened_residuals_of_noisy_data_have_unit_variance():
     rng, noise, record = np.random.default_rng(3), Noise(0.19, 0.05, 0.1, 5.0), medium(1)
     shift_sd = 0.19 / math.sqrt(8 / math.pi)
@@ -217,18 +159,14 @@ def test_the_whitened_residuals_of_noisy_data_have_unit_variance():
     assert np.mean(white**2) == pytest.approx(1.0, abs=0.15)
 
 
-def test_outside_the_bounds_the_posterior_is_zero():
+def test_densities_outside_the_bounds_and_of_many_thetas():
     record = medium(1)
     p = problem(record, [measure(TRUTH, record, insertion(50.0))])
     theta = p.parameters.theta(TRUTH)
     assert math.isfinite(p.log_posterior(theta))
     assert p.log_posterior(p.upper + 1e-9) == -math.inf
     assert p.log_posterior(np.array([theta[0], np.nan])) == -math.inf
-
-
-def test_many_thetas_at_once_have_the_densities_that_each_has_alone():
-    """Also outside the bounds."""
-    record = medium(1)
+    # Also outside the bounds.
     p = problem(record, [measure(TRUTH, record, one) for one in (insertion(12.4), insertion(17.0))])
     thetas = p.lower + (p.upper - p.lower) * np.random.default_rng(3).uniform(size=(40, len(p.names)))
     thetas[3] = p.upper + 1.0
@@ -236,3 +174,60 @@ def test_many_thetas_at_once_have_the_densities_that_each_has_alone():
     together = p.log_posteriors(thetas, jobs=2)
     assert together[3] == -math.inf and np.sum(np.isfinite(alone)) > 20
     np.testing.assert_allclose(together, alone, rtol=1e-5)
+
+
+# ---- exact derivatives of a problem, against central differences
+
+PRIOR = {"bounds": [1e3, 1e9], "prior": {"median": 2e5, "factor": 2.0, "correlation": -0.6}}
+ALPHA = {"bounds": [-30.0, 50.0], "prior": {"mean": 3.0, "sd": 2.0}}
+LAYERS = {"boundaries": (9.0, 17.0, 26.0), "sequence": (1, 2, 1, 2)}
+
+CASES = {
+    "two layers, met twice": medium(),
+    "tied": medium(mu2_pa={"tie": "40 * mu1_pa"}),
+    "fixed bevel": medium(bevel_mm={"fixed": 0.08}),
+    "stated before": medium(mu1_pa=PRIOR, alpha1=ALPHA),
+    "guide": medium(guide_distance_mm={"bounds": [2.0, 60.0]}),
+}
+
+
+def case(name, **options):
+    record = CASES[name]
+    truth = {**TRUTH, "guide_distance_mm": 15.0} if name == "guide" else TRUTH
+    made = [measure(truth, record, insertion(d, **LAYERS, side=side)) for d, side in ((34.3, 1), (41.0, -1))]
+    p = problem(record, made, **options)
+    return p, p.parameters.theta(truth) + 0.1 * np.cos(np.arange(len(p.names)))
+
+
+@pytest.mark.parametrize("pose", ["known", "free"])
+@pytest.mark.parametrize("name", CASES)
+def test_values_and_derivatives_are_of_one_density(name, pose):
+    assert_one_density(*case(name, pose=pose, drop=3.0 if pose == "free" else 0.0))
+
+
+def test_a_solve_that_fails_has_no_derivatives():
+    p, _ = case("fixed bevel")
+    broken = replace(p, parameters=replace(p.parameters, fixed={**p.parameters.fixed, "bevel_mm": 30.0}))
+    theta = np.log([1e9, 1e9])
+    residuals, slopes = broken.jacobian(theta)
+    assert np.isnan(residuals).any() and np.isnan(slopes).any()
+    value, gradient = broken.gradient(theta)
+    assert math.isnan(value) and np.isnan(gradient).all()
+
+
+def test_outside_the_bounds_there_is_no_gradient():
+    p, _ = case("tied")
+    value, gradient = p.gradient(p.upper + 1e-3)
+    assert value == -math.inf and np.isnan(gradient).all()
+
+
+def test_an_alignment_is_differentiated_exactly():
+    rng = np.random.default_rng(5)
+    moving, fixed, slopes = rng.normal(size=(7, 2)), rng.normal(size=(7, 2)), rng.normal(size=(7, 2, 3))
+
+    def aligned(t):
+        return align_rigid(moving + slopes @ t, fixed).ravel()
+
+    differences = difference_jacobian(aligned, np.zeros(3), np.full(3, 1e-5))
+    exact = differentiate_align_rigid(moving, fixed, slopes).reshape(14, 3)
+    np.testing.assert_allclose(exact, differences, atol=1e-8)

@@ -11,12 +11,9 @@ from scipy.stats import multivariate_normal, norm
 
 from needlefit.datasets.insertion import Noise
 from needlefit.errors import ConfigError
-from needlefit.inference.identifiability.precision import difference_jacobian
 from needlefit.inference.likelihood.marginal import (
     linear_residuals,
-    linearize_residuals,
     log_marginals,
-    mixing_matrices,
     solve_shared,
 )
 from needlefit.inference.likelihood.nodes import (
@@ -73,7 +70,7 @@ def test_quadrature_follows_what_is_not_linear():
     assert got == pytest.approx(exact, abs=0.03)
 
 
-def test_nothing_uncertain_is_the_density_as_measured():
+def test_nothing_uncertain_is_the_density_as_measured_and_a_failed_node_fails_it():
     certain = replace(LAYERED, boundary_sd=0.0, depth_sd=0.0)
     for made in (make_nodes(certain, LINE, "quadrature"), make_nodes(LAYERED, LINE, "fixed")):
         assert made.axes == () and len(made.insertions) == 1
@@ -81,9 +78,21 @@ def test_nothing_uncertain_is_the_density_as_measured():
         assert one(white, made, 2.0) == pytest.approx(-0.5 * 30 / 4 - 5 * math.log(2))
         found = linear_residuals([white[None]], make_group(made), np.array([2.0]), np.zeros(1))[0]
         assert found[0] == pytest.approx(white[0] / 2)
+    linear = np.array([[1, 0, 0], [0, -0.5, 0.5]])
+    made = Nodes(
+        (LAYERED,) * 3, np.zeros((3, 1)), (ErrorAxis(),), linear, np.zeros((0, 3)), bevel=False, rule=None
+    )
+    white = np.ones((3, 4))
+    white[2] = np.nan
+    assert math.isnan(one(white, made))
+    rng = np.random.default_rng(6)
+    many = rng.normal(size=(90, 1 + 4 * 4, 3))
+    products = many @ many.transpose(0, 2, 1)
+    alone = [integral(one[None], 4)[0] for one in products]
+    assert integral(products, 4).tolist() == alone
 
 
-def test_nodes_move_one_boundary_or_the_entry():
+def test_nodes_move_one_boundary_or_the_entry_and_thin_layers_stay_in_order():
     made = make_nodes(LAYERED, LINE, "linear")
     moved = [(i.boundaries.tolist(), i.depth) for i in made.insertions]
     assert moved == [
@@ -96,9 +105,12 @@ def test_nodes_move_one_boundary_or_the_entry():
         (pytest.approx([12.0, 20.15]), 40.0),
     ]
     assert made.s[2] == pytest.approx(LINE + 0.1) and made.s[3] == pytest.approx(LINE)
+    thin = replace(LAYERED, boundaries=np.array([0.1, 0.2]), boundary_sd=0.5)
+    for moved in make_nodes(thin, LINE, "quadrature").insertions:
+        assert moved.boundaries[0] > 0 and np.all(np.diff(moved.boundaries) > 0)
 
 
-def test_quadrature_over_too_many_depths_is_refused():
+def test_quadrature_over_too_many_depths_or_shared_bevels_is_refused():
     count = MAX_AXES + 1
     depths, layers = np.linspace(4.0, 36.0, count), tuple(range(1, count + 2))
     many = replace(LAYERED, id="many", boundaries=depths, sequence=layers, depth_sd=0.0)
@@ -106,32 +118,22 @@ def test_quadrature_over_too_many_depths_is_refused():
         make_nodes(many, LINE, "quadrature")
     assert refused.value.key == "likelihood.depths"
     assert len(make_nodes(many, LINE, "linear").axes) == count
-
-
-def test_quadrature_over_too_many_shared_boundaries_is_refused():
-    """Each insertion crosses four of the six surfaces, or fewer."""
+    # Each insertion crosses four of the six surfaces, or fewer.
     crossed = {"a": (1, 2, 3, 4, 5), "b": (3, 4, 5, 6), "c": (5, 6, 7), "d": (7, 6, 5), "e": (1, 2, 3, 4, 5)}
-    made = {}
-    for how in ("linear", "quadrature"):
-        made[how] = tuple(
-            make_nodes(
-                replace(
-                    FLAT, id=name, specimen="one", sequence=layers, boundaries=5.0 * np.arange(1, len(layers))
-                ),
-                LINE,
-                how,
-            )
-            for name, layers in crossed.items()
-        )
-    assert [len(group.surfaces) for _, group in group_nodes(made["linear"])] == [6]
+    flat = replace(FLAT, specimen="one")
+    insertions = [
+        replace(flat, id=name, sequence=layers, boundaries=5.0 * np.arange(1, len(layers)))
+        for name, layers in crossed.items()
+    ]
+    made, split = (
+        tuple(make_nodes(one, LINE, how) for one in insertions) for how in ("linear", "quadrature")
+    )
+    assert [len(group.surfaces) for _, group in group_nodes(made)] == [6]
     with pytest.raises(ConfigError, match="a, b, c, d, e share 6"):
-        group_nodes(made["quadrature"])
-
-
-def test_thin_layers_stay_in_order():
-    thin = replace(LAYERED, boundaries=np.array([0.1, 0.2]), boundary_sd=0.5)
-    for moved in make_nodes(thin, LINE, "quadrature").insertions:
-        assert moved.boundaries[0] > 0 and np.all(np.diff(moved.boundaries) > 0)
+        group_nodes(split)
+    with pytest.raises(ConfigError) as raised:
+        shared_case("aab", centred=False, depths="quadrature")
+    assert raised.value.key == "likelihood.depths"
 
 
 @pytest.mark.parametrize(
@@ -148,16 +150,6 @@ def test_what_acts_linearly_is_integrated_exactly(axes, size):
     stiff = np.eye(20) + slopes @ slopes.T
     exact = -0.5 * first @ np.linalg.solve(stiff, first) - 0.5 * np.linalg.slogdet(stiff)[1]
     assert got == pytest.approx(exact, abs=0.01)
-
-
-@pytest.mark.parametrize("depths", ["linear", "quadrature"])
-def test_the_mixing_is_the_densitys_derivative(depths):
-    rng = np.random.default_rng(4)
-    made = make_nodes(LAYERED, LINE, depths)
-    white, step = rng.normal(size=(len(made.insertions), 6)), rng.normal(size=(len(made.insertions), 6))
-    slope = (one(white + 1e-5 * step, made, 1.3) - one(white - 1e-5 * step, made, 1.3)) / 2e-5
-    (mixed,), _ = mixing_matrices([white], make_group(made), 1.3, 0.0)
-    assert -np.sum(mixed @ white * step) == pytest.approx(slope, rel=1e-6)
 
 
 def layered(depths, noise_scale=1.0, pose="known"):
@@ -185,31 +177,22 @@ def test_values_and_derivatives_are_of_one_density(depths, pose, noise_scale):
     assert_one_density(p, p.parameters.theta({**TRUTH, "noise_scale": 1.2}) + 0.05, rtol=1e-4)
 
 
-def test_a_scale_of_the_noise_is_normalised():
-    """Without misfit the density of n residuals falls as scale^-n, and is flat in nothing else."""
+def test_a_scale_of_the_noise_is_normalised_and_none_of_the_pose():
+    # Without misfit the density of n residuals falls as scale^-n, and is flat in nothing else.
     low, high = (layered("fixed", scale, "free") for scale in (0.5, 2.0))
     theta = low.parameters.theta(TRUTH)
     n = sum(known.rows for known in low.density.observations)
     fell = low.log_posterior(theta) - high.log_posterior(theta)
     assert fell == pytest.approx(n * math.log(4), rel=1e-3)
-
-
-def test_a_failed_node_fails_the_density():
-    linear = np.array([[1, 0, 0], [0, -0.5, 0.5]])
-    made = Nodes(
-        (LAYERED,) * 3, np.zeros((3, 1)), (ErrorAxis(),), linear, np.zeros((0, 3)), bevel=False, rule=None
-    )
-    white = np.ones((3, 4))
-    white[2] = np.nan
-    assert math.isnan(one(white, made))
-
-
-def test_many_sets_are_integrated_as_each_alone():
-    rng = np.random.default_rng(6)
-    many = rng.normal(size=(90, 1 + 4 * 4, 3))
-    products = many @ many.transpose(0, 2, 1)
-    alone = [integral(one[None], 4)[0] for one in products]
-    assert integral(products, 4).tolist() == alone
+    plain, scaled = layered("fixed"), layered("fixed", 3.0)
+    theta = plain.parameters.theta(TRUTH) + 0.1
+    exact = 0.0
+    whites = plain.density.whitened_residuals([plain.values(theta)], 1)
+    for known, white in zip(plain.density.observations, whites, strict=True):
+        points = points_covariance(known.nodes.s[0], plain.dataset.noise)
+        residuals = np.linalg.solve(known.whitening, white[0, 0])
+        exact += multivariate_normal(cov=9 * points + (known.covariance() - points)).logpdf(residuals)
+    assert scaled.log_posterior(theta) == pytest.approx(exact, rel=1e-9)
 
 
 SPREAD = 0.3
@@ -301,30 +284,6 @@ def test_a_shared_bevel_given_its_insertions_is_the_gaussians():
     assert found[0, at, at] == pytest.approx(1 - gain @ loads)
 
 
-@pytest.mark.parametrize("centred", [False, True])
-def test_the_residuals_of_the_linear_density_have_exact_slopes_by_residuals_and_spread(centred):
-    made, whites, *_ = shared_case("abb" if centred else "aab", centred, seed=8)
-    (members, group), *_ = group_nodes(made, centred)
-    whites, rng = [whites[k] for k in members], np.random.default_rng(9)
-    steps = [rng.normal(size=white.shape) for white in whites]
-
-    def both(theta):
-        many = [(white + theta[1] * step)[None] for white, step in zip(whites, steps, strict=True)]
-        found = linear_residuals(many, group, AT[0], np.array([SPREAD * math.exp(theta[0])]))
-        return np.append(*(part[0] for part in found))
-
-    by = [np.stack([0 * step, step], axis=-1)[None] for step in steps]
-    slopes = linearize_residuals([white[None] for white in whites], by, group, AT, np.array([1.0, 0.0]))[2:]
-    exact = np.vstack([part[0] for part in slopes])
-    np.testing.assert_allclose(exact, difference_jacobian(both, np.zeros(2), np.full(2, 1e-5)), atol=1e-7)
-
-
-def test_quadrature_refuses_a_shared_bevel():
-    with pytest.raises(ConfigError) as raised:
-        shared_case("aab", centred=False, depths="quadrature")
-    assert raised.value.key == "likelihood.depths"
-
-
 def test_a_bevel_that_all_insertions_share_cannot_stand_in_for_b():
     """A curve that b bends too little in every insertion is no deviation of their bevels."""
     made, whites, _, _ = shared_case("abc", centred=True)
@@ -340,37 +299,6 @@ def test_a_bevel_that_all_insertions_share_cannot_stand_in_for_b():
     assert density[True] < density[False] - 3
 
 
-@pytest.mark.parametrize("centred", [False, True])
-def test_the_mixing_of_bevels_is_the_densitys_derivative(centred):
-    made, whites, _, _ = shared_case("abb", centred, seed=8)
-    (members, group), *_ = group_nodes(made, centred)
-    assert_mixing([whites[k] for k in members], group)
-
-
-@pytest.mark.parametrize("depths", ["linear", "quadrature"])
-def test_the_mixing_of_a_group_is_the_densitys_derivative_by_residuals_and_spread(depths):
-    made, whites, _ = linear_case(depths, seed=8)
-    (members, group), _ = group_nodes(made)
-    assert_mixing([whites[k] for k in members], group)
-
-
-def assert_mixing(chosen, group):
-    """The matrices M are the density's derivatives by residuals (m, R), and by the spread."""
-    rng = np.random.default_rng(9)
-    steps = [rng.normal(size=white.shape) for white in chosen]
-
-    def density(h, spread):
-        moved = [(white + h * step)[None] for white, step in zip(chosen, steps, strict=True)]
-        return log_marginals(moved, group, np.array([1.3]), np.array([spread]))[0]
-
-    mixed, by_spread = mixing_matrices(chosen, group, 1.3, SPREAD)
-    slope = (density(1e-5, SPREAD) - density(-1e-5, SPREAD)) / 2e-5
-    got = -sum(np.sum(m @ w * step) for m, w, step in zip(mixed, chosen, steps, strict=True))
-    assert got == pytest.approx(slope, rel=1e-6)
-    ends = [density(0.0, SPREAD * math.exp(h)) for h in (1e-4, -1e-4)]
-    assert by_spread == pytest.approx((ends[0] - ends[1]) / 2e-4, rel=1e-6)
-
-
 @pytest.mark.parametrize("noise_scale", [1.0, "estimated"])
 @pytest.mark.parametrize("depths", ["linear", "quadrature"])
 def test_bevels_that_differ_have_exact_gradients_and_residuals(depths, noise_scale):
@@ -384,8 +312,8 @@ def test_bevels_that_differ_have_exact_gradients_and_residuals(depths, noise_sca
         assert sum(p.density.residual_counts) == len(p.residuals(theta)) - 2
 
 
-def test_a_gaussian_prior_of_the_bevel_spread_has_exact_gradients_and_residuals():
-    """As an old posterior states it: in place of the half-normal one."""
+def test_a_bevel_spread_with_another_prior_or_held_has_exact_gradients_and_residuals():
+    # As an old posterior states it: in place of the half-normal one.
     made = [replace(one, specimen="one") for one in layered("linear").insertions]
     p = problem(medium(), made, how=LikelihoodRecord(depths="linear"), noise=Noise(0.19, 0.02, 0.05, 5.0))
     prior = make_gaussian_prior(("bevel_spread",), np.log([0.1]), np.array([[0.25]]))
@@ -394,10 +322,7 @@ def test_a_gaussian_prior_of_the_bevel_spread_has_exact_gradients_and_residuals(
     assert_one_density(p, theta)
     # but for the normalising one, the Gaussian prior
     assert sum(p.density.residual_counts) == len(p.residuals(theta)) - 2
-
-
-def test_a_bevel_spread_that_is_held_stays_in_the_residuals():
-    """Depths fixed: the log det then varies with the bevel's effect alone."""
+    # Depths fixed: the log det then varies with the bevel's effect alone.
     made = [replace(one, boundary_sd=0.0, depth_sd=0.0) for one in layered("fixed").insertions]
     p = problem(medium(), made, how=LikelihoodRecord(depths="fixed"), noise=Noise(0.19, 0.02, 0.05, 5.0))
     free = [name for name in p.parameters.free if name != "bevel_spread"]
@@ -406,15 +331,3 @@ def test_a_bevel_spread_that_is_held_stays_in_the_residuals():
     assert_one_density(p, theta)
     assert [axis.of_bevel for axis in p.density.observations[0].nodes.axes] == [True]
     assert sum(p.density.residual_counts) == len(p.residuals(theta)) - 1
-
-
-def test_a_scale_of_the_noise_is_none_of_the_pose():
-    plain, scaled = layered("fixed"), layered("fixed", 3.0)
-    theta = plain.parameters.theta(TRUTH) + 0.1
-    exact = 0.0
-    whites = plain.density.whitened_residuals([plain.values(theta)], 1)
-    for known, white in zip(plain.density.observations, whites, strict=True):
-        points = points_covariance(known.nodes.s[0], plain.dataset.noise)
-        residuals = np.linalg.solve(known.whitening, white[0, 0])
-        exact += multivariate_normal(cov=9 * points + (known.covariance() - points)).logpdf(residuals)
-    assert scaled.log_posterior(theta) == pytest.approx(exact, rel=1e-9)

@@ -20,7 +20,7 @@ from needlefit.inference.material import (
     set_material_prior,
 )
 from needlefit.inference.parameters import Parameters
-from needlefit.project.load import check
+from needlefit.project.toml import check
 from needlefit.schemas.medium import MaterialRecord, MediumRecord, PriorRecord
 
 T_2, NORMAL = 4.302653, 1.959964  # Student's and the normal quantile of 97.5 %, two degrees of freedom
@@ -53,10 +53,7 @@ def test_errors_shared_by_neighbours_count_as_few_points():
     rough = fit_specimen(specimen(-5.0, 0.85, 0.01 / math.sqrt(2)), "nominal")
     assert smooth.effective_points < 5 < rough.effective_points
     assert smooth.sds[1] > 2 * rough.sds[1]
-
-
-def test_a_slow_error_is_not_hidden_by_noise_from_reading_to_reading():
-    """20000 readings to the model's liking are worth no more than the waves of its misfit."""
+    # 20000 readings to the model's liking are worth no more than the waves of its misfit.
     exact = specimen(-5.0, 0.7, count=20000)
     largest = np.abs(exact.stress).max()
     error = 0.005 * np.sin(np.linspace(0, 14, 20000)) + 0.005 * np.random.default_rng(1).normal(size=20000)
@@ -65,28 +62,22 @@ def test_a_slow_error_is_not_hidden_by_noise_from_reading_to_reading():
     assert fit.effective_points < 6 and fit.profile.regions[0][0] < -5 < fit.profile.regions[0][1]
 
 
-def test_a_shallow_test_is_flat_in_alpha():
+def test_shallow_tests_mirror_images_and_wrong_signs_determine_nothing():
     fit = fit_specimen(specimen(3.0, 0.995, 0.02), "nominal")
     assert not fit.identified
     ((low, high),) = fit.profile.regions
     assert low < -10 and high > 15
-
-
-def test_a_mirror_image_is_found_and_not_chosen_from():
     fit = fit_specimen(specimen(-20.0, 0.7, 0.01), "nominal")
     assert not fit.identified and len(fit.profile.regions) == 2
     (low, high), (low_too, high_too) = fit.profile.regions
     assert low < -20 < high < low_too < 40 < high_too
     assert sorted([fit.alpha, *fit.other_alphas]) == pytest.approx([-20, 40], abs=0.5)
-
-
-def test_stresses_of_the_wrong_sign_fit_no_mu():
     wrong = specimen(1.0)
     with pytest.raises(FitError, match="no positive mu"):
         fit_specimen(type(wrong)("gel", wrong.stretch, -wrong.stress), "nominal")
 
 
-def test_three_specimens_predict_a_fourth():
+def test_three_specimens_predict_a_fourth_and_one_does_not_determine_the_spread():
     estimates = [np.array([0.0, 1.0]), np.array([0.0, 2.0]), np.array([0.3, 3.0])]
     within = np.diag([0.01, 0.25])
     mean, between, covariance = pool(estimates, [within] * 3)
@@ -96,9 +87,6 @@ def test_three_specimens_predict_a_fourth():
     spread = np.array([[0.02, 0.15], [0.15, 0.75]])  # its determinant is below 0: cut at 0
     assert np.linalg.eigvalsh(between)[0] == pytest.approx(0.0, abs=1e-12)
     assert np.linalg.eigvalsh(between)[1] == pytest.approx(np.linalg.eigvalsh(spread)[1])
-
-
-def test_one_specimen_does_not_determine_the_spread_between_specimens():
     mean, between, covariance = pool([np.array([0.0, 1.0])], [np.eye(2)])
     assert mean.tolist() == [0, 1] and np.isnan(between).all() and covariance.tolist() == np.eye(2).tolist()
 
@@ -146,9 +134,6 @@ def test_the_log_posterior_is_the_likelihood_and_the_prior():
         assert gained == pytest.approx(stated.parameters.prior.log_density(stated.values(theta)), abs=1e-9)
     many = stated.log_posteriors(thetas) - flat.log_posteriors(thetas)
     assert many == pytest.approx([stated.parameters.prior.log_density(stated.values(t)) for t in thetas])
-
-
-def test_a_parameter_known_from_its_prior_alone_is_not_determined():
     record = medium(1, alpha1={"bounds": [-3, 9], "prior": {"mean": 1.0, "sd": 0.2}})
     p = problem(record, [measure(TRUTH, record, insertion(d)) for d in (35.0, 50.0)], noise=FINE)
     verdict = identify(p, fit_at(p, TRUTH))
@@ -161,6 +146,9 @@ def test_a_parameter_known_from_its_prior_alone_is_not_determined():
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
+        ({"alpha1": {"fixed": 1.0, "prior": ALPHA}}, "free"),
+        ({"alpha1": {"bounds": [-3, 9], "prior": {"mean": 1.0}}}, "mean"),
+        ({"alpha1": {"bounds": [-3, 9], "prior": {"mean": 1.0, "sd": 0.0}}}, "sd"),
         ({"alpha1": {"bounds": [-3, 9], "prior": {"median": 2, "factor": 2}}}, "wrong kind"),
         ({"mu1_pa": {"bounds": [1e3, 1e9], "prior": ALPHA}}, "wrong kind"),
         ({"alpha1": {"bounds": [-3, 2], "prior": ALPHA}}, "outside the bounds"),
@@ -169,22 +157,10 @@ def test_a_parameter_known_from_its_prior_alone_is_not_determined():
     ],
 )
 def test_an_invalid_prior_is_refused(changed, message):
+    free = {"mu1_pa": {"bounds": [1e3, 1e9]}, "alpha1": {"fixed": 1.0}, "bevel_mm": {"bounds": [1e-3, 0.5]}}
+    table = {"schema": 1, "layers": 1, "parameters": free | changed}
     with pytest.raises(ConfigError, match=message):
-        Parameters.from_record(medium(1, **changed))
-
-
-@pytest.mark.parametrize(
-    ("parameter", "message"),
-    [
-        ({"fixed": 1.0, "prior": ALPHA}, "free"),
-        ({"bounds": [-3, 9], "prior": {"mean": 1.0}}, "mean"),
-        ({"bounds": [-3, 9], "prior": {"mean": 1.0, "sd": 0.0}}, "sd"),
-    ],
-)
-def test_a_prior_is_checked_in_its_file(parameter, message):
-    table = {"schema": 1, "layers": 1, "parameters": {"alpha1": parameter}}
-    with pytest.raises(ConfigError, match=message):
-        check(table, MediumRecord, "medium.toml")
+        Parameters.from_record(check(table, MediumRecord, "medium.toml"))
 
 
 def test_a_test_of_the_material_frees_the_alpha_of_its_layer():

@@ -25,8 +25,8 @@ from needlefit.inference.compared_points import read_points
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observation import make_observation, whiten_deflections
 from needlefit.inference.problem import make_problem
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
+from needlefit.project.toml import load
 from needlefit.schemas.dataset import MeasurementRecord, SectionsRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
@@ -73,20 +73,18 @@ def scanned(tmp_path_factory):
     return replace(dataset, insertions=measured)
 
 
-def test_a_free_end_has_no_curvature():
+def test_splines_have_free_ends_and_reproduce_splines():
     knots = make_knots(0.0, 40.0, 7.5)
     coefficients = free_end_basis(knots) @ np.random.default_rng(1).normal(size=len(knots) - 5)
     near_end = design_matrix(np.array([39.98, 39.99, 40.0]), knots) @ coefficients
     assert abs(np.diff(near_end, 2)[0]) / 1e-4 < 1e-2
-
-
-def test_the_fit_reproduces_splines_and_leaves_out_what_nothing_reaches():
     knots, q = make_knots(0.0, 60.0, 7.5), np.arange(20.0, 60.1, 0.5)
     fit = fit_matrices(q, np.ones(len(q)), knots)
     assert 0 < fit.reached.sum() < len(knots) - 4
     coefficients = np.random.default_rng(2).normal(size=fit.reached.sum())
     values = design_matrix(q, knots)[:, fit.reached] @ coefficients
     assert_allclose(fit.operator @ values, coefficients, atol=1e-9)
+    assert find_least_spacing(np.arange(0.0, 91.0, 18.0), 6.0) == pytest.approx(30.0)
 
 
 @pytest.mark.parametrize("length", [37.4, 37.6, 52.0, 61.21, 5.0])
@@ -94,11 +92,7 @@ def test_dense_points_determine_a_spline_of_the_stated_spacing(length):
     assert find_least_spacing(np.arange(0.0, length, 0.5), 15.0) == 15.0
 
 
-def test_six_points_18_mm_apart_need_knots_30_mm_apart():
-    assert find_least_spacing(np.arange(0.0, 91.0, 18.0), 6.0) == pytest.approx(30.0)
-
-
-def test_smoothing_moves_points_but_not_residuals(scanned):
+def test_smoothing_moves_points_but_not_residuals_and_the_gradient_is_exact(scanned):
     one = scanned.insertions[-1]
     stored = make_observation(scanned, one)
     shape = predict(TRUE, MEDIUM, scanned.needle, one)
@@ -109,12 +103,14 @@ def test_smoothing_moves_points_but_not_residuals(scanned):
     points = make_observation(scanned, one, likelihood=LikelihoodRecord(measurement="points"))
     exact = read_points(one, shape, points.nodes.s[0])[:, 1]
     assert np.abs(exact - points.measured[:, 1]).max() > 0.002  # what the spline rounds, mm
-
-
-def test_the_gradient_is_exact(scanned):
     problem = make_problem(scanned, scanned.insertions[:2], MEDIUM, WeightsRecord())
     theta = problem.parameters.theta(TRUE) + 0.05
     assert_one_density(problem, theta, rtol=1e-4)
+    one = replace(scanned.insertions[-1], sections=None)
+    stated = replace(scanned, measurement=MeasurementRecord(operator="spline", knot_spacing_mm=KNOT))
+    observation = make_observation(stated, one)
+    assert observation.rows == round(one.depth / KNOT) + 3
+    assert observation.whitening.shape == (observation.rows, len(one.planar))
 
 
 def test_residuals_of_simulated_measurements_have_unit_variance(scanned):
@@ -178,13 +174,19 @@ def with_measurement(folder, text, sections=()):
 STORED = 'operator = "spline"\nsections = "sections/{id}.toml"'
 
 
-def test_knots_that_no_section_holds_are_refused(scanned, tmp_path):
+def test_sections_without_knots_or_a_pose_are_refused(scanned, tmp_path):
     pairs = [(one.id, one.sections) for one in scanned.insertions]
     name, some = pairs[1]
     weights = np.where(some.q > 0.6 * some.q[-1], 0.0, some.weights)
     pairs[1] = (name, replace(some, weights=weights))
     (fault,) = check(with_measurement(tmp_path / "n", STORED, pairs))
     assert f"{name}.toml" in fault.where and fault.fix
+    tmp_path /= "b"
+    tmp_path.mkdir()
+    file = with_measurement(tmp_path / "n", STORED, [(one.id, one.sections) for one in scanned.insertions])
+    text = file.read_text()
+    file.write_text(text[: text.index("[media")].replace('pose = "known"', 'pose = "free"'))
+    assert any("measurement.knot_spacing_mm" in str(fault) for fault in check(file))
 
 
 @pytest.mark.parametrize(
@@ -197,13 +199,6 @@ def test_sections_off_the_centreline_are_refused(scanned, tmp_path, shift, fault
     pairs[2] = (name, replace(some, points=some.points + np.array(shift)))
     found = check(with_measurement(tmp_path / "n", STORED, pairs))
     assert [f"{name}.toml" in fault.where for fault in found] == [True] * faults
-
-
-def test_sections_of_shapes_without_a_pose_are_refused(scanned, tmp_path):
-    file = with_measurement(tmp_path / "n", STORED, [(one.id, one.sections) for one in scanned.insertions])
-    text = file.read_text()
-    file.write_text(text[: text.index("[media")].replace('pose = "known"', 'pose = "free"'))
-    assert any("measurement.knot_spacing_mm" in str(fault) for fault in check(file))
 
 
 def test_the_spline_of_the_shipped_sections_is_their_centreline():
@@ -235,7 +230,7 @@ def test_knots_closer_than_points_are_refused_with_the_least_spacing(tmp_path, s
     assert len(check(file)) == 1
 
 
-def test_a_gaussian_wider_than_a_quarter_of_the_shortest_needle_is_refused(tmp_path):
+def test_operators_that_the_data_exclude_are_refused(tmp_path):
     file = with_measurement(tmp_path / "n", 'operator = "gaussian"\nwidth_mm = 40')
     (fault,) = check(file)
     assert f"{file}:" in fault.where
@@ -243,14 +238,13 @@ def test_a_gaussian_wider_than_a_quarter_of_the_shortest_needle_is_refused(tmp_p
     file.write_text(file.read_text().replace("width_mm = 40", f"width_mm = {most}"))
     lengths = [np.ptp(arc_length(one.planar)) for one in read(file).insertions]
     assert float(most) == pytest.approx(min(lengths) / 4, rel=0.05)
-
-
-@pytest.mark.parametrize("key", ["heading_sd_deg", "slope_sd_deg"])
-def test_errors_of_a_tracker_are_refused_in_a_dataset_of_shapes(tmp_path, key):
-    file = needles.build(tmp_path / "n")
-    file.write_text(file.read_text().replace(f"{key} = 0.0", f"{key} = 1.0"))
-    (fault,) = check(file)
-    assert f"{file}:" in fault.where and key in fault.what
+    tmp_path /= "b"
+    tmp_path.mkdir()
+    for key in ["heading_sd_deg", "slope_sd_deg"]:
+        file = needles.build(tmp_path / "n")
+        file.write_text(file.read_text().replace(f"{key} = 0.0", f"{key} = 1.0"))
+        (fault,) = check(file)
+        assert f"{file}:" in fault.where and key in fault.what
 
 
 def test_a_gaussian_width_explains_smoothed_points(scanned):
@@ -266,14 +260,6 @@ def test_a_gaussian_width_explains_smoothed_points(scanned):
         white = whiten_deflections(observation, read_points(one, shape, observation.nodes.s[0])[:, 1])
         norms[operator.operator] = float(np.linalg.norm(white))
     assert norms["gaussian"] < 0.2 * norms["none"]
-
-
-def test_points_on_a_spline_of_stated_knots_give_its_coefficients(scanned):
-    one = replace(scanned.insertions[-1], sections=None)
-    stated = replace(scanned, measurement=MeasurementRecord(operator="spline", knot_spacing_mm=KNOT))
-    observation = make_observation(stated, one)
-    assert observation.rows == round(one.depth / KNOT) + 3
-    assert observation.whitening.shape == (observation.rows, len(one.planar))
 
 
 def test_an_unknown_bias_is_shared_by_all_insertions_of_a_fit(scanned):

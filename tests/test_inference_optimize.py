@@ -1,16 +1,36 @@
+import itertools
 import json
 import math
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from inference_cases import Analytic, Squares, box, recipe, squares_recipe
+from inference_cases import (
+    TRUTH,
+    Analytic,
+    Squares,
+    box,
+    insertion,
+    measure,
+    medium,
+    problem,
+    recipe,
+    squares_recipe,
+    two_layers,
+)
 
 from needlefit.errors import ConfigError, FitError, ModelError
 from needlefit.inference.fit import Callbacks, Start, start_from_dict, start_to_dict
-from needlefit.inference.objective import EvaluationRecorder, ObjectiveFunction
+from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
+from needlefit.inference.objective import MAX_FAILED_POINTS, EvaluationRecorder, ObjectiveFunction
 from needlefit.inference.optimize import ALGORITHMS, minimize, starting_points
 from needlefit.inference.optimize.local_search import certify_minimum
+from needlefit.inference.optimize.multistart import group_approaches
+from needlefit.inference.problem import EvaluationFailure, explain_failure
+from needlefit.inference.sampling.posterior import load, save
+from needlefit.inference.sampling.sample import sample
+from needlefit.schemas.recipe import LikelihoodRecord, SampleRecord
 
 SINGLE = sorted(name for name, a in ALGORITHMS.items() if a.needs != "jacobian")
 
@@ -38,16 +58,22 @@ def test_every_algorithm_finds_the_bottom_of_a_bowl(algorithm, dimensions):
     assert fit.evaluations == sum(s.evaluations for s in fit.starts) <= 4 * 600
 
 
-def test_a_curved_valley_is_followed_to_its_end():
+def test_valleys_budgets_stops_and_other_checkpoints():
     fit = minimize(box(rosenbrock), recipe(algorithm="bobyqa+neldermead", evaluations=400), rng())
     assert fit.theta == pytest.approx([1, 1], abs=1e-2)
+    calls = []
+    fit = minimize(box(lambda t: calls.append(0) or rosenbrock(t)), recipe(evaluations=17, starts=3), rng())
+    assert [s.evaluations for s in fit.starts] == [17, 17, 17] and len(calls) == 51
+    assert {s.stopped for s in fit.starts} == {"budget"}
+    fit = minimize(box(bowl), recipe(), rng(), Callbacks(stop=lambda: True))
+    assert fit.interrupted and fit.objective == math.inf and fit.starts == ()
+    start = minimize(box(bowl), recipe(), rng()).starts[0]
+    with pytest.raises(FitError, match="began elsewhere"):
+        minimize(box(bowl), recipe(), np.random.default_rng(6), Callbacks(finished={0: start}))
 
 
 @pytest.mark.parametrize("algorithm", SINGLE)
-def test_nan_in_half_the_box_is_counted_and_never_wins(algorithm):
-    def half(theta):
-        return float("nan") if theta[0] < 0 else bowl(theta)
-
+def test_nan_and_errors_of_the_model_in_half_the_box_are_counted_and_never_win(algorithm):
     fit = minimize(box(half), recipe(algorithm=algorithm), rng())
     assert fit.objective < 0.05 and fit.theta[0] >= 0
     lost = [s for s in fit.starts if s.stopped == "no finite value"]
@@ -60,17 +86,6 @@ def test_nan_in_half_the_box_is_counted_and_never_wins(algorithm):
 def test_a_function_that_is_never_finite_is_no_success(algorithm, value):
     with pytest.raises(FitError, match="could be solved"):
         minimize(box(lambda theta: value), recipe(algorithm=algorithm, evaluations=50), rng())
-
-
-@pytest.mark.parametrize("algorithm", SINGLE)
-def test_errors_of_the_model_count_as_failed_solves(algorithm):
-    def raising(theta):
-        if theta[1] < -0.5:
-            raise ModelError("the needle is too short")
-        return bowl(theta)
-
-    fit = minimize(box(raising), recipe(algorithm=algorithm), rng())
-    assert fit.theta == pytest.approx([0.3, 0.3], abs=0.1)
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -88,13 +103,6 @@ def test_the_result_does_not_depend_on_the_number_of_threads(algorithm):
         minimize(box(rosenbrock), recipe(algorithm=algorithm), rng(), Callbacks(jobs=j)) for j in (1, 2, 3)
     ]
     assert fits[0] == fits[1] == fits[2]
-
-
-def test_the_budget_is_kept_exactly():
-    calls = []
-    fit = minimize(box(lambda t: calls.append(0) or rosenbrock(t)), recipe(evaluations=17, starts=3), rng())
-    assert [s.evaluations for s in fit.starts] == [17, 17, 17] and len(calls) == 51
-    assert {s.stopped for s in fit.starts} == {"budget"}
 
 
 @pytest.mark.parametrize("algorithm", ["neldermead", "praxis", "crs2"])
@@ -130,39 +138,19 @@ def test_an_interrupted_search_resumes_to_the_identical_fit(algorithm, jobs):
     assert len(evaluated) == whole.evaluations - sum(s.evaluations for s in reported)
 
 
-def test_a_stop_before_the_first_evaluation_is_an_interrupted_fit_of_no_worth():
-    fit = minimize(box(bowl), recipe(), rng(), Callbacks(stop=lambda: True))
-    assert fit.interrupted and fit.objective == math.inf and fit.starts == ()
-
-
-def test_a_checkpoint_of_another_fit_is_refused():
-    start = minimize(box(bowl), recipe(), rng()).starts[0]
-    with pytest.raises(FitError, match="began elsewhere"):
-        minimize(box(bowl), recipe(), np.random.default_rng(6), Callbacks(finished={0: start}))
-
-
-def test_starts_go_through_json_exactly():
+def test_starts_go_through_json_and_more_of_them_fill_the_box():
     theta = tuple(np.random.default_rng(1).normal(size=5).tolist())
     start = Start(3, theta, theta[::-1], math.inf, 7, 7, "no finite value")
     assert start_from_dict(json.loads(json.dumps(start_to_dict(start), allow_nan=False))) == start
     with pytest.raises(FitError, match="damaged"):
         start_from_dict({"index": 1})
-
-
-def test_more_starts_extend_fewer_and_fill_the_box():
     lower, upper = np.array([0.0, 10.0]), np.array([1.0, 20.0])
     few, many = (starting_points(lower, upper, n, np.random.default_rng(2)) for n in (8, 64))
     assert np.array_equal(few, many[:8])
     cells = np.histogram2d(*many.T, bins=4, range=[[0, 1], [10, 20]])[0]
     assert cells.min() >= 1  # 64 points leave none of 16 cells empty
-
-
-def test_an_unknown_algorithm_is_named():
     with pytest.raises(ConfigError, match="newton"):
         minimize(box(bowl), recipe(algorithm="sbplx+newton"), rng())
-
-
-def test_with_nothing_free_the_one_point_is_evaluated():
     fit = minimize(Analytic(lambda theta: 0.25, np.empty(0), np.empty(0)), recipe(), rng())
     assert fit.objective == 0.25 and fit.theta == () and fit.evaluations == 1 and not fit.interrupted
 
@@ -201,7 +189,7 @@ def test_a_minimum_at_a_bound_is_found_and_flagged(algorithm):
     assert not any(start.succeeded for start in fit.starts)
 
 
-def test_residuals_that_stay_large_and_curve_take_few_evaluations():
+def test_why_a_search_of_squares_stopped():
     # at the minimum the second derivatives are 0.28, and 1 by J^T J alone: that took 43 evaluations
     def bent(theta):
         x, y = theta
@@ -211,20 +199,21 @@ def test_residuals_that_stay_large_and_curve_take_few_evaluations():
     assert all(start.succeeded for start in fit.starts)
     assert fit.objective == pytest.approx(0.5 * 0.9**2 - 7.0, abs=1e-9)
     assert max(start.evaluations for start in fit.starts) <= 20
-
-
-def test_a_plateau_is_no_success():
     fit = minimize(
         squares(lambda t: (np.array([1.0, t[0]]), np.array([[0, 0], [1.0, 0]]))), squares_recipe(), rng()
     )
     assert fit.objective == pytest.approx(0.5 - 7.0)
     assert {start.stopped for start in fit.starts} == {"flat"}
-
-
-def test_a_search_that_ends_too_early_is_flagged():
     loose = squares_recipe(algorithm="neldermead", tolerance=0.2)
     starts = minimize(squares(valley), loose, rng()).starts
     assert {start.stopped for start in starts if start.objective > -7 + 1e-4} == {"stalled"}
+
+    class Wrong(Squares):
+        def log_posterior(self, theta):
+            return super().log_posterior(theta) - float(theta[0])
+
+    fit = minimize(Wrong(valley, np.full(2, -2.0), np.full(2, 2.0)), squares_recipe(), rng())
+    assert {start.stopped for start in fit.starts} == {"no sum of squares"}
 
 
 @pytest.mark.parametrize(("misfit", "reason"), [(0.1, "stalled"), (100.0, "tolerance")])
@@ -240,30 +229,16 @@ def test_a_remaining_gain_counts_in_units_of_the_misfit(misfit, reason):
     assert certify_minimum(recorder, "tolerance") == reason
 
 
-def test_residuals_that_are_not_the_value_are_found_out():
-    class Wrong(Squares):
-        def log_posterior(self, theta):
-            return super().log_posterior(theta) - float(theta[0])
-
-    fit = minimize(Wrong(valley, np.full(2, -2.0), np.full(2, 2.0)), squares_recipe(), rng())
-    assert {start.stopped for start in fit.starts} == {"no sum of squares"}
-
-
-def test_a_budget_spent_by_the_last_step_keeps_the_best_value():
+def test_least_squares_keeps_the_best_value_and_needs_a_sum_of_squares():
     whole = minimize(squares(valley), squares_recipe(starts=1), rng()).starts[0]
     for spent in range(whole.evaluations - 4, whole.evaluations + 1):
         start = minimize(squares(valley), squares_recipe(starts=1, evaluations=spent), rng()).starts[0]
         assert start.objective == pytest.approx(whole.objective, abs=1e-3)
-
-
-def test_least_squares_needs_a_sum_of_squares():
     with pytest.raises(ConfigError, match="leastsquares"):
         minimize(squares(valley, squares=False), squares_recipe(), rng())
     with pytest.raises(ConfigError, match="leastsquares"):
         minimize(box(bowl), recipe(algorithm="leastsquares"), rng())
 
-
-def test_least_squares_avoids_points_without_a_solution():
     def half(theta):
         residuals, slopes = valley(theta)
         return (residuals, slopes) if theta[0] > -1 else (residuals * np.nan, slopes)
@@ -288,3 +263,220 @@ def test_a_fit_by_derivatives_resumes_to_the_identical_fit(algorithm, jobs):
     whole = minimize(squares(valley), search, rng())
     finished = {s.index: start_from_dict(json.loads(json.dumps(start_to_dict(s)))) for s in whole.starts[1:4]}
     assert minimize(squares(valley), search, rng(), Callbacks(finished=finished, jobs=jobs)) == whole
+
+
+# ---- what could not be solved is counted, and its first points fail again for the same reason
+
+
+def half(theta):
+    """A bowl; no number, or an error, left of 0."""
+    if theta[0] < -1:
+        raise ModelError("the needle is too short", expected="a longer one")
+    return math.nan if theta[0] < 0 else float(np.sum((theta - 0.3) ** 2))
+
+
+def violent():
+    """Two insertions and bevels of 1 to 500 mm a millimetre: half of them press the tissue flat."""
+    record = medium(bevel_mm={"bounds": [1.0, 500.0]}, mu1_pa={"fixed": 3e5})
+    made = [measure(TRUTH, record, one) for one in (insertion(6.0), insertion(24.0, (12.0,), (1, 2)))]
+    return problem(record, made)
+
+
+def test_the_first_failures_of_a_start_are_kept_and_all_are_counted():
+    asked = []
+
+    def noted(theta):
+        asked.append(tuple(theta.tolist()))
+        return half(theta)
+
+    start = minimize(box(noted), recipe(algorithm="crs2", starts=1, evaluations=200), rng()).starts[0]
+    lost = [theta for theta in asked if theta[0] < 0]
+    assert start.failures == len(lost) > MAX_FAILED_POINTS
+    assert start.failed == tuple(lost[:MAX_FAILED_POINTS])
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_failures_survive_a_checkpoint_to_the_last_bit(jobs):
+    search = recipe(algorithm="neldermead", evaluations=60)
+    whole = minimize(box(half), search, rng())
+    assert whole.failures > 0
+    finished = {s.index: start_from_dict(json.loads(json.dumps(start_to_dict(s)))) for s in whole.starts[:2]}
+    assert finished == {s.index: s for s in whole.starts[:2]}
+    assert minimize(box(half), search, rng(), Callbacks(finished=finished, jobs=jobs)) == whole
+
+
+def test_recorded_points_fail_again_and_say_where_and_why():
+    p = violent()
+    fit = minimize(p, recipe(evaluations=60), rng())
+    recorded = [theta for start in fit.starts for theta in start.failed]
+    assert 0 < len(recorded) <= fit.failures
+    for theta in recorded:
+        found = explain_failure(p, theta)
+        assert p.objective(np.array(theta)) == math.inf and math.isnan(p.log_posterior(theta))
+        at = [i.id for i in p.insertions].index(found.insertion)
+        assert found.reason == p.shapes(theta)[at].status != "converged"
+        assert all(shape.converged for shape in p.shapes(theta)[:at])
+
+
+@pytest.mark.parametrize(("bevel", "named"), [(36.0, "at24"), (60.0, "at6")])
+def test_the_insertion_named_is_the_first_without_a_solution(bevel, named):
+    p = violent()
+    alone = [problem(p.medium, [i]).objective(np.log([2e7, bevel])) for i in p.insertions]
+    assert [math.isinf(value) for value in alone] == [named == "at6", True]
+    assert explain_failure(p, np.log([2e7, bevel])) == EvaluationFailure(named, "over-compressed")
+
+
+def test_what_is_said_of_a_model_error_and_what_is_no_failure():
+    record = medium(1, guide_distance_mm={"bounds": [2.0, 140.0]}, mu1_pa={"fixed": 3e5})
+    p = problem(record, [measure({**TRUTH, "guide_distance_mm": 15.0}, record, insertion(55.0))])
+    found = explain_failure(p, p.parameters.theta({**TRUTH, "guide_distance_mm": 120.0}))
+    assert found.insertion == "at55"
+    assert found.reason.startswith("ModelError: ") and "\n" not in found.reason
+    p = two_layers(count=1)
+    assert explain_failure(p, p.parameters.theta(TRUTH)) == EvaluationFailure("", "value not finite")
+    got = sample(
+        box(lambda theta: -math.inf if theta[0] < 0 else 0.0),
+        (0.1, 0.1),
+        SampleRecord(ensembles=1, walkers=8, steps=30),
+        rng(),
+    )
+    assert (got.failures, got.failed) == (0, ((),))
+
+
+def test_the_sampler_counts_failed_solves_and_keeps_the_first_of_each_ensemble(tmp_path):
+    p = violent()
+    settings = SampleRecord(ensembles=2, walkers=8, steps=60, moves="stretch")  # steps far out
+    got = sample(p, np.log([2e7, 30.0]), settings, rng())
+    assert got.failures >= sum(len(thetas) for thetas in got.failed) > 0
+    assert len(got.failed) == 2 and max(len(thetas) for thetas in got.failed) <= MAX_FAILED_POINTS
+    for theta in (theta for ensemble in got.failed for theta in ensemble):
+        assert explain_failure(p, theta).reason == "over-compressed"
+    assert np.all(np.isfinite(got.log_posterior))
+    save(got, tmp_path / "posterior.nc")
+    assert load(tmp_path / "posterior.nc").failed == got.failed
+
+
+# ---- starts are approached by an easier problem, and those that converge merged
+
+
+def hills(theta):
+    """Two minima of the first coordinate, at 0.5 (of value 0) and -1.5 (0.02)."""
+    x, y = theta
+    low = 0.2 * (x < -0.5)
+    slope = np.sign(x + 0.5)
+    return np.array([abs(x + 0.5) - 1, low, y - 0.1]), np.array([[slope, 0.0], [0.0, 0.0], [0.0, 1.0]])
+
+
+def shifted(by):
+    def moved(theta):
+        return hills(np.asarray(theta) - by)
+
+    return moved
+
+
+def hill_squares(function=hills, easier=None):
+    return Squares(function, np.full(2, -2.0), np.full(2, 2.0), easier=easier)
+
+
+def led(calls=None):
+    """The two hills, approached by way of the same hills a little aside."""
+
+    def counted(theta):
+        if calls is not None:
+            calls.append(0)
+        return hills(theta)
+
+    return hill_squares(counted, hill_squares(shifted(np.array([0.05, -0.05]))))
+
+
+def test_starts_that_converge_are_merged():
+    calls = []
+    fit = minimize(led(calls), squares_recipe(starts=12), rng())
+    alone = [start for start in fit.starts if start.joined is None]
+    assert len(alone) == 2  # as many as there are hills
+    assert {round(start.objective + 7.0, 6) for start in alone} == {0.0, 0.02}
+    for start in fit.starts:
+        leader = fit.starts[start.index if start.joined is None else start.joined]
+        assert (start.theta, start.objective, start.stopped) == (leader.theta, leader.objective, "tolerance")
+        assert start.theta0 != leader.theta0 or start is leader
+    apart = minimize(hill_squares(), squares_recipe(starts=12), rng())
+    assert fit.theta == pytest.approx(apart.theta, abs=1e-6)
+    assert [s.theta0 for s in fit.starts] == [s.theta0 for s in apart.starts]
+    assert len(calls) < 0.4 * apart.evaluations
+
+
+def test_what_is_not_merged():
+    fit = minimize(led(), squares_recipe(approach=False), rng())
+    assert {start.joined for start in fit.starts} == {None}
+    nothing = hill_squares(lambda theta: (np.full(2, np.nan), np.zeros((2, 2))))
+    fit = minimize(hill_squares(easier=nothing), squares_recipe(starts=4), rng())
+    assert fit.objective == pytest.approx(-7.0, abs=1e-6)
+    assert {start.joined for start in fit.starts} == {None} and fit.failures >= 4
+
+    def end(index, theta, value):
+        return Start(index, (0.0,), theta, value, 1, 0, "tolerance")
+
+    ends = [end(0, (1.0, 5.0), 2.0), end(1, (1.0, 3.0), 2.0), end(2, (1.005, 3.0), 2.0 - 1e-4)]
+    ends += [end(3, (1.0, 3.0), 2.1), end(4, (0.0, 0.0), math.inf), end(5, (0.0, 0.0), math.inf)]
+    assert group_approaches(ends) == {0: 0, 1: 2, 2: 2, 3: 3, 4: 4, 5: 5}
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_resumed_fit_is_identical(jobs):
+    search = squares_recipe(starts=8)
+    whole = minimize(led(), search, rng())
+    for kept in ([0], [3, 4, 5], range(7), range(8)):
+        finished = {k: start_from_dict(json.loads(json.dumps(start_to_dict(whole.starts[k])))) for k in kept}
+        assert minimize(led(), search, rng(), Callbacks(finished=finished, jobs=jobs)) == whole
+
+
+def test_an_interrupted_approach_leaves_its_best_point():
+    count = itertools.count()
+    reported, steps = [], []
+    callbacks = Callbacks(
+        report=reported.append, stop=lambda: next(count) > 40, step=lambda *a: steps.append(a)
+    )
+    fit = minimize(led(), squares_recipe(starts=12), rng(), callbacks)
+    assert fit.interrupted and reported == [] and len(steps) >= 2 and steps[0] == (1, 12)
+    assert [start.stopped for start in fit.starts] == ["interrupted"]
+    assert fit.objective == led().constant * -1 + 0.5 * float(np.sum(hills(np.array(fit.theta))[0] ** 2))
+
+
+def test_uncertain_depths_are_approached_as_stated_and_a_metric_by_plain_squares():
+    made = measure(TRUTH, medium(), insertion(40.0, (15.0,), (1, 2)))
+    plain = PLAIN_LIKELIHOOD
+    certain, uncertain = (
+        problem(medium(), [made], plain.model_copy(update={"depths": d})) for d in ("fixed", "linear")
+    )
+    assert certain.approach("posterior") is None
+    assert uncertain.approach("posterior") is None  # for no deviation of a depth is stated
+    assert problem(medium(), [made], LikelihoodRecord()).approach("posterior") is None  # b is its own bevel
+    bevels = problem(medium(), [made, replace(made, id="other")], LikelihoodRecord())
+    assert bevels.approach("posterior").likelihood.bevel_spread == 0
+    doubtful = problem(medium(), [replace(made, boundary_sd=0.1)], plain)
+    assert doubtful.approach("posterior").likelihood.depths == "fixed"
+    plain = doubtful.approach("metric")
+    theta = plain.parameters.theta(TRUTH) + np.array([0.5, 0.0, 0.2])
+    (simulated, measured), residuals = plain.points(theta)[0], plain.residuals(theta)
+    off = simulated[:, 1] - measured[:, 1]
+    # every point weighs as the next one does, but for what the pose's angle does to it
+    assert np.corrcoef(off[1:], residuals[1:])[0, 1] > 0.95
+
+
+@pytest.mark.sweep
+def test_the_metric_ends_where_it_does_without_approach():
+    task = two_layers()
+    search = squares_recipe(minimize="metric", algorithm="slsqp", starts=4, evaluations=400)
+    ends = [minimize(task, search.model_copy(update={"approach": a}), rng()) for a in (True, False)]
+    assert ends[0].objective <= ends[1].objective + 1e-4
+    assert ends[0].evaluations < ends[1].evaluations
+
+
+@pytest.mark.parametrize("approach", [True, False])
+def test_squares_and_gradients_end_at_the_same_posterior_of_needles(approach):
+    made = measure(TRUTH, medium(), insertion(24.0, (9.0,), (1, 2)))
+    task = problem(medium(), [replace(made, boundary_sd=0.1)])
+    ways = ("leastsquares", "slsqp")
+    fits = [minimize(task, squares_recipe(algorithm=way, starts=2, approach=approach), rng()) for way in ways]
+    assert fits[0].objective == pytest.approx(fits[1].objective, abs=1e-6)
+    assert task.log_posterior(np.array(fits[1].theta)) == -fits[1].objective

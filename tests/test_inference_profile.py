@@ -60,9 +60,6 @@ def test_a_linear_gaussian_has_the_parabola_of_its_information():
         assert (p.low, p.high) == pytest.approx((best - half, best + half))
         assert p.closed and p.minima == 1 and not p.flat
         assert p.deviance[0] > DEVIANCE_95 < p.deviance[-1]
-
-
-def test_a_scale_widens_the_interval_by_its_root():
     target = line()
     wide = compute_profile(target, 0, minimize_squares(target, np.zeros(2)), scale=4.0)
     assert wide.high - wide.best == pytest.approx(2 * (found(line(), 0).high - 1.5))
@@ -82,16 +79,13 @@ def test_a_banana_has_the_known_curves():
     assert up.high > up.best + math.sqrt(DEVIANCE_95) * up.sd
 
 
-def test_a_parameter_without_effect_is_flat():
+def test_a_parameter_without_effect_or_that_another_one_compensates_is_flat():
     target = Known(lambda x, y: [y - 1.0], lambda x, y: [[0.0, 1.0]])
     p = found(target, 0)
     assert p.flat and p.rise == pytest.approx(0.0, abs=1e-9) and p.sd == math.inf
     assert (p.low, p.high) == (-REACH, REACH)
     assert target.calls < 60
-
-
-def test_a_parameter_that_another_one_compensates_is_flat():
-    """Only x + y is known; y can follow x as far as the bounds of y allow."""
+    # Only x + y is known; y can follow x as far as the bounds of y allow.
     target = Known(lambda x, y: [x + y], lambda x, y: [[1.0, 1.0]])
     p = found(target, 0)
     assert p.flat and p.rise < 1e-6
@@ -139,13 +133,22 @@ def test_a_better_optimum_met_on_the_way_takes_the_place_of_the_first():
     assert p.best == pytest.approx(2 * math.pi, abs=0.05) and p.minima > 1 and p.deviance.min() == 0.0
 
 
-def test_an_interval_end_without_a_solution_is_flagged():
+def test_failures_on_the_way_out_are_flagged_and_leave_each_point_once():
     def residuals(x: float, y: float) -> list[float]:
         return [0.1 * x if x < 3 else math.nan, y]
 
     p = found(Known(residuals, lambda x, y: [[0.1, 0], [0, 1.0]]), 0)
     assert p.ends[1] == "lost" and 2.5 < p.high < 3.0
     assert p.ends[0] == "closed" and p.low == pytest.approx(-19.6, abs=0.01)
+    # The first long step ends at the bound and is refined; the bound is met again on the way out.
+    target = Known(
+        lambda x, y: [0.02 * x + max(0.0, x - 18.0) ** 2, y],
+        lambda x, y: [[0.02 + 2 * max(0.0, x - 18.0), 0], [0, 1.0]],
+    )
+    p = found(target, 0)
+    assert np.all(np.diff(p.at) > 1e-6) and p.at[-1] == REACH
+    # where 0.02 x + (x - 18)^2 = 1.96
+    assert p.high == pytest.approx(18 + (-0.02 + math.sqrt(0.0004 + 6.4)) / 2, abs=0.02)
 
 
 def test_a_descent_stops_at_bounds_and_keeps_fixed_parameters():
@@ -155,15 +158,3 @@ def test_a_descent_stops_at_bounds_and_keeps_fixed_parameters():
     held = minimize_squares(target, np.array([5.0, 5.0]), held=0)
     assert held.theta == pytest.approx([5.0, -2.0]) and held.value == pytest.approx(49.0)
     assert target.calls < 20
-
-
-def test_a_failure_before_the_bound_leaves_each_point_once():
-    """The first long step ends at the bound and is refined; the bound is met again on the way out."""
-    target = Known(
-        lambda x, y: [0.02 * x + max(0.0, x - 18.0) ** 2, y],
-        lambda x, y: [[0.02 + 2 * max(0.0, x - 18.0), 0], [0, 1.0]],
-    )
-    p = found(target, 0)
-    assert np.all(np.diff(p.at) > 1e-6) and p.at[-1] == REACH
-    # where 0.02 x + (x - 18)^2 = 1.96
-    assert p.high == pytest.approx(18 + (-0.02 + math.sqrt(0.0004 + 6.4)) / 2, abs=0.02)

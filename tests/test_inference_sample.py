@@ -2,6 +2,7 @@
 
 import math
 import re
+import warnings
 from contextlib import nullcontext
 
 import numpy as np
@@ -13,6 +14,12 @@ from inference_cases import Analytic, box, insertion, measure, medium, problem
 from needlefit.errors import ConfigError, DataError, FitError
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.sampling import sample as sample_module
+from needlefit.inference.sampling.convergence import (
+    Convergence,
+    assess_convergence,
+    autocorrelation_times,
+    r_hat,
+)
 from needlefit.inference.sampling.ensembles import INDEPENDENT, SNOOKER_LENGTH, _propose_snooker, parse_moves
 from needlefit.inference.sampling.log_density import Evaluator, approximate_by_laplace
 from needlefit.inference.sampling.posterior import load, save
@@ -47,7 +54,7 @@ def long():
     return draw(steps=4000, check_interval=50, walkers=12)
 
 
-def test_a_run_ends_when_the_rule_is_met_and_not_before(long):
+def test_a_run_ends_when_the_rule_is_met_and_recovers_a_gaussian(long):
     assert long.converged and long.faults == ()
     found, steps = long.convergence, long.steps + long.burn_in
     assert steps < 4000 and steps % 50 == 0
@@ -56,9 +63,6 @@ def test_a_run_ends_when_the_rule_is_met_and_not_before(long):
     shorter = draw(steps=steps - 50, check_interval=50, walkers=12)
     assert not shorter.converged  # one block less was not enough
     assert np.all(long.burn_in <= steps / 2)
-
-
-def test_a_gaussian_is_recovered(long):
     flat = long.draws.reshape(-1, 2)
     assert flat.mean(axis=0) == pytest.approx(MEAN, abs=0.02)
     assert np.cov(flat.T) == pytest.approx(COV, abs=0.01)
@@ -68,21 +72,15 @@ def test_a_gaussian_is_recovered(long):
     assert long.log_posterior[0, 0] == gaussian(long.draws[0, 0])
 
 
-def test_the_budget_ends_a_run_that_is_flagged_as_unconverged():
+def test_runs_of_a_budget_do_not_depend_on_threads_and_begin_apart():
     short = draw()
     assert not short.converged and not short.interrupted
     assert short.steps + short.burn_in == 60 and short.burn_in <= 30
     assert any("autocorrelation" in fault for fault in short.faults)
     assert re.findall(r"\d+", draw(ensembles=1).faults[0]) == ["1", "4"]
-
-
-def test_the_draws_do_not_depend_on_the_number_of_threads():
     first, second = draw(), draw(callbacks=Callbacks(jobs=2))
     assert np.array_equal(first.draws, second.draws)
     assert not np.array_equal(first.draws, draw(seed=2).draws)
-
-
-def test_ensembles_differ_and_begin_apart():
     draws = draw(steps=2).draws
     centres = draws.mean(axis=1)
     assert len(np.unique(centres[:, 0])) == 4 and np.ptp(centres[:, 0]) > 0.05
@@ -116,9 +114,6 @@ def test_nan_infinity_and_failed_solves_have_no_density_and_are_counted():
     assert got.failures > 0
     assert got.draws[..., 0].max() <= 0.7 and got.draws[..., 1].max() <= 0.2
     assert got.draws[..., 1].min() >= -0.7
-
-
-def test_failures_are_counted_and_points_beyond_the_bounds_are_none():
     values = {0.0: 1.5, 0.5: math.nan, 1.0: math.inf, 1.5: -math.inf}
     evaluator = Evaluator(box(lambda theta: values[theta[0]]), 1)
     thetas = np.array([[0.0, 0], [0.5, 0], [1.0, 0], [1.5, 0], [2.5, 0]])
@@ -155,31 +150,19 @@ def test_a_snooker_step_goes_along_the_line_through_another_walker():
     assert min(np.abs(np.array(steps) - [*moved[0], factor[0]]).max(axis=1)) < 1e-12
 
 
-def test_a_bug_is_raised():
+def test_bugs_bounds_and_moves():
     def bug(theta):
         raise KeyError("mu7_pa")
 
     with pytest.raises(KeyError):
         draw(bug)
-
-
-def test_draws_stay_within_the_bounds():
     got = draw(lambda theta: 0.0)
     assert np.all(np.abs(got.draws) <= 2)
-
-
-def test_a_density_that_is_zero_everywhere_is_an_error():
     with pytest.raises(FitError, match="no starting points"):
         draw(lambda theta: -math.inf)
-
-
-def test_an_unknown_move_is_an_error():
     for moves in ("hop", "de+de", "0*de", "de*snooker", ""):
         with pytest.raises(ConfigError, match=r"sample\.moves"):
             draw(moves=moves)
-
-
-def test_moves_share_the_steps_by_their_factors():
     assert parse_moves("stretch") == {"stretch": 1.0}
     assert parse_moves("de+snooker") == pytest.approx({"de": 0.8, "snooker": 0.2})
     assert parse_moves("3 * de + 1*stretch") == {"de": 0.75, "stretch": 0.25}
@@ -226,12 +209,6 @@ def test_adaptation_is_restored_from_snapshots(tmp_path, monkeypatch, stopped):
     assert (tmp_path / "whole.nc").read_bytes() == (tmp_path / "again.nc").read_bytes()
 
 
-def test_steps_used_for_adaptation_are_burn_in(monkeypatch):
-    monkeypatch.setattr(sample_module, "ADAPTATION_STEPS", (10, 30))
-    assert draw(moves=INDEPENDENT).burn_in == 30
-    assert draw(moves=INDEPENDENT, steps=59).burn_in < 30  # the second would leave less than it takes
-
-
 @pytest.mark.parametrize("damage", ["cut", "flipped", "lost"])
 def test_a_damaged_snapshot_is_set_aside_and_sampled_again(tmp_path, damage):
     whole, lines = draw(kept=tmp_path), []
@@ -249,12 +226,15 @@ def test_a_damaged_snapshot_is_set_aside_and_sampled_again(tmp_path, damage):
     assert np.array_equal(draw(kept=tmp_path).draws, whole.draws)
 
 
-def test_too_few_walkers_and_nothing_free_are_errors():
+def test_too_few_walkers_nothing_free_and_a_file_that_is_no_posterior_are_errors(tmp_path):
     with pytest.raises(ConfigError, match="walkers"):
         sample(box(gaussian, 5), (0.0,) * 5, settings(walkers=8), np.random.default_rng(1))
     nothing = Analytic(gaussian, np.empty(0), np.empty(0))
     with pytest.raises(ConfigError, match="nothing is free"):
         sample(nothing, (), settings(), np.random.default_rng(1))
+    (tmp_path / "no.nc").write_text("no netCDF")
+    with pytest.raises(DataError, match=r"no\.nc"):
+        load(tmp_path / "no.nc")
 
 
 def test_the_file_is_inference_data_and_reads_back_equal(tmp_path):
@@ -279,12 +259,6 @@ def test_the_file_is_inference_data_and_reads_back_equal(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["posterior.nc"]
 
 
-def test_a_file_that_is_no_posterior_is_refused(tmp_path):
-    (tmp_path / "no.nc").write_text("no netCDF")
-    with pytest.raises(DataError, match=r"no\.nc"):
-        load(tmp_path / "no.nc")
-
-
 def test_the_needle_posterior_covers_the_truth():
     record = medium(1, mu1_pa={"fixed": 3e5})
     p = problem(record, [measure(VALUES, record, insertion(30.0), 31)])
@@ -294,16 +268,114 @@ def test_the_needle_posterior_covers_the_truth():
     assert low < VALUES["bevel_mm"] < high < 0.5
 
 
-def test_points_beyond_a_bound_come_back_as_far_within():
+def test_points_beyond_bounds_come_back_and_ensembles_begin_near_the_best(monkeypatch):
     lower, upper = np.array([-1.0, 2.0]), np.array([3.0, 5.0])
     beyond = np.array([[0.5, 3.0], [4.0, 1.5], [-2.0, 6.0], [8.5, 9.0]])
     found = sample_module._reflect_at_bounds(beyond, lower, upper)
     assert found == pytest.approx(np.array([[0.5, 3.0], [2.0, 2.5], [0.0, 4.0], [0.5, 3.0]]))
-
-
-def test_ensembles_begin_at_no_end_that_is_far_worse_than_the_best():
     densities = np.array(
         [-20.0, -20.0 - sample_module.MAX_LOG_DENSITY_GAP, -21.0 - sample_module.MAX_LOG_DENSITY_GAP]
     )
     ends = np.arange(6.0).reshape(3, 2)
     assert sample_module._select_plausible(lambda _: densities, ends).tolist() == ends[:2].tolist()
+    monkeypatch.setattr(sample_module, "ADAPTATION_STEPS", (10, 30))
+    assert draw(moves=INDEPENDENT).burn_in == 30
+    assert draw(moves=INDEPENDENT, steps=59).burn_in < 30  # the second would leave less than it takes
+
+
+# ---- convergence: R-hat and independent draws of chains whose values are known
+
+
+@pytest.fixture(scope="module")
+def arviz():
+    """Imported here: it takes seconds, and every process of a parallel run imports this file."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # arviz announces its next version once a day
+        import arviz
+    return arviz
+
+
+def autoregressive(memory, shape, seed=1):
+    """Return series (E, S, W) of unit variance whose autocorrelation is memory^t."""
+    rng = np.random.default_rng(seed)
+    noise = rng.normal(size=shape)
+    series = np.empty(shape)
+    series[:, 0] = noise[:, 0]
+    for t in range(1, shape[1]):
+        series[:, t] = memory * series[:, t - 1] + math.sqrt(1 - memory**2) * noise[:, t]
+    return series
+
+
+def chains(seed=2, drift=0.0):
+    series = autoregressive(0.8, (4, 2000, 1), seed)[..., 0]
+    return series + drift * np.arange(4)[:, None]
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.05, 0.5])
+@pytest.mark.parametrize("form", [lambda x: x, np.exp, lambda x: x**3])
+def test_r_hat_is_that_of_arviz(drift, form, arviz):
+    drawn = form(chains(drift=drift))
+    assert r_hat(drawn) == pytest.approx(float(arviz.rhat(drawn, method="rank")), rel=1e-12)
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.5, 0.9])
+def test_the_autocorrelation_time_of_a_known_series(memory):
+    """tau = (1 + memory) / (1 - memory)."""
+    times = autocorrelation_times(autoregressive(memory, (3, 6000, 8)))
+    assert times.mean() == pytest.approx((1 + memory) / (1 - memory), rel=0.1)
+
+
+def test_independent_draws_agree_with_those_of_arviz(arviz):
+    # Of one walker an ensemble is a chain; the estimates of both windows differ by a few percent.
+    series = autoregressive(0.8, (4, 20000, 1))
+    found = assess_convergence(series[..., None], series, ["x"])
+    theirs = {kind: float(arviz.ess(series[..., 0], method=kind)) for kind in ("bulk", "tail")}
+    assert found.ess_bulk.sum(axis=0)[0] == pytest.approx(theirs["bulk"], rel=0.1)
+    assert found.ess_tail.sum(axis=0)[0] == pytest.approx(theirs["tail"], rel=0.15)
+    found = assess_convergence(autoregressive(0.5, (4, 3000, 16))[..., None], np.zeros((4, 3000, 16)), ["x"])
+    assert found.ess_bulk[:, 0] == pytest.approx(np.full(4, 16 * 3000 / 3), rel=0.1)
+    series = autoregressive(0.5, (3, 400, 5), 6) + 0.3 * np.arange(3)[:, None, None]
+    found = assess_convergence(series[..., None], np.zeros((3, 400, 5)), ["x"])
+    assert found.r_hat[0] == pytest.approx(float(arviz.rhat(series.reshape(3, -1), method="rank")), rel=1e-12)
+
+
+def test_convergence_is_checked_along_the_stiff_direction():
+    """Neither parameter shows that the ensembles disagree about the difference of both."""
+    sloppy = autoregressive(0.0, (4, 500, 8), 3)
+    stiff = 0.01 * autoregressive(0.0, (4, 500, 8), 4) + 0.01 * np.arange(4)[:, None, None]
+    thetas = np.stack([sloppy + stiff, sloppy - stiff], axis=3)
+    found = assess_convergence(thetas, autoregressive(0.0, (4, 500, 8), 5), ["a", "b"])
+    assert found.quantities == ("a", "b", "direction 1", "direction 2", "log posterior")
+    by_name = dict(zip(found.quantities, found.r_hat, strict=True))
+    assert by_name["direction 1"] > 1.2 > 1.01 > max(by_name["a"], by_name["b"])
+    assert any("direction 1" in fault for fault in found.faults)
+
+
+def met(**changed):
+    """A single quantity of four ensembles for which the rule is met, but for `changed`."""
+    fine = {
+        "quantities": ("x",),
+        "r_hat": np.array([1.009]),
+        "tau": np.array([[9.9], [9.0], [9.0], [9.0]]),
+        "ess_bulk": np.array([[401.0], [500.0], [500.0], [500.0]]),
+        "ess_tail": np.array([[401.0], [500.0], [500.0], [500.0]]),
+        "steps": 500,
+    }
+    return Convergence(**{**fine, **changed})
+
+
+def test_each_clause_of_the_rule_counts():
+    assert met().faults == ()
+    broken = [
+        met(r_hat=np.array([1.01])),
+        met(r_hat=np.array([math.nan])),
+        met(tau=np.array([[10.0], [9.0], [9.0], [9.0]])),
+        met(tau=np.array([[math.inf], [9.0], [9.0], [9.0]])),
+        met(ess_bulk=np.array([[401.0], [400.0]])),
+        met(ess_tail=np.array([[400.0], [500.0]])),
+        met(tau=np.array([[9.9], [9.0], [9.0]])),
+    ]
+    assert [len(one.faults) for one in broken] == [1] * len(broken)
+    same = np.random.default_rng(2).normal(size=(4, 4000))
+    assert math.isnan(r_hat(same[:1])) and math.isnan(r_hat(same[:, :3]))
+    assert r_hat(np.ones((4, 100))) == 1.0

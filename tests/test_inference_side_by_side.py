@@ -58,20 +58,17 @@ def test_all_searches_of_equal_length_evaluate_together(count: int) -> None:
     assert sum(recorded.sizes) == 4 * count and recorded.sizes[0] == min(count, MAX_SEARCHES)
 
 
-def test_searches_of_different_lengths_all_end() -> None:
+def test_searches_of_different_lengths_and_functions_all_end():
     recorded, steps = Recorded(), [1, 5, 0, 9, 2, 30]
     found = run(partial(search, recorded), steps)
     assert found == {n: search(Recorded(), count) for n, count in enumerate(steps)}
     assert recorded.sizes[:2] == [5, 4] and recorded.sizes[-1] == 1
-
-
-def test_different_functions_are_evaluated_apart() -> None:
     one, other = Recorded(), Recorded()
     found = run(lambda n: search((one, other)[n % 2], 3), [0, 1, 2, 3])
     assert set(found.values()) == {5.0} and one.sizes == other.sizes == [2, 2, 2]
 
 
-def test_a_theta_that_fails_is_the_error_of_its_search_alone() -> None:
+def test_errors_bugs_and_stops_end_what_they_concern():
     recorded = Recorded()
 
     def fail(value: float) -> str:
@@ -83,16 +80,17 @@ def test_a_theta_that_fails_is_the_error_of_its_search_alone() -> None:
     assert run(fail, [2.0, -1.0, 3.0]) == {0: "4", 1: "ModelError", 2: "9"}
     assert recorded.sizes == [3, 1, 1, 1]
 
-
-def test_a_bug_ends_the_run_and_no_search_waits_for_ever() -> None:
     def broken(thetas: np.ndarray, jobs: int) -> list[float]:
         raise ZeroDivisionError if len(thetas) < 3 else KeyError("bug")
 
     with pytest.raises(KeyError):
         run(lambda value: evaluate(broken, np.array([value])), [1.0, 2.0, 3.0])
+    stop = TaskStop(never_stop)
+    stop.leave()
+    assert run(partial(search, Recorded()), [3] * 40, stop) == {}
 
 
-def test_parts_of_a_search_evaluate_together_with_the_other_searches() -> None:
+def test_parts_of_a_search_evaluate_together_with_the_other_searches():
     recorded = Recorded()
 
     def divide(parts: int) -> float:
@@ -100,9 +98,6 @@ def test_parts_of_a_search_evaluate_together_with_the_other_searches() -> None:
 
     assert run(divide, [1, 4, 2]) == {n: 5.0 * parts + 1.0 for n, parts in enumerate([1, 4, 2])}
     assert recorded.sizes == [7, 7, 7, 3, 3]
-
-
-def test_parts_may_be_divided_again() -> None:
     recorded = Recorded()
 
     def divide(level: int) -> float:
@@ -112,15 +107,6 @@ def test_parts_may_be_divided_again() -> None:
 
     assert run(divide, [2, 2]) == {0: 45.0, 1: 45.0}
     assert recorded.sizes == [18, 18, 18]
-
-
-def test_without_others_each_evaluation_is_its_own() -> None:
     recorded = Recorded()
     assert map_side_by_side(partial(search, recorded), [2, 3]) == [1.0, 5.0]
     assert recorded.sizes == [1] * 5 and not hasattr(side_by_side._this_thread, "group")
-
-
-def test_a_stop_begins_no_further_search() -> None:
-    stop = TaskStop(never_stop)
-    stop.leave()
-    assert run(partial(search, Recorded()), [3] * 40, stop) == {}

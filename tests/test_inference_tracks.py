@@ -24,27 +24,33 @@ from track_cases import (
 from needlefit.errors import ConfigError, DataError
 from needlefit.inference.baselines import BASELINES
 from needlefit.inference.baselines.guide_kernel import make_kernel_basis
-from needlefit.inference.compared_points import find_end, share_simulations
+from needlefit.inference.compared_points import extrapolate_tip, find_end, share_simulations
 from needlefit.inference.forward_model import simulate_deflections
-from needlefit.inference.likelihood.observation import (
-    HEADING_STEP_MM,
-    SESSION_SD_RAD,
-    Discrepancy,
-    make_observation,
-    whiten,
-)
+from needlefit.inference.likelihood import observation
 from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
 from needlefit.inference.tracking import (
     SlopeMoments,
+    TipNoise,
     TrackDraws,
+    TrackedNeedle,
+    TrackingEstimate,
+    _linearize,
+    discount_estimate,
     draw_baseline,
+    estimate_parameters,
     estimate_slopes,
+    make_prior_from_draws,
+    make_prior_from_factors,
     predict_readings,
+    set_parameters,
 )
-from needlefit.mechanics.control import Bevel, Guide, ModelOptions
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.session import Session
+from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.studies.kinds import tracks
@@ -81,11 +87,13 @@ def test_runs_under_a_resting_guide_are_one_insertion():
     alone = [simulate_tips([one])[0] for one in tracks]
     for one, other in zip(together, alone, strict=True):
         assert one == pytest.approx(other, abs=1e-9)
-
-
-def test_readings_closer_than_constraint_points_are_refused():
     with pytest.raises(DataError, match=r"run run .* 0\.5 mm"):
         share_simulations([track("run", GUIDE, 0.1 * DEPTH)], 1.0)
+    table = {k: v for k, v in MEDIUM.model_dump()["parameters"].items() if k != "guide_distance_mm"}
+    bare = MEDIUM.model_validate({"schema": 1, "layers": 1, "parameters": table})
+    with pytest.raises(ConfigError, match="guide") as fault:
+        problem([track("run", REST)], bare)
+    assert fault.value.key == "parameters" and "guide_distance_mm" in fault.value.expected
 
 
 def test_the_true_parameters_are_recovered(runs):
@@ -104,10 +112,18 @@ def test_shift_and_slope_of_the_frame_change_nothing(runs):
     here, there = problem(runs), problem(turned)
     assert there.log_posterior(THETA) == pytest.approx(here.log_posterior(THETA), abs=1e-6)
     assert there.residuals(THETA) == pytest.approx(here.residuals(THETA), abs=1e-8)
+    here, there = problem(runs), problem([with_tip(one, one.tip + 5.0 - 0.1 * one.depths) for one in runs])
+    at = THETA + 0.2
+    value, slope = here.objective_gradient(at)
+    assert there.objective(at) == pytest.approx(value, abs=1e-9) and here.objective(at) == value
+    ends = [(here.objective(at + d) - here.objective(at - d)) / 2e-3 for d in 1e-3 * np.eye(3)]
+    assert slope == pytest.approx(ends, rel=1e-4, abs=1e-5)
+    # noise of 0.02 mm, from which each run's best shift and slope are taken
+    assert all(0.005 < one.distances.mean() < 0.03 for one in here.compare(THETA))
 
 
 def test_the_projection_is_the_limit_of_a_wide_prior(runs):
-    known = make_observation(dataset(runs), runs[0])
+    known = observation.make_observation(dataset(runs), runs[0])
     off = 0.1 * np.sin(DEPTH / 7)
     ours = known.log_norm - 0.5 * np.sum((known.whitening @ off) ** 2)
     wide = 30.0
@@ -133,8 +149,10 @@ def test_a_session_is_one_gaussian_of_all_readings_and_headings(runs):
     asked = replace(asked, dataset=replace(asked.dataset, noise=SESSION_NOISE))
     n, off, cov, columns = len(DEPTH), [], [], []
     for one, tip in zip(tracks, simulate_tips(tracks), strict=True):
-        before = simulate_deflections([TRUTH], MEDIUM, NEEDLE, [one], [DEPTH - HEADING_STEP_MM])[0]
-        path = (tip[0] - before[0])[1:] / HEADING_STEP_MM
+        before = simulate_deflections([TRUTH], MEDIUM, NEEDLE, [one], [DEPTH - observation.HEADING_STEP_MM])[
+            0
+        ]
+        path = (tip[0] - before[0])[1:] / observation.HEADING_STEP_MM
         off.append(np.append(tip[0] - one.tip, path - np.tan(one.heading[1:])))
         turn = np.append(DEPTH, np.ones(n - 1))
         columns.append([np.append(np.ones(n), np.zeros(n - 1)), turn, np.append(np.zeros(n), np.ones(n - 1))])
@@ -142,10 +160,10 @@ def test_a_session_is_one_gaussian_of_all_readings_and_headings(runs):
         cov.append(own + 0.005**2 * np.outer(turn, turn))
     whole = block_diag(*cov)
     for part in (1, 2):
-        shared = SESSION_SD_RAD * np.concatenate([one[part] for one in columns])
+        shared = observation.SESSION_SD_RAD * np.concatenate([one[part] for one in columns])
         whole += np.outer(shared, shared)
     shifts, residual = block_diag(*[one[0][:, None] for one in columns]), np.concatenate(off)
-    whitening, log_norm = whiten(whole, shifts)
+    whitening, log_norm = observation.whiten(whole, shifts)
     expected = log_norm - 0.5 * np.sum((whitening @ residual) ** 2)
     assert asked.log_posterior(THETA) == pytest.approx(expected, rel=1e-7)
 
@@ -154,8 +172,8 @@ def test_a_session_is_one_gaussian_of_all_readings_and_headings(runs):
 def test_a_model_error_enters_the_covariance_of_tips_and_headings(runs, headings):
     (run,) = in_session(runs[:1]) if headings else runs[:1]
     known = replace(dataset([run]), noise=SESSION_NOISE if headings else NOISE)
-    error = Discrepancy(5.0, 15.0)
-    plain, wide = (make_observation(known, run, model_error=one) for one in (None, error))
+    error = observation.Discrepancy(5.0, 15.0)
+    plain, wide = (observation.make_observation(known, run, model_error=one) for one in (None, error))
     added = wide.point_covariance - plain.point_covariance
     count = len(DEPTH)
     assert added[:count, :count] == pytest.approx(error.covariance(DEPTH), rel=1e-9)
@@ -179,7 +197,7 @@ def test_log_posterior_residuals_and_gradient_are_one_density(runs, together):
 
 def test_predictions_ahead_cover_their_nominal_fraction():
     """Shift free, slope as its prior says: 95 % intervals of the last reading hold in 95 % of runs."""
-    rng, blank = np.random.default_rng(5), make_observation(dataset([]), track("run", REST))
+    rng, blank = np.random.default_rng(5), observation.make_observation(dataset([]), track("run", REST))
     slope, hits = SlopeMoments(np.full(200, 0.03), np.full(200, 0.01**2)), 0
     for _ in range(200):
         noise = NOISE.point_sd * rng.normal(size=len(DEPTH))
@@ -192,7 +210,7 @@ def test_predictions_ahead_cover_their_nominal_fraction():
 
 
 def test_later_readings_do_not_enter_the_prediction(runs):
-    known = make_observation(dataset(runs), runs[0])
+    known = observation.make_observation(dataset(runs), runs[0])
     later = runs[0].tip.copy()
     later[5:] += 9.0
     other = replace(known, measured=np.column_stack([DEPTH, later]))
@@ -207,7 +225,7 @@ def test_later_readings_do_not_enter_the_prediction(runs):
 def test_slopes_of_further_runs_are_predicted_from_the_fitted_ones():
     frames = (0.01, 0.02, 0.03, 0.04, 0.05)
     bent = [measured(track(f"run{n}", REST), n, one) for n, one in enumerate(frames)]
-    seen = [make_observation(dataset([]), one) for one in bent]
+    seen = [observation.make_observation(dataset([]), one) for one in bent]
     (y,) = simulate_tips(bent[:1])
     drawn = TrackDraws((y,) * 5, (), np.ones(1))
     found = estimate_slopes(drawn, seen)
@@ -220,7 +238,7 @@ def test_slopes_of_further_runs_are_predicted_from_the_fitted_ones():
 def test_a_line_takes_its_slope_from_runs_alike():
     frames = ((REST, 0.01), (REST, 0.02), (REST, 0.03), (GUIDE, 0.07), (GUIDE, 0.08), (GUIDE, 0.09))
     tracks = [with_tip(track(f"run{n}", guide), one * DEPTH) for n, (guide, one) in enumerate(frames)]
-    seen = [make_observation(dataset([]), one) for one in tracks]
+    seen = [observation.make_observation(dataset([]), one) for one in tracks]
     rng = np.random.default_rng(1)
     drawn = draw_baseline(BASELINES["steered_line"], seen, tracks[-1:], 3, rng)
     for further, mean in ((tracks[0], 0.02), (tracks[-1], 0.08)):
@@ -239,7 +257,7 @@ def test_the_kernel_recovers_a_response_to_the_guide():
         with_tip(one, make_kernel_basis(one) @ truth + 0.03 * DEPTH + n + err)
         for n, (one, err) in enumerate(zip(tracks, noise, strict=True))
     ]
-    seen = [make_observation(dataset([]), one) for one in bent]
+    seen = [observation.make_observation(dataset([]), one) for one in bent]
     further = track("further", 2 * GUIDE)
     found = draw_baseline(BASELINES["guide_kernel"], seen, [further], 300, np.random.default_rng(1))
     ahead = make_kernel_basis(further) @ truth + 0.03 * DEPTH
@@ -256,7 +274,7 @@ def test_a_parabola_is_fitted_toward_the_bevel():
         with_tip(one, one.tip + 0.02 * np.random.default_rng(n).normal(size=len(DEPTH)))
         for n, one in enumerate(tracks)
     ]
-    seen = [make_observation(dataset([]), one) for one in noisy]
+    seen = [observation.make_observation(dataset([]), one) for one in noisy]
     found = draw_baseline(BASELINES["constant_curvature"], seen, tracks, 500, np.random.default_rng(2))
     ends = found.held_out[0][:, -1], found.held_out[1][:, -1]
     assert np.median(ends[0]) == pytest.approx(bow[-1], abs=3 * np.std(ends[0]))
@@ -265,25 +283,6 @@ def test_a_parabola_is_fitted_toward_the_bevel():
     assert (
         not draw_baseline(BASELINES["straight"], seen, tracks, 5, np.random.default_rng(2)).held_out[0].any()
     )
-
-
-def test_a_medium_without_a_guide_is_refused():
-    table = {k: v for k, v in MEDIUM.model_dump()["parameters"].items() if k != "guide_distance_mm"}
-    bare = MEDIUM.model_validate({"schema": 1, "layers": 1, "parameters": table})
-    with pytest.raises(ConfigError, match="guide") as fault:
-        problem([track("run", REST)], bare)
-    assert fault.value.key == "parameters" and "guide_distance_mm" in fault.value.expected
-
-
-def test_the_metric_objective_of_tracks_forgets_the_frame_and_has_an_exact_gradient(runs):
-    here, there = problem(runs), problem([with_tip(one, one.tip + 5.0 - 0.1 * one.depths) for one in runs])
-    at = THETA + 0.2
-    value, slope = here.objective_gradient(at)
-    assert there.objective(at) == pytest.approx(value, abs=1e-9) and here.objective(at) == value
-    ends = [(here.objective(at + d) - here.objective(at - d)) / 2e-3 for d in 1e-3 * np.eye(3)]
-    assert slope == pytest.approx(ends, rel=1e-4, abs=1e-5)
-    # noise of 0.02 mm, from which each run's best shift and slope are taken
-    assert all(0.005 < one.distances.mean() < 0.03 for one in here.compare(THETA))
 
 
 def test_each_predicted_run_has_a_bevel_of_its_own(monkeypatch, runs):
@@ -299,3 +298,125 @@ def test_each_predicted_run_has_a_bevel_of_its_own(monkeypatch, runs):
     ends = [held[:, -1] for held in drawn.held_out]
     assert np.std(ends[1] / bent[0, -1]) == pytest.approx(0.1, rel=0.15)
     assert abs(np.corrcoef(ends)[0, 1]) < 0.2
+
+
+# ---- the running estimate of a tracked needle
+
+TIP_NOISE = TipNoise(0.1, 0.1, 0.05, 0.001)
+OPTIONS = ModelOptions()
+
+
+def tracked(depth: float = 60.0, layers: int = 1, options: ModelOptions = OPTIONS) -> TrackedNeedle:
+    mu = np.array([0.05, 2.0, 0.1])[:layers]
+    tissue = Tissue(mu, np.ones(layers), np.array([20.0, 30.0])[: layers - 1])
+    angle = 0.05 if options.path_angle else 0.0
+    bevel = Bevel(0.0 if angle else 0.08, 1, angle)
+    guided = Controls(base_y=0.3, guides=(Guide(-20.0, 0.1),))
+    steps = (Step(depth / 3, bevel, guided), Step(depth, replace(bevel, side=-1), guided))
+    return TrackedNeedle(Needle(150.0, 10_000.0), tissue, steps, options, 1.0)
+
+
+def read_tips(needle: TrackedNeedle, theta, depths) -> np.ndarray:
+    changed = set_parameters(needle, theta)
+    lattice = Lattice(changed.first_cell, changed.rules.spacing)
+    shape = simulate_steps(changed.needle, changed.tissue, changed.steps, changed.rules, lattice)
+    return extrapolate_tip(shape.constraints[:, 0], shape.tip_track[:, 0], depths)
+
+
+def make_readings(needle, theta, seed, noise=TIP_NOISE) -> np.ndarray:
+    rng, depths = np.random.default_rng(seed), np.arange(1.0, needle.steps[-1].depth + 1)
+    off = noise.across * rng.standard_normal(len(depths)) + noise.shift * rng.standard_normal()
+    return np.column_stack([depths, read_tips(needle, theta, depths) + off])
+
+
+@pytest.mark.parametrize("options", [OPTIONS, ModelOptions(advance="path_angle")])
+def test_derivatives_are_those_of_differences(options) -> None:
+    needle = tracked(layers=3, options=options)
+    state = np.append(np.log([0.06, 1.7, 0.09, 0.05]), [0.2, 0.003])
+    depths = np.array([3.0, 19.5, 40.0, 59.7])
+    found = _linearize(needle, state, depths)
+    for n in range(len(state)):
+        ends = [_linearize(needle, state + sign * 1e-4 * np.eye(6)[n], depths).tip for sign in (1, -1)]
+        assert found.by_state[:, n] == pytest.approx((ends[0] - ends[1]) / 2e-4, abs=2e-6)
+    assert found.by_state[:, 4:] == pytest.approx(np.column_stack([np.ones(4), depths]))
+
+
+def test_the_estimate_is_the_posterior_on_a_grid() -> None:
+    needle = tracked()
+    prior = make_prior_from_factors(needle.tissue.mu, 0.08, (1.6, 1.3), TIP_NOISE)
+    truth = prior.theta + np.array([0.3, 0.2])
+    readings = make_readings(needle, truth, 1)
+    found = estimate_parameters(needle, readings, prior, TIP_NOISE)
+    slope = _linearize(needle, found.mean, readings[:, 0]).by_depth
+    covariance = np.diag(TIP_NOISE.across**2 + (slope * TIP_NOISE.along) ** 2) + TIP_NOISE.shift**2
+    covariance += TIP_NOISE.slope**2 * np.outer(readings[:, 0], readings[:, 0])
+    inverse, apart = np.linalg.inv(covariance), np.linspace(-4.5, 4.5, 31)
+    axes = np.linalg.cholesky(found.covariance[:2, :2])
+    grid = found.theta + np.array([axes @ [x, y] for x in apart for y in apart])
+    off = readings[:, 1] - np.array([read_tips(needle, one, readings[:, 0]) for one in grid])
+    away = (grid - prior.theta) / prior.sd
+    logs = -0.5 * (np.einsum("gi,ij,gj->g", off, inverse, off) + np.sum(away**2, axis=1))
+    weights = np.exp(logs - logs.max()) / np.exp(logs - logs.max()).sum()
+    mean = weights @ grid
+    sd = np.sqrt(weights @ (grid - mean) ** 2)
+    assert found.theta == pytest.approx(mean, abs=0.25 * sd.max())
+    assert found.sd == pytest.approx(sd, rel=0.15)
+    assert np.all(np.abs(found.theta - truth) < 3 * found.sd)
+    assert found.readings == len(readings) == 60
+
+
+def test_readings_narrow_the_estimate_and_predict_the_tip_ahead() -> None:
+    """For truths drawn from the prior: the errors are as large as the standard deviations."""
+    rng, needle = np.random.default_rng(5), tracked(layers=3)
+    prior = make_prior_from_factors(needle.tissue.mu, 0.08, (1.8, 1.5), TIP_NOISE)
+    ahead, scores, errors = tracked(80.0, layers=3), [], []
+    ahead = ahead._replace(steps=(needle.steps[0], ahead.steps[1]))
+    for _ in range(12):
+        truth = np.log(prior.transform(rng.standard_normal((1, 4))))[0]
+        found = estimate_parameters(needle, make_readings(needle, truth, rng.integers(99)), prior, TIP_NOISE)
+        scores.append((found.theta - truth) / found.sd)
+        tips = [read_tips(ahead, one, np.array([80.0]))[0] for one in (truth, prior.theta, found.theta)]
+        errors.append(np.subtract(tips[1:], tips[0]))
+    assert 0.6 < np.sqrt(np.mean(np.square(scores))) < 1.4
+    without, updated = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert updated < 0.3 * without
+
+
+def test_an_estimate_can_be_the_prior_of_further_readings() -> None:
+    needle = tracked(40.0)
+    prior = make_prior_from_factors(needle.tissue.mu, 0.08, (1.3, 1.2), TIP_NOISE)
+    readings = make_readings(needle, prior.theta + np.array([0.1, -0.1]), 2)
+    whole = estimate_parameters(needle, readings, prior, TIP_NOISE)
+    first = estimate_parameters(needle, readings[:25], prior, TIP_NOISE)
+    second = estimate_parameters(needle, readings[25:], first, TIP_NOISE)
+    assert second.readings == whole.readings == 40
+    assert second.theta == pytest.approx(whole.theta, abs=0.1 * whole.sd.max())
+    assert second.sd == pytest.approx(whole.sd, rel=0.05)
+    half = discount_estimate(whole, prior)
+    assert np.all((whole.sd < half.sd) & (half.sd < prior.sd)) and half.mean is whole.mean
+    assert discount_estimate(prior, prior).covariance == pytest.approx(prior.covariance)
+    again = estimate_parameters(needle, readings, prior, TIP_NOISE, start=whole)
+    assert again.theta == pytest.approx(whole.theta, abs=1e-3 * whole.sd.max())
+
+
+def test_priors_from_draws_and_from_factors() -> None:
+    rng = np.random.default_rng(0)
+    logs = rng.multivariate_normal([0.0, -3.0], [[0.2, -0.1], [-0.1, 0.1]], 4000)
+    tied = np.exp(np.column_stack([logs[:, 0], logs[:, 0]]))
+    prior = make_prior_from_draws(tied, np.exp(logs[:, 1]), TIP_NOISE)
+    assert prior.theta == pytest.approx([0.0, 0.0, -3.0], abs=0.03)
+    assert prior.covariance[0, 2] == pytest.approx(-0.1, abs=0.01)
+    assert prior.covariance[3, 3] == TIP_NOISE.shift**2 and np.linalg.eigvalsh(prior.covariance)[0] > 0
+    drawn = np.log(prior.transform(rng.standard_normal((4000, 3))))
+    assert np.cov(drawn.T) == pytest.approx(prior.covariance[:3, :3], abs=0.02)
+    factors = make_prior_from_factors(np.array([0.1, 3.0]), 0.05, (2.0, 1.5), TIP_NOISE)
+    low, median, high = factors.interval()
+    assert median == pytest.approx([0.1, 3.0, 0.05])
+    assert np.log(high / median) / 1.96 == pytest.approx(np.log([2.0, 2.0, 1.5]), rel=1e-4)
+    assert isinstance(factors, TrackingEstimate) and np.all(low < median)
+
+
+def test_no_estimate_where_no_needle_is_found() -> None:
+    needle = tracked(options=replace(OPTIONS, max_iterations=1))
+    prior = make_prior_from_factors(needle.tissue.mu, 0.08, (1.1, 1.1), TIP_NOISE)
+    assert estimate_parameters(needle, np.array([[10.0, 0.1]]), prior, TIP_NOISE) is None

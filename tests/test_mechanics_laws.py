@@ -1,21 +1,22 @@
 """Tissue laws: what each says by hand, and how truly the kernel's polynomial says it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
-from mechanics_cases import NEEDLE
+from mechanics_cases import NEEDLE, assert_derivatives
 from plugin_cases import install, plugin_folder
 
 from needlefit.errors import ConfigError, ModelError
 from needlefit.mechanics import reference
-from needlefit.mechanics.batch import linearize
-from needlefit.mechanics.control import Bevel, Controls, Guide
+from needlefit.mechanics.batch import Batch, linearize, linearize_steps, simulate_batches
+from needlefit.mechanics.compression import compute_log_stress_derivative, compute_stress
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.law_form import compile_law
-from needlefit.mechanics.laws import LAWS
+from needlefit.mechanics.laws import LAWS, Numbers, TissueLaw
 from needlefit.mechanics.packing import evaluate_layer
-from needlefit.mechanics.simulate import simulate
+from needlefit.mechanics.simulate import simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
 BASE = Controls(base_y=0.4)
@@ -75,13 +76,10 @@ def test_how_tissue_hardens_at_first(alpha: float) -> None:
     assert layer.series[1] == pytest.approx(3 * 0.7 * (1 - alpha / 2) / 40.0, abs=1e-8)
 
 
-def test_the_linear_law_is_a_number() -> None:
+def test_the_linear_law_is_a_number_and_layers_are_independent():
     layer = evaluated(Tissue(mu=[0.7], alpha=[5.0], law="linear"))
     np.testing.assert_allclose(layer.series, [2.1, 0, 0, 0, 0, 0], atol=1e-12)
     assert layer.curvature < 1e-9
-
-
-def test_layers_are_independent() -> None:
     both = Tissue(mu=[0.2, 3.0], alpha=[-7.0, 4.0], boundaries=[9.0], thickness=[5.0, 60.0])
     second = Tissue(mu=[3.0], alpha=[4.0], thickness=[60.0])
     for found, expected in zip(evaluated(both, 1), evaluated(second), strict=True):
@@ -95,30 +93,20 @@ def deflection(law: str, alpha: float, thickness: float = 4.0) -> float:
     return shape.tip_lateral
 
 
-def test_every_law_begins_at_3_mu() -> None:
+def test_laws_where_they_are_one_another():
     for law in LAWS.values():
         np.testing.assert_allclose(law.k(np.ones(4), *law.draw_shape(np.random.default_rng(0), (4,))), 3.0)
-
-
-def test_neo_hookean_is_ogden_at_two() -> None:
     assert deflection("neo_hookean", -5.0) == deflection("ogden", 2.0)
     assert abs(deflection("ogden", 2.0) - deflection("ogden", 1.0)) > 1e-5
-
-
-def test_linear_and_neo_hookean_do_not_use_alpha() -> None:
     for law in ("linear", "neo_hookean"):
         assert deflection(law, -9.0) == deflection(law, 9.0)
-
-
-def test_the_linear_law_does_not_use_the_thickness() -> None:
     assert deflection("linear", 1.0, 4.0) == pytest.approx(deflection("linear", 1.0, 40.0), abs=1e-9)
-
-
-def test_in_thick_tissue_every_law_is_linear() -> None:
     linear = deflection("linear", 1.0)
     off = [abs(deflection("ogden", -6.0, thickness) - linear) for thickness in (1e1, 1e3, 1e5)]
     assert off[0] > 1e-3
     assert off[0] > 50 * off[1] > 2500 * off[2]
+    assert deflection("fung", 0.0) == pytest.approx(deflection("neo_hookean", 1.0), abs=1e-9)
+    assert abs(deflection("fung", 5.0) - deflection("fung", 0.0)) > 1e-4
 
 
 SISTER = """
@@ -149,30 +137,6 @@ def test_a_law_is_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
         evaluated(Tissue(mu=[0.5], alpha=[4.0], law="sister"))
 
 
-@pytest.mark.parametrize("alpha", [0.0, 1.0, 5.0, 20.0])
-def test_a_table_is_its_law_as_far_as_it_reaches(alpha: float) -> None:
-    """k, dk/dlambda and dk/dalpha of the table against those of the law, over k."""
-    law, (table, _) = LAWS["fung"], compile_law("fung", np.array([[alpha]]))
-    reach = table[0, 0]
-    assert 0.4 < reach < 0.8
-    tissue, d = Tissue(mu=[1.0], alpha=[alpha], thickness=[1.0], law="fung"), np.linspace(0, reach, 500)
-    found = evaluated(tissue, 0, d)
-    k, slope = law.k(1 - d, np.full(500, alpha)), law.dk_dstretch(1 - d, np.full(500, alpha))
-    beyond = d > found.limit
-    np.testing.assert_allclose(found.k[beyond], k[beyond], rtol=2e-11)
-    np.testing.assert_allclose((found.tangent / k)[beyond], (1 - d * slope / k)[beyond], atol=1e-8)
-    strain = (1 - d) ** 2 + 2 / (1 - d) - 3
-    bend = 2 * (1 - d) * (1 - d - (1 - d) ** -2) ** 2
-    by_hand = strain * k + np.exp(alpha * strain) * bend
-    np.testing.assert_allclose((found.by_shape / k)[beyond], (by_hand / k)[beyond], atol=1e-9)
-    np.testing.assert_allclose(found.by_shape / k, by_hand / k, atol=1e-7)
-
-
-def test_fung_is_neo_hookean_at_zero() -> None:
-    assert deflection("fung", 0.0) == pytest.approx(deflection("neo_hookean", 1.0), abs=1e-9)
-    assert abs(deflection("fung", 5.0) - deflection("fung", 0.0)) > 1e-4
-
-
 def test_a_table_ends_where_its_law_is_too_steep() -> None:
     """Beyond, tissue is over-compressed; a law that is too steep at once is refused."""
     tissue = Tissue(mu=[1e-4], alpha=[20.0], thickness=[1.0], law="fung")
@@ -184,23 +148,7 @@ def test_a_table_ends_where_its_law_is_too_steep() -> None:
         compile_law("fung", np.array([[1.0, 1000.0]]))
 
 
-@pytest.mark.parametrize(
-    ("law", "shape", "named"),
-    [
-        ("fung", {"alpha": [1.0, 60.0]}, ("layer 2", "alpha", "60", "0 to 50")),
-        ("gent", {"jm": [0.1, 5.0]}, ("layer 1", "jm", "0.1", "0.2 to inf")),
-        ("two_term_ogden", {"alpha": 1.0, "beta": -2.0, "share": [0.2, 1.5]}, ("layer 2", "share", "1.5")),
-        ("two_term_ogden", {"alpha": 1.0, "beta": -2.0}, ("share",)),
-        ("ogden", {"alpha": 1.0, "jm": 5.0}, ("jm",)),
-    ],
-)
-def test_an_error_names_layer_and_parameter(law: str, shape: dict, named: tuple[str, ...]) -> None:
-    with pytest.raises(ModelError) as fault:
-        Tissue([0.2, 3.0], shape, [10.0], law=law)
-    assert all(word in f"{fault.value.what} {fault.value.expected}" for word in named)
-
-
-def test_gent_is_neo_hookean_for_an_infinite_limit() -> None:
+def test_gent_is_neo_hookean_for_an_infinite_limit_and_ends_at_its_own():
     stretch = np.linspace(0.25, 1.0, 50)
     off = [
         np.max(np.abs(LAWS["gent"].k(stretch, np.array(jm)) / LAWS["neo_hookean"].k(stretch) - 1))
@@ -208,10 +156,7 @@ def test_gent_is_neo_hookean_for_an_infinite_limit() -> None:
     ]
     assert off[0] > 1e-3 and off[1] < 1.1e-3 * off[0]
     assert Tissue([0.5], {"jm": 1e15}, thickness=4.0, law="gent").shape[0, 0] == 1e15
-
-
-def test_gent_ends_at_its_limit() -> None:
-    """Tables end before I_1 - 3 = J_m; there k exceeds any Ogden one."""
+    # Tables end before I_1 - 3 = J_m; there k exceeds any Ogden one.
     for jm in (0.25, 1.0, 4.0):
         (table, _) = compile_law("gent", np.array([[jm]]))
         reach = 1 - table[0, 0]
@@ -233,3 +178,118 @@ def test_a_share_of_0_or_1_leaves_one_ogden_term(share: float, exponent: float) 
     met = by[0].u[:, 0 if share == 0 else 1]
     np.testing.assert_allclose(met, by[1].u[:, 0], rtol=0, atol=1e-9)
     assert np.any(by[0].u[:, 2]) and not np.any(by[0].u[:, 1 if share == 0 else 0])
+
+
+# ---- every law with all its shape parameters
+
+STEPS = (Step(11.0, Bevel(0.1), Controls(0.5)), Step(17.3, Bevel(0.1, -1), Controls(0.5)))
+LAYERS = 2
+
+
+@pytest.fixture(params=[*LAWS.names(), "logarithmic"])
+def law(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """Each law of the package, and the plugin's, which has two shape parameters and a table."""
+    if request.param in LAWS.names():
+        yield request.param
+        return
+    with plugin_folder(install(tmp_path), monkeypatch):
+        yield request.param
+
+
+def make_tissue(law: str, seed: int) -> Tissue:
+    """Thin layers, which the base compresses by a tenth: every shape parameter moves the needle."""
+    shape = [np.random.default_rng(seed).uniform(*one.usual, LAYERS) for one in LAWS[law].parameters]
+    return Tissue([0.4, 2.0], dict(zip(LAWS[law].shape_names, shape, strict=True)), [7.3], 5.0, 0.2, law)
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_derivatives_equal_complex_steps(law: str, seed: int) -> None:
+    tissue, rules = make_tissue(law, seed), ModelOptions(tolerance=1e-10)
+    _, found = linearize_steps(NEEDLE, tissue, STEPS, rules, wrt=("mu", "shape"))
+    expected = [f"{name}{layer}" for name in LAWS[law].shape_names for layer in range(1, LAYERS + 1)]
+    assert found.names == ("mu1", "mu2", *expected)
+    assert np.abs(found.u).max(axis=0).min() > 1e-6
+    assert_derivatives(found, NEEDLE, tissue, STEPS, rules, rtol=1e-6)
+
+
+def test_a_set_outside_of_the_laws_bounds_is_no_number(law: str) -> None:
+    tissue = make_tissue(law, 7)
+    shape = np.repeat(tissue.shape[None], 3, axis=0)
+    for number, one in enumerate(LAWS[law].parameters):
+        if np.isfinite(one.bounds[0]):
+            shape[1, number, 1] = one.bounds[0] - 0.1
+    outside = bool(np.any(shape[1] != shape[0]))
+    (shapes,) = simulate_batches([Batch(NEEDLE, tissue, STEPS, shape=shape)])
+    assert shapes.converged.tolist() == [True, not outside, True]
+    np.testing.assert_array_equal(shapes.u[0], shapes.u[2])
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_numbers_out_of_bounds_fail_alone_whatever_the_order(turned: bool) -> None:
+    order = [1, 0] if turned else [0, 1]
+    offset = np.array([0.1, 1e16])[order]
+    (shapes,) = simulate_batches([Batch(NEEDLE, make_tissue("ogden", 1), STEPS, offset=offset)])
+    assert shapes.status[order].tolist() == [0, 3]
+
+
+def test_alpha_alone_and_a_law_without_shape_parameters(monkeypatch):
+    alpha = np.ones((3, LAYERS))
+    assert Batch(NEEDLE, make_tissue("ogden", 1), STEPS, alpha=alpha).shape.shape == (3, 1, LAYERS)
+    for law, more in (("gent", {}), ("two_term_ogden", {}), ("ogden", {"shape": np.ones((3, 1, LAYERS))})):
+        with pytest.raises(ModelError, match="alpha"):
+            Batch(NEEDLE, make_tissue(law, 1), STEPS, alpha=alpha, **more)
+    # exp(2 (1 - lambda)) is no sum of powers; a table and the reference agree.
+
+    class Exponential(TissueLaw):
+        name, label = "exponential", "exponential foundation"
+
+        def k(self, stretch: Numbers) -> Numbers:
+            return 3 * np.exp(2 * (1 - stretch))
+
+    assert "exponential" not in LAWS.names()
+    monkeypatch.setitem(LAWS._builtin, "exponential", Exponential())
+    tissue = Tissue([0.4, 2.0], boundaries=[7.3], thickness=5.0, law="exponential")
+    fast, slow = (solve(NEEDLE, tissue, STEPS) for solve in (simulate_steps, reference.simulate_steps))
+    np.testing.assert_allclose(fast.u, slow.u, rtol=0, atol=1e-7)
+
+
+# ---- stress of the Ogden solid in compression: against its energy, the foundation's k, and other solids
+
+STRETCH = np.linspace(0.35, 1.1, 40)
+ALPHAS = (-20.0, -4.7, -1.0, -1e-3, 0.0, 1e-6, 0.2, 1.0, 2.0, 9.0, 25.0)
+H = 1e-30
+
+
+def energy(mu, alpha, stretch):
+    return 2 * mu / alpha**2 * (stretch**alpha + 2 * stretch ** (-alpha / 2) - 3)
+
+
+@pytest.mark.parametrize("alpha", [a for a in ALPHAS if abs(a) > 1e-2])
+def test_the_nominal_stress_is_the_derivative_of_the_energy(alpha):
+    by_energy = np.imag(energy(3.0, alpha, STRETCH + H * 1j)) / H
+    assert compute_stress(3.0, alpha, STRETCH, "nominal") == pytest.approx(by_energy, rel=1e-12, abs=1e-13)
+
+
+@pytest.mark.parametrize("alpha", ALPHAS)
+def test_the_foundations_k_is_the_derivative_of_the_true_stress(alpha):
+    """The paper's Eq. 4: of the true stress, not of the nominal one."""
+    k = 3.0 * LAWS["ogden"].k(STRETCH, np.full_like(STRETCH, alpha))
+    slope = np.imag(compute_stress(3.0, alpha, STRETCH + H * 1j, "true")) / H
+    assert slope == pytest.approx(k, rel=1e-11)
+    for measure in ("nominal", "true"):  # in small strain Young's modulus is 3 mu, compression negative
+        small = compute_stress(2.0, alpha, np.array([1 - 1e-7, 1.0]), measure)
+        assert small == pytest.approx([-6e-7, 0.0], rel=1e-5)
+    moved = compute_stress(1.0, alpha + H * 1j, STRETCH, "nominal")
+    growth = np.imag(moved) / H / np.real(moved)
+    assert compute_log_stress_derivative(alpha, STRETCH) == pytest.approx(growth, rel=1e-9, abs=1e-12)
+
+
+def test_true_and_nominal_stress_and_solids_that_alpha_stands_for():
+    true, nominal = (compute_stress(1.0, -3.0, STRETCH, kind) for kind in ("true", "nominal"))
+    assert true == pytest.approx(STRETCH * nominal, rel=1e-14)
+    neo_hookean = 5.0 * (STRETCH - STRETCH**-2)
+    assert compute_stress(5.0, 2.0, STRETCH, "nominal") == pytest.approx(neo_hookean, rel=1e-12, abs=1e-14)
+    assert compute_stress(5.0, 0.0, STRETCH, "true") == pytest.approx(15 * np.log(STRETCH), rel=1e-14)
+    deep = np.linspace(0.5, 0.7, 9)
+    ratio = compute_stress(1.0, -20.0, deep, "nominal") / compute_stress(1.0, 40.0, deep, "nominal")
+    assert ratio == pytest.approx(np.full(9, 2.0), rel=1e-4)  # 2 mu / alpha of the power that both share

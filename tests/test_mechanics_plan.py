@@ -2,8 +2,7 @@
 
 import pytest
 
-from needlefit.errors import ModelError
-from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
+from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import (
     Lattice,
@@ -147,7 +146,7 @@ def test_steps_with_equal_inputs_are_held_by_the_same() -> None:
     ]  # fmt: skip
 
 
-def test_the_lattice_of_an_insertion_ends_with_its_last_step() -> None:
+def test_the_lattice_of_an_insertion_ends_with_its_last_step():
     def first(*depths: float, spacing: float = 1.0) -> float:
         return make_lattice([Step(depth, Bevel(0.1)) for depth in depths], ModelOptions(spacing)).first_cell
 
@@ -156,31 +155,8 @@ def test_the_lattice_of_an_insertion_ends_with_its_last_step() -> None:
     assert first(7.0, spacing=2.0) == 1.0 and first(8.0, spacing=2.0) == 2.0
     assert first(12.0, 7.25) == 0.25
     assert first(5.0, 0.0) == 1.0  # out again: there is nothing to end on
-
-
-def test_lattice_depths_and_cells() -> None:
     assert [HALF.depth(m) for m in range(4)] == [0.0, 0.5, 1.5, 2.5]
     assert [HALF.cell(d) for d in (0.0, 0.1, 0.5, 0.5 + 1e-10, 0.51, 1.5, 2.2)] == [0, 1, 1, 1, 2, 2, 3]
-
-
-@pytest.mark.parametrize(
-    ("depth", "guides"), [(150.0, ()), (140.0, (Guide(-10.0),)), (100.0, (Guide(-3.0), Guide(-60.0)))]
-)
-def test_the_base_stays_before_guides_and_tissue(depth: float, guides: tuple[Guide, ...]) -> None:
-    with pytest.raises(ModelError, match=f" {depth:g} mm"):
-        plan_stops((Step(1.0, Bevel(0.1)), Step(depth, Bevel(0.1), Controls(guides=guides))), HALF, 150.0)
-
-
-def test_a_needle_that_ends_before_its_guide_is_called_too_short() -> None:
-    guides = Controls(guides=(Guide(-15.0),))
-    with pytest.raises(ModelError, match=r"needle of 0\.15 mm") as fault:
-        plan_stops((Step(40.0, Bevel(0.1), guides),), HALF, 0.15)
-    assert "55 mm" in fault.value.expected and "40 mm" in fault.value.expected
-
-
-def test_no_steps_are_no_insertion() -> None:
-    with pytest.raises(ModelError, match="without steps"):
-        plan_stops((), HALF, 150.0)
 
 
 @pytest.mark.parametrize("spacing", [0.5, 0.7, 1.0, 2.0])
@@ -197,9 +173,3 @@ def test_depths_close_to_a_constraint_point_are_depths(spacing: float, off: floa
         shape = simulate(Needle(150.0, 1e4), Tissue(mu=[1.0], alpha=[1.0]), Bevel(0.1), depth,
                          rules=ModelOptions(spacing, spacing))  # fmt: skip
         assert shape.converged and abs(shape.tip_lateral) < 0.5 * depth
-
-
-@pytest.mark.parametrize("first", [0.0, 1e-12, 1e-9, 1.1])
-def test_a_first_cell_of_no_length_or_too_long_is_refused(first: float) -> None:
-    with pytest.raises(ModelError, match="first cell"):
-        Lattice(first, 1.0)

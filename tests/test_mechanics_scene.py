@@ -6,17 +6,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import needlefit
 from needlefit.errors import ConfigError
 from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
 from needlefit.mechanics.plan import make_lattice
 from needlefit.mechanics.scene import Entry, Scene, simulate_scene
-from needlefit.mechanics.shape import NeedleShape, compute_positions, sample_inserted_points
+from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.simulate import simulate_steps
-from needlefit.project.load import check
+from needlefit.project.toml import check
 from needlefit.schemas.scene import SceneRecord
 
 FIGURE1 = needlefit.open_scene("figure1")
@@ -34,11 +32,27 @@ def built(**tables: Any) -> Scene:
     return Scene.from_record(check(TABLES | tables, SceneRecord, "a.toml"), "a.toml")
 
 
-def test_entry_carries_points_there_and_back():
+def test_entries_carry_points_there_and_back_and_guides_stand_on_their_axis():
     entry = Entry(3.0, -2.0, 0.7)
     points = np.array([[1.0, 2.0], [-4.0, 0.5]])
     assert entry.to_frame(entry.to_world(points)) == pytest.approx(points, abs=1e-14)
     assert entry.to_frame([[3.0, -2.0]]).tolist() == [[0.0, 0.0]]
+    (step,) = built(depth_mm=20, controls={"guide_distance_mm": 8}, entry={"angle_deg": 33}).steps
+    assert step == Step(20.0, Bevel(0.1), Controls(guides=(Guide(-8.0),)))
+    world = {
+        "name": "same",
+        "x_mm": -8 * math.cos(0.3),
+        "y_mm": -8 * math.sin(0.3),
+        "angle_deg": math.degrees(0.3),
+    }
+    (same,) = built(depth_mm=20, guides=[world], entry={"angle_deg": math.degrees(0.3)}).steps
+    assert same.controls.guides[0].x == pytest.approx(-8) and same.controls.guides[0].y == pytest.approx(0)
+    for degrees in range(0, 360, 7):
+        angle = math.radians(degrees)
+        beside = {"x_mm": 0.1 - 3 * math.sin(angle), "y_mm": 0.7 + 3 * math.cos(angle)}
+        entry = {"x_mm": 0.1, "y_mm": 0.7, "angle_deg": degrees}
+        (step,) = built(depth_mm=9, entry=entry, guides=[{"name": "g", "in_tissue": True} | beside]).steps
+        assert step.controls.guides[0].x == 0.0
 
 
 @pytest.mark.parametrize(
@@ -84,35 +98,10 @@ def test_world_coordinates_of_a_file_are_transformed_to_c():
     assert step.controls.tip == TrackedTip(0.5, math.tan(math.radians(1)))
 
 
-def test_the_simple_guide_is_one_on_the_insertion_axis():
-    (step,) = built(depth_mm=20, controls={"guide_distance_mm": 8}, entry={"angle_deg": 33}).steps
-    assert step == Step(20.0, Bevel(0.1), Controls(guides=(Guide(-8.0),)))
-    world = {
-        "name": "same",
-        "x_mm": -8 * math.cos(0.3),
-        "y_mm": -8 * math.sin(0.3),
-        "angle_deg": math.degrees(0.3),
-    }
-    (same,) = built(depth_mm=20, guides=[world], entry={"angle_deg": math.degrees(0.3)}).steps
-    assert same.controls.guides[0].x == pytest.approx(-8) and same.controls.guides[0].y == pytest.approx(0)
-
-
-def test_a_guide_at_the_entry_stands_in_the_tissue_whatever_the_rounding():
-    for degrees in range(0, 360, 7):
-        angle = math.radians(degrees)
-        beside = {"x_mm": 0.1 - 3 * math.sin(angle), "y_mm": 0.7 + 3 * math.cos(angle)}
-        entry = {"x_mm": 0.1, "y_mm": 0.7, "angle_deg": degrees}
-        (step,) = built(depth_mm=9, entry=entry, guides=[{"name": "g", "in_tissue": True} | beside]).steps
-        assert step.controls.guides[0].x == 0.0
-
-
-def test_guides_and_layers_keep_their_names_for_pictures():
+def test_names_faults_and_the_step_that_fails():
     assert [guide.name for guide in FIGURE1.steps[1].controls.guides] == ["template"]
     assert FIGURE1.layer_names == ("layer 1", "layer 2", "layer 3", "layer 4")
     assert Guide(-3.0, name="ring") == Guide(-3.0)
-
-
-def test_faults_name_file_and_key():
     with pytest.raises(ConfigError, match=r"a\.toml: key `steps\.2\.guides\.g`: .*x = 1"):
         built(
             guides=[{"name": "g", "x_mm": -5, "y_mm": 0}],
@@ -120,48 +109,9 @@ def test_faults_name_file_and_key():
         )
     with pytest.raises(ConfigError, match=r"a\.toml: key `law`: .*rubber"):
         built(depth_mm=5, law="rubber")
-
-
-ANGLES = st.floats(-180, 180)
-SHIFTS = st.floats(-50, 50)
-
-
-@settings(max_examples=20)
-@given(turn=ANGLES, shift_x=SHIFTS, shift_y=SHIFTS, start=ANGLES)
-def test_a_scene_moved_as_a_whole_is_the_same_scene(turn, shift_x, shift_y, start):
-    motion = Entry(shift_x, shift_y, math.radians(turn))
-
-    def moved(x: float, y: float) -> dict[str, float]:
-        (at,) = motion.to_world([[x, y]])
-        return {"x_mm": float(at[0]), "y_mm": float(at[1])}
-
-    def place(x: float, y: float) -> tuple[float, float]:  # places before the motion, seen from the entry
-        (at,) = Entry(2.0, -1.0, math.radians(start)).to_world([[x, y]])
-        return float(at[0]), float(at[1])
-
-    def scene(where: Any, angle: float) -> Scene:
-        return built(
-            entry=where(2.0, -1.0) | {"angle_deg": start + angle},
-            controls={"stage_angle_deg": start + 2 + angle},
-            guides=[
-                {"name": "a", "angle_deg": start - 3 + angle} | where(*place(-12, 0.3)),
-                {"name": "b", "in_tissue": True, "turns_freely": True} | where(*place(6.3, -0.2)),
-            ],
-            steps=[
-                {"depth_mm": 14},
-                {"depth_mm": 21, "guides": {"a": where(*place(-10, 1))}},
-                {"depth_mm": 17},
-            ],
-        )
-
-    before = scene(lambda x, y: {"x_mm": x, "y_mm": y}, 0.0)
-    after = scene(moved, turn)
-    for one, other in zip(simulate_scene(before), simulate_scene(after), strict=True):
-        assert other.u == pytest.approx(one.u, abs=1e-8) and other.x == pytest.approx(one.x, abs=1e-9)
-        points = before.entry.to_world(sample_inserted_points(one, 11))
-        assert after.entry.to_world(sample_inserted_points(other, 11)) == pytest.approx(
-            motion.to_world(points), abs=1e-8
-        )
+    crushing = replace(FIGURE1.steps[1], bevel=Bevel(60.0))
+    shapes = simulate_scene(replace(FIGURE1, steps=(FIGURE1.steps[0], crushing, FIGURE1.steps[2])))
+    assert [shape.status for shape in shapes] == ["converged", "over-compressed"]
 
 
 def test_each_shape_is_the_history_of_the_next():
@@ -173,19 +123,13 @@ def test_each_shape_is_the_history_of_the_next():
     assert np.array_equal(whole.u, SHAPES[-1].u)
 
 
-def test_shapes_end_with_the_step_that_fails():
-    crushing = replace(FIGURE1.steps[1], bevel=Bevel(60.0))
-    shapes = simulate_scene(replace(FIGURE1, steps=(FIGURE1.steps[0], crushing, FIGURE1.steps[2])))
-    assert [shape.status for shape in shapes] == ["converged", "over-compressed"]
-
-
 def at(shape: NeedleShape, x: float) -> tuple[float, float]:
     """Return deflection and slope at a node."""
     (node,) = np.flatnonzero(np.abs(shape.x - x) < 1e-9)
     return float(shape.u[node]), float(shape.slope[node])
 
 
-def test_figure_1_satisfies_its_boundary_conditions():
+def test_figure_1_satisfies_its_boundary_conditions_and_bends_toward_its_bevel():
     assert FIGURE1.tissue.layers == 4 and len(FIGURE1.steps) == 3
     assert {step.bevel.side for step in FIGURE1.steps} == {1, -1}
     template = [(0.0, 0.0), (2.0, 0.0), (-1.5, 0.0)]  # the file's y_mm, and the slope of its axis
@@ -196,10 +140,7 @@ def test_figure_1_satisfies_its_boundary_conditions():
         assert at(shape, depth - 150.0) == pytest.approx(driven, abs=1e-12)
         start = FIGURE1.entry.to_world(compute_positions(shape, shape.x[:1]))[0]
         assert start == pytest.approx([depth - 150.0, driven[0]])  # the stage carries it along the world's x
-
-
-def test_figure_1_bends_toward_its_bevel():
-    """Without the lateral inputs, the turned bevel takes the tip back from where the first side led it."""
+    # Without the lateral inputs, the turned bevel takes the tip back from where the first side led it.
     alone = replace(FIGURE1, steps=tuple(replace(step, controls=Controls()) for step in FIGURE1.steps))
     straight = replace(
         alone, steps=tuple(replace(step, bevel=replace(step.bevel, side=1)) for step in alone.steps)

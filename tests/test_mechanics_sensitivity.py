@@ -4,17 +4,30 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from mechanics_cases import NEEDLE, RULES, assert_derivatives, random_case
+from mechanics_cases import NEEDLE, RULES, assert_derivatives, assert_same_bits, random_batch, random_case
 
 from needlefit.errors import ModelError
-from needlefit.mechanics.batch import DERIVATIVE_KINDS, differentiate_positions, linearize, linearize_steps
-from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
+from needlefit.mechanics.batch import (
+    DERIVATIVE_KINDS,
+    Batch,
+    Jacobians,
+    compute_batch_positions,
+    differentiate_batch_positions,
+    differentiate_positions,
+    linearize,
+    linearize_batches,
+    linearize_steps,
+    simulate_batches,
+)
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.law_form import compile_law, differentiate_law
 from needlefit.mechanics.laws import LAWS, PowerLaw
+from needlefit.mechanics.native import compute_positions as compute_position_blocks
 from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.packing import PreparedInsertion
 from needlefit.mechanics.plan import Lattice, make_lattice
-from needlefit.mechanics.shape import compute_positions
-from needlefit.mechanics.simulate import simulate, simulate_steps
+from needlefit.mechanics.shape import NeedleShape, compute_positions
+from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 
 PHANTOM = Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=[20, 28, 45])
@@ -75,48 +88,6 @@ def test_the_shape_is_that_of_the_forward_run(depth: float) -> None:
     assert shape.iterations == plain.iterations
 
 
-@pytest.mark.parametrize("side", [1, -1])
-def test_the_first_constraint_point_moves_by_geometry(side: int) -> None:
-    """The free needle is a rod: c_1 moves by 1 per base y, L + x_1 per base slope, s x_1 / C_int per b."""
-    rules = ModelOptions(2.0, 1.0)
-    _, found = linearize(
-        NEEDLE, Tissue(mu=[0.2], alpha=[1.0]), Bevel(0.1, side), 7.3, rules=rules,
-        wrt=("offset", "base_y", "base_slope", "stage_slope"),
-    )  # fmt: skip
-    first = dict(zip(found.names, found.constraints[1], strict=True))
-    assert first["offset"] == pytest.approx(side * 1.3 / 2.0, rel=1e-12)
-    assert first["base_y"] == pytest.approx(1.0, rel=1e-9)
-    assert first["base_slope"] == pytest.approx(150.0 + 1.3, rel=1e-9)
-    assert first["stage_slope"] == 0.0  # at contact the stage has not carried the base anywhere
-    assert np.all(found.constraints[0] == 0.0)
-
-
-def test_stiffer_needle_in_stiffer_tissue_is_the_same_needle() -> None:
-    """EI d/dEI + sum mu_i d/dmu_i = 0: only their ratio matters."""
-    controls = Controls(base_y=0.3, guides=(Guide(-12.0),))
-    shape, found = linearize(NEEDLE, PHANTOM, Bevel(0.085), 50.0, controls, wrt=("mu", "rigidity"))
-    scales = np.array([*PHANTOM.mu, NEEDLE.flexural_rigidity])
-    parts = found.u * scales
-    assert shape.converged and np.abs(parts).max() > 0.1
-    np.testing.assert_allclose(parts.sum(axis=1), 0.0, atol=1e-9)
-
-
-def test_a_boundary_between_equal_layers_moves_nothing() -> None:
-    """But for the quadrature, whose intervals it splits."""
-    tissue = Tissue(mu=[2.0, 2.0, 9.0], alpha=[3.0] * 3, boundaries=[6.3, 12.8])
-    _, found = linearize(NEEDLE, tissue, Bevel(0.1), 20.0, wrt=("boundaries",))
-    assert np.abs(found.u[:, 1]).max() > 1e-3
-    assert np.abs(found.u[:, 0]).max() < 1e-5 * np.abs(found.u[:, 1]).max()
-
-
-def test_boundaries_the_tip_has_not_reached_move_nothing() -> None:
-    tissue = Tissue(mu=[2.0, 20.0, 9.0], alpha=[3.0] * 3, boundaries=[6.3, 20.0])
-    _, found = linearize(NEEDLE, tissue, Bevel(0.1), 20.0, wrt=("boundaries", "mu"))
-    columns = dict(zip(found.names, found.u.T, strict=True))
-    assert np.abs(columns["boundary1"]).max() > 0
-    assert not np.any(columns["boundary2"]) and not np.any(columns["mu3"])
-
-
 @pytest.mark.parametrize("boundary", [6.5, 7.0])
 def test_on_a_change_of_constraint_or_a_node_the_derivative_is_that_of_going_deeper(boundary: float) -> None:
     rules, step = ModelOptions(tolerance=1e-11), 1e-5
@@ -150,27 +121,6 @@ def test_sums_of_powers_are_linear_term_by_term(law: str) -> None:
         np.testing.assert_allclose(terms[layer], terms[0] + shape[:, layer] @ slopes, rtol=0, atol=1e-14)
 
 
-def test_a_tracked_tip_is_at_its_stated_position() -> None:
-    controls = Controls(base_y=0.2, tip=TrackedTip(0.4, 0.01))
-    _, found = linearize(NEEDLE, PHANTOM, Bevel(0.085), 30.0, controls, wrt=DERIVATIVE_KINDS)
-    assert not np.any(found.u[-1]) and not np.any(found.slope[-1])
-    assert np.abs(found.u).max() > 0.1
-
-
-def test_what_a_guide_holds_moves_with_it() -> None:
-    guides = (Guide(-20.0, slope=None), Guide(-5.0, 0.1), Guide(6.0, 0.2, in_tissue=True))
-    shape, found = linearize(NEEDLE, PHANTOM, Bevel(0.085), 30.0, Controls(guides=guides), wrt=("guides",))
-    assert found.names == tuple(f"guide{i}_{what}" for i in (1, 2, 3) for what in ("x", "y", "slope"))
-    for i, guide in enumerate(guides):
-        node = int(np.flatnonzero(shape.x == guide.x)[0])
-        for j in range(3):
-            assert found.x[node, 3 * j] == (i == j)
-            assert found.u[node, 3 * j + 1] == pytest.approx(float(i == j), abs=1e-12)
-            if guide.slope is not None:
-                assert found.slope[node, 3 * j + 2] == pytest.approx(float(i == j), abs=1e-12)
-    assert not np.any(found.u[:, 2])  # the first leaves the needle free to turn
-
-
 def test_an_inactive_guide_moves_no_node() -> None:
     """It stood at a depth where the mesh has a node of its own; then at the tip, which no guide holds."""
     guided = Controls(guides=(Guide(3.0, 0.1, in_tissue=True),))
@@ -180,26 +130,6 @@ def test_an_inactive_guide_moves_no_node() -> None:
         shape, found = linearize_steps(NEEDLE, PHANTOM, steps, wrt=("guides",))
         assert 3.0 in shape.x
         assert not np.any(found.x)
-
-
-def test_guides_of_several_steps_at_one_place_are_one_guide() -> None:
-    steps = [
-        Step(8.0, Bevel(0.1), Controls(guides=(Guide(-9.0, 0.1),))),
-        Step(12.0, Bevel(0.1), Controls(guides=(Guide(-9.0, 0.2), Guide(-4.0)))),
-    ]
-    _, found = linearize_steps(NEEDLE, PHANTOM, steps, wrt=("guides",))
-    assert len(found.names) == 6
-
-    def deflection(shift: float) -> np.ndarray:
-        shifted = [
-            Step(s.depth, s.bevel, Controls(guides=(Guide(-9.0, s.controls.guides[0].y + shift),
-                                                    *s.controls.guides[1:])))
-            for s in steps
-        ]  # fmt: skip
-        return simulate_steps(NEEDLE, PHANTOM, shifted, ModelOptions(tolerance=1e-11)).u
-
-    slope = (deflection(1e-4) - deflection(-1e-4)) / 2e-4
-    np.testing.assert_allclose(found.u[:, 1], slope, atol=1e-6)
 
 
 @pytest.mark.parametrize("lower", [False, True])
@@ -238,17 +168,16 @@ def test_points_in_the_plane_move_as_finite_differences() -> None:
         np.testing.assert_allclose(moves[:, :, column], slope, rtol=0, atol=2e-5 * np.abs(slope).max())
 
 
-def test_a_failed_needle_has_no_derivatives() -> None:
+def test_failed_needles_and_unknown_kinds_have_no_derivatives_and_every_input_is_listed():
     shape, found = linearize(NEEDLE, Tissue(mu=[0.2], alpha=[1.0], thickness=[0.05]), Bevel(0.2), 10.0)
     assert shape.status == "over-compressed"
     assert found.u.shape == (len(shape.x), 3) and found.constraints.shape == (11, 3)
-    for part in (found.x, found.u, found.slope, found.constraints):
-        assert np.isnan(part).all()
-
-
-def test_unknown_kinds_are_refused_and_the_known_ones_listed() -> None:
+    assert all(np.isnan(part).all() for part in (found.x, found.u, found.slope, found.constraints))
     with pytest.raises(ModelError, match="`depth`"):
         linearize(NEEDLE, PHANTOM, Bevel(0.1), 10.0, wrt=("mu", "depth"))
+    inputs = {f"{of.__name__}.{one.name}" for of in (Needle, Tissue, Bevel, Controls) for one in fields(of)}
+    assert inputs == KIND_OF.keys() | NO_KIND
+    assert set(DERIVATIVE_KINDS) == set(KIND_OF.values())
 
 
 KIND_OF = {
@@ -260,7 +189,145 @@ KIND_OF = {
 NO_KIND = {"Needle.length", "Tissue.thickness", "Tissue.law", "Bevel.side", "Controls.tip"}
 
 
-def test_every_input_of_the_model_has_derivatives_or_is_listed_without() -> None:
-    inputs = {f"{of.__name__}.{one.name}" for of in (Needle, Tissue, Bevel, Controls) for one in fields(of)}
-    assert inputs == KIND_OF.keys() | NO_KIND
-    assert set(DERIVATIVE_KINDS) == set(KIND_OF.values())
+# ---- many sets at once
+
+RUBBING = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[5.3], friction=[0.2, 0.1])
+GUIDED = Controls(0.2, 0.004, 0.002, (Guide(-9.0, 0.1, None), Guide(3.7, 0.05, in_tissue=True)))
+STEPS = (Step(6.0, Bevel(0.1), GUIDED), Step(11.4, Bevel(0.05, -1), GUIDED))
+
+
+def linearize_batch(batch: Batch, wrt=DERIVATIVE_KINDS, threads: int | None = None):
+    ((shapes, jacobians),) = linearize_batches([batch], wrt, threads)
+    return shapes, jacobians
+
+
+def make_batch(sets: int, steps: tuple[Step, ...] = STEPS, tissue: Tissue = RUBBING, **more) -> Batch:
+    rng = np.random.default_rng(3)
+    mu, alpha = 10 ** rng.uniform(-1.0, 1.5, (sets, 2)), rng.uniform(-6, 6, (sets, 2))
+    return Batch(NEEDLE, tissue, steps, mu=mu, shape=alpha[:, None], offset=rng.uniform(0, 0.2, sets), **more)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_every_set_is_what_a_single_one_gives(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    batch = random_batch(rng, int(rng.integers(1, 12)), within=True, friction=float(rng.integers(0, 2)))
+    shapes, jacobians = linearize_batch(batch)
+    s = np.linspace(shapes.x[0, 0] + 1.0, shapes.x[0, -1], 9)
+    s = s[s >= shapes.x[:, 0].max()]
+    points, moves = compute_batch_positions(shapes, s), differentiate_batch_positions(shapes, jacobians, s)
+    for i in range(len(batch)):
+        shape, jacobian = linearize_steps(*batch.pick(i), wrt=DERIVATIVE_KINDS)
+        assert_same_bits(shapes[i], shape)
+        assert_same_bits(jacobians[i], jacobian)
+        if shape.converged:
+            np.testing.assert_array_equal(points[i], compute_positions(shape, s))
+            np.testing.assert_array_equal(moves[i], differentiate_positions(shape, jacobian, s))
+
+
+@pytest.mark.parametrize("advance", ["tangent", "path_angle"])
+def test_derivatives_in_lanes_are_those_of_complex_steps(advance: str) -> None:
+    """By every kind of parameter, with friction, guides before and in the tissue, a turn of the bevel."""
+    batch = make_batch(9)
+    if advance == "path_angle":
+        steps = tuple(replace(s, bevel=Bevel(0.0, s.bevel.side, 0.01)) for s in STEPS)
+        angles = np.linspace(0.0, 0.03, 9)
+        batch = replace(
+            batch, steps=steps, rules=ModelOptions(advance=advance), offset=None, cut_angle=angles
+        )
+    shapes, jacobians = linearize_batch(batch)
+    assert shapes.converged.all() and len(jacobians.names) == 19
+    for i in (0, 7, 8):
+        assert_derivatives(jacobians[i], *batch.pick(i), rtol=1e-6)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_neighbours_and_threads_change_no_bit(threads: int) -> None:
+    batch, some = make_batch(21), slice(3, 6)
+    part = batch.with_sets(mu=batch.mu[some], shape=batch.shape[some], offset=batch.offset[some])
+    pairs = linearize_batches([batch, part, make_batch(1)], ("mu", "guides", "offset"), threads)
+    (whole, by), (shapes, by_part), (alone, by_alone) = pairs
+    for i in range(3):
+        assert_same_bits(shapes[i], whole[3 + i])
+        assert_same_bits(by_part[i], by[3 + i])
+    assert_same_bits(by_alone[0], linearize_batch(make_batch(1), ("mu", "guides", "offset"), 1)[1][0])
+    assert_same_bits(alone[0], make_alone())
+
+
+def make_alone() -> NeedleShape:
+    return linearize_steps(*make_batch(1).pick(0), wrt=("mu",))[0]
+
+
+def test_a_guide_that_stands_elsewhere_in_each_set() -> None:
+    steps = (Step(12.0, Bevel(0.1), Controls(guides=(Guide(-9.0, 0.1),))),)
+    places = np.array([-3.0, -20.0, np.nan, -9.0, 5.0])
+    batch = make_batch(5, steps, guide_x=places)
+    shapes, jacobians = linearize_batch(batch, ("guides", "mu"))
+    assert shapes.converged.tolist() == [True, True, False, True, False]
+    for i in (0, 1, 3):
+        shape, jacobian = linearize_steps(*batch.pick(i), wrt=("guides", "mu"))
+        assert_same_bits(shapes[i], shape)
+        assert_same_bits(jacobians[i], jacobian)
+    for part in (jacobians[2].x, jacobians.u[4], jacobians.constraints[2], jacobians.tip_track[4]):
+        assert np.isnan(part).all()
+
+
+def test_what_is_prepared_serves_other_sets() -> None:
+    """A batch whose sets are all invalid prepares the insertion as well as any other."""
+    first = make_batch(2).with_sets(mu=np.full((2, 2), np.nan), shape=np.ones((2, 1, 2)), offset=np.zeros(2))
+    assert not simulate_batches([first])[0].converged.any()
+    other = make_batch(3)
+    shared = first.with_sets(mu=other.mu, shape=other.shape, offset=other.offset)
+    assert shared.prepared is first.prepared and len(shared.prepared) == 1
+    for one, expected in zip(linearize_batch(shared), linearize_batch(other), strict=True):
+        assert isinstance(one, Jacobians) or one.converged.all()
+        for i in range(3):
+            assert_same_bits(one[i], expected[i])
+    with pytest.raises(ModelError, match="mu"):
+        first.with_sets(mu=other.mu)
+
+
+def test_sets_that_the_prepared_problem_cannot_take_are_type_errors() -> None:
+    insertion = PreparedInsertion(NEEDLE, RUBBING, STEPS, ModelOptions())
+    problem = insertion.pack(2, {})
+    arrays = {
+        name: problem.arrays[name]
+        for name in ("rigidity", "mu", "thickness", "friction", "law", "turn", "base")
+    }
+    assert problem.with_sets(2, arrays).sets == 2
+    for wrong in (
+        {name: arrays[name] for name in arrays if name != "mu"},
+        arrays | {"guide_x": np.zeros(2)},
+        arrays | {"mu": arrays["mu"][:1]},
+        arrays | {"turn": arrays["turn"][:, :1]},
+        arrays | {"base": arrays["base"].astype(np.float32)},
+    ):
+        with pytest.raises(TypeError):
+            problem.with_sets(2, wrong)
+    with pytest.raises(TypeError):
+        problem.with_sets(3, arrays)
+
+
+def make_needles(count):
+    rng = np.random.default_rng(5)
+    x = np.tile(np.concatenate([[-90.0, -40.0], np.linspace(0.0, 20.0, 21)]), (count, 1))
+    u, slope = (np.cumsum(part * rng.normal(size=x.shape), axis=1) for part in (0.02, 0.002))
+    return x, u, slope, np.sort(rng.uniform(-60.0, 20.0, 30))
+
+
+def compare(x, u, slope, s):
+    single = [
+        compute_position_blocks(*(part[i : i + 1] for part in (x, u, slope)), s)[0] for i in range(len(x))
+    ]
+    assert np.array_equal(compute_position_blocks(x, u, slope, s), single, equal_nan=True)
+
+
+def test_points_of_a_block_of_needles_that_bend_far_failed_or_have_other_nodes():
+    for count in (1, 32, 45):
+        compare(*make_needles(count))
+    x, u, slope, s = make_needles(40)
+    slope[3] = 1.5
+    u[35], slope[35] = np.nan, np.nan
+    compare(x, u, slope, s)
+    x, u, slope, s = make_needles(40)
+    x[2, 1] = -30.0
+    compare(x, u, slope, s)

@@ -1,5 +1,6 @@
 """A session is the same insertion, step by step: identity, sub-steps, retraction, failures."""
 
+from collections import Counter
 from dataclasses import replace
 from functools import partial
 
@@ -7,7 +8,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mechanics_cases import NEEDLE, assert_close, assert_same_bits, random_case
+from mechanics_cases import (
+    NEEDLE,
+    assert_close,
+    assert_same_bits,
+    random_case,
+    random_needle,
+    random_rules,
+    random_steps,
+    random_tissue,
+)
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
@@ -44,10 +54,13 @@ def test_a_session_gives_the_bits_of_the_whole_insertion(seed: int, kind: str) -
             break  # the session stays where it was
 
 
-def test_one_step_is_the_batch_at_the_same_first_cell() -> None:
+def test_one_step_is_the_batch_at_the_same_first_cell():
     controls = Controls(base_y=0.2, guides=(Guide(-5.0),))
     found = session(0.25, controls=controls).step(14.25)
     assert_same_steps(found, simulate(NEEDLE, TISSUE, LEFT, 14.25, controls))
+    assert session(0.3).lattice == Lattice(0.3, 1.0)
+    assert session().lattice.first_cell == 1.0
+    np.testing.assert_allclose(session(0.3).step(2.5).constraints[:, 0], [0, 0.3, 1.3, 2.3, 2.5])
 
 
 def test_named_inputs_are_the_inputs_of_a_step() -> None:
@@ -83,69 +96,6 @@ def test_sub_steps_change_nothing(halts: list[float], first: float) -> None:
     assert_close(under_way.step(17.31 - under_way.depth), whole)
 
 
-@settings(deadline=None, max_examples=30)
-@given(
-    st.lists(
-        st.tuples(st.floats(0.5, 6.0), st.sampled_from([LEFT, RIGHT]), st.floats(-0.3, 0.3)),
-        min_size=1,
-        max_size=4,
-    ),
-    st.integers(1, 7),
-)
-def test_equal_sub_steps_of_every_step_change_nothing(inputs: list, division: int) -> None:
-    """Also where bevel and base change with each step."""
-    once, often = session(), session()
-    for insert, bevel, y in inputs:
-        expected = once.step(insert, bevel=bevel, base=(y, 0.0))
-        for _ in range(division):
-            found = often.step(insert / division, bevel=bevel, base=(y, 0.0))
-        assert_close(found, expected)
-
-
-@pytest.mark.parametrize("depth", [5.0, 5.4, 0.6, 1.0])
-@pytest.mark.parametrize("eps", [1e-3, 0.2, 0.5])
-def test_a_small_insertion_and_retraction_returns(depth: float, eps: float) -> None:
-    under_way, untouched = session(), session()
-    here = under_way.step(depth)
-    under_way.step(eps)
-    assert_close(under_way.step(-eps), here)
-    untouched.step(depth)
-    under_way.step(-eps)
-    assert_close(under_way.step(eps), here)
-    assert_close(under_way.step(4.0), untouched.step(4.0))
-
-
-@pytest.mark.parametrize("back", [0.3, 2.0, 2.5, 6.9])
-def test_retraction_discards_the_path_beyond_and_keeps_the_path_behind(back: float) -> None:
-    under_way = session()
-    before = under_way.step(9.0)
-    found = under_way.step(-back)
-    kept = np.flatnonzero(before.constraints[:, 0] < 9.0 - back - 1e-9)
-    np.testing.assert_array_equal(found.constraints[:-1], before.constraints[kept])
-    assert found.depth == found.constraints[-1, 0] == 9.0 - back
-    start = session().step(float(len(kept) - 1))  # the point under the tip lies on its cell's old ray
-    assert found.constraints[-1, 1] == pytest.approx(ahead(start, 9.0 - back, LEFT), abs=1e-7)
-
-
-def test_re_insertion_with_unchanged_inputs_gives_the_needle_of_a_single_insertion() -> None:
-    under_way = session(0.7)
-    for insert in (9.4, -6.2, 3.1, -0.05, -3.0, 0.4):
-        under_way.step(insert)
-    assert_close(under_way.step(14.7 - under_way.depth), session(0.7).step(14.7))
-
-
-def test_re_insertion_goes_on_along_the_old_grid_under_the_new_inputs() -> None:
-    """Retracted into cell 4, 2.7 ... 3.7 mm, and turned: the new point 4 lies on a ray from 3.1 mm."""
-    under_way = session(0.7)
-    old = under_way.step(7.7)
-    here = under_way.step(3.1 - 7.7)
-    found = under_way.step(4.6, bevel=RIGHT)
-    np.testing.assert_array_equal(found.constraints[:, 0], old.constraints[:, 0])
-    np.testing.assert_array_equal(found.constraints[:4], old.constraints[:4])
-    assert found.constraints[4, 1] == pytest.approx(ahead(here, 3.7, RIGHT), abs=1e-12)
-    assert abs(found.constraints[4, 1] - old.constraints[4, 1]) > 0.1
-
-
 @pytest.mark.parametrize("bevel", [RIGHT, Bevel(0.04, 1), Bevel(0.0)])
 @pytest.mark.parametrize("d", [2.3, 3.0, 0.4])
 def test_a_turned_bevel_cuts_from_where_the_tip_stands(bevel: Bevel, d: float) -> None:
@@ -157,57 +107,12 @@ def test_a_turned_bevel_cuts_from_where_the_tip_stands(bevel: Bevel, d: float) -
     assert found[m, 1] == pytest.approx(ahead(here, m, bevel), abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"base": (0.5, 0.0)},
-        {"base": (0.0, 0.01)},
-        {"guides": (Guide(-3.0, 0.1),)},
-        {"guides": (Guide(1.5, 0.1, None, True),)},
-        {"tip": TrackedTip(0.2)},
-    ],
-)
-def test_a_moved_input_sets_the_ray_anew_where_the_tip_then_stands(change: dict) -> None:
-    under_way = session()
-    before = under_way.step(2.3)
-    here = under_way.step(**change)
-    np.testing.assert_array_equal(here.constraints, before.constraints)
-    assert abs(here.tip_lateral - before.tip_lateral) > 1e-5
-    found = under_way.step(0.7)
-    assert found.constraints[3, 1] == pytest.approx(ahead(here, 3.0, LEFT), abs=1e-12)
-    at_once = session()  # the change may come with the insertion
-    at_once.step(2.3)
-    assert_close(at_once.step(0.7, **change), found)
-
-
-@pytest.mark.parametrize(
-    ("there", "back"),
-    [
-        ({"bevel": RIGHT}, {"bevel": LEFT}),
-        ({"base": (0.3, 0.0)}, {"base": (0.0, 0.0)}),
-        ({"tip": TrackedTip(0.2)}, {"tip": None}),
-    ],
-)
-def test_a_change_undone_at_the_same_depth_still_counts(there: dict, back: dict) -> None:
-    under_way, untouched = session(), session()
-    untouched.step(5.3)
-    under_way.step(5.3)
-    under_way.step(**there)
-    here = under_way.step(**back)
-    found, other = under_way.step(0.7), untouched.step(0.7)
-    assert found.constraints[6, 1] == pytest.approx(ahead(here, 6.0, LEFT), abs=1e-12)
-    assert abs(found.constraints[6, 1] - other.constraints[6, 1]) > 1e-5
-
-
-def test_equal_inputs_given_again_change_nothing() -> None:
+def test_equal_inputs_change_nothing_and_out_of_the_tissue_base_and_guide_alone_move_the_tip():
     under_way, untouched = session(), session()
     untouched.step(5.3)
     under_way.step(5.3)
     under_way.step(bevel=Bevel(0.1, 1), base=(0.0, 0.0), guides=(), tip=None)
     assert_same_steps(under_way.step(0.7), untouched.step(0.7))
-
-
-def test_all_the_way_out_and_in_again() -> None:
     under_way = session()
     under_way.step(12.5)
     out = under_way.step(-12.5)
@@ -215,9 +120,6 @@ def test_all_the_way_out_and_in_again() -> None:
     np.testing.assert_allclose(out.u, 0.0, atol=1e-12)
     np.testing.assert_array_equal(out.constraints, [[0.0, 0.0]])
     assert_close(under_way.step(8.5), session().step(8.5))
-
-
-def test_out_of_the_tissue_base_and_guide_alone_move_the_tip() -> None:
     under_way = session()
     under_way.step(5.0)
     under_way.step(-5.0)
@@ -225,18 +127,6 @@ def test_out_of_the_tissue_base_and_guide_alone_move_the_tip() -> None:
     assert shape.u[-1] == pytest.approx(0.5 + 150 * 0.01)
     found = under_way.step(1.0).constraints
     assert found[1, 1] == pytest.approx(ahead(shape, 1.0, LEFT))
-
-
-@pytest.mark.parametrize("first_cell", [0.0, -0.5, 1.2, np.nan])
-def test_the_first_cell_lies_within_the_constraint_spacing(first_cell: float) -> None:
-    with pytest.raises(ModelError, match="first cell"):
-        session(first_cell)
-
-
-def test_the_first_cell_is_kept_with_the_session() -> None:
-    assert session(0.3).lattice == Lattice(0.3, 1.0)
-    assert session().lattice.first_cell == 1.0
-    np.testing.assert_allclose(session(0.3).step(2.5).constraints[:, 0], [0, 0.3, 1.3, 2.3, 2.5])
 
 
 def test_a_long_session_keeps_its_size_and_accuracy() -> None:
@@ -253,3 +143,182 @@ def test_a_long_session_keeps_its_size_and_accuracy() -> None:
     remembered = len(under_way._bevels._numbers) + len(under_way._controls._numbers)
     assert remembered < 1500 and len(under_way._memory.list_rays()[0]) < 200
     assert under_way._rays < 1000
+
+
+# ---- failures and refused inputs change nothing
+
+THIN = Tissue(mu=[0.5], alpha=[8.0], thickness=[2.0])
+
+
+@pytest.mark.parametrize(
+    "step",
+    [
+        {"insert": 3.3, "base": (0.5, 0.0), "tip": TrackedTip(-3.0)},
+        {"insert": -2.1, "tip": TrackedTip(5.0)},
+        {"insert": 20.0, "bevel": Bevel(5.0)},
+        {"guides": tuple(Guide(-float(n), 9.0 * (n % 2)) for n in range(1, 12))},  # more than ever before
+    ],
+)
+def test_a_failed_step_changes_nothing(step: dict) -> None:
+    """Each of these compresses tissue of 2 mm to nothing; the needle stays where and as it was."""
+    under_way, untouched = Session(NEEDLE, THIN, LEFT, 0.7), Session(NEEDLE, THIN, LEFT, 0.7)
+    for one in (under_way, untouched):
+        one.step(5.4)
+        one.step(-0.9)
+    for _ in range(2):
+        failed = under_way.step(**step)
+        assert failed.status == "over-compressed" and np.isnan(failed.u).all()
+        assert failed.depth == pytest.approx(4.5 + step.get("insert", 0.0))
+        assert under_way.last == untouched.last and under_way.depth == 4.5
+    assert under_way.failures == Counter({"over-compressed": 2})
+    for after in ({"insert": 0.3}, {"insert": 4.0, "bevel": RIGHT}, {"insert": -2.0}, {"base": (0.1, 0)}):
+        assert_same_steps(under_way.step(**after), untouched.step(**after))
+
+
+def test_failures_are_counted_by_reason() -> None:
+    under_way = Session(NEEDLE, THIN, Bevel(0.05), rules=ModelOptions(max_iterations=4))
+    assert under_way.step(5.4).converged
+    assert under_way.step(base=(30.0, 0.0)).status == "not converged"
+    for _ in range(2):
+        assert under_way.step(base=(100.0, 0.0)).status == "over-compressed"
+    assert under_way.failures == Counter({"over-compressed": 2, "not converged": 1})
+    assert under_way.step(1.0).converged and under_way.depth == 6.4
+
+
+def test_a_needle_that_fails_at_once_stays_at_the_entry() -> None:
+    tissue = Tissue(mu=[1.0], alpha=[1e15])
+    under_way = Session(NEEDLE, tissue, LEFT)
+    assert under_way.step(3.0).status == "non-finite"
+    assert under_way.depth == 0.0 and under_way.step().converged
+
+
+@pytest.mark.parametrize(
+    "step",
+    [
+        {"insert": -5.0},
+        {"insert": np.nan},
+        {"insert": 200.0},
+        {"insert": 1.0, "guides": (Guide(-146.0),)},
+        {"base": (np.nan, 0.0)},
+        {"guides": (Guide(-3.0), Guide(-3.0, 0.1))},
+    ],
+)
+def test_bad_inputs_are_refused_and_change_nothing(step: dict) -> None:
+    under_way, untouched = Session(NEEDLE, TISSUE, LEFT), Session(NEEDLE, TISSUE, LEFT)
+    for one in (under_way, untouched):
+        one.step(3.4)
+    with pytest.raises(ModelError):
+        under_way.step(**step)
+    assert under_way.depth == 3.4 and not under_way.failures
+    assert_same_steps(under_way.step(2.0), untouched.step(2.0))
+
+
+# ---- copies, the shortest way to where a session stands, and the same way through another tissue
+
+SOFT, STIFF = (Tissue(mu=[mu, 5.0], alpha=[1.0, -1.0], boundaries=[12.3]) for mu in (0.2, 2.0))
+MILD, MILD_TURNED = Bevel(0.08, 1), Bevel(0.08, -1)
+
+
+def assert_near(found: NeedleShape, expected: NeedleShape) -> None:
+    for name in ("x", "u", "slope", "constraints"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-6, err_msg=name)
+
+
+def wandered(seed: int) -> tuple[Session, np.random.Generator]:
+    """Return a session after random steps, in and out, and the generator that goes on."""
+    rng = np.random.default_rng(seed)
+    rules = random_rules(rng)
+    needle, tissue = random_needle(rng, rules), random_tissue(rng, rules)
+    steps = random_steps(rng, 6)
+    under_way = Session(needle, tissue, steps[0].bevel, rng.uniform(0.05, 1) * rules.spacing, rules=rules)
+    for step in steps:
+        under_way.go(step)
+    return under_way, rng
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_copy_continues_independently_of_the_original(seed: int) -> None:
+    first, rng = wandered(seed)
+    second, before = first.copy(), first.now.shape
+    steps = random_steps(rng, 3)
+    there = [second.go(step) for step in steps]
+    assert first.now.shape is before
+    for step, expected in zip(steps, there, strict=True):
+        np.testing.assert_array_equal(first.go(step).u, expected.u)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_path_reproduces_the_needle_and_can_be_continued(seed: int) -> None:
+    under_way, rng = wandered(seed)
+    input_path = under_way.input_path()
+    again = simulate_steps(under_way.needle, under_way.tissue, input_path, under_way.rules, under_way.lattice)
+    assert_near(again, under_way.now.shape)
+    retold, start = under_way.simulate_again(), input_path[0]
+    single = Session(
+        under_way.needle, under_way.tissue, start.bevel, under_way.lattice.first_cell, start.controls,
+        under_way.rules,
+    )  # fmt: skip
+    for step in input_path:
+        single.go(step)
+    np.testing.assert_array_equal(retold.now.shape.u, single.now.shape.u)
+    assert retold.solved == single.solved
+    for step in random_steps(rng, 2):
+        assert_near(retold.go(step), under_way.go(step))
+
+
+def test_the_path_omits_what_was_undone() -> None:
+    under_way = Session(NEEDLE, SOFT, MILD)
+    under_way.step(insert=20)
+    for _ in range(50):
+        under_way.step(insert=10, bevel=MILD_TURNED, base=(0.5, 0.0))
+        under_way.step(insert=-10, bevel=MILD, base=(0.0, 0.0))
+    assert under_way.input_path() == (Step(20.0, MILD),)
+
+
+def test_inputs_changed_and_changed_back_within_a_cell_cut_anew() -> None:
+    """The ray is anchored again at the tip, though the course has the same inputs on both sides."""
+    under_way = Session(NEEDLE, SOFT, MILD, 0.7)
+    under_way.step(insert=10.2)
+    under_way.step(bevel=MILD_TURNED)
+    under_way.step(insert=5.3, bevel=MILD)
+    again = simulate_steps(NEEDLE, SOFT, under_way.input_path(), lattice=Lattice(0.7, 1.0))
+    straight = simulate_steps(NEEDLE, SOFT, (Step(15.5, MILD),), lattice=Lattice(0.7, 1.0))
+    assert_near(again, under_way.now.shape)
+    assert abs(straight.tip_lateral - again.tip_lateral) > 1e-4
+
+
+def test_inputs_changed_and_changed_back_at_the_tip_cut_anew_from_there() -> None:
+    under_way = Session(NEEDLE, SOFT, MILD, 0.7)
+    under_way.step(insert=10.2)
+    under_way.step(bevel=MILD_TURNED)
+    under_way.step(bevel=MILD)
+    retold, untouched = under_way.simulate_again(), Session(NEEDLE, SOFT, MILD, 0.7)
+    untouched.step(insert=10.2)
+    assert_near(retold.step(insert=5.3), under_way.step(insert=5.3))
+    assert abs(untouched.step(insert=5.3).tip_lateral - under_way.now.shape.tip_lateral) > 1e-4
+
+
+def test_a_path_is_simulated_in_another_tissue() -> None:
+    guided = Controls(guides=(Guide(-20.0),))
+    steps = (Step(10.0, MILD), Step(18.4, MILD_TURNED, guided), Step(25.0, MILD, guided))
+    under_way = Session(NEEDLE, SOFT, MILD)
+    for step in steps:
+        under_way.go(step)
+    under_way.step(insert=5)
+    under_way.step(insert=-5)
+    expected = simulate_steps(NEEDLE, STIFF, steps, lattice=Lattice(1.0, 1.0))
+    assert_near(under_way.simulate_again(STIFF).now.shape, expected)
+    blunt = tuple(replace(step, bevel=replace(step.bevel, offset=0.01)) for step in steps)
+    retold = under_way.simulate_again(offset=0.01)
+    assert_near(retold.now.shape, simulate_steps(NEEDLE, SOFT, blunt, lattice=Lattice(1.0, 1.0)))
+    assert retold.last == blunt[-1]
+
+
+def test_a_failed_path_is_located_and_the_original_is_unchanged() -> None:
+    thin = Tissue(mu=[0.5], alpha=[8.0], thickness=[1.0])
+    under_way = Session(NEEDLE, replace(thin, thickness=[60.0]), MILD)
+    under_way.step(insert=5.4)
+    before = under_way.step(tip=TrackedTip(-3.0))
+    retold = under_way.simulate_again(thin)
+    assert before.converged and retold.failures
+    assert under_way.now.shape is before and retold.depth == 5.4

@@ -29,7 +29,7 @@ from needlefit.project.checkpoint import (
     set_aside,
 )
 from needlefit.project.encode import decode, encode
-from needlefit.project.manifest import MANIFEST
+from needlefit.project.folders import MANIFEST
 
 START = Start(0, (0.1,), (0.2,), 0.3, 4, 0, "tolerance")
 FLIPS = 300

@@ -14,17 +14,19 @@ from pathlib import Path
 import pytest
 
 from needlefit.errors import ConfigError, DataError
-from needlefit.project import atomic_write
-from needlefit.project.atomic_write import create_folder, replace_file, replace_folder
+from needlefit.project import folders
 from needlefit.project.checkpoint import find_foreign_in_checkpoint, require_own_checkpoint
-from needlefit.project.locate import shipped_folder
-from needlefit.project.manifest import (
+from needlefit.project.folders import (
     MANIFEST,
+    create_folder,
     find_changes,
     find_foreign,
+    replace_file,
+    replace_folder,
     require_replaceable,
     require_unchanged,
 )
+from needlefit.project.locate import shipped_folder
 
 
 def write(folder, text="one"):
@@ -155,7 +157,7 @@ def test_a_manifest_without_a_digest_owns_nothing(files, tmp_path):
 def test_a_file_put_there_meanwhile_is_kept(tmp_path, monkeypatch):
     for exchanges in (True, False):
         if not exchanges:  # as on a system that cannot exchange two folders at once
-            monkeypatch.setattr(atomic_write, "_try_exchange", lambda *_: False)
+            monkeypatch.setattr(folders, "_try_exchange", lambda *_: False)
         folder = tmp_path / f"out{exchanges}"
         write(folder)
         with pytest.raises(ConfigError, match=r"notes\.txt"), replace_folder(folder) as fresh:
@@ -180,7 +182,7 @@ def test_a_foreign_result_stays_accessible_if_it_cannot_be_restored(tmp_path, mo
         one.with_name("third").rename(other)
 
     write(folder)
-    monkeypatch.setattr(atomic_write, "_exchange", exchange)
+    monkeypatch.setattr(folders, "_exchange", exchange)
     with pytest.raises(OSError, match="disk full"), replace_folder(folder) as fresh:
         (fresh / "new.csv").write_text("new")
         (folder / "notes.txt").write_text("mine")
@@ -194,7 +196,7 @@ def test_there_is_a_result_at_every_moment(tmp_path):
     """Where the system can exchange two folders at once."""
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
-    if not atomic_write._try_exchange(tmp_path / "one", tmp_path / "two"):
+    if not folders._try_exchange(tmp_path / "one", tmp_path / "two"):
         pytest.skip("two folders cannot be exchanged at once here")
     folder, ended, missed = tmp_path / "out", threading.Event(), []
     write(folder)
@@ -334,7 +336,7 @@ locks = pytest.mark.skipif(sys.platform == "win32", reason="nothing there says t
 WRITES = """
 import sys
 from pathlib import Path
-from needlefit.project.atomic_write import {verb}
+from needlefit.project.folders import {verb}
 with {verb}(Path(sys.argv[1])) as fresh:
     print("writing", flush=True)
     sys.stdin.read()

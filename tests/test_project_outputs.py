@@ -11,9 +11,9 @@ from test_viewer_recording import recorded
 from needlefit.errors import ConfigError
 from needlefit.imaging import batch
 from needlefit.mechanics import scene
+from needlefit.project.folders import require_output_files, require_writable
 from needlefit.project.init import copy_project
 from needlefit.project.locate import find_file, shipped_folder
-from needlefit.project.outputs import require_output_files, require_writable
 from needlefit.studies import targets as targets  # bound before a test takes away what it imports
 from needlefit.verification import run as verification
 
@@ -116,7 +116,7 @@ def test_colliding_outputs_are_refused_and_an_old_one_is_replaced(own, tmp_path,
 
 def test_a_dataset_does_not_overwrite_its_scans(tmp_path, capsys):
     """The folder of `twin ct` carries our stamp: but for its scans being inputs it could be replaced."""
-    from needlefit.project.atomic_write import replace_folder
+    from needlefit.project.folders import replace_folder
 
     with replace_folder(tmp_path / "ct") as fresh:
         shutil.copytree(shipped_folder() / "data/sample_scan", fresh, dirs_exist_ok=True)

@@ -4,7 +4,7 @@ import pytest
 from pydantic import ValidationError
 
 from needlefit.errors import ConfigError
-from needlefit.project.load import load, schema_faults
+from needlefit.project.toml import load, schema_faults
 from needlefit.schemas.dataset import MeasurementRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord

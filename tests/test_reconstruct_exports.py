@@ -37,7 +37,7 @@ def exported(tmp_path_factory) -> Path:
     return folder
 
 
-def test_every_reference_of_the_scene_leads_to_a_node_or_a_file(exported, tmp_path):
+def test_the_scene_s_references_lead_to_nodes_and_files_that_lie_where_they_did(exported, tmp_path):
     bundle = exported / "one/slicer/sample.mrb"
     with zipfile.ZipFile(bundle) as archive:
         archive.extractall(tmp_path)
@@ -52,17 +52,10 @@ def test_every_reference_of_the_scene_leads_to_a_node_or_a_file(exported, tmp_pa
             role, _, ids = part.partition(":")
             assert role in ("display", "storage", "ActiveVolume") and set(ids.split()) <= set(nodes)
     tags = [node.tag for node in root]
-    assert {tag: tags.count(tag) for tag in ("Volume", "Segmentation", "Model", "MarkupsCurve")} == {
-        "Volume": 1,
-        "Segmentation": 1,
-        "Model": 2,
-        "MarkupsCurve": 4,
-    }
+    counts = {"Volume": 1, "Segmentation": 1, "Model": 2, "MarkupsCurve": 4}
+    assert {tag: tags.count(tag) for tag in counts} == counts
     for file in (tmp_path / "sample/Data").glob("*.mrk.json"):
         assert len(json.loads(file.read_text())["markups"]) == 1
-
-
-def test_volume_needle_and_surfaces_of_the_scene_lie_where_they_did(exported, tmp_path):
     bundle = exported / "one/slicer/sample.mrb"
     with zipfile.ZipFile(bundle) as archive:
         archive.extractall(tmp_path)

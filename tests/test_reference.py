@@ -6,8 +6,8 @@ import pandas as pd
 import pytest
 
 from needlefit.project.json_values import to_json_values
-from needlefit.project.load import load
 from needlefit.project.locate import PAPER_FITS, PAPER_STUDIES, find_file
+from needlefit.project.toml import load
 from needlefit.schemas.study import SelectionRecord, StudyRecord
 from needlefit.studies.job import prepare
 from needlefit.studies.kinds.cross_validation.run import Settings, run

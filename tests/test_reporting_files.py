@@ -15,7 +15,7 @@ from light_runs import blank_figures  # noqa: F401 - a fixture
 from reporting_results import skip_figures, stereo, study
 
 from needlefit.errors import ConfigError
-from needlefit.project.manifest import write_manifest
+from needlefit.project.folders import write_manifest
 from needlefit.reporting.figures.style import choose_vertical_scale
 from needlefit.studies.combined_report import write_combined
 from needlefit.studies.fit_frames import COLUMNS

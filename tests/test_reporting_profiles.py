@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from needlefit.inference.identifiability.profile import DEVIANCE_95
-from needlefit.reporting.figures.profiles import choose_log_ticks, draw_profiles
+from needlefit.reporting.figures.fit_forms import choose_log_ticks, draw_profiles
 
 
 @pytest.mark.parametrize("factor", [1.01, 1.1, 2.0, 4.9, 5.1, 30.0, 1e3, 1e6])

@@ -3,14 +3,12 @@
 import csv
 import re
 from datetime import date
-from pathlib import Path
 
 import pytest
 
 from needlefit.errors import ConfigError
-from needlefit.project.load import check, load
 from needlefit.project.locate import find_file, list_names, shipped_folder
-from needlefit.project.overrides import list_keys, override
+from needlefit.project.toml import check, list_keys, load, override
 from needlefit.schemas.scene import SceneRecord, resolve_steps
 
 PAPER = shipped_folder() / "data" / "paper"
@@ -30,42 +28,33 @@ def scene(name: str) -> SceneRecord:
     return load(find_file("scene", name), SceneRecord)
 
 
-def test_every_set_has_its_scene():
+def test_every_set_and_figure_1_have_their_scene():
     assert {row["set"] for row in SETS} <= set(list_names("scene"))
+    record = scene("figure1")
+    assert (record.needle.length_mm, record.needle.outer_diameter_mm) == (150, 1.27)
+    assert (len(record.layers), len(record.steps), len(record.guides)) == (4, 3, 1)
+    assert "invented" in record.note
 
 
 @pytest.mark.parametrize("row", SETS, ids=lambda row: row["set"])
 def test_a_scene_holds_the_published_parameters(row):
-    record = scene(row["set"])
+    """Its depth is the middle of its medium's insertions."""
+    record, name = scene(row["set"]), row["set"]
     printed = [(row[f"mu{n}_pa"], row[f"alpha{n}"]) for n in (1, 2, 3, 4) if row[f"mu{n}_pa"]]
     assert [(layer.mu_pa, layer.alpha) for layer in record.layers] == [
         (float(mu), float(a)) for mu, a in printed
     ]
     assert record.bevel.offset_mm == float(row["bevel_mm"])
     assert [layer.top_mm for layer in record.layers] == [0, 20, 28, 45][: len(printed)]
-
-
-@pytest.mark.parametrize("name", [row["set"] for row in SETS])
-def test_its_depth_is_the_middle_of_the_medium_s(name):
-    medium = TUNED_ON.get(name, name)
-    depths = [
-        float(row[key])
-        for row in rows("insertions")
-        if row["medium"] == medium
-        for key in ("depth_min_mm", "depth_max_mm")
-    ]
-    assert scene(name).depth_mm == pytest.approx((min(depths) + max(depths)) / 2)
-
-
-@pytest.mark.parametrize("name", [row["set"] for row in SETS])
-def test_it_is_the_paper_s_needle_and_lists_invented_values(name):
-    record = scene(name)
+    ranges = [one for one in rows("insertions") if one["medium"] == TUNED_ON.get(name, name)]
+    depths = [float(one[key]) for one in ranges for key in ("depth_min_mm", "depth_max_mm")]
+    assert record.depth_mm == pytest.approx((min(depths) + max(depths)) / 2)
     assert (record.needle.length_mm, record.needle.outer_diameter_mm) == (150, 1.27)
     assert record.needle.youngs_modulus_gpa == 80
     assert len(record.layers) == 1 or "invented" in record.note
 
 
-def test_every_key_can_be_set():
+def test_every_key_can_be_set_and_the_file_s_tables_stay():
     tables = {"layers": [{}, {}], "needle": {}}
     known = set(list_keys(SceneRecord, tables))
     assert {
@@ -76,16 +65,13 @@ def test_every_key_can_be_set():
         "controls.base_y_mm",
     } <= known
     assert "layers.3.alpha" not in known and "schema" not in known
-
-
-def test_setting_leaves_the_file_s_tables_alone():
     tables = {"depth_mm": 3.0, "layers": [{"mu_pa": 1.0}]}
     changed = override(tables, [("layers.1.mu_pa", "3e5"), ("law", "linear")], SceneRecord, "a.toml")
     assert changed == {"depth_mm": 3.0, "layers": [{"mu_pa": 3e5}], "law": "linear"}
     assert tables == {"depth_mm": 3.0, "layers": [{"mu_pa": 1.0}]}
 
 
-def test_what_a_step_changes_of_a_guide_is_set_by_the_guide_s_name():
+def test_guides_of_steps_are_set_by_their_name_and_a_scene_without_steps_is_one():
     tables = {"guides": [{"name": "template"}, {"name": "ring"}], "steps": [{}, {"guides": {}}]}
     known = set(list_keys(SceneRecord, tables))
     assert {"guides.2.y_mm", "steps.1.guides.ring.y_mm", "steps.2.guides.template.engaged"} <= known
@@ -93,6 +79,9 @@ def test_what_a_step_changes_of_a_guide_is_set_by_the_guide_s_name():
     assert "steps.1.guides.ring.name" not in known
     changed = override(tables, [("steps.1.guides.ring.y_mm", "2")], SceneRecord, "a.toml")
     assert changed["steps"][0] == {"guides": {"ring": {"y_mm": 2}}}
+    (step,) = resolve_steps(check(BARE | {"depth_mm": 7, "guides": [RING]}, SceneRecord, "a.toml"))
+    assert (step.depth_mm, step.key, step.bevel.side) == (7, "depth_mm", 1)
+    assert step.guides[0][1].name == "ring"
 
 
 BARE = {
@@ -136,40 +125,19 @@ def test_unset_values_of_a_step_carry_over():
     ]  # fmt: skip
 
 
-def test_a_scene_without_steps_is_one():
-    (step,) = resolve_steps(check(BARE | {"depth_mm": 7, "guides": [RING]}, SceneRecord, "a.toml"))
-    assert (step.depth_mm, step.key, step.bevel.side) == (7, "depth_mm", 1)
-    assert step.guides[0][1].name == "ring"
-
-
-@pytest.mark.parametrize(
-    ("more", "message"),
-    [
-        ({}, r"`depth_mm`.*\[\[steps\]\]"),
-        ({"depth_mm": 5, "steps": [{"depth_mm": 5}]}, r"steps\.1\.depth_mm"),
-        ({"steps": [{"side": 1}]}, r"`steps\.1\.depth_mm`.* missing"),
-        ({"steps": [{"depth_mm": -1}]}, r"`steps\.1\.depth_mm`"),
-        ({"steps": [{"depth_mm": 1, "sied": 1}]}, r"`steps\.1\.sied`.*`side`"),
-        (
-            {"steps": [{"depth_mm": 1, "guides": {"rang": {}}}]},
-            r"`steps\.1\.guides\.rang`.*`ring`",
-        ),
-        ({"steps": [{"depth_mm": 1, "guides": {"ring": {"z_mm": 1}}}]}, r"`steps\.1\.guides\.ring\.z_mm`"),
-        ({"steps": [{"depth_mm": 1, "tip_slope_deg": 1}]}, r"`steps\.1`: tip_slope_deg .*tip_y_mm"),
-        ({"steps": [{"depth_mm": 1, "tip_y_mm": 1, "tip_free": True}]}, r"`steps\.1`: tip_free"),
-        ({"depth_mm": 5, "controls": {"tip_slope_deg": 1}}, r"`controls`: tip_slope_deg .*tip_y_mm"),
-        ({"depth_mm": 5, "guides": [RING, RING]}, r"`guides\.2\.name`: `ring`"),
-        ({"depth_mm": 5, "guides": [RING | {"name": "7"}]}, r"`guides\.1\.name`"),
-    ],
-)
-def test_invalid_scenes_are_refused(more, message):
-    with pytest.raises(ConfigError, match=message):
-        check(BARE | {"guides": [RING]} | more, SceneRecord, "a.toml")
-
-
 @pytest.mark.parametrize(
     ("more", "what", "expected", "fix"),
     [
+        ({"depth_mm": None}, "`depth_mm` is missing: give it, or [[steps]]", "", ""),
+        ({"steps": [{"depth_mm": 5}]}, "steps.1.depth_mm", "", ""),
+        ({"depth_mm": None, "steps": [{"side": 1}]}, "`steps.1.depth_mm` is missing", "", ""),
+        *(({"depth_mm": None, "steps": [{"depth_mm": 1} | step]}, what, "", "") for step, what in (
+            ({"depth_mm": -1}, "`steps.1.depth_mm`"), ({"sied": 1}, "`steps.1.sied`"),
+            ({"guides": {"rang": {}}}, "`steps.1.guides.rang`"), ({"tip_slope_deg": 1}, "`steps.1`: tip_sl"),
+            ({"guides": {"ring": {"z_mm": 1}}}, "`steps.1.guides.ring.z_mm`"),
+            ({"tip_y_mm": 1, "tip_free": True}, "`steps.1`: tip_free"))),
+        ({"controls": {"tip_slope_deg": 1}}, "`controls`: tip_slope_deg ", "", ""),
+        ({"guides": [RING, RING]}, "`guides.2.name`: `ring`", "", ""),
         ({"depth_mm": -1}, "`depth_mm` is -1", "above 0", "`depth_mm`"),
         (
             {"controls": {"base_slope_deg": 50}},
@@ -195,7 +163,8 @@ def test_invalid_scenes_are_refused(more, message):
 )  # fmt: skip
 def test_an_error_states_the_expected_value_and_the_fix(more, what, expected, fix):
     with pytest.raises(ConfigError) as fault:
-        check(BARE | {"depth_mm": 5} | more, SceneRecord, "a.toml")
+        tables = BARE | {"depth_mm": 5, "guides": [RING]} | more
+        check({key: value for key, value in tables.items() if value is not None}, SceneRecord, "a.toml")
     assert what in fault.value.what and ";" not in fault.value.what.split("; did you mean")[0]
     assert expected in fault.value.expected and fix in fault.value.fix
 
@@ -212,22 +181,9 @@ def test_several_errors_are_each_listed_once():
     assert modulus.startswith("`layers.1.mu_pa`") and "above 0" in modulus
     assert alpha.startswith("`layers.1.alpha`") and "quotes" in alpha
     assert re.findall(r"`([\w.]+)`", fault.value.fix) == ["layers.1.mu_pa", "layers.1.alpha"]
-
-
-def test_an_integer_is_a_number_and_a_date_is_refused():
     assert check(BARE | {"depth_mm": 5}, SceneRecord, "a.toml").depth_mm == 5.0
     with pytest.raises(ConfigError, match="key `title`"):
         check(BARE | {"depth_mm": 5, "title": date(2020, 1, 1)}, SceneRecord, "a.toml")
-
-
-def test_the_scene_of_figure_1_lists_invented_values():
-    record = scene("figure1")
-    assert (record.needle.length_mm, record.needle.outer_diameter_mm) == (150, 1.27)
-    assert (len(record.layers), len(record.steps), len(record.guides)) == (4, 3, 1)
-    assert "invented" in record.note
-
-
-def test_a_fault_in_a_list_is_numbered_from_1(tmp_path: Path):
     tables = {"schema": 1, "depth_mm": 3.0, "needle": {"length_mm": 9, "flexural_rigidity_nmm2": 1}}
     tables |= {"bevel": {"offset_mm": 0.1}, "layers": [{"top_mm": 0, "mu_pa": 1, "alpha": 1}, {"top_mm": 1}]}
     with pytest.raises(ConfigError, match=r"`layers\.2\.mu_pa`.* missing"):

@@ -38,6 +38,9 @@ def test_a_segmentation():
     matrix = np.asarray(expected["ijkToLPS"])
     ijk = [[0, 0, 0], [3, 5, 7]]
     assert to_patient(labels.volume, ijk) == pytest.approx(ijk @ matrix[:3, :3].T + matrix[:3, 3])
+    with pytest.raises(DataError) as error:
+        read_labels(FILES / "SegmentationOverlapping.seg.nrrd")
+    assert "overlap" in error.value.what and "Segment Editor" in error.value.fix
 
 
 @pytest.mark.sweep
@@ -46,12 +49,6 @@ def test_segments_of_it_as_layers():
     names = [one.name for one in read_labels(path).segments]
     (one,) = extract_label_surfaces(path, names[-1:])
     assert one.into == 1 and one.mesh.is_watertight
-
-
-def test_overlapping_segments_are_refused():
-    with pytest.raises(DataError) as error:
-        read_labels(FILES / "SegmentationOverlapping.seg.nrrd")
-    assert "overlap" in error.value.what and "Segment Editor" in error.value.fix
 
 
 def test_points():

@@ -1,10 +1,10 @@
 """The twin as scans: what is true stands in the volumes at its stated position."""
 
-import csv
 import os
 from dataclasses import replace
 from pathlib import Path
 
+import ct_cases as cases
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -14,17 +14,23 @@ from typer.testing import CliRunner
 from needlefit.cli.application import build as application
 from needlefit.cli.exit_codes import Invocation
 from needlefit.errors import ConfigError
+from needlefit.geometry.frames import Frame
 from needlefit.imaging.registration.pairing import find_symmetries
-from needlefit.imaging.registration.register import predict_mean_target_error, register, to_world
 from needlefit.imaging.volume import to_index, to_patient
 from needlefit.imaging.volume_files import read_volume
-from needlefit.project.load import load
 from needlefit.project.locate import shipped_folder
 from needlefit.project.tasks import THIS_PROCESS, LocalPool, run_in_order
-from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic import design
 from needlefit.synthetic.design import list_planned_insertions, select_planned_insertions
 from needlefit.synthetic.insertion import TWIN_SEED, simulate_insertion
+from needlefit.synthetic.render import (
+    Needle3D,
+    ScannerTable,
+    SceneMarkers,
+    bevel_side,
+    voxelize_balls,
+    voxelize_needle,
+)
 from needlefit.synthetic.scans import (
     SAMPLE_SETUP,
     WHOLE_BOX_SETUP,
@@ -38,7 +44,6 @@ from needlefit.synthetic.scans import (
 
 SHIPPED = shipped_folder() / "data" / "sample_scan"
 PLAN = {planned.id: planned for planned in list_planned_insertions()}
-TABLED = replace(SAMPLE_SETUP, low=np.array([0.0, -16.0, -44.0]), high=np.array([30.0, 4.0, 11.0]))
 
 
 def quiet(_what, _done, _of):
@@ -90,28 +95,8 @@ def test_the_needle_is_at_its_true_position(clean):
     assert brightness(volume, ends)[0] > 2000 and brightness(volume, ends)[1] < 500
 
 
-def test_the_needle_is_held_by_its_stage_and_as_long_as_it_is():
-    twin = simulate_insertion(PLAN["phantom2-02"], 1)
-    true, frame = sample_whole_needle(twin), twin.true_insertion.frame
-    assert np.linalg.norm(np.diff(true, axis=0), axis=1).sum() == pytest.approx(150.0, abs=0.05)
-    base = frame.to_local(true[:2])
-    assert_allclose(base[0], [twin.planned.depth - 150.0, 0, 0], atol=1e-9)
-    assert_allclose(base[1, 1:], 0, atol=1e-3)  # clamped along the stage's axis
-    assert_allclose(true[-1], twin.true_insertion.centerline[-1], atol=1e-9)
-
-
-def test_the_bevel_s_point_looks_where_the_needle_steers():
-    twin = simulate_insertion(PLAN["phantom2-08"], 1)
-    needle = expose(twin, WHOLE_BOX_SETUP, 1).scene.needles[0]
-    world = expose(twin, WHOLE_BOX_SETUP, 1).scene.box
-    toward = world.rotation.T @ needle.bevel_toward
-    bent = twin.true_insertion.centerline[-1] - twin.true_insertion.centerline[0]
-    assert toward @ bent > 0
-    assert toward @ twin.planned.toward == pytest.approx(np.cos(twin.deviations.roll), abs=1e-3)
-
-
-def test_displaced_layers_show_at_their_true_place(clean):
-    """Half-way in HU lies the true interface, which is not the stated one."""
+def test_layers_face_and_balls_show_at_their_true_places(clean):
+    # Half-way in HU lies the true interface, which is not the stated one.
     twin, exposure, volume = clean
     true = twin.specimen.phantom.interfaces[0]
     assert 0.02 < abs(true - 19.0) < 0.4
@@ -126,31 +111,10 @@ def test_displaced_layers_show_at_their_true_place(clean):
     )
     assert_allclose(profile[[0, -1]], [20.0, 90.0], atol=1.0)
     assert np.interp(55.0, profile, x) == pytest.approx(true, abs=0.03)
-
-
-def test_the_cylinder_shows_at_its_true_place():
-    top = simulate_insertion(PLAN["phantom2-01"], 1).specimen.phantom.cylinder.top
-    around = replace(
-        WHOLE_BOX_SETUP, low=np.array([36.0, -16, -3]), high=np.array([48.0, -8, 3]), outside=-38.0
-    )
-    _, exposure, volume = crop("phantom2-01", setup=around, **CLEAN)
-    x = np.linspace(36, 44, 300)
-    world = exposure.scene.box.to_world
-    profile = np.mean([brightness(volume, world(world_points(x, y, 0))) for y in (-14, -13, -12)], axis=0)
-    assert_allclose(profile[[0, -1]], [35.0, 105.0], atol=1.0)
-    assert abs(top - 40.0) > 0.02
-    assert np.interp(70.0, profile, x) == pytest.approx(top, abs=0.03)
-
-
-def test_the_face_of_the_box_is_the_world_s_plane_x_0(clean):
     _, exposure, volume = clean
     x = np.linspace(-3, 3, 200)
     profile = brightness(volume, exposure.scene.box.to_world(world_points(x, 10.0, -10.0)))
     assert np.interp(-490.0, profile, x) == pytest.approx(0.0, abs=0.03)
-
-
-def test_balls_stand_at_their_true_places_and_are_stated_near_them(clean):
-    _, exposure, volume = clean
     for center in exposure.scene.box.to_world(SAMPLE_SETUP.markers):
         voxels = np.argwhere(volume.values > 700)[:, ::-1]
         places = to_patient(volume, voxels)
@@ -162,69 +126,13 @@ def test_balls_stand_at_their_true_places_and_are_stated_near_them(clean):
     assert off.std() == pytest.approx(0.1, rel=0.05) and abs(off.mean()) < 0.01
 
 
-def test_a_chicken_is_muscle_without_layers():
-    twin, exposure, volume = crop(
-        "chicken-02", setup=replace(SAMPLE_SETUP, markers=WHOLE_BOX_SETUP.markers), **CLEAN
-    )
-    values = brightness(volume, exposure.scene.box.to_world(world_points(np.arange(2.0, 28), -8.0, 8.0)))
-    assert twin.specimen.phantom.boundaries == 0
-    assert_allclose(values, 55.0, atol=0.5)
-
-
-def test_the_table_lies_under_the_box():
-    _, exposure, volume = crop("sample", setup=TABLED, **CLEAN)
-    down = brightness(volume, exposure.scene.box.to_world(world_points(10.0, -12.0, [-38.0, -42.0])))
-    assert_allclose(down, [20.0, -100.0], atol=1.0)
-
-
 # ---- pose, seed, files
-
-
-def test_the_pose_is_arbitrary_about_the_long_axis_and_moderate_otherwise():
-    twin = simulate_insertion(design.SAMPLE_INSERTION, 1)
-    worlds = [
-        expose(replace(twin, planned=replace(twin.planned, id=f"n{n}")), SAMPLE_SETUP, 1).scene.box
-        for n in range(40)
-    ]
-    along = np.array([world.rotation[:, 0] for world in worlds])  # the box's depth, in the patient
-    up = np.array([world.rotation[:, 2] for world in worlds])
-    assert np.all(along[:, 2] > np.cos(np.deg2rad(9)))
-    turns = np.rad2deg(np.arctan2(up[:, 1], up[:, 0]))
-    assert np.all(np.histogram(turns, bins=4, range=(-180, 180))[0] > 3)
-    assert np.ptp([world.origin for world in worlds], axis=0).min() > 200
-    assert all(np.linalg.det(world.rotation) == pytest.approx(1) for world in worlds)
-
-
-@pytest.mark.parametrize("name", ["phantom1-09", "phantom2-13", "chicken-12"])
-def test_the_field_holds_box_markers_and_shaft_and_little_else(name):
-    twin = simulate_insertion(PLAN[name], 1)
-    exposure = expose(twin, WHOLE_BOX_SETUP, 1)
-    grid, world = exposure.scanner.grid, exposure.scene.box
-    corners = np.array([[x, y, z] for x in (0, 80) for y in (-40, 40) for z in (-40, 40)], dtype=float)
-    shaft = twin.true_insertion.frame.to_world([[-34.0, 0, 0]])
-    points = world.to_world(np.vstack([corners, WHOLE_BOX_SETUP.markers, shaft]))
-    index = (points - grid.origin) @ grid.direction / grid.spacing
-    assert np.all(index >= 0) and np.all(index <= np.array(grid.size) - 1)
-    assert_array_equal(grid.spacing, 0.46)
-    assert np.prod(grid.size) < 14e6
-
-
-@pytest.mark.sweep
-def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path):
-    paths = [tmp_path / name for name in "abc"]
-    for path, seed in zip(paths, (1, 1, 2), strict=True):
-        write_scans(path, [design.SAMPLE_INSERTION], seed, "nrrd", THIS_PROCESS, quiet)
-    first, again, other = ({p.relative_to(d): p.read_bytes() for p in files(d)} for d in paths)
-    assert first == again and first.keys() == other.keys()
-    changed = {name.as_posix() for name in first if first[name] != other[name]}
-    assert changed == {"volumes/sample.nrrd", "markers/sample.csv"}
 
 
 def files(folder):
     return sorted(path for path in Path(folder).rglob("*") if path.is_file())
 
 
-@pytest.mark.sweep
 def test_the_shipped_sample_is_a_rebuild(tmp_path):
     """On the machine that built it to the last byte; elsewhere rounding may turn a voxel by 1 HU."""
     write_scans(tmp_path, [design.SAMPLE_INSERTION], TWIN_SEED, "nrrd", THIS_PROCESS, quiet)
@@ -253,60 +161,21 @@ def test_nrrd_and_dicom_hold_the_same_voxels(tmp_path):
     assert b"Synthetic: needlefit twin ct sample --seed 1" in header
 
 
-@pytest.mark.sweep
-def test_scans_csv_states_the_plan_and_not_the_truth(tmp_path):
-    table = write_scans(
-        tmp_path, [PLAN["chicken-07"], design.SAMPLE_INSERTION], 1, "nrrd", THIS_PROCESS, quiet
-    )
-    with table.open(newline="") as file:
-        chicken, sample = csv.DictReader(file)
-    assert sample["id"] == "sample" and sample["scan"] == "volumes/sample.nrrd"
-    assert sample["surfaces"] == (
-        "layers/phantom2_interface1.stl=sheet:2;layers/phantom2_interface2.stl=sheet:3;"
-        "layers/phantom2_cylinder.stl=solid:4"
-    )
-    assert (sample["layers"], sample["layers_alternative"], sample["origin"]) == ("2", "2", "synthetic")
-    assert [float(sample[f"entry_{axis}_mm"]) for axis in "xyz"] == [0, 2.5, -3]
-    assert (sample["pose_shift_sd_mm"], sample["pose_angle_sd_deg"]) == ("0.0500", "0.0500")
-    assert chicken["surfaces"] == chicken["surfaces_in"] == ""
-    assert chicken["specimen"] == "chicken-piece3" and chicken["bevel_side"] == "-1"
-    assert [float(chicken[f"bevel_{axis}"]) for axis in "xyz"] == [-0.173648, 0.984808, 0]  # tilt 10, to +y
-    for row in (chicken, sample):
-        for name in [row["scan"], row["markers"], *filter(None, row["surfaces"].split(";"))]:
-            assert (tmp_path / name.partition("=")[0]).is_file()
-    recipe = load(tmp_path / "recipe.toml", ReconstructionRecord)
-    assert recipe.markers.reference_sd_mm == WHOLE_BOX_SETUP.known_sd
-
-
 # ---- markers
 
 
-@pytest.mark.parametrize("setup", [WHOLE_BOX_SETUP, SAMPLE_SETUP])
-def test_the_layout_of_the_markers_has_no_symmetry(setup):
-    assert len(find_symmetries(setup.markers, np.hypot(setup.known_sd, 0.05))) == 1
-
-
-def test_markers_keep_off_every_needle():
+def test_the_layout_of_the_markers_has_no_symmetry_and_keeps_off_every_needle():
+    for setup in [WHOLE_BOX_SETUP, SAMPLE_SETUP]:
+        assert len(find_symmetries(setup.markers, np.hypot(setup.known_sd, 0.05))) == 1
     for planned in PLAN.values():
         line = planned.origin + np.linspace(-60, planned.depth, 300)[:, None] * planned.direction
         assert np.linalg.norm(line[:, None] - WHOLE_BOX_SETUP.markers, axis=2).min() > 20
-
-
-@pytest.mark.sweep
-def test_the_registration_errs_as_much_as_the_papers():
-    """Mean target error at entry and tip: 0.19 mm, and not above."""
-    rng, errors, predicted = np.random.default_rng(0), [], []
-    for planned in list(PLAN.values()) * 4:
-        ends = planned.origin + np.outer([0.0, planned.depth], planned.direction)
-        found = WHOLE_BOX_SETUP.markers + 0.05 * rng.normal(size=WHOLE_BOX_SETUP.markers.shape)
-        stated = WHOLE_BOX_SETUP.markers + WHOLE_BOX_SETUP.known_sd * rng.normal(
-            size=WHOLE_BOX_SETUP.markers.shape
-        )
-        registration = register(found, stated, 0.05, WHOLE_BOX_SETUP.known_sd)
-        errors.append(np.linalg.norm(to_world(registration, ends) - ends, axis=1))
-        predicted.append(predict_mean_target_error(registration, ends))
-    assert 0.16 < np.mean(errors) < 0.19
-    assert np.mean(predicted) == pytest.approx(np.mean(errors), rel=0.1)
+    with pytest.raises(ConfigError, match=r"phantom2-9`\n.*phantom2-09, "):
+        select_planned_insertions(["phantom2-9"])
+    assert (
+        select_planned_insertions(()) == list_planned_insertions()
+        and len(select_planned_insertions(["sample", "sample"])) == 1
+    )
 
 
 # ---- the command
@@ -314,15 +183,6 @@ def test_the_registration_errs_as_much_as_the_papers():
 
 def needlefit(*words):
     return CliRunner().invoke(application(), ["twin", "ct", *map(str, words)], obj=Invocation(words))
-
-
-def test_an_unknown_insertion_lists_the_nearest():
-    with pytest.raises(ConfigError, match=r"phantom2-9`\n.*phantom2-09, "):
-        select_planned_insertions(["phantom2-9"])
-    assert (
-        select_planned_insertions(()) == list_planned_insertions()
-        and len(select_planned_insertions(["sample", "sample"])) == 1
-    )
 
 
 @pytest.mark.sweep
@@ -341,20 +201,56 @@ def test_scans_replace_scans_and_nothing_else(tmp_path):
 # ---- processes
 
 
-def test_results_are_in_task_order_for_any_number_of_processes():
+def test_tasks_keep_their_order_and_errors_reach_the_caller():
     tasks = [-3, 1, -2]
     assert (
         list(run_in_order(abs, tasks, LocalPool()))
         == list(run_in_order(abs, tasks, LocalPool(2)))
         == [3, 1, 2]
     )
-
-
-def test_the_error_of_a_task_reaches_the_caller():
     with pytest.raises(TypeError, match="bad operand"):
         list(run_in_order(abs, [1, "one", 2], LocalPool(2)))
-
-
-def test_a_killed_process_is_reported():
     with pytest.raises(ConfigError, match="ended from outside"):
         list(run_in_order(os._exit, [1, 1], LocalPool(2)))
+
+
+# ---- rendered scans: what must be in them whatever the scanner does
+
+VOXEL = cases.SPACING**3
+
+
+def test_the_voxels_hold_the_volume_of_needle_bevel_and_balls():
+    blunt = Needle3D(cases.axis()[41:], bevel_deg=90.0)
+    metal = voxelize_needle(blunt, cases.grid())
+    length = np.linalg.norm(np.diff(blunt.points, axis=0), axis=1).sum()
+    assert_allclose(metal.part.sum() * VOXEL, np.pi / 4 * 1.27**2 * length, rtol=4e-3)
+    assert metal.part.min() >= 0 and metal.part.max() == 1
+    center = np.array([[10.1, 11.2, 30.3]])
+    metal = voxelize_balls(SceneMarkers(center, radius=1.5), cases.grid())
+    assert_allclose(metal.part.sum() * VOXEL, 4 / 3 * np.pi * 1.5**3, rtol=5e-3)
+    mean = (metal.part[:, None] * metal.voxels).sum(axis=0) / metal.part.sum() * cases.SPACING
+    assert_allclose(mean, center[0], atol=5e-3)
+    for angle in [20.0, 45.0]:
+        points = cases.axis(tip=(2.0, 3.0, 28.0))[41:]
+        bevelled = voxelize_needle(Needle3D(points, bevel_deg=angle), cases.grid())
+        blunt = voxelize_needle(Needle3D(points, bevel_deg=90.0), cases.grid())
+        cut = np.pi / 8 * 1.27**3 / np.tan(np.deg2rad(angle))
+        assert_allclose((blunt.part.sum() - bevelled.part.sum()) * VOXEL, cut, rtol=0.02)
+    toward = np.array([0.3, 1.0, 0.2])
+    needle = Needle3D(cases.axis()[41:], bevel_toward=toward)
+    metal = voxelize_needle(needle, cases.grid())
+    places = metal.voxels * cases.SPACING
+    end = places[:, 2] > places[:, 2].max() - 1.0
+    center = (metal.part[end, None] * places[end]).sum(axis=0) / metal.part[end].sum()
+    assert bevel_side(needle) @ (center - cases.ENTRY) > 0.3
+    assert_allclose(bevel_side(needle)[:2], toward[:2] / np.hypot(*toward[:2]), atol=1e-6)
+
+
+def test_a_table_lies_under_its_frame():
+    frame = Frame(np.array([11.0, 18.0, 25.0]), np.array([[0.0, 1, 0], [0, 0, -1], [1, 0, 0]]))
+    table = ScannerTable(frame, width=14.0, thickness=2.0)
+    values = cases.scan(cases.axis(), noise_hu=0.0, scene={"table": table}).values
+    row = round(19.0 / cases.SPACING)
+    assert values[100, row, round(11.0 / cases.SPACING)] > 1000  # rails 8 mm wide meet in the middle of 14
+    assert values[100, row, round(2.0 / cases.SPACING)] == 90
+    assert values[100, round(15.5 / cases.SPACING), round(16.0 / cases.SPACING)] == 90

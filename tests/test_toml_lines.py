@@ -3,8 +3,7 @@
 import pytest
 
 from needlefit.errors import ConfigError
-from needlefit.project.load import load
-from needlefit.project.toml_lines import add_file_context, add_key_context, find_line
+from needlefit.project.toml import add_file_context, add_key_context, find_line, load
 from needlefit.schemas.study import FitRecord
 
 TEXT = '''\

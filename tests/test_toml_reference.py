@@ -5,8 +5,8 @@ import json
 import pytest
 from test_cli import run
 
-from needlefit.project.load import load
 from needlefit.project.locate import shipped_folder
+from needlefit.project.toml import load
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.tracker import RecordingRecord
 from needlefit.studies import toml_reference as reference

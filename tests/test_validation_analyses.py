@@ -10,7 +10,7 @@ from test_cli import run as run_cli
 
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.checkpoint import open_checkpoint
-from needlefit.project.manifest import write_manifest
+from needlefit.project.folders import write_manifest
 from needlefit.studies.job import Settings
 from needlefit.studies.kind import find_kind
 from needlefit.studies.reference import round_frame

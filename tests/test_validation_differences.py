@@ -7,7 +7,7 @@ import pytest
 from test_cli import run
 
 from needlefit.errors import DataError
-from needlefit.project.manifest import write_manifest
+from needlefit.project.folders import write_manifest
 from needlefit.studies.differences import lay_out_differences, summarize_differences
 from needlefit.studies.run_differences import compare_runs
 

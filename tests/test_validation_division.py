@@ -2,8 +2,8 @@
 
 import pytest
 
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
+from needlefit.project.toml import load
 from needlefit.reporting.table_files import to_records
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.job import Settings, prepare

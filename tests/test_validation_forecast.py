@@ -19,8 +19,8 @@ from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import sample
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import compute_positions
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
+from needlefit.project.toml import load
 from needlefit.reporting.table_files import write_json
 from needlefit.schemas.recipe import LikelihoodRecord, SampleRecord
 from needlefit.schemas.scene import SceneRecord

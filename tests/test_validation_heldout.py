@@ -15,9 +15,9 @@ from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import with_bevel_spread, without_prior
 from needlefit.inference.planned_layers import with_planned_layers
 from needlefit.project import tasks
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.tasks import THIS_PROCESS, LocalPool
+from needlefit.project.toml import load
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.fit_warnings import describe_gain

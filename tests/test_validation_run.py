@@ -21,7 +21,7 @@ from needlefit.mechanics.control import Bevel
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
-from needlefit.project.load import load
+from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.fit_frames import COLUMNS

@@ -10,7 +10,7 @@ from reporting_results import stereo, study
 from test_reporting_posterior import sampled
 
 from needlefit.errors import DataError
-from needlefit.project.manifest import write_manifest
+from needlefit.project.folders import write_manifest
 from needlefit.reporting.table_files import write_json
 from needlefit.studies.combined_report import rebuild, write_combined
 from needlefit.studies.fit_frames import COLUMNS

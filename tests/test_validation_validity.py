@@ -83,7 +83,7 @@ BASE = {"schema": 1, "layers": 1, "parameters": {}}
     ],
 )
 def test_one_key_cannot_ask_for_gigabytes(record, key, tables):
-    from needlefit.project.load import check
+    from needlefit.project.toml import check
 
     with pytest.raises(ConfigError) as caught:
         check(tables, record, "a file")

@@ -8,8 +8,8 @@ from needlefit.mechanics.control import Guide, TrackedTip
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
+from needlefit.project.toml import load
 from needlefit.schemas.scene import SceneRecord
 from needlefit.viewer.recording import RecordedStep, RecordingWriter, make_head, read_recording, replay
 from needlefit.viewer.steering import Change, SteeredNeedle, find_changes, find_tissue_changes

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from test_cli import run
 
-from needlefit.cli.view_scan import names_scan, open_session
+from needlefit.cli.view import names_scan, open_session
 from needlefit.errors import ConfigError, DataError
 from needlefit.imaging.scans import read_scans, write_scan_table
 from needlefit.imaging.volume import Volume, to_patient

@@ -6,7 +6,7 @@ A command is imported when it is run or its help is printed, so that none waits 
 from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib import import_module
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -168,8 +168,12 @@ def _build_command(name: str) -> Any:  # noqa: ANN401 - a command of typer's own
     app = typer.Typer(rich_markup_mode=None, add_completion=False)
     form = MultiFileCommand if name in _MULTI_FILE_COMMANDS else None
     command = getattr(import_module(f"needlefit.cli.{module}"), function or name)
-    app.command(name.split()[-1], cls=form, epilog=_example(name))(options.takes("plugins")(command))
-    return typer.main.get_command(app)
+    app.command(name.split()[-1], cls=form, epilog=_example(name))(command)
+    built: Any = typer.main.get_command(app)
+    for one in built.params:
+        if one.param_type_name == "argument":  # its name is enough, without the type in Python
+            one.display_type_rich = lambda ctx: None
+    return built
 
 
 class MultiFileCommand(TyperCommand):
@@ -222,12 +226,11 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
-def _needlefit(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
-    ] = False,
-    plugins: options.Plugins = None,
-) -> None:
+@options.takes(
+    "",
+    version=options.flag("Show the version and exit.", "--version", callback=_version, is_eager=True),
+)
+def _needlefit(version: bool = False) -> None:
     """Fit and cross-validate bevel-tip needle models on measured insertions."""
 
 

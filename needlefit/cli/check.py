@@ -3,13 +3,13 @@
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
 import typer
 
-from needlefit.cli import options, screen
+from needlefit.cli import screen
 from needlefit.cli.exit_codes import Invocation
-from needlefit.cli.options import complete_checked
+from needlefit.cli.options import argument, complete_checked, takes
 from needlefit.errors import DataError
 from needlefit.project.result_warnings import WARNINGS_KEY, to_rows
 
@@ -17,20 +17,15 @@ if TYPE_CHECKING:
     from needlefit.datasets.insertion import Dataset
 
 
-def check(
-    context: typer.Context,
-    name: Annotated[
-        str,
-        typer.Argument(
-            metavar="DATASET|STUDY",
-            autocompletion=complete_checked,
-            help="data/<name>/dataset.toml, studies/<name>.toml, configs/fits/<name>.toml, or a path.",
-        ),
-    ],
-    strict: options.Strict = False,
-    json: options.Json = False,
-    verbose: options.Verbose = False,
-) -> None:
+@takes(
+    "strict json verbose",
+    name=argument(
+        "DATASET|STUDY",
+        "data/<name>/dataset.toml, studies/<name>.toml, configs/fits/<name>.toml, or a path.",
+        complete_checked,
+    ),
+)
+def check(context: typer.Context, name: str) -> None:
     """Check a dataset or a study: list every fault and how to fix it, and every warning.
 
     For a dataset it checks files, ids, units, centrelines, surfaces, bevel sides and checksums; for a study
@@ -42,20 +37,17 @@ def check(
     kind, path = find_dataset_or_study(name)
     invocation = context.find_root().obj
     if kind == "dataset":
-        _check_dataset(invocation, path, json)
+        _check_dataset(invocation, path)
     else:
-        _check_study(invocation, kind, (name, path), json)
+        _check_study(invocation, kind, name, path)
 
 
-def _check_study(
-    invocation: Invocation, kind: Literal["study", "fit"], named: tuple[str, Path], json: bool
-) -> None:
+def _check_study(invocation: Invocation, kind: Literal["study", "fit"], name: str, path: Path) -> None:
     from needlefit.project.locate import file_label
     from needlefit.studies.study_check import check_study_file
 
-    name, path = named
     found = check_study_file(kind, path)
-    if json:
+    if invocation.json:
         folds = [{"tune": tune, "validate": held_out} for tune, held_out in found.folds]
         rows = to_rows(found.warnings)
         screen.show_json(
@@ -64,7 +56,7 @@ def _check_study(
     else:
         screen.print_text(f"No faults: {file_label(path)}, {found.kind}{_describe_folds(found.folds)}.")
     screen.print_warnings(invocation, found.warnings)
-    if not json:
+    if not invocation.json:
         command = "tune" if kind == "fit" else "validate"
         screen.print_note(f"next: {shlex.join(('needlefit', command, name))}")
 
@@ -84,14 +76,14 @@ def _join_range(counts: Sequence[int]) -> str:
     return f"{counts[0]}" if len(counts) == 1 else f"{min(counts)} to {max(counts)}"
 
 
-def _check_dataset(invocation: Invocation, path: Path, json: bool) -> None:
+def _check_dataset(invocation: Invocation, path: Path) -> None:
     from needlefit.datasets.read import inspect
     from needlefit.datasets.sections import describe_measurement
 
     found = inspect(path)
     faults, warnings = found.faults, found.warnings
     measured = "" if found.dataset is None else describe_measurement(found.dataset)
-    if json:
+    if invocation.json:
         keys = ("where", "what", "expected", "fix")
         rows = [{key: str(getattr(fault, key)) for key in keys} for fault in faults]
         screen.show_json(
@@ -110,7 +102,7 @@ def _check_dataset(invocation: Invocation, path: Path, json: bool) -> None:
                 str(DataError(fault.what, where=fault.where, expected=fault.expected, fix=fault.fix))
             )
     screen.print_warnings(invocation, warnings)
-    if found.dataset is not None and not faults and not json:
+    if found.dataset is not None and not faults and not invocation.json:
         _show(found.dataset, measured)
     if faults:
         raise typer.Exit(DataError.exit_code)

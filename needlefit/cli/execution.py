@@ -57,7 +57,7 @@ class Execution:
             If they cannot, or would replace something that needlefit did not write.
         """
         from needlefit.project.checkpoint import require_own_checkpoint
-        from needlefit.project.manifest import require_replaceable
+        from needlefit.project.folders import require_replaceable
 
         samples = self.invocation.sample or replaces_posterior
         for name in names:
@@ -214,8 +214,8 @@ def plan_studies(study: str) -> list[StudyTask]:
     ConfigError
         If there is no such study, or its file does not hold what its kind wants.
     """
-    from needlefit.project.load import load
     from needlefit.project.locate import EVERY_STUDY, find_studies, find_tunings
+    from needlefit.project.toml import load
     from needlefit.schemas.study import FitRecord
     from needlefit.studies.study_files import find_missing_data, load_study
 
@@ -293,7 +293,7 @@ def _run_in_process(execution: Execution, work: StudyTask) -> "Run":
 
 def _run_one(execution: Execution, work: StudyTask) -> "Run":
     """Run one study and, unless it was interrupted, write it."""
-    from needlefit.project.toml_lines import add_file_context
+    from needlefit.project.toml import add_file_context
 
     with add_file_context(work.file):
         result = replace(execution, file=work.file).run(work.name, work.record)

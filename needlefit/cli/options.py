@@ -1,10 +1,10 @@
-"""Options that several commands share; the values of common ones are kept by the invocation."""
+"""Declare the options of commands: shared ones once; the values of common ones are kept by the invocation."""
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_origin
 
 import typer
 
@@ -14,127 +14,27 @@ from needlefit.schemas.limits import MAX_SEED
 if TYPE_CHECKING:
     from needlefit.schemas.scene import SceneRecord
 
-
-def _keep(name: str) -> Callable[[typer.Context, Any], Any]:
-    """Return what writes the value of an option to the field `name` of the invocation."""
-
-    def callback(context: typer.Context, value: Any) -> Any:  # noqa: ANN401 - of the option
-        setattr(context.find_root().obj, name, value)
-        return value
-
-    return callback
+Complete = Callable[[str], list[str]]
+Declaration = Any
+"""What typer knows of an option or an argument, but for its type and default."""
 
 
-def _use_plugins(modules: list[str] | None) -> list[str] | None:
-    if modules:
-        from needlefit.registry import use_plugins
-
-        use_plugins(modules)
-    return modules
+def option(text: str, metavar: str | None = None, *words: str, **more: Any) -> Declaration:  # noqa: ANN401
+    """Return an option with its help; `words` are its names where these are not that of its parameter."""
+    return typer.Option(*words, metavar=metavar, help=text, **more)
 
 
-def _flag(name: str, *words: str, text: str) -> Any:  # noqa: ANN401 - an option of typer's
-    return typer.Option(*(words or (f"--{name}",)), callback=_keep(name), help=text)
+def flag(text: str, *words: str, **more: Any) -> Declaration:  # noqa: ANN401
+    """Return an option that takes no value."""
+    return typer.Option(*words, help=text, **more)
 
 
-Sample = Annotated[bool, _flag("sample", text="Also sample the posterior (netCDF): takes minutes.")]
-Seed = Annotated[
-    int | None,
-    typer.Option(
-        min=0, max=MAX_SEED, callback=_keep("seed"), help="Seed of all randomness (default: the recipe's)."
-    ),
-]
-Jobs = Annotated[
-    int | None,
-    typer.Option(
-        min=1, callback=_keep("jobs"), help="Cores to use (default: all); they do not change the result."
-    ),
-]
-Scheduler = Annotated[
-    str | None,
-    typer.Option(
-        metavar="ADDRESS",
-        callback=_keep("scheduler"),
-        help="Run tasks on a Dask cluster: tls://HOST:PORT (docs/scale.md).",
-    ),
-]
-Insecure = Annotated[
-    bool, _flag("insecure", text="Accept a scheduler on another machine without encryption.")
-]
-Out = Annotated[
-    Path,
-    typer.Option(callback=_keep("out"), help="Folder of all results; each run has a folder in it."),
-]
-Reference = Annotated[
-    bool,
-    _flag(
-        "reference",
-        text="Also write the tables to OUT/reference/NAME/, NAME the run's, to keep under version control.",
-    ),
-]
-Unverified = Annotated[
-    bool,
-    typer.Option("--unverified", help="Also use files that do not agree with the manifest, marked as such."),
-]
-Resume = Annotated[bool, _flag("resume", text="Continue an interrupted run.")]
-Strict = Annotated[bool, _flag("strict", text="Exit code 5 after a warning; results are written.")]
-Explain = Annotated[bool, _flag("explain", text="All tables, with notes and diagnostics.")]
-Json = Annotated[bool, _flag("json", text="Results as JSON on stdout.")]
-Quiet = Annotated[bool, _flag("quiet", "--quiet", "-q", text="No progress on stderr.")]
-Verbose = Annotated[bool, _flag("verbose", "--verbose", "-v", text="Tracebacks of errors.")]
-Plugins = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--plugins",
-        metavar="MODULE",
-        callback=_use_plugins,
-        is_eager=True,
-        help="Installed Python module with further tissue laws, file formats, ...; may be repeated.",
-    ),
-]
-
-_COMMON: dict[str, tuple[Any, object]] = {
-    "sample": (Sample, False),
-    "seed": (Seed, None),
-    "jobs": (Jobs, None),
-    "scheduler": (Scheduler, None),
-    "insecure": (Insecure, False),
-    "out": (Out, Path("reports")),
-    "reference": (Reference, False),
-    "resume": (Resume, False),
-    "strict": (Strict, False),
-    "explain": (Explain, False),
-    "json": (Json, False),
-    "quiet": (Quiet, False),
-    "verbose": (Verbose, False),
-    "plugins": (Plugins, None),
-}
-"""Options that many commands have, in the order of help: their types and defaults."""
+def argument(metavar: str, text: str, complete: Complete | None = None, **more: Any) -> Declaration:  # noqa: ANN401
+    """Return an argument with its help; `complete` returns the words that a beginning may mean."""
+    return typer.Argument(metavar=metavar, help=text, autocompletion=complete, **more)
 
 
-def takes(names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator of commands: they also take these options, whose values the invocation keeps."""
-    common = {name: _COMMON[name] for name in names.split()}
-    added = [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=option)
-        for name, (option, default) in common.items()
-    ]
-
-    def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        @wraps(command)
-        def run(*args: Any, **kwargs: Any) -> None:  # noqa: ANN401 - as the command has them
-            command(*args, **{name: value for name, value in kwargs.items() if name not in common})
-
-        signature = inspect.signature(command)
-        parameters = [*signature.parameters.values(), *added]
-        run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
-        run.__annotations__ = {**command.__annotations__, **{one.name: one.annotation for one in added}}
-        return run
-
-    return decorate
-
-
-def _complete(*kinds: FileKind, runs: bool = False, more: Sequence[str] = ()) -> Callable[[str], list[str]]:
+def _complete(*kinds: FileKind, runs: bool = False, more: Sequence[str] = ()) -> Complete:
     """Return what completes names of these kinds of files, of runs in reports/, and some more."""
 
     def complete(incomplete: str) -> list[str]:
@@ -155,74 +55,154 @@ complete_reconstructions = _complete("reconstruction")
 complete_view_targets = _complete("scene", "dataset", "scans", runs=True)
 
 
-Target = Annotated[
-    str,
-    typer.Argument(
-        metavar="TARGET",
-        autocompletion=complete_targets,
-        help="A study, a fit in configs/fits, or a path.",
+def _keep(name: str) -> Callable[[typer.Context, Any], Any]:
+    """Return what writes the value of an option to the field `name` of the invocation."""
+
+    def callback(context: typer.Context, value: Any) -> Any:  # noqa: ANN401 - of the option
+        setattr(context.find_root().obj, name, value)
+        return value
+
+    return callback
+
+
+def _use_plugins(modules: list[str] | None) -> list[str] | None:
+    if modules:
+        from needlefit.registry import use_plugins
+
+        use_plugins(modules)
+    return modules
+
+
+_PLUGINS_HELP = "Installed Python module with further tissue laws, file formats, ...; may be repeated."
+_FLAGS = {
+    "sample": "Also sample the posterior (netCDF): takes minutes.",
+    "insecure": "Accept a scheduler on another machine without encryption.",
+    "reference": "Also write the tables to OUT/reference/NAME/, NAME the run's, to keep under version "
+    "control.",
+    "resume": "Continue an interrupted run.",
+    "strict": "Exit code 5 after a warning; results are written.",
+    "explain": "All tables, with notes and diagnostics.",
+    "json": "Results as JSON on stdout.",
+    "quiet": "No progress on stderr.",
+    "verbose": "Tracebacks of errors.",
+}
+_SHORT = {"quiet": ("-q",), "verbose": ("-v",)}
+_JOBS_HELP = "Cores to use (default: all); they do not change the result."
+_SCHEDULER_HELP = "Run tasks on a Dask cluster: tls://HOST:PORT (docs/scale.md)."
+_COMMON: dict[str, tuple[Any, object, Declaration]] = {
+    **{
+        name: (bool, False, flag(text, f"--{name}", *_SHORT.get(name, ()), callback=_keep(name)))
+        for name, text in _FLAGS.items()
+    },
+    "seed": (
+        int | None,
+        None,
+        option(
+            "Seed of all randomness (default: the recipe's).", min=0, max=MAX_SEED, callback=_keep("seed")
+        ),
     ),
-]
-RunFolder = Annotated[
-    str,
-    typer.Argument(
-        metavar="RUN",
-        autocompletion=complete_runs,
-        help="A folder of results, or its bare name in reports/.",
+    "jobs": (int | None, None, option(_JOBS_HELP, min=1, callback=_keep("jobs"))),
+    "scheduler": (str | None, None, option(_SCHEDULER_HELP, "ADDRESS", callback=_keep("scheduler"))),
+    "out": (
+        Path,
+        Path("reports"),
+        option("Folder of all results; each run has a folder in it.", callback=_keep("out")),
     ),
-]
-Depth = Annotated[
-    float | None,
-    typer.Option(metavar="MM", help="Inserted arc length of a scene without steps (default: the scene's)."),
-]
-Set = Annotated[
-    list[str] | None,
-    typer.Option(
+    "plugins": (
+        list[str] | None,
+        None,
+        option(_PLUGINS_HELP, "MODULE", "--plugins", callback=_use_plugins, is_eager=True),
+    ),
+}
+"""Options whose values the invocation keeps: type, default and declaration."""
+
+_SHARED: Mapping[str, Declaration] = {
+    "target": argument("TARGET", "A study, a fit in configs/fits, or a path.", complete_targets),
+    "run": argument("RUN", "A folder of results, or its bare name in reports/.", complete_runs),
+    "unverified": flag("Also use files that do not agree with the manifest, marked as such.", "--unverified"),
+    "depth": option("Inserted arc length of a scene without steps (default: the scene's).", "MM"),
+    "set_": option(
+        "Change a key of the scene, e.g. bevel.offset_mm=0.1; layers, guides and steps are numbered from 1: "
+        "layers.1.mu_pa=3e5 is the first layer's. KEY= removes the key. May be repeated.",
+        "KEY=VALUE",
         "--set",
-        metavar="KEY=VALUE",
-        help="Change a key of the scene, e.g. bevel.offset_mm=0.1; layers, guides and steps are numbered "
-        "from 1: layers.1.mu_pa=3e5 is the first layer's. KEY= removes the key. May be repeated.",
     ),
-]
-Markers = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE", help="Known places of the markers in the world: .csv, .fcsv, .mrk.json."),
-]
-Fiducials = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE", help="The markers as placed in the scan by hand (.fcsv, .mrk.json)."),
-]
-Layers = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="FILES...",
-        help="STL, PLY, OBJ from the entry inwards; or a segmentation; auto proposes some.",
-    ),
-]
-LayersIn = Annotated[
-    Literal["world", "scan"] | None, typer.Option(help="Frame of the surfaces (default: world).")
-]
-Mask = Annotated[Path | None, typer.Option(metavar="FILE", help="The needle's voxels, segmented elsewhere.")]
-Series = Annotated[
-    str | None,
-    typer.Option(metavar="NUMBER|UID", help="Which DICOM series, where a folder holds several."),
-]
-Medium = Annotated[str | None, typer.Option(help="Name of what was punctured (default: medium).")]
+}
+"""Parameters that several commands have in their signatures."""
 
 
-def name_scan_files(
-    markers: Path | None,
-    fiducials: Path | None,
-    layers: list[str] | None,
-    layers_in: str | None,
-    mask: Path | None,
-    series: str | None,
-    medium: str | None,
-) -> dict[str, Any]:
-    """Return those options of a scan that are given, as `make_scans` takes them."""
-    named = {"markers": markers, "fiducials": fiducials, "layers": layers, "surfaces_in": layers_in}
-    named |= {"mask": mask, "series": series, "medium": medium}
-    return {name: value for name, value in named.items() if value not in (None, [])}
+SCAN_FILES: Mapping[str, Any] = {
+    "markers": Annotated[
+        Path | None, option("Known places of the markers in the world: .csv, .fcsv, .mrk.json.", "FILE")
+    ],
+    "fiducials": Annotated[
+        Path | None, option("The markers as placed in the scan by hand (.fcsv, .mrk.json).", "FILE")
+    ],
+    "layers": Annotated[
+        list[str] | None,
+        option("STL, PLY, OBJ from the entry inwards; or a segmentation; auto proposes some.", "FILES..."),
+    ],
+    "layers_in": Annotated[
+        Literal["world", "scan"] | None, option("Frame of the surfaces (default: world).")
+    ],
+    "mask": Annotated[Path | None, option("The needle's voxels, segmented elsewhere.", "FILE")],
+    "series": option("Which DICOM series, where a folder holds several.", "NUMBER|UID"),
+    "medium": option("Name of what was punctured (default: medium)."),
+}
+"""Options of commands that read scans, which take them as `**files`."""
+
+
+def takes(common: str, **own: Declaration) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return a decorator of commands that declares what they take.
+
+    Parameters
+    ----------
+    common : str
+        Names of options that they take besides, whose values the invocation keeps; all take --plugins.
+    own : by parameter
+        Declarations of parameters that are not shared. Types and defaults are those of the signature; what is
+        not in it is optional, a text unless it states another type, and given to the `**` of the command.
+    """
+    kept = {name: _COMMON[name] for name in (*common.split(), "plugins")}
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        @wraps(command)
+        def run(*args: Any, **kwargs: Any) -> None:  # noqa: ANN401 - as the command has them
+            command(*args, **{name: value for name, value in kwargs.items() if name not in kept})
+
+        stated, before = dict(inspect.signature(command).parameters), ""
+        order = [name for name, one in stated.items() if one.kind is not inspect.Parameter.VAR_KEYWORD]
+        for name in own:
+            if name not in order:
+                order.insert(order.index(before) + 1, name)
+            before = name
+        taken: dict[str, tuple[Any, object]] = {}
+        for name in order:
+            declared, one = own.get(name, _SHARED.get(name)), stated.get(name)
+            if one is None:
+                is_typed = get_origin(declared) is Annotated
+                taken[name] = (declared if is_typed else Annotated[str | None, declared]), None
+            else:
+                kind = one.annotation if declared is None else Annotated[one.annotation, declared]
+                taken[name] = kind, one.default
+        taken |= {
+            name: (Annotated[kind, declared], default) for name, (kind, default, declared) in kept.items()
+        }
+        parameters = [
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+            for name, (kind, default) in taken.items()
+        ]
+        run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        run.__annotations__ = {name: kind for name, (kind, _) in taken.items()}
+        return run
+
+    return decorate
+
+
+def name_scan_files(files: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the files of a scan that are given, as `make_scans` takes them."""
+    given = {name: value for name, value in files.items() if value not in (None, [])}
+    return {"surfaces_in" if name == "layers_in" else name: value for name, value in given.items()}
 
 
 def scan_option(name: str) -> str:
@@ -232,10 +212,9 @@ def scan_option(name: str) -> str:
 
 def scene_record(name: str, depth: float | None, assignments: list[str]) -> tuple[str, "SceneRecord"]:
     """Return where the scene stands and what it says, with what the options change."""
-    pairs = [_pair(text) for text in assignments]
-    from needlefit.project.load import check, load, read_toml
+    pairs = [split_pair(text) for text in assignments]
     from needlefit.project.locate import file_label, find_file
-    from needlefit.project.overrides import override
+    from needlefit.project.toml import check, load, override, read_toml
     from needlefit.schemas.scene import SceneRecord
 
     path = find_file("scene", name)
@@ -254,12 +233,8 @@ def scene_record(name: str, depth: float | None, assignments: list[str]) -> tupl
     return where, check(override(read_toml(path), pairs, SceneRecord, file_label(path)), SceneRecord, where)
 
 
-def list_set_keys(assignments: list[str]) -> list[str]:
-    """Return the keys that --set gives a value; others it removes."""
-    return [key for key, value in map(_pair, assignments) if value]
-
-
-def _pair(text: str) -> tuple[str, str]:
+def split_pair(text: str) -> tuple[str, str]:
+    """Return key and value of a word of --set; an empty value removes the key."""
     key, equals, value = text.partition("=")
     if not (key.strip() and equals):
         raise typer.BadParameter(f"`{text}` is not KEY=VALUE, e.g. bevel.offset_mm=0.1", param_hint="--set")

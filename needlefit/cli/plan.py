@@ -4,14 +4,14 @@ import math
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
 from needlefit.cli import exit_codes, screen
 from needlefit.cli.execution import require_no_faults
-from needlefit.cli.options import complete_view_targets, takes
-from needlefit.project.outputs import require_output_files
+from needlefit.cli.options import argument, complete_view_targets, option, takes
+from needlefit.project.folders import require_output_files
 
 if TYPE_CHECKING:
     from needlefit.planning.goals import PlaneGoal
@@ -19,63 +19,46 @@ if TYPE_CHECKING:
     from needlefit.viewer.opening import ViewedScene
 
 
-@takes("jobs json quiet verbose")
+@takes(
+    "jobs json quiet verbose",
+    name=argument(
+        "SCENE | RUN[/ID] | DATASET/ID",
+        "The needle to steer: a scene, a run's fitted insertion with its posterior draws, or a measured "
+        "insertion.",
+        complete_view_targets,
+    ),
+    target=option("Target in the constraint frame, mm: x along the entry.", "X,Y[,Z]"),
+    radius=option("A tip within it reaches the target.", "MM", min=0.01),
+    obstacle=option("A sphere to pass by: centre and radius, mm; repeatable.", "X,Y[,Z],R"),
+    markups=option(
+        "Points of 3D Slicer (.mrk.json, .fcsv): the one labelled target..., all others obstacles.", "FILE"
+    ),
+    obstacle_radius=option("Radius of the obstacles of --markups.", "MM", min=0.01),
+    entry=option("The entry may shift by so much to either side.", "MM", min=0.0),
+    base=option("The base may move by so much to either side.", "MM", min=0.0),
+    base_angle=option("And turn by so much.", "DEGREES", min=0.0, max=40.0),
+    turns=option("The bevel may turn over so often on the way.", "N", min=0, max=2),
+    specimen=option(
+        "Draws of a run: for a new specimen, or for the specimens fitted (default: new, or as the run's "
+        "study states).",
+        show_default=False,
+    ),
+    recording=option("Write the plan as a recording for `view` and `simulate`: .csv.", "FILE"),
+)
 def plan(
     context: typer.Context,
-    name: Annotated[
-        str,
-        typer.Argument(
-            metavar="SCENE | RUN[/ID] | DATASET/ID",
-            autocompletion=complete_view_targets,
-            help="The needle to steer: a scene, a run's fitted insertion with its posterior draws, or a "
-            "measured insertion.",
-        ),
-    ],
-    target: Annotated[
-        str | None,
-        typer.Option(metavar="X,Y[,Z]", help="Target in the constraint frame, mm: x along the entry."),
-    ] = None,
-    radius: Annotated[
-        float, typer.Option(metavar="MM", min=0.01, help="A tip within it reaches the target.")
-    ] = 2.0,
-    obstacle: Annotated[
-        list[str] | None,
-        typer.Option(metavar="X,Y[,Z],R", help="A sphere to pass by: centre and radius, mm; repeatable."),
-    ] = None,
-    markups: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Points of 3D Slicer (.mrk.json, .fcsv): the one labelled target..., all others obstacles.",
-        ),
-    ] = None,
-    obstacle_radius: Annotated[
-        float, typer.Option(metavar="MM", min=0.01, help="Radius of the obstacles of --markups.")
-    ] = 2.0,
-    entry: Annotated[
-        float, typer.Option(metavar="MM", min=0.0, help="The entry may shift by so much to either side.")
-    ] = 0.0,
-    base: Annotated[
-        float, typer.Option(metavar="MM", min=0.0, help="The base may move by so much to either side.")
-    ] = 10.0,
-    base_angle: Annotated[
-        float, typer.Option(metavar="DEGREES", min=0.0, max=40.0, help="And turn by so much.")
-    ] = 5.0,
-    turns: Annotated[
-        int, typer.Option(metavar="N", min=0, max=2, help="The bevel may turn over so often on the way.")
-    ] = 2,
-    specimen: Annotated[
-        Literal["new", "same"] | None,
-        typer.Option(
-            help="Draws of a run: for a new specimen, or for the specimens fitted (default: new, or as the "
-            "run's study states).",
-            show_default=False,
-        ),
-    ] = None,
-    recording: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write the plan as a recording for `view` and `simulate`: .csv."),
-    ] = None,
+    name: str,
+    target: str | None = None,
+    radius: float = 2.0,
+    obstacle: list[str] | None = None,
+    markups: Path | None = None,
+    obstacle_radius: float = 2.0,
+    entry: float = 0.0,
+    base: float = 10.0,
+    base_angle: float = 5.0,
+    turns: int = 2,
+    specimen: Literal["new", "same"] | None = None,
+    recording: Path | None = None,
 ) -> None:
     """Plan how to steer a needle to a target: entry, path of the base, turns of the bevel, depth.
 

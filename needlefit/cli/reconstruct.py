@@ -4,15 +4,14 @@ import shlex
 from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
 from needlefit.cli import exit_codes, options, screen
 from needlefit.cli.execution import open_pool, print_remark
 from needlefit.cli.exit_codes import catch_interrupts
-from needlefit.cli.options import complete_reconstructions
-from needlefit.cli.options import complete_scans as complete_scans
+from needlefit.cli.options import option, takes
 from needlefit.cli.progress import show_progress
 from needlefit.cli.screen import print_warnings
 from needlefit.errors import DataError
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
     from needlefit.imaging.batch import ReconstructionFailure
     from needlefit.imaging.scans import Scan
     from needlefit.project.result_warnings import ResultWarning
-    from needlefit.schemas.reconstruction import ReconstructionRecord
     from needlefit.studies.run import Run
 
 
@@ -42,47 +40,31 @@ class Export(StrEnum):
     SEG = "seg"
 
 
+@takes(
+    "scheduler insecure resume strict json quiet verbose",
+    scans=options.argument(
+        "SCAN",
+        "DICOM folders, NRRD, NIfTI; or a table, a row a scan: scans.csv, or its bare name.",
+        options.complete_scans,
+    ),
+    out=option("Folder of the dataset.", "DATASET", "--out"),
+    **options.SCAN_FILES,
+    recipe=option(
+        "configs/reconstruction, or a path.", "RECIPE", autocompletion=options.complete_reconstructions
+    ),
+    title=option("Title of the dataset."),
+    export=option("Write also a scene of 3D Slicer (.mrb), or a DICOM segmentation; repeatable."),
+    jobs=option("Scans at once (default: 2); it does not change the result.", min=1),
+)
 def reconstruct(
     context: typer.Context,
-    scans: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="SCAN...",
-            autocompletion=complete_scans,
-            help="DICOM folders, NRRD, NIfTI; or a table, a row a scan: scans.csv, or its bare name.",
-        ),
-    ],
-    out: Annotated[Path, typer.Option("--out", metavar="DATASET", help="Folder of the dataset.")],
-    markers: options.Markers = None,
-    fiducials: options.Fiducials = None,
-    layers: options.Layers = None,
-    layers_in: options.LayersIn = None,
-    mask: options.Mask = None,
-    series: options.Series = None,
-    medium: options.Medium = None,
-    recipe: Annotated[
-        str,
-        typer.Option(
-            metavar="RECIPE",
-            autocompletion=complete_reconstructions,
-            help="configs/reconstruction, or a path.",
-        ),
-    ] = "default",
-    title: Annotated[str, typer.Option(help="Title of the dataset.")] = "",
-    export: Annotated[
-        list[Export] | None,
-        typer.Option(help="Write also a scene of 3D Slicer (.mrb), or a DICOM segmentation; repeatable."),
-    ] = None,
-    jobs: Annotated[
-        int | None, typer.Option(min=1, help="Scans at once (default: 2); it does not change the result.")
-    ] = None,
-    scheduler: options.Scheduler = None,
-    insecure: options.Insecure = False,
-    resume: options.Resume = False,
-    strict: options.Strict = False,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = False,
+    scans: list[Path],
+    out: Path,
+    recipe: str = "default",
+    title: str = "",
+    export: list[Export] | None = None,
+    jobs: int | None = None,
+    **files: Any,  # noqa: ANN401 - those of `SCAN_FILES`
 ) -> None:
     """Reconstruct the needles in SCANs into a dataset.
 
@@ -90,11 +72,10 @@ def reconstruct(
     DATASET takes the dataset, its tables, and for every scan a quality page (quality/) and files for 3D
     Slicer (slicer/). A scan that fails is reported with its fix (exit code 3); the others are written.
     """
-    named = options.name_scan_files(markers, fiducials, layers, layers_in, mask, series, medium)
+    named = options.name_scan_files(files)
     invocation = context.find_root().obj
-    with catch_interrupts(
-        context.find_root().obj
-    ) as stop:  # from here on, so that Ctrl-C never cuts an import in two
+    with catch_interrupts(invocation) as stop:  # from here on, so that Ctrl-C never cuts an import in two
+        from needlefit.datasets.read import check_all
         from needlefit.imaging.assembly import DatasetDescription
         from needlefit.imaging.batch import (
             ReconstructionBatch,
@@ -108,27 +89,29 @@ def reconstruct(
             remove_checkpoint,
             require_own_checkpoint,
         )
-        from needlefit.project.load import load
+        from needlefit.project.folders import remove_result, require_no_inputs_within, require_replaceable
         from needlefit.project.locate import find_file
-        from needlefit.project.manifest import remove_result, require_replaceable
-        from needlefit.project.outputs import require_no_inputs_within
+        from needlefit.project.toml import load
         from needlefit.schemas.names import require_file_name
         from needlefit.schemas.reconstruction import ReconstructionRecord
-        from needlefit.studies.kinds.reconstruction.report import write_reconstruction
+        from needlefit.studies.kinds.reconstruction.report import write_reconstruction, write_refused
         from needlefit.studies.verdict import judge_run
 
         require_file_name(out.resolve().name, str(out))
         require_replaceable(out)
         keep = out.resolve().with_name(f"{out.resolve().name}.partial")
         require_own_checkpoint(keep)
-        require_replaceable(_refused_folder(out))
+        refused = out.resolve().with_name(f"{out.resolve().name}.refused")  # pages of scans without a dataset
+        require_replaceable(refused)
         wanted = _scans(scans, named)
         require_no_inputs_within(out, [*scans, *(path for one in wanted for path in one.files)])
         exports: tuple[Literal["scene", "seg"], ...] = tuple(one.value for one in export or ())
         record = load(find_file("reconstruction", recipe), ReconstructionRecord)
-        checkpoint = open_checkpoint(keep, resume, CHECKPOINT_WORK, print_remark)
+        checkpoint = open_checkpoint(keep, invocation.resume, CHECKPOINT_WORK, print_remark)
         with show_progress(invocation.quiet) as report:
-            with open_pool(jobs or min(MAX_DEFAULT_JOBS, count_cores()), scheduler, insecure) as pool:
+            with open_pool(
+                jobs or min(MAX_DEFAULT_JOBS, count_cores()), invocation.scheduler, invocation.insecure
+            ) as pool:
                 batch = ReconstructionBatch(pool, checkpoint, report, stop)
                 found = reconstruct_all(wanted, record, batch)
             if len(found) < len(wanted):
@@ -148,18 +131,19 @@ def reconstruct(
                     whole = [ReconstructionFailure(one.scan, error) for one in ones]
                     faulty = [add_findings(*pair, record) for pair in zip(whole, ones, strict=True)]
                 failed = [*failed, *faulty]
-            pages = out if written else _write_refused(out, failed, record)
-            if pages != _refused_folder(out):  # those of an earlier run would be taken for this one's
-                remove_result(_refused_folder(out), print_remark)
-    warnings = warnings_in(out) if written else []
-    if written and not json:
+            if failed and not written:
+                write_refused(failed, record, refused)
+            else:  # pages of an earlier run would be taken for this one's
+                remove_result(refused, print_remark)
+    warnings = check_all(out)[1] if written else []
+    if written and not invocation.json:
         screen.print_text(f"{judge_run(written)[0].sentence}.")
-    _print_failures(written, failed, pages)
+    _print_failures(written, failed, out if written else refused)
     for failure in (one for one in failed if one.findings):  # others cannot be read
         command = _view_command(scans, failure, named, recipe)
         screen.print_note(f"needlefit: look at it and correct it: {command}")
     print_warnings(invocation, warnings)
-    _show(out, written, failed, warnings if json else None)
+    _show(out, written, failed, warnings if invocation.json else None)
     if failed and written:
         screen.print_note(f"needlefit: finished scans are kept in {keep}; to go on: {invocation.resuming()}")
     else:
@@ -183,13 +167,6 @@ def _scans(scans: list[Path], named: dict[str, Any]) -> "tuple[Scan, ...]":
             "a table of scans stands alone: markers, fiducials, layers, masks, series, media are its columns"
         )
     return read_scans(scans[0])
-
-
-def warnings_in(dataset: Path) -> "list[ResultWarning]":
-    """Return the warnings about the dataset that was written."""
-    from needlefit.datasets.read import check_all
-
-    return check_all(dataset)[1]
 
 
 def _show(
@@ -222,34 +199,17 @@ def _show(
             screen.print_text(line)
 
 
-def _write_refused(
-    out: Path, failed: "Sequence[ReconstructionFailure]", recipe: "ReconstructionRecord"
-) -> Path | None:
-    """Write the pages of refused scans beside the dataset that could not be written; return their folder.
+def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure]", pages: Path) -> None:
+    """Print each error behind the ids of its scans, unless it begins with the volume of that name."""
+    from needlefit.imaging.scans import scan_id
 
-    None where there are none.
-    """
-    if not failed:
-        return None
-    from needlefit.studies.kinds.reconstruction.report import write_refused
-
-    write_refused(failed, recipe, _refused_folder(out))
-    return _refused_folder(out)
-
-
-def _refused_folder(out: Path) -> Path:
-    """Return the folder of the pages of refused scans where no dataset is written."""
-    return out.resolve().with_name(f"{out.resolve().name}.refused")
-
-
-def _print_failures(
-    found: "Run | None", failed: "Sequence[ReconstructionFailure]", pages: Path | None
-) -> None:
     errors = {id(one.error): one for one in failed}  # a fault of the whole dataset is one of every scan
     for key, one in errors.items():
-        alike = [other.scan.id for other in failed if id(other.error) == key]
-        screen.print_note(f"needlefit: {_describe_failure(one, ', '.join(alike))}")
-    if failed and pages:
+        ids = ", ".join(other.scan.id for other in failed if id(other.error) == key)
+        error, scan = one.error, one.scan
+        named = error.where == str(scan.volume) and scan_id(scan.volume) == scan.id == ids
+        screen.print_note(f"needlefit: {error if named else f'{ids}: {error}'}")
+    if failed:
         screen.print_note(f"needlefit: pages of refused scans: {pages}/quality/")
     if failed and found:
         count = len(failed) + len(found.frames["reconstruction"])
@@ -267,12 +227,3 @@ def _view_command(
         for one in value if isinstance(value, list) else [value]:
             words += [options.scan_option(name), str(one)]
     return shlex.join([*words, "--recipe", recipe] if recipe != "default" else words)
-
-
-def _describe_failure(failure: "ReconstructionFailure", ids: str) -> str:
-    """Return an error, behind the ids of its scans unless it begins with the volume of that name."""
-    from needlefit.imaging.scans import scan_id
-
-    error, scan = failure.error, failure.scan
-    named = error.where == str(scan.volume) and scan_id(scan.volume) == scan.id
-    return str(error) if named and scan.id == ids else f"{ids}: {error}"

@@ -2,48 +2,36 @@
 
 import dataclasses
 import difflib
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from needlefit.cli import options, screen
+from needlefit.cli import screen
 from needlefit.cli.execution import show_run
-from needlefit.cli.options import complete_runs, takes
+from needlefit.cli.options import argument, complete_runs, flag, option, takes
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from needlefit.reporting.table_layout import TableColumn
-    from needlefit.studies.toml_reference import FileKind
 
 
-@takes("explain strict quiet verbose")
+@takes(
+    "explain strict quiet verbose",
+    out=option("Write to this folder; the run's own by default.", "DIR"),
+    paper=option(
+        "Also write figures 3.5 and 7.16 in wide, LaTeX files and an example to a new folder.", "DIR"
+    ),
+    latex=option("Also compile the example, a paper of all tables and figures. Needs LaTeX.", "PDF"),
+)
 def report(
     context: typer.Context,
-    run: options.RunFolder,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="DIR", help="Write to this folder; the run's own by default."),
-    ] = None,
-    paper: Annotated[
-        Path | None,
-        typer.Option(
-            "--paper",
-            metavar="DIR",
-            help="Also write figures 3.5 and 7.16 in wide, LaTeX files and an example to a new folder.",
-        ),
-    ] = None,
-    latex: Annotated[
-        Path | None,
-        typer.Option(
-            "--latex",
-            metavar="PDF",
-            help="Also compile the example, a paper of all tables and figures. Needs LaTeX.",
-        ),
-    ] = None,
-    unverified: options.Unverified = False,
+    run: str,
+    out: Path | None = None,
+    paper: Path | None = None,
+    latex: Path | None = None,
+    unverified: bool = False,
 ) -> None:
     """Write tables, figures and report of a RUN again, and print it, without fitting anything.
 
@@ -74,21 +62,14 @@ def report(
         screen.print_line(f"written: {latex}")
 
 
-_Run = Annotated[
-    str,
-    typer.Argument(autocompletion=complete_runs, help="A folder of results, or its bare name in reports/."),
-]
-
-
-@takes("json verbose")
+@takes(
+    "json verbose",
+    run_a=argument("RUN_A", "A folder of results, or its bare name in reports/.", complete_runs),
+    run_b=argument("RUN_B", "A folder of results, or its bare name in reports/.", complete_runs),
+    everything=flag("Also print the changes that do not matter.", "--all"),
+)
 def diff(
-    context: typer.Context,
-    run_a: _Run,
-    run_b: _Run,
-    everything: Annotated[
-        bool, typer.Option("--all", help="Also print the changes that do not matter.")
-    ] = False,
-    unverified: options.Unverified = False,
+    context: typer.Context, run_a: str, run_b: str, everything: bool = False, unverified: bool = False
 ) -> None:
     """Compare RUN_B with RUN_A: inputs, parameters, errors on the same insertions, verdicts.
 
@@ -126,75 +107,64 @@ class Topic:
     symbol: str = ""  #: another key: TE of the tip error
 
 
-def _list_warnings() -> Iterator[Topic]:
-    from needlefit.project.help_pages import read_sections
-
-    yield from (Topic(one.key, one.title, one.paragraphs) for one in read_sections().values())
-
-
-def _list_files() -> Iterator[Topic]:
+def _list_topics() -> dict[str, list[Topic]]:
+    """Return what can be explained, by heading."""
+    from needlefit.mechanics.laws import LAWS
+    from needlefit.project.help_pages import read_sections, read_terms
+    from needlefit.reporting.columns import list_columns
     from needlefit.studies.toml_reference import list_files
 
-    yield from (Topic(one.name, one.title) for one in list_files())
-
-
-def _list_terms() -> Iterator[Topic]:
-    from needlefit.project.help_pages import read_terms
-
-    for one in read_terms().values():
-        title = ", ".join(filter(None, (one.name, one.symbol, one.unit)))
-        yield Topic(one.name, title, (one.meaning,), one.symbol)
-
-
-def _list_laws() -> Iterator[Topic]:
-    from needlefit.mechanics.laws import LAWS
-
+    laws = []
     for law in LAWS.values():
         shape = [
             f"{one.name} ({one.symbol}{one.unit and f', {one.unit}'}): {one.explanation}; "
             f"{one.bounds[0]:g} to {one.bounds[1]:g}, usually {one.usual[0]:g} to {one.usual[1]:g}"
             for one in law.parameters
         ]
-        yield Topic(law.name, law.label, tuple(shape) or ("No shape parameters.",))
-
-
-def _list_columns() -> Iterator[Topic]:
-    from needlefit.reporting.columns import list_columns
-
-    for one in list_columns().values():
-        title = f"{one.label} ({one.unit})" if one.unit else one.label
-        yield Topic(one.key, title, (one.explanation,))
-
-
-_GROUPS: dict[str, Callable[[], Iterator[Topic]]] = {
-    "Warnings": _list_warnings,
-    "Files": _list_files,
-    "Terms": _list_terms,
-    "Tissue laws": _list_laws,
-    "Columns of tables": _list_columns,
-}
+        laws.append(Topic(law.name, law.label, tuple(shape) or ("No shape parameters.",)))
+    return {
+        "Warnings": [Topic(one.key, one.title, one.paragraphs) for one in read_sections().values()],
+        "Files": [Topic(one.name, one.title) for one in list_files()],
+        "Terms": [
+            Topic(
+                one.name,
+                ", ".join(filter(None, (one.name, one.symbol, one.unit))),
+                (one.meaning,),
+                one.symbol,
+            )
+            for one in read_terms().values()
+        ],
+        "Tissue laws": laws,
+        "Columns of tables": [
+            Topic(one.key, f"{one.label} ({one.unit})" if one.unit else one.label, (one.explanation,))
+            for one in list_columns().values()
+        ],
+    }
 
 
 def _complete_keys(start: str) -> list[str]:
-    return [one.key for group in _GROUPS.values() for one in group() if one.key.startswith(start)]
+    return [one.key for group in _list_topics().values() for one in group if one.key.startswith(start)]
 
 
-@takes("json")
-def explain(
-    context: typer.Context,
-    key: Annotated[
-        str,
-        typer.Argument(
-            metavar="NAME",
-            autocompletion=_complete_keys,
-            help="A warning as printed (coverage), a file (study.toml), a term, a law, or a column (te_mm).",
-        ),
-    ] = "",
-) -> None:
+@takes(
+    "json",
+    key=argument(
+        "NAME",
+        "A warning as printed (coverage), a file (study.toml), a term, a law, or a column (te_mm).",
+        _complete_keys,
+    ),
+)
+def explain(context: typer.Context, key: str = "") -> None:
     """Explain a warning, a file with all its keys, a term, a law or a column. Without NAME: list all."""
-    groups = {name: list(group()) for name, group in _GROUPS.items()}
+    from needlefit.reporting.columns import find_column
+
+    groups = _list_topics()
     topics = [one for group in groups.values() for one in group]
-    found = [one for one in topics if key and key in (one.key, one.symbol)] or _find_numbered_column(key)
+    found = [one for one in topics if key and key in (one.key, one.symbol)]
+    if (
+        key and not found and (column := find_column(key)).explanation
+    ):  # its name has a number, such as mu3_pa
+        found = [Topic(key, column.label, (column.explanation,))]
     if key and not found:
         near = difflib.get_close_matches(key, [one.key for one in topics], n=3)
         raise typer.BadParameter(
@@ -215,33 +185,22 @@ def explain(
                 screen.print_line(f"  {one.key:{width}}{one.title}")
 
 
-def _find_numbered_column(key: str) -> list[Topic]:
-    """Return a column whose name has a number, such as mu3_pa."""
-    from needlefit.reporting.columns import find_column
-
-    column = find_column(key)
-    return [Topic(key, column.label, (column.explanation,))] if key and column.explanation else []
-
-
 def _describe(topic: Topic) -> Topic:
     """Return a topic with its paragraphs; those of a file are its tables."""
-    from needlefit.studies.toml_reference import list_files
+    from needlefit.studies.toml_reference import describe_files, list_files
 
     file = next((one for one in list_files() if one.name == topic.key), None)
-    return topic if file is None else Topic(topic.key, topic.title, tuple(_describe_file(file)))
-
-
-def _describe_file(file: "FileKind") -> Iterator[str]:
-    from needlefit.studies.toml_reference import describe_files
-
+    if file is None:
+        return topic
     ((_, tables),) = describe_files([file])
+    lines: list[str] = []
     for number, table in enumerate(tables):
-        yield f"\n{table.title}\n{table.summary}" if number else table.summary
+        lines.append(f"\n{table.title}\n{table.summary}" if number else table.summary)
         for one in table.keys:
             more = f" Keys: {one.described_in}." if one.described_in else ""
-            yield f"\n  {one.key}: {one.value.replace('**', '').replace('`', '')}"
-            yield f"      {one.meaning}{more}"
-            yield from (f"      {one.example}",) if one.example else ()
+            lines.append(f"\n  {one.key}: {one.value.replace('**', '').replace('`', '')}")
+            lines += [f"      {words}" for words in (f"{one.meaning}{more}", one.example) if words]
+    return Topic(topic.key, topic.title, tuple(lines))
 
 
 @takes("json verbose")

@@ -1,19 +1,20 @@
 """`needlefit simulate`: one scene, or a recording of it; the needle's shape after each step."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from needlefit.cli import exit_codes, screen
-from needlefit.cli.options import Depth, Set, complete_scenes, scene_record, takes
+from needlefit.cli.options import argument, complete_scenes, option, scene_record, takes
 from needlefit.errors import NeedlefitError
+from needlefit.project.folders import require_output_files
 from needlefit.project.locate import find_file, find_view_target
-from needlefit.project.outputs import require_output_files
 from needlefit.project.result_warnings import WARNINGS_KEY, ResultWarning, to_rows
 
 if TYPE_CHECKING:
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from needlefit.mechanics.scene import Entry, Scene
     from needlefit.mechanics.shape import NeedleShape
     from needlefit.reporting.table_files import Row
-    from needlefit.reporting.table_layout import TableLayout
     from needlefit.schemas.scene import SceneRecord
 
 ANIMATION_SPEED_MM_S = 10.0
@@ -55,54 +55,39 @@ class SimulationOutcome:
     placement: "Placement | None" = None
 
 
-@takes("strict json verbose")
+@takes(
+    "strict json verbose",
+    scene=argument(
+        "SCENE",
+        "configs/scenes/<name>.toml or a path; none with --recording.",
+        complete_scenes,
+        show_default=False,
+    ),
+    recording=option("Replay what `needlefit view` recorded: a CSV; no SCENE.", "LOG"),
+    step=option("With --recording: stop after this step.", "N", min=0),
+    plot=option("Draw the needle: .png, .pdf or .svg.", "FILE"),
+    csv=option("Write the final shape: position (mm), slope, load (N/mm).", "FILE"),
+    slicer=option(
+        "Write the needle for 3D Slicer: .mrk.json, a curve for every step, or .ply, a tube of the last. "
+        "Scene coordinates are taken as LPS, in the plane z = 0; a recording of a measured insertion lies in "
+        "its scan; mm.",
+        "FILE",
+    ),
+    animation=option("Animate the insertion: .gif, or .mp4 (needs ffmpeg); a SCENE at 10 mm/s.", "FILE"),
+    html=option("Of a recording: one HTML file that plays it without a server.", "FILE"),
+)
 def simulate(
     context: typer.Context,
-    scene: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="SCENE",
-            autocompletion=complete_scenes,
-            show_default=False,
-            help="configs/scenes/<name>.toml or a path; none with --recording.",
-        ),
-    ] = None,
-    depth: Depth = None,
-    set_: Set = None,
-    recording: Annotated[
-        Path | None,
-        typer.Option(metavar="LOG", help="Replay what `needlefit view` recorded: a CSV; no SCENE."),
-    ] = None,
-    step: Annotated[
-        int | None, typer.Option(metavar="N", min=0, help="With --recording: stop after this step.")
-    ] = None,
-    plot: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Draw the needle: .png, .pdf or .svg.")
-    ] = None,
-    csv: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write the final shape: position (mm), slope, load (N/mm)."),
-    ] = None,
-    slicer: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Write the needle for 3D Slicer: .mrk.json, a curve for every step, or .ply, a tube of the "
-            "last. Scene coordinates are taken as LPS, in the plane z = 0; a recording of a measured "
-            "insertion lies in its scan; mm.",
-        ),
-    ] = None,
-    animation: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Animate the insertion: .gif, or .mp4 (needs ffmpeg); a SCENE at 10 mm/s.",
-        ),
-    ] = None,
-    html: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Of a recording: one HTML file that plays it without a server."),
-    ] = None,
+    scene: str | None = None,
+    depth: float | None = None,
+    set_: list[str] | None = None,
+    recording: Path | None = None,
+    step: int | None = None,
+    plot: Path | None = None,
+    csv: Path | None = None,
+    slicer: Path | None = None,
+    animation: Path | None = None,
+    html: Path | None = None,
 ) -> None:
     """Simulate a SCENE (a needle, layers, a bevel, and a depth or steps), or replay a recording of one.
 
@@ -135,7 +120,10 @@ def simulate(
     ]
     invocation = context.find_root().obj
     summary = summarize_simulation(done.scene, done.shapes, done.placement) | done.more
-    warnings = [*done.warnings, *validity_warnings(summary["validity"]["faults"])]
+    warnings = [*done.warnings]
+    if faults := summary["validity"]["faults"]:
+        what = f"the solution is outside what the model assumes: {'; '.join(faults)}"
+        warnings.append(ResultWarning("validity", what, fix="check stiffness, bevel offset and depth"))
     summary |= {WARNINGS_KEY: to_rows(warnings)}
     if invocation.json:
         screen.show_json(summary)
@@ -153,16 +141,6 @@ def simulate(
             f"needlefit: {failed} did not converge ({summary['status']}); the printed values are no result"
         )
         raise typer.Exit(exit_codes.NOT_CONVERGED)
-
-
-def validity_warnings(faults: Sequence[str]) -> Iterator[ResultWarning]:
-    """Yield a warning where a solution is outside what the model assumes."""
-    if faults:
-        yield ResultWarning(
-            "validity",
-            f"the solution is outside what the model assumes: {'; '.join(faults)}",
-            fix="check stiffness, bevel offset and depth",
-        )
 
 
 def _simulate_scene(name: str, record: "SceneRecord", where: str) -> SimulationOutcome:
@@ -195,8 +173,8 @@ def _simulate_scene(name: str, record: "SceneRecord", where: str) -> SimulationO
     def draw_animation(path: Path) -> None:
         from needlefit.reporting.figures.animation import animate
 
-        moments = [(gone / ANIMATION_SPEED_MM_S, moment) for gone, moment in iterate_states(scene)]
-        animate(title, scene, moments, moments[-1][0], path)
+        states = [(gone / ANIMATION_SPEED_MM_S, state) for gone, state in iterate_states(scene)]
+        animate(title, scene, states, states[-1][0], path)
 
     files = {"plot": draw, "csv": write_table, "slicer": write_curves, "animation": draw_animation}
     warnings = (*scene_warnings(record, where), *coarse_warnings(record, where))
@@ -213,7 +191,11 @@ def _replay_recording(path: Path, upto: int | None, outputs: Mapping[str, Path])
     from needlefit.viewer.recording import read_recording
 
     recording = read_recording(path)
-    require_output_files(outputs, [path, *_view_target_files(recording.head.target)])
+    shown = []  # the scene, or the folder of the run or dataset, that the recording is of, unless it is gone
+    with suppress(NeedlefitError):
+        target = find_view_target(recording.head.target)
+        shown.append(target.path.parent if target.kind == "dataset" else target.path)
+    require_output_files(outputs, [path, *shown])
     if upto is not None:
         if upto > len(recording.steps):
             raise typer.BadParameter(f"the recording has {len(recording.steps)} steps", param_hint="--step")
@@ -225,15 +207,6 @@ def _replay_recording(path: Path, upto: int | None, outputs: Mapping[str, Path])
     warnings = (*scene_warnings(planned, str(path)), *coarse_warnings(planned, str(path)))
     shapes = (done.state.shape,)
     return SimulationOutcome(done.title, done.scene, shapes, files, more, warnings, done.placement)
-
-
-def _view_target_files(target: str) -> list[Path]:
-    """Return the scene, or the folder of the run or dataset, that a recording is of; none if it is gone."""
-    try:
-        view_target = find_view_target(target)
-    except NeedlefitError:
-        return []
-    return [view_target.path.parent if view_target.kind == "dataset" else view_target.path]
 
 
 def summarize_simulation(
@@ -285,16 +258,23 @@ def _summarize_step(entry: "Entry", shape: "NeedleShape", placement: "Placement 
 
 def _show_summary(title: str, summary: dict[str, Any]) -> None:
     """Print a row for each step, and boundaries, iterations and, of a recording, the difference from it."""
+    from needlefit.reporting.table import Table
+
     interfaces = ", ".join(f"{depth:g}" for depth in summary["boundaries_mm"])
+    rows = [_describe_step(number, step) for number, step in enumerate(summary["steps"], start=1)]
+    columns = ("step", "inserted_mm", "tip_lateral_mm", "tip_position", "tip_angle_deg", "step_state")
+    caption = "Steps: tip in the world." if len(rows) > 1 else "Tip in the world."
     screen.print_line()
     screen.print_text(title)
-    screen.show_display(_lay_out_steps(summary["steps"]), notes=False)
+    screen.show_display(Table("steps", caption, rows, columns).lay_out(), notes=False)
     screen.print_line(f"Layer boundaries: {f'{interfaces} mm' if interfaces else 'none'}")
     state = "" if summary["converged"] else "not converged, "
     slope = f"; largest slope {summary['max_slope']:.3f}" if summary["converged"] else ""
     screen.print_line(f"Solution: {state}{summary['iterations']} Newton iterations{slope}")
-    if "replayed" in summary:
-        screen.print_line(f"Replayed: {_describe_replay(**summary['replayed'])}")
+    if replayed := summary.get("replayed"):
+        count, offset = replayed["steps"], replayed["tip_offset_mm"]
+        where = f"up to {offset:.1g} mm from the recorded one" if offset else "identical to the recorded one"
+        screen.print_line(f"Replayed: {count} step{'' if count == 1 else 's'}, tip {where}")
 
 
 def _describe_outcome(summary: dict[str, Any]) -> str:
@@ -309,31 +289,12 @@ def _describe_outcome(summary: dict[str, Any]) -> str:
     return f"Tip {side} of the entry axis at {depth}; tip at ({place}) mm in the world{valid}."
 
 
-def _lay_out_steps(steps: Sequence[Mapping[str, Any]]) -> "TableLayout":
-    from needlefit.reporting.table import Table
-
-    rows = [_describe_step(number, step) for number, step in enumerate(steps, start=1)]
-    columns = ("step", "inserted_mm", "tip_lateral_mm", "tip_position", "tip_angle_deg", "step_state")
-    caption = "Steps: tip in the world." if len(rows) > 1 else "Tip in the world."
-    return Table("steps", caption, rows, columns).lay_out()
-
-
 def _describe_step(number: int, step: Mapping[str, Any]) -> "Row":
     found = bool(step["converged"])
     state = ("ok" if step["valid"] else "outside the model's limits") if found else str(step["status"])
-    place = ", ".join(map(_format_length, step["tip_mm"])) if found else None
-    lengths = {"tip_lateral_mm": step["tip_lateral_mm"] if found else None, "inserted_mm": step["depth_mm"]}
-    angle = step["tip_angle_deg"] if found else None
-    return {"step": number, **lengths, "tip_position": place, "tip_angle_deg": angle, "step_state": state}
-
-
-def _describe_replay(steps: int, tip_offset_mm: float) -> str:
-    text = f"{steps} step{'' if steps == 1 else 's'}, tip "
-    return text + (
-        f"up to {tip_offset_mm:.1g} mm from the recorded one"
-        if tip_offset_mm
-        else "identical to the recorded one"
-    )
+    tip = {key: step[key] if found else None for key in ("tip_lateral_mm", "tip_angle_deg")}
+    tip["tip_position"] = ", ".join(map(_format_length, step["tip_mm"])) if found else None
+    return {"step": number, "inserted_mm": step["depth_mm"], **tip, "step_state": state}
 
 
 def _format_length(value: float) -> str:

@@ -2,18 +2,13 @@
 
 import shlex
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from needlefit.cli import screen
-from needlefit.cli.options import takes
+from needlefit.cli.options import argument, option, takes
 
 
-@takes("verbose")
-def init(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder; it is made if it is missing.")],
-) -> None:
+@takes("verbose", folder=argument("DIR", "A folder; it is made if it is missing."))
+def init(folder: Path) -> None:
     """Write an editable copy of the project to DIR.
 
     That is data/, configs/ and studies/; in DIR the program then uses those.
@@ -25,20 +20,18 @@ def init(
     screen.print_note(f"edit them, then: {shlex.join(('cd', str(folder)))} && needlefit validate study3")
 
 
-@takes("verbose")
-def new_dataset(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder that does not exist yet.")],
-    source: Annotated[
-        Path | None,
-        typer.Option(
-            "--from",
-            metavar="FILE",
-            help="Your centrelines: a CSV with columns x_mm, y_mm, z_mm (and id, if it holds several), a "
-            ".mat file of N x 3 arrays, or a .mrk.json or .fcsv of 3D Slicer. For tables of any other "
-            "layout: needlefit import.",
-        ),
-    ] = None,
-) -> None:
+@takes(
+    "verbose",
+    folder=argument("DIR", "A folder that does not exist yet."),
+    source=option(
+        "Your centrelines: a CSV with columns x_mm, y_mm, z_mm (and id, if it holds several), a .mat file of "
+        "N x 3 arrays, or a .mrk.json or .fcsv of 3D Slicer. For tables of any other layout: needlefit "
+        "import.",
+        "FILE",
+        "--from",
+    ),
+)
+def new_dataset(folder: Path, source: Path | None = None) -> None:
     """Write an example dataset to DIR, to be filled with your own measurements.
 
     It passes `needlefit check`; what you must fill in is marked TO FILL IN.

@@ -1,7 +1,7 @@
 """Commands that run studies: tune, identify, calibrate, validate, predict, material, verify, credibility."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
 import typer
 
@@ -15,7 +15,15 @@ from needlefit.cli.execution import (
     show_run,
     show_warnings,
 )
-from needlefit.cli.options import Depth, Set, complete_scenes, complete_studies, complete_targets, takes
+from needlefit.cli.options import (
+    argument,
+    complete_scenes,
+    complete_studies,
+    complete_targets,
+    flag,
+    option,
+    takes,
+)
 from needlefit.schemas.limits import MAX_REPLICATES
 
 if TYPE_CHECKING:
@@ -24,7 +32,7 @@ if TYPE_CHECKING:
 
 
 @takes("sample seed jobs scheduler insecure out resume strict explain json quiet verbose")
-def tune(context: typer.Context, target: options.Target) -> None:
+def tune(context: typer.Context, target: str) -> None:
     """Fit the parameters of a TARGET (mu, alpha, b).
 
     Prints each parameter with its 95 % interval, and which ones the data do not determine.
@@ -34,7 +42,7 @@ def tune(context: typer.Context, target: options.Target) -> None:
     far, marked as interrupted, and prints the command that continues; a second Ctrl-C stops at once.
     """
     with begin(context) as execution:
-        from needlefit.project.toml_lines import add_file_context
+        from needlefit.project.toml import add_file_context
         from needlefit.studies.targets import load_target
 
         name, record, file = load_target(target)
@@ -51,14 +59,11 @@ def tune(context: typer.Context, target: options.Target) -> None:
     require_no_faults(f"{results.name}: {fault}" for fault in results.faults)
 
 
-@takes("seed jobs out resume strict explain json quiet verbose")
-def identify(
-    context: typer.Context,
-    target: options.Target,
-    fit: Annotated[
-        bool, typer.Option("--fit", help="Also fit, and report what the measured shapes determine.")
-    ] = False,
-) -> None:
+@takes(
+    "seed jobs out resume strict explain json quiet verbose",
+    fit=flag("Also fit, and report what the measured shapes determine.", "--fit"),
+)
+def identify(context: typer.Context, target: str, fit: bool = False) -> None:
     """Determine which parameters of a TARGET are identifiable from its insertions.
 
     Without --fit only the design is used (depths, layers, bevel sides, poses and noise), at the paper's
@@ -74,41 +79,32 @@ def identify(
     execution.show(found)
 
 
-@takes("seed jobs scheduler insecure out reference resume strict explain json quiet verbose")
+@takes(
+    "seed jobs scheduler insecure out reference resume strict explain json quiet verbose",
+    replicates=option(
+        "Number of simulated datasets (default: 500; with --sample 100; with --truth synthetic 50).",
+        min=1,
+        max=MAX_REPLICATES,
+    ),
+    sample=flag("Sample every posterior by MCMC; uses at most three insertions.", "--sample"),
+    control=option(
+        "Use a wrong likelihood, which the test must detect: sigma, prior, pose, shuffled, or all.", "NAME"
+    ),
+    truth=option(
+        "True parameters: drawn from the prior, or synthetic (simulated by another model than the fitted "
+        "one).",
+        "SOURCE",
+    ),
+    ct=flag("With --truth synthetic: measure through CT volumes (4 s per insertion).", "--ct"),
+)
 def calibrate(
     context: typer.Context,
-    target: options.Target,
-    replicates: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            max=MAX_REPLICATES,
-            help="Number of simulated datasets (default: 500; with --sample 100; with --truth synthetic 50).",
-        ),
-    ] = None,
-    sample: Annotated[
-        bool,
-        typer.Option("--sample", help="Sample every posterior by MCMC; uses at most three insertions."),
-    ] = False,
-    control: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Use a wrong likelihood, which the test must detect: sigma, prior, pose, shuffled, or all.",
-        ),
-    ] = None,
-    truth: Annotated[
-        str,
-        typer.Option(
-            metavar="SOURCE",
-            help="True parameters: drawn from the prior, or synthetic (simulated by another model than the "
-            "fitted one).",
-        ),
-    ] = "prior",
-    ct: Annotated[
-        bool,
-        typer.Option("--ct", help="With --truth synthetic: measure through CT volumes (4 s per insertion)."),
-    ] = False,
+    target: str,
+    replicates: int | None = None,
+    sample: bool = False,
+    control: str | None = None,
+    truth: str = "prior",
+    ct: bool = False,
 ) -> None:
     """Test whether the intervals of a TARGET are right (simulation-based calibration).
 
@@ -187,18 +183,13 @@ def _end_calibration(execution: Execution, found: "list[Run]") -> None:
         raise typer.Exit(exit_codes.NOT_CONVERGED)
 
 
-@takes("sample seed jobs scheduler insecure out reference resume strict explain json quiet verbose")
-def validate(
-    context: typer.Context,
-    study: Annotated[
-        str,
-        typer.Argument(
-            metavar="STUDY",
-            autocompletion=complete_studies,
-            help="study1 ... study5, all (those five), everything, another, or a path.",
-        ),
-    ],
-) -> None:
+@takes(
+    "sample seed jobs scheduler insecure out reference resume strict explain json quiet verbose",
+    study=argument(
+        "STUDY", "study1 ... study5, all (those five), everything, another, or a path.", complete_studies
+    ),
+)
+def validate(context: typer.Context, study: str) -> None:
     """Run a STUDY: fit, score held-out insertions, compare, plan, as its file states.
 
     `all` runs the paper's five studies and the fits of its tuning tables; `everything` runs all studies whose
@@ -243,40 +234,27 @@ def _write_combined_report(execution: Execution, study: str, runs: "list[Run]") 
         screen.print_written(folder)
 
 
-@takes("seed jobs out resume strict explain json quiet verbose")
+@takes(
+    "seed jobs out resume strict explain json quiet verbose",
+    target=argument("TARGET", "What was tuned: a study, a fit, or a path.", complete_targets),
+    scene=option(
+        "The planned insertion: a name or a path.", "SCENE", "--scene", autocompletion=complete_scenes
+    ),
+    run=option("Result of `tune TARGET --sample` (default: OUT/TARGET-tune).", "DIR"),
+    specimen=option(
+        "new: into a specimen that was not fitted to; same: into one that was (default: new, with the spread "
+        "between specimens unless the TARGET's `specimens` leaves it out).",
+        show_default=False,
+    ),
+)
 def predict(
     context: typer.Context,
-    target: Annotated[
-        str,
-        typer.Argument(
-            metavar="TARGET",
-            autocompletion=complete_targets,
-            help="What was tuned: a study, a fit, or a path.",
-        ),
-    ],
-    scene: Annotated[
-        str,
-        typer.Option(
-            "--scene",
-            metavar="SCENE",
-            autocompletion=complete_scenes,
-            help="The planned insertion: a name or a path.",
-        ),
-    ],
-    run: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Result of `tune TARGET --sample` (default: OUT/TARGET-tune)."),
-    ] = None,
-    specimen: Annotated[
-        Literal["new", "same"] | None,
-        typer.Option(
-            help="new: into a specimen that was not fitted to; same: into one that was (default: new, with "
-            "the spread between specimens unless the TARGET's `specimens` leaves it out).",
-            show_default=False,
-        ),
-    ] = None,
-    depth: Depth = None,
-    set_: Set = None,
+    target: str,
+    scene: str,
+    run: Path | None = None,
+    specimen: Literal["new", "same"] | None = None,
+    depth: float | None = None,
+    set_: list[str] | None = None,
 ) -> None:
     """Predict a planned insertion with the parameters fitted to a TARGET's data.
 
@@ -288,7 +266,7 @@ def predict(
     """
     with begin(context) as execution:
         from needlefit.project.input_files import is_file
-        from needlefit.project.toml_lines import add_file_context
+        from needlefit.project.toml import add_file_context
         from needlefit.schemas.names import require_file_name
         from needlefit.studies.job import load_medium
         from needlefit.studies.kinds.prediction import POSTERIOR_FILE, make_scene
@@ -298,7 +276,9 @@ def predict(
         target_name, fitted, file = load_target(target)
         with add_file_context(file):
             medium, _ = load_medium(fitted)
-        make_scene(planned, scene_name, medium, options.list_set_keys(set_ or []))
+        make_scene(
+            planned, scene_name, medium, [key for key, value in map(options.split_pair, set_ or []) if value]
+        )
         require_file_name(Path(scene).stem, scene)
         name = f"predict-{target_name.removesuffix('-tune')}-{Path(scene).stem}"
         execution.prepare([name])
@@ -322,24 +302,21 @@ def predict(
         raise typer.Exit(exit_codes.NOT_CONVERGED)
 
 
-@takes("out strict explain json verbose")
+@takes(
+    "out strict explain json verbose",
+    file=argument("FILE.csv", "Stretch and stress; data/README.md lists the columns."),
+    stress=option("Stress measure of a column `stress_kpa`, whose name does not state it."),
+    foundation=option(
+        "Write a prior of the model's mu too: FACTOR times the material's shear modulus, known within a "
+        "factor of SPREAD. docs/model.md states the bounds of FACTOR.",
+        "FACTOR SPREAD",
+    ),
+)
 def material(
     context: typer.Context,
-    file: Annotated[
-        Path, typer.Argument(metavar="FILE.csv", help="Stretch and stress; data/README.md lists the columns.")
-    ],
-    stress: Annotated[
-        Literal["nominal", "true"] | None,
-        typer.Option(help="Stress measure of a column `stress_kpa`, whose name does not state it."),
-    ] = None,
-    foundation: Annotated[
-        tuple[float, float] | None,
-        typer.Option(
-            metavar="FACTOR SPREAD",
-            help="Write a prior of the model's mu too: FACTOR times the material's shear modulus, known "
-            "within a factor of SPREAD. docs/model.md states the bounds of FACTOR.",
-        ),
-    ] = None,
+    file: Path,
+    stress: Literal["nominal", "true"] | None = None,
+    foundation: tuple[float, float] | None = None,
 ) -> None:
     """Fit mu and alpha of the Ogden law to a compression test.
 
@@ -358,11 +335,8 @@ def material(
         screen.print_line(f'For layer 1 of a fit: priors = {{ 1 = "{prior}" }}')
 
 
-@takes("out explain json quiet verbose")
-def verify(
-    context: typer.Context,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the random cases.")] = 1,
-) -> None:
+@takes("out explain json quiet verbose", seed=option("Seed of the random cases.", min=0))
+def verify(context: typer.Context, seed: int = 1) -> None:
     """Verify the solver: closed forms, observed orders, an independent solution, symmetries.
 
     All values are measured in this run. Prints the outcome of each group of checks, with --explain every
@@ -383,22 +357,17 @@ def verify(
         raise typer.Exit(exit_codes.VERIFICATION_FAILED)
 
 
-@takes("out explain json quiet verbose")
+@takes(
+    "out explain json quiet verbose",
+    evidence=option(
+        "A folder of verify, calibrate, identify or a sensitivity study (several times), instead of those of "
+        "its kind beside RUN.",
+        "DIR",
+    ),
+    statements=option("TOML with what only people can state: question, context, risk.", "FILE"),
+)
 def credibility(
-    context: typer.Context,
-    run: options.RunFolder,
-    evidence: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="DIR",
-            help="A folder of verify, calibrate, identify or a sensitivity study (several times), instead of "
-            "those of its kind beside RUN.",
-        ),
-    ] = None,
-    statements: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="TOML with what only people can state: question, context, risk."),
-    ] = None,
+    context: typer.Context, run: str, evidence: list[Path] | None = None, statements: Path | None = None
 ) -> None:
     """Collect the credibility evidence of a RUN, in the order of ASME V&V 40-2018.
 
@@ -406,8 +375,8 @@ def credibility(
     other runs in the same folder. Missing evidence is listed as missing. Evidence of another version or
     dataset is not counted. Nothing is graded. Results go to OUT/credibility-RUN/.
     """
-    from needlefit.project.load import load
     from needlefit.project.locate import find_run
+    from needlefit.project.toml import load
     from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
     from needlefit.studies.kinds.credibility import list_open_statements
 

@@ -1,29 +1,25 @@
 """`needlefit twin`: the synthetic dataset made anew, and its scans."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import typer
 
-from needlefit.cli import options, screen
+from needlefit.cli import screen
 from needlefit.cli.execution import open_pool
+from needlefit.cli.options import argument, option, takes
 from needlefit.cli.progress import show_progress
 from needlefit.project.processes import count_cores
 
-Jobs = Annotated[
-    int | None, typer.Option(min=1, help="Processes (default: all cores); they do not change the result.")
-]
+_SEED = option("Seed (default: the shipped twin's).", min=0)
+_JOBS = option("Processes (default: all cores); they do not change the result.", min=1)
 
 
+@takes(
+    "scheduler insecure quiet verbose", seed=_SEED, out=option("Folder of the dataset.", "DIR"), jobs=_JOBS
+)
 def twin_build(
-    context: typer.Context,
-    seed: Annotated[int | None, typer.Option(min=0, help="Seed (default: the shipped twin's).")] = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the dataset.")] = Path("data/twin"),
-    jobs: Jobs = None,
-    scheduler: options.Scheduler = None,
-    insecure: options.Insecure = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = False,
+    context: typer.Context, seed: int | None = None, out: Path = Path("data/twin"), jobs: int | None = None
 ) -> None:
     """Build the synthetic dataset.
 
@@ -32,31 +28,35 @@ def twin_build(
 
     DIR is replaced if it holds nothing but a synthetic dataset.
     """
-    from needlefit.project.atomic_write import replace_folder
+    from needlefit.project.folders import replace_folder
     from needlefit.synthetic.build import build_dataset
     from needlefit.synthetic.insertion import TWIN_SEED
 
-    seed = TWIN_SEED if seed is None else seed
+    seed, invocation = TWIN_SEED if seed is None else seed, context.find_root().obj
     with (
         replace_folder(out) as fresh,
-        show_progress(context.find_root().obj.quiet) as report,
-        open_pool(jobs, scheduler, insecure) as pool,
+        show_progress(invocation.quiet) as report,
+        open_pool(jobs, invocation.scheduler, invocation.insecure) as pool,
     ):
         build_dataset(fresh, seed, pool=pool, progress=report)
     screen.print_line(f"{out}: synthetic dataset, seed {seed}")
 
 
+@takes(
+    "quiet verbose",
+    ids=argument("ID", "Insertions, or `sample` (default: all 47)."),
+    seed=_SEED,
+    form=option("A file, or a series.", None, "--format"),
+    out=option("Folder of the scans.", "DIR"),
+    jobs=_JOBS,
+)
 def twin_ct(
     context: typer.Context,
-    ids: Annotated[
-        list[str] | None, typer.Argument(metavar="[ID]...", help="Insertions, or `sample` (default: all 47).")
-    ] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Seed (default: the shipped twin's).")] = None,
-    form: Annotated[Literal["nrrd", "dicom"], typer.Option("--format", help="A file, or a series.")] = "nrrd",
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the scans.")] = Path("twin_ct"),
-    jobs: Jobs = None,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = False,
+    ids: list[str] | None = None,
+    seed: int | None = None,
+    form: Literal["nrrd", "dicom"] = "nrrd",
+    out: Path = Path("twin_ct"),
+    jobs: int | None = None,
 ) -> None:
     """Render insertions of the synthetic dataset as CT volumes.
 
@@ -65,7 +65,7 @@ def twin_ct(
 
     DIR is replaced if it holds nothing but such scans.
     """
-    from needlefit.project.atomic_write import replace_folder
+    from needlefit.project.folders import replace_folder
     from needlefit.project.tasks import LocalPool
     from needlefit.synthetic.design import select_planned_insertions
     from needlefit.synthetic.insertion import TWIN_SEED

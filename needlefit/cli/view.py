@@ -3,90 +3,72 @@
 import shlex
 import signal
 import threading
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
 from needlefit.cli import options, screen
 from needlefit.cli.exit_codes import Invocation
-from needlefit.cli.options import complete_view_targets, takes
-from needlefit.cli.view_scan import names_scan, open_session
-from needlefit.project.outputs import require_writable
+from needlefit.cli.options import complete_view_targets, option, takes
+from needlefit.errors import ConfigError
+from needlefit.project.folders import require_writable
+from needlefit.project.input_files import is_dir, is_file, path_exists
+from needlefit.project.locate import find_file, list_names
 
 if TYPE_CHECKING:
+    from needlefit.imaging.scans import Scan
     from needlefit.project.locate import SpecimenChoice
     from needlefit.schemas.tracker import TrackerRecord
     from needlefit.viewer.openigtlink import OpenIGTLinkServer
     from needlefit.viewer.opening import ViewedScene
+    from needlefit.viewer.scan_session import ScanSession
     from needlefit.viewer.server import AccessControl, ServedPage
     from needlefit.viewer.trials import TrialRegistry
 
 
-@takes("out quiet verbose")
+@takes(
+    "out quiet verbose",
+    target=options.argument(
+        "SCENE | RUN[/ID] | DATASET/ID | SCAN",
+        "What to steer: a scene, a run's fitted insertion with its predictive band, or a measured insertion. "
+        "Or a scan to examine: a volume, TABLE.csv[/ID] with a table of scans, or the folder of one: "
+        "DATASET.refused[/ID].",
+        complete_view_targets,
+        show_default=False,
+    ),
+    recording=option("Replay this recording, and continue from its end; it replaces SCENE.", "LOG"),
+    specimen=option(
+        "Predictive band of a run: for a new specimen, or for the specimens fitted (default: as the run "
+        "predicted the insertion).",
+        show_default=False,
+    ),
+    **options.SCAN_FILES,
+    recipe=option(
+        "configs/reconstruction, or a path (default: recipe.toml of the folder, or default).",
+        "RECIPE",
+        autocompletion=options.complete_reconstructions,
+        show_default=False,
+    ),
+    port=option("Port on 127.0.0.1 (0: any free one).", "N", min=0, max=65535),
+    openigtlink=option("Serve OpenIGTLink too (18944 is usual; 0: any free port).", "PORT", min=0, max=65535),
+    openigtlink_host=option("Address on which OpenIGTLink is served.", "HOST"),
+    tracker=option("OpenIGTLink only: registration and errors of the tracker (TOML).", "FILE"),
+    browser=options.flag("Open the page, or only print its address.", "--browser/--no-browser"),
+)
 def view(
     context: typer.Context,
-    target: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="SCENE | RUN[/ID] | DATASET/ID | SCAN",
-            autocompletion=complete_view_targets,
-            show_default=False,
-            help="What to steer: a scene, a run's fitted insertion with its predictive band, or a measured "
-            "insertion. Or a scan to examine: a volume, TABLE.csv[/ID] with a table of scans, or the folder "
-            "of one: DATASET.refused[/ID].",
-        ),
-    ] = None,
-    recording: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="LOG", help="Replay this recording, and continue from its end; it replaces SCENE."
-        ),
-    ] = None,
-    specimen: Annotated[
-        Literal["new", "same"] | None,
-        typer.Option(
-            help="Predictive band of a run: for a new specimen, or for the specimens fitted (default: as the "
-            "run predicted the insertion).",
-            show_default=False,
-        ),
-    ] = None,
-    markers: options.Markers = None,
-    fiducials: options.Fiducials = None,
-    layers: options.Layers = None,
-    layers_in: options.LayersIn = None,
-    mask: options.Mask = None,
-    series: options.Series = None,
-    medium: options.Medium = None,
-    recipe: Annotated[
-        str | None,
-        typer.Option(
-            metavar="RECIPE",
-            autocompletion=options.complete_reconstructions,
-            show_default=False,
-            help="configs/reconstruction, or a path (default: recipe.toml of the folder, or default).",
-        ),
-    ] = None,
-    port: Annotated[
-        int, typer.Option(metavar="N", min=0, max=65535, help="Port on 127.0.0.1 (0: any free one).")
-    ] = 0,
-    openigtlink: Annotated[
-        int | None,
-        typer.Option(
-            metavar="PORT", min=0, max=65535, help="Serve OpenIGTLink too (18944 is usual; 0: any free port)."
-        ),
-    ] = None,
-    openigtlink_host: Annotated[
-        str, typer.Option(metavar="HOST", help="Address on which OpenIGTLink is served.")
-    ] = "127.0.0.1",
-    tracker: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="OpenIGTLink only: registration and errors of the tracker (TOML)."),
-    ] = None,
-    browser: Annotated[
-        bool, typer.Option("--browser/--no-browser", help="Open the page, or only print its address.")
-    ] = True,
+    target: str | None = None,
+    recording: Path | None = None,
+    specimen: Literal["new", "same"] | None = None,
+    recipe: str | None = None,
+    port: int = 0,
+    openigtlink: int | None = None,
+    openigtlink_host: str = "127.0.0.1",
+    tracker: Path | None = None,
+    browser: bool = True,
+    **files: Any,  # noqa: ANN401 - those of `SCAN_FILES`
 ) -> None:
     """Steer a needle by hand, or examine and correct a scan, in the browser.
 
@@ -98,7 +80,7 @@ def view(
     if recording is not None and target is not None:
         raise typer.BadParameter("the recording names its target: leave it out", param_hint="TARGET")
     out = context.find_root().obj.out
-    named = options.name_scan_files(markers, fiducials, layers, layers_in, mask, series, medium)
+    named = options.name_scan_files(files)
     if recording is None and target is not None and names_scan(target):
         if openigtlink is not None or tracker is not None:
             raise typer.BadParameter("is for a needle, not for a scan", param_hint="--openigtlink, --tracker")
@@ -162,8 +144,6 @@ def _server() -> Callable[..., "Coroutine[None, None, None]"]:
     except ModuleNotFoundError as error:
         if error.name != "aiohttp":
             raise
-        from needlefit.errors import ConfigError
-
         raise ConfigError(
             "the page needs aiohttp, which is not installed",
             fix="pip install 'needlefit[view]'",
@@ -177,8 +157,7 @@ def _read_tracker(port: int | None, path: Path | None) -> "TrackerRecord | None"
         if path is not None:
             raise typer.BadParameter("it is used with --openigtlink alone", param_hint="--tracker")
         return None
-    from needlefit.errors import ConfigError
-    from needlefit.project.load import load
+    from needlefit.project.toml import load
     from needlefit.schemas.tracker import TrackerRecord
 
     if path is None:
@@ -201,8 +180,6 @@ def _openigtlink(
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "pyigtl":
             raise
-        from needlefit.errors import ConfigError
-
         raise ConfigError(
             "OpenIGTLink needs pyigtl, which is not installed",
             fix="pip install 'needlefit[view,openigtlink]'",
@@ -246,3 +223,100 @@ async def _until_stopped() -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stopped.set)
     await stopped.wait()
+
+
+# ---- scans
+
+
+def names_scan(target: str | None) -> bool:
+    """Whether a target is a volume, or a table of scans, or its folder, with or without `/ID`."""
+    if target is None:
+        return False
+    path = Path(target)
+    if _split_table(target) is not None:
+        return True
+    if is_dir(path):
+        return not any(is_file(path / name) for name in ("run.json", "dataset.toml"))
+    if not is_file(path):
+        return False
+    from needlefit.imaging.volume import ARCHIVE_SUFFIX, IMAGE_SUFFIXES, begins_as_dicom
+
+    return path.name.lower().endswith((*IMAGE_SUFFIXES, ARCHIVE_SUFFIX)) or begins_as_dicom(path)
+
+
+def open_session(target: str, named: Mapping[str, Any], recipe: str | None, folder: Path) -> "ScanSession":
+    """Return the session of a scan; corrections are saved to a folder of its name in `folder`.
+
+    Parameters
+    ----------
+    named : mapping
+        Files of a volume, by their keywords of `make_scans`.
+    recipe : str or None
+        None: `recipe.toml` in a folder with a table of scans, else the default.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If there is no such scan, or its files have a fault.
+    """
+    from needlefit.project.toml import load
+    from needlefit.schemas.reconstruction import ReconstructionRecord
+    from needlefit.viewer.scan_session import ScanSession
+
+    scan, beside = _find_scan(target, named), _find_table_folder(Path(target))
+    own = str(beside / "recipe.toml") if beside and is_file(beside / "recipe.toml") else None
+    file = find_file("reconstruction", recipe or own or "default")
+    return ScanSession(scan, load(file, ReconstructionRecord), file, folder / scan.id)
+
+
+def _find_scan(target: str, named: Mapping[str, Any]) -> "Scan":
+    from needlefit.imaging.scans import make_scans, read_scans
+
+    table = _split_table(target)
+    if table is None:
+        return make_scans([Path(target)], **named)[0]
+    if named:
+        raise ConfigError(
+            "a table of scans names its own files",
+            where=str(table[0]),
+            fix=f"leave out {', '.join(map(options.scan_option, named))}, or fill its columns",
+        )
+    scans = read_scans(table[0])
+    chosen = [one for one in scans if one.id == table[1]] if table[1] else scans
+    if len(chosen) != 1:
+        known = ", ".join(one.id for one in scans)
+        raise ConfigError(
+            f"holds no scan {table[1]!r}" if table[1] else f"holds {len(scans)} scans",
+            where=str(table[0]),
+            expected=f"one of {known}",
+            fix=f"needlefit view {table[0]}/{scans[0].id}",
+        )
+    return chosen[0]
+
+
+def _split_table(target: str) -> tuple[Path, str] | None:
+    """Return the table of scans and the id that a path or bare name means, with or without `/ID`."""
+    path = Path(target)
+    if target in list_names("scans"):
+        return find_file("scans", target), ""
+    if path.suffix.lower() == ".csv" and is_file(path):
+        return path, ""
+    if path.parent.suffix.lower() == ".csv" and is_file(path.parent):
+        return path.parent, path.name
+    if str(path.parent) in list_names("scans"):
+        return find_file("scans", str(path.parent)), path.name
+    folder = _find_table_folder(path)
+    if folder is not None:
+        return folder / "scans.csv", "" if folder == path else path.name
+    return None
+
+
+def _find_table_folder(path: Path) -> Path | None:
+    """Return the folder with a table of scans that a path means, with or without `/ID`.
+
+    The table is that of refused scans or of corrections; a result or a dataset is something else.
+    """
+    folder = path if path_exists(path) else path.parent
+    others = ("run.json", "dataset.toml")
+    found = is_file(folder / "scans.csv") and not any(is_file(folder / name) for name in others)
+    return folder if found else None

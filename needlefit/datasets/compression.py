@@ -13,8 +13,8 @@ from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.formats.csv import CsvTable, list_columns, parse_numbers, read_table
 from needlefit.errors import DataError
 from needlefit.mechanics.compression import STRESS_MEASURES, StressMeasure
+from needlefit.project.folders import sha256
 from needlefit.project.input_files import is_file
-from needlefit.project.manifest import sha256
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
 MIN_STRETCHES = 6  # least number of different stretches of a loading: two of them determine mu and alpha

@@ -19,7 +19,7 @@ from needlefit.geometry.frames import RAS_TO_LPS, Frame, make_entry_frame, norma
 from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.geometry.surfaces import Surface, find_mesh_faults, read_surface, transform_surface
 from needlefit.project.input_files import is_file
-from needlefit.project.toml_lines import locate_key
+from needlefit.project.toml import locate_key
 from needlefit.project.unit_warnings import BOUNDARY_TO_DEPTH, LENGTH_UNITS
 from needlefit.schemas.dataset import DatasetRecord, SurfaceRecord
 

@@ -65,9 +65,8 @@ from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
 from needlefit.mechanics.needle import Needle
 from needlefit.project.input_files import is_file
-from needlefit.project.load import load, read_toml
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.toml_lines import locate_key
+from needlefit.project.toml import load, locate_key, read_toml
 from needlefit.project.unit_warnings import format_place, likely_modulus
 from needlefit.schemas.dataset import (
     MIN_SD_MM,

@@ -19,9 +19,7 @@ from needlefit.geometry.smoothing_spline import (
     find_empty_pieces,
     find_least_spacing,
 )
-from needlefit.project.load import load
-from needlefit.project.toml_lines import locate_key
-from needlefit.project.toml_text import dumps
+from needlefit.project.toml import dumps, load, locate_key
 from needlefit.schemas.dataset import DatasetRecord, SectionsRecord
 
 SECTIONS_PATTERN = "sections/{id}.toml"

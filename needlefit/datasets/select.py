@@ -8,7 +8,7 @@ from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.errors import ConfigError
 from needlefit.project.locate import join_names, sort_by_similarity
-from needlefit.project.toml_lines import add_key_context
+from needlefit.project.toml import add_key_context
 from needlefit.schemas.study import LayerCountRule, SelectionRecord
 
 

@@ -11,9 +11,9 @@ from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.formats.csv import note_missing_columns, read_table
 from needlefit.datasets.insertion import Dataset
 from needlefit.errors import DataError, NeedlefitError
+from needlefit.project.folders import sha256
 from needlefit.project.input_files import is_dir, is_file
-from needlefit.project.load import read_toml
-from needlefit.project.manifest import sha256
+from needlefit.project.toml import read_toml
 from needlefit.schemas.dataset import SourceRecord
 
 

@@ -17,7 +17,7 @@ from needlefit.datasets.write import write_dataset
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.surfaces import make_sheet
-from needlefit.project.atomic_write import create_folder, require_new
+from needlefit.project.folders import create_folder, require_new
 from needlefit.project.input_files import is_file
 from needlefit.project.locate import join_names
 from needlefit.schemas.dataset import DatasetRecord

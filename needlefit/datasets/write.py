@@ -28,8 +28,8 @@ from needlefit.datasets.sections import format_sections
 from needlefit.errors import DataError
 from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.geometry.surfaces import Surface, write_surface
-from needlefit.project.manifest import sha256
-from needlefit.project.toml_text import dumps
+from needlefit.project.folders import sha256
+from needlefit.project.toml import dumps
 from needlefit.schemas.dataset import DatasetRecord
 
 

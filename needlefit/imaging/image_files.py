@@ -25,7 +25,7 @@ from needlefit.imaging.volume import (
     orthogonalize,
     sheared_axes,
 )
-from needlefit.project.atomic_write import replace_file
+from needlefit.project.folders import replace_file
 from needlefit.project.sandbox import SandboxArrays
 
 IMAGE_IOS = {".nrrd": "NrrdImageIO", ".nhdr": "NrrdImageIO", ".mha": "MetaImageIO", ".mhd": "MetaImageIO"}

@@ -20,7 +20,7 @@ from needlefit.errors import ConfigError
 from needlefit.inference.quantity_text import format_quantity
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.tissue import Tissue
-from needlefit.project.toml_lines import add_key_context
+from needlefit.project.toml import add_key_context
 from needlefit.schemas.medium import MediumRecord, ParameterRecord, PriorRecord
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.scene import CUT_ANGLE_LIMIT_DEG

@@ -34,8 +34,7 @@ DIFFERENCE_STEPS = np.array([0.05, 0.05, 0.05])
 """Of the differences: offset (mm), angle (degrees), depth (mm). Where a boundary passes a constraint point,
 tips move steeply; their mean over draws does so less."""
 
-MISSING_PATH = np.full((PATH_POINTS, 2), np.nan)
-"""The path of a needle without a solution."""
+MISSING_PATH = np.full((PATH_POINTS, 2), np.nan)  #: the path of a needle without a solution
 
 
 @dataclass(frozen=True)

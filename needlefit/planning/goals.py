@@ -167,10 +167,7 @@ def read_goal_points(
     The point whose label begins with "target" is the target, also the only point of a file; all others are
     centres of obstacles.
 
-    Raises
-    ------
-    DataError
-        If the file is wrong, or names two targets.
+    Raises DataError if the file is wrong, or names two targets.
     """
     lists = read_mrk_json(path) if path.suffix == ".json" else (read_fcsv(path),)
     labels = [label for one in lists for label in one.labels]

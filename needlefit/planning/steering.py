@@ -83,8 +83,7 @@ MAX_TRIES = 20  #: random ways that are tried before a needle counts as one that
 DIFFERENCE_STEPS = np.array([0.05, 0.05, 0.05, 1e-3])
 """Of the differences: entry, depth and base (mm), slope of the base."""
 
-LIMITED = ("entry", "base", "base angle")
-"""What `PlanLimits` limits, as `SteeringPlan.at_limit` names it."""
+LIMITED = ("entry", "base", "base angle")  #: what `PlanLimits` limits, as `SteeringPlan.at_limit` names it
 
 
 @dataclass(frozen=True)

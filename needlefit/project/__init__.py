@@ -1,1 +1,1 @@
-"""Files of a project: how they are found (`locate`), read (`load`) and written (`atomic_write`)."""
+"""Files of a project: how they are found (`locate`), read (`toml`) and written (`folders`)."""

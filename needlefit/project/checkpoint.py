@@ -6,7 +6,6 @@ set aside. No file holds code. One process at a time may use the folder.
 """
 
 import base64
-import errno
 import hashlib
 import json
 import math
@@ -23,31 +22,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError, DataError, UnfinishedWorkError
-from needlefit.project.input_files import parse_json, read_bytes
-from needlefit.project.manifest import (
+from needlefit.project.folders import (
     FILE_MANAGER_FILES,
+    LOCK_NAME,
     MANIFEST,
     find_empty_folders,
     format_manifest,
     is_regular,
     list_all_files,
     not_replaced_error,
+    not_writable_error,
     read_manifest,
     remove_contents,
     remove_folder,
+    require_writable,
+    try_lock,
 )
-from needlefit.project.outputs import not_writable_error, require_writable
+from needlefit.project.input_files import parse_json, read_bytes
 from needlefit.project.progress import Note, no_note
-
-try:
-    import fcntl
-except ImportError:  # Windows: two runs may meet in one folder there
-    fcntl = None  # type: ignore[assignment]
 
 MAX_CHECKPOINT_BYTES = 2**31
 """Size of a file of rows."""
-
-LOCK_NAME = "lock"
 
 ARRAYS_KEY = "arrays"
 """Of a row: its arrays by name."""
@@ -368,22 +363,18 @@ def _lock(folder: Path) -> bool:
         file = os.open(folder / LOCK_NAME, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
     except OSError as error:
         raise not_writable_error(folder, error.strerror or type(error).__name__) from None
-    if fcntl is None:
-        os.close(file)
-        return False
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
+    locked = try_lock(file)
+    if not locked:
         holder = os.pread(file, _MAX_LOCK_BYTES, 0).decode("ascii", "replace").strip()
         os.close(file)
-        if error.errno in (errno.EWOULDBLOCK, errno.EACCES) and holder != _THIS_PROCESS:
+        if locked is False and holder != _THIS_PROCESS:
             process = holder.partition(" ")[0] or "unknown"
             raise ConfigError(
                 f"another run of needlefit (process {process}) is writing there",
                 where=str(folder),
                 expected="one run at a time for each folder of results",
                 fix="wait until it has ended, or choose another folder with --out",
-            ) from None
+            )
         return False
     os.ftruncate(file, 0)
     os.pwrite(file, f"{_THIS_PROCESS}\n".encode("ascii"), 0)

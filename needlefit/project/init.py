@@ -4,9 +4,8 @@ import shutil
 from pathlib import Path
 
 from needlefit.errors import ConfigError
-from needlefit.project.atomic_write import create_folder
+from needlefit.project.folders import create_folder, require_writable
 from needlefit.project.locate import PROJECT_FOLDERS, join_names, shipped_folder
-from needlefit.project.outputs import require_writable
 
 MAX_LISTED_NAMES = 5
 """Files that a message names."""

@@ -10,7 +10,7 @@ from itertools import chain, pairwise, starmap
 from pathlib import Path
 
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.toml_lines import locate_key
+from needlefit.project.toml import locate_key
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import NeedleRecord, SceneRecord
 

@@ -20,7 +20,7 @@ from needlefit.datasets.read import read
 from needlefit.geometry.curves import make_normal
 from needlefit.geometry.frames import normalize
 from needlefit.geometry.surfaces import Surface
-from needlefit.project.atomic_write import create_folder
+from needlefit.project.folders import create_folder
 from needlefit.reporting.figures.style import (
     draw,
     draw_grid,

@@ -11,7 +11,7 @@ from needlefit.mechanics.load import compute_lateral_load
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import NeedleState
 from needlefit.mechanics.shape import compute_positions
-from needlefit.project.outputs import require_folder
+from needlefit.project.folders import require_folder
 from needlefit.reporting.table_files import write_csv
 
 _WORLD_COLUMNS = ("world_x_mm", "world_y_mm", "world_z_mm")

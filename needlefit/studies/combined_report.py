@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from needlefit.project.atomic_write import replace_folder
+from needlefit.project.folders import replace_folder
 from needlefit.project.input_files import convert_stored_errors
 from needlefit.reporting import document
 from needlefit.reporting.document import Block, Document
@@ -48,10 +48,7 @@ def write_combined(runs: Sequence[Run], folder: Path) -> list[Path]:
     The fits fill the tuning tables; without any, each study's own fit does. Of runs of other kinds the report
     has the summary and the first figure; their tables are in their folders.
 
-    Raises
-    ------
-    ConfigError
-        If `folder` holds anything that needlefit did not write, or that was changed since.
+    Raises ConfigError if `folder` holds anything that needlefit did not write, or that was changed since.
     """
     studies = [one for one in runs if one.kind == "cross_validation"]
     tunings = [one for one in runs if one.kind == "fit"] or studies

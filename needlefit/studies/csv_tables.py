@@ -15,25 +15,14 @@ from needlefit.project.input_files import read_bytes
 
 @dataclass(frozen=True)
 class TableSchema:
-    """The columns that are read from a table, by the type of their cells; any cell may be empty.
+    """The columns that are read from a table, by the type of their cells; any cell may be empty."""
 
-    Attributes
-    ----------
-    keys : tuple of str
-        Texts that together tell its rows apart.
-    texts, numbers, flags : tuples of str
-        Columns of any text, of numbers, of True or False.
-    finite : tuple of str
-        Columns of numbers, none of them infinite.
-    finite_where : str
-        A column of flags, where it is there: only the rows in which it is True must be finite.
-    """
-
-    keys: tuple[str, ...] = ()
-    texts: tuple[str, ...] = ()
-    numbers: tuple[str, ...] = ()
-    flags: tuple[str, ...] = ()
-    finite: tuple[str, ...] = ()
+    keys: tuple[str, ...] = ()  #: texts that together tell its rows apart
+    texts: tuple[str, ...] = ()  #: columns of any text, of numbers, of True or False
+    numbers: tuple[str, ...] = ()  #: columns of any text, of numbers, of True or False
+    flags: tuple[str, ...] = ()  #: columns of any text, of numbers, of True or False
+    finite: tuple[str, ...] = ()  #: columns of numbers, none of them infinite
+    #: A column of flags, where it is there: only the rows in which it is True must be finite
     finite_where: str = ""
 
 
@@ -48,12 +37,9 @@ def read_table(path: Path, form: TableSchema = ANY_COLUMNS) -> pd.DataFrame:
 
     Other columns than those of its form are as pandas finds them.
 
-    Raises
-    ------
-    DataError
-        If the file cannot be read, is no table, lacks a column, holds a cell of another type, a number that
-        is infinite and never written so, or two rows of the same keys: joined with another table they would
-        become many.
+    Raises DataError if the file cannot be read, is no table, lacks a column, holds a cell of another type, a
+    number that is infinite and never written so, or two rows of the same keys: joined with another table they
+    would become many.
     """
     texts = (*form.keys, *form.texts)
     data = read_bytes(path)

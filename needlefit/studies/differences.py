@@ -9,8 +9,7 @@ from needlefit.reporting.table import Table
 from needlefit.reporting.table_layout import TableLayout
 from needlefit.studies.run_differences import Difference
 
-MAX_CELL_LETTERS = 40
-"""Characters of a value that a table shows."""
+MAX_CELL_LETTERS = 40  #: characters of a value that a table shows
 
 
 def summarize_differences(found: Sequence[Difference]) -> str:

@@ -55,8 +55,7 @@ from needlefit.studies.held_out_predictions import BAND_COLUMNS, PREDICTIVE_COLU
 from needlefit.studies.identification import IDENTIFICATION_COLUMNS, PROFILE_COLUMNS
 from needlefit.studies.needles_in_scan import NEEDLE_COLUMNS
 
-FIT_KINDS = ("cross_validation", "fit")
-"""Kinds of study whose runs have the tables of this module."""
+FIT_KINDS = ("cross_validation", "fit")  #: kinds of study whose runs have the tables of this module
 
 DRAW_COLUMNS = ("fold", "draw_source", "pareto_k", "ess", "certified")
 SCORE_KEYS = ("fold", "role", "insertion", "method", "boundaries")

@@ -13,7 +13,7 @@ from needlefit.errors import ConfigError
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import MAX_PARETO_K, Effort, sample_about_fit
 from needlefit.project.random_streams import random_stream
-from needlefit.project.toml_lines import describe_key
+from needlefit.project.toml import describe_key
 from needlefit.studies.job import Job, Settings, farthest_guide
 from needlefit.studies.posterior_fit import PosteriorFit, fit_posterior
 from needlefit.studies.score import Row
@@ -22,10 +22,7 @@ from needlefit.studies.score import Row
 def find_template(job: Job, like: str) -> Insertion:
     """Return the insertion whose stated errors a new one gets.
 
-    Raises
-    ------
-    ConfigError
-        If there is no such insertion.
+    Raises ConfigError if there is no such insertion.
     """
     known = {insertion.id: insertion for insertion in job.dataset.insertions}
     if like not in known:
@@ -41,10 +38,7 @@ def find_template(job: Job, like: str) -> Insertion:
 def check_reach(job: Job, like: Insertion, depths: Mapping[str, float]) -> None:
     """Refuse depths (mm, by the study's key) that the needle cannot reach.
 
-    Raises
-    ------
-    ConfigError
-        Naming the first such key.
+    Raises ConfigError naming the first such key.
     """
     guide = farthest_guide(job.parameters, like)
     longest = job.dataset.needle.length - guide

@@ -22,13 +22,12 @@ from needlefit.inference.parameters import (
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.mechanics.plan import check_size, count_element_solves
-from needlefit.project.load import load
 from needlefit.project.locate import FileKind, find_file
 from needlefit.project.progress import Note, Progress, Stop, never_stop, no_note, no_progress
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.tasks import THIS_PROCESS, LocalPool, TaskPool, stop_requested, threads_of_task
-from needlefit.project.toml_lines import add_file_context, add_key_context, locate_key
+from needlefit.project.toml import add_file_context, add_key_context, load, locate_key
 from needlefit.project.unit_warnings import medium_warnings
 from needlefit.schemas.limits import MAX_EVALUATION_ELEMENT_SOLVES
 from needlefit.schemas.medium import MaterialRecord, MediumRecord

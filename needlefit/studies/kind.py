@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from needlefit.project.checkpoint import release_checkpoint
 from needlefit.project.processes import one_thread
 from needlefit.project.source_revision import find_source_revision
-from needlefit.project.toml_lines import add_study_context
+from needlefit.project.toml import add_study_context
 from needlefit.registry import Registry
 from needlefit.schemas.base import FileRecord
 
@@ -26,22 +26,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class StudyKind:
-    """One kind of study.
+    """One kind of study."""
 
-    Attributes
-    ----------
-    name : str
-        The value of `kind` in the study file.
-    record : type
-        The keys of the study file.
-    package : str
-        The module with a function `run(name, record, settings)`, the columns of its frames in `FRAMES`, and a
-        `StudyReport` named `REPORT`; or a package whose modules `run` and `report` have these. They are
-        imported on first use.
-    """
-
-    name: str
-    record: type[FileRecord]
+    name: str  #: the value of `kind` in the study file
+    record: type[FileRecord]  #: the keys of the study file
+    #: the module with a function `run(name, record, settings)`, the columns of its frames in `FRAMES`, and a
+    #: `StudyReport` named `REPORT`; or a package whose modules `run` and `report` have these. They are
+    #: imported on first use
     package: str
 
     @property

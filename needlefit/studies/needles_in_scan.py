@@ -97,30 +97,27 @@ def tabulate_needles(needles: Iterable[NeedleInScan]) -> pd.DataFrame:
 
 def read_needles(frame: pd.DataFrame) -> dict[str, NeedleInScan]:
     """Return the needles that `tabulate_needles` tabulated, by insertion."""
-    return {str(name): _read_needle(rows) for name, rows in frame.groupby("insertion", sort=False)}
-
-
-def _read_needle(rows: pd.DataFrame) -> NeedleInScan:
-    curves = {
-        str(curve): points[["x_mm", "y_mm", "z_mm"]].to_numpy(dtype=np.float64)
-        for curve, points in rows.groupby("curve", sort=False)
-    }
-    first, edges = rows.iloc[0], [curves[name] for name in ("low", "middle", "high") if name in curves]
-    return NeedleInScan(
-        insertion=str(first["insertion"]),
-        fold=str(first["fold"]),
-        role=str(first["role"]),
-        measured=curves["measured"],
-        toward=curves["toward"][0],
-        diameter=float(first["diameter_mm"]),
-        fitted=curves.get("fitted"),
-        band=_make_band(edges, first) if edges else None,
-    )
-
-
-def _make_band(edges: list[Floats], row: "pd.Series[Any]") -> Band:
-    low, middle, high = edges
-    return Band(low, middle, high, row["band_source"], bool(row["converged"]))
+    found = {}
+    for name, rows in frame.groupby("insertion", sort=False):
+        curves = {
+            str(curve): points[["x_mm", "y_mm", "z_mm"]].to_numpy(dtype=np.float64)
+            for curve, points in rows.groupby("curve", sort=False)
+        }
+        first, band = rows.iloc[0], None
+        if "middle" in curves:
+            low, middle, high = (curves[edge] for edge in ("low", "middle", "high"))
+            band = Band(low, middle, high, first["band_source"], bool(first["converged"]))
+        found[str(name)] = NeedleInScan(
+            insertion=str(name),
+            fold=str(first["fold"]),
+            role=str(first["role"]),
+            measured=curves["measured"],
+            toward=curves["toward"][0],
+            diameter=float(first["diameter_mm"]),
+            fitted=curves.get("fitted"),
+            band=band,
+        )
+    return found
 
 
 @dataclass(frozen=True)
@@ -171,7 +168,12 @@ def _place_needle(
     if place[1] == "validate":
         band = _place_predicted_band(insertion, placement, predicted)
     elif fitted is not None:
-        band = _place_parameter_band(stations, placement, fitted[:, 0], known, jobs)
+        draws = known.posterior
+        heights = _sampled_band(stations, draws, jobs) if draws else _linear_band(stations, known)
+        if heights is not None:  # else no needle beside the fitted one can be solved
+            low, middle, high = (placement.to_patient(np.column_stack([fitted[:, 0], y])) for y in heights)
+            converged = draws is None or draws.converged
+            band = Band(low, middle, high, "posterior" if draws else "linear", converged)
     return NeedleInScan(
         insertion=insertion.id,
         fold=place[0],
@@ -200,19 +202,6 @@ def _place_predicted_band(
     shift = np.interp(x, *insertion.planar.T) - measured
     low, middle, high = (placement.to_patient(np.column_stack([x, y + shift])) for y in heights)
     return Band(low, middle, high, "predicted")
-
-
-def _place_parameter_band(
-    stations: "_NeedleCurve", placement: Placement, x: Floats, known: FoldFit, jobs: int
-) -> Band | None:
-    """Return the band of the parameters' uncertainty; None where needles cannot be solved."""
-    draws = known.posterior
-    heights = _sampled_band(stations, draws, jobs) if draws else _linear_band(stations, known)
-    if heights is None:
-        return None
-    low, middle, high = (placement.to_patient(np.column_stack([x, y])) for y in heights)
-    converged = draws is None or draws.converged
-    return Band(low, middle, high, "posterior" if draws else "linear", converged)
 
 
 @dataclass(frozen=True)

@@ -12,14 +12,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
-from needlefit.inference.specimens import (
-    SpecimenEstimate,
-    SpecimenSpread,
-    estimate_specimen,
-    learn_spread,
-    list_groups,
-    move_to_new_specimen,
-)
+from needlefit.inference import specimens
 from needlefit.project.progress import never_stop
 from needlefit.project.tasks import TaskPool, TaskStop, run_parts
 from needlefit.studies.folds import Fold
@@ -37,8 +30,8 @@ class NewSpecimens:
     job: Job
     fold: Fold
     theta: Floats  #: (P,) the fit, from which the estimates are searched
-    estimates: dict[str, SpecimenEstimate | None] = field(default_factory=dict)
-    spreads: dict[tuple[str, ...], SpecimenSpread] = field(default_factory=dict)
+    estimates: dict[str, specimens.SpecimenEstimate | None] = field(default_factory=dict)
+    spreads: dict[tuple[str, ...], specimens.SpecimenSpread] = field(default_factory=dict)
 
     def differs(self, insertion: Insertion) -> bool:
         """Return whether an insertion goes into a specimen that was not tuned on, and may differ."""
@@ -46,7 +39,7 @@ class NewSpecimens:
 
     def learn_spreads(self, insertions: Sequence[Insertion], jobs: int, pool: TaskPool) -> None:
         """Learn the spreads for some insertions; the specimens are fitted side by side."""
-        moving = insertions if list_groups(self.job.parameters) else ()
+        moving = insertions if specimens.list_groups(self.job.parameters) else ()
         others = {name for insertion in moving for name in self.list_others(insertion)}
         wanted = sorted(others - self.estimates.keys())
         found = dict(run_parts(self._search, wanted, pool, jobs, TaskStop(never_stop)))
@@ -54,24 +47,24 @@ class NewSpecimens:
         for insertion in insertions:
             self.find_spread(insertion)
 
-    def find_spread(self, insertion: Insertion | None) -> SpecimenSpread:
+    def find_spread(self, insertion: Insertion | None) -> specimens.SpecimenSpread:
         """Return the spread between specimens, learned without that of this insertion.
 
         None stands for one into a specimen that is not in the dataset.
         """
         stated = self.job.recipe.specimens
         prior = (float(np.log(stated.modulus_factor)), float(np.log(stated.bevel_factor)))
-        moving = list_groups(self.job.parameters)
+        moving = specimens.list_groups(self.job.parameters)
         others = tuple(self.list_others(insertion)) if moving else ()
         if others not in self.spreads:
             found = [one for one in map(self._estimate, others) if one is not None]
-            self.spreads[others] = learn_spread(found, self.job.parameters, prior)
+            self.spreads[others] = specimens.learn_spread(found, self.job.parameters, prior)
         return self.spreads[others]
 
     def move(self, thetas: Floats, insertion: Insertion | None, rng: np.random.Generator) -> Floats:
         """Return draws (B, P) of the parameters in the specimen of an insertion."""
         spread = self.find_spread(insertion)
-        return move_to_new_specimen(self.job.parameters, thetas, spread, len(self._tuned), rng)
+        return specimens.move_to_new_specimen(self.job.parameters, thetas, spread, len(self._tuned), rng)
 
     @property
     def _tuned(self) -> set[str]:
@@ -85,17 +78,19 @@ class NewSpecimens:
         target = set() if insertion is None else {insertion.specimen}
         return sorted({one.specimen for one in deepest} - target)
 
-    def _estimate(self, specimen: str) -> SpecimenEstimate | None:
+    def _estimate(self, specimen: str) -> specimens.SpecimenEstimate | None:
         if specimen not in self.estimates:
             self.estimates[specimen] = self._search(specimen)
         return self.estimates[specimen]
 
-    def _search(self, specimen: str) -> SpecimenEstimate | None:
+    def _search(self, specimen: str) -> specimens.SpecimenEstimate | None:
         fits = [one for one in self.job.dataset.insertions if max(one.sequence) <= self.job.medium.layers]
         own = sorted((one for one in fits if one.specimen == specimen), key=lambda one: (one.depth, one.id))
         chosen = np.unique(np.linspace(0, len(own) - 1, MAX_INSERTIONS).round().astype(int))
         everything = self.job.problem(self.fold)
-        return estimate_specimen(replace(everything, insertions=tuple(own[k] for k in chosen)), self.theta)
+        return specimens.estimate_specimen(
+            replace(everything, insertions=tuple(own[k] for k in chosen)), self.theta
+        )
 
 
 def describe_specimen(new: NewSpecimens | None, insertion: Insertion | None, otherwise: str = "same") -> Row:

@@ -17,10 +17,9 @@ from needlefit.datasets.noise import NoiseFloor
 from needlefit.inference.fit import Callbacks, Fit
 from needlefit.inference.optimize import minimize
 from needlefit.metrics import METRICS, headline_metrics, list_metrics
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
-from needlefit.project.toml_lines import add_file_context, add_key_context
+from needlefit.project.toml import add_file_context, add_key_context, load
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies import paper
@@ -38,8 +37,7 @@ CELL_KEYS = ("grouping", "study", "medium", "layers")
 CELL_COLUMNS = (*CELL_KEYS, "metric", "unit", "value", "floor", "paper", "insertions", "not_converged")
 """`layers` is 0 where a row of the paper's table counts all; `floor` is NaN where a metric has none."""
 
-ALL_LAYERS = 0
-"""Layers of a row that counts insertions through any number of them."""
+ALL_LAYERS = 0  #: layers of a row that counts insertions through any number of them
 
 
 @dataclass(frozen=True)

@@ -21,10 +21,7 @@ def write_paper_folder(result: Run, run_folder: Path, folder: Path) -> list[Path
 
     A figure that cannot be drawn in one column is there in its own width alone.
 
-    Raises
-    ------
-    ConfigError
-        If the folder exists and holds anything.
+    Raises ConfigError if the folder exists and holds anything.
     """
     if folder.exists() and any(folder.iterdir()):
         raise ConfigError("is not empty", where=str(folder), fix="name a new folder")

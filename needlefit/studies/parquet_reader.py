@@ -7,11 +7,8 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from pyarrow import parquet
 
-MAX_ROWS = 100_000_000
-"""Rows of a file that are read: 100 bytes may stand for as many equal ones."""
-
-MAX_PIECE_ROWS = 100_000
-"""Rows that are read at once, but for one row group that has more."""
+MAX_ROWS = 100_000_000  #: rows of a file that are read: 100 bytes may stand for as many equal ones
+MAX_PIECE_ROWS = 100_000  #: rows that are read at once, but for one row group that has more
 
 
 class NewArrays(Protocol):

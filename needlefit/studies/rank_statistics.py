@@ -20,8 +20,7 @@ from needlefit.reporting.number_format import format_bare_symbol
 
 Counts = NDArray[np.int64]
 
-BISECTIONS = 40
-"""Bisections of the bracket of the pointwise probability, in its logarithm."""
+BISECTIONS = 40  #: bisections of the bracket of the pointwise probability, in its logarithm
 
 
 def count_limits(replicates: int, probability: float | Floats, error: float) -> tuple[Counts, Counts]:
@@ -79,8 +78,7 @@ def _poisson(counts: Counts, mean: float) -> Floats:
 
 Control = Literal["sigma", "prior", "pose", "shuffled"]
 
-UNDERSTATED_SD_FACTOR = 0.7
-"""Factor on the true deviation of the noise that the control "sigma" assumes."""
+UNDERSTATED_SD_FACTOR = 0.7  #: factor on the true deviation of the noise that the control "sigma" assumes
 
 CONTROL_NAMES: Mapping[str, str] = {
     "sigma": f"errors of points and pose understated by a factor of {UNDERSTATED_SD_FACTOR}",
@@ -115,8 +113,7 @@ def name_quantity(name: str) -> str:
 RANK_DRAWS = 79
 """Draws of each posterior: among them the truth has 80 places, of which every level is a whole part."""
 
-LEVELS = (0.50, 0.80, 0.90, 0.95)
-"""Central intervals whose coverage is counted."""
+LEVELS = (0.50, 0.80, 0.90, 0.95)  #: central intervals whose coverage is counted
 
 
 def rank_truth(truth: Floats, draws: Floats, rng: np.random.Generator) -> Counts:

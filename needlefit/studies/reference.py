@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from needlefit.project.atomic_write import replace_folder
+from needlefit.project.folders import replace_folder
 from needlefit.reporting.table_files import write_csv, write_json
 from needlefit.reporting.tidy import to_tidy
 from needlefit.studies.fit_frames import FIT_KINDS
@@ -20,14 +20,9 @@ from needlefit.studies.kind import find_kind
 from needlefit.studies.run import Run
 from needlefit.studies.validity import VALIDITY_KEY
 
-LENGTH_DECIMALS = 5
-"""Decimals of a length in mm."""
-
-SIGNIFICANT_DIGITS = 5
-"""Significant digits of all other numbers."""
-
-MAX_ROWS = 500
-"""Longest table that is kept: longer ones are intermediate results that nobody reviews."""
+LENGTH_DECIMALS = 5  #: decimals of a length in mm
+SIGNIFICANT_DIGITS = 5  #: significant digits of all other numbers
+MAX_ROWS = 500  #: longest table that is kept: longer ones are intermediate results that nobody reviews
 
 _COUNT_KEYS = (
     "searches",
@@ -43,10 +38,7 @@ _COUNT_KEYS = (
 def write_reference(one: Run, folder: Path) -> Path:
     """Write the tables of a run, rounded, and its `run.json` to `folder`; return it.
 
-    Raises
-    ------
-    ConfigError
-        If `folder` holds anything that needlefit did not write, or that was changed since.
+    Raises ConfigError if `folder` holds anything that needlefit did not write, or that was changed since.
     """
     with replace_folder(folder) as new:
         for name, wide in _collect_frames(one).items():

@@ -9,9 +9,8 @@ from typing import Any
 
 import pandas as pd
 
-from needlefit.project.atomic_write import replace_folder
+from needlefit.project.folders import listed_files, replace_folder
 from needlefit.project.help_pages import HelpSection, read_sections
-from needlefit.project.manifest import listed_files
 from needlefit.project.processes import one_thread
 from needlefit.project.result_warnings import WARNINGS_KEY, ResultWarning, read_warnings, to_rows
 from needlefit.reporting import document

@@ -16,8 +16,8 @@ import numpy as np
 import pandas as pd
 
 from needlefit.errors import DataError
+from needlefit.project.folders import require_unchanged
 from needlefit.project.input_files import convert_stored_errors
-from needlefit.project.manifest import require_unchanged
 from needlefit.studies.csv_tables import ANY_COLUMNS, TableSchema, read_table
 from needlefit.studies.kind import find_kind
 from needlefit.studies.store import read_run
@@ -25,49 +25,28 @@ from needlefit.studies.store import read_run
 MIN_SHIFT_SD = 0.5
 """Part of its standard deviation by which a parameter that is determined may move and stay what it was."""
 
-VISIBLE_ERROR_MM = 0.005
-"""mm: a mean error that changes by less is printed alike."""
-
-VISIBLE_ERROR_PERCENT = 0.05
-"""The same of a relative error."""
-
-CRPS_NOISE_FRACTION = 0.1
-"""Part of a CRPS that changes with the draws it is computed from."""
+VISIBLE_ERROR_MM = 0.005  #: mm: a mean error that changes by less is printed alike
+VISIBLE_ERROR_PERCENT = 0.05  #: the same of a relative error
+CRPS_NOISE_FRACTION = 0.1  #: part of a CRPS that changes with the draws it is computed from
 
 ROUNDING_FRACTION = 0.02
 """Part of `MIN_SHIFT_SD` or `VISIBLE_ERROR_MM` under which a change is slight: of rounding, or of a search's
 tolerance."""
 
-SIGNIFICANT_SE = 2.0
-"""Standard errors from which on a mean difference is taken for one."""
+SIGNIFICANT_SE = 2.0  #: standard errors from which on a mean difference is taken for one
 
 
 @dataclass(frozen=True)
 class Difference:
-    """One difference of run B from run A.
-
-    Attributes
-    ----------
-    what : "input", "parameter", "error" or "state"
-    where : str
-        Which key, parameter or insertions.
-    before, after : object
-        In A and in B, as JSON knows values; None where one of them has none.
-    matters : bool or None
-        None for inputs: they are why results differ, and no result.
-    why : str
-        In words.
-    slight : bool
-        Whether it is of the size of rounding.
-    """
+    """One difference of run B from run A."""
 
     what: str
-    where: str
-    before: object
-    after: object
-    matters: bool | None
-    why: str
-    slight: bool = False
+    where: str  #: which key, parameter or insertions
+    before: object  #: in A and in B, as JSON knows values; None where one of them has none
+    after: object  #: in A and in B, as JSON knows values; None where one of them has none
+    matters: bool | None  #: none for inputs: they are why results differ, and no result
+    why: str  #: in words
+    slight: bool = False  #: whether it is of the size of rounding
 
 
 def compare_means(
@@ -102,8 +81,7 @@ def compare_means(
     yield Difference("error", where, one, two, matters, words.replace("-", "−"), slight)
 
 
-MIN_SD_CHANGE = 0.1
-"""Part by which a standard deviation may change and say the same."""
+MIN_SD_CHANGE = 0.1  #: part by which a standard deviation may change and say the same
 
 
 @dataclass(frozen=True)
@@ -150,11 +128,8 @@ _INPUTS = (
 def compare_runs(before: Path, after: Path, unverified: bool = False) -> list[Difference]:
     """Return all differences of run folder `after` from `before`: inputs, states, parameters, errors.
 
-    Raises
-    ------
-    DataError
-        If a `run.json` is missing, a file is damaged or (unless `unverified`) does not agree with its
-        manifest, or the runs are of different kinds.
+    Raises DataError if a `run.json` is missing, a file is damaged or (unless `unverified`) does not agree
+    with its manifest, or the runs are of different kinds.
     """
     with convert_stored_errors(f"{before} or {after}"):
         faults = [", ".join(require_unchanged(folder, unverified)) or None for folder in (before, after)]
@@ -172,7 +147,7 @@ def compare_runs(before: Path, after: Path, unverified: bool = False) -> list[Di
         tables = _compare_folders(kinds[0], before, after)
         return [
             *marks,
-            *_compare_inputs(one, two),
+            *compare_leaves(*({key: run[key] for key in _INPUTS if key in run} for run in (one, two))),
             *_compare_states(one, two),
             *tables,
         ]
@@ -204,22 +179,19 @@ def _compare_folders(kind: str, before: Path, after: Path) -> Iterator[Differenc
             yield from compare_tables(name, one, two)
 
 
-def _compare_inputs(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[Difference]:
-    every = [
-        dict(leaf for key in _INPUTS if key in run for leaf in iterate_leaves(run[key], key))
-        for run in (before, after)
-    ]
+def compare_leaves(before: object, after: object) -> Iterator[Difference]:
+    """Yield every value of nested mappings that differs, by its path; a list is one value."""
+    every = [dict(_iterate_leaves(value)) for value in (before, after)]
     for key in dict.fromkeys([*every[0], *every[1]]):
         one, two = every[0].get(key), every[1].get(key)
         if one != two:
             yield Difference("input", key, one, two, None, "")
 
 
-def iterate_leaves(value: object, path: str = "") -> Iterator[tuple[str, object]]:
-    """Yield every value of nested mappings with its path; a list is one value."""
-    if isinstance(value, Mapping) and value:
+def _iterate_leaves(value: object, path: str = "") -> Iterator[tuple[str, object]]:
+    if isinstance(value, Mapping) and (value or not path):
         for key, inner in value.items():
-            yield from iterate_leaves(inner, f"{path}.{key}" if path else str(key))
+            yield from _iterate_leaves(inner, f"{path}.{key}" if path else str(key))
     else:
         yield path, value
 
@@ -231,8 +203,7 @@ def _compare_states(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iter
             yield Difference("state", key, one, two, key != "posteriors", "")
 
 
-MIN_RELATIVE_CHANGE = 0.1
-"""Part by which a number that is no length may change and say the same."""
+MIN_RELATIVE_CHANGE = 0.1  #: part by which a number that is no length may change and say the same
 
 
 def compare_tables(name: str, before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:

@@ -20,13 +20,7 @@ from needlefit.geometry.frames import Frame
 from needlefit.geometry.smoothing_spline import design_matrix
 from needlefit.inference.compared_points import read_points
 from needlefit.inference.forward_model import predict
-from needlefit.inference.likelihood.nodes import (
-    BEVEL,
-    Surface,
-    draw_boundary_errors,
-    find_bevel_factors,
-    shift_depths,
-)
+from needlefit.inference.likelihood import nodes
 from needlefit.inference.likelihood.observation import (
     SESSION_SD_RAD,
     SectionData,
@@ -76,12 +70,21 @@ def simulate_measurement(
     errors = {} if shared is None else shared
     scale = values.get(NOISE_SCALE, 1.0)
     known = select_sections(insertion, dataset.needle) if dataset.pose == "known" else None
-    s = _list_beam_coordinates(insertion) if known is None else known.s
+    # where the points of an insertion lie on the needle, or at which depths its tip was, (K,) mm
+    if known is not None:
+        s = known.s
+    elif isinstance(insertion, TipTrack):
+        s = insertion.depths
+    else:
+        along = arc_length(insertion.planar)
+        s = along * (insertion.depth / along[-1])
     deep = insertion.depth_sd * rng.standard_normal()
-    wrong = draw_boundary_errors(insertion, errors, rng)
-    deviation = _draw_bevel(dataset, insertion, errors, rng)
-    factor = float(find_bevel_factors(values.get(BEVEL_SPREAD, 0.0), deviation))
-    true, at = shift_depths(replace(insertion, bevel_factor=factor), s, deep + wrong, deep)
+    wrong = nodes.draw_boundary_errors(insertion, errors, rng)
+    # by how many SDs the bevel deviates: the same for all depths of one insertion
+    ((specimen, number),) = list_bevels(dataset, (insertion,))
+    deviation = errors.setdefault((specimen, nodes.BEVEL, number), float(rng.standard_normal()))
+    factor = float(nodes.find_bevel_factors(values.get(BEVEL_SPREAD, 0.0), deviation))
+    true, at = nodes.shift_depths(replace(insertion, bevel_factor=factor), s, deep + wrong, deep)
     shape = predict(values, medium, dataset.needle, true)
     if not shape.converged:
         return None
@@ -104,20 +107,16 @@ def simulate_measurement(
         return None
     # x such that arc lengths are kept: the model's own, of small slopes, keeps them to their fourth power
     planar = np.column_stack([points[0, 0] + np.cumsum([0.0, *np.sqrt(along_x)]), y])
-    return insertion.with_planar(_move_randomly(planar, rng) if dataset.pose == "free" else planar)
-
-
-def _draw_bevel(
-    dataset: Dataset, insertion: Insertion, shared: dict[Surface, float], rng: np.random.Generator
-) -> float:
-    """Return by how many SDs a bevel deviates; the same for all depths of one insertion."""
-    ((specimen, number),) = list_bevels(dataset, (insertion,))
-    return shared.setdefault((specimen, BEVEL, number), float(rng.standard_normal()))
+    if dataset.pose == "free":  # turned by any angle, and moved
+        angle = rng.uniform(0.0, 2 * np.pi)
+        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        planar = planar @ turn + FREE_POSE_SHIFT_SD_MM * rng.standard_normal(2)
+    return insertion.with_planar(planar)
 
 
 def draw_bevels(
     dataset: Dataset, insertions: Sequence[Insertion], rng: np.random.Generator
-) -> dict[Surface, float]:
+) -> dict[nodes.Surface, float]:
     """Draw by how many SDs between insertions each bevel deviates; the deviations sum to zero.
 
     They are those of a problem with `centred_bevels`, and go to `simulate_measurement` as `shared`.
@@ -125,7 +124,7 @@ def draw_bevels(
     bevels = tuple(dict.fromkeys(list_bevels(dataset, insertions)))
     drawn = rng.standard_normal(len(bevels))
     pairs = zip(bevels, (drawn - drawn.mean()).tolist(), strict=True)
-    return {(specimen, BEVEL, number): deviation for (specimen, number), deviation in pairs}
+    return {(specimen, nodes.BEVEL, number): deviation for (specimen, number), deviation in pairs}
 
 
 def _measure_sections(
@@ -142,15 +141,9 @@ def _measure_sections(
     return replace(measured, sections=replace(stored, points=world))
 
 
-def _list_beam_coordinates(insertion: Insertion) -> Floats:
-    """Return where the points of an insertion lie on the needle, or at which depths its tip was, (K,) mm."""
-    if isinstance(insertion, TipTrack):
-        return insertion.depths
-    along = arc_length(insertion.planar)
-    return along * (insertion.depth / along[-1])
-
-
-def _draw_frame(session: str, noise: Noise, shared: dict[Surface, float], rng: np.random.Generator) -> Floats:
+def _draw_frame(
+    session: str, noise: Noise, shared: dict[nodes.Surface, float], rng: np.random.Generator
+) -> Floats:
     """Return shift (mm), slope and offset of headings (rad) of a run in a tracker's frame: (3,)."""
     frame = np.append(rng.standard_normal(2) * TRACKER_FRAME_SD, 0.0)
     for part, axis in enumerate(list_session_axes(session, noise.slope_sd, 2)):
@@ -171,13 +164,6 @@ def _measure_headings(
     path = operator[len(track.depths) :] @ read_points(track, shape, places[:, 0])[:, 1]
     seen = path + turned.sum() + sd * rng.standard_normal(len(path))
     return replace(track, heading=np.append(track.heading[:1], np.arctan(seen)))
-
-
-def _move_randomly(planar: Floats, rng: np.random.Generator) -> Floats:
-    """Return points (K, 2) turned by any angle, and moved."""
-    angle = rng.uniform(0.0, 2 * np.pi)
-    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    return planar @ turn + FREE_POSE_SHIFT_SD_MM * rng.standard_normal(2)
 
 
 POINT_SPACING_MM = 1.0  #: distance of measured points along a needle, mm

@@ -14,7 +14,7 @@ from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import Placement
 from needlefit.geometry.meshes import make_tube, write_ply
 from needlefit.mechanics.shape import NeedleShape, compute_positions
-from needlefit.project.outputs import require_folder
+from needlefit.project.folders import require_folder
 from needlefit.reporting.labels import GREEN, GREY, METHOD_COLOURS, PAPER_COLOUR, SKY_BLUE, rgb
 from needlefit.studies.needles_in_scan import DEFAULT_DIAMETER_MM, Band, NeedleInScan, read_needles
 from needlefit.studies.run import Run

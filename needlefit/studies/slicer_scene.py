@@ -22,7 +22,7 @@ from needlefit.imaging.needle.segmentation import median_tissue_hu
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.volume import Volume
 from needlefit.imaging.volume_files import write_volume
-from needlefit.project.atomic_write import replace_file
+from needlefit.project.folders import replace_file
 from needlefit.reporting.labels import rgb
 from needlefit.studies.slicer import LAYER_COLOUR, make_scan_markups
 

@@ -1,7 +1,7 @@
 """Store a result in a folder, exact to the last digit, and read it again; equal results give equal bytes.
 
 `results.json.gz` holds the record and the tables as JSON; Parquet files and posteriors lie beside it.
-What is read must agree with the manifest of the folder (`project.manifest`).
+What is read must agree with the manifest of the folder (`project.folders`).
 """
 
 import gzip
@@ -17,6 +17,7 @@ from pydantic import BaseModel, ValidationError
 
 from needlefit.errors import DataError
 from needlefit.inference.sampling.posterior import load, save
+from needlefit.project.folders import TIMING_FILE, require_unchanged
 from needlefit.project.input_files import (
     MAX_TEXT_BYTES,
     convert_stored_errors,
@@ -28,7 +29,6 @@ from needlefit.project.input_files import (
 )
 from needlefit.project.json_values import to_json_values
 from needlefit.project.locate import PAPER_FITS, PAPER_STUDIES
-from needlefit.project.manifest import TIMING_FILE, require_unchanged
 from needlefit.schemas.names import EXPECTED_FILE_NAME, file_name_fault
 from needlefit.schemas.result_files import RunTable, StoredRunTable, TimingTable
 from needlefit.studies.columnar import ColumnarFrames, damage_error, list_columns, open_files, store_files

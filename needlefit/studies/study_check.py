@@ -5,10 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from needlefit.project.load import load
 from needlefit.project.locate import FileKind, find_file
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.toml_lines import add_file_context, add_key_context
+from needlefit.project.toml import add_file_context, add_key_context, load
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.job import Settings, prepare
@@ -46,10 +45,7 @@ def check_study_file(kind: Literal["study", "fit"], path: Path) -> StudyCheck:
 
     Of a fit or a cross-validation all its data are read; of other kinds the files named must exist.
 
-    Raises
-    ------
-    ConfigError, DataError
-        If anything in it is missing or wrong.
+    Raises ConfigError, DataError if anything in it is missing or wrong.
     """
     record: FileRecord = load(path, FitRecord) if kind == "fit" else load_study(path)
     with add_file_context(path):

@@ -6,9 +6,8 @@ from typing import Any
 
 from needlefit.datasets.sources import find_dataset_file, is_missing
 from needlefit.project.json_values import to_json_values
-from needlefit.project.load import check, read_toml
 from needlefit.project.locate import find_file
-from needlefit.project.toml_lines import add_file_context
+from needlefit.project.toml import add_file_context, check, read_toml
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.schemas.tracks import TrackStudyRecord
@@ -18,10 +17,7 @@ from needlefit.studies.kind import find_kind
 def load_study(path: Path) -> FileRecord:
     """Load a study file and check it against the record of its kind.
 
-    Raises
-    ------
-    ConfigError
-        If it does not hold what a study of its kind wants.
+    Raises ConfigError if it does not hold what a study of its kind wants.
     """
     table = read_toml(path)
     with add_file_context(path):

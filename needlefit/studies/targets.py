@@ -6,10 +6,9 @@ from typing import Any
 
 from needlefit.errors import ConfigError
 from needlefit.project.input_files import is_file
-from needlefit.project.load import load
 from needlefit.project.locate import find_study_or_fit
 from needlefit.project.result_warnings import warnings_entry
-from needlefit.project.toml_lines import add_file_context
+from needlefit.project.toml import add_file_context, load
 from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.schemas.tracks import TrackFitRecord, TrackStudyRecord
@@ -24,10 +23,7 @@ def load_target(target: str) -> tuple[str, FitRecord, Path]:
 
     Of a study of tip tracks with several fits, STUDY:FIT names one.
 
-    Raises
-    ------
-    ConfigError
-        If there is no such study or fit, or it does more than tune.
+    Raises ConfigError if there is no such study or fit, or it does more than tune.
     """
     study, _, wanted = ("", "", "") if is_file(Path(target)) else target.rpartition(":")
     kind, path = find_study_or_fit(study or target)

@@ -11,15 +11,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Any, Literal, Union, cast, get_args, get_origin
 
 from annotated_types import Ge, Gt, Le, Lt, MaxLen, MinLen
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from needlefit.project.load import read_toml
 from needlefit.project.locate import shipped_folder
-from needlefit.project.toml_text import dumps
+from needlefit.project.toml import dumps, read_toml
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
 from needlefit.schemas.dataset import DatasetRecord, SectionsRecord, TrackDatasetRecord
@@ -63,36 +62,25 @@ SHIPPED: Mapping[str, tuple[type[FileRecord], str, tuple[str, ...]]] = {
 """Schema, title and shipped examples of every kind of file; `docs/examples/<key>*.toml` are further ones."""
 
 
+WRITTEN_BY_COMMANDS = ("reconstruction",)  #: kinds of study that only a command makes
+
+
 def list_files() -> tuple[FileKind, ...]:
     """Return the kinds of file: those above, then every kind of study."""
-    known = [record for record, _, _ in SHIPPED.values()]
+    folder, known = shipped_folder(), [record for record, _, _ in SHIPPED.values()]
+    studies: dict[object, list[str]] = {}
+    for path in sorted((folder / "studies").glob("*.toml")):
+        studies.setdefault(read_toml(path).get("kind"), []).append(f"studies/{path.name}")
     analyses = {
-        name: (KINDS[name].record, f"Study of kind `{name}`", _shipped_studies(name))
+        name: (KINDS[name].record, f"Study of kind `{name}`", tuple(studies.get(name, ())))
         for name in KINDS.names()
         if KINDS[name].record not in known and name not in WRITTEN_BY_COMMANDS
     }
-    return tuple(
-        FileKind(f"{key}.toml", title, record, (*shipped, *_own_examples(key)))
-        for key, (record, title, shipped) in {**SHIPPED, **analyses}.items()
-    )
-
-
-WRITTEN_BY_COMMANDS = ("reconstruction",)
-"""Kinds of study that only a command makes."""
-
-
-def _shipped_studies(kind: str) -> tuple[str, ...]:
-    return tuple(name for name, found in _read_kinds_of_shipped_studies().items() if found == kind)
-
-
-@cache
-def _read_kinds_of_shipped_studies() -> Mapping[str, object]:
-    paths = sorted((shipped_folder() / "studies").glob("*.toml"))
-    return {f"studies/{path.name}": read_toml(path).get("kind") for path in paths}
-
-
-def _own_examples(key: str) -> list[str]:
-    return [f"{EXAMPLES}/{path.name}" for path in sorted((shipped_folder() / EXAMPLES).glob(f"{key}*.toml"))]
+    found = []
+    for key, (record, title, shipped) in {**SHIPPED, **analyses}.items():
+        own = (f"{EXAMPLES}/{path.name}" for path in sorted((folder / EXAMPLES).glob(f"{key}*.toml")))
+        found.append(FileKind(f"{key}.toml", title, record, (*shipped, *own)))
+    return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -125,8 +113,7 @@ def describe_files(files: Sequence[FileKind]) -> list[tuple[FileKind, list[Table
     return [(one, list(_describe_file(one, described, elsewhere))) for one in files]
 
 
-Examples = Mapping[tuple[type[BaseModel], str], str]
-"""An example of a key, by record and field."""
+Examples = Mapping[tuple[type[BaseModel], str], str]  #: an example of a key, by record and field
 
 
 def _describe_file(
@@ -152,18 +139,14 @@ def _describe_record(
             inner.append((record_in, _table_path(path, key, field)))
             described[record_in] = f"{title}: {inner[-1][1]}"
         example = examples.get((find_owner(record, name), name), "")
-        value = _describe_schema(record) if name == "schema_" else _describe_value(key, field)
+        value = _describe_value(key, field)
+        if name == "schema_":  # the versions of a file's layout that are read
+            value = f"up to `{cast(type[FileRecord], record).SCHEMA}`, **required**"
         place = described[record_in] if record_in else ""
         keys.append(KeyDescription(key, value, find_meaning(record, name), example, place))
     yield TableDescription(described[record], _summary(record), tuple(keys))
     for record_in, path_in in inner:
         yield from _describe_record(record_in, path_in, title, examples, described)
-
-
-def _describe_schema(record: type[BaseModel]) -> str:
-    """Return the versions of a file's layout that are read."""
-    assert issubclass(record, FileRecord)
-    return f"up to `{record.SCHEMA}`, **required**"
 
 
 def _table_path(path: str, key: str, field: FieldInfo) -> str:
@@ -214,15 +197,9 @@ UNITS = {
     "mm": "mm", "deg": "°", "pa": "Pa", "gpa": "GPa", "nmm2": "N mm²", "hu": "HU", "percent": "%",
 }  # fmt: skip
 WORDS = {float: "number", int: "whole number", str: "text", bool: "true or false", type(None): ""}
-BOUNDS: Mapping[type, tuple[str, str]] = {
-    Ge: ("ge", "≥ {}"),
-    Gt: ("gt", "> {}"),
-    Le: ("le", "≤ {}"),
-    Lt: ("lt", "< {}"),
-}
-LENGTHS: Mapping[type, tuple[str, str]] = {
-    MinLen: ("min_length", "at least {}"),
-    MaxLen: ("max_length", "at most {}"),
+LIMITS: Mapping[type, tuple[str, str]] = {
+    **{Ge: ("ge", "≥ {}"), Gt: ("gt", "> {}"), Le: ("le", "≤ {}"), Lt: ("lt", "< {}")},
+    **{MinLen: ("min_length", "at least {}"), MaxLen: ("max_length", "at most {}")},
 }
 
 
@@ -233,20 +210,17 @@ def _describe_value(key: str, field: FieldInfo) -> str:
     limits = [
         words.format(f"{getattr(limit, name):g}")
         for limit in field.metadata
-        for name, words in [({**BOUNDS, **LENGTHS}).get(type(limit), ("", ""))]
+        for name, words in [LIMITS.get(type(limit), ("", ""))]
         if name
     ]
-    parts = [f"{kind} ({unit})" if unit else kind, *limits, _describe_default(field)]
-    return ", ".join(part for part in parts if part)
-
-
-def _describe_default(field: FieldInfo) -> str:
+    parts = [f"{kind} ({unit})" if unit else kind, *limits]
     if field.is_required():
-        return "**required**"
-    value = field.get_default(call_default_factory=True)
-    if value in (None, "", {}, ()) or isinstance(value, BaseModel):
-        return ""
-    return f"default `{_toml_value(value)}`"
+        parts.append("**required**")
+    else:
+        value = field.get_default(call_default_factory=True)
+        if not (value in (None, "", {}, ()) or isinstance(value, BaseModel)):
+            parts.append(f"default `{_toml_value(value)}`")
+    return ", ".join(parts)
 
 
 def _unwrap(annotation: Any) -> Any:  # noqa: ANN401 - whatever may stand in an annotation

@@ -15,29 +15,18 @@ Status = Literal["none", "pass", "warn", "fail"]
 STATUSES: tuple[Status, ...] = ("none", "pass", "warn", "fail")
 """From the best to the worst; "none" where nothing was tested, as of a prediction: it has no badge."""
 
-VERDICTS_KEY = "verdicts"
-"""Of `--json`."""
+VERDICTS_KEY = "verdicts"  #: of `--json`
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """The answer for one group of insertions, or for a whole run.
+    """The answer for one group of insertions, or for a whole run."""
 
-    Attributes
-    ----------
-    sentence : str
-        The answer, with its most important numbers.
-    status : "none", "pass", "warn" or "fail"
-        Whether the result can be relied on, only with care, or not; "none" where this was not tested.
-    group : str
-        What it is about, such as "phantom 1, 3 layers"; empty: the whole run.
-    numbers : mapping
-        The numbers behind the sentence, by name with unit; None where one is not known.
-    """
-
-    sentence: str
+    sentence: str  #: the answer, with its most important numbers
+    #: whether the result can be relied on, only with care, or not; "none" where this was not tested
     status: Status = "pass"
-    group: str = ""
+    group: str = ""  #: what it is about, such as "phantom 1, 3 layers"; empty: the whole run
+    #: the numbers behind the sentence, by name with unit; None where one is not known
     numbers: Mapping[str, float | str | None] = field(default_factory=dict)
 
 
@@ -120,8 +109,7 @@ def judge_errors(
     return Verdict(KindText("verdicts").sentence("errors", values), status)
 
 
-Opening = Literal["pass", "part", "open", "fail"]
-"""Generalises; in part; not shown to; does not."""
+Opening = Literal["pass", "part", "open", "fail"]  #: generalises; in part; not shown to; does not
 
 
 def _compare(error_mm: float, floor_ratio: float | None, best: BestBaseline | None) -> tuple[Opening, str]:

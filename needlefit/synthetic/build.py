@@ -22,7 +22,7 @@ from needlefit.project.processes import one_thread
 from needlefit.project.progress import Progress, no_progress
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import THIS_PROCESS, TaskPool, run_in_order
-from needlefit.project.toml_text import dumps
+from needlefit.project.toml import dumps
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic import truth
 from needlefit.synthetic.design import PlannedInsertion, list_planned_insertions

@@ -23,7 +23,7 @@ from needlefit.project.processes import one_thread
 from needlefit.project.progress import Progress
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import TaskPool, run_in_order
-from needlefit.project.toml_text import dumps
+from needlefit.project.toml import dumps
 from needlefit.schemas.reconstruction import MarkersRecord, ReconstructionRecord, ScannedNeedleRecord
 from needlefit.synthetic import design
 from needlefit.synthetic.design import BOX_MM, PHANTOMS, PlannedInsertion, make_surfaces, surface_file_name

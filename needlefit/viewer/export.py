@@ -1,8 +1,8 @@
 """Export a recording: its last shape, figures, an animation, its inputs, or one HTML file that plays it.
 
 The HTML file asks for nothing from anywhere: modules of the page are embedded as `data:` addresses in an
-import map, since a page opened from a file may not import other files. What talks to the program is replaced
-by `page/share/`.
+import map, since a page opened from a file may not import other files. Modules that
+talk to the program are replaced.
 """
 
 import base64
@@ -34,8 +34,11 @@ if TYPE_CHECKING:
 
 PAGE = Path(__file__).parent / "page"
 MAX_SHARED_STATES = 240  #: states of an HTML file; of a longer recording so many, evenly chosen
-#: modules that talk to the program: `page/share/` has their namesakes without a program
-OFFLINE_MODULES = ("connection.js", "steering.js", "slice.js")
+#: what stands for modules that talk to the program
+OFFLINE_MODULES = {
+    "steering.js": "export const command = () => null;",
+    "slice.js": "export const slice = () => null;",
+}
 MAIN_MODULE = "share/main.js"
 _IMPORT = re.compile(r'(\bfrom|\bimport) "(\.{1,2}/[^"]+)"')
 _PREFIX = "needlefit/"
@@ -202,10 +205,9 @@ def _embed_modules() -> Iterator[tuple[str, str]]:
         if module in done:
             continue
         done.add(module)
-        text = (PAGE / module).read_text("utf-8")
+        text = OFFLINE_MODULES.get(module) or (PAGE / module).read_text("utf-8")
         for word, given in set(_IMPORT.findall(text)):
-            path = posixpath.normpath(posixpath.join(posixpath.dirname(module), given))
-            needed = f"share/{path}" if path in OFFLINE_MODULES else path
+            needed = posixpath.normpath(posixpath.join(posixpath.dirname(module), given))
             text = text.replace(f'{word} "{given}"', f'{word} "{_PREFIX}{needed}"')
             waiting.append(needed)
         yield f"{_PREFIX}{module}", f"data:text/javascript;base64,{base64.b64encode(text.encode()).decode()}"

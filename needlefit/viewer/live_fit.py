@@ -60,13 +60,11 @@ class LiveMode:
 
     def to_message(self, insertion: Insertion) -> dict[str, Any]:
         """Return the message of fitted values, by the layers that an insertion meets."""
-        names = LAWS[self.problem.medium.law].shape_names
+        names = ("mu{}_pa", *(f"{name}{{}}" for name in LAWS[self.problem.medium.law].shape_names))
+        layers = [layer for _, layer in find_layers(insertion)]
         return {
             "kind": "fit",
-            "layers": [
-                [self.values[f"mu{layer}_pa"], *(self.values[f"{name}{layer}"] for name in names)]
-                for _, layer in find_layers(insertion)
-            ],
+            "layers": [[self.values[name.format(layer)] for name in names] for layer in layers],
             "offset_mm": self.values["bevel_mm"],
             "insertions": len(self.problem.insertions),
             "misfit": round(self.misfit, 3),
@@ -102,12 +100,10 @@ class LiveDraws:
 
 def select_insertions(shown: ShownInsertion, scope: FitScope) -> tuple[Insertion, ...]:
     """Return the insertions of the same medium that are fitted to; the one shown is as it is shown."""
-    others = [one for one in shown.dataset.insertions if one.medium == shown.insertion.medium]
-    if scope == "insertion":
-        others = []
-    elif scope == "specimen":
-        others = [one for one in others if one.specimen == shown.insertion.specimen]
-    return (shown.insertion, *(one for one in others if one.id != shown.insertion.id))
+    keys = {"insertion": ("id",), "specimen": ("medium", "specimen"), "dataset": ("medium",)}[scope]
+    others = [one for one in shown.dataset.insertions if one.id != shown.insertion.id]
+    same = [one for one in others if all(getattr(one, key) == getattr(shown.insertion, key) for key in keys)]
+    return (shown.insertion, *same)
 
 
 def find_mode(shown: ShownInsertion, insertions: Sequence[Insertion]) -> LiveMode:

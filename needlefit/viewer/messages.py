@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.errors import ModelError
+from needlefit.errors import ModelError, NeedlefitError
 from needlefit.mechanics.control import Bevel, ModelOptions
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.load import compute_loads
@@ -135,6 +135,11 @@ def encode_band(step: int, band: NeedleBand | None) -> dict[str, Any]:
     """Return the needle's band after a step; without points if there is no band."""
     edges = {name: round_lengths(getattr(band, name)) if band else [] for name in ("x", "low", "high")}
     return {"kind": "band", "step": step, **edges, "failed": band.failed if band else 0}
+
+
+def encode_fault(error: NeedlefitError, *names: str) -> dict[str, str]:
+    """Return the parts of an error that a page shows."""
+    return {name: getattr(error, name) for name in names or ("what", "expected", "fix")}
 
 
 def round_lengths(values: Floats) -> list[float]:

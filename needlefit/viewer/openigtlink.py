@@ -51,33 +51,17 @@ _CHECKSUM = struct.Struct(">Q")
 
 
 class OpenIGTLinkServer:
-    """Streams a tracked needle to all peers, and hands it the poses that they send.
-
-    Parameters
-    ----------
-    tracked : TrackedTrial
-    host : str
-    port : int
-        0: one that is free.
-
-    Attributes
-    ----------
-    address : (str, int)
-        Where it listens.
-    """
+    """Streams a tracked needle to all peers, and takes the poses that they send; port 0: a free one."""
 
     def __init__(self, tracked: TrackedTrial, host: str, port: int) -> None:
-        self.tracked, self.address = tracked, (host, port)
+        self.tracked, self.address = tracked, (host, port)  # where it listens, once it serves
         self._peers: dict[asyncio.StreamWriter, float] = {}  # since when it reads nothing; 0: it does
         self._tasks: set[asyncio.Task[None]] = set()
         self._conversations: set[asyncio.Task[None]] = set()
         self._changed = asyncio.Event()
 
     async def run(self, _: web.Application) -> AsyncIterator[None]:
-        """Serve while the page is served; for `Application.cleanup_ctx`.
-
-        ConfigError if the address cannot be used.
-        """
+        """Serve while the page is served, for `cleanup_ctx`; ConfigError if the address cannot be used."""
         try:
             server = await asyncio.start_server(self._attend, *self.address)
         except (OSError, OverflowError) as error:
@@ -98,7 +82,7 @@ class OpenIGTLinkServer:
             task.cancel()
         for writer in list(
             self._peers
-        ):  # their tasks end by themselves: asyncio prints a cancelled one as a fault
+        ):  # their tasks end by themselves: asyncio prints cancelled ones as faults
             self._drop(writer)
         await asyncio.gather(*self._tasks, *self._conversations, return_exceptions=True)
 
@@ -148,16 +132,17 @@ class OpenIGTLinkServer:
                     raise ValueError("this is no OpenIGTLink header")
                 while not pace.allows():  # the peer waits, and what it sends grows old
                     await asyncio.sleep(0.01)
-                if kind not in ("TRANSFORM", "POSITION", "POINT") or size > MAX_BODY_BYTES:
-                    self.tracked.ignored += 1
-                    await _skip(reader, size)
-                    continue
-                async with asyncio.timeout(STALLED_S):
-                    body = await reader.readexactly(size)
-                if _CHECKSUM.unpack(header[-8:])[0] != CRC64(body):
-                    self.tracked.ignored += 1
-                    continue
-                pose = read_pose(fields, body)
+                pose = None
+                if kind in ("TRANSFORM", "POSITION", "POINT") and size <= MAX_BODY_BYTES:
+                    async with asyncio.timeout(STALLED_S):
+                        body = await reader.readexactly(size)
+                    pose = (
+                        read_pose(fields, body) if _CHECKSUM.unpack(header[-8:])[0] == CRC64(body) else None
+                    )
+                else:
+                    while size > 0:  # each `MAX_BODY_BYTES` of a body that is not kept must come in time
+                        async with asyncio.timeout(STALLED_S):
+                            size -= len(await reader.readexactly(min(size, MAX_BODY_BYTES)))
                 if pose is None:
                     self.tracked.ignored += 1
                     continue
@@ -235,13 +220,6 @@ def _report_failure(task: asyncio.Task[None]) -> None:
         task.get_loop().call_exception_handler({"message": "OpenIGTLink has stopped", "exception": error})
 
 
-async def _skip(reader: asyncio.StreamReader, size: int) -> None:
-    """Read a body without keeping it; each `MAX_BODY_BYTES` of it must come in time."""
-    while size > 0:
-        async with asyncio.timeout(STALLED_S):
-            size -= len(await reader.readexactly(min(size, MAX_BODY_BYTES)))
-
-
 def read_pose(fields: dict[str, object], body: bytes) -> Floats | None:
     """Return the pose (4, 4) in a message; None if there is none."""
     kind = fields["message_type"]
@@ -280,9 +258,8 @@ def pack_needle(tracked: TrackedTrial) -> bytes:
     matrix = np.eye(4)
     matrix[:3, :3] = np.column_stack([x, np.cross(z, x), z])
     matrix[:3, 3] = tracked.to_ras(points[-1:])[0]
-    return _pack(_make_line(tracked.to_ras(points), "NeedlefitNeedle")) + _pack(
-        TransformMessage(matrix, device_name="NeedlefitTip")
-    )
+    tip = _pack(TransformMessage(matrix, device_name="NeedlefitTip"))
+    return _pack_line(tracked.to_ras(points), "NeedlefitNeedle") + tip
 
 
 def pack_band(tracked: TrackedTrial, band: NeedleBand) -> bytes:
@@ -294,12 +271,12 @@ def pack_band(tracked: TrackedTrial, band: NeedleBand) -> bytes:
         names=["tip 2.5 %", "tip 97.5 %"],
         device_name="NeedlefitTipBand",
     )
-    return _pack(_make_line(tracked.to_ras(outline), "NeedlefitBand")) + _pack(ends)
+    return _pack_line(tracked.to_ras(outline), "NeedlefitBand") + _pack(ends)
 
 
-def _make_line(points: Floats, name: str) -> PolyDataMessage:
+def _pack_line(points: Floats, name: str) -> bytes:
     line = np.array([len(points), *range(len(points))])
-    return PolyDataMessage(points=points, lines=line, device_name=name)
+    return _pack(PolyDataMessage(points=points, lines=line, device_name=name))
 
 
 def _pack(message: MessageBase) -> bytes:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -20,10 +19,9 @@ from needlefit.inference.parameters import BEVEL_SPREAD, Parameters
 from needlefit.inference.problem import find_new_bevel_sd
 from needlefit.inference.specimens import SpecimenSpread, move_to_new_specimen
 from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.shape import NeedleShape, compute_positions
+from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.project.input_files import convert_stored_errors
-from needlefit.project.load import load
 from needlefit.project.locate import (
     SpecimenChoice,
     ViewTarget,
@@ -35,10 +33,11 @@ from needlefit.project.locate import (
 )
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning
+from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.scene import SceneRecord
-from needlefit.schemas.tracker import PlacementRecord
+from needlefit.schemas.tracker import PlacementRecord, RecordingRecord
 from needlefit.studies import paper
 from needlefit.studies.fit_frames import FIT_KINDS
 from needlefit.studies.job import Inputs, Settings, hand_tuned_set, prepare
@@ -49,7 +48,7 @@ from needlefit.studies.report import list_run_warnings
 from needlefit.studies.run import Run
 from needlefit.studies.store import restore_run, unpack
 from needlefit.viewer.overlays import InsertionScan, MeasuredOverlay, find_scan, make_measured_overlay
-from needlefit.viewer.recording import Recording
+from needlefit.viewer.recording import Recording, make_head
 
 DEFAULT_SCENE = "phantom2"  #: the scene that is shown where nothing is named
 SHOWN_METHOD = "fitted"  #: the method of a run whose parameters are shown
@@ -100,23 +99,20 @@ class ViewedScene:
         """Diameter at which the needle is drawn, mm."""
         return self.record.needle.outer_diameter_mm or DEFAULT_DIAMETER_MM
 
+    def make_head(self) -> RecordingRecord:
+        """Return the head of a new recording."""
+        return make_head(self.name, self.first_cell, self.record, self.placement)
+
 
 def open_target(
     name: str | None, insertion: str | None = None, specimen: SpecimenChoice = "shown"
 ) -> ViewedScene:
-    """Return the scene to show for SCENE, RUN or DATASET/ID.
+    """Return the scene to show for SCENE, RUN or DATASET/ID; `DEFAULT_SCENE` where there is no name.
 
-    ConfigError if there is no such thing, or the file of a scene has a fault. DataError if the dataset has a
-    fault, or the run is of another kind or damaged, found no parameters, or its data have changed since.
-
-    Parameters
-    ----------
-    name : str or None
-        None: the scene `DEFAULT_SCENE`.
-    insertion : str, optional
-        Of the run or dataset; by default the one in `name`, else the first: of a run the first held-out one.
-    specimen : SpecimenChoice
-        Of the draws of a run: of its band, and of plans.
+    `insertion` is one of the run or dataset; by default the one in `name`, else the first: of a run the first
+    held-out one. `specimen` is that of the draws of a run: of its band, and of plans. ConfigError if there is
+    no such thing, or the file of a scene has a fault. DataError if the dataset has a fault, or the run is of
+    another kind or damaged, found no parameters, or its data have changed since.
     """
     view_target = replace(find_view_target(DEFAULT_SCENE if name is None else name), specimen=specimen)
     if view_target.kind == "scene":
@@ -126,10 +122,16 @@ def open_target(
         note = f"Parameters: those of the scene {view_target.name}. {record.note}".rstrip()
         return ViewedScene(view_target.name, title, note, record, scene.lattice.first_cell)
     view_target = replace(view_target, insertion=view_target.insertion if insertion is None else insertion)
-    if view_target.kind == "dataset":
-        return _open_insertion(view_target)
-    with convert_stored_errors(view_target.path):
-        return _open_run(view_target)
+    if view_target.kind == "run":
+        with convert_stored_errors(view_target.path):
+            return _open_run(view_target)
+    dataset = read_shapes(view_target.path)
+    one = _choose_insertion(dataset.insertions, view_target, f"insertion of {dataset.name}")
+    begun = choose_start_parameters(one)
+    seed = load(find_file("recipe", "default"), RecipeRecord).seed
+    shown = ShownInsertion(dataset, one, begun.medium, begun.values, seed)
+    choices = tuple(other.id for other in dataset.insertions)
+    return _show_insertion(shown, view_target.name, begun.description, choices)
 
 
 def open_recording(recording: Recording) -> ViewedScene:
@@ -166,38 +168,19 @@ def choose_start_parameters(insertion: Insertion) -> StartParameters:
     name, met = insertion.medium, max(insertion.sequence)
     medium = load(find_file("medium", name), MediumRecord) if name in list_names("medium") else None
     if medium is None or medium.layers < met:
-        return _make_default_medium(name, met)
+        values = {"bevel_mm": DEFAULT_BEVEL_MM}
+        for n in range(1, met + 1):
+            values |= {f"mu{n}_pa": DEFAULT_MU_PA, f"alpha{n}": DEFAULT_ALPHA}
+        fixed = {key: ParameterRecord(fixed=value) for key, value in values.items()}
+        medium = MediumRecord(schema_=1, title=name, layers=met, parameters=fixed)
+        described = f"no medium {name} of {met} layer{'s' if met > 1 else ''} is described in configs/media"
+        return StartParameters(medium, values, f"Parameters: invented, because {described}.")
     parameters = Parameters.from_record(medium)
     if name in paper.read_hand_tuned_names():
         values = hand_tuned_set(name, parameters, name)
         return StartParameters(medium, values, f"Parameters: the paper's parameters, set {name}.")
     description = f"Parameters: no fit, the middle of the priors and bounds of medium {name}."
     return StartParameters(medium, parameters.values(parameters.expected), description)
-
-
-def _make_default_medium(name: str, layers: int) -> StartParameters:
-    values = dict[str, float]()
-    for n in range(1, layers + 1):
-        values |= {f"mu{n}_pa": DEFAULT_MU_PA, f"alpha{n}": DEFAULT_ALPHA}
-    values["bevel_mm"] = DEFAULT_BEVEL_MM
-    fixed = {key: ParameterRecord(fixed=value) for key, value in values.items()}
-    medium = MediumRecord(schema_=1, title=name, layers=layers, parameters=fixed)
-    description = (
-        f"Parameters: invented, because no medium {name} of {layers} layer{'s' if layers > 1 else ''} is "
-        "described in configs/media."
-    )
-    return StartParameters(medium, values, description)
-
-
-def _open_insertion(view_target: ViewTarget) -> ViewedScene:
-    """Return a measured insertion, by default the first of its dataset, with parameters for manual tuning."""
-    dataset = read_shapes(view_target.path)
-    insertion = _choose_insertion(dataset.insertions, view_target, f"insertion of {dataset.name}")
-    begun = choose_start_parameters(insertion)
-    seed = load(find_file("recipe", "default"), RecipeRecord).seed
-    shown = ShownInsertion(dataset, insertion, begun.medium, begun.values, seed)
-    choices = tuple(other.id for other in dataset.insertions)
-    return _show_insertion(shown, view_target.name, begun.description, choices)
 
 
 def _choose_insertion(insertions: tuple[Insertion, ...], view_target: ViewTarget, kind: str) -> Insertion:
@@ -221,13 +204,20 @@ def _show_insertion(
     shape = simulate_steps(scene.needle, scene.tissue, scene.steps, scene.rules)
     floor = estimate_noise_floor(dataset, insertion, random_stream(shown.seed, "noise floor", insertion.id))
     scan, lacking = find_scan(dataset, insertion)
+    # As in a run's files for 3D Slicer: where shapes are known only up to a rigid motion, the needle is laid
+    # on the measured one, and what is steered from then on lies in the frame in which it came to lie.
+    frame, placed = insertion.frame, dataset.pose == "known" or shape.converged
+    if dataset.pose == "free" and placed:
+        s = select_points(dataset.pose, dataset.drop_proximal, insertion, NEEDLE_POINTS).s
+        points = compute_positions(shape, s)
+        frame = move_frame(frame, points, align_with_measured(insertion, s, points))
     return ViewedScene(
         name=f"{name}/{insertion.id}",
         title=title,
         note=f"{description} {lacking}".rstrip(),
         record=record,
         first_cell=scene.lattice.first_cell,
-        placement=_find_placement(dataset, insertion, shape),
+        placement=Placement(frame, insertion.patient).to_record() if placed else None,
         synthetic=dataset.origin == "synthetic",
         measured=make_measured_overlay(dataset, insertion, floor["te_mm"], shape),
         scanned=scan,
@@ -235,23 +225,6 @@ def _show_insertion(
         warnings=dataset.warnings,
         shown=shown,
     )
-
-
-def _find_placement(dataset: Dataset, insertion: Insertion, shape: NeedleShape) -> PlacementRecord | None:
-    """Return the pose of a simulated needle's constraint frame, as in a run's files for 3D Slicer.
-
-    `shape` is the needle at the measured depth. Where shapes are known only up to a rigid motion, it is laid
-    on the measured one, and what is steered from then on lies in the frame in which it came to lie; None
-    where such a needle was not found.
-    """
-    frame = insertion.frame
-    if dataset.pose == "free":
-        if not shape.converged:
-            return None
-        s = select_points(dataset.pose, dataset.drop_proximal, insertion, NEEDLE_POINTS).s
-        points = compute_positions(shape, s)
-        frame = move_frame(frame, points, align_with_measured(insertion, s, points))
-    return Placement(frame, insertion.patient).to_record()
 
 
 def _open_run(view_target: ViewTarget) -> ViewedScene:
@@ -265,21 +238,38 @@ def _open_run(view_target: ViewTarget) -> ViewedScene:
             fix="name such a run, or a scene or an insertion of a dataset",
         )
     results = restore_run(view_target.path)
-    dataset = _read_unchanged_dataset(results, view_target.path)
-    roles = _find_roles(results)
+    dataset = read_shapes(find_file("dataset", results.record.dataset))
+    if dataset.digest != results.run["dataset"]["sha256"]:
+        raise DataError(
+            f"its dataset, {dataset.name}, has changed since",
+            where=str(view_target.path),
+            expected=f"{dataset.path} as it was then",
+            fix=f"run {results.name} again, or restore the data",
+        )
+    folds: list[Mapping[str, Any]] = results.run["folds"]  # those first that a fit never saw
+    held = {id_: (fold["name"], "which never saw it") for fold in folds for id_ in fold["validate"]}
+    tuned = {id_: (fold["name"], "on this needle too") for fold in folds for id_ in fold["tune"]}
+    roles = held | {id_: role for id_, role in tuned.items() if id_ not in held}
     by_id = {insertion.id: insertion for insertion in dataset.insertions}
     members = tuple(by_id[id_] for id_ in roles)
     insertion = _choose_insertion(members, view_target, f"insertion of run {view_target.name}")
     fold, role = roles[insertion.id]
     draws = results.frames["draws"][results.frames["draws"]["fold"] == fold]
-    shown = ShownInsertion(
-        dataset=dataset,
-        insertion=insertion,
-        medium=MediumRecord.model_validate(results.run["medium"]),
-        values=_fitted_values(results, fold, view_target.path),
-        seed=results.run["recipe"]["seed"],
-    )
-    spread = _choose_spread(results, fold, shown, view_target.specimen)
+    rows = results.frames["parameters"]
+    rows = rows[(rows["fold"] == fold) & (rows["method"] == SHOWN_METHOD)]
+    if rows.empty:
+        raise DataError(
+            "its fit found no parameters with which every needle can be solved",
+            where=str(view_target.path),
+            expected="a run whose fit ended",
+            fix="look at its report, or run it again",
+        )
+    values = dict(zip(rows["parameter"], rows["value"].astype(float), strict=True))
+    medium = MediumRecord.model_validate(results.run["medium"])
+    shown = ShownInsertion(dataset, insertion, medium, values, results.run["recipe"]["seed"])
+    (names,) = (set(one["tune"]) for one in folds if one["name"] == fold)
+    fitted = [one for one in dataset.insertions if one.id in names]
+    spread = _choose_spread(results, fold, shown, {one.specimen for one in fitted}, view_target.specimen)
     crossed = "Its layers lie where it was measured to cross them. " if len(insertion.boundaries) else ""
     description = f"Parameters: fitted by {results.name}, {role}. {crossed}{_describe_band(draws, spread)}"
     viewed_scene = _show_insertion(shown, view_target.name, description, tuple(roles))
@@ -289,7 +279,6 @@ def _open_run(view_target: ViewTarget) -> ViewedScene:
     if draws.empty or not draws["certified"].all():
         return viewed_scene
     independent = results.run["recipe"]["likelihood"]["depths"] == "quadrature"  # of each insertion's bevel
-    fitted = _list_fitted(results, fold, dataset)
     new_bevel_sd = 1.0 if independent else find_new_bevel_sd(dataset, fitted)
     return replace(
         viewed_scene,
@@ -298,86 +287,39 @@ def _open_run(view_target: ViewTarget) -> ViewedScene:
     )
 
 
-def _read_unchanged_dataset(results: Run, where: Path) -> Dataset:
-    """Return the data of a run; DataError if they are not what it was fitted to."""
-    dataset = read_shapes(find_file("dataset", results.record.dataset))
-    if dataset.digest != results.run["dataset"]["sha256"]:
-        raise DataError(
-            f"its dataset, {dataset.name}, has changed since",
-            where=str(where),
-            expected=f"{dataset.path} as it was then",
-            fix=f"run {results.name} again, or restore the data",
-        )
-    return dataset
-
-
-def _find_roles(results: Run) -> dict[str, tuple[str, str]]:
-    """Return the fold and role of every insertion of a run by its id, those first that a fit never saw."""
-    folds: list[Mapping[str, Any]] = results.run["folds"]
-    held = {id_: (fold["name"], "which never saw it") for fold in folds for id_ in fold["validate"]}
-    tuned = {id_: (fold["name"], "on this needle too") for fold in folds for id_ in fold["tune"]}
-    return held | {id_: role for id_, role in tuned.items() if id_ not in held}
-
-
-def _fitted_values(results: Run, fold: str, where: Path) -> dict[str, float]:
-    """Return the fitted value of every parameter (Pa, mm)."""
-    rows = results.frames["parameters"]
-    rows = rows[(rows["fold"] == fold) & (rows["method"] == SHOWN_METHOD)]
-    if rows.empty:
-        raise DataError(
-            "its fit found no parameters with which every needle can be solved",
-            where=str(where),
-            expected="a run whose fit ended",
-            fix="look at its report, or run it again",
-        )
-    return dict(zip(rows["parameter"], rows["value"].astype(float), strict=True))
-
-
-def _list_fitted(results: Run, fold: str, dataset: Dataset) -> list[Insertion]:
-    (tuned,) = (set(one["tune"]) for one in results.run["folds"] if one["name"] == fold)
-    return [one for one in dataset.insertions if one.id in tuned]
-
-
-@dataclass(frozen=True)
-class _StoredSpread:
-    """By how much an insertion's specimen was predicted to differ from the `fitted` ones tuned on."""
-
-    between: SpecimenSpread
-    fitted: int
+#: by how much an insertion's specimen was predicted to differ from so many that were fitted
+_Spread = tuple[SpecimenSpread, int]
 
 
 def _choose_spread(
-    results: Run, fold: str, shown: ShownInsertion, specimen: SpecimenChoice
-) -> _StoredSpread | None:
-    """Return by how much the specimen of the draws differs from those tuned on; None if it is one of them."""
-    if specimen == "planned":
-        specimen = "new" if results.record.specimens == "others" else "same"
-    if specimen == "same":
-        return None
+    results: Run, fold: str, shown: ShownInsertion, specimens: set[str], chosen: SpecimenChoice
+) -> _Spread | None:
+    """Return by how much the specimen of the draws differs from the `specimens` of the fold's fit.
+
+    None if it is one of them. What the run did not predict is learnt as it would have done.
+    """
+    if chosen == "planned":
+        chosen = "new" if results.record.specimens == "others" else "same"
     rows = results.frames.get("predictive", pd.DataFrame(columns=["fold", "insertion"]))
     rows = rows[(rows["fold"] == fold) & (rows["insertion"] == shown.insertion.id)]
-    if rows.empty or rows.iloc[0].get("specimen_treatment") != "others":
-        return _learn_spread(results, fold, shown) if specimen == "new" else None
-    row = rows.iloc[0]
-    taus = np.array([[row["between_sd_ln_mu"], row["between_sd_ln_b"]]], dtype=np.float64)
-    fitted = {one.specimen for one in _list_fitted(results, fold, shown.dataset)}
-    return _StoredSpread(SpecimenSpread(taus, np.ones(1), int(row["other_specimens"])), len(fitted))
-
-
-def _learn_spread(results: Run, fold: str, shown: ShownInsertion) -> _StoredSpread:
-    """Return by how much a specimen differs that the run did not predict, as it would have done."""
+    predicted = not rows.empty and rows.iloc[0].get("specimen_treatment") == "others"
+    if chosen == "same" or not (predicted or chosen == "new"):
+        return None
+    if predicted:
+        row = rows.iloc[0]
+        taus = np.array([[row["between_sd_ln_mu"], row["between_sd_ln_b"]]], dtype=np.float64)
+        return SpecimenSpread(taus, np.ones(1), int(row["other_specimens"])), len(specimens)
     recipe = RecipeRecord.model_validate(results.run["recipe"])
     inputs = Inputs(dataset=shown.dataset, medium=shown.medium, recipe=recipe)
     job = prepare(results.name, results.record, Settings(inputs=inputs))
     (tuned,) = (one for one in job.folds if one.name == fold)
     new = NewSpecimens(job, tuned, job.parameters.theta(shown.values))
-    fitted = {one.specimen for one in tuned.tune}
-    target = None if shown.insertion.specimen in fitted else shown.insertion
-    return _StoredSpread(new.find_spread(target), len(fitted))
+    target = None if shown.insertion.specimen in specimens else shown.insertion
+    return new.find_spread(target), len(specimens)
 
 
 def _vary_draws(
-    shown: ShownInsertion, draws: pd.DataFrame, spread: _StoredSpread | None, new_bevel_sd: float
+    shown: ShownInsertion, draws: pd.DataFrame, spread: _Spread | None, new_bevel_sd: float
 ) -> ParameterDraws:
     """Return the draws for the layers that an insertion meets.
 
@@ -389,14 +331,14 @@ def _vary_draws(
     sets = [dict(zip(names, row, strict=True)) for row in draws[names].to_numpy(dtype=np.float64).tolist()]
     if spread is not None:
         thetas = np.array([medium.theta(values) for values in sets])
-        moved = move_to_new_specimen(medium, thetas, spread.between, spread.fitted, rng)
+        moved = move_to_new_specimen(medium, thetas, *spread, rng)
         sets = [values | medium.values(theta) for values, theta in zip(sets, moved, strict=True)]
     varied = vary_bevels(sets, new_bevel_sd, rng)
     layers = [layer for _, layer in find_layers(shown.insertion)]
     return select_layer_draws(pd.DataFrame(varied), layers, shown.medium.law)
 
 
-def _describe_band(draws: pd.DataFrame, spread: _StoredSpread | None) -> str:
+def _describe_band(draws: pd.DataFrame, spread: _Spread | None) -> str:
     """Return what there is to say of the band."""
     if draws.empty:
         return "No band: the run stored no draws of its parameters, as it was interrupted."
@@ -406,7 +348,7 @@ def _describe_band(draws: pd.DataFrame, spread: _StoredSpread | None) -> str:
         return f"No band: the draws {how} are not certified."
     specimen = ""
     if spread is not None:
-        mu, b = np.exp(spread.between.rms)
+        mu, b = np.exp(spread[0].rms)
         specimen = (
             ", in a specimen that was not tuned on, whose moduli differ by a factor of "
             f"{mu:.2g} and whose bevel parameter by {b:.2g}"

@@ -44,12 +44,7 @@ def compute_band(insertion: StartedInsertion) -> NeedleBand | None:
     Every draw replaces moduli and shape parameters of all layers and the strength of the bevel of all steps;
     the layers stay where they are, guides and base where the user holds them. It includes neither the noise
     of measured points, nor errors of the layers' depths, nor model error. Runs on one core, and lets the
-    interpreter go.
-
-    Returns
-    -------
-    NeedleBand or None
-        None without draws, before the tip is in, and where no draw can be solved.
+    interpreter go. None without draws, before the tip is in, and where no draw can be solved.
     """
     spread, path = insertion.draws, insertion.path
     if spread is None or not path[-1].depth > 0:
@@ -98,12 +93,8 @@ def make_measured_overlay(
 ) -> MeasuredOverlay:
     """Return the overlay of a measured insertion.
 
-    Parameters
-    ----------
-    floor : float
-        TE of its noise floor, mm; NaN where there is none.
-    shape : NeedleShape
-        The needle on which a shape of unknown pose is laid.
+    `floor` is the TE of its noise floor, mm; NaN where there is none. A shape of unknown pose is laid on
+    `shape`.
     """
     aim = select_points(dataset.pose, dataset.drop_proximal, insertion)
     points, s = insertion.planar, arc_length(insertion.planar)
@@ -169,16 +160,11 @@ def read_slice(scan: InsertionScan) -> tuple[bytes, tuple[float, float, float, f
     """Read a scan and return the slice along its needle; this takes seconds for a large scan.
 
     It follows the needle through the thickness, so that a needle bent out of its plane stays in it; before
-    the entry it follows the entry axis. DataError if the scan cannot be read.
-
-    Returns
-    -------
-    bytes, tuple of float
-        A PNG, and its edges in C: left, right, bottom, top, mm.
+    the entry it follows the entry axis. Returned are a PNG, and its edges in C: left, right, bottom, top, mm.
+    DataError if the scan cannot be read.
     """
-    from needlefit.reporting.figures.scan_views import (
-        encode_png,  # the page is there before a slice is asked for
-    )
+    # Imported late: the page is there before a slice is asked for.
+    from needlefit.reporting.figures.scan_views import encode_png
 
     insertion = scan.insertion
     shaft = insertion.frame.to_world(np.array([[-ENTRY_MARGIN_MM, 0.0, 0.0]]))

@@ -9,25 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from needlefit.errors import ConfigError, ModelError, NeedlefitError
+from needlefit.errors import ConfigError, ModelError
 from needlefit.geometry.frames import Placement
 from needlefit.inference.parameter_draws import ParameterDraws
 from needlefit.mechanics.control import Step
-from needlefit.mechanics.plan import SAME_DEPTH_MM
 from needlefit.mechanics.scene import Scene
 from needlefit.planning.goals import Goal, cut_plane, name_obstacles, read_goal_points
-from needlefit.planning.steering import (
-    PlanLimits,
-    ReachableRegion,
-    StartedInsertion,
-    SteeringPlan,
-    draw_target,
-    plan_steering,
-)
+from needlefit.planning.steering import StartedInsertion, SteeringPlan, draw_target
 from needlefit.schemas.planning import ObstacleRecord
 from needlefit.viewer.messages import Message, round_lengths
 from needlefit.viewer.opening import ViewedScene
-from needlefit.viewer.recording import RecordedStep, RecordingWriter, make_head
+from needlefit.viewer.recording import RecordedStep, RecordingWriter
 from needlefit.viewer.steering import Change, SteeredNeedle, find_changes
 
 DEFAULT_RADIUS_MM = 2.0  #: a tip that ends within it has reached the target
@@ -114,28 +106,22 @@ def read_goal(message: Message) -> GoalParts:
     radius = message.number("radius", DEFAULT_RADIUS_MM, MAX_PLACE_MM, "mm")
     if radius <= 0:
         raise ModelError(f"the radius of the target is {radius:g} mm", expected="above 0 mm")
-    circles = _read_obstacles(message.content.get("obstacles", []))
-    if (target := message.content.get("target")) is None:
-        return None, radius, circles
-    x, y = _read_numbers(target, 2)
-    return (x, y), radius, circles
-
-
-def _read_obstacles(rows: object) -> tuple[ObstacleRecord, ...]:
-    """Return obstacles from rows of x, y, radius and, where it has one, a name."""
+    rows = message.content.get("obstacles", [])
     if not isinstance(rows, list):
         raise ModelError("these are no obstacles", expected="a list of [x, y, radius, name]")
     if len(rows) > MAX_OBSTACLES:
         raise ModelError(f"there are {len(rows)} obstacles", expected=f"up to {MAX_OBSTACLES}")
     parts = [(row[:3], row[3]) if isinstance(row, list) and len(row) == 4 else (row, "") for row in rows]
     names = name_obstacles(label if isinstance(label, str) else "" for _, label in parts)
-    found = []
+    circles = []
     for (numbers, _), name in zip(parts, names, strict=True):
         x, y, size = _read_numbers(numbers, 3)
         if size <= 0:
             raise ModelError(f"the radius of {name} is {size:g} mm", expected="above 0 mm")
-        found.append(ObstacleRecord(name=name, centre_mm=(x, y), radius_mm=size))
-    return tuple(found)
+        circles.append(ObstacleRecord(name=name, centre_mm=(x, y), radius_mm=size))
+    target = message.content.get("target")
+    x, y = (0.0, 0.0) if target is None else _read_numbers(target, 2)
+    return None if target is None else (x, y), radius, tuple(circles)
 
 
 def _read_numbers(row: object, count: int) -> list[float]:
@@ -173,37 +159,8 @@ def continue_insertion(steering: SteeredNeedle, spread: ParameterDraws | None) -
     return StartedInsertion(steering.scene.needle, steering.now.tissue, rules, path, spread)
 
 
-def restart_insertion(steering: SteeredNeedle, spread: ParameterDraws | None) -> StartedInsertion:
-    """Return the insertion of a steered needle at first contact, with its present parameters.
-
-    One that stands there keeps its inputs; another gets those of the scene's first step.
-    """
-    there = continue_insertion(steering, spread)
-    if steering.now.step.depth <= SAME_DEPTH_MM:
-        return there
-    first = steering.scene.steps[0]
-    bevel = replace(steering.now.step.bevel, side=first.bevel.side)
-    return replace(there, path=(Step(0.0, bevel, first.controls),))
-
-
-def make_plan(insertion: StartedInsertion, goal: Goal, entry_mm: float) -> SteeringPlan | NeedlefitError:
-    """Return a plan, or why there is none; on one core."""
-    try:
-        return plan_steering(insertion, goal, PlanLimits(entry_mm), threads=1)
-    except NeedlefitError as error:
-        return error
-
-
-def region_message(region: ReachableRegion, step: int) -> dict[str, Any]:
-    """Return the message of the reachable region, from the least share of draws to the greatest."""
-    low, high = ([round_lengths(edge) for edge in edges] for edges in (region.low, region.high))
-    return {"kind": "reach", "step": step, "x": round_lengths(region.x), "low": low, "high": high}
-
-
-def plan_message(found: SteeringPlan | NeedlefitError, aim: TrialAim) -> dict[str, Any]:
-    """Return the message of a plan, or of why there is none."""
-    if isinstance(found, NeedlefitError):
-        return {"kind": "plan", "fault": {"what": found.what, "expected": found.expected, "fix": found.fix}}
+def plan_message(found: SteeringPlan, aim: TrialAim) -> dict[str, Any]:
+    """Return the message of a plan."""
     solved = found.needles[found.solved]
     drawn = solved[np.linspace(0, len(solved) - 1, min(FAN_NEEDLES, len(solved))).astype(np.intp)]
     nominal = found.nominal if np.isfinite(found.nominal[-1, 0]) else found.nominal[:0]
@@ -250,10 +207,8 @@ def write_plan(viewed_scene: ViewedScene, plan: SteeringPlan, path: Path) -> Non
     viewed_scene = shift_entry(viewed_scene, plan.entry_mm)
     scene = Scene.from_record(viewed_scene.record, viewed_scene.name)
     steering = SteeredNeedle(scene, viewed_scene.first_cell)
-    record, placement = viewed_scene.record, viewed_scene.placement
-    head = make_head(viewed_scene.name, viewed_scene.first_cell, record, placement)
     path.unlink(missing_ok=True)
-    recorder, time = RecordingWriter(path, head), 0.0
+    recorder, time = RecordingWriter(path, viewed_scene.make_head()), 0.0
     for changes in list_changes(steering, plan.steps, RECORDED_STEP_MM):
         moved = sum(change.value - steering.now.step.depth for change in changes if change.name == "depth_mm")
         time += abs(moved) / SPEED_MM_S

@@ -18,8 +18,7 @@ from needlefit.errors import DataError, ModelError
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import NeedleState
 from needlefit.project.input_files import parse_toml, read_text
-from needlefit.project.load import check
-from needlefit.project.toml_text import dumps
+from needlefit.project.toml import check, dumps
 from needlefit.schemas.limits import MAX_NUMBER
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.tracker import PlacementRecord, RecordingRecord
@@ -94,15 +93,12 @@ def make_head(
     target: str, first_cell: float, scene: SceneRecord, placement: PlacementRecord | None = None
 ) -> RecordingRecord:
     """Return the head of a new recording of a scene at `placement`; `first_cell` in mm."""
-    tables = {
+    tables = {"needlefit": __version__, "target": target, "first_cell_mm": first_cell}
+    placed = {} if placement is None else {"placement": placement.model_dump(mode="json")}
+    tables |= placed | {
         "schema": RecordingRecord.SCHEMA,
-        "needlefit": __version__,
-        "target": target,
-        "first_cell_mm": first_cell,
         "scene": scene.model_dump(mode="json", by_alias=True),
     }
-    if placement is not None:
-        tables["placement"] = placement.model_dump(mode="json")
     return check(tables, RecordingRecord, "recording")
 
 
@@ -126,7 +122,9 @@ def read_recording(path: Path) -> Recording:
         raise _line_error(path, count + 1, "other columns", ",".join(COLUMNS))
     if count < len(lines) - 1 and not lines[-1].endswith("\n"):
         lines.pop()  # cut off while it was written
-    rows = (_Row.parse(text, line, path) for line, text in enumerate(lines[count + 1 :], start=count + 2))
+    rows = (
+        _Row(path, line, next(csv.reader([text]))) for line, text in enumerate(lines[count + 1 :], count + 2)
+    )
     return Recording(record, tuple(_list_steps(rows)), str(path))
 
 
@@ -135,26 +133,14 @@ def _line_error(path: Path, line: int, what: str, expected: str) -> DataError:
     return DataError(what, where=f"{path}, line {line}", expected=expected, fix=fix)
 
 
-@dataclass(frozen=True)
 class _Row:
     """A line of a recording, its cells as they are written."""
 
-    path: Path
-    line: int
-    step: str
-    time: str
-    name: str
-    item: str
-    value: str
-    tip_lateral: str
-
-    @classmethod
-    def parse(cls, text: str, line: int, path: Path) -> "_Row":
-        (cells,) = csv.reader([text])
+    def __init__(self, path: Path, line: int, cells: list[str]) -> None:
+        self.path, self.line = path, line
         if len(cells) != len(COLUMNS):
-            expected = f"{len(COLUMNS)}: {','.join(COLUMNS)}"
-            raise _line_error(path, line, f"{len(cells)} cells", expected)
-        return cls(path, line, *cells)
+            raise self.refuse(f"{len(cells)} cells", f"{len(COLUMNS)}: {','.join(COLUMNS)}")
+        self.step, self.time, self.name, self.item, self.value, self.tip_lateral = cells
 
     def refuse(self, what: str, expected: str) -> DataError:
         return _line_error(self.path, self.line, what, expected)
@@ -187,9 +173,8 @@ def _list_steps(rows: Iterable[_Row]) -> Iterator[RecordedStep]:
         if first.step != str(number):
             raise first.refuse(f"step {first.step}", f"step {number}: none left out")
         if cut is not None or any(row.tip_lateral for row in before):
-            raise (cut or first).refuse(
-                "tip_lateral_mm", "a number in the last row of a step, and only there"
-            )
+            expected = "a number in the last row of a step, and only there"
+            raise (cut or first).refuse("tip_lateral_mm", expected)
         if not last.tip_lateral:
             cut = first
             continue
@@ -199,9 +184,8 @@ def _list_steps(rows: Iterable[_Row]) -> Iterator[RecordedStep]:
         changes: dict[tuple[str, int | None], Change] = {}
         for row in step:
             change = row.change()
-            if (change.name, change.item) in changes:
+            if changes.setdefault((change.name, change.item), change) is not change:
                 raise row.refuse(f"a second {row.name} in step {row.step}", "one value for each input")
-            changes[change.name, change.item] = change
         yield RecordedStep(number, time, tuple(changes.values()), tip_lateral, first.line)
 
 
@@ -232,12 +216,8 @@ def begin_replay(recording: Recording) -> SteeredNeedle:
 def replay(recording: Recording, steering: SteeredNeedle | None = None) -> Iterator[ReplayedStep]:
     """Yield the needle at first contact and after every step of a recording.
 
-    DataError if a step cannot be carried out; it was recorded by another version, or changed since.
-
-    Parameters
-    ----------
-    steering : SteeredNeedle, optional
-        The needle for the replay, at first contact; by default a new one.
+    `steering` is the needle for the replay, at first contact; by default a new one. DataError if a step
+    cannot be carried out; it was recorded by another version, or changed since.
     """
     steering = steering or begin_replay(recording)
     last = find_last_returns(recording.steps)

@@ -203,29 +203,22 @@ MAX_HU = 3071.0  #: brightest value of the window that shows metal, HU
 class ScanSession:
     """A scan, examined once and again after every correction.
 
-    Parameters
-    ----------
-    recipe_file : Path
-        From which `recipe` was read; it is saved beside corrections.
-    folder : Path
-        Where corrections are saved: a table of this one scan, and the files that it names. Where it exists
-        already, that of an earlier session or of another scan, a numbered one beside it is taken.
-
-    Attributes
-    ----------
-    unsaved : bool
-        Whether corrections are in use that were not saved.
+    Corrections are saved to `folder`: a table of this one scan, the files that it names, and the recipe.
+    Where it exists already, that of an earlier session or of another scan, a numbered one beside it is taken.
     """
 
     def __init__(self, scan: Scan, recipe: ReconstructionRecord, recipe_file: Path, folder: Path) -> None:
         self.scan, self.recipe, self._recipe_file = scan, recipe, recipe_file
-        self._folder, self.unsaved = folder, False
+        self._folder, self.unsaved = folder, False  # whether corrections are in use that were not saved
         self._saved_to: Path | None = None
         self.volume: Volume = read_volume(scan.volume, scan.series)
         self.axes = list_slice_axes(self.volume)
-        self.corrections = Corrections()
-        self.found = self._first = self._examine_as_written(scan)
-        self.course = self._make_course()
+        self._first = self._examine(scan)
+        self._take(self._first, Corrections())
+
+    def _take(self, found: Examination, corrections: Corrections) -> None:
+        self.found, self.corrections, self.unsaved = found, corrections, corrections.any
+        self.course = None if found.needle_axis is None else make_course(found.needle_axis.points)
 
     def again(self, content: object) -> None:
         """Examine the scan again, with the corrections that a page sent.
@@ -233,9 +226,24 @@ class ScanSession:
         DataError if a correction is no place, or balls are given to a scan without markers.
         """
         given = read_corrections(content)
-        self.found = self._examine(given) if given.any else self._first
-        self.corrections = given
-        self.course, self.unsaved = self._make_course(), given.any
+        if not given.any:
+            self._take(self._first, given)
+            return
+        with TemporaryDirectory(prefix="needlefit-") as name:
+            found = self._examine(correct_scan(self.scan, given, Path(name)))
+        if found.error is not None and found.error.where.startswith(name):
+            found = replace(found, error=found.error.at("balls placed by hand"))
+        self._take(found, given)
+
+    def _examine(self, scan: Scan) -> Examination:
+        """Return what is found in a scan; what a dataset may not hold is refused, as when it is written."""
+        found = examine(self.volume, scan, self.recipe)
+        if found.reconstruction is None:
+            return found
+        with TemporaryDirectory(prefix="needlefit-") as folder:
+            about = DatasetDescription(scan.id)
+            _, refused = assemble_checked(Path(folder), [found.reconstruction], self.recipe, about)
+        return replace(found, reconstruction=None, error=refused[0].error) if refused else found
 
     def save_shown(self, content: object) -> Path:
         """Save the corrections in use, as `save`, if they are those that a page shows.
@@ -252,8 +260,14 @@ class ScanSession:
 
     def save(self) -> Path:
         """Write the corrected scan as a table of scans; return its path. Replaces what this session saved."""
-        folder = self._saved_to or _make_new_folder(self._folder)
-        folder.mkdir(parents=True, exist_ok=True)
+        folder, number = self._saved_to or self._folder, 1
+        while True:
+            try:
+                folder.mkdir(parents=True, exist_ok=folder == self._saved_to)
+                break
+            except FileExistsError:
+                number += 1
+                folder = self._folder.with_name(f"{self._folder.name}-{number}")
         path = folder / TABLE_FILE
         write_scan_table([correct_scan(self.scan, self.corrections, folder)], path)
         shutil.copyfile(self._recipe_file, folder / RECIPE_FILE)
@@ -290,7 +304,19 @@ class ScanSession:
     def describe(self) -> dict[str, Any]:
         """Return everything that the page shows, as JSON values; lengths in mm, places LPS."""
         found, volume = self.found, self.volume
-        tissue = median_tissue_hu(volume)
+        tissue, missed, balls, course = median_tissue_hu(volume), {}, [], None
+        if found.registration is not None:
+            lengths = np.linalg.norm(found.registration.residuals, axis=1)
+            missed = dict(zip(found.registration.pairs[:, 0].tolist(), lengths.tolist(), strict=True))
+        if (markers := found.markers) is not None:
+            balls = [
+                {"at": center.tolist(), "sd": float(sd), "residual": missed.get(n), "source": markers.source}
+                for n, (center, sd) in enumerate(zip(markers.centers, markers.sd, strict=True))
+            ]
+        if self.course is not None:
+            course = {name: np.round(line, 4).tolist() for name, line in vars(self.course).items()} | {
+                "rows": len(self.course.aside), "pixel": PIXEL_MM, "half_width": HALF_WIDTH_MM,
+            }  # fmt: skip
         return {
             "id": self.scan.id,
             "volume": self.scan.volume.name,
@@ -305,66 +331,19 @@ class ScanSession:
             and {key: getattr(found.error, key) for key in ("what", "where", "expected", "fix")},
             "warnings": list(found.reconstruction.warnings if found.reconstruction else volume.warnings),
             "tubes": [
-                {
-                    "length": tube.length,
-                    "width": tube.width,
-                    "chosen": tube.chosen,
-                    "line": tube.ends.tolist(),
-                    "middle": tube.ends.mean(axis=0).tolist(),
-                }
+                {name: getattr(tube, name) for name in ("length", "width", "chosen")}
+                | {"line": tube.ends.tolist(), "middle": tube.ends.mean(axis=0).tolist()}
                 for tube in list_tubes(volume, self.recipe, found.selection)
             ],
             **_describe_needle(found),
-            "balls": _describe_balls(found),
+            "balls": balls,
             **_describe_reconstruction(found),
-            "course": self._describe_course(),
+            "course": course,
             "corrections": self.corrections.to_json(),
             "has_markers": self.scan.markers is not None,
             "min_balls": MIN_MARKERS,
             "entry_stated": self.scan.stage is not None,
         }
-
-    def _examine(self, given: Corrections) -> Examination:
-        with TemporaryDirectory(prefix="needlefit-") as name:
-            found = self._examine_as_written(correct_scan(self.scan, given, Path(name)))
-            if found.error is not None and found.error.where.startswith(name):
-                return replace(found, error=found.error.at("balls placed by hand"))
-            return found
-
-    def _examine_as_written(self, scan: Scan) -> Examination:
-        """Return what is found in a scan; what a dataset may not hold is refused, as when it is written."""
-        found = examine(self.volume, scan, self.recipe)
-        if found.reconstruction is None:
-            return found
-        with TemporaryDirectory(prefix="needlefit-") as folder:
-            about = DatasetDescription(scan.id)
-            _, refused = assemble_checked(Path(folder), [found.reconstruction], self.recipe, about)
-        return replace(found, reconstruction=None, error=refused[0].error) if refused else found
-
-    def _make_course(self) -> NeedleCourse | None:
-        axis = self.found.needle_axis
-        return None if axis is None else make_course(axis.points)
-
-    def _describe_course(self) -> dict[str, Any] | None:
-        course = self.course
-        if course is None:
-            return None
-        parts = {name: np.round(getattr(course, name), 4).tolist() for name in ("points", "u", "v")}
-        return {**parts, "rows": len(course.aside), "pixel": PIXEL_MM, "half_width": HALF_WIDTH_MM}
-
-
-def _make_new_folder(folder: Path) -> Path:
-    """Make a folder that was not there, of this name or with a number behind it; return it."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    new, number = folder, 1
-    while True:
-        try:
-            new.mkdir()
-        except FileExistsError:
-            number += 1
-            new = folder.with_name(f"{folder.name}-{number}")
-        else:
-            return new
 
 
 def _describe_needle(found: Examination) -> dict[str, Any]:
@@ -384,20 +363,6 @@ def _describe_needle(found: Examination) -> dict[str, Any]:
         "axis": axis.points[kept].tolist(),
         "tip": tip | {"placed": found.scan.tip is not None},
     }
-
-
-def _describe_balls(found: Examination) -> list[dict[str, Any]]:
-    markers, registration = found.markers, found.registration
-    if markers is None:
-        return []
-    missed: dict[int, float] = {}
-    if registration is not None:
-        lengths = np.linalg.norm(registration.residuals, axis=1)
-        missed = dict(zip(registration.pairs[:, 0].tolist(), lengths.tolist(), strict=True))
-    return [
-        {"at": center.tolist(), "sd": float(sd), "residual": missed.get(n), "source": markers.source}
-        for n, (center, sd) in enumerate(zip(markers.centers, markers.sd, strict=True))
-    ]
 
 
 def _describe_reconstruction(found: Examination) -> dict[str, Any]:

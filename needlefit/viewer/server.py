@@ -4,10 +4,11 @@ import asyncio
 import json
 import secrets
 import traceback
-from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from collections.abc import Awaitable, Callable, Coroutine
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from multiprocessing import get_context
 from socket import create_server
 from time import monotonic, time
@@ -18,22 +19,22 @@ from aiohttp.typedefs import Handler
 from aiohttp.web_protocol import RequestHandler
 
 from needlefit.errors import ConfigError, NeedlefitError
-from needlefit.planning.steering import find_reachable_region
+from needlefit.planning.steering import PlanLimits, find_reachable_region, plan_steering
 from needlefit.viewer.export import EXPORT_TYPES, PAGE, export
 from needlefit.viewer.live_fit import draw_about, find_mode, move_points, select_insertions, show_moved
-from needlefit.viewer.messages import Message, encode_band, parse_json, read_message, round_lengths
-from needlefit.viewer.overlays import compute_band, read_slice
-from needlefit.viewer.plans import (
-    BEYOND_TARGET_MM,
-    draw_challenge,
-    make_plan,
-    plan_message,
-    region_message,
+from needlefit.viewer.messages import (
+    Message,
+    encode_band,
+    encode_fault,
+    parse_json,
+    read_message,
+    round_lengths,
 )
+from needlefit.viewer.overlays import compute_band, read_slice
+from needlefit.viewer.plans import BEYOND_TARGET_MM, draw_challenge, plan_message
 from needlefit.viewer.scan_session import ScanSession
 from needlefit.viewer.tracking import TrackedTrial
-from needlefit.viewer.trials import InteractiveTrial, TrialRegistry
-from needlefit.viewer.window import Reply, Window
+from needlefit.viewer.trials import InteractiveTrial, Reply, TrialRegistry, Window
 
 if TYPE_CHECKING:
     from needlefit.viewer.openigtlink import OpenIGTLinkServer
@@ -89,19 +90,10 @@ class AccessControl:
         """The address of the page; the token follows `#`, a part that browsers send to no server."""
         return f"http://{LOOPBACK}:{self.port}/#token={self.token}"
 
-    def has_own_host(self, headers: Mapping[str, str]) -> bool:
-        """Whether a request names this server as its host."""
-        return headers.get("Host", "") in self.names
-
-    def from_page(self, headers: Mapping[str, str]) -> bool:
-        """Whether a request comes from this server's own page."""
-        return headers.get("Origin", "") in tuple(f"http://{name}" for name in self.names)
-
     def is_token(self, token: object) -> bool:
         """Whether a text is the token; the comparison takes the same time for every text."""
         # An ordinary comparison ends at the first difference; its duration would reveal how much of a guess
-        # is right.
-        # Headers that are no UTF-8 come with surrogates.
+        # is right. Headers that are no UTF-8 come with surrogates.
         return isinstance(token, str) and secrets.compare_digest(
             token.encode(errors="surrogatepass"), self.token.encode()
         )
@@ -140,17 +132,9 @@ async def serve(
     ready: Callable[[AccessControl], None],
     stop: Callable[[], Awaitable[None]],
 ) -> None:
-    """Serve on the loopback until `stop` returns; ConfigError if the port is taken.
+    """Serve a page on the loopback until `stop` returns; ConfigError if the port is taken.
 
-    Parameters
-    ----------
-    page : ServedPage
-    port : int
-        0: one that is free.
-    ready : callable
-        Called with the access control once the page can be opened.
-    stop : callable
-        Awaited while pages are served.
+    `port` 0 is one that is free. `ready` is called once the page can be opened; `stop` is awaited meanwhile.
     """
     # The socket is opened before the address is made: port 0 gets its number only then.
     try:
@@ -200,13 +184,14 @@ def _make_application(access: AccessControl, page: ServedPage) -> web.Applicatio
     async def guard(request: web.Request, handler: Handler) -> web.StreamResponse:
         """Keep out who calls this server by another name, and who has no token where one is due."""
         request.app[_SPOKEN].add(request.protocol)
-        if not access.has_own_host(request.headers):
+        if request.headers.get("Host", "") not in access.names:
             raise web.HTTPMisdirectedRequest(text="this server answers to 127.0.0.1 and localhost alone")
         if request.method == "POST":
             scheme, _, token = request.headers.get("Authorization", "").partition(" ")
             if scheme != "Bearer" or not access.is_token(token):
                 raise web.HTTPForbidden(text="the token is missing or wrong: open the address as printed")
-        if (request.method == "POST" or request.path == "/ws") and not access.from_page(request.headers):
+        own = [f"http://{name}" for name in access.names]
+        if (request.method == "POST" or request.path == "/ws") and request.headers.get("Origin") not in own:
             raise web.HTTPForbidden(text="only the page that this server gave out may ask for that")
         try:
             async with asyncio.timeout(REQUEST_TIMEOUT_S):
@@ -230,13 +215,6 @@ def _make_application(access: AccessControl, page: ServedPage) -> web.Applicatio
     return app
 
 
-async def _read_json(request: web.Request) -> Any:  # noqa: ANN401 - JSON
-    try:
-        return await request.json(loads=parse_json)
-    except ValueError:  # no JSON, or of no known charset
-        raise web.HTTPBadRequest(text="the request is no JSON") from None
-
-
 class ScanPage:
     """The page of one scan; what takes long runs in a thread, one examination at a time."""
 
@@ -258,52 +236,55 @@ class ScanPage:
 
     async def cut(self, request: web.Request) -> web.Response:
         """Return a slice as PNG."""
-        found = await self._run(self.session.cut, await _read_json(request))
-        return web.Response(body=found, content_type="image/png")
+        return web.Response(body=await self._run(self.session.cut, request), content_type="image/png")
 
     async def again(self, request: web.Request) -> web.Response:
         """Examine the scan again with corrections; return what was found then."""
-        content = await _read_json(request)
         async with self._examining:
-            await self._run(self.session.again, content)
+            await self._run(self.session.again, request)
             return web.json_response(await asyncio.to_thread(self.session.describe))
 
     async def save(self, request: web.Request) -> web.Response:
         """Write the corrected scan as a table of scans."""
-        content = await _read_json(request)
         async with self._examining:
-            path = await self._run(self.session.save_shown, content)
+            path = await self._run(self.session.save_shown, request)
         return web.json_response({"table": str(path), "command": self.session.command(path)})
 
-    async def _run(self, work: Callable[[Any], Any], content: object) -> Any:  # noqa: ANN401 - as of `work`
+    async def _run(self, work: Callable[[Any], Any], request: web.Request) -> Any:  # noqa: ANN401 - as of `work`
+        try:
+            content = await request.json(loads=parse_json)
+        except ValueError:  # no JSON, or of no known charset
+            raise web.HTTPBadRequest(text="the request is no JSON") from None
         try:
             return await asyncio.to_thread(work, content)
         except (NeedlefitError, OSError) as error:
-            parts = {name: getattr(error, name, "") for name in ("what", "where", "expected", "fix")}
-            text = json.dumps({**parts, "what": parts["what"] or str(error)})
+            fault = error if isinstance(error, NeedlefitError) else NeedlefitError(str(error))
+            text = json.dumps(encode_fault(fault, "what", "where", "expected", "fix"))
             raise web.HTTPUnprocessableEntity(text=text, content_type="application/json") from error
 
 
 class SteeringPage:
-    """The page of the interactive simulation, and the OpenIGTLink server beside it, if there is one."""
+    """The page of the interactive simulation, and the OpenIGTLink server beside it, if there is one.
+
+    Each window has a WebSocket, and each needle one window, the newest.
+    """
 
     index = "index.html"
 
     def __init__(self, trials: TrialRegistry, openigtlink: "OpenIGTLinkServer | None" = None) -> None:
         self.trials, self.openigtlink = trials, openigtlink
+        self._tracked = openigtlink.tracked if openigtlink else None
         self._pool: ProcessPoolExecutor | None = None
+        self._sockets: dict[str, web.WebSocketResponse] = {}
 
     def add_routes(self, app: web.Application, access: AccessControl) -> None:
         """Add the WebSocket, exports and slices."""
-        tracked = None
         if self.openigtlink is not None:
-            tracked = self.openigtlink.tracked
             app.cleanup_ctx.append(self.openigtlink.run)
-        connections = Connections(access, self.trials, tracked)
-        app.router.add_get("/ws", connections.attend)
+        app.router.add_get("/ws", partial(self.attend, access))
         app.router.add_post("/export/{kind}", self.export)
         app.router.add_post("/slice", self.cut)
-        app.on_shutdown.extend((connections.leave, self.leave))
+        app.on_shutdown.append(self.leave)
 
     async def export(self, request: web.Request) -> web.Response:
         """Return a file made from a recording, by a process of its own: frames go on meanwhile."""
@@ -337,11 +318,6 @@ class SteeringPage:
         extent = ",".join(f"{edge:.4f}" for edge in edges)
         return web.Response(body=png, content_type="image/png", headers={"X-Extent-Mm": extent})
 
-    async def leave(self, _: web.Application) -> None:
-        """Wait for nothing that is still being made."""
-        if self._pool:
-            self._pool.shutdown(wait=False, cancel_futures=True)
-
     async def _find_trial(self, request: web.Request) -> InteractiveTrial:
         """Return the trial that a request is about."""
         try:
@@ -353,30 +329,23 @@ class SteeringPage:
             raise web.HTTPNotFound(text="there is no such needle: reload the page")
         return trial
 
-
-class Connections:
-    """The WebSocket connections of all windows: one for each, and one window for each needle, the newest."""
-
-    def __init__(
-        self, access: AccessControl, trials: TrialRegistry, tracked: TrackedTrial | None = None
-    ) -> None:
-        self.access, self.trials, self.tracked = access, trials, tracked
-        self._sockets: dict[str, web.WebSocketResponse] = {}
-
-    async def attend(self, request: web.Request) -> web.WebSocketResponse:
+    async def attend(self, access: AccessControl, request: web.Request) -> web.WebSocketResponse:
         """Serve one window for as long as it is there."""
         socket = web.WebSocketResponse(
             timeout=2.0, max_msg_size=MAX_MESSAGE_BYTES, heartbeat=20.0, compress=False
         )
         await socket.prepare(request)
-        hello = await self._hello(socket)
+        hello = await self._hello(access, socket)
         if hello is None:
             return socket
         window = Window(self.trials, self.trials.open(hello.text("needle")))
-        await self._take(window.trial, socket)
+        before, self._sockets[window.trial.name] = self._sockets.get(window.trial.name), socket
+        if before is not None:
+            await _send(before, {"kind": "taken"})
+            await before.close(code=CLOSE_TAKEN, message=b"another window has taken the needle")
         work = [_send_bands(window, socket), _send_plans(window, socket), _send_fits(window, socket)]
-        if self.tracked is not None:
-            work.append(_send_tracking(window, socket, self.tracked))
+        if self._tracked is not None:
+            work.append(_send_tracking(window, socket, self._tracked))
         sending = [asyncio.create_task(_close_if_failed(one, socket)) for one in work]
         try:
             async with window.trial.lock:
@@ -390,32 +359,26 @@ class Connections:
         return socket
 
     async def leave(self, _: web.Application) -> None:
-        """Say goodbye to every window."""
+        """Say goodbye to every window; wait for nothing that is still being made."""
+        if self._pool:
+            self._pool.shutdown(wait=False, cancel_futures=True)
         for socket in list(self._sockets.values()):
             await _send(socket, {"kind": "bye", "what": "the server was stopped"})
             await socket.close(code=WSCloseCode.GOING_AWAY)
 
-    async def _hello(self, socket: web.WebSocketResponse) -> Message | None:
+    async def _hello(self, access: AccessControl, socket: web.WebSocketResponse) -> Message | None:
         """Return a window's first message; None, the socket closed, if it is not the right one."""
         try:
             message = read_message(await socket.receive_str(timeout=TOKEN_TIMEOUT_S))
         except (TypeError, TimeoutError):
             message = Message("")
-        if message.do != "hello" or not self.access.is_token(message.content.get("token")):
+        if message.do != "hello" or not access.is_token(message.content.get("token")):
             await socket.close(code=CLOSE_NO_TOKEN, message=b"the token is missing or wrong")
             return None
         if len(self._sockets) >= MAX_WINDOWS and message.text("needle") not in self._sockets:
             await socket.close(code=WSCloseCode.TRY_AGAIN_LATER, message=b"too many windows are open")
             return None
         return message
-
-    async def _take(self, trial: InteractiveTrial, socket: web.WebSocketResponse) -> None:
-        """Give a needle to this window; the window that had it is notified."""
-        before = self._sockets.get(trial.name)
-        self._sockets[trial.name] = socket
-        if before is not None:
-            await _send(before, {"kind": "taken"})
-            await before.close(code=CLOSE_TAKEN, message=b"another window has taken the needle")
 
     async def _converse(self, window: Window, socket: web.WebSocketResponse) -> None:
         pace = RateLimit()
@@ -424,17 +387,17 @@ class Connections:
                 await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=b"too much, or no text")
                 return
             message, trial = read_message(frame.data), window.trial
-            if self.tracked is not None and message.do == "release_tracker":
-                self.tracked.release()
-            elif self.tracked is not None and message.do == "forget_estimate":
-                self.tracked.forget()
+            if self._tracked is not None and message.do == "release_tracker":
+                self._tracked.release()
+            elif self._tracked is not None and message.do == "forget_estimate":
+                self._tracked.forget()
             if message.do == "show":  # reads a dataset: other windows go on meanwhile
                 with suppress(NeedlefitError):  # the reply reports the error
                     await asyncio.to_thread(self.trials.prepare, trial, message.text("insertion"))
             async with trial.lock:
                 if self._sockets.get(trial.name) is not socket:
                     return  # another window has taken the needle
-                if self.tracked is None and any(change.is_parameter for change in message.changes):
+                if self._tracked is None and any(change.is_parameter for change in message.changes):
                     # simulates the whole insertion again: other windows go on meanwhile
                     replies = await asyncio.to_thread(list, window.answer(message))
                 else:
@@ -506,42 +469,52 @@ async def _send_plans(window: Window, socket: web.WebSocketResponse) -> None:
                 aim.wanted = aim.goal is not None
         elif aim.goal is not None and aim.wanted:
             aim.wanted = False
-            found = await asyncio.to_thread(make_plan, trial.planned_insertion, aim.goal, aim.entry_mm)
+            limits, plan, fault = PlanLimits(aim.entry_mm), None, Reply()
+            try:
+                plan = await asyncio.to_thread(
+                    plan_steering, trial.planned_insertion, aim.goal, limits, threads=1
+                )
+            except NeedlefitError as error:
+                fault = {"kind": "plan", "fault": encode_fault(error)}
             if version == aim.version and trial is window.trial:
-                aim.plan, aim.plan_step = None if isinstance(found, NeedlefitError) else found, step
-                await _send(socket, plan_message(found, aim))
+                aim.plan, aim.plan_step = plan, step
+                await _send(socket, plan_message(plan, aim) if plan else fault)
         # not while it moves: the region takes a third of a second
         elif aim.goal is not None and not window.moves and reached != step:
             reached, depth = step, max(aim.goal.target[0] + BEYOND_TARGET_MM, depth)
             region = await asyncio.to_thread(find_reachable_region, trial.insertion, depth, threads=1)
             if trial is window.trial:
-                await _send(socket, region_message(region, step))
+                edges = {
+                    "low": region.low,
+                    "high": region.high,
+                }  # from the least share of draws to the greatest
+                rows = {name: [round_lengths(one) for one in edge] for name, edge in edges.items()}
+                await _send(socket, {"kind": "reach", "step": step, "x": round_lengths(region.x), **rows})
         await asyncio.sleep(PLAN_INTERVAL_S)
 
 
 async def _send_fits(window: Window, socket: web.WebSocketResponse) -> None:
     """Move measured points, fit and draw as the page asks; the page takes the fitted values as its input."""
     while True:
-        trial, fit = window.trial, window.trial.fit
-        if fit.original is not None and fit.offsets is not None:
-            offsets, fit.offsets = fit.offsets, None
-            trial.viewed_scene = show_moved(trial.viewed_scene, move_points(fit.original, offsets))
+        trial = window.trial
+        if trial.measured is not None and trial.wanted_offsets:
+            offsets, trial.wanted_offsets = trial.wanted_offsets, []
+            trial.viewed_scene = show_moved(trial.viewed_scene, move_points(trial.measured, offsets))
             assert trial.viewed_scene.measured is not None
             x, y = map(round_lengths, trial.viewed_scene.measured.points.T)
             await _send(socket, {"kind": "measured", "x": x, "y": y, "offsets": offsets})
-        shown, scope = trial.viewed_scene.shown, fit.wanted
+        shown, scope = trial.viewed_scene.shown, trial.wanted_fit
         if shown is not None and scope is not None:
-            fit.wanted = None
-            insertions = select_insertions(shown, scope)
+            trial.wanted_fit = None
             try:
-                mode = await asyncio.to_thread(find_mode, shown, insertions)
+                mode = await asyncio.to_thread(find_mode, shown, select_insertions(shown, scope))
                 await _send(socket, mode.to_message(shown.insertion))
-                if fit.wanted is None:  # else its draws would be of no use
+                if trial.wanted_fit is None:  # else its draws would be of no use
                     draws = await asyncio.to_thread(draw_about, mode, shown.insertion, shown.seed)
                     trial.viewed_scene = replace(trial.viewed_scene, spread=draws.spread)
                     await _send(socket, draws.to_message())
             except NeedlefitError as error:
-                await _send(socket, {"kind": "fit", "fault": {"what": error.what, "fix": error.fix}})
+                await _send(socket, {"kind": "fit", "fault": encode_fault(error, "what", "fix")})
         await asyncio.sleep(FIT_INTERVAL_S)
 
 

@@ -31,7 +31,7 @@ from needlefit.inference.tracking import (
 from needlefit.mechanics.shape import compute_positions
 from needlefit.schemas.tracker import TrackerRecord
 from needlefit.viewer.plans import find_placement
-from needlefit.viewer.steering import Change
+from needlefit.viewer.steering import Change, guide_number
 from needlefit.viewer.trials import InteractiveTrial, TrialRegistry
 
 #: greatest deviation of a transform's columns from unit length and right angles; OpenIGTLink sends floats
@@ -62,24 +62,14 @@ class TrackedPose:
 
 @dataclass
 class TrackedDevice:
-    """What is known of a device: the last pose that was accepted, and why the device freezes the estimate.
+    """What is known of a device."""
 
-    `recent` has the poses that it sent since it last acted on the needle.
-    """
-
-    pose: TrackedPose
+    pose: TrackedPose  #: the last one that was accepted
     sent: float
     jumped: bool = False
-    fault: str = ""
+    fault: str = ""  #: why it freezes the estimate
+    #: poses that it sent since it last acted on the needle
     recent: deque[TrackedPose] = field(default_factory=lambda: deque(maxlen=MAX_RECENT_POSES))
-
-    def mean_pose(self) -> TrackedPose:
-        """Return the mean of the recent poses: the errors of a reading partly cancel."""
-        if len(self.recent) < 2:
-            return self.pose
-        axes = [pose.axis for pose in self.recent if pose.axis is not None]
-        axis = np.mean(axes, axis=0) if axes else None
-        return TrackedPose(np.mean([pose.position for pose in self.recent], axis=0), axis, self.pose.received)
 
 
 def register_tracker(record: TrackerRecord, placement: Placement) -> Frame:
@@ -126,18 +116,7 @@ def is_rigid(matrix: Floats) -> bool:
 class TrackedTrial:
     """The one needle of all windows, moved by tracked poses, and the estimate of its parameters.
 
-    Parameters
-    ----------
-    record : TrackerRecord
-    trials : TrialRegistry
-        Its windows share one needle from then on.
-
-    Attributes
-    ----------
-    number : int
-        Counts changes of what `status` returns.
-    peers : int
-        Connections; kept by the server of the protocol.
+    The windows of `trials` share one needle from then on.
     """
 
     def __init__(self, record: TrackerRecord, trials: TrialRegistry) -> None:
@@ -147,7 +126,8 @@ class TrackedTrial:
         roles = record.devices
         guides = {name: f"guide {n}" for n, name in enumerate(roles.guides, start=1)}
         self.roles = {roles.tip: "tip", roles.base: "base", roles.stage: "stage", **guides}
-        self.number = self.peers = self.ignored = 0
+        self.number = 0  #: counts changes of what `status` returns
+        self.peers = self.ignored = 0  #: connections, and messages that were not taken
         self.devices: dict[str, TrackedDevice] = {}
         self._delay = math.inf
         self._refused = self._frozen = self._unplaced = ""
@@ -172,19 +152,16 @@ class TrackedTrial:
             self._unplaced = error.what
         self._tracker = register_tracker(self.record, self.placement)
         self.registration_error = measure_registration_error(self.record, self._tracker, self.placement)
-        self._own_prior = self._make_prior(viewed_scene.spread)
+        spread, scene, between = viewed_scene.spread, self._trial.scene, self.record.prior
+        if spread is not None and len(spread) > 1:  # the posterior of the run shown
+            self._own_prior = make_prior_from_draws(spread.mu, spread.bevel, self.noise)
+        else:
+            strength, _ = scene.rules.bevel_strength(scene.steps[0].bevel)
+            factors = (between.modulus_factor, between.bevel_factor)
+            self._own_prior = make_prior_from_factors(scene.tissue.mu, strength, factors, self.noise)
         self._normal = np.random.default_rng(0).standard_normal((BAND_DRAWS, len(self._own_prior.theta)))
         self.forget()
         self.release()
-
-    def _make_prior(self, spread: ParameterDraws | None) -> TrackingEstimate:
-        """Return the prior: the posterior of the run shown, or factors about the values of the scene."""
-        if spread is not None and len(spread) > 1:
-            return make_prior_from_draws(spread.mu, spread.bevel, self.noise)
-        scene, between = self._trial.scene, self.record.prior
-        strength, _ = scene.rules.bevel_strength(scene.steps[0].bevel)
-        factors = (between.modulus_factor, between.bevel_factor)
-        return make_prior_from_factors(scene.tissue.mu, strength, factors, self.noise)
 
     def forget(self) -> None:
         """Return to the prior."""
@@ -222,14 +199,8 @@ class TrackedTrial:
     def take(self, name: str, matrix: Floats, sent: float, received: float, *, directed: bool = True) -> bool:
         """Take the pose (4, 4) of a device in the tracker's frame; returns whether it is one that is known.
 
-        Parameters
-        ----------
-        sent : float
-            By the clock of its sender, s; 0: not stated.
-        received : float
-            By the clock here.
-        directed : bool
-            Whether its rotation means something.
+        It was sent at a time by the clock of its sender, s (0: not stated), and received by the clock here.
+        `directed`: its rotation means something.
         """
         role = self.roles.get(name)
         if role is None or not is_rigid(matrix):
@@ -250,21 +221,19 @@ class TrackedTrial:
                 self._travel_from = pose.position - [step.depth, step.controls.base_y, 0.0]
         elif sent and sent < known.sent:
             return True  # overtaken by a newer one
-        elif not known.jumped and not self._jumps(known, pose, sent):
-            known.pose, known.sent = pose, sent
-            known.recent.append(pose)
         elif not known.jumped:
-            known.jumped = True
-            self.number += 1
+            elapsed = sent - known.sent if sent and known.sent else received - known.pose.received
+            # a device that was silent for long may not be anywhere, either
+            elapsed = min(max(elapsed, MIN_INTERVAL_S), 2 * self.record.max_age_s)
+            distance = float(np.linalg.norm(pose.position - known.pose.position))
+            known.jumped = distance > self.record.max_speed_mm_s * elapsed
+            if known.jumped:
+                self.number += 1
+            else:
+                known.pose, known.sent = pose, sent
+                known.recent.append(pose)
         known.fault = self._find_fault(role, known)
         return True
-
-    def _jumps(self, known: TrackedDevice, pose: TrackedPose, sent: float) -> bool:
-        elapsed = sent - known.sent if sent and known.sent else pose.received - known.pose.received
-        # a device that was silent for long may not be anywhere, either
-        elapsed = min(max(elapsed, MIN_INTERVAL_S), 2 * self.record.max_age_s)
-        distance = float(np.linalg.norm(pose.position - known.pose.position))
-        return distance > self.record.max_speed_mm_s * elapsed
 
     def _find_fault(self, role: str, known: TrackedDevice) -> str:
         """Return why a device freezes the estimate, however fresh its pose is; empty if it does not."""
@@ -273,7 +242,7 @@ class TrackedTrial:
             return f"{role} jumped: it moved faster than {self.record.max_speed_mm_s:g} mm/s"
         if role == "tip" and abs(pose.position[2]) > self.record.max_out_of_plane_mm:
             return f"the tip is {abs(pose.position[2]):.1f} mm out of the bending plane"
-        if role != "tip" and role != "stage" and pose.axis is not None:
+        if role not in ("tip", "stage") and pose.axis is not None:
             x, y, _ = pose.axis
             if x <= 0 or abs(y) >= MAX_AXIS_SLOPE * x:
                 return f"the z axis of {role} does not point along the needle"
@@ -305,38 +274,40 @@ class TrackedTrial:
         return not frozen and self._note_reading(trial)
 
     def _list_changes(self, trial: InteractiveTrial, now: float) -> list[Change]:
-        step, shape = trial.steering.now.step, trial.steering.now.shape
+        steering, step, shape = trial.steering, trial.steering.now.step, trial.steering.now.shape
         poses = {role: known.pose for role, known in self.devices.items()}
         # Every change of what holds the needle begins a new ray where it then cuts on: while it goes in there
         # is at most one per constraint spacing, or a jittering tracker would make the path long. It is the
-        # mean of the poses since the one before.
-        goes_in = now - self._inserted_at < REST_S
-        held = {role: known.mean_pose() for role, known in self.devices.items()} if goes_in else poses
+        # mean of the poses since the one before, in which the errors of a reading partly cancel.
+        goes_in, held = now - self._inserted_at < REST_S, dict(poses)
+        for role, known in self.devices.items():
+            if goes_in and len(known.recent) > 1:
+                axes = [pose.axis for pose in known.recent if pose.axis is not None]
+                position = np.mean([pose.position for pose in known.recent], axis=0)
+                held[role] = TrackedPose(position, np.mean(axes, axis=0) if axes else None, now)
         wanted: list[tuple[str, int | None, float, float]] = []  # input, item, value, value now
         depth = None
         if "tip" in poses:  # a bent needle's tip lags behind its depth
-            depth = float(
-                poses["tip"].position[0] + step.depth - compute_positions(shape, shape.x[-1:])[0, 0]
-            )
+            depth = poses["tip"].position[0] + step.depth - compute_positions(shape, shape.x[-1:])[0, 0]
         if "stage" in poses:
-            depth = float(poses["stage"].position[0] - self._travel_from[0])
-            y = float(held["stage"].position[1] - self._travel_from[1])
-            wanted.append(("base_y_mm", None, y, step.controls.base_y))
+            depth = poses["stage"].position[0] - self._travel_from[0]
+            wanted = [
+                ("base_y_mm", None, held["stage"].position[1] - self._travel_from[1], step.controls.base_y)
+            ]
         if "base" in poses:
-            depth = trial.scene.needle.length + float(poses["base"].position[0])
-            wanted = [("base_y_mm", None, float(held["base"].position[1]), step.controls.base_y)]
+            depth = trial.scene.needle.length + poses["base"].position[0]
+            wanted = [("base_y_mm", None, held["base"].position[1], step.controls.base_y)]
             if (axis := held["base"].axis) is not None:
                 wanted.append(("base_slope", None, axis[1] / axis[0], step.controls.base_slope))
-        guides = {guide.name: guide for guide in step.controls.guides}
+        guides = {guide_number(guide, steering.names): guide for guide in step.controls.guides}
         for item in range(1, len(self.record.devices.guides) + 1):
             if (pose := held.get(f"guide {item}")) is None:
                 continue
-            names = trial.steering.names
-            guide = guides.get(names[item - 1] if item <= len(names) else f"guide {item}")
-            wanted.append(("guide_x_mm", item, float(pose.position[0]), guide.x if guide else math.inf))
-            wanted.append(("guide_y_mm", item, float(pose.position[1]), guide.y if guide else math.inf))
-            if pose.axis is not None and (guide is None or guide.slope is not None):
-                slope = (guide.slope or 0.0) if guide else 0.0
+            guide = guides.get(item)
+            x, y, slope = (guide.x, guide.y, guide.slope) if guide else (math.inf, math.inf, 0.0)
+            wanted.append(("guide_x_mm", item, pose.position[0], x))
+            wanted.append(("guide_y_mm", item, pose.position[1], y))
+            if pose.axis is not None and slope is not None:
                 wanted.append(("guide_slope", item, pose.axis[1] / pose.axis[0], slope))
         changes = [
             Change(name, item, float(value))
@@ -351,43 +322,36 @@ class TrackedTrial:
             for known in self.devices.values():
                 known.recent.clear()
         if depth is not None:
-            depth = min(max(depth, 0.0), trial.steering.reach())
+            depth = min(max(float(depth), 0.0), steering.reach())
             moved = depth - step.depth
-            back = depth == 0.0 or moved <= -WITHDRAWAL_MM
-            if moved >= MIN_INSERTION_MM or (moved < 0 and back):
+            if moved >= MIN_INSERTION_MM or (moved < 0 and (depth == 0.0 or moved <= -WITHDRAWAL_MM)):
                 self._inserted_at = now
                 changes.append(Change("depth_mm", None, depth))
         return changes
 
     def _note_reading(self, trial: InteractiveTrial) -> bool:
         """Note the tip where it has cut a further constraint spacing; returns whether it has."""
-        now, known = trial.steering.now, self.devices.get("tip")
+        now, known, steering, scene = trial.steering.now, self.devices.get("tip"), trial.steering, trial.scene
         depth = now.step.depth
         if depth < self._deepest - WITHDRAWAL_MM:
             if self._readings:
                 self._prior, self._readings = discount_estimate(self.estimate, self._own_prior), []
             self._deepest = depth
-        if known is None or now.step.controls.tip is not None:
-            return False
-        if depth < self._deepest + trial.scene.rules.spacing - MIN_INSERTION_MM:
+        free = now.step.controls.tip is None
+        if known is None or not free or depth < self._deepest + scene.rules.spacing - MIN_INSERTION_MM:
             return False
         # The equations know the deflection at the beam coordinate, a tracker the place of the point.
         beside = now.shape.tip_lateral - float(now.shape.u[-1])
         self._readings.append((depth, float(known.pose.position[1]) - beside))
-        self._deepest = depth
-        self._insertion = TrackedNeedle(
-            trial.scene.needle, now.tissue, trial.steering.input_path(), trial.scene.rules,
-            trial.steering.first_cell,
-        )  # fmt: skip
+        self._deepest, path = depth, steering.input_path()
+        self._insertion = TrackedNeedle(scene.needle, now.tissue, path, scene.rules, steering.first_cell)
         return True
 
     def compute_estimate(self) -> TrackingEstimate | None:
         """Return the estimate from all readings; it can run in a thread, and changes nothing."""
         assert self._insertion is not None
-        readings = np.array(self._readings)
-        return estimate_parameters(
-            self._insertion, readings, self._prior, self.noise, self.estimate, UPDATE_ITERATIONS
-        )
+        given = (np.array(self._readings), self._prior, self.noise, self.estimate, UPDATE_ITERATIONS)
+        return estimate_parameters(self._insertion, *given)
 
     def apply(self, found: TrackingEstimate | None, trial: InteractiveTrial) -> None:
         """Give the needle, its band and its plans the parameters of an estimate."""

@@ -121,8 +121,8 @@ def _reconstruct_once() -> None:
     from needlefit.imaging import batch
     from needlefit.imaging.scans import read_scans
     from needlefit.imaging.volume_files import read_volume
-    from needlefit.project.load import load
     from needlefit.project.locate import find_file
+    from needlefit.project.toml import load
     from needlefit.schemas.reconstruction import ReconstructionRecord
 
     found = _once(batch.examine)
@@ -176,15 +176,15 @@ def _child(asked: dict[str, Any], printed: Path, answer: int) -> None:
 
 def _count_exchanges(injector: Any) -> None:
     """Count the exchange of two folders, a call of the system's that Python does not have."""
-    from needlefit.project import atomic_write
+    from needlefit.project import folders
 
-    real = atomic_write._try_exchange
+    real = folders._try_exchange
 
     def exchanged(one: Path, other: Path) -> bool:
         injector.step("rename", other)
         return real(one, other)
 
-    atomic_write._try_exchange = exchanged
+    folders._try_exchange = exchanged
 
 
 class _ReportedSteps(list):

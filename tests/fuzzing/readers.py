@@ -77,7 +77,7 @@ def _call(name: str, path: Path) -> object:
 
 
 def _load(record: str, path: Path) -> object:
-    return _late("project.load.load")(path, _late(f"schemas.{record}"))
+    return _late("project.toml.load")(path, _late(f"schemas.{record}"))
 
 
 # ---- TOML
@@ -113,7 +113,7 @@ def _import(path: Path) -> object:
     conversion = import_module("needlefit.datasets.importing.conversion")
     decisions = _late("datasets.importing.decisions.Decisions")()
     content, plan = conversion.plan_import([path], decisions)
-    with _late("project.atomic_write.create_folder")(path.parent / "made") as fresh:
+    with _late("project.folders.create_folder")(path.parent / "made") as fresh:
         conversion.write_plan(fresh, content, plan, decisions)
     return _late("datasets.read.read")(path.parent / "made")
 
@@ -185,7 +185,7 @@ def _parquet(path: Path) -> object:
 
 
 def _manifest(folder: Path) -> object:
-    return _late("project.manifest.require_replaceable")(folder)
+    return _late("project.folders.require_replaceable")(folder)
 
 
 # ---- texts
@@ -195,8 +195,8 @@ def _assignments(path: Path) -> object:
     """Apply each line as `--set` does."""
     scene = _late("schemas.scene.SceneRecord")
     file = _late("project.locate.find_file")("scene", "figure1")
-    tables = _late("project.load.read_toml")(file)
-    override, check = _late("project.overrides.override"), _late("project.load.check")
+    tables = _late("project.toml.read_toml")(file)
+    override, check = _late("project.toml.override"), _late("project.toml.check")
     pairs = [line.partition("=")[::2] for line in _text(path).splitlines() if "=" in line]
     return check(override(tables, pairs, scene, "figure1"), scene, "figure1")
 
@@ -215,7 +215,7 @@ def _conversation(path: Path) -> object:
     trials = import_module("needlefit.viewer.trials")
     shown = opened.open_target("figure1")
     registry = trials.TrialRegistry(shown, path.parent / "view", opened.open_target)
-    window = _late("viewer.window.Window")(registry, registry.open(""))
+    window = _late("viewer.trials.Window")(registry, registry.open(""))
     read, refused = _late("viewer.messages.read_message"), None
     for text in _text(path).splitlines()[:MAX_LINES]:
         for reply in window.answer(read(text)):
@@ -235,7 +235,7 @@ def _tracker(path: Path) -> object:
     """Register a tracker to a scene."""
     record = _load("tracker.TrackerRecord", path)
     scene = _late("mechanics.scene.Scene").from_record(
-        _late("project.load.load")(
+        _late("project.toml.load")(
             _late("project.locate.find_file")("scene", "figure1"), _late("schemas.scene.SceneRecord")
         )
     )

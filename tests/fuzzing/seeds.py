@@ -57,8 +57,7 @@ def written(write: Callable[[Path], object], opened: str, damaged: Sequence[str]
 
 def datasets() -> list[Seed]:
     """A dataset with surfaces, one with a long table, and one of tip tracks."""
-    from test_datasets import block, own_layers, without_checksums
-    from test_datasets_sources import LONG
+    from test_datasets import LONG, block, own_layers, without_checksums
 
     tables = ("dataset.toml", "insertions.csv", "centerlines/a.csv", "centerlines/b.csv")
     plain = written(lambda folder: without_checksums(block(folder)), "dataset.toml", tables)
@@ -502,7 +501,7 @@ def run_files() -> list[Seed]:
 
 def manifests() -> list[Seed]:
     """A folder that lists its own files."""
-    from needlefit.project.manifest import write_manifest
+    from needlefit.project.folders import write_manifest
 
     def write(folder: Path) -> None:
         (folder / "out").mkdir()

@@ -14,9 +14,9 @@ from needlefit.datasets.points import trace_fault
 from needlefit.datasets.read import check
 from needlefit.datasets.template import draft_record
 from needlefit.datasets.write import write_dataset
-from needlefit.project.load import check as check_record
-from needlefit.project.manifest import sha256
-from needlefit.project.toml_text import dumps
+from needlefit.project.folders import sha256
+from needlefit.project.toml import check as check_record
+from needlefit.project.toml import dumps
 from needlefit.schemas.dataset import DatasetRecord, ImportRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.study import StudyRecord

@@ -36,7 +36,7 @@ from needlefit.imaging.volume import (
     list_series_files,
     to_patient,
 )
-from needlefit.project.atomic_write import create_folder, require_new
+from needlefit.project.folders import create_folder, require_new
 from needlefit.project.input_files import is_file
 from needlefit.project.sandbox import SandboxArrays, allow_memory
 

@@ -42,7 +42,7 @@ from needlefit.geometry.smoothing_spline import SplineFit, SplineSections, fit_m
 from needlefit.inference.compared_points import rotate_to_entry_axes
 from needlefit.inference.likelihood.nodes import FRAME, ErrorAxis, Nodes, make_nodes
 from needlefit.mechanics.needle import Needle
-from needlefit.project.toml_lines import locate_key
+from needlefit.project.toml import locate_key
 from needlefit.schemas.dataset import MeasurementRecord
 from needlefit.schemas.recipe import LikelihoodRecord
 

@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from needlefit.errors import ConfigError
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import NeedleState
-from needlefit.project.outputs import require_folder
+from needlefit.project.folders import require_folder
 from needlefit.reporting.figures.needles import NO_OVERLAYS, SceneOverlays, StateFigure, round_up
 from needlefit.reporting.figures.style import RC_PARAMS, fit_height
 

@@ -1,7 +1,8 @@
-"""Forms of fits and predictions: insertions with bands, errors by group, predictive check, starts, draws."""
+"""Forms of fits and predictions: insertions, errors by group, predictive check, starts, draws, profiles."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,13 +13,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator, NullLocator
+from scipy.interpolate import CubicHermiteSpline
 
 from needlefit.arrays import Floats
 from needlefit.inference.baselines import list_baselines
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.metrics import headline_metrics
 from needlefit.reporting.figures.forms import lighten
-from needlefit.reporting.figures.profiles import choose_log_ticks
 from needlefit.reporting.figures.style import (
     COLUMN_WIDTH_IN,
     TEXT_WIDTH_IN,
@@ -28,7 +29,9 @@ from needlefit.reporting.figures.style import (
     describe_scale,
     draw_grid,
     fit_height,
+    plot,
 )
+from needlefit.reporting.interval_text import NO_INTERVAL, choose_interval_unit, typeset_interval
 from needlefit.reporting.labels import (
     GREEN,
     GREY,
@@ -42,10 +45,12 @@ from needlefit.reporting.labels import (
 from needlefit.reporting.number_format import (
     choose_printed_unit,
     format_bare_symbol,
+    format_number,
     format_plain,
     format_quantity,
+    typeset,
 )
-from needlefit.reporting.table_files import to_records
+from needlefit.reporting.table_files import Row, to_records
 
 _DASHED = (0, (2, 1.5))
 _OURS = METHOD_COLOURS["fitted"]
@@ -612,3 +617,136 @@ def left_out_beside_in_sample(frame: pd.DataFrame) -> Figure:
     ]
     _add_legend(figure, handles, 4)
     return figure
+
+
+# ---- profile likelihoods
+
+MAX_PANEL_COLUMNS, MAX_TICKS = 4, 4
+"""Greatest number of panels in a row, and of labelled ticks on a logarithmic axis."""
+
+MAX_DEVIANCE = 6.5
+"""Upper end of the panels' deviance axis."""
+
+_PANEL_KEYS = ["fold", "parameter"]
+_VERDICT_COLUMNS = [
+    *("status", "fisher_sd", "low", "high", "end_low", "end_high", "rise"),
+    *("interval_low", "interval_high", "draw_source", "bound_low", "bound_high"),
+]
+"""Columns of the identification that the figure shows."""
+
+
+def draw_profiles(identification: pd.DataFrame, computed: pd.DataFrame, origin: str, path: Path) -> Path:
+    """Draw `profiles` of a table of computed points, beside what is known of their parameters."""
+    about = identification[[*_PANEL_KEYS, *_VERDICT_COLUMNS]]
+    frame = computed.merge(about, on=_PANEL_KEYS, how="left", sort=False).assign(origin=origin)
+    return plot(path, frame, profiles)
+
+
+def profiles(frame: pd.DataFrame) -> Figure:
+    """Draw the deviance over each parameter, its 95 % interval, and the parabola of the Fisher information.
+
+    `frame` has the computed points, between which the curve is the cubic of their slopes, and with each of
+    them what is known of its parameter.
+    """
+    every = to_records(frame.drop_duplicates(_PANEL_KEYS)[[*_PANEL_KEYS, *_VERDICT_COLUMNS]])
+    rows = [row for row in every if row["status"] != "fixed" or not _is_flat(row)] or every
+    count, width = len(rows), choose_width()
+    across = min(count, MAX_PANEL_COLUMNS) if width > COLUMN_WIDTH_IN else min(2, count)
+    if across == MAX_PANEL_COLUMNS and -count % (across - 1) < -count % across:
+        across -= 1  # the last row is then fuller
+    down = math.ceil(count / across)
+    figure = Figure(figsize=(width, 0.3 + 1.25 * down))
+    panels = figure.subplots(down, across, squeeze=False, sharey=True)
+    for n, axes in enumerate(panels.flat):
+        if n >= count:
+            axes.axis("off")
+            continue
+        row = rows[n]
+        points = frame[(frame["fold"] == row["fold"]) & (frame["parameter"] == row["parameter"])]
+        label, unit = choose_interval_unit(row, row["low"], row["high"])
+        label += ", freed" if row["status"] == "fixed" else ""
+        if len(points) > 1:
+            axes.set_title(label, loc="left", color=INK, pad=14)
+            _draw_profile(axes, row, points, unit)
+        else:  # nothing but the optimum could be computed
+            axes.set_title(label, loc="left", color=INK)
+        if n % across == 0:
+            axes.set_ylabel("deviance")
+    figure.suptitle(" ")  # keeps the line free for the names of the curves
+    second = 0.01 + 0.55 / figure.get_figwidth()
+    figure.text(0.01, 0.985, "profile", va="top", color=_OURS)
+    figure.text(second, 0.985, "information at the optimum", va="top", color=METHOD_COLOURS["hand_tuned"])
+    last, threshold = panels[0, across - 1], float(frame["threshold"].iloc[0])
+    last.text(1.02, threshold, "95 %", transform=last.get_yaxis_transform(), va="center", color=GREY)
+    return figure
+
+
+def _draw_profile(axes: Axes, row: Row, points: pd.DataFrame, unit: float) -> None:
+    logarithmic = is_logarithmic(str(row["parameter"]))
+    at = to_log_coordinates(points[["value"]].rename(columns={"value": row["parameter"]}))[:, 0]
+    fine = np.linspace(at[0], at[-1], 400)
+    values, places = (np.exp(one) if logarithmic else one for one in (at, fine))
+    deviance, threshold = points["deviance"].to_numpy(dtype=np.float64), float(points["threshold"].iloc[0])
+    curve = CubicHermiteSpline(at, deviance, points["slope"])(fine)
+    # the interval of the tables; of a profile alone, what is within the threshold
+    inside = curve <= threshold
+    if _is_of_draws(row):
+        inside = (places >= row["interval_low"]) & (places <= row["interval_high"])
+    axes.fill_between(places, 0, MAX_DEVIANCE, where=list(inside), color=_OURS, alpha=0.1, lw=0)
+    if (sd := row["fisher_sd"]) is not None:
+        parabola = ((fine - at[int(np.argmin(deviance))]) / sd) ** 2
+        look: dict[str, Any] = {"color": METHOD_COLOURS["hand_tuned"], "lw": 0.9, "ls": (0, (4, 1.5))}
+        axes.plot(places, parabola, zorder=2, **look)
+    axes.plot(places, curve, color=_OURS, lw=1.3, zorder=3)
+    axes.plot(values, deviance, "o", ms=2.6, color=_OURS, mew=0, zorder=4)
+    axes.axhline(threshold, color=GREY, lw=0.6, ls=(0, (3, 2)))
+    low, high = float(values[0]), float(values[-1])
+    axes.set(xlim=(low, high), ylim=(0, MAX_DEVIANCE), xscale="log" if logarithmic else "linear")
+    axes.yaxis.set_major_locator(MaxNLocator(4, integer=True))
+    if logarithmic:
+        ticks = choose_log_ticks(low, high)
+        axes.xaxis.set_minor_locator(NullLocator())
+        axes.set_xticks(ticks, [typeset(format_number(tick / unit)) for tick in ticks])
+    else:
+        axes.xaxis.set_major_locator(MaxNLocator(4, integer=True))
+    words, is_known = _describe_state(row, unit)
+    colour = INK if is_known else PAPER_COLOUR
+    axes.text(0, 1.035, words, transform=axes.transAxes, va="bottom", color=colour)
+
+
+def _describe_state(row: Row, unit: float) -> tuple[str, bool]:
+    """Return the interval of a parameter, or why there is none; and whether it is closed and printed."""
+    low, high = row["end_low"] == "closed", row["end_high"] == "closed"
+    if _is_of_draws(row) or (low and high):
+        interval = typeset_interval(row, unit)
+        return interval, interval != NO_INTERVAL
+    if "lost" in (row["end_low"], row["end_high"]):
+        return "could not be followed to its end", False
+    if not low and not high:
+        return f"{'flat' if _is_flat(row) else 'open'}: not identifiable", False
+    end = typeset(format_number((row["low"] if low else row["high"]) / unit))
+    return f"{'above' if low else 'below'} {end}, open", False
+
+
+def _is_of_draws(row: Row) -> bool:
+    return row["draw_source"] not in (None, "", "profile")
+
+
+def _is_flat(row: Row) -> bool:
+    """Return whether the deviance hardly rises over the whole range of a parameter."""
+    return (row["rise"] or 0) < 1 and "closed" not in (row["end_low"], row["end_high"])
+
+
+def choose_log_ticks(low: float, high: float) -> list[float]:
+    """Return two to four round ticks of a logarithmic axis: powers of ten if there are enough of them."""
+    if high < 5 * low:
+        places = MaxNLocator(3, steps=[1, 2, 5, 10]).tick_values(low, high)
+        inner = [float(place) for place in places if low <= place <= high]
+        return inner[:: 2 if len(inner) > 3 else 1]  # their numbers are long
+    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    for steps in ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0)):
+        ticks = [step * 10.0**power for power in powers for step in steps]
+        ticks = [tick for tick in ticks if low <= tick <= high]
+        if len(ticks) >= 2:
+            break
+    return ticks[:: math.ceil(len(ticks) / MAX_TICKS)]

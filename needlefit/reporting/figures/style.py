@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError
-from needlefit.project.outputs import require_folder
+from needlefit.project.folders import require_folder
 from needlefit.project.tasks import compute_beside
 from needlefit.reporting.labels import GREY, INK, SYNTHETIC_COLOUR
 from needlefit.reporting.sheet import compile_sheet

@@ -25,18 +25,19 @@ from needlefit.inference.fit import Fit
 from needlefit.inference.predict import Draws
 from needlefit.inference.transferred_prior import TransferProblem, TransferredPrior
 from needlefit.project.random_streams import random_stream
-from needlefit.project.toml_lines import renamed_keys
+from needlefit.project.toml import renamed_keys
 from needlefit.reporting.columns import DIGITS
 from needlefit.reporting.figures import Drawing, Look, Panel
 from needlefit.reporting.labels import APPROACH_COLOURS, APPROACH_NAMES, medium_name
 from needlefit.reporting.number_format import format_mm
 from needlefit.reporting.table import Table, part, pivot
-from needlefit.reporting.table_files import to_records
+from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.schemas.base import Record
 from needlefit.schemas.limits import MAX_REPLICATES
 from needlefit.schemas.study import FitRecord, LayerCountRule, SelectionRecord
+from needlefit.studies import score
 from needlefit.studies.folds import Fold
 from needlefit.studies.held_out_predictions import tabulate_held_out
 from needlefit.studies.job import Job, Settings, prepare
@@ -45,13 +46,6 @@ from needlefit.studies.posterior_fit import PREDICTION_DRAWS, PosteriorFit, fit_
 from needlefit.studies.report import report_from_text
 from needlefit.studies.run import Frames, Run
 from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, list_faults, run_analysis
-from needlefit.studies.score import (
-    Row,
-    list_length_metrics,
-    list_score_columns,
-    model_predictor,
-    score_planned,
-)
 
 
 class KnownMediumRecord(Record):
@@ -127,7 +121,7 @@ _PREDICTED = (
 
 def list_frames() -> dict[str, tuple[str, ...]]:
     """Return the columns of the frames; `learned_from` names new insertions, joined by +, or "nothing"."""
-    scores = list_score_columns(list_length_metrics())
+    scores = score.list_score_columns(score.list_length_metrics())
     return {
         "errors": (*_WHERE, "insertion", *_SCORED, *scores, *_PREDICTED),
         "fits": (*_WHERE, "pareto_k", "sampled", "parameter", "value"),
@@ -167,7 +161,13 @@ class AdaptationTask:
     @cached_property
     def transferred(self) -> TransferredPrior:
         """The widened old posterior, as the prior of the new medium's parameters."""
-        spread = {name: _between_sd(name, self.record.between_media) for name in self.new.parameters.free}
+        between = self.record.between_media
+        kinds = {"mu": between.ln_mu_sd, "alpha": between.alpha_sd}
+        kinds |= dict.fromkeys(("bevel", "cut_angle"), between.ln_bevel_sd)
+        spread = {
+            name: next((sd for kind, sd in kinds.items() if name.startswith(kind)), 0.0)
+            for name in self.new.parameters.free
+        }
         fit, thetas = self.old_posterior.fit.values, self.old_posterior.draws.thetas
         return TransferredPrior.from_draws(self.old.parameters, fit, thetas, self.new.parameters, spread)
 
@@ -180,25 +180,33 @@ def name_set(ids: Iterable[str]) -> str:
 def make_task(name: str, record: AdaptationRecord, settings: Settings) -> AdaptationTask:
     """Return the adaptation that a record describes.
 
-    Raises
-    ------
-    ConfigError, DataError
-        If anything it names is missing or wrong.
+    Raises ConfigError, DataError if anything it names is missing or wrong.
     """
-    old, new = (
-        _prepare_side(f"{name} {side}", side, record, known, settings)
-        for side, known in (("old", record.old), ("new", record.new))
-    )
+    shared, sides = {key: getattr(record, key) for key in ("dataset", "recipe", "layer_count_rule")}, []
+    for side, known in (("old", record.old), ("new", record.new)):
+        table = {"schema": FitRecord.SCHEMA, "medium": known.medium, "tune": known.insertions}
+        with renamed_keys({"tune": f"{side}.insertions", "medium": f"{side}.medium"}):
+            sides.append(prepare(f"{name} {side}", FitRecord.model_validate(table | shared), settings))
+    old, new = sides
     there = {insertion.id: insertion for insertion in new.insertions}
     training = {one: insertion for one, insertion in there.items() if one not in record.new.held_out}
-    key, fault = _find_fault(record, old, there, len(training))
-    if fault:
-        raise ConfigError(
-            fault,
-            where=f"study {name}",
-            key=key,
-            expected="new insertions, some held out and enough left to learn from",
-        )
+    unknown = ", ".join(one for one in record.new.held_out if one not in there)
+    both = ", ".join(sorted(there.keys() & {insertion.id for insertion in old.insertions}))
+    left, most = len(training), max(record.counts or (1,))
+    faults = (
+        (unknown, "new.held_out", f"held_out names {unknown}, which [new] does not select"),
+        (both, "new.insertions", f"{both} would be both old and new"),
+        (most > left, "counts", f"{left} new insertions are left to learn from, of {most} asked for"),
+        (
+            old.recipe.minimize != "posterior",
+            "recipe",
+            "a fit by errors alone has no posterior to carry over",
+        ),
+    )
+    for wrong, key, fault in faults:
+        if wrong:
+            expected = "new insertions, some held out and enough left to learn from"
+            raise ConfigError(fault, where=f"study {name}", key=key, expected=expected)
     rng = random_stream(new.recipe.seed, name, "orders")
     orders = draw_orders(tuple(training), record.orders, rng)
     held_out = tuple(there[one] for one in record.new.held_out)
@@ -213,48 +221,8 @@ def draw_orders(names: tuple[str, ...], count: int, rng: np.random.Generator) ->
     return tuple(found)
 
 
-def _prepare_side(
-    name: str, side: str, record: AdaptationRecord, known: KnownMediumRecord, settings: Settings
-) -> Job:
-    """Return the job of one side, "old" or "new", whose table of the study is called so."""
-    table = {"schema": FitRecord.SCHEMA, "medium": known.medium, "tune": known.insertions}
-    shared = {key: getattr(record, key) for key in ("dataset", "recipe", "layer_count_rule")}
-    with renamed_keys({"tune": f"{side}.insertions", "medium": f"{side}.medium"}):
-        return prepare(name, FitRecord.model_validate(table | shared), settings)
-
-
-def _find_fault(
-    record: AdaptationRecord, old: Job, there: Mapping[str, Insertion], left: int
-) -> tuple[str, str]:
-    """Return which key of a record cannot be, and why; two empty texts if all can."""
-    unknown = [one for one in record.new.held_out if one not in there]
-    if unknown:
-        return "new.held_out", f"held_out names {', '.join(unknown)}, which [new] does not select"
-    both = sorted(there.keys() & {insertion.id for insertion in old.insertions})
-    if both:
-        return "new.insertions", f"{', '.join(both)} would be both old and new"
-    most = max(record.counts or (1,))
-    if most > left:
-        return "counts", f"{left} new insertions are left to learn from, of {most} asked for"
-    if old.recipe.minimize != "posterior":
-        return "recipe", "a fit by errors alone has no posterior to carry over"
-    return "", ""
-
-
-def _between_sd(parameter: str, between: BetweenMediaRecord) -> float:
-    kinds = {"mu": between.ln_mu_sd, "alpha": between.alpha_sd, "bevel": between.ln_bevel_sd}
-    kinds["cut_angle"] = between.ln_bevel_sd
-    return next((sd for kind, sd in kinds.items() if parameter.startswith(kind)), 0.0)
-
-
 def run(name: str, record: AdaptationRecord, settings: Settings) -> Run:
-    """Run an adaptation study.
-
-    Raises
-    ------
-    ConfigError, DataError
-        If anything the record names is missing or wrong.
-    """
+    """Run an adaptation study."""
     return run_analysis(name, record, settings, plan(make_task(name, record, settings)))
 
 
@@ -279,12 +247,12 @@ def _run_task(task: AdaptationTask, approach: str, ids: tuple[str, ...]) -> Fram
     learned = _learn(task, approach, Fold(name, tuple(task.training[one] for one in ids), ()))
     values, draws = learned.fit.values, learned.draws
     head: Row = {"method": approach, "learned_from": name_set(ids), "n": len(ids)}
-    predictor = model_predictor(values, job.medium, job.dataset)
+    predictor = score.model_predictor(values, job.medium, job.dataset)
     rows = [] if draws.faults else tabulate_held_out(job, Fold(name, (), task.held_out), draws)
     predicted = {row["insertion"]: row for row in rows}
     errors = []
     for insertion in task.held_out:
-        row = {**score_planned(job, insertion, predictor), **predicted.get(insertion.id, {}), **head}
+        row = {**score.score_planned(job, insertion, predictor), **predicted.get(insertion.id, {}), **head}
         errors.append({name: row.get(name) for name in list_frames()["errors"]})
     about = {**head, "pareto_k": learned.k, "sampled": learned.sampled}
     fits = [{**about, "parameter": name, "value": value} for name, value in values.items()]
@@ -356,12 +324,16 @@ def estimate(values: Floats) -> Estimate:
 
 def list_error_names() -> list[str]:
     """Return the metrics for which the needed number of insertions is estimated."""
-    return [metric.name for metric in list_length_metrics()]
+    return [metric.name for metric in score.list_length_metrics()]
 
 
 def conclude(task: AdaptationTask, frames: Frames) -> tuple[str, ...]:
     """Add the tables `orders`, `curves`, `adaptation`, `insertions_needed` and `gains`; return the faults."""
-    curves = pd.DataFrame(list(_curve_rows(task, frames["errors"])))
+    errors, keys = frames["errors"], ["method", "n"]
+    names = [*list_error_names(), *PREDICTION_SCORES]
+    numbers = errors.astype(dict.fromkeys(names, float))
+    means = numbers.groupby(["method", "learned_from"], sort=False)[names].mean()
+    known = {key: means.loc[key].to_dict() for key in means.index}
     frames["orders"] = pd.DataFrame(
         [
             {"order": k, "n": n, "insertion": one}
@@ -369,48 +341,41 @@ def conclude(task: AdaptationTask, frames: Frames) -> tuple[str, ...]:
             for n, one in enumerate(order, start=1)
         ]
     )
-    frames["curves"] = curves
-    means = _average_orders(curves).merge(_summarize_fits(frames["fits"]), on=["method", "n"], how="left")
-    floors = {
-        error: float(frames["errors"][f"floor_{error}"].astype(float).mean()) for error in list_error_names()
-    }
-    frames["adaptation"] = means.assign(**{f"floor_{error}": floor for error, floor in floors.items()})
-    rng = random_stream(task.new.recipe.seed, task.new.name, "drawn again")
-    resampling = Resampling.draw(len(task.orders), len(task.held_out), rng)
-    frames["insertions_needed"] = pd.DataFrame(list(_needed_rows(task, frames["errors"], resampling)))
-    frames["gains"] = pd.DataFrame(list(_gain_rows(task, frames["errors"], resampling)))
-    return _find_faults(frames)
-
-
-def _curve_rows(task: AdaptationTask, errors: pd.DataFrame) -> Iterator[Row]:
-    """Yield every order's mean errors over the held-out needles, for each way and count."""
-    names = [*list_error_names(), *PREDICTION_SCORES]
-    numbers = errors.astype(dict.fromkeys(names, float))
-    means = numbers.groupby(["method", "learned_from"], sort=False)[names].mean()
-    known = {key: means.loc[key].to_dict() for key in means.index}
-    for approach in APPROACHES:
-        for order, ids in enumerate(task.orders):
-            for n in task.counts:
-                name = "nothing" if approach == "none" else name_set(ids[:n])
-                if (approach, name) in known:
-                    yield {"method": approach, "order": order, "n": n} | known[approach, name]
-
-
-def _average_orders(curves: pd.DataFrame) -> pd.DataFrame:
-    """Return mean, median and range over orders of the errors, and the mean of all else."""
-    grouped = curves.groupby(["method", "n"], sort=False)
-    found = grouped[[*list_error_names(), *PREDICTION_SCORES]].mean()
+    # every order's mean errors over the held-out needles, for each approach and count
+    curves = pd.DataFrame(
+        [
+            {"method": approach, "order": order, "n": n, **known[approach, learned]}
+            for approach in APPROACHES
+            for order, ids in enumerate(task.orders)
+            for n in task.counts
+            if (approach, learned := "nothing" if approach == "none" else name_set(ids[:n])) in known
+        ]
+    )
+    grouped = curves.groupby(keys, sort=False)
+    averages = grouped[names].mean()  # over orders
     for error in list_error_names():
         for what in ("median", "min", "max"):
-            found[error.replace("_mm", f"_{what}_mm")] = grouped[error].agg(what)
-    return found.reset_index()
-
-
-def _summarize_fits(fits: pd.DataFrame) -> pd.DataFrame:
-    """Return how many sets of insertions were learned from, and how well their draws can be trusted."""
-    each = fits.drop_duplicates(["method", "learned_from"]).astype({"pareto_k": float, "sampled": bool})
-    by = each.groupby(["method", "n"], sort=False)
-    return by.agg(groups=("learned_from", "size"), pareto_k=("pareto_k", "max"), sampled=("sampled", "sum"))
+            averages[error.replace("_mm", f"_{what}_mm")] = grouped[error].agg(what)
+    # how many sets of insertions were learned from, and how well their draws can be trusted
+    each = frames["fits"].drop_duplicates(["method", "learned_from"])
+    fits = each.astype({"pareto_k": float, "sampled": bool}).groupby(keys, sort=False)
+    trust = fits.agg(
+        groups=("learned_from", "size"), pareto_k=("pareto_k", "max"), sampled=("sampled", "sum")
+    )
+    floors = {f"floor_{error}": errors[f"floor_{error}"].astype(float).mean() for error in list_error_names()}
+    frames["curves"] = curves
+    frames["adaptation"] = averages.reset_index().merge(trust, on=keys, how="left").assign(**floors)
+    rng = random_stream(task.new.recipe.seed, task.new.name, "drawn again")
+    resampling = Resampling.draw(len(task.orders), len(task.held_out), rng)
+    frames["insertions_needed"] = pd.DataFrame(list(_needed_rows(task, errors, resampling)))
+    frames["gains"] = pd.DataFrame(list(_gain_rows(task, errors, resampling)))
+    failed, unpredicted = ~errors["converged"].astype(bool), errors["tip_crps_mm"].isna()
+    return list_faults(
+        {
+            "simulations of held-out insertions did not converge": int(failed.sum()),
+            "held-out insertions could not be predicted": int(unpredicted.sum()),
+        }
+    )
 
 
 def _means(
@@ -457,16 +422,6 @@ def _gain_rows(task: AdaptationTask, errors: pd.DataFrame, resampling: Resamplin
                     yield {**about, "low": found.low, "high": found.high}
 
 
-def _find_faults(frames: Frames) -> tuple[str, ...]:
-    errors = frames["errors"]
-    failed, unpredicted = ~errors["converged"].astype(bool), errors["tip_crps_mm"].isna()
-    counts = {
-        "simulations of held-out insertions did not converge": int(failed.sum()),
-        "held-out insertions could not be predicted": int(unpredicted.sum()),
-    }
-    return list_faults(counts)
-
-
 # ---- the report
 
 _TARGETS = {"all": "error after all of them", "floor": "noise floor"}
@@ -496,13 +451,14 @@ def describe(result: Run) -> dict[str, Any]:
         "untouched": _select_rows(result, "adaptation", method="none")[0],
         "inflated": _select_rows(result, "adaptation", method="inflated"),
         "gains": [
-            {key: _format_gain(row[key]) for key in ("difference", "low", "high")} | {"n": row["n"]}
+            {key: f"{row[key]:+z.3f}".replace("-", "−") for key in ("difference", "low", "high")}
+            | {"n": row["n"]}
             for row in _select_rows(result, "gains", metric="te_mm", baseline="new")
             if row["n"]
         ][:3],
         "floors": [
             f"{metric.label} {format_mm(curves[0][f'floor_{metric.name}'], 3)}"
-            for metric in list_length_metrics()
+            for metric in score.list_length_metrics()
         ],
     }
 
@@ -517,60 +473,35 @@ def _format_count(result: Run, row: Row) -> str:
     return count if low == high else f"{count} ({low} to {high})"
 
 
-def _format_gain(value: float) -> str:
-    return f"{value:+z.3f}".replace("-", "−")
-
-
 def tabulate(result: Run) -> list[Table]:
     """Return the learning curves, and the number of insertions from which errors are small enough."""
-    metrics = [metric.name for metric in list_length_metrics()]
-    rows = [
-        {**row, **_describe_errors(row, name), "method": APPROACH_NAMES[row["method"]]}
-        for row in to_records(result.frames["adaptation"])
-        if row["method"] != "none" or not row["n"]
-        for name in metrics
-    ]
+    metrics, rows, counts = list_error_names(), [], []
+    for row in to_records(result.frames["adaptation"]):
+        for name in metrics if row["method"] != "none" or not row["n"] else ():
+            low, high = (row[name.replace("_mm", f"_{end}_mm")] for end in ("min", "max"))
+            ends = {"low": None if format_mm(low, 3) == format_mm(high, 3) else low, "high": high}
+            about = {"metric": name, "value": row[name], "method": APPROACH_NAMES[row["method"]]}
+            rows.append({**row, **about, **ends, DIGITS: 3})
     columns = (
         *("method", "n", "groups"),
         *(part(key, metric=name) for name in metrics for key in ("value", "order_range")),
         *("tip_crps_mm", "tip_in_50", "tip_in_95", "pareto_k"),
     )
     curves = pivot(rows, ["method", "n"], ["metric"])
-    counts = [
-        {
-            **row,
-            "target": _TARGETS[row["target"]],
-            "method": APPROACH_NAMES[row["method"]],
-            "insertions_needed": _format_short_count(row),
-            DIGITS: 3,
-        }
-        for name in ("new", *APPROACH_NAMES)  # the first states value and limit
-        for row in _select_rows(result, "insertions_needed", method=name)
-    ]
+    for name in ("new", *APPROACH_NAMES):  # the first states value and limit
+        for row in _select_rows(result, "insertions_needed", method=name):
+            low, high = ("∞" if row[end] is None else f"{row[end]:.0f}" for end in ("low", "high"))
+            count = "not reached" if row["n"] is None else f"{row['n']:.0f}"
+            words = count if low == high else f"{count} ({low}–{high})"
+            about = {"target": _TARGETS[row["target"]], "method": APPROACH_NAMES[row["method"]]}
+            counts.append({**row, **about, "insertions_needed": words, DIGITS: 3})
     needed = pivot(counts, ["metric", "target"], ["method"])
     parts = (part("insertions_needed", method=name) for name in APPROACH_NAMES.values())
+    shown = ("metric", "target", "value", "limit_mm", *parts)
     return [
         Table("adaptation", "", curves, columns, groups=("method",), heads=1),
-        Table(
-            "insertions_needed",
-            "",
-            needed,
-            ("metric", "target", "value", "limit_mm", *parts),
-            groups=("metric",),
-        ),
+        Table("insertions_needed", "", needed, shown, groups=("metric",)),
     ]
-
-
-def _describe_errors(row: Row, metric: str) -> Row:
-    low, high = (row[metric.replace("_mm", f"_{end}_mm")] for end in ("min", "max"))
-    alike = format_mm(low, 3) == format_mm(high, 3)
-    return {"metric": metric, "value": row[metric], "low": None if alike else low, "high": high, DIGITS: 3}
-
-
-def _format_short_count(row: Row) -> str:
-    low, high = ("∞" if row[end] is None else f"{row[end]:.0f}" for end in ("low", "high"))
-    count = "not reached" if row["n"] is None else f"{row['n']:.0f}"
-    return count if low == high else f"{count} ({low}–{high})"
 
 
 def draw(result: Run) -> dict[str, Drawing]:
@@ -579,7 +510,7 @@ def draw(result: Run) -> dict[str, Drawing]:
     if frame.empty:
         return {}
     panels = []
-    for metric in list_length_metrics():
+    for metric in score.list_length_metrics():
         name, floor = metric.name, float(frame[f"floor_{metric.name}"].iloc[0])
         low, high = (name.replace("_mm", f"_{end}_mm") for end in ("min", "max"))
         known = (floor, "noise floor")

@@ -33,17 +33,12 @@ from needlefit.inference.parameters import NOISE_SCALE
 from needlefit.inference.predict import Draws, draw_from_prior, thin_posterior
 from needlefit.inference.problem import Problem
 from needlefit.inference.proportions import wilson_interval
-from needlefit.inference.sampling.importance import (
-    WeightedDraws,
-    find_modes,
-    resample,
-    sample_about_modes,
-)
+from needlefit.inference.sampling import importance
 from needlefit.inference.sampling.sample import sample
 from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.json_values import to_json_values
 from needlefit.project.random_streams import random_stream
-from needlefit.project.toml_lines import locate_key
+from needlefit.project.toml import locate_key
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.number_format import insert_symbols
 from needlefit.reporting.table import Table, part, pivot
@@ -52,6 +47,7 @@ from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.limits import MAX_REPLICATES
 from needlefit.schemas.recipe import RecipeRecord
+from needlefit.studies import rank_statistics
 from needlefit.studies.csv_tables import ANY_COLUMNS
 from needlefit.studies.folds import Fold
 from needlefit.studies.held_out_predictions import predict_held_out
@@ -59,27 +55,7 @@ from needlefit.studies.job import Inputs, Job, Settings, prepare
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.new_specimens import NewSpecimens
 from needlefit.studies.planned_insertions import choose_reference_values, simulate_design
-from needlefit.studies.rank_statistics import (
-    CONTROL_NAMES,
-    DESIGN,
-    FAMILY_ERROR,
-    FIT,
-    HELD_OUT_TIP,
-    LEVELS,
-    LIKELIHOOD,
-    RANK_DRAWS,
-    TIP,
-    UNDERSTATED_SD_FACTOR,
-    Control,
-    Counts,
-    find_failing,
-    name_quantity,
-    place_pit,
-    rank_truth,
-    single_check_error,
-    tabulate_coverage,
-    tabulate_ecdfs,
-)
+from needlefit.studies.rank_statistics import HELD_OUT_TIP, RANK_DRAWS, Control, Counts, name_quantity
 from needlefit.studies.report import report_from_text
 from needlefit.studies.run import Run
 from needlefit.studies.run_differences import Difference, TableComparison
@@ -140,27 +116,14 @@ KIND = StudyKind("calibration", CalibrationRecord, __name__)
 
 @dataclass(frozen=True)
 class InferredPosterior:
-    """One computed posterior: its draws and how they were computed.
+    """One computed posterior: its draws and how they were computed."""
 
-    Attributes
-    ----------
-    thetas : (L, P) array
-        Draws of equal weight.
-    log_posterior : (L,) array
-    mode : (P,) array
-    draw_source : "importance", "sampler" or "prior"
-    trusted : bool
-        Whether the weights were certified, or the sampler converged.
-    weights : WeightedDraws or None
-        Of importance, whoever drew in the end.
-    """
-
-    thetas: Floats
-    log_posterior: Floats
-    mode: Floats
+    thetas: Floats  #: (L, P) draws of equal weight
+    log_posterior: Floats  #: (L,)
+    mode: Floats  #: (P,)
     draw_source: Literal["importance", "sampler", "prior"]
-    trusted: bool
-    weights: WeightedDraws | None = None
+    trusted: bool  #: whether the weights were certified, or the sampler converged
+    weights: importance.WeightedDraws | None = None  #: of importance, whoever drew in the end
 
     def describe(self) -> Row:
         """Return the cells of a replicate that say how its posterior was computed."""
@@ -188,29 +151,18 @@ def infer_posterior(
     The sampler draws always, never, or only where the weights of importance are not certified.
     """
     searched = recipe.model_copy(update={"minimize": "posterior"})
-    ends = find_modes(minimize(problem, searched, rng), problem.upper - problem.lower)
+    ends = importance.find_modes(minimize(problem, searched, rng), problem.upper - problem.lower)
     found = None
     if sampler != "always":
-        found = sample_about_modes(problem, ends, rng)
+        found = importance.sample_about_modes(problem, ends, rng)
         if found.certified or sampler == "never":
-            chosen = resample(found, draws, rng)
+            chosen = importance.resample(found, draws, rng)
             thetas, density = found.thetas[chosen], found.log_density[chosen]
             return InferredPosterior(thetas, density, ends[0], "importance", found.certified, found)
     posterior = sample(problem, ends, recipe.sample, rng)
     thetas = thin_posterior(posterior, problem.parameters, draws).thetas
     density = problem.log_posteriors(thetas)
     return InferredPosterior(thetas, density, ends[0], "sampler", posterior.converged, found)
-
-
-def _draw_prior_only(problem: Problem, draws: int, rng: np.random.Generator) -> InferredPosterior:
-    """Return draws of the prior where the model has a solution, in place of the posterior."""
-    thetas = np.empty((0, len(problem.names)))
-    while len(thetas) < draws:
-        drawn = draw_from_prior(problem.parameters, draws, rng)
-        thetas = np.concatenate([thetas, drawn[np.isfinite(problem.log_posteriors(drawn))]])
-    thetas = thetas[:draws]
-    density = problem.log_posteriors(thetas)
-    return InferredPosterior(thetas, density, thetas[int(np.argmax(density))], "prior", True)
 
 
 def compute_ranked(
@@ -224,11 +176,13 @@ def compute_ranked(
     sets = [problem.values(theta) for theta in thetas]
     found = dict(zip(problem.names, thetas.T, strict=True))
     if thetas.shape[1] > 1:
-        found |= dict(zip((DESIGN, FIT), (thetas @ directions.T).T, strict=True))
+        found |= dict(
+            zip((rank_statistics.DESIGN, rank_statistics.FIT), (thetas @ directions.T).T, strict=True)
+        )
     medium, needle = problem.medium, problem.dataset.needle
     (tips,) = simulate_deflections(sets, medium, needle, [tip], [np.array([tip.depth])])
     prior = [problem.parameters.prior.log_density(values) for values in sets]
-    return {**found, TIP: tips[:, 0], LIKELIHOOD: log_posterior - prior}
+    return {**found, rank_statistics.TIP: tips[:, 0], rank_statistics.LIKELIHOOD: log_posterior - prior}
 
 
 def best_determined_direction(problem: Problem, theta: Floats) -> Floats:
@@ -243,8 +197,7 @@ def best_determined_direction(problem: Problem, theta: Floats) -> Floats:
 
 # ---- replicates whose truths are drawn from the prior
 
-MAX_PRIOR_DRAWS = 1000
-"""Draws of the prior among which one must have a solution."""
+MAX_PRIOR_DRAWS = 1000  #: draws of the prior among which one must have a solution
 
 MAX_SAMPLED_INSERTIONS = 3
 """Insertions of the design whose posteriors the sampler draws: the shallowest, the middle and the deepest."""
@@ -252,24 +205,12 @@ MAX_SAMPLED_INSERTIONS = 3
 
 @dataclass(frozen=True)
 class Experiment:
-    """The data that all replicates share.
+    """The data that all replicates share."""
 
-    Attributes
-    ----------
-    job : Job
-        Of one fold: its insertions are the design.
-    stiff : mapping
-        Weights of the combination that the design determines best, by name.
-    sampled : bool
-        Whether every posterior is drawn by the sampler.
-    control : Control or None
-        In what the likelihood is wrong.
-    """
-
-    job: Job
-    stiff: Mapping[str, float]
-    sampled: bool = False
-    control: Control | None = None
+    job: Job  #: of one fold: its insertions are the design
+    stiff: Mapping[str, float]  #: weights of the combination that the design determines best, by name
+    sampled: bool = False  #: whether every posterior is drawn by the sampler
+    control: Control | None = None  #: in what the likelihood is wrong
 
 
 @dataclass(frozen=True)
@@ -284,12 +225,8 @@ class SimulatedExperiment:
 def prepare_experiment(job: Job, sampled: bool = False, control: Control | None = None) -> Experiment:
     """Return what is repeated.
 
-    Raises
-    ------
-    ConfigError
-        If the dataset states no noise, or nothing is free.
-    FitError
-        If the planned insertions have no solution where they are looked at.
+    Raises ConfigError if the dataset states no noise, or nothing is free. Raises FitError if the planned
+    insertions have no solution where they are looked at.
     """
     if not job.dataset.noise.stated:
         raise ConfigError(
@@ -329,8 +266,14 @@ def replicate(number: int, experiment: Experiment) -> Row:
     scale = truth.get(NOISE_SCALE, simulated.problem.density.scale)
     problem = corrupt_problem(simulated.problem, control, scale)
     rng = random_stream(*stream, "inference")
-    if control == "prior":
-        found = _draw_prior_only(problem, RANK_DRAWS, rng)
+    if control == "prior":  # draws of the prior where the model has a solution, in place of the posterior
+        thetas = np.empty((0, len(problem.names)))
+        while len(thetas) < RANK_DRAWS:
+            more = draw_from_prior(problem.parameters, RANK_DRAWS, rng)
+            thetas = np.concatenate([thetas, more[np.isfinite(problem.log_posteriors(more))]])
+        thetas = thetas[:RANK_DRAWS]
+        density = problem.log_posteriors(thetas)
+        found = InferredPosterior(thetas, density, thetas[int(np.argmax(density))], "prior", True)
     else:  # a wrong likelihood is to be noticed, not to be sampled well
         sampler: Sampler = "always" if experiment.sampled else "otherwise" if control is None else "never"
         found = infer_posterior(problem, recipe, RANK_DRAWS, rng, sampler)
@@ -340,7 +283,9 @@ def replicate(number: int, experiment: Experiment) -> Row:
     theta = problem.parameters.theta(truth)[None]
     true = compute_ranked(problem, directions, tip, theta, problem.log_posteriors(theta))
     drawn = compute_ranked(problem, directions, tip, found.thetas, found.log_posterior)
-    placed = rank_truth(np.concatenate([*true.values()]), np.column_stack([*drawn.values()]), rng)
+    placed = rank_statistics.rank_truth(
+        np.concatenate([*true.values()]), np.column_stack([*drawn.values()]), rng
+    )
     return {
         "replicate": number,
         **{name: truth[name] for name in simulated.problem.names},
@@ -353,10 +298,7 @@ def replicate(number: int, experiment: Experiment) -> Row:
 def simulate_experiment(job: Job, rng: np.random.Generator) -> SimulatedExperiment:
     """Draw parameters from the prior, and simulate the measurement of the design with them.
 
-    Raises
-    ------
-    FitError
-        If the prior hardly holds parameters that the design has a solution for.
+    Raises FitError if the prior hardly holds parameters that the design has a solution for.
     """
     (fold,) = job.folds
     everything = job.problem(fold)
@@ -392,13 +334,13 @@ def corrupt_problem(problem: Problem, control: Control | None, scale: float) -> 
     inferred at all.
     """
     if control == "sigma":
-        understated = UNDERSTATED_SD_FACTOR * scale
+        understated = rank_statistics.UNDERSTATED_SD_FACTOR * scale
         parameters = problem.parameters
         if NOISE_SCALE in parameters.names:
             others = [name for name in parameters.free if name != NOISE_SCALE]
             parameters = parameters.with_only(others, {NOISE_SCALE: understated})
         likelihood = problem.likelihood.model_copy(update={"noise_scale": understated})
-        scaled = _scale_pose(problem, UNDERSTATED_SD_FACTOR)
+        scaled = _scale_pose(problem, rank_statistics.UNDERSTATED_SD_FACTOR)
         return replace(scaled, likelihood=likelihood, parameters=parameters)
     if control == "pose":
         sure = _scale_pose(problem, 0.0)
@@ -427,17 +369,15 @@ def _swap_shapes(insertions: tuple[Insertion, ...]) -> tuple[Insertion, ...]:
     if len(insertions) == 1 or any(isinstance(one, TipTrack) for one in insertions):
         deepest = max(insertions, key=lambda one: one.depth)
         return tuple(replace(one, side=-one.side) if one is deepest else one for one in insertions)
-    others = {id(first): last, id(last): first}
-    return tuple(_with_shape(one, others[id(one)]) if id(one) in others else one for one in insertions)
-
-
-def _with_shape(one: Insertion, other: Insertion) -> Insertion:
-    """Return an insertion with the measured shape of another."""
-    sections = other.sections
-    if sections is not None:
-        sections = replace(sections, points=one.frame.to_world(other.frame.to_local(sections.points)))
-    measured = {name: getattr(other, name) for name in ("planar", "centerline", "out_of_plane", "sd")}
-    return replace(one, **measured, sections=sections)
+    swapped = []
+    for one in insertions:
+        other = last if one is first else first if one is last else one
+        sections = other.sections
+        if other is not one and sections is not None:
+            sections = replace(sections, points=one.frame.to_world(other.frame.to_local(sections.points)))
+        measured = {name: getattr(other, name) for name in ("planar", "centerline", "out_of_plane", "sd")}
+        swapped.append(replace(one, **measured, sections=sections))
+    return tuple(swapped)
 
 
 # ---- replicates whose truths are those of another model
@@ -445,36 +385,24 @@ def _with_shape(one: Insertion, other: Insertion) -> Insertion:
 PREDICTION_DRAWS = 13 * (RANK_DRAWS + 1) - 1
 """Draws of each posterior, 1039: among them the truth has 13 places for each place of a rank."""
 
-MAX_TWIN_SEEDS = 20
-"""Seeds of a replicate among which one must have a solution."""
+MAX_TWIN_SEEDS = 20  #: seeds of a replicate among which one must have a solution
 
 
 @dataclass(frozen=True)
 class SyntheticExperiment:
-    """The data that all replicates share.
+    """The data that all replicates share."""
 
-    Attributes
-    ----------
-    job : Job
-        Of one fold, with what it holds out.
-    plan : tuple of PlannedInsertion
-        Simulated for each replicate: the study's, and those that show how much its specimens differ.
-    ct : bool
-        Whether they are rendered as CT volumes and reconstructed.
-    """
-
-    job: Job
+    job: Job  #: of one fold, with what it holds out
+    #: simulated for each replicate: the study's, and those that show how much its specimens differ
     plan: tuple[PlannedInsertion, ...]
-    ct: bool
+    ct: bool  #: whether they are rendered as CT volumes and reconstructed
 
 
 def prepare_synthetic(job: Job, ct: bool) -> SyntheticExperiment:
     """Return what is repeated.
 
-    Raises
-    ------
-    ConfigError
-        If the study has several folds, nothing is free, or an insertion is none of the synthetic dataset.
+    Raises ConfigError if the study has several folds, nothing is free, or an insertion is none of the
+    synthetic dataset.
     """
     if len(job.folds) > 1:
         raise ConfigError(
@@ -503,7 +431,15 @@ def replicate_synthetic(number: int, experiment: SyntheticExperiment) -> Row:
     (fold,) = job.folds
     rng = random_stream(job.recipe.seed, job.name, "inference")
     found = infer_posterior(job.problem(fold), job.recipe, PREDICTION_DRAWS, rng)
-    parameters = _compare_parameters(job, found, seed)
+    sets, parameters = [job.parameters.values(theta) for theta in found.thetas], list[Row]()
+    for name in job.parameters.free:
+        truth, values = find_true_value(job, name, seed), np.array([one[name] for one in sets])
+        if np.isfinite(truth):
+            low, middle, high = np.percentile(values, [2.5, 50.0, 97.5]).tolist()
+            row = {"parameter": name, "truth": truth, "value": middle}
+            row |= {"interval_low": low, "interval_high": high}
+            # the middle of the truth's place
+            parameters.append({**row, "pit": (int(np.sum(values < truth)) + 0.5) / (len(values) + 1)})
     source: Literal["posterior", "importance"] = (
         "posterior" if found.draw_source == "sampler" else "importance"
     )
@@ -514,14 +450,14 @@ def replicate_synthetic(number: int, experiment: SyntheticExperiment) -> Row:
     tips = {}
     for one in fold.validate:
         pit = pits.get(one.id)  # of less toward +y; the truth of what cannot be predicted lies outside
-        tips[one.id] = place_pit(0.0 if pit is None else pit if one.side > 0 else 1 - pit)
+        tips[one.id] = rank_statistics.place_pit(0.0 if pit is None else pit if one.side > 0 else 1 - pit)
     return {
         "replicate": number,
         "seed": seed,
         "redrawn": redrawn,
         **found.describe(),
         **{f"rank_{HELD_OUT_TIP}:{name}": rank for name, rank in tips.items()},
-        **{f"rank_{one['parameter']}": place_pit(one["pit"]) for one in parameters},
+        **{f"rank_{one['parameter']}": rank_statistics.place_pit(one["pit"]) for one in parameters},
         "parameters": to_json_values(parameters),
         "predictions": to_json_values(predictions),
     }
@@ -547,20 +483,6 @@ def _draw_study(number: int, experiment: SyntheticExperiment) -> tuple[Job, int,
     )
 
 
-def _compare_parameters(job: Job, found: InferredPosterior, seed: int) -> list[Row]:
-    """Return a row for each free parameter that has a true value."""
-    sets = [job.parameters.values(theta) for theta in found.thetas]
-    rows = []
-    for name in job.parameters.free:
-        truth, values = find_true_value(job, name, seed), np.array([one[name] for one in sets])
-        if np.isfinite(truth):
-            low, middle, high = np.percentile(values, [2.5, 50.0, 97.5]).tolist()
-            pit = (int(np.sum(values < truth)) + 0.5) / (len(values) + 1)  # the middle of the truth's place
-            ends = {"interval_low": low, "interval_high": high}
-            rows.append({"parameter": name, "truth": truth, "value": middle, **ends, "pit": pit})
-    return rows
-
-
 # ---- the run
 
 CHECKPOINT_ROWS, RANK_PREFIX = "replicates", "rank_"
@@ -570,15 +492,7 @@ NESTED_FRAMES = ("parameters", "predictions")
 
 
 def run(name: str, record: CalibrationRecord, settings: Settings) -> Run:
-    """Rank the truth in its posterior for `record.replicates` random insertions.
-
-    Raises
-    ------
-    ConfigError, DataError
-        If anything the record names is missing or wrong, or no noise is stated.
-    FitError
-        If the design has no solution where it is looked at, or nowhere in the prior.
-    """
+    """Rank the truth in its posterior for `record.replicates` random insertions."""
     target = target_name(record, settings).removesuffix("-tune")
     synthetic = record.truth == "synthetic"
     if synthetic:
@@ -622,11 +536,20 @@ def _make_frames(rows: Sequence[Row], synthetic: bool) -> dict[str, pd.DataFrame
     The nested rows of synthetic truths are frames of their own.
     """
     replicates = pd.DataFrame([{k: v for k, v in row.items() if k not in NESTED_FRAMES} for row in rows])
-    ranks = _collect_ranks(replicates)
-    coverage, ecdfs = tabulate_coverage(ranks), pd.DataFrame()
+    columns: dict[str, list[str]] = {}
+    for (
+        column
+    ) in replicates.columns:  # of one quantity `rank_<quantity>`, or several `rank_<quantity>:<which>`
+        if column.startswith(RANK_PREFIX):
+            columns.setdefault(column.removeprefix(RANK_PREFIX).partition(":")[0], []).append(column)
+    ranks: dict[str, Counts] = {
+        name: replicates[each[0] if len(each) == 1 else each].to_numpy(dtype=np.int64)
+        for name, each in columns.items()
+    }
+    coverage, ecdfs = rank_statistics.tabulate_coverage(ranks), pd.DataFrame()
     if ranks:
-        ecdfs = tabulate_ecdfs(ranks)
-        ecdfs["calibrated"] = ~ecdfs["quantity"].isin(find_failing(coverage, ecdfs))
+        ecdfs = rank_statistics.tabulate_ecdfs(ranks)
+        ecdfs["calibrated"] = ~ecdfs["quantity"].isin(rank_statistics.find_failing(coverage, ecdfs))
     frames = {"replicates": replicates, "coverage": coverage, "ranks": ecdfs}
     if synthetic and rows:
         frames["coverage"] = add_intervals(coverage)
@@ -636,16 +559,6 @@ def _make_frames(rows: Sequence[Row], synthetic: bool) -> dict[str, pd.DataFrame
         if len(frames["predictions"]):
             frames["tips"] = average_tips(frames["predictions"])
     return frames
-
-
-def _collect_ranks(replicates: pd.DataFrame) -> dict[str, Counts]:
-    """Return the ranks (N,) of every quantity; (N, K) of one with K columns, `rank_<quantity>:<which>`."""
-    columns: dict[str, list[str]] = {}
-    for column in replicates.columns:
-        if column.startswith(RANK_PREFIX):
-            columns.setdefault(column.removeprefix(RANK_PREFIX).partition(":")[0], []).append(column)
-    found = {name: replicates[each].to_numpy(dtype=np.int64) for name, each in columns.items()}
-    return {name: ranks[:, 0] if ranks.shape[1] == 1 else ranks for name, ranks in found.items()}
 
 
 def average_tips(predictions: pd.DataFrame) -> pd.DataFrame:
@@ -669,7 +582,7 @@ def add_intervals(coverage: pd.DataFrame) -> pd.DataFrame:
 def judge_ranks(frames: Mapping[str, pd.DataFrame], control: str | None) -> dict[str, Any]:
     """Return the outcome. It passes if it is calibrated, or not if the likelihood is wrong on purpose."""
     replicates, coverage = frames["replicates"], frames["coverage"]
-    failing = find_failing(coverage, frames["ranks"])
+    failing = rank_statistics.find_failing(coverage, frames["ranks"])
     half = coverage[coverage["level"] == min(coverage["level"])]
     outcome = {
         "replicates": len(replicates),
@@ -703,8 +616,7 @@ def find_calibration_faults(outcome: Mapping[str, Any]) -> Iterator[str]:
 
 # ---- the report
 
-PRINTED_LEVELS = (0.50, 0.95)
-"""Of synthetic truths: the intervals whose coverage is printed."""
+PRINTED_LEVELS = (0.50, 0.95)  #: of synthetic truths: the intervals whose coverage is printed
 
 
 _MEANS = ("tip_crps_mm", "tip_interval_score_mm")
@@ -715,14 +627,15 @@ def describe(found: Run) -> dict[str, Any]:
     design, coverage, study = found.frames["design"], to_records(found.frames["coverage"]), found.run["study"]
     tips = [row for row in coverage if row["quantity"] == HELD_OUT_TIP and row["level"] in PRINTED_LEVELS]
     predictions = found.frames.get("predictions", pd.DataFrame())
+    quantities = len({row["quantity"] for row in coverage})
     means: Mapping[Any, float] = {} if predictions.empty else predictions[list(_MEANS)].mean().to_dict()
     return {
         **{key: found.run[key] for key in (*_OUTCOME_KEYS, "replicates", "conclusive")},
         "interrupted": found.interrupted,
         "synthetic": study.get("truth") == "synthetic",
-        "control": CONTROL_NAMES.get(found.run["control"], ""),
+        "control": rank_statistics.CONTROL_NAMES.get(found.run["control"], ""),
         "failing": [insert_symbols(name_quantity(name)) for name in found.run["not_calibrated"]],
-        "quantities": len({row["quantity"] for row in coverage}),
+        "quantities": quantities,
         "tips": tips if len(predictions) else [],
         "predictions": len(predictions),
         **means,
@@ -732,8 +645,8 @@ def describe(found: Run) -> dict[str, Any]:
         "ct": study["ct"],
         "sources": found.run["draw_source"].items(),
         "draws": RANK_DRAWS,
-        "family_error": FAMILY_ERROR,
-        "single_error": f"{single_check_error(len({row['quantity'] for row in coverage})):.1e}",
+        "family_error": rank_statistics.FAMILY_ERROR,
+        "single_error": f"{rank_statistics.single_check_error(quantities):.1e}",
     }
 
 
@@ -753,7 +666,7 @@ def tabulate(found: Run) -> list[Table]:
         }
         for row in to_records(found.frames["coverage"])
     ]
-    levels = (part("covered_by_chance", level=one) for one in LEVELS)
+    levels = (part("covered_by_chance", level=one) for one in rank_statistics.LEVELS)
     if found.run["study"].get("truth") == "synthetic":
         levels = (part("covered_share", level=one) for one in PRINTED_LEVELS)
     columns = ("quantity", *levels, "ranks", "calibrated")
@@ -768,16 +681,16 @@ def draw(found: Run) -> dict[str, Drawing]:
     synthetic = found.run["study"].get("truth") == "synthetic"
     options = {"x_label": "PIT of the truth" if synthetic else "rank of the truth"}
     frame = found.frames["ranks"].assign(origin=found.origin)
-    return {"ranks": Drawing("steps_in_bands", frame, options | {"y_label": "ECDF − uniform"}, _center_ecdfs)}
 
+    def center_ecdfs(ranks: pd.DataFrame) -> pd.DataFrame:
+        x = ranks["rank"] / (RANK_DRAWS + 1)
+        count = ranks["expected"] / x
+        ends = {name: ranks[key] / count - x for name, key in (("low", "count_low"), ("high", "count_high"))}
+        names = ranks["quantity"].map(name_quantity)
+        about = {"x": x, "y": ranks["below"] / count - x, "inside": ranks["passes"]}
+        return ranks.assign(panel=names, **ends, **about, passes=ranks["calibrated"])
 
-def _center_ecdfs(ranks: pd.DataFrame) -> pd.DataFrame:
-    x = ranks["rank"] / (RANK_DRAWS + 1)
-    count = ranks["expected"] / x
-    ends = {name: ranks[key] / count - x for name, key in (("low", "count_low"), ("high", "count_high"))}
-    names = ranks["quantity"].map(name_quantity)
-    about = {"x": x, "y": ranks["below"] / count - x, "inside": ranks["passes"]}
-    return ranks.assign(panel=names, **ends, **about, passes=ranks["calibrated"])
+    return {"ranks": Drawing("steps_in_bands", frame, options | {"y_label": "ECDF − uniform"}, center_ecdfs)}
 
 
 def judge(found: Run) -> list[Verdict]:

@@ -25,10 +25,9 @@ from needlefit.inference.identifiability.precision import find_bounds, format_sd
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.mechanics.laws import LAWS
 from needlefit.metrics import METRICS, compute_metrics, headline_metrics, list_metrics
-from needlefit.project.load import load
 from needlefit.project.locate import find_file, join_names
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.toml_lines import add_study_context
+from needlefit.project.toml import add_study_context, load
 from needlefit.project.unit_warnings import medium_warnings
 from needlefit.registry import plugin_versions
 from needlefit.reporting.figures import Drawing
@@ -78,8 +77,7 @@ class CohortRecord(AnalysisRecord):
 
 KIND = StudyKind("cohort", CohortRecord, __name__)
 
-MAX_NAMED_COPIES = 8
-"""Datasets that a warning names."""
+MAX_NAMED_COPIES = 8  #: datasets that a warning names
 
 _WHERE = ("dataset", "specimen", "insertions")
 FRAMES: Mapping[str, tuple[str, ...]] = {
@@ -98,13 +96,7 @@ _TYPES = {
 
 
 def run(name: str, record: CohortRecord, settings: Settings) -> Run:
-    """Fit each specimen of a cohort.
-
-    Raises
-    ------
-    ConfigError
-        If no dataset matches, the tissue model or the recipe is wrong, or nothing could be fitted.
-    """
+    """Fit each specimen of a cohort."""
     require_pyarrow()
     with add_study_context(name, "datasets"):
         files = find_datasets(record)
@@ -126,13 +118,17 @@ def run(name: str, record: CohortRecord, settings: Settings) -> Run:
     }
     collect = partial(write_frames, _TYPES | dict.fromkeys(metrics, "float64"))
     digests = {str(file.parent): digest_folders(file) for file in files}
-    warnings = (*_warn_of_copies(digests), *medium_warnings(medium, medium_file))
+    warnings = list(medium_warnings(medium, medium_file))
+    first: dict[str, str] = {}
+    pairs = [(one, first.setdefault(digest, one)) for one, digest in digests.items()]
+    if copies := [f"{one} (as {other})" for one, other in pairs if one != other]:
+        words = "datasets with the same files are fitted more than once"
+        words = f"{words}: {join_names(copies, MAX_NAMED_COPIES)}"
+        warnings.insert(0, ResultWarning("same_dataset", words, "", "list each dataset once"))
     every = ((registry, one) for registry in (METRICS, FORMATS) for one in registry.names())
-    stored = {
-        "medium": medium.model_dump(mode="json", by_alias=True),
-        "recipe": recipe.model_dump(mode="json", by_alias=True),
-        "rules": provenance.describe_model_options(medium),
-    }
+    records = {"medium": medium, "recipe": recipe}
+    stored = {key: one.model_dump(mode="json", by_alias=True) for key, one in records.items()}
+    stored["rules"] = provenance.describe_model_options(medium)
     also = {  # of plugins all that may read a dataset
         "datasets_sha256": digests,
         "versions": provenance.package_versions(provenance.PACKAGES)
@@ -146,27 +142,10 @@ def run(name: str, record: CohortRecord, settings: Settings) -> Run:
     return replace(found, origin="synthetic" if made else "measured", dataset_title=title)
 
 
-def _warn_of_copies(digests: Mapping[str, str]) -> Iterator[ResultWarning]:
-    """Yield a warning if a dataset is listed twice, by its content."""
-    first: dict[str, str] = {}
-    pairs = [(one, first.setdefault(digest, one)) for one, digest in digests.items()]
-    copies = [f"{one} (as {other})" for one, other in pairs if one != other]
-    if copies:
-        yield ResultWarning(
-            "same_dataset",
-            f"datasets with the same files are fitted more than once: {join_names(copies, MAX_NAMED_COPIES)}",
-            "",
-            "list each dataset once",
-        )
-
-
 def find_datasets(record: CohortRecord) -> list[Path]:
     """Return the files `dataset.toml` that a cohort names, each once, in the order of its patterns.
 
-    Raises
-    ------
-    ConfigError
-        If a name is of no dataset, or a pattern matches none.
+    Raises ConfigError if a name is of no dataset, or a pattern matches none.
     """
     found: dict[Path, None] = {}
     for pattern in record.datasets:
@@ -224,11 +203,11 @@ def _fit_dataset(
     failed = {"dataset": str(file.parent), "specimen": "", "origin": "none"}
     shared = ("medium", "recipe", "layer_count_rule", "tune")
     keys = record.model_dump(mode="json", by_alias=True, include=set(shared), exclude_defaults=True)
-    fit = FitRecord.model_validate({"schema": FitRecord.SCHEMA, "dataset": str(file), **keys})
+    asked = FitRecord.model_validate({"schema": FitRecord.SCHEMA, "dataset": str(file), **keys})
     try:
         dataset = source()
         failed["origin"] = dataset.origin
-        job = prepare(f"{name} {file.parent}", fit, settings, dataset)
+        job = prepare(f"{name} {file.parent}", asked, settings, dataset)
     except NeedlefitError as error:
         return {**rows, "failures": [{**failed, "note": str(error)}]}
     for specimen, insertions in group_insertions(job.folds[0].tune, record.groups).items():
@@ -274,14 +253,9 @@ def _conclude(frames: Frames) -> tuple[str, ...]:
 # ---- the report
 
 TEXT = KindText("cohort")
-MAX_LISTED = 20
-"""Failures that the report lists; `failures.csv` has all."""
-
-MAX_NAMED = 3
-"""Failures that the first sentence names."""
-
-MAX_BINS = 40
-"""Bins of a histogram."""
+MAX_LISTED = 20  #: failures that the report lists; `failures.csv` has all
+MAX_NAMED = 3  #: failures that the first sentence names
+MAX_BINS = 40  #: bins of a histogram
 
 
 def describe(result: Run) -> dict[str, Any]:

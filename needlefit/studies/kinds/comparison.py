@@ -27,7 +27,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field, model_validator
 
-from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.select import group_independent
 from needlefit.errors import ConfigError
 from needlefit.inference.baseline_fit import CurveDensity
@@ -41,24 +41,13 @@ from needlefit.inference.parameters import (
     with_hyperparameters,
 )
 from needlefit.inference.planned_layers import with_planned_layers
-from needlefit.inference.sampling.importance import (
-    MAX_PARETO_K,
-    ZERO_DENSITY,
-    PredictiveDensity,
-    WeightedDraws,
-    compute_predictive_density,
-    find_modes,
-    sample_about_modes,
-    sample_by_importance,
-    select_distinct,
-)
+from needlefit.inference.sampling import importance
 from needlefit.inference.sampling.log_density import approximate_by_laplace
 from needlefit.mechanics.laws import LAWS
 from needlefit.metrics import headline_metrics
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
-from needlefit.project.toml_lines import describe_key, locate_key, renamed_keys
+from needlefit.project.toml import describe_key, load, locate_key, renamed_keys
 from needlefit.reporting.columns import DIGITS
 from needlefit.reporting.figures import Drawing, Look
 from needlefit.reporting.labels import GREEN, GREY, METHOD_COLOURS, candidate_name
@@ -91,10 +80,6 @@ from needlefit.studies.verdict import Verdict, headline_fault
 PATH_ANGLE = "path_angle"  #: the candidate that advances by the path angle, in the tissue law of the medium
 
 
-def _list_default_candidates() -> tuple[str, ...]:
-    return ("ogden", "linear", "neo_hookean", *reversed(_list_curves()))
-
-
 def _list_curves() -> tuple[str, ...]:
     return tuple(baseline.name for baseline in list_baselines() if baseline.has_posterior)
 
@@ -115,7 +100,9 @@ class ComparisonRecord(AnalysisRecord):
     """Number of layers of an insertion that ends at a boundary: as its row lists it, or the other count."""
     insertions: SelectionRecord = SelectionRecord()
     """Insertions that are compared."""
-    candidates: tuple[str, ...] = Field(default_factory=_list_default_candidates)
+    candidates: tuple[str, ...] = Field(
+        default_factory=lambda: ("ogden", "linear", "neo_hookean", *reversed(_list_curves()))
+    )
     """Tissue laws, "path_angle" (the other rule of advance), and empirical curves."""
     reference: str = "ogden"
     """The candidate that the others are compared with."""
@@ -177,13 +164,17 @@ class ModelCandidate:
 
     values: Mapping[str, float]
     predictor: Predictor  #: the curve of these
-    known: WeightedDraws
-    after: Callable[[Insertion], WeightedDraws | None]
+    known: importance.WeightedDraws
+    after: Callable[[Insertion], importance.WeightedDraws | None]
 
-    def predict_density(self, insertion: Insertion) -> PredictiveDensity:
+    def predict_density(self, insertion: Insertion) -> importance.PredictiveDensity:
         """Return the predictive density of all points of an insertion together."""
         both = self.after(insertion)
-        return ZERO_DENSITY if both is None else compute_predictive_density(both, self.known)
+        return (
+            importance.ZERO_DENSITY
+            if both is None
+            else importance.compute_predictive_density(both, self.known)
+        )
 
 
 def fit_candidate(name: str, job: Job, fold: Fold, settings: Settings) -> ModelCandidate | None:
@@ -215,25 +206,27 @@ def _with_law(medium: MediumRecord, law: str) -> MediumRecord:
 
     Those that the other law does not have are left out; those that only it has are free.
     """
-    names = LAWS[law].shape_names or ("alpha",)
-    changed = {
-        name: _keep_within(name, parameter, law) if is_shape_parameter(name) else parameter
-        for name, parameter in medium.parameters.items()
-        if not is_shape_parameter(name) or dimension(name) in names
-    }
+    names, bounds = (
+        LAWS[law].shape_names or ("alpha",),
+        {one.name: one.bounds for one in LAWS[law].parameters},
+    )
+    changed = {}
+    for name, parameter in medium.parameters.items():
+        kept = parameter
+        if is_shape_parameter(name):
+            if dimension(name) not in names:
+                continue
+            if not bounds:
+                kept = ParameterRecord(fixed=1.0)
+            else:
+                low, high = bounds[dimension(name)]
+                if parameter.bounds is not None:
+                    narrower = max(parameter.bounds[0], low), min(parameter.bounds[1], high)
+                    kept = parameter.model_copy(update={"bounds": narrower})
+                elif parameter.fixed is not None:
+                    kept = parameter.model_copy(update={"fixed": min(max(parameter.fixed, low), high)})
+        changed[name] = kept
     return medium.model_copy(update={"law": law, "parameters": changed})
-
-
-def _keep_within(name: str, parameter: ParameterRecord, law: str) -> ParameterRecord:
-    """Return a shape parameter within the law's bounds, or fixed where the law has none."""
-    if not LAWS[law].parameters:
-        return ParameterRecord(fixed=1.0)
-    low, high = next(one.bounds for one in LAWS[law].parameters if one.name == dimension(name))
-    if parameter.bounds is not None:
-        bounds = max(parameter.bounds[0], low), min(parameter.bounds[1], high)
-        return parameter.model_copy(update={"bounds": bounds})
-    fixed = None if parameter.fixed is None else min(max(parameter.fixed, low), high)
-    return parameter.model_copy(update={"fixed": fixed})
 
 
 def _fit_law(job: Job, fold: Fold, settings: Settings) -> ModelCandidate | None:
@@ -242,9 +235,9 @@ def _fit_law(job: Job, fold: Fold, settings: Settings) -> ModelCandidate | None:
     if settings.stop():
         return None
     width = problem.upper - problem.lower
-    ends = find_modes(fit, width)
+    ends = importance.find_modes(fit, width)
 
-    def after(insertion: Insertion) -> WeightedDraws | None:
+    def after(insertion: Insertion) -> importance.WeightedDraws | None:
         met = with_planned_layers(insertion, fit.values, job.medium, needle)
         if met is None:
             return None
@@ -252,26 +245,26 @@ def _fit_law(job: Job, fold: Fold, settings: Settings) -> ModelCandidate | None:
         # the modes move when an insertion is added: importance sampling starts from those of the larger
         # problem
         settled = [minimize_squares(both, end) for end in ends]
-        peaks = select_distinct((one.theta for one in settled if np.isfinite(one.value)), width)
+        peaks = importance.select_distinct((one.theta for one in settled if np.isfinite(one.value)), width)
         if not len(peaks):
             return None
         rng = random_stream(seed, job.name, fold.name, "weighed", insertion.id)
-        return sample_about_modes(both, peaks, rng, settings.jobs)
+        return importance.sample_about_modes(both, peaks, rng, settings.jobs)
 
     rng = random_stream(seed, job.name, fold.name, "weighed")
-    known = sample_about_modes(problem, ends, rng, settings.jobs)
+    known = importance.sample_about_modes(problem, ends, rng, settings.jobs)
     return ModelCandidate(fit.values, model_predictor(fit.values, job.medium, job.dataset), known, after)
 
 
 def _fit_curve(name: str, job: Job, fold: Fold) -> ModelCandidate:
     density = CurveDensity(name, job.dataset, fold.tune, job.recipe.likelihood, MAX_NOISE_FACTOR)
 
-    def after(*insertions: Insertion) -> WeightedDraws:
+    def after(*insertions: Insertion) -> importance.WeightedDraws:
         both = replace(density, insertions=(*fold.tune, *insertions))
         about = [approximate_by_laplace(both, both.peak, both.lower, both.upper)]
         keys = (one.id for one in insertions)
         rng = random_stream(job.recipe.seed, job.name, fold.name, "weighed", *keys)
-        return sample_by_importance(both, about, (both.lower, both.upper), rng)
+        return importance.sample_by_importance(both, about, (both.lower, both.upper), rng)
 
     best = density.curve(density.peak)
     coefficients = {f"c{k}": value for k, value in enumerate(best.coefficients)}
@@ -283,13 +276,7 @@ def _fit_curve(name: str, job: Job, fold: Fold) -> ModelCandidate:
 
 
 def run(name: str, record: ComparisonRecord, settings: Settings) -> Run:
-    """Run a comparison study.
-
-    Raises
-    ------
-    ConfigError, DataError
-        If anything the record names is missing or wrong.
-    """
+    """Run a comparison study."""
     return run_analysis(name, record, settings, plan(record, _prepare_job(name, record, settings), settings))
 
 
@@ -310,8 +297,14 @@ def _prepare_job(name: str, record: ComparisonRecord, settings: Settings) -> Job
     table = {"schema": FitRecord.SCHEMA, "dataset": record.dataset or name, "medium": record.medium}
     how = {"recipe": record.recipe, "layer_count_rule": record.layer_count_rule, "tune": record.insertions}
     fit = FitRecord.model_validate({**table, **how})
+    made = None
+    if record.synthetic is not None:
+        recipe = load(find_file("recipe", record.recipe), RecipeRecord)
+        medium = load(find_file("medium", record.medium), MediumRecord)
+        seed = recipe.seed if settings.seed is None else settings.seed
+        made = simulate_dataset(name, record.synthetic, medium, seed)
     with renamed_keys({"tune": "insertions"}):
-        job = prepare(name, fit, settings, _make_dataset(name, record, settings))
+        job = prepare(name, fit, settings, made)
     if job.recipe.minimize != "posterior":
         stated = job.dataset.noise.stated
         raise ConfigError(
@@ -332,23 +325,10 @@ def _prepare_job(name: str, record: ComparisonRecord, settings: Settings) -> Job
     return replace(job, folds=deal_folds(chosen, record.folds))
 
 
-def _make_dataset(name: str, record: ComparisonRecord, settings: Settings) -> Dataset | None:
-    """Return the dataset that the record states itself, None where it names one."""
-    if record.synthetic is None:
-        return None
-    recipe = load(find_file("recipe", record.recipe), RecipeRecord)
-    medium = load(find_file("medium", record.medium), MediumRecord)
-    seed = recipe.seed if settings.seed is None else settings.seed
-    return simulate_dataset(name, record.synthetic, medium, seed)
-
-
 def deal_folds(insertions: tuple[Insertion, ...], count: int) -> tuple[Fold, ...]:
     """Return folds to which needles, or groups of repeats, are assigned in turn.
 
-    Raises
-    ------
-    ConfigError
-        If there are fewer of these than folds.
+    Raises ConfigError if there are fewer of these than folds.
     """
     names = _group_repeats(insertions)
     most = len(set(names))
@@ -381,49 +361,57 @@ def _run_task(name: str, job: Job, fold: Fold, settings: Settings) -> FrameRows:
         return {}
     head: Row = {"method": name, "fold": fold.name}
     together = _group_repeats((*fold.tune, *fold.validate))[len(fold.tune) :]
-    scores = [
-        {**head, "group": group, **_score_insertion(job, found, insertion)}
-        for insertion, group in zip(fold.validate, together, strict=True)
-    ]
+    scores = []
+    for insertion, group in zip(fold.validate, together, strict=True):
+        scored = score_planned(job, insertion, found.predictor)
+        predicted = found.predict_density(insertion)
+        row = {
+            "group": group,
+            "insertion": insertion.id,
+            "points": len(insertion.planar),
+            "log_density": predicted.log_density,
+            "log_density_se": predicted.se,
+            "shared_se": predicted.shared_se,
+            "pareto_k": predicted.k,
+            "ess": predicted.effective_sample_size,
+        }
+        errors = {key: scored[key] for key in (*_SCORED, *list_score_columns(headline_metrics()))}
+        scores.append({**head, **row, **errors})
     about = {**head, "pareto_k": found.known.k}
     fits = [{**about, "parameter": key, "value": value} for key, value in found.values.items()]
     return {"scores": scores, "fits": fits}
-
-
-def _score_insertion(job: Job, found: ModelCandidate, insertion: Insertion) -> Row:
-    """Return how probable the points of a needle are, and the errors of the best curve."""
-    scored = score_planned(job, insertion, found.predictor)
-    predicted = found.predict_density(insertion)
-    return {
-        "insertion": insertion.id,
-        "points": len(insertion.planar),
-        "log_density": predicted.log_density,
-        "log_density_se": predicted.se,
-        "shared_se": predicted.shared_se,
-        "pareto_k": predicted.k,
-        "ess": predicted.effective_sample_size,
-        **{key: scored[key] for key in (*_SCORED, *list_score_columns(headline_metrics()))},
-    }
 
 
 def conclude(record: ComparisonRecord, frames: Frames) -> tuple[str, ...]:
     """Add the tables `differences`, `group_differences` and `comparison`; return the faults."""
     numbers = ("log_density", *list_score_columns(headline_metrics()))
     scores = frames["scores"].astype(dict.fromkeys(numbers, float))
-    frames["differences"] = _difference_rows(scores, record.reference)
+    # every candidate's log density of each needle, less the reference's
+    own = scores[scores["method"] == record.reference].set_index("insertion")["log_density"]
+    with np.errstate(invalid="ignore"):
+        difference = scores["log_density"] - scores["insertion"].map(own)
+    compared = scores[["method", "fold", "insertion", "group", "points"]]
+    frames["differences"] = compared.assign(difference=difference)
     rows = list(_comparison_rows(record, frames["differences"], scores, frames["fits"]))
     frames["comparison"] = pd.DataFrame(rows)
     frames["group_differences"] = pd.DataFrame(list(_group_rows(frames["differences"], rows)))
-    return (*_find_faults(frames), *(_check_control(record, rows) if record.positive_control else ()))
-
-
-def _difference_rows(scores: pd.DataFrame, reference: str) -> pd.DataFrame:
-    """Return every candidate's log density of each needle, less the reference's."""
-    theirs = scores[scores["method"] == reference].set_index("insertion")["log_density"]
-    found = scores[["method", "fold", "insertion", "group", "points"]].copy()
-    with np.errstate(invalid="ignore"):
-        found["difference"] = scores["log_density"] - scores["insertion"].map(theirs)
-    return found
+    typed = frames["scores"].astype({"converged": bool, "log_density": float, "pareto_k": float})
+    counts = {
+        "simulations of held-out insertions did not converge": ~typed["converged"],
+        "held-out insertions have no density": ~np.isfinite(typed["log_density"]),
+        f"log densities are not certified: Pareto k above {importance.MAX_PARETO_K}": typed["pareto_k"]
+        > importance.MAX_PARETO_K,
+    }
+    faults = list_faults({words: int(lost.sum()) for words, lost in counts.items()})
+    missed = [row["method"] for row in rows if row["verdict"] in (TIE, AHEAD)]
+    if not (record.positive_control and missed):
+        return faults
+    # a comparison that misses a difference that was put in could not tell one elsewhere
+    return (
+        *faults,
+        f"{record.reference} made these data and is not found ahead of {', '.join(missed)}: this "
+        "comparison could not distinguish them elsewhere either",
+    )
 
 
 def sum_differences(differences: pd.Series, groups: pd.Series) -> tuple[float, float, int]:
@@ -496,26 +484,6 @@ def _group_rows(differences: pd.DataFrame, rows: list[Row]) -> Iterator[Row]:
         yield {**about, **ends, "verdict": row["verdict"]}
 
 
-def _find_faults(frames: Frames) -> tuple[str, ...]:
-    scores = frames["scores"].astype({"converged": bool, "log_density": float, "pareto_k": float})
-    counts = {
-        "simulations of held-out insertions did not converge": ~scores["converged"],
-        "held-out insertions have no density": ~np.isfinite(scores["log_density"]),
-        f"log densities are not certified: Pareto k above {MAX_PARETO_K}": scores["pareto_k"] > MAX_PARETO_K,
-    }
-    return list_faults({words: int(lost.sum()) for words, lost in counts.items()})
-
-
-def _check_control(record: ComparisonRecord, rows: list[Row]) -> Iterator[str]:
-    """Say where a comparison misses a difference that was put in: then it could not tell one elsewhere."""
-    missed = [row["method"] for row in rows if row["verdict"] in (TIE, AHEAD)]
-    if missed:
-        yield (
-            f"{record.reference} made these data and is not found ahead of {', '.join(missed)}: this "
-            "comparison could not distinguish them elsewhere either"
-        )
-
-
 # ---- the report
 
 TEXT = KindText("comparison")
@@ -552,7 +520,7 @@ def describe(result: Run) -> dict[str, Any]:
         "folds": result.record.folds,
         "metrics": [one.label for one in headline_metrics()],
         "floors": join_metrics(floors, 3),
-        "max_k": f"{MAX_PARETO_K}",
+        "max_k": f"{importance.MAX_PARETO_K}",
     }
 
 
@@ -600,27 +568,25 @@ def draw(result: Run) -> dict[str, Drawing]:
         BEHIND: Look(f"mean, {BEHIND}", METHOD_COLOURS["hand_tuned"], **mean),
     }
     options = {
-        "rows": ["method"],
-        "value": "difference",
-        "by": "look",
-        "looks": looks,
-        "name_row": lambda row: candidate_name(row[0]),
-        "intervals": [("low", "high")],
+        **{"rows": ["method"], "value": "difference", "by": "look", "looks": looks},
+        **{"name_row": lambda row: candidate_name(row[0]), "intervals": [("low", "high")]},
         "x_label": "log predictive density minus that of the reference (symmetric logarithm)",
-        "scale": 1.0,
-        "zero": True,
-        "row_height": 0.36,
+        **{"scale": 1.0, "zero": True, "row_height": 0.36},
     }
-    return {"group_differences": Drawing("dots_with_intervals", frame, options, _choose_look)}
+
+    def choose_look(every: pd.DataFrame) -> pd.DataFrame:
+        return every.assign(look=every["verdict"].where(every["group"] == "mean", "each"))
+
+    return {"group_differences": Drawing("dots_with_intervals", frame, options, choose_look)}
 
 
-def _choose_look(every: pd.DataFrame) -> pd.DataFrame:
-    return every.assign(look=every["verdict"].where(every["group"] == "mean", "each"))
-
-
-def headline(fault: str) -> str:
-    """Return the headline of a fault."""
-    return "CONTROL NOT DETECTED" if "is not found ahead of" in fault else headline_fault(fault)
-
-
-REPORT = report_from_text(TEXT, describe, tabulate, draw, judge=judge, headline=headline)
+REPORT = report_from_text(
+    TEXT,
+    describe,
+    tabulate,
+    draw,
+    judge=judge,
+    headline=lambda fault: (
+        "CONTROL NOT DETECTED" if "is not found ahead of" in fault else headline_fault(fault)
+    ),
+)

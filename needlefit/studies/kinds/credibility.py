@@ -6,22 +6,20 @@ does not state itself is not taken for the same. Nothing is computed, and nothin
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Literal
 
 import pandas as pd
 
-from needlefit.datasets.select import group_independent
 from needlefit.errors import DataError
-from needlefit.inference.proportions import estimate_proportion
 from needlefit.metrics import headline_metrics, list_metrics
+from needlefit.project.folders import find_changes, sha256
 from needlefit.project.input_files import convert_stored_errors
 from needlefit.project.locate import find_run
-from needlefit.project.manifest import find_changes, sha256
 from needlefit.reporting import document
 from needlefit.reporting.columns import find_column
 from needlefit.reporting.document import Block
@@ -29,13 +27,12 @@ from needlefit.reporting.labels import RANKS_CAPTION, medium_name
 from needlefit.reporting.number_format import MISSING, format_bound, format_measured, insert_symbols
 from needlefit.reporting.table import Table, part, pivot
 from needlefit.reporting.table_files import to_records
-from needlefit.reporting.table_layout import TableLayout
 from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
 from needlefit.schemas.names import spreadsheet_text
 from needlefit.schemas.study import StudyRecord
-from needlefit.studies.coverage import format_proportion
+from needlefit.studies.coverage import count_covered, format_proportion
 from needlefit.studies.csv_tables import read_table
 from needlefit.studies.differences import count_words
 from needlefit.studies.fit_frames import FIT_KINDS
@@ -46,7 +43,7 @@ from needlefit.studies.provenance import package_versions
 from needlefit.studies.rank_statistics import CONTROL_NAMES, name_quantity
 from needlefit.studies.report import StudyReport, report_from_text, say, warning_blocks
 from needlefit.studies.run import Run
-from needlefit.studies.run_differences import iterate_leaves
+from needlefit.studies.run_differences import Difference, compare_leaves
 from needlefit.studies.score import Row
 from needlefit.studies.scored_groups import study_label
 from needlefit.studies.store import RESULTS_FILE, RUN_FILE, read_run, restore_runs, unpack
@@ -77,8 +74,6 @@ TEXT = KindText("credibility")
 
 # ---- results of other commands, as evidence for a run
 
-EvidenceKind = Literal["verification", "calibration", "identification", "sensitivity"]
-
 EVIDENCE_TABLES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
     "verification": {
         "verification.csv": (
@@ -97,7 +92,7 @@ EVIDENCE_TABLES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
         "studies.csv": ("aspect", "variation", "tuned", "study", "limit_mm", "conclusion_changes"),
     },
 }
-"""The tables that evidence of each kind is read from, and the columns that are read."""
+"""By kind of study, the tables that evidence is read from, and the columns that are read."""
 
 EVIDENCE_FIGURES: Mapping[str, str] = {"verification": "convergence.pdf", "calibration": "ranks.pdf"}
 """The figure that shows it, where there is one."""
@@ -108,32 +103,15 @@ AGREEMENT_FIGURES = {"boxplot.pdf": "figure_boxplot", "predicted.pdf": "figure_p
 
 @dataclass(frozen=True)
 class CredibilityEvidence:
-    """The result of one command, as evidence for one run.
+    """The result of one command, as evidence for one run."""
 
-    Attributes
-    ----------
-    kind : str
-        Which command: "verification", "calibration", "identification" or "sensitivity".
-    folder : Path
-    target : str
-        The study or fit that it is looked at for; empty for what is about the program.
-    run : mapping
-        Its `run.json`.
-    tables : mapping of DataFrame
-        By file name.
-    objections : tuple of str
-        Why it is not of the same thing as the run, and so is not counted; empty if it is.
-    digests : mapping of str
-        sha256 of the files read, by name.
-    """
-
-    kind: EvidenceKind
+    kind: str  #: of study, a key of `EVIDENCE_TABLES`
     folder: Path
-    target: str
-    run: Mapping[str, Any]
-    tables: Mapping[str, pd.DataFrame]
-    objections: tuple[str, ...]
-    digests: Mapping[str, str]
+    target: str  #: the study or fit that it is looked at for; empty for what is about the program
+    run: Mapping[str, Any]  #: its `run.json`
+    tables: Mapping[str, pd.DataFrame]  #: by file name
+    objections: tuple[str, ...]  #: why it is not of the same thing as the run; empty if it is, and counts
+    digests: Mapping[str, str]  #: sha256 of the files read, by name
 
     @property
     def name(self) -> str:
@@ -148,28 +126,23 @@ class CredibilityEvidence:
     @property
     def command(self) -> str:
         """The command that made it."""
-        study, name = self.run.get("study", {}), str(self.run["name"])
-        if self.kind == "verification":
-            return "needlefit verify"
-        if self.kind == "sensitivity":
-            return f"needlefit validate {name}"
-        if self.kind == "identification":
-            return f"needlefit identify {name.removeprefix('identify-')}" + (
-                " --fit" if study.get("fit") else ""
-            )
-        options = [
-            "--truth synthetic" if study.get("truth") == "synthetic" else "",
-            "--ct" if study.get("ct") else "",
-            "--sample" if study.get("sampled") else "",
-            f"--control {self.run['control']}" if self.run.get("control") else "",
-        ]
-        words = [
-            "needlefit calibrate",
-            name,
-            f"--replicates {self.run['replicates']}",
-            *filter(None, options),
-        ]
-        return " ".join(words)
+        study, name, control = self.run.get("study", {}), str(self.run["name"]), self.run.get("control")
+        verb = {
+            "verification": "verify",
+            "calibration": f"calibrate {name} --replicates {self.run.get('replicates')}",
+            "identification": f"identify {name.removeprefix('identify-')}",
+            "sensitivity": f"validate {name}",
+        }[self.kind]
+        options = {
+            "identification": {"--fit": study.get("fit")},
+            "calibration": {
+                "--truth synthetic": study.get("truth") == "synthetic",
+                "--ct": study.get("ct"),
+                "--sample": study.get("sampled"),
+                f"--control {control}": control,
+            },
+        }.get(self.kind, {})
+        return " ".join(["needlefit", verb, *(option for option, given in options.items() if given)])
 
 
 _IGNORED_KEYS = ("title", "note", "seed")
@@ -178,7 +151,7 @@ _IGNORED_KEYS = ("title", "note", "seed")
 _MAX_NAMED_DIFFERENCES = 3
 
 
-def describe_identity(work: Row, dataset: Row | None = None) -> Row:
+def _identify(work: Row, dataset: Row | None = None) -> Row:
     """Return what identifies the work of a run; None for what the run does not state.
 
     `dataset` is given where `run.json` keeps it elsewhere.
@@ -191,18 +164,16 @@ def describe_identity(work: Row, dataset: Row | None = None) -> Row:
     }
 
 
-def compare_identities(there: Row, here: Row) -> list[str]:
+def _compare_identities(there: Row, here: Row) -> list[str]:
     """Return in words how two identities differ; the first few differences are named."""
     found = []
     for name, two in here.items():
-        one = there.get(name)
-        if one is None or two is None:
-            found.append(f"{name}: not stated {'there' if one is None else 'here'}")
+        if there.get(name) is None or two is None:
+            found.append(f"{name}: not stated {'there' if there.get(name) is None else 'here'}")
             continue
-        first, second = dict(iterate_leaves(one)), dict(iterate_leaves(two))
-        for key in dict.fromkeys([*first, *second]):
-            if first.get(key) != second.get(key) and key.rpartition(".")[2] not in _IGNORED_KEYS:
-                found.append(_describe_difference(f"{name} {key}".strip(), first.get(key), second.get(key)))
+        changed = compare_leaves(there[name], two)
+        kept = (one for one in changed if one.where.rpartition(".")[2] not in _IGNORED_KEYS)
+        found += [_describe_difference(f"{name} {one.where}".strip(), one) for one in kept]
     more = len(found) - _MAX_NAMED_DIFFERENCES
     return found if more <= 0 else [*found[:_MAX_NAMED_DIFFERENCES], f"and {more} more"]
 
@@ -212,14 +183,14 @@ def _compare_versions(there: Row, here: Row) -> list[str]:
     one, two = there.get("versions"), here.get("versions")
     if not one or not two:
         return ["versions are not stated " + ("here" if one else "there")]
-    changed = [key for key in one if one[key] != two.get(key, one[key])]
-    return [_describe_difference(f"version of {key}", one[key], two[key]) for key in changed]
+    both = ({key: versions[key] for key in one if key in two} for versions in (one, two))
+    return [_describe_difference(f"version of {each.where}", each) for each in compare_leaves(*both)]
 
 
-def _describe_difference(what: str, there: object, here: object) -> str:
-    words = ["nothing" if value is None else str(value) for value in (there, here)]
-    one, two = (text if len(text) <= 16 else f"{text[:12]}…" for text in words)
-    return f"{what}: {one} there, {two} here"
+def _describe_difference(what: str, one: Difference) -> str:
+    words = ["nothing" if value is None else str(value) for value in (one.before, one.after)]
+    there, here = (text if len(text) <= 16 else f"{text[:12]}…" for text in words)
+    return f"{what}: {there} there, {here} here"
 
 
 def gather_evidence(
@@ -230,47 +201,44 @@ def gather_evidence(
     `runs` has the `run.json` of each study or fit by its name, `-tune` left off. Beside it only results that
     name one of these runs are considered; what was named always is.
 
-    Raises
-    ------
-    DataError
-        If a folder that was named holds no evidence.
+    Raises DataError if a folder that was named holds no evidence.
     """
     given = {folder: read_run(folder) for folder in named}
     for folder, table in given.items():
-        if _find_evidence_kind(table) is None:
+        if not _find_evidence_kind(table):
             raise DataError(
                 "holds no evidence",
                 where=str(folder),
                 expected="what `needlefit verify`, `calibrate`, `identify` or a sensitivity study wrote",
             )
-    kinds = {None, *map(_find_evidence_kind, given.values())}
-    beside = {
-        folder: table
-        for folder, table in _read_runs_beside(run)
-        if isinstance(table, dict) and _find_evidence_kind(table) not in kinds
-    }
-    found = [one for folder, table in given.items() for one in _examine_folder(folder, table, runs, True)]
-    return found + [
-        one for folder, table in beside.items() for one in _examine_folder(folder, table, runs, False)
+    kinds = {"", *map(_find_evidence_kind, given.values())}
+    beside, _ = _read_runs_beside(run)
+    others = {folder: table for folder, table in beside.items() if _find_evidence_kind(table) not in kinds}
+    return [
+        one
+        for tables, is_named in ((given, True), (others, False))
+        for folder, table in tables.items()
+        for one in _examine_folder(folder, table, runs, is_named)
     ]
 
 
-def _find_evidence_kind(table: Row) -> EvidenceKind | None:
-    """Return which command wrote a `run.json`; None if it is not evidence."""
+def _find_evidence_kind(table: Row) -> str:
+    """Return the kind of study that wrote a `run.json`; empty if it is no evidence."""
     study = table.get("study")
     kind = study.get("kind") if isinstance(study, Mapping) else None
-    return kind if kind in EVIDENCE_TABLES else None
+    return str(kind) if kind in EVIDENCE_TABLES else ""
 
 
-def _read_runs_beside(run: Path) -> Iterator[tuple[Path, Row | DataError]]:
-    """Yield each folder beside a run with its `run.json`, or with why that cannot be read."""
-    here = run.resolve()
+def _read_runs_beside(run: Path) -> tuple[dict[Path, Row], list[str]]:
+    """Return the `run.json` of each folder beside a run, and in words which of these cannot be read."""
+    here, found, damaged = run.resolve(), dict[Path, Row](), list[str]()
     for folder in sorted(here.parent.iterdir()):
         if folder != here and (folder / RUN_FILE).is_file():
             try:
-                yield folder, dict(read_run(folder))
+                found[folder] = read_run(folder)
             except DataError as error:
-                yield folder, error
+                damaged.append(f"{folder.name}/{RUN_FILE} {error.what}")
+    return found, damaged
 
 
 def _examine_folder(
@@ -278,7 +246,6 @@ def _examine_folder(
 ) -> Iterator[CredibilityEvidence]:
     """Yield the evidence in a folder for each run that it names, with what speaks against counting it."""
     kind = _find_evidence_kind(table)
-    assert kind is not None
     tables, lacking = {}, list[str]()
     for name, columns in EVIDENCE_TABLES[kind].items():
         if not (folder / name).is_file():
@@ -300,7 +267,7 @@ def _examine_folder(
 
 
 def _find_objections(
-    kind: EvidenceKind, table: Row, runs: Mapping[str, Row], named: bool
+    kind: str, table: Row, runs: Mapping[str, Row], named: bool
 ) -> Iterator[tuple[str, list[str]]]:
     """Yield for which run it is looked at, and what speaks against counting it."""
     if kind == "verification":
@@ -312,11 +279,11 @@ def _find_objections(
         every = [*study.get("studies", ()), *study.get("fits", ())]
         targets = [name for name in every if isinstance(name, str)]
     for name in (one for one in targets if one in runs):
-        here, parts = runs[name], [describe_identity(table)]
+        here, parts = runs[name], [_identify(table)]
         if kind == "sensitivity":  # of work in several parts, the part that is most alike
-            data = table.get("datasets", {}).get((runs[name].get("dataset") or {}).get("name"))
-            parts = [describe_identity(one, data) for one in table.get("parts", ())]
-        unlike = (compare_identities(one, describe_identity(here)) for one in parts)
+            data = table.get("datasets", {}).get((here.get("dataset") or {}).get("name"))
+            parts = [_identify(one, data) for one in table.get("parts", ())]
+        unlike = (_compare_identities(one, _identify(here)) for one in parts)
         nearest = min(unlike, key=len, default=["what it was computed with: not stated there"])
         yield name, [*_compare_versions(table, here), *nearest]
     if named and not any(one in runs for one in targets):
@@ -328,86 +295,48 @@ def _find_objections(
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding: a statement with its source.
+    """One finding: a statement with its source."""
 
-    Attributes
-    ----------
-    words : str
-        With numbers and units.
-    place : str
-        The file it stands in, and its folder.
-    command : str
-        What makes that file; empty for what people state.
-    target : str
-        The study or fit that it is about; empty for what is about all of them.
-    """
-
-    words: str
-    place: str
-    command: str
-    target: str = ""
+    words: str  #: with numbers and units
+    place: str  #: the file it stands in, and its folder
+    command: str  #: what makes that file; empty for what people state
+    target: str = ""  #: the study or fit that it is about; empty for what is about all of them
 
 
-@dataclass(frozen=True)
-class Gap:
-    """What evidence leaves open, in words."""
-
-    words: str
-
-
-@dataclass(frozen=True)
-class EvidenceFigure:
-    """A figure drawn by another command, and its caption."""
-
-    path: Path
-    caption: str
-
-
-Item = Finding | Gap | EvidenceFigure | TableLayout
+Item = Finding | str | Block  #: a finding; a gap, in words; or a figure or table that shows what was found
 
 
 @dataclass(frozen=True)
 class CredibilityCase:
-    """Everything a credibility bundle is composed from.
+    """Everything a credibility bundle is composed from."""
 
-    Attributes
-    ----------
-    folder : Path
-        The run's.
-    results : tuple of Run
-        One, or those that were reported together.
-    evidence : tuple of CredibilityEvidence
-        Counted or not.
-    statements : CredibilityStatementsRecord
-        What people state.
-    statements_file : str
-        The name of the file in which they do.
-    damaged : tuple of str
-        The `run.json` of folders beside the run that are damaged: each with what is wrong.
-    """
+    folder: Path  #: the run's
+    results: tuple[Run, ...]  #: one, or those that were reported together
+    evidence: tuple[CredibilityEvidence, ...]  #: counted or not
+    statements: CredibilityStatementsRecord = NO_STATEMENTS  #: what people state
+    statements_file: str = ""  #: the name of the file in which they do
+    damaged: tuple[str, ...] = ()  #: each damaged `run.json` beside the run, with what is wrong
 
-    folder: Path
-    results: tuple[Run, ...]
-    evidence: tuple[CredibilityEvidence, ...]
-    statements: CredibilityStatementsRecord = NO_STATEMENTS
-    statements_file: str = ""
-    damaged: tuple[str, ...] = ()
-
-    @property
+    @cached_property
     def held_out(self) -> list[Run]:
         """The results that have held-out insertions."""
         return [one for one in self.results if (one.frames["errors"]["role"] == "validate").any()]
+
+    @cached_property
+    def comparisons(self) -> list[tuple[Run, Row]]:
+        """The results that have held-out insertions, each with what the text says of these."""
+        return [(one, _describe_comparison(one)) for one in self.held_out]
 
     @property
     def several(self) -> bool:
         """Whether there are several runs, so that findings name theirs."""
         return len(self.results) > 1
 
-    def counted(self, kind: EvidenceKind) -> list[CredibilityEvidence]:
+    def counted(self, kind: str) -> list[CredibilityEvidence]:
         """Return the evidence of one kind that applies to the run."""
         return [one for one in self.evidence if one.kind == kind and one.counted]
 
-    def list_lacking(self, kind: EvidenceKind) -> list[str]:
+    def list_lacking(self, kind: str) -> list[str]:
         """Return of which runs there is no evidence of a kind that counts."""
         known = {one.target for one in self.counted(kind)}
         return [name for name in map(find_target, self.results) if name not in known]
@@ -421,11 +350,8 @@ def load_case(
 ) -> CredibilityCase:
     """Return the case of a run's folder.
 
-    Raises
-    ------
-    DataError
-        If it does not agree with its manifest, stored no results of a study or fit, or a named folder holds
-        no evidence.
+    Raises DataError if it does not agree with its manifest, stored no results of a study or fit, or a named
+    folder holds no evidence.
     """
     read_run(run)
     alone = (run / RESULTS_FILE).is_file() and unpack(run).get("kind") not in FIT_KINDS
@@ -438,12 +364,8 @@ def load_case(
             fix="name such a run; what other commands left beside it is found, or named by --evidence",
         )
     found = tuple(gather_evidence(run, {find_target(one): one.run for one in results}, named))
-    unreadable = [
-        f"{one.name}/{RUN_FILE} {error.what}"
-        for one, error in _read_runs_beside(run)
-        if isinstance(error, DataError)
-    ]
-    return CredibilityCase(run.resolve(), results, found, statements, statements_file, tuple(unreadable))
+    damaged = tuple(_read_runs_beside(run)[1])
+    return CredibilityCase(run.resolve(), results, found, statements, statements_file, damaged)
 
 
 def find_target(results: Run) -> str:
@@ -465,13 +387,12 @@ def _find(source: Run | CredibilityEvidence, file: str, block: str, **values: An
     return make_finding(source, file, TEXT.sentence(block, values))
 
 
-def _gap(block: str, **values: Any) -> Gap:  # noqa: ANN401
-    return Gap(TEXT.sentence(block, values))
+def _gap(block: str, **values: Any) -> str:  # noqa: ANN401
+    return TEXT.sentence(block, values)
 
 
-def _figure(folder: Path, file: str, caption: str) -> Iterator[EvidenceFigure]:
-    if (folder / file).is_file():
-        yield EvidenceFigure(folder / file, caption)
+def _figure(folder: Path, file: str, caption: str) -> list[Block]:
+    return [document.figure(folder / file, caption)] if (folder / file).is_file() else []
 
 
 # ---- findings on verification: rows of `needlefit verify`, and failures in the run itself
@@ -491,7 +412,7 @@ def _find_quality_assurance(case: CredibilityCase) -> Iterator[Item]:
 def _find_code_verification(case: CredibilityCase) -> Iterator[Item]:
     caption = KindText("verification").sentence("figure_convergence", {})
     for one in case.counted("verification"):
-        yield from _find_checks(one, _CODE_GROUPS)
+        yield from _find_checks(one, *_CODE_GROUPS)
         yield from _figure(one.folder, EVIDENCE_FIGURES[one.kind], caption)
 
 
@@ -501,7 +422,7 @@ def _find_discretisation(case: CredibilityCase) -> Iterator[Item]:
     for one in case.counted("verification"):
         measured = one.run["rules"]["element"]
         if used == {measured}:
-            found = list(_find_checks(one, (Group.REFINEMENT,)))
+            found = list(_find_checks(one, Group.REFINEMENT))
             yield from found
             if found:
                 yield _gap("other_scenes")
@@ -514,7 +435,7 @@ def _find_solver(case: CredibilityCase) -> Iterator[Item]:
     for one in verified:
         tolerance = format_measured(float(one.run["rules"]["tolerance"]))
         yield _find(one, "run.json", "tolerance", tolerance=tolerance)
-        yield from _find_checks(one, (Group.TANGENT,))
+        yield from _find_checks(one, Group.TANGENT)
     for run in case.results:
         starts, errors = run.frames["starts"], run.frames["errors"]
         fitted = errors[errors["method"] == "fitted"]
@@ -536,27 +457,26 @@ def _find_use_error(case: CredibilityCase) -> Iterator[Item]:
     yield from (_gap("damaged", fault=fault) for fault in case.damaged)
 
 
-def _find_checks(evidence: CredibilityEvidence, groups: Sequence[Group]) -> Iterator[Finding]:
+def _find_checks(evidence: CredibilityEvidence, *groups: Group) -> Iterator[Finding]:
     """Yield how many rows of a group keep their bounds, which do not, and what was measured."""
     table = evidence.tables["verification.csv"]
     for group in groups:
         rows = table[table["group"] == group.title]
-        if len(rows):
-            failing = [
-                f"{row['check']}: {row['quantity']}" for row in to_records(rows) if row["verdict"] == "FAILS"
-            ]
-            same = (to_records(some) for _, some in rows.groupby("quantity", sort=False))
-            measured = "; ".join(map(_describe_measured, same))
-            yield _find(
-                evidence,
-                "verification.csv",
-                "checks",
-                title=group.title,
-                kept=int((rows["verdict"] == "passes").sum()),
-                rows=len(rows),
-                failing=failing,
-                measured=measured[:1].upper() + measured[1:],
-            )
+        if rows.empty:
+            continue
+        failing = rows[rows["verdict"] == "FAILS"]
+        same = (to_records(some) for _, some in rows.groupby("quantity", sort=False))
+        measured = "; ".join(map(_describe_measured, same))
+        yield _find(
+            evidence,
+            "verification.csv",
+            "checks",
+            title=group.title,
+            kept=int((rows["verdict"] == "passes").sum()),
+            rows=len(rows),
+            failing=list(failing["check"] + ": " + failing["quantity"]),
+            measured=measured[:1].upper() + measured[1:],
+        )
 
 
 def _describe_measured(rows: list[Row]) -> str:
@@ -568,7 +488,11 @@ def _describe_measured(rows: list[Row]) -> str:
         measured = low if low == high else f"{low} to {high}"
     else:
         parts = [
-            _fraction_of_bound(value, one["bound_high"]) for value, one in zip(values, rows, strict=True)
+            # of an error that is not to be at all: none if it is not
+            (0.0 if value == 0.0 else math.inf)
+            if math.isnan(value) or not one["bound_high"]
+            else value / one["bound_high"]
+            for value, one in zip(values, rows, strict=True)
         ]
         nearest = max(range(len(rows)), key=parts.__getitem__)
         row, measured = rows[nearest], format_measured(values[nearest])
@@ -576,13 +500,6 @@ def _describe_measured(rows: list[Row]) -> str:
     unit = f" {row['unit']}" if row["unit"] else ""
     bound = format_bound(row["bound_low"], row["bound_high"])
     return f"{row['quantity']}{several}: {measured}{unit} (bound {bound})"
-
-
-def _fraction_of_bound(value: float, bound: float | None) -> float:
-    """Return which part of its bound an error is; of one that is not to be at all, none if it is not."""
-    if math.isnan(value) or not bound:
-        return 0.0 if value == 0.0 else math.inf
-    return float(value / bound)
 
 
 # ---- findings on the model: its form, and the sensitivity to and uncertainty of its inputs
@@ -599,19 +516,14 @@ _TUNING_NAMES = {"again": "tuned again", "kept": "kept"}
 def _find_form(case: CredibilityCase) -> Iterator[Item]:
     for one in case.results:
         if rules := one.run.get("rules"):
-            words = [_format_rule(key, value) for key, value in sorted(rules.items())]
+            words = []
+            for key, value in sorted(rules.items()):  # "constraint spacing 1 mm", "tie: nearest constraint"
+                name, unit = key.removesuffix("_mm").replace("_", " "), " mm" if key.endswith("_mm") else ""
+                words.append(f"{name} {value:g}{unit}" if isinstance(value, float) else f"{name}: {value}")
             yield _find(one, "run.json", "rules", rules=words)
         yield make_finding(one, "errors.csv", say(one, "conclusion", "ties", "paper_sets"))
     yield from _find_variations(case, FORM_ASPECTS)
     yield _gap("another_law")
-
-
-def _format_rule(key: str, value: object) -> str:
-    """Return "constraint spacing 1 mm", "tie: nearest constraint ..."."""
-    name = key.removesuffix("_mm").replace("_", " ")
-    if isinstance(value, float):
-        return f"{name} {value:g}" + (" mm" if key.endswith("_mm") else "")
-    return f"{name}: {value}"
 
 
 def _find_sensitivities(case: CredibilityCase) -> Iterator[Item]:
@@ -632,7 +544,6 @@ def _find_sensitivities(case: CredibilityCase) -> Iterator[Item]:
 def _find_variations(case: CredibilityCase, aspects: Sequence[str]) -> Iterator[Item]:
     """Yield how much varying each input or rule changes the errors; one that was not varied is a gap."""
     studies, known = {one.name: one for one in case.counted("sensitivity")}, set[str]()
-    names = [metric.name for metric in headline_metrics()]
     for one in studies.values():
         counted = [each.target for each in case.counted("sensitivity") if each.name == one.name]
         cells, concluded = (
@@ -640,17 +551,17 @@ def _find_variations(case: CredibilityCase, aspects: Sequence[str]) -> Iterator[
             for table in (one.tables["cells.csv"], one.tables["studies.csv"])
         )
         known |= set(cells["aspect"])
-        cells = cells[cells["aspect"].isin(aspects) & cells["metric"].isin(names)]
+        cells = cells[
+            cells["aspect"].isin(aspects) & cells["metric"].isin([each.name for each in headline_metrics()])
+        ]
         if cells.empty:
             continue
         about_all = replace(one, target="")  # it is of all the runs that it counts for
         for aspect, rows in cells.groupby("aspect", sort=False):
             again = rows[rows["tuned"] == "again"]
             changes = [
-                {"label": metric.label, "unit": metric.unit}
-                | {"change": _largest(again, metric.name, "change")}
-                | {"floors": _largest(again, metric.name, "change_in_floors")}
-                for metric in headline_metrics()
+                {"label": each.label, "unit": each.unit, **_find_largest(again, each.name)}
+                for each in headline_metrics()
             ]
             name, count = f"{str(aspect)[:1].upper()}{str(aspect)[1:]}", again["variation"].nunique()
             yield _find(about_all, "cells.csv", "varied", name=name, count=count, changes=changes)
@@ -662,34 +573,36 @@ def _find_variations(case: CredibilityCase, aspects: Sequence[str]) -> Iterator[
             limit = float(concluded["limit_mm"].iloc[0])
             yield _find(about_all, "studies.csv", "conclusions", limit=limit, changed=which)
         yield from (_gap("not_trusted", place=one.name, why=why) for why in one.run.get("faults", ()))
-        yield _lay_out_variations(cells)
+        yield _tabulate_variations(cells)
     if lacking := [name for name in aspects if name not in known]:
         yield _gap("not_varied", names=lacking)
 
 
-def _lay_out_variations(rows: pd.DataFrame) -> TableLayout:
-    """Return one row per variation: how far the cells of these runs moved, in either direction."""
-    metrics = [metric.name for metric in headline_metrics()]
+def _find_largest(cells: pd.DataFrame, metric: str) -> Row:
+    """Return the largest changes of the cells of a metric, in either direction."""
+    sizes = cells.loc[cells["metric"] == metric, ["change", "change_in_floors"]].abs().max()
+    return {"change_size": float(sizes["change"]), "over_floor": float(sizes["change_in_floors"])}
+
+
+def _tabulate_variations(cells: pd.DataFrame) -> Block:
+    """Return one row per variation: how far the cells of these runs moved."""
+    keys, names = ["aspect", "variation", "tuned"], [metric.name for metric in headline_metrics()]
     changes = [
         {
-            **dict(zip(("aspect", "variation", "tuned"), key, strict=True)),
+            **dict(zip(keys, key, strict=True)),
             "tuned": _TUNING_NAMES.get(str(key[2]), str(key[2])),
             "cells": len(group[["grouping", "study", "medium", "layers"]].drop_duplicates()),
             "metric": name,
-            "change_size": _largest(group, name, "change"),
-            "over_floor": _largest(group, name, "change_in_floors"),
+            **_find_largest(group, name),
         }
-        for key, group in rows.groupby(["aspect", "variation", "tuned"], sort=False)
-        for name in metrics
+        for key, group in cells.groupby(keys, sort=False)
+        for name in names
     ]
-    cells = (part(key, metric=name) for name in metrics for key in ("change_size", "over_floor"))
-    varied = pivot(changes, ["aspect", "variation", "tuned"], ["metric"])
-    columns = ("aspect", "variation", "tuned", "cells", *cells)
-    return TEXT.lay_out(Table("sensitivity", "", varied, columns, groups=("aspect",), heads=1), {})
-
-
-def _largest(rows: pd.DataFrame, metric: str, column: str) -> float:
-    return float(rows.loc[rows["metric"] == metric, column].abs().max())
+    sizes = (part(key, metric=name) for name in names for key in ("change_size", "over_floor"))
+    varied = Table(
+        "sensitivity", "", pivot(changes, keys, ["metric"]), (*keys, "cells", *sizes), ("aspect",), heads=1
+    )
+    return document.table(TEXT.lay_out(varied, {}))
 
 
 def _find_uncertainties(case: CredibilityCase) -> Iterator[Item]:
@@ -744,39 +657,36 @@ def _find_calibration(case: CredibilityCase, one: CredibilityEvidence) -> Iterat
 
 # ---- findings on comparator and assessment: facts of a run, each with the file and the block that says it
 
+_COMPARISON_FACTS: Mapping[str, tuple[tuple[str, str], ...]] = {
+    "samples": (("errors.csv", "samples"),),
+    "samples_range": (("design.csv", "samples_range"),),
+    "samples_measured": (("run.json", "notes"),),
+    "conditions": (("errors.csv", "conditions"),),
+    "conditions_range": (("design.csv", "conditions_range"),),
+    "conditions_measured": (("shapes.csv", "conditions_measured"),),
+    "relevance_of_validation": (("design.csv", "tested_range"),),
+    "inputs_alike": (("run.json", "needle"), ("design.csv", "media"), ("errors.csv", "layer_depths")),
+    "outputs": (("shapes.csv", "outputs"),),
+    "outputs_alike": (("shapes.csv", "outputs_alike"),),
+}
+"""By factor, of each run with held-out insertions: files, and the blocks of the text that print them."""
 
-def _held_out_errors(one: Run) -> pd.DataFrame:
-    errors = one.frames["errors"]
-    return errors[(errors["role"] == "validate") & (errors["method"] == "fitted")]
 
-
-def _is_aligned(one: Run) -> bool:
-    return bool((one.frames["errors"]["comparison"] == "aligned").any())
-
-
-def _count_roles(one: Run) -> Row:
-    roles = []
-    for role, verb in {"validate": "held out", "tune": "tuned"}.items():
-        rows = one.frames["errors"][one.frames["errors"]["role"] == role]
-        counts = (count_words(rows[f"{what}"].nunique(), what) for what in ("insertion", "specimen"))
+def _describe_comparison(one: Run) -> Row:
+    """Return what the text says of the insertions that a run is compared with."""
+    errors, design, data = one.frames["errors"], one.frames["design"], one.run.get("dataset", {})
+    fitted = errors[(errors["role"] == "validate") & (errors["method"] == "fitted")]
+    shapes = one.frames["shapes"].query(
+        "role == 'validate' and method == 'fitted' and boundaries == 'measured'"
+    )
+    cells = aggregate(one, ("role", "method", "boundaries"))
+    ipe = cells.query("role == 'validate' and method == 'fitted' and metric == 'ipe_mean_mm'")
+    roles, groups, found = [], [], dict[str, str]()
+    for role, verb, media in (("validate", "held out", "held"), ("tune", "tuned", "tuned")):
+        rows = errors[errors["role"] == role]
+        counts = (count_words(rows[what].nunique(), what) for what in ("insertion", "specimen"))
         roles.append(f"{' in '.join(counts)} {verb}")
-    return {"roles": roles}
-
-
-def _list_groups(one: Run) -> Row:
-    groups = []
-    held_out = one.frames["design"][one.frames["design"]["role"] == "validate"]
-    for medium, rows in held_out.groupby("medium", sort=False):
-        counts = ", ".join(map(str, sorted(set(rows["layers"]))))
-        groups.append(f"{medium_name(str(medium))}, {counts} layer{'' if counts == '1' else 's'}")
-    return {"groups": groups}
-
-
-def _find_ranges(one: Run) -> Row:
-    """Return the range of depths and deflections of each role, and the media that were held out."""
-    found: Row = {}
-    for role in ("validate", "tune"):
-        rows = one.frames["design"][one.frames["design"]["role"] == role]
+        rows = design[design["role"] == role]
         depth, bend = (
             find_column(f"{quantity}_range_mm").format_cell(
                 {f"{quantity}_{end}_mm": rows[f"{quantity}_{end}_mm"].agg(end) for end in ("min", "max")}
@@ -784,87 +694,33 @@ def _find_ranges(one: Run) -> Row:
             for quantity in ("depth", "deflection")
         )
         found[role] = f"{depth} mm deep, tips bent by {bend} mm"
-    media = dict.fromkeys(medium_name(str(name)) for name in _held_out_errors(one)["medium"])
-    return {**found, "media": list(media)}
+        found[media] = ", ".join(medium_name(str(name)) for name in sorted(set(rows["medium"])))
+    for medium, rows in design[design["role"] == "validate"].groupby("medium", sort=False):
+        layers = ", ".join(map(str, sorted(set(rows["layers"]))))
+        groups.append(f"{medium_name(str(medium))}, {layers} layer{'' if layers == '1' else 's'}")
+    return {
+        **found,
+        "roles": roles,
+        "groups": groups,
+        "notes": data.get("notes", ()),
+        "needle": data.get("needle"),
+        "media": list(dict.fromkeys(medium_name(str(name)) for name in fitted["medium"])),
+        "insertions": fitted["insertion"].nunique(),
+        "depths": fitted["depth_mm"].round(1).nunique(),
+        "layered": fitted["layers"].max() > 1,
+        "aligned": bool((errors["comparison"] == "aligned").any()),
+        "ipe": {"planned": None, **dict(zip(ipe["boundaries"], ipe["value"], strict=True))},
+        "points": shapes["j"].nunique(),
+        "needles": shapes["insertion"].nunique(),
+        "names": [metric.label for metric in list_metrics()],
+    }
 
-
-def _find_media(one: Run) -> Row:
-    design = one.frames["design"]
-    media = (set(design.loc[design["role"] == role, "medium"]) for role in ("tune", "validate"))
-    tuned, held = (", ".join(medium_name(str(name)) for name in sorted(each)) for each in media)
-    return {"tuned": tuned, "held": held}
-
-
-def _find_layer_depths(one: Run) -> Row:
-    """Return the errors with measured depths of layers, and with planned ones."""
-    rows = aggregate(one, ("role", "method", "boundaries"))
-    rows = rows.query("role == 'validate' and method == 'fitted' and metric == 'ipe_mean_mm'")
-    ipe = dict(zip(rows["boundaries"], rows["value"], strict=True))
-    return {"measured": ipe["measured"], "planned": ipe.get("planned")}
-
-
-def _count_outputs(one: Run) -> Row:
-    scored = one.frames["shapes"].query(
-        "role == 'validate' and method == 'fitted' and boundaries == 'measured'"
-    )
-    counts = {"points": scored["j"].nunique(), "needles": scored["insertion"].nunique()}
-    return {**counts, "names": [metric.label for metric in list_metrics()]}
-
-
-_RunFact = tuple[str, str, Callable[[Run], Row | None]]
-_RUN_FACTS: Mapping[str, tuple[_RunFact, ...]] = {
-    "samples": (("errors.csv", "samples", _count_roles),),
-    "samples_range": (("design.csv", "samples_range", _list_groups),),
-    "samples_measured": (
-        ("run.json", "notes", lambda one: {"notes": one.run.get("dataset", {}).get("notes", ())}),
-    ),
-    "samples_uncertainty": (),
-    "conditions": (
-        (
-            "errors.csv",
-            "conditions",
-            lambda one: {
-                "insertions": _held_out_errors(one)["insertion"].nunique(),
-                "depths": _held_out_errors(one)["depth_mm"].round(1).nunique(),
-            },
-        ),
-    ),
-    "conditions_range": (("design.csv", "conditions_range", _find_ranges),),
-    "conditions_measured": (
-        (
-            "shapes.csv",
-            "conditions_measured",
-            lambda one: {"aligned": _is_aligned(one), "layered": _held_out_errors(one)["layers"].max() > 1},
-        ),
-    ),
-    "relevance_of_validation": (("design.csv", "tested_range", _find_ranges),),
-    "inputs_alike": (
-        ("run.json", "needle", lambda one: one.run.get("dataset", {}).get("needle")),
-        ("design.csv", "media", _find_media),
-        ("errors.csv", "layer_depths", _find_layer_depths),
-    ),
-    "outputs": (("shapes.csv", "outputs", _count_outputs),),
-    "outputs_alike": (("shapes.csv", "outputs_alike", lambda one: {"aligned": _is_aligned(one)}),),
-}
-"""By factor, of each run with held-out insertions: file, block of the text, and run -> values, if any."""
 
 _SAMPLE_FACTORS = (
     *("samples", "samples_range", "samples_measured", "samples_uncertainty", "conditions"),
     *("conditions_range", "conditions_measured", "conditions_uncertainty", "relevance_of_validation"),
 )
 """Factors about what was tested, which was nothing physical where all of it is synthetic."""
-
-
-def _find_in_runs(key: str, case: CredibilityCase) -> Iterator[Item]:
-    for one in case.held_out:
-        for file, block, find in _RUN_FACTS.get(key, ()):
-            values = find(one)
-            if values and (words := TEXT.sentence(block, values)):
-                yield make_finding(one, file, words)
-    if key in _FURTHER:
-        yield from _FURTHER[key](case)
-    if key in _SAMPLE_FACTORS and case.held_out and all(one.synthetic for one in case.held_out):
-        yield _gap("synthetic")
 
 
 def _find_measured_layers(case: CredibilityCase) -> Iterator[Item]:
@@ -903,22 +759,14 @@ def _find_agreement(case: CredibilityCase) -> Iterator[Item]:
             # a study of the paper says by itself which one it is
             yield replace(found, target="") if isinstance(study_label(one), int) else found
         if len(rows):
-            groups = group_independent(list(rows["insertion"]), list(rows["specimen"]))
             tips, shapes = (
-                format_proportion(estimate_proportion(list(rows[f"{quantity}_in_95"]), groups))
-                for quantity in ("tip", "shape")
+                format_proportion(count_covered(rows, f"{what}_in_95")) for what in ("tip", "shape")
             )
             yield _find(one, "predictive.csv", "coverage", tips=tips, shapes=shapes)
         shown = ("validation",) if case.several else ("validation", "coverage")
-        yield from (table for table in report.lay_out(one) if table.name in shown)
-    if case.held_out:
-        for file, caption in AGREEMENT_FIGURES.items():
-            yield from _figure(case.folder, file, say(case.results[0], caption))
-
-
-def _find_out_of_plane(case: CredibilityCase) -> Iterator[Item]:
-    if case.held_out:
-        yield _gap("out_of_plane")
+        yield from (document.table(table) for table in report.lay_out(one) if table.name in shown)
+    for file, caption in AGREEMENT_FIGURES.items() if case.held_out else ():
+        yield from _figure(case.folder, file, say(case.results[0], caption))
 
 
 _FURTHER: Mapping[str, Callable[[CredibilityCase], Iterator[Item]]] = {
@@ -932,7 +780,7 @@ _FURTHER: Mapping[str, Callable[[CredibilityCase], Iterator[Item]]] = {
     "uncertainties": _find_uncertainties,
     "samples_measured": _find_measured_layers,
     "conditions_uncertainty": _find_noise,
-    "outputs_alike": _find_out_of_plane,
+    "outputs_alike": lambda case: iter([_gap("out_of_plane")] if case.held_out else []),
     "rigour": _find_rigour,
     "agreement": _find_agreement,
 }
@@ -975,24 +823,27 @@ class FactorEntry:
     factor: Factor
     findings: tuple[Finding, ...]
     gaps: tuple[str, ...]
-    tables: tuple[TableLayout, ...]
-    pictures: tuple[EvidenceFigure, ...]
+    blocks: tuple[Block, ...]  #: figures, then tables
 
 
 def collect_entry(factor: Factor, case: CredibilityCase) -> FactorEntry:
     """Return a factor with what people state of it, then what was found in files."""
-    stated = getattr(case.statements, factor.key, "").strip()
-    items = list(_find_in_runs(factor.key, case))
-    findings = [Finding(stated, case.statements_file, "")] if stated else []
-    findings += [one for one in items if isinstance(one, Finding)]
-    gaps = list(dict.fromkeys(one.words for one in items if isinstance(one, Gap)))
+    key, stated = factor.key, getattr(case.statements, factor.key, "").strip()
+    items: list[Item] = [Finding(stated, case.statements_file, "")] if stated else []
+    for one, values in case.comparisons:
+        said = ((file, TEXT.sentence(block, values)) for file, block in _COMPARISON_FACTS.get(key, ()))
+        items += [make_finding(one, file, words) for file, words in said if words]
+    items += _FURTHER[key](case) if key in _FURTHER else ()
+    if key in _SAMPLE_FACTORS and case.held_out and all(one.synthetic for one in case.held_out):
+        items.append(_gap("synthetic"))
+    findings = tuple(one for one in items if isinstance(one, Finding))
+    gaps = list(dict.fromkeys(one for one in items if isinstance(one, str)))
     if factor.needs_statement:
         gaps = gaps if stated else [factor.fix, *gaps]
     elif not findings:
         gaps = [f"Nothing found. {factor.fix}", *gaps]
-    tables = tuple(one for one in items if isinstance(one, TableLayout))
-    pictures = tuple(one for one in items if isinstance(one, EvidenceFigure))
-    return FactorEntry(factor, tuple(findings), tuple(gaps), tables, pictures)
+    blocks = sorted((one for one in items if isinstance(one, dict)), key=lambda one: one["kind"] == "table")
+    return FactorEntry(factor, findings, tuple(gaps), tuple(blocks))
 
 
 def collect_entries(case: CredibilityCase) -> list[FactorEntry]:
@@ -1007,13 +858,7 @@ EVIDENCE_COLUMNS = ("kind", "place", "target", "command", "counted", "objections
 
 
 def run(name: str, record: CredibilityRecord, settings: Settings) -> Run:
-    """Collect the evidence about `record.run`; nothing is computed.
-
-    Raises
-    ------
-    ConfigError, DataError
-        If the run, or a folder that is named, is missing, damaged, or of another kind.
-    """
+    """Collect the evidence about `record.run`; nothing is computed."""
     case = _load_recorded_case(record)
     named = {"run": case.folder.name, "evidence": [Path(folder).name for folder in record.evidence]}
     evidence = [
@@ -1075,8 +920,7 @@ def _digest_runs(case: CredibilityCase) -> dict[str, dict[str, str]]:
 
 # ---- the report
 
-DIGEST_DIGITS = 16
-"""Digits of a sha256 in print; run.json has all."""
+DIGEST_DIGITS = 16  #: digits of a sha256 in print; run.json has all
 
 _MAX_NAMED_FOLDERS = 3
 
@@ -1125,10 +969,7 @@ def _tabulate_evidence(found: Run) -> Table:
 def list_blocks(found: Run) -> dict[str, list[Block]]:
     """Return what the report refers to; figures and tables are those of the runs that the bundle is about.
 
-    Raises
-    ------
-    DataError
-        If these runs were changed since.
+    Raises DataError if these runs were changed since.
     """
     assert isinstance(found.record, CredibilityRecord)
     case = _load_recorded_case(found.record)
@@ -1147,7 +988,7 @@ def list_blocks(found: Run) -> dict[str, list[Block]]:
     none = document.gap_box("No evidence of other commands was found beside this run.")
     return {
         "warnings": [block for one in measured for block in warning_blocks(one)],
-        "factors": list(_compose_factors(collect_entries(case), case)),
+        "factors": list(_compose_factors(case)),
         "runs": [document.table(runs.lay_out(drop_empty=True))],
         "evidence": [document.table(evidence)] if len(found.frames["evidence"]) else [none],
     }
@@ -1169,40 +1010,38 @@ def _describe_run(results: Run) -> Row:
     }
 
 
-def _compose_factors(entries: Sequence[FactorEntry], case: CredibilityCase) -> Iterator[Block]:
+def _compose_factors(case: CredibilityCase) -> Iterator[Block]:
     """Yield the findings, figures, tables and gaps of every factor, by part."""
-    for title, group in groupby(entries, key=lambda entry: entry.factor.part):
+    for title, group in groupby(collect_entries(case), key=lambda entry: entry.factor.part):
         yield document.heading(title)
         for entry in group:
             yield document.subheading(entry.factor.name)
             yield document.note(entry.factor.question)
             if entry.findings:
-                yield document.bullets(_describe_findings(entry.findings, case.several))
-                yield document.note(_describe_sources(entry.findings))
-            yield from (document.figure(one.path, one.caption) for one in entry.pictures)
-            yield from (document.table(table) for table in entry.tables)
-            yield from (document.gap_box(gap) for gap in entry.gaps)
+                targets, places = (
+                    _group_words((getattr(one, key), getattr(one, value)) for one in entry.findings)
+                    for key, value in (("words", "target"), ("command", "place"))
+                )
+                yield document.bullets(
+                    [  # once; of several runs, of which it was found
+                        f"{', '.join(runs)}: {words}" if case.several and any(runs) else words
+                        for words, runs in targets.items()
+                    ]
+                )
+                sources = (
+                    f"{', '.join(files)}: {f'made by {command}' if command else 'stated by people'}."
+                    for command, files in places.items()
+                )
+                yield document.note(" ".join(sources))
+            yield from (*entry.blocks, *map(document.gap_box, entry.gaps))
 
 
-def _describe_findings(findings: Sequence[Finding], several: bool) -> list[str]:
-    """Return what was found, once; of several runs, of which it was."""
-    by_words: dict[str, dict[str, None]] = {}
-    for one in findings:
-        by_words.setdefault(one.words, {})[one.target] = None
-    return [
-        f"{', '.join(runs)}: {words}" if several and any(runs) else words for words, runs in by_words.items()
-    ]
-
-
-def _describe_sources(findings: Sequence[Finding]) -> str:
-    """Return in which files findings stand, by the command that makes them."""
-    by_command: dict[str, dict[str, None]] = {}
-    for one in findings:
-        by_command.setdefault(one.command, {})[one.place] = None
-    return " ".join(
-        f"{', '.join(places)}: {f'made by {command}' if command else 'stated by people'}."
-        for command, places in by_command.items()
-    )
+def _group_words(pairs: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
+    """Return the different second words of pairs by their first ones."""
+    found: dict[str, list[str]] = {}
+    for first, second in dict.fromkeys(pairs):
+        found.setdefault(first, []).append(second)
+    return found
 
 
 def bundle_to_json(found: Run) -> dict[str, Any]:

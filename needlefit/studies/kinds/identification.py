@@ -32,7 +32,7 @@ from needlefit.inference.parameters import is_logarithmic
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import read_warnings, warnings_entry
 from needlefit.reporting.document import Block
-from needlefit.reporting.figures.profiles import draw_profiles
+from needlefit.reporting.figures.fit_forms import draw_profiles
 from needlefit.reporting.number_format import insert_symbols
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import Row, to_records

@@ -18,9 +18,8 @@ from scipy.stats import t as student
 from needlefit.inference.baseline_fit import fit_baselines
 from needlefit.inference.baselines import BASELINES
 from needlefit.metrics import METRICS, headline_metrics
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
-from needlefit.project.toml_lines import add_file_context, add_study_context
+from needlefit.project.toml import add_file_context, add_study_context, load
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.labels import medium_name, method_name
 from needlefit.reporting.number_format import join_metrics, join_words

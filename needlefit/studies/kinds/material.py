@@ -17,7 +17,7 @@ from needlefit.inference.material import (
     make_material_prior,
 )
 from needlefit.project.result_warnings import ResultWarning, read_warnings, warnings_entry
-from needlefit.project.toml_text import dumps
+from needlefit.project.toml import dumps
 from needlefit.reporting.figures import Drawing, Panel
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import Row, to_records

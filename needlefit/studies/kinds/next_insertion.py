@@ -25,6 +25,7 @@ from needlefit.datasets.layers import select_layers
 from needlefit.errors import ConfigError, FitError
 from needlefit.geometry.frames import Frame, make_entry_frame, normalize
 from needlefit.inference.forward_model import make_batch, predict
+from needlefit.inference.identifiability import precision
 from needlefit.inference.identifiability.design_gain import (
     ExpectedGain,
     PredictedData,
@@ -32,13 +33,6 @@ from needlefit.inference.identifiability.design_gain import (
     nested_gain,
 )
 from needlefit.inference.identifiability.identify import find_fixed_shape, free_shape
-from needlefit.inference.identifiability.precision import (
-    describe_combination,
-    describe_precision,
-    format_sd,
-    linearize,
-    short_name,
-)
 from needlefit.inference.likelihood.nodes import make_group
 from needlefit.inference.parameters import BEVEL_SPREAD, NOISE_SCALE, is_logarithmic
 from needlefit.inference.planned_layers import with_planned_layers
@@ -46,7 +40,7 @@ from needlefit.inference.problem import Problem
 from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.project.random_streams import random_stream
-from needlefit.project.toml_lines import describe_key
+from needlefit.project.toml import describe_key
 from needlefit.reporting.figures import Drawing, Look, Panel
 from needlefit.reporting.labels import INK, SERIES_COLOURS, entry_name
 from needlefit.reporting.number_format import format_bare_symbol, format_symbol, insert_symbols
@@ -57,14 +51,8 @@ from needlefit.schemas.analyses import TunedAnalysisRecord
 from needlefit.schemas.base import Name, Record
 from needlefit.schemas.limits import MAX_CANDIDATES, MAX_LAYERS, MAX_NEEDLE_LENGTH_MM
 from needlefit.schemas.planning import Vector
+from needlefit.studies import further_insertion
 from needlefit.studies.folds import Fold
-from needlefit.studies.further_insertion import (
-    WeightedPosterior,
-    check_reach,
-    describe_posterior,
-    find_template,
-    weigh_posterior,
-)
 from needlefit.studies.job import Job, Settings, prepare
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.planned_draws import vary_bevels
@@ -175,8 +163,7 @@ AGREEMENT_COLUMNS = ("candidates", "spearman", "largest_excess_nats", "same_best
 
 # ---- candidates
 
-CandidatePlace = tuple[CandidateEntryRecord, float, float]
-"""Entry, angle (degrees) and depth (mm)."""
+CandidatePlace = tuple[CandidateEntryRecord, float, float]  #: entry, angle (degrees) and depth (mm)
 
 
 def predict_candidate(
@@ -187,10 +174,7 @@ def predict_candidate(
     The layers are those that the predicted needle meets, the same for all draws of the parameters: as it will
     be once they are measured.
 
-    Raises
-    ------
-    ConfigError
-        If nothing says which layers it meets.
+    Raises ConfigError if nothing says which layers it meets.
     """
     entry, angle, depth = place
     planned = replace(like, id=entry.name, depth=depth, frame=frame_of(entry, angle))
@@ -226,14 +210,6 @@ def frame_of(entry: CandidateEntryRecord, angle: float) -> Frame:
     return make_entry_frame(entry.position_mm, cos * x + sin * y, cos * y - sin * x)
 
 
-def predict_tips(known: WeightedPosterior, insertion: Insertion) -> Floats:
-    """Return the tip deflection (B,) of an insertion for every draw, mm; NaN where a solve fails."""
-    batch = make_batch(known.sets, known.problem.medium, known.problem.dataset.needle, insertion)
-    (shapes,) = simulate_batches([batch], 1)
-    found: Floats = compute_batch_positions(shapes, np.array([insertion.depth]))[:, 0, 1]
-    return np.where(shapes.converged, found, np.nan)
-
-
 # ---- what they are expected to tell
 
 
@@ -242,7 +218,7 @@ class _CurrentKnowledge:
     """What is known before the next insertion."""
 
     job: Job
-    known: WeightedPosterior
+    known: further_insertion.WeightedPosterior
     ridge: Floats  #: (P,) the unit combination of theta that is known worst
     tips: Floats  #: (B, T) deflections of the tips asked for, mm
     outer_draws: NDArray[np.intp]  #: (O,) draws whose data are predicted
@@ -267,46 +243,48 @@ PredictInsertion = Callable[[Mapping[str, float]], Insertion | None]
 
 
 def run(name: str, record: NextInsertionRecord, settings: Settings) -> Run:
-    """Rank the candidates of a study.
-
-    Raises
-    ------
-    ConfigError, DataError
-        If anything the record names is missing or wrong.
-    FitError
-        If the fit, or an insertion whose tip is asked for, has no solution.
-    """
+    """Rank the candidates of a study."""
     job = prepare(name, record.tuning(), settings)
-    like = find_template(job, record.template_insertion)
-    check_reach(job, like, _largest_depths(record))
+    like = further_insertion.find_template(job, record.template_insertion)
+    depths = {"depths_mm": record.depths_mm}
+    depths |= {f"entries.{n}.depths_mm": one.depths_mm or () for n, one in enumerate(record.entries, start=1)}
+    depths |= {
+        f"quantities.{n}.depth_mm": (one.depth_mm,) for n, one in enumerate(record.quantities, start=1)
+    }
+    further_insertion.check_reach(job, like, {key: max(values) for key, values in depths.items() if values})
+    deepest = max(job.folds[0].tune, key=lambda one: one.depth)
     now = Shared(partial(_find_knowledge, job, record, like, settings))
     names = tuple(one.name for one in record.quantities)
-    tasks: dict[str, AnalysisTask] = {"posterior": partial(_posterior_row, now)}
+    tasks: dict[str, AnalysisTask] = {"posterior": partial(_describe_now, now)}
     for entry in record.entries:
         for angle, depth in product(entry.angles_deg, entry.depths_mm or record.depths_mm):
             where = dict(zip(_WHERE, ("candidate", entry.name, angle, depth), strict=True))
             predict_new = partial(predict_candidate, job, like, (entry, angle, depth))
             key = f"{entry.name}, {angle:g} degrees, {depth:g} mm"
             tasks[key] = partial(_run_task, now, where, names, predict_new)
-    deepest = max(job.folds[0].tune, key=lambda one: one.depth)
     where = dict(zip(_WHERE, ("repeat", deepest.id, 0.0, deepest.depth), strict=True))
     tasks["repeat"] = partial(_run_task, now, where, names, partial(_predict_repeat, job, deepest))
     plan = AnalysisPlan([job], tasks, FRAMES, _conclude, shared=[now])
     return run_analysis(name, record, settings, plan)
 
 
-def _largest_depths(record: NextInsertionRecord) -> dict[str, float]:
-    """Return the largest depth that each key of the record holds, mm."""
-    entries = {f"entries.{n}.depths_mm": one.depths_mm for n, one in enumerate(record.entries, start=1)}
-    wanted = {f"quantities.{n}.depth_mm": (one.depth_mm,) for n, one in enumerate(record.quantities, start=1)}
-    every = {"depths_mm": record.depths_mm, **entries, **wanted}
-    return {key: max(depths) for key, depths in every.items() if depths}
+def _describe_now(now: GetKnowledge) -> FrameRows:
+    before = now()
+    return {} if before is None else {"posterior": [further_insertion.describe_posterior(before.known)]}
+
+
+def _predict_repeat(job: Job, made: Insertion, values: Mapping[str, float]) -> Insertion | None:
+    """Return an insertion as it would go once more."""
+    again = simulate_design(job, Fold("again", (made,), ()), values)
+    if again is None:
+        return None
+    return with_predicted_shape(job, replace(again.insertions[0], sd=None), values)
 
 
 def _find_knowledge(
     job: Job, record: NextInsertionRecord, like: Insertion, settings: Settings
 ) -> _CurrentKnowledge | None:
-    fitted = weigh_posterior(job, settings)
+    fitted = further_insertion.weigh_posterior(job, settings)
     if fitted is None:
         return None
     known = refer_to_all_needles(fitted, random_stream(job.recipe.seed, job.name, "bevels"))
@@ -316,7 +294,10 @@ def _find_knowledge(
         insertion = predict_candidate(job, like, place, known.middle)
         if insertion is None:
             raise FitError(f"the insertion of `{wanted.name}` has no solution, or leaves the medium")
-        tips.append(predict_tips(known, insertion))
+        batch = make_batch(known.sets, known.problem.medium, known.problem.dataset.needle, insertion)
+        (shapes,) = simulate_batches([batch], 1)
+        deflections = compute_batch_positions(shapes, np.array([insertion.depth]))[:, 0, 1]
+        tips.append(np.where(shapes.converged, deflections, np.nan))  # (B,) mm
     found = np.array(tips).reshape(len(tips), len(known.thetas))
     solved = np.asarray(np.isfinite(found).all(axis=0), dtype=np.bool_)
     kept = known.only(solved)
@@ -327,7 +308,9 @@ def _find_knowledge(
     return _CurrentKnowledge(job, kept, upright, found[:, solved].T, outer_draws)
 
 
-def refer_to_all_needles(known: WeightedPosterior, rng: np.random.Generator) -> WeightedPosterior:
+def refer_to_all_needles(
+    known: further_insertion.WeightedPosterior, rng: np.random.Generator
+) -> further_insertion.WeightedPosterior:
     """Return a posterior in which b is the mean of all needles, not of those fitted to.
 
     From that mean a further insertion deviates as any other: the deviations of two of them are independent.
@@ -336,19 +319,6 @@ def refer_to_all_needles(known: WeightedPosterior, rng: np.random.Generator) -> 
     sd = math.sqrt(problem.new_bevel_sd**2 - 1)  # of the mean of the n fitted to: sqrt(1 / n)
     sets = vary_bevels(known.sets, sd, rng)
     return replace(known, thetas=np.array([problem.parameters.theta(values) for values in sets]))
-
-
-def _posterior_row(now: GetKnowledge) -> FrameRows:
-    before = now()
-    return {} if before is None else {"posterior": [describe_posterior(before.known)]}
-
-
-def _predict_repeat(job: Job, made: Insertion, values: Mapping[str, float]) -> Insertion | None:
-    """Return an insertion as it would go once more."""
-    again = simulate_design(job, Fold("again", (made,), ()), values)
-    if again is None:
-        return None
-    return with_predicted_shape(job, replace(again.insertions[0], sd=None), values)
 
 
 def _run_task(now: GetKnowledge, where: Row, names: tuple[str, ...], predict: PredictInsertion) -> FrameRows:
@@ -361,12 +331,23 @@ def _run_task(now: GetKnowledge, where: Row, names: tuple[str, ...], predict: Pr
         return {"candidates": [{**where, "note": "no solution, or outside the medium"}]}
     problem = replace(before.known.problem, insertions=(insertion,), centred_bevels=False)
     after, gain, failed = _estimate_gain(before, problem, where)
+    # the linear gain, its mean over draws; each is taken where its own data would be
+    linear, covariance = [], after.known.covariance
+    for theta in after.known.thetas[after.outer_draws[:LINEAR_DRAWS]]:
+        simulated = with_predicted_shape(after.job, insertion, problem.values(theta))
+        if simulated is not None:
+            slopes = precision.linearize(replace(problem, insertions=(simulated,)), theta)[1]
+            linear.append(linearized_gain(covariance, slopes))
     shape = {
         "layers": "-".join(map(str, insertion.sequence)),
         "boundaries_mm": " ".join(f"{x:.2f}" for x in insertion.boundaries),
         "deflection_mm": insertion.deflection,
     }
-    found = {"nats": gain.nats, "nats_se": gain.nats_se, "linear_nats": _estimate_linear_gain(after, problem)}
+    found = {
+        "nats": gain.nats,
+        "nats_se": gain.nats_se,
+        "linear_nats": float(np.mean(linear)) if linear else math.nan,
+    }
     worth = {"ess": gain.effective_sample_size, "draws": len(after.known.thetas), "failed_solves": failed}
     note = {"note": ROUGH_NOTE if gain.effective_sample_size < MIN_ESS else ""}
     return {
@@ -393,24 +374,13 @@ def _estimate_gain(
     return kept, nested_gain(predicted, kept.outer_draws, kept.quantities, rng), int(np.sum(~solved))
 
 
-def _estimate_linear_gain(now: _CurrentKnowledge, problem: Problem) -> float:
-    """Return the linear gain, its mean over draws; each is taken where its own data would be."""
-    gains, covariance = [], now.known.covariance
-    for theta in now.known.thetas[now.outer_draws[:LINEAR_DRAWS]]:
-        simulated = with_predicted_shape(now.job, problem.insertions[0], problem.values(theta))
-        if simulated is not None:
-            slopes = linearize(replace(problem, insertions=(simulated,)), theta)[1]
-            gains.append(linearized_gain(covariance, slopes))
-    return float(np.mean(gains)) if gains else float("nan")
-
-
 def _quantity_rows(
     now: _CurrentKnowledge, gain: ExpectedGain, where: Row, names: tuple[str, ...]
 ) -> FrameRows:
     weights, quantities, free = now.known.weights, now.quantities, now.known.problem.names
     before = np.sqrt(weights @ (quantities - weights @ quantities) ** 2)
     every = list(zip(before.tolist(), gain.sds.tolist(), gain.quantity_nats.tolist(), strict=True))
-    words = ["" for _ in free] + [describe_combination(now.ridge, free)]
+    words = ["" for _ in free] + [precision.describe_combination(now.ridge, free)]
     head = ("parameter", "combination", "sd_now", "sd_after", "nats")
     known = zip([*free, LEAST_KNOWN], words, every, strict=False)
     tip_head = ("tip", "sd_now_mm", "sd_after_mm", "nats")
@@ -427,7 +397,7 @@ def _shape_rows(problem: Problem, values: Mapping[str, float], where: Row) -> li
     for name in find_fixed_shape(problem):
         free = free_shape(problem, name)
         at = free.names.index(name)
-        slope = linearize(free, free.parameters.theta(values))[1][:, at]
+        slope = precision.linearize(free, free.parameters.theta(values))[1][:, at]
         before = 12.0 / float(free.upper[at] - free.lower[at]) ** 2
         after = before + float(slope @ slope)
         rows.append({**where, "parameter": name, "sd_now": before**-0.5, "sd_after": after**-0.5})
@@ -444,16 +414,12 @@ def _conclude(frames: Frames) -> tuple[str, ...]:
     excess = float(np.max(linear_nats - nats)) if len(ranked) else float("nan")
     rows = [dict(zip(AGREEMENT_COLUMNS, (len(ranked), rank, excess, best), strict=True))]
     frames["agreement"] = pd.DataFrame(rows, columns=list(AGREEMENT_COLUMNS))
-    frames["gains"] = _gain_table(frames)
-    return tuple(fault for fault in frames["posterior"]["note"] if fault)
-
-
-def _gain_table(frames: Frames) -> pd.DataFrame:
-    """Return gain, and deviation of the first tip asked for, of every insertion that has a solution."""
+    # gain, and deviation of the first tip asked for, of every insertion that has a solution
     where, tips = list(_WHERE), frames["tips"]
     gains = frames["candidates"][[*where, "nats", "nats_se"]].dropna(subset=["nats"])
     first = tips[tips["tip"] == (tips["tip"].iloc[0] if len(tips) else "")].drop(columns="nats")
-    return gains.merge(first, how="left", on=where)
+    frames["gains"] = gains.merge(first, how="left", on=where)
+    return tuple(fault for fault in frames["posterior"]["note"] if fault)
 
 
 # ---- the report
@@ -490,10 +456,17 @@ def describe(result: Run) -> dict[str, Any]:
     return {
         "best": best and {**best, "name": _name_entry(best)},
         "again": again,
-        "parameters": [_describe_parameter(row) for row in _select(result, "parameters", best)]
-        if best
-        else [],
-        "worst_now": worst and format_sd(worst["sd_now"], True),
+        "parameters": [
+            # a parameter, or the combination that is known worst, with its deviations in words
+            {
+                "name": f"worst-determined combination, {insert_symbols(str(row['combination']))},"
+                if _is_worst(row)
+                else format_bare_symbol(str(row["parameter"])),
+                **{key: _describe_sd(row, row[key]) for key in ("sd_now", "sd_after")},
+            }
+            for row in (_select(result, "parameters", best) if best else ())
+        ],
+        "worst_now": worst and precision.format_sd(worst["sd_now"], True),
         "tips": sorted(
             ({**row, "name": _name_entry(row)} for row in to_records(wanted.drop_duplicates("tip"))),
             key=lambda row: order[row["tip"]],
@@ -507,16 +480,8 @@ def describe(result: Run) -> dict[str, Any]:
     }
 
 
-def _describe_parameter(row: Row) -> Row:
-    """Return a parameter, or the combination that is known worst, with its deviations in words."""
-    name = str(row["parameter"])
-    known = {key: describe_precision(row[key], _is_worst(row) or is_logarithmic(name)) for key in _SDS}
-    if _is_worst(row):
-        return {"name": f"worst-determined combination, {insert_symbols(str(row['combination']))},", **known}
-    return {"name": format_bare_symbol(name), **known}
-
-
-_SDS = ("sd_now", "sd_after")
+def _describe_sd(row: Row, sd: float) -> str:
+    return precision.describe_precision(sd, _is_worst(row) or is_logarithmic(str(row["parameter"])))
 
 
 def _is_worst(row: Row) -> bool:
@@ -539,35 +504,34 @@ def tabulate(result: Run) -> list[Table]:
         *("entry", "layers_passed", "candidate_depth_mm", "deflection_mm", "gain", "linear_nats"),
         *("worst_known_sd", *(part("sd_after_mm", tip=name) for name in names)),
     )
-    cells = [cell for number, row in enumerate(shown) for cell in _describe_tips(result, row, number)]
+    cells = []  # a row per candidate and tip after it
+    for number, row in enumerate(shown):
+        (worst,) = (one for one in _select(result, "parameters", row) if _is_worst(one))
+        about = {
+            "entry": "repeat of the deepest" if row["role"] == "repeat" else _name_entry(row),
+            "layers_passed": row["layers"],
+            "candidate_depth_mm": row["depth_mm"],
+            "sd_after": precision.format_sd(worst["sd_after"], True),
+            "number": number,
+        }
+        cells += [
+            {**row, **about, "tip": one["tip"], "sd_after_mm": one["sd_after_mm"]}
+            for one in _select(result, "tips", row)
+        ]
     gains = pivot(cells, ["number"], ["tip"])
     keys = ("known_now", "known_after_best", "known_after_repeat")[: 2 + len(repeats)]
     each = [_select(result, "parameters", one) for one in (best, *repeats)]
     rows = []
     for same in zip(*each, strict=True):
         name = str(same[0]["parameter"])
-        label = str(same[0]["combination"]) if _is_worst(same[0]) else short_name(name)
+        label = str(same[0]["combination"]) if _is_worst(same[0]) else precision.short_name(name)
         sds = (same[0]["sd_now"], *(row["sd_after"] for row in same))
-        words = (describe_precision(sd, _is_worst(same[0]) or is_logarithmic(name)) for sd in sds)
+        words = (_describe_sd(same[0], sd) for sd in sds)
         rows.append({"known_quantity": insert_symbols(label), **dict(zip(keys, words, strict=True))})
     return [
         Table("next_insertion", "", gains, columns, strong="first"),
         Table("expected_sds", "", rows, ("known_quantity", *keys)),
     ]
-
-
-def _describe_tips(result: Run, row: Row, number: int) -> list[Row]:
-    """Return a row per tip: what is printed of a candidate, and of the tip after it."""
-    (worst,) = (one for one in _select(result, "parameters", row) if _is_worst(one))
-    about = {
-        "entry": "repeat of the deepest" if row["role"] == "repeat" else _name_entry(row),
-        "layers_passed": row["layers"],
-        "candidate_depth_mm": row["depth_mm"],
-        "sd_after": format_sd(worst["sd_after"], True),
-        "number": number,
-    }
-    tips = _select(result, "tips", row)
-    return [{**row, **about, "tip": one["tip"], "sd_after_mm": one["sd_after_mm"]} for one in tips]
 
 
 def draw(result: Run) -> dict[str, Drawing]:

@@ -44,9 +44,9 @@ from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint, open_checkpoint
+from needlefit.project.folders import require_unchanged
 from needlefit.project.input_files import convert_stored_errors, is_file
 from needlefit.project.json_values import to_json_values
-from needlefit.project.manifest import require_unchanged
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.project.unit_warnings import scene_warnings

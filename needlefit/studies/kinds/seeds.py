@@ -34,45 +34,21 @@ from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 from needlefit.metrics import METRICS, Metric, list_metrics
 from needlefit.project.random_streams import random_stream
-from needlefit.project.toml_lines import add_study_context
+from needlefit.project.toml import add_study_context
 from needlefit.reporting.figures import Drawing, Look
 from needlefit.reporting.labels import GREY, INK, METHOD_COLOURS, PAPER_COLOUR, medium_name, method_name
 from needlefit.reporting.number_format import MISSING, choose_printed_unit, format_metric
 from needlefit.reporting.table import Table, part, pivot
-from needlefit.reporting.table_files import to_records
+from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.schemas.limits import MAX_REPLICATES, MAX_RESAMPLES, MAX_STARTS
-from needlefit.studies import paper
+from needlefit.studies import paper, paper_cells, score
 from needlefit.studies.job import Settings
 from needlefit.studies.kind import StudyKind
-from needlefit.studies.paper_cells import (
-    CELL_KEYS,
-    ERROR_COLUMNS,
-    LoadedFit,
-    compute_floors,
-    find_paper_numbers,
-    load_fits,
-    prepare_jobs,
-    prepare_on_dataset,
-    run_search,
-    score_methods,
-    tabulate_cells,
-    tabulate_generalisation,
-    with_starts,
-)
 from needlefit.studies.report import report_from_text
 from needlefit.studies.run import Frames, Run
 from needlefit.studies.runner import AnalysisPlan, FrameRows, run_analysis
-from needlefit.studies.score import (
-    Predictor,
-    Row,
-    curve_predictor,
-    list_length_metrics,
-    list_methods,
-    list_score_columns,
-    make_predictors,
-)
 from needlefit.studies.simulated_data import find_true_value
 from needlefit.studies.verdict import Status
 from needlefit.synthetic.build import build_unscanned
@@ -103,8 +79,7 @@ class SeedsRecord(AnalysisRecord):
 
 KIND = StudyKind("seeds", SeedsRecord, __name__)
 
-TRUTH = "truth"
-"""The method that knows the needle as it really is."""
+TRUTH = "truth"  #: the method that knows the needle as it really is
 
 GROUP_KEYS = ["study", "medium", "layers"]
 COMPARISON_COLUMNS = (
@@ -123,28 +98,20 @@ UNEXPLAINED = "not explained"
 
 
 def run(name: str, record: SeedsRecord, settings: Settings) -> Run:
-    """Run all studies and fits on every synthetic dataset.
-
-    Raises
-    ------
-    ConfigError, DataError
-        If anything the record names is missing or wrong.
-    FitError
-        If a search finds no point that can be solved.
-    """
+    """Run all studies and fits on every synthetic dataset."""
     with add_study_context(name, "studies, fits"):
-        shipped = prepare_jobs(record.studies, record.fits, settings)
-        fits = load_fits(record.studies, record.fits)
-    jobs = {study: with_starts(job, record.starts) for study, job in shipped.items()}
+        shipped = paper_cells.prepare_jobs(record.studies, record.fits, settings)
+        fits = paper_cells.load_fits(record.studies, record.fits)
+    jobs = {study: paper_cells.with_starts(job, record.starts) for study, job in shipped.items()}
     asked = {one.id for job in jobs.values() for one in job.insertions}
     plan = [planned for planned in list_planned_insertions() if planned.id in asked]
     seeds = range(record.first_seed, record.first_seed + record.seeds)
     tasks = {f"seed {seed}": partial(_run_on_twin, seed, record, fits, plan, settings) for seed in seeds}
     columns = {
-        "errors": ("seed", *ERROR_COLUMNS, *list_score_columns()),
+        "errors": ("seed", *paper_cells.ERROR_COLUMNS, *score.list_score_columns()),
         "parameters": ("seed", "study", "parameter", "value", "truth", "paper"),
     }
-    conclude = partial(_conclude, name, record, find_paper_numbers(jobs))
+    conclude = partial(_conclude, name, record, paper_cells.find_paper_numbers(jobs))
     also = {"seeds": list(seeds), "twins": "not scanned"}
     work = AnalysisPlan(list(jobs.values()), tasks, columns, conclude, also)
     return run_analysis(name, record, settings, work)
@@ -153,7 +120,7 @@ def run(name: str, record: SeedsRecord, settings: Settings) -> Run:
 def _run_on_twin(
     seed: int,
     record: SeedsRecord,
-    fits: Mapping[str, LoadedFit],
+    fits: Mapping[str, paper_cells.LoadedFit],
     plan: Sequence[PlannedInsertion],
     settings: Settings,
 ) -> FrameRows:
@@ -164,13 +131,15 @@ def _run_on_twin(
     """
     with TemporaryDirectory() as folder:
         dataset = read(build_unscanned(Path(folder), seed, plan))
-    jobs = prepare_on_dataset(fits, settings, dataset)
-    floors, truth = compute_floors(jobs.values()), _true_predictor(seed)
+    jobs = paper_cells.prepare_on_dataset(fits, settings, dataset)
+    floors, truth = paper_cells.compute_floors(jobs.values()), _true_predictor(seed)
     errors, parameters = list[Row](), list[Row]()
-    for job in (with_starts(job, record.starts) for job in jobs.values()):
+    for job in (paper_cells.with_starts(job, record.starts) for job in jobs.values()):
         searches = [search for search in job.searches if search != "fitted_metric"]
-        found = {search: run_search(job, search, settings) for search in searches}
-        errors += score_methods(job, {**make_predictors(job, job.folds[0], found), TRUTH: truth}, floors)
+        found = {search: paper_cells.run_search(job, search, settings) for search in searches}
+        errors += paper_cells.score_methods(
+            job, {**score.make_predictors(job, job.folds[0], found), TRUTH: truth}, floors
+        )
         values, printed = found["fitted"].values, job.hand_tuned or {}
         parameters += [
             {"study": job.name, "parameter": name, "value": values[name]}
@@ -181,7 +150,7 @@ def _run_on_twin(
     return {frame: [{"seed": seed, **row} for row in rows] for frame, rows in frames.items()}
 
 
-def _true_predictor(seed: int) -> Predictor:
+def _true_predictor(seed: int) -> score.Predictor:
     """Return the method that simulates the true needle, moduli, friction and bevel of a dataset.
 
     It is given what the fit is given besides: the stated pose, the measured depth and crossings. What it
@@ -203,15 +172,15 @@ def _true_predictor(seed: int) -> Predictor:
         bevel = Bevel(bevel_offset(twin.specimen, twin.planned), insertion.side)
         return make_curve(simulate(draw_needle(seed), tissue, bevel, insertion.depth, rules=ModelOptions()))
 
-    return curve_predictor(curve)
+    return score.curve_predictor(curve)
 
 
 def _conclude(name: str, record: SeedsRecord, numbers: dict[str, int], frames: Frames) -> tuple[str, ...]:
     errors = frames["errors"]
     fitted = errors[errors["method"] == "fitted"]
-    frames["cells"] = _summarize_seeds(tabulate_cells(fitted, numbers, ("seed",)))
+    frames["cells"] = _summarize_seeds(paper_cells.tabulate_cells(fitted, numbers, ("seed",)))
     frames["parameter_cells"] = _summarize_parameters(frames["parameters"])
-    pattern = tabulate_generalisation(fitted, ("seed",))
+    pattern = paper_cells.tabulate_generalisation(fitted, ("seed",))
     in_paper = pattern["study"].isin(record.generalization_studies)
     frames["pattern"] = pattern.assign(generalises_in_paper=in_paper)
     compared = compare_methods(errors, name, record.resamples)
@@ -227,7 +196,7 @@ def _quantiles(grouped: Any, prefix: str = "") -> dict[str, "pd.Series[float]"]:
 def _summarize_seeds(every: pd.DataFrame) -> pd.DataFrame:
     """Return mean and quantiles over seeds of every cell, and on how many seeds it is below the paper's."""
     every = every.assign(below=every["value"] < every["paper"])
-    grouped = every.groupby([*CELL_KEYS, "metric", "unit"], sort=False)
+    grouped = every.groupby([*paper_cells.CELL_KEYS, "metric", "unit"], sort=False)
     columns = {
         "insertions": grouped["insertions"].first(),
         "replicates": grouped["value"].size(),
@@ -261,38 +230,30 @@ def compare_methods(errors: pd.DataFrame, name: str, resamples: int) -> pd.DataF
     rows = []
     for key, group in errors[errors["role"] == "validate"].groupby(GROUP_KEYS, sort=False):
         head = dict(zip(GROUP_KEYS, key, strict=True))
-        for metric in [one.name for one in list_length_metrics()]:
-            table = _errors_by_twin(group, metric)
+        for metric in [one.name for one in score.list_length_metrics()]:
+            wide = group.pivot_table(index="seed", columns=["method", "insertion"], values=metric, sort=False)
+            wide = wide.replace([np.inf], np.nan)  # not solved
             floor = float(group.groupby("insertion")[f"floor_{metric}"].mean().mean())
-            for method in [one for one in table if one != "fitted"]:
+            fitted = wide["fitted"].to_numpy(dtype=np.float64)  # (S, n) of n insertions of S datasets, mm
+            for method in [one for one in group["method"].unique() if one != "fitted"]:
                 rng = random_stream(0, name, *map(str, key), method, metric)
-                row = _compare_pair(table["fitted"], table[method], resamples, rng)
+                other = wide[method].to_numpy(dtype=np.float64)
+                difference = fitted - other
+                low, high = bootstrap_interval(difference, resamples, rng)
+                row = {
+                    "replicates": len(difference),
+                    "insertions": difference.shape[1],
+                    "value": float(np.nanmean(fitted)),
+                    "baseline_value": float(np.nanmean(other)),
+                    "difference": float(np.nanmean(difference)),
+                    "low": low,
+                    "high": high,
+                    "share": float(np.mean(difference[np.isfinite(difference)] < 0)),
+                    "replicates_better": int((np.nanmean(difference, axis=1) < 0).sum()),
+                    "verdict": "wins" if high < 0 else "loses" if low > 0 else "open",
+                }
                 rows.append({**head, "method": method, "metric": metric, "floor": floor, **row})
     return pd.DataFrame(rows, columns=list(COMPARISON_COLUMNS))
-
-
-def _errors_by_twin(group: pd.DataFrame, metric: str) -> dict[str, Floats]:
-    """Return the errors (S, n) of every method on n insertions of S datasets, mm; NaN: not solved."""
-    wide = group.pivot_table(index="seed", columns=["method", "insertion"], values=metric, sort=False)
-    wide = wide.replace([np.inf], np.nan)
-    return {method: wide[method].to_numpy(dtype=np.float64) for method in group["method"].unique()}
-
-
-def _compare_pair(fitted: Floats, method: Floats, resamples: int, rng: np.random.Generator) -> Row:
-    difference = fitted - method  # (S, n)
-    low, high = bootstrap_interval(difference, resamples, rng)
-    return {
-        "replicates": len(difference),
-        "insertions": difference.shape[1],
-        "value": float(np.nanmean(fitted)),
-        "baseline_value": float(np.nanmean(method)),
-        "difference": float(np.nanmean(difference)),
-        "low": low,
-        "high": high,
-        "share": float(np.mean(difference[np.isfinite(difference)] < 0)),
-        "replicates_better": int((np.nanmean(difference, axis=1) < 0).sum()),
-        "verdict": "wins" if high < 0 else "loses" if low > 0 else "open",
-    }
 
 
 def bootstrap_interval(values: Floats, resamples: int, rng: np.random.Generator) -> tuple[float, float]:
@@ -410,42 +371,14 @@ def tabulate(result: Run) -> list[Table]:
         tables.append(Table(grouping, "", whole, columns, groups=_GROUP, heads=4, strong="groups"))
     quantiles = ("q50", "q05", "q95")
     columns = ("study", "parameter", *quantiles, "paper", *(f"ratio_to_true_{key}" for key in quantiles))
-    rows = [_scale_row(row) for row in _name_rows(result.frames["parameter_cells"])]
+    rows = []
+    for row in _name_rows(result.frames["parameter_cells"]):
+        label, unit = choose_printed_unit(str(row["parameter"]), [row["q95"]])
+        scaled = {name: None if row[name] is None else row[name] / unit for name in (*quantiles, "paper")}
+        rows.append({**row, **scaled, "parameter": label})
     tables.append(Table("parameter_cells", "", rows, columns, groups=("study",), heads=1))
-    return [*tables, _tabulate_comparisons(result), _tabulate_losses(result)]
-
-
-def _name_rows(frame: pd.DataFrame) -> list[Row]:
-    return [
-        {**row, "study": study_name(str(row["study"])), "layers": row.get("layers") or "all"}
-        for row in to_records(frame)
-    ]
-
-
-def _format_range(row: Row, metric: Metric) -> str:
-    return " to ".join(format_metric(metric, row[quantile]) for quantile in ("q05", "q95"))
-
-
-_ROW_FORMATS: Mapping[str, Callable[[Row, Metric], str]] = {
-    "median": lambda row, metric: format_metric(metric, row["q50"]),
-    "5 to 95 %": _format_range,
-    "noise floor": lambda row, metric: format_metric(metric, row["floor"]),
-    "paper": lambda row, metric: format_metric(metric, row["paper"]),
-    "below paper": lambda row, metric: MISSING if row["paper"] is None else str(row["seeds_below_paper"]),
-}
-
-
-def _scale_row(row: Row) -> Row:
-    """Return a row of a parameter in the unit in which it is printed."""
-    label, unit = choose_printed_unit(str(row["parameter"]), [row["q95"]])
-    columns = ("q50", "q05", "q95", "paper")
-    scaled = {name: None if row[name] is None else row[name] / unit for name in columns}
-    return {**row, **scaled, "parameter": label}
-
-
-def _tabulate_comparisons(result: Run) -> Table:
     frame = result.frames["comparisons"]
-    order = frame["method"].map([*list_methods(), TRUTH].index)
+    order = frame["method"].map([*score.list_methods(), TRUTH].index)
     groups = frame.assign(order=order).groupby(list(_GROUP), sort=False)
     ordered = pd.concat([group.sort_values("order", kind="stable") for _, group in groups])
     first = ordered["metric"].iloc[0]  # the metrics of a method stay together
@@ -457,15 +390,28 @@ def _tabulate_comparisons(result: Run) -> Table:
         *(*_GROUP, "method", "metric", "fit_error", "method_error", "fit_less_method", "difference_range"),
         *("twins_better", "verdict"),
     )
-    return Table("comparisons", "", rows, columns, groups=_GROUP, heads=3)
+    tables.append(Table("comparisons", "", rows, columns, groups=_GROUP, heads=3))
+    # losses: without a reason first; against the truth, where they are expected, last
+    losses = frame.query("verdict == 'loses'")
+    losses = losses.assign(last=losses["method"] == TRUTH, known=losses["note"] != UNEXPLAINED)
+    rows = _name_rows(losses.sort_values(["last", "known"], kind="stable"))
+    return [*tables, Table("losses", "", rows, (*_GROUP, "method", "metric", "fit_less_method", "note"))]
 
 
-def _tabulate_losses(result: Run) -> Table:
-    """Return the losses: without a reason first; against the truth, where they are expected, last."""
-    losses = result.frames["comparisons"].query("verdict == 'loses'")
-    order = losses.assign(last=losses["method"] == TRUTH, known=losses["note"] != UNEXPLAINED)
-    rows = _name_rows(order.sort_values(["last", "known"], kind="stable"))
-    return Table("losses", "", rows, (*_GROUP, "method", "metric", "fit_less_method", "note"))
+def _name_rows(frame: pd.DataFrame) -> list[Row]:
+    return [
+        {**row, "study": study_name(str(row["study"])), "layers": row.get("layers") or "all"}
+        for row in to_records(frame)
+    ]
+
+
+_ROW_FORMATS: Mapping[str, Callable[[Row, Metric], str]] = {
+    "median": lambda row, metric: format_metric(metric, row["q50"]),
+    "5 to 95 %": lambda row, metric: " to ".join(format_metric(metric, row[q]) for q in ("q05", "q95")),
+    "noise floor": lambda row, metric: format_metric(metric, row["floor"]),
+    "paper": lambda row, metric: format_metric(metric, row["paper"]),
+    "below paper": lambda row, metric: MISSING if row["paper"] is None else str(row["seeds_below_paper"]),
+}
 
 
 _OURS = METHOD_COLOURS["fitted"]
@@ -486,7 +432,7 @@ def draw(result: Run) -> dict[str, Drawing]:
     """Return the pattern, the comparisons of methods, and every cell."""
     compared = result.frames["comparisons"].assign(origin=result.origin)
     cells = result.frames["cells"].assign(origin=result.origin)
-    first, *_ = [one.name for one in list_length_metrics()]
+    first, *_ = [one.name for one in score.list_length_metrics()]
     outcomes = {"wins": ("the fit wins", _OURS), "loses": ("loses", PAPER_COLOUR), "open": ("open", GREY)}
     looks = {
         f"{verdict} {one.name}": Look(
@@ -496,9 +442,9 @@ def draw(result: Run) -> dict[str, Drawing]:
             shift=-0.17 if one.name == first else 0.17,
         )
         for verdict, (label, colour) in outcomes.items()
-        for one in list_length_metrics()
+        for one in score.list_length_metrics()
     }
-    methods = [name for name in (*list_methods(), TRUTH) if name in set(compared["method"])]
+    methods = [name for name in (*score.list_methods(), TRUTH) if name in set(compared["method"])]
     of_comparisons = {
         **{"rows": GROUP_KEYS, "value": "difference", "by": "look", "looks": looks, "panel": "method"},
         **{"panels": {name: method_name(name) for name in methods}, "columns": 3},
@@ -517,12 +463,25 @@ def draw(result: Run) -> dict[str, Drawing]:
         "x_label": "mean in-plane error of what is held out (mm); left of the line a study generalises",
         "line": float(result.frames["pattern"]["limit_mm"].iloc[0]),
     }
+
+    def look_at_pattern(frame: pd.DataFrame) -> pd.DataFrame:
+        generalises = (frame["mark"] == "twin") & (frame["generalises_in_paper"] == True)  # noqa: E712 - or missing
+        return frame.assign(look=frame["mark"] + generalises.map({True: " generalises", False: ""}))
+
+    def look_at_comparisons(frame: pd.DataFrame) -> pd.DataFrame:
+        return frame.assign(look=frame["verdict"] + " " + frame["metric"])
+
+    def look_at_cells(frame: pd.DataFrame) -> pd.DataFrame:
+        values = {"twin": "q50", "floor": "floor", "paper": "paper"}
+        parts = [frame.assign(look=look, value=frame[column]) for look, column in values.items()]
+        bare = {"q05": np.nan, "q95": np.nan}
+        return pd.concat([parts[0], *(one.assign(**bare) for one in parts[1:])], ignore_index=True)
+
+    form = "dots_with_intervals"
     return {
-        "generalising": Drawing(
-            "dots_with_intervals", _tabulate_pattern(result), of_pattern, _choose_pattern_looks
-        ),
-        "comparisons": Drawing("dots_with_intervals", compared, of_comparisons, _choose_comparison_looks),
-        "cells": Drawing("dots_with_intervals", cells, of_cells, _choose_cell_looks),
+        "generalising": Drawing(form, _tabulate_pattern(result), of_pattern, look_at_pattern),
+        "comparisons": Drawing(form, compared, of_comparisons, look_at_comparisons),
+        "cells": Drawing(form, cells, of_cells, look_at_cells),
     }
 
 
@@ -543,22 +502,6 @@ def _tabulate_pattern(result: Run) -> pd.DataFrame:
     columns = ["mark", *twins.columns]
     known = [part.reindex(columns=columns).astype({"seed": "Int64"}) for part in parts if len(part)]
     return pd.concat(known, ignore_index=True).assign(origin=result.origin)
-
-
-def _choose_pattern_looks(frame: pd.DataFrame) -> pd.DataFrame:
-    generalises = (frame["mark"] == "twin") & (frame["generalises_in_paper"] == True)  # noqa: E712 - or missing
-    return frame.assign(look=frame["mark"] + generalises.map({True: " generalises", False: ""}))
-
-
-def _choose_comparison_looks(frame: pd.DataFrame) -> pd.DataFrame:
-    return frame.assign(look=frame["verdict"] + " " + frame["metric"])
-
-
-def _choose_cell_looks(frame: pd.DataFrame) -> pd.DataFrame:
-    values = {"twin": "q50", "floor": "floor", "paper": "paper"}
-    parts = [frame.assign(look=look, value=frame[column]) for look, column in values.items()]
-    bare = {"q05": np.nan, "q95": np.nan}
-    return pd.concat([parts[0], *(one.assign(**bare) for one in parts[1:])], ignore_index=True)
 
 
 def _name_group(group: tuple[Any, ...], grouping: str = "validation") -> str:

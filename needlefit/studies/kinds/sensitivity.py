@@ -24,7 +24,7 @@ from needlefit.inference.optimize.local_search import search
 from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.needle import Needle
 from needlefit.metrics import METRICS, headline_metrics
-from needlefit.project.toml_lines import add_study_context
+from needlefit.project.toml import add_study_context
 from needlefit.reporting.figures import Drawing, Look
 from needlefit.reporting.labels import SERIES_COLOURS, layers_name, medium_name
 from needlefit.reporting.number_format import MISSING, format_bare_symbol, format_metric
@@ -35,21 +35,12 @@ from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.schemas.base import Name, Record
 from needlefit.schemas.limits import MAX_CONSTRAINT_SPACING_MM, MAX_STARTS, MIN_ELEMENT_MM
 from needlefit.schemas.medium import use_path_angle
-from needlefit.studies import paper_cells
+from needlefit.studies import paper_cells, runner
 from needlefit.studies.job import Job, Settings, adapt_parameters
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.provenance import describe_model_options
 from needlefit.studies.report import report_from_text
 from needlefit.studies.run import Frames, Run
-from needlefit.studies.runner import (
-    AnalysisPlan,
-    AnalysisTask,
-    FrameRows,
-    Shared,
-    join_rows,
-    list_faults,
-    run_analysis,
-)
 from needlefit.studies.score import Row, list_score_columns, model_predictor
 from needlefit.studies.verdict import Status
 
@@ -135,9 +126,11 @@ def apply_variation(job: Job, variation: VariationRecord) -> Job:
     """Return the job under one variation."""
     changes = {key: getattr(variation, key) for key in _MEDIUM_KEYS}
     medium = job.medium.model_copy(update={key: new for key, new in changes.items() if new is not None})
-    needle = job.dataset.needle
-    rigidity = needle.flexural_rigidity * _rigidity_factor(job, variation)
-    dataset = replace(job.dataset, needle=Needle(needle.length, rigidity))
+    needle, factor = job.dataset.needle, variation.rigidity_factor or 1.0
+    inner, outer = variation.inner_diameter_mm, job.dataset.outer_diameter
+    if inner is not None and outer is not None:  # a tube as wide as the dataset's needle
+        factor *= 1 - (inner / outer) ** 4
+    dataset = replace(job.dataset, needle=Needle(needle.length, needle.flexural_rigidity * factor))
     shift = variation.boundary_shift_sd or 0.0
     moved = paper_cells.with_insertions(
         job, lambda one: replace(one, boundaries=one.boundaries + shift * one.boundary_sd)
@@ -147,15 +140,6 @@ def apply_variation(job: Job, variation: VariationRecord) -> Job:
     medium = use_path_angle(medium)
     parameters = adapt_parameters(Parameters.from_record(medium), job.recipe)
     return replace(moved, medium=medium, dataset=dataset, parameters=parameters)
-
-
-def _rigidity_factor(job: Job, variation: VariationRecord) -> float:
-    """Return the factor of the needle's rigidity; a hollow one's is of a tube as wide as the dataset's."""
-    factor = variation.rigidity_factor or 1.0
-    inner, outer = variation.inner_diameter_mm, job.dataset.outer_diameter
-    if inner is None or outer is None:
-        return factor
-    return factor * (1 - (inner / outer) ** 4)
 
 
 def refit(job: Job, before: Fit, starts: int, settings: Settings) -> Fit:
@@ -180,61 +164,58 @@ class BaseFits:
     fits: Mapping[str, Fit]
 
 
-def find_base(jobs: Mapping[str, Job], settings: Settings) -> BaseFits:
+def _find_base(jobs: Mapping[str, Job], settings: Settings) -> BaseFits:
     """Fit everything as it stands: needed by every variation, found by whichever task needs it first."""
     fits = {name: paper_cells.run_search(job, "fitted", settings) for name, job in jobs.items()}
     return BaseFits(jobs, paper_cells.compute_floors(jobs.values()), fits)
 
 
 def run(name: str, record: SensitivityRecord, settings: Settings) -> Run:
-    """Run studies and fits as they are and under every variation.
-
-    Raises
-    ------
-    ConfigError, DataError
-        If anything the record names is missing or wrong.
-    FitError
-        If a search finds no point that can be solved.
-    """
+    """Run studies and fits as they are and under every variation."""
     with add_study_context(name, "studies, fits"):
         jobs = paper_cells.prepare_jobs(record.studies, record.fits, settings)
-    base = Shared(partial(find_base, jobs, settings))
+    base = runner.Shared(partial(_find_base, jobs, settings))
     variations = {f"{one.factor}: {one.name}": one for one in record.variations}
-    tasks: dict[str, AnalysisTask] = {BASE_VARIATION: partial(_run_base, base)}
-    for key, one in variations.items():
-        tasks[key] = partial(_run_variation, base, one, record.starts, settings)
+    tasks: dict[str, runner.AnalysisTask] = {
+        key: partial(_run_variation, base, one, record.starts, settings)
+        for key, one in {BASE_VARIATION: None, **variations}.items()
+    }
     first = next(iter(jobs.values()))
     options = {
         key: describe_model_options(apply_variation(first, one).medium) for key, one in variations.items()
     }
     frames = {**FRAMES, "errors": (*FRAMES["errors"], *list_score_columns())}
     conclude = partial(_conclude, paper_cells.find_paper_numbers(jobs))
-    plan = AnalysisPlan(list(jobs.values()), tasks, frames, conclude, {"variations": options}, shared=[base])
-    return run_analysis(name, record, settings, plan)
-
-
-def _run_base(find: Shared[BaseFits]) -> FrameRows:
-    base, where = find(), dict(zip(_WHERE, (BASE_VARIATION, BASE_VARIATION, "again"), strict=True))
-    return join_rows([_score_fit(job, base, base.fits[name], where) for name, job in base.jobs.items()])
+    plan = runner.AnalysisPlan(
+        list(jobs.values()), tasks, frames, conclude, {"variations": options}, shared=[base]
+    )
+    return runner.run_analysis(name, record, settings, plan)
 
 
 def _run_variation(
-    find: Shared[BaseFits], variation: VariationRecord, starts: int, settings: Settings
-) -> FrameRows:
-    """Tune and score everything under one variation; with parameters kept too, where b stays what it is."""
+    find: runner.Shared[BaseFits], variation: VariationRecord | None, starts: int, settings: Settings
+) -> runner.FrameRows:
+    """Score everything as it stands (None), or tuned under one variation.
+
+    That with parameters kept too, where b stays what it is.
+    """
     base, parts = find(), []
-    same_b = variation.constraint_spacing_mm is None and variation.advance is None
     for name, job in base.jobs.items():
+        if variation is None:
+            head: Row = dict(zip(_WHERE, (BASE_VARIATION, BASE_VARIATION, "again"), strict=True))
+            parts.append(_score_fit(job, base, base.fits[name], head))
+            continue
         changed = apply_variation(job, variation)
-        again = refit(changed, base.fits[name], starts, settings)
-        fits = {"again": again} | ({"kept": base.fits[name]} if same_b else {})
+        fits = {"again": refit(changed, base.fits[name], starts, settings)}
+        if variation.constraint_spacing_mm is None and variation.advance is None:
+            fits["kept"] = base.fits[name]
         for tuned, fit in fits.items():
-            where = dict(zip(_WHERE, (variation.factor, variation.name, tuned), strict=True))
-            parts.append(_score_fit(changed, base, fit, where))
-    return join_rows(parts)
+            head = dict(zip(_WHERE, (variation.factor, variation.name, tuned), strict=True))
+            parts.append(_score_fit(changed, base, fit, head))
+    return runner.join_rows(parts)
 
 
-def _score_fit(job: Job, base: BaseFits, fit: Fit, where: Row) -> FrameRows:
+def _score_fit(job: Job, base: BaseFits, fit: Fit, where: Row) -> runner.FrameRows:
     before = base.jobs[job.name].medium
     comparable = (job.medium.constraint_spacing_mm, job.medium.advance) == (
         before.constraint_spacing_mm,
@@ -255,15 +236,6 @@ def _score_fit(job: Job, base: BaseFits, fit: Fit, where: Row) -> FrameRows:
     }
 
 
-def _conclude(numbers: Mapping[str, int], frames: Frames) -> tuple[str, ...]:
-    errors = frames["errors"]
-    frames["cells"] = _compare_with_base(paper_cells.tabulate_cells(errors, numbers, _WHERE))
-    frames["studies"] = tabulate_study_changes(errors)
-    frames["parameter_changes"] = _parameter_ratios(frames["parameters"])
-    failed = int((~errors["converged"].astype(bool)).sum())
-    return list_faults({"simulations did not converge": failed})
-
-
 def tabulate_study_changes(errors: pd.DataFrame) -> pd.DataFrame:
     """Return one row per variation, study and headline metric: the error, and its change."""
     studies = paper_cells.tabulate_generalisation(errors, _WHERE)
@@ -280,24 +252,29 @@ def tabulate_study_changes(errors: pd.DataFrame) -> pd.DataFrame:
     return pd.concat(parts).sort_index(kind="stable").reset_index(drop=True)
 
 
-def _compare_with_base(every: pd.DataFrame) -> pd.DataFrame:
-    """Return every cell with its change against the one as decided."""
-    keys = [*paper_cells.CELL_KEYS, "metric"]
-    decided = every[every["aspect"] == BASE_VARIATION].set_index(keys)["value"].rename("baseline_value")
-    found = every.join(decided, on=keys)
-    change = found["value"] - found["baseline_value"]
-    return found.assign(change=change, change_in_floors=change / found["floor"])[list(CHANGE_COLUMNS)]
-
-
-def _parameter_ratios(parameters: pd.DataFrame) -> pd.DataFrame:
-    """Return parameters tuned again as multiples of those as decided; none where b means another thing."""
-    keys = ["study", "parameter"]
-    decided = (
-        parameters[parameters["aspect"] == BASE_VARIATION].set_index(keys)["value"].rename("baseline_value")
+def _conclude(numbers: Mapping[str, int], frames: Frames) -> tuple[str, ...]:
+    """Add the changes of cells, of studies, and of parameters against those as decided."""
+    errors, parameters = frames["errors"], frames["parameters"]
+    every = _join_base(
+        paper_cells.tabulate_cells(errors, numbers, _WHERE), [*paper_cells.CELL_KEYS, "metric"]
     )
-    again = parameters[parameters["tuned"] == "again"].join(decided, on=keys)
+    change = every["value"] - every["baseline_value"]
+    cells = every.assign(change=change, change_in_floors=change / every["floor"])
+    frames["cells"] = cells[list(CHANGE_COLUMNS)]
+    frames["studies"] = tabulate_study_changes(errors)
+    again = _join_base(parameters, ["study", "parameter"])
+    again = again[again["tuned"] == "again"]
+    # as multiples; none where b means another thing
     ratio = (again["value"] / again["baseline_value"]).where(again["comparable"].astype(bool))
-    return again.assign(ratio=ratio).drop(columns="tuned")
+    frames["parameter_changes"] = again.assign(ratio=ratio).drop(columns="tuned")
+    failed = int((~errors["converged"].astype(bool)).sum())
+    return runner.list_faults({"simulations did not converge": failed})
+
+
+def _join_base(every: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
+    """Return rows with the value as decided of the same keys."""
+    decided = every[every["aspect"] == BASE_VARIATION].set_index(keys)["value"].rename("baseline_value")
+    return every.join(decided, on=keys)
 
 
 # ---- the report
@@ -326,16 +303,37 @@ def describe(result: Run) -> dict[str, Any]:
     moduli = result.frames["parameter_changes"].query("aspect == 'rigidity'")
     moduli = moduli[moduli["parameter"].str.startswith("mu")]
     ratios = moduli.groupby("variation", sort=False)["ratio"].agg(["min", "max"]).reset_index()
+    # for every kind of variation the largest change of a held-out cell, the largest first
+    cells = _select_varied(result, "cells", tuned="again", grouping="validation")
+    cells = cells[cells["metric"].isin([metric.name for metric in headline_metrics()])]
+    cells = cells.assign(size=cells["change_in_floors"].abs()).sort_values("size", ascending=False)
+    aspects = [
+        {
+            **row,
+            "unit": METRICS[row["metric"]].unit,
+            "cell": medium_name(row["medium"])
+            + (f", {layers_name(int(row['layers']))}" if row["layers"] else ""),
+        }
+        for row in to_records(cells.drop_duplicates("aspect"))
+    ]
+    # the parameter that changes most while the errors hardly do: the data do not determine it
+    errors, keys = again[again["metric"] == "te_mm"], ["aspect", "variation", "study"]
+    still = errors[errors["change_in_floors"].abs() < 1][[*keys, "change"]]
+    changes = result.frames["parameter_changes"].dropna(subset="ratio").merge(still, on=keys)
+    parameter = None
+    if len(changes):
+        row = _find_largest(changes.assign(size=np.log(changes["ratio"].astype(float))), "size")
+        parameter = {**row, "name": format_bare_symbol(row["parameter"])}
     return {
         "changed": to_records(changed),
         "changed_variations": len(changed.drop_duplicates(["aspect", "variation"])),
         "variations": len(again[["aspect", "variation"]].drop_duplicates()),
         "limit_mm": float(again["limit_mm"].iloc[0]),
-        "aspects": list(_describe_aspects(result)),
+        "aspects": aspects,
         "kept": [_find_largest(kept, "change")] if len(kept) else [],
         "crossing": to_records(kept[kept["conclusion_changes"]]),
         "moduli": to_records(ratios),
-        "parameter": _find_parameter_change(result),
+        "parameter": parameter,
         "synthetic": result.synthetic,
         "options": [": ".join(one) for one in _list_variations(result)],
         "min_change": MIN_CHANGE_FLOORS,
@@ -345,29 +343,6 @@ def describe(result: Run) -> dict[str, Any]:
 def _find_largest(rows: pd.DataFrame, column: str) -> Row:
     """Return the first row of the largest size in a column."""
     return to_records(rows.iloc[[int(rows[column].abs().fillna(-1.0).to_numpy().argmax())]])[0]
-
-
-def _describe_aspects(result: Run) -> Iterator[Row]:
-    """Return for every kind of variation the largest change of a held-out cell, the largest first."""
-    cells = _select_varied(result, "cells", tuned="again", grouping="validation")
-    cells = cells[cells["metric"].isin([metric.name for metric in headline_metrics()])]
-    cells = cells.assign(size=cells["change_in_floors"].abs()).sort_values("size", ascending=False)
-    for row in to_records(cells.drop_duplicates("aspect")):
-        layers = f", {layers_name(int(row['layers']))}" if row["layers"] else ""
-        unit = METRICS[row["metric"]].unit
-        yield {**row, "unit": unit, "cell": f"{medium_name(row['medium'])}{layers}"}
-
-
-def _find_parameter_change(result: Run) -> Row | None:
-    """Return the parameter that changes most while the errors hardly do: the data do not determine it."""
-    keys = ["aspect", "variation", "study"]
-    errors = _select_varied(result, "studies", tuned="again", metric="te_mm")
-    still = errors[errors["change_in_floors"].abs() < 1][[*keys, "change"]]
-    ratios = result.frames["parameter_changes"].dropna(subset="ratio").merge(still, on=keys)
-    if ratios.empty:
-        return None
-    row = _find_largest(ratios.assign(size=np.log(ratios["ratio"].astype(float))), "size")
-    return {**row, "name": format_bare_symbol(row["parameter"])}
 
 
 def _list_variations(result: Run) -> list[tuple[str, str]]:
@@ -381,21 +356,53 @@ def rate(result: Run) -> Status:
 
 
 def tabulate(result: Run) -> list[Table]:
-    """Return the changes of every study, of all cells, and of the parameters."""
-    studies = [_tabulate_studies(result, tuned) for tuned in _TUNED]
-    return [*studies, _tabulate_largest(result), _tabulate_parameters(result)]
+    """Return the changes of every study, of all cells, and of the parameters.
 
-
-def _tabulate_studies(result: Run, tuned: str) -> Table:
-    varied = _select_varied(result, "studies", tuned=tuned)
-    frame = pd.concat([result.frames["studies"].query("aspect == @BASE_VARIATION"), varied])
-    rows = pivot(_mark_changes(frame), ["aspect", "variation"], ["metric", "study"])
-    names = dict.fromkeys(map(_shorten_study, varied["study"]))
-    changes = (
-        part("marked_change", metric=one.name, study=name) for one in headline_metrics() for name in names
-    )
-    columns = ("aspect", "variation", *changes, "changed_studies")
-    return Table(f"studies_{tuned}", "", rows, columns, groups=("aspect",), heads=1)
+    Of cells it is by how much they change, in the middle and at most, by variation and table; parameters are
+    multiples of the default ones.
+    """
+    tables = []
+    for tuned in _TUNED:
+        varied = _select_varied(result, "studies", tuned=tuned)
+        frame = pd.concat([result.frames["studies"].query("aspect == @BASE_VARIATION"), varied])
+        marked = pivot(_mark_changes(frame), ["aspect", "variation"], ["metric", "study"])
+        names = dict.fromkeys(map(_shorten_study, varied["study"]))
+        changes = (
+            part("marked_change", metric=one.name, study=name) for one in headline_metrics() for name in names
+        )
+        columns = ("aspect", "variation", *changes, "changed_studies")
+        tables.append(Table(f"studies_{tuned}", "", marked, columns, groups=("aspect",), heads=1))
+    cells = _select_varied(result, "cells", tuned="again", unit="mm").replace({"grouping": _GROUPINGS})
+    keys = ["aspect", "variation", "grouping"]
+    largest = [
+        {
+            **dict(zip(keys, key, strict=True)),
+            "median_change": group["change"].abs().median(),
+            "largest_change": _find_largest(group, "change")["change"],
+            "largest_change_in_floors": group["change_in_floors"].abs().max(),
+        }
+        for key, group in cells.groupby(keys, sort=False)
+    ]
+    statistics = ("median_change", "largest_change", "largest_change_in_floors")
+    sizes = (part(key, grouping=name) for name in _GROUPINGS.values() for key in statistics)
+    variations = _list_variations(result)
+    ratios = [
+        {
+            **row,
+            "study": medium_name(row["study"]),
+            "variation_number": variations.index((row["aspect"], row["variation"])) + 1,
+            "mark": "†" if row["at_bound"] else "",
+        }
+        for row in to_records(_select_varied(result, "parameter_changes"))
+    ]
+    numbers = (part("marked_ratio", variation_number=number + 1) for number in range(len(variations)))
+    pivoted = pivot(largest, keys[:2], keys[2:])
+    fitted = pivot(ratios, ["study", "parameter"], ["variation_number"])
+    return [
+        *tables,
+        Table("largest", "", pivoted, (*keys[:2], *sizes), groups=("aspect",), heads=1),
+        Table("parameters", "", fitted, ("study", "parameter", *numbers), groups=("study",), heads=1),
+    ]
 
 
 def _mark_changes(frame: pd.DataFrame) -> Iterator[Row]:
@@ -418,42 +425,6 @@ def _shorten_study(study: str) -> str:
     return study.removeprefix("study")
 
 
-def _tabulate_largest(result: Run) -> Table:
-    """Return, by variation and table, by how much the cells change: in the middle, and at most."""
-    cells = _select_varied(result, "cells", tuned="again", unit="mm").replace({"grouping": _GROUPINGS})
-    keys = ["aspect", "variation", "grouping"]
-    rows = [
-        {
-            **dict(zip(keys, key, strict=True)),
-            "median_change": group["change"].abs().median(),
-            "largest_change": _find_largest(group, "change")["change"],
-            "largest_change_in_floors": group["change_in_floors"].abs().max(),
-        }
-        for key, group in cells.groupby(keys, sort=False)
-    ]
-    statistics = ("median_change", "largest_change", "largest_change_in_floors")
-    columns = (part(key, grouping=name) for name in _GROUPINGS.values() for key in statistics)
-    varied = pivot(rows, keys[:2], keys[2:])
-    return Table("largest", "", varied, (*keys[:2], *columns), groups=("aspect",), heads=1)
-
-
-def _tabulate_parameters(result: Run) -> Table:
-    """Return the fitted parameters under every variation as multiples of the default ones."""
-    variations = _list_variations(result)
-    rows = [
-        {
-            **row,
-            "study": medium_name(row["study"]),
-            "variation_number": variations.index((row["aspect"], row["variation"])) + 1,
-            "mark": "†" if row["at_bound"] else "",
-        }
-        for row in to_records(_select_varied(result, "parameter_changes"))
-    ]
-    numbers = (part("marked_ratio", variation_number=number + 1) for number in range(len(variations)))
-    fitted = pivot(rows, ["study", "parameter"], ["variation_number"])
-    return Table("parameters", "", fitted, ("study", "parameter", *numbers), groups=("study",), heads=1)
-
-
 def draw(result: Run) -> dict[str, Drawing]:
     """Return the change of every study under every variation, in units of the noise floor."""
     frame = result.frames["studies"].assign(origin=result.origin)
@@ -473,25 +444,18 @@ def draw(result: Run) -> dict[str, Drawing]:
         for metric in headline_metrics()
     }
     options = {
-        "rows": ["aspect", "variation"],
-        "value": "change_in_floors",
-        "by": "study",
-        "looks": looks,
-        "name_row": ": ".join,
-        "panel": "panel",
-        "panels": panels,
+        **{"rows": ["aspect", "variation"], "value": "change_in_floors", "by": "study", "looks": looks},
+        **{"name_row": ": ".join, "panel": "panel", "panels": panels, "scale": 1.0, "zero": True},
         "x_label": "change of the held-out error (noise floors)",
-        "scale": 1.0,
         "limits": (-MAX_CHANGE_FLOORS, MAX_CHANGE_FLOORS),
-        "zero": True,
         "ringed": "conclusion_changes",
     }
-    return {"studies": Drawing("dots_with_intervals", frame, options, _name_panels)}
 
+    def name_panels(every: pd.DataFrame) -> pd.DataFrame:
+        varied = every[every["aspect"] != BASE_VARIATION]
+        return varied.assign(panel=varied["metric"] + " " + varied["tuned"])
 
-def _name_panels(every: pd.DataFrame) -> pd.DataFrame:
-    varied = every[every["aspect"] != BASE_VARIATION]
-    return varied.assign(panel=varied["metric"] + " " + varied["tuned"])
+    return {"studies": Drawing("dots_with_intervals", frame, options, name_panels)}
 
 
 REPORT = report_from_text(KindText("sensitivity"), describe, tabulate, draw, rate=rate)

@@ -36,7 +36,7 @@ from needlefit.inference.specimens import (
     marginal_density,
 )
 from needlefit.project.random_streams import random_stream
-from needlefit.project.toml_lines import describe_key
+from needlefit.project.toml import describe_key
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.labels import POPULATION_NAMES
 from needlefit.reporting.number_format import (
@@ -89,25 +89,18 @@ class SpecimensRecord(TunedAnalysisRecord):
 
 KIND = StudyKind("specimens", SpecimensRecord, __name__)
 
-POSTERIOR_DRAWS = 100
-"""Draws of a specimen's posterior that the Gaussian kernels in its place are made of."""
+POSTERIOR_DRAWS = 100  #: draws of a specimen's posterior that the Gaussian kernels in its place are made of
 
 LEVELS = (0.50, 0.95)
 
-BEST_DETERMINED = "best_determined"
-"""The combination of parameters that specimens determine best."""
-
-NEW_SPECIMENS = 4000
-"""Further specimens that are drawn of a population."""
+BEST_DETERMINED = "best_determined"  #: the combination of parameters that specimens determine best
+NEW_SPECIMENS = 4000  #: further specimens that are drawn of a population
 
 SPECIMEN_STARTS, SPECIMEN_EFFORT = 2, Effort(draws=120, min_ess=150.0)
 """For each simulated specimen: its search, and the importance sampling of its posterior."""
 
-NEEDLE_POINTS = 30
-"""At which a simulated needle is measured, about."""
-
-MAX_SPECIMEN_DRAWS = 100
-"""Draws of a specimen among which one must have a solution."""
+NEEDLE_POINTS = 30  #: at which a simulated needle is measured, about
+MAX_SPECIMEN_DRAWS = 100  #: draws of a specimen among which one must have a solution
 
 _INTERVAL_COLUMNS = ("median", "low_50", "high_50", "low_95", "high_95")
 _TRUST_COLUMNS = ("pareto_k", "certified")
@@ -134,15 +127,7 @@ COVERAGE_COLUMNS = (
 
 
 def run(name: str, record: SpecimensRecord, settings: Settings) -> Run:
-    """Return the estimated population of specimens, or how well a known one is recovered.
-
-    Raises
-    ------
-    ConfigError, DataError
-        If anything the record names is missing or wrong.
-    FitError
-        If a specimen has no solution.
-    """
+    """Return the estimated population of specimens, or how well a known one is recovered."""
     job = with_one_bevel(prepare(name, record.tuning(), settings))  # a group may be a single insertion
     tasks: dict[str, AnalysisTask] = {}
     if record.recovery is None:
@@ -157,37 +142,31 @@ def run(name: str, record: SpecimensRecord, settings: Settings) -> Run:
                 )
             tasks[f"each {what}"] = partial(_measure_population, job, record, what, settings)
     else:
-        _check_mean(job, record.recovery.mean)
+        mean = record.recovery.mean
+        if missing := [one for one in job.parameters.free if one not in mean]:
+            raise ConfigError(
+                f"no mean is given for {', '.join(missing)}",
+                where=describe_key(job.name, "recovery.mean"),
+                key="recovery.mean",
+                expected="one value for each free parameter",
+            )
+        for key, value in mean.items():
+            low, high = job.parameters.bounds.get(key, (math.inf, math.inf))
+            free = key in job.parameters.bounds
+            if not low < value < high:
+                fault = f"{value:g} is not within the bounds of medium {job.record.medium}"
+                one_of = ", ".join(job.parameters.free)
+                raise ConfigError(
+                    fault if free else "this parameter is not free",
+                    where=describe_key(job.name, f"recovery.mean.{key}"),
+                    key=f"recovery.mean.{key}",
+                    expected=f"a number between {low:g} and {high:g}" if free else f"one of {one_of}",
+                )
         for spread in record.recovery.spreads:
             for number in range(record.recovery.replicates):
                 key = f"spread {spread:g}, replicate {number + 1}"
                 tasks[key] = partial(_recover_population, job, record, record.recovery, (spread, number))
     return run_analysis(name, record, settings, AnalysisPlan([job], tasks, FRAMES, _conclude))
-
-
-def _check_mean(job: Job, mean: Mapping[str, float]) -> None:
-    """Refuse an incomplete mean, and one that the medium does not have, or has only beyond its bounds."""
-    missing = [one for one in job.parameters.free if one not in mean]
-    if missing:
-        raise ConfigError(
-            f"no mean is given for {', '.join(missing)}",
-            where=describe_key(job.name, "recovery.mean"),
-            key="recovery.mean",
-            expected="one value for each free parameter",
-        )
-    for name, value in mean.items():
-        low, high = job.parameters.bounds.get(name, (math.inf, math.inf))
-        if not low < value < high:
-            free = name in job.parameters.bounds
-            fault = f"{value:g} is not within the bounds of medium {job.record.medium}"
-            raise ConfigError(
-                fault if free else "this parameter is not free",
-                where=describe_key(job.name, f"recovery.mean.{name}"),
-                key=f"recovery.mean.{name}",
-                expected=f"a number between {low:g} and {high:g}"
-                if free
-                else f"one of {', '.join(job.parameters.free)}",
-            )
 
 
 def _measure_population(job: Job, record: SpecimensRecord, what: str, settings: Settings) -> FrameRows:
@@ -242,7 +221,12 @@ def _infer_population(
         for what, five in ends.items():
             head = {"quantity": what, "parameter": name, "combination": words}
             rows.append({**head, **dict(zip(_INTERVAL_COLUMNS, five, strict=True)), **trust})
-        densities += _density_rows(name, spread, weights, record.spread_prior_sd)
+        grid, density = marginal_density(spread, weights, 0.0)
+        own = name != BEST_DETERMINED  # a parameter's spread, which has a prior of its own
+        prior = halfnorm.pdf(grid, scale=record.spread_prior_sd) if own else np.full(len(grid), np.nan)
+        some = np.column_stack([grid, density, prior])[::4].tolist()
+        heads = ("spread", "density", "prior")
+        densities += [{"parameter": name, **dict(zip(heads, row, strict=True))} for row in some]
     return rows, densities
 
 
@@ -254,16 +238,6 @@ def _central_intervals(values: Floats, weights: Floats) -> list[float]:
     return [float(values[order[min(int(np.searchsorted(passed, p)), len(values) - 1)]]) for p in at]
 
 
-def _density_rows(name: str, spread: Floats, weights: Floats, prior_sd: float) -> list[Row]:
-    """Return the density of a spread, and of its prior where it is a parameter's own."""
-    grid, density = marginal_density(spread, weights, 0.0)
-    prior = np.full(len(grid), np.nan) if name == BEST_DETERMINED else halfnorm.pdf(grid, scale=prior_sd)
-    rows = np.column_stack([grid, density, prior])[::4].tolist()
-    return [
-        {"parameter": name, **dict(zip(("spread", "density", "prior"), row, strict=True))} for row in rows
-    ]
-
-
 def _recover_population(
     job: Job, record: SpecimensRecord, recovery: RecoveryRecord, at: tuple[float, int]
 ) -> FrameRows:
@@ -272,10 +246,12 @@ def _recover_population(
     rng = random_stream(job.recipe.seed, job.name, "recovery", str(spread), number)
     everything = job.problem(job.folds[0])
     mean = job.parameters.theta({**job.parameters.fixed, **recovery.mean})
-    known = [
-        _infer_specimen(job, _simulate_specimen(job, mean, spread, rng), rng)
-        for _ in range(recovery.specimens)
-    ]
+    recipe, known = job.recipe.model_copy(update={"starts": SPECIMEN_STARTS, "minimize": "posterior"}), []
+    for _ in range(recovery.specimens):  # each by its posterior from a flat prior
+        problem = _simulate_specimen(job, mean, spread, rng)
+        found = sample_about_fit(problem, minimize(problem, recipe, rng), rng, 1, SPECIMEN_EFFORT)
+        chosen = rng.choice(len(found.thetas), size=KERNELS_PER_SPECIMEN, p=np.exp(found.log_weights))
+        known.append(make_specimen(found.thetas[chosen]))
     population, _ = _infer_population(everything, known, record, rng)
     truths = dict(zip(everything.names, mean.tolist(), strict=True))
     rows = [
@@ -291,10 +267,7 @@ def _recover_population(
 def _simulate_specimen(job: Job, mean: Floats, spread: float, rng: np.random.Generator) -> Problem:
     """Return the problem of one specimen drawn about the mean, with needles measured with stated errors.
 
-    Raises
-    ------
-    FitError
-        If hardly any such specimen has a solution.
+    Raises FitError if hardly any such specimen has a solution.
     """
     everything = job.problem(job.folds[0])
     for _ in range(MAX_SPECIMEN_DRAWS):
@@ -325,17 +298,20 @@ def _thin_points(insertion: Insertion) -> Insertion:
     return replace(insertion, planar=insertion.planar[kept], sd=sd, sections=None)
 
 
-def _infer_specimen(job: Job, problem: Problem, rng: np.random.Generator) -> Specimen:
-    """Return the posterior of a simulated specimen, from a flat prior."""
-    recipe = job.recipe.model_copy(update={"starts": SPECIMEN_STARTS, "minimize": "posterior"})
-    found = sample_about_fit(problem, minimize(problem, recipe, rng), rng, 1, SPECIMEN_EFFORT)
-    chosen = rng.choice(len(found.thetas), size=KERNELS_PER_SPECIMEN, p=np.exp(found.log_weights))
-    return make_specimen(found.thetas[chosen])
-
-
 def _conclude(frames: Frames) -> tuple[str, ...]:
-    """Add how often intervals held; return which posteriors are not to be trusted."""
-    frames["coverage"] = pd.DataFrame(_coverage_rows(frames["recovered"]), columns=list(COVERAGE_COLUMNS))
+    """Add how often intervals held the truth, with Wilson's 95 % interval, and their median width.
+
+    Returns which posteriors are not to be trusted.
+    """
+    rows: list[Row] = []
+    for key, same in frames["recovered"].groupby(["spread", "quantity", "parameter"], sort=False):
+        for level in LEVELS:
+            low, high = same[f"low_{100 * level:.0f}"], same[f"high_{100 * level:.0f}"]
+            covered = int(((low <= same["truth"]) & (same["truth"] <= high)).sum())
+            ends = wilson_interval(covered / len(same), len(same))
+            found = (level, len(same), covered, covered / len(same), *ends, float((high - low).median()))
+            rows.append(dict(zip(COVERAGE_COLUMNS, (*key, *found), strict=True)))
+    frames["coverage"] = pd.DataFrame(rows, columns=list(COVERAGE_COLUMNS))
     every = frames["specimens"]
     doubted = every[~every["certified"].astype(bool)].drop_duplicates(["groups", "specimen"])
     whole = frames["population"].drop_duplicates("groups")
@@ -346,23 +322,9 @@ def _conclude(frames: Frames) -> tuple[str, ...]:
     )
 
 
-def _coverage_rows(recovered: pd.DataFrame) -> list[Row]:
-    """Return how often intervals held the truth, with Wilson's 95 % interval, and their median width."""
-    rows: list[Row] = []
-    for key, same in recovered.groupby(["spread", "quantity", "parameter"], sort=False):
-        for level in LEVELS:
-            low, high = same[f"low_{100 * level:.0f}"], same[f"high_{100 * level:.0f}"]
-            covered = int(((low <= same["truth"]) & (same["truth"] <= high)).sum())
-            ends = wilson_interval(covered / len(same), len(same))
-            found = (level, len(same), covered, covered / len(same), *ends, float((high - low).median()))
-            rows.append(dict(zip(COVERAGE_COLUMNS, (*key, *found), strict=True)))
-    return rows
-
-
 # ---- the report
 
-MAX_NAMED_SPECIMENS = 3
-"""Number of specimens that a sentence names; more are only counted."""
+MAX_NAMED_SPECIMENS = 3  #: number of specimens that a sentence names; more are only counted
 
 
 def describe(result: Run) -> dict[str, Any]:
@@ -386,7 +348,12 @@ def _describe_group(result: Run, what: str) -> dict[str, Any]:
     """Return spreads, a further specimen, and what lies beyond or near bounds, of one way to group."""
     frames = (result.frames[name] for name in ("population", "specimens"))
     mine, every = (frame[frame["groups"] == what] for frame in frames)
-    bounds = _find_bounds(result)
+    (medium, *_) = result.run["parts"]
+    given = {name: one["bounds"] for name, one in medium["medium"]["parameters"].items() if one["bounds"]}
+    bounds = {  # of logarithms, of alpha itself
+        name: (math.log(low), math.log(high)) if is_logarithmic(name) else (low, high)
+        for name, (low, high) in given.items()
+    }
     spreads = [
         {**row, "name": _name_parameter(row)} for row in to_records(mine[mine["quantity"] == "spread"])
     ]
@@ -416,16 +383,6 @@ def _describe_group(result: Run, what: str) -> dict[str, Any]:
         ],
         "posteriors": every["specimen"].nunique(),
         "near": near,
-    }
-
-
-def _find_bounds(result: Run) -> dict[str, tuple[float, float]]:
-    """Return the bounds of the medium's free parameters: logarithms, of alpha itself."""
-    (part, *_) = result.run["parts"]
-    given = {name: one["bounds"] for name, one in part["medium"]["parameters"].items() if one["bounds"]}
-    return {
-        name: (math.log(low), math.log(high)) if is_logarithmic(name) else (low, high)
-        for name, (low, high) in given.items()
     }
 
 
@@ -469,42 +426,39 @@ def _format_ends(row: Row, *ends: float) -> str:
 def draw(result: Run) -> dict[str, Drawing]:
     """Return specimens and spreads, or the intervals of every replicate beside the true values."""
     frames = {name: frame.assign(origin=result.origin) for name, frame in result.frames.items()}
+
+    def name_recovered(every: pd.DataFrame) -> pd.DataFrame:
+        names = every["quantity"].map(POPULATION_NAMES) + " of " + every["parameter"].map(_axis_label)
+        placed = every.assign(panel=names, place=pd.factorize(every["parameter"])[0])
+        return placed.sort_values(["place", "quantity"], kind="stable")
+
+    def name_specimens(every: pd.DataFrame) -> pd.DataFrame:
+        ends = {"low": every["mean"] - every["sd"], "high": every["mean"] + every["sd"]}
+        return every.assign(**ends, label=every["parameter"].map(_axis_label))
+
+    def name_densities(every: pd.DataFrame) -> pd.DataFrame:
+        return every.assign(panel=every["parameter"].map(lambda name: f"spread: {_axis_label(name)}"))
+
     if result.record.recovery is not None:
         options = {"group": "spread", "label": "true spread\n{:g}"}
-        return {"recovered": Drawing("intervals", frames["recovered"], options, _prepare_recovered)}
+        return {"recovered": Drawing("intervals", frames["recovered"], options, name_recovered)}
     known = frames["population"]
     reach = known[known["quantity"] == "spread"][["groups", "parameter", "high_95"]]
     densities = result.frames["densities"].merge(reach, how="left", on=["groups", "parameter"])
     densities = densities.assign(origin=result.origin)
     options = {"by": "groups", "x": "spread", "name": "{}s"}
-    labels = {_axis_label(name): "linear" for name in frames["specimens"]["parameter"]}
     dots: dict[str, Any] = {
-        "rows": ["specimen"],
-        "value": "mean",
-        "by": "groups",
-        "intervals": [("low", "high")],
+        **{"rows": ["specimen"], "value": "mean", "by": "groups", "intervals": [("low", "high")]},
+        # each panel with an axis of its own
+        **{
+            "panel": "label",
+            "scale": dict.fromkeys(map(_axis_label, frames["specimens"]["parameter"]), "linear"),
+        },
     }
-    dots |= {"panel": "label", "scale": labels}  # with axes of their own
     return {
-        "specimens": Drawing("dots_with_intervals", frames["specimens"], dots, _prepare_specimens),
-        "densities": Drawing("densities", densities, options, _name_densities),
+        "specimens": Drawing("dots_with_intervals", frames["specimens"], dots, name_specimens),
+        "densities": Drawing("densities", densities, options, name_densities),
     }
-
-
-def _prepare_specimens(every: pd.DataFrame) -> pd.DataFrame:
-    ends = {"low": every["mean"] - every["sd"], "high": every["mean"] + every["sd"]}
-    return every.assign(**ends, label=every["parameter"].map(_axis_label))
-
-
-def _name_densities(every: pd.DataFrame) -> pd.DataFrame:
-    return every.assign(panel=every["parameter"].map(lambda name: f"spread: {_axis_label(name)}"))
-
-
-def _prepare_recovered(every: pd.DataFrame) -> pd.DataFrame:
-    names = every["quantity"].map(POPULATION_NAMES) + " of " + every["parameter"].map(_axis_label)
-    return every.assign(panel=names, place=pd.factorize(every["parameter"])[0]).sort_values(
-        ["place", "quantity"], kind="stable"
-    )
 
 
 def _axis_label(name: str) -> str:

@@ -17,6 +17,7 @@ from needlefit.datasets.select import select_insertions
 from needlefit.datasets.tip_tracks import GUIDE_STILL_MM, TipTrack
 from needlefit.errors import ConfigError
 from needlefit.geometry.frames import make_tracker_columns
+from needlefit.inference import predict
 from needlefit.inference.baselines import BASELINES, list_baselines
 from needlefit.inference.fit import Callbacks, Fit
 from needlefit.inference.forward_model import simulate_deflections
@@ -24,16 +25,6 @@ from needlefit.inference.identifiability.identify import identify
 from needlefit.inference.likelihood.observation import Observation, make_observation
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import NOISE_SCALE, is_logarithmic
-from needlefit.inference.predict import (
-    INTERVAL_PROBABILITIES,
-    Draws,
-    PredictiveMixture,
-    crps,
-    interval,
-    quantile,
-    simulate_shape_pit,
-    thin_posterior,
-)
 from needlefit.inference.problem import Problem
 from needlefit.inference.proportions import estimate_proportion
 from needlefit.inference.sampling.importance import resample_draws, sample_about_fit
@@ -44,7 +35,7 @@ from needlefit.project.checkpoint import Checkpoint, open_checkpoint
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
-from needlefit.project.toml_lines import locate_key, renamed_keys
+from needlefit.project.toml import locate_key, renamed_keys
 from needlefit.reporting.document import bullets
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.labels import medium_name, method_name
@@ -117,14 +108,9 @@ FRAMES: Mapping[str, tuple[str, ...]] = {
     "depths": DEPTH_COLUMNS,
 }
 
-MIN_SCORED_READINGS = 2
-"""Fewest readings of a predicted run that are scored."""
-
-DEPTH_BIN_MM = 20.0
-"""mm of depth that are taken together."""
-
-MEASURES = ("rms_mm", "aligned_rms_mm", "crps_mm")
-"""Of runs, by which methods are compared."""
+MIN_SCORED_READINGS = 2  #: fewest readings of a predicted run that are scored
+DEPTH_BIN_MM = 20.0  #: mm of depth that are taken together
+MEASURES = ("rms_mm", "aligned_rms_mm", "crps_mm")  #: of runs, by which methods are compared
 
 
 def list_track_methods() -> tuple[str, ...]:
@@ -161,11 +147,8 @@ def make_tasks(
 ) -> list[TrackTask]:
     """Return one fit with everything that it names, or the fits of its folds.
 
-    Raises
-    ------
-    ConfigError
-        If a medium or run is missing, stands on both sides, the needle is too short, folds are too many, or a
-        predicted run has too few readings that are scored.
+    Raises ConfigError if a medium or run is missing, stands on both sides, the needle is too short, folds are
+    too many, or a predicted run has too few readings that are scored.
     """
     held = select_insertions(dataset, one.validate_.selection(), key="validate")
     tuned = select_insertions(dataset, one.tune.selection())
@@ -205,9 +188,19 @@ def make_tasks(
     return tasks
 
 
-def _require_scored(one: TrackTask, placed_by: float) -> None:
-    """Raise ConfigError if a predicted run has too few readings beyond `placed_by` mm to be scored."""
-    for track in one.held:
+def run(name: str, record: TrackStudyRecord, settings: Settings) -> Run:
+    """Run a study of tip tracks.
+
+    Runs are predicted by draws of the posterior: by importance sampling, or by MCMC if that is asked for, or
+    where the weights cannot be trusted.
+    """
+    dataset, tasks = read(find_file("dataset", record.dataset)), list[TrackTask]()
+    for n, fit_record in enumerate(record.fits, start=1):
+        keys = ("medium", "tune", "validate", "priors", "folds")
+        with renamed_keys({key: f"fits.{n}.{key}" for key in keys}):
+            tasks += make_tasks(name, record, fit_record, settings, dataset)
+    placed_by = record.registration_depth_mm
+    for track in (track for one in tasks for track in one.held):
         if int((track.depths > placed_by).sum()) < MIN_SCORED_READINGS:
             raise ConfigError(
                 f"of run {track.id} nothing is left to be predicted: its readings end at "
@@ -216,32 +209,10 @@ def _require_scored(one: TrackTask, placed_by: float) -> None:
                 expected=f"{MIN_SCORED_READINGS} readings below it, at least",
                 fix="lower registration_depth_mm, or leave the run out",
             )
-
-
-def run(name: str, record: TrackStudyRecord, settings: Settings) -> Run:
-    """Run a study of tip tracks.
-
-    Runs are predicted by draws of the posterior: by importance sampling, or by MCMC if that is asked for, or
-    where the weights cannot be trusted.
-
-    Raises
-    ------
-    ConfigError, DataError
-        If anything the record names is missing or wrong.
-    FitError
-        If a search finds no point that can be solved.
-    """
-    dataset, tasks = read(find_file("dataset", record.dataset)), list[TrackTask]()
-    for n, fit_record in enumerate(record.fits, start=1):
-        keys = ("medium", "tune", "validate", "priors", "folds")
-        with renamed_keys({key: f"fits.{n}.{key}" for key in keys}):
-            tasks += make_tasks(name, record, fit_record, settings, dataset)
-    for one in tasks:
-        _require_scored(one, record.registration_depth_mm)
     doing = {**_describe_configuration(name, record, dataset, tasks), "prediction_draws": PREDICTION_DRAWS}
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, doing, settings.note)
     rows: dict[str, list[Row]] = {"readings": [], "runs": [], "parameters": []}
-    draws: dict[str, Draws] = {}
+    draws: dict[str, predict.Draws] = {}
     posteriors: dict[str, Posterior] = {}
     for one in tasks:
         drawn = _draw_posterior(name, one, settings, checkpoint)
@@ -250,7 +221,7 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> Run:
         fit, draws[one.name], posterior = drawn
         posteriors |= {} if posterior is None else {one.name: posterior}
         rows["parameters"] += _summarize_parameters(one.name, one.problem, fit, draws[one.name])
-        found = _predict_runs(name, one, draws[one.name], record.registration_depth_mm, settings.jobs)
+        found = _predict_runs(name, one, draws[one.name], placed_by, settings.jobs)
         for frame, more in found.items():
             rows[frame] += more
     frames = {key: pd.DataFrame(each, columns=list(FRAMES[key])) for key, each in rows.items()}
@@ -260,13 +231,7 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> Run:
         "depths": tabulate_by_depth(frames["readings"]),
     }
     faults = tuple(f"{fit}: {why}" for fit, one in draws.items() for why in one.faults)
-    warnings = [
-        *dataset.warnings,
-        *_warn_of_specimens(name, record, tasks, settings.place("fits")),
-        *_warn_of_bounds(tasks, frames["parameters"]),
-        *_warn_of_baselines(frames["paired"]),
-        *_warn_of_width(frames["readings"]),
-    ]
+    warned = _find_warnings(name, record, tasks, frames, settings.place("fits"))
     return Run(
         kind=KIND.name,
         name=name,
@@ -278,7 +243,7 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> Run:
             **doing,
             "not_converged": list(faults),
             "draws": {fit: one.describe() for fit, one in draws.items()},
-            **warnings_entry(warnings),
+            **warnings_entry([*dataset.warnings, *warned]),
         },
         timing={"dataset": str(dataset.path)},
         interrupted=len(draws) < len(tasks),
@@ -312,7 +277,7 @@ def _describe_configuration(
 
 def _draw_posterior(
     name: str, task: TrackTask, settings: Settings, checkpoint: Checkpoint
-) -> tuple[Fit, Draws, Posterior | None] | None:
+) -> tuple[Fit, predict.Draws, Posterior | None] | None:
     """Return one fit, and draws of its posterior from the ends of its searches; None after an early stop."""
 
     def step(done: int, total: int) -> None:
@@ -334,11 +299,11 @@ def _draw_posterior(
     posterior = sample_from_fit(task.problem, fit, task.recipe.sample, stream("posterior"), callbacks, kept)
     if posterior is None or posterior.interrupted:
         return None
-    draws = thin_posterior(posterior, task.problem.parameters, PREDICTION_DRAWS, pareto_k)
+    draws = predict.thin_posterior(posterior, task.problem.parameters, PREDICTION_DRAWS, pareto_k)
     return fit, draws, posterior
 
 
-def _summarize_parameters(name: str, problem: Problem, fit: Fit, draws: Draws) -> Iterator[Row]:
+def _summarize_parameters(name: str, problem: Problem, fit: Fit, draws: predict.Draws) -> Iterator[Row]:
     """Yield a row per free parameter: percentiles (Pa, mm), posterior SD / prior SD, and what it needs.
 
     Of draws that are not certified, no parameter is called determined.
@@ -363,28 +328,29 @@ def _summarize_parameters(name: str, problem: Problem, fit: Fit, draws: Draws) -
         }
 
 
-def _warn_of_specimens(
-    name: str, record: TrackStudyRecord, tasks: Sequence[TrackTask], where: str
+def _find_warnings(
+    name: str,
+    record: TrackStudyRecord,
+    tasks: Sequence[TrackTask],
+    frames: Mapping[str, pd.DataFrame],
+    where: str,
 ) -> Iterator[ResultWarning]:
+    """Yield the warnings about shared specimens, bounds, closer baselines and wide intervals."""
     shared: dict[str, None] = {}
     for one in tasks:
         held = {track.specimen for track in one.held}
         shared |= dict.fromkeys(track.specimen for track in one.problem.insertions if track.specimen in held)
     if shared and not record.same_specimen:
         yield specimen_warning(name, list(shared), where)
-
-
-def _warn_of_bounds(tasks: Sequence[TrackTask], parameters: pd.DataFrame) -> Iterator[ResultWarning]:
-    """Yield the parameters of which the optimum, or else the interval of the draws, ends at a bound."""
+    # parameters of which the optimum, or else the interval of the draws, ends at a bound
     bounds = {one.group: one.problem.parameters for one in tasks}
     groups = {one.name: one.group for one in tasks}
-    fits = parameters.assign(fit=parameters["fit"].map(groups)).rename(columns={"fitted": "value"})
+    fits = frames["parameters"].assign(fit=frames["parameters"]["fit"].map(groups))
+    fits = fits.rename(columns={"fitted": "value"})
     yield from analysis_bound_warnings(fits, bounds)
     yield from cut_off_warnings(fits, bounds)
-
-
-def _warn_of_baselines(paired: pd.DataFrame) -> Iterator[ResultWarning]:
-    """Yield, by medium, the closest curve without a model, if it is significantly closer than the fit."""
+    # by medium, the closest curve without a model, if it is significantly closer than the fit
+    paired, readings = frames["paired"], frames["readings"]
     better = paired[(paired["metric"] == "rms_mm") & (paired["high"] < 0)]
     for medium, rows in better.groupby("medium", sort=False):
         best = rows.sort_values("value", kind="stable").iloc[0]
@@ -395,10 +361,6 @@ def _warn_of_baselines(paired: pd.DataFrame) -> Iterator[ResultWarning]:
             f"{best['value'] - best['difference']:.2f} mm)",
             fix="do not rely on this model there; fit to runs with guide moves like those predicted",
         )
-
-
-def _warn_of_width(readings: pd.DataFrame) -> Iterator[ResultWarning]:
-    """Yield the media whose last readings are predicted with wide intervals."""
     last = readings[readings["method"] == "fitted"].groupby(["fit", "run"], sort=False).tail(1)
     for medium, some in last.dropna(subset=["low_95_mm"]).groupby("medium", sort=False):
         width = float((some["high_95_mm"] - some["low_95_mm"]).median())
@@ -409,8 +371,11 @@ def _warn_of_width(readings: pd.DataFrame) -> Iterator[ResultWarning]:
 # ---- predictions and their scores
 
 
+_INTERVAL_KEYS = ("low_", "high_", "crps_", "track_", "end_in_", "end_width_", "points_in_")
+
+
 def _predict_runs(
-    name: str, task: TrackTask, draws: Draws, placed_by: float, jobs: int
+    name: str, task: TrackTask, draws: predict.Draws, placed_by: float, jobs: int
 ) -> dict[str, list[Row]]:
     """Return rows of what every method makes of the runs of one fit, and of their readings."""
     problem, runs, readings = task.problem, list[Row](), list[Row]()
@@ -427,17 +392,30 @@ def _predict_runs(
         else:
             drawn = _draw_model_tips(task, draws, jobs, rng)
         head: Row = {"fit": task.name, "method": method}
-        uncertified = bool(draws.faults) and method not in BASELINES
         runs += [{**head, "role": "tune", **row} for row in tabulate_tuned(tuned, drawn)]
-        for row, some in _score_runs(tuned, held, drawn, placed_by, rng):
-            if uncertified:
-                row, *some = map(_remove_intervals, (row, *some))
-            runs.append({**head, "role": "validate", **row})
-            readings += [{**head, **one} for one in some]
+        for track, known, deflection in zip(_tracks(held), held, drawn.held_out, strict=True):
+            # readings up to `placed_by` mm locate a run in the tracker's frame; the others are scored
+            placed = max(1, int(np.sum(track.depths <= placed_by)))
+            slope = estimate_slopes(drawn, tuned, track)
+            predicted = predict_readings(known, deflection, drawn.scale, slope, placed, rng)
+            mixture = predict.PredictiveMixture(predicted, np.zeros(predicted.shape[1]))
+            row = _describe_track(track, predicted.shape[1]) | _aligned_error(track, deflection, placed)
+            row |= _score_prediction(mixture, track.tip[placed:], rng)
+            found = [{**head, "role": "validate", **row}]
+            found += [{**head, **one} for one in _reading_rows(track, mixture, placed)]
+            if draws.faults and method not in BASELINES:  # only certified draws predict intervals
+                found = [
+                    {key: np.nan if key.startswith(_INTERVAL_KEYS) else x for key, x in one.items()}
+                    for one in found
+                ]
+            runs.append(found[0])
+            readings += found[1:]
     return {"runs": runs, "readings": readings}
 
 
-def _draw_model_tips(task: TrackTask, draws: Draws, jobs: int, rng: np.random.Generator) -> TrackDraws:
+def _draw_model_tips(
+    task: TrackTask, draws: predict.Draws, jobs: int, rng: np.random.Generator
+) -> TrackDraws:
     """Return the model's draws; those of which a solve fails are left out.
 
     Runs fitted to have the needle's bevel, those predicted each one of their own.
@@ -463,27 +441,6 @@ def tabulate_tuned(tuned: Sequence[Observation], drawn: TrackDraws) -> Iterator[
         yield {**_describe_track(track, len(track.tip)), **_aligned_error(track, deflection, 0)}
 
 
-def _score_runs(
-    tuned: Sequence[Observation],
-    held: Sequence[Observation],
-    drawn: TrackDraws,
-    placed_by: float,
-    rng: np.random.Generator,
-) -> Iterator[tuple[Row, list[Row]]]:
-    """Yield for every held-out run its scores, and its readings beside their predictions.
-
-    Readings up to `placed_by` mm locate a run in the tracker's frame; the others are scored.
-    """
-    for track, known, deflection in zip(_tracks(held), held, drawn.held_out, strict=True):
-        placed = max(1, int(np.sum(track.depths <= placed_by)))
-        slope = estimate_slopes(drawn, tuned, track)
-        draws = predict_readings(known, deflection, drawn.scale, slope, placed, rng)
-        mixture = PredictiveMixture(draws, np.zeros(draws.shape[1]))
-        row = _describe_track(track, draws.shape[1]) | _aligned_error(track, deflection, placed)
-        row |= _score_prediction(mixture, track.tip[placed:], rng)
-        yield row, list(_reading_rows(track, mixture, placed))
-
-
 def _tracks(observations: Sequence[Observation]) -> list[TipTrack]:
     return [one.insertion for one in observations if isinstance(one.insertion, TipTrack)]
 
@@ -500,32 +457,24 @@ def _aligned_error(track: TipTrack, deflection: Floats, placed: int) -> Row:
     return {"aligned_rms_mm": float(np.sqrt(np.mean(left**2)))}
 
 
-def _score_prediction(mixture: PredictiveMixture, measured: Floats, rng: np.random.Generator) -> Row:
-    off = quantile(mixture, 0.5) - measured
-    level = simulate_shape_pit(mixture, np.zeros((len(measured), len(measured))), measured, rng)
+def _score_prediction(mixture: predict.PredictiveMixture, measured: Floats, rng: np.random.Generator) -> Row:
+    off = predict.quantile(mixture, 0.5) - measured
+    level = predict.simulate_shape_pit(mixture, np.zeros((len(measured), len(measured))), measured, rng)
     row: Row = {"rms_mm": float(np.sqrt(np.mean(off**2))), "end_error_mm": float(off[-1])}
-    row |= {"crps_mm": float(crps(mixture, measured).mean()), "track_pit": level}
-    for wanted in INTERVAL_PROBABILITIES:
+    row |= {"crps_mm": float(predict.crps(mixture, measured).mean()), "track_pit": level}
+    for wanted in predict.INTERVAL_PROBABILITIES:
         name = f"{100 * wanted:.0f}"
-        low, high = interval(mixture, wanted)
+        low, high = predict.interval(mixture, wanted)
         within = (low <= measured) & (measured <= high)
         row |= {f"end_in_{name}": bool(within[-1]), f"points_in_{name}": float(within.mean())}
         row |= {f"track_in_{name}": level <= wanted, f"end_width_{name}_mm": float(high[-1] - low[-1])}
     return row
 
 
-_INTERVAL_KEYS = ("low_", "high_", "crps_", "track_", "end_in_", "end_width_", "points_in_")
-
-
-def _remove_intervals(row: Row) -> Row:
-    """Return a row without what only certified draws can predict: intervals and the scores of these."""
-    return {key: np.nan if key.startswith(_INTERVAL_KEYS) else value for key, value in row.items()}
-
-
-def _reading_rows(track: TipTrack, mixture: PredictiveMixture, placed: int) -> Iterator[Row]:
-    predicted = {"median_mm": quantile(mixture, 0.5)}
-    for level in INTERVAL_PROBABILITIES:
-        low, high = interval(mixture, level)
+def _reading_rows(track: TipTrack, mixture: predict.PredictiveMixture, placed: int) -> Iterator[Row]:
+    predicted = {"median_mm": predict.quantile(mixture, 0.5)}
+    for level in predict.INTERVAL_PROBABILITIES:
+        low, high = predict.interval(mixture, level)
         predicted |= {f"low_{100 * level:.0f}_mm": low, f"high_{100 * level:.0f}_mm": high}
     first = track.tip[0]
     for n, (depth, guide, tip) in enumerate(zip(track.depths, track.guide, track.tip, strict=True)):
@@ -634,90 +583,76 @@ def judge(results: Run) -> list[Verdict]:
 
 
 def tabulate(results: Run) -> list[Table]:
-    """Return the tables of scores, positions, depths, coverage and parameters."""
-    return [
-        _tabulate_scores(results),
-        _tabulate_positions(results),
-        _tabulate_depths(results),
-        _tabulate_shares(results),
-        _tabulate_parameters(results),
-    ]
+    """Return the tables of scores, positions, depths, coverage and parameters.
 
-
-def _tabulate_scores(results: Run) -> Table:
-    """Return the prediction errors of every method on the same runs."""
-    rows = [
+    These are errors of every method on the same runs; where the tip was predicted at the last reading of each
+    run; how errors grow with depth; the coverage of intervals, where a run is a trial; and estimates.
+    """
+    frames = {name: to_records(frame) for name, frame in results.frames.items()}
+    scores = [
         {**row, "method": name_track_method(row["method"]), "metric": _MEASURE_HEADINGS[row["metric"]]}
         | ({"difference": "", "better": ""} if row["method"] == "fitted" else {})
-        for row in to_records(results.frames["paired"])
+        for row in frames["paired"]
         if row["metric"] in _MEASURE_HEADINGS
     ]
     keys = ("track_error", "track_difference", "better_runs")
     measures = (part(key, metric=heading) for heading in _MEASURE_HEADINGS.values() for key in keys)
-    columns = ("medium", "runs", "method", *measures)
-    methods = pivot(rows, ["medium", "method"], ["metric"])
-    return Table("scores", "", methods, columns, groups=("medium",), strong="groups")
-
-
-def _tabulate_positions(results: Run) -> Table:
-    """Return where the tip was predicted at the last reading of each run, with its 95 % interval."""
-    readings, rows = results.frames["readings"], []
+    readings, positions = results.frames["readings"], []
     for _, run in readings[readings["method"] == "fitted"].groupby(["fit", "run"], sort=False):
         moved = run["guide_mm"].max() - run["guide_mm"].min() > GUIDE_STILL_MM
         last = to_records(run.tail(1))[0]
         ends = {f"95_{end}_mm": last[f"{end}_95_mm"] for end in ("low", "high")}
-        rows.append({**last, **ends, "guide_state": "moved" if moved else "at rest"})
-    columns = ("medium", "run", "guide_state", "depth_mm", "measured_mm", "median_mm", "range_95_mm")
-    return Table("positions", "", rows, columns, groups=("medium",))
-
-
-def _tabulate_depths(results: Run) -> Table:
-    """Return how prediction errors grow with depth."""
-    known = to_records(results.frames["depths"])
+        positions.append({**last, **ends, "guide_state": "moved" if moved else "at rest"})
+    media = list(dict.fromkeys(row["medium"] for row in frames["depths"]))
     order = list(list_track_methods())
-    rows = [
-        {
-            **row,
-            "depth_interval": f"{row['low_mm']:g}–{row['high_mm']:g}",
-            "place": order.index(row["method"]),
-        }
-        for row in known
+    ranges = {row["low_mm"]: f"{row['low_mm']:g}–{row['high_mm']:g}" for row in frames["depths"]}
+    depths = [
+        {**row, "depth_interval": ranges[row["low_mm"]], "method": name_track_method(row["method"])}
+        for row in sorted(
+            frames["depths"], key=lambda row: (media.index(row["medium"]), order.index(row["method"]))
+        )
     ]
-    media = list(dict.fromkeys(row["medium"] for row in known))
-    rows.sort(key=lambda row: (media.index(row["medium"]), row["place"]))
-    ranges = sorted({(row["low_mm"], row["depth_interval"]) for row in rows})
-    named = [row | {"method": name_track_method(row["method"])} for row in rows]
-    errors = (part("depth_error", depth_interval=words) for _, words in ranges)
-    methods = pivot(named, ["medium", "method"], ["depth_interval"])
-    columns = ("medium", "method", *errors)
-    return Table("depths", "", methods, columns, groups=("medium",), strong="groups")
-
-
-def _tabulate_shares(results: Run) -> Table:
-    """Return the coverage of intervals: of last readings, and of whole tracks; a run is a trial."""
-    rows = [
-        {"medium": medium, "method": name_track_method(str(method))}
-        | {f"{row['quantity']}_in_{row['level']:g}": _format_share(row) for row in to_records(group)}
-        for (medium, method), group in results.frames["coverage"].groupby(["medium", "method"], sort=False)
-    ]
-    columns = ("medium", "method", "end_in_50", "end_in_95", "track_in_50", "track_in_95")
-    return Table("coverage", "", rows, columns, groups=("medium",), strong="groups")
-
-
-def _format_share(row: Row) -> str:
-    return f"{row['covered']} of {row['runs']} ({100 * row['low']:.0f}–{100 * row['high']:.0f} %)"
-
-
-def _tabulate_parameters(results: Run) -> Table:
-    """Return the estimate of each parameter from the fitted runs."""
-    rows = []
-    for row in to_records(results.frames["parameters"]):
+    errors = (part("depth_error", depth_interval=ranges[low]) for low in sorted(ranges))
+    covered: dict[tuple[str, str], Row] = {}
+    for row in frames["coverage"]:
+        names = {"medium": row["medium"], "method": name_track_method(row["method"])}
+        covered.setdefault((row["medium"], row["method"]), names)[
+            f"{row['quantity']}_in_{row['level']:g}"
+        ] = f"{row['covered']} of {row['runs']} ({100 * row['low']:.0f}–{100 * row['high']:.0f} %)"
+    parameters = []
+    for row in frames["parameters"]:
         label, unit = choose_printed_unit(str(row["parameter"]), [row["p97_5"]])
         scaled = {one: None if row[one] is None else row[one] / unit for one in ("p2_5", "p50", "p97_5")}
         verdict = "determined" if row["determined"] else str(row["condition"] or "not determined")
-        rows.append({**row, **scaled, "parameter": label, "verdict": verdict})
-    columns = ("fit", "parameter", "p2_5", "p50", "p97_5", "sd_ratio", "verdict")
-    return Table("parameters", "", rows, columns)
+        parameters.append({**row, **scaled, "parameter": label, "verdict": verdict})
+    each = ("medium", "method")
+    of_media: dict[str, Any] = {"groups": ("medium",), "strong": "groups"}
+    return [
+        Table(
+            "scores", "", pivot(scores, each, ["metric"]), ("medium", "runs", "method", *measures), **of_media
+        ),
+        Table(
+            "positions",
+            "",
+            positions,
+            ("medium", "run", "guide_state", "depth_mm", "measured_mm", "median_mm", "range_95_mm"),
+            groups=("medium",),
+        ),
+        Table("depths", "", pivot(depths, each, ["depth_interval"]), (*each, *errors), **of_media),
+        Table(
+            "coverage",
+            "",
+            list(covered.values()),
+            (*each, "end_in_50", "end_in_95", "track_in_50", "track_in_95"),
+            **of_media,
+        ),
+        Table(
+            "parameters",
+            "",
+            parameters,
+            ("fit", "parameter", "p2_5", "p50", "p97_5", "sd_ratio", "verdict"),
+        ),
+    ]
 
 
 def draw(results: Run) -> dict[str, Drawing]:

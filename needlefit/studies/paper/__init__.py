@@ -31,12 +31,8 @@ _SCHEMAS: dict[TableName, TableSchema] = {"parameters": TableSchema(keys=("set",
 def read_published_table(name: TableName) -> pd.DataFrame:
     """Read one published table from `data/paper/<name>.csv`.
 
-    Raises
-    ------
-    ConfigError
-        If no project root holds the file.
-    DataError
-        If it is no table, or lacks a column.
+    Raises ConfigError if no project root holds the file. Raises DataError if it is no table, or lacks a
+    column.
     """
     path = _find_file(name)
     return read_table(path, _SCHEMAS.get(name, ANY_COLUMNS))
@@ -45,10 +41,7 @@ def read_published_table(name: TableName) -> pd.DataFrame:
 def read_printed_table(name: TableName) -> pd.DataFrame:
     """Read one published table with its numbers as texts, as they are printed: 33.60, 12.0.
 
-    Raises
-    ------
-    ConfigError, DataError
-        As `read_published_table`.
+    Raises ConfigError, DataError as `read_published_table`.
     """
     names = tuple(map(str, read_published_table(name)))
     return read_table(_find_file(name), TableSchema(texts=names)).fillna("")
@@ -57,10 +50,7 @@ def read_printed_table(name: TableName) -> pd.DataFrame:
 def read_hand_tuned(name: str) -> dict[str, float]:
     """Read one row of the parameter table, by parameter name (`mu1_pa`, `alpha1`, ..., `bevel_mm`).
 
-    Raises
-    ------
-    ConfigError
-        If there is no such row.
+    Raises ConfigError if there is no such row.
     """
     published = {"parameters": read_published_table("parameters")}
     with convert_stored_errors(_find_file("parameters")):
@@ -68,7 +58,8 @@ def read_hand_tuned(name: str) -> dict[str, float]:
     if not found:
         known = ", ".join(read_hand_tuned_names())
         raise ConfigError(f"the paper has no parameter set called `{name}`", expected=f"one of {known}")
-    return {key: float(value) for key, value in found[0].items() if _is_number(value)}
+    numbers = {key: value for key, value in found[0].items() if isinstance(value, int | float)}
+    return {key: float(value) for key, value in numbers.items() if not math.isnan(value)}
 
 
 def read_hand_tuned_names() -> tuple[str, ...]:
@@ -90,10 +81,6 @@ def find_contradictions() -> list[Claim]:
     is left out.
     """
     return [claim for claim in check_claims() if not claim.agrees]
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not math.isnan(value)
 
 
 def _find_file(name: str) -> Path:

@@ -15,29 +15,15 @@ PublishedTables = Mapping[str, pd.DataFrame]
 
 @dataclass(frozen=True)
 class Claim:
-    """One statement of the paper, what contradicts or supports it, and whether they agree.
+    """One statement of the paper, what contradicts or supports it, and whether they agree."""
 
-    Attributes
-    ----------
-    topic : str
-        The quantity or setting of both.
-    place, statement : str
-        Where the statement stands, and its words.
-    other_place, other_statement : str
-        Where its counterpart stands, and the numbers found there.
-    agrees : bool
-        Whether the two agree.
-    note : str
-        What follows for a reader, or how needlefit reads it.
-    """
-
-    topic: str
-    place: str
-    statement: str
-    other_place: str
-    other_statement: str
-    agrees: bool
-    note: str = ""
+    topic: str  #: the quantity or setting of both
+    place: str  #: where the statement stands
+    statement: str  #: its words
+    other_place: str  #: where its counterpart stands
+    other_statement: str  #: the numbers found there
+    agrees: bool  #: whether the two agree
+    note: str = ""  #: what follows for a reader, or how needlefit reads it
 
     @property
     def sentence(self) -> str:
@@ -99,90 +85,31 @@ def _describe_row(row: Row) -> str:
 
 _SHAPE_METRICS = ("median_err_mm", "ipe_mean_mm")
 
-CLAIM_BOUNDS = (
-    ClaimBound(
-        topic="In-plane errors in cross-validation",
-        place="the abstract",
-        statement="less than 1 mm for insertions down to 61 mm",
-        table="validation",
-        columns=("ipe_mean_mm",),
-        limit=1.0,
-        note="It is true of studies 1, 2 and 5.",
-    ),
-    ClaimBound(
-        topic="Median and average errors by layers",
-        place="Section V.A",
-        statement="within 0.37 mm",
-        table="tuning_by_layers",
-        columns=_SHAPE_METRICS,
-        limit=0.37,
-        inclusive=True,
-    ),
-    ClaimBound(
-        topic="Largest average TE by layers",
-        place="Section V.A",
-        statement="0.57 mm",
-        table="tuning_by_layers",
-        columns=("te_mm",),
-        limit=0.57,
-        inclusive=True,
-    ),
-    ClaimBound(
-        topic="Median and average errors by media",
-        place="Section V.A",
-        statement="not above 0.27 mm",
-        table="tuning_by_media",
-        columns=_SHAPE_METRICS,
-        limit=0.27,
-        inclusive=True,
-    ),
-    ClaimBound(
-        topic="Average TE by media",
-        place="Section V.A",
-        statement="smaller than 0.36 mm",
-        table="tuning_by_media",
-        columns=("te_mm",),
-        limit=0.36,
-    ),
-    ClaimBound(
-        topic="Largest median and average IPE of studies 1 and 2",
-        place="Section V.B",
-        statement="below 0.39 mm",
-        table="validation",
-        columns=_SHAPE_METRICS,
-        limit=0.39,
-        studies=(1, 2),
-    ),
-    ClaimBound(
-        topic="Largest average maximum IPE of studies 1 and 2",
-        place="Section V.B",
-        statement="0.77 mm",
-        table="validation",
-        columns=("ipe_max_mm",),
-        limit=0.77,
-        inclusive=True,
-        studies=(1, 2),
-    ),
-    ClaimBound(
-        topic="Largest average tip error of studies 1 and 2",
-        place="Section V.B",
-        statement="0.59 mm",
-        table="validation",
-        columns=("te_mm",),
-        limit=0.59,
-        inclusive=True,
-        studies=(1, 2),
-    ),
-    ClaimBound(
-        topic="Errors of study 5",
-        place="Section V.B",
-        statement="submillimetre",
-        table="validation",
-        columns=(*_SHAPE_METRICS, "ipe_max_mm", "te_mm"),
-        limit=1.0,
-        studies=(5,),
-    ),
-)
+_LAYERS, _MEDIA, _VALIDATION = "tuning_by_layers", "tuning_by_media", "validation"
+CLAIM_BOUNDS = tuple(
+    ClaimBound(topic, place, statement, table, columns, limit, inclusive, studies, note)
+    for (topic, place, statement), table, columns, limit, inclusive, studies, note in (
+        (("In-plane errors in cross-validation", "the abstract",
+          "less than 1 mm for insertions down to 61 mm"),
+         _VALIDATION, ("ipe_mean_mm",), 1.0, False, (), "It is true of studies 1, 2 and 5."),
+        (("Median and average errors by layers", "Section V.A", "within 0.37 mm"),
+         _LAYERS, _SHAPE_METRICS, 0.37, True, (), ""),
+        (("Largest average TE by layers", "Section V.A", "0.57 mm"),
+         _LAYERS, ("te_mm",), 0.57, True, (), ""),
+        (("Median and average errors by media", "Section V.A", "not above 0.27 mm"),
+         _MEDIA, _SHAPE_METRICS, 0.27, True, (), ""),
+        (("Average TE by media", "Section V.A", "smaller than 0.36 mm"),
+         _MEDIA, ("te_mm",), 0.36, False, (), ""),
+        (("Largest median and average IPE of studies 1 and 2", "Section V.B", "below 0.39 mm"),
+         _VALIDATION, _SHAPE_METRICS, 0.39, False, (1, 2), ""),
+        (("Largest average maximum IPE of studies 1 and 2", "Section V.B", "0.77 mm"),
+         _VALIDATION, ("ipe_max_mm",), 0.77, True, (1, 2), ""),
+        (("Largest average tip error of studies 1 and 2", "Section V.B", "0.59 mm"),
+         _VALIDATION, ("te_mm",), 0.59, True, (1, 2), ""),
+        (("Errors of study 5", "Section V.B", "submillimetre"),
+         _VALIDATION, (*_SHAPE_METRICS, "ipe_max_mm", "te_mm"), 1.0, False, (5,), ""),
+    )
+)  # fmt: skip
 
 
 # ---- counts of insertions, averages, and explanations of a large EDP: whether they agree, and the numbers

@@ -7,8 +7,8 @@ from needlefit.mechanics import reference
 from needlefit.mechanics.control import Controls
 from needlefit.mechanics.scene import Scene, simulate_scene
 from needlefit.mechanics.shape import MAX_MISS_MM, NeedleShape, compute_positions
-from needlefit.project.load import load
 from needlefit.project.locate import shipped_folder
+from needlefit.project.toml import load
 from needlefit.schemas.scene import SceneRecord
 from needlefit.verification.cases import draw_schedule, interpolate, require_converged
 from needlefit.verification.check import CheckOutcome, Group, Quantity, at_most, define_check, worst

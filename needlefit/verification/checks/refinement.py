@@ -13,8 +13,8 @@ from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import MAX_SLOPE
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
-from needlefit.project.load import load
 from needlefit.project.locate import shipped_folder
+from needlefit.project.toml import load
 from needlefit.schemas.scene import SceneRecord
 from needlefit.verification.cases import draw_case, require_converged
 from needlefit.verification.check import CheckOutcome, Group, Quantity, at_most, define_check, worst

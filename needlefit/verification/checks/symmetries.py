@@ -17,7 +17,7 @@ from needlefit.mechanics.scene import Scene, simulate_scene
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.mechanics.tissue import Tissue
-from needlefit.project.load import check
+from needlefit.project.toml import check
 from needlefit.schemas.scene import SceneRecord
 from needlefit.verification.cases import (
     EXACT_OPTIONS,

@@ -1,5 +1,7 @@
 /** What the words of the page mean, shown on hover, focus and tap. */
 
+import { element } from "./dom.js";
+
 /** One or two sentences each, which `docs/glossary.py` copies; those of error metrics come with the scene. */
 export const DEFINITIONS = {
   "depth": "Inserted arc length: how much of the needle is beyond the entry.",
@@ -25,14 +27,13 @@ export const DEFINITIONS = {
 
 const ROOM = 110; // px, of the highest definition
 
-const shown = Object.assign(document.createElement("div"), { id: "definition", role: "tooltip", popover: "auto" });
+const shown = element("div", { id: "definition", role: "tooltip", popover: "auto" });
 document.body.append(shown);
 
 /** A term that shows the definition of `name`, itself or `called` otherwise; plain text where there is none. */
 export function define(name, called = name) {
   if (!(name in DEFINITIONS)) return called;
-  const term = document.createElement("button");
-  Object.assign(term, { type: "button", className: "term", textContent: called });
+  const term = element("button", { type: "button", className: "term" }, called);
   term.setAttribute("aria-describedby", shown.id);
   const show = () => {
     const { left, top, bottom } = term.getBoundingClientRect();

@@ -15,10 +15,13 @@ export function element(tag, properties = {}, ...contents) {
   return made;
 }
 
+/** Do something when a part is pressed. */
+export const press = (id, act) => (typeof id === "string" ? part(id) : id).addEventListener("click", act);
+
 /** A button that does something when it is pressed. */
-export function button(text, press, properties = {}) {
+export function button(text, act, properties = {}) {
   const made = element("button", { type: "button", ...properties }, text);
-  made.addEventListener("click", press);
+  press(made, act);
   return made;
 }
 
@@ -30,6 +33,9 @@ export function say(words) {
   part("announced").textContent = "";
   requestAnimationFrame(() => (part("announced").textContent = words));
 }
+
+/** Call `act` once the reader's colour scheme has changed. */
+export const onScheme = (act) => matchMedia("(prefers-color-scheme: dark)").addEventListener("change", act);
 
 /** A colour of the style sheet: light-dark(one, other), or one for both. */
 export function colour(name) {

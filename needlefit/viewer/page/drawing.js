@@ -1,6 +1,6 @@
 /** The picture: a background, drawn when the view or the tissue changes, and a foreground of every frame. */
 
-import { part } from "./dom.js";
+import { onScheme, part } from "./dom.js";
 import { paintAxes, paintTissue } from "./painters/background.js";
 import * as needle from "./painters/needle.js";
 import * as overlay from "./painters/overlay.js";
@@ -100,11 +100,9 @@ function recolour() {
 }
 
 new ResizeObserver(measure).observe(picture);
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", recolour);
+onScheme(recolour);
 recolour();
-listen("band", invalidate);
-listen("aimed", invalidate);
-listen("tracking", invalidate);
+for (const kind of ["band", "aimed", "tracking"]) listen(kind, invalidate);
 listen("slice", touch);
 let fitted = null;
 listen("state", () => {

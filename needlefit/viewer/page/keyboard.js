@@ -2,7 +2,7 @@
 
 import * as act from "./actions.js";
 import { aim, place } from "./aim.js";
-import { element, entry, part } from "./dom.js";
+import { element, entry, part, press as onPress } from "./dom.js";
 import { describe } from "./readouts.js";
 import { halt, letGo } from "./steering.js";
 import { now } from "./store.js";
@@ -95,7 +95,7 @@ function press(event) {
 for (const [written, what] of [...KEYS.map(([, key, effect]) => [key, effect]), ...ALWAYS]) {
   part("key-list").append(entry(element("kbd", {}, written), what));
 }
-part("help").addEventListener("click", () => dialog.showModal());
+onPress("help", () => dialog.showModal());
 addEventListener("input", ({ target }) => typed.add(target), true);
 for (const kind of ["change", "focusout"]) addEventListener(kind, ({ target }) => typed.delete(target), true);
 addEventListener("keydown", press);

@@ -1,6 +1,6 @@
 /** The live fit: to the measured needle, whose points can be dragged, or to more of them; and its ridge. */
 
-import { part, say } from "./dom.js";
+import { onScheme, part, press, say } from "./dom.js";
 import { invalidate } from "./drawing.js";
 import { points } from "./handles.js";
 import { palette, setFont } from "./painters/strokes.js";
@@ -68,8 +68,8 @@ function takeRidge(message) {
   const [low, , high] = quantiles(message.mu_pa).map((one) => brief(one * 1e-6, 3));
   const [less, , more] = quantiles(message.offset_mm).map((one) => brief(one, 3));
   const sure = message.certified ? "" : " The weights of these draws cannot be relied on.";
-  const words = `95 % of draws: first layer μ ${low} to ${high} MPa, b ${less} to ${more} mm; correlation of their logarithms `
-    + `${message.correlation.toFixed(2)}.${sure}`;
+  const words = `95 % of draws: first layer μ ${low} to ${high} MPa, b ${less} to ${more} mm; `
+    + `correlation of their logarithms ${message.correlation.toFixed(2)}.${sure}`;
   end(part("fit-note").textContent.replace(" Drawing …", ""));
   part("ridge-note").textContent = words;
   part("ridge").hidden = false;
@@ -110,13 +110,13 @@ function drawRidge() {
   context.fillText(`b ${brief(more, 3)} mm`, width - 4, height - 6);
 }
 
-part("fit-now").addEventListener("click", () => now.state && ask());
-part("fit-drag").addEventListener("click", ({ currentTarget }) => {
+press("fit-now", () => now.state && ask());
+press("fit-drag", ({ currentTarget }) => {
   points.shown = !points.shown;
   currentTarget.ariaPressed = String(points.shown);
   invalidate();
 });
-part("fit-back").addEventListener("click", () => points.reset());
+press("fit-back", () => points.reset());
 part("fit-scope").addEventListener("change", () => mode && ask());
 listen("fit", takeMode);
 listen("refused", ({ answers }) => answers === asked && end());
@@ -136,4 +136,4 @@ listen("measured", ({ x, y }) => {
   if (now.scene.measured) Object.assign(now.scene.measured, { x, y });
   invalidate();
 });
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => requestAnimationFrame(drawRidge));
+onScheme(() => requestAnimationFrame(drawRidge));

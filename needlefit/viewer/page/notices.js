@@ -1,13 +1,12 @@
 /** What the reader must know at once: refused inputs, and a line that is down. */
 
-import { part } from "./dom.js";
+import { element, part, press, write } from "./dom.js";
 import { open } from "./connection.js";
 import { listen, now } from "./store.js";
 
 const LASTS = 9000; // ms
 const refusal = part("refusal");
 const banner = part("banner");
-const text = part("banner-text");
 const act = part("banner-act");
 let fading = 0;
 let refused = Infinity; // number of the message that was refused last
@@ -15,12 +14,11 @@ let refused = Infinity; // number of the message that was refused last
 /** Say what was refused and how to fix it, until it is read. */
 function refuse({ what, expected, fix }) {
   const parts = [what, expected && `Expected: ${expected}.`, fix && `To fix it: ${fix}.`].filter(Boolean);
-  refusal.replaceChildren(...parts.map((part, i) => written(i ? "span" : "strong", part)));
+  refusal.replaceChildren(...parts.map((part, i) => element(i ? "span" : "strong", {}, part)));
   clearTimeout(fading);
   fading = setTimeout(() => refusal.replaceChildren(), LASTS);
 }
 
-const written = (tag, textContent) => Object.assign(document.createElement(tag), { textContent });
 const soon = (wait) => (wait < 1 ? "at once" : `in ${wait.toFixed(0)} s`);
 
 /** The text without a connection, and that of its button. */
@@ -43,7 +41,7 @@ listen("line", (line) => {
   document.body.classList.toggle("offline", !line.open);
   if (line.open) return;
   const [words, button] = BANNERS[line.why](line);
-  if (text.textContent !== words) text.textContent = words;
+  write("banner-text", words);
   act.textContent = button;
   act.hidden = false;
 });
@@ -60,5 +58,5 @@ listen("state", ({ answers }) => { // something later was carried out: an input,
 });
 addEventListener("input", ({ target }) => target.type === "number" && refusal.replaceChildren()); // or is about to be
 listen("unsent", () => refuse({ what: "Not sent: there is no line to the needle." }));
-refusal.addEventListener("click", () => refusal.replaceChildren());
-act.addEventListener("click", () => !now.connected && open());
+press(refusal, () => refusal.replaceChildren());
+press(act, () => !now.connected && open());

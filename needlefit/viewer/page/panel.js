@@ -2,7 +2,7 @@
 
 import * as act from "./actions.js";
 import { DEFINITIONS } from "./definitions.js";
-import { part, write } from "./dom.js";
+import { part, press, write } from "./dom.js";
 import { makeField, setHome, show } from "./fields.js";
 import { asMpa, counted, degrees, fromMpa, numbered, slope, strengthOf } from "./quantities.js";
 import { change, wanted } from "./steering.js";
@@ -99,11 +99,11 @@ function makeGuide({ item, name: called = numbered(item) }) {
     of: called, name, symbol: "guide", unit, step: 0.1, write: digits(count),
     ask: (value, how) => change([[input, item, meant(value)]], how),
   });
-  remove.addEventListener("click", () => {
+  press(remove, () => {
     change([["guide_engaged", item, 0]]);
     part("add-guide").focus(); // its own button is about to go
   });
-  free.addEventListener("click", () => change([["guide_turns_freely", item, free.ariaPressed === "true" ? 0 : 1]]));
+  press(free, () => change([["guide_turns_freely", item, free.ariaPressed === "true" ? 0 : 1]]));
   part("guides").append(row);
   return {
     part: row, free, x: field("x", "mm", 2, "guide_x_mm"), y: field("y", "mm", 3, "guide_y_mm"),
@@ -136,10 +136,10 @@ export function takeFitted(layers, strength, source) {
 listen("fit", ({ fault, layers, offset_mm: offset, insertions }) => {
   if (!fault) takeFitted(layers, offset, `fitted on this page to ${counted(insertions, "measured needle")}`);
 });
-part("home-all").addEventListener("click", ({ timeStamp }) => {
+press("home-all", ({ timeStamp }) => {
   const { throughout, value } = strengthOf(now.scene.fitted);
   const layers = now.scene.fitted.layers.flatMap((layer, i) => Object.entries(layer).map(([name, one]) => [name, i + 1, one]));
   change([...layers, [throughout, null, value]], { at: timeStamp });
 });
-part("release").addEventListener("click", ({ timeStamp }) => act.toggleTip(timeStamp));
-part("add-guide").addEventListener("click", () => now.state && act.addGuide());
+press("release", ({ timeStamp }) => act.toggleTip(timeStamp));
+press("add-guide", () => now.state && act.addGuide());

@@ -2,7 +2,7 @@
 
 import { ownDepth, speed } from "./actions.js";
 import { aim, nameOf, place, put, run, sendAfterGoal, setAim, SMALLEST, tipError, touches } from "./aim.js";
-import { button, element, part, say, write } from "./dom.js";
+import { button, element, part, press, say, write } from "./dom.js";
 import { amount, makeField, show } from "./fields.js";
 import { counted, signed } from "./quantities.js";
 import { command } from "./steering.js";
@@ -34,8 +34,7 @@ function build() {
   part("obstacles").replaceChildren(...aim.obstacles.map(obstacleRow));
   if (!aim.target) return;
   into.append(element("strong", {}, "target"));
-  const set = ([x, y, radius]) => setAim({ target: [x, y], radius });
-  circleFields(into, "target", "target", () => [...aim.target, aim.radius], set);
+  circleFields(into, "target", "target", () => [...aim.target, aim.radius], ([x, y, radius]) => setAim({ target: [x, y], radius }));
 }
 
 function obstacleRow(_, number) {
@@ -132,12 +131,6 @@ function challenge() {
   refresh();
 }
 
-async function readFile(input) {
-  const [file] = input.files;
-  if (file) command({ do: "markups", name: file.name, text: await file.text(), obstacle_radius: aim.radius });
-  input.value = "";
-}
-
 /** Wait for a click on the picture; a key puts it ahead of the tip at once, where its numbers can be changed. */
 function placeBy(what, { detail }) {
   place(what);
@@ -159,8 +152,12 @@ const PRESSED = {
   "open-markups": () => part("markups").click(),
   challenge,
 };
-for (const [id, press] of Object.entries(PRESSED)) part(id).addEventListener("click", (event) => now.state && press(event));
-part("markups").addEventListener("change", ({ target }) => readFile(target));
+for (const [id, act] of Object.entries(PRESSED)) press(id, (event) => now.state && act(event));
+part("markups").addEventListener("change", async ({ target }) => {
+  const [file] = target.files;
+  if (file) command({ do: "markups", name: file.name, text: await file.text(), obstacle_radius: aim.radius });
+  target.value = "";
+});
 listen("plan", (plan) => {
   refresh();
   if (!plan.fault && !aim.challenge) say(describePlan());

@@ -1,7 +1,7 @@
 /** The buttons above the picture: what part is seen, and what of it. */
 
 import { aim } from "./aim.js";
-import { button, element, part } from "./dom.js";
+import { button, element, part, press } from "./dom.js";
 import { invalidate, shown } from "./drawing.js";
 import { listen } from "./store.js";
 import { drawTrue, fit, refit, touch, view, zoom } from "./view.js";
@@ -42,10 +42,10 @@ function toggle(name) {
 const offer = (there) => Object.entries(there).forEach(([name, is]) => (chips[name].hidden = !is));
 
 offer({ measured: false, errors: false, band: false, plan: false, reach: false, slice: false });
-for (const one of fits) one.addEventListener("click", () => (fit(one.dataset.fit), pressed()));
-refitButton?.addEventListener("click", () => (refit(), pressed()));
+for (const one of fits) press(one, () => (fit(one.dataset.fit), pressed()));
+if (refitButton) press(refitButton, () => (refit(), pressed()));
 for (const one of document.querySelectorAll("[data-zoom]")) {
-  one.addEventListener("click", () => (zoom(one.dataset.zoom === "in" ? 1.25 : 0.8), pressed()));
+  press(one, () => (zoom(one.dataset.zoom === "in" ? 1.25 : 0.8), pressed()));
 }
 listen("scene", ({ measured, band, slice }) => offer({ measured, errors: measured, band, slice, plan: false, reach: false }));
 listen("ridge", () => offer({ band: true }));

@@ -1,6 +1,6 @@
 /** What a new page begins with: an insertion that moves, then three things to try. */
 
-import { part, say } from "./dom.js";
+import { part, press, say } from "./dom.js";
 import * as act from "./actions.js";
 import { invalidate } from "./drawing.js";
 import { listen, now } from "./store.js";
@@ -60,9 +60,9 @@ function goOn() {
 
 listen("state", goOn);
 addEventListener("pointerup", () => setTimeout(goOn));
-part("tour-skip").addEventListener("click", () => show(step + 1));
-part("tour-end").addEventListener("click", () => show(STEPS.length));
-part("tour-begin").addEventListener("click", () => {
+press("tour-skip", () => show(step + 1));
+press("tour-end", () => show(STEPS.length));
+press("tour-begin", () => {
   part("keys").close();
   show(0);
 });

@@ -1,6 +1,6 @@
 /** A needle that a tracker moves: its connections, why it is frozen, and the running estimate of mu and b. */
 
-import { entry, part, write } from "./dom.js";
+import { entry, part, press, write } from "./dom.js";
 import { layerInputs, takeFitted } from "./panel.js";
 import { asMpa, brief, counted, strengthOf } from "./quantities.js";
 import { command } from "./steering.js";
@@ -35,6 +35,6 @@ function showEstimate(message) {
   takeFitted(layers, message[key][1], `estimated from ${message.readings} readings of the tracked tip`);
 }
 
-part("tracking-release").addEventListener("click", () => command({ do: "release_tracker" }));
-part("tracking-forget").addEventListener("click", () => command({ do: "forget_estimate" }));
+press("tracking-release", () => command({ do: "release_tracker" }));
+press("tracking-forget", () => command({ do: "forget_estimate" }));
 listen("scene", () => (estimated = 0));

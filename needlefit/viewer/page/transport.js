@@ -1,6 +1,6 @@
 /** The buttons and fields of the insertion: held to move, or pressed once. */
 
-import { part, write } from "./dom.js";
+import { part, press, write } from "./dom.js";
 import * as act from "./actions.js";
 import { canRedoGoal, canUndoGoal } from "./aim.js";
 import { brief } from "./quantities.js";
@@ -31,13 +31,9 @@ function holdButton(button, direction) {
     event.preventDefault();
     begin();
   });
-  for (const kind of ["pointerup", "pointercancel", "lostpointercapture", "keyup", "blur"]) {
-    button.addEventListener(kind, end);
-  }
+  for (const kind of ["pointerup", "pointercancel", "lostpointercapture", "keyup", "blur"]) button.addEventListener(kind, end);
   button.addEventListener("contextmenu", (event) => event.preventDefault()); // a long touch is a hold
-  button.addEventListener("click", (event) => {
-    if (event.detail === 0 && now.state) act.insert(STEP * direction, event.timeStamp);
-  });
+  press(button, ({ detail, timeStamp }) => detail === 0 && now.state && act.insert(STEP * direction, timeStamp));
 }
 
 /** Let the buttons say what can be done, and the bevel's which side it turns to. */
@@ -60,9 +56,7 @@ const PRESSED = {
   align: () => command({ do: "align" }),
   "goto-scene": () => act.goTo(act.ownDepth()),
 };
-for (const [id, press] of Object.entries(PRESSED)) {
-  part(id).addEventListener("click", (event) => now.state && press(event));
-}
+for (const [id, act] of Object.entries(PRESSED)) press(id, (event) => now.state && act(event));
 holdButton(part("insert"), 1);
 holdButton(part("retract"), -1);
 part("goto").addEventListener("submit", (event) => {

@@ -12,7 +12,7 @@ from needlefit.reporting import document, latex
 from needlefit.reporting.columns import DIGITS, METRIC_FORMAT, find_column, format_value
 from needlefit.reporting.document import Block
 from needlefit.reporting.figures import Drawing
-from needlefit.reporting.figures.profiles import draw_profiles
+from needlefit.reporting.figures.fit_forms import draw_profiles
 from needlefit.reporting.interval_text import choose_interval_unit, typeset_interval
 from needlefit.reporting.number_format import insert_symbols
 from needlefit.reporting.table_files import to_records, write_csv

@@ -11,7 +11,7 @@ from needlefit.arrays import Floats
 from needlefit.imaging.batch import Findings, ReconstructionFailure
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import Scan
-from needlefit.project.atomic_write import replace_file
+from needlefit.project.folders import replace_file
 from needlefit.reporting import document
 from needlefit.reporting.figures.style import draw
 from needlefit.reporting.labels import medium_name

@@ -15,9 +15,9 @@ from needlefit.imaging.label_export import mark_voxels, write_dicom_segmentation
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import write_scan_table
 from needlefit.imaging.volume_files import read_volume
-from needlefit.project.atomic_write import replace_folder
+from needlefit.project.folders import replace_folder
 from needlefit.project.progress import Progress
-from needlefit.project.toml_text import dumps
+from needlefit.project.toml import dumps
 from needlefit.reporting.document import Block
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import Row, to_records, write_csv

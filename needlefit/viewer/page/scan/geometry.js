@@ -1,23 +1,18 @@
 /** Where a pixel of a slice lies in the patient (LPS, mm), and the other way round. */
 
+const AXES = [0, 1, 2];
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-const less = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
-export const distance = (a, b) => Math.hypot(...less(a, b));
+const less = (a, b) => a.map((value, n) => value - b[n]);
+const distance = (a, b) => Math.hypot(...less(a, b));
+const between = (low, value, high) => Math.min(Math.max(value, low), high);
 
 /** The voxel index (i, j, k, fractional) of a place. */
-export function toIndex(grid, place) {
-  const from = less(place, grid.origin);
-  return [0, 1, 2].map((n) => dot(from, grid.direction.map((row) => row[n])) / grid.spacing[n]);
+function toIndex({ origin, direction, spacing }, place) {
+  const from = less(place, origin);
+  return AXES.map((n) => dot(from, direction.map((row) => row[n])) / spacing[n]);
 }
 
-/** The place of a voxel index. */
-export function toPlace(grid, index) {
-  return [0, 1, 2].map(
-    (n) => grid.origin[n] + [0, 1, 2].reduce((sum, m) => sum + grid.direction[n][m] * grid.spacing[m] * index[m], 0),
-  );
-}
-
-/** A slice along two axes of the volume. */
+/** A slice along two axes of the volume; its `position` is an index. */
 export class PlaneSlice {
   constructor(grid, axes) {
     Object.assign(this, axes, { grid });
@@ -26,17 +21,17 @@ export class PlaneSlice {
     this.count = grid.size[axes.normal];
     this.width = this.columns * grid.spacing[axes.right]; // mm
     this.aspect = (this.rows * grid.spacing[axes.down]) / this.width;
-    this.index = this.count >> 1;
+    this.position = this.count >> 1;
   }
 
   /** What the server cuts. */
   get request() {
-    return { view: this.name, index: this.index };
+    return { view: this.name, index: this.position };
   }
 
   /** Go through a place. */
   show(place) {
-    this.index = Math.min(Math.max(Math.round(toIndex(this.grid, place)[this.normal]), 0), this.count - 1);
+    this.position = between(0, Math.round(toIndex(this.grid, place)[this.normal]), this.count - 1);
   }
 
   /** Column, row (fractions of the picture) and the distance from the slice, mm. */
@@ -46,37 +41,38 @@ export class PlaneSlice {
     return [
       at(this.right, this.right_sign, this.columns),
       at(this.down, this.down_sign, this.rows),
-      (index[this.normal] - this.index) * this.grid.spacing[this.normal],
+      (index[this.normal] - this.position) * this.grid.spacing[this.normal],
     ];
   }
 
   /** The place of a point of the picture (fractions). */
   place(x, y) {
-    const index = [0, 0, 0];
+    const { origin, direction, spacing } = this.grid;
     const back = (part, sign, size) => (sign > 0 ? part * size - 0.5 : size - 0.5 - part * size);
-    index[this.normal] = this.index;
+    const index = [0, 0, 0];
+    index[this.normal] = this.position;
     index[this.right] = back(x, this.right_sign, this.columns);
     index[this.down] = back(y, this.down_sign, this.rows);
-    return toPlace(this.grid, index);
+    return AXES.map((n) => origin[n] + AXES.reduce((sum, m) => sum + direction[n][m] * spacing[m] * index[m], 0));
   }
 }
 
-/** The slice along the needle, which is drawn straight. */
+/** The slice along the needle, which is drawn straight; its `position` is an angle about it, in degrees. */
 export class NeedleSlice {
-  constructor(course, angle) {
-    Object.assign(this, course, { name: "needle", angle });
+  constructor(course) {
+    Object.assign(this, course, { name: "needle", position: 0 });
     this.columns = course.points.length;
     this.width = this.columns * this.pixel; // mm
     this.aspect = course.rows / this.columns;
   }
 
   get request() {
-    return { view: "needle", angle: this.angle };
+    return { view: "needle", angle: this.position };
   }
 
   _across(n) {
-    const [c, s] = [Math.cos((this.angle * Math.PI) / 180), Math.sin((this.angle * Math.PI) / 180)];
-    return [0, 1, 2].map((m) => c * this.u[n][m] + s * this.v[n][m]);
+    const [c, s] = [Math.cos((this.position * Math.PI) / 180), Math.sin((this.position * Math.PI) / 180)];
+    return AXES.map((m) => c * this.u[n][m] + s * this.v[n][m]);
   }
 
   project(place) {
@@ -94,7 +90,7 @@ export class NeedleSlice {
   }
 
   place(x, y) {
-    const n = Math.min(Math.max(Math.floor(x * this.columns), 0), this.columns - 1);
+    const n = between(0, Math.floor(x * this.columns), this.columns - 1);
     const aside = this.half_width - (y * this.rows - 0.5) * this.pixel;
     const across = this._across(n);
     return this.points[n].map((value, m) => value + aside * across[m]);

@@ -1,6 +1,6 @@
 /** The page of a scan: its state, its tools, and what follows from a click. */
 
-import { part } from "../dom.js";
+import { part, press } from "../dom.js";
 import { showFault, showLists, showSaved, showVerdict, showWaiting } from "./panel.js";
 import { post } from "../requests.js";
 import { Views } from "./views.js";
@@ -9,6 +9,7 @@ const ask = async (name, content = {}) => (await post(`/scan/${name}`, content))
 const NOTHING = { needle: null, balls: null, contact: null, tip: null };
 const SAME_BALL_MM = 2;
 const KEYS = { l: "look", n: "needle", e: "contact", t: "tip", b: "ball" };
+const [TOOLS, WINDOWS] = ["tool", "window"].map((kind) => [...document.querySelectorAll(`[data-${kind}]`)]);
 
 const state = {
   found: null,
@@ -31,6 +32,8 @@ const HINTS = {
   ball: "Click the centre of a marker ball; Remove in the list deletes one.",
 };
 const views = new Views(part("views"), state, { use, look });
+const act = { look, correct, remove: (n) => correct({ balls: places().toSpliced(n, 1) }) };
+const places = () => state.balls().map((one) => one.at);
 
 /** What was found of a ball that was placed at `at`: the program moves it to the ball that it sees there. */
 function nearBall(at) {
@@ -40,8 +43,7 @@ function nearBall(at) {
 function use(place) {
   if (state.busy) return;
   if (state.tool === "look") look(place);
-  else if (state.tool === "ball") correct({ balls: [...state.balls().map((one) => one.at), place] });
-  else correct({ [state.tool]: place });
+  else correct(state.tool === "ball" ? { balls: [...places(), place] } : { [state.tool]: place });
 }
 
 function look(place) {
@@ -68,20 +70,12 @@ function undo() {
   refresh();
 }
 
-const act = {
-  look,
-  correct,
-  remove: (n) => correct({ balls: state.balls().map((one) => one.at).filter((_, m) => m !== n) }),
-};
-
 const isNew = () => JSON.stringify(state.corrections) !== state.applied;
-const isCorrected = () => Object.values(state.corrections).some((one) => one !== null);
 
 function refresh() {
-  part("undo").disabled = state.busy || !state.history.length;
-  part("clear").disabled = state.busy || !isCorrected();
-  part("again").disabled = state.busy || !isNew();
-  part("save").disabled = state.busy || isNew() || !isCorrected();
+  const corrected = Object.values(state.corrections).some((one) => one !== null);
+  const can = { undo: state.history.length, clear: corrected, again: isNew(), save: !isNew() && corrected };
+  for (const [id, does] of Object.entries(can)) part(id).disabled = state.busy || !does;
   part("again").classList.toggle("on", !part("again").disabled);
   forbid("contact", state.found.entry_stated && "The table of scans states the entry (entry_x_mm ...)");
   forbid("ball", !state.found.has_markers && "The scan has no known places of markers: start the page with --markers");
@@ -90,9 +84,11 @@ function refresh() {
   views.draw();
 }
 
+const find = (tool) => TOOLS.find((one) => one.dataset.tool === tool);
+
 /** Switch a tool off, with the reason; `false`: it may be used. */
 function forbid(tool, reason) {
-  const one = document.querySelector(`[data-tool="${tool}"]`);
+  const one = find(tool);
   one.dataset.title ??= one.title;
   one.disabled = Boolean(reason);
   one.title = reason || one.dataset.title;
@@ -132,30 +128,24 @@ function again() {
 }
 
 function choose(tool) {
-  if (document.querySelector(`[data-tool="${tool}"]`).disabled) return;
+  if (find(tool).disabled) return;
   state.tool = tool;
   hint();
-  for (const one of document.querySelectorAll("[data-tool]")) {
-    one.ariaPressed = String(one.dataset.tool === tool);
-  }
+  for (const one of TOOLS) one.ariaPressed = String(one.dataset.tool === tool);
 }
 
-for (const one of document.querySelectorAll("[data-tool]")) {
-  one.addEventListener("click", () => choose(one.dataset.tool));
-}
-for (const one of document.querySelectorAll("[data-window]")) {
-  one.addEventListener("click", () => {
+for (const one of TOOLS) press(one, () => choose(one.dataset.tool));
+for (const one of WINDOWS) {
+  press(one, () => {
     state.shade = one.dataset.window;
-    for (const other of document.querySelectorAll("[data-window]")) {
-      other.ariaPressed = String(other === one);
-    }
+    for (const other of WINDOWS) other.ariaPressed = String(other === one);
     views.load();
   });
 }
-part("undo").addEventListener("click", undo);
-part("clear").addEventListener("click", () => correct({ ...NOTHING }));
-part("again").addEventListener("click", again);
-part("save").addEventListener("click", () => run(async () => showSaved(state, await ask("save", state.corrections)), "Not saved"));
+press("undo", undo);
+press("clear", () => correct({ ...NOTHING }));
+press("again", again);
+press("save", () => run(async () => showSaved(state, await ask("save", state.corrections)), "Not saved"));
 addEventListener("keydown", (event) => {
   if (event.target.matches("input:not([type=range])")) return;
   if ((event.ctrlKey || event.metaKey) && event.key === "z") undo();

@@ -2,40 +2,51 @@
 
 import { button, element, part } from "../dom.js";
 
-const shown = (value, digits = 2) => value.toFixed(digits);
-const cell = (tag, [content = "", kind = ""]) => element(tag, { className: kind }, content);
+const SAME_PLACE_MM = 0.5;
+const ORIGINS = { stage: "stated (stage)" };
+
+const mm = (value, digits = 2) => `${value.toFixed(digits)} mm`;
+const within = ({ depth, sd }) => `${depth.toFixed(2)} ± ${mm(sd)}`;
+const quiet = (text, more = "") => element("p", { className: `quiet ${more}`.trim() }, text);
+const byHand = (text) => element("p", { className: "by-hand" }, text);
+const key = (kind) => element("i", { className: `key ${kind}` });
+const cell = (content = "", className = "", tag = "td") => element(tag, { className }, content);
+const press = (text, ariaLabel, act) => button(text, act, { className: "small", ariaLabel });
+
+/** A row: what it is about, other cells (numbers as texts), and what can be done with it. */
+function row(about, cells, buttons, chosen = false) {
+  const numbers = cells.map((one) => (typeof one === "string" ? cell(one, "n") : cell(one)));
+  return element("tr", { className: chosen ? "chosen" : "" }, cell(about), numbers, cell(buttons, "do"));
+}
 
 function table(heads, rows) {
-  const head = heads.map(([name, kind]) => (name ? cell("th", [name, kind]) : cell("td", [])));
+  const head = heads.map(([name, kind]) => (name ? cell(name, kind, "th") : cell()));
   return element("table", {}, element("thead", {}, element("tr", {}, head)), element("tbody", {}, rows));
 }
 
-const row = (cells, className = "") => element("tr", { className }, cells.map((one) => cell("td", one)));
-const press = (text, act, label = text) => button(text, act, { className: "small", ariaLabel: label });
-const quiet = (text, more = "") => element("p", { className: `quiet ${more}`.trim() }, text);
-const written = (at) => at.map((x, n) => `${"LPS"[n]} ${x.toFixed(1)}`).join(", ");
-const key = (kind) => element("i", { className: `key ${kind}` });
-
 /** Say what became of the scan. */
-export function showVerdict(state) {
-  const { found } = state;
-  const place = part("verdict");
-  place.classList.toggle("refused", Boolean(found.error));
-  const lines = found.error ? refusal(found.error) : [success(found)];
-  place.replaceChildren(...lines.map((content) => element("p", {}, content)));
+export function showVerdict({ found: { error, inserted, warnings } }) {
+  if (error) return showFault(error, "Refused");
+  const made = element("strong", {}, `Reconstructed: inserted ${within(inserted)}`);
+  const count = `${warnings.length} ${warnings.length === 1 ? "warning" : "warnings"}`;
+  const more = warnings.length ? ["; ", element("a", { href: "#note-part" }, count)] : [];
+  part("verdict").classList.remove("refused");
+  part("verdict").replaceChildren(element("p", {}, made, more, "."));
 }
 
-function refusal({ what, where, expected, fix }, verdict = "Refused") {
+/** Show what kept something from being done. */
+export function showFault({ what, where, expected, fix }, verdict) {
   const more = [where, expected && `expected: ${expected}`].filter(Boolean).join("; ");
-  const lines = [element("strong", {}, `${verdict}: ${what}.`), more, fix && `To go on: ${fix}.`];
-  return lines.filter(Boolean);
+  const lines = [element("strong", {}, `${verdict}: ${what}.`), more, fix && `To go on: ${fix}.`].filter(Boolean);
+  part("verdict").classList.add("refused");
+  part("verdict").replaceChildren(...lines.map((content) => element("p", {}, content)));
 }
 
-function success({ inserted, warnings }) {
-  const count = warnings.length;
-  const made = element("strong", {}, `Reconstructed: inserted ${shown(inserted.depth)} ± ${shown(inserted.sd)} mm`);
-  if (!count) return [made, "."];
-  return [made, "; ", element("a", { href: "#note-part" }, `${count} ${count === 1 ? "warning" : "warnings"}`), "."];
+/** Say where corrections were saved, and how to go on. */
+export function showSaved(state, { table: path, command }) {
+  showVerdict(state);
+  const repeat = element("p", {}, "To repeat it: ", element("code", {}, command));
+  part("verdict").append(element("p", {}, `Saved: ${path}`), repeat);
 }
 
 /** Say that corrections wait to be used. */
@@ -46,123 +57,56 @@ export function showWaiting(waiting) {
 
 /** Show every list; `act` has what their buttons do. */
 export function showLists(state, act) {
-  const { found } = state;
-  part("needles").replaceChildren(needles(found, act), ...placedNeedle(state.corrections.needle));
-  part("ends").replaceChildren(ends(state, act));
+  const { found, corrections } = state;
+  const show = (at, what) => press("show", `show ${what}`, () => act.look(at));
+  const take = (change, what) => press("take", `take ${what}`, () => act.correct(change));
+
+  const tubes = found.tubes.map(({ chosen, length, width, middle }, n) => row(
+    [key(chosen ? "needle" : "other"), chosen ? "needle" : "other tube"], [`${length.toFixed(1)} × ${mm(width, 1)}`],
+    [show(middle, `tube ${n + 1}`), chosen ? "" : take({ needle: middle }, `tube ${n + 1} for the needle`)], chosen,
+  ));
+  const placed = corrections.needle;
+  part("needles").replaceChildren(
+    tubes.length ? table([["tube"], ["length × width", "n"], [""]], tubes) : quiet("Nothing is as bright as metal."),
+    ...(placed ? [quiet(`By hand: the tube at ${placed.map((x, n) => `${"LPS"[n]} ${x.toFixed(1)}`).join(", ")} mm.`, "by-hand")] : []),
+  );
+
+  const ends = [["entry", "contact"], ["tip", "tip"]].map(([name, kind]) => {
+    const [one, given] = [found[kind], corrections[kind]];
+    const [at, used] = [given ?? one?.at, one?.placed ?? false];
+    const where = one ? ORIGINS[one.source] ?? "found" : "not found";
+    const source = given ? `by hand${used ? "" : ", not yet used"}` : where;
+    const sd = one && (used || !given) ? `± ${mm(one.along_sd)}` : "";
+    return row([key(kind), name], [[element("span", { className: given ? "by-hand" : "" }, source)], sd], at ? show(at, `the ${name}`) : "");
+  });
+  const isEntry = ({ at }) => found.contact && Math.hypot(...at.map((x, n) => x - found.contact.at[n])) < SAME_PLACE_MM;
+  const entries = found.entries.map((one, n) => row(
+    one.change === "rise" ? "after air" : "in tissue", [within(one)],
+    [show(one.at, `place ${n + 1}`), found.entry_stated || isEntry(one) ? "" : take({ contact: one.at }, `place ${n + 1} for the entry`)],
+    isEntry(one),
+  ));
+  const more = [quiet("Places where the tissue may begin:"), table([[""], ["before the tip", "n"], [""]], entries)];
+  const ways = [table([[""], [""], ["along needle", "n"], [""]], ends), ...(entries.length > 1 ? more : [])];
+  part("ends").replaceChildren(element("div", {}, ways));
+
+  const balls = state.balls().map(({ at, sd, residual }, n) => row(
+    [key("ball"), String(n + 1)],
+    [sd === undefined ? "by hand, not yet used" : `± ${mm(sd, 3)}`, residual === undefined || residual === null ? "—" : mm(residual)],
+    [show(at, `ball ${n + 1}`), press("remove", `remove ball ${n + 1}`, () => act.remove(n))],
+  ));
+  const least = found.min_balls;
   part("ball-part").hidden = !found.has_markers;
-  part("balls").replaceChildren(balls(state, act));
-  part("layer-part").hidden = !found.layers.length && !found.proposed.length;
-  part("layers").replaceChildren(layers(found, act));
+  part("balls").replaceChildren(element("div", {},
+    balls.length ? [table([["ball"], ["centre", "n"], ["residual", "n"], [""]], balls)] : [],
+    balls.length < least ? byHand(`${balls.length} of at least ${least} balls: add the others.`) : [],
+  ));
+
+  const layers = found.layers.map((one, n) => row([key("layer"), `boundary ${n + 1}`], [within(one)], show(one.at, `boundary ${n + 1}`)));
+  const proposed = found.proposed.map((one, n) => row(
+    [key("proposed"), `proposed ${n + 1}`], [within(one)], show(one.at, `proposed boundary ${n + 1}, a step of ${one.step.toFixed(0)} HU`),
+  ));
+  part("layer-part").hidden = !layers.length && !proposed.length;
+  part("layers").replaceChildren(table([[""], ["depth", "n"], [""]], [...layers, ...proposed]));
   part("note-part").hidden = !found.warnings.length;
   part("notes").replaceChildren(...found.warnings.map((text) => element("li", {}, text)));
-}
-
-function needles(found, act) {
-  if (!found.tubes.length) return quiet("Nothing is as bright as metal.");
-  const rows = found.tubes.map((one, n) =>
-    row(
-      [
-        [[key(one.chosen ? "needle" : "other"), one.chosen ? "needle" : "other tube"]],
-        [`${shown(one.length, 1)} × ${shown(one.width, 1)} mm`, "n"],
-        [[press("show", () => act.look(one.middle), `show tube ${n + 1}`),
-          one.chosen ? "" : press("take", () => act.correct({ needle: one.middle }), `take tube ${n + 1} for the needle`)], "do"],
-      ],
-      one.chosen ? "chosen" : "",
-    ),
-  );
-  return table([["tube"], ["length × width", "n"], [""]], rows);
-}
-
-function placedNeedle(at) {
-  if (!at) return [];
-  return [quiet(`By hand: the tube at ${written(at)} mm.`, "by-hand")];
-}
-
-function ends(state, act) {
-  const { found } = state;
-  const rows = [];
-  for (const [name, kind, one] of [["entry", "contact", found.contact], ["tip", "tip", found.tip]]) {
-    const given = state.corrections[kind];
-    const place = given ?? one?.at;
-    const used = one?.placed ?? false;
-    const source = given ? (used ? "by hand" : "by hand, not yet used") : (one && ORIGINS[one.source]) ?? (one ? "found" : "not found");
-    rows.push(
-      row([
-        [[key(kind), name]],
-        [element("span", { className: given ? "by-hand" : "" }, source)],
-        [one && (used || !given) ? `± ${shown(one.along_sd)} mm` : "", "n"],
-        [place ? press("show", () => act.look(place), `show the ${name}`) : "", "do"],
-      ]),
-    );
-  }
-  const parts = [table([[""], [""], ["along needle", "n"], [""]], rows)];
-  if (found.entries.length > 1) parts.push(quiet("Places where the tissue may begin:"), entries(found, act));
-  return element("div", {}, parts);
-}
-
-const ORIGINS = { stage: "stated (stage)" };
-const SAME_PLACE_MM = 0.5;
-
-function entries(found, act) {
-  const taken = (one) => found.contact && Math.hypot(...one.at.map((x, n) => x - found.contact.at[n])) < SAME_PLACE_MM;
-  const rows = found.entries.map((one, n) =>
-    row(
-      [
-        [one.change === "rise" ? "after air" : "in tissue"],
-        [`${shown(one.depth)} ± ${shown(one.sd)} mm`, "n"],
-        [[press("show", () => act.look(one.at), `show place ${n + 1}`),
-          found.entry_stated || taken(one) ? "" : press("take", () => act.correct({ contact: one.at }), `take place ${n + 1} for the entry`)], "do"],
-      ],
-      taken(one) ? "chosen" : "",
-    ),
-  );
-  return table([[""], ["before the tip", "n"], [""]], rows);
-}
-
-function balls(state, act) {
-  const list = state.balls();
-  const least = state.found.min_balls;
-  const few = list.length < least ? [element("p", { className: "by-hand" }, `${list.length} of at least ${least} balls: add the others.`)] : [];
-  if (!list.length) return element("div", {}, few);
-  const rows = list.map((one, n) =>
-    row([
-      [[key("ball"), String(n + 1)]],
-      [one.sd === undefined ? "by hand, not yet used" : `± ${shown(one.sd, 3)} mm`, "n"],
-      [one.residual === undefined || one.residual === null ? "—" : `${shown(one.residual)} mm`, "n"],
-      [[press("show", () => act.look(one.at), `show ball ${n + 1}`), press("remove", () => act.remove(n), `remove ball ${n + 1}`)], "do"],
-    ]),
-  );
-  return element("div", {}, table([["ball"], ["centre", "n"], ["residual", "n"], [""]], rows), few);
-}
-
-function layers(found, act) {
-  const rows = found.layers.map((one, n) =>
-    row([
-      [[key("layer"), `boundary ${n + 1}`]],
-      [`${shown(one.depth)} ± ${shown(one.sd)} mm`, "n"],
-      [press("show", () => act.look(one.at), `show boundary ${n + 1}`), "do"],
-    ]),
-  );
-  const proposed = found.proposed.map((one, n) =>
-    row([
-      [[key("proposed"), `proposed ${n + 1}`]],
-      [`${shown(one.depth)} ± ${shown(one.sd)} mm`, "n"],
-      [press("show", () => act.look(one.at), `show proposed boundary ${n + 1}, a step of ${one.step.toFixed(0)} HU`), "do"],
-    ]),
-  );
-  return table([[""], ["depth", "n"], [""]], [...rows, ...proposed]);
-}
-
-/** Say where corrections were saved, and how to go on. */
-export function showSaved(state, { table: path, command }) {
-  showVerdict(state);
-  const repeat = element("p", {}, "To repeat it: ", element("code", {}, command));
-  part("verdict").append(element("p", {}, `Saved: ${path}`), repeat);
-}
-
-/** Show what kept something from being done. */
-export function showFault(reason, verdict) {
-  const place = part("verdict");
-  place.classList.add("refused");
-  place.replaceChildren(...refusal(reason, verdict).map((content) => element("p", {}, content)));
 }

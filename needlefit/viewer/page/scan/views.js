@@ -11,13 +11,11 @@ const WIDE = 600; // pixels of the screen from which on boundaries have their wh
 const BARS = [50, 20, 10, 5, 2, 1]; // mm, lengths of a scale bar
 const WIDEST_BAR = 0.3; // of a picture's width
 const STEPS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+const between = (low, value, high) => Math.min(Math.max(value, low), high);
 
 class View {
   constructor(slice, state, act) {
-    this.slice = slice;
-    this.state = state;
-    this.image = null;
-    this.asked = 0;
+    Object.assign(this, { slice, state, image: null, asked: 0 });
     const along = slice.name === "needle";
     const name = along ? "along the needle" : slice.name;
     this.output = element("output");
@@ -25,61 +23,51 @@ class View {
       type: "range", min: 0, step: 1, max: along ? 179 : slice.count - 1,
       ariaLabel: along ? "angle about the needle" : `${name} slice`,
     });
-    this.canvas = element("canvas", {
+    const canvas = this.canvas = element("canvas", {
       tabIndex: 0, role: "application", ariaLabel: `${name}: click, or Enter, uses the tool; arrows move the point`,
     });
     const more = along ? [element("span", { className: "long" }, ", drawn straight")] : [];
     const caption = element("figcaption", {}, element("span", {}, name, more), this.range, this.output);
-    this.figure = element("figure", { className: slice.name }, caption, element("div", { className: "frame" }, this.canvas));
-    this.range.addEventListener("input", () => {
-      if (slice.name === "needle") slice.angle = Number(this.range.value);
-      else slice.index = Number(this.range.value);
-      this.load();
+    this.figure = element("figure", { className: slice.name }, caption, element("div", { className: "frame" }, canvas));
+    this.range.addEventListener("input", () => this.turn(Number(this.range.value)));
+    canvas.addEventListener("click", ({ clientX, clientY }) => {
+      const { left, top, width, height } = canvas.getBoundingClientRect();
+      act.use(slice.place((clientX - left) / width, (clientY - top) / height));
     });
-    this.canvas.addEventListener("click", (event) => {
-      const box = this.canvas.getBoundingClientRect();
-      act.use(slice.place((event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height));
-    });
-    this.canvas.addEventListener("keydown", (event) => {
+    canvas.addEventListener("keydown", (event) => {
       const step = STEPS[event.key];
       if (!step && event.key !== "Enter") return;
       event.preventDefault();
-      const at = this.cursor();
-      if (!step) act.use(at);
-      else act.look(this.moved(at, step.map((one) => one * (event.shiftKey ? 10 : 1))));
+      if (step) act.look(this.moved(step.map((one) => one * (event.shiftKey ? 10 : 1))));
+      else act.use(this.moved([0, 0]));
     });
-    this.canvas.addEventListener(
-      "wheel",
-      (event) => {
-        if (slice.name === "needle") return;
-        event.preventDefault();
-        slice.index = Math.min(Math.max(slice.index + Math.sign(event.deltaY), 0), slice.count - 1);
-        this.load();
-      },
-      { passive: false },
-    );
+    canvas.addEventListener("wheel", (event) => {
+      if (along) return;
+      event.preventDefault();
+      this.turn(between(0, slice.position + Math.sign(event.deltaY), slice.count - 1));
+    }, { passive: false });
   }
 
-  /** The point of the crosshair, on this slice. */
-  cursor() {
-    const { state } = this;
-    const [x, y] = this.slice.project(state.cursor ?? state.place("tip") ?? this.slice.place(0.5, 0.5));
-    return this.slice.place(x, y);
+  /** Show the slice of an index, or at an angle. */
+  turn(to) {
+    this.slice.position = to;
+    this.load();
   }
 
-  /** A point moved by pixels. */
-  moved(place, [right, down]) {
-    const { slice } = this;
-    const [x, y] = slice.project(place);
-    const inside = (part, size) => Math.min(Math.max(part, 0.5 / size), 1 - 0.5 / size);
+  /** The point of the crosshair on this slice, moved by pixels. */
+  moved([right, down]) {
+    const { state, slice } = this;
+    const [x, y] = slice.project(state.cursor ?? state.place("tip") ?? slice.place(0.5, 0.5));
+    if (!right && !down) return slice.place(x, y);
+    const inside = (part, size) => between(0.5 / size, part, 1 - 0.5 / size);
     return slice.place(inside(x + right / slice.columns, slice.columns), inside(y + down / slice.rows, slice.rows));
   }
 
   /** Ask for the picture and draw it; of several requests the newest counts. */
   async load() {
     const { slice } = this;
-    this.range.value = slice.name === "needle" ? slice.angle : slice.index;
-    this.output.textContent = slice.name === "needle" ? `${slice.angle}°` : `${slice.index + 1} / ${slice.count}`;
+    this.range.value = slice.position;
+    this.output.textContent = slice.name === "needle" ? `${slice.position}°` : `${slice.position + 1} / ${slice.count}`;
     const [low, high] = this.state.window();
     this.asked += 1;
     const number = this.asked;
@@ -97,14 +85,12 @@ class View {
   draw() {
     const { canvas, slice, state } = this;
     const scale = Math.max(1, PIXELS / slice.columns);
-    canvas.width = Math.round(slice.columns * scale);
-    canvas.height = Math.round(canvas.width * slice.aspect);
-    const paint = canvas.getContext("2d");
+    const width = canvas.width = Math.round(slice.columns * scale);
+    const height = canvas.height = Math.round(canvas.width * slice.aspect);
+    const paint = this.paint = canvas.getContext("2d");
+    const unit = this.unit = width / (canvas.clientWidth || width); // canvas pixels of one on the screen
     paint.imageSmoothingEnabled = false;
-    if (this.image) paint.drawImage(this.image, 0, 0, canvas.width, canvas.height);
-    const unit = canvas.width / (canvas.clientWidth || canvas.width); // canvas pixels of one on the screen
-    this.paint = paint;
-    this.unit = unit;
+    if (this.image) paint.drawImage(this.image, 0, 0, width, height);
     for (const one of state.found.tubes) {
       if (!one.chosen) this.line(one.line, colour("other"), 1);
     }
@@ -115,12 +101,22 @@ class View {
     state.balls().forEach((ball, n) => this.cross(ball.at, colour("ball"), 7, `ball ${n + 1}`));
     for (const [kind, name] of [["contact", "entry"], ["tip", "tip"]]) {
       const at = state.place(kind);
-      if (at) this.dot(at, colour(`${kind}`), 5, name);
+      if (at) this.dot(at, colour(kind), 5, name);
     }
     if (state.corrections.needle) this.cross(state.corrections.needle, colour("needle"), 8);
-    if (state.cursor) this.hair(state.cursor);
-    if (slice.letters) this.letters();
-    this.scaleBar();
+    if (state.cursor) {
+      const [x, y] = this.at(state.cursor);
+      this.stroke([[[x, 0], [x, height]], [[0, y], [width, y]]], "#ffffff66", 1);
+    }
+    const edge = 10 * unit;
+    const sides = [[edge, height / 2], [width - edge, height / 2], [width / 2, edge], [width / 2, height - edge]];
+    slice.letters?.forEach((letter, n) => this.text(letter, ...sides[n], "#ffd866"));
+    // a round length in the lower left corner
+    const pixels = width / slice.width; // of a millimetre
+    const length = BARS.find((one) => one * pixels < WIDEST_BAR * width) ?? BARS.at(-1);
+    const [x, y] = [10 * unit, height - 10 * unit];
+    for (const [colour, thick] of [["#000c", 4], ["#fff", 2]]) this.stroke([[[x, y], [x + length * pixels, y]]], colour, thick);
+    this.text(`${length} mm`, x + (length * pixels) / 2, y - 10 * unit);
   }
 
   at(place) {
@@ -128,22 +124,27 @@ class View {
     return [x * this.canvas.width, y * this.canvas.height, Math.abs(away)];
   }
 
-  line(points, stroke, width) {
+  /** Draw lines, each a list of points, `width` pixels of the screen wide. */
+  stroke(lines, colour, width) {
     const { paint } = this;
-    paint.strokeStyle = stroke;
+    paint.strokeStyle = colour;
     paint.lineWidth = width * this.unit;
     paint.beginPath();
-    let drawn = false;
-    for (const point of points) {
-      const [x, y, away] = this.at(point);
-      if (away > LINE_NEAR) drawn = false;
-      else if (drawn) paint.lineTo(x, y);
-      else {
-        paint.moveTo(x, y);
-        drawn = true;
-      }
+    for (const [first, ...others] of lines) {
+      paint.moveTo(...first);
+      for (const one of others) paint.lineTo(...one);
     }
     paint.stroke();
+  }
+
+  /** Draw the parts of a line that are near to the slice. */
+  line(points, colour, width) {
+    const lines = [[]];
+    for (const [x, y, away] of points.map((one) => this.at(one))) {
+      if (away <= LINE_NEAR) lines.at(-1).push([x, y]);
+      else lines.push([]);
+    }
+    this.stroke(lines.filter((one) => one.length), colour, width);
   }
 
   dot(place, fill, radius, name, side = -1) {
@@ -160,18 +161,11 @@ class View {
     this.text(name, x, y + side * (radius + 9) * this.unit);
   }
 
-  cross(place, stroke, reach, name = "") {
+  cross(place, colour, reach, name = "") {
     const [x, y, away] = this.at(place);
     if (away > NEAR) return;
     const r = reach * this.unit;
-    this.paint.strokeStyle = stroke;
-    this.paint.lineWidth = 2 * this.unit;
-    this.paint.beginPath();
-    for (const [dx, dy] of [[r, 0], [0, r]]) {
-      this.paint.moveTo(x - dx, y - dy);
-      this.paint.lineTo(x + dx, y + dy);
-    }
-    this.paint.stroke();
+    this.stroke([[[x - r, y], [x + r, y]], [[x, y - r], [x, y + r]]], colour, 2);
     this.text(name, x, y - r - 8 * this.unit);
   }
 
@@ -182,7 +176,7 @@ class View {
     paint.textAlign = "center";
     paint.textBaseline = "middle";
     const half = paint.measureText(words).width / 2 + 3 * unit;
-    const place = [Math.min(Math.max(x, half), canvas.width - half), Math.max(y, 8 * unit)];
+    const place = [between(half, x, canvas.width - half), Math.max(y, 8 * unit)];
     paint.strokeStyle = "#000c";
     paint.lineWidth = 3 * unit;
     paint.lineJoin = "round";
@@ -190,65 +184,22 @@ class View {
     paint.fillStyle = fill;
     paint.fillText(words, ...place);
   }
-
-  /** A round length in the lower left corner. */
-  scaleBar() {
-    const { paint, canvas, slice, unit } = this;
-    const scale = canvas.width / slice.width; // pixels of a millimetre
-    const length = BARS.find((one) => one * scale < WIDEST_BAR * canvas.width) ?? BARS.at(-1);
-    const [x, y] = [10 * unit, canvas.height - 10 * unit];
-    for (const [stroke, width] of [["#000c", 4], ["#fff", 2]]) {
-      paint.strokeStyle = stroke;
-      paint.lineWidth = width * unit;
-      paint.beginPath();
-      paint.moveTo(x, y);
-      paint.lineTo(x + length * scale, y);
-      paint.stroke();
-    }
-    this.text(`${length} mm`, x + (length * scale) / 2, y - 10 * unit);
-  }
-
-  hair(place) {
-    const [x, y] = this.at(place);
-    this.paint.strokeStyle = "#ffffff66";
-    this.paint.lineWidth = this.unit;
-    this.paint.beginPath();
-    this.paint.moveTo(x, 0);
-    this.paint.lineTo(x, this.canvas.height);
-    this.paint.moveTo(0, y);
-    this.paint.lineTo(this.canvas.width, y);
-    this.paint.stroke();
-  }
-
-  letters() {
-    const { canvas, slice, unit } = this;
-    const [left, right, top, bottom] = slice.letters;
-    const edge = 10 * unit;
-    const yellow = "#ffd866";
-    this.text(left, edge, canvas.height / 2, yellow);
-    this.text(right, canvas.width - edge, canvas.height / 2, yellow);
-    this.text(top, canvas.width / 2, edge, yellow);
-    this.text(bottom, canvas.width / 2, canvas.height - edge, yellow);
-  }
 }
 
 /** All pictures of a scan, made anew when something else was found. */
 export class Views {
-  constructor(place, state, act) {
-    Object.assign(this, { holder: place, state, act, all: [] });
+  constructor(holder, state, act) {
+    Object.assign(this, { holder, state, act, all: [] });
   }
 
   /** Make the pictures of what was found; slices stay where they were. */
   make() {
     const { found } = this.state;
-    const before = new Map(this.all.map((one) => [one.slice.name, one.slice]));
+    const before = Object.fromEntries(this.all.map(({ slice }) => [slice.name, slice.position]));
     const slices = found.views.map((axes) => new PlaneSlice(found.grid, axes));
-    const start = found.tip?.at;
-    for (const slice of slices) {
-      if (before.has(slice.name)) slice.index = before.get(slice.name).index;
-      else if (start) slice.show(start);
-    }
-    if (found.course) slices.push(new NeedleSlice(found.course, before.get("needle")?.angle ?? 0));
+    if (found.tip) slices.forEach((slice) => slice.show(found.tip.at));
+    if (found.course) slices.push(new NeedleSlice(found.course));
+    for (const slice of slices) slice.position = before[slice.name] ?? slice.position;
     this.all = slices.map((slice) => new View(slice, this.state, this.act));
     this.holder.replaceChildren(...this.all.map((one) => one.figure));
     this.load();

@@ -1,0 +1,599 @@
+"""Folders of results: where they can be written, whose they are, and how a whole one takes its place.
+
+The manifest of a folder, `needlefit.json`, lists its files and the SHA-256 of each. It says whose a folder
+is: only what it lists, unchanged, may be replaced or removed. Any other file, a listed one that was changed
+since (but `timing.json`), every link and every other empty folder are foreign: they are somebody's work. It
+also says whether a result is the one that was written: what does not agree with it is not reported on. It
+detects accidents and partial edits, not somebody who makes a new manifest.
+"""
+
+import ctypes
+import errno
+import hashlib
+import json
+import os
+import shutil
+import stat
+import tempfile
+from collections.abc import Container, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from itertools import combinations
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from needlefit.errors import ConfigError, DataError
+from needlefit.project.input_files import path_exists, read_json
+from needlefit.project.progress import Note
+
+try:
+    import fcntl
+except ImportError:  # Windows: two runs may meet in one folder, and what a killed one left stays
+    fcntl = None  # type: ignore[assignment]
+
+SCRATCH_NAME_BYTES = 24
+"""What the name of a scratch folder, a checkpoint or a damaged one adds to that of a result."""
+
+INNER_PATH_BYTES = 300
+"""Length of the longest path that a result holds, from its own folder on."""
+
+_MAX_NAME_BYTES, _MAX_PATH_BYTES = 255, 4096
+"""Of a system that states neither."""
+
+
+def require_writable(place: Path) -> None:
+    """Raise ConfigError unless a file or folder can be made at `place`, with what is written beside it.
+
+    Nothing is made: the nearest folder above that exists must be writable, and take the names.
+    """
+    if "\0" in str(place):
+        raise not_writable_error(Path(repr(place.name)), "its name holds a zero byte")
+    place = Path(os.path.realpath(place))  # what Path.resolve refuses is judged below
+    if place == place.parent:
+        raise not_writable_error(place, "it is the root of the file system")
+    folder = place.parent
+    while not path_exists(folder) and folder != folder.parent:
+        folder = folder.parent
+    effective = os.access in os.supports_effective_ids
+    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK, effective_ids=effective):
+        raise not_writable_error(folder, "you may not write there" if folder.is_dir() else "it is a file")
+    _require_names(place, folder)
+
+
+def require_output_files(outputs: Mapping[str, Path], inputs: Iterable[Path]) -> None:
+    """Raise ConfigError unless each file that an option names can be written, and is not an input.
+
+    Parameters
+    ----------
+    outputs : mapping of option to path
+    inputs : iterable of path
+        Files that the run reads, and folders of such files.
+
+    Raises
+    ------
+    ConfigError
+        If a folder is missing or cannot be written to, or a file is a folder, an input (also by another
+        name: a link), or named by two options.
+    """
+    sources = list(inputs)
+    for option, path in outputs.items():
+        require_folder(path)
+        if path.is_dir():
+            raise ConfigError(
+                "is a folder",
+                where=str(path),
+                expected="the name of a file",
+                fix=f"name a file with {option}",
+            )
+        for source in sources if path_exists(path) else ():
+            within = source.is_dir() and Path(os.path.realpath(path)).is_relative_to(os.path.realpath(source))
+            if within or (path_exists(source) and path.samefile(source)):
+                raise ConfigError(
+                    f"is an input of this run, which {option} would replace",
+                    where=str(path),
+                    expected="a new file, or one that may be lost",
+                    fix=f"choose another name with {option}",
+                )
+        if path_exists(path) and not stat.S_ISREG(path.stat().st_mode):
+            continue  # a pipe or a terminal
+        require_writable(path)
+    for (one, path), (other, same) in combinations(outputs.items(), 2):
+        if os.path.realpath(path) == os.path.realpath(same):
+            raise ConfigError(
+                f"is named by both {one} and {other}",
+                where=str(path),
+                expected="a file of its own for each",
+                fix="choose another name for one of them",
+            )
+
+
+def require_folder(path: Path) -> None:
+    """Raise ConfigError unless the folder of a file to write exists."""
+    if not path.parent.is_dir():
+        raise ConfigError("there is no such folder", where=str(path.parent), fix="make it first")
+
+
+def require_no_inputs_within(folder: Path, inputs: Iterable[Path]) -> None:
+    """Raise ConfigError if a folder that is to be replaced holds an input of the run."""
+    place = Path(os.path.realpath(folder))
+    for path in inputs:
+        if Path(os.path.realpath(path)).is_relative_to(place):
+            raise ConfigError(
+                f"holds an input of this run: {path}",
+                where=str(folder),
+                expected="a folder of results that is not read",
+                fix="choose another folder with --out",
+            )
+
+
+def not_writable_error(place: Path, reason: str) -> ConfigError:
+    """Return what is raised of a place where nothing can be written."""
+    return ConfigError(
+        f"cannot be written to: {reason}",
+        where=str(place),
+        expected="a folder in which you may write",
+        fix="choose another one with --out, or check its permissions",
+    )
+
+
+def _require_names(place: Path, folder: Path) -> None:
+    """See that the file system of `folder` takes the names from there to `place`, and what is beside it."""
+
+    def limit(name: str, otherwise: int) -> int:
+        try:
+            stated = os.pathconf(folder, name)
+        except (AttributeError, OSError, ValueError):  # Windows; a file system that does not say
+            return otherwise
+        return stated if stated > 0 else otherwise
+
+    lengths = [len(os.fsencode(part)) for part in place.relative_to(folder).parts]
+    name_bytes, whole = max(*lengths, lengths[-1] + SCRATCH_NAME_BYTES), len(os.fsencode(place))
+    beside = SCRATCH_NAME_BYTES + lengths[-1] + INNER_PATH_BYTES
+    most, longest = limit("PC_NAME_MAX", _MAX_NAME_BYTES), limit("PC_PATH_MAX", _MAX_PATH_BYTES)
+    for what, is_too_long, room in (
+        (f"a name of {max(lengths)} bytes", name_bytes > most, most - SCRATCH_NAME_BYTES),
+        (f"a path of {whole} bytes", whole + beside > longest, longest - beside),
+    ):
+        if is_too_long:
+            raise ConfigError(
+                f"{what} is too long to write results under it",
+                where=str(folder),
+                expected=f"at most {room} bytes",
+                fix="choose a shorter name",
+            )
+
+
+# ---- the manifest
+
+MANIFEST = "needlefit.json"
+
+FORMAT = 1
+
+FILE_MANAGER_FILES = frozenset({".DS_Store", "Thumbs.db", "desktop.ini"})
+"""What a file manager leaves in a folder that it shows; nobody's work."""
+
+TIMING_FILE = "timing.json"
+"""The one file of a result that differs from run to run; without its digest the manifest does not."""
+
+MAX_LISTED_FILES = 5
+"""Files that a message names."""
+
+CHANGED = "was changed since it was written"
+
+
+def sha256(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes, in hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def write_manifest(folder: Path) -> None:
+    """Write the manifest of a result: all that lies in `folder` is from here on known to be needlefit's."""
+    names = [name for name in list_all_files(folder) if name != MANIFEST]
+    files = {name: None if name == TIMING_FILE else sha256(folder / name) for name in names}
+    (folder / MANIFEST).write_text(format_manifest({"holds": "result", "files": files}), encoding="ascii")
+
+
+def format_manifest(table: Mapping[str, Any]) -> str:
+    """Return the text of a manifest."""
+    head = {"program": "needlefit", "format": FORMAT}
+    return json.dumps({**head, **table}, indent=2, ensure_ascii=True) + "\n"
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """Return what the manifest of a folder says; DataError if there is none, or it is damaged."""
+    path = folder / MANIFEST
+    table = {} if path.is_symlink() else read_json(path)
+    if isinstance(table, dict) and table.get("program") == "needlefit" and table.get("format") == FORMAT:
+        return table
+    raise DataError("is not a manifest of needlefit", where=str(path), expected=f"one of format {FORMAT}")
+
+
+def listed_files(folder: Path) -> dict[str, Any]:
+    """Return the files that the manifest of a result lists, with their digests; none without a manifest."""
+    try:
+        listed = read_manifest(folder).get("files")
+    except DataError:
+        return {}
+    return listed if isinstance(listed, dict) else {}
+
+
+def find_changes(folder: Path) -> dict[str, str]:
+    """Return what does not agree with the manifest of a result, and how, by file.
+
+    Files that are missing are not: a report makes most of them again.
+    """
+    listed = listed_files(folder)
+    if not listed:
+        return {MANIFEST: "is missing or damaged"}
+    names = [name for name in list_all_files(folder) if name in listed]
+    return {name: CHANGED for name in names if _find_fault(folder, name, listed)}
+
+
+def require_unchanged(folder: Path, unverified: bool = False) -> tuple[str, ...]:
+    """Raise DataError where a result does not agree with its manifest; if `unverified`, return what does not.
+
+    Raises
+    ------
+    DataError
+        That names the files.
+    """
+    changes = [f"{name} {how}" for name, how in find_changes(folder).items()]
+    if changes and not unverified:
+        raise DataError(
+            f"does not agree with its manifest: {_join(changes)}",
+            where=str(folder),
+            expected=f"files with the digests that {MANIFEST} lists",
+            fix="take the files from a copy, or run it again; tables, figures and pages may be removed: "
+            "`needlefit report` makes them again; --unverified (in Python: unverified=True; of `report` "
+            "with --out FOLDER) uses files as they are, and marks every page",
+        )
+    return tuple(changes)
+
+
+def find_foreign(folder: Path) -> list[str]:
+    """Return what lies in a folder of results that needlefit did not write, each with the reason.
+
+    Links are not followed.
+
+    Raises
+    ------
+    ConfigError
+        If the folder cannot be looked into.
+    """
+    names = [name for name in list_all_files(folder) if Path(name).name not in FILE_MANAGER_FILES]
+    listed = listed_files(folder)
+    written = [name for name in names if name != MANIFEST] if listed else names
+    faults = [fault for name in written if (fault := _find_fault(folder, name, listed))]
+    parents = {str(parent) for name in listed for parent in PurePosixPath(name).parents}
+    return [*faults, *find_empty_folders(folder, names, parents)]
+
+
+def _find_fault(folder: Path, name: str, listed: Mapping[str, Any]) -> str:
+    """Return what is foreign about a file; empty if it is as it was written."""
+    path = folder / name
+    if name not in listed or not is_regular(path):
+        return name
+    try:
+        same = name == TIMING_FILE or sha256(path) == listed[name]
+    except OSError:
+        return name
+    return "" if same else f"{name} (changed since it was written)"
+
+
+def require_replaceable(folder: Path) -> None:
+    """Raise ConfigError unless a result may be written to `folder`: missing, empty, or needlefit's own."""
+    require_writable(folder)  # first: it also sees names that the system does not take
+    if (place := folder.resolve()).exists() or place.is_symlink():
+        faults = find_foreign(place) if place.is_dir() else ["it is a file"]
+        if faults:
+            raise not_replaced_error(place, faults)
+
+
+def remove_result(folder: Path, note: Note) -> None:
+    """Remove the result of an earlier run, if there is one; where it holds anything foreign it stays."""
+    if not folder.is_dir():
+        return
+    try:
+        faults = find_foreign(folder)
+    except ConfigError as error:
+        faults = [str(error)]
+    if faults:
+        note(f"{folder} of an earlier run is not removed: it holds {', '.join(faults[:MAX_LISTED_FILES])}")
+        return
+    with suppress(OSError):  # what stays has its manifest still: the next run removes it
+        remove_folder(folder, (MANIFEST,))
+
+
+def not_replaced_error(folder: Path, faults: list[str]) -> ConfigError:
+    """Return what is raised of a folder that holds what is foreign."""
+    return ConfigError(
+        f"is not replaced: needlefit did not write this in it, or it was changed since: {_join(faults)}",
+        where=str(folder),
+        expected=f"no such folder, an empty one, or one that holds only what its {MANIFEST} lists, unchanged",
+        fix="move those files away, or choose another folder with --out",
+    )
+
+
+def _join(faults: list[str]) -> str:
+    more = len(faults) - MAX_LISTED_FILES
+    return ", ".join(faults[:MAX_LISTED_FILES]) + (f" and {more} more" if more > 0 else "")
+
+
+def list_all_files(folder: Path) -> list[str]:
+    """Return the files in a folder and those below, and links to whatever, relative to it, sorted.
+
+    Raises
+    ------
+    ConfigError
+        If a folder cannot be looked into.
+    """
+
+    def fail(fault: OSError) -> None:
+        reason = fault.strerror or type(fault).__name__
+        raise ConfigError(
+            f"cannot be looked into: {reason}", where=str(fault.filename), fix="check its permissions"
+        )
+
+    found: list[Path] = []
+    for place, folders, files in os.walk(folder, onerror=fail):  # follows no link
+        found += [Path(place, name) for name in files]
+        found += [Path(place, name) for name in folders if Path(place, name).is_symlink()]
+    return sorted(path.relative_to(folder).as_posix() for path in found)
+
+
+def find_empty_folders(folder: Path, names: Iterable[str], own: Container[str]) -> list[str]:
+    """Return the outermost folders below one that hold no file, and that are not among needlefit's `own`.
+
+    They vanish when their folder is replaced, and may be meant to be filled.
+    """
+    filled = {parent for name in names for parent in PurePosixPath(name).parents}
+    found: list[PurePosixPath] = []
+    for place, folders, _ in os.walk(folder):
+        for name in sorted(folders):
+            path = PurePosixPath(Path(place, name).relative_to(folder).as_posix())
+            empty = path not in filled and not Path(place, name).is_symlink() and str(path) not in own
+            if empty and not any(above in found for above in path.parents):
+                found.append(path)
+    return sorted(f"{path}/ (an empty folder)" for path in found)
+
+
+def is_regular(path: Path) -> bool:
+    """Return whether there is a regular file, and no link to one."""
+    try:
+        return stat.S_ISREG(path.lstat().st_mode)
+    except OSError:
+        return False
+
+
+def remove_folder(folder: Path, last: Container[str]) -> None:
+    """Remove a folder with all in it, the files called as `last` says at the end.
+
+    These say whose it is: a removal that a kill or the disk cuts short can then be finished by the next run.
+    Links are removed and not followed; OSError where something cannot be.
+    """
+    remove_contents(folder, last)
+    folder.rmdir()
+
+
+def remove_contents(folder: Path, last: Container[str], keep: Container[str] = ()) -> None:
+    """Remove what lies in a folder but for the names `keep`; else as `remove_folder`."""
+    for path in sorted(folder.iterdir(), key=lambda path: (path.name in last, path.name)):
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        elif path.name not in keep:
+            path.unlink()
+
+
+# ---- writing beside, and putting in place
+
+NEW_NAME, OLD_NAME = "new", "old"
+"""In a scratch folder: where something is written; and the result that waits to be put in its place, or was
+replaced. What lies in `OLD_NAME` is removed only when it is known to be needlefit's own."""
+
+LOCK_NAME = "lock"
+"""A file in it that its process holds locked; the lock goes with the process, however that ends."""
+
+_SCRATCH = ".needlefit-"
+"""In the name of a scratch folder, behind that of its place."""
+
+_SCRATCH_NAMES = {LOCK_NAME, f"{LOCK_NAME}.new", NEW_NAME, OLD_NAME, f"{OLD_NAME}.aside"}
+_MARK = "a scratch folder of needlefit\n"
+REMOVED_LAST = (MANIFEST, "run.json", "dataset.toml")
+"""What is removed last of a result: by them it is known, also half removed."""
+
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
+
+
+@contextmanager
+def replace_folder(folder: Path) -> Iterator[Path]:
+    """Yield an empty folder, of the same name, that takes the place of `folder` when the block ends well.
+
+    It stands beside `folder` until then, so that a failure leaves nothing behind and the old one as it was;
+    what a killed process left the next one removes. It gets a manifest. A block that writes
+    nothing replaces nothing.
+
+    Raises
+    ------
+    ConfigError
+        If nothing can be written there, or `folder` holds anything foreign, at the begin or at the end.
+    """
+    folder = folder.resolve()
+    require_replaceable(folder)
+    with _scratch_folder(folder) as (beside, fresh):
+        fresh.mkdir()
+        yield fresh
+        if any(fresh.iterdir()):
+            for left in sorted(fresh.rglob(f".*{_SCRATCH}*")):  # scratch that a failing disk left
+                if any((left / name).exists() for name in (NEW_NAME, LOCK_NAME, f"{LOCK_NAME}.new")):
+                    shutil.rmtree(left)
+            for place, _, _ in os.walk(fresh, topdown=False):  # empty folders would be the user's
+                if Path(place) != fresh and not any(Path(place).iterdir()):
+                    Path(place).rmdir()
+            write_manifest(fresh)
+            _swap_in(fresh, folder, beside / OLD_NAME)
+
+
+@contextmanager
+def create_folder(folder: Path) -> Iterator[Path]:
+    """Yield what `replace_folder` does, for a folder that is missing or empty; it gets no manifest:
+    it is the user's.
+
+    Raises
+    ------
+    ConfigError
+        If nothing can be written there, or `folder` holds something.
+    """
+    folder = folder.resolve()
+    require_new(folder)
+    with _scratch_folder(folder) as (_, fresh):
+        fresh.mkdir()
+        yield fresh
+        require_new(folder)
+        fresh.rename(folder)  # fails where somebody was quicker
+
+
+def require_new(folder: Path) -> None:
+    """Raise ConfigError if `folder` holds something, or is a file."""
+    if folder.is_dir() and not any(folder.iterdir()):
+        return
+    if folder.exists() or folder.is_symlink():
+        raise ConfigError(
+            "exists already",
+            where=str(folder),
+            expected="a new or empty folder",
+            fix="choose another folder",
+        )
+
+
+@contextmanager
+def replace_file(file: Path) -> Iterator[Path]:
+    """Yield a path, of the same name, whose file takes the place of `file` when the block ends well.
+
+    It is for files that the user names, and for those within needlefit's own folders.
+
+    Raises
+    ------
+    ConfigError
+        If nothing can be written there.
+    """
+    file = file.resolve()
+    with _scratch_folder(file) as (_, fresh):
+        yield fresh
+        fresh.replace(file)
+
+
+@contextmanager
+def _scratch_folder(place: Path) -> Iterator[tuple[Path, Path]]:
+    """Yield a folder beside `place`, on the same disk, which goes when it is left, and the new place in it.
+
+    Raises
+    ------
+    ConfigError
+        If nothing can be written there.
+    """
+    prefix = f".{place.name}{_SCRATCH}"
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with suppress(OSError, ConfigError):
+            _remove_leftovers(place, prefix)
+        made = Path(tempfile.mkdtemp(prefix=prefix, dir=place.parent))
+    except OSError as error:
+        raise not_writable_error(place, error.strerror or type(error).__name__) from None
+    try:
+        with _hold_lock(made):
+            (made / NEW_NAME).mkdir()
+            yield made, made / NEW_NAME / place.name
+    finally:
+        if not (made / OLD_NAME).exists():  # else it holds what was not seen to be needlefit's own
+            with suppress(OSError):
+                remove_folder(made, (LOCK_NAME,))
+
+
+def _swap_in(fresh: Path, folder: Path, old: Path) -> None:
+    """Put `fresh` in the place of `folder`, which is looked at again once nobody can add to it."""
+    try:
+        fresh.rename(folder)  # where there is none, or an empty one
+        return
+    except OSError as fault:
+        if fault.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+            raise
+    fresh.rename(old)
+    _exchange(old, folder)
+    faults = find_foreign(old)
+    if faults:  # put there while this was computed
+        _exchange(old, folder)
+        old.rename(fresh)
+        raise not_replaced_error(folder, faults)
+    remove_folder(old, REMOVED_LAST)
+
+
+def _exchange(one: Path, other: Path) -> None:
+    """Exchange two folders; where the system can do it, at once: there is never none."""
+    if _try_exchange(one, other):
+        return
+    aside = one.with_name(f"{one.name}.aside")
+    one.rename(aside)
+    other.rename(one)
+    try:
+        aside.rename(other)
+    except BaseException:
+        one.rename(other)
+        aside.rename(one)
+        raise
+
+
+def _try_exchange(one: Path, other: Path) -> bool:
+    """Exchange two folders at once; False where the system or the disk cannot."""
+    try:
+        rename = ctypes.CDLL(None, use_errno=True).renameat2
+    except (AttributeError, OSError, TypeError):
+        return False
+    done = rename(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE)
+    return bool(done == 0)
+
+
+def try_lock(descriptor: int) -> bool | None:
+    """Lock an open file for this process; False where another one has it, None where there are no locks."""
+    if fcntl is None:
+        return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as fault:
+        return False if fault.errno in (errno.EWOULDBLOCK, errno.EACCES) else None
+    return True
+
+
+@contextmanager
+def _hold_lock(folder: Path) -> Iterator[None]:
+    """Hold the lock of a scratch folder; it gets its name when it is held, lest another process takes it."""
+    with (folder / f"{LOCK_NAME}.new").open("w", encoding="ascii") as file:
+        file.write(_MARK)
+        file.flush()
+        if try_lock(file.fileno()):  # on a disk without locks nobody else removes the folder
+            with suppress(OSError):
+                Path(file.name).rename(folder / LOCK_NAME)
+        yield
+
+
+def _remove_leftovers(place: Path, prefix: str) -> None:
+    """Remove the scratch folders of `place` whose process has ended; the only copy of a result goes back."""
+    for folder in place.parent.iterdir():
+        lock = folder / LOCK_NAME
+        if not folder.name.startswith(prefix) or folder.is_symlink() or not lock.is_file():
+            continue
+        with suppress(OSError), lock.open("r+", encoding="ascii") as file:
+            names = {path.name for path in folder.iterdir()}
+            if file.read(len(_MARK)) == _MARK and try_lock(file.fileno()) and names <= _SCRATCH_NAMES:
+                _remove_one(folder, place)
+
+
+def _remove_one(folder: Path, place: Path) -> None:
+    """Remove a scratch folder; what waits in it to be replaced only if it is needlefit's own."""
+    for leftover in (folder / OLD_NAME, folder / f"{OLD_NAME}.aside"):
+        if leftover.exists() and not place.exists():
+            leftover.rename(place)  # killed between two renamings
+        if leftover.exists() and find_foreign(leftover):
+            return
+        if leftover.exists():
+            remove_folder(leftover, REMOVED_LAST)
+    remove_folder(folder, (LOCK_NAME,))

@@ -1,3 +1,0 @@
-/** Of a shared file: it holds no scan. */
-
-export const slice = () => null;
