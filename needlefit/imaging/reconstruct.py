@@ -6,10 +6,11 @@ Reconstruct one scan step by step; what was found is kept, also where a step fai
 be right, and list warnings for the user.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Literal
 
 import numpy as np
 
@@ -313,16 +314,38 @@ def _distance_beside(points: Floats, surface: Surface) -> float | None:
 PROFILE_BEYOND_TIP_MM = 8.0
 
 
-@dataclass(frozen=True)
-class Detections:
-    """Everything detected in a volume, before entry and layers are derived from it."""
+@dataclass
+class Examination:
+    """What the steps of a reconstruction found in a scan; None: the step failed, or was not reached."""
 
-    needle_axis: Centerline  # LPS
-    markers: MarkerResult | None
-    registration: Registration | None
-    profile: IntensityProfile  # along the whole needle, s from its first point
-    warnings: tuple[str, ...] = ()
-    frame_of_reference: str = ""
+    scan: Scan
+    selection: NeedleSelection | None = None
+    needle_axis: Centerline | None = None  # LPS
+    markers: MarkerResult | None = None
+    registration: Registration | None = None
+    profile: IntensityProfile | None = None  # along the whole needle, s from its first point
+    reconstruction: Reconstruction | None = None
+    error: NeedlefitError | None = None  # why the scan is refused: of the first step that failed
+
+    @contextmanager
+    def step(self) -> Iterator[None]:
+        """Run a step; keep its error, if it is the first."""
+        try:
+            yield
+        except NeedlefitError as error:
+            self.error = self.error or error
+
+    @property
+    def axis(self) -> Centerline:
+        """The needle's axis, LPS, after it was found."""
+        assert self.needle_axis is not None
+        return self.needle_axis
+
+    @property
+    def brightness(self) -> IntensityProfile:
+        """The profile along the whole needle, after it was sampled."""
+        assert self.profile is not None
+        return self.profile
 
     @property
     def patient(self) -> Frame:
@@ -332,7 +355,7 @@ class Detections:
     @property
     def world(self) -> Floats:
         """The whole needle in the world (N, 3), mm."""
-        return self.patient.to_world(self.needle_axis.points)
+        return self.patient.to_world(self.axis.points)
 
 
 def register_scan(markers: MarkerResult, known: Path, recipe: ReconstructionRecord) -> Registration:
@@ -360,13 +383,6 @@ def sample_needle_profile(volume: Volume, needle: Floats) -> IntensityProfile:
     return sample_profile(volume, points, arc_length(points))
 
 
-def find_needle(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> NeedleSelection:
-    """Return the needle of a scan, from its mask or among the tubes of the volume."""
-    if scan.mask is None:
-        return select_needle(volume, recipe, scan.needle_at)
-    return NeedleSelection(read_mask_component(volume, scan.mask, recipe))
-
-
 def find_scan_markers(
     volume: Volume, needle: Ints | None, scan: Scan, recipe: ReconstructionRecord
 ) -> MarkerResult | None:
@@ -381,18 +397,18 @@ def find_scan_markers(
 
 
 def estimate_first_contact(
-    detections: Detections, scan: Scan, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
+    found: Examination, scan: Scan, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
 ) -> tuple[EntryPose, EntryPose | None, tuple[str, ...]]:
     """Return the entry pose, the pose of the shaft outside the tissue where it is visible, and warnings."""
     if scan.stage is None:
-        at, at_sd, notes = _locate_tissue(detections, scan, surfaces, recipe)
+        at, at_sd, notes = _locate_tissue(found, scan, surfaces, recipe)
         shaft = move_to_surface(
-            pose_from_shaft(_select_outside_shaft(detections, scan, recipe, at), at_sd), surfaces
+            pose_from_shaft(_select_outside_shaft(found, scan, recipe, at), at_sd), surfaces
         )
         return shaft, shaft, notes
-    (here,) = detections.patient.to_local(scan.stage.entry[None])
-    stage = pose_from_stage(scan.stage, detections.registration, here)
-    outside = _select_outside_shaft(detections, scan, recipe, find_entry_arc_length(detections.world, stage))
+    (here,) = found.patient.to_local(scan.stage.entry[None])
+    stage = pose_from_stage(scan.stage, found.registration, here)
+    outside = _select_outside_shaft(found, scan, recipe, find_entry_arc_length(found.world, stage))
     if usable_length(outside) < MIN_SHAFT_LENGTH_MM:
         return stage, None, ()
     other = pose_from_shaft(outside, stage.along_sd)
@@ -401,15 +417,15 @@ def estimate_first_contact(
 
 
 def _select_outside_shaft(
-    detections: Detections, scan: Scan, recipe: ReconstructionRecord, at: float
+    found: Examination, scan: Scan, recipe: ReconstructionRecord, at: float
 ) -> OutsideShaft:
     """Return the needle before `at` (mm along it), where it enters the tissue."""
-    world, rules = detections.world, recipe.entry
+    world, rules = found.world, recipe.entry
     s = arc_length(world)
     before, base = s < at, recipe.needle.length_mm - (s[-1] - at)
     return OutsideShaft(
         points=world[before],
-        sd=detections.needle_axis.sd[before],
+        sd=found.axis.sd[before],
         s=s[before] - at,
         free=base if scan.guide_distance is None else scan.guide_distance,
         bend=rules.entry_shift_sd_mm,
@@ -418,7 +434,7 @@ def _select_outside_shaft(
 
 
 def _locate_tissue(
-    detections: Detections, scan: Scan, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
+    found: Examination, scan: Scan, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
 ) -> tuple[float, float, tuple[str, ...]]:
     """Return where along the whole needle the tissue begins, how sure that is, mm, and warnings.
 
@@ -426,28 +442,28 @@ def _locate_tissue(
     change of brightness around the needle.
     """
     if scan.contact is not None:
-        points = detections.needle_axis.points
+        points = found.axis.points
         s = arc_length(points)
         fine = np.arange(0.0, s[-1], 0.05)
         away = np.linalg.norm(interpolate_at_arc(points, fine) - scan.contact, axis=1)
         beyond = float((scan.contact - points[-1]) @ normalize(points[-1] - points[-2]))
-        found = f"{beyond:.1f} mm beyond its tip" if beyond > 0 else ""
+        off = f"{beyond:.1f} mm beyond its tip" if beyond > 0 else ""
         if away.min() > MAX_ENTRY_DISTANCE_MM:
-            found = f"{away.min():.1f} mm beside the needle"
-        if found:
-            raise refusal(f"""the first contact that was placed lies {found}
+            off = f"{away.min():.1f} mm beside the needle"
+        if off:
+            raise refusal(f"""the first contact that was placed lies {off}
                 expected: a point within {MAX_ENTRY_DISTANCE_MM:g} mm of the needle, before its tip, LPS
                 fix: place it on the needle; RAS has x and y of the other sign
                 where: {", ".join(CONTACT_COLUMNS)}""")
         return float(fine[np.argmin(away)]), recipe.entry.placed_contact_sd_mm, ()
-    own = _hit_surfaces(detections.world, [surface for surface in surfaces if surface.into == 1])
+    own = _hit_surfaces(found.world, [surface for surface in surfaces if surface.into == 1])
     if len(own):
         at = float(own.min())
-        _refuse_distant_surface(at, detections)
+        _refuse_distant_surface(at, found)
         return at, recipe.layers.surface_sd_mm, ()
-    crossed = _hit_surfaces(detections.world, [surface for surface in surfaces if surface.into > 1])
+    crossed = _hit_surfaces(found.world, [surface for surface in surfaces if surface.into > 1])
     known = EntryKnowledge(scan.expected_depth, recipe.guide.thickness_mm, scan.guide_distance, crossed)
-    choice = choose_entry(detections.profile, float(arc_length(detections.world)[-1]), known)
+    choice = choose_entry(found.brightness, float(arc_length(found.world)[-1]), known)
     if choice is None:
         raise refusal("""the scan does not show where the needle enters the tissue
             expected: air before the tissue along the needle, the tissue's surface (into = 1), or the stage
@@ -461,9 +477,9 @@ def _hit_surfaces(needle: Floats, surfaces: Sequence[Surface]) -> Floats:
     return np.concatenate([np.empty(0), *(find_surface_hits(needle, surface) for surface in surfaces)])
 
 
-def _refuse_distant_surface(at: float, detections: Detections) -> None:
+def _refuse_distant_surface(at: float, found: Examination) -> None:
     """Refuse a tissue whose own surface the needle meets (`at`) far from where the scan shows it to begin."""
-    rises = find_rises(detections.profile)
+    rises = find_rises(found.brightness)
     if not rises:
         return
     edge, sd = min(((edge, sd) for _, edge, sd in rises), key=lambda one: abs(one[0] - at))
@@ -481,67 +497,69 @@ PlaneSource = Literal["stated", "bevel", "shape"]
 
 
 def derive_reconstruction(
-    detections: Detections, scan: Scan, recipe: ReconstructionRecord, grid: VoxelGrid
+    found: Examination, recipe: ReconstructionRecord, grid: VoxelGrid, frame_of_reference: str = ""
 ) -> Reconstruction:
-    """Derive the reconstruction from the detections in the volume; without views.
+    """Derive the reconstruction from what was found in the volume; without views.
 
     `grid`: where the scan's voxels stand.
 
     DataError: whatever keeps the scan from being reconstructed; nothing is guessed.
     """
-    surfaces = read_layers(scan, detections.patient, grid, detections.frame_of_reference)
-    refuse_tunnels(surfaces, detections.world)
-    pose, shaft, doubts = estimate_first_contact(detections, scan, surfaces, recipe)
-    begin = find_entry_arc_length(detections.world, pose)
-    points, sd = _sample_inserted(detections, begin, recipe.centerline.station_spacing_mm)
-    frame, plane = _find_bending_frame(detections, scan, pose, points, recipe)
-    errors = estimate_layer_errors(scan, recipe, sd, pose, detections.registration)
+    scan = found.scan
+    surfaces = read_layers(scan, found.patient, grid, frame_of_reference)
+    refuse_tunnels(surfaces, found.world)
+    pose, shaft, doubts = estimate_first_contact(found, scan, surfaces, recipe)
+    begin = find_entry_arc_length(found.world, pose)
+    points, sd = _sample_inserted(found, begin, recipe.centerline.station_spacing_mm)
+    frame, plane = _find_bending_frame(found, scan, pose, points, recipe)
+    errors = estimate_layer_errors(scan, recipe, sd, pose, found.registration)
     layers = find_crossed_layers(points, frame, surfaces, errors)
-    drawn, registration = detections.needle_axis.sections, detections.registration
+    drawn, registration = found.axis.sections, found.registration
     target_error = np.zeros(2)  # at the entry and at the tip
     if registration is not None:
-        ends = detections.patient.to_local(points[[0, -1]])
+        ends = found.patient.to_local(points[[0, -1]])
         target_error = predict_mean_target_error(registration, ends)
-    notes = check_layer_count(scan, layers, points, detections.patient)
-    found = Reconstruction(
+    notes = check_layer_count(scan, layers, points, found.patient)
+    one = Reconstruction(
         scan=scan,
         spacing=grid.spacing,
-        needle_axis=detections.needle_axis,
-        markers=detections.markers,
+        needle_axis=found.axis,
+        markers=found.markers,
         registration=registration,
-        patient=detections.patient,
+        patient=found.patient,
         pose=pose,
         shaft=shaft,
         frame=frame,
         plane=plane,
         points=points,
         sd=sd,
-        sections=None if drawn is None else drawn.seen_from(detections.patient, begin),
+        sections=None if drawn is None else drawn.seen_from(found.patient, begin),
         depth=float(arc_length(points)[-1]),
-        depth_sd=float(np.hypot(detections.needle_axis.tip_sd[0], pose.along_sd)),
+        depth_sd=float(np.hypot(found.axis.tip_sd[0], pose.along_sd)),
         target_error=target_error,
         layers=layers,
-        profile=replace(detections.profile, s=detections.profile.s - begin),
+        profile=replace(found.brightness, s=found.brightness.s - begin),
         views=(),
         warnings=(),
     )
-    return replace(found, warnings=(*collect_warnings(found, (*doubts, *detections.warnings)), *notes))
+    doubts += () if found.selection is None else found.selection.warnings
+    return replace(one, warnings=(*collect_warnings(one, doubts), *notes))
 
 
-def _sample_inserted(detections: Detections, begin: float, station: float) -> tuple[Floats, Floats]:
+def _sample_inserted(found: Examination, begin: float, station: float) -> tuple[Floats, Floats]:
     """Return the needle from `begin` (mm along it) to its tip: points (N, 3), world, and deviations (N,)."""
-    along = arc_length(detections.world)
+    along = arc_length(found.world)
     if along[-1] - begin < MIN_DEPTH_MM:
         raise refusal(f"""the needle enters the tissue {along[-1] - begin:.2f} mm before its tip
             expected: at least {MIN_DEPTH_MM:g} mm of it in the tissue
             fix: look at entry and tip (needlefit view SCAN), and place the one that is wrong""")
     count = int(np.ceil((along[-1] - begin) / station)) + 1
     s = np.linspace(begin, along[-1], count)
-    return interpolate_at_arc(detections.world, s), np.interp(s, along, detections.needle_axis.sd)
+    return interpolate_at_arc(found.world, s), np.interp(s, along, found.axis.sd)
 
 
 def _find_bending_frame(
-    detections: Detections, scan: Scan, pose: EntryPose, points: Floats, recipe: ReconstructionRecord
+    found: Examination, scan: Scan, pose: EntryPose, points: Floats, recipe: ReconstructionRecord
 ) -> tuple[Frame, PlaneSource]:
     """Return the constraint frame, and what fixes its plane."""
     plane: PlaneSource
@@ -550,7 +568,7 @@ def _find_bending_frame(
             expected: bevel_x, bevel_y, bevel_z beside it: without them +y points to where the needle went
             fix: state the bevel's direction, or leave bevel_side empty
             where: scan {scan.id}""")
-    bevel = detections.patient.rotation @ detections.needle_axis.bevel
+    bevel = found.patient.rotation @ found.axis.bevel
     if scan.bevel is not None:
         toward, plane = scan.bevel, "stated"
     elif recipe.entry.plane == "bevel" and np.isfinite(bevel).all():
@@ -561,23 +579,6 @@ def _find_bending_frame(
         return make_entry_frame(pose.origin, pose.direction, toward), plane
     except DataError as error:
         raise DataError(error.what, expected=error.expected, fix=BEVEL_FIX) from None
-
-
-T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class Examination:
-    """What the steps of a reconstruction found in a scan; None: the step failed, or was not reached."""
-
-    scan: Scan
-    selection: NeedleSelection | None = None
-    needle_axis: Centerline | None = None
-    markers: MarkerResult | None = None
-    registration: Registration | None = None
-    profile: IntensityProfile | None = None  # along the whole needle, s from its first point
-    reconstruction: Reconstruction | None = None
-    error: NeedlefitError | None = None  # why the scan is refused: of the first step that failed
 
 
 def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
@@ -606,51 +607,35 @@ def add_views(one: Reconstruction, volume: Volume) -> Reconstruction:
 @one_thread
 def examine(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Examination:
     """Return everything that the steps of a reconstruction find in a volume that was read, without views."""
-    steps = _Steps()
-    if scan.mask is None:
-        steps.take(lambda: require_hounsfield(volume, str(scan.volume)))
-    selection = steps.take(lambda: find_needle(volume, scan, recipe))
-    voxels = None if selection is None else selection.needle.voxels
-    markers = steps.take(lambda: find_scan_markers(volume, voxels, scan, recipe))
-    axis = None
-    if selection is not None:
-        needle, spread = selection.needle, None if markers is None else markers.spread
-        axis = steps.take(lambda: trace_needle(volume, needle, recipe, spread, scan.tip))
-    registration = None
-    if markers is not None and scan.markers is not None:
-        known = scan.markers
-        registration = steps.take(lambda: register_scan(markers, known, recipe))
-    profile = None if axis is None else sample_needle_profile(volume, axis.points)
-    found = Examination(scan, selection, axis, markers, registration, profile)
-    if steps.error is None:
-        found = replace(found, reconstruction=steps.take(lambda: _complete(found, volume, recipe)))
-    return replace(found, error=steps.error)
-
-
-class _Steps:
-    """Runs steps; remembers the first error."""
-
-    def __init__(self) -> None:
-        self.error: NeedlefitError | None = None
-
-    def take(self, step: Callable[[], T]) -> T | None:
-        """Return what a step found; None if it failed."""
-        try:
-            return step()
-        except NeedlefitError as error:
-            self.error = self.error or error
-            return None
-
-
-def _complete(found: Examination, volume: Volume, recipe: ReconstructionRecord) -> Reconstruction:
-    """Return the reconstruction that follows from what was found."""
-    axis, profile, selection, scan = found.needle_axis, found.profile, found.selection, found.scan
-    assert axis is not None and profile is not None and selection is not None
-    frame, warnings = volume.frame_of_reference, selection.warnings
-    detections = Detections(axis, found.markers, found.registration, profile, warnings, frame)
-    with located(scan.volume):
-        one = derive_reconstruction(detections, scan, recipe, volume.grid)
-    proposals = None
-    if scan.propose_layers:
-        proposals = propose_layers(volume, axis.points, float(arc_length(axis.points)[-1]) - one.depth)
-    return replace(one, warnings=(*volume.warnings, *one.warnings), proposals=proposals)
+    found = Examination(scan)
+    with found.step():
+        if scan.mask is None:
+            require_hounsfield(volume, str(scan.volume))
+    with found.step():
+        if scan.mask is None:
+            found.selection = select_needle(volume, recipe, scan.needle_at)
+        else:
+            found.selection = NeedleSelection(read_mask_component(volume, scan.mask, recipe))
+    needle = None if found.selection is None else found.selection.needle
+    with found.step():
+        found.markers = find_scan_markers(volume, None if needle is None else needle.voxels, scan, recipe)
+    with found.step():
+        if needle is not None:
+            spread = None if found.markers is None else found.markers.spread
+            found.needle_axis = trace_needle(volume, needle, recipe, spread, scan.tip)
+    with found.step():
+        if found.markers is not None and scan.markers is not None:
+            found.registration = register_scan(found.markers, scan.markers, recipe)
+    if found.needle_axis is not None:
+        found.profile = sample_needle_profile(volume, found.needle_axis.points)
+    if found.error is not None:
+        return found
+    with found.step(), located(scan.volume):
+        one = derive_reconstruction(found, recipe, volume.grid, volume.frame_of_reference)
+        proposals = None
+        if scan.propose_layers:
+            entry = float(arc_length(found.axis.points)[-1]) - one.depth
+            proposals = propose_layers(volume, found.axis.points, entry)
+        warnings = (*volume.warnings, *one.warnings)
+        found.reconstruction = replace(one, warnings=warnings, proposals=proposals)
+    return found

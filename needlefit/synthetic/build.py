@@ -15,7 +15,7 @@ from needlefit.arrays import Floats
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.imaging.assembly import DatasetDescription, assemble_dataset
 from needlefit.imaging.needle.centerline import Centerline
-from needlefit.imaging.reconstruct import Detections, derive_reconstruction, reconstruct
+from needlefit.imaging.reconstruct import Examination, derive_reconstruction, reconstruct
 from needlefit.imaging.reconstruction import IntensityProfile, MarkerResult, Reconstruction
 from needlefit.imaging.registration.register import register
 from needlefit.project.processes import one_thread
@@ -292,10 +292,11 @@ def _simulate_reconstruction(
     markers = MarkerResult(centers, sd, "volume")
     # no voxels, so no brightness along the needle
     nothing = IntensityProfile(np.empty(0), np.empty(0), np.empty(0))
-    detections = Detections(_simulate_axis(insertion, exposure, recipe, rng), markers, registration, nothing)
+    axis = _simulate_axis(insertion, exposure, recipe, rng)
     nowhere = folder / f"{planned.id}.nrrd"
     scan = make_stated_scan(folder, planned, nowhere, nowhere)
-    return derive_reconstruction(detections, scan, recipe, exposure.scanner.grid)
+    found = Examination(scan, None, axis, markers, registration, nothing)
+    return derive_reconstruction(found, recipe, exposure.scanner.grid)
 
 
 def _simulate_axis(
