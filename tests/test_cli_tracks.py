@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from light_runs import blank_figures, few_draws  # noqa: F401 - fixtures
 from test_cli import run
 from track_cases import DEPTH, GUIDE, NEEDLE, NOISE, TRUTH, measured, track, written
 
