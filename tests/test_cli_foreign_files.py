@@ -23,11 +23,16 @@ from world import build_project
 from needlefit.cli.application import build
 from needlefit.errors import ConfigError
 from needlefit.mechanics import scene
-from needlefit.project.atomic_write import replace_folder
 from needlefit.project.checkpoint import open_checkpoint
+from needlefit.project.folders import (
+    MANIFEST,
+    find_foreign,
+    replace_folder,
+    require_output_files,
+    require_writable,
+    write_manifest,
+)
 from needlefit.project.locate import find_file, shipped_folder
-from needlefit.project.manifest import MANIFEST, find_foreign, write_manifest
-from needlefit.project.outputs import require_output_files, require_writable
 from needlefit.studies import targets as targets  # bound before a test takes away what it imports
 from needlefit.verification import run as verification
 from needlefit.viewer.steering import Change

@@ -21,7 +21,6 @@ from needlefit.inference.sampling.posterior import load, save
 from needlefit.project.folders import MANIFEST, find_changes, sha256, write_manifest
 from needlefit.project.input_files import convert_stored_errors
 from needlefit.project.locate import find_file, find_run, find_studies, find_study_or_fit, find_view_target
-from needlefit.project.manifest import MANIFEST, find_changes, sha256, write_manifest
 from needlefit.reporting.table_files import write_json
 from needlefit.studies import store as stored_files
 from needlefit.studies.combined_report import rebuild, write_combined

@@ -17,7 +17,7 @@ from reporting_results import stereo, study, with_draws, with_predictions
 
 from needlefit.inference.identifiability.profile import DEVIANCE_95
 from needlefit.reporting.figures import style
-from needlefit.reporting.figures.profiles import choose_log_ticks, draw_profiles
+from needlefit.reporting.figures.fit_forms import choose_log_ticks, draw_profiles
 from needlefit.studies.kinds.cross_validation import figures, posterior, report
 from needlefit.studies.kinds.cross_validation.facts import describe_counts
 from needlefit.studies.kinds.cross_validation.figures import (

@@ -11,7 +11,7 @@ from test_cli import run as run_cli
 from needlefit.errors import ConfigError, DataError
 from needlefit.inference.forward_model import make_options, predict
 from needlefit.project.checkpoint import open_checkpoint
-from needlefit.project.manifest import write_manifest
+from needlefit.project.folders import write_manifest
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds.sensitivity import REPORT, VariationRecord, apply_variation

@@ -303,7 +303,7 @@ READERS: dict[str, Reader] = {
     "kept": Reader(_kept, seeds.kept, SLOWEST),
     "run": Reader(partial(_call, "studies.store.read_run"), seeds.run_files),
     "diff": Reader(_difference, seeds.runs, 20),
-    "manifest": Reader(partial(_call, "project.manifest.require_replaceable"), seeds.manifests),
+    "manifest": Reader(partial(_call, "project.folders.require_replaceable"), seeds.manifests),
     "parquet": Reader(_parquet, seeds.parquet_tables, NATIVE),
     "tracker": Reader(_tracker, seeds.trackers),
     "share": Reader(_share, seeds.recordings, 20),
