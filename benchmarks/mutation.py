@@ -78,7 +78,7 @@ AREAS = {
     ),
     "registration": Area(
         ("imaging/registration", "geometry/frames.py"),
-        ("geometry", "imaging_registration"),
+        ("geometry", "imaging_registration", "imaging_golden"),
     ),
     "resume": Area(
         ("project/checkpoint.py", "project/folders.py"),
