@@ -31,7 +31,7 @@ from needlefit.studies import job, provenance
 from needlefit.studies.identification_tables import lay_out_identification
 from needlefit.studies.job import Settings, prepare
 from needlefit.studies.kinds.identification import describe_design
-from needlefit.verification import run as running
+from needlefit.verification import check as running
 from needlefit.verification.check import (
     AcceptanceBound,
     Check,

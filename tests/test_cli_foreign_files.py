@@ -34,7 +34,7 @@ from needlefit.project.folders import (
 )
 from needlefit.project.locate import find_file, shipped_folder
 from needlefit.studies import targets as targets  # bound before a test takes away what it imports
-from needlefit.verification import run as verification
+from needlefit.verification import check as verification
 from needlefit.viewer.steering import Change
 
 SCANS = str(shipped_folder() / "data" / "sample_scan" / "scans.csv")
