@@ -16,7 +16,7 @@ from needlefit.studies.job import Settings, prepare, with_one_bevel
 from needlefit.studies.kinds.calibration import simulate_experiment
 from needlefit.studies.kinds.tracks import REPORT, RUN_COLUMNS
 from needlefit.studies.store import restore_run
-from needlefit.studies.targets import load_target
+from needlefit.studies.study_files import load_target
 
 STUDY = """
 schema = 1

@@ -25,6 +25,7 @@ from needlefit.project.tasks import THIS_PROCESS, LocalPool
 from needlefit.project.toml import load
 from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord
 from needlefit.schemas.study import StudyRecord
+from needlefit.studies.coverage import estimate_width_after_one
 from needlefit.studies.fit_warnings import describe_gain
 from needlefit.studies.folds import Fold
 from needlefit.studies.held_out_predictions import (
@@ -35,7 +36,6 @@ from needlefit.studies.held_out_predictions import (
     predict_held_out,
     tabulate_held_out,
 )
-from needlefit.studies.interval_width import estimate_width_after_one
 from needlefit.studies.job import Job, Settings, prepare, with_one_bevel
 from needlefit.studies.kinds.cross_validation.tables import lay_out_coverage
 from needlefit.studies.new_specimens import NewSpecimens

@@ -78,12 +78,12 @@ def diff(
     differ. `--json` has all changes. Runs with files that do not agree with their manifest are not compared.
     """
     from needlefit.project.locate import find_run
-    from needlefit.studies.differences import (
+    from needlefit.studies.run_differences import (
+        compare_runs,
         differences_to_json,
         lay_out_differences,
         summarize_differences,
     )
-    from needlefit.studies.run_differences import compare_runs
 
     found = compare_runs(find_run(run_a), find_run(run_b), unverified)
     if context.find_root().obj.json:

@@ -159,7 +159,7 @@ def _kept(folder: Path) -> object:
 
 def _difference(folder: Path) -> object:
     found = _late("studies.run_differences.compare_runs")(folder / "a", folder / "b", unverified=True)
-    differences = import_module("needlefit.studies.differences")
+    differences = import_module("needlefit.studies.run_differences")
     if found:
         differences.lay_out_differences(found)
     return differences.summarize_differences(found), differences.differences_to_json(found)
