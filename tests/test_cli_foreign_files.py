@@ -33,7 +33,7 @@ from needlefit.project.folders import (
     write_manifest,
 )
 from needlefit.project.locate import find_file, shipped_folder
-from needlefit.studies import targets as targets  # bound before a test takes away what it imports
+from needlefit.studies import study_files as study_files  # bound before a test takes away what it imports
 from needlefit.verification import check as verification
 from needlefit.viewer.steering import Change
 
