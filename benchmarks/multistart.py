@@ -26,9 +26,8 @@ from coverage_rates import measured
 
 from needlefit.datasets.read import read
 from needlefit.inference.fit import StartPoint
-from needlefit.inference.objective import make_posterior_objective
 from needlefit.inference.optimize import minimize, search
-from needlefit.inference.problem import Problem, make_problem
+from needlefit.inference.problem import Problem, make_posterior_objective, make_problem
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import load

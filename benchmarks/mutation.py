@@ -74,11 +74,11 @@ AREAS = {
         ("inference_importance", "inference_specimens"),
     ),
     "metrics": Area(
-        ("metrics", "geometry/curves.py"), ("inference_problem", "registry", "geometry", "reporting_tables")
+        ("metrics", "geometry/curves.py"), ("inference_metric", "plugins", "geometry", "reporting_tables")
     ),
     "registration": Area(
         ("imaging/registration", "geometry/frames.py"),
-        ("geometry", "imaging_registration"),
+        ("geometry", "imaging_registration", "imaging_golden"),
     ),
     "resume": Area(
         ("project/checkpoint.py", "project/folders.py"),
@@ -89,14 +89,18 @@ AREAS = {
     "studies": Area(
         ("studies", "planning"),
         (
-            *("validation_division", "validation_score", "verdict", "paper", "validation_differences"),
-            *("validation_coverage", "fit_warnings", "columnar", "planning", "credibility"),
-            *("reporting_tables", "reporting_papers", "reporting_slicer", "cli_studies"),
-            *("validation_run", "validation_heldout", "validation_forecast", "validation_validity"),
-            *("validation_calibration", "validation_comparison", "validation_sensitivity"),
-            *("validation_adaptation", "validation_seeds", "validation_synthetic_truth"),
-            *("analysis_plan", "analysis_specimens", "analysis_next_insertion", "analysis_cohort"),
-            *("cli_tracks", "cli_identify", "cli_material", "cli_reconstruct", "cli_verify", "every_kind"),
+            *("validation_run", "validation_score", "validation_heldout", "validation_forecast"),
+            *("validation_calibration", "validation_comparison", "validation_analyses", "validation_seeds"),
+            *("validation_adaptation", "validation_differences", "fit_warnings", "columnar", "planning"),
+            *("credibility", "reference", "reporting_tables", "reporting_papers", "reporting_slicer"),
+            *(
+                "analysis_cohort",
+                "cli_studies",
+                "cli_tracks",
+                "cli_analyses",
+                "cli_reconstruct",
+                "every_kind",
+            ),
         ),
     ),
 }

@@ -37,8 +37,7 @@ from needlefit.studies.kind import find_kind, kind_of
 from needlefit.studies.kinds.prediction import require_same_configuration
 from needlefit.studies.run import Run
 from needlefit.studies.store import restore_run
-from needlefit.studies.study_files import check_study, load_study
-from needlefit.studies.targets import load_target
+from needlefit.studies.study_files import check_study, load_study, load_target
 
 Name = str | Path
 Table = Mapping[str, Any]

@@ -136,3 +136,17 @@ _read_twin_once()
 def world(tmp_path_factory: pytest.TempPathFactory) -> World:
     """The tiny world: a project, and one finished run of every kind of study."""
     return open_world(tmp_path_factory)
+
+
+@pytest.fixture
+def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    from light_runs import predict_by_few_draws
+
+    predict_by_few_draws(monkeypatch)
+
+
+@pytest.fixture
+def blank_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    from light_runs import draw_blank
+
+    draw_blank(monkeypatch)

@@ -20,11 +20,6 @@ def predict_by_few_draws(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(predict, "CURVES", CURVES)
 
 
-@pytest.fixture
-def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
-    predict_by_few_draws(monkeypatch)
-
-
 def do_not_escalate(patch: pytest.MonkeyPatch) -> None:
     """Leave draws that are not certified as they are: no more of them, and no sampler."""
     patch.setattr(posterior_fit, "sample_about_fit", partial(sample_about_fit, effort=EFFORT))
@@ -39,8 +34,3 @@ def draw_blank(patch: pytest.MonkeyPatch) -> None:
     """
     save = style.save_figure
     patch.setattr(style, "save_figure", lambda _, suffix: save(Figure(figsize=(1, 1)), suffix))
-
-
-@pytest.fixture
-def blank_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    draw_blank(monkeypatch)

@@ -6,6 +6,8 @@ from functools import cache
 import numpy as np
 import pandas as pd
 
+from needlefit.inference.sampling.convergence import Convergence
+from needlefit.inference.sampling.posterior import Posterior
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies import paper
 from needlefit.studies.fit_frames import COLUMNS
@@ -387,6 +389,28 @@ def with_draws(results: Run, count: int = 200) -> Run:
         "pareto_k": 0.31,
     }
     return results.with_frames(draws=pd.DataFrame(about | {"certified": True} | values))
+
+
+def sampled(low: float, high: float, r_hat: float = 1.0) -> Run:
+    """Study 5 with b drawn evenly between two bounds; the fit ended at 0.0847 mm."""
+    draws = np.tile(np.linspace(low, high, 400), 4).reshape(4, 400, 1)
+    many = np.full((4, 1), 500.0)
+    convergence = Convergence(("bevel_mm",), np.array([r_hat]), np.ones((4, 1)), many, many, 100)
+    posterior = Posterior(
+        names=("bevel_mm",),
+        draws=draws,
+        log_posterior=np.zeros((4, 400)),
+        walkers=4,
+        moves="stretch",
+        acceptance=np.array([0.3, 0.4, 0.3, 0.4]),
+        convergence=convergence,
+        burn_in=10,
+        failures=0,
+        interrupted=False,
+    )
+    one = study(5)
+    fold = str(one.frames["parameters"]["fold"].iloc[0])
+    return replace(one, posteriors={fold: posterior})
 
 
 def skip_figures(monkeypatch) -> None:

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from light_runs import blank_figures, few_draws  # noqa: F401 - fixtures
 
 import needlefit
 from needlefit import api

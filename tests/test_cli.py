@@ -1,36 +1,33 @@
-"""The command line as a user meets it: exit codes, streams, names, messages."""
+"""The command line as a user meets it: exit codes, streams, names, messages, progress, and `check`."""
 
+import io
 import json
 import os
 import re
+import shlex
+import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+import time
 from importlib import metadata
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
-from needlefit.cli import main
-from needlefit.cli.exit_codes import Invocation, report_error
+from needlefit import __version__
+from needlefit.cli import main, screen
+from needlefit.cli.exit_codes import STOP_SIGNALS, Invocation, catch_interrupts, report_error
+from needlefit.cli.options import complete_scenes, complete_studies
+from needlefit.cli.progress import RemainingTime, format_remaining, report_lines, show_progress
 from needlefit.errors import ConfigError, DataError, FitError, ModelError
+from needlefit.project.locate import find_file
+from needlefit.project.toml import dumps, read_toml
 
-COMMANDS = (
-    *(
-        "simulate",
-        "check",
-        "tune",
-        "identify",
-        "calibrate",
-        "predict",
-        "validate",
-        "verify",
-        "material",
-        "paper",
-    ),
-    *("init", "reconstruct", "twin", "new"),
-)
+COMMANDS = ("simulate", "check", "tune", "identify", "calibrate", "predict", "validate", "verify")
 MODULES = ("simulate", "check", "studies", "results", "reconstruct", "view", "import_data", "start")
+FULL = Path("/dev/full")
+posix = pytest.mark.skipif(os.name != "posix", reason="redirections of a POSIX shell")
 
 
 def run(*words: str) -> int:
@@ -39,21 +36,20 @@ def run(*words: str) -> int:
     return int(leaving.value.code or 0)
 
 
-def python(code: str, *words: str, **kwargs: object) -> subprocess.CompletedProcess[str]:
-    command: Sequence[str] = [sys.executable, "-c", code, *words]
-    return subprocess.run(command, capture_output=True, text=True, check=False, **kwargs)  # type: ignore[call-overload]
+def shell(line: str, **environment: str) -> subprocess.CompletedProcess[bytes]:
+    """Run a line of bash in which `needlefit` is the command; a failure anywhere in a pipe is its own."""
+    line = f"set -o pipefail; {line.replace('needlefit', f'{sys.executable} -m needlefit')}"
+    command = ["bash", "-c", line]
+    return subprocess.run(command, capture_output=True, check=False, env={**os.environ, **environment})
 
 
-def test_help_names_every_command(capsys):
+def test_every_command_has_help(capsys):
     assert run("--help") == 0
     out = capsys.readouterr().out
-    assert all(f"\n  {command} " in out for command in COMMANDS)
-
-
-@pytest.mark.parametrize("command", [*COMMANDS[:10], "twin build", "twin ct", "new dataset"])
-def test_every_command_has_help(command, capsys):
-    assert run(*command.split(), "--help") == 0
-    assert f"Usage: needlefit {command}" in capsys.readouterr().out
+    assert all(f"\n  {command} " in out for command in (*COMMANDS, "init", "reconstruct", "twin", "new"))
+    for command in (*COMMANDS, "material", "paper", "twin build", "twin ct", "new dataset"):
+        assert run(*command.split(), "--help") == 0
+        assert f"Usage: needlefit {command}" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -71,49 +67,69 @@ def test_a_command_imports_what_it_uses(words, libraries, modules):
         "try: needlefit.cli.main(sys.argv[1:])\n"
         "finally: print(json.dumps(list(sys.modules)), file=sys.__stdout__)"
     )
-    done = python(code, *words)
-    assert done.returncode == 0, done.stderr
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=True)
     loaded = set(json.loads(done.stdout.splitlines()[-1]))
-    assert loaded & list_required_modules() == libraries
+    names = {re.match(r"[\w.-]+", one)[0].lower() for one in metadata.requires("needlefit")} - {"needlefit"}
+    found = metadata.packages_distributions()  # of the extras too
+    required = {module for module, packages in found.items() if names & {one.lower() for one in packages}}
+    assert loaded & required == libraries
     assert {name for name in MODULES if f"needlefit.cli.{name}" in loaded} == modules
 
 
-def list_required_modules() -> set[str]:
-    """Return the top-level modules of all packages that needlefit requires, those of its extras too."""
-    names = {re.match(r"[\w.-]+", one)[0].lower() for one in metadata.requires("needlefit")} - {"needlefit"}
-    found = metadata.packages_distributions()
-    return {module for module, packages in found.items() if names & {one.lower() for one in packages}}
-
-
-def test_version(capsys):
-    from needlefit import __version__
-
-    assert run("--version") == 0
-    assert capsys.readouterr().out == f"needlefit {__version__}\n"
-
-
-@pytest.mark.parametrize("words", [("nothing",), ("simulate",), ("simulate", "phantom1", "--depth", "deep")])
-def test_usage_errors_exit_2(words, capsys):
-    assert run(*words) == 2
+@pytest.mark.parametrize(
+    ("words", "code", "expected"),
+    [
+        (("nothing",), 2, "Usage: needlefit"),
+        (("simulate",), 2, "Usage: needlefit"),
+        (("simulate", "phantom1", "--depth", "deep"), 2, "Usage: needlefit"),
+        (("calibrate", "study2", "--control", "nothing"), 2, "Usage: needlefit"),
+        (("--h\u202eut",), 2, r"\\u202e"),
+        (("report", "--o\u202eut"), 2, r"\\u202e"),
+        (("simulate", "x", "y\x1b[2J"), 2, r"\\x1b"),
+        (("simulate", "phantm1"), 3, r"phantm1[\s\S]*expected: .*\bphantom1\b"),  # the nearest name
+        (("simulate", "phantom9"), 3, "^(?![\\s\\S]*Traceback)"),
+        (("simulate", "phantom9", "-v"), 3, "Traceback"),
+    ],
+)
+def test_a_wrong_command_line_has_its_exit_code(words, code, expected, capsys):
+    assert run(*words) == code
     captured = capsys.readouterr()
-    assert captured.out == ""
-    assert "Usage: needlefit" in captured.err
+    assert captured.out == "" and re.search(expected, captured.err)
+    assert captured.err.replace("\n", "").isprintable()
 
 
-@pytest.mark.parametrize(("kind", "code"), [(ConfigError, 3), (DataError, 3), (ModelError, 4), (FitError, 4)])
-def test_an_error_has_what_where_expected_and_fix(kind, code, capsys):
-    error = kind("the depth is negative", where="a.toml", expected="a depth above 0", fix="change it")
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        *((kind, 3) for kind in (ConfigError, DataError)),
+        *((kind, 4) for kind in (ModelError, FitError)),
+        (PermissionError(13, "Permission denied", "/locked/run.json"), 3),
+        (KeyboardInterrupt(), 130),
+        (MemoryError(), 3),
+        (RecursionError(), 3),
+        (UnicodeEncodeError("utf-8", "\udcff", 0, 1, "surrogates not allowed"), 3),
+        (BrokenPipeError(32, "Broken pipe"), 3),  # of a worker: a reader of stdout that has gone raises none
+        (ZeroDivisionError("division by zero"), 1),
+    ],
+)
+def test_an_error_has_its_exit_code_and_what_where_expected_and_fix(error, code, capsys):
+    if isinstance(error, type):
+        error = error("the depth is negative", where="a.toml", expected="a depth above 0", fix="change it")
+        lines = ("a.toml: the depth is negative", "  expected: a depth above 0", "  fix: change it")
     assert report_error(error, Invocation(())) == code
-    assert capsys.readouterr().err == (
-        f"needlefit: {error.where}: {error.what}\n  expected: {error.expected}\n  fix: {error.fix}\n"
-    )
-
-
-def test_an_unexpected_error_is_one_line_and_a_hint(capsys):
-    assert report_error(ZeroDivisionError("division by zero"), Invocation(())) == 1
     err = capsys.readouterr().err
-    assert err.startswith("needlefit: ") and err.count("\n") == 1
-    assert "ZeroDivisionError: division by zero" in err and "-v" in err
+    if code == 1:
+        assert err.startswith("needlefit: ") and err.count("\n") == 1
+        assert "ZeroDivisionError: division by zero" in err and "-v" in err
+    elif isinstance(error, PermissionError):
+        assert (
+            err.startswith("needlefit: /locked/run.json: ")
+            and "Permission denied\n" in err
+            and "fix: " in err
+        )
+    elif hasattr(error, "what"):
+        assert err == "needlefit: " + "\n".join(lines) + "\n"
+    assert code == 1 or "unexpected" not in err
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="no folder that nobody may write to")
@@ -128,60 +144,11 @@ def test_an_unwritable_path_is_named(words, monkeypatch, capsys):
     assert all(part in captured.err for part in ("x", "cannot be", "fix: "))
 
 
-def test_an_error_of_the_system_is_not_unexpected(capsys):
-    error = PermissionError(13, "Permission denied", "/locked/run.json")
-    assert report_error(error, Invocation(())) == 3
-    err = capsys.readouterr().err
-    assert err.startswith("needlefit: /locked/run.json: ") and "Permission denied\n" in err
-    assert "fix: " in err and "unexpected" not in err
-
-
-def test_verbose_shows_the_traceback(capsys):
-    assert run("simulate", "phantom9") == 3
-    assert "Traceback" not in capsys.readouterr().err
-    assert run("simulate", "phantom9", "-v") == 3
-    assert "Traceback" in capsys.readouterr().err
-
-
-def test_an_unknown_name_lists_the_nearest(capsys):
-    assert run("simulate", "phantm1") == 3
-    err = capsys.readouterr().err
-    assert "phantm1" in err and re.search(r"expected: .*\bphantom1\b", err)
-
-
-def test_ctrl_c_exits_130(capsys):
-    assert report_error(KeyboardInterrupt(), Invocation(())) == 130
-
-
-def test_a_closed_pipe_is_no_error():
-    code = "import needlefit.cli; needlefit.cli.main(['paper'])"
-    running = subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    assert running.stdout is not None and running.stderr is not None
-    running.stdout.close()
-    assert (running.stderr.read(), running.wait()) == ("", 0)
-    running.stderr.close()
-
-
-@pytest.mark.sweep
-def test_no_escape_codes_in_a_pipe_even_if_colour_is_asked_for():
-    done = python(
-        "import needlefit.cli; needlefit.cli.main(['paper'])",
-        env={**os.environ, "NO_COLOR": "1", "FORCE_COLOR": "1"},
-    )
-    assert done.returncode == 0
-    assert "\x1b[3" not in done.stdout and "\x1b[9" not in done.stdout
-
-
-@pytest.mark.parametrize(
-    "words", [("--h\u202eut",), ("report", "--o\u202eut"), ("simulate", "x", "y\x1b[2J")]
-)
-def test_control_characters_of_a_wrong_option_are_escaped(words, capsys):
-    assert run(*words) == 2
-    printed = capsys.readouterr().err
-    assert printed.replace("\n", "").isprintable()
-    assert "\\u202e" in printed or "\\x1b" in printed
+def test_the_version_and_names_of_the_completion(capsys):
+    assert run("--version") == 0
+    assert capsys.readouterr().out == f"needlefit {__version__}\n"
+    assert complete_scenes("phantom2") == ["phantom2", "phantom2_by_layers"]
+    assert "all" in complete_studies("a")
 
 
 def test_paper_prints_tables_and_contradictions(capsys):
@@ -194,15 +161,181 @@ def test_paper_prints_tables_and_contradictions(capsys):
     assert any("9 + 5" in claim["statement"] for claim in tables["contradictions"])
 
 
-def test_module_is_the_command(tmp_path: Path):
-    done = subprocess.run(
-        [sys.executable, "-m", "needlefit", "--version"], capture_output=True, text=True, check=True
+@pytest.mark.sweep
+def test_a_detected_control_exits_0_and_an_undetected_one_does_not(tmp_path, monkeypatch, capsys):
+    """The prior as posterior: 15 truths are far likelier than its draws, too few tell nothing."""
+    monkeypatch.chdir(tmp_path)
+    assert run("calibrate", "study2", "--control", "prior", "--replicates", "15", "-q", "--json") == 0
+    output = json.loads(capsys.readouterr().out)
+    assert output["not_calibrated"] == ["log_likelihood"] and output["draw_source"] == {"prior": 15}
+    assert run("calibrate", "study2", "--control", "prior", "--replicates", "1", "-q") == 5  # too few
+    assert "1 replicate" in capsys.readouterr().out
+    assert json.loads(Path("reports/calibrate-study2-prior/run.json").read_text())["passes"] is False
+
+
+# --- streams that are closed, full, broken, or of few characters --------------------
+
+
+@posix
+@pytest.mark.parametrize(
+    ("line", "code", "in_out", "in_err"),
+    [
+        ("needlefit --version", 0, "^needlefit [0-9.]+\n$", "^$"),
+        ("needlefit paper <&-", 0, "2.82", "^$"),
+        ("needlefit paper >&- 2>&- <&-", 0, "^$", "^$"),
+        ("needlefit simulate nonsense 2>&-", 3, "^$", "^$"),
+        ("needlefit simulate nonsense 2>/dev/full", 3, "^$", "^$"),
+        ("NO_COLOR=1 FORCE_COLOR=1 needlefit paper", 0, r"^(?![\s\S]*\x1b\[[39])", "^$"),
+        ("needlefit paper --json | head -1", 0, "^.*\n$", "^$"),
+        ("needlefit --help | true", 0, "^$", "^$"),
+        ("PYTHONIOENCODING=ascii needlefit paper", 0, r"^[\x00-\x7f]*\?[\x00-\x7f]*$", "^$"),
+        (f"needlefit paper > {FULL}", 3, "^$", r"^(?!.*Traceback)[\s\S]*No space left"),
+        (f"needlefit --help > {FULL}", 3, "^$", r"^(?!.*Traceback)[\s\S]*No space left"),
+    ],
+)
+def test_a_stream_that_is_lost_changes_no_exit_code(line, code, in_out, in_err):
+    if str(FULL) in line and not FULL.exists():
+        pytest.skip("this system has no /dev/full")
+    done = shell(line)
+    assert done.returncode == code
+    assert re.search(in_out, done.stdout.decode()) and re.search(in_err, done.stderr.decode())
+
+
+@posix
+def test_characters_unknown_to_the_terminal_are_replaced(tmp_path):
+    (tmp_path / "scène.toml").write_text("schema = 1\nµ = 1\n", encoding="utf-8")
+    done = shell(f"needlefit simulate {tmp_path}/scène.toml", PYTHONIOENCODING="ascii")
+    assert done.returncode == 3 and b"unexpected" not in done.stderr
+    done = shell("needlefit paper --json", LC_ALL="C", PYTHONUTF8="0", PYTHONCOERCECLOCALE="0")
+    assert done.stdout.isascii() and not json.dumps(json.loads(done.stdout), ensure_ascii=False).isascii()
+
+
+def test_json_has_no_nan_and_a_table_in_a_pipe_is_never_cut(capsys):
+    screen.show_json({"te_mm": float("nan"), "bound": float("inf"), "points": ((1.5, 2.0),), "name": "µ"})
+    out = capsys.readouterr().out
+    assert json.loads(out) == {"te_mm": None, "bound": None, "points": [[1.5, 2.0]], "name": "µ"}
+    assert "µ" in out
+    screen.show_frame(pd.DataFrame({"name": ["x" * 300, "short"], "te_mm": [2.82, float("nan")]}), "Title")
+    out = capsys.readouterr().out
+    assert "x" * 300 in out and "2.82" in out and "nan" not in out
+
+
+# --- long runs: progress, Ctrl-C, and the line that goes on --------------------
+
+
+def test_a_pipe_gets_one_line_a_minute(capsys):
+    stream, times = io.StringIO(), iter([0.0, 1.0, 59.0, 60.0, 61.0, 119.0, 120.0])
+    report = report_lines(stream, lambda: next(times))
+    for done in range(6):
+        report("study3: starts", done, 16)
+    lines = stream.getvalue().splitlines()
+    assert [line.split(": ") for line in lines] == [
+        ["needlefit", "study3", "starts", f"{done} of 16, about {left} left"]
+        for done, left in ((2, "7 min"), (5, "4 min"))
+    ]
+    with show_progress(quiet=True) as report:
+        report("study3", 1, 2)
+    assert capsys.readouterr() == ("", "")
+
+
+def test_the_remaining_time_follows_from_the_steps_so_far():
+    times = iter([0.0, 5.0, 20.0, 40.0, 41.0, 60.0])
+    remaining = RemainingTime(lambda: next(times))
+    steps = ((10, 100), (20, 100), (20, 100), (0, 5), (5, 100), (10, 100))  # what was resumed took no time
+    found = [remaining.estimate(*one) for one in steps]
+    assert found == [None, None, pytest.approx(160.0), None, None, pytest.approx(19.0 * 90 / 5)]
+    for seconds, words in ((None, ""), (3.0, "10 s"), (95.0, "2 min"), (7300.0, "2 h")):
+        assert words in format_remaining(seconds)
+
+
+@pytest.mark.parametrize("number", STOP_SIGNALS)
+def test_the_first_signal_sets_a_flag_and_restores_the_handler(number, capfd):
+    before = signal.getsignal(number)
+    with catch_interrupts(Invocation(("tune",))) as stop:
+        assert not stop()
+        os.kill(os.getpid(), number)
+        assert stop()
+    assert signal.getsignal(number) is before
+    assert "stopping" in capfd.readouterr().err
+
+
+def test_ctrl_c_twice_ends_at_once():
+    code = (
+        "import time\n"
+        "from needlefit.cli.exit_codes import Invocation, catch_interrupts\n"
+        "with catch_interrupts(Invocation(('tune', 'gel'))):\n"
+        "    print('ready', flush=True)\n"
+        "    time.sleep(60)\n"
     )
-    assert done.stdout.startswith("needlefit ")
+    words, started = [sys.executable, "-c", code], time.monotonic()
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
+        running.stdout.readline()
+        running.send_signal(signal.SIGINT)
+        running.stderr.read(10)  # the first one has been heard
+        running.send_signal(signal.SIGINT)
+        assert running.wait(timeout=30) == 130
+        assert b"needlefit tune gel --resume" in running.stderr.read()
+    assert time.monotonic() - started < 30
+    typed = ("tune", "my fits/gel.toml", "--seed", "3")
+    assert shlex.split(Invocation(typed).resuming()) == ["needlefit", *typed, "--resume"]
+    assert Invocation((*typed, "--resume")).resuming().count("--resume") == 1
 
 
-def test_completion_offers_names():
-    from needlefit.cli.options import complete_scenes, complete_studies
+# --- `needlefit check` --------------------
 
-    assert complete_scenes("phantom2") == ["phantom2", "phantom2_by_layers"]
-    assert "all" in complete_studies("a")
+STUDY = {"schema": 2, "dataset": "twin", "medium": "chicken", "leave_out": "specimen"}
+STUDY |= {"tune": {"medium": "chicken"}}
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "folds"),
+    [
+        ("study3", "cross-validation", [{"tune": 1, "validate": 10}]),
+        ("phantom1", "fit", [{"tune": 10, "validate": 0}]),
+        ("adaptation3", "adaptation", []),
+        ("comparison_twin", "comparison", None),
+        ("sensitivity", "sensitivity", None),
+    ],
+)
+def test_a_shipped_study_has_no_faults(name, kind, folds, capsys):
+    path = find_file("fit" if kind == "fit" else "study", name).resolve()
+    for target in (name, str(path)):
+        assert run("check", target, "--json") == 0
+        found = json.loads(capsys.readouterr().out)
+        assert found["ok"] and found["kind"] == kind and folds in (None, found["folds"])
+
+
+LEAVE_ONE_OUT = read_toml(find_file("study", "leave_one_out"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"leave_out": "needle"}, "mine.toml:4"),
+        ({"medium": "chiken"}, "mine.toml:3"),
+        ({"recipe": "none"}, "mine.toml"),
+        ({"tune": {"medium": "pork"}}, "mine.toml"),
+        ({"tune": {"medium": "phantom1"}, "medium": "phantom1"}, 'leave_out = "insertion"'),
+        ({"kind": "adaptation"}, "mine.toml"),
+        ({"dataset": None, "medium": None, "leave_out": None}, "mine.toml"),
+        (LEAVE_ONE_OUT | {"fits": ["phantom1", "phantom9"]}, "phantom9"),
+        ("schema = 1\nlayers = 1\n", "mine.toml"),  # of a tissue
+    ],
+)
+def test_a_fault_of_a_study_is_named_with_its_line(tmp_path, changes, named, capsys):
+    if isinstance(changes, dict):
+        table = changes if "fits" in changes else STUDY | changes
+        changes = dumps({key: value for key, value in table.items() if value is not None})
+    (tmp_path / "mine.toml").write_text(changes)
+    assert run("check", str(tmp_path / "mine.toml")) == 3
+    assert named in capsys.readouterr().err
+
+
+def test_an_algorithm_that_the_likelihood_has_no_derivatives_for_is_a_fault(tmp_path, monkeypatch, capsys):
+    recipe = tmp_path / "configs" / "recipes" / "default.toml"
+    recipe.parent.mkdir(parents=True)
+    table = read_toml(find_file("recipe", "default"))
+    recipe.write_text(dumps({**table, "likelihood": {**table["likelihood"], "depths": "quadrature"}}))
+    monkeypatch.chdir(tmp_path)
+    assert run("check", "study3") == 3
+    assert "leastsquares" in capsys.readouterr().err

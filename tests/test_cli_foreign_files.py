@@ -1,12 +1,13 @@
 """Every command, with files of the user at every place that it writes: all of them are there afterwards."""
 
 import dataclasses
+import os
+import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 import typer
@@ -14,112 +15,96 @@ from credibility_cases import leave, results
 from light_runs import draw_blank
 from reporting_results import skip_figures, study
 from test_cli import run
-from test_cli_verify import GOOD
+from test_cli_analyses import GOOD
 from test_project_checkpoint import HOLDS
 from test_viewer_recording import recorded
 from world import build_project
 
 from needlefit.cli.application import build
+from needlefit.errors import ConfigError
+from needlefit.mechanics import scene
 from needlefit.project.checkpoint import open_checkpoint
-from needlefit.project.folders import MANIFEST, find_foreign, write_manifest
-from needlefit.project.locate import shipped_folder
-from needlefit.verification import run as verification
+from needlefit.project.folders import (
+    MANIFEST,
+    find_foreign,
+    replace_folder,
+    require_output_files,
+    require_writable,
+    write_manifest,
+)
+from needlefit.project.locate import find_file, shipped_folder
+from needlefit.studies import study_files as study_files  # bound before a test takes away what it imports
+from needlefit.verification import check as verification
 from needlefit.viewer.steering import Change
 
 SCANS = str(shipped_folder() / "data" / "sample_scan" / "scans.csv")
-FOREIGN = (
-    "notes.md",
-    "thesis.docx",
-    "errors_mine.csv",
-    "slicer/mine.mrk.json",
-    "quality/mine.pdf",
-    "sub/a/b.csv",
-)
-
-
+FOREIGN = ("notes.md", "errors_mine.csv", "slicer/mine.mrk.json", "quality/mine.pdf", "sub/a/b.csv")
 EMPTY = "to be filled"
 """A folder of the user's that holds nothing yet."""
 
 
-@dataclass(frozen=True)
-class Case:
-    """A command line, the folders that it replaces or removes, and its exit code."""
+class Case(NamedTuple):
+    """A command line, the folders in `out` that it replaces or removes, and its exit code."""
 
-    words: tuple[str, ...]
-    folders: tuple[str, ...] = ()
+    line: str
+    folders: str = ""
     code: int = 0
 
+    @property
+    def words(self) -> list[str]:
+        return shlex.split(self.line)
 
-def studies(name: str) -> tuple[str, ...]:
-    return (f"out/{name}", f"out/{name}.partial")
+    @property
+    def places(self) -> list[str]:
+        return [f"out/{name}" for name in self.folders.split()]
 
 
 CASES = {
-    "simulate": Case(
-        ("simulate", "study2", "--plot", "out/n.pdf", "--csv", "out/n.csv", "--slicer", "out/n.mrk.json")
-    ),
-    "view": Case(("view", "study2", "--no-browser", "--out", "out")),
-    "plan": Case(("plan", "study2", "--target", "40,1", "--recording", "out/plan.csv", "-q")),
-    "check": Case(("check", "twin")),
-    "diff": Case(("diff", "./out/run", "./out/run")),
-    "paper": Case(("paper",)),
-    "explain": Case(("explain", "coverage")),
-    "tune": Case(("tune", "held_out", "--out", "out", "-q"), studies("held_out-tune")),
+    "simulate": Case("simulate study2 --plot out/n.pdf --csv out/n.csv --slicer out/n.mrk.json"),
+    "view": Case("view study2 --no-browser --out out"),
+    "plan": Case("plan study2 --target 40,1 --recording out/plan.csv -q"),
+    "check": Case("check twin"),
+    "diff": Case("diff ./out/run ./out/run"),
+    "paper": Case("paper"),
+    "explain": Case("explain coverage"),
+    "tune": Case("tune held_out --out out -q", "held_out-tune held_out-tune.partial"),
     "validate": Case(
-        ("validate", "held_out", "--reference", "--out", "out", "-q"),
-        (*studies("held_out"), "out/reference/held_out"),
+        "validate held_out --reference --out out -q", "held_out held_out.partial reference/held_out"
     ),
-    "identify": Case(("identify", "held_out", "--out", "out", "-q"), studies("identify-held_out")),
+    "identify": Case("identify held_out --out out -q", "identify-held_out identify-held_out.partial"),
     "calibrate": Case(
-        ("calibrate", "meat", "--replicates", "2", "--jobs", "1", "--out", "out", "-q"),
-        studies("calibrate-meat"),
-        code=5,
+        "calibrate meat --replicates 2 --jobs 1 --out out -q", "calibrate-meat calibrate-meat.partial", 5
     ),
-    "predict": Case(
-        ("predict", "held_out", "--scene", "ahead", "--out", "out", "-q"),
-        ("out/predict-held_out-ahead",),
-    ),
-    "report": Case(("report", "./out/run", "--out", "out/again"), ("out/again",)),
-    "verify": Case(("verify", "--out", "out", "-q"), ("out/verification",)),
-    "credibility": Case(("credibility", "./out/run", "--out", "out", "-q"), ("out/credibility-run",)),
-    "material": Case(("material", "gel.csv", "--out", "out"), ("out/material-gel",)),
-    "reconstruct": Case(("reconstruct", SCANS, "--out", "out/rr", "-q"), ("out/rr", "out/rr.partial")),
-    "import": Case(("import", "curves.csv", "--out", "out/found", "--yes"), ("out/found",)),
-    "init": Case(("init", "out/project"), ("out/project/data", "out/project/configs", "out/project/studies")),
-    "twin build": Case(("twin", "build", "--out", "out/twin", "-q"), ("out/twin",)),
-    "twin ct": Case(("twin", "ct", "sample", "--out", "out/ct", "-q", "--jobs", "1"), ("out/ct",)),
-    "new dataset": Case(("new", "dataset", "out/data"), ("out/data",)),
-    "new dataset --from": Case(("new", "dataset", "out/from", "--from", "curves.csv"), ("out/from",)),
-    "view --recording": Case(("view", "--recording", "log.csv", "--no-browser", "--out", "out")),
+    "predict": Case("predict held_out --scene ahead --out out -q", "predict-held_out-ahead"),
+    "report": Case("report ./out/run --out out/again", "again"),
+    "verify": Case("verify --out out -q", "verification"),
+    "credibility": Case("credibility ./out/run --out out -q", "credibility-run"),
+    "material": Case("material gel.csv --out out", "material-gel"),
+    "reconstruct": Case(f"reconstruct {SCANS} --out out/rr -q", "rr rr.partial"),
+    "import": Case("import curves.csv --out out/found --yes", "found"),
+    "init": Case("init out/project", "project/data project/configs project/studies"),
+    "twin build": Case("twin build --out out/twin -q", "twin"),
+    "twin ct": Case("twin ct sample --out out/ct -q --jobs 1", "ct"),
+    "new dataset": Case("new dataset out/data", "data"),
+    "new dataset --from": Case("new dataset out/from --from curves.csv", "from"),
+    "view --recording": Case("view --recording log.csv --no-browser --out out"),
     "simulate --recording": Case(
-        (
-            "simulate",
-            "--recording",
-            "log.csv",
-            "--plot",
-            "out/n.pdf",
-            "--csv",
-            "out/n.csv",
-            "--slicer",
-            "out/n.ply",
-        )
+        "simulate --recording log.csv --plot out/n.pdf --csv out/n.csv --slicer out/n.ply"
     ),
 }
 STUBBED = {name for name in CASES if name.startswith(("twin build", "verify", "view"))}
 """Those that take long, or serve until they are ended."""
-REFUSED = [(name, folder) for name, case in CASES.items() for folder in case.folders]
-
-
-def commands(group: typer.core.TyperGroup, before: str = "") -> Iterator[str]:
-    for name, command in group.commands.items():
-        if isinstance(command, typer.core.TyperGroup):
-            yield from commands(command, f"{before}{name} ")
-        else:
-            yield f"{before}{name}"
+REFUSED = [(name, folder) for name, case in CASES.items() for folder in case.places]
 
 
 def test_every_command_has_a_case_here():
-    assert {name.partition(" --")[0] for name in CASES} == set(commands(typer.main.get_command(build())))
+    commands = typer.main.get_command(build()).commands
+    names = {
+        f"{name} {part}".strip()
+        for name, command in commands.items()
+        for part in getattr(command, "commands", [""])
+    }
+    assert {name.partition(" --")[0] for name in CASES} == names
 
 
 def everything(folder: Path) -> dict[str, bytes]:
@@ -206,32 +191,12 @@ def test_folders_with_foreign_files_are_refused_before_the_run(command, place, w
 def beside(project: Path) -> dict[str, bytes]:
     """Plant files everywhere but in the folders that a command replaces."""
     found = plant(project) | plant(project / "out") | plant(project / "out/other")
-    for place in (
-        "out/held_out.partial.damaged-1",
-        "out/rr.damaged-1",
-        "out/view",
-        "out/.rr.needlefit-mine",
-        "out/reference",
-    ):
-        found |= plant(project / place)
+    for name in ("held_out.partial.damaged-1", "rr.damaged-1", "view", ".rr.needlefit-mine", "reference"):
+        found |= plant(project / "out" / name)
     for name in ("out/n.obj", "out/n.png", "out/run.json", f"out/{MANIFEST}", "out/lock", "out/project.csv"):
         (project / name).write_bytes(b"held_out")
         found[str(project / name)] = b"held_out"
     return found
-
-
-def carry_out(command: str, project: Path) -> None:
-    case, planted = CASES[command], beside(project)
-    if "./out/run" in case.words:
-        leave_run(project / "out/run", command)
-    # the second time what it wrote is replaced
-    for _ in range(1 if command.startswith(("init", "new dataset", "import")) else 2):
-        assert run(*case.words) == case.code
-    for place in case.folders:
-        assert place.endswith(".partial") or any((project / place).iterdir())
-    assert not any((project / place).exists() for place in case.folders if place.endswith(".partial"))
-    after = everything(project)
-    assert {path: after.get(path) for path in planted} == planted
 
 
 @pytest.mark.sweep
@@ -239,7 +204,22 @@ def carry_out(command: str, project: Path) -> None:
 def test_other_files_in_the_folder_stay(command, project, request):
     if command in STUBBED:
         request.getfixturevalue("stubs")
-    carry_out(command, project)
+    case, planted = CASES[command], beside(project)
+    if "./out/run" in case.words:
+        leave_run(project / "out/run", command)
+    log = (project / "log.csv").read_bytes()
+    # the second time what it wrote is replaced
+    for _ in range(1 if command.startswith(("init", "new dataset", "import")) else 2):
+        assert run(*case.words) == case.code
+    for place in case.places:
+        assert (
+            any((project / place).iterdir())
+            if not place.endswith(".partial")
+            else not (project / place).exists()
+        )
+    after = everything(project)
+    assert {path: after.get(path) for path in planted} == planted
+    assert (project / "log.csv").read_bytes() == log
 
 
 @pytest.mark.parametrize("place", ["out/held_out-tune", "out/held_out-tune.partial"])
@@ -257,12 +237,6 @@ def test_a_file_added_during_the_run_stays(place, project, stubs, monkeypatch, c
     assert (project / "out/held_out-tune/run.json").is_file() == partial
 
 
-def test_a_recording_is_never_overwritten(project, stubs, monkeypatch):
-    before = (project / "log.csv").read_bytes()
-    assert run("view", "--recording", "log.csv", "--no-browser", "--out", "out") == 0
-    assert (project / "log.csv").read_bytes() == before
-
-
 def test_a_second_run_into_the_same_folder_is_refused(project, stubs, capsys):
     pytest.importorskip("fcntl")
     words = [sys.executable, "-c", HOLDS, "out/held_out-tune.partial"]
@@ -277,31 +251,122 @@ def test_a_second_run_into_the_same_folder_is_refused(project, stubs, capsys):
     assert run(*CASES["tune"].words) == 0
 
 
-@pytest.mark.parametrize("when", ["before a row is kept", "before the results are written"])
+@pytest.mark.parametrize("when", ["before a row is kept", "before the results are written", "meanwhile"])
 def test_the_folder_is_removed_while_it_is_written(when, project, stubs, monkeypatch, capsys):
     def run_and_remove(name, record, settings):
         checkpoint = open_checkpoint(settings.checkpoint, settings.resume, {"n": 1})
         if when.startswith("before a row"):
             shutil.rmtree(project / "out")
         checkpoint.keep_row("a", {"b": 1})
-        shutil.rmtree(project / "out")
+        if when != "meanwhile":
+            shutil.rmtree(project / "out")
         return dataclasses.replace(study(1), name=name, record=record)
 
-    monkeypatch.setattr("needlefit.studies.kinds.cross_validation.run.run", run_and_remove)
-    code = run(*CASES["tune"].words)
-    printed = capsys.readouterr().err
-    if when.startswith("before a row"):
-        assert code == 3 and "held_out-tune.partial" in printed
-    else:
-        assert code == 0 and find_foreign(project / "out/held_out-tune") == []
-    assert "Traceback" not in printed and "unexpected" not in printed
-
-
-def test_the_folder_is_removed_while_the_results_are_written(project, stubs, monkeypatch, capsys):
     def remove(_: object) -> bytes:
         shutil.rmtree(project / "out")
         return b"a page"
 
-    monkeypatch.setattr("needlefit.reporting.document.compile_pdf", remove)
-    assert run(*CASES["tune"].words) == 3
+    monkeypatch.setattr("needlefit.studies.kinds.cross_validation.run.run", run_and_remove)
+    if when == "meanwhile":
+        monkeypatch.setattr("needlefit.reporting.document.compile_pdf", remove)
+    code = run(*CASES["tune"].words)
+    printed = capsys.readouterr().err
+    assert code == (0 if when.startswith("before the results") else 3)
+    if when.startswith("before a row"):
+        assert "held_out-tune.partial" in printed
+    elif code == 0:
+        assert find_foreign(project / "out/held_out-tune") == []
+    assert "Traceback" not in printed and "unexpected" not in printed
+
+
+# --- names, folders and inputs are checked before the work --------------------
+
+
+@pytest.mark.parametrize(
+    "name", ["n" * 250, "n" * 232, "é" * 120, f"{'d' * 256}/x", "/".join(["deep" * 50] * 25), "a\0b", "/"]
+)
+def test_an_unwritable_output_path_is_refused(name, tmp_path):
+    with pytest.raises(ConfigError):
+        require_writable(tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+    longest = os.pathconf(tmp_path, "PC_NAME_MAX") - 24
+    for place in ("new", "new/newer/newest", "n" * longest, "é" * (longest // 2)):
+        require_writable(tmp_path / place)
+
+
+LONG = (
+    *("verify -q --out", "tune study3 -q --out", "validate study3 --reference -q --out"),
+    *("calibrate study3 -q --out", "identify study3 -q --out", "predict study3 --scene study2 -q --out"),
+    *("view study2 --no-browser --out", f"reconstruct {SCANS} -q --out", "twin build -q --out"),
+    *("twin ct -q --out", "init", "new dataset"),
+)
+
+
+@pytest.mark.parametrize("line", LONG, ids=lambda line: " ".join(line.split()[:2]))
+def test_every_command_refuses_a_name_that_is_too_long_before_it_works(line, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for place in (
+        *("studies.kinds.cross_validation.run.run", "studies.job.prepare", "cli.view._trials"),
+        *("synthetic.build.build_dataset", "synthetic.scans.write_scans", "verification.run.find_checks"),
+        "imaging.batch.reconstruct_all",
+    ):
+        monkeypatch.setattr(f"needlefit.{place}", None)
+    assert run(*line.split(), "o" * (240 if "reconstruct" in line else 300)) == 3
     assert "unexpected" not in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    path = tmp_path / "mine.toml"
+    shutil.copy(find_file("scene", "study2"), path)
+    return path
+
+
+@pytest.mark.parametrize("option", ["--csv", "--plot", "--slicer", "--animation"])
+@pytest.mark.parametrize("how", ["same", "link", "hard link", "relative"])
+def test_a_scene_is_not_replaced_by_what_is_written_of_it(option, how, own, monkeypatch):
+    monkeypatch.setattr(scene, "simulate_scene", None)  # refused before it is simulated
+    monkeypatch.chdir(own.parent)
+    before, out = own.read_bytes(), own.with_name("out.png")
+    if how == "link":
+        out.symlink_to(own)
+    elif how == "hard link":
+        out.hardlink_to(own)
+    else:
+        out = own if how == "same" else Path("mine.toml")
+    assert run("simulate", str(own), option, str(out)) == 3
+    assert own.read_bytes() == before
+
+
+def test_a_recording_and_the_dataset_that_it_is_of_are_not_replaced(tmp_path, monkeypatch):
+    log = tmp_path / "log.csv"
+    recorded(log)
+    log.write_text(log.read_text().replace('target = "study2"', 'target = "./data/example1"'))
+    monkeypatch.chdir(tmp_path)
+    assert run("new", "dataset", "data") == 0
+    for path in (log, tmp_path / "data/insertions.csv", tmp_path / "data/centerlines/example1.csv"):
+        before = path.read_bytes()
+        assert run("simulate", "--recording", "log.csv", "--csv", str(path)) == 3
+        assert path.read_bytes() == before
+    assert run("simulate", "--recording", "log.csv", "--csv", "data/new.csv") == 0
+
+
+def test_colliding_outputs_are_refused_and_an_old_one_is_replaced(own, tmp_path):
+    out = str(tmp_path / "out.svg")
+    assert run("simulate", str(own), "--plot", out, "--csv", out) == 3
+    assert run("simulate", str(own), "--plot", str(tmp_path)) == 3
+    for _ in range(2):
+        assert run("simulate", str(own), "--csv", str(tmp_path / "out.csv")) == 0
+    require_output_files({"--csv": Path("/dev/null")}, [own])
+
+
+def test_a_dataset_does_not_overwrite_its_scans(tmp_path, capsys):
+    """The folder of `twin ct` carries our stamp: but for its scans being inputs it could be replaced."""
+    with replace_folder(tmp_path / "ct") as fresh:
+        shutil.copytree(shipped_folder() / "data/sample_scan", fresh, dirs_exist_ok=True)
+        (fresh / "needlefit.json").unlink(missing_ok=True)
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "ct").rglob("*")}
+    assert run("reconstruct", str(tmp_path / "ct/scans.csv"), "--out", str(tmp_path / "ct"), "-q") == 3
+    assert "scans.csv" in capsys.readouterr().err
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "ct").rglob("*")} == before

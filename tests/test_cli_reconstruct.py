@@ -18,7 +18,7 @@ import pytest
 from pydicom import dcmread
 from pydicom.encaps import encapsulate
 from pydicom.uid import UID
-from reading_here import child_process_reader, read_here  # noqa: F401 - fixtures
+from reading_here import child_process_reader, read_here  # noqa: F401
 
 from needlefit.cli import main
 from needlefit.cli.application import repeat_option

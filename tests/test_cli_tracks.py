@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from light_runs import blank_figures, few_draws  # noqa: F401 - fixtures
 from test_cli import run
 from track_cases import DEPTH, GUIDE, NEEDLE, NOISE, TRUTH, measured, track, written
 
@@ -17,7 +16,7 @@ from needlefit.studies.job import Settings, prepare, with_one_bevel
 from needlefit.studies.kinds.calibration import simulate_experiment
 from needlefit.studies.kinds.tracks import REPORT, RUN_COLUMNS
 from needlefit.studies.store import restore_run
-from needlefit.studies.targets import load_target
+from needlefit.studies.study_files import load_target
 
 STUDY = """
 schema = 1

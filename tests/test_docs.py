@@ -1,5 +1,6 @@
 """The documentation's links lead somewhere, its commands exist, and what it shows is held against them."""
 
+import itertools
 import re
 import subprocess
 import sys
@@ -8,6 +9,10 @@ import pytest
 from docs_scripts import load_script
 
 from needlefit.cli.application import build
+from needlefit.datasets.columns import BASE_SHIFT_COLUMN, INSERTION_COLUMNS, SCAN_COLUMNS, SHARED_COLUMN
+from needlefit.imaging.scans import SCAN_COLUMNS as TABLE_COLUMNS
+from needlefit.imaging.scans import STAGE_COLUMNS
+from needlefit.project.help_pages import read_input_columns
 from needlefit.project.locate import shipped_folder
 
 DOCS = shipped_folder() / "docs"
@@ -125,3 +130,15 @@ def test_one_command_of_the_readme_runs_everything_and_one_runs_the_tests():
 
 def test_the_results_of_the_readme_are_the_stored_ones():
     assert load_script(DOCS / "readme_results.py").write_page() == TEXT, "run `python docs/readme_results.py`"
+
+
+def test_every_column_that_is_read_is_explained():
+    explained = {
+        table: {name for one in columns for name in re.split(r", | or ", one.column)}
+        for table, columns in itertools.groupby(read_input_columns(), lambda one: one.table)
+    }
+    assert {*INSERTION_COLUMNS, SHARED_COLUMN, BASE_SHIFT_COLUMN, *SCAN_COLUMNS} == explained[
+        "insertions.csv"
+    ]
+    stated = explained["scans.csv"] | set(STAGE_COLUMNS) | explained["insertions.csv"]
+    assert set(TABLE_COLUMNS) <= stated

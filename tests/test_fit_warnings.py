@@ -1,33 +1,49 @@
 """Warnings about a finished fit: parameters at bounds, empirical curves that are closer, shared specimens."""
 
+import ast
 import json
+import math
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from reporting_results import study
+from inference_cases import TRUTH, two_layers
+from reporting_results import study, with_predictions
 from test_cli import run
 from test_datasets import CURVE, record, row
 
+import needlefit
 from needlefit.datasets.read import read
 from needlefit.datasets.write import write_dataset
 from needlefit.inference.parameters import Parameters
-from needlefit.project.result_warnings import read_warnings, warnings_entry
+from needlefit.inference.predict import Draws
+from needlefit.project.help_pages import TROUBLESHOOTING_PAGE, read_sections
+from needlefit.project.result_warnings import ResultWarning, read_warnings, warnings_entry
 from needlefit.project.toml import load
+from needlefit.project.unit_warnings import WARNING_KIND
+from needlefit.reporting.interval_text import NO_INTERVAL, format_interval
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.studies.fit_warnings import (
-    RULES,
-    analysis_bound_warnings,
-    apply_rule,
-    cut_off_warnings,
-)
+from needlefit.studies.fit_warnings import RULES, analysis_bound_warnings, apply_rule, cut_off_warnings
 from needlefit.studies.folds import make_folds, warn_shared_specimens
 from needlefit.studies.job import DATA_WARNINGS, Settings, prepare
+from needlefit.studies.kinds.calibration import find_calibration_faults, headline_calibration
+from needlefit.studies.kinds.cross_validation.facts import say
 from needlefit.studies.kinds.cross_validation.run import run as run_fit
-from needlefit.studies.report import warning_blocks
+from needlefit.studies.parameter_intervals import ParameterInterval, add_intervals, intervals_of_draws
+from needlefit.studies.report import run_to_json, warning_blocks
 from needlefit.studies.run import Run
+from needlefit.studies.verdict import (
+    NOT_CONVERGED,
+    VERDICTS_KEY,
+    BestBaseline,
+    Verdict,
+    judge_errors,
+    judge_run,
+    worst_status,
+)
 
 
 def warn(key: str, results: Run):
@@ -366,3 +382,227 @@ def test_the_warning_about_specimens_names_the_file_and_line_of_the_study(flippe
     file.write_text(FLIPPED.replace(', "b"', "") + '\n[[validate]]\ninsertions = ["b"]\n')
     found = prepare("mine", load(file, StudyRecord), Settings(file=file)).warnings
     assert [one.where for one in found if one.kind == "same_specimen"] == [f"{file}:9"]
+
+
+def test_a_warning_is_one_line_and_a_run_keeps_its_file_without_the_folder():
+    one = ResultWarning("units", "depth is 0.05", "/home/me/mine/insertions.csv:3", "write it in mm")
+    assert str(one).startswith("/home/me/mine/insertions.csv:3: depth is 0.05") and "\n" not in str(one)
+    assert warnings_entry([one, one])["warnings"] == [
+        {"kind": "units", "what": "depth is 0.05", "where": "insertions.csv:3", "fix": "write it in mm"}
+    ]
+    assert [kept.where for kept in read_warnings(warnings_entry([one]))] == ["insertions.csv:3"]
+    assert read_warnings({}) == ()
+
+
+def _kinds_in_sources() -> set[str]:
+    """Return the kinds of all warnings that the package makes."""
+    package = Path(needlefit.__file__).parent
+    calls = [
+        call
+        for path in package.rglob("*.py")
+        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "ResultWarning" and call.args
+    ]
+    named = {WARNING_KIND if isinstance(call.args[0], ast.Name) else call.args[0].value for call in calls}
+    assert len(calls) > len(named) > 10
+    return named
+
+
+def test_every_kind_of_warning_has_a_section_that_explains_it():
+    sections = read_sections()
+    page = (Path(__file__).parents[1] / TROUBLESHOOTING_PAGE).read_text(encoding="utf-8")
+    assert set(sections) == set(re.findall(r"^\((.+)\)=$", page, re.MULTILINE))
+    assert {ResultWarning(kind, "").help_key for kind in _kinds_in_sources()} <= set(sections)
+    for one in sections.values():
+        assert (
+            one.title
+            and one.paragraphs
+            and not re.search(r"\]\(|\*\*|^#", "\n".join(one.paragraphs), re.MULTILINE)
+        )
+
+
+def with_tip_errors(results: Run, **mm: tuple[float, float]) -> Run:
+    """Replace the tip errors of methods by mean and alternating deviation; the floor is 0.22 mm."""
+    errors = results.frames["errors"].copy()
+    for method, (mean, deviation) in mm.items():
+        rows = errors["method"] == method
+        number = pd.factorize(errors.loc[rows, "insertion"])[0]
+        errors.loc[rows, "te_mm"] = mean + deviation * np.where(number % 2, 1, -1)
+    return results.with_frames(errors=errors)
+
+
+CURVES = dict.fromkeys(("straight", "constant_curvature", "linear_curvature"), (9.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("fitted", "straight", "status"),
+    [
+        ((0.1, 0.0), (0.2, 0.0), "pass"),
+        ((0.1, 0.0), (0.01, 0.0), "warn"),  # a curve is closer, but below the floor that is not significant
+        ((0.1, 0.05), (0.11, 0.0), "pass"),  # within the floor, and no curve is closer
+        ((0.3, 0.2), (0.29, 0.0), "warn"),
+        ((0.3, 0.2), (0.31, 0.0), "warn"),
+        ((0.3, 0.01), (2.0, 0.01), "pass"),
+        ((1.0, 0.01), (2.0, 0.01), "warn"),  # better than any curve, but far above the floor
+        ((1.0, 0.5), (0.99, 0.0), "warn"),  # no significant difference
+        ((2.0, 0.01), (1.0, 0.01), "fail"),
+    ],
+)
+def test_status_follows_floor_and_best_baseline(fitted, straight, status):
+    results = with_tip_errors(study(4), **{**CURVES, "fitted": fitted, "straight": straight})
+    (verdict,) = judge_run(results)
+    assert verdict.status == status
+    assert verdict.numbers["te_mm"] == pytest.approx(fitted[0], abs=fitted[1] / 8)
+    assert verdict.numbers["te_over_floor"] == pytest.approx(verdict.numbers["te_mm"] / 0.22)
+    assert (verdict.numbers["baseline"], verdict.numbers["baseline_te_mm"]) == (
+        "straight",
+        pytest.approx(straight[0], abs=straight[1] / 8),
+    )
+
+
+def test_intervals_that_cover_too_few_insertions_are_no_pass():
+    good = with_tip_errors(study(4), **{**CURVES, "fitted": (0.1, 0.0)})
+    assert [one.status for one in judge_run(with_predictions(good))] == ["pass"]
+    missed = with_predictions(good, levels=(0.9999,))
+    assert [one.status for one in judge_run(missed)] == ["warn"]
+
+
+@pytest.mark.parametrize(
+    ("insertions", "baseline", "status"),
+    [
+        (1, "worse", "warn"),
+        (2, "worse", "warn"),
+        (3, "worse", "pass"),
+        (2, "tie", "warn"),
+        (2, "better", "fail"),
+    ],
+)
+def test_one_or_two_insertions_do_not_pass(insertions, baseline, status):
+    best = BestBaseline("an arc", {"worse": 9.0, "tie": 0.6, "better": 0.1}[baseline], baseline)
+    verdict = judge_errors("gel", 0.5, 1.5, best, insertions)
+    assert verdict.status == status and f"n = {insertions}" in verdict.sentence
+    assert judge_errors("gel", 0.5, 0.5, None, insertions).status == ("pass" if insertions > 2 else "warn")
+    marked = judge_errors("gel", 0.5, 1.5, best, insertions, reliable=False)
+    assert marked.status == ("fail" if baseline == "better" else "warn")
+
+
+def test_a_run_with_faults_claims_nothing():
+    results = with_predictions(with_tip_errors(study(4), **{**CURVES, "fitted": (0.1, 0.0)}))
+    (good,) = judge_run(results)
+    (marked,) = judge_run(replace(results, faults=("the posterior has not converged",)))
+    opening = good.sentence.partition(":")[0]
+    assert good.status == "pass" and marked.status == "warn"
+    assert marked.sentence.startswith("NOT CONVERGED. ") and f" {opening}:" not in marked.sentence
+
+
+def test_a_preliminary_recipe_is_named():
+    results = study(4)
+    quick = replace(results, run={**results.run, "recipe": {"preliminary": True}})
+    added = [
+        one.sentence.removeprefix(old.sentence)
+        for one, old in zip(judge_run(quick), judge_run(results), strict=True)
+    ]
+    assert all("preliminary" in one for one in added)
+
+
+@pytest.mark.parametrize(("fitted", "status"), [((0.1, 0.0), "warn"), ((0.3, 0.0), "fail")])
+def test_a_fit_fails_where_a_curve_is_closer_and_the_errors_are_above_the_floor(fitted, status):
+    results = with_tip_errors(study(4), fitted=fitted)
+    closer = {**results.run, **warnings_entry([ResultWarning("worse_than_baseline", "")])}
+    (verdict, *_) = judge_run(replace(results, kind="fit", run=closer))
+    assert verdict.status == status
+
+
+def test_noise_that_is_too_large_is_no_pass():
+    good = with_tip_errors(study(4), **{**CURVES, "fitted": (0.1, 0.0)})
+    noisy = {**good.run, **warnings_entry([ResultWarning("noise_too_large", "")])}
+    assert [one.status for one in judge_run(replace(good, run=noisy))] == ["warn"]
+
+
+def test_the_evidence_has_counts_and_coverage():
+    results = with_predictions(with_tip_errors(study(4), **CURVES))
+    folds = [{"tune": ["a", "b"], "validate": ["c"]}, {"tune": ["a", "b", "c"], "validate": ["d"]}]
+    words = say(replace(results, run={**results.run, "folds": folds}), "evidence")
+    predicted = results.frames["predictive"]
+    tips, count = int(predicted["tip_in_95"].sum()), len(predicted)
+    numbers = [int(one) for one in re.findall(r"\d+", words)]
+    assert numbers[:4] == [2, 3, 2, 2] and f"{tips} of {count}" in words
+    assert re.findall(r"\d+", say(replace(results, run={}), "evidence"))[0] == "95"
+
+
+def test_one_verdict_for_each_group_and_in_json():
+    results = study(1)
+    verdicts = judge_run(results)
+    assert len({one.group for one in verdicts}) == len(verdicts) == 3 and results.verdicts == verdicts
+    rows = run_to_json(results)[VERDICTS_KEY]
+    assert [row["status"] for row in rows] == [one.status for one in verdicts]
+
+
+def test_what_did_not_converge_does_not_pass():
+    good = with_tip_errors(study(4), **{**CURVES, "fitted": (0.1, 0.0)})
+    assert judge_run(replace(good, faults=("did not converge",)))[0].status == "warn"
+    assert judge_run(replace(good, interrupted=True))[0].status == "warn"
+    assert worst_status([Verdict(""), Verdict("", "fail"), Verdict("", "warn")]) == "fail"
+
+
+@pytest.mark.parametrize(
+    ("fault", "headline"),
+    [
+        ("2 of 9 simulations of the fit did not converge", "NOT CONVERGED"),
+        ("draws by importance are not certified: Pareto k is 1.20", "NOT CERTIFIED"),
+        ("3 held-out insertions could not be predicted", "INCOMPLETE"),
+    ],
+)
+def test_each_kind_of_fault_has_its_headline(fault, headline):
+    (verdict,) = judge_run(replace(study(4), faults=(fault, fault)))
+    assert verdict.sentence.count(headline) == 1 and verdict.sentence.startswith(headline)
+
+
+def test_an_outcome_that_the_verdict_names_has_no_headline():
+    outcome = {"replicates": 20, "control": None, "not_calibrated": [], "passes": True}
+    outcome |= {"conclusive": False, "untrusted": 0}
+    (few,) = find_calibration_faults(outcome)
+    (wrong,) = find_calibration_faults({**outcome, "not_calibrated": ["b"], "passes": False})
+    (missed,) = find_calibration_faults({**outcome, "control": "noise", "conclusive": True, "passes": False})
+    assert [headline_calibration(one) for one in (few, wrong, missed)] == ["", "", ""]
+    _, unconverged = find_calibration_faults({**outcome, "untrusted": 2})
+    assert headline_calibration(unconverged) == NOT_CONVERGED
+
+
+PROFILE = {"parameter": "mu1_pa", "low": 2e5, "high": 3e5, "determined": True}
+
+
+def fitted_intervals(**changed):
+    return {"parameter": "mu1_pa", "status": "free", "determined": True, "note": ""} | changed
+
+
+def test_certified_draws_give_the_interval_and_others_none():
+    parameters = two_layers().parameters
+    theta = np.array(parameters.theta(TRUTH))
+    thetas = theta + np.linspace(-0.1, 0.1, 201)[:, None]
+    found = intervals_of_draws(parameters, Draws(thetas, "importance"), None)["mu1_pa"]
+    assert (found.low, found.high) == pytest.approx((3e5 * math.exp(-0.095), 3e5 * math.exp(0.095)))
+    assert found.source == "importance"
+    assert intervals_of_draws(parameters, Draws(thetas, "importance", ("k",)), None) == {}
+
+
+def test_a_wide_interval_of_draws_takes_back_the_verdict_of_information_and_profile():
+    row, judged = fitted_intervals(), dict(PROFILE)
+    add_intervals([row], [judged], {"mu1_pa": ParameterInterval(1e4, 1e7, "posterior")}, {})
+    assert not row["determined"] and not judged["determined"]
+    for one in (row, judged):
+        assert (one["interval_low"], one["interval_high"], one["draw_source"]) == (1e4, 1e7, "posterior")
+
+
+def test_without_draws_the_profile_gives_it_and_a_tied_parameter_has_its_sources():
+    row, tied = fitted_intervals(), fitted_intervals(parameter="mu2_pa", status="tied")
+    add_intervals([row, tied], [dict(PROFILE)], {}, {"mu2_pa": (50.0, "mu1_pa")})
+    assert row["determined"] and (row["interval_low"], row["draw_source"]) == (2e5, "profile")
+    assert (tied["interval_low"], tied["interval_high"]) == (1e7, 1.5e7)
+
+
+def test_an_interval_over_most_of_the_bounds_is_no_interval():
+    bounds = {"parameter": "mu1_pa", "bound_low": 1e3, "bound_high": 1e9}
+    assert format_interval({**bounds, "interval_low": 1e4, "interval_high": 2e7}) == NO_INTERVAL
+    assert format_interval({**bounds, "interval_low": 1e4, "interval_high": 2e6}) == "1e4 to 2e6"
+    assert format_interval(bounds) == ""

@@ -10,24 +10,13 @@ import pytest
 from numpy.testing import assert_allclose
 from pydantic import ValidationError
 from reconstruction_cases import small
-from scipy.special import ndtr
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
-from needlefit.geometry.smoothing_spline import find_empty_pieces
 from needlefit.imaging.needle import centerline, tip
-from needlefit.imaging.needle.axis_spline import (
-    SHIFT_PER_TILT_MM,
-    CrossSections,
-    estimate_shared_sd,
-    fit_axis,
-)
 from needlefit.imaging.needle.segmentation import find_components, list_thresholds, segment_needle
-from needlefit.imaging.needle.tip import RodModel
 from needlefit.imaging.reconstruct import MAX_DEPTH_SD_MM, collect_warnings, examine, list_tip_warnings
 from needlefit.imaging.scans import Scan
-from needlefit.imaging.spheres import PointSpread
-from needlefit.imaging.volume import Volume
 from needlefit.project.toml import load
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic.render import ScannerTable, SceneMarkers
@@ -134,61 +123,6 @@ def test_a_needle_whose_tip_alone_leaves_the_volume_is_not_reversed(tmp_path, co
         assert_allclose(soft, [top - 12.0, 0.0], atol=1.5)
 
 
-@pytest.mark.sweep
-def test_a_ray_beside_the_needle_pulls_no_further_than_stated():
-    """A ridge of 400 HU runs along the needle, 1 mm beside it: every section is pulled alike."""
-    truth = cases.axis(tip=(1.0, 2.0, 28.0))
-    volume = cases.scan(truth)
-    still = found(volume)
-    k, _, i = np.indices(volume.values.shape) * cases.SPACING
-    beside = i - np.interp(k, truth[:, 2], truth[:, 0]) - 1.0
-    ridge = 400 * np.exp(-0.5 * (beside / 0.5) ** 2) * (k > cases.ENTRY[2])
-    volume.values[:] = np.minimum(volume.values + ridge, volume.values.max())
-    pulled = found(volume)
-    errors = cases.off(pulled.points, truth)
-    assert pulled.sd.mean() > 3 * still.sd.mean()
-    assert np.sqrt(np.mean(errors**2) / 2) < 2 * pulled.sd.mean()
-
-
-def sections(shifts, tilt=0.0):
-    """Forty sections of 1000 HU with `shifts` along u; the background slopes by `tilt` (HU/mm) along v."""
-    flat = np.zeros(40)
-    across = np.column_stack([shifts + flat, flat])
-    return CrossSections(across, flat + 1000.0, flat + 10.0, np.column_stack([flat, flat + tilt]))
-
-
-def test_errors_shared_by_sections_gaps_and_thick_slices():
-    none = sections(0.0)
-    assert estimate_shared_sd(none, none, 0.5) == 0.0
-    apart = sections(0.02)  # 0.02 mm along one of two directions
-    assert_allclose(estimate_shared_sd(apart, none, 0.5), 0.02 / np.sqrt(2))
-    sloping = sections(0.0, tilt=3.0)  # 3 / 1000 of the needle's brightness per mm
-    assert_allclose(estimate_shared_sd(sloping, sloping, 0.5), SHIFT_PER_TILT_MM * 3e-3 / np.sqrt(2))
-    assert_allclose(
-        estimate_shared_sd(apart, sloping, 0.5), np.hypot(0.02, SHIFT_PER_TILT_MM * 3e-3) / np.sqrt(2)
-    )
-    assert (
-        estimate_shared_sd(sections(0.02 * (-1.0) ** np.arange(40)), none, 0.5) < 0.001
-    )  # neighbours make up for it
-    s = np.concatenate([np.arange(0.0, 20.0, 0.5), np.arange(40.0, 60.1, 0.5)])
-    points = np.column_stack([s, 0.001 * s**2, 0 * s])
-    axis = fit_axis(s, points, np.ones(len(s)), 7.0)
-    assert not len(find_empty_pieces(s, axis.final_weights, axis.spline.t))
-    assert np.abs(axis.spline(30.0) - [30.0, 0.9, 0.0]).max() < 0.01
-
-    def deviation(thick, way):
-        s = np.arange(0.0, 60.0, 0.5)
-        axis = fit_axis(s, np.outer(s, np.array(way) / np.linalg.norm(way)), np.ones(len(s)), 7.0)
-        grid = np.zeros((4, 4, 4), np.float32)
-        return centerline.slice_sd(
-            Volume(grid, np.zeros(3), np.array([0.5, 0.5, thick]), np.eye(3)), axis, cases.RECIPE
-        )
-
-    assert 0.2 < deviation(2.0, [1, 0, 0]) < 2 / np.sqrt(12)
-    assert deviation(0.4, [1, 0, 0]) < 0.03
-    assert deviation(2.0, [0, 0, 1]) < 0.03
-
-
 @pytest.mark.parametrize(
     "table",
     [
@@ -217,40 +151,11 @@ def test_a_blunt_needle_has_no_side_and_the_shipped_recipe_states_the_defaults()
 
 # ---- the image of a needle's end
 
-RADIUS = 0.635
 TRUTH = cases.axis(tip=(1.0, 2.0, 28.0))
-
-
-def rod_image(spread, s, u=0.0, *, cotangent=0.0, roll=0.0, normal=(1.0, 0.0, 0.0)):
-    """Return the image of a rod at places s and u."""
-    model = RodModel(RADIUS, 8.0, 6.0, 2.9, normal)
-    s, u = np.broadcast_arrays(np.atleast_1d(s).astype(float), u)
-    splines = model.splines(model.transform(roll, cotangent), spread)
-    return model.sample(splines, s, np.asarray(u, dtype=float), 0 * s)
 
 
 def trace(volume, needle=cases.RECIPE):
     return centerline.trace_needle(volume, segment_needle(volume, needle), needle)
-
-
-def test_an_end_fades_as_its_blur_does_and_a_bevel_s_point_lies_at_its_roll():
-    spread = PointSpread(0.45, 0.0, 0.3)
-    # across a Gaussian of a disc; by hand: 1 - exp(-r^2 / 2 sigma^2)
-    middle = 1 - np.exp(-(RADIUS**2) / (2 * 0.45**2))
-    assert_allclose(rod_image(spread, -4.0), middle, atol=0.01)
-    assert_allclose(rod_image(spread, 0.0), middle / 2, atol=0.01)
-    along = np.array([-0.5, -0.2, 0.2, 0.5])
-    upright = {"normal": (0.0, 0.0, 1.0)}
-    in_slices = rod_image(spread, along, **upright) / rod_image(spread, -4.0, **upright)
-    assert_allclose(in_slices, ndtr(-along / 0.45), atol=0.01)
-    sharp, plain = PointSpread(0.35, 3.0, 0.3), PointSpread(0.35, 0.0, 0.3)
-    beside = np.linspace(0.8, 2.0, 13)
-    assert rod_image(sharp, -4.0, beside).min() < -0.02
-    assert rod_image(plain, -4.0, beside).min() > -0.005
-    spread = PointSpread(0.35, 0.0, 0.2)
-    toward, away = (rod_image(spread, -0.6, u, cotangent=1.732) for u in (0.4, -0.4))
-    assert toward > 2 * away
-    assert_allclose(rod_image(spread, -0.6, -0.4, cotangent=1.732, roll=np.pi), toward, rtol=0.02)
 
 
 @pytest.mark.sweep

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from ct_cases import ENTRY, RECIPE, SHAPE, SPACING, axis, grid, recipe, scan
-from scipy.ndimage import gaussian_filter, uniform_filter1d
 from scipy.spatial.distance import cdist
 
 from needlefit.errors import DataError
@@ -22,12 +21,8 @@ from needlefit.imaging.markers import (
 from needlefit.imaging.needle.segmentation import segment_needle
 from needlefit.imaging.registration.register import register
 from needlefit.imaging.spheres import (
-    BALL,
-    BOX_PART,
-    SHORTFALL,
     SphereTables,
     SphereVoxels,
-    look_up,
     render_sphere,
 )
 from needlefit.imaging.volume import Volume
@@ -176,41 +171,6 @@ def test_what_is_no_ball_is_listed_with_its_misfit(plain):
     assert f"{min(one.misfit for one in none.rejected):.2f}" in seen
     lenient = recipe(markers={"diameter_mm": 4.0, "max_misfit": 0.4})
     assert off(find_markers(plain, lenient, needle_of(plain))).max() < 0.05
-
-
-def fine_image(profile, blur, slice_blur):
-    """A ball's profile on a fine grid, blurred by filters in space: across x along, from its middle."""
-    step = 0.1
-    steps = np.arange(-45, 46) * step
-    r = np.sqrt(sum(x**2 for x in np.meshgrid(steps, steps, steps, indexing="ij")))
-    sigmas = np.array([blur, blur, slice_blur * np.sqrt(1 - BOX_PART)]) / step
-    box = uniform_filter1d(gaussian_filter(profile(r), sigmas), 9, axis=2)
-    return box[45, 45:, 45:], 9 * step / np.sqrt(12 * BOX_PART)
-
-
-def test_tables_show_the_blurred_ball_and_its_shortfall():
-    def soft_ball(r):
-        return np.clip((1.5 - r) / 0.1 + 0.5, 0, 1)
-
-    def shortfall(r):
-        return np.sqrt(np.clip(1 - r**2 / 1.5**2, 0, None))
-
-    slice_blur = 0.9 / np.sqrt(12 * BOX_PART)
-    tables = SphereTables(1.5, 4.0, (0.15, 0.1)).render(-0.3, 0.4, 0.0, slice_blur)
-    places = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5])
-    for table, profile in ((BALL, soft_ball), (SHORTFALL, shortfall)):
-        expected, width = fine_image(profile, 0.4, slice_blur)
-        assert width == pytest.approx(slice_blur)
-        at = np.rint(places / 0.1).astype(int)
-        np.testing.assert_allclose(look_up(tables[table], places, 0 * places), expected[at, 0], atol=0.01)
-        np.testing.assert_allclose(look_up(tables[table], 0 * places, places), expected[0, at], atol=0.01)
-    plain, boosted = (SphereTables(1.5, 5.0, (0.15, 0.1)).render(0.0, 0.4, b, 0.3)[BALL] for b in (0, 3))
-    fine = np.arange(0.005, 4.5, 0.01)
-    across, along = (x.ravel() for x in np.meshgrid(fine, fine, indexing="ij"))
-    masses = [np.sum(2 * np.pi * across * look_up(t, across, along)) * 2e-4 for t in (plain, boosted)]
-    assert masses == pytest.approx([4 / 3 * np.pi * 1.5**3] * 2, rel=0.01)
-    assert look_up(boosted, fine, 0 * fine).min() < -0.05
-    assert look_up(plain, fine, 0 * fine).min() > -0.005
 
 
 def test_derivatives_of_the_model_are_those_of_the_model():

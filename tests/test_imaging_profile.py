@@ -134,58 +134,6 @@ def test_in_a_linear_volume_core_and_surroundings_are_that_of_the_axis():
 # pictures
 
 
-def scene(bend=0.0):
-    """A volume of 60 x 20 x 24 mm, C in it, and a needle that bends by `bend` mm to both sides."""
-    volume = linear(np.zeros(3), shape=(60, 60, 150), spacing=(0.4, 0.4, 0.4))
-    rotation = volume.direction @ np.linalg.qr(np.eye(3) + 0.03)[0] @ np.diag([-1.0, -1, 1])
-    start = middle(volume) - 5 * rotation[:, 0]
-    frame = Frame(start, rotation)
-    x = np.linspace(-12, 20, 65)
-    inside = np.clip(x, 0, None) / 20
-    return volume, frame, frame.to_world(np.column_stack([x, bend * inside**2, 0.5 * bend * inside**2]))
-
-
-def painted(volume, frame, axis):
-    """The volume with the place along one of C's axes as its brightness."""
-    gradient = frame.rotation[:, axis]
-    offset = -frame.origin @ gradient
-    k, j, i = np.indices(volume.values.shape)
-    places = to_patient(volume, np.stack([i, j, k], axis=-1).reshape(-1, 3)) @ gradient + offset
-    values = places.reshape(volume.values.shape).astype(np.float32)
-    return Volume(values, volume.origin, volume.spacing, volume.direction)
-
-
-@pytest.mark.parametrize("world", [Frame(np.zeros(3), np.eye(3)), cases.box()])
-def test_pictures_lie_in_the_axes_they_name(world):
-    volume, frame, needle = scene()
-    in_world = Frame(world.to_world(frame.origin[None])[0], world.rotation @ frame.rotation)
-    for axis in range(3):
-        for view in render_views(painted(volume, frame, axis), world, in_world, needle):
-            left, right, bottom, top = view.extent
-            rows, columns = view.values.shape
-            grid = {
-                view.axes[0]: left + (np.arange(columns)[None] + 0.5) * (right - left) / columns,
-                view.axes[1]: bottom + (np.arange(rows)[:, None] + 0.5) * (top - bottom) / rows,
-            }
-            place = grid.get("xyz"[axis])
-            if place is not None:
-                shown = np.isfinite(view.values)
-                assert shown.mean() > 0.3
-                assert_allclose(view.values[shown], np.broadcast_to(place, shown.shape)[shown], atol=2e-3)
-
-
-def test_the_slab_follows_the_needle_through_the_picture():
-    volume, frame, needle = scene(bend=3.0)
-    first, second, across = render_views(
-        painted(volume, frame, 2), Frame(np.zeros(3), np.eye(3)), frame, needle
-    )
-    assert (first.axes, second.axes, across.axes) == (("x", "y"), ("x", "z"), ("y", "z"))
-    row = first.values[first.values.shape[0] // 2]
-    x = first.extent[0] + 0.3 * (np.arange(len(row)) + 0.5)
-    expected = np.where(x < 0, 0.0, np.interp(x, np.linspace(0, 20, 41), 1.5 * np.linspace(0, 1, 41) ** 2))
-    assert_allclose(row[(x > -10) & (x < 19)], expected[(x > -10) & (x < 19)], atol=5e-3)
-
-
 def test_the_picture_shows_needle_entry_and_tip_where_they_are():
     volume = cases.scan(cases.axis())
     frame = Frame(cases.ENTRY, np.column_stack([[0, 0, 1.0], [0, 1.0, 0], [-1.0, 0, 0]]))

@@ -20,7 +20,6 @@ from needlefit.imaging.registration.pairing import (
 )
 from needlefit.imaging.registration.register import (
     check_axis_signs,
-    predict_mean_target_error,
     register,
     scan_frame,
     target_covariance,
@@ -182,43 +181,6 @@ def test_the_error_of_a_square_is_the_closed_form():
     d = 60.0
     expected = np.sqrt(3 * sigma**2 / 4 * (1 + (d**2 / a**2 + d**2 / (2 * a**2)) / 3))
     assert root_mean_square(registration, [d, 0, 0]) == pytest.approx(expected)
-
-
-def test_the_error_at_the_centre_is_the_noise_over_the_root_of_the_number():
-    registration = register(SQUARE, SQUARE, 0.3, 0.4, pairs=ITSELF)  # hypot: 0.5
-    assert target_covariance(registration, [[0, 0, 0]])[0] == pytest.approx(np.eye(3) * 0.25 / 4)
-    # a Gaussian in three directions has the mean length sqrt(8 / pi) sigma
-    assert predict_mean_target_error(registration, [[0, 0, 0]])[0] == pytest.approx(np.sqrt(8 / np.pi) * 0.25)
-    # E FRE^2 = (1 - 2 / N) FLE^2 (R. Sibson 1979), FLE^2 = 3 sigma^2.
-    registration = register(LAYOUT, LAYOUT, 0.2)
-    assert registration.expected_fre == pytest.approx(np.sqrt((1 - 2 / 6) * 3 * 0.2**2))
-    # At the centre of equally noisy markers, the error is a mean: each axis keeps its own variance.
-    registration = register(SQUARE, SQUARE, np.tile([0.1, 0.1, 0.6], (4, 1)), pairs=ITSELF)
-    expected = np.diag([0.01, 0.01, 0.36]) / 4
-    assert target_covariance(registration, [[0, 0, 0]])[0] == pytest.approx(expected)
-    turn = Frame(np.zeros(3), Rotation.from_euler("x", 90, degrees=True).as_matrix())  # scan z is world -y
-    registration = register(turn.to_local(SQUARE), SQUARE, np.tile([0.1, 0.1, 0.6], (4, 1)), pairs=ITSELF)
-    assert np.diag(target_covariance(registration, [[0, 0, 0]])[0]) == pytest.approx(
-        np.array([0.01, 0.36, 0.01]) / 4
-    )
-
-
-def test_predicted_errors_are_those_of_many_draws():
-    """200 draws, unequal noise along the axes: chi-squared of each target over 3, to 5 standard errors."""
-    rng = np.random.default_rng(11)
-    sd, targets = np.tile([0.05, 0.1, 0.3], (6, 1)), np.array([[0, 0, 0], [75, 4, 0]], dtype=float)
-    errors, chances = [], []
-    for _ in range(200):
-        pose = pose_of(rng)
-        found = pose.to_local(LAYOUT) + sd * rng.normal(size=(6, 3))
-        registration = register(found, LAYOUT, sd, pairs=[[n, n] for n in range(6)])
-        local = pose.to_local(targets)
-        inverse = np.linalg.inv(target_covariance(registration, local))
-        off = to_world(registration, local) - targets
-        errors.append(np.einsum("ni,nij,nj->n", off, inverse, off) / 3)
-        chances.append(registration.p_value)
-    assert np.mean(errors, axis=0) == pytest.approx([1, 1], abs=5 * np.sqrt(2 / 3 / 200))
-    assert np.mean(chances) == pytest.approx(0.5, abs=5 / np.sqrt(12 * 200))
 
 
 # closest points

@@ -220,18 +220,3 @@ def test_linear_gain_is_half_the_log_determinant_and_uninformative_data_have_non
     assert found.nats == pytest.approx(0.0, abs=1e-12)
     assert found.quantity_nats == pytest.approx([0.0], abs=1e-12)
     assert found.effective_sample_size == pytest.approx(100.0)
-
-
-def test_weights_count_as_draws():
-    """A draw of double weight is two draws."""
-    rng = np.random.default_rng(2)
-    thetas = rng.multivariate_normal([0.0, 0.0], COVARIANCE, size=50)
-    twice = np.concatenate([thetas, thetas[:10]])
-    heavy = predict_data(thetas, np.zeros(3))
-    weights = np.log(np.where(np.arange(50) < 10, 2.0, 1.0) / 60)
-    heavy = design_gain.PredictedData(weights, heavy.scales, heavy.spreads, heavy.white, heavy.group)
-    of = np.arange(20)
-    one = design_gain.nested_gain(heavy, of, thetas, np.random.default_rng(3))
-    other = design_gain.nested_gain(predict_data(twice, np.zeros(3)), of, twice, np.random.default_rng(3))
-    assert one.nats == pytest.approx(other.nats, rel=1e-12)
-    assert one.sds == pytest.approx(other.sds, rel=1e-9)

@@ -12,19 +12,14 @@ from needlefit.inference.fit import Fit, Start
 from needlefit.inference.identifiability.identify import identify, tip_range
 from needlefit.inference.identifiability.precision import (
     KNOWN_BY_PRIOR,
-    MIN_MODEL_ERROR,
-    NO_MODEL_ERROR,
     STATED_TIES,
     cramer_rao,
     describe_combination,
     difference_jacobian,
     difference_steps,
-    estimate_model_error,
     principal_directions,
 )
-from needlefit.inference.likelihood.observation import Discrepancy
 from needlefit.inference.parameters import loosen_ties
-from needlefit.schemas.recipe import LikelihoodRecord
 
 FINE = Noise(point_sd=0.02)
 
@@ -180,20 +175,6 @@ def test_few_pieces_and_no_free_parameters():
     assert verdict.sds == {} and verdict.directions == () and verdict.notes == {}
 
 
-def test_a_scale_of_the_noise_is_known_from_the_number_of_points_and_takes_nothing_from_the_rest():
-    """The logarithm of a Gaussian's deviation is known to 1 / sqrt(2 n) from n residuals."""
-    record = medium(1)
-    made = [measure(TRUTH, record, insertion(d)) for d in (35.0, 50.0)]
-    estimated = problem(
-        record, made, how=LikelihoodRecord(noise_scale="estimated", bevel_spread=0.0), noise=FINE
-    )
-    fixed = problem(record, made, noise=FINE)
-    truth = {**TRUTH, "noise_scale": 1.0}
-    with_scale, without = (identify(p, fit_at(p, truth)) for p in (estimated, fixed))
-    assert with_scale.sds["noise_scale"] == pytest.approx(1 / math.sqrt(2 * 2 * 101), rel=0.02)
-    assert with_scale.sds["bevel_mm"] == pytest.approx(without.sds["bevel_mm"], rel=0.01)
-
-
 # ---- under which assumptions alone a parameter is determined: ties, and a model without error
 
 VALUES = {**TRUTH, "mu3_pa": 3e5, "alpha3": 1.0}
@@ -222,36 +203,3 @@ def test_ties_are_loosened_and_what_only_a_tie_determines_is_not_determined():
     assert verdict.conditions["mu1_pa"] == STATED_TIES and not verdict.determined["mu1_pa"]
     assert STATED_TIES in verdict.notes["mu1_pa"]
     assert verdict.determined["mu3_pa"] and verdict.determined["bevel_mm"]
-
-
-def test_each_loosened_assumption_widens_what_exact_ties_give():
-    p = tied_problem()
-    verdict = identify(p, fit_at(p, VALUES))
-    loose = {one.condition: one.sds for one in verdict.loosened}
-    assert list(loose) == [STATED_TIES, NO_MODEL_ERROR]
-    for name in p.names:
-        assert verdict.sds[name] < loose[STATED_TIES][name] < loose[NO_MODEL_ERROR][name]
-    assert loose[STATED_TIES]["mu1_pa"] > 10 * verdict.sds["mu1_pa"]
-    assert verdict.conditions["mu3_pa"] == NO_MODEL_ERROR  # the tie says as much
-
-
-def test_a_model_error_has_the_size_of_the_misfit_or_one_percent_of_the_deflection():
-    record = medium(1)
-    made = [measure(TRUTH, record, insertion(d, angle_sd=0.0)) for d in (35.0, 50.0)]
-    p = problem(record, made, noise=Noise(point_sd=1e-4))
-    theta = np.array(p.parameters.theta(TRUTH))
-    least = MIN_MODEL_ERROR * math.sqrt(np.mean([one.deflection**2 for one in p.insertions]))
-    assert estimate_model_error(p, theta).sd == pytest.approx(least)
-    verdict = identify(p, fit_at(p, TRUTH))
-    assert verdict.loosened[-1].sds["mu1_pa"] > 3 * verdict.sds["mu1_pa"]
-
-    def bend(planar):
-        wave = 0.2 * np.sin(2 * np.pi * planar[:, 0] / 30.0)
-        return planar + np.column_stack((0 * wave, wave))
-
-    made = [measure(TRUTH, record, insertion(d, angle_sd=0.0), error=bend) for d in (60.0, 70.0, 80.0)]
-    p = problem(record, made, noise=Noise(point_sd=0.01))
-    found = estimate_model_error(p, np.array(p.parameters.theta(TRUTH)))
-    assert 0.1 < found.sd < 0.3  # rms 0.14 mm
-    found = Discrepancy(0.5, 10.0).covariance(np.array([0.0, 10.0]))
-    assert found == pytest.approx(0.25 * np.array([[1, math.exp(-0.5)], [math.exp(-0.5), 1]]))

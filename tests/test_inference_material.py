@@ -8,7 +8,6 @@ from compression_cases import MU, specimen
 from inference_cases import TRUTH, insertion, measure, medium, problem
 from test_inference_identify import FINE, fit_at
 
-from needlefit.datasets.compression import SpecimenRows, extract_loading
 from needlefit.errors import ConfigError, FitError
 from needlefit.inference.identifiability.identify import identify
 from needlefit.inference.material import (
@@ -32,34 +31,6 @@ def test_exact_curves_give_back_their_mu_and_alpha(alpha, kind):
     fit = fit_specimen(specimen(alpha, measure=kind), kind)
     assert fit.alpha == pytest.approx(alpha, abs=1e-6) and fit.mu == pytest.approx(MU, rel=1e-6)
     assert fit.identified and fit.sds[1] < 1e-3
-
-
-@pytest.mark.sweep
-def test_the_95_percent_region_covers_the_truth_about_as_often():
-    fits = [fit_specimen(specimen(-5.0, 0.85, 0.01, seed), "nominal") for seed in range(60)]
-    inside = [any(low <= -5 <= high for low, high in fit.profile.regions) for fit in fits]
-    assert 52 <= sum(inside) <= 60  # 57 expected, sd 1.7
-    scatter = np.std([fit.alpha for fit in fits])
-    assert np.median([fit.sds[1] for fit in fits]) == pytest.approx(scatter, rel=0.35)
-    assert np.median([fit.noise for fit in fits]) == pytest.approx(
-        0.01 * np.abs(specimen(-5.0, 0.85).stress).max(), rel=0.1
-    )
-
-
-def test_errors_shared_by_neighbours_count_as_few_points():
-    one = specimen(-5.0, 0.85)
-    wave = 0.01 * np.abs(one.stress).max() * np.sin(np.linspace(0, 18, 60))
-    smooth = fit_specimen(type(one)("gel", one.stretch, one.stress + wave), "nominal")
-    rough = fit_specimen(specimen(-5.0, 0.85, 0.01 / math.sqrt(2)), "nominal")
-    assert smooth.effective_points < 5 < rough.effective_points
-    assert smooth.sds[1] > 2 * rough.sds[1]
-    # 20000 readings to the model's liking are worth no more than the waves of its misfit.
-    exact = specimen(-5.0, 0.7, count=20000)
-    largest = np.abs(exact.stress).max()
-    error = 0.005 * np.sin(np.linspace(0, 14, 20000)) + 0.005 * np.random.default_rng(1).normal(size=20000)
-    record = SpecimenRows("gel", [], exact.stretch, exact.stress + largest * error)
-    fit = fit_specimen(extract_loading(record), "nominal")
-    assert fit.effective_points < 6 and fit.profile.regions[0][0] < -5 < fit.profile.regions[0][1]
 
 
 def test_shallow_tests_mirror_images_and_wrong_signs_determine_nothing():

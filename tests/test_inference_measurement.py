@@ -30,7 +30,6 @@ from needlefit.project.toml import load
 from needlefit.schemas.dataset import MeasurementRecord, SectionsRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
-from needlefit.studies.simulated_data import simulate_measurement
 
 TRUE = {"mu1_pa": 3e5, "alpha1": 1.0, "mu2_pa": 2e7, "alpha2": -1.0, "bevel_mm": needles.BEVEL}
 MEDIUM = MediumRecord.model_validate(
@@ -111,17 +110,6 @@ def test_smoothing_moves_points_but_not_residuals_and_the_gradient_is_exact(scan
     observation = make_observation(stated, one)
     assert observation.rows == round(one.depth / KNOT) + 3
     assert observation.whitening.shape == (observation.rows, len(one.planar))
-
-
-def test_residuals_of_simulated_measurements_have_unit_variance(scanned):
-    rng, found = np.random.default_rng(3), []
-    for one in scanned.insertions * 6:
-        again = simulate_measurement(scanned, one, TRUE, MEDIUM, rng)
-        observation = make_observation(scanned, again)
-        shape = predict(TRUE, MEDIUM, scanned.needle, again)
-        found.append(whiten_deflections(observation, read_points(again, shape, observation.nodes.s[0])[:, 1]))
-    squares = np.concatenate(found) ** 2
-    assert squares.mean() == pytest.approx(1, abs=4 * np.sqrt(2 / len(squares)))
 
 
 def test_sections_are_written_and_read(scanned, tmp_path):

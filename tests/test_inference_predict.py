@@ -132,13 +132,3 @@ def test_crps_of_many_draws_with_heavy_tails_is_that_of_all_pairs(sd):
 
     pairs = mean_absolute(draws[:, None] - draws, np.sqrt(2) * sd)
     assert found == pytest.approx(mean_absolute(0.3 - draws, sd) - pairs / 2, rel=3e-3)
-
-
-def test_intervals_cover_their_nominal_fraction():
-    """Draws of the same distribution as the truth: 50 and 95 % of truths lie within."""
-    rng = np.random.default_rng(4)
-    mixture = PredictiveMixture(rng.normal(size=(400, 1)), np.array([0.5]))
-    truths = rng.normal(size=4000) + 0.5 * rng.normal(size=4000)
-    for level in (0.5, 0.95):
-        low, high = interval(mixture, level)
-        assert np.mean((truths > low) & (truths < high)) == pytest.approx(level, abs=0.03)

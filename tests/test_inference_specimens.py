@@ -67,23 +67,6 @@ def test_density_is_that_of_gaussian_estimates_whose_variances_add(tau):
     assert one.log_density(np.array([[*MEAN, *tau]])) == pytest.approx([expected])
 
 
-def test_a_spread_of_zero_is_found_to_reach_zero_and_one_specimen_leaves_it_to_its_prior():
-    intervals = {}
-    for tau in (0.0, 0.6):
-        found = population(tau, 10, 3).posterior(np.random.default_rng(4))
-        assert found.certified
-        weights = np.exp(found.log_weights)
-        intervals[tau] = [
-            highest_density_interval(column, weights, 0.95, 0.0) for column in found.thetas.T[2:]
-        ]
-    assert [low for low, _ in intervals[0.0]] == [0.0, 0.0]
-    assert max(high for _, high in intervals[0.0]) < 0.2
-    assert all(0.2 < low < 0.6 < high < 1.3 for low, high in intervals[0.6])
-    found = population(0.6, 1, 5).posterior(np.random.default_rng(6))
-    weights = np.exp(found.log_weights)
-    assert np.sum(weights * found.thetas[:, 2] ** 2) == pytest.approx(1.0, abs=0.25)  # of a half-normal, sd 1
-
-
 # ---- what is learned of the spread from some specimens, against integrals; a new specimen
 
 PRIOR = (math.log(2.0), math.log(1.2))

@@ -23,7 +23,6 @@ from track_cases import (
 
 from needlefit.errors import ConfigError, DataError
 from needlefit.inference.baselines import BASELINES
-from needlefit.inference.baselines.guide_kernel import make_kernel_basis
 from needlefit.inference.compared_points import extrapolate_tip, find_end, share_simulations
 from needlefit.inference.forward_model import simulate_deflections
 from needlefit.inference.likelihood import observation
@@ -195,20 +194,6 @@ def test_log_posterior_residuals_and_gradient_are_one_density(runs, together):
     assert asked.log_posteriors(np.array([THETA, other, other + 50.0]))[2] == -np.inf
 
 
-def test_predictions_ahead_cover_their_nominal_fraction():
-    """Shift free, slope as its prior says: 95 % intervals of the last reading hold in 95 % of runs."""
-    rng, blank = np.random.default_rng(5), observation.make_observation(dataset([]), track("run", REST))
-    slope, hits = SlopeMoments(np.full(200, 0.03), np.full(200, 0.01**2)), 0
-    for _ in range(200):
-        noise = NOISE.point_sd * rng.normal(size=len(DEPTH))
-        tip = rng.normal(0, 20) + rng.normal(0.03, 0.01) * DEPTH + noise
-        known = replace(blank, measured=np.column_stack([DEPTH, tip]))
-        draws = predict_readings(known, np.zeros((200, len(DEPTH))), np.ones(200), slope, 5, rng)
-        low, high = np.quantile(draws[:, -1], (0.025, 0.975))
-        hits += low <= tip[-1] <= high
-    assert 0.9 <= hits / 200 <= 0.985  # 0.95 +- 3 deviations
-
-
 def test_later_readings_do_not_enter_the_prediction(runs):
     known = observation.make_observation(dataset(runs), runs[0])
     later = runs[0].tip.copy()
@@ -247,42 +232,6 @@ def test_a_line_takes_its_slope_from_runs_alike():
         assert found.variance == pytest.approx(np.full(3, 1e-4 * (1 + 1 / 3) * 4 / 2))
     few = estimate_slopes(TrackDraws(drawn.tuned[2:], (), drawn.scale, True), seen[2:], tracks[-1])
     assert few.mean == pytest.approx(np.full(3, 0.0675))
-
-
-def test_the_kernel_recovers_a_response_to_the_guide():
-    truth = np.array([3e-4, 0.4, 0.02, 0.005])
-    tracks = [track(f"run{n}", one) for n, one in enumerate((GUIDE, -GUIDE, REST, GUIDE[::-1]))]
-    noise = np.random.default_rng(3).normal(0, 0.02, (4, len(DEPTH)))
-    bent = [
-        with_tip(one, make_kernel_basis(one) @ truth + 0.03 * DEPTH + n + err)
-        for n, (one, err) in enumerate(zip(tracks, noise, strict=True))
-    ]
-    seen = [observation.make_observation(dataset([]), one) for one in bent]
-    further = track("further", 2 * GUIDE)
-    found = draw_baseline(BASELINES["guide_kernel"], seen, [further], 300, np.random.default_rng(1))
-    ahead = make_kernel_basis(further) @ truth + 0.03 * DEPTH
-    assert np.median(found.held_out[0], axis=0) == pytest.approx(ahead, abs=0.15)
-    assert np.ptp(ahead) > 3
-    rest = draw_baseline(BASELINES["guide_kernel"], seen[2:3], [further], 3, np.random.default_rng(1))
-    assert rest.held_out[0].shape == (3, len(DEPTH))  # nothing is known of the guide's effects: none
-
-
-def test_a_parabola_is_fitted_toward_the_bevel():
-    bow = 4e-4 * DEPTH**2 / 2
-    tracks = [with_tip(track(f"run{s}", REST, side=s), s * bow + 0.01 * DEPTH) for s in (1, -1)]
-    noisy = [
-        with_tip(one, one.tip + 0.02 * np.random.default_rng(n).normal(size=len(DEPTH)))
-        for n, one in enumerate(tracks)
-    ]
-    seen = [observation.make_observation(dataset([]), one) for one in noisy]
-    found = draw_baseline(BASELINES["constant_curvature"], seen, tracks, 500, np.random.default_rng(2))
-    ends = found.held_out[0][:, -1], found.held_out[1][:, -1]
-    assert np.median(ends[0]) == pytest.approx(bow[-1], abs=3 * np.std(ends[0]))
-    assert np.std(ends[0]) < 0.05 and np.allclose(ends[0], -ends[1])
-    assert np.median(found.scale) == pytest.approx(1.0, abs=0.35)
-    assert (
-        not draw_baseline(BASELINES["straight"], seen, tracks, 5, np.random.default_rng(2)).held_out[0].any()
-    )
 
 
 def test_each_predicted_run_has_a_bevel_of_its_own(monkeypatch, runs):
@@ -363,23 +312,6 @@ def test_the_estimate_is_the_posterior_on_a_grid() -> None:
     assert found.sd == pytest.approx(sd, rel=0.15)
     assert np.all(np.abs(found.theta - truth) < 3 * found.sd)
     assert found.readings == len(readings) == 60
-
-
-def test_readings_narrow_the_estimate_and_predict_the_tip_ahead() -> None:
-    """For truths drawn from the prior: the errors are as large as the standard deviations."""
-    rng, needle = np.random.default_rng(5), tracked(layers=3)
-    prior = make_prior_from_factors(needle.tissue.mu, 0.08, (1.8, 1.5), TIP_NOISE)
-    ahead, scores, errors = tracked(80.0, layers=3), [], []
-    ahead = ahead._replace(steps=(needle.steps[0], ahead.steps[1]))
-    for _ in range(12):
-        truth = np.log(prior.transform(rng.standard_normal((1, 4))))[0]
-        found = estimate_parameters(needle, make_readings(needle, truth, rng.integers(99)), prior, TIP_NOISE)
-        scores.append((found.theta - truth) / found.sd)
-        tips = [read_tips(ahead, one, np.array([80.0]))[0] for one in (truth, prior.theta, found.theta)]
-        errors.append(np.subtract(tips[1:], tips[0]))
-    assert 0.6 < np.sqrt(np.mean(np.square(scores))) < 1.4
-    without, updated = np.sqrt(np.mean(np.square(errors), axis=0))
-    assert updated < 0.3 * without
 
 
 def test_an_estimate_can_be_the_prior_of_further_readings() -> None:

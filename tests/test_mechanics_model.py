@@ -11,8 +11,7 @@ from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.simulate import equilibrium, simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.scene import RulesRecord
-from needlefit.verification.check import Group
-from needlefit.verification.run import find_checks, verify
+from needlefit.verification.check import Group, find_checks, verify
 
 
 def phantom(boundaries: tuple[float, ...] = (20.0, 28.0, 45.0)) -> Tissue:

@@ -104,7 +104,13 @@ def test_it_finds_everything_that_ships(installed, tmp_path):
 
 def test_the_wheel_explains_warnings_files_terms_and_columns(installed, tmp_path):
     out = call(sys.executable, "-m", "needlefit", "explain", "--json", env=installed, cwd=tmp_path)
-    assert {one["key"] for one in json.loads(out)} >= {*read_sections(), "study.toml", "stretch", "te_mm"}
+    assert {one["key"] for one in json.loads(out)} >= {
+        *read_sections(),
+        "study.toml",
+        "scans.csv",
+        "stretch",
+        "te_mm",
+    }
 
 
 def test_init_from_the_wheel_gives_a_project(installed, tmp_path):

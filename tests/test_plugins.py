@@ -7,16 +7,26 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 from light_runs import draw_blank, predict_by_few_draws
 from plugin_cases import EXAMPLE, VERSION, install, plugin_folder
+from reporting_results import skip_figures
 from test_cli import run
 
+from needlefit import registry
+from needlefit.datasets.read import check
+from needlefit.datasets.template import write_template
+from needlefit.errors import ConfigError
+from needlefit.mechanics.laws import LAWS
 from needlefit.project.locate import find_file
+from needlefit.registry import PLUGINS_VARIABLE, Registry, plugin_versions, use_plugins
+from needlefit.verification.checks.compiled import measure_law
 
 STUDY = """\
 schema = 2
@@ -136,3 +146,240 @@ def test_without_the_plugin_the_stored_result_is_still_shown(project: Path) -> N
     subprocess.run(words, cwd=project, check=True)  # its columns are declared nowhere: no check of tests
     page = (project / "reports/plain/report.html").read_text(encoding="utf-8")
     assert "End error" not in page
+
+
+MEDIUM = """schema = 1
+layers = 2
+law = "logarithmic"
+
+[parameters]
+mu1_pa = { bounds = [1e4, 1e6] }
+alpha1 = { bounds = [0.0, 3.0] }
+mu2_pa = { tie = "mu1_pa", spread = 1.0 }
+alpha2 = { tie = "alpha1" }
+bevel_mm = { bounds = [1e-3, 0.5] }
+"""
+
+STUDY_laws = """schema = 2
+title = "Mine"
+dataset = "mine"
+medium = "soft"
+recipe = "tiny"
+tune = { insertions = ["example1"] }
+validate = [{ insertions = ["example2"] }]
+"""
+
+RECIPE = """schema = 2
+algorithm = "leastsquares"
+starts = 1
+evaluations = 100
+tolerance = 1e-2
+
+[weights]
+ipe = 1.0
+te = 1.0
+edp = 0.1
+edp_floor_mm = 0.2
+
+[likelihood]
+bevel_spread = 0.0
+"""
+
+Site = tuple[Path, tuple[str, ...]]
+"""The folder of the plugin, and the options that name it."""
+
+
+@pytest.fixture(params=["entry point", "option"])
+def site_laws(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Site]:
+    by_entry_point = request.param == "entry point"
+    folder = install(tmp_path / "site", entry_point=by_entry_point)
+    with plugin_folder(folder, monkeypatch):
+        yield folder, () if by_entry_point else ("--plugins", EXAMPLE)
+
+
+@pytest.fixture
+def project_laws(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A project whose centrelines are `.xyz` files, and whose medium has the law of the plugin."""
+    here = tmp_path / "work"
+    for folder in ("configs/media", "configs/recipes", "studies", "data"):
+        (here / folder).mkdir(parents=True)
+    monkeypatch.chdir(here)
+    dataset = write_template(here / "data" / "mine")
+    dataset.write_text(dataset.read_text().replace("{id}.csv", "{id}.xyz"))
+    for table in (dataset.parent / "centerlines").glob("*.csv"):
+        np.savetxt(table.with_suffix(".xyz"), pd.read_csv(table).to_numpy())
+        table.unlink()
+    (here / "configs/media/soft.toml").write_text(MEDIUM)
+    (here / "configs/recipes/tiny.toml").write_text(RECIPE)
+    (here / "studies/mine.toml").write_text(STUDY_laws)
+    return here
+
+
+def test_a_study_with_everything_of_a_plugin(
+    site_laws: Site, project_laws: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, options = site_laws
+    skip_figures(monkeypatch)
+    predict_by_few_draws(monkeypatch)
+    assert run("check", "mine", *options) == 0
+    capsys.readouterr()
+    assert run("validate", "mine", "--json", "-q", *options) == 0
+    assert json.loads(capsys.readouterr().out)
+    stored = json.loads((project_laws / "reports/mine/run.json").read_text())
+    version = stored["versions"][EXAMPLE]
+    assert version == VERSION if not options else version.startswith("sha256:")
+    assert stored["rules"]["law"] == "logarithmic"
+    assert run("report", "mine", *options) == 0
+    assert {"logarithmic", "ogden"} < {*LAWS.names()}
+
+
+def test_curves_of_the_format_become_a_dataset(site_laws: Site, project_laws: Path) -> None:
+    _, options = site_laws
+    assert run("new", "dataset", "other", "--from", "data/mine/centerlines/example1.xyz", *options) == 0
+    assert check(Path("other")) == []
+
+
+def test_the_law_is_verified(site_laws: Site) -> None:
+    _, options = site_laws
+    use_plugins(options[1:])
+    found = measure_law("logarithmic", np.random.default_rng(1))
+    assert max(found.values) < 1e-6
+
+
+def test_without_the_plugin_law_and_format_are_unknown(project_laws: Path) -> None:
+    assert run("check", "mine") == 3
+    assert run("tune", "mine") == 3
+
+
+def test_a_module_of_the_working_folder_is_refused(
+    project_laws: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    install(project_laws, entry_point=True)
+    with plugin_folder(project_laws, monkeypatch):
+        assert run("check", "mine", "--plugins", EXAMPLE) == 3
+        assert EXAMPLE in capsys.readouterr().err
+
+
+@dataclass(frozen=True)
+class Fruit:
+    """An entry."""
+
+    name: str
+
+
+FRUIT = f"from {__name__} import Fruit\n"
+
+
+@pytest.fixture
+def fruits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Registry[Fruit]]:
+    """A registry of a package with two entries, in a process without plugins."""
+    package = tmp_path / "site" / "orchard"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text("")
+    (package / "_tools.py").write_text("raise RuntimeError")
+    (package / "apple.py").write_text(f"{FRUIT}APPLE = AGAIN = Fruit('apple')\n")
+    (package / "pear.py").write_text(f"{FRUIT}PLUM = Fruit('plum')\n")
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    monkeypatch.setenv(PLUGINS_VARIABLE, "")
+    monkeypatch.setattr(registry, "_loaded", None)
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    before = set(sys.modules)
+    yield Registry(Fruit, "orchard", "fruit")
+    for name in set(sys.modules) - before:
+        del sys.modules[name]
+
+
+def test_built_in_entries_are_files_imported_when_used(fruits: Registry[Fruit]) -> None:
+    assert fruits.names() == ("apple", "pear")
+    assert "orchard.apple" not in sys.modules
+    assert fruits["apple"] == Fruit("apple") and fruits.plugin_of("apple") is None
+    assert "apple" in fruits and "fig" not in fruits
+    with pytest.raises(ConfigError) as unknown:
+        fruits["aple"]
+    assert "apple, pear" in unknown.value.expected and "apple" in unknown.value.fix
+    with pytest.raises(ConfigError) as misnamed:
+        fruits["pear"]
+    assert misnamed.value.where.endswith("pear.py")
+
+
+@pytest.mark.parametrize("entry_point", [True, False])
+def test_a_plugin_adds_every_entry_it_holds(
+    fruits: Registry[Fruit], tmp_path: Path, entry_point: bool
+) -> None:
+    source = f"{FRUIT}from orchard.apple import APPLE\nFIG = Fruit('fig')\nA = Fruit('date')\n"
+    install(tmp_path / "site", module="basket", entry_point=entry_point, source=source)
+    if not entry_point:
+        assert "fig" not in fruits
+        use_plugins(["basket"])
+    assert fruits.names() == ("apple", "date", "fig", "pear")
+    versions = plugin_versions((fruits, "fig"), (fruits, "apple"))
+    assert list(versions) == ["basket"]
+    assert versions["basket"] == VERSION if entry_point else versions["basket"].startswith("sha256:")
+    assert plugin_versions((fruits, "apple")) == {}
+
+
+@pytest.mark.parametrize("name", ["apple", "fig"])
+def test_a_name_that_exists_is_refused(fruits: Registry[Fruit], tmp_path: Path, name: str) -> None:
+    for module in ("basket", "crate"):
+        install(tmp_path / "site", module=module, source=f"{FRUIT}ONE = Fruit('{name}')\n")
+    with pytest.raises(ConfigError) as refused:
+        fruits.names()
+    assert ("orchard.apple" if name == "apple" else "basket") in refused.value.what
+    assert ("basket" if name == "apple" else "crate") in refused.value.what
+
+
+@pytest.mark.parametrize("content", ["1 / 0", "import a_module_that_is_missing"])
+def test_a_plugin_that_cannot_be_imported_is_named(
+    fruits: Registry[Fruit], tmp_path: Path, content: str
+) -> None:
+    install(tmp_path / "site", module="broken", source=content)
+    with pytest.raises(ConfigError, match="broken"):
+        fruits.names()
+
+
+@pytest.mark.parametrize("place", ["work", "work/data/twin", "elsewhere/needles"])
+@pytest.mark.parametrize("entry_point", [True, False])
+def test_no_plugin_is_found_in_the_working_folder_or_among_data(
+    fruits: Registry[Fruit],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    place: str,
+    entry_point: bool,
+) -> None:
+    marker = tmp_path / "it-ran"
+    source = f"from pathlib import Path\nPath({str(marker)!r}).touch()\n"
+    install(tmp_path / place, module="planted", entry_point=entry_point, source=source)
+    if place != "work":
+        (tmp_path / place / "dataset.toml").touch()
+    monkeypatch.syspath_prepend(tmp_path / place)
+    monkeypatch.syspath_prepend("")
+    if entry_point:
+        assert fruits.names() == ("apple", "pear")
+    else:
+        use_plugins(["planted"])
+        with pytest.raises(ConfigError, match="planted"):
+            fruits.names()
+    assert not marker.exists()
+    assert "" in sys.path
+
+
+def test_a_process_of_its_own_uses_the_same_plugins(
+    fruits: Registry[Fruit], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    install(tmp_path / "site", module="basket", entry_point=False, source="")
+    use_plugins(["basket"])
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "site"), prepend=":")
+    program = "from needlefit.registry import load_plugins; print(*[one.name for one in load_plugins()])"
+    child = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert child.stdout.split() == ["basket"]
+
+
+def test_an_entry_of_a_plugin_that_fails_is_named(fruits: Registry[Fruit], tmp_path: Path) -> None:
+    install(tmp_path / "site", module="basket", source=f"{FRUIT}FIG = Fruit('fig')\n")
+    with pytest.raises(ConfigError, match="basket"), fruits.plugin_error_context("fig"):
+        1 / 0  # noqa: B018
+    with pytest.raises(ZeroDivisionError), fruits.plugin_error_context("apple"):
+        1 / 0  # noqa: B018

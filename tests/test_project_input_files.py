@@ -9,8 +9,9 @@ from pathlib import Path
 from time import process_time
 
 import pytest
+from pydantic import ValidationError
 
-from needlefit.errors import ConfigError, DataError
+from needlefit.errors import MAX_MESSAGE_CHARACTERS, ConfigError, DataError, printable
 from needlefit.project import input_files
 from needlefit.project.input_files import (
     MAX_NESTING_LEVELS,
@@ -22,6 +23,11 @@ from needlefit.project.input_files import (
     read_text,
     read_toml,
 )
+from needlefit.project.toml import add_file_context, add_key_context, find_line, load, schema_faults
+from needlefit.schemas.dataset import MeasurementRecord
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.study import FitRecord
 
 SECRET = "root:x:0:0:secret"
 
@@ -175,3 +181,143 @@ def test_keys_with_numbers_alone_are_read_as_toml(text):
 def test_keys_with_numbers_that_are_no_toml_are_refused(text):
     with pytest.raises(ConfigError):
         parse_toml(text, "here")
+
+
+def faults(record=RecipeRecord, **table):
+    with pytest.raises(ValidationError) as caught:
+        record.model_validate(table if record is MeasurementRecord else {"schema": 1, **table})
+    return schema_faults(caught.value, record)
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        (0, "above 0"),
+        ("estimate", "quotes"),
+        (float("inf"), "finite"),
+    ],
+)
+def test_a_wrong_union_value_is_one_fault(value, expected):
+    (fault,) = faults(likelihood={"noise_scale": value})
+    assert fault.key == "likelihood.noise_scale"
+    assert expected in fault.expected and '"estimated"' in fault.expected
+
+
+def test_two_wrong_keys_are_two_faults():
+    assert [one.key for one in faults(starts=0, likelihood={"depths": "deep"})] == [
+        "starts",
+        "likelihood.depths",
+    ]
+
+
+@pytest.mark.parametrize("name", ["mu3_pa", "mu3"])
+@pytest.mark.parametrize("parameter", [{"as": "mu1", "spread": 1.2}, {"spread": 1.2}])
+def test_a_parameter_that_states_nothing_known_names_its_forms(name, parameter):
+    for fault in faults(MediumRecord, layers=3, parameters={name: parameter}):
+        assert fault.key.startswith(f"parameters.{name}") and f"parameters.{name}" in fault.fix
+        assert 'tie = "mu1_pa", spread = 1.2' in fault.expected
+
+
+@pytest.mark.parametrize("operator", ["gaussian", "spline", "unknown"])
+def test_an_operator_without_its_keys_names_them(operator):
+    (fault,) = faults(MeasurementRecord, operator=operator)
+    assert operator in fault.what and operator in fault.expected and fault.fix
+
+
+def test_a_file_of_a_later_schema_is_refused_and_left_alone(tmp_path):
+    file, text = tmp_path / "recipe.toml", f"schema = {RecipeRecord.SCHEMA + 1}\n"
+    file.write_text(text)
+    with pytest.raises(ConfigError) as fault:
+        load(file, RecipeRecord)
+    assert fault.value.where == f"{file}:1" and "`schema`" in fault.value.what and file.read_text() == text
+    for schema in range(1, RecipeRecord.SCHEMA + 1):
+        file.write_text(f"schema = {schema}\n")
+        load(file, RecipeRecord)
+
+
+TEXT = '''\
+# a comment with point_sd_mm = 1
+schema = 1
+title = """
+[noise]
+point_sd_mm = 2
+"""
+
+[noise]
+note = "point_sd_mm"
+point_sd_mm = 0.0
+
+[media."gel.1"]
+surfaces = [
+    { file = "a.stl", into = 2 },
+]
+[[validate]]
+layers = [1]
+[[validate]]
+layers = [2]
+'''
+
+
+@pytest.mark.parametrize(
+    ("key", "line"),
+    [
+        ("schema", 2),
+        ("title", 3),
+        ("noise", 8),
+        ("noise.point_sd_mm", 10),
+        ("noise.missing", 8),
+        ("media.gel.1.surfaces", 13),
+        ("media.gel.1.surfaces.1.into", 13),
+        ("validate.1.layers", 17),
+        ("validate.2.layers", 19),
+        ("validate.2", 18),
+        ("validate.3.layers", 16),
+        ("nothing", None),
+    ],
+)
+def test_the_line_of_a_key(key, line):
+    assert find_line(TEXT, key) == line
+
+
+@pytest.mark.parametrize("text", ["", "= 1", "a = [" * 3000])
+def test_a_text_without_the_key_has_no_line(text):
+    assert find_line(text, "a.b") is None
+
+
+def test_errors_name_the_file_and_line_once(tmp_path):
+    file, other = tmp_path / "fit.toml", tmp_path / "other.toml"
+    file.write_text('schema = 1\ndataset = "twin"\nmedium = 3\n')
+    other.write_text("dataset = 1\n")
+    with pytest.raises(ConfigError) as fault:
+        load(file, FitRecord)
+    assert fault.value.where == f"{file}:3"
+    with (
+        pytest.raises(ConfigError) as fault,
+        add_file_context(other),
+        add_file_context(file),
+        add_key_context("dataset"),
+    ):
+        raise ConfigError("is wrong")
+    assert fault.value.where == f"{file}:2"
+    with pytest.raises(ConfigError) as fault, add_file_context(file), add_key_context("dataset"):
+        raise ConfigError("is wrong", where="elsewhere")
+    assert fault.value.where == "elsewhere"
+
+
+@pytest.mark.parametrize("text", ["\x1b[2J", "\x1b]0;t\x07", "a\rb", "\x00", "\x9b31m", "\u202e", "\udcff"])
+def test_control_characters_of_a_terminal_are_escaped(text):
+    shown = str(DataError(f"is {text}", where=f"{text}.csv", expected=text, fix=text))
+    assert shown.isprintable() or set("\n") == {c for c in shown if not c.isprintable()}
+    assert text not in shown
+    shown.encode("utf-8")
+
+
+def test_words_of_any_language_and_line_ends_stay():
+    text = "Länge: 3 µm\n  漢字\tß"
+    assert printable(text) == text
+
+
+@pytest.mark.parametrize("text", ["A" * 10**6, "short line\n" * 10**5, "\x1b" * 10**6])
+def test_messages_have_a_length_limit(text):
+    assert len(str(DataError(text))) < 7 * MAX_MESSAGE_CHARACTERS
+    assert str(DataError(text)).startswith(printable(text[:20]))

@@ -5,12 +5,15 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from needlefit.errors import ConfigError
 from needlefit.project.json_values import to_json_values
 from needlefit.project.locate import PAPER_FITS, PAPER_STUDIES, find_file
 from needlefit.project.toml import load
 from needlefit.schemas.study import SelectionRecord, StudyRecord
+from needlefit.studies import paper
 from needlefit.studies.job import prepare
 from needlefit.studies.kinds.cross_validation.run import Settings, run
+from needlefit.studies.paper.claims import Claim, ClaimBound
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.reference import round_frame
 from needlefit.studies.store import read_run
@@ -55,3 +58,95 @@ def test_study_5_is_of_the_same_data_and_rules():
     now = to_json_values(describe_configuration(job))
     for key in ("dataset", "rules", "medium"):
         assert now[key] == committed[key], f"{key} changed: write the evidence anew, and say why"
+
+
+def by_topic(part: str) -> Claim:
+    (found,) = [claim for claim in paper.check_claims() if part in claim.topic]
+    return found
+
+
+def test_every_table_is_read_with_its_rows():
+    assert {name: len(paper.read_published_table(name)) for name in paper.TABLE_TITLES} == {
+        "insertions": 7,
+        "study_design": 8,
+        "tuning_by_layers": 4,
+        "tuning_by_media": 4,
+        "validation": 8,
+        "parameters": 10,
+    }
+    assert paper.read_published_table("insertions")["insertions"].sum() == 47
+
+
+def test_hand_tuned_set_leaves_out_the_layers_it_has_not():
+    assert paper.read_hand_tuned("study5") == {"mu1_pa": 4e3, "alpha1": 0.2, "bevel_mm": 0.085}
+    assert paper.read_hand_tuned("phantom1")["mu3_pa"] == 2e6
+
+
+def test_unknown_hand_tuned_set_lists_the_known_ones():
+    with pytest.raises(ConfigError, match="study5"):
+        paper.read_hand_tuned("study6")
+
+
+def test_the_local_project_comes_before_the_shipped_one(tmp_path, monkeypatch):
+    (tmp_path / "data" / "paper").mkdir(parents=True)
+    (tmp_path / "data" / "paper" / "validation.csv").write_text("study\n7\n")
+    monkeypatch.chdir(tmp_path)
+    assert paper.read_published_table("validation")["study"].tolist() == [7]
+    assert len(paper.read_published_table("insertions")) == 7
+
+
+@pytest.mark.parametrize(
+    ("topic", "statement", "other"),
+    [
+        ("Four- and three-layer", "9 + 5", "8 + 6"),
+        ("Four-layer insertions that tune", "9", "8"),
+        ("Chicken insertions", "3 × 4 = 12", "3 + 9 = 12"),
+        ("What tunes", "insertions across three layers", "1 insertion and 1 insertion, of 5"),
+        ("In-plane errors in cross-validation", "less than 1 mm", "1.41 mm (study 3, 3 layers)"),
+        ("Average TE by media", "smaller than 0.36 mm", "0.37 mm (phantom 2)"),
+        ("Largest average IPE by layers", "0.62 mm and 0.60 mm", "0.36 mm and 0.27 mm"),
+        ("Mean IPE over the 16", "0.21 mm", "0.221 mm over 9 + 5 + 1 + 1"),
+        ("EDP and depth", "smaller for deeper", "10.3 %"),
+        ("Why chicken has a large EDP", "shallower", "61.22 mm, no phantom deeper than 56.49 mm"),
+        ("Largest median and average IPE of studies 1 and 2", "below 0.39 mm", "0.39 mm (study 1, 1 layer)"),
+        ("Largest average tip error of studies 1 and 2", "0.59 mm", "0.64 mm (study 1, 1 layer)"),
+        ("EDP above 100 %", "across all studies", "study 2 has at most 12 %"),
+        ("EDP above 100 % in study 1", "two- and one-layer", "64.8 %"),
+        ("Why EDP exceeds", "shallower", "50.69 to 54.27 mm"),
+        ("Which tables", "4, 5 and 6", "five tables"),
+    ],
+)
+def test_contradiction_names_both_numbers(topic, statement, other):
+    (claim,) = [
+        c for c in paper.find_contradictions() if c.topic == topic or c.topic.startswith(topic + " ")
+    ][:1]
+    assert statement in claim.statement
+    assert other in claim.other_statement
+
+
+def test_the_list_is_complete_and_each_entry_has_two_places():
+    found = paper.find_contradictions()
+    assert len(found) == 16
+    assert all(claim.place and claim.other_place and claim.place != claim.other_place for claim in found)
+
+
+@pytest.mark.parametrize(
+    "topic",
+    [
+        "Median and average errors by layers",
+        "Largest average TE by layers",
+        "Median and average errors by media",
+        "Largest average maximum IPE of studies 1 and 2",
+        "Errors of study 5",
+    ],
+)
+def test_claims_that_the_tables_bear_out_are_no_contradictions(topic):
+    assert by_topic(topic).agrees
+    assert topic not in [claim.topic for claim in paper.find_contradictions()]
+
+
+def test_a_corrected_table_ends_a_contradiction():
+    bound = ClaimBound("Tip", "text", "below 0.36 mm", "tuning_by_media", ("te_mm",), 0.36)
+    table = pd.DataFrame({"medium": ["phantom1", "phantom2"], "te_mm": [0.29, 0.35]})
+    assert bound.check({"tuning_by_media": table}).agrees
+    assert not bound.check({"tuning_by_media": table.assign(te_mm=[0.29, 0.36])}).agrees

@@ -1,15 +1,31 @@
 """What figures count and measure, apart from how they look."""
 
+import ast
+import math
 import re
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
 from reporting_results import stereo, study, with_draws, with_predictions
 
-from needlefit.studies.kinds.cross_validation import figures
+from needlefit.inference.identifiability.profile import DEVIANCE_95
+from needlefit.reporting.figures import style
+from needlefit.reporting.figures.fit_forms import choose_log_ticks, draw_profiles
+from needlefit.studies.kinds.cross_validation import figures, posterior, report
 from needlefit.studies.kinds.cross_validation.facts import describe_counts
-from needlefit.studies.kinds.cross_validation.figures import collect_curves, subtract_fit
+from needlefit.studies.kinds.cross_validation.figures import (
+    collect_curves,
+    subtract_fit,
+    tabulate_predictive_check,
+)
+from needlefit.studies.run import Run
 
 
 def test_residuals_are_heights_above_the_fit_at_the_same_depth():
@@ -53,3 +69,190 @@ def test_all_panels_have_the_stated_vertical_scale(monkeypatch, tmp_path):
     shown = [axes for figure in painted for axes in figure.axes if axes.get_visible()]
     assert shown and {axes.get_aspect() for axes in shown} == {5.0, 20.0}
     assert [re.findall(r"× (\d+)", one.get_supylabel()) for one in painted] == [["20"], ["5"]]
+
+
+WHAT = {
+    "boxplot": ("y", slice(None)),
+    "corner": ("xy", slice(None)),
+    "predicted": ("xy", slice(0, None, 2)),
+    "schematic": ("y", slice(None)),
+    "overlays": ("xy", slice(None)),
+    "residuals": ("xy", slice(None)),
+    "baselines": ("x", slice(None)),
+    "waterfall": ("xy", slice(0, 1)),
+}
+"""Which axes of which panels hold data; the others hold places: of groups, baselines, intervals,
+parameters."""
+
+
+@pytest.fixture
+def painted(monkeypatch) -> dict[str, Figure]:
+    """Figures by the name of their file, as they are painted; their files are left empty."""
+    found: dict[str, Figure] = {}
+
+    def keep(path: Path, paint: Callable[[], Figure]) -> Path:
+        path.touch()
+        found[path.stem] = paint()
+        return path
+
+    monkeypatch.setattr(style, "draw", keep)
+    return found
+
+
+def drawn(axes: Axes) -> Iterator[np.ndarray]:
+    """The points (N, 2) of lines, marks and bands that lie in the coordinates of the data."""
+    for line in axes.get_lines():
+        if line.get_transform() == axes.transData and len(line.get_xydata()):
+            yield np.asarray(line.get_xydata(), dtype=float)
+    for patch in axes.collections:
+        if isinstance(patch, PolyCollection):
+            yield np.concatenate([path.vertices for path in patch.get_paths()] or [np.empty((0, 2))])
+
+
+def stands_in(table: pd.DataFrame, values: np.ndarray) -> np.ndarray:
+    """Which values are among the table's numbers."""
+    known = np.sort(table.select_dtypes("number").to_numpy(dtype=float).ravel())
+    known = known[np.isfinite(known)]
+    at = np.clip(np.searchsorted(known, values), 1, len(known) - 1)
+    near = np.minimum(np.abs(known[at] - values), np.abs(known[at - 1] - values))
+    return near <= 1e-6 * np.maximum(1.0, np.abs(values))
+
+
+@pytest.mark.parametrize(
+    "results", [with_predictions(with_draws(study(5))), stereo()], ids=["study5", "stereo"]
+)
+def test_drawn_values_are_those_of_the_table(results, painted, tmp_path):
+    report.draw_figures(results, tmp_path)
+    report.draw_error_figures([results, results], tmp_path)
+    pictures = {path.stem for path in tmp_path.glob("*.pdf")}
+    assert (
+        pictures == set(painted)
+        and {"boxplot", "overlays", "residuals", "baselines", "waterfall"} <= pictures
+    )
+    for name, figure in painted.items():
+        table = pd.read_csv(tmp_path / f"{name}.csv")
+        assert set(table["origin"]) == {results.origin}
+        held, panels = WHAT[name]
+        for points in (points for axes in figure.axes[panels] for points in drawn(axes)):
+            for axis in held:
+                values = points[np.isfinite(points).all(axis=1), "xy".index(axis)]
+                values = values[~np.isin(values, (0, 1, 1e-3))]  # zero lines, tolerance, least excess drawn
+                assert stands_in(table, values).all(), (name, axis)
+
+
+def test_the_ridge_is_the_longest_axis_of_the_draws():
+    """Across it mu1 * b^2 is known to 2 % (as made), along it mu1 within a factor of 5."""
+    made = with_draws(study(5), 4000)
+    names = ["mu1_pa", "bevel_mm"]
+    assert posterior.list_free_parameters(made) == names
+    shortest, longest = posterior.principal_axes(made.frames["draws"][names])
+    assert shortest.words.startswith("mu1^0.5 * b ") and "1 %" in shortest.words
+    assert longest.weights[1] / longest.weights[0] == pytest.approx(-0.5, abs=0.01)
+    first, last = posterior.find_ridge_ends(made.frames["draws"][names])
+    slope = np.log(last["bevel_mm"] / first["bevel_mm"]) / np.log(last["mu1_pa"] / first["mu1_pa"])
+    assert slope == pytest.approx(-0.5, abs=0.01)
+    text = report.say(made, "figure_corner")
+    assert "4000 importance draws" in text and "Pareto k 0.31" in text and "NOT CERTIFIED" not in text
+    assert re.search(r"μ₁\^0\.5 · b [\w ]*1 %", text)
+    for source in ("importance", "posterior"):
+        draws = made.frames["draws"].assign(certified=False, draw_source=source)
+        text = report.say(made.with_frames(draws=draws), "figure_corner")
+        assert ("--sample" in text) == (source == "importance") != ("sample.steps" in text)
+        assert re.search("NOT C(ERTIFI|ONVERG)ED", text) and "1 %" not in text
+
+
+def test_levels_are_counted_toward_the_bevel_and_by_needles():
+    """Seven needles; of the levels 0.1, 0.4, 0.7, 0.97 in turn, four lie in the middle half, all in 95 %."""
+    made = with_predictions(study(1))
+    rows = tabulate_predictive_check([made])
+    assert set(rows["insertions"]) == {7}
+    cover = rows[(rows["mark"] == "coverage") & (rows["quantity"] == "shape")].set_index("probability")[
+        "share"
+    ]
+    assert cover.to_dict() == pytest.approx({0.5: 4 / 7, 0.95: 1.0})
+    steps = rows[(rows["mark"] == "ECDF") & (rows["quantity"] == "tip")]
+    assert steps["probability"].tolist() == pytest.approx([0, 0.1, 0.1, 0.4, 0.4, 0.7, 0.7, 0.97, 1])
+    mirrored = {"deflection_mm": -made.frames["errors"]["deflection_mm"]}
+    turned = tabulate_predictive_check([made.with_frames(errors=made.frames["errors"].assign(**mirrored))])
+    other = turned[(turned["mark"] == "ECDF") & (turned["quantity"] == "tip")]["probability"]
+    assert other.tolist() == pytest.approx([0, 0.03, 0.3, 0.3, 0.6, 0.6, 0.9, 0.9, 1])
+
+
+def test_no_figure_is_drawn_but_from_a_table():
+    """`style.draw` lays no table beside: it is for pictures of scans and scenes."""
+    using = {name for name, tree in sources() if "draw" in imported(tree, style.__name__)}
+    assert using == {
+        "reporting/dataset_import.py",
+        "reporting/figures/needles.py",
+        "studies/kinds/reconstruction/pages.py",
+    }
+
+
+def test_what_knows_a_run_names_form_and_frame():
+    """A form draws its frame alone, which is saved beside the figure."""
+    plotting = [
+        name
+        for name, tree in sources()
+        if "Run" in imported(tree, Run.__module__) and any(map(is_plot, ast.walk(tree)))
+    ]
+    assert plotting == []
+
+
+@cache
+def sources() -> tuple[tuple[str, ast.Module], ...]:
+    """All modules that draw or report, by their path in the package."""
+    package = Path(style.__file__).parents[2]
+    return tuple(
+        (path.relative_to(package).as_posix(), ast.parse(path.read_text(encoding="utf-8")))
+        for folder in ("reporting", "studies")
+        for path in (package / folder).rglob("*.py")
+    )
+
+
+def imported(tree: ast.Module, module: str) -> set[str]:
+    """The names that are imported from a module."""
+    found = (node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module == module)
+    return {one.name for node in found for one in node.names}
+
+
+def is_plot(node: ast.AST) -> bool:
+    return isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "plot"
+
+
+@pytest.mark.parametrize("factor", [1.01, 1.1, 2.0, 4.9, 5.1, 30.0, 1e3, 1e6])
+def test_every_range_has_two_to_five_round_ticks(factor):
+    for low in (0.0123, 0.97, 3.3e5):
+        ticks = choose_log_ticks(low, factor * low)
+        assert 2 <= len(ticks) <= 5 and low <= min(ticks) and max(ticks) <= factor * low
+
+
+def frames(sds):
+    """Parabolas of mu with these deviations, and an alpha that is flat."""
+    rows, points = [], []
+    closed, open_ = ({"end_low": end, "end_high": end} for end in ("closed", "bound"))
+    for n, sd in enumerate(sds):
+        name = f"mu{n + 1}_pa"
+        about = {"parameter": name, "value": math.exp(12.0), "fisher_sd": sd, "status": "free", "rise": 6.2}
+        low, high = (math.exp(12 + side * 1.96 * sd) for side in (-1, 1))
+        rows.append({**about, **closed, "low": low, "high": high})
+        points += [
+            {"parameter": name, "value": math.exp(12 + sd * x), "deviance": x**2, "slope": 2 * x / sd}
+            for x in np.linspace(-2.5, 2.5, 9)
+        ]
+    about = {"parameter": "alpha1", "value": 1.0, "fisher_sd": math.inf, "status": "fixed", "rise": 0.01}
+    rows.append({**about, **open_, "low": -3.0, "high": 5.0})
+    points += [{"parameter": "alpha1", "value": x, "deviance": 0.0, "slope": 0.0} for x in (-3.0, 1.0, 5.0)]
+    made = pd.DataFrame(points).assign(fold="all", threshold=DEVIANCE_95)
+    judged = pd.DataFrame(rows).assign(fold="all", draw_source="profile", bound_low=1.0, bound_high=1e9)
+    return judged.assign(interval_low=judged["low"], interval_high=judged["high"]), made
+
+
+def test_narrow_and_broad_profiles_are_drawn_the_same_every_time(tmp_path):
+    for count in (1, 5):
+        drawn = [
+            draw_profiles(
+                *frames([0.01, 0.3, 3.0, 0.1, 1.0][:count]), "synthetic", tmp_path / name
+            ).read_bytes()
+            for name in ("one.pdf", "two.pdf")
+        ]
+        assert drawn[0] == drawn[1]

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from light_runs import blank_figures  # noqa: F401 - a fixture
 from reporting_results import skip_figures, stereo, study
 
 from needlefit.errors import ConfigError

@@ -8,18 +8,22 @@ from pathlib import Path
 import needles
 import numpy as np
 import pytest
+import slicerio
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
-from light_runs import few_draws  # noqa: F401 - a fixture
 from test_cli import run as command
-from test_validation_run import made, project, study  # noqa: F401 - a fixture
+from test_validation_run import made, project, study
 
+from needlefit.datasets.formats.fcsv import read_fcsv
 from needlefit.datasets.formats.mrk_json import read_mrk_json
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.meshes import TUBE_FACETS, make_tube, write_ply
+from needlefit.imaging.layers import extract_label_surfaces, read_labels
+from needlefit.imaging.volume import to_patient
+from needlefit.imaging.volume_files import read_volume
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.identifiability.identify import identify
 from needlefit.inference.optimize import minimize
@@ -32,6 +36,7 @@ from needlefit.studies.kinds.cross_validation.run import Settings, run
 from needlefit.studies.needles_in_scan import BAND_DRAWS, FoldFit, place_needles, read_needles
 from needlefit.studies.slicer import write_needles, write_scene
 
+__all__ = ["project"]  # a fixture
 POLYGON = (
     TUBE_FACETS / 2 * math.sin(2 * math.pi / TUBE_FACETS)
 )  # area of the polygon inscribed in a unit circle
@@ -178,7 +183,7 @@ def turned(folder: Path) -> None:
 
 
 @pytest.mark.sweep
-def test_the_files_of_a_run_lie_in_the_scan(project, tmp_path):  # noqa: F811
+def test_the_files_of_a_run_lie_in_the_scan(project, tmp_path):
     world = read_needles(run("needles", study(), Settings()).frames["needles"])
     turned(project)
     results = run("needles", study(), Settings())
@@ -209,7 +214,7 @@ def test_the_files_of_a_run_lie_in_the_scan(project, tmp_path):  # noqa: F811
 
 @pytest.mark.sweep
 @pytest.mark.usefixtures("few_draws")
-def test_free_shapes_lie_on_the_measured_ones(project):  # noqa: F811
+def test_free_shapes_lie_on_the_measured_ones(project):
     """Known up to a rigid motion, the fit is laid on the needle where that stands, wherever it does."""
     file = project / "data" / "needles" / "dataset.toml"
     text = file.read_text().replace('pose = "known"', 'pose = "free"')
@@ -224,7 +229,7 @@ def test_free_shapes_lie_on_the_measured_ones(project):  # noqa: F811
 
 @pytest.mark.sweep
 @pytest.mark.usefixtures("few_draws")
-def test_a_leave_one_out_places_every_needle_as_held_out(project):  # noqa: F811
+def test_a_leave_one_out_places_every_needle_as_held_out(project):
     record = study(leave_out="specimen", tune={}, validate=())
     placed = read_needles(run("loo", record, Settings()).frames["needles"])
     assert {one.role for one in placed.values()} == {"validate"} and len(placed) == 4
@@ -269,3 +274,53 @@ def test_simulate_refuses_another_ending_or_folder(scene, tmp_path):
         not write_scene(Entry().placement, (), tmp_path / "needle.ply")
         and not (tmp_path / "needle.ply").exists()
     )
+
+
+FILES = Path(slicerio.__file__).parent / "data"
+
+
+def test_a_chest_ct():
+    import nrrd
+
+    values, header = nrrd.read(str(FILES / "CTChest4.nrrd"))
+    volume = read_volume(FILES / "CTChest4.nrrd")
+    assert np.array_equal(volume.values, values.T)
+    last = header["space origin"] + (np.array(values.shape) - 1) @ header["space directions"]
+    corners = to_patient(volume, [[0, 0, 0], np.array(values.shape) - 1])
+    assert header["space"] == "left-posterior-superior"
+    assert corners == pytest.approx(np.array([header["space origin"], last]))
+
+
+def test_a_segmentation():
+    path = FILES / "Segmentation.seg.nrrd"
+    expected = slicerio.read_segmentation(str(path))
+    labels = read_labels(path)
+    assert [(one.name, one.value) for one in labels.segments] == [
+        (one["name"], one["labelValue"]) for one in expected["segments"]
+    ]
+    assert np.array_equal(labels.volume.values, expected["voxels"].T)
+    matrix = np.asarray(expected["ijkToLPS"])
+    ijk = [[0, 0, 0], [3, 5, 7]]
+    assert to_patient(labels.volume, ijk) == pytest.approx(ijk @ matrix[:3, :3].T + matrix[:3, 3])
+
+
+@pytest.mark.sweep
+def test_segments_of_it_as_layers():
+    path = FILES / "Segmentation.seg.nrrd"
+    names = [one.name for one in read_labels(path).segments]
+    (one,) = extract_label_surfaces(path, names[-1:])
+    assert one.into == 1 and one.mesh.is_watertight
+
+
+def test_overlapping_segments_are_refused():
+    with pytest.raises(DataError) as error:
+        read_labels(FILES / "SegmentationOverlapping.seg.nrrd")
+    assert "overlap" in error.value.what and "Segment Editor" in error.value.fix
+
+
+def test_points():
+    (expected,) = slicerio.read_markups_fcsv(str(FILES / "F_1.fcsv"))["markups"]
+    found = read_fcsv(FILES / "F_1.fcsv")
+    assert expected["coordinateSystem"] == found.system == "LPS"
+    assert list(found.labels) == [one["label"] for one in expected["controlPoints"]]
+    assert found.points == pytest.approx(np.array([one["position"] for one in expected["controlPoints"]]))

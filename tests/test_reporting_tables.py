@@ -3,14 +3,23 @@
 import json
 import math
 import re
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from made_again import store
-from reporting_results import stereo, study
+from reporting_results import sampled, stereo, study, with_draws, with_predictions
 
 from needlefit.errors import DataError
+from needlefit.reporting.columns import (
+    FORMATS,
+    LENGTH_ERROR_FORMAT,
+    METRIC_FORMAT,
+    Column,
+    find_column,
+    list_columns,
+)
 from needlefit.reporting.interval_text import choose_interval_unit, typeset_interval
 from needlefit.reporting.latex import escape_latex, format_cell, format_latex
 from needlefit.reporting.number_format import (
@@ -22,9 +31,13 @@ from needlefit.reporting.number_format import (
     insert_symbols,
     typeset,
 )
+from needlefit.reporting.table import Table, part, pivot
 from needlefit.reporting.table_files import to_records
+from needlefit.reporting.tidy import to_tidy
 from needlefit.studies import paper
+from needlefit.studies.kind import KINDS
 from needlefit.studies.kinds.cross_validation.facts import list_sentences, say
+from needlefit.studies.kinds.cross_validation.posterior import tabulate_percentiles
 from needlefit.studies.kinds.cross_validation.report import explain, summarize
 from needlefit.studies.kinds.cross_validation.tables import (
     CONDITIONAL,
@@ -38,11 +51,13 @@ from needlefit.studies.kinds.cross_validation.tables import (
     lay_out_design,
     lay_out_insertions,
     lay_out_parameters,
+    lay_out_posterior,
     lay_out_tuning,
     lay_out_validation,
     lay_out_values,
     tabulate_parameters,
 )
+from needlefit.studies.report import compose_run_report
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import TE, list_groups, tabulate_tuning, tabulate_validation
 from needlefit.studies.store import restore_run
@@ -450,3 +465,134 @@ def test_of_several_folds_values_and_intervals_are_enveloped():
 @pytest.mark.parametrize("value", [-0.0, -0.001])
 def test_zero_has_no_sign(value):
     assert "-" not in format_mm(value) + format_number(value * 0.0) and float(format_mm(value)) == 0
+
+
+def fitted(results: Run) -> float:
+    table = results.frames["parameters"].query("method == 'fitted' and parameter == 'bevel_mm'")
+    return float(table["value"].iloc[0])
+
+
+def test_a_fit_within_its_posterior_stands_beside_it():
+    inside = sampled(0.05, 0.15)
+    row = to_records(tabulate_percentiles(inside))[0]
+    assert row["p50"] == pytest.approx(0.1)
+    assert row["fit_value_used"] == fitted(inside)
+    assert row["fit_in_central_95"] is True
+    assert say(inside, "outside_fits") == ""
+    assert not lay_out_posterior(inside).notes
+
+
+def test_a_fit_outside_the_central_95_percent_is_reported():
+    outside = sampled(fitted(study(5)) - 0.001, 0.15)  # a draw is lower, but not 2.5 % of them
+    assert to_records(tabulate_percentiles(outside))[0]["fit_in_central_95"] is False
+    by_metric = say(outside, "outside_fits")
+    assert "95 %" in by_metric and re.search(r"\bb\b", by_metric) and "error bars" in by_metric
+    peak = outside.with_frames(starts=outside.frames["starts"].assign(minimized="posterior"))
+    assert "95 %" in say(peak, "outside_fits") and "error bars" not in say(peak, "outside_fits")
+    assert "‡" in "".join(lay_out_posterior(outside).rows[0])
+    blocks = compose_run_report(outside, {}).blocks
+    assert say(outside, "outside_fits") in [block.get("text") for block in blocks]
+    assert "posterior" in [block.get("name") for block in blocks]
+
+
+def test_an_unconverged_posterior_is_flagged_in_every_output():
+    loose = sampled(0.05, 0.15, r_hat=1.2)
+    warning = say(loose, "unconverged")
+    assert warning.startswith("NOT CONVERGED") and "R-hat of bevel_mm" in warning
+    assert re.findall(r"\d\.\d+", warning)[:2] == ["1.2", "1.01"]  # the value and its limit
+    layout = lay_out_posterior(loose)
+    assert "NOT CONVERGED" in layout.caption and "NOT CONVERGED" in layout.rows[0]
+    assert to_records(tabulate_percentiles(loose))[0]["converged"] is False
+    assert warning in [block.get("text") for block in compose_run_report(loose, {}).blocks]
+    fine = sampled(0.05, 0.15)
+    assert say(fine, "unconverged") == "" and "NOT CONVERGED" not in lay_out_posterior(fine).caption
+
+
+@pytest.mark.sweep
+def test_captions_announce_bands_where_there_are_some(tmp_path):
+    drawn = {"overlays": tmp_path / "overlays.pdf"}
+    drawn["overlays"].write_bytes(b"/MediaBox [0 0 400 100]")
+    certified = with_draws(with_predictions(study(4)))
+    none = certified.frames["bands"].iloc[:0]
+    lost = certified.with_frames(bands=none, draws=certified.frames["draws"].assign(certified=False))
+    captions = []
+    for one in (certified, lost, certified.with_frames(bands=none)):
+        blocks = compose_run_report(one, drawn).blocks
+        (caption,) = (block["caption"] for block in blocks if block["kind"] == "figure")
+        captions.append([text in caption for text in ("Bands: 50 %", "not drawn")])
+    assert captions == [[True, False], [False, True], [False, False]]
+
+
+def test_without_a_posterior_the_report_mentions_none():
+    assert tabulate_percentiles(study(5)).empty
+    assert say(study(5), "outside_fits") == ""
+    assert "posterior" not in [block.get("name") for block in compose_run_report(study(5), {}).blocks]
+
+
+REFERENCE = Path(__file__).parent.parent / "reports/reference"
+
+
+def test_columns_have_explanations_of_their_own():
+    columns = list_columns()
+    explanations = [one.explanation for one in columns.values()]
+    assert all(explanations) and len(set(explanations)) == len(explanations)
+    formats = {
+        form for one in columns.values() for form in re.findall(r":(\w+)}", one.format) or [one.format]
+    }
+    assert formats <= {*FORMATS, METRIC_FORMAT, LENGTH_ERROR_FORMAT}
+
+
+@pytest.mark.parametrize("name", KINDS.names())
+def test_every_column_that_a_kind_declares_is_registered(name):
+    for frame, columns in KINDS[name].frames.items():
+        written = to_tidy(pd.DataFrame(columns=list(dict.fromkeys(columns))))
+        unknown = [one for one in written if not find_column(str(one)).explanation]
+        assert not unknown, f"{frame}: {unknown}"
+
+
+def test_every_column_of_the_committed_tables_is_registered():
+    if not REFERENCE.is_dir():
+        pytest.skip("not run from the repository")
+    tables = [pd.read_csv(path) for path in REFERENCE.glob("*/*.csv")]
+    names = {str(name) for table in tables for name in table}
+    assert all(find_column(name).explanation for name in names)
+    assert all(to_tidy(table) is table for table in tables)
+
+
+def test_a_template_composes_columns():
+    column = Column("gain", format="{value:mm3}[ ± {sd:mm}]")
+    rows = ({"value": 1.0, "sd": 0.5}, {"value": 1.0, "sd": None}, {"value": None, "sd": 0.5})
+    assert [column.format_cell(row) for row in rows] == ["1.000 ± 0.50", "1.000", "–"]
+    ends = Column("range", format="[{low:mm} to {high:mm}]")
+    rows = (
+        {"low": 1, "high": 2},
+        {"low": 1, "high": 1.001},
+        {"low": None, "high": 2},
+        {"low": "", "high": 2},
+    )
+    assert [ends.format_cell(row) for row in rows] == ["1.00 to 2.00", "1.00", "", ""]
+    assert Column("value", format="mm").format_cell({"value": "not determined"}) == "not determined"
+
+
+def test_a_number_in_a_key_stands_in_the_heading():
+    assert [find_column(key).label for key in ("p2.5", "q05", "alpha3")] == ["2.5 %", "5 %", "α3"]
+    assert (find_column("tip_in_95").label, find_column("tip_in_95").unit) == ("Tip coverage", "95 %")
+
+
+def test_pivoted_rows_have_a_column_for_each_place():
+    names = ("study", "metric", "value", "over_floor")
+    values = (("a", "te_mm", 1.0, 2.0), ("a", "edp_percent", 30.0, 4.0), ("b", "te_mm", 2.0, None))
+    rows = pivot([dict(zip(names, one, strict=True)) for one in values], ["study"], ["metric"])
+    places = ("te_mm", "edp_percent")
+    columns = ("study", *(part(key, metric=name) for key in ("value", "over_floor") for name in places))
+    table = Table("t", "", rows, columns).lay_out()
+    assert table.rows == (("a", "1.00", "30.0", "2.0", "4.0"), ("b", "2.00", "–", "–", "–"))
+    heads = [(one.label, one.unit) for one in table.columns[1:]]
+    assert heads == [("TE", "mm"), ("EDP", "%"), ("TE", "÷ floor"), ("EDP", "÷ floor")]
+
+
+def test_the_unit_of_a_metric_stands_where_all_rows_share_it():
+    row = {"metric": "te_mm", "value": 1.0}
+    both = [row, {"metric": "edp_percent", "value": 2.0}]
+    units = [Table("t", "", rows, ("value",)).lay_out().columns[0].unit for rows in ([row], both)]
+    assert units == ["mm", ""]

@@ -8,8 +8,7 @@ from test_cli import run
 
 from needlefit.errors import DataError
 from needlefit.project.folders import write_manifest
-from needlefit.studies.differences import lay_out_differences, summarize_differences
-from needlefit.studies.run_differences import compare_runs
+from needlefit.studies.run_differences import compare_runs, lay_out_differences, summarize_differences
 
 ERRORS = pd.DataFrame(
     {

@@ -1,12 +1,16 @@
 """Predictions of held-out needles: parts of the width; the measured shape is only compared."""
 
+import math
 import sys
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
+from inference_cases import TRUTH, assert_one_density, dataset, insertion, measure, medium, problem
 
+from needlefit.datasets.insertion import Noise
+from needlefit.datasets.select import find_repeats
 from needlefit.inference.compared_points import read_points
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.nodes import shift_depths
@@ -14,13 +18,16 @@ from needlefit.inference.likelihood.observation import make_observation, pose_sd
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import with_bevel_spread, without_prior
 from needlefit.inference.planned_layers import with_planned_layers
+from needlefit.inference.predict import Draws
 from needlefit.project import tasks
 from needlefit.project.locate import find_file
 from needlefit.project.tasks import THIS_PROCESS, LocalPool
 from needlefit.project.toml import load
-from needlefit.schemas.recipe import LikelihoodRecord
+from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord
 from needlefit.schemas.study import StudyRecord
+from needlefit.studies.coverage import estimate_width_after_one
 from needlefit.studies.fit_warnings import describe_gain
+from needlefit.studies.folds import Fold
 from needlefit.studies.held_out_predictions import (
     BAND_COLUMNS,
     BAND_POINTS,
@@ -29,8 +36,7 @@ from needlefit.studies.held_out_predictions import (
     predict_held_out,
     tabulate_held_out,
 )
-from needlefit.studies.interval_width import estimate_width_after_one
-from needlefit.studies.job import Settings, prepare, with_one_bevel
+from needlefit.studies.job import Job, Settings, prepare, with_one_bevel
 from needlefit.studies.kinds.cross_validation.tables import lay_out_coverage
 from needlefit.studies.new_specimens import NewSpecimens
 from needlefit.studies.planned_draws import draw_conditions, simulate_planned
@@ -236,3 +242,86 @@ def test_one_insertion_narrows_the_interval_in_a_new_specimen(job, known):
     # no other number depends on it
     plain = pd.DataFrame(tabulate_held_out(job, fold, few, new))
     pd.testing.assert_frame_equal(plain, table.assign(tip_95_width_after_one_mm=np.nan))
+
+
+NAMES = ("A", "B", "C", "D", "E")
+FINE = Noise(0.0, 0.02, 0.0, 5.0)
+
+
+def holes(depths=(32.0, 36.0), factors=(1.0,) * 5):
+    """One shape for each hole and depth, each hole with a bevel of its own."""
+    record = medium(1)
+    return [
+        replace(
+            measure(TRUTH, record, replace(insertion(depth, angle_sd=0.0), bevel_factor=factor)),
+            id=f"{name}{depth:g}",
+            specimen=name,
+            bevel_factor=1.0,
+        )
+        for name, factor in zip(NAMES, factors, strict=True)
+        for depth in depths
+    ]
+
+
+def test_repeats_are_depths_of_one_specimen_among_several():
+    made = holes()
+    assert find_repeats(dataset(made)) == {one.id: (one.specimen, NAMES.index(one.specimen)) for one in made}
+    assert find_repeats(dataset(made[:8])) == {}  # four specimens alone
+    assert find_repeats(dataset([replace(one, depth=30.0) for one in made])) == {}
+    apart = [replace(one, frame=replace(one.frame, origin=np.array([0, one.depth, 0]))) for one in made]
+    assert find_repeats(dataset(apart)) == {}
+    assert len(find_repeats(dataset(apart, pose="free"))) == len(made)
+
+
+def test_repeats_have_exact_gradients_and_one_condition_a_hole():
+    p = problem(medium(1), holes(), how=LikelihoodRecord(depths="fixed"), noise=FINE)
+    theta = p.parameters.theta({**TRUTH, "bevel_spread": 0.07}) + 0.05
+    assert_one_density(p, theta, rtol=1e-4)
+    rows = sum(known.rows for known in p.density.observations)
+    # of each depth one condition that is nobody else's (of weight 0), of each hole the bevel
+    assert sum(p.density.residual_counts) == rows + 10 + 5
+    alone = replace(p, dataset=replace(p.dataset, insertions=p.insertions[:1]))
+    assert alone.log_posterior(theta) != pytest.approx(p.log_posterior(theta), abs=0.5)
+
+
+BENT = math.log(1.15)  #: logarithm of the bevel's factor in the last hole
+
+
+@pytest.fixture(scope="module")
+def job_repeats():
+    made = holes(factors=(1.0, 1.0, 1.0, 1.0, math.exp(BENT)))
+    record = medium(1)
+    p = problem(record, made, how=LikelihoodRecord(depths="fixed"), noise=FINE)
+    study = StudyRecord.model_validate(
+        {"schema": 2, "dataset": "cases", "medium": "test", "recipe": "default", "leave_out": "specimen"}
+    )
+    return Job(
+        "holes", study, p.dataset, record, p.parameters, RecipeRecord.model_validate({"schema": 2}), None, ()
+    )
+
+
+def predict_repeats(job_repeats, tune, held):
+    """The predicted tips of depths that are held out, in units of the bevel's spread of 0.1."""
+    known = [one for one in job_repeats.dataset.insertions if one.id in tune]
+    wanted = [one for one in job_repeats.dataset.insertions if one.id in held]
+    theta = job_repeats.parameters.theta({**TRUTH, "bevel_spread": 0.1})
+    draws = Draws(np.repeat(theta[None], 300, axis=0), "importance")
+    rows = predict_held_out(job_repeats, Fold("one", tuple(known), tuple(wanted)), draws)
+    return [one.row for one in rows]
+
+
+def test_a_depth_of_a_known_hole_is_predicted_with_the_bevel_of_that_hole(job_repeats):
+    everything = [one.id for one in job_repeats.dataset.insertions]
+    (new,) = predict_repeats(job_repeats, everything[:8], ["E36"])
+    (known,) = predict_repeats(job_repeats, everything[:9], ["E36"])
+    width = {name: row["tip_95_high_mm"] - row["tip_95_low_mm"] for name, row in (("n", new), ("k", known))}
+    assert width["k"] < 0.5 * width["n"]
+    off = [abs(row["tip_median_mm"] - row["tip_measured_mm"]) for row in (known, new)]
+    assert off[0] < 0.2 * off[1]
+
+
+def test_the_depths_of_a_hole_left_out_have_one_bevel(job_repeats):
+    everything = [one.id for one in job_repeats.dataset.insertions]
+    shallow, deep = predict_repeats(job_repeats, everything[:8], ["E32", "E36"])
+    tips = [row["tip_median_mm"] / row["tip_measured_mm"] for row in (shallow, deep)]
+    assert tips[0] == pytest.approx(tips[1], rel=2e-3)  # 300 independent draws would differ by 1 %

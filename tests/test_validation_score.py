@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from inference_cases import NEEDLE, TRUTH, dataset, insertion, medium
-from light_runs import few_draws, predict_by_few_draws
+from light_runs import predict_by_few_draws
 from scipy.optimize import brentq
 from test_validation_run import MEDIUM, fitted, made, project, study
 
@@ -24,7 +24,7 @@ from needlefit.studies.kinds.cross_validation.tables import arrange_parameters, 
 from needlefit.studies.run import Run
 from needlefit.studies.score import Scorer, curve_predictor, model_predictor
 
-__all__ = ["few_draws", "project"]  # the fixtures
+__all__ = ["project"]  # a fixture
 
 WRONG = {**TRUTH, "bevel_mm": 0.25, "mu1_pa": 1e6}
 FLOOR = {"median_err_mm": 0.1, "ipe_mean_mm": 0.11, "ipe_max_mm": 0.3, "te_mm": 0.25}

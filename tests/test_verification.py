@@ -20,32 +20,36 @@ from needlefit.verification.check import (
     Group,
     Quantity,
     at_most,
+    find_checks,
+    verify,
     within,
     worst,
 )
 from needlefit.verification.checks import (
     beams,
-    collocation,
     compiled,
-    manufactured,
-    refinement,
+    scenes,
     sensitivities,
     symmetries,
-    tangent,
 )
 from needlefit.verification.checks.beams import hetenyi
-from needlefit.verification.checks.manufactured import DEPTH_MM, FREE_LENGTH_MM, make_deflection
-from needlefit.verification.run import find_checks, verify
+from needlefit.verification.checks.clamped import DEPTH_MM, FREE_LENGTH_MM, make_deflection
+
+CLOSED_FORMS, MANUFACTURED, COLLOCATION = Group.CLOSED_FORMS, Group.MANUFACTURED, Group.COLLOCATION
+REFINEMENT, SYMMETRIES = Group.REFINEMENT, Group.SYMMETRIES
 
 
-def failing(*modules, seed=1):
-    """Return the titles of the rows that fail among the checks of some files."""
-    checks = [check for module in modules for check in module.CHECKS]
-    return {row.title for row in verify(seed, checks).failed}
+def select(group):
+    return [check for check in find_checks() if check.group is group]
 
 
-def titles(module):
-    return {check.title for check in module.CHECKS}
+def failing(group):
+    """Return the titles of the rows that fail among the checks of a group."""
+    return {row.title for row in verify(1, select(group)).failed}
+
+
+def titles(group):
+    return {check.title for check in select(group)}
 
 
 # ---- the table ----
@@ -69,7 +73,7 @@ def few(monkeypatch):
     """Draw fewer of the random cases that take longest, and differentiate the reference in each once."""
     monkeypatch.setattr(sensitivities, "differentiate_reference", differentiate_once)
     monkeypatch.setattr(sensitivities, "RANDOM_CASES", 2)
-    monkeypatch.setattr(refinement, "RANDOM_CASES", 10)
+    monkeypatch.setattr(scenes, "RANDOM_CASES", 10)
 
 
 def test_titles_differ_and_orders_of_a_power_law_are_its_exponent():
@@ -187,36 +191,36 @@ def stiffer(tissue):
 @pytest.mark.sweep
 def test_a_percent_of_stiffness_is_noticed_by_every_solution(monkeypatch):
     fault(monkeypatch, stiffer)
-    assert failing(beams) == titles(beams)
-    assert failing(manufactured) == titles(manufactured)
-    assert failing(collocation) == titles(collocation)
-    assert len(failing(compiled)) >= 2
+    assert failing(CLOSED_FORMS) == titles(CLOSED_FORMS)
+    assert failing(MANUFACTURED) == titles(MANUFACTURED)
+    assert failing(COLLOCATION) == titles(COLLOCATION)
+    assert len(failing(Group.REFERENCE)) >= 2
 
 
 @pytest.mark.sweep
 def test_a_law_taken_for_another_is_noticed(monkeypatch):
     fault(monkeypatch, lambda tissue: replace(tissue, law=tissue.law.replace("neo_hookean", "ogden")))
-    assert failing(manufactured) >= {title for title in titles(manufactured) if "neo-Hookean" in title}
-    assert failing(collocation) == {title for title in titles(collocation) if "Neo-Hookean" in title}
+    assert failing(MANUFACTURED) >= {title for title in titles(MANUFACTURED) if "neo-Hookean" in title}
+    assert failing(COLLOCATION) == {title for title in titles(COLLOCATION) if "Neo-Hookean" in title}
 
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("change", [lambda t: replace(t, shape=-t.shape), lambda t: replace(t, law="linear")])
 def test_a_wrong_nonlinearity_is_noticed_where_tissue_is_thin(change, monkeypatch):
     fault(monkeypatch, change)
-    assert failing(beams) == set()  # linear
-    assert {title for title in titles(collocation) if "Thin" in title} <= failing(collocation)
-    nonlinear = {title for title in titles(manufactured) if "Ogden" in title or "The same" in title}
-    assert nonlinear < failing(manufactured) and "One layer, linear law" not in failing(manufactured)
-    assert failing(tangent) == titles(tangent)
+    assert failing(CLOSED_FORMS) == set()  # linear
+    assert {title for title in titles(COLLOCATION) if "Thin" in title} <= failing(COLLOCATION)
+    nonlinear = {title for title in titles(MANUFACTURED) if "Ogden" in title or "The same" in title}
+    assert nonlinear < failing(MANUFACTURED) and "One layer, linear law" not in failing(MANUFACTURED)
+    assert failing(Group.TANGENT) == titles(Group.TANGENT)
 
 
 @pytest.mark.sweep
 def test_friction_left_out_is_noticed(monkeypatch):
     fault(monkeypatch, lambda tissue: replace(tissue, friction=0 * tissue.friction))
-    assert failing(collocation) == {title for title in titles(collocation) if "Friction" in title}
-    assert failing(tangent) == {title for title in titles(tangent) if "friction" in title}
-    assert "The same with friction" in failing(manufactured)
+    assert failing(COLLOCATION) == {title for title in titles(COLLOCATION) if "Friction" in title}
+    assert failing(Group.TANGENT) == {title for title in titles(Group.TANGENT) if "friction" in title}
+    assert "The same with friction" in failing(MANUFACTURED)
 
 
 def test_a_mesh_rule_that_drops_nodes_is_noticed(monkeypatch):
@@ -228,10 +232,10 @@ def test_a_mesh_rule_that_drops_nodes_is_noticed(monkeypatch):
     def long_elements(needle, tissue, constraints, controls=Controls(), rules=ModelOptions()):
         return equilibrium(needle, tissue, constraints, controls, ModelOptions(4.0, 4 * rules.element))
 
-    monkeypatch.setattr(refinement, "simulate_steps", coarse)
+    monkeypatch.setattr(scenes, "simulate_steps", coarse)
     monkeypatch.setattr(beams, "equilibrium", long_elements)
-    assert any("99" in title for title in failing(beams))
-    worst = [row for row in verify(1, refinement.CHECKS).rows if "random" in row.title]
+    assert any("99" in title for title in failing(CLOSED_FORMS))
+    worst = [row for row in verify(1, select(REFINEMENT)).rows if "random" in row.title]
     clean = 1e-4  # mm, see the table
     assert max(row.measured for row in worst) > clean
 
@@ -255,7 +259,7 @@ def test_an_unsymmetric_bevel_is_noticed(monkeypatch):
         return simulate_steps(needle, tissue, bent, rules, lattice)
 
     monkeypatch.setattr("needlefit.verification.cases.simulate_steps", lopsided)
-    assert any("Mirror" in title for title in failing(symmetries))
+    assert any("Mirror" in title for title in failing(SYMMETRIES))
 
 
 def test_sub_steps_that_matter_are_noticed(monkeypatch):
@@ -268,7 +272,7 @@ def test_sub_steps_that_matter_are_noticed(monkeypatch):
         return simulate_steps(needle, tissue, more, rules, lattice)
 
     monkeypatch.setattr("needlefit.verification.cases.simulate_steps", forgetful)
-    failed = failing(symmetries)
+    failed = failing(SYMMETRIES)
     assert "Sub-steps on the way" in failed and any("back" in title for title in failed)
 
 
@@ -310,8 +314,10 @@ def test_a_reference_that_differs_is_noticed(monkeypatch):
         return 1.001 * k, 1.001 * dk
 
     monkeypatch.setattr(reference, "modulus", wrong)
-    assert failing(compiled) == titles(compiled) - {check.title for check in compiled.LAW_CHECKS}
-    assert failing(tangent) == titles(tangent)
+    assert failing(Group.REFERENCE) == titles(Group.REFERENCE) - {
+        check.title for check in compiled.LAW_CHECKS
+    }
+    assert failing(Group.TANGENT) == titles(Group.TANGENT)
 
 
 # ---- what is no number passes nowhere ----

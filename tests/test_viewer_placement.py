@@ -7,7 +7,6 @@ import needles
 import numpy as np
 import pandas as pd
 import pytest
-from light_runs import few_draws  # noqa: F401 - a fixture
 from made_again import store
 from test_cli import run as command
 from test_viewer_opening import FIT

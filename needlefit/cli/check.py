@@ -44,7 +44,7 @@ def check(context: typer.Context, name: str) -> None:
 
 def _check_study(invocation: Invocation, kind: Literal["study", "fit"], name: str, path: Path) -> None:
     from needlefit.project.locate import file_label
-    from needlefit.studies.study_check import check_study_file
+    from needlefit.studies.study_files import check_study_file
 
     found = check_study_file(kind, path)
     if invocation.json:

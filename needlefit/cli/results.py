@@ -2,6 +2,7 @@
 
 import dataclasses
 import difflib
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -77,12 +78,12 @@ def diff(
     differ. `--json` has all changes. Runs with files that do not agree with their manifest are not compared.
     """
     from needlefit.project.locate import find_run
-    from needlefit.studies.differences import (
+    from needlefit.studies.run_differences import (
+        compare_runs,
         differences_to_json,
         lay_out_differences,
         summarize_differences,
     )
-    from needlefit.studies.run_differences import compare_runs
 
     found = compare_runs(find_run(run_a), find_run(run_b), unverified)
     if context.find_root().obj.json:
@@ -110,7 +111,7 @@ class Topic:
 def _list_topics() -> dict[str, list[Topic]]:
     """Return what can be explained, by heading."""
     from needlefit.mechanics.laws import LAWS
-    from needlefit.project.help_pages import read_sections, read_terms
+    from needlefit.project.help_pages import read_input_columns, read_sections, read_terms
     from needlefit.reporting.columns import list_columns
     from needlefit.studies.toml_reference import list_files
 
@@ -122,9 +123,17 @@ def _list_topics() -> dict[str, list[Topic]]:
             for one in law.parameters
         ]
         laws.append(Topic(law.name, law.label, tuple(shape) or ("No shape parameters.",)))
+    tables = [
+        Topic(
+            table,
+            f"Columns of {table}",
+            tuple(f"{one.column}: {one.meaning} ({one.default})" for one in columns),
+        )
+        for table, columns in groupby(read_input_columns(), lambda one: one.table)
+    ]
     return {
         "Warnings": [Topic(one.key, one.title, one.paragraphs) for one in read_sections().values()],
-        "Files": [Topic(one.name, one.title) for one in list_files()],
+        "Files": [*(Topic(one.name, one.title) for one in list_files()), *tables],
         "Terms": [
             Topic(
                 one.name,

@@ -43,7 +43,7 @@ def tune(context: typer.Context, target: str) -> None:
     """
     with begin(context) as execution:
         from needlefit.project.toml import add_file_context
-        from needlefit.studies.targets import load_target
+        from needlefit.studies.study_files import load_target
 
         name, record, file = load_target(target)
         execution.prepare([name])
@@ -71,7 +71,7 @@ def identify(context: typer.Context, target: str, fit: bool = False) -> None:
     its eigenvectors, profile likelihoods and posterior SD / prior SD go to OUT/identify-<target>/.
     """
     with begin(context) as execution:
-        from needlefit.studies.targets import load_target
+        from needlefit.studies.study_files import load_target
 
         name = f"identify-{load_target(target)[0].removesuffix('-tune')}"
         execution.prepare([name])
@@ -128,7 +128,7 @@ def calibrate(
         raise typer.BadParameter("excludes --sample and --control.", param_hint="--truth synthetic")
     given = {"replicates": replicates} if replicates else {}
     with begin(context) as execution:
-        from needlefit.studies.targets import load_target
+        from needlefit.studies.study_files import load_target
 
         ending = ("-sample" if sample else "") + ("-synthetic" if synthetic else "") + ("-ct" if ct else "")
         about = f"calibrate-{load_target(target)[0].removesuffix('-tune')}{ending}"
@@ -270,7 +270,7 @@ def predict(
         from needlefit.schemas.names import require_file_name
         from needlefit.studies.job import load_medium
         from needlefit.studies.kinds.prediction import POSTERIOR_FILE, make_scene
-        from needlefit.studies.targets import load_target
+        from needlefit.studies.study_files import load_target
 
         scene_name, planned = options.scene_record(scene, depth, set_ or [])
         target_name, fitted, file = load_target(target)

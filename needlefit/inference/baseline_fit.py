@@ -47,10 +47,17 @@ def fit_baseline(name: str, pose: Pose, drop: float, insertions: Sequence[Insert
         raise ConfigError("no insertion is selected to fit a baseline to", expected="at least one")
     pairs = [(insertion, select_points(pose, drop, insertion)) for insertion in insertions]
     with BASELINES.plugin_error_context(name):
+        scales = np.array(baseline.scales)
         if baseline.fit is not None:
             found = np.array(baseline.fit(pose, drop, insertions), dtype=np.float64)
+        elif not len(scales):
+            found = np.empty(0)
         else:
-            found = _fit_least_squares(baseline, pairs)
+
+            def residuals(scaled: Floats) -> Floats:
+                return _residuals(baseline, scales * scaled, pairs)
+
+            found = scales * least_squares(residuals, np.zeros(len(scales)), xtol=1e-12).x
         # twice the mean over coordinates: x and y of a point add up to its squared distance
         rms = float(np.sqrt(2 * np.mean(_residuals(baseline, found, pairs) ** 2)))
     return FittedBaseline(baseline, tuple(found.tolist()), rms)
@@ -59,17 +66,6 @@ def fit_baseline(name: str, pose: Pose, drop: float, insertions: Sequence[Insert
 def fit_baselines(pose: Pose, drop: float, insertions: Sequence[Insertion]) -> Mapping[str, FittedBaseline]:
     """Return every baseline, fitted, by name."""
     return {one.name: fit_baseline(one.name, pose, drop, insertions) for one in list_baselines()}
-
-
-def _fit_least_squares(baseline: Baseline, pairs: Sequence[tuple[Insertion, ComparedPoints]]) -> Floats:
-    if not baseline.scales:
-        return np.empty(0)
-    scales = np.array(baseline.scales)
-
-    def residuals(scaled: Floats) -> Floats:
-        return _residuals(baseline, scales * scaled, pairs)
-
-    return scales * least_squares(residuals, np.zeros(len(scales)), xtol=1e-12).x
 
 
 def _residuals(
@@ -155,15 +151,11 @@ class CurveDensity:
 
 def log_likelihoods(density: CurveDensity, observation: Observation, thetas: Floats) -> Floats:
     """Return the log likelihoods (W,) of one insertion, given thetas (W, P)."""
-    curves = [density.curve(theta) for theta in thetas]
-    white = np.array([_whitened_residuals(observation, curve) for curve in curves])  # (W, m, R)
+    nodes, found = observation.nodes, []
+    for theta in thetas:
+        curve, pairs = density.curve(theta), zip(nodes.insertions, nodes.s, strict=True)
+        points = np.array([curve.curve(insertion)(s) for insertion, s in pairs])
+        found.append(np.concatenate([whiten_residuals(observation, points), observation.pose_curves]))
+    white = np.array(found)  # (W, m, R)
     scale = np.exp(thetas[:, -1])
-    found = log_marginals([white], make_group(observation.nodes), scale, np.zeros(len(scale)))
-    return observation.log_norm + found
-
-
-def _whitened_residuals(observation: Observation, curve: FittedBaseline) -> Floats:
-    """Return the whitened residuals (m, R) of a curve at all nodes."""
-    pairs = zip(observation.nodes.insertions, observation.nodes.s, strict=True)
-    points = np.array([curve.curve(insertion)(s) for insertion, s in pairs])
-    return np.concatenate([whiten_residuals(observation, points), observation.pose_curves])
+    return observation.log_norm + log_marginals([white], make_group(nodes), scale, np.zeros(len(scale)))

@@ -48,10 +48,7 @@ MIN_CONSTRAINT_POINTS = 2
 def read_points(insertion: Insertion | None, shape: NeedleShape, s: Floats) -> Floats:
     """Return the simulated points (K, 2) of an insertion, mm; NaN where the solve failed.
 
-    Parameters
-    ----------
-    s : (K,) array
-        Beam coordinates; of a tip track the depths of the readings. mm.
+    `s` (K,), mm, are beam coordinates; of a tip track the depths of the readings.
     """
     if not shape.converged:
         return np.full((len(s), 2), np.nan)
@@ -86,15 +83,9 @@ def read_batch_derivatives(
 def extrapolate_tip(passed: Floats, tip: Floats, depth: Floats) -> Floats:
     """Return the tip (..., n) at depths (n,), mm, extrapolated from the two constraint points before each.
 
-    Within 0.002 mm of an insertion that stops there (tests). What stands at a constraint point where a guide
-    was moved is the tip after the move, so that the points before a reading tell, and never the one at it.
-
-    Parameters
-    ----------
-    passed : (M + 1,) array
-        Depths of the constraint points, mm.
-    tip : (..., M + 1) array
-        The tip as it stood at each.
+    `passed` (M + 1,) are the depths of the constraint points, mm, `tip` (..., M + 1) the tip as it stood at
+    each. Within 0.002 mm of an insertion that stops there (tests). What stands at a constraint point where a
+    guide was moved is the tip after the move, so the points before a reading count, and never the one at it.
     """
     # the last constraint point strictly before the reading, by more than rounding
     at = np.maximum(np.searchsorted(passed, depth - DEPTH_TOLERANCE_MM) - 1, 0)
@@ -121,30 +112,25 @@ def share_simulations(insertions: Sequence[Insertion], spacing: float) -> tuple[
     Raises DataError if a moved guide's readings are too close: the tip is known at constraint points only.
     """
     deepest: dict[tuple[object, ...], TipTrack] = {}
+    keys = []
     for one in insertions:
-        if not isinstance(one, TipTrack):
-            continue
-        if one.guided:
-            _check_readings(one, spacing)
-        elif one.depth > deepest.setdefault(_layers(one), one).depth:
-            deepest[_layers(one)] = one
-    return tuple(
-        deepest[_layers(one)] if isinstance(one, TipTrack) and not one.guided else one for one in insertions
-    )
-
-
-def _layers(track: TipTrack) -> tuple[object, ...]:
-    return track.side, track.bevel_factor, track.sequence, tuple(track.boundaries.tolist())
-
-
-def _check_readings(track: TipTrack, spacing: float) -> None:
-    nearest, least = float(np.diff(track.depths).min()), MIN_CONSTRAINT_POINTS * spacing
-    if nearest < least:
-        raise DataError(
-            f"run {track.id} has readings {nearest:.3g} mm apart while its guide moves",
-            expected=f"{least:g} mm or more, {MIN_CONSTRAINT_POINTS} times the model's constraint spacing",
-            fix="leave readings out, or lessen constraint_spacing_mm of the medium (b is then another)",
-        )
+        key = None
+        if isinstance(one, TipTrack) and not one.guided:
+            key = (one.side, one.bevel_factor, one.sequence, tuple(one.boundaries.tolist()))
+            if one.depth > deepest.setdefault(key, one).depth:
+                deepest[key] = one
+        elif isinstance(one, TipTrack):
+            nearest, least = float(np.diff(one.depths).min()), MIN_CONSTRAINT_POINTS * spacing
+            if nearest < least:
+                raise DataError(
+                    f"run {one.id} has readings {nearest:.3g} mm apart while its guide moves",
+                    expected=f"{least:g} mm or more, {MIN_CONSTRAINT_POINTS} times the model's constraint "
+                    "spacing",
+                    fix="leave readings out, or lessen constraint_spacing_mm of the medium (b is then "
+                    "another)",
+                )
+        keys.append(key)
+    return tuple(one if key is None else deepest[key] for one, key in zip(insertions, keys, strict=True))
 
 
 Curve = Callable[[Floats], Floats]
@@ -228,14 +214,8 @@ def compare_points(
 ) -> tuple[Floats, Floats]:
     """Return the simulated and the measured points (K, 2) that are compared, entry side first, tip last.
 
-    Parameters
-    ----------
-    drop : float
-        Proximal length left out where the pose is free, mm.
-    curve : callable
-        Beam coordinates (K,), 0 at the entry and `insertion.depth` at the tip -> points (K, 2) in C, mm.
-    stations : int
-        K.
+    `drop` is the proximal length left out where the pose is free, mm. `curve` takes beam coordinates (K,), 0
+    at the entry and `insertion.depth` at the tip, to points (K, 2) in C, mm.
     """
     return align_points(select_points(pose, drop, insertion, stations), curve)
 

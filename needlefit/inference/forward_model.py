@@ -54,20 +54,13 @@ def predict(
     boundaries: Floats | None = None,
     sequence: Sequence[int] | None = None,
 ) -> NeedleShape:
-    """Return the needle shape that the model predicts for one insertion.
+    """Return the needle shape that the model predicts for one insertion, of which only depth, bevel and guide
+    count.
+
+    `values` are all parameters of the medium, ties resolved (Pa, mm). `boundaries` (n - 1,), mm, and the
+    `sequence` of n layer numbers replace the measured ones, e.g. along the planned path.
 
     Raises ModelError if the needle does not reach the depth; a solve that fails is a value, `converged`.
-
-    Parameters
-    ----------
-    values : mapping
-        Every parameter of the medium, ties resolved (Pa, mm).
-    medium : MediumRecord
-        Law, thickness and constraint spacing.
-    insertion : Insertion
-        Its depth, bevel side and guide; nothing of its measured shape but the boundaries is used.
-    boundaries, sequence : (n - 1,) array and n layer numbers, optional
-        The layers met instead of the measured ones, e.g. along the planned path.
     """
     return simulate_steps(*make_simulation_inputs(values, medium, needle, insertion, boundaries, sequence))
 
@@ -86,12 +79,8 @@ def make_simulation_inputs(
     """
     layers = insertion.sequence if sequence is None else sequence
     depths = insertion.boundaries if boundaries is None else boundaries
-    return (
-        needle,
-        make_tissue(values, layers, depths, medium),
-        _make_steps(values, insertion, medium),
-        make_options(medium, MAX_TOLERANCE_MM),
-    )
+    tissue = make_tissue(values, layers, depths, medium)
+    return needle, tissue, _make_steps(values, insertion, medium), make_options(medium, MAX_TOLERANCE_MM)
 
 
 def make_batch(
@@ -193,7 +182,11 @@ class PreparedModel:
         self, sets: Sequence[Mapping[str, float]], parameters: Parameters, s: Sequence[Floats], jobs: int = 1
     ) -> tuple[list[Floats], list[Floats]]:
         """Return `read_points` of each insertion, and the derivatives (B, K, 2, P) by theta."""
-        pairs = linearize_batches(self._make_batches(sets), _select_kinds(parameters), jobs)
+        moving = [name for name in parameters.names if name not in parameters.fixed]
+        starts = (("mu", "mu"), ("bevel", "offset"), ("cut", "cut_angle"), ("guide", "guides"))
+        kinds = [kind for start, kind in starts if any(name.startswith(start) for name in moving)]
+        kinds += ["shape"] * any(map(is_shape_parameter, moving))
+        pairs = linearize_batches(self._make_batches(sets), kinds, jobs)
         found = dict(zip(self._simulations, pairs, strict=True))
         every = [parameters.slopes(values) for values in sets]
         slopes = {name: np.array([one[name] for one in every]) for name in every[0]}  # (B, P) each
@@ -263,8 +256,19 @@ class _Simulation:
         bevels = {
             name: np.multiply.outer(self.factors, slopes[name]) for name in BEVEL_PARAMETERS if name in slopes
         }
-        rows = _chain_rule({**slopes, **bevels}, parameters, self.insertion)
+        slopes = {**slopes, **bevels}
         sets, free = next(iter(slopes.values())).shape
+        nothing = np.zeros(free)
+        rows = {"guide1_y": nothing, "guide1_slope": nothing}
+        rows["offset"] = slopes.get("bevel_mm", nothing)
+        rows["cut_angle"] = math.radians(1.0) * slopes.get("cut_angle_deg", nothing)
+        # the guide stands before the entry, at x = -guide_distance, hence the sign
+        rows["guide1_x"] = -slopes.get("guide_distance_mm", nothing)
+        # the mechanics number intervals along the path; a layer that is met twice gets both derivatives
+        shape = {dimension(name) for name in parameters.names if is_shape_parameter(name)}
+        for interval, layer in enumerate(self.insertion.sequence, start=1):
+            rows[f"mu{interval}"] = 1e-6 * slopes[f"mu{layer}_pa"]
+            rows |= {f"{kind}{interval}": slopes[f"{kind}{layer}"] for kind in shape}
         found = np.empty((len(self.factors), sets, len(names), free))
         for q, name in enumerate(names):
             found[:, :, q] = rows[name]
@@ -272,11 +276,21 @@ class _Simulation:
 
 
 def _make_steps(values: Mapping[str, float], insertion: Insertion, medium: MediumRecord) -> tuple[Step, ...]:
-    """Return the insertion, and behind it the base's move, if there was one."""
+    """Return the insertion, and behind it the base's move, if there was one.
+
+    Of a tip track they are the way to each reading under the guide's place then, the last one on to a
+    constraint point. Without a guide on the insertion axis the needle is held by its base alone.
+    """
     bevel = make_bevel(values, medium, insertion.side, insertion.bevel_factor)
+    distance = values.get("guide_distance_mm", insertion.guide_distance)
+    controls = Controls() if distance is None else Controls(guides=(Guide(-distance),))
     if isinstance(insertion, TipTrack):
-        return _make_track_steps(insertion, bevel, values["guide_distance_mm"], medium.constraint_spacing_mm)
-    controls = _make_controls(values.get("guide_distance_mm", insertion.guide_distance))
+        end = find_end(insertion, medium.constraint_spacing_mm)
+        if not insertion.guided:
+            return (Step(end, bevel, controls),)
+        ends = zip([*insertion.depths[1:-1].tolist(), end], insertion.guide[1:], strict=True)
+        x = -values["guide_distance_mm"]
+        return tuple(Step(depth, bevel, Controls(guides=(Guide(x, float(y)),))) for depth, y in ends)
     inserted = Step(insertion.depth, bevel, controls)
     if not insertion.base_moved:
         return (inserted,)
@@ -291,25 +305,6 @@ def make_bevel(
     if medium.advance == "path_angle":
         return Bevel(side=side, cut_angle=math.radians(strength))
     return Bevel(strength, side)
-
-
-def _make_track_steps(
-    track: TipTrack, bevel: Bevel, guide_distance: float, spacing: float
-) -> tuple[Step, ...]:
-    """Return the way to each reading under the guide's place then, the last one on to a constraint point."""
-    end = find_end(track, spacing)
-    if not track.guided:
-        return (Step(end, bevel, _make_controls(guide_distance)),)
-    ends = [*track.depths[1:-1].tolist(), end]
-    return tuple(
-        Step(depth, bevel, Controls(guides=(Guide(-guide_distance, float(y)),)))
-        for depth, y in zip(ends, track.guide[1:], strict=True)
-    )
-
-
-def _make_controls(guide_distance: float | None) -> Controls:
-    """Return the controls of a needle clamped by a guide on the insertion axis, or held by its base alone."""
-    return Controls() if guide_distance is None else Controls(guides=(Guide(-guide_distance),))
 
 
 def make_options(medium: MediumRecord, tolerance: float = ModelOptions.tolerance) -> ModelOptions:
@@ -327,49 +322,34 @@ def _make_rules(medium: MediumRecord) -> RulesRecord:
     )
 
 
-def _select_kinds(parameters: Parameters) -> tuple[str, ...]:
-    """Return the kinds of the mechanics' parameters that theta moves."""
-    moving = [name for name in parameters.names if name not in parameters.fixed]
-    starts = (("mu", "mu"), ("bevel", "offset"), ("cut", "cut_angle"), ("guide", "guides"))
-    kinds = [kind for start, kind in starts if any(name.startswith(start) for name in moving)]
-    return (*kinds, *(["shape"] if any(map(is_shape_parameter, moving)) else []))
-
-
-def _chain_rule(
-    slopes: Mapping[str, Floats], parameters: Parameters, insertion: Insertion
-) -> dict[str, Floats]:
-    """Return the derivatives (P,) by theta of what the mechanics differentiate by, by its name there."""
-    nothing = np.zeros(len(parameters.free))
-    found = {"guide1_y": nothing, "guide1_slope": nothing}
-    found["offset"] = insertion.bevel_factor * slopes.get("bevel_mm", nothing)
-    found["cut_angle"] = insertion.bevel_factor * math.radians(1.0) * slopes.get("cut_angle_deg", nothing)
-    # the guide stands before the entry, at x = -guide_distance, hence the sign
-    found["guide1_x"] = -slopes.get("guide_distance_mm", nothing)
-    # the mechanics number intervals along the path; a layer that is met twice gets both derivatives
-    shape = {dimension(name) for name in parameters.names if is_shape_parameter(name)}
-    for interval, layer in enumerate(insertion.sequence, start=1):
-        found[f"mu{interval}"] = 1e-6 * slopes[f"mu{layer}_pa"]
-        found |= {f"{kind}{interval}": slopes[f"{kind}{layer}"] for kind in shape}
-    return found
-
-
 def make_scene_record(
     values: Mapping[str, float], medium: MediumRecord, dataset: Dataset, insertion: Insertion, title: str = ""
 ) -> SceneRecord:
     """Return a scene file's content that reproduces the prediction of one insertion, in C.
 
-    Parameters
-    ----------
-    values : mapping
-        Every parameter of the medium, ties resolved (Pa, mm).
+    `values` are all parameters of the medium, ties resolved (Pa, mm).
     """
     guide = values.get("guide_distance_mm", insertion.guide_distance)
     moved = insertion.base_moved
 
-    def shape_of(layer: int) -> dict[str, Any]:
-        known = {kind: values[f"{kind}{layer}"] for kind in LAWS[medium.law].shape_names}
-        return {"alpha": known.pop("alpha", None), "shape": known}
-
+    layers = []
+    for top, layer in find_layers(insertion):
+        shape = {kind: values[f"{kind}{layer}"] for kind in LAWS[medium.law].shape_names}
+        layers.append(
+            LayerRecord(
+                name=f"layer {layer}",
+                top_mm=top,
+                mu_pa=values[f"mu{layer}_pa"],
+                alpha=shape.pop("alpha", None),
+                shape=shape,
+                thickness_mm=medium.thickness_mm,
+            )
+        )
+    bevel = {
+        medium.bevel_parameter.replace("bevel_mm", "offset_mm"): insertion.bevel_factor
+        * values[medium.bevel_parameter],
+        "side": 1 if insertion.side > 0 else -1,
+    }
     return SceneRecord(
         schema_=SceneRecord.SCHEMA,
         title=title,
@@ -381,23 +361,8 @@ def make_scene_record(
             outer_diameter_mm=dataset.outer_diameter,
             flexural_rigidity_nmm2=dataset.needle.flexural_rigidity,
         ),
-        layers=tuple(
-            LayerRecord(
-                name=f"layer {layer}",
-                top_mm=top,
-                mu_pa=values[f"mu{layer}_pa"],
-                **shape_of(layer),
-                thickness_mm=medium.thickness_mm,
-            )
-            for top, layer in find_layers(insertion)
-        ),
-        bevel=BevelRecord.model_validate(
-            {
-                medium.bevel_parameter.replace("bevel_mm", "offset_mm"): insertion.bevel_factor
-                * values[medium.bevel_parameter],
-                "side": 1 if insertion.side > 0 else -1,
-            }
-        ),
+        layers=tuple(layers),
+        bevel=BevelRecord.model_validate(bevel),
         rules=_make_rules(medium),
         controls=ControlsRecord(guide_distance_mm=guide),
         steps=(

@@ -126,10 +126,13 @@ def fit_specimen(specimen: SpecimenLoading, measure: StressMeasure) -> SpecimenF
 
     Raises FitError if no alpha gives a positive mu.
     """
-    minima = sorted(
-        (_refine_minimum(specimen, measure, start) for start in _find_starts(specimen, measure)),
-        key=_sum_of_squares,
-    )
+    # (mu, alpha) at every minimum of the profile; infinite neighbours let its ends count as minima
+    alphas = np.linspace(*ALPHA_RANGE, ALPHA_GRID_POINTS)
+    mus, misfits = _best_mu(specimen, measure, alphas)
+    padded = np.concatenate(([np.inf], misfits, [np.inf]))
+    lowest = np.flatnonzero((misfits <= padded[:-2]) & (misfits <= padded[2:]) & (mus > 0))
+    starts = [(float(mus[n]), float(alphas[n])) for n in lowest]
+    minima = sorted((_refine_minimum(specimen, measure, start) for start in starts), key=_sum_of_squares)
     if not minima:
         raise FitError(
             f"no positive mu fits the stresses of specimen {specimen.name}",
@@ -142,8 +145,13 @@ def fit_specimen(specimen: SpecimenLoading, measure: StressMeasure) -> SpecimenF
     # two fitted parameters leave effective_points - 2 degrees of freedom
     noise = math.sqrt(squares / len(residuals) * effective_points / (effective_points - 2))
     shared = noise**2 * len(residuals) / effective_points
-    linear = [shared * _inverse_information(theta, specimen, measure) for theta, _ in minima]
-    profile = _compute_profile(specimen, measure, (squares, effective_points), _make_grid(minima, linear))
+    jacobians = (_jacobian(np.array(theta), specimen, measure) for theta, _ in minima)
+    linear: list[Floats] = [np.asarray(shared * np.linalg.inv(slopes.T @ slopes)) for slopes in jacobians]
+    # were the law linear in alpha, the ratio less 1 would be Student's t squared over its degrees of freedom
+    freedom, grid = effective_points - 2, _make_grid(minima, linear)
+    mus, misfits = _best_mu(specimen, measure, grid)
+    limit = float(1 + stdtrit(freedom, UPPER_QUANTILE_95) ** 2 / freedom)
+    profile = AlphaProfile(grid, mus, np.maximum(misfits / squares, 1.0), limit)
     within_tolerance = [
         theta[1] for theta, r in minima[1:] if max(float(r @ r), floor) <= profile.limit * squares
     ]
@@ -171,16 +179,6 @@ def _sum_of_squares(found: Minimum) -> float:
     return float(found[1] @ found[1])
 
 
-def _find_starts(specimen: SpecimenLoading, measure: StressMeasure) -> list[tuple[float, float]]:
-    """Return (mu, alpha) at every minimum of the profile, its ends among them."""
-    alphas = np.linspace(*ALPHA_RANGE, ALPHA_GRID_POINTS)
-    mus, squares = _best_mu(specimen, measure, alphas)
-    # infinite neighbours let the ends of the range count as minima
-    padded = np.concatenate(([np.inf], squares, [np.inf]))
-    lowest = np.flatnonzero((squares <= padded[:-2]) & (squares <= padded[2:]) & (mus > 0))
-    return [(float(mus[n]), float(alphas[n])) for n in lowest]
-
-
 def _best_mu(specimen: SpecimenLoading, measure: StressMeasure, alphas: Floats) -> tuple[Floats, Floats]:
     """Return the best mu (G,) of each alpha, and its sum of squares; infinite where mu is not positive."""
     found = []
@@ -202,19 +200,6 @@ def _make_grid(minima: list[Minimum], covariances: list[Floats]) -> Floats:
         parts += [alpha + reach * np.linspace(-1, 1, DENSE_GRID_POINTS)]
     every = np.unique(np.concatenate(parts))
     return every[(every >= ALPHA_RANGE[0]) & (every <= ALPHA_RANGE[1])]
-
-
-def _compute_profile(
-    specimen: SpecimenLoading, measure: StressMeasure, of: tuple[float, float], alphas: Floats
-) -> AlphaProfile:
-    """Return the profile over the smallest sum of squares, `of` (that sum, points it is worth).
-
-    Were the law linear in alpha, the ratio less 1 would be Student's t squared over its degrees of freedom.
-    """
-    squares, freedom = of[0], of[1] - 2
-    mus, found = _best_mu(specimen, measure, alphas)
-    limit = 1 + stdtrit(freedom, UPPER_QUANTILE_95) ** 2 / freedom
-    return AlphaProfile(alphas, mus, np.maximum(found / squares, 1.0), float(limit))
 
 
 def _widen_covariance(linear: Floats, profile: AlphaProfile, limit: float) -> Floats:
@@ -249,14 +234,6 @@ def _jacobian(theta: Floats, specimen: SpecimenLoading, measure: StressMeasure) 
     """Return the derivatives (N, 2) of the stress by ln mu and alpha."""
     fitted = compute_stress(math.exp(theta[0]), theta[1], specimen.stretch, measure)
     return np.stack([fitted, fitted * compute_log_stress_derivative(theta[1], specimen.stretch)], axis=1)
-
-
-def _inverse_information(
-    theta: tuple[float, float], specimen: SpecimenLoading, measure: StressMeasure
-) -> Floats:
-    """Return the inverse of J^T J (2, 2)."""
-    slopes = _jacobian(np.array(theta), specimen, measure)
-    return np.asarray(np.linalg.inv(slopes.T @ slopes), dtype=np.float64)
 
 
 def _count_effective_points(residuals: Floats) -> tuple[float, float]:
@@ -316,8 +293,7 @@ def fit_material(test: CompressionTest) -> MaterialEstimate:
 
 
 def pool(estimates: Sequence[Floats], covariances: Sequence[Floats]) -> tuple[Floats, Floats, Floats]:
-    """Pool estimates (P,): return mean (P,), covariance between them, and covariance of a further one, (P,
-    P).
+    """Pool estimates (P,): return mean, covariance (P, P) between them, and that of a further one.
 
     Where there are none all are NaN; of a single one nothing can be known between.
     """
@@ -330,14 +306,9 @@ def pool(estimates: Sequence[Floats], covariances: Sequence[Floats]) -> tuple[Fl
     # few specimens determine the scatter badly: Student's quantile makes the 95 % interval hold
     small_sample_factor = stdtrit(count - 1, UPPER_QUANTILE_95) / NORMAL_95_HALF_WIDTH_SD
     mean: Floats = np.mean(estimates, axis=0)
-    between = _nearest_positive(scatter - np.mean(covariances, axis=0))
+    values, vectors = np.linalg.eigh(scatter - np.mean(covariances, axis=0))
+    between = (vectors * np.maximum(values, 0.0)) @ vectors.T  # the nearest without negative eigenvalues
     return mean, between, small_sample_factor**2 * (1 + 1 / count) * scatter
-
-
-def _nearest_positive(matrix: Floats) -> Floats:
-    """Return the nearest matrix without negative eigenvalues."""
-    values, vectors = np.linalg.eigh(matrix)
-    return (vectors * np.maximum(values, 0.0)) @ vectors.T
 
 
 #: a fixed alpha that a test identifies becomes free within this many standard deviations
@@ -402,24 +373,17 @@ def set_material_prior(medium: MediumRecord, layer: str, material: MaterialRecor
         )
     table = state_usual_bounds(medium) | medium.parameters
     for name, stated in ((f"mu{layer}_pa", material.mu_pa), (f"alpha{layer}", material.alpha)):
-        if stated is not None and name in table:
-            table[name] = _free_parameter(name, table[name], stated)
+        if stated is None or name not in table:
+            continue
+        bounds, tie = table[name].bounds, table[name].tie
+        if bounds is None and tie is None and stated.mean is not None and stated.sd is not None:
+            bounds = (stated.mean - ALPHA_REACH_SD * stated.sd, stated.mean + ALPHA_REACH_SD * stated.sd)
+        if bounds is None:
+            fix = "give it bounds" + (", or the prior to the layer that it is tied to" if tie else "")
+            state = "tied" if tie else "fixed"
+            raise ConfigError(f"a prior is stated for {name}, which is {state}", fix=fix)
+        table[name] = ParameterRecord(bounds=bounds, prior=stated)
     return medium.model_copy(update={"parameters": table})
-
-
-def _free_parameter(name: str, parameter: ParameterRecord, stated: PriorRecord) -> ParameterRecord:
-    bounds = parameter.bounds
-    if bounds is None and parameter.fixed is not None and stated.mean is not None and stated.sd is not None:
-        bounds = (stated.mean - ALPHA_REACH_SD * stated.sd, stated.mean + ALPHA_REACH_SD * stated.sd)
-    if bounds is None:
-        state = "tied" if parameter.tie else "fixed"
-        fix = (
-            "give it bounds, or the prior to the layer that it is tied to"
-            if parameter.tie
-            else "give it bounds"
-        )
-        raise ConfigError(f"a prior is stated for {name}, which is {state}", fix=fix)
-    return ParameterRecord(bounds=bounds, prior=stated)
 
 
 def _round(value: float) -> float:

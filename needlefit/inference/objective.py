@@ -6,18 +6,14 @@ where the value is half a sum of squares but for a constant, the residuals and t
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeVar
+from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.errors import NeedlefitError
 from needlefit.inference.fit import INTERRUPTED
-from needlefit.schemas.recipe import ObjectiveName
-
-if TYPE_CHECKING:
-    from needlefit.inference.problem import Problem
 
 
 @dataclass(frozen=True)
@@ -40,42 +36,10 @@ class ObjectiveFunction:
     #: an easier one with its minima next to this one's; a search minimises that first
     approach: "ObjectiveFunction | None" = None
 
-
-POSTERIOR_TOLERANCE = 1e-9  #: change of the log posterior under which a search for its peak ends
-#: the same on the way to where a search begins, by what it minimises. For a posterior it is small enough to
-#: see which starts met. The minima of a metric objective lie elsewhere, so that a closer approach is lost
-#: work.
-APPROACH_TOLERANCES: dict[ObjectiveName, float] = {"posterior": 1e-6, "metric": 1e-3}
-
-
-def make_objective(problem: "Problem", minimized: ObjectiveName) -> ObjectiveFunction:
-    """Return the objective function that a recipe's `minimize` names, with an easier one to start from."""
-    if minimized == "posterior":
-        found = make_posterior_objective(problem)
-    else:
-        found = ObjectiveFunction(problem.lower, problem.upper, problem.objective, problem.objective_gradient)
-    easier = problem.approach(minimized)
-    if easier is None:
-        return found
-    return replace(found, approach=make_posterior_objective(easier, APPROACH_TOLERANCES[minimized]))
-
-
-def make_posterior_objective(
-    problem: "Problem", absolute_tolerance: float = POSTERIOR_TOLERANCE
-) -> ObjectiveFunction:
-    """Return the negative log posterior density in theta as an objective function."""
-
-    def value(theta: Floats) -> float:
-        return -problem.log_posterior(theta)
-
-    def gradient(theta: Floats) -> tuple[float, Floats]:
-        density, slope = problem.gradient(theta)
-        return -density, -slope
-
-    residuals, jacobian = (problem.residuals, problem.jacobian) if problem.squares else (None, None)
-    return ObjectiveFunction(
-        problem.lower, problem.upper, value, gradient, residuals, jacobian, absolute_tolerance
-    )
+    @property
+    def span(self) -> Floats:
+        """Width of the box: (P,)."""
+        return self.upper - self.lower
 
 
 Value = TypeVar("Value")

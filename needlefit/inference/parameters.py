@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from typing import Literal, Self
 
 import numpy as np
@@ -28,18 +28,12 @@ from needlefit.schemas.scene import CUT_ANGLE_LIMIT_DEG
 Theta = Sequence[float] | Floats
 Status = Literal["free", "fixed", "tied"]
 
-#: the estimated factor on the standard deviations of the noise of the points; no medium has it
-NOISE_SCALE = "noise_scale"
-#: the relative SD of b or θ between insertions, which is estimated; no medium has it
-BEVEL_SPREAD = "bevel_spread"
-#: what says how strongly a needle steers; a medium has one of them
-BEVEL_PARAMETERS = ("bevel_mm", "cut_angle_deg")
-#: bounds of a noise scale that is estimated; its prior is flat in the logarithm
-NOISE_SCALE_BOUNDS = (0.1, 10.0)
-#: bounds of the relative bevel SD, in standard deviations of its half-normal prior
-BEVEL_SPREAD_BOUNDS = (0.01, 5.0)
-#: parameters of the likelihood, on which no simulated needle depends
-HYPERPARAMETERS = (NOISE_SCALE, BEVEL_SPREAD)
+NOISE_SCALE = "noise_scale"  #: estimated factor on the SDs of the noise of the points; no medium has it
+BEVEL_SPREAD = "bevel_spread"  #: relative SD of b or θ between insertions, estimated; no medium has it
+BEVEL_PARAMETERS = ("bevel_mm", "cut_angle_deg")  #: how strongly a needle steers; a medium has one of them
+NOISE_SCALE_BOUNDS = (0.1, 10.0)  #: of a scale that is estimated; its prior is flat in the logarithm
+BEVEL_SPREAD_BOUNDS = (0.01, 5.0)  #: in standard deviations of its half-normal prior
+HYPERPARAMETERS = (NOISE_SCALE, BEVEL_SPREAD)  #: of the likelihood: no simulated needle depends on them
 #: factor, one standard deviation, by which moduli tied as one material differ where the tie states none; the
 #: layers of the synthetic dataset had no part in it: casts of one recipe differ by 10 to 20 % in stiffness
 MATERIAL_SPREAD = 1.2
@@ -121,31 +115,25 @@ def resolve_ties(
 
     Raises ConfigError if a tie leads to no parameter of the medium, or in a circle.
     """
-    return {name: _resolve_tie(name, ties, known) for name in ties}
-
-
-def _resolve_tie(
-    name: str, ties: Mapping[str, tuple[float, str]], known: frozenset[str]
-) -> tuple[float, str]:
-    factor, at, visited = 1.0, name, [name]
-    while at in ties:
-        step, at = ties[at]
-        factor *= step
-        if at in visited:
-            raise ConfigError(
-                f"ties run in a circle: {' -> '.join([*visited, at])}",
-                key=f"parameters.{name}.tie",
-                fix="leave one of them free or fixed",
-            )
-        if at not in known:
-            raise ConfigError(
-                f"`{visited[-1]}` is tied to `{at}`, which is no parameter of this tissue model",
-                key=f"parameters.{name}.tie",
-                expected=f"one of {', '.join(sorted(known - set(visited)))}",
-                fix="tie it to one of these, or give it bounds",
-            )
-        visited.append(at)
-    return factor, at
+    found = {}
+    for name in ties:
+        factor, at, visited, key = 1.0, name, [name], f"parameters.{name}.tie"
+        while at in ties:
+            step, at = ties[at]
+            factor *= step
+            if at in visited:
+                what = f"ties run in a circle: {' -> '.join([*visited, at])}"
+                raise ConfigError(what, key=key, fix="leave one of them free or fixed")
+            if at not in known:
+                raise ConfigError(
+                    f"`{visited[-1]}` is tied to `{at}`, which is no parameter of this tissue model",
+                    key=key,
+                    expected=f"one of {', '.join(sorted(known - set(visited)))}",
+                    fix="tie it to one of these, or give it bounds",
+                )
+            visited.append(at)
+        found[name] = factor, at
+    return found
 
 
 def _tie_error(name: str, tie: str, fault: str) -> ConfigError:
@@ -258,7 +246,19 @@ def make_prior(table: Mapping[str, ParameterRecord], ties: Sequence[SoftTie] = (
     """
     stated = {name: record.prior for name, record in table.items() if record.prior is not None}
     for name, one in stated.items():
-        _check(name, one, table[name].bounds, stated)
+        normal, bounds = is_shape_parameter(name), table[name].bounds
+        refused = partial(ConfigError, key=f"parameters.{name}.prior")
+        if normal != (one.mean is not None):
+            expected = "mean and sd" if normal else "median and factor: it is positive"
+            raise refused("is a prior of the wrong kind", expected=expected)
+        if bounds is not None and not bounds[0] <= _peak(one) <= bounds[1]:
+            raise refused(
+                f"peaks at {_peak(one):g}, outside the bounds {bounds[0]:g} to {bounds[1]:g}",
+                fix="widen the bounds, or look whether prior and bounds mean the same unit",
+            )
+        if one.correlation and (dimension(name) != "modulus" or _alpha_of(name) not in stated):
+            expected = "a prior of mu whose layer's alpha has a prior too"
+            raise refused("states a correlation that has no partner", expected=expected)
     if not stated:
         return add_ties(Prior(), ties)
     names = tuple(stated)
@@ -277,25 +277,6 @@ def make_gaussian_prior(names: Sequence[str], mean: Floats, covariance: Floats) 
     whitening = np.linalg.inv(np.linalg.cholesky(covariance))
     rows = tuple(tuple(row) for row in whitening.tolist())
     return Prior(tuple(names), rows, tuple((whitening @ mean).tolist()))
-
-
-def _check(
-    name: str, one: PriorRecord, bounds: tuple[float, float] | None, stated: Mapping[str, PriorRecord]
-) -> None:
-    key = f"parameters.{name}.prior"
-    normal = is_shape_parameter(name)
-    if normal != (one.mean is not None):
-        expected = "mean and sd" if normal else "median and factor: it is positive"
-        raise ConfigError("is a prior of the wrong kind", key=key, expected=expected)
-    if bounds is not None and not bounds[0] <= _peak(one) <= bounds[1]:
-        raise ConfigError(
-            f"peaks at {_peak(one):g}, outside the bounds {bounds[0]:g} to {bounds[1]:g}",
-            key=key,
-            fix="widen the bounds, or look whether prior and bounds mean the same unit",
-        )
-    if one.correlation and (dimension(name) != "modulus" or _alpha_of(name) not in stated):
-        expected = "a prior of mu whose layer's alpha has a prior too"
-        raise ConfigError("states a correlation that has no partner", key=key, expected=expected)
 
 
 def _alpha_of(mu: str) -> str:
@@ -346,7 +327,10 @@ class Parameters:
         for name, (factor, source) in ((name, every[name]) for name in names if name in soft):
             more, source = ends.get(source, (1.0, source))
             found.append(SoftTie(name, source, factor * more, soft[name]))
-        ties = _order_ties(found)
+        ties: list[SoftTie] = []
+        while found:  # each behind that of its source
+            ties += [tie for tie in found if tie.source not in {other.name for other in found}]
+            found = [tie for tie in found if tie not in ties]
         bounds = {name: bounds for name in names if (bounds := table[name].bounds) is not None}
         for tie in ties:
             bounds[tie.name] = _find_tied_bounds(tie, bounds, fixed)
@@ -485,10 +469,7 @@ def without_bevel_spread(parameters: Parameters) -> Parameters:
 
 
 def choose_hyperparameters(parameters: Parameters) -> dict[str, float]:
-    """Return the hyperparameters where nothing is known of them.
-
-    Median of their prior, deviation of a half-normal one, or 1.
-    """
+    """Return the hyperparameters where nothing is known: median or half-normal SD of their prior, or 1."""
     names = [name for name in parameters.names if name in HYPERPARAMETERS]
     stated = {name: parameters.prior.marginals[name] for name in names if name in parameters.prior.marginals}
     medians = {name: math.exp(mean) for name, (mean, _) in stated.items()}
@@ -546,17 +527,6 @@ def find_tie_spread(name: str, parameter: ParameterRecord) -> float:
     return parameter.spread
 
 
-def _order_ties(ties: Sequence[SoftTie]) -> list[SoftTie]:
-    """Return the ties so that each comes behind that of its source."""
-    waiting, found = list(ties), []
-    while waiting:
-        names = {tie.name for tie in waiting}
-        ready = [tie for tie in waiting if tie.source not in names]
-        found += ready
-        waiting = [tie for tie in waiting if tie not in ready]
-    return found
-
-
 def _find_tied_bounds(
     tie: SoftTie, bounds: Mapping[str, tuple[float, float]], fixed: Mapping[str, float]
 ) -> tuple[float, float]:
@@ -570,16 +540,8 @@ def make_tissue(
 ) -> Tissue:
     """Return the tissue that one insertion meets, in the units of the mechanics (MPa, mm).
 
-    Parameters
-    ----------
-    values : mapping
-        Every parameter (Pa).
-    sequence : sequence of int
-        Layer number, from 1, in each of the n intervals; a layer may be met again.
-    boundaries : (n - 1,) array
-        Depths between the intervals, mm.
-    medium : MediumRecord
-        For the law and the thickness compressed.
+    `values` are all parameters (Pa), `sequence` the layer number, from 1, in each of the n intervals (a layer
+    may be met again), and `boundaries` (n - 1,) the depths between them, mm.
     """
     beyond = sorted({layer for layer in sequence if not 1 <= layer <= medium.layers})
     if beyond:
@@ -599,33 +561,30 @@ def make_tissue(
 
 def _ordered_names(record: MediumRecord) -> tuple[str, ...]:
     """Return the medium's parameter names in the order of layers; ConfigError unless they are complete."""
-    usual = state_usual_bounds(record)
-    needed = [*_list_layer_names(record), record.bevel_parameter]
+    usual, law, needed = state_usual_bounds(record), LAWS[record.law], list[str]()
+    for layer in range(1, record.layers + 1):
+        # a law without shape parameters takes no notice of an alpha that is left from another law
+        unused = [f"alpha{layer}"] if not law.parameters and f"alpha{layer}" in record.parameters else []
+        needed += [f"mu{layer}_pa", *(f"{name}{layer}" for name in law.shape_names), *unused]
+    needed.append(record.bevel_parameter)
     missing = [name for name in needed if name not in record.parameters and name not in usual]
     extra = [name for name in record.parameters if name not in [*needed, "guide_distance_mm"]]
     if missing or extra:
         faults = [f"`{n}` is missing" for n in missing] + [f"`{n}` is unknown here" for n in extra]
+        # one that is missing may be one that is unknown, mistyped
+        remaining, fixes = [*missing, *(name for name in usual if name not in record.parameters)], []
+        for name in extra:
+            near = difflib.get_close_matches(name, remaining, n=1)
+            fixes.append(f"write `{near[0]}` for `{name}`" if near else f"remove `{name}`")
+            remaining = [one for one in remaining if one not in near]
+        fixes += [f"add `{name}`" for name in remaining if name in missing]
         raise ConfigError(
             "; ".join(faults),
             key=f"parameters.{extra[0]}" if extra else "parameters",
             expected=f"{', '.join(needed)} ({record.layers} layers), and guide_distance_mm if wanted",
-            fix=_suggest_fix(
-                missing, [name for name in usual if name not in record.parameters], extra, record.layers
-            ),
+            fix=f"{', '.join(fixes)}; or correct `layers = {record.layers}`",
         )
     return (*needed, *(["guide_distance_mm"] if "guide_distance_mm" in record.parameters else []))
-
-
-def _list_layer_names(record: MediumRecord) -> list[str]:
-    """Return the names of the parameters of all layers.
-
-    A law without shape parameters takes no notice of an alpha that is left from another law.
-    """
-    law, names = LAWS[record.law], list[str]()
-    for layer in range(1, record.layers + 1):
-        unused = [f"alpha{layer}"] if not law.parameters and f"alpha{layer}" in record.parameters else []
-        names += [f"mu{layer}_pa", *(f"{name}{layer}" for name in law.shape_names), *unused]
-    return names
 
 
 def state_usual_bounds(record: MediumRecord) -> dict[str, ParameterRecord]:
@@ -633,17 +592,6 @@ def state_usual_bounds(record: MediumRecord) -> dict[str, ParameterRecord]:
     law = LAWS[record.law]
     rows = zip(law.parameters, law.name_shape(range(1, record.layers + 1)), strict=True)
     return {name: ParameterRecord(bounds=one.usual) for one, row in rows for name in row}
-
-
-def _suggest_fix(missing: Sequence[str], unstated: Sequence[str], extra: Sequence[str], layers: int) -> str:
-    """Return what to do about missing and unknown parameters: one may be the other, mistyped."""
-    remaining, fixes = [*missing, *unstated], []
-    for name in extra:
-        near = difflib.get_close_matches(name, remaining, n=1)
-        fixes.append(f"write `{near[0]}` for `{name}`" if near else f"remove `{name}`")
-        remaining = [one for one in remaining if one not in near]
-    fixes += [f"add `{name}`" for name in remaining if name in missing]
-    return f"{', '.join(fixes)}; or correct `layers = {layers}`"
 
 
 def _check_values(name: str, parameter: ParameterRecord, law: str) -> None:

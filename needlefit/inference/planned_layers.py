@@ -49,15 +49,9 @@ def planned_layers(
 ) -> Layers | None:
     """Return boundaries (n - 1,) along C's x and the n layers that the simulated needle meets.
 
-    None where a solve fails, or the crossings do not come to rest.
-
-    Parameters
-    ----------
-    insertion : Insertion
-        Its depth, its surfaces and its frame alone are used: the entry pose, and the bending plane, which
-        comes from the bevel where the dataset states it and else from the measured shape.
-    predict : callable
-        Boundaries and sequence -> simulated shape.
+    None where a solve fails, or the crossings do not come to rest. `predict` takes boundaries and sequence to
+    the simulated shape. Of the insertion its depth, surfaces and frame alone are used. The frame is the entry
+    pose and the bending plane, which comes from the bevel where the dataset states it, else from the shape.
     """
     # the straight planned path; it uses nothing of the measured shape
     path = np.column_stack((np.linspace(0.0, insertion.depth, 101), np.zeros(101)))

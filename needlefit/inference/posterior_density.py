@@ -73,12 +73,7 @@ class PosteriorDensity:
         """Return means (B,) and deviations (B,) of the bevel of one insertion, given what was measured of it.
 
         In standard deviations of b between insertions, for many sets of values; 0 and 1 where nothing was
-        measured.
-
-        Parameters
-        ----------
-        insertion : (str, int)
-            Its specimen and number in it, as `find_repeats` names it.
+        measured. The insertion is its specimen and number in it, as `find_repeats` names it.
         """
         surface = (insertion[0], BEVEL, insertion[1])
         known = tuple(
@@ -103,7 +98,7 @@ class PosteriorDensity:
 
     def _slope(self, values: Values, pairs: Sequence[tuple[Floats, Floats]]) -> Floats:
         """Return the derivatives (P,) of the log density, given those of white (m, R), (m, R, P)."""
-        scale, spread = self._scale(values), self._spread(values)
+        scale, spread = values.get(NOISE_SCALE, self.scale), values.get(BEVEL_SPREAD, 0.0)
         stated, names = self.parameters.prior.residuals(values), self.parameters.free
         slope = -(stated @ self.parameters.prior.slopes(names))
         slope = slope + self._by_half_normal * (1 - self._spread_in_sd(values) ** 2)
@@ -146,27 +141,17 @@ class PosteriorDensity:
             parts.append(part)
             slopes.append(part_slopes)
         whole, by_whole = (np.concatenate(self._in_order(some), axis=1) for some in (parts, slopes))
-        return [
-            self._append_prior(values, (whole[b], by_whole[b]), (log_det[b], by_det[b]))
-            for b, values in enumerate(sets)
-        ]
-
-    def _append_prior(
-        self, values: Values, own: tuple[Floats, Floats], determinant: tuple[float, Floats]
-    ) -> tuple[Floats, Floats]:
-        """Return the residuals of the insertions with those of the normalising factor and the prior, and the
-        derivatives of both; `determinant` is log det and its derivatives (P,).
-        """
-        normal = self._normal(values, float(determinant[0]))
-        # derivative of normal^2 / 2; divided by normal below, since d(normal) = d(normal^2 / 2) / normal
-        by_normal = 0.5 * determinant[1] + self._rows * self._by_scale - self._by_half_normal
-        stated = [self.parameters.prior.slopes(self.parameters.free)]
-        if self._by_half_normal.any():
-            stated.append(self._spread_in_sd(values) * self._by_half_normal[None])
-        return (
-            np.concatenate([own[0], normal, self._prior_residuals(values)]),
-            np.concatenate([own[1], by_normal / normal[:, None], *stated]),
-        )
+        found = []
+        for b, values in enumerate(sets):
+            normal = self._normal(values, float(log_det[b]))
+            # derivative of normal^2 / 2; divided by normal below, since d(normal) = d(normal^2 / 2) / normal
+            by_normal = 0.5 * by_det[b] + self._rows * self._by_scale - self._by_half_normal
+            stated = [self.parameters.prior.slopes(self.parameters.free)]
+            if self._by_half_normal.any():
+                stated.append(self._spread_in_sd(values) * self._by_half_normal[None])
+            residuals = np.concatenate([whole[b], normal, self._prior_residuals(values)])
+            found.append((residuals, np.concatenate([by_whole[b], by_normal / normal[:, None], *stated])))
+        return found
 
     @cached_property
     def residual_counts(self) -> tuple[int, ...]:
@@ -222,20 +207,14 @@ class PosteriorDensity:
 
     def _scales(self, sets: Sequence[Values]) -> tuple[Floats, Floats]:
         """Return the scales of the noise and the bevel's spreads, (B,) each."""
-        pairs = [(self._scale(values), self._spread(values)) for values in sets]
+        pairs = [(values.get(NOISE_SCALE, self.scale), values.get(BEVEL_SPREAD, 0.0)) for values in sets]
         scale, spread = np.array(pairs).T.copy()
         return scale, spread
-
-    def _scale(self, values: Values) -> float:
-        return values.get(NOISE_SCALE, self.scale)
-
-    def _spread(self, values: Values) -> float:
-        return values.get(BEVEL_SPREAD, 0.0)
 
     def _spread_in_sd(self, values: Values) -> float:
         """Return the bevel's spread in standard deviations of its half-normal prior; 0 if it has none."""
         sd = self.parameters.half_normal.get(BEVEL_SPREAD)
-        return self._spread(values) / sd if sd and BEVEL_SPREAD in self.parameters.free else 0.0
+        return values.get(BEVEL_SPREAD, 0.0) / sd if sd and BEVEL_SPREAD in self.parameters.free else 0.0
 
     def _log_prior(self, values: Values) -> float:
         """Return the log density of what is stated; a half-normal spread is searched in its logarithm."""
@@ -248,20 +227,16 @@ class PosteriorDensity:
 
     def _normal(self, values: Values, log_det: float) -> Floats:
         """Return the residual (1,) whose square is the normalising factor; none if that is constant."""
-        scale, spread = self._scale(values), self._spread_in_sd(values)
+        scale, spread = values.get(NOISE_SCALE, self.scale), self._spread_in_sd(values)
         moving = NOISE_SCALE in self.parameters.free
-        varies = any(self._varies_log_det(group, values) for _, group in self._nodes.groups)
-        if not moving and not spread and not varies:
+        # depths or bevel enter a group's log det; that of a pose is constant
+        spreads, every = values.get(BEVEL_SPREAD, 0.0) > 0, (one.nodes for one in self.observations)
+        if not moving and not spread and not any(one.axes or (one.bevel and spreads) for one in every):
             return np.empty(0)
         # 1 keeps it from 0, where its derivative would be infinite
         grown = 2 * self._rows * np.log(scale / NOISE_SCALE_BOUNDS[0]) if moving else 0.0
         less = 2 * np.log(BEVEL_SPREAD_BOUNDS[1] / spread) if spread else 0.0
         return np.array([np.sqrt(1.0 + grown + less + log_det)])
-
-    def _varies_log_det(self, group: NodeGroup, values: Values) -> bool:
-        """Return whether depths or bevel enter a group's log det; that of a pose is constant."""
-        spreads = self._spread(values) > 0
-        return any(nodes.axes or (nodes.bevel and spreads) for nodes in group.nodes)
 
     def _whiten(self, nodes: "_ModelledNodes", sets: Sequence[Values], jobs: int) -> Iterator[Floats]:
         """Yield the whitened residuals (B, m + c, R) of each insertion, the c curves of the pose last."""

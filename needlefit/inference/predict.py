@@ -63,10 +63,8 @@ def quantile(mixture: PredictiveMixture, p: ArrayLike) -> Floats:
     # the quantile lies between two draws of the ranks about p B, within the width of their Gaussians
     low, high = np.floor(wanted * count).astype(np.int64) - 1, np.ceil(wanted * count).astype(np.int64)
     columns = np.arange(len(beyond))
-    bracket = (
-        ranked[np.maximum(low, 0), columns] - beyond,
-        ranked[np.minimum(high, count - 1), columns] + beyond,
-    )
+    first, last = np.maximum(low, 0), np.minimum(high, count - 1)
+    bracket = ranked[first, columns] - beyond, ranked[last, columns] + beyond
     # one search for all: its overhead is that of thousands of draws
     return elementwise.find_root(excess, bracket, args=(columns, wanted)).x
 
@@ -102,11 +100,10 @@ def crps(mixture: PredictiveMixture, observed: ArrayLike) -> Floats:
 def simulate_shape_pit(
     mixture: PredictiveMixture, covariance: Floats, observed: Floats, rng: np.random.Generator
 ) -> float:
-    """Return the predictive CDF (PIT) of an observed curve (K,), by its largest standardised distance from
-    the mean.
+    """Return the predictive CDF (PIT) of a curve (K,), by its largest distance from the mean, in SDs.
 
-    Nearness is the distance from the mean in standard deviations. By simulation, since points go together:
-    `covariance` (K, K) is that of the errors about a draw, of which `mixture.sd` is the diagonal's root.
+    By simulation, since points go together: `covariance` (K, K) is that of the errors about a draw, of which
+    `mixture.sd` is the diagonal's root.
     """
     centre = mixture.means.mean(axis=0)
     spread = np.sqrt(mixture.means.var(axis=0) + mixture.sd**2)

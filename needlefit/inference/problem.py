@@ -33,7 +33,7 @@ from needlefit.inference.compared_points import (
 )
 from needlefit.inference.forward_model import PreparedModel, make_batch, predict
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD, Discrepancy, make_observation
-from needlefit.inference.objective import EVALUATION_ERRORS
+from needlefit.inference.objective import EVALUATION_ERRORS, ObjectiveFunction
 from needlefit.inference.parameters import BEVEL_SPREAD, Parameters, Theta, with_hyperparameters
 from needlefit.inference.posterior_density import PosteriorDensity
 from needlefit.inference.side_by_side import evaluate
@@ -233,22 +233,19 @@ class Problem:
         """Return a cheaper or smoother problem whose minima lie close to those of this one; None if there is
         none.
 
-        For the posterior that is the one with depths and bevel as stated, one needle instead of 2 d + 1 or
-        more; for the metric objective the plain squares of the deflections' errors. Each is made once, so
-        that searches that use it evaluate it together.
+        Each is made once, so that searches that use it evaluate it together.
         """
-        if minimized not in self._approaches:
-            self._approaches[minimized] = self._make_approach(minimized)
-        return self._approaches[minimized]
+        return self._squares if minimized == "metric" else self._plain
 
     @cached_property
-    def _approaches(self) -> "dict[ObjectiveName, Problem | None]":
-        return {}
+    def _squares(self) -> "Problem":
+        """The plain squares of the deflections' errors."""
+        squares = LikelihoodRecord(noise="independent", depths="fixed", bevel_spread=0.0)
+        return replace(self, likelihood=squares, noise=UNIFORM_NOISE)
 
-    def _make_approach(self, minimized: ObjectiveName) -> "Problem | None":
-        if minimized == "metric":
-            squares = LikelihoodRecord(noise="independent", depths="fixed", bevel_spread=0.0)
-            return replace(self, likelihood=squares, noise=UNIFORM_NOISE)
+    @cached_property
+    def _plain(self) -> "Problem | None":
+        """The posterior with depths and bevel as stated: one needle instead of 2 d + 1 or more."""
         if all(len(known.nodes.insertions) == 1 for known in self.density.observations):
             return None
         plain = {"depths": "fixed", "bevel_spread": 0.0}
@@ -318,6 +315,43 @@ def make_problem(
     return Problem(dataset, tuple(insertions), medium, parameters, weights, likelihood=likelihood)
 
 
+POSTERIOR_TOLERANCE = 1e-9  #: change of the log posterior under which a search for its peak ends
+#: the same on the way to where a search begins, by what it minimises. For a posterior it is small enough to
+#: see which starts met. The minima of a metric objective lie elsewhere, so that a closer approach is lost
+#: work.
+APPROACH_TOLERANCES: dict[ObjectiveName, float] = {"posterior": 1e-6, "metric": 1e-3}
+
+
+def make_objective(problem: Problem, minimized: ObjectiveName) -> ObjectiveFunction:
+    """Return the objective function that a recipe's `minimize` names, with an easier one to start from."""
+    if minimized == "posterior":
+        found = make_posterior_objective(problem)
+    else:
+        found = ObjectiveFunction(problem.lower, problem.upper, problem.objective, problem.objective_gradient)
+    easier = problem.approach(minimized)
+    if easier is None:
+        return found
+    return replace(found, approach=make_posterior_objective(easier, APPROACH_TOLERANCES[minimized]))
+
+
+def make_posterior_objective(
+    problem: Problem, absolute_tolerance: float = POSTERIOR_TOLERANCE
+) -> ObjectiveFunction:
+    """Return the negative log posterior density in theta as an objective function."""
+
+    def value(theta: Floats) -> float:
+        return -problem.log_posterior(theta)
+
+    def gradient(theta: Floats) -> tuple[float, Floats]:
+        density, slope = problem.gradient(theta)
+        return -density, -slope
+
+    residuals, jacobian = (problem.residuals, problem.jacobian) if problem.squares else (None, None)
+    return ObjectiveFunction(
+        problem.lower, problem.upper, value, gradient, residuals, jacobian, absolute_tolerance
+    )
+
+
 @dataclass(frozen=True)
 class EvaluationFailure:
     """Why one evaluation failed, and at which insertion."""
@@ -335,16 +369,12 @@ def explain_failure(problem: Problem, theta: Theta) -> EvaluationFailure:
         try:
             shape = predict(values, problem.medium, problem.dataset.needle, insertion)
         except EVALUATION_ERRORS as error:
-            return EvaluationFailure(insertion.id, _describe_error(error))
+            # the error's kind and the first line of its text, which says what is wrong
+            parts = (type(error).__name__, str(error).partition("\n")[0])
+            return EvaluationFailure(insertion.id, ": ".join(filter(None, parts)))
         if not shape.converged:
             return EvaluationFailure(insertion.id, shape.status)
     return EvaluationFailure("", "value not finite")
-
-
-def _describe_error(error: Exception) -> str:
-    """Return the error's kind and the first line of its text, which says what is wrong."""
-    text = str(error).partition("\n")[0]
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def find_outside_validity(

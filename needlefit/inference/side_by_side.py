@@ -40,12 +40,8 @@ def run_side_by_side(
 ) -> Iterator[tuple[int, Result]]:
     """Yield the number of each item and what its search gives, as they end; a remote pool runs each alone.
 
-    Parameters
-    ----------
-    jobs : int
-        Threads of an evaluation.
-    stop : TaskStop
-        Once it is requested, no further search begins; it is requested in the end.
+    `jobs` are the threads of an evaluation. Once `stop` is requested, no further search begins; it is
+    requested in the end.
     """
     if pool.remote:
         yield from run_parts(search, items, pool, jobs, stop)
@@ -125,21 +121,18 @@ class _Group:
         with self._changed:
             self._waiting.append(request)
             while not request.ended:
-                if len(self._waiting) >= min(self._left, MAX_SEARCHES) + self._parts:
-                    self._evaluate_all()
-                else:
+                if len(self._waiting) < min(self._left, MAX_SEARCHES) + self._parts:
                     self._changed.wait()
+                    continue
+                requests, self._waiting = self._waiting, []
+                while requests:
+                    same = [one for one in requests if one.function == requests[0].function]
+                    requests = [one for one in requests if one.function != same[0].function]
+                    self._evaluate_together(same)
+                self._changed.notify_all()
         if request.error is not None:
             raise request.error
         return request.value
-
-    def _evaluate_all(self) -> None:
-        requests, self._waiting = self._waiting, []
-        while requests:
-            same = [one for one in requests if one.function == requests[0].function]
-            requests = [one for one in requests if one.function != same[0].function]
-            self._evaluate_together(same)
-        self._changed.notify_all()
 
     def _evaluate_together(self, requests: Sequence[_Request]) -> None:
         try:

@@ -87,7 +87,10 @@ def learn_spread(
     tied = {tie.name for tie in parameters.prior.ties}
     untied = [k for k, name in enumerate(parameters.free) if name not in tied]
     square = np.ix_(untied, untied)
-    between = make_covariances(parameters, taus)[:, untied][:, :, untied]  # (G, Q, Q)
+    groups = list_groups(parameters)
+    marks = np.array([[float(name in names) for name in parameters.free] for _, names in groups])
+    squares = np.array([taus[:, which] ** 2 for which, _ in groups]).T  # (G, groups)
+    between = np.einsum("gk,kp,kq->gpq", squares, marks, marks)[:, untied][:, :, untied]  # (G, Q, Q)
     information, pull = np.zeros_like(between), np.zeros(between.shape[:2])
     for one in estimates:
         whole, mean = one.covariance[square] + between, one.mean[untied]
@@ -99,14 +102,6 @@ def learn_spread(
     best = np.linalg.solve(information, pull[..., None])[..., 0]
     logs += 0.5 * (np.sum(pull * best, axis=1) - np.linalg.slogdet(information)[1])
     return SpecimenSpread(taus, np.exp(logs - logsumexp(logs)), len(estimates))
-
-
-def make_covariances(parameters: Parameters, taus: Floats) -> Floats:
-    """Return the covariances (G, P, P) of theta between specimens with spreads (G, 2)."""
-    groups = list_groups(parameters)
-    marks = np.array([[float(name in names) for name in parameters.free] for _, names in groups])
-    squares = np.array([taus[:, which] ** 2 for which, _ in groups]).T  # (G, groups)
-    return np.einsum("gk,kp,kq->gpq", squares, marks, marks)
 
 
 def list_groups(parameters: Parameters) -> list[tuple[int, tuple[str, ...]]]:
@@ -132,27 +127,22 @@ def move_to_new_specimen(
     taus = np.sqrt(1 + 1 / fitted) * spread.draw(len(thetas), rng)
     moved, left = thetas.copy(), np.arange(len(thetas))
     for _ in range(MAX_REDRAWS):
-        moved[left] = _draw_specimens(parameters, thetas[left], taus[left], rng)
+        drawn, spreads = thetas[left].copy(), taus[left]
+        for which, names in list_groups(parameters):
+            shift = spreads[:, which] * rng.standard_normal(len(drawn))
+            for name in names:
+                drawn[:, parameters.free.index(name)] += shift
+        for tie in parameters.prior.ties:  # a source comes before what is tied to it
+            if tie.name in parameters.free and tie.source in parameters.free:
+                own, source = (parameters.free.index(name) for name in (tie.name, tie.source))
+                ratio = math.log(tie.factor) + math.log(tie.spread) * rng.standard_normal(len(drawn))
+                drawn[:, own] = drawn[:, source] + ratio
+        moved[left] = drawn
         outside = (moved[left] < parameters.lower) | (moved[left] > parameters.upper)
         left = left[np.any(outside, axis=1)]
         if not len(left):
             break
     return np.clip(moved, parameters.lower, parameters.upper)
-
-
-def _draw_specimens(parameters: Parameters, thetas: Floats, taus: Floats, rng: np.random.Generator) -> Floats:
-    """Return draws (B, P) of specimens that differ from thetas (B, P) by spreads (B, 2)."""
-    moved = thetas.copy()
-    for which, names in list_groups(parameters):
-        shift = taus[:, which] * rng.standard_normal(len(thetas))
-        for name in names:
-            moved[:, parameters.free.index(name)] += shift
-    for tie in parameters.prior.ties:  # a source comes before what is tied to it
-        if tie.name in parameters.free and tie.source in parameters.free:
-            own, source = (parameters.free.index(name) for name in (tie.name, tie.source))
-            ratio = math.log(tie.factor) + math.log(tie.spread) * rng.standard_normal(len(thetas))
-            moved[:, own] = moved[:, source] + ratio
-    return moved
 
 
 def estimate_specimen(problem: Problem, begin: Floats) -> SpecimenEstimate | None:
@@ -169,10 +159,8 @@ def estimate_specimen(problem: Problem, begin: Floats) -> SpecimenEstimate | Non
         return None
     # no wider than the bounds: along a ridge there is no curvature
     width = problem.upper - problem.lower
-    covariance: Floats = np.asarray(
-        np.linalg.inv(found.information + np.diag(12 / width**2)), dtype=np.float64
-    )
-    return SpecimenEstimate(found.theta, covariance)
+    covariance = np.linalg.inv(found.information + np.diag(12 / width**2))
+    return SpecimenEstimate(found.theta, np.asarray(covariance, dtype=np.float64))
 
 
 KERNELS_PER_SPECIMEN = 100  #: draws that stand for the posterior of a specimen
@@ -236,7 +224,14 @@ class Population:
         means, taus = np.split(at[inside], 2, axis=1)
         found = -0.5 * np.sum((taus / self.spread_sd) ** 2, axis=1)
         for one in self.specimens:
-            found += _likelihoods(one, means, taus)
+            # the logarithm of the mean of N( c_k; m, H + diag(tau^2) )
+            whole = one.kernel + taus[:, :, None] ** 2 * np.eye(taus.shape[1])  # (W, P, P)
+            factor = np.linalg.cholesky(whole)
+            away = one.centres[None] - means[:, None]  # (W, K, P)
+            white = np.linalg.solve(factor, away.transpose(0, 2, 1))  # (W, P, K)
+            logs = -0.5 * np.sum(white**2, axis=1)
+            volume = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)), axis=1)
+            found += logsumexp(logs, axis=1) - np.log(logs.shape[1]) - volume
         density[inside] = found
         return density
 
@@ -246,30 +241,15 @@ class Population:
         def height(at: Floats) -> float:
             return -float(self.log_density(at[None])[0])
 
-        within = list(zip(self.lower.tolist(), self.upper.tolist(), strict=True))
-        found = minimize(height, self._choose_start(), method="Nelder-Mead", bounds=within)
-        about = approximate_by_laplace(self.log_density, found.x, self.lower, self.upper)
-        return sample_by_importance(self.log_density, [about], (self.lower, self.upper), rng, SPREAD_EFFORT)
-
-    def _choose_start(self) -> Floats:
+        bounds = list(zip(self.lower.tolist(), self.upper.tolist(), strict=True))
         means = np.array([one.mean for one in self.specimens])
         within = np.mean([np.diag(one.covariance) for one in self.specimens], axis=0)
-        # method of moments: variance of the means, less that within specimens; not exactly 0, which is a
-        # bound
+        # method of moments: variance of the means, less that within specimens; not exactly 0, a bound
         spread = np.sqrt(np.maximum(means.var(axis=0) - within, 0.01 * self.spread_sd**2))
-        low, high = self.lower, self.upper
-        return np.clip(np.concatenate([means.mean(axis=0), spread]), low, high)
-
-
-def _likelihoods(one: Specimen, means: Floats, taus: Floats) -> Floats:
-    """Return the logarithm of the mean of N( c_k; m, H + diag(tau^2) ) for W pairs (W, P) of m and tau."""
-    whole = one.kernel + taus[:, :, None] ** 2 * np.eye(taus.shape[1])  # (W, P, P)
-    factor = np.linalg.cholesky(whole)
-    away = one.centres[None] - means[:, None]  # (W, K, P)
-    white = np.linalg.solve(factor, away.transpose(0, 2, 1))  # (W, P, K)
-    logs = -0.5 * np.sum(white**2, axis=1)
-    volume = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)), axis=1)
-    return logsumexp(logs, axis=1) - np.log(logs.shape[1]) - volume
+        start = np.clip(np.concatenate([means.mean(axis=0), spread]), self.lower, self.upper)
+        found = minimize(height, start, method="Nelder-Mead", bounds=bounds)
+        about = approximate_by_laplace(self.log_density, found.x, self.lower, self.upper)
+        return sample_by_importance(self.log_density, [about], (self.lower, self.upper), rng, SPREAD_EFFORT)
 
 
 def best_determined(specimens: Sequence[Specimen]) -> Floats:

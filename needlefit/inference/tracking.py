@@ -25,7 +25,7 @@ scale of the noise is what they leave of the runs fitted to, so that what they p
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -133,13 +133,9 @@ def discount_estimate(estimate: TrackingEstimate, prior: TrackingEstimate) -> Tr
 
 def set_parameters(tracked: TrackedNeedle, theta: Floats) -> TrackedNeedle:
     """Return the insertion with other moduli and another strength of its bevel throughout."""
-    values, angle = np.exp(theta), tracked.rules.path_angle
-    strength = float(values[-1])
-    bevels = [
-        replace(step.bevel, cut_angle=strength) if angle else replace(step.bevel, offset=strength)
-        for step in tracked.steps
-    ]
-    steps = [replace(step, bevel=bevel) for step, bevel in zip(tracked.steps, bevels, strict=True)]
+    values = np.exp(theta)
+    strength: dict[str, Any] = {"cut_angle" if tracked.rules.path_angle else "offset": float(values[-1])}
+    steps = [replace(step, bevel=replace(step.bevel, **strength)) for step in tracked.steps]
     return tracked._replace(tissue=replace(tracked.tissue, mu=values[:-1]), steps=steps)
 
 
@@ -159,14 +155,9 @@ def estimate_parameters(
 ) -> TrackingEstimate | None:
     """Return the estimate from all readings of a tip since the prior; None where no needle is found.
 
-    Parameters
-    ----------
-    readings : (n, 2) array
-        Depth and deflection of the tip as it was first there, mm, in C.
-    start : TrackingEstimate, optional
-        Where Gauss-Newton begins: the last estimate; by default the prior.
-    max_iterations : int
-        A few are enough where the next reading goes on from here.
+    `readings` (n, 2) are depth and deflection of the tip as it was first there, mm, in C. Gauss-Newton begins
+    at `start`, the last estimate, by default at the prior. A few iterations are enough where the next reading
+    goes on from here.
     """
     state = (start or prior).mean
     precision = _invert(prior.covariance)
@@ -292,10 +283,7 @@ def predict_readings(
 ) -> Floats:
     """Return draws (B, n - observed_count) of the readings of a run after the first `observed_count`, mm.
 
-    Parameters
-    ----------
-    deflection : (B, n) array
-        Of the run's tip, one row a draw.
+    `deflection` (B, n) is the tip's, one row a draw.
     """
     design = observation.free  # (n, 2)
     spread = np.zeros((len(scale), 2, 2))
@@ -304,15 +292,11 @@ def predict_readings(
     total = noise + design @ spread @ design.T  # (B, n, n)
     mean = deflection + slope.mean[:, None] * design[:, 1]
     # conditioning of a joint Gaussian: gain^T takes the residuals of the first readings to the later ones
-    gain = np.linalg.solve(
-        total[:, :observed_count, :observed_count], total[:, :observed_count, observed_count:]
-    )  # (B, k, n - k)
+    cross = total[:, :observed_count, observed_count:]
+    gain = np.linalg.solve(total[:, :observed_count, :observed_count], cross)  # (B, k, n - k)
     off = observation.measured[:, 1][:observed_count] - mean[:, :observed_count]
     centre = mean[:, observed_count:] + np.einsum("bk,bkr->br", off, gain)
-    remaining = (
-        total[:, observed_count:, observed_count:]
-        - gain.transpose(0, 2, 1) @ total[:, :observed_count, observed_count:]
-    )
+    remaining = total[:, observed_count:, observed_count:] - gain.transpose(0, 2, 1) @ cross
     root = np.linalg.cholesky(remaining)
     return centre + np.einsum("brs,bs->br", root, rng.normal(size=centre.shape))
 

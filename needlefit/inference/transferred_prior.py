@@ -39,18 +39,12 @@ def widen_posterior(
 ) -> Prior:
     """Return the prior of the free parameters of `new` that the old medium also has; the others stay flat.
 
-    Raises ConfigError if no parameter is common to both, or the old fit lies outside the new bounds.
+    `fit` has every parameter of the old medium at its best fit (Pa, mm), `thetas` (B, P) are draws of its
+    posterior, `spread` is the standard deviation between media of each parameter's coordinate, by name.
 
-    Parameters
-    ----------
-    fit : mapping
-        Every parameter of the old medium at its best fit (Pa, mm).
-    thetas : (B, P) array
-        Draws of the old medium's posterior.
-    spread : mapping
-        Standard deviation between media of each parameter's coordinate, by name; 0 where none is given.
+    Raises ConfigError if no parameter is common to both, or the old fit lies outside the new bounds.
     """
-    names = _find_common(old, new)
+    names = tuple(name for name in new.free if name in old.names)
     if not names:
         raise ConfigError("old and new medium have no parameter in common", fix="name media that resemble")
     for name in names:
@@ -141,10 +135,6 @@ class TransferProblem(Problem):
         """Return the log of the posterior density (W,) of many thetas (W, P) at once, on `jobs` threads."""
         density = super().log_posteriors(thetas, jobs)
         return density if self.transferred is None else density + self.transferred.correct(thetas)
-
-
-def _find_common(old: Parameters, new: Parameters) -> tuple[str, ...]:
-    return tuple(name for name in new.free if name in old.names)
 
 
 def _find_coordinates(old: Parameters, thetas: Floats, names: tuple[str, ...]) -> Floats:

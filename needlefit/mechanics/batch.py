@@ -3,7 +3,6 @@
 Vector instructions serve the sets of one insertion, threads different insertions.
 """
 
-import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field, fields, replace
@@ -22,7 +21,7 @@ from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import Columns, Evaluation, PreparedInsertion, run_evaluations
 from needlefit.mechanics.plan import Lattice, count_element_solves
 from needlefit.mechanics.shape import NeedleShape, Status, Validity, compute_scales, compute_validity
-from needlefit.mechanics.simulate import STATUS_NAMES, read_shape
+from needlefit.mechanics.simulate import STATUS_NAMES, read_shape, require_depth
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.processes import count_cores
 from needlefit.schemas.limits import MAX_BATCH_ELEMENT_SOLVES, MAX_BATCH_NODES, MAX_NUMBER
@@ -82,7 +81,15 @@ class Batch:
         if self.guide_x is not None and any(len(step.controls.before) != 1 for step in self.steps):
             raise ModelError("guide_x is given", expected="exactly one guide before the tissue in every step")
         object.__setattr__(self, "steps", tuple(self.steps))
-        self._check_size()
+        depths, element = tuple(step.depth for step in self.steps), self.rules.element
+        solves = len(self) * count_element_solves(depths, self.rules.spacing, element)
+        nodes = len(self) * max(depths, default=0.0) / element
+        if solves > MAX_BATCH_ELEMENT_SOLVES or nodes > MAX_BATCH_NODES:  # minutes, or gigabytes
+            raise ModelError(
+                f"a batch of {len(self)} sets is {solves:.3g} elements to be solved for, {nodes:.3g} nodes",
+                expected=f"at most {MAX_BATCH_ELEMENT_SOLVES:.3g}, and {MAX_BATCH_NODES:.3g} nodes",
+                fix="divide the sets among several batches, one call after the other",
+            )
 
     def __len__(self) -> int:
         return self._count
@@ -90,18 +97,6 @@ class Batch:
     @cached_property
     def _count(self) -> int:
         return len(next(v for v in (getattr(self, name) for name in VARYING_FIELDS) if v is not None))
-
-    def _check_size(self) -> None:
-        """Raise ModelError where all sets together would take minutes or gigabytes."""
-        depths, element = tuple(step.depth for step in self.steps), self.rules.element
-        solves = len(self) * count_element_solves(depths, self.rules.spacing, element)
-        nodes = len(self) * max(depths, default=0.0) / element
-        if solves > MAX_BATCH_ELEMENT_SOLVES or nodes > MAX_BATCH_NODES:
-            raise ModelError(
-                f"a batch of {len(self)} sets is {solves:.3g} elements to be solved for, {nodes:.3g} nodes",
-                expected=f"at most {MAX_BATCH_ELEMENT_SOLVES:.3g}, and {MAX_BATCH_NODES:.3g} nodes",
-                fix="divide the sets among several batches, one call after the other",
-            )
 
     def with_sets(self, **values: Floats) -> Self:
         """Return the same insertion with other sets of the same parameters; both share what is prepared.
@@ -133,22 +128,20 @@ class Batch:
             values = getattr(self, name)
             return default if values is None else float(values[i])
 
-        def change_step(step: Step) -> Step:
-            controls = replace(
-                step.controls,
-                base_y=choose("base_y", step.controls.base_y),
-                base_slope=choose("base_slope", step.controls.base_slope),
-            )
+        steps = []
+        for step in self.steps:
+            base_y = choose("base_y", step.controls.base_y)
+            base_slope = choose("base_slope", step.controls.base_slope)
+            controls = replace(step.controls, base_y=base_y, base_slope=base_slope)
             if self.guide_x is not None:
                 (guide,) = step.controls.before
                 shifted_guide = replace(guide, x=float(self.guide_x[i]))
                 controls = replace(controls, guides=(shifted_guide, *step.controls.within))
             angle = choose("cut_angle", step.bevel.cut_angle)
             bevel = Bevel(choose("offset", step.bevel.offset), step.bevel.side, angle)
-            return Step(step.depth, bevel, controls)
-
+            steps.append(Step(step.depth, bevel, controls))
         needle = replace(self.needle, flexural_rigidity=choose("rigidity", self.needle.flexural_rigidity))
-        return needle, tuple(change_step(step) for step in self.steps)
+        return needle, tuple(steps)
 
 
 VARYING_FIELDS = tuple(one.name for one in fields(Batch) if one.init)[4:]  #: what a set may give
@@ -283,8 +276,7 @@ def linearize(
     Jacobian
         NaN where the solution failed.
     """
-    if not (math.isfinite(depth) and depth > 0):
-        raise ModelError(f"depth is {depth} mm", expected="a positive, finite number")
+    require_depth(depth)
     return linearize_steps(needle, tissue, (Step(float(depth), bevel, controls),), rules, wrt=wrt)
 
 
@@ -297,10 +289,7 @@ def linearize_steps(
     *,
     wrt: Sequence[str] = _DEFAULT_WRT,
 ) -> tuple[NeedleShape, Jacobian]:
-    """Insert the needle as `simulate_steps` does; return its last shape and the derivatives of that shape.
-
-    Parameters and returns are those of `simulate_steps` and `linearize`.
-    """
+    """Insert the needle as `simulate_steps` does; return its last shape and the derivatives of that shape."""
     columns = find_columns(tuple(wrt), tissue, steps, rules)
     insertion = PreparedInsertion(needle, tissue, steps, rules, lattice, columns)
     one = Evaluation(insertion, 1, {}, np.ones(1, dtype=bool))
@@ -315,7 +304,14 @@ def read_jacobians(evaluation: Evaluation, converged: Bools) -> Jacobians:
     insertion = evaluation.insertion
     assert insertion.columns is not None
     x = evaluation.shapes.arrays["x"][evaluation.some]
-    by_x = _differentiate_nodes(x, insertion, evaluation.values.get("guide_x"), evaluation.some)
+    guide_x = evaluation.values.get("guide_x")
+    by_x = np.zeros((len(x), insertion.columns.total))
+    for number, guide in enumerate(insertion.steps[-1].controls.guides):
+        # nodes of guides that hold the needle move with them; the first one may differ between sets
+        column = insertion.columns.guides[guide.x][0]
+        place = guide.x if guide_x is None or number else guide_x[evaluation.some]
+        if column >= 0:
+            by_x[:-1][x[:-1] == place, column] = 1.0  # none holds the tip
     if not insertion.columns.total:
         nodes, points = (np.empty((evaluation.sets, size, 0)) for size in (len(x), insertion.points))
         return Jacobians((), by_x, nodes, nodes, points, points, converged)
@@ -328,27 +324,16 @@ def read_jacobians(evaluation: Evaluation, converged: Bools) -> Jacobians:
 
 
 def differentiate_positions(shape: NeedleShape, jacobian: Jacobian, s: Floats) -> Floats:
-    """Return the derivatives (K, 2, P) of `positions(shape, s)` with respect to the Jacobian's parameters.
-
-    Parameters
-    ----------
-    s : (K,) array
-        Beam coordinates on the needle, mm.
-    """
-    x, u, slope, u_by, slope_by = (
-        np.ascontiguousarray(part)[None]
-        for part in (shape.x, shape.u, shape.slope, jacobian.u, jacobian.slope)
-    )
-    wanted, x_by = np.ascontiguousarray(s, dtype=np.float64), np.ascontiguousarray(jacobian.x)
-    return native.compute_position_derivatives(x, u, slope, wanted, x_by, u_by, slope_by)[0]
+    """Return the derivatives (K, 2, P) of `compute_positions(shape, s)` by the Jacobian's parameters."""
+    parts = (shape.x, shape.u, shape.slope, jacobian.u, jacobian.slope)
+    x, u, slope, u_by, slope_by = (part[None] for part in parts)
+    return native.compute_position_derivatives(x, u, slope, s, jacobian.x, u_by, slope_by)[0]
 
 
 def differentiate_batch_positions(shapes: NeedleShapes, jacobians: Jacobians, s: Floats) -> Floats:
     """Return the derivatives (B, K, 2, P) of `compute_batch_positions(shapes, s)`."""
-    x, u, slope, wanted = (
-        np.ascontiguousarray(part, dtype=np.float64) for part in (shapes.x, shapes.u, shapes.slope, s)
-    )
-    return native.compute_position_derivatives(x, u, slope, wanted, jacobians.x, jacobians.u, jacobians.slope)
+    by = jacobians.x, jacobians.u, jacobians.slope
+    return native.compute_position_derivatives(shapes.x, shapes.u, shapes.slope, s, *by)
 
 
 def find_columns(wrt: tuple[str, ...], tissue: Tissue, steps: Sequence[Step], rules: ModelOptions) -> Columns:
@@ -397,24 +382,6 @@ def _list_names(kind: str, law: str, layers: int, guides: int) -> list[str]:
     return [kind]
 
 
-def _differentiate_nodes(
-    x: Floats, insertion: PreparedInsertion, guide_x: Floats | None, some: int
-) -> Floats:
-    """Return how the nodes (N,) of a set move along the needle: those of guides that hold it move with it.
-
-    The first guide stands at `guide_x` (B,) of this set, where that is given.
-    """
-    columns, controls = insertion.columns, insertion.steps[-1].controls
-    assert columns is not None
-    nodes = np.zeros((len(x), columns.total))
-    for number, guide in enumerate(controls.guides):
-        column = columns.guides[guide.x][0]
-        place = guide.x if guide_x is None or number else guide_x[some]
-        if column >= 0:
-            nodes[:-1][x[:-1] == place, column] = 1.0  # none holds the tip
-    return nodes
-
-
 def simulate_batches(batches: Sequence[Batch], threads: int | None = None) -> tuple[NeedleShapes, ...]:
     """Simulate every parameter set of every batch on all cores, the longest insertions first.
 
@@ -433,7 +400,7 @@ def simulate_batches(batches: Sequence[Batch], threads: int | None = None) -> tu
         In the order of `batches`; sets that failed are NaN and say why in `status`. Numbers that are no
         parameters (not finite, mu not above 0, a guide out of the needle's reach) count as "non-finite".
     """
-    return tuple(_read_shapes(*pair) for pair in _run(batches, None, threads))
+    return tuple(shapes for _, shapes in _run(batches, None, threads))
 
 
 def linearize_batches(
@@ -453,16 +420,16 @@ def linearize_batches(
     tuple of (NeedleShapes, Jacobians)
         Solved to `MAX_TOLERANCE_MM` at least; what a set gives is what `linearize_steps` gives.
     """
-    pairs = [(*pair, _read_shapes(*pair)) for pair in _run(batches, tuple(wrt), threads)]
-    return tuple((shapes, read_jacobians(one, shapes.converged)) for _, one, shapes in pairs)
+    pairs = _run(batches, tuple(wrt), threads)
+    return tuple((shapes, read_jacobians(one, shapes.converged)) for one, shapes in pairs)
 
 
 def _run(
     batches: Sequence[Batch], wrt: tuple[str, ...] | None, threads: int | None
-) -> list[tuple[Batch, Evaluation]]:
+) -> list[tuple[Evaluation, NeedleShapes]]:
     evaluations = [_evaluate(batch, wrt) for batch in batches]
     run_evaluations(evaluations, threads or count_cores())
-    return list(zip(batches, evaluations, strict=True))
+    return [(one, _read_shapes(batch, one)) for batch, one in zip(batches, evaluations, strict=True)]
 
 
 def _evaluate(batch: Batch, wrt: tuple[str, ...] | None) -> Evaluation:
@@ -478,22 +445,19 @@ def _evaluate(batch: Batch, wrt: tuple[str, ...] | None) -> Evaluation:
     insertion = batch.prepared[wrt]
     values = {name: getattr(batch, name) for name in VARYING_FIELDS if getattr(batch, name) is not None}
     if not valid.any():  # numbers that a needle may have, in place of what is none
-        values = {name: _repeat_own(batch, name, array.shape) for name, array in values.items()}
+        step = batch.steps[0]
+        own = {
+            "rigidity": batch.needle.flexural_rigidity,
+            "offset": step.bevel.offset,
+            "cut_angle": step.bevel.cut_angle,
+            "base_y": step.controls.base_y,
+            "base_slope": step.controls.base_slope,
+            "guide_x": step.controls.guides[0].x if "guide_x" in values else 0.0,
+            "mu": batch.tissue.mu,
+            "shape": batch.tissue.shape,
+        }
+        values = {name: np.full(array.shape, own[name]) for name, array in values.items()}
     return Evaluation(insertion, len(batch), values, valid)
-
-
-def _repeat_own(batch: Batch, name: str, shape: tuple[int, ...]) -> Floats:
-    """Return the value that a batch's own tissue, needle or steps have, for all sets."""
-    step = batch.steps[0]
-    own = {
-        "rigidity": batch.needle.flexural_rigidity,
-        "offset": step.bevel.offset,
-        "cut_angle": step.bevel.cut_angle,
-        "base_y": step.controls.base_y,
-        "base_slope": step.controls.base_slope,
-        "guide_x": step.controls.guides[0].x if name == "guide_x" else 0.0,
-    }
-    return np.full(shape, own[name] if name in own else getattr(batch.tissue, name))
 
 
 def _read_shapes(batch: Batch, evaluation: Evaluation) -> NeedleShapes:

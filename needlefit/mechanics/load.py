@@ -1,6 +1,5 @@
 """The lateral loads on the needle: the tissue's load along the shaft, and the reactions of the supports."""
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,17 +66,8 @@ def compute_loads(
 ) -> Loads:
     """Return all loads on a needle in equilibrium: docs/model.md, section 3.
 
-    Parameters
-    ----------
-    tissue, needle, rules : Tissue, Needle, ModelOptions
-        Those under which it was found.
-    controls : Controls
-        What holds the needle there: those of its last step.
-
-    Returns
-    -------
-    Loads
-        NaN where the shape is, if it did not converge.
+    `tissue`, `needle` and `rules` are those under which it was found, `controls` those of its last step. NaN
+    where the shape is, if it did not converge.
     """
     depths = np.ascontiguousarray(shape.constraints[:, 0])
     problem = pack_equilibrium(needle, tissue, depths, controls, rules)
@@ -89,17 +79,21 @@ def compute_loads(
     nodal_forces = native.balance_nodes(problem, bent, front, load)
     # Supports have nodes at exactly their x, so a node is found by its coordinate.
     reactions = dict(zip(shape.x.tolist(), nodal_forces.tolist(), strict=True))
-    base, tip = float(shape.x[0]), controls.tip
+
+    def read(x: float, clamped: bool) -> SupportReaction:
+        force, moment = reactions.get(x, (0.0, 0.0))  # a guide without a node holds nothing
+        return SupportReaction(x, force, moment if clamped else 0.0)
+
     return Loads(
         s,
         load,
         weight,
-        float(weight[last:] @ load[last:]),
-        _read_reaction(reactions, base, clamped=True),
-        tuple(_read_reaction(reactions, guide.x, guide.slope is not None) for guide in controls.guides),
-        SupportReaction(shape.depth)
-        if tip is None
-        else _read_reaction(reactions, shape.depth, tip.slope is not None),
+        tip_region_force=float(weight[last:] @ load[last:]),
+        base=read(float(shape.x[0]), clamped=True),
+        guides=tuple(read(guide.x, guide.slope is not None) for guide in controls.guides),
+        tip=SupportReaction(shape.depth)
+        if controls.tip is None
+        else read(shape.depth, controls.tip.slope is not None),
     )
 
 
@@ -115,9 +109,3 @@ def compute_lateral_load(
     problem = pack_equilibrium(needle, tissue, depths, Controls(), rules)
     bent = shape.x, shape.u, shape.slope, shape.constraints
     return native.compute_load(problem, bent, np.ascontiguousarray(s, dtype=np.float64))
-
-
-def _read_reaction(reactions: Mapping[float, Sequence[float]], x: float, clamped: bool) -> SupportReaction:
-    """Return what holds at `x`, given force and moment at each node; a guide without a node holds nothing."""
-    force, moment = reactions.get(x, (0.0, 0.0))
-    return SupportReaction(x, force, moment if clamped else 0.0)

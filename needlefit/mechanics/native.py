@@ -358,15 +358,11 @@ class SessionMemory:
     def advance(self, problem: KernelProblem, depth: float, bevel: int, controls: int) -> tuple[int, int]:
         """Move the tip to `depth`, mm, under the inputs of the problem, whose numbers are given.
 
-        The needle stays where it was until `accept`.
+        Returns the stops of the tip on its way, without any of which there is no new shape, and the
+        constraint points behind the tip and under it. The needle stays where it was until `accept`.
 
         Raises TypeError if the problem has other sizes than that with which the session began, or the depth
         lies outside; RayRoomError if the problem has room for fewer rays than there would be.
-
-        Returns
-        -------
-        stops, points : int
-            Of the tip on its way; behind the tip and under it. Without a stop there is no new shape.
         """
         if problem is not self._fits:
             if problem.sets != 1 or self._measure(problem) != self._sizes:
@@ -440,24 +436,12 @@ def find_equilibrium(
     state: Floats | None = None,
     target: Floats | None = None,
 ) -> tuple[Floats, Floats, int, int]:
-    """Solve for one equilibrium against given constraint points.
+    """Solve for one equilibrium; return x (N,), deflection and slope (N, 2), status and passes.
+
+    `depths` and `y` (M + 1,) are the constraint points, mm, or `target` (Q,) y of the cut at each quadrature
+    point. `state` (N, 2) is a guess; by default straight.
 
     Raises TypeError if an array is none that the kernel can read, or depths do not increase.
-
-    Parameters
-    ----------
-    depths, y : (M + 1,) arrays
-        Constraint points, mm.
-    state : (N, 2) array, optional
-        A guess of deflection and slope; by default straight.
-    target : (Q,) array, optional
-        y of the cut at each quadrature point instead.
-
-    Returns
-    -------
-    x : (N,) array
-    state : (N, 2) array
-    status, passes : int
     """
     library, room = load_library(), problem.room
     found, x, ended = np.zeros((room, 2)), np.empty(room), np.zeros(2, np.int64)
@@ -572,9 +556,8 @@ def compute_position_derivatives(
     parts = [np.ascontiguousarray(part, dtype=np.float64) for part in (x, u, slope, s, x_by, u_by, slope_by)]
     count, nodes, columns = len(x), max(x.shape[-1], 2), x_by.shape[-1]
     sizes = [(count, nodes)] * 3 + [(-1,), (nodes, columns)] + [(count, nodes, columns)] * 2
-    for name, array, size in zip(
-        ("x", "u", "slope", "s", "x_by", "u_by", "slope_by"), parts, sizes, strict=True
-    ):
+    names = ("x", "u", "slope", "s", "x_by", "u_by", "slope_by")
+    for name, array, size in zip(names, parts, sizes, strict=True):
         check_array(name, array, float, size)
     found = np.empty((count, len(s), 2, columns))
     memory = make_memory(8 * count_lanes() * (6 * nodes + (4 * nodes + 2) * columns))

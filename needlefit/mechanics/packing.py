@@ -148,22 +148,34 @@ def pack_problem(
     columns: Columns | None = None,
     **sizes: float,
 ) -> native.KernelProblem:
-    """Return an insertion as the kernel reads it.
+    """Return an insertion as the kernel reads it, of which `packed` are the stops on the lattice.
+
+    `values` are what differs between sets, by the names of `batch.Batch`, `columns` those of the derivatives
+    that are asked for. `sizes` are fields of `native.KernelProblem` with other values than the insertion's.
 
     Raises ModelError if a law cannot be interpolated at its shape parameters.
-
-    Parameters
-    ----------
-    packed : PackedStops
-        Of the steps on the lattice.
-    values : mapping of arrays, optional
-        What differs between sets, by the names of `batch.Batch`, whose arrays they are.
-    columns : Columns, optional
-        Of the derivatives that are asked for.
-    **sizes : float
-        Fields of `native.KernelProblem` that are to have other values than the insertion gives them.
     """
-    counts, arrays = _pack_shared(tissue, steps, packed, columns)
+    controls = [steps[i].controls for i in packed.controls]
+    before, within = ([getattr(one, name) for one in controls] for name in ("before", "within"))
+    arrays: dict[str, np.ndarray] = {
+        "stops": packed.stops,
+        "boundaries": tissue.boundaries,
+        "before_first": np.cumsum([0, *map(len, before)]),
+        "within_first": np.cumsum([0, *map(len, within)]),
+        "before": list_guides([guide for some in before for guide in some]),
+        "within": list_guides([guide for some in within for guide in some]),
+        "held_tip": np.array([list_tip(one) for one in controls]),
+    }
+    if columns is not None and columns.total:
+        rows = [columns.guides[guide.x] for one in controls for guide in one.guides]
+        arrays["column_of"] = columns.first
+        arrays["guide_columns"] = np.array(rows, dtype=np.int64).reshape(-1, 3)
+        arrays["turn_by"] = _differentiate_turns(steps, packed, rules)
+    counts = {
+        "stop_count": len(packed.stops), "rays": packed.rays, "columns": columns.total if columns else 0,
+        "bevels": len(packed.bevels), "inputs": len(controls),
+        "guides": max(len(one.guides) for one in controls),
+    }  # fmt: skip
     more, of_sets = pack_sets(needle, tissue, steps, rules, packed, sets=sets, values=values, columns=columns)
     counts |= more | {"sets": sets, "max_iterations": rules.max_iterations}
     numbers = {
@@ -171,8 +183,6 @@ def pack_problem(
         "element": rules.element, "part": rules.cut_switch, "tangent": rules.tangent,
         "tolerance": rules.tolerance, "deepest": max(step.depth for step in steps),
     }  # fmt: skip
-    if columns is not None and columns.total:
-        arrays["turn_by"] = _differentiate_turns(steps, packed, rules)
     return native.KernelProblem.make(counts | numbers | sizes, arrays | of_sets)
 
 
@@ -225,33 +235,6 @@ def _differentiate_turns(steps: Sequence[Step], packed: PackedStops, rules: Mode
     return np.array([bevel.side / rules.bevel_strength(bevel)[1] for bevel in bevels])
 
 
-def _pack_shared(
-    tissue: Tissue, steps: Sequence[Step], packed: PackedStops, columns: Columns | None
-) -> tuple[dict[str, int], dict[str, np.ndarray]]:
-    """Return the sizes and arrays of a problem that do not depend on its parameter sets."""
-    controls = [steps[i].controls for i in packed.controls]
-    before, within = ([getattr(one, name) for one in controls] for name in ("before", "within"))
-    arrays: dict[str, np.ndarray] = {
-        "stops": packed.stops,
-        "boundaries": tissue.boundaries,
-        "before_first": np.cumsum([0, *map(len, before)]),
-        "within_first": np.cumsum([0, *map(len, within)]),
-        "before": list_guides([guide for some in before for guide in some]),
-        "within": list_guides([guide for some in within for guide in some]),
-        "held_tip": np.array([list_tip(one) for one in controls]),
-    }
-    if columns is not None and columns.total:
-        rows = [columns.guides[guide.x] for one in controls for guide in one.guides]
-        arrays["column_of"] = columns.first
-        arrays["guide_columns"] = np.array(rows, dtype=np.int64).reshape(-1, 3)
-    sizes = {
-        "stop_count": len(packed.stops), "rays": packed.rays, "columns": columns.total if columns else 0,
-        "bevels": len(packed.bevels), "inputs": len(controls),
-        "guides": max(len(one.guides) for one in controls),
-    }  # fmt: skip
-    return sizes, arrays
-
-
 #: Newton tolerance of shapes that are differentiated, mm; at this, `simulate_steps` gives the same shape
 MAX_TOLERANCE_MM = 1e-9
 
@@ -259,14 +242,10 @@ MAX_TOLERANCE_MM = 1e-9
 class PreparedInsertion:
     """An insertion in the form that the kernel reads; plan, stops and guides are packed once.
 
-    Raises ModelError if there are no steps, or the needle is too short for one of them.
+    By default the constraint points of the lattice lie so that the last step ends on one. With columns of
+    derivatives it is solved to `MAX_TOLERANCE_MM` at least.
 
-    Parameters
-    ----------
-    lattice : Lattice, optional
-        Where constraint points lie; by default so that the last step ends on one.
-    columns : Columns, optional
-        Of derivatives; the insertion is then solved to `MAX_TOLERANCE_MM` at least.
+    Raises ModelError if there are no steps, or the needle is too short for one of them.
     """
 
     def __init__(
@@ -307,12 +286,8 @@ class PreparedInsertion:
 class Evaluation:
     """Parameter sets of a prepared insertion, and room for their shapes.
 
-    Parameters
-    ----------
-    values : mapping of arrays
-        Of the sets, by the names of `batch.Batch`.
-    valid : (B,) array of bool
-        Which sets are made of numbers that a tissue or needle may have; others are not computed.
+    `values` are named as in `batch.Batch`. Sets that are not `valid` (B,), made of numbers that a tissue or
+    needle may have, are not computed.
     """
 
     def __init__(

@@ -296,16 +296,9 @@ def find_input_path(
 ) -> tuple[Step, ...]:
     """Return the shortest steps that lead from first contact to a state, with the same rays and inputs.
 
-    Movements that were taken back leave nothing behind, and are left out.
-
-    Parameters
-    ----------
-    rays : sequence of (start, bevel, controls)
-        The depth where each ray begins, mm, the bevel that cuts it, the controls under which it was begun.
-    changed : bool
-        Whether inputs have changed since the tip came to its depth.
-    last : Step
-        Where the tip stands, and under which inputs.
+    Movements that were taken back leave nothing behind, and are left out. `rays` are depths where they begin,
+    mm, with the bevel that cuts and the controls under which each was begun; `changed` says whether inputs
+    have changed since the tip came to its depth; `last` is where it stands, and under which inputs.
     """
     steps: list[Step] = []
     # before the first cell there are no rays

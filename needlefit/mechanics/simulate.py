@@ -20,6 +20,12 @@ _DEFAULT_CONTROLS = Controls()
 _DEFAULT_OPTIONS = ModelOptions()
 
 
+def require_depth(depth: float) -> None:
+    """Raise ModelError unless a depth is one that a needle may be inserted to."""
+    if not (math.isfinite(depth) and depth > 0):
+        raise ModelError(f"depth is {depth} mm", expected="a positive, finite number")
+
+
 def simulate(
     needle: Needle,
     tissue: Tissue,
@@ -39,8 +45,7 @@ def simulate(
     NeedleShape
         With `converged` False and a reason in `status` where the solution failed.
     """
-    if not (math.isfinite(depth) and depth > 0):
-        raise ModelError(f"depth is {depth} mm", expected="a positive, finite number")
+    require_depth(depth)
     return simulate_steps(needle, tissue, (Step(float(depth), bevel, controls),), rules)
 
 
@@ -77,16 +82,12 @@ def equilibrium(
 ) -> NeedleShape:
     """Return the needle's equilibrium against given constraint points, without an insertion before it.
 
-    Parameters
-    ----------
-    constraints : (M + 1, 2) array
-        Depth (from 0, increasing, the last under the tip) and y of the points, mm; the mesh starts from
-        the depth of point 1.
+    `constraints` (M + 1, 2) are depth (from 0, increasing, the last under the tip) and y of the points, mm;
+    the mesh starts from the depth of point 1.
     """
     depths, y = np.ascontiguousarray(np.asarray(constraints, dtype=np.float64).T)
     depth = float(depths[-1])
-    if not depth > 0:
-        raise ModelError(f"depth is {depth} mm", expected="a positive, finite number")
+    require_depth(depth)
     check_reach(needle.length, depth, controls)
     problem = pack_equilibrium(needle, tissue, depths, controls, rules)
     x, state, status, passes = native.find_equilibrium(problem, depths, y)

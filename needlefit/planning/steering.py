@@ -9,7 +9,7 @@ Depths are arc lengths, as the needle is inserted; target and obstacles are in t
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, product
@@ -23,7 +23,7 @@ from needlefit.errors import ModelError
 from needlefit.inference.parameter_draws import ParameterDraws
 from needlefit.inference.proportions import wilson_interval
 from needlefit.mechanics.batch import NeedleShapes, compute_batch_positions, simulate_batches
-from needlefit.mechanics.control import Controls, ModelOptions, Step
+from needlefit.mechanics.control import ModelOptions, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import SAME_DEPTH_MM, make_lattice
 from needlefit.mechanics.tissue import Tissue
@@ -100,13 +100,6 @@ class PlanLimits:
         """Greatest slope of the base."""
         return math.tan(math.radians(self.base_angle_deg))
 
-    def list_narrower(self) -> Iterator["PlanLimits"]:
-        """Yield limits with parts of the range of the base, then with half of all ranges."""
-        if self.base_mm:
-            yield from (replace(self, base_mm=part * self.base_mm) for part in NESTED_RANGES)
-        entry, base, angle = self.entry_mm / 2, self.base_mm / 2, self.base_angle_deg / 2
-        yield replace(self, entry_mm=entry, base_mm=base, base_angle_deg=angle)
-
 
 @dataclass(frozen=True)
 class StartedInsertion:
@@ -163,9 +156,8 @@ class SteeringPlan:
 
     entry_mm: float  #: shift of the entry along y
     steps: tuple[Step, ...]  #: from where the needle stands
-    turns: tuple[
-        float, ...
-    ]  #: depths where the bevel turns over, mm; at the present one before anything else
+    #: depths where the bevel turns over, mm; at the present one before anything else
+    turns: tuple[float, ...]
     goal: Goal
     needles: Floats
     nominal: Floats
@@ -239,7 +231,14 @@ def plan_steering(
         If the target is not ahead of the tip, out of the needle's reach, or no needle is found on the way.
     """
     search = _Search(insertion, goal, limits or PlanLimits(), threads)
-    search.check()
+    x, nearest = goal.target[0], insertion.now.depth + NEAREST_TARGET_MM
+    if x <= nearest or search.end > insertion.reach:
+        raise ModelError(
+            f"the target lies at a depth of {x:.1f} mm",
+            expected=f"deeper than {nearest:.1f} mm (tip + {NEAREST_TARGET_MM} mm), "
+            f"up to {insertion.reach:.1f} mm",
+            fix="retract the needle, or take another target",
+        )
     chosen = search.best()
     way, now = search.way(chosen), insertion.now
     (needles,), (nominal,) = (
@@ -249,7 +248,13 @@ def plan_steering(
     low, high = wilson_interval(hits / len(needles), len(needles))
     touched = {one.name: float(np.mean(compute_clearances(needles, one) < 0)) for one in goal.obstacles}
     turns = (now.depth,) * (way[0].bevel.side != now.bevel.side) + chosen.turns
-    outcome = (needles, nominal[0], hits, low, high, touched, search.list_limits_met(chosen))
+    least, most = search.bounds
+    near = LIMIT_PART * (most - least)
+    at_end = (np.abs(chosen.at - search.still) > near) & (
+        (chosen.at <= least + near) | (chosen.at >= most - near)
+    )
+    at_limit = tuple(name for name, met in zip(LIMITED, at_end[[0, 2, 3]], strict=True) if met)
+    outcome = (needles, nominal[0], hits, low, high, touched, at_limit)
     return SteeringPlan(float(chosen.at[0]), way, turns, goal, *outcome)
 
 
@@ -304,17 +309,6 @@ class _Search:
         count = int((self.end - self.insertion.now.depth) / BASE_STEP_MM)
         return _spread(self.stations, count)
 
-    def check(self) -> None:
-        """Raise ModelError unless the target lies ahead, within reach."""
-        x, reach = self.goal.target[0], self.insertion.reach
-        nearest = self.insertion.now.depth + NEAREST_TARGET_MM
-        if x <= nearest or self.end > reach:
-            raise ModelError(
-                f"the target lies at a depth of {x:.1f} mm",
-                expected=f"deeper than {nearest:.1f} mm (tip + {NEAREST_TARGET_MM} mm), up to {reach:.1f} mm",
-                fix="retract the needle, or take another target",
-            )
-
     def way(self, choice: _Choice) -> tuple[Step, ...]:
         """Return the steps of a choice; the base goes in equal steps to its end, none before contact."""
         now = self.insertion.now
@@ -325,7 +319,10 @@ class _Search:
             # before contact a moved base would move the entry too
             if (steps or now.depth > SAME_DEPTH_MM) and (end in self.base_stations or end == depth):
                 part = min((end - now.depth) / (self.end - now.depth), 1.0) if end != depth else 1.0
-                controls = _move_base(now.controls, part, base_y, base_slope)
+                begin = now.controls
+                y = begin.base_y + part * (base_y - begin.base_y)
+                slope = begin.base_slope + part * (base_slope - begin.base_slope)
+                controls = replace(begin, base_y=y, base_slope=slope)
             step = Step(end, replace(now.bevel, side=side), controls)
             if steps and (steps[-1].bevel, steps[-1].controls) == (step.bevel, step.controls):
                 steps.pop()
@@ -353,14 +350,6 @@ class _Search:
         low, high = self.bounds
         moved: Floats = ((choice.at - self.still) / (high - low))[[0, 2, 3]]
         return moved
-
-    def list_limits_met(self, choice: _Choice) -> tuple[str, ...]:
-        """Return which of entry, base and its angle a choice moves to the end of their range."""
-        low, high = self.bounds
-        near = LIMIT_PART * (high - low)
-        moved = np.abs(choice.at - self.still) > near
-        at_end = moved & ((choice.at <= low + near) | (choice.at >= high - near))
-        return tuple(name for name, met in zip(LIMITED, at_end[[0, 2, 3]], strict=True) if met)
 
     def residuals(self, choices: Sequence[_Choice]) -> list[Floats]:
         """Return the misses of each choice over the draws of the search, and how far it moves the base."""
@@ -407,15 +396,27 @@ class _Search:
         """
         found = [self._find()]
         if self.risks(found)[0] > self.rules.sure_risk:
-            narrower = [replace(self, limits=one)._find() for one in self.limits.list_narrower()]
+            limits = self.limits  # with parts of the range of the base, then with half of all ranges
+            parts = NESTED_RANGES if limits.base_mm else ()
+            ranges = [replace(limits, base_mm=part * limits.base_mm) for part in parts]
+            entry, base, angle = limits.entry_mm / 2, limits.base_mm / 2, limits.base_angle_deg / 2
+            ranges.append(replace(limits, entry_mm=entry, base_mm=base, base_angle_deg=angle))
+            narrower = [replace(self, limits=one)._find() for one in ranges]
             found += [*narrower, self._lower_risk(self._rank(narrower)[0])]
         return self._rank(found)[0]
 
     def _find(self) -> _Choice:
         """Return the best choice of this range alone."""
-        tried = self._step_once(self.list_choices())
+        tried, found = self._step_once(self.list_choices()), []
         count = self.rules.refined
-        found = self._rank([self._optimize(one) for one in self._rank(tried)[:count]])
+        for one in self._rank(tried)[:count]:
+
+            def residuals(places: Sequence[Floats], one: _Choice = one) -> list[Floats]:
+                return self.residuals([replace(one, at=at) for at in places])
+
+            at, _ = minimize_miss(residuals, one.at, self.bounds, DIFFERENCE_STEPS)
+            found.append(replace(one, at=at))
+        found = self._rank(found)
         return self._rank([*map(self._lower_risk, found[: count - 1]), found[0]])[0]
 
     def _rank(self, choices: Sequence[_Choice]) -> list[_Choice]:
@@ -440,12 +441,6 @@ class _Search:
             stepped.append(replace(one, at=np.clip(one.at + step, low, high)))
         return stepped
 
-    def _optimize(self, choice: _Choice) -> _Choice:
-        def residuals(places: Sequence[Floats]) -> list[Floats]:
-            return self.residuals([replace(choice, at=at) for at in places])
-
-        return replace(choice, at=minimize_miss(residuals, choice.at, self.bounds, DIFFERENCE_STEPS)[0])
-
     def _lower_risk(self, choice: _Choice) -> _Choice:
         """Return a choice of lower risk nearby: the least expected miss is not always it.
 
@@ -468,13 +463,6 @@ class _Search:
         )
         at = np.clip(found.x, low, high)
         return replace(choice, at=at) if found.fun < risk(choice.at) - 1e-3 else choice
-
-
-def _move_base(controls: Controls, part: float, base_y: float, base_slope: float) -> Controls:
-    """Return controls whose base has gone a part of its way."""
-    y = controls.base_y + part * (base_y - controls.base_y)
-    slope = controls.base_slope + part * (base_slope - controls.base_slope)
-    return replace(controls, base_y=y, base_slope=slope)
 
 
 def _spread(stations: Sequence[float], count: int) -> tuple[float, ...]:
@@ -538,7 +526,12 @@ def find_reachable_region(
     limits, end = limits or PlanLimits(), min(depth, insertion.reach)
     begin = min(insertion.now.depth + NEAREST_TARGET_MM, end)
     depths = np.append(begin, np.linspace(min(begin + 2 * BASE_STEP_MM, end), end, REACH_DEPTHS))
-    ways = [way for to in depths.tolist() for way in _list_outermost_ways(insertion, to, limits)]
+    ways, side = list[tuple[Step, ...]](), insertion.now.bevel.side
+    for to in depths.tolist():
+        search = _Search(insertion, Goal((to, 0.0)), limits, threads=1)
+        corners = product((-limits.base_mm, limits.base_mm), (-limits.base_slope, limits.base_slope))
+        ends = [search.still, *(np.array([0.0, to, *corner]) for corner in corners)]
+        ways += [search.way(_Choice(one, (), at)) for one, at in product((side, -side), ends)]
     draws = insertion.samples[0] if insertion.draws is not None else insertion.exact
     found = insertion.simulate(draws, ways, threads)
     tips = np.array([np.where(one.valid, one.tip_track[:, -1, 0], np.nan) for one in found])
@@ -551,14 +544,3 @@ def find_reachable_region(
     shares = np.array(REACH_SHARES)
     low, high = np.quantile(least, shares, axis=0), np.quantile(greatest, 1 - shares, axis=0)
     return ReachableRegion(depths, low, high)
-
-
-def _list_outermost_ways(
-    insertion: StartedInsertion, depth: float, limits: PlanLimits
-) -> list[tuple[Step, ...]]:
-    """Return the ways to a depth without a turn, whose base stays or goes to a corner of its range."""
-    search = _Search(insertion, Goal((depth, 0.0)), limits, threads=1)
-    corners = product((-limits.base_mm, limits.base_mm), (-limits.base_slope, limits.base_slope))
-    ends = [search.still, *(np.array([0.0, depth, *corner]) for corner in corners)]
-    side = insertion.now.bevel.side
-    return [search.way(_Choice(one, (), at)) for one, at in product((side, -side), ends)]

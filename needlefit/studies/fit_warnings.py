@@ -16,8 +16,7 @@ from needlefit.reporting.labels import group_name, medium_name
 from needlefit.reporting.number_format import format_quantity
 from needlefit.reporting.table_files import Row
 from needlefit.reporting.text import KindText
-from needlefit.studies.coverage import list_missed_levels, median_width
-from needlefit.studies.interval_width import find_adaptation, is_too_wide
+from needlefit.studies.coverage import find_adaptation, is_too_wide, list_missed_levels, median_width
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import (
     HELD_OUT,

@@ -40,8 +40,8 @@ from needlefit.project.progress import never_stop
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import THIS_PROCESS, TaskPool, TaskStop, run_parts
 from needlefit.schemas.recipe import LikelihoodRecord
+from needlefit.studies.coverage import estimate_width_after_one
 from needlefit.studies.folds import Fold
-from needlefit.studies.interval_width import estimate_width_after_one
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.new_specimens import NewSpecimens, describe_specimen
 from needlefit.studies.planned_draws import (

@@ -11,7 +11,6 @@ from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.forward_model import make_options as mesh
 from needlefit.inference.material import set_material_prior
-from needlefit.inference.objective import make_objective
 from needlefit.inference.optimize.local_search import select_algorithms
 from needlefit.inference.parameters import (
     Parameters,
@@ -19,7 +18,7 @@ from needlefit.inference.parameters import (
     without_bevel_spread,
     without_prior,
 )
-from needlefit.inference.problem import Problem
+from needlefit.inference.problem import Problem, make_objective
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.mechanics.plan import check_size, count_element_solves
 from needlefit.project.locate import FileKind, find_file

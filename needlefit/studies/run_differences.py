@@ -7,10 +7,9 @@ by more than two standard errors, a verdict, what converged.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,6 +17,10 @@ import pandas as pd
 from needlefit.errors import DataError
 from needlefit.project.folders import require_unchanged
 from needlefit.project.input_files import convert_stored_errors
+from needlefit.project.json_values import to_json_values
+from needlefit.reporting.number_format import format_number
+from needlefit.reporting.table import Table
+from needlefit.reporting.table_layout import TableLayout
 from needlefit.studies.csv_tables import ANY_COLUMNS, TableSchema, read_table
 from needlefit.studies.kind import find_kind
 from needlefit.studies.store import read_run
@@ -105,23 +108,8 @@ _STATES = (
     "faults",
 )
 _INPUTS = (
-    "dataset",
-    "medium",
-    "recipe",
-    "rules",
-    "study",
-    "fit",
-    "folds",
-    "hand_tuned",
-    "versions",
-    "source_revision",
-    "datasets",
-    "parts",
-    "scene",
-    "fits",
-    "control",
-    "sampled",
-    "replicates",
+    *("dataset", "medium", "recipe", "rules", "study", "fit", "folds", "hand_tuned", "versions"),
+    *("source_revision", "datasets", "parts", "scene", "fits", "control", "sampled", "replicates"),
 )
 
 
@@ -136,7 +124,15 @@ def compare_runs(before: Path, after: Path, unverified: bool = False) -> list[Di
         named = "files that do not agree with the manifest"
         marks = [Difference("state", named, faults[0], faults[1], True, "")] if any(faults) else []
         one, two = read_run(before), read_run(after)
-        kinds = [_read_kind(folder, run) for folder, run in ((before, one), (after, two))]
+        for folder, run in ((before, one), (after, two)):
+            if not run.get("kind"):
+                raise DataError(
+                    "states no kind of study",
+                    where=str(folder / "run.json"),
+                    expected="a run of one study",
+                    fix="name the folder of one study, or run it again",
+                )
+        kinds = [str(run["kind"]) for run in (one, two)]
         if kinds[0] != kinds[1]:
             raise DataError(
                 f"is of kind {kinds[1]}, and {before} of kind {kinds[0]}: they answer different questions",
@@ -144,24 +140,17 @@ def compare_runs(before: Path, after: Path, unverified: bool = False) -> list[Di
                 expected=f"a run of kind {kinds[0]}",
                 fix="compare runs of the same command",
             )
-        tables = _compare_folders(kinds[0], before, after)
+        pairs = {key: (one.get(key), two.get(key)) for key in _STATES}
         return [
             *marks,
             *compare_leaves(*({key: run[key] for key in _INPUTS if key in run} for run in (one, two))),
-            *_compare_states(one, two),
-            *tables,
+            *(
+                Difference("state", key, *pair, key != "posteriors", "")
+                for key, pair in pairs.items()
+                if pair[0] != pair[1]
+            ),
+            *_compare_folders(kinds[0], before, after),
         ]
-
-
-def _read_kind(folder: Path, run: Mapping[str, Any]) -> str:
-    if not run.get("kind"):
-        raise DataError(
-            "states no kind of study",
-            where=str(folder / "run.json"),
-            expected="a run of one study",
-            fix="name the folder of one study, or run it again",
-        )
-    return str(run["kind"])
 
 
 def _compare_folders(kind: str, before: Path, after: Path) -> Iterator[Difference]:
@@ -194,13 +183,6 @@ def _iterate_leaves(value: object, path: str = "") -> Iterator[tuple[str, object
             yield from _iterate_leaves(inner, f"{path}.{key}" if path else str(key))
     else:
         yield path, value
-
-
-def _compare_states(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[Difference]:
-    for key in _STATES:
-        one, two = before.get(key), after.get(key)
-        if one != two:
-            yield Difference("state", key, one, two, key != "posteriors", "")
 
 
 MIN_RELATIVE_CHANGE = 0.1  #: part by which a number that is no length may change and say the same
@@ -272,3 +254,84 @@ def _find_greatest_change(
         matters, slight = part > MIN_RELATIVE_CHANGE, part < ROUNDING_FRACTION * MIN_RELATIVE_CHANGE
     why = f"{why}: {at}" if at else why
     yield Difference("parameter", where, float(before[row]), float(after[row]), matters, why, slight)
+
+
+MAX_CELL_LETTERS = 40  #: characters of a value that a table shows
+
+
+def summarize_differences(found: Sequence[Difference]) -> str:
+    """Return whether any difference matters, and how many there are."""
+    results = [one for one in found if one.matters is not None]
+    if not found:
+        return "No difference."
+    inputs = len(found) - len(results)
+    because = (
+        f"{count_words(inputs, 'input')} {'differs' if inputs == 1 else 'differ'}"
+        if inputs
+        else "the inputs are the same"
+    )
+    if not results:
+        return f"No result differs; {because}."
+    relevant = sum(bool(one.matters) for one in results)
+    rounding = sum(one.slight and not one.matters for one in results)
+    small = len(results) - relevant - rounding
+    parts = [
+        f"{count_words(count, 'number')} {'differs' if count == 1 else 'differ'} {how}"
+        for count, how in ((small, "too little to matter"), (rounding, "by rounding"))
+        if count
+    ]
+    head = f"{count_words(relevant, 'relevant change')}." if relevant else "No relevant change."
+    return f"{head} {'; '.join([*parts, because])}."
+
+
+def lay_out_differences(found: Sequence[Difference], everything: bool = False) -> TableLayout:
+    """Return one row per difference that matters, then the inputs; `everything`: also the other changes."""
+    order = {True: 0, False: 1, None: 2}
+    shown = [one for one in found if everything or one.matters or one.matters is None]
+    rows = sorted(shown, key=lambda one: order[one.matters])
+    cells = [
+        {
+            **{"what": one.what, "found_at": one.where, "changed_by": one.why, "rank": order[one.matters]},
+            "before": _format_value(one.before),
+            "after": _format_value(one.after),
+            "matters": _MARKS[one.matters],
+            "strong": bool(one.matters),
+        }
+        for one in rows
+    ]
+    columns = ("what", "found_at", "before", "after", "changed_by", *(("matters",) if everything else ()))
+    left = len(found) - len(rows)
+    note = (
+        "A change matters if an identifiable parameter moved by more than half its standard deviation, if a "
+        "mean error changed by more than 0.005 mm (a CRPS by more than 10 %) and by more than two standard "
+        "errors on the same insertions, if the width of an interval changed by more than 10 %, or if a "
+        "verdict (such as that an interval covers too few insertions) or a state changed."
+    )
+    hidden = (f"Not shown: {left} not relevant (`--all` prints them).",)
+    notes = (*((note,) if everything or any(one.matters for one in rows) else ()), *(hidden if left else ()))
+    caption = "Changes from A (first run) to B (second run)."
+    return Table(
+        "differences", caption, cells, columns, groups=("rank",), strong="strong", notes=notes
+    ).lay_out()
+
+
+def differences_to_json(found: Sequence[Difference]) -> list[object]:
+    """Return the differences as JSON values."""
+    return [to_json_values(asdict(one)) for one in found]
+
+
+_MARKS = {True: "yes", False: "no", None: ""}
+
+
+def count_words(count: int, noun: str) -> str:
+    """Return "1 key", "2 keys"."""
+    return f"{count} {noun}" + ("" if count == 1 else "s")
+
+
+def _format_value(value: object) -> str:
+    if value is None:
+        return "–"
+    if isinstance(value, float):
+        return format_number(value)
+    shown = str(value)
+    return shown if len(shown) <= MAX_CELL_LETTERS else shown[: MAX_CELL_LETTERS - 1] + "…"

@@ -32,11 +32,14 @@ from needlefit.inference.likelihood.observation import (
     select_sections,
 )
 from needlefit.inference.parameters import BEVEL_SPREAD, NOISE_SCALE
+from needlefit.inference.planned_layers import with_planned_layers
+from needlefit.inference.problem import Problem
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.shape import NeedleShape
+from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.analyses import SyntheticDataRecord, SyntheticInsertionRecord
 from needlefit.schemas.medium import MediumRecord
+from needlefit.studies.folds import Fold
 from needlefit.studies.job import Job
 from needlefit.synthetic.design import list_planned_insertions
 from needlefit.synthetic.truth import bevel_offset, draw_specimen
@@ -254,3 +257,53 @@ def find_true_value(job: Job, name: str, seed: int) -> float:
     if not layers:
         return float("nan")
     return float(1e6 * np.exp(np.mean([np.log(specimen.mu[layers]) for specimen in specimens])))
+
+
+def simulate_design(
+    job: Job, fold: Fold, values: Mapping[str, float], noise: Noise | None = None
+) -> Problem | None:
+    """Return the fit's problem with every measured shape replaced by the one that `values` (Pa, mm) give.
+
+    Layers are those that the simulated needle meets, where the dataset has their surfaces; depths, sides,
+    poses, noise and the number of points stay; `noise` is for a dataset that states none. None where a needle
+    has no solution, or leaves the medium.
+    """
+    made = [_simulate_insertion(job, insertion, values) for insertion in fold.tune]
+    known = tuple(insertion for insertion in made if insertion is not None)
+    return replace(job.problem(fold), insertions=known, noise=noise) if len(known) == len(made) else None
+
+
+def choose_reference_values(
+    job: Job, fitted: Mapping[str, float] | None = None
+) -> tuple[dict[str, float], str]:
+    """Return the values (Pa, mm) at which a design is evaluated, within the bounds, and their origin.
+
+    They are those fitted, or those of the paper's hand-tuned set, or the middle of the bounds.
+    """
+    parameters = job.parameters
+    middle = parameters.values(parameters.expected)
+    if fitted is not None:
+        asked, words = dict(fitted), "the fitted values"
+    elif job.hand_tuned is not None:
+        asked, words = dict(job.hand_tuned), f"the paper's parameters, set {job.record.paper_parameters}"
+    else:
+        asked, words = middle, "the middle of the bounds"
+    theta = parameters.theta({**middle, **asked})
+    return parameters.values(np.clip(theta, parameters.lower, parameters.upper)), words
+
+
+def _simulate_insertion(job: Job, insertion: Insertion, values: Mapping[str, float]) -> Insertion | None:
+    """Return one insertion as it would go."""
+    needle = job.dataset.needle
+    met = with_planned_layers(insertion, values, job.medium, needle)
+    if met is None:
+        return None
+    shape = predict(values, job.medium, needle, met)
+    if not shape.converged:
+        return None
+    planar = (
+        read_points(insertion, shape, insertion.depths)
+        if isinstance(insertion, TipTrack)
+        else sample_inserted_points(shape, len(insertion.planar))
+    )
+    return replace(insertion.with_planar(planar), boundaries=met.boundaries, sequence=met.sequence)

@@ -1,17 +1,25 @@
-"""Load a study file of any kind, and find the data that it needs."""
+"""Load and check a study file of any kind, find the data that it needs, and prepare the fit that it names."""
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from needlefit.datasets.sources import find_dataset_file, is_missing
+from needlefit.errors import ConfigError
+from needlefit.project.input_files import is_file
 from needlefit.project.json_values import to_json_values
-from needlefit.project.locate import find_file
-from needlefit.project.toml import add_file_context, check, read_toml
+from needlefit.project.locate import FileKind, find_file, find_study_or_fit
+from needlefit.project.result_warnings import ResultWarning, warnings_entry
+from needlefit.project.toml import add_file_context, add_key_context, check, load, read_toml
+from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.base import FileRecord
-from needlefit.schemas.study import StudyRecord
+from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.schemas.tracks import TrackStudyRecord
+from needlefit.studies import provenance
+from needlefit.studies.job import Job, Settings, prepare
 from needlefit.studies.kind import find_kind
+from needlefit.studies.run import Run
 
 
 def load_study(path: Path) -> FileRecord:
@@ -54,3 +62,131 @@ def _datasets(table: object) -> Iterator[str]:
     elif isinstance(table, list):
         for value in table:
             yield from _datasets(value)
+
+
+_NAMED_FILES: Mapping[str, FileKind] = {
+    **{"dataset": "dataset", "medium": "medium", "recipe": "recipe"},
+    **{"fits": "fit", "studies": "study"},
+}
+"""Keys of study files whose values name files of a kind, alone or in a list."""
+
+
+@dataclass(frozen=True)
+class StudyCheck:
+    """A study without faults."""
+
+    kind: str  #: "fit", "cross-validation", or the kind that the file states
+    #: insertions fitted to and held out, in each fold; empty of other kinds
+    folds: tuple[tuple[int, int], ...] = ()
+    warnings: tuple[ResultWarning, ...] = ()  #: about the data and the study
+
+
+def check_study_file(kind: Literal["study", "fit"], path: Path) -> StudyCheck:
+    """Check a study or fit and everything that it names, without a simulation.
+
+    Of a fit or a cross-validation all its data are read; of other kinds the files named must exist.
+
+    Raises ConfigError, DataError if anything in it is missing or wrong.
+    """
+    record: FileRecord = load(path, FitRecord) if kind == "fit" else load_study(path)
+    with add_file_context(path):
+        if not isinstance(record, FitRecord):
+            _find_files(record.model_dump(mode="json", by_alias=True))
+            return StudyCheck(str(getattr(record, "kind", "tip tracks")))
+        job = prepare(path.stem, record, Settings(file=path))
+    folds = tuple((len(fold.tune), len(fold.validate)) for fold in job.folds)
+    return StudyCheck("cross-validation" if isinstance(record, StudyRecord) else "fit", folds, job.warnings)
+
+
+def _find_files(table: Mapping[str, object]) -> None:
+    """Find all files that a table of a study names, and those of the tables within it."""
+    for key, value in table.items():
+        with add_key_context(key):
+            for name in (
+                one for one in (value if isinstance(value, list) else [value]) if isinstance(one, str)
+            ):
+                if key in _NAMED_FILES:
+                    find_file(_NAMED_FILES[key], name)
+                elif key == "target":
+                    load_target(name)
+        for inner in value if isinstance(value, list) else [value]:
+            if isinstance(inner, Mapping):
+                _find_files(inner)
+
+
+def load_target(target: str) -> tuple[str, FitRecord, Path]:
+    """Return the name of the results of a fit, the fit, and the file that it stands in.
+
+    Of a study of tip tracks with several fits, STUDY:FIT names one.
+
+    Raises ConfigError if there is no such study or fit, or it does more than tune.
+    """
+    study, _, wanted = ("", "", "") if is_file(Path(target)) else target.rpartition(":")
+    kind, path = find_study_or_fit(study or target)
+    record = load(path, FitRecord) if kind == "fit" else load_study(path)
+    if isinstance(record, TrackStudyRecord):
+        wanted = wanted if study else ""
+        for one in record.fits:
+            if one.name == wanted or (not wanted and len(record.fits) == 1):
+                return f"{path.stem}-{one.name}-tune", record.tuning(one), path
+        raise ConfigError(
+            f"is a study of {len(record.fits)} fits" + (f", none of them {wanted}" if wanted else ""),
+            where=str(path),
+            expected=f"one of {', '.join(f'{path.stem}:{one.name}' for one in record.fits)}",
+            fix="name the study and the fit, with a colon between them",
+        )
+    if study:
+        find_study_or_fit(target)  # says that there is none of that name
+    if kind == "fit" and isinstance(record, FitRecord):
+        return path.stem, record, path
+    if not isinstance(record, StudyRecord):
+        raise ConfigError(
+            "is a study that does more than tune, and is not tuned by itself",
+            where=str(path),
+            fix=f"use: needlefit validate {target}",
+        )
+    return f"{path.stem}-tune", record.tuning(), path
+
+
+def target_name(record: TargetRecord, settings: Settings) -> str:
+    """Return the name of the results of the fit that a record names."""
+    given = settings.inputs.target
+    return load_target(record.target)[0] if given is None else given[0]
+
+
+def prepare_target(record: TargetRecord, name: str, settings: Settings) -> Job:
+    """Return the work of the fit that a record names; `name` keys its random numbers."""
+    if settings.inputs.target is not None:
+        return prepare(name, settings.inputs.target[1], settings)
+    _, fit, file = load_target(record.target)
+    with add_file_context(file):
+        return prepare(name, fit, settings)
+
+
+def prepare_with_held_out(record: TargetRecord, name: str, settings: Settings) -> Job:
+    """Return the work of the study that a record names, with what it holds out; of a fit, the fit's."""
+    if settings.inputs.target is None:
+        kind, path = find_study_or_fit(record.target)
+        study = None if kind == "fit" else load_study(path)
+        if isinstance(study, StudyRecord):
+            with add_file_context(path):
+                return prepare(name, study, replace(settings, file=path))
+    return prepare_target(record, name, settings)
+
+
+def begin_run(name: str, record: TargetRecord, job: Job, title: str) -> Run:
+    """Return a run without frames: what it is about, and all that decides its result.
+
+    Of a target that was named by its path, the name is kept.
+    """
+    named = {"target": Path(record.target).stem, "title": record.title or title}
+    stored = record.model_copy(update=named)
+    work: dict[str, Any] = {
+        **provenance.describe_configuration(job),
+        "study": stored.model_dump(mode="json", by_alias=True),
+        "fit": job.record.model_dump(mode="json", by_alias=True),
+        **warnings_entry(job.warnings),
+    }
+    data = job.dataset
+    timing = {"dataset": str(data.path)}
+    return Run(str(record.kind), name, stored, data.origin, data.title or data.name, {}, work, timing)

@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from needlefit.arrays import Floats, Ints
-from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import STATUS_NAMES, equilibrium, pack_equilibrium, simulate_steps
+from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.verification.check import worst
 
@@ -29,11 +28,9 @@ Numbers = NDArray[Any]  # real or complex
 
 STEP = 1e-30
 
-STENCIL = ((1, 4 / 5), (2, -1 / 5), (3, 4 / 105), (4, -1 / 280))
-STENCIL_STEP = 0.003
-"""Central differences of eighth order: multiples of the step, their weights, and the step over lambda. For
-powers of lambda up to 12 their relative error is below 1e-12.
-"""
+#: central differences of eighth order: multiples of the step, their weights, and the step over lambda. For
+#: powers of lambda up to 12 their relative error is below 1e-12.
+STENCIL, STENCIL_STEP = ((1, 4 / 5), (2, -1 / 5), (3, 4 / 105), (4, -1 / 280)), 0.003
 
 
 def differentiate_stress(law: str, stretch: Numbers, shape: Sequence[Numbers]) -> Numbers:
@@ -93,11 +90,8 @@ class ReferenceLaw:
         return np.copysign(0.5 * (low + high), force)
 
 
-PAPER_NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
-"""The needle of the paper: 150 mm, 18 gauge, 80 GPa."""
-
-EXACT_OPTIONS = ModelOptions(tolerance=1e-11)
-"""The default mesh, solved down to rounding."""
+PAPER_NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)  #: of the paper: 150 mm, 18 gauge, 80 GPa
+EXACT_OPTIONS = ModelOptions(tolerance=1e-11)  #: the default mesh, solved down to rounding
 
 
 def make_tissue(
@@ -127,8 +121,8 @@ class RandomCase:
 
 
 T = TypeVar("T")
+#: draws a case: deepest tip (mm) and softest layer (MPa)
 Draw = Callable[[np.random.Generator, float, float], RandomCase]
-"""Draws a case: deepest tip (mm) and softest layer (MPa)."""
 
 
 def draw_case(rng: np.random.Generator, deepest: float = 60.0, softest: float = 1e-3) -> RandomCase:
@@ -164,14 +158,12 @@ def _draw_bevel(rng: np.random.Generator) -> Bevel:
 
 
 def _draw_inputs(rng: np.random.Generator, depth: float) -> Controls:
-    """Return a base, and with even chances a guide before the tissue, one within it or else a tracked tip.
-
-    Not both of these: the tip passes the guide, and held 0.1 mm apart they bend the needle without bound.
-    """
+    """Return a base, and with even chances a guide before the tissue, one within it or else a tracked tip."""
     y, slope = rng.uniform(-0.5, 0.5, 8), rng.uniform(-0.01, 0.01, 4)
     guides, tip = list[Guide](), None
     if rng.random() < 0.5:
         guides.append(Guide(float(rng.uniform(-40, -5)), y[1], rng.choice([None, slope[1]])))
+    # not both of the following: the tip passes the guide, and held 0.1 mm apart they bend without bound
     if rng.random() < 0.5:
         guides.append(Guide(float(rng.uniform(0.2, 0.8) * depth), y[2], None, in_tissue=True))
     elif rng.random() < 0.5:
@@ -231,60 +223,3 @@ def largest_difference(shape: NeedleShape, other: NeedleShape) -> float:
     x = np.union1d(sample_densely(shape, start), sample_densely(other, start))
     x = x[x <= np.min([shape.x[-1], other.x[-1]])]
     return worst(np.abs(interpolate(shape, x) - interpolate(other, x)))
-
-
-@dataclass(frozen=True)
-class ClampedNeedle:
-    """A needle clamped at its base, y = u' = 0, and otherwise free.
-
-    Attributes
-    ----------
-    x : (N,) array
-        Nodes from base to tip, mm: those that the model itself would take.
-    points : (Q,) array
-        Quadrature points, mm.
-    depths, y : (M + 1,) arrays
-        Constraint points, mm.
-    target : (Q,) array or None
-        y of the cut at each quadrature point, in place of the constraint points'.
-    """
-
-    needle: Needle
-    tissue: Tissue
-    rules: ModelOptions
-    x: Floats
-    points: Floats
-    depths: Floats
-    y: Floats
-    target: Floats | None = None
-
-
-def make_clamped_needle(
-    needle: Needle, tissue: Tissue, constraints: Floats, rules: ModelOptions
-) -> ClampedNeedle:
-    """Return the clamped needle with these constraint points (M + 1, 2)."""
-    x = equilibrium(needle, tissue, constraints, rules=rules).x
-    depths, y = np.ascontiguousarray(constraints.T)
-    problem = pack_equilibrium(needle, tissue, depths, Controls(), rules)
-    points, *_ = native.list_quadrature(problem, x[1:].copy(), depths)
-    return ClampedNeedle(needle, tissue, rules, x, points, depths, y)
-
-
-def solve_newton(
-    clamped: ClampedNeedle, guess: Floats, tolerance: float = 1e-12, max_iterations: int = 60
-) -> Floats:
-    """Return the state (N, 2) that Newton's method reaches from a guess; a step with an infinite tolerance.
-
-    Raises
-    ------
-    ArithmeticError
-        If it does not converge.
-    """
-    problem = pack_equilibrium(clamped.needle, clamped.tissue, clamped.depths, Controls(), clamped.rules)
-    problem.tolerance, problem.max_iterations = tolerance, max_iterations
-    _, state, status, _ = native.find_equilibrium(
-        problem, clamped.depths, clamped.y, np.ascontiguousarray(guess), clamped.target
-    )
-    if status != native.CONVERGED:
-        raise ArithmeticError(f"the solver failed: {STATUS_NAMES[status]}")
-    return state

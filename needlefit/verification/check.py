@@ -1,13 +1,22 @@
-"""Define a check: quantities with acceptance bounds, set before anything is measured, and their measures."""
+"""Define and run checks: quantities with acceptance bounds, set before anything is measured.
 
+The checks are those of all files of the folder `checks`.
+"""
+
+import importlib
 import math
-from collections.abc import Callable
+import pkgutil
+import traceback
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+from needlefit.project.random_streams import random_stream
+from needlefit.verification import checks
 
 Verdict = Literal["passes", "FAILS", "stated"]
 
@@ -70,13 +79,7 @@ class AcceptanceBound:
 
 
 def worst(values: ArrayLike) -> float:
-    """Return the largest value; NaN if any value is NaN.
-
-    Raises
-    ------
-    ValueError
-        If there are no values: a check without measurements must not pass.
-    """
+    """Return the largest value, NaN if any is NaN; ValueError if there are none, which must not pass."""
     # np.max, since Python's own max may pass over a NaN
     return float(np.max(values))
 
@@ -102,21 +105,11 @@ class Quantity:
 
 @dataclass(frozen=True)
 class ConvergenceCurve:
-    """The result of a refinement study: errors at decreasing mesh sizes.
+    """The result of a refinement study: errors at decreasing mesh sizes."""
 
-    Attributes
-    ----------
-    case : str
-        What was solved.
-    h : tuple of float
-        Mesh sizes, mm.
-    errors : mapping of str to tuple of float
-        Per norm, the error at each mesh size.
-    """
-
-    case: str
-    h: tuple[float, ...]
-    errors: dict[str, tuple[float, ...]]
+    case: str  #: what was solved
+    h: tuple[float, ...]  #: mesh sizes, mm
+    errors: dict[str, tuple[float, ...]]  #: by norm, at each mesh size
 
     def order(self, norm: str) -> float:
         """Return the observed order: the slope of log error over log h, by least squares.
@@ -127,8 +120,7 @@ class ConvergenceCurve:
 
     def orders(self, norm: str) -> list[float]:
         """Return the observed order between each pair of successive mesh sizes."""
-        ratios = np.diff(np.log(self.errors[norm])) / np.diff(np.log(self.h))
-        return [float(ratio) for ratio in ratios]
+        return (np.diff(np.log(self.errors[norm])) / np.diff(np.log(self.h))).tolist()
 
 
 @dataclass(frozen=True)
@@ -140,27 +132,18 @@ class CheckOutcome:
     curves: tuple[ConvergenceCurve, ...] = ()
 
 
+#: returns the outcome; whatever is random comes from the generator that it is given
+Measure = Callable[[np.random.Generator], CheckOutcome]
+
+
 @dataclass(frozen=True)
 class Check:
-    """One check: what is measured, how, and within which bounds.
-
-    Attributes
-    ----------
-    title : str
-        What is solved.
-    quantities : tuple of Quantity
-        What is measured there.
-    measure : callable
-        Returns the outcome; whatever is random comes from the generator that it is given.
-    """
+    """One check: what is solved, which quantities are measured there, how, and within which bounds."""
 
     group: Group
     title: str
     quantities: tuple[Quantity, ...]
-    measure: Callable[[np.random.Generator], CheckOutcome]
-
-
-Measure = Callable[[np.random.Generator], CheckOutcome]
+    measure: Measure
 
 
 def define_check(group: Group, title: str, *quantities: Quantity) -> Callable[[Measure], Check]:
@@ -180,3 +163,52 @@ class CheckRow:
     unit: str
     verdict: Verdict
     remark: str = ""
+
+
+@dataclass(frozen=True)
+class Verification:
+    """The result of a verification: the table, and the refinement studies behind its observed orders."""
+
+    seed: int  #: of the random cases
+    rows: tuple[CheckRow, ...]
+    curves: tuple[ConvergenceCurve, ...]
+    traces: tuple[str, ...] = ()  #: tracebacks of the checks whose measure ended in an error
+
+    @property
+    def failed(self) -> tuple[CheckRow, ...]:
+        """The rows that fail."""
+        return tuple(row for row in self.rows if row.verdict == "FAILS")
+
+
+def find_checks() -> tuple[Check, ...]:
+    """Return the checks of all files of the folder `checks`, in the order of the table."""
+    modules = sorted(module.name for module in pkgutil.iter_modules(checks.__path__))
+    every = [
+        check for name in modules for check in importlib.import_module(f"{checks.__name__}.{name}").CHECKS
+    ]
+    order = list(Group)
+    return tuple(sorted(every, key=lambda check: order.index(check.group)))
+
+
+def verify(
+    seed: int = 1,
+    every: Sequence[Check] | None = None,
+    progress: Callable[[str, int, int], None] = lambda *_: None,
+) -> Verification:
+    """Measure all checks, or those of `every`; a check that crashes fails, and the others continue."""
+    rows, curves, traces = list[CheckRow](), list[ConvergenceCurve](), list[str]()
+    every = find_checks() if every is None else every
+    for done, check in enumerate(every):
+        progress(check.title, done, len(every))
+        try:
+            # a stream per check: adding a check changes the random cases of no other
+            outcome = check.measure(random_stream(seed, "verify", check.group.title, check.title))
+        except Exception as error:
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            outcome = CheckOutcome((float("nan"),) * len(check.quantities), f"not measured: {reason}")
+            traces.append("".join(traceback.format_exception(error)))
+        for one, value in zip(check.quantities, outcome.values, strict=True):
+            head, verdict = (check.group, check.title, one.words), one.bound.verdict(value)
+            rows.append(CheckRow(*head, float(value), one.bound, one.unit, verdict, outcome.remark))
+        curves += outcome.curves
+    return Verification(seed, tuple(rows), tuple(curves), tuple(traces))

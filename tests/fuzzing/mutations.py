@@ -30,36 +30,9 @@ EXTREME_NUMBERS = (
 TOKENS = (
     *(b"\x1b[2J\x1b[31m", b"\x1b]0;title\x07", b"\x00", b"\r", b"\xff\xfe", b"\xef\xbb\xbf", b"\xc0\x80"),
     *(b"\xed\xa0\x80", b"\\ud800", b"\\u0000", "\u202e".encode(), "é".encode(), "\U0001f4a9".encode()),
-    *(
-        b"../../etc/passwd",
-        b"/dev/zero",
-        b"/dev/stdin",
-        b"=cmd|' /C calc'!A0",
-        b"a/b",
-        b"%s%n",
-        b"{0}",
-        b"null",
-    ),
-    *(
-        b'"',
-        b"'",
-        b'"""',
-        b"#",
-        b",",
-        b";",
-        b"\t",
-        b"|",
-        b"=",
-        b"[",
-        b"]",
-        b"{",
-        b"}",
-        b"\n\n",
-        b"-",
-        b"*",
-        b"~",
-    ),
-    *(b"__proto__", b"schema", b"nan", b"A" * 300, b"A" * 70_000, b"\n" * 3000, b"," * 5000, b" " * 20_000),
+    *(b"../../etc/passwd", b"/dev/zero", b"/dev/stdin", b"=cmd|' /C calc'!A0", b"a/b", b"%s%n", b"{0}"),
+    *(b"null", b"__proto__", b"schema", b"nan", b'"""', b"\n\n", *map(str.encode, "\"'#,;\t|=[]{}-*~")),
+    *(b"A" * 300, b"A" * 70_000, b"\n" * 3000, b"," * 5000, b" " * 20_000),
 )
 OPENINGS = (b"[", b"{", b'{"a":', b"(", b"a = [", b"[[a]]\n", b"a.", b"<a>", b'"', b"((")
 
@@ -157,20 +130,9 @@ def binary_number(data: bytes, random: np.random.Generator) -> bytes:
     width = int(random.choice(list(_WIDTHS)))
     at = _place(len(data), random) // width * width
     top = 2 ** (8 * width)
-    extremes = (
-        0,
-        1,
-        top - 1,
-        top // 2,
-        top // 2 - 1,
-        top // 4,
-        3,
-        255,
-        int(random.integers(min(top, 2**62))),
-    )
-    value = struct.pack(
-        ("<" if random.random() < 0.7 else ">") + _WIDTHS[width], _one(extremes, random) % top
-    )
+    extremes = (0, 1, top - 1, top // 2, top // 2 - 1, top // 4, 3, 255, random.integers(min(top, 2**62)))
+    order = "<" if random.random() < 0.7 else ">"
+    value = struct.pack(order + _WIDTHS[width], int(_one(extremes, random)) % top)
     if width == 8 and random.random() < 0.5:
         value = struct.pack("<d", _one((0.0, -1.0, 1e308, float("nan"), float("inf"), 1e-320), random))
     return data[:at] + value + data[at + width :]

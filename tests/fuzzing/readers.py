@@ -27,18 +27,10 @@ MAX_LINES = 40
 
 @dataclass(frozen=True)
 class Reader:
-    """What reads one kind of input.
+    """What reads one kind of input, and its valid ones.
 
-    Attributes
-    ----------
-    read : callable
-        Takes the path; raises `NeedlefitError` or returns.
-    seeds : callable
-        Returns valid inputs.
-    mutants : int
-        Of a default test.
-    packed : bool
-        Whether files are gzip, inside which there is more to damage.
+    `read` takes the path, and raises `NeedlefitError` or returns; of `packed` files, which are gzip, the
+    inside is damaged too.
     """
 
     read: Callable[[Path], object]
@@ -165,13 +157,9 @@ def _kept(folder: Path) -> object:
     return [batch._decode_checkpoint({**row, **values}) for row in kept.rows("scan")]
 
 
-def _run(folder: Path) -> object:
-    return _late("studies.store.read_run")(folder)
-
-
 def _difference(folder: Path) -> object:
     found = _late("studies.run_differences.compare_runs")(folder / "a", folder / "b", unverified=True)
-    differences = import_module("needlefit.studies.differences")
+    differences = import_module("needlefit.studies.run_differences")
     if found:
         differences.lay_out_differences(found)
     return differences.summarize_differences(found), differences.differences_to_json(found)
@@ -182,10 +170,6 @@ def _parquet(path: Path) -> object:
     columnar = import_module("needlefit.studies.columnar")
     frames = columnar.ColumnarFrames(columnar.open_files(path.parent, [path.stem]))
     return [len(piece) for piece in columnar.iterate_pieces(frames, path.stem)]
-
-
-def _manifest(folder: Path) -> object:
-    return _late("project.folders.require_replaceable")(folder)
 
 
 # ---- texts
@@ -211,10 +195,8 @@ def _message(path: Path) -> object:
 
 def _conversation(path: Path) -> object:
     """Answer messages, a line each, in one window as the page's server does; replies must be JSON."""
-    opened, shown = import_module("needlefit.viewer.opening"), None
-    trials = import_module("needlefit.viewer.trials")
-    shown = opened.open_target("figure1")
-    registry = trials.TrialRegistry(shown, path.parent / "view", opened.open_target)
+    open_target = _late("viewer.opening.open_target")
+    registry = _late("viewer.trials.TrialRegistry")(open_target("figure1"), path.parent / "view", open_target)
     window = _late("viewer.trials.Window")(registry, registry.open(""))
     read, refused = _late("viewer.messages.read_message"), None
     for text in _text(path).splitlines()[:MAX_LINES]:
@@ -234,11 +216,7 @@ def _share(path: Path) -> object:
 def _tracker(path: Path) -> object:
     """Register a tracker to a scene."""
     record = _load("tracker.TrackerRecord", path)
-    scene = _late("mechanics.scene.Scene").from_record(
-        _late("project.toml.load")(
-            _late("project.locate.find_file")("scene", "figure1"), _late("schemas.scene.SceneRecord")
-        )
-    )
+    scene = _scene(_late("project.locate.find_file")("scene", "figure1"))
     tracking = import_module("needlefit.viewer.tracking")
     frame = tracking.register_tracker(record, scene.entry.placement)
     return tracking.measure_registration_error(record, frame, scene.entry.placement)
@@ -282,37 +260,39 @@ def _text(path: Path) -> str:
     return path.read_bytes().decode("utf-8", "surrogateescape").replace("\0", "")
 
 
+def _configs(record: str, folder: str, name: str) -> Reader:
+    """Return the reader of a kind of the project's configuration files."""
+    return Reader(partial(_load, record), partial(project_files, f"configs/{folder}/*.toml", f"{name}.toml"))
+
+
+READ_SOURCE = partial(_call, "datasets.template.read_source")
+READ_VOLUME = partial(_call, "imaging.volume_files.read_volume")
+READ_LABELS = partial(_call, "imaging.layers.read_labels")
+
 READERS: dict[str, Reader] = {
     "scene": Reader(_scene, partial(project_files, "configs/scenes/*.toml", "scene.toml")),
     "study": Reader(_study, partial(project_files, "studies/*.toml", "study.toml")),
-    "fit": Reader(
-        partial(_load, "study.FitRecord"), partial(project_files, "configs/fits/*.toml", "fit.toml")
-    ),
-    "recipe": Reader(
-        partial(_load, "recipe.RecipeRecord"), partial(project_files, "configs/recipes/*.toml", "recipe.toml")
-    ),
+    "fit": _configs("study.FitRecord", "fits", "fit"),
+    "recipe": _configs("recipe.RecipeRecord", "recipes", "recipe"),
+    "reconstruction": _configs("reconstruction.ReconstructionRecord", "reconstruction", "reconstruction"),
     "medium": Reader(_medium, partial(project_files, "configs/media/*.toml", "medium.toml")),
-    "reconstruction": Reader(
-        partial(_load, "reconstruction.ReconstructionRecord"),
-        partial(project_files, "configs/reconstruction/*.toml", "reconstruction.toml"),
-    ),
     "prior": Reader(partial(_load, "medium.MaterialRecord"), seeds.priors),
     "dataset": Reader(_dataset, seeds.datasets, 40),
     "compression": Reader(partial(_call, "datasets.compression.read_compression"), seeds.compression),
     "markers": Reader(partial(_call, "imaging.markers.read_markers"), seeds.markers),
     "scans": Reader(partial(_call, "imaging.scans.read_scans"), seeds.scans, 40),
-    "markups": Reader(partial(_call, "datasets.template.read_source"), seeds.markups),
-    "source": Reader(partial(_call, "datasets.template.read_source"), seeds.sources),
+    "markups": Reader(READ_SOURCE, seeds.markups),
+    "source": Reader(READ_SOURCE, seeds.sources),
     "table": Reader(_import, seeds.import_tables, 30),
     "workbook": Reader(_import, seeds.workbooks, SLOWEST),
     "slicer_scene": Reader(_import, seeds.slicer_scenes, 40),
     "bundle": Reader(_import, seeds.bundles, 40),
-    "mat": Reader(partial(_call, "datasets.template.read_source"), seeds.matlab, SLOWEST),
-    "volume": Reader(partial(_call, "imaging.volume_files.read_volume"), seeds.volumes, NATIVE, packed=True),
-    "labels": Reader(partial(_call, "imaging.layers.read_labels"), seeds.labels, NATIVE, packed=True),
-    "dicom": Reader(partial(_call, "imaging.volume_files.read_volume"), seeds.dicom, SLOWEST),
-    "archive": Reader(partial(_call, "imaging.volume_files.read_volume"), seeds.archives, SLOWEST),
-    "segmentation": Reader(partial(_call, "imaging.layers.read_labels"), seeds.segmentations, SLOWEST),
+    "mat": Reader(READ_SOURCE, seeds.matlab, SLOWEST),
+    "volume": Reader(READ_VOLUME, seeds.volumes, NATIVE, packed=True),
+    "labels": Reader(READ_LABELS, seeds.labels, NATIVE, packed=True),
+    "dicom": Reader(READ_VOLUME, seeds.dicom, SLOWEST),
+    "archive": Reader(READ_VOLUME, seeds.archives, SLOWEST),
+    "segmentation": Reader(READ_LABELS, seeds.segmentations, SLOWEST),
     "mesh": Reader(_mesh, seeds.meshes, 50),
     "recording": Reader(partial(_call, "viewer.recording.read_recording"), seeds.recordings),
     "results": Reader(_results, seeds.results, 20, packed=True),
@@ -321,9 +301,9 @@ READERS: dict[str, Reader] = {
     "checkpoint": Reader(_checkpoint, seeds.checkpoints, 40),
     "rows": Reader(_rows, seeds.rows),
     "kept": Reader(_kept, seeds.kept, SLOWEST),
-    "run": Reader(_run, seeds.run_files),
+    "run": Reader(partial(_call, "studies.store.read_run"), seeds.run_files),
     "diff": Reader(_difference, seeds.runs, 20),
-    "manifest": Reader(_manifest, seeds.manifests),
+    "manifest": Reader(partial(_call, "project.folders.require_replaceable"), seeds.manifests),
     "parquet": Reader(_parquet, seeds.parquet_tables, NATIVE),
     "tracker": Reader(_tracker, seeds.trackers),
     "share": Reader(_share, seeds.recordings, 20),

@@ -33,14 +33,11 @@ def project_files(pattern: str, name: str) -> list[Seed]:
 
 def corpus(pattern: str) -> list[Seed]:
     """Return crashing inputs: their neighbours are the likeliest to crash again."""
-    return [
-        one_file("".join(("volume", *_endings(path))), path.read_bytes())
-        for path in sorted(CORPUS.glob(pattern))
-    ]
-
-
-def _endings(path: Path) -> list[str]:
-    return path.suffixes[-2:] if path.suffix in (".gz", ".nrrd") else path.suffixes[-1:]
+    found = []
+    for path in sorted(CORPUS.glob(pattern)):
+        endings = path.suffixes[-2 if path.suffix in (".gz", ".nrrd") else -1 :]
+        found.append(one_file("".join(("volume", *endings)), path.read_bytes()))
+    return found
 
 
 def written(write: Callable[[Path], object], opened: str, damaged: Sequence[str] = ()) -> Seed:
@@ -52,39 +49,35 @@ def written(write: Callable[[Path], object], opened: str, damaged: Sequence[str]
     return Seed(files, opened, tuple(damaged) or tuple(files))
 
 
+def saved(name: str, write: Callable[..., object], *arguments: object, **options: object) -> Seed:
+    """Return the file that `write` makes of a path, which it takes first, and of these arguments."""
+    return written(lambda folder: write(folder / name, *arguments, **options), name)
+
+
 # ---- datasets
 
 
 def datasets() -> list[Seed]:
     """A dataset with surfaces, one with a long table, and one of tip tracks."""
+    import numpy as np
     from test_datasets import LONG, block, own_layers, without_checksums
+    from track_cases import GUIDE, track
+    from track_cases import written as write_tracks
 
     tables = ("dataset.toml", "insertions.csv", "centerlines/a.csv", "centerlines/b.csv")
     plain = written(lambda folder: without_checksums(block(folder)), "dataset.toml", tables)
     meshes = [name for name in plain.files if name.endswith(".stl")]
     own = written(lambda folder: without_checksums(own_layers(folder)), "dataset.toml", tables)
     checked = written(block, "dataset.toml", ("dataset.toml",))
-    return [plain, own, checked, Seed(plain.files, plain.opened, tuple(meshes)), *_long(LONG), tracks()]
-
-
-def _long(toml: str) -> list[Seed]:
     rows = [f"{hole},50,{x},{4e-4 * x * x:.4f},0.0" for hole in (1, 2) for x in range(0, 52, 2)]
     files = {
-        "dataset.toml": toml.replace("$NEEDLEFIT_TEST_DATA/lab-*", "lab-a").encode(),
+        "dataset.toml": LONG.replace("$NEEDLEFIT_TEST_DATA/lab-*", "lab-a").encode(),
         "lab-a/shapes.csv": "\n".join(["hole,depth,u,w,out", *rows]).encode(),
     }
-    return [Seed(files, "dataset.toml", tuple(files))]
-
-
-def tracks() -> Seed:
-    """A dataset of tip tracks."""
-    import numpy as np
-    from track_cases import GUIDE
-    from track_cases import track as made
-    from track_cases import written as write_tracks
-
-    runs = [made("r1", GUIDE), made("r2", np.zeros_like(GUIDE))]
-    return written(lambda folder: write_tracks(folder, runs), "dataset.toml")
+    runs = [track("r1", GUIDE), track("r2", np.zeros_like(GUIDE))]
+    tracks = written(lambda folder: write_tracks(folder, runs), "dataset.toml")
+    surfaces, long = Seed(plain.files, plain.opened, tuple(meshes)), Seed(files, "dataset.toml", tuple(files))
+    return [plain, own, checked, surfaces, long, tracks]
 
 
 def compression() -> list[Seed]:
@@ -94,18 +87,15 @@ def compression() -> list[Seed]:
     forces = "specimen,displacement_mm,force_n,height_mm,area_mm2\n" + "".join(
         f"a,{0.1 * k:.1f},{0.02 * k * k:.4f},20,314\n" for k in range(30)
     )
-    return [
-        written(lambda folder: gel_file(folder / "test.csv"), "test.csv"),
-        one_file("test.csv", forces),
-    ]
+    return [saved("test.csv", gel_file), one_file("test.csv", forces)]
 
 
 # ---- files of other programs
 
-MRK = """{"@schema": "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/\
-Schema/markups-schema-v1.0.3.json#", "markups": [{"type": "Curve", "coordinateSystem": "LPS",
-"coordinateUnits": "mm", "locked": false, "labelFormat": "%N-%d", "controlPoints": [POINTS],
-"display": {"visibility": true, "color": [0.4, 1.0, 1.0]}}]}
+SCHEMA = "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema"
+MRK = f"""{{"@schema": "{SCHEMA}/markups-schema-v1.0.3.json#", "markups": [{{"type": "Curve",
+"coordinateSystem": "LPS", "coordinateUnits": "mm", "locked": false, "labelFormat": "%N-%d",
+"controlPoints": [POINTS], "display": {{"visibility": true, "color": [0.4, 1.0, 1.0]}}}}]}}
 """
 
 
@@ -119,14 +109,11 @@ def markups() -> list[Seed]:
     rows = "".join(f"F_{k},{x},{y},{z},0,0,0,1,1,1,0,F-{k},,,2,0\n" for k, (x, y, z) in enumerate(points))
     head = "# Markups fiducial file version = 4.11\n# CoordinateSystem = LPS\n"
     columns = "# columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID\n"
-    old = "# CoordinateSystem = 0\n" + "".join(
-        f"p{k},{x},{y},{z},1,1\n" for k, (x, y, z) in enumerate(points)
-    )
+    old = "".join(f"p{k},{x},{y},{z},1,1\n" for k, (x, y, z) in enumerate(points))
+    curve = MRK.replace("POINTS", listed)
     return [
-        one_file("curve.mrk.json", MRK.replace("POINTS", listed)),
-        one_file("curve.mrk.json", MRK.replace("POINTS", listed).replace("Curve", "Fiducial")),
-        one_file("curve.fcsv", head + columns + rows),
-        one_file("curve.fcsv", old),
+        *(one_file("curve.mrk.json", text) for text in (curve, curve.replace("Curve", "Fiducial"))),
+        *(one_file("curve.fcsv", text) for text in (head + columns + rows, "# CoordinateSystem = 0\n" + old)),
     ]
 
 
@@ -157,13 +144,10 @@ def matlab() -> list[Seed]:
     cells[:] = [curve, curve + 1.0]
     nested = {"curve": curve, "cell": cells, "s": {"a": curve, "name": "needle"}, "n": 3}
 
-    def undated(path: Path) -> None:  # scipy writes the time into the first 116 bytes
-        data = path.read_bytes()
-        path.write_bytes(b"MATLAB 5.0 MAT-file".ljust(116) + data[116:])
-
     def five(path: Path, compressed: bool) -> None:
         savemat(path, nested, do_compression=compressed)
-        undated(path)
+        # scipy writes the time into the first 116 bytes
+        path.write_bytes(b"MATLAB 5.0 MAT-file".ljust(116) + path.read_bytes()[116:])
 
     def hdf(path: Path) -> None:
         with h5py.File(path, "w", userblock_size=512, track_order=True) as file:
@@ -178,11 +162,10 @@ def matlab() -> list[Seed]:
 
     name = "curve.mat"
     return [
-        written(lambda folder: savemat(folder / name, {"curve": curve}, format="4"), name),
-        written(lambda folder: five(folder / name, False), name),
-        written(lambda folder: five(folder / name, True), name),
-        written(lambda folder: hdf(folder / name), name),
-        *[one_file(name, path.read_bytes()) for path in sorted(CORPUS.glob("*.mat"))],
+        saved(name, savemat, {"curve": curve}, format="4"),
+        *(saved(name, five, compressed) for compressed in (False, True)),
+        saved(name, hdf),
+        *(one_file(name, path.read_bytes()) for path in sorted(CORPUS.glob("*.mat"))),
     ]
 
 
@@ -198,7 +181,7 @@ def import_tables() -> list[Seed]:
     ]
     long = "\n".join(["needle\tmedium\tbevel side\tx [mm]\ty [mm]\tz [mm]", *rows])
     return [
-        written(lambda folder: write_european_csv(folder / "t.csv", curves), "t.csv"),
+        saved("t.csv", write_european_csv, curves),
         one_file("t.txt", long.encode("utf-16")),
         one_file("t.dat", "\n\n".join("\n".join(" ".join(map(str, p)) for p in one) for one in curves)),
     ]
@@ -208,8 +191,7 @@ def workbooks() -> list[Seed]:
     """A workbook of two curves."""
     from import_cases import needle, write_workbook
 
-    curves = [needle(n, 9 - n) for n in range(2)]
-    return [written(lambda folder: write_workbook(folder / "t.xlsx", curves), "t.xlsx")]
+    return [saved("t.xlsx", write_workbook, [needle(n, 9 - n) for n in range(2)])]
 
 
 def slicer_scenes() -> list[Seed]:
@@ -227,47 +209,38 @@ def bundles() -> list[Seed]:
     """Bundles, stored and packed."""
     from import_cases import needle, write_bundle, write_scene
 
-    def write(folder: Path, packed: bool) -> None:
+    def write(path: Path, packed: bool) -> None:
         with tempfile.TemporaryDirectory() as scene:
             write_scene(Path(scene), [needle(n, 9) for n in range(2)], "inline")
-            write_bundle(folder / "t.mrb", Path(scene), packed=packed)
+            write_bundle(path, Path(scene), packed=packed)
 
-    return [written(lambda folder, packed=packed: write(folder, packed), "t.mrb") for packed in (False, True)]
+    return [saved("t.mrb", write, packed) for packed in (False, True)]
 
 
 def volumes() -> list[Seed]:
     """NRRD, NIfTI and MetaImage, packed and not, with the voxels inside or beside, and the crashing ones."""
     import test_imaging_volume as cases
 
-    raw = cases.VALUES.tobytes()
+    image = cases.volume_of(cases.VALUES)
 
-    def whole(name: str) -> Seed:
-        image = cases.volume_of(cases.VALUES)
-        return written(lambda folder: cases.write_volume(image, folder / name), name)
+    def with_raw(name: str, write: Callable[..., object], **options: object) -> Seed:
+        def both(folder: Path) -> None:
+            write(folder / name, **options)
+            (folder / "volume.raw").write_bytes(cases.VALUES.tobytes())
 
-    header = written(
-        lambda folder: (
-            cases.nrrd(folder / "volume.nhdr", data=b"", data_file="volume.raw"),
-            (folder / "volume.raw").write_bytes(raw),
-        ),
-        "volume.nhdr",
-    )
-    meta = written(
-        lambda folder: (
-            cases.metaimage(folder / "volume.mhd", ElementDataFile="volume.raw"),
-            (folder / "volume.raw").write_bytes(raw),
-        ),
-        "volume.mhd",
-    )
+        return written(both, name)
+
     return [
-        written(lambda folder: cases.nrrd(folder / "volume.nrrd"), "volume.nrrd"),
-        whole("volume.nrrd"),
-        written(lambda folder: cases.nifti(folder / "volume.nii"), "volume.nii"),
-        written(lambda folder: cases.nifti(folder / "volume.nii.gz"), "volume.nii.gz"),
-        written(lambda folder: cases.metaimage(folder / "volume.mha"), "volume.mha"),
-        whole("volume.mha"),
-        header,
-        meta,
+        saved("volume.nrrd", cases.nrrd),
+        saved("volume.nii", cases.nifti),
+        saved("volume.nii.gz", cases.nifti),
+        saved("volume.mha", cases.metaimage),
+        *(
+            saved(name, lambda path: cases.write_volume(image, path))
+            for name in ("volume.nrrd", "volume.mha")
+        ),
+        with_raw("volume.nhdr", cases.nrrd, data=b"", data_file="volume.raw"),
+        with_raw("volume.mhd", cases.metaimage, ElementDataFile="volume.raw"),
         *corpus("crash-volume-*"),
     ]
 
@@ -276,17 +249,10 @@ def labels() -> list[Seed]:
     """Segmentations: of 3D Slicer, and plain label volumes, and the crashing ones."""
     from layer_cases import labelled, save, save_segments
 
-    def two(points):
-        return 1 + (points[:, 0] > 0)
-
-    volume = labelled(two, shape=(8, 9, 10))
+    volume = labelled(lambda points: 1 + (points[:, 0] > 0), shape=(8, 9, 10))
     return [
-        written(
-            lambda folder: save_segments(folder / "l.seg.nrrd", [volume], [(1, "skin"), (2, "fat")]),
-            "l.seg.nrrd",
-        ),
-        written(lambda folder: save(folder / "l.nii.gz", volume), "l.nii.gz"),
-        written(lambda folder: save(folder / "l.nrrd", volume), "l.nrrd"),
+        saved("l.seg.nrrd", save_segments, [volume], [(1, "skin"), (2, "fat")]),
+        *(saved(name, save, volume) for name in ("l.nii.gz", "l.nrrd")),
         *corpus("crash-labels-*"),
     ]
 
@@ -300,22 +266,24 @@ def dicom() -> list[Seed]:
     def plain(k: int):
         return a_slice(k, np.full((8, 6), k, dtype=np.int16))
 
-    def written_as(compressor: str) -> Callable[[Path], object]:
+    def series(make: Callable[[int, Path], object], count: int = COUNT) -> Seed:
         def write(folder: Path) -> None:
-            save(folder / "series", [packed_as(plain(k), compressor, folder) for k in range(COUNT)])
+            save(folder / "series", [make(k, folder) for k in range(count)])
 
-        return write
+        return written(write, "series", ("series/000.dcm",))
 
-    slices = ("series/000.dcm", "series/003.dcm")
-    found = [
-        written(lambda folder: save(folder / "series", map(plain, range(COUNT))), "series", slices),
-        written(written_as("JPEGLS"), "series", slices[:1]),
-        written(written_as("JPEG2000"), "series", slices[:1]),
-        written(lambda folder: save(folder / "series", [enhanced()]), "series", slices[:1]),
+    return [
+        series(lambda k, _: plain(k)),
+        *(
+            series(lambda k, folder, kind=kind: packed_as(plain(k), kind, folder))
+            for kind in ("JPEGLS", "JPEG2000")
+        ),
+        series(lambda *_: enhanced(), 1),
+        *(
+            Seed({"series/000.dcm": path.read_bytes()}, "series", ("series/000.dcm",))
+            for path in sorted(CORPUS.glob("*.dcm"))
+        ),
     ]
-    for path in sorted(CORPUS.glob("*.dcm")):
-        found.append(Seed({"series/000.dcm": path.read_bytes()}, "series", ("series/000.dcm",)))
-    return found
 
 
 def archives() -> list[Seed]:
@@ -326,16 +294,16 @@ def archives() -> list[Seed]:
     from dicom_series import a_slice, save
     from test_imaging_exports import directory, pack
 
-    def write(folder: Path, method: int, inner: bool) -> None:
+    def write(path: Path, method: int, inner: bool) -> None:
         with tempfile.TemporaryDirectory() as name:
             content = Path(name)
             save(content / "s", [a_slice(k, np.full((4, 4), k, dtype=np.int16)) for k in range(3)])
             directory(content, ["s/000", "s/001"], a_slice(0).SeriesInstanceUID)
             files = [("in.zip", pack(content / "in.zip", content).read_bytes())] if inner else content
-            pack(folder / "scan.zip", files, method)
+            pack(path, files, method)
 
     return [
-        written(lambda folder, method=method, inner=inner: write(folder, method, inner), "scan.zip")
+        saved("scan.zip", write, method, inner)
         for method, inner in ((zipfile.ZIP_STORED, False), (zipfile.ZIP_DEFLATED, False), (0, True))
     ]
 
@@ -345,10 +313,7 @@ def segmentations() -> list[Seed]:
     from test_imaging_segmentations import boxes, cylinder, write_contours, write_seg
 
     regions = {"Body": cylinder(6.0), "Core": cylinder(2.0, 6.0, 12.0)}
-    return [
-        written(lambda folder: write_seg(folder / "s.dcm", boxes()[:2]), "s.dcm"),
-        written(lambda folder: write_contours(folder / "rt.dcm", regions), "rt.dcm"),
-    ]
+    return [saved("s.dcm", write_seg, boxes()[:2]), saved("rt.dcm", write_contours, regions)]
 
 
 def meshes() -> list[Seed]:
@@ -356,6 +321,7 @@ def meshes() -> list[Seed]:
     import trimesh
     from import_cases import vtk_binary_sheet, vtk_sheet
     from layer_cases import save_mesh
+    from trimesh.exchange.ply import export_ply
 
     from needlefit.geometry.surfaces import Surface, write_surface
 
@@ -363,20 +329,10 @@ def meshes() -> list[Seed]:
     surface = Surface("core", mesh, "solid", 2)
     return [
         written(lambda folder: write_surface(surface, folder / "m.stl"), "m.stl"),
-        *[
-            written(lambda folder, name=name: save_mesh(folder / name, mesh, "LPS"), name)
-            for name in ("m.stl", "m.ply", "m.obj")
-        ],
-        written(lambda folder: (folder / "m.ply").write_bytes(_text_ply(mesh)), "m.ply"),
-        one_file("m.vtk", vtk_sheet(20.0)),
-        one_file("m.vtk", vtk_binary_sheet(20.0)),
+        *(saved(name, save_mesh, mesh, "LPS") for name in ("m.stl", "m.ply", "m.obj")),
+        one_file("m.ply", export_ply(mesh, encoding="ascii")),
+        *(one_file("m.vtk", sheet(20.0)) for sheet in (vtk_sheet, vtk_binary_sheet)),
     ]
-
-
-def _text_ply(mesh) -> bytes:
-    from trimesh.exchange.ply import export_ply
-
-    return export_ply(mesh, encoding="ascii")
 
 
 # ---- files of needlefit
@@ -386,7 +342,7 @@ def recordings() -> list[Seed]:
     """A recording of the page."""
     from test_viewer_recording import recorded
 
-    return [written(lambda folder: recorded(folder / "log.csv"), "log.csv")]
+    return [saved("log.csv", recorded)]
 
 
 def results() -> list[Seed]:
@@ -395,10 +351,8 @@ def results() -> list[Seed]:
 
     from needlefit.studies.store import store_run
 
-    return [
-        written(lambda folder, of=of: store_run(of, folder), ".", ("results.json.gz",))
-        for of in (study(1), stereo())
-    ]
+    runs = (study(1), stereo())
+    return [written(lambda folder, of=of: store_run(of, folder), ".", ("results.json.gz",)) for of in runs]
 
 
 def contents() -> list[Seed]:
@@ -411,15 +365,13 @@ def contents() -> list[Seed]:
     whole = study(1)
     small = whole.with_frames(**{name: whole.frames[name].head(20) for name in COLUMNS})
 
-    def write(folder: Path) -> None:
-        (folder / "content.json").write_bytes(gzip.decompress(store_run(small, folder).read_bytes()))
-
-    return [written(write, "content.json", ("content.json",))]
+    with tempfile.TemporaryDirectory() as folder:
+        return [one_file("content.json", gzip.decompress(store_run(small, Path(folder)).read_bytes()))]
 
 
 def posteriors() -> list[Seed]:
     """Draws of a posterior, as netCDF."""
-    from test_reporting_posterior import sampled
+    from reporting_results import sampled
 
     from needlefit.inference.sampling.posterior import save
 
@@ -444,13 +396,10 @@ def checkpoints() -> list[Seed]:
             keep_start(kept, "fit", Start(n, (0.1, 0.2), (0.11, 0.21), 3.5, 40, 0, "tolerance"))
             kept.keep_row("rows", {"insertion": f"a-{n}", "te_mm": 0.1 + n})
         state = np.random.RandomState(1).get_state()
+        counts = np.ones((2, 4), np.int64)
+        block = Block(np.ones((2, 3, 4, 2)), np.ones((2, 3, 4)), counts, state, 0, ((), ()))
         for n in range(2):
-            Snapshots(kept, "fold").keep(
-                n,
-                Block(
-                    np.ones((2, 3, 4, 2)), np.ones((2, 3, 4)), np.ones((2, 4), np.int64), state, 0, ((), ())
-                ),
-            )
+            Snapshots(kept, "fold").keep(n, block)
 
     return [written(write, "run.partial")]
 
@@ -459,11 +408,8 @@ def rows() -> list[Seed]:
     """Starts as a checkpoint keeps them, before their digests: somebody can make right ones of anything."""
     from needlefit.inference.fit import Start, start_to_dict
 
-    starts = [
-        start_to_dict(Start(n, (0.1, 0.2), (0.11, 0.21), 3.5, 40, 1, "tolerance", ((0.1, 0.3),)))
-        for n in (0, 1)
-    ]
-    return [one_file("rows.json", json.dumps(starts))]
+    ended = ((0.1, 0.2), (0.11, 0.21), 3.5, 40, 1, "tolerance", ((0.1, 0.3),))
+    return [one_file("rows.json", json.dumps([start_to_dict(Start(n, *ended)) for n in (0, 1)]))]
 
 
 def kept() -> list[Seed]:
@@ -536,46 +482,47 @@ def assignments() -> list[Seed]:
     return [one_file("set.txt", "\n".join(lines) + "\n")]
 
 
+STEERING = """\
+{"do": "hello", "id": 1}
+{"do": "change", "id": 2, "set": [["depth_mm", null, 12.5]]}
+{"do": "change", "id": 3, "gesture": 4, "insert_mm": 5, "set": [["bevel_side", null, -1]]}
+{"do": "change", "id": 4, "set": [["guide_x_mm", 1, -30.0], ["guide_y_mm", 1, 0.1]]}
+{"do": "change", "id": 5, "set": [["tip_held", null, 1], ["tip_y_mm", null, 0.5]]}
+{"do": "change", "id": 6, "set": [["mu_pa", 1, 3e5], ["alpha", 1, 2.0]], "gesture": 4}
+{"do": "change", "id": 7, "set": [["tip_held", null, 0], ["base_y_mm", null, 1.0]]}
+{"do": "undo", "id": 8}
+{"do": "redo", "id": 9}
+{"do": "align", "id": 10}
+{"do": "reset", "id": 11}
+{"do": "frame", "id": 12, "n": 3}
+"""
+AIMING = """\
+{"do": "hello", "id": 1}
+{"do": "move", "id": 2, "to_mm": 20, "speed_mm_s": 900}
+{"do": "frame", "id": 3}
+{"do": "halt", "id": 5}
+{"do": "aim", "id": 6, "target": [40, 1.5], "radius": 2, "obstacles": [[20, 0.5, 1, "vessel"]]}
+{"do": "markups", "id": 7, "name": "a.fcsv", "text": "# Markups fiducial file\\n1,2,3,4"}
+{"do": "plan", "id": 8, "entry_mm": 2}
+{"do": "run", "id": 9, "speed_mm_s": 10}
+{"do": "play", "id": 10, "speed_mm_s": 500}
+{"do": "replay", "id": 11, "times": 20}
+{"do": "fit", "id": 12, "scope": "insertion"}
+{"do": "points", "id": 13, "offsets": [0, 0, 0]}
+{"do": "challenge", "id": 14, "radius": 1}
+{"do": "show", "id": 15, "insertion": "a", "what": "field"}
+"""
+"""Messages in one window, a line each: steering and undo; goals, and what ends it."""
+
+
 def page_messages() -> list[Seed]:
-    """Messages of the page, a line each."""
-    lines = (
-        *('{"do": "hello", "id": 1}', '{"do": "change", "id": 2, "set": [["depth_mm", null, 12.5]]}'),
-        *('{"do": "change", "id": 3, "set": [["mu_pa", 1, 3e5], ["bevel_side", null, -1]], "gesture": 4}',),
-        *(
-            '{"do": "move", "id": 4, "to_mm": 40, "speed_mm_s": 5}',
-            '{"do": "show", "id": 5, "what": "field"}',
-        ),
-        *('{"do": "frame", "id": 6, "n": 3}', '{"do": "replay", "id": 7, "times": 2.0}'),
-    )
-    return [one_file("messages.txt", one) for one in lines]
+    """Messages of the page, one a text."""
+    return [one_file("messages.txt", one) for one in (STEERING + AIMING).splitlines()]
 
 
 def conversations() -> list[Seed]:
-    """Messages in one window, a line each: steering, goals, undo, and what ends it."""
-    steering = (
-        *('{"do": "hello", "id": 1}', '{"do": "change", "id": 2, "set": [["depth_mm", null, 12.5]]}'),
-        '{"do": "change", "id": 3, "gesture": 4, "insert_mm": 5, "set": [["bevel_side", null, -1]]}',
-        '{"do": "change", "id": 4, "set": [["guide_x_mm", 1, -30.0], ["guide_y_mm", 1, 0.1]]}',
-        '{"do": "change", "id": 5, "set": [["tip_held", null, 1], ["tip_y_mm", null, 0.5]]}',
-        '{"do": "change", "id": 6, "set": [["mu_pa", 1, 3e5], ["alpha", 1, 2.0]]}',
-        '{"do": "change", "id": 7, "set": [["tip_held", null, 0], ["base_y_mm", null, 1.0]]}',
-        *('{"do": "undo", "id": 8}', '{"do": "redo", "id": 9}', '{"do": "align", "id": 10}'),
-        *('{"do": "reset", "id": 11}', '{"do": "frame", "id": 12}'),
-    )
-    aiming = (
-        *('{"do": "hello", "id": 1}', '{"do": "move", "id": 2, "to_mm": 20, "speed_mm_s": 900}'),
-        *('{"do": "frame", "id": 3}', '{"do": "frame", "id": 4}', '{"do": "halt", "id": 5}'),
-        '{"do": "aim", "id": 6, "target": [40, 1.5], "radius": 2, "obstacles": [[20, 0.5, 1, "vessel"]]}',
-        '{"do": "markups", "id": 7, "name": "a.fcsv", "text": "# Markups fiducial file\\n1,2,3,4"}',
-        *('{"do": "plan", "id": 8, "entry_mm": 2}', '{"do": "run", "id": 9, "speed_mm_s": 10}'),
-        *('{"do": "play", "id": 10, "speed_mm_s": 500}', '{"do": "replay", "id": 11, "times": 20}'),
-        *(
-            '{"do": "fit", "id": 12, "scope": "insertion"}',
-            '{"do": "points", "id": 13, "offsets": [0, 0, 0]}',
-        ),
-        *('{"do": "challenge", "id": 14, "radius": 1}', '{"do": "show", "id": 15, "insertion": "a"}'),
-    )
-    return [one_file("messages.txt", "\n".join(lines) + "\n") for lines in (steering, aiming)]
+    """Messages in one window."""
+    return [one_file("messages.txt", lines) for lines in (STEERING, AIMING)]
 
 
 def trackers() -> list[Seed]:
@@ -604,34 +551,23 @@ def parquet_tables() -> list[Seed]:
 
 def commands() -> list[Seed]:
     """Whole commands, a word a line, none of which computes for long."""
-    commands = (
-        *("check\ntwin", "check\n./twin\n--json", "paper", "--help", "simulate\nfigure1\n--set\ndepth_mm=12"),
-        *("simulate\nstudy2\n--depth\n20\n--json", "simulate\nchicken\n--set\nlayers.1.mu_pa=3e5"),
-        *(
-            "diff\na\nb",
-            "report\nx\n--out\ny",
-            "new\ndataset\n./mine",
-            "validate\nstudy9",
-            "tune\nstudyA.tml",
-        ),
+    lines = (
+        *("check twin", "check ./twin --json", "paper", "--help", "simulate figure1 --set depth_mm=12"),
+        *("simulate study2 --depth 20 --json", "simulate chicken --set layers.1.mu_pa=3e5", "diff a b"),
+        *("report x --out y", "new dataset ./mine", "validate study9", "tune studyA.tml"),
     )
-    return [one_file("words.txt", one) for one in commands]
+    return [one_file("words.txt", one.replace(" ", "\n")) for one in lines]
+
+
+NAMES = """
+study3 study1 all everything phantom1 twin figure1 chicken default studies/study3.toml ./studies data/twin
+data/twin/chicken-04 reports/reference/study3 reports/reference/study3/run.json twin/phantom2-16 .. . ~/x.toml
+"""
 
 
 def names() -> list[Seed]:
     """Names as they are given on the command line, one a text."""
-    words = (
-        *("study3", "study1", "all", "everything", "phantom1", "twin", "figure1", "chicken", "default"),
-        *(
-            "studies/study3.toml",
-            "./studies",
-            "data/twin",
-            "data/twin/chicken-04",
-            "reports/reference/study3",
-        ),
-        *("reports/reference/study3/run.json", "twin/phantom2-16", "..", ".", "~/x.toml"),
-    )
-    return [one_file("name.txt", word) for word in words]
+    return [one_file("name.txt", word) for word in NAMES.split()]
 
 
 def scans() -> list[Seed]:

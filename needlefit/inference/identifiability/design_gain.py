@@ -153,7 +153,13 @@ def expect_precision(
     centre = np.clip(problem.parameters.theta(values), problem.lower, problem.upper)
     before = prior_information(problem)
     first = fisher_information(problem, centre)
-    others = [(design(at), at) for at in _draw_points(problem, centre, first, rng)]
+    # places within the bounds, spread by what is expected to be known there; a direction that the design
+    # leaves open would send them to the bounds
+    precision, axes = np.linalg.eigh(first)
+    sds = np.minimum(1 / np.sqrt(precision), MAX_POINT_SD)
+    drawn = centre + rng.standard_normal((OTHER_POINTS, len(centre))) * sds @ axes.T
+    points = [problem.values(theta) for theta in np.clip(drawn, problem.lower, problem.upper)]
+    others = [(design(at), at) for at in points]
     every = [first, *(fisher_information(p, p.parameters.theta(at)) for p, at in others if p is not None)]
     every = [one for one in every if np.all(np.isfinite(one))]
     spread = np.linalg.inv(before) if len(before) else before
@@ -170,14 +176,3 @@ def fisher_information(problem: Problem, theta: Floats) -> Floats:
     """Return the Fisher information (P, P) of insertions, plus that of the bounds or the stated prior."""
     _, slope, _ = linearize(problem, theta)
     return slope.T @ slope + prior_and_noise_information(problem)
-
-
-def _draw_points(
-    problem: Problem, centre: Floats, first: Floats, rng: np.random.Generator
-) -> list[dict[str, float]]:
-    """Return `OTHER_POINTS` places within the bounds, spread by what is expected to be known there."""
-    precision, axes = np.linalg.eigh(first)
-    # a direction that the design leaves open would send the points to the bounds
-    sds = np.minimum(1 / np.sqrt(precision), MAX_POINT_SD)
-    drawn = centre + rng.standard_normal((OTHER_POINTS, len(centre))) * sds @ axes.T
-    return [problem.values(theta) for theta in np.clip(drawn, problem.lower, problem.upper)]

@@ -7,7 +7,6 @@ parameters may come to rest at their bounds.
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +14,7 @@ from scipy.optimize import lsq_linear
 
 from needlefit.arrays import Floats
 from needlefit.inference.objective import EVALUATION_ERRORS
-
-if TYPE_CHECKING:
-    from needlefit.inference.problem import Problem
+from needlefit.inference.problem import Problem
 
 #: a minimum is reached where a further step would lessen the sum of squares by less than this
 MIN_GAIN = 1e-3
@@ -38,7 +35,7 @@ class LocalMinimum:
 
 
 def minimize_squares(
-    target: "Problem",
+    target: Problem,
     theta: Floats,
     held: int | None = None,
     max_evaluations: int = MAX_EVALUATIONS,
@@ -86,7 +83,7 @@ def _step(at: LocalMinimum, moving: NDArray[np.bool_], step_bounds: tuple[Floats
     return lsq_linear(rows, wanted, bounds=step_bounds, method="bvls").x
 
 
-def _evaluate(target: "Problem", theta: Floats) -> LocalMinimum:
+def _evaluate(target: Problem, theta: Floats) -> LocalMinimum:
     try:
         residuals, slopes = target.jacobian(theta)
     except EVALUATION_ERRORS:

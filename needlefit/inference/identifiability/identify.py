@@ -19,7 +19,7 @@ there are any: where the three disagree, the sentence about a parameter says whi
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -102,23 +102,39 @@ def identify(problem: Problem, fit: Fit, draws: Floats | None = None) -> Identif
     ranges = dict(zip(names, np.ptp(equal, axis=0).tolist(), strict=True))
     prior = problem.parameters.prior
     informed = {n: not bounds[n] and sds[n] < MAX_SD_RATIO * prior.sd(n) for n in names}
-    nominally = {n: informed[n] and _is_determined(n, sds[n], ranges[n]) for n in names}
+    limits = {n: MAX_LOG_SD if is_logarithmic(n) else MAX_SHAPE_SD for n in names}
+    nominally = {
+        n: informed[n] and sds[n] < limits[n] and ranges[n] < MAX_RANGE_SD * limits[n] for n in names
+    }
     loosened = loosen(noisy, theta, sds) if any(nominally.values()) else ()
     conditions = {n: find_condition(n, prior.sd(n), loosened) if nominally[n] else "" for n in names}
     determined = {n: nominally[n] and not conditions[n] for n in names}
     conditions |= find_tie_conditions(problem.parameters, determined, conditions, loosened)
     low, high = (problem.values(end(equal, axis=0)) for end in (np.min, np.max))
-    notes = {n: _explain_undetermined(problem, theta, n, sds[n]) for n in names}
+    notes = {}
     for k, n in enumerate(names):
         if bounds[n]:
-            notes[n] = f"not determined: it lies at its {bounds[n]} bound"
+            note = f"not determined: it lies at its {bounds[n]} bound"
         elif determined[n]:
-            notes[n] = f"determined, also with {LOOSENED}"
+            note = f"determined, also with {LOOSENED}"
         elif conditions[n]:
-            notes[n] = conditions[n]
-        elif combination := _describe_combination(k, found):
-            notes[n] = notes[n].replace("not determined", "not determined alone", 1) + f"; {combination}"
-        notes[n] += prior.describe(n)
+            note = conditions[n]
+        else:
+            # the best-known combination that the parameter is part of, if any is known
+            combinations = [
+                one.words
+                for one in found
+                if abs(one.weights[k]) >= MIN_NAMED_WEIGHT and one.sd < MAX_LOG_SD and one.is_informed
+            ]
+            note = "not determined" + (" alone" if combinations else "")
+            if is_logarithmic(n):
+                note += ": equally good starts disagree" if sds[n] < MAX_LOG_SD else ""
+            else:
+                moved = tip_range(problem, theta, n)
+                between = "over its whole range, {:g} to {:g}".format(*problem.parameters.bounds[n])
+                note += f": {between}, the tip moves by at most {moved:.2g} mm"
+            note = "; ".join([note, *combinations[:1]])
+        notes[n] = note + prior.describe(n)
     return Identifiability(
         sds=sds,
         determined=determined,
@@ -146,19 +162,11 @@ def within_tolerance(start: Start, fit: Fit) -> bool:
 
 
 def objective_excess(start: Start, fit: Fit) -> float:
-    """Return the objective of a start minus the best one, in units of `objective_tolerance`."""
-    return (
-        (start.objective - fit.objective) / objective_tolerance(fit)
-        if math.isfinite(fit.objective)
-        else math.inf
-    )
-
-
-def objective_tolerance(fit: Fit) -> float:
-    """Return the tolerance of the objective: units of the log posterior, or mm for the metric."""
-    if fit.minimized == "posterior":
-        return LOG_POSTERIOR_TOLERANCE
-    return max(METRIC_RELATIVE_TOLERANCE * abs(fit.objective), METRIC_TOLERANCE_MM)
+    """Return the objective of a start minus the best one, in units of the tolerance."""
+    tolerance = LOG_POSTERIOR_TOLERANCE
+    if fit.minimized != "posterior":
+        tolerance = max(METRIC_RELATIVE_TOLERANCE * abs(fit.objective), METRIC_TOLERANCE_MM)
+    return (start.objective - fit.objective) / tolerance if math.isfinite(fit.objective) else math.inf
 
 
 def tip_range(problem: Problem, theta: Floats, name: str) -> float:
@@ -171,31 +179,6 @@ def tip_range(problem: Problem, theta: Floats, name: str) -> float:
         tips.append([s.tip_lateral if s.converged else math.nan for s in problem.shapes(moved)])
     low, high = np.array(tips)
     return float(np.max(np.abs(high - low)))
-
-
-def _is_determined(name: str, sd: float, spread: float) -> bool:
-    limit = MAX_LOG_SD if is_logarithmic(name) else MAX_SHAPE_SD
-    return sd < limit and spread < MAX_RANGE_SD * limit
-
-
-def _explain_undetermined(problem: Problem, theta: Floats, name: str, sd: float) -> str:
-    """Return why a parameter is not determined."""
-    if is_logarithmic(name):
-        return "not determined" + (": equally good starts disagree" if sd < MAX_LOG_SD else "")
-    moved = tip_range(problem, theta, name)
-    low, high = problem.parameters.bounds[name]
-    return (
-        f"not determined: over its whole range, {low:g} to {high:g}, the tip moves by at most {moved:.2g} mm"
-    )
-
-
-def _describe_combination(k: int, found: tuple[Direction, ...]) -> str:
-    """Return the best-known combination that the parameter k is part of, and how well it is known, if any."""
-    for direction in found:
-        named = abs(direction.weights[k]) >= MIN_NAMED_WEIGHT
-        if named and direction.sd < MAX_LOG_SD and direction.is_informed:
-            return direction.words
-    return ""
 
 
 def find_fixed_shape(problem: Problem) -> dict[str, tuple[str, ...]]:
@@ -280,9 +263,13 @@ def profile_parameters(
     Where the dataset states no noise, the fit's residuals stand for it. `stop` leaves out what has not begun.
     """
     noisy = add_estimated_noise(problem, np.array(fit.theta))
-    ends = _select_separate(
-        noisy, [fit.theta, *(s.theta for s in sorted(fit.starts, key=lambda s: s.objective))]
-    )
+    # the fit, and the ends of at most `MAX_OTHER_STARTS` that lie apart from it and from each other
+    thetas = [fit.theta, *(s.theta for s in sorted(fit.starts, key=lambda s: s.objective))]
+    ends: list[Floats] = []
+    for theta in map(np.array, thetas):
+        if all(np.any(np.abs(theta - end) > MIN_SEPARATION * (noisy.upper - noisy.lower)) for end in ends):
+            ends.append(theta)
+    ends = ends[: 1 + MAX_OTHER_STARTS]
     descend, never = partial(minimize_squares, noisy), TaskStop(never_stop)
     minima = [one for _, one in sorted(run_side_by_side(descend, ends, THIS_PROCESS, jobs, never))]
     optimum = min(minima, key=lambda one: one.value)
@@ -320,16 +307,6 @@ def _profile_one(
     )
 
 
-def _select_separate(problem: Problem, thetas: Sequence[Sequence[float]]) -> list[Floats]:
-    """Return the first, then at most `MAX_OTHER_STARTS` that lie apart from it and from each other."""
-    width = problem.upper - problem.lower
-    kept: list[Floats] = []
-    for theta in map(np.array, thetas):
-        if all(np.any(np.abs(theta - other) > MIN_SEPARATION * width) for other in kept):
-            kept.append(theta)
-    return kept[: 1 + MAX_OTHER_STARTS] or [np.array(thetas[0])]
-
-
 NORMAL_95_HALF_WIDTH_SD = 1.96  #: half width of a Gaussian 95 % interval, in standard deviations
 #: half widths of intervals, and standard deviations, that differ by less than this factor agree
 AGREEMENT_FACTOR = 1.5
@@ -356,28 +333,22 @@ def assess_parameter(
 ) -> Assessment:
     """Return the identifiability of one parameter, and where the measures disagree.
 
-    Parameters
-    ----------
-    sds : tuple of two floats
-        Standard deviation of its coordinate in the posterior, and in the prior.
-    equal : tuple of two floats, optional
-        Lowest and highest coordinate at which equally good starts ended.
+    `sds` are the standard deviations of its coordinate in the posterior and in the prior, `equal` the lowest
+    and highest coordinate at which equally good starts ended.
     """
     profile, name = parameter.profile, parameter.name
     low, high = (to_value(name, end) for end in (profile.low, profile.high))
-    faults = [
-        _compare_classes(parameter, sds),
-        _compare_sds(parameter, sds),
-        _compare_widths(parameter),
-        _compare_starts(parameter, equal),
-    ]
+    by_profile = 0  # class: 0 not determined, 1 in part, 2 determined
+    if not profile.flat:
+        sd = (profile.high - profile.low) / (2 * NORMAL_95_HALF_WIDTH_SD)  # of a Gaussian of this interval
+        by_profile = 1 + (profile.closed and is_determined_by_data(name, sd, sds[1]))
     return Assessment(
         name=name,
         flat=profile.flat,
-        determined=_classify_by_profile(parameter, sds[1]) == 2,
+        determined=by_profile == 2,
         interval=(low, high),
         profile_verdict=_describe_profile(parameter, low, high),
-        agreement="; ".join(filter(None, faults)) or AGREEMENT,
+        agreement="; ".join(_list_disagreements(parameter, sds, equal, by_profile)) or AGREEMENT,
     )
 
 
@@ -398,72 +369,43 @@ def _describe_profile(parameter: ParameterProfile, low: float, high: float) -> s
     elif profile.closed:
         description = f"{format_quantity_range(parameter.name, low, high)} (95 %)"
     else:
-        description = f"not identifiable: {_describe_open(parameter, low, high)}"
+        values = (format_quantity(parameter.name, end) for end in (low, high))
+        sides = list(zip(("above", "below"), values, profile.ends, strict=True))
+        parts = [f"{side} {value} (95 %)" for side, value, end in sides if end == "closed"]
+        parts += [f"open at its bound {value}" for _, value, end in sides if end == "bound"]
+        parts += [f"no solution was found beyond {value}" for _, value, end in sides if end == "lost"]
+        description = f"not identifiable: {', '.join(parts)}"
     return description + (f"; its profile has {profile.minima} minima" if profile.minima > 1 else "")
 
 
-def _describe_open(parameter: ParameterProfile, low: float, high: float) -> str:
-    """Return an interval that does not end on both sides."""
-    values = (format_quantity(parameter.name, end) for end in (low, high))
-    sides = list(zip(("above", "below"), values, parameter.profile.ends, strict=True))
-    parts = [f"{side} {value} (95 %)" for side, value, end in sides if end == "closed"]
-    parts += [f"open at its bound {value}" for _, value, end in sides if end == "bound"]
-    parts += [f"no solution was found beyond {value}" for _, value, end in sides if end == "lost"]
-    return ", ".join(parts)
-
-
-def _compare_classes(parameter: ParameterProfile, sds: tuple[float, float]) -> str:
-    """Return where posterior SD and profile do not come to the same conclusion."""
-    sd, prior_sd = sds
-    by_profile = _classify_by_profile(parameter, prior_sd)
-    by_sd = 0 if sd > UNINFORMED_SD_RATIO * prior_sd else 1 + is_determined_by_data(parameter.name, *sds)
-    words = ("not determined", "determined in part", "determined")
-    return (
-        ""
-        if by_profile == by_sd
-        else f"{words[by_sd]} by the posterior SD, {words[by_profile]} by the profile"
-    )
-
-
-def _classify_by_profile(parameter: ParameterProfile, prior_sd: float) -> int:
-    """Return the class of a parameter by its profile: 0 not determined, 1 in part, 2 determined."""
-    profile = parameter.profile
-    if profile.flat:
-        return 0
-    sd = (profile.high - profile.low) / (2 * NORMAL_95_HALF_WIDTH_SD)  # of a Gaussian interval of this width
-    return 1 + (profile.closed and is_determined_by_data(parameter.name, sd, prior_sd))
-
-
-def _compare_sds(parameter: ParameterProfile, sds: tuple[float, float]) -> str:
-    """Return where the posterior SD is not the one that the profile's curvature at the optimum implies."""
-    ratio = sds[0] * math.hypot(1 / parameter.profile.sd, 1 / sds[1])
-    agrees = 1 / AGREEMENT_FACTOR < ratio < AGREEMENT_FACTOR
-    return "" if agrees else f"the posterior SD is {ratio:.2g} times that by the information"
-
-
-def _compare_widths(parameter: ParameterProfile) -> str:
-    """Return where the profile's interval is not the one that the information implies."""
-    profile = parameter.profile
-    half = NORMAL_95_HALF_WIDTH_SD * profile.sd
-    if not math.isfinite(half):
-        return ""
+def _list_disagreements(
+    parameter: ParameterProfile,
+    sds: tuple[float, float],
+    equal: tuple[float, float] | None,
+    by_profile: int,
+) -> Iterator[str]:
+    """Yield where class, posterior SD, interval and starts are not as profile and information imply."""
+    profile, name, (sd, prior_sd) = parameter.profile, parameter.name, sds
+    by_sd = 0 if sd > UNINFORMED_SD_RATIO * prior_sd else 1 + is_determined_by_data(name, sd, prior_sd)
+    if by_profile != by_sd:
+        words = ("not determined", "determined in part", "determined")
+        yield f"{words[by_sd]} by the posterior SD, {words[by_profile]} by the profile"
+    ratio = sd * math.hypot(1 / profile.sd, 1 / prior_sd)
+    if not 1 / AGREEMENT_FACTOR < ratio < AGREEMENT_FACTOR:
+        yield f"the posterior SD is {ratio:.2g} times that by the information"
+    half, found = NORMAL_95_HALF_WIDTH_SD * profile.sd, []
     reaches = (("below", profile.best - profile.low), ("above", profile.high - profile.best))
-    found = []
     for (side, reach), end in zip(reaches, profile.ends, strict=True):
         # 1e-9: the reach is divided by, and may be 0
-        ratio = max(reach / half, half / max(reach, 1e-9))
-        if end == "closed" and not 1 / AGREEMENT_FACTOR < max(reach, 1e-9) / half < AGREEMENT_FACTOR:
-            found.append(f"{ratio:.2g} times {'farther' if reach > half else 'nearer'} {side}")
-    ends = " and ".join(found)
-    return f"the profile’s interval ends {ends} the optimum than the information implies" if found else ""
-
-
-def _compare_starts(parameter: ParameterProfile, equal: tuple[float, float] | None) -> str:
-    profile = parameter.profile
-    if equal is None or (equal[0] >= profile.low - 1e-6 and equal[1] <= profile.high + 1e-6):
-        return ""
-    between = format_quantity_range(parameter.name, *(to_value(parameter.name, end) for end in equal))
-    return f"equally good starts end outside its interval, {between}"
+        share = max(reach, 1e-9) / half
+        if math.isfinite(half) and end == "closed" and not 1 / AGREEMENT_FACTOR < share < AGREEMENT_FACTOR:
+            times = max(reach / half, half / max(reach, 1e-9))
+            found.append(f"{times:.2g} times {'farther' if reach > half else 'nearer'} {side}")
+    if found:
+        yield f"the profile’s interval ends {' and '.join(found)} the optimum than the information implies"
+    if equal is not None and not (equal[0] >= profile.low - 1e-6 and equal[1] <= profile.high + 1e-6):
+        between = format_quantity_range(name, *(to_value(name, end) for end in equal))
+        yield f"equally good starts end outside its interval, {between}"
 
 
 def _print_small(value: float) -> str:

@@ -6,7 +6,7 @@ Errors that insertions share are in the likelihood already.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -105,7 +105,10 @@ def principal_directions(
         # not change
         vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
         prior_sd = math.inf if before is None else math.sqrt(vector @ before @ vector)
-        words = _describe_direction(sd, vector, names)
+        scaled_sd, logarithm = _scale_sd(sd, vector, names)
+        known = "is known" if scaled_sd < NEARLY_FREE_SD else "is nearly free: known"
+        precision_words = describe_precision(scaled_sd, logarithm)
+        words = f"{describe_combination(vector, names)} {known} {precision_words}"
         one = Direction(sd, tuple(vector.tolist()), words, prior_sd)
         found.append(one if one.is_informed else replace(one, words=f"{words}{KNOWN_BY_PRIOR}"))
     return tuple(found)
@@ -118,7 +121,11 @@ def describe_combination(weights: Floats, names: Sequence[str]) -> str:
     if all(is_logarithmic(name) for name, _ in parts):
         powers = ((short_name(n), "" if abs(w - 1) < 0.005 else f"^{w:.2g}") for n, w in parts)
         return " * ".join(map("".join, powers))
-    terms = [_print_term(f"ln {short_name(n)}" if is_logarithmic(n) else short_name(n), w) for n, w in parts]
+    terms = []
+    for name, weight in parts:
+        factor = "" if abs(abs(weight) - 1) < 0.005 else f"{abs(weight):.2g} "
+        term = f"ln {short_name(name)}" if is_logarithmic(name) else short_name(name)
+        terms.append(f"{'-' if weight < 0 else '+'} {factor}{term}")
     return " ".join(terms).removeprefix("+ ")
 
 
@@ -159,20 +166,9 @@ def _scale_sd(sd: float, weights: Floats, names: Sequence[str]) -> tuple[float, 
     return sd / float(np.max(np.abs(weights))), all(map(is_logarithmic, kept))
 
 
-def _describe_direction(sd: float, weights: Floats, names: Sequence[str]) -> str:
-    scaled_sd, logarithm = _scale_sd(sd, weights, names)
-    known = "is known" if scaled_sd < NEARLY_FREE_SD else "is nearly free: known"
-    return f"{describe_combination(weights, names)} {known} {describe_precision(scaled_sd, logarithm)}"
-
-
 def _print_factor(sd: float) -> str:
     factor = math.exp(min(sd, math.log(1e6)))
     return "more than 1e6" if factor >= 1e6 else f"{factor:.2g}" if factor < 10 else f"{factor:.0f}"
-
-
-def _print_term(name: str, weight: float) -> str:
-    sign = "-" if weight < 0 else "+"
-    return f"{sign} {name}" if abs(abs(weight) - 1) < 0.005 else f"{sign} {abs(weight):.2g} {name}"
 
 
 #: largest standard deviations, of a logarithm and of a shape parameter, of one called determined
@@ -207,20 +203,18 @@ def compute_sds(problem: Problem, theta: Floats, draws: Floats | None = None) ->
     information = slope.T @ slope / max(1.0, chi_square) + prior_part
     between = between_needle_sds(problem, slope, residuals, slope.T @ slope + prior_part)
     least = between
-    if draws is not None and is_cut_off(problem, theta, draws):
+    if draws is not None:
+        # does a bound limit the posterior: does it hold theta, or an end of a 95 % interval?
+        low, high = np.percentile(draws, (2.5, 97.5), axis=0)
+        near = CUT_OFF_FRACTION * (problem.upper - problem.lower)
+        cut_off = any(find_bounds(problem, theta)) or np.any(low < problem.lower + near)
+        cut_off = cut_off or np.any(high > problem.upper - near)
+    if draws is not None and cut_off:
         least = np.maximum(between, np.std(draws, axis=0))
     elif draws is not None:
         # pinv: draws that do not differ along a direction are no reason for an error
         information = np.linalg.pinv(np.atleast_2d(np.cov(draws, rowvar=False)), hermitian=True)
     return np.maximum(cramer_rao(information), least), information, chi_square
-
-
-def is_cut_off(problem: Problem, theta: Floats, draws: Floats) -> bool:
-    """Return whether a bound limits the posterior: it holds `theta` (P,), or an end of a 95 % interval."""
-    ends = np.percentile(draws, (2.5, 97.5), axis=0)
-    near = CUT_OFF_FRACTION * (problem.upper - problem.lower)
-    at_bound = any(find_bounds(problem, theta))
-    return bool(at_bound or np.any(ends[0] < problem.lower + near) or np.any(ends[1] > problem.upper - near))
 
 
 def find_bounds(problem: Problem, theta: Floats) -> list[str]:
@@ -326,9 +320,14 @@ def loosen(problem: Problem, theta: Floats, sds: Mapping[str, float] | None = No
     """
     stated = posterior_sds(problem, theta)
     known = stated if sds is None else sds
-    found = []
-    for condition, one in _list_loosened(problem, theta):
-        loose = posterior_sds(one, one.parameters.theta(problem.values(theta)))
+    values, parameters = problem.values(theta), loosen_ties(problem.parameters)
+    found, problems = [], []
+    if parameters != problem.parameters:
+        problem, theta = problem.with_parameters(parameters), parameters.theta(values)
+        problems.append((STATED_TIES, problem))
+    problems.append((NO_MODEL_ERROR, replace(problem, model_error=estimate_model_error(problem, theta))))
+    for condition, one in problems:
+        loose = posterior_sds(one, one.parameters.theta(values))
         added = {name: math.sqrt(max(0.0, sd**2 - stated.get(name, 0.0) ** 2)) for name, sd in loose.items()}
         found.append(
             Loosened(condition, {n: math.hypot(known.get(n, 0.0), more) for n, more in added.items()})
@@ -382,12 +381,3 @@ def estimate_model_error(problem: Problem, theta: Floats) -> Discrepancy:
     tips = [one.deflection for one in problem.insertions]
     least = MIN_MODEL_ERROR * math.sqrt(float(np.mean(np.square(tips))))
     return Discrepancy(max(math.sqrt(excess / added), least), MODEL_ERROR_LENGTH_MM)
-
-
-def _list_loosened(problem: Problem, theta: Floats) -> Iterator[tuple[str, Problem]]:
-    loose = loosen_ties(problem.parameters)
-    if loose != problem.parameters:
-        problem, values = problem.with_parameters(loose), problem.values(theta)
-        theta = loose.theta(values)
-        yield STATED_TIES, problem
-    yield NO_MODEL_ERROR, replace(problem, model_error=estimate_model_error(problem, theta))

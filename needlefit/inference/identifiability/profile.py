@@ -60,13 +60,6 @@ class ProfilePath:
     evaluations: int = 0
     retries: int = 0
 
-    def add(self, other: "ProfilePath") -> None:
-        """Add what another path has, whose points are not among these."""
-        self.points += other.points
-        self.at_bound = [one or more for one, more in zip(self.at_bound, other.at_bound, strict=True)]
-        self.evaluations += other.evaluations
-        self.retries += other.retries
-
 
 @dataclass(frozen=True)
 class _PathSettings:
@@ -98,8 +91,11 @@ def trace_profile(
     for _ in range(MAX_RESTARTS):
         sides = map_side_by_side(partial(_trace_side, settings, optimum), (-1, 1))
         path = ProfilePath([optimum], evaluations=spent, retries=retries)
-        for one in sides:
-            path.add(one)
+        for side, one in enumerate(sides):
+            path.points += one.points
+            path.at_bound[side] = one.at_bound[side]
+            path.evaluations += one.evaluations
+            path.retries += one.retries
         better = select_best(path.points)
         if better.value > optimum.value - MIN_IMPROVEMENT:
             break
@@ -115,8 +111,14 @@ def select_best(points: Sequence[LocalMinimum]) -> LocalMinimum:
 
 def _trace_side(settings: _PathSettings, optimum: LocalMinimum, side: int) -> ProfilePath:
     """Return the points of one side; where another branch is lower at its end, go on along that."""
-    path = ProfilePath()
-    found, step = [optimum], _first_step(settings, optimum)
+    path, others = ProfilePath(), np.arange(len(optimum.theta)) != settings.k
+    cross = optimum.information[others, settings.k]
+    # least squares, not solve: the others' information is singular where the data leave a combination open
+    rest = np.linalg.lstsq(optimum.information[np.ix_(others, others)], cross, rcond=1e-12)[0]
+    remaining = max(float(optimum.information[settings.k, settings.k] - cross @ rest), 0.0)
+    slope = np.sqrt(remaining / settings.scale)
+    step = float(min(settings.steps.root_rise / max(slope, 1e-9), MAX_STEP_FRACTION * settings.range))
+    found = [optimum]
     for _ in range(MAX_RESTARTS):
         step = _step_outward(settings, path, found, (side, step))
         if not _join_lower_branch(settings, path, found):
@@ -141,10 +143,8 @@ def _step_outward(
         # a remainder of less than a fifth of a step is not worth a point of its own
         place = bound if abs(bound - last.theta[k]) < 1.2 * step else float(place)
         point = _compute_point(settings, path, found, place)
-        rise, step = (
-            _deviance_root(settings, optimum, point) - _deviance_root(settings, optimum, last),
-            abs(place - float(last.theta[k])),
-        )
+        rise = _deviance_root(settings, optimum, point) - _deviance_root(settings, optimum, last)
+        step = abs(place - float(last.theta[k]))
         # the root of the deviance is linear where the profile is a parabola, so steps are judged by it
         if rise > 2 * settings.steps.root_rise and step > MIN_STEP_FRACTION * settings.range:
             if np.isfinite(point.value):
@@ -162,16 +162,6 @@ def _get_bound(settings: _PathSettings, side: int) -> float:
     return float(settings.target.upper[settings.k] if side > 0 else settings.target.lower[settings.k])
 
 
-def _first_step(settings: _PathSettings, optimum: LocalMinimum) -> float:
-    others = np.arange(len(optimum.theta)) != settings.k
-    cross = optimum.information[others, settings.k]
-    # least squares, not solve: the others' information is singular where the data leave a combination open
-    rest = np.linalg.lstsq(optimum.information[np.ix_(others, others)], cross, rcond=1e-12)[0]
-    remaining = max(float(optimum.information[settings.k, settings.k] - cross @ rest), 0.0)
-    slope = np.sqrt(remaining / settings.scale)
-    return float(min(settings.steps.root_rise / max(slope, 1e-9), MAX_STEP_FRACTION * settings.range))
-
-
 def _next_step(
     settings: _PathSettings, optimum: LocalMinimum, point: LocalMinimum, last: tuple[int, float]
 ) -> float:
@@ -181,13 +171,8 @@ def _next_step(
     root = max(_deviance_root(settings, optimum, point), 1e-3)
     slope = side * float(point.slope[settings.k]) / settings.scale / (2 * root)
     wanted = settings.steps.root_rise / slope if slope > 0 else step if slope < 0 else np.inf
-    return float(
-        np.clip(
-            wanted,
-            MIN_STEP_FRACTION * settings.range,
-            min(MAX_STEP_GROWTH * step, MAX_STEP_FRACTION * settings.range),
-        )
-    )
+    longest = min(MAX_STEP_GROWTH * step, MAX_STEP_FRACTION * settings.range)
+    return float(np.clip(wanted, MIN_STEP_FRACTION * settings.range, longest))
 
 
 def _compute_point(
@@ -239,13 +224,13 @@ def _minimize_from_elsewhere(settings: _PathSettings, path: ProfilePath, here: L
     starts = [_set_held(settings, start, place) for start in (here.theta, *settings.elsewhere)]
     same, *ends = map_side_by_side(partial(minimize_squares, settings.cheaper, held=k), starts)
     near = [end for end in ends if end.value < same.value + MAX_BRANCH_RISE]
-    others = [end for end in near if not _is_same_minimum(same, end)]
+    others = []
+    for end in near:
+        apart = end.theta - same.theta
+        gap = max(abs(end.value - same.value), float(apart @ same.information @ apart))
+        if not gap < SAME_MINIMUM_GAP:
+            others.append(end)
     return _minimize_held(settings, path, select_best(others).theta, place) if others else here
-
-
-def _is_same_minimum(one: LocalMinimum, other: LocalMinimum) -> bool:
-    apart = other.theta - one.theta
-    return max(abs(other.value - one.value), float(apart @ one.information @ apart)) < SAME_MINIMUM_GAP
 
 
 def _minimize_held(settings: _PathSettings, path: ProfilePath, start: Floats, place: float) -> LocalMinimum:
@@ -346,18 +331,17 @@ def compute_profile(
 ) -> LikelihoodProfile:
     """Compute the profile of parameter `k` about an optimum; the others are re-optimised within their bounds.
 
-    Parameters
-    ----------
-    optimum : LocalMinimum
-        Of all parameters; should the profile find a better one, that takes its place.
-    elsewhere : sequence of (P,) arrays
-        Further places to begin from where the profile fails or jumps, and at its ends.
-    scale : float
-        What the sum of squares is divided by to give the deviance: above 1 where residuals are larger than
-        the noise explains.
+    Should it find a better optimum, that takes its place. `elsewhere` are further places (P,) to begin from
+    where the profile fails or jumps, and at its ends. `scale` is what the sum of squares is divided by to
+    give the deviance: above 1 where residuals are larger than the noise explains.
     """
-    path = trace_profile(target, k, optimum, elsewhere, scale)
-    points = _sort_points(path.points, k, float(target.upper[k] - target.lower[k]))
+    path, width = trace_profile(target, k, optimum, elsewhere, scale), target.upper - target.lower
+    points: list[LocalMinimum] = []  # along the parameter; of those that were computed twice the lower one
+    for point in sorted(path.points, key=lambda point: float(point.theta[k])):
+        if points and point.theta[k] - points[-1].theta[k] < MIN_POINT_DISTANCE * width[k]:
+            points[-1] = select_best([points[-1], point])
+        else:
+            points.append(point)
     at = np.array([point.theta[k] for point in points])
     best = select_best(points)
     deviance = np.array([(point.value - best.value) / scale for point in points])
@@ -365,6 +349,11 @@ def compute_profile(
     # at the optimum the derivative is 0 up to the tolerance; exactly 0 keeps the cubic from dipping below it
     slope[deviance == 0] = 0.0
     (low, below), (high, above) = (_find_end(path, (at, deviance, slope), side) for side in (-1, 1))
+    # Schur complement: the information on k that is left when the others are known within their bounds alone
+    information, others = best.information / scale, np.arange(len(width)) != k
+    cross = information[others, k]
+    bounded = information[np.ix_(others, others)] + np.diag(12.0 / width[others] ** 2)
+    remaining = float(information[k, k] - cross @ np.linalg.solve(bounded, cross))
     return LikelihoodProfile(
         name=target.names[k],
         at=at,
@@ -372,7 +361,8 @@ def compute_profile(
         slope=slope,
         thetas=np.array([point.theta for point in points]),
         best=float(best.theta[k]),
-        sd=_information_sd(best.information / scale, k, target.upper - target.lower),
+        # below rounding the parameter is not determined at all
+        sd=1 / math.sqrt(remaining) if remaining > 1e-14 else math.inf,
         low=low,
         high=high,
         ends=(below, above),
@@ -380,17 +370,6 @@ def compute_profile(
         evaluations=path.evaluations,
         retries=path.retries,
     )
-
-
-def _sort_points(points: Sequence[LocalMinimum], k: int, width: float) -> list[LocalMinimum]:
-    """Return the points along the parameter, of those that were computed twice the lower one."""
-    kept: list[LocalMinimum] = []
-    for point in sorted(points, key=lambda point: float(point.theta[k])):
-        if kept and point.theta[k] - kept[-1].theta[k] < MIN_POINT_DISTANCE * width:
-            kept[-1] = select_best([kept[-1], point])
-        else:
-            kept.append(point)
-    return kept
 
 
 def _find_end(path: ProfilePath, curve: tuple[Floats, Floats, Floats], side: int) -> tuple[float, End]:
@@ -403,34 +382,20 @@ def _find_end(path: ProfilePath, curve: tuple[Floats, Floats, Floats], side: int
     # once
     fine = np.unique(np.concatenate([np.linspace(at[0], at[-1], CURVE_POINTS), at]))
     inside = np.flatnonzero(_interpolate(*curve, fine) <= DEVIANCE_95)
-    last = int(inside[outermost])
-    return _find_crossing(curve, float(fine[last]), float(fine[last + side])), "closed"
-
-
-def _find_crossing(curve: tuple[Floats, Floats, Floats], inside: float, outside: float) -> float:
+    within, beyond = float(fine[inside[outermost]]), float(fine[inside[outermost] + side])
     for _ in range(50):
-        middle = 0.5 * (inside + outside)
+        middle = 0.5 * (within + beyond)
         if _interpolate(*curve, np.array([middle]))[0] <= DEVIANCE_95:
-            inside = middle
+            within = middle
         else:
-            outside = middle
-    return inside
+            beyond = middle
+    return within, "closed"
 
 
 def _interpolate(at: Floats, deviance: Floats, slope: Floats, where: Floats) -> Floats:
     if len(at) == 1:
         return np.full(len(where), deviance[0])
     return CubicHermiteSpline(at, deviance, slope)(where)
-
-
-def _information_sd(information: Floats, k: int, width: Floats) -> float:
-    others = np.arange(len(information)) != k
-    cross = information[others, k]
-    bounded = information[np.ix_(others, others)] + np.diag(12.0 / width[others] ** 2)
-    # Schur complement: the information on k that is left when the others are unknown
-    remaining = float(information[k, k] - cross @ np.linalg.solve(bounded, cross))
-    # below rounding the parameter is not determined at all
-    return 1 / math.sqrt(remaining) if remaining > 1e-14 else math.inf
 
 
 def _count_minima(deviance: Floats) -> int:

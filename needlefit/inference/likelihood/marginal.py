@@ -102,7 +102,12 @@ def _find_moments(products: Sequence[Floats], group: NodeGroup, spread: Floats) 
     for part, nodes, own, place in _members(products, group):
         linear = weigh_linear(nodes, spread)[0]
         gram = linear @ part[0] @ linear.T
-        restored = _restore_own(gram, own, place, common)
+        # the insertion's own errors, given the others: mean -W gram (1, shared part), covariance W
+        weight = own[:, None] * np.linalg.inv(np.eye(len(own)) + own[:, None] * gram[1:, 1:] * own) * own
+        follow = np.eye(len(gram))
+        follow[1:] -= weight @ gram[1:]
+        restored: Floats = follow @ place.T @ common @ place @ follow.T
+        restored[1:, 1:] += weight
         found.append(linear.T @ restored @ linear)
         # d/d(ln spread) is minus the mean of t (f . r)
         slope -= float(np.sum((restored * gram)[_bevel_axes(nodes)]))
@@ -118,19 +123,6 @@ def weigh_linear(nodes: Nodes, spread: Floats) -> Floats:
 def _bevel_axes(nodes: Nodes) -> Bools:
     """Return which rows (1 + d,) of `nodes.linear` are the slopes by a bevel."""
     return np.array([False, *(axis.of_bevel for axis in nodes.axes)])
-
-
-def _restore_own(gram: Floats, own: Floats, place: Floats, common: Floats) -> Floats:
-    """Return the mean (1 + d, 1 + d) of (1, t) (1, t)^T, given `common`, that of what is shared.
-
-    An insertion's own errors, given the others: mean -W gram (1, shared part), covariance W.
-    """
-    weight = own[:, None] * np.linalg.inv(np.eye(len(own)) + own[:, None] * gram[1:, 1:] * own) * own
-    follow = np.eye(len(gram))
-    follow[1:] -= weight @ gram[1:]
-    mean: Floats = follow @ place.T @ common @ place @ follow.T
-    mean[1:, 1:] += weight
-    return mean
 
 
 def _sum_over_group(products: Sequence[Floats], group: NodeGroup, spread: Floats) -> tuple[Floats, Floats]:
@@ -247,7 +239,12 @@ def linearize_residuals(
     """
     first, slopes = _stack(whites, group, *at)
     by_first, by_slopes = _stack(by, group, *at)  # (B, R, P), (B, D, R, P)
-    by_slopes = by_slopes + (_bevel_rows(group)[:, None] * slopes)[..., None] * by_log_spread
+    own: list[bool] = []  # which of the D conditions are a bevel's
+    for nodes in group.nodes:
+        own += [axis.of_bevel for axis in nodes.axes]
+        own += [nodes.bevel and k == 0 for k in range(len(nodes.effects))]
+    bevels = np.array([*own, *(surface[1] == BEVEL for surface in group.surfaces)], dtype=np.float64)
+    by_slopes = by_slopes + (bevels[:, None] * slopes)[..., None] * by_log_spread
     stiff, best = _fit_conditions(first, slopes)
     sets, conditions, rows, free = by_slopes.shape
     flat = by_slopes.reshape(sets, conditions, rows * free)
@@ -308,15 +305,6 @@ def _count_own(group: NodeGroup) -> list[int]:
     return [len(nodes.axes) + len(nodes.effects) for nodes in group.nodes]
 
 
-def _bevel_rows(group: NodeGroup) -> Floats:
-    """Return 1 for each of the D conditions that is a bevel's, else 0."""
-    own: list[bool] = []
-    for nodes in group.nodes:
-        own += [axis.of_bevel for axis in nodes.axes]
-        own += [nodes.bevel and k == 0 for k in range(len(nodes.effects))]
-    return np.array([*own, *(surface[1] == BEVEL for surface in group.surfaces)], dtype=np.float64)
-
-
 def _order(group: NodeGroup, rows: Sequence[int]) -> list[int]:
     """Return the places of residuals and conditions, (R,) and (D,), insertion by insertion."""
     found: list[int] = []
@@ -326,9 +314,8 @@ def _order(group: NodeGroup, rows: Sequence[int]) -> list[int]:
         found += [*range(point, point + row), *range(condition, condition + size)]
         point, condition = point + row, condition + size
         if point == rows[0]:
-            found += range(
-                whole + sum(_count_own(group)), whole + sum(_count_own(group)) + len(group.surfaces)
-            )
+            shared = whole + sum(_count_own(group))
+            found += range(shared, shared + len(group.surfaces))
     return found
 
 

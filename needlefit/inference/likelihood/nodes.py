@@ -109,17 +109,11 @@ def make_nodes(
 ) -> Nodes:
     """Return the nodes of an insertion whose measured points have beam coordinates `s` (K,).
 
-    Raises ConfigError if the insertion has more uncertain depths than quadrature is right for.
+    With `bevel` its offset may differ from that of other insertions. `constants` curves stand behind those of
+    the nodes; the last of these lie along the axes `shared` with other insertions (not with depths by
+    quadrature).
 
-    Parameters
-    ----------
-    bevel : bool
-        Whether the bevel's offset of this insertion may differ from that of others.
-    constants : int
-        Number of constant curves behind those of the nodes.
-    shared : tuple of ErrorAxis
-        Of the last constant curves: the axes along which they are, since other insertions share them. Not
-        with depths by quadrature.
+    Raises ConfigError if the insertion has more uncertain depths than quadrature is right for.
     """
     places = NODE_POSITIONS_SD[depths]
     moves = _list_depth_errors(insertion) if places else []
@@ -229,19 +223,16 @@ class NodeGroup:
     @cached_property
     def shared(self) -> tuple[Floats, ...]:
         """What a standard deviation of each surface adds to each insertion's depths: (d, k)."""
-        return tuple(
-            np.array([self._list_shares(axis) for axis in one.axes]).reshape(
-                len(one.axes), len(self.surfaces)
-            )
-            for one in self.nodes
-        )
-
-    def _list_shares(self, axis: ErrorAxis) -> Floats:
-        found = self._split(axis)[1] * np.array([axis.surface == surface for surface in self.surfaces])
-        if self.centred and axis.of_bevel:
-            bevels = np.array([surface[1] == BEVEL for surface in self.surfaces])
-            found -= bevels / bevels.sum()
-        return found
+        bevels = np.array([surface[1] == BEVEL for surface in self.surfaces])
+        found = []
+        for one in self.nodes:
+            shares = np.zeros((len(one.axes), len(self.surfaces)))
+            for row, axis in zip(shares, one.axes, strict=True):
+                row += self._split(axis)[1] * np.array([axis.surface == each for each in self.surfaces])
+                if self.centred and axis.of_bevel:
+                    row -= bevels / bevels.sum()
+            found.append(shares)
+        return tuple(found)
 
     def _split(self, axis: ErrorAxis) -> tuple[float, float]:
         """Return both deviations; what nobody else has is the insertion's own."""

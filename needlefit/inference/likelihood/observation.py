@@ -38,7 +38,7 @@ from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import align_rigid, differentiate_align_rigid, make_tracker_columns
-from needlefit.geometry.smoothing_spline import SplineFit, SplineSections, fit_matrices, make_knots
+from needlefit.geometry.smoothing_spline import SplineSections, fit_matrices, make_knots
 from needlefit.inference.compared_points import rotate_to_entry_axes
 from needlefit.inference.likelihood.nodes import FRAME, ErrorAxis, Nodes, make_nodes
 from needlefit.mechanics.needle import Needle
@@ -81,14 +81,9 @@ def select_sections(insertion: Insertion, needle: Needle) -> SectionData | None:
     fit = fit_matrices(stored.q, stored.weights, stored.knots)
     shared = stored.shared_sd**2 * np.exp(-np.abs(s[:, None] - s) / SHARED_ERROR_LENGTH_MM)  # (K, K)
     covariance = stored.sigma**2 * fit.spread + fit.operator @ shared @ fit.operator.T
-    slope = _slope(fit, planar)
-    return SectionData(s, planar, fit.operator, covariance, shared, slope, fit.reached, stored)
-
-
-def _slope(fit: SplineFit, planar: Floats) -> Floats:
-    """Return dy/dx (K,) of the spline through `planar` (K, 2)."""
     by_q = fit.slope @ (fit.operator @ planar)  # (K, 2)
-    return by_q[:, 1] / by_q[:, 0]
+    slope = by_q[:, 1] / by_q[:, 0]
+    return SectionData(s, planar, fit.operator, covariance, shared, slope, fit.reached, stored)
 
 
 def points_operator(measurement: MeasurementRecord, s: Floats) -> Floats | None:
@@ -148,11 +143,10 @@ def pose_modes(measured: Floats, slope: Floats | None = None) -> Floats:
     cubic through the points.
     """
     x = measured[:, 0]
-    if slope is not None:
-        return np.column_stack([np.ones(len(x)), x, -slope])
-    degree = min(SLOPE_DEGREE, len(x) - 1)
-    # Polynomial.fit scales x to [-1, 1] itself: np.polyfit on mm would be badly conditioned
-    slope = np.polynomial.Polynomial.fit(x, measured[:, 1], degree).deriv()(x)
+    if slope is None:
+        degree = min(SLOPE_DEGREE, len(x) - 1)
+        # Polynomial.fit scales x to [-1, 1] itself: np.polyfit on mm would be badly conditioned
+        slope = np.polynomial.Polynomial.fit(x, measured[:, 1], degree).deriv()(x)
     return np.column_stack([np.ones(len(x)), x, -slope])
 
 
@@ -169,12 +163,7 @@ def pose_sds(insertion: Insertion, noise: Noise) -> Floats:
 def points_covariance(s: Floats, noise: Noise, sd: Floats | None = None) -> Floats:
     """Return the covariance (K, K), mm^2, of points at arc lengths `s` (K,).
 
-    Parameters
-    ----------
-    noise : Noise
-        Its independent part, and how far along the needle the other part is shared.
-    sd : (K,) array, optional
-        Deviation of each point's shared part, mm; by default the same for all, as `noise` states.
+    `sd` (K,), mm, is the deviation of each point's shared part; by default that of `noise` for all.
     """
     deviation = np.full(len(s), noise.correlated_sd) if sd is None else sd
     shared = np.outer(deviation, deviation) * noise.correlate(s)
@@ -237,16 +226,11 @@ def make_observation(
 ) -> Observation:
     """Return the observation of one insertion.
 
-    Raises DataError if no noise is stated: without any, a likelihood has no width.
+    `noise` replaces what the dataset states; the stored points are then taken as the needle's own. So many
+    `insertions` are fitted together: they share the bias of an unknown measurement. `model_error` is added to
+    the errors of the measurement.
 
-    Parameters
-    ----------
-    noise : Noise, optional
-        Replaces the noise that the dataset states; the stored points are then taken as the needle's own.
-    insertions : int
-        How many are fitted together: they share the bias of an unknown measurement.
-    model_error : Discrepancy, optional
-        Added to the errors of the measurement.
+    Raises DataError if no noise is stated: without any, a likelihood has no width.
     """
     smoothed = noise is None and likelihood.measurement == "stored" and likelihood.noise == "correlated"
     if isinstance(insertion, TipTrack):
@@ -259,7 +243,12 @@ def make_observation(
         return _observe_sections(dataset, insertion, known, likelihood, model_error)
     measurement = dataset.measurement if smoothed else DEFAULT_MEASUREMENT
     noise = dataset.noise if noise is None else noise
-    s, measured, sd = _select_points(dataset, insertion)
+    along, s = select_compared_places(dataset.pose, dataset.drop_proximal, insertion)
+    measured = interpolate_at_arc(insertion.planar, along)
+    measured = measured if dataset.pose == "known" else rotate_to_entry_axes(measured)
+    sd = None
+    if insertion.sd is not None:
+        sd = np.interp(along, arc_length(insertion.planar), insertion.sd)
     cov, free = points_covariance(s, noise, sd), make_tracker_columns(measured[:, 0])  # across, and turn
     bias = bias_covariance(measurement, s, insertions)
     cov = cov if bias is None else cov + bias
@@ -429,11 +418,3 @@ def whiten_derivatives(observation: Observation, simulated: Floats, slopes: Floa
     if observation.pose == "free":
         slopes = differentiate_align_rigid(simulated, observation.measured, slopes)
     return observation.whitening @ slopes[..., 1, :]
-
-
-def _select_points(dataset: Dataset, insertion: Insertion) -> tuple[Floats, Floats, Floats | None]:
-    """Return beam coordinates (K,), places (K, 2) and deviations (K,) of the measured points used."""
-    along, at = select_compared_places(dataset.pose, dataset.drop_proximal, insertion)
-    places = interpolate_at_arc(insertion.planar, along)
-    sd = None if insertion.sd is None else np.interp(along, arc_length(insertion.planar), insertion.sd)
-    return at, places if dataset.pose == "known" else rotate_to_entry_axes(places), sd

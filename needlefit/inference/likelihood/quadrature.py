@@ -102,10 +102,7 @@ def log_means(
 ) -> Floats:
     """Return the log of the mean of prod_i exp(-|r_i|^2 / 2) over all depths, (B,).
 
-    Parameters
-    ----------
-    products : sequence of (B, m, m) arrays
-        Products of the curves of each insertion at its nodes.
+    `products` (B, m, m) are those of the curves of each insertion at its nodes.
     """
     count = _count_shared(axes)
     largest = max(len(rule.points) ** rule.axes for rule in rules)

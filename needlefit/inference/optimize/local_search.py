@@ -8,26 +8,31 @@ It works in the unit cube, where one step size and one tolerance suit all parame
 A search ends by its tolerance on a plateau and in a narrow valley as well as at a minimum. Where the
 objective is a sum of squares the exact Jacobian J distinguishes them: the best step s within the bounds of
 the linear problem, min |r + J s|, would gain next to nothing at a minimum.
+
+Least squares run with the exact Jacobian, in theta itself. SciPy's trust region method within the bounds
+comes near a minimum. It takes J^T J for the second derivatives, which leaves out those of the residuals:
+where these matter each step gains the same part of what is left. So the last steps are Newton's, with the
+missing part estimated from the changes of J^T r, as in NL2SOL (Dennis, Gay and Welsch,
+https://doi.org/10.1145/355958.355965). Where they fail SciPy's method goes on.
 """
 
 import math
 import threading
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
 import nlopt
 import numpy as np
-from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
+from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import least_squares, lsq_linear
 
 from needlefit.arrays import Floats
 from needlefit.errors import ConfigError
 from needlefit.inference.fit import INTERRUPTED, Start, StartPoint
-from needlefit.inference.objective import EvaluationRecorder, ObjectiveFunction, SearchEnded
-from needlefit.inference.optimize.least_squares_search import run_least_squares
+from needlefit.inference.objective import EvaluationRecorder, ObjectiveFunction, SearchEnded, half_square
 from needlefit.project.progress import never_stop
 from needlefit.schemas.recipe import RecipeRecord
 
@@ -46,8 +51,7 @@ VALUE_TOLERANCE = 0.1
 def run_nlopt(
     code: int, with_gradient: bool, recorder: EvaluationRecorder, start: Floats, tolerance: float
 ) -> str:
-    """Search with nlopt's algorithm `code` from theta `start` (P,), with or without gradients; return why it
-    ended.
+    """Search with nlopt's algorithm `code` from theta `start` (P,); return why it ended.
 
     A search by slopes is begun anew where it ended until that gains nothing: some end in a narrow valley.
     """
@@ -69,16 +73,29 @@ def run_nlopt(
 def _run_once(
     recorder: EvaluationRecorder, code: int, with_gradient: bool, tolerance: float, start: Floats
 ) -> str:
-    lower, span = (
-        recorder.objective_function.lower,
-        recorder.objective_function.upper - recorder.objective_function.lower,
-    )
+    lower, span = recorder.objective_function.lower, recorder.objective_function.span
     optimizer = nlopt.opt(code, len(start))
-    try:
-        scale = _choose_scale(recorder, start, span) if with_gradient else 1.0
-    except SearchEnded:
-        return recorder.reason
-    _configure(optimizer, tolerance, recorder.objective_function.absolute_tolerance * scale, with_gradient)
+    scale = 1.0
+    if with_gradient:
+        # The first step along the slope is to be `FIRST_GRADIENT_STEP` long. Methods that know no curvature
+        # at first take the slope for the step: from a bad start, where a log posterior falls by 1e5 over the
+        # box, that leads into a corner, from which line searches fail.
+        try:
+            steepness = float(np.linalg.norm(recorder.gradient(start)[1] * span))
+        except SearchEnded:
+            return recorder.reason
+        scale = FIRST_GRADIENT_STEP / steepness if steepness > 0 else 1.0
+    # gradients reach a minimum to rounding, values do not
+    absolute_tolerance = recorder.objective_function.absolute_tolerance * scale
+    step_tolerance = GRADIENT_STEP_TOLERANCE if with_gradient and absolute_tolerance else tolerance
+    optimizer.set_lower_bounds(np.zeros(len(start)))
+    optimizer.set_upper_bounds(np.ones(len(start)))
+    optimizer.set_initial_step(np.full(len(start), FIRST_STEP))
+    optimizer.set_xtol_abs(np.full(len(start), step_tolerance))
+    if absolute_tolerance:
+        optimizer.set_ftol_abs(absolute_tolerance)
+    else:
+        optimizer.set_ftol_rel(tolerance * VALUE_TOLERANCE)
     bugs: list[BaseException] = []
 
     def function(cube: Floats, slope: Floats) -> float:
@@ -103,17 +120,6 @@ def _run_once(
     return recorder.reason or reason
 
 
-def _choose_scale(recorder: EvaluationRecorder, start: Floats, span: Floats) -> float:
-    """Return what the value is multiplied by, so that the first step along its slope is `FIRST_GRADIENT_STEP`
-    long.
-
-    Methods that know no curvature at first take the slope for the step: from a bad start, where a log
-    posterior falls by 1e5 over the box, that leads into a corner, from which line searches fail.
-    """
-    steepness = float(np.linalg.norm(recorder.gradient(start)[1] * span))
-    return FIRST_GRADIENT_STEP / steepness if steepness > 0 else 1.0
-
-
 def _evaluate(recorder: EvaluationRecorder, theta: Floats, slope: Floats, span: Floats) -> float:
     """Return the value; with its slope along the cube written into `slope` (P,), if that is asked for."""
     if slope.size == 0:
@@ -124,23 +130,6 @@ def _evaluate(recorder: EvaluationRecorder, theta: Floats, slope: Floats, span: 
     # unit cube
     slope[:] = gradient * span
     return value
-
-
-def _configure(
-    optimizer: "nlopt.opt", tolerance: float, absolute_tolerance: float, with_gradient: bool
-) -> None:
-    """Set bounds, first step, and when to end: gradients reach a minimum to rounding, values do not."""
-    dimensions = optimizer.get_dimension()
-    optimizer.set_lower_bounds(np.zeros(dimensions))
-    optimizer.set_upper_bounds(np.ones(dimensions))
-    optimizer.set_initial_step(np.full(dimensions, FIRST_STEP))
-    optimizer.set_xtol_abs(
-        np.full(dimensions, GRADIENT_STEP_TOLERANCE if with_gradient and absolute_tolerance else tolerance)
-    )
-    if absolute_tolerance:
-        optimizer.set_ftol_abs(absolute_tolerance)
-    else:
-        optimizer.set_ftol_rel(tolerance * VALUE_TOLERANCE)
 
 
 def _run(optimizer: "nlopt.opt", start: Floats) -> str:
@@ -156,6 +145,170 @@ def _run(optimizer: "nlopt.opt", start: Floats) -> str:
     return "tolerance"
 
 
+#: relative change of the sum of squares, and of theta, under which it ends, unless more is negligible
+MIN_TOLERANCE = 1e-15
+#: about as large as half the squares are at their least: a part of them is negligible
+TYPICAL_HALF_SQUARES = 1e2
+NEAR_TOLERANCE = 1e-2  #: relative change of the sum of squares by a step under which a minimum is near
+MAX_FAILED_STEPS = 3  #: Newton's steps in a row from which the sum of squares rises: there its method is left
+#: cosine between a step and the change of the gradient below which that gives no curvature along the step
+MIN_COSINE = 1e-6
+VALUE_ROUNDING = 1e-9  #: rise of the sum of squares, as a part of it, that may be rounding of the simulation
+#: differences between value and sum of squares from which on one does not stand for the other: of the best
+#: value, and of the first one, next to which the constant between them was found
+SUM_TOLERANCE, CONSTANT_ROUNDING = 1e-6, 1e-12
+
+
+def run_least_squares(recorder: EvaluationRecorder, start: Floats, _tolerance: float = 0.0) -> str:
+    """Search from theta `start` (P,), to rounding, whatever the recipe's tolerance; return why it ended."""
+    reason = ""
+    with suppress(SearchEnded):
+        reason = _run_scipy(recorder, start)
+    return recorder.reason or reason
+
+
+def _run_scipy(recorder: EvaluationRecorder, start: Floats) -> str:
+    if not recorder.find_constant(start):
+        return "failed at its start"
+    first = abs(recorder.objective)
+    small = max(MIN_TOLERANCE, recorder.objective_function.absolute_tolerance / TYPICAL_HALF_SQUARES)
+    if len(start) == 0:
+        return "tolerance"
+
+    lower, upper = recorder.objective_function.lower, recorder.objective_function.upper
+    steps = _ScipySteps(recorder, small)
+    try:
+        found = least_squares(
+            steps.residuals,
+            np.clip(start, lower, upper),
+            jac=steps.slopes,
+            bounds=(lower, upper),
+            x_scale="jac",
+            ftol=small,
+            xtol=small,
+            gtol=None,  # absolute: it would depend on the units of theta
+            max_nfev=recorder.budget,  # the recorder ends it, which counts the Jacobians too
+        )
+        reason = "tolerance" if found.status > 0 else "budget"
+    except _Converged:
+        reason = "tolerance"
+    return _verify_sum(recorder, CONSTANT_ROUNDING * first, reason)
+
+
+class _Converged(Exception):  # noqa: N818  (no error: the way out of SciPy's method)
+    """Raised to leave SciPy's method where Newton's steps have converged."""
+
+
+def _run_newton(
+    recorder: EvaluationRecorder, theta: Floats, found: tuple[Floats, Floats], small: float
+) -> bool:
+    """Take Newton's steps from theta (P,), with its residuals and Jacobian; return whether they converged."""
+    lower, upper = recorder.objective_function.lower, recorder.objective_function.upper
+    curvature = np.zeros((len(theta), len(theta)))  # what J^T J lacks
+    failed = 0
+    while failed < MAX_FAILED_STEPS:
+        residuals, jacobian = found
+        value, slope = half_square(residuals), residuals @ jacobian
+        step = _find_step(slope, jacobian.T @ jacobian + curvature, lower - theta, upper - theta)
+        if step is None:
+            return False
+        gain = -0.5 * float(slope @ step)
+        if gain <= max(recorder.objective_function.absolute_tolerance, small * value):
+            return True
+        tried = recorder.jacobian(theta + step) if gain <= NEAR_TOLERANCE * value else None
+        if tried is None:
+            return False
+        # a step too far says as much of the curvature as another one
+        change = tried[0] @ (tried[1] - jacobian)
+        curvature = _update_curvature(curvature, step, change, tried[0] @ tried[1] - slope)
+        if half_square(tried[0]) <= (1 + VALUE_ROUNDING) * value:
+            theta, found, failed = np.clip(theta + step, lower, upper), tried, 0
+        else:
+            failed += 1
+    return False
+
+
+def _find_step(slope: Floats, curvature: Floats, low: Floats, high: Floats) -> Floats | None:
+    """Return the step (P,) to the minimum of a quadratic function between two bounds; None if it has none."""
+    try:
+        factor = cholesky(curvature, lower=True)
+    except np.linalg.LinAlgError:
+        return None
+    target = -solve_triangular(factor, slope, lower=True)
+    step: Floats = solve_triangular(factor.T, target, lower=False)
+    if np.all((step >= low) & (step <= high)):
+        return step
+    return lsq_linear(factor.T, target, (np.minimum(low, 0), np.maximum(high, 0)), method="bvls").x
+
+
+def _update_curvature(curvature: Floats, step: Floats, change: Floats, whole: Floats) -> Floats:
+    """Return the estimate (P, P) of what J^T J lacks, after a step that changed J^T r by `whole` (P,).
+
+    `change` (P,) is what of this the residuals' second derivatives do. The estimate is first made smaller
+    where it predicted more.
+    """
+    along, predicted = float(whole @ step), float(step @ curvature @ step)
+    if along <= MIN_COSINE * float(np.linalg.norm(whole) * np.linalg.norm(step)):
+        return curvature
+    if predicted:
+        curvature = curvature * min(1.0, abs(float(change @ step) / predicted))
+    missing = change - curvature @ step
+    both = np.outer(missing, whole) + np.outer(whole, missing)
+    return curvature + both / along - float(missing @ step) / along**2 * np.outer(whole, whole)
+
+
+class _ScipySteps:
+    """Residuals and Jacobian for SciPy's method, which asks for both at almost every point; near a minimum
+    Newton's steps are tried between its own.
+    """
+
+    def __init__(self, recorder: EvaluationRecorder, small: float) -> None:
+        self._recorder, self._small = recorder, small
+        self._theta: Floats | None = None
+        self._found: tuple[Floats, Floats] | None = None
+        self._value, self._near = np.inf, NEAR_TOLERANCE
+
+    def residuals(self, theta: Floats) -> Floats:
+        """Return (R,); a single infinite one where they failed."""
+        best, found = self._recorder.theta, self._recorder.linearized
+        if best is None or found is None or not np.array_equal(theta, best):
+            found = self._recorder.jacobian(theta)
+        self._theta, self._found = theta.copy(), found
+        # one infinite residual is enough: SciPy rejects the step and shortens it
+        return np.array([np.inf]) if found is None else found[0]
+
+    def slopes(self, theta: Floats) -> Floats:
+        """Return the Jacobian (R, P) at a point that SciPy accepted.
+
+        Where it cannot be computed the search ends with its best point.
+        """
+        if self._theta is None or not np.array_equal(theta, self._theta):
+            self.residuals(theta)
+        if self._found is None:
+            self._recorder.reason = "no Jacobian"
+            raise SearchEnded
+        value, before = half_square(self._found[0]), self._value
+        self._value = value
+        if before - value <= self._near * value:
+            if _run_newton(self._recorder, theta, self._found, self._small):
+                raise _Converged
+            self._near *= NEAR_TOLERANCE  # SciPy's method must come nearer before the next attempt
+        return self._found[1]
+
+
+def _verify_sum(recorder: EvaluationRecorder, rounding: float, reason: str) -> str:
+    """Compare the best sum of squares with the value that it stands for."""
+    assert recorder.theta is not None
+    # the value is computed anew: residuals stand for it only if they are a complete sum of squares
+    claimed = recorder.objective
+    # this evaluation is no part of the search
+    recorder.budget = max(recorder.budget, recorder.evaluations + 1)
+    recorder.objective = recorder.value(recorder.theta)
+    if abs(recorder.objective - claimed) > SUM_TOLERANCE * (1 + abs(claimed)) + rounding:
+        return "no sum of squares"
+    return reason
+
+
 @dataclass(frozen=True)
 class Algorithm:
     """One search algorithm that a recipe may name."""
@@ -167,30 +320,22 @@ class Algorithm:
     dimensions: int = 1  #: the fewest free parameters that it can search; below, Nelder-Mead takes its place
 
 
-def _use_values(code: int, stochastic: bool = False, dimensions: int = 1) -> Algorithm:
-    return Algorithm(partial(run_nlopt, code, False), "value", stochastic, dimensions)
-
-
-def _use_gradients(code: int) -> Algorithm:
-    return Algorithm(partial(run_nlopt, code, True), "gradient")
-
-
 ALGORITHMS = {
     "leastsquares": Algorithm(run_least_squares, "jacobian"),
-    "slsqp": _use_gradients(nlopt.LD_SLSQP),
-    "lbfgs": _use_gradients(nlopt.LD_LBFGS),
-    "var2": _use_gradients(nlopt.LD_VAR2),
-    "tnewton": _use_gradients(nlopt.LD_TNEWTON_PRECOND_RESTART),
-    "mma": _use_gradients(nlopt.LD_MMA),
-    "ccsaq": _use_gradients(nlopt.LD_CCSAQ),
-    "sbplx": _use_values(nlopt.LN_SBPLX),
-    "bobyqa": _use_values(nlopt.LN_BOBYQA, dimensions=2),
-    "neldermead": _use_values(nlopt.LN_NELDERMEAD),
-    "cobyla": _use_values(nlopt.LN_COBYLA),
-    "praxis": _use_values(nlopt.LN_PRAXIS, stochastic=True, dimensions=2),
-    "crs2": _use_values(nlopt.GN_CRS2_LM, stochastic=True),
-    "isres": _use_values(nlopt.GN_ISRES, stochastic=True),
-    "esch": _use_values(nlopt.GN_ESCH, stochastic=True),
+    "slsqp": Algorithm(partial(run_nlopt, nlopt.LD_SLSQP, True), "gradient"),
+    "lbfgs": Algorithm(partial(run_nlopt, nlopt.LD_LBFGS, True), "gradient"),
+    "var2": Algorithm(partial(run_nlopt, nlopt.LD_VAR2, True), "gradient"),
+    "tnewton": Algorithm(partial(run_nlopt, nlopt.LD_TNEWTON_PRECOND_RESTART, True), "gradient"),
+    "mma": Algorithm(partial(run_nlopt, nlopt.LD_MMA, True), "gradient"),
+    "ccsaq": Algorithm(partial(run_nlopt, nlopt.LD_CCSAQ, True), "gradient"),
+    "sbplx": Algorithm(partial(run_nlopt, nlopt.LN_SBPLX, False)),
+    "bobyqa": Algorithm(partial(run_nlopt, nlopt.LN_BOBYQA, False), dimensions=2),
+    "neldermead": Algorithm(partial(run_nlopt, nlopt.LN_NELDERMEAD, False)),
+    "cobyla": Algorithm(partial(run_nlopt, nlopt.LN_COBYLA, False)),
+    "praxis": Algorithm(partial(run_nlopt, nlopt.LN_PRAXIS, False), stochastic=True, dimensions=2),
+    "crs2": Algorithm(partial(run_nlopt, nlopt.GN_CRS2_LM, False), stochastic=True),
+    "isres": Algorithm(partial(run_nlopt, nlopt.GN_ISRES, False), stochastic=True),
+    "esch": Algorithm(partial(run_nlopt, nlopt.GN_ESCH, False), stochastic=True),
 }  #: algorithms that a recipe may name: `leastsquares`, `bobyqa+neldermead`, `crs2+slsqp`
 
 
@@ -208,13 +353,8 @@ def select_algorithms(name: str, objective_function: ObjectiveFunction) -> tuple
             expected=f"one of {', '.join(ALGORITHMS)}, or several joined by +",
             fix="correct its name",
         )
-    has = {
-        "value": objective_function.value,
-        "gradient": objective_function.gradient,
-        "jacobian": objective_function.jacobian,
-    }
     for part in parts:
-        if has[ALGORITHMS[part].needs] is None:
+        if getattr(objective_function, ALGORITHMS[part].needs) is None:
             raise ConfigError(
                 f"`{part}` needs a {ALGORITHMS[part].needs}, which what is minimised has not",
                 where="recipe, key `algorithm` or `metric_algorithm`",
@@ -243,31 +383,30 @@ def certify_minimum(recorder: EvaluationRecorder, reason: str) -> str:
     because the box ends there. A function that is no sum of squares keeps the reason that the algorithm gave.
     """
     settled = reason in ("tolerance", "roundoff") or reason.startswith("nlopt failed")
-    if (
-        not settled
-        or recorder.theta is None
-        or recorder.objective_function.jacobian is None
-        or not len(recorder.theta)
-    ):
+    squares, theta = recorder.objective_function.jacobian is not None, recorder.theta
+    if not settled or not squares or theta is None or not len(theta):
         return reason
     found, recorder.reason = recorder.linearized, ""
     recorder.budget = recorder.evaluations + 1  # this evaluation is no part of the search
     with suppress(SearchEnded):
-        found = found or recorder.jacobian(recorder.theta)
+        found = found or recorder.jacobian(theta)
     return recorder.reason or reason if found is None else _classify_minimum(recorder, *found)
 
 
 def _classify_minimum(recorder: EvaluationRecorder, residuals: Floats, jacobian: Floats) -> str:
     assert recorder.theta is not None
     objective_function, theta = recorder.objective_function, recorder.theta
-    spans = objective_function.upper - objective_function.lower
+    spans = objective_function.span
     # columns per whole range compare parameters of different units; without a range the value itself is the
     # scale
     scales = np.where(np.isfinite(spans), spans, np.maximum(np.abs(theta), 1e-300))
     columns = jacobian * scales  # (R, P) per whole scale of each parameter
     # the norms also scale the columns to length 1 below, so that the singular values measure directions alone
     lengths = np.linalg.norm(columns, axis=0)
-    free = _find_free(recorder, residuals @ jacobian)
+    # parameters that are not held by a bound that the value falls towards
+    slope, near = residuals @ jacobian, NEGLIGIBLE_STEP * np.maximum(1, np.abs(theta))
+    held = (theta - objective_function.lower <= near) & (slope > 0)
+    free = ~(held | ((objective_function.upper - theta <= near) & (slope < 0)))
     if not np.any(free):
         return "bound"
     if np.any(lengths[free] <= FLAT_FRACTION * np.linalg.norm(residuals)):
@@ -276,10 +415,8 @@ def _classify_minimum(recorder: EvaluationRecorder, residuals: Floats, jacobian:
     if np.linalg.svd(directions, compute_uv=False)[-1] <= FLAT_FRACTION:
         return "flat"
     unit = scales[free] / lengths[free]
-    low, high = (
-        (objective_function.lower - theta)[free] / unit,
-        (objective_function.upper - theta)[free] / unit,
-    )
+    low = (objective_function.lower - theta)[free] / unit
+    high = (objective_function.upper - theta)[free] / unit
     best = lsq_linear(directions, -residuals, (np.minimum(low, 0), np.maximum(high, 0)))
     gain = 0.5 * float(residuals @ residuals) - best.cost
     small = np.all(np.abs(best.x * unit) <= NEGLIGIBLE_STEP * np.abs(theta[free]))
@@ -290,22 +427,8 @@ def _classify_minimum(recorder: EvaluationRecorder, residuals: Floats, jacobian:
     return "tolerance" if np.all(free) else "bound"
 
 
-def _find_free(recorder: EvaluationRecorder, slope: Floats) -> NDArray[np.bool_]:
-    """Return which parameters (P,) are not held by a bound that the value falls towards."""
-    assert recorder.theta is not None
-    objective_function, theta = recorder.objective_function, recorder.theta
-    held_low = (theta - objective_function.lower <= NEGLIGIBLE_STEP * np.maximum(1, np.abs(theta))) & (
-        slope > 0
-    )
-    held_high = (objective_function.upper - theta <= NEGLIGIBLE_STEP * np.maximum(1, np.abs(theta))) & (
-        slope < 0
-    )
-    return ~(held_low | held_high)
-
-
-_NLOPT_LOCK = (
-    threading.Lock()
-)  # a build of nlopt without thread-local storage has one generator for all threads
+#: a build of nlopt without thread-local storage has one generator for all threads
+_NLOPT_LOCK = threading.Lock()
 
 
 def search(
@@ -316,19 +439,15 @@ def search(
 ) -> Start:
     """Search from one start with a recipe's algorithm, tolerance and budget.
 
-    Returns
-    -------
-    Start
-        The best point, and why the search ended: "tolerance" if at a minimum, as far as can be determined.
+    The start has the best point, and why the search ended: "tolerance" if at a minimum, as far as known.
     """
     plan = select_algorithms(recipe.algorithm, objective_function)
     recorder = EvaluationRecorder(objective_function, recipe.evaluations, stop)
     theta0 = np.array(start_point.theta, dtype=np.float64)
-    if any(algorithm.stochastic for algorithm in plan):
-        with _NLOPT_LOCK:
+    stochastic = any(algorithm.stochastic for algorithm in plan)
+    with _NLOPT_LOCK if stochastic else nullcontext():
+        if stochastic:
             nlopt.srand(start_point.seed)
-            reason = _run_stages(recorder, plan, recipe.tolerance, theta0)
-    else:
         reason = _run_stages(recorder, plan, recipe.tolerance, theta0)
     if recorder.theta is None and reason != INTERRUPTED:
         reason = "no finite value"

@@ -8,6 +8,7 @@ modes lie next to those of the whole one, at a fraction of the cost.
 
 import math
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -16,9 +17,9 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.errors import FitError
 from needlefit.inference.fit import INTERRUPTED, Callbacks, Fit, Start, StartPoint
-from needlefit.inference.objective import EVALUATION_ERRORS, ObjectiveFunction, make_objective
+from needlefit.inference.objective import EVALUATION_ERRORS, ObjectiveFunction
 from needlefit.inference.optimize.local_search import search, select_algorithms
-from needlefit.inference.problem import Problem
+from needlefit.inference.problem import Problem, make_objective
 from needlefit.inference.side_by_side import run_side_by_side
 from needlefit.project.processes import one_thread
 from needlefit.project.progress import Stop
@@ -38,7 +39,12 @@ def group_approaches(ends: Sequence[Start]) -> dict[int, int]:
     chosen: dict[int, int] = {}
     first: list[Start] = []
     for end in sorted(ends, key=lambda s: (s.objective, s.index)):
-        leader = next((other for other in first if _coincide(end, other)), end)
+        leader = end
+        for other in first if math.isfinite(end.objective) else ():
+            apart = np.abs(np.subtract(end.theta, other.theta))
+            if abs(end.objective - other.objective) < SAME_OBJECTIVE and np.all(apart < SAME_THETA):
+                leader = other
+                break
         chosen[end.index] = leader.index
         if leader is end:
             first.append(end)
@@ -60,19 +66,6 @@ def continue_start(end: Start, continued: Start) -> Start:
     )
 
 
-def interrupt_start(end: Start, value: float) -> Start:
-    """Return an approach as an interrupted search; `value` is the full objective at its end."""
-    objective = value if math.isfinite(value) else math.inf
-    return replace(end, objective=objective, evaluations=end.evaluations + 1, stopped=INTERRUPTED)
-
-
-def _coincide(end: Start, other: Start) -> bool:
-    if not math.isfinite(end.objective):
-        return False
-    apart = np.abs(np.subtract(end.theta, other.theta))
-    return abs(end.objective - other.objective) < SAME_OBJECTIVE and bool(np.all(apart < SAME_THETA))
-
-
 @one_thread
 def minimize(
     problem: Problem, recipe: RecipeRecord, rng: np.random.Generator, callbacks: Callbacks | None = None
@@ -92,7 +85,13 @@ def minimize(
     # the order of draws from `rng` is part of the result: first the points, then the seeds
     design = starting_points(problem.lower, problem.upper, recipe.starts, rng)  # (n, P)
     seeds = rng.integers(1, 2**31, size=len(design))
-    done = _load_finished(callbacks, design)
+    done = {index: start for index, start in callbacks.finished.items() if index < len(design)}
+    for index, start in done.items():
+        if start.theta0 != tuple(design[index].tolist()):
+            raise FitError(
+                f"start {index} of the checkpoint began elsewhere than this fit's",
+                fix="run again without --resume; seed, bounds or recipe have changed",
+            )
     start_points = [StartPoint(k, tuple(design[k].tolist()), int(seeds[k])) for k in range(len(design))]
     easier = whole.objective_function.approach
     if easier is None or not recipe.approach or len(done) == len(start_points):
@@ -147,7 +146,18 @@ def _search_by_approach(
         ends[end.index] = end
         callbacks.step(len(ends), len(start_points))
     if callbacks.stop():
-        _add_interrupted(whole.objective_function, list(ends.values()), done)
+        # what is interrupted still leaves its best point
+        best = min(ends.values(), key=lambda s: (s.objective, s.index), default=None)
+        if best is None or not math.isfinite(best.objective) or best.index in done:
+            return
+        with suppress(*EVALUATION_ERRORS):
+            value = whole.objective_function.value(np.array(best.theta))
+            done[best.index] = replace(
+                best,
+                objective=value if math.isfinite(value) else math.inf,
+                evaluations=best.evaluations + 1,
+                stopped=INTERRUPTED,
+            )
         return
     leader = group_approaches([ends[start_point.index] for start_point in start_points])
     begin = [
@@ -168,20 +178,6 @@ def _add_start(start: Start, done: dict[int, Start], callbacks: Callbacks) -> No
         done[start.index] = start
 
 
-def _add_interrupted(
-    objective_function: ObjectiveFunction, ends: list[Start], done: dict[int, Start]
-) -> None:
-    """Add the best of the approaches to `done`, so that what is interrupted still leaves its best point."""
-    best = min(ends, key=lambda s: (s.objective, s.index), default=None)
-    if best is None or not math.isfinite(best.objective) or best.index in done:
-        return
-    try:
-        value = objective_function.value(np.array(best.theta))
-    except EVALUATION_ERRORS:
-        return
-    done[best.index] = interrupt_start(best, value)
-
-
 def starting_points(lower: Floats, upper: Floats, count: int, rng: np.random.Generator) -> Floats:
     """Return `count` starts (n, P) spread over the box by a scrambled Halton sequence.
 
@@ -193,18 +189,6 @@ def starting_points(lower: Floats, upper: Floats, count: int, rng: np.random.Gen
 
     cube = qmc.Halton(len(lower), scramble=True, rng=rng).random(count)
     return lower + cube * (upper - lower)
-
-
-def _load_finished(callbacks: Callbacks, design: Floats) -> dict[int, Start]:
-    """Return the starts that need no repetition; FitError if they are another fit's."""
-    kept = {index: start for index, start in callbacks.finished.items() if index < len(design)}
-    for index, start in kept.items():
-        if start.theta0 != tuple(design[index].tolist()):
-            raise FitError(
-                f"start {index} of the checkpoint began elsewhere than this fit's",
-                fix="run again without --resume; seed, bounds or recipe have changed",
-            )
-    return kept
 
 
 def _search_each(what: _SearchTask, start_points: list[StartPoint], callbacks: Callbacks) -> Iterator[Start]:

@@ -8,7 +8,7 @@ inverse of the posterior's information: stiff and sloppy ones), and of the log p
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,44 +41,45 @@ class Convergence:
     @property
     def faults(self) -> tuple[str, ...]:
         """Which parts of the rule are not met; empty if all are."""
-        return tuple(self._faults())
-
-    def _faults(self) -> Iterator[str]:
+        found = []
         if len(self.tau) < MIN_ENSEMBLES:
             count = f"{len(self.tau)} independent ensembles, not {MIN_ENSEMBLES}"
-            yield f"{count}: too few to show that they agree"
+            found.append(f"{count}: too few to show that they agree")
         if len(self.tau) > 1 and not np.all(self.r_hat < MAX_R_HAT):
             at = int(np.argmax(np.nan_to_num(self.r_hat, nan=np.inf)))
-            yield f"R-hat of {self.quantities[at]} is {self.r_hat[at]:.3g}, not below {MAX_R_HAT}"
+            found.append(f"R-hat of {self.quantities[at]} is {self.r_hat[at]:.3g}, not below {MAX_R_HAT}")
         longest = self.tau.max(axis=0)
         if not self.steps > MIN_LENGTH_TAU * longest.max():
             at = int(np.argmax(longest))
             times = f"{MIN_LENGTH_TAU} autocorrelation times of {longest[at]:.3g}"
-            yield f"{self.steps} steps are not more than {times} ({self.quantities[at]})"
-        for name, draws in (
-            ("independent draws", self.ess_bulk),
-            ("independent draws in a tail", self.ess_tail),
-        ):
+            found.append(f"{self.steps} steps are not more than {times} ({self.quantities[at]})")
+        for where, draws in (("", self.ess_bulk), (" in a tail", self.ess_tail)):
             fewest = draws.min(axis=0)
             if not fewest.min() > MIN_ESS:
                 at = int(np.argmin(fewest))
-                has = f"an ensemble has {fewest[at]:.0f} {name} of {self.quantities[at]}"
-                yield f"{has}, not more than {MIN_ESS}"
+                has = f"an ensemble has {fewest[at]:.0f} independent draws{where} of {self.quantities[at]}"
+                found.append(f"{has}, not more than {MIN_ESS}")
+        return tuple(found)
 
 
 def assess_convergence(thetas: Floats, log_density: Floats, names: Sequence[str]) -> Convergence:
-    """Return the convergence diagnostics of all quantities.
-
-    Parameters
-    ----------
-    names : sequence of str
-        P of them.
-    """
-    along = _along_directions(thetas)
+    """Return the convergence diagnostics of all quantities, given draws (E, S, W, P) of P `names`."""
+    # principal coordinates of the draws' covariance, stiffest first: eigh sorts ascending variances
+    _, axes = np.linalg.eigh(np.atleast_2d(np.cov(thetas.reshape(-1, thetas.shape[-1]).T)))  # (P, P)
+    along = thetas @ axes
     directions = [f"direction {k + 1}" for k in range(along.shape[-1])]
     columns = np.concatenate([thetas, along, log_density[..., None]], axis=3)  # (E, S, W, Q)
-    found = [_assess_quantity(columns[..., q]) for q in range(columns.shape[3])]
-    r_hats, taus, tails = zip(*found, strict=True)
+    r_hats, taus, tails = [], [], []
+    for values in np.moveaxis(columns, 3, 0):
+        scores, folded = _normal_scores(values), _folded_scores(values)
+        pooled = (values.shape[0], -1)  # step by step
+        slower = [
+            autocorrelation_times((values <= q).astype(np.float64))
+            for q in np.quantile(values, TAIL_QUANTILES)
+        ]
+        r_hats.append(_r_hat(scores.reshape(pooled), folded.reshape(pooled)))
+        taus.append(autocorrelation_times(scores))
+        tails.append(np.maximum(*slower))
     size, tau = thetas.shape[1] * thetas.shape[2], np.stack(taus, axis=1)
     return Convergence(
         quantities=(*names, *directions, "log posterior"),
@@ -119,40 +120,20 @@ def autocorrelation_times(series: Floats) -> Floats:
     of the walkers' mean, which is the same where walkers are independent, and noisier). Unlike emcee's, it is
     taken about the mean of the whole ensemble: a walker that stays apart from the others counts as slow.
     """
-    return np.array([_autocorrelation_time(one) for one in series])
-
-
-def _autocorrelation_time(series: Floats) -> float:
-    steps = len(series)
-    centred = series - series.mean()
+    steps, found = series.shape[1], []
     # padded to twice the length: the FFT's correlation is circular
     size = next_fast_len(2 * steps, real=True)
-    spectrum = rfft(centred, n=size, axis=0)
-    covariance = irfft(np.mean(np.abs(spectrum) ** 2, axis=1), n=size)[:steps]  # (S,)
-    if not covariance[0] > 0.0:
-        return math.inf
-    times = 2.0 * np.cumsum(covariance / covariance[0]) - 1.0
-    ends = np.flatnonzero(np.arange(steps) >= WINDOW_TAU * times)
-    # anticorrelated draws do not count as more than independent ones: the estimate may be noise
-    return max(1.0, float(times[ends[0] if len(ends) else -1]))
-
-
-def _assess_quantity(values: Floats) -> tuple[float, Floats, Floats]:
-    """Return R-hat, tau (E,) and tau of the slower tail (E,) of one quantity (E, S, W)."""
-    scores, folded = _normal_scores(values), _folded_scores(values)
-    pooled = (values.shape[0], -1)  # step by step
-    tails = [
-        autocorrelation_times((values <= q).astype(np.float64)) for q in np.quantile(values, TAIL_QUANTILES)
-    ]
-    found = _r_hat(scores.reshape(pooled), folded.reshape(pooled))
-    return found, autocorrelation_times(scores), np.maximum(*tails)
-
-
-def _along_directions(thetas: Floats) -> Floats:
-    """Return the draws (E, S, W, P) in principal coordinates of their covariance, stiffest first."""
-    flat = thetas.reshape(-1, thetas.shape[-1])
-    _, axes = np.linalg.eigh(np.atleast_2d(np.cov(flat.T)))  # (P, P), ascending variance
-    return thetas @ axes
+    for one in series:
+        spectrum = rfft(one - one.mean(), n=size, axis=0)
+        covariance = irfft(np.mean(np.abs(spectrum) ** 2, axis=1), n=size)[:steps]  # (S,)
+        if not covariance[0] > 0.0:
+            found.append(math.inf)
+            continue
+        times = 2.0 * np.cumsum(covariance / covariance[0]) - 1.0
+        ends = np.flatnonzero(np.arange(steps) >= WINDOW_TAU * times)
+        # anticorrelated draws do not count as more than independent ones: the estimate may be noise
+        found.append(max(1.0, float(times[ends[0] if len(ends) else -1])))
+    return np.array(found)
 
 
 def _normal_scores(draws: Floats) -> Floats:

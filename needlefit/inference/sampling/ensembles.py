@@ -12,8 +12,9 @@ of them, so that every place is proposed often enough.
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -49,9 +50,8 @@ class ProposalDensity:
     def draw(self, count: int, random: RandomState) -> Floats:
         """Return `count` independent points (count, P)."""
         steps = random.normal(size=(count, self.dimensions)) @ self.factor.T
-        steps = (
-            steps * np.sqrt(DEGREES_OF_FREEDOM / random.chisquare(DEGREES_OF_FREEDOM, size=count))[:, None]
-        )
+        spread = DEGREES_OF_FREEDOM / random.chisquare(DEGREES_OF_FREEDOM, size=count)
+        steps = steps * np.sqrt(spread)[:, None]
         # drawn even if there are no centres: the random numbers used do not depend on what was learned
         wide, chosen = random.uniform(size=(2, count))
         found: Floats = self.mean + WIDE_SCALE * steps
@@ -122,25 +122,18 @@ def parse_moves(moves: str) -> dict[str, float]:
     """
     found: dict[str, float] = {}
     for term in moves.split("+"):
-        match = _MOVE.fullmatch(term)
-        if match is None or match["name"] not in MOVE_WEIGHTS or match["name"] in found:
-            raise _moves_error(moves)
-        try:
-            factor = float(match["factor"] or MOVE_WEIGHTS[match["name"]])
-        except ValueError:
-            raise _moves_error(moves) from None
-        if not 0 < factor < np.inf:
-            raise _moves_error(moves)
+        match, factor = _MOVE.fullmatch(term), math.nan
+        if match is not None and match["name"] in MOVE_WEIGHTS and match["name"] not in found:
+            with suppress(ValueError):
+                factor = float(match["factor"] or MOVE_WEIGHTS[match["name"]])
+        if match is None or not 0 < factor < np.inf:
+            raise ConfigError(
+                f"cannot move by `{moves}`",
+                where="recipe, key `sample.moves`",
+                expected=f"{', '.join(MOVE_WEIGHTS)}, or several: de+snooker, 0.9*de + 0.1*snooker",
+            )
         found[match["name"]] = factor
     return {name: factor / sum(found.values()) for name, factor in found.items()}
-
-
-def _moves_error(moves: str) -> ConfigError:
-    return ConfigError(
-        f"cannot move by `{moves}`",
-        where="recipe, key `sample.moves`",
-        expected=f"{', '.join(MOVE_WEIGHTS)}, or several: de+snooker, 0.9*de + 0.1*snooker",
-    )
 
 
 @dataclass(frozen=True)
@@ -176,17 +169,10 @@ def run_ensembles(
 
     ensembles, walkers, dimensions = state.coordinates.shape
     last_acceptance = _LastAcceptance(np.zeros((ensembles, walkers), dtype=bool))
-    mixture = [
-        (
-            _EnsembleMove(
-                [_make_proposal(name, proposal_density) for proposal_density in proposal_densities],
-                ensembles,
-                last_acceptance,
-            ),
-            share,
-        )
-        for name, share in parse_moves(moves).items()
-    ]
+    mixture = []
+    for name, share in parse_moves(moves).items():
+        proposals = [_make_proposal(name, one) for one in proposal_densities]
+        mixture.append((_EnsembleMove(proposals, ensembles, last_acceptance), share))
     sampler = emcee.EnsembleSampler(
         ensembles * walkers, dimensions, log_density, vectorize=True, moves=mixture
     )
@@ -251,8 +237,14 @@ def _make_proposal(name: str, proposal_density: ProposalDensity) -> Proposal:
 
     if name == "snooker":
         return _propose_snooker
-    if name == INDEPENDENT:
-        return partial(_propose_independent, proposal_density)
+    if name == INDEPENDENT:  # wherever the walkers are
+
+        def propose(own: Floats, _: Sequence[Floats], random: RandomState) -> tuple[Floats, Floats]:
+            moved = proposal_density.draw(len(own), random)
+            before, after = np.split(proposal_density.log_density(np.concatenate([own, moved])), 2)
+            return moved, before - after
+
+        return propose
     move = {"stretch": moves.StretchMove, "de": moves.DEMove}[name]()
     move.setup(np.empty((0, proposal_density.dimensions)))  # differential evolution scales with the dimension
     return move.get_proposal
@@ -277,12 +269,3 @@ def _propose_snooker(own: Floats, others: Sequence[Floats], random: RandomState)
     # Jacobian of a move along a line through a fixed point: the volume grows by the stretch to the power P -
     # 1
     return moved, (own.shape[1] - 1) * np.log(stretched)
-
-
-def _propose_independent(
-    proposal_density: ProposalDensity, own: Floats, others: Sequence[Floats], random: RandomState
-) -> tuple[Floats, Floats]:
-    """Propose draws of the proposal density, wherever the walkers are."""
-    moved = proposal_density.draw(len(own), random)
-    before, after = np.split(proposal_density.log_density(np.concatenate([own, moved])), 2)
-    return moved, before - after

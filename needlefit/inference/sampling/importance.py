@@ -248,8 +248,19 @@ def sample_by_importance(
     proposal = StudentMixture(even, np.array([mode.centre for mode in approximations]), factors)
     rounds: list[_Round] = []
     while True:
-        rounds.append(_draw_round(log_density, proposal, bounds, rng, effort.draws))
-        found = _weight_rounds(rounds, effort.min_ess)
+        # drawn at once, so that the random numbers do not depend on how many fall outside the bounds
+        drawn = proposal.draw(50 * effort.draws, rng)
+        inside = np.flatnonzero(np.all((drawn >= bounds[0]) & (drawn <= bounds[1]), axis=1))[: effort.draws]
+        # tries up to the last accepted draw: the proposal's density within the bounds is normalised by them
+        drawn_count = int(inside[-1]) + 1 if len(inside) == effort.draws else len(drawn)
+        rounds.append(_Round(proposal, drawn[inside], log_density(drawn[inside]), drawn_count))
+        thetas = np.concatenate([one.thetas for one in rounds])
+        density = np.concatenate([one.log_density for one in rounds])
+        proposed = [np.log(one.drawn_count) + one.proposal.log_density(thetas) for one in rounds]
+        # deterministic mixture: each draw against all proposals together, not only the one that drew it
+        heavy = density - logsumexp(proposed, axis=0)
+        weights, evidence = smooth_weights(heavy), float(logsumexp(heavy))
+        found = WeightedDraws(thetas, density, *weights, effort.min_ess, log_evidence=evidence)
         early = len(rounds) <= EARLY_ROUNDS
         if (found.certified and not early) or len(rounds) == effort.rounds:
             return found
@@ -264,34 +275,6 @@ class _Round:
     thetas: Floats
     log_density: Floats
     drawn_count: int
-
-
-def _draw_round(
-    log_density: LogDensityFunction,
-    proposal: StudentMixture,
-    bounds: tuple[Floats, Floats],
-    rng: np.random.Generator,
-    count: int,
-) -> _Round:
-    """Draw until `count` points lie within the bounds, or fifty times as many were tried."""
-    # drawn at once, so that the random numbers do not depend on how many fall outside the bounds
-    drawn = proposal.draw(50 * count, rng)
-    inside = np.flatnonzero(np.all((drawn >= bounds[0]) & (drawn <= bounds[1]), axis=1))[:count]
-    # the tries up to the last accepted draw: the proposal's density within the bounds is normalised by them
-    drawn_count = int(inside[-1]) + 1 if len(inside) == count else len(drawn)
-    thetas = drawn[inside]
-    return _Round(proposal, thetas, log_density(thetas), drawn_count)
-
-
-def _weight_rounds(rounds: Sequence[_Round], min_ess: float) -> WeightedDraws:
-    thetas = np.concatenate([one.thetas for one in rounds])
-    density = np.concatenate([one.log_density for one in rounds])
-    drawn = [np.log(one.drawn_count) + one.proposal.log_density(thetas) for one in rounds]
-    # deterministic mixture: each draw against all proposals together, not only the one that drew it
-    heavy = density - logsumexp(drawn, axis=0)
-    return WeightedDraws(
-        thetas, density, *smooth_weights(heavy), min_ess, log_evidence=float(logsumexp(heavy))
-    )
 
 
 EM_STEPS = 6  #: steps of expectation and maximisation between rounds
@@ -425,15 +408,11 @@ def trace_profiles(
     stated = {tie.name for tie in problem.parameters.prior.ties} | set(problem.parameters.half_normal)
     optimum = minimize_squares(problem, mode)
     traced = [k for k, name in enumerate(problem.names) if name not in stated]
-    work, stop = partial(_trace_one, problem, optimum), TaskStop(never_stop)
-    found = dict(run_side_by_side(work, traced, pool, jobs, stop))
-    points = [one for n in range(len(traced)) for one in found[n]]
+    work = partial(trace_profile, problem, optimum=optimum, steps=PROFILE_STEPS)
+    found = dict(run_side_by_side(work, traced, pool, jobs, TaskStop(never_stop)))
+    # without the optimum, which comes first
+    points = [one for n in range(len(traced)) for one in found[n].points[1:]]
     return [one for one in points if one.value - optimum.value <= 2 * MAX_LOG_DENSITY_GAP]
-
-
-def _trace_one(problem: Problem, optimum: LocalMinimum, k: int) -> list[LocalMinimum]:
-    """Return the points of one profile without its optimum."""
-    return trace_profile(problem, k, optimum, steps=PROFILE_STEPS).points[1:]
 
 
 def sample_about_minimum(
@@ -472,8 +451,7 @@ def resample_draws(found: WeightedDraws, count: int, rng: np.random.Generator) -
     """Return `count` unweighted draws; their `faults` say so if the weights are not certified."""
     warning = (
         f"draws by importance are not certified: Pareto k is {found.k:.2f} ({MAX_PARETO_K} at most), and "
-        f"they "
-        f"are worth {found.effective_sample_size:.0f} independent ones ({found.min_ess:.0f} at least)"
+        f"they are worth {found.effective_sample_size:.0f} independent ones ({found.min_ess:.0f} at least)"
     )
     thetas = found.thetas[resample(found, count, rng)]
     faults = () if found.certified else (warning,)

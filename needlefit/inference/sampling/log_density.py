@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
 from needlefit.inference.objective import EVALUATION_ERRORS, MAX_FAILED_POINTS
@@ -40,15 +39,12 @@ class Evaluator:
             found = self._guarded(thetas[inside])
             failed_rows = np.isnan(found) | (found == math.inf)
             density[inside] = np.where(failed_rows, -math.inf, found)
-            self._record_failures(thetas, np.flatnonzero(inside)[failed_rows])
+            self.failures += int(failed_rows.sum())
+            for row in np.flatnonzero(inside)[failed_rows].tolist():
+                failed = self.failed[row * self.ensembles // len(thetas)]
+                if len(failed) < MAX_FAILED_POINTS:
+                    failed.append(tuple(thetas[row].tolist()))
         return density
-
-    def _record_failures(self, thetas: Floats, failed_rows: NDArray[np.intp]) -> None:
-        self.failures += len(failed_rows)
-        for row in failed_rows.tolist():
-            failed = self.failed[row * self.ensembles // len(thetas)]
-            if len(failed) < MAX_FAILED_POINTS:
-                failed.append(tuple(thetas[row].tolist()))
 
     def _guarded(self, thetas: Floats) -> Floats:
         """Return the densities, NaN for a theta that raises: it is looked for one by one."""

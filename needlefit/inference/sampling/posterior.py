@@ -233,11 +233,12 @@ def _parse_posterior(attributes: Mapping[str, Any], numbers: Mapping[str, Floats
         burn_in=int(header["burn_in"]),
         failures=int(header["failures"]),
         interrupted=bool(header["interrupted"]),
-        failed=_to_tuples(parse_json(str(header["failed_theta"]), "failed_theta")),
+        failed=to_tuples(parse_json(str(header["failed_theta"]), "failed_theta")),
     )
 
 
-def _to_tuples(lists: Sequence[Sequence[Sequence[float]]]) -> tuple[tuple[tuple[float, ...], ...], ...]:
+def to_tuples(lists: Sequence[Sequence[Sequence[float]]]) -> tuple[tuple[tuple[float, ...], ...], ...]:
+    """Return lists of thetas, by ensemble, as tuples."""
     return tuple(tuple(tuple(map(float, theta)) for theta in ensemble) for ensemble in lists)
 
 

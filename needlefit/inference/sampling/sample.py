@@ -13,7 +13,7 @@ knows the same.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,7 +42,7 @@ from needlefit.inference.sampling.ensembles import (
     run_ensembles,
 )
 from needlefit.inference.sampling.log_density import Evaluator, LaplaceApproximation, approximate_by_laplace
-from needlefit.inference.sampling.posterior import Posterior
+from needlefit.inference.sampling.posterior import Posterior, to_tuples
 from needlefit.project.checkpoint import ARRAYS_KEY, NO_CHECKPOINT, Checkpoint
 from needlefit.schemas.limits import MAX_STORED_NUMBERS
 from needlefit.schemas.recipe import SampleRecord
@@ -121,14 +121,10 @@ def _read_block(row: Mapping[str, Any]) -> Block | None:
             **{name: arrays[name] for name in _ARRAYS},
             random=(str(kind), arrays["random"].astype(np.uint32), *rest),
             failures=int(row["failures"]),
-            failed=_to_tuples(row["failed"]),
+            failed=to_tuples(row["failed"]),
         )
     except (KeyError, TypeError, ValueError):
         return None
-
-
-def _to_tuples(lists: list[list[list[float]]]) -> Failed:
-    return tuple(tuple(tuple(theta) for theta in ensemble) for ensemble in lists)
 
 
 #: standard deviations of the Laplace approximation by which ensembles are scattered about their point, and
@@ -161,7 +157,7 @@ def initialize_walkers(
     return WalkerState(coordinates, density, tuple(legacy.get_state()))
 
 
-def _select_plausible(evaluator: Evaluator, ends: Floats) -> Floats:
+def _select_plausible(evaluator: Callable[[Floats], Floats], ends: Floats) -> Floats:
     """Return the points (M, P) that are not far worse than the first one, which stays."""
     found = evaluator(ends)
     good = found >= found[0] - MAX_LOG_DENSITY_GAP
@@ -223,12 +219,8 @@ def last_adaptation_step(settings: SampleRecord, done: int) -> int:
 
 def block_length(settings: SampleRecord, done: int) -> int:
     """Return the number of steps to the next snapshot; an adaptation or the budget ends a block."""
-    remaining = settings.steps - done
-    return min(
-        settings.check_interval,
-        remaining,
-        *(step - done for step in list_adaptation_steps(settings) if step > done),
-    )
+    adaptations = (step - done for step in list_adaptation_steps(settings) if step > done)
+    return min(settings.check_interval, settings.steps - done, *adaptations)
 
 
 def make_proposal_densities(settings: SampleRecord, coordinates: Floats) -> Sequence[ProposalDensity]:
@@ -272,7 +264,12 @@ def sample(
     state = blocks[-1].last if blocks else initialize_walkers(evaluator, approximation, points, settings, rng)
     while True:
         chain = _join_blocks(task, blocks)
-        found = _assess_chain(task, chain)
+        # convergence is not assessed while the steps are too few for it, which is quickly seen
+        first, slowest = _find_burn_in(task, chain)
+        found = None
+        if chain.steps - first > MIN_LENGTH_TAU * slowest:
+            late = chain.thetas[:, first:], chain.log_density[:, first:]
+            found = assess_convergence(*late, problem.names)
         length = block_length(settings, chain.steps)
         if length <= 0 or (found is not None and not found.faults):
             return _make_posterior(task, chain, found, interrupted=False)
@@ -398,14 +395,6 @@ def _find_burn_in(task: _SamplingTask, chain: _Chain) -> tuple[int, float]:
         return max(adapted, half), math.inf
     slowest = max(float(autocorrelation_times(late[..., k]).max()) for k in range(late.shape[3]))
     return max(adapted, half if BURN_IN_TAU * slowest >= half else math.ceil(BURN_IN_TAU * slowest)), slowest
-
-
-def _assess_chain(task: _SamplingTask, chain: _Chain) -> Convergence | None:
-    """Return what the rule looks at; None while the steps are too few for it, which is quickly seen."""
-    first, slowest = _find_burn_in(task, chain)
-    if not chain.steps - first > MIN_LENGTH_TAU * slowest:
-        return None
-    return assess_convergence(chain.thetas[:, first:], chain.log_density[:, first:], task.problem.names)
 
 
 def _make_posterior(

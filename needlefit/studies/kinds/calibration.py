@@ -54,14 +54,19 @@ from needlefit.studies.held_out_predictions import predict_held_out
 from needlefit.studies.job import Inputs, Job, Settings, prepare
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.new_specimens import NewSpecimens
-from needlefit.studies.planned_insertions import choose_reference_values, simulate_design
 from needlefit.studies.rank_statistics import HELD_OUT_TIP, RANK_DRAWS, Control, Counts, name_quantity
 from needlefit.studies.report import report_from_text
 from needlefit.studies.run import Run
 from needlefit.studies.run_differences import Difference, TableComparison
 from needlefit.studies.score import Row
-from needlefit.studies.simulated_data import draw_bevels, find_true_value, simulate_measurement
-from needlefit.studies.targets import begin_run, prepare_target, prepare_with_held_out, target_name
+from needlefit.studies.simulated_data import (
+    choose_reference_values,
+    draw_bevels,
+    find_true_value,
+    simulate_design,
+    simulate_measurement,
+)
+from needlefit.studies.study_files import begin_run, prepare_target, prepare_with_held_out, target_name
 from needlefit.studies.verdict import Status, Verdict, headline_fault
 from needlefit.synthetic.build import build_dataset, build_unscanned
 from needlefit.synthetic.design import PlannedInsertion, list_planned_insertions

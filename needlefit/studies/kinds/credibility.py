@@ -34,7 +34,6 @@ from needlefit.schemas.names import spreadsheet_text
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.coverage import count_covered, format_proportion
 from needlefit.studies.csv_tables import read_table
-from needlefit.studies.differences import count_words
 from needlefit.studies.fit_frames import FIT_KINDS
 from needlefit.studies.identification_tables import describe_verdicts
 from needlefit.studies.job import Settings
@@ -43,7 +42,7 @@ from needlefit.studies.provenance import package_versions
 from needlefit.studies.rank_statistics import CONTROL_NAMES, name_quantity
 from needlefit.studies.report import StudyReport, report_from_text, say, warning_blocks
 from needlefit.studies.run import Run
-from needlefit.studies.run_differences import Difference, compare_leaves
+from needlefit.studies.run_differences import Difference, compare_leaves, count_words
 from needlefit.studies.score import Row
 from needlefit.studies.scored_groups import study_label
 from needlefit.studies.store import RESULTS_FILE, RUN_FILE, read_run, restore_runs, unpack

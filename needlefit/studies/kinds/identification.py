@@ -48,10 +48,10 @@ from needlefit.studies.identification_tables import (
 )
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.kind import StudyKind, find_kind
-from needlefit.studies.planned_insertions import choose_reference_values, simulate_design
 from needlefit.studies.report import FigurePaths, StudyReport
 from needlefit.studies.run import Run
-from needlefit.studies.targets import begin_run, prepare_target, target_name
+from needlefit.studies.simulated_data import choose_reference_values, simulate_design
+from needlefit.studies.study_files import begin_run, prepare_target, target_name
 from needlefit.studies.verdict import Verdict
 
 

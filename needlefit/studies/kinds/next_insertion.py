@@ -56,11 +56,11 @@ from needlefit.studies.folds import Fold
 from needlefit.studies.job import Job, Settings, prepare
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.planned_draws import vary_bevels
-from needlefit.studies.planned_insertions import simulate_design
 from needlefit.studies.report import report_from_text
 from needlefit.studies.run import Frames, Run
 from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, Shared, run_analysis
 from needlefit.studies.score import Row
+from needlefit.studies.simulated_data import simulate_design
 
 
 class CandidateEntryRecord(Record):

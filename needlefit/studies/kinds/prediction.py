@@ -58,14 +58,14 @@ from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import SceneRecord
-from needlefit.studies.csv_tables import TableSchema
-from needlefit.studies.held_out_predictions import draw_fold_parameters
-from needlefit.studies.interval_width import (
+from needlefit.studies.coverage import (
     estimate_width_after_one,
     find_adaptation,
     measure_width,
     warn_if_too_wide,
 )
+from needlefit.studies.csv_tables import TableSchema
+from needlefit.studies.held_out_predictions import draw_fold_parameters
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.new_specimens import NewSpecimens, describe_specimen, describe_spread
@@ -83,7 +83,7 @@ from needlefit.studies.run_differences import (
 )
 from needlefit.studies.score import Row
 from needlefit.studies.store import posterior_file_names, read_run
-from needlefit.studies.targets import begin_run, prepare_target, target_name
+from needlefit.studies.study_files import begin_run, prepare_target, target_name
 from needlefit.studies.verdict import Status, Verdict, headline_fault
 
 

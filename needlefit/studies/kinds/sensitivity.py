@@ -19,9 +19,9 @@ from pydantic import Field, model_validator
 
 from needlefit.datasets.noise import NoiseFloor
 from needlefit.inference.fit import Fit, StartPoint
-from needlefit.inference.objective import make_objective
 from needlefit.inference.optimize.local_search import search
 from needlefit.inference.parameters import Parameters
+from needlefit.inference.problem import make_objective
 from needlefit.mechanics.needle import Needle
 from needlefit.metrics import METRICS, headline_metrics
 from needlefit.project.toml import add_study_context

@@ -45,10 +45,10 @@ from needlefit.reporting.table_files import to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.tracks import TrackFitRecord, TrackStudyRecord
+from needlefit.studies.coverage import warn_if_too_wide
 from needlefit.studies.csv_tables import TableSchema
 from needlefit.studies.fit_warnings import analysis_bound_warnings, cut_off_warnings
 from needlefit.studies.folds import Fold, specimen_warning
-from needlefit.studies.interval_width import warn_if_too_wide
 from needlefit.studies.job import Settings, farthest_guide, prepare
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.planned_draws import vary_bevels

@@ -25,8 +25,7 @@ from needlefit.studies.provenance import package_versions
 from needlefit.studies.report import StudyReport, report_from_text
 from needlefit.studies.run import Run
 from needlefit.studies.verdict import Verdict
-from needlefit.verification.check import Group
-from needlefit.verification.run import verify
+from needlefit.verification.check import Group, verify
 
 
 class VerificationRecord(AnalysisRecord):

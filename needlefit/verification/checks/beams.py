@@ -76,57 +76,21 @@ def measure_loaded_error(propped_at: float | None, controls: Controls) -> float:
     return worst(np.abs(interpolate(shape, x) - exact)) / worst(np.abs(exact))
 
 
-_GUIDE = -25.0  # mm: the place of the prop before the tissue
-_LOADED_ERROR = "largest error over largest deflection"
-
-
-_LOADED = (
-    "the load is the pull of a very soft foundation whose constraint points lie a thousand kilometres away"
-)
-
-
-def _check_loaded(title: str, propped_at: float | None, controls: Controls) -> Check:
-    remark = _LOADED if propped_at is None else ""
-    return Check(
-        Group.CLOSED_FORMS, title, (Quantity(_LOADED_ERROR, at_most(1e-7), ""),),
-        lambda rng: CheckOutcome((measure_loaded_error(propped_at, controls),), remark),
-    )  # fmt: skip
-
-
-LOADED = (
-    _check_loaded("Cantilever under a uniform load on its outer 90 mm", None, Controls()),
-    _check_loaded(
-        "Propped cantilever, same load, free guide 25 mm before the tissue",
-        PAPER_NEEDLE.length - LOADED_DEPTH_MM + _GUIDE,
-        Controls(guides=(Guide(_GUIDE, slope=None),)),
-    ),
-    _check_loaded(
-        "Propped cantilever, same load, the tip tracked at 0",
-        PAPER_NEEDLE.length,
-        Controls(tip=TrackedTip(0.0)),
-    ),
-)
-
-
 Rows = Callable[[float, int], Floats]  # (place, order) -> derivative of each function of a piece
 
 
 def hetenyi(EI: float, k: Floats, edges: Floats, free: float) -> Callable[[Floats], Floats]:
     """Return the exact deflection u(x >= 0) of a needle whose base is clamped and displaced by 1.
 
-    Parameters
-    ----------
-    EI : float
-        Flexural rigidity, N mm^2.
-    k : (n,) array
-        Foundation modulus of the layers, MPa.
-    edges : (n + 1,) array
-        Where layers begin, mm, and where the last one ends: inf for a semi-infinite one.
-    free : float
-        Distance of the base from the entry, mm.
+    EI is in N mm^2; `k` (n,) are the moduli of the layers, MPa; `edges` (n + 1,), mm, are where they begin,
+    and where the last one ends: inf for a semi-infinite one. The base stands `free` mm before the entry.
     """
+
+    def cubic(x: float, order: int) -> Floats:
+        return np.array([math.perm(p, order) * x ** (p - order) if p >= order else 0.0 for p in range(4)])
+
     pieces = [
-        _cubic,
+        cubic,
         *(_waves((kk / (4 * EI)) ** 0.25, a, b) for kk, (a, b) in zip(k, pairwise(edges), strict=True)),
     ]
     starts = np.cumsum([0, *(len(piece(0.0, 0)) for piece in pieces)])
@@ -157,11 +121,6 @@ def hetenyi(EI: float, k: Floats, edges: Floats, free: float) -> Callable[[Float
         return np.array(list(each))
 
     return deflection
-
-
-def _cubic(x: float, order: int) -> Floats:
-    powers = [math.perm(p, order) * x ** (p - order) if p >= order else 0.0 for p in range(4)]
-    return np.array(powers)
 
 
 def _waves(beta: float, start: float, stop: float) -> Rows:
@@ -219,39 +178,61 @@ def _measure_inserted(
     return worst(np.abs(interpolate(shape, x) - exact(x)))
 
 
+def _check(title: str, quantity: Quantity, measure: Callable[[], float], remark: str = "") -> Check:
+    return Check(Group.CLOSED_FORMS, title, (quantity,), lambda rng: CheckOutcome((measure(),), remark))
+
+
+#: depth of the tip and end of the last layer, mm; where it never ends the wave has decayed at the tip
 FINITE, ENDLESS = (40.0, 40.0), (120.0, math.inf)
-"""Depth of the tip and end of the last layer, mm; where it never ends the wave has decayed at the tip."""
-
-_INTERFACE = f"interface at {INTERFACE_MM} mm"
-FOUNDATIONS: dict[str, Callable[[], float]] = {
-    f"Beam on a finite elastic foundation, k = {SOFT:g} MPa": partial(
-        measure_foundation, (SOFT,), (), *FINITE
-    ),
-    f"Beam on a finite elastic foundation, k = {STIFF:g} MPa": partial(
-        measure_foundation, (STIFF,), (), *FINITE
-    ),
-    f"Beam on two finite layers, {SOFT:g} and {STIFF:g} MPa, {_INTERFACE}": partial(
-        measure_foundation, (SOFT, STIFF), (INTERFACE_MM,), *FINITE
-    ),
-    f"Beam on two finite layers, {STIFF:g} and {SOFT:g} MPa, {_INTERFACE}": partial(
-        measure_foundation, (STIFF, SOFT), (INTERFACE_MM,), *FINITE
-    ),
-    "Beam on a semi-infinite foundation, k = 30 MPa, clamped where it begins": partial(
-        measure_clamped_entry, 30.0, 130.0
-    ),
-    f"Beam on a semi-infinite foundation, k = {STIFF:g} MPa, behind a free span": partial(
-        measure_foundation, (STIFF,), (), *ENDLESS
-    ),
-    f"Beam on two layers, {SOFT:g} and {STIFF:g} MPa, the second semi-infinite": partial(
-        measure_foundation, (SOFT, STIFF), (INTERFACE_MM,), *ENDLESS
-    ),
-}
-
-_FOUNDATION_ERROR = Quantity("largest error over the displacement imposed", at_most(1e-5), "")
+_GUIDE = -25.0  # mm: the place of the prop before the tissue
+_PULL = (
+    "the load is the pull of a very soft foundation whose constraint points lie a thousand kilometres away"
+)
+_LOADED = Quantity("largest error over largest deflection", at_most(1e-7), "")
+_FOUNDED = Quantity("largest error over the displacement imposed", at_most(1e-5), "")
+_PROP = PAPER_NEEDLE.length - LOADED_DEPTH_MM + _GUIDE, Controls(guides=(Guide(_GUIDE, slope=None),))
+_TRACKED = PAPER_NEEDLE.length, Controls(tip=TrackedTip(0.0))
+_TWO, _AT = f"{SOFT:g} and {STIFF:g} MPa", (INTERFACE_MM,)
+_BEAM, _LAYERS = "Beam on a finite elastic foundation, k =", "Beam on two finite layers,"
 CHECKS = (
-    *LOADED,
+    _check(
+        "Cantilever under a uniform load on its outer 90 mm",
+        _LOADED,
+        partial(measure_loaded_error, None, Controls()),
+        _PULL,
+    ),
     *(
-        Check(Group.CLOSED_FORMS, title, (_FOUNDATION_ERROR,), lambda rng, m=measure: CheckOutcome((m(),)))  # type: ignore[misc]
-        for title, measure in FOUNDATIONS.items()
+        _check(f"Propped cantilever, same load, {prop}", _LOADED, partial(measure_loaded_error, *how))
+        for prop, how in (
+            ("free guide 25 mm before the tissue", _PROP),
+            ("the tip tracked at 0", _TRACKED),
+        )
+    ),
+    *(
+        _check(title, _FOUNDED, partial(measure_foundation, *how))
+        for title, how in (
+            (f"{_BEAM} {SOFT:g} MPa", ((SOFT,), (), *FINITE)),
+            (f"{_BEAM} {STIFF:g} MPa", ((STIFF,), (), *FINITE)),
+            (f"{_LAYERS} {_TWO}, interface at {INTERFACE_MM} mm", ((SOFT, STIFF), _AT, *FINITE)),
+            (
+                f"{_LAYERS} {STIFF:g} and {SOFT:g} MPa, interface at {INTERFACE_MM} mm",
+                ((STIFF, SOFT), _AT, *FINITE),
+            ),
+        )
+    ),
+    _check(
+        "Beam on a semi-infinite foundation, k = 30 MPa, clamped where it begins",
+        _FOUNDED,
+        partial(measure_clamped_entry, 30.0, 130.0),
+    ),
+    *(
+        _check(title, _FOUNDED, partial(measure_foundation, *how))
+        for title, how in (
+            (
+                f"Beam on a semi-infinite foundation, k = {STIFF:g} MPa, behind a free span",
+                ((STIFF,), (), *ENDLESS),
+            ),
+            (f"Beam on two layers, {_TWO}, the second semi-infinite", ((SOFT, STIFF), _AT, *ENDLESS)),
+        )
     ),
 )

@@ -36,23 +36,12 @@ _AT = np.linspace(0.0, 1.0, 9)
 
 @dataclass(frozen=True)
 class SmoothPieces:
-    """The needle divided where the equation is not smooth: P pieces between P + 1 edges.
+    """The needle divided where the equation is not smooth: P pieces between P + 1 edges."""
 
-    Attributes
-    ----------
-    edges : (P + 1,) array
-        From base to tip, mm.
-    inserted : (P,) array
-        Whether the piece lies in the tissue.
-    layer : (P,) array
-    cut : (P,) array
-        y of the nearest constraint point, mm.
-    """
-
-    edges: Floats
-    inserted: NDArray[np.bool_]
-    layer: Ints
-    cut: Floats
+    edges: Floats  #: (P + 1,) from base to tip, mm
+    inserted: NDArray[np.bool_]  #: (P,) whether the piece lies in the tissue
+    layer: Ints  #: (P,)
+    cut: Floats  #: (P,) y of the nearest constraint point, mm
 
 
 def collocate(
@@ -60,15 +49,9 @@ def collocate(
 ) -> tuple[Floats, Floats]:
     """Solve one equilibrium by collocation; return depths x (K,) in the tissue and deflections (K,), mm.
 
-    Parameters
-    ----------
-    constraints : (M + 1, 2) array
-        Depth and y of the constraint points, mm, the last under the tip.
+    `constraints` (M + 1, 2) are depth and y of the constraint points, mm, the last under the tip.
 
-    Raises
-    ------
-    ArithmeticError
-        If the collocation does not converge.
+    Raises ArithmeticError if the collocation does not converge.
     """
     pieces = divide_needle(needle, tissue, constraints, controls)
     count = len(pieces.cut)
@@ -178,23 +161,9 @@ def make_boundary_conditions(pieces: SmoothPieces, controls: Controls) -> tuple[
 
 FINE_OPTIONS = ModelOptions(element=0.25, tolerance=1e-9)
 
-_QUANTITIES = (
-    Quantity("difference of the deflection, h = 0.25 mm", at_most(1e-6), "mm"),
-    Quantity("difference of the deflection, h = 1 mm", at_most(1e-5), "mm"),
-)
 
-
-@dataclass(frozen=True)
-class CollocationCase:
-    """A tissue, and the steps of an insertion into it."""
-
-    tissue: Tissue
-    steps: tuple[Step, ...]
-
-
-def compare_with_collocation(case: CollocationCase) -> tuple[float, float]:
+def compare_with_collocation(tissue: Tissue, steps: tuple[Step, ...]) -> tuple[float, float]:
     """Return the difference, mm, of the last equilibrium from collocation, on the fine and default mesh."""
-    tissue, steps = case.tissue, case.steps
     constraints = require_converged(simulate_steps(PAPER_NEEDLE, tissue, steps)).constraints
     controls = steps[-1].controls
     x, u = collocate(PAPER_NEEDLE, tissue, constraints, controls)
@@ -207,9 +176,15 @@ def compare_with_collocation(case: CollocationCase) -> tuple[float, float]:
 
 
 def _check(title: str, tissue: Tissue, *steps: Step) -> Check:
-    case = CollocationCase(tissue, steps)
+    quantities = (
+        Quantity("difference of the deflection, h = 0.25 mm", at_most(1e-6), "mm"),
+        Quantity("difference of the deflection, h = 1 mm", at_most(1e-5), "mm"),
+    )
     return Check(
-        Group.COLLOCATION, title, _QUANTITIES, lambda rng: CheckOutcome(compare_with_collocation(case))
+        Group.COLLOCATION,
+        title,
+        quantities,
+        lambda rng: CheckOutcome(compare_with_collocation(tissue, steps)),
     )
 
 

@@ -26,14 +26,9 @@ from needlefit.verification.cases import (
 )
 from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, define_check, worst
 
-SHAPES, STRETCHES, THICKNESS_MM = 12, 200, 10.0
-"""Random sets of shape parameters and stretches of each, and the thickness."""
-
-MAX_COMPRESSION = 0.45
-"""|e| / t up to which laws are compared."""
-
-DIFFERENCE_STEP = 2e-4
-"""Of stretch and shape parameters: central differences of the fourth order."""
+SHAPES, STRETCHES, THICKNESS_MM = 12, 200, 10.0  #: random sets of shape parameters, stretches of each
+MAX_COMPRESSION = 0.45  #: |e| / t up to which laws are compared
+DIFFERENCE_STEP = 2e-4  #: of stretch and shape parameters: central differences of the fourth order
 
 _LAW_ERRORS = (
     Quantity("k against the derivative of the stress, over k", at_most(1e-9), ""),
@@ -103,45 +98,31 @@ LAW_CHECKS = tuple(
 )
 
 
-SOFTEST_MPA = 1e-3  # MPa
-SETS_PER_LAW = 8
-"""Parameter sets of each law."""
-
-
+SOFTEST_MPA, SETS_PER_LAW = 1e-3, 8
 _QUANTITIES = (
     Quantity("difference of deflections, constraint points", at_most(1e-6), "mm"),
     Quantity("difference of slopes", at_most(1e-6), ""),
 )
 
 
-def solve_reference(case: RandomCase) -> tuple[RandomCase, NeedleShape]:
-    """Return the case and the reference's solution of it."""
-    return case, reference.simulate_steps(case.needle, case.tissue, case.steps)
-
-
-def compare_shapes(fast: NeedleShape, slow: NeedleShape) -> tuple[float, float]:
-    """Return the largest differences of deflection or constraint point (mm) and of slope."""
-    points, u = worst(np.abs(fast.constraints - slow.constraints)), worst(np.abs(fast.u - slow.u))
-    return worst([points, u]), worst(np.abs(fast.slope - slow.slope))
-
-
 def compare_all(pairs: Iterable[tuple[NeedleShape, NeedleShape]]) -> tuple[float, float]:
-    """Return the largest differences of all pairs."""
-    lengths, slopes = zip(*(compare_shapes(*pair) for pair in pairs), strict=True)
+    """Return the largest differences of deflection or constraint point (mm) and of slope, of all pairs."""
+    lengths, slopes = list[float](), list[float]()
+    for fast, slow in pairs:
+        lengths += [worst(np.abs(fast.constraints - slow.constraints)), worst(np.abs(fast.u - slow.u))]
+        slopes.append(worst(np.abs(fast.slope - slow.slope)))
     return worst(lengths), worst(slopes)
 
 
 def _check(title: str, draw: Draw, count: int, deepest: float) -> Check:
+    def solve(case: RandomCase) -> tuple[RandomCase, NeedleShape]:
+        return case, reference.simulate_steps(case.needle, case.tissue, case.steps)
+
     def measure(rng: np.random.Generator) -> CheckOutcome:
-        cases, remark = solve_cases(lambda: draw(rng, deepest, SOFTEST_MPA), solve_reference, count)
+        cases, remark = solve_cases(lambda: draw(rng, deepest, SOFTEST_MPA), solve, count)
         return CheckOutcome(compare_all((case.shape(ModelOptions()), slow) for case, slow in cases), remark)
 
     return Check(Group.REFERENCE, f"{count} random {title}", _QUANTITIES, measure)
-
-
-def _make_layers(law: str, depth: float) -> Tissue:
-    shape = [[one.default] * 3 for one in LAWS[law].parameters]
-    return Tissue([1.0] * 3, shape, [0.31 * depth, 0.64 * depth], [20.0, 40.0, 30.0], law=law)
 
 
 @define_check(
@@ -153,10 +134,15 @@ def in_lanes(rng: np.random.Generator) -> CheckOutcome:
     """Many parameter sets of one insertion at once; every one against the reference by itself."""
     depth = float(rng.uniform(20, 40))
     steps = (Step(depth, Bevel(0.1), Controls(0.3)),)
+
+    def make_layers(law: str) -> Tissue:
+        shape = [[one.default] * 3 for one in LAWS[law].parameters]
+        return Tissue([1.0] * 3, shape, [0.31 * depth, 0.64 * depth], [20.0, 40.0, 30.0], law=law)
+
     batches = [
         Batch(
             PAPER_NEEDLE,
-            _make_layers(law, depth),
+            make_layers(law),
             steps,
             mu=10 ** rng.uniform(-2, 2, (SETS_PER_LAW, 3)),
             shape=np.moveaxis(LAWS[law].draw_shape(rng, (SETS_PER_LAW, 3)), 0, 1),

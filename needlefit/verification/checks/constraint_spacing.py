@@ -26,10 +26,10 @@ from needlefit.verification.check import (
 DEPTH, ANGLE = 50.0, 0.1  # mm, rad
 SPACINGS = (2.0, 1.0, 0.5, 0.25)
 FINEST = 0.0625
+#: k = 3 mu, MPa: how far the tip may be from its limit at C_int = 1 mm, as a fraction
 MODULI = {0.66: 0.001, 96.0: 0.005}
-"""k = 3 mu, MPa: how far the tip may be from its limit at C_int = 1 mm, as a fraction."""
+#: mm: where tissue of k = 0.66 MPa gives way to tenfold k, and how far the tip may be from its limit then
 BOUNDARY, LAYERED_ERROR = 25.0, 0.005
-"""mm: where tissue of k = 0.66 MPa gives way to tenfold k, and how far the tip may be from its limit then."""
 NEARLY = 1e-6  # mm
 PLACES = (12.0, 12.5, 30.0)  # mm: at and between constraint points
 
@@ -92,15 +92,7 @@ def continuity(rng: np.random.Generator) -> CheckOutcome:
     return CheckOutcome((worst(np.abs(deeper)), worst(np.abs(shifted))))
 
 
-TIP_DEPTH, OFFSET = 50.0, 0.085
-_TISSUE = make_tissue(mu=[0.2, 33.0, 0.2, 33.0], alpha=[1.0, -1.0, 1.0, -1.0], boundaries=[20.0, 28.0, 45.0])
-
-
-def tip(spacing: float, offset: float) -> float:
-    """Return the tip's deflection, mm."""
-    return require_converged(
-        simulate(PAPER_NEEDLE, _TISSUE, Bevel(offset), TIP_DEPTH, rules=ModelOptions(spacing, spacing))
-    ).tip_lateral
+OFFSET = 0.085
 
 
 @define_check(
@@ -111,6 +103,14 @@ def tip(spacing: float, offset: float) -> float:
     Quantity(f"deflection, C_int = 0.5 mm, b = {OFFSET / 2:g} mm", AcceptanceBound(), "mm"),
 )
 def tips(rng: np.random.Generator) -> CheckOutcome:
+    tissue = make_tissue([0.2, 33.0, 0.2, 33.0], [1.0, -1.0, 1.0, -1.0], [20.0, 28.0, 45.0])
+
+    def tip(spacing: float, offset: float) -> float:
+        rules = ModelOptions(spacing, spacing)
+        return require_converged(
+            simulate(PAPER_NEEDLE, tissue, Bevel(offset), DEPTH, rules=rules)
+        ).tip_lateral
+
     return CheckOutcome((tip(1.0, OFFSET), tip(0.5, OFFSET), tip(0.5, OFFSET / 2)))
 
 

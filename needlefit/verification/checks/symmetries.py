@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from needlefit.mechanics.control import Bevel, Controls, Step
 from needlefit.mechanics.load import compute_loads
@@ -33,18 +32,6 @@ from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, a
 RANDOM_CASES, RANDOM_POSES = 10, 5
 
 
-def compute_imbalance(case: RandomCase) -> tuple[float, float]:
-    """Return the sum of all forces, and of all moments about the entry, over the sum of their sizes."""
-    found = compute_loads(case.shape(), case.tissue, case.needle, case.steps[-1].controls, EXACT_OPTIONS)
-    forces = [held.force for held in found.all_loads]
-    moments = [held.moment + held.x * held.force for held in found.all_loads]
-    return _sum_over_sizes(forces), _sum_over_sizes(moments)
-
-
-def _sum_over_sizes(values: list[float]) -> float:
-    return abs(sum(values)) / float(np.sum(np.abs(values)))
-
-
 @define_check(
     Group.SYMMETRIES,
     "Tissue, base, guides and tracked tip balance, schedules of all inputs",
@@ -52,7 +39,17 @@ def _sum_over_sizes(values: list[float]) -> float:
     Quantity(f"sum of moments over their sizes, {RANDOM_CASES} random cases", at_most(1e-5), ""),
 )
 def balance(rng: np.random.Generator) -> CheckOutcome:
-    forces, moments = zip(*(compute_imbalance(draw_schedule(rng)) for _ in range(RANDOM_CASES)), strict=True)
+    """Compare the sum of all forces, and of all moments about the entry, with the sum of their sizes."""
+
+    def sum_over_sizes(values: list[float]) -> float:
+        return abs(sum(values)) / float(np.sum(np.abs(values)))
+
+    forces, moments = [], []
+    for _ in range(RANDOM_CASES):
+        case = draw_schedule(rng)
+        found = compute_loads(case.shape(), case.tissue, case.needle, case.steps[-1].controls, EXACT_OPTIONS)
+        forces.append(sum_over_sizes([held.force for held in found.all_loads]))
+        moments.append(sum_over_sizes([held.moment + held.x * held.force for held in found.all_loads]))
     return CheckOutcome((worst(forces), worst(moments)))
 
 
@@ -86,15 +83,12 @@ def compare_poses(origin: complex, turn: float) -> tuple[float, float]:
     """Return the differences, mm, of a moved scene's shape in C and of its needle in the world."""
     here, there = make_scene(0j, 0.0), make_scene(origin, turn)
     one, other = (require_converged(simulate_scene(each)[-1]) for each in (here, there))
-    points = _complex(here.entry.to_world(sample_inserted_points(one)))
-    moved = _complex(there.entry.to_world(sample_inserted_points(other)))
+    points, moved = (
+        scene.entry.to_world(sample_inserted_points(shape)) @ [1, 1j]
+        for scene, shape in ((here, one), (there, other))
+    )
     in_world = worst(np.abs(moved - (origin + points * cmath.exp(1j * turn))))
     return worst(np.abs(one.u - other.u)), in_world
-
-
-def _complex(points: NDArray[np.float64]) -> NDArray[np.complex128]:
-    z: NDArray[np.complex128] = points[:, 0] + 1j * points[:, 1]
-    return z
 
 
 @define_check(

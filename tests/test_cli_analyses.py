@@ -1,0 +1,401 @@
+"""`needlefit identify`: what it prints and writes, from the design alone and after a fit."""
+
+import csv
+import hashlib
+import json
+import re
+import signal
+import subprocess
+import sys
+import tomllib
+import urllib.request
+from contextlib import redirect_stdout
+from dataclasses import replace
+from io import StringIO
+from pathlib import Path
+from types import SimpleNamespace
+
+import pandas as pd
+import pytest
+from compression_cases import gel_file
+from test_cli import run
+from test_viewer_recording import recorded
+
+from needlefit.inference.identifiability.identify import AGREEMENT
+from needlefit.inference.identifiability.precision import KNOWN_BY_PRIOR
+from needlefit.project.locate import find_file
+from needlefit.project.toml import load
+from needlefit.schemas.medium import MaterialRecord
+from needlefit.schemas.study import FitRecord
+from needlefit.studies import job, provenance
+from needlefit.studies.identification_tables import lay_out_identification
+from needlefit.studies.job import Settings, prepare
+from needlefit.studies.kinds.identification import describe_design
+from needlefit.verification import check as running
+from needlefit.verification.check import (
+    AcceptanceBound,
+    Check,
+    CheckOutcome,
+    ConvergenceCurve,
+    Group,
+    Quantity,
+    at_most,
+    within,
+)
+from needlefit.viewer.opening import open_recording
+from needlefit.viewer.recording import read_recording
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path / "reports" / "identify-study2"
+
+
+@pytest.fixture(scope="module")
+def designed(tmp_path_factory):
+    """The folder of a run from the design alone, and what it printed."""
+    with pytest.MonkeyPatch.context() as here, redirect_stdout(StringIO()) as printed:
+        here.chdir(tmp_path_factory.mktemp("designed"))
+        assert run("identify", "study2", "--jobs", "1", "-q", "--explain") == 0
+        return Path.cwd() / "reports" / "identify-study2", printed.getvalue()
+
+
+@pytest.mark.sweep
+def test_the_design_part_ranks_the_parameters_of_one_short_insertion(designed):
+    folder, out = designed
+    assert "1 insertion, 24 mm deep" in out and "study2" in out
+    assert re.search(r"alpha1 .* 0\.001 mm .* 40 mm", " ".join(out.split()))
+    table = pd.read_csv(folder / "identify.csv").set_index("parameter")
+    assert set(table["stage"]) == {"design"} and not table["determined"].any()
+    assert table.loc["alpha1", "sd_ratio"] == pytest.approx(1.0, abs=1e-3)
+    assert (table.loc["bevel_mm", "end_low"], table.loc["bevel_mm", "end_high"]) == ("closed", "closed")
+    assert (table["sd_low"] <= table["sd"])[:3].all() and (table["sd_high"] >= table["sd"])[:3].all()
+    found = pd.read_csv(folder / "directions.csv").drop_duplicates("combination")
+    assert (found["sd"].diff().dropna() > 0).all() and (found["sd_ratio"] <= 1).all()
+    assert found.iloc[0]["sd"] < 0.15 and found.iloc[0]["sd_ratio"] < 0.15
+    tied = found[found["combination"].str.contains(r"^mu1 \*.* mu3\^-1\b")].iloc[0]
+    assert tied["sd"] < 0.15 and tied["sd_ratio"] > 0.9 and KNOWN_BY_PRIOR in tied["note"]
+    sentences = out[out.index("Design alone") :]
+    assert found.iloc[0]["combination"] in sentences and tied["combination"] not in sentences
+    assert table.loc["bevel_spread", "sd_ratio"] == pytest.approx(1.0)
+    assert json.loads((folder / "run.json").read_text())["values"]["mu1_pa"] == pytest.approx(5e4)
+
+
+def test_a_parameter_that_needs_an_assumption_states_it_in_table_and_sentence():
+    row = {
+        "stage": "design", "fold": "all", "parameter": "mu3_pa", "status": "free", "determined": False,
+        "note": "an assumption", "value": 2.2e5, "prior_sd": 3.0, "sd": 0.19, "sd_low": 0.19, "sd_high": 0.19,
+        "fisher_sd": 0.19, "sd_ratio": 0.06, "low": 1.5e5, "high": 3.2e5, "end_low": "closed",
+        "end_high": "closed", "tip_range_mm": None, "profile_verdict": "154 to 321 kPa (95 %)",
+    }  # fmt: skip
+    about = {"insertions": 1, "place": "here", "places_near": 3, "layers": "one", "depths_mm": [20.0, 30.0]}
+    about |= {"medium": {"thickness_mm": 40.0}}
+    for agreement, contrasted in ((AGREEMENT, False), ("the profile is 2 times wider below", True)):
+        frame = pd.DataFrame([row | {"agreement": agreement}])
+        found = SimpleNamespace(frames={"identify": frame, "directions": pd.DataFrame()}, run=about)
+        sentence = describe_design(found)[1]
+        assert "19 %" in sentence and "154 to 321 kPa" in sentence and "an assumption" in sentence
+        assert (" but " in sentence) is contrasted
+        assert "an assumption" in lay_out_identification(frame, expected=True).rows[0][-1]
+
+
+@pytest.mark.sweep
+def test_the_same_bytes_for_any_number_of_threads(designed, folder):
+    assert run("identify", "study2", "--jobs", "2", "-q") == 0
+    one, two = (
+        {path.name: path.read_bytes() for path in place.iterdir() if path.name != "timing.json"}
+        for place in (designed[0], folder)
+    )
+    assert one == two
+
+
+@pytest.mark.sweep
+def test_a_fit_adds_its_stage_beside_the_design(folder, capsys):
+    text = (
+        'schema = 1\ndataset = "twin"\nmedium = "phantom2"\nrecipe = "quick"\n'
+        '[tune]\nmedium = "phantom2"\nlayers = [1]\n'
+    )
+    (folder.parents[1] / "one.toml").write_text(text)
+    assert run("identify", "./one.toml", "--fit", "--json", "-q") == 0
+    output = json.loads(capsys.readouterr().out)
+    assert {"design", "fit", "sentences", "directions", "place"} <= set(output)
+    by_stage = pd.read_csv(folder.parent / "identify-one" / "identify.csv").groupby("stage")["parameter"]
+    assert by_stage.size()["design"] == by_stage.size()["fit"]
+    for name in ("profiles", "profiles_design"):
+        profiles = pd.read_csv(folder.parent / "identify-one" / f"{name}.csv")
+        assert (profiles.groupby("parameter")["deviance"].min() == 0).all()
+
+
+@pytest.mark.sweep
+@pytest.mark.usefixtures("blank_figures")
+def test_the_design_part_uses_no_measured_shape(monkeypatch, designed, folder):
+    """Bent by 5 mm, the measured centreline changes nothing that the design says."""
+    plain = job.read
+
+    def bent(path):
+        found = plain(path)
+        moved = [
+            replace(
+                i, planar=i.planar + [0, 5.0] * (i.planar / i.depth) ** 2, out_of_plane=i.out_of_plane + 1
+            )
+            for i in found.insertions
+        ]
+        return replace(found, insertions=tuple(moved))
+
+    monkeypatch.setattr(job, "read", bent)
+    assert run("identify", "study2", "-q") == 0
+    assert (folder / "identify.csv").read_bytes() == (designed[0] / "identify.csv").read_bytes()
+
+
+@pytest.fixture
+def gel(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return gel_file(tmp_path / "gel.csv")
+
+
+def test_estimates_of_the_specimens_are_printed_and_written(world):
+    folder, out = world.find("material"), world.read_printed("material")
+    assert "identified" in out and out.startswith("alpha = -4.") and " kPa ± " in out
+    assert re.search(r'priors = .*"reports/material-gel/prior\.toml"', out.replace(f"{world.folder}/", ""))
+    tested = load(folder / "prior.toml", MaterialRecord)
+    assert tested.alpha.mean == pytest.approx(-4.5, abs=0.2) and tested.mu_pa is None
+    assert "these 3" in tested.note
+    about = json.loads((folder / "run.json").read_text())
+    assert about["measure"] == "nominal" and about["sha256"] == tested.sha256
+
+
+@pytest.mark.sweep
+@pytest.mark.usefixtures("blank_figures")
+def test_the_prior_of_the_foundation_modulus_is_written_on_request_alone(gel, capsys):
+    assert run("material", "gel.csv", "--foundation", "0.2", "5", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    mu = found["prior"]["mu_pa"]
+    assert mu["median"] == pytest.approx(0.2 * 12e3, rel=0.05) and mu["factor"] > 5
+    assert found["specimens"][-1]["specimen"] == "(a further one)"
+
+
+@pytest.mark.sweep
+@pytest.mark.usefixtures("blank_figures")
+def test_the_same_file_gives_the_same_bytes(gel, tmp_path, capsys):
+    sums = []
+    for name in ("a", "b"):
+        assert run("material", "gel.csv", "--out", name) == 0
+        folder = tmp_path / name / "material-gel"
+        sums.append({p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in folder.iterdir()})
+        del sums[-1]["timing.json"]
+    assert sums[0] == sums[1]
+
+
+@pytest.mark.usefixtures("blank_figures")
+def test_an_unidentified_parameter_writes_no_prior_and_prints_the_flat_range(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    gel_file(tmp_path / "shallow.csv", alphas=(3.0,), low=0.997)
+    assert run("material", "shallow.csv", "--explain") == 0
+    out = capsys.readouterr().out
+    assert "alpha" in out and "0.997 to 1" in out
+    assert not (tmp_path / "reports" / "material-shallow" / "prior.toml").exists()
+
+
+def test_a_faulty_file_ends_in_exit_code_3(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bad.csv").write_text("strain,stress\n0,0\n")
+    assert run("material", "bad.csv") == 3
+    err = capsys.readouterr().err
+    assert err.count("bad.csv:1") == 2 and "stretch" in err and "stress" in err
+    assert run("material", "none.csv") == 3
+    assert run("material", "bad.csv", "--foundation", "0.2", "0.5") == 3
+
+
+@pytest.mark.sweep
+@pytest.mark.usefixtures("blank_figures")
+def test_a_fit_takes_the_prior_and_its_run_holds_it(gel, capsys):
+    assert run("material", "gel.csv", "--foundation", "0.2", "5") == 0
+    record = load(find_file("fit", "chicken"), FitRecord)
+    with_prior = record.model_copy(update={"priors": {"1": "reports/material-gel/prior.toml"}})
+    job = prepare("chicken", with_prior, Settings())
+    assert job.parameters.prior.names == ("mu1_pa", "alpha1") and "alpha1" in job.parameters.bounds
+    stated = tomllib.loads(Path("reports/material-gel/prior.toml").read_text())
+    work = provenance.describe_configuration(job)
+    assert work["medium"]["parameters"]["alpha1"]["prior"]["mean"] == stated["alpha"]["mean"]
+    assert work["study"]["priors"] == {"1": "reports/material-gel/prior.toml"}
+
+
+H = (4.0, 2.0, 1.0)
+NORMS = {"deflection": 4, "slope": 3, "deflection at the nodes": 4, "slope at the nodes": 4}
+
+
+def refined(rng):
+    curve = ConvergenceCurve(
+        "A power law", H, {norm: tuple(1e-6 * h**p for h in H) for norm, p in NORMS.items()}
+    )
+    return CheckOutcome((curve.order("deflection"),), curves=(curve,))
+
+
+def read_csv(path):
+    return list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
+
+
+def crash(rng):
+    raise ZeroDivisionError("no luck")
+
+
+GOOD = (
+    Check(
+        Group.CLOSED_FORMS,
+        "A beam",
+        (Quantity("error", at_most(1e-5), "mm"),),
+        lambda rng: CheckOutcome((2.5e-7,)),
+    ),
+    Check(Group.MANUFACTURED, "A power law", (Quantity("order", within(4, 0.2), ""),), refined),
+    Check(
+        Group.STATED,
+        "A spacing",
+        (Quantity("tip", AcceptanceBound(), "mm"),),
+        lambda rng: CheckOutcome((3.0,), "another model"),
+    ),
+)
+BAD = Check(
+    Group.SYMMETRIES,
+    "A mirror",
+    (Quantity("difference", at_most(0.0), "mm"),),
+    lambda rng: CheckOutcome((0.1,)),
+)
+WORSE = Check(Group.TANGENT, "A step", (Quantity("defect", at_most(1e-8), ""),), crash)
+
+
+@pytest.fixture
+def table(monkeypatch):
+    """Return what decides which checks there are: a few quick ones."""
+
+    def choose(*checks):
+        monkeypatch.setattr(running, "find_checks", lambda: checks)
+
+    return choose
+
+
+@pytest.mark.usefixtures("blank_figures")
+def test_a_good_table_is_printed_and_written(table, tmp_path, capsys):
+    table(*GOOD)
+    assert run("verify", "--out", str(tmp_path), "--explain") == 0
+    out = capsys.readouterr().out
+    assert "Closed forms" in out
+    assert "2.50 × 10⁻⁷" in out and "≤ 10⁻⁵" in out and "3.8 to 4.2" in out and "stated" in out
+    assert re.search(r"(?m)^All 2 .*; 1 ", out)
+    assert f"written: {tmp_path}/verification/" in out
+    folder = tmp_path / "verification"
+    rows = read_csv(folder / "verification.csv")
+    assert [row["verdict"] for row in rows] == ["passes", "passes", "stated"]
+    assert float(rows[0]["measured"]) == 2.5e-7 and float(rows[0]["bound_high"]) == 1e-5
+    assert rows[0]["unit"] == "mm" and rows[2]["note"] == "another model"
+    assert float(rows[1]["measured"]) == pytest.approx(4)
+    orders = [row["order"] for row in read_csv(folder / "convergence.csv")]
+    assert orders[:3] == ["", "4", "4"]
+    about = json.loads((folder / "run.json").read_text())
+    assert about["study"]["seed"] == 1 and about["rules"]["spacing"] == 1.0 and "scipy" in about["versions"]
+
+
+def test_a_verification_is_reported_again_and_compared(table, tmp_path, capsys):
+    table(*GOOD)
+    assert run("verify", "--out", str(tmp_path)) == 0
+    table(*GOOD, BAD)
+    assert run("verify", "--out", str(tmp_path / "b")) == 6
+    capsys.readouterr()
+    assert run("diff", str(tmp_path / "verification"), str(tmp_path / "b" / "verification"), "--json") == 0
+    found = {one["where"]: one for one in json.loads(capsys.readouterr().out)}
+    assert found["faults"]["matters"] and found["rows of verification"]["after"] == 4
+
+
+@pytest.mark.usefixtures("blank_figures")
+def test_a_failed_row_ends_in_exit_code_6_with_the_table_written(table, tmp_path, capsys):
+    table(*GOOD, BAD, WORSE)
+    assert run("verify", "--out", str(tmp_path), "--json") == 6
+    captured = capsys.readouterr()
+    found = json.loads(captured.out)
+    assert [row["verdict"] for row in found["rows"]] == ["passes", "passes", "stated", "FAILS", "FAILS"]
+    assert found["rows"][4]["measured"] is None
+    assert found["summary"].startswith("2 of 4 ")
+    lines = [line.split(": ", 3) for line in captured.err.splitlines()]
+    assert ["needlefit", "A mirror", "difference", "fails"] in lines
+    assert lines[-1][1:3] == ["A step", "defect"] and "ZeroDivisionError: no luck" in lines[-1][3]
+    assert "Traceback" not in captured.err
+    assert run("verify", "--out", str(tmp_path), "-v") == 6
+    assert "in crash" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("blank_figures")
+def test_a_fault_of_the_solver_ends_in_exit_code_6(monkeypatch, tmp_path, capsys):
+    """Not one of the checks' making: the law's coefficients are wrong by a thousandth."""
+    from needlefit.mechanics import packing
+    from needlefit.verification.checks import beams
+
+    true = packing.compile_law
+    monkeypatch.setattr(
+        packing, "compile_law", lambda law, alpha: (1.001 * true(law, alpha)[0], true(law, alpha)[1])
+    )
+    monkeypatch.setattr(running, "find_checks", lambda: beams.CHECKS)
+    assert run("verify", "--out", str(tmp_path)) == 6
+    assert "FAIL" in capsys.readouterr().out
+
+
+def test_view_serves_its_page_and_ends_on_a_signal(tmp_path):
+    command = [sys.executable, "-m", "needlefit", "view", "study2", "--no-browser", "--out", str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        address = process.stdout.readline()
+        page, token = address.strip().split("#token=")
+        with urllib.request.urlopen(page) as answer:
+            text = answer.read().decode()
+        process.send_signal(signal.SIGINT)
+        out, _ = process.communicate(timeout=20)
+    assert page.startswith("http://127.0.0.1:") and len(token) >= 32
+    assert "<title>needlefit" in text and token not in text
+    assert (process.returncode, out) == (0, "")  # nothing was steered, so nothing recorded
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "expected"),
+    [
+        (("no_such_thing",), 3, "no_such_thing"),
+        (("twin/phantom2-99",), 3, "phantom2-09"),
+        (("study2", "--recording", "log.csv"), 2, "leave it out"),
+        (("--recording", "log.csv"), 3, "no such file"),
+        (("study2", "--port", "70000"), 2, "--port"),
+    ],
+)
+def test_invalid_input_is_refused_before_anything_is_served(words, code, expected, capsys, tmp_path):
+    assert run("view", *words, "--no-browser", "--out", str(tmp_path)) == code
+    assert expected in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_port_in_use_is_reported(capsys):
+    import socket
+
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        assert run("view", "study2", "--no-browser", "--port", str(port)) == 3
+    assert f"port {port} cannot be used" in capsys.readouterr().err
+
+
+def test_a_missing_extra_is_named_with_its_install_command(capsys, monkeypatch):
+    import needlefit.viewer.server
+
+    # the import that fails makes a new package of this name; later tests need the attribute as it was
+    monkeypatch.setattr(needlefit.viewer, "server", needlefit.viewer.server)
+    monkeypatch.setitem(sys.modules, "aiohttp", None)
+    monkeypatch.delitem(sys.modules, "needlefit.viewer.server")
+    assert run("view", "study2", "--no-browser") == 3
+    assert "'needlefit[view]'" in capsys.readouterr().err
+
+
+def test_a_recording_opens_with_the_files_beside_it(tmp_path):
+    path = tmp_path / "log.csv"
+    recorded(path)
+    shown = open_recording(read_recording(path))
+    assert (shown.name, shown.first_cell) == ("study2", 1.0)
+    path.write_text(path.read_text().replace('target = "study2"', 'target = "twin/phantom2-05"'))
+    changed = open_recording(read_recording(path))
+    assert changed.measured is None and "has changed since" in changed.note
+    path.write_text(path.read_text().replace('target = "twin/phantom2-05"', 'target = "gone"'))
+    assert "is not found" in open_recording(read_recording(path)).note

@@ -1,0 +1,57 @@
+"""Reconstructions of the shipped sample and of synthetic scans: every number as it was."""
+
+from dataclasses import replace
+
+import ct_cases as cases
+import numpy as np
+import pytest
+from golden_numbers import assert_golden
+
+from needlefit.imaging import batch
+from needlefit.imaging.batch import ReconstructionBatch, reconstruct_all
+from needlefit.imaging.reconstruct import examine
+from needlefit.imaging.reconstruction import Reconstruction
+from needlefit.imaging.scans import Scan, read_scans
+from needlefit.imaging.volume import Volume
+from needlefit.project.encode import encode
+from needlefit.project.locate import shipped_folder
+from needlefit.schemas.reconstruction import ReconstructionRecord
+from needlefit.synthetic.render import SceneMarkers
+
+BALLS = cases.ENTRY + np.array([[6.0, 3, 4], [-5, -6, 12], [4, -6, 20], [-7, 5, 30]])
+
+
+def assert_same(name: str, one: Reconstruction) -> None:
+    arrays: dict[str, np.ndarray] = {}
+    plain = encode(one, batch._HOOKS, arrays)
+    assert_golden(name, {"plain": plain, "arrays": arrays})
+
+
+@pytest.mark.parametrize("pose", ["stage", "shaft"])
+def test_the_shipped_sample(pose):
+    (scan,) = read_scans(shipped_folder() / "data" / "sample_scan" / "scans.csv")
+    scan = scan if pose == "stage" else replace(scan, stage=None, bevel=None)
+    (one,) = reconstruct_all([scan], ReconstructionRecord(schema=1), ReconstructionBatch())
+    assert isinstance(one, Reconstruction), one
+    assert_same(f"sample_{pose}", one)
+
+
+@pytest.mark.parametrize("case", ["rays and balls", "thick slices, turned"])
+def test_a_synthetic_scan(case, tmp_path):
+    truth = cases.axis(tip=(3.0, 2.0, 28.0), curve=(2.0, 1.0))
+    if case == "rays and balls":
+        balls = {"markers": SceneMarkers(BALLS)}
+        voxels = cases.grid(size=(48, 48, 130), origin=np.array([0, 0, -9.0]))
+        volume = cases.scan(truth, scene=balls, streaks=1.0, bloom=0.12, cupping_hu=60.0, grid=voxels)
+    else:
+        voxels = {
+            "size": (48, 48, 66),
+            "spacing": np.array([0.46, 0.46, 0.9]),
+            "origin": np.array([0, 0, -9.0]),
+        }
+        plain = cases.scan(truth, grid=cases.grid(**voxels))
+        turn = np.array([[0.0, -1, 0], [0.8, 0, -0.6], [0.6, 0, 0.8]])
+        volume = Volume(plain.values, turn @ plain.origin + 7.0, plain.spacing, turn @ plain.direction)
+    found = examine(volume, Scan("one", tmp_path / "one.nrrd", "box"), cases.RECIPE)
+    assert found.error is None, found.error
+    assert_same(case.replace(" ", "_").replace(",", ""), found.reconstruction)

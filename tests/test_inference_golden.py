@@ -1,0 +1,99 @@
+"""What is inferred of simulated needles, tracks and specimens: every number as it was."""
+
+from dataclasses import replace
+
+import numpy as np
+import track_cases as tracks
+from compression_cases import specimen
+from golden_numbers import assert_golden
+from inference_cases import TRUTH, insertion, measure, medium, problem, two_layers
+from test_inference_baselines import measured as bent
+from test_inference_identifiability import COVARIANCE, predict_data
+from test_inference_identify import fit_at, tied_problem
+from test_inference_specimens import population
+from test_inference_tracks import make_readings, tracked
+
+from needlefit.datasets.insertion import Noise
+from needlefit.inference.baseline_fit import fit_baselines
+from needlefit.inference.baselines import BASELINES
+from needlefit.inference.identifiability.design_gain import expect_precision, linearized_gain, nested_gain
+from needlefit.inference.identifiability.identify import identify, profile_parameters
+from needlefit.inference.likelihood.observation import make_observation
+from needlefit.inference.material import fit_specimen, pool
+from needlefit.inference.predict import PredictiveMixture, cdf, crps, draw_from_prior, interval, quantile
+from needlefit.inference.tracking import (
+    TipNoise,
+    draw_baseline,
+    estimate_parameters,
+    estimate_slopes,
+    make_prior_from_factors,
+    predict_readings,
+)
+
+
+def rng() -> np.random.Generator:
+    return np.random.default_rng(11)
+
+
+def test_verdicts_profiles_and_designs():
+    tied, layers = tied_problem(spread=1.2), two_layers(count=2)
+    values = {**TRUTH, "mu3_pa": 3e5, "alpha3": 1.0}
+    free = medium(1, alpha1={"bounds": [-3, 5]})
+    alone = problem(free, [measure(TRUTH, free, insertion(35.0))], noise=Noise(point_sd=0.02))
+    bumpy = [replace(one, planar=one.planar + 0.02 * np.sin(one.planar[:, :1])) for one in alone.insertions]
+    found = {
+        "tied": identify(tied, fit_at(tied, values)),
+        "free": identify(problem(free, bumpy), fit_at(problem(free, bumpy), TRUTH)),
+        "profiles": profile_parameters(layers, fit_at(layers, TRUTH)),
+        "design": expect_precision(lambda _: alone, TRUTH, rng()),
+        "prior": draw_from_prior(tied.parameters, 9, rng()),
+    }
+    assert_golden("identifiability", found, rtol=1e-4)
+
+
+def test_gains_specimens_and_materials():
+    thetas = rng().multivariate_normal([0.0, 0.0], COVARIANCE, size=200)
+    of, by_depth = np.arange(60), np.array([0.5, -1.0, 2.0])
+    posterior = population(0.4, 5, 3).posterior(rng())
+    fits = {str(alpha): fit_specimen(specimen(alpha, 0.8, 0.01), "nominal") for alpha in (-5.0, 3.0, 12.0)}
+    estimates = [np.array([np.log(fit.mu), fit.alpha]) for fit in fits.values()]
+    found = {
+        "gain": nested_gain(predict_data(thetas, by_depth), of, thetas, rng()),
+        "linear": linearized_gain(COVARIANCE, np.eye(2)),
+        "posterior": [posterior.thetas.mean(axis=0), posterior.thetas.std(axis=0), posterior.k],
+        "fits": fits,
+        "pool": pool(estimates, [np.diag([0.01, 0.25])] * 3),
+    }
+    assert_golden("gains", found)
+
+
+def test_baselines_and_predictive_distributions():
+    shapes = [bent(d, (1e-3, 1e-5, 1e-7), side) for d, side in ((80.0, 1), (95.0, -1))]
+    mixture = PredictiveMixture(rng().standard_t(3, size=(300, 2)), np.array([0.3, 0.05]))
+    found = {
+        pose: {
+            name: [one.rms, *one.coefficients, one.curve(shapes[0])(np.array([20.0, 77.0]))]
+            for name, one in fit_baselines(pose, 10.0, shapes).items()
+        }
+        for pose in ("known", "free")
+    }
+    scores = [crps(mixture, [0.3, -1.0]), cdf(mixture, [0.3, -1.0]), quantile(mixture, 0.9)]
+    assert_golden("baselines", {**found, "mixture": [*scores, *interval(mixture, 0.95)]})
+
+
+def test_tracks():
+    runs = [tracks.measured(tracks.track(f"run{n}", n * tracks.GUIDE), n, 0.02 * n, n) for n in range(5)]
+    seen = [make_observation(tracks.dataset([]), one) for one in runs]
+    drawn = {name: draw_baseline(BASELINES[name], seen[:4], runs[4:], 60, rng()) for name in BASELINES.names()
+             if name in ("straight", "constant_curvature", "steered_line", "guide_kernel")}  # fmt: skip
+    slopes = {name: estimate_slopes(one, seen[:4], runs[4]) for name, one in drawn.items()}
+    tips = np.repeat(drawn["straight"].held_out[0][:1], 60, axis=0)
+    noise, needle = TipNoise(0.1, 0.1, 0.05, 0.001), tracked(layers=3)
+    prior = make_prior_from_factors(needle.tissue.mu, 0.08, (1.8, 1.5), noise)
+    found = {
+        "draws": {name: [np.mean(one.held_out[0], axis=0), one.scale.mean()] for name, one in drawn.items()},
+        "slopes": slopes,
+        "ahead": predict_readings(seen[4], tips, np.ones(60), slopes["straight"], 5, rng()).mean(axis=0),
+        "tip": estimate_parameters(needle, make_readings(needle, prior.theta + 0.1, 2), prior, noise),
+    }
+    assert_golden("tracks", found, rtol=1e-4)
