@@ -24,7 +24,7 @@ from needlefit.project.help_pages import TROUBLESHOOTING_PAGE, read_sections
 from needlefit.project.result_warnings import ResultWarning, read_warnings, warnings_entry
 from needlefit.project.toml import load
 from needlefit.project.unit_warnings import WARNING_KIND
-from needlefit.reporting.interval_text import NO_INTERVAL, format_interval
+from needlefit.reporting.number_format import NO_INTERVAL, format_interval
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.fit_warnings import RULES, analysis_bound_warnings, apply_rule, cut_off_warnings
 from needlefit.studies.folds import make_folds, warn_shared_specimens

@@ -8,8 +8,7 @@ from reporting_results import study
 
 from needlefit.reporting import document
 from needlefit.reporting.document import Document, compile_html, compile_pdf
-from needlefit.reporting.table import Table
-from needlefit.reporting.table_layout import TableColumn, TableLayout
+from needlefit.reporting.table import Table, TableColumn, TableLayout
 from needlefit.reporting.text import KindText
 from needlefit.studies.kinds.cross_validation import figures
 from needlefit.studies.report import compose_run_report

@@ -20,9 +20,9 @@ from needlefit.reporting.columns import (
     find_column,
     list_columns,
 )
-from needlefit.reporting.interval_text import choose_interval_unit, typeset_interval
 from needlefit.reporting.latex import escape_latex, format_cell, format_latex
 from needlefit.reporting.number_format import (
+    choose_interval_unit,
     format_mm,
     format_number,
     format_percent,
@@ -30,10 +30,10 @@ from needlefit.reporting.number_format import (
     format_symbol,
     insert_symbols,
     typeset,
+    typeset_interval,
 )
 from needlefit.reporting.table import Table, part, pivot
-from needlefit.reporting.table_files import to_records
-from needlefit.reporting.tidy import to_tidy
+from needlefit.reporting.table_files import to_records, to_tidy
 from needlefit.studies import paper
 from needlefit.studies.kind import KINDS
 from needlefit.studies.kinds.cross_validation.facts import list_sentences, say
