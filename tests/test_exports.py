@@ -256,7 +256,7 @@ def test_an_animation_can_be_a_film(tmp_path) -> None:
 @pytest.mark.sweep
 def test_every_export_of_a_recording_is_of_its_last_moment(tmp_path, monkeypatch) -> None:
     log = tmp_path / "log.csv"
-    last = recorded(log)[-1]
+    last = recorded(log).found[-1]
     small(monkeypatch)
     written = {kind: export(log, kind) for kind in EXPORT_TYPES}
     table = pd.read_csv(io.BytesIO(written["shape.csv"]))
