@@ -11,7 +11,7 @@ from needlefit.errors import ConfigError
 from needlefit.reporting.document import Document
 from needlefit.reporting.latex import format_table_macros
 from needlefit.reporting.paper_example import compile_example, format_example
-from needlefit.reporting.table_layout import TableColumn, TableLayout
+from needlefit.reporting.table import TableColumn, TableLayout
 from needlefit.studies.kinds.cross_validation.facts import say
 from needlefit.studies.kinds.cross_validation.report import format_macros, format_methods, format_references
 from needlefit.studies.kinds.cross_validation.tables import lay_out_parameters
