@@ -199,10 +199,7 @@ def use_plugins(modules: Iterable[str]) -> None:
 def load_plugins() -> tuple[Plugin, ...]:
     """Return the plugins of this process; the first call imports them.
 
-    Raises
-    ------
-    ConfigError
-        If one cannot be imported, or stands in the working folder or in a folder of data.
+    ConfigError if one cannot be imported, or stands in the working folder or in a folder of data.
     """
     global _loaded, _loading
     if _loaded is not None:

@@ -5,7 +5,7 @@ import contextlib
 import struct
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, wraps
 
 import aiohttp
 import numpy as np
@@ -58,6 +58,16 @@ async def served(folder, name="phantom2", **changes):
         yield Served(await opened, server, trials, client)
     end.set()
     await task
+
+
+def asynchronous(test):
+    """Run an asynchronous test."""
+
+    @wraps(test)
+    def run(*args, **kwargs):
+        asyncio.run(asyncio.wait_for(test(*args, **kwargs), 30))
+
+    return run
 
 
 @contextlib.contextmanager

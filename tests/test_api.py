@@ -216,15 +216,6 @@ def test_an_interrupted_prediction_raises():
         )
 
 
-@pytest.mark.sweep
-def test_progress_is_quiet_unless_asked_for(capsys):
-    needlefit.fit("twin", "chicken", tune=TUNE, recipe=RECIPE)
-    assert capsys.readouterr() == ("", "")
-    needlefit.fit("twin", "chicken", tune=TUNE, recipe=RECIPE, progress=True)
-    out, err = capsys.readouterr()
-    assert not out and "fitted: 1 of 2" in err
-
-
 def test_importing_the_package_loads_nothing_else():
     code = "import sys, needlefit; print([m for m in sys.modules if m.startswith(('numpy', 'needlefit.'))])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -307,7 +307,7 @@ def test_every_command_refuses_a_name_that_is_too_long_before_it_works(line, tmp
     monkeypatch.chdir(tmp_path)
     for place in (
         *("studies.kinds.cross_validation.run.run", "studies.job.prepare", "cli.view._trials"),
-        *("synthetic.build.build_dataset", "synthetic.scans.write_scans", "verification.run.find_checks"),
+        *("synthetic.build.build_dataset", "synthetic.scans.write_scans", "verification.check.find_checks"),
         "imaging.batch.reconstruct_all",
     ):
         monkeypatch.setattr(f"needlefit.{place}", None)

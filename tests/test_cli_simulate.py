@@ -259,7 +259,7 @@ def test_a_failure_names_its_step(capsys):
 @pytest.fixture
 def log(tmp_path):
     path = tmp_path / "log.csv"
-    return path, recorded(path)
+    return path, recorded(path).found
 
 
 @pytest.mark.parametrize(("step", "depth"), [(0, 0.0), (1, 12.34567), (5, 25.1), (8, 30.0), (15, 5.0)])

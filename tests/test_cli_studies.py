@@ -124,24 +124,32 @@ def test_a_curve_as_close_as_the_model_is_named_with_its_difference_on_demand(st
 
 def test_simulations_that_fail_are_marked_by_the_exit_code(stub, capsys):
     made = stub(study(3))
-    assert run("validate", "mine") == 5
-    assert made.written
+    assert run("validate", "mine") == 5 and made.written
     assert "did not converge" in capsys.readouterr().err
 
 
-def test_validate_interrupted_keeps_its_checkpoint_and_prints_how_to_resume(stub, capsys):
-    made = stub(dataclasses.replace(study(1), interrupted=True))
-    assert run("validate", "mine", "--seed", "7") == 130
-    assert made.written == []
-    assert Path("reports/mine.partial").is_dir()
-    assert "validate mine --seed 7 --resume\n" in capsys.readouterr().err
-
-
-def test_on_own_data_nothing_speaks_of_the_paper(stub, capsys):
-    stub(stereo())
-    assert run("validate", "mine") == 0
-    assert run("validate", "mine", "--explain", "--out", "explained") == 0
-    assert "paper" not in capsys.readouterr().out.lower()
+@pytest.mark.parametrize(
+    ("words", "found", "written"),
+    [
+        (("validate", "mine", "--seed", "7"), True, 0),
+        (("tune", "gel"), True, 1),  # the best so far, marked
+        (("tune", "gel"), False, 0),  # an earlier result stays
+    ],
+)
+def test_an_interrupted_run_keeps_its_checkpoint_and_prints_how_to_resume(
+    words, found, written, stub, capsys
+):
+    results = study(1)
+    if not found:
+        results = results.with_frames(errors=results.frames["errors"].query("method != 'fitted'"))
+    made = stub(dataclasses.replace(results, interrupted=True))
+    assert run(*words) == 130
+    assert [results.interrupted for results, _ in made.written] == [True] * written
+    assert Path(f"reports/{words[1]}.partial").is_dir()
+    captured = capsys.readouterr()
+    assert f"{' '.join(words)} --resume\n" in captured.err and ("INTERRUPTED" in captured.out) == bool(
+        written
+    )
 
 
 def test_unfinished_work_of_a_killed_run_is_kept_and_the_next_start_prints_how_to_go_on(stub, capsys):
@@ -205,40 +213,18 @@ def test_tune_never_prints_what_is_not_determined_as_a_value(stub, capsys):
     assert (found["origin"], found["interrupted"]) == ("synthetic", False)
 
 
-def test_tune_interrupted_writes_the_best_so_far_marked(stub, capsys):
-    made = stub(dataclasses.replace(study(1), interrupted=True))
-    assert run("tune", "gel") == 130
-    assert made.written[0][0].interrupted
-    captured = capsys.readouterr()
-    assert "INTERRUPTED" in captured.out
-    assert "tune gel --resume\n" in captured.err
-    assert Path("reports/gel.partial").is_dir()
-
-
-def test_a_wrong_study_is_refused_before_anything_runs(stub, capsys):
-    made = stub(study(1))
-    Path("studies/mine.toml").write_text(STUDY + "validat = 1\n")
-    assert run("validate", "mine") == 3
-    assert "`validat` is unknown" in capsys.readouterr().err
-    assert made.asked == []
-
-
-def test_tune_interrupted_before_anything_is_found_leaves_an_earlier_result(stub, capsys):
-    results = study(1)
-    nothing = results.frames["errors"].query("method != 'fitted'")
-    made = stub(dataclasses.replace(results.with_frames(errors=nothing), interrupted=True))
-    assert run("tune", "gel") == 130
-    assert made.written == []
-    assert "tune gel --resume\n" in capsys.readouterr().err
-
-
-def test_a_foreign_folder_is_refused_before_anything_runs(stub, capsys):
+def test_a_wrong_study_or_a_foreign_folder_is_refused_before_anything_runs(stub, capsys):
     made = stub(study(1))
     Path("reports/mine").mkdir(parents=True)
     Path("reports/mine/thesis.tex").write_text("years of work")
-    assert run("validate", "mine") == 3
-    assert "thesis.tex" in capsys.readouterr().err
     Path("file").write_text("")
-    assert run("tune", "gel", "--out", "file/below") == 3
-    assert re.search(r"/file: [\s\S]*--out", capsys.readouterr().err)
+    for words, named in (
+        ("validate mine", r"thesis\.tex"),
+        ("tune gel --out file/below", r"/file: [\s\S]*--out"),
+    ):
+        assert run(*words.split()) == 3
+        assert re.search(named, capsys.readouterr().err)
+    Path("studies/mine.toml").write_text(STUDY + "validat = 1\n")
+    assert run("validate", "mine", "--out", "other") == 3
+    assert "`validat` is unknown" in capsys.readouterr().err
     assert made.asked == []

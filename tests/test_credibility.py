@@ -149,17 +149,6 @@ def test_evidence_of_another_model_is_named(tmp_path, changed, why):
     assert not evidence.counted and why in "; ".join(evidence.objections)
 
 
-def test_evidence_of_another_model_is_listed_but_not_counted(alone, tmp_path):
-    leave_calibration(tmp_path, **other("dataset", sha256="cd" * 32))
-    found = load_case(alone)
-    every = collect_entries(found)
-    (uncertainties,) = (one for one in every if one.factor.key == "uncertainties")
-    assert not any("500 truths" in one.words for one in uncertainties.findings)
-    assert "needlefit calibrate" in " ".join(uncertainties.gaps)
-    blocks = json.dumps(compose_blocks(alone), default=str, ensure_ascii=False)
-    assert all(word in blocks for word in ("calibrate-study1", "cdcdcdcdcdcd…", "abababababab…"))
-
-
 def test_another_seed_or_title_is_the_same_model(tmp_path):
     leave_calibration(tmp_path, **other("recipe", seed=7, title="Mine"))
     assert [one.counted for one in beside(tmp_path)] == [True]
@@ -246,11 +235,6 @@ def test_statements_of_the_user_fill_their_factors(alone):
     found = read_findings(alone, about={"question_of_interest": question})
     assert found["question_of_interest"] == (question, [])
     assert found["context_of_use"][1]
-
-
-def test_a_validated_range_is_no_statement_of_relevance(bare):
-    words, gaps = bare["relevance_of_validation"]
-    assert words and "relevance_of_validation" in gaps[0]
 
 
 def test_a_bundle_claims_nothing_and_records_what_it_read(alone, tmp_path, capsys, monkeypatch):

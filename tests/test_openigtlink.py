@@ -11,6 +11,7 @@ import pyigtl
 import pytest
 from openigtlink_cases import (
     IDENTITY,
+    asynchronous,
     connected,
     pack,
     read_polydata,
@@ -22,7 +23,7 @@ from openigtlink_cases import (
 )
 from pydantic import ValidationError
 from test_cli import run
-from test_viewer_server import Page, visit
+from test_viewer_server import Page
 
 from needlefit.errors import ConfigError
 from needlefit.geometry.frames import Frame, Placement, to_lps
@@ -307,7 +308,7 @@ def test_poses_come_as_transform_position_or_point() -> None:
     assert read_pose({"message_type": "POSITION"}, bytes(28)) is None
 
 
-@visit
+@asynchronous
 async def test_a_client_of_the_library_moves_the_needle_and_receives_it(tmp_path) -> None:
     async with served(tmp_path, tip_sd_mm=0.05) as server:
         assert server.server.address[0] == "127.0.0.1"
@@ -335,7 +336,7 @@ async def test_a_client_of_the_library_moves_the_needle_and_receives_it(tmp_path
             await until(lambda: server.depth > 25.5)
 
 
-@visit
+@asynchronous
 async def test_the_page_shows_the_tracked_needle(tmp_path) -> None:
     async with served(tmp_path) as server:
         base = f"http://127.0.0.1:{server.access.port}"
@@ -361,7 +362,7 @@ async def test_the_page_shows_the_tracked_needle(tmp_path) -> None:
         writer.close()
 
 
-@visit
+@asynchronous
 async def test_garbage_and_wrong_messages_move_nothing(tmp_path) -> None:
     rng = np.random.default_rng(4)
     pose = pack("Base", transform((-130.0, 0.0)))
@@ -401,7 +402,7 @@ async def test_garbage_and_wrong_messages_move_nothing(tmp_path) -> None:
         writer.close()
 
 
-@visit
+@asynchronous
 async def test_it_ends_beside_a_peer_without_a_fault(tmp_path) -> None:
     faults = []
     asyncio.get_running_loop().set_exception_handler(lambda _, context: faults.append(context))
@@ -417,7 +418,7 @@ async def test_it_ends_beside_a_peer_without_a_fault(tmp_path) -> None:
 
 
 @pytest.mark.sweep
-@visit
+@asynchronous
 async def test_half_a_header_is_cut_off_and_a_peer_that_sends_nothing_is_not(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(openigtlink, "STALLED_S", 0.1)
     async with served(tmp_path) as server:
@@ -432,7 +433,7 @@ async def test_half_a_header_is_cut_off_and_a_peer_that_sends_nothing_is_not(tmp
         half.close()
 
 
-@visit
+@asynchronous
 async def test_many_messages_and_peers_are_limited(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(openigtlink, "STALLED_S", 0.1)
     monkeypatch.setattr(openigtlink, "MAX_WAITING_BYTES", 1024)
@@ -461,7 +462,7 @@ async def test_many_messages_and_peers_are_limited(tmp_path, monkeypatch) -> Non
         writer.close()
 
 
-@visit
+@asynchronous
 async def test_poses_of_a_server_are_taken_and_nothing_is_sent_to_it(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(openigtlink, "RECONNECT_INTERVAL_S", 0.02)
     received, links = [], []

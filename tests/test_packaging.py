@@ -31,17 +31,8 @@ def call(*command: str, **kwargs: object) -> str:
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("dist")
-    call(
-        sys.executable,
-        "-m",
-        "build",
-        "--no-isolation",
-        "--wheel",
-        "--sdist",
-        "--outdir",
-        str(folder),
-        str(ROOT),
-    )
+    words = ("build", "--no-isolation", "--wheel", "--sdist", "--outdir", str(folder), str(ROOT))
+    call(sys.executable, "-m", *words)
     return folder
 
 
@@ -52,11 +43,6 @@ def installed(built: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str
     (wheel,) = built.glob("*.whl")
     call(sys.executable, "-m", "pip", "install", "--no-deps", "--quiet", "--target", str(target), str(wheel))
     return {**os.environ, "PYTHONPATH": str(target)}
-
-
-def test_the_wheel_is_small(built):
-    (wheel,) = built.glob("*.whl")
-    assert wheel.stat().st_size <= TEN_MB
 
 
 def test_the_wheel_holds_every_file_of_the_page(installed):
@@ -72,20 +58,27 @@ def test_the_wheel_holds_every_file_of_the_page(installed):
     assert [p.name for p in page.rglob("*") if p.is_file() and "https://" in p.read_text()] == []
 
 
-def test_the_wheel_is_used_not_the_repository(installed, tmp_path):
+def test_the_wheel_is_used_from_an_empty_folder(built, installed, tmp_path):
+    (wheel,) = built.glob("*.whl")
+    assert wheel.stat().st_size <= TEN_MB
     code = "import needlefit, needlefit.project.locate as p"
     code += "\nprint(needlefit.__file__)\nprint(p.shipped_folder())"
     package, project = call(sys.executable, "-c", code, env=installed, cwd=tmp_path).split()
     assert Path(package).is_relative_to(installed["PYTHONPATH"])
     assert Path(project) == Path(installed["PYTHONPATH"]) / "needlefit" / "_shipped"
 
+    def run(*words: str) -> str:
+        return call(sys.executable, "-m", "needlefit", *words, env=installed, cwd=tmp_path)
 
-def test_it_simulates_from_an_empty_folder(installed, tmp_path):
-    out = call(
-        sys.executable, "-m", "needlefit", "simulate", "phantom1", "--json", env=installed, cwd=tmp_path
-    )
-    assert json.loads(out)["converged"] is True
+    assert json.loads(run("simulate", "phantom1", "--json"))["converged"] is True
+    keys = {*read_sections(), "study.toml", "scans.csv", "stretch", "te_mm"}
+    assert {one["key"] for one in json.loads(run("explain", "--json"))} >= keys
     assert list(tmp_path.iterdir()) == []
+    run("init", "mine")
+    mine = tmp_path / "mine"
+    assert {path.name for path in mine.iterdir()} == {"data", "configs", "studies"}
+    wanted = {p.relative_to(ROOT) for p in (ROOT / "configs").rglob("*.toml")}
+    assert {p.relative_to(mine) for p in (mine / "configs").rglob("*.toml")} == wanted
 
 
 def test_it_finds_everything_that_ships(installed, tmp_path):
@@ -100,25 +93,6 @@ def test_it_finds_everything_that_ships(installed, tmp_path):
 
     here = [f"{kind}/{name}" for kind in locate._PATTERNS for name in locate.list_names(kind)]
     assert set(call(sys.executable, "-c", code, env=installed, cwd=tmp_path).split()) == set(here)
-
-
-def test_the_wheel_explains_warnings_files_terms_and_columns(installed, tmp_path):
-    out = call(sys.executable, "-m", "needlefit", "explain", "--json", env=installed, cwd=tmp_path)
-    assert {one["key"] for one in json.loads(out)} >= {
-        *read_sections(),
-        "study.toml",
-        "scans.csv",
-        "stretch",
-        "te_mm",
-    }
-
-
-def test_init_from_the_wheel_gives_a_project(installed, tmp_path):
-    call(sys.executable, "-m", "needlefit", "init", "mine", env=installed, cwd=tmp_path)
-    mine = tmp_path / "mine"
-    assert {path.name for path in mine.iterdir()} == {"data", "configs", "studies"}
-    wanted = {p.relative_to(ROOT) for p in (ROOT / "configs").rglob("*.toml")}
-    assert {p.relative_to(mine) for p in (mine / "configs").rglob("*.toml")} == wanted
 
 
 def test_the_source_archive_holds_the_project_and_no_results(built):

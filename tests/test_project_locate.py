@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from needlefit.cli.start import copy_project
 from needlefit.errors import ConfigError
 from needlefit.project import locate
-from needlefit.project.init import copy_project
 
 STUDY = "schema = 1\nvalidate = [{}]\n"
 

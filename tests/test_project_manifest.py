@@ -26,7 +26,6 @@ from needlefit.project.folders import (
     require_replaceable,
     require_unchanged,
 )
-from needlefit.project.locate import shipped_folder
 
 
 def write(folder, text="one"):
@@ -227,14 +226,6 @@ def test_files_of_a_run_of_another_program_are_foreign(tmp_path, run):
     for name, text in (("run.json", run), ("report.pdf", "mine"), ("errors.csv", "mine")):
         (tmp_path / name).write_text(text)
     assert find_foreign(tmp_path) == ["errors.csv", "report.pdf", "run.json"]
-
-
-def test_the_evidence_in_the_repository_and_the_shipped_data_may_be_replaced():
-    known = [*(shipped_folder() / "reports" / "reference").glob("*/"), shipped_folder() / "data/twin"]
-    known.append(shipped_folder() / "data/sample_scan")
-    assert {str(folder): find_foreign(folder) for folder in known if folder.is_dir()} == {
-        str(folder): [] for folder in known if folder.is_dir()
-    }
 
 
 def test_files_without_a_place_are_foreign(tmp_path):

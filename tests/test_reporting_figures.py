@@ -1,10 +1,8 @@
 """What figures count and measure, apart from how they look."""
 
-import ast
 import math
 import re
 from collections.abc import Callable, Iterator
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +23,6 @@ from needlefit.studies.kinds.cross_validation.figures import (
     subtract_fit,
     tabulate_predictive_check,
 )
-from needlefit.studies.run import Run
 
 
 def test_residuals_are_heights_above_the_fit_at_the_same_depth():
@@ -176,47 +173,6 @@ def test_levels_are_counted_toward_the_bevel_and_by_needles():
     turned = tabulate_predictive_check([made.with_frames(errors=made.frames["errors"].assign(**mirrored))])
     other = turned[(turned["mark"] == "ECDF") & (turned["quantity"] == "tip")]["probability"]
     assert other.tolist() == pytest.approx([0, 0.03, 0.3, 0.3, 0.6, 0.6, 0.9, 0.9, 1])
-
-
-def test_no_figure_is_drawn_but_from_a_table():
-    """`style.draw` lays no table beside: it is for pictures of scans and scenes."""
-    using = {name for name, tree in sources() if "draw" in imported(tree, style.__name__)}
-    assert using == {
-        "reporting/dataset_import.py",
-        "reporting/figures/needles.py",
-        "studies/kinds/reconstruction/pages.py",
-    }
-
-
-def test_what_knows_a_run_names_form_and_frame():
-    """A form draws its frame alone, which is saved beside the figure."""
-    plotting = [
-        name
-        for name, tree in sources()
-        if "Run" in imported(tree, Run.__module__) and any(map(is_plot, ast.walk(tree)))
-    ]
-    assert plotting == []
-
-
-@cache
-def sources() -> tuple[tuple[str, ast.Module], ...]:
-    """All modules that draw or report, by their path in the package."""
-    package = Path(style.__file__).parents[2]
-    return tuple(
-        (path.relative_to(package).as_posix(), ast.parse(path.read_text(encoding="utf-8")))
-        for folder in ("reporting", "studies")
-        for path in (package / folder).rglob("*.py")
-    )
-
-
-def imported(tree: ast.Module, module: str) -> set[str]:
-    """The names that are imported from a module."""
-    found = (node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module == module)
-    return {one.name for node in found for one in node.names}
-
-
-def is_plot(node: ast.AST) -> bool:
-    return isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "plot"
 
 
 @pytest.mark.parametrize("factor", [1.01, 1.1, 2.0, 4.9, 5.1, 30.0, 1e3, 1e6])

@@ -8,8 +8,7 @@ from reporting_results import study
 
 from needlefit.reporting import document
 from needlefit.reporting.document import Document, compile_html, compile_pdf
-from needlefit.reporting.table import Table
-from needlefit.reporting.table_layout import TableColumn, TableLayout
+from needlefit.reporting.table import Table, TableColumn, TableLayout
 from needlefit.reporting.text import KindText
 from needlefit.studies.kinds.cross_validation import figures
 from needlefit.studies.report import compose_run_report
@@ -86,11 +85,6 @@ def test_the_page_and_the_pdf_have_the_same_text(page):
     assert "Synthetic data" in words
 
 
-def test_equal_reports_give_equal_bytes(page):
-    one = compose_run_report(study(5), {})
-    assert compile_html(one) == compile_html(one)
-
-
 def test_user_text_is_escaped():
     display = TableLayout(
         "t",
@@ -105,23 +99,6 @@ def test_user_text_is_escaped():
     assert b"<td" in content and b"<script></td>" not in content
     assert b"b<sup>\xe2\x88\x921.9</sup>" in content and "a & b" in outline.words
     assert "<script>" in outline.words and "<b>bold</b>" in "".join(outline.words)
-
-
-def test_prose_has_no_backticks():
-    text = "made by `needlefit twin`"
-    blocks = (document.text(text), document.bullets([text]), document.note(text), document.warning(text))
-    content = compile_html(document.Document("t", "", False, blocks)).decode()
-    assert (
-        content.count("made by needlefit twin") == 4
-        and "`" not in content.split("<main>")[1].split("</main>")[0]
-    )
-
-
-def test_a_table_without_rows_is_left_out():
-    display = TableLayout("t", "nothing", (TableColumn("a"),), ())
-    assert not Outline(compile_html(document.Document("t", "", False, (document.table(display),)))).all(
-        "table"
-    )
 
 
 TEXT = """

@@ -11,8 +11,8 @@ from needlefit.errors import ConfigError
 from needlefit.reporting.document import Document
 from needlefit.reporting.latex import format_table_macros
 from needlefit.reporting.paper_example import compile_example, format_example
-from needlefit.reporting.table_layout import TableColumn, TableLayout
-from needlefit.studies.kinds.cross_validation.facts import Facts, say
+from needlefit.reporting.table import TableColumn, TableLayout
+from needlefit.studies.kinds.cross_validation.facts import say
 from needlefit.studies.kinds.cross_validation.report import format_macros, format_methods, format_references
 from needlefit.studies.kinds.cross_validation.tables import lay_out_parameters
 from needlefit.studies.paper_folder import write_paper_folder
@@ -77,16 +77,6 @@ def test_the_methods_paragraph_names_the_operator_and_what_insertions_share(oper
     assert "0.07 mm" not in say(run_of(recipe=fixed, dataset=data), "methods")
 
 
-def test_the_methods_paragraph_of_an_advance_by_the_path_angle_has_no_offset():
-    parameters = {"mu1_pa": FREE, "alpha1": FIXED, "cut_angle_deg": FREE}
-    text = say(run_of(medium={"parameters": parameters}), "methods")
-    assert "θ" in text and "offset" not in text
-
-
-def test_methods_tex_names_synthetic_data_and_the_page_leaves_that_to_its_head():
-    assert "synthetic" in format_methods(run_of())[0] and "synthetic" not in say(run_of(), "methods")
-
-
 def test_citations_and_entries_correspond():
     one = run_of()
     cited = {
@@ -95,10 +85,6 @@ def test_citations_and_entries_correspond():
     assert "url" in format_references(format_methods(one)[1]).partition("\n")[0]
     entries = set(re.findall(r"^@\w+\{([^,]+),", format_references(format_methods(one)[1]), re.M))
     assert cited == entries and {"wang-bevel-tip", "nlopt"} <= cited and "emcee" not in cited
-
-
-def test_results_without_a_run_have_no_methods():
-    assert not Facts(dataclasses.replace(study(1), run={})).has_methods
 
 
 @pytest.mark.parametrize("results", [study(5), stereo()], ids=["study5", "stereo"])
@@ -151,10 +137,6 @@ def test_methods_name_synthetic_data():
     assert "synthetic" in format_methods(one)[0]
     measured = dataclasses.replace(one, origin="measured")
     assert "synthetic" not in format_methods(measured)[0]
-
-
-def test_edp_is_defined_by_the_deflection():
-    assert "100 TE / |deflection|" in say(run_of(), "methods")
 
 
 @pytest.fixture

@@ -23,7 +23,6 @@ from needlefit.imaging.reconstruct import Examination, examine
 from needlefit.imaging.reconstruction import MarkerResult, RejectedMarker
 from needlefit.imaging.registration.register import register
 from needlefit.imaging.scans import Scan
-from needlefit.imaging.volume import Volume
 from needlefit.project.progress import no_progress
 from needlefit.project.random_streams import random_stream
 from needlefit.reporting.figures.scan_views import outline_surface
@@ -38,9 +37,6 @@ from needlefit.studies.kinds.reconstruction.report import (
 )
 from needlefit.studies.kinds.reconstruction.run import (
     tabulate_batch,
-    tabulate_crossings,
-    tabulate_markers,
-    tabulate_reconstructions,
 )
 from needlefit.studies.report import write_files
 from needlefit.studies.slicer import write_scan
@@ -61,15 +57,6 @@ def facts(reconstruction):
 
 
 @pytest.mark.sweep
-def test_the_report_is_one_page_and_reproducible(tmp_path):
-    one = write_quality(cases.small(), tmp_path / "one.pdf")
-    two = write_quality(cases.small(), tmp_path / "quality" / "two.pdf")
-    assert one.read_bytes() == two.read_bytes()
-    assert pages(one) == 1
-    assert [path.name for path in tmp_path.iterdir() if path.is_file()] == ["one.pdf"]
-
-
-@pytest.mark.sweep
 @pytest.mark.parametrize("warnings", [(), LONG, ("[brackets] *stars* #hash $dollar$ <angle>",)])
 def test_the_report_stays_one_page(tmp_path, warnings):
     bare = dataclasses.replace(cases.small(markers=False, layers=False), warnings=warnings)
@@ -85,18 +72,6 @@ def test_the_facts_are_those_of_the_rendered_needle():
     assert words["layers"].startswith("1 → 2 at ")
     assert float(words["layers"].split()[4]) == pytest.approx(14.0, abs=0.05)
     assert words["voxels"] == "0.46 mm, cubes"
-
-
-def test_without_markers_and_layers_the_page_states_it():
-    words = facts(cases.small(markers=False, layers=False))
-    assert words["world"].startswith("the patient frame")
-    assert words["layers"] == "no boundary crossed"
-    assert "markers" not in words
-
-
-def test_slices_thicker_than_pixels_are_named_with_all_their_edges():
-    flat = dataclasses.replace(cases.small(), spacing=np.array([0.4, 0.4, 1.25]))
-    assert facts(flat)["voxels"] == "0.4 × 0.4 × 1.25 mm"
 
 
 def test_pictures_share_the_space_and_centre_the_needle():
@@ -203,12 +178,6 @@ def test_tables_hold_every_scan_pair_and_crossing(tmp_path):
     assert (scans["origin"] == "synthetic").all()
 
 
-def test_an_empty_batch_has_its_columns():
-    assert "depth_mm" in tabulate_reconstructions([])
-    assert "left_out_mm" in tabulate_markers([])
-    assert "depth_sd_mm" in tabulate_crossings([])
-
-
 def test_the_summary_lists_the_results():
     full = lay_out_reconstructions(tabulate(cases.small()))
     row = dict(zip((column.label for column in full.columns), full.rows[0], strict=True))
@@ -302,13 +271,6 @@ def test_the_page_is_one_and_the_tables_hold_the_candidates(found, tmp_path, rea
     candidates = pd.read_csv(tmp_path / "first" / "candidates.csv")
     kinds = candidates["kind"].value_counts().to_dict()
     assert kinds == ({"tube": 2, "entry": 2} if readable else {})
-
-
-def test_one_voxel_thick_projections_need_no_needle():
-    """A volume without anything in it still has its page."""
-    empty = Volume(np.full((5, 6, 7), -1000, np.float32), np.zeros(3), np.ones(3), np.eye(3))
-    nothing = findings(empty)
-    assert (nothing.tubes, len(nothing.balls), nothing.entries) == ((), 0, ())
 
 
 @pytest.mark.sweep

@@ -8,10 +8,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from made_again import store
-from reporting_results import sampled, stereo, study, with_draws, with_predictions
+from reporting_results import sampled, stereo, study
 
-from needlefit.errors import DataError
 from needlefit.reporting.columns import (
     FORMATS,
     LENGTH_ERROR_FORMAT,
@@ -20,9 +18,9 @@ from needlefit.reporting.columns import (
     find_column,
     list_columns,
 )
-from needlefit.reporting.interval_text import choose_interval_unit, typeset_interval
 from needlefit.reporting.latex import escape_latex, format_cell, format_latex
 from needlefit.reporting.number_format import (
+    choose_interval_unit,
     format_mm,
     format_number,
     format_percent,
@@ -30,10 +28,10 @@ from needlefit.reporting.number_format import (
     format_symbol,
     insert_symbols,
     typeset,
+    typeset_interval,
 )
 from needlefit.reporting.table import Table, part, pivot
-from needlefit.reporting.table_files import to_records
-from needlefit.reporting.tidy import to_tidy
+from needlefit.reporting.table_files import to_records, to_tidy
 from needlefit.studies import paper
 from needlefit.studies.kind import KINDS
 from needlefit.studies.kinds.cross_validation.facts import list_sentences, say
@@ -60,7 +58,6 @@ from needlefit.studies.kinds.cross_validation.tables import (
 from needlefit.studies.report import compose_run_report
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import TE, list_groups, tabulate_tuning, tabulate_validation
-from needlefit.studies.store import restore_run
 from needlefit.studies.summary import aggregate, compare_methods
 
 BY = ("role", "method", "boundaries")
@@ -132,12 +129,6 @@ def test_a_deflection_under_the_floor_is_flagged_and_the_rest_is_given_without_i
     assert set(table["edp_flagged"]) == {1}
     assert by_metric(table, "unflagged")["edp_percent"] == 50.0
     assert by_metric(table)["edp_percent"] == pytest.approx((50 + 6000) / 2)
-
-
-def test_results_without_a_column_are_refused(tmp_path):
-    store(study(1).with_frames(errors=study(1).frames["errors"].drop(columns="deflection_mm")), tmp_path)
-    with pytest.raises(DataError):
-        restore_run(tmp_path)
 
 
 def test_baselines_are_compared_on_the_same_insertions():
@@ -262,14 +253,6 @@ def test_a_needle_that_ends_at_a_boundary_is_counted_both_ways():
     table = lay_out_validation([both])
     assert "4‡" in {row[2] for row in table.rows}
     assert any("other way" in note for note in table.notes)
-
-
-def test_parameter_rows_have_a_comparability_note_and_no_floor():
-    rows = to_records(tabulate_parameters(study(1)))
-    assert all("simulated" in row["comparable"] and "by hand" in row["comparable"] for row in rows)
-    assert all("no such value" in row["comparable"] for row in to_records(tabulate_parameters(stereo())))
-    notes = lay_out_parameters([study(1)]).notes
-    assert any("no noise floor" in note for note in notes)
 
 
 def test_rows_carry_notes_on_comparability():
@@ -506,27 +489,6 @@ def test_an_unconverged_posterior_is_flagged_in_every_output():
     assert warning in [block.get("text") for block in compose_run_report(loose, {}).blocks]
     fine = sampled(0.05, 0.15)
     assert say(fine, "unconverged") == "" and "NOT CONVERGED" not in lay_out_posterior(fine).caption
-
-
-@pytest.mark.sweep
-def test_captions_announce_bands_where_there_are_some(tmp_path):
-    drawn = {"overlays": tmp_path / "overlays.pdf"}
-    drawn["overlays"].write_bytes(b"/MediaBox [0 0 400 100]")
-    certified = with_draws(with_predictions(study(4)))
-    none = certified.frames["bands"].iloc[:0]
-    lost = certified.with_frames(bands=none, draws=certified.frames["draws"].assign(certified=False))
-    captions = []
-    for one in (certified, lost, certified.with_frames(bands=none)):
-        blocks = compose_run_report(one, drawn).blocks
-        (caption,) = (block["caption"] for block in blocks if block["kind"] == "figure")
-        captions.append([text in caption for text in ("Bands: 50 %", "not drawn")])
-    assert captions == [[True, False], [False, True], [False, False]]
-
-
-def test_without_a_posterior_the_report_mentions_none():
-    assert tabulate_percentiles(study(5)).empty
-    assert say(study(5), "outside_fits") == ""
-    assert "posterior" not in [block.get("name") for block in compose_run_report(study(5), {}).blocks]
 
 
 REFERENCE = Path(__file__).parent.parent / "reports/reference"

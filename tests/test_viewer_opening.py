@@ -46,24 +46,34 @@ FIT = GEL.replace('{ tie = "50 * mu1_pa" }', "{ fixed = 2e7 }").replace(
 RECIPE = "schema = 1\nstarts = 2\nevaluations = 100\ntolerance = 1e-6\n"
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A project with a dataset, a medium of its name, and a run of a study."""
-    folder = tmp_path_factory.mktemp("project")
-    needles.build(folder / "data" / "needles")
-    for name, text in (("media/gel", GEL), ("media/fit", FIT), ("recipes/short", RECIPE)):
+def run_study(folder: Path, recipe: str):
+    """Run and store a study of the needles of a project, fitted to one piece; return what it found."""
+    for name, text in (("media/gel", GEL), ("media/fit", FIT), ("recipes/short", recipe)):
         path = folder / "configs" / f"{name}.toml"
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
     asked = {"dataset": "needles", "medium": "fit", "recipe": "short", "tune": {"specimens": ["piece1"]}}
     study = StudyRecord.model_validate({"schema": 1, "validate": [{"specimens": ["piece2"]}], **asked})
-    out = folder / "reports" / "small"
-    out.mkdir(parents=True)
+    results = run("small", study, Settings())
+    put(results, folder / "reports" / "small")
+    return results
+
+
+def put(results, folder: Path) -> str:
+    folder.mkdir(parents=True, exist_ok=True)
+    store(results, folder)
+    (folder / "run.json").write_text(json.dumps(results.run))
+    return str(folder)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project with a dataset, a medium of its name, and a run of a study."""
+    folder = tmp_path_factory.mktemp("project")
+    needles.build(folder / "data" / "needles")
     with contextlib.chdir(folder), pytest.MonkeyPatch.context() as patch:
         predict_by_few_draws(patch)
-        results = run("small", study, Settings())
-    store(results, out)
-    (out / "run.json").write_text(json.dumps(results.run))
+        run_study(folder, RECIPE)
     return folder
 
 
@@ -100,10 +110,8 @@ AGAIN = insertion(38.0, [12.0, 21.5], (1, 2, 1))
 def test_an_insertion_as_a_scene_is_the_predicted_needle(one, record):
     scene = make_scene_record(VALUES, record, dataset([one]), one)
     again = SceneRecord.model_validate_json(scene.model_dump_json(by_alias=True))
-    scene, (needle, tissue, steps, sharp) = (
-        Scene.from_record(again),
-        make_simulation_inputs(VALUES, record, dataset([one]).needle, one),
-    )
+    scene = Scene.from_record(again)
+    needle, tissue, steps, sharp = make_simulation_inputs(VALUES, record, dataset([one]).needle, one)
     assert scene.steps == steps and dataclasses.replace(scene.rules, tolerance=sharp.tolerance) == sharp
     for part in ("mu", "shape", "boundaries", "thickness", "friction"):
         assert np.array_equal(getattr(scene.tissue, part), getattr(tissue, part))
@@ -125,12 +133,8 @@ def test_a_layer_of_no_thickness_is_left_out():
 def test_a_scene_is_shown_as_it_is_simulated(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)  # nothing here: the shipped ones
     viewed_scene = open_target("study3")
-    assert (viewed_scene.measured, viewed_scene.spread, viewed_scene.scanned, viewed_scene.choices) == (
-        None,
-        None,
-        None,
-        (),
-    )
+    assert viewed_scene.measured is viewed_scene.spread is viewed_scene.scanned is None
+    assert viewed_scene.choices == ()
     assert not viewed_scene.synthetic and viewed_scene.diameter == 1.27
     scene = Scene.from_record(viewed_scene.record)
     first = scene.steps[0]
@@ -183,9 +187,7 @@ def test_a_run_shows_its_fit_starting_with_a_held_out_insertion(project):
     assert viewed_scene.choices == ("needle-3", "needle-4", "needle-1", "needle-2")
     assert viewed_scene.name == "small/needle-3"
     assert viewed_scene.note != open_target("reports/small", "needle-1").note  # held out, and fitted to
-    rows = results.frames["parameters"][results.frames["parameters"]["method"] == "fitted"].set_index(
-        "parameter"
-    )["value"]
+    rows = results.frames["parameters"].query("method == 'fitted'").set_index("parameter")["value"]
     assert viewed_scene.record.bevel.offset_mm == rows["bevel_mm"]
     assert [layer.mu_pa for layer in viewed_scene.record.layers] == [rows["mu1_pa"], rows["mu2_pa"]]
     draws = results.frames["draws"]
@@ -221,8 +223,7 @@ def test_a_plan_follows_a_study_without_spread_between_specimens(project, tmp_pa
     results = restore_run(project / "reports/small")
     plain = results.record.model_copy(update={"specimens": "training only"})
     frame = results.frames["predictive"].assign(specimen_treatment="training only")
-    store(dataclasses.replace(results, record=plain).with_frames(predictive=frame), tmp_path)
-    (tmp_path / "run.json").write_text("{}")
+    put(dataclasses.replace(results, record=plain).with_frames(predictive=frame), tmp_path)
     shown, planned, new, same = (
         open_target(str(tmp_path), specimen=one).spread for one in ("shown", "planned", "new", "same")
     )
@@ -234,8 +235,7 @@ def test_a_plan_follows_a_study_without_spread_between_specimens(project, tmp_pa
 def test_a_plan_states_specimen_draws_and_the_warnings_of_the_run(project, tmp_path, capsys):
     results = restore_run(project / "reports/small")
     warned = results.run | warnings_entry([ResultWarning("worse_than_baseline", "a line is closer")])
-    store(dataclasses.replace(results, run=warned), tmp_path)
-    (tmp_path / "run.json").write_text("{}")
+    put(dataclasses.replace(results, run=warned), tmp_path)
     depth = open_target("small").measured.depth
     found = {}
     for specimen in ("new", "same"):
@@ -263,8 +263,7 @@ def test_live_errors_at_the_measured_depth_are_those_of_the_run(project):
 
 def test_a_run_of_data_that_changed_or_of_another_kind_is_refused(project, tmp_path):
     results = restore_run(project / "reports/small")
-    store(dataclasses.replace(results, run={**results.run, "dataset": {"sha256": "0"}}), tmp_path)
-    (tmp_path / "run.json").write_text("{}")
+    put(dataclasses.replace(results, run={**results.run, "dataset": {"sha256": "0"}}), tmp_path)
     with pytest.raises(DataError, match="changed"):
         open_target(str(tmp_path))
     pack({"kind": "calibration"}, tmp_path)
@@ -274,11 +273,10 @@ def test_a_run_of_data_that_changed_or_of_another_kind_is_refused(project, tmp_p
 
 def test_a_run_without_draws_has_no_band_and_a_note(project, tmp_path):
     results = restore_run(project / "reports/small")
-    store(results.with_frames(draws=results.frames["draws"].iloc[:0]), tmp_path)
-    (tmp_path / "run.json").write_text("{}")
+    put(results.with_frames(draws=results.frames["draws"].iloc[:0]), tmp_path)
     viewed_scene = open_target(str(tmp_path))
     assert viewed_scene.spread is None and "No band" in viewed_scene.note
-    store(results.with_frames(draws=results.frames["draws"].assign(certified=False)), tmp_path)
+    put(results.with_frames(draws=results.frames["draws"].assign(certified=False)), tmp_path)
     viewed_scene = open_target(str(tmp_path))
     assert viewed_scene.spread is None and "certified" in viewed_scene.note
 
@@ -288,8 +286,7 @@ def test_a_plan_with_a_run_that_is_not_certified_is_marked(project, tmp_path, ca
     results = restore_run(project / "reports/small")
     frames = {"draws": results.frames["draws"].assign(certified=False)}
     fault = "the posterior has not converged: draws by importance are not certified: Pareto k is 1.40"
-    store(dataclasses.replace(results, faults=(fault,)).with_frames(**frames), tmp_path)
-    (tmp_path / "run.json").write_text("{}")
+    put(dataclasses.replace(results, faults=(fault,)).with_frames(**frames), tmp_path)
     words = ("plan", str(tmp_path), "--target", "30,1", "--turns", "0", "-q")
     assert run_command(*words) == 5
     printed = capsys.readouterr()

@@ -7,9 +7,8 @@ import needles
 import numpy as np
 import pandas as pd
 import pytest
-from made_again import store
 from test_cli import run as command
-from test_viewer_opening import FIT
+from test_viewer_opening import run_study
 
 from needlefit.datasets.read import read as read_dataset
 from needlefit.errors import ConfigError
@@ -17,13 +16,10 @@ from needlefit.geometry.frames import Placement
 from needlefit.inference.compared_points import select_points
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
-from needlefit.schemas.study import StudyRecord
-from needlefit.studies.job import Settings
-from needlefit.studies.kinds.cross_validation.run import run
 from needlefit.studies.needles_in_scan import NEEDLE_POINTS, read_needles
 from needlefit.viewer.export import replay_to_end
 from needlefit.viewer.opening import open_target
-from needlefit.viewer.recording import RecordedStep, RecordingWriter, make_head, read_recording
+from needlefit.viewer.recording import RecordedStep, RecordingWriter, read_recording
 from needlefit.viewer.steering import Change, SteeredNeedle
 
 QUICK = "schema = 1\nstarts = 1\nevaluations = 10\ntolerance = 1e-3\n"
@@ -41,29 +37,18 @@ def fitted(folder: Path, pose: str):
         text = text.replace("drop_proximal_mm = 0.0", "drop_proximal_mm = 2.0")
         text = text[: text.index("[media")] + f"[media.gel]\nboundaries_mm = [{needles.INTERFACE}]\n"
     file.write_text(text)
-    for name, text in (("media/fit", FIT), ("recipes/short", QUICK)):
-        path = folder / "configs" / f"{name}.toml"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
-    asked = {"dataset": "needles", "medium": "fit", "recipe": "short", "tune": {"specimens": ["piece1"]}}
-    study = StudyRecord.model_validate({"schema": 1, "validate": [{"specimens": ["piece2"]}], **asked})
-    results = run("small", study, Settings())
-    out = folder / "reports" / "small"
-    out.mkdir(parents=True)
-    store(results, out)
-    (out / "run.json").write_text(json.dumps(results.run))
-    return results
+    return run_study(folder, QUICK)
 
 
 def steered(path: Path) -> None:
     """Record how the needle of the run is inserted to its measured depth."""
     viewed_scene = open_target("reports/small", ID)
-    scene = viewed_scene.record
     steering = SteeredNeedle(Scene.from_record(viewed_scene.record), viewed_scene.first_cell)
     change = Change("depth_mm", None, DEPTH)
     steering.apply([change])
-    head = make_head(viewed_scene.name, viewed_scene.first_cell, scene, viewed_scene.placement)
-    RecordingWriter(path, head).write(RecordedStep(1, 0.5, (change,), steering.now.shape.tip_lateral))
+    RecordingWriter(path, viewed_scene.make_head()).write(
+        RecordedStep(1, 0.5, (change,), steering.now.shape.tip_lateral)
+    )
 
 
 @pytest.mark.usefixtures("few_draws")
@@ -105,8 +90,7 @@ def test_the_files_of_a_recording_are_in_the_scan_and_in_the_world_of_the_data(
 
 def test_a_placement_is_written_with_all_its_bits(tmp_path) -> None:
     viewed_scene = open_target("twin/phantom2-05")
-    scene = viewed_scene.record
-    head = make_head(viewed_scene.name, viewed_scene.first_cell, scene, viewed_scene.placement)
+    head = viewed_scene.make_head()
     RecordingWriter(tmp_path / "log.csv", head).begin()
     assert read_recording(tmp_path / "log.csv").head == head
     frame = Placement.from_record(head.placement).frame
@@ -116,8 +100,7 @@ def test_a_placement_is_written_with_all_its_bits(tmp_path) -> None:
 
 def test_a_placement_that_is_no_rigid_motion_is_refused(tmp_path) -> None:
     viewed_scene = open_target("twin/phantom2-05")
-    scene = viewed_scene.record
-    RecordingWriter(tmp_path / "log.csv", make_head("a", 1.0, scene, viewed_scene.placement)).begin()
+    RecordingWriter(tmp_path / "log.csv", viewed_scene.make_head()).begin()
     text = (tmp_path / "log.csv").read_text().replace("lps_to_world = [[-0.", "lps_to_world = [[-1.")
     (tmp_path / "log.csv").write_text(text)
     with pytest.raises(ConfigError, match=r"placement.lps_to_world.*rotation"):

@@ -22,8 +22,13 @@ def steer(record: SceneRecord = PLAIN, first_cell: float = 1.0) -> SteeredNeedle
     return SteeredNeedle(Scene.from_record(record), first_cell)
 
 
+def read(step) -> tuple[Change, ...]:
+    """Return changes from rows of name, item (where there is one) and value."""
+    return tuple(Change(name, *(rest if len(rest) == 2 else (None, *rest))) for name, *rest in step)
+
+
 def act(steering: SteeredNeedle, *changes) -> None:
-    steering.apply([Change(name, *(rest if len(rest) == 2 else (None, *rest))) for name, *rest in changes])
+    steering.apply(read(changes))
 
 
 WANDERING = [
@@ -49,24 +54,22 @@ def nodes_y(shape) -> np.ndarray:
     return compute_positions(shape, shape.x)[:, 1]
 
 
-def recorded(path, changes=WANDERING) -> list[np.ndarray]:
-    """Write a recording of changes; return the y of the nodes after each step."""
-    steering = steer()
-    recorder = RecordingWriter(path, make_head("study2", 1.0, PLAIN))
-    found = [nodes_y(steering.now.shape)]
+def recorded(path, changes=WANDERING, record: SceneRecord = PLAIN, keep: int = 2) -> SteeredNeedle:
+    """Write a recording of changes; return the needle, with the y of its nodes after each step as `found`."""
+    steering, recorder = steer(record), RecordingWriter(path, make_head("study2", 1.0, record))
+    steering.found = [nodes_y(steering.now.shape)]
     for n, step in enumerate(changes, start=1):
         act(steering, *step)
-        if n == 2:
+        if n == keep:
             steering.keep()
-        given = tuple(Change(name, *(rest if len(rest) == 2 else (None, *rest))) for name, *rest in step)
-        recorder.write(RecordedStep(n, 0.25 * n, given, steering.now.shape.tip_lateral))
-        found.append(nodes_y(steering.now.shape))
-    return found
+        recorder.write(RecordedStep(n, 0.25 * n, read(step), steering.now.shape.tip_lateral))
+        steering.found.append(nodes_y(steering.now.shape))
+    return steering
 
 
 def test_a_replay_finds_the_same_bits_after_every_step(tmp_path) -> None:
     path = tmp_path / "log.csv"
-    found = recorded(path)
+    found = recorded(path).found
     again = list(replay(read_recording(path)))
     assert len(again) == len(found) == len(WANDERING) + 1
     for replayed, expected in zip(again, found, strict=True):
@@ -81,20 +84,14 @@ def test_all_shape_parameters_of_a_law_are_steered_recorded_and_replayed(tmp_pat
         for n, one in enumerate(PLAIN.layers)
     )
     record = PLAIN.model_copy(update={"law": "two_term_ogden", "layers": layers})
-    steering, path = steer(record), tmp_path / "log.csv"
-    head = make_head("study2", 1.0, record)
-    recorder, tips = RecordingWriter(path, head), []
+    path = tmp_path / "log.csv"
     steps = (
         [("depth_mm", 20.0), ("base_y_mm", 0.5)],
         [("share", 1, 0.9)],
         [("beta", 2, -4.0), ("alpha", 1, 3.0)],
     )
-    for n, step in enumerate(steps, start=1):
-        act(steering, *step)
-        given = tuple(Change(name, *(rest if len(rest) == 2 else (None, *rest))) for name, *rest in step)
-        recorder.write(RecordedStep(n, 0.25 * n, given, steering.now.shape.tip_lateral))
-        tips.append(steering.now.shape.tip_lateral)
-    assert len(set(tips)) == 3
+    steering = recorded(path, steps, record)
+    assert len({one[-1] for one in steering.found[1:]}) == 3
     assert steering.now.tissue.shape[:, :2].T.tolist() == [[3.0, -1.0, 0.9], [2.0, -4.0, 0.4]]
     again = list(replay(read_recording(path)))
     assert max(replayed.tip_offset_mm for replayed in again) == 0.0

@@ -51,10 +51,7 @@ class Execution:
 
         `replaces_posterior` says that these runs sample a posterior whatever the options say.
 
-        Raises
-        ------
-        ConfigError
-            If they cannot, or would replace something that needlefit did not write.
+        ConfigError if they cannot, or would replace something that needlefit did not write.
         """
         from needlefit.project.checkpoint import require_own_checkpoint
         from needlefit.project.folders import require_replaceable
@@ -209,10 +206,7 @@ def require_no_faults(faults: Iterable[str]) -> None:
 def plan_studies(study: str) -> list[StudyTask]:
     """Return what a name means; of `everything`, studies without their data are left out, with a note.
 
-    Raises
-    ------
-    ConfigError
-        If there is no such study, or its file does not hold what its kind wants.
+    ConfigError if there is no such study, or its file does not hold what its kind wants.
     """
     from needlefit.project.locate import EVERY_STUDY, find_studies, find_tunings
     from needlefit.project.toml import load

@@ -15,7 +15,7 @@ from needlefit.cli.options import argument, complete_runs, flag, option, takes
 if TYPE_CHECKING:
     import pandas as pd
 
-    from needlefit.reporting.table_layout import TableColumn
+    from needlefit.reporting.table import TableColumn
 
 
 @takes(
@@ -215,7 +215,7 @@ def _describe(topic: Topic) -> Topic:
 @takes("json verbose")
 def paper(context: typer.Context) -> None:
     """Print the paper's tables and the list of its contradictions."""
-    from needlefit.reporting.table_layout import TableLayout
+    from needlefit.reporting.table import TableLayout
     from needlefit.studies import paper as published
 
     contradictions = published.find_contradictions()
@@ -249,7 +249,7 @@ def _find_head(key: str, cells: "pd.Series[str]") -> "TableColumn":
     import pandas as pd
 
     from needlefit.reporting.columns import find_column
-    from needlefit.reporting.table_layout import TableColumn
+    from needlefit.reporting.table import TableColumn
 
     role = next((prefix for prefix in _ROLES if key.startswith(prefix)), "")
     column = find_column(key.removeprefix(role))

@@ -17,7 +17,7 @@ from needlefit.project.json_values import to_json_values
 from needlefit.project.result_warnings import ResultWarning
 
 if TYPE_CHECKING:
-    from needlefit.reporting.table_layout import TableLayout
+    from needlefit.reporting.table import TableLayout
 
 
 def print_line(text: str = "") -> None:

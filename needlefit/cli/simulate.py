@@ -30,28 +30,16 @@ ANIMATION_SPEED_MM_S = 10.0
 
 @dataclass(frozen=True)
 class SimulationOutcome:
-    """A needle at the end of its way.
-
-    Attributes
-    ----------
-    scene : Scene
-        Its steps are those that `shapes` belong to.
-    shapes : tuple of NeedleShape
-        After each step, up to the one that failed.
-    files : mapping of str to callable
-        By option, what writes such a file; False where there is no needle to write.
-    more : dict
-        What else `--json` says.
-    placement : Placement or None
-        Where a measured needle lies; None of a scene, which says so itself.
-    """
+    """A needle at the end of its way."""
 
     title: str
-    scene: "Scene"
-    shapes: "tuple[NeedleShape, ...]"
+    scene: "Scene"  # its steps are those that `shapes` belong to
+    shapes: "tuple[NeedleShape, ...]"  # after each step, up to the one that failed
+    # By option, what writes such a file; False where there is no needle to write
     files: Mapping[str, Callable[[Path], bool | None]]
-    more: dict[str, Any]
+    more: dict[str, Any]  # what else `--json` says
     warnings: tuple[ResultWarning, ...]
+    # Where a measured needle lies; None of a scene, which says so itself
     placement: "Placement | None" = None
 
 

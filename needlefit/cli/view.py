@@ -247,17 +247,9 @@ def names_scan(target: str | None) -> bool:
 def open_session(target: str, named: Mapping[str, Any], recipe: str | None, folder: Path) -> "ScanSession":
     """Return the session of a scan; corrections are saved to a folder of its name in `folder`.
 
-    Parameters
-    ----------
-    named : mapping
-        Files of a volume, by their keywords of `make_scans`.
-    recipe : str or None
-        None: `recipe.toml` in a folder with a table of scans, else the default.
-
-    Raises
-    ------
-    ConfigError, DataError
-        If there is no such scan, or its files have a fault.
+    `named` are files of a volume, by their keywords of `make_scans`; without a recipe that is `recipe.toml`
+    in a folder with a table of scans, else the default. ConfigError, DataError if there is no such scan, or
+    its files have a fault.
     """
     from needlefit.project.toml import load
     from needlefit.schemas.reconstruction import ReconstructionRecord

@@ -194,6 +194,10 @@ def open_checkpoint(
     This process has its lock, where the system has locks, until `remove_checkpoint` or `release_checkpoint`.
     A checkpoint whose manifest is damaged is set aside.
 
+    ConfigError if the checkpoint is of other work, another process uses it, it cannot be written, or the
+    folder holds anything that needlefit did not write. UnfinishedWorkError if an interrupted run left part of
+    this work there, and `resume` does not say to go on with it.
+
     Parameters
     ----------
     folder : Path or None
@@ -203,14 +207,6 @@ def open_checkpoint(
         All that decides the result, as JSON values: a checkpoint of other work is refused.
     note : callable
         Given a line about each part that was damaged.
-
-    Raises
-    ------
-    ConfigError
-        If the checkpoint is of other work, another process uses it, it cannot be written, or the folder holds
-        anything that needlefit did not write.
-    UnfinishedWorkError
-        If an interrupted run left part of this work there, and `resume` does not say to go on with it.
     """
     if folder is None:
         return NO_CHECKPOINT
@@ -353,10 +349,7 @@ def _work_of(folder: Path) -> str | None:
 def _lock(folder: Path) -> bool:
     """Make the folder, and take its lock; False where this process has it, or the disk has no locks.
 
-    Raises
-    ------
-    ConfigError
-        If another process has it, or nothing can be written there.
+    ConfigError if another process has it, or nothing can be written there.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -66,10 +66,7 @@ class ClusterPool:
     ) -> Iterator[tuple[int, Result]]:
         """Yield results as they are finished: see `TaskPool.run`. A stop drops the tasks that run.
 
-        Raises
-        ------
-        ConfigError
-            If the scheduler is lost, a worker has other versions, or a task ended several workers.
+        ConfigError if the scheduler is lost, a worker has other versions, or a task ended several workers.
         """
         # versions travel outside of the work: a worker with other code could not read that
         shared = self._submit("work", _keep, pickle.dumps((describe_code(), pickle.dumps(work))))
@@ -157,17 +154,14 @@ def _lost_scheduler() -> ConfigError:
 def connect(scheduler: str, insecure: bool = False, note: Note = no_note) -> Iterator[ClusterPool]:
     """Connect to a scheduler, and disconnect in the end.
 
+    ConfigError if the address is wrong or not secured, nobody answers, or Dask is not installed.
+
     Parameters
     ----------
     scheduler : str
         `tls://HOST:PORT`, or `tcp://HOST:PORT` on this machine.
     insecure : bool
         Whether an unencrypted scheduler on another machine is accepted.
-
-    Raises
-    ------
-    ConfigError
-        If the address is wrong or not secured, nobody answers, or Dask is not installed.
     """
     if find_spec("distributed") is None:
         raise ConfigError(

@@ -44,19 +44,32 @@ def encode(value: object, hooks: Hooks, arrays: Arrays, place: str = "") -> obje
 def decode(kind: Any, value: Any, hooks: Hooks, arrays: Mapping[str, NDArray[Any]]) -> Any:  # noqa: ANN401
     """Return the value of a declared type that `encode` took apart.
 
-    Raises
-    ------
-    ValueError
-        If the value is not of that type.
+    ValueError if the value is not of that type.
     """
     if kind in hooks:
         hook = hooks[kind]
         return hook.from_plain(decode(hook.kind, value, hooks, arrays))
-    origin = get_origin(kind)
-    if origin in _OF_ORIGIN:
-        return _OF_ORIGIN[origin](kind, value, hooks, arrays)
-    if is_dataclass(kind) and isinstance(kind, type):
-        return _dataclass(kind, value, hooks, arrays)
+    origin, inside = get_origin(kind), get_args(kind)
+    if origin in (Union, UnionType) and value is None:
+        return None
+    if origin in (Union, UnionType):  # what is optional: of other unions there are none
+        (only,) = (one for one in inside if one is not NoneType)
+        return decode(only, value, hooks, arrays)
+    if origin is tuple and isinstance(value, list):
+        kinds = (inside[0],) * len(value) if len(inside) == 2 and inside[1] is Ellipsis else inside
+        return tuple(decode(one, part, hooks, arrays) for one, part in zip(kinds, value, strict=True))
+    if origin is np.ndarray:
+        (wanted,) = get_args(inside[1])
+        found = arrays.get(value) if isinstance(value, str) else None
+        if found is not None and found.dtype == np.dtype(wanted):
+            return found
+    if origin is Literal and type(value) is str and value in inside:
+        return value
+    if is_dataclass(kind) and isinstance(kind, type) and isinstance(value, dict):
+        hints = get_type_hints(kind)
+        names = [one.name for one in fields(kind)]
+        if sorted(value) == sorted(names):
+            return kind(**{name: decode(hints[name], value[name], hooks, arrays) for name in names})
     if kind is Path and isinstance(value, str):
         return Path(value)
     if kind is float and type(value) in (int, float):
@@ -64,51 +77,3 @@ def decode(kind: Any, value: Any, hooks: Hooks, arrays: Mapping[str, NDArray[Any
     if kind in (str, int, bool, NoneType) and type(value) is kind:
         return value
     raise ValueError(f"no {getattr(kind, '__name__', kind)}")
-
-
-def _dataclass(kind: type, value: Any, hooks: Hooks, arrays: Mapping[str, NDArray[Any]]) -> Any:  # noqa: ANN401
-    hints = get_type_hints(kind)
-    names = [one.name for one in fields(kind)]
-    if not isinstance(value, dict) or sorted(value) != sorted(names):
-        raise ValueError(f"not the fields of {kind.__name__}")
-    return kind(**{name: decode(hints[name], value[name], hooks, arrays) for name in names})
-
-
-def _tuple(kind: Any, value: Any, hooks: Hooks, arrays: Mapping[str, NDArray[Any]]) -> Any:  # noqa: ANN401
-    kinds = get_args(kind)
-    if not isinstance(value, list):
-        raise ValueError("no list")
-    if len(kinds) == 2 and kinds[1] is Ellipsis:
-        kinds = (kinds[0],) * len(value)
-    return tuple(decode(one, part, hooks, arrays) for one, part in zip(kinds, value, strict=True))
-
-
-def _array(kind: Any, value: Any, hooks: Hooks, arrays: Mapping[str, NDArray[Any]]) -> Any:  # noqa: ANN401
-    (wanted,) = get_args(get_args(kind)[1])
-    found = arrays.get(value) if isinstance(value, str) else None
-    if found is None or found.dtype != np.dtype(wanted):
-        raise ValueError(f"no array of {np.dtype(wanted)}")
-    return found
-
-
-def _union(kind: Any, value: Any, hooks: Hooks, arrays: Mapping[str, NDArray[Any]]) -> Any:  # noqa: ANN401
-    """Return what is optional; of other unions there are none."""
-    if value is None:
-        return None
-    (only,) = (one for one in get_args(kind) if one is not NoneType)
-    return decode(only, value, hooks, arrays)
-
-
-def _literal(kind: Any, value: Any, hooks: Hooks, arrays: Mapping[str, NDArray[Any]]) -> Any:  # noqa: ANN401
-    if type(value) is not str or value not in get_args(kind):
-        raise ValueError(f"none of {get_args(kind)}")
-    return value
-
-
-_OF_ORIGIN: Mapping[Any, Callable[..., Any]] = {
-    tuple: _tuple,
-    np.ndarray: _array,
-    Union: _union,
-    UnionType: _union,
-    Literal: _literal,
-}

@@ -62,17 +62,14 @@ def require_writable(place: Path) -> None:
 def require_output_files(outputs: Mapping[str, Path], inputs: Iterable[Path]) -> None:
     """Raise ConfigError unless each file that an option names can be written, and is not an input.
 
+    ConfigError if a folder is missing or cannot be written to, or a file is a folder, an input (also by
+    another name: a link), or named by two options.
+
     Parameters
     ----------
     outputs : mapping of option to path
     inputs : iterable of path
         Files that the run reads, and folders of such files.
-
-    Raises
-    ------
-    ConfigError
-        If a folder is missing or cannot be written to, or a file is a folder, an input (also by another
-        name: a link), or named by two options.
     """
     sources = list(inputs)
     for option, path in outputs.items():
@@ -232,10 +229,7 @@ def find_changes(folder: Path) -> dict[str, str]:
 def require_unchanged(folder: Path, unverified: bool = False) -> tuple[str, ...]:
     """Raise DataError where a result does not agree with its manifest; if `unverified`, return what does not.
 
-    Raises
-    ------
-    DataError
-        That names the files.
+    DataError names the files.
     """
     changes = [f"{name} {how}" for name, how in find_changes(folder).items()]
     if changes and not unverified:
@@ -255,10 +249,7 @@ def find_foreign(folder: Path) -> list[str]:
 
     Links are not followed.
 
-    Raises
-    ------
-    ConfigError
-        If the folder cannot be looked into.
+    ConfigError if the folder cannot be looked into.
     """
     names = [name for name in list_all_files(folder) if Path(name).name not in FILE_MANAGER_FILES]
     listed = listed_files(folder)
@@ -322,10 +313,7 @@ def _join(faults: list[str]) -> str:
 def list_all_files(folder: Path) -> list[str]:
     """Return the files in a folder and those below, and links to whatever, relative to it, sorted.
 
-    Raises
-    ------
-    ConfigError
-        If a folder cannot be looked into.
+    ConfigError if a folder cannot be looked into.
     """
 
     def fail(fault: OSError) -> None:
@@ -412,10 +400,8 @@ def replace_folder(folder: Path) -> Iterator[Path]:
     what a killed process left the next one removes. It gets a manifest. A block that writes
     nothing replaces nothing.
 
-    Raises
-    ------
-    ConfigError
-        If nothing can be written there, or `folder` holds anything foreign, at the begin or at the end.
+    ConfigError if nothing can be written there, or `folder` holds anything foreign, at the begin or at the
+    end.
     """
     folder = folder.resolve()
     require_replaceable(folder)
@@ -438,10 +424,7 @@ def create_folder(folder: Path) -> Iterator[Path]:
     """Yield what `replace_folder` does, for a folder that is missing or empty; it gets no manifest:
     it is the user's.
 
-    Raises
-    ------
-    ConfigError
-        If nothing can be written there, or `folder` holds something.
+    ConfigError if nothing can be written there, or `folder` holds something.
     """
     folder = folder.resolve()
     require_new(folder)
@@ -471,10 +454,7 @@ def replace_file(file: Path) -> Iterator[Path]:
 
     It is for files that the user names, and for those within needlefit's own folders.
 
-    Raises
-    ------
-    ConfigError
-        If nothing can be written there.
+    ConfigError if nothing can be written there.
     """
     file = file.resolve()
     with _scratch_folder(file) as (_, fresh):
@@ -486,10 +466,7 @@ def replace_file(file: Path) -> Iterator[Path]:
 def _scratch_folder(place: Path) -> Iterator[tuple[Path, Path]]:
     """Yield a folder beside `place`, on the same disk, which goes when it is left, and the new place in it.
 
-    Raises
-    ------
-    ConfigError
-        If nothing can be written there.
+    ConfigError if nothing can be written there.
     """
     prefix = f".{place.name}{_SCRATCH}"
     try:

@@ -5,11 +5,12 @@ A message about a file that cannot be parsed names the line and the column, and 
 """
 
 import json
+import math
 import os
 import re
 import stat
 import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO, TextIOWrapper
 from pathlib import Path
@@ -55,17 +56,14 @@ def open_regular(
 ) -> Iterator[BinaryIO]:
     """Open a regular file of at most `max_bytes` for reading.
 
+    DataError or ConfigError if the file is missing, may not be read, is no regular file, or is larger.
+
     Parameters
     ----------
     error : type
         What is raised: `ConfigError` for a file that configures, else `DataError`.
     where : str
         How messages name the file; its path if empty.
-
-    Raises
-    ------
-    DataError or ConfigError
-        If the file is missing, may not be read, is no regular file, or is larger.
     """
     where = where or str(path)
     try:
@@ -104,10 +102,7 @@ def read_text(
 ) -> str:
     """Return the text of a UTF-8 file, without a byte order mark; lines end as in Python.
 
-    Raises
-    ------
-    DataError or ConfigError
-        As `open_regular`, or if the file is not UTF-8.
+    DataError or ConfigError as `open_regular`, or if the file is not UTF-8.
     """
     data = read_bytes(path, max_bytes, error, where)
     try:
@@ -126,11 +121,8 @@ def read_json(
 ) -> Any:  # noqa: ANN401 - whatever the file holds
     """Return the value in a JSON file.
 
-    Raises
-    ------
-    DataError or ConfigError
-        As `read_text`, or if it is not JSON, nested beyond `MAX_NESTING_LEVELS`, or holds a number too long
-        to read.
+    DataError or ConfigError as `read_text`, or if it is not JSON, nested beyond `MAX_NESTING_LEVELS`, or
+    holds a number too long to read.
     """
     return parse_json(read_text(path, max_bytes, error, where), where or str(path), error)
 
@@ -146,7 +138,7 @@ def parse_json(text: str, where: str, error: FileErrorType = DataError) -> Any: 
     except ValueError:
         reason = "it holds a number of too many digits"
     else:
-        reason = _nesting(value)
+        reason = _find_excess(value)
         if not reason:
             return value
     raise error(
@@ -160,11 +152,8 @@ def parse_json(text: str, where: str, error: FileErrorType = DataError) -> Any: 
 def read_toml(path: Path, error: FileErrorType = ConfigError, where: str = "") -> dict[str, Any]:
     """Return the tables of a TOML file.
 
-    Raises
-    ------
-    ConfigError or DataError
-        As `read_text`, or if it is not TOML, nested beyond `MAX_NESTING_LEVELS`, or holds an integer beyond
-        64 bits.
+    ConfigError or DataError as `read_text`, or if it is not TOML, nested beyond `MAX_NESTING_LEVELS`, or
+    holds an integer beyond 64 bits.
     """
     return parse_toml(read_text(path, MAX_CONFIG_BYTES, error, where), where or str(path), error)
 
@@ -172,7 +161,9 @@ def read_toml(path: Path, error: FileErrorType = ConfigError, where: str = "") -
 def parse_toml(text: str, where: str, error: FileErrorType = ConfigError) -> dict[str, Any]:
     """Return the tables of a TOML text; `where` and else as `read_toml`."""
     try:
-        tables = _loads_toml(text)
+        if _DEEP_KEY.search(text):  # tomllib copies a key with many dots once for every part
+            raise RecursionError
+        tables = _loads_numbers(text) or tomllib.loads(text)
     except tomllib.TOMLDecodeError as fault:
         reason = _toml_reason(str(fault))
     except RecursionError:
@@ -180,7 +171,7 @@ def parse_toml(text: str, where: str, error: FileErrorType = ConfigError) -> dic
     except ValueError:
         reason = "it holds a number or a date that does not exist"
     else:
-        reason = _nesting(tables) or _long_integer(tables)
+        reason = _find_excess(tables, _INT64)
         if not reason:
             return tables
     raise error(
@@ -189,13 +180,6 @@ def parse_toml(text: str, where: str, error: FileErrorType = ConfigError) -> dic
         expected="TOML: key = value, texts in quotes",
         fix="correct the line named" if "line" in reason else "correct it",
     )
-
-
-def _loads_toml(text: str) -> dict[str, Any]:
-    """Return the tables of a TOML text; tomllib copies a key with many dots once for every part."""
-    if _DEEP_KEY.search(text):
-        raise RecursionError
-    return _loads_numbers(text) or tomllib.loads(text)
 
 
 def _loads_numbers(text: str) -> dict[str, Any]:
@@ -218,10 +202,7 @@ def convert_stored_errors(where: Path | str) -> Iterator[None]:
     A file can hold what its declared form allows and its writer never wrote: an unknown word, a number that
     overflows. Errors of needlefit, and of the system (a full disk), pass unchanged.
 
-    Raises
-    ------
-    DataError
-        For everything else; the first exception is its cause.
+    DataError for everything else; the first exception is its cause.
     """
     try:
         yield
@@ -258,10 +239,7 @@ def is_dir(path: Path) -> bool:
 def list_files(folder: Path) -> list[Path]:
     """Return the files in a folder and its subfolders, sorted, without hidden ones and linked folders.
 
-    Raises
-    ------
-    DataError
-        If a folder cannot be read, or there are too many files or levels.
+    DataError if a folder cannot be read, or there are too many files or levels.
     """
     found: list[Path] = []
     waiting = [(folder, 0)]
@@ -325,31 +303,12 @@ def _toml_reason(message: str) -> str:
     return ", ".join(part for part in (kept, place[1] if place else "") if part) or "no reason given"
 
 
-def _values(value: object) -> Iterator[object]:
-    """Yield every value within a value, without recursion."""
-    waiting = [value]
-    while waiting:
-        one = waiting.pop()
-        yield one
-        waiting.extend(_inner(one))
-
-
-def _nesting(value: object) -> str:
-    level = [value]
-    for _ in range(
-        MAX_NESTING_LEVELS
-    ):  # of each level only what can hold more: results have millions of numbers
-        level = [inner for one in level for inner in _inner(one) if isinstance(inner, dict | list)]
+def _find_excess(value: object, most: float = math.inf) -> str:
+    """Return what is wrong with a value: nested too deeply, or an integer from `most` on, else nothing."""
+    level = [value] if isinstance(value, dict | list) else []
+    for _ in range(MAX_NESTING_LEVELS):
+        inner = [one for outer in level for one in (outer.values() if isinstance(outer, dict) else outer)]
+        if most < math.inf and any(isinstance(one, int) and not -most <= one < most for one in inner):
+            return "it holds an integer beyond 64 bits"  # which tomllib takes
+        level = [one for one in inner if isinstance(one, dict | list)]
     return f"nested deeper than {MAX_NESTING_LEVELS} levels" if level else ""
-
-
-def _inner(value: object) -> Iterable[object]:
-    if isinstance(value, dict):
-        return value.values()
-    return value if isinstance(value, list) else ()
-
-
-def _long_integer(tables: object) -> str:
-    """Return what is wrong with an integer beyond TOML's 64 bits, which tomllib takes."""
-    long = any(isinstance(value, int) and not -_INT64 <= value < _INT64 for value in _values(tables))
-    return "it holds an integer beyond 64 bits" if long else ""

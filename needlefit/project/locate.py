@@ -3,7 +3,7 @@
 import difflib
 import shlex
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -55,17 +55,15 @@ def search_roots() -> tuple[Path, ...]:
 def list_names(kind: FileKind) -> list[str]:
     """Return every bare name of a kind, sorted."""
     pattern = _PATTERNS[kind]
-    found = {_name(kind, path) for root in search_roots() for path in root.glob(pattern.format(name="*"))}
-    return sorted(found)
+    return sorted(
+        {_name(kind, path) for root in search_roots() for path in root.glob(pattern.format(name="*"))}
+    )
 
 
 def find_file(kind: FileKind, name: str) -> Path:
     """Return the file that `name` means: a path (holds `/` or ends in `.toml`) or a bare name.
 
-    Raises
-    ------
-    ConfigError
-        If there is no such file; the nearest names are listed.
+    ConfigError if there is no such file; the nearest names are listed.
     """
     if is_path(name):
         path = Path(name)
@@ -105,7 +103,8 @@ def find_study_or_fit(name: str) -> tuple[Literal["study", "fit"], Path]:
             raise _missing_error("study or fit", name)
         require_file_name(path.stem, name)
         return ("study" if _is_study(path) else "fit"), path
-    found = [kind for kind in ("study", "fit") if name in list_names(kind)]
+    kinds: tuple[Literal["study", "fit"], ...] = ("study", "fit")
+    found = [kind for kind in kinds if name in list_names(kind)]
     if len(found) == 2:
         raise ConfigError(
             f"`{name}` is both a study and a fit",
@@ -119,8 +118,7 @@ def find_study_or_fit(name: str) -> tuple[Literal["study", "fit"], Path]:
         )
     if not found:
         raise unknown_name_error("study or fit", name, list_names("study") + list_names("fit"))
-    kind: Literal["study", "fit"] = "study" if found[0] == "study" else "fit"
-    return kind, find_file(kind, name)
+    return found[0], find_file(found[0], name)
 
 
 _DATASET_KEYS = {"origin", "needle", "insertions", "centerlines", "tip_tracks"}
@@ -129,10 +127,7 @@ _DATASET_KEYS = {"origin", "needle", "insertions", "centerlines", "tip_tracks"}
 def find_dataset_or_study(name: str) -> tuple[Literal["dataset", "study", "fit"], Path]:
     """Return the dataset, or else the study or fit, that `name` means.
 
-    Raises
-    ------
-    ConfigError
-        If there is none.
+    ConfigError if there is none.
     """
     if is_path(name):
         path = find_file("dataset", name)
@@ -186,10 +181,7 @@ def find_tunings(name: str) -> list[tuple[str, Path]]:
 def find_run(name: str) -> Path:
     """Return the folder of results that `name` means: a path, or bare a folder in `reports/`.
 
-    Raises
-    ------
-    ConfigError
-        If there is no such folder, or it holds no `run.json`.
+    ConfigError if there is no such folder, or it holds no `run.json`.
     """
     folder = Path(name) if is_path(name) else Path("reports") / name
     if is_file(folder / "run.json"):
@@ -293,49 +285,33 @@ is new unless the run's study leaves out the spread between specimens; a new one
 
 @dataclass(frozen=True)
 class ViewTarget:
-    """What a name means.
-
-    Attributes
-    ----------
-    kind : "scene", "run" or "dataset"
-    name : str
-        What it is called, without an insertion.
-    path : Path
-        The scene's file, the run's folder, or the `dataset.toml`.
-    insertion : str or None
-        The insertion that was named with a run or a dataset.
-    specimen : SpecimenChoice
-        Of the draws of a run.
-    """
+    """What a name means."""
 
     kind: TargetKind
-    name: str
-    path: Path
-    insertion: str | None = None
-    specimen: SpecimenChoice = "shown"
+    name: str  # what it is called, without an insertion
+    path: Path  # the scene's file, the run's folder, or the `dataset.toml`
+    insertion: str | None = None  # the insertion that was named with a run or a dataset
+    specimen: SpecimenChoice = "shown"  # of the draws of a run
 
 
 def find_view_target(name: str) -> ViewTarget:
     """Return the scene, run or dataset that `name` means; behind a run or dataset may stand `/ID`.
 
-    Raises
-    ------
-    ConfigError
-        If there is nothing of that name, or things of several kinds.
+    ConfigError if there is nothing of that name, or things of several kinds.
     """
-    whole = _find_at_path(name) if is_path(name) else _find_by_name(name)
+    whole = _find_viewed(name)
     if whole is not None:
         return whole
+    with_insertions = sorted({*list_names("dataset"), *list_runs()})
     if "/" not in name:
-        raise unknown_name_error(
-            "scene, run or dataset", name, sorted({*list_names("scene"), *_list_with_insertions()})
-        )
+        known = sorted({*list_names("scene"), *with_insertions})
+        raise unknown_name_error("scene, run or dataset", name, known)
     front, _, insertion = name.rstrip("/").rpartition("/")
-    found = _find_at_path(front) if is_path(front) else _find_by_name(front, insertion)
+    found = _find_viewed(front, insertion)
     if found is not None and found.kind != "scene":
-        return ViewTarget(found.kind, found.name, found.path, insertion)
+        return replace(found, insertion=insertion)
     if front and not is_path(front) and not path_exists(Path(name)):
-        raise unknown_name_error("dataset or run", front, _list_with_insertions())
+        raise unknown_name_error("dataset or run", front, with_insertions)
     raise ConfigError(
         "holds no scene, run or dataset",
         where=name,
@@ -344,41 +320,29 @@ def find_view_target(name: str) -> ViewTarget:
     )
 
 
-def _list_with_insertions() -> list[str]:
-    return sorted({*list_names("dataset"), *list_runs()})
-
-
-def _find_at_path(path: str) -> ViewTarget | None:
-    """Return what stands at a path, None if nothing that can be shown does."""
-    at = Path(path)
-    if path.endswith(".toml") and at.name != "dataset.toml":
-        return ViewTarget("scene", path, find_file("scene", path))
-    if is_dir(at) and is_file(at / "run.json"):
-        return ViewTarget("run", path, at)
-    if at.name == "dataset.toml" or is_file(at / "dataset.toml"):
-        return ViewTarget("dataset", path, find_file("dataset", path))
-    return None
-
-
-def _find_by_name(name: str, insertion: str | None = None) -> ViewTarget | None:
-    """Return what has a bare name; a scene has no insertions. Several kinds are an error."""
-    found: dict[TargetKind, Path] = {}
-    if insertion is None and name in list_names("scene"):
-        found["scene"] = find_file("scene", name)
-    if name in list_runs():
-        found["run"] = find_run(name)
-    if name in list_names("dataset"):
-        found["dataset"] = find_file("dataset", name)
+def _find_viewed(name: str, insertion: str | None = None) -> ViewTarget | None:
+    """Return what a path or a bare name means, None if nothing; a name of several kinds is an error."""
+    at, found = Path(name), dict[TargetKind, Path]()
+    if is_path(name):
+        if name.endswith(".toml") and at.name != "dataset.toml":
+            found["scene"] = find_file("scene", name)
+        elif is_dir(at) and is_file(at / "run.json"):
+            found["run"] = at
+        elif at.name == "dataset.toml" or is_file(at / "dataset.toml"):
+            found["dataset"] = find_file("dataset", name)
+    else:
+        if insertion is None and name in list_names("scene"):  # a scene has no insertions
+            found["scene"] = find_file("scene", name)
+        if name in list_runs():
+            found["run"] = find_run(name)
+        if name in list_names("dataset"):
+            found["dataset"] = find_file("dataset", name)
     if len(found) > 1:
-        more = "" if insertion is None else f"/{insertion}"
-        paths = [_relative_path(path.parent if kind == "dataset" else path) for kind, path in found.items()]
+        here, more = Path.cwd(), "" if insertion is None else f"/{insertion}"
+        paths = [path.parent if kind == "dataset" else path for kind, path in found.items()]
+        shown = [f"{one.relative_to(here) if one.is_relative_to(here) else one}{more}" for one in paths]
         raise ConfigError(
             f"`{name}` is {' and '.join(f'a {kind}' for kind in found)}",
-            fix=f"say which: {' or '.join(f'{path}{more}' for path in paths)}",
+            fix=f"say which: {' or '.join(shown)}",
         )
     return next((ViewTarget(kind, name, path) for kind, path in found.items()), None)
-
-
-def _relative_path(path: Path) -> str:
-    here = Path.cwd()
-    return str(path.relative_to(here) if path.is_relative_to(here) else path)

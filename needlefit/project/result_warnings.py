@@ -14,24 +14,12 @@ WARNINGS_KEY = "warnings"
 
 @dataclass(frozen=True)
 class ResultWarning:
-    """One warning, which is printed on one line.
+    """One warning, which is printed on one line."""
 
-    Attributes
-    ----------
-    kind : str
-        Which check it comes from, such as "parameter_at_bound"; programs may rely on it.
-    what : str
-        What was found, in a clause without a full stop.
-    where : str
-        File and line or key, empty if there is none.
-    fix : str
-        What the user can do.
-    """
-
-    kind: str
-    what: str
-    where: str = ""
-    fix: str = ""
+    kind: str  # which check it comes from, such as "parameter_at_bound"; programs may rely on it
+    what: str  # what was found, in a clause without a full stop
+    where: str = ""  # file and line or key, empty if there is none
+    fix: str = ""  # what the user can do
 
     @property
     def help_key(self) -> str:

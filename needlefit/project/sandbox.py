@@ -62,8 +62,28 @@ _CHILD = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from needlefit.project import sandbox; "
     "sandbox.serve(json.loads(sys.argv[2]))"
 )
-_WHOLE = "a whole file, as its program wrote it"
 _DAMAGED = "the file may be damaged: copy it or export it again"
+_FAULTS = {
+    "no result": ("the process that read it ended without an answer", "", ""),
+    "crashed": ("its reader crashed ({signal})", "", ""),
+    "raised": ("cannot be read ({name})", "", ""),
+    "killed": (
+        "the process that read it was ended from outside, as the system does when memory runs out",
+        "up to {memory} of free memory",
+        "free memory, or run fewer at once with --jobs",
+    ),
+    "memory": (
+        "its reader needs more memory than {memory}",
+        "a file that takes no more memory than its header promises",
+        f"{_DAMAGED}; if you trust it and have the memory, set {MEMORY_VARIABLE} to more GiB",
+    ),
+    "time": (
+        "its reader was ended: {allowed.cpu_seconds} s of processor time, or {allowed.wall_seconds:g} s",
+        "a file that is read in the time that its size warrants",
+        "",
+    ),
+}
+"""Of a reader that gave nothing: what, expected and how to fix it; empty: those of a damaged file."""
 _WINDOWS = os.name == "nt"
 
 Array = NDArray[Any]
@@ -72,20 +92,12 @@ Child = subprocess.Popen[bytes]
 
 @dataclass(frozen=True)
 class ReaderLimits:
-    """What a reader may take.
+    """What a reader may take."""
 
-    Attributes
-    ----------
-    memory_bytes : int
-        Memory beyond that of the empty reader, without the arrays that it returns.
-    result_bytes : int
-        All arrays that it returns.
-    cpu_seconds, wall_seconds : int
-        Processor time and time.
-    """
-
+    # Memory beyond that of the empty reader, without the arrays that it returns
     memory_bytes: int = READER_BYTES
-    result_bytes: int = READER_BYTES
+    result_bytes: int = READER_BYTES  # all arrays that it returns
+    # `cpu_seconds`, `wall_seconds`: processor time and time
     cpu_seconds: int = READER_SECONDS
     wall_seconds: float = WALL_SECONDS + 4 * READER_SECONDS
 
@@ -99,10 +111,7 @@ def limits_for(native_bytes: int, result_bytes: int, cpu_seconds: float) -> Read
 def stated_memory_bytes() -> int | None:
     """Return the memory that the user grants one file; None if the environment variable is not set.
 
-    Raises
-    ------
-    ConfigError
-        If it is not a number of GiB.
+    ConfigError if it is not a number of GiB.
     """
     text = os.environ.get(MEMORY_VARIABLE, "")
     if not text:
@@ -123,6 +132,9 @@ def read_in_sandbox(
 ) -> tuple[Any, dict[str, Array]]:
     """Run a reader in a limited child process; return its value and its arrays.
 
+    NeedlefitError: what the reader raised. DataError if the reader crashed, or needed more memory or time
+    than `allowed`. ModuleNotFoundError if the child lacks a package.
+
     Parameters
     ----------
     reader : str
@@ -131,15 +143,6 @@ def read_in_sandbox(
     file : Path
         What messages name.
     allowed : Limits
-
-    Raises
-    ------
-    NeedlefitError
-        What the reader raised.
-    DataError
-        If the reader crashed, or needed more memory or time than `allowed`.
-    ModuleNotFoundError
-        If the child lacks a package.
     """
     with _shared_file() as shared:
         request = {
@@ -153,7 +156,14 @@ def read_in_sandbox(
         try:
             return answer["value"], _arrays(answer["arrays"], shared, allowed)
         except (AttributeError, KeyError, OverflowError, TypeError, ValueError):
-            raise _no_result(file) from None
+            raise _fault("no result", file, allowed) from None
+
+
+def _fault(kind: str, file: Path, allowed: ReaderLimits, **words: object) -> DataError:
+    memory = f"{(allowed.memory_bytes + allowed.result_bytes) / 2**30:.3g} GiB"
+    what, expected, fix = (one.format(allowed=allowed, memory=memory, **words) for one in _FAULTS[kind])
+    expected = expected or "a whole file, as its program wrote it"
+    return DataError(what, where=str(file), expected=expected, fix=fix or _DAMAGED)
 
 
 def _run(request: Mapping[str, Any], file: Path, shared: BinaryIO, allowed: ReaderLimits) -> bytes:
@@ -172,7 +182,7 @@ def _run(request: Mapping[str, Any], file: Path, shared: BinaryIO, allowed: Read
             assert child.stdout is not None
             answer = child.stdout.read(MAX_RESULT_JSON_BYTES + 1)
             if len(answer) > MAX_RESULT_JSON_BYTES:
-                raise _no_result(file)
+                raise _fault("no result", file, allowed)
             child.wait()
         except BaseException:  # Ctrl-C among them
             child.kill()
@@ -180,17 +190,24 @@ def _run(request: Mapping[str, Any], file: Path, shared: BinaryIO, allowed: Read
         finally:
             timer.cancel()
     if late.is_set() or child.returncode == -getattr(signal, "SIGXCPU", 0):
-        raise _time_error(file, allowed)
+        raise _fault("time", file, allowed)
+    if child.returncode == -getattr(signal, "SIGKILL", 0):
+        raise _fault("killed", file, allowed)
     if child.returncode:
-        raise _crash_error(child.returncode, file, allowed)
+        with suppress(ValueError):
+            raise _fault("crashed", file, allowed, signal=signal.Signals(-child.returncode).name)
+        raise _fault("no result", file, allowed)
     return answer
 
 
 def _start_child(request: Mapping[str, Any], file: Path, shared: BinaryIO) -> Child:
     python = (sys.executable, "-I", "-X", f"utf8={sys.flags.utf8_mode}", "-c", _CHILD)
+    here = str(Path(errors.__file__).parents[1])
+    # the child finds modules where this process does, but not in the working folder
+    search_path = json.dumps([here] * (here not in sys.path) + [entry for entry in sys.path if entry])
     try:
         return subprocess.Popen(
-            [*python, _search_path(), json.dumps(request)],
+            [*python, search_path, json.dumps(request)],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -205,12 +222,6 @@ def _start_child(request: Mapping[str, Any], file: Path, shared: BinaryIO) -> Ch
             expected="a system that starts one more process of Python",
             fix="free memory, or run fewer at once with --jobs",
         ) from None
-
-
-def _search_path() -> str:
-    """Return where the child finds modules: where this process does, but not in the working folder."""
-    here = str(Path(errors.__file__).parents[1])
-    return json.dumps([here] * (here not in sys.path) + [entry for entry in sys.path if entry])
 
 
 @contextmanager
@@ -255,6 +266,7 @@ def _array(mapped: mmap.mmap, dtype: str, shape: list[int], offset: int) -> Arra
 
 def _parse_result(text: bytes, file: Path, allowed: ReaderLimits) -> dict[str, Any]:
     """Return the answer of a reader that succeeded; else raise what it says."""
+    error: Exception
     try:
         answer: dict[str, Any] = json.loads(text)
         kind = answer["kind"]
@@ -262,57 +274,16 @@ def _parse_result(text: bytes, file: Path, allowed: ReaderLimits) -> dict[str, A
             return answer
         if kind == "missing":
             name = str(answer["name"])
+            error = ModuleNotFoundError(f"No module named {name!r}", name=name)
+        elif kind in ("memory", "raised"):
+            error = _fault(kind, file, allowed, name=answer.get("name"))
         else:
-            raise _failure(kind, answer, file, allowed)
-    except (KeyError, TypeError, ValueError, RecursionError):
-        raise _no_result(file) from None
-    raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-
-
-def _failure(kind: str, answer: Mapping[str, Any], file: Path, allowed: ReaderLimits) -> NeedlefitError:
-    if kind == "memory":
-        return _memory_error(file, allowed)
-    if kind == "raised":
-        return _error(file, f"cannot be read ({answer['name']})")
-    where, expected, fix = (str(answer[key]) for key in ("where", "expected", "fix"))
-    error = ConfigError if kind == "ConfigError" else DataError
-    return error(str(answer["what"]), where=where, expected=expected, fix=fix)
-
-
-def _error(file: Path, what: str, expected: str = _WHOLE, fix: str = _DAMAGED) -> DataError:
-    return DataError(what, where=str(file), expected=expected, fix=fix)
-
-
-def _crash_error(code: int, file: Path, allowed: ReaderLimits) -> DataError:
-    if code == -getattr(signal, "SIGKILL", 0):
-        what = "the process that read it was ended from outside, as the system does when memory runs out"
-        free = f"up to {_gib(allowed)} of free memory"
-        return _error(file, what, free, "free memory, or run fewer at once with --jobs")
-    with suppress(ValueError):
-        return _error(file, f"its reader crashed ({signal.Signals(-code).name})")
-    return _no_result(file)
-
-
-def _no_result(file: Path) -> DataError:
-    return _error(file, "the process that read it ended without an answer")
-
-
-def _memory_error(file: Path, allowed: ReaderLimits) -> DataError:
-    return _error(
-        file,
-        f"its reader needs more memory than {_gib(allowed)}",
-        "a file that takes no more memory than its header promises",
-        f"{_DAMAGED}; if you trust it and have the memory, set {MEMORY_VARIABLE} to more GiB",
-    )
-
-
-def _time_error(file: Path, allowed: ReaderLimits) -> DataError:
-    what = f"its reader was ended: {allowed.cpu_seconds} s of processor time, or {allowed.wall_seconds:g} s"
-    return _error(file, what, "a file that is read in the time that its size warrants")
-
-
-def _gib(allowed: ReaderLimits) -> str:
-    return f"{(allowed.memory_bytes + allowed.result_bytes) / 2**30:.3g} GiB"
+            where, expected, fix = (str(answer[key]) for key in ("where", "expected", "fix"))
+            raised = ConfigError if kind == "ConfigError" else DataError
+            error = raised(str(answer["what"]), where=where, expected=expected, fix=fix)
+    except (AttributeError, KeyError, TypeError, ValueError, RecursionError):
+        error = _fault("no result", file, allowed)
+    raise error from None
 
 
 class SandboxArrays:
@@ -326,10 +297,7 @@ class SandboxArrays:
     def new(self, name: str, shape: tuple[int, ...], dtype: str) -> Array:
         """Return a new array of zeros, of one of `DTYPES`, to be filled.
 
-        Raises
-        ------
-        MemoryError
-            If all arrays together exceed their limit.
+        MemoryError if all arrays together exceed their limit.
         """
         size = math.prod(shape) * np.dtype(dtype).itemsize
         self._taken += size

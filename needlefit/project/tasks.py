@@ -58,6 +58,8 @@ class TaskPool(Protocol):
     ) -> Iterator[tuple[int, Result]]:
         """Yield the number of each item and what `work` makes of it, as they are finished.
 
+        ConfigError if the system ended a process, as it does when memory runs out.
+
         Parameters
         ----------
         work : callable
@@ -66,11 +68,6 @@ class TaskPool(Protocol):
         stop : callable
             Once it is true, no further item is begun; a task that asks `stop_requested` ends early and has no
             result.
-
-        Raises
-        ------
-        ConfigError
-            If the system ended a process, as it does when memory runs out.
         """
         ...
 

@@ -30,10 +30,7 @@ R = TypeVar("R", bound=BaseModel)
 def load(path: Path, kind: type[R]) -> R:
     """Read `path` and check it against the record `kind`.
 
-    Raises
-    ------
-    ConfigError
-        If the file is missing, is no TOML, or holds a wrong, missing or unknown key.
+    ConfigError if the file is missing, is no TOML, or holds a wrong, missing or unknown key.
     """
     return check(read_toml(path), kind, path)
 
@@ -49,10 +46,7 @@ def check(tables: dict[str, Any], kind: type[R], where: Path | str) -> R:
     Types are strict: `"0.1"` is a text and no number. Members of a list are numbered from 1, as layers
     are: `layers.1` is the first one.
 
-    Raises
-    ------
-    ConfigError
-        Listing every wrong, missing or unknown key.
+    ConfigError: listing every wrong, missing or unknown key.
     """
     try:
         # as JSON, whose lists strictly are tuples; it has no form for dates, which no key wants
@@ -401,10 +395,7 @@ def override(
 
     Members of a list are numbered from 1: `layers.1` is the first layer, `steps.1` the first step.
 
-    Raises
-    ------
-    ConfigError
-        If the record `kind` has no such key; the nearest ones are listed.
+    ConfigError if the record `kind` has no such key; the nearest ones are listed.
     """
     changed = copy.deepcopy(dict(tables))
     known = list(list_keys(kind, tables))

@@ -68,31 +68,16 @@ _OPTIONAL_PATTERN, _VALUE_PATTERN = re.compile(r"\[([^]]*)\]"), re.compile(r"\{(
 
 @dataclass(frozen=True)
 class Column:
-    """A column of tables.
+    """A column of tables."""
 
-    Attributes
-    ----------
-    key : str
-        Its name in files; `{k}` stands for a number.
-    unit : str
-        `METRIC_UNIT` is that of the metric that the row names.
-    format : str
-        One of `FORMATS`, `METRIC_FORMAT`, or a template: "{low:mm} to {high:mm}" is composed of two columns;
-        what stands in [] is left out where a value in it is missing.
-    heading : str
-        In printed tables; the key in words if empty.
-    explanation : str
-        One sentence for the glossary.
-    where : str
-        "print": made for printed tables; empty: in files too.
-    """
-
-    key: str
-    unit: str = ""
+    key: str  # its name in files; `{k}` stands for a number
+    unit: str = ""  # `METRIC_UNIT` is that of the metric that the row names
+    # One of `FORMATS`, `METRIC_FORMAT`, or a template: "{low:mm} to {high:mm}" is composed of two columns;
+    # what stands in [] is left out where a value in it is missing
     format: str = "text"
-    heading: str = ""
-    explanation: str = ""
-    where: str = ""
+    heading: str = ""  # in printed tables; the key in words if empty
+    explanation: str = ""  # one sentence for the glossary
+    where: str = ""  # "print": made for printed tables; empty: in files too
 
     @property
     def label(self) -> str:

@@ -44,12 +44,8 @@ _SIDES = {"toward": "toward", "away": "AWAY", "unknown": "too straight"}
 def write_import(folder: Path, content: ImportContent, plan: ImportPlan, decisions: Decisions) -> Dataset:
     """Write the dataset of a plan, its picture and a first study into a new folder, or nothing; return it.
 
-    Raises
-    ------
-    ConfigError
-        If `folder` holds something.
-    DataError
-        Listing the faults of the dataset, at their places in the imported files.
+    ConfigError if `folder` holds something. DataError: listing the faults of the dataset, at their places in
+    the imported files.
     """
     with create_folder(folder) as fresh:
         dataset = read(write_plan(fresh, content, plan, decisions))

@@ -1,9 +1,8 @@
 """Summarise the insertions of a dataset in a table."""
 
 from needlefit.datasets.insertion import Dataset, Insertion
-from needlefit.reporting.table import Table
+from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row
-from needlefit.reporting.table_layout import TableLayout
 
 
 def lay_out_dataset(dataset: Dataset) -> TableLayout:

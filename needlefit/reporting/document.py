@@ -22,7 +22,7 @@ from markupsafe import Markup, escape
 
 from needlefit.project.json_values import to_json_values
 from needlefit.reporting.sheet import compile_sheet
-from needlefit.reporting.table_layout import TableLayout
+from needlefit.reporting.table import TableLayout
 
 Block = dict[str, Any]
 Words = str | list[dict[str, str]]
@@ -31,27 +31,17 @@ Words = str | list[dict[str, str]]
 
 @dataclass(frozen=True)
 class Document:
-    """The contents of a report, in order.
-
-    Attributes
-    ----------
-    title, subtitle : str
-    synthetic : bool
-        Whether the foot of every page says so.
-    blocks : tuple
-        Made by `heading`, `subheading`, `verdict`, `text`, `note`, `bullets`, `warning`, `gap_box`, `table`
-        and `figure`.
-    unverified : bool
-        Whether it is made from files that do not agree with their manifest: the foot of every page says so.
-    explorer : mapping or None
-        What the HTML page draws interactively, as JSON values (`templates/explorer.js`).
-    """
+    """The contents of a report, in order."""
 
     title: str
     subtitle: str
-    synthetic: bool
+    synthetic: bool  # whether the foot of every page says so
+    # Made by `heading`, `subheading`, `verdict`, `text`, `note`, `bullets`, `warning`, `gap_box`, `table` and
+    # `figure`
     blocks: tuple[Block, ...]
+    # What the HTML page draws interactively, as JSON values (`templates/explorer.js`)
     explorer: Mapping[str, Any] | None = None
+    # Whether it is made from files that do not agree with their manifest: the foot of every page says so
     unverified: bool = False
 
 

@@ -9,7 +9,7 @@ from jinja2 import Environment, StrictUndefined
 
 from needlefit.reporting.columns import find_column
 from needlefit.reporting.number_format import MISSING
-from needlefit.reporting.table_layout import TableColumn, TableLayout
+from needlefit.reporting.table import TableLayout
 
 _ESCAPES = {
     "\\": r"\textbackslash{}",
@@ -43,32 +43,35 @@ _LOWERED = str.maketrans("₀₁₂₃₄₅₆₇₈₉", "0123456789")
 
 
 def format_latex(table: TableLayout, synthetic: bool) -> str:
-    """Return the table as a LaTeX float; every special character is escaped.
-
-    Parameters
-    ----------
-    table : TableLayout
-    synthetic : bool
-        Whether the caption begins with "SYNTHETIC DATA."
-    """
+    """Return the table as a LaTeX float; every special character is escaped, and synthetic data are named."""
+    environment = Environment(  # with marks that LaTeX does not use
+        block_start_string="<%",
+        block_end_string="%>",
+        variable_start_string="<<",
+        variable_end_string=">>",
+        comment_start_string="<#",
+        comment_end_string="#>",
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        undefined=StrictUndefined,
+        autoescape=False,  # noqa: S701 - LaTeX, not HTML: `escape_latex` does it
+    )
     template = (files("needlefit.reporting") / "templates" / "table.tex").read_text(encoding="utf-8")
     units = [column.unit for column in table.columns]
-    return (
-        _environment()
-        .from_string(template)
-        .render(
-            environment="table" if _count_letters(table) <= MAX_COLUMN_LETTERS else "table*",
-            caption=escape_latex(("SYNTHETIC DATA. " if synthetic else "") + table.caption),
-            label=table.name.replace("_", "-"),
-            aligns="".join(_align(column) for column in table.columns),
-            heads=[escape_latex(column.label) for column in table.columns],
-            units=[f"({escape_latex(unit)})" if unit else "" for unit in units] if any(units) else [],
-            rows=[
-                {"rule": i in table.breaks, "cells": [format_cell(cell) for cell in row]}
-                for i, row in enumerate(table.rows)
-            ],
-            notes=[escape_latex(note) for note in table.notes],
-        )
+    aligns = ("p{5cm}" if one.wide else "l" if one.align == "left" else "r" for one in table.columns)
+    return environment.from_string(template).render(
+        environment="table" if _count_letters(table) <= MAX_COLUMN_LETTERS else "table*",
+        caption=escape_latex(("SYNTHETIC DATA. " if synthetic else "") + table.caption),
+        label=table.name.replace("_", "-"),
+        aligns="".join(aligns),
+        heads=[escape_latex(column.label) for column in table.columns],
+        units=[f"({escape_latex(unit)})" if unit else "" for unit in units] if any(units) else [],
+        rows=[
+            {"rule": i in table.breaks, "cells": [format_cell(cell) for cell in row]}
+            for i, row in enumerate(table.rows)
+        ],
+        notes=[escape_latex(note) for note in table.notes],
     )
 
 
@@ -87,10 +90,6 @@ def _count_letters(table: TableLayout) -> int:
         for i, column in enumerate(table.columns)
     ]
     return sum(max(lengths) + _GAP_LETTERS for lengths in cells)
-
-
-def _align(column: TableColumn) -> str:
-    return "p{5cm}" if column.wide else "l" if column.align == "left" else "r"
 
 
 def escape_latex(text: str) -> str:
@@ -125,23 +124,6 @@ def format_cell(cell: str) -> str:
     return escape_latex(cell)
 
 
-def _environment() -> Environment:
-    """Return jinja2 with marks that LaTeX does not use."""
-    return Environment(
-        block_start_string="<%",
-        block_end_string="%>",
-        variable_start_string="<<",
-        variable_end_string=">>",
-        comment_start_string="<#",
-        comment_end_string="#>",
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        undefined=StrictUndefined,
-        autoescape=False,  # noqa: S701 - LaTeX, not HTML: `escape_latex` does it
-    )
-
-
 MACRO_HEAD = r"""% Numbers of a run of needlefit. Needs siunitx; \input this file in the preamble.
 % \nf{KEY} prints a number, \nfraw{KEY} is its digits: \qty{\nfraw{KEY}}{\milli\metre}.
 % An unknown KEY is set bold after ??.
@@ -165,21 +147,21 @@ def format_table_macros(name: str, tables: Sequence[TableLayout]) -> str:
 
 def list_cells(name: str, tables: Sequence[TableLayout]) -> Iterator[tuple[str, str]]:
     """Yield the key and the text of every number of some tables."""
-    yield from ((_slug(name, *keys), words) for table in tables for keys, words in _cells(table))
+    for table in tables:
+        for keys, words in _cells(table):
+            spelled = "".join(map(_spell, unicodedata.normalize("NFKD", " ".join((name, *keys)))))
+            yield re.sub(r"[^a-z0-9]+", "-", spelled.lower()).strip("-"), words
 
 
 def format_macros(numbers: Iterable[tuple[str, str]]) -> str:
     """Return a LaTeX file with these numbers, each under its key."""
-    return MACRO_HEAD + "".join(_define(key, words) for key, words in dict(numbers).items())
-
-
-def _define(key: str, words: str) -> str:
-    """Return the line that defines a macro."""
-    name, _, arguments = format_cell(words).partition("{")
-    command = {r"\num": "nfnum", r"\numrange": "nfrange"}.get(name)
-    return (
-        f"\\{command}{{{key}}}{{{arguments}\n" if command else f"\\nftext{{{key}}}{{{format_cell(words)}}}\n"
-    )
+    lines = [MACRO_HEAD]
+    for key, words in dict(numbers).items():
+        cell = format_cell(words)
+        name, _, arguments = cell.partition("{")
+        command = {r"\num": "nfnum", r"\numrange": "nfrange"}.get(name)
+        lines.append(f"\\{command}{{{key}}}{{{arguments}\n" if command else f"\\nftext{{{key}}}{{{cell}}}\n")
+    return "".join(lines)
 
 
 def _cells(table: TableLayout) -> Iterator[tuple[tuple[str, ...], str]]:
@@ -200,11 +182,6 @@ def _cells(table: TableLayout) -> Iterator[tuple[tuple[str, ...], str]]:
         for i, column in enumerate(table.columns):
             if i not in words and not column.wide and row[i] not in ("", MISSING):
                 yield (table.name, *above.values(), f"{column.label} {column.unit}"), row[i]
-
-
-def _slug(*words: str) -> str:
-    spelled = "".join(map(_spell, unicodedata.normalize("NFKD", " ".join(words))))
-    return re.sub(r"[^a-z0-9]+", "-", spelled.lower()).strip("-")
 
 
 def _spell(sign: str) -> str:

@@ -50,10 +50,7 @@ def _format_figure(block: Block, origin: str) -> str:
 def compile_example(folder: Path, target: Path) -> None:
     """Compile the example document of a result folder to the PDF `target`.
 
-    Raises
-    ------
-    ConfigError
-        If LaTeX is not installed, the folder has no example, or LaTeX reports an error.
+    ConfigError if LaTeX is not installed, the folder has no example, or LaTeX reports an error.
     """
     if shutil.which("pdflatex") is None or shutil.which("bibtex") is None:
         raise ConfigError(

@@ -1,19 +1,41 @@
-"""A table of a report, declared by rows and keys of columns; the registry has headings, units, formats."""
+"""Tables of reports: declared by rows and keys of columns, whose registry has heads and units; as text."""
 
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from needlefit.metrics import METRICS
 from needlefit.reporting.columns import METRIC_UNIT, Column, find_column, format_value
 from needlefit.reporting.number_format import MISSING
-from needlefit.reporting.table_layout import Align, TableColumn, TableLayout, drop_empty_columns
 
 if TYPE_CHECKING:
     from needlefit.reporting.table_files import Row
 
 _PARTS = "parts"
 """Key of the rows that were merged into one."""
+
+
+@dataclass(frozen=True)
+class TableColumn:
+    """A column: heading, unit (below the heading), alignment, and whether it takes the remaining width."""
+
+    label: str
+    unit: str = ""
+    align: Literal["left", "right"] = "right"
+    wide: bool = False
+
+
+@dataclass(frozen=True)
+class TableLayout:
+    """A table of text."""
+
+    name: str  # of its file and label
+    caption: str  # what it shows
+    columns: tuple[TableColumn, ...]
+    rows: tuple[tuple[str, ...], ...]  # cells, as many as there are columns
+    breaks: tuple[int, ...] = ()  # rows before which a thin rule stands
+    strong: tuple[int, ...] = ()  # rows that hold our answer; the others stand beside it
+    notes: tuple[str, ...] = ()  # sentences under the table
 
 
 @dataclass(frozen=True)
@@ -27,8 +49,8 @@ class Cells:
 def _find_cells(key: str, rows: "Sequence[Row]") -> Cells:
     column = find_column(key)
     unit = _find_unit(column, {row.get("metric") for row in rows})
-    align: Align = "left" if column.is_text else "right"
-    return Cells(TableColumn(column.label, unit, align, wide=column.format == "prose"), column.format_cell)
+    head = TableColumn(column.label, unit, "left" if column.is_text else "right", column.format == "prose")
+    return Cells(head, column.format_cell)
 
 
 def _find_unit(column: Column, metrics: Iterable[object]) -> str:
@@ -67,40 +89,21 @@ def part(key: str, **place: object) -> Cells:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of a report.
+    """A table of a report."""
 
-    Attributes
-    ----------
-    name : str
-        Of its file and label.
-    caption : str
-        What it shows.
-    rows : iterable of Row
-        Values by key; `to_records` returns those of a DataFrame.
-    columns : sequence
-        Keys of the registry, or a `part` of rows that are pivoted.
-    groups : sequence of str
-        Where one of these columns changes, a group begins: a thin rule stands before it.
-    heads : int
-        How many of the first columns name the group, and are blank in its further rows.
-    ruled : bool
-        Whether rules stand between groups.
-    strong : str
-        Which rows hold our answer: "", "first" of the table, "groups": the first of each, or the column that
-        says so.
-    notes : tuple of str
-        Sentences under the table.
-    """
-
-    name: str
-    caption: str
-    rows: "Iterable[Row]"
+    name: str  # of its file and label
+    caption: str  # what it shows
+    rows: "Iterable[Row]"  # values by key; `to_records` returns those of a DataFrame
+    # Keys of the registry, or a `part` of rows that are pivoted
     columns: Sequence[Any]  # str or Cells: a tuple of both is one of objects to mypy
+    # Where one of these columns changes, a group begins: a thin rule stands before it
     groups: Sequence[str] = ()
-    heads: int = 0
-    ruled: bool = True
+    heads: int = 0  # how many of the first columns name the group, and are blank in its further rows
+    ruled: bool = True  # whether rules stand between groups
+    # Which rows hold our answer: "", "first" of the table, "groups": the first of each, or the column that
+    # says so
     strong: str = ""
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # sentences under the table
 
     def lay_out(self, drop_empty: bool = False) -> TableLayout:
         """Return the table as text, without columns that are empty if wanted."""
@@ -116,14 +119,14 @@ class Table:
         )
         breaks = tuple(begins[1:]) if self.groups and self.ruled else ()
         heads = tuple(one.head for one in columns)
-        strong = self._find_strong(rows, begins)
-        found = TableLayout(self.name, self.caption, heads, cells, breaks, strong, self.notes)
-        return drop_empty_columns(found) if drop_empty else found
+        strong = {"": (), "first": (0,), "groups": tuple(begins)}.get(self.strong)
+        if strong is None:
+            strong = tuple(k for k, row in enumerate(rows) if row[self.strong])
+        if drop_empty:
+            kept = [i for i in range(len(heads)) if any(row[i] not in ("", "–") for row in cells)]
+            heads, *rest = (tuple(row[i] for i in kept) for row in (heads, *cells))
+            cells = tuple(rest)
+        return TableLayout(self.name, self.caption, heads, cells, breaks, strong, self.notes)
 
     def _key(self, row: "Row") -> list[Any]:
         return [row[name] for name in self.groups]
-
-    def _find_strong(self, rows: "Sequence[Row]", begins: Sequence[int]) -> tuple[int, ...]:
-        if self.strong in ("", "first", "groups"):
-            return {"": (), "first": (0,), "groups": tuple(begins)}[self.strong]
-        return tuple(k for k, row in enumerate(rows) if row[self.strong])

@@ -1,15 +1,21 @@
-"""Write the tables of a run; equal tables give equal bytes."""
+"""Write the tables of a run, made tidy: what a column's name says of its cells becomes a cell.
+
+Equal tables give equal bytes.
+"""
 
 import json
 import math
+import re
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
+from needlefit.metrics import list_metrics
 from needlefit.project.json_values import to_json_values
-from needlefit.reporting.tidy import to_tidy
 
 
 def write_csv(frame: pd.DataFrame, path: Path, digits: str | None = "%.8g") -> None:
@@ -49,3 +55,140 @@ def _to_plain_value(value: object) -> object:
     if value is pd.NA or value is pd.NaT or (isinstance(value, float) and not math.isfinite(value)):
         return None
     return value
+
+
+# ---- tidy tables: computations keep wide rows, such as `tip_50_low_mm`; files say `quantity = tip`,
+# `level = 0.5`, `low_mm`
+
+_QUANTITIES = "tip|shape|points|end|track|needle|measured"
+_PREDICTED = "measured_mm|median_mm|crps_mm|interval_score_mm|pit|error_mm"
+
+_PATTERNS = {
+    rf"(?P<quantity>{_QUANTITIES})_(?P<level>50|95)_(?P<name>low_mm|high_mm)": "{name}",
+    rf"(?P<quantity>{_QUANTITIES})_(?P<name>width)_(?P<level>50|95)_mm": "width_mm",
+    rf"(?P<quantity>{_QUANTITIES})_in_(?P<level>50|95)": "covered",
+    rf"(?P<quantity>{_QUANTITIES})_(?P<name>{_PREDICTED})": "{name}",
+    r"(?P<name>low|high)_(?P<level>50|95)(?P<unit>_mm|)": "{name}{unit}",
+    r"p(?P<probability>\d+(?:[._]\d)?)": "value",
+    r"q(?P<probability>\d\d)": "value",
+    r"ratio_to_true_q(?P<probability>\d\d)": "ratio",
+    r"(?P<quantity>depth|deflection)_min_mm": "low_mm",
+    r"(?P<quantity>depth|deflection)_max_mm": "high_mm",
+    r"rank_(?P<quantity>.+)": "rank",
+    r"weight_(?P<parameter>.+)": "weight",
+}
+"""By pattern of a wide name: the tidy one. Groups are index columns, but for `name` and `unit`."""
+
+_PATTERNS_OF_TABLES = {
+    "bias_x_mm": {r"(?P<quantity>search_rms|median|miss_95|rms|bias_x|bias_y|spread)_mm": "miss_mm"},
+    "spearman": {r"(?P<quantity>candidates|spearman|largest_excess_nats|same_best)": "value"},
+}
+"""Further patterns, of the tables that have this column."""
+
+_METRIC_STATISTICS = {
+    "{short}_median_mm": "median",
+    "{short}_min_mm": "low",
+    "{short}_max_mm": "high",
+}
+"""Statistics of a metric in names of columns; a table that has one of them gets a row per metric."""
+
+_METRIC_VALUES = {"{metric}": "value", "floor_{metric}": "floor"}
+_PREDICTION_SCORE = re.compile(r"(tip|shape)_(crps_mm|interval_score_mm|in_50|in_95)")
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where the cells of a wide column go: a column, in the rows of an index."""
+
+    column: str
+    index: Mapping[str, object] = field(default_factory=dict)
+
+
+def to_tidy(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return a table with one row per quantity, level, probability or metric; one that is tidy as it is.
+
+    Columns whose name holds none of these stand in all of a row's rows. No number changes.
+    """
+    places = _find_places([str(name) for name in frame])
+    if not places:
+        return frame
+    combinations = _combine([place.index for place in places.values()])
+    keys = list(dict.fromkeys(name for one in combinations for name in one))
+    plain = [str(name) for name in frame if name not in places]
+    values = list(dict.fromkeys(place.column for place in places.values()))
+    parts = [_take_rows(frame, places, one, plain) for one in combinations]
+    found = pd.concat([part for part in parts if len(part.columns)]).sort_index(kind="stable")
+    first = min(position for position, name in enumerate(frame) if name in places)
+    shared = [name for name in plain if name not in (*keys, *values)]
+    before = [name for name in frame.columns[:first] if name in shared]
+    order = [*before, *keys, *values, *(name for name in shared if name not in before)]
+    return found.reindex(columns=order).reset_index(drop=True).assign(**_unify_types(found, values))
+
+
+def _unify_types(found: pd.DataFrame, names: list[str]) -> dict[str, "pd.Series"]:
+    """Return as numbers the columns in which flags and numbers met."""
+    mixed = [name for name in names if found[name].dtype == object]
+    kinds = {name: {type(value) for value in found[name].dropna()} for name in mixed}
+    flags = (bool, np.bool_)
+    numbers = (*flags, int, float, np.floating, np.integer)
+    return {
+        name: found[name].astype(float).reset_index(drop=True)
+        for name, types in kinds.items()
+        if all(issubclass(one, numbers) for one in types) and not all(issubclass(one, flags) for one in types)
+    }
+
+
+def _find_places(names: list[str]) -> dict[str, _Place]:
+    metrics = _metric_places()
+    statistics = [
+        name for name in names if name in metrics and metrics[name].column not in ("value", "floor")
+    ]
+    scores = [name for name in names if _PREDICTION_SCORE.fullmatch(name)]
+    if statistics or (scores and any(name in metrics for name in names)):
+        found = {name: metrics[name] for name in names if name in metrics}
+        return found | {name: _Place("value", {"metric": name}) for name in scores}
+    patterns = next((more for mark, more in _PATTERNS_OF_TABLES.items() if mark in names), {}) | _PATTERNS
+    return {name: place for name in names if name not in metrics and (place := _match(name, patterns))}
+
+
+def _match(name: str, patterns: Mapping[str, str]) -> _Place | None:
+    for pattern, target in patterns.items():
+        found = re.fullmatch(pattern, name)
+        if found:
+            groups = found.groupdict()
+            index: dict[str, object] = {
+                key: float(text.replace("_", ".")) / 100 if key in ("level", "probability") else text
+                for key, text in groups.items()
+                if key not in ("name", "unit")
+            }
+            return _Place(target.format(**groups), index)
+    return None
+
+
+def _metric_places() -> dict[str, _Place]:
+    found = {}
+    for metric in list_metrics():
+        short = metric.name.removesuffix("_mm").removesuffix("_percent")
+        words = {"metric": metric.name, "short": short}
+        for pattern, column in (_METRIC_STATISTICS | _METRIC_VALUES).items():
+            found[pattern.format(**words)] = _Place(column, {"metric": metric.name})
+    return found
+
+
+def _combine(indices: list[Mapping[str, object]]) -> list[Mapping[str, object]]:
+    """Return the different indices, without those that are part of another one."""
+    return [
+        one
+        for number, one in enumerate(indices)
+        if one not in indices[:number] and not any(one.items() < other.items() for other in indices)
+    ]
+
+
+def _take_rows(
+    frame: pd.DataFrame, places: Mapping[str, _Place], index: Mapping[str, object], plain: list[str]
+) -> pd.DataFrame:
+    """Return the rows of one index, numbered as in the wide table."""
+    by_detail = sorted(places.items(), key=lambda item: len(item[1].index))
+    taken = {place.column: name for name, place in by_detail if place.index.items() <= index.items()}
+    columns = {name: frame[name] for name in plain} | {new: frame[old] for new, old in taken.items()}
+    return pd.DataFrame({**columns, **index}, index=frame.index).reset_index(drop=True)

@@ -7,16 +7,17 @@ import pandas as pd
 
 from needlefit.inference.identifiability.precision import format_sd, short_name
 from needlefit.inference.parameters import is_logarithmic
-from needlefit.reporting.interval_text import (
+from needlefit.reporting.number_format import (
     NO_INTERVAL,
     choose_interval_unit,
+    choose_printed_unit,
     format_interval,
+    format_number,
+    format_quantity_range,
     typeset_interval,
 )
-from needlefit.reporting.number_format import choose_printed_unit, format_number, format_quantity_range
-from needlefit.reporting.table import Table
+from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records
-from needlefit.reporting.table_layout import TableLayout
 from needlefit.studies.csv_tables import TableSchema
 from needlefit.studies.identification import IDENTIFICATION_COLUMNS
 from needlefit.studies.run_differences import MIN_SD_CHANGE, ROUNDING_FRACTION, Difference, TableComparison

@@ -15,7 +15,7 @@ from needlefit.inference.identifiability.precision import MAX_LOG_SD, MAX_SHAPE_
 from needlefit.inference.parameters import Parameters, is_logarithmic
 from needlefit.inference.predict import Draws
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.reporting.interval_text import interval_width
+from needlefit.reporting.number_format import interval_width
 
 Row = dict[str, Any]
 

@@ -13,8 +13,7 @@ from pathlib import Path
 import pandas as pd
 
 from needlefit.project.folders import replace_folder
-from needlefit.reporting.table_files import write_csv, write_json
-from needlefit.reporting.tidy import to_tidy
+from needlefit.reporting.table_files import to_tidy, write_csv, write_json
 from needlefit.studies.fit_frames import FIT_KINDS
 from needlefit.studies.kind import find_kind
 from needlefit.studies.run import Run

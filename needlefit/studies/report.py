@@ -19,11 +19,9 @@ from needlefit.reporting.figures import Drawing
 from needlefit.reporting.labels import SYNTHETIC_NOTE
 from needlefit.reporting.latex import format_latex, format_table_macros
 from needlefit.reporting.paper_example import EXAMPLE_FILE, format_example
-from needlefit.reporting.table import Table
-from needlefit.reporting.table_files import to_records, write_csv_pieces, write_json
-from needlefit.reporting.table_layout import TableLayout
+from needlefit.reporting.table import Table, TableLayout
+from needlefit.reporting.table_files import to_records, to_tidy, write_csv_pieces, write_json
 from needlefit.reporting.text import KindText
-from needlefit.reporting.tidy import to_tidy
 from needlefit.studies.columnar import iterate_pieces
 from needlefit.studies.fit_warnings import QUALIFYING_WARNINGS
 from needlefit.studies.kind import find_kind

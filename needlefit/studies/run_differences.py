@@ -19,8 +19,7 @@ from needlefit.project.folders import require_unchanged
 from needlefit.project.input_files import convert_stored_errors
 from needlefit.project.json_values import to_json_values
 from needlefit.reporting.number_format import format_number
-from needlefit.reporting.table import Table
-from needlefit.reporting.table_layout import TableLayout
+from needlefit.reporting.table import Table, TableLayout
 from needlefit.studies.csv_tables import ANY_COLUMNS, TableSchema, read_table
 from needlefit.studies.kind import find_kind
 from needlefit.studies.store import read_run

@@ -13,23 +13,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure of a report: a form and its frame.
+    """A figure of a report: a form and its frame."""
 
-    Attributes
-    ----------
-    form : str or callable
-        The name of a function of `forms` or `fit_forms`, or one of a kind's own: frame and options -> figure.
-    frame : DataFrame
-        All that is drawn; it is saved as CSV beside the figure.
-    options : mapping
-        Keyword arguments of the form.
-    prepare : callable
-        Frame -> the frame that the form draws, where that needs columns which are not saved.
-    """
-
+    # The name of a function of `forms` or `fit_forms`, or one of a kind's own: frame and options -> figure
     form: "str | Callable[..., Figure]"
-    frame: pd.DataFrame
-    options: Mapping[str, Any] = field(default_factory=dict)
+    frame: pd.DataFrame  # all that is drawn; it is saved as CSV beside the figure
+    options: Mapping[str, Any] = field(default_factory=dict)  # keyword arguments of the form
+    # Frame -> the frame that the form draws, where that needs columns which are not saved
     prepare: Callable[[pd.DataFrame], pd.DataFrame] = lambda frame: frame
 
     def save(self, path: Path) -> Path:
@@ -44,64 +34,34 @@ class Drawing:
 
 @dataclass(frozen=True)
 class Look:
-    """How a series is drawn and named in the legend.
-
-    Attributes
-    ----------
-    label, colour : str
-    marker : str
-        As of matplotlib; "|" is a tick across the row, "" none.
-    filled : bool
-    dashes : str or tuple
-        Line style.
-    shift : float
-        Of dots in a row: how far below its middle, as a part of its height.
-    size, width : float
-        Of marks and lines, points.
-    white : float
-        Share of white in the colour of bands.
-    """
+    """How a series is drawn and named in the legend."""
 
     label: str
     colour: str
-    marker: str = "o"
+    marker: str = "o"  # as of matplotlib; "|" is a tick across the row, "" none
     filled: bool = True
-    dashes: Any = "-"
-    shift: float = 0.0
+    dashes: Any = "-"  # line style
+    shift: float = 0.0  # of dots in a row: how far below its middle, as a part of its height
+    # `size`, `width`: of marks and lines, points
     size: float = 3.4
     width: float = 1.1
-    white: float = 0.75
+    white: float = 0.75  # share of white in the colour of bands
 
 
 @dataclass(frozen=True)
 class Panel:
-    """A panel of `curves`: columns as line and as dots, and as a band, times `scale`.
+    """A panel of `curves`: columns as line and as dots, and as a band, times `scale`."""
 
-    Attributes
-    ----------
-    label : str
-        Of the y axis.
-    line, dots, low, high : str
-        Columns; empty: not drawn.
-    scale : float
-        Factor of all of them.
-    share : float
-        Of the height.
-    zero, log : bool
-        Whether a line marks 0, and whether the axis is logarithmic.
-    limits : (float, float), optional
-    reference : (float, str), optional
-        A dashed line at a height, and its name.
-    """
-
-    label: str
+    label: str  # of the y axis
+    # `line`, `dots`, `low`, `high`: columns; empty: not drawn
     line: str = ""
     dots: str = ""
     low: str = ""
     high: str = ""
-    scale: float = 1.0
-    share: float = 1.0
+    scale: float = 1.0  # factor of all of them
+    share: float = 1.0  # of the height
+    # `zero`, `log`: whether a line marks 0, and whether the axis is logarithmic
     zero: bool = False
     log: bool = False
     limits: tuple[float, float] | None = None
-    reference: tuple[float, str] | None = None
+    reference: tuple[float, str] | None = None  # a dashed line at a height, and its name

@@ -38,22 +38,9 @@ def animate(
     """Write states of an insertion as an animation, .gif or .mp4; each is shown from its time to that of the
     next.
 
-    Parameters
-    ----------
-    title : str
-    scene : Scene
-        As of `StateFigure`.
-    states : iterable of (time, NeedleState)
-        Times in s, increasing.
-    duration : float
-        The last of these times, s.
-    path : Path
-    overlays : SceneOverlays
-
-    Raises
-    ------
-    ConfigError
-        If the ending of `path` is another one, its folder does not exist, or there is no encoder for it.
+    Times are in s, increasing; `duration` is the last of them. All else is as of `StateFigure`.
+    ConfigError if the ending of `path` is another one, its folder does not exist, or there is no encoder for
+    it.
     """
     writer = _choose_writer(path)
     needed = duration * FRAMES_PER_S / (MAX_FRAMES - FINAL_FRAMES)

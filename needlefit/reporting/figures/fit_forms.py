@@ -31,7 +31,6 @@ from needlefit.reporting.figures.style import (
     fit_height,
     plot,
 )
-from needlefit.reporting.interval_text import NO_INTERVAL, choose_interval_unit, typeset_interval
 from needlefit.reporting.labels import (
     GREEN,
     GREY,
@@ -43,12 +42,15 @@ from needlefit.reporting.labels import (
     method_name,
 )
 from needlefit.reporting.number_format import (
+    NO_INTERVAL,
+    choose_interval_unit,
     choose_printed_unit,
     format_bare_symbol,
     format_number,
     format_plain,
     format_quantity,
     typeset,
+    typeset_interval,
 )
 from needlefit.reporting.table_files import Row, to_records
 

@@ -287,18 +287,10 @@ def draw_scene(title: str, scene: Scene, shapes: Sequence[NeedleShape], path: Pa
 
     A scene of one step is drawn in C, as far as it is inserted; one of several, or with anything beside the
     bevel that steers the needle, whole and in the world, a panel a step (of very many steps, some).
-    Deflections are small beside depths: y is stretched by the factor that its label states, by none where
-    the needle bends enough.
+    `shapes` are those after each step, up to the one that failed. Deflections are small beside depths: y is
+    stretched by the factor that its label states, by none where the needle bends enough.
 
-    Parameters
-    ----------
-    shapes : sequence of NeedleShape
-        After each step, up to the one that failed.
-
-    Raises
-    ------
-    ConfigError
-        If the ending of `path` is another one, or its folder does not exist.
+    ConfigError if the ending of `path` is another one, or its folder does not exist.
     """
     steered = any(step.controls != Controls() for step in scene.steps)
     whole = steered or len(scene.steps) > 1 or scene.depth == 0  # not in the tissue, it has no depth to show
@@ -421,22 +413,13 @@ _TIP_TEXT_WIDTH_IN, _LEGEND_COLUMN_WIDTH_IN = 1.5, 1.2  # of the text on the tip
 
 @dataclass(frozen=True)
 class SceneOverlays:
-    """Curves to compare a needle with, in its constraint frame C, mm.
+    """Curves to compare a needle with, in its constraint frame C, mm."""
 
-    Attributes
-    ----------
-    measured : (K, 2) array, optional
-        A measured needle.
-    low, high : (K, 2) arrays, optional
-        The edges of the 95 % band of fitted ones.
-    synthetic : bool
-        Whether the data are synthetic; the figure is then labelled.
-    """
-
-    measured: Floats | None = None
+    measured: Floats | None = None  # a measured needle (K, 2)
+    # `low`, `high` (K, 2): the edges of the 95 % band of fitted ones
     low: Floats | None = None
     high: Floats | None = None
-    synthetic: bool = False
+    synthetic: bool = False  # whether the data are synthetic; the figure is then labelled
 
 
 NO_OVERLAYS = SceneOverlays()
@@ -445,23 +428,10 @@ NO_OVERLAYS = SceneOverlays()
 class StateFigure:
     """A figure with axes in the world that has room for each of some states of an insertion.
 
-    Parameters
-    ----------
-    title : str
-    scene : Scene
-        Needle, entry, rules and names of layers; tissue and inputs are those of a state.
-    states : sequence of NeedleState
-    overlays : SceneOverlays
-    whole : bool, optional
-        The needle from its base on, or only as far as it is inserted; by default whole where more than the
-        bevel steers it.
-
-    Attributes
-    ----------
-    per_mm : float
-        Lateral load per drawn millimetre, N/mm; 0 without a load.
-    arrow : float
-        Length of the arrow of a tip force of one newton, mm.
+    Of the scene it has needle, entry, rules and names of layers; tissue and inputs are those of a state. The
+    needle is drawn from its base on (`whole`) or only as far as it is inserted; by default whole where more
+    than the bevel steers it. `per_mm` is the lateral load per drawn millimetre, N/mm (0 without a load),
+    `arrow` the length of the arrow of a tip force of one newton, mm.
     """
 
     def __init__(
@@ -576,10 +546,7 @@ def draw_state(
 ) -> None:
     """Draw one state of an insertion with its forces to a .pdf, .png or .svg file; else as `StateFigure`.
 
-    Raises
-    ------
-    ConfigError
-        If the ending of `path` is another one, or its folder does not exist.
+    ConfigError if the ending of `path` is another one, or its folder does not exist.
     """
 
     def paint() -> Figure:

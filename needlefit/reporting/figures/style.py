@@ -94,10 +94,7 @@ def plot(path: Path, frame: pd.DataFrame, paint: Callable[[pd.DataFrame], Figure
     """Draw a table and save the table beside the figure, as CSV: the figure shows only what the table
     contains.
 
-    Raises
-    ------
-    ConfigError
-        As `draw`.
+    ConfigError as `draw`.
     """
     draw(path, lambda: paint(frame))
     write_csv(frame, path.with_suffix(".csv"))
@@ -108,10 +105,7 @@ def draw(path: Path, paint: Callable[[], Figure]) -> Path:
     """Draw a figure in the package's style, independent of the user's, and save it in the format of its
     suffix.
 
-    Raises
-    ------
-    ConfigError
-        If the suffix is none of .pdf, .png and .svg, or the folder does not exist.
+    ConfigError if the suffix is none of .pdf, .png and .svg, or the folder does not exist.
     """
     suffix = path.suffix.lower()
     if suffix not in (*_METADATA, ".pdf"):

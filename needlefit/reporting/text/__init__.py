@@ -38,7 +38,7 @@ Links to `cite:KEY,KEY` are citations: `format_latex` makes \\cite of them, repo
 """
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from numbers import Integral
@@ -60,8 +60,7 @@ from needlefit.reporting.number_format import (
     insert_symbols,
     join_words,
 )
-from needlefit.reporting.table import Table
-from needlefit.reporting.table_layout import TableLayout
+from needlefit.reporting.table import Table, TableLayout
 
 _PUNCTUATION = re.compile(r"([!-/:-@\[-`{-~])")
 _SPACE = re.compile(r"\s+")
@@ -73,10 +72,8 @@ _INLINE_RULES = ("escape", "backticks", "emphasis", "link", "newline")
 def escape_markdown(value: object) -> Markup:
     """Return a value as Markdown that prints it literally, on one line.
 
-    Raises
-    ------
-    TypeError
-        If it is neither a text nor a whole number: a number needs a filter, which says how it is printed.
+    TypeError if it is neither a text nor a whole number: a number needs a filter, which says how it is
+    printed.
     """
     if isinstance(value, Markup):
         return value
@@ -85,10 +82,6 @@ def escape_markdown(value: object) -> Markup:
     if not isinstance(value, str) and (isinstance(value, bool) or not isinstance(value, Integral)):
         raise TypeError(f"{value!r} in a text needs a filter, such as mm or percent")
     return Markup(_PUNCTUATION.sub(r"\\\1", _SPACE.sub(" ", str(value))))  # noqa: S704 - Markdown, escaped
-
-
-def _refer(kind: str) -> Callable[[str], Markup]:
-    return lambda name: Markup(f"[[{kind}:{name}]]")  # noqa: S704 - names are those of files
 
 
 @cache
@@ -104,7 +97,8 @@ def _environment(package: str) -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.globals |= {kind: _refer(kind) for kind in ("table", "figure", "block")}
+    for kind in ("table", "figure", "block"):  # their names are those of files
+        environment.globals[kind] = lambda name, kind=kind: Markup(f"[[{kind}:{name}]]")  # noqa: S704
     environment.filters |= {
         **FORMATS,
         "quantity": lambda value, parameter: format_quantity(parameter, value),
@@ -120,18 +114,10 @@ def _environment(package: str) -> jinja2.Environment:
 
 @dataclass(frozen=True)
 class KindText:
-    """The text of one kind of study.
+    """The text of one kind of study."""
 
-    Attributes
-    ----------
-    name : str
-        Of the file, without `.md.j2`.
-    package : str
-        That holds the file; a plug-in names its own.
-    """
-
-    name: str
-    package: str = __name__
+    name: str  # of the file, without `.md.j2`
+    package: str = __name__  # that holds the file; a plug-in names its own
 
     @cached_property
     def _template(self) -> jinja2.Template:
@@ -144,10 +130,7 @@ class KindText:
     def render(self, block: str, values: Mapping[str, Any]) -> str:
         """Return the Markdown of a block.
 
-        Raises
-        ------
-        jinja2.UndefinedError
-            If it names a value that there is not.
+        jinja2.UndefinedError if it names a value that there is not.
         """
         context = self._template.new_context(dict(values))
         blocks, context.blocks = context.blocks, {name: [lambda _: iter(())] for name in context.blocks}
@@ -224,15 +207,12 @@ def _compose(tokens: list[Token], known: Mapping[tuple[str, str], list[Block]]) 
             make = document.heading if tokens[number - 1].tag == "h2" else document.subheading
             yield make(_plain(token))
         else:
-            yield _paragraph(token)
-
-
-def _paragraph(token: Token) -> Block:
-    children = [one for one in token.children or [] if one.type != "text" or one.content]
-    small = len(children) > 2 and children[0].type == "em_open" and children[-1].type == "em_close"
-    if small and sum(one.type == "em_open" for one in children) == 1:
-        return document.note(_runs(replace(token, children=children[1:-1])))
-    return document.text(_runs(token))
+            children = [one for one in token.children or [] if one.type != "text" or one.content]
+            small = len(children) > 2 and children[0].type == "em_open" and children[-1].type == "em_close"
+            if small and sum(one.type == "em_open" for one in children) == 1:
+                yield document.note(_runs(replace(token, children=children[1:-1])))
+            else:
+                yield document.text(_runs(token))
 
 
 def _iterate_latex(token: Token) -> Iterator[tuple[str, list[str]]]:

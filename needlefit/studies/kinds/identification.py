@@ -34,9 +34,8 @@ from needlefit.project.result_warnings import read_warnings, warnings_entry
 from needlefit.reporting.document import Block
 from needlefit.reporting.figures.fit_forms import draw_profiles
 from needlefit.reporting.number_format import insert_symbols
-from needlefit.reporting.table import Table
+from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records
-from needlefit.reporting.table_layout import TableLayout
 from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import TargetRecord
 from needlefit.studies.identification import IDENTIFICATION_COLUMNS, PROFILE_COLUMNS, identify_parameters

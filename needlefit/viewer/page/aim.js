@@ -8,6 +8,7 @@ const PAUSE = 80; // ms between two goals while one is dragged
 const WITHIN = 1000; // ms; changes that follow so soon are undone together
 const MAX_OBSTACLES = 16; // the server takes no more
 const EMPTY = { target: null, radius: 2, obstacles: [] };
+const NOTHING = { reach: null, plan: null, planning: false, placing: null, challenge: null };
 let timer = 0;
 let sent = null; // id of the goal that was sent last
 let known = EMPTY; // the goal that the server took last
@@ -17,7 +18,7 @@ let at = null; // step of the needle
 let [past, future] = [[], []]; // goals to go back to, and forth, each with the step of the needle at which it was left
 
 /** What is aimed at (an obstacle: x, y, radius, name), the reachable region and the plan, as the server sent them last. */
-export const aim = { ...EMPTY, reach: null, plan: null, planning: false, placing: null, challenge: null };
+export const aim = { ...EMPTY, ...NOTHING };
 
 const goal = () => ({ target: aim.target, radius: aim.radius, obstacles: aim.obstacles });
 
@@ -85,13 +86,11 @@ export function put(x, y) {
   changedAt = -Infinity; // it is undone alone
   if (what === "target") setAim({ target: [x, y] });
   else if (aim.obstacles.length < MAX_OBSTACLES) setAim({ obstacles: [...aim.obstacles, [x, y, Math.max(aim.radius, SMALLEST)]] });
-  else refuseMore();
+  else {
+    publish("notice", { what: `There are ${MAX_OBSTACLES} obstacles.`, expected: `at most ${MAX_OBSTACLES}`, fix: "remove one" });
+    publish("aimed");
+  }
   return true;
-}
-
-function refuseMore() {
-  publish("notice", { what: `There are ${MAX_OBSTACLES} obstacles.`, expected: `at most ${MAX_OBSTACLES}`, fix: "remove one" });
-  publish("aimed");
 }
 
 /** Move the target (null) or an obstacle by its number. */
@@ -119,7 +118,7 @@ export function tipError({ tip }) {
 listen("scene", () => {
   known = EMPTY;
   [past, future] = [[], []];
-  Object.assign(aim, { target: null, obstacles: [], reach: null, plan: null, planning: false, placing: null, challenge: null });
+  Object.assign(aim, { target: null, obstacles: [], ...NOTHING });
   publish("aimed");
 });
 listen("refused", ({ answers }) => { // what was refused is taken back

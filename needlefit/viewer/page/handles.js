@@ -72,19 +72,19 @@ function all() {
     { at: bevel.turn, cursor: "grab", drag: turnBevel(state) },
     { at: bevel.tip, cursor: "ns-resize", drag: dragTip(state) },
   ];
+  const add = (at, cursor, drag) => handles.push({ at, cursor, drag });
   for (const guide of state.guides) {
     const { place, turn } = guidePlace(guide);
-    if (!guide.turns_freely) handles.push({ at: turn, cursor: "grab", drag: turnGuide(guide, place) });
-    handles.push({ at: place, cursor: "move", drag: dragGuide(guide) });
+    if (!guide.turns_freely) add(turn, "grab", turnGuide(guide, place));
+    add(place, "move", dragGuide(guide));
   }
-  if (points.shown && now.scene.measured) {
-    points.places().forEach(([x, y], i) => handles.push({ at: [toPx(x), toPy(y)], cursor: "ns-resize", drag: dragPoint(i) }));
-  }
+  const dragged = points.shown && now.scene.measured ? points.places() : [];
+  dragged.forEach(([x, y], i) => add([toPx(x), toPy(y)], "ns-resize", dragPoint(i)));
   [aim.target, ...aim.obstacles].forEach((one, i) => {
-    if (one) handles.push({ at: [toPx(one[0]), toPy(one[1])], cursor: "move", drag: dragGoal(i ? i - 1 : null, one) });
+    if (one) add([toPx(one[0]), toPy(one[1])], "move", dragGoal(i ? i - 1 : null, one));
   });
-  handles.push({ at: base.turn, cursor: "grab", drag: turnBase(state, base.place) });
-  handles.push({ at: base.place, cursor: "move", drag: dragBase(state) });
+  add(base.turn, "grab", turnBase(state, base.place));
+  add(base.place, "move", dragBase(state));
   return handles;
 }
 
@@ -127,16 +127,12 @@ function turnBevel({ bevel }) {
   };
 }
 
-/** A measured point is no input of the needle either. */
-function dragPoint(number) {
-  const begun = points.offsets[number];
-  return (from, to) => {
-    points.move(number, begun + rise(from, to));
-    return [];
-  };
-}
+/** A measured point, a target or an obstacle is no input of the needle: dragging it asks for no change. */
+const dragPoint = (number, begun = points.offsets[number]) => (from, to) => {
+  points.move(number, begun + rise(from, to));
+  return [];
+};
 
-/** A target or an obstacle is no input of the needle: dragging it asks for no change. */
 const dragGoal = (number, [x, y]) => (from, to) => {
   moveTo(number, x + fromPx(to[0]) - fromPx(from[0]), y + rise(from, to));
   return [];
@@ -152,7 +148,8 @@ const dragGuide = ({ item, x, y }) => (from, to) => [
 /** The base's ring stands behind it: it points away from where the needle goes. */
 const turnBase = ({ base }, place) => (_, to) => {
   const stage = base.rotation - base.input_slope; // what the stage's own axis adds
-  return [["base_slope", null, Math.atan(slopeAlong(to, place)) - stage]];
+  const along = (to[1] - place[1]) / Math.max(place[0] - to[0], 1) / view.magnified;
+  return [["base_slope", null, Math.atan(along) - stage]];
 };
 
 /** A guide's ring stands beside it: the guide's direction is across. */
@@ -160,7 +157,3 @@ const turnGuide = ({ item }, place) => (_, to) => {
   const [across, up] = [to[0] - place[0], place[1] - to[1]];
   return [["guide_slope", item, -across / Math.max(up, 1) / view.magnified]];
 };
-
-function slopeAlong(from, to) {
-  return (from[1] - to[1]) / Math.max(to[0] - from[0], 1) / view.magnified;
-}

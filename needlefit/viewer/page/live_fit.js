@@ -16,14 +16,14 @@ let ridge = null;
 let mode = null;
 let asked = null; // id of the fit asked for last
 
-const ask = () => begin({ do: "fit", scope: part("fit-scope").value });
+const ask = () => begin({ do: "fit" });
 
 /** Send where the points are now; the server fits to them. */
-points.send = () => begin({ do: "points", scope: part("fit-scope").value, offsets: points.offsets });
+points.send = () => begin({ do: "points", offsets: points.offsets });
 
 /** Ask for a fit; what was found before is not the answer any more. */
 function begin(message) {
-  asked = command(message);
+  asked = command({ ...message, scope: part("fit-scope").value });
   if (asked === null) return;
   part("fit").ariaBusy = "true";
   part("fit-note").textContent = "Fitting …";
@@ -53,20 +53,18 @@ function takeMode(message) {
   const names = layerInputs();
   const layers = message.layers.flatMap((values, i) => values.map((value, j) => [names[j], i + 1, value]));
   change([...layers, [throughout, null, message.offset_mm]]);
-  part("fit-note").textContent = `Fitted to ${counted(message.insertions, "needle")} in ${message.seconds.toFixed(2)} s: b ${message.offset_mm.toFixed(3)} mm, `
-    + `first layer μ ${brief(message.layers[0][0] * 1e-6, 3)} MPa.${describeDoubts(message)} Drawing …`;
-}
-
-/** What a reader must know before these values are used. */
-function describeDoubts({ misfit, at_bounds: bounds }) {
+  const { insertions, seconds, misfit, at_bounds: bounds } = message;
+  // what a reader must know before these values are used
   const far = misfit > MISFIT ? ` The residuals are ${misfit.toFixed(1)} times the stated errors: the model does not describe these points.` : "";
-  return bounds.length ? `${far} At its bound: ${bounds.join(", ")}.` : far;
+  const bound = bounds.length ? ` At its bound: ${bounds.join(", ")}.` : "";
+  part("fit-note").textContent = `Fitted to ${counted(insertions, "needle")} in ${seconds.toFixed(2)} s: b ${message.offset_mm.toFixed(3)} mm, `
+    + `first layer μ ${brief(message.layers[0][0] * 1e-6, 3)} MPa.${far}${bound} Drawing …`;
 }
 
 function takeRidge(message) {
   ridge = message;
-  const [low, , high] = quantiles(message.mu_pa).map((one) => brief(one * 1e-6, 3));
-  const [less, , more] = quantiles(message.offset_mm).map((one) => brief(one, 3));
+  const [low, high] = limits(message.mu_pa).map((one) => brief(one * 1e-6, 3));
+  const [less, more] = limits(message.offset_mm).map((one) => brief(one, 3));
   const sure = message.certified ? "" : " The weights of these draws cannot be relied on.";
   const words = `95 % of draws: first layer μ ${low} to ${high} MPa, b ${less} to ${more} mm; `
     + `correlation of their logarithms ${message.correlation.toFixed(2)}.${sure}`;
@@ -77,9 +75,9 @@ function takeRidge(message) {
   say(words);
 }
 
-function quantiles(values) {
+function limits(values) {
   const sorted = values.toSorted((one, other) => one - other);
-  return [0.025, 0.5, 0.975].map((share) => sorted[Math.round(share * (sorted.length - 1))]);
+  return [0.025, 0.975].map((share) => sorted[Math.round(share * (sorted.length - 1))]);
 }
 
 /** Draws of mu (up, logarithmic) against b: where they lie along a line, the data leave their ratio open. */

@@ -54,30 +54,25 @@ export function fit(which) {
   touch();
   if (!now.scene || !now.state || !which) return;
   if (which === "tip") {
-    view.scale = limited(view.box.width / TIP_WINDOW);
-    view.magnified = 1;
-    view.x = now.state.tip.x;
-    view.y = now.state.tip.y;
-    return;
+    const { x, y } = now.state.tip;
+    return Object.assign(view, { scale: limited(view.box.width / TIP_WINDOW), magnified: 1, x, y });
   }
-  const [low, high, before, after] = which === "whole" ? wholeSpan() : tissueSpan();
+  // From the base at first contact, or from the skin, to the greatest depth that is known; room in px for the base's
+  // handle, or for the key of the load before the skin.
+  const [low, high, before, after] = which === "whole"
+    ? [-now.scene.length_mm, deepest() + 4, Math.min(74, 0.1 * view.box.width + 20), 12] : [0, 1.08 * deepest(), 84, 8];
   const room = view.box.width - before - after;
   const [bottom, top] = heights(which);
   const [along, across] = [room / (high - low), (TALL * view.box.height) / (top - bottom)];
   view.scale = limited(Math.min(along, across));
-  view.magnified = which === "whole" ? 1 : magnification(top - bottom);
+  // How many times as large as x the y axis is drawn, so that deflections can be seen.
+  const times = (VISIBLE * view.box.height) / view.scale / Math.max(top - bottom, LEAST_SPAN);
+  const plain = which === "whole" || view.true;
+  view.magnified = plain ? 1 : MAGNIFICATIONS.filter((one) => one <= times).at(-1) ?? 1;
   view.x = (low + high) / 2 + (after - before) / (2 * view.scale);
-  view.y = midHeight(bottom, top);
-}
-
-/** From the base at first contact to the greatest depth that is known; room in px for the base's handle. */
-function wholeSpan() {
-  return [-now.scene.length_mm, deepest() + 4, Math.min(74, 0.1 * view.box.width + 20), 12];
-}
-
-/** From the skin; room in px for the key of the load before it. */
-function tissueSpan() {
-  return [0, 1.08 * deepest(), 84, 8];
+  // The axis stays in the middle while all that must be seen is seen anyway.
+  const half = (TALL * view.box.height) / 2 / (view.scale * view.magnified);
+  view.y = top < half && bottom > -half ? 0 : (bottom + top) / 2;
 }
 
 function deepest() {
@@ -97,19 +92,6 @@ function heights(which) {
   const band = [now.band?.low.at(-1), now.band?.high.at(-1)].filter(Number.isFinite);
   const all = [...seen, ...(now.scene.measured?.y ?? []), ...goals, ...band, 0];
   return [Math.min(...all), Math.max(...all)];
-}
-
-/** How many times as large as x the y axis is drawn, so that deflections over `span` mm can be seen. */
-function magnification(span) {
-  if (view.true) return 1;
-  const room = (VISIBLE * view.box.height) / view.scale / Math.max(span, LEAST_SPAN);
-  return MAGNIFICATIONS.filter((one) => one <= room).at(-1) ?? 1;
-}
-
-/** The middle of what must be seen; the axis stays in the middle while that is seen anyway. */
-function midHeight(low, high) {
-  const half = (TALL * view.box.height) / 2 / (view.scale * view.magnified);
-  return high < half && low > -half ? 0 : (low + high) / 2;
 }
 
 /** Whether the tip is in the window. */

@@ -13,11 +13,9 @@ from needlefit.reporting.columns import DIGITS, METRIC_FORMAT, find_column, form
 from needlefit.reporting.document import Block
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures.fit_forms import draw_profiles
-from needlefit.reporting.interval_text import choose_interval_unit, typeset_interval
-from needlefit.reporting.number_format import insert_symbols
-from needlefit.reporting.table_files import to_records, write_csv
-from needlefit.reporting.table_layout import TableLayout
-from needlefit.reporting.tidy import to_tidy
+from needlefit.reporting.number_format import choose_interval_unit, insert_symbols, typeset_interval
+from needlefit.reporting.table import TableLayout
+from needlefit.reporting.table_files import to_records, to_tidy, write_csv
 from needlefit.studies.identification_tables import (
     describe_verdicts,
     lay_out_identification,

@@ -12,26 +12,23 @@ from needlefit.inference.parameters import HYPERPARAMETERS
 from needlefit.inference.sampling.posterior import PERCENTILES
 from needlefit.metrics import Metric, headline_metrics, list_metrics
 from needlefit.reporting.columns import DIGITS
-from needlefit.reporting.interval_text import (
-    NO_INTERVAL,
-    choose_interval_unit,
-    format_interval,
-    typeset_interval,
-)
 from needlefit.reporting.labels import SPECIMEN_NAMES, method_name, study_name
 from needlefit.reporting.number_format import (
+    NO_INTERVAL,
+    choose_interval_unit,
     choose_printed_unit,
     format_bare_symbol,
+    format_interval,
     format_metric,
     format_number,
     format_quantity,
     format_quantity_range,
     insert_symbols,
     typeset,
+    typeset_interval,
 )
-from needlefit.reporting.table import Table, part, pivot
+from needlefit.reporting.table import Table, TableLayout, part, pivot
 from needlefit.reporting.table_files import Row, to_records
-from needlefit.reporting.table_layout import TableLayout
 from needlefit.reporting.text import KindText
 from needlefit.studies.coverage import COVERAGE_COLUMNS, count_covered, tabulate_coverage
 from needlefit.studies.fit_warnings import describe_gain

@@ -19,9 +19,8 @@ from needlefit.project.folders import replace_folder
 from needlefit.project.progress import Progress
 from needlefit.project.toml import dumps
 from needlefit.reporting.document import Block
-from needlefit.reporting.table import Table
+from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records, write_csv
-from needlefit.reporting.table_layout import TableLayout, drop_empty_columns
 from needlefit.reporting.text import KindText
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.studies.kinds.reconstruction import KIND, ReconstructionBatchRecord
@@ -66,7 +65,7 @@ def describe(found: Run) -> dict[str, Any]:
 def lay_out_reconstructions(found: Run, columns: Sequence[str] = _COLUMNS) -> TableLayout:
     """Return the main results of each scan."""
     rows = [_describe_scan(found, row) for row in to_records(found.frames["reconstruction"])]
-    return drop_empty_columns(_TEXT.lay_out(Table("reconstruction", "", rows, columns), describe(found)))
+    return _TEXT.lay_out(Table("reconstruction", "", rows, columns), describe(found), drop_empty=True)
 
 
 def _describe_scan(found: Run, row: Row) -> Row:
@@ -103,8 +102,7 @@ def compose_sections(found: Run, figures: FigurePaths) -> list[Block]:
     tables = [lay_out_reconstructions(found)]
     if "refused" in found.frames:
         rows = [{**row, "scan": row["id"]} for row in to_records(found.frames["refused"])]
-        table = _TEXT.lay_out(Table("refused", "", rows, ("scan", "note")), {})
-        tables.append(drop_empty_columns(table))
+        tables.append(_TEXT.lay_out(Table("refused", "", rows, ("scan", "note")), {}, drop_empty=True))
     return _TEXT.compose("report", describe(found), tables)
 
 

@@ -16,7 +16,7 @@ export function paintTissue(context, slice) {
   const { left, top, width, height } = view.box;
   context.fillStyle = palette.air;
   context.fillRect(left, top, width, height);
-  const layers = seenLayers();
+  const layers = listLayers();
   for (const { from, to, shade } of layers) {
     context.fillStyle = shade;
     context.fillRect(from, top, to - from, height);
@@ -26,24 +26,6 @@ export function paintTissue(context, slice) {
     const draw = () => context.drawImage(slice.image, toPx(x0), toPy(y1), toPx(x1) - toPx(x0), toPy(y0) - toPy(y1));
     faintly(context, 0.85, draw);
   }
-  paintEdges(context, layers);
-  paintNames(context, layers);
-}
-
-/** The layers that are in the window: their edges (px), shades and numbers. */
-function seenLayers() {
-  const { boundaries_mm: tops, layer_names: names } = now.scene;
-  const { left, width } = view.box;
-  const depths = [0, ...tops, Infinity];
-  const layers = shades(now.state.layers).map((shade, i) => ({
-    shade, number: i + 1, name: names[i] || `layer ${i + 1}`, mu: now.state.layers[i].mu_pa,
-    top: toPx(depths[i]), from: Math.max(toPx(depths[i]), left), to: Math.min(toPx(depths[i + 1]), left + width),
-  }));
-  return layers.filter(({ from, to }) => to > from);
-}
-
-function paintEdges(context, layers) {
-  const { left, top, width, height } = view.box;
   for (const { from, number, top: edge } of layers) {
     if (edge < left) continue; // its upper side lies outside
     context.fillStyle = number === 1 ? palette.ink : palette.edge;
@@ -53,6 +35,19 @@ function paintEdges(context, layers) {
   context.setLineDash([5, 4]);
   segments(context, [[[left, axis], [left + width, axis]]], palette.quiet, 1);
   context.setLineDash([]);
+  paintNames(context, layers);
+}
+
+/** The layers that are in the window: their edges (px), shades and numbers. */
+function listLayers() {
+  const { boundaries_mm: tops, layer_names: names } = now.scene;
+  const { left, width } = view.box;
+  const depths = [0, ...tops, Infinity];
+  const layers = shades(now.state.layers).map((shade, i) => ({
+    shade, number: i + 1, name: names[i] || `layer ${i + 1}`, mu: now.state.layers[i].mu_pa,
+    top: toPx(depths[i]), from: Math.max(toPx(depths[i]), left), to: Math.min(toPx(depths[i + 1]), left + width),
+  }));
+  return layers.filter(({ from, to }) => to > from);
 }
 
 /** All layers are called in the same way: by their names if these fit, or by their numbers. */

@@ -20,6 +20,7 @@ const HINT_RADIUS = 22; // px
 const UP = Math.PI / 2;
 
 let perNewton = null; // px per N/mm
+const distance = (one, other) => Math.hypot(one[0] - other[0], one[1] - other[1]);
 
 /** How thick the needle is drawn, px. */
 export const thickness = () => Math.max(now.scene.diameter_mm * view.scale, THINNEST);
@@ -33,36 +34,27 @@ export function paintNeedle(context, { x, y, bevel, faults }) {
   const outside = faults?.length > 0; // of the model: it looks different
   const shown = outside ? palette.bad : palette.needle;
   const width = thickness();
-  const shaft = shortened(x.map(toPx), y.map(toPy), LONGEST_BEVEL * Math.max(width, 3));
+  // The shaft ends before the tip, where the bevel begins.
+  const [px, py, length] = [x.map(toPx), y.map(toPy), LONGEST_BEVEL * Math.max(width, 3)];
+  const tip = [px.at(-1), py.at(-1)];
+  const points = px.map((one, i) => [one, py[i]]).filter((one) => distance(one, tip) > length);
+  const last = points.at(-1) ?? tip;
+  const share = 1 - length / (distance(last, tip) || 1);
+  points.push(last.map((from, i) => from + share * (tip[i] - from)));
   const axis = new Path2D();
-  for (const [px, py] of shaft.points) axis.lineTo(px, py);
+  for (const one of points) axis.lineTo(...one);
   context.lineJoin = "round";
   context.lineCap = "butt";
   if (width >= WIDE) faintly(context, FAINT, () => stroke(context, shown, width, axis));
   context.setLineDash(outside ? [9, 5] : []);
   stroke(context, shown, width < WIDE ? width : AXIS, axis);
   context.setLineDash([]);
-  paintBevel(context, shaft, Math.max(width, 3) / 2, bevel.side);
-}
-
-/** The needle's points (px) without its last `length` px, and its tip. */
-function shortened(px, py, length) {
-  const tip = [px.at(-1), py.at(-1)];
-  const far = ([x, y]) => Math.hypot(x - tip[0], y - tip[1]) > length;
-  const points = px.map((one, i) => [one, py[i]]).filter(far);
-  const [x, y] = points.at(-1) ?? tip;
-  const share = 1 - length / (Math.hypot(x - tip[0], y - tip[1]) || 1);
-  points.push([x + share * (tip[0] - x), y + share * (tip[1] - y)]);
-  return { points, tip };
-}
-
-/** The cut face is drawn as a line of its own: it looks away from the side of the point. */
-function paintBevel(context, { points, tip }, half, side) {
-  const [x, y] = points.at(-1);
-  const size = Math.hypot(tip[0] - x, tip[1] - y) || 1;
-  const [dx, dy] = [(tip[0] - x) / size, (tip[1] - y) / size];
+  // The cut face is drawn as a line of its own: it looks away from the side of the point.
+  const [end, half, { side }] = [points.at(-1), Math.max(width, 3) / 2, bevel];
+  const size = distance(end, tip) || 1;
+  const [dx, dy] = tip.map((to, i) => (to - end[i]) / size);
   const at = ([px, py], to) => [px + to * dy * half, py - to * dx * half]; // canvas y runs downwards
-  const [back, near, point] = [at([x, y], -side), at([x, y], side), at(tip, side)];
+  const [back, near, point] = [at(end, -side), at(end, side), at(tip, side)];
   polygon(context, [back, near, point], palette.needle);
   segments(context, [[back, point]], palette.tip, 2);
 }
@@ -152,12 +144,16 @@ export function paintLoad(context, { load: { x, y, n_per_mm: values } }, raw) {
   const load = raw ? values : smooth(x, values, now.scene.spacing_mm);
   const greatest = load.reduce((most, one) => Math.max(most, Math.abs(one)), 0);
   if (greatest < LEAST_LOAD || x.length < 2) return;
-  rescale(greatest);
+  // The scale stays while the curve is neither too tall nor too low: a load that grows shall look so.
+  const height = greatest * (perNewton ?? 0);
+  if (height > TALLEST || height < LOWEST) perNewton = (0.75 * TALLEST) / (2 * roundStep(greatest));
   const [px, py] = [x.map(toPx), y.map(toPy)];
   const surface = beside(px, py, load, 0);
   const ends = beside(px, py, load, perNewton);
   const [areas, edges] = [new Path2D(), new Path2D()];
-  for (const [from, to] of runs(load)) {
+  // where the load pushes to one side without a break: first point, and one behind the last
+  const starts = load.map((_, i) => i).filter((i) => i === 0 || load[i] * load[i - 1] <= 0);
+  for (const [from, to] of starts.map((start, n) => [start, starts[n + 1] ?? load.length])) {
     const curve = [surface[from], ...ends.slice(from, to), surface[to - 1]];
     curve.forEach((place, i) => (i ? edges.lineTo(...place) : edges.moveTo(...place)));
     curve.push(...surface.slice(from, to).reverse());
@@ -189,12 +185,6 @@ export function smooth(x, load, reach) {
   });
 }
 
-/** Where the load pushes to one side without a break: first point, and one behind the last. */
-function runs(load) {
-  const starts = load.map((_, i) => i).filter((i) => i === 0 || load[i] * load[i - 1] <= 0);
-  return starts.map((from, n) => [from, starts[n + 1] ?? load.length]);
-}
-
 /** Places beside the shaft, px: on its normal, as far from the surface that is pushed as the load is great. */
 function beside(px, py, load, scale) {
   const [last, surface] = [px.length - 1, thickness() / 2];
@@ -204,12 +194,6 @@ function beside(px, py, load, scale) {
     const size = (load[i] * scale + Math.sign(load[i]) * surface) / (Math.hypot(dx, dy) || 1);
     return [px[i] + dy * size, py[i] - dx * size];
   });
-}
-
-/** Keep the scale while the curve is neither too tall nor too low: a load that grows shall look so. */
-function rescale(greatest) {
-  const height = greatest * (perNewton ?? 0);
-  if (height > TALLEST || height < LOWEST) perNewton = (0.75 * TALLEST) / (2 * roundStep(greatest));
 }
 
 /** The length of a round load, at the upper left. */
