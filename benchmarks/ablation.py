@@ -25,9 +25,8 @@ from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
-from needlefit.synthetic.design import list_planned_insertions
+from needlefit.synthetic.design import bevel_offset, draw_needle, draw_specimen, list_planned_insertions
 from needlefit.synthetic.insertion import TRUTH_OPTIONS, TWIN_SEED, simulate_insertion
-from needlefit.synthetic.truth import bevel_offset, draw_needle, draw_specimen
 
 MEDIUM = "phantom2"
 STARTS = (0.0, -0.7, 0.7)

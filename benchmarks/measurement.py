@@ -34,10 +34,9 @@ from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
 from needlefit.synthetic.build import build_unscanned, describe_dataset
-from needlefit.synthetic.design import PlannedInsertion, list_planned_insertions
+from needlefit.synthetic.design import PlannedInsertion, draw_specimen, list_planned_insertions
 from needlefit.synthetic.insertion import TWIN_SEED
 from needlefit.synthetic.scans import WHOLE_BOX_SETUP, make_recipe, render_insertion, write_layers
-from needlefit.synthetic.truth import draw_specimen
 
 MEDIUM = "phantom2"
 POINTS = LikelihoodRecord(measurement="points")

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
-from needlefit.imaging.registration.pairing import find_symmetries
+from needlefit.imaging.registration.pairing import find_symmetries, make_marker_sets, pair_by_icp
 from needlefit.imaging.registration.register import (
     Registration,
     predict_mean_target_error,
@@ -30,7 +30,6 @@ from needlefit.imaging.registration.register import (
     target_covariance,
     to_world,
 )
-from needlefit.imaging.registration.rigid import make_marker_sets, pair_by_icp
 
 Floats = NDArray[np.float64]
 

@@ -18,19 +18,19 @@ from pathlib import Path
 import numpy as np
 
 from needlefit.cli import main as run_command
-from needlefit.synthetic import truth
+from needlefit.synthetic import design
 
 PHANTOMS = ("phantom1", "phantom2", "phantom3")
 
 
 def scale_differences(factor: float) -> None:
     """Let the specimens of synthetic truths differ `factor` times as much."""
-    truth.LOG_MU_SD.update({name: factor * sd for name, sd in truth.LOG_MU_SD.items()})
-    mean = float(np.mean([np.log(truth.TRUE_MEDIA[name].bevel) for name in PHANTOMS]))
+    design.LOG_MU_SD.update({name: factor * sd for name, sd in design.LOG_MU_SD.items()})
+    mean = float(np.mean([np.log(design.TRUE_MEDIA[name].bevel) for name in PHANTOMS]))
     for name in PHANTOMS:
-        medium = truth.TRUE_MEDIA[name]
+        medium = design.TRUE_MEDIA[name]
         bevel = float(np.exp(mean + factor * (np.log(medium.bevel) - mean)))
-        truth.TRUE_MEDIA[name] = replace(medium, bevel=bevel)
+        design.TRUE_MEDIA[name] = replace(medium, bevel=bevel)
 
 
 def main() -> None:

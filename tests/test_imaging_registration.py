@@ -16,7 +16,11 @@ from needlefit.imaging.registration.pairing import (
     expected_chance_pairings,
     find_pairings,
     find_symmetries,
+    fit_kabsch,
     group_interchangeable,
+    make_marker_sets,
+    pair_by_icp,
+    sum_squared_residuals,
 )
 from needlefit.imaging.registration.register import (
     check_axis_signs,
@@ -24,12 +28,6 @@ from needlefit.imaging.registration.register import (
     scan_frame,
     target_covariance,
     to_world,
-)
-from needlefit.imaging.registration.rigid import (
-    fit_kabsch,
-    make_marker_sets,
-    pair_by_icp,
-    sum_squared_residuals,
 )
 
 seeds = st.integers(0, 2**32 - 1)

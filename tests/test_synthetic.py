@@ -14,8 +14,8 @@ from needlefit.mechanics.simulate import simulate
 from needlefit.project.locate import find_file, shipped_folder
 from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord
+from needlefit.synthetic import design
 from needlefit.synthetic import insertion as insert_module
-from needlefit.synthetic import truth
 from needlefit.synthetic.design import PHANTOMS, displace, list_planned_insertions, make_surfaces
 from needlefit.synthetic.insertion import TRUTH_OPTIONS, insert_needle, stated_frame
 
@@ -29,11 +29,11 @@ def paper(name):
 
 def truly_inserted(name, seed=1):
     planned = PLAN[name]
-    specimen = truth.draw_specimen(seed, planned.medium, planned.specimen)
+    specimen = design.draw_specimen(seed, planned.medium, planned.specimen)
     return (
         planned,
         specimen,
-        insert_needle(planned, truth.draw_needle(seed), specimen, truth.draw_deviations(seed, planned)),
+        insert_needle(planned, design.draw_needle(seed), specimen, design.draw_deviations(seed, planned)),
     )
 
 
@@ -94,25 +94,25 @@ def test_boundaries_of_the_phantoms_lie_in_the_box():
 
 def test_the_true_media_are_those_of_the_paper_and_pieces_of_chicken_differ():
     rows = {row["set"]: row for row in paper("parameters.csv")}
-    for name, medium in truth.TRUE_MEDIA.items():
+    for name, medium in design.TRUE_MEDIA.items():
         row, layers = rows[name], range(1, len(medium.mu_pa) + 1)
         assert medium.mu_pa == tuple(float(row[f"mu{n}_pa"]) for n in layers)
         assert medium.alpha == tuple(float(row[f"alpha{n}"]) for n in layers)
-    one, other = (truth.draw_specimen(1, "chicken", f"chicken-piece{n}") for n in (1, 2))
+    one, other = (design.draw_specimen(1, "chicken", f"chicken-piece{n}") for n in (1, 2))
     assert one.mu != other.mu
     assert not np.array_equal(one.field.at(np.zeros((1, 3))), other.field.at(np.zeros((1, 3))))
-    assert truth.draw_specimen(1, "phantom2", "phantom2").field is None
-    specimen = truth.draw_specimen(1, "chicken", "chicken-piece1")
-    offset = truth.TRUE_MEDIA["chicken"].bevel
+    assert design.draw_specimen(1, "phantom2", "phantom2").field is None
+    specimen = design.draw_specimen(1, "chicken", "chicken-piece1")
+    offset = design.TRUE_MEDIA["chicken"].bevel
     for fibre_angle, share in ((0.0, 2.0), (45.0, 1.0), (60.0, 0.5), (90.0, 0.0)):
         planned = dataclasses.replace(PLAN["chicken-02"], fibre_angle=fibre_angle)
-        assert truth.bevel_offset(specimen, planned) == pytest.approx(share * offset)
-    assert truth.bevel_offset(truth.draw_specimen(1, "phantom1", "phantom1"), PLAN["phantom1-01"]) == 0.03
+        assert design.bevel_offset(specimen, planned) == pytest.approx(share * offset)
+    assert design.bevel_offset(design.draw_specimen(1, "phantom1", "phantom1"), PLAN["phantom1-01"]) == 0.03
 
 
 def test_the_true_needle_is_a_few_percent_off():
     for seed in [1, 2, 3]:
-        off = truth.draw_needle(seed).flexural_rigidity / truth.NOMINAL_NEEDLE.flexural_rigidity - 1
+        off = design.draw_needle(seed).flexural_rigidity / design.NOMINAL_NEEDLE.flexural_rigidity - 1
         assert 0.02 <= abs(off) <= 0.05
 
 
@@ -127,10 +127,10 @@ def test_the_true_needle_is_not_what_the_fit_assumes(name, friction):
     assert TRUTH_OPTIONS.element <= fitted.element / 4 and TRUTH_OPTIONS.spacing == fitted.spacing
     assert np.max(np.diff(found.shape.x[1:])) == pytest.approx(fitted.element / 4)
     assert found.tissue.friction == pytest.approx(friction)
-    needle, bevel = truth.draw_needle(1), Bevel(truth.bevel_offset(specimen, planned))
+    needle, bevel = design.draw_needle(1), Bevel(design.bevel_offset(specimen, planned))
     again = simulate(needle, found.tissue, bevel, planned.depth, rules=TRUTH_OPTIONS)
     assert again.tip_lateral == pytest.approx(found.shape.tip_lateral, abs=1e-4)
-    nominal = simulate(truth.NOMINAL_NEEDLE, found.tissue, bevel, planned.depth, rules=TRUTH_OPTIONS)
+    nominal = simulate(design.NOMINAL_NEEDLE, found.tissue, bevel, planned.depth, rules=TRUTH_OPTIONS)
     assert abs(nominal.tip_lateral / again.tip_lateral - 1) > 1e-3
     smooth = dataclasses.replace(found.tissue, friction=np.zeros(found.tissue.layers))
     assert (

@@ -48,7 +48,7 @@ from needlefit.studies.rank_statistics import (
 )
 from needlefit.studies.simulated_data import find_true_value, simulate_measurement
 from needlefit.studies.study_files import load_study
-from needlefit.synthetic.truth import draw_specimen
+from needlefit.synthetic.design import draw_specimen
 
 ENOUGH = {"sigma": 80, "prior": 20, "pose": 10, "shuffled": 8}
 """Replicates by which each control is noticed."""

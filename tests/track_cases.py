@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from needlefit.datasets.insertion import Dataset, Noise
-from needlefit.datasets.tip_tracks import TipReadings, TipTrack, make_track
+from needlefit.datasets.insertion import Dataset, Noise, TipReadings, TipTrack, make_track
 from needlefit.inference.forward_model import simulate_deflections
 from needlefit.inference.problem import Problem, make_problem
 from needlefit.mechanics.needle import Needle

@@ -22,10 +22,9 @@ from needlefit.datasets.columns import (
     SHARED_COLUMN,
 )
 from needlefit.datasets.formats.csv import CsvTable
-from needlefit.datasets.insertion import Insertion, Noise
+from needlefit.datasets.insertion import Insertion, Noise, TipTrack
 from needlefit.datasets.layers import ListedInsertion
 from needlefit.datasets.noise import MEAN_NORM_PER_SD
-from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.unit_warnings import (

@@ -39,7 +39,10 @@ from needlefit.datasets.insertion import (
     Dataset,
     Insertion,
     Noise,
+    TipReadings,
+    TipTrack,
     find_free_reach,
+    make_track,
 )
 from needlefit.datasets.insertion_table import parse_rows
 from needlefit.datasets.layers import (
@@ -60,7 +63,6 @@ from needlefit.datasets.sections import (
     locate_sections,
 )
 from needlefit.datasets.sources import compute_digest, find_checksum_faults, find_dataset_file, find_folders
-from needlefit.datasets.tip_tracks import TipReadings, TipTrack, make_track
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
 from needlefit.mechanics.needle import Needle

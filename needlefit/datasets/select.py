@@ -4,8 +4,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from needlefit.datasets.insertion import Dataset, Insertion
-from needlefit.datasets.tip_tracks import TipTrack
+from needlefit.datasets.insertion import Dataset, Insertion, TipTrack
 from needlefit.errors import ConfigError
 from needlefit.project.locate import join_names, sort_by_similarity
 from needlefit.project.toml import add_key_context

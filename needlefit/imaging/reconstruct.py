@@ -58,13 +58,13 @@ from needlefit.imaging.reconstruction import (
     render_views,
 )
 from needlefit.imaging.refusals import located, refusal
+from needlefit.imaging.registration.pairing import FOUND_SET, KNOWN_SET
 from needlefit.imaging.registration.register import (
     Registration,
     predict_mean_target_error,
     register,
     scan_frame,
 )
-from needlefit.imaging.registration.rigid import FOUND_SET, KNOWN_SET
 from needlefit.imaging.scans import BEVEL_FIX, CONTACT_COLUMNS, Scan
 from needlefit.imaging.volume import Volume, VoxelGrid, require_hounsfield
 from needlefit.imaging.volume_files import read_volume

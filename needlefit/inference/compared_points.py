@@ -21,8 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Insertion, Pose, find_free_reach
-from needlefit.datasets.tip_tracks import TipTrack
+from needlefit.datasets.insertion import Insertion, Pose, TipTrack, find_free_reach
 from needlefit.errors import DataError
 from needlefit.geometry.curves import COMPARISON_POINTS, arc_length, interpolate_at_arc, resample_curve
 from needlefit.geometry.frames import (

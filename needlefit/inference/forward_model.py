@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Dataset, Insertion
-from needlefit.datasets.tip_tracks import TipTrack
+from needlefit.datasets.insertion import Dataset, Insertion, TipTrack
 from needlefit.inference.compared_points import (
     find_end,
     read_batch_derivatives,

@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Dataset, Insertion, Noise
+from needlefit.datasets.insertion import Dataset, Insertion, Noise, TipTrack
 from needlefit.datasets.select import list_bevels
-from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.errors import ConfigError
 from needlefit.geometry.curves import ComparedCurves, compare_curves
 from needlefit.inference.compared_points import (

@@ -31,8 +31,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.tip_tracks import TipTrack
+from needlefit.datasets.insertion import Insertion, TipTrack
 from needlefit.errors import ConfigError
 from needlefit.inference.baselines import BASELINES, Baseline
 from needlefit.inference.compared_points import extrapolate_tip

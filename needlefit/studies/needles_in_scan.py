@@ -15,8 +15,7 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.tip_tracks import TipTrack
+from needlefit.datasets.insertion import Insertion, TipTrack
 from needlefit.errors import ModelError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import Placement, align_rigid

@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Dataset, Insertion, Noise
+from needlefit.datasets.insertion import Dataset, Insertion, Noise, TipTrack
 from needlefit.datasets.read import make_noise
 from needlefit.datasets.select import list_bevels
-from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.errors import ConfigError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import Frame
@@ -41,8 +40,7 @@ from needlefit.schemas.analyses import SyntheticDataRecord, SyntheticInsertionRe
 from needlefit.schemas.medium import MediumRecord
 from needlefit.studies.folds import Fold
 from needlefit.studies.job import Job
-from needlefit.synthetic.design import list_planned_insertions
-from needlefit.synthetic.truth import bevel_offset, draw_specimen
+from needlefit.synthetic.design import bevel_offset, draw_specimen, list_planned_insertions
 
 MIN_WEIGHT = 1e-12  #: of a cross-section that counts for nothing: its noise must stay finite
 FREE_POSE_SHIFT_SD_MM = 10.0  #: standard deviation of where a shape lies whose pose is free, mm

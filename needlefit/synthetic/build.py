@@ -24,8 +24,15 @@ from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import THIS_PROCESS, TaskPool, run_in_order
 from needlefit.project.toml import dumps
 from needlefit.schemas.reconstruction import ReconstructionRecord
-from needlefit.synthetic import truth
-from needlefit.synthetic.design import PlannedInsertion, list_planned_insertions
+from needlefit.synthetic import design
+from needlefit.synthetic.design import (
+    LOG_MU_SD,
+    NOMINAL_NEEDLE,
+    TRUE_MEDIA,
+    PlannedInsertion,
+    TrueSpecimen,
+    list_planned_insertions,
+)
 from needlefit.synthetic.insertion import (
     SUBLAYER_THICKNESS_MM,
     TRUTH_OPTIONS,
@@ -44,7 +51,6 @@ from needlefit.synthetic.scans import (
     sample_whole_needle,
     write_layers,
 )
-from needlefit.synthetic.truth import LOG_MU_SD, NOMINAL_NEEDLE, TRUE_MEDIA, TrueSpecimen
 
 
 @dataclass(frozen=True)
@@ -85,7 +91,7 @@ TRUTH_NOTE = (
 
 def write_truth(path: Path, seed: int, built: Sequence[ReconstructedInsertion]) -> None:
     """Write the truth of the insertions `built` to the TOML file `path`."""
-    needle = truth.draw_needle(seed)
+    needle = design.draw_needle(seed)
     planned = [one.insertion.planned for one in built]
     pairs = dict.fromkeys((one.medium, one.specimen) for one in planned)
     tables = {
@@ -93,7 +99,7 @@ def write_truth(path: Path, seed: int, built: Sequence[ReconstructedInsertion]) 
         "origin": "synthetic",
         "seed": seed,
         "note": TRUTH_NOTE,
-        "specimens": [_describe_specimen(truth.draw_specimen(seed, *pair)) for pair in pairs],
+        "specimens": [_describe_specimen(design.draw_specimen(seed, *pair)) for pair in pairs],
         "insertions": [_describe_insertion(one) for one in built],
         "needle": {
             "length_mm": needle.length,
@@ -117,13 +123,13 @@ def write_truth(path: Path, seed: int, built: Sequence[ReconstructedInsertion]) 
             for name, medium in TRUE_MEDIA.items()
         },
         "deviations": {
-            "rigidity_relative_range": truth.RIGIDITY_DEVIATION,
-            "chicken_field_sd_of_ln_mu": truth.FIELD_LOG_MU_SD,
-            "chicken_field_length_mm": truth.FIELD_LENGTH_MM,
-            "layer_place_sd_mm": truth.LAYER_SD_MM,
-            "bevel_plane_sd_deg": truth.ROLL_SD_DEG,
-            "pose_shift_sd_mm": truth.POSE_SHIFT_SD_MM,
-            "pose_angle_sd_deg": truth.POSE_ANGLE_SD_DEG,
+            "rigidity_relative_range": design.RIGIDITY_DEVIATION,
+            "chicken_field_sd_of_ln_mu": design.FIELD_LOG_MU_SD,
+            "chicken_field_length_mm": design.FIELD_LENGTH_MM,
+            "layer_place_sd_mm": design.LAYER_SD_MM,
+            "bevel_plane_sd_deg": design.ROLL_SD_DEG,
+            "pose_shift_sd_mm": design.POSE_SHIFT_SD_MM,
+            "pose_angle_sd_deg": design.POSE_ANGLE_SD_DEG,
         },
         "markers": {"places_mm": WHOLE_BOX_SETUP.markers.tolist(), "stated_sd_mm": WHOLE_BOX_SETUP.known_sd},
         "groups": _group_deflections(built),
@@ -152,7 +158,7 @@ def _describe_insertion(built: ReconstructedInsertion) -> dict[str, Any]:
         "axis_deflection_mm": _round(true.shape.tip_lateral),
         "tip_mm": _round_all(centerline[-1]),
         "out_of_plane_mm": _round(float(true.frame.to_local(centerline)[-1, 2])),
-        "bevel_mm": _round(truth.bevel_offset(insertion.specimen, insertion.planned)),
+        "bevel_mm": _round(design.bevel_offset(insertion.specimen, insertion.planned)),
         "sequence": true.sequence,
         "boundaries_mm": _round_all(true.boundaries),
         "mu_pa": _round_all(true.tissue.mu * 1e6),

@@ -13,9 +13,9 @@ from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
-from needlefit.synthetic.design import PlannedInsertion
-from needlefit.synthetic.truth import (
+from needlefit.synthetic.design import (
     PlanDeviations,
+    PlannedInsertion,
     TrueSpecimen,
     bevel_offset,
     draw_deviations,

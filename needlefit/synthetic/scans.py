@@ -26,10 +26,19 @@ from needlefit.project.tasks import TaskPool, run_in_order
 from needlefit.project.toml import dumps
 from needlefit.schemas.reconstruction import MarkersRecord, ReconstructionRecord, ScannedNeedleRecord
 from needlefit.synthetic import design
-from needlefit.synthetic.design import BOX_MM, PHANTOMS, PlannedInsertion, make_surfaces, surface_file_name
+from needlefit.synthetic.design import (
+    BOX_MM,
+    NOMINAL_NEEDLE,
+    PHANTOMS,
+    POSE_ANGLE_SD_DEG,
+    POSE_SHIFT_SD_MM,
+    TRUE_MEDIA,
+    PlannedInsertion,
+    make_surfaces,
+    surface_file_name,
+)
 from needlefit.synthetic.insertion import SyntheticInsertion, needle_points, simulate_insertion
 from needlefit.synthetic.render import Needle3D, Scanner, ScannerTable, Scene3D, SceneMarkers, render_scan
-from needlefit.synthetic.truth import NOMINAL_NEEDLE, POSE_ANGLE_SD_DEG, POSE_SHIFT_SD_MM, TRUE_MEDIA
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from needlefit.imaging.assembly import DatasetDescription, assemble_checked
 from needlefit.imaging.batch import list_entries, list_tubes, place_entries
 from needlefit.imaging.needle.segmentation import median_tissue_hu
 from needlefit.imaging.reconstruct import Examination, examine
-from needlefit.imaging.registration.rigid import MIN_MARKERS
+from needlefit.imaging.registration.pairing import MIN_MARKERS
 from needlefit.imaging.scans import Scan, placed_contact_fault, write_scan_table
 from needlefit.imaging.volume import Volume, grid_to_json, to_index
 from needlefit.imaging.volume_files import read_volume

@@ -16,31 +16,363 @@ there is no noise. With noise, the wrong pairing's chi-squared exceeds the right
 mean m^2 and deviation 2 m. A wrong pairing is noticed in 99 % only if that exceeds `MIN_CHI2_GAP` in 99 %,
 which asks for m >= z + sqrt(z^2 + MIN_CHI2_GAP), z = 2.33. Permutations below that are the layout's
 symmetries.
+
+Align paired markers rigidly, with the error at a target; also ICP.
+
+What the markers' noise does to a registration, and that to a target: first-order covariances.
+
+A small motion (omega, tau) about a centre c moves a world point p by J theta, J = [-[p - c]x, I],
+theta = (omega, tau). Markers with errors e_i of covariance C_i, fitted by least squares with weights W_i,
+give theta = A^-1 sum J_i^T W_i e_i, A = sum J_i^T W_i J_i, hence
+
+    cov(theta) = A^-1 (sum J_i^T W_i C_i W_i J_i) A^-1,        cov(error at p) = J cov(theta) J^T.
+
+With W_i = C_i^-1 the first is A^-1. With equal weights and C_i = sigma^2 I, and p measured from the markers'
+principal axes k, the trace of the second is 3 sigma^2 / N (1 + 1/3 sum_k d_k^2 / f_k^2): d_k is the target's
+distance from axis k, f_k the root mean square of the markers'.
+
+J. M. Fitzpatrick, J. B. West, C. R. Maurer, Predicting error in rigid-body point-based registration, IEEE
+Trans. Med. Imaging 17 (1998) 694-702, eq. 46. A. Danilchenko, J. M. Fitzpatrick, General approach to
+first-order error prediction in rigid point registration, IEEE Trans. Med. Imaging 30 (2011) 679-693: any
+covariances and weights; derived here anew from the normal equations.
+
+Iterated closest points, from a rough pose: what is near enough to begin with ends in the nearest minimum.
+
+P. J. Besl, N. D. McKay, IEEE Trans. Pattern Anal. 14 (1992) 239. Closest is asked of both sides, so that
+spurious and missing markers find no partner. From a poor beginning it ends in a wrong pairing without a
+word; `register` therefore never trusts it alone.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import comb, factorial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import pinvh
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
-from scipy.special import chdtri, ndtri
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+from scipy.special import chdtri, elliprg, ndtri
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, are_bounded
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.refusals import refusal
-from needlefit.imaging.registration.rigid import (
-    MIN_MARKERS,
-    Alignment,
-    MarkerSets,
-    Pairs,
-    align_pairs,
-    fit_kabsch,
-    make_marker_sets,
-    sum_squared_residuals,
-)
+
+MIN_MARKERS = 3  # markers that fix a rigid motion
+# Location named in errors of a single set.
+FOUND_SET, KNOWN_SET = "markers found in the scan", "known markers"
+# Fixes for a set with too few markers.
+TOO_FEW_FIXES = {
+    FOUND_SET: "lower the markers' threshold, give their places by hand, or scan with all markers in view",
+    KNOWN_SET: "list every marker of the layout; where there are no more, add markers and scan again",
+}
+
+
+@dataclass(frozen=True)
+class MarkerSets:
+    """Markers in two frames, not yet paired."""
+
+    found: Floats  # (M, 3); centres in the scan, mm
+    known: Floats  # (N, 3); places in the world, mm
+    found_covariance: Floats  # (M, 3, 3); of `found`, along the axes of the scan, mm^2
+    known_covariance: Floats  # (N, 3, 3); of `known`, along the axes of the world, mm^2
+
+    @property
+    def smaller_count(self) -> int:
+        """The number of markers in the smaller set: no pairing has more pairs."""
+        return min(len(self.found), len(self.known))
+
+    @property
+    def variance_bound(self) -> Floats:
+        """A variance (M, N), mm^2, that no pair exceeds in any direction, whatever the rotation."""
+        found = np.linalg.eigvalsh(self.found_covariance)[:, -1]
+        known = np.linalg.eigvalsh(self.known_covariance)[:, -1]
+        return np.asarray(found[:, None] + known[None, :])
+
+    @property
+    def typical_sd(self) -> float:
+        """The typical deviation of a pair per direction, mm: rms over directions, median over markers."""
+        found = np.median(np.trace(self.found_covariance, axis1=1, axis2=2)) / 3
+        known = np.median(np.trace(self.known_covariance, axis1=1, axis2=2)) / 3
+        return float(np.sqrt(found + known))
+
+    @property
+    def extent(self) -> float:
+        """The greatest distance between two known markers, mm."""
+        return float(np.max(np.linalg.norm(self.known[:, None] - self.known[None], axis=-1)))
+
+
+def make_marker_sets(
+    found: ArrayLike, known: ArrayLike, found_sd: ArrayLike, known_sd: ArrayLike
+) -> MarkerSets:
+    """Check and return both sets of markers.
+
+    A deviation is one number, one per marker (M,), one per marker and axis (M, 3), or covariances
+    (M, 3, 3); mm, mm^2; per direction, not of the length of the error.
+
+    DataError if a set has fewer than three markers, a number is not finite, or the deviations are not
+    positive.
+    """
+    places = _check_points(found, FOUND_SET), _check_points(known, KNOWN_SET)
+    covariances = [
+        _to_covariances(sd, len(points)) for sd, points in zip((found_sd, known_sd), places, strict=True)
+    ]
+    sets = MarkerSets(*places, *covariances)
+    if not (
+        all(map(are_bounded, covariances)) and np.linalg.eigvalsh(np.concatenate(covariances)).min() >= -1e-12
+    ):
+        raise refusal("""a deviation of a marker is negative or not finite
+            expected: one number, one per marker, one per marker and axis, or covariances
+            fix: state the deviation of a marker's centre per direction, mm
+            where: deviations of the markers""")
+    if sets.variance_bound.min() <= 0:
+        raise refusal("""the deviations of the markers are zero
+            expected: a positive deviation in the scan or in the world: it decides which pairing is believed
+            fix: state what finding a marker's centre leaves, about a tenth to a fifth of a voxel
+            where: deviations of the markers""")
+    return sets
+
+
+def mirror(sets: MarkerSets) -> MarkerSets:
+    """Return the sets with the found markers reflected through the origin; any mirror plane is equivalent."""
+    return replace(sets, found=-sets.found)
+
+
+def stretch(sets: MarkerSets, factors: ArrayLike) -> MarkerSets:
+    """Return the sets with the scan stretched by `factors` (3,) along its axes, for diagnosis only."""
+    return replace(sets, found=sets.found * np.asarray(factors))
+
+
+def scale_noise(sets: MarkerSets, factor: float) -> MarkerSets:
+    """Return the sets with all deviations multiplied."""
+    return replace(
+        sets,
+        found_covariance=sets.found_covariance * factor**2,
+        known_covariance=sets.known_covariance * factor**2,
+    )
+
+
+def _check_points(given: ArrayLike, name: str) -> Floats:
+    points = np.asarray(given, dtype=np.float64)
+    if points.size == 0:
+        points = points.reshape(0, 3)
+    if points.ndim != 2 or points.shape[1] != 3 or not are_bounded(points):
+        raise refusal(f"""the array of shape {points.shape} is no list of finite points
+            expected: three finite coordinates per marker, mm
+            fix: look for empty cells and for columns that are no coordinates
+            where: {name}""")
+    if len(points) < MIN_MARKERS:
+        raise refusal(f"""{len(points)} markers are too few
+            expected: at least three markers that are not on a line
+            fix: {TOO_FEW_FIXES[name]}
+            where: {name}""")
+    return points
+
+
+def _to_covariances(given: ArrayLike, count: int) -> Floats:
+    sd = np.asarray(given, dtype=np.float64)
+    if sd.shape == (count, 3, 3):
+        return sd
+    if sd.shape not in ((), (count,), (count, 3)) or not (are_bounded(sd) and (sd >= 0).all()):
+        raise refusal(f"""deviations of shape {sd.shape} are not those of {count} markers, or negative or not
+                finite
+            expected: a number, or an array of shape ({count},), ({count}, 3) or ({count}, 3, 3)
+            fix: state the deviation of a marker's centre per direction, mm
+            where: deviations of the markers""")
+    per_axis = np.broadcast_to(sd[..., None] if sd.ndim == 1 else sd, (count, 3))
+    return np.asarray(per_axis[:, :, None] ** 2 * np.eye(3))
+
+
+def motion_jacobian(arms: ArrayLike) -> Floats:
+    """Return J (N, 3, 6): motion of points at `arms` (N, 3) from the centre by turn (rad) and shift (mm)."""
+    a = np.asarray(arms, dtype=np.float64)
+    moved = np.zeros((len(a), 3, 6))
+    moved[:, 0, 1], moved[:, 0, 2] = a[:, 2], -a[:, 1]
+    moved[:, 1, 0], moved[:, 1, 2] = -a[:, 2], a[:, 0]
+    moved[:, 2, 0], moved[:, 2, 1] = a[:, 1], -a[:, 0]
+    moved[:, :, 3:] = np.eye(3)
+    return moved
+
+
+def information_matrix(arms: ArrayLike, weights: Floats) -> Floats:
+    """Return A (6, 6) of markers at `arms` (P, 3) with `weights` (P, 3, 3), 1/mm^2."""
+    moved = motion_jacobian(arms)
+    return np.asarray(np.einsum("nia,nij,njb->ab", moved, weights, moved))
+
+
+def propagate_to_targets(arms: ArrayLike, pose: Floats) -> Floats:
+    """Return the covariance (N, 3, 3), mm^2, world axes, of targets at `arms` (N, 3) from the centre."""
+    moved = motion_jacobian(arms)
+    return np.asarray(moved @ pose @ np.swapaxes(moved, -1, -2))
+
+
+def mean_error_length(covariance: Floats) -> Floats:
+    """Return the mean length (N,) of Gaussian errors of these covariances (N, 3, 3).
+
+    An error is a length of mean sqrt(8 / pi) times a direction; the mean over directions of the root of a
+    quadratic form is Carlson's R_G of its eigenvalues.
+    """
+    a, b, c = np.maximum(np.linalg.eigvalsh(covariance), 0.0).T
+    return np.asarray(np.sqrt(8 / np.pi) * elliprg(a, b, c))
+
+
+def worst_turn_sd(points: Floats, sd: float) -> float:
+    """Return the deviation of the turn about the least determined axis, rad; inf if markers lie on a line.
+
+    `points`: (N, 3), each known to `sd` in any direction, mm.
+    """
+    weights = np.broadcast_to(np.eye(3) / sd**2, (len(points), 3, 3))
+    a = information_matrix(points - points.mean(axis=0), weights)
+    turn = a[:3, :3] - a[:3, 3:] @ np.linalg.solve(a[3:, 3:], a[3:, :3])
+    least = float(np.linalg.eigvalsh(turn)[0])
+    # on a line, what is left is rounding
+    return 1 / np.sqrt(least) if least > 1e-12 * float(np.trace(a[:3, :3])) else float("inf")
+
+
+Pairs = NDArray[np.int64]  # (P, 2): number of the found marker, number of the known one
+
+MAX_NEWTON_STEPS = 30  # gauss-Newton steps at most; three to five are taken
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """The fitted motion of paired points."""
+
+    frame: Frame  # the scan's axes and origin in the world
+    centre: Floats  # (3,); mean of the paired markers in the world, mm
+    covariance: Floats  # (6, 6); of turn (rad) and shift (mm) about the centre, world axes
+    residuals: Floats  # (P, 3); known minus found, in the world, mm
+    noise: Floats  # (P, 3, 3); covariances of the pairs before the fit, world axes, mm^2
+    chi2: float  # sum of squared residuals over their covariances; 3 P - 6 on average
+
+
+def fit_kabsch(moving: Floats, fixed: Floats, weights: Floats) -> Frame:
+    """Return the motion with the smallest sum w |fixed - motion(moving)|^2; points (P, 3), weights (P,).
+
+    W. Kabsch, Acta Cryst. A32 (1976) 922, with the sign of the least singular value chosen such that the
+    determinant is +1 (S. Umeyama, IEEE Trans. Pattern Anal. 13 (1991) 376).
+    """
+    share = weights / weights.sum()
+    centre_m, centre_f = share @ moving, share @ fixed
+    u, _, vt = np.linalg.svd((fixed - centre_f).T @ (share[:, None] * (moving - centre_m)))
+    proper = np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)])
+    rotation = u @ proper @ vt
+    return Frame(centre_f - rotation @ centre_m, rotation)
+
+
+def sum_squared_residuals(moving: Floats, fixed: Floats, weights: Floats) -> Floats:
+    """Return the residual sum w |residual|^2 (L,) of `fit_kabsch` for many pairings: (L, P, 3), weights (L,
+    P).
+
+    A weight of zero leaves a pair out.
+    """
+    share = weights / weights.sum(axis=1, keepdims=True)
+    a = moving - np.einsum("lp,lpi->li", share, moving)[:, None]
+    b = fixed - np.einsum("lp,lpi->li", share, fixed)[:, None]
+    product = np.einsum("lp,lpi,lpj->lij", weights, a, b)
+    values = np.linalg.svd(product, compute_uv=False)
+    values[:, 2] *= np.sign(np.linalg.det(product))
+    spread = np.einsum("lp,lpi->l", weights, a**2 + b**2)
+    return np.asarray(np.maximum(spread - 2 * values.sum(axis=1), 0.0))
+
+
+def align_pairs(sets: MarkerSets, pairs: Pairs) -> Alignment:
+    """Return the likeliest motion given the pairs: Kabsch, then Gauss-Newton with the full covariances.
+
+    The covariance of a pair is R C_found R^T + C_known. Where all are multiples of the identity, Kabsch is
+    the answer already and the steps change nothing.
+    """
+    found, known = sets.found[pairs[:, 0]], sets.known[pairs[:, 1]]
+    c_found, c_known = sets.found_covariance[pairs[:, 0]], sets.known_covariance[pairs[:, 1]]
+    trace = np.trace(c_found + c_known, axis1=1, axis2=2)
+    frame = fit_kabsch(found, known, 3 / trace)
+    centre = known.mean(axis=0)
+    for _ in range(MAX_NEWTON_STEPS):
+        noise = frame.rotation @ c_found @ frame.rotation.T + c_known
+        here = frame.to_world(found)
+        weights = np.asarray(np.linalg.inv(noise), dtype=np.float64)
+        pull = np.einsum("nia,nij,nj->a", motion_jacobian(here - centre), weights, known - here)
+        # on a line, one turn is free: the least step leaves it alone
+        step = pinvh(information_matrix(here - centre, weights), rtol=1e-13) @ pull
+        turn = Rotation.from_rotvec(step[:3]).as_matrix()
+        frame = Frame(turn @ (frame.origin - centre) + centre + step[3:], turn @ frame.rotation)
+        if np.abs(step).max() < 1e-11:
+            break
+    noise = frame.rotation @ c_found @ frame.rotation.T + c_known
+    here = frame.to_world(found)
+    residuals, weights = known - here, np.asarray(np.linalg.inv(noise), dtype=np.float64)
+    chi2 = float(np.einsum("ni,nij,nj->", residuals, weights, residuals))
+    # no other weights than the inverse covariances better the fit
+    covariance = np.asarray(pinvh(information_matrix(here - centre, weights)), dtype=np.float64)
+    return Alignment(frame, centre, covariance, residuals, noise, chi2)
+
+
+def expected_fre(alignment: Alignment, found: Floats) -> float:
+    """Return the root mean square residual, mm, that the noise predicts; `found` (P, 3), scan.
+
+    A residual has the covariance of its pair less what the fit follows of it, C_i - J_i cov(theta) J_i^T.
+    """
+    left = np.trace(_residual_covariance(alignment, found), axis1=1, axis2=2)
+    return float(np.sqrt(np.mean(np.maximum(left, 0.0))))
+
+
+def expected_left_out(alignment: Alignment, found: Floats) -> Floats:
+    """Return the root mean square distance (P,), mm, predicted for each marker from a fit to the others.
+
+    To first order that fit misses the marker by C_i Q_i^-1 r_i, where Q_i is the covariance of its residual
+    r_i in the fit to all; so the miss has the covariance C_i Q_i^-1 C_i. `found` (P, 3), scan, mm.
+    """
+    # Markers on a line leave an eigenvalue 0, which rounding may turn negative; the default 1e-15 keeps it.
+    left = np.linalg.pinv(_residual_covariance(alignment, found), rcond=1e-12, hermitian=True)
+    missed = alignment.noise @ left @ alignment.noise
+    return np.asarray(np.sqrt(np.trace(missed, axis1=1, axis2=2)))
+
+
+def _residual_covariance(alignment: Alignment, found: Floats) -> Floats:
+    moved = motion_jacobian(alignment.frame.to_world(found) - alignment.centre)
+    followed = moved @ alignment.covariance @ np.swapaxes(moved, -1, -2)
+    return np.asarray(alignment.noise - followed)
+
+
+MAX_ICP_ITERATIONS = 100  # rounds at most; a handful is taken
+MAX_PAIR_DISTANCE_SD = 4.0  # deviations of a length, beyond which a final pair is none
+
+
+def pair_by_icp(sets: MarkerSets, rough: Frame) -> Pairs:
+    """Return the pairs (P, 2) at which closest points converge from the `rough` frame of the scan in the
+    world.
+
+    Pairs that stay further apart than `MAX_PAIR_DISTANCE_SD` deviations are left out, the worst first, as
+    long as three remain.
+    """
+    frame, pairs = rough, np.empty((0, 2), dtype=np.int64)
+    for _ in range(MAX_ICP_ITERATIONS):
+        here = frame.to_world(sets.found)
+        to_known = np.asarray(cKDTree(sets.known).query(here)[1], dtype=np.int64)
+        to_found = np.asarray(cKDTree(here).query(sets.known)[1], dtype=np.int64)
+        both = np.flatnonzero(to_found[to_known] == np.arange(len(here)))
+        closest = np.column_stack([both, to_known[both]])
+        if len(closest) < MIN_MARKERS or np.array_equal(closest, pairs):
+            break
+        pairs = closest
+        frame = _fit_weighted(sets, pairs)
+    while len(pairs) > MIN_MARKERS:
+        away = np.linalg.norm(frame.to_world(sets.found[pairs[:, 0]]) - sets.known[pairs[:, 1]], axis=1)
+        sd = np.sqrt(3 * sets.variance_bound[pairs[:, 0], pairs[:, 1]])
+        worst = int(np.argmax(away / sd))
+        if away[worst] <= MAX_PAIR_DISTANCE_SD * sd[worst]:
+            break
+        pairs = np.delete(pairs, worst, axis=0)
+        frame = _fit_weighted(sets, pairs)
+    return pairs
+
+
+def _fit_weighted(sets: MarkerSets, pairs: Pairs) -> Frame:
+    weights = 1 / sets.variance_bound[pairs[:, 0], pairs[:, 1]]
+    return fit_kabsch(sets.found[pairs[:, 0]], sets.known[pairs[:, 1]], weights)
+
 
 # Probability that the noise as stated makes the right pairing look too bad to be believed.
 FALSE_ALARM_PROBABILITY = 1e-4

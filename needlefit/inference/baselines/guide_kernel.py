@@ -8,8 +8,7 @@ curvature toward the bevel and the slope of the session; L is stated.
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.tip_tracks import TipTrack
+from needlefit.datasets.insertion import Insertion, TipTrack
 from needlefit.inference.baselines import Baseline, make_curvature_curve
 
 DECAY_MM = 20.0  #: L: about the length within which a needle bends at an entry, mm

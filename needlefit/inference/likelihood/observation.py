@@ -31,10 +31,10 @@ from needlefit.datasets.insertion import (
     Insertion,
     Noise,
     Pose,
+    TipTrack,
     select_compared_places,
 )
 from needlefit.datasets.noise import MEAN_NORM_PER_SD
-from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import align_rigid, differentiate_align_rigid, make_tracker_columns

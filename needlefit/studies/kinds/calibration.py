@@ -4,7 +4,7 @@ Truths are parameters from the prior, which is simulation-based calibration, or 
 S. Talts, M. Betancourt, D. Simpson, A. Vehtari, A. Gelman, arXiv 1804.06788; the log likelihood among what is
 ranked is from M. Modrak et al., Bayesian Anal. 20 (2025) 461.
 
-The other model is that of the synthetic dataset (`needlefit.synthetic.truth`): friction, layers that differ
+The other model is that of the synthetic dataset (`needlefit.synthetic.design`): friction, layers that differ
 between specimens, muscle whose modulus varies from place to place, a needle stiffer or softer than stated,
 and errors of pose and roll. Each replicate draws it anew for the insertions of the study, has them measured
 and reconstructed, fits as the study does, and ranks true values and measured tips in what was inferred.
@@ -22,9 +22,8 @@ import pandas as pd
 from pydantic import Field, model_validator
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.insertion import Insertion, TipTrack
 from needlefit.datasets.read import read
-from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.errors import ConfigError, FitError, ModelError
 from needlefit.inference.forward_model import simulate_deflections
 from needlefit.inference.identifiability.precision import linearize

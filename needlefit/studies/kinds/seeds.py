@@ -52,9 +52,8 @@ from needlefit.studies.runner import AnalysisPlan, FrameRows, run_analysis
 from needlefit.studies.simulated_data import find_true_value
 from needlefit.studies.verdict import Status
 from needlefit.synthetic.build import build_unscanned
-from needlefit.synthetic.design import PlannedInsertion, list_planned_insertions
+from needlefit.synthetic.design import PlannedInsertion, bevel_offset, draw_needle, list_planned_insertions
 from needlefit.synthetic.insertion import SyntheticInsertion, simulate_insertion
-from needlefit.synthetic.truth import bevel_offset, draw_needle
 
 
 class SeedsRecord(AnalysisRecord):

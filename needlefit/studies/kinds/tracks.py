@@ -11,10 +11,9 @@ import pandas as pd
 from scipy.special import stdtrit  # scipy.stats takes 0.4 s to load
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.insertion import GUIDE_STILL_MM, Dataset, Insertion, TipTrack
 from needlefit.datasets.read import read
 from needlefit.datasets.select import select_insertions
-from needlefit.datasets.tip_tracks import GUIDE_STILL_MM, TipTrack
 from needlefit.errors import ConfigError
 from needlefit.geometry.frames import make_tracker_columns
 from needlefit.inference import predict
