@@ -57,17 +57,6 @@ def test_a_gaussian_is_recovered():
     assert np.diag(covariance) == pytest.approx([1.0, 4.0, 0.01], rel=0.15)
 
 
-def test_a_correlated_gaussian_of_twenty_dimensions():
-    rng = np.random.default_rng(4)
-    factor = rng.normal(size=(20, 20))
-    covariance = factor @ factor.T / 20 + 0.05 * np.eye(20)
-    found = weighted(Known(gaussian(covariance), 20), effort=Effort(draws=2000, rounds=1, min_ess=300))
-    mean, got, errors = moments(found)
-    assert found.certified
-    assert np.all(np.abs(mean) < 5 * errors)
-    assert got == pytest.approx(covariance, abs=8 * errors.max())
-
-
 def test_a_banana_is_recovered():
     # E x1 = 1, var x1 = 2.25; x0 is normal; from its Laplace approximation alone k says that it does not.
     once = weighted(Known(banana, half=40.0), effort=Effort(rounds=1, min_ess=1))
