@@ -542,11 +542,9 @@ def _make_frames(rows: Sequence[Row], synthetic: bool) -> dict[str, pd.DataFrame
     """
     replicates = pd.DataFrame([{k: v for k, v in row.items() if k not in NESTED_FRAMES} for row in rows])
     columns: dict[str, list[str]] = {}
-    for (
-        column
-    ) in replicates.columns:  # of one quantity `rank_<quantity>`, or several `rank_<quantity>:<which>`
-        if column.startswith(RANK_PREFIX):
-            columns.setdefault(column.removeprefix(RANK_PREFIX).partition(":")[0], []).append(column)
+    for column in (one for one in replicates.columns if one.startswith(RANK_PREFIX)):
+        quantity, _, _ = column.removeprefix(RANK_PREFIX).partition(":")  # of several, `<quantity>:<which>`
+        columns.setdefault(quantity, []).append(column)
     ranks: dict[str, Counts] = {
         name: replicates[each[0] if len(each) == 1 else each].to_numpy(dtype=np.int64)
         for name, each in columns.items()
