@@ -1,9 +1,8 @@
 """Report several studies in one folder; the folder is complete, or it is not created."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from needlefit.project.folders import replace_folder
 from needlefit.project.input_files import convert_stored_errors
@@ -104,8 +103,18 @@ def compose_overview(
         *tuning_tables(tunings),
         *([fit_tables.lay_out_coverage(*predicted, named=True)] if predicted else []),
     ]
+    groups, warned = [], list[Block]()
+    for one in results:
+        errors, name = one.frames["errors"], one.title.partition(":")[0]
+        fitted = set(errors.loc[errors["role"] == "tune", "medium"])
+        for group in list_held_out_groups(one):
+            ratio = group.over_floor(TE)
+            close = ratio is not None and ratio <= MAX_FLOOR_RATIO
+            groups.append({"own": group.head["medium"] in fitted, "predicted": close})
+        warned += [document.warning(f"{name}: {headline_fault(fault)}: {fault}.") for fault in one.faults]
+        warned += compose_warnings(list_run_warnings(one), head=f"{name}: ")
     values = {
-        "groups": [group for one in results for group in _list_groups(one)],
+        "groups": groups,
         "predicted": bool(predicted),
         "questions": [f"{one.title}: {one.question}".rstrip(": ") for one in results],
     }
@@ -115,43 +124,15 @@ def compose_overview(
     blocks = {
         "answer": [document.verdict(TEXT.sentence("answer", values), "none")],
         "verdicts": [block for one in results for block in verdict_blocks(one, named=True)],
-        "warnings": _list_warnings(results),
+        "warnings": [document.subheading("Warnings"), *warned] if warned else [],
     }
     body = TEXT.compose("report", values, tables, figures, blocks, captions)
-    states = _join_equal(block for one in results for block in state_blocks(one))
+    states: list[Block] = []
+    for block in (block for one in results for block in state_blocks(one)):
+        states += [] if block in states else [block]
     data = "; ".join(dict.fromkeys(one.name if one.synthetic else one.dataset_title for one in results))
     synthetic = any(one.origin == "synthetic" for one in results)
     return Document("Validation studies", data, synthetic, (*states, *body, *appendix))
-
-
-def _list_groups(results: Run) -> list[dict[str, Any]]:
-    """Return of each held-out group whether its medium is fitted too, and whether it is predicted closely."""
-    errors = results.frames["errors"]
-    fitted = set(errors.loc[errors["role"] == "tune", "medium"])
-    found = []
-    for group in list_held_out_groups(results):
-        ratio = group.over_floor(TE)
-        close = ratio is not None and ratio <= MAX_FLOOR_RATIO
-        found.append({"own": group.head["medium"] in fitted, "predicted": close})
-    return found
-
-
-def _join_equal(blocks: Iterable[Block]) -> list[Block]:
-    """Return blocks without those that are there already."""
-    found: list[Block] = []
-    for block in blocks:
-        found += [] if block in found else [block]
-    return found
-
-
-def _list_warnings(results: Sequence[Run]) -> list[Block]:
-    """Return what did not converge, and the warnings of all runs, each with the name of its run."""
-    blocks = []
-    for one in results:
-        name = one.title.partition(":")[0]
-        blocks += [document.warning(f"{name}: {headline_fault(fault)}: {fault}.") for fault in one.faults]
-        blocks += compose_warnings(list_run_warnings(one), head=f"{name}: ")
-    return [document.subheading("Warnings"), *blocks] if blocks else []
 
 
 def rebuild(run: Path, folder: Path, unverified: bool = False) -> list[Run]:

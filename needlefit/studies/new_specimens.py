@@ -57,7 +57,8 @@ class NewSpecimens:
         moving = specimens.list_groups(self.job.parameters)
         others = tuple(self.list_others(insertion)) if moving else ()
         if others not in self.spreads:
-            found = [one for one in map(self._estimate, others) if one is not None]
+            self.estimates |= {one: self._search(one) for one in others if one not in self.estimates}
+            found = [one for name in others if (one := self.estimates[name]) is not None]
             self.spreads[others] = specimens.learn_spread(found, self.job.parameters, prior)
         return self.spreads[others]
 
@@ -77,11 +78,6 @@ class NewSpecimens:
         deepest = [one for one in alike if max(one.sequence) <= self.job.medium.layers]
         target = set() if insertion is None else {insertion.specimen}
         return sorted({one.specimen for one in deepest} - target)
-
-    def _estimate(self, specimen: str) -> specimens.SpecimenEstimate | None:
-        if specimen not in self.estimates:
-            self.estimates[specimen] = self._search(specimen)
-        return self.estimates[specimen]
 
     def _search(self, specimen: str) -> specimens.SpecimenEstimate | None:
         fits = [one for one in self.job.dataset.insertions if max(one.sequence) <= self.job.medium.layers]

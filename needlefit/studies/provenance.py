@@ -67,14 +67,28 @@ def plugin_versions_of(medium: MediumRecord, dataset: Dataset) -> dict[str, str]
 
 def describe_model_options(medium: MediumRecord) -> dict[str, Any]:
     """Return the model rules that fitted numbers depend on; fits with other rules cannot be compared."""
+    switch, tangent = medium.constraint_switch, medium.tangent_part
+    which = "nearest constraint at each quadrature point"
+    if switch != 0.5:
+        which = f"constraint behind up to {switch:g} of the way, then the one ahead"
+    tie = f"{which}, quadrature split where it changes"
+    advance = f"along {tangent:g} of the tip's slope"
+    if medium.advance == "path_angle":
+        tie = "linear between constraint points, quadrature split at them and halfway"
+        advance = "at an angle to the path"
+    else:
+        if switch in (0, 1):
+            tie = f"every cell has the constraint point {'behind' if switch else 'ahead'}"
+        if tangent in (0, 1):
+            advance = "along the tangent" if tangent else "a shift in x"
     return {
         "constraint_spacing_mm": medium.constraint_spacing_mm,
         "thickness_mm": medium.thickness_mm,
         "law": medium.law,
         "friction": 0.0,
         "element_mm": mesh(medium).element,
-        "tie": _describe_tie(medium),
-        "advance": _describe_advance(medium),
+        "tie": tie,
+        "advance": advance,
         "first_cell": "the depth's remainder over the spacing, or a whole cell"
         if medium.first_cell_mm is None
         else f"{medium.first_cell_mm:g} mm, whatever the depth",
@@ -83,24 +97,3 @@ def describe_model_options(medium: MediumRecord) -> dict[str, Any]:
         if medium.advance == "path_angle"
         else "mm per constraint spacing",
     }
-
-
-def _describe_tie(medium: MediumRecord) -> str:
-    switch = medium.constraint_switch
-    if medium.advance == "path_angle":
-        return "linear between constraint points, quadrature split at them and halfway"
-    if switch in (0, 1):
-        return f"every cell has the constraint point {'behind' if switch else 'ahead'}"
-    which = "nearest constraint at each quadrature point"
-    if switch != 0.5:
-        which = f"constraint behind up to {switch:g} of the way, then the one ahead"
-    return f"{which}, quadrature split where it changes"
-
-
-def _describe_advance(medium: MediumRecord) -> str:
-    tangent = medium.tangent_part
-    if medium.advance == "path_angle":
-        return "at an angle to the path"
-    if tangent in (0, 1):
-        return "along the tangent" if tangent else "a shift in x"
-    return f"along {tangent:g} of the tip's slope"
