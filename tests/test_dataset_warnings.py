@@ -221,6 +221,14 @@ def test_values_in_another_unit_have_a_likely_one():
         assert all(f"`parameters.{next(iter(changed))}`" in one.what for one in found)
 
 
+@pytest.mark.parametrize(("length", "unit"), [(15.0, "centimetres"), (5.906, "inches")])
+def test_a_needle_shorter_than_its_depths_is_named(tmp_path, length, unit):
+    file = gel(tmp_path)
+    edit(file, "^length_mm", f"length_mm = {length}")
+    faults = check(file)
+    assert len(faults) == 3 and all(unit in one.what and "needle.length_mm" in one.fix for one in faults)
+
+
 def test_a_depth_in_another_unit_than_its_curve_is_named_with_the_line_of_its_row(tmp_path):
     for factor, unit in [(0.1, "centimetres"), (1 / 25.4, "inches"), (1e3, "micrometres")]:
         file = gel(tmp_path)
@@ -238,14 +246,6 @@ def test_a_depth_in_another_unit_than_its_curve_is_named_with_the_line_of_its_ro
     assert all(
         "Tiefe" in one.what and "metres" in one.what and one.where.startswith(str(table)) for one in faults
     )
-
-
-@pytest.mark.parametrize(("length", "unit"), [(15.0, "centimetres"), (5.906, "inches")])
-def test_a_needle_shorter_than_its_depths_is_named(tmp_path, length, unit):
-    file = gel(tmp_path)
-    edit(file, "^length_mm", f"length_mm = {length}")
-    faults = check(file)
-    assert len(faults) == 3 and all(unit in one.what and "needle.length_mm" in one.fix for one in faults)
 
 
 @pytest.mark.parametrize(

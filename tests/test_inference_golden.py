@@ -8,9 +8,11 @@ import track_cases as tracks
 from compression_cases import specimen
 from golden_numbers import assert_golden
 from inference_cases import TRUTH, insertion, measure, medium, problem, two_layers
+from sampling_cases import Known, banana, two_hills
 from test_inference_baselines import measured as bent
 from test_inference_identifiability import COVARIANCE, predict_data
 from test_inference_identify import fit_at, tied_problem
+from test_inference_importance import weighted
 from test_inference_specimens import population
 from test_inference_tracks import make_readings, tracked
 
@@ -24,6 +26,7 @@ from needlefit.inference.likelihood.observation import make_observation
 from needlefit.inference.material import fit_specimen, pool
 from needlefit.inference.predict import PredictiveMixture, cdf, crps, draw_from_prior, interval, quantile
 from needlefit.inference.problem import make_problem
+from needlefit.inference.sampling.importance import resample
 from needlefit.inference.tracking import (
     TipNoise,
     draw_baseline,
@@ -85,6 +88,13 @@ def test_baselines_and_predictive_distributions():
     }
     scores = [crps(mixture, [0.3, -1.0]), cdf(mixture, [0.3, -1.0]), quantile(mixture, 0.9)]
     assert_golden("baselines", {**found, "mixture": [*scores, *interval(mixture, 0.95)]})
+
+
+def test_weighted_draws():
+    modes = [[5.0, 0.0], [-5.0, 0.0]]
+    hills, bent = weighted(Known(two_hills), modes), weighted(Known(banana, half=40.0))
+    kept = [resample(bent, size, rng()) for size in (40, 4000)]
+    assert_golden("weighted_draws", {"hills": hills, "banana": bent, "kept": kept}, rtol=1e-4)
 
 
 def test_tracks():

@@ -7,7 +7,7 @@ import pytest
 
 from needlefit.errors import ModelError
 from needlefit.mechanics import reference
-from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.shape import NeedleShape
@@ -61,15 +61,6 @@ def test_a_tip_may_halt_on_a_guide(guides: tuple[Guide, ...], depths: tuple, ele
     np.testing.assert_array_equal(fast.x, slow.x)
     np.testing.assert_allclose(fast.u, slow.u, atol=1e-7)
     np.testing.assert_allclose(fast.constraints, slow.constraints, atol=1e-7)
-
-
-@pytest.mark.parametrize("depth", [1e-3, 0.3, 4.0, 17.25])
-@pytest.mark.parametrize("slope", [None, 0.04])
-def test_a_tracked_tip_is_where_it_was_seen(depth: float, slope: float | None) -> None:
-    shape = simulate(NEEDLE, TISSUE, BEVEL, depth, Controls(tip=TrackedTip(0.2, slope)))
-    assert shape.u[-1] == pytest.approx(0.2, abs=1e-13)
-    if slope is not None:
-        assert shape.slope[-1] == pytest.approx(slope, abs=1e-13)
 
 
 @pytest.mark.parametrize("depth", [0.4, 5.0, 23.1])
