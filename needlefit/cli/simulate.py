@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from needlefit.reporting.table_files import Row
     from needlefit.schemas.scene import SceneRecord
 
-ANIMATION_SPEED_MM_S = 10.0
-"""mm/s: how fast a scene goes in in an animation; the model knows no time."""
+ANIMATION_SPEED_MM_S = 10.0  # mm/s: how fast a scene goes in in an animation; the model knows no time
 
 
 @dataclass(frozen=True)

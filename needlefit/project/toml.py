@@ -243,11 +243,9 @@ def join_by_key(texts: Sequence[tuple[str, str]]) -> str:
 
 # ---- on which line a key stands: tomllib does not say
 
-MAX_CANDIDATE_LINES = 100
-"""Lines that are tried; a key that is repeated more often gets no line."""
+MAX_CANDIDATE_LINES = 100  # lines that are tried; a key that is repeated more often gets no line
 
-MAX_STATEMENT_LINES = 400
-"""Lines of one key and its value."""
+MAX_STATEMENT_LINES = 400  # lines of one key and its value
 
 
 def find_line(text: str, key: str) -> int | None:

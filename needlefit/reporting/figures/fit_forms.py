@@ -71,8 +71,7 @@ def _line(label: str, **style: Any) -> Line2D:  # noqa: ANN401
 
 # ---- insertions with bands
 
-InsertionKey = tuple[str, str]
-"""Fold and insertion."""
+InsertionKey = tuple[str, str]  # fold and insertion
 
 INSERTION_KEYS = ["fold", "insertion"]
 HEIGHT_COLUMNS = ["y_mm", "low_mm", "high_mm"]
@@ -250,8 +249,7 @@ def _find_limits(points: pd.DataFrame, near: "pd.Series[bool]") -> tuple[float, 
 # ---- errors by group
 
 QUARTILES = {"5 %": 5, "25 %": 25, "median": 50, "75 %": 75, "95 %": 95}
-MAX_COLUMN_GROUPS = 3
-"""Groups at most of a figure as wide as one column of a paper."""
+MAX_COLUMN_GROUPS = 3  # groups at most of a figure as wide as one column of a paper
 
 _ERROR_COLOURS = {"IPE": "#0072B2", "TE": "#009E73"}
 
@@ -626,8 +624,7 @@ def left_out_beside_in_sample(frame: pd.DataFrame) -> Figure:
 MAX_PANEL_COLUMNS, MAX_TICKS = 4, 4
 """Greatest number of panels in a row, and of labelled ticks on a logarithmic axis."""
 
-MAX_DEVIANCE = 6.5
-"""Upper end of the panels' deviance axis."""
+MAX_DEVIANCE = 6.5  # upper end of the panels' deviance axis
 
 _PANEL_KEYS = ["fold", "parameter"]
 _VERDICT_COLUMNS = [
