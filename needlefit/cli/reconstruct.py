@@ -219,7 +219,6 @@ def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure
 def _view_command(
     scans: list[Path], failure: "ReconstructionFailure", named: dict[str, Any], recipe: str
 ) -> str:
-    """Return the command that shows a scan that failed, with the options that name its files."""
     scan = failure.scan
     table = scans[0].suffix.lower() == ".csv" or not path_exists(scans[0])  # the latter by its bare name
     words = ["needlefit", "view", f"{scans[0]}/{scan.id}" if table else str(scan.volume)]

@@ -265,7 +265,6 @@ def _show_summary(title: str, summary: dict[str, Any]) -> None:
 
 
 def _describe_outcome(summary: dict[str, Any]) -> str:
-    """Return where the needle ends in one sentence, or that no solution was found."""
     depth = f"depth {summary['depth_mm']:g} mm"
     if not summary["converged"]:
         return f"NOT CONVERGED at {depth}: {summary['status']}."

@@ -135,7 +135,6 @@ def _digest(text: bytes) -> bytes:
 
 
 def _encode_array(array: NDArray[Any]) -> tuple[str, list[int], str]:
-    """Return type, shape and bytes of an array, in C order."""
     plain = np.ascontiguousarray(array).reshape(array.shape)
     kind = plain.dtype.newbyteorder("<").str
     if kind not in _ARRAY_TYPES:

@@ -249,7 +249,6 @@ def _read_work(shared: bytes) -> Callable[[object], object]:
 
 @cache
 def _limit_worker() -> None:
-    """Keep the linear algebra of a worker to one thread."""
     import scipy.linalg  # noqa: F401  only what is loaded is limited
     from threadpoolctl import threadpool_limits
 

@@ -239,7 +239,6 @@ def as_they_end(
 
 
 def _unless_stopped(work: Callable[[Item], Result], item: Item, stop: Stop) -> tuple[Result, ...]:
-    """Return the result; nothing where a stop came before."""
     return () if stop() else (work(item),)
 
 
@@ -311,7 +310,6 @@ def can_fork() -> bool:
 
 @contextmanager
 def _open_processes(count: int) -> Iterator[tuple[ProcessPoolExecutor, Event]]:
-    """Open processes that run tasks, and the event that requests them to stop."""
     copied = can_fork()
     context = get_context("fork" if copied else "spawn")
     event, parent = context.Event(), os.getpid() if copied else None

@@ -105,7 +105,6 @@ def paint_import(dataset: Dataset, plan: ImportPlan) -> Figure:
 
 
 def _find_scale(axes: Axes) -> float:
-    """Return how many times larger heights are drawn than lengths."""
     drawn, (left, right), (low, high) = axes.get_window_extent(), axes.get_xlim(), axes.get_ylim()
     return float(drawn.height / (high - low) / (drawn.width / (right - left)))
 

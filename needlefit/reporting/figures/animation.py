@@ -76,7 +76,6 @@ def sample_states(states: Iterable[TimedState], times: Sequence[float]) -> list[
 
 
 def _choose_writer(path: Path) -> AbstractMovieWriter:
-    """Return the encoder for a file of this ending."""
     require_folder(path)
     suffix = path.suffix.lower()
     if suffix == ".gif":

@@ -209,7 +209,6 @@ def _name_curves(figure: Figure, present: set[str], names: Mapping[str, str]) ->
 
 
 def _draw_layers(axes: Axes, points: pd.DataFrame, end: float, top: float) -> None:
-    """Shade the layers up to the depth `end`, and write the number of each where it begins."""
     layers = points[points["curve"].str.startswith(LAYER)]
     ends = [*layers["x_mm"].iloc[1:], end]
     for name, begin, stop in zip(layers["curve"], layers["x_mm"], ends, strict=True):
@@ -232,7 +231,6 @@ def _draw_shaft_and_tips(axes: Axes, points: pd.DataFrame, left: float) -> None:
 
 
 def _find_range(values: pd.DataFrame) -> tuple[float, float]:
-    """Return the range of all values, and some room."""
     low, high = (float(f(values.to_numpy(dtype=np.float64))) for f in (np.nanmin, np.nanmax))
     margin = 0.06 * max(high - low, 0.2)
     return low - margin, high + margin
