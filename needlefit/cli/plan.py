@@ -66,7 +66,7 @@ def plan(
     --radius and no obstacle is touched. A SCENE has one set of parameters, taken as exact.
     """
     from needlefit.planning.steering import PlanLimits, plan_steering
-    from needlefit.studies.verdict import mark_faults
+    from needlefit.studies.run import mark_faults
     from needlefit.viewer.opening import open_target
     from needlefit.viewer.plans import begin_insertion, write_plan
 

@@ -15,14 +15,13 @@ from needlefit.studies import paper
 from needlefit.studies.fit_frames import FIT_KINDS
 from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds.cross_validation import tables as fit_tables
-from needlefit.studies.kinds.cross_validation.facts import TEXT as FIT_TEXT
 from needlefit.studies.kinds.cross_validation.report import (
-    draw_error_figures,
+    draw_errors,
     format_macros,
+    judge,
     lay_out_files,
     tuning_tables,
 )
-from needlefit.studies.kinds.cross_validation.verdict import judge
 from needlefit.studies.report import (
     compose_warnings,
     label_figures,
@@ -33,10 +32,9 @@ from needlefit.studies.report import (
     write_report,
     write_run,
 )
-from needlefit.studies.run import Run
+from needlefit.studies.run import MAX_FLOOR_RATIO, Run, headline_fault
 from needlefit.studies.scored_groups import TE, list_held_out_groups
 from needlefit.studies.store import is_combined, restore_runs
-from needlefit.studies.verdict import MAX_FLOOR_RATIO, headline_fault
 
 TEXT = KindText("combined")
 
@@ -59,7 +57,7 @@ def write_combined(runs: Sequence[Run], folder: Path) -> list[Path]:
                 write_csv(frame, new / f"{name}.csv")
                 pages = [format_latex(table, synthetic) for table in layouts if table.rows]
                 (new / f"{name}.tex").write_text("\n".join(pages), encoding="utf-8")
-        drawn = draw_error_figures(studies, new)
+        drawn = {name: one.save(new / f"{name}.pdf") for name, one in draw_errors(studies).items()}
         appendix = [block for result in others for block in _summarize_analysis(result, new)]
         report = compose_overview(studies, tunings, drawn, appendix)
         write_report(replace(report, unverified=any(one.unverified for one in runs)), new)
@@ -98,7 +96,7 @@ def compose_overview(
     predicted = [one for one in results if len(one.frames["predictive"])]
     tables = [
         *(fit_tables.lay_out_matrix(results, judge), fit_tables.lay_out_summary(results)),
-        *(fit_tables.lay_out_free_parameters(fits), fit_tables.lay_out_design(results)),
+        *(fit_tables.lay_out_parameters(fits, free_alone=True), fit_tables.lay_out_design(results)),
         fit_tables.lay_out_contradictions(paper.find_contradictions()),
         *tuning_tables(tunings),
         *([fit_tables.lay_out_coverage(*predicted, named=True)] if predicted else []),
@@ -120,7 +118,7 @@ def compose_overview(
     }
     printed = any(group.printed for group in list_held_out_groups(*results))
     known = {"facts": {"printed": printed}}
-    captions = {name: FIT_TEXT.sentence(f"figure_{name}", known) for name in figures}
+    captions = {name: fit_tables.TEXT.sentence(f"figure_{name}", known) for name in figures}
     blocks = {
         "answer": [document.verdict(TEXT.sentence("answer", values), "none")],
         "verdicts": [block for one in results for block in verdict_blocks(one, named=True)],

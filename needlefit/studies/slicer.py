@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from needlefit.arrays import Floats
 from needlefit.datasets.formats.mrk_json import CurveStyle, write_mrk_json
@@ -17,7 +18,6 @@ from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.project.folders import require_folder
 from needlefit.reporting.labels import GREEN, GREY, METHOD_COLOURS, PAPER_COLOUR, SKY_BLUE, rgb
 from needlefit.studies.needles_in_scan import DEFAULT_DIAMETER_MM, NeedleInScan, read_needles
-from needlefit.studies.run import Run
 
 if TYPE_CHECKING:
     from needlefit.imaging.reconstruction import Reconstruction
@@ -28,8 +28,8 @@ POINTS_BEFORE_ENTRY, POINTS_INSERTED = 25, 51
 _MEASURED_COLOUR, _FITTED_COLOUR, _BAND_COLOUR = (PAPER_COLOUR, METHOD_COLOURS["fitted"], SKY_BLUE)
 
 
-def write_needles(results: Run, folder: Path) -> None:
-    """Write every needle of a run to `folder`, in the patient coordinates of its scan.
+def write_needles(needles: pd.DataFrame, synthetic: bool, folder: Path) -> None:
+    """Write every needle of the table "needles" of a run to `folder`, in the patient coordinates of its scan.
 
     `<id>.mrk.json` holds curves: measured, fitted (predicted where the fit never saw it), and the edges of
     the 95 % band with, of draws, their median. The band of a held-out needle is the predicted one of its
@@ -37,8 +37,8 @@ def write_needles(results: Run, folder: Path) -> None:
     body, `<id>.band.ply` the space that it takes when it goes through the band.
     """
     folder.mkdir(exist_ok=True)
-    summary = " (synthetic)" if results.origin == "synthetic" else ""
-    for needle in read_needles(results.frames["needles"]).values():
+    summary = " (synthetic)" if synthetic else ""
+    for needle in read_needles(needles).values():
         write_mrk_json(folder / f"{needle.insertion}.mrk.json", _needle_curves(needle, summary))
         for name, points, widths in _needle_bodies(needle):
             doubt = ", NOT CONVERGED" if name == "band" and needle.band and not needle.band.converged else ""

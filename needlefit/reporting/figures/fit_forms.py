@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from needlefit.arrays import Floats
 from needlefit.inference.baselines import list_baselines
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.metrics import headline_metrics
+from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures.forms import lighten
 from needlefit.reporting.figures.style import (
     COLUMN_WIDTH_IN,
@@ -29,7 +29,6 @@ from needlefit.reporting.figures.style import (
     describe_scale,
     draw_grid,
     fit_height,
-    plot,
 )
 from needlefit.reporting.labels import (
     GREEN,
@@ -632,11 +631,11 @@ _VERDICT_COLUMNS = [
 """Columns of the identification that the figure shows."""
 
 
-def draw_profiles(identification: pd.DataFrame, computed: pd.DataFrame, origin: str, path: Path) -> Path:
-    """Draw `profiles` of a table of computed points, beside what is known of their parameters."""
+def draw_profiles(identification: pd.DataFrame, computed: pd.DataFrame, origin: str) -> Drawing:
+    """Return `profiles` of a table of computed points, beside what is known of their parameters."""
     about = identification[[*_PANEL_KEYS, *_VERDICT_COLUMNS]]
     frame = computed.merge(about, on=_PANEL_KEYS, how="left", sort=False).assign(origin=origin)
-    return plot(path, frame, profiles)
+    return Drawing(profiles, frame)
 
 
 def profiles(frame: pd.DataFrame) -> Figure:

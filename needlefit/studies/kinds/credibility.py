@@ -35,18 +35,16 @@ from needlefit.schemas.study import StudyRecord
 from needlefit.studies.coverage import count_covered, format_proportion
 from needlefit.studies.csv_tables import read_table
 from needlefit.studies.fit_frames import FIT_KINDS
-from needlefit.studies.identification_tables import describe_verdicts
+from needlefit.studies.identification import describe_verdicts
 from needlefit.studies.job import Settings
 from needlefit.studies.kind import StudyKind, find_kind
-from needlefit.studies.provenance import package_versions
 from needlefit.studies.rank_statistics import CONTROL_NAMES, name_quantity
-from needlefit.studies.report import StudyReport, report_from_text, say, warning_blocks
-from needlefit.studies.run import Run
+from needlefit.studies.report import StudyReport, say, warning_blocks
+from needlefit.studies.run import Run, package_versions
 from needlefit.studies.run_differences import Difference, compare_leaves, count_words
 from needlefit.studies.score import Row
-from needlefit.studies.scored_groups import study_label
+from needlefit.studies.scored_groups import aggregate, study_label
 from needlefit.studies.store import RESULTS_FILE, RUN_FILE, read_run, restore_runs, unpack
-from needlefit.studies.summary import aggregate
 from needlefit.verification.check import Group
 
 NO_STATEMENTS = CredibilityStatementsRecord.model_validate({"schema": 1})
@@ -1013,4 +1011,4 @@ def bundle_to_json(found: Run) -> dict[str, Any]:
     }
 
 
-REPORT: StudyReport = report_from_text(TEXT, describe, tabulate, blocks=list_blocks, to_json=bundle_to_json)
+REPORT: StudyReport = StudyReport(TEXT, describe, tabulate, blocks=list_blocks, to_json=bundle_to_json)
