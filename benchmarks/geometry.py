@@ -29,11 +29,8 @@ from needlefit.mechanics.shape import NeedleShape
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.folds import leave_out
-from needlefit.studies.held_out_predictions import tabulate_held_out
-from needlefit.studies.job import Settings, prepare
-from needlefit.studies.new_specimens import NewSpecimens
-from needlefit.studies.posterior_fit import find_fit, fit_posterior
+from needlefit.studies.held_out_predictions import NewSpecimens, find_fit, fit_posterior, tabulate_held_out
+from needlefit.studies.job import Settings, leave_out, prepare
 from needlefit.studies.score import Scorer, model_predictor
 
 GEOMETRIES = ("rotation", "tangent")

@@ -60,7 +60,7 @@ AREAS = {
         ("inference/likelihood", "inference/posterior_density.py"),
         (
             *("inference_likelihood", "inference_tracks"),
-            *("inference_marginal", "inference_depths", "inference_document"),
+            *("inference_marginal", "inference_depths", "inference_document", "inference_golden"),
         ),
     ),
     "sampling": Area(

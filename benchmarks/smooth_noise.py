@@ -14,8 +14,8 @@ from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import load
 from needlefit.schemas.study import FitRecord
+from needlefit.studies.held_out_predictions import find_fit
 from needlefit.studies.job import Settings, prepare
-from needlefit.studies.posterior_fit import find_fit
 
 
 def main() -> None:

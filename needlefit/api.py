@@ -293,7 +293,6 @@ def _fit(target: Name | Dataset | Run, medium: Medium | None, options: FitChange
 
 
 def _begin_fit(target: Name | Dataset | Run, medium: Medium) -> tuple[str, FitRecord, Inputs]:
-    """Return the fit of a model to all of a dataset."""
     if isinstance(target, Run):
         raise ConfigError("a run has a medium already", fix="leave `medium` out, or give the dataset")
     if isinstance(target, Dataset):
@@ -411,7 +410,6 @@ def _is_same(one: Insertion, other: Insertion) -> bool:
 
 
 def _run(record: FileRecord, name: str, settings: Settings, options: RunOptions) -> Run:
-    """Run a study with the options of the call."""
     name, folder = options.get("name", name), options.get("checkpoint")
     checkpoint = None if folder is None else Path(folder)
     with _catch_interrupts() as stop, _show_progress(options.get("progress", False)) as progress:

@@ -249,7 +249,6 @@ def _is_untrusted(folder: Path) -> bool:
 
 
 def _find_entry_points(search_path: list[str]) -> dict[str, str]:
-    """Return the plugin modules of installed packages, with the packages' versions."""
     return {
         entry.module: package.version
         for package in reversed(list(metadata.distributions(path=search_path)))  # the first one found wins
@@ -276,7 +275,6 @@ def _load(name: str, version: str) -> Plugin:
 
 
 def _folders(spec: importlib.machinery.ModuleSpec) -> list[Path]:
-    """Return the folders that a top-level module stands in."""
     places = spec.submodule_search_locations or [spec.origin or ""]
     return [Path(place).resolve().parent for place in places]
 

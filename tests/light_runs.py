@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from needlefit.inference import predict
 from needlefit.inference.sampling.importance import EFFORT, sample_about_fit
 from needlefit.reporting.figures import style
-from needlefit.studies import held_out_predictions, posterior_fit
+from needlefit.studies import held_out_predictions
 from needlefit.studies.kinds import tracks
 
 DRAWS, CURVES = 50, 100
@@ -22,8 +22,8 @@ def predict_by_few_draws(patch: pytest.MonkeyPatch) -> None:
 
 def do_not_escalate(patch: pytest.MonkeyPatch) -> None:
     """Leave draws that are not certified as they are: no more of them, and no sampler."""
-    patch.setattr(posterior_fit, "sample_about_fit", partial(sample_about_fit, effort=EFFORT))
-    patch.setattr(posterior_fit, "sample_posterior", lambda *_: None)
+    patch.setattr(held_out_predictions, "sample_about_fit", partial(sample_about_fit, effort=EFFORT))
+    patch.setattr(held_out_predictions, "sample_posterior", lambda *_: None)
 
 
 def draw_blank(patch: pytest.MonkeyPatch) -> None:

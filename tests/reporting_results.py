@@ -415,4 +415,4 @@ def sampled(low: float, high: float, r_hat: float = 1.0) -> Run:
 
 def skip_figures(monkeypatch) -> None:
     """Draw no figures of studies and fits: they take longest, and other tests look at them."""
-    monkeypatch.setattr(report, "REPORT", replace(report.REPORT, draw=lambda *_: {}))
+    monkeypatch.setattr(report, "REPORT", replace(report.REPORT, figures=lambda _: {}))

@@ -18,13 +18,12 @@ from needlefit.project.cluster import connect
 from needlefit.project.locate import find_file
 from needlefit.studies import columnar
 from needlefit.studies.combined_report import rebuild
-from needlefit.studies.folds import Fold
-from needlefit.studies.job import Settings, prepare
+from needlefit.studies.held_out_predictions import find_fit
+from needlefit.studies.job import Fold, Settings, prepare
 from needlefit.studies.kinds import cohort as cohort_run
 from needlefit.studies.kinds.cohort import find_datasets, run
 from needlefit.studies.kinds.specimens import REPORT, SpecimensRecord
 from needlefit.studies.kinds.specimens import run as run_specimens
-from needlefit.studies.posterior_fit import find_fit
 from needlefit.studies.report import write_run
 from needlefit.studies.run import Run
 from needlefit.studies.run_differences import compare_runs

@@ -26,10 +26,11 @@ from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.medium import MaterialRecord
 from needlefit.schemas.study import FitRecord
-from needlefit.studies import job, provenance
-from needlefit.studies.identification_tables import lay_out_identification
+from needlefit.studies import job
+from needlefit.studies.identification import lay_out_identification
 from needlefit.studies.job import Settings, prepare
-from needlefit.studies.kinds.identification import describe_design
+from needlefit.studies.kinds import identification
+from needlefit.studies.run import describe_configuration
 from needlefit.verification import check as running
 from needlefit.verification.check import (
     AcceptanceBound,
@@ -93,7 +94,7 @@ def test_a_parameter_that_needs_an_assumption_states_it_in_table_and_sentence():
     for agreement, contrasted in ((AGREEMENT, False), ("the profile is 2 times wider below", True)):
         frame = pd.DataFrame([row | {"agreement": agreement}])
         found = SimpleNamespace(frames={"identify": frame, "directions": pd.DataFrame()}, run=about)
-        sentence = describe_design(found)[1]
+        sentence = identification.REPORT.summarize(found)[1]
         assert "19 %" in sentence and "154 to 321 kPa" in sentence and "an assumption" in sentence
         assert (" but " in sentence) is contrasted
         assert "an assumption" in lay_out_identification(frame, expected=True).rows[0][-1]
@@ -193,7 +194,7 @@ def test_a_fit_takes_the_prior_and_its_run_holds_it(gel, capsys):
     job = prepare("chicken", with_prior, Settings())
     assert job.parameters.prior.names == ("mu1_pa", "alpha1") and "alpha1" in job.parameters.bounds
     stated = tomllib.loads(Path("reports/material-gel/prior.toml").read_text())
-    work = provenance.describe_configuration(job)
+    work = describe_configuration(job)
     assert work["medium"]["parameters"]["alpha1"]["prior"]["mean"] == stated["alpha"]["mean"]
     assert work["study"]["priors"] == {"1": "reports/material-gel/prior.toml"}
 

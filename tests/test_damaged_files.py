@@ -116,9 +116,19 @@ def test_a_file_that_unpacks_to_more_than_its_bound_is_refused(tmp_path, monkeyp
     fault(tmp_path)
 
 
+def test_results_that_cannot_be_read_are_refused(content, tmp_path):
+    with pytest.raises(DataError, match="no stored results"):
+        fault(tmp_path)
+    packed = gzip.compress(json.dumps(content).encode())
+    for damaged in (packed[: len(packed) // 2], b"{}", gzip.compress(b"{}")):
+        (tmp_path / RESULTS_FILE).write_bytes(damaged)
+        fault(tmp_path)
+
+
 @pytest.mark.parametrize(
     ("key", "value"),
     [
+        ("format", 99),
         ("kind", "nonsense"),
         ("kind", []),
         ("name", "../elsewhere"),
@@ -169,25 +179,33 @@ def test_a_run_file_of_other_types_names_the_file(tmp_path):
         read_timing(tmp_path)
 
 
+FINITE = TableSchema(("id",), finite=("x_mm",), finite_where="ok")
+
+
 @pytest.mark.parametrize(
-    ("text", "where"),
+    ("text", "where", "form"),
     [
-        ("", "t.csv"),
-        ("id,x_mm\na,1\n", "t.csv"),
-        ("id,x_mm,fits\na,1,True\na,2,True\n", "t.csv"),
-        ("id,x_mm,fits\na,one,True\n", "column x_mm"),
-        ("id,x_mm,fits\na,True,True\n", "column x_mm"),
-        ("id,x_mm,fits\na,1,maybe\n", "column fits"),
-        ('id,x_mm,fits\n"a,1,True\n', "t.csv"),
-        ("id,x_mm,fits\na,1,True,4,5\nb,1,True\n", "t.csv"),
+        ("", "t.csv", FORM),
+        ("id,x_mm\na,1\n", "t.csv", FORM),
+        ("id,x_mm,fits\na,1,True\na,2,True\n", "t.csv", FORM),
+        ("id,x_mm,fits\na,one,True\n", "column x_mm", FORM),
+        ("id,x_mm,fits\na,True,True\n", "column x_mm", FORM),
+        ("id,x_mm,fits\na,1,maybe\n", "column fits", FORM),
+        ('id,x_mm,fits\n"a,1,True\n', "t.csv", FORM),
+        ("id,x_mm,fits\na,1,True,4,5\nb,1,True\n", "t.csv", FORM),
+        ("id,x_mm\na,1e999\nb,inf\n", "column x_mm", TableSchema()),
+        ("id,x_mm\na,not determined\nb,-2.5e999\n", "column x_mm", TableSchema()),
+        ("id,x_mm\na,1\nb,inf\n", "column x_mm", TableSchema(("id",), finite=("x_mm",))),
+        ("id,x_mm,ok\na,inf,True\n", "column x_mm", FINITE),
     ],
 )
-def test_a_damaged_table_names_its_file_and_column(text, where, tmp_path):
+def test_a_damaged_table_names_its_file_and_column(text, where, form, tmp_path):
     path = tmp_path / "t.csv"
     path.write_text(text)
     with pytest.raises(DataError) as caught:
-        read_table(path, FORM)
-    assert caught.value.where.endswith(where)
+        read_table(path, form)
+    assert caught.value.where.endswith(where) and str(path) in caught.value.where
+    assert form is FORM or "row" in caught.value.what
 
 
 def test_a_table_is_read_with_its_empty_cells(tmp_path):
@@ -197,6 +215,8 @@ def test_a_table_is_read_with_its_empty_cells(tmp_path):
     assert list(frame["id"]) == ["1", "2"] and np.isnan(frame["x_mm"][1]) and pd.isna(frame["fits"][1])
     path.write_text("\n")
     assert read_table(path, FORM).empty
+    path.write_text("id,x_mm,ok\na,inf,False\nb,1,True\n")
+    assert read_table(path, FINITE)["x_mm"].tolist() == [np.inf, 1.0]
 
 
 def _drop(file: h5py.File) -> None:
@@ -252,24 +272,6 @@ def test_a_name_that_no_file_can_have_is_not_found(name):
         assert caught.value.exit_code == 3
 
 
-def test_a_number_that_is_never_written_as_infinite_is_refused(tmp_path):
-    for form, text, column in [
-        (TableSchema(), "id,x_mm\na,1e999\nb,inf\n", "x_mm"),
-        (TableSchema(), "id,x_mm\na,not determined\nb,-2.5e999\n", "x_mm"),
-        (TableSchema(("id",), finite=("x_mm",)), "id,x_mm\na,1\nb,inf\n", "x_mm"),
-        (TableSchema(("id",), finite=("x_mm",), finite_where="ok"), "id,x_mm,ok\na,inf,True\n", "x_mm"),
-    ]:
-        path = tmp_path / "table.csv"
-        path.write_text(text)
-        with pytest.raises(DataError) as caught:
-            read_table(path, form)
-        assert str(path) in caught.value.where and column in caught.value.where and "row" in caught.value.what
-    path = tmp_path / "table.csv"
-    path.write_text("id,x_mm,ok\na,inf,False\nb,1,True\n")
-    form = TableSchema(("id",), finite=("x_mm",), finite_where="ok")
-    assert read_table(path, form)["x_mm"].tolist() == [np.inf, 1.0]
-
-
 @pytest.mark.parametrize("results", [study(1), study(5), stereo()], ids=["study1", "study5", "stereo"])
 def test_stored_values_round_trip_to_the_last_digit(results, tmp_path):
     store(results, tmp_path)
@@ -292,33 +294,6 @@ def test_floats_that_are_no_numbers_and_cells_that_are_empty_survive(tmp_path):
     found = restore_run(tmp_path).frames["starts"]
     pd.testing.assert_frame_equal(found, starts, check_exact=True)
     assert found["joined"].dtype == starts["joined"].dtype
-
-
-def test_a_folder_without_results_is_an_error_that_names_it(tmp_path):
-    with pytest.raises(DataError, match="no stored results") as fault:
-        restore_run(tmp_path)
-    assert str(tmp_path) in fault.value.where
-
-
-@pytest.mark.parametrize(
-    "damage", [lambda b: b[: len(b) // 2], lambda b: b"{}", lambda b: gzip.compress(b"{}")]
-)
-def test_damaged_results_are_an_error(damage, tmp_path):
-    path = store(study(1), tmp_path)
-    path.write_bytes(damage(path.read_bytes()))
-    with pytest.raises(DataError) as caught:
-        restore_run(tmp_path)
-    assert RESULTS_FILE in caught.value.where and caught.value.fix
-
-
-def test_results_of_another_format_are_refused(tmp_path):
-    path = store(study(1), tmp_path)
-    content = json.loads(gzip.decompress(path.read_bytes()))
-    other = gzip.compress(json.dumps(content | {"format": 99}).encode())
-    path.write_bytes(other)
-    with pytest.raises(DataError, match="format"):
-        restore_run(tmp_path)
-    assert path.read_bytes() == other
 
 
 def test_a_posterior_is_read_from_the_file_beside(tmp_path):

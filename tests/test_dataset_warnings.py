@@ -221,6 +221,14 @@ def test_values_in_another_unit_have_a_likely_one():
         assert all(f"`parameters.{next(iter(changed))}`" in one.what for one in found)
 
 
+@pytest.mark.parametrize(("length", "unit"), [(15.0, "centimetres"), (5.906, "inches")])
+def test_a_needle_shorter_than_its_depths_is_named(tmp_path, length, unit):
+    file = gel(tmp_path)
+    edit(file, "^length_mm", f"length_mm = {length}")
+    faults = check(file)
+    assert len(faults) == 3 and all(unit in one.what and "needle.length_mm" in one.fix for one in faults)
+
+
 def test_a_depth_in_another_unit_than_its_curve_is_named_with_the_line_of_its_row(tmp_path):
     for factor, unit in [(0.1, "centimetres"), (1 / 25.4, "inches"), (1e3, "micrometres")]:
         file = gel(tmp_path)
@@ -240,33 +248,20 @@ def test_a_depth_in_another_unit_than_its_curve_is_named_with_the_line_of_its_ro
     )
 
 
-@pytest.mark.parametrize(("length", "unit"), [(15.0, "centimetres"), (5.906, "inches")])
-def test_a_needle_shorter_than_its_depths_is_named(tmp_path, length, unit):
-    file = gel(tmp_path)
-    edit(file, "^length_mm", f"length_mm = {length}")
-    faults = check(file)
-    assert len(faults) == 3 and all(unit in one.what and "needle.length_mm" in one.fix for one in faults)
-
-
 @pytest.mark.parametrize(
-    ("line", "count"),
+    ("key", "wrong", "right"),
     [
-        ("registration_mean_mm = 178", 1),
-        ("registration_mean_mm = 1.78e-4", 1),
-        ("registration_mean_mm = 1.2", 1),  # the needles bend by 1 mm
-        ("registration_mean_mm = 0.9", 0),
-        ("correlation_length_mm = 0.005", 1),
-        ("correlation_length_mm = 151", 1),
-        ("correlation_length_mm = 0.5", 0),
-        ("correlation_length_mm = 150", 0),
+        ("registration_mean_mm", (178, 1.78e-4, 1.2), (0.9,)),  # the needles bend by 1 mm
+        ("correlation_length_mm", (0.005, 151), (0.5, 150)),
     ],
 )
-def test_a_stated_error_that_cannot_be_right_is_named_with_its_line(tmp_path, line, count):
-    file = gel(tmp_path, noise=NOISE | {"correlated_sd_mm": 0.02, "correlation_length_mm": 5.0})
-    number = edit(file, line.split()[0], line)
-    warnings = find_warnings(file)
-    assert [one.where for one in warnings] == [f"{file}:{number}"] * count
-    assert all(line.split()[0] in one.what for one in warnings)
+def test_a_stated_error_that_cannot_be_right_is_named_with_its_line(tmp_path, key, wrong, right):
+    for value in (*wrong, *right):
+        file = gel(tmp_path, noise=NOISE | {"correlated_sd_mm": 0.02, "correlation_length_mm": 5.0})
+        number = edit(file, key, f"{key} = {value}")
+        warnings = find_warnings(file)
+        assert [one.where for one in warnings] == [f"{file}:{number}"] * (value in wrong)
+        assert all(key in one.what for one in warnings)
 
 
 @pytest.mark.parametrize(
@@ -331,20 +326,14 @@ def test_boundaries_that_no_tissue_has_are_named_with_their_line(tmp_path, bound
 
 
 @pytest.mark.parametrize(
-    ("boundaries", "unit"),
-    [
-        ([2.0, 6.0], "centimetres"),
-        ([0.8, 2.4], "inches"),
-        ([2e4, 6e4], "micrometres"),
-        ([0.02, 0.06], "metres"),
-    ],
+    ("mm", "unit"), [(10, "centimetres"), (25, "inches"), (1e-3, "micrometres"), (1e3, "metres")]
 )
-def test_boundaries_in_a_unit_that_alone_gives_the_layers_listed(tmp_path, boundaries, unit):
+def test_boundaries_in_a_unit_that_alone_gives_the_layers_listed(tmp_path, mm, unit):
     """Needles of 50 and 70 mm through boundaries at 20 and 60 mm meet two layers and three."""
     deep = np.column_stack([X * 1.4, 4e-4 * X**2, 0 * X])
     rows = into_gel(layers=2), into_gel("b", layers=3, depth=70.0)
     curves = {"a": CURVE, "b": deep}
-    file = write_rows(tmp_path, *rows, curves=curves, gel={"boundaries_mm": boundaries})
+    file = write_rows(tmp_path, *rows, curves=curves, gel={"boundaries_mm": [20.0 / mm, 60.0 / mm]})
     (fault,) = check(file)
     assert fault.where == place_of(file, "boundaries_mm") and fault.what.endswith(f" {unit}")
 

@@ -414,25 +414,23 @@ def test_matlab_faults(tmp_path):
         tmp_path, record(), [row("a", "given", layers=2)], {"a": CURVE}, SURFACES, checksums=False
     )
     file.write_text(file.read_text().replace("{id}.csv", "{id}.mat"))
-    path = tmp_path / "centerlines" / "a.mat"
-
-    def fault():
-        [only] = check(file)
-        assert only.where.startswith(str(path))
-        return only.what
-
-    assert "no such file" in fault()
-    path.write_bytes(b"nothing of MATLAB's, but long enough to look at" * 10)
-    assert "cannot be read" in fault()
-    savemat(path, {"x": np.zeros((5, 2))})
-    assert fault().endswith(" x")
-    savemat(path, {"x": CURVE, "y": CURVE})
-    assert "holds 2 curves: x, y" in fault()
-    broken = CURVE.copy()
+    path, broken = tmp_path / "centerlines" / "a.mat", CURVE.copy()
     broken[4, 1] = np.nan
-    savemat(path, {"x": broken})
-    assert "NaN" in fault()
-    assert check(file)[0].where.endswith("point 5")
+    cases = [(None, "no such file"), (b"nothing of MATLAB" * 99, "cannot be read"),
+             ({"x": CURVE[:, :2]}, " x"), ({"x": CURVE, "y": CURVE}, "holds 2 curves: x, y"),
+             ({"x": broken}, "NaN")]  # fmt: skip
+    for content, words in cases:
+        if content is not None:
+            path.write_bytes(content) if isinstance(content, bytes) else savemat(path, content)
+        [fault] = check(file)
+        assert fault.where.startswith(str(path)) and words in fault.what
+    assert fault.where.endswith("point 5")
+
+
+def long_table(path, curves, header="id,x_mm,y_mm,z_mm"):
+    lines = [",".join(map(str, (name, *cells))) for name, curve in curves.items() for cells in curve]
+    path.write_text("\n".join([header, *lines]) + "\n")
+    return path
 
 
 def test_a_template_passes_check_and_may_begin_with_centrelines(tmp_path):
@@ -443,92 +441,49 @@ def test_a_template_passes_check_and_may_begin_with_centrelines(tmp_path):
     assert [i.sequence for i in dataset.insertions] == [(1, 2), (1, 2)]
     with pytest.raises(ConfigError, match="exists already"):
         write_template(tmp_path / "mine")
-    lines = [f"{name},{x},{y},{z}" for name in ("first run", "r2") for x, y, z in 3 * CURVE]
-    (tmp_path / "runs.csv").write_text("\n".join(["id,x_mm,y_mm,z_mm", *lines]))
-    savemat(tmp_path / "runs.mat", {"r1": CURVE, "r2": CURVE})
-    from_csv = read(write_template(tmp_path / "a", tmp_path / "runs.csv"))
-    assert [i.id for i in from_csv.insertions] == ["first_run", "r2"]
-    assert from_csv.pose == "free" and from_csv.needle.length > from_csv.insertions[0].depth > 149
-    assert [i.id for i in read(write_template(tmp_path / "b", tmp_path / "runs.mat")).insertions] == [
-        "r1",
-        "r2",
+    noted = np.column_stack([3 * CURVE, np.full(101, 0.25)])
+    source, notes = tmp_path / "runs.csv", []
+    long_table(source, {"first run": noted, "r2": noted}, "id,x_mm,y_mm,z_mm,sd_mm")
+    dataset = read(write_template(tmp_path / "a", source, notes.append))
+    assert [i.id for i in dataset.insertions] == ["first_run", "r2"]
+    assert len(notes) == 1 and "first_run" in notes[0]
+    assert dataset.pose == "free" and dataset.needle.length > dataset.insertions[0].depth > 149
+    np.testing.assert_array_equal(dataset.insertions[0].sd, 0.25)
+    long_table(source, {"1": CURVE}, "run,x_mm,y_mm,z_mm")
+    assert [one.id for one in read(write_template(tmp_path / "b", source, notes.append)).insertions] == [
+        "runs"
     ]
+    assert len(notes) == 3 and all(note.startswith(f"{source}: ") for note in notes)
+    assert "`run`" in notes[1] and "`id`" in notes[2] and "101 rows" in notes[2]
+    savemat(tmp_path / "runs.mat", {"r1": CURVE, "r2": CURVE})
+    dataset = read(write_template(tmp_path / "c", tmp_path / "runs.mat"))
+    assert [i.id for i in dataset.insertions] == ["r1", "r2"]
 
 
-def test_a_template_from_faulty_centrelines_lists_the_faults(tmp_path):
-    (tmp_path / "c.csv").write_text(
-        "x_mm,y_mm,z_mm\n" + "".join(f"{x},{y},{z}\n" for x, y, z in CURVE / 1000)
-    )
-    with pytest.raises(DataError, match="metres"):
-        write_template(tmp_path / "c", tmp_path / "c.csv")
-    (tmp_path / "d.csv").write_text("x,y\n1,2\n")
-    with pytest.raises(DataError, match="`x_mm` is missing"):
-        write_template(tmp_path / "d", tmp_path / "d.csv")
-    with pytest.raises(DataError, match="ending"):
-        write_template(tmp_path / "e", tmp_path / "e.xlsx")
+SPOILT = [  # curves, header if it is another, what is said of them, and the line
+    ({"good": CURVE, "bad": CURVE[::-1] / 1000}, {}, r"bad: depth_mm[\s\S]*metres", ":103"),
+    ({"good": CURVE, "bad": CURVE[[*range(50), 51, 50, *range(52, 101)]]}, {}, "curve bad ", ":154"),
+    ({"a": CURVE, "b": CURVE[:1]}, {}, r"curve b .*\b1 points", ":103"),
+    ({"a b": CURVE, "a_b": CURVE}, {}, "'a_b' becomes a_b, as another", ""),
+    ({"1": [(2,)]}, {"header": "x,y"}, r"`x_mm` is missing[\s\S]*--from reads", ""),
+]
 
 
-def long_table(path, header, curves):
-    lines = [f"{name},{x},{y},{z}" for name, curve in curves.items() for x, y, z in curve]
-    path.write_text("\n".join([header, *lines]) + "\n")
-    return path
-
-
-def test_a_failed_template_leaves_nothing_and_names_the_source(tmp_path):
-    source = long_table(
-        tmp_path / "runs.csv", "id,x_mm,y_mm,z_mm", {"good": CURVE, "bad": CURVE[::-1] / 1000}
-    )
-    with pytest.raises(DataError, match="bad: depth_mm") as error:
+@pytest.mark.parametrize(("curves", "header", "words", "line"), SPOILT)
+def test_a_template_from_faulty_centrelines_leaves_nothing_and_names_the_source(
+    tmp_path, curves, header, words, line
+):
+    source = long_table(tmp_path / "runs.csv", curves, **header)
+    with pytest.raises(DataError, match=words) as error:
         write_template(tmp_path / "mine", source)
-    assert f"{source}:103" in str(error.value)  # one header line, 101 good points
-    folded = CURVE[[*range(50), 51, 50, *range(52, 101)]]
-    long_table(source, "id,x_mm,y_mm,z_mm", {"good": CURVE, "bad": folded})
-    with pytest.raises(DataError, match="curve bad ") as error:
-        write_template(tmp_path / "mine", source)
-    assert f"{source}:154" in str(error.value)  # the fold is the 52nd point of the second curve
+    assert f"{source}{line}" in str(error.value)
     savemat(tmp_path / "runs.mat", {"bad": CURVE * [1, np.nan, 1]})
     with pytest.raises(DataError, match=r"runs\.mat, point 1: curve bad .*\b101\b"):
         write_template(tmp_path / "mine", tmp_path / "runs.mat")
+    for name, fix in (("none.csv", "check the path"), ("e.xlsx", "ending")):
+        with pytest.raises(DataError, match=f"{name}[\\s\\S]*{fix}"):
+            write_template(tmp_path / "mine", tmp_path / name)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["runs.csv", "runs.mat"]
-
-
-def test_a_template_lists_what_it_reads_and_ignores(tmp_path):
-    notes = []
-    source = long_table(tmp_path / "runs.csv", "run,x_mm,y_mm,z_mm", {"1": CURVE})
-    dataset = read(write_template(tmp_path / "mine", source, notes.append))
-    assert [insertion.id for insertion in dataset.insertions] == ["runs"]
-    assert len(notes) == 2 and all(note.startswith(f"{source}: ") for note in notes)
-    assert "`run`" in notes[0] and "`id`" in notes[1] and "101 rows" in notes[1]
-    for path in (source, tmp_path / "none.csv", tmp_path / "e.xlsx"):
-        source.write_text("x,y,z\n1,2,3\n")
-        with pytest.raises(DataError) as error:
-            write_template(tmp_path / "other", path)
-        assert str(path) in str(error.value)
-        assert "--from reads" in str(error.value) or "check the path" in error.value.fix
-
-
-def test_a_template_keeps_deviations_and_reports_changed_ids(tmp_path):
-    source = tmp_path / "runs.csv"
-    lines = [f"{x},{y},{z},0.25" for x, y, z in CURVE]
-    source.write_text("\n".join(["x_mm,y_mm,z_mm,sd_mm", *lines]) + "\n")
-    np.testing.assert_array_equal(read(write_template(tmp_path / "mine", source)).insertions[0].sd, 0.25)
-    tmp_path /= "b"
-    tmp_path.mkdir()
-    source = long_table(tmp_path / "runs.csv", "id,x_mm,y_mm,z_mm", {"a b": CURVE, "c": CURVE})
-    remarks: list[str] = []
-    file = write_template(tmp_path / "mine", source, remarks.append)
-    assert [one.id for one in read(file).insertions] == ["a_b", "c"]
-    assert len(remarks) == 1 and "a_b" in remarks[0]
-
-
-def test_a_curve_of_few_points_or_another_s_name_is_no_template(tmp_path):
-    source = long_table(tmp_path / "runs.csv", "id,x_mm,y_mm,z_mm", {"a": CURVE, "b": CURVE[:1]})
-    with pytest.raises(DataError, match=r"curve b .*\b1 points") as error:
-        write_template(tmp_path / "mine", source)
-    assert error.value.where == f"{source}:103"
-    source = long_table(tmp_path / "runs.csv", "id,x_mm,y_mm,z_mm", {"a b": CURVE, "a_b": CURVE})
-    with pytest.raises(DataError, match="'a_b' becomes a_b, as another"):
-        write_template(tmp_path / "mine", source)
 
 
 @pytest.mark.parametrize("name", ["=1+1", "+a", "-a", "@a", "a\u202eb", "\uff1da", "a\x07", " =a"])
@@ -536,7 +491,7 @@ def test_a_curve_of_few_points_or_another_s_name_is_no_template(tmp_path):
 def test_unsafe_names_of_curves_are_refused(name, ending, tmp_path):
     source = tmp_path / f"runs{ending}"
     if ending == ".csv":
-        long_table(source, "id,x_mm,y_mm,z_mm", {name: CURVE})
+        long_table(source, {name: CURVE})
     elif ending == ".mrk.json":
         look = CurveStyle((0.0, 0.0, 0.0), 1.0)
         write_mrk_json(source, [(Markups(source, name, "Curve", ("",) * len(CURVE), CURVE), look)])

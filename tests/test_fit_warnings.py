@@ -26,19 +26,17 @@ from needlefit.project.toml import load
 from needlefit.project.unit_warnings import WARNING_KIND
 from needlefit.reporting.number_format import NO_INTERVAL, format_interval
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.studies.fit_warnings import RULES, analysis_bound_warnings, apply_rule, cut_off_warnings
-from needlefit.studies.folds import make_folds, warn_shared_specimens
-from needlefit.studies.job import DATA_WARNINGS, Settings, prepare
+from needlefit.studies.fit_warnings import RULES, analysis_bound_warnings, apply_rule
+from needlefit.studies.job import DATA_WARNINGS, Settings, make_folds, prepare, warn_shared_specimens
 from needlefit.studies.kinds.calibration import find_calibration_faults, headline_calibration
-from needlefit.studies.kinds.cross_validation.facts import say
 from needlefit.studies.kinds.cross_validation.run import run as run_fit
 from needlefit.studies.parameter_intervals import ParameterInterval, add_intervals, intervals_of_draws
-from needlefit.studies.report import run_to_json, warning_blocks
-from needlefit.studies.run import Run
-from needlefit.studies.verdict import (
+from needlefit.studies.report import run_to_json, say, warning_blocks
+from needlefit.studies.run import (
     NOT_CONVERGED,
     VERDICTS_KEY,
     BestBaseline,
+    Run,
     Verdict,
     judge_errors,
     judge_run,
@@ -120,7 +118,7 @@ def test_an_interval_that_ends_at_a_bound_is_named_unless_the_value_lies_there()
     rows = [(1e6, 1e5, 1e7), (1e6, 1e5, 0.99 * high), (high, 1e5, high)]
     fits = pd.DataFrame([("gel", "mu1_pa", *row) for row in rows])
     fits.columns = ["fit", "parameter", "value", "p2_5", "p97_5"]
-    (found,) = cut_off_warnings(fits, parameters)
+    (found,) = analysis_bound_warnings(fits, parameters, intervals=True)
     assert found.kind == "parameter_at_bound" and "upper" in found.what and "1 of 3" in found.what
 
 

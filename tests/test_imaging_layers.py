@@ -28,7 +28,6 @@ from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.read import read
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import DataError
-from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.frames import Frame, make_entry_frame
 from needlefit.geometry.surfaces import (
     Surface,
@@ -116,27 +115,6 @@ def test_the_last_solid_that_holds_a_point_is_its_layer_and_a_needle_meets_them_
     assert layers.boundaries == pytest.approx([7, 12], abs=0.1)
     np.testing.assert_allclose(layers.points, np.outer([-2, 3], NORMAL), atol=0.1)
     np.testing.assert_allclose(layers.sd, 0.1, rtol=0.02)
-
-
-def test_labels_are_met_in_the_order_of_segments(tmp_path):
-    # Its axis is z, its radius 6 mm, its centre 2 mm along x.
-
-    def label(points):
-        return 1 + (np.hypot(points[:, 0] - 2, points[:, 1]) < 6)
-
-    path = save(tmp_path / "core.nrrd", labelled(label))
-    needle = np.column_stack([np.linspace(-10, 10, 100), np.zeros((100, 2))])
-    crossed = find_crossings(needle, read_layers(scan(path), HOME))
-    assert crossed.sequence == (1, 2, 1)
-    np.testing.assert_allclose(crossed.points[:, 0], [-4, 8], atol=0.1)
-    # The list of segments decides, not the value of their labels.
-    volume = labelled(lambda p: np.choose(1 * (p[:, 0] > 0), [7, 3]))
-    path = save_segments(tmp_path / "l.seg.nrrd", [volume], [(7, "fat"), (3, "Müskel & Haut")])
-    fat, muscle = read_layers(scan(path), HOME)
-    assert (fat.name, fat.into) == ("layer_1_fat", 1)
-    assert (muscle.name, muscle.into) == ("layer_2_Muskel_Haut", 2)
-    assert muscle.mesh.bounds[0, 0] == pytest.approx(0, abs=0.3)
-    assert fat.mesh.bounds[0, 0] < -10
 
 
 def test_segmentations_lie_in_their_scan_and_stand_alone(slabs_file, tmp_path):

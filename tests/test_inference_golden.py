@@ -3,17 +3,21 @@
 from dataclasses import replace
 
 import numpy as np
+import test_inference_document as document
 import track_cases as tracks
 from compression_cases import specimen
 from golden_numbers import assert_golden
 from inference_cases import TRUTH, insertion, measure, medium, problem, two_layers
+from sampling_cases import Known, banana, two_hills
 from test_inference_baselines import measured as bent
 from test_inference_identifiability import COVARIANCE, predict_data
 from test_inference_identify import fit_at, tied_problem
+from test_inference_importance import weighted
 from test_inference_specimens import population
 from test_inference_tracks import make_readings, tracked
 
 from needlefit.datasets.insertion import Noise
+from needlefit.datasets.read import read
 from needlefit.inference.baseline_fit import fit_baselines
 from needlefit.inference.baselines import BASELINES
 from needlefit.inference.identifiability.design_gain import expect_precision, linearized_gain, nested_gain
@@ -21,6 +25,8 @@ from needlefit.inference.identifiability.identify import identify, profile_param
 from needlefit.inference.likelihood.observation import make_observation
 from needlefit.inference.material import fit_specimen, pool
 from needlefit.inference.predict import PredictiveMixture, cdf, crps, draw_from_prior, interval, quantile
+from needlefit.inference.problem import make_problem
+from needlefit.inference.sampling.importance import resample
 from needlefit.inference.tracking import (
     TipNoise,
     draw_baseline,
@@ -29,6 +35,9 @@ from needlefit.inference.tracking import (
     make_prior_from_factors,
     predict_readings,
 )
+from needlefit.project.locate import find_file
+from needlefit.schemas.dataset import MeasurementRecord
+from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
 
 
 def rng() -> np.random.Generator:
@@ -81,6 +90,13 @@ def test_baselines_and_predictive_distributions():
     assert_golden("baselines", {**found, "mixture": [*scores, *interval(mixture, 0.95)]})
 
 
+def test_weighted_draws():
+    modes = [[5.0, 0.0], [-5.0, 0.0]]
+    hills, bent = weighted(Known(two_hills), modes), weighted(Known(banana, half=40.0))
+    kept = [resample(bent, size, rng()) for size in (40, 4000)]
+    assert_golden("weighted_draws", {"hills": hills, "banana": bent, "kept": kept}, rtol=1e-4)
+
+
 def test_tracks():
     runs = [tracks.measured(tracks.track(f"run{n}", n * tracks.GUIDE), n, 0.02 * n, n) for n in range(5)]
     seen = [make_observation(tracks.dataset([]), one) for one in runs]
@@ -97,3 +113,39 @@ def test_tracks():
         "tip": estimate_parameters(needle, make_readings(needle, prior.theta + 0.1, 2), prior, noise),
     }
     assert_golden("tracks", found, rtol=1e-4)
+
+
+DENSITIES: dict[str, tuple[dict, dict, dict]] = {  # by changes of the data set, its noise and the likelihood
+    "sections": ({}, {}, {}),
+    "points": ({}, {}, {"measurement": "points", "noise_scale": 1.7}),
+    "independent": ({}, {}, {"noise": "independent", "depths": "fixed"}),
+    "quadrature": ({}, {}, {"depths": "quadrature", "bevel_spread": 0.0}),
+    "estimated": ({}, {}, {"noise_scale": "estimated", "depths": "quadrature", "measurement": "points"}),
+    "fixed": ({}, {"point_sd": 0.05}, {"depths": "fixed", "bevel_spread": 0.0, "measurement": "points"}),
+    "free": ({"pose": "free", "drop_proximal": 5.0}, {}, {}),
+    "free, fixed": ({"pose": "free"}, {"correlation": "matern32"}, {"depths": "fixed", "noise_scale": 0.8}),
+    "smooth": ({}, {"correlation": "matern32", "registration_mean": 0.3}, {"measurement": "points"}),
+    "gaussian": ({"measurement": MeasurementRecord(operator="gaussian", width_mm=3.0)}, {}, {}),
+    "spline": ({"measurement": MeasurementRecord(operator="spline", knot_spacing_mm=9.0)}, {}, {}),
+    "bias": (
+        {"measurement": MeasurementRecord(operator="unknown", bias_sd_mm=0.05, bias_length_mm=8.0)},
+        {},
+        {},
+    ),
+}
+
+
+def test_densities_of_shipped_insertions():
+    twin, weights = read(find_file("dataset", "twin")), WeightsRecord()
+    chosen = [one for one in twin.insertions if one.id in document.CHOSEN]
+    found = {}
+    for name, (changes, noise, how) in DENSITIES.items():
+        dataset = replace(twin, noise=replace(twin.noise, **noise), **changes)
+        plain = [replace(one, sections=None) for one in chosen] if "measurement" in changes else chosen
+        one = make_problem(dataset, plain, document.MEDIUM, weights, LikelihoodRecord(**how))
+        values = document.VALUES | {"bevel_spread": 0.07, "noise_scale": 1.3}
+        theta = np.log([values[key] for key in one.parameters.free])
+        density, slope = one.gradient(theta)
+        residuals = one.residuals(theta) if one.squares else []
+        found[name] = [density, slope, one.objective(theta), len(residuals), np.linalg.norm(residuals)]
+    assert_golden("densities", found)

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from sampling_cases import Known, banana, gaussian, two_hills
+from sampling_cases import Known, banana, two_hills
 from scipy.stats import genpareto, multivariate_normal, multivariate_t, norm
 
 from needlefit.inference.fit import Fit, Start
@@ -47,27 +47,6 @@ def moments(found: WeightedDraws) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return mean, (away * weights[:, None]).T @ away, np.sqrt((weights**2) @ away**2)
 
 
-def test_a_gaussian_is_recovered():
-    found = weighted(
-        Known(gaussian(np.diag([1.0, 4.0, 0.01]), np.array([1.0, 0.0, -1.0])), 3), [1.0, 0.0, -1.0]
-    )
-    mean, covariance, errors = moments(found)
-    assert found.certified and found.k < 0.5
-    assert np.all(np.abs(mean - [1.0, 0.0, -1.0]) < 4 * errors)
-    assert np.diag(covariance) == pytest.approx([1.0, 4.0, 0.01], rel=0.15)
-
-
-def test_a_correlated_gaussian_of_twenty_dimensions():
-    rng = np.random.default_rng(4)
-    factor = rng.normal(size=(20, 20))
-    covariance = factor @ factor.T / 20 + 0.05 * np.eye(20)
-    found = weighted(Known(gaussian(covariance), 20), effort=Effort(draws=2000, rounds=1, min_ess=300))
-    mean, got, errors = moments(found)
-    assert found.certified
-    assert np.all(np.abs(mean) < 5 * errors)
-    assert got == pytest.approx(covariance, abs=8 * errors.max())
-
-
 def test_a_banana_is_recovered():
     # E x1 = 1, var x1 = 2.25; x0 is normal; from its Laplace approximation alone k says that it does not.
     once = weighted(Known(banana, half=40.0), effort=Effort(rounds=1, min_ess=1))
@@ -91,6 +70,7 @@ def test_a_density_at_a_bound_and_two_equal_modes_are_recovered():
     mean, covariance, errors = moments(found)
     assert found.certified
     assert abs(mean[0] - 9.0) < 4 * errors[0] and covariance[0, 0] == pytest.approx(1.0, rel=0.2)
+    assert found.log_evidence == pytest.approx(10.0, abs=4 * found.log_evidence_se)
     found = weighted(Known(two_hills), [[5.0, 0.0], [-5.0, 0.0]])
     assert found.certified
     assert np.exp(found.log_weights)[found.thetas[:, 0] > 0].sum() == pytest.approx(0.5, abs=0.06)
@@ -131,10 +111,7 @@ def test_a_plateau_at_the_end_of_a_winding_valley_is_found_along_the_profile(eff
 def test_heavy_tails_are_not_certified_and_a_pareto_law_is_fitted():
     # Weights of a Pareto law with k = 1.5 have no mean; k is drawn to 0.5, by ten weights.
     heavy = np.log(genpareto.rvs(1.5, size=20000, random_state=3))
-    found = WeightedDraws(
-        np.zeros((20000, 1)), np.zeros(20000), *smooth_weights(heavy), min_ess=1.0, log_evidence=0.0
-    )
-    assert found.k == pytest.approx(1.5, abs=0.4) and not found.certified
+    assert smooth_weights(heavy)[1] == pytest.approx(1.5, abs=0.4)
     # Of 100 weights the 20 largest are smoothed; of 1500 it is 3 times the root (test above).
     log_weights = np.sort(np.random.default_rng(2).normal(size=100))
     smoothed, _ = smooth_weights(log_weights)
@@ -160,10 +137,6 @@ def test_resampled_draws_stand_once_and_by_their_weight():
     rng = np.random.default_rng(7)
     known = WeightedDraws(np.zeros((400, 1)), np.zeros(400), np.log(np.full(400, 1 / 400)), 0.0, 1.0, 0.0)
     assert len(set(resample(known, 79, rng).tolist())) == 79
-    uneven = np.log(np.repeat([1.5, 0.5], 200) / 400)
-    one = WeightedDraws(np.zeros((400, 1)), np.zeros(400), uneven, 0.0, 1.0, 0.0)
-    heavy = [np.mean(resample(one, 40, rng) < 200) for _ in range(50)]
-    assert np.mean(heavy) == pytest.approx(0.75, abs=0.05)
     few = np.log(np.array([0.8, 0.2]))
     drawn = resample(WeightedDraws(np.zeros((2, 1)), np.zeros(2), few, 0.0, 1.0, 0.0), 4000, rng)
     assert np.mean(drawn == 0) == pytest.approx(0.8, abs=0.03)
@@ -191,19 +164,6 @@ def test_a_mixture_has_the_density_of_student_s_t_and_is_fitted_to_its_draws():
     upper = draws[draws > -50]
     assert len(upper) / 20_000 == pytest.approx(0.75, abs=0.015)
     assert np.quantile(upper, [0.05, 0.5, 0.95]) == pytest.approx([3 - 2 * 2.015, 3, 3 + 2 * 2.015], abs=0.15)
-    rng = np.random.default_rng(2)
-    true = StudentMixture(
-        np.array([0.7, 0.3]), np.array([[0.0, 0.0], [6.0, 1.0]]), np.array([np.eye(2), 0.5 * np.eye(2)])
-    )
-    draws = true.draw(4000, rng)
-    start = StudentMixture(
-        np.array([0.5, 0.5]), np.array([[1.0, 1.0], [4.0, 0.0]]), np.array([np.eye(2)] * 2)
-    )
-    even = np.full(4000, 1 / 4000)
-    for _ in range(15):
-        start = start.refit(draws, even, 1e-9 * np.eye(2))
-    assert start.weights == pytest.approx(true.weights, abs=0.03)
-    assert start.centres == pytest.approx(true.centres, abs=0.12)
 
 
 def made(theta: float, objective: float, index: int) -> Start:
@@ -304,13 +264,3 @@ def test_the_density_of_further_data_is_the_ratio_of_evidences():
     assert (
         max(one.k for one in densities) < 0.7 and min(one.effective_sample_size for one in densities) >= 250
     )
-
-
-def test_the_evidence_of_a_density_is_its_integral():
-    """A Gaussian, half of it beyond a bound."""
-    known = Known(lambda x: -0.5 * np.sum((x - 10.0) ** 2, axis=1) + 3.0, 1)
-    about = [approximate_by_laplace(known.log_density, np.array([9.9]), known.lower, known.upper)]
-    bounds, rng = (known.lower, known.upper), np.random.default_rng(2)
-    found = sample_by_importance(known.log_density, about, bounds, rng)
-    exact = 3.0 + math.log(0.5 * math.sqrt(2 * math.pi))
-    assert found.log_evidence == pytest.approx(exact, abs=4 * found.log_evidence_se)

@@ -25,7 +25,6 @@ from needlefit.inference.likelihood.nodes import (
     make_group,
     make_nodes,
 )
-from needlefit.inference.likelihood.observation import points_covariance
 from needlefit.inference.likelihood.quadrature import MAX_AXES, log_means, make_rule, make_table_axes
 from needlefit.inference.parameters import make_gaussian_prior
 from needlefit.schemas.recipe import LikelihoodRecord
@@ -177,24 +176,6 @@ def test_values_and_derivatives_are_of_one_density(depths, pose, noise_scale):
     assert_one_density(p, p.parameters.theta({**TRUTH, "noise_scale": 1.2}) + 0.05, rtol=1e-4)
 
 
-def test_a_scale_of_the_noise_is_normalised_and_none_of_the_pose():
-    # Without misfit the density of n residuals falls as scale^-n, and is flat in nothing else.
-    low, high = (layered("fixed", scale, "free") for scale in (0.5, 2.0))
-    theta = low.parameters.theta(TRUTH)
-    n = sum(known.rows for known in low.density.observations)
-    fell = low.log_posterior(theta) - high.log_posterior(theta)
-    assert fell == pytest.approx(n * math.log(4), rel=1e-3)
-    plain, scaled = layered("fixed"), layered("fixed", 3.0)
-    theta = plain.parameters.theta(TRUTH) + 0.1
-    exact = 0.0
-    whites = plain.density.whitened_residuals([plain.values(theta)], 1)
-    for known, white in zip(plain.density.observations, whites, strict=True):
-        points = points_covariance(known.nodes.s[0], plain.dataset.noise)
-        residuals = np.linalg.solve(known.whitening, white[0, 0])
-        exact += multivariate_normal(cov=9 * points + (known.covariance() - points)).logpdf(residuals)
-    assert scaled.log_posterior(theta) == pytest.approx(exact, rel=1e-9)
-
-
 SPREAD = 0.3
 AT = np.array([1.3]), np.array([SPREAD])  # scale of the noise, and spread
 FLAT = replace(insertion(40.0, (12.0, 20.0), (1, 2, 3)), boundary_sd=0.15)
@@ -282,21 +263,6 @@ def test_a_shared_bevel_given_its_insertions_is_the_gaussians():
     # residuals are simulated minus measured: a needle that bent more has a negative one
     assert mean[0, at] == pytest.approx(-gain @ first[:2].ravel())
     assert found[0, at, at] == pytest.approx(1 - gain @ loads)
-
-
-def test_a_bevel_that_all_insertions_share_cannot_stand_in_for_b():
-    """A curve that b bends too little in every insertion is no deviation of their bevels."""
-    made, whites, _, _ = shared_case("abc", centred=True)
-    for white in whites:
-        white[:7] += 10 * (white[6] - white[5])  # all nodes, by the difference of the bevel's two
-    density = {}
-    for centred in (False, True):
-        groups = group_nodes(made, centred)
-        density[centred] = sum(
-            log_marginals([whites[k][None] for k in members], group, np.ones(1), np.ones(1))[0]
-            for members, group in groups
-        )
-    assert density[True] < density[False] - 3
 
 
 @pytest.mark.parametrize("noise_scale", [1.0, "estimated"])

@@ -235,42 +235,6 @@ def test_operators_that_the_data_exclude_are_refused(tmp_path):
         assert f"{file}:" in fault.where and key in fault.what
 
 
-def test_a_gaussian_width_explains_smoothed_points(scanned):
-    one = replace(scanned.insertions[-1], sections=None)
-    shape = predict(TRUE, MEDIUM, scanned.needle, one)
-    s = np.linspace(0.0, one.depth, 90)
-    exact = read_points(one, shape, s)
-    kernel = np.gradient(s) * np.exp(-0.5 * ((s[:, None] - s) / 4.0) ** 2)
-    smoothed = one.with_planar(np.column_stack([exact[:, 0], kernel @ exact[:, 1] / kernel.sum(axis=1)]))
-    norms = {}
-    for operator in (MeasurementRecord(), MeasurementRecord(operator="gaussian", width_mm=4.0)):
-        observation = make_observation(replace(scanned, measurement=operator), smoothed)
-        white = whiten_deflections(observation, read_points(one, shape, observation.nodes.s[0])[:, 1])
-        norms[operator.operator] = float(np.linalg.norm(white))
-    assert norms["gaussian"] < 0.2 * norms["none"]
-
-
-def test_an_unknown_bias_is_shared_by_all_insertions_of_a_fit(scanned):
-    plain = tuple(replace(one, sections=None) for one in scanned.insertions)
-    widths = {}
-    for size in (None, 0.02, 0.2):
-        measurement = (
-            MeasurementRecord(operator="unknown", bias_sd_mm=size, bias_length_mm=10.0)
-            if size
-            else MeasurementRecord()
-        )
-        stated = replace(scanned, insertions=plain, measurement=measurement)
-        problem = make_problem(stated, plain, MEDIUM, WeightsRecord())
-        slopes = problem.jacobian(problem.parameters.theta(TRUE))[1]
-        widths[size] = np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)))
-    assert np.all(widths[None] < widths[0.02])
-    assert np.all(widths[0.02] < widths[0.2])
-    one = make_observation(stated, plain[0]).covariance() - make_observation(scanned, plain[0]).covariance()
-    four = make_observation(stated, plain[0], insertions=4).covariance()
-    assert_allclose(np.diag(one), 0.2**2)
-    assert_allclose(np.diag(four - make_observation(scanned, plain[0]).covariance()), 4 * 0.2**2)
-
-
 @pytest.mark.parametrize(
     "table",
     [

@@ -7,7 +7,7 @@ import pytest
 
 from needlefit.errors import ModelError
 from needlefit.mechanics import reference
-from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.shape import NeedleShape
@@ -22,43 +22,6 @@ BEVEL = Bevel(0.1)
 def at(shape: NeedleShape, x: float) -> int:
     (node,) = np.flatnonzero(shape.x == x)
     return int(node)
-
-
-def moments(shape: NeedleShape, node: int) -> tuple[float, float]:
-    """Return u'' on both sides of a node, from the cubics that meet there."""
-    (h, k), u, s = np.diff(shape.x[node - 1 : node + 2]), shape.u[node - 1 :], shape.slope[node - 1 :]
-    before = 6 * (u[0] - u[1]) / h**2 + (2 * s[0] + 4 * s[1]) / h
-    after = 6 * (u[2] - u[1]) / k**2 - (4 * s[1] + 2 * s[2]) / k
-    return before, after
-
-
-def test_a_clamped_guide_on_the_axis_isolates_the_base() -> None:
-    guide = (Guide(-5.0),)
-    still, moved = (
-        simulate(NEEDLE, TISSUE, BEVEL, 21.4, Controls(y, slope, stage, guide))
-        for y, slope, stage in ((0.0, 0.0, 0.0), (3.0, -0.05, 0.02))
-    )
-    assert moved.u[0] == 3.0 + 0.02 * 21.4
-    np.testing.assert_array_equal(moved.x[1:], still.x[1:])
-    np.testing.assert_allclose(moved.u[1:], still.u[1:], atol=1e-10)
-    np.testing.assert_allclose(moved.slope[1:], still.slope[1:], atol=1e-10)
-
-
-@pytest.mark.parametrize("x", [-30.0, -2.2, 6.3, 7.4])
-def test_a_free_guide_carries_no_moment_and_a_fixed_one_does(x: float) -> None:
-    rules = ModelOptions(tolerance=1e-10)
-    free, fixed = (
-        simulate(NEEDLE, TISSUE, BEVEL, 17.0, Controls(0.5, guides=(Guide(x, 0.2, slope, x > 0),)), rules)
-        for slope in (None, -0.05)
-    )
-    node = at(free, x)
-    assert free.u[node] == pytest.approx(0.2, abs=1e-13) == fixed.u[node]
-    assert fixed.slope[node] == pytest.approx(-0.05, abs=1e-13)
-    left, right = moments(free, node)
-    # free spans are exact cubics; beside the others there is tissue
-    assert left == pytest.approx(right, abs=1e-9 if x < 0 else 2e-4)
-    left, right = moments(fixed, node)
-    assert abs(left - right) > 1e-3
 
 
 @pytest.mark.parametrize("element", [1.0, 0.5])
@@ -100,15 +63,6 @@ def test_a_tip_may_halt_on_a_guide(guides: tuple[Guide, ...], depths: tuple, ele
     np.testing.assert_allclose(fast.constraints, slow.constraints, atol=1e-7)
 
 
-@pytest.mark.parametrize("depth", [1e-3, 0.3, 4.0, 17.25])
-@pytest.mark.parametrize("slope", [None, 0.04])
-def test_a_tracked_tip_is_where_it_was_seen(depth: float, slope: float | None) -> None:
-    shape = simulate(NEEDLE, TISSUE, BEVEL, depth, Controls(tip=TrackedTip(0.2, slope)))
-    assert shape.u[-1] == pytest.approx(0.2, abs=1e-13)
-    if slope is not None:
-        assert shape.slope[-1] == pytest.approx(slope, abs=1e-13)
-
-
 @pytest.mark.parametrize("depth", [0.4, 5.0, 23.1])
 def test_the_stage_carries_the_base_along_its_axis(depth: float) -> None:
     steps = (Step(26.0, BEVEL, Controls(0.3, 0.01, 0.02)), Step(depth, BEVEL, Controls(0.3, 0.01, 0.02)))
@@ -145,28 +99,6 @@ def test_the_first_point_lies_ahead_of_a_guided_tip_and_guides_may_be_named_in_a
     ways = [Controls(guides=order) for order in permutations(guides)]
     assert all(way == ways[0] for way in ways)
     assert ways[-1].before == guides[:2] and ways[-1].within == guides[2:]
-
-
-def tilted(slope: float) -> Controls:
-    """Everything on the line through first contact: base, stage, guides before and in the tissue."""
-    guides = (
-        Guide(-10.0, -10 * slope, slope),
-        Guide(-3.0, -3 * slope, None),
-        Guide(4.0, 4 * slope, None, True),
-    )
-    return Controls(-150 * slope, slope, slope, guides)
-
-
-def test_a_tilted_straight_needle_keeps_its_line() -> None:
-    """As exactly as points every C_int can be nearest to it: twelve times better for a quarter of that."""
-    off = []
-    for spacing in (1.0, 0.5, 0.25):
-        shape = simulate(NEEDLE, TISSUE, Bevel(0.0), 20.0, tilted(0.02), ModelOptions(spacing, spacing))
-        off.append(np.max(np.abs(shape.u - 0.02 * shape.x)))
-    assert off[0] < 0.02 / 2
-    assert off[0] > off[1] > off[2] and off[0] > 12 * off[2]
-    level = simulate(NEEDLE, TISSUE, Bevel(0.0), 20.0, tilted(0.0))
-    np.testing.assert_array_equal(level.u, 0.0)
 
 
 @pytest.mark.parametrize("solve", [simulate, reference.simulate])

@@ -246,46 +246,6 @@ def test_what_the_memory_held_before_changes_no_bit(monkeypatch: pytest.MonkeyPa
     assert_same_bits(fill(np.nan), fill(0.0))
 
 
-@pytest.mark.parametrize("advance", ["tangent", "path_angle"])
-@pytest.mark.parametrize("case", range(7))
-@pytest.mark.parametrize("friction", [0.0, 0.3])
-def test_kept_factors_leave_less_than_3e_7_mm(advance: str, case: int, friction: float) -> None:
-    """Against full passes to 1e-10 mm: straight on, turns, moves of base and guide, a retraction; a tracked
-    tip, guides in the tissue, and both with a retraction and a turn.
-    """
-    bevel, depth = Bevel(0.1) if advance == "tangent" else Bevel(cut_angle=0.01), 45.0
-    other, moved = replace(bevel, side=-1), Controls(base_y=0.8, base_slope=0.01)
-    guided = [Controls(guides=(Guide(-5.0, y),)) for y in (0.1, 0.6)]
-    track = [Step(float(d), bevel, Controls(tip=TrackedTip(2e-4 * d**2))) for d in range(1, 16)]
-    template = Controls(
-        guides=(Guide(10.0, 0.03, None, in_tissue=True), Guide(20.3, 0.1, None, in_tissue=True))
-    )
-    steps = [
-        (),
-        (Step(15.0, bevel), Step(30.0, other)),
-        (Step(15.0, bevel, guided[0]), Step(30.0, bevel, guided[1]), Step(37.0, bevel, moved)),
-        (Step(35.0, bevel), Step(17.4, other)),
-        tuple(track),
-        (Step(30.0, bevel, template),),
-        (*track, Step(32.0, other, template), Step(24.4, bevel, template)),
-    ][case]
-    rng = np.random.default_rng(case)
-    tissue = Tissue(mu=[0.2, 33.0, 0.2], alpha=[1.0, -1.0, 1.0], boundaries=[14.0, 27.0],
-                    friction=[friction] * 3)  # fmt: skip
-    mu, alpha = 10 ** rng.uniform(-1.3, 1.78, (32, 3)), rng.uniform(-3, 3, (32, 3))
-    batch = Batch(
-        NEEDLE,
-        tissue,
-        (*steps, Step(depth, bevel)),
-        ModelOptions(advance=advance),
-        mu=mu,
-        shape=alpha[:, None],
-    )
-    shapes, exact = one(batch), replace(batch, rules=ModelOptions(advance=advance, tolerance=1e-10))
-    for i in range(0, 32, 4):
-        assert_close(shapes[i], simulate_steps(*exact.pick(i)), 3e-7)
-
-
 def test_a_guide_may_take_the_node_of_a_constraint_point() -> None:
     """Less than a quarter element before it; the stop there is not one of the main grid."""
     guides = (Guide(4.9, 0.02, None, in_tissue=True), Guide(8.06, 0.05, None, in_tissue=True))

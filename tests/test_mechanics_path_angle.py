@@ -13,7 +13,6 @@ from needlefit.inference.forward_model import PreparedModel, make_batch, make_sc
 from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.batch import simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
-from needlefit.mechanics.load import compute_loads
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.scene import Scene, simulate_scene
 from needlefit.mechanics.session import Session
@@ -86,13 +85,6 @@ def test_the_curvature_of_the_tangent_rule_grows_with_depth(mu: float, spacing: 
         assert curvature / (2 * beta**2 * b / (1 + 2 * beta * spacing)) - 1 == pytest.approx(
             expected, abs=0.001
         )
-
-
-def test_forces_balance_on_a_linear_cut() -> None:
-    shape = simulate(NEEDLE, PHANTOM, Bevel(cut_angle=0.1), 22.3, rules=RULES)
-    loads = compute_loads(shape, PHANTOM, NEEDLE, Controls(), RULES)
-    assert sum(one.force for one in loads.all_loads) == pytest.approx(0.0, abs=1e-7)
-    assert abs(loads.base.force) > 1e-3
 
 
 # ---- of media, scenes and the page ----

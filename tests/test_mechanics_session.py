@@ -36,11 +36,6 @@ def session(first_cell: float = 1.0, **given) -> Session:
     return Session(NEEDLE, TISSUE, LEFT, first_cell, **given)
 
 
-def ahead(shape: NeedleShape, to: float, bevel: Bevel, spacing: float = 1.0) -> float:
-    """Return where the tip of `shape`, cutting on along its tangent turned by the bevel, is at depth `to`."""
-    return shape.u[-1] + (to - shape.depth) * (shape.slope[-1] + bevel.side * bevel.offset / spacing)
-
-
 @pytest.mark.parametrize("kind", ["decided", "path_angle"])
 @pytest.mark.parametrize("seed", range(30))
 def test_a_session_gives_the_bits_of_the_whole_insertion(seed: int, kind: str) -> None:
@@ -96,17 +91,6 @@ def test_sub_steps_change_nothing(halts: list[float], first: float) -> None:
     assert_close(under_way.step(17.31 - under_way.depth), whole)
 
 
-@pytest.mark.parametrize("bevel", [RIGHT, Bevel(0.04, 1), Bevel(0.0)])
-@pytest.mark.parametrize("d", [2.3, 3.0, 0.4])
-def test_a_turned_bevel_cuts_from_where_the_tip_stands(bevel: Bevel, d: float) -> None:
-    under_way = session()
-    here = under_way.step(d)
-    m = int(d) + 1
-    found = under_way.step(m + 0.5 - d, bevel=bevel).constraints
-    np.testing.assert_array_equal(found[:m], np.vstack((here.constraints, [[d, 0]]))[:m])
-    assert found[m, 1] == pytest.approx(ahead(here, m, bevel), abs=1e-12)
-
-
 def test_equal_inputs_change_nothing_and_out_of_the_tissue_base_and_guide_alone_move_the_tip():
     under_way, untouched = session(), session()
     untouched.step(5.3)
@@ -125,8 +109,7 @@ def test_equal_inputs_change_nothing_and_out_of_the_tissue_base_and_guide_alone_
     under_way.step(-5.0)
     shape = under_way.step(base=(0.5, 0.01))
     assert shape.u[-1] == pytest.approx(0.5 + 150 * 0.01)
-    found = under_way.step(1.0).constraints
-    assert found[1, 1] == pytest.approx(ahead(shape, 1.0, LEFT))
+    assert under_way.step(1.0).constraints[1, 1] == pytest.approx(shape.u[-1] + shape.slope[-1] + 0.1)
 
 
 def test_a_long_session_keeps_its_size_and_accuracy() -> None:
@@ -173,16 +156,6 @@ def test_a_failed_step_changes_nothing(step: dict) -> None:
     assert under_way.failures == Counter({"over-compressed": 2})
     for after in ({"insert": 0.3}, {"insert": 4.0, "bevel": RIGHT}, {"insert": -2.0}, {"base": (0.1, 0)}):
         assert_same_steps(under_way.step(**after), untouched.step(**after))
-
-
-def test_failures_are_counted_by_reason() -> None:
-    under_way = Session(NEEDLE, THIN, Bevel(0.05), rules=ModelOptions(max_iterations=4))
-    assert under_way.step(5.4).converged
-    assert under_way.step(base=(30.0, 0.0)).status == "not converged"
-    for _ in range(2):
-        assert under_way.step(base=(100.0, 0.0)).status == "over-compressed"
-    assert under_way.failures == Counter({"over-compressed": 2, "not converged": 1})
-    assert under_way.step(1.0).converged and under_way.depth == 6.4
 
 
 def test_a_needle_that_fails_at_once_stays_at_the_entry() -> None:

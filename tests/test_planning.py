@@ -41,6 +41,7 @@ from needlefit.planning.steering import (
 from needlefit.schemas.planning import ObstacleRecord
 from needlefit.studies import further_insertion
 from needlefit.studies.further_insertion import WeightedPosterior, find_template
+from needlefit.studies.held_out_predictions import NewSpecimens, PosteriorFit
 from needlefit.studies.job import Job, Settings, prepare
 from needlefit.studies.kinds import next_insertion
 from needlefit.studies.kinds import plan as plan_plan
@@ -52,8 +53,6 @@ from needlefit.studies.kinds.next_insertion import (
     predict_candidate,
 )
 from needlefit.studies.kinds.plan import REPORT, PlanRecord
-from needlefit.studies.new_specimens import NewSpecimens
-from needlefit.studies.posterior_fit import PosteriorFit
 from needlefit.studies.report import write_run
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.plans import begin_insertion

@@ -16,13 +16,14 @@ from reporting_results import stereo, study, with_draws, with_predictions
 from needlefit.inference.identifiability.profile import DEVIANCE_95
 from needlefit.reporting.figures import style
 from needlefit.reporting.figures.fit_forms import choose_log_ticks, draw_profiles
-from needlefit.studies.kinds.cross_validation import figures, posterior, report
-from needlefit.studies.kinds.cross_validation.facts import describe_counts
-from needlefit.studies.kinds.cross_validation.figures import (
+from needlefit.studies.kinds.cross_validation import report, tables
+from needlefit.studies.kinds.cross_validation.report import (
     collect_curves,
+    describe_counts,
     subtract_fit,
     tabulate_predictive_check,
 )
+from needlefit.studies.report import say
 
 
 def test_residuals_are_heights_above_the_fit_at_the_same_depth():
@@ -62,7 +63,7 @@ def test_all_panels_have_the_stated_vertical_scale(monkeypatch, tmp_path):
     painted = []
     monkeypatch.setattr("needlefit.reporting.figures.style.draw", lambda path, paint: painted.append(paint()))
     for results in (study(5), stereo()):
-        figures.draw_insertions(results, "validate")["overlays"].save(tmp_path / "overlays.pdf")
+        report.draw_insertions(results, "validate")["overlays"].save(tmp_path / "overlays.pdf")
     shown = [axes for figure in painted for axes in figure.axes if axes.get_visible()]
     assert shown and {axes.get_aspect() for axes in shown} == {5.0, 20.0}
     assert [re.findall(r"× (\d+)", one.get_supylabel()) for one in painted] == [["20"], ["5"]]
@@ -119,8 +120,9 @@ def stands_in(table: pd.DataFrame, values: np.ndarray) -> np.ndarray:
     "results", [with_predictions(with_draws(study(5))), stereo()], ids=["study5", "stereo"]
 )
 def test_drawn_values_are_those_of_the_table(results, painted, tmp_path):
-    report.draw_figures(results, tmp_path)
-    report.draw_error_figures([results, results], tmp_path)
+    report.REPORT.draw(results, tmp_path)
+    for name, one in report.draw_errors([results, results]).items():
+        one.save(tmp_path / f"{name}.pdf")
     pictures = {path.stem for path in tmp_path.glob("*.pdf")}
     assert (
         pictures == set(painted)
@@ -141,19 +143,19 @@ def test_the_ridge_is_the_longest_axis_of_the_draws():
     """Across it mu1 * b^2 is known to 2 % (as made), along it mu1 within a factor of 5."""
     made = with_draws(study(5), 4000)
     names = ["mu1_pa", "bevel_mm"]
-    assert posterior.list_free_parameters(made) == names
-    shortest, longest = posterior.principal_axes(made.frames["draws"][names])
+    assert tables.list_free_parameters(made) == names
+    shortest, longest = tables.principal_axes(made.frames["draws"][names])
     assert shortest.words.startswith("mu1^0.5 * b ") and "1 %" in shortest.words
     assert longest.weights[1] / longest.weights[0] == pytest.approx(-0.5, abs=0.01)
-    first, last = posterior.find_ridge_ends(made.frames["draws"][names])
+    first, last = tables.find_ridge_ends(made.frames["draws"][names])
     slope = np.log(last["bevel_mm"] / first["bevel_mm"]) / np.log(last["mu1_pa"] / first["mu1_pa"])
     assert slope == pytest.approx(-0.5, abs=0.01)
-    text = report.say(made, "figure_corner")
+    text = say(made, "figure_corner")
     assert "4000 importance draws" in text and "Pareto k 0.31" in text and "NOT CERTIFIED" not in text
     assert re.search(r"μ₁\^0\.5 · b [\w ]*1 %", text)
     for source in ("importance", "posterior"):
         draws = made.frames["draws"].assign(certified=False, draw_source=source)
-        text = report.say(made.with_frames(draws=draws), "figure_corner")
+        text = say(made.with_frames(draws=draws), "figure_corner")
         assert ("--sample" in text) == (source == "importance") != ("sample.steps" in text)
         assert re.search("NOT C(ERTIFI|ONVERG)ED", text) and "1 %" not in text
 
@@ -206,9 +208,9 @@ def frames(sds):
 def test_narrow_and_broad_profiles_are_drawn_the_same_every_time(tmp_path):
     for count in (1, 5):
         drawn = [
-            draw_profiles(
-                *frames([0.01, 0.3, 3.0, 0.1, 1.0][:count]), "synthetic", tmp_path / name
-            ).read_bytes()
+            draw_profiles(*frames([0.01, 0.3, 3.0, 0.1, 1.0][:count]), "synthetic")
+            .save(tmp_path / name)
+            .read_bytes()
             for name in ("one.pdf", "two.pdf")
         ]
         assert drawn[0] == drawn[1]

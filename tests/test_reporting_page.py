@@ -10,7 +10,7 @@ from needlefit.reporting import document
 from needlefit.reporting.document import Document, compile_html, compile_pdf
 from needlefit.reporting.table import Table, TableColumn, TableLayout
 from needlefit.reporting.text import KindText
-from needlefit.studies.kinds.cross_validation import figures
+from needlefit.studies.kinds.cross_validation.report import draw_starts
 from needlefit.studies.report import compose_run_report
 
 
@@ -44,7 +44,7 @@ class Outline(HTMLParser):
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     one = study(5)
-    drawn = {"waterfall": figures.draw_starts(one).save(tmp_path_factory.mktemp("page") / "waterfall.pdf")}
+    drawn = {"waterfall": draw_starts(one).save(tmp_path_factory.mktemp("page") / "waterfall.pdf")}
     return compile_html(compose_run_report(one, drawn)), one
 
 

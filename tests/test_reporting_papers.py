@@ -12,11 +12,14 @@ from needlefit.reporting.document import Document
 from needlefit.reporting.latex import format_table_macros
 from needlefit.reporting.paper_example import compile_example, format_example
 from needlefit.reporting.table import TableColumn, TableLayout
-from needlefit.studies.kinds.cross_validation.facts import say
-from needlefit.studies.kinds.cross_validation.report import format_macros, format_methods, format_references
+from needlefit.studies.kinds.cross_validation.report import (
+    format_macros,
+    format_methods,
+    format_references,
+)
 from needlefit.studies.kinds.cross_validation.tables import lay_out_parameters
 from needlefit.studies.paper_folder import write_paper_folder
-from needlefit.studies.report import write_run
+from needlefit.studies.report import say, write_run
 
 RECIPE = {
     "minimize": "posterior", "algorithm": "leastsquares", "starts": 16, "metric": True,

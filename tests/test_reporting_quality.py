@@ -28,15 +28,17 @@ from needlefit.project.random_streams import random_stream
 from needlefit.reporting.figures.scan_views import outline_surface
 from needlefit.reporting.figures.style import LETTER_WIDTH_MM, MIN_LABEL_GAP_MM, spread_labels
 from needlefit.studies.kinds.reconstruction import KIND
-from needlefit.studies.kinds.reconstruction.figures import choose_spans
-from needlefit.studies.kinds.reconstruction.pages import list_facts, list_finding_facts, write_quality
+from needlefit.studies.kinds.reconstruction.pages import (
+    choose_spans,
+    list_facts,
+    list_finding_facts,
+    write_quality,
+)
 from needlefit.studies.kinds.reconstruction.report import (
     lay_out_reconstructions,
+    tabulate_batch,
     write_reconstruction,
     write_refused,
-)
-from needlefit.studies.kinds.reconstruction.run import (
-    tabulate_batch,
 )
 from needlefit.studies.report import write_files
 from needlefit.studies.slicer import write_scan

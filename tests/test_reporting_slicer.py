@@ -110,7 +110,7 @@ def posterior(job, rows):
 
 def test_every_needle_is_in_the_world_of_its_dataset(fitted):
     job, fold, known = fitted
-    placed = place_needles(job, fold, known)
+    placed = place_needles(job.problem(fold), fold, known)
     assert {name: one.role for name, one in placed.items()} == {
         "needle-1": "tune", "needle-2": "tune", "needle-3": "validate", "needle-4": "validate"
     }  # fmt: skip
@@ -125,14 +125,14 @@ def test_every_needle_is_in_the_world_of_its_dataset(fitted):
 
 def test_the_linear_band_lies_about_the_fit_and_follows_the_noise(fitted):
     job, fold, known = fitted
-    band = place_needles(job, fold, known)["needle-2"].band
+    band = place_needles(job.problem(fold), fold, known)["needle-2"].band
     assert band.source == "linear"
     width = np.linalg.norm(band.high - band.low, axis=1)
     np.testing.assert_allclose((band.low + band.high) / 2, band.middle, atol=1e-9)
     assert 0.01 < width[-1] < 5
     wider = tuple(dataclasses.replace(d, sd=2 * d.sd) for d in known.verdict.directions)
     known = dataclasses.replace(known, verdict=dataclasses.replace(known.verdict, directions=wider))
-    doubled = place_needles(job, fold, known)["needle-2"].band
+    doubled = place_needles(job.problem(fold), fold, known)["needle-2"].band
     np.testing.assert_allclose(doubled.high - doubled.low, 2 * (band.high - band.low), atol=1e-9)
 
 
@@ -142,7 +142,7 @@ def test_the_band_of_a_posterior_is_that_of_the_needles_of_its_draws(fitted):
     values = known.fit.values
     offsets = values["bevel_mm"] * np.linspace(0.9, 1.1, BAND_DRAWS)
     draws = posterior(job, [[values["mu1_pa"], b, 0.1] for b in offsets])
-    one = place_needles(job, fold, dataclasses.replace(known, posterior=draws))["needle-1"]
+    one = place_needles(job.problem(fold), fold, dataclasses.replace(known, posterior=draws))["needle-1"]
     assert one.band.source == "posterior" and not one.band.converged  # a single short ensemble
     same = place_needles(
         job, fold, dataclasses.replace(known, posterior=posterior(job, draws.draws[0, [9, 9]]))
@@ -150,7 +150,8 @@ def test_the_band_of_a_posterior_is_that_of_the_needles_of_its_draws(fitted):
     assert np.abs(same["needle-1"].band.high - same["needle-1"].band.low).max() < 1e-12
     for height, b in ((one.band.low, 0.905), (one.band.middle, 1.0), (one.band.high, 1.095)):
         at = posterior(job, [[values["mu1_pa"], b * values["bevel_mm"], 0.1]])
-        single = place_needles(job, fold, dataclasses.replace(known, posterior=at))["needle-1"].band
+        moved = dataclasses.replace(known, posterior=at)
+        single = place_needles(job.problem(fold), fold, moved)["needle-1"].band
         np.testing.assert_allclose(height[-1], single.middle[-1], atol=2e-3)
     np.testing.assert_allclose(one.band.middle, one.fitted, atol=2e-3)
 
@@ -165,7 +166,7 @@ def test_the_band_of_a_held_out_needle_is_the_predicted_one(fitted):
          "low_95_mm": height + 6.0, "median_mm": height + 7.5, "high_95_mm": height + 9.0}
         for at, height in zip(x, y, strict=True)
     ]  # fmt: skip
-    placed = place_needles(job, fold, known, rows)
+    placed = place_needles(job.problem(fold), fold, known, rows)
     band = placed["needle-3"].band
     assert band.source == "predicted" and band.converged
     np.testing.assert_allclose(band.high - band.low, np.tile([0.0, 3.0, 0.0], (5, 1)), atol=1e-9)
@@ -188,8 +189,8 @@ def test_the_files_of_a_run_lie_in_the_scan(project, tmp_path):
     turned(project)
     results = run("needles", study(), Settings())
     out, again = tmp_path / "slicer", tmp_path / "again"
-    write_needles(results, out)
-    write_needles(results, again)
+    write_needles(results.frames["needles"], results.synthetic, out)
+    write_needles(results.frames["needles"], results.synthetic, again)
     names = sorted(path.name for path in out.iterdir())
     assert names == sorted(
         f"needle-{n}.{e}" for n in range(1, 5) for e in ("mrk.json", "needle.ply", "band.ply")

@@ -34,16 +34,13 @@ from needlefit.reporting.table import Table, part, pivot
 from needlefit.reporting.table_files import to_records, to_tidy
 from needlefit.studies import paper
 from needlefit.studies.kind import KINDS
-from needlefit.studies.kinds.cross_validation.facts import list_sentences, say
-from needlefit.studies.kinds.cross_validation.posterior import tabulate_percentiles
-from needlefit.studies.kinds.cross_validation.report import explain, summarize
+from needlefit.studies.kinds.cross_validation.report import REPORT, Facts, explain, list_sentences
 from needlefit.studies.kinds.cross_validation.tables import (
     CONDITIONAL,
     NOT_DETERMINED,
     SEE_INTERVAL,
     WIDE_INTERVAL,
     arrange_parameters,
-    find_undetermined,
     lay_out_baselines,
     lay_out_contradictions,
     lay_out_design,
@@ -54,11 +51,18 @@ from needlefit.studies.kinds.cross_validation.tables import (
     lay_out_validation,
     lay_out_values,
     tabulate_parameters,
+    tabulate_percentiles,
 )
-from needlefit.studies.report import compose_run_report
+from needlefit.studies.report import compose_run_report, say
 from needlefit.studies.run import Run
-from needlefit.studies.scored_groups import TE, list_groups, tabulate_tuning, tabulate_validation
-from needlefit.studies.summary import aggregate, compare_methods
+from needlefit.studies.scored_groups import (
+    TE,
+    aggregate,
+    compare_methods,
+    list_groups,
+    tabulate_tuning,
+    tabulate_validation,
+)
 
 BY = ("role", "method", "boundaries")
 
@@ -279,7 +283,7 @@ def test_an_undetermined_parameter_is_no_number():
     table = tabulate_parameters(study(1), study(2))
     open_ones = table[~table["determined"] & (table["status"] != "fixed")]
     assert {row["fitted"] for row in arrange_parameters(open_ones)} == {NOT_DETERMINED}
-    assert find_undetermined(study(1)) == ["alpha1", "alpha2", "alpha3", "alpha4"]
+    assert Facts(study(1)).undetermined == ["alpha1", "alpha2", "alpha3", "alpha4"]
     printed = {(row[0], row[1]): row for row in lay_out_parameters([study(1)]).rows}
     assert SEE_INTERVAL in printed[("", "α₁")]
     assert " α₁, α₂, α₃, α₄" in say(study(1), "undetermined")
@@ -304,7 +308,7 @@ def test_an_undetermined_parameter_is_no_number_in_the_second_fit():
 def test_a_fixed_parameter_is_given_and_marked_as_fixed():
     row = arrange_parameters(tabulate_parameters(study(5)))[1]
     assert (row["parameter"], row["status"], row["fitted"]) == ("alpha1", "fixed", "1")
-    assert find_undetermined(study(5)) == ["mu1_pa"]
+    assert Facts(study(5)).undetermined == ["mu1_pa"]
     assert "fixed, not fitted: α₁" in say(study(5), "undetermined")
 
 
@@ -316,7 +320,7 @@ def test_folds_are_distinguished_only_where_there_are_several():
 @pytest.mark.parametrize("results", [study(1), study(5), stereo()], ids=["study1", "study5", "stereo"])
 def test_every_row_has_a_cell_per_column(results):
     tables = [lay_out_validation([results]), lay_out_tuning([results], "layers"), lay_out_design([results])]
-    tables += [lay_out_baselines([results], "validate"), lay_out_insertions(results, "validate")]
+    tables += [lay_out_baselines(results, "validate"), lay_out_insertions(results, "validate")]
     for table in tables:
         assert "Origin" not in [column.label for column in table.columns]  # the page says it once
         assert all(len(row) == len(table.columns) for row in table.rows)
@@ -335,14 +339,14 @@ def test_the_papers_value_is_below_the_models_in_the_same_column():
 
 
 def test_the_short_answer_names_floor_and_paper():
-    short = summarize(study(1))[0]
+    short = REPORT.summarize(study(1))[0]
     assert "0.21 and 0.22 mm" in short.partition("noise floor")[2].partition("paper")[0]
     assert "0.19 and 0.14 mm" in short.partition("paper")[2]
-    assert "paper" not in summarize(stereo())[0]
+    assert "paper" not in REPORT.summarize(stereo())[0]
 
 
 def test_without_a_row_of_the_paper_the_short_answer_compares_every_curve():
-    text = summarize(stereo())[-1]
+    text = REPORT.summarize(stereo())[-1]
     for row in to_records(compare_methods(stereo(), metric=TE)):
         if row["method"] != "fitted":
             gap = f"{format_signed_mm(row['difference_mm'], 3)} ± {row['difference_se_mm']:.3f} mm"

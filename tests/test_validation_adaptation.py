@@ -21,8 +21,7 @@ from needlefit.inference.transferred_prior import (
     widen_posterior,
 )
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.folds import Fold
-from needlefit.studies.job import Job, Settings
+from needlefit.studies.job import Fold, Job, Settings
 from needlefit.studies.kinds.adaptation import (
     REPORT,
     AdaptationRecord,

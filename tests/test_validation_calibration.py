@@ -18,8 +18,7 @@ from needlefit.inference.problem import Problem
 from needlefit.project.locate import find_file
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.folds import Fold
-from needlefit.studies.job import Job, Settings, prepare
+from needlefit.studies.job import Fold, Job, Settings, prepare
 from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds.calibration import (
     CONTROLS,
@@ -299,10 +298,10 @@ def test_other_specimens_are_simulated_where_predictions_learn_from_them():
 def test_the_true_value_of_a_tied_modulus_is_that_of_its_own_layers():
     job = prepare_study("study1")
     mu = 1e6 * draw_specimen(7, "phantom2", "phantom2").mu
-    assert find_true_value(job, "mu1_pa", 7) == pytest.approx(mu[0])
-    assert find_true_value(job, "mu4_pa", 7) == pytest.approx(mu[3])
-    assert find_true_value(job, "bevel_mm", 7) == pytest.approx(0.103)
-    assert np.isnan(find_true_value(job, "bevel_spread", 7))
+    assert find_true_value(job.problem(job.folds[0]), "mu1_pa", 7) == pytest.approx(mu[0])
+    assert find_true_value(job.problem(job.folds[0]), "mu4_pa", 7) == pytest.approx(mu[3])
+    assert find_true_value(job.problem(job.folds[0]), "bevel_mm", 7) == pytest.approx(0.103)
+    assert np.isnan(find_true_value(job.problem(job.folds[0]), "bevel_spread", 7))
 
 
 @pytest.mark.sweep

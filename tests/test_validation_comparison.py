@@ -22,8 +22,7 @@ from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.folds import Fold
-from needlefit.studies.job import Job, Settings
+from needlefit.studies.job import Fold, Job, Settings
 from needlefit.studies.kinds.comparison import (
     MAX_NOISE_FACTOR,
     REPORT,

@@ -28,6 +28,7 @@ from needlefit.reporting.table_files import write_json
 from needlefit.schemas.recipe import LikelihoodRecord, SampleRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord
+from needlefit.studies.held_out_predictions import NewSpecimens
 from needlefit.studies.job import Settings, prepare
 from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds import prediction
@@ -40,9 +41,8 @@ from needlefit.studies.kinds.prediction import (
     require_same_configuration,
     tabulate_forecast,
 )
-from needlefit.studies.new_specimens import NewSpecimens
-from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.report import list_run_warnings
+from needlefit.studies.run import describe_configuration
 from needlefit.studies.store import read_run
 
 SCENE = needlefit.open_scene("study2")

@@ -27,18 +27,17 @@ from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.coverage import estimate_width_after_one
 from needlefit.studies.fit_warnings import describe_gain
-from needlefit.studies.folds import Fold
 from needlefit.studies.held_out_predictions import (
     BAND_COLUMNS,
     BAND_POINTS,
     PREDICTIVE_COLUMNS,
+    NewSpecimens,
     draw_fold_parameters,
     predict_held_out,
     tabulate_held_out,
 )
-from needlefit.studies.job import Job, Settings, prepare, with_one_bevel
+from needlefit.studies.job import Fold, Job, Settings, prepare, with_one_bevel
 from needlefit.studies.kinds.cross_validation.tables import lay_out_coverage
-from needlefit.studies.new_specimens import NewSpecimens
 from needlefit.studies.planned_draws import draw_conditions, simulate_planned
 
 POINTS = LikelihoodRecord(depths="fixed", bevel_spread=0.0, measurement="points")

@@ -35,16 +35,14 @@ from needlefit.schemas.recipe import RecipeRecord, SampleRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.fit_frames import COLUMNS
-from needlefit.studies.folds import make_folds
-from needlefit.studies.job import prepare
-from needlefit.studies.kinds.cross_validation.facts import say
+from needlefit.studies.job import make_folds, prepare
 from needlefit.studies.kinds.cross_validation.run import Settings, run
 from needlefit.studies.kinds.cross_validation.tables import arrange_parameters, tabulate_parameters
 from needlefit.studies.kinds.sensitivity import VariationRecord
-from needlefit.studies.report import write_run
+from needlefit.studies.report import say, write_run
 from needlefit.studies.run import Run
 from needlefit.studies.score import Scorer, model_predictor
-from needlefit.studies.summary import tabulate_design
+from needlefit.studies.scored_groups import tabulate_design
 from needlefit.studies.validity import ValidityCounts, describe_outside, list_outside
 
 MEDIUM = """schema = 1

@@ -18,7 +18,7 @@ from needlefit.geometry.surfaces import make_sheet
 from needlefit.inference.forward_model import predict
 from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
 from needlefit.reporting.number_format import format_number
-from needlefit.studies.folds import make_folds
+from needlefit.studies.job import make_folds
 from needlefit.studies.kinds.cross_validation.run import Settings, run
 from needlefit.studies.kinds.cross_validation.tables import arrange_parameters, tabulate_parameters
 from needlefit.studies.run import Run

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from needlefit.mechanics import load, packing, reference
-from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
+from needlefit.mechanics.control import Bevel, ModelOptions
 from needlefit.mechanics.laws import list_shape_parameters
-from needlefit.mechanics.simulate import equilibrium, simulate_steps
+from needlefit.mechanics.simulate import simulate_steps
 from needlefit.verification import cases
 from needlefit.verification.check import (
     AcceptanceBound,
@@ -223,23 +223,6 @@ def test_friction_left_out_is_noticed(monkeypatch):
     assert "The same with friction" in failing(MANUFACTURED)
 
 
-def test_a_mesh_rule_that_drops_nodes_is_noticed(monkeypatch):
-    """Elements four times too long: what the refinement study and the closed forms bound."""
-
-    def coarse(needle, tissue, steps, rules=ModelOptions(), lattice=None):
-        return simulate_steps(needle, tissue, steps, ModelOptions(4.0, 4 * rules.element), lattice)
-
-    def long_elements(needle, tissue, constraints, controls=Controls(), rules=ModelOptions()):
-        return equilibrium(needle, tissue, constraints, controls, ModelOptions(4.0, 4 * rules.element))
-
-    monkeypatch.setattr(scenes, "simulate_steps", coarse)
-    monkeypatch.setattr(beams, "equilibrium", long_elements)
-    assert any("99" in title for title in failing(CLOSED_FORMS))
-    worst = [row for row in verify(1, select(REFINEMENT)).rows if "random" in row.title]
-    clean = 1e-4  # mm, see the table
-    assert max(row.measured for row in worst) > clean
-
-
 def test_a_load_that_the_shape_does_not_bear_is_noticed(monkeypatch):
     true = load.pack_equilibrium
     monkeypatch.setattr(
@@ -260,35 +243,6 @@ def test_an_unsymmetric_bevel_is_noticed(monkeypatch):
 
     monkeypatch.setattr("needlefit.verification.cases.simulate_steps", lopsided)
     assert any("Mirror" in title for title in failing(SYMMETRIES))
-
-
-def test_sub_steps_that_matter_are_noticed(monkeypatch):
-    def forgetful(needle, tissue, steps, rules=ModelOptions(), lattice=None):
-        """Turn the bevel a little more with every halt."""
-        more = [
-            Step(step.depth, Bevel(step.bevel.offset * (1 + 1e-4 * n), step.bevel.side), step.controls)
-            for n, step in enumerate(steps)
-        ]
-        return simulate_steps(needle, tissue, more, rules, lattice)
-
-    monkeypatch.setattr("needlefit.verification.cases.simulate_steps", forgetful)
-    failed = failing(SYMMETRIES)
-    assert "Sub-steps on the way" in failed and any("back" in title for title in failed)
-
-
-def test_a_template_that_stays_behind_is_noticed(monkeypatch):
-    true = symmetries.make_scene
-
-    def forgotten(origin, turn):
-        moved = true(origin, turn)
-        steps = tuple(
-            replace(step, controls=replace(step.controls, guides=(Guide(-15.0, 0.0, 0.0),)))
-            for step in moved.steps
-        )
-        return replace(moved, steps=steps) if turn else moved
-
-    monkeypatch.setattr(symmetries, "make_scene", forgotten)
-    assert verify(1, [check for check in symmetries.CHECKS if "Entry" in check.title]).failed
 
 
 @pytest.mark.sweep

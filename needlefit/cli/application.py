@@ -156,7 +156,6 @@ def build() -> typer.Typer:
 
 @cache
 def _build_command(name: str) -> Any:  # noqa: ANN401 - a command of typer's own click
-    """Return a command, or a group, of `_COMMANDS`."""
     if name in _GROUPS:
         first = next(one for words in _COMMANDS.values() for one in words if one.startswith(f"{name} "))
         group = typer.Typer(

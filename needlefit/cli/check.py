@@ -62,7 +62,6 @@ def _check_study(invocation: Invocation, kind: Literal["study", "fit"], name: st
 
 
 def _describe_folds(folds: Sequence[tuple[int, int]]) -> str:
-    """Return how many insertions are fitted to and held out."""
     if not folds:
         return ""
     tune, held_out = (sorted(set(counts)) for counts in zip(*folds, strict=True))
@@ -109,7 +108,6 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
 
 
 def _summarize(path: Path, dataset: "Dataset | None", faults: int) -> str:
-    """Return the outcome in one sentence."""
     if faults or dataset is None:
         return f"{faults} fault{'' if faults == 1 else 's'} in {path}:"
     count = len(dataset.insertions)

@@ -302,7 +302,7 @@ def show_run(invocation: Invocation, result: "Run", folder: Path, named: bool = 
     `named`: before each verdict stands the name of the run.
     """
     from needlefit.studies.kind import find_kind
-    from needlefit.studies.verdict import judge_run
+    from needlefit.studies.run import judge_run
 
     for verdict in judge_run(result):
         screen.print_text(f"{result.name}: {verdict.sentence}." if named else f"{verdict.sentence}.")

@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from needlefit.schemas.scene import SceneRecord
 
 Complete = Callable[[str], list[str]]
-Declaration = Any
-"""What typer knows of an option or an argument, but for its type and default."""
+Declaration = Any  # what typer knows of an option or an argument, but for its type and default
 
 
 def option(text: str, metavar: str | None = None, *words: str, **more: Any) -> Declaration:  # noqa: ANN401

@@ -66,7 +66,7 @@ def plan(
     --radius and no obstacle is touched. A SCENE has one set of parameters, taken as exact.
     """
     from needlefit.planning.steering import PlanLimits, plan_steering
-    from needlefit.studies.verdict import mark_faults
+    from needlefit.studies.run import mark_faults
     from needlefit.viewer.opening import open_target
     from needlefit.viewer.plans import begin_insertion, write_plan
 
@@ -141,7 +141,6 @@ def _read_numbers(text: str, counts: tuple[int, int], option: str, expected: str
 def _summarize(
     shown: "ViewedScene", aim: "PlaneGoal", found: "SteeringPlan", search_draws: int
 ) -> dict[str, Any]:
-    """Return the plan and its outcome, ready for JSON."""
     from needlefit.project.result_warnings import to_rows
 
     goal, exact = found.goal, shown.spread is None
@@ -201,7 +200,6 @@ def _show_steps(shown: "ViewedScene", aim: "PlaneGoal", summary: dict[str, Any])
 
 
 def _describe(shown: "ViewedScene", found: "SteeringPlan", summary: dict[str, Any]) -> str:
-    """Return the outcome in one or two sentences."""
     past = " and touches no obstacle" if found.goal.obstacles else ""
     within = f"within {found.goal.radius:g} mm of the target"
     if not found.hits:

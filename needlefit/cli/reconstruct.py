@@ -95,7 +95,7 @@ def reconstruct(
         from needlefit.schemas.names import require_file_name
         from needlefit.schemas.reconstruction import ReconstructionRecord
         from needlefit.studies.kinds.reconstruction.report import write_reconstruction, write_refused
-        from needlefit.studies.verdict import judge_run
+        from needlefit.studies.run import judge_run
 
         require_file_name(out.resolve().name, str(out))
         require_replaceable(out)
@@ -176,7 +176,7 @@ def _show(
     as_json: "list[ResultWarning] | None",
 ) -> None:
     """Print what was found; with the warnings of the dataset, as JSON."""
-    from needlefit.studies.kinds.reconstruction.report import REPORT, describe_proposals, summarize
+    from needlefit.studies.kinds.reconstruction.report import REPORT, describe_proposals
 
     if as_json is not None:
         rows = found.frames["reconstruction"].to_dict(orient="records") if found else []
@@ -192,7 +192,7 @@ def _show(
         screen.print_line()
         for table in REPORT.lay_out_first(found):
             screen.show_display(table, notes=False)
-        for remark in summarize(found)[1:]:
+        for remark in REPORT.summarize(found)[1:]:
             screen.print_text(remark)
         screen.print_written(out, f" (figures of each scan in {out}/quality/)")
         for line in describe_proposals(found, out):
@@ -219,7 +219,6 @@ def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure
 def _view_command(
     scans: list[Path], failure: "ReconstructionFailure", named: dict[str, Any], recipe: str
 ) -> str:
-    """Return the command that shows a scan that failed, with the options that name its files."""
     scan = failure.scan
     table = scans[0].suffix.lower() == ".csv" or not path_exists(scans[0])  # the latter by its bare name
     words = ["needlefit", "view", f"{scans[0]}/{scan.id}" if table else str(scan.volume)]

@@ -109,7 +109,6 @@ class Topic:
 
 
 def _list_topics() -> dict[str, list[Topic]]:
-    """Return what can be explained, by heading."""
     from needlefit.mechanics.laws import LAWS
     from needlefit.project.help_pages import read_input_columns, read_sections, read_terms
     from needlefit.reporting.columns import list_columns

@@ -34,8 +34,7 @@ def print_written(folder: Path | str, more: str = "") -> None:
     print_line(f"written: {folder}/{more}")
 
 
-SCREEN_COLUMNS = 100
-"""Width of sentences and tables in a pipe or file."""
+SCREEN_COLUMNS = 100  # width of sentences and tables in a pipe or file
 
 
 def print_text(text: str) -> None:

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from needlefit.reporting.table_files import Row
     from needlefit.schemas.scene import SceneRecord
 
-ANIMATION_SPEED_MM_S = 10.0
-"""mm/s: how fast a scene goes in in an animation; the model knows no time."""
+ANIMATION_SPEED_MM_S = 10.0  # mm/s: how fast a scene goes in in an animation; the model knows no time
 
 
 @dataclass(frozen=True)
@@ -266,7 +265,6 @@ def _show_summary(title: str, summary: dict[str, Any]) -> None:
 
 
 def _describe_outcome(summary: dict[str, Any]) -> str:
-    """Return where the needle ends in one sentence, or that no solution was found."""
     depth = f"depth {summary['depth_mm']:g} mm"
     if not summary["converged"]:
         return f"NOT CONVERGED at {depth}: {summary['status']}."

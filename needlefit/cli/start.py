@@ -45,8 +45,7 @@ def new_dataset(folder: Path, source: Path | None = None) -> None:
     screen.print_note(f"fill it in, then: {shlex.join(('needlefit', 'check', path))}")
 
 
-MAX_LISTED_NAMES = 5
-"""Files that a message names."""
+MAX_LISTED_NAMES = 5  # files that a message names
 
 _IGNORED = shutil.ignore_patterns(".*", "__pycache__", "*.partial")
 

@@ -160,7 +160,6 @@ def _list_controls(named: str | None) -> "list[Control | None]":
 
 
 def _end_calibration(execution: Execution, found: "list[Run]") -> None:
-    """Show the results; end with an exit code if one is not what it should be."""
     from needlefit.studies.kind import find_kind
     from needlefit.studies.report import run_to_json
 

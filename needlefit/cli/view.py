@@ -105,7 +105,6 @@ def view(
 def _examine(
     target: str, named: dict[str, Any], recipe: str | None, folder: Path, port: int, browser: bool
 ) -> None:
-    """Serve the page of a scan."""
     require_writable(folder)
     serve = _server()
     screen.print_note(f"needlefit: examining {target}")
@@ -122,7 +121,6 @@ def _examine(
 def _serve(
     serve: Callable[..., "Coroutine[None, None, None]"], page: "ServedPage", port: int, browser: bool
 ) -> None:
-    """Serve a page until Ctrl-C."""
     import asyncio  # here, since every `--help` would wait for it
     import webbrowser
 
@@ -138,7 +136,6 @@ def _serve(
 
 
 def _server() -> Callable[..., "Coroutine[None, None, None]"]:
-    """Return what serves, if what that needs is installed."""
     try:
         from needlefit.viewer.server import serve
     except ModuleNotFoundError as error:

@@ -41,11 +41,9 @@ from needlefit.project.folders import (
 from needlefit.project.input_files import parse_json, read_bytes
 from needlefit.project.progress import Note, no_note
 
-MAX_CHECKPOINT_BYTES = 2**31
-"""Size of a file of rows."""
+MAX_CHECKPOINT_BYTES = 2**31  # size of a file of rows
 
-ARRAYS_KEY = "arrays"
-"""Of a row: its arrays by name."""
+ARRAYS_KEY = "arrays"  # of a row: its arrays by name
 
 _DIGEST_CHARACTERS = 16
 _ARRAY_TYPES = ("<f8", "<f4", "<i8", "|b1")
@@ -58,8 +56,7 @@ _THIS_PROCESS = f"{os.getpid()} {secrets.token_hex(8)}"
 _LOCK_TEXT, _MAX_LOCK_BYTES = re.compile(rb"\d* ?[0-9a-f]{0,16}\n?"), 100
 """What the lock holds: nothing at first, then the process that has it, perhaps cut short."""
 
-_MAX_MANIFEST_BYTES = 2**20
-"""Size of the manifest of a checkpoint, which has a hundred bytes."""
+_MAX_MANIFEST_BYTES = 2**20  # size of the manifest of a checkpoint, which has a hundred bytes
 
 _held: dict[Path, int] = {}
 """Open lock files of this process: a complete run has its lock until its results stand."""
@@ -114,8 +111,7 @@ class Checkpoint:
         return self.folder / f"{hashlib.sha256(work.encode()).hexdigest()[:16]}.jsonl"
 
 
-NO_CHECKPOINT = Checkpoint(None)
-"""Keeps nothing."""
+NO_CHECKPOINT = Checkpoint(None)  # keeps nothing
 
 
 def _parse_row(line: bytes, keys: Sequence[str]) -> dict[str, Any] | None:
@@ -139,7 +135,6 @@ def _digest(text: bytes) -> bytes:
 
 
 def _encode_array(array: NDArray[Any]) -> tuple[str, list[int], str]:
-    """Return type, shape and bytes of an array, in C order."""
     plain = np.ascontiguousarray(array).reshape(array.shape)
     kind = plain.dtype.newbyteorder("<").str
     if kind not in _ARRAY_TYPES:

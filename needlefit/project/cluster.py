@@ -33,17 +33,14 @@ if TYPE_CHECKING:
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-CONNECT_S = 10.0
-"""Seconds that a scheduler may take to answer."""
+CONNECT_S = 10.0  # seconds that a scheduler may take to answer
 
-CLOSE_S = 2.0
-"""Seconds that a scheduler, which may be lost, has to take leave."""
+CLOSE_S = 2.0  # seconds that a scheduler, which may be lost, has to take leave
 
 COUNT_WORKERS_S = 1.0
 """Least seconds between two counts of the workers: each sends the addresses of all of them here."""
 
-TASKS_PER_WORKER = 2
-"""Tasks at the scheduler for each worker: one that runs, and one that follows it at once."""
+TASKS_PER_WORKER = 2  # tasks at the scheduler for each worker: one that runs, and one that follows it at once
 
 CHECKED_PACKAGES = ("numpy", "scipy", "nlopt", "emcee", "trimesh")
 """Packages that results depend on; their versions are equal everywhere."""
@@ -252,7 +249,6 @@ def _read_work(shared: bytes) -> Callable[[object], object]:
 
 @cache
 def _limit_worker() -> None:
-    """Keep the linear algebra of a worker to one thread."""
     import scipy.linalg  # noqa: F401  only what is loaded is limited
     from threadpoolctl import threadpool_limits
 

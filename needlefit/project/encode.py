@@ -18,8 +18,7 @@ class Hook(NamedTuple):
     kind: Any
 
 
-Hooks = Mapping[type, Hook]
-"""By the type; `kind` declares what `to_plain` returns and `from_plain` is given."""
+Hooks = Mapping[type, Hook]  # by the type; `kind` declares what `to_plain` returns and `from_plain` is given
 
 Arrays = dict[str, NDArray[Any]]
 

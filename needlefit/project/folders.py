@@ -33,11 +33,9 @@ except ImportError:  # Windows: two runs may meet in one folder, and what a kill
 SCRATCH_NAME_BYTES = 24
 """What the name of a scratch folder, a checkpoint or a damaged one adds to that of a result."""
 
-INNER_PATH_BYTES = 300
-"""Length of the longest path that a result holds, from its own folder on."""
+INNER_PATH_BYTES = 300  # length of the longest path that a result holds, from its own folder on
 
-_MAX_NAME_BYTES, _MAX_PATH_BYTES = 255, 4096
-"""Of a system that states neither."""
+_MAX_NAME_BYTES, _MAX_PATH_BYTES = 255, 4096  # of a system that states neither
 
 
 def require_writable(place: Path) -> None:
@@ -171,8 +169,7 @@ FILE_MANAGER_FILES = frozenset({".DS_Store", "Thumbs.db", "desktop.ini"})
 TIMING_FILE = "timing.json"
 """The one file of a result that differs from run to run; without its digest the manifest does not."""
 
-MAX_LISTED_FILES = 5
-"""Files that a message names."""
+MAX_LISTED_FILES = 5  # files that a message names
 
 CHANGED = "was changed since it was written"
 
@@ -381,8 +378,7 @@ replaced. What lies in `OLD_NAME` is removed only when it is known to be needlef
 LOCK_NAME = "lock"
 """A file in it that its process holds locked; the lock goes with the process, however that ends."""
 
-_SCRATCH = ".needlefit-"
-"""In the name of a scratch folder, behind that of its place."""
+_SCRATCH = ".needlefit-"  # in the name of a scratch folder, behind that of its place
 
 _SCRATCH_NAMES = {LOCK_NAME, f"{LOCK_NAME}.new", NEW_NAME, OLD_NAME, f"{OLD_NAME}.aside"}
 _MARK = "a scratch folder of needlefit\n"

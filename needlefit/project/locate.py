@@ -24,12 +24,10 @@ _PATTERNS: dict[FileKind, str] = {
     "reconstruction": "configs/reconstruction/{name}.toml",
 }
 PROJECT_FOLDERS = ("data", "configs", "studies")
-EVERY_STUDY = "everything"
-"""Every study there is, as `all` means those of the paper."""
+EVERY_STUDY = "everything"  # every study there is, as `all` means those of the paper
 PAPER_STUDIES = ("study1", "study2", "study3", "study4", "study5")
 PAPER_FITS = ("phantom1", "phantom2", "phantom3", "chicken")
-MAX_LISTED_NAMES = 40
-"""Names that a message lists, the nearest first."""
+MAX_LISTED_NAMES = 40  # names that a message lists, the nearest first
 STUDY_GROUPS = ("all", EVERY_STUDY)
 """Names of several studies, and the fits of the paper's tuning tables with them, reported together."""
 

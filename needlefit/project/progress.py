@@ -2,8 +2,7 @@
 
 from collections.abc import Callable
 
-Progress = Callable[[str, int, int], None]
-"""Told what is being done, how much of it is done, and of how much."""
+Progress = Callable[[str, int, int], None]  # told what is being done, how much of it is done, and of how much
 
 Stop = Callable[[], bool]
 

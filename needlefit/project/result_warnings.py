@@ -8,8 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-WARNINGS_KEY = "warnings"
-"""Of `run.json` and of `--json`."""
+WARNINGS_KEY = "warnings"  # of `run.json` and of `--json`
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,7 @@ from functools import cache
 from importlib.metadata import distribution
 from pathlib import Path
 
-GIT_SECONDS = 5.0
-"""Longest time that git is waited for."""
+GIT_SECONDS = 5.0  # longest time that git is waited for
 
 
 @cache

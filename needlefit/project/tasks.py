@@ -34,11 +34,9 @@ from needlefit.project.progress import Stop, never_stop
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-STOP_POLL_S = 0.2
-"""Seconds between two questions whether to stop, while tasks run elsewhere."""
+STOP_POLL_S = 0.2  # seconds between two questions whether to stop, while tasks run elsewhere
 
-MIN_SHARED_S = 8.0
-"""Seconds of work that are worth sending to other machines."""
+MIN_SHARED_S = 8.0  # seconds of work that are worth sending to other machines
 
 _ENDING_SIGNALS = (
     {signal.SIGTERM, signal.SIGHUP, signal.SIGINT} if sys.platform == "linux" else set[signal.Signals]()
@@ -116,8 +114,7 @@ class LocalPool:
                 event.set()
 
 
-THIS_PROCESS = LocalPool()
-"""One task at a time, in this process."""
+THIS_PROCESS = LocalPool()  # one task at a time, in this process
 
 
 def as_finished(
@@ -242,7 +239,6 @@ def as_they_end(
 
 
 def _unless_stopped(work: Callable[[Item], Result], item: Item, stop: Stop) -> tuple[Result, ...]:
-    """Return the result; nothing where a stop came before."""
     return () if stop() else (work(item),)
 
 
@@ -286,8 +282,7 @@ class _Surroundings:
     stop: Event | None = None
     stopped = False
     threads = 1
-    work: Sequence[Callable[[], bytes]] = ()
-    """What this process was copied for."""
+    work: Sequence[Callable[[], bytes]] = ()  # what this process was copied for
 
 
 def stop_requested() -> bool:
@@ -315,7 +310,6 @@ def can_fork() -> bool:
 
 @contextmanager
 def _open_processes(count: int) -> Iterator[tuple[ProcessPoolExecutor, Event]]:
-    """Open processes that run tasks, and the event that requests them to stop."""
     copied = can_fork()
     context = get_context("fork" if copied else "spawn")
     event, parent = context.Event(), os.getpid() if copied else None

@@ -158,7 +158,6 @@ def _to_fault(fault: str, location: Location, error: ErrorDetails, kind: type[Ba
 
 
 def _as_written(value: object) -> str:
-    """Return a value as the file would write it."""
     if isinstance(value, bool):
         return str(value).lower()
     return f'"{value}"' if isinstance(value, str) else f"{value!r}"
@@ -226,7 +225,6 @@ def _record_at(kind: type[BaseModel], location: Location) -> type[BaseModel] | N
 
 
 def _records(annotation: object) -> Iterator[type[BaseModel]]:
-    """Yield the records that a type is made of."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for inner in get_args(annotation):
@@ -243,11 +241,9 @@ def join_by_key(texts: Sequence[tuple[str, str]]) -> str:
 
 # ---- on which line a key stands: tomllib does not say
 
-MAX_CANDIDATE_LINES = 100
-"""Lines that are tried; a key that is repeated more often gets no line."""
+MAX_CANDIDATE_LINES = 100  # lines that are tried; a key that is repeated more often gets no line
 
-MAX_STATEMENT_LINES = 400
-"""Lines of one key and its value."""
+MAX_STATEMENT_LINES = 400  # lines of one key and its value
 
 
 def find_line(text: str, key: str) -> int | None:

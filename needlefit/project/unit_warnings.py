@@ -14,34 +14,28 @@ from needlefit.project.toml import locate_key
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import NeedleRecord, SceneRecord
 
-DIAMETER_TO_LENGTH = (1e-3, 0.05)
-"""Of a needle, least and most: 0.2 mm of 200, 3 mm of 60."""
-RIGIDITY_NMM2 = (1.0, 2e6)
-"""EI, least and most: a nitinol wire of 0.15 mm has 2, a steel rod of 3 mm 800 000."""
+DIAMETER_TO_LENGTH = (1e-3, 0.05)  # of a needle, least and most: 0.2 mm of 200, 3 mm of 60
+RIGIDITY_NMM2 = (1.0, 2e6)  # EI, least and most: a nitinol wire of 0.15 mm has 2, a steel rod of 3 mm 800 000
 MODULUS_GPA = (0.5, 1000.0)
 """Young's modulus of a needle: polymers have 1 to 5, nitinol 40 to 80, steel 200, tungsten carbide 700."""
 MU_PA = (300.0, 1e10)
 """Foundation modulus of a tissue, least and most. Among the softest organs are brain, 842 Pa (Miller and
 Chinzei 2002, J Biomech 35, 483), and fat, a Young's modulus of about 1 kPa, a third of which is mu."""
-MU_UNITS = {"kPa": 1e3, "MPa": 1e6}
-"""Pascals in each."""
+MU_UNITS = {"kPa": 1e3, "MPa": 1e6}  # pascals in each
 ALPHA = (0.05, 60.0)
 """Size of an Ogden exponent, least and most: W divides by its square, and at 0 the law is of another form.
 The paper has 0.2 to 1; brain has -4.7 (Miller and Chinzei 2002), fat about 20."""
 OFFSET_TO_SPACING = (1e-3, 2.0)
 """Offset of the cut per mm, least and most: the paper has 0.03 to 0.085; at 2 the tip turns by 63 degrees in
 one. 0 is a needle without a bevel."""
-CUT_ANGLE_DEG = (0.2, 45.0)
-"""Angle of the cut, least and most: an offset of 0.0035 per mm is 0.2 degrees."""
-ANGLE_UNITS = {"radians": math.degrees(1)}
-"""Degrees in each."""
+CUT_ANGLE_DEG = (0.2, 45.0)  # angle of the cut, least and most: an offset of 0.0035 per mm is 0.2 degrees
+ANGLE_UNITS = {"radians": math.degrees(1)}  # degrees in each
 CUT_ANGLES = (CUT_ANGLE_DEG, ANGLE_UNITS)
 ANGLE_SD_DEG = (0.02, 20.0)
 """Standard deviation of a measured direction, least and most: 0.02 mm over 60 mm are 0.02 degrees."""
 BOUNDARY_TO_DEPTH = 2e-3
 """Thickness of a layer over the depth of the insertion: a skin of 0.1 mm before 50 mm."""
-BOUNDARIES_TO_DEPTH = 0.1
-"""Depth of the last of several boundaries over that of the deepest insertion."""
+BOUNDARIES_TO_DEPTH = 0.1  # depth of the last of several boundaries over that of the deepest insertion
 
 LENGTH_UNITS = {"metres": 1e3, "inches": 25.4, "centimetres": 10.0, "micrometres": 1e-3}
 """Millimetres in each."""
@@ -56,14 +50,11 @@ STEEL_GPA = 200.0
 TYPICAL_GPA = (3.0, 40.0, 75.0, 110.0, STEEL_GPA)
 """Young's moduli of a polymer, nitinol (martensite, austenite), titanium, steel."""
 
-DIAMETER_MM = (0.15, 5.0)
-"""Outer diameter of a needle, least and most: 34 gauge has 0.18, 10 gauge 3.4."""
+DIAMETER_MM = (0.15, 5.0)  # outer diameter of a needle, least and most: 34 gauge has 0.18, 10 gauge 3.4
 
-MIN_INNER_DIAMETER_MM = 0.05
-"""Inner diameter of a tube: 34 gauge has 0.08."""
+MIN_INNER_DIAMETER_MM = 0.05  # inner diameter of a tube: 34 gauge has 0.08
 
-MIN_WALL_TO_DIAMETER = 0.03
-"""Wall of a tube over its outer diameter; ultra-thin walls have 0.08."""
+MIN_WALL_TO_DIAMETER = 0.03  # wall of a tube over its outer diameter; ultra-thin walls have 0.08
 
 GAUGES_MM = {
     **{10: 3.404, 11: 3.048, 12: 2.769, 13: 2.413, 14: 2.108, 15: 1.829, 16: 1.651, 17: 1.473, 18: 1.270},
@@ -72,16 +63,13 @@ GAUGES_MM = {
 }
 """Outer diameters of needles by their gauge."""
 
-MIN_CELLS = 5
-"""Constraint cells of an insertion: its tip's way is made of as many straight cuts."""
+MIN_CELLS = 5  # constraint cells of an insertion: its tip's way is made of as many straight cuts
 
 WARNING_KIND = "units"
 
-FormatPlace = Callable[[str], str]
-"""The key of a value -> file and line."""
+FormatPlace = Callable[[str], str]  # the key of a value -> file and line
 
-Doubt = tuple[str, str, str]
-"""A key, what is hard to believe about it, and what to do."""
+Doubt = tuple[str, str, str]  # a key, what is hard to believe about it, and what to do
 
 
 def format_place(file: Path | str) -> FormatPlace:

@@ -31,8 +31,7 @@ from needlefit.reporting.labels import GREY, INK
 PICTURE_FILE = "import.png"
 
 MAX_LABELLED_NEEDLES, MAX_NAME_CHARS = 14, 14
-SAME_AXIS_DEG = 10.0
-"""A view that is so near to a world axis is along that axis."""
+SAME_AXIS_DEG = 10.0  # a view that is so near to a world axis is along that axis
 
 AWAY_COLOUR = "#b3261e"
 MAX_DRAWN_TRIANGLES = 20_000
@@ -106,7 +105,6 @@ def paint_import(dataset: Dataset, plan: ImportPlan) -> Figure:
 
 
 def _find_scale(axes: Axes) -> float:
-    """Return how many times larger heights are drawn than lengths."""
     drawn, (left, right), (low, high) = axes.get_window_extent(), axes.get_xlim(), axes.get_ylim()
     return float(drawn.height / (high - low) / (drawn.width / (right - left)))
 

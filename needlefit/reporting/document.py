@@ -102,8 +102,7 @@ def figure(path: Path, caption: str) -> Block:
     return {"kind": "figure", "path": path, "caption": caption, "half": _is_half(path)}
 
 
-MAX_HALF_WIDTH_PT = 254.0
-"""Points: figures up to one column of a paper, 3.5 in, are half as wide as a page."""
+MAX_HALF_WIDTH_PT = 254.0  # points: figures up to one column of a paper, 3.5 in, are half as wide as a page
 
 _MEDIA_BOX = re.compile(rb"/MediaBox\s*\[\s*0\s+0\s+([0-9.]+)")
 
@@ -195,8 +194,7 @@ def compile_html(document: Document) -> bytes:
     return _render_html("report.html", document).encode("utf-8")
 
 
-OPEN_TABLES = 3
-"""Of the part of a page for a notebook; the tables after these unfold."""
+OPEN_TABLES = 3  # of the part of a page for a notebook; the tables after these unfold
 
 
 def format_html_part(document: Document) -> str:

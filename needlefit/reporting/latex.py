@@ -82,7 +82,6 @@ _GAP_LETTERS, _WIDE_COLUMN_LETTERS = 2, 35
 
 
 def _count_letters(table: TableLayout) -> int:
-    """Return about how many characters wide a table is."""
     cells = [
         (_WIDE_COLUMN_LETTERS,)
         if column.wide

@@ -11,8 +11,7 @@ from needlefit.reporting.number_format import MISSING
 if TYPE_CHECKING:
     from needlefit.reporting.table_files import Row
 
-_PARTS = "parts"
-"""Key of the rows that were merged into one."""
+_PARTS = "parts"  # key of the rows that were merged into one
 
 
 @dataclass(frozen=True)

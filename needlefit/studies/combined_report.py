@@ -1,9 +1,8 @@
 """Report several studies in one folder; the folder is complete, or it is not created."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from needlefit.project.folders import replace_folder
 from needlefit.project.input_files import convert_stored_errors
@@ -16,14 +15,13 @@ from needlefit.studies import paper
 from needlefit.studies.fit_frames import FIT_KINDS
 from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds.cross_validation import tables as fit_tables
-from needlefit.studies.kinds.cross_validation.facts import TEXT as FIT_TEXT
 from needlefit.studies.kinds.cross_validation.report import (
-    draw_error_figures,
+    draw_errors,
     format_macros,
+    judge,
     lay_out_files,
     tuning_tables,
 )
-from needlefit.studies.kinds.cross_validation.verdict import judge
 from needlefit.studies.report import (
     compose_warnings,
     label_figures,
@@ -34,10 +32,9 @@ from needlefit.studies.report import (
     write_report,
     write_run,
 )
-from needlefit.studies.run import Run
+from needlefit.studies.run import MAX_FLOOR_RATIO, Run, headline_fault
 from needlefit.studies.scored_groups import TE, list_held_out_groups
 from needlefit.studies.store import is_combined, restore_runs
-from needlefit.studies.verdict import MAX_FLOOR_RATIO, headline_fault
 
 TEXT = KindText("combined")
 
@@ -60,7 +57,7 @@ def write_combined(runs: Sequence[Run], folder: Path) -> list[Path]:
                 write_csv(frame, new / f"{name}.csv")
                 pages = [format_latex(table, synthetic) for table in layouts if table.rows]
                 (new / f"{name}.tex").write_text("\n".join(pages), encoding="utf-8")
-        drawn = draw_error_figures(studies, new)
+        drawn = {name: one.save(new / f"{name}.pdf") for name, one in draw_errors(studies).items()}
         appendix = [block for result in others for block in _summarize_analysis(result, new)]
         report = compose_overview(studies, tunings, drawn, appendix)
         write_report(replace(report, unverified=any(one.unverified for one in runs)), new)
@@ -99,59 +96,41 @@ def compose_overview(
     predicted = [one for one in results if len(one.frames["predictive"])]
     tables = [
         *(fit_tables.lay_out_matrix(results, judge), fit_tables.lay_out_summary(results)),
-        *(fit_tables.lay_out_free_parameters(fits), fit_tables.lay_out_design(results)),
+        *(fit_tables.lay_out_parameters(fits, free_alone=True), fit_tables.lay_out_design(results)),
         fit_tables.lay_out_contradictions(paper.find_contradictions()),
         *tuning_tables(tunings),
         *([fit_tables.lay_out_coverage(*predicted, named=True)] if predicted else []),
     ]
+    groups, warned = [], list[Block]()
+    for one in results:
+        errors, name = one.frames["errors"], one.title.partition(":")[0]
+        fitted = set(errors.loc[errors["role"] == "tune", "medium"])
+        for group in list_held_out_groups(one):
+            ratio = group.over_floor(TE)
+            close = ratio is not None and ratio <= MAX_FLOOR_RATIO
+            groups.append({"own": group.head["medium"] in fitted, "predicted": close})
+        warned += [document.warning(f"{name}: {headline_fault(fault)}: {fault}.") for fault in one.faults]
+        warned += compose_warnings(list_run_warnings(one), head=f"{name}: ")
     values = {
-        "groups": [group for one in results for group in _list_groups(one)],
+        "groups": groups,
         "predicted": bool(predicted),
         "questions": [f"{one.title}: {one.question}".rstrip(": ") for one in results],
     }
     printed = any(group.printed for group in list_held_out_groups(*results))
     known = {"facts": {"printed": printed}}
-    captions = {name: FIT_TEXT.sentence(f"figure_{name}", known) for name in figures}
+    captions = {name: fit_tables.TEXT.sentence(f"figure_{name}", known) for name in figures}
     blocks = {
         "answer": [document.verdict(TEXT.sentence("answer", values), "none")],
         "verdicts": [block for one in results for block in verdict_blocks(one, named=True)],
-        "warnings": _list_warnings(results),
+        "warnings": [document.subheading("Warnings"), *warned] if warned else [],
     }
     body = TEXT.compose("report", values, tables, figures, blocks, captions)
-    states = _join_equal(block for one in results for block in state_blocks(one))
+    states: list[Block] = []
+    for block in (block for one in results for block in state_blocks(one)):
+        states += [] if block in states else [block]
     data = "; ".join(dict.fromkeys(one.name if one.synthetic else one.dataset_title for one in results))
     synthetic = any(one.origin == "synthetic" for one in results)
     return Document("Validation studies", data, synthetic, (*states, *body, *appendix))
-
-
-def _list_groups(results: Run) -> list[dict[str, Any]]:
-    """Return of each held-out group whether its medium is fitted too, and whether it is predicted closely."""
-    errors = results.frames["errors"]
-    fitted = set(errors.loc[errors["role"] == "tune", "medium"])
-    found = []
-    for group in list_held_out_groups(results):
-        ratio = group.over_floor(TE)
-        close = ratio is not None and ratio <= MAX_FLOOR_RATIO
-        found.append({"own": group.head["medium"] in fitted, "predicted": close})
-    return found
-
-
-def _join_equal(blocks: Iterable[Block]) -> list[Block]:
-    """Return blocks without those that are there already."""
-    found: list[Block] = []
-    for block in blocks:
-        found += [] if block in found else [block]
-    return found
-
-
-def _list_warnings(results: Sequence[Run]) -> list[Block]:
-    """Return what did not converge, and the warnings of all runs, each with the name of its run."""
-    blocks = []
-    for one in results:
-        name = one.title.partition(":")[0]
-        blocks += [document.warning(f"{name}: {headline_fault(fault)}: {fault}.") for fault in one.faults]
-        blocks += compose_warnings(list_run_warnings(one), head=f"{name}: ")
-    return [document.subheading("Warnings"), *blocks] if blocks else []
 
 
 def rebuild(run: Path, folder: Path, unverified: bool = False) -> list[Run]:

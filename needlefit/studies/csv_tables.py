@@ -55,8 +55,11 @@ def read_table(path: Path, form: TableSchema = ANY_COLUMNS) -> pd.DataFrame:
         frame[name] = frame[name].astype(np.float64)
     for name in form.flags:
         _require(_find_flags(frame[name]), frame, name, path)
+    wanted = pd.Series(True, frame.index)
+    if form.finite_where in frame:
+        wanted = frame[form.finite_where].map(lambda cell: cell is True or cell is np.True_).astype(bool)
     for name in form.finite:
-        _require_finite(np.isinf(frame[name]) & _find_finite_rows(frame, form), name, path)
+        _require_finite(np.isinf(frame[name]) & wanted, name, path)
     repeated = frame.duplicated(list(form.keys)) if form.keys else pd.Series(dtype=bool)
     if repeated.any():
         raise _damage_error(
@@ -80,12 +83,6 @@ def _parse_table(data: bytes, path: Path, texts: Sequence[str]) -> pd.DataFrame:
         if name not in texts:
             _require_finite(_find_overflows(frame[name], number, data), str(name), path)
     return frame
-
-
-def _find_finite_rows(frame: pd.DataFrame, form: TableSchema) -> "pd.Series":
-    if form.finite_where not in frame:
-        return pd.Series(True, frame.index)
-    return frame[form.finite_where].map(lambda cell: cell is True or cell is np.True_).astype(bool)
 
 
 def _find_overflows(column: "pd.Series", number: int, data: bytes) -> "pd.Series":

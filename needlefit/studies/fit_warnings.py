@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -103,7 +104,7 @@ def _find_interval_bounds(results: Run) -> Iterator[Row]:
     for name, rows in both.groupby("parameter", sort=False):
         bounds = (float(rows["bound_low"].iloc[0]), float(rows["bound_high"].iloc[0]))
         fits = rows[["value", "interval_low", "interval_high"]].astype(float).to_numpy().tolist()
-        yield from _find_cut_off(str(name), fits, bounds, "")
+        yield from _find_cut_off(str(name), fits, bounds)
 
 
 def _free_parameters(results: Run) -> pd.DataFrame:
@@ -113,49 +114,35 @@ def _free_parameters(results: Run) -> pd.DataFrame:
 
 
 def analysis_bound_warnings(
-    fits: pd.DataFrame, parameters: Mapping[str, Parameters]
+    fits: pd.DataFrame, parameters: Mapping[str, Parameters], *, intervals: bool = False
 ) -> Iterator[ResultWarning]:
     """Yield the parameters that fits of an analysis left at a bound, and in how many fits.
+
+    With `intervals`, those whose value is at no bound while their 95 % interval ends there.
 
     Parameters
     ----------
     fits : DataFrame
-        A row per fit and `parameter`, with its `value`; the first column names the parameters used.
+        A row per fit and `parameter`, with its `value`, and with `intervals` its `p2_5` and `p97_5`; the
+        first column names the parameters used.
     parameters : mapping
         These, by name.
     """
-    for model, name, rows, bounds in _iterate_fits(fits, parameters):
-        ends = [_describe_bound(name, value, *bounds) for value in rows["value"]]
-        for values in _count_ends(name, ends, len(rows), "fits"):
-            yield write_warning("parameter_at_bound", {**values, "of": model})
-
-
-def cut_off_warnings(
-    intervals: pd.DataFrame, parameters: Mapping[str, Parameters]
-) -> Iterator[ResultWarning]:
-    """Yield the parameters whose value is at no bound while its 95 % interval ends there, in how many fits.
-
-    `intervals` is as the fits of `analysis_bound_warnings`, with `p2_5` and `p97_5` too.
-    """
-    for model, name, rows, bounds in _iterate_fits(intervals, parameters):
-        ends = rows[["value", "p2_5", "p97_5"]].astype(float).to_numpy().tolist()
-        for values in _find_cut_off(name, ends, bounds, model):
-            yield write_warning("parameter_at_bound", values, "interval_at_bound")
-
-
-def _iterate_fits(
-    fits: pd.DataFrame, parameters: Mapping[str, Parameters]
-) -> Iterator[tuple[str, str, pd.DataFrame, tuple[float, float]]]:
-    """Yield model, parameter, rows and bounds of all parameters that have bounds."""
     for (model, name), rows in fits.groupby([fits.columns[0], "parameter"], sort=False):
-        bounds = parameters[str(model)].bounds
-        if name in bounds:
-            yield str(model), str(name), rows, bounds[str(name)]
+        bounds = parameters[str(model)].bounds.get(str(name))
+        if bounds is None:
+            continue
+        if intervals:
+            ends = rows[["value", "p2_5", "p97_5"]].astype(float).to_numpy().tolist()
+            found, text = _find_cut_off(str(name), ends, bounds), "interval_at_bound"
+        else:
+            at = [_describe_bound(str(name), value, *bounds) for value in rows["value"]]
+            found, text = _count_ends(str(name), at, len(rows), "fits"), ""
+        for values in found:
+            yield write_warning("parameter_at_bound", {**values, "of": str(model)}, text)
 
 
-def _find_cut_off(
-    name: str, fits: Sequence[Sequence[float]], bounds: tuple[float, float], model: str
-) -> Iterator[Row]:
+def _find_cut_off(name: str, fits: Sequence[Sequence[float]], bounds: tuple[float, float]) -> Iterator[Row]:
     """Yield that intervals end at a bound; `fits` are value, low and high end of each."""
     reached = [
         end
@@ -164,8 +151,7 @@ def _find_cut_off(
         for one in interval
         if (end := _describe_bound(name, one, *bounds, CUT_OFF_FRACTION))
     ]
-    for values in _count_ends(name, reached, len(fits), ""):
-        yield {**values, "of": model}
+    yield from _count_ends(name, reached, len(fits), "")
 
 
 def _count_ends(name: str, ends: Sequence[str], total: int, many: str) -> Iterator[Row]:
@@ -216,8 +202,8 @@ CHANCE = 1e-3
 """Probability of such a factor by chance, below which it is one."""
 
 
-def _list_floor_ratios(results: Run) -> Iterator[tuple[Row, float]]:
-    """Yield, by medium, how far in-sample errors lie from their noise floor, and the sum of their squares.
+def _find_wrong_noise(results: Run, too_large: bool) -> Iterator[Row]:
+    """Yield the media in which in-sample errors lie far below (above) their noise floor: it is `too_large`.
 
     The floor f is the mean error that the stated noise gives. If one error of the pose made up all of it,
     errors would be half-normal, e = f sqrt(pi / 2) |z|, and the sum of 2/pi (e / f)^2 over n insertions
@@ -230,20 +216,10 @@ def _list_floor_ratios(results: Run) -> Iterator[tuple[Row, float]]:
     squares = (errors["ipe_mean_mm"] / errors["floor_ipe_mean_mm"]) ** 2
     means = errors.assign(square=squares).groupby(["medium", "insertion"])["square"].mean()
     for medium, some in means.groupby("medium"):
-        total = 2 / np.pi * float(some.sum())
-        yield {"medium": str(medium), "count": len(some), "rms": float(np.sqrt(some.mean()))}, total
-
-
-def _find_large_noise(results: Run) -> Iterator[Row]:
-    for found, total in _list_floor_ratios(results):
-        if found["rms"] < 1 / FAR_FROM_FLOOR and chdtr(found["count"], total) < CHANCE:
-            yield found
-
-
-def _find_small_noise(results: Run) -> Iterator[Row]:
-    for found, total in _list_floor_ratios(results):
-        if found["rms"] > FAR_FROM_FLOOR and chdtrc(found["count"], total) < CHANCE:
-            yield found
+        count, total, rms = len(some), 2 / np.pi * float(some.sum()), float(np.sqrt(some.mean()))
+        far = rms < 1 / FAR_FROM_FLOOR if too_large else rms > FAR_FROM_FLOOR
+        if far and (chdtr if too_large else chdtrc)(count, total) < CHANCE:
+            yield {"medium": str(medium), "count": count, "rms": rms}
 
 
 # ---- predictions
@@ -285,18 +261,18 @@ def describe_gain(predictive: pd.DataFrame, adaptation: str | None = None) -> st
     return TEXT.sentence("gain", {**values, "asked": adaptation is not None})
 
 
-def _find_outside(results: Run) -> Iterator[Row]:
-    if parts := list_outside(results.run):
-        yield {"parts": parts}
-
-
 RULES: Sequence[WarningRule] = (
-    WarningRule("validity", _find_outside, qualifies=False, complete=False),
+    WarningRule(
+        "validity",
+        lambda run: [{"parts": parts}] if (parts := list_outside(run.run)) else [],
+        qualifies=False,
+        complete=False,
+    ),
     WarningRule("parameter_at_bound", _find_bounds),
     WarningRule("parameter_at_bound", _find_interval_bounds, "interval_at_bound"),
     WarningRule("worse_than_baseline", _find_better_baselines),
-    WarningRule("noise_too_large", _find_large_noise),
-    WarningRule("noise_too_small", _find_small_noise),
+    WarningRule("noise_too_large", partial(_find_wrong_noise, too_large=True)),
+    WarningRule("noise_too_small", partial(_find_wrong_noise, too_large=False)),
     WarningRule("coverage", _find_missed_levels, complete=False),
     WarningRule("wide_intervals", _find_wide_intervals, complete=False),
 )

@@ -14,8 +14,8 @@ from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import MAX_PARETO_K, Effort, sample_about_fit
 from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import describe_key
+from needlefit.studies.held_out_predictions import PosteriorFit, fit_posterior
 from needlefit.studies.job import Job, Settings, farthest_guide
-from needlefit.studies.posterior_fit import PosteriorFit, fit_posterior
 from needlefit.studies.score import Row
 
 

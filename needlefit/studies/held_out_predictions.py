@@ -12,16 +12,19 @@ of it leaves a band that the predicted probability of such needles stays within 
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.select import count_layers, find_repeats, list_bevels
+from needlefit.inference import specimens
 from needlefit.inference.compared_points import align
-from needlefit.inference.fit import Fit
+from needlefit.inference.fit import Callbacks, Fit
+from needlefit.inference.identifiability.precision import add_estimated_noise
 from needlefit.inference.likelihood.observation import Observation, make_observation
+from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import (
     INTERVAL_PROBABILITIES,
     Draws,
@@ -34,16 +37,15 @@ from needlefit.inference.predict import (
     thin_posterior,
 )
 from needlefit.inference.problem import Problem
-from needlefit.inference.sampling.importance import resample_draws
+from needlefit.inference.sampling.importance import WeightedDraws, resample_draws, sample_about_fit
 from needlefit.inference.sampling.posterior import Posterior
+from needlefit.inference.sampling.sample import sample_from_fit
 from needlefit.project.progress import never_stop
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import THIS_PROCESS, TaskPool, TaskStop, run_parts
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.studies.coverage import estimate_width_after_one
-from needlefit.studies.folds import Fold
-from needlefit.studies.job import Job, Settings
-from needlefit.studies.new_specimens import NewSpecimens, describe_specimen
+from needlefit.studies.job import Fold, Job, Settings
 from needlefit.studies.planned_draws import (
     PlannedNeedles,
     draw_conditions,
@@ -51,8 +53,178 @@ from needlefit.studies.planned_draws import (
     simulate_planned,
     vary_bevels,
 )
-from needlefit.studies.posterior_fit import PREDICTION_DRAWS, weigh_or_sample
 from needlefit.studies.score import Row
+
+PREDICTION_DRAWS = 1000  #: parameter sets of which a needle is predicted
+
+
+@dataclass(frozen=True)
+class PosteriorFit:
+    """A fit and draws of its posterior; Pareto's k of the weights, NaN where nothing is free, and whether it
+    was sampled.
+    """
+
+    fit: Fit
+    draws: Draws
+    k: float
+    sampled: bool = False
+
+
+def fit_posterior(
+    job: Job, problem: Problem, key: tuple[str, ...], settings: Settings, draws: int = PREDICTION_DRAWS
+) -> PosteriorFit:
+    """Fit the free parameters of a problem, and draw from their posterior, by the recipe of the job.
+
+    Raises FitError if the search finds no point that can be solved.
+
+    Parameters
+    ----------
+    job : Job
+        For its recipe, seed and name.
+    problem : Problem
+        Of the job's kind; other insertions or priors than its folds' are welcome.
+    key : tuple of str
+        What this is, among all that is learned in the job: it keys the random streams.
+    settings : Settings
+        For `jobs` and `stop`; after a stop the answer means nothing.
+    draws : int
+        How many; their `faults` say so if they are not certified, nor the sampler converged.
+    """
+    fit = find_fit(job, problem, key, settings)
+    if not len(fit.theta) or settings.stop():
+        return PosteriorFit(fit, Draws(np.empty((draws, len(fit.theta))), "importance"), float("nan"))
+    rng = random_stream(job.recipe.seed, job.name, *key, "weighed")
+    found, posterior = weigh_or_sample(job, problem, fit, rng, key, settings)
+    if found.certified:
+        return PosteriorFit(fit, resample_draws(found, draws, rng), found.k)
+    nothing = Draws(np.empty((0, len(fit.theta))), "posterior")
+    drawn = nothing if posterior is None else thin_posterior(posterior, problem.parameters, draws, found.k)
+    return PosteriorFit(fit, drawn, found.k, sampled=True)
+
+
+def weigh_or_sample(
+    job: Job, problem: Problem, fit: Fit, rng: np.random.Generator, key: tuple[str, ...], settings: Settings
+) -> tuple[WeightedDraws, Posterior | None]:
+    """Return weighted draws about a fit, and where they are not certified the posterior by MCMC.
+
+    That is None too after a stop before there is any.
+    """
+    found = sample_about_fit(problem, fit, rng, settings.jobs, pool=settings.part_pool)
+    if found.certified or settings.stop():
+        return found, None
+    return found, sample_posterior(job, problem, fit, key, settings)
+
+
+def find_fit(job: Job, problem: Problem, key: tuple[str, ...], settings: Settings) -> Fit:
+    """Return the fit alone, by the recipe of the job; arguments and errors as of `fit_posterior`."""
+    callbacks = Callbacks(stop=settings.stop, jobs=settings.jobs, pool=settings.part_pool)
+    return minimize(problem, job.recipe, random_stream(job.recipe.seed, job.name, *key, "starts"), callbacks)
+
+
+def sample_posterior(
+    job: Job, problem: Problem, fit: Fit, key: tuple[str, ...], settings: Settings
+) -> Posterior | None:
+    """Return the posterior by MCMC from all equally good starts; None after a stop before there is any."""
+    known = add_estimated_noise(problem, np.array(fit.theta))
+    rng = random_stream(job.recipe.seed, *key, "posterior")
+    callbacks = Callbacks(stop=settings.stop, jobs=settings.jobs)
+    return sample_from_fit(known, fit, job.recipe.sample, rng, callbacks)
+
+
+#: insertions of a specimen that its estimate uses, the deepest and others evenly over depths
+MAX_INSERTIONS = 4
+
+
+@dataclass
+class NewSpecimens:
+    """The spreads that predictions of a fold use; they and the estimates of specimens are kept."""
+
+    job: Job
+    fold: Fold
+    theta: Floats  #: (P,) the fit, from which the estimates are searched
+    estimates: dict[str, specimens.SpecimenEstimate | None] = field(default_factory=dict)
+    spreads: dict[tuple[str, ...], specimens.SpecimenSpread] = field(default_factory=dict)
+
+    def differs(self, insertion: Insertion) -> bool:
+        """Return whether an insertion goes into a specimen that was not tuned on, and may differ."""
+        return self.job.record.specimens == "others" and insertion.specimen not in self._tuned
+
+    def learn_spreads(self, insertions: Sequence[Insertion], jobs: int, pool: TaskPool) -> None:
+        """Learn the spreads for some insertions; the specimens are fitted side by side."""
+        moving = insertions if specimens.list_groups(self.job.parameters) else ()
+        others = {name for insertion in moving for name in self.list_others(insertion)}
+        wanted = sorted(others - self.estimates.keys())
+        found = dict(run_parts(self._search, wanted, pool, jobs, TaskStop(never_stop)))
+        self.estimates |= {specimen: found[n] for n, specimen in enumerate(wanted)}
+        for insertion in insertions:
+            self.find_spread(insertion)
+
+    def find_spread(self, insertion: Insertion | None) -> specimens.SpecimenSpread:
+        """Return the spread between specimens, learned without that of this insertion.
+
+        None stands for one into a specimen that is not in the dataset.
+        """
+        stated = self.job.recipe.specimens
+        prior = (float(np.log(stated.modulus_factor)), float(np.log(stated.bevel_factor)))
+        moving = specimens.list_groups(self.job.parameters)
+        others = tuple(self.list_others(insertion)) if moving else ()
+        if others not in self.spreads:
+            self.estimates |= {one: self._search(one) for one in others if one not in self.estimates}
+            found = [one for name in others if (one := self.estimates[name]) is not None]
+            self.spreads[others] = specimens.learn_spread(found, self.job.parameters, prior)
+        return self.spreads[others]
+
+    def move(self, thetas: Floats, insertion: Insertion | None, rng: np.random.Generator) -> Floats:
+        """Return draws (B, P) of the parameters in the specimen of an insertion."""
+        spread = self.find_spread(insertion)
+        return specimens.move_to_new_specimen(self.job.parameters, thetas, spread, len(self._tuned), rng)
+
+    @property
+    def _tuned(self) -> set[str]:
+        return {one.specimen for one in self.fold.tune}
+
+    def list_others(self, insertion: Insertion | None) -> list[str]:
+        """Return the other specimens with as many layer boundaries, by default as those tuned on."""
+        counts = {len(one.surfaces) for one in (self.fold.tune if insertion is None else (insertion,))}
+        alike = [one for one in self.job.dataset.insertions if len(one.surfaces) in counts]
+        deepest = [one for one in alike if max(one.sequence) <= self.job.medium.layers]
+        target = set() if insertion is None else {insertion.specimen}
+        return sorted({one.specimen for one in deepest} - target)
+
+    def _search(self, specimen: str) -> specimens.SpecimenEstimate | None:
+        fits = [one for one in self.job.dataset.insertions if max(one.sequence) <= self.job.medium.layers]
+        own = sorted((one for one in fits if one.specimen == specimen), key=lambda one: (one.depth, one.id))
+        chosen = np.unique(np.linspace(0, len(own) - 1, MAX_INSERTIONS).round().astype(int))
+        everything = self.job.problem(self.fold)
+        return specimens.estimate_specimen(
+            replace(everything, insertions=tuple(own[k] for k in chosen)), self.theta
+        )
+
+
+def describe_specimen(new: NewSpecimens | None, insertion: Insertion | None, otherwise: str = "same") -> Row:
+    """Return what a prediction knows of its specimen; `otherwise` is what it is called without `new`."""
+    mu, b, count, treatment = np.nan, np.nan, np.nan, otherwise
+    if new is not None:
+        spread = new.find_spread(insertion)
+        (mu, b), count, treatment = spread.rms.tolist(), float(spread.specimens), "others"
+    return {
+        "specimen_treatment": treatment,
+        "between_sd_ln_mu": mu,
+        "between_sd_ln_b": b,
+        "other_specimens": count,
+    }
+
+
+def describe_spread(row: Row) -> str:
+    """Return in words by how much a specimen differs, from a row of `describe_specimen`."""
+    mu, b = (math.exp(row[f"between_sd_ln_{name}"]) for name in ("mu", "b"))
+    count = int(row["other_specimens"])
+    return (
+        f"its moduli differ by a factor of {mu:.2g} and its bevel parameter by {b:.2g} (one standard "
+        f"deviation), learned from {count} specimen{'' if count == 1 else 's'} and the prior that the recipe "
+        "states"
+    )
+
 
 FIGURE_DRAWS = 400  #: parameter sets that a figure of the posterior shows
 MIN_SOLVED_DRAWS = 10  #: fewer solved draws make no distribution

@@ -25,10 +25,10 @@ from needlefit.inference.forward_model import make_batch, predict
 from needlefit.inference.identifiability.identify import Identifiability
 from needlefit.inference.identifiability.precision import difference_jacobian, difference_steps
 from needlefit.inference.predict import thin_posterior
+from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
-from needlefit.studies.folds import Fold
-from needlefit.studies.job import Job
+from needlefit.studies.job import Fold
 
 NEEDLE_POINTS = 51  # points of a fitted needle and of its band
 BAND_DRAWS = 400  # most draws of a posterior of which needles are simulated for a band
@@ -129,9 +129,15 @@ class FoldFit:
 
 
 def place_needles(
-    job: Job, fold: Fold, known: FoldFit, predicted: Sequence[Mapping[str, Any]] = (), jobs: int = 1
+    problem: Problem,
+    fold: Fold,
+    known: FoldFit,
+    predicted: Sequence[Mapping[str, Any]] = (),
+    jobs: int = 1,
+    *,
+    fitted: bool = True,
 ) -> dict[str, NeedleInScan]:
-    """Return every insertion that a fold holds out; with one fold only, also those it is fitted to.
+    """Return every insertion that a fold holds out, and, if wanted, those that its problem is `fitted` to.
 
     `predicted` are the rows of `BAND_COLUMNS`. Tip tracks were never in a scan: of them there is none.
     """
@@ -139,11 +145,10 @@ def place_needles(
     for row in predicted:
         if row["fold"] == fold.name:
             bands.setdefault(row["insertion"], []).append(row)
-    roles = [("tune", fold.tune), ("validate", fold.validate)]
-    chosen = roles if len(job.folds) == 1 else roles[1:]
+    chosen = [*([("tune", fold.tune)] if fitted else []), ("validate", fold.validate)]
     return {
         insertion.id: _place_needle(
-            _NeedleCurve(job, insertion), (fold.name, role), known, bands.get(insertion.id, ()), jobs
+            _NeedleCurve(problem, insertion), (fold.name, role), known, bands.get(insertion.id, ()), jobs
         )
         for role, insertions in chosen
         for insertion in insertions
@@ -159,7 +164,7 @@ def _place_needle(
     jobs: int,
 ) -> NeedleInScan:
     """Return an insertion that has this place, a fold and a role in it."""
-    insertion, stated = stations.insertion, stations.job.dataset.outer_diameter
+    insertion, stated = stations.insertion, stations.problem.dataset.outer_diameter
     placement = Placement(insertion.frame, insertion.patient)
     points = stations.points(np.array(known.fit.theta))
     fitted = points if np.isfinite(points).all() else None
@@ -207,19 +212,19 @@ def _place_predicted_band(
 class _NeedleCurve:
     """The places on one needle at which it is drawn."""
 
-    job: Job
+    problem: Problem
     insertion: Insertion
 
     @property
     def s(self) -> Floats:
         """Beam coordinates (K,), mm."""
-        dataset = self.job.dataset
+        dataset = self.problem.dataset
         return select_points(dataset.pose, dataset.drop_proximal, self.insertion, NEEDLE_POINTS).s
 
     def points(self, theta: Floats) -> Floats:
         """Return the needle (K, 2) in C, aligned where the pose is free; NaN where the solve fails."""
-        values = self.job.parameters.values(theta)
-        shape = predict(values, self.job.medium, self.job.dataset.needle, self.insertion)
+        values = self.problem.parameters.values(theta)
+        shape = predict(values, self.problem.medium, self.problem.dataset.needle, self.insertion)
         if not shape.converged:
             return np.full((NEEDLE_POINTS, 2), np.nan)
         return self.align(make_curve(shape)(self.s))
@@ -232,7 +237,7 @@ class _NeedleCurve:
         """Return a simulated needle (K, 2) as it lies in C: a free shape lies on the measured one."""
         return (
             points
-            if self.job.dataset.pose == "known"
+            if self.problem.dataset.pose == "known"
             else align_with_measured(self.insertion, self.s, points)
         )
 
@@ -246,7 +251,7 @@ def align_with_measured(insertion: Insertion, s: Floats, points: Floats) -> Floa
 
 def _linear_band(stations: _NeedleCurve, known: FoldFit) -> tuple[Floats, Floats, Floats] | None:
     """Return the band (low, middle, high) of y, linear about the fit; None where it cannot be found."""
-    names, theta = stations.job.parameters.free, np.array(known.fit.theta)
+    names, theta = stations.problem.parameters.free, np.array(known.fit.theta)
     fitted = stations.heights(theta)
     if not names:
         return None
@@ -270,10 +275,10 @@ def _sampled_band(
     stations: _NeedleCurve, posterior: Posterior, jobs: int
 ) -> tuple[Floats, Floats, Floats] | None:
     """Return the band (low, middle, high) of y over the needles of draws; None where none can be solved."""
-    job, insertion = stations.job, stations.insertion
-    draws = thin_posterior(posterior, job.parameters, BAND_DRAWS)
-    sets = [job.parameters.values(theta) for theta in draws.thetas]
-    (shapes,) = simulate_batches([make_batch(sets, job.medium, job.dataset.needle, insertion)], jobs)
+    problem, insertion = stations.problem, stations.insertion
+    draws = thin_posterior(posterior, problem.parameters, BAND_DRAWS)
+    sets = [problem.parameters.values(theta) for theta in draws.thetas]
+    (shapes,) = simulate_batches([make_batch(sets, problem.medium, problem.dataset.needle, insertion)], jobs)
     needles = compute_batch_positions(shapes, stations.s)[shapes.converged]  # (B, K, 2)
     if not len(needles):
         return None

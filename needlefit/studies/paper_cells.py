@@ -23,8 +23,7 @@ from needlefit.project.toml import add_file_context, add_key_context, load
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies import paper
-from needlefit.studies.folds import Fold
-from needlefit.studies.job import Inputs, Job, Settings, find_named, load_medium, prepare
+from needlefit.studies.job import Fold, Inputs, Job, Settings, find_named, load_medium, prepare
 from needlefit.studies.score import Predictor, Row, Scorer, list_score_columns
 
 ERROR_COLUMNS = (

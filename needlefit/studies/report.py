@@ -10,7 +10,7 @@ from typing import Any
 import pandas as pd
 
 from needlefit.project.folders import listed_files, replace_folder
-from needlefit.project.help_pages import HelpSection, read_sections
+from needlefit.project.help_pages import read_sections
 from needlefit.project.processes import one_thread
 from needlefit.project.result_warnings import WARNINGS_KEY, ResultWarning, read_warnings, to_rows
 from needlefit.reporting import document
@@ -25,35 +25,19 @@ from needlefit.reporting.text import KindText
 from needlefit.studies.columnar import iterate_pieces
 from needlefit.studies.fit_warnings import QUALIFYING_WARNINGS
 from needlefit.studies.kind import find_kind
-from needlefit.studies.run import Run
-from needlefit.studies.run_differences import TableComparison
-from needlefit.studies.store import store_run
-from needlefit.studies.validity import VALIDITY_KEY
-from needlefit.studies.verdict import (
+from needlefit.studies.run import (
     STATUSES,
     VERDICTS_KEY,
+    Run,
     Status,
     Verdict,
     headline_fault,
     judge_run,
     verdicts_to_json,
 )
-
-FigurePaths = Mapping[str, Path]
-
-
-def tabulate_frames(result: Run) -> Mapping[str, pd.DataFrame]:
-    """Return the frames of a run: the tables of most kinds."""
-    return result.frames
-
-
-def write_no_files(result: Run, folder: Path) -> None:
-    """Write nothing: of kinds that have only tables, figures and a report."""
-
-
-def frames_to_json(result: Run) -> dict[str, Any]:
-    """Return all frames of a run as plain values, by name."""
-    return {name: to_records(to_tidy(frame)) for name, frame in result.frames.items()}
+from needlefit.studies.run_differences import TableComparison
+from needlefit.studies.store import store_run
+from needlefit.studies.validity import VALIDITY_KEY
 
 
 def run_to_json(result: Run) -> dict[str, Any]:
@@ -79,22 +63,6 @@ def judge_by_summary(result: Run) -> list[Verdict]:
     return [Verdict(sentence.rstrip("."), status) for sentence in report.summarize(result)[:1]]
 
 
-def rate_as_none(result: Run) -> Status:
-    """Return "none": of kinds whose answer is neither good nor bad."""
-    return "none"
-
-
-def lay_out_first_table(result: Run) -> list[TableLayout]:
-    """Return the first table of a run: of most kinds its main one."""
-    return find_kind(result.kind).report.lay_out(result)[:1]
-
-
-def explain_by_report(result: Run) -> tuple[list[TableLayout], list[str]]:
-    """Return all tables of a run, and the sentences of its summary."""
-    report = find_kind(result.kind).report
-    return report.lay_out(result), report.summarize(result)
-
-
 def list_run_warnings(result: Run) -> tuple[ResultWarning, ...]:
     """Return the warnings of a run, those that qualify the verdict first."""
     found = read_warnings(result.run)
@@ -103,18 +71,23 @@ def list_run_warnings(result: Run) -> tuple[ResultWarning, ...]:
 
 @dataclass(frozen=True)
 class StudyReport:
-    """The functions that report the runs of one kind of study; each takes the run.
+    """How the runs of one kind of study are reported: a text, and what it prints; callables take the run.
 
     Attributes
     ----------
-    summarize : callable
-        Result -> its sentences, the most important first.
-    lay_out : callable
-        Result -> its tables.
-    draw : callable
-        Result and folder -> figures as PDF by name; beside each lies what it draws, as CSV of the same name.
-    compose : callable
-        Result and figures -> the body of the report, down to its last table.
+    text : KindText
+        Its block `verdict` is the answer; `summary` holds further sentences, `report` the body of the report,
+        `table_<name>` the caption and the notes of a table, `figure_<name>` the caption of a figure.
+    values : callable
+        Result -> the numbers and names that the text prints.
+    tables : callable
+        Result -> its tables, which are also written as LaTeX.
+    figures : callable
+        Result -> its figures by name: forms with their frames, which are written as CSV beside them.
+    blocks : callable
+        Result -> blocks by name, to which the text refers.
+    more_tables : callable
+        Result -> tables that only the report has.
     tabulate : callable
         Result -> the tables that are written as CSV, by name.
     write_files : callable
@@ -128,7 +101,7 @@ class StudyReport:
     to_json : callable
         Result -> what `--json` prints, without verdicts and warnings.
     judge : callable
-        Result -> its verdicts; `judge_run` (`studies/verdict.py`) is what others call.
+        Result -> its verdicts; `judge_run` (`studies/run.py`) is what others call.
     rate : callable
         Result -> the status of its verdict, where that is the first sentence of its summary.
     explore : callable
@@ -139,27 +112,57 @@ class StudyReport:
         Result -> the tables and sentences that `--explain` prints: all of them unless a kind has more.
     headline : callable
         A fault of a run -> what stands before its verdicts; empty where a verdict itself names the fault.
-    say : callable
-        Result and name of a block of the kind's text -> its words.
     """
 
-    summarize: Callable[[Run], list[str]]
-    lay_out: Callable[[Run], list[TableLayout]]
-    draw: Callable[[Run, Path], dict[str, Path]]
-    compose: Callable[[Run, FigurePaths], list[Block]]
-    write_files: Callable[[Run, Path], None] = write_no_files
-    to_json: Callable[[Run], dict[str, Any]] = frames_to_json
+    text: KindText
+    values: Callable[[Run], Mapping[str, Any]]
+    tables: Callable[[Run], Sequence[Table | TableLayout]]
+    figures: Callable[[Run], Mapping[str, Drawing]] = lambda result: {}
+    blocks: Callable[[Run], Mapping[str, list[Block]]] = lambda result: {}
+    more_tables: Callable[[Run], Sequence[Table | TableLayout]] = lambda result: ()
+    tabulate: Callable[[Run], Mapping[str, pd.DataFrame]] = lambda result: result.frames
+    write_files: Callable[[Run, Path], None] = lambda result, folder: None
     keeps_files: bool = False
     comparisons: Mapping[str, TableComparison] = field(default_factory=dict)
     compares_only_these: bool = False
-    tabulate: Callable[[Run], Mapping[str, pd.DataFrame]] = tabulate_frames
+    to_json: Callable[[Run], dict[str, Any]] = lambda result: {
+        name: to_records(to_tidy(frame)) for name, frame in result.frames.items()
+    }
     judge: Callable[[Run], list[Verdict]] = judge_by_summary
-    rate: Callable[[Run], Status] = rate_as_none
+    rate: Callable[[Run], Status] = lambda result: "none"
     explore: Callable[[Run], dict[str, Any] | None] = lambda result: None
-    lay_out_first: Callable[[Run], list[TableLayout]] = lay_out_first_table
-    explain: Callable[[Run], tuple[list[TableLayout], list[str]]] = explain_by_report
+    lay_out_first: Callable[[Run], list[TableLayout]] = lambda result: find_kind(result.kind).report.lay_out(
+        result
+    )[:1]
+    explain: Callable[[Run], tuple[list[TableLayout], list[str]]] = lambda result: (
+        find_kind(result.kind).report.lay_out(result),
+        find_kind(result.kind).report.summarize(result),
+    )
     headline: Callable[[str], str] = headline_fault
-    say: Callable[[Run, str], str] = lambda result, block: ""
+
+    def summarize(self, result: Run) -> list[str]:
+        """Return the sentences about a run, the most important first."""
+        values = self.values(result)
+        return [*self.text.sentences("verdict", values), *self.text.sentences("summary", values)]
+
+    def say(self, result: Run, block: str) -> str:
+        """Return a block of the text about a run, as one line; "" if there is none."""
+        return self.text.sentence(block, self.values(result))
+
+    def lay_out(self, result: Run, *, more: bool = False) -> list[TableLayout]:
+        """Return the tables of a run, with `more` all those of its report."""
+        values = self.values(result)
+        every = [*self.tables(result), *(self.more_tables(result) if more else ())]
+        return [one if isinstance(one, TableLayout) else self.text.lay_out(one, values) for one in every]
+
+    def draw(self, result: Run, folder: Path) -> dict[str, Path]:
+        """Draw figures to a folder, what each shows beside it as CSV; return their files by name."""
+        return {name: one.save(folder / f"{name}.pdf") for name, one in self.figures(result).items()}
+
+    def compose(self, result: Run, paths: Mapping[str, Path]) -> list[Block]:
+        """Return the body of the report, with figures that were drawn to `paths`."""
+        tables, blocks = self.lay_out(result, more=True), self.blocks(result)
+        return self.text.compose("report", self.values(result), tables, paths, blocks)
 
     def write(self, result: Run, folder: Path) -> Path:
         """Write a result, as `write_run`; called by `Run.save`, which cannot import this module."""
@@ -167,56 +170,23 @@ class StudyReport:
 
     def format_notebook_html(self, result: Run) -> str:
         """Return what a notebook shows of a run: title, warnings, results in words, tables."""
-        return _format_notebook_html(result)
+        warned = compose_warnings(list_run_warnings(result), linked=False)
+        blocks = state_blocks(result) + _fault_blocks(result)
+        if result.interrupted and result.kind != "fit":
+            blocks += warned
+        else:  # of the others only what is finished is laid out
+            blocks += [document.bullets(self.summarize(result)), *warned]
+            blocks += [document.table(table) for table in self.lay_out(result)]
+        subtitle, marked = f"{result.name} · {result.dataset_title}", bool(result.unverified)
+        return document.format_html_part(
+            Document(result.title, subtitle, result.synthetic, tuple(blocks), unverified=marked)
+        )
 
 
 def say(result: Run, *blocks: str) -> str:
     """Return blocks of the text of a run's kind, as one line."""
     page = find_kind(result.kind).report
     return " ".join(words for block in blocks if (words := page.say(result, block)))
-
-
-def report_from_text(
-    text: KindText,
-    values: Callable[[Run], Mapping[str, Any]],
-    tables: Callable[[Run], Sequence[Table]],
-    figures: Callable[[Run], Mapping[str, Drawing]] = lambda result: {},
-    blocks: Callable[[Run], Mapping[str, list[Block]]] = lambda result: {},
-    **rest: Any,  # noqa: ANN401
-) -> StudyReport:
-    """Return the report of a kind whose sentences stand in a text.
-
-    Parameters
-    ----------
-    text : KindText
-        Its block `verdict` is the answer; `summary` holds further sentences, `report` the body of the report,
-        `table_<name>` the caption and the notes of a table, `figure_<name>` the caption of a figure.
-    values : callable
-        Result -> the numbers and names that the text prints.
-    tables, figures, blocks : callable
-        Result -> what the text refers to by name; figures are forms with their frames.
-    **rest
-        As of `StudyReport`.
-    """
-
-    def lay_out(result: Run) -> list[TableLayout]:
-        found = values(result)
-        return [text.lay_out(table, found) for table in tables(result)]
-
-    def compose(result: Run, paths: FigurePaths) -> list[Block]:
-        return text.compose("report", values(result), lay_out(result), paths, blocks(result))
-
-    def summarize(result: Run) -> list[str]:
-        found = values(result)
-        return [*text.sentences("verdict", found), *text.sentences("summary", found)]
-
-    def draw(result: Run, folder: Path) -> dict[str, Path]:
-        return {name: one.save(folder / f"{name}.pdf") for name, one in figures(result).items()}
-
-    def say(result: Run, block: str) -> str:
-        return text.sentence(block, values(result))
-
-    return StudyReport(summarize, lay_out, draw, compose, say=say, **rest)
 
 
 MODEL_DATA_NOTE = "The needles were simulated: errors on them do not carry over to measured ones."
@@ -236,16 +206,11 @@ def write_run(result: Run, folder: Path) -> Path:
         If `folder` holds anything that needlefit did not write, or that was changed since.
     """
     with replace_folder(folder) as new:
-        if find_kind(result.kind).report.keeps_files:
-            _copy_files(folder, new)
+        for name in listed_files(folder) if find_kind(result.kind).report.keeps_files else ():
+            (new / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(folder / name, new / name)
         write_files(result, new)
     return folder
-
-
-def _copy_files(folder: Path, new: Path) -> None:
-    for name in listed_files(folder):
-        (new / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(folder / name, new / name)
 
 
 def write_files(result: Run, folder: Path) -> None:
@@ -255,7 +220,10 @@ def write_files(result: Run, folder: Path) -> None:
     page = find_kind(result.kind).report
     frames = page.tabulate(result)
     for name in frames:  # before the figures: of a frame that is drawn, theirs is the file
-        pieces = (_mark_origin(piece, result.origin) for piece in iterate_pieces(frames, name))
+        pieces = (
+            piece if result.origin == "none" or "origin" in piece else piece.assign(origin=result.origin)
+            for piece in iterate_pieces(frames, name)
+        )
         write_csv_pieces(pieces, folder / f"{name}.csv")
     with draw_together() as begin_drawing:
         figures = page.draw(result, folder)
@@ -278,12 +246,7 @@ def write_files(result: Run, folder: Path) -> None:
     write_json(folder / "timing.json", result.timing)
 
 
-def _mark_origin(frame: pd.DataFrame, origin: str) -> pd.DataFrame:
-    marked = origin == "none" or "origin" in frame
-    return frame if marked else frame.assign(origin=origin)
-
-
-def label_figures(figures: FigurePaths, synthetic: bool) -> None:
+def label_figures(figures: Mapping[str, Path], synthetic: bool) -> None:
     """Write "Synthetic data" above figures that stand alone; within a report the page says it."""
     if synthetic:
         for path in figures.values():
@@ -297,7 +260,7 @@ def write_report(report: Document, folder: Path, name: str = "report") -> None:
     (folder / f"{name}.html").write_bytes(document.compile_html(report))
 
 
-def compose_run_report(result: Run, figures: FigurePaths) -> Document:
+def compose_run_report(result: Run, figures: Mapping[str, Path]) -> Document:
     """Return the report: question, verdicts, results, method, provenance."""
     page = find_kind(result.kind).report
     warnings = list_run_warnings(result)
@@ -324,21 +287,6 @@ def verdict_blocks(result: Run, named: bool = False) -> list[Block]:
     return [document.verdict(f"{head}{one.sentence}.", one.status) for one in judge_run(result)]
 
 
-def _format_notebook_html(result: Run) -> str:
-    page = find_kind(result.kind).report
-    warned = compose_warnings(list_run_warnings(result), linked=False)
-    blocks = state_blocks(result) + _fault_blocks(result)
-    if result.interrupted and result.kind != "fit":
-        blocks += warned
-    else:  # of the others only what is finished is laid out
-        blocks += [document.bullets(page.summarize(result)), *warned]
-        blocks += [document.table(table) for table in page.lay_out(result)]
-    subtitle = f"{result.name} · {result.dataset_title}"
-    return document.format_html_part(
-        Document(result.title, subtitle, result.synthetic, tuple(blocks), unverified=bool(result.unverified))
-    )
-
-
 def warning_blocks(result: Run) -> list[Block]:
     """Return what must be read before any number, and the warnings."""
     return state_blocks(result) + _fault_blocks(result) + compose_warnings(list_run_warnings(result))
@@ -354,20 +302,18 @@ def compose_warnings(warnings: Iterable[ResultWarning], linked: bool = True, hea
     ]
 
 
-def _help_blocks(blocks: Iterable[Block]) -> list[Block]:
-    """Return the sections of the page on troubleshooting that warnings link to, each once."""
+def _help_blocks(blocks: Iterable[Block]) -> Iterator[Block]:
+    """Yield the sections of the page on troubleshooting that warnings link to, each once."""
     keys = dict.fromkeys(block["target"] for block in blocks if block["kind"] == "warning")
-    found = [block for key in keys if key for block in _compose_help(read_sections()[key])]
-    return [document.heading("What the warnings mean"), *found] if found else []
-
-
-def _compose_help(section: HelpSection) -> Iterator[Block]:
-    yield document.subheading(section.title, section.key)
-    for is_item, texts in groupby(section.paragraphs, lambda words: words.startswith("- ")):
-        if is_item:
-            yield document.bullets([words.removeprefix("- ") for words in texts])
-        else:
-            yield from map(document.text, texts)
+    for number, section in enumerate(read_sections()[key] for key in keys if key):
+        if not number:
+            yield document.heading("What the warnings mean")
+        yield document.subheading(section.title, section.key)
+        for is_item, texts in groupby(section.paragraphs, lambda words: words.startswith("- ")):
+            if is_item:
+                yield document.bullets([words.removeprefix("- ") for words in texts])
+            else:
+                yield from map(document.text, texts)
 
 
 def state_blocks(result: Run) -> list[Block]:
@@ -409,19 +355,9 @@ def _run_blocks(result: Run) -> list[Block]:
 
 
 _OMITTED_RUN_KEYS = (
-    "name",
-    "study",
-    "fit",
-    "medium",
-    "folds",
-    "searches",
-    "hand_tuned",
-    "truth",
-    WARNINGS_KEY,
-    VALIDITY_KEY,
+    *("name", "study", "fit", "medium", "folds", "searches", "hand_tuned", "truth"),
+    *(WARNINGS_KEY, VALIDITY_KEY),
 )
-
-
 _OMITTED_DATA_KEYS = ("notes", "origin")
 """Of a dataset: they stand elsewhere in a report."""
 

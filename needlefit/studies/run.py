@@ -1,16 +1,160 @@
-"""The result of a study: tables, draws, provenance."""
+"""The result of a study: tables, draws, verdicts, and what a reader needs to repeat it."""
 
-from collections.abc import Mapping, MutableMapping
-from dataclasses import dataclass, field, replace
+import platform
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal, Self
 
 import pandas as pd
 
+from needlefit.datasets.formats import FORMATS
+from needlefit.datasets.insertion import Dataset, split_boundary_sd
+from needlefit.datasets.sections import describe_measurement
 from needlefit.errors import ConfigError
+from needlefit.inference.baselines import BASELINES
+from needlefit.inference.forward_model import make_options as mesh
 from needlefit.inference.sampling.posterior import Posterior
+from needlefit.mechanics.laws import LAWS
+from needlefit.metrics import METRICS
+from needlefit.registry import plugin_versions
+from needlefit.reporting.text import KindText
+from needlefit.schemas.medium import MediumRecord
+from needlefit.studies.job import Job
 from needlefit.studies.kind import find_kind
-from needlefit.studies.verdict import Verdict, judge_run
+
+Status = Literal["none", "pass", "warn", "fail"]
+STATUSES: tuple[Status, ...] = ("none", "pass", "warn", "fail")
+"""From the best to the worst; "none" where nothing was tested, as of a prediction: it has no badge."""
+
+VERDICTS_KEY = "verdicts"  #: of `--json`
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The answer for one group of insertions, or for a whole run."""
+
+    sentence: str  #: the answer, with its most important numbers
+    #: whether the result can be relied on, only with care, or not; "none" where this was not tested
+    status: Status = "pass"
+    group: str = ""  #: what it is about, such as "phantom 1, 3 layers"; empty: the whole run
+    #: the numbers behind the sentence, by name with unit; None where one is not known
+    numbers: Mapping[str, float | str | None] = field(default_factory=dict)
+
+
+NOT_CONVERGED = "NOT CONVERGED"
+
+
+def headline_fault(fault: str) -> str:
+    """Return what stands before the verdicts of a run with this fault."""
+    if "not certified" in fault:
+        return "NOT CERTIFIED"
+    return "INCOMPLETE" if fault.endswith(("could not be predicted", "have no density")) else NOT_CONVERGED
+
+
+def mark_faults(faults: Sequence[str], headline: Callable[[str], str] = headline_fault) -> str:
+    """Return the headlines of faults, each once, as sentences that stand before a result; "" without any."""
+    return "".join(dict.fromkeys(f"{head}. " for head in map(headline, faults) if head))
+
+
+def judge_run(result: "Run") -> tuple[Verdict, ...]:
+    """Return the verdicts of a run, one for each group, from its stored tables alone.
+
+    A run that was interrupted, or that has faults, passes nowhere; the headlines of its faults come first.
+    Those of a preliminary recipe are marked.
+    """
+    report = find_kind(result.kind).report
+    verdicts = report.judge(result)
+    if (result.run.get("recipe") or {}).get("preliminary"):
+        recipe = Path(str(getattr(result.record, "recipe", ""))).stem
+        mark = f"; preliminary (recipe {recipe})" if recipe else "; preliminary"
+        verdicts = [replace(one, sentence=f"{one.sentence}{mark}") for one in verdicts]
+    if result.interrupted:
+        return tuple(qualify(one, f"INTERRUPTED: the best found so far. {one.sentence}") for one in verdicts)
+    if result.faults:
+        heads = mark_faults(result.faults, report.headline)
+        return tuple(qualify(one, f"{heads}{one.sentence}") for one in verdicts)
+    return tuple(verdicts)
+
+
+MAX_FLOOR_RATIO = 2.0
+"""Tip error over its noise floor up to which predictions are as exact as the measurements."""
+
+
+MIN_INSERTIONS = 3
+"""Held-out insertions with which a verdict can pass: the mean of one or two says little about others."""
+
+
+@dataclass(frozen=True)
+class BestBaseline:
+    """The baseline with the smallest tip error: in words, its error (mm), and how it compares with the fit.
+
+    `verdict` is "better", "worse", or "tie" where the difference is not significant.
+    """
+
+    description: str
+    error_mm: float | None
+    verdict: Literal["better", "worse", "tie"]
+
+
+def judge_errors(
+    where: str,
+    error_mm: float,
+    floor_ratio: float | None,
+    best: BestBaseline | None,
+    insertions: int,
+    *,
+    reliable: bool = True,
+) -> Verdict:
+    """Judge the mean tip error of predictions on `where` beside the noise floor and the best baseline.
+
+    Only `MIN_INSERTIONS` held out, with no baseline closer, can pass; and only `reliable` results, those of a
+    run that is complete and without faults.
+    """
+    few = insertions < MIN_INSERTIONS
+    opening, compared = _compare(error_mm, floor_ratio, best)
+    if (few or not reliable) and opening != "fail":
+        opening = "open"
+    values = {"opening": opening, "compared": compared, "error_mm": error_mm, "floor_ratio": floor_ratio}
+    values |= {"where": where, "insertions": insertions, "few": few, "best": best}
+    status: Status = opening if opening in ("pass", "fail") else "warn"
+    return Verdict(KindText("verdicts").sentence("errors", values), status)
+
+
+Opening = Literal["pass", "part", "open", "fail"]  #: generalises; in part; not shown to; does not
+
+
+def _compare(error_mm: float, floor_ratio: float | None, best: BestBaseline | None) -> tuple[Opening, str]:
+    """Return the opening of a verdict, and how the best baseline compares.
+
+    Within the noise floor a difference is not significant, whatever its standard error.
+    """
+    better_than_all: Opening = "pass" if floor_ratio is None or floor_ratio <= MAX_FLOOR_RATIO else "part"
+    if best is None:
+        return better_than_all, ""
+    within_floor = floor_ratio is not None and floor_ratio <= 1
+    if best.verdict == "better" and not within_floor:
+        return "fail", "better"
+    if best.error_mm is not None and best.error_mm < error_mm:
+        return "open", "within floor" if best.verdict == "better" else "closer"
+    return (better_than_all, "worse") if best.verdict == "worse" or within_floor else ("open", "tie")
+
+
+def qualify(verdict: Verdict, sentence: str) -> Verdict:
+    """Return a verdict in other words that does not pass: "warn" at best."""
+    return replace(verdict, sentence=sentence, status=worst_status([verdict, Verdict("", "warn")]))
+
+
+def worst_status(verdicts: Sequence[Verdict]) -> Status:
+    """Return the worst status of several verdicts; "pass" of none."""
+    return max((one.status for one in verdicts), key=STATUSES.index, default="pass")
+
+
+def verdicts_to_json(verdicts: Sequence[Verdict]) -> list[dict[str, object]]:
+    """Return verdicts as JSON values."""
+    return [asdict(one) for one in verdicts]
+
 
 Frames = MutableMapping[str, pd.DataFrame]
 
@@ -127,3 +271,85 @@ class Run:
 
     def _repr_html_(self) -> str:
         return find_kind(self.kind).report.format_notebook_html(self)
+
+
+PACKAGES = ("numpy", "scipy", "nlopt", "emcee", "pandas", "trimesh")
+"""Whose versions decide the result of a study."""
+
+
+def describe_configuration(job: Job) -> dict[str, Any]:
+    """Return everything that decides the result of a job, as JSON values."""
+    return {
+        "name": job.name,
+        "versions": package_versions(PACKAGES) | plugin_versions_of(job.medium, job.dataset),
+        "dataset": describe_dataset(job.dataset) | {"needle": asdict(job.dataset.needle)},
+        "study": job.record.model_dump(mode="json", by_alias=True),
+        "medium": job.medium.model_dump(mode="json", by_alias=True),
+        "recipe": job.recipe.model_dump(mode="json", by_alias=True),
+        "hand_tuned": job.hand_tuned,
+        "folds": [
+            {"name": f.name, "tune": [i.id for i in f.tune], "validate": [i.id for i in f.validate]}
+            for f in job.folds
+        ],
+        "rules": describe_model_options(job.medium),
+    }
+
+
+def describe_dataset(dataset: Dataset) -> dict[str, Any]:
+    """Return which data these are, what their measurement does to shapes, and which errors they share."""
+    stated = dataset.measurement.model_dump(mode="json", exclude_none=True, exclude={"note"})
+    shared = {split_boundary_sd(one)[0] for one in dataset.insertions if len(one.boundaries)}
+    return {
+        "name": dataset.name,
+        "origin": dataset.origin,
+        "sha256": dataset.digest,
+        "notes": list(dataset.notes),
+        "measurement": stated | {"description": describe_measurement(dataset)},
+        "boundary_shared_sd_mm": sorted(shared - {0.0}),
+    }
+
+
+def package_versions(packages: Sequence[str]) -> dict[str, str]:
+    """Return the versions of Python, of needlefit and of these packages."""
+    each = {package: version(package) for package in ("needlefit", *packages)}
+    return {"python": platform.python_version(), **each}
+
+
+def plugin_versions_of(medium: MediumRecord, dataset: Dataset) -> dict[str, str]:
+    """Return the versions of the plugins that a result with these depends on, if any."""
+    added = [(registry, name) for registry in (METRICS, BASELINES) for name in registry.names()]
+    return plugin_versions((LAWS, medium.law), (FORMATS, dataset.centerline_format), *added)
+
+
+def describe_model_options(medium: MediumRecord) -> dict[str, Any]:
+    """Return the model rules that fitted numbers depend on; fits with other rules cannot be compared."""
+    switch, tangent = medium.constraint_switch, medium.tangent_part
+    which = "nearest constraint at each quadrature point"
+    if switch != 0.5:
+        which = f"constraint behind up to {switch:g} of the way, then the one ahead"
+    tie = f"{which}, quadrature split where it changes"
+    advance = f"along {tangent:g} of the tip's slope"
+    if medium.advance == "path_angle":
+        tie = "linear between constraint points, quadrature split at them and halfway"
+        advance = "at an angle to the path"
+    else:
+        if switch in (0, 1):
+            tie = f"every cell has the constraint point {'behind' if switch else 'ahead'}"
+        if tangent in (0, 1):
+            advance = "along the tangent" if tangent else "a shift in x"
+    return {
+        "constraint_spacing_mm": medium.constraint_spacing_mm,
+        "thickness_mm": medium.thickness_mm,
+        "law": medium.law,
+        "friction": 0.0,
+        "element_mm": mesh(medium).element,
+        "tie": tie,
+        "advance": advance,
+        "first_cell": "the depth's remainder over the spacing, or a whole cell"
+        if medium.first_cell_mm is None
+        else f"{medium.first_cell_mm:g} mm, whatever the depth",
+        "mu": "Pa, effective foundation modulus",
+        "bevel": "degrees of the cut to the needle's tangent"
+        if medium.advance == "path_angle"
+        else "mm per constraint spacing",
+    }

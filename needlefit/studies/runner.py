@@ -16,11 +16,9 @@ from needlefit.project.checkpoint import Checkpoint, open_checkpoint
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.schemas.study import StudyRecord
-from needlefit.studies import provenance
 from needlefit.studies.fit_warnings import analysis_bound_warnings
-from needlefit.studies.folds import Fold, warn_shared_specimens
-from needlefit.studies.job import Job, Settings
-from needlefit.studies.run import Frames, Run
+from needlefit.studies.job import Fold, Job, Settings, warn_shared_specimens
+from needlefit.studies.run import PACKAGES, Frames, Run, describe_configuration, package_versions
 from needlefit.studies.score import Row
 from needlefit.studies.store import to_json_value
 
@@ -212,11 +210,11 @@ def _find_warnings(name: str, record: AnalysisRecord, plan: AnalysisPlan, where:
 
 def _describe_configuration(name: str, record: AnalysisRecord, plan: AnalysisPlan) -> dict[str, Any]:
     """Return all that decides the result; each dataset, medium and recipe stands there once."""
-    each = [provenance.describe_configuration(job) for job in plan.jobs]
+    each = [describe_configuration(job) for job in plan.jobs]
     parts = [{key: one[key] for key in _PARTS} for one in each]
     return {
         "name": name,
-        "versions": provenance.package_versions(provenance.PACKAGES)
+        "versions": package_versions(PACKAGES)
         | {package: version for one in each for package, version in one["versions"].items()},
         "study": record.model_dump(mode="json", by_alias=True),
         "datasets": {one["dataset"]["name"]: one["dataset"] for one in each},

@@ -18,11 +18,11 @@ from needlefit.inference.compared_points import Curve, SimulatedCurve, compare_p
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import predict
 from needlefit.inference.planned_layers import planned_layers
+from needlefit.inference.problem import Problem
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.metrics import METRICS, Metric, compute_metrics, headline_metrics, list_metrics
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.study import LayerCountRule
-from needlefit.studies.folds import Fold
 from needlefit.studies.job import Job
 from needlefit.studies.validity import ValidityCounts
 
@@ -62,17 +62,19 @@ def curve_predictor(curve: Callable[[Insertion], Curve]) -> Predictor:
     return lambda insertion: {"measured": curve(insertion)}
 
 
-def make_predictors(job: Job, fold: Fold, fits: Mapping[str, Fit]) -> dict[str, Predictor]:
+def make_predictors(
+    problem: Problem, fits: Mapping[str, Fit], hand_tuned: Mapping[str, float] | None
+) -> dict[str, Predictor]:
     """Return the fitted model, the paper's set, that set with b re-fitted, and the baseline curves."""
-    values: dict[str, Mapping[str, float]] = {name: fit.values for name, fit in fits.items()}
-    if job.hand_tuned is not None:
-        values["hand_tuned"] = job.hand_tuned
+    dataset, values = problem.dataset, {name: fit.values for name, fit in fits.items()}
+    if hand_tuned is not None:
+        values["hand_tuned"] = hand_tuned
     models = {
-        name: model_predictor(values[name], job.medium, job.dataset)
+        name: model_predictor(values[name], problem.medium, dataset)
         for name in MODEL_METHODS
         if name in values
     }
-    baselines = fit_baselines(job.dataset.pose, job.dataset.drop_proximal, fold.tune)
+    baselines = fit_baselines(dataset.pose, dataset.drop_proximal, problem.insertions)
     return {**models, **{name: curve_predictor(baseline.curve) for name, baseline in baselines.items()}}
 
 

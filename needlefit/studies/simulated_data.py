@@ -38,8 +38,7 @@ from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.analyses import SyntheticDataRecord, SyntheticInsertionRecord
 from needlefit.schemas.medium import MediumRecord
-from needlefit.studies.folds import Fold
-from needlefit.studies.job import Job
+from needlefit.studies.job import Fold, Job
 from needlefit.synthetic.design import bevel_offset, draw_specimen, list_planned_insertions
 
 MIN_WEIGHT = 1e-12  #: of a cross-section that counts for nothing: its noise must stay finite
@@ -239,18 +238,18 @@ def _assemble_dataset(name: str, record: SyntheticDataRecord, insertions: tuple[
     )
 
 
-def find_true_value(job: Job, name: str, seed: int) -> float:
+def find_true_value(problem: Problem, name: str, seed: int) -> float:
     """Return the geometric mean of a parameter over specimens, layers and bevels that a fit learns from.
 
     NaN for what the truth has not: hyperparameters, exponents, the angle of a cut.
     """
     planned = {one.id: one for one in list_planned_insertions()}
-    tuned = [planned[one.id] for one in job.folds[0].tune]
+    tuned = [planned[one.id] for one in problem.insertions]
     specimens = [draw_specimen(seed, one.medium, one.specimen) for one in tuned]
     if name == "bevel_mm":
         known = [bevel_offset(*pair) for pair in zip(specimens, tuned, strict=True)]
         return float(np.exp(np.mean(np.log(known))))
-    same = [name, *(tied for tied, (_, source) in job.parameters.ties.items() if source == name)]
+    same = [name, *(tied for tied, (_, source) in problem.parameters.ties.items() if source == name)]
     layers = [int(one.removeprefix("mu").removesuffix("_pa")) - 1 for one in same if one.startswith("mu")]
     if not layers:
         return float("nan")

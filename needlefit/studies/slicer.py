@@ -1,10 +1,11 @@
 """Write needles for 3D Slicer: curves (`.mrk.json`), bodies (`.ply`), simulated or reconstructed; LPS, mm."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from needlefit.arrays import Floats
 from needlefit.datasets.formats.mrk_json import CurveStyle, write_mrk_json
@@ -16,8 +17,7 @@ from needlefit.geometry.meshes import make_tube, write_ply
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.project.folders import require_folder
 from needlefit.reporting.labels import GREEN, GREY, METHOD_COLOURS, PAPER_COLOUR, SKY_BLUE, rgb
-from needlefit.studies.needles_in_scan import DEFAULT_DIAMETER_MM, Band, NeedleInScan, read_needles
-from needlefit.studies.run import Run
+from needlefit.studies.needles_in_scan import DEFAULT_DIAMETER_MM, NeedleInScan, read_needles
 
 if TYPE_CHECKING:
     from needlefit.imaging.reconstruction import Reconstruction
@@ -28,8 +28,8 @@ POINTS_BEFORE_ENTRY, POINTS_INSERTED = 25, 51
 _MEASURED_COLOUR, _FITTED_COLOUR, _BAND_COLOUR = (PAPER_COLOUR, METHOD_COLOURS["fitted"], SKY_BLUE)
 
 
-def write_needles(results: Run, folder: Path) -> None:
-    """Write every needle of a run to `folder`, in the patient coordinates of its scan.
+def write_needles(needles: pd.DataFrame, synthetic: bool, folder: Path) -> None:
+    """Write every needle of the table "needles" of a run to `folder`, in the patient coordinates of its scan.
 
     `<id>.mrk.json` holds curves: measured, fitted (predicted where the fit never saw it), and the edges of
     the 95 % band with, of draws, their median. The band of a held-out needle is the predicted one of its
@@ -37,8 +37,8 @@ def write_needles(results: Run, folder: Path) -> None:
     body, `<id>.band.ply` the space that it takes when it goes through the band.
     """
     folder.mkdir(exist_ok=True)
-    summary = " (synthetic)" if results.origin == "synthetic" else ""
-    for needle in read_needles(results.frames["needles"]).values():
+    summary = " (synthetic)" if synthetic else ""
+    for needle in read_needles(needles).values():
         write_mrk_json(folder / f"{needle.insertion}.mrk.json", _needle_curves(needle, summary))
         for name, points, widths in _needle_bodies(needle):
             doubt = ", NOT CONVERGED" if name == "band" and needle.band and not needle.band.converged else ""
@@ -57,7 +57,14 @@ def write_scene(
 
     ConfigError if the ending of `path` is another one or its folder does not exist.
     """
-    _check_suffix(path)
+    if not path.name.lower().endswith((".mrk.json", ".ply")):
+        raise ConfigError(
+            f"cannot write a `{path.suffix}` file for 3D Slicer",
+            where=str(path),
+            expected="a name that ends in .mrk.json or .ply",
+            fix=f"write to {path.stem or 'needle'}.mrk.json",
+        )
+    require_folder(path)
     curves = [_place_simulated(placement, shape) for shape in shapes if shape.converged]
     if not curves:
         return False
@@ -79,8 +86,12 @@ def _needle_curves(needle: NeedleInScan, summary: str) -> Iterator[tuple[Markups
     lines = [("measured", needle.measured, _MEASURED_COLOUR, LINE_WIDTH_MM)]
     if needle.fitted is not None:
         lines.append((found, needle.fitted, _FITTED_COLOUR, LINE_WIDTH_MM))
-    if needle.band is not None:
-        lines += _band_edges(needle.band)
+    if band := needle.band:
+        source = _BAND_SOURCES[band.source] + ("" if band.converged else ", NOT CONVERGED")
+        if band.source != "linear":
+            lines.append((f"median, {source}", band.middle, _BAND_COLOUR, LINE_WIDTH_MM))
+        lines.append((f"95 % band, low, {source}", band.low, _BAND_COLOUR, THIN_LINE_WIDTH_MM))
+        lines.append((f"95 % band, high, {source}", band.high, _BAND_COLOUR, THIN_LINE_WIDTH_MM))
     for name, points, colour, thickness in lines:
         labels = _arc_labels(arc_length(points))
         path = Path(needle.insertion)
@@ -89,14 +100,6 @@ def _needle_curves(needle: NeedleInScan, summary: str) -> Iterator[tuple[Markups
 
 
 _BAND_SOURCES = {"predicted": "predicted", "posterior": "parameters", "linear": "parameters, linear"}
-
-
-def _band_edges(band: Band) -> Iterable[tuple[str, Floats, str, float]]:
-    source = _BAND_SOURCES[band.source] + ("" if band.converged else ", NOT CONVERGED")
-    if band.source != "linear":
-        yield f"median, {source}", band.middle, _BAND_COLOUR, LINE_WIDTH_MM
-    yield f"95 % band, low, {source}", band.low, _BAND_COLOUR, THIN_LINE_WIDTH_MM
-    yield f"95 % band, high, {source}", band.high, _BAND_COLOUR, THIN_LINE_WIDTH_MM
 
 
 def _needle_bodies(needle: NeedleInScan) -> Iterator[tuple[str, Floats, Floats]]:
@@ -127,17 +130,6 @@ def _arc_labels(s: Floats, begins: str = "entry") -> tuple[str, ...]:
     first = {nearest: "entry"} if begins == "entry" or abs(s[nearest]) < 1e-6 else {0: begins}
     named = {**first, len(s) - 1: "tip"}
     return tuple(named.get(n, f"{distance:.1f} mm") for n, distance in enumerate(s))
-
-
-def _check_suffix(path: Path) -> None:
-    if not path.name.lower().endswith((".mrk.json", ".ply")):
-        raise ConfigError(
-            f"cannot write a `{path.suffix}` file for 3D Slicer",
-            where=str(path),
-            expected="a name that ends in .mrk.json or .ply",
-            fix=f"write to {path.stem or 'needle'}.mrk.json",
-        )
-    require_folder(path)
 
 
 POINT_SIZE_MM = 1.5  # points, mm

@@ -9,11 +9,9 @@ from urllib.parse import quote
 from xml.etree import ElementTree
 
 from needlefit.datasets.columns import make_id
-from needlefit.datasets.formats.mrk_json import CurveStyle, write_mrk_json
-from needlefit.datasets.markups import Markups
+from needlefit.datasets.formats.mrk_json import write_mrk_json
 from needlefit.geometry.meshes import write_ply
 from needlefit.imaging.label_export import (
-    MarkedVoxels,
     layers_in_patient,
     mark_voxels,
     write_slicer_segmentation,
@@ -94,60 +92,41 @@ def write_slicer_scene(one: Reconstruction, volume: Volume, diameter: float, pat
             Path(folder) / "Data", ElementTree.Element("MRML", version="Slicer5.0.0", userTags="")
         )
         scene.folder.mkdir()
-        _add_volume(scene, one, volume)
+        write_volume(volume, scene.folder / "scan.nrrd")
+        shown = {"window": f"{WINDOW_HU:g}", "level": f"{median_tissue_hu(volume):g}"}
+        shown |= {"autoWindowLevel": "0", "colorNodeID": "vtkMRMLColorTableNodeGrey"}
+        volume_id = scene.add_stored("Volume", one.scan.id, "scan.nrrd", {}, shown)
+        selected = {"id": "vtkMRMLSelectionNodeSingleton", "name": "Selection", "singletonTag": "Singleton"}
+        selected["references"] = f"ActiveVolume:{volume_id};"
+        ElementTree.SubElement(scene.root, "Selection", selected)
         for number, (markups, style) in enumerate(make_scan_markups(one), start=1):
-            _add_markups(scene, markups, style, f"markups{number}.mrk.json")
-        _add_surfaces(scene, one)
-        _add_segmentation(scene, one, volume, marked)
+            file, colour = f"markups{number}.mrk.json", _format_colour(style.colour)
+            write_mrk_json(scene.folder / file, [(markups, style)])
+            shown = {"color": colour, "selectedColor": colour}
+            scene.add_stored(f"Markups{markups.kind}", markups.name, file, _IN_LPS, shown)
+        # the open surfaces of the layers; closed ones are segments
+        sheets = [surface for surface in layers_in_patient(one) if surface.kind == "sheet"]
+        for number, sheet in enumerate(sheets, start=1):
+            file = f"{number}_{make_id(sheet.name, 'surface')}.ply"
+            write_ply(sheet.mesh, scene.folder / file, ("SPACE=LPS",))
+            shown = {"color": _format_colour(rgb(LAYER_COLOUR)), "opacity": "0.4"}
+            scene.add_stored("Model", f"into layer {sheet.into}: {sheet.name}", file, _IN_LPS, shown)
+        file = "segmentation.seg.nrrd"
+        write_slicer_segmentation(marked, volume.grid, scene.folder / file)
+        scene.add_stored("Segmentation", f"{one.scan.id} needle and layers", file, {}, {})
         ElementTree.indent(scene.root)
         text = ElementTree.tostring(scene.root, encoding="utf-8", xml_declaration=True)
         (Path(folder) / f"{one.scan.id}.mrml").write_bytes(text + b"\n")
-        with replace_file(path) as fresh:
-            _bundle(Path(folder), one.scan.id, fresh)
-
-
-def _add_volume(scene: _SlicerScene, one: Reconstruction, volume: Volume) -> None:
-    write_volume(volume, scene.folder / "scan.nrrd")
-    level = median_tissue_hu(volume)
-    shown = {"window": f"{WINDOW_HU:g}", "level": f"{level:g}", "autoWindowLevel": "0"}
-    shown["colorNodeID"] = "vtkMRMLColorTableNodeGrey"
-    volume_id = scene.add_stored("Volume", one.scan.id, "scan.nrrd", {}, shown)
-    selected = {"id": "vtkMRMLSelectionNodeSingleton", "name": "Selection", "singletonTag": "Singleton"}
-    ElementTree.SubElement(scene.root, "Selection", {**selected, "references": f"ActiveVolume:{volume_id};"})
-
-
-def _add_markups(scene: _SlicerScene, markups: Markups, style: CurveStyle, file: str) -> None:
-    write_mrk_json(scene.folder / file, [(markups, style)])
-    colour = _format_colour(style.colour)
-    shown = {"color": colour, "selectedColor": colour}
-    scene.add_stored(f"Markups{markups.kind}", markups.name, file, _IN_LPS, shown)
-
-
-def _add_surfaces(scene: _SlicerScene, one: Reconstruction) -> None:
-    """Add the open surfaces of the layers; closed ones are segments."""
-    sheets = [surface for surface in layers_in_patient(one) if surface.kind == "sheet"]
-    for number, sheet in enumerate(sheets, start=1):
-        file = f"{number}_{make_id(sheet.name, 'surface')}.ply"
-        write_ply(sheet.mesh, scene.folder / file, ("SPACE=LPS",))
-        shown = {"color": _format_colour(rgb(LAYER_COLOUR)), "opacity": "0.4"}
-        scene.add_stored("Model", f"into layer {sheet.into}: {sheet.name}", file, _IN_LPS, shown)
-
-
-def _add_segmentation(scene: _SlicerScene, one: Reconstruction, volume: Volume, marked: MarkedVoxels) -> None:
-    write_slicer_segmentation(marked, volume.grid, scene.folder / "segmentation.seg.nrrd")
-    name = f"{one.scan.id} needle and layers"
-    scene.add_stored("Segmentation", name, "segmentation.seg.nrrd", {}, {})
+        files = sorted(file for file in Path(folder).rglob("*") if file.is_file())
+        with replace_file(path) as fresh, zipfile.ZipFile(fresh, "w") as archive:
+            for stored in files:  # in a folder, as 3D Slicer has it
+                place = stored.relative_to(folder).as_posix()
+                member = zipfile.ZipInfo(f"{one.scan.id}/{place}", ZIP_DATE)
+                packed = stored.suffix != ".nrrd"
+                member.compress_type = zipfile.ZIP_DEFLATED if packed else zipfile.ZIP_STORED
+                member.external_attr = 0o644 << 16
+                archive.writestr(member, stored.read_bytes())
 
 
 def _format_colour(colour: tuple[float, float, float]) -> str:
     return " ".join(f"{part:.4g}" for part in colour)
-
-
-def _bundle(folder: Path, name: str, path: Path) -> None:
-    """Pack a scene and its files into one archive, in a folder as 3D Slicer has it."""
-    with zipfile.ZipFile(path, "w") as archive:
-        for file in sorted(one for one in folder.rglob("*") if one.is_file()):
-            member = zipfile.ZipInfo(f"{name}/{file.relative_to(folder).as_posix()}", ZIP_DATE)
-            member.compress_type = zipfile.ZIP_STORED if file.suffix == ".nrrd" else zipfile.ZIP_DEFLATED
-            member.external_attr = 0o644 << 16
-            archive.writestr(member, file.read_bytes())

@@ -16,10 +16,9 @@ from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.schemas.tracks import TrackStudyRecord
-from needlefit.studies import provenance
 from needlefit.studies.job import Job, Settings, prepare
 from needlefit.studies.kind import find_kind
-from needlefit.studies.run import Run
+from needlefit.studies.run import Run, describe_configuration
 
 
 def load_study(path: Path) -> FileRecord:
@@ -182,7 +181,7 @@ def begin_run(name: str, record: TargetRecord, job: Job, title: str) -> Run:
     named = {"target": Path(record.target).stem, "title": record.title or title}
     stored = record.model_copy(update=named)
     work: dict[str, Any] = {
-        **provenance.describe_configuration(job),
+        **describe_configuration(job),
         "study": stored.model_dump(mode="json", by_alias=True),
         "fit": job.record.model_dump(mode="json", by_alias=True),
         **warnings_entry(job.warnings),

@@ -110,18 +110,15 @@ def describe_files(files: Sequence[FileKind]) -> list[tuple[FileKind, list[Table
     """Return the tables of several files; what an earlier one describes is not described again."""
     described = dict[type[BaseModel], str]()
     elsewhere = dict(pair for one in reversed(list_files()) for pair in collect_examples(one).items())
-    return [(one, list(_describe_file(one, described, elsewhere))) for one in files]
+    found = []
+    for file in files:
+        described[file.record] = file.title
+        examples = {**elsewhere, **collect_examples(file)}
+        found.append((file, list(_describe_record(file.record, "", file.title, examples, described))))
+    return found
 
 
 Examples = Mapping[tuple[type[BaseModel], str], str]  #: an example of a key, by record and field
-
-
-def _describe_file(
-    file: FileKind, described: dict[type[BaseModel], str], elsewhere: Examples
-) -> Iterator[TableDescription]:
-    examples = {**elsewhere, **collect_examples(file)}
-    described[file.record] = file.title
-    yield from _describe_record(file.record, "", file.title, examples, described)
 
 
 def _describe_record(
@@ -144,7 +141,8 @@ def _describe_record(
             value = f"up to `{cast(type[FileRecord], record).SCHEMA}`, **required**"
         place = described[record_in] if record_in else ""
         keys.append(KeyDescription(key, value, find_meaning(record, name), example, place))
-    yield TableDescription(described[record], _summary(record), tuple(keys))
+    summary = " ".join((inspect.getdoc(record) or "").partition("\n\n")[0].split())
+    yield TableDescription(described[record], summary, tuple(keys))
     for record_in, path_in in inner:
         yield from _describe_record(record_in, path_in, title, examples, described)
 
@@ -155,10 +153,6 @@ def _table_path(path: str, key: str, field: FieldInfo) -> str:
     outer = path.strip("[]")
     name = f"{key}.NAME" if kind is dict else key
     return brackets.format(f"{outer}.{name}" if outer else name)
-
-
-def _summary(record: type[BaseModel]) -> str:
-    return " ".join((inspect.getdoc(record) or "").partition("\n\n")[0].split())
 
 
 # --- meaning, type, default and bounds ------------------------------------------------------------------

@@ -40,9 +40,9 @@ from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.tracker import PlacementRecord, RecordingRecord
 from needlefit.studies import paper
 from needlefit.studies.fit_frames import FIT_KINDS
+from needlefit.studies.held_out_predictions import NewSpecimens
 from needlefit.studies.job import Inputs, Settings, hand_tuned_set, prepare
 from needlefit.studies.needles_in_scan import DEFAULT_DIAMETER_MM, NEEDLE_POINTS, align_with_measured
-from needlefit.studies.new_specimens import NewSpecimens
 from needlefit.studies.planned_draws import vary_bevels
 from needlefit.studies.report import list_run_warnings
 from needlefit.studies.run import Run

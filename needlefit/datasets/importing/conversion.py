@@ -62,7 +62,7 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, decisions
         folder.name,
         plan.pose,
         needle=asdict(plan.needle),
-        noise={"point_sd_mm": plan.point_sd_mm, "note": "see [import]"},
+        noise={"point_sd_mm": plan.point_sd_mm, "note": "see the table import of dataset.toml"},
         media=dict.fromkeys((row.medium for row in rows), medium),
         **texts,
     )

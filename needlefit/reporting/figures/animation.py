@@ -16,11 +16,9 @@ from needlefit.reporting.figures.needles import NO_OVERLAYS, SceneOverlays, Stat
 from needlefit.reporting.figures.style import RC_PARAMS, fit_height
 
 FRAMES_PER_S = 10
-MAX_FRAMES = 210
-"""Frames of an animation; a longer one plays faster, and its title states that."""
+MAX_FRAMES = 210  # frames of an animation; a longer one plays faster, and its title states that
 
-FINAL_FRAMES = 10
-"""Frames for which the end stays, before a GIF begins anew."""
+FINAL_FRAMES = 10  # frames for which the end stays, before a GIF begins anew
 
 DOTS_PER_INCH = 110
 
@@ -78,7 +76,6 @@ def sample_states(states: Iterable[TimedState], times: Sequence[float]) -> list[
 
 
 def _choose_writer(path: Path) -> AbstractMovieWriter:
-    """Return the encoder for a file of this ending."""
     require_folder(path)
     suffix = path.suffix.lower()
     if suffix == ".gif":

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from needlefit.arrays import Floats
 from needlefit.inference.baselines import list_baselines
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.metrics import headline_metrics
+from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures.forms import lighten
 from needlefit.reporting.figures.style import (
     COLUMN_WIDTH_IN,
@@ -29,7 +29,6 @@ from needlefit.reporting.figures.style import (
     describe_scale,
     draw_grid,
     fit_height,
-    plot,
 )
 from needlefit.reporting.labels import (
     GREEN,
@@ -71,8 +70,7 @@ def _line(label: str, **style: Any) -> Line2D:  # noqa: ANN401
 
 # ---- insertions with bands
 
-InsertionKey = tuple[str, str]
-"""Fold and insertion."""
+InsertionKey = tuple[str, str]  # fold and insertion
 
 INSERTION_KEYS = ["fold", "insertion"]
 HEIGHT_COLUMNS = ["y_mm", "low_mm", "high_mm"]
@@ -210,7 +208,6 @@ def _name_curves(figure: Figure, present: set[str], names: Mapping[str, str]) ->
 
 
 def _draw_layers(axes: Axes, points: pd.DataFrame, end: float, top: float) -> None:
-    """Shade the layers up to the depth `end`, and write the number of each where it begins."""
     layers = points[points["curve"].str.startswith(LAYER)]
     ends = [*layers["x_mm"].iloc[1:], end]
     for name, begin, stop in zip(layers["curve"], layers["x_mm"], ends, strict=True):
@@ -233,7 +230,6 @@ def _draw_shaft_and_tips(axes: Axes, points: pd.DataFrame, left: float) -> None:
 
 
 def _find_range(values: pd.DataFrame) -> tuple[float, float]:
-    """Return the range of all values, and some room."""
     low, high = (float(f(values.to_numpy(dtype=np.float64))) for f in (np.nanmin, np.nanmax))
     margin = 0.06 * max(high - low, 0.2)
     return low - margin, high + margin
@@ -250,8 +246,7 @@ def _find_limits(points: pd.DataFrame, near: "pd.Series[bool]") -> tuple[float, 
 # ---- errors by group
 
 QUARTILES = {"5 %": 5, "25 %": 25, "median": 50, "75 %": 75, "95 %": 95}
-MAX_COLUMN_GROUPS = 3
-"""Groups at most of a figure as wide as one column of a paper."""
+MAX_COLUMN_GROUPS = 3  # groups at most of a figure as wide as one column of a paper
 
 _ERROR_COLOURS = {"IPE": "#0072B2", "TE": "#009E73"}
 
@@ -626,8 +621,7 @@ def left_out_beside_in_sample(frame: pd.DataFrame) -> Figure:
 MAX_PANEL_COLUMNS, MAX_TICKS = 4, 4
 """Greatest number of panels in a row, and of labelled ticks on a logarithmic axis."""
 
-MAX_DEVIANCE = 6.5
-"""Upper end of the panels' deviance axis."""
+MAX_DEVIANCE = 6.5  # upper end of the panels' deviance axis
 
 _PANEL_KEYS = ["fold", "parameter"]
 _VERDICT_COLUMNS = [
@@ -637,11 +631,11 @@ _VERDICT_COLUMNS = [
 """Columns of the identification that the figure shows."""
 
 
-def draw_profiles(identification: pd.DataFrame, computed: pd.DataFrame, origin: str, path: Path) -> Path:
-    """Draw `profiles` of a table of computed points, beside what is known of their parameters."""
+def draw_profiles(identification: pd.DataFrame, computed: pd.DataFrame, origin: str) -> Drawing:
+    """Return `profiles` of a table of computed points, beside what is known of their parameters."""
     about = identification[[*_PANEL_KEYS, *_VERDICT_COLUMNS]]
     frame = computed.merge(about, on=_PANEL_KEYS, how="left", sort=False).assign(origin=origin)
-    return plot(path, frame, profiles)
+    return Drawing(profiles, frame)
 
 
 def profiles(frame: pd.DataFrame) -> Figure:

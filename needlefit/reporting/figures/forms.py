@@ -26,11 +26,9 @@ from needlefit.reporting.labels import GREY, INK, SERIES_COLOURS, SYNTHETIC_COLO
 from needlefit.reporting.number_format import choose_printed_unit
 from needlefit.reporting.table_files import Row, to_records
 
-MAX_NAMED_SERIES = 8
-"""More series than these are not named one by one."""
+MAX_NAMED_SERIES = 8  # more series than these are not named one by one
 
-MAX_DOTS = 60
-"""Dots of a series that are drawn, about."""
+MAX_DOTS = 60  # dots of a series that are drawn, about
 
 
 def choose_looks(frame: pd.DataFrame, by: str, looks: Mapping[str, Look] | None = None) -> dict[str, Look]:
@@ -273,8 +271,7 @@ def _format_rows(
     draw_grid(axes, "x")
 
 
-_FLOOR, _BAR = -8.0, 0.3
-"""Log likelihood at which profiles are cut off; height of a bar below."""
+_FLOOR, _BAR = -8.0, 0.3  # log likelihood at which profiles are cut off; height of a bar below
 
 
 def profiles_by_series(frame: pd.DataFrame, x: str, by: str, label: str, prior: str = "") -> Figure:

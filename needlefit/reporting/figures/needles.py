@@ -399,7 +399,6 @@ def _compose_head(scene: Scene, n: int, past: int | None, shape: NeedleShape) ->
 
 
 def _pad_lines(lines: Sequence[str], count: int) -> str:
-    """Return so many lines, the last ones empty."""
     return "\n".join([*lines, *[""] * (count - len(lines))])
 
 

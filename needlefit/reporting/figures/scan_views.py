@@ -122,7 +122,6 @@ def _draw_markers(axes: Axes, view: ScanView, reconstruction: Reconstruction) ->
 def _draw_layers(
     axes: Axes, view: ScanView, reconstruction: Reconstruction, span: tuple[float, float]
 ) -> None:
-    """Dot the outlines of the layers' surfaces where the picture cuts them."""
     for surface in reconstruction.layers.surfaces:
         dots = outline_surface(view, reconstruction, surface, span)
         axes.plot(*dots.T, ".", color=LAYER_COLOUR, ms=1.9, mew=0, zorder=3)

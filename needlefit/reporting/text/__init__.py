@@ -33,7 +33,7 @@ number that is not whole needs a filter: all formats of `columns.FORMATS` (`mm`,
 
 Links to `cite:KEY,KEY` are citations: `format_latex` makes \\cite of them, reports leave them out.
 
-`needlefit.studies.report.report_from_text` makes a report of a text, its values, tables and figures;
+`needlefit.studies.report.StudyReport` makes a report of a text, its values, tables and figures;
 `needlefit/studies/kinds/material.py` is an example.
 """
 

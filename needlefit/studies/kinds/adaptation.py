@@ -38,12 +38,15 @@ from needlefit.schemas.base import Record
 from needlefit.schemas.limits import MAX_REPLICATES
 from needlefit.schemas.study import FitRecord, LayerCountRule, SelectionRecord
 from needlefit.studies import score
-from needlefit.studies.folds import Fold
-from needlefit.studies.held_out_predictions import tabulate_held_out
-from needlefit.studies.job import Job, Settings, prepare
+from needlefit.studies.held_out_predictions import (
+    PREDICTION_DRAWS,
+    PosteriorFit,
+    fit_posterior,
+    tabulate_held_out,
+)
+from needlefit.studies.job import Fold, Job, Settings, prepare
 from needlefit.studies.kind import StudyKind
-from needlefit.studies.posterior_fit import PREDICTION_DRAWS, PosteriorFit, fit_posterior
-from needlefit.studies.report import report_from_text
+from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Frames, Run
 from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, list_faults, run_analysis
 
@@ -526,4 +529,4 @@ def draw(result: Run) -> dict[str, Drawing]:
     return {"adaptation": Drawing("curves", frame, options)}
 
 
-REPORT = report_from_text(KindText("adaptation"), describe, tabulate, draw)
+REPORT = StudyReport(KindText("adaptation"), describe, tabulate, draw)

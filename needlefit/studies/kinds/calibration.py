@@ -48,14 +48,12 @@ from needlefit.schemas.limits import MAX_REPLICATES
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.studies import rank_statistics
 from needlefit.studies.csv_tables import ANY_COLUMNS
-from needlefit.studies.folds import Fold
-from needlefit.studies.held_out_predictions import predict_held_out
-from needlefit.studies.job import Inputs, Job, Settings, prepare
+from needlefit.studies.held_out_predictions import NewSpecimens, predict_held_out
+from needlefit.studies.job import Fold, Inputs, Job, Settings, prepare
 from needlefit.studies.kind import StudyKind
-from needlefit.studies.new_specimens import NewSpecimens
 from needlefit.studies.rank_statistics import HELD_OUT_TIP, RANK_DRAWS, Control, Counts, name_quantity
-from needlefit.studies.report import report_from_text
-from needlefit.studies.run import Run
+from needlefit.studies.report import StudyReport
+from needlefit.studies.run import Run, Status, Verdict, headline_fault
 from needlefit.studies.run_differences import Difference, TableComparison
 from needlefit.studies.score import Row
 from needlefit.studies.simulated_data import (
@@ -66,7 +64,6 @@ from needlefit.studies.simulated_data import (
     simulate_measurement,
 )
 from needlefit.studies.study_files import begin_run, prepare_target, prepare_with_held_out, target_name
-from needlefit.studies.verdict import Status, Verdict, headline_fault
 from needlefit.synthetic.build import build_dataset, build_unscanned
 from needlefit.synthetic.design import PlannedInsertion, list_planned_insertions
 
@@ -434,10 +431,11 @@ def replicate_synthetic(number: int, experiment: SyntheticExperiment) -> Row:
     job, seed, redrawn = _draw_study(number, experiment)
     (fold,) = job.folds
     rng = random_stream(job.recipe.seed, job.name, "inference")
-    found = infer_posterior(job.problem(fold), job.recipe, PREDICTION_DRAWS, rng)
+    problem = job.problem(fold)
+    found = infer_posterior(problem, job.recipe, PREDICTION_DRAWS, rng)
     sets, parameters = [job.parameters.values(theta) for theta in found.thetas], list[Row]()
     for name in job.parameters.free:
-        truth, values = find_true_value(job, name, seed), np.array([one[name] for one in sets])
+        truth, values = find_true_value(problem, name, seed), np.array([one[name] for one in sets])
         if np.isfinite(truth):
             low, middle, high = np.percentile(values, [2.5, 50.0, 97.5]).tolist()
             row = {"parameter": name, "truth": truth, "value": middle}
@@ -541,11 +539,9 @@ def _make_frames(rows: Sequence[Row], synthetic: bool) -> dict[str, pd.DataFrame
     """
     replicates = pd.DataFrame([{k: v for k, v in row.items() if k not in NESTED_FRAMES} for row in rows])
     columns: dict[str, list[str]] = {}
-    for (
-        column
-    ) in replicates.columns:  # of one quantity `rank_<quantity>`, or several `rank_<quantity>:<which>`
-        if column.startswith(RANK_PREFIX):
-            columns.setdefault(column.removeprefix(RANK_PREFIX).partition(":")[0], []).append(column)
+    for column in (one for one in replicates.columns if one.startswith(RANK_PREFIX)):
+        quantity, _, _ = column.removeprefix(RANK_PREFIX).partition(":")  # of several, `<quantity>:<which>`
+        columns.setdefault(quantity, []).append(column)
     ranks: dict[str, Counts] = {
         name: replicates[each[0] if len(each) == 1 else each].to_numpy(dtype=np.int64)
         for name, each in columns.items()
@@ -742,7 +738,7 @@ def _compare_coverages(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Di
 
 
 TEXT = KindText("calibration")
-REPORT = report_from_text(
+REPORT = StudyReport(
     TEXT,
     describe,
     tabulate,

@@ -44,17 +44,14 @@ from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord, LayerCountRule, SelectionRecord
-from needlefit.studies import provenance
 from needlefit.studies.columnar import iterate_pieces, read_columns, require_pyarrow, write_frames
-from needlefit.studies.folds import Fold, group_insertions
-from needlefit.studies.job import Job, Settings, find_named, prepare
+from needlefit.studies.held_out_predictions import find_fit
+from needlefit.studies.job import Fold, Job, Settings, find_named, group_insertions, prepare
 from needlefit.studies.kind import StudyKind
-from needlefit.studies.posterior_fit import find_fit
-from needlefit.studies.report import report_from_text
-from needlefit.studies.run import Frames, Run
+from needlefit.studies.report import StudyReport
+from needlefit.studies.run import PACKAGES, Frames, Run, Verdict, describe_model_options, package_versions
 from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, run_analysis
 from needlefit.studies.score import Row
-from needlefit.studies.verdict import Verdict
 
 
 class CohortRecord(AnalysisRecord):
@@ -128,11 +125,10 @@ def run(name: str, record: CohortRecord, settings: Settings) -> Run:
     every = ((registry, one) for registry in (METRICS, FORMATS) for one in registry.names())
     records = {"medium": medium, "recipe": recipe}
     stored = {key: one.model_dump(mode="json", by_alias=True) for key, one in records.items()}
-    stored["rules"] = provenance.describe_model_options(medium)
+    stored["rules"] = describe_model_options(medium)
     also = {  # of plugins all that may read a dataset
         "datasets_sha256": digests,
-        "versions": provenance.package_versions(provenance.PACKAGES)
-        | plugin_versions((LAWS, medium.law), *every),
+        "versions": package_versions(PACKAGES) | plugin_versions((LAWS, medium.law), *every),
         "parts": [stored],
     }
     plan = AnalysisPlan((), tasks, columns, _conclude, also, warnings=warnings, collect=collect)
@@ -331,4 +327,4 @@ def draw(result: Run) -> dict[str, Drawing]:
     return {"distributions": Drawing("histograms", bins, {"counts": "specimens"})}
 
 
-REPORT = report_from_text(TEXT, describe, tabulate, draw, judge=judge)
+REPORT = StudyReport(TEXT, describe, tabulate, draw, judge=judge)

@@ -59,12 +59,11 @@ from needlefit.schemas.analyses import AnalysisRecord, SyntheticDataRecord
 from needlefit.schemas.medium import MediumRecord, ParameterRecord, use_path_angle
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord, LayerCountRule, SelectionRecord
-from needlefit.studies.folds import Fold
-from needlefit.studies.job import Job, Settings, prepare
+from needlefit.studies.held_out_predictions import find_fit
+from needlefit.studies.job import Fold, Job, Settings, prepare
 from needlefit.studies.kind import StudyKind
-from needlefit.studies.posterior_fit import find_fit
-from needlefit.studies.report import report_from_text
-from needlefit.studies.run import Frames, Run
+from needlefit.studies.report import StudyReport
+from needlefit.studies.run import Frames, Run, Verdict, headline_fault
 from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, list_faults, run_analysis
 from needlefit.studies.score import (
     Predictor,
@@ -75,7 +74,6 @@ from needlefit.studies.score import (
     score_planned,
 )
 from needlefit.studies.simulated_data import simulate_dataset
-from needlefit.studies.verdict import Verdict, headline_fault
 
 PATH_ANGLE = "path_angle"  #: the candidate that advances by the path angle, in the tissue law of the medium
 
@@ -580,7 +578,7 @@ def draw(result: Run) -> dict[str, Drawing]:
     return {"group_differences": Drawing("dots_with_intervals", frame, options, choose_look)}
 
 
-REPORT = report_from_text(
+REPORT = StudyReport(
     TEXT,
     describe,
     tabulate,

@@ -6,10 +6,10 @@ does not state itself is not taken for the same. Nothing is computed, and nothin
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from itertools import groupby
+from itertools import chain, groupby
 from pathlib import Path
 from typing import Any, Literal
 
@@ -35,18 +35,16 @@ from needlefit.schemas.study import StudyRecord
 from needlefit.studies.coverage import count_covered, format_proportion
 from needlefit.studies.csv_tables import read_table
 from needlefit.studies.fit_frames import FIT_KINDS
-from needlefit.studies.identification_tables import describe_verdicts
+from needlefit.studies.identification import describe_verdicts
 from needlefit.studies.job import Settings
 from needlefit.studies.kind import StudyKind, find_kind
-from needlefit.studies.provenance import package_versions
 from needlefit.studies.rank_statistics import CONTROL_NAMES, name_quantity
-from needlefit.studies.report import StudyReport, report_from_text, say, warning_blocks
-from needlefit.studies.run import Run
+from needlefit.studies.report import StudyReport, say, warning_blocks
+from needlefit.studies.run import Run, package_versions
 from needlefit.studies.run_differences import Difference, compare_leaves, count_words
 from needlefit.studies.score import Row
-from needlefit.studies.scored_groups import study_label
+from needlefit.studies.scored_groups import aggregate, study_label
 from needlefit.studies.store import RESULTS_FILE, RUN_FILE, read_run, restore_runs, unpack
-from needlefit.studies.summary import aggregate
 from needlefit.verification.check import Group
 
 NO_STATEMENTS = CredibilityStatementsRecord.model_validate({"schema": 1})
@@ -322,9 +320,20 @@ class CredibilityCase:
         return [one for one in self.results if (one.frames["errors"]["role"] == "validate").any()]
 
     @cached_property
-    def comparisons(self) -> list[tuple[Run, Row]]:
-        """The results that have held-out insertions, each with what the text says of these."""
-        return [(one, _describe_comparison(one)) for one in self.held_out]
+    def items(self) -> dict[str, list[Item]]:
+        """What was found of the runs, by factor."""
+        found: dict[str, list[Item]] = {}
+        for one in self.held_out:
+            values = _describe_comparison(one)
+            for key, facts in _COMPARISON_FACTS.items():
+                said = ((file, TEXT.sentence(block, values)) for file, block in facts)
+                found.setdefault(key, []).extend(
+                    make_finding(one, file, words) for file, words in said if words
+                )
+        for find in (_find_verification, _find_model, _find_uncertainties, _find_assessment):
+            for key, item in find(self):
+                found.setdefault(key, []).append(item)
+        return found
 
     @property
     def several(self) -> bool:
@@ -396,64 +405,54 @@ def _figure(folder: Path, file: str, caption: str) -> list[Block]:
 
 # ---- findings on verification: rows of `needlefit verify`, and failures in the run itself
 
+DIGEST_DIGITS = 16  #: digits of a sha256 in print; run.json has all
+
 _CODE_GROUPS = (
     *(Group.CLOSED_FORMS, Group.MANUFACTURED, Group.COLLOCATION),
     *(Group.REFERENCE, Group.SENSITIVITIES, Group.SYMMETRIES),
 )
 
 
-def _find_quality_assurance(case: CredibilityCase) -> Iterator[Item]:
-    for one in case.results:
-        if one.run.get("versions"):
-            yield _find(one, "run.json", "versions", versions=one.run["versions"])
-
-
-def _find_code_verification(case: CredibilityCase) -> Iterator[Item]:
+def _find_verification(case: CredibilityCase) -> Iterator[tuple[str, Item]]:
+    """Yield findings on the code, on the discretisation, on the solver, and on the inputs."""
     caption = KindText("verification").sentence("figure_convergence", {})
-    for one in case.counted("verification"):
-        yield from _find_checks(one, *_CODE_GROUPS)
-        yield from _figure(one.folder, EVIDENCE_FIGURES[one.kind], caption)
-
-
-def _find_discretisation(case: CredibilityCase) -> Iterator[Item]:
-    """Yield the discretisation error, if it was measured with the mesh of the run."""
+    # the discretisation error counts if it was measured with the mesh of the run
     used = {results.run.get("rules", {}).get("element_mm", math.nan) for results in case.results}
-    for one in case.counted("verification"):
-        measured = one.run["rules"]["element"]
-        if used == {measured}:
-            found = list(_find_checks(one, Group.REFINEMENT))
-            yield from found
-            if found:
-                yield _gap("other_scenes")
-        else:
-            yield _gap("other_mesh", measured=measured, used=[f"{size:g}" for size in sorted(used)])
-
-
-def _find_solver(case: CredibilityCase) -> Iterator[Item]:
     verified = case.counted("verification")
     for one in verified:
-        tolerance = format_measured(float(one.run["rules"]["tolerance"]))
-        yield _find(one, "run.json", "tolerance", tolerance=tolerance)
-        yield from _find_checks(one, Group.TANGENT)
+        rules = one.run["rules"]
+        yield from (("code_verification", found) for found in _find_checks(one, *_CODE_GROUPS))
+        figure = _figure(one.folder, EVIDENCE_FIGURES[one.kind], caption)
+        yield from (("code_verification", block) for block in figure)
+        if used == {rules["element"]}:
+            refined = list(_find_checks(one, Group.REFINEMENT))
+            yield from (("discretisation", found) for found in refined)
+            if refined:
+                yield "discretisation", _gap("other_scenes")
+        else:
+            sizes = [f"{size:g}" for size in sorted(used)]
+            yield "discretisation", _gap("other_mesh", measured=rules["element"], used=sizes)
+        tolerance = format_measured(float(rules["tolerance"]))
+        yield "solver", _find(one, "run.json", "tolerance", tolerance=tolerance)
+        yield from (("solver", found) for found in _find_checks(one, Group.TANGENT))
     for run in case.results:
+        versions, data = run.run.get("versions"), run.run.get("dataset", {})
+        if versions:
+            yield "quality_assurance", _find(run, "run.json", "versions", versions=versions)
         starts, errors = run.frames["starts"], run.frames["errors"]
         fitted = errors[errors["method"] == "fitted"]
         failed, every = int(starts["failed_solves"].sum()), int(starts["evaluations"].sum())
         lost = int((~fitted["converged"].astype(bool)).sum())
-        yield _find(run, "starts.csv", "evaluations", failed=failed, every=every)
-        yield _find(run, "errors.csv", "scored", lost=lost, every=len(fitted))
-        for faults in run.run.get("search_faults", {}).values():
-            yield from (_find(run, "run.json", "search_fault", fault=fault) for fault in faults)
-    if not verified:
-        yield _gap("tangent")
-
-
-def _find_use_error(case: CredibilityCase) -> Iterator[Item]:
-    for one in case.results:
-        data = one.run.get("dataset", {})
+        yield "solver", _find(run, "starts.csv", "evaluations", failed=failed, every=every)
+        yield "solver", _find(run, "errors.csv", "scored", lost=lost, every=len(fitted))
+        for fault in chain.from_iterable(run.run.get("search_faults", {}).values()):
+            yield "solver", _find(run, "run.json", "search_fault", fault=fault)
         if "sha256" in data:
-            yield _find(one, "run.json", "inputs", name=data["name"], digest=data["sha256"][:16])
-    yield from (_gap("damaged", fault=fault) for fault in case.damaged)
+            digest = data["sha256"][:DIGEST_DIGITS]
+            yield "use_error", _find(run, "run.json", "inputs", name=data["name"], digest=digest)
+    if not verified:
+        yield "solver", _gap("tangent")
+    yield from (("use_error", _gap("damaged", fault=fault)) for fault in case.damaged)
 
 
 def _find_checks(evidence: CredibilityEvidence, *groups: Group) -> Iterator[Finding]:
@@ -503,41 +502,37 @@ def _describe_measured(rows: list[Row]) -> str:
 
 # ---- findings on the model: its form, and the sensitivity to and uncertainty of its inputs
 
-FORM_ASPECTS = ("tie", "advance", "constraint spacing", "first cell", "phase of the grid")
-"""Rules of the model, by the names of their variations in a sensitivity study."""
-
-INPUT_ASPECTS = ("thickness", "rigidity", "layer depths")
-"""Inputs of the model, by the names of their variations in a sensitivity study."""
+VARIED_ASPECTS: Mapping[str, tuple[str, ...]] = {
+    "form": ("tie", "advance", "constraint spacing", "first cell", "phase of the grid"),
+    "sensitivities": ("thickness", "rigidity", "layer depths"),
+}
+"""By factor: rules or inputs of the model, by the names of their variations in a sensitivity study."""
 
 _TUNING_NAMES = {"again": "tuned again", "kept": "kept"}
 
 
-def _find_form(case: CredibilityCase) -> Iterator[Item]:
+def _find_model(case: CredibilityCase) -> Iterator[tuple[str, Item]]:
+    """Yield findings on the form of the model, and on the sensitivity to its inputs."""
     for one in case.results:
         if rules := one.run.get("rules"):
             words = []
             for key, value in sorted(rules.items()):  # "constraint spacing 1 mm", "tie: nearest constraint"
                 name, unit = key.removesuffix("_mm").replace("_", " "), " mm" if key.endswith("_mm") else ""
                 words.append(f"{name} {value:g}{unit}" if isinstance(value, float) else f"{name}: {value}")
-            yield _find(one, "run.json", "rules", rules=words)
-        yield make_finding(one, "errors.csv", say(one, "conclusion", "ties", "paper_sets"))
-    yield from _find_variations(case, FORM_ASPECTS)
-    yield _gap("another_law")
-
-
-def _find_sensitivities(case: CredibilityCase) -> Iterator[Item]:
-    for one in case.results:
-        yield make_finding(one, "parameters.csv", say(one, "undetermined"))
+            yield "form", _find(one, "run.json", "rules", rules=words)
+        yield "form", make_finding(one, "errors.csv", say(one, "conclusion", "ties", "paper_sets"))
+        yield "sensitivities", make_finding(one, "parameters.csv", say(one, "undetermined"))
     for evidence in case.counted("identification"):
         rows = evidence.tables["identify.csv"]
         last = "fit" if "fit" in set(rows["stage"]) else "design"
-        verdicts = map(insert_symbols, describe_verdicts(rows[rows["stage"] == last]))
-        yield _find(evidence, "identify.csv", "identified", last=last, verdicts=list(verdicts))
+        verdicts = list(map(insert_symbols, describe_verdicts(rows[rows["stage"] == last])))
+        yield "sensitivities", _find(evidence, "identify.csv", "identified", last=last, verdicts=verdicts)
     examined = [find_target(one) for one in case.results if len(one.frames["identification"])]
-    missing = [one for one in case.list_lacking("identification") if one not in examined]
-    if missing:
-        yield _gap("not_identified", names=missing)
-    yield from _find_variations(case, INPUT_ASPECTS)
+    if missing := [one for one in case.list_lacking("identification") if one not in examined]:
+        yield "sensitivities", _gap("not_identified", names=missing)
+    for factor, aspects in VARIED_ASPECTS.items():
+        yield from ((factor, item) for item in _find_variations(case, aspects))
+    yield "form", _gap("another_law")
 
 
 def _find_variations(case: CredibilityCase, aspects: Sequence[str]) -> Iterator[Item]:
@@ -604,28 +599,29 @@ def _tabulate_variations(cells: pd.DataFrame) -> Block:
     return document.table(TEXT.lay_out(varied, {}))
 
 
-def _find_uncertainties(case: CredibilityCase) -> Iterator[Item]:
+def _find_uncertainties(case: CredibilityCase) -> Iterator[tuple[str, Item]]:
     """Yield findings on uncertainty: of parameters and predictions, and whether they are calibrated."""
+    key = "uncertainties"
     for one in case.results:
         ordered = one.frames["directions"].sort_values("sd", kind="stable")
         if len(ordered):
             words = {insert_symbols(str(ordered["note"].iloc[k])): ordered["sd"].iloc[k] for k in (-1, 0)}
             ends = [f"{name} (sd {sd:.2g})" for name, sd in reversed(words.items())]
-            yield _find(one, "directions.csv", "combinations", ends=ends)
+            yield key, _find(one, "directions.csv", "combinations", ends=ends)
     for one in case.held_out:
         rows, about = one.frames["predictive"], {"several": case.several, "name": one.name}
         if rows.empty:
-            yield _gap("not_propagated", **about)
+            yield key, _gap("not_propagated", **about)
             continue
         width = (rows["tip_95_high_mm"] - rows["tip_95_low_mm"]).astype(float)
         low, high = float(width.min()), float(width.max())
-        yield _find(one, "predictive.csv", "propagated", count=len(rows), low=low, high=high)
+        yield key, _find(one, "predictive.csv", "propagated", count=len(rows), low=low, high=high)
         if doubtful := int((~rows["certified"].astype(bool)).sum()):
-            yield _gap("not_certified", doubtful=doubtful, **about)
+            yield key, _gap("not_certified", doubtful=doubtful, **about)
     for evidence in case.counted("calibration"):
-        yield from _find_calibration(case, evidence)
+        yield from ((key, item) for item in _find_calibration(case, evidence))
     if missing := case.list_lacking("calibration"):
-        yield _gap("not_calibrated", names=missing)
+        yield key, _gap("not_calibrated", names=missing)
 
 
 def _find_calibration(case: CredibilityCase, one: CredibilityEvidence) -> Iterator[Item]:
@@ -722,68 +718,46 @@ _SAMPLE_FACTORS = (
 """Factors about what was tested, which was nothing physical where all of it is synthetic."""
 
 
-def _find_measured_layers(case: CredibilityCase) -> Iterator[Item]:
+def _find_assessment(case: CredibilityCase) -> Iterator[tuple[str, Item]]:
+    """Yield what was measured of the comparator, which uncertainties entered, and how well outputs agree.
+
+    That are errors beside noise floors, baselines with smaller errors, and the coverage of intervals.
+    """
     layers = [(one, layer) for one in case.held_out for layer in one.record.priors]
-    yield from (_find(one, "run.json", "measured_layer", layer=layer) for one, layer in layers)
+    for one, layer in layers:
+        yield "samples_measured", _find(one, "run.json", "measured_layer", layer=layer)
     if not layers:
-        yield _gap("no_stiffness")
-
-
-def _find_noise(case: CredibilityCase) -> Iterator[Item]:
+        yield "samples_measured", _gap("no_stiffness")
     for one in case.held_out:
         if words := say(one, "noise_floor"):
-            yield make_finding(one, "errors.csv", words)
-
-
-def _find_rigour(case: CredibilityCase) -> Iterator[Item]:
-    """Yield the uncertainties that entered the comparison."""
-    for one in case.held_out:
+            yield "conditions_uncertainty", make_finding(one, "errors.csv", words)
         about, rows = {"several": case.several, "name": one.name}, one.frames["predictive"]
-        yield _find(one, "errors.csv", "paired")
+        yield "rigour", _find(one, "errors.csv", "paired")
         stated = one.frames["errors"]["floor_te_mm"].notna().any()
-        yield _find(one, "errors.csv", "floor") if stated else _gap("no_floor", **about)
-        if rows.empty:
-            yield _gap("no_bands", **about)
-            continue
-        scores = {quantity: float(rows[f"{quantity}_crps_mm"].mean()) for quantity in ("tip", "shape")}
-        yield _find(one, "predictive.csv", "crps", **scores)
-
-
-def _find_agreement(case: CredibilityCase) -> Iterator[Item]:
-    """Yield errors beside noise floors, baselines with smaller errors, and the coverage of intervals."""
-    for one in case.held_out:
-        report, rows = find_kind(one.kind).report, one.frames["predictive"]
+        yield "rigour", _find(one, "errors.csv", "floor") if stated else _gap("no_floor", **about)
+        report = find_kind(one.kind).report
         for words in report.summarize(one):
             found = make_finding(one, "validation.csv", words)
             # a study of the paper says by itself which one it is
-            yield replace(found, target="") if isinstance(study_label(one), int) else found
-        if len(rows):
+            yield "agreement", replace(found, target="") if isinstance(study_label(one), int) else found
+        if rows.empty:
+            yield "rigour", _gap("no_bands", **about)
+        else:
+            scores = {what: float(rows[f"{what}_crps_mm"].mean()) for what in ("tip", "shape")}
+            yield "rigour", _find(one, "predictive.csv", "crps", **scores)
             tips, shapes = (
                 format_proportion(count_covered(rows, f"{what}_in_95")) for what in ("tip", "shape")
             )
-            yield _find(one, "predictive.csv", "coverage", tips=tips, shapes=shapes)
+            yield "agreement", _find(one, "predictive.csv", "coverage", tips=tips, shapes=shapes)
         shown = ("validation",) if case.several else ("validation", "coverage")
-        yield from (document.table(table) for table in report.lay_out(one) if table.name in shown)
-    for file, caption in AGREEMENT_FIGURES.items() if case.held_out else ():
-        yield from _figure(case.folder, file, say(case.results[0], caption))
-
-
-_FURTHER: Mapping[str, Callable[[CredibilityCase], Iterator[Item]]] = {
-    "quality_assurance": _find_quality_assurance,
-    "code_verification": _find_code_verification,
-    "discretisation": _find_discretisation,
-    "solver": _find_solver,
-    "use_error": _find_use_error,
-    "form": _find_form,
-    "sensitivities": _find_sensitivities,
-    "uncertainties": _find_uncertainties,
-    "samples_measured": _find_measured_layers,
-    "conditions_uncertainty": _find_noise,
-    "outputs_alike": lambda case: iter([_gap("out_of_plane")] if case.held_out else []),
-    "rigour": _find_rigour,
-    "agreement": _find_agreement,
-}
-"""By factor: what is more than a fact of each run."""
+        yield from (("agreement", document.table(t)) for t in report.lay_out(one) if t.name in shown)
+    if case.held_out:
+        yield "outputs_alike", _gap("out_of_plane")
+        for file, caption in AGREEMENT_FIGURES.items():
+            for block in _figure(case.folder, file, say(case.results[0], caption)):
+                yield "agreement", block
+        if all(one.synthetic for one in case.held_out):
+            yield from ((key, _gap("synthetic")) for key in _SAMPLE_FACTORS)
 
 
 # ---- factors
@@ -827,14 +801,9 @@ class FactorEntry:
 
 def collect_entry(factor: Factor, case: CredibilityCase) -> FactorEntry:
     """Return a factor with what people state of it, then what was found in files."""
-    key, stated = factor.key, getattr(case.statements, factor.key, "").strip()
+    stated = getattr(case.statements, factor.key, "").strip()
     items: list[Item] = [Finding(stated, case.statements_file, "")] if stated else []
-    for one, values in case.comparisons:
-        said = ((file, TEXT.sentence(block, values)) for file, block in _COMPARISON_FACTS.get(key, ()))
-        items += [make_finding(one, file, words) for file, words in said if words]
-    items += _FURTHER[key](case) if key in _FURTHER else ()
-    if key in _SAMPLE_FACTORS and case.held_out and all(one.synthetic for one in case.held_out):
-        items.append(_gap("synthetic"))
+    items += case.items.get(factor.key, ())
     findings = tuple(one for one in items if isinstance(one, Finding))
     gaps = list(dict.fromkeys(one for one in items if isinstance(one, str)))
     if factor.needs_statement:
@@ -919,7 +888,6 @@ def _digest_runs(case: CredibilityCase) -> dict[str, dict[str, str]]:
 
 # ---- the report
 
-DIGEST_DIGITS = 16  #: digits of a sha256 in print; run.json has all
 
 _MAX_NAMED_FOLDERS = 3
 
@@ -980,9 +948,15 @@ def list_blocks(found: Run) -> dict[str, list[Block]]:
         )
     measured = (replace(one, origin="measured") for one in case.results)
     columns = ("run", "dataset", "origin", "sha256", "recipe", "run_seed", "needlefit", "interrupted")
-    runs = Table(
-        "runs", TEXT.sentence("table_runs", {}), [_describe_run(one) for one in case.results], columns
-    )
+    rows = []
+    for one in case.results:
+        dataset, recipe = one.run.get("dataset", {}), one.run.get("recipe", {})
+        digest = str(dataset.get("sha256", ""))
+        about = {"run": one.name, "dataset": dataset.get("name", one.record.dataset), "origin": one.origin}
+        about |= {"sha256": f"{digest[:DIGEST_DIGITS]}…" if digest else "", "recipe": recipe.get("title", "")}
+        about |= {"run_seed": recipe.get("seed", ""), "interrupted": "YES" if one.interrupted else ""}
+        rows.append({**about, "needlefit": one.run.get("versions", {}).get("needlefit", "")})
+    runs = Table("runs", TEXT.sentence("table_runs", {}), rows, columns)
     evidence = TEXT.lay_out(_tabulate_evidence(found), {})
     none = document.gap_box("No evidence of other commands was found beside this run.")
     return {
@@ -990,22 +964,6 @@ def list_blocks(found: Run) -> dict[str, list[Block]]:
         "factors": list(_compose_factors(case)),
         "runs": [document.table(runs.lay_out(drop_empty=True))],
         "evidence": [document.table(evidence)] if len(found.frames["evidence"]) else [none],
-    }
-
-
-def _describe_run(results: Run) -> Row:
-    run = results.run
-    dataset, recipe = run.get("dataset", {}), run.get("recipe", {})
-    digest = str(dataset.get("sha256", ""))
-    return {
-        "run": results.name,
-        "dataset": dataset.get("name", results.record.dataset),
-        "origin": results.origin,
-        "sha256": f"{digest[:DIGEST_DIGITS]}…" if digest else "",
-        "recipe": recipe.get("title", ""),
-        "run_seed": recipe.get("seed", ""),
-        "needlefit": run.get("versions", {}).get("needlefit", ""),
-        "interrupted": "YES" if results.interrupted else "",
     }
 
 
@@ -1053,4 +1011,4 @@ def bundle_to_json(found: Run) -> dict[str, Any]:
     }
 
 
-REPORT: StudyReport = report_from_text(TEXT, describe, tabulate, blocks=list_blocks, to_json=bundle_to_json)
+REPORT: StudyReport = StudyReport(TEXT, describe, tabulate, blocks=list_blocks, to_json=bundle_to_json)

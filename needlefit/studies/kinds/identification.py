@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -31,27 +30,28 @@ from needlefit.inference.identifiability.precision import (
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import read_warnings, warnings_entry
-from needlefit.reporting.document import Block
+from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures.fit_forms import draw_profiles
 from needlefit.reporting.number_format import insert_symbols
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import TargetRecord
-from needlefit.studies.identification import IDENTIFICATION_COLUMNS, PROFILE_COLUMNS, identify_parameters
-from needlefit.studies.identification_tables import (
+from needlefit.studies.identification import (
+    IDENTIFICATION_COLUMNS,
     IDENTIFICATION_COMPARISON,
+    PROFILE_COLUMNS,
     describe_verdicts,
     format_small_mm,
+    identify_parameters,
     lay_out_identification,
 )
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.kind import StudyKind, find_kind
-from needlefit.studies.report import FigurePaths, StudyReport
-from needlefit.studies.run import Run
+from needlefit.studies.report import StudyReport
+from needlefit.studies.run import Run, Verdict
 from needlefit.studies.simulated_data import choose_reference_values, simulate_design
 from needlefit.studies.study_files import begin_run, prepare_target, target_name
-from needlefit.studies.verdict import Verdict
 
 
 class IdentificationRecord(TargetRecord):
@@ -222,6 +222,7 @@ def describe(found: Run) -> dict[str, Any]:
     moved = ((row, row["tip_range_mm"]) for row in design if row["status"] == "fixed")
     return {
         "fitted": last == "fit",
+        "verdicts": describe_verdicts(select_stage(found, "fit")),
         **{name: [row["parameter"] for row in free if bool(row["determined"]) is is_known]
            for name, is_known in (("known", True), ("loose", False))},
         "about": {**found.run, "depths": list(depths), "thickness_mm": thickness},
@@ -268,29 +269,18 @@ def _format_sd_range(name: str, low: float, high: float) -> str:
     return f"{first} to {last}".replace("factor", "a factor of")
 
 
-def describe_design(found: Run) -> list[str]:
-    """Return what the design determines: where it was evaluated, then one sentence per parameter."""
-    return TEXT.sentences("design", describe(found))
-
-
-def summarize(found: Run) -> list[str]:
-    """Return what the design determines, then what the measured shapes do."""
-    fitted = describe_verdicts(select_stage(found, "fit")) if "fit" in list_stages(found) else []
-    return [*describe_design(found), *fitted]
-
-
 def judge(found: Run) -> list[Verdict]:
     """Return which parameters are identifiable, from the measured shapes or else from the design alone."""
     values = describe(found)
     count, total = len(values["known"]), len(values["known"]) + len(values["loose"])
     numbers = {"identifiable": count, "parameters": total}
     status: Literal["pass", "warn"] = "pass" if count == total else "warn"
-    return [Verdict(TEXT.sentence("verdict", values), status, "", numbers)]
+    return [Verdict(TEXT.sentence("answer", values), status, "", numbers)]
 
 
-def lay_out_tables(found: Run) -> list[TableLayout]:
+def lay_out_tables(found: Run) -> list[Table | TableLayout]:
     """Return the parameters of the fit, if there is one, then parameters and directions of the design."""
-    tables = []
+    tables = list[Table | TableLayout]()
     if "fit" in list_stages(found):
         fitted = lay_out_identification(select_stage(found, "fit"))
         tables.append(replace(fitted, name="identification_fit"))
@@ -305,7 +295,7 @@ def lay_out_tables(found: Run) -> list[TableLayout]:
         for row in to_records(found.frames["directions"])
     ]
     columns = ("combination", "sd_low", "sd_high", "combination_sd_ratio", "known_to")
-    return [*tables, TEXT.lay_out(Table("directions", "", rows, columns), {})]
+    return [*tables, Table("directions", "", rows, columns)]
 
 
 def _format_near(row: Row) -> Row:
@@ -315,39 +305,33 @@ def _format_near(row: Row) -> Row:
     return {key: format_combination_sd(row[key], vector, list(weights)) for key in ("sd_low", "sd_high")}
 
 
-def draw_figures(found: Run, folder: Path) -> dict[str, Path]:
-    """Draw the profiles of the last stage, and those of the design beside a fit."""
-    last = list_stages(found)[-1]
-    names = {stage: "profiles" if stage == last else f"profiles_{stage}" for stage in list_stages(found)}
+def draw(found: Run) -> dict[str, Drawing]:
+    """Return the profiles of the last stage, and those of the design beside a fit."""
+    stages = list_stages(found)
+    names = {stage: "profiles" if stage == stages[-1] else f"profiles_{stage}" for stage in stages}
     return {
-        name: draw_profiles(
-            select_stage(found, stage), found.frames[name], found.origin, folder / f"{name}.pdf"
-        )
+        name: draw_profiles(select_stage(found, stage), found.frames[name], found.origin)
         for stage, name in names.items()
     }
-
-
-def compose_sections(found: Run, figures: FigurePaths) -> list[Block]:
-    """Return the report's sections: tables, then profiles."""
-    return TEXT.compose("report", describe(found), lay_out_tables(found), figures)
 
 
 def identification_to_json(found: Run) -> dict[str, Any]:
     """Return the verdict as JSON values."""
     about = {"name": found.name, "origin": found.origin, "dataset": found.dataset_title}
-    sentences = {"design": describe_design(found)}
-    if "fit" in list_stages(found):
-        sentences["fit"] = describe_verdicts(select_stage(found, "fit"))
+    values = describe(found)
+    sentences = {"design": TEXT.sentences("design", values)}
+    if values["fitted"]:
+        sentences["fit"] = values["verdicts"]
     rows = {stage: to_records(select_stage(found, stage)) for stage in list_stages(found)}
     directions = to_records(found.frames["directions"])
     return {**about, "place": found.run["place"], "sentences": sentences, **rows, "directions": directions}
 
 
 REPORT = StudyReport(
-    summarize,
+    TEXT,
+    describe,
     lay_out_tables,
-    draw_figures,
-    compose_sections,
+    draw,
     to_json=identification_to_json,
     judge=judge,
     comparisons={"identify": IDENTIFICATION_COMPARISON},

@@ -30,17 +30,19 @@ from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.coverage import COVERAGE_COLUMNS, tabulate_coverage
 from needlefit.studies.fit_frames import COLUMNS
-from needlefit.studies.folds import Fold, group_insertions, leave_out
-from needlefit.studies.held_out_predictions import PREDICTIVE_COLUMNS, tabulate_held_out
-from needlefit.studies.job import Job, Settings, prepare
+from needlefit.studies.held_out_predictions import (
+    PREDICTIVE_COLUMNS,
+    NewSpecimens,
+    PosteriorFit,
+    fit_posterior,
+    tabulate_held_out,
+)
+from needlefit.studies.job import Fold, Job, Settings, group_insertions, leave_out, prepare
 from needlefit.studies.kind import StudyKind
-from needlefit.studies.new_specimens import NewSpecimens
-from needlefit.studies.posterior_fit import PosteriorFit, fit_posterior
-from needlefit.studies.report import report_from_text
-from needlefit.studies.run import Frames, Run
+from needlefit.studies.report import StudyReport
+from needlefit.studies.run import BestBaseline, Frames, Run, Verdict, judge_errors
 from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, run_analysis
 from needlefit.studies.score import Scorer, curve_predictor, list_score_columns, model_predictor
-from needlefit.studies.verdict import BestBaseline, Verdict, judge_errors
 
 
 class LeftOutRecord(AnalysisRecord):
@@ -364,4 +366,4 @@ def draw(result: Run) -> dict[str, Drawing]:
     return {"summary": Drawing("left_out_beside_in_sample", summary)}
 
 
-REPORT = report_from_text(TEXT, describe, tabulate, draw, judge=judge)
+REPORT = StudyReport(TEXT, describe, tabulate, draw, judge=judge)

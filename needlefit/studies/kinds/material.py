@@ -25,10 +25,8 @@ from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.studies.job import Settings
 from needlefit.studies.kind import StudyKind
-from needlefit.studies.provenance import package_versions
-from needlefit.studies.report import report_from_text
-from needlefit.studies.run import Run
-from needlefit.studies.verdict import Status
+from needlefit.studies.report import StudyReport
+from needlefit.studies.run import Run, Status, package_versions
 
 
 class CompressionRecord(AnalysisRecord):
@@ -306,6 +304,6 @@ def material_to_json(found: Run) -> dict[str, Any]:
     return {"name": found.name, "summary": summary, "specimens": rows, "prior": found.run["prior"]}
 
 
-REPORT = report_from_text(
+REPORT = StudyReport(
     TEXT, describe, tabulate, draw, write_files=write_prior, to_json=material_to_json, rate=rate
 )

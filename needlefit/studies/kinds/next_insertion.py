@@ -52,11 +52,10 @@ from needlefit.schemas.base import Name, Record
 from needlefit.schemas.limits import MAX_CANDIDATES, MAX_LAYERS, MAX_NEEDLE_LENGTH_MM
 from needlefit.schemas.planning import Vector
 from needlefit.studies import further_insertion
-from needlefit.studies.folds import Fold
-from needlefit.studies.job import Job, Settings, prepare
+from needlefit.studies.job import Fold, Job, Settings, prepare
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.planned_draws import vary_bevels
-from needlefit.studies.report import report_from_text
+from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Frames, Run
 from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, Shared, run_analysis
 from needlefit.studies.score import Row
@@ -563,4 +562,4 @@ def _name_series(gains: pd.DataFrame) -> pd.DataFrame:
     return gains.assign(series=series, **ends)
 
 
-REPORT = report_from_text(KindText("next_insertion"), describe, tabulate, draw)
+REPORT = StudyReport(KindText("next_insertion"), describe, tabulate, draw)

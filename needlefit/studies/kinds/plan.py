@@ -44,15 +44,14 @@ from needlefit.studies.further_insertion import (
     find_template,
     weigh_posterior,
 )
+from needlefit.studies.held_out_predictions import NewSpecimens, describe_specimen, describe_spread
 from needlefit.studies.job import Job, Settings, prepare
 from needlefit.studies.kind import StudyKind
-from needlefit.studies.new_specimens import NewSpecimens, describe_specimen, describe_spread
 from needlefit.studies.planned_draws import vary_bevels
-from needlefit.studies.report import report_from_text
-from needlefit.studies.run import Frames, Run
+from needlefit.studies.report import StudyReport
+from needlefit.studies.run import Frames, Run, Status, headline_fault
 from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, Shared, run_analysis
 from needlefit.studies.score import Row
-from needlefit.studies.verdict import Status, headline_fault
 
 
 class PlanRecord(TunedAnalysisRecord):
@@ -476,4 +475,4 @@ def headline(fault: str) -> str:
     return "" if fault.startswith("no plan") else headline_fault(fault)
 
 
-REPORT = report_from_text(KindText("plan"), describe, tabulate, draw, rate=rate, headline=headline)
+REPORT = StudyReport(KindText("plan"), describe, tabulate, draw, rate=rate, headline=headline)

@@ -65,15 +65,18 @@ from needlefit.studies.coverage import (
     warn_if_too_wide,
 )
 from needlefit.studies.csv_tables import TableSchema
-from needlefit.studies.held_out_predictions import draw_fold_parameters
+from needlefit.studies.held_out_predictions import (
+    PREDICTION_DRAWS,
+    NewSpecimens,
+    describe_specimen,
+    describe_spread,
+    draw_fold_parameters,
+)
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.kind import StudyKind
-from needlefit.studies.new_specimens import NewSpecimens, describe_specimen, describe_spread
 from needlefit.studies.planned_draws import PlannedNeedles, vary_bevels
-from needlefit.studies.posterior_fit import PREDICTION_DRAWS
-from needlefit.studies.provenance import describe_configuration
-from needlefit.studies.report import StudyReport, report_from_text
-from needlefit.studies.run import Run
+from needlefit.studies.report import StudyReport
+from needlefit.studies.run import Run, Status, Verdict, describe_configuration, headline_fault
 from needlefit.studies.run_differences import (
     MIN_SD_CHANGE,
     MIN_SHIFT_SD,
@@ -84,7 +87,6 @@ from needlefit.studies.run_differences import (
 from needlefit.studies.score import Row
 from needlefit.studies.store import posterior_file_names, read_run
 from needlefit.studies.study_files import begin_run, prepare_target, target_name
-from needlefit.studies.verdict import Status, Verdict, headline_fault
 
 
 class PredictionRecord(TargetRecord):
@@ -681,7 +683,7 @@ def _compare_forecasts(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Di
 
 
 _FORECAST = TableSchema(texts=("quantity",), numbers=("level", "median_mm", "low_mm", "high_mm"))
-REPORT: StudyReport = report_from_text(
+REPORT: StudyReport = StudyReport(
     TEXT,
     describe,
     tabulate,

@@ -46,11 +46,10 @@ from needlefit.schemas.limits import MAX_REPLICATES, MAX_RESAMPLES, MAX_STARTS
 from needlefit.studies import paper, paper_cells, score
 from needlefit.studies.job import Settings
 from needlefit.studies.kind import StudyKind
-from needlefit.studies.report import report_from_text
-from needlefit.studies.run import Frames, Run
+from needlefit.studies.report import StudyReport
+from needlefit.studies.run import Frames, Run, Status
 from needlefit.studies.runner import AnalysisPlan, FrameRows, run_analysis
 from needlefit.studies.simulated_data import find_true_value
-from needlefit.studies.verdict import Status
 from needlefit.synthetic.build import build_unscanned
 from needlefit.synthetic.design import PlannedInsertion, bevel_offset, draw_needle, list_planned_insertions
 from needlefit.synthetic.insertion import SyntheticInsertion, simulate_insertion
@@ -136,13 +135,13 @@ def _run_on_twin(
     for job in (paper_cells.with_starts(job, record.starts) for job in jobs.values()):
         searches = [search for search in job.searches if search != "fitted_metric"]
         found = {search: paper_cells.run_search(job, search, settings) for search in searches}
-        errors += paper_cells.score_methods(
-            job, {**score.make_predictors(job, job.folds[0], found), TRUTH: truth}, floors
-        )
+        problem = job.problem(job.folds[0])
+        predictors = {**score.make_predictors(problem, found, job.hand_tuned), TRUTH: truth}
+        errors += paper_cells.score_methods(job, predictors, floors)
         values, printed = found["fitted"].values, job.hand_tuned or {}
         parameters += [
             {"study": job.name, "parameter": name, "value": values[name]}
-            | {"truth": find_true_value(job, name, seed), "paper": printed.get(name, float("nan"))}
+            | {"truth": find_true_value(problem, name, seed), "paper": printed.get(name, float("nan"))}
             for name in job.parameters.free
         ]
     frames = {"errors": errors, "parameters": parameters}
@@ -511,4 +510,4 @@ def _name_group(group: tuple[Any, ...], grouping: str = "validation") -> str:
     return f"{label}: {medium_name(medium)}" + (f", {layers}" if layers else "")
 
 
-REPORT = report_from_text(KindText("seeds"), describe, tabulate, draw, rate=rate)
+REPORT = StudyReport(KindText("seeds"), describe, tabulate, draw, rate=rate)

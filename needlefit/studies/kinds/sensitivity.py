@@ -38,11 +38,9 @@ from needlefit.schemas.medium import use_path_angle
 from needlefit.studies import paper_cells, runner
 from needlefit.studies.job import Job, Settings, adapt_parameters
 from needlefit.studies.kind import StudyKind
-from needlefit.studies.provenance import describe_model_options
-from needlefit.studies.report import report_from_text
-from needlefit.studies.run import Frames, Run
+from needlefit.studies.report import StudyReport
+from needlefit.studies.run import Frames, Run, Status, describe_model_options
 from needlefit.studies.score import Row, list_score_columns, model_predictor
-from needlefit.studies.verdict import Status
 
 
 class VariationRecord(Record):
@@ -458,4 +456,4 @@ def draw(result: Run) -> dict[str, Drawing]:
     return {"studies": Drawing("dots_with_intervals", frame, options, name_panels)}
 
 
-REPORT = report_from_text(KindText("sensitivity"), describe, tabulate, draw, rate=rate)
+REPORT = StudyReport(KindText("sensitivity"), describe, tabulate, draw, rate=rate)

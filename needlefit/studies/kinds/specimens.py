@@ -51,11 +51,10 @@ from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import TunedAnalysisRecord
 from needlefit.schemas.base import Record
 from needlefit.schemas.limits import MAX_REPLICATES
-from needlefit.studies.folds import group_insertions
-from needlefit.studies.job import Job, Settings, prepare, with_one_bevel
+from needlefit.studies.held_out_predictions import fit_posterior
+from needlefit.studies.job import Job, Settings, group_insertions, prepare, with_one_bevel
 from needlefit.studies.kind import StudyKind
-from needlefit.studies.posterior_fit import fit_posterior
-from needlefit.studies.report import report_from_text
+from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Frames, Run
 from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, run_analysis
 from needlefit.studies.score import Row
@@ -467,4 +466,4 @@ def _axis_label(name: str) -> str:
     return f"ln {format_bare_symbol(name)}" if is_logarithmic(name) else format_bare_symbol(name)
 
 
-REPORT = report_from_text(KindText("specimens"), describe, tabulate, draw)
+REPORT = StudyReport(KindText("specimens"), describe, tabulate, draw)

@@ -46,24 +46,24 @@ from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.tracks import TrackFitRecord, TrackStudyRecord
 from needlefit.studies.coverage import warn_if_too_wide
 from needlefit.studies.csv_tables import TableSchema
-from needlefit.studies.fit_warnings import analysis_bound_warnings, cut_off_warnings
-from needlefit.studies.folds import Fold, specimen_warning
-from needlefit.studies.job import Settings, farthest_guide, prepare
+from needlefit.studies.fit_warnings import analysis_bound_warnings
+from needlefit.studies.held_out_predictions import PREDICTION_DRAWS
+from needlefit.studies.job import Fold, Settings, farthest_guide, prepare, specimen_warning
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.planned_draws import vary_bevels
-from needlefit.studies.posterior_fit import PREDICTION_DRAWS
-from needlefit.studies.provenance import (
+from needlefit.studies.report import StudyReport
+from needlefit.studies.run import (
     PACKAGES,
+    Run,
+    Status,
+    Verdict,
     describe_dataset,
     describe_model_options,
     package_versions,
     plugin_versions_of,
 )
-from needlefit.studies.report import StudyReport, report_from_text
-from needlefit.studies.run import Run
 from needlefit.studies.run_differences import Difference, TableComparison, compare_means
 from needlefit.studies.score import Row
-from needlefit.studies.verdict import Status, Verdict
 
 KIND = StudyKind("tracks", TrackStudyRecord, __name__)
 
@@ -347,7 +347,7 @@ def _find_warnings(
     fits = frames["parameters"].assign(fit=frames["parameters"]["fit"].map(groups))
     fits = fits.rename(columns={"fitted": "value"})
     yield from analysis_bound_warnings(fits, bounds)
-    yield from cut_off_warnings(fits, bounds)
+    yield from analysis_bound_warnings(fits, bounds, intervals=True)
     # by medium, the closest curve without a model, if it is significantly closer than the fit
     paired, readings = frames["paired"], frames["readings"]
     better = paired[(paired["metric"] == "rms_mm") & (paired["high"] < 0)]
@@ -672,7 +672,7 @@ def _compare_tracks(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Diffe
 _RUNS = TableSchema(
     ("fit", "role", "run", "method", "quantity", "level"), numbers=("rms_mm", "crps_mm", "aligned_rms_mm")
 )
-REPORT: StudyReport = report_from_text(
+REPORT: StudyReport = StudyReport(
     TEXT,
     describe,
     tabulate,

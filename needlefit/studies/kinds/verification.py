@@ -21,10 +21,8 @@ from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.studies.job import Settings
 from needlefit.studies.kind import StudyKind
-from needlefit.studies.provenance import package_versions
-from needlefit.studies.report import StudyReport, report_from_text
-from needlefit.studies.run import Run
-from needlefit.studies.verdict import Verdict
+from needlefit.studies.report import StudyReport
+from needlefit.studies.run import Run, Verdict, package_versions
 from needlefit.verification.check import Group, verify
 
 
@@ -155,7 +153,7 @@ def verification_to_json(found: Run) -> dict[str, Any]:
     return {"seed": found.run["study"]["seed"], "summary": summary, "rows": rows, "refinements": refinements}
 
 
-REPORT: StudyReport = report_from_text(
+REPORT: StudyReport = StudyReport(
     TEXT,
     describe,
     tabulate,

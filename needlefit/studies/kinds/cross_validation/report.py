@@ -1,83 +1,1055 @@
-"""The report of a fit or cross-validation: tables, figures, files, and the blocks of its text."""
+"""The report of a fit or cross-validation: what its text prints, verdicts, figures, files.
 
-from collections.abc import Iterator, Mapping, Sequence
+The tables are those of `tables.py`; the sentences stand in `reporting/text/cross_validation.md.j2`.
+"""
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
-from needlefit.metrics import list_metrics
+from needlefit.arrays import Floats
+from needlefit.datasets.select import group_independent
+from needlefit.inference.baselines import BASELINES, list_baselines
+from needlefit.inference.identifiability.precision import UNINFORMED_SD_RATIO
+from needlefit.inference.parameters import BEVEL_SPREAD, find_tie_spread, is_logarithmic, parse_tie
+from needlefit.inference.proportions import estimate_proportion
+from needlefit.metrics import headline_metrics, list_metrics
+from needlefit.project.result_warnings import read_warnings
 from needlefit.reporting import document, latex
 from needlefit.reporting.columns import DIGITS, METRIC_FORMAT, find_column, format_value
-from needlefit.reporting.document import Block
-from needlefit.reporting.figures import Drawing
-from needlefit.reporting.figures.fit_forms import draw_profiles
-from needlefit.reporting.number_format import choose_interval_unit, insert_symbols, typeset_interval
+from needlefit.reporting.figures import Drawing, Look
+from needlefit.reporting.figures.fit_forms import (
+    BANDS,
+    DRAWN_SETS,
+    HEIGHT_COLUMNS,
+    INSERTION_KEYS,
+    LAYER,
+    PREDICTED_LEVELS,
+    PREDICTED_QUANTITIES,
+    QUARTILES,
+    InsertionKey,
+    corner,
+    draw_profiles,
+    errors_by_group,
+    insertions,
+    predictive_check,
+    residuals,
+    waterfall,
+)
+from needlefit.reporting.labels import (
+    INK,
+    PAPER_COLOUR,
+    group_name,
+    layers_name,
+    medium_name,
+    method_colour,
+    method_marker,
+    method_name,
+    study_name,
+)
+from needlefit.reporting.number_format import (
+    choose_interval_unit,
+    choose_printed_unit,
+    format_metric,
+    format_mm,
+    format_number,
+    insert_symbols,
+    join_metrics,
+    join_words,
+    typeset_interval,
+)
 from needlefit.reporting.table import TableLayout
-from needlefit.reporting.table_files import to_records, to_tidy, write_csv
-from needlefit.studies.identification_tables import (
+from needlefit.reporting.table_files import Row, to_records, to_tidy, write_csv
+from needlefit.schemas.medium import ParameterRecord
+from needlefit.schemas.study import StudyRecord
+from needlefit.studies.coverage import list_coverages, list_missed_levels, median_error, median_width
+from needlefit.studies.identification import (
     describe_verdicts,
     lay_out_identification,
     tabulate_identification,
 )
-from needlefit.studies.kinds.cross_validation import figures, tables
-from needlefit.studies.kinds.cross_validation.differences import COMPARISONS
-from needlefit.studies.kinds.cross_validation.explorer import collect_explorer
-from needlefit.studies.kinds.cross_validation.facts import TEXT, Facts, find_scored_role, list_sentences, say
-from needlefit.studies.kinds.cross_validation.posterior import (
-    list_free_parameters,
-    tabulate_percentiles,
-)
+from needlefit.studies.kinds.cross_validation import tables
 from needlefit.studies.kinds.cross_validation.tables import (
     NOT_DETERMINED,
+    SEARCHED,
+    TEXT,
     arrange_parameters,
-    is_conditional,
+    find_ridge_ends,
+    is_ridge,
     lay_out_coverage,
     lay_out_posterior,
+    list_free_parameters,
+    principal_axes,
     tabulate_parameters,
+    tabulate_percentiles,
 )
-from needlefit.studies.kinds.cross_validation.verdict import judge
-from needlefit.studies.report import FigurePaths, StudyReport
-from needlefit.studies.run import Run
+from needlefit.studies.rank_statistics import ecdf_band
+from needlefit.studies.report import StudyReport
+from needlefit.studies.run import Run, Status, Verdict, judge_errors, judge_run, qualify
+from needlefit.studies.score import list_methods
 from needlefit.studies.scored_groups import (
     BY_LAYERS,
     BY_MEDIA,
+    HELD_OUT,
+    TE,
+    ScoredGroup,
+    aggregate,
+    beats_fit,
+    compare_best_baseline,
+    compare_group,
+    compare_methods,
+    count_reasons,
+    find_best_baseline,
+    find_bevel_sides,
     list_groups,
     list_held_out_groups,
+    list_judged_groups,
+    select_group,
+    study_label,
+    tabulate_points,
     tabulate_tuning,
     tabulate_validation,
 )
 from needlefit.studies.slicer import write_needles
+from needlefit.studies.validity import describe_outside
+
+PAPER_SETS = ("hand_tuned", "hand_tuned_b")
+
+_ALGORITHMS = {"leastsquares": "nonlinear least squares with the exact Jacobian"}
+_PACKAGES = {"python": "Python", "numpy": "NumPy", "scipy": "SciPy", "nlopt": "NLopt"}
+
+
+def list_sentences(results: Run, *blocks: str) -> list[str]:
+    """Return the sentences of some blocks of the text about a run."""
+    facts = {"facts": Facts(results)}
+    return [sentence for block in blocks for sentence in TEXT.sentences(block, facts)]
+
+
+def find_scored_role(results: Run) -> str:
+    """Return the role that is scored: "validate", or "tune" for a fit without held-out insertions."""
+    return "validate" if (results.frames["errors"]["role"] == "validate").any() else "tune"
+
+
+class Facts:
+    """What the text prints of a run; each fact is computed when a sentence needs it."""
+
+    def __init__(self, results: Run) -> None:
+        self.results, self.frames = results, results.frames
+        self.has_methods = "recipe" in results.run  # results that were made up have none
+        self.outside = describe_outside(results.run)
+        self.headline = join_words([metric.label for metric in headline_metrics()])
+        self.role = find_scored_role(results)
+        self.scope = "held-out" if self.role == "validate" else "tuning"
+        label = study_label(results)
+        self.study = f"Study {label}" if isinstance(label, int) else label
+        about = results.run.get("dataset", {})
+        self.dataset = str(about.get("name", results.dataset_title))
+        folds = list(results.run.get("folds", ()))
+        counts = sorted(len(fold["tune"]) for fold in folds)
+        self.folds, self.held_out_count = len(folds), sum(len(fold["validate"]) for fold in folds)
+        # the least and the greatest, one if they are equal
+        self.fitted_counts = list(dict.fromkeys(map(str, (*counts[:1], *counts[-1:]))))
+        notes = list(map(str, about.get("notes", ())))
+        if results.synthetic:  # that it is stands on every page
+            notes = [note.removeprefix("Synthetic: ") for note in notes]
+            notes = [note[:1].upper() + note[1:] for note in notes]
+        self.notes = notes
+
+    # ---- errors
+
+    @cached_property
+    def groups(self) -> list[Row]:
+        return [self._describe_group(group) for group in list_held_out_groups(self.results)]
+
+    def _describe_group(self, group: ScoredGroup) -> Row:
+        head, digits = group.head, 3 if group.head["comparison"] == "aligned" else 2
+
+        def join(column: str) -> str:
+            return join_metrics({one.name: group.get(one.name, column) for one in headline_metrics()}, digits)
+
+        study = f"Study {head['study']}, " if isinstance(head["study"], int) else ""
+        name = f"{study}{medium_name(head['medium'])}, {layers_name(head['layers'])}"
+        known = group.get(TE, "floor") is not None
+        return {
+            "name": name[:1].upper() + name[1:],
+            "insertions": head["insertions"],
+            "errors": join("value"),
+            "floors": join("floor") if known else "",
+            "paper": join("paper") if group.printed else "",
+        }
+
+    @cached_property
+    def _scores(self) -> dict[str, Row]:
+        """The fitted model's errors over everything it is scored on, by metric; empty if it was not."""
+        wanted = (self.role, "fitted", "measured")
+        rows = to_records(aggregate(self.results, ("role", "method", "boundaries")))
+        return {r["metric"]: r for r in rows if (r["role"], r["method"], r["boundaries"]) == wanted}
+
+    @cached_property
+    def scored(self) -> Row:
+        if not self._scores:
+            return {}
+        values = {metric.name: self._scores[metric.name]["value"] for metric in headline_metrics()}
+        errors = join_metrics(values, _choose_digits(self._scores["ipe_mean_mm"]["value"]))
+        return {"errors": errors, "insertions": self._scores["ipe_mean_mm"]["insertions"]}
+
+    @cached_property
+    def floors(self) -> list[str]:
+        """Each metric's noise floor; none where no noise is stated."""
+        floor = self._scores["ipe_mean_mm"]["floor"] if self._scores else None
+        if floor is None:
+            return []
+        digits = _choose_digits(floor)
+        return [
+            f"{one.label} {format_metric(one, self._scores[one.name]['floor'], digits)} {one.unit}"
+            for one in list_metrics()
+            if one.has_floor
+        ]
+
+    # ---- comparison with baselines and with the paper's sets, by tip error
+
+    @cached_property
+    def compared(self) -> list[Row]:
+        """Every other method beside the fit; `wins` if its tip error is significantly smaller."""
+        return [
+            {
+                **row,
+                "name": method_name(row["method"], self.results.origin),
+                "curve": row["method"] in BASELINES,
+                "paper": row["method"] in PAPER_SETS,
+                "wins": beats_fit(row, TE),
+            }
+            for row in to_records(compare_methods(self.results, role=self.role, metric=TE))
+            if row["method"] != "fitted"
+        ]
+
+    @property
+    def curves(self) -> list[Row]:
+        return [row for row in self.compared if row["curve"]]
+
+    @property
+    def better(self) -> list[Row]:
+        return [row for row in self.compared if row["wins"]]
+
+    @property
+    def ties(self) -> list[Row]:
+        return [row for row in self.compared if (row["difference_mm"] or 0.0) < 0 and not row["wins"]]
+
+    @property
+    def closest(self) -> Row | None:
+        known = [row for row in self.curves if row["difference_mm"] is not None]
+        return min(known, key=lambda row: float(row["difference_mm"]), default=None)
+
+    # ---- predictions
+
+    @cached_property
+    def intervals(self) -> Row:
+        """How many insertions the 95 % intervals cover, and the width and error of those of tips."""
+        predictive = self.frames["predictive"]
+        covered = [
+            {"what": what, "share": found.hits / found.trials, "hits": found.hits, "trials": found.trials}
+            for what, level, found in list_coverages(predictive)
+            if level == 95 and found.trials
+        ]
+        return {
+            "covered": covered,
+            "width_mm": median_width(predictive),
+            "error_mm": median_error(predictive),
+        }
+
+    @cached_property
+    def wide(self) -> list[Row]:
+        """The intervals that cover significantly more insertions than their level."""
+        return [
+            {
+                **vars(found),
+                **{"what": what, "level": level},
+                "group": group_name(group.head["medium"], group.head["layers"]),
+            }
+            for group in list_held_out_groups(self.results)
+            for what, level, found in list_coverages(select_group(self.frames["predictive"], group))
+            if found.low > level / 100
+        ]
+
+    @property
+    def draws_of_predictions(self) -> int:
+        draws = self.frames["predictive"]["draws"]
+        return int(draws.max()) if len(draws) else 0
+
+    # ---- parameters
+
+    @cached_property
+    def _fitted(self) -> list[Row]:
+        return to_records(self.frames["parameters"].query("method == 'fitted'"))
+
+    @property
+    def parameter_folds(self) -> int:
+        return len({row["fold"] for row in self._fitted})
+
+    @property
+    def free_values(self) -> list[Row]:
+        return [row for row in self._fitted if row["status"] != "fixed"]
+
+    @cached_property
+    def undetermined(self) -> list[str]:
+        """The estimated parameters that some fold could not determine, in the order of the model."""
+        return _name(row for row in self._fitted if row["status"] in SEARCHED and not row["determined"])
+
+    @cached_property
+    def conditional(self) -> list[str]:
+        """Those of them that are determined under an assumption, in every fold."""
+        loose = _name(row for row in self._fitted if not row["determined"] and not row["condition"])
+        return [name for name in self.undetermined if name not in loose]
+
+    @property
+    def loose(self) -> list[str]:
+        return [name for name in self.undetermined if name not in self.conditional]
+
+    @property
+    def fixed(self) -> list[str]:
+        """The parameters that were given, not estimated."""
+        return _name(row for row in self._fitted if row["status"] == "fixed")
+
+    @property
+    def determined(self) -> list[tuple[str, list[str]]]:
+        """What the data determine, determine under assumptions, and do not determine."""
+        names = _name(self.free_values)
+        parts = (
+            ("identifiable:", [name for name in names if name not in self.undetermined]),
+            ("identifiable under assumptions:", self.conditional),
+            ("not identifiable:", self.loose),
+        )
+        return [part for part in parts if part[1]]
+
+    @cached_property
+    def by_metric(self) -> bool:
+        """Whether the fit minimises errors: by its recipe, or because the data state no noise."""
+        starts = self.frames["starts"].query("fit == 'fitted'")
+        stated = (self.results.run.get("recipe") or {}).get("minimize") == "metric"
+        return stated or bool((starts["minimized"] == "metric").any())
+
+    @cached_property
+    def unconverged(self) -> list[tuple[str, tuple[str, ...]]]:
+        return [(str(n), one.faults) for n, one in self.results.posteriors.items() if one.faults]
+
+    @cached_property
+    def outside_fits(self) -> list[Row]:
+        rows = to_records(tabulate_percentiles(self.results))
+        return [row for row in rows if row["fit_in_central_95"] is False]
+
+    @cached_property
+    def drawn(self) -> Row:
+        """The draws of the first fold: source, convergence, and their longest direction."""
+        every = self.frames["draws"]
+        fold = every["fold"].iloc[0]
+        draws = every[every["fold"] == fold]
+        axes = principal_axes(draws[list_free_parameters(self.results)])
+        return {
+            "count": len(draws),
+            "source": str(draws["draw_source"].iloc[0]),
+            "pareto_k": float(draws["pareto_k"].iloc[0]),
+            "certified": bool(draws["certified"].iloc[0]),
+            "folds": int(every["fold"].nunique()),
+            "fold": str(fold),
+            "ridge": is_ridge(axes),
+            "known": axes[0].words,
+            "loose": axes[-1].words,
+        }
+
+    # ---- the report
+
+    @property
+    def printed(self) -> bool:
+        """Whether the paper has a row of any held-out group."""
+        return any(group["paper"] for group in self.groups)
+
+    @property
+    def no_bands(self) -> bool:
+        """Whether bands of held-out insertions are missing because the draws are not certified."""
+        certified = self.frames["draws"]["certified"].astype(bool).all()
+        return not certified and self.scope == "held-out"
+
+    @property
+    def freed(self) -> list[str]:
+        """What freeing the fixed parameters would change."""
+        return describe_verdicts(self.frames["identification"].query("status == 'fixed'"))
+
+    # ---- search
+
+    @cached_property
+    def failed(self) -> Row:
+        starts, failures = self.frames["starts"], self.frames["failures"]
+        reasons = count_reasons(failures).items()
+        return {
+            "searches": int(starts["failed_solves"].sum()),
+            "evaluations": int(starts["evaluations"].sum()),
+            "sampled": sum(posterior.failures for posterior in self.results.posteriors.values()),
+            "recorded": len(failures),
+            "reasons": ", ".join(f"{count} {reason}" for reason, count in reasons),
+        }
+
+    @property
+    def agreement(self) -> str:
+        """How many starts there are, where all end within tolerance; else nothing."""
+        starts = self.frames["starts"]
+        all_agree = len(starts) and starts["within_tolerance"].astype(bool).all()
+        return describe_counts(starts) if all_agree else ""
+
+    @property
+    def searches(self) -> list[Row]:
+        starts = self.frames["starts"]
+        return [
+            {
+                "fold": str(fold),
+                "best": float(rows["objective"].min()),
+                "agree": int(rows["within_tolerance"].sum()),
+                "starts": len(rows),
+                "posterior": bool((rows["minimized"] == "posterior").all()),
+                "ended": int((rows["stopped"] == "budget").sum()),
+            }
+            for fold, rows in starts[starts["fit"] == "fitted"].groupby("fold", sort=False)
+        ]
+
+    @property
+    def combinations(self) -> list[tuple[str, list[str]]]:
+        """The informed combinations of parameters by fold, in words."""
+        directions = self.frames["directions"]
+        informed = directions[~(directions["sd_ratio"].astype(float) >= UNINFORMED_SD_RATIO)]
+        return [(str(n), list(rows["note"])) for n, rows in informed.groupby("fold", sort=False)]
+
+    # ---- methods paragraph
+
+    @cached_property
+    def methods(self) -> Row:
+        run, frames = self.results.run, self.frames
+        recipe, parameters, how = run["recipe"], run["medium"]["parameters"], run["recipe"]["likelihood"]
+        stored = how.get("measurement", "stored") == "stored" and how["noise"] == "correlated"
+        shared = (run["dataset"]["boundary_shared_sd_mm"] or ()) if how["depths"] != "fixed" else ()
+        predicted, by_angle = frames["predictive"], "cut_angle_deg" in parameters
+        pareto = frames["draws"]["pareto_k"].max()
+        new = (predicted["specimen_treatment"] == "others").any()
+        return {
+            **{"recipe": recipe, "rules": run["rules"], "versions": run["versions"]},
+            "law": str(run["rules"]["law"]).capitalize(),
+            "bevel": "cut angle" if by_angle else "bevel offset",
+            "symbol": "θ" if by_angle else "b",
+            "free": [name for name, one in parameters.items() if one["bounds"]],
+            "held": [name for name, one in parameters.items() if one["fixed"] is not None],
+            "ties": _group_ties(parameters, self.by_metric),
+            "measurement": run["dataset"]["measurement"],
+            "compared": stored or run["dataset"]["measurement"]["operator"] == "none",
+            "shared_sd_mm": list(dict.fromkeys(map(format_number, (*shared[:1], *shared[-1:])))),
+            "spread": bool((frames["parameters"]["parameter"] == BEVEL_SPREAD).any()),
+            "algorithm": " and then ".join(
+                _ALGORITHMS.get(part, part.upper()) for part in recipe["algorithm"].split("+")
+            ),
+            "is_study": isinstance(self.results.record, StudyRecord),
+            "distinct_held_out": len({one for fold in run["folds"] for one in fold["validate"]}),
+            "first_draws": int(predicted["draws"].iloc[0]) if len(predicted) else 0,
+            "from_posterior": bool((predicted["draw_source"] == "posterior").all()),
+            "pareto_k": None if pd.isna(pareto) or pareto == float("inf") else float(pareto),
+            "specimens": recipe.get("specimens") if new else None,
+            "packages": [
+                f"{_PACKAGES[name]} {run['versions'][name]}" for name in _PACKAGES if name in run["versions"]
+            ],
+        }
+
+
+def describe_counts(starts: pd.DataFrame) -> str:
+    """Return the number of starts of each search, and the number of searches, as text."""
+    sizes = starts.groupby(["fit", "fold"], sort=False).size()
+    each = f"{sizes.min()}" if sizes.min() == sizes.max() else f"{sizes.min()} to {sizes.max()}"
+    fits, folds = starts["fit"].nunique(), starts["fold"].nunique()
+    where = [f"{folds} folds"] if folds > 1 else []
+    where += [f"{fits} searches"] if fits > 1 else []
+    return f"{each} starts" + (f" in each of {' × '.join(where)}" if where else "")
+
+
+def _name(rows: Iterable[Row]) -> list[str]:
+    """Return the parameters of some rows, each once."""
+    return list(dict.fromkeys(str(row["parameter"]) for row in rows))
+
+
+def _group_ties(
+    parameters: Mapping[str, Mapping[str, Any]], exact_alone: bool
+) -> list[tuple[float | None, list[Row]]]:
+    """Return tied parameters by the spread of their prior; None: exactly tied."""
+    groups: defaultdict[float | None, list[Row]] = defaultdict(list)
+    for name, how in parameters.items():
+        if (tie := how.get("tie")) is not None:
+            factor, source = parse_tie(name, tie)
+            spread = find_tie_spread(name, ParameterRecord(tie=tie, spread=how.get("spread")))
+            exact = spread == 1 or exact_alone
+            groups[None if exact else spread].append({"name": name, "factor": factor, "source": source})
+    return sorted(groups.items(), key=lambda item: item[0] is not None)
+
+
+def _choose_digits(value: float | None) -> int:
+    return 3 if value is not None and value < 0.1 else 2
+
+
+# ---- verdicts: tip errors beside noise floor, baselines and predictive intervals
+
+
+def judge(results: Run) -> list[Verdict]:
+    """Return a verdict for each held-out group; of a fit, for each medium fitted to."""
+    groups = list_judged_groups(results)
+    media = [group.head["medium"] for group in groups]
+    return [
+        _judge_held_out(results, group, media.count(group.head["medium"]) > 1)
+        if group.head["grouping"] == HELD_OUT
+        else _judge_fit(results, group)
+        for group in groups
+    ] or [Verdict("No fit: no start of the search has a solution for every insertion", "fail")]
+
+
+def _judge_held_out(results: Run, group: ScoredGroup, named_layers: bool) -> Verdict:
+    medium, layers = group.head["medium"], group.head["layers"]
+    name = group_name(medium, layers) if named_layers else medium_name(medium)
+    numbers = _collect_numbers(group)
+    error = group.get(TE)
+    if error is None:
+        return Verdict(f"Not scored: no simulation on {name} converged", "fail", name, numbers)
+    best = compare_best_baseline(results, group)
+    floor_ratio, count = group.over_floor(TE), int(group.head["insertions"])
+    judged = judge_errors(name, error, floor_ratio, best, count, reliable=results.reliable)
+    predictive = select_group(results.frames["predictive"], group)
+    median = median_error(predictive) if len(predictive) else None
+    numbers |= {} if median is None else {"predictive_median_te_mm": median}
+    missed = [
+        {"what": what, "level": level, "hits": found.hits, "trials": found.trials}
+        for what, level, found in list_missed_levels(predictive)
+    ]
+    noisy = any(one.kind == "noise_too_large" for one in read_warnings(results.run))
+    values = {
+        **{"judged": judged, "median_mm": median, "noisy": noisy},
+        "missed": missed[0] if missed else None,
+        "paper_set": _find_closer_set(results, group, error),
+    }
+    nearest = None if best is None else best.error_mm
+    closer = nearest is not None and median is not None and nearest < median
+    found = replace(judged, sentence=TEXT.sentence("held_out", values), group=name, numbers=numbers)
+    return qualify(found, found.sentence) if closer or missed or noisy else found
+
+
+def _find_closer_set(results: Run, group: ScoredGroup, error: float) -> Row | None:
+    """Return the set of the paper's that is closest, if it is closer than the fit on most insertions."""
+    rows = [
+        {
+            "name": f"the {method_name(row['method'], results.origin)}".replace(", b", " with b"),
+            "error_mm": row[TE],
+            "closer": row["insertions"] - row["better"],
+            "insertions": row["insertions"],
+        }
+        for row in compare_group(results, group)
+        if row["method"] in PAPER_SETS and row[TE] is not None
+    ]
+    closer = [row for row in rows if row["error_mm"] < error and 2 * row["closer"] > row["insertions"]]
+    return min(closer, key=lambda row: float(row["error_mm"]), default=None)
+
+
+def _collect_numbers(group: ScoredGroup) -> dict[str, float | str | None]:
+    best = find_best_baseline(group)
+    return {
+        TE: group.get(TE),
+        "floor_te_mm": group.get(TE, "floor"),
+        "te_over_floor": group.over_floor(TE),
+        "baseline": best,
+        "baseline_te_mm": None if best is None else group.get(TE, method=best),
+        "paper_te_mm": group.get(TE, "paper"),
+        "insertions": group.head["insertions"],
+    }
+
+
+def _judge_fit(results: Run, group: ScoredGroup) -> Verdict:
+    """Return the verdict on a fit: how closely it follows its insertions, what it determines."""
+    name, error, facts = medium_name(group.head["medium"]), group.get(TE), Facts(results)
+    numbers = {**_collect_numbers(group), "not_determined": ", ".join(facts.undetermined)}
+    if error is None:
+        return Verdict(f"No fit: no simulation on {name} converged", "fail", name, numbers)
+    ratio, kinds = group.over_floor(TE), {one.kind for one in read_warnings(results.run)}
+    opening, status = _open_fit(kinds, bool(facts.undetermined), ratio, results.reliable)
+    values = {"facts": facts, "opening": opening, "error_mm": error, "floor_ratio": ratio}
+    values |= {"insertions": group.head["insertions"]}
+    return Verdict(TEXT.sentence("fitted", values), status, name, numbers)
+
+
+def _open_fit(
+    kinds: set[str], undetermined: bool, floor_ratio: float | None, reliable: bool
+) -> tuple[str, Status]:
+    if "worse_than_baseline" in kinds and (floor_ratio is None or floor_ratio > 1):
+        return "Does not fit", "fail"
+    if "parameter_at_bound" in kinds:
+        return "Fitted, but at a bound", "warn"
+    if not reliable:
+        return "Fitted, but not reliable", "warn"
+    if "worse_than_baseline" in kinds:
+        return "Fitted, but a baseline is closer", "warn"
+    return ("Fitted in part", "warn") if undetermined else ("Fitted", "pass")
+
+
+# ---- figures: insertions
+
+_POINT_COLUMNS = [*INSERTION_KEYS, "curve", "x_mm", *HEIGHT_COLUMNS]
+MAX_LARGE_PANELS = 24
+"""Insertions at most whose panels are large."""
+
+_OVERLAY_POINT_STEP, _RESIDUAL_POINT_STEP = 5, 2  # of the points compared, one in so many is drawn
+
+
+def collect_curves(results: Run, role: str, shown: Iterable[str], every: int = 1) -> pd.DataFrame:
+    """Return one row per drawn point of a role's insertions; y is toward the bevel, mm.
+
+    `curve` is a method of `shown`, "measured" (of the points, one in `every`), or the level of a band, which
+    held-out insertions have: `low_mm`, `high_mm` are its ends.
+    """
+    where = "role == @role and boundaries == 'measured' and method in @shown"
+    shapes = results.frames["shapes"].query(where, local_dict={"role": role, "shown": list(shown)})
+    shapes = shapes.sort_values([*INSERTION_KEYS, "method", "j"])
+    simulated = shapes.set_axis([c.replace("simulated_", "") for c in shapes.columns], axis=1)
+    dots = shapes.drop_duplicates([*INSERTION_KEYS, "j"])
+    bands = _align_bands(results.frames["bands"], dots)
+    dots = dots[dots["j"] % every == 0].set_axis([c.replace("measured_", "") for c in shapes.columns], axis=1)
+    parts = [simulated.assign(curve=simulated["method"]), dots.assign(curve="measured")]
+    for level in BANDS if role == "validate" else ():
+        number = level.removesuffix(" %")
+        ends = {f"low_{number}_mm": "low_mm", f"high_{number}_mm": "high_mm"}
+        parts.append(bands.rename(columns=ends).assign(curve=level))
+    found = pd.concat(
+        [part.reindex(columns=_POINT_COLUMNS) for part in parts if len(part)], ignore_index=True
+    )
+    sides = found["insertion"].map(find_bevel_sides(results))
+    found[HEIGHT_COLUMNS] = found[HEIGHT_COLUMNS].mul(sides, axis=0)
+    return found.assign(origin=results.origin)
+
+
+def _align_bands(bands: pd.DataFrame, shapes: pd.DataFrame) -> pd.DataFrame:
+    """Return bands as they lie about the measured needle that is drawn.
+
+    Where only the shape is known, scores turn it into a frame of their own: a band stays where it is beside
+    the needle it was predicted for.
+    """
+    parts = []
+    ends = [name for name in bands.columns if name.startswith(("low_", "high_"))]
+    for key, band in bands.groupby(INSERTION_KEYS, sort=False):
+        needle = shapes[(shapes["fold"] == key[0]) & (shapes["insertion"] == key[1])]
+        if len(needle):
+            height = np.interp(band["x_mm"], needle["measured_x_mm"], needle["measured_y_mm"])
+            parts.append(band.assign(**{name: band[name] - band["measured_mm"] + height for name in ends}))
+    return pd.concat(parts) if parts else bands
+
+
+def subtract_fit(points: pd.DataFrame) -> pd.DataFrame:
+    """Return all curves except the fit, minus the fit's deflection at the same x."""
+    parts = []
+    for _, mine in points.groupby(INSERTION_KEYS, sort=False):
+        fit = mine[mine["curve"] == "fitted"].dropna(subset="y_mm")
+        others = mine[mine["curve"] != "fitted"]
+        if len(fit) > 1:
+            columns = (frame["x_mm"].to_numpy() for frame in (fit, others))
+            height = _extrapolate_height(next(columns), fit["y_mm"].to_numpy(), next(columns))
+            parts.append(others.assign(**{name: others[name] - height for name in HEIGHT_COLUMNS}))
+    return pd.concat(parts, ignore_index=True) if parts else points.head(0)
+
+
+def _extrapolate_height(x: Floats, y: Floats, at: Floats) -> Floats:
+    """Return a needle's height at `at` (K,), straight on beyond its ends."""
+    found: Floats = np.interp(at, x, y)
+    for end, neighbour, outside in ((0, 1, at < x[0]), (-1, -2, at > x[-1])):
+        slope = (y[end] - y[neighbour]) / (x[end] - x[neighbour])
+        found = np.where(outside, y[end] + slope * (at - x[end]), found)
+    return found
+
+
+def _title_panels(results: Run, role: str) -> dict[InsertionKey, str]:
+    """Return by fold and insertion what stands above its panel: its tip error."""
+    errors = results.frames["errors"].query(
+        "role == @role and boundaries == 'measured' and method == 'fitted'"
+    )
+    titles = {}
+    for row in to_records(errors):
+        error = f"{format_mm(row['te_mm'], 3 if row['comparison'] == 'aligned' else 2)} mm"
+        titles[row["fold"], row["insertion"]] = error if row["converged"] else "did not converge"
+    return titles
+
+
+def _rank_by_tip_error(results: Run, role: str) -> list[InsertionKey]:
+    """Return the insertions of a role by the tip error of the fit, smallest first."""
+    rows = results.frames["errors"].query(
+        "role == @role and boundaries == 'measured' and method == 'fitted' and converged"
+    )
+    rows = rows.sort_values("te_mm", kind="stable")
+    return list(rows[INSERTION_KEYS].itertuples(index=False, name=None))
+
+
+def _select(points: pd.DataFrame, chosen: Iterable[InsertionKey]) -> pd.DataFrame:
+    inside = pd.MultiIndex.from_frame(points[INSERTION_KEYS]).isin(list(chosen))
+    selected: pd.DataFrame = points[inside]
+    return selected
+
+
+def draw_insertions(results: Run, role: str) -> dict[str, Drawing]:
+    """Return all insertions; the best and the worst in their layers; three less the fit."""
+    titles = _title_panels(results, role)
+    names = {method: method_name(method) for method in ("fitted", "hand_tuned")}
+    every = _OVERLAY_POINT_STEP if len(titles) <= MAX_LARGE_PANELS else 2 * _OVERLAY_POINT_STEP
+    ranked = _rank_by_tip_error(results, role)
+    ends = {"Only insertion": ranked[0]} if len(ranked) == 1 else {"Best": ranked[0], "Worst": ranked[-1]}
+    heads = {which: f"{word}: TE {titles[which]}" for word, which in ends.items()}
+    best = collect_curves(results, role, ("fitted",), _OVERLAY_POINT_STEP)
+    best = pd.concat([_select(best, heads), _list_layers(results, heads)], ignore_index=True)
+    # a straight line, without coefficients, would hide all others
+    curves = (one.name for one in reversed(list_baselines()) if one.scales or one.fit)
+    less = {method: method_name(method) for method in ("fitted", "hand_tuned", *curves)}
+    three = list(dict.fromkeys([ranked[0], ranked[len(ranked) // 2], ranked[-1]]))
+    off = subtract_fit(_select(collect_curves(results, role, less, _RESIDUAL_POINT_STEP), three))
+    return {
+        "schematic": Drawing(
+            insertions,
+            best,
+            {"heads": heads, "names": {"fitted": names["fitted"]}, "most_columns": 2, "layers": True},
+        ),
+        "overlays": Drawing(
+            insertions, collect_curves(results, role, names, every), {"heads": titles, "names": names}
+        ),
+        "residuals": Drawing(residuals, off, {"chosen": three, "names": less}),
+    }
+
+
+def _list_layers(results: Run, chosen: Iterable[InsertionKey]) -> pd.DataFrame:
+    """Return a row for each layer of some insertions: `curve` is its name, `x_mm` where it begins."""
+    stored = results.run.get("layers", {})
+    rows = [
+        {"fold": fold, "insertion": insertion, "curve": f"{LAYER} {layer:.0f}", "x_mm": float(begin)}
+        for fold, insertion in chosen
+        for layer, begin in stored.get(insertion, [(1, 0.0)])
+    ]
+    return pd.DataFrame(rows).assign(origin=results.origin)
+
+
+# ---- errors on held-out groups
+
+_MIN_TIPS_OF_BOX = 5
+"""Fewer tip errors than this are shown as points only: a box of them would be an invention."""
+
+_BOXPLOT_COLUMNS = ("group", "metric", "mark", "insertion", "value", "origin")
+
+
+def draw_errors(results: Sequence[Run]) -> dict[str, Drawing]:
+    """Return the errors on held-out insertions by group, and the predictive check.
+
+    Of several studies also the errors of every method; nothing where none is held out.
+    """
+    if tabulate_validation(*results).empty:
+        return {}
+    marks = pd.DataFrame([row for one in results for row in _list_boxes(one)], columns=_BOXPLOT_COLUMNS)
+    drawn = {"boxplot": Drawing(errors_by_group, marks)}
+    if len(results) > 1:  # of one study the table of methods has these numbers
+        drawn["baselines"] = _draw_baselines(results)
+    if any(len(one.frames["predictive"]) for one in results):
+        drawn["predicted"] = Drawing(predictive_check, tabulate_predictive_check(results))
+    return drawn
+
+
+def _list_boxes(results: Run) -> Iterator[Row]:
+    """Yield what ends, halves and quarters a box, tips, means, floor and the paper's means."""
+    where = "role == 'validate' and method == 'fitted' and boundaries == 'measured'"
+    cloud, errors = tabulate_points(results).query(where), results.frames["errors"].query(where)
+    for group in list_held_out_groups(results):
+        medium, layers = group.head["medium"], group.head["layers"]
+        about = {"group": f"{_name_group(group)}, n = {group.head['insertions']}", "origin": results.origin}
+        ipe, te = (
+            frame[(frame["medium"] == medium) & (frame["layers"] == layers) & np.isfinite(frame[column])]
+            for frame, column in ((cloud, "ipe_mm"), (errors, TE))
+        )
+        yield from ({**about, "metric": "IPE", **mark} for mark in _list_quartiles(ipe["ipe_mm"]))
+        if len(te) >= _MIN_TIPS_OF_BOX:
+            yield from ({**about, "metric": "TE", **mark} for mark in _list_quartiles(te[TE]))
+        for tip in to_records(te[["insertion", TE]]):
+            place = {"mark": "tip", "insertion": tip["insertion"], "value": tip[TE]}
+            yield {**about, "metric": "TE", **place}
+        for error, metric in (("IPE", "ipe_mean_mm"), ("TE", TE)):
+            for mark, column in (("mean", "value"), ("noise floor", "floor"), ("paper", "paper")):
+                if (value := group.get(metric, column)) is not None:
+                    yield {**about, "metric": error, "mark": mark, "value": value}
+
+
+def _name_group(group: ScoredGroup) -> str:
+    head = group.head
+    return f"{study_name(head['study'])}, {medium_name(head['medium'])}, {layers_name(head['layers'])}"
+
+
+def _list_quartiles(values: "pd.Series[float]") -> list[Row]:
+    if not len(values):
+        return []
+    ends = np.percentile(values.to_numpy(dtype=np.float64), list(QUARTILES.values()))
+    return [{"mark": mark, "value": float(end)} for mark, end in zip(QUARTILES, ends, strict=True)]
+
+
+def _draw_baselines(results: Sequence[Run]) -> Drawing:
+    """Return one row per held-out group with a mark per method, the paper's and the noise floor."""
+    rows = [
+        {"group": _name_group(group), "method": method, TE: value, "origin": group.head["origin"]}
+        for group in list_held_out_groups(*results)
+        for method, value in (
+            *((method, group.get(TE, method=method)) for method in list_methods()),
+            *(("paper", group.get(TE, "paper")), ("noise floor", group.get(TE, "floor"))),
+        )
+        if value is not None
+    ]
+    frame = pd.DataFrame(rows, columns=["group", "method", TE, "origin"])
+    present = [method for method in list_methods() if (frame["method"] == method).any()]
+    middle, step = (len(present) - 1) / 2, 0.6 / max(len(present) - 1, 1)
+    looks = {
+        method: Look(
+            method_name(method),
+            method_colour(method),
+            method_marker(method),
+            shift=step * (place - middle),
+            size=5.5 if method == "fitted" else 4,
+        )
+        for place, method in enumerate(present)
+    }
+    looks["paper"] = Look("paper, own needles", PAPER_COLOUR, "D", filled=False, size=4)
+    looks["noise floor"] = Look("noise floor", INK, "|", dashes=(0, (2, 1.5)), width=0.9)
+    options: dict[str, Any] = {
+        "rows": ("group",),
+        "value": TE,
+        "by": "method",
+        "looks": looks,
+        "scale": "log",
+    }
+    options |= {
+        "name_row": lambda row: row[0].replace(", ", "\n"),
+        "x_label": "mean tip error (mm)",
+        "row_height": 0.5,
+    }
+    return Drawing("dots_with_intervals", frame, options)
+
+
+# ---- predictive check
+
+BAND_POINTS = 100
+"""Number of probabilities at which the band is computed, plus one."""
+
+BAND_ERROR_PROBABILITY = 0.05
+"""Probability that uniform PIT values leave the band somewhere."""
+
+_CHECK_COLUMNS = (
+    *("study", "mark", "quantity", "probability", "share", "low", "high"),
+    *("insertions", "replicates", "origin"),
+)
+
+
+def tabulate_predictive_check(results: Sequence[Run]) -> pd.DataFrame:
+    """Return steps of the ECDFs of PIT values, their band, and shares with Wilson intervals.
+
+    The PIT value of a measurement is the probability that was predicted of less: of a tip less far toward
+    the bevel, of a shape nearer at its worst point. Where predictions are right it is uniform. A needle is
+    one trial, and repeats in one specimen are one where there are specimens enough (`group_independent`).
+    """
+    rows = [row for one in results if len(one.frames["predictive"]) for row in _list_checks(one)]
+    return pd.DataFrame(rows, columns=_CHECK_COLUMNS)
+
+
+def _list_checks(results: Run) -> Iterator[Row]:
+    predictions = results.frames["predictive"]
+    groups = group_independent(list(predictions["insertion"]), list(predictions["specimen"]))
+    trials = len(set(groups))
+    about: Row = {"study": study_name(study_label(results)), "origin": results.origin}
+    about |= {"insertions": len(predictions), "replicates": trials}
+    size = pd.Series(groups).map(pd.Series(groups).value_counts()).to_numpy(dtype=np.float64)
+    for quantity, pits in _orient_pits(results).items():
+        order = np.argsort(pits, kind="stable")
+        below = np.cumsum(1 / size[order]) / trials  # every group weighs the same
+        for level, part in zip([0.0, *pits[order], 1.0], [0.0, *below, 1.0], strict=True):
+            place = {"quantity": quantity, "probability": float(level), "share": float(part)}
+            yield {**about, "mark": "ECDF", **place}
+    low, high = (ends / trials for ends in ecdf_band(trials, BAND_POINTS, BAND_ERROR_PROBABILITY))
+    for number, (least, most) in enumerate(zip(low, high, strict=True), start=1):
+        band = {"probability": number / BAND_POINTS, "low": float(least), "high": float(most)}
+        yield {**about, "mark": "band", **band}
+    for quantity in PREDICTED_QUANTITIES:
+        for level in PREDICTED_LEVELS:
+            found = estimate_proportion(list(map(bool, predictions[f"{quantity}_in_{level}"])), groups)
+            ends = {"share": found.hits / found.trials, "low": found.low, "high": found.high}
+            yield {**about, "mark": "coverage", "quantity": quantity, "probability": level / 100, **ends}
+
+
+def _orient_pits(results: Run) -> dict[str, Floats]:
+    """Return the levels of tips and shapes; those of tips are stored toward +y."""
+    predictions = results.frames["predictive"]
+    sides = predictions["insertion"].map(find_bevel_sides(results)).to_numpy(dtype=np.float64)
+    tips, shapes = (predictions[f"{name}_pit"].to_numpy(dtype=np.float64) for name in ("tip", "shape"))
+    # The PIT value of -y is 1 minus that of y: needles whose bevels face opposite sides become comparable.
+    return {"tip": np.where(sides > 0, tips, 1 - tips), "shape": shapes}
+
+
+# ---- search and draws
+
+_END_COLUMNS = ("parameter", "value", "bound_low", "bound_high", "between_bounds")
+
+
+def draw_starts(results: Run) -> Drawing:
+    """Return the objective of all starts above the best one, and where each parameter ended."""
+    return Drawing(waterfall, _tabulate_starts(results), {"title": describe_counts(results.frames["starts"])})
+
+
+def _tabulate_starts(results: Run) -> pd.DataFrame:
+    """Return one row per start and free parameter: rank, objective minus best, and final value.
+
+    Ranks are within a search, best first; starts without a result have none. Only of the fit itself are the
+    parameters' ends drawn, so those of other searches are left out.
+    """
+    starts = results.frames["starts"].astype({"excess": float, "objective": float})
+    finite = starts["excess"].where(np.isfinite(starts["excess"]))
+    starts["rank"] = finite.groupby([starts["fold"], starts["fit"]], sort=False).rank(method="first")
+    known = results.frames["parameters"]
+    fitted = known[(known["method"] == "fitted") & (known["status"] == "free")]
+    free = to_records(fitted.drop_duplicates("parameter"))
+    head, rows = ("fold", "fit", "start", "rank", "excess", "within_tolerance"), []
+    for start in to_records(starts):
+        row = {key: start[key] for key in head} | {"failed": start["objective"] is None}
+        shown = free if start["fit"] == "fitted" else []
+        rows += [row | _find_end(start, one) for one in shown] or [row]
+    columns = [*head, "failed", *_END_COLUMNS]
+    return pd.DataFrame(rows, columns=columns).assign(origin=results.origin)
+
+
+def _find_end(start: Row, free: Row) -> Row:
+    """Return where a parameter ended, 0 to 1 between its bounds; moduli and lengths in logarithms."""
+    name, ends = free["parameter"], (free["bound_low"], free["bound_high"])
+    value, share = start[name], None
+    if value is not None:
+        at, low, high = (math.log(one) if is_logarithmic(name) else one for one in (value, *ends))
+        share = (at - low) / (high - low)
+    return dict(zip(_END_COLUMNS, (name, value, *ends, share), strict=True))
+
+
+def _tabulate_marks(results: Run) -> pd.DataFrame:
+    """Return what is drawn, Pa and mm: one row per draw, fit, paper's set, bound and end of the ridge."""
+    fold = results.frames["draws"]["fold"].iloc[0]
+    names = list_free_parameters(results)
+    draws = results.frames["draws"].loc[results.frames["draws"]["fold"] == fold, names].assign(mark="draw")
+    known = results.frames["parameters"][results.frames["parameters"]["fold"] == fold]
+    values = known.pivot_table(index="method", columns="parameter", values="value", sort=False)
+    sets = [method for method in DRAWN_SETS if method in values.index]
+    bounds = known[known["method"] == "fitted"].set_index("parameter")[["bound_low", "bound_high"]].T
+    marks = [
+        values.loc[sets].reindex(columns=names).assign(mark=sets),
+        bounds.reindex(columns=names).assign(mark=["lower bound", "upper bound"]),
+        pd.DataFrame(find_ridge_ends(draws[names])).assign(mark="ridge"),
+    ]
+    frame = pd.concat([draws, *(part for part in marks if len(part))], ignore_index=True)
+    drawn: pd.DataFrame = frame[["mark", *names]]
+    return drawn.assign(origin=results.origin)
+
+
+# ---- what the HTML page draws interactively
+
+CURVE_DECIMALS = 3
+"""Of mm on the page."""
+
+MAX_EXPLORED_PARAMETERS = 6
+
+
+def collect_explorer(results: Run) -> dict[str, Any] | None:
+    """Return the values of the interactive part of the page; None where nothing was scored."""
+    role = find_scored_role(results)
+    scored = results.frames["errors"].query(
+        "role == @role and boundaries == 'measured' and method == 'fitted' and converged"
+    )
+    if scored.empty:
+        return None
+    methods = ("fitted", *(name for name in list_methods() if name != "fitted"))
+    curves = collect_curves(results, role, methods)
+    listed_curves, listed_residuals = _list_curves(curves), _list_curves(subtract_fit(curves))
+    status = {one.group: one.status for one in judge_run(results)}
+    metrics = [one for one in list_metrics() if one.headline or one.relative]
+    return {
+        "heads": ["Insertion", "Group", "Depth (mm)", *(f"{one.label} ({one.unit})" for one in metrics)],
+        "insertions": [
+            {
+                "cells": [
+                    row["insertion"],
+                    f"{medium_name(row['medium'])}, {layers_name(row['layers'])}",
+                    f"{row['depth_mm']:.1f}",
+                    *(format_metric(one, row[one.name]) for one in metrics),
+                ],
+                # a verdict names the layers only where a medium has several groups
+                "status": status.get(
+                    group_name(row["medium"], row["layers"]), status.get(medium_name(row["medium"]), "")
+                ),
+                "error": row["te_mm"],
+                "curves": listed_curves.get((row["fold"], row["insertion"]), {}),
+                "residuals": listed_residuals.get((row["fold"], row["insertion"]), {}),
+            }
+            for row in to_records(scored)
+        ],
+        "methods": [
+            {"key": name, "name": method_name(name, results.origin), "colour": method_colour(name)}
+            for name in methods
+            if (curves["curve"] == name).any()
+        ],
+        "posterior": _collect_draws(results),
+    }
+
+
+def _list_curves(points: pd.DataFrame) -> dict[tuple[str, str], dict[str, dict[str, list[float]]]]:
+    """Return the curves by fold and insertion, of each its columns; points that lack one are left out."""
+    found: dict[tuple[str, str], dict[str, dict[str, list[float]]]] = {}
+    every = {key: points[key].to_numpy(dtype=np.float64) for key in ("x_mm", *HEIGHT_COLUMNS)}
+    groups: dict[Any, Any] = points.groupby(["fold", "insertion", "curve"], sort=False).indices
+    for (fold, insertion, name), rows in sorted(groups.items(), key=lambda group: int(group[1][0])):
+        heights = HEIGHT_COLUMNS[1:] if str(name).endswith("%") else HEIGHT_COLUMNS[:1]
+        columns = np.array([every[key][rows] for key in ("x_mm", *heights)])
+        known = np.round(columns[:, ~np.isnan(columns).any(axis=0)], CURVE_DECIMALS).tolist()
+        found.setdefault((fold, insertion), {})[str(name)] = dict(zip(("x_mm", *heights), known, strict=True))
+    return found
+
+
+def _collect_draws(results: Run) -> dict[str, Any] | None:
+    """Return the draws of the first fold, moduli in kPa or MPa; None without draws or with one parameter."""
+    names = list_free_parameters(results)[:MAX_EXPLORED_PARAMETERS]
+    draws = results.frames["draws"]
+    if draws.empty or len(names) < 2:
+        return None
+    draws = draws[draws["fold"] == draws["fold"].iloc[0]]
+    parameters = []
+    for name in names:
+        values = draws[name].to_numpy(dtype=np.float64)
+        label, unit = choose_printed_unit(name, [float(np.median(values))])
+        digits = [float(f"{value / unit:.4g}") for value in values]
+        parameters.append({"label": label, "log": is_logarithmic(name), "values": digits})
+    return {"parameters": parameters}
+
 
 # ---- sentences
 
 
-def summarize(results: Run) -> list[str]:
-    """Return the main result: one sentence per held-out group, then the comparison with its baselines.
-
-    A study without a row of the paper is about its empirical curves, so each one's difference is given;
-    of the others only the methods that do better.
-    """
-    if not list_held_out_groups(results):
-        return list_sentences(results, "fit")
-    printed = any(group.printed for group in list_held_out_groups(results))
-    return list_sentences(results, "groups", *(("better", "ties") if printed else ("curve_differences",)))
-
-
 def explain(results: Run) -> tuple[list[TableLayout], list[str]]:
     """Return all tables, and sentences on the search, on what failed and on what the data determine."""
-    shown = [*lay_out_tables(results), tables.lay_out_baselines([results], find_scored_role(results))]
+    shown = [*lay_out_tables(results), tables.lay_out_baselines(results, find_scored_role(results))]
     shown += [lay_out_coverage(results)] if len(results.frames["predictive"]) else []
     shown += [lay_out_posterior(results)] if results.posteriors else []
     held_out = bool(list_held_out_groups(results))
     errors = ["groups" if held_out else "fit", "conclusion"]
     errors += ["better_others", "ties"] if held_out else ["paper_sets"]
+    groups = results.frames["identification"].groupby("fold", sort=False)
+    verdicts = {str(fold): describe_verdicts(rows) for fold, rows in groups}
     sentences = [
         *list_sentences(results, *errors, "noise_floor", "prediction_set", "wide_intervals", "searches"),
         *map(insert_symbols, _name_folds(_list_undetermined(results))),
         *list_sentences(results, "combinations"),
-        *map(insert_symbols, _name_folds(_list_verdicts(results))),
+        *map(insert_symbols, _name_folds(verdicts)),
         *list_sentences(results, "failures", "validity", "unconverged", "outside_fits"),
     ]
     return shown, sentences
@@ -101,18 +1073,12 @@ def _list_undetermined(results: Run) -> dict[str, list[str]]:
     judged = set(results.frames["identification"]["parameter"])
     found: dict[str, list[str]] = {str(row["fold"]): [] for row in rows}
     for row in rows:
-        conditional = row["parameter"] in judged and is_conditional(row)
+        conditional = row["parameter"] in judged and row["condition"]
         if row["status"] == "free" and not row["determined"] and not conditional:
             note = str(row["note"] or NOT_DETERMINED)
             words = note if "determined" in note else f"{NOT_DETERMINED}: {note}"
             found[str(row["fold"])].append(f"{row['parameter']}: {words}.")
     return found
-
-
-def _list_verdicts(results: Run) -> dict[str, list[str]]:
-    """Return by fold the interval of each parameter, and under which assumption it is determined."""
-    groups = results.frames["identification"].groupby("fold", sort=False)
-    return {str(fold): describe_verdicts(rows) for fold, rows in groups}
 
 
 # ---- tables
@@ -163,9 +1129,9 @@ def lay_out_files(
 
 
 def _list_tables(results: Run) -> Iterator[TableLayout]:
-    """Yield every table that a run's report prints."""
+    """Yield every table whose cells are macros of `numbers.tex`."""
     role = find_scored_role(results)
-    baselines = tables.lay_out_baselines([results], role)
+    baselines = tables.lay_out_baselines(results, role)
     yield tables.lay_out_design([results])
     yield tables.lay_out_validation([results])
     yield from (tables.lay_out_tuning([results], grouping) for grouping in (BY_LAYERS, BY_MEDIA))
@@ -190,7 +1156,7 @@ def write_files(result: Run, folder: Path) -> None:
     # With every digit: it is exactly these values that fail again.
     write_csv(result.frames["failures"].assign(origin=result.origin), folder / "failures.csv", digits=None)
     if len(result.frames["needles"]):
-        write_needles(result, folder / "slicer")
+        write_needles(result.frames["needles"], result.synthetic, folder / "slicer")
     (folder / "numbers.tex").write_text(format_macros([result]), encoding="utf-8")
     if Facts(result).has_methods:
         lines, cited = format_methods(result)
@@ -228,13 +1194,16 @@ def format_macros(results: Sequence[Run]) -> str:
     `-high` and `-interval` of its 95 % interval (`-interval` alone where that is "not determined"), all in
     the unit of the tables, `-unit`; or that of a cell of a table (`format_table_macros`).
     """
-    return latex.format_macros(number for one in results for number in _list_numbers(one))
-
-
-def _list_numbers(results: Run) -> Iterator[tuple[str, str]]:
-    yield from _list_errors(results)
-    yield from _list_parameters(results)
-    yield from latex.list_cells(results.name, tuple(_list_tables(results)))
+    return latex.format_macros(
+        number
+        for one in results
+        for numbers in (
+            _list_errors(one),
+            _list_parameters(one),
+            latex.list_cells(one.name, tuple(_list_tables(one))),
+        )
+        for number in numbers
+    )
 
 
 def _list_errors(results: Run) -> Iterator[tuple[str, str]]:
@@ -270,47 +1239,24 @@ def _list_parameters(results: Run) -> Iterator[tuple[str, str]]:
             yield from ((f"{key}-low", low), (f"{key}-high", high)) if to else ()
 
 
-# ---- figures and sections
+# ---- the report
 
 
-def draw_figures(results: Run, folder: Path) -> dict[str, Path]:
-    """Draw what the tables allow to be drawn."""
+def list_figures(results: Run) -> dict[str, Drawing]:
+    """Return what the tables allow to be drawn."""
     role, frames = find_scored_role(results), results.frames
     found: dict[str, Drawing] = {}
-    if all(_has_fitted(frames[name], role) for name in ("errors", "shapes")):
-        found |= figures.draw_insertions(results, role)
-    if len(frames["draws"]) and list_free_parameters(results):
-        found["corner"] = figures.draw_corner(results)
+    both = [frames[name] for name in ("errors", "shapes")]
+    if all(((one["role"] == role) & (one["method"] == "fitted")).any() for one in both):
+        found |= draw_insertions(results, role)
+    if len(frames["draws"]) and tables.list_free_parameters(results):
+        names = {"fitted": "the fit", "hand_tuned": method_name("hand_tuned", results.origin)}
+        found["corner"] = Drawing(corner, _tabulate_marks(results), {"names_of_sets": names})
     if len(frames["starts"]) and not Facts(results).agreement:
-        found["waterfall"] = figures.draw_starts(results)
-    drawn = {name: one.save(folder / f"{name}.pdf") for name, one in found.items()}
+        found["waterfall"] = draw_starts(results)
     if len(frames["profiles"]):
-        drawn["profiles"] = draw_profiles(
-            frames["identification"], frames["profiles"], results.origin, folder / "profiles.pdf"
-        )
-    return drawn | draw_error_figures([results], folder)
-
-
-def draw_error_figures(results: Sequence[Run], folder: Path) -> dict[str, Path]:
-    """Draw the errors on held-out insertions, if there are any."""
-    if tabulate_validation(*results).empty:
-        return {}
-    return {name: one.save(folder / f"{name}.pdf") for name, one in figures.draw_errors(results).items()}
-
-
-def _has_fitted(frame: pd.DataFrame, role: str) -> bool:
-    return bool(((frame["role"] == role) & (frame["method"] == "fitted")).any())
-
-
-def compose_sections(results: Run, paths: FigurePaths) -> list[Block]:
-    """Return the report below its verdicts: evidence, schematic and errors in short; then errors and
-    coverage, parameters, insertions, methods; diagnostics last.
-    """
-    shown = [*_list_tables(results), tables.lay_out_summary([results])]
-    shown.append(tables.lay_out_all_errors(results))
-    methods = list_sentences(results, "methods") if Facts(results).has_methods else []
-    paragraph = {"methods": [document.text(" ".join(methods))]}
-    return TEXT.compose("report", {"facts": Facts(results)}, shown, paths, paragraph)
+        found["profiles"] = draw_profiles(frames["identification"], frames["profiles"], results.origin)
+    return found | draw_errors([results])
 
 
 def tuning_tables(results: Sequence[Run]) -> list[TableLayout]:
@@ -322,21 +1268,27 @@ def tuning_tables(results: Sequence[Run]) -> list[TableLayout]:
 
 
 REPORT = StudyReport(
-    summarize=summarize,
-    lay_out=lay_out_tables,
-    draw=draw_figures,
-    compose=compose_sections,
+    TEXT,
+    lambda results: {"facts": Facts(results)},
+    lay_out_tables,
+    list_figures,
+    blocks=lambda results: {
+        "methods": [document.text(" ".join(list_sentences(results, "methods")))]
+        if Facts(results).has_methods
+        else []
+    },
+    more_tables=lambda results: [
+        *_list_tables(results),
+        tables.lay_out_summary([results]),
+        tables.lay_out_all_errors(results),
+    ],
     tabulate=tabulate_files,
     write_files=write_files,
     to_json=fit_to_json,
-    comparisons=COMPARISONS,
+    comparisons=tables.COMPARISONS,
     compares_only_these=True,
     judge=judge,
     explore=collect_explorer,
-    lay_out_first=lambda results: [
-        tables.lay_out_summary([results]),
-        tables.lay_out_values(results),
-    ],
+    lay_out_first=lambda results: [tables.lay_out_summary([results]), tables.lay_out_values(results)],
     explain=explain,
-    say=say,
 )

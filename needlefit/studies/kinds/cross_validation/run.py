@@ -3,8 +3,11 @@
 import math
 import re
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,37 +15,38 @@ import pandas as pd
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_start, read_starts
 from needlefit.inference.identifiability.identify import (
     LOG_POSTERIOR_TOLERANCE,
+    Assessment,
     FitProfiles,
+    Identifiability,
+    identify,
+    objective_excess,
     profile_parameters,
+    select_within_tolerance,
+    within_tolerance,
 )
 from needlefit.inference.optimize import minimize
-from needlefit.inference.problem import Problem
+from needlefit.inference.parameters import Theta
+from needlefit.inference.predict import Draws
+from needlefit.inference.problem import Problem, explain_failure, find_outside_validity
+from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import Snapshots, sample_from_fit
 from needlefit.project.checkpoint import Checkpoint, open_checkpoint
 from needlefit.project.input_files import read_toml
 from needlefit.project.processes import one_thread
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.studies import provenance
 from needlefit.studies.fit_frames import COLUMNS as FRAMES
 from needlefit.studies.fit_warnings import add_warnings
-from needlefit.studies.folds import Fold
-from needlefit.studies.held_out_predictions import draw_fold_parameters
-from needlefit.studies.job import Job, Settings, prepare
-from needlefit.studies.kinds.cross_validation.result_rows import (
-    ResultRows,
-    has_fit,
-    record_failures,
-    summarize_searches,
-    tabulate_draws,
-    tabulate_fold,
-    tabulate_predictions,
-)
+from needlefit.studies.held_out_predictions import NewSpecimens, draw_fold_parameters, predict_held_out
+from needlefit.studies.identification import identify_parameters, reconcile_verdict
+from needlefit.studies.job import Fold, Job, Settings, prepare
 from needlefit.studies.needles_in_scan import FoldFit, NeedleInScan, place_needles, tabulate_needles
-from needlefit.studies.run import Run
-from needlefit.studies.score import Scorer
+from needlefit.studies.parameter_intervals import NO_SOURCE, add_intervals, intervals_of_draws
+from needlefit.studies.run import Run, describe_configuration
+from needlefit.studies.score import Row, Scorer, make_predictors
+from needlefit.studies.scored_groups import count_reasons, tabulate_design
 from needlefit.studies.simulated_data import find_true_value
-from needlefit.studies.summary import tabulate_design
+from needlefit.studies.validity import VALIDITY_KEY, ValidityCounts
 
 __all__ = ["FRAMES", "Settings", "run"]
 
@@ -63,35 +67,12 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
     """
     begin = time.time()
     job = prepare(name, record, settings)
-    work = provenance.describe_configuration(job)
+    work = describe_configuration(job)
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work, settings.note)
-    floors = {insertion.id: job.floor(insertion) for insertion in job.insertions}
-    tables, interrupted = ResultRows(job.parameters.names), False
-    scorer = Scorer(job.dataset, job.record.layer_count_rule, floors, tables.counts)
-    needles: dict[str, NeedleInScan] = {}
+    going = _StudyRun(job, settings, checkpoint)
     for number, fold in enumerate(job.folds):
-        steps = _FoldSteps(job, fold, number, settings)
-        fits = _run_searches(job, fold, steps, checkpoint)
-        interrupted = any(fit.interrupted for fit in fits.values()) or len(fits) < len(job.searches)
-        steps.report_searched()
-        examination = None if interrupted else _examine(job, fold, fits, settings)
-        if better := _move_to_better(job.problem(fold), fits, examination):
-            fits["fitted"] = better
-            examination = _examine(job, fold, fits, settings)
-        interrupted = interrupted or settings.stop()
-        if settings.sample and not interrupted:
-            interrupted = _sample(job, fold, fits["fitted"], settings, checkpoint, tables)
-        posterior, few = tables.posteriors.get(fold.name), None
-        if has_fit(fits) and (fold.validate or not interrupted):
-            few, many = draw_fold_parameters(job, fold, fits["fitted"], posterior, settings)
-            tabulate_draws(job, fold, many, tables)
-            if not few.faults:  # of what is not certified nothing is predicted
-                tabulate_predictions(job, fold, few, np.array(fits["fitted"].theta), settings, tables)
-        tabulate_fold(job, fold, fits, scorer, tables, examination, few)
-        if has_fit(fits):
-            known = FoldFit(fits["fitted"], tables.verdicts[fold.name], posterior)
-            needles |= place_needles(job, fold, known, tables.bands, settings.jobs)
-        if interrupted:
+        going.run_fold(number, fold)
+        if going.interrupted:
             break
     found = Run(
         kind="cross_validation" if isinstance(record, StudyRecord) else "fit",
@@ -100,20 +81,19 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
         origin=job.dataset.origin,
         dataset_title=job.dataset.title or job.dataset.name,
         frames={
-            **{frame: tables.frame(frame) for frame in FRAMES if frame not in ("design", "needles")},
+            **{frame: going.frame(frame) for frame in FRAMES if frame not in ("design", "needles")},
             "design": tabulate_design(job),
-            "needles": tabulate_needles(needles.values()),
+            "needles": tabulate_needles(going.needles.values()),
         },
-        posteriors=tables.posteriors,
-        run=work | {"layers": _list_layers(job)} | _find_truth(job) | summarize_searches(tables, interrupted),
+        posteriors=going.posteriors,
+        run=work | {"layers": _list_layers(job)} | _find_truth(job) | going.summarize_searches(),
         timing={"seconds": time.time() - begin, "jobs": settings.jobs, "dataset": str(job.dataset.path)},
-        interrupted=interrupted,
+        interrupted=going.interrupted,
     )
-    unconverged = {fold: posterior.faults for fold, posterior in tables.posteriors.items()}
-    unconverged |= {fold: faults for fold, faults in tables.uncertified.items() if fold not in unconverged}
-    faults = find_faults(found.frames["errors"], tables.search_faults, unconverged)
-    found = replace(found, faults=faults)
-    return add_warnings(found, job)
+    unconverged = {fold: posterior.faults for fold, posterior in going.posteriors.items()}
+    unconverged |= {fold: faults for fold, faults in going.uncertified.items() if fold not in unconverged}
+    faults = find_faults(found.frames["errors"], going.search_faults, unconverged)
+    return add_warnings(replace(found, faults=faults), job)
 
 
 _TWIN_SOURCE = re.compile(r"needlefit twin build --seed (\d+)")
@@ -127,7 +107,8 @@ def _find_truth(job: Job) -> dict[str, dict[str, float]]:
     built = _TWIN_SOURCE.fullmatch(str(read_toml(path).get("source", "")))
     if built is None:
         return {}
-    known = {name: find_true_value(job, name, int(built[1])) for name in job.parameters.names}
+    problem = job.problem(job.folds[0])
+    known = {name: find_true_value(problem, name, int(built[1])) for name in job.parameters.names}
     return {"truth": {name: value for name, value in known.items() if math.isfinite(value)}}
 
 
@@ -159,86 +140,244 @@ def find_faults(errors: pd.DataFrame, search_faults: Faults, not_converged: Faul
     return tuple(faults)
 
 
-@dataclass(frozen=True)
-class _FoldSteps:
-    """Where one fold lies among the steps of a run.
+@dataclass
+class _StudyRun:
+    """A run that is going on: what it works on, and what it has found by fold.
 
-    The steps of a fold are its starts, and as many again as one search has for its posterior draws and
-    predictions; their true share of the time varies, and differs little between folds.
+    `rows` are those of the tables of `Run`, by table.
     """
 
     job: Job
-    fold: Fold
-    number: int
     settings: Settings
-
-    @property
-    def label(self) -> str:
-        """The run, and of several folds which one."""
-        folds = len(self.job.folds)
-        return (
-            f"{self.job.name}: {self.fold.name} (fold {self.number + 1} of {folds})"
-            if folds > 1
-            else self.job.name
-        )
-
-    def report(self, what: str, done: int) -> None:
-        """Report so many steps of this fold as done."""
-        per_fold = (len(self.job.searches) + 1) * self.job.recipe.starts
-        self.settings.progress(
-            f"{self.label}: {what}", self.number * per_fold + done, len(self.job.folds) * per_fold
-        )
-
-    def report_searched(self) -> None:
-        """Report that all searches of the fold are done."""
-        self.report("posterior draws and predictions", len(self.job.searches) * self.job.recipe.starts)
-
-
-def _run_searches(job: Job, fold: Fold, steps: _FoldSteps, checkpoint: Checkpoint) -> dict[str, Fit]:
-    """Return the fit of everything free, by the metric too if asked, and of b alone about the paper's."""
-    fits, settings = {}, steps.settings
-    for order, search in enumerate(job.searches):
-        if settings.stop():
-            break
-        key = f"{fold.name}/{search}"
-        kept = read_starts(checkpoint, key)
-        counter = _StartCounter(
-            steps, search.replace("_", " "), order * job.recipe.starts + len(kept), key, checkpoint
-        )
-        callbacks = Callbacks(
-            kept, counter.report, settings.stop, counter.approach, settings.jobs, settings.part_pool
-        )
-        rng = random_stream(job.recipe.seed, fold.name, search, "starts")
-        fits[search] = minimize(job.problem(fold, search), job.recipe_of(search), rng, callbacks)
-    return fits
-
-
-@dataclass
-class _StartCounter:
-    """Keeps each finished start and says how far the run is."""
-
-    steps: _FoldSteps
-    search: str
-    done: int
-    key: str
     checkpoint: Checkpoint
+    interrupted: bool = False
+    rows: defaultdict[str, list[Row]] = field(default_factory=lambda: defaultdict(list))
+    searches: dict[str, dict[str, Fit]] = field(default_factory=dict)
+    verdicts: dict[str, Identifiability] = field(default_factory=dict)
+    posteriors: dict[str, Posterior] = field(default_factory=dict)
+    uncertified: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    search_faults: dict[str, list[str]] = field(default_factory=dict)
+    counts: ValidityCounts = field(default_factory=ValidityCounts)
+    needles: dict[str, NeedleInScan] = field(default_factory=dict)
 
-    def approach(self, done: int, total: int) -> None:
-        self.steps.report(f"{self.search}, approach {done} of {total}", self.done)
+    def __post_init__(self) -> None:
+        floors = {insertion.id: self.job.floor(insertion) for insertion in self.job.insertions}
+        self.scorer = Scorer(self.job.dataset, self.job.record.layer_count_rule, floors, self.counts)
 
-    def report(self, start: Start) -> None:
-        keep_start(self.checkpoint, self.key, start)
-        self.done += 1
-        self.steps.report(self.search, self.done)
+    def frame(self, name: str) -> pd.DataFrame:
+        """Return one table; without rows it still has its columns."""
+        values = self.job.parameters.names if name in ("starts", "failures", "profiles", "draws") else ()
+        rows = self.rows[name]
+        return pd.DataFrame(rows) if rows else pd.DataFrame(columns=[*FRAMES[name], *values])
 
+    def run_fold(self, number: int, fold: Fold) -> None:
+        """Fit to the insertions of a fold, learn what they determine, score and predict the others."""
+        job, settings = self.job, self.settings
+        fits = self.searches[fold.name] = self._search(number, fold)
+        self.interrupted = any(fit.interrupted for fit in fits.values()) or len(fits) < len(job.searches)
+        self._report(number, "posterior draws and predictions", len(job.searches) * job.recipe.starts)
+        profiles = None if self.interrupted else self._examine(fold, fits)
+        if better := _move_to_better(job.problem(fold), fits, profiles):
+            fits["fitted"] = better
+            profiles = self._examine(fold, fits)
+        self.interrupted = self.interrupted or settings.stop()
+        if settings.sample and not self.interrupted:
+            self.interrupted = self._sample(fold, fits["fitted"])
+        posterior, few = self.posteriors.get(fold.name), None
+        known = "fitted" in fits and math.isfinite(fits["fitted"].objective)
+        if known and (fold.validate or not self.interrupted):
+            few, many = draw_fold_parameters(job, fold, fits["fitted"], posterior, settings)
+            self._tabulate_draws(fold, many)
+            if not few.faults:  # of what is not certified nothing is predicted
+                self._predict(fold, few)
+        self._tabulate_searches(fold, profiles)
+        usable = {name: fit for name, fit in fits.items() if math.isfinite(fit.objective)}
+        if known:
+            self._tabulate_fit(fold, usable["fitted"], profiles, few)
+        if "fitted_metric" in usable:
+            self.rows["parameters"] += _metric_rows(job, fold, usable["fitted_metric"])
+        self.rows["parameters"] += _published_rows(job, fold, usable.get("hand_tuned_b"))
+        for method, curves in make_predictors(job.problem(fold), usable, job.hand_tuned).items():
+            for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
+                place = {"fold": fold.name, "role": role, "method": method}
+                for insertion in insertions:
+                    errors, shapes = self.scorer.score(place, insertion, curves)
+                    self.rows["errors"] += errors
+                    self.rows["shapes"] += shapes
+        if known:
+            about = FoldFit(fits["fitted"], self.verdicts[fold.name], posterior)
+            self.needles |= place_needles(
+                job.problem(fold), fold, about, self.rows["bands"], settings.jobs, fitted=len(job.folds) == 1
+            )
 
-def _examine(job: Job, fold: Fold, fits: dict[str, Fit], settings: Settings) -> FitProfiles | None:
-    """Return the profiles of the fit; many folds are scored, not examined."""
-    if len(job.folds) > 1 or not math.isfinite(fits["fitted"].objective):
-        return None
-    return profile_parameters(
-        job.problem(fold), fits["fitted"], settings.jobs, settings.stop, settings.part_pool
-    )
+    def _report(self, number: int, what: str, done: int) -> None:
+        """Report so many steps of a fold as done.
+
+        The steps of a fold are its starts, and as many again as one search has for its posterior draws and
+        predictions; their true share of the time varies, and differs little between folds.
+        """
+        job, folds = self.job, len(self.job.folds)
+        which = f"{job.name}: {job.folds[number].name} (fold {number + 1} of {folds})"
+        per_fold = (len(job.searches) + 1) * job.recipe.starts
+        label = f"{which if folds > 1 else job.name}: {what}"
+        self.settings.progress(label, number * per_fold + done, folds * per_fold)
+
+    def _search(self, number: int, fold: Fold) -> dict[str, Fit]:
+        """Return the fit of everything free, by the metric too if asked, and of b alone about the paper's."""
+        fits = {}
+        for order, search in enumerate(self.job.searches):
+            if self.settings.stop():
+                break
+            fits[search] = self._run_search(number, fold, search, order * self.job.recipe.starts)
+        return fits
+
+    def _run_search(self, number: int, fold: Fold, search: str, done: int) -> Fit:
+        """Return the fit of one search; each finished start is kept, and reported after the `done` ones."""
+        job, settings, key = self.job, self.settings, f"{fold.name}/{search}"
+        kept, words = read_starts(self.checkpoint, key), search.replace("_", " ")
+        done += len(kept)
+
+        def keep(start: Start) -> None:
+            nonlocal done
+            keep_start(self.checkpoint, key, start)
+            done += 1
+            self._report(number, words, done)
+
+        def approach(at: int, total: int) -> None:
+            self._report(number, f"{words}, approach {at} of {total}", done)
+
+        rng = random_stream(job.recipe.seed, fold.name, search, "starts")
+        callbacks = Callbacks(kept, keep, settings.stop, approach, settings.jobs, settings.part_pool)
+        return minimize(job.problem(fold, search), job.recipe_of(search), rng, callbacks)
+
+    def _examine(self, fold: Fold, fits: Mapping[str, Fit]) -> FitProfiles | None:
+        """Return the profiles of the fit; many folds are scored, not examined."""
+        if len(self.job.folds) > 1 or not math.isfinite(fits["fitted"].objective):
+            return None
+        settings, problem = self.settings, self.job.problem(fold)
+        return profile_parameters(problem, fits["fitted"], settings.jobs, settings.stop, settings.part_pool)
+
+    def _sample(self, fold: Fold, fit: Fit) -> bool:
+        """Sample the posterior of one fold; return whether it was interrupted."""
+        job, settings = self.job, self.settings
+        step = partial(settings.progress, f"{job.name}: posterior")
+        rng = random_stream(job.recipe.seed, fold.name, "posterior")
+        callbacks = Callbacks(stop=settings.stop, step=step, jobs=settings.jobs)
+        snapshots = Snapshots(self.checkpoint, fold.name)
+        posterior = sample_from_fit(job.problem(fold), fit, job.recipe.sample, rng, callbacks, snapshots)
+        if posterior is None:  # there is no posterior to write
+            return True
+        self.posteriors[fold.name] = posterior
+        for ensemble, thetas in enumerate(posterior.failed):
+            place = {"fold": fold.name, "fit": "posterior", "start": ensemble}
+            self.rows["failures"] += _failure_rows(place, job.problem(fold), thetas)
+        return posterior.interrupted
+
+    def _tabulate_draws(self, fold: Fold, draws: Draws) -> None:
+        """Add draws of a fold's parameters, in Pa and mm."""
+        job, about = self.job, {"fold": fold.name, **draws.describe()}
+        if draws.faults:
+            self.uncertified[fold.name] = draws.faults
+        self.rows["draws"] += [{**about, **job.parameters.values(theta)} for theta in draws.thetas]
+        outside = find_outside_validity(job.problem(fold), draws.thetas)
+        self.counts.draws.add(len(draws.thetas), int(outside.sum()))
+
+    def _predict(self, fold: Fold, draws: Draws) -> None:
+        """Add the predictions of the insertions that a fold holds out.
+
+        Those into new specimens are predicted as the paper does too, by what was tuned alone.
+        """
+        job, jobs, pool = self.job, self.settings.jobs, self.settings.part_pool
+        new = NewSpecimens(job, fold, np.array(self.searches[fold.name]["fitted"].theta))
+        for one in predict_held_out(job, fold, draws, new, jobs, pool, bands=True):
+            self.rows["predictive"].append(one.row)
+            self.rows["bands"] += one.band
+            self.counts.predicted.add(one.solved, one.outside)
+        others = replace(fold, validate=tuple(filter(new.differs, fold.validate)))
+        plain = predict_held_out(job, others, draws, None, jobs, pool)
+        self.rows["predictive_training"] += [one.row for one in plain]
+
+    def _tabulate_searches(self, fold: Fold, profiles: FitProfiles | None) -> None:
+        """Add the starts of a fold, what failed in them, and why the best point may not be the best."""
+        fits = self.searches[fold.name]
+        for name, fit in fits.items():
+            problem, place = self.job.problem(fold, name), {"fold": fold.name, "fit": name}
+            self.rows["starts"] += [{**place, **_start_row(problem, start, fit)} for start in fit.starts]
+            ends = [start.theta for start in fit.starts if math.isfinite(start.objective)]
+            self.counts.starts.add(len(ends), int(find_outside_validity(problem, ends).sum()))
+            for start in fit.starts:
+                where = {**place, "start": start.index}
+                self.rows["failures"] += _failure_rows(where, problem, start.failed)
+        faults = [fits["fitted"].fault] if "fitted" in fits and fits["fitted"].fault else []
+        if profiles is not None and profiles.gain > LOG_POSTERIOR_TOLERANCE:
+            faults.append(
+                f"the profiles met a log posterior {profiles.gain:.3g} above that of the fit: raise the "
+                "recipe’s starts or evaluations"
+            )
+        if faults:
+            self.search_faults[fold.name] = faults
+
+    def _tabulate_fit(self, fold: Fold, fit: Fit, profiles: FitProfiles | None, draws: Draws | None) -> None:
+        """Add the fitted parameters of a fold and what the data determine.
+
+        They are judged by the posterior's `draws`; without certified ones, by the information.
+        """
+        job, problem = self.job, self.job.problem(fold)
+        verdict = identify(problem, fit, draws.certified if draws else None)
+        judgements: Mapping[str, Assessment] = {}
+        judged: list[Row] = []
+        if profiles is not None:
+            found = identify_parameters(problem, profiles, verdict.sds, verdict, verdict.loosened)
+            judged = [{"fold": fold.name, **row} for row in found.rows]
+            self.rows["profiles"] += [{"fold": fold.name, **row} for row in found.points]
+            judgements, verdict = found.judgements, reconcile_verdict(verdict, found.judgements)
+        self.verdicts[fold.name] = verdict
+        self.rows["directions"] += [
+            {"fold": fold.name, "sd": one.sd, "sd_ratio": one.sd_ratio, "note": one.words}
+            for one in verdict.directions
+        ]
+        fitted = _fitted_rows(job, fold, fit, verdict, judgements)
+        sampled = intervals_of_draws(job.parameters, draws, self.posteriors.get(fold.name))
+        add_intervals(fitted, judged, sampled, job.parameters.ties)
+        self.rows["identification"] += judged
+        self.rows["parameters"] += fitted
+
+    def summarize_searches(self) -> dict[str, Any]:
+        """Return the results of the searches by fold and fit, and the failures in them and in the sampler."""
+        searches = {
+            fold: {name: _search_row(fit) for name, fit in fits.items()}
+            for fold, fits in self.searches.items()
+        }
+        every = [search for fold in searches.values() for search in fold.values()]
+        posteriors, draws = self.posteriors, self.frame("draws").drop_duplicates("fold")
+        sampled = {
+            "failed_solves_of_sampler": sum(p.failures for p in posteriors.values()),
+            "not_converged": {fold: list(p.faults) for fold, p in posteriors.items() if p.faults},
+        }
+        return {
+            "searches": searches,
+            "evaluations": sum(search["evaluations"] for search in every),
+            "not_determined": {
+                fold: [name for name, known in verdict.determined.items() if not known]
+                for fold, verdict in self.verdicts.items()
+            },
+            "failed_solves": sum(search["failed_solves"] for search in every),
+            **(sampled if posteriors else {}),
+            "sampled": bool(posteriors),
+            "draws": {
+                str(row["fold"]): {
+                    "draw_source": row["draw_source"],
+                    **{key: None if pd.isna(row[key]) else float(row[key]) for key in ("pareto_k", "ess")},
+                    "certified": bool(row["certified"]),
+                }
+                for _, row in draws.iterrows()
+            },
+            "search_faults": self.search_faults,
+            VALIDITY_KEY: self.counts.table(),
+            "recorded_failures": count_reasons(self.frame("failures")),
+            "interrupted": self.interrupted,
+            "budget_limited": False,  # every budget is counted in evaluations, none in time
+        }
 
 
 def _move_to_better(problem: Problem, fits: Mapping[str, Fit], profiles: FitProfiles | None) -> Fit | None:
@@ -254,20 +393,114 @@ def _move_to_better(problem: Problem, fits: Mapping[str, Fit], profiles: FitProf
     return replace(fit, theta=best, values=values, objective=objective, starts=(*fit.starts, met))
 
 
-def _sample(
-    job: Job, fold: Fold, fit: Fit, settings: Settings, checkpoint: Checkpoint, tables: ResultRows
-) -> bool:
-    """Sample the posterior of one fold; return whether it was interrupted."""
+# ---- rows of the tables of `Run`
 
-    def step(done: int, total: int) -> None:
-        settings.progress(f"{job.name}: posterior", done, total)
 
-    rng = random_stream(job.recipe.seed, fold.name, "posterior")
-    callbacks = Callbacks(stop=settings.stop, step=step, jobs=settings.jobs)
-    snapshots = Snapshots(checkpoint, fold.name)
-    posterior = sample_from_fit(job.problem(fold), fit, job.recipe.sample, rng, callbacks, snapshots)
-    if posterior is None:  # there is no posterior to write
-        return True
-    tables.posteriors[fold.name] = posterior
-    record_failures(job, fold, posterior, tables)
-    return posterior.interrupted
+def _start_row(problem: Problem, start: Start, fit: Fit) -> Row:
+    return {
+        "start": start.index,
+        "minimized": fit.minimized,
+        "objective": start.objective,
+        "excess": objective_excess(start, fit),
+        "within_tolerance": within_tolerance(start, fit),
+        "evaluations": start.evaluations,
+        "gradients": start.gradients,
+        "failed_solves": start.failures,
+        "stopped": start.stopped,
+        "joined": start.joined,
+        **problem.values(np.array(start.theta)),
+    }
+
+
+def _failure_rows(place: Row, problem: Problem, thetas: Iterable[Theta]) -> list[Row]:
+    """Return one row per theta that failed, simulated again for the insertion and the reason."""
+    found = [(explain_failure(problem, theta), problem.values(theta)) for theta in thetas]
+    return [{**place, "insertion": f.insertion, "note": f.reason, **values} for f, values in found]
+
+
+def _search_row(fit: Fit) -> Row:
+    unit = {"posterior": "negative_log_posterior", "metric": "objective_mm"}[fit.minimized]
+    return {
+        unit: fit.objective if math.isfinite(fit.objective) else None,
+        "values": dict(fit.values),
+        "starts": len(fit.starts),
+        "equal_starts": len(select_within_tolerance(fit)),
+        "evaluations": fit.evaluations,
+        "gradients": fit.gradients,
+        "failed_solves": fit.failures,
+    }
+
+
+_UNKNOWN: Row = {
+    **dict.fromkeys(("bound_low", "bound_high"), math.nan),
+    **NO_SOURCE,
+    **dict.fromkeys(("sd", "low", "high"), math.nan),
+    **{"determined": False, "condition": ""},
+}
+"""Of a row of "parameters": what is known of fitted ones only."""
+
+
+def _fitted_rows(
+    job: Job, fold: Fold, fit: Fit, verdict: Identifiability, judgements: Mapping[str, Assessment]
+) -> list[Row]:
+    """Return the fitted values with what the data say of them; a tied one shares its source's verdict."""
+    rows = []
+    for name, value in fit.values.items():
+        status, (factor, source) = job.parameters.status[name], job.parameters.ties.get(name, (1.0, name))
+        low, high = job.parameters.bounds.get(name, (math.nan, math.nan))
+        condition = verdict.conditions.get(name, "")
+        row = {"fold": fold.name, "method": "fitted", "parameter": name, "value": value, "status": status}
+        row |= {**_UNKNOWN, "bound_low": low, "bound_high": high, "condition": condition}
+        row["determined"] = bool(verdict.determined.get(source, False)) and not condition
+        if source in verdict.sds:
+            row["low"] = factor * verdict.spread_low[source]
+            row["high"] = factor * verdict.spread_high[source]
+        if status == "free":
+            row |= {"sd": verdict.sds[name], "note": verdict.notes[name]}
+        else:
+            tied = f"tied: {source}" if factor == 1 else f"tied: {factor:g} * {source}"
+            note = ["fixed" if status == "fixed" else tied]
+            if judged := judgements.get(name):  # it was freed for its profile
+                words = "the data do not determine it", f"if fitted: {judged.profile_verdict}"
+                note.append(words[not judged.flat])
+            row["note"] = "; ".join([*note, *filter(None, [condition])])
+        rows.append(row)
+    return rows
+
+
+def _metric_rows(job: Job, fold: Fold, fit: Fit) -> list[Row]:
+    """Return the values that the metric objective prefers; the posterior fit has their uncertainty."""
+    ends = np.array([s.theta for s in select_within_tolerance(fit)] or [fit.theta]).reshape(
+        -1, len(fit.theta)
+    )
+    parameters = job.problem(fold, "fitted_metric").parameters
+    low, high = (parameters.values(end(ends, axis=0)) for end in (np.min, np.max))
+    about = {"fold": fold.name, "method": "fitted_metric"}
+    return [
+        {
+            **{**about, "parameter": name, "value": value, "status": parameters.status[name]},
+            **{**_UNKNOWN, "low": low[name], "high": high[name]},
+            "note": "minimises the metric objective",
+        }
+        for name, value in fit.values.items()
+    ]
+
+
+def _published_rows(job: Job, fold: Fold, retuned: Fit | None) -> list[Row]:
+    """Return the paper's set, and that set with the bevel alone fitted."""
+    if job.hand_tuned is None:
+        return []
+    sets: dict[str, Mapping[str, Any]] = {"hand_tuned": job.hand_tuned}
+    found: Mapping[str, bool] = {}
+    if retuned is not None:
+        sets["hand_tuned_b"] = retuned.values
+        found = identify(job.problem(fold, "hand_tuned_b"), retuned).determined
+    rows = []
+    for method, values in sets.items():
+        for name, value in values.items():
+            free = method == "hand_tuned_b" and name == "bevel_mm"
+            row = {"fold": fold.name, "method": method, "parameter": name, "value": value}
+            row |= {"status": "free" if free else "published", **_UNKNOWN}
+            row |= {"determined": free and found.get(name, False)}
+            rows.append({**row, "note": "re-tuned alone" if free else "tuned by hand"})
+    return rows

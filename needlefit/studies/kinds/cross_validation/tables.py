@@ -1,18 +1,28 @@
-"""The tables of a fit or cross-validation as data: rows and columns; captions and notes stand in the text."""
+"""The tables of a fit or cross-validation as data, and how those of two runs differ.
+
+Captions and notes stand in the text.
+"""
 
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
-from needlefit.inference.parameters import HYPERPARAMETERS
+from needlefit.arrays import Floats
+from needlefit.datasets.select import group_independent
+from needlefit.inference.identifiability.precision import Direction, principal_directions
+from needlefit.inference.parameters import HYPERPARAMETERS, is_logarithmic
+from needlefit.inference.proportions import estimate_proportion
 from needlefit.inference.sampling.posterior import PERCENTILES
 from needlefit.metrics import Metric, headline_metrics, list_metrics
 from needlefit.reporting.columns import DIGITS
-from needlefit.reporting.labels import SPECIMEN_NAMES, method_name, study_name
+from needlefit.reporting.figures.fit_forms import to_log_coordinates
+from needlefit.reporting.labels import SPECIMEN_NAMES, group_name, method_name, study_name
 from needlefit.reporting.number_format import (
     NO_INTERVAL,
     choose_interval_unit,
@@ -31,16 +41,28 @@ from needlefit.reporting.table import Table, TableLayout, part, pivot
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText
 from needlefit.studies.coverage import COVERAGE_COLUMNS, count_covered, tabulate_coverage
+from needlefit.studies.csv_tables import TableSchema
 from needlefit.studies.fit_warnings import describe_gain
-from needlefit.studies.kinds.cross_validation.posterior import tabulate_percentiles
+from needlefit.studies.identification import IDENTIFICATION_COMPARISON
 from needlefit.studies.paper.claims import Claim
 from needlefit.studies.run import Run
+from needlefit.studies.run_differences import (
+    CRPS_NOISE_FRACTION,
+    MIN_SD_CHANGE,
+    MIN_SHIFT_SD,
+    ROUNDING_FRACTION,
+    Difference,
+    TableComparison,
+    compare_means,
+    is_number,
+)
 from needlefit.studies.scored_groups import (
     BY_LAYERS,
     BY_MEDIA,
     HELD_OUT,
     TE,
     ScoredGroup,
+    compare_methods,
     compare_parameter_row,
     find_best_baseline,
     list_groups,
@@ -49,7 +71,6 @@ from needlefit.studies.scored_groups import (
     study_label,
     tabulate_tuning,
 )
-from needlefit.studies.summary import compare_methods
 
 TEXT = KindText("cross_validation")
 
@@ -147,7 +168,10 @@ def lay_out_summary(results: Sequence[Run]) -> TableLayout:
 
     Groups are those held out, or of runs without any those fitted to.
     """
-    groups = [group for one in results for group in _groups_of(one)]
+    groups = list[ScoredGroup]()
+    for one in results:
+        tuning = tabulate_tuning(one)
+        groups += list_held_out_groups(one) or list_groups(tuning[tuning["grouping"] == BY_LAYERS])
     rows: list[Row] = []
     for number, group in enumerate(groups):
         best = find_best_baseline(group)
@@ -167,11 +191,6 @@ def lay_out_summary(results: Sequence[Run]) -> TableLayout:
         "marked": any(row["mark"] for row in rows),
     }
     return _lay_out(table, groups=list(map(_head, groups)), **values)
-
-
-def _groups_of(results: Run) -> list[ScoredGroup]:
-    tuning = tabulate_tuning(results)
-    return list_held_out_groups(results) or list_groups(tuning[tuning["grouping"] == BY_LAYERS])
 
 
 def _list_rows(group: ScoredGroup, kinds: Sequence[_RowKind]) -> Iterator[Row]:
@@ -283,22 +302,21 @@ def lay_out_coverage(*results: Run, named: bool = False) -> TableLayout:
     return _lay_out(table, sources=sources, spread=spread if len(other) else None, gains=gains)
 
 
-def lay_out_baselines(results: Sequence[Run], role: str) -> TableLayout:
+def lay_out_baselines(results: Run, role: str) -> TableLayout:
     """Return every method's errors and its paired difference from the fit on the same insertions."""
-    rows = [row for one in results for row in _describe_methods(one, role)]
+    digits = 3 if (results.frames["errors"]["comparison"] == "aligned").any() else 2
+    about = {"study": study_label(results), "origin": results.origin, DIGITS: digits}
+    rows = [
+        {
+            **{**row, **about, "method": method_name(row["method"], results.origin)},
+            **({"difference_mm": None, "better": ""} if row["method"] == "fitted" else {}),
+        }
+        for row in to_records(compare_methods(results, role=role, metric=TE))
+    ]
     errors = (one.name for one in headline_metrics())
     columns = ("study", "method", "insertions", *errors, "te_difference", "better_of")
     table = Table("baselines", "", rows, columns, groups=("study",), heads=1, strong="groups")
     return _lay_out(table, role=role)
-
-
-def _describe_methods(results: Run, role: str) -> Iterator[Row]:
-    digits = 3 if (results.frames["errors"]["comparison"] == "aligned").any() else 2
-    for row in to_records(compare_methods(results, role=role, metric=TE)):
-        ours = {"difference_mm": None, "better": ""} if row["method"] == "fitted" else {}
-        name = method_name(row["method"], results.origin)
-        about = {"study": study_label(results), "method": name, "origin": results.origin, DIGITS: digits}
-        yield {**row, **ours, **about}
 
 
 def lay_out_insertions(results: Run, role: str) -> TableLayout:
@@ -306,26 +324,25 @@ def lay_out_insertions(results: Run, role: str) -> TableLayout:
     wanted = results.frames["errors"].query(
         "role == @role and method == 'fitted' and boundaries == 'measured'"
     )
-    rows = [{**_describe_insertion(row), "origin": results.origin} for row in to_records(wanted)]
+    rows = [
+        {
+            **{**dict.fromkeys([one.name for one in list_metrics()]), **row, "origin": results.origin},
+            DIGITS: 3 if row["comparison"] == "aligned" else 2,
+            "insertion": str(row["insertion"]) + ("" if row["converged"] else " (did not converge)"),
+            **{
+                one.name: f"{format_metric(one, row.get(one.name))}†"
+                for one in list_metrics()
+                if one.relative and row["edp_flagged"]
+            },
+        }
+        for row in to_records(wanted)
+    ]
     columns = (
         *("insertion", "medium", "layers", "depth_mm", "deflection_mm", "predicted_deflection_mm"),
         *(one.name for one in list_metrics() if not one.spread_of),
         *(f"floor_{one.name}" for one in headline_metrics() if one.has_floor),
     )
     return _lay_out(Table("insertions", "", rows, columns))
-
-
-def _describe_insertion(row: Row) -> Row:
-    digits = 3 if row["comparison"] == "aligned" else 2
-    scores = {one.name: row.get(one.name) for one in list_metrics()}
-    floors = {f"floor_{one.name}": row.get(f"floor_{one.name}") for one in headline_metrics()}
-    flagged = {
-        one.name: f"{format_metric(one, scores[one.name])}†"
-        for one in list_metrics()
-        if one.relative and row["edp_flagged"]
-    }
-    name = str(row["insertion"]) + ("" if row["converged"] else " (did not converge)")
-    return {**row, **scores, **floors, **flagged, "insertion": name, DIGITS: digits}
 
 
 def lay_out_contradictions(claims: Sequence[Claim]) -> TableLayout:
@@ -350,7 +367,9 @@ NOT_DETERMINED, CONDITIONAL = "not determined", "conditional"
 SEE_INTERVAL, WIDE_INTERVAL = "see interval", "most of the bounds"
 """Printed for these: the data are compatible with the whole interval; it spans most of the bounds."""
 
-_SEARCHED_STATUSES = ("free", "tied")
+SEARCHED = ("free", "tied")
+"""Values of `status` of parameters that are estimated."""
+
 _PARAMETER_COLUMNS = (
     *("study", "medium", "fold", "parameter", "method", "value", "value_used"),
     *("determined", "condition", "status"),
@@ -386,8 +405,8 @@ def _parameter_rows(results: Run) -> Iterator[Row]:
             continue  # of the likelihood: errors do not depend on them
         judge = fitted[key] if row["method"] in ("fitted", "fitted_metric") else row
         judged = {**row, "determined": bool(judge["determined"]), "condition": judge["condition"]}
-        loose = row["status"] in _SEARCHED_STATUSES and not judged["determined"]
-        word = CONDITIONAL if is_conditional(judged) else NOT_DETERMINED
+        loose = row["status"] in SEARCHED and not judged["determined"]
+        word = CONDITIONAL if judged["condition"] else NOT_DETERMINED
         value = word if loose else format_number(row["value"])
         comparable = compare_parameter_row(results, key in published)
         yield {**about, **judged, "value": value, "value_used": row["value"], "comparable": comparable}
@@ -405,91 +424,54 @@ def arrange_parameters(table: pd.DataFrame) -> list[Row]:
     return list(rows.values())
 
 
-def find_undetermined(results: Run) -> list[str]:
-    """Return the estimated parameters that some fold could not determine, in the order of the model."""
-    return _find_parameters(
-        results, lambda row: row["status"] in _SEARCHED_STATUSES and not row["determined"]
-    )
+_NOT_DETERMINED_PREFIX = re.compile(r"^not determined(?:[:;] | \(([^()]*)\)|$)")
+"""Of notes: the column "Fitted" says it."""
 
 
-def find_conditional(results: Run) -> list[str]:
-    """Return those of `find_undetermined` that are determined under an assumption, in every fold."""
-    loose = _find_parameters(results, lambda row: not row["determined"] and not is_conditional(row))
-    return [name for name in find_undetermined(results) if name not in loose]
+def lay_out_parameters(results: Sequence[Run], free_alone: bool = False) -> TableLayout:
+    """Return both fits beside the paper's parameters, and beside these with b re-fitted.
 
-
-def is_conditional(row: Row) -> bool:
-    """Return whether a parameter is determined only under an assumption."""
-    return bool(row["condition"])
-
-
-def find_fixed(results: Run) -> list[str]:
-    """Return the parameters that were given, not estimated, in the order of the model."""
-    return _find_parameters(results, lambda row: row["status"] == "fixed")
-
-
-def _find_parameters(results: Run, wanted: Callable[[Row], bool]) -> list[str]:
-    rows = to_records(results.frames["parameters"])
-    found = (row for row in rows if row["method"] == "fitted" and wanted(row))
-    return list(dict.fromkeys(str(row["parameter"]) for row in found))
-
-
-def lay_out_parameters(results: Sequence[Run]) -> TableLayout:
-    """Return both fits beside the paper's parameters, and beside these with b re-fitted."""
-    return _lay_out_parameter_rows(results, arrange_parameters(tabulate_parameters(*results)))
-
-
-def lay_out_free_parameters(results: Sequence[Run]) -> TableLayout:
-    """Return the free parameters of several studies in one table, without notes."""
-    rows = arrange_parameters(tabulate_parameters(*results))
-    return _lay_out_parameter_rows(results, [row for row in rows if row["status"] == "free"], noted=False)
-
-
-def _lay_out_parameter_rows(results: Sequence[Run], table: list[Row], noted: bool = True) -> TableLayout:
+    Of several studies in one table wanted are the parameters that are `free_alone`, without notes.
+    """
+    table = arrange_parameters(tabulate_parameters(*results))
+    table = [row for row in table if row["status"] == "free" or not free_alone]
     folds = len({row["fold"] for row in table}) > 1
     truths = {study_label(one): one.run.get("truth", {}) for one in results}
     rows = []
     for number, row in enumerate(table):
         named = not number or row["study"] != table[number - 1]["study"]
-        about = {
-            "group": (row["study"], row["fold"]),
-            "study": row["study"] if named else "",
-            "fold": row["fold"] if folds else "",
-        }
+        label, unit = choose_interval_unit(row, row["value_used"])
+        interval = typeset_interval(row, unit)
         truth = truths[row["study"]].get(row["parameter"])
-        rows.append({**row, **_parameter_cells(row, truth), **about})
+        note = _NOT_DETERMINED_PREFIX.sub(lambda found: found[1] or "", str(row["note"] or ""))
+        status = str(row["status"])
+        notes = ("" if status == "free" or status in str(row["note"]) else status, insert_symbols(note))
+        rows.append(
+            {
+                **row,
+                "group": (row["study"], row["fold"]),
+                "study": row["study"] if named else "",
+                "fold": row["fold"] if folds else "",
+                "parameter": label,
+                "interval_95": WIDE_INTERVAL if interval == NO_INTERVAL else interval,
+                "true_value": "" if truth is None else typeset(format_number(truth / unit)),
+                **{method: format_in_unit(row[method], unit) for method in METHODS},
+                "note": "; ".join(filter(None, notes)),
+            }
+        )
     columns = (
         *("study", "fold", "parameter", "fitted", "interval_95", "true_value", *METHODS[1:]),
-        *(("note",) if noted else ()),
+        *(() if free_alone else ("note",)),
     )
-    printed = any(row["hand_tuned"] for row in table)
     compared = list(dict.fromkeys(str(row["comparable"]) for row in table if row["hand_tuned"]))
     values = {
-        "printed": printed,
+        "printed": any(row["hand_tuned"] for row in table),
         "metric": any(row["fitted_metric"] for row in table),
         "truth": any(row["true_value"] for row in rows),
         "comparable": compared,
     }
     found = Table("parameters", "", rows, columns, groups=("group",), heads=2)
     return _lay_out(found, drop_empty=True, **values)
-
-
-_NOT_DETERMINED_PREFIX = re.compile(r"^not determined(?:[:;] | \(([^()]*)\)|$)")
-"""Of notes: the column "Fitted" says it."""
-
-
-def _parameter_cells(row: Row, truth: float | None) -> Row:
-    label, unit = choose_interval_unit(row, row["value_used"])
-    interval = typeset_interval(row, unit)
-    note = _NOT_DETERMINED_PREFIX.sub(lambda found: found[1] or "", str(row["note"] or ""))
-    status = "" if row["status"] == "free" or str(row["status"]) in str(row["note"]) else str(row["status"])
-    return {
-        "parameter": label,
-        "interval_95": WIDE_INTERVAL if interval == NO_INTERVAL else interval,
-        "true_value": "" if truth is None else typeset(format_number(truth / unit)),
-        **{method: format_in_unit(row[method], unit) for method in METHODS},
-        "note": "; ".join(words for words in (status, insert_symbols(note)) if words),
-    }
 
 
 def format_in_unit(text: str, unit: float) -> str:
@@ -526,7 +508,7 @@ def _describe_parameter(name: str, rows: list[Row]) -> Row:
     fitted = format_quantity_range(name, min(values), max(values)) if values else ""
     loose = [] if fixed else [one for one in rows if not one["determined"]]
     conditions = {}
-    if loose and all(map(is_conditional, loose)):
+    if loose and all(one["condition"] for one in loose):
         conditions = dict.fromkeys(str(one["condition"]) for one in loose)
     interval, texts = "", [] if fixed else [format_interval(one) for one in rows]
     if NO_INTERVAL in texts:
@@ -557,33 +539,255 @@ def lay_out_posterior(results: Run) -> TableLayout:
     """Return the percentiles beside the fitted value."""
     parameters = to_records(results.frames["parameters"])
     fitted = {(str(r["fold"]), str(r["parameter"])): r for r in parameters if r["method"] == "fitted"}
-    several = len(results.posteriors) > 1
-    rows = [
-        {
-            **_scale_percentiles(row),
-            **_mark_fit(row, fitted),
-            "fold": row["fold"] if several else "",
-            "state": "" if row["converged"] else "NOT CONVERGED",
-        }
-        for row in to_records(tabulate_percentiles(results))
-    ]
-    percentiles = (f"p{percentile:g}" for percentile in PERCENTILES)
+    several, rows = len(results.posteriors) > 1, []
+    percentiles = [f"p{percentile:g}" for percentile in PERCENTILES]
+    for row in to_records(tabulate_percentiles(results)):
+        label, unit = choose_printed_unit(str(row["parameter"]), [row[name] for name in percentiles])
+        values = [*percentiles, "fit_value_used"]
+        cells = {name: None if row[name] is None else row[name] / unit for name in values}
+        cells |= {"mark": "‡" if row["fit_in_central_95"] is False else ""}
+        if row["determined"] is False:
+            conditional = fitted[str(row["fold"]), str(row["parameter"])]["condition"]
+            cells |= {"fit_value_used": CONDITIONAL if conditional else SEE_INTERVAL, "mark": ""}
+        state = "" if row["converged"] else "NOT CONVERGED"
+        fold = row["fold"] if several else ""
+        rows.append({**row, **cells, "parameter": label, "fold": fold, "state": state})
     columns = ("fold", "parameter", *percentiles, "fit_value", "r_hat", "state")
     unconverged = any(posterior.faults for posterior in results.posteriors.values())
-    values = {"unconverged": unconverged, "marked": any(row["mark"] for row in rows)}
-    return _lay_out(Table("posterior", "", rows, columns), drop_empty=True, **values)
+    marked = any(row["mark"] for row in rows)
+    table = Table("posterior", "", rows, columns)
+    return _lay_out(table, drop_empty=True, unconverged=unconverged, marked=marked)
 
 
-def _scale_percentiles(row: Row) -> Row:
-    """Return a row with its label and values in the unit in which they are printed."""
-    columns = [*(f"p{percentile:g}" for percentile in PERCENTILES), "fit_value_used"]
-    label, unit = choose_printed_unit(str(row["parameter"]), [row[name] for name in columns[:-1]])
-    scaled = {name: None if row[name] is None else row[name] / unit for name in columns}
-    return {**row, **scaled, "parameter": label}
+# ---- draws of the posterior, and the ridge on which they lie: there parameters can move together, and the
+# needles stay what they are. It is their longest principal axis; across it lies what the data determine.
 
 
-def _mark_fit(row: Row, fitted: Mapping[tuple[str, str], Row]) -> Row:
-    if row["determined"] is False:
-        conditional = is_conditional(fitted[str(row["fold"]), str(row["parameter"])])
-        return {"fit_value_used": CONDITIONAL if conditional else SEE_INTERVAL, "mark": ""}
-    return {"mark": "‡" if row["fit_in_central_95"] is False else ""}
+def tabulate_percentiles(results: Run) -> pd.DataFrame:
+    """Return one row per fold and free parameter: percentiles (Pa, mm), the fitted value, R-hat.
+
+    `fit_value_used` is what the fit ended with and its predictions used; `fit_in_central_95` is false where
+    that lies outside the central 95 % of the draws: a peak need not lie where most of a density is, and a
+    fit of the recipe's error metrics need not agree with a posterior at all. `acceptance` is the fold's;
+    `ess_bulk` and `ess_tail` are the independent draws of the ensemble that has fewest. `converged` is false
+    where the criteria, which concern more than the parameters, are not met: percentiles are then not final.
+    `determined` is false where the fit's value is no estimate; the percentiles then depend on the bounds too.
+    """
+    known = results.frames["parameters"]
+    rows = to_records(known[known["method"] == "fitted"])
+    fits = {(str(row["fold"]), row["parameter"]): row["value"] for row in rows if row["value"] is not None}
+    known_of = {(str(row["fold"]), row["parameter"]): bool(row["determined"]) for row in rows}
+    names, found = [f"p{percentile:g}" for percentile in PERCENTILES], list[Row]()
+    for fold, posterior in results.posteriors.items():
+        about: Row = {"acceptance": float(np.mean(posterior.acceptance)), "converged": posterior.converged}
+        about |= {"fold": fold, "origin": results.origin}
+        for number, (name, values) in enumerate(posterior.percentiles().items()):
+            used = fits.get((str(fold), name))
+            compared = None if used is None else values[0] <= used <= values[-1]
+            found.append(
+                {
+                    **{"parameter": name, **dict(zip(names, values, strict=True)), **about},
+                    **{"fit_value_used": used, "fit_in_central_95": compared},
+                    "determined": None if used is None else known_of[str(fold), name],
+                    "r_hat": float(posterior.convergence.r_hat[number]),
+                    "ess_bulk": float(posterior.convergence.ess_bulk[:, number].min()),
+                    "ess_tail": float(posterior.convergence.ess_tail[:, number].min()),
+                }
+            )
+    heads = ("fold", "parameter", *names, "fit_value_used", "determined", "fit_in_central_95")
+    heads += ("r_hat", "ess_bulk", "ess_tail", "acceptance", "converged", "origin")
+    return pd.DataFrame(found, columns=heads)
+
+
+RIDGE_MIN_AXIS_RATIO = 3.0
+"""Least ratio of the longest to the shortest axis of the draws of a ridge."""
+
+RIDGE_REACH_SD = 2.0
+"""Standard deviations to which the ridge is drawn in both directions."""
+
+
+def list_free_parameters(results: Run) -> list[str]:
+    """Return the parameters that were estimated."""
+    known = results.frames["parameters"]
+    rows = known[(known["method"] == "fitted") & (known["status"] == "free")]
+    return list(dict.fromkeys(rows["parameter"]))
+
+
+def principal_axes(draws: pd.DataFrame) -> tuple[Direction, ...]:
+    """Return the principal axes of draws (Pa, mm), the shortest (best determined) first."""
+    names = [str(name) for name in draws.columns]
+    spread = np.atleast_2d(np.cov(to_log_coordinates(draws), rowvar=False))
+    # The inverse covariance of the draws plays the part of the Fisher information.
+    information: Floats = np.linalg.pinv(spread, hermitian=True).astype(np.float64)
+    return principal_directions(information, names)
+
+
+def is_ridge(axes: tuple[Direction, ...]) -> bool:
+    """Return whether draws with these axes are elongated along the longest one."""
+    return len(axes) > 1 and axes[-1].sd > RIDGE_MIN_AXIS_RATIO * axes[0].sd
+
+
+def find_ridge_ends(draws: pd.DataFrame) -> list[dict[str, float]]:
+    """Return both ends of the ridge, Pa and mm; none if the draws have no longest axis."""
+    axes = principal_axes(draws)
+    if not is_ridge(axes):
+        return []
+    middle, step = (
+        to_log_coordinates(draws).mean(axis=0),
+        RIDGE_REACH_SD * axes[-1].sd * np.array(axes[-1].weights),
+    )
+    return [
+        {
+            str(name): float(np.exp(at) if is_logarithmic(str(name)) else at)
+            for name, at in zip(draws.columns, end, strict=True)
+        }
+        for end in (middle - step, middle + step)
+    ]
+
+
+# ---- differences of two runs
+
+_PREDICTED_QUANTITIES = {"tip": "CRPS of the tip predicted", "shape": "CRPS of the shape predicted"}
+_BESIDE = "training only"
+
+
+_PARAMETERS = TableSchema(
+    ("fold", "method", "parameter"),
+    ("status", "value"),
+    ("value_used", "sd"),
+    ("determined",),
+    ("value_used",),
+)
+_SCORES = TableSchema(
+    ("fold", "role", "insertion", "method", "boundaries"),
+    numbers=("ipe_mean_mm", "te_mm"),
+    finite=("ipe_mean_mm", "te_mm"),
+    finite_where="converged",
+)
+_PREDICTIVE = TableSchema(
+    ("fold", "insertion", "specimen_treatment", "quantity", "level"),
+    ("specimen", "medium", "layers"),
+    ("crps_mm", "low_mm", "high_mm", "covered"),
+)
+
+
+def _compare_parameters(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
+    if before.empty or after.empty:
+        return
+    fits = [frame[frame["method"] == "fitted"] for frame in (before, after)]
+    both = fits[0].merge(fits[1], on=["fold", "parameter"], how="outer", suffixes=("_a", "_b"), sort=False)
+    several = before["fold"].nunique() > 1
+    for _, row in both.iterrows():
+        name = f"{row['parameter']} ({row['fold']})" if several else str(row["parameter"])
+        one, two = (_name_verdict(row[f"determined_{end}"], row[f"value_{end}"]) for end in "ab")
+        if one != two:
+            yield Difference("state", name, one, two, True, "the verdict changed")
+        yield from _compare_parameter(name, row, one == two == "determined")
+
+
+def _compare_parameter(name: str, row: "pd.Series[Any]", determined: bool) -> Iterator[Difference]:
+    one, two = float(row["value_used_a"]), float(row["value_used_b"])
+    tied = row["status_a"] == row["status_b"] == "tied"  # moves with its source
+    if one == two or tied or not (math.isfinite(one) and math.isfinite(two)):
+        return
+    logarithm = is_logarithmic(str(row["parameter"])) and one > 0 and two > 0
+    shift = abs(math.log(two / one)) if logarithm else abs(two - one)
+    sd = np.nanmax([row["sd_a"], row["sd_b"], 0.0])
+    if not sd > 0:
+        yield Difference("parameter", name, one, two, True, "given, not fitted")
+        return
+    part = shift / sd
+    why = f"{part:.2g} of its standard deviation" + ("" if determined else ", not determined")
+    matters, slight = determined and part > MIN_SHIFT_SD, part < ROUNDING_FRACTION * MIN_SHIFT_SD
+    yield Difference("parameter", name, one, two, matters, why, slight)
+
+
+def _name_verdict(determined: object, printed: object) -> str:
+    """Return what the data say of a parameter; "absent" where a run lacks it."""
+    if not isinstance(determined, bool):
+        return "absent"
+    return CONDITIONAL if printed == CONDITIONAL else "determined" if determined else NOT_DETERMINED
+
+
+def _compare_errors(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
+    """Yield how mean errors changed on the insertions that both scored, by role and method."""
+    if before.empty or after.empty:
+        return
+    both = before.merge(after, on=list(_SCORES.keys), suffixes=("_a", "_b"), sort=False)
+    for (role, method, boundaries), rows in both.groupby(["role", "method", "boundaries"], sort=False):
+        for metric in list_metrics():
+            if is_number(before, metric.name) and is_number(after, metric.name):
+                where = f"mean {metric.label}, {method}, {role}, {boundaries} boundaries"
+                yield from compare_means(where, rows, metric.name, unit=metric.unit)
+    lost = len(before) + len(after) - 2 * len(both)
+    if lost:
+        counts = (len(before), len(after))
+        yield Difference("state", "scored rows", *counts, True, f"{lost} rows are in one run only")
+
+
+def _compare_predictions(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
+    """Yield how predictions changed: those that the run makes by default, and those beside them."""
+    if before.empty or after.empty:
+        return
+    keys = ["fold", "insertion", "beside", "quantity", "level"]
+    marked = []
+    for predicted in (before, after):  # by default a run predicts the others: only these rows stand for it
+        spread = predicted["specimen_treatment"] != _BESIDE
+        insertions = [predicted["fold"], predicted["insertion"]]
+        marked.append(predicted.assign(beside=~spread & spread.groupby(insertions).transform("any")))
+    both = marked[0].merge(marked[1], on=keys, suffixes=("_a", "_b"), sort=False)
+    yield from _compare_scores(both[~both["beside"]], "")
+    yield from _compare_scores(both[both["beside"]], f", {_BESIDE}")
+    default = both[~both["beside"]]
+    several = len(default[["medium_a", "layers_a"]].drop_duplicates()) > 1
+    for (medium, layers), rows in default.groupby(["medium_a", "layers_a"], sort=False):
+        where = f", {group_name(str(medium), int(str(layers)))}" if several else ""
+        yield from _compare_coverage(rows, where)
+        tips = rows[(rows["quantity"] == "tip") & (rows["level"] == "0.95")]
+        yield from _compare_width(tips, where)
+
+
+def _compare_scores(both: pd.DataFrame, which: str) -> Iterator[Difference]:
+    for quantity, words in _PREDICTED_QUANTITIES.items():
+        rows = both[both["quantity"] == quantity].drop_duplicates(["fold", "insertion"])
+        yield from compare_means(
+            words + which, rows, "crps_mm", CRPS_NOISE_FRACTION * float(rows["crps_mm_a"].mean())
+        )
+
+
+def _compare_coverage(rows: pd.DataFrame, where: str) -> Iterator[Difference]:
+    """Yield which intervals cover another number of insertions; it matters where the verdict changes."""
+    for (quantity, level), some in rows.groupby(["quantity", "level"], sort=False):
+        known = some.dropna(subset=["covered_a", "covered_b"])
+        if quantity not in _PREDICTED_QUANTITIES or (known["covered_a"] == known["covered_b"]).all():
+            continue
+        groups = group_independent(list(known["insertion"]), list(known["specimen_a"]))
+        before, after = (estimate_proportion(list(known[f"covered_{run}"]), groups) for run in "ab")
+        nominal = float(str(level))
+        one, two = (
+            "too few" if share.high < nominal else "too many" if share.low > nominal else "as expected"
+            for share in (before, after)
+        )
+        verdict = f"{two} in both runs" if one == two else f"{two}, before {one}"
+        name = f"{quantity}s in their {100 * nominal:.0f} % interval{where}"
+        why = f"of {len(known)} insertions; {verdict}"
+        yield Difference("error", name, before.hits, after.hits, one != two, why)
+
+
+def _compare_width(tips: pd.DataFrame, where: str) -> Iterator[Difference]:
+    one, two = (float((tips[f"high_mm_{run}"] - tips[f"low_mm_{run}"]).median()) for run in "ab")
+    if one == two or not (one > 0 and two > 0):
+        return
+    change, name = abs(math.log(two / one)), f"tip, median width of 95 % (mm){where}"
+    matters, slight = change > MIN_SD_CHANGE, change < ROUNDING_FRACTION * MIN_SD_CHANGE
+    yield Difference("error", name, one, two, matters, f"{two / one:.3g} times as wide", slight)
+
+
+COMPARISONS: Mapping[str, TableComparison] = MappingProxyType(
+    {
+        "parameters": TableComparison(_PARAMETERS, _compare_parameters),
+        "errors": TableComparison(_SCORES, _compare_errors),
+        "predictive": TableComparison(_PREDICTIVE, _compare_predictions),
+        "identify": IDENTIFICATION_COMPARISON,
+    }
+)

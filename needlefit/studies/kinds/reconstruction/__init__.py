@@ -17,4 +17,4 @@ class ReconstructionBatchRecord(AnalysisRecord):
     """The recipe of the reconstruction."""
 
 
-KIND = StudyKind("reconstruction", ReconstructionBatchRecord, __name__)
+KIND = StudyKind("reconstruction", ReconstructionBatchRecord, f"{__name__}.report")

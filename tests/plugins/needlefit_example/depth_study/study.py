@@ -8,7 +8,7 @@ from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import to_records
 from needlefit.reporting.text import KindText
 from needlefit.studies.job import Settings
-from needlefit.studies.report import report_from_text
+from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Run
 from needlefit_example.depth_study import DepthRecord
 
@@ -40,4 +40,4 @@ def tabulate(result: Run) -> list[Table]:
     return [Table("depths", "", to_records(result.frames["depths"]), FRAMES["depths"])]
 
 
-REPORT = report_from_text(KindText("depth_study", "needlefit_example.depth_study"), describe, tabulate)
+REPORT = StudyReport(KindText("depth_study", "needlefit_example.depth_study"), describe, tabulate)
