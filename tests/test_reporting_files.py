@@ -18,11 +18,10 @@ from needlefit.reporting.paper_example import compile_example, format_example
 from needlefit.reporting.table import TableColumn, TableLayout
 from needlefit.studies.combined_report import write_combined
 from needlefit.studies.fit_frames import COLUMNS
-from needlefit.studies.kinds.cross_validation.facts import say
 from needlefit.studies.kinds.cross_validation.report import format_macros, format_methods, format_references
 from needlefit.studies.kinds.cross_validation.tables import lay_out_parameters
 from needlefit.studies.paper_folder import write_paper_folder
-from needlefit.studies.report import compose_run_report, write_run
+from needlefit.studies.report import compose_run_report, say, write_run
 
 FIGURES = ("boxplot", "schematic", "overlays", "residuals", "waterfall")
 EXPECTED = {

@@ -47,8 +47,7 @@ from needlefit.project.folders import write_manifest
 from needlefit.project.locate import find_file
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.folds import Fold
-from needlefit.studies.job import Job, Settings
+from needlefit.studies.job import Fold, Job, Settings
 from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds.adaptation import REPORT as ADAPTATION_REPORT
 from needlefit.studies.kinds.adaptation import (

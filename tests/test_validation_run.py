@@ -45,7 +45,7 @@ from needlefit.studies.kinds.sensitivity import VariationRecord
 from needlefit.studies.report import say, write_run
 from needlefit.studies.run import Run
 from needlefit.studies.score import Scorer, curve_predictor, model_predictor
-from needlefit.studies.summary import tabulate_design
+from needlefit.studies.scored_groups import tabulate_design
 from needlefit.studies.validity import ValidityCounts, describe_outside, list_outside
 
 MEDIUM = """schema = 1
