@@ -82,17 +82,16 @@ AREAS = {
     ),
     "resume": Area(
         ("project/checkpoint.py", "project/folders.py"),
-        ("project_checkpoint", "project_manifest"),
+        ("project_checkpoint",),
     ),
     "mechanics": Area(("mechanics",), MECHANICS),
     "native": Area((NATIVE,), MECHANICS, cpp=True),
     "studies": Area(
         ("studies", "planning"),
         (
-            *("validation_run", "validation_score", "validation_heldout", "validation_forecast"),
-            *("validation_calibration", "validation_comparison", "validation_analyses", "validation_seeds"),
-            *("validation_adaptation", "validation_differences", "fit_warnings", "columnar", "planning"),
-            *("credibility", "reference", "reporting_tables", "reporting_papers", "reporting_slicer"),
+            *("validation_run", "validation_heldout", "validation_forecast", "validation_calibration"),
+            *("validation_analyses", "validation_differences", "fit_warnings", "columnar", "planning"),
+            *("credibility", "reference", "reporting_tables", "reporting_files", "reporting_slicer"),
             *(
                 "analysis_cohort",
                 "cli_studies",

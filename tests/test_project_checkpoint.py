@@ -7,9 +7,13 @@ import json
 import os
 import pickle
 import random
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
+import threading
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -18,10 +22,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from needlefit.errors import ConfigError
+from needlefit.errors import ConfigError, DataError
 from needlefit.inference.fit import Start, keep_start, read_starts
+from needlefit.project import folders
 from needlefit.project.checkpoint import (
     ARRAYS_KEY,
+    find_foreign_in_checkpoint,
     open_checkpoint,
     release_checkpoint,
     remove_checkpoint,
@@ -29,7 +35,16 @@ from needlefit.project.checkpoint import (
     set_aside,
 )
 from needlefit.project.encode import decode, encode
-from needlefit.project.folders import MANIFEST
+from needlefit.project.folders import (
+    MANIFEST,
+    create_folder,
+    find_changes,
+    find_foreign,
+    replace_file,
+    replace_folder,
+    require_replaceable,
+    require_unchanged,
+)
 
 START = Start(0, (0.1,), (0.2,), 0.3, 4, 0, "tolerance")
 FLIPS = 300
@@ -365,3 +380,381 @@ def test_values_of_undeclared_types_are_refused(change):
     plain = encode(ONE, {}, arrays)
     with pytest.raises(ValueError):
         decode(Outer, {**plain, **change}, {}, arrays)
+
+
+def write(folder, text="one"):
+    with replace_folder(folder) as fresh:
+        (fresh / "part").mkdir()
+        (fresh / "part" / "a.csv").write_text(text)
+        (fresh / "timing.json").write_text(text)
+
+
+def test_what_does_not_agree_with_the_manifest_is_named(tmp_path):
+    folder = tmp_path / "out"
+    write(folder)
+    (folder / "timing.json").write_text("later")
+    (folder / "notes.txt").write_text("mine")
+    assert require_unchanged(folder) == ()
+    (folder / "part" / "a.csv").write_text("two")
+    assert [*find_changes(folder)] == ["part/a.csv"]
+    with pytest.raises(DataError, match=r"part/a\.csv"):
+        require_unchanged(folder)
+    assert len(require_unchanged(folder, unverified=True)) == 1
+    (folder / "part" / "a.csv").unlink()
+    assert require_unchanged(folder) == ()  # a report makes it again
+    for text in (b"{", None):
+        (folder / MANIFEST).unlink() if text is None else (folder / MANIFEST).write_bytes(text)
+        with pytest.raises(DataError, match=MANIFEST):
+            require_unchanged(folder)
+
+
+def everything(folder):
+    return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def test_an_unchanged_result_is_replaced_and_has_the_same_manifest(tmp_path):
+    folder = tmp_path / "out"
+    write(folder)
+    first = (folder / MANIFEST).read_bytes()
+    assert json.loads(first)["files"].keys() == {"part/a.csv", "timing.json"}
+    (folder / "timing.json").write_text("later")  # the one file that differs from run to run
+    (folder / "part" / ".DS_Store").write_text("left by a file manager")
+    write(folder)
+    assert (folder / MANIFEST).read_bytes() == first
+    write(folder, "two")
+    assert (folder / "part" / "a.csv").read_text() == "two"
+    (folder / "part" / "a.csv").unlink()
+    write(folder, "three")
+    assert {path.name for path in tmp_path.iterdir()} == {"out"}
+
+
+@pytest.mark.parametrize(
+    "file", ["part/a.csv", "notes.txt", ".hidden", "new/b.csv", "part/thesis.docx", MANIFEST]
+)
+def test_added_or_changed_files_are_kept_and_named(file, tmp_path):
+    folder = tmp_path / "out"
+    write(folder)
+    (folder / file).parent.mkdir(exist_ok=True)
+    (folder / file).write_text("mine")
+    before = everything(tmp_path)
+    with pytest.raises(ConfigError) as error:
+        write(folder, "two")
+    assert file in str(error.value) and "--out" in error.value.fix
+    assert everything(tmp_path) == before
+
+
+@pytest.mark.parametrize("empty", ["mine", "part/mine", "mine/deep/er", "slicer"])
+def test_an_empty_folder_of_the_user_is_kept_and_named(empty, tmp_path):
+    folder = tmp_path / "out"
+    write(folder)
+    (folder / empty).mkdir(parents=True)
+    with pytest.raises(ConfigError, match=empty.removesuffix("/deep/er")):
+        write(folder, "two")
+    assert (folder / empty).is_dir()
+    shutil.rmtree(folder / empty)
+    if empty.startswith("mine/"):
+        shutil.rmtree(folder / "mine")
+    write(folder, "two")
+    assert find_foreign(folder) == []
+
+
+def test_empty_folders_alone_are_kept_and_a_result_has_none(tmp_path):
+    (tmp_path / "mine" / "raw" / "day1").mkdir(parents=True)
+    assert (
+        find_foreign(tmp_path / "mine")
+        == find_foreign_in_checkpoint(tmp_path / "mine")
+        == ["raw/ (an empty folder)"]
+    )
+    with replace_folder(tmp_path / "out") as fresh:
+        (fresh / "slicer" / "deep").mkdir(parents=True)
+        (fresh / "a.csv").write_text("one")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"a.csv", MANIFEST}
+
+
+def test_links_are_kept_and_not_followed(tmp_path):
+    mine, folder = tmp_path / "mine", tmp_path / "out"
+    mine.mkdir()
+    (mine / "a.csv").write_text("mine")
+    write(folder)
+    shutil.rmtree(folder / "part")
+    (folder / "part").symlink_to(mine)
+    with pytest.raises(ConfigError, match="part"):
+        write(folder, "two")
+    (folder / "part").unlink()
+    (folder / "part").mkdir()
+    (folder / "part" / "a.csv").symlink_to(mine / "a.csv")
+    with pytest.raises(ConfigError, match=r"part/a\.csv"):
+        write(folder, "two")
+    assert (mine / "a.csv").read_text() == "mine"
+
+
+def test_a_manifest_that_lists_files_elsewhere_removes_none(tmp_path):
+    (tmp_path / "mine.txt").write_text("mine")
+    folder = tmp_path / "out"
+    write(folder)
+    manifest = json.loads((folder / MANIFEST).read_text())
+    manifest["files"] |= {"../mine.txt": None, str(tmp_path / "mine.txt"): None}
+    (folder / MANIFEST).write_text(json.dumps(manifest))
+    write(folder, "two")
+    assert (tmp_path / "mine.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("files", [["thesis.docx"], {"thesis.docx": None}, {"thesis.docx": 0}, None])
+def test_a_manifest_without_a_digest_owns_nothing(files, tmp_path):
+    (tmp_path / "thesis.docx").write_text("mine")
+    manifest = {"program": "needlefit", "format": 1, "holds": "result", "files": files}
+    (tmp_path / MANIFEST).write_text(json.dumps(manifest))
+    assert any(one.startswith("thesis.docx") for one in find_foreign(tmp_path))
+
+
+def test_a_file_put_there_meanwhile_is_kept(tmp_path, monkeypatch):
+    for exchanges in (True, False):
+        if not exchanges:  # as on a system that cannot exchange two folders at once
+            monkeypatch.setattr(folders, "_try_exchange", lambda *_: False)
+        folder = tmp_path / f"out{exchanges}"
+        write(folder)
+        with pytest.raises(ConfigError, match=r"notes\.txt"), replace_folder(folder) as fresh:
+            (fresh / "new.csv").write_text("new")
+            (folder / "notes.txt").write_text("mine")
+        assert {path.name for path in folder.iterdir()} == {"part", "timing.json", MANIFEST, "notes.txt"}
+        (folder / "notes.txt").unlink()
+        write(folder, "two")
+        assert (folder / "part" / "a.csv").read_text() == "two"
+    assert {path.name for path in tmp_path.iterdir()} == {"outTrue", "outFalse"}
+
+
+def test_a_foreign_result_stays_accessible_if_it_cannot_be_restored(tmp_path, monkeypatch):
+    folder, calls = tmp_path / "out", []
+
+    def exchange(one, other):
+        calls.append(one)
+        if len(calls) == 2:
+            raise OSError("disk full")
+        one.rename(one.with_name("third"))
+        other.rename(one)
+        one.with_name("third").rename(other)
+
+    write(folder)
+    monkeypatch.setattr(folders, "_exchange", exchange)
+    with pytest.raises(OSError, match="disk full"), replace_folder(folder) as fresh:
+        (fresh / "new.csv").write_text("new")
+        (folder / "notes.txt").write_text("mine")
+    assert [path.read_text() for path in tmp_path.rglob("notes.txt")] == ["mine"]
+    monkeypatch.undo()
+    write(folder)
+    assert [path.read_text() for path in tmp_path.rglob("notes.txt")] == ["mine"]
+
+
+def test_there_is_a_result_at_every_moment(tmp_path):
+    """Where the system can exchange two folders at once."""
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+    if not folders._try_exchange(tmp_path / "one", tmp_path / "two"):
+        pytest.skip("two folders cannot be exchanged at once here")
+    folder, ended, missed = tmp_path / "out", threading.Event(), []
+    write(folder)
+
+    def look() -> None:
+        while not ended.is_set():
+            missed.extend([] if (folder / MANIFEST).exists() else [1])
+
+    looking = threading.Thread(target=look)
+    looking.start()
+    for number in range(50):
+        write(folder, str(number))
+    ended.set()
+    looking.join()
+    assert missed == []
+
+
+def test_two_concurrent_first_writers_both_succeed(tmp_path):
+    with replace_folder(tmp_path / "out") as first:
+        (first / "a.csv").write_text("first")
+        write(tmp_path / "out", "second")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"a.csv", MANIFEST}
+    assert not find_foreign(tmp_path / "out")
+
+
+@pytest.mark.parametrize("run", ['{"program": "another"}', '{"versions": {"python": "3.11"}}', "[]", "{"])
+def test_files_of_a_run_of_another_program_are_foreign(tmp_path, run):
+    for name, text in (("run.json", run), ("report.pdf", "mine"), ("errors.csv", "mine")):
+        (tmp_path / name).write_text(text)
+    assert find_foreign(tmp_path) == ["errors.csv", "report.pdf", "run.json"]
+
+
+def test_files_without_a_place_are_foreign(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    for check in (require_replaceable, require_own_checkpoint):
+        with pytest.raises(ConfigError, match="it is a file"):
+            check(tmp_path / "file")
+        with pytest.raises(ConfigError):
+            check(tmp_path / "file" / "out")
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+    with pytest.raises(ConfigError, match="exists already"), create_folder(tmp_path / "file"):
+        pytest.fail("began")
+
+
+def test_a_foreign_folder_is_no_checkpoint(tmp_path):
+    (tmp_path / "0123456789abcdef.jsonl").write_text("mine")
+    with pytest.raises(ConfigError, match="0123456789abcdef"):
+        require_own_checkpoint(tmp_path)
+    (tmp_path / MANIFEST).write_text(json.dumps({"program": "needlefit", "format": 1, "work": "a"}))
+    require_own_checkpoint(tmp_path)
+    (tmp_path / "data.csv").write_text("mine")
+    with pytest.raises(ConfigError, match=r"data\.csv"):
+        require_own_checkpoint(tmp_path)
+
+
+def test_a_read_only_place_is_refused_before_the_work(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "access", lambda *_, **__: False)  # as of a disk mounted read-only
+    for check in (require_replaceable, require_own_checkpoint):
+        with pytest.raises(ConfigError, match="written"):
+            check(tmp_path / "deep" / "out")
+    with pytest.raises(ConfigError, match="written"), replace_folder(tmp_path / "out"):
+        pytest.fail("began")
+
+
+def test_a_new_folder_gets_no_manifest_and_replaces_nothing(tmp_path):
+    (tmp_path / "empty").mkdir()
+    with create_folder(tmp_path / "empty") as fresh:
+        (fresh / "dataset.toml").write_text("")
+    assert [path.name for path in (tmp_path / "empty").iterdir()] == ["dataset.toml"]
+    with pytest.raises(ConfigError, match="exists already"), create_folder(tmp_path / "late") as fresh:
+        (fresh / "dataset.toml").write_text("")
+        (tmp_path / "late").mkdir()
+        (tmp_path / "late" / "mine").write_text("mine")
+    assert [path.name for path in (tmp_path / "late").iterdir()] == ["mine"]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="permissions are asked for as another user, in a fork")
+def test_a_folder_of_another_user_is_refused_before_the_work():
+    folder = Path(tempfile.mkdtemp())  # of which, unlike pytest's, others can see what is in it
+    folder.chmod(0o755 if os.getuid() == 0 else 0o555)
+    child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            if os.getuid() == 0:
+                os.setresuid(65534, 65534, 65534)
+            with replace_folder(folder / "out"):
+                code = 2
+        except ConfigError:
+            code = 3
+        finally:
+            os._exit(code)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 3
+    assert list(folder.iterdir()) == []
+    folder.chmod(0o755)
+    folder.rmdir()
+
+
+def test_scratch_that_stayed_in_a_new_result_is_no_part_of_it(tmp_path):
+    with replace_folder(tmp_path / "out") as fresh:
+        (fresh / "a.csv").write_text("one")
+        (fresh / ".b.csv.needlefit-xyz" / "new").mkdir(parents=True)
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"a.csv", MANIFEST}
+
+
+@pytest.mark.parametrize("count", range(1, 5))
+def test_a_removal_that_was_cut_short_is_finished_by_the_next_run(count, tmp_path, monkeypatch):
+    folder, removed = tmp_path / "out", []
+    write(folder)
+
+    def unlink(path, *args, **kwargs):
+        removed.append(path)
+        if len(removed) == count:
+            raise OSError(5, "Input/output error", str(path))
+        return real(path, *args, **kwargs)
+
+    with monkeypatch.context() as patch, suppress(OSError):
+        real = os.unlink
+        patch.setattr(os, "unlink", unlink)
+        write(folder, "two")
+    assert (folder / "part" / "a.csv").read_text() in ("one", "two")
+    write(folder, "three")
+    assert {path.name for path in tmp_path.iterdir()} == {"out"}
+
+
+# --- a process that is killed while it writes --------------------------------------------------------
+
+locks = pytest.mark.skipif(sys.platform == "win32", reason="nothing there says that a process has ended")
+WRITES = """
+import sys
+from pathlib import Path
+from needlefit.project.folders import {verb}
+with {verb}(Path(sys.argv[1])) as fresh:
+    print("writing", flush=True)
+    sys.stdin.read()
+"""
+
+
+def writing(place: Path, verb: str) -> subprocess.Popen:
+    """A process in the middle of writing `place`."""
+    words = [sys.executable, "-c", WRITES.format(verb=verb), str(place)]
+    process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert process.stdout.readline() == b"writing\n"
+    return process
+
+
+def end(process: subprocess.Popen, how: int) -> None:
+    os.kill(process.pid, how)
+    process.wait(10)
+    process.stdin.close()
+    process.stdout.close()
+
+
+def write_empty(place: Path, verb: str) -> None:
+    if verb == "replace_folder":
+        with replace_folder(place) as fresh:
+            (fresh / "whole").touch()
+    else:
+        with replace_file(place) as fresh:
+            fresh.write_text("whole")
+
+
+@locks
+@pytest.mark.parametrize("verb", ["replace_folder", "replace_file"])
+def test_leftovers_of_a_killed_process_are_removed_and_those_of_a_running_one_kept(verb, tmp_path):
+    killed, living = writing(tmp_path / "out", verb), writing(tmp_path / "out", verb)
+    end(killed, signal.SIGKILL)
+    mine = [tmp_path / ".out.needlefit-mine", tmp_path / ".out.abcdefgh", tmp_path / ".other.needlefit-a"]
+    for folder in mine:  # none of which a process of needlefit has locked
+        (folder / "notes").mkdir(parents=True)
+    assert len(list(tmp_path.glob(".out.needlefit-*"))) == 3
+    write_empty(tmp_path / "out", verb)
+    left = set(tmp_path.iterdir()) - {tmp_path / "out", *mine}
+    assert len(left) == 1 and (left.pop() / "new").is_dir()
+    assert all((folder / "notes").is_dir() for folder in mine)
+    end(living, signal.SIGKILL)
+    write_empty(tmp_path / "out", verb)
+    assert set(tmp_path.iterdir()) == {tmp_path / "out", *mine}
+
+
+@locks
+def test_the_only_copy_is_restored(tmp_path):
+    """Killed between two renamings: the earlier folder stands in the scratch folder alone."""
+    process = writing(tmp_path / "out", "replace_folder")
+    (scratch,) = tmp_path.iterdir()
+    (scratch / "old").mkdir()
+    (scratch / "old" / "notes.txt").write_text("mine")
+    end(process, signal.SIGKILL)
+    with pytest.raises(ConfigError, match=r"notes\.txt"), replace_folder(tmp_path / "out") as fresh:
+        (fresh / "whole").touch()
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    assert (tmp_path / "out" / "notes.txt").read_text() == "mine"
+
+
+@locks
+def test_an_exchanged_result_with_foreign_files_is_never_removed(tmp_path):
+    """Killed after the exchange, before anybody looked at what was replaced."""
+    write_empty(tmp_path / "out", "replace_folder")
+    process = writing(tmp_path / "out", "replace_folder")
+    (scratch,) = tmp_path.glob(".out.*")
+    (scratch / "old").mkdir()
+    (scratch / "old" / "notes.txt").write_text("mine")
+    end(process, signal.SIGKILL)
+    write_empty(tmp_path / "out", "replace_folder")
+    assert (scratch / "old" / "notes.txt").read_text() == "mine"
+    (scratch / "old" / "notes.txt").unlink()
+    write_empty(tmp_path / "out", "replace_folder")
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]

@@ -1,17 +1,27 @@
 """Files: whole or not there, the same bytes every time, synthetic data called so."""
 
+import dataclasses
 import json
 import re
+import shutil
 from pathlib import Path
 
 import pandas as pd
 import pytest
 from reporting_results import stereo, study
 
+from needlefit.errors import ConfigError
+from needlefit.reporting.document import Document
 from needlefit.reporting.figures.style import choose_vertical_scale
+from needlefit.reporting.latex import format_table_macros
+from needlefit.reporting.paper_example import compile_example, format_example
+from needlefit.reporting.table import TableColumn, TableLayout
 from needlefit.studies.combined_report import write_combined
 from needlefit.studies.fit_frames import COLUMNS
-from needlefit.studies.report import compose_run_report, write_run
+from needlefit.studies.kinds.cross_validation.report import format_macros, format_methods, format_references
+from needlefit.studies.kinds.cross_validation.tables import lay_out_parameters
+from needlefit.studies.paper_folder import write_paper_folder
+from needlefit.studies.report import compose_run_report, say, write_run
 
 FIGURES = ("boxplot", "schematic", "overlays", "residuals", "waterfall")
 EXPECTED = {
@@ -108,3 +118,174 @@ def test_stretch_is_the_largest_that_fits():
     assert choose_vertical_scale(60, 4) == 5  # 0.62 * 60 mm is 9.3 times 4 mm
     assert choose_vertical_scale(60, 0.3) == 100
     assert choose_vertical_scale(60, 60) == 1
+
+
+RECIPE = {
+    "minimize": "posterior", "algorithm": "leastsquares", "starts": 16, "metric": True,
+    "likelihood": {"noise": "correlated", "depths": "linear", "noise_scale": 1.0},
+    "sample": {"ensembles": 4, "walkers": 16},
+}  # fmt: skip
+FREE, FIXED = {"bounds": [1, 2], "fixed": None}, {"bounds": None, "fixed": 1.0}
+RUN = {
+    "recipe": RECIPE,
+    "rules": {"law": "ogden", "constraint_spacing_mm": 1.0, "thickness_mm": 40.0, "element_mm": 0.5},
+    "versions": {"needlefit": "9.8.7", "python": "3.11.7", "numpy": "2.4.6", "nlopt": "2.11.0"},
+    "medium": {"parameters": {"mu1_pa": FREE, "alpha1": FIXED, "bevel_mm": FREE}},
+    "folds": [{"tune": ["a", "b"], "validate": ["c", "d", "e"]}],
+    "dataset": {"measurement": {"operator": "none", "description": "points"}, "boundary_shared_sd_mm": []},
+}
+
+
+def run_of(**changed):
+    one, run = study(1), RUN | changed
+    starts = one.frames["starts"].assign(minimized=run["recipe"]["minimize"])
+    return dataclasses.replace(one.with_frames(starts=starts), run=run)
+
+
+def test_the_methods_paragraph_describes_this_run():
+    text = say(run_of(), "methods")
+    assert re.search(r"μ₁ and b \w+ estimated\b[^.]*\b2 insertions\b", text)
+    assert re.search(r"α₁ was\b[^.]*\bfixed\b", text) and "α₁ were" not in text
+    assert "16 starts" in text and "elements of 0.5 mm" in text and "needlefit 9.8.7" in text
+    assert "3 insertions held out" in text and "R-hat" not in text
+    assert re.search(r"posterior-mode\b[^.]*\b3 insertions", text) and "predicted with" not in text
+    tied = {"mu2_pa": {"bounds": None, "fixed": None, "tie": "mu1_pa", "spread": None}}
+    medium = {"parameters": RUN["medium"]["parameters"] | tied}
+    assert re.search(r"μ₂ to μ₁\b[^.]*\bln 1\.2\b", say(run_of(medium=medium), "methods"))
+    free = say(dataclasses.replace(stereo(), run=RUN), "methods")
+    assert "rotated and shifted" in free and "rotated and shifted" not in text
+    other = RECIPE | {"minimize": "metric", "algorithm": "bobyqa+neldermead", "starts": 5}
+    changed = say(run_of(recipe=other), "methods")
+    assert re.search(r"BOBYQA\b.*\bNELDERMEAD\b.*\b5 starts", changed) and "posterior" not in changed
+
+
+@pytest.mark.parametrize(
+    ("operator", "likelihood", "words"),
+    [
+        ("spline", {}, "coefficients"),
+        ("spline", {"measurement": "points"}, "as they are"),
+        ("spline", {"noise": "independent"}, "as they are"),
+        ("gaussian", {}, "smoothed"),
+        ("unknown", {}, "bias"),
+    ],
+)
+def test_the_methods_paragraph_names_the_operator_and_what_insertions_share(operator, likelihood, words):
+    data = {"measurement": {"operator": operator, "description": "MEASURED"}, "boundary_shared_sd_mm": [0.07]}
+    recipe = RECIPE | {"likelihood": RECIPE["likelihood"] | likelihood}
+    plain, text = (say(run_of(recipe=recipe, **more), "methods") for more in ({}, {"dataset": data}))
+    assert "MEASURED" in text and words in text and words not in plain
+    assert "0.07 mm" in text
+    fixed = recipe | {"likelihood": recipe["likelihood"] | {"depths": "fixed"}}
+    assert "0.07 mm" not in say(run_of(recipe=fixed, dataset=data), "methods")
+
+
+def test_citations_and_entries_correspond():
+    one = run_of()
+    cited = {
+        key for keys in re.findall(r"\\cite\{([^}]*)\}", format_methods(one)[0]) for key in keys.split(",")
+    }
+    assert "url" in format_references(format_methods(one)[1]).partition("\n")[0]
+    entries = set(re.findall(r"^@\w+\{([^,]+),", format_references(format_methods(one)[1]), re.M))
+    assert cited == entries and {"wang-bevel-tip", "nlopt"} <= cited and "emcee" not in cited
+
+
+@pytest.mark.parametrize("results", [study(5), stereo()], ids=["study5", "stereo"])
+def test_a_macro_holds_what_the_table_prints(results):
+    text = format_macros([results])
+    lines = re.findall(r"^\\nf(?:num|range|text)\{([^}]*)\}\{(.*)\}$", text, re.M)
+    defined = dict(lines)
+    assert len(defined) == len(lines) > 100  # no key twice
+    bevel = next(words for key, words in defined.items() if key.endswith("-bevel"))
+    row = results.frames["parameters"].query("method == 'fitted' and parameter == 'bevel_mm'").iloc[0]
+    assert (
+        bevel == "not determined"
+        if not row["determined"]
+        else float(bevel) == pytest.approx(row["value"], rel=5e-3)
+    )
+    assert all(re.fullmatch(r"[\w.-]+", key) for key in defined)
+
+
+def test_moduli_are_in_the_unit_of_the_tables():
+    results = study(5)
+    parameters = results.frames["parameters"]
+    chosen = (parameters["parameter"] == "mu1_pa") & (parameters["method"] == "fitted")
+    row = {"value": 2.5e5, "determined": True, "status": "free"}
+    row |= {"interval_low": 1e5, "interval_high": 4e6}
+    for name, value in row.items():
+        parameters = parameters.assign(**{name: parameters[name].astype(object).mask(chosen, value)})
+    text = format_macros([results.with_frames(parameters=parameters)])
+    found = dict(re.findall(r"^\\nf(?:num|text)\{[^}]*-(mu1[a-z-]*)\}\{(.*)\}$", text, re.M))
+    wanted = {"mu1": "0.25", "mu1-unit": "MPa", "mu1-low": "0.1", "mu1-high": "4"}
+    assert {key: words for key, words in found.items() if key in wanted} == wanted
+
+
+def test_a_length_is_printed_to_a_hundredth_and_missing_cells_are_dashes():
+    text = format_macros([study(5)])
+    assert re.search(r"^\\nfnum\{study5-chicken-1-te\}\{\d+\.\d\d\}$", text, re.M)
+    assert re.search(r"^\\nfnum\{study5-chicken-1-paper-edp\}\{500\}$", text, re.M)
+    assert "nan" not in text and "None" not in text
+
+
+def test_keys_of_parameters_differ_by_their_symbols():
+    columns = (TableColumn("Parameter", align="left"), TableColumn("Coverage", "%"))
+    table = TableLayout("ranks", "", columns, (("μ₁", "94"), ("μ₂", "95"), ("ln b", "–")))
+    macros = format_table_macros("study2", [table])
+    assert r"\nfnum{study2-ranks-mu1-coverage}{94}" in macros
+    assert r"\nfnum{study2-ranks-mu2-coverage}{95}" in macros
+
+
+def test_methods_name_synthetic_data():
+    one = run_of(dataset={**RUN["dataset"], "name": "twin"})
+    assert "synthetic" in format_methods(one)[0]
+    measured = dataclasses.replace(one, origin="measured")
+    assert "synthetic" not in format_methods(measured)[0]
+
+
+@pytest.fixture
+def written(tmp_path):
+    """The paths of a run's folder and of a paper's folder made from it."""
+    folder = write_run(run_of(), tmp_path / "study1")
+    write_paper_folder(run_of(), folder, tmp_path / "paper")
+    return folder, tmp_path / "paper"
+
+
+@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="LaTeX is not installed")
+@pytest.mark.sweep
+def test_the_example_compiles(written, tmp_path):
+    for folder in written:
+        compile_example(folder, tmp_path / "example.pdf")
+        assert (tmp_path / "example.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.sweep
+def test_a_paper_has_every_figure_in_both_widths_with_letters_of_8_points(written):
+    run, paper = written
+    names = {path.stem for path in run.glob("*.pdf")} - {"report"}
+    widths = {"single": 3.5, "double": 7.16}
+    assert {path.stem for path in paper.glob("*.pdf")} == {f"{n}-{word}" for n in names for word in widths}
+    for path in paper.glob("*.pdf"):
+        width = float(re.search(rb"/MediaBox *\[ *0 +0 +([\d.]+)", path.read_bytes())[1]) / 72
+        assert width == pytest.approx(widths[path.stem.rpartition("-")[2]], abs=0.01)
+    included = re.findall(r"\\includegraphics\{([\w-]+)\}", (paper / "example.tex").read_text())
+    assert sorted(included) == sorted(path.stem for path in paper.glob("*.pdf"))
+    with pytest.raises(ConfigError, match="not empty"):
+        write_paper_folder(run_of(), run, paper)
+
+
+def test_the_example_inputs_every_table_and_the_methods(tmp_path):
+    blocks = ({"kind": "figure", "half": True, "path": tmp_path / "boxplot.pdf", "caption": "50 %"},)
+    text = format_example(
+        Document("A & B", "", False, ()), blocks, ["validation", "parameters"], methods=True
+    )
+    assert set(re.findall(r"\\input\{(\w+)\}", text)) == {"numbers", "methods", "validation", "parameters"}
+    assert r"\title{A \& B}" in text and r"\begin{figure}" in text and r"\caption{50 \%}" in text
+
+
+def test_macros_of_parameters_have_the_interval_of_the_table_and_keys_without_notes():
+    results = study(5)
+    layout = lay_out_parameters([results])
+    text = format_macros([results])
+    keys = re.findall(r"^\\nf\w+\{study5-parameters-([^}]+)\}", text, re.M)
+    heads = [column.label for column in layout.columns]
+    notes = [row[heads.index("Note")] for row in layout.rows]
+    assert keys and not any(re.search("determined|known|fixed|tied", key) for key in keys), (keys, notes)

@@ -7,7 +7,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from inference_cases import NEEDLE, insertion, measure, medium
-from pydantic import ValidationError
 from scipy.stats import norm
 from test_cli import run as run_truth
 
@@ -256,22 +255,6 @@ def test_the_interval_of_a_share_is_wilson_s():
     """Of 10 trials 8: 0.490 to 0.943 (E. B. Wilson, 1927)."""
     (row,) = add_intervals(pd.DataFrame({"covered": [8], "replicates": [10]})).to_dict("records")
     assert (row["share"], row["low"], row["high"]) == pytest.approx((0.8, 0.4902, 0.9433), abs=1e-4)
-
-
-def test_default_replicates_follow_the_source_of_truths():
-    def count(**keys: object) -> int:
-        return CalibrationRecord(schema=2, kind="calibration", target="study1", **keys).replicates
-
-    assert [count(), count(sampled=True), count(truth="synthetic")] == [500, 100, 50]
-    assert count(truth="synthetic", replicates=3) == 3
-
-
-@pytest.mark.parametrize(
-    "keys", [{"ct": True}, {"truth": "synthetic", "control": "pose"}, {"truth": "synthetic", "sampled": True}]
-)
-def test_keys_that_exclude_each_other_are_refused(keys):
-    with pytest.raises(ValidationError):
-        CalibrationRecord(schema=2, kind="calibration", target="study1", **keys)
 
 
 @pytest.mark.parametrize(

@@ -71,17 +71,9 @@ FOREIGN: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Command:
-    """A command, where its result goes, and what makes another result stand there before it.
+    """A command, the folder of its result, and the commands before it that leave another result there.
 
-    Attributes
-    ----------
-    words : tuple of str
-    out : str
-        The folder of the result.
-    earlier : tuple of tuples of str
-        Commands run before, the last of which leaves another result in `out`.
-    resumes : bool
-        Whether it goes on with `--resume`; others are run again.
+    One that does not go on with `--resume` is run again.
     """
 
     words: tuple[str, ...]
@@ -93,6 +85,7 @@ class Command:
 _TUNE = ("tune", "tiny_fit", "--sample", "--jobs", "1", "-q")
 _VALIDATE = ("validate", "tiny", "--jobs", "1", "-q")
 _ANALYSE = ("validate", "tiny_left_out", "--jobs", "1", "-q")
+_REPORT = ("report", "tiny", "--out", "reports/again", "-q")
 _RECONSTRUCT = ("reconstruct", str(SCANS), "--out", "mydata", "--jobs", "1", "-q")
 _TWIN = ("twin", "build", "--out", "mytwin", "--jobs", "1", "-q")
 
@@ -101,13 +94,9 @@ COMMANDS: Mapping[str, Command] = {
     "validate": Command(_VALIDATE, "reports/tiny", ((*_VALIDATE, "--seed", "2"),)),
     "analysis": Command(_ANALYSE, "reports/tiny_left_out", ((*_ANALYSE, "--seed", "2"),)),
     "report": Command(
-        ("report", "tiny", "--out", "reports/again", "-q"),
+        _REPORT,
         "reports/again",
-        (
-            (*_VALIDATE, "--seed", "2"),
-            ("report", "tiny", "--out", "reports/again", "-q"),
-            _VALIDATE,
-        ),
+        ((*_VALIDATE, "--seed", "2"), _REPORT, _VALIDATE),
         resumes=False,
     ),
     "reconstruct": Command(_RECONSTRUCT, "mydata", ((*_RECONSTRUCT, "--title", "Before"),)),
@@ -117,7 +106,6 @@ COMMANDS: Mapping[str, Command] = {
 
 
 def write_inputs(folder: Path) -> None:
-    """Write the project's files and somebody's own."""
     for name, text in (INPUTS | FOREIGN).items():  # type: ignore[operator]
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(text)

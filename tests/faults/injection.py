@@ -84,12 +84,8 @@ def install(injector: Injector) -> None:
     """Put the counting functions in the place of Python's own, for the rest of the process."""
     for name in ("rename", "replace", "mkdir", "unlink", "remove", "rmdir", "truncate", "link", "symlink"):
         setattr(os, name, _counted(injector, name, getattr(os, name)))
-    for name in ("fsync", "ftruncate", "fdatasync"):
-        setattr(
-            os,
-            name,
-            _counted(injector, name.removeprefix("f").replace("datasync", "fsync"), getattr(os, name)),
-        )
+    for name, step in (("fsync", "fsync"), ("ftruncate", "truncate"), ("fdatasync", "fsync")):
+        setattr(os, name, _counted(injector, step, getattr(os, name)))
     os.write = _counted(injector, "write", os.write)  # type: ignore[assignment]
     os.open = _os_open(injector, os.open)  # type: ignore[assignment]
     builtins.open = io.open = _open(injector, io.open)  # type: ignore[assignment]
@@ -97,7 +93,7 @@ def install(injector: Injector) -> None:
 
 
 def _counted(injector: Injector, name: str, real: Callable[..., Any]) -> Callable[..., Any]:
-    name = {"sync": "fsync", "remove": "unlink", "replace": "rename"}.get(name, name)
+    name = {"remove": "unlink", "replace": "rename"}.get(name, name)
 
     def counted(path: Any, *args: Any, **kwargs: Any) -> Any:
         folder = kwargs.get("dir_fd")

@@ -20,18 +20,8 @@ Files = dict[str, bytes]
 class Prepared:
     """A command with its folder before it, and what it leaves where nothing goes wrong.
 
-    Attributes
-    ----------
-    before : Path
-        The folder with inputs, somebody's own files, and an earlier result.
-    old, new : dict
-        The result's files before and after.
-    code : int
-        Its exit code.
-    steps : tuple of str
-        By which it wrote.
-    left : frozenset of str
-        Everything in the folder afterwards.
+    The folder `before` has inputs, somebody's own files, and an earlier result; `old` and `new` are the
+    result's files before and after, `steps` those by which it wrote, `left` is all that lies there then.
     """
 
     command: Command
@@ -93,7 +83,6 @@ def spoil(prepared: Prepared, fault: tuple[str, int], server: Server) -> list[st
 
 
 def contents(folder: Path) -> Files:
-    """Return a result's files, without the one that holds times."""
     paths = (path for path in folder.rglob("*") if path.is_file() and path.name != "timing.json")
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
 

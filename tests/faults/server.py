@@ -149,7 +149,6 @@ def _once(work: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _child(asked: dict[str, Any], printed: Path, answer: int) -> None:
-    """Run a command in this fork, which ends with it."""
     from faults.injection import Injector, install
     from needlefit.cli import main
 
@@ -213,7 +212,6 @@ def _answer(asked: dict[str, Any], printed: Path) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Answer until stdin ends."""
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
     warm()

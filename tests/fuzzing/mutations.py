@@ -40,16 +40,9 @@ _WIDTHS = {1: "B", 2: "H", 4: "I", 8: "Q"}
 
 
 def mutate(data: bytes, others: Sequence[bytes], random: np.random.Generator, packed: bool = False) -> bytes:
-    """Return `data` with one to five pieces of damage.
+    """Return `data` with one to five pieces of damage, or with parts of `others`, which are valid inputs.
 
-    Parameters
-    ----------
-    data : bytes
-    others : sequence of bytes
-        Valid inputs of the same reader, parts of which may be put in.
-    random : numpy.random.Generator
-    packed : bool
-        Whether `data` is gzip: half of the mutants are damaged inside and packed again.
+    Half of the mutants of `packed` data, which are gzip, are damaged inside and packed again.
     """
     if packed and random.random() < 0.5:
         try:
@@ -73,7 +66,6 @@ def mutate(data: bytes, others: Sequence[bytes], random: np.random.Generator, pa
 
 
 def flip(data: bytes, random: np.random.Generator) -> bytes:
-    """Flip one to eight bits."""
     changed = bytearray(data or b"\0")
     for _ in range(int(random.integers(1, 9))):
         changed[int(random.integers(len(changed)))] ^= 1 << int(random.integers(8))
@@ -90,31 +82,26 @@ def overwrite(data: bytes, random: np.random.Generator) -> bytes:
 
 
 def truncate(data: bytes, random: np.random.Generator) -> bytes:
-    """Cut the end off."""
     return data[: int(random.integers(len(data) + 1))]
 
 
 def delete(data: bytes, random: np.random.Generator) -> bytes:
-    """Take some bytes out."""
     at, length = _place(len(data), random), _length(random)
     return data[:at] + data[at + length :]
 
 
 def insert(data: bytes, random: np.random.Generator) -> bytes:
-    """Put random bytes in."""
     at = _place(len(data), random)
     return data[:at] + random.bytes(_length(random)) + data[at:]
 
 
 def duplicate(data: bytes, random: np.random.Generator) -> bytes:
-    """Repeat a part, once or many times."""
     at, length = _place(len(data), random), _length(random)
     times = int(random.choice([1, 1, 2, 10, 500]))
     return data[: at + length] + data[at : at + length] * times + data[at + length :]
 
 
 def exchange(data: bytes, random: np.random.Generator) -> bytes:
-    """Copy one part over another."""
     here, there, length = _place(len(data), random), _place(len(data), random), _length(random)
     part = data[here : here + length]
     return data[:there] + part + data[there + len(part) :]
@@ -142,7 +129,6 @@ def binary_number(data: bytes, random: np.random.Generator) -> bytes:
 
 
 def number(data: bytes, random: np.random.Generator) -> bytes:
-    """Set a decimal number to an extreme, or to a slightly different one."""
     found = list(NUMBER.finditer(data[:200_000]))
     if not found:
         return flip(data, random)
@@ -161,13 +147,11 @@ def token(data: bytes, random: np.random.Generator) -> bytes:
 
 
 def nest(data: bytes, random: np.random.Generator) -> bytes:
-    """Open brackets, many times over."""
     at = _place(len(data), random)
     return data[:at] + _one(OPENINGS, random) * int(random.choice([3, 70, 1000, 20_000])) + data[at:]
 
 
 def line(data: bytes, random: np.random.Generator) -> bytes:
-    """Delete, repeat, move or join lines."""
     lines = data.split(b"\n")
     at, to = (int(random.integers(len(lines))) for _ in range(2))
     kind = int(random.integers(5))

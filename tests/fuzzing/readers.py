@@ -40,7 +40,6 @@ class Reader:
 
 
 def reader(name: str) -> Reader:
-    """Return a reader of the table, or one that breaks the rule."""
     return READERS.get(name) or BROKEN[name]
 
 
@@ -59,7 +58,6 @@ def inputs(name: str, stored: Path) -> tuple[Seed, ...]:
 
 
 def _late(name: str) -> Any:
-    """Return the attribute of needlefit that `name` leads to."""
     module, _, attribute = name.rpartition(".")
     return getattr(import_module(f"needlefit.{module}"), attribute)
 
@@ -101,7 +99,6 @@ def _dataset(path: Path) -> object:
 
 
 def _import(path: Path) -> object:
-    """Import a file as a dataset, and read that."""
     conversion = import_module("needlefit.datasets.importing.conversion")
     decisions = _late("datasets.importing.decisions.Decisions")()
     content, plan = conversion.plan_import([path], decisions)
@@ -176,7 +173,6 @@ def _parquet(path: Path) -> object:
 
 
 def _assignments(path: Path) -> object:
-    """Apply each line as `--set` does."""
     scene = _late("schemas.scene.SceneRecord")
     file = _late("project.locate.find_file")("scene", "figure1")
     tables = _late("project.toml.read_toml")(file)
@@ -214,7 +210,6 @@ def _share(path: Path) -> object:
 
 
 def _tracker(path: Path) -> object:
-    """Register a tracker to a scene."""
     record = _load("tracker.TrackerRecord", path)
     scene = _scene(_late("project.locate.find_file")("scene", "figure1"))
     tracking = import_module("needlefit.viewer.tracking")
@@ -223,7 +218,6 @@ def _tracker(path: Path) -> object:
 
 
 def _names(path: Path) -> object:
-    """Look one name up as every kind of thing."""
     name, locate = _text(path), import_module("needlefit.project.locate")
     kinds = ("scene", "recipe", "study", "fit", "medium", "dataset", "scans", "reconstruction")
     lookups = [
@@ -261,7 +255,6 @@ def _text(path: Path) -> str:
 
 
 def _configs(record: str, folder: str, name: str) -> Reader:
-    """Return the reader of a kind of the project's configuration files."""
     return Reader(partial(_load, record), partial(project_files, f"configs/{folder}/*.toml", f"{name}.toml"))
 
 

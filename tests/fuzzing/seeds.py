@@ -22,7 +22,6 @@ class Seed:
 
 
 def one_file(name: str, data: bytes | str) -> Seed:
-    """Return an input that is a single file."""
     return Seed({name: data.encode() if isinstance(data, str) else data}, name, (name,))
 
 
@@ -81,7 +80,6 @@ def datasets() -> list[Seed]:
 
 
 def compression() -> list[Seed]:
-    """Compression tests: stretch and stress, force and displacement."""
     from compression_cases import gel_file
 
     forces = "specimen,displacement_mm,force_n,height_mm,area_mm2\n" + "".join(
@@ -100,7 +98,6 @@ MRK = f"""{{"@schema": "{SCHEMA}/markups-schema-v1.0.3.json#", "markups": [{{"ty
 
 
 def markups() -> list[Seed]:
-    """A curve and a list of points of 3D Slicer, of both its formats and of three versions."""
     points = [(5.0 * k, 0.0, 0.01 * k * k) for k in range(12)]
     listed = ", ".join(
         f'{{"id": "{k}", "label": "C-{k}", "position": {list(p)}, "positionStatus": "defined"}}'
@@ -118,13 +115,11 @@ def markups() -> list[Seed]:
 
 
 def markers() -> list[Seed]:
-    """Places of markers, as a table and from 3D Slicer."""
     table = (PROJECT / "data/sample_scan/markers/sample.csv").read_bytes()
     return [one_file("markers.csv", table), *markups()]
 
 
 def sources() -> list[Seed]:
-    """Centrelines of other laboratories, as tables."""
     rows = "".join(f"{name},{x},0,{4e-4 * x * x:.5f},0.1\n" for name in "ab" for x in range(0, 60, 4))
     return [
         one_file("shapes.csv", "id,x_mm,y_mm,z_mm,sd_mm\n" + rows),
@@ -170,7 +165,6 @@ def matlab() -> list[Seed]:
 
 
 def import_tables() -> list[Seed]:
-    """Tables for the import: curves side by side, with semicolons and decimal commas; one long table."""
     from import_cases import needle, write_european_csv
 
     curves = [needle(n, 9 - n) for n in range(2)]
@@ -188,14 +182,12 @@ def import_tables() -> list[Seed]:
 
 
 def workbooks() -> list[Seed]:
-    """A workbook of two curves."""
     from import_cases import needle, write_workbook
 
     return [saved("t.xlsx", write_workbook, [needle(n, 9 - n) for n in range(2)])]
 
 
 def slicer_scenes() -> list[Seed]:
-    """Scenes with curves, a model, and a transform beside or inside."""
     from import_cases import needle, write_scene
 
     curves = [needle(n, 9) for n in range(2)]
@@ -206,7 +198,6 @@ def slicer_scenes() -> list[Seed]:
 
 
 def bundles() -> list[Seed]:
-    """Bundles, stored and packed."""
     from import_cases import needle, write_bundle, write_scene
 
     def write(path: Path, packed: bool) -> None:
@@ -246,7 +237,6 @@ def volumes() -> list[Seed]:
 
 
 def labels() -> list[Seed]:
-    """Segmentations: of 3D Slicer, and plain label volumes, and the crashing ones."""
     from layer_cases import labelled, save, save_segments
 
     volume = labelled(lambda points: 1 + (points[:, 0] > 0), shape=(8, 9, 10))
@@ -287,7 +277,6 @@ def dicom() -> list[Seed]:
 
 
 def archives() -> list[Seed]:
-    """Archives of a series, stored and packed, and of an archive and a DICOMDIR."""
     import zipfile
 
     import numpy as np
@@ -309,7 +298,6 @@ def archives() -> list[Seed]:
 
 
 def segmentations() -> list[Seed]:
-    """DICOM segmentations of voxels and of contours."""
     from test_imaging_segmentations import boxes, cylinder, write_contours, write_seg
 
     regions = {"Body": cylinder(6.0), "Core": cylinder(2.0, 6.0, 12.0)}
@@ -317,7 +305,6 @@ def segmentations() -> list[Seed]:
 
 
 def meshes() -> list[Seed]:
-    """A sheet and a solid as STL (text and binary), PLY and OBJ."""
     import trimesh
     from import_cases import vtk_binary_sheet, vtk_sheet
     from layer_cases import save_mesh
@@ -339,14 +326,12 @@ def meshes() -> list[Seed]:
 
 
 def recordings() -> list[Seed]:
-    """A recording of the page."""
     from test_viewer_recording import recorded
 
     return [saved("log.csv", recorded)]
 
 
 def results() -> list[Seed]:
-    """What runs store: a study, a fit with its posterior, an analysis."""
     from reporting_results import stereo, study
 
     from needlefit.studies.store import store_run
@@ -370,7 +355,6 @@ def contents() -> list[Seed]:
 
 
 def posteriors() -> list[Seed]:
-    """Draws of a posterior, as netCDF."""
     from reporting_results import sampled
 
     from needlefit.inference.sampling.posterior import save
@@ -430,7 +414,6 @@ def kept() -> list[Seed]:
 
 
 def runs() -> list[Seed]:
-    """Pairs of runs, which are compared: the second one is damaged."""
     found = []
     for name in ("study3", "chicken", "adaptation3", "plan", "specimens_chicken"):
         folder = PROJECT / "reports" / "reference" / name
@@ -440,13 +423,11 @@ def runs() -> list[Seed]:
 
 
 def run_files() -> list[Seed]:
-    """What runs were computed with."""
     paths = sorted((PROJECT / "reports" / "reference").glob("s*/run.json"))
     return [Seed({"run.json": path.read_bytes()}, ".", ("run.json",)) for path in paths]
 
 
 def manifests() -> list[Seed]:
-    """A folder that lists its own files."""
     from needlefit.project.folders import write_manifest
 
     def write(folder: Path) -> None:
@@ -466,7 +447,6 @@ mu_pa = { median = 2.5e4, factor = 2.0, correlation = 0.5 }
 
 
 def priors() -> list[Seed]:
-    """What a compression test says for a fit."""
     return [one_file("prior.toml", PRIOR)]
 
 
@@ -474,7 +454,6 @@ def priors() -> list[Seed]:
 
 
 def assignments() -> list[Seed]:
-    """Values of `--set`, a line each."""
     lines = (
         *("bevel.offset_mm=0.1", "layers.1.mu_pa=3e5", 'layers.2.law="ogden"', "depth_mm=80.5"),
         *("bevel.side=-1", "title=a needle", "layers.1.alpha=[1, 2]", "guides.1.name='template'"),
@@ -516,17 +495,14 @@ AIMING = """\
 
 
 def page_messages() -> list[Seed]:
-    """Messages of the page, one a text."""
     return [one_file("messages.txt", one) for one in (STEERING + AIMING).splitlines()]
 
 
 def conversations() -> list[Seed]:
-    """Messages in one window."""
     return [one_file("messages.txt", lines) for lines in (STEERING, AIMING)]
 
 
 def trackers() -> list[Seed]:
-    """Registrations of a tracker: by a matrix, and by markers."""
     markers = "".join(
         f'[[markers]]\nname = "m{n}"\ntracker_mm = [{x}.0, {y}.0, 3.0]\nworld_mm = [{y}.0, {x}.0, {n}.0]\n'
         for n, (x, y) in enumerate(((0, 0), (60, 0), (0, 45), (30, 50)))
@@ -537,7 +513,6 @@ def trackers() -> list[Seed]:
 
 
 def parquet_tables() -> list[Seed]:
-    """A stored table of a cohort: texts, whole numbers, numbers and flags."""
     from needlefit.studies.columnar import store_files, write_frames
 
     types = {"insertions": "int64", "value": "float64", "at_bound": "bool"}
@@ -550,7 +525,6 @@ def parquet_tables() -> list[Seed]:
 
 
 def commands() -> list[Seed]:
-    """Whole commands, a word a line, none of which computes for long."""
     lines = (
         *("check twin", "check ./twin --json", "paper", "--help", "simulate figure1 --set depth_mm=12"),
         *("simulate study2 --depth 20 --json", "simulate chicken --set layers.1.mu_pa=3e5", "diff a b"),
@@ -566,12 +540,10 @@ data/twin/chicken-04 reports/reference/study3 reports/reference/study3/run.json 
 
 
 def names() -> list[Seed]:
-    """Names as they are given on the command line, one a text."""
     return [one_file("name.txt", word) for word in NAMES.split()]
 
 
 def scans() -> list[Seed]:
-    """A table of scans, with the files that it names."""
     folder = PROJECT / "data" / "sample_scan"
     files = {
         str(path.relative_to(folder)): path.read_bytes() if path.suffix in (".csv", ".stl") else b""

@@ -107,7 +107,6 @@ def _place(error: BaseException) -> str:
 
 
 def _seconds() -> float:
-    """Return the processor time of this process and of those that it has waited for."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(one.ru_utime + one.ru_stime for one in used)
 
@@ -146,7 +145,6 @@ def _answer(asked: Mapping[str, object], folder: Path, printed: Path) -> dict[st
 
 
 def main(folder: Path, descriptor: int) -> None:
-    """Answer until stdin ends."""
     resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE_MIB * 2**20, resource.RLIM_INFINITY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     warnings.simplefilter("ignore")
