@@ -117,8 +117,9 @@ def test_a_file_that_unpacks_to_more_than_its_bound_is_refused(tmp_path, monkeyp
 
 
 def test_results_that_cannot_be_read_are_refused(content, tmp_path):
-    with pytest.raises(DataError, match="no stored results"):
-        fault(tmp_path)
+    with pytest.raises(DataError, match="no stored results") as caught:
+        restore_run(tmp_path)
+    assert str(tmp_path) in caught.value.where
     packed = gzip.compress(json.dumps(content).encode())
     for damaged in (packed[: len(packed) // 2], b"{}", gzip.compress(b"{}")):
         (tmp_path / RESULTS_FILE).write_bytes(damaged)
