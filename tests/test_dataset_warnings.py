@@ -113,8 +113,7 @@ def test_insertions_deflected_away_from_their_bevel_and_copies_are_named(tmp_pat
     _, (every,) = check_all(gel(tmp_path / "all", (-1, -1, 1)))
     assert "all 3" in every.what and "flipped" in every.fix and "`bevel_side`" in every.fix
     assert read(tmp_path / "all").warnings == (every,)  # every fit reads the same
-    tmp_path /= "b"
-    tmp_path.mkdir()
+    (tmp_path := tmp_path / "b").mkdir()
     file = gel(tmp_path)
     (tmp_path / "centerlines/c.csv").write_bytes((tmp_path / "centerlines/a.csv").read_bytes())
     _, (one,) = check_all(file)

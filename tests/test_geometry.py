@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refusal
 from scipy.spatial.transform import Rotation
 
 from needlefit.errors import DataError
@@ -84,8 +85,7 @@ def test_entry_frames_arc_lengths_and_straight_curves_by_hand():
 
 def test_directions_without_a_plane_and_curves_of_other_shapes_are_refused():
     for direction, toward in [((0, 0, 0), (0, 1, 0)), ((1, 0, 0), (2, 0, 0)), ((1, np.nan, 0), (0, 1, 0))]:
-        with pytest.raises(DataError, match="expected"):
-            make_entry_frame((0, 0, 0), direction, toward)
+        refusal(DataError, "expected", make_entry_frame, (0, 0, 0), direction, toward)
     for shapes in [((11, 2), (12, 2)), ((11, 3), (11, 3)), ((11,), (11,)), ((2, 11, 2), (2, 11, 2))]:
         with pytest.raises(ValueError, match="cannot be compared"):
             compare_curves(*(np.zeros(shape) for shape in shapes))

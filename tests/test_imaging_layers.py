@@ -22,6 +22,7 @@ from layer_cases import (
     scan,
 )
 from reading_here import child_process_reader, read_here  # noqa: F401 - fixtures
+from refusals import refusal
 from test_datasets import record
 
 from needlefit.datasets.columns import InsertionRow
@@ -56,10 +57,9 @@ EXACT = LayerErrors(0.0, np.zeros(len(NEEDLE)))
 
 
 def refused(*layers, **changes):
-    with pytest.raises(DataError) as error:
-        read_layers(scan(*layers, **changes), HOME)
-    assert "fix: " in str(error.value)
-    return str(error.value)
+    error = refusal(DataError, "", lambda: read_layers(scan(*layers, **changes), HOME))
+    assert "fix: " in str(error)
+    return str(error)
 
 
 def on(surface, count=3000, seed=1):

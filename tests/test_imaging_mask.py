@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from reading_here import child_process_reader, read_here  # noqa: F401 - fixtures
+from refusals import refusal
 
 from needlefit.errors import DataError
 from needlefit.imaging.needle.centerline import trace_needle
@@ -50,9 +51,8 @@ def saved(folder, mask):
 
 def refused(folder, volume, mask, words):
     path = saved(folder, mask)
-    with pytest.raises(DataError, match=words) as error:
-        read_mask_component(volume, path, cases.RECIPE)
-    assert str(path) in str(error.value) and error.value.fix
+    error = refusal(DataError, words, read_mask_component, volume, path, cases.RECIPE)
+    assert str(path) in str(error) and error.fix
 
 
 def flipped(mask, axis):
@@ -79,8 +79,7 @@ def cropped(mask):
 
 @pytest.mark.sweep
 def test_a_mask_replaces_the_thresholds(volume, mask, tmp_path):
-    with pytest.raises(DataError, match="2 needles"):
-        segment_needle(volume, cases.RECIPE)
+    refusal(DataError, "2 needles", segment_needle, volume, cases.RECIPE)
     line = trace_needle(
         volume, read_mask_component(volume, saved(tmp_path, mask), cases.RECIPE), cases.RECIPE
     )
@@ -222,12 +221,10 @@ def test_a_shorter_tube_is_named_and_of_two_long_ones_the_stated_diameter_taken(
     assert_allclose(spans(found.others[0], volume), [6.0, 28.0], atol=1.0)
     picked = select_needle(volume, cases.RECIPE, np.array([17.0, 8.0, 20.0]))
     assert_allclose(spans(picked.needle, volume), [6.0, 28.0], atol=1.0)
-    with pytest.raises(DataError) as refused:
-        select_needle(volume, cases.RECIPE, np.array([2.0, 20.0, 20.0]))
-    assert "needle_x_mm" in refused.value.where
+    refused = refusal(DataError, "", lambda: select_needle(volume, cases.RECIPE, np.array([2.0, 20.0, 20.0])))
+    assert "needle_x_mm" in refused.where
     alike = painted(rod((17.0, 6.0), 0.0, 38.0, 0.8))
-    with pytest.raises(DataError, match="needles"):
-        select_needle(alike, cases.RECIPE)
+    refusal(DataError, "needles", select_needle, alike, cases.RECIPE)
     thick = painted(rod((17.0, 6.0), 0.0, 45.0, 1.9))
     wide = cases.recipe(needle={"diameter_mm": 1.4}, segmentation={"max_widening": 3.0})
     found = select_needle(thick, wide)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refusal
 from scipy.spatial.transform import Rotation
 
 from needlefit.errors import DataError
@@ -198,12 +199,8 @@ FOUND = POSE.to_local(LAYOUT)
 
 
 def refused(*arguments, **keywords):
-    with pytest.raises(DataError) as caught:
-        register(*arguments, **keywords)
-    error = caught.value
-    assert error.where
-    assert error.expected
-    assert error.fix
+    error = refusal(DataError, "", register, *arguments, **keywords)
+    assert error.where and error.expected and error.fix
     return str(error)
 
 
@@ -260,16 +257,13 @@ def test_mirrored_and_flat_markers_and_ras_read_as_lps_are_reported():
 def test_fiducials_of_a_file_are_compared_with_what_the_volume_shows():
     check_axis_signs(FOUND[:4], FOUND, 0.5)
     check_axis_signs(FOUND + 37, FOUND, 0.5)  # of other things
-    with pytest.raises(DataError, match=r"RAS.* LPS"):
-        check_axis_signs(FOUND[:4] * [-1, -1, 1], FOUND + 0.2, 0.5)
-    with pytest.raises(DataError, match="sign of x"):
-        check_axis_signs(FOUND[:4] * [-1, 1, 1], FOUND, 0.5)
+    refusal(DataError, r"RAS.* LPS", lambda: check_axis_signs(FOUND[:4] * [-1, -1, 1], FOUND + 0.2, 0.5))
+    refusal(DataError, "sign of x", lambda: check_axis_signs(FOUND[:4] * [-1, 1, 1], FOUND, 0.5))
     points, mirrored = np.array([[1.0, 100, 100], [1, 160, 100], [1, 100, 160]]), np.array([-1, 1, 1])
     near, far = points * [1.9, 1, 1], points * [2.1, 1, 1]
     check_axis_signs(near, near * mirrored, 1.0)
-    with pytest.raises(DataError) as caught:
-        check_axis_signs(far, far * mirrored, 1.0)
-    assert "sign of x" in caught.value.what and "RAS" not in caught.value.what
+    caught = refusal(DataError, "", check_axis_signs, far, far * mirrored, 1.0)
+    assert "sign of x" in caught.what and "RAS" not in caught.what
 
 
 def test_a_wrong_spacing_or_unit_is_measured_and_not_corrected():

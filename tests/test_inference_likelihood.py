@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from inference_cases import TRUTH, assert_one_density, dataset, insertion, measure, medium, problem
+from refusals import refusal
 
 from needlefit.datasets.insertion import Noise
 from needlefit.errors import DataError
@@ -49,8 +50,7 @@ def test_independent_noise_gives_the_textbook_density():
     shift = 0.19 / math.sqrt(8 / math.pi)
     sd = np.sqrt(0.05**2 + 0.1**2 + shift**2 + (0.01 * STRAIGHT[:, 0]) ** 2)
     assert known.whitening == pytest.approx(np.diag(1 / sd))
-    with pytest.raises(DataError, match="point_sd_mm"):
-        make_observation(dataset([], Noise()), straight())
+    refusal(DataError, "point_sd_mm", lambda: make_observation(dataset([], Noise()), straight()))
 
 
 def test_a_free_pose_costs_nothing():

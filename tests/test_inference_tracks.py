@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from inference_cases import assert_one_density
+from refusals import refusal
 from scipy.linalg import block_diag
 from track_cases import (
     DEPTH,
@@ -90,9 +91,8 @@ def test_runs_under_a_resting_guide_are_one_insertion():
         share_simulations([track("run", GUIDE, 0.1 * DEPTH)], 1.0)
     table = {k: v for k, v in MEDIUM.model_dump()["parameters"].items() if k != "guide_distance_mm"}
     bare = MEDIUM.model_validate({"schema": 1, "layers": 1, "parameters": table})
-    with pytest.raises(ConfigError, match="guide") as fault:
-        problem([track("run", REST)], bare)
-    assert fault.value.key == "parameters" and "guide_distance_mm" in fault.value.expected
+    fault = refusal(ConfigError, "guide", lambda: problem([track("run", REST)], bare))
+    assert fault.key == "parameters" and "guide_distance_mm" in fault.expected
 
 
 def test_the_true_parameters_are_recovered(runs):
@@ -216,8 +216,7 @@ def test_slopes_of_further_runs_are_predicted_from_the_fitted_ones():
     found = estimate_slopes(drawn, seen)
     assert found.mean[0] == pytest.approx(0.03)
     assert found.variance[0] == pytest.approx(0.00025 * 1.2 * 4 / 2)  # scatter, one more run, Student
-    with pytest.raises(ConfigError, match="3 runs"):
-        estimate_slopes(TrackDraws((y,) * 3, (), np.ones(1)), seen[:3])
+    refusal(ConfigError, "3 runs", lambda: estimate_slopes(TrackDraws((y,) * 3, (), np.ones(1)), seen[:3]))
 
 
 def test_a_line_takes_its_slope_from_runs_alike():

@@ -5,6 +5,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from mechanics_cases import NEEDLE, RULES, assert_derivatives, assert_same_bits, random_batch, random_case
+from refusals import refusal
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.batch import (
@@ -173,8 +174,7 @@ def test_failed_needles_and_unknown_kinds_have_no_derivatives_and_every_input_is
     assert shape.status == "over-compressed"
     assert found.u.shape == (len(shape.x), 3) and found.constraints.shape == (11, 3)
     assert all(np.isnan(part).all() for part in (found.x, found.u, found.slope, found.constraints))
-    with pytest.raises(ModelError, match="`depth`"):
-        linearize(NEEDLE, PHANTOM, Bevel(0.1), 10.0, wrt=("mu", "depth"))
+    refusal(ModelError, "`depth`", lambda: linearize(NEEDLE, PHANTOM, Bevel(0.1), 10.0, wrt=("mu", "depth")))
     inputs = {f"{of.__name__}.{one.name}" for of in (Needle, Tissue, Bevel, Controls) for one in fields(of)}
     assert inputs == KIND_OF.keys() | NO_KIND
     assert set(DERIVATIVE_KINDS) == set(KIND_OF.values())
@@ -282,8 +282,7 @@ def test_what_is_prepared_serves_other_sets() -> None:
         assert isinstance(one, Jacobians) or one.converged.all()
         for i in range(3):
             assert_same_bits(one[i], expected[i])
-    with pytest.raises(ModelError, match="mu"):
-        first.with_sets(mu=other.mu)
+    refusal(ModelError, "mu", first.with_sets, mu=other.mu)
 
 
 def test_sets_that_the_prepared_problem_cannot_take_are_type_errors() -> None:
@@ -301,10 +300,8 @@ def test_sets_that_the_prepared_problem_cannot_take_are_type_errors() -> None:
         arrays | {"turn": arrays["turn"][:, :1]},
         arrays | {"base": arrays["base"].astype(np.float32)},
     ):
-        with pytest.raises(TypeError):
-            problem.with_sets(2, wrong)
-    with pytest.raises(TypeError):
-        problem.with_sets(3, arrays)
+        refusal(TypeError, "", problem.with_sets, 2, wrong)
+    refusal(TypeError, "", problem.with_sets, 3, arrays)
 
 
 def make_needles(count):
