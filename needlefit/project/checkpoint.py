@@ -187,21 +187,12 @@ def open_checkpoint(
     """Open the checkpoint in `folder` for the given work; without `resume` an old one is emptied.
 
     This process has its lock, where the system has locks, until `remove_checkpoint` or `release_checkpoint`.
-    A checkpoint whose manifest is damaged is set aside.
+    A checkpoint whose manifest is damaged is set aside; `note` is given a line about each part that was
+    damaged. With folder None nothing is kept. `work` is all that decides the result, as JSON values.
 
     ConfigError if the checkpoint is of other work, another process uses it, it cannot be written, or the
     folder holds anything that needlefit did not write. UnfinishedWorkError if an interrupted run left part of
     this work there, and `resume` does not say to go on with it.
-
-    Parameters
-    ----------
-    folder : Path or None
-        None keeps nothing.
-    resume : bool
-    work : mapping
-        All that decides the result, as JSON values: a checkpoint of other work is refused.
-    note : callable
-        Given a line about each part that was damaged.
     """
     if folder is None:
         return NO_CHECKPOINT

@@ -149,16 +149,10 @@ def _lost_scheduler() -> ConfigError:
 
 @contextmanager
 def connect(scheduler: str, insecure: bool = False, note: Note = no_note) -> Iterator[ClusterPool]:
-    """Connect to a scheduler, and disconnect in the end.
+    """Connect to a scheduler, `tls://HOST:PORT` or on this machine `tcp://HOST:PORT`; disconnect in the end.
 
-    ConfigError if the address is wrong or not secured, nobody answers, or Dask is not installed.
-
-    Parameters
-    ----------
-    scheduler : str
-        `tls://HOST:PORT`, or `tcp://HOST:PORT` on this machine.
-    insecure : bool
-        Whether an unencrypted scheduler on another machine is accepted.
+    `insecure` also accepts an unencrypted scheduler on another machine. ConfigError if the address is wrong
+    or not secured, nobody answers, or Dask is not installed.
     """
     if find_spec("distributed") is None:
         raise ConfigError(

@@ -60,14 +60,9 @@ def require_writable(place: Path) -> None:
 def require_output_files(outputs: Mapping[str, Path], inputs: Iterable[Path]) -> None:
     """Raise ConfigError unless each file that an option names can be written, and is not an input.
 
-    ConfigError if a folder is missing or cannot be written to, or a file is a folder, an input (also by
-    another name: a link), or named by two options.
-
-    Parameters
-    ----------
-    outputs : mapping of option to path
-    inputs : iterable of path
-        Files that the run reads, and folders of such files.
+    `inputs` are files that the run reads, and folders of such files. ConfigError if a folder is missing or
+    cannot be written to, or a file is a folder, an input (also by another name: a link), or named by two
+    options.
     """
     sources = list(inputs)
     for option, path in outputs.items():

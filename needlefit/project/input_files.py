@@ -50,16 +50,10 @@ FileErrorType = type[DataError] | type[ConfigError]
 def open_regular(
     path: Path, max_bytes: int, error: FileErrorType = DataError, where: str = ""
 ) -> Iterator[BinaryIO]:
-    """Open a regular file of at most `max_bytes` for reading.
+    """Open a regular file of at most `max_bytes` for reading; messages name it by `where`, or its path.
 
-    DataError or ConfigError if the file is missing, may not be read, is no regular file, or is larger.
-
-    Parameters
-    ----------
-    error : type
-        What is raised: `ConfigError` for a file that configures, else `DataError`.
-    where : str
-        How messages name the file; its path if empty.
+    `error` (ConfigError for a file that configures, else DataError) if the file is missing, may not be read,
+    is no regular file, or is larger.
     """
     where = where or str(path)
     try:

@@ -85,28 +85,17 @@ _ROW_MARGIN_IN, _LEGEND_LINE_IN = 0.32, 0.16  # inches of each row beside its pa
 
 def insertions(
     points: pd.DataFrame,
-    heads: Mapping[InsertionKey, str],
-    names: Mapping[str, str],
-    most_columns: int = 4,
+    heads: Mapping[InsertionKey, str],  # what stands above the panel of each insertion
+    names: Mapping[str, str],  # printed names of the methods, the foremost line first
+    most_columns: int = 4,  # panels side by side on a page; half as many in a column
     layers: bool = False,
 ) -> Figure:
     """Draw a panel for each insertion: the measured needle as dots, methods as lines, bands behind.
 
     All panels have the same axes in mm; heights are exaggerated by the factor that stands at the axis.
-
-    Parameters
-    ----------
-    points : DataFrame
-        A row per point: `fold`, `insertion`, `curve` (a method, "measured", the level of a band, or a layer,
-        whose `x_mm` is where it begins), `x_mm`, `y_mm`, `low_mm`, `high_mm`.
-    heads : mapping
-        What stands above the panel of each insertion.
-    names : mapping
-        Printed names of the methods, the foremost line first.
-    most_columns : int
-        Panels side by side on a page; half as many in a column.
-    layers : bool
-        Whether layers, the shaft and the gap between both tips are drawn; wide bands then have room too.
+    `points` has a row per point: `fold`, `insertion`, `curve` (a method, "measured", the level of a band, or
+    a layer, whose `x_mm` is where it begins), `x_mm`, `y_mm`, `low_mm`, `high_mm`. With `layers` these, the
+    shaft and the gap between both tips are drawn; wide bands then have room too.
     """
     width = choose_width()
     columns = min(len(heads), most_columns if width > COLUMN_WIDTH_IN else max(1, most_columns // 2))

@@ -253,15 +253,9 @@ LETTER_WIDTH_MM, MIN_LABEL_GAP_MM = 1.3, 1.5
 
 
 def spread_labels(places: Sequence[float], names: Sequence[str], scale: float) -> Floats:
-    """Return label positions as near as possible to their places, without overlap.
+    """Return label positions as near as possible to their places, increasing, without overlap.
 
-    Parameters
-    ----------
-    places : sequence of float
-        What the names are of, increasing, in the panel's units.
-    names : sequence of str
-    scale : float
-        mm on paper per unit.
+    Places are in the panel's units, of which one is `scale` mm on paper.
     """
     widths = LETTER_WIDTH_MM * np.array([len(name) for name in names])
     gaps = (widths[1:] + widths[:-1]) / 2 + MIN_LABEL_GAP_MM
