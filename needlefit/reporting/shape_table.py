@@ -56,10 +56,7 @@ def tabulate_shape(scene: Scene, moment: NeedleState, placement: Placement | Non
 
 
 def write_shape(scene: Scene, moment: NeedleState, path: Path, placement: Placement | None = None) -> None:
-    """Write the table of a shape, .csv.
-
-    ConfigError if the folder of `path` does not exist.
-    """
+    """Write the table of a shape, .csv; ConfigError if the folder of `path` does not exist."""
     require_folder(path)
     write_csv(tabulate_shape(scene, moment, placement), path)
 
