@@ -330,5 +330,9 @@ def show_warnings(invocation: Invocation, result: "Run") -> None:
     """Print the warnings of a run to stderr, with the paths of the files that they are about."""
     from needlefit.studies.report import list_run_warnings
 
-    data = Path(result.timing.get("dataset", "")).parent
-    screen.print_warnings(invocation, [screen.locate_warning(one, data) for one in list_run_warnings(result)])
+    data, located = Path(result.timing.get("dataset", "")).parent, []
+    for one in list_run_warnings(result):
+        file = one.where.rpartition(":")[0] or one.where
+        is_there = file and (data / file).is_file()
+        located.append(replace(one, where=str(data / one.where)) if is_there else one)
+    screen.print_warnings(invocation, located)

@@ -293,16 +293,13 @@ def find_foreign_in_checkpoint(folder: Path) -> list[str]:
 def _is_begun(folder: Path) -> bool:
     """Whether a process ended when it had no more than the lock, and perhaps half the manifest."""
     names = set(list_all_files(folder))
-    if not names <= {LOCK_NAME, MANIFEST} or not _is_lock(folder / LOCK_NAME):
+    try:
+        lock = read_bytes(folder / LOCK_NAME, _MAX_LOCK_BYTES) if is_regular(folder / LOCK_NAME) else None
+    except DataError:
+        lock = None
+    if not names <= {LOCK_NAME, MANIFEST} or lock is None or not _LOCK_TEXT.fullmatch(lock):
         return False
     return MANIFEST not in names or (_work_of(folder) is None and _is_manifest_of_checkpoint(folder))
-
-
-def _is_lock(path: Path) -> bool:
-    try:
-        return is_regular(path) and _LOCK_TEXT.fullmatch(read_bytes(path, _MAX_LOCK_BYTES)) is not None
-    except DataError:
-        return False
 
 
 def _is_manifest_of_checkpoint(folder: Path) -> bool:

@@ -193,7 +193,12 @@ def require_secured(scheduler: str, insecure: bool = False) -> None:
             expected="tls://HOST:PORT",
             fix="start a scheduler with `dask scheduler`; see docs/scale.md",
         )
-    if parts.scheme == "tls" or insecure or _is_loopback(str(parts.hostname)):
+    host = str(parts.hostname)
+    try:
+        is_here = ip_address(host).is_loopback
+    except ValueError:
+        is_here = host == "localhost"
+    if parts.scheme == "tls" or insecure or is_here:
         return
     raise ConfigError(
         "is not encrypted: whoever can reach it could run code on its workers and read the data",
@@ -201,13 +206,6 @@ def require_secured(scheduler: str, insecure: bool = False) -> None:
         expected="tls:// with certificates, or an address of this machine",
         fix="use tls://; on a network that nobody else can reach, --insecure accepts tcp://",
     )
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def _keep(data: bytes) -> bytes:

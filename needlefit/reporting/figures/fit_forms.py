@@ -465,7 +465,10 @@ def corner(frame: pd.DataFrame, names_of_sets: Mapping[str, str]) -> Figure:
                 _draw_pair(axes, frame, left, below)
             _format_pair(axes, (left, below), frame, outer=(row == count - 1, column == 0 and row > 0))
             if width / count < _MIN_PANEL_IN:
-                _make_narrow(axes)
+                axes.tick_params(axis="x", labelrotation=90)
+                axes.set_xlabel(axes.get_xlabel().replace(" ", "\n", 1))
+                axes.set_ylabel(axes.get_ylabel().replace(" ", "\n", 1))
+                axes.set_title("", loc="left")
     handles = [_line("draws", marker="o", ms=3, mew=0, lw=0, color=_OURS, alpha=0.6)]
     for mark, (marker, size, colour) in DRAWN_SETS.items():
         if (frame["mark"] == mark).any():
@@ -477,14 +480,6 @@ def corner(frame: pd.DataFrame, names_of_sets: Mapping[str, str]) -> Figure:
     else:
         figure.legend(handles=handles, loc="outside upper left", handlelength=1.5)
     return figure
-
-
-def _make_narrow(axes: Axes) -> None:
-    """Turn the numbers, and break the names, of a panel that is too narrow for them."""
-    axes.tick_params(axis="x", labelrotation=90)
-    axes.set_xlabel(axes.get_xlabel().replace(" ", "\n", 1))
-    axes.set_ylabel(axes.get_ylabel().replace(" ", "\n", 1))
-    axes.set_title("", loc="left")
 
 
 def to_log_coordinates(values: pd.DataFrame) -> Floats:
