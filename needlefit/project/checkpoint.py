@@ -42,9 +42,7 @@ from needlefit.project.input_files import parse_json, read_bytes
 from needlefit.project.progress import Note, no_note
 
 MAX_CHECKPOINT_BYTES = 2**31  # size of a file of rows
-
 ARRAYS_KEY = "arrays"  # of a row: its arrays by name
-
 _DIGEST_CHARACTERS = 16
 _ARRAY_TYPES = ("<f8", "<f4", "<i8", "|b1")
 _OWN_FILE = re.compile(
@@ -57,7 +55,6 @@ _LOCK_TEXT, _MAX_LOCK_BYTES = re.compile(rb"\d* ?[0-9a-f]{0,16}\n?"), 100
 """What the lock holds: nothing at first, then the process that has it, perhaps cut short."""
 
 _MAX_MANIFEST_BYTES = 2**20  # size of the manifest of a checkpoint, which has a hundred bytes
-
 _held: dict[Path, int] = {}
 """Open lock files of this process: a complete run has its lock until its results stand."""
 

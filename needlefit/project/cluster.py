@@ -34,14 +34,11 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 CONNECT_S = 10.0  # seconds that a scheduler may take to answer
-
 CLOSE_S = 2.0  # seconds that a scheduler, which may be lost, has to take leave
-
 COUNT_WORKERS_S = 1.0
 """Least seconds between two counts of the workers: each sends the addresses of all of them here."""
 
 TASKS_PER_WORKER = 2  # tasks at the scheduler for each worker: one that runs, and one that follows it at once
-
 CHECKED_PACKAGES = ("numpy", "scipy", "nlopt", "emcee", "trimesh")
 """Packages that results depend on; their versions are equal everywhere."""
 

@@ -19,14 +19,10 @@ from typing import Any, BinaryIO
 from needlefit.errors import ConfigError, DataError, NeedlefitError
 
 MAX_CONFIG_BYTES = 8 * 2**20  # size of a TOML file
-
 MAX_TEXT_BYTES = 256 * 2**20  # size of a table, a list of markups or another text file
-
 MAX_NESTING_LEVELS = 64  # depth to which tables and lists of a TOML or JSON file may be nested
-
 MAX_FOLDER_FILES = 200_000
 MAX_FOLDER_LEVELS = 32  # files in a folder and its subfolders, and how deep these may be nested
-
 SAVE_AS_UTF8 = 'save it as UTF-8 (in a spreadsheet: "CSV UTF-8")'
 
 _KINDS = (

@@ -43,7 +43,6 @@ READER_BYTES = 512 * 2**20
 """Memory of a reader beside what the header promises: tables, a compressed block, one slice."""
 
 READER_SECONDS = 8  # processor time of a reader beside what the size of the content warrants
-
 WALL_SECONDS = 60
 """Time in which a reader must be done, beside four times its processor time: a disk may be slow."""
 

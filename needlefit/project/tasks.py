@@ -35,7 +35,6 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 STOP_POLL_S = 0.2  # seconds between two questions whether to stop, while tasks run elsewhere
-
 MIN_SHARED_S = 8.0  # seconds of work that are worth sending to other machines
 
 _ENDING_SIGNALS = (

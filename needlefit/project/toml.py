@@ -238,7 +238,6 @@ def _records(annotation: object) -> Iterator[type[BaseModel]]:
 # ---- on which line a key stands: tomllib does not say
 
 MAX_CANDIDATE_LINES = 100  # lines that are tried; a key that is repeated more often gets no line
-
 MAX_STATEMENT_LINES = 400  # lines of one key and its value
 
 

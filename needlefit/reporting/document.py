@@ -95,7 +95,6 @@ def table(display: TableLayout) -> Block:
 
 
 MAX_HALF_WIDTH_PT = 254.0  # points: figures up to one column of a paper, 3.5 in, are half as wide as a page
-
 _MEDIA_BOX = re.compile(rb"/MediaBox\s*\[\s*0\s+0\s+([0-9.]+)")
 
 

@@ -71,7 +71,6 @@ def _line(label: str, **style: Any) -> Line2D:  # noqa: ANN401
 # ---- insertions with bands
 
 InsertionKey = tuple[str, str]  # fold and insertion
-
 INSERTION_KEYS = ["fold", "insertion"]
 HEIGHT_COLUMNS = ["y_mm", "low_mm", "high_mm"]
 BANDS = {"95 %": lighten(_OURS, 0.8), "50 %": lighten(_OURS, 0.56)}
@@ -236,7 +235,6 @@ def _find_limits(points: pd.DataFrame, near: "pd.Series[bool]") -> tuple[float, 
 
 QUARTILES = {"5 %": 5, "25 %": 25, "median": 50, "75 %": 75, "95 %": 95}
 MAX_COLUMN_GROUPS = 3  # groups at most of a figure as wide as one column of a paper
-
 _ERROR_COLOURS = {"IPE": "#0072B2", "TE": "#009E73"}
 
 
@@ -606,7 +604,6 @@ MAX_PANEL_COLUMNS, MAX_TICKS = 4, 4
 """Greatest number of panels in a row, and of labelled ticks on a logarithmic axis."""
 
 MAX_DEVIANCE = 6.5  # upper end of the panels' deviance axis
-
 _PANEL_KEYS = ["fold", "parameter"]
 _VERDICT_COLUMNS = [
     *("status", "fisher_sd", "low", "high", "end_low", "end_high", "rise"),

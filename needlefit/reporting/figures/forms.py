@@ -27,7 +27,6 @@ from needlefit.reporting.number_format import choose_printed_unit
 from needlefit.reporting.table_files import Row, to_records
 
 MAX_NAMED_SERIES = 8  # more series than these are not named one by one
-
 MAX_DOTS = 60  # dots of a series that are drawn, about
 
 

@@ -26,11 +26,8 @@ from needlefit.reporting.sheet import compile_sheet
 from needlefit.reporting.table_files import write_csv
 
 TEXT_WIDTH_IN = 7.16  # inches: the text width of the report, and of both columns of a paper together (IEEE)
-
 COLUMN_WIDTH_IN = 3.5  # inches: one column of a paper; two such figures stand side by side in the report
-
 FONT_SIZE_PT = 8.0  # points: letters of figures at the size in which they are printed
-
 _fixed_width: ContextVar[float | None] = ContextVar("fixed width of figures", default=None)
 
 
