@@ -98,8 +98,8 @@ def describe_surroundings(begin: float) -> dict[str, str]:
     }
 
 
+#: all kinds by name: the files and folders of `kinds/`, and those of plugins
 KINDS = Registry(StudyKind, "needlefit.studies.kinds", "kind of study")
-"""All kinds by name: the files and folders of `kinds/`, and those of plugins."""
 
 
 def kind_of(record: FileRecord) -> StudyKind:

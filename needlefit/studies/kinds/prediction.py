@@ -105,24 +105,17 @@ class PredictionRecord(TargetRecord):
     out."""
 
 
-KIND = StudyKind("prediction", PredictionRecord, __name__)
-"""What `needlefit predict` runs, or a study file."""
+KIND = StudyKind("prediction", PredictionRecord, __name__)  #: what `needlefit predict` runs, or a study file
 
 
-FORECAST_POINTS = 101
-"""Points of a predicted needle, from entry to tip."""
-
-RIGIDITY_TOLERANCE = 0.02
-"""Relative difference of two needles' rigidity from which on they are two needles."""
-
-BANDS = ("needle", "measured")
-"""Where the needle is, and where it would be measured."""
-
+FORECAST_POINTS = 101  #: points of a predicted needle, from entry to tip
+RIGIDITY_TOLERANCE = 0.02  #: relative difference of two needles' rigidity from which on they are two needles
+BANDS = ("needle", "measured")  #: where the needle is, and where it would be measured
+#: the first row is what is predicted, the others what would be left of its width
 SPECIMEN_COLUMNS = (
     *("specimen_treatment", "between_sd_ln_mu", "between_sd_ln_b", "other_specimens"),
     "tip_95_width_mm",
 )
-"""The first row is what is predicted, the others what would be left of its width."""
 
 
 FRAMES: Mapping[str, tuple[str, ...]] = {"specimens": SPECIMEN_COLUMNS}
@@ -133,13 +126,12 @@ FRAMES: Mapping[str, tuple[str, ...]] = {"specimens": SPECIMEN_COLUMNS}
 # ---- the scene under the rules of the fit
 
 
+#: keys of a scene whose values the draws replace
 _REPLACED = re.compile(
     r"(layers\.\d+\.(mu_pa|alpha|shape(\.\w+)?)|(bevel|steps\.\d+)\.(offset_mm|cut_angle_deg))$"
 )
-"""Keys of a scene whose values the draws replace."""
-
+#: rules under which parameters mean what they do: those of a fit are of no use under others
 _FITTED_RULES = ("advance", "constraint_spacing_mm", "constraint_switch", "tangent_part")
-"""Rules under which parameters mean what they do: those of a fit are of no use under others."""
 
 
 def make_scene(record: SceneRecord, where: str, medium: MediumRecord, changed: Sequence[str] = ()) -> Scene:
@@ -212,31 +204,16 @@ def _require_fitted_rules(record: SceneRecord, where: str, medium: MediumRecord)
 
 @dataclass(frozen=True)
 class Forecast:
-    """A predicted needle in the scene's constraint frame, with its uncertainty.
+    """A predicted needle in the scene's constraint frame, with its uncertainty."""
 
-    Attributes
-    ----------
-    s : (K,) array
-        Arc length from the entry, mm.
-    x : (K,) array
-        Depth of these points along the entry axis, median over draws, mm.
-    needle, measured : PredictiveMixture
-        Of y at each of them, mm: where the needle is, and where it would be measured.
-    failed : int
-        Draws of which the solve failed; they are left out.
-    outside : int
-        Draws whose needle is outside what the model assumes; they are kept.
-    specimens : tuple of Row
-        Rows of `SPECIMEN_COLUMNS`.
-    """
-
-    s: Floats
-    x: Floats
+    s: Floats  #: (K,), arc length from the entry, mm
+    x: Floats  #: (K,), depth of these points along the entry axis, median over draws, mm
+    #: needle, measured: of y at each of them, mm: where the needle is, and where it would be measured
     needle: PredictiveMixture
     measured: PredictiveMixture
-    failed: int
-    outside: int
-    specimens: tuple[Row, ...]
+    failed: int  #: draws of which the solve failed; they are left out
+    outside: int  #: draws whose needle is outside what the model assumes; they are kept
+    specimens: tuple[Row, ...]  #: rows of `SPECIMEN_COLUMNS`
 
 
 def tabulate_forecast(forecast: Forecast) -> pd.DataFrame:
@@ -655,8 +632,8 @@ def forecast_to_json(found: Run) -> dict[str, Any]:
     return {**named, "tip": find_tip(found), "specimens": specimens, **basis}
 
 
+#: width of the central 95 % of a normal distribution, in standard deviations
 NORMAL_95_WIDTH_SD = 2 * 1.959963984540054
-"""Width of the central 95 % of a normal distribution, in standard deviations."""
 
 
 def _compare_forecasts(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:

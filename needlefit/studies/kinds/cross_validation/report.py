@@ -599,8 +599,7 @@ def _open_fit(
 # ---- figures: insertions
 
 _POINT_COLUMNS = [*INSERTION_KEYS, "curve", "x_mm", *HEIGHT_COLUMNS]
-MAX_LARGE_PANELS = 24
-"""Insertions at most whose panels are large."""
+MAX_LARGE_PANELS = 24  #: insertions at most whose panels are large
 
 _OVERLAY_POINT_STEP, _RESIDUAL_POINT_STEP = 5, 2  # of the points compared, one in so many is drawn
 
@@ -737,8 +736,8 @@ def _list_layers(results: Run, chosen: Iterable[InsertionKey]) -> pd.DataFrame:
 
 # ---- errors on held-out groups
 
+#: fewer tip errors than this are shown as points only: a box of them would be an invention
 _MIN_TIPS_OF_BOX = 5
-"""Fewer tip errors than this are shown as points only: a box of them would be an invention."""
 
 _BOXPLOT_COLUMNS = ("group", "metric", "mark", "insertion", "value", "origin")
 
@@ -837,11 +836,8 @@ def _draw_baselines(results: Sequence[Run]) -> Drawing:
 
 # ---- predictive check
 
-BAND_POINTS = 100
-"""Number of probabilities at which the band is computed, plus one."""
-
-BAND_ERROR_PROBABILITY = 0.05
-"""Probability that uniform PIT values leave the band somewhere."""
+BAND_POINTS = 100  #: number of probabilities at which the band is computed, plus one
+BAND_ERROR_PROBABILITY = 0.05  #: probability that uniform PIT values leave the band somewhere
 
 _CHECK_COLUMNS = (
     *("study", "mark", "quantity", "probability", "share", "low", "high"),
@@ -955,8 +951,7 @@ def _tabulate_marks(results: Run) -> pd.DataFrame:
 
 # ---- what the HTML page draws interactively
 
-CURVE_DECIMALS = 3
-"""Of mm on the page."""
+CURVE_DECIMALS = 3  #: of mm on the page
 
 MAX_EXPLORED_PARAMETERS = 6
 

@@ -100,8 +100,8 @@ _HELD_OUT_KINDS = (
     _RowKind("planned layer depths", boundaries="planned"),
     _POOLED,
 )
+#: the kinds of rows given of groups fitted to, and by the alternative count
 _REGROUPED_KINDS = (_FITTED, _POOLED)
-"""The kinds of rows given of groups fitted to, and by the alternative count."""
 
 _ALTERNATE_MARK = "‡"
 _ROLE_NAMES = {"tune": "tunes", "validate": "validates"}
@@ -361,14 +361,11 @@ def lay_out_contradictions(claims: Sequence[Claim]) -> TableLayout:
 
 # ---- parameters: ours beside the paper's
 
+#: in files in place of a value: the data do not determine it, or only under an assumption
 NOT_DETERMINED, CONDITIONAL = "not determined", "conditional"
-"""In files in place of a value: the data do not determine it, or only under an assumption."""
-
+#: printed for these: the data are compatible with the whole interval; it spans most of the bounds
 SEE_INTERVAL, WIDE_INTERVAL = "see interval", "most of the bounds"
-"""Printed for these: the data are compatible with the whole interval; it spans most of the bounds."""
-
-SEARCHED = ("free", "tied")
-"""Values of `status` of parameters that are estimated."""
+SEARCHED = ("free", "tied")  #: values of `status` of parameters that are estimated
 
 _PARAMETER_COLUMNS = (
     *("study", "medium", "fold", "parameter", "method", "value", "value_used"),
@@ -376,8 +373,8 @@ _PARAMETER_COLUMNS = (
     *("sd", "interval_low", "interval_high", "draw_source"),
     *("low", "high", "bound_low", "bound_high", "note", "comparable", "origin"),
 )
+#: the fit, the second fit to IPE, TE and EDP, the paper's set, and that set with b alone re-tuned
 METHODS = ("fitted", "fitted_metric", "hand_tuned", "hand_tuned_b")
-"""The fit, the second fit to IPE, TE and EDP, the paper's set, and that set with b alone re-tuned."""
 
 
 def tabulate_parameters(*results: Run) -> pd.DataFrame:
@@ -424,8 +421,8 @@ def arrange_parameters(table: pd.DataFrame) -> list[Row]:
     return list(rows.values())
 
 
+#: of notes: the column "Fitted" says it
 _NOT_DETERMINED_PREFIX = re.compile(r"^not determined(?:[:;] | \(([^()]*)\)|$)")
-"""Of notes: the column "Fitted" says it."""
 
 
 def lay_out_parameters(results: Sequence[Run], free_alone: bool = False) -> TableLayout:
@@ -599,11 +596,8 @@ def tabulate_percentiles(results: Run) -> pd.DataFrame:
     return pd.DataFrame(found, columns=heads)
 
 
-RIDGE_MIN_AXIS_RATIO = 3.0
-"""Least ratio of the longest to the shortest axis of the draws of a ridge."""
-
-RIDGE_REACH_SD = 2.0
-"""Standard deviations to which the ridge is drawn in both directions."""
+RIDGE_MIN_AXIS_RATIO = 3.0  #: least ratio of the longest to the shortest axis of the draws of a ridge
+RIDGE_REACH_SD = 2.0  #: standard deviations to which the ridge is drawn in both directions
 
 
 def list_free_parameters(results: Run) -> list[str]:
