@@ -10,7 +10,6 @@ width that would be left in the specimen tuned on, and after one insertion into 
 """
 
 import json
-import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -78,11 +77,10 @@ from needlefit.studies.planned_draws import PlannedNeedles, vary_bevels
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Run, Status, Verdict, describe_configuration, headline_fault
 from needlefit.studies.run_differences import (
-    MIN_SD_CHANGE,
-    MIN_SHIFT_SD,
-    ROUNDING_FRACTION,
     Difference,
     TableComparison,
+    compare_estimates,
+    compare_sizes,
 )
 from needlefit.studies.score import Row
 from needlefit.studies.store import posterior_file_names, read_run
@@ -597,13 +595,8 @@ def draw(found: Run) -> dict[str, Drawing]:
     if found.faults:  # whose bands are left out
         names = {"median": names["median"]}
     options = {
-        **{
-            "x": "x_mm",
-            "by": "band",
-            "looks": names,
-            "x_label": "x along the entry (mm)",
-            "size": (7.16, 2.6),
-        },
+        **{"x": "x_mm", "by": "band", "looks": names, "size": (7.16, 2.6)},
+        "x_label": "x along the entry (mm)",
         "panels": (Panel("y (mm)", line="median_mm", low="low_mm", high="high_mm", zero=True),),
     }
     return {"forecast": Drawing("curves", table, options, _list_bands)}
@@ -644,19 +637,10 @@ def _compare_forecasts(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Di
     widths = [float(one["high_mm"] - one["low_mm"]) for one in tips]
     sd = max(widths) / NORMAL_95_WIDTH_SD
     if medians[0] != medians[1] and sd > 0:
-        shift = abs(medians[1] - medians[0]) / sd
-        why = f"{shift:.2g} of its standard deviation"
-        rounding = shift < ROUNDING_FRACTION * MIN_SHIFT_SD
-        yield Difference(
-            "error", "tip, median (mm)", medians[0], medians[1], shift > MIN_SHIFT_SD, why, rounding
-        )
-    if widths[0] != widths[1] and all(width > 0 for width in widths):
-        factor = abs(math.log(widths[1] / widths[0]))
-        why = f"{widths[1] / widths[0]:.3g} times as wide"
-        rounding = factor < ROUNDING_FRACTION * MIN_SD_CHANGE
-        yield Difference(
-            "error", "tip, width of 95 % (mm)", widths[0], widths[1], factor > MIN_SD_CHANGE, why, rounding
-        )
+        one, two = medians
+        yield compare_estimates("error", "tip, median (mm)", one, two, abs(two - one) / sd)
+    one, two = widths
+    yield from compare_sizes("error", "tip, width of 95 % (mm)", one, two, "times as wide")
 
 
 _FORECAST = TableSchema(texts=("quantity",), numbers=("level", "median_mm", "low_mm", "high_mm"))
