@@ -45,7 +45,7 @@ from needlefit.studies.coverage import COVERAGE_COLUMNS, count_covered, tabulate
 from needlefit.studies.csv_tables import TableSchema
 from needlefit.studies.fit_warnings import describe_gain
 from needlefit.studies.identification import IDENTIFICATION_COMPARISON
-from needlefit.studies.paper.claims import Claim
+from needlefit.studies.paper import Claim
 from needlefit.studies.run import Run
 from needlefit.studies.run_differences import (
     CRPS_NOISE_FRACTION,
