@@ -12,6 +12,7 @@ from scipy.spatial.distance import cdist
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
+from needlefit.imaging import spheres
 from needlefit.imaging.markers import (
     describe_candidates,
     find_markers,
@@ -21,11 +22,6 @@ from needlefit.imaging.markers import (
 )
 from needlefit.imaging.needle.segmentation import segment_needle
 from needlefit.imaging.registration.register import register
-from needlefit.imaging.spheres import (
-    SphereTables,
-    SphereVoxels,
-    render_sphere,
-)
 from needlefit.imaging.volume import Volume
 from needlefit.synthetic.render import ScannerTable, SceneMarkers
 
@@ -176,15 +172,15 @@ def test_derivatives_of_the_model_are_those_of_the_model():
     rng = np.random.default_rng(2)
     places, spacing = rng.uniform(-3, 3, (200, 3)), np.array([0.4, 0.5, 0.9])
     near, tables = (
-        SphereVoxels(places, np.zeros(200), spacing, -np.inf, np.inf),
-        SphereTables(1.5, 8, (0.15, 0.1)),
+        spheres.SphereVoxels(places, np.zeros(200), spacing, -np.inf, np.inf),
+        spheres.SphereTables(1.5, 8, (0.15, 0.1)),
     )
     theta = np.array([0.1, -0.2, 0.15, 8.0, -0.2, -0.8, 0.7, -0.9, -900.0, 950.0, 0.5, -0.4, 0.9, 0.3])
     for n in range(len(theta)):
         h = 1e-4 * max(1.0, abs(theta[n]))
         step = np.eye(len(theta))[n] * h
-        up, down = (render_sphere(near, tables, theta + sign * step)[0] for sign in (1, -1))
-        mine = render_sphere(near, tables, theta)[1][:, n]
+        up, down = (spheres.render_sphere(near, tables, theta + sign * step)[0] for sign in (1, -1))
+        mine = spheres.render_sphere(near, tables, theta)[1][:, n]
         assert np.abs((up - down) / (2 * h) - mine).max() <= 0.01 * np.abs(mine).max()
 
 

@@ -21,8 +21,6 @@ from needlefit.mechanics.batch import (
     simulate_batches,
 )
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
-from needlefit.mechanics.law_form import compile_law, differentiate_law
-from needlefit.mechanics.laws import LAWS, PowerLaw
 from needlefit.mechanics.native import compute_positions as compute_position_blocks
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import PreparedInsertion
@@ -103,23 +101,6 @@ def test_on_a_change_of_constraint_or_a_node_the_derivative_is_that_of_going_dee
         2 * step
     )
     np.testing.assert_allclose(found.u[:, 0], ahead, rtol=0, atol=1e-4 * np.abs(ahead).max())
-
-
-@pytest.mark.parametrize("law", ["linear", "neo_hookean"])
-def test_a_law_without_alpha_has_none_in_its_derivatives(law: str) -> None:
-    tissue = Tissue(mu=[0.3, 20.0], alpha=[5.0, -5.0], boundaries=[7.2], law=law)
-    _, found = linearize(NEEDLE, tissue, Bevel(0.1), 12.0, wrt=("shape", "mu"))
-    assert found.names == ("mu1", "mu2")
-    assert np.any(found.u[:, 0])
-
-
-@pytest.mark.parametrize("law", [law.name for law in LAWS.values() if isinstance(law, PowerLaw)])
-def test_sums_of_powers_are_linear_term_by_term(law: str) -> None:
-    shape = LAWS[law].draw_shape(np.random.default_rng(1), (3,))
-    shape[:, 0] = 0.0
-    terms, slopes = np.concatenate(compile_law(law, shape), axis=1), differentiate_law(law, shape)
-    for layer in (1, 2):
-        np.testing.assert_allclose(terms[layer], terms[0] + shape[:, layer] @ slopes, rtol=0, atol=1e-14)
 
 
 def test_an_inactive_guide_moves_no_node() -> None:
