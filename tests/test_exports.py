@@ -20,11 +20,11 @@ from test_viewer_recording import recorded
 
 from needlefit.errors import ConfigError
 from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
-from needlefit.mechanics.load import compute_lateral_load, compute_loads
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.scene import Entry, Scene, iterate_states, simulate_scene
 from needlefit.mechanics.session import NeedleState
 from needlefit.mechanics.shape import compute_positions, map_beam_points
+from needlefit.mechanics.simulate import compute_lateral_load, compute_loads
 from needlefit.mechanics.tissue import Tissue
 from needlefit.reporting.figures import animation, needles
 from needlefit.reporting.figures.animation import sample_states

@@ -19,14 +19,17 @@ from needlefit.inference.likelihood.marginal import (
 )
 from needlefit.inference.likelihood.nodes import (
     BEVEL,
+    MAX_AXES,
     NODE_POSITIONS_SD,
     ErrorAxis,
     Nodes,
     group_nodes,
+    log_means,
     make_group,
     make_nodes,
+    make_rule,
+    make_table_axes,
 )
-from needlefit.inference.likelihood.quadrature import MAX_AXES, log_means, make_rule, make_table_axes
 from needlefit.inference.parameters import make_gaussian_prior
 from needlefit.schemas.recipe import LikelihoodRecord
 

@@ -5,9 +5,8 @@ import pytest
 
 from needlefit.mechanics import reference
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
-from needlefit.mechanics.load import compute_lateral_load, compute_loads
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.simulate import simulate, simulate_steps
+from needlefit.mechanics.simulate import compute_lateral_load, compute_loads, simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
 EI = 1.0e4

@@ -27,8 +27,7 @@ from needlefit.imaging.volume_files import read_volume
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.identifiability.identify import identify
 from needlefit.inference.optimize import minimize
-from needlefit.inference.sampling.convergence import Convergence
-from needlefit.inference.sampling.posterior import Posterior
+from needlefit.inference.sampling.posterior import Convergence, Posterior
 from needlefit.mechanics.scene import Entry
 from needlefit.project.random_streams import random_stream
 from needlefit.studies.job import prepare

@@ -29,7 +29,7 @@ from needlefit.inference.parameters import (
     with_bevel_spread,
 )
 from needlefit.inference.problem import Problem
-from needlefit.inference.transferred_prior import (
+from needlefit.inference.specimens import (
     MIN_SPREAD,
     TransferProblem,
     TransferredPrior,

@@ -11,9 +11,9 @@ from needlefit.arrays import Floats
 from needlefit.errors import ModelError, NeedlefitError
 from needlefit.mechanics.control import Bevel, ModelOptions
 from needlefit.mechanics.laws import LAWS
-from needlefit.mechanics.load import compute_loads
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions, map_beam_points
+from needlefit.mechanics.simulate import compute_loads
 from needlefit.mechanics.tissue import Tissue
 from needlefit.metrics import list_metrics
 from needlefit.schemas.limits import MAX_NUMBER

@@ -16,8 +16,15 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.errors import FitError
-from needlefit.inference.fit import INTERRUPTED, Callbacks, Fit, Start, StartPoint
-from needlefit.inference.objective import EVALUATION_ERRORS, ObjectiveFunction
+from needlefit.inference.fit import (
+    EVALUATION_ERRORS,
+    INTERRUPTED,
+    Callbacks,
+    Fit,
+    ObjectiveFunction,
+    Start,
+    StartPoint,
+)
 from needlefit.inference.optimize.local_search import search, select_algorithms
 from needlefit.inference.problem import Problem, make_objective
 from needlefit.inference.side_by_side import run_side_by_side

@@ -19,7 +19,7 @@ from pydantic import Field, PositiveFloat, model_validator
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
 from needlefit.geometry.crossings import find_crossings
-from needlefit.inference.proportions import wilson_interval
+from needlefit.inference.predict import wilson_interval
 from needlefit.planning.aiming import (
     Aim,
     ExecutionDraw,

@@ -9,9 +9,8 @@ from needlefit.arrays import Floats
 from needlefit.mechanics import reference
 from needlefit.mechanics.batch import Batch, simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
-from needlefit.mechanics.law_form import compile_law
 from needlefit.mechanics.laws import LAWS, TissueLaw
-from needlefit.mechanics.packing import evaluate_layer
+from needlefit.mechanics.packing import compile_law, evaluate_layer
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.tissue import Tissue
 from needlefit.verification.cases import (

@@ -20,7 +20,7 @@ from needlefit.datasets.select import group_independent
 from needlefit.inference.baselines import BASELINES, list_baselines
 from needlefit.inference.identifiability.precision import UNINFORMED_SD_RATIO
 from needlefit.inference.parameters import BEVEL_SPREAD, find_tie_spread, is_logarithmic, parse_tie
-from needlefit.inference.proportions import estimate_proportion
+from needlefit.inference.predict import estimate_proportion
 from needlefit.metrics import headline_metrics, list_metrics
 from needlefit.project.result_warnings import read_warnings
 from needlefit.reporting import document, labels, latex
