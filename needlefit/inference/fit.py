@@ -135,16 +135,13 @@ def start_from_dict(table: Mapping[str, Any]) -> Start:
     try:
         objective, joined = table["objective"], table["joined"]
         return Start(
-            index=int(table["index"]),
             theta0=tuple(map(float, table["theta0"])),
             theta=tuple(map(float, table["theta"])),
             objective=math.inf if objective is None else float(objective),
-            evaluations=int(table["evaluations"]),
-            gradients=int(table["gradients"]),
-            failures=int(table["failures"]),
             stopped=str(table["stopped"]),
             failed=tuple(tuple(map(float, theta)) for theta in table["failed"]),
             joined=None if joined is None else int(joined),
+            **{name: int(table[name]) for name in ("index", "evaluations", "gradients", "failures")},
         )
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise FitError(

@@ -18,19 +18,18 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Bools, Floats
 from needlefit.datasets.insertion import Dataset, Insertion, Noise, TipTrack
 from needlefit.datasets.select import list_bevels
 from needlefit.errors import ConfigError
 from needlefit.geometry.curves import ComparedCurves, compare_curves
 from needlefit.inference.compared_points import (
     ComparedPoints,
+    SimulatedCurve,
     align,
     align_points,
     differentiate_align,
-    make_curve,
     select_points,
 )
 from needlefit.inference.fit import EVALUATION_ERRORS, ObjectiveFunction
@@ -417,7 +416,7 @@ class Problem:
     def points(self, theta: Theta) -> tuple[tuple[Floats, Floats], ...]:
         """Return the simulated and the measured points (K, 2) compared in each insertion, mm."""
         trios = zip(self.insertions, self.compared_points, self.shapes(theta), strict=True)
-        return tuple(align_points(goal, make_curve(shape, one)) for one, goal, shape in trios)
+        return tuple(align_points(goal, SimulatedCurve(shape, one)) for one, goal, shape in trios)
 
     def compare(self, theta: Theta) -> tuple[ComparedCurves, ...]:
         """Return each simulated needle beside the measured one."""
@@ -654,7 +653,7 @@ def explain_failure(problem: Problem, theta: Theta) -> EvaluationFailure:
     return EvaluationFailure("", "value not finite")
 
 
-def find_outside_validity(problem: Problem, thetas: Sequence[Theta] | Floats) -> NDArray[np.bool_]:
+def find_outside_validity(problem: Problem, thetas: Sequence[Theta] | Floats) -> Bools:
     """Return a mask (B,): the `thetas` (B, P) that simulate any insertion outside the model's validity.
 
     A solve that fails is none of these: it is counted as failed.

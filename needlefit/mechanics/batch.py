@@ -10,7 +10,6 @@ from functools import cached_property, lru_cache
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from needlefit.arrays import Bools, Floats, Ints
 from needlefit.errors import ModelError
@@ -175,7 +174,7 @@ class NeedleShapes:
         return NeedleShapes(*(getattr(self, one.name)[sets] for one in fields(self)))
 
     @property
-    def converged(self) -> NDArray[np.bool_]:
+    def converged(self) -> Bools:
         """Whether each set reached the tolerance, (B,)."""
         return np.equal(self.status, 0)
 
@@ -185,7 +184,7 @@ class NeedleShapes:
         return compute_validity(self)
 
     @property
-    def valid(self) -> NDArray[np.bool_]:
+    def valid(self) -> Bools:
         """Whether each set converged and keeps within the model's assumptions, (B,)."""
         return self.converged & self.validity.ok
 

@@ -14,7 +14,7 @@ from needlefit.datasets.select import count_layers, get_other_rule
 from needlefit.geometry.curves import compare_curves
 from needlefit.inference.baseline_fit import fit_baselines
 from needlefit.inference.baselines import list_baselines
-from needlefit.inference.compared_points import Curve, SimulatedCurve, compare_points, make_curve
+from needlefit.inference.compared_points import Curve, SimulatedCurve, compare_points
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import predict
 from needlefit.inference.planned_layers import planned_layers
@@ -50,7 +50,7 @@ def model_predictor(values: Mapping[str, float], medium: MediumRecord, dataset: 
             planned = planned_layers(insertion, at)
             shapes["planned"] = None if planned is None else at(*planned)
         return {
-            kind: make_curve(shape, insertion) if shape is not None and shape.converged else None
+            kind: SimulatedCurve(shape, insertion) if shape is not None and shape.converged else None
             for kind, shape in shapes.items()
         }
 

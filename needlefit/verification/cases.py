@@ -8,23 +8,20 @@ small error at the nodes proves little.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Self, TypeVar
+from typing import Self, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from needlefit.arrays import Floats, Ints
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
-from needlefit.mechanics.laws import LAWS
+from needlefit.mechanics.laws import LAWS, Numbers
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.verification.check import worst
-
-Numbers = NDArray[Any]  # real or complex
 
 STEP = 1e-30
 

@@ -18,12 +18,11 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import lsq_linear
 from scipy.special import gammaincinv
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Bools, Floats
 from needlefit.inference.fit import EVALUATION_ERRORS
 from needlefit.inference.problem import Problem
 from needlefit.inference.side_by_side import map_side_by_side
@@ -83,7 +82,7 @@ def minimize_squares(
     return LocalMinimum(at.theta, at.value, at.slope, at.information, evaluations, converged)
 
 
-def _step(at: LocalMinimum, moving: NDArray[np.bool_], step_bounds: tuple[Floats, Floats]) -> Floats:
+def _step(at: LocalMinimum, moving: Bools, step_bounds: tuple[Floats, Floats]) -> Floats:
     """Return the step (Q,) within `step_bounds` that would be best if residuals were linear."""
     information = at.information[np.ix_(moving, moving)]
     precision, axes = np.linalg.eigh(information)

@@ -21,10 +21,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag, cholesky, qr, solve_triangular
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Bools, Floats
 from needlefit.datasets.insertion import (
     DEFAULT_MEASUREMENT,
     Dataset,
@@ -63,7 +62,7 @@ class SectionData:
     covariance: Floats
     shared: Floats  #: (K, K) covariance of what neighbours share, mm^2
     slope: Floats  #: (K,) slope of the spline there, dy/dx
-    reached: NDArray[np.bool_]  #: (C,) which of the spline's coefficients the F are
+    reached: Bools  #: (C,) which of the spline's coefficients the F are
     stored: SplineSections  #: as stored; those left out are not in it
 
 

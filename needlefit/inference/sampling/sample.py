@@ -28,10 +28,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cholesky
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Bools, Floats, Ints
 from needlefit.errors import ConfigError, FitError
 from needlefit.inference.fit import MAX_FAILED_POINTS, Callbacks, Fit
 from needlefit.inference.identifiability.identify import select_within_tolerance
@@ -175,7 +174,7 @@ class EnsembleStep:
     """One step of all ensembles: the new state, and which walkers (E, W) accepted their proposal."""
 
     state: WalkerState
-    accepted: NDArray[np.bool_]
+    accepted: Bools
 
 
 def run_ensembles(
@@ -216,7 +215,7 @@ def run_ensembles(
 class _LastAcceptance:
     """Which walkers moved in the last step: emcee gives this only if it stores the whole chain."""
 
-    accepted: NDArray[np.bool_]
+    accepted: Bools
 
 
 @dataclass(frozen=True)
@@ -227,7 +226,7 @@ class _EnsembleMove:
     ensembles: int
     last_acceptance: _LastAcceptance
 
-    def propose(self, model: Any, state: Any) -> tuple[Any, NDArray[np.bool_]]:  # noqa: ANN401  (emcee has no types)
+    def propose(self, model: Any, state: Any) -> tuple[Any, Bools]:  # noqa: ANN401  (emcee has no types)
         """Move all walkers once; `state` is changed in place and returned with who moved (E * W,)."""
         coordinates = state.coords.reshape(self.ensembles, -1, state.coords.shape[1])  # (E, W, P), a view
         # also a view: writing to it changes emcee's state
@@ -305,7 +304,7 @@ class Block:
 
     coordinates: Floats  #: (E, S, W, P)
     log_density: Floats  #: (E, S, W)
-    accepted: NDArray[np.int64]  #: (E, W) how many proposals each walker took
+    accepted: Ints  #: (E, W) how many proposals each walker took
     random: tuple[Any, ...]  #: state of the legacy generator after the last step
     failures: int  #: evaluations that were no number, or raised
     failed: Failed  #: by ensemble the first of these

@@ -40,7 +40,10 @@ def measure_law(name: str, rng: np.random.Generator) -> CheckOutcome:
     law = LAWS[name]
     shapes = law.draw_shape(rng, (SHAPES,))
     tissue = Tissue(np.ones(SHAPES), shapes, np.arange(1.0, SHAPES), THICKNESS_MM, law=name)
-    d = rng.uniform(0, _find_reach(name, shapes), STRETCHES)
+    table, exponents = compile_law(name, shapes)
+    # the largest |e| / t to compare at; tables may end before
+    reach = MAX_COMPRESSION if exponents.shape[1] else min(MAX_COMPRESSION, table[:, 0].min())
+    d = rng.uniform(0, reach, STRETCHES)
     errors = []
     for layer in range(SHAPES):
         shape = [np.full(STRETCHES, value) for value in shapes[:, layer]]
@@ -65,12 +68,6 @@ def _differentiate_stress(law: TissueLaw, stretch: Floats, shape: Sequence[Float
         return law.k(stretch, *shape)
     found: Floats = stress.imag / STEP
     return found
-
-
-def _find_reach(name: str, shapes: Floats) -> float:
-    """Return the largest |e| / t to compare at; tables may end before."""
-    table, exponents = compile_law(name, shapes)
-    return MAX_COMPRESSION if exponents.shape[1] else min(MAX_COMPRESSION, table[:, 0].min())
 
 
 def _differences(function: Callable[..., Floats], arguments: Sequence[Floats], which: int) -> Floats:
