@@ -13,7 +13,7 @@ from refusals import refusal
 
 from needlefit.errors import ConfigError, DataError, FitError
 from needlefit.inference.fit import Callbacks
-from needlefit.inference.sampling import convergence
+from needlefit.inference.sampling import posterior as convergence
 from needlefit.inference.sampling import sample as sample_module
 from needlefit.inference.sampling.log_density import Evaluator, approximate_by_laplace
 from needlefit.inference.sampling.posterior import load, save
