@@ -5,11 +5,12 @@ import contextlib
 import struct
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
-from functools import cache, wraps
+from functools import cache
 
 import aiohttp
 import numpy as np
 import pyigtl
+from server_cases import served as serving
 
 from needlefit.geometry.frames import to_lps
 from needlefit.mechanics.scene import Scene
@@ -18,7 +19,7 @@ from needlefit.mechanics.shape import compute_positions
 from needlefit.schemas.tracker import TrackerRecord
 from needlefit.viewer.openigtlink import OpenIGTLinkServer
 from needlefit.viewer.opening import open_target
-from needlefit.viewer.server import AccessControl, SteeringPage, serve
+from needlefit.viewer.server import AccessControl, SteeringPage
 from needlefit.viewer.tracking import TrackedTrial
 from needlefit.viewer.trials import TrialRegistry
 
@@ -50,24 +51,9 @@ class Served:
 async def served(folder, name="phantom2", **changes):
     viewed_scene = open_target(name)
     trials = TrialRegistry(viewed_scene, folder, lambda insertion: open_target(viewed_scene.name, insertion))
-    given = changes if isinstance(changes.get("record"), TrackerRecord) else {"record": record(**changes)}
-    server = OpenIGTLinkServer(TrackedTrial(given["record"], trials), "127.0.0.1", 0)
-    opened, end = asyncio.get_running_loop().create_future(), asyncio.Event()
-    task = asyncio.create_task(serve(SteeringPage(trials, server), 0, opened.set_result, end.wait))
-    async with aiohttp.ClientSession() as client:
-        yield Served(await opened, server, trials, client)
-    end.set()
-    await task
-
-
-def asynchronous(test):
-    """Run an asynchronous test."""
-
-    @wraps(test)
-    def run(*args, **kwargs):
-        asyncio.run(asyncio.wait_for(test(*args, **kwargs), 30))
-
-    return run
+    server = OpenIGTLinkServer(TrackedTrial(record(**changes), trials), "127.0.0.1", 0)
+    async with serving(SteeringPage(trials, server)) as (access, client):
+        yield Served(access, server, trials, client)
 
 
 @contextlib.contextmanager

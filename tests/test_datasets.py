@@ -8,6 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from refusals import refusal
 from scipy.io import savemat
 
 from needlefit.datasets.columns import InsertionRow
@@ -366,11 +367,9 @@ def test_a_mapped_column_must_exist_and_be_constant(long):
 
 def test_missing_data_is_reported_with_its_acquisition(long, monkeypatch):
     monkeypatch.setenv("NEEDLEFIT_TEST_DATA", str(long.parent / "elsewhere"))
-    with pytest.raises(DataError, match=r"elsewhere[\s\S]*ask the tests"):
-        read(long)
+    refusal(DataError, r"elsewhere[\s\S]*ask the tests", read, long)
     monkeypatch.delenv("NEEDLEFIT_TEST_DATA")
-    with pytest.raises(DataError, match=r"NEEDLEFIT_TEST_DATA[\s\S]*ask the tests"):
-        read(long)
+    refusal(DataError, r"NEEDLEFIT_TEST_DATA[\s\S]*ask the tests", read, long)
 
 
 def test_free_shapes_have_a_noise_floor_after_alignment(long):
@@ -439,8 +438,7 @@ def test_a_template_passes_check_and_may_begin_with_centrelines(tmp_path):
     dataset = read(file)
     assert dataset.origin == "synthetic" and "made-up" in file.read_text()
     assert [i.sequence for i in dataset.insertions] == [(1, 2), (1, 2)]
-    with pytest.raises(ConfigError, match="exists already"):
-        write_template(tmp_path / "mine")
+    refusal(ConfigError, "exists already", write_template, tmp_path / "mine")
     noted = np.column_stack([3 * CURVE, np.full(101, 0.25)])
     source, notes = tmp_path / "runs.csv", []
     long_table(source, {"first run": noted, "r2": noted}, "id,x_mm,y_mm,z_mm,sd_mm")
@@ -474,15 +472,13 @@ def test_a_template_from_faulty_centrelines_leaves_nothing_and_names_the_source(
     tmp_path, curves, header, words, line
 ):
     source = long_table(tmp_path / "runs.csv", curves, **header)
-    with pytest.raises(DataError, match=words) as error:
-        write_template(tmp_path / "mine", source)
-    assert f"{source}{line}" in str(error.value)
+    error = refusal(DataError, words, write_template, tmp_path / "mine", source)
+    assert f"{source}{line}" in str(error)
     savemat(tmp_path / "runs.mat", {"bad": CURVE * [1, np.nan, 1]})
     with pytest.raises(DataError, match=r"runs\.mat, point 1: curve bad .*\b101\b"):
         write_template(tmp_path / "mine", tmp_path / "runs.mat")
     for name, fix in (("none.csv", "check the path"), ("e.xlsx", "ending")):
-        with pytest.raises(DataError, match=f"{name}[\\s\\S]*{fix}"):
-            write_template(tmp_path / "mine", tmp_path / name)
+        refusal(DataError, f"{name}[\\s\\S]*{fix}", write_template, tmp_path / "mine", tmp_path / name)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["runs.csv", "runs.mat"]
 
 
@@ -499,9 +495,8 @@ def test_unsafe_names_of_curves_are_refused(name, ending, tmp_path):
         source = tmp_path / f"{name}.fcsv"
         rows = "".join(f"{n},{x},{y},{z},0,0,0,1,1,1,0,p,,\n" for n, (x, y, z) in enumerate(CURVE))
         source.write_text(f"# Markups fiducial file version = 4.11\n# CoordinateSystem = LPS\n{rows}")
-    with pytest.raises(DataError) as error:
-        write_template(tmp_path / "mine", source)
-    assert "refused" in error.value.what or "control" in str(error.value)
+    error = refusal(DataError, "", write_template, tmp_path / "mine", source)
+    assert "refused" in error.what or "control" in str(error)
     assert not (tmp_path / "mine").exists()
 
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from compression_cases import specimen, write
+from refusals import refusal
 
 from needlefit.datasets.compression import read_compression
 from needlefit.errors import DataError
@@ -50,13 +51,11 @@ def test_force_and_displacement_need_the_specimen_s_size_once(tmp_path, size, va
 def test_the_option_states_the_measure_of_stress(tmp_path):
     path = table(tmp_path, stretch=STRETCH, stress_kpa=KPA)
     assert read_compression(path, "true").measure == "true"
-    with pytest.raises(DataError, match="stress") as error:
-        read_compression(path)
-    assert "--stress" in error.value.fix
+    error = refusal(DataError, "stress", read_compression, path)
+    assert "--stress" in error.fix
     with pytest.raises(DataError, match=r"nominal.*--stress.*true"):
         read_compression(table(tmp_path, stretch=STRETCH, nominal_stress_kpa=KPA), "true")
-    with pytest.raises(DataError, match="no such file"):
-        read_compression(tmp_path / "none.csv")
+    refusal(DataError, "no such file", read_compression, tmp_path / "none.csv")
 
 
 def test_what_is_left_out_reversed_or_averaged_is_reported(tmp_path):
@@ -136,7 +135,6 @@ def _loaded(tmp_path, part):
     ],
 )
 def test_faulty_tables_are_refused_with_a_fix(tmp_path, columns, expected):
-    with pytest.raises(DataError) as error:
-        read_compression(table(tmp_path, **columns))
-    assert expected in str(error.value)
-    assert error.value.fix or "fix:" in str(error.value)
+    error = refusal(DataError, "", lambda: read_compression(table(tmp_path, **columns)))
+    assert expected in str(error)
+    assert error.fix or "fix:" in str(error)

@@ -8,6 +8,7 @@ import pytest
 from golden_numbers import GOLDEN
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from refusals import refusal, refused_file
 from test_datasets import CURVE, SURFACES, record, row
 
 from needlefit.datasets.columns import SCAN_COLUMNS
@@ -66,10 +67,7 @@ def file(tmp_path):
 
 
 def refused(path, reader=read_markups):
-    with pytest.raises(DataError) as caught:
-        reader(path)
-    error = caught.value
-    assert error.where.startswith(str(path)) and error.expected and error.fix
+    error = refused_file(reader, path)
     return f"{error.where}: {error.what}"
 
 
@@ -174,8 +172,7 @@ def test_fcsv_columns_follow_the_header(tmp_path):
 )
 def test_fcsv_faults(tmp_path, content, words):
     path = tmp_path / "F.fcsv"
-    with pytest.raises(DataError, match="no such file"):
-        read_markups(path)
+    refusal(DataError, "no such file", read_markups, path)
     path.write_bytes(content.encode(errors="surrogateescape"))
     assert words in refused(path)
 
@@ -275,8 +272,7 @@ def test_a_motion_with_scale_reflection_or_shear_is_refused(tmp_path, motion):
     text, count = re.subn(r"lps_to_world = .*", f"lps_to_world = {motion}", file.read_text())
     assert count == 1
     file.write_text(text)
-    with pytest.raises((ConfigError, DataError), match="lps_to_world"):
-        read(file)
+    refusal((ConfigError, DataError), "lps_to_world", read, file)
 
 
 def test_only_open_curves_are_centrelines(file):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from refusals import refusal
 from test_datasets import block, without_checksums
 
 from needlefit.datasets.formats import mat
@@ -51,9 +52,8 @@ def test_numbers_and_lines_survive_whatever_blank_lines_stand_between(tmp_path, 
 
 @pytest.mark.parametrize("read", [mat.read_curves, input_files.read_text])
 def test_every_reader_reports_an_unreadable_file_alike(tmp_path, read):
-    with pytest.raises(DataError, match="no such file") as error:
-        read(tmp_path / "gone")
-    assert error.value.where == str(tmp_path / "gone")
+    error = refusal(DataError, "no such file", read, tmp_path / "gone")
+    assert error.where == str(tmp_path / "gone")
     with pytest.raises(DataError, match="is a folder"):
         read(tmp_path)  # a folder
 
@@ -92,6 +92,5 @@ def test_the_content_of_a_foreign_file_is_not_printed(tmp_path, name, content):
 def test_a_table_has_bounds(tmp_path, content):
     path = tmp_path / "t.csv"
     path.write_text(content)
-    with pytest.raises(DataError) as found:
-        read_table(path)
-    assert found.value.where.startswith(str(path)) and len(str(found.value)) < 1000
+    found = refusal(DataError, "", read_table, path)
+    assert found.where.startswith(str(path)) and len(str(found)) < 1000

@@ -4,6 +4,7 @@ import os
 
 import numpy as np
 import pytest
+from refusals import refusal
 from track_cases import DEPTH, GUIDE, TOML, measured, track, written
 
 from needlefit.datasets.read import check, read, read_shapes
@@ -61,22 +62,18 @@ def test_runs_count_from_first_contact_and_an_invalid_reading_leaves_one_out(tmp
 def test_faults_name_line_and_cell(tmp_path, runs, line, cells, expected):
     folder = written(tmp_path, runs)
     edit(folder, line, **cells)
-    with pytest.raises(DataError, match=expected):
-        read(folder)
+    refusal(DataError, expected, read, folder)
 
 
 def test_missing_columns_unknown_names_and_few_readings_are_refused(tmp_path, runs):
     folder = written(tmp_path / "a", runs, TOML.replace('"stage_mm"', '"stage"'))
-    with pytest.raises(DataError, match="`stage`"):
-        read(folder)
+    refusal(DataError, "`stage`", read, folder)
     folder = written(tmp_path / "b", runs, TOML.replace("guide_mm =", "template_mm ="))
-    with pytest.raises(DataError, match="template_mm"):
-        read(folder)
+    refusal(DataError, "template_mm", read, folder)
     folder = written(tmp_path / "c", runs)
     lines = table(folder).read_text().splitlines()
     table(folder).write_text("\n".join(lines[:5]) + "\n")
-    with pytest.raises(DataError, match=r"run rest .*4 readings"):
-        read(folder)
+    refusal(DataError, r"run rest .*4 readings", read, folder)
 
 
 def test_selections_and_layers_of_tracks(tmp_path, runs):
@@ -84,8 +81,7 @@ def test_selections_and_layers_of_tracks(tmp_path, runs):
     with pytest.raises(ConfigError, match=r"2 layers .*1 boundaries") as error:
         raise ConfigError(str(check(folder)[0]))
     assert "boundaries_mm" in str(error.value)
-    with pytest.raises(DataError, match="tip tracks"):
-        read_shapes(written(tmp_path, runs))
+    refusal(DataError, "tip tracks", lambda: read_shapes(written(tmp_path, runs)))
     dataset = read(written(tmp_path, runs))
     assert [one.id for one in select_insertions(dataset, SelectionRecord(guided=True))] == ["moved"]
     with pytest.raises(ConfigError, match="insertion lost"):

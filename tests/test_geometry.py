@@ -4,8 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from refusals import refusal
 from scipy.spatial.transform import Rotation
 
 from needlefit.errors import DataError
@@ -84,17 +85,10 @@ def test_entry_frames_arc_lengths_and_straight_curves_by_hand():
 
 def test_directions_without_a_plane_and_curves_of_other_shapes_are_refused():
     for direction, toward in [((0, 0, 0), (0, 1, 0)), ((1, 0, 0), (2, 0, 0)), ((1, np.nan, 0), (0, 1, 0))]:
-        with pytest.raises(DataError, match="expected"):
-            make_entry_frame((0, 0, 0), direction, toward)
+        refusal(DataError, "expected", make_entry_frame, (0, 0, 0), direction, toward)
     for shapes in [((11, 2), (12, 2)), ((11, 3), (11, 3)), ((11,), (11,)), ((2, 11, 2), (2, 11, 2))]:
         with pytest.raises(ValueError, match="cannot be compared"):
             compare_curves(*(np.zeros(shape) for shape in shapes))
-
-
-@given(angles, shifts, shifts)
-def test_alignment_undoes_a_known_motion(angle, dx, dy):
-    curve = arc(300, 60)
-    np.testing.assert_allclose(align_rigid(turn(curve, angle, (dx, dy)), curve), curve, atol=1e-9)
 
 
 def test_alignment_never_mirrors_or_scales():
@@ -109,6 +103,8 @@ def test_alignment_never_mirrors_or_scales():
 def test_alignment_is_the_least_squares_motion(seed):
     rng = np.random.default_rng(seed)
     moving, fixed = rng.normal(size=(2, 12, 2))
+    moved = turn(fixed, moving[0, 0], 50 * moving[1])
+    np.testing.assert_allclose(align_rigid(moved, fixed), fixed, atol=1e-9)
     best = np.sum((align_rigid(moving, fixed) - fixed) ** 2)
     for angle, dx, dy in rng.normal(size=(10, 3)) * 0.1:
         other = turn(align_rigid(moving, fixed), angle, (dx, dy))
@@ -157,14 +153,6 @@ def test_a_shifted_curve_errs_by_the_shift(dx, dy):
         assert errors[name] == pytest.approx(shift, abs=1e-12)
     assert errors["ipe_std_mm"] == pytest.approx(0, abs=1e-12)
     assert errors["edp_percent"] == pytest.approx(100 * shift / curve[-1, 1])
-
-
-@given(angles, shifts, shifts)
-@settings(max_examples=50)
-def test_distances_do_not_depend_on_the_frame(angle, dx, dy):
-    a, b = arc(150, 50), arc(250, 50)
-    here, there = compare_curves(a, b), compare_curves(turn(a, angle, (dx, dy)), turn(b, angle, (dx, dy)))
-    np.testing.assert_allclose(there.distances, here.distances, atol=1e-9)
 
 
 def test_errors_by_hand():

@@ -110,8 +110,7 @@ def test_an_insertion_with_a_fault_is_left_out_and_reported(tmp_path):
     assert {one.scan.id for one in failed} == {"b"}
     assert check(tmp_path / "out") == []
     assert not (tmp_path / "out" / "centerlines" / "b.csv").exists()
-    tmp_path /= "b"
-    tmp_path.mkdir()
+    (tmp_path := tmp_path / "b").mkdir()
     short = RECIPE.model_copy(update={"needle": RECIPE.needle.model_copy(update={"length_mm": 20.0})})
     kept, failed = assemble_checked(tmp_path / "out", [named("a"), named("b")], short, ABOUT)
     assert kept == () and not (tmp_path / "out").exists()

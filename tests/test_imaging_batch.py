@@ -189,8 +189,7 @@ def test_any_change_of_a_series_a_checkpoint_or_a_last_digit_is_detected(sample,
         file.write(b" ")
     reconstruct_all([scan], RECIPE, ReconstructionBatch(checkpoint=kept(folder)))
     assert worked.done == ["sample"] * 2
-    tmp_path /= "b"
-    tmp_path.mkdir()
+    (tmp_path := tmp_path / "b").mkdir()
     worked.done.clear()
     reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint=kept(tmp_path)))
     (file,), chance = tmp_path.glob("*.jsonl"), random.Random(1)
@@ -206,8 +205,7 @@ def test_any_change_of_a_series_a_checkpoint_or_a_last_digit_is_detected(sample,
         file.write_bytes(data)
         reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint=kept(tmp_path)))
         assert len(worked.done) == number + 2
-    tmp_path /= "c"
-    tmp_path.mkdir()
+    (tmp_path := tmp_path / "c").mkdir()
     worked.done.clear()
     reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint=kept(tmp_path)))
     moved = replace(sample, stage=replace(sample.stage, entry=sample.stage.entry + 1e-12))

@@ -10,6 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 from pydantic import ValidationError
 from reconstruction_cases import small
+from refusals import refusal
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
@@ -62,8 +63,7 @@ def test_thick_slices_and_ends_in_tissue():
     assert np.linalg.norm(line.tip - truth[-1]) < 0.15
     truth = cases.axis()[48:]  # base 4 mm under the face
     volume = cases.scan(truth)
-    with pytest.raises(DataError, match="entry_direction"):
-        found(volume)
+    refusal(DataError, "entry_direction", found, volume)
     line = found(volume, cases.recipe(centerline={"entry_direction": [0, 0, 1]}))
     assert np.linalg.norm(line.tip - truth[-1]) < 0.15
 
@@ -94,20 +94,15 @@ def test_pieces_of_one_needle_are_joined():
 
 
 def test_what_is_no_needle_is_refused():
-    with pytest.raises(DataError, match="tissue"):
-        segment_needle(cases.scan(cases.axis() + FAR), cases.RECIPE)
+    refusal(DataError, "tissue", lambda: segment_needle(cases.scan(cases.axis() + FAR), cases.RECIPE))
     balls = SceneMarkers(cases.ENTRY + np.array([[6.0, 3, 4], [-5, -6, 12], [4, -6, 20], [-7, 5, 30]]))
     volume = cases.scan(cases.axis() + FAR, scene={"markers": balls})
-    with pytest.raises(DataError, match="is a tube"):
-        segment_needle(volume, cases.RECIPE)
-    with pytest.raises(DataError, match=r"volume.* tip"):
-        found(cases.scan(cases.axis(tip=(0.0, 0.0, 60.0))))
+    refusal(DataError, "is a tube", segment_needle, volume, cases.RECIPE)
+    refusal(DataError, r"volume.* tip", lambda: found(cases.scan(cases.axis(tip=(0.0, 0.0, 60.0)))))
     recipe = cases.recipe(segmentation={"threshold_low_hu": 2000, "threshold_high_hu": 9000})
-    with pytest.raises(DataError, match="9000 HU"):
-        segment_needle(cases.scan(cases.axis()), recipe)
+    refusal(DataError, "9000 HU", lambda: segment_needle(cases.scan(cases.axis()), recipe))
     recipe = cases.recipe(centerline={"entry_direction": [0, 0, -1]})
-    with pytest.raises(DataError, match=r"volume.* tip"):
-        found(cases.scan(cases.axis()), recipe)
+    refusal(DataError, r"volume.* tip", lambda: found(cases.scan(cases.axis()), recipe))
 
 
 @pytest.mark.parametrize("contact", [None, cases.ENTRY])
@@ -136,8 +131,7 @@ def test_a_needle_whose_tip_alone_leaves_the_volume_is_not_reversed(tmp_path, co
     ],
 )
 def test_recipes_that_contradict_themselves(table):
-    with pytest.raises(ValidationError):
-        cases.recipe(**table)
+    refusal(ValidationError, "", cases.recipe, **table)
 
 
 def test_a_blunt_needle_has_no_side_and_the_shipped_recipe_states_the_defaults():

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from refusals import refusal
 from scipy.special import ndtr
 
 from needlefit.errors import DataError
@@ -101,9 +102,8 @@ def test_the_stage_keeps_its_pose_and_meets_the_tissue_at_its_surface():
 def test_a_stage_in_another_frame_is_noticed(origin, direction, match):
     pose = EntryPose(np.array(origin), axis(direction), "stage", 0.1, 0.01, 0.1)
     needle = np.column_stack([np.arange(-20.0, 30.0), np.zeros(50), np.zeros(50)])
-    with pytest.raises(DataError, match=match) as error:
-        find_entry_arc_length(needle, pose)
-    assert "frame" in error.value.fix
+    error = refusal(DataError, match, find_entry_arc_length, needle, pose)
+    assert "frame" in error.fix
 
 
 def pose(origin=(0.0, 0, 0), direction=(1.0, 0, 0), shift_sd=0.3, angle_sd=0.02):
@@ -174,9 +174,8 @@ def test_the_stated_length_names_the_candidate():
         assert choice.warnings == ()
     shown = profile(*PLATE, *FACE)
     assert len(choose(shown, depth=48.0).warnings) == 1
-    with pytest.raises(DataError) as refused:
-        choose(shown, depth=20.0)
-    assert refused.value.where == "expected_depth_mm"
+    refused = refusal(DataError, "", choose, shown, depth=20.0)
+    assert refused.where == "expected_depth_mm"
 
 
 FLUSH = profile((-8.0, -1000.0, 110.0), (0.0, 110.0, 35.0), (13.0, 35.0, -5.0))

@@ -78,8 +78,7 @@ def test_the_series_of_an_export_are_listed_with_their_folders(tmp_path):
     assert "holds 2 series" in fault.what and "DICOM/ST1/SE2/" in fault.what and "--series" in fault.fix
     assert np.array_equal(read_volume(tmp_path, "3").values, NUMBERS)
     assert np.array_equal(read_volume(tmp_path, OTHER).values, NUMBERS[:3] + 1)
-    tmp_path /= "b"
-    tmp_path.mkdir()
+    (tmp_path := tmp_path / "b").mkdir()
     assert np.array_equal(read_volume(export(tmp_path, Modality="MR")).values, NUMBERS)
     fault = refused(tmp_path, series="4")
     assert "Modality is MR" in fault.what and "HU" in fault.expected
@@ -132,8 +131,7 @@ def test_archives_in_archives_and_of_image_files(tmp_path):
     assert np.array_equal(read_volume(path).values, NUMBERS)
     deep = pack(tmp_path / "deep.zip", [("outer.zip", path.read_bytes())])
     assert "too many" in refused(deep).what
-    tmp_path /= "b"
-    tmp_path.mkdir()
+    (tmp_path := tmp_path / "b").mkdir()
     volume = Volume(NUMBERS.astype(np.float32), np.zeros(3), np.ones(3), np.eye(3))
     write_volume(volume, tmp_path / "a.nrrd")
     data = (tmp_path / "a.nrrd").read_bytes()
@@ -255,8 +253,7 @@ def test_frames_in_any_order_with_their_own_rescaling(tmp_path, packed):
 def test_padding_of_frames_and_faults_of_one_frame(tmp_path):
     volume = read_volume(save(tmp_path, [enhanced(PixelPaddingValue=5)]))
     assert volume.values[0, 0, 5] == volume.values.min() == 0
-    tmp_path /= "b"
-    tmp_path.mkdir()
+    (tmp_path := tmp_path / "b").mkdir()
     data = enhanced()
     data.PerFrameFunctionalGroupsSequence[2].PlanePositionSequence[0].ImagePositionPatient = [-10, 20, 30]
     assert "frame" in refused(save(tmp_path / "twice", [data])).what

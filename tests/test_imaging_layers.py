@@ -22,13 +22,10 @@ from layer_cases import (
     scan,
 )
 from reading_here import child_process_reader, read_here  # noqa: F401 - fixtures
-from test_datasets import record
+from refusals import refusal
 
-from needlefit.datasets.columns import InsertionRow
-from needlefit.datasets.read import read
-from needlefit.datasets.write import write_dataset
 from needlefit.errors import DataError
-from needlefit.geometry.frames import Frame, make_entry_frame
+from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import (
     Surface,
     make_cylinder,
@@ -56,10 +53,9 @@ EXACT = LayerErrors(0.0, np.zeros(len(NEEDLE)))
 
 
 def refused(*layers, **changes):
-    with pytest.raises(DataError) as error:
-        read_layers(scan(*layers, **changes), HOME)
-    assert "fix: " in str(error.value)
-    return str(error.value)
+    error = refusal(DataError, "", lambda: read_layers(scan(*layers, **changes), HOME))
+    assert "fix: " in str(error)
+    return str(error)
 
 
 def on(surface, count=3000, seed=1):
@@ -420,31 +416,3 @@ def test_layers_that_the_needle_crosses_are_no_tunnel(tmp_path):
     box = Surface("box", trimesh.creation.box((60, 20, 20), np.eye(4)), "solid", 3)
     beside = transform_surface(box, Frame(np.array([0.0, 11.0, 11.0]), np.eye(3)))
     refuse_tunnels((*whole, vessel, ball, beside), AXIS)
-
-
-# ---- what becomes of them
-
-
-def test_layers_of_a_scan_go_through_a_dataset(slabs_file, tmp_path):
-    """Solids of labels, deviations, the scan's place: what is written passes `check` and meets the same."""
-    needle = PATIENT.to_world(np.linspace(-9, 9, 73)[:, None] * NORMAL)
-    direction = PATIENT.rotation @ NORMAL
-    surfaces = read_layers(scan(slabs_file), PATIENT)
-    frame = make_entry_frame(needle[0], direction, PATIENT.rotation[:, 0])
-    layers = find_crossed_layers(needle, frame, surfaces, LayerErrors(0.1, np.full(73, 0.05)))
-    listed = [{"file": f"layers/{{id}}_{s.name}.stl", "kind": s.kind, "into": s.into} for s in surfaces]
-    row = InsertionRow(
-        "a", "gel", 3, 18.0, entry=needle[0], direction=direction, pose_source="shaft", patient=PATIENT
-    )
-    file = write_dataset(
-        tmp_path,
-        record(media={"gel": {"surfaces": listed}}),
-        [row],
-        {"a": np.column_stack([needle, np.full(73, 0.05)])},
-        {f"layers/a_{s.name}.stl": s for s in surfaces},
-    )
-    [found] = read(file).insertions
-    assert found.sequence == layers.sequence == (1, 2, 3)
-    np.testing.assert_allclose(found.boundaries, layers.boundaries, atol=1e-3)
-    np.testing.assert_allclose(found.patient.rotation, PATIENT.rotation, atol=1e-7)
-    np.testing.assert_array_equal(found.sd, 0.05)

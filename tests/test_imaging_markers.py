@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from ct_cases import ENTRY, RECIPE, SHAPE, SPACING, axis, grid, recipe, scan
+from refusals import refusal
 from scipy.spatial.distance import cdist
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
+from needlefit.imaging import spheres
 from needlefit.imaging.markers import (
     describe_candidates,
     find_markers,
@@ -20,11 +22,6 @@ from needlefit.imaging.markers import (
 )
 from needlefit.imaging.needle.segmentation import segment_needle
 from needlefit.imaging.registration.register import register
-from needlefit.imaging.spheres import (
-    SphereTables,
-    SphereVoxels,
-    render_sphere,
-)
 from needlefit.imaging.volume import Volume
 from needlefit.synthetic.render import ScannerTable, SceneMarkers
 
@@ -140,8 +137,7 @@ def test_bubbles_and_lumps_of_metal_are_no_markers(plain):
 def test_fewer_than_three_are_returned_and_refused_by_the_registration(count):
     found = find_markers(with_balls(PLACES[:count]), RECIPE)
     assert off(found, PLACES[:count]).max() < 0.03
-    with pytest.raises(DataError, match="markers"):
-        register(found.centers, PLACES, found.sd)
+    refusal(DataError, "markers", register, found.centers, PLACES, found.sd)
 
 
 def test_a_needle_alone_and_nothing_bright_hold_no_marker():
@@ -151,10 +147,9 @@ def test_a_needle_alone_and_nothing_bright_hold_no_marker():
     dull = Volume(
         rng.normal(40, 30, (40, 40, 40)).astype(np.float32), np.zeros(3), np.full(3, 0.5), np.eye(3)
     )
-    with pytest.raises(DataError) as caught:
-        find_markers(dull, RECIPE)
-    assert caught.value.expected
-    assert caught.value.fix
+    caught = refusal(DataError, "", find_markers, dull, RECIPE)
+    assert caught.expected
+    assert caught.fix
 
 
 @pytest.mark.sweep
@@ -177,15 +172,15 @@ def test_derivatives_of_the_model_are_those_of_the_model():
     rng = np.random.default_rng(2)
     places, spacing = rng.uniform(-3, 3, (200, 3)), np.array([0.4, 0.5, 0.9])
     near, tables = (
-        SphereVoxels(places, np.zeros(200), spacing, -np.inf, np.inf),
-        SphereTables(1.5, 8, (0.15, 0.1)),
+        spheres.SphereVoxels(places, np.zeros(200), spacing, -np.inf, np.inf),
+        spheres.SphereTables(1.5, 8, (0.15, 0.1)),
     )
     theta = np.array([0.1, -0.2, 0.15, 8.0, -0.2, -0.8, 0.7, -0.9, -900.0, 950.0, 0.5, -0.4, 0.9, 0.3])
     for n in range(len(theta)):
         h = 1e-4 * max(1.0, abs(theta[n]))
         step = np.eye(len(theta))[n] * h
-        up, down = (render_sphere(near, tables, theta + sign * step)[0] for sign in (1, -1))
-        mine = render_sphere(near, tables, theta)[1][:, n]
+        up, down = (spheres.render_sphere(near, tables, theta + sign * step)[0] for sign in (1, -1))
+        mine = spheres.render_sphere(near, tables, theta)[1][:, n]
         assert np.abs((up - down) / (2 * h) - mine).max() <= 0.01 * np.abs(mine).max()
 
 
@@ -221,17 +216,13 @@ def test_points_from_every_kind_of_file_are_lps(tmp_path):
     np.testing.assert_allclose(read_markers(old), PLACES)
     short = tmp_path / "b.csv"
     short.write_text("x_mm,y_mm\n1,2\n")
-    with pytest.raises(DataError, match="z_mm") as caught:
-        read_markers(short)
-    assert "first line" in caught.value.fix and "dataset.toml" not in caught.value.fix
+    caught = refusal(DataError, "z_mm", read_markers, short)
+    assert "first line" in caught.fix and "dataset.toml" not in caught.fix
     bad = tmp_path / "c.csv"
     bad.write_text("x_mm,y_mm,z_mm\n1,2,three\n")
-    with pytest.raises(DataError, match="three"):
-        read_markers(bad)
-    with pytest.raises(DataError, match=r"\.txt"):
-        read_markers(tmp_path / "c.txt")
-    with pytest.raises(DataError):
-        read_markers(tmp_path / "missing.csv")
+    refusal(DataError, "three", read_markers, bad)
+    refusal(DataError, r"\.txt", read_markers, tmp_path / "c.txt")
+    refusal(DataError, "", read_markers, tmp_path / "missing.csv")
     dull = Volume(np.zeros((40, 40, 40), dtype=np.float32), np.zeros(3), np.full(3, 0.5), np.eye(3))
     given = read_fiducials(table(tmp_path / "f.csv", [[5.0, 6, 7], [9, 8, 7], [3, 9, 12]]), RECIPE)
     same = refine_fiducials(given, dull, RECIPE)
@@ -257,8 +248,7 @@ def test_fiducials_are_moved_to_the_balls_that_they_mark(plain, tmp_path):
     assert np.linalg.norm(moved.centers[0] - PLACES[0]) < 0.03
     np.testing.assert_allclose(moved.centers[1], pair[1])
     given = read_fiducials(table(tmp_path / "out.csv", [[10.0, 10.0, 20.0], [80.0, 10.0, 20.0]]), RECIPE)
-    with pytest.raises(DataError, match="1 of 2 fiducials"):
-        refine_fiducials(given, plain, RECIPE)
+    refusal(DataError, "1 of 2 fiducials", refine_fiducials, given, plain, RECIPE)
 
 
 @pytest.mark.sweep
@@ -268,5 +258,4 @@ def test_ras_read_as_lps_is_noticed(tmp_path):
     middle = (np.array(SHAPE) - 1) / 2 * SPACING * [1, 1, 0]
     volume = replace(around, origin=around.origin - middle)
     given = read_fiducials(table(tmp_path / "ras.csv", (PLACES - middle) * RAS), RECIPE)
-    with pytest.raises(DataError, match=r"RAS.* LPS"):
-        refine_fiducials(given, volume, RECIPE)
+    refusal(DataError, r"RAS.* LPS", refine_fiducials, given, volume, RECIPE)

@@ -9,17 +9,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from reading_here import child_process_reader, read_here  # noqa: F401 - fixtures
+from refusals import refusal
 
 from needlefit.errors import DataError
+from needlefit.imaging.needle import segmentation
 from needlefit.imaging.needle.centerline import trace_needle
-from needlefit.imaging.needle.segmentation import (
-    cut_wide_parts,
-    find_ends,
-    measure_component,
-    read_mask_component,
-    segment_needle,
-    select_needle,
-)
 from needlefit.imaging.volume import Volume, to_patient
 from needlefit.imaging.volume_files import write_volume
 from needlefit.synthetic.render import Needle3D
@@ -50,9 +44,8 @@ def saved(folder, mask):
 
 def refused(folder, volume, mask, words):
     path = saved(folder, mask)
-    with pytest.raises(DataError, match=words) as error:
-        read_mask_component(volume, path, cases.RECIPE)
-    assert str(path) in str(error.value) and error.value.fix
+    error = refusal(DataError, words, segmentation.read_mask_component, volume, path, cases.RECIPE)
+    assert str(path) in str(error) and error.fix
 
 
 def flipped(mask, axis):
@@ -79,10 +72,9 @@ def cropped(mask):
 
 @pytest.mark.sweep
 def test_a_mask_replaces_the_thresholds(volume, mask, tmp_path):
-    with pytest.raises(DataError, match="2 needles"):
-        segment_needle(volume, cases.RECIPE)
+    refusal(DataError, "2 needles", segmentation.segment_needle, volume, cases.RECIPE)
     line = trace_needle(
-        volume, read_mask_component(volume, saved(tmp_path, mask), cases.RECIPE), cases.RECIPE
+        volume, segmentation.read_mask_component(volume, saved(tmp_path, mask), cases.RECIPE), cases.RECIPE
     )
     assert np.linalg.norm(line.tip - TRUTH[-1]) < 0.15
 
@@ -98,8 +90,8 @@ def test_a_mask_replaces_the_thresholds(volume, mask, tmp_path):
     ],
 )
 def test_the_order_in_which_a_mask_is_stored_changes_nothing(stored, volume, mask, tmp_path):
-    plain = read_mask_component(volume, saved(tmp_path, mask), cases.RECIPE)
-    other = read_mask_component(volume, saved(tmp_path, stored(mask)), cases.RECIPE)
+    plain = segmentation.read_mask_component(volume, saved(tmp_path, mask), cases.RECIPE)
+    other = segmentation.read_mask_component(volume, saved(tmp_path, stored(mask)), cases.RECIPE)
     assert np.array_equal(other.voxels, plain.voxels)
 
 
@@ -108,8 +100,8 @@ def test_a_mask_of_other_voxels_is_asked_at_those_of_the_scan(volume, mask, tmp_
     fine = mask.values.repeat(2, 0).repeat(2, 1).repeat(2, 2)
     half = mask.spacing / 2
     origin = mask.origin - mask.direction @ (half / 2)
-    plain = read_mask_component(volume, saved(tmp_path, mask), cases.RECIPE)
-    other = read_mask_component(
+    plain = segmentation.read_mask_component(volume, saved(tmp_path, mask), cases.RECIPE)
+    other = segmentation.read_mask_component(
         volume, saved(tmp_path, Volume(fine, origin, half, mask.direction)), cases.RECIPE
     )
     assert np.array_equal(other.voxels, plain.voxels)
@@ -173,28 +165,28 @@ def painted(*bodies, hu=METAL_HU):
 
 def spans(part, volume):
     """Where a component begins and ends along S, mm."""
-    return np.sort(find_ends(volume, part)[:, 2])
+    return np.sort(segmentation.find_ends(volume, part)[:, 2])
 
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("radius", [2.5, 4.0])
 def test_a_hub_on_the_shaft_is_cut_off(radius):
     volume = painted(rod((11.0, 11.0), 0.0, 5.0, radius))
-    part = segment_needle(volume, cases.RECIPE)
+    part = segmentation.segment_needle(volume, cases.RECIPE)
     low, high = spans(part, volume)
     assert 5.0 < low < 9.0
-    assert_allclose(high, spans(segment_needle(scan(), cases.RECIPE), scan())[1], atol=0.5)
+    assert_allclose(high, spans(segmentation.segment_needle(scan(), cases.RECIPE), scan())[1], atol=0.5)
     line = trace_needle(volume, part, cases.RECIPE)
     assert line.tip[2] > 38  # the hub's end is no tip
 
 
 def test_a_holder_in_the_middle_leaves_one_needle_and_what_is_thin_is_not_cut():
     volume = painted(rod((11.0, 11.0), 17.0, 23.0, 4.0))
-    low, high = spans(segment_needle(volume, cases.RECIPE), volume)
+    low, high = spans(segmentation.segment_needle(volume, cases.RECIPE), volume)
     assert low < 1.0
     assert high > 38.0
-    part = segment_needle(scan(), cases.RECIPE)
-    (same,) = cut_wide_parts(scan(), part.voxels, 3.2)
+    part = segmentation.segment_needle(scan(), cases.RECIPE)
+    (same,) = segmentation.cut_wide_parts(scan(), part.voxels, 3.2)
     assert same is part.voxels
 
 
@@ -204,33 +196,33 @@ def test_a_ball_in_a_rod_is_cut_out_by_its_width():
     rod_ = np.hypot(i - 20, j - 20) <= 1.6
     ball = (i - 20) ** 2 + (j - 20) ** 2 + (k - 50) ** 2 <= 10**2
     volume = Volume(np.zeros(shape[::-1], np.float32), np.zeros(3), np.full(3, 0.5), np.eye(3))
-    pieces = cut_wide_parts(volume, np.argwhere(rod_ | ball), 2.5)
+    pieces = segmentation.cut_wide_parts(volume, np.argwhere(rod_ | ball), 2.5)
     long = sorted(pieces, key=len)[-2:]
     ends = sorted((one[:, 2].min(), one[:, 2].max()) for one in long)
     assert ends[0][0] == 0
     assert 34 <= ends[0][1] <= 40
     assert 60 <= ends[1][0] <= 66
     assert ends[1][1] == 99
-    assert measure_component(volume, long[0]).width < 2.5
+    assert segmentation.measure_component(volume, long[0]).width < 2.5
 
 
 def test_a_shorter_tube_is_named_and_of_two_long_ones_the_stated_diameter_taken():
     volume = painted(rod((16.0, 8.0), 6.0, 28.0, 0.7))
-    found = select_needle(volume, cases.RECIPE)
+    found = segmentation.select_needle(volume, cases.RECIPE)
     assert spans(found.needle, volume)[1] > 38
     assert len(found.others) == len(found.warnings) == 1
     assert_allclose(spans(found.others[0], volume), [6.0, 28.0], atol=1.0)
-    picked = select_needle(volume, cases.RECIPE, np.array([17.0, 8.0, 20.0]))
+    picked = segmentation.select_needle(volume, cases.RECIPE, np.array([17.0, 8.0, 20.0]))
     assert_allclose(spans(picked.needle, volume), [6.0, 28.0], atol=1.0)
-    with pytest.raises(DataError) as refused:
-        select_needle(volume, cases.RECIPE, np.array([2.0, 20.0, 20.0]))
-    assert "needle_x_mm" in refused.value.where
+    refused = refusal(
+        DataError, "", lambda: segmentation.select_needle(volume, cases.RECIPE, np.array([2.0, 20.0, 20.0]))
+    )
+    assert "needle_x_mm" in refused.where
     alike = painted(rod((17.0, 6.0), 0.0, 38.0, 0.8))
-    with pytest.raises(DataError, match="needles"):
-        select_needle(alike, cases.RECIPE)
+    refusal(DataError, "needles", segmentation.select_needle, alike, cases.RECIPE)
     thick = painted(rod((17.0, 6.0), 0.0, 45.0, 1.9))
     wide = cases.recipe(needle={"diameter_mm": 1.4}, segmentation={"max_widening": 3.0})
-    found = select_needle(thick, wide)
+    found = segmentation.select_needle(thick, wide)
     assert_allclose(found.needle.width, 1.6, atol=0.4)
     assert len(found.warnings) == 1
 
@@ -242,5 +234,5 @@ def test_a_plastic_hub_is_no_tissue():
     values = volume.values.copy()
     origin = np.array([0.0, 0.0, 0.46])
     shorter = Volume(values[1:], origin, volume.spacing, volume.direction)
-    line = trace_needle(shorter, segment_needle(shorter, cases.RECIPE), cases.RECIPE)
+    line = trace_needle(shorter, segmentation.segment_needle(shorter, cases.RECIPE), cases.RECIPE)
     assert line.tip[2] > 38

@@ -6,6 +6,7 @@ import ct_cases as cases
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from refusals import refusal
 from scipy.special import ndtr
 
 from needlefit.errors import DataError
@@ -162,6 +163,5 @@ def test_values_that_are_no_hu_are_refused(convert, words):
     volume = cases.scan(cases.axis())
     require_hounsfield(volume, "scan.nrrd")
     other = replace(volume, values=convert(volume.values.astype(np.float64)).astype(np.float32))
-    with pytest.raises(DataError, match=words) as refused:
-        require_hounsfield(other, "scan.nrrd")
-    assert refused.value.where == "scan.nrrd" and refused.value.fix
+    refused = refusal(DataError, words, require_hounsfield, other, "scan.nrrd")
+    assert refused.where == "scan.nrrd" and refused.fix

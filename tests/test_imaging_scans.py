@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refusal
 
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import make_sheet, write_surface
@@ -37,10 +38,9 @@ def table(folder, *lines):
 
 
 def refused(folder, *lines):
-    with pytest.raises(DataError) as error:
-        read_scans(table(folder, *lines))
-    assert "fix: " in str(error.value)
-    return str(error.value)
+    error = refusal(DataError, "", lambda: read_scans(table(folder, *lines)))
+    assert "fix: " in str(error)
+    return str(error)
 
 
 def test_every_column_comes_through_and_has_a_default(folder):

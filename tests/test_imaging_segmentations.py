@@ -1,5 +1,7 @@
 """Segmentations in DICOM as layers: DICOM-SEG by highdicom, RTSTRUCT contours, choice by name."""
 
+from functools import partial
+
 import highdicom
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.sr.codedict import codes
 from pydicom.uid import ExplicitVRLittleEndian, RTStructureSetStorage, generate_uid
 from reading_here import child_process_reader, read_here  # noqa: F401
+from refusals import refusal, refused_file
 from test_imaging_exports import pack
 
 from needlefit.datasets.faults import Fault
@@ -71,11 +74,7 @@ def write_seg(path, masks, kind="BINARY", names=("skin", "fat", "muscle")):
     return path
 
 
-def refused(path, names=()):
-    with pytest.raises(DataError) as error:
-        read_labels(path, names)
-    assert error.value.where.startswith(str(path)) and error.value.expected and error.value.fix
-    return error.value
+refused = partial(refused_file, read_labels)
 
 
 # ---- DICOM-SEG
@@ -113,9 +112,8 @@ def test_the_surfaces_of_segments_are_solids_in_place(tmp_path):
     own = read_labels(path).volume.frame_of_reference
     assert own == slices()[0].FrameOfReferenceUID
     assert len(extract_label_surfaces(path, ("fat",), own)) == 1
-    with pytest.raises(DataError) as error:
-        extract_label_surfaces(path, ("fat",), "1.2.3")
-    assert "1.2.3" in error.value.what and error.value.where == str(path)
+    error = refusal(DataError, "", extract_label_surfaces, path, ("fat",), "1.2.3")
+    assert "1.2.3" in error.what and error.where == str(path)
     body = {"Body": [circle(20.0, z) for z in HEIGHTS]}
     assert read_labels(write_contours(tmp_path / "rt.dcm", body)).volume.frame_of_reference == own
 

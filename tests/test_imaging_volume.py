@@ -4,6 +4,7 @@ import gzip
 import resource
 import struct
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from reading_here import child_process_reader, read_here  # noqa: F401
+from refusals import refusal, refused_file
 
 from needlefit.errors import ConfigError, DataError
 from needlefit.imaging.volume import Volume, to_index, to_patient
@@ -23,12 +25,7 @@ VALUES = np.arange(2 * 3 * 4, dtype=np.int16).reshape(2, 3, 4)  # slices, rows, 
 STEPS, CORNER = (0.4, 0.5, 0.9), (1.0, 2.0, 3.0)
 
 
-def refused(path):
-    with pytest.raises(DataError) as error:
-        read_volume(path)
-    fault = error.value
-    assert fault.what and fault.where == str(path) and fault.expected and fault.fix
-    return fault
+refused = partial(refused_file, read_volume)
 
 
 def nrrd(path, values=VALUES, data=None, **fields):
@@ -280,13 +277,11 @@ def test_files_are_replaced_whole_and_unknown_formats_refused(tmp_path):
         write_volume(volume_of(VALUES * value), tmp_path / "a.nrrd")
     assert np.array_equal(read_volume(tmp_path / "a.nrrd").values, VALUES * 2)
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a.nii", "a.nrrd", "b.nii"]
-    with pytest.raises(DataError, match=r"\.png "):
-        write_volume(volume_of(VALUES), tmp_path / "a.png")
+    refusal(DataError, r"\.png ", lambda: write_volume(volume_of(VALUES), tmp_path / "a.png"))
     with pytest.raises(DataError, match="not finite"):
         write_volume(volume_of(np.where(VALUES == 3, np.nan, VALUES)), tmp_path / "c.nrrd")
     (tmp_path / "file").write_text("")
-    with pytest.raises(ConfigError):
-        write_volume(volume_of(VALUES), tmp_path / "file" / "a.nrrd")
+    refusal(ConfigError, "", lambda: write_volume(volume_of(VALUES), tmp_path / "file" / "a.nrrd"))
     assert len(list(tmp_path.iterdir())) == 4
 
 
@@ -414,6 +409,5 @@ def test_geometries_that_are_no_volume_s(tmp_path, name, arguments, words):
 def test_a_missing_package_is_named_with_its_install_command(tmp_path, monkeypatch):
     monkeypatch.delitem(sys.modules, "needlefit.imaging.image_files", raising=False)
     monkeypatch.setitem(sys.modules, "SimpleITK", None)
-    with pytest.raises(ConfigError) as error:
-        read_volume(nrrd(tmp_path / "a.nrrd"))
-    assert "SimpleITK" in error.value.what and "needlefit[ct]" in error.value.fix
+    error = refusal(ConfigError, "", lambda: read_volume(nrrd(tmp_path / "a.nrrd")))
+    assert "SimpleITK" in error.what and "needlefit[ct]" in error.fix

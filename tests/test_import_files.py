@@ -6,6 +6,7 @@ import zipfile
 import import_cases
 import numpy as np
 import pytest
+from refusals import refusal
 from scipy.io import savemat
 
 from needlefit.cli import main
@@ -105,8 +106,7 @@ def test_columns_by_name_number_and_without_header(tmp_path):
     for columns in (("a", "b", "c"), ("3", "4", "2")):
         assert_same(curves_of(tmp_path / "a.csv", columns), CURVES[:1])
     for columns in ((), ("a", "b", "q")):
-        with pytest.raises(DataError, match="--columns"):
-            curves_of(tmp_path / "a.csv", columns)
+        refusal(DataError, "--columns", curves_of, tmp_path / "a.csv", columns)
     (tmp_path / "a.csv").write_text("\n".join(["x,y", *(f"{x},{y}" for x, y, _ in CURVES[0])]))
     assert_same(curves_of(tmp_path / "a.csv"), CURVES[:1])
     (tmp_path / "b.csv").write_text("\n".join(["R,A,S", *(f"{-x},{-y},{z}" for x, y, z in CURVES[0])]))
@@ -185,13 +185,11 @@ def test_a_bundle_that_names_files_outside_or_unpacks_to_too_much_is_refused(tmp
     import_cases.write_scene(tmp_path / "s", CURVES[:1])
     for member in ("../x.mrml", "/etc/x.stl", "a/../../x.stl", "C:\\x.stl", "a\\..\\..\\x.stl"):
         import_cases.write_bundle(tmp_path / "a.mrb", tmp_path / "s", [(member, b"x")])
-        with pytest.raises(DataError, match="outside"):
-            read_content([tmp_path / "a.mrb"])
+        refusal(DataError, "outside", read_content, [tmp_path / "a.mrb"])
     assert not (tmp_path / "x.mrml").exists()
     monkeypatch.setattr(files, "MAX_UNPACKED_BYTES", 2**20)
     import_cases.write_bundle(tmp_path / "a.mrb", tmp_path / "s", [("case/big.stl", b"\0" * 2**22)])
-    with pytest.raises(DataError, match="unpacks"):
-        read_content([tmp_path / "a.mrb"])
+    refusal(DataError, "unpacks", read_content, [tmp_path / "a.mrb"])
 
 
 BOMB = '<!DOCTYPE MRML [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;">]>\n<MRML name="&b;"></MRML>'
@@ -221,8 +219,7 @@ def test_a_hostile_scene_is_refused(tmp_path, text, reason):
     import_cases.write_markups(tmp_path / "secret.mrk.json", "C", CURVES[0])
     import_cases.write_markups(folder / "c.mrk.json", "C", CURVES[0])
     (folder / "scene.mrml").write_text(text)
-    with pytest.raises(DataError, match=reason):
-        read_content([folder / "scene.mrml"])
+    refusal(DataError, reason, read_content, [folder / "scene.mrml"])
 
 
 @pytest.mark.parametrize("kind", ["BSplineTransform_double_3_3", "AffineTransform_double_2_2"])
@@ -230,8 +227,7 @@ def test_a_transform_that_is_not_linear_is_refused(tmp_path, kind):
     import_cases.write_scene(tmp_path / "s", CURVES[:1])
     file = tmp_path / "s" / "Data" / "Tisch neu.tfm"
     file.write_text(file.read_text().replace("AffineTransform_double_3_3", kind))
-    with pytest.raises(DataError, match="harden"):
-        read_content([tmp_path / "s" / "scene.mrml"])
+    refusal(DataError, "harden", read_content, [tmp_path / "s" / "scene.mrml"])
 
 
 @pytest.mark.sweep
@@ -248,8 +244,7 @@ def test_a_workbook_that_unpacks_to_gigabytes_or_is_huge_is_refused(tmp_path):
     (tmp_path / "none.xlsx").write_bytes(b"PK\x03\x04 no archive")
     (tmp_path / "text.xls").write_text("x;y;z")
     for name in ("bomb.xlsx", "huge.xlsx", "none.xlsx", "text.xls"):
-        with pytest.raises(DataError, match="CSV"):
-            read_sheets(tmp_path / name)
+        refusal(DataError, "CSV", read_sheets, tmp_path / name)
 
 
 # ---- what imported files are taken to mean, what is written, and how bad input ends
@@ -282,8 +277,7 @@ def test_units_are_guessed_by_the_longest_needle_and_asked_where_they_are_not_cl
         assert made["units"] == (unit, "guess")
         assert plan.insertions[0].row.depth == pytest.approx(60.02, abs=0.1)
     file = write_plain(tmp_path, NEEDLES, scale=0.1)
-    with pytest.raises(ConfigError, match="--units"):
-        understood([file])
+    refusal(ConfigError, "--units", understood, [file])
     plan, made = understood([file], units="cm")
     assert made["units"] == ("cm", "option")
     assert plan.insertions[0].row.depth == pytest.approx(60.02, abs=0.1)
@@ -310,8 +304,7 @@ def test_ras_and_lps_are_tried_against_the_surfaces(tmp_path):
     assert plan.insertions[0].row.layers == 3
     assert [one.into for one in plan.layers.surfaces] == [2, 3]
     assert understood([tmp_path], surfaces_frame="LPS")[0].insertions[0].row.layers == 1
-    tmp_path /= "b"
-    tmp_path.mkdir()
+    (tmp_path := tmp_path / "b").mkdir()
     (tmp_path / "fat.vtk").write_bytes(import_cases.vtk_sheet(-20.0, system="LPS"))
     write_plain(tmp_path, NEEDLES)
     plan, made = understood([tmp_path])
@@ -377,8 +370,7 @@ def test_boundaries_are_stated_as_depths(tmp_path):
     assert understood([file], boundaries="15,52")[1]["boundary sd"] == ("0.5", "assumption")
     assert understood([file])[1]["boundaries"] == ("none", "guess")
     write_layers(tmp_path)
-    with pytest.raises(ConfigError, match="--boundaries"):
-        understood([tmp_path], boundaries="15")
+    refusal(ConfigError, "--boundaries", understood, [tmp_path], boundaries="15")
 
 
 def test_bevel_sides_of_a_table_need_a_direction(tmp_path):
@@ -389,8 +381,7 @@ def test_bevel_sides_of_a_table_need_a_direction(tmp_path):
         for p in one
     ]
     (tmp_path / "a.csv").write_text("\n".join(["id,bevel side,medium,specimen,x,y,z", *rows]))
-    with pytest.raises(ConfigError, match="--bevel"):
-        understood([tmp_path / "a.csv"], pose="1,0,0")
+    refusal(ConfigError, "--bevel", understood, [tmp_path / "a.csv"], pose="1,0,0")
     out = tmp_path / "gel"
     assert (
         run("import", tmp_path / "a.csv", "--out", out, "--pose", "1,0,0", "--bevel", "0,1,0", "--yes") == 0
@@ -414,9 +405,8 @@ def test_bevel_sides_of_a_table_need_a_direction(tmp_path):
     ],
 )
 def test_options_that_mean_nothing_are_refused(tmp_path, options, reason):
-    with pytest.raises(ConfigError) as error:
-        understood([write_plain(tmp_path, NEEDLES)], **options)
-    assert reason in error.value.fix
+    error = refusal(ConfigError, "", lambda: understood([write_plain(tmp_path, NEEDLES)], **options))
+    assert reason in error.fix
 
 
 def test_questions_are_asked_with_the_guess_and_faults_named_at_their_place(tmp_path):
@@ -437,15 +427,13 @@ def test_questions_are_asked_with_the_guess_and_faults_named_at_their_place(tmp_
     decisions = Decisions()
     content, plan = plan_import([file], decisions)
     (tmp_path / "made").mkdir()
-    with pytest.raises(DataError) as error:
-        write_plan(tmp_path / "made", content, plan, decisions)
-    assert error.value.where == f"{file}:8"
+    error = refusal(DataError, "", write_plan, tmp_path / "made", content, plan, decisions)
+    assert error.where == f"{file}:8"
 
 
 def run(*words):
-    with pytest.raises(SystemExit) as ending:
-        main([str(word) for word in words])
-    return ending.value.code
+    ending = refusal(SystemExit, "", lambda: main([str(word) for word in words]))
+    return ending.code
 
 
 @pytest.mark.sweep
@@ -471,8 +459,7 @@ def test_commands_write_studies_and_datasets_of_slicer(tmp_path):
     study = load_study(out / "gel_study.toml")
     assert (study.leave_out, study.same_specimen) == ("insertion", True)
     assert run("check", out / "gel_study.toml") == 0
-    tmp_path /= "b"
-    tmp_path.mkdir()
+    (tmp_path := tmp_path / "b").mkdir()
     import_cases.write_scene(tmp_path / "s", NEEDLES, "tfm")
     import_cases.write_bundle(tmp_path / "s.mrb", tmp_path / "s")
     assert run("import", tmp_path / "s.mrb", "--out", tmp_path / "gel", "--bevel", "0,1,0", "--yes") == 0

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from inference_cases import insertion
+from refusals import refusal
 
 from needlefit.errors import ConfigError
 from needlefit.geometry.curves import integrate_curvature
@@ -69,10 +70,8 @@ def test_the_rms_is_over_distances_and_richer_curves_fit_no_worse():
     assert list(fits) == [*nested, "mean_shape"]
     errors = [fits[name].rms for name in nested]
     assert errors == sorted(errors, reverse=True)
-    with pytest.raises(ConfigError, match="spline"):
-        fit_baseline("spline", "known", 0.0, [measured(50.0, ())])
-    with pytest.raises(ConfigError, match="no insertion"):
-        fit_baseline("straight", "known", 0.0, [])
+    refusal(ConfigError, "spline", lambda: fit_baseline("spline", "known", 0.0, [measured(50.0, ())]))
+    refusal(ConfigError, "no insertion", fit_baseline, "straight", "known", 0.0, [])
 
 
 @pytest.mark.skipif(

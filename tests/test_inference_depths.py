@@ -69,15 +69,6 @@ def test_quadrature_gives_the_integral_over_all_depths(name):
     assert marginal(name, "quadrature") == pytest.approx(brute_force(name), abs=0.1)
 
 
-@pytest.mark.sweep
-@pytest.mark.parametrize("name", ["phantom2-05", "phantom2-06"])
-def test_a_linear_effect_is_farther_from_the_integral_than_quadrature(name):
-    """Why quadrature exists: the linear likelihood is off by more than 0.2 there."""
-    exact = brute_force(name)
-    assert abs(marginal(name, "quadrature") - exact) < 0.1
-    assert 0.2 < abs(marginal(name, "linear") - exact) < 0.5
-
-
 def test_depths_taken_as_stated_where_a_stiff_layer_begins_at_a_constraint_are_far_off():
     exact = brute_force("phantom2-08")
     assert abs(marginal("phantom2-08", "quadrature") - exact) < 0.1

@@ -18,6 +18,7 @@ from test_inference_tracks import make_readings, tracked
 
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import read
+from needlefit.inference import tracking
 from needlefit.inference.baseline_fit import fit_baselines
 from needlefit.inference.baselines import BASELINES
 from needlefit.inference.identifiability.design_gain import expect_precision, linearized_gain, nested_gain
@@ -27,14 +28,6 @@ from needlefit.inference.material import fit_specimen, pool
 from needlefit.inference.predict import PredictiveMixture, cdf, crps, draw_from_prior, interval, quantile
 from needlefit.inference.problem import make_problem
 from needlefit.inference.sampling.importance import resample
-from needlefit.inference.tracking import (
-    TipNoise,
-    draw_baseline,
-    estimate_parameters,
-    estimate_slopes,
-    make_prior_from_factors,
-    predict_readings,
-)
 from needlefit.project.locate import find_file
 from needlefit.schemas.dataset import MeasurementRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
@@ -100,17 +93,25 @@ def test_weighted_draws():
 def test_tracks():
     runs = [tracks.measured(tracks.track(f"run{n}", n * tracks.GUIDE), n, 0.02 * n, n) for n in range(5)]
     seen = [make_observation(tracks.dataset([]), one) for one in runs]
-    drawn = {name: draw_baseline(BASELINES[name], seen[:4], runs[4:], 60, rng()) for name in BASELINES.names()
-             if name in ("straight", "constant_curvature", "steered_line", "guide_kernel")}  # fmt: skip
-    slopes = {name: estimate_slopes(one, seen[:4], runs[4]) for name, one in drawn.items()}
+    kinds = ("straight", "constant_curvature", "steered_line", "guide_kernel")
+    drawn = {
+        name: tracking.draw_baseline(BASELINES[name], seen[:4], runs[4:], 60, rng())
+        for name in BASELINES.names()
+        if name in kinds
+    }
+    slopes = {name: tracking.estimate_slopes(one, seen[:4], runs[4]) for name, one in drawn.items()}
     tips = np.repeat(drawn["straight"].held_out[0][:1], 60, axis=0)
-    noise, needle = TipNoise(0.1, 0.1, 0.05, 0.001), tracked(layers=3)
-    prior = make_prior_from_factors(needle.tissue.mu, 0.08, (1.8, 1.5), noise)
+    noise, needle = tracking.TipNoise(0.1, 0.1, 0.05, 0.001), tracked(layers=3)
+    prior = tracking.make_prior_from_factors(needle.tissue.mu, 0.08, (1.8, 1.5), noise)
     found = {
         "draws": {name: [np.mean(one.held_out[0], axis=0), one.scale.mean()] for name, one in drawn.items()},
         "slopes": slopes,
-        "ahead": predict_readings(seen[4], tips, np.ones(60), slopes["straight"], 5, rng()).mean(axis=0),
-        "tip": estimate_parameters(needle, make_readings(needle, prior.theta + 0.1, 2), prior, noise),
+        "ahead": tracking.predict_readings(seen[4], tips, np.ones(60), slopes["straight"], 5, rng()).mean(
+            axis=0
+        ),
+        "tip": tracking.estimate_parameters(
+            needle, make_readings(needle, prior.theta + 0.1, 2), prior, noise
+        ),
     }
     assert_golden("tracks", found, rtol=1e-4)
 

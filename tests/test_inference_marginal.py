@@ -7,6 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 from inference_cases import TRUTH, assert_one_density, insertion, measure, medium, problem
+from refusals import refusal
 from scipy.stats import multivariate_normal, norm
 
 from needlefit.datasets.insertion import Noise
@@ -113,9 +114,8 @@ def test_quadrature_over_too_many_depths_or_shared_bevels_is_refused():
     count = MAX_AXES + 1
     depths, layers = np.linspace(4.0, 36.0, count), tuple(range(1, count + 2))
     many = replace(LAYERED, id="many", boundaries=depths, sequence=layers, depth_sd=0.0)
-    with pytest.raises(ConfigError, match="many") as refused:
-        make_nodes(many, LINE, "quadrature")
-    assert refused.value.key == "likelihood.depths"
+    refused = refusal(ConfigError, "many", make_nodes, many, LINE, "quadrature")
+    assert refused.key == "likelihood.depths"
     assert len(make_nodes(many, LINE, "linear").axes) == count
     # Each insertion crosses four of the six surfaces, or fewer.
     crossed = {"a": (1, 2, 3, 4, 5), "b": (3, 4, 5, 6), "c": (5, 6, 7), "d": (7, 6, 5), "e": (1, 2, 3, 4, 5)}
@@ -128,11 +128,9 @@ def test_quadrature_over_too_many_depths_or_shared_bevels_is_refused():
         tuple(make_nodes(one, LINE, how) for one in insertions) for how in ("linear", "quadrature")
     )
     assert [len(group.surfaces) for _, group in group_nodes(made)] == [6]
-    with pytest.raises(ConfigError, match="a, b, c, d, e share 6"):
-        group_nodes(split)
-    with pytest.raises(ConfigError) as raised:
-        shared_case("aab", centred=False, depths="quadrature")
-    assert raised.value.key == "likelihood.depths"
+    refusal(ConfigError, "a, b, c, d, e share 6", group_nodes, split)
+    raised = refusal(ConfigError, "", shared_case, "aab", centred=False, depths="quadrature")
+    assert raised.key == "likelihood.depths"
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from compression_cases import MU, specimen
 from inference_cases import TRUTH, insertion, measure, medium, problem
+from refusals import refusal
 from test_inference_identify import FINE, fit_at
 
 from needlefit.errors import ConfigError, FitError
@@ -74,8 +75,7 @@ def test_alpha_carries_over_and_mu_only_with_a_stated_factor():
     sd = math.hypot(0.2, math.log(5))
     assert mu.median == pytest.approx(4000.0) and mu.factor == pytest.approx(math.exp(sd), rel=1e-5)
     assert mu.correlation == pytest.approx(-0.05 / (sd * 0.5), rel=1e-5)
-    with pytest.raises(ConfigError, match="cannot be"):
-        MaterialFoundation(0.2, 1.0)
+    refusal(ConfigError, "cannot be", MaterialFoundation, 0.2, 1.0)
 
 
 ALPHA = {"mean": 3.0, "sd": 0.5}
@@ -130,8 +130,7 @@ def test_the_log_posterior_is_the_likelihood_and_the_prior():
 def test_an_invalid_prior_is_refused(changed, message):
     free = {"mu1_pa": {"bounds": [1e3, 1e9]}, "alpha1": {"fixed": 1.0}, "bevel_mm": {"bounds": [1e-3, 0.5]}}
     table = {"schema": 1, "layers": 1, "parameters": free | changed}
-    with pytest.raises(ConfigError, match=message):
-        Parameters.from_record(check(table, MediumRecord, "medium.toml"))
+    refusal(ConfigError, message, lambda: Parameters.from_record(check(table, MediumRecord, "medium.toml")))
 
 
 def test_a_test_of_the_material_frees_the_alpha_of_its_layer():
@@ -139,8 +138,7 @@ def test_a_test_of_the_material_frees_the_alpha_of_its_layer():
     parameters = Parameters.from_record(set_material_prior(medium(2), "2", tested))
     assert parameters.bounds["alpha2"] == (1.0, 5.0)  # four deviations
     assert parameters.prior.names == ("mu2_pa", "alpha2") and "alpha1" in parameters.fixed
-    with pytest.raises(ConfigError, match="no layer `3`"):
-        set_material_prior(medium(2), "3", tested)
+    refusal(ConfigError, "no layer `3`", lambda: set_material_prior(medium(2), "3", tested))
     with pytest.raises(ConfigError, match=r"alpha2.* tied"):
         set_material_prior(medium(2, alpha2={"tie": "alpha1"}), "2", tested)
     with pytest.raises(ConfigError, match="law is `linear`"):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from inference_cases import assert_one_density
 from numpy.testing import assert_allclose
+from refusals import refusal
 
 from needlefit.datasets.read import check, read
 from needlefit.datasets.sections import format_sections
@@ -112,39 +113,7 @@ def test_smoothing_moves_points_but_not_residuals_and_the_gradient_is_exact(scan
     assert observation.whitening.shape == (observation.rows, len(one.planar))
 
 
-def test_sections_are_written_and_read(scanned, tmp_path):
-    sections = {one.id: one.sections for one in scanned.insertions}
-    folder = needles.build(tmp_path / "plain").parent
-    record = needles.record().model_copy(
-        update={"measurement": MeasurementRecord(operator="spline", sections="sections/{id}.toml")}
-    )
-    for name, some in sections.items():
-        path = folder / "sections" / f"{name}.toml"
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(format_sections(some))
-    (again,) = [SplineSections(**vars(one.sections)) for one in scanned.insertions[:1]]
-    stated = load(folder / "sections/needle-1.toml", SectionsRecord)
-    assert_allclose(stated.points_mm, again.points, atol=1e-5)
-    text = (folder / "dataset.toml").read_text()
-    (folder / "dataset.toml").write_text(
-        text.replace(
-            "[media.gel]",
-            '[measurement]\noperator = "spline"\nsections = "sections/{id}.toml"\n\n[media.gel]',
-        )
-    )
-    assert check(folder) == []
-    dataset = read(folder)
-    assert dataset.measurement == record.measurement
-    assert_allclose(dataset.insertions[2].sections.s, scanned.insertions[2].sections.s, atol=1e-5)
-    before = dataset.digest
-    file = folder / "sections/needle-3.toml"
-    file.write_text(file.read_text().replace("sigma_mm = 0.02", "sigma_mm = 0.03"))
-    assert read(folder).digest != before
-    file.write_text(file.read_text().replace("q_mm = [0.0, 0.5", "q_mm = [0.5, 0.0"))
-    assert [str(file) in str(fault.where) for fault in check(folder)] == [True]
-    file.unlink()
-    with pytest.raises(DataError):
-        read(folder)
+STORED = 'operator = "spline"\nsections = "sections/{id}.toml"'
 
 
 def with_measurement(folder, text, sections=()):
@@ -159,7 +128,24 @@ def with_measurement(folder, text, sections=()):
     return file
 
 
-STORED = 'operator = "spline"\nsections = "sections/{id}.toml"'
+def test_sections_are_written_and_read(scanned, tmp_path):
+    folder = with_measurement(
+        tmp_path / "plain", STORED, [(one.id, one.sections) for one in scanned.insertions]
+    ).parent
+    stated = load(folder / "sections/needle-1.toml", SectionsRecord)
+    assert_allclose(stated.points_mm, scanned.insertions[0].sections.points, atol=1e-5)
+    assert check(folder) == []
+    dataset = read(folder)
+    assert dataset.measurement == MeasurementRecord(operator="spline", sections="sections/{id}.toml")
+    assert_allclose(dataset.insertions[2].sections.s, scanned.insertions[2].sections.s, atol=1e-5)
+    before = dataset.digest
+    file = folder / "sections/needle-3.toml"
+    file.write_text(file.read_text().replace("sigma_mm = 0.02", "sigma_mm = 0.03"))
+    assert read(folder).digest != before
+    file.write_text(file.read_text().replace("q_mm = [0.0, 0.5", "q_mm = [0.5, 0.0"))
+    assert [str(file) in str(fault.where) for fault in check(folder)] == [True]
+    file.unlink()
+    refusal(DataError, "", read, folder)
 
 
 def test_sections_without_knots_or_a_pose_are_refused(scanned, tmp_path):
@@ -169,8 +155,7 @@ def test_sections_without_knots_or_a_pose_are_refused(scanned, tmp_path):
     pairs[1] = (name, replace(some, weights=weights))
     (fault,) = check(with_measurement(tmp_path / "n", STORED, pairs))
     assert f"{name}.toml" in fault.where and fault.fix
-    tmp_path /= "b"
-    tmp_path.mkdir()
+    (tmp_path := tmp_path / "b").mkdir()
     file = with_measurement(tmp_path / "n", STORED, [(one.id, one.sections) for one in scanned.insertions])
     text = file.read_text()
     file.write_text(text[: text.index("[media")].replace('pose = "known"', 'pose = "free"'))
@@ -226,8 +211,7 @@ def test_operators_that_the_data_exclude_are_refused(tmp_path):
     file.write_text(file.read_text().replace("width_mm = 40", f"width_mm = {most}"))
     lengths = [np.ptp(arc_length(one.planar)) for one in read(file).insertions]
     assert float(most) == pytest.approx(min(lengths) / 4, rel=0.05)
-    tmp_path /= "b"
-    tmp_path.mkdir()
+    (tmp_path := tmp_path / "b").mkdir()
     for key in ["heading_sd_deg", "slope_sd_deg"]:
         file = needles.build(tmp_path / "n")
         file.write_text(file.read_text().replace(f"{key} = 0.0", f"{key} = 1.0"))
@@ -247,5 +231,4 @@ def test_operators_that_the_data_exclude_are_refused(tmp_path):
     ],
 )
 def test_incomplete_operators_are_refused(table):
-    with pytest.raises(ValueError, match=r"operator|sections"):
-        MeasurementRecord.model_validate(table)
+    refusal(ValueError, r"operator|sections", MeasurementRecord.model_validate, table)

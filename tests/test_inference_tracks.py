@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from inference_cases import assert_one_density
+from refusals import refusal
 from scipy.linalg import block_diag
 from track_cases import (
     DEPTH,
@@ -22,6 +23,7 @@ from track_cases import (
 )
 
 from needlefit.errors import ConfigError, DataError
+from needlefit.inference import tracking
 from needlefit.inference.baselines import BASELINES
 from needlefit.inference.compared_points import extrapolate_tip, find_end, share_simulations
 from needlefit.inference.forward_model import simulate_deflections
@@ -29,22 +31,6 @@ from needlefit.inference.likelihood import observation
 from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
-from needlefit.inference.tracking import (
-    SlopeMoments,
-    TipNoise,
-    TrackDraws,
-    TrackedNeedle,
-    TrackingEstimate,
-    _linearize,
-    discount_estimate,
-    draw_baseline,
-    estimate_parameters,
-    estimate_slopes,
-    make_prior_from_draws,
-    make_prior_from_factors,
-    predict_readings,
-    set_parameters,
-)
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice
@@ -90,9 +76,8 @@ def test_runs_under_a_resting_guide_are_one_insertion():
         share_simulations([track("run", GUIDE, 0.1 * DEPTH)], 1.0)
     table = {k: v for k, v in MEDIUM.model_dump()["parameters"].items() if k != "guide_distance_mm"}
     bare = MEDIUM.model_validate({"schema": 1, "layers": 1, "parameters": table})
-    with pytest.raises(ConfigError, match="guide") as fault:
-        problem([track("run", REST)], bare)
-    assert fault.value.key == "parameters" and "guide_distance_mm" in fault.value.expected
+    fault = refusal(ConfigError, "guide", lambda: problem([track("run", REST)], bare))
+    assert fault.key == "parameters" and "guide_distance_mm" in fault.expected
 
 
 def test_the_true_parameters_are_recovered(runs):
@@ -199,9 +184,11 @@ def test_later_readings_do_not_enter_the_prediction(runs):
     later = runs[0].tip.copy()
     later[5:] += 9.0
     other = replace(known, measured=np.column_stack([DEPTH, later]))
-    slope = SlopeMoments(np.zeros(8), np.ones(8))
+    slope = tracking.SlopeMoments(np.zeros(8), np.ones(8))
     one, two = (
-        predict_readings(at, np.zeros((8, len(DEPTH))), np.ones(8), slope, 5, np.random.default_rng(1))
+        tracking.predict_readings(
+            at, np.zeros((8, len(DEPTH))), np.ones(8), slope, 5, np.random.default_rng(1)
+        )
         for at in (known, other)
     )
     assert np.array_equal(one, two)
@@ -212,12 +199,15 @@ def test_slopes_of_further_runs_are_predicted_from_the_fitted_ones():
     bent = [measured(track(f"run{n}", REST), n, one) for n, one in enumerate(frames)]
     seen = [observation.make_observation(dataset([]), one) for one in bent]
     (y,) = simulate_tips(bent[:1])
-    drawn = TrackDraws((y,) * 5, (), np.ones(1))
-    found = estimate_slopes(drawn, seen)
+    drawn = tracking.TrackDraws((y,) * 5, (), np.ones(1))
+    found = tracking.estimate_slopes(drawn, seen)
     assert found.mean[0] == pytest.approx(0.03)
     assert found.variance[0] == pytest.approx(0.00025 * 1.2 * 4 / 2)  # scatter, one more run, Student
-    with pytest.raises(ConfigError, match="3 runs"):
-        estimate_slopes(TrackDraws((y,) * 3, (), np.ones(1)), seen[:3])
+    refusal(
+        ConfigError,
+        "3 runs",
+        lambda: tracking.estimate_slopes(tracking.TrackDraws((y,) * 3, (), np.ones(1)), seen[:3]),
+    )
 
 
 def test_a_line_takes_its_slope_from_runs_alike():
@@ -225,12 +215,14 @@ def test_a_line_takes_its_slope_from_runs_alike():
     tracks = [with_tip(track(f"run{n}", guide), one * DEPTH) for n, (guide, one) in enumerate(frames)]
     seen = [observation.make_observation(dataset([]), one) for one in tracks]
     rng = np.random.default_rng(1)
-    drawn = draw_baseline(BASELINES["steered_line"], seen, tracks[-1:], 3, rng)
+    drawn = tracking.draw_baseline(BASELINES["steered_line"], seen, tracks[-1:], 3, rng)
     for further, mean in ((tracks[0], 0.02), (tracks[-1], 0.08)):
-        found = estimate_slopes(drawn, seen, further)
+        found = tracking.estimate_slopes(drawn, seen, further)
         assert found.mean == pytest.approx(np.full(3, mean))
         assert found.variance == pytest.approx(np.full(3, 1e-4 * (1 + 1 / 3) * 4 / 2))
-    few = estimate_slopes(TrackDraws(drawn.tuned[2:], (), drawn.scale, True), seen[2:], tracks[-1])
+    few = tracking.estimate_slopes(
+        tracking.TrackDraws(drawn.tuned[2:], (), drawn.scale, True), seen[2:], tracks[-1]
+    )
     assert few.mean == pytest.approx(np.full(3, 0.0675))
 
 
@@ -251,22 +243,22 @@ def test_each_predicted_run_has_a_bevel_of_its_own(monkeypatch, runs):
 
 # ---- the running estimate of a tracked needle
 
-TIP_NOISE = TipNoise(0.1, 0.1, 0.05, 0.001)
+TIP_NOISE = tracking.TipNoise(0.1, 0.1, 0.05, 0.001)
 OPTIONS = ModelOptions()
 
 
-def tracked(depth: float = 60.0, layers: int = 1, options: ModelOptions = OPTIONS) -> TrackedNeedle:
+def tracked(depth: float = 60.0, layers: int = 1, options: ModelOptions = OPTIONS) -> tracking.TrackedNeedle:
     mu = np.array([0.05, 2.0, 0.1])[:layers]
     tissue = Tissue(mu, np.ones(layers), np.array([20.0, 30.0])[: layers - 1])
     angle = 0.05 if options.path_angle else 0.0
     bevel = Bevel(0.0 if angle else 0.08, 1, angle)
     guided = Controls(base_y=0.3, guides=(Guide(-20.0, 0.1),))
     steps = (Step(depth / 3, bevel, guided), Step(depth, replace(bevel, side=-1), guided))
-    return TrackedNeedle(Needle(150.0, 10_000.0), tissue, steps, options, 1.0)
+    return tracking.TrackedNeedle(Needle(150.0, 10_000.0), tissue, steps, options, 1.0)
 
 
-def read_tips(needle: TrackedNeedle, theta, depths) -> np.ndarray:
-    changed = set_parameters(needle, theta)
+def read_tips(needle: tracking.TrackedNeedle, theta, depths) -> np.ndarray:
+    changed = tracking.set_parameters(needle, theta)
     lattice = Lattice(changed.first_cell, changed.rules.spacing)
     shape = simulate_steps(changed.needle, changed.tissue, changed.steps, changed.rules, lattice)
     return extrapolate_tip(shape.constraints[:, 0], shape.tip_track[:, 0], depths)
@@ -283,20 +275,22 @@ def test_derivatives_are_those_of_differences(options) -> None:
     needle = tracked(layers=3, options=options)
     state = np.append(np.log([0.06, 1.7, 0.09, 0.05]), [0.2, 0.003])
     depths = np.array([3.0, 19.5, 40.0, 59.7])
-    found = _linearize(needle, state, depths)
+    found = tracking._linearize(needle, state, depths)
     for n in range(len(state)):
-        ends = [_linearize(needle, state + sign * 1e-4 * np.eye(6)[n], depths).tip for sign in (1, -1)]
+        ends = [
+            tracking._linearize(needle, state + sign * 1e-4 * np.eye(6)[n], depths).tip for sign in (1, -1)
+        ]
         assert found.by_state[:, n] == pytest.approx((ends[0] - ends[1]) / 2e-4, abs=2e-6)
     assert found.by_state[:, 4:] == pytest.approx(np.column_stack([np.ones(4), depths]))
 
 
 def test_the_estimate_is_the_posterior_on_a_grid() -> None:
     needle = tracked()
-    prior = make_prior_from_factors(needle.tissue.mu, 0.08, (1.6, 1.3), TIP_NOISE)
+    prior = tracking.make_prior_from_factors(needle.tissue.mu, 0.08, (1.6, 1.3), TIP_NOISE)
     truth = prior.theta + np.array([0.3, 0.2])
     readings = make_readings(needle, truth, 1)
-    found = estimate_parameters(needle, readings, prior, TIP_NOISE)
-    slope = _linearize(needle, found.mean, readings[:, 0]).by_depth
+    found = tracking.estimate_parameters(needle, readings, prior, TIP_NOISE)
+    slope = tracking._linearize(needle, found.mean, readings[:, 0]).by_depth
     covariance = np.diag(TIP_NOISE.across**2 + (slope * TIP_NOISE.along) ** 2) + TIP_NOISE.shift**2
     covariance += TIP_NOISE.slope**2 * np.outer(readings[:, 0], readings[:, 0])
     inverse, apart = np.linalg.inv(covariance), np.linspace(-4.5, 4.5, 31)
@@ -316,18 +310,18 @@ def test_the_estimate_is_the_posterior_on_a_grid() -> None:
 
 def test_an_estimate_can_be_the_prior_of_further_readings() -> None:
     needle = tracked(40.0)
-    prior = make_prior_from_factors(needle.tissue.mu, 0.08, (1.3, 1.2), TIP_NOISE)
+    prior = tracking.make_prior_from_factors(needle.tissue.mu, 0.08, (1.3, 1.2), TIP_NOISE)
     readings = make_readings(needle, prior.theta + np.array([0.1, -0.1]), 2)
-    whole = estimate_parameters(needle, readings, prior, TIP_NOISE)
-    first = estimate_parameters(needle, readings[:25], prior, TIP_NOISE)
-    second = estimate_parameters(needle, readings[25:], first, TIP_NOISE)
+    whole = tracking.estimate_parameters(needle, readings, prior, TIP_NOISE)
+    first = tracking.estimate_parameters(needle, readings[:25], prior, TIP_NOISE)
+    second = tracking.estimate_parameters(needle, readings[25:], first, TIP_NOISE)
     assert second.readings == whole.readings == 40
     assert second.theta == pytest.approx(whole.theta, abs=0.1 * whole.sd.max())
     assert second.sd == pytest.approx(whole.sd, rel=0.05)
-    half = discount_estimate(whole, prior)
+    half = tracking.discount_estimate(whole, prior)
     assert np.all((whole.sd < half.sd) & (half.sd < prior.sd)) and half.mean is whole.mean
-    assert discount_estimate(prior, prior).covariance == pytest.approx(prior.covariance)
-    again = estimate_parameters(needle, readings, prior, TIP_NOISE, start=whole)
+    assert tracking.discount_estimate(prior, prior).covariance == pytest.approx(prior.covariance)
+    again = tracking.estimate_parameters(needle, readings, prior, TIP_NOISE, start=whole)
     assert again.theta == pytest.approx(whole.theta, abs=1e-3 * whole.sd.max())
 
 
@@ -335,20 +329,20 @@ def test_priors_from_draws_and_from_factors() -> None:
     rng = np.random.default_rng(0)
     logs = rng.multivariate_normal([0.0, -3.0], [[0.2, -0.1], [-0.1, 0.1]], 4000)
     tied = np.exp(np.column_stack([logs[:, 0], logs[:, 0]]))
-    prior = make_prior_from_draws(tied, np.exp(logs[:, 1]), TIP_NOISE)
+    prior = tracking.make_prior_from_draws(tied, np.exp(logs[:, 1]), TIP_NOISE)
     assert prior.theta == pytest.approx([0.0, 0.0, -3.0], abs=0.03)
     assert prior.covariance[0, 2] == pytest.approx(-0.1, abs=0.01)
     assert prior.covariance[3, 3] == TIP_NOISE.shift**2 and np.linalg.eigvalsh(prior.covariance)[0] > 0
     drawn = np.log(prior.transform(rng.standard_normal((4000, 3))))
     assert np.cov(drawn.T) == pytest.approx(prior.covariance[:3, :3], abs=0.02)
-    factors = make_prior_from_factors(np.array([0.1, 3.0]), 0.05, (2.0, 1.5), TIP_NOISE)
+    factors = tracking.make_prior_from_factors(np.array([0.1, 3.0]), 0.05, (2.0, 1.5), TIP_NOISE)
     low, median, high = factors.interval()
     assert median == pytest.approx([0.1, 3.0, 0.05])
     assert np.log(high / median) / 1.96 == pytest.approx(np.log([2.0, 2.0, 1.5]), rel=1e-4)
-    assert isinstance(factors, TrackingEstimate) and np.all(low < median)
+    assert isinstance(factors, tracking.TrackingEstimate) and np.all(low < median)
 
 
 def test_no_estimate_where_no_needle_is_found() -> None:
     needle = tracked(options=replace(OPTIONS, max_iterations=1))
-    prior = make_prior_from_factors(needle.tissue.mu, 0.08, (1.1, 1.1), TIP_NOISE)
-    assert estimate_parameters(needle, np.array([[10.0, 0.1]]), prior, TIP_NOISE) is None
+    prior = tracking.make_prior_from_factors(needle.tissue.mu, 0.08, (1.1, 1.1), TIP_NOISE)
+    assert tracking.estimate_parameters(needle, np.array([[10.0, 0.1]]), prior, TIP_NOISE) is None

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from mechanics_cases import NEEDLE, RULES, assert_close, assert_same_bits, random_case
+from mechanics_cases import NEEDLE, RULES, assert_close, random_case
 from scipy.interpolate import CubicHermiteSpline
 
 from needlefit.errors import ModelError
@@ -156,18 +156,6 @@ def test_a_step_takes_little_more_than_one_pass(tolerance: float, most: float) -
     assert alone.converged and together.converged.all()
     assert 1.0 <= alone.iterations / DEPTH <= most
     assert 1.0 <= together.iterations.mean() / DEPTH <= most
-
-
-@pytest.mark.parametrize(("thickness", "mu", "alpha"), [(0.5, 0.2, 1.0), (0.3, 1.0, 3.0), (0.2, 5.0, 1.0)])
-def test_sets_whose_tissue_is_crushed_leave_the_others_as_they_are(thickness, mu, alpha) -> None:
-    """Each set has the bytes that it has alone, though others begin again, or fail, at other stops."""
-    tissue = Tissue(mu=[mu], alpha=[alpha], thickness=[thickness])
-    steps, offsets = (Step(30.0, Bevel()),), np.linspace(0.02, 0.5, 8)
-    batch = Batch(NEEDLE, tissue, steps, offset=offsets)
-    (together,) = simulate_batches([batch])
-    for i in range(len(batch)):
-        alone = simulate_steps(*batch.pick(i))
-        assert_same_bits(together[i], alone)
 
 
 def test_deflections_between_nodes_are_cubic() -> None:

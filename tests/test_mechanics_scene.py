@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refusal
 
 import needlefit
 from needlefit.errors import ConfigError
@@ -107,8 +108,7 @@ def test_names_faults_and_the_step_that_fails():
             guides=[{"name": "g", "x_mm": -5, "y_mm": 0}],
             steps=[{"depth_mm": 5}, {"depth_mm": 9, "guides": {"g": {"x_mm": 1}}}],
         )
-    with pytest.raises(ConfigError, match=r"a\.toml: key `law`: .*rubber"):
-        built(depth_mm=5, law="rubber")
+    refusal(ConfigError, r"a\.toml: key `law`: .*rubber", built, depth_mm=5, law="rubber")
     crushing = replace(FIGURE1.steps[1], bevel=Bevel(60.0))
     shapes = simulate_scene(replace(FIGURE1, steps=(FIGURE1.steps[0], crushing, FIGURE1.steps[2])))
     assert [shape.status for shape in shapes] == ["converged", "over-compressed"]

@@ -11,7 +11,6 @@ import pyigtl
 import pytest
 from openigtlink_cases import (
     IDENTITY,
-    asynchronous,
     connected,
     pack,
     read_polydata,
@@ -22,6 +21,7 @@ from openigtlink_cases import (
     until,
 )
 from pydantic import ValidationError
+from server_cases import asynchronous
 from test_cli import run
 from test_viewer_server import Page
 

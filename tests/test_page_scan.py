@@ -2,18 +2,23 @@
 
 import re
 from contextlib import contextmanager
-from pathlib import Path
 
 import pandas as pd
 import pytest
 from test_cli import run
-from test_page import FOUND, Server, chromium  # noqa: F401 - a fixture
+from test_page import NO_BROWSER, Server, chromium, find_violations  # noqa: F401 - a fixture
 
 from needlefit.datasets.read import read
 
-pytestmark = [pytest.mark.sweep, pytest.mark.skipif(FOUND is None, reason="no browser is installed")]
+pytestmark = [pytest.mark.sweep, NO_BROWSER]
 
 PATIENCE_MS = 90_000
+
+
+def expect(part):
+    from playwright.sync_api import expect
+
+    return expect(part)
 
 
 @pytest.fixture(scope="module")
@@ -30,10 +35,8 @@ def opened(chromium, server, **settings):  # noqa: F811
     page, faults = context.new_page(), []
     page.on("pageerror", lambda error: faults.append(str(error)))
 
-    def note(message):
-        if (
-            message.type == "error" and "status of 422" not in message.text
-        ):  # a refused correction is no fault
+    def note(message):  # a refused correction is no fault
+        if message.type == "error" and "status of 422" not in message.text:
             faults.append(message.text)
 
     page.on("console", note)
@@ -57,15 +60,11 @@ def remove_balls(page) -> int:
 
 
 def inserted(page) -> float:
-    from playwright.sync_api import expect
-
     expect(page.locator("#verdict")).to_contain_text("inserted", timeout=PATIENCE_MS)
     return float(re.search(r"inserted ([\d.]+)", page.inner_text("#verdict"))[1])
 
 
 def test_a_placed_tip_is_used_saved_and_repeated(server, chromium, tmp_path, monkeypatch):  # noqa: F811
-    from playwright.sync_api import expect
-
     with opened(chromium, server) as page:
         found = inserted(page)
         assert page.locator("#views canvas").count() == 4
@@ -99,8 +98,6 @@ def test_a_placed_tip_is_used_saved_and_repeated(server, chromium, tmp_path, mon
 
 
 def test_without_balls_the_page_names_what_is_needed_and_goes_on(server, chromium):  # noqa: F811
-    from playwright.sync_api import expect
-
     with opened(chromium, server) as page:
         count = remove_balls(page)
         page.click("#again")
@@ -113,8 +110,6 @@ def test_without_balls_the_page_names_what_is_needed_and_goes_on(server, chromiu
 
 
 def test_a_tip_is_placed_by_keys_alone(server, chromium):  # noqa: F811
-    from playwright.sync_api import expect
-
     with opened(chromium, server) as page:
         page.focus("figure.coronal canvas")
         page.keyboard.press("t")
@@ -132,20 +127,16 @@ def test_a_tip_is_placed_by_keys_alone(server, chromium):  # noqa: F811
     "settings", [{}, {"color_scheme": "dark"}, {"viewport": {"width": 390, "height": 844}}]
 )
 def test_axe_finds_no_violation(server, chromium, settings):  # noqa: F811
-    package = pytest.importorskip("axe_playwright_python")
-    script = (Path(package.__file__).parent / "axe.min.js").read_text("utf-8")
     with opened(chromium, server, **settings) as page:
-        page.evaluate(script)
-        found = page.evaluate("axe.run()")["violations"]
+        found = find_violations(page)
         remove_balls(page)
         page.click("#again")
         page.wait_for_selector("#verdict.refused", timeout=PATIENCE_MS)
-        found += page.evaluate("axe.run()")["violations"]
+        found += find_violations(page)
         small = page.evaluate(
             """[...document.querySelectorAll("button, input, select")].filter((one) => one.checkVisibility())
             .map((one) => [one.outerHTML, one.getBoundingClientRect()])
             .filter(([, { width, height }]) => Math.min(width, height) < 24).map(([name]) => name)"""
         )
         wide = page.evaluate("document.documentElement.scrollWidth - innerWidth")
-    assert [(one["id"], [node["html"][:120] for node in one["nodes"]]) for one in found] == []
-    assert small == [] and wide <= 0
+    assert found == small == [] and wide <= 0

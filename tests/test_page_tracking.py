@@ -1,17 +1,14 @@
 """The page of a tracked needle in a real browser: the estimate, what freezes it, and its release."""
 
 import socket
-import subprocess
-import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 from openigtlink_cases import pack, tip_path, transform
-from test_page import FOUND, chromium  # noqa: F401 - a fixture
+from test_page import NO_BROWSER, Server, chromium, find_violations  # noqa: F401 - a fixture
 
-pytestmark = [pytest.mark.sweep, pytest.mark.skipif(FOUND is None, reason="no browser is installed")]
+pytestmark = [pytest.mark.sweep, NO_BROWSER]
 
 
 @pytest.fixture
@@ -20,13 +17,11 @@ def served(tmp_path):
     (tmp_path / "tracker.toml").write_text(f"schema = 1\ntracker_to_ras = {np.eye(4).tolist()}\n")
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
-    command = [sys.executable, "-m", "needlefit", "view", "phantom2", "--no-browser", "--out", str(tmp_path)]
-    command += ["--openigtlink", str(port), "--tracker", str(tmp_path / "tracker.toml")]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
-        address = process.stdout.readline().strip()
-        with socket.create_connection(("127.0.0.1", port)) as link:
-            yield address, link
-        process.terminate()
+    tracker = ("--openigtlink", str(port), "--tracker", str(tmp_path / "tracker.toml"))
+    running = Server(tmp_path, "phantom2", *tracker)
+    with socket.create_connection(("127.0.0.1", port)) as link:
+        yield running.address, link
+    running.end()
 
 
 def test_the_estimate_is_shown_frozen_by_a_jump_and_released(served, chromium):  # noqa: F811
@@ -47,10 +42,7 @@ def test_the_estimate_is_shown_frozen_by_a_jump_and_released(served, chromium): 
     assert page.evaluate("window.needlefit.state.depth_mm") == pytest.approx(30, abs=1)  # not begun by itself
     assert page.locator("#tracking-estimate div").count() == 5
     assert page.inner_text("#by-hand") == ""
-    package = pytest.importorskip("axe_playwright_python")
-    page.evaluate((Path(package.__file__).parent / "axe.min.js").read_text("utf-8"))
-    found = page.evaluate("axe.run()")["violations"]
-    assert [(one["id"], [node["html"][:120] for node in one["nodes"]]) for one in found] == []
+    assert find_violations(page) == []
     page.click("#tracking-release")
     link.sendall(pack("Tip", transform(tip_path()[30])))
     expect(page.locator("#tracking-frozen")).not_to_contain_text("jumped")

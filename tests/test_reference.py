@@ -13,7 +13,7 @@ from needlefit.schemas.study import SelectionRecord, StudyRecord
 from needlefit.studies import paper
 from needlefit.studies.job import prepare
 from needlefit.studies.kinds.cross_validation.run import Settings, run
-from needlefit.studies.paper.claims import Claim, ClaimBound
+from needlefit.studies.paper import Claim, ClaimBound
 from needlefit.studies.reference import round_frame
 from needlefit.studies.run import describe_configuration
 from needlefit.studies.store import read_run

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from refusals import refusal
 from track_cases import HEAD, TOML
 
 from needlefit.datasets.compression import read_compression
@@ -64,41 +65,32 @@ def test_the_name_and_the_media_of_a_dataset_are_refused_with_file_and_key(key, 
     text = file.read_text()
     assert old in text
     file.write_text(text.replace(old, key.format("=cmd"), 1).replace("[[media.medium1", '[[media."=cmd"'))
-    with pytest.raises((ConfigError, DataError)) as error:
-        read(file)
-    assert "dataset.toml" in str(error.value) and "=cmd" in str(error.value)
+    error = refusal((ConfigError, DataError), "", read, file)
+    assert "dataset.toml" in str(error) and "=cmd" in str(error)
 
 
 def test_names_of_tracks_compression_and_scans_are_refused_with_their_line(tmp_path):
     rows = "".join(f"=run,gel,{n},0.1,0,1\n" for n in range(9))
     (tmp_path / "steps.csv").write_text(HEAD + rows)
     (tmp_path / "dataset.toml").write_text(TOML)
-    with pytest.raises(DataError, match="=run") as error:
-        read(tmp_path / "dataset.toml")
-    assert "steps.csv:2" in str(error.value)
+    error = refusal(DataError, "=run", read, tmp_path / "dataset.toml")
+    assert "steps.csv:2" in str(error)
     tables = {"name": "../fit", "medium": "gel", "tune": {}, "validate": {}}
-    with pytest.raises(ConfigError, match=r"\.\./fit"):
-        check_tables(tables, TrackFitRecord, "study")
-    tmp_path /= "b"
-    tmp_path.mkdir()
+    refusal(ConfigError, r"\.\./fit", check_tables, tables, TrackFitRecord, "study")
+    (tmp_path := tmp_path / "b").mkdir()
     rows = "".join(f"@a,{1 - 0.05 * n:.2f},{0.01 * n:.3f}\n" for n in range(10))
     (tmp_path / "gel.csv").write_text("sample,stretch,nominal_stress_mpa\n" + rows)
-    with pytest.raises(DataError, match="@a") as error:
-        read_compression(tmp_path / "gel.csv")
-    assert "gel.csv:2" in str(error.value)
-    tmp_path /= "c"
-    tmp_path.mkdir()
+    error = refusal(DataError, "@a", read_compression, tmp_path / "gel.csv")
+    assert "gel.csv:2" in str(error)
+    (tmp_path := tmp_path / "c").mkdir()
     volume = shipped_folder() / "data" / "sample_scan" / "volumes" / "sample.nrrd"
     (tmp_path / "=cmd.nrrd").symlink_to(volume)
     (tmp_path / "good.nrrd").symlink_to(volume)
-    with pytest.raises(DataError, match="=cmd"):
-        make_scans([tmp_path / "=cmd.nrrd"])
-    with pytest.raises(DataError, match="=gel"):
-        make_scans([tmp_path / "good.nrrd"], medium="=gel")
+    refusal(DataError, "=cmd", make_scans, [tmp_path / "=cmd.nrrd"])
+    refusal(DataError, "=gel", make_scans, [tmp_path / "good.nrrd"], medium="=gel")
     (tmp_path / "scans.csv").write_text("scan,specimen\ngood.nrrd,+piece\n=cmd.nrrd,\n")
-    with pytest.raises(DataError) as error:
-        read_scans(tmp_path / "scans.csv")
-    assert "scans.csv:2" in str(error.value) and "+piece" in str(error.value) and "=cmd" in str(error.value)
+    error = refusal(DataError, "", read_scans, tmp_path / "scans.csv")
+    assert "scans.csv:2" in str(error) and "+piece" in str(error) and "=cmd" in str(error)
 
 
 @pytest.mark.parametrize("name", ["=study", "-x", "@x"])
@@ -107,8 +99,6 @@ def test_studies_and_folders_are_refused(name, tmp_path, monkeypatch):
     file = tmp_path / f"{name}.toml"
     file.write_text((shipped_folder() / "studies" / "study1.toml").read_text())
     for finds in (find_studies, find_study_or_fit):
-        with pytest.raises(ConfigError, match="refused"):
-            finds(f"./{name}.toml")
-    with pytest.raises(ConfigError, match="refused"):
-        write_template(tmp_path / name)
+        refusal(ConfigError, "refused", finds, f"./{name}.toml")
+    refusal(ConfigError, "refused", write_template, tmp_path / name)
     assert not (tmp_path / name).exists()

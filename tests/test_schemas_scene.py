@@ -5,6 +5,7 @@ import re
 from datetime import date
 
 import pytest
+from refusals import refusal
 
 from needlefit.errors import ConfigError
 from needlefit.project.locate import find_file, list_names, shipped_folder
@@ -171,20 +172,18 @@ def test_an_error_states_the_expected_value_and_the_fix(more, what, expected, fi
 
 def test_several_errors_are_each_listed_once():
     layer = {"top_mm": 0, "mu_pa": -1, "alpha": "x"}
-    with pytest.raises(ConfigError) as fault:
-        check(BARE | {"depth_mm": 5, "layers": [layer]}, SceneRecord, "a.toml")
-    assert re.findall(r"`([\w.]+)` is ([^;]+)", fault.value.what) == [
+    fault = refusal(ConfigError, "", check, BARE | {"depth_mm": 5, "layers": [layer]}, SceneRecord, "a.toml")
+    assert re.findall(r"`([\w.]+)` is ([^;]+)", fault.what) == [
         ("layers.1.mu_pa", "-1"),
         ("layers.1.alpha", '"x"'),
     ]
-    modulus, alpha = fault.value.expected.split("; ")
+    modulus, alpha = fault.expected.split("; ")
     assert modulus.startswith("`layers.1.mu_pa`") and "above 0" in modulus
     assert alpha.startswith("`layers.1.alpha`") and "quotes" in alpha
-    assert re.findall(r"`([\w.]+)`", fault.value.fix) == ["layers.1.mu_pa", "layers.1.alpha"]
+    assert re.findall(r"`([\w.]+)`", fault.fix) == ["layers.1.mu_pa", "layers.1.alpha"]
     assert check(BARE | {"depth_mm": 5}, SceneRecord, "a.toml").depth_mm == 5.0
     with pytest.raises(ConfigError, match="key `title`"):
         check(BARE | {"depth_mm": 5, "title": date(2020, 1, 1)}, SceneRecord, "a.toml")
     tables = {"schema": 1, "depth_mm": 3.0, "needle": {"length_mm": 9, "flexural_rigidity_nmm2": 1}}
     tables |= {"bevel": {"offset_mm": 0.1}, "layers": [{"top_mm": 0, "mu_pa": 1, "alpha": 1}, {"top_mm": 1}]}
-    with pytest.raises(ConfigError, match=r"`layers\.2\.mu_pa`.* missing"):
-        check(tables, SceneRecord, "a.toml")
+    refusal(ConfigError, r"`layers\.2\.mu_pa`.* missing", check, tables, SceneRecord, "a.toml")

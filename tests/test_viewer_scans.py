@@ -1,15 +1,12 @@
 """A scan that is examined and corrected: slices, corrections, the session and its server."""
 
-import asyncio
 import copy
 import dataclasses
-import functools
-from contextlib import asynccontextmanager
 from pathlib import Path
 
-import aiohttp
 import numpy as np
 import pytest
+from server_cases import asynchronous, served
 from test_cli import run
 
 from needlefit.cli.view import names_scan, open_session
@@ -25,21 +22,35 @@ from needlefit.viewer.scan_session import (
     make_course,
     read_corrections,
 )
-from needlefit.viewer.server import ScanPage, serve
+from needlefit.viewer.server import ScanPage
 
 SAMPLE = Path(__file__).parents[1] / "data/sample_scan/scans.csv"
 
 
 @pytest.fixture(scope="module")
-def session(tmp_path_factory) -> ScanSession:
+def examined(tmp_path_factory) -> ScanSession:
     return open_session(str(SAMPLE), {}, None, tmp_path_factory.mktemp("scans"))
 
 
 @pytest.fixture(scope="module")
-def free_session(session, tmp_path_factory) -> ScanSession:
+def free(examined, tmp_path_factory) -> ScanSession:
+    scan = dataclasses.replace(examined.scan, stage=None, propose_layers=True)
+    folder = tmp_path_factory.mktemp("free") / "free"
+    return ScanSession(scan, examined.recipe, examined._recipe_file, folder)
+
+
+@pytest.fixture
+def session(examined):
+    """A session as found, whatever was corrected before."""
+    yield examined
+    examined.again({})
+
+
+@pytest.fixture
+def free_session(free):
     """A session of the scan without its stage: the entry is where the scan shows it."""
-    scan = dataclasses.replace(session.scan, stage=None, propose_layers=True)
-    return ScanSession(scan, session.recipe, session._recipe_file, tmp_path_factory.mktemp("free") / "free")
+    yield free
+    free.again({})
 
 
 def turned(columns) -> Volume:
@@ -57,9 +68,8 @@ def turned(columns) -> Volume:
 )
 def test_slices_show_the_patient_from_the_same_sides(columns):
     volume = turned(columns)
-    for axes, (right, down) in zip(
-        list_slice_axes(volume), ([0, 1], [0, -2], [1, -2]), strict=True
-    ):  # patient axes to the right and downwards; -2: S runs upwards
+    ways = ([0, 1], [0, -2], [1, -2])  # patient axes to the right and downwards; -2: S runs upwards
+    for axes, (right, down) in zip(list_slice_axes(volume), ways, strict=True):
         plane = cut_slice(volume, axes, 1)
         shape = [volume.grid.size[axis] for axis in (axes.down, axes.right)]
         assert plane.shape == tuple(shape)
@@ -71,11 +81,7 @@ def test_slices_show_the_patient_from_the_same_sides(columns):
             ends = [[int(v // 100), int(v % 100 // 10), int(v % 10)] for v in (first, last)]
             step = np.diff(to_patient(volume, np.array(ends, dtype=float)), axis=0)[0]
             assert np.sign(step[patient]) == sign
-    assert [one.letters for one in list_slice_axes(volume)] == [
-        ("R", "L", "A", "P"),
-        ("R", "L", "S", "I"),
-        ("A", "P", "S", "I"),
-    ]
+    assert ["".join(one.letters) for one in list_slice_axes(volume)] == ["RLAP", "RLSI", "APSI"]
 
 
 @pytest.mark.sweep
@@ -160,11 +166,10 @@ def test_proposed_layers_are_shown_where_the_needle_crosses_them(session, free_s
 def test_corrections_are_used_kept_and_repeated(session, tmp_path):
     found = session.describe()
     tip = np.array(found["tip"]["at"])
-    back = tip + 0.8 * (np.array(found["axis"][-3]) - tip) / np.linalg.norm(np.array(found["axis"][-3]) - tip)
+    along = np.array(found["axis"][-3]) - tip
+    placed = {"tip": (tip + 0.8 * along / np.linalg.norm(along)).tolist(), "contact": None}
     balls = [one["at"] for one in found["balls"]]
-    session.again(
-        {"tip": back.tolist(), "needle": found["tubes"][0]["middle"], "balls": balls, "contact": None}
-    )
+    session.again(placed | {"needle": found["tubes"][0]["middle"], "balls": balls})
     corrected = session.describe()
     assert corrected["tip"]["placed"] and corrected["tip"]["along_sd"] == 0.3
     assert corrected["inserted"]["depth"] == pytest.approx(found["inserted"]["depth"] - 0.8, abs=0.05)
@@ -206,12 +211,21 @@ def test_only_saving_writes_and_never_over_what_another_session_saved(session, t
 
 
 @pytest.mark.sweep
-def test_a_refused_scan_shows_how_far_it_got(session):
-    session.again({"balls": [one["at"] for one in session.describe()["balls"][:3]]})
+@pytest.mark.parametrize("refused", ["three balls", "balls elsewhere", "a needle beside every tube"])
+def test_a_correction_that_does_not_fit_is_an_error_of_the_scan(session, refused):
+    balls = [one["at"] for one in session.describe()["balls"]]
+    corrections, where = {
+        "three balls": ({"balls": balls[:3]}, ""),
+        "balls elsewhere": ({"balls": [[0.0, 0.0, 900.0 + n] for n in range(4)]}, "balls placed by hand"),
+        "a needle beside every tube": ({"needle": session.volume.origin.tolist()}, "needle_x_mm"),
+    }[refused]
+    session.again(corrections)
     found = session.describe()
-    session.again({})
     assert found["error"]["what"] and found["inserted"] is None
-    assert found["tip"] is not None and found["tubes"][0]["chosen"]
+    assert found["error"]["where"].startswith(where)
+    assert (found["axis"] is None) == (refused == "a needle beside every tube")
+    if refused == "three balls":  # it shows how far it got
+        assert found["tip"] is not None and found["tubes"][0]["chosen"]
 
 
 @pytest.mark.sweep
@@ -221,14 +235,6 @@ def test_too_few_balls_change_nothing(session, count):
     with pytest.raises(DataError, match=f"{count} "):
         session.again({"balls": [one["at"] for one in before["balls"][:count]]})
     assert session.describe() == before
-
-
-@pytest.mark.sweep
-def test_placed_balls_that_fit_nothing_are_named_without_their_file(session):
-    session.again({"balls": [[0.0, 0.0, 900.0 + n] for n in range(4)]})
-    error = session.describe()["error"]
-    session.again({})
-    assert error["where"] == "balls placed by hand"
 
 
 @pytest.mark.sweep
@@ -244,20 +250,10 @@ def test_what_a_dataset_may_not_hold_is_refused_on_the_page_and_by_the_command(
     found = free_session.describe()
     axis = np.array(found["axis"])
     free_session.again({"contact": (axis[-1] + 0.3 * (axis[-1] - axis[-2])).tolist()})
-    error = free_session.describe()["error"]
-    table = free_session.save()
-    free_session.again({})
+    error, table = free_session.describe()["error"], free_session.save()
     assert found["error"] is None and error is not None
     assert run("reconstruct", str(table), "--out", str(tmp_path / "out"), "-q") == 3
     assert error["what"] in capsys.readouterr().err
-
-
-@pytest.mark.sweep
-def test_a_needle_picked_beside_every_tube_is_an_error_of_the_scan(session):
-    session.again({"needle": session.volume.origin.tolist()})
-    found = session.describe()
-    session.again({})
-    assert found["error"]["where"].startswith("needle_x_mm") and found["axis"] is None
 
 
 @pytest.mark.sweep
@@ -267,45 +263,18 @@ def test_targets_that_are_scans_are_recognised(tmp_path, monkeypatch):
     (tmp_path / "run").mkdir()
     (tmp_path / "run/run.json").write_text("{}")
     volume = SAMPLE.parent / "volumes/sample.nrrd"
-    scans = [
-        "sample_scan",
-        str(SAMPLE),
-        f"{SAMPLE}/sample",
-        str(volume),
-        str(volume.parent),
-        str(SAMPLE.parent),
-    ]
-    assert [names_scan(one) for one in scans] == 6 * [True]
+    files = (SAMPLE, f"{SAMPLE}/sample", volume, volume.parent, SAMPLE.parent)
+    assert [names_scan(one) for one in ("sample_scan", *map(str, files))] == 6 * [True]
     assert [names_scan(one) for one in (None, "phantom2", "a.toml", "run", "twin/x")] == 5 * [False]
-    with pytest.raises(ConfigError):
-        open_session(f"{SAMPLE}/other", {}, None, tmp_path)
-    with pytest.raises(ConfigError):
-        open_session(str(SAMPLE), {"markers": tmp_path / "m.csv"}, None, tmp_path)
-
-
-@asynccontextmanager
-async def served(session):
-    opened: asyncio.Future = asyncio.get_running_loop().create_future()
-    end = asyncio.Event()
-    server = asyncio.create_task(serve(ScanPage(session), 0, opened.set_result, end.wait))
-    async with aiohttp.ClientSession() as client:
-        yield await opened, client
-    end.set()
-    await server
-
-
-def visit(test):
-    @functools.wraps(test)
-    def run(session):
-        asyncio.run(test(session))
-
-    return run
+    for name, files in ((f"{SAMPLE}/other", {}), (str(SAMPLE), {"markers": tmp_path / "m.csv"})):
+        with pytest.raises(ConfigError):
+            open_session(name, files, None, tmp_path)
 
 
 @pytest.mark.sweep
-@visit
+@asynchronous
 async def test_requests_without_the_token_are_refused(session):
-    async with served(session) as (access, client):
+    async with served(ScanPage(session)) as (access, client):
         base = f"http://127.0.0.1:{access.port}"
         async with client.get(base) as answer:
             assert answer.status == 200 and "scan/main.js" in await answer.text()

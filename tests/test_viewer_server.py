@@ -10,6 +10,7 @@ from functools import partial
 
 import aiohttp
 import pytest
+from server_cases import served
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.scene import Scene
@@ -29,7 +30,6 @@ from needlefit.viewer.server import (
     AccessControl,
     RateLimit,
     SteeringPage,
-    serve,
 )
 from needlefit.viewer.steering import Change
 from needlefit.viewer.trials import MAX_TRIALS, TrialRegistry
@@ -85,13 +85,8 @@ class House:
 async def house(folder, name: str = "study2"):
     viewed_scene = open_target(name)
     trials = TrialRegistry(viewed_scene, folder, lambda insertion: open_target(viewed_scene.name, insertion))
-    opened: asyncio.Future = asyncio.get_running_loop().create_future()
-    end = asyncio.Event()
-    server = asyncio.create_task(serve(SteeringPage(trials), 0, opened.set_result, end.wait))
-    async with aiohttp.ClientSession() as client:
-        yield House(await opened, client, trials, folder)
-    end.set()
-    await server
+    async with served(SteeringPage(trials)) as (access, client):
+        yield House(access, client, trials, folder)
 
 
 def visit(test, name: str = "study2"):
@@ -103,7 +98,7 @@ def visit(test, name: str = "study2"):
             await test(server, await server.page())
 
     def run(tmp_path, monkeypatch) -> None:
-        asyncio.run(asyncio.wait_for(attend(tmp_path / "view", monkeypatch), 30))
+        asyncio.run(asyncio.wait_for(attend(tmp_path / "view", monkeypatch), 90))
 
     run.__name__, run.__doc__ = test.__name__, test.__doc__
     return run

@@ -95,11 +95,13 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
             }
         )
     else:
-        screen.print_text(_summarize(path, found.dataset, len(faults)))
+        count = 0 if found.dataset is None else len(found.dataset.insertions)
+        sound = f"No faults: {count} insertion{'' if count == 1 else 's'} in {path}."
+        unsound = f"{len(faults)} fault{'' if len(faults) == 1 else 's'} in {path}:"
+        screen.print_text(unsound if faults or found.dataset is None else sound)
         for fault in faults:
-            screen.print_line(
-                str(DataError(fault.what, where=fault.where, expected=fault.expected, fix=fault.fix))
-            )
+            error = DataError(fault.what, where=fault.where, expected=fault.expected, fix=fault.fix)
+            screen.print_line(str(error))
     screen.print_warnings(invocation, warnings)
     if found.dataset is not None and not faults and not invocation.json:
         _show(found.dataset, measured)
@@ -107,18 +109,24 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
         raise typer.Exit(DataError.exit_code)
 
 
-def _summarize(path: Path, dataset: "Dataset | None", faults: int) -> str:
-    if faults or dataset is None:
-        return f"{faults} fault{'' if faults == 1 else 's'} in {path}:"
-    count = len(dataset.insertions)
-    return f"No faults: {count} insertion{'' if count == 1 else 's'} in {path}."
-
-
 def _show(dataset: "Dataset", measured: str) -> None:
-    from needlefit.reporting.dataset_table import lay_out_dataset
+    """Print a row per medium and number of layers: insertions, specimens, depths and deflections."""
+    import pandas as pd
 
+    from needlefit.reporting.table import Table
+    from needlefit.reporting.table_files import to_records
+
+    names = ("medium", "layers", "specimen", "depth", "deflection")
+    frame = pd.DataFrame([{name: getattr(one, name) for name in names} for one in dataset.insertions])
+    rows = frame.groupby(["medium", "layers"], sort=False, as_index=False).agg(
+        insertions=("depth", "size"),
+        specimen_count=("specimen", "nunique"),
+        **{f"{name}_{end}_mm": (name, end) for name in ("depth", "deflection") for end in ("min", "max")},
+    )
+    columns = ("medium", "layers", "insertions", "specimen_count", "depth_range_mm", "deflection_range_mm")
+    table = Table("dataset", "Insertions.", to_records(rows), columns).lay_out()
     origin = "SYNTHETIC data" if dataset.origin == "synthetic" else "Measured data"
     screen.print_line()
     screen.print_text(f"{origin}: {dataset.title}")
-    screen.show_display(lay_out_dataset(dataset), notes=False)
+    screen.show_display(table, notes=False)
     screen.print_text(f"Measurement: {measured}.")

@@ -46,18 +46,18 @@ class Execution:
     file: Path | None = None
     pool: "TaskPool | None" = None
 
-    def prepare(self, names: Iterable[str], replaces_posterior: bool = False) -> None:
-        """Make sure, before hours of work, that the results can be written.
-
-        `replaces_posterior` says that these runs sample a posterior whatever the options say.
+    def prepare(self, names: Iterable[str], referenced: Iterable[str] = ()) -> None:
+        """Make sure, before hours of work, that the results can be written, and reference results if wanted.
 
         ConfigError if they cannot, or would replace something that needlefit did not write.
         """
         from needlefit.project.checkpoint import require_own_checkpoint
         from needlefit.project.folders import require_replaceable
 
-        samples = self.invocation.sample or replaces_posterior
-        for name in names:
+        asked = self.invocation
+        replacing = dict.fromkeys(names, asked.sample)  # whether a sampled posterior may be replaced
+        replacing |= {f"reference/{name}": True for name in referenced if asked.reference}
+        for name, samples in replacing.items():
             require_replaceable(self.folder(name))
             require_own_checkpoint(self.checkpoint(name))
             if not samples and any(self.folder(name).glob("posterior*.nc")):
@@ -122,11 +122,6 @@ class Execution:
         from needlefit.studies.report import write_run
 
         return write_run(result, self.folder(result.name))
-
-    def prepare_reference(self, names: Iterable[str]) -> None:
-        """Make sure that reference results can be written, if wanted; ConfigError as of `prepare`."""
-        if self.invocation.reference:
-            self.prepare([f"reference/{name}" for name in names], replaces_posterior=True)
 
     def write_reference(self, runs: "Iterable[Run]") -> None:
         """Write the reference results of runs, if wanted: their tables, rounded."""
@@ -330,5 +325,9 @@ def show_warnings(invocation: Invocation, result: "Run") -> None:
     """Print the warnings of a run to stderr, with the paths of the files that they are about."""
     from needlefit.studies.report import list_run_warnings
 
-    data = Path(result.timing.get("dataset", "")).parent
-    screen.print_warnings(invocation, [screen.locate_warning(one, data) for one in list_run_warnings(result)])
+    data, located = Path(result.timing.get("dataset", "")).parent, []
+    for one in list_run_warnings(result):
+        file = one.where.rpartition(":")[0] or one.where
+        is_there = file and (data / file).is_file()
+        located.append(replace(one, where=str(data / one.where)) if is_there else one)
+    screen.print_warnings(invocation, located)

@@ -99,7 +99,12 @@ def make_printable(error: BaseException) -> None:
 def _to_user_error(error: BaseException) -> BaseException:
     """Return an error of Python's of which it is known what a user can do, as one that says so."""
     if isinstance(error, OSError):
-        return _from_system_error(error)
+        return ConfigError(
+            f"cannot be read or written: {error.strerror or error}",
+            where=str(error.filename or ""),
+            expected="a place that exists, with space left, that you may read and write",
+            fix="check the path and its permissions, or choose another folder",
+        )
     if isinstance(error, MemoryError):
         return ConfigError(
             "there is not enough memory for this",
@@ -118,16 +123,6 @@ def _to_user_error(error: BaseException) -> BaseException:
             fix="rename it",
         )
     return error
-
-
-def _from_system_error(error: OSError) -> ConfigError:
-    """Return what the operating system refused as an error that says what to do."""
-    return ConfigError(
-        f"cannot be read or written: {error.strerror or error}",
-        where=str(error.filename or ""),
-        expected="a place that exists, with space left, that you may read and write",
-        fix="check the path and its permissions, or choose another folder",
-    )
 
 
 def _is_usage_error(error: BaseException) -> bool:

@@ -2,7 +2,6 @@
 
 import shlex
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,8 +11,7 @@ from needlefit.cli import screen
 from needlefit.cli.options import argument, flag, option, takes
 
 if TYPE_CHECKING:
-    from needlefit.datasets.importing.decisions import Decisions, Question
-    from needlefit.datasets.insertion import Dataset
+    from needlefit.datasets.importing.decisions import Question
 
 
 @takes(
@@ -67,7 +65,7 @@ def import_data(
     from needlefit.datasets.importing.decisions import Decisions
     from needlefit.datasets.read import check_all
     from needlefit.project.folders import require_new, require_no_inputs_within
-    from needlefit.reporting.dataset_import import write_import
+    from needlefit.reporting.dataset_import import tabulate_decisions, tabulate_needles, write_import
     from needlefit.schemas.names import require_file_name
 
     require_new(out)
@@ -82,10 +80,24 @@ def import_data(
     )
     dataset = write_import(out, content, plan, decisions)
     warnings = check_all(out)[1]
+    count, needles = len(dataset.insertions), tabulate_needles(dataset)
     if invocation.json:
-        _show_json(out, dataset, decisions, content.notes)
+        screen.show_json(
+            {
+                "dataset": str(out / "dataset.toml"),
+                "insertions": needles.to_dict(orient="records"),
+                "decisions": [one.model_dump() for one in decisions.made],
+                "notes": list(content.notes),
+            }
+        )
     else:
-        _show(out, dataset, decisions, content.notes)
+        assumed = sum(one.source == "assumption" for one in decisions.made)
+        imported = f"{count} insertion{'s' * (count > 1)} imported; {assumed} values are assumptions"
+        screen.print_line(f"{out}: {imported}\n")
+        screen.show_frame(needles, "Needles")
+        screen.show_frame(tabulate_decisions(decisions), "Decisions")
+        for note in content.notes:
+            screen.print_note(note)
     screen.print_warnings(invocation, warnings)
     path = str(out) if out.is_absolute() else f"./{out}"
     screen.print_note(f"look at {out}/import.png, then: {shlex.join(('needlefit', 'check', path))}")
@@ -102,30 +114,3 @@ def _ask(question: "Question", guess: str, reason: str) -> str:
     choices = f" ({', '.join(question.choices)})" if 0 < len(question.choices) <= 6 else ""
     answer: str = typer.prompt(f"{question.text}{choices}", default=guess, err=True)
     return "" if answer == guess else answer
-
-
-def _show(out: Path, dataset: "Dataset", decisions: "Decisions", notes: Sequence[str]) -> None:
-    from needlefit.reporting.dataset_import import tabulate_decisions, tabulate_needles
-
-    count = len(dataset.insertions)
-    assumed = sum(one.source == "assumption" for one in decisions.made)
-    what = f"{out}: {count} insertion{'s' * (count > 1)} imported; {assumed} values are assumptions"
-    screen.print_line(what)
-    screen.print_line()
-    screen.show_frame(tabulate_needles(dataset), "Needles")
-    screen.show_frame(tabulate_decisions(decisions), "Decisions")
-    for note in notes:
-        screen.print_note(note)
-
-
-def _show_json(out: Path, dataset: "Dataset", decisions: "Decisions", notes: Sequence[str]) -> None:
-    from needlefit.reporting.dataset_import import tabulate_needles
-
-    screen.show_json(
-        {
-            "dataset": str(out / "dataset.toml"),
-            "insertions": tabulate_needles(dataset).to_dict(orient="records"),
-            "decisions": [one.model_dump() for one in decisions.made],
-            "notes": list(notes),
-        }
-    )

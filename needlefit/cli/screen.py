@@ -7,7 +7,6 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TextIO
 
@@ -167,9 +166,3 @@ def print_warnings(invocation: Invocation, warnings: Iterable[ResultWarning]) ->
     for one in warnings:
         invocation.warned = True
         print_note(f"needlefit: warning: {one} ({one.help_command})")
-
-
-def locate_warning(one: ResultWarning, folder: Path) -> ResultWarning:
-    """Return a warning about a file of a folder with the file's path."""
-    file = one.where.rpartition(":")[0] or one.where
-    return replace(one, where=str(folder / one.where)) if file and (folder / file).is_file() else one

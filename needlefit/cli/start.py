@@ -46,7 +46,6 @@ def new_dataset(folder: Path, source: Path | None = None) -> None:
 
 
 MAX_LISTED_NAMES = 5  # files that a message names
-
 _IGNORED = shutil.ignore_patterns(".*", "__pycache__", "*.partial")
 
 

@@ -133,8 +133,7 @@ def calibrate(
         ending = ("-sample" if sample else "") + ("-synthetic" if synthetic else "") + ("-ct" if ct else "")
         about = f"calibrate-{load_target(target)[0].removesuffix('-tune')}{ending}"
         runs = {f"{about}-{one}" if one else about: one for one in _list_controls(control)}
-        execution.prepare(runs)
-        execution.prepare_reference(runs)
+        execution.prepare(runs, runs)
         with execution.in_pool() as pooled:
             found = [
                 pooled.run_kind(
@@ -203,8 +202,8 @@ def validate(context: typer.Context, study: str) -> None:
         from needlefit.project.locate import STUDY_GROUPS
 
         todo, combined = plan_studies(study), [study] if study in STUDY_GROUPS else []
-        execution.prepare([*(work.name for work in todo), *combined])
-        execution.prepare_reference(work.name for work in todo)
+        names = [work.name for work in todo]
+        execution.prepare([*names, *combined], names)
         with execution.in_pool() as pooled:
             runs = run_studies(pooled, todo)
         if combined:

@@ -139,13 +139,16 @@ def _server() -> Callable[..., "Coroutine[None, None, None]"]:
     try:
         from needlefit.viewer.server import serve
     except ModuleNotFoundError as error:
-        if error.name != "aiohttp":
-            raise
-        raise ConfigError(
-            "the page needs aiohttp, which is not installed",
-            fix="pip install 'needlefit[view]'",
-        ) from None
+        raise _explain_missing(error, "aiohttp", "the page", "view") from None
     return serve
+
+
+def _explain_missing(error: ModuleNotFoundError, package: str, user: str, extra: str) -> Exception:
+    """Return the error of a package that is not installed; any other stays as it is."""
+    if (error.name or "").partition(".")[0] != package:
+        return error
+    what = f"{user} needs {package}, which is not installed"
+    return ConfigError(what, fix=f"pip install 'needlefit[{extra}]'")
 
 
 def _read_tracker(port: int | None, path: Path | None) -> "TrackerRecord | None":
@@ -175,12 +178,7 @@ def _openigtlink(
     try:
         from needlefit.viewer.openigtlink import OpenIGTLinkServer
     except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] != "pyigtl":
-            raise
-        raise ConfigError(
-            "OpenIGTLink needs pyigtl, which is not installed",
-            fix="pip install 'needlefit[view,openigtlink]'",
-        ) from None
+        raise _explain_missing(error, "pyigtl", "OpenIGTLink", "view,openigtlink") from None
     tracked = TrackedTrial(record, trials)
     if tracked.registration_error is not None:
         screen.print_note(

@@ -116,8 +116,7 @@ class TargetSite:
             return None
         points = compute_positions(shape, np.linspace(0.0, shape.depth, PATH_POINTS))
         world = insertion.frame.to_world(np.column_stack([points, np.zeros(PATH_POINTS)]))
-        flat: Floats = self.plane.to_local(world)[:, :2]
-        return flat
+        return self.plane.to_local(world)[:, :2]
 
 
 def aim_straight(plane: EntryPlaneRecord, target: tuple[float, float], angle: float, side: int) -> Aim:

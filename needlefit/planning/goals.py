@@ -59,8 +59,7 @@ def compute_clearances(needles: Floats, obstacle: ObstacleRecord) -> Floats:
 
 def compute_misses(needles: Floats, goal: Goal) -> Floats:
     """Return the distance (B,), mm, of every tip from the target."""
-    found: Floats = np.linalg.norm(needles[:, -1] - goal.target, axis=1)
-    return found
+    return np.linalg.norm(needles[:, -1] - goal.target, axis=1)
 
 
 def find_hits(needles: Floats, goal: Goal) -> Bools:
@@ -78,8 +77,7 @@ def compute_residuals(needles: Floats, goal: Goal) -> Floats:
     for one in goal.obstacles:
         near = np.maximum(0.0, one.margin_mm - compute_clearances(needles, one))
         parts.append(OBSTACLE_PENALTY * np.where(solved, near, 0.0)[:, None])
-    scaled: Floats = np.hstack(parts).ravel() / math.sqrt(len(needles))
-    return scaled
+    return np.hstack(parts).ravel() / math.sqrt(len(needles))
 
 
 def minimize_miss(
@@ -90,13 +88,8 @@ def minimize_miss(
 ) -> tuple[Floats, float]:
     """Return the choice with the least expected squared miss within bounds, and the root of that, mm.
 
-    Parameters
-    ----------
-    residuals : callable
-        Several choices -> `compute_residuals` of the needles of each; a gradient asks for all its choices at
-        once.
-    steps : (P,) array
-        Of the differences.
+    `residuals`: several choices -> `compute_residuals` of the needles of each; a gradient asks for all its
+    choices at once. `steps` (P,) are those of the differences.
     """
     low, high = bounds
 

@@ -216,19 +216,9 @@ def plan_steering(
 ) -> SteeringPlan:
     """Return the plan of least risk from where the needle stands.
 
-    Parameters
-    ----------
-    goal : Goal
-        With a finite radius.
-    limits : PlanLimits, optional
-        The entry is shifted only from first contact on.
-    threads : int, optional
-        By default as many as there are cores.
-
-    Raises
-    ------
-    ModelError
-        If the target is not ahead of the tip, out of the needle's reach, or no needle is found on the way.
+    The radius of `goal` is finite; the entry is shifted within its limits only from first contact on.
+    `threads` are by default as many as there are cores. Raises ModelError if the target is not ahead of the
+    tip, out of the needle's reach, or no needle is found on the way.
     """
     search = _Search(insertion, goal, limits or PlanLimits(), threads)
     x, nearest = goal.target[0], insertion.now.depth + NEAREST_TARGET_MM
@@ -348,8 +338,7 @@ class _Search:
     def effort(self, choice: _Choice) -> Floats:
         """Return how far a choice moves entry, base and its slope, as parts of their ranges."""
         low, high = self.bounds
-        moved: Floats = ((choice.at - self.still) / (high - low))[[0, 2, 3]]
-        return moved
+        return ((choice.at - self.still) / (high - low))[[0, 2, 3]]
 
     def residuals(self, choices: Sequence[_Choice]) -> list[Floats]:
         """Return the misses of each choice over the draws of the search, and how far it moves the base."""

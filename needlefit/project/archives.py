@@ -14,9 +14,7 @@ from needlefit.errors import DataError
 from needlefit.project.input_files import open_regular
 
 MAX_ARCHIVE_BYTES = 8 * 2**30  # size of an archive: it may hold more than what is unpacked of it
-
 MAX_MEMBERS = 50_000  # files in an archive, those of archives inside it among them
-
 MAX_MEMBER_NAME_CHARS = 500
 READ_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 """Packing that takes little memory, however the archive was made."""

@@ -42,9 +42,7 @@ from needlefit.project.input_files import parse_json, read_bytes
 from needlefit.project.progress import Note, no_note
 
 MAX_CHECKPOINT_BYTES = 2**31  # size of a file of rows
-
 ARRAYS_KEY = "arrays"  # of a row: its arrays by name
-
 _DIGEST_CHARACTERS = 16
 _ARRAY_TYPES = ("<f8", "<f4", "<i8", "|b1")
 _OWN_FILE = re.compile(
@@ -57,7 +55,6 @@ _LOCK_TEXT, _MAX_LOCK_BYTES = re.compile(rb"\d* ?[0-9a-f]{0,16}\n?"), 100
 """What the lock holds: nothing at first, then the process that has it, perhaps cut short."""
 
 _MAX_MANIFEST_BYTES = 2**20  # size of the manifest of a checkpoint, which has a hundred bytes
-
 _held: dict[Path, int] = {}
 """Open lock files of this process: a complete run has its lock until its results stand."""
 
@@ -187,21 +184,12 @@ def open_checkpoint(
     """Open the checkpoint in `folder` for the given work; without `resume` an old one is emptied.
 
     This process has its lock, where the system has locks, until `remove_checkpoint` or `release_checkpoint`.
-    A checkpoint whose manifest is damaged is set aside.
+    A checkpoint whose manifest is damaged is set aside; `note` is given a line about each part that was
+    damaged. With folder None nothing is kept. `work` is all that decides the result, as JSON values.
 
     ConfigError if the checkpoint is of other work, another process uses it, it cannot be written, or the
     folder holds anything that needlefit did not write. UnfinishedWorkError if an interrupted run left part of
     this work there, and `resume` does not say to go on with it.
-
-    Parameters
-    ----------
-    folder : Path or None
-        None keeps nothing.
-    resume : bool
-    work : mapping
-        All that decides the result, as JSON values: a checkpoint of other work is refused.
-    note : callable
-        Given a line about each part that was damaged.
     """
     if folder is None:
         return NO_CHECKPOINT
@@ -302,16 +290,13 @@ def find_foreign_in_checkpoint(folder: Path) -> list[str]:
 def _is_begun(folder: Path) -> bool:
     """Whether a process ended when it had no more than the lock, and perhaps half the manifest."""
     names = set(list_all_files(folder))
-    if not names <= {LOCK_NAME, MANIFEST} or not _is_lock(folder / LOCK_NAME):
+    try:
+        lock = read_bytes(folder / LOCK_NAME, _MAX_LOCK_BYTES) if is_regular(folder / LOCK_NAME) else None
+    except DataError:
+        lock = None
+    if not names <= {LOCK_NAME, MANIFEST} or lock is None or not _LOCK_TEXT.fullmatch(lock):
         return False
     return MANIFEST not in names or (_work_of(folder) is None and _is_manifest_of_checkpoint(folder))
-
-
-def _is_lock(path: Path) -> bool:
-    try:
-        return is_regular(path) and _LOCK_TEXT.fullmatch(read_bytes(path, _MAX_LOCK_BYTES)) is not None
-    except DataError:
-        return False
 
 
 def _is_manifest_of_checkpoint(folder: Path) -> bool:

@@ -34,14 +34,11 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 CONNECT_S = 10.0  # seconds that a scheduler may take to answer
-
 CLOSE_S = 2.0  # seconds that a scheduler, which may be lost, has to take leave
-
 COUNT_WORKERS_S = 1.0
 """Least seconds between two counts of the workers: each sends the addresses of all of them here."""
 
 TASKS_PER_WORKER = 2  # tasks at the scheduler for each worker: one that runs, and one that follows it at once
-
 CHECKED_PACKAGES = ("numpy", "scipy", "nlopt", "emcee", "trimesh")
 """Packages that results depend on; their versions are equal everywhere."""
 
@@ -149,16 +146,10 @@ def _lost_scheduler() -> ConfigError:
 
 @contextmanager
 def connect(scheduler: str, insecure: bool = False, note: Note = no_note) -> Iterator[ClusterPool]:
-    """Connect to a scheduler, and disconnect in the end.
+    """Connect to a scheduler, `tls://HOST:PORT` or on this machine `tcp://HOST:PORT`; disconnect in the end.
 
-    ConfigError if the address is wrong or not secured, nobody answers, or Dask is not installed.
-
-    Parameters
-    ----------
-    scheduler : str
-        `tls://HOST:PORT`, or `tcp://HOST:PORT` on this machine.
-    insecure : bool
-        Whether an unencrypted scheduler on another machine is accepted.
+    `insecure` also accepts an unencrypted scheduler on another machine. ConfigError if the address is wrong
+    or not secured, nobody answers, or Dask is not installed.
     """
     if find_spec("distributed") is None:
         raise ConfigError(
@@ -199,7 +190,12 @@ def require_secured(scheduler: str, insecure: bool = False) -> None:
             expected="tls://HOST:PORT",
             fix="start a scheduler with `dask scheduler`; see docs/scale.md",
         )
-    if parts.scheme == "tls" or insecure or _is_loopback(str(parts.hostname)):
+    host = str(parts.hostname)
+    try:
+        is_here = ip_address(host).is_loopback
+    except ValueError:
+        is_here = host == "localhost"
+    if parts.scheme == "tls" or insecure or is_here:
         return
     raise ConfigError(
         "is not encrypted: whoever can reach it could run code on its workers and read the data",
@@ -207,13 +203,6 @@ def require_secured(scheduler: str, insecure: bool = False) -> None:
         expected="tls:// with certificates, or an address of this machine",
         fix="use tls://; on a network that nobody else can reach, --insecure accepts tcp://",
     )
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def _keep(data: bytes) -> bytes:

@@ -19,7 +19,6 @@ class Hook(NamedTuple):
 
 
 Hooks = Mapping[type, Hook]  # by the type; `kind` declares what `to_plain` returns and `from_plain` is given
-
 Arrays = dict[str, NDArray[Any]]
 
 

@@ -34,7 +34,6 @@ SCRATCH_NAME_BYTES = 24
 """What the name of a scratch folder, a checkpoint or a damaged one adds to that of a result."""
 
 INNER_PATH_BYTES = 300  # length of the longest path that a result holds, from its own folder on
-
 _MAX_NAME_BYTES, _MAX_PATH_BYTES = 255, 4096  # of a system that states neither
 
 
@@ -60,14 +59,9 @@ def require_writable(place: Path) -> None:
 def require_output_files(outputs: Mapping[str, Path], inputs: Iterable[Path]) -> None:
     """Raise ConfigError unless each file that an option names can be written, and is not an input.
 
-    ConfigError if a folder is missing or cannot be written to, or a file is a folder, an input (also by
-    another name: a link), or named by two options.
-
-    Parameters
-    ----------
-    outputs : mapping of option to path
-    inputs : iterable of path
-        Files that the run reads, and folders of such files.
+    `inputs` are files that the run reads, and folders of such files. ConfigError if a folder is missing or
+    cannot be written to, or a file is a folder, an input (also by another name: a link), or named by two
+    options.
     """
     sources = list(inputs)
     for option, path in outputs.items():
@@ -170,7 +164,6 @@ TIMING_FILE = "timing.json"
 """The one file of a result that differs from run to run; without its digest the manifest does not."""
 
 MAX_LISTED_FILES = 5  # files that a message names
-
 CHANGED = "was changed since it was written"
 
 
@@ -379,7 +372,6 @@ LOCK_NAME = "lock"
 """A file in it that its process holds locked; the lock goes with the process, however that ends."""
 
 _SCRATCH = ".needlefit-"  # in the name of a scratch folder, behind that of its place
-
 _SCRATCH_NAMES = {LOCK_NAME, f"{LOCK_NAME}.new", NEW_NAME, OLD_NAME, f"{OLD_NAME}.aside"}
 _MARK = "a scratch folder of needlefit\n"
 REMOVED_LAST = (MANIFEST, "run.json", "dataset.toml")

@@ -3,7 +3,6 @@
 import csv
 import posixpath
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -52,23 +51,17 @@ class HelpSection:
 def read_sections() -> dict[str, HelpSection]:
     """Return the sections of the page by key."""
     page = read_text(shipped_folder() / TROUBLESHOOTING_PAGE)
-    found = (
-        HelpSection(match["key"], match["title"], tuple(_split_paragraphs(match["body"])))
-        for match in _SECTION_PATTERN.finditer(page)
-    )
-    return {one.key: one for one in found}
 
+    def name_page(link: re.Match[str]) -> str:  # in place of a link
+        path = posixpath.normpath(posixpath.join(posixpath.dirname(TROUBLESHOOTING_PAGE), link[2]))
+        return f"{link[1]} ({path})" if link[2] else link[1]
 
-def _split_paragraphs(body: str) -> Iterator[str]:
-    """Yield paragraphs and items as plain text: another page is named in place of a link."""
-    for part in re.split(r"\n\s*\n|\n(?=- )", body.strip()):
-        plain = _LINK_PATTERN.sub(_name_page, " ".join(part.split()))
-        yield plain.replace("**", "")
-
-
-def _name_page(link: re.Match[str]) -> str:
-    page = posixpath.normpath(posixpath.join(posixpath.dirname(TROUBLESHOOTING_PAGE), link[2]))
-    return f"{link[1]} ({page})" if link[2] else link[1]
+    found = {}
+    for match in _SECTION_PATTERN.finditer(page):
+        parts = re.split(r"\n\s*\n|\n(?=- )", match["body"].strip())
+        plain = (_LINK_PATTERN.sub(name_page, " ".join(part.split())).replace("**", "") for part in parts)
+        found[match["key"]] = HelpSection(match["key"], match["title"], tuple(plain))
+    return found
 
 
 # --- the glossary ---------------------------------------------------------------------------------------

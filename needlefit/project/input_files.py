@@ -19,14 +19,10 @@ from typing import Any, BinaryIO
 from needlefit.errors import ConfigError, DataError, NeedlefitError
 
 MAX_CONFIG_BYTES = 8 * 2**20  # size of a TOML file
-
 MAX_TEXT_BYTES = 256 * 2**20  # size of a table, a list of markups or another text file
-
 MAX_NESTING_LEVELS = 64  # depth to which tables and lists of a TOML or JSON file may be nested
-
 MAX_FOLDER_FILES = 200_000
 MAX_FOLDER_LEVELS = 32  # files in a folder and its subfolders, and how deep these may be nested
-
 SAVE_AS_UTF8 = 'save it as UTF-8 (in a spreadsheet: "CSV UTF-8")'
 
 _KINDS = (
@@ -50,16 +46,10 @@ FileErrorType = type[DataError] | type[ConfigError]
 def open_regular(
     path: Path, max_bytes: int, error: FileErrorType = DataError, where: str = ""
 ) -> Iterator[BinaryIO]:
-    """Open a regular file of at most `max_bytes` for reading.
+    """Open a regular file of at most `max_bytes` for reading; messages name it by `where`, or its path.
 
-    DataError or ConfigError if the file is missing, may not be read, is no regular file, or is larger.
-
-    Parameters
-    ----------
-    error : type
-        What is raised: `ConfigError` for a file that configures, else `DataError`.
-    where : str
-        How messages name the file; its path if empty.
+    `error` (ConfigError for a file that configures, else DataError) if the file is missing, may not be read,
+    is no regular file, or is larger.
     """
     where = where or str(path)
     try:

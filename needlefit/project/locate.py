@@ -123,10 +123,7 @@ _DATASET_KEYS = {"origin", "needle", "insertions", "centerlines", "tip_tracks"}
 
 
 def find_dataset_or_study(name: str) -> tuple[Literal["dataset", "study", "fit"], Path]:
-    """Return the dataset, or else the study or fit, that `name` means.
-
-    ConfigError if there is none.
-    """
+    """Return the dataset, or else the study or fit, that `name` means; ConfigError if there is none."""
     if is_path(name):
         path = find_file("dataset", name)
         keys = read_toml(path, where=file_label(path)).keys()

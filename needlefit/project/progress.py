@@ -3,7 +3,6 @@
 from collections.abc import Callable
 
 Progress = Callable[[str, int, int], None]  # told what is being done, how much of it is done, and of how much
-
 Stop = Callable[[], bool]
 
 Note = Callable[[str], None]

@@ -43,7 +43,6 @@ READER_BYTES = 512 * 2**20
 """Memory of a reader beside what the header promises: tables, a compressed block, one slice."""
 
 READER_SECONDS = 8  # processor time of a reader beside what the size of the content warrants
-
 WALL_SECONDS = 60
 """Time in which a reader must be done, beside four times its processor time: a disk may be slow."""
 
@@ -131,17 +130,12 @@ def read_in_sandbox(
 ) -> tuple[Any, dict[str, Array]]:
     """Run a reader in a limited child process; return its value and its arrays.
 
-    NeedlefitError: what the reader raised. DataError if the reader crashed, or needed more memory or time
-    than `allowed`. ModuleNotFoundError if the child lacks a package.
+    `reader` is "module:function". It is called with a `SandboxArrays`, which makes the arrays that it fills,
+    and with the `arguments`; these and its value are JSON. Its module is imported before the limits are set.
+    Messages name `file`.
 
-    Parameters
-    ----------
-    reader : str
-        "module:function". It is called with a `SandboxArrays`, which makes the arrays that it fills, and with
-        the `arguments`; these and its value are JSON. Its module is imported before the limits are set.
-    file : Path
-        What messages name.
-    allowed : Limits
+    Raised is what the reader raised, a NeedlefitError; DataError if it crashed, or needed more memory or time
+    than `allowed`; ModuleNotFoundError if the child lacks a package.
     """
     with _shared_file() as shared:
         request = {

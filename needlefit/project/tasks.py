@@ -35,7 +35,6 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 STOP_POLL_S = 0.2  # seconds between two questions whether to stop, while tasks run elsewhere
-
 MIN_SHARED_S = 8.0  # seconds of work that are worth sending to other machines
 
 _ENDING_SIGNALS = (
@@ -56,16 +55,10 @@ class TaskPool(Protocol):
     ) -> Iterator[tuple[int, Result]]:
         """Yield the number of each item and what `work` makes of it, as they are finished.
 
-        ConfigError if the system ended a process, as it does when memory runs out.
-
-        Parameters
-        ----------
-        work : callable
-            A function of a module: it, the items and what it returns travel between processes. Where it
-            raises, nothing more is begun.
-        stop : callable
-            Once it is true, no further item is begun; a task that asks `stop_requested` ends early and has no
-            result.
+        `work` is a function of a module: it, the items and what it returns travel between processes. Where it
+        raises, nothing more is begun. Once `stop` is true, no further item is begun; a task that asks
+        `stop_requested` ends early and has no result. ConfigError if the system ended a process, as it does
+        when memory runs out.
         """
         ...
 
@@ -118,25 +111,13 @@ THIS_PROCESS = LocalPool()  # one task at a time, in this process
 
 
 def as_finished(
-    submit: Callable[[int], Any],
+    submit: Callable[[int], Any],  # the number of a task -> its future
     count: int,
-    wanted: Callable[[], int],
-    stop: Stop,
-    drop: bool = False,
+    wanted: Callable[[], int],  # returns how many tasks are submitted at once
+    stop: Stop,  # once it is true, no further task is submitted
+    drop: bool = False,  # whether those that run are not waited for then
 ) -> Iterator[tuple[int, Any]]:
-    """Yield the number of each of `count` tasks and its future, once it is done.
-
-    Parameters
-    ----------
-    submit : callable
-        The number of a task -> its future.
-    wanted : callable
-        Returns how many tasks are submitted at once.
-    stop : callable
-        Once it is true, no further task is submitted.
-    drop : bool
-        Whether those that run are not waited for then.
-    """
+    """Yield the number of each of `count` tasks and its future, once it is done."""
     waiting, running = list(range(count))[::-1], dict[Any, int]()
     finished: SimpleQueue[Any] = SimpleQueue()
     while waiting or running:

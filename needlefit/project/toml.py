@@ -55,10 +55,14 @@ def check(tables: dict[str, Any], kind: type[R], where: Path | str) -> R:
         )
     except ValidationError as error:
         faults = schema_faults(error, kind)
+        keys = (f"`{fault.key}`: " if len(faults) > 1 else "" for fault in faults)
+        expected = [
+            f"{key}{fault.expected}" for key, fault in zip(keys, faults, strict=True) if fault.expected
+        ]
         raise ConfigError(
             "; ".join(fault.what for fault in faults),
             where=where if isinstance(where, str) else locate_key(where, faults[0].key),
-            expected=join_by_key([(fault.key, fault.expected) for fault in faults]),
+            expected="; ".join(expected),
             fix="; ".join(fault.fix for fault in faults if fault.fix),
         ) from None
 
@@ -231,18 +235,9 @@ def _records(annotation: object) -> Iterator[type[BaseModel]]:
         yield from _records(inner)
 
 
-def join_by_key(texts: Sequence[tuple[str, str]]) -> str:
-    """Join texts on several keys in one line; a single key is not named again."""
-    stated = [(key, text) for key, text in texts if text]
-    if len(texts) == 1:
-        return stated[0][1] if stated else ""
-    return "; ".join(f"`{key}`: {text}" for key, text in stated)
-
-
 # ---- on which line a key stands: tomllib does not say
 
 MAX_CANDIDATE_LINES = 100  # lines that are tried; a key that is repeated more often gets no line
-
 MAX_STATEMENT_LINES = 400  # lines of one key and its value
 
 

@@ -36,7 +36,6 @@ ANGLE_SD_DEG = (0.02, 20.0)
 BOUNDARY_TO_DEPTH = 2e-3
 """Thickness of a layer over the depth of the insertion: a skin of 0.1 mm before 50 mm."""
 BOUNDARIES_TO_DEPTH = 0.1  # depth of the last of several boundaries over that of the deepest insertion
-
 LENGTH_UNITS = {"metres": 1e3, "inches": 25.4, "centimetres": 10.0, "micrometres": 1e-3}
 """Millimetres in each."""
 
@@ -51,9 +50,7 @@ TYPICAL_GPA = (3.0, 40.0, 75.0, 110.0, STEEL_GPA)
 """Young's moduli of a polymer, nitinol (martensite, austenite), titanium, steel."""
 
 DIAMETER_MM = (0.15, 5.0)  # outer diameter of a needle, least and most: 34 gauge has 0.18, 10 gauge 3.4
-
 MIN_INNER_DIAMETER_MM = 0.05  # inner diameter of a tube: 34 gauge has 0.08
-
 MIN_WALL_TO_DIAMETER = 0.03  # wall of a tube over its outer diameter; ultra-thin walls have 0.08
 
 GAUGES_MM = {
@@ -64,11 +61,9 @@ GAUGES_MM = {
 """Outer diameters of needles by their gauge."""
 
 MIN_CELLS = 5  # constraint cells of an insertion: its tip's way is made of as many straight cuts
-
 WARNING_KIND = "units"
 
 FormatPlace = Callable[[str], str]  # the key of a value -> file and line
-
 Doubt = tuple[str, str, str]  # a key, what is hard to believe about it, and what to do
 
 

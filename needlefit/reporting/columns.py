@@ -54,11 +54,8 @@ TEXT_FORMATS = ("text", "prose", "flag", "medium", "method", "metric", "symbol")
 """Of columns that stand at the left; "prose" takes the remaining width."""
 
 METRIC_FORMAT, METRIC_UNIT = "error", "{metric}"  # of values in the unit of the metric that the row names
-
 LENGTH_ERROR_FORMAT = "error_mm"  # of metrics that are lengths
-
 DIGITS = "digits"  # key of a row's decimals of errors that are lengths; two without it
-
 _NO_ROW: Mapping[str, Any] = MappingProxyType({})
 _OPTIONAL_PATTERN, _VALUE_PATTERN = re.compile(r"\[([^]]*)\]"), re.compile(r"\{(\w+):(\w+)\}")
 
@@ -133,17 +130,13 @@ def list_columns() -> dict[str, Column]:
             found[f"floor_{metric.name}"] = Column(
                 f"floor_{metric.name}", metric.unit, form, f"{metric.label} floor", floor
             )
-    return dict(sorted((found | _list_shape_columns()).items()))
-
-
-def _list_shape_columns() -> dict[str, Column]:
-    """Return the columns of the shape parameters of all laws; several laws may have one of the same name."""
-    found: dict[str, Column] = {}
-    for one in list_shape_parameters():
+    shape: dict[str, Column] = {}
+    for one in list_shape_parameters():  # several laws may have one of the same name
         key = f"{one.name}{{k}}"
-        words = f"{found[key].explanation}; {one.explanation}" if key in found else one.explanation
-        found[key] = Column(key, one.unit, "number", f"{one.symbol}{{k}}", words)
-    return {key: replace(one, explanation=f"Of layer k: {one.explanation}.") for key, one in found.items()}
+        words = f"{shape[key].explanation}; {one.explanation}" if key in shape else one.explanation
+        shape[key] = Column(key, one.unit, "number", f"{one.symbol}{{k}}", words)
+    found |= {key: replace(one, explanation=f"Of layer k: {one.explanation}.") for key, one in shape.items()}
+    return dict(sorted(found.items()))
 
 
 def find_column(name: str) -> Column:

@@ -32,7 +32,6 @@ PICTURE_FILE = "import.png"
 
 MAX_LABELLED_NEEDLES, MAX_NAME_CHARS = 14, 14
 SAME_AXIS_DEG = 10.0  # a view that is so near to a world axis is along that axis
-
 AWAY_COLOUR = "#b3261e"
 MAX_DRAWN_TRIANGLES = 20_000
 

@@ -11,7 +11,6 @@ from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 from importlib.util import find_spec
-from itertools import count
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
@@ -95,28 +94,43 @@ def table(display: TableLayout) -> Block:
     return {"kind": "table", **asdict(display)}
 
 
+MAX_HALF_WIDTH_PT = 254.0  # points: figures up to one column of a paper, 3.5 in, are half as wide as a page
+_MEDIA_BOX = re.compile(rb"/MediaBox\s*\[\s*0\s+0\s+([0-9.]+)")
+
+
 def figure(path: Path, caption: str) -> Block:
     """Return a figure: the PDF at `path`, in its own size; two that are half as wide as a page stand side by
     side.
     """
-    return {"kind": "figure", "path": path, "caption": caption, "half": _is_half(path)}
-
-
-MAX_HALF_WIDTH_PT = 254.0  # points: figures up to one column of a paper, 3.5 in, are half as wide as a page
-
-_MEDIA_BOX = re.compile(rb"/MediaBox\s*\[\s*0\s+0\s+([0-9.]+)")
-
-
-def _is_half(path: Path) -> bool:
     width = _MEDIA_BOX.search(path.read_bytes())
-    return width is not None and float(width[1]) <= MAX_HALF_WIDTH_PT
+    half = width is not None and float(width[1]) <= MAX_HALF_WIDTH_PT
+    return {"kind": "figure", "path": path, "caption": caption, "half": half}
 
 
 def compile_pdf(document: Document) -> bytes:
     """Return the PDF of a report."""
-    pictures = [block["path"] for block in document.blocks if "path" in block]
-    numbered = {f"figure-{number}.pdf": path for number, path in enumerate(pictures, start=1)}
-    return compile_template("report.typ", _payload(document), numbered)
+    blocks, pictures = list(_number_blocks(document)), dict[str, Path]()
+    for block in blocks:
+        if "path" in block:
+            block["file"] = f"{block['id']}.pdf"
+            pictures[block["file"]] = block.pop("path")
+    head = {key: getattr(document, key) for key in ("title", "subtitle", "synthetic", "unverified")}
+    payload = head | {"version": find_version(), "blocks": blocks}
+    return compile_template("report.typ", payload, pictures)
+
+
+def _number_blocks(document: Document) -> Iterator[Block]:
+    """Yield copies of the blocks, with a place to link to; empty tables are left out."""
+    counts = {"heading": 0, "figure": 0, "table": 0}
+    for block in document.blocks:
+        kind = block["kind"]
+        if kind == "table" and not block["rows"]:
+            continue
+        if kind not in counts:
+            yield {**block}
+            continue
+        counts[kind] += 1
+        yield {**block, "number": counts[kind], "id": f"{kind}-{counts[kind]}"}
 
 
 def compile_template(
@@ -137,24 +151,6 @@ def compile_template(
         pdf = typst.compile(str(page), root=name, ignore_system_fonts=True)
     assert isinstance(pdf, bytes)
     return pdf
-
-
-def key_by_file_name(pictures: Sequence[Path]) -> dict[str, Path]:
-    """Return pictures by file name, for a template that refers to them by file name."""
-    return {picture.name: picture for picture in pictures}
-
-
-def _payload(document: Document) -> Block:
-    """Return what the template reads, figures by their number; a table without rows is left out."""
-    number = count(1)
-    blocks = [
-        {key: value for key, value in block.items() if key != "path"}
-        | ({"file": f"figure-{next(number)}.pdf"} if "path" in block else {})
-        for block in document.blocks
-        if block["kind"] != "table" or block["rows"]
-    ]
-    head = {key: getattr(document, key) for key in ("title", "subtitle", "synthetic", "unverified")}
-    return head | {"version": find_version(), "blocks": blocks}
 
 
 def find_version() -> str:
@@ -204,6 +200,14 @@ def format_html_part(document: Document) -> str:
 
 def _render_html(template: str, document: Document) -> str:
     blocks = list(_number_blocks(document))
+    for block in blocks:
+        if "path" in block:
+            block |= _encode_figure(block.pop("path").read_bytes())
+    explorer = None
+    if document.explorer is not None:
+        values = to_json_values(document.explorer)
+        words = json.dumps(values, ensure_ascii=True, separators=(",", ":"), allow_nan=False)
+        explorer = Markup(words.replace("<", "\\u003c"))  # noqa: S704 - nothing in it can end a script element
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("needlefit.reporting"),
         autoescape=True,
@@ -223,44 +227,27 @@ def _render_html(template: str, document: Document) -> str:
         explorer_place=next(
             k for k, block in enumerate([*blocks, {"kind": "heading"}]) if block["kind"] == "heading"
         ),
-        explorer=None if document.explorer is None else _inline_json(document.explorer),
+        explorer=explorer,
         scripts=_read_scripts(document.explorer is not None),
         open_tables=OPEN_TABLES,
     )
 
 
-def _number_blocks(document: Document) -> Iterator[Block]:
-    """Yield the blocks with a place to link to, figures with their picture; empty tables are left out."""
-    counts = {"heading": 0, "figure": 0, "table": 0}
-    for block in document.blocks:
-        kind = block["kind"]
-        if kind == "table" and not block["rows"]:
-            continue
-        if kind not in counts:
-            yield block
-            continue
-        counts[kind] += 1
-        numbered = {key: value for key, value in block.items() if key != "path"}
-        numbered |= {"number": counts[kind], "id": f"{kind}-{counts[kind]}"}
-        yield numbered | (_encode_figure(block["path"].read_bytes()) if kind == "figure" else {})
-
-
 def _encode_figure(pdf: bytes) -> Block:
-    """Return a figure as the address of an SVG that holds it, and how wide it is shown, px."""
+    """Return a figure as the address of an SVG that holds it, and how wide it is shown, px.
+
+    Its paths are to 0.01 pt: a third of it is further digits.
+    """
     svg = compile_sheet(pdf, ".pdf", form="svg")
     inside, width = _INNER_SVG_PATTERN.search(svg), _SVG_WIDTH_PATTERN.search(svg)
     assert inside is not None and width is not None, "typst sets a PDF as an SVG within its own"
-    return {"picture": _shrink_svg(inside[1]), "width": round(SVG_SCALE * float(width[1]))}
-
-
-def _shrink_svg(address: bytes) -> str:
-    """Return the address of an SVG with its paths to 0.01 pt: a third of it is further digits."""
-    kind, _, data = address.partition(b",")
+    kind, _, data = inside[1].partition(b",")
     drawing = _SVG_PATH_PATTERN.sub(
         lambda path: _SVG_DIGITS_PATTERN.sub(rb"\1", path[0]), base64.b64decode(data)
     )
     small = base64.b64encode(_SVG_INDENT_PATTERN.sub(b"\n", drawing))
-    return f"{kind.decode('ascii')},{small.decode('ascii')}"
+    picture = f"{kind.decode('ascii')},{small.decode('ascii')}"
+    return {"picture": picture, "width": round(SVG_SCALE * float(width[1]))}
 
 
 def _raise_exponents(words: str) -> Markup:
@@ -269,12 +256,6 @@ def _raise_exponents(words: str) -> Markup:
         lambda found: f"<sup>{found[1].replace('-', '−')}</sup>", str(escape(words))
     )
     return Markup(raised)  # noqa: S704 - escaped first; the pattern adds only the tags
-
-
-def _inline_json(values: Mapping[str, Any]) -> Markup:
-    """Return JSON that can stand within a script element."""
-    words = json.dumps(to_json_values(values), ensure_ascii=True, separators=(",", ":"), allow_nan=False)
-    return Markup(words.replace("<", "\\u003c"))  # noqa: S704 - nothing in it can end the element
 
 
 def _read_scripts(plots: bool) -> list[Markup]:

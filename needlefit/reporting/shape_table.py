@@ -37,7 +37,9 @@ def tabulate_shape(scene: Scene, moment: NeedleState, placement: Placement | Non
         From 1; none before the tissue.
     """
     shape, tissue = moment.shape, moment.tissue
-    s = _stations(shape.x)
+    whole = np.arange(np.ceil(shape.x[0]), shape.x[-1])
+    near = np.abs(whole[:, None] - shape.x).min(axis=1) < _MIN_STATION_DISTANCE_MM
+    s = np.union1d(shape.x, whole[~near])
     place = compute_positions(shape, s)
     world = (placement or scene.entry).to_world(place)  # (K, 3) or (K, 2)
     layer = pd.array(1 + np.searchsorted(tissue.boundaries, s), dtype="Int64")
@@ -56,16 +58,6 @@ def tabulate_shape(scene: Scene, moment: NeedleState, placement: Placement | Non
 
 
 def write_shape(scene: Scene, moment: NeedleState, path: Path, placement: Placement | None = None) -> None:
-    """Write the table of a shape, .csv.
-
-    ConfigError if the folder of `path` does not exist.
-    """
+    """Write the table of a shape, .csv; ConfigError if the folder of `path` does not exist."""
     require_folder(path)
     write_csv(tabulate_shape(scene, moment, placement), path)
-
-
-def _stations(nodes: np.ndarray) -> np.ndarray:
-    """Return the nodes and, between them, every whole millimetre."""
-    whole = np.arange(np.ceil(nodes[0]), nodes[-1])
-    near = np.abs(whole[:, None] - nodes).min(axis=1) < _MIN_STATION_DISTANCE_MM
-    return np.union1d(nodes, whole[~near])

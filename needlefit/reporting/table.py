@@ -45,13 +45,6 @@ class Cells:
     cell: "Callable[[Row], str]"
 
 
-def _find_cells(key: str, rows: "Sequence[Row]") -> Cells:
-    column = find_column(key)
-    unit = _find_unit(column, {row.get("metric") for row in rows})
-    head = TableColumn(column.label, unit, "left" if column.is_text else "right", column.format == "prose")
-    return Cells(head, column.format_cell)
-
-
 def _find_unit(column: Column, metrics: Iterable[object]) -> str:
     """Return the unit of a column in rows of these metrics; none where theirs differ."""
     units = {METRICS[str(name)].unit for name in metrics if name in METRICS}
@@ -107,7 +100,15 @@ class Table:
     def lay_out(self, drop_empty: bool = False) -> TableLayout:
         """Return the table as text, without columns that are empty if wanted."""
         rows = list(self.rows)
-        columns = [_find_cells(one, rows) if isinstance(one, str) else one for one in self.columns]
+        columns: list[Cells] = []
+        for one in self.columns:
+            if isinstance(one, str):
+                column = find_column(one)
+                unit = _find_unit(column, {row.get("metric") for row in rows})
+                align: Literal["left", "right"] = "left" if column.is_text else "right"
+                head = TableColumn(column.label, unit, align, column.format == "prose")
+                one = Cells(head, column.format_cell)
+            columns.append(one)
         begins = [k for k, row in enumerate(rows) if not k or self._key(row) != self._key(rows[k - 1])]
         cells = tuple(
             tuple(
@@ -123,8 +124,8 @@ class Table:
             strong = tuple(k for k, row in enumerate(rows) if row[self.strong])
         if drop_empty:
             kept = [i for i in range(len(heads)) if any(row[i] not in ("", "–") for row in cells)]
-            heads, *rest = (tuple(row[i] for i in kept) for row in (heads, *cells))
-            cells = tuple(rest)
+            heads = tuple(heads[i] for i in kept)
+            cells = tuple(tuple(row[i] for i in kept) for row in cells)
         return TableLayout(self.name, self.caption, heads, cells, breaks, strong, self.notes)
 
     def _key(self, row: "Row") -> list[Any]:

@@ -112,11 +112,21 @@ def to_tidy(frame: pd.DataFrame) -> pd.DataFrame:
     places = _find_places([str(name) for name in frame])
     if not places:
         return frame
-    combinations = _combine([place.index for place in places.values()])
+    indices = [place.index for place in places.values()]
+    combinations = [  # each once, without those that are part of another one
+        one
+        for number, one in enumerate(indices)
+        if one not in indices[:number] and not any(one.items() < other.items() for other in indices)
+    ]
     keys = list(dict.fromkeys(name for one in combinations for name in one))
     plain = [str(name) for name in frame if name not in places]
     values = list(dict.fromkeys(place.column for place in places.values()))
-    parts = [_take_rows(frame, places, one, plain) for one in combinations]
+    by_detail = sorted(places.items(), key=lambda item: len(item[1].index))
+    parts = []
+    for index in combinations:  # their rows are numbered as in the wide table
+        taken = {place.column: name for name, place in by_detail if place.index.items() <= index.items()}
+        columns = {name: frame[name] for name in plain} | {new: frame[old] for new, old in taken.items()}
+        parts.append(pd.DataFrame({**columns, **index}, index=frame.index).reset_index(drop=True))
     found = pd.concat([part for part in parts if len(part.columns)]).sort_index(kind="stable")
     first = min(position for position, name in enumerate(frame) if name in places)
     shared = [name for name in plain if name not in (*keys, *values)]
@@ -139,7 +149,12 @@ def _unify_types(found: pd.DataFrame, names: list[str]) -> dict[str, "pd.Series"
 
 
 def _find_places(names: list[str]) -> dict[str, _Place]:
-    metrics = _metric_places()
+    metrics: dict[str, _Place] = {}
+    for metric in list_metrics():
+        short = metric.name.removesuffix("_mm").removesuffix("_percent")
+        for pattern, column in (_METRIC_STATISTICS | _METRIC_VALUES).items():
+            wide = pattern.format(metric=metric.name, short=short)
+            metrics[wide] = _Place(column, {"metric": metric.name})
     statistics = [
         name for name in names if name in metrics and metrics[name].column not in ("value", "floor")
     ]
@@ -163,32 +178,3 @@ def _match(name: str, patterns: Mapping[str, str]) -> _Place | None:
             }
             return _Place(target.format(**groups), index)
     return None
-
-
-def _metric_places() -> dict[str, _Place]:
-    found = {}
-    for metric in list_metrics():
-        short = metric.name.removesuffix("_mm").removesuffix("_percent")
-        words = {"metric": metric.name, "short": short}
-        for pattern, column in (_METRIC_STATISTICS | _METRIC_VALUES).items():
-            found[pattern.format(**words)] = _Place(column, {"metric": metric.name})
-    return found
-
-
-def _combine(indices: list[Mapping[str, object]]) -> list[Mapping[str, object]]:
-    """Return the different indices, without those that are part of another one."""
-    return [
-        one
-        for number, one in enumerate(indices)
-        if one not in indices[:number] and not any(one.items() < other.items() for other in indices)
-    ]
-
-
-def _take_rows(
-    frame: pd.DataFrame, places: Mapping[str, _Place], index: Mapping[str, object], plain: list[str]
-) -> pd.DataFrame:
-    """Return the rows of one index, numbered as in the wide table."""
-    by_detail = sorted(places.items(), key=lambda item: len(item[1].index))
-    taken = {place.column: name for name, place in by_detail if place.index.items() <= index.items()}
-    columns = {name: frame[name] for name in plain} | {new: frame[old] for new, old in taken.items()}
-    return pd.DataFrame({**columns, **index}, index=frame.index).reset_index(drop=True)

@@ -27,11 +27,9 @@ if TYPE_CHECKING:  # PyArrow is installed with `needlefit[cluster]` only
 
 Rows = Sequence[Mapping[str, Any]]
 
+#: rows of a row group, but for the last: each costs some kB of memory, whatever it holds
 MIN_GROUP_ROWS = 1000
-"""Rows of a row group, but for the last: each costs some kB of memory, whatever it holds."""
-
-MAX_PIECE_BYTES = 2**30
-"""Arrays of one piece that a stored file is read in."""
+MAX_PIECE_BYTES = 2**30  #: arrays of one piece that a stored file is read in
 
 
 @dataclass(frozen=True)

@@ -136,18 +136,9 @@ def compose_overview(
 def rebuild(run: Path, folder: Path, unverified: bool = False) -> list[Run]:
     """Write tables, figures and report of a stored run to `folder` again, without any computation.
 
-    Returns
-    -------
-    list of Run
-        The run, or those reported together.
-
-    Raises
-    ------
-    DataError
-        If the run stored no results, they do not agree with their manifest (unless `unverified`), or one of
-        several runs reported together is not that one any more.
-    ConfigError
-        If `folder` holds something that is no result.
+    Returns the run, or those reported together. Raises DataError if the run stored no results, they do not
+    agree with their manifest (unless `unverified`), or one of several runs reported together is not that one
+    any more; ConfigError if `folder` holds something that is no result.
     """
     with convert_stored_errors(run):
         runs = restore_runs(run, unverified)

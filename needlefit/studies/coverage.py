@@ -88,13 +88,9 @@ def measure_width(tips: Floats) -> float:
 def estimate_width_after_one(tips: Floats, known: Floats) -> float:
     """Return how wide the central 95 % of tips are once the tip of another insertion is measured, mm.
 
-    Parameters
-    ----------
-    tips : (B,) array
-        Of an insertion, one for each draw of the parameters, mm; NaN where there is none.
-    known : (B,) array
-        Measured tips of another insertion into the same specimen with the same parameters, mm. What tips
-        share with them is subtracted, linear in them.
+    `tips` (B,) are those of an insertion, one for each draw of the parameters, mm; NaN where there is none.
+    `known` (B,) are measured tips of another insertion into the same specimen with the same parameters, mm:
+    what tips share with them is subtracted, linear in them.
     """
     solved = np.isfinite(tips) & np.isfinite(known)
     (variance, shared), _ = np.cov(known[solved], tips[solved])
@@ -106,12 +102,8 @@ def warn_if_too_wide(
 ) -> Iterator[ResultWarning]:
     """Yield a warning if an interval is wider than the tip is deflected, and than `MAX_AIMING_WIDTH_MM`.
 
-    Parameters
-    ----------
-    where : str
-        The medium of the tips whose median width and deflection are given; empty: of a single tip.
-    fix : str
-        What narrows the interval; by default more data.
+    `where` is the medium of the tips whose median width and deflection are given; empty: of a single tip.
+    `fix` is what narrows the interval; by default more data.
     """
     if is_too_wide(width_mm, deflection_mm):
         values = {"group": where, "width_mm": width_mm, "deflection_mm": deflection_mm, "gain": fix}

@@ -38,27 +38,13 @@ TEXT = KindText("warnings")
 
 @dataclass(frozen=True)
 class WarningRule:
-    """A kind of warning about a finished fit.
+    """A kind of warning about a finished fit."""
 
-    Attributes
-    ----------
-    kind : str
-        Of the warning, which programs may rely on.
-    find : callable
-        The condition: run -> the values of the text, for each case found.
-    text : str
-        Key of the blocks of `warnings.md.j2`; the kind if empty.
-    qualifies : bool
-        Whether it changes what one should do with the verdict, and stands beside it.
-    complete : bool
-        Whether only a run that was not interrupted is examined.
-    """
-
-    kind: str
-    find: Callable[[Run], Iterable[Row]]
-    text: str = ""
-    qualifies: bool = True
-    complete: bool = True
+    kind: str  #: of the warning, which programs may rely on
+    find: Callable[[Run], Iterable[Row]]  #: the condition: run -> the values of the text, for each case found
+    text: str = ""  #: key of the blocks of `warnings.md.j2`; the kind if empty
+    qualifies: bool = True  #: whether it changes what one should do with the verdict, and stands beside it
+    complete: bool = True  #: whether only a run that was not interrupted is examined
 
 
 def add_warnings(results: Run, job: "Job") -> Run:
@@ -195,11 +181,9 @@ def _name_group(group: ScoredGroup) -> str:
     return group_name(medium, layers) if layers else medium_name(medium)
 
 
+#: factor between in-sample errors and their noise floor, either way, below which no warning is given
 FAR_FROM_FLOOR = 2.0
-"""Factor between in-sample errors and their noise floor, either way, below which no warning is given."""
-
-CHANCE = 1e-3
-"""Probability of such a factor by chance, below which it is one."""
+CHANCE = 1e-3  #: probability of such a factor by chance, below which it is one
 
 
 def _find_wrong_noise(results: Run, too_large: bool) -> Iterator[Row]:
@@ -261,6 +245,7 @@ def describe_gain(predictive: pd.DataFrame, adaptation: str | None = None) -> st
     return TEXT.sentence("gain", {**values, "asked": adaptation is not None})
 
 
+#: of fits and cross-validations, in the order in which their warnings are kept
 RULES: Sequence[WarningRule] = (
     WarningRule(
         "validity",
@@ -276,7 +261,5 @@ RULES: Sequence[WarningRule] = (
     WarningRule("coverage", _find_missed_levels, complete=False),
     WarningRule("wide_intervals", _find_wide_intervals, complete=False),
 )
-"""Of fits and cross-validations, in the order in which their warnings are kept."""
-
+#: kinds of warnings that qualify the verdict; they come first
 QUALIFYING_WARNINGS = frozenset(rule.kind for rule in RULES if rule.qualifies)
-"""Kinds of warnings that qualify the verdict; they come first."""

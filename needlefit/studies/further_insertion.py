@@ -84,8 +84,7 @@ class WeightedPosterior:
     def covariance(self) -> Floats:
         """Covariance of theta: (P, P)."""
         away = self.thetas - self.weights @ self.thetas
-        found: Floats = (away * self.weights[:, None]).T @ away
-        return found
+        return (away * self.weights[:, None]).T @ away
 
     def only(self, kept: Bools) -> Self:
         """Return only the draws of a mask (B,)."""

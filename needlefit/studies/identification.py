@@ -38,7 +38,7 @@ from needlefit.reporting.number_format import (
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.studies.csv_tables import TableSchema
-from needlefit.studies.run_differences import MIN_SD_CHANGE, ROUNDING_FRACTION, Difference, TableComparison
+from needlefit.studies.run_differences import Difference, TableComparison, compare_sizes
 
 IDENTIFICATION_COLUMNS = (
     "fold", "parameter", "status", "determined", "note", "value", "prior_sd", "sd", "sd_low", "sd_high",
@@ -273,11 +273,8 @@ def _compare_identifications(before: pd.DataFrame, after: pd.DataFrame) -> Itera
         first, second = ("determined" if row[f"determined_{run}"] else "not determined" for run in ("a", "b"))
         if first != second:
             yield Difference("state", name, first, second, True, "the verdict changed")
-        one, two = float(row["sd_a"]), float(row["sd_b"])
-        if one != two and one > 0 and two > 0:
-            factor, why = abs(math.log(two / one)), f"{two / one:.3g} times as large"
-            matters, slight = factor > MIN_SD_CHANGE, factor < ROUNDING_FRACTION * MIN_SD_CHANGE
-            yield Difference("parameter", f"sd of {name}", one, two, matters, why, slight)
+        sds = float(row["sd_a"]), float(row["sd_b"])
+        yield from compare_sizes("parameter", f"sd of {name}", *sds, "times as large")
 
 
 IDENTIFICATION_COMPARISON = TableComparison(

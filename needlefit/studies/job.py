@@ -137,27 +137,19 @@ _GUIDE_PARAMETER = "guide_distance_mm"
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a program has in memory; it takes the place of the files that the study file of one fit names.
+    """What a program has in memory; it takes the place of the files that the study file of one fit names."""
 
-    Attributes
-    ----------
-    target : (str, FitRecord) or None
-        The name of the results of the fit that a study is about, and the fit.
-    dataset, medium, recipe : Dataset, MediumRecord, RecipeRecord or None
-        Of the fit; the medium has its priors.
-    posterior : Posterior or None
-        That was sampled of the target.
-    """
-
+    #: the name of the results of the fit that a study is about, and the fit
     target: tuple[str, FitRecord] | None = None
+    #: dataset, medium, recipe: of the fit; the medium has its priors
     dataset: Dataset | None = None
     medium: MediumRecord | None = None
     recipe: RecipeRecord | None = None
-    posterior: Posterior | None = None
+    posterior: Posterior | None = None  #: that was sampled of the target
 
 
+#: kinds of warnings that are also printed before the work, which takes long and is of no use then
 DATA_WARNINGS = ("units", "bevel_side")
-"""Kinds of warnings that are also printed before the work, which takes long and is of no use then."""
 
 
 @dataclass(frozen=True)
@@ -165,44 +157,19 @@ class Settings:
     """How a run is executed; only `seed`, `sample` and `inputs` change its result.
 
     In another process it has these, and of the rest what that process has: its request to stop, its threads.
-
-    Attributes
-    ----------
-    seed : int or None
-        Replaces the recipe's.
-    jobs : int
-        Threads, or processes where the work falls into tasks.
-    pool : TaskPool or None
-        Where tasks run; None: in processes of this machine.
-    checkpoint : Path or None
-        Folder that keeps finished starts.
-    resume : bool
-        Go on from the checkpoint.
-    sample : bool
-        Also sample the posterior.
-    progress : callable
-        Called with a label, what is done, and of how much.
-    stop : callable
-        Asked often; True ends the run early, marked `interrupted`.
-    note : callable
-        Given a line about what was damaged in the checkpoint.
-    file : Path or None
-        The study's, which warnings about it name.
-    inputs : Inputs
-        What is not read from files.
     """
 
-    seed: int | None = None
-    jobs: int = 1
-    pool: TaskPool | None = None
-    checkpoint: Path | None = None
-    resume: bool = False
-    sample: bool = False
-    progress: Progress = no_progress
-    stop: Stop = never_stop
-    note: Note = no_note
-    file: Path | None = None
-    inputs: Inputs = Inputs()
+    seed: int | None = None  #: replaces the recipe's
+    jobs: int = 1  #: threads, or processes where the work falls into tasks
+    pool: TaskPool | None = None  #: where tasks run; None: in processes of this machine
+    checkpoint: Path | None = None  #: folder that keeps finished starts
+    resume: bool = False  #: go on from the checkpoint
+    sample: bool = False  #: also sample the posterior
+    progress: Progress = no_progress  #: called with a label, what is done, and of how much
+    stop: Stop = never_stop  #: asked often; True ends the run early, marked `interrupted`
+    note: Note = no_note  #: given a line about what was damaged in the checkpoint
+    file: Path | None = None  #: the study's, which warnings about it name
+    inputs: Inputs = Inputs()  #: what is not read from files
 
     def place(self, key: str) -> str:
         """Return the name of a key of the study's file for messages; "" where it is not known."""

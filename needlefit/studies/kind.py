@@ -38,14 +38,12 @@ class StudyKind:
     @property
     def frames(self) -> Mapping[str, Sequence[str]]:
         """The columns that every frame of its runs has."""
-        columns: Mapping[str, Sequence[str]] = getattr(self._import("run"), "FRAMES", {})
-        return columns
+        return getattr(self._import("run"), "FRAMES", {})
 
     @property
     def report(self) -> "StudyReport":
         """How its results are reported."""
-        report: StudyReport = self._import("report").REPORT
-        return report
+        return self._import("report").REPORT
 
     def _import(self, part: str) -> ModuleType:
         """Return the kind's module, or the one of this name in its package."""
@@ -81,8 +79,7 @@ class StudyKind:
 
     def compute(self, name: str, record: FileRecord, settings: "Settings") -> "Run":
         """Run a study as a part of another one, which has the checkpoint and states the surroundings."""
-        result: Run = self._import("run").run(name, record, settings)
-        return result
+        return self._import("run").run(name, record, settings)
 
     def make_record(self, **options: object) -> FileRecord:
         """Return the study file that the options of a command stand for."""
@@ -98,8 +95,8 @@ def describe_surroundings(begin: float) -> dict[str, str]:
     }
 
 
+#: all kinds by name: the files and folders of `kinds/`, and those of plugins
 KINDS = Registry(StudyKind, "needlefit.studies.kinds", "kind of study")
-"""All kinds by name: the files and folders of `kinds/`, and those of plugins."""
 
 
 def kind_of(record: FileRecord) -> StudyKind:

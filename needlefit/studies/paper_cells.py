@@ -136,14 +136,8 @@ def find_paper_numbers(jobs: Mapping[str, Job]) -> dict[str, int]:
 def tabulate_cells(errors: pd.DataFrame, numbers: Mapping[str, int], by: Sequence[str] = ()) -> pd.DataFrame:
     """Return all cells of one method's `ERROR_COLUMNS`, one per row.
 
-    Parameters
-    ----------
-    errors : DataFrame
-        With the columns `by` beside its own.
-    numbers : mapping
-        The paper's number of each study.
-    by : sequence of str
-        What makes tables of their own: a seed, a variation.
+    `numbers` are the paper's, of each study; `by` are columns of `errors` that make tables of their own: a
+    seed, a variation.
     """
     held_out = errors[errors["role"] == "validate"]
     fits = errors[~errors["study"].isin(held_out["study"])]
@@ -208,10 +202,7 @@ _PUBLISHED_KEYS: Mapping[paper.TableName, tuple[str, str]] = {
 def tabulate_generalisation(fitted: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
     """Return the headline metrics and their floors of every study, and whether it `generalises`.
 
-    Parameters
-    ----------
-    fitted : DataFrame
-        Errors of one method (`cells.ERRORS`), with the columns `by` beside.
+    `fitted` are errors of one method, with the columns `by` beside.
     """
     held_out = fitted[fitted["role"] == "validate"].replace([float("inf")], float("nan"))
     columns = [name for name in list_score_columns(headline_metrics()) if name in held_out]

@@ -121,8 +121,7 @@ def rank_truth(truth: Floats, draws: Floats, rng: np.random.Generator) -> Counts
     below = np.sum(draws < truth, axis=0)
     equal = np.sum(draws == truth, axis=0)
     # the truth may lie anywhere among equal draws: the upper end of rng.integers is exclusive
-    placed: Counts = below + rng.integers(0, equal + 1)
-    return placed
+    return below + rng.integers(0, equal + 1)
 
 
 def place_pit(pit: float) -> int:

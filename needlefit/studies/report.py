@@ -71,73 +71,49 @@ def list_run_warnings(result: Run) -> tuple[ResultWarning, ...]:
 
 @dataclass(frozen=True)
 class StudyReport:
-    """How the runs of one kind of study are reported: a text, and what it prints; callables take the run.
+    """How the runs of one kind of study are reported: a text, and what it prints; callables take the run."""
 
-    Attributes
-    ----------
-    text : KindText
-        Its block `verdict` is the answer; `summary` holds further sentences, `report` the body of the report,
-        `table_<name>` the caption and the notes of a table, `figure_<name>` the caption of a figure.
-    values : callable
-        Result -> the numbers and names that the text prints.
-    tables : callable
-        Result -> its tables, which are also written as LaTeX.
-    figures : callable
-        Result -> its figures by name: forms with their frames, which are written as CSV beside them.
-    blocks : callable
-        Result -> blocks by name, to which the text refers.
-    more_tables : callable
-        Result -> tables that only the report has.
-    tabulate : callable
-        Result -> the tables that are written as CSV, by name.
-    write_files : callable
-        Result and folder: writes what the kind has besides tables, figures and report.
-    keeps_files : bool
-        Whether other files that needlefit wrote to the folder stay when the result is written again.
-    comparisons : mapping
-        How `needlefit diff` compares single tables, by name; the others are compared row by row.
-    compares_only_these : bool
-        Whether `needlefit diff` leaves the other tables out.
-    to_json : callable
-        Result -> what `--json` prints, without verdicts and warnings.
-    judge : callable
-        Result -> its verdicts; `judge_run` (`studies/run.py`) is what others call.
-    rate : callable
-        Result -> the status of its verdict, where that is the first sentence of its summary.
-    explore : callable
-        Result -> what the HTML page draws interactively (`Document.explorer`).
-    lay_out_first : callable
-        Result -> the tables that terminal and first page show under the verdict, without their notes.
-    explain : callable
-        Result -> the tables and sentences that `--explain` prints: all of them unless a kind has more.
-    headline : callable
-        A fault of a run -> what stands before its verdicts; empty where a verdict itself names the fault.
-    """
-
+    #: its block `verdict` is the answer; `summary` holds further sentences, `report` the body of the report,
+    #: `table_<name>` the caption and the notes of a table, `figure_<name>` the caption of a figure
     text: KindText
-    values: Callable[[Run], Mapping[str, Any]]
+    values: Callable[[Run], Mapping[str, Any]]  #: result -> the numbers and names that the text prints
+    #: result -> its tables, which are also written as LaTeX
     tables: Callable[[Run], Sequence[Table | TableLayout]]
+    #: result -> its figures by name: forms with their frames, which are written as CSV beside them
     figures: Callable[[Run], Mapping[str, Drawing]] = lambda result: {}
+    #: result -> blocks by name, to which the text refers
     blocks: Callable[[Run], Mapping[str, list[Block]]] = lambda result: {}
+    #: result -> tables that only the report has
     more_tables: Callable[[Run], Sequence[Table | TableLayout]] = lambda result: ()
+    #: result -> the tables that are written as CSV, by name
     tabulate: Callable[[Run], Mapping[str, pd.DataFrame]] = lambda result: result.frames
+    #: result and folder: writes what the kind has besides tables, figures and report
     write_files: Callable[[Run, Path], None] = lambda result, folder: None
+    #: whether other files that needlefit wrote to the folder stay when the result is written again
     keeps_files: bool = False
+    #: how `needlefit diff` compares single tables, by name; the others are compared row by row
     comparisons: Mapping[str, TableComparison] = field(default_factory=dict)
-    compares_only_these: bool = False
+    compares_only_these: bool = False  #: whether `needlefit diff` leaves the other tables out
+    #: result -> what `--json` prints, without verdicts and warnings
     to_json: Callable[[Run], dict[str, Any]] = lambda result: {
         name: to_records(to_tidy(frame)) for name, frame in result.frames.items()
     }
+    #: result -> its verdicts; `judge_run` (`studies/run.py`) is what others call
     judge: Callable[[Run], list[Verdict]] = judge_by_summary
+    #: result -> the status of its verdict, where that is the first sentence of its summary
     rate: Callable[[Run], Status] = lambda result: "none"
+    #: result -> what the HTML page draws interactively (`Document.explorer`)
     explore: Callable[[Run], dict[str, Any] | None] = lambda result: None
+    #: result -> the tables that terminal and first page show under the verdict, without their notes
     lay_out_first: Callable[[Run], list[TableLayout]] = lambda result: find_kind(result.kind).report.lay_out(
         result
     )[:1]
+    #: result -> the tables and sentences that `--explain` prints: all of them unless a kind has more
     explain: Callable[[Run], tuple[list[TableLayout], list[str]]] = lambda result: (
         find_kind(result.kind).report.lay_out(result),
         find_kind(result.kind).report.summarize(result),
     )
+    #: a fault of a run -> what stands before its verdicts; empty where a verdict itself names the fault
     headline: Callable[[str], str] = headline_fault
 
     def summarize(self, result: Run) -> list[str]:
@@ -189,8 +165,8 @@ def say(result: Run, *blocks: str) -> str:
     return " ".join(words for block in blocks if (words := page.say(result, block)))
 
 
+#: of synthetic data that are not the twin's
 MODEL_DATA_NOTE = "The needles were simulated: errors on them do not carry over to measured ones."
-"""Of synthetic data that are not the twin's."""
 
 
 @one_thread
@@ -358,8 +334,7 @@ _OMITTED_RUN_KEYS = (
     *("name", "study", "fit", "medium", "folds", "searches", "hand_tuned", "truth"),
     *(WARNINGS_KEY, VALIDITY_KEY),
 )
-_OMITTED_DATA_KEYS = ("notes", "origin")
-"""Of a dataset: they stand elsewhere in a report."""
+_OMITTED_DATA_KEYS = ("notes", "origin")  #: of a dataset: they stand elsewhere in a report
 
 
 def describe_run(run: Mapping[str, object]) -> list[tuple[str, str]]:

@@ -25,8 +25,8 @@ from needlefit.studies.job import Job
 from needlefit.studies.kind import find_kind
 
 Status = Literal["none", "pass", "warn", "fail"]
+#: from the best to the worst; "none" where nothing was tested, as of a prediction: it has no badge
 STATUSES: tuple[Status, ...] = ("none", "pass", "warn", "fail")
-"""From the best to the worst; "none" where nothing was tested, as of a prediction: it has no badge."""
 
 VERDICTS_KEY = "verdicts"  #: of `--json`
 
@@ -78,12 +78,12 @@ def judge_run(result: "Run") -> tuple[Verdict, ...]:
     return tuple(verdicts)
 
 
+#: tip error over its noise floor up to which predictions are as exact as the measurements
 MAX_FLOOR_RATIO = 2.0
-"""Tip error over its noise floor up to which predictions are as exact as the measurements."""
 
 
+#: held-out insertions with which a verdict can pass: the mean of one or two says little about others
 MIN_INSERTIONS = 3
-"""Held-out insertions with which a verdict can pass: the mean of one or two says little about others."""
 
 
 @dataclass(frozen=True)
@@ -158,8 +158,8 @@ def verdicts_to_json(verdicts: Sequence[Verdict]) -> list[dict[str, object]]:
 
 Frames = MutableMapping[str, pd.DataFrame]
 
+#: of `run.json`: files that did not agree with their manifest, and were used on demand
 UNVERIFIED_KEY = "unverified"
-"""Of `run.json`: files that did not agree with their manifest, and were used on demand."""
 
 
 @dataclass(frozen=True)
@@ -273,8 +273,8 @@ class Run:
         return find_kind(self.kind).report.format_notebook_html(self)
 
 
+#: whose versions decide the result of a study
 PACKAGES = ("numpy", "scipy", "nlopt", "emcee", "pandas", "trimesh")
-"""Whose versions decide the result of a study."""
 
 
 def describe_configuration(job: Job) -> dict[str, Any]:

@@ -86,6 +86,23 @@ def compare_means(
 MIN_SD_CHANGE = 0.1  #: part by which a standard deviation may change and say the same
 
 
+def compare_sizes(what: str, where: str, before: float, after: float, words: str) -> Iterator[Difference]:
+    """Yield the change of a width or a standard deviation; nothing where a run has none."""
+    if before != after and before > 0 and after > 0:
+        change = abs(math.log(after / before))
+        matters, slight = change > MIN_SD_CHANGE, change < ROUNDING_FRACTION * MIN_SD_CHANGE
+        yield Difference(what, where, before, after, matters, f"{after / before:.3g} {words}", slight)
+
+
+def compare_estimates(
+    what: str, where: str, before: float, after: float, part: float, *, determined: bool = True
+) -> Difference:
+    """Return the change of an estimate by a `part` of its standard deviation."""
+    why = f"{part:.2g} of its standard deviation" + ("" if determined else ", not determined")
+    matters, slight = determined and part > MIN_SHIFT_SD, part < ROUNDING_FRACTION * MIN_SHIFT_SD
+    return Difference(what, where, before, after, matters, why, slight)
+
+
 @dataclass(frozen=True)
 class TableComparison:
     """How a kind of study compares one of its tables: the columns that are read, and the function.

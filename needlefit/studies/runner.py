@@ -22,13 +22,12 @@ from needlefit.studies.run import PACKAGES, Frames, Run, describe_configuration,
 from needlefit.studies.score import Row
 from needlefit.studies.store import to_json_value
 
-FrameRows = dict[str, list[Row]]
-"""Rows by the name of the frame that they belong to."""
+FrameRows = dict[str, list[Row]]  #: rows by the name of the frame that they belong to
 
 Value = TypeVar("Value")
 
+#: computes the rows of one task from its arguments alone; its random streams are keyed by them too
 AnalysisTask = Callable[[], FrameRows]
-"""Computes the rows of one task from its arguments alone; its random streams are keyed by them too."""
 
 
 class Shared(Generic[Value]):
@@ -118,42 +117,22 @@ def _conclude_nothing(frames: Frames) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class AnalysisPlan:
-    """The tasks, tables and conclusion of an analysis.
+    """The tasks, tables and conclusion of an analysis."""
 
-    Attributes
-    ----------
-    jobs : sequence of Job
-        The fits that it is about, for data, configuration and rules.
-    tasks : mapping
-        The work, by keys that say what each task is.
-    columns : mapping
-        The columns of every frame, which it has even without rows.
-    conclude : callable
-        What is left to compute once all tasks are done: adds frames to those of the tasks, in place, and
-        returns the faults. It must be quick: it is not kept.
-    also : mapping
-        Whatever else decides the result, as JSON values.
-    folds : sequence of Fold
-        What is held out besides the jobs' own folds.
-    parameters : mapping
-        Those of the fits in the frame `fits`, by its first column, if values at bounds are to be named.
-    shared : sequence of callable
-        Compute what several tasks need and keep, before the tasks are sent to other processes.
-    warnings : sequence of ResultWarning
-        About the data, besides those of the jobs.
-    collect : callable
-        Rows of each task, and `columns` -> the frames.
-    """
-
-    jobs: Sequence[Job]
-    tasks: Mapping[str, AnalysisTask]
-    columns: Mapping[str, Sequence[str]]
+    jobs: Sequence[Job]  #: the fits that it is about, for data, configuration and rules
+    tasks: Mapping[str, AnalysisTask]  #: the work, by keys that say what each task is
+    columns: Mapping[str, Sequence[str]]  #: the columns of every frame, which it has even without rows
+    #: What is left to compute once all tasks are done: adds frames to those of the tasks, in place, and
+    #: returns the faults. It must be quick: it is not kept.
     conclude: Callable[[Frames], tuple[str, ...]] = _conclude_nothing
-    also: Mapping[str, Any] | None = None
-    folds: Sequence[Fold] = ()
+    also: Mapping[str, Any] | None = None  #: whatever else decides the result, as JSON values
+    folds: Sequence[Fold] = ()  #: what is held out besides the jobs' own folds
+    #: those of the fits in the frame `fits`, by its first column, if values at bounds are to be named
     parameters: Mapping[str, Parameters] = field(default_factory=dict)
+    #: compute what several tasks need and keep, before the tasks are sent to other processes
     shared: Sequence[Callable[[], object]] = ()
-    warnings: Sequence[ResultWarning] = ()
+    warnings: Sequence[ResultWarning] = ()  #: about the data, besides those of the jobs
+    #: rows of each task, and `columns` -> the frames
     collect: Callable[[Iterable[FrameRows], Mapping[str, Sequence[str]]], Frames] = _make_frames
 
 

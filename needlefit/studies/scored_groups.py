@@ -158,11 +158,9 @@ def _mean_where(table: pd.DataFrame, method: str, wanted: "pd.Series[bool]") -> 
     return float(table[method].reindex(wanted.index)[wanted].mean()) if method in table else np.nan
 
 
-SIGNIFICANT_SE = 2.0
-"""Standard errors up to which a difference may be chance."""
-
+SIGNIFICANT_SE = 2.0  #: standard errors up to which a difference may be chance
+#: error of a method over that of the fit, down to which a difference on one insertion may be chance
 LONE_ERROR_RATIO = 0.5
-"""Error of a method over that of the fit, down to which a difference on one insertion may be chance."""
 
 
 def beats_fit(row: Mapping[str, Any] | pd.Series, metric: str = "ipe_mean_mm") -> bool:
@@ -260,37 +258,24 @@ def tabulate_design(job: Job) -> pd.DataFrame:
 _GROUP_COLUMNS = ("study", "grouping", "medium", "layers", "alternate_count")
 _SCORE_COLUMNS = ("method", "boundaries", *AGGREGATE_COLUMNS, "paper", "paper_insertions")
 _DESCRIPTION_COLUMNS = ("layer_count_rule", "comparable", "comparison", "origin")
-COLUMNS = (*_GROUP_COLUMNS, *_SCORE_COLUMNS, *_DESCRIPTION_COLUMNS)
-"""Columns of both tables."""
-
-TE = "te_mm"
-"""The metric of verdicts, of warnings about them, and of every comparison of methods in words."""
-
+COLUMNS = (*_GROUP_COLUMNS, *_SCORE_COLUMNS, *_DESCRIPTION_COLUMNS)  #: columns of both tables
+TE = "te_mm"  #: the metric of verdicts, of warnings about them, and of every comparison of methods in words
+#: values of `grouping`: insertions held out, or fitted to, by medium and number of layers or by medium
 HELD_OUT, BY_LAYERS, BY_MEDIA = "held_out", "layers", "media"
-"""Values of `grouping`: insertions held out, or fitted to, by medium and number of layers or by medium."""
-
+#: the paper's table of each grouping, and which of our columns stand in its columns
 _PUBLISHED: Mapping[str, tuple[paper.TableName, Mapping[str, str]]] = {
     HELD_OUT: ("validation", {"validate_medium": "medium", "validate_layers": "layers"}),
     BY_LAYERS: ("tuning_by_layers", {"medium": "medium", "layers": "layers"}),
     BY_MEDIA: ("tuning_by_media", {"medium": "medium"}),
 }
-"""The paper's table of each grouping, and which of our columns stand in its columns."""
 
 
 @dataclass(frozen=True)
 class ScoredGroup:
-    """The rows of one group: all methods and metrics.
+    """The rows of one group: all methods and metrics."""
 
-    Attributes
-    ----------
-    head : Row
-        The first row of the fit with measured boundaries: what all have in common, and its counts.
-    rows : mapping
-        By method, boundaries and metric.
-    """
-
-    head: Row
-    rows: Mapping[tuple[str, str, str], Row]
+    head: Row  #: the first row of the fit with measured boundaries: what all have in common, and its counts
+    rows: Mapping[tuple[str, str, str], Row]  #: by method, boundaries and metric
 
     def get(
         self, metric: str, column: str = "value", method: str = "fitted", boundaries: str = "measured"

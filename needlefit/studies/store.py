@@ -37,17 +37,12 @@ from needlefit.studies.run import UNVERIFIED_KEY, Frames, Run
 
 RESULTS_FILE, RUN_FILE = "results.json.gz", "run.json"
 
-FORMAT_VERSION = 6
-"""Of the file of results."""
-
+FORMAT_VERSION = 6  #: of the file of results
+#: largest size of the text in the file; the studies of the paper have some MB
 MAX_UNPACKED_BYTES = 256 * 2**20
-"""Largest size of the text in the file; the studies of the paper have some MB."""
-
+#: Lists and tables in it: each takes more memory than its text. Columns are one list each.
 MAX_BRACKETS = 2_000_000
-"""Lists and tables in it: each takes more memory than its text. Columns are one list each."""
-
-MAX_RUN_BYTES = 32 * 2**20
-"""Size of a `run.json`; those of several studies together have some hundred kB."""
+MAX_RUN_BYTES = 32 * 2**20  #: size of a `run.json`; those of several studies together have some hundred kB
 
 _PLAIN = ("kind", "name", "origin", "dataset_title", "interrupted", "faults", "run")
 

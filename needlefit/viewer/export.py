@@ -54,7 +54,6 @@ class RecordingOutcome:
 
     @property
     def title(self) -> str:
-        """The scene's title, or the scene's name if it has no title."""
         return self.recording.head.scene.title or self.recording.head.target
 
     @property
@@ -65,7 +64,6 @@ class RecordingOutcome:
 
     @property
     def state(self) -> NeedleState:
-        """The needle's state at the end of the recording."""
         return self.steering.now
 
     @property
@@ -115,7 +113,6 @@ def write_animation(outcome: RecordingOutcome, path: Path) -> None:
 
 
 def write_share(outcome: RecordingOutcome, path: Path) -> None:
-    """Write the recording as one HTML file that plays it offline."""
     path.write_text(compose_share(outcome.recording), "utf-8")
 
 

@@ -215,7 +215,6 @@ class Message:
 
     @property
     def gesture(self) -> int | None:
-        """The gesture to which the message belongs, if any."""
         value = self.content.get("gesture")
         return value if isinstance(value, int) and not isinstance(value, bool) else None
 

@@ -100,7 +100,6 @@ class ViewedScene:
         return self.record.needle.outer_diameter_mm or DEFAULT_DIAMETER_MM
 
     def make_head(self) -> RecordingRecord:
-        """Return the head of a new recording."""
         return make_head(self.name, self.first_cell, self.record, self.placement)
 
 
@@ -339,7 +338,6 @@ def _vary_draws(
 
 
 def _describe_band(draws: pd.DataFrame, spread: _Spread | None) -> str:
-    """Return what there is to say of the band."""
     if draws.empty:
         return "No band: the run stored no draws of its parameters, as it was interrupted."
     sources = {"posterior": "of its sampled posterior", "importance": "importance-weighted about its fit"}

@@ -88,7 +88,6 @@ class TrialAim:
         self.set(goal, self.radius, found.goal.obstacles, found.roll_deg)
 
     def to_message(self) -> dict[str, Any]:
-        """Return the message of target and obstacles."""
         return {
             "kind": "aim",
             "target": None if self.goal is None else list(self.goal.target),
@@ -160,7 +159,6 @@ def continue_insertion(steering: SteeredNeedle, spread: ParameterDraws | None) -
 
 
 def plan_message(found: SteeringPlan, aim: TrialAim) -> dict[str, Any]:
-    """Return the message of a plan."""
     solved = found.needles[found.solved]
     drawn = solved[np.linspace(0, len(solved) - 1, min(FAN_NEEDLES, len(solved))).astype(np.intp)]
     nominal = found.nominal if np.isfinite(found.nominal[-1, 0]) else found.nominal[:0]

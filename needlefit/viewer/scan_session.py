@@ -128,11 +128,9 @@ class Corrections:
 
     @property
     def any(self) -> bool:
-        """Whether anything was corrected."""
         return any(part is not None for part in vars(self).values())
 
     def to_json(self) -> dict[str, Any]:
-        """Return the places as JSON values."""
         return {name: None if part is None else part.tolist() for name, part in vars(self).items()}
 
 

@@ -82,7 +82,6 @@ class AccessControl:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The host names of this server."""
         return tuple(f"{host}:{self.port}" for host in (LOOPBACK, "localhost"))
 
     @property
@@ -106,7 +105,6 @@ class RateLimit:
         self._left, self._at = MAX_BURST_MESSAGES, monotonic()
 
     def allows(self) -> bool:
-        """Whether one more message is within the limit now."""
         now = monotonic()
         # A token bucket: the allowance grows with time up to the burst, and each message takes one.
         self._left = min(MAX_BURST_MESSAGES, self._left + MAX_MESSAGES_PER_S * (now - self._at))
@@ -225,17 +223,14 @@ class ScanPage:
         self._examining = asyncio.Lock()
 
     def add_routes(self, app: web.Application, _: AccessControl) -> None:
-        """Add what the page asks for."""
         for name in ("describe", "cut", "again", "save"):
             app.router.add_post(f"/scan/{name}", getattr(self, name))
 
     async def describe(self, _: web.Request) -> web.Response:
-        """Return everything found and corrected."""
         async with self._examining:
             return web.json_response(await asyncio.to_thread(self.session.describe))
 
     async def cut(self, request: web.Request) -> web.Response:
-        """Return a slice as PNG."""
         return web.Response(body=await self._run(self.session.cut, request), content_type="image/png")
 
     async def again(self, request: web.Request) -> web.Response:
@@ -245,7 +240,6 @@ class ScanPage:
             return web.json_response(await asyncio.to_thread(self.session.describe))
 
     async def save(self, request: web.Request) -> web.Response:
-        """Write the corrected scan as a table of scans."""
         async with self._examining:
             path = await self._run(self.session.save_shown, request)
         return web.json_response({"table": str(path), "command": self.session.command(path)})
@@ -278,7 +272,6 @@ class SteeringPage:
         self._sockets: dict[str, web.WebSocketResponse] = {}
 
     def add_routes(self, app: web.Application, access: AccessControl) -> None:
-        """Add the WebSocket, exports and slices."""
         if self.openigtlink is not None:
             app.cleanup_ctx.append(self.openigtlink.run)
         app.router.add_get("/ws", partial(self.attend, access))
@@ -319,7 +312,6 @@ class SteeringPage:
         return web.Response(body=png, content_type="image/png", headers={"X-Extent-Mm": extent})
 
     async def _find_trial(self, request: web.Request) -> InteractiveTrial:
-        """Return the trial that a request is about."""
         try:
             content = await request.json(loads=parse_json)
             trial = self.trials.known(content["needle"])

@@ -265,7 +265,6 @@ class SteeredNeedle:
 
     @property
     def now(self) -> NeedleState:
-        """The present state of the needle."""
         return self._session.now
 
     @property
@@ -328,7 +327,6 @@ class SteeredNeedle:
         return self.now
 
     def keep(self) -> None:
-        """Store the present state, for a later return to it."""
         self._saved[self.number] = self._session.copy()
 
     def forget(self, number: int) -> None:

@@ -62,8 +62,6 @@ class TrackedPose:
 
 @dataclass
 class TrackedDevice:
-    """What is known of a device."""
-
     pose: TrackedPose  #: the last one that was accepted
     sent: float
     jumped: bool = False

@@ -251,7 +251,6 @@ class TrialRegistry:
         return trial
 
     def known(self, name: str) -> InteractiveTrial | None:
-        """Return the trial of this name, if there is one."""
         return self._all.get(name)
 
     def close(self, trial: InteractiveTrial) -> None:
@@ -313,7 +312,6 @@ class TrialRegistry:
         return self._instead(trial, other)
 
     def written(self) -> list[Path]:
-        """Return the recordings that have been started."""
         return [path for path in self._paths if path.exists()]
 
     def _instead(self, trial: InteractiveTrial, other: InteractiveTrial) -> InteractiveTrial:
@@ -437,7 +435,6 @@ class Window:
         return self._motion.gesture if self._motion and self._motion.kind == "stroke" else None
 
     def state(self) -> Reply:
-        """Return the needle as it stands."""
         strokes = self._stroke_gesture is not None
         return self.trial.describe_state() | {
             "answers": self.last_message_id,

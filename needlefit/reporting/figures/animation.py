@@ -17,9 +17,7 @@ from needlefit.reporting.figures.style import RC_PARAMS, fit_height
 
 FRAMES_PER_S = 10
 MAX_FRAMES = 210  # frames of an animation; a longer one plays faster, and its title states that
-
 FINAL_FRAMES = 10  # frames for which the end stays, before a GIF begins anew
-
 DOTS_PER_INCH = 110
 
 TimedState = tuple[float, NeedleState]

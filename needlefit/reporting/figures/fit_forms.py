@@ -71,7 +71,6 @@ def _line(label: str, **style: Any) -> Line2D:  # noqa: ANN401
 # ---- insertions with bands
 
 InsertionKey = tuple[str, str]  # fold and insertion
-
 INSERTION_KEYS = ["fold", "insertion"]
 HEIGHT_COLUMNS = ["y_mm", "low_mm", "high_mm"]
 BANDS = {"95 %": lighten(_OURS, 0.8), "50 %": lighten(_OURS, 0.56)}
@@ -85,28 +84,17 @@ _ROW_MARGIN_IN, _LEGEND_LINE_IN = 0.32, 0.16  # inches of each row beside its pa
 
 def insertions(
     points: pd.DataFrame,
-    heads: Mapping[InsertionKey, str],
-    names: Mapping[str, str],
-    most_columns: int = 4,
+    heads: Mapping[InsertionKey, str],  # what stands above the panel of each insertion
+    names: Mapping[str, str],  # printed names of the methods, the foremost line first
+    most_columns: int = 4,  # panels side by side on a page; half as many in a column
     layers: bool = False,
 ) -> Figure:
     """Draw a panel for each insertion: the measured needle as dots, methods as lines, bands behind.
 
     All panels have the same axes in mm; heights are exaggerated by the factor that stands at the axis.
-
-    Parameters
-    ----------
-    points : DataFrame
-        A row per point: `fold`, `insertion`, `curve` (a method, "measured", the level of a band, or a layer,
-        whose `x_mm` is where it begins), `x_mm`, `y_mm`, `low_mm`, `high_mm`.
-    heads : mapping
-        What stands above the panel of each insertion.
-    names : mapping
-        Printed names of the methods, the foremost line first.
-    most_columns : int
-        Panels side by side on a page; half as many in a column.
-    layers : bool
-        Whether layers, the shaft and the gap between both tips are drawn; wide bands then have room too.
+    `points` has a row per point: `fold`, `insertion`, `curve` (a method, "measured", the level of a band, or
+    a layer, whose `x_mm` is where it begins), `x_mm`, `y_mm`, `low_mm`, `high_mm`. With `layers` these, the
+    shaft and the gap between both tips are drawn; wide bands then have room too.
     """
     width = choose_width()
     columns = min(len(heads), most_columns if width > COLUMN_WIDTH_IN else max(1, most_columns // 2))
@@ -247,7 +235,6 @@ def _find_limits(points: pd.DataFrame, near: "pd.Series[bool]") -> tuple[float, 
 
 QUARTILES = {"5 %": 5, "25 %": 25, "median": 50, "75 %": 75, "95 %": 95}
 MAX_COLUMN_GROUPS = 3  # groups at most of a figure as wide as one column of a paper
-
 _ERROR_COLOURS = {"IPE": "#0072B2", "TE": "#009E73"}
 
 
@@ -476,7 +463,10 @@ def corner(frame: pd.DataFrame, names_of_sets: Mapping[str, str]) -> Figure:
                 _draw_pair(axes, frame, left, below)
             _format_pair(axes, (left, below), frame, outer=(row == count - 1, column == 0 and row > 0))
             if width / count < _MIN_PANEL_IN:
-                _make_narrow(axes)
+                axes.tick_params(axis="x", labelrotation=90)
+                axes.set_xlabel(axes.get_xlabel().replace(" ", "\n", 1))
+                axes.set_ylabel(axes.get_ylabel().replace(" ", "\n", 1))
+                axes.set_title("", loc="left")
     handles = [_line("draws", marker="o", ms=3, mew=0, lw=0, color=_OURS, alpha=0.6)]
     for mark, (marker, size, colour) in DRAWN_SETS.items():
         if (frame["mark"] == mark).any():
@@ -488,14 +478,6 @@ def corner(frame: pd.DataFrame, names_of_sets: Mapping[str, str]) -> Figure:
     else:
         figure.legend(handles=handles, loc="outside upper left", handlelength=1.5)
     return figure
-
-
-def _make_narrow(axes: Axes) -> None:
-    """Turn the numbers, and break the names, of a panel that is too narrow for them."""
-    axes.tick_params(axis="x", labelrotation=90)
-    axes.set_xlabel(axes.get_xlabel().replace(" ", "\n", 1))
-    axes.set_ylabel(axes.get_ylabel().replace(" ", "\n", 1))
-    axes.set_title("", loc="left")
 
 
 def to_log_coordinates(values: pd.DataFrame) -> Floats:
@@ -622,7 +604,6 @@ MAX_PANEL_COLUMNS, MAX_TICKS = 4, 4
 """Greatest number of panels in a row, and of labelled ticks on a logarithmic axis."""
 
 MAX_DEVIANCE = 6.5  # upper end of the panels' deviance axis
-
 _PANEL_KEYS = ["fold", "parameter"]
 _VERDICT_COLUMNS = [
     *("status", "fisher_sd", "low", "high", "end_low", "end_high", "rise"),

@@ -27,7 +27,6 @@ from needlefit.reporting.number_format import choose_printed_unit
 from needlefit.reporting.table_files import Row, to_records
 
 MAX_NAMED_SERIES = 8  # more series than these are not named one by one
-
 MAX_DOTS = 60  # dots of a series that are drawn, about
 
 
@@ -147,58 +146,26 @@ def add_legend(figure: Figure, looks: Iterable[Look], width: float = 0.0) -> int
 
 def dots_with_intervals(
     frame: pd.DataFrame,
-    rows: Sequence[str],
-    value: str,
-    by: str,
-    looks: Mapping[str, Look] | None = None,
+    rows: Sequence[str],  # columns that make a row; a rule stands where the first of several changes
+    value: str,  # the column that is drawn
+    by: str,  # the column that says in which look
+    looks: Mapping[str, Look] | None = None,  # by value of `by`, in the order of the legend
     name_row: Callable[[tuple[Any, ...]], str] = lambda row: ", ".join(map(str, row)),
-    intervals: Sequence[tuple[str, str]] = (),
-    panel: str = "",
-    panels: Mapping[Any, str] | None = None,
+    intervals: Sequence[tuple[str, str]] = (),  # columns (low, high), the wide interval first
+    panel: str = "",  # a column; empty: one panel
+    panels: Mapping[Any, str] | None = None,  # value of `panel` -> title
     x_label: str = "",
+    # "linear", "from 0", "log", or a number: logarithmic beyond it on both sides of 0; or a mapping of these,
+    # by value of `panel`, with axes of their own
     scale: str | float | Mapping[Any, str | float] = "linear",
     limits: tuple[float | None, float | None] | None = None,
-    zero: bool = False,
-    line: float | None = None,
-    columns: int = 0,
-    ringed: str = "",
-    row_height: float = 0.22,
+    zero: bool = False,  # whether a line marks 0
+    line: float | None = None,  # where a dashed line stands
+    columns: int = 0,  # panels side by side; 0: all
+    ringed: str = "",  # a column of flags: which dots have a ring
+    row_height: float = 0.22,  # inches
 ) -> Figure:
-    """Draw values with their intervals in rows, a panel for each value of the column `panel`.
-
-    Parameters
-    ----------
-    frame : DataFrame
-    rows : sequence of str
-        The columns that make a row of the figure; a rule stands where the first of several changes.
-    value, by : str
-        Column that is drawn, and the one that says in which look.
-    looks : mapping, optional
-        By value of `by`, in the order of the legend.
-    name_row : callable
-        Values of `rows` -> the name of the row.
-    intervals : sequence of (low, high)
-        Columns, the wide interval first.
-    panel : str
-        A column; empty: one panel.
-    panels : mapping, optional
-        Value of `panel` -> title.
-    x_label : str
-    scale : "linear", "from 0", "log", a number, or a mapping of these
-        A number: logarithmic beyond it on both sides of 0. A mapping: by value of `panel`, with axes of their
-        own.
-    limits : (float or None, float or None), optional
-    zero : bool
-        Whether a line marks 0.
-    line : float, optional
-        Where a dashed line stands.
-    columns : int
-        Panels side by side; 0: all.
-    ringed : str
-        A column of flags: which dots have a ring.
-    row_height : float
-        Inches.
-    """
+    """Draw values with their intervals in rows, a panel for each value of the column `panel`."""
     chosen = choose_looks(frame, by, looks)
     order = list(frame[list(rows)].drop_duplicates().itertuples(index=False, name=None))
     titles = panels or ({name: str(name) for name in dict.fromkeys(frame[panel])} if panel else {"": ""})

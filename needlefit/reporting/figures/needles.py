@@ -52,7 +52,6 @@ _LOOKS: dict[str, dict[str, Any]] = {
 _ARROW = {"arrowstyle": "-|>,head_width=0.12,head_length=0.3", "color": COLOURS["tip"], "lw": 0.8}
 _ARROW |= {"shrinkA": 0, "shrinkB": 0}
 _LAYER_COLOURS = LinearSegmentedColormap.from_list("layers", ["#f7f4ee", "#d3c7ae"])
-
 Span = tuple[float, float]
 
 _NAMES_IN_C = ("x along the entry (mm)", "y (mm)")

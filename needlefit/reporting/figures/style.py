@@ -26,11 +26,8 @@ from needlefit.reporting.sheet import compile_sheet
 from needlefit.reporting.table_files import write_csv
 
 TEXT_WIDTH_IN = 7.16  # inches: the text width of the report, and of both columns of a paper together (IEEE)
-
 COLUMN_WIDTH_IN = 3.5  # inches: one column of a paper; two such figures stand side by side in the report
-
 FONT_SIZE_PT = 8.0  # points: letters of figures at the size in which they are printed
-
 _fixed_width: ContextVar[float | None] = ContextVar("fixed width of figures", default=None)
 
 
@@ -253,15 +250,9 @@ LETTER_WIDTH_MM, MIN_LABEL_GAP_MM = 1.3, 1.5
 
 
 def spread_labels(places: Sequence[float], names: Sequence[str], scale: float) -> Floats:
-    """Return label positions as near as possible to their places, without overlap.
+    """Return label positions as near as possible to their places, increasing, without overlap.
 
-    Parameters
-    ----------
-    places : sequence of float
-        What the names are of, increasing, in the panel's units.
-    names : sequence of str
-    scale : float
-        mm on paper per unit.
+    Places are in the panel's units, of which one is `scale` mm on paper.
     """
     widths = LETTER_WIDTH_MM * np.array([len(name) for name in names])
     gaps = (widths[1:] + widths[:-1]) / 2 + MIN_LABEL_GAP_MM

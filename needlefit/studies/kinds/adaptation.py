@@ -306,8 +306,7 @@ class Resampling:
 
     def means(self, values: Floats) -> Floats:
         """Return the means (R, N) of `values` (O, N, H) in every repetition."""
-        averaged: Floats = np.einsum("ro,onh,rh->rn", self.orders, values, self.needles, optimize=True)
-        return averaged
+        return np.einsum("ro,onh,rh->rn", self.orders, values, self.needles, optimize=True)
 
 
 def estimate_needed_count(means: Floats, counts: Sequence[int], limits: Floats) -> Estimate:

@@ -192,8 +192,7 @@ def best_determined_direction(problem: Problem, theta: Floats) -> Floats:
         return np.zeros(0)
     _, slope, _ = linearize(problem, theta)
     vector: Floats = np.linalg.svd(slope, full_matrices=False)[2][0]
-    upright: Floats = vector * np.sign(vector[np.argmax(np.abs(vector))])
-    return upright
+    return vector * np.sign(vector[np.argmax(np.abs(vector))])
 
 
 # ---- replicates whose truths are drawn from the prior

@@ -62,8 +62,8 @@ class IdentificationRecord(TargetRecord):
     """Whether the insertions are fitted too, so that the measured shapes are analysed beside the design."""
 
 
+#: what `needlefit identify` runs, or a study file
 KIND = StudyKind("identification", IdentificationRecord, __name__)
-"""What `needlefit identify` runs, or a study file."""
 
 FRAMES: Mapping[str, tuple[str, ...]] = {"identify": ("stage", *IDENTIFICATION_COLUMNS)}
 

@@ -57,18 +57,17 @@ class LeftOutRecord(AnalysisRecord):
 
 KIND = StudyKind("left_out", LeftOutRecord, __name__)
 
-BASELINE = "constant_curvature"
-"""The empirical curve that stands beside the model in the summary."""
+BASELINE = "constant_curvature"  #: the empirical curve that stands beside the model in the summary
 
 _WHERE = ("fit", "left_out")
 _ERRORS = tuple(name for name in COLUMNS["errors"] if name not in ("role", "edp_flagged"))
 
+#: `left_out` is "insertion", "specimen", or "nothing": the error in sample
 FRAMES: Mapping[str, tuple[str, ...]] = {
     "errors": (*_WHERE, *_ERRORS),  # and the columns of metrics
     "predictive": (*_WHERE, *PREDICTIVE_COLUMNS),
     "fits": (*_WHERE, "fold", "insertions", "pareto_k", "sampled", "certified", "parameter", "value"),
 }
-"""`left_out` is "insertion", "specimen", or "nothing": the error in sample."""
 
 
 def run(name: str, record: LeftOutRecord, settings: Settings) -> Run:
@@ -141,22 +140,22 @@ def _fit_rows(head: Row, fold: Fold, learned: PosteriorFit) -> list[Row]:
     return [{**head, **about, "parameter": name, "value": value} for name, value in values]
 
 
+#: of each headline metric: `value` left out; `difference`, that minus the error in sample, of the same
+#: insertions, and `difference_se`, its standard error over groups; `planned`, left out and with layers from
+#: the planned path; `baseline_value`, a constant curvature fitted to the same insertions
 SUMMARY = (
     *("fit", "left_out", "medium", "groups", "insertions", "metric"),
     *("value", "in_sample", "difference", "difference_se", "planned", "baseline_value", "floor"),
     *("pareto_k", "sampled", "not_converged", "note"),
 )
-"""Of each headline metric: `value` left out; `difference`, that minus the error in sample, of the same
-insertions, and `difference_se`, its standard error over groups; `planned`, left out and with layers from the
-planned path; `baseline_value`, a constant curvature fitted to the same insertions."""
 
 
+#: `difference`: the method's error minus the fit's, by group, with its 95 % interval (Student) over groups;
+#: `better`: insertions on which the fit errs less
 PAIRED = (
     *("fit", "left_out", "method", "metric", "groups", "value", "difference"),
     *("low", "high", "better", "insertions"),
 )
-"""`difference`: the method's error minus the fit's, by group, with its 95 % interval (Student) over groups;
-`better`: insertions on which the fit errs less."""
 
 
 def pair_by_group(errors: pd.DataFrame) -> pd.DataFrame:

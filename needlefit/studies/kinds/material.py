@@ -42,13 +42,12 @@ class CompressionRecord(AnalysisRecord):
     known."""
 
 
-KIND = StudyKind("material", CompressionRecord, __name__)
-"""What `needlefit material` runs, or a study file."""
+KIND = StudyKind("material", CompressionRecord, __name__)  #: what `needlefit material` runs, or a study file
 
 _PACKAGES = ("numpy", "scipy")
 
+#: stands for a specimen in the last row of the frame "material", if alpha is known
 FURTHER_SPECIMEN = "(a further one)"
-"""Stands for a specimen in the last row of the frame "material", if alpha is known."""
 
 
 def run(name: str, record: CompressionRecord, settings: Settings) -> Run:
@@ -151,8 +150,8 @@ def _specimen_row(fit: SpecimenFit) -> dict[str, Any]:
     }
 
 
+#: stands for a specimen in rows of the frame "profiles" that hold the ends of the prior of alpha
 PRIOR_LABEL = "(prior, ± one sd)"
-"""Stands for a specimen in rows of the frame "profiles" that hold the ends of the prior of alpha."""
 
 
 def _tabulate_curves(material: MaterialEstimate) -> pd.DataFrame:

@@ -100,6 +100,10 @@ TARGET = "target"
 
 _PLAN_COLUMNS = {"offset": "offset_mm", "angle": "angle_deg", "depth": "depth_mm"}
 _MISS_COLUMNS = ("median_mm", "miss_95_mm", "rms_mm", "bias_x_mm", "bias_y_mm", "spread_mm")
+#: `exceedances` is the share of needles that miss by more than `limit_mm`, or, where `object` names an
+#: obstacle, that touch it, with Wilson's 95 % interval. `needles` of trial -1 are those of the mean
+#: parameters, executed as planned. `miss_95_mm` is what 95 % of needles miss by at most; the bias is the mean
+#: tip less the target.
 FRAMES: Mapping[str, tuple[str, ...]] = {
     "plans": (
         *("method", "offset_mm", "angle_deg", "depth_mm", "bevel_side", "search_rms_mm"),
@@ -114,10 +118,6 @@ FRAMES: Mapping[str, tuple[str, ...]] = {
         *("specimen_treatment", "between_sd_ln_mu", "between_sd_ln_b", "other_specimens"),
     ),
 }
-"""`exceedances` is the share of needles that miss by more than `limit_mm`, or, where `object` names an
-obstacle, that touch it, with Wilson's 95 % interval. `needles` of trial -1 are those of the mean parameters,
-executed as planned. `miss_95_mm` is what 95 % of needles miss by at most; the bias is the mean tip less the
-target."""
 
 
 @dataclass(frozen=True)

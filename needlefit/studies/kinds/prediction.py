@@ -10,7 +10,6 @@ width that would be left in the specimen tuned on, and after one insertion into 
 """
 
 import json
-import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -78,11 +77,10 @@ from needlefit.studies.planned_draws import PlannedNeedles, vary_bevels
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Run, Status, Verdict, describe_configuration, headline_fault
 from needlefit.studies.run_differences import (
-    MIN_SD_CHANGE,
-    MIN_SHIFT_SD,
-    ROUNDING_FRACTION,
     Difference,
     TableComparison,
+    compare_estimates,
+    compare_sizes,
 )
 from needlefit.studies.score import Row
 from needlefit.studies.store import posterior_file_names, read_run
@@ -105,24 +103,17 @@ class PredictionRecord(TargetRecord):
     out."""
 
 
-KIND = StudyKind("prediction", PredictionRecord, __name__)
-"""What `needlefit predict` runs, or a study file."""
+KIND = StudyKind("prediction", PredictionRecord, __name__)  #: what `needlefit predict` runs, or a study file
 
 
-FORECAST_POINTS = 101
-"""Points of a predicted needle, from entry to tip."""
-
-RIGIDITY_TOLERANCE = 0.02
-"""Relative difference of two needles' rigidity from which on they are two needles."""
-
-BANDS = ("needle", "measured")
-"""Where the needle is, and where it would be measured."""
-
+FORECAST_POINTS = 101  #: points of a predicted needle, from entry to tip
+RIGIDITY_TOLERANCE = 0.02  #: relative difference of two needles' rigidity from which on they are two needles
+BANDS = ("needle", "measured")  #: where the needle is, and where it would be measured
+#: the first row is what is predicted, the others what would be left of its width
 SPECIMEN_COLUMNS = (
     *("specimen_treatment", "between_sd_ln_mu", "between_sd_ln_b", "other_specimens"),
     "tip_95_width_mm",
 )
-"""The first row is what is predicted, the others what would be left of its width."""
 
 
 FRAMES: Mapping[str, tuple[str, ...]] = {"specimens": SPECIMEN_COLUMNS}
@@ -133,13 +124,12 @@ FRAMES: Mapping[str, tuple[str, ...]] = {"specimens": SPECIMEN_COLUMNS}
 # ---- the scene under the rules of the fit
 
 
+#: keys of a scene whose values the draws replace
 _REPLACED = re.compile(
     r"(layers\.\d+\.(mu_pa|alpha|shape(\.\w+)?)|(bevel|steps\.\d+)\.(offset_mm|cut_angle_deg))$"
 )
-"""Keys of a scene whose values the draws replace."""
-
+#: rules under which parameters mean what they do: those of a fit are of no use under others
 _FITTED_RULES = ("advance", "constraint_spacing_mm", "constraint_switch", "tangent_part")
-"""Rules under which parameters mean what they do: those of a fit are of no use under others."""
 
 
 def make_scene(record: SceneRecord, where: str, medium: MediumRecord, changed: Sequence[str] = ()) -> Scene:
@@ -212,31 +202,16 @@ def _require_fitted_rules(record: SceneRecord, where: str, medium: MediumRecord)
 
 @dataclass(frozen=True)
 class Forecast:
-    """A predicted needle in the scene's constraint frame, with its uncertainty.
+    """A predicted needle in the scene's constraint frame, with its uncertainty."""
 
-    Attributes
-    ----------
-    s : (K,) array
-        Arc length from the entry, mm.
-    x : (K,) array
-        Depth of these points along the entry axis, median over draws, mm.
-    needle, measured : PredictiveMixture
-        Of y at each of them, mm: where the needle is, and where it would be measured.
-    failed : int
-        Draws of which the solve failed; they are left out.
-    outside : int
-        Draws whose needle is outside what the model assumes; they are kept.
-    specimens : tuple of Row
-        Rows of `SPECIMEN_COLUMNS`.
-    """
-
-    s: Floats
-    x: Floats
+    s: Floats  #: (K,), arc length from the entry, mm
+    x: Floats  #: (K,), depth of these points along the entry axis, median over draws, mm
+    #: needle, measured: of y at each of them, mm: where the needle is, and where it would be measured
     needle: PredictiveMixture
     measured: PredictiveMixture
-    failed: int
-    outside: int
-    specimens: tuple[Row, ...]
+    failed: int  #: draws of which the solve failed; they are left out
+    outside: int  #: draws whose needle is outside what the model assumes; they are kept
+    specimens: tuple[Row, ...]  #: rows of `SPECIMEN_COLUMNS`
 
 
 def tabulate_forecast(forecast: Forecast) -> pd.DataFrame:
@@ -620,13 +595,8 @@ def draw(found: Run) -> dict[str, Drawing]:
     if found.faults:  # whose bands are left out
         names = {"median": names["median"]}
     options = {
-        **{
-            "x": "x_mm",
-            "by": "band",
-            "looks": names,
-            "x_label": "x along the entry (mm)",
-            "size": (7.16, 2.6),
-        },
+        **{"x": "x_mm", "by": "band", "looks": names, "size": (7.16, 2.6)},
+        "x_label": "x along the entry (mm)",
         "panels": (Panel("y (mm)", line="median_mm", low="low_mm", high="high_mm", zero=True),),
     }
     return {"forecast": Drawing("curves", table, options, _list_bands)}
@@ -655,8 +625,8 @@ def forecast_to_json(found: Run) -> dict[str, Any]:
     return {**named, "tip": find_tip(found), "specimens": specimens, **basis}
 
 
+#: width of the central 95 % of a normal distribution, in standard deviations
 NORMAL_95_WIDTH_SD = 2 * 1.959963984540054
-"""Width of the central 95 % of a normal distribution, in standard deviations."""
 
 
 def _compare_forecasts(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
@@ -667,19 +637,10 @@ def _compare_forecasts(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Di
     widths = [float(one["high_mm"] - one["low_mm"]) for one in tips]
     sd = max(widths) / NORMAL_95_WIDTH_SD
     if medians[0] != medians[1] and sd > 0:
-        shift = abs(medians[1] - medians[0]) / sd
-        why = f"{shift:.2g} of its standard deviation"
-        rounding = shift < ROUNDING_FRACTION * MIN_SHIFT_SD
-        yield Difference(
-            "error", "tip, median (mm)", medians[0], medians[1], shift > MIN_SHIFT_SD, why, rounding
-        )
-    if widths[0] != widths[1] and all(width > 0 for width in widths):
-        factor = abs(math.log(widths[1] / widths[0]))
-        why = f"{widths[1] / widths[0]:.3g} times as wide"
-        rounding = factor < ROUNDING_FRACTION * MIN_SD_CHANGE
-        yield Difference(
-            "error", "tip, width of 95 % (mm)", widths[0], widths[1], factor > MIN_SD_CHANGE, why, rounding
-        )
+        one, two = medians
+        yield compare_estimates("error", "tip, median (mm)", one, two, abs(two - one) / sd)
+    one, two = widths
+    yield from compare_sizes("error", "tip, width of 95 % (mm)", one, two, "times as wide")
 
 
 _FORECAST = TableSchema(texts=("quantity",), numbers=("level", "median_mm", "low_mm", "high_mm"))

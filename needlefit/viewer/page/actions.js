@@ -33,18 +33,15 @@ export function goTo(depth) {
 /** The depth of the measured insertion, or else of the scene. */
 export const ownDepth = () => now.scene.measured?.depth_mm ?? now.scene.depth_mm;
 
-/** Turn the bevel over. */
 export function flip(at) {
   change([["bevel_side", null, -wanted("bevel_side", null, now.state.bevel.side)]], { at });
 }
 
-/** Move the base by so many steps. */
 export function nudgeBase(steps, at) {
   const y = wanted("base_y_mm", null, now.state.base.input_y) + steps * STEP.base_mm;
   change([["base_y_mm", null, y]], { gesture: going("base"), at });
 }
 
-/** Turn the base by so many steps. */
 export function nudgeTurn(steps, at) {
   const angle = degrees(wanted("base_slope", null, now.state.base.input_slope)) + steps * STEP.turn_deg;
   change([["base_slope", null, slope(angle)]], { gesture: going("turn"), at });

@@ -139,7 +139,6 @@ listen("reach", (region) => {
   aim.reach = aim.target && region.x.length ? region : null;
   publish("aimed");
 });
-/** Carry out the plan, or its next step alone. */
 export function run(message) {
   running = command({ do: "run", ...message });
 }

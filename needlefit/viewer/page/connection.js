@@ -98,18 +98,14 @@ worker.onmessage = ({ data }) => {
 function hear(message) {
   if (!opening) return; // of a line that was given up
   if (message.kind === "taken" || message.kind === "bye") return leave(message);
-  const gone = message.kind === "scene" && !greeted && ![null, message.needle].includes(needle());
-  if (message.kind === "scene") welcome(message.needle);
-  take(message);
-  if (message.kind === "scene") publish("line", { open: true });
-  if (gone) publish("notice", { what: GONE });
-}
-
-function welcome(name) {
-  sessionStorage.setItem("needlefit.needle", name);
+  if (message.kind !== "scene") return take(message);
+  const gone = !greeted && ![null, message.needle].includes(needle());
+  sessionStorage.setItem("needlefit.needle", message.needle);
   greeted = now.connected = true;
-  wait = FIRST_WAIT;
-  farewell = null;
+  [wait, farewell] = [FIRST_WAIT, null];
+  take(message);
+  publish("line", { open: true });
+  if (gone) publish("notice", { what: GONE });
 }
 
 /** The server ends it: another window has the needle, or the program stops. */
@@ -133,16 +129,14 @@ function down(reason) {
 }
 
 /** Another address of the program was opened in this window: begin anew with its token. */
-function readdressed() {
+addEventListener("hashchange", () => {
   const before = sessionStorage.getItem("needlefit.token");
   if (now.connected && token() === before) return;
   worker.postMessage({ close: true });
   opening = now.connected = false;
   wait = FIRST_WAIT;
   open();
-}
-
-addEventListener("hashchange", readdressed);
+});
 
 function again() {
   timer = setTimeout(open, 1000 * wait);

@@ -15,7 +15,6 @@ export function element(tag, properties = {}, ...contents) {
   return made;
 }
 
-/** Do something when a part is pressed. */
 export const press = (id, act) => (typeof id === "string" ? part(id) : id).addEventListener("click", act);
 
 /** A button that does something when it is pressed. */

@@ -27,7 +27,6 @@ export function invalidate() {
   publish("redraw");
 }
 
-/** Draw what has changed. */
 export function paint(fresh) {
   if (!now.scene || !now.state) return;
   if (fresh) follow();
@@ -94,14 +93,9 @@ function measure() {
   resize(width, height);
 }
 
-function recolour() {
-  readPalette();
-  touch();
-}
-
 new ResizeObserver(measure).observe(picture);
-onScheme(recolour);
-recolour();
+onScheme(() => (readPalette(), touch()));
+readPalette();
 for (const kind of ["band", "aimed", "tracking"]) listen(kind, invalidate);
 listen("slice", touch);
 let fitted = null;

@@ -33,7 +33,6 @@ async function save(file, pressed) {
   }
 }
 
-/** The picture as it is shown, with its band and whatever else is drawn. */
 function takePicture() {
   const layers = [part("background"), part("canvas")];
   const both = element("canvas", { width: layers[0].width, height: layers[0].height });

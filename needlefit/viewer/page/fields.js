@@ -1,7 +1,7 @@
 /** A number that can be set: a name, a field, and where it has limits a slider with a mark. */
 
 import { define, DEFINITIONS } from "./definitions.js";
-import { part } from "./dom.js";
+import { part, press } from "./dom.js";
 import { newGesture } from "./steering.js";
 import { publish } from "./store.js";
 
@@ -42,8 +42,7 @@ let made = 0;
  */
 export function makeField(into, about) {
   const part = template.content.firstElementChild.cloneNode(true);
-  const parts = [".number", ".slider", ".mark", ".home"];
-  const [number, slider, mark, back] = parts.map((one) => part.querySelector(one));
+  const [number, slider, mark, back] = [".number", ".slider", ".mark", ".home"].map((one) => part.querySelector(one));
   const [to, from] = about.logarithmic ? LOGARITHMIC : LINEAR;
   const [low, high] = (about.limits ?? [0, 1]).map(to);
   const field = {
@@ -52,9 +51,30 @@ export function makeField(into, about) {
     share: (value) => Math.min(Math.max((to(value) - low) / (high - low), 0), 1),
     at: (share) => from(low + share * (high - low)),
   };
-  name(field);
+  const { of, name, symbol, unit, limits } = about;
+  made += 1;
+  number.id = `field-${made}`;
+  const term = define(symbol, name);
+  if (symbol) {
+    term.tabIndex = -1; // two stops a field would be too many: the number is described instead
+    number.setAttribute("aria-description", DEFINITIONS[symbol]);
+  }
+  part.querySelector(".name").append(term);
+  part.querySelector(".unit").textContent = unit;
+  number.ariaLabel = slider.ariaLabel = [of, name].filter(Boolean).join(" ") + (unit && `, ${unit}`);
+  slider.max = STEPS;
+  back.ariaLabel = `${number.ariaLabel}: back to its initial value`;
+  if (!limits) part.querySelector(".track").remove();
   wireNumber(field);
-  wireSlider(field);
+  // A slider is heard while it moves; all of one movement is undone together.
+  const goHome = (event) => {
+    field.gesture = newGesture();
+    if (field.home !== null) ask(field, field.home, event);
+  };
+  slider.addEventListener("input", (event) => ask(field, field.at(slider.value / STEPS), event));
+  slider.addEventListener("change", () => (field.gesture = newGesture()));
+  slider.addEventListener("dblclick", goHome);
+  press(back, goHome);
   setHome(field, null);
   into.append(part);
   return field;
@@ -85,24 +105,6 @@ export function setHome(field, home) {
 function markHome({ part, back, write, value, home }) {
   back.disabled = home === null || value === null || write(home) === write(value);
   part.querySelector(".hand").hidden = back.disabled;
-}
-
-function name({ part, number, slider, back, of, name: called, symbol, unit, limits }) {
-  made += 1;
-  number.id = `field-${made}`;
-  const term = define(symbol, called);
-  if (symbol) {
-    term.tabIndex = -1; // two stops a field would be too many: the number is described instead
-    number.setAttribute("aria-description", DEFINITIONS[symbol]);
-  }
-  part.querySelector(".name").append(term);
-  part.querySelector(".unit").textContent = unit;
-  const spoken = [of, called].filter(Boolean).join(" ") + (unit && `, ${unit}`);
-  number.ariaLabel = spoken;
-  slider.ariaLabel = spoken;
-  slider.max = STEPS;
-  back.ariaLabel = `${spoken}: back to its initial value`;
-  if (!limits) part.querySelector(".track").remove();
 }
 
 function ask(field, value, event) {
@@ -145,17 +147,4 @@ function stepBy(field, direction, event) {
   field.editing = false;
   if (!event.repeat) field.gesture = newGesture();
   ask(field, logarithmic ? from * step ** direction : from + step * direction, event);
-}
-
-/** A slider is heard while it moves; all of one movement is undone together. */
-function wireSlider(field) {
-  const { slider, back } = field;
-  const goHome = (event) => {
-    field.gesture = newGesture();
-    if (field.home !== null) ask(field, field.home, event);
-  };
-  slider.addEventListener("input", (event) => ask(field, field.at(slider.value / STEPS), event));
-  slider.addEventListener("change", () => (field.gesture = newGesture()));
-  slider.addEventListener("dblclick", goHome);
-  back.addEventListener("click", goHome);
 }

@@ -62,8 +62,7 @@ function along({ key, shiftKey, repeat, timeStamp }, direction) {
 
 /** Once the newest key is let go, the one before that is still down holds. */
 function release({ key }) {
-  if (!holding.some(([one]) => one === key)) return;
-  const newest = holding.at(-1)[0] === key;
+  const newest = holding.at(-1)?.[0] === key;
   holding = holding.filter(([one]) => one !== key);
   if (!newest) return;
   if (holding.length) act.hold(holding.at(-1)[1]);

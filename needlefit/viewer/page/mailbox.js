@@ -14,7 +14,6 @@ const [PUT, TAKEN] = [0, 1];
 export const makeMailbox = () => (globalThis.crossOriginIsolated ? new SharedArrayBuffer(HEAD + SIZE) : null);
 
 const counts = (box) => new Int32Array(box, 0, 2);
-const room = (box) => new Uint8Array(box, HEAD);
 
 /** Put a text in; returns whether there was room. */
 export function put(box, text) {
@@ -39,19 +38,23 @@ export function take(box) {
   return text;
 }
 
-/** Write bytes from a place on; beyond the end it goes on at the beginning. */
-function write(box, at, bytes) {
+/** Where bytes from a place on lie; beyond the end they go on at the beginning. */
+function parts(box, at, length) {
   const from = (at >>> 0) % SIZE;
-  const fits = Math.min(bytes.length, SIZE - from);
-  room(box).set(bytes.subarray(0, fits), from);
-  room(box).set(bytes.subarray(fits), 0);
+  const fits = Math.min(length, SIZE - from);
+  return [new Uint8Array(box, HEAD + from, fits), new Uint8Array(box, HEAD, length - fits)];
+}
+
+function write(box, at, bytes) {
+  const [first, rest] = parts(box, at, bytes.length);
+  first.set(bytes.subarray(0, first.length));
+  rest.set(bytes.subarray(first.length));
 }
 
 function read(box, at, length) {
-  const from = (at >>> 0) % SIZE;
-  const fits = Math.min(length, SIZE - from);
+  const [first, rest] = parts(box, at, length);
   const bytes = new Uint8Array(length);
-  bytes.set(room(box).subarray(from, from + fits));
-  bytes.set(room(box).subarray(0, length - fits), fits);
+  bytes.set(first);
+  bytes.set(rest, first.length);
   return bytes;
 }

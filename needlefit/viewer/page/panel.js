@@ -111,9 +111,8 @@ function makeGuide({ item, name: called = numbered(item) }) {
   };
 }
 
-function refreshGuide(guide) {
-  const { item, x, y, slope: along, turns_freely: free } = guide;
-  if (!guides.has(item)) guides.set(item, makeGuide(guide));
+function refreshGuide({ item, name, x, y, slope: along, turns_freely: free }) {
+  if (!guides.has(item)) guides.set(item, makeGuide({ item, name }));
   const row = guides.get(item);
   show(row.x, wanted("guide_x_mm", item, x));
   show(row.y, wanted("guide_y_mm", item, y));

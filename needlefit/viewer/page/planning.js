@@ -27,8 +27,7 @@ function circleFields(into, symbol, of, get, set) {
 function build() {
   const shown = JSON.stringify([Boolean(aim.target), aim.obstacles.map((_, i) => nameOf(i))]);
   if (rows === shown) return;
-  rows = shown;
-  fields = [];
+  [rows, fields] = [shown, []];
   const into = part("target-fields");
   into.replaceChildren();
   part("obstacles").replaceChildren(...aim.obstacles.map(obstacleRow));
@@ -106,12 +105,6 @@ function describeGame() {
   return `You ${game.hand.toFixed(2)} mm, ${planner}: ${won ? "you win" : "the planner wins"}.`;
 }
 
-function ask() {
-  sendAfterGoal({ do: "plan", entry_mm: entry() });
-  aim.planning = true;
-  refresh();
-}
-
 /** Run the plan; at its entry the next one goes on from where the needle stands. */
 function begin(how) {
   if (aim.plan.anew) part("plan-entry").value = "0";
@@ -146,7 +139,11 @@ const PRESSED = {
   "put-target": (event) => placeBy("target", event),
   "put-obstacle": (event) => placeBy("obstacle", event),
   "aim-clear": () => setAim({ target: null, obstacles: [], reach: null }),
-  "make-plan": ask,
+  "make-plan": () => {
+    sendAfterGoal({ do: "plan", entry_mm: entry() });
+    aim.planning = true;
+    refresh();
+  },
   "run-plan": () => begin({}),
   "step-plan": () => begin({ one: true }),
   "open-markups": () => part("markups").click(),

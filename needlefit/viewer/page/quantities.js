@@ -12,7 +12,6 @@ export function brief(value, digits = 4) {
   return String(Number(Number(value).toPrecision(digits)));
 }
 
-/** So many of something. */
 export const counted = (count, one) => `${count} ${one}${count === 1 ? "" : "s"}`;
 
 /** Groups of three digits, apart by thin spaces. */

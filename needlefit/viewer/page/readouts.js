@@ -30,7 +30,6 @@ export function fillReadouts(list, readouts) {
 const writeNeedle = fillReadouts(part("readouts"), NEEDLE);
 let writeErrors = () => {}; // of the comparison with a measured needle: every metric that the scene names
 
-/** Write what has changed. */
 export function refresh() {
   const { state, scene } = now;
   writeNeedle(state);
@@ -96,5 +95,4 @@ export function inWords() {
 /** Keep the text alternative true. */
 export const refreshDescription = () => write("described", inWords());
 
-/** Say the needle's state now. */
 export const describe = () => say(inWords());

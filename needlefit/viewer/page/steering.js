@@ -33,8 +33,12 @@ export function change(set, { gesture = newGesture(), insert = 0, at = performan
   gesture = held ?? gesture; // what is steered while the needle moves is undone with the move
   for (const [name, item, value] of set) asked.set(key(name, item), { value, id: Infinity });
   const last = waiting.at(-1);
-  if (last?.gesture === gesture) merge(last, set, insert);
-  else waiting.push({ gesture, set: [...set], insert, at });
+  if (last?.gesture !== gesture) waiting.push({ gesture, set: [...set], insert, at });
+  else {
+    last.insert += insert;
+    const known = new Map([...last.set, ...set].map((one) => [key(one[0], one[1]), one]));
+    last.set = [...known.values()];
+  }
   sendSoon();
 }
 
@@ -44,15 +48,6 @@ function sendSoon() {
   const left = sentLast + SHORTEST - performance.now();
   if (left > 0) timer = setTimeout(sendNext, left);
   else sendNext();
-}
-
-function merge(last, set, insert) {
-  last.insert += insert;
-  for (const triple of set) {
-    const place = last.set.findIndex(([name, item]) => name === triple[0] && item === triple[1]);
-    if (place < 0) last.set.push(triple);
-    else last.set[place] = triple;
-  }
 }
 
 function sendNext() {
@@ -82,7 +77,6 @@ export function move(speed, to = null) {
   command(to === null ? message : { ...message, to_mm: to });
 }
 
-/** Stop whatever moves. */
 export function halt() {
   held = null;
   if (now.connected) command({ do: "halt" });

@@ -12,7 +12,6 @@ export function listen(kind, hear) {
   listeners.get(kind).push(hear);
 }
 
-/** Publish a message to all listeners of its kind. */
 export function publish(kind, message) {
   for (const hear of listeners.get(kind) ?? []) hear(message);
 }

@@ -94,7 +94,6 @@ function heights(which) {
   return [Math.min(...all), Math.max(...all)];
 }
 
-/** Whether the tip is in the window. */
 export function seesTip() {
   const { left, top, width, height } = view.box;
   const [px, py] = [toPx(now.state.tip.x) - left, toPy(now.state.tip.y) - top];
@@ -138,7 +137,6 @@ export function zoom(factor, px = toPx(view.x), py = toPy(view.y)) {
   touch();
 }
 
-/** Shift the picture by so many px. */
 export function pan(px, py) {
   view.x -= px / view.scale;
   view.y += py / (view.scale * view.magnified);

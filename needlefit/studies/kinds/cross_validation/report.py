@@ -23,38 +23,10 @@ from needlefit.inference.parameters import BEVEL_SPREAD, find_tie_spread, is_log
 from needlefit.inference.proportions import estimate_proportion
 from needlefit.metrics import headline_metrics, list_metrics
 from needlefit.project.result_warnings import read_warnings
-from needlefit.reporting import document, latex
+from needlefit.reporting import document, labels, latex
 from needlefit.reporting.columns import DIGITS, METRIC_FORMAT, find_column, format_value
 from needlefit.reporting.figures import Drawing, Look
-from needlefit.reporting.figures.fit_forms import (
-    BANDS,
-    DRAWN_SETS,
-    HEIGHT_COLUMNS,
-    INSERTION_KEYS,
-    LAYER,
-    PREDICTED_LEVELS,
-    PREDICTED_QUANTITIES,
-    QUARTILES,
-    InsertionKey,
-    corner,
-    draw_profiles,
-    errors_by_group,
-    insertions,
-    predictive_check,
-    residuals,
-    waterfall,
-)
-from needlefit.reporting.labels import (
-    INK,
-    PAPER_COLOUR,
-    group_name,
-    layers_name,
-    medium_name,
-    method_colour,
-    method_marker,
-    method_name,
-    study_name,
-)
+from needlefit.reporting.figures import fit_forms as forms
 from needlefit.reporting.number_format import (
     choose_interval_unit,
     choose_printed_unit,
@@ -70,6 +42,7 @@ from needlefit.reporting.table import TableLayout
 from needlefit.reporting.table_files import Row, to_records, to_tidy, write_csv
 from needlefit.schemas.medium import ParameterRecord
 from needlefit.schemas.study import StudyRecord
+from needlefit.studies import scored_groups as scores
 from needlefit.studies.coverage import list_coverages, list_missed_levels, median_error, median_width
 from needlefit.studies.identification import (
     describe_verdicts,
@@ -77,47 +50,10 @@ from needlefit.studies.identification import (
     tabulate_identification,
 )
 from needlefit.studies.kinds.cross_validation import tables
-from needlefit.studies.kinds.cross_validation.tables import (
-    NOT_DETERMINED,
-    SEARCHED,
-    TEXT,
-    arrange_parameters,
-    find_ridge_ends,
-    is_ridge,
-    lay_out_coverage,
-    lay_out_posterior,
-    list_free_parameters,
-    principal_axes,
-    tabulate_parameters,
-    tabulate_percentiles,
-)
 from needlefit.studies.rank_statistics import ecdf_band
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Run, Status, Verdict, judge_errors, judge_run, qualify
 from needlefit.studies.score import list_methods
-from needlefit.studies.scored_groups import (
-    BY_LAYERS,
-    BY_MEDIA,
-    HELD_OUT,
-    TE,
-    ScoredGroup,
-    aggregate,
-    beats_fit,
-    compare_best_baseline,
-    compare_group,
-    compare_methods,
-    count_reasons,
-    find_best_baseline,
-    find_bevel_sides,
-    list_groups,
-    list_held_out_groups,
-    list_judged_groups,
-    select_group,
-    study_label,
-    tabulate_points,
-    tabulate_tuning,
-    tabulate_validation,
-)
 from needlefit.studies.slicer import write_needles
 from needlefit.studies.validity import describe_outside
 
@@ -130,7 +66,7 @@ _PACKAGES = {"python": "Python", "numpy": "NumPy", "scipy": "SciPy", "nlopt": "N
 def list_sentences(results: Run, *blocks: str) -> list[str]:
     """Return the sentences of some blocks of the text about a run."""
     facts = {"facts": Facts(results)}
-    return [sentence for block in blocks for sentence in TEXT.sentences(block, facts)]
+    return [sentence for block in blocks for sentence in tables.TEXT.sentences(block, facts)]
 
 
 def find_scored_role(results: Run) -> str:
@@ -148,7 +84,7 @@ class Facts:
         self.headline = join_words([metric.label for metric in headline_metrics()])
         self.role = find_scored_role(results)
         self.scope = "held-out" if self.role == "validate" else "tuning"
-        label = study_label(results)
+        label = scores.study_label(results)
         self.study = f"Study {label}" if isinstance(label, int) else label
         about = results.run.get("dataset", {})
         self.dataset = str(about.get("name", results.dataset_title))
@@ -157,6 +93,22 @@ class Facts:
         self.folds, self.held_out_count = len(folds), sum(len(fold["validate"]) for fold in folds)
         # the least and the greatest, one if they are equal
         self.fitted_counts = list(dict.fromkeys(map(str, (*counts[:1], *counts[-1:]))))
+        fitted = to_records(results.frames["parameters"].query("method == 'fitted'"))
+        self.parameter_folds = len({row["fold"] for row in fitted})
+        self.free_values = [row for row in fitted if row["status"] != "fixed"]
+        # given, not estimated; estimated, but not determined in some fold; under an assumption in every fold
+        self.fixed = _name(row for row in fitted if row["status"] == "fixed")
+        self.undetermined = _name(row for row in self.free_values if not row["determined"])
+        unconditional = _name(row for row in fitted if not row["determined"] and not row["condition"])
+        self.conditional = [name for name in self.undetermined if name not in unconditional]
+        self.loose = [name for name in self.undetermined if name not in self.conditional]
+        known = [name for name in _name(self.free_values) if name not in self.undetermined]
+        parts = {
+            "identifiable:": known,
+            "identifiable under assumptions:": self.conditional,
+            "not identifiable:": self.loose,
+        }
+        self.determined = [(words, names) for words, names in parts.items() if names]
         notes = list(map(str, about.get("notes", ())))
         if results.synthetic:  # that it is stands on every page
             notes = [note.removeprefix("Synthetic: ") for note in notes]
@@ -167,17 +119,17 @@ class Facts:
 
     @cached_property
     def groups(self) -> list[Row]:
-        return [self._describe_group(group) for group in list_held_out_groups(self.results)]
+        return [self._describe_group(group) for group in scores.list_held_out_groups(self.results)]
 
-    def _describe_group(self, group: ScoredGroup) -> Row:
+    def _describe_group(self, group: scores.ScoredGroup) -> Row:
         head, digits = group.head, 3 if group.head["comparison"] == "aligned" else 2
 
         def join(column: str) -> str:
             return join_metrics({one.name: group.get(one.name, column) for one in headline_metrics()}, digits)
 
         study = f"Study {head['study']}, " if isinstance(head["study"], int) else ""
-        name = f"{study}{medium_name(head['medium'])}, {layers_name(head['layers'])}"
-        known = group.get(TE, "floor") is not None
+        name = f"{study}{labels.medium_name(head['medium'])}, {labels.layers_name(head['layers'])}"
+        known = group.get(scores.TE, "floor") is not None
         return {
             "name": name[:1].upper() + name[1:],
             "insertions": head["insertions"],
@@ -190,7 +142,7 @@ class Facts:
     def _scores(self) -> dict[str, Row]:
         """The fitted model's errors over everything it is scored on, by metric; empty if it was not."""
         wanted = (self.role, "fitted", "measured")
-        rows = to_records(aggregate(self.results, ("role", "method", "boundaries")))
+        rows = to_records(scores.aggregate(self.results, ("role", "method", "boundaries")))
         return {r["metric"]: r for r in rows if (r["role"], r["method"], r["boundaries"]) == wanted}
 
     @cached_property
@@ -222,12 +174,12 @@ class Facts:
         return [
             {
                 **row,
-                "name": method_name(row["method"], self.results.origin),
+                "name": labels.method_name(row["method"], self.results.origin),
                 "curve": row["method"] in BASELINES,
                 "paper": row["method"] in PAPER_SETS,
-                "wins": beats_fit(row, TE),
+                "wins": scores.beats_fit(row, scores.TE),
             }
-            for row in to_records(compare_methods(self.results, role=self.role, metric=TE))
+            for row in to_records(scores.compare_methods(self.results, role=self.role, metric=scores.TE))
             if row["method"] != "fitted"
         ]
 
@@ -272,10 +224,10 @@ class Facts:
             {
                 **vars(found),
                 **{"what": what, "level": level},
-                "group": group_name(group.head["medium"], group.head["layers"]),
+                "group": labels.group_name(group.head["medium"], group.head["layers"]),
             }
-            for group in list_held_out_groups(self.results)
-            for what, level, found in list_coverages(select_group(self.frames["predictive"], group))
+            for group in scores.list_held_out_groups(self.results)
+            for what, level, found in list_coverages(scores.select_group(self.frames["predictive"], group))
             if found.low > level / 100
         ]
 
@@ -283,51 +235,6 @@ class Facts:
     def draws_of_predictions(self) -> int:
         draws = self.frames["predictive"]["draws"]
         return int(draws.max()) if len(draws) else 0
-
-    # ---- parameters
-
-    @cached_property
-    def _fitted(self) -> list[Row]:
-        return to_records(self.frames["parameters"].query("method == 'fitted'"))
-
-    @property
-    def parameter_folds(self) -> int:
-        return len({row["fold"] for row in self._fitted})
-
-    @property
-    def free_values(self) -> list[Row]:
-        return [row for row in self._fitted if row["status"] != "fixed"]
-
-    @cached_property
-    def undetermined(self) -> list[str]:
-        """The estimated parameters that some fold could not determine, in the order of the model."""
-        return _name(row for row in self._fitted if row["status"] in SEARCHED and not row["determined"])
-
-    @cached_property
-    def conditional(self) -> list[str]:
-        """Those of them that are determined under an assumption, in every fold."""
-        loose = _name(row for row in self._fitted if not row["determined"] and not row["condition"])
-        return [name for name in self.undetermined if name not in loose]
-
-    @property
-    def loose(self) -> list[str]:
-        return [name for name in self.undetermined if name not in self.conditional]
-
-    @property
-    def fixed(self) -> list[str]:
-        """The parameters that were given, not estimated."""
-        return _name(row for row in self._fitted if row["status"] == "fixed")
-
-    @property
-    def determined(self) -> list[tuple[str, list[str]]]:
-        """What the data determine, determine under assumptions, and do not determine."""
-        names = _name(self.free_values)
-        parts = (
-            ("identifiable:", [name for name in names if name not in self.undetermined]),
-            ("identifiable under assumptions:", self.conditional),
-            ("not identifiable:", self.loose),
-        )
-        return [part for part in parts if part[1]]
 
     @cached_property
     def by_metric(self) -> bool:
@@ -342,7 +249,7 @@ class Facts:
 
     @cached_property
     def outside_fits(self) -> list[Row]:
-        rows = to_records(tabulate_percentiles(self.results))
+        rows = to_records(tables.tabulate_percentiles(self.results))
         return [row for row in rows if row["fit_in_central_95"] is False]
 
     @cached_property
@@ -351,7 +258,7 @@ class Facts:
         every = self.frames["draws"]
         fold = every["fold"].iloc[0]
         draws = every[every["fold"] == fold]
-        axes = principal_axes(draws[list_free_parameters(self.results)])
+        axes = tables.principal_axes(draws[tables.list_free_parameters(self.results)])
         return {
             "count": len(draws),
             "source": str(draws["draw_source"].iloc[0]),
@@ -359,7 +266,7 @@ class Facts:
             "certified": bool(draws["certified"].iloc[0]),
             "folds": int(every["fold"].nunique()),
             "fold": str(fold),
-            "ridge": is_ridge(axes),
+            "ridge": tables.is_ridge(axes),
             "known": axes[0].words,
             "loose": axes[-1].words,
         }
@@ -387,7 +294,7 @@ class Facts:
     @cached_property
     def failed(self) -> Row:
         starts, failures = self.frames["starts"], self.frames["failures"]
-        reasons = count_reasons(failures).items()
+        reasons = scores.count_reasons(failures).items()
         return {
             "searches": int(starts["failed_solves"].sum()),
             "evaluations": int(starts["evaluations"].sum()),
@@ -501,27 +408,27 @@ def _choose_digits(value: float | None) -> int:
 
 def judge(results: Run) -> list[Verdict]:
     """Return a verdict for each held-out group; of a fit, for each medium fitted to."""
-    groups = list_judged_groups(results)
+    groups = scores.list_judged_groups(results)
     media = [group.head["medium"] for group in groups]
     return [
         _judge_held_out(results, group, media.count(group.head["medium"]) > 1)
-        if group.head["grouping"] == HELD_OUT
+        if group.head["grouping"] == scores.HELD_OUT
         else _judge_fit(results, group)
         for group in groups
     ] or [Verdict("No fit: no start of the search has a solution for every insertion", "fail")]
 
 
-def _judge_held_out(results: Run, group: ScoredGroup, named_layers: bool) -> Verdict:
+def _judge_held_out(results: Run, group: scores.ScoredGroup, named_layers: bool) -> Verdict:
     medium, layers = group.head["medium"], group.head["layers"]
-    name = group_name(medium, layers) if named_layers else medium_name(medium)
+    name = labels.group_name(medium, layers) if named_layers else labels.medium_name(medium)
     numbers = _collect_numbers(group)
-    error = group.get(TE)
+    error = group.get(scores.TE)
     if error is None:
         return Verdict(f"Not scored: no simulation on {name} converged", "fail", name, numbers)
-    best = compare_best_baseline(results, group)
-    floor_ratio, count = group.over_floor(TE), int(group.head["insertions"])
+    best = scores.compare_best_baseline(results, group)
+    floor_ratio, count = group.over_floor(scores.TE), int(group.head["insertions"])
     judged = judge_errors(name, error, floor_ratio, best, count, reliable=results.reliable)
-    predictive = select_group(results.frames["predictive"], group)
+    predictive = scores.select_group(results.frames["predictive"], group)
     median = median_error(predictive) if len(predictive) else None
     numbers |= {} if median is None else {"predictive_median_te_mm": median}
     missed = [
@@ -536,50 +443,50 @@ def _judge_held_out(results: Run, group: ScoredGroup, named_layers: bool) -> Ver
     }
     nearest = None if best is None else best.error_mm
     closer = nearest is not None and median is not None and nearest < median
-    found = replace(judged, sentence=TEXT.sentence("held_out", values), group=name, numbers=numbers)
+    found = replace(judged, sentence=tables.TEXT.sentence("held_out", values), group=name, numbers=numbers)
     return qualify(found, found.sentence) if closer or missed or noisy else found
 
 
-def _find_closer_set(results: Run, group: ScoredGroup, error: float) -> Row | None:
+def _find_closer_set(results: Run, group: scores.ScoredGroup, error: float) -> Row | None:
     """Return the set of the paper's that is closest, if it is closer than the fit on most insertions."""
     rows = [
         {
-            "name": f"the {method_name(row['method'], results.origin)}".replace(", b", " with b"),
-            "error_mm": row[TE],
+            "name": f"the {labels.method_name(row['method'], results.origin)}".replace(", b", " with b"),
+            "error_mm": row[scores.TE],
             "closer": row["insertions"] - row["better"],
             "insertions": row["insertions"],
         }
-        for row in compare_group(results, group)
-        if row["method"] in PAPER_SETS and row[TE] is not None
+        for row in scores.compare_group(results, group)
+        if row["method"] in PAPER_SETS and row[scores.TE] is not None
     ]
     closer = [row for row in rows if row["error_mm"] < error and 2 * row["closer"] > row["insertions"]]
     return min(closer, key=lambda row: float(row["error_mm"]), default=None)
 
 
-def _collect_numbers(group: ScoredGroup) -> dict[str, float | str | None]:
-    best = find_best_baseline(group)
+def _collect_numbers(group: scores.ScoredGroup) -> dict[str, float | str | None]:
+    best = scores.find_best_baseline(group)
     return {
-        TE: group.get(TE),
-        "floor_te_mm": group.get(TE, "floor"),
-        "te_over_floor": group.over_floor(TE),
+        scores.TE: group.get(scores.TE),
+        "floor_te_mm": group.get(scores.TE, "floor"),
+        "te_over_floor": group.over_floor(scores.TE),
         "baseline": best,
-        "baseline_te_mm": None if best is None else group.get(TE, method=best),
-        "paper_te_mm": group.get(TE, "paper"),
+        "baseline_te_mm": None if best is None else group.get(scores.TE, method=best),
+        "paper_te_mm": group.get(scores.TE, "paper"),
         "insertions": group.head["insertions"],
     }
 
 
-def _judge_fit(results: Run, group: ScoredGroup) -> Verdict:
+def _judge_fit(results: Run, group: scores.ScoredGroup) -> Verdict:
     """Return the verdict on a fit: how closely it follows its insertions, what it determines."""
-    name, error, facts = medium_name(group.head["medium"]), group.get(TE), Facts(results)
+    name, error, facts = labels.medium_name(group.head["medium"]), group.get(scores.TE), Facts(results)
     numbers = {**_collect_numbers(group), "not_determined": ", ".join(facts.undetermined)}
     if error is None:
         return Verdict(f"No fit: no simulation on {name} converged", "fail", name, numbers)
-    ratio, kinds = group.over_floor(TE), {one.kind for one in read_warnings(results.run)}
+    ratio, kinds = group.over_floor(scores.TE), {one.kind for one in read_warnings(results.run)}
     opening, status = _open_fit(kinds, bool(facts.undetermined), ratio, results.reliable)
     values = {"facts": facts, "opening": opening, "error_mm": error, "floor_ratio": ratio}
     values |= {"insertions": group.head["insertions"]}
-    return Verdict(TEXT.sentence("fitted", values), status, name, numbers)
+    return Verdict(tables.TEXT.sentence("fitted", values), status, name, numbers)
 
 
 def _open_fit(
@@ -598,9 +505,8 @@ def _open_fit(
 
 # ---- figures: insertions
 
-_POINT_COLUMNS = [*INSERTION_KEYS, "curve", "x_mm", *HEIGHT_COLUMNS]
-MAX_LARGE_PANELS = 24
-"""Insertions at most whose panels are large."""
+_POINT_COLUMNS = [*forms.INSERTION_KEYS, "curve", "x_mm", *forms.HEIGHT_COLUMNS]
+MAX_LARGE_PANELS = 24  #: insertions at most whose panels are large
 
 _OVERLAY_POINT_STEP, _RESIDUAL_POINT_STEP = 5, 2  # of the points compared, one in so many is drawn
 
@@ -613,21 +519,21 @@ def collect_curves(results: Run, role: str, shown: Iterable[str], every: int = 1
     """
     where = "role == @role and boundaries == 'measured' and method in @shown"
     shapes = results.frames["shapes"].query(where, local_dict={"role": role, "shown": list(shown)})
-    shapes = shapes.sort_values([*INSERTION_KEYS, "method", "j"])
+    shapes = shapes.sort_values([*forms.INSERTION_KEYS, "method", "j"])
     simulated = shapes.set_axis([c.replace("simulated_", "") for c in shapes.columns], axis=1)
-    dots = shapes.drop_duplicates([*INSERTION_KEYS, "j"])
+    dots = shapes.drop_duplicates([*forms.INSERTION_KEYS, "j"])
     bands = _align_bands(results.frames["bands"], dots)
     dots = dots[dots["j"] % every == 0].set_axis([c.replace("measured_", "") for c in shapes.columns], axis=1)
     parts = [simulated.assign(curve=simulated["method"]), dots.assign(curve="measured")]
-    for level in BANDS if role == "validate" else ():
+    for level in forms.BANDS if role == "validate" else ():
         number = level.removesuffix(" %")
         ends = {f"low_{number}_mm": "low_mm", f"high_{number}_mm": "high_mm"}
         parts.append(bands.rename(columns=ends).assign(curve=level))
     found = pd.concat(
         [part.reindex(columns=_POINT_COLUMNS) for part in parts if len(part)], ignore_index=True
     )
-    sides = found["insertion"].map(find_bevel_sides(results))
-    found[HEIGHT_COLUMNS] = found[HEIGHT_COLUMNS].mul(sides, axis=0)
+    sides = found["insertion"].map(scores.find_bevel_sides(results))
+    found[forms.HEIGHT_COLUMNS] = found[forms.HEIGHT_COLUMNS].mul(sides, axis=0)
     return found.assign(origin=results.origin)
 
 
@@ -639,7 +545,7 @@ def _align_bands(bands: pd.DataFrame, shapes: pd.DataFrame) -> pd.DataFrame:
     """
     parts = []
     ends = [name for name in bands.columns if name.startswith(("low_", "high_"))]
-    for key, band in bands.groupby(INSERTION_KEYS, sort=False):
+    for key, band in bands.groupby(forms.INSERTION_KEYS, sort=False):
         needle = shapes[(shapes["fold"] == key[0]) & (shapes["insertion"] == key[1])]
         if len(needle):
             height = np.interp(band["x_mm"], needle["measured_x_mm"], needle["measured_y_mm"])
@@ -650,13 +556,13 @@ def _align_bands(bands: pd.DataFrame, shapes: pd.DataFrame) -> pd.DataFrame:
 def subtract_fit(points: pd.DataFrame) -> pd.DataFrame:
     """Return all curves except the fit, minus the fit's deflection at the same x."""
     parts = []
-    for _, mine in points.groupby(INSERTION_KEYS, sort=False):
+    for _, mine in points.groupby(forms.INSERTION_KEYS, sort=False):
         fit = mine[mine["curve"] == "fitted"].dropna(subset="y_mm")
         others = mine[mine["curve"] != "fitted"]
         if len(fit) > 1:
             columns = (frame["x_mm"].to_numpy() for frame in (fit, others))
             height = _extrapolate_height(next(columns), fit["y_mm"].to_numpy(), next(columns))
-            parts.append(others.assign(**{name: others[name] - height for name in HEIGHT_COLUMNS}))
+            parts.append(others.assign(**{name: others[name] - height for name in forms.HEIGHT_COLUMNS}))
     return pd.concat(parts, ignore_index=True) if parts else points.head(0)
 
 
@@ -669,7 +575,7 @@ def _extrapolate_height(x: Floats, y: Floats, at: Floats) -> Floats:
     return found
 
 
-def _title_panels(results: Run, role: str) -> dict[InsertionKey, str]:
+def _title_panels(results: Run, role: str) -> dict[forms.InsertionKey, str]:
     """Return by fold and insertion what stands above its panel: its tip error."""
     errors = results.frames["errors"].query(
         "role == @role and boundaries == 'measured' and method == 'fitted'"
@@ -681,17 +587,17 @@ def _title_panels(results: Run, role: str) -> dict[InsertionKey, str]:
     return titles
 
 
-def _rank_by_tip_error(results: Run, role: str) -> list[InsertionKey]:
+def _rank_by_tip_error(results: Run, role: str) -> list[forms.InsertionKey]:
     """Return the insertions of a role by the tip error of the fit, smallest first."""
     rows = results.frames["errors"].query(
         "role == @role and boundaries == 'measured' and method == 'fitted' and converged"
     )
     rows = rows.sort_values("te_mm", kind="stable")
-    return list(rows[INSERTION_KEYS].itertuples(index=False, name=None))
+    return list(rows[forms.INSERTION_KEYS].itertuples(index=False, name=None))
 
 
-def _select(points: pd.DataFrame, chosen: Iterable[InsertionKey]) -> pd.DataFrame:
-    inside = pd.MultiIndex.from_frame(points[INSERTION_KEYS]).isin(list(chosen))
+def _select(points: pd.DataFrame, chosen: Iterable[forms.InsertionKey]) -> pd.DataFrame:
+    inside = pd.MultiIndex.from_frame(points[forms.INSERTION_KEYS]).isin(list(chosen))
     selected: pd.DataFrame = points[inside]
     return selected
 
@@ -699,7 +605,7 @@ def _select(points: pd.DataFrame, chosen: Iterable[InsertionKey]) -> pd.DataFram
 def draw_insertions(results: Run, role: str) -> dict[str, Drawing]:
     """Return all insertions; the best and the worst in their layers; three less the fit."""
     titles = _title_panels(results, role)
-    names = {method: method_name(method) for method in ("fitted", "hand_tuned")}
+    names = {method: labels.method_name(method) for method in ("fitted", "hand_tuned")}
     every = _OVERLAY_POINT_STEP if len(titles) <= MAX_LARGE_PANELS else 2 * _OVERLAY_POINT_STEP
     ranked = _rank_by_tip_error(results, role)
     ends = {"Only insertion": ranked[0]} if len(ranked) == 1 else {"Best": ranked[0], "Worst": ranked[-1]}
@@ -708,27 +614,27 @@ def draw_insertions(results: Run, role: str) -> dict[str, Drawing]:
     best = pd.concat([_select(best, heads), _list_layers(results, heads)], ignore_index=True)
     # a straight line, without coefficients, would hide all others
     curves = (one.name for one in reversed(list_baselines()) if one.scales or one.fit)
-    less = {method: method_name(method) for method in ("fitted", "hand_tuned", *curves)}
+    less = {method: labels.method_name(method) for method in ("fitted", "hand_tuned", *curves)}
     three = list(dict.fromkeys([ranked[0], ranked[len(ranked) // 2], ranked[-1]]))
     off = subtract_fit(_select(collect_curves(results, role, less, _RESIDUAL_POINT_STEP), three))
     return {
         "schematic": Drawing(
-            insertions,
+            forms.insertions,
             best,
             {"heads": heads, "names": {"fitted": names["fitted"]}, "most_columns": 2, "layers": True},
         ),
         "overlays": Drawing(
-            insertions, collect_curves(results, role, names, every), {"heads": titles, "names": names}
+            forms.insertions, collect_curves(results, role, names, every), {"heads": titles, "names": names}
         ),
-        "residuals": Drawing(residuals, off, {"chosen": three, "names": less}),
+        "residuals": Drawing(forms.residuals, off, {"chosen": three, "names": less}),
     }
 
 
-def _list_layers(results: Run, chosen: Iterable[InsertionKey]) -> pd.DataFrame:
+def _list_layers(results: Run, chosen: Iterable[forms.InsertionKey]) -> pd.DataFrame:
     """Return a row for each layer of some insertions: `curve` is its name, `x_mm` where it begins."""
     stored = results.run.get("layers", {})
     rows = [
-        {"fold": fold, "insertion": insertion, "curve": f"{LAYER} {layer:.0f}", "x_mm": float(begin)}
+        {"fold": fold, "insertion": insertion, "curve": f"{forms.LAYER} {layer:.0f}", "x_mm": float(begin)}
         for fold, insertion in chosen
         for layer, begin in stored.get(insertion, [(1, 0.0)])
     ]
@@ -737,8 +643,8 @@ def _list_layers(results: Run, chosen: Iterable[InsertionKey]) -> pd.DataFrame:
 
 # ---- errors on held-out groups
 
+#: fewer tip errors than this are shown as points only: a box of them would be an invention
 _MIN_TIPS_OF_BOX = 5
-"""Fewer tip errors than this are shown as points only: a box of them would be an invention."""
 
 _BOXPLOT_COLUMNS = ("group", "metric", "mark", "insertion", "value", "origin")
 
@@ -748,81 +654,89 @@ def draw_errors(results: Sequence[Run]) -> dict[str, Drawing]:
 
     Of several studies also the errors of every method; nothing where none is held out.
     """
-    if tabulate_validation(*results).empty:
+    if scores.tabulate_validation(*results).empty:
         return {}
     marks = pd.DataFrame([row for one in results for row in _list_boxes(one)], columns=_BOXPLOT_COLUMNS)
-    drawn = {"boxplot": Drawing(errors_by_group, marks)}
+    drawn = {"boxplot": Drawing(forms.errors_by_group, marks)}
     if len(results) > 1:  # of one study the table of methods has these numbers
         drawn["baselines"] = _draw_baselines(results)
     if any(len(one.frames["predictive"]) for one in results):
-        drawn["predicted"] = Drawing(predictive_check, tabulate_predictive_check(results))
+        drawn["predicted"] = Drawing(forms.predictive_check, tabulate_predictive_check(results))
     return drawn
 
 
 def _list_boxes(results: Run) -> Iterator[Row]:
     """Yield what ends, halves and quarters a box, tips, means, floor and the paper's means."""
     where = "role == 'validate' and method == 'fitted' and boundaries == 'measured'"
-    cloud, errors = tabulate_points(results).query(where), results.frames["errors"].query(where)
-    for group in list_held_out_groups(results):
+    cloud, errors = scores.tabulate_points(results).query(where), results.frames["errors"].query(where)
+    for group in scores.list_held_out_groups(results):
         medium, layers = group.head["medium"], group.head["layers"]
         about = {"group": f"{_name_group(group)}, n = {group.head['insertions']}", "origin": results.origin}
         ipe, te = (
             frame[(frame["medium"] == medium) & (frame["layers"] == layers) & np.isfinite(frame[column])]
-            for frame, column in ((cloud, "ipe_mm"), (errors, TE))
+            for frame, column in ((cloud, "ipe_mm"), (errors, scores.TE))
         )
         yield from ({**about, "metric": "IPE", **mark} for mark in _list_quartiles(ipe["ipe_mm"]))
         if len(te) >= _MIN_TIPS_OF_BOX:
-            yield from ({**about, "metric": "TE", **mark} for mark in _list_quartiles(te[TE]))
-        for tip in to_records(te[["insertion", TE]]):
-            place = {"mark": "tip", "insertion": tip["insertion"], "value": tip[TE]}
+            yield from ({**about, "metric": "TE", **mark} for mark in _list_quartiles(te[scores.TE]))
+        for tip in to_records(te[["insertion", scores.TE]]):
+            place = {"mark": "tip", "insertion": tip["insertion"], "value": tip[scores.TE]}
             yield {**about, "metric": "TE", **place}
-        for error, metric in (("IPE", "ipe_mean_mm"), ("TE", TE)):
+        for error, metric in (("IPE", "ipe_mean_mm"), ("TE", scores.TE)):
             for mark, column in (("mean", "value"), ("noise floor", "floor"), ("paper", "paper")):
                 if (value := group.get(metric, column)) is not None:
                     yield {**about, "metric": error, "mark": mark, "value": value}
 
 
-def _name_group(group: ScoredGroup) -> str:
-    head = group.head
-    return f"{study_name(head['study'])}, {medium_name(head['medium'])}, {layers_name(head['layers'])}"
+def _name_group(group: scores.ScoredGroup) -> str:
+    study, medium = labels.study_name(group.head["study"]), labels.medium_name(group.head["medium"])
+    return f"{study}, {medium}, {labels.layers_name(group.head['layers'])}"
 
 
 def _list_quartiles(values: "pd.Series[float]") -> list[Row]:
     if not len(values):
         return []
-    ends = np.percentile(values.to_numpy(dtype=np.float64), list(QUARTILES.values()))
-    return [{"mark": mark, "value": float(end)} for mark, end in zip(QUARTILES, ends, strict=True)]
+    ends = np.percentile(values.to_numpy(dtype=np.float64), list(forms.QUARTILES.values()))
+    return [{"mark": mark, "value": float(end)} for mark, end in zip(forms.QUARTILES, ends, strict=True)]
 
 
 def _draw_baselines(results: Sequence[Run]) -> Drawing:
     """Return one row per held-out group with a mark per method, the paper's and the noise floor."""
     rows = [
-        {"group": _name_group(group), "method": method, TE: value, "origin": group.head["origin"]}
-        for group in list_held_out_groups(*results)
+        {
+            "group": _name_group(group),
+            "method": method,
+            scores.TE: value,
+            "origin": group.head["origin"],
+        }
+        for group in scores.list_held_out_groups(*results)
         for method, value in (
-            *((method, group.get(TE, method=method)) for method in list_methods()),
-            *(("paper", group.get(TE, "paper")), ("noise floor", group.get(TE, "floor"))),
+            *((method, group.get(scores.TE, method=method)) for method in list_methods()),
+            *(
+                ("paper", group.get(scores.TE, "paper")),
+                ("noise floor", group.get(scores.TE, "floor")),
+            ),
         )
         if value is not None
     ]
-    frame = pd.DataFrame(rows, columns=["group", "method", TE, "origin"])
+    frame = pd.DataFrame(rows, columns=["group", "method", scores.TE, "origin"])
     present = [method for method in list_methods() if (frame["method"] == method).any()]
     middle, step = (len(present) - 1) / 2, 0.6 / max(len(present) - 1, 1)
     looks = {
         method: Look(
-            method_name(method),
-            method_colour(method),
-            method_marker(method),
+            labels.method_name(method),
+            labels.method_colour(method),
+            labels.method_marker(method),
             shift=step * (place - middle),
             size=5.5 if method == "fitted" else 4,
         )
         for place, method in enumerate(present)
     }
-    looks["paper"] = Look("paper, own needles", PAPER_COLOUR, "D", filled=False, size=4)
-    looks["noise floor"] = Look("noise floor", INK, "|", dashes=(0, (2, 1.5)), width=0.9)
+    looks["paper"] = Look("paper, own needles", labels.PAPER_COLOUR, "D", filled=False, size=4)
+    looks["noise floor"] = Look("noise floor", labels.INK, "|", dashes=(0, (2, 1.5)), width=0.9)
     options: dict[str, Any] = {
         "rows": ("group",),
-        "value": TE,
+        "value": scores.TE,
         "by": "method",
         "looks": looks,
         "scale": "log",
@@ -837,11 +751,8 @@ def _draw_baselines(results: Sequence[Run]) -> Drawing:
 
 # ---- predictive check
 
-BAND_POINTS = 100
-"""Number of probabilities at which the band is computed, plus one."""
-
-BAND_ERROR_PROBABILITY = 0.05
-"""Probability that uniform PIT values leave the band somewhere."""
+BAND_POINTS = 100  #: number of probabilities at which the band is computed, plus one
+BAND_ERROR_PROBABILITY = 0.05  #: probability that uniform PIT values leave the band somewhere
 
 _CHECK_COLUMNS = (
     *("study", "mark", "quantity", "probability", "share", "low", "high"),
@@ -864,7 +775,7 @@ def _list_checks(results: Run) -> Iterator[Row]:
     predictions = results.frames["predictive"]
     groups = group_independent(list(predictions["insertion"]), list(predictions["specimen"]))
     trials = len(set(groups))
-    about: Row = {"study": study_name(study_label(results)), "origin": results.origin}
+    about: Row = {"study": labels.study_name(scores.study_label(results)), "origin": results.origin}
     about |= {"insertions": len(predictions), "replicates": trials}
     size = pd.Series(groups).map(pd.Series(groups).value_counts()).to_numpy(dtype=np.float64)
     for quantity, pits in _orient_pits(results).items():
@@ -877,8 +788,8 @@ def _list_checks(results: Run) -> Iterator[Row]:
     for number, (least, most) in enumerate(zip(low, high, strict=True), start=1):
         band = {"probability": number / BAND_POINTS, "low": float(least), "high": float(most)}
         yield {**about, "mark": "band", **band}
-    for quantity in PREDICTED_QUANTITIES:
-        for level in PREDICTED_LEVELS:
+    for quantity in forms.PREDICTED_QUANTITIES:
+        for level in forms.PREDICTED_LEVELS:
             found = estimate_proportion(list(map(bool, predictions[f"{quantity}_in_{level}"])), groups)
             ends = {"share": found.hits / found.trials, "low": found.low, "high": found.high}
             yield {**about, "mark": "coverage", "quantity": quantity, "probability": level / 100, **ends}
@@ -887,7 +798,7 @@ def _list_checks(results: Run) -> Iterator[Row]:
 def _orient_pits(results: Run) -> dict[str, Floats]:
     """Return the levels of tips and shapes; those of tips are stored toward +y."""
     predictions = results.frames["predictive"]
-    sides = predictions["insertion"].map(find_bevel_sides(results)).to_numpy(dtype=np.float64)
+    sides = predictions["insertion"].map(scores.find_bevel_sides(results)).to_numpy(dtype=np.float64)
     tips, shapes = (predictions[f"{name}_pit"].to_numpy(dtype=np.float64) for name in ("tip", "shape"))
     # The PIT value of -y is 1 minus that of y: needles whose bevels face opposite sides become comparable.
     return {"tip": np.where(sides > 0, tips, 1 - tips), "shape": shapes}
@@ -900,7 +811,9 @@ _END_COLUMNS = ("parameter", "value", "bound_low", "bound_high", "between_bounds
 
 def draw_starts(results: Run) -> Drawing:
     """Return the objective of all starts above the best one, and where each parameter ended."""
-    return Drawing(waterfall, _tabulate_starts(results), {"title": describe_counts(results.frames["starts"])})
+    return Drawing(
+        forms.waterfall, _tabulate_starts(results), {"title": describe_counts(results.frames["starts"])}
+    )
 
 
 def _tabulate_starts(results: Run) -> pd.DataFrame:
@@ -937,16 +850,16 @@ def _find_end(start: Row, free: Row) -> Row:
 def _tabulate_marks(results: Run) -> pd.DataFrame:
     """Return what is drawn, Pa and mm: one row per draw, fit, paper's set, bound and end of the ridge."""
     fold = results.frames["draws"]["fold"].iloc[0]
-    names = list_free_parameters(results)
+    names = tables.list_free_parameters(results)
     draws = results.frames["draws"].loc[results.frames["draws"]["fold"] == fold, names].assign(mark="draw")
     known = results.frames["parameters"][results.frames["parameters"]["fold"] == fold]
     values = known.pivot_table(index="method", columns="parameter", values="value", sort=False)
-    sets = [method for method in DRAWN_SETS if method in values.index]
+    sets = [method for method in forms.DRAWN_SETS if method in values.index]
     bounds = known[known["method"] == "fitted"].set_index("parameter")[["bound_low", "bound_high"]].T
     marks = [
         values.loc[sets].reindex(columns=names).assign(mark=sets),
         bounds.reindex(columns=names).assign(mark=["lower bound", "upper bound"]),
-        pd.DataFrame(find_ridge_ends(draws[names])).assign(mark="ridge"),
+        pd.DataFrame(tables.find_ridge_ends(draws[names])).assign(mark="ridge"),
     ]
     frame = pd.concat([draws, *(part for part in marks if len(part))], ignore_index=True)
     drawn: pd.DataFrame = frame[["mark", *names]]
@@ -955,8 +868,7 @@ def _tabulate_marks(results: Run) -> pd.DataFrame:
 
 # ---- what the HTML page draws interactively
 
-CURVE_DECIMALS = 3
-"""Of mm on the page."""
+CURVE_DECIMALS = 3  #: of mm on the page
 
 MAX_EXPLORED_PARAMETERS = 6
 
@@ -980,13 +892,14 @@ def collect_explorer(results: Run) -> dict[str, Any] | None:
             {
                 "cells": [
                     row["insertion"],
-                    f"{medium_name(row['medium'])}, {layers_name(row['layers'])}",
+                    f"{labels.medium_name(row['medium'])}, {labels.layers_name(row['layers'])}",
                     f"{row['depth_mm']:.1f}",
                     *(format_metric(one, row[one.name]) for one in metrics),
                 ],
                 # a verdict names the layers only where a medium has several groups
                 "status": status.get(
-                    group_name(row["medium"], row["layers"]), status.get(medium_name(row["medium"]), "")
+                    labels.group_name(row["medium"], row["layers"]),
+                    status.get(labels.medium_name(row["medium"]), ""),
                 ),
                 "error": row["te_mm"],
                 "curves": listed_curves.get((row["fold"], row["insertion"]), {}),
@@ -995,7 +908,11 @@ def collect_explorer(results: Run) -> dict[str, Any] | None:
             for row in to_records(scored)
         ],
         "methods": [
-            {"key": name, "name": method_name(name, results.origin), "colour": method_colour(name)}
+            {
+                "key": name,
+                "name": labels.method_name(name, results.origin),
+                "colour": labels.method_colour(name),
+            }
             for name in methods
             if (curves["curve"] == name).any()
         ],
@@ -1006,10 +923,10 @@ def collect_explorer(results: Run) -> dict[str, Any] | None:
 def _list_curves(points: pd.DataFrame) -> dict[tuple[str, str], dict[str, dict[str, list[float]]]]:
     """Return the curves by fold and insertion, of each its columns; points that lack one are left out."""
     found: dict[tuple[str, str], dict[str, dict[str, list[float]]]] = {}
-    every = {key: points[key].to_numpy(dtype=np.float64) for key in ("x_mm", *HEIGHT_COLUMNS)}
+    every = {key: points[key].to_numpy(dtype=np.float64) for key in ("x_mm", *forms.HEIGHT_COLUMNS)}
     groups: dict[Any, Any] = points.groupby(["fold", "insertion", "curve"], sort=False).indices
     for (fold, insertion, name), rows in sorted(groups.items(), key=lambda group: int(group[1][0])):
-        heights = HEIGHT_COLUMNS[1:] if str(name).endswith("%") else HEIGHT_COLUMNS[:1]
+        heights = forms.HEIGHT_COLUMNS[1:] if str(name).endswith("%") else forms.HEIGHT_COLUMNS[:1]
         columns = np.array([every[key][rows] for key in ("x_mm", *heights)])
         known = np.round(columns[:, ~np.isnan(columns).any(axis=0)], CURVE_DECIMALS).tolist()
         found.setdefault((fold, insertion), {})[str(name)] = dict(zip(("x_mm", *heights), known, strict=True))
@@ -1018,7 +935,7 @@ def _list_curves(points: pd.DataFrame) -> dict[tuple[str, str], dict[str, dict[s
 
 def _collect_draws(results: Run) -> dict[str, Any] | None:
     """Return the draws of the first fold, moduli in kPa or MPa; None without draws or with one parameter."""
-    names = list_free_parameters(results)[:MAX_EXPLORED_PARAMETERS]
+    names = tables.list_free_parameters(results)[:MAX_EXPLORED_PARAMETERS]
     draws = results.frames["draws"]
     if draws.empty or len(names) < 2:
         return None
@@ -1038,9 +955,9 @@ def _collect_draws(results: Run) -> dict[str, Any] | None:
 def explain(results: Run) -> tuple[list[TableLayout], list[str]]:
     """Return all tables, and sentences on the search, on what failed and on what the data determine."""
     shown = [*lay_out_tables(results), tables.lay_out_baselines(results, find_scored_role(results))]
-    shown += [lay_out_coverage(results)] if len(results.frames["predictive"]) else []
-    shown += [lay_out_posterior(results)] if results.posteriors else []
-    held_out = bool(list_held_out_groups(results))
+    shown += [tables.lay_out_coverage(results)] if len(results.frames["predictive"]) else []
+    shown += [tables.lay_out_posterior(results)] if results.posteriors else []
+    held_out = bool(scores.list_held_out_groups(results))
     errors = ["groups" if held_out else "fit", "conclusion"]
     errors += ["better_others", "ties"] if held_out else ["paper_sets"]
     groups = results.frames["identification"].groupby("fold", sort=False)
@@ -1068,15 +985,15 @@ def _name_folds(found: Mapping[str, Sequence[str]]) -> Iterator[str]:
 
 def _list_undetermined(results: Run) -> dict[str, list[str]]:
     """Return by fold what the data do not determine."""
-    rows = arrange_parameters(tabulate_parameters(results))
+    rows = tables.arrange_parameters(tables.tabulate_parameters(results))
     # `describe_verdicts` names the conditions of these
     judged = set(results.frames["identification"]["parameter"])
     found: dict[str, list[str]] = {str(row["fold"]): [] for row in rows}
     for row in rows:
         conditional = row["parameter"] in judged and row["condition"]
         if row["status"] == "free" and not row["determined"] and not conditional:
-            note = str(row["note"] or NOT_DETERMINED)
-            words = note if "determined" in note else f"{NOT_DETERMINED}: {note}"
+            note = str(row["note"] or tables.NOT_DETERMINED)
+            words = note if "determined" in note else f"{tables.NOT_DETERMINED}: {note}"
             found[str(row["fold"])].append(f"{row['parameter']}: {words}.")
     return found
 
@@ -1095,18 +1012,21 @@ def tabulate_files(result: Run) -> dict[str, pd.DataFrame]:
     if len(result.frames["identification"]):
         frames["identify"] = tabulate_identification(result.frames["identification"], result.origin)
     if result.posteriors:
-        frames["posterior"] = tabulate_percentiles(result)
+        frames["posterior"] = tables.tabulate_percentiles(result)
     return frames
 
 
 def fit_to_json(result: Run) -> dict[str, Any]:
     """Return the errors beside the paper's; of a fit also its parameters, starts and what they determine."""
-    frames = {"validation": tabulate_validation(result)}
+    frames = {"validation": scores.tabulate_validation(result)}
     if result.kind == "fit":
         names = ("errors", "starts", "failures", "directions", "identification", "profiles")
-        frames = {"parameters": tabulate_parameters(result), **{name: result.frames[name] for name in names}}
+        frames = {
+            "parameters": tables.tabulate_parameters(result),
+            **{name: result.frames[name] for name in names},
+        }
         if result.posteriors:
-            frames["posterior"] = tabulate_percentiles(result)
+            frames["posterior"] = tables.tabulate_percentiles(result)
     return {name: to_records(to_tidy(frame)) for name, frame in frames.items()}
 
 
@@ -1121,11 +1041,11 @@ def lay_out_files(
 ) -> Iterator[tuple[str, pd.DataFrame, list[TableLayout]]]:
     """Yield the paper's tables with our rows beside its rows: name, rows, and the tables to print."""
     every = list({one.name: one for one in (*studies, *tunings)}.values())
-    validation = tabulate_validation(*studies, with_alternate=True)
+    validation = scores.tabulate_validation(*studies, with_alternate=True)
     yield "validation", validation, [tables.lay_out_validation(studies)]
-    by = [tables.lay_out_tuning(tunings, grouping) for grouping in (BY_LAYERS, BY_MEDIA)]
-    yield "tuning", tabulate_tuning(*tunings, with_alternate=True), by
-    yield "parameters", tabulate_parameters(*every), [tables.lay_out_parameters(every)]
+    by = [tables.lay_out_tuning(tunings, grouping) for grouping in (scores.BY_LAYERS, scores.BY_MEDIA)]
+    yield "tuning", scores.tabulate_tuning(*tunings, with_alternate=True), by
+    yield "parameters", tables.tabulate_parameters(*every), [tables.lay_out_parameters(every)]
 
 
 def _list_tables(results: Run) -> Iterator[TableLayout]:
@@ -1134,9 +1054,11 @@ def _list_tables(results: Run) -> Iterator[TableLayout]:
     baselines = tables.lay_out_baselines(results, role)
     yield tables.lay_out_design([results])
     yield tables.lay_out_validation([results])
-    yield from (tables.lay_out_tuning([results], grouping) for grouping in (BY_LAYERS, BY_MEDIA))
+    yield from (
+        tables.lay_out_tuning([results], grouping) for grouping in (scores.BY_LAYERS, scores.BY_MEDIA)
+    )
     if len(results.frames["predictive"]):
-        yield lay_out_coverage(results)
+        yield tables.lay_out_coverage(results)
     if len(baselines.rows) > 1:
         yield baselines
     yield tables.lay_out_parameters([results])
@@ -1144,7 +1066,7 @@ def _list_tables(results: Run) -> Iterator[TableLayout]:
     if len(results.frames["identification"]):
         yield lay_out_identification(results.frames["identification"])
     if results.posteriors:
-        yield lay_out_posterior(results)
+        yield tables.lay_out_posterior(results)
     yield tables.lay_out_insertions(results, role)
 
 
@@ -1167,7 +1089,7 @@ def write_files(result: Run, folder: Path) -> None:
 def format_methods(result: Run) -> tuple[str, list[str]]:
     """Return the methods paragraph as LaTeX, and the keys of `references.bib` that it cites."""
     values = {"facts": Facts(result)}
-    parts = [TEXT.format_latex(block, values) for block in ("methods_data", "methods")]
+    parts = [tables.TEXT.format_latex(block, values) for block in ("methods_data", "methods")]
     cited = dict.fromkeys(key for _, keys in parts for key in keys)
     return "\n".join(lines for lines, _ in parts if lines) + "\n", list(cited)
 
@@ -1207,7 +1129,7 @@ def format_macros(results: Sequence[Run]) -> str:
 
 
 def _list_errors(results: Run) -> Iterator[tuple[str, str]]:
-    for group in list_held_out_groups(results):
+    for group in scores.list_held_out_groups(results):
         head = group.head
         begin = f"{results.name}-{head['medium']}-{head['layers']}"
         yield f"{begin}-n", str(head["insertions"])
@@ -1223,7 +1145,7 @@ def _list_errors(results: Run) -> Iterator[tuple[str, str]]:
 
 
 def _list_parameters(results: Run) -> Iterator[tuple[str, str]]:
-    table = arrange_parameters(tabulate_parameters(results))
+    table = tables.arrange_parameters(tables.tabulate_parameters(results))
     several = len({row["fold"] for row in table}) > 1
     for row in table:
         name = str(row["parameter"]).removesuffix("_pa").removesuffix("_mm").replace("_", "-")
@@ -1250,25 +1172,25 @@ def list_figures(results: Run) -> dict[str, Drawing]:
     if all(((one["role"] == role) & (one["method"] == "fitted")).any() for one in both):
         found |= draw_insertions(results, role)
     if len(frames["draws"]) and tables.list_free_parameters(results):
-        names = {"fitted": "the fit", "hand_tuned": method_name("hand_tuned", results.origin)}
-        found["corner"] = Drawing(corner, _tabulate_marks(results), {"names_of_sets": names})
+        names = {"fitted": "the fit", "hand_tuned": labels.method_name("hand_tuned", results.origin)}
+        found["corner"] = Drawing(forms.corner, _tabulate_marks(results), {"names_of_sets": names})
     if len(frames["starts"]) and not Facts(results).agreement:
         found["waterfall"] = draw_starts(results)
     if len(frames["profiles"]):
-        found["profiles"] = draw_profiles(frames["identification"], frames["profiles"], results.origin)
+        found["profiles"] = forms.draw_profiles(frames["identification"], frames["profiles"], results.origin)
     return found | draw_errors([results])
 
 
 def tuning_tables(results: Sequence[Run]) -> list[TableLayout]:
     """Return the in-sample tables; by media only where the paper has a cell."""
-    groups = list_groups(tabulate_tuning(*results))
-    printed = any(group.head["grouping"] == BY_MEDIA and group.printed for group in groups)
-    groupings = (BY_LAYERS, BY_MEDIA) if printed else (BY_LAYERS,)
+    groups = scores.list_groups(scores.tabulate_tuning(*results))
+    printed = any(group.head["grouping"] == scores.BY_MEDIA and group.printed for group in groups)
+    groupings = (scores.BY_LAYERS, scores.BY_MEDIA) if printed else (scores.BY_LAYERS,)
     return [tables.lay_out_tuning(results, by) for by in groupings if groups]
 
 
 REPORT = StudyReport(
-    TEXT,
+    tables.TEXT,
     lambda results: {"facts": Facts(results)},
     lay_out_tables,
     list_figures,

@@ -120,8 +120,7 @@ def _list_layers(job: Job) -> dict[str, list[list[float]]]:
     }
 
 
-Faults = Mapping[str, Sequence[str]]
-"""By fold."""
+Faults = Mapping[str, Sequence[str]]  #: by fold
 
 
 def find_faults(errors: pd.DataFrame, search_faults: Faults, not_converged: Faults) -> tuple[str, ...]:
@@ -431,13 +430,13 @@ def _search_row(fit: Fit) -> Row:
     }
 
 
+#: of a row of "parameters": what is known of fitted ones only
 _UNKNOWN: Row = {
     **dict.fromkeys(("bound_low", "bound_high"), math.nan),
     **NO_SOURCE,
     **dict.fromkeys(("sd", "low", "high"), math.nan),
     **{"determined": False, "condition": ""},
 }
-"""Of a row of "parameters": what is known of fitted ones only."""
 
 
 def _fitted_rows(

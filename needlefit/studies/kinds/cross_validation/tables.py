@@ -40,36 +40,21 @@ from needlefit.reporting.number_format import (
 from needlefit.reporting.table import Table, TableLayout, part, pivot
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText
+from needlefit.studies import scored_groups as scores
 from needlefit.studies.coverage import COVERAGE_COLUMNS, count_covered, tabulate_coverage
 from needlefit.studies.csv_tables import TableSchema
 from needlefit.studies.fit_warnings import describe_gain
 from needlefit.studies.identification import IDENTIFICATION_COMPARISON
-from needlefit.studies.paper.claims import Claim
+from needlefit.studies.paper import Claim
 from needlefit.studies.run import Run
 from needlefit.studies.run_differences import (
     CRPS_NOISE_FRACTION,
-    MIN_SD_CHANGE,
-    MIN_SHIFT_SD,
-    ROUNDING_FRACTION,
     Difference,
     TableComparison,
+    compare_estimates,
     compare_means,
+    compare_sizes,
     is_number,
-)
-from needlefit.studies.scored_groups import (
-    BY_LAYERS,
-    BY_MEDIA,
-    HELD_OUT,
-    TE,
-    ScoredGroup,
-    compare_methods,
-    compare_parameter_row,
-    find_best_baseline,
-    list_groups,
-    list_held_out_groups,
-    select_group,
-    study_label,
-    tabulate_tuning,
 )
 
 TEXT = KindText("cross_validation")
@@ -100,8 +85,8 @@ _HELD_OUT_KINDS = (
     _RowKind("planned layer depths", boundaries="planned"),
     _POOLED,
 )
+#: the kinds of rows given of groups fitted to, and by the alternative count
 _REGROUPED_KINDS = (_FITTED, _POOLED)
-"""The kinds of rows given of groups fitted to, and by the alternative count."""
 
 _ALTERNATE_MARK = "‡"
 _ROLE_NAMES = {"tune": "tunes", "validate": "validates"}
@@ -109,27 +94,31 @@ _ROLE_NAMES = {"tune": "tunes", "validate": "validates"}
 
 def lay_out_validation(results: Sequence[Run]) -> TableLayout:
     """Return the validation table by held-out group: ours, with planned depths, noise floor, paper."""
-    return _lay_out_groups("validation", list_held_out_groups(*results, with_alternate=True), _HELD_OUT_KINDS)
+    return _lay_out_groups(
+        "validation", scores.list_held_out_groups(*results, with_alternate=True), _HELD_OUT_KINDS
+    )
 
 
 def lay_out_tuning(results: Sequence[Run], grouping: str) -> TableLayout:
     """Return the in-sample errors by `grouping` ("layers" or "media"), beside the paper's tuned models."""
-    table = tabulate_tuning(*results, with_alternate=True)
-    groups = list_groups(table[table["grouping"] == grouping])
+    table = scores.tabulate_tuning(*results, with_alternate=True)
+    groups = scores.list_groups(table[table["grouping"] == grouping])
     return _lay_out_groups(f"tuning_by_{grouping}", groups, _REGROUPED_KINDS)
 
 
 def lay_out_all_errors(results: Run) -> TableLayout:
     """Return all metrics of held-out and tuning insertions; by media where the paper has a cell."""
-    tuned = list_groups(tabulate_tuning(results))
-    printed = any(one.printed for one in tuned if one.head["grouping"] == BY_MEDIA)
-    shown = [group for group in tuned if printed or group.head["grouping"] == BY_LAYERS]
+    tuned = scores.list_groups(scores.tabulate_tuning(results))
+    printed = any(one.printed for one in tuned if one.head["grouping"] == scores.BY_MEDIA)
+    shown = [group for group in tuned if printed or group.head["grouping"] == scores.BY_LAYERS]
     kinds = [kind for kind in _HELD_OUT_KINDS if kind is not _POOLED]
-    return _lay_out_groups("all_errors", [*list_held_out_groups(results), *shown], kinds, compared=False)
+    return _lay_out_groups(
+        "all_errors", [*scores.list_held_out_groups(results), *shown], kinds, compared=False
+    )
 
 
 def _lay_out_groups(
-    name: str, groups: Sequence[ScoredGroup], kinds: Sequence[_RowKind], compared: bool = True
+    name: str, groups: Sequence[scores.ScoredGroup], kinds: Sequence[_RowKind], compared: bool = True
 ) -> TableLayout:
     """Return one block of rows per group; only its first row names the group.
 
@@ -138,7 +127,7 @@ def _lay_out_groups(
     rows: list[Row] = []
     same: dict[str, list[Row]] = {}
     for number, group in enumerate(groups):
-        held_out = group.head["grouping"] == HELD_OUT
+        held_out = group.head["grouping"] == scores.HELD_OUT
         about = {"role": _ROLE_NAMES["validate" if held_out else "tune"], "number": number}
         own = [kind for kind in kinds if held_out or kind in _REGROUPED_KINDS]
         own = [kind for kind in own if not group.head["alternate_count"] or kind in _REGROUPED_KINDS]
@@ -168,13 +157,15 @@ def lay_out_summary(results: Sequence[Run]) -> TableLayout:
 
     Groups are those held out, or of runs without any those fitted to.
     """
-    groups = list[ScoredGroup]()
+    groups = list[scores.ScoredGroup]()
     for one in results:
-        tuning = tabulate_tuning(one)
-        groups += list_held_out_groups(one) or list_groups(tuning[tuning["grouping"] == BY_LAYERS])
+        tuning = scores.tabulate_tuning(one)
+        groups += scores.list_held_out_groups(one) or scores.list_groups(
+            tuning[tuning["grouping"] == scores.BY_LAYERS]
+        )
     rows: list[Row] = []
     for number, group in enumerate(groups):
-        best = find_best_baseline(group)
+        best = scores.find_best_baseline(group)
         kinds = (_FITTED, *([_RowKind(method_name(best), method=best)] if best else []), _FLOOR, _PAPER)
         rows += [{**_head(group), **row, "number": number} for row in _list_rows(group, kinds)]
     shown = [metric for metric in list_metrics() if metric.headline or metric.relative]
@@ -186,14 +177,14 @@ def lay_out_summary(results: Sequence[Run]) -> TableLayout:
     lines = pivot(rows, ["number", "row"], ["metric"])
     table = Table("summary", "", lines, columns, groups=("number",), heads=4, strong="groups")
     values: dict[str, Any] = {
-        "held_out": any(group.head["grouping"] == HELD_OUT for group in groups),
+        "held_out": any(group.head["grouping"] == scores.HELD_OUT for group in groups),
         "metrics": [f"{one.label}: {one.explanation.partition(': ')[2] or one.explanation}" for one in shown],
         "marked": any(row["mark"] for row in rows),
     }
     return _lay_out(table, groups=list(map(_head, groups)), **values)
 
 
-def _list_rows(group: ScoredGroup, kinds: Sequence[_RowKind]) -> Iterator[Row]:
+def _list_rows(group: scores.ScoredGroup, kinds: Sequence[_RowKind]) -> Iterator[Row]:
     """Yield a row per kind and metric, of kinds that have any value."""
     for kind in kinds:
         found = [_describe_score(group, kind, metric) for metric in list_metrics()]
@@ -201,7 +192,7 @@ def _list_rows(group: ScoredGroup, kinds: Sequence[_RowKind]) -> Iterator[Row]:
             yield from found
 
 
-def _describe_score(group: ScoredGroup, kind: _RowKind, metric: Metric) -> Row:
+def _describe_score(group: scores.ScoredGroup, kind: _RowKind, metric: Metric) -> Row:
     where = {"column": kind.column, "method": kind.method, "boundaries": kind.boundaries}
     digits = 3 if group.head["comparison"] == "aligned" and kind is not _PAPER else 2
     value = group.get(metric.name, **where)
@@ -216,7 +207,7 @@ def _describe_score(group: ScoredGroup, kind: _RowKind, metric: Metric) -> Row:
     }
 
 
-def _head(group: ScoredGroup) -> Row:
+def _head(group: scores.ScoredGroup) -> Row:
     count = str(group.head["layers"] or "all")
     mark = _ALTERNATE_MARK if group.head["alternate_count"] else ""
     about = {"count": count, "layers": count + mark, "printed": group.printed}
@@ -227,20 +218,20 @@ def lay_out_matrix(results: Sequence[Run], judge: Callable[[Run], Sequence[Any]]
     """Return one row per study and held-out group: its verdict, its tip error and what this compares with."""
     rows: list[Row] = []
     for one in results:
-        for group, verdict in zip(list_held_out_groups(one), judge(one), strict=False):
-            best = find_best_baseline(group)
-            predictive = select_group(one.frames["predictive"], group)
+        for group, verdict in zip(scores.list_held_out_groups(one), judge(one), strict=False):
+            best = scores.find_best_baseline(group)
+            predictive = scores.select_group(one.frames["predictive"], group)
             covered = count_covered(predictive, "tip_in_95") if len(predictive) else None
             rows.append(
                 {
                     **_head(group),
                     "verdict": verdict.status,
-                    "te_mm": group.get(TE),
-                    "floor_te_mm": group.get(TE, "floor"),
-                    "baseline_te_mm": None if best is None else group.get(TE, method=best),
+                    "te_mm": group.get(scores.TE),
+                    "floor_te_mm": group.get(scores.TE, "floor"),
+                    "baseline_te_mm": None if best is None else group.get(scores.TE, method=best),
                     "baseline_method": best or "",
-                    "paper_te_mm": group.get(TE, "paper"),
-                    "floor_ratio": group.over_floor(TE),
+                    "paper_te_mm": group.get(scores.TE, "paper"),
+                    "floor_ratio": group.over_floor(scores.TE),
                     "tip_in_95": f"{covered.hits} of {covered.trials}" if covered else None,
                 }
             )
@@ -257,7 +248,11 @@ def lay_out_design(results: Sequence[Run]) -> TableLayout:
     for one in results:
         for row in to_records(one.frames["design"]):
             other = "" if row["insertions"] == row["insertions_other"] else row["insertions_other"]
-            about = {"study": study_label(one), "role": _ROLE_NAMES[row["role"]], "origin": one.origin}
+            about = {
+                "study": scores.study_label(one),
+                "role": _ROLE_NAMES[row["role"]],
+                "origin": one.origin,
+            }
             rows.append({**row, **about, "insertions_other": other})
     columns = (
         *("study", "role", "medium", "layers", "insertions", "insertions_other"),
@@ -273,7 +268,7 @@ _COVERAGE_GROUPS = ("study", "medium", "layers", "specimen_treatment")
 def lay_out_coverage(*results: Run, named: bool = False) -> TableLayout:
     """Return one row per study (named if wanted), medium, number of layers and specimen, over all folds."""
     frames = [
-        one.frames[name].assign(study=study_label(one))
+        one.frames[name].assign(study=scores.study_label(one))
         for one in results
         for name in ("predictive", "predictive_training")
     ]
@@ -305,13 +300,13 @@ def lay_out_coverage(*results: Run, named: bool = False) -> TableLayout:
 def lay_out_baselines(results: Run, role: str) -> TableLayout:
     """Return every method's errors and its paired difference from the fit on the same insertions."""
     digits = 3 if (results.frames["errors"]["comparison"] == "aligned").any() else 2
-    about = {"study": study_label(results), "origin": results.origin, DIGITS: digits}
+    about = {"study": scores.study_label(results), "origin": results.origin, DIGITS: digits}
     rows = [
         {
             **{**row, **about, "method": method_name(row["method"], results.origin)},
             **({"difference_mm": None, "better": ""} if row["method"] == "fitted" else {}),
         }
-        for row in to_records(compare_methods(results, role=role, metric=TE))
+        for row in to_records(scores.compare_methods(results, role=role, metric=scores.TE))
     ]
     errors = (one.name for one in headline_metrics())
     columns = ("study", "method", "insertions", *errors, "te_difference", "better_of")
@@ -361,14 +356,11 @@ def lay_out_contradictions(claims: Sequence[Claim]) -> TableLayout:
 
 # ---- parameters: ours beside the paper's
 
+#: in files in place of a value: the data do not determine it, or only under an assumption
 NOT_DETERMINED, CONDITIONAL = "not determined", "conditional"
-"""In files in place of a value: the data do not determine it, or only under an assumption."""
-
+#: printed for these: the data are compatible with the whole interval; it spans most of the bounds
 SEE_INTERVAL, WIDE_INTERVAL = "see interval", "most of the bounds"
-"""Printed for these: the data are compatible with the whole interval; it spans most of the bounds."""
-
-SEARCHED = ("free", "tied")
-"""Values of `status` of parameters that are estimated."""
+SEARCHED = ("free", "tied")  #: values of `status` of parameters that are estimated
 
 _PARAMETER_COLUMNS = (
     *("study", "medium", "fold", "parameter", "method", "value", "value_used"),
@@ -376,8 +368,8 @@ _PARAMETER_COLUMNS = (
     *("sd", "interval_low", "interval_high", "draw_source"),
     *("low", "high", "bound_low", "bound_high", "note", "comparable", "origin"),
 )
+#: the fit, the second fit to IPE, TE and EDP, the paper's set, and that set with b alone re-tuned
 METHODS = ("fitted", "fitted_metric", "hand_tuned", "hand_tuned_b")
-"""The fit, the second fit to IPE, TE and EDP, the paper's set, and that set with b alone re-tuned."""
 
 
 def tabulate_parameters(*results: Run) -> pd.DataFrame:
@@ -398,7 +390,11 @@ def _parameter_rows(results: Run) -> Iterator[Row]:
     rows = to_records(results.frames["parameters"])
     fitted = {(row["fold"], row["parameter"]): row for row in rows if row["method"] == "fitted"}
     published = {(r["fold"], r["parameter"]) for r in rows if r["method"] == "hand_tuned"}
-    about = {"study": study_label(results), "medium": results.record.medium, "origin": results.origin}
+    about = {
+        "study": scores.study_label(results),
+        "medium": results.record.medium,
+        "origin": results.origin,
+    }
     for row in rows:
         key = (row["fold"], row["parameter"])
         if row["method"] == "fitted_metric" and row["parameter"] in HYPERPARAMETERS:
@@ -408,7 +404,7 @@ def _parameter_rows(results: Run) -> Iterator[Row]:
         loose = row["status"] in SEARCHED and not judged["determined"]
         word = CONDITIONAL if judged["condition"] else NOT_DETERMINED
         value = word if loose else format_number(row["value"])
-        comparable = compare_parameter_row(results, key in published)
+        comparable = scores.compare_parameter_row(results, key in published)
         yield {**about, **judged, "value": value, "value_used": row["value"], "comparable": comparable}
 
 
@@ -424,8 +420,8 @@ def arrange_parameters(table: pd.DataFrame) -> list[Row]:
     return list(rows.values())
 
 
+#: of notes: the column "Fitted" says it
 _NOT_DETERMINED_PREFIX = re.compile(r"^not determined(?:[:;] | \(([^()]*)\)|$)")
-"""Of notes: the column "Fitted" says it."""
 
 
 def lay_out_parameters(results: Sequence[Run], free_alone: bool = False) -> TableLayout:
@@ -436,7 +432,7 @@ def lay_out_parameters(results: Sequence[Run], free_alone: bool = False) -> Tabl
     table = arrange_parameters(tabulate_parameters(*results))
     table = [row for row in table if row["status"] == "free" or not free_alone]
     folds = len({row["fold"] for row in table}) > 1
-    truths = {study_label(one): one.run.get("truth", {}) for one in results}
+    truths = {scores.study_label(one): one.run.get("truth", {}) for one in results}
     rows = []
     for number, row in enumerate(table):
         named = not number or row["study"] != table[number - 1]["study"]
@@ -599,11 +595,8 @@ def tabulate_percentiles(results: Run) -> pd.DataFrame:
     return pd.DataFrame(found, columns=heads)
 
 
-RIDGE_MIN_AXIS_RATIO = 3.0
-"""Least ratio of the longest to the shortest axis of the draws of a ridge."""
-
-RIDGE_REACH_SD = 2.0
-"""Standard deviations to which the ridge is drawn in both directions."""
+RIDGE_MIN_AXIS_RATIO = 3.0  #: least ratio of the longest to the shortest axis of the draws of a ridge
+RIDGE_REACH_SD = 2.0  #: standard deviations to which the ridge is drawn in both directions
 
 
 def list_free_parameters(results: Run) -> list[str]:
@@ -696,10 +689,7 @@ def _compare_parameter(name: str, row: "pd.Series[Any]", determined: bool) -> It
     if not sd > 0:
         yield Difference("parameter", name, one, two, True, "given, not fitted")
         return
-    part = shift / sd
-    why = f"{part:.2g} of its standard deviation" + ("" if determined else ", not determined")
-    matters, slight = determined and part > MIN_SHIFT_SD, part < ROUNDING_FRACTION * MIN_SHIFT_SD
-    yield Difference("parameter", name, one, two, matters, why, slight)
+    yield compare_estimates("parameter", name, one, two, shift / sd, determined=determined)
 
 
 def _name_verdict(determined: object, printed: object) -> str:
@@ -736,23 +726,21 @@ def _compare_predictions(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[
         insertions = [predicted["fold"], predicted["insertion"]]
         marked.append(predicted.assign(beside=~spread & spread.groupby(insertions).transform("any")))
     both = marked[0].merge(marked[1], on=keys, suffixes=("_a", "_b"), sort=False)
-    yield from _compare_scores(both[~both["beside"]], "")
-    yield from _compare_scores(both[both["beside"]], f", {_BESIDE}")
+    for beside, which in ((False, ""), (True, f", {_BESIDE}")):
+        for quantity, words in _PREDICTED_QUANTITIES.items():
+            some = both[(both["beside"] == beside) & (both["quantity"] == quantity)]
+            some = some.drop_duplicates(["fold", "insertion"])
+            visible = CRPS_NOISE_FRACTION * float(some["crps_mm_a"].mean())
+            yield from compare_means(words + which, some, "crps_mm", visible)
     default = both[~both["beside"]]
     several = len(default[["medium_a", "layers_a"]].drop_duplicates()) > 1
     for (medium, layers), rows in default.groupby(["medium_a", "layers_a"], sort=False):
         where = f", {group_name(str(medium), int(str(layers)))}" if several else ""
         yield from _compare_coverage(rows, where)
         tips = rows[(rows["quantity"] == "tip") & (rows["level"] == "0.95")]
-        yield from _compare_width(tips, where)
-
-
-def _compare_scores(both: pd.DataFrame, which: str) -> Iterator[Difference]:
-    for quantity, words in _PREDICTED_QUANTITIES.items():
-        rows = both[both["quantity"] == quantity].drop_duplicates(["fold", "insertion"])
-        yield from compare_means(
-            words + which, rows, "crps_mm", CRPS_NOISE_FRACTION * float(rows["crps_mm_a"].mean())
-        )
+        one, two = (float((tips[f"high_mm_{run}"] - tips[f"low_mm_{run}"]).median()) for run in "ab")
+        name = f"tip, median width of 95 % (mm){where}"
+        yield from compare_sizes("error", name, one, two, "times as wide")
 
 
 def _compare_coverage(rows: pd.DataFrame, where: str) -> Iterator[Difference]:
@@ -772,15 +760,6 @@ def _compare_coverage(rows: pd.DataFrame, where: str) -> Iterator[Difference]:
         name = f"{quantity}s in their {100 * nominal:.0f} % interval{where}"
         why = f"of {len(known)} insertions; {verdict}"
         yield Difference("error", name, before.hits, after.hits, one != two, why)
-
-
-def _compare_width(tips: pd.DataFrame, where: str) -> Iterator[Difference]:
-    one, two = (float((tips[f"high_mm_{run}"] - tips[f"low_mm_{run}"]).median()) for run in "ab")
-    if one == two or not (one > 0 and two > 0):
-        return
-    change, name = abs(math.log(two / one)), f"tip, median width of 95 % (mm){where}"
-    matters, slight = change > MIN_SD_CHANGE, change < ROUNDING_FRACTION * MIN_SD_CHANGE
-    yield Difference("error", name, one, two, matters, f"{two / one:.3g} times as wide", slight)
 
 
 COMPARISONS: Mapping[str, TableComparison] = MappingProxyType(

@@ -112,7 +112,7 @@ def _write_page(
     with tempfile.TemporaryDirectory(prefix="needlefit-") as name:
         files = [Path(name, "along.pdf"), Path(name, "across.pdf")]
         drawn = [draw(file, paint) for file, paint in zip(files, pictures, strict=True)]
-        page = document.compile_template("quality.typ", payload, document.key_by_file_name(drawn))
+        page = document.compile_template("quality.typ", payload, {one.name: one for one in drawn})
     with replace_file(path) as new:
         new.write_bytes(page)
     return path

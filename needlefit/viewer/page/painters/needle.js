@@ -68,7 +68,6 @@ export function paintTip(context, state) {
   if (state.tip.held) ring(context, ...tip, 11, palette.tip, "transparent");
 }
 
-/** Draw where the tip has been. */
 export const paintPath = (context, { tip_path: [x, y] }) => line(context, x, y, palette.path, 1.5);
 
 /** Draw the points that hold the needle in the tissue, as crosses. */

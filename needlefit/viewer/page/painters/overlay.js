@@ -80,7 +80,6 @@ export function paintPlan(context) {
   });
 }
 
-/** Draw target and obstacles. */
 export function paintGoal(context) {
   aim.obstacles.forEach(([x, y, radius], i) => paintCircle(context, x, y, radius, palette.tip, nameOf(i), 0.28));
   if (!aim.target) return;

@@ -12,7 +12,6 @@ const FONTS = { small: "11px system-ui, sans-serif", plain: "12px system-ui, san
 /** Colours by name, as the style sheet has them for light and for dark; read anew when the reader's scheme changes. */
 export const palette = {};
 
-/** Read the colours from the style sheet. */
 export function readPalette() {
   for (const name of NAMES) palette[name] = colour(name);
 }
@@ -33,7 +32,6 @@ function between(one, other, share) {
   return `rgb(${parts.join(" ")})`;
 }
 
-/** Carry out drawing at an opacity. */
 export function faintly(context, opacity, draw) {
   context.globalAlpha = opacity;
   draw();
@@ -67,7 +65,6 @@ export function fillBetween(context, x, low, high, colour) {
   context.fill();
 }
 
-/** Fill a polygon (px). */
 export function polygon(context, corners, colour) {
   context.fillStyle = colour;
   context.beginPath();
@@ -107,7 +104,6 @@ export function turned(context, px, py, angle, draw) {
   context.restore();
 }
 
-/** Set how words are written. */
 export function setFont(context, font, align = "center", baseline = "middle") {
   context.font = FONTS[font];
   context.textAlign = align;

@@ -29,7 +29,6 @@ export class PlaneSlice {
     return { view: this.name, index: this.position };
   }
 
-  /** Go through a place. */
   show(place) {
     this.position = between(0, Math.round(toIndex(this.grid, place)[this.normal]), this.count - 1);
   }

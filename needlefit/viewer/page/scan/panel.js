@@ -24,7 +24,6 @@ function table(heads, rows) {
   return element("table", {}, element("thead", {}, element("tr", {}, head)), element("tbody", {}, rows));
 }
 
-/** Say what became of the scan. */
 export function showVerdict({ found: { error, inserted, warnings } }) {
   if (error) return showFault(error, "Refused");
   const made = element("strong", {}, `Reconstructed: inserted ${within(inserted)}`);
@@ -49,7 +48,6 @@ export function showSaved(state, { table: path, command }) {
   part("verdict").append(element("p", {}, `Saved: ${path}`), repeat);
 }
 
-/** Say that corrections wait to be used. */
 export function showWaiting(waiting) {
   part("verdict").querySelector(".waiting")?.remove();
   if (waiting) part("verdict").append(element("p", { className: "waiting" }, "The corrections are not yet used: reconstruct again."));

@@ -1,12 +1,85 @@
-"""Compare the paper's claims with its own tables; the words stand in `reporting/text/paper.md.j2`."""
+"""Read the published tables and parameter sets, and find where the paper contradicts itself."""
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal
 
 import pandas as pd
 
+from needlefit.errors import ConfigError
+from needlefit.project import locate
+from needlefit.project.input_files import convert_stored_errors
 from needlefit.reporting.text import KindText
+from needlefit.studies.csv_tables import ANY_COLUMNS, TableSchema, read_table
+
+TableName = Literal[
+    "insertions", "study_design", "tuning_by_layers", "tuning_by_media", "validation", "parameters"
+]
+TABLE_TITLES: dict[TableName, str] = {
+    "insertions": "Table I: insertions by medium and layers traversed",
+    "study_design": "Table II: fitted and held-out insertions of each study",
+    "tuning_by_layers": "Table III, upper half: in-sample errors in phantom 2, by layers",
+    "tuning_by_media": "Table III, lower half: in-sample errors, by medium",
+    "validation": "Table IV: errors on held-out insertions",
+    "parameters": "Table V: parameters (printed without units; read as Pa and mm)",
+}
+
+
+_SCHEMAS: dict[TableName, TableSchema] = {"parameters": TableSchema(keys=("set",))}
+
+
+def read_published_table(name: TableName) -> pd.DataFrame:
+    """Read one published table from `data/paper/<name>.csv`.
+
+    Raises ConfigError if no project root holds the file. Raises DataError if it is no table, or lacks a
+    column.
+    """
+    path = _find_file(name)
+    return read_table(path, _SCHEMAS.get(name, ANY_COLUMNS))
+
+
+def read_printed_table(name: TableName) -> pd.DataFrame:
+    """Read one published table with its numbers as texts, as they are printed: 33.60, 12.0.
+
+    Raises ConfigError, DataError as `read_published_table`.
+    """
+    names = tuple(map(str, read_published_table(name)))
+    return read_table(_find_file(name), TableSchema(texts=names)).fillna("")
+
+
+def read_hand_tuned(name: str) -> dict[str, float]:
+    """Read one row of the parameter table, by parameter name (`mu1_pa`, `alpha1`, ..., `bevel_mm`).
+
+    Raises ConfigError if there is no such row.
+    """
+    published = {"parameters": read_published_table("parameters")}
+    with convert_stored_errors(_find_file("parameters")):
+        found = select_rows(published, "parameters", set=name)
+    if not found:
+        known = ", ".join(read_hand_tuned_names())
+        raise ConfigError(f"the paper has no parameter set called `{name}`", expected=f"one of {known}")
+    numbers = {key: value for key, value in found[0].items() if isinstance(value, int | float)}
+    return {key: float(value) for key, value in numbers.items() if not math.isnan(value)}
+
+
+def read_hand_tuned_names() -> tuple[str, ...]:
+    """Return the names of the rows of the parameter table."""
+    return tuple(read_published_table("parameters")["set"])
+
+
+def _find_file(name: str) -> Path:
+    for root in locate.search_roots():
+        path = root / "data" / "paper" / f"{name}.csv"
+        if path.is_file():
+            return path
+    raise ConfigError(
+        f"the published table `{name}` is missing",
+        where=f"data/paper/{name}.csv",
+        fix="restore data/paper, or install needlefit again",
+    )
+
 
 Row = dict[str, Any]
 TEXT = KindText("paper")
@@ -112,126 +185,95 @@ CLAIM_BOUNDS = tuple(
 )  # fmt: skip
 
 
-# ---- counts of insertions, averages, and explanations of a large EDP: whether they agree, and the numbers
+# ---- counts of insertions, averages, and explanations of a large EDP: key, whether they agree, the numbers
 
-Finding = tuple[bool, Row]
-
-
-def _four_and_three_layers(t: PublishedTables) -> Finding:
-    counts, design = _count_phantom2(t), select_rows(t, "study_design", study=2)
-    validated = {row["validate_layers"]: row["validate_insertions"] for row in design}
-    known = {"listed": [counts[4], counts[3]], "validated": [validated[4], validated[3]]}
-    return known["listed"] == known["validated"], known
+Finding = tuple[str, bool, Row]
 
 
-def _tuning_count(t: PublishedTables) -> Finding:
-    first, fourth = _count_tuned(t, 1), _count_tuned(t, 4)
+def _check_counts(t: PublishedTables) -> Iterator[Finding]:
+    """Yield the claims on counts of insertions and on averages."""
+    design = {int(row["study"]): row for row in select_rows(t, "study_design")}
+    tuned = {study: int(row["tune_insertions"]) for study, row in design.items()}
+    counts = {int(r["layers"]): int(r["insertions"]) for r in select_rows(t, "insertions", medium="phantom2")}
+    validated = {
+        row["validate_layers"]: row["validate_insertions"] for row in select_rows(t, "study_design", study=2)
+    }
+    known: Row = {"listed": [counts[4], counts[3]], "validated": [validated[4], validated[3]]}
+    yield "four_and_three_layers", known["listed"] == known["validated"], known
     one, four = ({**select_rows(t, "parameters", set=name)[0], "set": ""} for name in ("study1", "study4"))
-    return first == fourth, {"first": first, "fourth": fourth, "same_parameters": one == four}
-
-
-def _chicken_counts(t: PublishedTables) -> Finding:
+    known = {"first": tuned[1], "fourth": tuned[4], "same_parameters": one == four}
+    yield "tuning_count", tuned[1] == tuned[4], known
     total = int(select_rows(t, "insertions", medium="chicken")[0]["insertions"])
-    study = select_rows(t, "study_design", study=5)[0]
-    tuned, rest = int(study["tune_insertions"]), int(study["validate_insertions"])
-    return 3 * tuned == total, {"total": total, "tuned": tuned, "rest": rest}
-
-
-def _tuning_insertions(t: PublishedTables) -> Finding:
-    second, third = _count_tuned(t, 2), _count_tuned(t, 3)
-    known = {"second": second, "third": third, "three_layers": _count_phantom2(t)[3]}
-    return second > 1 and third > 1, known
-
-
-def _count_phantom2(t: PublishedTables) -> dict[int, int]:
-    """Return the number of insertions into phantom 2 by number of layers."""
-    return {int(r["layers"]): int(r["insertions"]) for r in select_rows(t, "insertions", medium="phantom2")}
-
-
-def _count_tuned(t: PublishedTables, study: int) -> int:
-    return int(select_rows(t, "study_design", study=study)[0]["tune_insertions"])
-
-
-def _largest_average(t: PublishedTables) -> Finding:
+    known = {"total": total, "tuned": tuned[5], "rest": int(design[5]["validate_insertions"])}
+    yield "chicken_counts", 3 * tuned[5] == total, known
+    known = {"second": tuned[2], "third": tuned[3], "three_layers": counts[3]}
+    yield "tuning_insertions", tuned[2] > 1 and tuned[3] > 1, known
     layers, media = select_rows(t, "tuning_by_layers"), select_rows(t, "tuning_by_media")
     mean, peak = (
         f"{max(r[column] for r in layers):.2f} mm and {max(r[column] for r in media):.2f} mm"
         for column in ("ipe_mean_mm", "ipe_max_mm")
     )
     statement = "0.62 mm and 0.60 mm"
-    return mean == statement, {"statement": statement, "mean": mean, "peak": peak}
-
-
-def _table_halves(t: PublishedTables) -> Finding:
-    counts = _count_phantom2(t)
-    by_layers = select_rows(t, "tuning_by_layers")
+    yield "largest_average", mean == statement, {"statement": statement, "mean": mean, "peak": peak}
     ipe, te = (
-        sum(counts[r["layers"]] * r[column] for r in by_layers) / sum(counts.values())
+        sum(counts[r["layers"]] * r[column] for r in layers) / sum(counts.values())
         for column in ("ipe_mean_mm", "te_mm")
     )
     printed = select_rows(t, "tuning_by_media", medium="phantom2")[0]
     # half a digit in the cells averaged, half in their mean
     agrees = abs(ipe - printed["ipe_mean_mm"]) <= 0.01
-    return agrees, {"counts": list(counts.values()), "ipe": ipe, "te": te, "printed": printed}
+    yield "table_halves", agrees, {"counts": list(counts.values()), "ipe": ipe, "te": te, "printed": printed}
 
 
-def _edp_falls_with_depth(t: PublishedTables) -> Finding:
+def _check_explanations(t: PublishedTables) -> Iterator[Finding]:
+    """Yield the claims that explain a large EDP."""
+    media = select_rows(t, "insertions")
     edp = {r["layers"]: r["edp_percent"] for r in select_rows(t, "tuning_by_layers")}
     depth = {r["layers"]: r for r in select_rows(t, "insertions", medium="phantom2")}
     layers = [
         {"name": name, "edp": edp[n], "low": depth[n]["depth_min_mm"], "high": depth[n]["depth_max_mm"]}
         for n, name in ((4, "four"), (3, "three"))
     ]
-    return edp[4] < edp[3], {"layers": layers}
-
-
-def _chicken_depth(t: PublishedTables) -> Finding:
+    yield "edp_falls_with_depth", edp[4] < edp[3], {"layers": layers}
     chicken = select_rows(t, "insertions", medium="chicken")[0]["depth_max_mm"]
-    phantoms = max(r["depth_max_mm"] for r in select_rows(t, "insertions") if r["medium"] != "chicken")
-    return chicken < phantoms, {"chicken": chicken, "phantoms": phantoms}
-
-
-def _edp_everywhere(t: PublishedTables) -> Finding:
+    phantoms = max(r["depth_max_mm"] for r in media if r["medium"] != "chicken")
+    yield "chicken_depth", chicken < phantoms, {"chicken": chicken, "phantoms": phantoms}
     largest: dict[int, float] = {}
     for row in select_rows(t, "validation"):
         largest[int(row["study"])] = max(row["edp_percent"], largest.get(row["study"], 0.0))
     below = [(study, edp) for study, edp in largest.items() if edp <= 100]
-    return not below, {"below": below}
-
-
-def _edp_two_layers(t: PublishedTables) -> Finding:
-    edp = select_rows(t, "validation", study=1, validate_layers=2)[0]["edp_percent"]
-    return edp > 100, {"edp": edp}
-
-
-def _edp_depth(t: PublishedTables) -> Finding:
+    yield "edp_everywhere", not below, {"below": below}
+    of_two = select_rows(t, "validation", study=1, validate_layers=2)[0]["edp_percent"]
+    yield "edp_two_layers", of_two > 100, {"edp": of_two}
     row = select_rows(t, "validation", study=3)[0]
     group = select_rows(t, "insertions", medium=row["validate_medium"])[0]
-    others = [r["depth_min_mm"] for r in select_rows(t, "insertions") if r["medium"] != group["medium"]]
+    others = max(r["depth_min_mm"] for r in media if r["medium"] != group["medium"])
     known = {"edp": row["edp_percent"], "low": group["depth_min_mm"], "high": group["depth_max_mm"]}
-    known |= {"others": max(others), "implied": 100 * row["te_mm"] / row["edp_percent"]}
-    return group["depth_min_mm"] < max(others), known
-
-
-_BEFORE: tuple[Callable[[PublishedTables], Finding], ...] = (
-    *(_four_and_three_layers, _tuning_count, _chicken_counts, _tuning_insertions),
-    *(_largest_average, _table_halves),
-)
-_AFTER: tuple[Callable[[PublishedTables], Finding], ...] = (
-    *(_edp_falls_with_depth, _chicken_depth, _edp_everywhere, _edp_two_layers, _edp_depth),
-)
-
-
-def check_all(tables: PublishedTables) -> list[Claim]:
-    """Return every claim that was checked against the tables, in the order of their places."""
-    before, after = (
-        [_write_claim(check.__name__.removeprefix("_"), *check(tables)) for check in checks]
-        for checks in (_BEFORE, _AFTER)
-    )
-    bounds = [bound.check(tables) for bound in CLAIM_BOUNDS]
-    return [*before, *bounds, *after, _write_claim("table_numbers", False, {})]
+    known |= {"others": others, "implied": 100 * row["te_mm"] / row["edp_percent"]}
+    yield "edp_depth", group["depth_min_mm"] < others, known
 
 
 def _write_claim(key: str, agrees: bool, values: Row) -> Claim:
     topic, place, statement, other_place, other, *note = TEXT.sentences(key, values)
     return Claim(topic, place, statement, other_place, other, agrees, *note)
+
+
+def check_claims() -> list[Claim]:
+    """Return every claim of the paper that was checked against its tables, in the order of their places."""
+    tables: PublishedTables = {name: read_published_table(name) for name in TABLE_TITLES}
+    with convert_stored_errors(_find_file("parameters").parent):
+        before, after = (
+            [_write_claim(*found) for found in check(tables)]
+            for check in (_check_counts, _check_explanations)
+        )
+        bounds = [bound.check(tables) for bound in CLAIM_BOUNDS]
+        return [*before, *bounds, *after, _write_claim("table_numbers", False, {})]
+
+
+def find_contradictions() -> list[Claim]:
+    """Return the claims of the paper that its own tables contradict, with both places and numbers.
+
+    Every entry whose numbers stand in the tables is computed from them; a claim that the tables bear out
+    is left out.
+    """
+    return [claim for claim in check_claims() if not claim.agrees]
