@@ -139,10 +139,7 @@ class AnalysisPlan:
 def run_analysis(name: str, record: AnalysisRecord, settings: Settings, plan: AnalysisPlan) -> Run:
     """Run the tasks of a plan; an interrupted run with `resume` gives the same result.
 
-    Raises
-    ------
-    ConfigError
-        If the checkpoint belongs to other work.
+    Raises ConfigError if the checkpoint belongs to other work.
     """
     work = _describe_configuration(name, record, plan)
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work, settings.note)

@@ -71,17 +71,14 @@ def posterior_file_names(count: int) -> tuple[str, ...]:
 def restore_run(folder: Path, unverified: bool = False) -> Run:
     """Read the result that a run stored in `folder`.
 
+    Raises DataError if it holds no result, a damaged one, or one that does not agree with its manifest.
+
     Parameters
     ----------
     folder : Path
     unverified : bool
         Whether files that do not agree with the manifest are used. The run then has them as a fault, and is
         marked on every page.
-
-    Raises
-    ------
-    DataError
-        If it holds no result, a damaged one, or one that does not agree with its manifest.
     """
     table = unpack(folder)
     changes = require_unchanged(folder, unverified)
@@ -146,10 +143,8 @@ def is_combined(run: Path) -> bool:
 def read_run(folder: Path) -> dict[str, Any]:
     """Return what the run in a folder was computed with: of one run, or of several by name.
 
-    Raises
-    ------
-    DataError
-        If its file is missing or damaged, or a value in it is of another type than needlefit writes.
+    Raises DataError if its file is missing or damaged, or a value in it is of another type than needlefit
+    writes.
     """
     path = folder / RUN_FILE
     table = read_json(path, MAX_RUN_BYTES)
@@ -214,10 +209,7 @@ def pack(table: Mapping[str, Any], folder: Path) -> Path:
 def unpack(folder: Path) -> dict[str, Any]:
     """Read the table that a run stored in `folder`; it is not compared with the manifest.
 
-    Raises
-    ------
-    DataError
-        If it holds none, or one that is damaged, too large or of another version.
+    Raises DataError if it holds none, or one that is damaged, too large or of another version.
     """
     path = folder / RESULTS_FILE
     if not is_file(path):

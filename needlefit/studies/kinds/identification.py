@@ -75,12 +75,8 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
     answer. They are taken at the fitted values, or at the paper's hand-tuned set, or in the middle of the
     bounds.
 
-    Raises
-    ------
-    ConfigError, DataError
-        If anything the record names is missing or wrong, or no noise is stated.
-    FitError
-        If the planned insertions have no solution there.
+    Raises ConfigError or DataError if anything the record names is missing or wrong, or no noise is stated.
+    FitError if the planned insertions have no solution there.
     """
     target = target_name(record, settings).removesuffix("-tune")
     job = prepare_target(record, f"identify-{target}", settings)

@@ -73,10 +73,7 @@ FRAMES: Mapping[str, tuple[str, ...]] = {
 def run(name: str, record: LeftOutRecord, settings: Settings) -> Run:
     """Run a leave-one-out study.
 
-    Raises
-    ------
-    ConfigError, DataError
-        If anything the record names is missing or wrong.
+    Raises ConfigError or DataError if anything the record names is missing or wrong.
     """
     jobs = [_prepare_job(name, fit, settings) for fit in record.fits]
     tasks: dict[str, AnalysisTask] = {}

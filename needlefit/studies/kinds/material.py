@@ -53,10 +53,7 @@ FURTHER_SPECIMEN = "(a further one)"
 def run(name: str, record: CompressionRecord, settings: Settings) -> Run:
     """Fit the test in `record.file`.
 
-    Raises
-    ------
-    ConfigError, DataError
-        If the file, or the stated foundation factor, is missing or wrong.
+    Raises ConfigError or DataError if the file, or the stated foundation factor, is missing or wrong.
     """
     foundation = None if record.foundation is None else MaterialFoundation(*record.foundation)
     test = read_compression(Path(record.file), record.stress)
