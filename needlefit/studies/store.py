@@ -7,7 +7,7 @@ What is read must agree with the manifest of the folder (`project.folders`).
 import gzip
 import json
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -94,7 +94,10 @@ def restore_run(folder: Path, unverified: bool = False) -> Run:
         frames: Frames = {name: _unpack_frame(frame) for name, frame in table["frames"].items()}
         if columnar := open_files(folder, table.get("columnar", ())):
             frames = ColumnarFrames({**frames, **columnar})
-        _require_columns(frames, kind.frames)
+        for name, wanted in kind.frames.items():
+            columns = list_columns(frames, name) if name in frames else []
+            if missing := [column for column in wanted if column not in columns]:
+                raise ValueError(f"the table {name} lacks {', '.join(missing)}")
         names = table["posteriors"]
         files = posterior_file_names(len(names))
         return Run(
@@ -104,14 +107,6 @@ def restore_run(folder: Path, unverified: bool = False) -> Run:
             posteriors={name: load(folder / file) for name, file in zip(names, files, strict=True)},
             **{**about, "faults": tuple(about["faults"])},
         )
-
-
-def _require_columns(frames: Frames, columns: Mapping[str, Sequence[str]]) -> None:
-    for name, wanted in columns.items():
-        found = list_columns(frames, name) if name in frames else []
-        missing = [column for column in wanted if column not in found]
-        if missing:
-            raise ValueError(f"the table {name} lacks {', '.join(missing)}")
 
 
 def restore_runs(run: Path, unverified: bool = False) -> list[Run]:
