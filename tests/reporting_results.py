@@ -23,6 +23,7 @@ MISS = {  # method -> error of the tip as a share of the deflection, plus a shif
     "constant_curvature": (0.2, 0.1),
     "linear_curvature": (0.1, 0.1),
 }
+STEREO = ("fitted", "straight", "constant_curvature", "linear_curvature")
 FRACTIONS = np.linspace(0, 1, 101)
 
 
@@ -34,40 +35,22 @@ def curves(insertion: dict, method: str, boundaries: str) -> pd.DataFrame:
     miss = sway * share * abs(bend) * FRACTIONS**2 + shift * np.sin(3 * FRACTIONS + sway)
     miss = miss + 0.25 * sway * np.cos(9 * FRACTIONS + sway)
     miss = miss + insertion["foreign"] * FRACTIONS**1.8 * (method != "straight")
-    return pd.DataFrame(
-        {
-            "j": np.arange(101),
-            "measured_x_mm": depth * FRACTIONS,
-            "measured_y_mm": y,
-            "simulated_x_mm": depth * FRACTIONS - 0.02 * FRACTIONS,
-            "simulated_y_mm": y + miss,
-        }
-    )
+    x = depth * FRACTIONS
+    columns = {"j": np.arange(101), "measured_x_mm": x, "measured_y_mm": y}
+    return pd.DataFrame(columns | {"simulated_x_mm": x - 0.02 * FRACTIONS, "simulated_y_mm": y + miss})
 
 
 def scores(points: pd.DataFrame, converged: bool) -> dict:
-    gap = np.hypot(
-        points["simulated_x_mm"] - points["measured_x_mm"], points["simulated_y_mm"] - points["measured_y_mm"]
-    ).to_numpy()
+    gap = np.hypot(*(points[f"simulated_{a}_mm"] - points[f"measured_{a}_mm"] for a in "xy")).to_numpy()
     bend = points["measured_y_mm"].iloc[-1] - points["measured_y_mm"].iloc[0]
     if not converged:
         gap = np.full(101, np.nan)
-    return {
-        "median_err_mm": np.median(gap),
-        "ipe_mean_mm": gap.mean(),
-        "ipe_std_mm": gap.std(),
-        "ipe_max_mm": gap.max(),
-        "te_mm": gap[-1],
-        "edp_percent": 100 * gap[-1] / abs(bend),
-        "deflection_mm": bend,
-        "predicted_deflection_mm": points["simulated_y_mm"].iloc[-1] if converged else np.nan,
-        "floor_median_err_mm": 0.2,
-        "floor_ipe_mean_mm": 0.21,
-        "floor_ipe_max_mm": 0.36,
-        "floor_te_mm": 0.22,
-        "edp_flagged": abs(bend) < 0.22,
-        "converged": converged,
-    }
+    predicted = points["simulated_y_mm"].iloc[-1] if converged else np.nan
+    found = {"median_err_mm": np.median(gap), "te_mm": gap[-1], "edp_percent": 100 * gap[-1] / abs(bend)}
+    found |= {f"ipe_{name}_mm": getattr(gap, name)() for name in ("mean", "std", "max")}
+    found |= {"deflection_mm": bend, "predicted_deflection_mm": predicted, "floor_median_err_mm": 0.2}
+    found |= {"floor_ipe_mean_mm": 0.21, "floor_ipe_max_mm": 0.36, "floor_te_mm": 0.22}
+    return found | {"edp_flagged": abs(bend) < 0.22, "converged": converged}
 
 
 def group(rng, role: str, medium: str, layers: int, count: int, foreign: float = 0.0) -> list[dict]:
@@ -109,51 +92,43 @@ def score_all(insertions: list[dict], fold: int, methods: tuple[str, ...], compa
     return errors, shapes
 
 
+NO = np.nan
+KINDS = pd.DataFrame(
+    {
+        "mu": [1e3, 1e8, 0.72, 1 / 30, 30],
+        "alpha": [-3.0, 5.0, 40.0, -2.4, 4.6],
+        "bevel": [0.005, 0.5, 0.09, 0.079, 0.092],
+    },
+    index=["bound_low", "bound_high", "sd", "low", "high"],
+)
+"""What a fit leaves of each kind of parameter; `low` and `high` of mu are factors of its value."""
+
+
 def parameters(layers: int, fold: int, undetermined: bool, methods: tuple[str, ...]) -> list[dict]:
     names = [n for i in range(1, layers + 1) for n in (f"mu{i}_pa", f"alpha{i}")] + ["bevel_mm"]
+    values = {"mu": 2.13e5 * (1 + 0.05 * fold), "alpha": 1.0, "bevel": 0.0847}
     rows = []
     for method in methods:
         for name in names:
-            mu, alpha = name.startswith("mu"), name.startswith("alpha")
-            value = (
-                (2.13e5 if int(name[2]) % 2 else 3.1e7) * (1 + 0.05 * fold)
-                if mu
-                else 1.0
-                if alpha
-                else 0.0847
-            )
-            free = method == "fitted" or (method == "hand_tuned_b" and name == "bevel_mm")
+            kind = next(one for one in values if name.startswith(one))
+            value = values[kind] if name not in ("mu2_pa", "mu4_pa") else 3.1e7 * (1 + 0.05 * fold)
+            fixed = method == "fitted" and kind == "alpha" and layers == 1
+            free = (method == "fitted" or (method == "hand_tuned_b" and kind == "bevel")) and not fixed
             tied = free and name in ("mu3_pa", "mu4_pa", "alpha3", "alpha4")
-            fixed = method == "fitted" and alpha and layers == 1
-            free = free and not fixed
             status = "fixed" if fixed else "tied" if tied else "free" if free else "published"
-            known = not fixed and not (free and (alpha or (mu and undetermined)))
-            rows.append(
-                {
-                    "fold": fold,
-                    "method": method,
-                    "parameter": name,
-                    "value": value * (1.0 if method == "fitted" or alpha else 0.94),
-                    "status": status,
-                    "bound_low": np.nan if status != "free" else -3.0 if alpha else 1e3 if mu else 0.005,
-                    "bound_high": np.nan if status != "free" else 5.0 if alpha else 1e8 if mu else 0.5,
-                    "sd": np.nan if status != "free" else 40.0 if alpha else 0.72 if mu else 0.09,
-                    "low": np.nan if not free else -2.4 if alpha else value / 30 if mu else 0.079,
-                    "high": np.nan if not free else 4.6 if alpha else value * 30 if mu else 0.092,
-                    "interval_low": np.nan if not free else value / 1.2,
-                    "interval_high": np.nan if not free else value * 1.2,
-                    "draw_source": "importance" if free else "",
-                    "determined": known,
-                    "condition": "",
-                    "note": "fixed"
-                    if fixed
-                    else "shapes do not show it"
-                    if not known
-                    else f"= mu{int(name[2]) - 2}_pa"
-                    if tied
-                    else "",
-                }
-            )
+            known = not fixed and not (free and (kind == "alpha" or (kind == "mu" and undetermined)))
+            note = f"= mu{int(name[2]) - 2}_pa" if tied and kind == "mu" else ""
+            note = "fixed" if fixed else note if known else "shapes do not show it"
+            row = {"fold": fold, "method": method, "parameter": name, "status": status}
+            row["value"] = value * (1.0 if method == "fitted" or kind == "alpha" else 0.94)
+            row |= {
+                key: KINDS[kind][key] if status == "free" else NO for key in ("bound_low", "bound_high", "sd")
+            }
+            scale = value if kind == "mu" else 1.0
+            row |= {key: KINDS[kind][key] * scale if free else NO for key in ("low", "high")}
+            row |= {"interval_low": value / 1.2 if free else NO, "interval_high": value * 1.2 if free else NO}
+            row |= {"draw_source": "importance" if free else "", "determined": known, "condition": ""}
+            rows.append(row | {"note": note})
     return rows
 
 
@@ -165,16 +140,9 @@ def starts(rng, layers: int, fold: int, fits: tuple[str, ...]) -> list[dict]:
             row = {"fold": fold, "fit": fit, "start": start, "minimized": "metric"}
             row["objective"] = best + max(0.0, rng.exponential(0.1) - 0.08) if start else np.inf
             row["excess"] = (row["objective"] - best) / 0.01
-            row |= {
-                "within_tolerance": bool(row["objective"] < best + 0.01),
-                "evaluations": 600,
-                "gradients": 0,
-            }
-            row |= {
-                "failed_solves": int(start == 0) * 600,
-                "stopped": "tolerance" if start else "budget",
-                "joined": None,
-            }
+            row |= {"within_tolerance": bool(row["objective"] < best + 0.01), "evaluations": 600}
+            row |= {"gradients": 0, "failed_solves": int(start == 0) * 600}
+            row |= {"stopped": "tolerance" if start else "budget", "joined": None}
             for i in range(1, layers + 1):
                 row[f"mu{i}_pa"] = 10 ** rng.uniform(4, 7)
                 row[f"alpha{i}"] = rng.uniform(-3, 5)
@@ -239,37 +207,21 @@ def study(number: int, origin: str = "synthetic") -> Run:
     errors, shapes = score_all(insertions, 1, tuple(MISS), "world")
     layers = 1 if number == 5 else 4
     methods = ("fitted", "hand_tuned", "hand_tuned_b")
-    record = StudyRecord.model_validate(
-        {
-            "schema": 1,
-            "title": f"Study {number}: a made-up run",
-            "question": "Does a model tuned on some insertions predict the others?",
-            "dataset": "twin",
-            "medium": first["tune_medium"],
-            "paper_study": number,
-            "paper_parameters": f"study{number}",
-            "validate": [{"medium": first["validate_medium"]}],
-        }
-    )
+    question = "Does a model tuned on some insertions predict the others?"
+    about = {"schema": 1, "title": f"Study {number}: a made-up run", "question": question, "dataset": "twin"}
+    about |= {"medium": first["tune_medium"], "paper_study": number, "paper_parameters": f"study{number}"}
+    record = StudyRecord.model_validate({**about, "validate": [{"medium": first["validate_medium"]}]})
+    fitted = parameters(layers, 1, number != 1, methods)
+    begun = starts(rng, layers, 1, ("fitted", "hand_tuned_b"))
+    data = {"name": "twin", "digest": "ab" * 32}
     made = Run(
         kind="cross_validation",
         name=f"study{number}",
         record=record,
         origin=origin,
         dataset_title="A made-up twin of the paper's insertions",
-        frames=frames(
-            errors,
-            shapes,
-            parameters(layers, 1, number != 1, methods),
-            starts(rng, layers, 1, ("fitted", "hand_tuned_b")),
-            insertions,
-        ),
-        run={
-            "needlefit": "0.1.0",
-            "seed": 1,
-            "dataset": {"name": "twin", "digest": "ab" * 32},
-            "failed_solves": 600,
-        },
+        frames=frames(errors, shapes, fitted, begun, insertions),
+        run={"needlefit": "0.1.0", "seed": 1, "dataset": data, "failed_solves": 600},
         timing={"seconds": 12.5, "out": "somewhere"},
         interrupted=number == 2,
     )
@@ -283,11 +235,8 @@ def stereo() -> Run:
     """Leave one out over aligned, measured shapes: three folds, no paper row, no hand-tuned set."""
     rng = np.random.default_rng(11)
     shapes_of = [
-        {
-            "insertion": f"insertion{i}_120",
-            "medium": "gel",
-            "specimen": f"insertion{i}",
-            "layers": 1,
+        {"insertion": f"insertion{i}_120", "medium": "gel", "specimen": f"insertion{i}", "layers": 1}
+        | {
             "depth_mm": 110.0,
             "deflection_mm": 9.0 + i,
             "sway": float(rng.uniform(-0.02, 0.02)),
@@ -298,22 +247,13 @@ def stereo() -> Run:
     errors, shapes, params, begun = [], [], [], []
     for fold, held in enumerate(shapes_of, start=1):
         both = [one | {"role": "validate" if one is held else "tune"} for one in shapes_of]
-        e, s = score_all(
-            both, fold, ("fitted", "straight", "constant_curvature", "linear_curvature"), "aligned"
-        )
+        e, s = score_all(both, fold, STEREO, "aligned")
         errors, shapes = errors + e, shapes + s
         params += parameters(1, fold, fold != 2, ("fitted",))
         begun += starts(rng, 1, fold, ("fitted",))
-    record = StudyRecord.model_validate(
-        {
-            "schema": 1,
-            "title": "Leave one insertion out",
-            "question": "Does the model predict a shape that it was not fitted to?",
-            "dataset": "stereo",
-            "medium": "gel",
-            "leave_out": "insertion",
-        }
-    )
+    about = {"title": "Leave one insertion out", "question": "Does the model predict a further shape?"}
+    about |= {"dataset": "stereo", "medium": "gel", "leave_out": "insertion"}
+    record = StudyRecord.model_validate({"schema": 1, **about})
     both = [one | {"role": role} for role in ("tune", "validate") for one in shapes_of]
     return Run(
         kind="cross_validation",
@@ -326,12 +266,6 @@ def stereo() -> Run:
         timing={},
         interrupted=False,
     )
-
-
-def test_made_up_results_have_the_columns_of_real_ones():
-    for results in (study(1), stereo()):
-        for name, columns in COLUMNS.items():
-            assert set(columns) <= set(results.frames[name].columns)
 
 
 def with_predictions(results: Run, levels: tuple[float, ...] = (0.1, 0.4, 0.7, 0.97)) -> Run:
@@ -370,24 +304,17 @@ def with_predictions(results: Run, levels: tuple[float, ...] = (0.1, 0.4, 0.7, 0
 def with_draws(results: Run, count: int = 200) -> Run:
     """Run with draws on a ridge: mu times b squared known to 2 %, mu within a factor of 5."""
     rng = np.random.default_rng(5)
-    known = (
-        results.frames["parameters"]
-        .query("method == 'fitted'")
-        .drop_duplicates("parameter")
-        .set_index("parameter")
-    )
+    known = results.frames["parameters"].query("method == 'fitted'")
+    known = known.drop_duplicates("parameter").set_index("parameter")
     values = {name: np.full(count, value) for name, value in known["value"].items()}
     stretch = 1.6 * rng.standard_normal(count)
     values["mu1_pa"] = values["mu1_pa"] * np.exp(stretch)
     values["bevel_mm"] = values["bevel_mm"] * np.exp(-stretch / 2 + 0.01 * rng.standard_normal(count))
     for name in known.index[known["status"] == "free"].difference(["mu1_pa", "bevel_mm"]):
         values[name] = values[name] * np.exp(0.3 * rng.standard_normal(count))
-    about = {
-        "fold": results.frames["parameters"]["fold"].iloc[0],
-        "draw_source": "importance",
-        "pareto_k": 0.31,
-    }
-    return results.with_frames(draws=pd.DataFrame(about | {"certified": True} | values))
+    fold = results.frames["parameters"]["fold"].iloc[0]
+    about = {"fold": fold, "draw_source": "importance", "pareto_k": 0.31, "certified": True}
+    return results.with_frames(draws=pd.DataFrame(about | values))
 
 
 def sampled(low: float, high: float, r_hat: float = 1.0) -> Run:
@@ -395,18 +322,9 @@ def sampled(low: float, high: float, r_hat: float = 1.0) -> Run:
     draws = np.tile(np.linspace(low, high, 400), 4).reshape(4, 400, 1)
     many = np.full((4, 1), 500.0)
     convergence = Convergence(("bevel_mm",), np.array([r_hat]), np.ones((4, 1)), many, many, 100)
-    posterior = Posterior(
-        names=("bevel_mm",),
-        draws=draws,
-        log_posterior=np.zeros((4, 400)),
-        walkers=4,
-        moves="stretch",
-        acceptance=np.array([0.3, 0.4, 0.3, 0.4]),
-        convergence=convergence,
-        burn_in=10,
-        failures=0,
-        interrupted=False,
-    )
+    acceptance, nothing = np.array([0.3, 0.4, 0.3, 0.4]), np.zeros((4, 400))
+    names = ("bevel_mm",)
+    posterior = Posterior(names, draws, nothing, 4, "stretch", acceptance, convergence, 10, 0, False)
     one = study(5)
     fold = str(one.frames["parameters"]["fold"].iloc[0])
     return replace(one, posteriors={fold: posterior})

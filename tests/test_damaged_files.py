@@ -116,8 +116,8 @@ def test_a_file_that_unpacks_to_more_than_its_bound_is_refused(tmp_path, monkeyp
 
 
 def test_results_that_cannot_be_read_are_refused(content, tmp_path):
-    caught = refusal(DataError, "no stored results", restore_run, tmp_path)
-    assert str(tmp_path) in caught.where
+    with pytest.raises(DataError, match="no stored results"):
+        restore_run(tmp_path)
     packed = gzip.compress(json.dumps(content).encode())
     for damaged in (packed[: len(packed) // 2], b"{}", gzip.compress(b"{}")):
         (tmp_path / RESULTS_FILE).write_bytes(damaged)

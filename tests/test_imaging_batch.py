@@ -1,7 +1,6 @@
 """Many scans: one that fails costs the others nothing, and what is finished is not done again."""
 
 import pickle
-import random
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -179,7 +178,7 @@ def test_checkpoints_of_other_input_are_recomputed(change, sample, tmp_path, wor
 
 
 @pytest.mark.sweep
-def test_any_change_of_a_series_a_checkpoint_or_a_last_digit_is_detected(sample, tmp_path, worked):
+def test_any_change_of_a_series_or_a_last_digit_is_detected(sample, tmp_path, worked):
     # A series is named by any of its files; a change of another one is a change of the scan.
     write_volume(read_volume(sample.volume), tmp_path / "series")
     first, *_, last = sorted((tmp_path / "series").iterdir())
@@ -190,22 +189,6 @@ def test_any_change_of_a_series_a_checkpoint_or_a_last_digit_is_detected(sample,
     reconstruct_all([scan], RECIPE, ReconstructionBatch(checkpoint=kept(folder)))
     assert worked.done == ["sample"] * 2
     (tmp_path := tmp_path / "b").mkdir()
-    worked.done.clear()
-    reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint=kept(tmp_path)))
-    (file,), chance = tmp_path.glob("*.jsonl"), random.Random(1)
-    whole = file.read_bytes()
-    (again,) = reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint=kept(tmp_path)))
-    assert worked.done == ["sample"] and type(again.registration.fre) is float
-    assert [surface.name for surface in again.layers.surfaces] == [
-        surface.name for surface in worked.one.layers.surfaces
-    ]
-    for number in range(20):
-        data = bytearray(whole)
-        data[chance.randrange(len(data))] ^= 1 << chance.randrange(8)
-        file.write_bytes(data)
-        reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint=kept(tmp_path)))
-        assert len(worked.done) == number + 2
-    (tmp_path := tmp_path / "c").mkdir()
     worked.done.clear()
     reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint=kept(tmp_path)))
     moved = replace(sample, stage=replace(sample.stage, entry=sample.stage.entry + 1e-12))

@@ -13,14 +13,13 @@ from reconstruction_cases import small
 from refusals import refusal
 
 from needlefit.errors import DataError
-from needlefit.geometry.frames import Frame
 from needlefit.imaging.needle import centerline, tip
-from needlefit.imaging.needle.segmentation import find_components, list_thresholds, segment_needle
+from needlefit.imaging.needle.segmentation import segment_needle
 from needlefit.imaging.reconstruct import MAX_DEPTH_SD_MM, collect_warnings, examine, list_tip_warnings
 from needlefit.imaging.scans import Scan
 from needlefit.project.toml import load
 from needlefit.schemas.reconstruction import ReconstructionRecord
-from needlefit.synthetic.render import ScannerTable, SceneMarkers
+from needlefit.synthetic.render import SceneMarkers
 
 FAR = np.array([200.0, 0.0, 0.0])
 SHAPES = {
@@ -52,12 +51,7 @@ def test_needles_of_known_equation(name):
 
 
 @pytest.mark.sweep
-def test_thick_slices_and_ends_in_tissue():
-    truth = cases.axis(tip=(3.0, 2.0, 28.0), curve=(2.0, 0.0))
-    grid = cases.grid(size=(48, 48, 56), spacing=np.array([0.46, 0.46, 0.9]))
-    line = found(cases.scan(truth, grid=grid))
-    assert cases.off(line.points, truth).mean() < 0.05
-    assert np.linalg.norm(line.tip - truth[-1]) < 0.2
+def test_ends_in_tissue():
     truth = cases.axis()[34:]  # base in air, 6 mm above the face
     line = found(cases.scan(truth))
     assert np.linalg.norm(line.tip - truth[-1]) < 0.15
@@ -66,20 +60,6 @@ def test_thick_slices_and_ends_in_tissue():
     refusal(DataError, "entry_direction", found, volume)
     line = found(volume, cases.recipe(centerline={"entry_direction": [0, 0, 1]}))
     assert np.linalg.norm(line.tip - truth[-1]) < 0.15
-
-
-@pytest.mark.sweep
-def test_markers_rays_and_table_change_nothing():
-    truth = cases.axis(curve=(2.0, 1.0))
-    balls = SceneMarkers(cases.ENTRY + np.array([[6.0, 3, 4], [-5, -6, 12], [4, -6, 20], [-7, 5, 30]]))
-    frame = Frame(np.array([11.0, 19.0, 25.0]), np.array([[0.0, 1, 0], [0, 0, -1], [1, 0, 0]]))
-    scene = {"markers": balls, "table": ScannerTable(frame, width=18.0, thickness=3.0)}
-    volume = cases.scan(truth, scene=scene, streaks=1.0, bloom=0.12, cupping_hu=60.0)
-    low, high = list_thresholds(volume, cases.RECIPE)[0]
-    assert len(find_components(volume, low, high)) >= 6  # needle, balls and rails stand apart
-    line = found(volume)
-    assert cases.off(line.points, truth).mean() < 0.05
-    assert np.linalg.norm(line.tip - truth[-1]) < 0.2
 
 
 @pytest.mark.sweep

@@ -51,45 +51,18 @@ def plain():
     return with_balls()
 
 
-@pytest.mark.sweep
-def test_balls_are_found_where_they_are_by_any_threshold(plain):
-    found = find_markers(plain, RECIPE, needle_of(plain))
-    assert found.source == "volume"
-    assert off(found).max() < 0.03
-    assert (found.sd > 0.002).all()
-    assert (found.sd < 0.05).all()
-    assert off(find_markers(plain, recipe(markers={"threshold_hu": 1500.0}))).max() < 0.03
-    with pytest.raises(DataError, match="exceed 5000 HU") as caught:
-        find_markers(plain, recipe(markers={"threshold_hu": 5000.0}))
-    assert "threshold_hu" in caught.value.fix
-
-
 @pytest.mark.parametrize(
     ("stated", "warned"),
     [(3.0, False), *(pytest.param(stated, True, marks=pytest.mark.sweep) for stated in (3.3, 3.7))],
 )
 def test_a_diameter_that_the_image_contradicts_is_a_warning_with_both(plain, stated, warned):
     found = find_markers(plain, recipe(markers={"diameter_mm": stated}), needle_of(plain))
-    assert off(found).max() < 0.03
+    assert found.source == "volume" and off(found).max() < 0.03
+    assert (found.sd > 0.002).all() and (found.sd < 0.05).all()
     assert len(found.warnings) == warned
     for warning in found.warnings:
         measured, given = (float(x) for x in re.findall(r"(\d\.\d) mm", warning))
         assert (measured, given) == (3.0, stated)
-
-
-@pytest.mark.sweep
-def test_anisotropic_voxels_on_turned_axes():
-    turned = np.array([[0.0, -1, 0], [0.8, 0, -0.6], [0.6, 0, 0.8]])
-    spacing = np.array([0.35, 0.5, 1.0])
-    middle = PLACES.mean(axis=0)
-    voxels = grid(
-        size=(110, 80, 50),
-        spacing=spacing,
-        direction=turned,
-        origin=middle - turned @ (np.array([110, 80, 50]) * spacing / 2),
-    )
-    volume = with_balls(grid=voxels)
-    assert off(find_markers(volume, RECIPE)).max() < 0.05
 
 
 def test_ball_on_the_face_of_the_phantom_is_not_pulled_by_it():

@@ -281,6 +281,14 @@ def find_insertion_warnings(
             what = f"none of the {len(group)} insertions into {name} meets any of its surfaces"
             fix = "check that surfaces and centrelines are in one frame (LPS, RAS?), or leave them out"
             yield ResultWarning("surfaces_missed", what, where(f"media.{name}.surfaces"), fix)
+    yield from _find_noise_warnings(record, listed, noise, where)
+
+
+def _find_noise_warnings(
+    record: DatasetRecord, listed: Sequence[ListedInsertion], noise: Noise, where: FormatPlace
+) -> Iterator[ResultWarning]:
+    """Yield the warnings that follow from stated errors and insertions together."""
+    insertions = [one.insertion for one in listed]
     largest = max((abs(one.deflection) for one in insertions), default=0.0)
     sd = float(np.hypot(noise.point_sd, noise.correlated_sd))
     larger = "point_sd_mm" if noise.point_sd >= noise.correlated_sd else "correlated_sd_mm"

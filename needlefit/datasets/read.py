@@ -419,10 +419,11 @@ def _read_tracks(reading: _Reading) -> tuple[list[TipTrack], list[Path], dict[st
     return tracks, paths, {"pose": "tracker", "drop_proximal": 0.0, "remarks": tuple(remarks)}
 
 
-def _parse_tracks(
-    table: CsvTable, record: TrackDatasetRecord, found: list[Fault], remarks: list[str]
-) -> Iterator[TipTrack]:
-    """Yield the runs of a table; note every fault. A run with a reading marked invalid is left out."""
+def _parse_track_columns(
+    table: CsvTable, record: TrackDatasetRecord, found: list[Fault]
+) -> dict[str, NDArray[Any]]:
+    """Return every column (N,) under our names; of no length after a fault."""
+    nothing = dict.fromkeys((*REQUIRED_TRACK_COLUMNS, *OPTIONAL_TRACK_COLUMNS), np.empty(0))
     source, constants = record.tip_tracks, record.tip_tracks.constants
     theirs = {
         name: source.columns.get(name, name) for name in (*REQUIRED_TRACK_COLUMNS, *OPTIONAL_TRACK_COLUMNS)
@@ -435,7 +436,7 @@ def _parse_tracks(
         what, fix = f"`columns` or `constants` names {name}", "correct [tip_tracks] of dataset.toml"
         found.append(Fault(str(table.path), what, f"one of {', '.join(theirs)}", fix))
     if note_missing_columns(table, list(dict.fromkeys(wanted)), found, MISSING_COLUMN_FIX) or unknown:
-        return
+        return nothing
     before = len(found)
     values = {name: parse_numbers(table, theirs[name], found) for name in REQUIRED_TRACK_COLUMNS[2:]}
     for name, default in OPTIONAL_TRACK_COLUMNS.items():
@@ -443,9 +444,16 @@ def _parse_tracks(
         if theirs[name] in table.cells:
             given = parse_numbers(table, theirs[name], found, optional=True)
             values[name] = np.where(np.isnan(given), default, given)
-    if len(found) > before:
-        return
-    ids, media = (table.cells[theirs[name]].to_numpy(dtype=str) for name in ("id", "medium"))
+    texts = {name: table.cells[theirs[name]].to_numpy(dtype=str) for name in ("id", "medium")}
+    return texts | values if len(found) == before else nothing
+
+
+def _parse_tracks(
+    table: CsvTable, record: TrackDatasetRecord, found: list[Fault], remarks: list[str]
+) -> Iterator[TipTrack]:
+    """Yield the runs of a table; note every fault. A run with a reading marked invalid is left out."""
+    values = _parse_track_columns(table, record, found)
+    ids, media = values.pop("id"), values.pop("medium")
     for id_ in dict.fromkeys(ids.tolist()):
         rows = np.flatnonzero(ids == id_)
         own = {name: column[rows] for name, column in values.items()}

@@ -28,7 +28,7 @@ from needlefit.datasets.columns import make_id
 from needlefit.datasets.faults import Fault, as_error, from_error
 from needlefit.datasets.layers import compute_depths, find_surface_faults, make_file_fault
 from needlefit.errors import DataError
-from needlefit.geometry.crossings import find_crossings
+from needlefit.geometry.crossings import Crossings, find_crossings
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import RAS_TO_LPS, Frame
 from needlefit.geometry.meshes import extract_solid
@@ -99,24 +99,7 @@ def read_labels(path: Path, names: Sequence[str] = ()) -> Labels:
             return _check_labels(volume, tuple(Segment(n, name) for n, name in enumerate(found, 1)))
         stated, axes = _read_stated_segments(place) if path_exists(place) else ((), 3)
         if stated and axes > 3:
-            planes = read_planes(place)
-            values, labelled = np.zeros_like(planes[0].values), 0
-            for label, segment in enumerate(stated, 1):
-                if segment.plane >= len(planes):
-                    raise refusal(f"""segment {segment.name} is in layer {segment.plane}, of {len(planes)} in
-                            the file
-                        expected: layers that are there
-                        fix: {SAVE_AGAIN_FIX}""")
-                inside = planes[segment.plane].values == segment.value
-                if met := int(values[inside].max(initial=0)):
-                    raise _overlap_error([stated[met - 1].name, segment.name])
-                values[inside], labelled = label, labelled + int(np.count_nonzero(inside))
-            if labelled < sum(np.count_nonzero(plane.values) for plane in planes):
-                raise refusal(f"""voxels have labels that no segment has
-                    expected: labels of the segments that the header names
-                    fix: {SAVE_AGAIN_FIX}""")
-            merged = tuple(Segment(label, segment.name) for label, segment in enumerate(stated, 1))
-            volume, stated = replace(planes[0], values=values), merged
+            volume, stated = _merge_planes(read_planes(place), stated)
         else:
             volume = read_volume(place)
         labels = _check_labels(volume, stated)
@@ -124,7 +107,31 @@ def read_labels(path: Path, names: Sequence[str] = ()) -> Labels:
         return replace(labels, segments=tuple(labels.segments[n] for n in chosen))
 
 
+def _merge_planes(
+    planes: Sequence[Volume], segments: Sequence[Segment]
+) -> tuple[Volume, tuple[Segment, ...]]:
+    """Return one volume of the labels 1, 2, ... of segments in several; DataError if they overlap."""
+    values, labelled = np.zeros_like(planes[0].values), 0
+    for label, segment in enumerate(segments, 1):
+        if segment.plane >= len(planes):
+            raise refusal(f"""segment {segment.name} is in layer {segment.plane}, of {len(planes)} in
+                    the file
+                expected: layers that are there
+                fix: {SAVE_AGAIN_FIX}""")
+        inside = planes[segment.plane].values == segment.value
+        if met := int(values[inside].max(initial=0)):
+            raise _overlap_error([segments[met - 1].name, segment.name])
+        values[inside], labelled = label, labelled + int(np.count_nonzero(inside))
+    if labelled < sum(np.count_nonzero(plane.values) for plane in planes):
+        raise refusal(f"""voxels have labels that no segment has
+            expected: labels of the segments that the header names
+            fix: {SAVE_AGAIN_FIX}""")
+    merged = tuple(Segment(label, segment.name) for label, segment in enumerate(segments, 1))
+    return replace(planes[0], values=values), merged
+
+
 def _check_labels(volume: Volume, stated: tuple[Segment, ...]) -> Labels:
+    """Return the labels of a volume as those of the stated segments, or of nameless ones without any."""
     low, high = float(volume.values.min()), float(volume.values.max())
     labels_only = all(np.array_equal(slice_, np.rint(slice_)) for slice_ in volume.values)
     if low < 0 or high >= 2**16 or not labels_only:
@@ -413,6 +420,33 @@ def estimate_layer_errors(
     return LayerErrors(recipe.layers.surface_sd_mm, centerline, along, between)
 
 
+def _compute_crossing_sd(
+    crossed: Crossings, points: Floats, frame: Frame, surfaces: tuple[Surface, ...], errors: LayerErrors
+) -> Floats:
+    """Return the standard deviations (m,) of the depths at which a needle (N, 3) crosses surfaces, mm."""
+    places = interpolate_at_arc(points, crossed.arc)
+    tangents = interpolate_at_arc(points, crossed.arc + TANGENT_STEP_MM) - interpolate_at_arc(
+        points, crossed.arc - TANGENT_STEP_MM
+    )
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    normals = find_nearest(places, surfaces).normals
+    cosines = np.abs(np.sum(normals * tangents, axis=1))
+    across = np.interp(crossed.arc, arc_length(points), errors.centerline)
+    # only the part of the needle's error along the normal counts: sin^2 of the angle between needle and
+    # normal
+    variances = errors.surface**2 + across**2 * (1 - cosines**2)
+    if errors.registration is not None:
+        in_patient = scan_frame(errors.registration).to_local(places)
+        covariances = target_covariance(errors.registration, in_patient)
+        sideways = normals - np.sum(normals * tangents, axis=1)[:, None] * tangents
+        variances += np.einsum("ni,nij,nj->n", sideways, covariances, sideways)
+    along = np.abs(tangents @ frame.rotation[:, 0])
+    deviations: Floats = np.hypot(
+        along * np.sqrt(variances) / np.maximum(cosines, MIN_CROSSING_COSINE), errors.along
+    )
+    return deviations
+
+
 def find_crossed_layers(
     points: Floats, frame: Frame, surfaces: tuple[Surface, ...], errors: LayerErrors
 ) -> Layers:
@@ -429,24 +463,5 @@ def find_crossed_layers(
     if not surfaces:
         return Layers((), np.empty(0), np.empty(0), np.empty((0, 3)), (1,))
     crossed = find_crossings(points, surfaces)
-    sd = np.empty(0)
-    if len(crossed.arc):
-        places = interpolate_at_arc(points, crossed.arc)
-        tangents = interpolate_at_arc(points, crossed.arc + TANGENT_STEP_MM) - interpolate_at_arc(
-            points, crossed.arc - TANGENT_STEP_MM
-        )
-        tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-        normals = find_nearest(places, surfaces).normals
-        cosines = np.abs(np.sum(normals * tangents, axis=1))
-        across = np.interp(crossed.arc, arc_length(points), errors.centerline)
-        # only the part of the needle's error along the normal counts: sin^2 of the angle between needle and
-        # normal
-        variances = errors.surface**2 + across**2 * (1 - cosines**2)
-        if errors.registration is not None:
-            in_patient = scan_frame(errors.registration).to_local(places)
-            covariances = target_covariance(errors.registration, in_patient)
-            sideways = normals - np.sum(normals * tangents, axis=1)[:, None] * tangents
-            variances += np.einsum("ni,nij,nj->n", sideways, covariances, sideways)
-        along = np.abs(tangents @ frame.rotation[:, 0])
-        sd = np.hypot(along * np.sqrt(variances) / np.maximum(cosines, MIN_CROSSING_COSINE), errors.along)
+    sd = _compute_crossing_sd(crossed, points, frame, surfaces, errors) if len(crossed.arc) else np.empty(0)
     return Layers(surfaces, compute_depths(crossed.points, frame), sd, crossed.points, crossed.sequence)

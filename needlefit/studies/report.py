@@ -176,10 +176,7 @@ def write_run(result: Run, folder: Path) -> Path:
     Every frame as CSV, tables and their numbers as LaTeX, figures as PDF, the report as PDF and HTML,
     `run.json`, `results.json.gz`, from which all of this can be made again, and `timing.json`.
 
-    Raises
-    ------
-    ConfigError
-        If `folder` holds anything that needlefit did not write, or that was changed since.
+    Raises ConfigError if `folder` holds anything that needlefit did not write, or that was changed since.
     """
     with replace_folder(folder) as new:
         for name in listed_files(folder) if find_kind(result.kind).report.keeps_files else ():

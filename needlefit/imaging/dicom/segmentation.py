@@ -223,9 +223,8 @@ def _storage(file: Path) -> str:
         return ""
 
 
-def _read_contours(results: SandboxArrays, file: Path, names: Sequence[str]) -> Answer:
-    with open_regular(file, sys.maxsize) as content:
-        data = pydicom.dcmread(content)
+def _parse_regions(data: pydicom.Dataset, file: Path) -> list[ContouredRegion]:
+    """Return the regions of a structure set, in its order."""
     listed = list(data.StructureSetROISequence)
     drawn = {int(one.ReferencedROINumber): one for one in data.get("ROIContourSequence") or ()}
     if len(listed) > MAX_ROIS or len({int(one.ROINumber) for one in listed}) < len(listed):
@@ -241,6 +240,13 @@ def _read_contours(results: SandboxArrays, file: Path, names: Sequence[str]) -> 
         count += len(contours)
     if count > MAX_CONTOURS:
         raise _contour_error(f"holds {count} contours")
+    return regions
+
+
+def _read_contours(results: SandboxArrays, file: Path, names: Sequence[str]) -> Answer:
+    with open_regular(file, sys.maxsize) as content:
+        data = pydicom.dcmread(content)
+    regions = _parse_regions(data, file)
     if not names:  # points and lines mark places, such as the isocentre
         regions = [one for one in regions if one.contours]
     regions = [regions[n] for n in choose_segments([one.name for one in regions], names)]

@@ -58,12 +58,8 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
     The same record, data, seed and versions give the same frames for any number of jobs, and after an
     interruption with `resume`.
 
-    Raises
-    ------
-    ConfigError, DataError
-        If anything the record names is missing or wrong.
-    FitError
-        If a search finds no point that can be solved.
+    Raises ConfigError or DataError if anything the record names is missing or wrong. FitError if a search
+    finds no point that can be solved.
     """
     begin = time.time()
     job = prepare(name, record, settings)
