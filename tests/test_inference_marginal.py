@@ -35,6 +35,7 @@ from needlefit.inference.likelihood.nodes import (
     make_rule,
     make_table_axes,
 )
+from needlefit.inference.likelihood.observation import make_observation, whiten_residuals
 from needlefit.inference.parameters import make_gaussian_prior
 from needlefit.mechanics.shape import compute_positions
 from needlefit.project.locate import find_file
