@@ -27,10 +27,10 @@ from needlefit.project.unit_warnings import WARNING_KIND
 from needlefit.reporting.number_format import NO_INTERVAL, format_interval
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.fit_warnings import RULES, analysis_bound_warnings, apply_rule
+from needlefit.studies.identification import ParameterInterval, add_intervals, intervals_of_draws
 from needlefit.studies.job import DATA_WARNINGS, Settings, make_folds, prepare, warn_shared_specimens
 from needlefit.studies.kinds.calibration import find_calibration_faults, headline_calibration
 from needlefit.studies.kinds.cross_validation.run import run as run_fit
-from needlefit.studies.parameter_intervals import ParameterInterval, add_intervals, intervals_of_draws
 from needlefit.studies.report import run_to_json, say, warning_blocks
 from needlefit.studies.run import (
     NOT_CONVERGED,

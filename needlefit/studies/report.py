@@ -36,8 +36,8 @@ from needlefit.studies.run import (
     verdicts_to_json,
 )
 from needlefit.studies.run_differences import TableComparison
+from needlefit.studies.score import VALIDITY_KEY
 from needlefit.studies.store import store_run
-from needlefit.studies.validity import VALIDITY_KEY
 
 
 def run_to_json(result: Run) -> dict[str, Any]:

@@ -53,9 +53,8 @@ from needlefit.studies.kinds.cross_validation import tables
 from needlefit.studies.rank_statistics import ecdf_band
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Run, Status, Verdict, judge_errors, judge_run, qualify
-from needlefit.studies.score import list_methods
+from needlefit.studies.score import describe_outside, list_methods
 from needlefit.studies.slicer import write_needles
-from needlefit.studies.validity import describe_outside
 
 PAPER_SETS = ("hand_tuned", "hand_tuned_b")
 
