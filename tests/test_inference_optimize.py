@@ -32,9 +32,13 @@ from needlefit.inference.fit import (
     start_to_dict,
 )
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
-from needlefit.inference.optimize import ALGORITHMS, minimize, starting_points
-from needlefit.inference.optimize.local_search import certify_minimum
-from needlefit.inference.optimize.multistart import group_approaches
+from needlefit.inference.optimize import (
+    ALGORITHMS,
+    certify_minimum,
+    group_approaches,
+    minimize,
+    starting_points,
+)
 from needlefit.inference.problem import EvaluationFailure, explain_failure
 from needlefit.inference.sampling.posterior import load, save
 from needlefit.inference.sampling.sample import sample

@@ -13,7 +13,7 @@ from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.forward_model import make_options as mesh
 from needlefit.inference.material import set_material_prior
-from needlefit.inference.optimize.local_search import select_algorithms
+from needlefit.inference.optimize import select_algorithms
 from needlefit.inference.parameters import (
     Parameters,
     with_hyperparameters,

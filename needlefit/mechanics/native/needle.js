@@ -264,7 +264,7 @@ export class Session {
     return positions(this.heap, this.shape, s);
   }
 
-  /** All loads across the needle as in `mechanics.load.compute_loads`: N, N mm, N/mm. */
+  /** All loads across the needle as in `mechanics.simulate.compute_loads`: N, N mm, N/mm. */
   forces() {
     const { heap, shape, inputs, model } = this,
       { call } = heap;

@@ -19,7 +19,7 @@ from pydantic import Field, model_validator
 
 from needlefit.datasets.noise import NoiseFloor
 from needlefit.inference.fit import Fit, StartPoint
-from needlefit.inference.optimize.local_search import search
+from needlefit.inference.optimize import search
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.problem import make_objective
 from needlefit.mechanics.needle import Needle
