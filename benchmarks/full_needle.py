@@ -13,9 +13,8 @@ from scipy.linalg import solveh_banded
 
 from needlefit.mechanics import reference
 from needlefit.mechanics.control import Step
-from needlefit.mechanics.law_form import compile_law
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.packing import evaluate_layer
+from needlefit.mechanics.packing import compile_law, evaluate_layer
 from needlefit.mechanics.tissue import Tissue
 
 Floats = NDArray[np.float64]

@@ -23,7 +23,7 @@ from scipy.stats import t as student
 
 from needlefit.arrays import Floats
 from needlefit.inference import compared_points
-from needlefit.inference.proportions import estimate_proportion
+from needlefit.inference.predict import estimate_proportion
 from needlefit.mechanics.batch import Jacobian, Jacobians, NeedleShapes
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.project.locate import find_file

@@ -57,7 +57,7 @@ MECHANICS = tuple(
 
 AREAS = {
     "likelihood": Area(
-        ("inference/likelihood", "inference/posterior_density.py"),
+        ("inference/likelihood", "inference/problem.py"),
         (
             *("inference_likelihood", "inference_tracks"),
             *("inference_marginal", "inference_depths", "inference_document", "inference_golden"),

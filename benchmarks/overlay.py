@@ -18,7 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from needlefit.inference.parameter_draws import ParameterDraws
+from needlefit.inference.forward_model import ParameterDraws
 from needlefit.mechanics.control import Guide
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Session

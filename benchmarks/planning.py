@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from needlefit.inference.parameter_draws import ParameterDraws
+from needlefit.inference.forward_model import ParameterDraws
 from needlefit.mechanics.batch import compute_batch_positions
 from needlefit.planning.goals import Goal, find_hits
 from needlefit.planning.steering import StartedInsertion, find_reachable_region, plan_steering

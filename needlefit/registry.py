@@ -1,8 +1,8 @@
 """Find everything that can be added without a list to extend: tissue laws, file formats, metrics, ...
 
-A `Registry` knows one type of entry. Built-in entries are the modules of one package: a file or folder there
-defines one module-level instance, whose name is that of the module. Plugins are modules of installed
-packages, named by their entry points in the group `needlefit.plugins` or by `--plugins`; all their
+A `Registry` knows one type of entry. Built-in entries are the module-level instances of one package, and its
+modules: a file or folder there defines one instance, whose name is that of the module. Plugins are modules of
+installed packages, named by their entry points in the group `needlefit.plugins` or by `--plugins`; all their
 module-level instances are registered. docs/plugins.md shows one.
 
 A plugin is code, which runs with the rights of the user. It is never looked for in the working folder or in
@@ -67,7 +67,7 @@ class Registry(Generic[T]):
     entry_type : type
         Of the entries; each has a `name`.
     package : str
-        The package whose modules are the built-in entries; modules that begin with `_` are none.
+        The package that holds the built-in entries; modules that begin with `_` are none.
     noun : str
         What an entry is called in messages, such as `tissue law`.
     """
@@ -93,11 +93,9 @@ class Registry(Generic[T]):
         added = self._from_plugins()
         if name in added:
             return added[name][0]
-        if name not in self._builtin:
-            if name not in self._builtin_names():
-                raise self.unknown_name_error(name)
-            self._builtin[name] = self._import_builtin(name)
-        return self._builtin[name]
+        if name not in self._builtin_names():
+            raise self.unknown_name_error(name)
+        return self._get_builtin(name)
 
     def get(self, name: str) -> T | None:
         """Return an entry; None if there is none of that name, as in a stored result of a plugin."""
@@ -134,18 +132,23 @@ class Registry(Generic[T]):
         return ConfigError(what, expected=f"one of {', '.join(self.names())}", fix=fix, key=key)
 
     def _builtin_names(self) -> frozenset[str]:
-        path = import_module(self._package).__path__
-        names = frozenset(one.name for one in pkgutil.iter_modules(path) if not one.name.startswith("_"))
+        package = import_module(self._package)
+        modules = (one.name for one in pkgutil.iter_modules(package.__path__))
+        self._builtin |= {entry.name: entry for entry in self._instances(package)}
+        names = frozenset([*self._builtin, *(name for name in modules if not name.startswith("_"))])
         self._builtin_names = lambda: names  # type: ignore[method-assign]  # the folder does not change
         return names
 
-    def _import_builtin(self, name: str) -> T:
+    def _get_builtin(self, name: str) -> T:
+        if name in self._builtin:
+            return self._builtin[name]
         module = import_module(f"{self._package}.{name}")
         found = [entry for entry in self._instances(module) if entry.name == name]
         if len(found) != 1:
             what = f"{len(found)} {self._type.__name__} called `{name}` in it"
             expected = f"one module-level {self._type.__name__} whose name is that of the file"
             raise ConfigError(what, where=str(module.__file__), expected=expected)
+        self._builtin[name] = found[0]
         return found[0]
 
     def _instances(self, module: ModuleType) -> Iterator[T]:
@@ -173,7 +176,7 @@ class Registry(Generic[T]):
             other, place = added[entry.name][0], added[entry.name][1].name
         elif entry.name in self._builtin_names():
             place = f"{self._package}.{entry.name}"
-            other = self._builtin.setdefault(entry.name, self._import_builtin(entry.name))
+            other = self._get_builtin(entry.name)
         else:
             return True
         if other is not entry:

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 from inference_cases import recipe
 
-from needlefit.inference.fit import Start, StartPoint
-from needlefit.inference.objective import ObjectiveFunction
+from needlefit.inference.fit import ObjectiveFunction, Start, StartPoint
 from needlefit.inference.optimize import search
 
 FOLDER = Path(__file__).parent / "nist"

@@ -6,8 +6,7 @@ from functools import cache
 import numpy as np
 import pandas as pd
 
-from needlefit.inference.sampling.convergence import Convergence
-from needlefit.inference.sampling.posterior import Posterior
+from needlefit.inference.sampling.posterior import Convergence, Posterior
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies import paper
 from needlefit.studies.fit_frames import COLUMNS

@@ -25,7 +25,7 @@ from needlefit.project.locate import find_file
 from needlefit.project.toml import dumps, read_toml
 
 COMMANDS = ("simulate", "check", "tune", "identify", "calibrate", "predict", "validate", "verify")
-MODULES = ("simulate", "check", "studies", "results", "reconstruct", "view", "import_data", "start")
+MODULES = ("simulate", "data", "studies", "results", "reconstruct", "view", "plan")
 FULL = Path("/dev/full")
 posix = pytest.mark.skipif(os.name != "posix", reason="redirections of a POSIX shell")
 

@@ -27,10 +27,10 @@ from needlefit.project.unit_warnings import WARNING_KIND
 from needlefit.reporting.number_format import NO_INTERVAL, format_interval
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.fit_warnings import RULES, analysis_bound_warnings, apply_rule
+from needlefit.studies.identification import ParameterInterval, add_intervals, intervals_of_draws
 from needlefit.studies.job import DATA_WARNINGS, Settings, make_folds, prepare, warn_shared_specimens
 from needlefit.studies.kinds.calibration import find_calibration_faults, headline_calibration
 from needlefit.studies.kinds.cross_validation.run import run as run_fit
-from needlefit.studies.parameter_intervals import ParameterInterval, add_intervals, intervals_of_draws
 from needlefit.studies.report import run_to_json, say, warning_blocks
 from needlefit.studies.run import (
     NOT_CONVERGED,
@@ -497,16 +497,6 @@ def test_a_run_with_faults_claims_nothing():
     opening = good.sentence.partition(":")[0]
     assert good.status == "pass" and marked.status == "warn"
     assert marked.sentence.startswith("NOT CONVERGED. ") and f" {opening}:" not in marked.sentence
-
-
-def test_a_preliminary_recipe_is_named():
-    results = study(4)
-    quick = replace(results, run={**results.run, "recipe": {"preliminary": True}})
-    added = [
-        one.sentence.removeprefix(old.sentence)
-        for one, old in zip(judge_run(quick), judge_run(results), strict=True)
-    ]
-    assert all("preliminary" in one for one in added)
 
 
 @pytest.mark.parametrize(("fitted", "status"), [((0.1, 0.0), "warn"), ((0.3, 0.0), "fail")])

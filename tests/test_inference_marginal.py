@@ -24,15 +24,18 @@ from needlefit.inference.likelihood.marginal import (
 )
 from needlefit.inference.likelihood.nodes import (
     BEVEL,
+    MAX_AXES,
     NODE_POSITIONS_SD,
     ErrorAxis,
     Nodes,
     group_nodes,
+    log_means,
     make_group,
     make_nodes,
+    make_rule,
+    make_table_axes,
 )
 from needlefit.inference.likelihood.observation import make_observation, whiten_residuals
-from needlefit.inference.likelihood.quadrature import MAX_AXES, log_means, make_rule, make_table_axes
 from needlefit.inference.parameters import make_gaussian_prior
 from needlefit.mechanics.shape import compute_positions
 from needlefit.project.locate import find_file

@@ -22,9 +22,16 @@ from inference_cases import (
 from refusals import refusal
 
 from needlefit.errors import ConfigError, FitError, ModelError
-from needlefit.inference.fit import Callbacks, Start, start_from_dict, start_to_dict
+from needlefit.inference.fit import (
+    MAX_FAILED_POINTS,
+    Callbacks,
+    EvaluationRecorder,
+    ObjectiveFunction,
+    Start,
+    start_from_dict,
+    start_to_dict,
+)
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
-from needlefit.inference.objective import MAX_FAILED_POINTS, EvaluationRecorder, ObjectiveFunction
 from needlefit.inference.optimize import ALGORITHMS, minimize, starting_points
 from needlefit.inference.optimize.local_search import certify_minimum
 from needlefit.inference.optimize.multistart import group_approaches

@@ -7,8 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from needlefit.inference.identifiability.gauss_newton import minimize_squares
-from needlefit.inference.identifiability.profile import DEVIANCE_95, LikelihoodProfile, compute_profile
+from needlefit.inference.identifiability.profile import (
+    DEVIANCE_95,
+    LikelihoodProfile,
+    compute_profile,
+    minimize_squares,
+)
 
 REACH = 20.0
 VAST = np.full(2, 1e4)  # bounds so far away that they say nothing

@@ -13,12 +13,18 @@ from refusals import refusal
 
 from needlefit.errors import ConfigError, DataError, FitError
 from needlefit.inference.fit import Callbacks
-from needlefit.inference.sampling import convergence
+from needlefit.inference.sampling import posterior as convergence
 from needlefit.inference.sampling import sample as sample_module
-from needlefit.inference.sampling.ensembles import INDEPENDENT, SNOOKER_LENGTH, _propose_snooker, parse_moves
 from needlefit.inference.sampling.log_density import Evaluator, approximate_by_laplace
 from needlefit.inference.sampling.posterior import load, save
-from needlefit.inference.sampling.sample import Snapshots, sample
+from needlefit.inference.sampling.sample import (
+    INDEPENDENT,
+    SNOOKER_LENGTH,
+    Snapshots,
+    _propose_snooker,
+    parse_moves,
+    sample,
+)
 from needlefit.project.checkpoint import open_checkpoint
 from needlefit.schemas.recipe import SampleRecord
 

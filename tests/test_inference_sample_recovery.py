@@ -7,9 +7,8 @@ from inference_cases import TRUTH, insertion, measure, medium, problem
 from sampling_cases import Known, draw, flat, gaussian, settings, standard_errors, two_hills
 from scipy.stats import truncnorm
 
-from needlefit.inference.sampling.convergence import autocorrelation_times
-from needlefit.inference.sampling.ensembles import fit_proposal, make_initial_proposal
-from needlefit.inference.sampling.sample import sample
+from needlefit.inference.sampling.posterior import autocorrelation_times
+from needlefit.inference.sampling.sample import fit_proposal, make_initial_proposal, sample
 from needlefit.schemas.recipe import SampleRecord
 
 pytestmark = pytest.mark.sweep

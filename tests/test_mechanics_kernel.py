@@ -9,9 +9,8 @@ from needlefit.errors import ModelError
 from needlefit.mechanics import native, reference
 from needlefit.mechanics.batch import Batch, simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
-from needlefit.mechanics.load import compute_lateral_load
 from needlefit.mechanics.shape import compute_positions, map_beam_points, sample_inserted_points
-from needlefit.mechanics.simulate import equilibrium, simulate, simulate_steps
+from needlefit.mechanics.simulate import compute_lateral_load, equilibrium, simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
 

@@ -14,9 +14,8 @@ from needlefit.mechanics import reference
 from needlefit.mechanics.batch import Batch, linearize_steps, simulate_batches
 from needlefit.mechanics.compression import compute_log_stress_derivative, compute_stress
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
-from needlefit.mechanics.law_form import compile_law
 from needlefit.mechanics.laws import LAWS, Numbers, TissueLaw
-from needlefit.mechanics.packing import evaluate_layer
+from needlefit.mechanics.packing import compile_law, evaluate_layer
 from needlefit.mechanics.simulate import simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
 

@@ -7,10 +7,15 @@ from mechanics_cases import NEEDLE
 from needlefit.mechanics import reference
 from needlefit.mechanics.batch import Batch, simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
-from needlefit.mechanics.load import compute_lateral_load, compute_loads
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice
-from needlefit.mechanics.simulate import equilibrium, simulate, simulate_steps
+from needlefit.mechanics.simulate import (
+    compute_lateral_load,
+    compute_loads,
+    equilibrium,
+    simulate,
+    simulate_steps,
+)
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.scene import RulesRecord
 from needlefit.verification.check import Group, find_checks, verify

@@ -9,7 +9,6 @@ from needlefit.mechanics.plan import (
     Move,
     Position,
     Ray,
-    list_rays,
     make_lattice,
     make_stops,
     plan_move,
@@ -19,6 +18,14 @@ from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 
 HALF = Lattice(0.5, 1.0)  # points at 0, 0.5, 1.5, 2.5 ...
+
+
+def list_rays(position):
+    """Return the rays that led to a position, from the entry to the tip."""
+    found, ray = [], position.ray
+    while ray:
+        found, ray = [ray, *found], ray.before
+    return found
 
 
 def stops(*moves: tuple[float, int, int], lattice: Lattice = HALF) -> list[tuple]:

@@ -13,11 +13,11 @@ from mechanics_cases import random_needle, random_rules, random_tissue
 from needlefit.mechanics import native
 from needlefit.mechanics.batch import Batch, compute_batch_positions, simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
-from needlefit.mechanics.load import Loads, compute_loads
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import pack_layers
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.shape import NeedleShape, compute_positions
+from needlefit.mechanics.simulate import Loads, compute_loads
 from needlefit.mechanics.tissue import Tissue
 
 pytestmark = pytest.mark.skipif(

@@ -27,7 +27,7 @@ from test_viewer_server import Page
 
 from needlefit.errors import ConfigError
 from needlefit.geometry.frames import Frame, Placement, to_lps
-from needlefit.inference.parameter_draws import ParameterDraws
+from needlefit.inference.forward_model import ParameterDraws
 from needlefit.mechanics.shape import compute_positions
 from needlefit.viewer import openigtlink
 from needlefit.viewer.openigtlink import MAX_PEERS, MAX_SKIPPED_BYTES, pack_needle, read_pose

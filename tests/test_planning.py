@@ -13,7 +13,7 @@ from test_datasets_markups import markup, point, save
 from needlefit.errors import DataError, ModelError
 from needlefit.geometry.frames import Frame, Placement
 from needlefit.inference.fit import Fit
-from needlefit.inference.parameter_draws import ParameterDraws
+from needlefit.inference.forward_model import ParameterDraws
 from needlefit.inference.predict import Draws
 from needlefit.inference.sampling.importance import Effort
 from needlefit.mechanics.control import Bevel, Step

@@ -11,7 +11,7 @@ from time import process_time
 import pytest
 from pydantic import ValidationError
 
-from needlefit.cli.start import copy_project
+from needlefit.cli.data import copy_project
 from needlefit.errors import MAX_MESSAGE_CHARACTERS, ConfigError, DataError, printable
 from needlefit.project import input_files, locate
 from needlefit.project.input_files import (

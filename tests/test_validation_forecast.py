@@ -15,10 +15,16 @@ import needlefit
 from needlefit.cli.options import scene_record
 from needlefit.errors import ConfigError, DataError
 from needlefit.inference.optimize import minimize
-from needlefit.inference.predict import Draws, PredictiveMixture, interval, simulate_shape_pit, thin_posterior
-from needlefit.inference.proportions import estimate_proportion, wilson_interval
-from needlefit.inference.sampling.convergence import Convergence
-from needlefit.inference.sampling.posterior import Posterior
+from needlefit.inference.predict import (
+    Draws,
+    PredictiveMixture,
+    estimate_proportion,
+    interval,
+    simulate_shape_pit,
+    thin_posterior,
+    wilson_interval,
+)
+from needlefit.inference.sampling.posterior import Convergence, Posterior
 from needlefit.inference.sampling.sample import sample
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import compute_positions

@@ -44,9 +44,15 @@ from needlefit.studies.kinds.cross_validation.tables import arrange_parameters, 
 from needlefit.studies.kinds.sensitivity import VariationRecord
 from needlefit.studies.report import say, write_run
 from needlefit.studies.run import Run
-from needlefit.studies.score import Scorer, curve_predictor, model_predictor
+from needlefit.studies.score import (
+    Scorer,
+    ValidityCounts,
+    curve_predictor,
+    describe_outside,
+    list_outside,
+    model_predictor,
+)
 from needlefit.studies.scored_groups import tabulate_design
-from needlefit.studies.validity import ValidityCounts, describe_outside, list_outside
 
 MEDIUM = """schema = 1
 layers = 2

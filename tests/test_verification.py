@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from refusals import refusal
 
-from needlefit.mechanics import load, packing, reference
+from needlefit.mechanics import packing, reference, simulate
 from needlefit.mechanics.control import Bevel, ModelOptions
 from needlefit.mechanics.laws import list_shape_parameters
 from needlefit.mechanics.simulate import simulate_steps
@@ -218,9 +218,9 @@ def test_a_fault_fails_the_checks_that_it_concerns(change, fail, hold, monkeypat
 
 
 def test_a_load_that_the_shape_does_not_bear_is_noticed(monkeypatch):
-    true = load.pack_equilibrium
+    true = simulate.pack_equilibrium
     monkeypatch.setattr(
-        load, "pack_equilibrium", lambda needle, tissue, *rest: true(needle, stiffer(tissue), *rest)
+        simulate, "pack_equilibrium", lambda needle, tissue, *rest: true(needle, stiffer(tissue), *rest)
     )
     assert verify(1, [check for check in symmetries.CHECKS if "balance" in check.title]).failed
 

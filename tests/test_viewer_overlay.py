@@ -20,8 +20,7 @@ from needlefit.imaging import volume_files as scans
 from needlefit.imaging.volume import Volume, to_patient
 from needlefit.imaging.volume_files import write_volume
 from needlefit.inference.compared_points import compare_points
-from needlefit.inference.forward_model import make_scene_record, predict
-from needlefit.inference.parameter_draws import ParameterDraws, select_layer_draws
+from needlefit.inference.forward_model import ParameterDraws, make_scene_record, predict, select_layer_draws
 from needlefit.mechanics.control import Guide
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Session

@@ -4,9 +4,9 @@ import asyncio
 import json
 import math
 import threading
-from contextlib import asynccontextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 
 import aiohttp
 import pytest
@@ -65,12 +65,17 @@ class Page:
                 self.kept[answer["kind"]] = answer
 
 
-class House:
-    """A running server, its door, and a client."""
+@dataclass
+class RunningServer:
+    access: AccessControl
+    client: aiohttp.ClientSession
+    trials: TrialRegistry
+    folder: Path
+    patch: pytest.MonkeyPatch
 
-    def __init__(self, access: AccessControl, client, trials: TrialRegistry, folder) -> None:
-        self.access, self.client, self.trials, self.folder = access, client, trials, folder
-        self.base = f"http://127.0.0.1:{access.port}"
+    @property
+    def base(self) -> str:
+        return f"http://127.0.0.1:{self.access.port}"
 
     async def connect(self, **headers):
         return await self.client.ws_connect(f"{self.base}/ws", headers={"Origin": self.base} | headers)
@@ -81,20 +86,14 @@ class House:
         return page
 
 
-@asynccontextmanager
-async def house(folder, name: str = "study2"):
-    viewed_scene = open_target(name)
-    trials = TrialRegistry(viewed_scene, folder, lambda insertion: open_target(viewed_scene.name, insertion))
-    async with served(SteeringPage(trials)) as (access, client):
-        yield House(access, client, trials, folder)
-
-
 def visit(test, name: str = "study2"):
     """Run an asynchronous test with a server of its own and a page on it."""
 
-    async def attend(folder, monkeypatch) -> None:
-        async with house(folder, name) as server:
-            server.patch = monkeypatch
+    async def attend(folder, patch) -> None:
+        shown = open_target(name)
+        trials = TrialRegistry(shown, folder, lambda insertion: open_target(shown.name, insertion))
+        async with served(SteeringPage(trials)) as (access, client):
+            server = RunningServer(access, client, trials, folder, patch)
             await test(server, await server.page())
 
     def run(tmp_path, monkeypatch) -> None:

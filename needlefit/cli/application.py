@@ -55,14 +55,15 @@ _GROUPS = {
 }
 """First words of commands that form a group, with its help."""
 
+_DATA = ("init", "new dataset", "check", "twin build", "twin ct")
 _STUDIES = (*("tune", "identify", "calibrate", "validate", "predict", "material", "verify", "credibility"),)
 
 _MODULES = {
-    "init": "start.init",
-    "new dataset": "start.new_dataset",
-    "import": "import_data.import_data",
-    "twin build": "twin.twin_build",
-    "twin ct": "twin.twin_ct",
+    "import": "data.import_data",
+    **{
+        name: f"data.{name.replace(' ', '_')}"
+        for name in ("init", "new dataset", "check", "twin build", "twin ct")
+    },
     **{name: f"studies.{name}" for name in _STUDIES},
     **{name: f"results.{name}" for name in ("report", "explain", "diff", "paper")},
 }

@@ -146,16 +146,12 @@ def _cell(value: object) -> tuple[str, bool]:
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return "", False
     if isinstance(value, bool) or not isinstance(value, int | float):
-        return str(value), _is_number_as_text(value)
+        try:
+            float(str(value))
+        except ValueError:
+            return str(value), False
+        return str(value), True
     return (f"{value:z.4g}" if isinstance(value, float) else str(value)), True
-
-
-def _is_number_as_text(value: object) -> bool:
-    try:
-        float(str(value))
-    except ValueError:
-        return False
-    return True
 
 
 def print_warnings(invocation: Invocation, warnings: Iterable[ResultWarning]) -> None:

@@ -56,13 +56,19 @@ def find_stdout_fault() -> ConfigError | None:
     try:
         sys.stdout.flush()
     except OSError as error:
-        return _incomplete_output_error(error)
-    outlet = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
-    fault = outlet.fault if isinstance(outlet, _Outlet) else None
-    return (
-        None
-        if fault is None or fault.errno in (errno.EPIPE, errno.EBADF)
-        else _incomplete_output_error(fault)
+        fault: OSError | None = error
+    else:
+        outlet = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
+        fault = outlet.fault if isinstance(outlet, _Outlet) else None
+        if fault is not None and fault.errno in (errno.EPIPE, errno.EBADF):
+            fault = None
+    if fault is None:
+        return None
+    return ConfigError(
+        f"the output is incomplete: {fault.strerror or fault}",
+        where="standard output",
+        expected="a terminal, a pipe, or a file with space left",
+        fix="send the output elsewhere, or free some space, and run the command again",
     )
 
 
@@ -77,13 +83,4 @@ def _wrap_descriptor(before: TextIO | None, descriptor: int) -> TextIO:
         errors="replace",
         line_buffering=descriptor == 2 or outlet.isatty(),
         write_through=getattr(before, "write_through", False),
-    )
-
-
-def _incomplete_output_error(fault: OSError) -> ConfigError:
-    return ConfigError(
-        f"the output is incomplete: {fault.strerror or fault}",
-        where="standard output",
-        expected="a terminal, a pipe, or a file with space left",
-        fix="send the output elsewhere, or free some space, and run the command again",
     )

@@ -153,11 +153,6 @@ class SimulatedCurve:
         return read_points(self.insertion, self.shape, s)
 
 
-def make_curve(shape: NeedleShape, insertion: Insertion | None = None) -> SimulatedCurve:
-    """Return a simulated insertion as a function of the beam coordinate; by default its shape."""
-    return SimulatedCurve(shape, insertion)
-
-
 @dataclass(frozen=True)
 class ComparedPoints:
     """The measured points of one comparison, and where the simulated ones are taken."""

@@ -1,12 +1,20 @@
-"""Run of a search (starts and fit), and the callbacks that resume, report and stop it."""
+"""Run of a search (starts and fit), and the callbacks that resume, report and stop it.
+
+Objective functions are the negative log posterior, or the metric objective. Both offer a value, a value with
+its exact gradient, and, where the value is half a sum of squares but for a constant, the residuals and their
+exact Jacobian.
+"""
 
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
-from needlefit.errors import FitError
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.errors import FitError, NeedlefitError
 from needlefit.project.checkpoint import Checkpoint
 from needlefit.project.progress import never_stop
 from needlefit.project.tasks import THIS_PROCESS, TaskPool
@@ -127,18 +135,165 @@ def start_from_dict(table: Mapping[str, Any]) -> Start:
     try:
         objective, joined = table["objective"], table["joined"]
         return Start(
-            index=int(table["index"]),
             theta0=tuple(map(float, table["theta0"])),
             theta=tuple(map(float, table["theta"])),
             objective=math.inf if objective is None else float(objective),
-            evaluations=int(table["evaluations"]),
-            gradients=int(table["gradients"]),
-            failures=int(table["failures"]),
             stopped=str(table["stopped"]),
             failed=tuple(tuple(map(float, theta)) for theta in table["failed"]),
             joined=None if joined is None else int(joined),
+            **{name: int(table[name]) for name in ("index", "evaluations", "gradients", "failures")},
         )
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise FitError(
             f"the checkpoint holds a damaged start: {error!r}", fix="run again without --resume"
         ) from None
+
+
+@dataclass(frozen=True)
+class ObjectiveFunction:
+    """A function on a box, to be minimised; any evaluation may fail or not be finite."""
+
+    #: lower, upper: (P,) of theta; infinite bounds are for searches that need no box (gradients, least
+    #: squares)
+    lower: Floats
+    upper: Floats
+    value: Callable[[Floats], float]  #: theta (P,) -> the value to minimise
+    #: theta -> the value and its exact gradient (P,)
+    gradient: Callable[[Floats], tuple[float, Floats]] | None = None
+    #: theta -> (R,); the value is half their sum of squares but for a constant
+    residuals: Callable[[Floats], Floats] | None = None
+    #: theta -> the residuals and their exact Jacobian (R, P)
+    jacobian: Callable[[Floats], tuple[Floats, Floats]] | None = None
+    #: absolute change of the value under which a search may end; 0 leaves it to relative changes
+    absolute_tolerance: float = 0.0
+    #: an easier one with its minima next to this one's; a search minimises that first
+    approach: "ObjectiveFunction | None" = None
+
+    @property
+    def span(self) -> Floats:
+        """Width of the box: (P,)."""
+        return self.upper - self.lower
+
+
+Value = TypeVar("Value")
+
+#: exceptions that count as a failed evaluation; any other one is a bug and ends the search
+EVALUATION_ERRORS = (NeedlefitError, ArithmeticError, np.linalg.LinAlgError)
+#: failed points that one start, or one ensemble of the sampler, keeps; the others are only counted
+MAX_FAILED_POINTS = 20
+
+
+def half_square(residuals: Floats) -> float:
+    """Return half the sum of squares; infinite where it overflows."""
+    with np.errstate(over="ignore"):
+        return 0.5 * float(residuals @ residuals)
+
+
+class SearchEnded(Exception):  # noqa: N818  (no error: the way out of a search)
+    """Raised to leave a search: its budget is spent, or a stop was requested."""
+
+
+class EvaluationRecorder:
+    """Evaluate an objective function within its bounds, and record the evaluations.
+
+    Every call of the objective function is one evaluation: of the value, of the residuals, or, counted among
+    the `gradients` too, of either with its derivatives (which costs about as much as two values).
+    """
+
+    def __init__(self, objective_function: ObjectiveFunction, budget: int, stop: Callable[[], bool]) -> None:
+        self.objective_function, self._stop = objective_function, stop
+        self.budget = budget  #: evaluations allowed; the next one ends the search
+        #: what half the sum of squares lacks to be the value; known once `find_constant` was called
+        self.constant = 0.0
+        self.theta: Floats | None = None  #: (P,) best point evaluated, None before any evaluation succeeded
+        #: (R,), (R, P) residuals and Jacobian at `theta`, where they were evaluated
+        self.linearized: tuple[Floats, Floats] | None = None
+        self.objective, self.worst = math.inf, -math.inf  #: smallest and largest finite value
+        self.evaluations = self.gradients = self.failures = 0
+        self.failed: list[tuple[float, ...]] = []  #: the first `MAX_FAILED_POINTS` points that failed
+        self.reason = ""  #: why the recorder ended the search; empty if it did not
+
+    def value(self, theta: Floats) -> float:
+        """Return the objective, infinite where it failed.
+
+        Raises SearchEnded instead of evaluating, once the budget is spent or a stop is requested; so do all
+        other methods.
+        """
+        point = self._begin_evaluation(theta)
+        return self._record(point, self._evaluate(self.objective_function.value, point))
+
+    def gradient(self, theta: Floats) -> tuple[float, Floats]:
+        """Return the value and its gradient (P,); infinity and zeros where either failed."""
+        assert self.objective_function.gradient is not None
+        point = self._begin_evaluation(theta)
+        self.gradients += 1
+        found = self._evaluate(self.objective_function.gradient, point)
+        if found is None or not np.all(np.isfinite(found[1])):
+            return self._record(point, None), np.zeros(len(point))
+        value = self._record(point, found[0])
+        return value, found[1] if math.isfinite(value) else np.zeros(len(point))
+
+    def residuals(self, theta: Floats) -> Floats:
+        """Return the residuals (R,); a single infinite one where they failed."""
+        assert self.objective_function.residuals is not None
+        point = self._begin_evaluation(theta)
+        found = self._evaluate(self.objective_function.residuals, point)
+        value = self._record(point, None if found is None else self.constant + half_square(found))
+        return found if found is not None and math.isfinite(value) else np.array([math.inf])
+
+    def jacobian(self, theta: Floats) -> tuple[Floats, Floats] | None:
+        """Return the residuals (R,) and their Jacobian (R, P); None where either failed."""
+        assert self.objective_function.jacobian is not None
+        point = self._begin_evaluation(theta)
+        self.gradients += 1
+        found = self._evaluate(self.objective_function.jacobian, point)
+        if found is None or not np.all(np.isfinite(found[1])):
+            self._record(point, None)
+            return None
+        value = self._record(point, self.constant + half_square(found[0]), found)
+        return found if math.isfinite(value) else None
+
+    def find_constant(self, theta: Floats) -> bool:
+        """Find the constant between value and half the sum of squares; return whether theta was solved."""
+        assert self.objective_function.jacobian is not None
+        value, point = self.value(theta), self._begin_evaluation(theta)
+        self.gradients += 1
+        found = self._evaluate(self.objective_function.jacobian, point)
+        if found is None or not math.isfinite(value) or not np.all(np.isfinite(found[0])):
+            self._record(point, None)
+            return False
+        self.constant = value - half_square(found[0])
+        if np.all(np.isfinite(found[1])) and self.theta is not None and np.array_equal(point, self.theta):
+            self.linearized = found
+        return True
+
+    def _begin_evaluation(self, theta: Floats) -> Floats:
+        """Return a copy of theta in its bounds: rounding may have put it one digit outside."""
+        if self._stop():
+            self.reason = INTERRUPTED
+        elif self.evaluations >= self.budget:
+            self.reason = "budget"
+        if self.reason:
+            raise SearchEnded
+        self.evaluations += 1
+        return np.clip(theta, self.objective_function.lower, self.objective_function.upper)
+
+    def _evaluate(self, function: Callable[[Floats], Value], theta: Floats) -> Value | None:
+        try:
+            # a copy: the point is recorded after the call, so the function must not change it
+            return function(theta.copy())
+        except EVALUATION_ERRORS:
+            return None
+
+    def _record(
+        self, theta: Floats, value: float | None, linearized: tuple[Floats, Floats] | None = None
+    ) -> float:
+        if value is None or not math.isfinite(value):
+            self.failures += 1
+            if len(self.failed) < MAX_FAILED_POINTS:
+                self.failed.append(tuple(theta.tolist()))
+            return math.inf
+        self.worst = max(self.worst, float(value))
+        if value < self.objective:
+            self.objective, self.theta, self.linearized = float(value), theta, linearized
+        return float(value)

@@ -6,11 +6,11 @@ Derivatives by theta are the mechanics' own, chained through logarithms and ties
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, Ints
 from needlefit.datasets.insertion import Dataset, Insertion, TipTrack
 from needlefit.inference.compared_points import (
     find_end,
@@ -43,6 +43,9 @@ from needlefit.schemas.scene import (
     SceneRecord,
     StepRecord,
 )
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def predict(
@@ -103,7 +106,6 @@ def _tabulate_sets(sets: Sequence[Mapping[str, float]]) -> dict[str, Floats]:
 
 
 def _stack_values(table: Mapping[str, Floats], medium: MediumRecord, insertion: Insertion) -> dict[str, Any]:
-    """Return the parameter values of a batch of one insertion."""
     guide = table.get("guide_distance_mm")
     strength = insertion.bevel_factor * table[medium.bevel_parameter]
     values = {
@@ -379,3 +381,46 @@ def find_layers(insertion: Insertion) -> tuple[tuple[float, int], ...]:
     ends = [*tops[1:], float("inf")]
     met = zip(tops, ends, insertion.sequence, strict=True)
     return tuple((top, layer) for top, end, layer in met if end > top)
+
+
+@dataclass(frozen=True)
+class ParameterDraws:
+    """Posterior draws of the parameters of the layers that one insertion meets."""
+
+    mu: Floats  #: (B, n) of the n layers that it meets, MPa
+    shape: Floats  #: (B, p, n) shape parameters of the law
+    bevel: Floats  #: (B,) b, mm; of an advance by the path angle theta, rad
+
+    def __len__(self) -> int:
+        return len(self.bevel)
+
+    @classmethod
+    def exact(cls, tissue: Tissue, bevel: Bevel, rules: ModelOptions) -> Self:
+        """Return the one draw of parameters that are taken as exact."""
+        strength, _ = rules.bevel_strength(bevel)
+        return cls(tissue.mu[None], tissue.shape[None], np.array([strength]))
+
+    def only(self, rows: Ints) -> Self:
+        """Return some of the draws."""
+        return replace(self, mu=self.mu[rows], shape=self.shape[rows], bevel=self.bevel[rows])
+
+    def make_batch(
+        self, needle: Needle, tissue: Tissue, steps: tuple[Step, ...], rules: ModelOptions
+    ) -> Batch:
+        """Return the insertion of every draw, with its moduli, shape parameters and bevels."""
+        name = "cut_angle" if rules.path_angle else "offset"
+        return Batch(needle, tissue, steps, rules, mu=self.mu, shape=self.shape, **{name: self.bevel})
+
+
+def select_layer_draws(draws: "pd.DataFrame", layers: Sequence[int], law: str) -> ParameterDraws:
+    """Return draws (one column per parameter; Pa, mm) of a law, arranged by the layers that a needle meets.
+
+    `layers` are their numbers, from 1, in the order in which they are met.
+    """
+    return ParameterDraws(
+        mu=np.column_stack([draws[f"mu{layer}_pa"] * 1e-6 for layer in layers]),
+        shape=stack_shape({str(name): column for name, column in draws.items()}, law, layers),
+        bevel=np.radians(draws["cut_angle_deg"].to_numpy(dtype=np.float64))
+        if "cut_angle_deg" in draws
+        else draws["bevel_mm"].to_numpy(dtype=np.float64),
+    )

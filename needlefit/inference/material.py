@@ -155,14 +155,19 @@ def fit_specimen(specimen: SpecimenLoading, measure: StressMeasure) -> SpecimenF
     within_tolerance = [
         theta[1] for theta, r in minima[1:] if max(float(r @ r), floor) <= profile.limit * squares
     ]
+    # alpha has the spread of its profile, and mu its slope along alpha
+    regions = profile.within(1 + NORMAL_95_HALF_WIDTH_SD**2 / (effective_points - 2))
+    low, high = regions[0][0], regions[-1][1]
+    variance = ((high - low) / (2 * NORMAL_95_HALF_WIDTH_SD)) ** 2
+    slope = linear[0][0, 1] / linear[0][1, 1]
+    at_alpha = linear[0][0, 0] - slope * linear[0][0, 1]
+    covariance = np.array([[at_alpha + slope**2 * variance, slope * variance], [slope * variance, variance]])
     return SpecimenFit(
         specimen=specimen,
         measure=measure,
         mu=math.exp(log_mu),
         alpha=alpha,
-        covariance=_widen_covariance(
-            linear[0], profile, 1 + NORMAL_95_HALF_WIDTH_SD**2 / (effective_points - 2)
-        ),
+        covariance=covariance,
         residuals=residuals,
         noise=noise,
         neighbour_correlation=neighbour_correlation,
@@ -200,16 +205,6 @@ def _make_grid(minima: list[Minimum], covariances: list[Floats]) -> Floats:
         parts += [alpha + reach * np.linspace(-1, 1, DENSE_GRID_POINTS)]
     every = np.unique(np.concatenate(parts))
     return every[(every >= ALPHA_RANGE[0]) & (every <= ALPHA_RANGE[1])]
-
-
-def _widen_covariance(linear: Floats, profile: AlphaProfile, limit: float) -> Floats:
-    """Return the covariance in which alpha has the spread of its profile, and mu its slope along alpha."""
-    regions = profile.within(limit)
-    low, high = regions[0][0], regions[-1][1]
-    variance = ((high - low) / (2 * NORMAL_95_HALF_WIDTH_SD)) ** 2
-    slope = linear[0, 1] / linear[1, 1]
-    at_alpha = linear[0, 0] - slope * linear[0, 1]
-    return np.array([[at_alpha + slope**2 * variance, slope * variance], [slope * variance, variance]])
 
 
 def _refine_minimum(specimen: SpecimenLoading, measure: StressMeasure, start: tuple[float, float]) -> Minimum:

@@ -8,9 +8,14 @@ this mixture have closed forms: with weights 1 / B, means m_b and one deviation 
     A(m, s) = 2 s phi(m / s) + m (2 Phi(m / s) - 1)
 
 (E. P. Grimit, T. Gneiting, V. J. Berrocal, N. A. Johnson, Q. J. R. Meteorol. Soc. 132 (2006) 2925, eq. 5).
+
+Proportions have Wilson intervals that respect groups of repeats: needles of one specimen (one hole at several
+depths) are no independent trials. What is counted is every needle; the interval is Wilson's of as many trials
+as there are groups of repeats, as if the repeats of a group always agreed: rather too wide where they do not.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import qr
 from scipy.optimize import elementwise
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from needlefit.arrays import Floats, Ints
 from needlefit.inference.parameters import NOISE_SCALE, Parameters
@@ -213,3 +218,33 @@ def draw_from_prior(parameters: Parameters, count: int, rng: np.random.Generator
         inside = np.all((thetas >= lower) & (thetas <= upper), axis=1)
         drawn = np.concatenate([drawn, thetas[inside]])
     return drawn[:count]
+
+
+@dataclass(frozen=True)
+class Proportion:
+    """A proportion: `hits` of `trials`, in `groups` groups of repeats, with its 95 % interval."""
+
+    hits: int
+    trials: int
+    groups: int
+    low: float
+    high: float
+
+
+def estimate_proportion(hits: Sequence[bool], groups: Sequence[str]) -> Proportion:
+    """Estimate a proportion from trials; in the interval every group of repeats has the same weight."""
+    by_group: dict[str, list[bool]] = {}
+    for one, group in zip(hits, groups, strict=True):
+        by_group.setdefault(group, []).append(bool(one))
+    rate = float(np.mean([np.mean(members) for members in by_group.values()]))
+    # as many trials as groups: repeats in one specimen are not independent
+    low, high = wilson_interval(rate, len(by_group))
+    return Proportion(sum(map(bool, hits)), len(hits), len(by_group), low, high)
+
+
+def wilson_interval(rate: float, trials: int, level: float = 0.95) -> tuple[float, float]:
+    """Return Wilson's interval of a probability with observed `rate` in `trials` (E. B. Wilson, 1927)."""
+    z2 = float(ndtri(0.5 + level / 2)) ** 2
+    centre = (rate + z2 / (2 * trials)) / (1 + z2 / trials)
+    half = math.sqrt(z2 * (rate * (1 - rate) / trials + z2 / (4 * trials**2))) / (1 + z2 / trials)
+    return max(0.0, centre - half), min(1.0, centre + half)

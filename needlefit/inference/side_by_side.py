@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.inference.objective import EVALUATION_ERRORS
+from needlefit.inference.fit import EVALUATION_ERRORS
 from needlefit.project.tasks import TaskPool, TaskStop, as_they_end, run_parts
 
 Item = TypeVar("Item")
@@ -64,14 +64,21 @@ def map_side_by_side(function: Callable[[Item], Result], items: Sequence[Item]) 
     group: _Group | None = getattr(_this_thread, "group", None)
     if group is None or len(items) < 2:
         return [function(item) for item in items]
-    part = group.divide(len(items))
+    # parts stand for one search; the last that ends is that search again
+    group.add_parts(len(items) - 1)
+    left, lock = len(items), threading.Lock()
 
     def run(item: Item) -> Result:
+        nonlocal left
         _this_thread.group = group
         try:
             return function(item)
         finally:
-            part.end_search()
+            with lock:
+                left -= 1
+                last = left == 0
+            if not last:
+                group.add_parts(-1)
 
     with ThreadPoolExecutor(len(items)) as threads:
         return list(threads.map(run, items))
@@ -103,16 +110,10 @@ class _Group:
             self._left -= 1
             self._changed.notify_all()
 
-    def divide(self, parts: int) -> "_Part":
-        """Count a search as so many, until all of them have ended."""
+    def add_parts(self, count: int) -> None:
+        """Count so many more parts of searches, each of which evaluates like a search."""
         with self._changed:
-            self._parts += parts - 1
-        return _Part(self, parts)
-
-    def end_part(self) -> None:
-        """Count one part of a search less."""
-        with self._changed:
-            self._parts -= 1
+            self._parts += count
             self._changed.notify_all()
 
     def evaluate(self, function: "_Function[Value]", theta: Floats) -> Value:
@@ -146,18 +147,3 @@ class _Group:
                 return
             for one in requests:
                 one.error, one.ended = error, True
-
-
-class _Part:
-    """Parts that stand for one search; the last that ends is that search again."""
-
-    def __init__(self, group: _Group, parts: int) -> None:
-        self._group, self._left, self._lock = group, parts, threading.Lock()
-
-    def end_search(self) -> None:
-        """Count one part less."""
-        with self._lock:
-            self._left -= 1
-            last = self._left == 0
-        if not last:
-            self._group.end_part()

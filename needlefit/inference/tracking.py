@@ -139,7 +139,6 @@ def set_parameters(tracked: TrackedNeedle, theta: Floats) -> TrackedNeedle:
 
 
 def _invert(matrix: Floats) -> Floats:
-    """Return the inverse of a covariance or an information matrix."""
     inverse: Floats = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
     return (inverse + inverse.T) / 2
 

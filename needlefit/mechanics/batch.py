@@ -10,7 +10,6 @@ from functools import cached_property, lru_cache
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from needlefit.arrays import Bools, Floats, Ints
 from needlefit.errors import ModelError
@@ -175,7 +174,7 @@ class NeedleShapes:
         return NeedleShapes(*(getattr(self, one.name)[sets] for one in fields(self)))
 
     @property
-    def converged(self) -> NDArray[np.bool_]:
+    def converged(self) -> Bools:
         """Whether each set reached the tolerance, (B,)."""
         return np.equal(self.status, 0)
 
@@ -185,7 +184,7 @@ class NeedleShapes:
         return compute_validity(self)
 
     @property
-    def valid(self) -> NDArray[np.bool_]:
+    def valid(self) -> Bools:
         """Whether each set converged and keeps within the model's assumptions, (B,)."""
         return self.converged & self.validity.ok
 
@@ -434,7 +433,20 @@ def _run(
 
 def _evaluate(batch: Batch, wrt: tuple[str, ...] | None) -> Evaluation:
     """Return the sets of a batch, of an insertion that is prepared once for all batches of `with_sets`."""
-    valid = _find_valid(batch)
+    # which sets are made of numbers that a tissue or needle may have, (B,)
+    valid, deepest = np.ones(len(batch), dtype=bool), max(step.depth for step in batch.steps)
+    values = {name: getattr(batch, name) for name in VARYING_FIELDS if getattr(batch, name) is not None}
+    for name, value in values.items():
+        accepted = np.abs(value) <= MAX_NUMBER  # NaN compares as false
+        if name in ("mu", "rigidity"):
+            accepted &= value > 0
+        if name == "shape":
+            bounds = [one.bounds for one in LAWS[batch.tissue.law].parameters]
+            low, high = np.array(bounds).reshape(-1, 2).T[:, :, None]  # (p, 1) each
+            accepted &= (value >= low) & (value <= high)
+        if name == "guide_x":  # before the tissue, and where the base does not come to it
+            accepted &= (value < 0) & (value > deepest - batch.needle.length)
+        valid &= accepted.reshape(len(batch), -1).all(axis=1)
     if wrt not in batch.prepared:
         # depths and controls are alike in all valid sets: so one of them is used for all
         steps = batch.vary_inputs(int(np.argmax(valid)))[1] if valid.any() else batch.steps
@@ -443,7 +455,6 @@ def _evaluate(batch: Batch, wrt: tuple[str, ...] | None) -> Evaluation:
             batch.needle, batch.tissue, steps, batch.rules, columns=columns
         )
     insertion = batch.prepared[wrt]
-    values = {name: getattr(batch, name) for name in VARYING_FIELDS if getattr(batch, name) is not None}
     if not valid.any():  # numbers that a needle may have, in place of what is none
         step = batch.steps[0]
         own = {
@@ -461,7 +472,6 @@ def _evaluate(batch: Batch, wrt: tuple[str, ...] | None) -> Evaluation:
 
 
 def _read_shapes(batch: Batch, evaluation: Evaluation) -> NeedleShapes:
-    """Return the shapes of all sets."""
     a, valid = evaluation.shapes.arrays, evaluation.valid
     if not valid.all():
         wrong = ~valid
@@ -471,23 +481,3 @@ def _read_shapes(batch: Batch, evaluation: Evaluation) -> NeedleShapes:
     names = ("x", "u", "slope", "constraints", "track", "status", "passes")
     parts = [*(a[name] for name in names), np.tile(scales, (len(batch), 1))]
     return NeedleShapes(*parts)
-
-
-def _find_valid(batch: Batch) -> Bools:
-    """Return which sets are made of numbers that a tissue or needle may have, (B,)."""
-    good = np.ones(len(batch), dtype=bool)
-    deepest = max(step.depth for step in batch.steps)
-    for name in VARYING_FIELDS:
-        values = getattr(batch, name)
-        if values is not None:
-            accepted = np.abs(values) <= MAX_NUMBER  # NaN compares as false
-            if name in ("mu", "rigidity"):
-                accepted &= values > 0
-            if name == "shape":
-                bounds = [one.bounds for one in LAWS[batch.tissue.law].parameters]
-                low, high = np.array(bounds).reshape(-1, 2).T[:, :, None]  # (p, 1) each
-                accepted &= (values >= low) & (values <= high)
-            if name == "guide_x":  # before the tissue, and where the base does not come to it
-                accepted &= (values < 0) & (values > deepest - batch.needle.length)
-            good &= accepted.reshape(len(batch), -1).all(axis=1)
-    return good

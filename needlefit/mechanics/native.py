@@ -595,7 +595,7 @@ def evaluate_law(
 
 
 def measure_table_range(table: Floats) -> float:
-    """Return the compression up to which a polynomial serves for a law's table (see `law_form`)."""
+    """Return the compression up to which a polynomial serves for a law's table (see `packing`)."""
     check_array("table", table, float, (2 + TABLE_PIECES * TABLE_TERMS,))
     found = np.empty(1)
     load_library().nf_table_range(_at(table), _at(found))

@@ -1,6 +1,11 @@
 """Bring insertions into the form that the kernel reads: stops, inputs, layers, and parameter sets.
 
 Prepare an insertion for the kernel once; each evaluation then adds its parameter sets alone.
+
+A tissue law is read as powers of the stretch, or as a table. A law that is no sum of powers is interpolated
+at Chebyshev points on short pieces of the compression d = 1 - lambda. Its error is measured between the
+points each time: the table ends before the first piece where it exceeds `TABLE_TOLERANCE`, and tissue that
+is compressed further is over-compressed.
 """
 
 import math
@@ -12,14 +17,125 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial import chebyshev
 
 from needlefit.arrays import Bools, Floats, Ints
+from needlefit.errors import ModelError
 from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
-from needlefit.mechanics.law_form import compile_law, differentiate_law
+from needlefit.mechanics.laws import LAWS, PowerLaw
+from needlefit.mechanics.native import (
+    MAX_SERIES_COMPRESSION,
+    SERIES_TOLERANCE,
+    TABLE_COMPRESSION,
+    TABLE_PIECES,
+    TABLE_TERMS,
+    measure_table_range,
+)
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice, Move, TipStop, check_size, make_lattice, make_moves, make_stops
 from needlefit.mechanics.tissue import Tissue
+
+#: |e| / t that every table must reach: the kernel's series may go so far
+LEAST_COMPRESSION = MAX_SERIES_COMPRESSION
+TABLE_TOLERANCE = SERIES_TOLERANCE / 10  #: relative error of k in a table
+
+_PIECE = TABLE_COMPRESSION / TABLE_PIECES
+_END = 1e-12  # a table ends within its last good piece, not at the beginning of the next one
+#: on [-1, 1]: the points, and where the error of the polynomial through them is largest
+_POINTS = np.cos(np.pi * (2 * np.arange(TABLE_TERMS) + 1) / (2 * TABLE_TERMS))
+_BETWEEN = np.cos(np.pi * np.array([0, 1, TABLE_TERMS // 2, TABLE_TERMS - 1, TABLE_TERMS]) / TABLE_TERMS)
+_TO_COEFFICIENTS = np.linalg.inv(chebyshev.chebvander(_POINTS, TABLE_TERMS - 1)).T
+_TO_BETWEEN = chebyshev.chebvander(_BETWEEN, TABLE_TERMS - 1).T
+_STRETCH = 1 - _PIECE * (np.arange(TABLE_PIECES)[:, None] + 0.5 * (1 + np.concatenate((_POINTS, _BETWEEN))))
+
+
+def compile_law(name: str, shape: Floats) -> tuple[Floats, Floats]:
+    """Return a law at the shape parameters (..., p, n) of n layers: coefficients and exponents, or a table.
+
+    Those are (..., n, P) each. A table is (..., n, 2 + TABLE_PIECES TABLE_TERMS), with exponents (..., n, 0):
+    see `native/law.hpp`.
+
+    Raises ConfigError if there is no law of that name; ModelError if the law cannot be interpolated in one of
+    the layers.
+    """
+    law, by_layer = LAWS[name], np.swapaxes(shape, -1, -2)
+    if isinstance(law, PowerLaw):
+        return law.power_terms(by_layer)
+    different, places = _list_different(by_layer)
+    tables = _make_tables(name, different.tobytes(), *different.shape)
+    short = tables[places, 0] < LEAST_COMPRESSION - _END  # (..., n)
+    if short.any():
+        at = tuple(np.argwhere(short)[0])
+        stated = [
+            f"{one.name} = {value:g}"
+            for one, value in zip(law.parameters, by_layer[at].tolist(), strict=True)
+        ]
+        raise ModelError(
+            f"layer {at[-1] + 1}: the tissue law `{name}` cannot be interpolated at {', '.join(stated)}",
+            expected=f"k > 0, smooth and not too steep up to |e| / t = {LEAST_COMPRESSION:g}",
+            fix="choose other values, or narrower bounds for them",
+        )
+    return tables[places], np.empty((*places.shape, 0))
+
+
+def differentiate_law(name: str, shape: Floats) -> Floats:
+    """Return the derivatives of what `compile_law` returns by the p shape parameters.
+
+    Those of a table are (..., n, p, numbers). Those of coefficients and then exponents, (p, 2 P), are the
+    same for all layers.
+    """
+    law, by_layer = LAWS[name], np.swapaxes(shape, -1, -2)
+    if isinstance(law, PowerLaw):
+        return np.concatenate(law.term_slopes, axis=1)
+    different, places = _list_different(by_layer)
+    return _make_slope_tables(name, different.tobytes(), *different.shape)[places]
+
+
+def _list_different(by_layer: Floats) -> tuple[Floats, Ints]:
+    """Return the different rows (R, p) of shape parameters (..., p), and which each layer (...) has."""
+    rows = by_layer.reshape(math.prod(by_layer.shape[:-1]), by_layer.shape[-1])
+    if rows.shape[1] == 0:
+        return rows[:1], np.zeros(by_layer.shape[:-1], dtype=np.int64)
+    different, places = np.unique(rows, axis=0, return_inverse=True)
+    return different, places.reshape(by_layer.shape[:-1])
+
+
+@lru_cache(maxsize=8)  # a fit simulates many insertions with the same parameters
+def _make_tables(name: str, rows: bytes, count: int, parameters: int) -> Floats:
+    """Return the tables of R different layers, see `native/law.hpp`: (R, numbers)."""
+    stretch, shape = _repeat(rows, count, parameters, _STRETCH)
+    with np.errstate(all="ignore"):
+        k = LAWS[name].k(stretch, *shape)  # (R, pieces, points)
+        series = k[..., :TABLE_TERMS] @ _TO_COEFFICIENTS
+        error = np.abs(series @ _TO_BETWEEN - k[..., TABLE_TERMS:])
+        good = np.all(error <= TABLE_TOLERANCE * k[..., TABLE_TERMS:], axis=-1) & np.all(k > 0, axis=-1)
+    pieces = np.where(good.all(axis=1), TABLE_PIECES, np.argmin(good, axis=1))
+    tables = np.zeros((count, 2 + TABLE_PIECES * TABLE_TERMS))
+    tables[:, 0], tables[:, 2:] = _PIECE * pieces - _END, np.nan_to_num(series).reshape(count, -1)
+    for row in np.flatnonzero(pieces):
+        tables[row, 1] = measure_table_range(tables[row])
+    return tables
+
+
+@lru_cache(maxsize=8)
+def _make_slope_tables(name: str, rows: bytes, count: int, parameters: int) -> Floats:
+    """Return the derivatives of tables by their shape parameters, (R, p, numbers)."""
+    stretch, shape = _repeat(rows, count, parameters, _STRETCH[:, :TABLE_TERMS])
+    slopes = np.zeros((count, parameters, 2 + TABLE_PIECES * TABLE_TERMS))
+    with np.errstate(all="ignore"):
+        for number in range(parameters):
+            series = LAWS[name].dk_dshape(number, stretch, *shape) @ _TO_COEFFICIENTS
+            slopes[:, number, 2:] = np.nan_to_num(series).reshape(count, -1)
+    return slopes
+
+
+def _repeat(rows: bytes, count: int, parameters: int, stretch: Floats) -> tuple[Floats, list[Floats]]:
+    """Return stretches and shape parameters as arrays of one size, (R, pieces, points)."""
+    shape = np.frombuffer(rows).reshape(count, parameters)
+    size = (count, *stretch.shape)
+    columns = [np.broadcast_to(column[:, None, None], size).copy() for column in shape.T]
+    return np.broadcast_to(stretch, size).copy(), columns
 
 
 class Columns(NamedTuple):
@@ -146,16 +262,48 @@ def pack_problem(
     sets: int = 1,
     values: Mapping[str, Floats] | None = None,
     columns: Columns | None = None,
+    like: native.KernelProblem | None = None,
     **sizes: float,
 ) -> native.KernelProblem:
     """Return an insertion as the kernel reads it, of which `packed` are the stops on the lattice.
 
     `values` are what differs between sets, by the names of `batch.Batch`, `columns` those of the derivatives
-    that are asked for. `sizes` are fields of `native.KernelProblem` with other values than the insertion's.
+    that are asked for. What no set changes is taken from a problem `like` this one. `sizes` are fields of
+    `native.KernelProblem` with other values than the insertion's.
 
     Raises ModelError if a law cannot be interpolated at its shape parameters.
     """
+    values = values or {}
+    bevels = [steps[i].bevel for i in packed.bevels]
     controls = [steps[i].controls for i in packed.controls]
+    given = values.get("cut_angle" if rules.path_angle else "offset")
+    strengths = [(bevel.side, *rules.bevel_strength(bevel)) for bevel in bevels]
+    # derivatives of the slope that each bevel adds to the cut, by the bevel's strength
+    turn_by = [side / length for side, _, length in strengths]
+    if given is None:
+        turn = [np.full(sets, side * strength / length) for side, strength, length in strengths]
+    else:
+        turn = [by * given for by in turn_by]
+    base = np.empty((len(controls), sets, 3))
+    for i, one in enumerate(controls):
+        base[i, :, 0] = values.get("base_y", one.base_y)
+        base[i, :, 1] = values.get("base_slope", one.base_slope)
+        base[i, :, 2] = one.stage_slope
+    of_layers, of_sets = pack_layers(tissue, sets, values)
+    rigidity = values.get("rigidity")
+    of_sets |= {
+        "rigidity": np.full(sets, needle.flexural_rigidity) if rigidity is None else rigidity,
+        "turn": np.ascontiguousarray(turn),
+        "base": base,
+    }
+    if "guide_x" in values:
+        of_sets["guide_x"] = values["guide_x"]
+    if columns is not None and columns.first[native.SHAPE_COLUMN] >= 0:
+        by = differentiate_law(tissue.law, values.get("shape", tissue.shape))
+        size = sets, tissue.layers, len(tissue.shape), of_layers["numbers"]
+        of_sets["law_by"] = np.ascontiguousarray(np.broadcast_to(by, size))
+    if like is not None:
+        return like.with_sets(sets, of_sets)
     before, within = ([getattr(one, name) for one in controls] for name in ("before", "within"))
     arrays: dict[str, np.ndarray] = {
         "stops": packed.stops,
@@ -168,71 +316,17 @@ def pack_problem(
     }
     if columns is not None and columns.total:
         rows = [columns.guides[guide.x] for one in controls for guide in one.guides]
-        arrays["column_of"] = columns.first
+        arrays["column_of"], arrays["turn_by"] = columns.first, np.array(turn_by)
         arrays["guide_columns"] = np.array(rows, dtype=np.int64).reshape(-1, 3)
-        arrays["turn_by"] = _differentiate_turns(steps, packed, rules)
-    counts = {
-        "stop_count": len(packed.stops), "rays": packed.rays, "columns": columns.total if columns else 0,
-        "bevels": len(packed.bevels), "inputs": len(controls),
-        "guides": max(len(one.guides) for one in controls),
-    }  # fmt: skip
-    more, of_sets = pack_sets(needle, tissue, steps, rules, packed, sets=sets, values=values, columns=columns)
-    counts |= more | {"sets": sets, "max_iterations": rules.max_iterations}
     numbers = {
+        "stop_count": len(packed.stops), "rays": packed.rays, "columns": columns.total if columns else 0,
+        "bevels": len(packed.bevels), "inputs": len(controls), "sets": sets,
+        "guides": max(len(one.guides) for one in controls), "max_iterations": rules.max_iterations,
         "length": needle.length, "first_cell": lattice.first_cell, "spacing": lattice.spacing,
         "element": rules.element, "part": rules.cut_switch, "tangent": rules.tangent,
         "tolerance": rules.tolerance, "deepest": max(step.depth for step in steps),
     }  # fmt: skip
-    return native.KernelProblem.make(counts | numbers | sizes, arrays | of_sets)
-
-
-def pack_sets(
-    needle: Needle,
-    tissue: Tissue,
-    steps: Sequence[Step],
-    rules: ModelOptions,
-    packed: PackedStops,
-    *,
-    sets: int = 1,
-    values: Mapping[str, Floats] | None = None,
-    columns: Columns | None = None,
-) -> tuple[dict[str, int], dict[str, Floats]]:
-    """Return the arrays of a problem that have an axis of sets, and the sizes of layers and their laws.
-
-    Parameters and errors are those of `pack_problem`.
-    """
-    values = values or {}
-    bevels = [steps[i].bevel for i in packed.bevels]
-    controls = [steps[i].controls for i in packed.controls]
-    strength = values.get("cut_angle" if rules.path_angle else "offset")
-    turn = [np.full(sets, compute_turn(bevel, rules)) for bevel in bevels]
-    if strength is not None:
-        turn = list(_differentiate_turns(steps, packed, rules)[:, None] * strength)
-    base = np.empty((len(controls), sets, 3))
-    for i, one in enumerate(controls):
-        base[i, :, 0] = values.get("base_y", one.base_y)
-        base[i, :, 1] = values.get("base_slope", one.base_slope)
-        base[i, :, 2] = one.stage_slope
-    of_layers, arrays = pack_layers(tissue, sets, values)
-    rigidity = values.get("rigidity")
-    arrays |= {
-        "rigidity": np.full(sets, needle.flexural_rigidity) if rigidity is None else rigidity,
-        "turn": np.ascontiguousarray(turn),
-        "base": base,
-    }
-    if "guide_x" in values:
-        arrays["guide_x"] = values["guide_x"]
-    if columns is not None and columns.first[native.SHAPE_COLUMN] >= 0:
-        by = differentiate_law(tissue.law, values.get("shape", tissue.shape))
-        size = sets, tissue.layers, len(tissue.shape), of_layers["numbers"]
-        arrays["law_by"] = np.ascontiguousarray(np.broadcast_to(by, size))
-    return of_layers, arrays
-
-
-def _differentiate_turns(steps: Sequence[Step], packed: PackedStops, rules: ModelOptions) -> Floats:
-    """Return the derivatives (bevels,) of the slope that a bevel adds to the cut, by the bevel's strength."""
-    bevels = [steps[i].bevel for i in packed.bevels]
-    return np.array([bevel.side / rules.bevel_strength(bevel)[1] for bevel in bevels])
+    return native.KernelProblem.make(of_layers | numbers | sizes, arrays | of_sets)
 
 
 #: Newton tolerance of shapes that are differentiated, mm; at this, `simulate_steps` gives the same shape
@@ -272,15 +366,13 @@ class PreparedInsertion:
 
         Every call gives values of the same names.
         """
-        needle, tissue, steps, rules = self.needle, self.tissue, self.steps, self.rules
-        plan, columns = self._packed, self.columns
+        problem = pack_problem(
+            self.needle, self.tissue, self.steps, self.lattice, self.rules, self._packed,
+            sets=sets, values=values, columns=self.columns, like=self._problem,
+        )  # fmt: skip
         if self._problem is None:
-            self._problem = pack_problem(
-                needle, tissue, steps, self.lattice, rules, plan, sets=sets, values=values, columns=columns
-            )
-            return self._problem
-        _, arrays = pack_sets(needle, tissue, steps, rules, plan, sets=sets, values=values, columns=columns)
-        return self._problem.with_sets(sets, arrays)
+            self._problem = problem
+        return problem
 
 
 class Evaluation:

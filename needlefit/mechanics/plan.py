@@ -170,15 +170,6 @@ class Position(NamedTuple):
     inputs_changed: bool = False  #: whether inputs have changed since the tip came to this depth
 
 
-def list_rays(position: Position) -> list[Ray]:
-    """Return the rays that led to a position, from the entry to the tip."""
-    found, ray = [], position.ray
-    while ray:
-        found.append(ray)
-        ray = ray.before
-    return found[::-1]
-
-
 def plan_move(position: Position, move: Move, lattice: Lattice) -> tuple[Position, list[TipStop]]:
     """Return the position after a move, and its stops; the last is at the move's depth and inputs."""
     ray = position.ray
@@ -267,16 +258,11 @@ def make_moves(steps: Sequence[Step], length: float) -> tuple[Move, ...]:
 @lru_cache(maxsize=512)  # a fit asks for the same insertions over and over
 def make_stops(moves: tuple[Move, ...], lattice: Lattice) -> tuple[TipStop, ...]:
     """Return the stops of all moves, from first contact on."""
-    return plan_moves(moves, lattice)[1]
-
-
-def plan_moves(moves: tuple[Move, ...], lattice: Lattice) -> tuple[Position, tuple[TipStop, ...]]:
-    """Return the position after all moves, and their stops, from first contact on."""
     position, stops = Position(), list[TipStop]()
     for move in moves:
         position, more = plan_move(position, move, lattice)
         stops += more
-    return position, tuple(stops)
+    return tuple(stops)
 
 
 def make_lattice(steps: Sequence[Step], rules: ModelOptions) -> Lattice:

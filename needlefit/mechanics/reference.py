@@ -8,9 +8,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from needlefit.arrays import Bools, Floats
+from needlefit.arrays import Bools, Floats, Ints
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.native import GUIDE_ENGAGEMENT_MM
@@ -89,13 +88,7 @@ def mesh(
     than h / 2 to the tip or h / 4 to a guide in the tissue, which holds once the tip is GUIDE_ENGAGEMENT_MM
     past it.
 
-    Returns
-    -------
-    nodes : (N,) array
-    u : (2 N,) array
-        Deflection and slope of every node: what is prescribed, else 0.
-    prescribed : (2 N,) array
-        Which of them are prescribed.
+    Deflection and slope of every node (2 N,) are what is prescribed, else 0; which are, says the last array.
     """
     tip = stop.tip
     within = [guide for guide in controls.within if guide.x <= tip - GUIDE_ENGAGEMENT_MM]
@@ -177,7 +170,7 @@ def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
     return reached[np.searchsorted(edges, s)]
 
 
-def modulus(tissue: Tissue, layer: NDArray[np.int64], lam: Floats) -> tuple[Floats, Floats]:
+def modulus(tissue: Tissue, layer: Ints, lam: Floats) -> tuple[Floats, Floats]:
     """Return k(lambda) and dk/dlambda at points in the given layers (section 3)."""
     law, mu, shape = LAWS[tissue.law], tissue.mu[layer], tissue.shape[:, layer]
     return mu * law.k(lam, *shape), mu * law.dk_dstretch(lam, *shape)

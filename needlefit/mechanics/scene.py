@@ -1,7 +1,7 @@
 """A scene: everything that one insertion needs, its pose in the world, and its simulation step by step."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -14,15 +14,15 @@ from needlefit.arrays import Floats
 from needlefit.errors import ConfigError, ModelError
 from needlefit.geometry.frames import Frame, Placement
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
-from needlefit.mechanics.law_form import compile_law
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.packing import compile_law
 from needlefit.mechanics.plan import SAME_DEPTH_MM, Lattice, check_reach, check_size, make_lattice
 from needlefit.mechanics.session import NeedleState, Session
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.limits import MAX_SHOWN_POSITIONS
-from needlefit.schemas.scene import GuideRecord, ResolvedStep, SceneEntryRecord, SceneRecord, resolve_steps
+from needlefit.schemas.scene import ResolvedStep, SceneEntryRecord, SceneRecord, resolve_steps
 
 MAX_AXIS_ANGLE_RAD = math.radians(45)  #: greatest angle between C's x axis and a guide's or the stage's
 
@@ -155,7 +155,15 @@ def _make_step(whole: ResolvedStep, needle: Needle, entry: Entry, where: str) ->
         stage = (
             0.0 if inputs.stage_angle_deg is None else entry.slope_of(math.radians(inputs.stage_angle_deg))
         )
-    guides = [(key, _make_guide(guide, entry, key, where)) for key, guide in whole.guides if guide.engaged]
+    guides = []
+    for key, guide in ((key, guide) for key, guide in whole.guides if guide.engaged):
+        with _name_keys(where, key):
+            (x, y), slope = entry.to_frame([[guide.x_mm, guide.y_mm]])[0], 0.0
+            if guide.angle_deg is not None and not guide.turns_freely:
+                slope = entry.slope_of(math.radians(guide.angle_deg))
+            at = 0.0 if abs(x) < SAME_DEPTH_MM else float(x)  # rounding must not push it out of the tissue
+            axis = None if guide.turns_freely else slope
+            guides.append((key, Guide(at, float(y), axis, guide.in_tissue, guide.name)))
     if inputs.guide_distance_mm is not None:
         guides.append(("controls.guide_distance_mm", Guide(-inputs.guide_distance_mm)))
     tip = None
@@ -167,26 +175,14 @@ def _make_step(whole: ResolvedStep, needle: Needle, entry: Entry, where: str) ->
     with _name_keys(where, *repeated):
         ordered_guides = tuple(guide for _, guide in guides)
         controls = Controls(inputs.base_y_mm, _to_slope(inputs.base_slope_deg), stage, ordered_guides, tip)
-    with _name_keys(where, *_list_reach_keys(whole, needle, guides)):
+    # the keys that decide whether the needle is long enough
+    key, first = min(guides, key=lambda keyed: keyed[1].x, default=("", None))
+    deciding = [whole.key]
+    if first is not None and not first.in_tissue:
+        deciding = [whole.key if -first.x < needle.length else "needle.length_mm", key]
+    with _name_keys(where, *deciding):
         check_reach(needle.length, whole.depth_mm, controls)
         return Step(whole.depth_mm, Bevel.from_record(whole.bevel), controls)
-
-
-def _list_reach_keys(whole: ResolvedStep, needle: Needle, guides: Sequence[tuple[str, Guide]]) -> list[str]:
-    """Return the keys that decide whether the needle is long enough."""
-    key, first = min(guides, key=lambda keyed: keyed[1].x, default=("", None))
-    if first is None or first.in_tissue:
-        return [whole.key]
-    return [whole.key if -first.x < needle.length else "needle.length_mm", key]
-
-
-def _make_guide(guide: GuideRecord, entry: Entry, key: str, where: str) -> Guide:
-    with _name_keys(where, key):
-        (x, y), slope = entry.to_frame([[guide.x_mm, guide.y_mm]])[0], 0.0
-        if guide.angle_deg is not None and not guide.turns_freely:
-            slope = entry.slope_of(math.radians(guide.angle_deg))
-        at = 0.0 if abs(x) < SAME_DEPTH_MM else float(x)  # rounding must not push it out of the tissue
-        return Guide(at, float(y), None if guide.turns_freely else slope, guide.in_tissue, guide.name)
 
 
 def _to_slope(degrees: float) -> float:

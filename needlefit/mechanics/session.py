@@ -146,7 +146,28 @@ class Session:
         check_reach(self.needle.length, step.depth, step.controls)
         if step.depth > self._deepest:  # a single step is too large if it is too deep, and only then
             check_size((step.depth,), self.rules)
-        return self._go(step, valid_only)
+        bevel, controls = self._bevels.of(step.bevel), self._controls.of(step.controls)
+        stops, points = self._advance(step, bevel, controls)
+        self.solved += stops
+        if stops == 0:  # only the bevel was turned
+            shape = replace(self._shape, iterations=0)
+        else:
+            (x, u, slope), constraints, track, status, passes = self._memory.read(points)
+            scales = self._scales[bisect_left(self._boundaries, x[-1])]
+            ended = STATUS_NAMES[status]
+            shape = NeedleShape(x, u, slope, constraints, track, ended, int(passes), scales)
+            if not shape.converged:
+                self.failures[shape.status] += 1
+                return shape
+            if valid_only and self._shape.valid and not shape.valid:
+                return shape
+        self._memory.accept()
+        self.last, self._shape = step, shape
+        if self._bevels.full or self._controls.full:
+            rays, _ = self._memory.list_rays()
+            self._bevels.drop_unused({bevel, *(ray.bevel_id for ray in rays)})
+            self._controls.drop_unused({controls, *(ray.controls_id for ray in rays)})
+        return shape
 
     def copy(self) -> Self:
         """Return an independent second needle in the same state."""
@@ -187,27 +208,6 @@ class Session:
                 break
         return other
 
-    def _go(self, step: Step, valid_only: bool = False) -> NeedleShape:
-        bevel, controls = self._bevels.of(step.bevel), self._controls.of(step.controls)
-        stops, points = self._advance(step, bevel, controls)
-        self.solved += stops
-        if stops == 0:  # only the bevel was turned
-            shape = replace(self._shape, iterations=0)
-        else:
-            shape = self._read(points)
-            if not shape.converged:
-                self.failures[shape.status] += 1
-                return shape
-            if valid_only and self._shape.valid and not shape.valid:
-                return shape
-        self._memory.accept()
-        self.last, self._shape = step, shape
-        if self._bevels.full or self._controls.full:
-            rays, _ = self._memory.list_rays()
-            self._bevels.drop_unused({bevel, *(ray.bevel_id for ray in rays)})
-            self._controls.drop_unused({controls, *(ray.controls_id for ray in rays)})
-        return shape
-
     def _advance(self, step: Step, bevel: int, controls: int) -> tuple[int, int]:
         """Let the kernel make a step; return its numbers of stops and of constraint points."""
         self._write(step)
@@ -227,13 +227,7 @@ class Session:
         self._memory.grow(self._problem)
         return self._advance(step, bevel, controls)
 
-    def _read(self, points: int) -> NeedleShape:
-        (x, u, slope), constraints, track, status, passes = self._memory.read(points)
-        scales = self._scales[bisect_left(self._boundaries, x[-1])]
-        return NeedleShape(x, u, slope, constraints, track, STATUS_NAMES[status], int(passes), scales)
-
     def _write(self, step: Step) -> None:
-        """Write the inputs of a step into the arrays that the kernel reads."""
         controls = step.controls
         if controls is not self._held:
             if controls.guides != self._held.guides:
@@ -248,7 +242,6 @@ class Session:
             self._problem.arrays["turn"][0, 0] = compute_turn(step.bevel, self.rules)
 
     def _hold(self, controls: Controls) -> None:
-        """Hold the needle by these controls."""
         self._held, self._cut = controls, self.last.bevel
         step = Step(self._deepest, self.last.bevel, controls)
         self._problem = pack_problem(

@@ -224,17 +224,9 @@ def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
     base, which stands at its own beam coordinate and deflection. The needle keeps its length, and the tip
     lags a little behind its depth.
 
+    The coordinates `s` (K,), mm, are 0 at the entry, `shape.depth` at the tip, negative before the tissue.
+
     Raises ModelError if a coordinate lies outside the needle.
-
-    Parameters
-    ----------
-    s : (K,) array
-        Beam coordinates, mm: 0 at the entry, `shape.depth` at the tip, negative before the tissue.
-
-    Returns
-    -------
-    (K, 2) array
-        x and y, mm.
     """
     wanted = np.ascontiguousarray(s, dtype=np.float64)
     # The last of a row of equidistant coordinates may lie beyond the tip by rounding.
@@ -249,8 +241,7 @@ def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
 
 
 def map_beam_points(shape: NeedleShape, points: Floats) -> Floats:
-    """Return points (K, 2), given by beam coordinate and deflection, in the coordinates of
-    `compute_positions`.
+    """Return points (K, 2), given by beam coordinate and deflection, in those of `compute_positions`.
 
     Each point moves with the point of the needle at its beam coordinate: its distance from the needle, along
     y, is then the e of the model.

@@ -1,4 +1,4 @@
-"""Error metrics: each is one file here, or of a plugin. Whatever shows errors iterates over them."""
+"""Error metrics, here or of a plugin. Whatever shows errors iterates over them."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -82,3 +82,87 @@ def pool_metric(metric: Metric, curves: Sequence[ComparedCurves]) -> float:
 def pool_distances(curves: Sequence[ComparedCurves]) -> Floats:
     """Return the in-plane errors of all points of several insertions together, mm."""
     return np.concatenate([one.distances for one in curves])
+
+
+MEDIAN = Metric(
+    "median_err_mm",
+    "Median",
+    "mm",
+    "Median of the in-plane error over the points of a curve.",
+    compute=lambda curves: float(np.median(curves.distances)),
+    pool=lambda curves: float(np.median(pool_distances(curves))),
+    macro="median",
+    order=10,
+)
+
+IPE = Metric(
+    "ipe_mean_mm",
+    "IPE",
+    "mm",
+    "In-plane error (IPE): mean distance between simulated and measured points at equal fractions of the "
+    "length.",
+    compute=lambda curves: float(np.mean(curves.distances)),
+    pool=lambda curves: float(np.mean(pool_distances(curves))),
+    headline=True,
+    macro="ipe",
+    order=20,
+)
+
+IPE_SPREAD = Metric(
+    "ipe_std_mm",
+    "SD of IPE",
+    "mm",
+    "Standard deviation of the in-plane error over the points of a curve (no correction for their number).",
+    compute=lambda curves: float(np.std(curves.distances)),
+    pool=lambda curves: float(np.std(pool_distances(curves))),
+    has_floor=False,
+    spread_of="ipe_mean_mm",
+    macro="ipe-sd",
+    order=21,
+)
+
+MAX_IPE = Metric(
+    "ipe_max_mm",
+    "Max IPE",
+    "mm",
+    "Largest in-plane error of the points of a curve.",
+    compute=lambda curves: float(np.max(curves.distances)),
+    pool=lambda curves: float(np.max(pool_distances(curves))),
+    order=30,
+)
+
+TE = Metric(
+    "te_mm",
+    "TE",
+    "mm",
+    "Tip error (TE): distance between the simulated and the measured tip.",
+    compute=lambda curves: curves.tip_error,
+    headline=True,
+    order=40,
+)
+
+
+def _relative_tip_error(curves: ComparedCurves) -> float:
+    """Return 100 TE / |deflection|; infinite where the measured needle stayed straight."""
+    if not curves.deflection:
+        return np.inf if curves.tip_error else 0.0
+    return 100 * curves.tip_error / abs(curves.deflection)
+
+
+def _pooled(curves: Sequence[ComparedCurves]) -> float:
+    """Return the sum of tip errors over the sum of deflections: no small deflection dominates it."""
+    deflected = sum(abs(one.deflection) for one in curves)
+    return 100 * sum(one.tip_error for one in curves) / deflected if deflected > 0 else np.nan
+
+
+EDP = Metric(
+    "edp_percent",
+    "EDP",
+    "%",
+    "Error-to-deflection percentage (EDP): tip error as a percentage of the measured deflection of the tip.",
+    compute=_relative_tip_error,
+    pool=_pooled,
+    has_floor=False,
+    relative=True,
+    order=50,
+)

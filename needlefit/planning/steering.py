@@ -20,8 +20,8 @@ from scipy.optimize import minimize
 
 from needlefit.arrays import Bools, Floats
 from needlefit.errors import ModelError
-from needlefit.inference.parameter_draws import ParameterDraws
-from needlefit.inference.proportions import wilson_interval
+from needlefit.inference.forward_model import ParameterDraws
+from needlefit.inference.predict import wilson_interval
 from needlefit.mechanics.batch import NeedleShapes, compute_batch_positions, simulate_batches
 from needlefit.mechanics.control import ModelOptions, Step
 from needlefit.mechanics.needle import Needle

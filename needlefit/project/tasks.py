@@ -195,8 +195,12 @@ def run_parts(
                     yield left[n], result
                 return
         if threads > 1:
+
+            def run(n: int) -> tuple[Result, ...]:
+                return () if stop() else (work(items[n]),)
+
             with ThreadPoolExecutor(threads) as side_by_side:
-                futures = {side_by_side.submit(_unless_stopped, work, items[n], stop): n for n in left}
+                futures = {side_by_side.submit(run, n): n for n in left}
                 yield from as_they_end(futures, stop)
             return
         for n in left:
@@ -217,10 +221,6 @@ def as_they_end(
                 yield futures[future], result
     finally:
         stop.leave()  # before the threads are waited for
-
-
-def _unless_stopped(work: Callable[[Item], Result], item: Item, stop: Stop) -> tuple[Result, ...]:
-    return () if stop() else (work(item),)
 
 
 @contextmanager

@@ -7,10 +7,10 @@ import pandas as pd
 from scipy.interpolate import CubicHermiteSpline
 
 from needlefit.geometry.frames import Placement
-from needlefit.mechanics.load import compute_lateral_load
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import NeedleState
 from needlefit.mechanics.shape import compute_positions
+from needlefit.mechanics.simulate import compute_lateral_load
 from needlefit.project.folders import require_folder
 from needlefit.reporting.table_files import write_csv
 

@@ -60,8 +60,7 @@ class FileRecord(Record):
         return schema
 
 
-MISSING_KEY = "missing_key"
-"""Type of the error of a key that is required by the value of another one."""
+MISSING_KEY = "missing_key"  #: type of the error of a key that is required by the value of another one
 
 
 def missing_key(*location: str) -> PydanticCustomError:
@@ -84,18 +83,15 @@ def _require_no_fault(name: str, fault: str) -> str:
 
 
 # Functions of the module, not of a call: the documentation links the validators by name.
-Name = Annotated[str, AfterValidator(_check_name)]
-"""A name that reaches tables."""
-
-FileName = Annotated[str, AfterValidator(_check_file_name)]
-"""A name that files have, too."""
+Name = Annotated[str, AfterValidator(_check_name)]  #: a name that reaches tables
+FileName = Annotated[str, AfterValidator(_check_file_name)]  #: a name that files have, too
 
 
 Row4 = tuple[float, float, float, float]
 Rows = tuple[Row4, Row4, Row4]
 
+#: greatest deviation of a rotation's columns from unit length and from right angles
 MAX_ROTATION_DEVIATION = 1e-6
-"""Greatest deviation of a rotation's columns from unit length and from right angles."""
 
 
 def _require_rigid(rows: Rows) -> Rows:
@@ -112,5 +108,5 @@ def _require_rigid(rows: Rows) -> Rows:
     return rows
 
 
+#: rotation and shift (mm) side by side, a row for each axis of the frame to which it leads
 RigidRows = Annotated[Rows, AfterValidator(_require_rigid)]
-"""Rotation and shift (mm) side by side, a row for each axis of the frame to which it leads."""

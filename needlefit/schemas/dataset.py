@@ -27,8 +27,7 @@ class FrameRecord(Record):
     rows of four."""
 
 
-MIN_SD_MM = 1e-6
-"""Of a noise that is stated: covariances of less cannot be inverted."""
+MIN_SD_MM = 1e-6  #: of a noise that is stated: covariances of less cannot be inverted
 
 
 class NoiseRecord(Record):
@@ -109,8 +108,7 @@ _OPERATOR_KEYS: dict[Operator, tuple[tuple[str, ...], ...]] = {
     "unknown": (("bias_sd_mm", "bias_length_mm"),),
 }
 
-MIN_SECTIONS, MAX_SECTIONS = 8, 5000
-"""Cross-sections of one needle."""
+MIN_SECTIONS, MAX_SECTIONS = 8, 5000  #: cross-sections of one needle
 
 Values = Annotated[tuple[float, ...], Field(min_length=MIN_SECTIONS, max_length=MAX_SECTIONS)]
 

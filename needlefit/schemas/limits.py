@@ -3,77 +3,35 @@
 `benchmarks/bounds.py` measures the worst inputs that are still accepted.
 """
 
-MAX_NUMBER = 1e15
-"""Of every number in a file or message: products of up to twenty of them stay finite."""
-
-MAX_NEEDLE_LENGTH_MM = 5000.0
-"""Needles, catheters and guide wires have up to about 2 m."""
-
+MAX_NUMBER = 1e15  #: of every number in a file or message: products of up to twenty of them stay finite
+MAX_NEEDLE_LENGTH_MM = 5000.0  #: needles, catheters and guide wires have up to about 2 m
+#: a diameter in micrometres is below it, so that its unit is named in a warning
 MAX_NEEDLE_DIAMETER_MM = 10_000.0
-"""A diameter in micrometres is below it, so that its unit is named in a warning."""
-
+#: of an element and of the constraint spacing; below, rounding exceeds the discretisation error
 MIN_ELEMENT_MM = 0.05
-"""Of an element and of the constraint spacing; below, rounding exceeds the discretisation error."""
-
+#: the model takes 1 mm; elements fill a cell however long it is, and so do time and memory
 MAX_CONSTRAINT_SPACING_MM = 10.0
-"""The model takes 1 mm; elements fill a cell however long it is, and so do time and memory."""
-
-MAX_ELEMENTS = 5000
-"""Elements in the tissue: 5 m in elements of 1 mm, 250 mm in those of 0.05 mm."""
-
+MAX_ELEMENTS = 5000  #: elements in the tissue: 5 m in elements of 1 mm, 250 mm in those of 0.05 mm
+#: elements solved for in all equilibria of an insertion; one to `MAX_ELEMENTS` without a halt has as many
 MAX_ELEMENT_SOLVES = 12_500_000
-"""Elements solved for in all equilibria of an insertion; one to `MAX_ELEMENTS` without a halt has as many."""
-
-MAX_BATCH_ELEMENT_SOLVES = 200_000_000
-"""The same of all parameter sets of a batch."""
-
-MAX_BATCH_NODES = 20_000_000
-"""Nodes of all shapes of a batch: 1.1 GB."""
-
-MAX_SHOWN_POSITIONS = 5000
-"""Places on its way at which an insertion is shown."""
-
+MAX_BATCH_ELEMENT_SOLVES = 200_000_000  #: the same of all parameter sets of a batch
+MAX_BATCH_NODES = 20_000_000  #: nodes of all shapes of a batch: 1.1 GB
+MAX_SHOWN_POSITIONS = 5000  #: places on its way at which an insertion is shown
+#: the same of all insertions that one evaluation of a fit simulates
 MAX_EVALUATION_ELEMENT_SOLVES = 50_000_000
-"""The same of all insertions that one evaluation of a fit simulates."""
-
-MAX_STEPS = 10_000
-"""Of a scene; and rays that an interactive needle may have cut."""
-
-MAX_LAYERS = 200
-"""Of a tissue or medium."""
-
-MAX_GUIDES = 50
-"""Of a scene."""
-
-MAX_ITERATIONS = 200
-"""Of Newton's method in one equilibrium."""
-
-MAX_STARTS = 10_000
-"""Of a search."""
-
-MAX_EVALUATIONS = 10_000_000
-"""Of one start."""
-
-MAX_ENSEMBLES = 100
-"""Of a sampler."""
-
-MAX_WALKERS = 2000
-"""Of an ensemble."""
-
+MAX_STEPS = 10_000  #: of a scene; and rays that an interactive needle may have cut
+MAX_LAYERS = 200  #: of a tissue or medium
+MAX_GUIDES = 50  #: of a scene
+MAX_ITERATIONS = 200  #: of Newton's method in one equilibrium
+MAX_STARTS = 10_000  #: of a search
+MAX_EVALUATIONS = 10_000_000  #: of one start
+MAX_ENSEMBLES = 100  #: of a sampler
+MAX_WALKERS = 2000  #: of an ensemble
+#: ensembles x walkers x steps; a draw of ten parameters takes 80 bytes, and four copies of all are held
 MAX_STORED_DRAWS = 4_000_000
-"""Ensembles x walkers x steps; a draw of ten parameters takes 80 bytes, and four copies of all are held."""
-
-MAX_STORED_NUMBERS = 50_000_000
-"""Draws x parameters: 400 MB a copy."""
-
+MAX_STORED_NUMBERS = 50_000_000  #: draws x parameters: 400 MB a copy
+#: repetitions of a whole study: seeds, made-up specimens, orders, truths of a calibration
 MAX_REPLICATES = 10_000
-"""Repetitions of a whole study: seeds, made-up specimens, orders, truths of a calibration."""
-
-MAX_RESAMPLES = 100_000
-"""Of a bootstrap."""
-
-MAX_CANDIDATES = 1000
-"""Members of a list of depths, angles or entries that are all tried."""
-
-MAX_SEED = 2**63 - 1
-"""Of all randomness: the largest whole number of a TOML file."""
+MAX_RESAMPLES = 100_000  #: of a bootstrap
+MAX_CANDIDATES = 1000  #: members of a list of depths, angles or entries that are all tried
+MAX_SEED = 2**63 - 1  #: of all randomness: the largest whole number of a TOML file

@@ -121,8 +121,7 @@ class MediumRecord(FileRecord):
         return "cut_angle_deg" if self.advance == "path_angle" else "bevel_mm"
 
 
-MIN_CUT_ANGLE_DEG, MAX_CUT_ANGLE_DEG = 0.01, 44.0
-"""Widest bounds of an angle that takes the place of b."""
+MIN_CUT_ANGLE_DEG, MAX_CUT_ANGLE_DEG = 0.01, 44.0  #: widest bounds of an angle that takes the place of b
 
 
 def use_path_angle(medium: MediumRecord) -> MediumRecord:

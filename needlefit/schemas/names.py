@@ -8,11 +8,9 @@ import unicodedata
 
 from needlefit.errors import ConfigError
 
-FORMULA_STARTS = frozenset("=+-@")
-"""What begins a formula in a spreadsheet."""
+FORMULA_STARTS = frozenset("=+-@")  #: what begins a formula in a spreadsheet
 
-MAX_NAME_BYTES = 200
-"""A file system takes 255 bytes, and what is written of a name has endings."""
+MAX_NAME_BYTES = 200  #: A file system takes 255 bytes, and what is written of a name has endings
 
 EXPECTED_NAME = "a name that does not begin with =, +, - or @, and has no control or formatting characters"
 EXPECTED_FILE_NAME = f"{EXPECTED_NAME}, no / or \\: it names files"

@@ -6,30 +6,19 @@ optional, since each command writes its own.
 
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, model_validator
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
-from needlefit.schemas.names import file_name_fault
-
-
-def _require_file_name(name: str) -> str:
-    fault = file_name_fault(name)
-    if fault:
-        raise ValueError(fault)
-    return name
-
-
-FileName = Annotated[str, AfterValidator(_require_file_name)]
-"""A name that becomes the name of a file or folder."""
+from needlefit.schemas.base import FileName
 
 ColumnType = Annotated[
     str, StringConstraints(pattern=r"^(u?int(8|16|32|64)|float(32|64)|bool|str|string|object)$")
 ]
 _SCALARS: frozenset[type] = frozenset({str, int, float, bool, type(None)})
+#: Types of JSON that a column may hold; pandas would take any for them. A missing text is NaN or None.
 _CELLS: dict[str, frozenset[type]] = {
     "bool": frozenset({bool}),
     "str": frozenset({str, float, type(None)}),
 }
-"""Types of JSON that a column may hold; pandas would take any for them. A missing text is NaN or None."""
 
 Cell = str | int | float | bool | None
 

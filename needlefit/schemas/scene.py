@@ -19,12 +19,11 @@ from needlefit.schemas.limits import (
     MIN_ELEMENT_MM,
 )
 
+#: what a guide may be called: a bare TOML key that is no number
 GUIDE_NAME_PATTERN = r"^[A-Za-z][A-Za-z0-9_-]*$"
-"""What a guide may be called: a bare TOML key that is no number."""
 
 
-CUT_ANGLE_LIMIT_DEG = 45.0
-"""Angles of the cut to the needle's tangent are below it."""
+CUT_ANGLE_LIMIT_DEG = 45.0  #: angles of the cut to the needle's tangent are below it
 
 
 class GuideRecord(Record):
@@ -161,8 +160,7 @@ class LayerRecord(Record):
         return self.shape if self.alpha is None else {"alpha": self.alpha, **self.shape}
 
 
-Advance = Literal["tangent", "path_angle"]
-"""Rules by which the needle advances."""
+Advance = Literal["tangent", "path_angle"]  #: rules by which the needle advances
 
 
 class BevelRecord(Record):
@@ -337,21 +335,13 @@ class SceneRecord(FileRecord):
 
 @dataclass(frozen=True)
 class ResolvedStep:
-    """One step with all of its inputs.
-
-    Attributes
-    ----------
-    guides : tuple of (str, GuideRecord)
-        Each with the key of the file that put it where it is.
-    key : str
-        The key of the file that says the depth.
-    """
+    """One step with all of its inputs."""
 
     depth_mm: float
     bevel: BevelRecord
     controls: ControlsRecord
-    guides: tuple[tuple[str, GuideRecord], ...]
-    key: str
+    guides: tuple[tuple[str, GuideRecord], ...]  #: each with the key of the file that put it where it is
+    key: str  #: the key of the file that says the depth
 
 
 def resolve_steps(scene: SceneRecord) -> tuple[ResolvedStep, ...]:
@@ -365,9 +355,10 @@ def resolve_steps(scene: SceneRecord) -> tuple[ResolvedStep, ...]:
     bevel, controls = scene.bevel, scene.controls
     for n, step in enumerate(scene.steps, start=1):
         bevel = bevel.model_copy(update=_given_values(step, "offset_mm", "cut_angle_deg", "side"))
-        controls = controls.model_copy(
-            update=_given_values(step, "base_y_mm", "base_slope_deg") | _given_tip(step)
-        )
+        given = _given_values(step, "base_y_mm", "base_slope_deg")
+        if step.tip_y_mm is not None or step.tip_free:  # a new place of the tip, or that it is free
+            given |= {"tip_y_mm": step.tip_y_mm, "tip_slope_deg": step.tip_slope_deg}
+        controls = controls.model_copy(update=given)
         for name, move in step.guides.items():
             moved = guides[name][1].model_copy(update=move.model_dump(exclude_none=True))
             guides[name] = (f"steps.{n}.guides.{name}", moved)
@@ -377,12 +368,4 @@ def resolve_steps(scene: SceneRecord) -> tuple[ResolvedStep, ...]:
 
 
 def _given_values(step: StepRecord, *names: str) -> dict[str, Any]:
-    """Return those of the named keys that the step gives."""
     return {name: getattr(step, name) for name in names if getattr(step, name) is not None}
-
-
-def _given_tip(step: StepRecord) -> dict[str, float | None]:
-    """Return what the step says of the tip: a new place, or that it is free."""
-    if step.tip_y_mm is None and not step.tip_free:
-        return {}
-    return {"tip_y_mm": step.tip_y_mm, "tip_slope_deg": step.tip_slope_deg}

@@ -11,11 +11,10 @@ from needlefit.schemas.scene import SceneRecord
 
 Point = tuple[float, float, float]
 
+#: A device has so many characters in OpenIGTLink
 DeviceName = Annotated[str, Field(min_length=1, max_length=20)]
-"""A device has so many characters in OpenIGTLink."""
 
-MIN_MARKERS = 3
-"""Markers that determine a rigid registration."""
+MIN_MARKERS = 3  #: markers that determine a rigid registration
 
 MAX_GUIDE_DEVICES = 8
 

@@ -42,10 +42,7 @@ class ColumnarFile:
     def read(self, columns: Sequence[str] | None = None) -> Iterator[pd.DataFrame]:
         """Yield some columns (all by default) in pieces, at least one; texts are categories.
 
-        Raises
-        ------
-        DataError
-            If the file is damaged.
+        Raises DataError if the file is damaged.
         """
         group: int | None = 0
         while group is not None:
@@ -237,12 +234,7 @@ def store_files(frames: Mapping[str, pd.DataFrame], folder: Path) -> list[str]:
 def open_files(folder: Path, names: Iterable[str]) -> dict[str, ColumnarFile]:
     """Return the files of frames in `folder`, by name.
 
-    Raises
-    ------
-    DataError
-        If one is missing.
-    ConfigError
-        If there are files, and PyArrow is not installed.
+    Raises DataError if one is missing. ConfigError if there are files, and PyArrow is not installed.
     """
     files = {name: folder / f"{name}.parquet" for name in names}
     if files:

@@ -7,7 +7,7 @@ import pandas as pd
 
 from needlefit.arrays import Floats
 from needlefit.datasets.select import group_independent
-from needlefit.inference.proportions import Proportion, estimate_proportion
+from needlefit.inference.predict import Proportion, estimate_proportion
 from needlefit.project.input_files import read_toml
 from needlefit.project.locate import find_file, list_names
 from needlefit.project.result_warnings import ResultWarning

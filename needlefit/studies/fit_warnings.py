@@ -19,6 +19,7 @@ from needlefit.reporting.table_files import Row
 from needlefit.reporting.text import KindText
 from needlefit.studies.coverage import find_adaptation, is_too_wide, list_missed_levels, median_width
 from needlefit.studies.run import Run
+from needlefit.studies.score import list_outside
 from needlefit.studies.scored_groups import (
     HELD_OUT,
     TE,
@@ -28,7 +29,6 @@ from needlefit.studies.scored_groups import (
     list_judged_groups,
     select_group,
 )
-from needlefit.studies.validity import list_outside
 
 if TYPE_CHECKING:
     from needlefit.studies.job import Job

@@ -285,10 +285,7 @@ def prepare(
 ) -> Job:
     """Load and check everything that a study or fit names; `dataset`, if given, replaces its own.
 
-    Raises
-    ------
-    ConfigError, DataError
-        If anything it names is missing or wrong.
+    Raises ConfigError or DataError if anything it names is missing or wrong.
     """
     given = settings.inputs
     dataset = dataset or given.dataset or read(find_named("dataset", record.dataset))

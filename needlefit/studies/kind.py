@@ -58,10 +58,7 @@ class StudyKind:
         interruption with `resume`. A run that is complete still has the lock of its checkpoint: the caller
         writes the result, then removes or releases it.
 
-        Raises
-        ------
-        ConfigError, DataError
-            If anything the record names is missing or wrong.
+        Raises ConfigError or DataError if anything the record names is missing or wrong.
         """
         begin, complete = time.time(), False
         try:

@@ -19,7 +19,7 @@ from needlefit.datasets.insertion import Insertion, TipTrack
 from needlefit.errors import ModelError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import Placement, align_rigid
-from needlefit.inference.compared_points import make_curve, select_points
+from needlefit.inference.compared_points import SimulatedCurve, select_points
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import make_batch, predict
 from needlefit.inference.identifiability.identify import Identifiability
@@ -227,7 +227,7 @@ class _NeedleCurve:
         shape = predict(values, self.problem.medium, self.problem.dataset.needle, self.insertion)
         if not shape.converged:
             return np.full((NEEDLE_POINTS, 2), np.nan)
-        return self.align(make_curve(shape)(self.s))
+        return self.align(SimulatedCurve(shape)(self.s))
 
     def heights(self, theta: Floats) -> Floats:
         """Return y of the needle (K,)."""

@@ -20,8 +20,7 @@ from needlefit.datasets.insertion import Insertion, split_boundary_sd
 from needlefit.datasets.layers import find_layers
 from needlefit.inference.compared_points import read_batch_points, read_points
 from needlefit.inference.forward_model import PreparedModel, predict
-from needlefit.inference.likelihood.nodes import find_bevel_factors, shift_depths
-from needlefit.inference.likelihood.quadrature import make_spline_weights
+from needlefit.inference.likelihood.nodes import find_bevel_factors, make_spline_weights, shift_depths
 from needlefit.inference.parameters import BEVEL_PARAMETERS, BEVEL_SPREAD
 from needlefit.inference.planned_layers import MAX_DRAWN_LAYERS, with_planned_layers
 from needlefit.mechanics.needle import Needle

@@ -36,8 +36,8 @@ from needlefit.studies.run import (
     verdicts_to_json,
 )
 from needlefit.studies.run_differences import TableComparison
+from needlefit.studies.score import VALIDITY_KEY
 from needlefit.studies.store import store_run
-from needlefit.studies.validity import VALIDITY_KEY
 
 
 def run_to_json(result: Run) -> dict[str, Any]:
@@ -176,10 +176,7 @@ def write_run(result: Run, folder: Path) -> Path:
     Every frame as CSV, tables and their numbers as LaTeX, figures as PDF, the report as PDF and HTML,
     `run.json`, `results.json.gz`, from which all of this can be made again, and `timing.json`.
 
-    Raises
-    ------
-    ConfigError
-        If `folder` holds anything that needlefit did not write, or that was changed since.
+    Raises ConfigError if `folder` holds anything that needlefit did not write, or that was changed since.
     """
     with replace_folder(folder) as new:
         for name in listed_files(folder) if find_kind(result.kind).report.keeps_files else ():

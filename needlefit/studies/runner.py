@@ -111,10 +111,6 @@ def list_faults(counts: Mapping[str, int]) -> tuple[str, ...]:
     return tuple(f"{count} {words}" for words, count in counts.items() if count)
 
 
-def _conclude_nothing(frames: Frames) -> tuple[str, ...]:
-    return ()
-
-
 @dataclass(frozen=True)
 class AnalysisPlan:
     """The tasks, tables and conclusion of an analysis."""
@@ -124,7 +120,7 @@ class AnalysisPlan:
     columns: Mapping[str, Sequence[str]]  #: the columns of every frame, which it has even without rows
     #: What is left to compute once all tasks are done: adds frames to those of the tasks, in place, and
     #: returns the faults. It must be quick: it is not kept.
-    conclude: Callable[[Frames], tuple[str, ...]] = _conclude_nothing
+    conclude: Callable[[Frames], tuple[str, ...]] = lambda frames: ()
     also: Mapping[str, Any] | None = None  #: whatever else decides the result, as JSON values
     folds: Sequence[Fold] = ()  #: what is held out besides the jobs' own folds
     #: those of the fits in the frame `fits`, by its first column, if values at bounds are to be named
@@ -139,10 +135,7 @@ class AnalysisPlan:
 def run_analysis(name: str, record: AnalysisRecord, settings: Settings, plan: AnalysisPlan) -> Run:
     """Run the tasks of a plan; an interrupted run with `resume` gives the same result.
 
-    Raises
-    ------
-    ConfigError
-        If the checkpoint belongs to other work.
+    Raises ConfigError if the checkpoint belongs to other work.
     """
     work = _describe_configuration(name, record, plan)
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work, settings.note)
@@ -159,6 +152,11 @@ def run_analysis(name: str, record: AnalysisRecord, settings: Settings, plan: An
     faults = () if interrupted else plan.conclude(frames)
     at_bounds = analysis_bound_warnings(frames["fits"], plan.parameters) if plan.parameters else ()
     datasets = {job.dataset.name: job.dataset for job in plan.jobs}.values()
+    found = [*(one for job in plan.jobs for one in job.warnings), *plan.warnings]
+    if not record.same_specimen:  # a job that is a study has warnings of its own
+        fits = (job for job in plan.jobs if not isinstance(job.record, StudyRecord))
+        divided = [*(fold for job in fits for fold in job.folds), *plan.folds]
+        found += warn_shared_specimens(name, divided, settings.place("same_specimen"))
     return Run(
         kind=str(record.kind),
         name=name,
@@ -166,25 +164,11 @@ def run_analysis(name: str, record: AnalysisRecord, settings: Settings, plan: An
         origin="synthetic" if any(one.origin == "synthetic" for one in datasets) else "measured",
         dataset_title="; ".join(dict.fromkeys(one.title or one.name for one in datasets)),
         frames=frames,
-        run={
-            **work,
-            **warnings_entry(
-                [*_find_warnings(name, record, plan, settings.place("same_specimen")), *at_bounds]
-            ),
-        },
+        run={**work, **warnings_entry([*found, *at_bounds])},
         timing={},
         interrupted=interrupted,
         faults=faults,
     )
-
-
-def _find_warnings(name: str, record: AnalysisRecord, plan: AnalysisPlan, where: str) -> list[ResultWarning]:
-    """Return the warnings about the data, and about what is held out; a job that is a study has its own."""
-    found = [*(one for job in plan.jobs for one in job.warnings), *plan.warnings]
-    divided = [fold for job in plan.jobs if not isinstance(job.record, StudyRecord) for fold in job.folds]
-    if record.same_specimen:
-        return found
-    return [*found, *warn_shared_specimens(name, [*divided, *plan.folds], where)]
 
 
 def _describe_configuration(name: str, record: AnalysisRecord, plan: AnalysisPlan) -> dict[str, Any]:

@@ -139,12 +139,16 @@ def compare_methods(
         both = np.isfinite(compared[method]) & np.isfinite(compared[against])
         gap = (compared[method] - compared[against])[both].to_numpy(dtype=np.float64)
         n = len(gap)
+        means = {
+            name: float(table[method].reindex(both.index)[both].mean()) if method in table else np.nan
+            for name, table in tables.items()
+        }
         rows.append(
             {
                 "method": method,
                 "boundaries": "measured",
                 "insertions": n,
-                **{name: _mean_where(tables[name], method, both) for name in names},
+                **means,
                 "difference_mm": gap.mean() if n else np.nan,
                 "difference_se_mm": gap.std(ddof=1) / np.sqrt(n) if n > 1 else np.nan,
                 "better": int((gap > 0).sum()),
@@ -152,10 +156,6 @@ def compare_methods(
         )
     columns = ("method", "boundaries", "insertions", *names, "difference_mm", "difference_se_mm", "better")
     return pd.DataFrame(rows, columns=columns)
-
-
-def _mean_where(table: pd.DataFrame, method: str, wanted: "pd.Series[bool]") -> float:
-    return float(table[method].reindex(wanted.index)[wanted].mean()) if method in table else np.nan
 
 
 SIGNIFICANT_SE = 2.0  #: standard errors up to which a difference may be chance
@@ -169,24 +169,21 @@ def beats_fit(row: Mapping[str, Any] | pd.Series, metric: str = "ipe_mean_mm") -
     Of two insertions or more: by over two standard errors of the difference. A single one has no standard
     error: there a method must err by less than `LONE_ERROR_RATIO` of the fit's error.
     """
-    gap, se, error = (_number(row[key]) for key in ("difference_mm", "difference_se_mm", metric))
+    gap, se, error = (
+        np.nan if row[key] is None else float(row[key])
+        for key in ("difference_mm", "difference_se_mm", metric)
+    )
     if np.isnan(se):
         return error < LONE_ERROR_RATIO * (error - gap)
     return gap < 0 and abs(gap) > SIGNIFICANT_SE * se
 
 
-def _number(value: float | None) -> float:
-    return np.nan if value is None else float(value)
-
-
 def tabulate_points(results: Run) -> pd.DataFrame:
     """Return `results.shapes` with `ipe_mm`, the in-plane error of every point, and medium and layers."""
     about = results.frames["errors"][[*SCORE_KEYS, "medium", "layers"]]
-    return (
-        results.frames["shapes"]
-        .assign(ipe_mm=_point_distance(results.frames["shapes"]))
-        .merge(about, on=list(SCORE_KEYS), how="inner")
-    )
+    shapes = results.frames["shapes"]
+    across, along = (shapes[f"simulated_{axis}_mm"] - shapes[f"measured_{axis}_mm"] for axis in ("y", "x"))
+    return shapes.assign(ipe_mm=np.hypot(across, along)).merge(about, on=list(SCORE_KEYS), how="inner")
 
 
 def find_bevel_sides(results: Run) -> dict[str, int]:
@@ -198,12 +195,6 @@ def find_bevel_sides(results: Run) -> dict[str, int]:
     across = shapes.last() - shapes.first()
     toward = results.frames["errors"].drop_duplicates("insertion").set_index("insertion")["deflection_mm"]
     return {str(name): -1 if across[name] * toward[name] < 0 else 1 for name in across.index}
-
-
-def _point_distance(shapes: pd.DataFrame) -> pd.Series:
-    """Return the distance between the two curves at every point, mm."""
-    across, along = (shapes[f"simulated_{axis}_mm"] - shapes[f"measured_{axis}_mm"] for axis in ("y", "x"))
-    return pd.Series(np.hypot(across, along), index=shapes.index)
 
 
 def _find_curves(results: Run) -> dict[Any, ComparedCurves]:
@@ -405,18 +396,14 @@ class _IdentityKey:
 
 def _make_frame(results: Iterable[Run], groupings: tuple[str, ...], with_alternate: bool) -> pd.DataFrame:
     """Return the rows as a frame in which counts stay whole numbers where some are missing."""
+    metrics = tuple(metric.name for metric in list_metrics())
     rows = [
         row
         for one in results
         for grouping in groupings
-        for row in _cached_rows(_IdentityKey(one), grouping, list_metric_names(), with_alternate)
+        for row in _cached_rows(_IdentityKey(one), grouping, metrics, with_alternate)
     ]
     return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"layers": "Int64", "paper_insertions": "Int64"})
-
-
-def list_metric_names() -> tuple[str, ...]:
-    """Return the names of all metrics in the order of tables."""
-    return tuple(metric.name for metric in list_metrics())
 
 
 @lru_cache(maxsize=64)
@@ -448,12 +435,13 @@ def _group_rows(results: Run, role: str, grouping: str) -> Iterator[Row]:
         "grouping": grouping,
         "layer_count_rule": results.record.layer_count_rule,
         "origin": results.origin,
+        "comparison": str(errors["comparison"].iloc[0]) if len(errors) else "",
     }
     for key, group in table.groupby(list(keys), sort=False):
         rows = to_records(group)
         ours = next((r for r in rows if (r["method"], r["boundaries"]) == ("fitted", "measured")), None)
         if ours is not None:
-            head = {**about, **dict(zip(keys, key, strict=True)), "comparison": _find_comparison(results)}
+            head = {**about, **dict(zip(keys, key, strict=True))}
             printed, beside = _find_paper_row(results, head, ours["insertions"])
             yield from ({**head, **row, "paper": printed.get(row["metric"]), **beside} for row in rows)
 
@@ -465,47 +453,41 @@ def _find_paper_row(results: Run, head: Row, insertions: int) -> tuple[Row, Row]
     if head["grouping"] == HELD_OUT:
         match["study"] = head["study"]
         design = _find_published("study_design", match)
-        count = design[0]["validate_insertions"] if design else None
-        sentence = compare_validation_row(results, insertions, count)
+        count, where = design[0]["validate_insertions"] if design else None, ""
     else:
-        printed = _find_published(name, match)
         listed = [row["insertions"] for row in _find_published("insertions", match)]
-        count = sum(listed) if printed else None
-        sentence = compare_tuning_row(results, insertions, count)
+        count, where = sum(listed) if _find_published(name, match) else None, "in-sample"
     printed = _find_published(name, match)
+    sentence = compare_with_paper(results, insertions, count, where)
     return printed[0] if printed else {}, {"paper_insertions": count, "comparable": sentence}
 
 
 def _find_published(name: paper.TableName, match: Mapping[str, Any]) -> list[Row]:
-    return [
-        row
-        for row in to_records(paper.read_published_table(name))
-        if all(row[key] == value for key, value in match.items())
-    ]
-
-
-def _find_comparison(results: Run) -> str:
-    return str(results.frames["errors"]["comparison"].iloc[0])
+    rows = to_records(paper.read_published_table(name))
+    return [row for row in rows if all(row[key] == value for key, value in match.items())]
 
 
 # ---- comparable with the paper's rows, or not; and by the other reading of a needle that ends at a boundary
 
 
-def compare_validation_row(results: Run, insertions: int, paper_insertions: int | None) -> str:
-    """Return the sentence on comparability of a held-out group; `paper_insertions`: None without a row."""
-    if paper_insertions is None:
-        return "The paper has no such row."
-    return _describe_comparability(
-        results, insertions, paper_insertions, "measured boundaries, mean over insertions"
-    )
+def compare_with_paper(results: Run, insertions: int, paper_insertions: int | None, where: str = "") -> str:
+    """Return the sentence on comparability of a group of insertions, held out or `where`.
 
-
-def compare_tuning_row(results: Run, insertions: int, paper_insertions: int | None) -> str:
-    """Return the sentence on comparability of an in-sample group."""
+    `paper_insertions` is None where the paper has no row.
+    """
     if paper_insertions is None:
-        return "In-sample; the paper has no such row."
-    conditions = "in-sample, measured boundaries, mean over insertions"
-    return _describe_comparability(results, insertions, paper_insertions, conditions)
+        return f"{where.capitalize()}; the paper has no such row." if where else "The paper has no such row."
+    if (results.frames["errors"]["comparison"] == "aligned").any():
+        return "Not comparable: our errors are after rigid alignment, the paper's in the world frame."
+    verdict, count = "Same metrics and design, other data", ""
+    if insertions != paper_insertions:
+        verdict = "Same metrics, other data and insertions"
+        count = f", {insertions} insertion{'s' * (insertions != 1)} here, {paper_insertions} there"
+    data = "the needles are not the paper's"
+    if results.origin == "synthetic":
+        data = "ours are of simulated needles, the paper's of real ones"
+    conditions = ", ".join(filter(None, (where, "measured boundaries, mean over insertions")))
+    return f"{verdict}: {conditions}; {data}{count}; ours are tuned automatically, the paper's by hand."
 
 
 def compare_parameter_row(results: Run, printed: bool) -> str:
@@ -519,37 +501,11 @@ def compare_parameter_row(results: Run, printed: bool) -> str:
     )
 
 
-def _describe_comparability(results: Run, insertions: int, paper_insertions: int, conditions: str) -> str:
-    if (results.frames["errors"]["comparison"] == "aligned").any():
-        return "Not comparable: our errors are after rigid alignment, the paper's in the world frame."
-    data = (
-        "ours are of simulated needles, the paper's of real ones"
-        if results.origin == "synthetic"
-        else "the needles are not the paper's"
-    )
-    count = (
-        ""
-        if insertions == paper_insertions
-        else f", {_count_insertions(insertions)} here, {paper_insertions} there"
-    )
-    verdict = (
-        "Same metrics and design, other data" if not count else "Same metrics, other data and insertions"
-    )
-    return f"{verdict}: {conditions}; {data}{count}; ours are tuned automatically, the paper's by hand."
-
-
-def _count_insertions(insertions: int) -> str:
-    return "1 insertion" if insertions == 1 else f"{insertions} insertions"
-
-
 def use_alternate_count(results: Run) -> Run:
     """Return the same results with the insertions grouped by the alternative rule of counting layers."""
-    record = results.record.model_copy(
-        update={"layer_count_rule": get_other_rule(results.record.layer_count_rule)}
-    )
-    errors = results.frames["errors"].assign(
-        layers=results.frames["errors"]["layers_other"], layers_other=results.frames["errors"]["layers"]
-    )
+    rule, errors = get_other_rule(results.record.layer_count_rule), results.frames["errors"]
+    record = results.record.model_copy(update={"layer_count_rule": rule})
+    errors = errors.assign(layers=errors["layers_other"], layers_other=errors["layers"])
     return replace(results.with_frames(errors=errors), record=record)
 
 

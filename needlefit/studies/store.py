@@ -7,7 +7,7 @@ What is read must agree with the manifest of the folder (`project.folders`).
 import gzip
 import json
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -71,17 +71,14 @@ def posterior_file_names(count: int) -> tuple[str, ...]:
 def restore_run(folder: Path, unverified: bool = False) -> Run:
     """Read the result that a run stored in `folder`.
 
+    Raises DataError if it holds no result, a damaged one, or one that does not agree with its manifest.
+
     Parameters
     ----------
     folder : Path
     unverified : bool
         Whether files that do not agree with the manifest are used. The run then has them as a fault, and is
         marked on every page.
-
-    Raises
-    ------
-    DataError
-        If it holds no result, a damaged one, or one that does not agree with its manifest.
     """
     table = unpack(folder)
     changes = require_unchanged(folder, unverified)
@@ -97,7 +94,10 @@ def restore_run(folder: Path, unverified: bool = False) -> Run:
         frames: Frames = {name: _unpack_frame(frame) for name, frame in table["frames"].items()}
         if columnar := open_files(folder, table.get("columnar", ())):
             frames = ColumnarFrames({**frames, **columnar})
-        _require_columns(frames, kind.frames)
+        for name, wanted in kind.frames.items():
+            columns = list_columns(frames, name) if name in frames else []
+            if missing := [column for column in wanted if column not in columns]:
+                raise ValueError(f"the table {name} lacks {', '.join(missing)}")
         names = table["posteriors"]
         files = posterior_file_names(len(names))
         return Run(
@@ -107,14 +107,6 @@ def restore_run(folder: Path, unverified: bool = False) -> Run:
             posteriors={name: load(folder / file) for name, file in zip(names, files, strict=True)},
             **{**about, "faults": tuple(about["faults"])},
         )
-
-
-def _require_columns(frames: Frames, columns: Mapping[str, Sequence[str]]) -> None:
-    for name, wanted in columns.items():
-        found = list_columns(frames, name) if name in frames else []
-        missing = [column for column in wanted if column not in found]
-        if missing:
-            raise ValueError(f"the table {name} lacks {', '.join(missing)}")
 
 
 def restore_runs(run: Path, unverified: bool = False) -> list[Run]:
@@ -146,10 +138,8 @@ def is_combined(run: Path) -> bool:
 def read_run(folder: Path) -> dict[str, Any]:
     """Return what the run in a folder was computed with: of one run, or of several by name.
 
-    Raises
-    ------
-    DataError
-        If its file is missing or damaged, or a value in it is of another type than needlefit writes.
+    Raises DataError if its file is missing or damaged, or a value in it is of another type than needlefit
+    writes.
     """
     path = folder / RUN_FILE
     table = read_json(path, MAX_RUN_BYTES)
@@ -214,10 +204,7 @@ def pack(table: Mapping[str, Any], folder: Path) -> Path:
 def unpack(folder: Path) -> dict[str, Any]:
     """Read the table that a run stored in `folder`; it is not compared with the manifest.
 
-    Raises
-    ------
-    DataError
-        If it holds none, or one that is damaged, too large or of another version.
+    Raises DataError if it holds none, or one that is damaged, too large or of another version.
     """
     path = folder / RESULTS_FILE
     if not is_file(path):

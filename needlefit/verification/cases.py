@@ -8,23 +8,20 @@ small error at the nodes proves little.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Self, TypeVar
+from typing import Self, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from needlefit.arrays import Floats, Ints
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
-from needlefit.mechanics.laws import LAWS
+from needlefit.mechanics.laws import LAWS, Numbers
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.verification.check import worst
-
-Numbers = NDArray[Any]  # real or complex
 
 STEP = 1e-30
 
@@ -199,9 +196,9 @@ def require_converged(shape: NeedleShape) -> NeedleShape:
     return shape
 
 
-def sample_between(edges: Floats, points: int = 8) -> Floats:
-    """Return `points` positions inside each interval between increasing edges."""
-    inside = (np.arange(points) + 0.5) / points
+def sample_between(edges: Floats) -> Floats:
+    """Return eight positions inside each interval between increasing edges."""
+    inside = (np.arange(8) + 0.5) / 8
     return (edges[:-1, None] + np.diff(edges)[:, None] * inside).ravel()
 
 
@@ -211,10 +208,9 @@ def sample_densely(shape: NeedleShape, start: float | None = None) -> Floats:
     return x if start is None else x[x >= start]
 
 
-def interpolate(shape: NeedleShape, x: Floats, order: int = 0) -> Floats:
-    """Return deflection (order 0, mm) or slope (1) at depths x, by the cubics that the nodes define."""
-    values: Floats = CubicHermiteSpline(shape.x, shape.u, shape.slope)(x, order)
-    return values
+def interpolate(shape: NeedleShape, x: Floats) -> Floats:
+    """Return the deflection, mm, at depths x, by the cubics that the nodes define."""
+    return CubicHermiteSpline(shape.x, shape.u, shape.slope)(x)
 
 
 def largest_difference(shape: NeedleShape, other: NeedleShape) -> float:

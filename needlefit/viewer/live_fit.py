@@ -16,10 +16,9 @@ from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
 from needlefit.errors import FitError
 from needlefit.geometry.curves import arc_length
-from needlefit.inference.forward_model import find_layers
-from needlefit.inference.identifiability.gauss_newton import LocalMinimum, minimize_squares
+from needlefit.inference.forward_model import ParameterDraws, find_layers, select_layer_draws
+from needlefit.inference.identifiability.profile import LocalMinimum, minimize_squares
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
-from needlefit.inference.parameter_draws import ParameterDraws, select_layer_draws
 from needlefit.inference.problem import Problem, make_problem
 from needlefit.inference.sampling.importance import (
     Effort,
@@ -93,7 +92,6 @@ class LiveDraws:
             "offset_mm": self.bevel.tolist(),
             "correlation": float(np.corrcoef(both.T)[0, 1]) if both.std(axis=0).all() else 0.0,
             "certified": self.certified,
-            "ess": self.ess,
             "seconds": round(self.seconds, 3),
         }
 

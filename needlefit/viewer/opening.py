@@ -13,8 +13,12 @@ from needlefit.datasets.read import read_shapes
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.frames import Placement, move_frame
 from needlefit.inference.compared_points import select_points
-from needlefit.inference.forward_model import find_layers, make_scene_record
-from needlefit.inference.parameter_draws import ParameterDraws, select_layer_draws
+from needlefit.inference.forward_model import (
+    ParameterDraws,
+    find_layers,
+    make_scene_record,
+    select_layer_draws,
+)
 from needlefit.inference.parameters import BEVEL_SPREAD, Parameters
 from needlefit.inference.problem import find_new_bevel_sd
 from needlefit.inference.specimens import SpecimenSpread, move_to_new_specimen

@@ -13,7 +13,7 @@ from needlefit.geometry.curves import COMPARISON_POINTS, arc_length, compare_cur
 from needlefit.geometry.frames import align_rigid
 from needlefit.imaging.reconstruction import ENTRY_MARGIN_MM, render_bending_plane
 from needlefit.imaging.volume_files import ct_packages_installed, read_volume
-from needlefit.inference.compared_points import ComparedPoints, align_points, make_curve, select_points
+from needlefit.inference.compared_points import ComparedPoints, SimulatedCurve, align_points, select_points
 from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.metrics import compute_metrics
@@ -121,7 +121,7 @@ def compute_live_errors(measured: MeasuredOverlay, shape: NeedleShape) -> LiveEr
     if whole:
         # The depths agree only to a tolerance: positions are read from the tip, so that both tips are
         # compared.
-        curve = make_curve(shape)
+        curve = SimulatedCurve(shape)
         errors = compare_curves(*align_points(measured.target, lambda s: curve(s + beyond)))
     elif measured.target.pose == "known":
         s = upto * np.linspace(0.0, 1.0, COMPARISON_POINTS)

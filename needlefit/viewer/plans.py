@@ -11,7 +11,7 @@ import numpy as np
 
 from needlefit.errors import ConfigError, ModelError
 from needlefit.geometry.frames import Placement
-from needlefit.inference.parameter_draws import ParameterDraws
+from needlefit.inference.forward_model import ParameterDraws
 from needlefit.mechanics.control import Step
 from needlefit.mechanics.scene import Scene
 from needlefit.planning.goals import Goal, cut_plane, name_obstacles, read_goal_points

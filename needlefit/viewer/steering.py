@@ -107,21 +107,19 @@ class Change:
             expected = known.expected if finite else f"a finite number, at most {most:g}"
             named = re.sub("_(mm|deg|pa)$", "", self.name).replace("_", " ")
             named += "" if self.item is None else f" of {known.item} {self.item}"
-            raise ModelError(f"{named} is {self._write_value()}", expected=expected)
+            if self.name == "mu_pa":  # in the unit of the page's fields
+                value = f"{self.value / 1e6:g} MPa"
+            elif self.name.endswith("slope"):
+                value = f"{math.degrees(math.atan(self.value)):.1f}°"
+            else:
+                unit = " mm" if self.name.endswith("_mm") else "°" if self.name.endswith("_deg") else ""
+                value = f"{self.value:g}{unit}"
+            raise ModelError(f"{named} is {value}", expected=expected)
 
     @property
     def is_parameter(self) -> bool:
         """Whether it is a parameter of the model, which applies to the whole insertion."""
         return find_input(self.name).parameter
-
-    def _write_value(self) -> str:
-        """Return the value in the unit of the page's fields."""
-        if self.name == "mu_pa":
-            return f"{self.value / 1e6:g} MPa"
-        if self.name.endswith("slope"):
-            return f"{math.degrees(math.atan(self.value)):.1f}°"
-        unit = " mm" if self.name.endswith("_mm") else "°" if self.name.endswith("_deg") else ""
-        return f"{self.value:g}{unit}"
 
 
 Values = dict[tuple[str, int | None], float]

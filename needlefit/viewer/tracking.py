@@ -18,7 +18,7 @@ from needlefit.datasets.points import MAX_COORDINATE
 from needlefit.errors import ConfigError, ModelError, NeedlefitError
 from needlefit.geometry.frames import Frame, Placement, to_lps
 from needlefit.imaging.registration.pairing import fit_kabsch
-from needlefit.inference.parameter_draws import ParameterDraws
+from needlefit.inference.forward_model import ParameterDraws
 from needlefit.inference.tracking import (
     TipNoise,
     TrackedNeedle,

@@ -103,7 +103,6 @@ class InteractiveTrial:
         return encode_scene(self.viewed_scene, self.steering) | {
             "needle": self.name,
             "recording": self.recorder.path.name,
-            "recorded": len(self.source.steps) if self.source else 0,
         }
 
     def describe_state(self) -> dict[str, Any]:
@@ -496,7 +495,12 @@ class Window:
             case "fit":
                 trial.wanted_fit = _read_scope(trial, message)
             case "points":
-                trial.wanted_offsets, trial.wanted_fit = _read_offsets(message), _read_scope(trial, message)
+                rows = message.content.get("offsets")
+                if not isinstance(rows, list) or len(rows) != KNOTS:
+                    raise ModelError("these are no offsets of points", expected=f"{KNOTS} numbers, mm")
+                moves = [Message("points", content={"offset": row}) for row in rows]
+                offsets = [one.number("offset", None, MAX_OFFSET_MM, "mm") for one in moves]
+                trial.wanted_offsets, trial.wanted_fit = offsets, _read_scope(trial, message)
             case "plan":
                 entry, shared = message.number("entry_mm", 0.0, MAX_ENTRY_MM, "mm"), self.trials.shared
                 if trial.aim.goal is None:
@@ -508,23 +512,18 @@ class Window:
             case "run":
                 if trial.aim.plan is not None and trial.aim.entry_mm:
                     self.trial = self.trials.entered(trial)
-                self._play(self._next_steps(message), message)
+                plan, depth = self.trial.aim.plan, self.trial.steering.now.step.depth
+                steps = [step for step in plan.steps if step.depth > depth + SAME_DEPTH_MM] if plan else []
+                if not steps:
+                    what = "there is no plan from where the needle stands"
+                    raise ModelError(what, expected="a plan", fix="plan again")
+                self._play(steps[:1] if message.content.get("one") is True else steps, message)
             case "undo":
                 trial.undo()
             case "redo":
                 trial.undo(redo=True)
             case "reset":
                 trial.reset()
-
-    def _next_steps(self, message: Message) -> tuple[Step, ...]:
-        """Return the steps of the plan that lie ahead of the tip, or only the first of them."""
-        plan, depth = self.trial.aim.plan, self.trial.steering.now.step.depth
-        steps = tuple(step for step in plan.steps if step.depth > depth + SAME_DEPTH_MM) if plan else ()
-        if not steps:
-            raise ModelError(
-                "there is no plan from where the needle stands", expected="a plan", fix="plan again"
-            )
-        return steps[:1] if message.content.get("one") is True else steps
 
     def _change(self, message: Message) -> None:
         if any(change.name == "return_to" for change in message.changes):
@@ -585,12 +584,3 @@ def _read_scope(trial: InteractiveTrial, message: Message) -> FitScope:
             expected=f"a measured insertion, and one of {', '.join(scopes)}",
         )
     return scopes[scope]
-
-
-def _read_offsets(message: Message) -> list[float]:
-    """Return by how much measured points are moved, mm; ModelError if these are not so many numbers."""
-    rows = message.content.get("offsets")
-    if not isinstance(rows, list) or len(rows) != KNOTS:
-        raise ModelError("these are no offsets of points", expected=f"{KNOTS} numbers, mm")
-    one_by_one = (Message("points", content={"offset": offset}) for offset in rows)
-    return [one.number("offset", None, MAX_OFFSET_MM, "mm") for one in one_by_one]

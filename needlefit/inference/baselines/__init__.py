@@ -1,4 +1,4 @@
-"""Baselines: empirical curves without mechanics. Each is one file of this folder, or of a plugin.
+"""Baselines: empirical curves without mechanics, of this package or of a plugin.
 
 A baseline is fitted to insertions by least squares (`inference/baseline_fit.py`) and predicts others; it
 differs between insertions only by their depth and bevel side. `inference/baseline_fit.py` also gives it a
@@ -8,6 +8,8 @@ posterior. Tables and figures look up names and colours here, so that this modul
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
+
+import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import integrate_curvature
@@ -67,3 +69,60 @@ def make_curvature_curve(coefficients: Sequence[float], insertion: "Insertion") 
     """
     turned = [insertion.side * c for c in coefficients]
     return lambda s: integrate_curvature(insertion.depth, turned, s)
+
+
+#: A needle that does not bend.
+STRAIGHT = Baseline(
+    "straight",
+    "straight line",
+    "a straight line",
+    "#8a8a8a",
+    curve=make_curvature_curve,
+    track_basis=lambda track: np.empty((len(track.planar), 0)),
+    order=1,
+)
+#: Constant curvature toward the bevel; the tip of a track follows a parabola.
+CONSTANT_CURVATURE = Baseline(
+    "constant_curvature",
+    "constant curvature",
+    "a curve of constant curvature",
+    "#009E73",
+    curve=make_curvature_curve,
+    scales=(COEFFICIENT_LENGTH_MM**-1.0,),
+    track_basis=lambda track: track.side * track.planar[:, :1] ** 2 / 2,
+    track_label="parabola",
+    order=2,
+)
+#: Curvature toward the bevel that is linear in arc length.
+LINEAR_CURVATURE = Baseline(
+    "linear_curvature",
+    "curvature linear in arc length",
+    "a curve whose curvature is linear in arc length",
+    "#56B4E9",
+    curve=make_curvature_curve,
+    scales=(COEFFICIENT_LENGTH_MM**-1.0, COEFFICIENT_LENGTH_MM**-2.0),
+    order=3,
+)
+#: Curvature toward the bevel that is quadratic in arc length.
+QUADRATIC_CURVATURE = Baseline(
+    "quadratic_curvature",
+    "curvature quadratic in arc length",
+    "a curve whose curvature is quadratic in arc length",
+    "#CC79A7",
+    curve=make_curvature_curve,
+    scales=tuple(COEFFICIENT_LENGTH_MM**-power for power in (1.0, 2.0, 3.0)),
+    order=4,
+)
+#: A straight line with the slope of the other runs whose guide moved, or rested, as in this one.
+#: A controller that steers for a straight path gives its runs one slope, which those at rest do not have.
+STEERED_LINE = Baseline(
+    "steered_line",
+    "straight line, slope of runs alike",
+    "a straight line with the slope of the other runs under a guide that moved, or rested, alike",
+    "#4d4d4d",
+    curve=make_curvature_curve,
+    track_basis=lambda track: np.empty((len(track.planar), 0)),
+    track_slope="alike",
+    tracks_only=True,
+    order=6,
+)

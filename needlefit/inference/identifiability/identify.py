@@ -27,7 +27,6 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.inference.fit import Fit, Start
-from needlefit.inference.identifiability.gauss_newton import LocalMinimum, minimize_squares
 from needlefit.inference.identifiability.precision import (
     LOOSENED,
     MAX_LOG_SD,
@@ -48,7 +47,12 @@ from needlefit.inference.identifiability.precision import (
     principal_directions,
     prior_information,
 )
-from needlefit.inference.identifiability.profile import LikelihoodProfile, compute_profile
+from needlefit.inference.identifiability.profile import (
+    LikelihoodProfile,
+    LocalMinimum,
+    compute_profile,
+    minimize_squares,
+)
 from needlefit.inference.parameters import dimension, is_logarithmic, to_value, without_prior
 from needlefit.inference.problem import Problem
 from needlefit.inference.quantity_text import format_quantity, format_quantity_range

@@ -5,6 +5,10 @@ the optimum to both sides until it is well above the 95 % quantile of chi-square
 or a bound is reached; each point starts from an extrapolation of the one before. Its derivative is exact (the
 others are at their best, so only the held parameter moves it): it sets the steps, and between points the
 curve is the cubic through values and derivatives.
+
+Minima of a sum of squares are found by Gauss-Newton steps, within bounds, with one parameter held if wanted.
+Each step is a small linear least-squares problem with bounds (the box, and a radius about the last point), so
+parameters may come to rest at their bounds.
 """
 
 import math
@@ -15,12 +19,90 @@ from typing import Literal
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
+from scipy.optimize import lsq_linear
 from scipy.special import gammaincinv
 
-from needlefit.arrays import Floats
-from needlefit.inference.identifiability.gauss_newton import MIN_GAIN, LocalMinimum, minimize_squares
+from needlefit.arrays import Bools, Floats
+from needlefit.inference.fit import EVALUATION_ERRORS
 from needlefit.inference.problem import Problem
 from needlefit.inference.side_by_side import map_side_by_side
+
+#: a minimum is reached where a further step would lessen the sum of squares by less than this
+MIN_GAIN = 1e-3
+FIRST_RADIUS = 2.0  #: longest first step along any parameter: of a logarithm, or of a shape parameter
+MAX_EVALUATIONS = 40  #: evaluations after which a descent gives up
+
+
+@dataclass(frozen=True)
+class LocalMinimum:
+    """The point where a Gauss-Newton search ended."""
+
+    theta: Floats  #: (P,)
+    value: float  #: sum of squares; infinite where it cannot be computed
+    slope: Floats  #: (P,) its derivatives
+    information: Floats  #: (P, P) J^T J
+    evaluations: int = 1
+    converged: bool = False  #: whether this is a minimum, as far as steps from it tell
+
+
+def minimize_squares(
+    target: Problem,
+    theta: Floats,
+    held: int | None = None,
+    max_evaluations: int = MAX_EVALUATIONS,
+    min_gain: float = MIN_GAIN,
+) -> LocalMinimum:
+    """Return the minimum nearest to `theta` (P,); the parameter numbered `held` keeps its value."""
+    moving = np.arange(len(theta)) != held
+    lower, upper = target.lower[moving], target.upper[moving]
+    at = _evaluate(target, np.clip(theta, target.lower, target.upper))
+    radius, evaluations, converged = FIRST_RADIUS, 1, not moving.any()
+    while math.isfinite(at.value) and evaluations < max_evaluations and not converged:
+        step_bounds = (
+            np.maximum(lower - at.theta[moving], -radius),
+            np.minimum(upper - at.theta[moving], radius),
+        )
+        step = _step(at, moving, step_bounds)
+        # the decrease that the linear model predicts: slope is 2 J^T r, so this is -(2 r^T J s + |J s|^2)
+        gain = -float(at.slope[moving] @ step + step @ at.information[np.ix_(moving, moving)] @ step)
+        converged = gain < min_gain
+        if converged:
+            break
+        ahead = at.theta.copy()
+        ahead[moving] += step
+        trial = _evaluate(target, np.clip(ahead, target.lower, target.upper))
+        evaluations += 1
+        gain_ratio = (at.value - trial.value) / gain
+        if gain_ratio > 0.75:
+            radius *= 2
+        # written with `not`, so that a NaN shrinks the radius too
+        elif not gain_ratio > 0.25:
+            radius = 0.25 * float(np.max(np.abs(step)))
+        at = trial if gain_ratio > 0 else at
+    return LocalMinimum(at.theta, at.value, at.slope, at.information, evaluations, converged)
+
+
+def _step(at: LocalMinimum, moving: Bools, step_bounds: tuple[Floats, Floats]) -> Floats:
+    """Return the step (Q,) within `step_bounds` that would be best if residuals were linear."""
+    information = at.information[np.ix_(moving, moving)]
+    precision, axes = np.linalg.eigh(information)
+    # least squares needs a root of the information: eigenvalues are kept above rounding, 1e-300 guards a zero
+    # matrix
+    root = np.sqrt(np.maximum(precision, 1e-12 * max(float(precision[-1]), 1e-300)))
+    rows, wanted = (root[:, None] * axes.T, -0.5 * (axes.T @ at.slope[moving]) / root)
+    # bvls solves the box exactly; the default, trf, only approaches active bounds
+    return lsq_linear(rows, wanted, bounds=step_bounds, method="bvls").x
+
+
+def _evaluate(target: Problem, theta: Floats) -> LocalMinimum:
+    try:
+        residuals, slopes = target.jacobian(theta)
+    except EVALUATION_ERRORS:
+        residuals, slopes = np.array([math.nan]), np.zeros((1, len(theta)))
+    if not (np.all(np.isfinite(residuals)) and np.all(np.isfinite(slopes))):
+        nothing = np.zeros(len(theta))
+        return LocalMinimum(theta, math.inf, nothing, np.outer(nothing, nothing))
+    return LocalMinimum(theta, float(residuals @ residuals), 2 * residuals @ slopes, slopes.T @ slopes)
 
 
 @dataclass(frozen=True)
@@ -61,22 +143,6 @@ class ProfilePath:
     retries: int = 0
 
 
-@dataclass(frozen=True)
-class _PathSettings:
-    """The settings of one profile, constant along it."""
-
-    target: Problem
-    k: int
-    elsewhere: Sequence[Floats]
-    scale: float
-    cheaper: Problem | None
-    steps: ProfileSteps
-
-    @property
-    def range(self) -> float:
-        return float(self.target.upper[self.k] - self.target.lower[self.k])
-
-
 def trace_profile(
     target: Problem,
     k: int,
@@ -86,14 +152,13 @@ def trace_profile(
     steps: ProfileSteps = INTERVAL_STEPS,
 ) -> ProfilePath:
     """Trace parameter `k` to both sides of the optimum, or of a better one that is found on the way."""
-    settings = _PathSettings(target, k, elsewhere, scale, target.approach("posterior"), steps)
-    spent, retries = 0, 0
+    cheaper, spent, retries = target.approach("posterior"), 0, 0
     for _ in range(MAX_RESTARTS):
-        sides = map_side_by_side(partial(_trace_side, settings, optimum), (-1, 1))
-        path = ProfilePath([optimum], evaluations=spent, retries=retries)
-        for side, one in enumerate(sides):
+        sides = [_ProfileSide(target, k, elsewhere, scale, cheaper, steps, optimum, side) for side in (-1, 1)]
+        map_side_by_side(_ProfileSide.trace, sides)
+        path = ProfilePath([optimum], [one.at_bound for one in sides], spent, retries)
+        for one in sides:
             path.points += one.points
-            path.at_bound[side] = one.at_bound[side]
             path.evaluations += one.evaluations
             path.retries += one.retries
         better = select_best(path.points)
@@ -109,162 +174,145 @@ def select_best(points: Sequence[LocalMinimum]) -> LocalMinimum:
     return min(points, key=lambda point: point.value)
 
 
-def _trace_side(settings: _PathSettings, optimum: LocalMinimum, side: int) -> ProfilePath:
-    """Return the points of one side; where another branch is lower at its end, go on along that."""
-    path, others = ProfilePath(), np.arange(len(optimum.theta)) != settings.k
-    cross = optimum.information[others, settings.k]
-    # least squares, not solve: the others' information is singular where the data leave a combination open
-    rest = np.linalg.lstsq(optimum.information[np.ix_(others, others)], cross, rcond=1e-12)[0]
-    remaining = max(float(optimum.information[settings.k, settings.k] - cross @ rest), 0.0)
-    slope = np.sqrt(remaining / settings.scale)
-    step = float(min(settings.steps.root_rise / max(slope, 1e-9), MAX_STEP_FRACTION * settings.range))
-    found = [optimum]
-    for _ in range(MAX_RESTARTS):
-        step = _step_outward(settings, path, found, (side, step))
-        if not _join_lower_branch(settings, path, found):
-            break
-    path.at_bound[side > 0] = found[-1].theta[settings.k] == _get_bound(settings, side)
-    path.points += found[1:]
-    return path
+@dataclass
+class _ProfileSide:
+    """One side of a profile, -1 or 1, and what was computed of it so far."""
 
+    target: Problem
+    k: int  #: the held parameter
+    elsewhere: Sequence[Floats]
+    scale: float
+    cheaper: Problem | None
+    steps: ProfileSteps
+    optimum: LocalMinimum
+    side: int
+    points: list[LocalMinimum] = field(default_factory=list)  #: without the optimum
+    evaluations: int = 0
+    retries: int = 0
 
-def _step_outward(
-    settings: _PathSettings, path: ProfilePath, found: list[LocalMinimum], last_step: tuple[int, float]
-) -> float:
-    """Add points to `found` until the deviance is high, or a bound is reached; return the next step."""
-    k, optimum, bound = settings.k, found[0], _get_bound(settings, last_step[0])
-    side, step = last_step
-    while len(found) <= MAX_SIDE_POINTS:
-        last = found[-1]
-        deviance = _deviance_root(settings, optimum, last) ** 2
-        if last.theta[k] == bound or deviance > settings.steps.stop_deviance:
-            break
-        place = last.theta[k] + side * step
-        # a remainder of less than a fifth of a step is not worth a point of its own
-        place = bound if abs(bound - last.theta[k]) < 1.2 * step else float(place)
-        point = _compute_point(settings, path, found, place)
-        rise = _deviance_root(settings, optimum, point) - _deviance_root(settings, optimum, last)
-        step = abs(place - float(last.theta[k]))
-        # the root of the deviance is linear where the profile is a parabola, so steps are judged by it
-        if rise > 2 * settings.steps.root_rise and step > MIN_STEP_FRACTION * settings.range:
-            if np.isfinite(point.value):
-                path.points.append(point)  # it is a point of the profile all the same
-            step *= float(np.clip(settings.steps.root_rise / rise, 0.1, 0.6))
-        elif np.isfinite(point.value):
-            found.append(point)
-            step = _next_step(settings, optimum, point, (side, step))
-        else:
-            break
-    return step
+    def __post_init__(self) -> None:
+        self.range = float(self.target.upper[self.k] - self.target.lower[self.k])
+        self.bound = float((self.target.upper if self.side > 0 else self.target.lower)[self.k])
+        self.others = np.arange(len(self.optimum.theta)) != self.k
+        self.at_bound = False  # whether it ends there
 
+    def trace(self) -> None:
+        """Compute the points; where another branch is lower at the end, go on along that."""
+        cross = self.optimum.information[self.others, self.k]
+        # least squares, not solve: the information is singular where the data leave a combination open
+        inner = self.optimum.information[np.ix_(self.others, self.others)]
+        rest = np.linalg.lstsq(inner, cross, rcond=1e-12)[0]
+        remaining = max(float(self.optimum.information[self.k, self.k] - cross @ rest), 0.0)
+        slope = np.sqrt(remaining / self.scale)
+        step = float(min(self.steps.root_rise / max(slope, 1e-9), MAX_STEP_FRACTION * self.range))
+        found = [self.optimum]
+        for _ in range(MAX_RESTARTS):
+            step = self._step_outward(found, step)
+            if not self._join_lower_branch(found):
+                break
+        self.at_bound = bool(found[-1].theta[self.k] == self.bound)
+        self.points += found[1:]
 
-def _get_bound(settings: _PathSettings, side: int) -> float:
-    return float(settings.target.upper[settings.k] if side > 0 else settings.target.lower[settings.k])
+    def _step_outward(self, found: list[LocalMinimum], step: float) -> float:
+        """Add points to `found` until the deviance is high, or a bound is reached; return the next step."""
+        while len(found) <= MAX_SIDE_POINTS:
+            last = found[-1]
+            at, root = float(last.theta[self.k]), self._deviance_root(last)
+            if at == self.bound or root**2 > self.steps.stop_deviance:
+                break
+            # a remainder of less than a fifth of a step is not worth a point of its own
+            place = self.bound if abs(self.bound - at) < 1.2 * step else at + self.side * step
+            point = self._compute_point(last, place)
+            rise, step = self._deviance_root(point) - root, abs(place - at)
+            # the root of the deviance is linear where the profile is a parabola, so steps are judged by it
+            if rise > 2 * self.steps.root_rise and step > MIN_STEP_FRACTION * self.range:
+                if np.isfinite(point.value):
+                    self.points.append(point)  # it is a point of the profile all the same
+                step *= float(np.clip(self.steps.root_rise / rise, 0.1, 0.6))
+            elif np.isfinite(point.value):
+                found.append(point)
+                # the step at which the root should have risen as wanted; at the optimum the root is 0, and
+                # its derivative is divided by it
+                root = max(self._deviance_root(point), 1e-3)
+                slope = self.side * float(point.slope[self.k]) / self.scale / (2 * root)
+                wanted = self.steps.root_rise / slope if slope > 0 else step if slope < 0 else np.inf
+                longest = min(MAX_STEP_GROWTH * step, MAX_STEP_FRACTION * self.range)
+                step = float(np.clip(wanted, MIN_STEP_FRACTION * self.range, longest))
+            else:
+                break
+        return step
 
+    def _compute_point(self, last: LocalMinimum, place: float) -> LocalMinimum:
+        """Return the best with the parameter held at `place`; from elsewhere too if that fails or jumps."""
+        (point,) = self._minimize_each([self._extrapolate(last, place)], place)
+        before, after = self._deviance_root(last), self._deviance_root(point)
+        # first order in the deviance: d(root) = slope * step / (2 root); 0.5 keeps the first step finite
+        lead = abs(place - float(last.theta[self.k])) * abs(float(last.slope[self.k])) / self.scale
+        expected = before + lead / (2 * max(before, 0.5)) + self.steps.root_rise
+        # a fall of the root, or a jump, means that the search has changed to another branch
+        if point.converged and before - 0.3 < after < expected + MAX_ROOT_JUMP:
+            return point
+        self.retries += 1
+        starts = (last.theta, self.optimum.theta, *self.elsewhere)
+        return select_best([point, *self._minimize_each(starts, place)])
 
-def _next_step(
-    settings: _PathSettings, optimum: LocalMinimum, point: LocalMinimum, last: tuple[int, float]
-) -> float:
-    """Return the step at which the root of the deviance should have risen as wanted."""
-    side, step = last
-    # at the optimum the root is 0, and its derivative is divided by it
-    root = max(_deviance_root(settings, optimum, point), 1e-3)
-    slope = side * float(point.slope[settings.k]) / settings.scale / (2 * root)
-    wanted = settings.steps.root_rise / slope if slope > 0 else step if slope < 0 else np.inf
-    longest = min(MAX_STEP_GROWTH * step, MAX_STEP_FRACTION * settings.range)
-    return float(np.clip(wanted, MIN_STEP_FRACTION * settings.range, longest))
+    def _join_lower_branch(self, found: list[LocalMinimum]) -> bool:
+        """At the last point look elsewhere for a lower branch, and follow it back while it is lower.
 
+        Returns whether there is one.
+        """
+        if len(found) < 2 or not self.elsewhere:
+            return False
+        n = last = len(found) - 1
+        self.retries += 1
+        lower = self._minimize_from_elsewhere(found[last])
+        while n > 0 and lower.value < found[n].value - MIN_IMPROVEMENT * self.scale:
+            found[n] = lower
+            n -= 1
+            place = float(found[n].theta[self.k])
+            (lower,) = self._minimize_each([self._extrapolate(lower, place)], place)
+        return n < last
 
-def _compute_point(
-    settings: _PathSettings, path: ProfilePath, found: Sequence[LocalMinimum], place: float
-) -> LocalMinimum:
-    """Return the best with the parameter held at `place`; from elsewhere too if that fails or jumps."""
-    optimum, last = found[0], found[-1]
-    point = _minimize_held(settings, path, _extrapolate(settings, last, place), place)
-    before, after = _deviance_root(settings, optimum, last), _deviance_root(settings, optimum, point)
-    # first order in the deviance: d(root) = slope * step / (2 root); 0.5 keeps the first step finite
-    lead = abs(place - float(last.theta[settings.k])) * abs(float(last.slope[settings.k])) / settings.scale
-    expected = before + lead / (2 * max(before, 0.5)) + settings.steps.root_rise
-    # a fall of the root, or a jump, means that the search has changed to another branch
-    if point.converged and before - 0.3 < after < expected + MAX_ROOT_JUMP:
-        return point
-    path.retries += 1
-    starts = (last.theta, optimum.theta, *settings.elsewhere)
-    return select_best([point, *_minimize_each(settings, path, starts, place)])
+    def _minimize_from_elsewhere(self, here: LocalMinimum) -> LocalMinimum:
+        """Return the best minimum from elsewhere for the held value of `here`; `here` if there is no other.
 
+        If there is a cheaper problem it is minimised first, from `here` too: where both end in one minimum,
+        or the search from elsewhere in a much higher one, the full problem is not searched.
+        """
+        place = float(here.theta[self.k])
+        if self.cheaper is None:
+            return select_best(self._minimize_each(self.elsewhere, place))
+        starts = [self._set_held(start, place) for start in (here.theta, *self.elsewhere)]
+        same, *ends = map_side_by_side(partial(minimize_squares, self.cheaper, held=self.k), starts)
+        others = []
+        for end in (end for end in ends if end.value < same.value + MAX_BRANCH_RISE):
+            apart = end.theta - same.theta
+            gap = max(abs(end.value - same.value), float(apart @ same.information @ apart))
+            if not gap < SAME_MINIMUM_GAP:
+                others.append(end)
+        return self._minimize_each([select_best(others).theta], place)[0] if others else here
 
-def _join_lower_branch(settings: _PathSettings, path: ProfilePath, found: list[LocalMinimum]) -> bool:
-    """At the last point of a side look elsewhere for a lower branch, and follow it back while it is lower.
+    def _minimize_each(self, starts: Sequence[Floats], place: float) -> list[LocalMinimum]:
+        search = partial(minimize_squares, self.target, held=self.k, min_gain=self.steps.min_gain)
+        points = map_side_by_side(search, [self._set_held(start, place) for start in starts])
+        self.evaluations += sum(point.evaluations for point in points)
+        return points
 
-    Returns whether there is one.
-    """
-    if len(found) < 2 or not settings.elsewhere:
-        return False
-    last = len(found) - 1
-    path.retries += 1
-    lower = _minimize_from_elsewhere(settings, path, found[last])
-    n = last
-    while n > 0 and lower.value < found[n].value - MIN_IMPROVEMENT * settings.scale:
-        found[n] = lower
-        n -= 1
-        place = float(found[n].theta[settings.k])
-        lower = _minimize_held(settings, path, _extrapolate(settings, lower, place), place)
-    return n < last
+    def _set_held(self, start: Floats, place: float) -> Floats:
+        theta = start.copy()
+        theta[self.k] = place
+        return theta
 
+    def _extrapolate(self, last: LocalMinimum, place: float) -> Floats:
+        """Return where the others go, to first order, as the held parameter goes to `place`."""
+        inner = last.information[np.ix_(self.others, self.others)]
+        turn = -np.linalg.lstsq(inner, last.information[self.others, self.k], rcond=1e-10)[0]
+        theta = last.theta.copy()
+        theta[self.others] += turn * (place - last.theta[self.k])
+        return np.clip(theta, self.target.lower, self.target.upper)
 
-def _minimize_from_elsewhere(settings: _PathSettings, path: ProfilePath, here: LocalMinimum) -> LocalMinimum:
-    """Return the best minimum from elsewhere for the held value of `here`; `here` if there is no other one.
-
-    If there is a cheaper problem it is minimised first, from `here` too: where both end in one minimum, or
-    the search from elsewhere in a much higher one, the full problem is not searched.
-    """
-    k, place = settings.k, float(here.theta[settings.k])
-    if settings.cheaper is None:
-        return select_best(_minimize_each(settings, path, settings.elsewhere, place))
-    starts = [_set_held(settings, start, place) for start in (here.theta, *settings.elsewhere)]
-    same, *ends = map_side_by_side(partial(minimize_squares, settings.cheaper, held=k), starts)
-    near = [end for end in ends if end.value < same.value + MAX_BRANCH_RISE]
-    others = []
-    for end in near:
-        apart = end.theta - same.theta
-        gap = max(abs(end.value - same.value), float(apart @ same.information @ apart))
-        if not gap < SAME_MINIMUM_GAP:
-            others.append(end)
-    return _minimize_held(settings, path, select_best(others).theta, place) if others else here
-
-
-def _minimize_held(settings: _PathSettings, path: ProfilePath, start: Floats, place: float) -> LocalMinimum:
-    return _minimize_each(settings, path, [start], place)[0]
-
-
-def _minimize_each(
-    settings: _PathSettings, path: ProfilePath, starts: Sequence[Floats], place: float
-) -> list[LocalMinimum]:
-    """Return the minimum from each start, with the parameter held at `place`."""
-    search = partial(minimize_squares, settings.target, held=settings.k, min_gain=settings.steps.min_gain)
-    points = map_side_by_side(search, [_set_held(settings, start, place) for start in starts])
-    path.evaluations += sum(point.evaluations for point in points)
-    return points
-
-
-def _set_held(settings: _PathSettings, start: Floats, place: float) -> Floats:
-    theta = start.copy()
-    theta[settings.k] = place
-    return theta
-
-
-def _extrapolate(settings: _PathSettings, last: LocalMinimum, place: float) -> Floats:
-    """Return where the others go, to first order, as the held parameter goes to `place`."""
-    others = np.arange(len(last.theta)) != settings.k
-    inner, cross = last.information[np.ix_(others, others)], last.information[others, settings.k]
-    turn = -np.linalg.lstsq(inner, cross, rcond=1e-10)[0]
-    theta = last.theta.copy()
-    theta[others] += turn * (place - last.theta[settings.k])
-    return np.clip(theta, settings.target.lower, settings.target.upper)
-
-
-def _deviance_root(settings: _PathSettings, optimum: LocalMinimum, point: LocalMinimum) -> float:
-    return float(np.sqrt(max(point.value - optimum.value, 0.0) / settings.scale))
+    def _deviance_root(self, point: LocalMinimum) -> float:
+        return float(np.sqrt(max(point.value - self.optimum.value, 0.0) / self.scale))
 
 
 End = Literal["closed", "bound", "lost"]
@@ -373,7 +421,6 @@ def compute_profile(
 
 
 def _find_end(path: ProfilePath, curve: tuple[Floats, Floats, Floats], side: int) -> tuple[float, End]:
-    """Return where the interval ends on one side, and how."""
     at, deviance, _ = curve
     outermost = -1 if side > 0 else 0
     if deviance[outermost] <= DEVIANCE_95:

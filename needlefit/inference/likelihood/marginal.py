@@ -16,8 +16,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from needlefit.arrays import Bools, Floats
-from needlefit.inference.likelihood.nodes import BEVEL, NodeGroup, Nodes
-from needlefit.inference.likelihood.quadrature import (
+from needlefit.inference.likelihood.nodes import (
+    BEVEL,
+    NodeGroup,
+    Nodes,
     QuadratureRule,
     TableAxis,
     log_means,

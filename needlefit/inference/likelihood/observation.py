@@ -21,10 +21,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag, cholesky, qr, solve_triangular
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Bools, Floats
 from needlefit.datasets.insertion import (
     DEFAULT_MEASUREMENT,
     Dataset,
@@ -63,7 +62,7 @@ class SectionData:
     covariance: Floats
     shared: Floats  #: (K, K) covariance of what neighbours share, mm^2
     slope: Floats  #: (K,) slope of the spline there, dy/dx
-    reached: NDArray[np.bool_]  #: (C,) which of the spline's coefficients the F are
+    reached: Bools  #: (C,) which of the spline's coefficients the F are
     stored: SplineSections  #: as stored; those left out are not in it
 
 
@@ -113,18 +112,6 @@ class Discrepancy:
         """Return its covariance (K, K), mm^2, at arc lengths `s` (K,)."""
         apart = (s[:, None] - s) / self.length
         return self.sd**2 * np.exp(-0.5 * apart**2)
-
-
-def bias_covariance(measurement: MeasurementRecord, s: Floats, insertions: int) -> Floats | None:
-    """Return the covariance (K, K), mm^2, that an unknown operator adds to points at `s` (K,); None if none.
-
-    A smooth bias of the stated size that all `insertions` of a fit share. Its covariance counts as often as
-    there are insertions, so that together they do not average it away.
-    """
-    if measurement.bias_sd_mm is None or measurement.bias_length_mm is None:
-        return None
-    size = measurement.bias_sd_mm * math.sqrt(insertions)
-    return Discrepancy(size, measurement.bias_length_mm).covariance(s)
 
 
 #: length over which the direction of a simulated path is taken, mm: shorter than constraints are apart
@@ -250,8 +237,11 @@ def make_observation(
     if insertion.sd is not None:
         sd = np.interp(along, arc_length(insertion.planar), insertion.sd)
     cov, free = points_covariance(s, noise, sd), make_tracker_columns(measured[:, 0])  # across, and turn
-    bias = bias_covariance(measurement, s, insertions)
-    cov = cov if bias is None else cov + bias
+    if measurement.bias_sd_mm is not None and measurement.bias_length_mm is not None:
+        # An unknown operator: a smooth bias that all insertions of a fit share. Its covariance counts as
+        # often as there are insertions, so that together they do not average it away.
+        size = measurement.bias_sd_mm * math.sqrt(insertions)
+        cov = cov + Discrepancy(size, measurement.bias_length_mm).covariance(s)
     cov = cov if model_error is None else cov + model_error.covariance(s)
     operator = points_operator(measurement, s)
     if operator is not None and measurement.operator == "spline":

@@ -31,8 +31,15 @@ from scipy.optimize import least_squares, lsq_linear
 
 from needlefit.arrays import Floats
 from needlefit.errors import ConfigError
-from needlefit.inference.fit import INTERRUPTED, Start, StartPoint
-from needlefit.inference.objective import EvaluationRecorder, ObjectiveFunction, SearchEnded, half_square
+from needlefit.inference.fit import (
+    INTERRUPTED,
+    EvaluationRecorder,
+    ObjectiveFunction,
+    SearchEnded,
+    Start,
+    StartPoint,
+    half_square,
+)
 from needlefit.project.progress import never_stop
 from needlefit.schemas.recipe import RecipeRecord
 

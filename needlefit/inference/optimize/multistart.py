@@ -16,8 +16,15 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.errors import FitError
-from needlefit.inference.fit import INTERRUPTED, Callbacks, Fit, Start, StartPoint
-from needlefit.inference.objective import EVALUATION_ERRORS, ObjectiveFunction
+from needlefit.inference.fit import (
+    EVALUATION_ERRORS,
+    INTERRUPTED,
+    Callbacks,
+    Fit,
+    ObjectiveFunction,
+    Start,
+    StartPoint,
+)
 from needlefit.inference.optimize.local_search import search, select_algorithms
 from needlefit.inference.problem import Problem, make_objective
 from needlefit.inference.side_by_side import run_side_by_side
@@ -95,7 +102,7 @@ def minimize(
     start_points = [StartPoint(k, tuple(design[k].tolist()), int(seeds[k])) for k in range(len(design))]
     easier = whole.objective_function.approach
     if easier is None or not recipe.approach or len(done) == len(start_points):
-        for start in _search_each(whole, [p for p in start_points if p.index not in done], callbacks):
+        for start in whole.run_each([p for p in start_points if p.index not in done], callbacks):
             _add_start(start, done, callbacks)
     else:
         _search_by_approach(whole, easier, start_points, done, callbacks)
@@ -126,6 +133,17 @@ class _SearchTask:
         """Return what came of one start."""
         return search(self.objective_function, self.recipe, start_point, stop)
 
+    def run_each(self, start_points: list[StartPoint], callbacks: Callbacks) -> Iterator[Start]:
+        """Yield the search from each place as it ends, in the calling thread."""
+        stop, plan = (
+            TaskStop(callbacks.stop),
+            select_algorithms(self.recipe.algorithm, self.objective_function),
+        )
+        # searches with random numbers take turns, so that none of them may wait for another
+        run = run_parts if any(one.stochastic for one in plan) else run_side_by_side
+        for _, start in run(partial(self.run, stop), start_points, callbacks.pool, callbacks.jobs, stop):
+            yield start
+
 
 def _search_by_approach(
     whole: _SearchTask,
@@ -142,7 +160,7 @@ def _search_by_approach(
     first_recipe = half if easier.jacobian is None else half.model_copy(update={"algorithm": "leastsquares"})
     approach = _SearchTask(whole.problem, first_recipe, of_approach=True)
     ends: dict[int, Start] = {}
-    for end in _search_each(approach, start_points, callbacks):
+    for end in approach.run_each(start_points, callbacks):
         ends[end.index] = end
         callbacks.step(len(ends), len(start_points))
     if callbacks.stop():
@@ -166,7 +184,7 @@ def _search_by_approach(
         # a group whose members are all stored needs no continuation
         if leader[p.index] == p.index and any(k not in done for k in leader if leader[k] == p.index)
     ]
-    for continued in _search_each(_SearchTask(whole.problem, half), begin, callbacks):
+    for continued in _SearchTask(whole.problem, half).run_each(begin, callbacks):
         for index in (k for k in leader if leader[k] == continued.index and k not in done):
             _add_start(continue_start(ends[index], continued), done, callbacks)
 
@@ -189,18 +207,6 @@ def starting_points(lower: Floats, upper: Floats, count: int, rng: np.random.Gen
 
     cube = qmc.Halton(len(lower), scramble=True, rng=rng).random(count)
     return lower + cube * (upper - lower)
-
-
-def _search_each(what: _SearchTask, start_points: list[StartPoint], callbacks: Callbacks) -> Iterator[Start]:
-    """Yield the search from each place as it ends, in the calling thread."""
-    stop = TaskStop(callbacks.stop)
-    # searches with random numbers take turns, so that none of them may wait for another
-    stochastic = any(
-        one.stochastic for one in select_algorithms(what.recipe.algorithm, what.objective_function)
-    )
-    run = run_parts if stochastic else run_side_by_side
-    for _, start in run(partial(what.run, stop), start_points, callbacks.pool, callbacks.jobs, stop):
-        yield start
 
 
 def _select_fit(problem: Problem, minimized: ObjectiveName, starts: tuple[Start, ...], design: Floats) -> Fit:

@@ -36,9 +36,13 @@ from scipy.special import gammaln, logsumexp
 
 from needlefit.arrays import Floats
 from needlefit.inference.fit import Fit
-from needlefit.inference.identifiability.gauss_newton import LocalMinimum, minimize_squares
 from needlefit.inference.identifiability.precision import add_estimated_noise
-from needlefit.inference.identifiability.profile import ProfileSteps, trace_profile
+from needlefit.inference.identifiability.profile import (
+    LocalMinimum,
+    ProfileSteps,
+    minimize_squares,
+    trace_profile,
+)
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.log_density import (

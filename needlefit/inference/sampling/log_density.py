@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.inference.objective import EVALUATION_ERRORS, MAX_FAILED_POINTS
+from needlefit.inference.fit import EVALUATION_ERRORS, MAX_FAILED_POINTS
 from needlefit.inference.problem import Problem
 
 

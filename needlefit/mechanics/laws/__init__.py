@@ -2,7 +2,7 @@
 
 A law is any smooth k(lambda; shape) > 0 with any number of named shape parameters. Where it is a sum of
 powers of the stretch (`PowerLaw`), the kernel evaluates exactly that; any other one is interpolated at
-Chebyshev points (`mechanics/law_form.py`). Reference, kernel, derivatives, fits and `needlefit verify` know
+Chebyshev points (`mechanics/packing.py`). Reference, kernel, derivatives, fits and `needlefit verify` know
 every law without naming any.
 """
 

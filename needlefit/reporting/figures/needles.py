@@ -17,10 +17,10 @@ from matplotlib.patches import Patch
 
 from needlefit.arrays import Floats
 from needlefit.mechanics.control import Bevel, Controls, Step
-from needlefit.mechanics.load import Loads, compute_loads
 from needlefit.mechanics.scene import Entry, Scene
 from needlefit.mechanics.session import NeedleState
 from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points
+from needlefit.mechanics.simulate import Loads, compute_loads
 from needlefit.reporting.figures.style import (
     TEXT_WIDTH_IN,
     choose_vertical_scale,

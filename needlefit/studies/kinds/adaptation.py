@@ -2,7 +2,7 @@
 
 Three approaches to the new medium are scored on one fixed set of held-out needles, through the layers of
 their planned paths. "Inflated": the posterior of the old medium, widened by how much media differ
-(`inference.transferred_prior`), is the prior, and new insertions update it. "New": new insertions alone, from
+(`inference.specimens`), is the prior, and new insertions update it. "New": new insertions alone, from
 the new medium's bounds. "None": the old model as it is. Errors are those of the best fit, as in the tables of
 studies; the CRPS and the intervals are of draws of the posterior.
 """
@@ -23,7 +23,7 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.errors import ConfigError
 from needlefit.inference.fit import Fit
 from needlefit.inference.predict import Draws
-from needlefit.inference.transferred_prior import TransferProblem, TransferredPrior
+from needlefit.inference.specimens import TransferProblem, TransferredPrior
 from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import renamed_keys
 from needlefit.reporting.columns import DIGITS

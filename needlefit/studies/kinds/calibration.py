@@ -29,9 +29,8 @@ from needlefit.inference.forward_model import simulate_deflections
 from needlefit.inference.identifiability.precision import linearize
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import NOISE_SCALE
-from needlefit.inference.predict import Draws, draw_from_prior, thin_posterior
+from needlefit.inference.predict import Draws, draw_from_prior, thin_posterior, wilson_interval
 from needlefit.inference.problem import Problem
-from needlefit.inference.proportions import wilson_interval
 from needlefit.inference.sampling import importance
 from needlefit.inference.sampling.sample import sample
 from needlefit.project.checkpoint import open_checkpoint

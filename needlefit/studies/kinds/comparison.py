@@ -32,7 +32,7 @@ from needlefit.datasets.select import group_independent
 from needlefit.errors import ConfigError
 from needlefit.inference.baseline_fit import CurveDensity
 from needlefit.inference.baselines import list_baselines
-from needlefit.inference.identifiability.gauss_newton import minimize_squares
+from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.parameters import (
     NOISE_SCALE,
     Parameters,

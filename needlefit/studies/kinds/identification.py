@@ -75,12 +75,8 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
     answer. They are taken at the fitted values, or at the paper's hand-tuned set, or in the middle of the
     bounds.
 
-    Raises
-    ------
-    ConfigError, DataError
-        If anything the record names is missing or wrong, or no noise is stated.
-    FitError
-        If the planned insertions have no solution there.
+    Raises ConfigError or DataError if anything the record names is missing or wrong, or no noise is stated.
+    FitError if the planned insertions have no solution there.
     """
     target = target_name(record, settings).removesuffix("-tune")
     job = prepare_target(record, f"identify-{target}", settings)
@@ -88,7 +84,11 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
     fitted = find_kind("fit").compute(job.name, job.record, settings) if record.fit else None
     if fitted is not None and fitted.interrupted:
         return replace(about, interrupted=True)
-    design = _identify_design(job, settings, None if fitted is None else _fitted_values(fitted))
+    values = None
+    if fitted is not None:
+        rows = fitted.frames["parameters"].query("method == 'fitted'")
+        values = dict(zip(rows["parameter"], rows["value"].astype(float), strict=True))
+    design = _identify_design(job, settings, values)
     stages = {"design": design.identification}
     frames = {"directions": design.directions, "profiles": design.profiles}
     work = design.run | about.run
@@ -97,19 +97,10 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
         frames |= {"profiles": fitted.frames["profiles"], "profiles_design": design.profiles}
         work = fitted.run | work
         work |= warnings_entry([*read_warnings(about.run), *read_warnings(fitted.run)])
-    frames["identify"] = stack_stages(stages)
+    # an empty column of one of them has no type
+    parts = [one.dropna(axis=1, how="all").assign(stage=stage) for stage, one in stages.items()]
+    frames["identify"] = pd.concat(parts, ignore_index=True).reindex(columns=list(FRAMES["identify"]))
     return replace(about, frames=frames, run=work, interrupted=settings.stop())
-
-
-def _fitted_values(fitted: Run) -> dict[str, float]:
-    rows = fitted.frames["parameters"].query("method == 'fitted'")
-    return dict(zip(rows["parameter"], rows["value"].astype(float), strict=True))
-
-
-def stack_stages(stages: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """Return the rows of each stage under one another; an empty column of one of them has no type."""
-    parts = [rows.dropna(axis=1, how="all").assign(stage=stage) for stage, rows in stages.items()]
-    return pd.concat(parts, ignore_index=True).reindex(columns=list(FRAMES["identify"]))
 
 
 class _Design(NamedTuple):
@@ -146,10 +137,13 @@ def _identify_design(job: Job, settings: Settings, fitted: Mapping[str, float] |
     sds = dict(zip(expectation.names, expectation.sds[0].tolist(), strict=True))
     profiles = profile_parameters(problem, here, settings.jobs, settings.stop, settings.part_pool)
     found = identify_parameters(problem, profiles, sds, loosened=loosen(problem, theta))
-    rows = [
-        {"fold": fold.name, **row, "value": values[n := row["parameter"]], **_sd_range(expectation, n)}
-        for row in found.rows
-    ]
+    near = dict(zip(expectation.names, expectation.sds.T, strict=True))  # over all places
+    rows = []
+    for row in found.rows:
+        rows.append({"fold": fold.name, **row, "value": values[row["parameter"]]})
+        if row["parameter"] in near:
+            sds = near[row["parameter"]]
+            rows[-1] |= {"sd_low": float(sds.min()), "sd_high": float(sds.max())}
     parameters = [n for n in job.parameters.names if any(n in row for row in found.points)]
     depths = [insertion.depth for insertion in fold.tune]
     stated = {
@@ -168,14 +162,6 @@ def _identify_design(job: Job, settings: Settings, fitted: Mapping[str, float] |
         _tabulate_directions(expectation),
         stated,
     )
-
-
-def _sd_range(expectation: ExpectedPrecision, name: str) -> dict[str, float]:
-    """Return the range of a parameter's expected deviation over all places."""
-    if name not in expectation.names:
-        return {}
-    column = expectation.sds[:, expectation.names.index(name)]
-    return {"sd_low": float(column.min()), "sd_high": float(column.max())}
 
 
 def _tabulate_directions(expectation: ExpectedPrecision) -> pd.DataFrame:
@@ -223,8 +209,8 @@ def describe(found: Run) -> dict[str, Any]:
     return {
         "fitted": last == "fit",
         "verdicts": describe_verdicts(select_stage(found, "fit")),
-        **{name: [row["parameter"] for row in free if bool(row["determined"]) is is_known]
-           for name, is_known in (("known", True), ("loose", False))},
+        "known": [row["parameter"] for row in free if row["determined"]],
+        "loose": [row["parameter"] for row in free if not row["determined"]],
         "about": {**found.run, "depths": list(depths), "thickness_mm": thickness},
         "expected": [_describe_expected(row, directions) for row in design if row["sd_low"] is not None],
         "fixed": [
@@ -235,38 +221,34 @@ def describe(found: Run) -> dict[str, Any]:
             }
             for row, tip in moved
         ],
-    }  # fmt: skip
+    }
 
 
 def _describe_expected(row: Row, directions: list[Row]) -> Row:
     """Return what a design determines about one free parameter."""
     name, sd, low, high = str(row["parameter"]), row["sd"], row["sd_low"], row["sd_high"]
+    first, last = (format_sd(one, is_logarithmic(name)) for one in (low, high))
+    last = last.removeprefix("factor ") if first.startswith("factor") else last
+    # the best-determined combination that contains the parameter, if it is determined
+    named = (one for one in directions if abs(one[f"weight_{name}"]) >= MIN_NAMED_WEIGHT)
+    only = next(
+        (
+            f"{one['combination']} ({one['note'].split(' is known ', 1)[-1]})"
+            for one in named
+            if one["sd_ratio"] < UNINFORMED_SD_RATIO and one["sd"] < MAX_LOG_SD
+        ),
+        "",
+    )
     return {
         **row,
         "name": short_name(name),
         "known": describe_posterior_sd(name, sd),
-        "near": "" if high < 1.3 * low else _format_sd_range(name, low, high),
+        "near": "" if high < 1.3 * low else f"{first} to {last}".replace("factor", "a factor of"),
         "agrees": row["agreement"] == AGREEMENT,
         "uninformed": row["sd_ratio"] > UNINFORMED_SD_RATIO,
         "by_data": is_determined_by_data(name, sd, sd / float(row["sd_ratio"])),
-        "only": _find_combination(directions, name),
+        "only": only,
     }
-
-
-def _find_combination(directions: list[Row], name: str) -> str:
-    """Return the best-determined combination that contains the parameter, if it is determined."""
-    for one in directions:
-        named = abs(one[f"weight_{name}"]) >= MIN_NAMED_WEIGHT
-        if named and one["sd_ratio"] < UNINFORMED_SD_RATIO and one["sd"] < MAX_LOG_SD:
-            return f"{one['combination']} ({one['note'].split(' is known ', 1)[-1]})"
-    return ""
-
-
-def _format_sd_range(name: str, low: float, high: float) -> str:
-    """Return the range of a deviation over places in words."""
-    first, last = (format_sd(sd, is_logarithmic(name)) for sd in (low, high))
-    last = last.removeprefix("factor ") if first.startswith("factor") else last
-    return f"{first} to {last}".replace("factor", "a factor of")
 
 
 def judge(found: Run) -> list[Verdict]:
@@ -285,24 +267,16 @@ def lay_out_tables(found: Run) -> list[Table | TableLayout]:
         fitted = lay_out_identification(select_stage(found, "fit"))
         tables.append(replace(fitted, name="identification_fit"))
     tables.append(lay_out_identification(select_stage(found, "design"), expected=True))
-    rows = [
-        {
-            **row,
-            **_format_near(row),
-            "combination": insert_symbols(str(row["combination"])),
-            "known_to": insert_symbols(str(row["note"]).split(" is ", 1)[1]),
-        }
-        for row in to_records(found.frames["directions"])
-    ]
+    rows = []
+    for row in to_records(found.frames["directions"]):
+        weights = {key.removeprefix("weight_"): one for key, one in row.items() if key.startswith("weight_")}
+        vector, names = np.array(list(weights.values())), list(weights)
+        near = {key: format_combination_sd(row[key], vector, names) for key in ("sd_low", "sd_high")}
+        words = (row["combination"], str(row["note"]).split(" is ", 1)[1])
+        combination, known = (insert_symbols(str(one)) for one in words)
+        rows.append({**row, **near, "combination": combination, "known_to": known})
     columns = ("combination", "sd_low", "sd_high", "combination_sd_ratio", "known_to")
     return [*tables, Table("directions", "", rows, columns)]
-
-
-def _format_near(row: Row) -> Row:
-    """Return the least and greatest deviation of a combination over places, as they are printed."""
-    weights = {key.removeprefix("weight_"): one for key, one in row.items() if key.startswith("weight_")}
-    vector = np.array(list(weights.values()))
-    return {key: format_combination_sd(row[key], vector, list(weights)) for key in ("sd_low", "sd_high")}
 
 
 def draw(found: Run) -> dict[str, Drawing]:

@@ -33,7 +33,6 @@ from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.held_out_predictions import (
     PREDICTIVE_COLUMNS,
     NewSpecimens,
-    PosteriorFit,
     fit_posterior,
     tabulate_held_out,
 )
@@ -73,10 +72,7 @@ FRAMES: Mapping[str, tuple[str, ...]] = {
 def run(name: str, record: LeftOutRecord, settings: Settings) -> Run:
     """Run a leave-one-out study.
 
-    Raises
-    ------
-    ConfigError, DataError
-        If anything the record names is missing or wrong.
+    Raises ConfigError or DataError if anything the record names is missing or wrong.
     """
     jobs = [_prepare_job(name, fit, settings) for fit in record.fits]
     tasks: dict[str, AnalysisTask] = {}
@@ -129,15 +125,13 @@ def _run_task(job: Job, fold: Fold, where: tuple[str, str], settings: Settings) 
     new = NewSpecimens(job, fold, np.array(learned.fit.theta))
     certified = where[1] != "nothing" and not learned.draws.faults
     rows = tabulate_held_out(job, fold, learned.draws, new) if certified else ()
-    predicted = [{**head, **row} for row in rows]
-    return {"errors": errors, "predictive": predicted, "fits": _fit_rows(head, fold, learned)}
-
-
-def _fit_rows(head: Row, fold: Fold, learned: PosteriorFit) -> list[Row]:
-    about = {"fold": fold.name, "insertions": len(fold.tune), "pareto_k": learned.k}
+    about = {**head, "fold": fold.name, "insertions": len(fold.tune), "pareto_k": learned.k}
     about |= {"sampled": learned.sampled, "certified": not learned.draws.faults}
-    values = learned.fit.values.items()
-    return [{**head, **about, "parameter": name, "value": value} for name, value in values]
+    return {
+        "errors": errors,
+        "predictive": [{**head, **row} for row in rows],
+        "fits": [{**about, "parameter": name, "value": one} for name, one in learned.fit.values.items()],
+    }
 
 
 #: of each headline metric: `value` left out; `difference`, that minus the error in sample, of the same
@@ -316,10 +310,18 @@ _ERROR_COLUMNS = (
 
 
 def tabulate(result: Run) -> list[Table]:
-    """Return errors left out and in sample, of the fit and of curves, and how well what is left out was
-    predicted.
-    """
-    errors = [one for fit in _list_fits(result) for one in _describe_fit(fit)]
+    """Return errors left out and in sample, of the fit and of curves, and coverage of what is left out."""
+    errors = list[Row]()
+    for rows in _list_fits(result):
+        about = {"fit": medium_name(rows[0]["fit"])}
+        if rows[0]["note"]:  # why there are no errors
+            errors.append(
+                {**rows[0], **dict.fromkeys(_ERROR_COLUMNS, ""), **about, "metric": rows[0]["note"]}
+            )
+            continue
+        for number, row in enumerate(rows):
+            once = {"pareto_k": row["pareto_k"] if not number else "", "sampled": row["sampled"] or None}
+            errors.append({**row, **about, **once, "error_left_out": row["value"]})
     columns = (
         *("fit", "left_out", "groups", "insertions", "metric", "error_left_out", "in_sample", "gap_left_out"),
         *("planned", "baseline_value", "floor", "pareto_k_sampled"),
@@ -344,17 +346,6 @@ def tabulate(result: Run) -> list[Table]:
         Table("paired", "", paired, of_pairs, groups=_WHERE, heads=4),
         Table("coverage", "", covered, (*_WHERE, *COVERAGE_COLUMNS)),
     ]
-
-
-def _describe_fit(rows: list[Row]) -> Iterator[Row]:
-    """Yield the lines of one kind of group: one for each metric, or why there are none."""
-    about = {"fit": medium_name(rows[0]["fit"])}
-    if rows[0]["note"]:
-        yield {**rows[0], **dict.fromkeys(_ERROR_COLUMNS, ""), **about, "metric": rows[0]["note"]}
-        return
-    for number, row in enumerate(rows):
-        once = {"pareto_k": row["pareto_k"] if not number else "", "sampled": row["sampled"] or None}
-        yield {**row, **about, **once, "error_left_out": row["value"]}
 
 
 def draw(result: Run) -> dict[str, Drawing]:

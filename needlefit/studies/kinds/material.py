@@ -1,6 +1,5 @@
 """Fit the Ogden law to every specimen of a compression test, and pool them to the prior of a layer."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -53,16 +52,17 @@ FURTHER_SPECIMEN = "(a further one)"
 def run(name: str, record: CompressionRecord, settings: Settings) -> Run:
     """Fit the test in `record.file`.
 
-    Raises
-    ------
-    ConfigError, DataError
-        If the file, or the stated foundation factor, is missing or wrong.
+    Raises ConfigError or DataError if the file, or the stated foundation factor, is missing or wrong.
     """
     foundation = None if record.foundation is None else MaterialFoundation(*record.foundation)
     test = read_compression(Path(record.file), record.stress)
     material = fit_material(test)
     named = {"file": test.path.name, "title": record.title or f"Compression test {test.path.name}"}
-    stored = record.model_copy(update=named)
+    stored, prior = record.model_copy(update=named), None
+    if material.alpha_identified:
+        alpha, mu = make_material_prior(material, foundation)
+        stated = {"alpha": alpha} if mu is None else {"alpha": alpha, "mu_pa": mu}
+        prior = {key: one.model_dump(exclude_defaults=True) for key, one in stated.items()}
     return Run(
         kind=record.kind,
         name=name,
@@ -72,14 +72,10 @@ def run(name: str, record: CompressionRecord, settings: Settings) -> Run:
         frames={
             "material": pd.DataFrame(_tabulate_material(material)),
             "regions": pd.DataFrame(
-                [
-                    (fit.specimen.name, low, high)
-                    for fit in material.fits
-                    for low, high in fit.profile.regions
-                ],
+                [(fit.specimen.name, *region) for fit in material.fits for region in fit.profile.regions],
                 columns=["specimen", "low", "high"],
             ),
-            "curves": _tabulate_curves(material),
+            "curves": pd.concat([_specimen_curve(fit) for fit in material.fits], ignore_index=True),
             "profiles": _tabulate_profiles(material),
         },
         run={
@@ -91,19 +87,11 @@ def run(name: str, record: CompressionRecord, settings: Settings) -> Run:
             "measure": test.measure,
             "law": "ogden, one term, incompressible: energy 2 mu / alpha^2 (sum lambda^alpha - 3)",
             "alpha_range": list(ALPHA_RANGE),
-            "prior": _tabulate_prior(material, foundation) if material.alpha_identified else None,
+            "prior": prior,
             **warnings_entry(ResultWarning("compression_test", what) for what in test.warnings),
         },
         timing={},
     )
-
-
-def _tabulate_prior(
-    material: MaterialEstimate, foundation: MaterialFoundation | None
-) -> Mapping[str, Mapping[str, Any]]:
-    alpha, mu = make_material_prior(material, foundation)
-    stated = {"alpha": alpha} if mu is None else {"alpha": alpha, "mu_pa": mu}
-    return {name: one.model_dump(exclude_defaults=True) for name, one in stated.items()}
 
 
 def _tabulate_material(material: MaterialEstimate) -> list[dict[str, Any]]:
@@ -154,14 +142,20 @@ def _specimen_row(fit: SpecimenFit) -> dict[str, Any]:
 PRIOR_LABEL = "(prior, ± one sd)"
 
 
-def _tabulate_curves(material: MaterialEstimate) -> pd.DataFrame:
-    """Return measured and fitted stress of all specimens, Pa, negative in compression."""
-    return pd.concat([_specimen_curve(fit) for fit in material.fits], ignore_index=True)
-
-
 def _tabulate_profiles(material: MaterialEstimate) -> pd.DataFrame:
-    """Return the profiles of alpha of all specimens, then the ends of the prior, if there is one."""
-    found = [_specimen_profile(fit) for fit in material.fits]
+    """Return the profiles of alpha, each 0 at its peak, then the ends of the prior, if there is one."""
+    found = [
+        pd.DataFrame(
+            {
+                "specimen": fit.specimen.name,
+                "alpha": fit.profile.alpha,
+                "mu_pa": 1e6 * fit.profile.mu,
+                "log_likelihood": -0.5 * fit.effective_points * np.log(fit.profile.ratio),
+                "in_95_region": fit.profile.ratio <= fit.profile.limit,
+            }
+        ).replace({np.inf: np.nan, -np.inf: np.nan})  # of what no positive mu fits
+        for fit in material.fits
+    ]
     if material.alpha_identified:
         ends = [float(material.mean[1]) + side * material.sds[1] for side in (-1.0, 1.0)]
         found.append(pd.DataFrame({"specimen": PRIOR_LABEL, "alpha": ends, "in_95_region": False}))
@@ -181,20 +175,6 @@ def _specimen_curve(fit: SpecimenFit) -> pd.DataFrame:
             "residual_pa": 1e6 * fit.residuals,
         }
     )
-
-
-def _specimen_profile(fit: SpecimenFit) -> pd.DataFrame:
-    """Return the profile of alpha, 0 at its peak; log likelihoods of what no positive mu fits are missing."""
-    ratio = fit.profile.ratio
-    return pd.DataFrame(
-        {
-            "specimen": fit.specimen.name,
-            "alpha": fit.profile.alpha,
-            "mu_pa": 1e6 * fit.profile.mu,
-            "log_likelihood": -0.5 * fit.effective_points * np.log(ratio),
-            "in_95_region": ratio <= fit.profile.limit,
-        }
-    ).replace({np.inf: np.nan, -np.inf: np.nan})
 
 
 # ---- the report
@@ -242,36 +222,31 @@ _COLUMNS = (
 
 def tabulate(found: Run) -> list[Table]:
     """Return the table of specimens."""
-    rows = [_describe_specimen(found, row) for row in list_specimens(found)]
+    rows, stress = [], found.frames["curves"].groupby("specimen")["measured_pa"]
+    size = stress.agg(lambda values: np.max(np.abs(values)))
+    for row in list_specimens(found):
+        identified = row["alpha_identified"]
+        regions = " or ".join(f"{one['low']:.2f} to {one['high']:.2f}" for one in row["regions"])
+        several = "one of several" if len(row["regions"]) > 1 else "not identified"
+        cells = {
+            "mu_kpa": row["mu_pa"] / 1e3 if identified else None,
+            "alpha": row["alpha"] if identified else None,
+            "alpha_regions_95": regions.replace("-", "−"),
+            "residual_percent": f"{100 * row['residual_sd_pa'] / size[row['specimen']]:.2g}",
+            "alpha_verdict": "identified" if identified else several,
+        }
+        rows.append({**row, **cells})
     return [Table("material", "", rows, _COLUMNS)]
 
 
-def _describe_specimen(found: Run, row: Row) -> Row:
-    curves, identified = found.frames["curves"], row["alpha_identified"]
-    size = float(np.max(np.abs(curves.loc[curves["specimen"] == row["specimen"], "measured_pa"])))
-    regions = " or ".join(f"{one['low']:.2f} to {one['high']:.2f}" for one in row["regions"])
-    several = "one of several" if len(row["regions"]) > 1 else "not identified"
-    return {
-        **row,
-        "mu_kpa": row["mu_pa"] / 1e3 if identified else None,
-        "alpha": row["alpha"] if identified else None,
-        "alpha_regions_95": regions.replace("-", "−"),
-        "residual_percent": f"{100 * row['residual_sd_pa'] / size:.2g}",
-        "alpha_verdict": "identified" if identified else several,
-    }
+_STRESS_LABEL = "stress (kPa),\npositive in compression"
 
 
 def draw(found: Run) -> dict[str, Drawing]:
     """Return curves with their residuals, and the profiles of alpha."""
     measure = found.run["measure"]
     panels = (
-        Panel(
-            f"{measure} stress (kPa),\npositive in compression",
-            "fitted_pa",
-            "measured_pa",
-            scale=-1e-3,
-            share=2.2,
-        ),
+        Panel(f"{measure} {_STRESS_LABEL}", "fitted_pa", "measured_pa", scale=-1e-3, share=2.2),
         Panel("fitted minus\nmeasured (kPa)", "residual_pa", scale=1e-3, zero=True),
     )
     options = {"x": "stretch", "by": "specimen", "panels": panels, "falling": True}

@@ -19,7 +19,7 @@ from pydantic import Field, PositiveFloat, model_validator
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
 from needlefit.geometry.crossings import find_crossings
-from needlefit.inference.proportions import wilson_interval
+from needlefit.inference.predict import wilson_interval
 from needlefit.planning.aiming import (
     Aim,
     ExecutionDraw,
@@ -139,12 +139,8 @@ GetDraws = Callable[[], _PlanningDraws | None]
 def run(name: str, record: PlanRecord, settings: Settings) -> Run:
     """Return the plan of a study and its expected miss, beside those of other plans.
 
-    Raises
-    ------
-    ConfigError, DataError
-        If anything the record names is missing or wrong.
-    FitError
-        If the fit has no solution.
+    Raises ConfigError or DataError if anything the record names is missing or wrong. FitError if the fit has
+    no solution.
     """
     job = prepare(name, record.tuning(), settings)
     site = make_site(job, record)

@@ -135,17 +135,15 @@ _FITTED_RULES = ("advance", "constraint_spacing_mm", "constraint_switch", "tange
 def make_scene(record: SceneRecord, where: str, medium: MediumRecord, changed: Sequence[str] = ()) -> Scene:
     """Return a planned insertion under the rules of the fit, with the lattice that the scene states.
 
+    Raises ConfigError if the scene states what the fit does not have, or the user changed what the draws
+    replace.
+
     Parameters
     ----------
     where : str
         Named in errors.
     changed : sequence of str
         Dotted keys that the user changed in the scene.
-
-    Raises
-    ------
-    ConfigError
-        If the scene states what the fit does not have, or the user changed what the draws replace.
     """
     _require_fitted_rules(record, where, medium)
     dropped = [key for key in changed if _REPLACED.match(key)]
@@ -247,12 +245,8 @@ def forecast(
     they err in a typical insertion of the dataset. With `new` the insertion goes into a specimen that is not
     in the dataset; without, `otherwise` is what its specimen is called.
 
-    Raises
-    ------
-    ConfigError
-        If the scene has more layers than the medium, or another needle than the dataset.
-    ModelError
-        If no draw can be solved.
+    Raises ConfigError if the scene has more layers than the medium, or another needle than the dataset.
+    ModelError if no draw can be solved.
     """
     _check(scene, job.medium, job.dataset)
     rng = random_stream(job.recipe.seed, job.name, "forecast")
@@ -361,15 +355,12 @@ def draw_parameters(
 ) -> Draws | None:
     """Return draws of the posterior stored in the folder `run`, or, if there is none, about a new fit.
 
+    Raises ConfigError if the posterior is of other data or another configuration, or the folder holds none.
+
     Returns
     -------
     Draws or None
         None after a stop.
-
-    Raises
-    ------
-    ConfigError
-        If the posterior is of other data or another configuration, or the folder holds none.
     """
     if settings.inputs.posterior is not None:
         return thin_posterior(settings.inputs.posterior, job.parameters, PREDICTION_DRAWS)
@@ -430,12 +421,8 @@ def require_same_configuration(job: Job, recorded: Mapping[str, Any], where: str
 def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     """Predict the planned insertion of a record.
 
-    Raises
-    ------
-    ConfigError, DataError
-        If anything the record names is missing or wrong, or its posterior is of something else.
-    ModelError
-        If no draw can be solved.
+    Raises ConfigError or DataError if anything the record names is missing or wrong, or its posterior is of
+    something else. ModelError if no draw can be solved.
     """
     job = prepare_target(record, target_name(record, settings), settings)
     scene = make_scene(record.scene, record.scene_name, job.medium)

@@ -28,7 +28,7 @@ from pydantic import Field
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.read import read
-from needlefit.inference.compared_points import Curve, make_curve
+from needlefit.inference.compared_points import Curve, SimulatedCurve
 from needlefit.mechanics.control import Bevel, ModelOptions
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
@@ -168,7 +168,9 @@ def _true_predictor(seed: int) -> score.Predictor:
             gamma = np.array([twin.specimen.friction])
             tissue = Tissue(mu, alpha, insertion.boundaries, friction=gamma)
         bevel = Bevel(bevel_offset(twin.specimen, twin.planned), insertion.side)
-        return make_curve(simulate(draw_needle(seed), tissue, bevel, insertion.depth, rules=ModelOptions()))
+        return SimulatedCurve(
+            simulate(draw_needle(seed), tissue, bevel, insertion.depth, rules=ModelOptions())
+        )
 
     return score.curve_predictor(curve)
 

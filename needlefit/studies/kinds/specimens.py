@@ -23,8 +23,8 @@ from needlefit.errors import ConfigError, FitError
 from needlefit.inference.identifiability.precision import describe_combination
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import is_logarithmic
+from needlefit.inference.predict import wilson_interval
 from needlefit.inference.problem import Problem
-from needlefit.inference.proportions import wilson_interval
 from needlefit.inference.sampling.importance import Effort, sample_about_fit
 from needlefit.inference.specimens import (
     KERNELS_PER_SPECIMEN,

@@ -24,8 +24,8 @@ from needlefit.inference.identifiability.identify import identify
 from needlefit.inference.likelihood.observation import Observation, make_observation
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import NOISE_SCALE, is_logarithmic
+from needlefit.inference.predict import estimate_proportion
 from needlefit.inference.problem import Problem
-from needlefit.inference.proportions import estimate_proportion
 from needlefit.inference.sampling.importance import resample_draws, sample_about_fit
 from needlefit.inference.sampling.posterior import PERCENTILES, Posterior
 from needlefit.inference.sampling.sample import Snapshots, sample_from_fit

@@ -24,13 +24,13 @@ from scipy.interpolate import CubicHermiteSpline
 from needlefit.arrays import Floats
 from needlefit.mechanics import native, reference
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions
+from needlefit.mechanics.laws import Numbers
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.simulate import STATUS_NAMES, equilibrium, pack_equilibrium, simulate
 from needlefit.mechanics.tissue import Tissue
 from needlefit.verification.cases import (
     PAPER_NEEDLE,
     STEP,
-    Numbers,
     ReferenceLaw,
     make_tissue,
     require_converged,

@@ -12,10 +12,9 @@ continuity of u to u''' from piece to piece.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_bvp
 
-from needlefit.arrays import Floats, Ints
+from needlefit.arrays import Bools, Floats, Ints
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.simulate import equilibrium, simulate_steps
@@ -39,7 +38,7 @@ class SmoothPieces:
     """The needle divided where the equation is not smooth: P pieces between P + 1 edges."""
 
     edges: Floats  #: (P + 1,) from base to tip, mm
-    inserted: NDArray[np.bool_]  #: (P,) whether the piece lies in the tissue
+    inserted: Bools  #: (P,) whether the piece lies in the tissue
     layer: Ints  #: (P,)
     cut: Floats  #: (P,) y of the nearest constraint point, mm
 
@@ -159,33 +158,25 @@ def make_boundary_conditions(pieces: SmoothPieces, controls: Controls) -> tuple[
     return A, B, d
 
 
-FINE_OPTIONS = ModelOptions(element=0.25, tolerance=1e-9)
-
-
-def compare_with_collocation(tissue: Tissue, steps: tuple[Step, ...]) -> tuple[float, float]:
-    """Return the difference, mm, of the last equilibrium from collocation, on the fine and default mesh."""
-    constraints = require_converged(simulate_steps(PAPER_NEEDLE, tissue, steps)).constraints
-    controls = steps[-1].controls
-    x, u = collocate(PAPER_NEEDLE, tissue, constraints, controls)
-    shapes = (
-        equilibrium(PAPER_NEEDLE, tissue, constraints, controls, rules)
-        for rules in (FINE_OPTIONS, ModelOptions())
-    )
-    fine, default = (worst(np.abs(interpolate(require_converged(shape), x) - u)) for shape in shapes)
-    return fine, default
-
-
 def _check(title: str, tissue: Tissue, *steps: Step) -> Check:
+    """Return a check of the last equilibrium of an insertion."""
+
+    def measure(rng: np.random.Generator) -> CheckOutcome:
+        constraints = require_converged(simulate_steps(PAPER_NEEDLE, tissue, steps)).constraints
+        controls = steps[-1].controls
+        x, u = collocate(PAPER_NEEDLE, tissue, constraints, controls)
+        shapes = (
+            equilibrium(PAPER_NEEDLE, tissue, constraints, controls, rules)
+            for rules in (ModelOptions(element=0.25, tolerance=1e-9), ModelOptions())
+        )
+        errors = (worst(np.abs(interpolate(require_converged(shape), x) - u)) for shape in shapes)
+        return CheckOutcome(tuple(errors))
+
     quantities = (
         Quantity("difference of the deflection, h = 0.25 mm", at_most(1e-6), "mm"),
         Quantity("difference of the deflection, h = 1 mm", at_most(1e-5), "mm"),
     )
-    return Check(
-        Group.COLLOCATION,
-        title,
-        quantities,
-        lambda rng: CheckOutcome(compare_with_collocation(tissue, steps)),
-    )
+    return Check(Group.COLLOCATION, title, quantities, measure)
 
 
 _FREE = Bevel(0.085)

@@ -9,9 +9,8 @@ from needlefit.arrays import Floats
 from needlefit.mechanics import reference
 from needlefit.mechanics.batch import Batch, simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
-from needlefit.mechanics.law_form import compile_law
 from needlefit.mechanics.laws import LAWS, TissueLaw
-from needlefit.mechanics.packing import evaluate_layer
+from needlefit.mechanics.packing import compile_law, evaluate_layer
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.tissue import Tissue
 from needlefit.verification.cases import (
@@ -41,7 +40,10 @@ def measure_law(name: str, rng: np.random.Generator) -> CheckOutcome:
     law = LAWS[name]
     shapes = law.draw_shape(rng, (SHAPES,))
     tissue = Tissue(np.ones(SHAPES), shapes, np.arange(1.0, SHAPES), THICKNESS_MM, law=name)
-    d = rng.uniform(0, _find_reach(name, shapes), STRETCHES)
+    table, exponents = compile_law(name, shapes)
+    # the largest |e| / t to compare at; tables may end before
+    reach = MAX_COMPRESSION if exponents.shape[1] else min(MAX_COMPRESSION, table[:, 0].min())
+    d = rng.uniform(0, reach, STRETCHES)
     errors = []
     for layer in range(SHAPES):
         shape = [np.full(STRETCHES, value) for value in shapes[:, layer]]
@@ -66,12 +68,6 @@ def _differentiate_stress(law: TissueLaw, stretch: Floats, shape: Sequence[Float
         return law.k(stretch, *shape)
     found: Floats = stress.imag / STEP
     return found
-
-
-def _find_reach(name: str, shapes: Floats) -> float:
-    """Return the largest |e| / t to compare at; tables may end before."""
-    table, exponents = compile_law(name, shapes)
-    return MAX_COMPRESSION if exponents.shape[1] else min(MAX_COMPRESSION, table[:, 0].min())
 
 
 def _differences(function: Callable[..., Floats], arguments: Sequence[Floats], which: int) -> Floats:

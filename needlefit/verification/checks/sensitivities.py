@@ -15,13 +15,12 @@ from needlefit.arrays import Bools, Floats
 from needlefit.mechanics import reference
 from needlefit.mechanics.batch import linearize_steps
 from needlefit.mechanics.control import Controls, ModelOptions
-from needlefit.mechanics.laws import LAWS
+from needlefit.mechanics.laws import LAWS, Numbers
 from needlefit.mechanics.plan import TipStop, make_lattice, plan_stops
 from needlefit.verification.cases import (
     EXACT_OPTIONS,
     STEP,
     Draw,
-    Numbers,
     RandomCase,
     ReferenceLaw,
     draw_case,

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from needlefit.mechanics.control import Bevel, Controls, Step
-from needlefit.mechanics.load import compute_loads
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import make_lattice
 from needlefit.mechanics.scene import Scene, simulate_scene
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.shape import sample_inserted_points
+from needlefit.mechanics.simulate import compute_loads
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.toml import check
 from needlefit.schemas.scene import SceneRecord

@@ -33,9 +33,7 @@ export function goTo(depth) {
 /** The depth of the measured insertion, or else of the scene. */
 export const ownDepth = () => now.scene.measured?.depth_mm ?? now.scene.depth_mm;
 
-export function flip(at) {
-  change([["bevel_side", null, -wanted("bevel_side", null, now.state.bevel.side)]], { at });
-}
+export const flip = (at) => change([["bevel_side", null, -wanted("bevel_side", null, now.state.bevel.side)]], { at });
 
 export function nudgeBase(steps, at) {
   const y = wanted("base_y_mm", null, now.state.base.input_y) + steps * STEP.base_mm;
@@ -62,9 +60,7 @@ export function addGuide(x = freePlace(), at = performance.now()) {
 }
 
 /** Hold the tip where it is, or let go of it. */
-export function toggleTip(at) {
-  change([["tip_held", null, now.state.tip.held ? 0 : 1]], { at });
-}
+export const toggleTip = (at) => change([["tip_held", null, now.state.tip.held ? 0 : 1]], { at });
 
 export const undo = () => undoGoal() || command({ do: "undo" });
 export const redo = () => redoGoal() || command({ do: "redo" });

@@ -111,9 +111,7 @@ function distance(px, py, x, y, i) {
 }
 
 /** Distance of the tip from the target, mm; null without one. */
-export function tipError({ tip }) {
-  return aim.target && Math.hypot(tip.x - aim.target[0], tip.y - aim.target[1]);
-}
+export const tipError = ({ tip }) => aim.target && Math.hypot(tip.x - aim.target[0], tip.y - aim.target[1]);
 
 listen("scene", () => {
   known = EMPTY;

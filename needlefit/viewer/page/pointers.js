@@ -102,9 +102,6 @@ function wheel(event) {
 }
 
 const RAW = "onpointerrawupdate" in canvas;
-canvas.addEventListener("pointerdown", down);
-canvas.addEventListener("pointermove", moved);
-if (RAW) canvas.addEventListener("pointerrawupdate", follow);
-canvas.addEventListener("pointerup", up);
-canvas.addEventListener("pointercancel", up);
+const HEARD = { pointerdown: down, pointermove: moved, pointerrawupdate: follow, pointerup: up, pointercancel: up };
+for (const [kind, hear] of Object.entries(HEARD)) canvas.addEventListener(kind, hear);
 canvas.addEventListener("wheel", wheel, { passive: false });

@@ -8,16 +8,12 @@ export function signed(value, digits) {
 }
 
 /** A number of so many significant digits, without idle zeros, as a field holds it. */
-export function brief(value, digits = 4) {
-  return String(Number(Number(value).toPrecision(digits)));
-}
+export const brief = (value, digits = 4) => String(Number(Number(value).toPrecision(digits)));
 
 export const counted = (count, one) => `${count} ${one}${count === 1 ? "" : "s"}`;
 
 /** Groups of three digits, apart by thin spaces. */
-export function grouped(value) {
-  return Math.round(value).toString().replace(/\B(?=(\d{3})+$)/g, "\u2009");
-}
+export const grouped = (value) => Math.round(value).toString().replace(/\B(?=(\d{3})+$)/g, "\u2009");
 
 /** A modulus, Pa, as it is read: in MPa. */
 export const asMpa = (pascal) => brief(pascal * 1e-6);

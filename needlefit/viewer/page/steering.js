@@ -20,9 +20,7 @@ export const newGesture = () => ++gestures;
 const key = (name, item) => `${name} ${item ?? ""}`;
 
 /** What an input was last asked to be, or `otherwise` where the server's state already has it. */
-export function wanted(name, item, otherwise) {
-  return asked.get(key(name, item))?.value ?? otherwise;
-}
+export const wanted = (name, item, otherwise) => asked.get(key(name, item))?.value ?? otherwise;
 
 /**
  * Ask for a change.

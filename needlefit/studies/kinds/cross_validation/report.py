@@ -20,7 +20,7 @@ from needlefit.datasets.select import group_independent
 from needlefit.inference.baselines import BASELINES, list_baselines
 from needlefit.inference.identifiability.precision import UNINFORMED_SD_RATIO
 from needlefit.inference.parameters import BEVEL_SPREAD, find_tie_spread, is_logarithmic, parse_tie
-from needlefit.inference.proportions import estimate_proportion
+from needlefit.inference.predict import estimate_proportion
 from needlefit.metrics import headline_metrics, list_metrics
 from needlefit.project.result_warnings import read_warnings
 from needlefit.reporting import document, labels, latex
@@ -53,9 +53,8 @@ from needlefit.studies.kinds.cross_validation import tables
 from needlefit.studies.rank_statistics import ecdf_band
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Run, Status, Verdict, judge_errors, judge_run, qualify
-from needlefit.studies.score import list_methods
+from needlefit.studies.score import describe_outside, list_methods
 from needlefit.studies.slicer import write_needles
-from needlefit.studies.validity import describe_outside
 
 PAPER_SETS = ("hand_tuned", "hand_tuned_b")
 

@@ -38,15 +38,19 @@ from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.fit_frames import COLUMNS as FRAMES
 from needlefit.studies.fit_warnings import add_warnings
 from needlefit.studies.held_out_predictions import NewSpecimens, draw_fold_parameters, predict_held_out
-from needlefit.studies.identification import identify_parameters, reconcile_verdict
+from needlefit.studies.identification import (
+    NO_SOURCE,
+    add_intervals,
+    identify_parameters,
+    intervals_of_draws,
+    reconcile_verdict,
+)
 from needlefit.studies.job import Fold, Job, Settings, prepare
 from needlefit.studies.needles_in_scan import FoldFit, NeedleInScan, place_needles, tabulate_needles
-from needlefit.studies.parameter_intervals import NO_SOURCE, add_intervals, intervals_of_draws
 from needlefit.studies.run import Run, describe_configuration
-from needlefit.studies.score import Row, Scorer, make_predictors
+from needlefit.studies.score import VALIDITY_KEY, Row, Scorer, ValidityCounts, make_predictors
 from needlefit.studies.scored_groups import count_reasons, tabulate_design
 from needlefit.studies.simulated_data import find_true_value
-from needlefit.studies.validity import VALIDITY_KEY, ValidityCounts
 
 __all__ = ["FRAMES", "Settings", "run"]
 
@@ -58,12 +62,8 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
     The same record, data, seed and versions give the same frames for any number of jobs, and after an
     interruption with `resume`.
 
-    Raises
-    ------
-    ConfigError, DataError
-        If anything the record names is missing or wrong.
-    FitError
-        If a search finds no point that can be solved.
+    Raises ConfigError or DataError if anything the record names is missing or wrong. FitError if a search
+    finds no point that can be solved.
     """
     begin = time.time()
     job = prepare(name, record, settings)

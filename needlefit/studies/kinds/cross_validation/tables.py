@@ -17,7 +17,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.select import group_independent
 from needlefit.inference.identifiability.precision import Direction, principal_directions
 from needlefit.inference.parameters import HYPERPARAMETERS, is_logarithmic
-from needlefit.inference.proportions import estimate_proportion
+from needlefit.inference.predict import estimate_proportion
 from needlefit.inference.sampling.posterior import PERCENTILES
 from needlefit.metrics import Metric, headline_metrics, list_metrics
 from needlefit.reporting.columns import DIGITS

@@ -1,0 +1,395 @@
+"""Commands that make and check data: init, new dataset, import, check, twin."""
+
+import shlex
+import shutil
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import typer
+
+from needlefit.cli import screen
+from needlefit.cli.execution import open_pool
+from needlefit.cli.exit_codes import Invocation
+from needlefit.cli.options import argument, complete_checked, flag, option, takes
+from needlefit.cli.progress import show_progress
+from needlefit.errors import ConfigError, DataError
+from needlefit.project.locate import PROJECT_FOLDERS, join_names, shipped_folder
+from needlefit.project.processes import count_cores
+from needlefit.project.result_warnings import WARNINGS_KEY, to_rows
+
+if TYPE_CHECKING:
+    from needlefit.datasets.importing.decisions import Question
+    from needlefit.datasets.insertion import Dataset
+
+
+@takes("verbose", folder=argument("DIR", "A folder; it is made if it is missing."))
+def init(folder: Path) -> None:
+    """Write an editable copy of the project to DIR.
+
+    That is data/, configs/ and studies/; in DIR the program then uses those.
+    """
+    for written in copy_project(folder):
+        screen.print_line(str(written))
+    screen.print_note(f"edit them, then: {shlex.join(('cd', str(folder)))} && needlefit validate study3")
+
+
+@takes(
+    "verbose",
+    folder=argument("DIR", "A folder that does not exist yet."),
+    source=option(
+        "Your centrelines: a CSV with columns x_mm, y_mm, z_mm (and id, if it holds several), a .mat file of "
+        "N x 3 arrays, or a .mrk.json or .fcsv of 3D Slicer. For tables of any other layout: needlefit "
+        "import.",
+        "FILE",
+        "--from",
+    ),
+)
+def new_dataset(folder: Path, source: Path | None = None) -> None:
+    """Write an example dataset to DIR, to be filled with your own measurements.
+
+    It passes `needlefit check`; what you must fill in is marked TO FILL IN.
+    """
+    from needlefit.datasets.template import write_template
+
+    screen.print_line(str(write_template(folder, source, screen.print_note)))
+    path = str(folder) if folder.is_absolute() else f"./{folder}"
+    screen.print_note(f"fill it in, then: {shlex.join(('needlefit', 'check', path))}")
+
+
+MAX_LISTED_NAMES = 5  # files that a message names
+_IGNORED = shutil.ignore_patterns(".*", "__pycache__", "*.partial")
+
+
+def copy_project(folder: Path) -> list[Path]:
+    """Copy the shipped `data/ configs/ studies/` into `folder`, which is made if it is missing.
+
+    Hidden entries of `folder`, such as `.git`, stay beside them.
+
+    ConfigError if `folder` is a file, the root or the user's home, or holds anything that is not hidden.
+    """
+    from needlefit.project.folders import create_folder, require_writable
+
+    targets = [folder / part for part in PROJECT_FOLDERS]
+    require_writable(folder)
+    _require_unused(folder)
+    for part, target in zip(PROJECT_FOLDERS, targets, strict=True):
+        with create_folder(target) as fresh:
+            shutil.copytree(shipped_folder() / part, fresh, ignore=_IGNORED, dirs_exist_ok=True)
+    return targets
+
+
+def _require_unused(folder: Path) -> None:
+    """See that a project scatters no files among others: the folder is missing, empty, or a repository."""
+    place, home = folder.resolve(), None
+    with suppress(RuntimeError):  # the user may have none
+        home = Path.home().resolve()
+    if folder.exists() and not folder.is_dir():
+        what = "exists already, and is a file"
+    elif place == home:
+        what = "is your home folder"
+    else:
+        held = sorted(folder.iterdir()) if folder.is_dir() else []
+        shown = [str(path) for path in held if not path.name.startswith(".")]
+        if not shown:
+            return
+        what = f"exists already, and holds {join_names(shown, MAX_LISTED_NAMES)}"
+    raise ConfigError(
+        what,
+        where=str(folder),
+        expected="a new folder, or an empty one",
+        fix="choose another folder: nothing is overwritten",
+    )
+
+
+# ---- import
+
+
+@takes(
+    "strict json verbose",
+    files=argument(
+        "FILE_OR_FOLDER",
+        "Tables (.csv .tsv .txt .xlsx .xls .ods), .mat, Slicer markups (.mrk.json .fcsv), surfaces (.stl "
+        ".ply .obj .vtk), Slicer scenes (.mrml .mrb).",
+    ),
+    out=option("Folder of the dataset; it must not exist yet.", "DIR"),
+    units=option("Unit of coordinates that state none: mm, cm, m, um, in."),
+    columns=option("Headers or numbers of the columns of tables.", "X,Y,Z"),
+    frame=option("LPS or RAS, for curves that state neither."),
+    surfaces_frame=option("LPS or RAS, for surfaces that state neither."),
+    entry=option("first or last: which end of the curves is the entry."),
+    tissue_surface=option("Surface where needles enter; none: there is none.", "NAME"),
+    pose=option("Entry direction: free, tangent, shaft, or X,Y,Z."),
+    entry_point=option("Where the tips first touched the tissue: first (point), or X,Y,Z."),
+    pose_shift_sd=option("Standard deviation of the entry point.", "MM"),
+    pose_angle_sd=option("Standard deviation of the entry direction.", "DEG"),
+    bevel=option("Direction toward which bevels of side 1 deflect, X,Y,Z; or bend."),
+    boundaries=option("Depths of the boundaries between layers along the needle.", "MM,MM"),
+    boundary_sd=option("Standard deviation of the depths of the boundaries.", "MM"),
+    medium=option("Name of what was punctured."),
+    specimen=option("Name of one specimen for all insertions; each: every insertion into its own."),
+    needle_length=option("Length of the needle.", "MM"),
+    diameter=option("Outer diameter, mm or gauge (18G).", "MM"),
+    inner_diameter=option("Inner diameter; 0: solid.", "MM"),
+    modulus=option("Young's modulus, or steel, nitinol, titanium, peek.", "GPA"),
+    point_sd=option("Standard deviation of a point across the needle.", "MM"),
+    title=option("What was inserted into what."),
+    source=option("Who measured this, when, how."),
+    license=option("Terms of use."),
+    yes=flag("Ask nothing: take guesses and defaults.", "--yes"),
+)
+def import_data(
+    context: typer.Context,
+    files: list[Path],
+    out: Path,
+    columns: str | None = None,
+    yes: bool = False,
+    **answers: str | None,
+) -> None:
+    """Make a dataset from files of other programs.
+
+    In a terminal it asks for whatever the files do not state; options answer beforehand. Then it shows what
+    it understood as a table and a picture (DIR/import.png), and lists every decision under [import] in
+    DIR/dataset.toml.
+    """
+    from needlefit.datasets.importing.conversion import name_study_file, plan_import
+    from needlefit.datasets.importing.decisions import Decisions
+    from needlefit.datasets.read import check_all
+    from needlefit.project.folders import require_new, require_no_inputs_within
+    from needlefit.reporting.dataset_import import tabulate_decisions, tabulate_needles, write_import
+    from needlefit.schemas.names import require_file_name
+
+    require_new(out)
+    require_file_name(out.resolve().name, str(out))
+    require_no_inputs_within(out, files)
+    invocation = context.find_root().obj
+    questions = {name.replace("_", " "): value for name, value in answers.items() if value is not None}
+    asks = not yes and not invocation.json and sys.stdin.isatty() and sys.stderr.isatty()
+    decisions = Decisions(questions, _ask if asks else None)
+    content, plan = plan_import(
+        files, decisions, [name.strip() for name in columns.split(",")] if columns else ()
+    )
+    dataset = write_import(out, content, plan, decisions)
+    warnings = check_all(out)[1]
+    count, needles = len(dataset.insertions), tabulate_needles(dataset)
+    if invocation.json:
+        screen.show_json(
+            {
+                "dataset": str(out / "dataset.toml"),
+                "insertions": needles.to_dict(orient="records"),
+                "decisions": [one.model_dump() for one in decisions.made],
+                "notes": list(content.notes),
+            }
+        )
+    else:
+        assumed = sum(one.source == "assumption" for one in decisions.made)
+        imported = f"{count} insertion{'s' * (count > 1)} imported; {assumed} values are assumptions"
+        screen.print_line(f"{out}: {imported}\n")
+        screen.show_frame(needles, "Needles")
+        screen.show_frame(tabulate_decisions(decisions), "Decisions")
+        for note in content.notes:
+            screen.print_note(note)
+    screen.print_warnings(invocation, warnings)
+    path = str(out) if out.is_absolute() else f"./{out}"
+    screen.print_note(f"look at {out}/import.png, then: {shlex.join(('needlefit', 'check', path))}")
+    study_file = name_study_file(dataset.name)
+    if (out / study_file).is_file():
+        study = shlex.join(("needlefit", "validate", f"{path}/{study_file}"))
+        screen.print_note(f"a first study, by cross-validation: {study}")
+
+
+def _ask(question: "Question", guess: str, reason: str) -> str:
+    """Ask on the terminal; an empty answer takes the guess."""
+    if reason:
+        screen.print_note(f"  ({reason})")
+    choices = f" ({', '.join(question.choices)})" if 0 < len(question.choices) <= 6 else ""
+    answer: str = typer.prompt(f"{question.text}{choices}", default=guess, err=True)
+    return "" if answer == guess else answer
+
+
+# ---- check
+
+
+@takes(
+    "strict json verbose",
+    name=argument(
+        "DATASET|STUDY",
+        "data/<name>/dataset.toml, studies/<name>.toml, configs/fits/<name>.toml, or a path.",
+        complete_checked,
+    ),
+)
+def check(context: typer.Context, name: str) -> None:
+    """Check a dataset or a study: list every fault and how to fix it, and every warning.
+
+    For a dataset it checks files, ids, units, centrelines, surfaces, bevel sides and checksums; for a study
+    its keys and all files that it names. Every fit makes the same checks. Exit code 3: there is a fault; with
+    --strict, 5: there is a warning.
+    """
+    from needlefit.project.locate import find_dataset_or_study
+
+    kind, path = find_dataset_or_study(name)
+    invocation = context.find_root().obj
+    if kind == "dataset":
+        _check_dataset(invocation, path)
+    else:
+        _check_study(invocation, kind, name, path)
+
+
+def _check_study(invocation: Invocation, kind: Literal["study", "fit"], name: str, path: Path) -> None:
+    from needlefit.project.locate import file_label
+    from needlefit.studies.study_files import check_study_file
+
+    found = check_study_file(kind, path)
+    if invocation.json:
+        folds = [{"tune": tune, "validate": held_out} for tune, held_out in found.folds]
+        rows = to_rows(found.warnings)
+        screen.show_json(
+            {"study": str(path), "ok": True, "kind": found.kind, "folds": folds, WARNINGS_KEY: rows}
+        )
+    else:
+        screen.print_text(f"No faults: {file_label(path)}, {found.kind}{_describe_folds(found.folds)}.")
+    screen.print_warnings(invocation, found.warnings)
+    if not invocation.json:
+        command = "tune" if kind == "fit" else "validate"
+        screen.print_note(f"next: {shlex.join(('needlefit', command, name))}")
+
+
+def _describe_folds(folds: Sequence[tuple[int, int]]) -> str:
+    if not folds:
+        return ""
+    tune, held_out = (sorted(set(counts)) for counts in zip(*folds, strict=True))
+    counts = f": n = {_join_range(tune)} fitted"
+    if any(held_out):
+        counts += f", {_join_range(held_out)} held out"
+    return counts if len(folds) == 1 else f"{counts}, in each of {len(folds)} folds"
+
+
+def _join_range(counts: Sequence[int]) -> str:
+    return f"{counts[0]}" if len(counts) == 1 else f"{min(counts)} to {max(counts)}"
+
+
+def _check_dataset(invocation: Invocation, path: Path) -> None:
+    from needlefit.datasets.read import inspect
+    from needlefit.datasets.sections import describe_measurement
+
+    found = inspect(path)
+    faults, warnings = found.faults, found.warnings
+    measured = "" if found.dataset is None else describe_measurement(found.dataset)
+    if invocation.json:
+        keys = ("where", "what", "expected", "fix")
+        rows = [{key: str(getattr(fault, key)) for key in keys} for fault in faults]
+        screen.show_json(
+            {
+                "dataset": str(path),
+                "ok": not faults,
+                "measurement": measured,
+                "faults": rows,
+                WARNINGS_KEY: to_rows(warnings),
+            }
+        )
+    else:
+        count = 0 if found.dataset is None else len(found.dataset.insertions)
+        sound = f"No faults: {count} insertion{'' if count == 1 else 's'} in {path}."
+        unsound = f"{len(faults)} fault{'' if len(faults) == 1 else 's'} in {path}:"
+        screen.print_text(unsound if faults or found.dataset is None else sound)
+        for fault in faults:
+            error = DataError(fault.what, where=fault.where, expected=fault.expected, fix=fault.fix)
+            screen.print_line(str(error))
+    screen.print_warnings(invocation, warnings)
+    if found.dataset is not None and not faults and not invocation.json:
+        _show(found.dataset, measured)
+    if faults:
+        raise typer.Exit(DataError.exit_code)
+
+
+def _show(dataset: "Dataset", measured: str) -> None:
+    """Print a row per medium and number of layers: insertions, specimens, depths and deflections."""
+    import pandas as pd
+
+    from needlefit.reporting.table import Table
+    from needlefit.reporting.table_files import to_records
+
+    names = ("medium", "layers", "specimen", "depth", "deflection")
+    frame = pd.DataFrame([{name: getattr(one, name) for name in names} for one in dataset.insertions])
+    rows = frame.groupby(["medium", "layers"], sort=False, as_index=False).agg(
+        insertions=("depth", "size"),
+        specimen_count=("specimen", "nunique"),
+        **{f"{name}_{end}_mm": (name, end) for name in ("depth", "deflection") for end in ("min", "max")},
+    )
+    columns = ("medium", "layers", "insertions", "specimen_count", "depth_range_mm", "deflection_range_mm")
+    table = Table("dataset", "Insertions.", to_records(rows), columns).lay_out()
+    origin = "SYNTHETIC data" if dataset.origin == "synthetic" else "Measured data"
+    screen.print_line()
+    screen.print_text(f"{origin}: {dataset.title}")
+    screen.show_display(table, notes=False)
+    screen.print_text(f"Measurement: {measured}.")
+
+
+# ---- twin
+
+_SEED = option("Seed (default: the shipped twin's).", min=0)
+_JOBS = option("Processes (default: all cores); they do not change the result.", min=1)
+
+
+@takes(
+    "scheduler insecure quiet verbose", seed=_SEED, out=option("Folder of the dataset.", "DIR"), jobs=_JOBS
+)
+def twin_build(
+    context: typer.Context, seed: int | None = None, out: Path = Path("data/twin"), jobs: int | None = None
+) -> None:
+    """Build the synthetic dataset.
+
+    It has as many insertions as the paper, 47, to the same depths. Each is simulated, rendered as a CT volume
+    and reconstructed from it. The same seed gives the same bytes.
+
+    DIR is replaced if it holds nothing but a synthetic dataset.
+    """
+    from needlefit.project.folders import replace_folder
+    from needlefit.synthetic.build import build_dataset
+    from needlefit.synthetic.insertion import TWIN_SEED
+
+    seed, invocation = TWIN_SEED if seed is None else seed, context.find_root().obj
+    with (
+        replace_folder(out) as fresh,
+        show_progress(invocation.quiet) as report,
+        open_pool(jobs, invocation.scheduler, invocation.insecure) as pool,
+    ):
+        build_dataset(fresh, seed, pool=pool, progress=report)
+    screen.print_line(f"{out}: synthetic dataset, seed {seed}")
+
+
+@takes(
+    "quiet verbose",
+    ids=argument("ID", "Insertions, or `sample` (default: all 47)."),
+    seed=_SEED,
+    form=option("A file, or a series.", None, "--format"),
+    out=option("Folder of the scans.", "DIR"),
+    jobs=_JOBS,
+)
+def twin_ct(
+    context: typer.Context,
+    ids: list[str] | None = None,
+    seed: int | None = None,
+    form: Literal["nrrd", "dicom"] = "nrrd",
+    out: Path = Path("twin_ct"),
+    jobs: int | None = None,
+) -> None:
+    """Render insertions of the synthetic dataset as CT volumes.
+
+    Writes volumes/ (20 MB each), markers/, layers/ and scans.csv, the input of `needlefit reconstruct`. The
+    same seed gives the same bytes.
+
+    DIR is replaced if it holds nothing but such scans.
+    """
+    from needlefit.project.folders import replace_folder
+    from needlefit.project.tasks import LocalPool
+    from needlefit.synthetic.design import select_planned_insertions
+    from needlefit.synthetic.insertion import TWIN_SEED
+    from needlefit.synthetic.scans import write_scans
+
+    seed, plan = TWIN_SEED if seed is None else seed, select_planned_insertions(ids or ())
+    with replace_folder(out) as fresh, show_progress(context.find_root().obj.quiet) as report:
+        write_scans(fresh, plan, seed, form, LocalPool(jobs or count_cores()), report)
+    screen.print_line(f"{out}: {len(plan)} synthetic scan{'s' * (len(plan) > 1)}, seed {seed}")
