@@ -138,12 +138,7 @@ def make_scene(record: SceneRecord, where: str, medium: MediumRecord, changed: S
     Raises ConfigError if the scene states what the fit does not have, or the user changed what the draws
     replace.
 
-    Parameters
-    ----------
-    where : str
-        Named in errors.
-    changed : sequence of str
-        Dotted keys that the user changed in the scene.
+    `where`: named in errors. `changed`: dotted keys that the user changed in the scene.
     """
     _require_fitted_rules(record, where, medium)
     dropped = [key for key in changed if _REPLACED.match(key)]
