@@ -60,7 +60,7 @@ AREAS = {
         ("inference/likelihood", "inference/problem.py"),
         (
             *("inference_likelihood", "inference_tracks"),
-            *("inference_marginal", "inference_depths", "inference_document", "inference_golden"),
+            *("inference_marginal", "inference_document", "inference_golden"),
         ),
     ),
     "sampling": Area(
@@ -71,10 +71,10 @@ AREAS = {
     ),
     "importance": Area(
         ("inference/sampling/importance.py",),
-        ("inference_importance", "inference_specimens"),
+        ("inference_importance", "inference_specimens", "inference_golden"),
     ),
     "metrics": Area(
-        ("metrics", "geometry/curves.py"), ("inference_metric", "plugins", "geometry", "reporting_tables")
+        ("metrics", "geometry/curves.py"), ("inference_problem", "plugins", "geometry", "reporting_tables")
     ),
     "registration": Area(
         ("imaging/registration", "geometry/frames.py"),

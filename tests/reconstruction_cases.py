@@ -10,7 +10,7 @@ import numpy as np
 from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.curves import arc_length, find_bending_direction, interpolate_at_arc
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame, normalize
-from needlefit.geometry.surfaces import make_sheet
+from needlefit.geometry.surfaces import make_sheet, transform_surface
 from needlefit.imaging.materials import find_tissue_edge, sample_profile
 from needlefit.imaging.needle.centerline import trace_needle
 from needlefit.imaging.needle.segmentation import segment_needle
@@ -18,7 +18,6 @@ from needlefit.imaging.reconstruction import EntryPose, Layers, MarkerResult, Re
 from needlefit.imaging.registration.register import predict_mean_target_error, register, scan_frame
 from needlefit.imaging.scans import Scan
 
-NO_LAYERS = Layers((), np.empty(0), np.empty(0), np.empty((0, 3)), (1,))
 PATIENT = Frame(
     np.array([-40.0, 22.0, 310.0]), np.array([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0], [0.0, 0.8, -0.6]])
 )
@@ -51,7 +50,13 @@ def small(markers=True, layers=True):
 def reconstruct(scan, volume, markers, surfaces, seed=5):
     """A reconstruction of a needle; `markers` (LPS, the last is not found) and `surfaces` lie in the scan."""
     needle_axis = trace_needle(volume, segment_needle(volume, ct_cases.RECIPE), ct_cases.RECIPE)
-    found, registration, patient = _registered(markers, seed)
+    found, registration, patient = None, None, IDENTITY_FRAME
+    if markers is not None:
+        rng = np.random.default_rng(seed)
+        centers = markers[:-1] + MARKER_SD * rng.normal(size=(len(markers) - 1, 3))
+        registration = register(centers, PATIENT.to_world(markers), MARKER_SD)
+        found = MarkerResult(centers, np.full(len(centers), MARKER_SD), "volume")
+        patient = scan_frame(registration)
     s = arc_length(needle_axis.points)
     beyond = np.arange(0.5, 8.0, 0.5)
     forward = normalize(needle_axis.points[-1] - needle_axis.points[-4])
@@ -64,6 +69,9 @@ def reconstruct(scan, volume, markers, surfaces, seed=5):
     shaft = patient.to_world(interpolate_at_arc(needle_axis.points, [0.0, entry]))
     direction = normalize(shaft[1] - shaft[0])
     frame = make_entry_frame(points[0], direction, find_bending_direction(points, direction))
+    placed = tuple(transform_surface(surface, patient) for surface in surfaces)
+    met = find_crossings(points, placed)
+    depths = frame.to_local(met.points)[:, 0]
     ends = np.zeros(2) if registration is None else predict_mean_target_error(registration, inserted[[0, -1]])
     return Reconstruction(
         scan=scan,
@@ -81,31 +89,8 @@ def reconstruct(scan, volume, markers, surfaces, seed=5):
         depth=float(s[-1] - entry),
         depth_sd=float(np.hypot(entry_sd, needle_axis.tip_sd[0])),
         target_error=ends,
-        layers=_layers(points, frame, patient, surfaces),
+        layers=Layers(placed, depths, np.full(len(depths), 0.12), met.points, met.sequence),
         profile=shown,
         views=render_views(volume, patient, frame, needle_axis.points),
         warnings=() if registration is None else registration.warnings,
     )
-
-
-def _registered(markers, seed):
-    if markers is None:
-        return None, None, IDENTITY_FRAME
-    rng = np.random.default_rng(seed)
-    centers = markers[:-1] + MARKER_SD * rng.normal(size=(len(markers) - 1, 3))
-    registration = register(centers, PATIENT.to_world(markers), MARKER_SD)
-    found = MarkerResult(centers, np.full(len(centers), MARKER_SD), "volume")
-    return found, registration, scan_frame(registration)
-
-
-def _layers(points, frame, patient, surfaces):
-    if not surfaces:
-        return NO_LAYERS
-    placed = []
-    for surface in surfaces:
-        mesh = surface.mesh.copy()
-        mesh.vertices = patient.to_world(mesh.vertices)
-        placed.append(dataclasses.replace(surface, mesh=mesh))
-    met = find_crossings(points, placed)
-    depths = frame.to_local(met.points)[:, 0]
-    return Layers(tuple(placed), depths, np.full(len(depths), 0.12), met.points, met.sequence)

@@ -14,7 +14,6 @@ import pytest
 from needlefit.datasets.sources import digest_folders
 from needlefit.errors import ConfigError, DataError
 from needlefit.metrics import list_metrics
-from needlefit.project.cluster import connect
 from needlefit.project.locate import find_file
 from needlefit.studies import columnar
 from needlefit.studies.combined_report import rebuild
@@ -29,7 +28,6 @@ from needlefit.studies.run import Run
 from needlefit.studies.run_differences import compare_runs
 from needlefit.studies.store import restore_run
 from needlefit.studies.study_files import check_study
-from tests.cluster_processes import start_scheduler, start_worker
 
 parquet = pytest.importorskip("pyarrow.parquet")
 
@@ -83,25 +81,6 @@ def test_a_pattern_that_matches_nothing_is_an_error(project):
         Path("specimens/a/dataset.toml"),
         Path("specimens/b/dataset.toml"),
     ]
-
-
-@pytest.mark.sweep
-def test_a_worker_in_an_empty_folder_fits_what_lies_here(project, tmp_path_factory):
-    """Neither the datasets nor the recipe lie in the worker's folder."""
-    pytest.importorskip("distributed")
-    folder, study = tmp_path_factory.mktemp("worker"), cohort("specimens/*")
-    here = run("cohort", study, Settings())
-    with (
-        start_scheduler(folder) as (address, _),
-        start_worker(address, folder=folder),
-        connect(address) as pool,
-    ):
-        found = run("cohort", study, Settings(pool=pool))
-    assert list(folder.iterdir()) == []
-    assert len(found.frames["failures"]) == 1
-    for name, file in here.frames.files.items():
-        assert found.frames.files[name].path.read_bytes() == file.path.read_bytes()
-    assert found.run == here.run
 
 
 def test_datasets_are_read_one_by_one_as_they_are_sent(project, monkeypatch):

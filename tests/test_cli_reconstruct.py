@@ -150,19 +150,6 @@ def test_proposed_layers_stand_beside_the_stated_ones(tmp_path, capsys):
 
 
 @pytest.mark.sweep
-def test_the_same_scan_gives_the_same_bytes_and_replaces_itself(done, tmp_path):
-    again = tmp_path / "mydata"
-    shutil.copytree(done, again)
-    written = (again / "reconstruction.csv").stat().st_mtime_ns
-    assert run("reconstruct", SAMPLE / "scans.csv", "--out", again, "-q", "--jobs", "1") == 0
-    assert files(again) == files(done)
-    assert (again / "reconstruction.csv").stat().st_mtime_ns != written  # a new one, not the copy
-    (again / "dataset.toml").write_text((again / "dataset.toml").read_text() + "# mine\n")
-    assert run("reconstruct", SAMPLE / "scans.csv", "--out", again, "-q") == 3
-    assert "# mine" in (again / "dataset.toml").read_text()
-
-
-@pytest.mark.sweep
 @pytest.mark.usefixtures("searched_once")
 def test_layers_take_all_words_up_to_the_next_option_and_dicom_is_read_alike(tmp_path, capsys):
     series = tmp_path / "series"
@@ -448,24 +435,6 @@ def resolve(scan):
     return dataclasses.replace(scan, **paths, surfaces=surfaces)
 
 
-@pytest.mark.sweep
-def test_voxels_need_not_be_cubes(tmp_path):
-    volume = read_volume(VOLUME)
-    slices = volume.values[: 2 * (len(volume.values) // 2)]
-    merged = (slices[::2] + slices[1::2]) / 2
-    spacing = volume.spacing * [1, 1, 2]
-    origin = volume.origin + volume.direction[:, 2] * volume.spacing[2] / 2
-    write_volume(
-        Volume(np.rint(merged).astype(np.float32), origin, spacing, volume.direction), tmp_path / "thick.nrrd"
-    )
-    assert (
-        run("reconstruct", tmp_path / "thick.nrrd", "--markers", MARKERS, "--out", tmp_path / "out", "-q")
-        == 0
-    )
-    (thick,) = read_dataset(tmp_path / "out").insertions
-    assert thick.depth == pytest.approx(25.0, abs=0.6)
-
-
 @pytest.mark.parametrize(
     ("words", "taken"),
     [
@@ -502,15 +471,6 @@ def test_layers_and_scans_are_distinguished(words, expected, tmp_path, capsys):
     assert expected in printed
     assert run("reconstruct", "--out", tmp_path / "out", *words) == 2
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.sweep
-@pytest.mark.usefixtures("child_process_reader")
-def test_libraries_print_nothing_beside_the_error(tmp_path, capfd):
-    for path in (truncated(tmp_path)[0], no_decoder(tmp_path)[0]):
-        run("reconstruct", path, "--out", tmp_path / "out", "-q")
-    printed = capfd.readouterr().err
-    assert printed.count("fix:") == 2 and "WARNING" not in printed and ".cxx" not in printed
 
 
 @pytest.mark.parametrize(

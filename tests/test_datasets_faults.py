@@ -103,17 +103,6 @@ def add_columns(name, **columns):
     return change
 
 
-def open_up(surface):
-    surface.update_faces(np.arange(len(surface.faces)) > 3)
-
-
-def pierce(surface):
-    fine = surface.subdivide().subdivide()
-    middle = np.argmin(np.linalg.norm(fine.triangles_center[:, 1:], axis=1))
-    fine.update_faces(np.arange(len(fine.faces)) != middle)
-    return fine
-
-
 def shrink(surface):
     surface.apply_scale(1e-3)
 
@@ -124,10 +113,6 @@ def respell_delimiter(sign):
         path.write_text(path.read_text().replace(".", ",").replace(",", sign))
 
     return change
-
-
-def write_as_latin_1(folder):
-    (folder / ROWS).write_bytes((folder / ROWS).read_text().replace("one", "gr\xfcn").encode("latin-1"))
 
 
 def blank_lines(folder):
@@ -145,14 +130,6 @@ def scan(value):
     def change(folder):
         add_columns(ROWS, **SCAN)(folder)
         cell(ROWS, 3, scan_ry_deg=value)(folder)
-
-    return change
-
-
-def deviation(value):
-    def change(folder):
-        add_columns(B, sd_mm="0.1")(folder)
-        cell(B, 42, sd_mm=value)(folder)
 
     return change
 
@@ -190,7 +167,8 @@ FAULTS = [
     # cells of a centreline
     *((f"{B}:42", words, "", cell(B, 42, y_mm=value)) for value, words in (
         ("nan", "y_mm is 'nan'"), ("-inf", "y_mm is '-inf'"), ("1.2.3", "'1.2.3'"), ("", "empty"))),
-    *((f"{B}:42", words, "", deviation(value)) for value, words in (
+    *((f"{B}:42", words, "", lambda folder, value=value: (
+        add_columns(B, sd_mm="0.1")(folder), cell(B, 42, sd_mm=value)(folder))) for value, words in (
         ("-0.1", "sd_mm is -0.1"), ("inf", "'inf'"), ("", "empty"), ("wide", "'wide'"))),
     (f"{B}:10", "", "", blank_lines),
     # files
@@ -202,10 +180,9 @@ FAULTS = [
         (b"x_mm,y_mm,y_mm\n1,2,3\n", "more than one column"),
         (b"x_mm,y_mm,z_mm\n1,2,3\n0,5,1,5,0,5\n", "6 cells under 3 columns"),
         (b"x_mm,y_mm,z_mm\n\xff\xfe", "cannot be read"))),
-    (ROWS, "", "UTF-8", write_as_latin_1),
+    (ROWS, "", "UTF-8", content(ROWS, "gr\xfcn".encode("latin-1"))),
     # surfaces
-    (CORE, "does not close", "", mesh(CORE, open_up)),
-    (SHEET, "1 hole", "", mesh(SHEET, pierce)),
+    (CORE, "does not close", "", mesh(CORE, lambda one: one.update_faces(np.arange(len(one.faces)) > 3))),
     (CORE, "looks like metres", "", mesh(CORE, shrink)),
     (CORE, "", "", content(CORE, b"solid core\nendsolid core\n")),
     # keys

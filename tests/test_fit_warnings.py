@@ -499,16 +499,6 @@ def test_a_run_with_faults_claims_nothing():
     assert marked.sentence.startswith("NOT CONVERGED. ") and f" {opening}:" not in marked.sentence
 
 
-def test_a_preliminary_recipe_is_named():
-    results = study(4)
-    quick = replace(results, run={**results.run, "recipe": {"preliminary": True}})
-    added = [
-        one.sentence.removeprefix(old.sentence)
-        for one, old in zip(judge_run(quick), judge_run(results), strict=True)
-    ]
-    assert all("preliminary" in one for one in added)
-
-
 @pytest.mark.parametrize(("fitted", "status"), [((0.1, 0.0), "warn"), ((0.3, 0.0), "fail")])
 def test_a_fit_fails_where_a_curve_is_closer_and_the_errors_are_above_the_floor(fitted, status):
     results = with_tip_errors(study(4), fitted=fitted)

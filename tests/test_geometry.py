@@ -41,10 +41,6 @@ def arc(radius, length, points=101):
     return radius * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
 
 
-def in_space(planar):
-    return np.column_stack([planar, np.zeros(len(planar))])
-
-
 def turn(curve, angle, shift=(0.0, 0.0)):
     c, s = np.cos(angle), np.sin(angle)
     return curve @ np.array([[c, s], [-s, c]]) + np.asarray(shift)
@@ -127,7 +123,7 @@ def test_resampling_a_straight_line_is_exact(seed, count):
 def test_bending_plane_follows_the_curve_into_any_frame(seed):
     rng = np.random.default_rng(seed)
     rotation = Rotation.random(rng=rng).as_matrix()
-    curve = in_space(arc(200, 55)) @ rotation.T + rng.normal(size=3) * 50
+    curve = np.pad(arc(200, 55), ((0, 0), (0, 1))) @ rotation.T + rng.normal(size=3) * 50
     np.testing.assert_allclose(find_bending_direction(curve, rotation[:, 0]), rotation[:, 1], atol=1e-9)
 
 

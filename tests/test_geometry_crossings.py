@@ -209,11 +209,6 @@ def binary(index, **fields):
     return ply(FLOATS + b"\3" + struct.pack("<3i", 0, 1, index), form="binary_little_endian", **fields)
 
 
-def binary_with_edge(index):
-    body = struct.pack("<2i", 0, index) + FLOATS + b"\3" + struct.pack("<3i", 0, 1, 2)
-    return ply(body, more=EDGES, form="binary_little_endian")
-
-
 @pytest.mark.parametrize(
     ("name", "content"),
     [
@@ -223,7 +218,14 @@ def binary_with_edge(index):
         ("binary.ply", binary(2)),
         ("edges.ply", ply("0 2\n" + CORNERS + "3 0 1 2\n", more=EDGES)),
         ("far_edges.ply", ply("0 2147483647\n" + CORNERS + "3 0 1 2\n", more=EDGES)),
-        ("binary_edges.ply", binary_with_edge(2**31 - 1)),
+        (
+            "binary_edges.ply",
+            ply(
+                struct.pack("<2i", 0, 2**31 - 1) + FLOATS + b"\3" + struct.pack("<3i", 0, 1, 2),
+                more=EDGES,
+                form="binary_little_endian",
+            ),
+        ),
         ("texture.ply", ply(more="comment TextureFile /etc/passwd\n")),
         ("a.stl", bytes(80) + struct.pack("<I12fH", 1, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0)),
     ],

@@ -37,17 +37,13 @@ def pack(path, files, method=zipfile.ZIP_DEFLATED):
     return path
 
 
-def other_series(count=3, **entries):
-    known = {"SeriesInstanceUID": OTHER, "SeriesNumber": 4, "Modality": "CT"} | entries
-    return [a_slice(k, NUMBERS[k] + 1, **known) for k in range(count)]
-
-
 def export(folder, **entries):
     """A CT in two folders, a second series, a report viewer."""
     slices = series()
     save(folder / "DICOM" / "ST1" / "SE1", slices[:4])
     save(folder / "DICOM" / "ST1" / "SE1b", slices[4:])
-    save(folder / "DICOM" / "ST1" / "SE2", other_series(**entries))
+    known = {"SeriesInstanceUID": OTHER, "SeriesNumber": 4, "Modality": "CT"} | entries
+    save(folder / "DICOM" / "ST1" / "SE2", [a_slice(k, NUMBERS[k] + 1, **known) for k in range(3)])
     (folder / "VIEWER").mkdir()
     (folder / "VIEWER" / "viewer.exe").write_bytes(b"MZ" * 100)
     return folder
@@ -158,12 +154,11 @@ def damaged(path, change):
     return path
 
 
-def encrypt(data):
-    for mark, place in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
-        data[data.index(mark) + place] |= 1
-
-
 def test_damaged_encrypted_and_bloated_archives_are_refused(tmp_path, monkeypatch):
+    def encrypt(data):
+        for mark, place in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+            data[data.index(mark) + place] |= 1
+
     files = [("a.dcm", bytes(1000))]
     assert "damaged" in refused(damaged(pack(tmp_path / "a.zip", files), lambda data: data.clear())).what
     assert "encrypted" in refused(damaged(pack(tmp_path / "b.zip", files), encrypt)).what

@@ -332,22 +332,19 @@ def test_a_header_with_detached_voxels_and_non_finite_values(tmp_path):
     assert "holds 2 voxels" in fault.what and "air" in fault.fix
 
 
-def bombs(folder):
-    huge = "100000 100000 100000"  # a petabyte
-    return [
-        nrrd(folder / "a.nrrd", sizes=huge),
-        nrrd(folder / "b.nrrd", sizes=huge, encoding="gzip"),
-        nrrd(folder / "c.nrrd", sizes="99999999999 99999999999 99999999999"),
-        nifti(folder / "d.nii", sizes=(32767, 32767, 32767)),
-        nifti(folder / "e.nii.gz", sizes=(32767, 32767, 32767)),
-        metaimage(folder / "f.mha", DimSize=huge),
-    ]
-
-
 @pytest.mark.usefixtures("child_process_reader")
 def test_a_header_that_claims_a_petabyte_is_refused_before_anything_is_allocated(tmp_path):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    for path in bombs(tmp_path):
+    huge = "100000 100000 100000"  # a petabyte
+    bombs = [
+        nrrd(tmp_path / "a.nrrd", sizes=huge),
+        nrrd(tmp_path / "b.nrrd", sizes=huge, encoding="gzip"),
+        nrrd(tmp_path / "c.nrrd", sizes="99999999999 99999999999 99999999999"),
+        nifti(tmp_path / "d.nii", sizes=(32767, 32767, 32767)),
+        nifti(tmp_path / "e.nii.gz", sizes=(32767, 32767, 32767)),
+        metaimage(tmp_path / "f.mha", DimSize=huge),
+    ]
+    for path in bombs:
         fault = refused(path)
         assert "claims" in fault.what or "too large" in fault.what
     assert "1e+15 GB" not in fault.what and "4e+06 GB" in fault.what

@@ -352,10 +352,6 @@ def turned(seed, shape=(4, 5, 6), flip=False):
     return Volume(values, rng.normal(size=3) * 100, rng.uniform(0.2, 2.0, 3), direction)
 
 
-def plain(values):
-    return Volume(np.asarray(values, np.float32), np.zeros(3), np.ones(3), np.eye(3))
-
-
 @settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1), flip=st.booleans())
 def test_written_and_read_every_voxel_keeps_its_position(tmp_path_factory, seed, flip):
@@ -382,7 +378,7 @@ def test_written_and_read_every_voxel_keeps_its_position(tmp_path_factory, seed,
     ids=["fractions", "one fraction", "beyond 16 bits"],
 )
 def test_other_values_are_kept_to_one_quantisation_step(tmp_path, values):
-    volume = plain(values)
+    volume = Volume(np.asarray(values, np.float32), np.zeros(3), np.ones(3), np.eye(3))
     write_volume(volume, tmp_path / "scan")
     span = float(np.ptp(volume.values))
     assert np.abs(read_volume(tmp_path / "scan").values - volume.values).max() <= 0.51 * span / 65535

@@ -9,10 +9,9 @@ from compression_cases import specimen
 from golden_numbers import assert_golden
 from inference_cases import TRUTH, insertion, measure, medium, problem, two_layers
 from sampling_cases import Known, banana, two_hills
-from test_inference_baselines import measured as bent
-from test_inference_identifiability import COVARIANCE, predict_data
-from test_inference_identify import fit_at, tied_problem
+from test_inference_identify import COVARIANCE, fit_at, predict_data, tied_problem
 from test_inference_importance import weighted
+from test_inference_predict import measured as bent
 from test_inference_specimens import population
 from test_inference_tracks import make_readings, tracked
 

@@ -25,7 +25,7 @@ from needlefit.mechanics.native import compute_positions as compute_position_blo
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import PreparedInsertion
 from needlefit.mechanics.plan import Lattice, make_lattice
-from needlefit.mechanics.shape import NeedleShape, compute_positions
+from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 
@@ -231,11 +231,7 @@ def test_neighbours_and_threads_change_no_bit(threads: int) -> None:
         assert_same_bits(shapes[i], whole[3 + i])
         assert_same_bits(by_part[i], by[3 + i])
     assert_same_bits(by_alone[0], linearize_batch(make_batch(1), ("mu", "guides", "offset"), 1)[1][0])
-    assert_same_bits(alone[0], make_alone())
-
-
-def make_alone() -> NeedleShape:
-    return linearize_steps(*make_batch(1).pick(0), wrt=("mu",))[0]
+    assert_same_bits(alone[0], linearize_steps(*make_batch(1).pick(0), wrt=("mu",))[0])
 
 
 def test_a_guide_that_stands_elsewhere_in_each_set() -> None:

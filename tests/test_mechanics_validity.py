@@ -157,10 +157,6 @@ def make_batch(**given):
     return Batch(NEEDLE, TISSUE, (Step(14.2, Bevel(0.1)), Step(17.2, Bevel(0.1, -1))), **given)
 
 
-def place_guides_at(x):
-    return Controls(guides=(Guide(x, 0.0, in_tissue=x >= 0), Guide(x, 0.1, None, x >= 0)))
-
-
 def insert(depth, *guides, length=150.0):
     return plan_stops((Step(1.0, Bevel()), Step(depth, Bevel(), Controls(guides=guides))), FULL, length)
 
@@ -168,7 +164,8 @@ def insert(depth, *guides, length=150.0):
 FULL, ANGLE = Lattice(1.0, 1.0), ModelOptions(advance="path_angle")
 TWO_TERMS = {"alpha": 1.0, "beta": -2.0}
 REFUSED = [
-    *[(lambda x=x: place_guides_at(x), f"x = {x:g} mm.*guides") for x in (-3.0, 0.0, 4.5)],
+    *[(lambda x=x: Controls(guides=(Guide(x, 0, None, x >= 0), Guide(x, 0.1, None, x >= 0))),
+       f"x = {x:g} mm.*guides") for x in (-3.0, 0.0, 4.5)],
     *[(lambda x=x: Guide(x, in_tissue=x < 0), "before the tissue") for x in (3.0, 0.0, -3.0)],
     (lambda: Controls(base_y=np.nan), ""), (lambda: Controls(stage_slope=np.inf), ""),
     (lambda: Guide(np.nan), ""), (lambda: Guide(-1.0, slope=np.nan), ""), (lambda: TrackedTip(np.inf), ""),

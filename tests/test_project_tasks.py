@@ -1,6 +1,5 @@
 """Tasks in processes, copied or begun anew, and parts of one fit: the same bytes everywhere."""
 
-import logging
 import math
 import multiprocessing
 import os
@@ -190,16 +189,6 @@ def test_profiles_have_the_same_bytes(problem, fit, processes):
         ]
 
 
-@pytest.mark.sweep
-def test_a_search_on_a_cluster_has_the_same_bytes(problem, tmp_path, monkeypatch):
-    pytest.importorskip("distributed")
-    monkeypatch.setattr(tasks, "MIN_SHARED_S", 0.0)
-    run = partial(minimize, problem, squares_recipe(starts=4, evaluations=60))
-    with start_scheduler(tmp_path) as (address, _), start_worker(address), connect(address) as cluster:
-        found = run(random_stream(1, "starts"), Callbacks(pool=cluster))
-    assert found == run(random_stream(1, "starts"))
-
-
 # --- work beside this process ---------------------------------------------------------------------------
 
 
@@ -351,19 +340,6 @@ def test_a_worker_that_dies_costs_its_task_alone(address, tmp_path):
 
 
 @pytest.mark.sweep
-def test_the_log_of_dask_is_silent_while_a_scheduler_is_connected(address):
-    """It prints a traceback where a connection is lost; what is wrong is our error."""
-    log, handler = logging.getLogger("distributed"), logging.StreamHandler()
-    log.addHandler(handler)
-    try:
-        with connect(address):
-            assert handler.level == logging.CRITICAL
-        assert handler.level == logging.NOTSET
-    finally:
-        log.removeHandler(handler)
-
-
-@pytest.mark.sweep
 def test_a_stop_drops_what_runs(address):
     asked = []
 
@@ -398,17 +374,6 @@ def test_a_lost_scheduler_is_an_error_that_names_resume(tmp_path, seconds, runni
             list(results)
         killer.join()
     assert "--resume" in caught.value.fix
-
-
-@pytest.mark.sweep
-def test_the_workers_are_counted_at_most_once_a_second_and_all_of_them(address):
-    with connect(address) as pool:
-        pool.client.wait_for_workers(2, timeout=30)  # one may have been killed, and begins again
-        counted, find = [], pool.client.nthreads
-        pool.client.nthreads = lambda: counted.append(time.monotonic()) or find()
-        begin = time.monotonic()
-        assert list(run_in_order(square, list(range(60)), pool)) == [n**2 for n in range(60)]
-        assert 1 <= len(counted) <= 2 + (time.monotonic() - begin)
 
 
 @pytest.mark.sweep

@@ -227,14 +227,6 @@ def test_free_shapes_lie_on_the_measured_ones(project):
         assert one.band is not None
 
 
-@pytest.mark.sweep
-@pytest.mark.usefixtures("few_draws")
-def test_a_leave_one_out_places_every_needle_as_held_out(project):
-    record = study(leave_out="specimen", tune={}, validate=())
-    placed = read_needles(run("loo", record, Settings()).frames["needles"])
-    assert {one.role for one in placed.values()} == {"validate"} and len(placed) == 4
-
-
 @pytest.fixture
 def scene(capsys, tmp_path):
     def written(ending, *words):

@@ -151,15 +151,6 @@ def test_baselines_are_compared_on_the_same_insertions():
     )
 
 
-def test_explained_errors_give_every_difference_once():
-    results = study(5)
-    table = compare_methods(results, metric=TE)
-    text = " ".join(explain(results)[1])
-    pairs = ((abs(row["difference_mm"]), row["difference_se_mm"]) for row in to_records(table[1:]))
-    assert max(text.count(f"{gap:.3f} ± {se:.3f}") for gap, se in pairs) == 1
-    assert "IPE" in text and "TE" in text
-
-
 def test_explained_sentences_that_differ_between_folds_name_their_fold():
     results = stereo()
     folds = ["without a", "without b", "without c"]
@@ -259,19 +250,6 @@ def test_a_needle_that_ends_at_a_boundary_is_counted_both_ways():
     assert any("other way" in note for note in table.notes)
 
 
-def test_rows_carry_notes_on_comparability():
-    twin = to_records(tabulate_validation(study(1)))[0]["comparable"]
-    assert "simulated" in twin
-    assert "by hand" in twin
-    short = to_records(tabulate_tuning(study(5)))
-    by_media = next(row for row in short if row["grouping"] == "media")
-    assert re.findall(r"\d+", by_media["comparable"])[-2:] == ["3", "12"]
-    aligned = study(1).with_frames(errors=study(1).frames["errors"].assign(comparison="aligned"))
-    assert to_records(tabulate_validation(aligned))[0]["comparable"].startswith("Not comparable")
-    measured = to_records(tabulate_validation(study(1, "measured")))[0]["comparable"]
-    assert "paper's" in measured and "simulated" not in measured
-
-
 def test_tuning_rows_stand_beside_the_papers_by_layers_and_by_media():
     groups = {one.head["grouping"]: one for one in list_groups(tabulate_tuning(study(1)))}
     found = {name: (one.get("te_mm", "paper"), one.head["paper_insertions"]) for name, one in groups.items()}
@@ -310,11 +288,6 @@ def test_a_fixed_parameter_is_given_and_marked_as_fixed():
     assert (row["parameter"], row["status"], row["fitted"]) == ("alpha1", "fixed", "1")
     assert Facts(study(5)).undetermined == ["mu1_pa"]
     assert "fixed, not fitted: α₁" in say(study(5), "undetermined")
-
-
-def test_folds_are_distinguished_only_where_there_are_several():
-    assert "Fold" not in [c.label for c in lay_out_parameters([study(1)]).columns]
-    assert "Fold" in [c.label for c in lay_out_parameters([stereo()]).columns]
 
 
 @pytest.mark.parametrize("results", [study(1), study(5), stereo()], ids=["study1", "study5", "stereo"])

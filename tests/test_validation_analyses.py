@@ -42,7 +42,6 @@ from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.metrics import METRICS, list_metrics
 from needlefit.project.checkpoint import open_checkpoint
-from needlefit.project.cluster import connect
 from needlefit.project.folders import write_manifest
 from needlefit.project.locate import find_file
 from needlefit.schemas.recipe import LikelihoodRecord
@@ -86,7 +85,6 @@ from needlefit.studies.simulated_data import simulate_measurement
 from needlefit.studies.study_files import load_study
 from needlefit.synthetic.build import build_unscanned
 from needlefit.synthetic.design import select_planned_insertions
-from tests.cluster_processes import start_scheduler, start_worker
 from tests.inference_cases import NEEDLE, NOISE, dataset, insertion, measure, medium, squares_recipe
 
 THIRD = 1 / 3
@@ -219,15 +217,6 @@ def test_specimens_are_left_out_in_turn_and_one_alone_is_not_applicable(project,
     assert predicted["insertion"].drop_duplicates().tolist() == ["chicken-01", "chicken-04", "chicken-05"]
     evidence = pd.read_csv("reports/reference/left/summary.csv").query("metric == 'te_mm'").set_index("fit")
     assert evidence.loc["pieces", "value"] == pytest.approx(summary.loc["pieces", "value"], rel=5e-3)
-    before = {path.name: path.read_bytes() for path in Path("reports/left").iterdir()}
-    assert run_cli("report", "left", "-q") == 0
-    assert {path.name: path.read_bytes() for path in Path("reports/left").iterdir()} == before
-    assert {"report.pdf", "report.html", "summary.pdf", "left_out.tex"} <= before.keys()
-    macros = Path("reports/left/numbers.tex").read_text(encoding="utf-8")
-    value = f"{summary.loc['pieces', 'value']:.2f}"
-    assert rf"\nfnum{{left-left-out-pieces-specimen-te-left-out-mm}}{{{value}}}" in macros
-    figures = {name.removesuffix(".pdf") for name in before if name.endswith(".pdf")} - {"report"}
-    assert all(f"{figure}.csv" in before for figure in figures)
 
 
 def _answer(folder: Path, kind: str, **frames: pd.DataFrame) -> Path:
@@ -500,21 +489,6 @@ def two_twins(tmp_path, monkeypatch):
     (tmp_path / "studies/two.toml").write_text(f"schema = 1\n{keys}")
     monkeypatch.chdir(tmp_path)
     return load_study(find_file("study", "two"))
-
-
-@pytest.mark.sweep
-def test_a_worker_in_an_empty_folder_has_the_studies_of_this_one(two_twins, tmp_path_factory):
-    pytest.importorskip("distributed")
-    folder, record = tmp_path_factory.mktemp("worker"), two_twins.model_copy(update={"seeds": 1})
-    here = find_kind("seeds").run("one", record, Settings())
-    with (
-        start_scheduler(folder) as (address, _),
-        start_worker(address, folder=folder),
-        connect(address) as pool,
-    ):
-        found = find_kind("seeds").run("one", record, Settings(pool=pool))
-    for name, frame in here.frames.items():
-        pd.testing.assert_frame_equal(found.frames[name], frame, check_exact=True)
 
 
 @pytest.mark.sweep

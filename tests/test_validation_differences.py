@@ -140,14 +140,8 @@ def test_a_verdict_and_a_deviation_of_identify_are_compared(tmp_path):
 
 def test_a_moved_tip_prediction_is_given_in_its_deviations(tmp_path):
     """A band of 3.92 mm is a deviation of 1 mm: a median that moved by 0.4 mm is what it was, by 0.6 not."""
-    row = {
-        "quantity": "needle",
-        "level": 0.95,
-        "s_mm": 50.0,
-        "median_mm": 2.0,
-        "low_mm": 0.04,
-        "high_mm": 3.96,
-    }
+    row = {"quantity": "needle", "level": 0.95, "s_mm": 50.0, "median_mm": 2.0}
+    row |= {"low_mm": 0.04, "high_mm": 3.96}
     one = table(tmp_path / "a", "forecast", [row])
     for moved, matters in ((0.4, False), (0.6, True)):
         (found,) = compare_runs(one, table(tmp_path / "b", "forecast", [{**row, "median_mm": 2.0 + moved}]))
@@ -156,14 +150,8 @@ def test_a_moved_tip_prediction_is_given_in_its_deviations(tmp_path):
 
 
 def test_counts_of_a_calibration_matter_where_their_verdict_changed(tmp_path):
-    row = {
-        "quantity": "mu1_pa",
-        "level": 0.5,
-        "covered": 50,
-        "count_low": 40,
-        "count_high": 60,
-        "passes": True,
-    }
+    row = {"quantity": "mu1_pa", "level": 0.5, "covered": 50, "passes": True}
+    row |= {"count_low": 40, "count_high": 60}
     one = table(tmp_path / "a", "coverage", [row, {**row, "level": 0.9, "covered": 90}])
     changes = [{**row, "covered": 45}, {**row, "level": 0.9, "covered": 70, "passes": False}]
     found = compare_runs(one, table(tmp_path / "b", "coverage", changes))

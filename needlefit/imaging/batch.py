@@ -23,16 +23,8 @@ from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.surfaces import Surface, Triangles, from_triangles, to_triangles
 from needlefit.imaging.entry import EntryCandidate, list_candidates
+from needlefit.imaging.needle import segmentation
 from needlefit.imaging.needle.centerline import Centerline
-from needlefit.imaging.needle.segmentation import (
-    Component,
-    NeedleSelection,
-    cut_components,
-    find_components,
-    find_ends,
-    find_tubes,
-    list_thresholds,
-)
 from needlefit.imaging.reconstruct import Examination, add_views, examine
 from needlefit.imaging.reconstruction import IntensityProfile, Reconstruction
 from needlefit.imaging.scans import Scan
@@ -128,21 +120,23 @@ def _try(step: Callable[[], T]) -> T | None:
 
 
 def list_tubes(
-    volume: Volume, recipe: ReconstructionRecord, found: NeedleSelection | None
+    volume: Volume, recipe: ReconstructionRecord, found: segmentation.NeedleSelection | None
 ) -> tuple[TubeFinding, ...]:
     """Return the needle and the other tubes, or, where none is one, the longest bright components."""
 
-    def list_longest() -> list[Component]:
-        parts = find_components(volume, *list_thresholds(volume, recipe)[-1])
-        return sorted(cut_components(volume, parts, recipe), key=lambda part: part.length, reverse=True)
+    def list_longest() -> list[segmentation.Component]:
+        parts = segmentation.find_components(volume, *segmentation.list_thresholds(volume, recipe)[-1])
+        return sorted(
+            segmentation.cut_components(volume, parts, recipe), key=lambda part: part.length, reverse=True
+        )
 
     if found is not None:
         parts = [found.needle, *found.others]
     else:
-        parts = _try(lambda: find_tubes(volume, recipe)) or _try(list_longest) or []
+        parts = _try(lambda: segmentation.find_tubes(volume, recipe)) or _try(list_longest) or []
     chosen = None if found is None else found.needle
     return tuple(
-        TubeFinding(find_ends(volume, part), part.length, part.width, part is chosen)
+        TubeFinding(segmentation.find_ends(volume, part), part.length, part.width, part is chosen)
         for part in parts[:MAX_TUBES]
     )
 

@@ -39,20 +39,13 @@ from needlefit.geometry.surfaces import (
     read_surface,
     transform_surface,
 )
+from needlefit.imaging import volume_files
 from needlefit.imaging.image_headers import MAX_SEGMENTS, check_image_header, choose_segments, parse_count
 from needlefit.imaging.reconstruction import EntryPose, Layers
 from needlefit.imaging.refusals import located, refusal
 from needlefit.imaging.registration.register import Registration, scan_frame, target_covariance
 from needlefit.imaging.scans import LayerSource, Scan
 from needlefit.imaging.volume import Volume, VoxelGrid, require_same_frame, to_patient
-from needlefit.imaging.volume_files import (
-    explain_missing_packages,
-    is_image_file,
-    open_member,
-    read_planes,
-    read_segments,
-    read_volume,
-)
 from needlefit.project.input_files import path_exists
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -93,15 +86,15 @@ def read_labels(path: Path, names: Sequence[str] = ()) -> Labels:
     DataError if it is not a volume, its segments overlap, one is empty or missing, or its values are no
     labels.
     """
-    with open_member(path) as place, located(place):
-        if not is_image_file(place):
-            volume, found = read_segments(place, names)
+    with volume_files.open_member(path) as place, located(place):
+        if not volume_files.is_image_file(place):
+            volume, found = volume_files.read_segments(place, names)
             return _check_labels(volume, tuple(Segment(n, name) for n, name in enumerate(found, 1)))
         stated, axes = _read_stated_segments(place) if path_exists(place) else ((), 3)
         if stated and axes > 3:
-            volume, stated = _merge_planes(read_planes(place), stated)
+            volume, stated = _merge_planes(volume_files.read_planes(place), stated)
         else:
-            volume = read_volume(place)
+            volume = volume_files.read_volume(place)
         labels = _check_labels(volume, stated)
         chosen = choose_segments([one.name or str(one.value) for one in labels.segments], names)
         return replace(labels, segments=tuple(labels.segments[n] for n in chosen))
@@ -364,7 +357,7 @@ def _read_segmentation(scan: Scan, frame_of_reference: str, found: list[Fault]) 
         found.append(Fault(str(one.path), what, expected, "list it alone"))
         return []
     try:
-        with explain_missing_packages():
+        with volume_files.explain_missing_packages():
             return list(extract_label_surfaces(one.path, one.segments, frame_of_reference))
     except DataError as error:
         found.append(from_error(error))

@@ -169,14 +169,8 @@ def write_frames(
 
     The files are removed when the returned object is no longer referenced; a copy of it does not keep them.
 
-    Parameters
-    ----------
-    types : mapping
-        Arrow's names of the types of columns; others hold text.
-    parts : iterable
-        The rows of each task; equal parts give equal bytes.
-    columns : mapping
-        The columns of every frame.
+    `types`: Arrow's names of the types of columns; others hold text. `parts`: the rows of each task; equal
+    parts give equal bytes. `columns`: the columns of every frame.
     """
     import pyarrow as pa
 

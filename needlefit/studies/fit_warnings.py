@@ -106,13 +106,8 @@ def analysis_bound_warnings(
 
     With `intervals`, those whose value is at no bound while their 95 % interval ends there.
 
-    Parameters
-    ----------
-    fits : DataFrame
-        A row per fit and `parameter`, with its `value`, and with `intervals` its `p2_5` and `p97_5`; the
-        first column names the parameters used.
-    parameters : mapping
-        These, by name.
+    `fits`: a row per fit and `parameter`, with its `value`, and with `intervals` its `p2_5` and `p97_5`; the
+    first column names the parameters used. `parameters`: these, by name.
     """
     for (model, name), rows in fits.groupby([fits.columns[0], "parameter"], sort=False):
         bounds = parameters[str(model)].bounds.get(str(name))

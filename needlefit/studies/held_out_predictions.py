@@ -77,18 +77,10 @@ def fit_posterior(
 
     Raises FitError if the search finds no point that can be solved.
 
-    Parameters
-    ----------
-    job : Job
-        For its recipe, seed and name.
-    problem : Problem
-        Of the job's kind; other insertions or priors than its folds' are welcome.
-    key : tuple of str
-        What this is, among all that is learned in the job: it keys the random streams.
-    settings : Settings
-        For `jobs` and `stop`; after a stop the answer means nothing.
-    draws : int
-        How many; their `faults` say so if they are not certified, nor the sampler converged.
+    `job`: for its recipe, seed and name. `problem`: of the job's kind; other insertions or priors than its
+    folds' are welcome. `key`: what this is, among all that is learned in the job: it keys the random streams.
+    `settings`: for `jobs` and `stop`; after a stop the answer means nothing. `draws`: how many; their
+    `faults` say so if they are not certified, nor the sampler converged.
     """
     fit = find_fit(job, problem, key, settings)
     if not len(fit.theta) or settings.stop():

@@ -77,14 +77,9 @@ def identify_parameters(
 ) -> IdentificationRows:
     """Return what profiles and standard deviations together say about every parameter.
 
-    Parameters
-    ----------
-    sds : mapping
-        Standard deviations of the posterior as expected from the information, bounds and prior included.
-    verdict : Verdict, optional
-        Of the fit; before one, a parameter counts as determined if its sd and its profile say so.
-    loosened : sequence of Loosened
-        With assumptions loosened: it must stay so.
+    `sds`: standard deviations of the posterior as expected from the information, bounds and prior included.
+    `verdict`: of the fit; before one, a parameter counts as determined if its sd and its profile say so.
+    `loosened`: with assumptions loosened: it must stay so.
     """
     spread = np.linalg.inv(prior_information(problem)) if problem.names else np.zeros((0, 0))
     before = dict(zip(problem.names, np.sqrt(np.diag(spread)).tolist(), strict=True))

@@ -48,14 +48,8 @@ def aggregate(results: Run, by: Sequence[str], pooled: bool = False) -> pd.DataF
     Insertions whose simulation did not converge have no errors: they are left out of the means and
     counted in `not_converged`.
 
-    Parameters
-    ----------
-    results : Run
-        What to aggregate.
-    by : sequence of str
-        Columns of `results.errors`; name `method` and `boundaries` unless one of each is present.
-    pooled : bool
-        Whether to fill the column `pooled`.
+    `results`: what to aggregate. `by`: columns of `results.errors`; name `method` and `boundaries` unless one
+    of each is present. `pooled`: whether to fill the column `pooled`.
 
     Returns
     -------

@@ -73,12 +73,8 @@ def restore_run(folder: Path, unverified: bool = False) -> Run:
 
     Raises DataError if it holds no result, a damaged one, or one that does not agree with its manifest.
 
-    Parameters
-    ----------
-    folder : Path
-    unverified : bool
-        Whether files that do not agree with the manifest are used. The run then has them as a fault, and is
-        marked on every page.
+    `unverified`: whether files that do not agree with the manifest are used. The run then has them as a
+    fault, and is marked on every page.
     """
     table = unpack(folder)
     changes = require_unchanged(folder, unverified)

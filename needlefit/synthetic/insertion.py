@@ -13,15 +13,7 @@ from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
-from needlefit.synthetic.design import (
-    PlanDeviations,
-    PlannedInsertion,
-    TrueSpecimen,
-    bevel_offset,
-    draw_deviations,
-    draw_needle,
-    draw_specimen,
-)
+from needlefit.synthetic import design
 
 MAX_POINT_SPACING_MM = 0.5  # distance between the points of a centreline, mm (at most)
 # A finer mesh than is fitted with (the constraint spacing is part of the model).
@@ -51,7 +43,10 @@ class TrueInsertion:
 
 
 def insert_needle(
-    planned: PlannedInsertion, needle: Needle, specimen: TrueSpecimen, deviations: PlanDeviations
+    planned: design.PlannedInsertion,
+    needle: Needle,
+    specimen: design.TrueSpecimen,
+    deviations: design.PlanDeviations,
 ) -> TrueInsertion:
     """Simulate the needle; the layer depths are those at which its final shape crosses the surfaces.
 
@@ -63,7 +58,7 @@ def insert_needle(
     origin = stated.origin + deviations.shift @ np.stack([y, z])
     direction = x + deviations.tilt @ np.stack([y, z])
     frame = make_entry_frame(origin, direction, np.cos(deviations.roll) * y + np.sin(deviations.roll) * z)
-    bevel = Bevel(bevel_offset(specimen, planned))
+    bevel = Bevel(design.bevel_offset(specimen, planned))
     curve = frame.to_world(np.outer(centerline_stations(planned.depth), [1.0, 0.0, 0.0]))
     for _ in range(MAX_ROUNDS):
         met = find_crossings(curve, specimen.surfaces)
@@ -80,7 +75,7 @@ def insert_needle(
     )
 
 
-def stated_frame(planned: PlannedInsertion) -> Frame:
+def stated_frame(planned: design.PlannedInsertion) -> Frame:
     """Return the frame C as the stage and the bevel's mark state it."""
     return make_entry_frame(planned.origin, planned.direction, planned.toward)
 
@@ -90,7 +85,7 @@ def centerline_stations(depth: float) -> Floats:
     return np.linspace(0.0, depth, int(np.ceil(depth / MAX_POINT_SPACING_MM)) + 1)
 
 
-def needle_points(shape: NeedleShape, frame: Frame, deviations: PlanDeviations, s: Floats) -> Floats:
+def needle_points(shape: NeedleShape, frame: Frame, deviations: design.PlanDeviations, s: Floats) -> Floats:
     """Return the needle's world points (N, 3) at arc lengths `s` (N,), mm; negative before the tissue.
 
     In the tissue it is bent out of its plane the more the more it bends within.
@@ -103,7 +98,7 @@ def needle_points(shape: NeedleShape, frame: Frame, deviations: PlanDeviations, 
 
 
 def _tissue_along(
-    curve: Floats, frame: Frame, specimen: TrueSpecimen, boundaries: Floats, sequence: tuple[int, ...]
+    curve: Floats, frame: Frame, specimen: design.TrueSpecimen, boundaries: Floats, sequence: tuple[int, ...]
 ) -> Tissue:
     """Return the tissue along the needle: its layers, or thin slices through a smooth field."""
     # layer numbers begin at 1
@@ -126,16 +121,16 @@ TWIN_SEED = 1  # the seed of the twin that ships
 class SyntheticInsertion:
     """One insertion of the twin: its plan, and what really happened."""
 
-    planned: PlannedInsertion
-    specimen: TrueSpecimen
-    deviations: PlanDeviations
+    planned: design.PlannedInsertion
+    specimen: design.TrueSpecimen
+    deviations: design.PlanDeviations
     true_insertion: TrueInsertion
 
 
-def simulate_insertion(planned: PlannedInsertion, seed: int) -> SyntheticInsertion:
+def simulate_insertion(planned: design.PlannedInsertion, seed: int) -> SyntheticInsertion:
     """Simulate one insertion; the result depends on its own plan and the seed only."""
-    specimen = draw_specimen(seed, planned.medium, planned.specimen)
-    deviations = draw_deviations(seed, planned)
+    specimen = design.draw_specimen(seed, planned.medium, planned.specimen)
+    deviations = design.draw_deviations(seed, planned)
     return SyntheticInsertion(
-        planned, specimen, deviations, insert_needle(planned, draw_needle(seed), specimen, deviations)
+        planned, specimen, deviations, insert_needle(planned, design.draw_needle(seed), specimen, deviations)
     )

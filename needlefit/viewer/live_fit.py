@@ -92,7 +92,6 @@ class LiveDraws:
             "offset_mm": self.bevel.tolist(),
             "correlation": float(np.corrcoef(both.T)[0, 1]) if both.std(axis=0).all() else 0.0,
             "certified": self.certified,
-            "ess": self.ess,
             "seconds": round(self.seconds, 3),
         }
 

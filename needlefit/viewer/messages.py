@@ -45,7 +45,6 @@ def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         "length_mm": scene.needle.length,
         "diameter_mm": viewed_scene.diameter,
         "depth_mm": scene.depth,
-        "steps": len(scene.steps),
         "layer_names": list(scene.layer_names),
         "guide_names": list(steering.names),
         "boundaries_mm": tissue.boundaries.tolist(),
@@ -115,7 +114,6 @@ def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
                 "y": guide.y,
                 "slope": guide.slope or 0.0,
                 "turns_freely": guide.slope is None,
-                "in_tissue": guide.in_tissue,
             }
             for item, guide in zip(items, controls.guides, strict=True)
         ],
@@ -176,7 +174,7 @@ def _encode_limits(scene: Scene) -> dict[str, Any]:
         limits["cut_angle_deg"] = [0.0, min(max(10.0, 3 * math.degrees(bevel.cut_angle)), 44.0)]
     else:
         limits["offset_mm"] = [0.0, max(0.3, 3 * bevel.offset)]
-    return limits | {"base_y_mm": [-30.0, 30.0], "speed_mm_s": 100.0, "depth_mm": scene.needle.length}
+    return limits | {"base_y_mm": [-30.0, 30.0], "depth_mm": scene.needle.length}
 
 
 ACTIONS = {

@@ -351,8 +351,7 @@ def _describe_needle(found: Examination) -> dict[str, Any]:
         return {"entries": [], "axis": None, "tip": None}
     entries = list_entries(axis, found.profile)
     places = zip(entries, place_entries(axis.points, entries), strict=True)
-    along, across = axis.tip_sd.tolist()
-    tip = {"at": axis.tip.tolist(), "along_sd": along, "across_sd": across}
+    tip = {"at": axis.tip.tolist(), "along_sd": float(axis.tip_sd[0])}
     kept = np.unique(np.linspace(0, len(axis.points) - 1, SHOWN_POINTS).round().astype(np.int64))
     return {
         "entries": [

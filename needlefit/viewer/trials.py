@@ -103,7 +103,6 @@ class InteractiveTrial:
         return encode_scene(self.viewed_scene, self.steering) | {
             "needle": self.name,
             "recording": self.recorder.path.name,
-            "recorded": len(self.source.steps) if self.source else 0,
         }
 
     def describe_state(self) -> dict[str, Any]:

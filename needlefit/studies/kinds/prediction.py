@@ -138,12 +138,7 @@ def make_scene(record: SceneRecord, where: str, medium: MediumRecord, changed: S
     Raises ConfigError if the scene states what the fit does not have, or the user changed what the draws
     replace.
 
-    Parameters
-    ----------
-    where : str
-        Named in errors.
-    changed : sequence of str
-        Dotted keys that the user changed in the scene.
+    `where`: named in errors. `changed`: dotted keys that the user changed in the scene.
     """
     _require_fitted_rules(record, where, medium)
     dropped = [key for key in changed if _REPLACED.match(key)]
@@ -439,7 +434,12 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     new = NewSpecimens(job, fold, draws.thetas.mean(axis=0)) if known == "new" else None
     found = forecast(scene, draws, job, new, known)
     frames = _make_frames(found, title, certified=not draws.faults)
-    warned = [*job.warnings, *scene_warnings(record.scene, record.scene_name), *outside_warnings(found)]
+    warned = [*job.warnings, *scene_warnings(record.scene, record.scene_name)]
+    if found.outside:
+        share = f"{found.outside} of {len(found.needle.means)} predicted needles"
+        what = f"{share} are outside what the model assumes (slopes, shortening, compression)"
+        fix = "read the bands with care; `needlefit simulate` of the scene names what is exceeded"
+        warned.append(ResultWarning("validity", what, fix=fix))
     warned += warn_of_width(frames, find_adaptation(about.run["fit"]["dataset"], about.run["fit"]["medium"]))
     stored: Any = about.record
     named = {"scene_name": scene_name, "posterior": folder.name if folder else None}
@@ -471,17 +471,6 @@ def _make_frames(found: Forecast, title: str, certified: bool) -> dict[str, pd.D
         needle.loc[:, needle.columns.str.contains("_low_|_high_")] = np.nan
         specimens["tip_95_width_mm"] = np.nan
     return {"forecast": needle.assign(scene=title, converged=certified), "specimens": specimens}
-
-
-def outside_warnings(forecast: Forecast) -> Iterator[ResultWarning]:
-    """Yield a warning where draws give needles outside the model's range of validity."""
-    if forecast.outside:
-        yield ResultWarning(
-            "validity",
-            f"{forecast.outside} of {len(forecast.needle.means)} predicted needles are outside what the "
-            "model assumes (slopes, shortening, compression)",
-            fix="read the bands with care; `needlefit simulate` of the scene names what is exceeded",
-        )
 
 
 def warn_of_width(frames: Mapping[str, pd.DataFrame], adaptation: str) -> Iterator[ResultWarning]:
@@ -586,16 +575,17 @@ def draw(found: Run) -> dict[str, Drawing]:
         "x_label": "x along the entry (mm)",
         "panels": (Panel("y (mm)", line="median_mm", low="low_mm", high="high_mm", zero=True),),
     }
-    return {"forecast": Drawing("curves", table, options, _list_bands)}
 
+    def list_bands(table: pd.DataFrame) -> pd.DataFrame:
+        """Return a row for each band and point, and for the median."""
+        middle = table.assign(median_mm=table["needle_median_mm"], low_mm=np.nan, high_mm=np.nan)
+        parts = [middle.assign(band="median")]
+        for band in bands:
+            ends = {f"{end}_mm": table[f"{band}_{end}_mm"] for end in ("low", "high")}
+            parts.append(table.assign(band=band, median_mm=np.nan, **ends))
+        return pd.concat(parts, ignore_index=True)
 
-def _list_bands(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a row for each band and point, and for the median."""
-    parts = [table.assign(band="median", median_mm=table["needle_median_mm"], low_mm=np.nan, high_mm=np.nan)]
-    for band in ("measured_95", "needle_95", "needle_50"):
-        ends = {f"{end}_mm": table[f"{band}_{end}_mm"] for end in ("low", "high")}
-        parts.append(table.assign(band=band, median_mm=np.nan, **ends))
-    return pd.concat(parts, ignore_index=True)
+    return {"forecast": Drawing("curves", table, options, list_bands)}
 
 
 _BASIS_KEYS = (

@@ -53,7 +53,7 @@ export function send(message, at = null) {
 }
 
 /** Read what has come; also called before each frame. */
-export function receive() {
+function receive() {
   if (!mailbox) return;
   for (let text = takeText(mailbox); text !== null; text = takeText(mailbox)) hear(JSON.parse(text));
 }

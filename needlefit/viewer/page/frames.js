@@ -55,7 +55,7 @@ function frame(t) {
 }
 
 /** Ask for a frame: something has to be drawn, or an answer is about to come. */
-export function wake() {
+function wake() {
   if (asked || !paint) return;
   asked = true;
   requestAnimationFrame(frame);

@@ -319,9 +319,14 @@ def lay_out_insertions(results: Run, role: str) -> TableLayout:
     wanted = results.frames["errors"].query(
         "role == @role and method == 'fitted' and boundaries == 'measured'"
     )
+    columns = (
+        *("insertion", "medium", "layers", "depth_mm", "deflection_mm", "predicted_deflection_mm"),
+        *(one.name for one in list_metrics() if not one.spread_of),
+        *(f"floor_{one.name}" for one in headline_metrics() if one.has_floor),
+    )
     rows = [
         {
-            **{**dict.fromkeys([one.name for one in list_metrics()]), **row, "origin": results.origin},
+            **{**dict.fromkeys(columns), **row, "origin": results.origin},
             DIGITS: 3 if row["comparison"] == "aligned" else 2,
             "insertion": str(row["insertion"]) + ("" if row["converged"] else " (did not converge)"),
             **{
@@ -332,11 +337,6 @@ def lay_out_insertions(results: Run, role: str) -> TableLayout:
         }
         for row in to_records(wanted)
     ]
-    columns = (
-        *("insertion", "medium", "layers", "depth_mm", "deflection_mm", "predicted_deflection_mm"),
-        *(one.name for one in list_metrics() if not one.spread_of),
-        *(f"floor_{one.name}" for one in headline_metrics() if one.has_floor),
-    )
     return _lay_out(Table("insertions", "", rows, columns))
 
 

@@ -34,6 +34,7 @@ from needlefit.reporting.number_format import format_mm
 
 Fact = tuple[str, str]
 Paint = Callable[[], Figure]
+#: title, facts in groups, warnings, and the captions of the pictures
 Words = tuple[str, list[list[Fact]], list[str], tuple[str, str]]
 
 MAX_LISTED_WARNINGS = 10  # number of warnings on a page; the table of the batch has all of them
@@ -61,11 +62,8 @@ def write_quality(one: Reconstruction, path: Path) -> Path:
 
     ConfigError if nothing can be written there.
     """
-    left = len(one.warnings) - MAX_LISTED_WARNINGS
-    warnings = [
-        *one.warnings[:MAX_LISTED_WARNINGS],
-        *[f"and {left} more, in reconstruction.csv"] * (left > 0),
-    ]
+    warnings, left = list(one.warnings[:MAX_LISTED_WARNINGS]), len(one.warnings) - MAX_LISTED_WARNINGS
+    warnings += [f"and {left} more, in reconstruction.csv"] * (left > 0)
     words = (f"Reconstruction of {one.scan.id}", list_facts(one), warnings, _QUALITY_CAPTIONS)
     pictures = (partial(paint_needle_section, one), partial(paint_tip_section, one))
     return _write_page(path, one.scan, words, pictures)
@@ -85,16 +83,8 @@ def write_refused_pages(failures: Sequence[ReconstructionFailure], folder: Path)
         _write_page(folder / f"{scan.id}.pdf", scan, words, pictures)
 
 
-def _write_page(
-    path: Path,
-    scan: Scan,
-    words: Words,
-    pictures: Sequence[Paint],
-) -> Path:
-    """Write a page with two pictures of a scan (A4, PDF), completely or not at all.
-
-    `words`: title, facts in groups, warnings, and the captions of the pictures.
-    """
+def _write_page(path: Path, scan: Scan, words: Words, pictures: Sequence[Paint]) -> Path:
+    """Write a page with two pictures of a scan (A4, PDF), completely or not at all."""
     title, facts, warnings, captions = words
     summary = [medium_name(scan.medium), scan.specimen, scan.volume.name]
     payload: document.Block = {
@@ -125,25 +115,31 @@ def list_facts(one: Reconstruction) -> list[list[Fact]]:
     edges = f"{spacing[0]:.3g}" if same else " × ".join(f"{edge:.3g}" for edge in spacing)
     across = f"± {format_mm(pose.shift_sd)} mm and ± {format_mm(np.degrees(pose.angle_sd))}° across"
     along_sd, across_sd = one.needle_axis.tip_sd
-    depths = zip(one.layers.boundaries, one.layers.sd, strict=True)
     most = format_mm(float(np.abs(off).max()))
-    layers = [
-        (
-            "layers" if n == 0 else "",
-            f"{one.layers.sequence[n]} → {one.layers.sequence[n + 1]} at {_with_sd(float(depth), float(sd))}",
+    layers, proposed = list[Fact](), list[Fact]()
+    for n, (depth, sd) in enumerate(zip(one.layers.boundaries, one.layers.sd, strict=True)):
+        before, after = one.layers.sequence[n : n + 2]
+        words = f"{before} → {after} at {_with_sd(float(depth), float(sd))}"
+        layers.append(("" if n else "layers", words))
+    for n, found in enumerate(one.proposals or (), start=1):
+        words = f"{n} → {n + 1} at {_with_sd(found.at, found.sd)} along the needle, {found.step:+.0f} HU"
+        proposed.append((f"proposed {n}", words))
+    registered = [("world", "the patient frame (LPS) of the scan; no markers")]
+    if one.markers is not None and (fit := one.registration) is not None:
+        paired, count, (entry, tip) = (
+            len(fit.pairs),
+            len(one.markers.centers),
+            map(format_mm, one.target_error),
         )
-        for n, (depth, sd) in enumerate(depths)
-    ]
-    proposed = [
-        (
-            f"proposed {n}",
-            f"{n} → {n + 1} at {_with_sd(found.at, found.sd)} along the needle, {found.step:+.0f} HU",
-        )
-        for n, found in enumerate(one.proposals or (), start=1)
-    ]
+        more = f"; {count - paired} more belong to none" if count > paired else ""
+        registered = [
+            ("markers", f"{paired} of {fit.known} {_SOURCES[one.markers.source]}{more}"),
+            ("registration", f"FRE {format_mm(fit.fre)} mm; {format_mm(fit.expected_fre)} expected"),
+            ("error it leaves", f"{entry} mm at the entry, {tip} at the tip, predicted"),
+        ]
     groups = [
         [("voxels", f"{edges} mm" + (", cubes" if same else ""))],
-        _list_registration_facts(one),
+        registered,
         [
             ("entry pose", f"from {_SOURCES[pose.source]}"),
             ("", f"± {format_mm(pose.along_sd)} mm along, {across}"),
@@ -161,20 +157,6 @@ def list_facts(one: Reconstruction) -> list[list[Fact]]:
     if one.proposals is not None:
         groups.append(proposed or [("proposed", "no interface shows")])
     return groups
-
-
-def _list_registration_facts(one: Reconstruction) -> list[Fact]:
-    markers, fit = one.markers, one.registration
-    if markers is None or fit is None:
-        return [("world", "the patient frame (LPS) of the scan; no markers")]
-    paired, found = len(fit.pairs), len(markers.centers)
-    more = f"; {found - paired} more belong to none" if found > paired else ""
-    entry, tip = one.target_error
-    return [
-        ("markers", f"{paired} of {fit.known} {_SOURCES[markers.source]}{more}"),
-        ("registration", f"FRE {format_mm(fit.fre)} mm; {format_mm(fit.expected_fre)} expected"),
-        ("error it leaves", f"{format_mm(entry)} mm at the entry, {format_mm(tip)} at the tip, predicted"),
-    ]
 
 
 def list_finding_facts(found: Findings) -> list[list[Fact]]:
@@ -252,7 +234,10 @@ def paint_needle_section(reconstruction: Reconstruction) -> Figure:
         panels.append(add_panel_mm(figure, (_LEFT_MM, top - height, width, height)))
         _PAINTERS[name](panels[-1], reconstruction)
         panels[-1].set_xlim(left, right)
-        _mark_depths(panels[-1], reconstruction)
+        for at, sd, colour, _ in _marked_depths(reconstruction):
+            half = _NORMAL_95_HALF_WIDTH_SD * sd
+            panels[-1].axvspan(at - half, at + half, color=colour, alpha=0.3, lw=0, zorder=0)
+            panels[-1].axvline(at, color=colour, lw=0.7, zorder=1)
         top -= height + _PANEL_GAP_MM
     for axes in panels[:-1]:
         axes.tick_params(labelbottom=False)
@@ -277,18 +262,14 @@ def choose_spans(pictures: Sequence[ScanView], needle: Floats, room: float) -> l
     return [(c - share * reach, c + share * reach) for c, reach in zip(centres, reaches, strict=True)]
 
 
-def _paint_core(axes: Axes, reconstruction: Reconstruction) -> None:
+def _paint_brightness(axes: Axes, reconstruction: Reconstruction, which: str, name: str) -> None:
     profile = reconstruction.profile
-    axes.plot(_arc_to_x(reconstruction, profile.s), profile.core, color=INK, lw=0.9)
-    axes.set_ylabel("needle\n(HU)")
-    axes.yaxis.set_major_locator(MaxNLocator(2))
-
-
-def _paint_around(axes: Axes, reconstruction: Reconstruction) -> None:
-    profile = reconstruction.profile
-    axes.plot(_arc_to_x(reconstruction, profile.s), profile.around, color=INK, lw=0.9)
-    axes.set_ylabel("surroundings\n(HU)")
-    draw_grid(axes, "y")
+    axes.plot(_arc_to_x(reconstruction, profile.s), getattr(profile, which), color=INK, lw=0.9)
+    axes.set_ylabel(f"{name}\n(HU)")
+    if which == "core":
+        axes.yaxis.set_major_locator(MaxNLocator(2))
+    else:
+        draw_grid(axes, "y")
 
 
 def _paint_deflection(axes: Axes, reconstruction: Reconstruction) -> None:
@@ -342,9 +323,9 @@ def _mark_tip_model(axes: Axes, last: float, tip: float) -> None:
     )  # fmt: skip
 
 
-_PAINTERS = {
-    "core": _paint_core,
-    "around": _paint_around,
+_PAINTERS: dict[str, Callable[[Axes, Reconstruction], None]] = {
+    "core": partial(_paint_brightness, which="core", name="needle"),
+    "around": partial(_paint_brightness, which="around", name="surroundings"),
     "deflection": _paint_deflection,
     "residuals": _paint_residuals,
 }
@@ -358,13 +339,6 @@ def _marked_depths(reconstruction: Reconstruction) -> list[tuple[float, float, s
         before, after = layers.sequence[n : n + 2]
         found.append((float(depth), float(sd), LAYER_COLOUR, f"{before} → {after}"))
     return [*found, (float(tip), float(reconstruction.needle_axis.tip_sd[0]), TIP_COLOUR, "tip")]
-
-
-def _mark_depths(axes: Axes, reconstruction: Reconstruction) -> None:
-    for at, sd, colour, _ in _marked_depths(reconstruction):
-        half = _NORMAL_95_HALF_WIDTH_SD * sd
-        axes.axvspan(at - half, at + half, color=colour, alpha=0.3, lw=0, zorder=0)
-        axes.axvline(at, color=colour, lw=0.7, zorder=1)
 
 
 def _name_depths(axes: Axes, reconstruction: Reconstruction) -> None:

@@ -4,7 +4,7 @@ import { colour } from "../dom.js";
 import { toPx, toPy } from "../view.js";
 
 const NAMES = [
-  "air", "gutter", "ink", "quiet", "grid", "edge", "needle", "points", "path", "tip", "guide", "load",
+  "air", "gutter", "ink", "quiet", "edge", "needle", "points", "path", "tip", "guide", "load",
   "measured", "band", "plan", "reach", "gap", "bad", "halo", "soft", "stiff", "label", "accent",
 ];
 const FONTS = { small: "11px system-ui, sans-serif", plain: "12px system-ui, sans-serif", strong: "600 12px system-ui, sans-serif" };
