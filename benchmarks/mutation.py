@@ -64,9 +64,7 @@ AREAS = {
         ),
     ),
     "sampling": Area(
-        tuple(
-            f"inference/sampling/{name}.py" for name in ("convergence", "ensembles", "posterior", "sample")
-        ),
+        ("inference/sampling/posterior.py", "inference/sampling/sample.py"),
         ("inference_sample",),
     ),
     "importance": Area(

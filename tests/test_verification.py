@@ -99,7 +99,7 @@ def test_a_file_in_the_folder_is_a_row(tmp_path, monkeypatch):
     (tmp_path / "another.py").write_text(
         "from needlefit.verification.check import Check, Group, CheckOutcome, Quantity, at_most\n"
         "ROWS = (Quantity('zero', at_most(1), ''),)\n"
-        "CHECKS = (Check(TANGENT, 'One more', ROWS, lambda rng: CheckOutcome((0.0,))),)\n"
+        "CHECKS = (Check(Group.TANGENT, 'One more', ROWS, lambda rng: CheckOutcome((0.0,))),)\n"
     )
     before = len(find_checks())
     monkeypatch.setattr(checks, "__path__", [*checks.__path__, str(tmp_path)])
