@@ -302,10 +302,10 @@ def test_the_papers_value_is_below_the_models_in_the_same_column():
 
 
 def test_the_short_answer_names_floor_and_paper():
-    short = summarize(study(1))[0]
+    short = REPORT.summarize(study(1))[0]
     assert "0.21 and 0.22 mm" in short.partition("noise floor")[2].partition("paper")[0]
     assert "0.19 and 0.14 mm" in short.partition("paper")[2]
-    assert "paper" not in summarize(stereo())[0]
+    assert "paper" not in REPORT.summarize(stereo())[0]
 
 
 def test_without_a_row_of_the_paper_the_short_answer_compares_every_curve():
