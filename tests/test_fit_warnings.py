@@ -553,7 +553,7 @@ def test_an_outcome_that_the_verdict_names_has_no_headline():
 PROFILE = {"parameter": "mu1_pa", "low": 2e5, "high": 3e5, "determined": True}
 
 
-def fitted_intervals(**changed):
+def parameter_row(**changed):
     return {"parameter": "mu1_pa", "status": "free", "determined": True, "note": ""} | changed
 
 
@@ -568,7 +568,7 @@ def test_certified_draws_give_the_interval_and_others_none():
 
 
 def test_a_wide_interval_of_draws_takes_back_the_verdict_of_information_and_profile():
-    row, judged = fitted_intervals(), dict(PROFILE)
+    row, judged = parameter_row(), dict(PROFILE)
     add_intervals([row], [judged], {"mu1_pa": ParameterInterval(1e4, 1e7, "posterior")}, {})
     assert not row["determined"] and not judged["determined"]
     for one in (row, judged):
@@ -576,7 +576,7 @@ def test_a_wide_interval_of_draws_takes_back_the_verdict_of_information_and_prof
 
 
 def test_without_draws_the_profile_gives_it_and_a_tied_parameter_has_its_sources():
-    row, tied = fitted_intervals(), fitted_intervals(parameter="mu2_pa", status="tied")
+    row, tied = parameter_row(), parameter_row(parameter="mu2_pa", status="tied")
     add_intervals([row, tied], [dict(PROFILE)], {}, {"mu2_pa": (50.0, "mu1_pa")})
     assert row["determined"] and (row["interval_low"], row["draw_source"]) == (2e5, "profile")
     assert (tied["interval_low"], tied["interval_high"]) == (1e7, 1.5e7)

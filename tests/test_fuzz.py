@@ -68,7 +68,7 @@ def server():
         yield found
 
 
-def wrong_faults(name, count, seed, server, folder):
+def find_broken_promises(name, count, seed, server, folder):
     """Return what went against the promises at some faults, by the fault."""
     prepared = prepare(name, folder, server)
     faults = list(prepared.faults(KINDS))
@@ -80,4 +80,4 @@ def wrong_faults(name, count, seed, server, folder):
 @pytest.mark.sweep
 @pytest.mark.parametrize("name", COMMANDS)
 def test_faults_at_many_steps_lose_nothing(name, server, tmp_path):
-    assert wrong_faults(name, 8, 2, server, tmp_path / "f") == {}
+    assert find_broken_promises(name, 8, 2, server, tmp_path / "f") == {}

@@ -44,7 +44,7 @@ from needlefit.studies.further_insertion import WeightedPosterior, find_template
 from needlefit.studies.held_out_predictions import NewSpecimens, PosteriorFit
 from needlefit.studies.job import Job, Settings, prepare
 from needlefit.studies.kinds import next_insertion
-from needlefit.studies.kinds import plan as plan_plan
+from needlefit.studies.kinds import plan as plan_kind
 from needlefit.studies.kinds.next_insertion import REPORT as NEXT_REPORT
 from needlefit.studies.kinds.next_insertion import (
     CandidateEntryRecord,
@@ -309,15 +309,15 @@ def job() -> Job:
 
 
 def site(**changed: object) -> TargetSite:
-    return plan_plan.make_site(job(), PlanRecord.model_validate({**CHICKEN, **changed}))
+    return plan_kind.make_site(job(), PlanRecord.model_validate({**CHICKEN, **changed}))
 
 
 @pytest.fixture
 def few_draws(monkeypatch) -> None:
     effort = replace(further_insertion.PLANNING_EFFORT, draws=100, min_ess=100.0)
     monkeypatch.setattr(further_insertion, "PLANNING_EFFORT", effort)
-    monkeypatch.setattr(plan_plan, "SEARCH_DRAWS", 2)
-    monkeypatch.setattr(plan_plan, "TEST_DRAWS", 6)
+    monkeypatch.setattr(plan_kind, "SEARCH_DRAWS", 2)
+    monkeypatch.setattr(plan_kind, "TEST_DRAWS", 6)
 
 
 def optimize(where: TargetSite, values: dict[str, float]) -> Aim:
@@ -382,7 +382,7 @@ def test_needles_differ_by_bevel_and_in_a_new_specimen_by_its_parameters():
     sds = {}
     for name, about in (("same", None), ("new", new)):
         sets = [
-            one.values for one in plan_plan.draw_trials(job(), site().like, posterior(theta), about, 4000)
+            one.values for one in plan_kind.draw_trials(job(), site().like, posterior(theta), about, 4000)
         ]
         sds[name] = [np.std(np.log([values[key] for values in sets])) for key in ("bevel_mm", "mu1_pa")]
     # of one insertion: its bevel is the mean of those fitted to
@@ -399,7 +399,7 @@ def test_needles_differ_by_bevel_and_in_a_new_specimen_by_its_parameters():
 def test_the_template_s_specimen_decides_unless_the_study_does(tuned, stated, differs):
     specimens = {one.specimen for one in job().folds[0].tune}
     template = next(one for one in job().dataset.insertions if (one.specimen in specimens) == tuned)
-    found = plan_plan.find_new_specimen(job(), stated, template, posterior(np.empty(0)))
+    found = plan_kind.find_new_specimen(job(), stated, template, posterior(np.empty(0)))
     assert (found is not None) == differs
 
 
@@ -408,7 +408,7 @@ def test_the_answer_is_tried_on_fresh_draws_and_written(world):
     plans = answer.frames["plans"].set_index("method")
     assert plans["rms_mm"]["expected"] < plans["rms_mm"]["straight"]
     misses = answer.frames["misses"].query("method == 'expected'")["miss_mm"]
-    assert len(misses) == plan_plan.TEST_DRAWS
+    assert len(misses) == plan_kind.TEST_DRAWS
     beyond = answer.frames["exceedances"].set_index(["method", "limit_mm"])["share"]
     assert beyond["expected", 1.0] == pytest.approx((misses > 1.0).mean())
     written = {path.name for path in world.find("plan").iterdir()}
@@ -417,15 +417,15 @@ def test_the_answer_is_tried_on_fresh_draws_and_written(world):
 
 @pytest.mark.sweep
 def test_a_plan_of_draws_that_are_not_certified_has_no_misses(tmp_path, monkeypatch, few_draws):
-    weigh, fault = plan_plan.weigh_posterior, "draws by importance are not certified"
+    weigh, fault = plan_kind.weigh_posterior, "draws by importance are not certified"
 
     def weigh_uncertified(*given):
         known = weigh(*given)
         draws = replace(known.learned.draws, faults=(fault,))
         return replace(known, learned=replace(known.learned, draws=draws))
 
-    monkeypatch.setattr(plan_plan, "weigh_posterior", weigh_uncertified)
-    answer = plan_plan.run("aim", PlanRecord.model_validate(CHICKEN), Settings())
+    monkeypatch.setattr(plan_kind, "weigh_posterior", weigh_uncertified)
+    answer = plan_kind.run("aim", PlanRecord.model_validate(CHICKEN), Settings())
     assert answer.faults == (fault,)
     assert answer.frames["misses"].empty and answer.frames["plans"]["median_mm"].isna().all()
     assert answer.frames["exceedances"]["share"].isna().all()
@@ -447,7 +447,7 @@ def test_a_plan_out_of_reach_is_reported_with_its_parameters_at_bounds(few_draws
     """Straight ahead and 30 mm deep at most, a place 4 mm to the side is out of reach."""
     entry_plane = {**AHEAD, "depth_mm": [20, 30]}
     record = {**CHICKEN, "target_mm": [29, 4], "tolerances_mm": [1.0], "entry_plane": entry_plane}
-    answer = plan_plan.run("aside", PlanRecord.model_validate(record), Settings())
+    answer = plan_kind.run("aside", PlanRecord.model_validate(record), Settings())
     (fault,) = (one for one in answer.faults if "no plan" in one)
     assert "1 mm" in fault
     assert "(29, 4 mm)" in REPORT.summarize(answer)[0] and "offset, angle" in REPORT.summarize(answer)[0]
@@ -455,7 +455,7 @@ def test_a_plan_out_of_reach_is_reported_with_its_parameters_at_bounds(few_draws
     assert "0.1*" in table.rows[0] and "(*" in table.caption
 
 
-CHICKEN_insertion = {
+NEXT_INSERTION = {
     "schema": 1,
     "kind": "next_insertion",
     "dataset": "twin",
@@ -468,7 +468,7 @@ CHICKEN_insertion = {
     "quantities": [{"name": "tip at 60 mm", "entry": "anywhere", "depth_mm": 60}],
 }
 PHANTOM = {
-    **CHICKEN_insertion,
+    **NEXT_INSERTION,
     "medium": "phantom2",
     "tune": {"medium": "phantom2", "layers": [2]},
     "quantities": [],
@@ -518,7 +518,7 @@ def test_an_entry_lists_all_of_its_layers(entry, fault):
 
 @pytest.mark.parametrize("ids", [["chicken-01"], ["chicken-01", "chicken-02", "chicken-03", "chicken-04"]])
 def test_the_mean_bevel_of_all_needles_is_less_known_than_that_of_some(ids):
-    record = NextInsertionRecord.model_validate({**CHICKEN_insertion, "tune": {"insertions": ids}})
+    record = NextInsertionRecord.model_validate({**NEXT_INSERTION, "tune": {"insertions": ids}})
     job = prepare("deeper", record.tuning(), Settings())
     problem = job.problem(job.folds[0])
     theta = problem.parameters.theta({"mu1_pa": 2e3, "bevel_mm": 0.3, "bevel_spread": 0.1})
@@ -532,7 +532,7 @@ def test_the_mean_bevel_of_all_needles_is_less_known_than_that_of_some(ids):
 def test_deep_insertions_into_one_layer_determine_mu_better_and_alpha_not_at_all(tmp_path, monkeypatch):
     monkeypatch.setattr(next_insertion, "OUTER_DRAWS", 40)
     monkeypatch.setattr(further_insertion, "PLANNING_EFFORT", Effort(draws=100, min_ess=150.0))
-    answer = next_insertion.run("deeper", NextInsertionRecord.model_validate(CHICKEN_insertion), Settings())
+    answer = next_insertion.run("deeper", NextInsertionRecord.model_validate(NEXT_INSERTION), Settings())
     found = answer.frames["candidates"].set_index("depth_mm")
     assert found["nats"][80] > found["nats"][10] + 5 * found["nats_se"][10]
     tips = answer.frames["tips"].set_index("depth_mm")

@@ -160,7 +160,7 @@ alpha2 = { tie = "alpha1" }
 bevel_mm = { bounds = [1e-3, 0.5] }
 """
 
-STUDY_laws = """schema = 2
+LAW_STUDY = """schema = 2
 title = "Mine"
 dataset = "mine"
 medium = "soft"
@@ -190,7 +190,7 @@ Site = tuple[Path, tuple[str, ...]]
 
 
 @pytest.fixture(params=["entry point", "option"])
-def site_laws(
+def law_site(
     request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[Site]:
     by_entry_point = request.param == "entry point"
@@ -200,7 +200,7 @@ def site_laws(
 
 
 @pytest.fixture
-def project_laws(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def law_project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A project whose centrelines are `.xyz` files, and whose medium has the law of the plugin."""
     here = tmp_path / "work"
     for folder in ("configs/media", "configs/recipes", "studies", "data"):
@@ -213,21 +213,21 @@ def project_laws(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         table.unlink()
     (here / "configs/media/soft.toml").write_text(MEDIUM)
     (here / "configs/recipes/tiny.toml").write_text(RECIPE)
-    (here / "studies/mine.toml").write_text(STUDY_laws)
+    (here / "studies/mine.toml").write_text(LAW_STUDY)
     return here
 
 
 def test_a_study_with_everything_of_a_plugin(
-    site_laws: Site, project_laws: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    law_site: Site, law_project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    _, options = site_laws
+    _, options = law_site
     skip_figures(monkeypatch)
     predict_by_few_draws(monkeypatch)
     assert run("check", "mine", *options) == 0
     capsys.readouterr()
     assert run("validate", "mine", "--json", "-q", *options) == 0
     assert json.loads(capsys.readouterr().out)
-    stored = json.loads((project_laws / "reports/mine/run.json").read_text())
+    stored = json.loads((law_project / "reports/mine/run.json").read_text())
     version = stored["versions"][EXAMPLE]
     assert version == VERSION if not options else version.startswith("sha256:")
     assert stored["rules"]["law"] == "logarithmic"
@@ -235,29 +235,29 @@ def test_a_study_with_everything_of_a_plugin(
     assert {"logarithmic", "ogden"} < {*LAWS.names()}
 
 
-def test_curves_of_the_format_become_a_dataset(site_laws: Site, project_laws: Path) -> None:
-    _, options = site_laws
+def test_curves_of_the_format_become_a_dataset(law_site: Site, law_project: Path) -> None:
+    _, options = law_site
     assert run("new", "dataset", "other", "--from", "data/mine/centerlines/example1.xyz", *options) == 0
     assert check(Path("other")) == []
 
 
-def test_the_law_is_verified(site_laws: Site) -> None:
-    _, options = site_laws
+def test_the_law_is_verified(law_site: Site) -> None:
+    _, options = law_site
     use_plugins(options[1:])
     found = measure_law("logarithmic", np.random.default_rng(1))
     assert max(found.values) < 1e-6
 
 
-def test_without_the_plugin_law_and_format_are_unknown(project_laws: Path) -> None:
+def test_without_the_plugin_law_and_format_are_unknown(law_project: Path) -> None:
     assert run("check", "mine") == 3
     assert run("tune", "mine") == 3
 
 
 def test_a_module_of_the_working_folder_is_refused(
-    project_laws: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    law_project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    install(project_laws, entry_point=True)
-    with plugin_folder(project_laws, monkeypatch):
+    install(law_project, entry_point=True)
+    with plugin_folder(law_project, monkeypatch):
         assert run("check", "mine", "--plugins", EXAMPLE) == 3
         assert EXAMPLE in capsys.readouterr().err
 

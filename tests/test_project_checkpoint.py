@@ -93,8 +93,10 @@ def test_a_changed_byte_never_changes_a_start(tmp_path):
             aside.unlink()
 
 
-def test_rows_of_another_task_are_ignored(tmp_path):
-    kept(tmp_path / "c")
+def test_rows_of_another_task_are_ignored_and_what_is_no_text_is_set_aside(tmp_path):
+    file, row = kept(tmp_path / "c"), b'{"index": "\xff"}'
+    assert file.read_bytes() == kept(tmp_path / "same").read_bytes()
+    assert json.loads((tmp_path / "c" / MANIFEST).read_text())["holds"] == "checkpoint"
     checkpoint = open_checkpoint(tmp_path / "c", True, {"n": 1})
     checkpoint.keep_row("fold/fit", {"index": "no start"})
     assert read_starts(checkpoint, "fold/fit") == {}
@@ -103,13 +105,10 @@ def test_rows_of_another_task_are_ignored(tmp_path):
     checkpoint.keep_row("pieces", {"piece": "a", "rows": {}})
     checkpoint.keep_row("pieces", {"piece": "b"})
     assert [row["piece"] for row in checkpoint.rows("pieces", ("piece", "rows"))] == ["a"]
-
-
-def test_a_row_that_is_no_text_is_set_aside_whatever_its_digest(tmp_path):
-    file, row = kept(tmp_path / "c"), b'{"index": "\xff"}'
-    with file.open("ab") as stream:
+    file = next((tmp_path / "same").glob("*.jsonl"))
+    with file.open("ab") as stream:  # with its right digest
         stream.write(hashlib.sha256(row).hexdigest()[:16].encode() + b" " + row + b"\n")
-    found, lines = resumed(tmp_path / "c")
+    found, lines = resumed(tmp_path / "same")
     assert found == [0, 1, 2] and len(lines) == 1
 
 
@@ -227,12 +226,6 @@ def test_a_lock_is_free_again_once_it_is_released(tmp_path):
     subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, check=True)
 
 
-def test_the_bytes_of_a_row_are_the_same_each_time(tmp_path):
-    one, two = kept(tmp_path / "a"), kept(tmp_path / "b")
-    assert one.read_bytes() == two.read_bytes()
-    assert json.loads((tmp_path / "a" / MANIFEST).read_text())["holds"] == "checkpoint"
-
-
 @pytest.mark.parametrize("begun", ["", "123 0123456789abcdef\n", "12"])
 @pytest.mark.parametrize("half", [None, "", '{\n  "prog'])
 def test_a_checkpoint_that_ended_before_its_manifest_is_begun_again(begun, half, tmp_path):
@@ -261,6 +254,7 @@ ARRAYS = {
     "b": np.array([], np.int64),
     "c": np.array([True, False]),
     "d": np.array([[np.nan]], np.float32),
+    "e": np.zeros((1,) * 8),
 }
 
 
@@ -304,39 +298,27 @@ def test_a_pickle_is_not_run(tmp_path, monkeypatch, data):
     assert resumed(tmp_path / "c")[0] == [] and not (tmp_path / "was_run").exists()
 
 
-def test_setting_aside_overwrites_nothing(tmp_path):
-    for name in ("a", "a.damaged-1", "a.damaged-3"):
+@pytest.mark.parametrize("links", ["plain", "taken meanwhile", "none on this disk"])
+def test_setting_aside_overwrites_nothing(links, tmp_path, monkeypatch):
+    names, link = ("a", "a.damaged-1", "a.damaged-3"), os.link
+    for name in names:
         (tmp_path / name).write_text(name)
-    assert set_aside(tmp_path / "a").name == "a.damaged-2"
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {
-        "a.damaged-1": "a.damaged-1",
-        "a.damaged-2": "a",
-        "a.damaged-3": "a.damaged-3",
-    }
-
-
-def test_a_name_taken_meanwhile_is_not_overwritten(tmp_path, monkeypatch):
-    link = os.link
 
     def link_later(path, aside):
-        if aside.name.endswith("-1"):
+        if aside.name.endswith("-2"):
             aside.write_text("theirs")
         link(path, aside)
 
-    (tmp_path / "a").write_text("mine")
-    monkeypatch.setattr(os, "link", link_later)
-    assert set_aside(tmp_path / "a").read_text() == "mine"
-    assert (tmp_path / "a.damaged-1").read_text() == "theirs" and not (tmp_path / "a").exists()
-
-
-def test_setting_aside_on_a_disk_without_links(tmp_path, monkeypatch):
     def no_link(*_):
         raise OSError(1, "Operation not permitted")
 
-    (tmp_path / "a").write_text("mine")
-    monkeypatch.setattr(os, "link", no_link)
-    assert set_aside(tmp_path / "a").read_text() == "mine"
-    assert [path.name for path in tmp_path.iterdir()] == ["a.damaged-1"]
+    if links != "plain":
+        monkeypatch.setattr(os, "link", link_later if links.startswith("taken") else no_link)
+    aside = set_aside(tmp_path / "a")
+    assert aside.name == ("a.damaged-4" if links.startswith("taken") else "a.damaged-2")
+    expected = {name: name for name in names[1:]} | {aside.name: "a"}
+    expected |= {"a.damaged-2": "theirs"} if links.startswith("taken") else {}
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == expected
 
 
 @dataclass(frozen=True)
@@ -458,17 +440,17 @@ def test_an_empty_folder_of_the_user_is_kept_and_named(empty, tmp_path):
     assert find_foreign(folder) == []
 
 
-def test_empty_folders_alone_are_kept_and_a_result_has_none(tmp_path):
+def test_empty_folders_alone_are_kept_and_a_result_has_neither_these_nor_scratch(tmp_path):
     (tmp_path / "mine" / "raw" / "day1").mkdir(parents=True)
-    assert (
-        find_foreign(tmp_path / "mine")
-        == find_foreign_in_checkpoint(tmp_path / "mine")
-        == ["raw/ (an empty folder)"]
-    )
+    for find in (find_foreign, find_foreign_in_checkpoint):
+        assert find(tmp_path / "mine") == ["raw/ (an empty folder)"]
     with replace_folder(tmp_path / "out") as fresh:
         (fresh / "slicer" / "deep").mkdir(parents=True)
+        (fresh / ".b.csv.needlefit-xyz" / "new").mkdir(parents=True)
         (fresh / "a.csv").write_text("one")
+        write(tmp_path / "out", "two")  # another one writes first
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"a.csv", MANIFEST}
+    assert not find_foreign(tmp_path / "out")
 
 
 def test_links_are_kept_and_not_followed(tmp_path):
@@ -567,14 +549,6 @@ def test_there_is_a_result_at_every_moment(tmp_path):
     assert missed == []
 
 
-def test_two_concurrent_first_writers_both_succeed(tmp_path):
-    with replace_folder(tmp_path / "out") as first:
-        (first / "a.csv").write_text("first")
-        write(tmp_path / "out", "second")
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"a.csv", MANIFEST}
-    assert not find_foreign(tmp_path / "out")
-
-
 @pytest.mark.parametrize("run", ['{"program": "another"}', '{"versions": {"python": "3.11"}}', "[]", "{"])
 def test_files_of_a_run_of_another_program_are_foreign(tmp_path, run):
     for name, text in (("run.json", run), ("report.pdf", "mine"), ("errors.csv", "mine")):
@@ -646,13 +620,6 @@ def test_a_folder_of_another_user_is_refused_before_the_work():
     assert list(folder.iterdir()) == []
     folder.chmod(0o755)
     folder.rmdir()
-
-
-def test_scratch_that_stayed_in_a_new_result_is_no_part_of_it(tmp_path):
-    with replace_folder(tmp_path / "out") as fresh:
-        (fresh / "a.csv").write_text("one")
-        (fresh / ".b.csv.needlefit-xyz" / "new").mkdir(parents=True)
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"a.csv", MANIFEST}
 
 
 @pytest.mark.parametrize("count", range(1, 5))

@@ -433,12 +433,25 @@ def test_a_run_is_a_folder_with_run_json(project):
     assert locate.find_run("./reports/study3") == Path("reports/study3")
 
 
-def test_init_copies_once_and_never_overwrites(tmp_path, monkeypatch):
+def test_init_copies_once_into_a_folder_of_its_own_and_never_overwrites(tmp_path, monkeypatch):
     copy_project(tmp_path / "mine")
     monkeypatch.chdir(tmp_path / "mine")
     assert locate.find_file("scene", "chicken") == tmp_path / "mine/configs/scenes/chicken.toml"
-    with pytest.raises(ConfigError, match="exists already"):
-        copy_project(tmp_path / "mine")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes/thesis.docx").touch()
+    for folder in (
+        Path("/"),
+        tmp_path,
+        tmp_path / "notes",
+        tmp_path / "notes/thesis.docx",
+        tmp_path / "mine",
+    ):
+        with pytest.raises(ConfigError):
+            copy_project(folder)
+    assert [path.name for path in (tmp_path / "notes").iterdir()] == ["thesis.docx"]
+    (tmp_path / "new/.git").mkdir(parents=True)
+    assert len(copy_project(tmp_path / "new")) == 3
 
 
 def test_all_names_are_listed_the_nearest_first(project):

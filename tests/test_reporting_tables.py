@@ -93,29 +93,19 @@ def compared(results: Run) -> str:
     return " ".join(list_sentences(results, "conclusion", "ties", "paper_sets"))
 
 
-def only(frame: pd.DataFrame) -> dict:
-    (row,) = to_records(frame)
-    return row
-
-
 def by_metric(frame: pd.DataFrame, column: str = "value") -> dict:
     return {row["metric"]: row[column] for row in to_records(frame)}
 
 
-def test_macro_is_the_mean_over_insertions():
+def test_macro_is_the_mean_over_insertions_and_pooled_takes_all_points_together():
     table = aggregate(two_needles(), BY)
     values = by_metric(table)
     assert (values["ipe_mean_mm"], values["te_mm"], values["ipe_std_mm"]) == (2.0, 2.0, 0.0)
     assert values["edp_percent"] == pytest.approx((50 + 300) / 2)
     assert set(table["insertions"]) == {2}
-
-
-def test_pooled_takes_all_points_together():
     pooled = by_metric(aggregate(two_needles(), BY, pooled=True), "pooled")
-    assert pooled["ipe_mean_mm"] == pytest.approx(2.0)
-    assert pooled["ipe_std_mm"] == pytest.approx(1.0)
-    assert pooled["ipe_max_mm"] == pytest.approx(3.0)
-    assert pooled["edp_percent"] == pytest.approx(100 * (1 + 3) / (2 + 1))
+    names = ("ipe_mean_mm", "ipe_std_mm", "ipe_max_mm", "edp_percent")
+    assert [pooled[name] for name in names] == pytest.approx([2.0, 1.0, 3.0, 100 * (1 + 3) / (2 + 1)])
 
 
 def test_an_insertion_without_an_answer_is_counted_and_in_no_mean():
@@ -342,28 +332,15 @@ def test_numbers_have_three_digits_and_read_back(value, words):
 
 
 def test_numbers_in_print():
-    assert typeset("2.13e5") == "2.13 × 10⁵"
-    assert typeset("1e-4") == "10⁻⁴"
-    assert typeset("-3") == "−3"
-    assert [format_percent(v) for v in (4.77, 10.3, 254.2, 9.996, None)] == [
-        "4.77",
-        "10.3",
-        "254",
-        "10.0",
-        "–",
-    ]
-    assert format_mm(math.nan) == "–"
-    assert [format_symbol(n) for n in ("mu1_pa", "alpha12", "bevel_mm", "odd")] == [
-        "μ₁ (Pa)",
-        "α₁₂",
-        "b (mm)",
-        "odd",
-    ]
+    for text, printed in (("2.13e5", "2.13 × 10⁵"), ("1e-4", "10⁻⁴"), ("-3", "−3")):
+        assert typeset(text) == printed
+    percents = [format_percent(v) for v in (4.77, 10.3, 254.2, 9.996, None)]
+    assert percents == ["4.77", "10.3", "254", "10.0", "–"] and format_mm(math.nan) == "–"
+    symbols = [format_symbol(n) for n in ("mu1_pa", "alpha12", "bevel_mm", "odd")]
+    assert symbols == ["μ₁ (Pa)", "α₁₂", "b (mm)", "odd"]
     assert insert_symbols("mu1 and bevel_mm only as mu1_pa * bevel_mm^1.9") == "μ₁ and b only as μ₁ · b^1.9"
-    assert (
-        insert_symbols("alpha2 (fixed at -1), -3 to 5, b^-2 and 2e-3")
-        == "α₂ (fixed at −1), −3 to 5, b^-2 and 2 × 10⁻³"
-    )
+    text = insert_symbols("alpha2 (fixed at -1), -3 to 5, b^-2 and 2e-3")
+    assert text == "α₂ (fixed at −1), −3 to 5, b^-2 and 2 × 10⁻³"
 
 
 def test_a_row_has_one_unit_which_fits_its_largest_printed_value():

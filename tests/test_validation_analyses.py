@@ -770,7 +770,7 @@ def test_a_straight_lines_density_is_that_of_the_noise_factor_alone():
     made = _curves()
     fold = Fold("all but one", made[:2], made[2:])
     found = fit_candidate(
-        "straight", candidate_job("straight", _job_comparison(made, (fold,))), fold, Settings()
+        "straight", candidate_job("straight", comparison_job(made, (fold,))), fold, Settings()
     )
 
     def log_evidence(insertions):
@@ -788,7 +788,7 @@ def test_a_straight_lines_density_is_that_of_the_noise_factor_alone():
 def test_the_path_angle_is_a_candidate():
     made = tuple(measure(TRUTH, medium(layers=1), insertion(30.0 + 6 * k), points=31) for k in range(2))
     fold = Fold("one", made[:1], made[1:])
-    job = candidate_job("path_angle", _job_comparison(made, (fold,)))
+    job = candidate_job("path_angle", comparison_job(made, (fold,)))
     assert job.medium.advance == "path_angle" and "cut_angle_deg" in job.parameters.free
     found = fit_candidate("path_angle", job, fold, Settings())
     (curve, *_) = found.predictor(made[1]).values()
@@ -800,7 +800,7 @@ def test_the_path_angle_is_a_candidate():
 def test_further_points_add_their_whole_density():
     """Nothing that the likelihood drops is missing from the ratio of two posteriors."""
     made = [measure(TRUTH, medium(layers=1), insertion(30.0 + 6 * k), points=31) for k in range(2)]
-    job = candidate_job("ogden", _job_comparison(tuple(made), ()))
+    job = candidate_job("ogden", comparison_job(tuple(made), ()))
     # all bevels are the same: a further one would change what b is the mean of
     theta = job.parameters.theta({**TRUTH, "bevel_mm": 0.1, NOISE_SCALE: 1.3, BEVEL_SPREAD: 1e-3})
     one, both = (job.problem(Fold("", tuple(some), ())) for some in (made[:1], made))
@@ -814,7 +814,7 @@ def test_further_points_add_their_whole_density():
 RECORD = {"schema": 1, "kind": "comparison", "dataset": "cases", "medium": "test", "folds": 2}
 
 
-def _job_comparison(made, folds):
+def comparison_job(made, folds):
     fit = FitRecord.model_validate({"schema": 1, "dataset": "cases", "medium": "test"})
     parameters = Parameters.from_record(medium(layers=1))
     recipe = squares_recipe(starts=2)
@@ -829,7 +829,7 @@ def compared():
     for k in range(4):
         planned = measure(TRUTH, medium(layers=1), insertion(34.0 + 6 * k, side=(1, -1)[k % 2]), points=21)
         made.append(simulate_measurement(dataset([planned]), planned, TRUTH, medium(layers=1), rng))
-    job = _job_comparison(tuple(made), deal_folds(tuple(made), 2))
+    job = comparison_job(tuple(made), deal_folds(tuple(made), 2))
     return run_analysis("cases", record, Settings(), plan_comparison(record, job, Settings()))
 
 

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from inference_cases import NEEDLE, insertion, measure, medium
 from scipy.stats import norm
-from test_cli import run as run_truth
+from test_cli import run as run_command
 
 from needlefit.datasets.insertion import Dataset, Noise
 from needlefit.inference.parameters import Parameters
@@ -262,13 +262,13 @@ def test_the_interval_of_a_share_is_wilson_s():
 )
 def test_options_that_exclude_each_other_are_usage_errors(options, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert run_truth("calibrate", "study1", *options) == 2
+    assert run_command("calibrate", "study1", *options) == 2
 
 
 def test_what_has_no_synthetic_truth_is_refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("leave_one_out", "guided_tip:rest", "stereo_holes"):
-        assert run_truth("calibrate", name, "--truth", "synthetic", "-q") == 3
+        assert run_command("calibrate", name, "--truth", "synthetic", "-q") == 3
 
 
 def test_other_specimens_are_simulated_where_predictions_learn_from_them():

@@ -136,6 +136,11 @@ def test_a_verdict_and_a_deviation_of_identify_are_compared(tmp_path):
     assert (named.what, named.where, named.after) == ("input", "dataset.name", "other")
     assert (verdict.before, verdict.after, verdict.matters) == ("determined", "not determined", True)
     assert wider.why.startswith("2 times") and wider.matters
+    folds = [table(tmp_path / f"{sd}", "identify", [{**row, "fold": f, "sd": sd} for f in ("one", "two")])
+             for sd in (0.1, 0.2)]  # fmt: skip
+    assert [found.where for found in compare_runs(*folds)] == [
+        f"sd of mu1_pa ({fold}), design" for fold in ("one", "two")
+    ]
 
 
 def test_a_moved_tip_prediction_is_given_in_its_deviations(tmp_path):

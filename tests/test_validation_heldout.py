@@ -287,7 +287,7 @@ BENT = math.log(1.15)  #: logarithm of the bevel's factor in the last hole
 
 
 @pytest.fixture(scope="module")
-def job_repeats():
+def holes_job():
     made = holes(factors=(1.0, 1.0, 1.0, 1.0, math.exp(BENT)))
     record = medium(1)
     p = problem(record, made, how=LikelihoodRecord(depths="fixed"), noise=FINE)
@@ -299,28 +299,28 @@ def job_repeats():
     )
 
 
-def predict_repeats(job_repeats, tune, held):
+def predict_holes(holes_job, tune, held):
     """The predicted tips of depths that are held out, in units of the bevel's spread of 0.1."""
-    known = [one for one in job_repeats.dataset.insertions if one.id in tune]
-    wanted = [one for one in job_repeats.dataset.insertions if one.id in held]
-    theta = job_repeats.parameters.theta({**TRUTH, "bevel_spread": 0.1})
+    known = [one for one in holes_job.dataset.insertions if one.id in tune]
+    wanted = [one for one in holes_job.dataset.insertions if one.id in held]
+    theta = holes_job.parameters.theta({**TRUTH, "bevel_spread": 0.1})
     draws = Draws(np.repeat(theta[None], 300, axis=0), "importance")
-    rows = predict_held_out(job_repeats, Fold("one", tuple(known), tuple(wanted)), draws)
+    rows = predict_held_out(holes_job, Fold("one", tuple(known), tuple(wanted)), draws)
     return [one.row for one in rows]
 
 
-def test_a_depth_of_a_known_hole_is_predicted_with_the_bevel_of_that_hole(job_repeats):
-    everything = [one.id for one in job_repeats.dataset.insertions]
-    (new,) = predict_repeats(job_repeats, everything[:8], ["E36"])
-    (known,) = predict_repeats(job_repeats, everything[:9], ["E36"])
+def test_a_depth_of_a_known_hole_is_predicted_with_the_bevel_of_that_hole(holes_job):
+    everything = [one.id for one in holes_job.dataset.insertions]
+    (new,) = predict_holes(holes_job, everything[:8], ["E36"])
+    (known,) = predict_holes(holes_job, everything[:9], ["E36"])
     width = {name: row["tip_95_high_mm"] - row["tip_95_low_mm"] for name, row in (("n", new), ("k", known))}
     assert width["k"] < 0.5 * width["n"]
     off = [abs(row["tip_median_mm"] - row["tip_measured_mm"]) for row in (known, new)]
     assert off[0] < 0.2 * off[1]
 
 
-def test_the_depths_of_a_hole_left_out_have_one_bevel(job_repeats):
-    everything = [one.id for one in job_repeats.dataset.insertions]
-    shallow, deep = predict_repeats(job_repeats, everything[:8], ["E32", "E36"])
+def test_the_depths_of_a_hole_left_out_have_one_bevel(holes_job):
+    everything = [one.id for one in holes_job.dataset.insertions]
+    shallow, deep = predict_holes(holes_job, everything[:8], ["E32", "E36"])
     tips = [row["tip_median_mm"] / row["tip_measured_mm"] for row in (shallow, deep)]
     assert tips[0] == pytest.approx(tips[1], rel=2e-3)  # 300 independent draws would differ by 1 %

@@ -109,12 +109,6 @@ def frames(results: Run) -> dict[str, pd.DataFrame]:
     return {name: results.frames[name] for name in COLUMNS}
 
 
-def assert_same(one: Run, two: Run) -> None:
-    for name, frame in frames(one).items():
-        pd.testing.assert_frame_equal(frame, frames(two)[name], check_exact=True)
-    assert json.dumps(one.run, sort_keys=True) == json.dumps(two.run, sort_keys=True)
-
-
 def fitted(results: Run) -> dict[str, float]:
     rows = results.frames["parameters"][results.frames["parameters"]["method"] == "fitted"]
     return dict(zip(rows["parameter"], rows["value"], strict=True))

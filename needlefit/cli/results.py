@@ -11,6 +11,7 @@ import typer
 from needlefit.cli import screen
 from needlefit.cli.execution import show_run
 from needlefit.cli.options import argument, complete_runs, flag, option, takes
+from needlefit.project.help_pages import Topic, read_input_columns, read_sections, read_terms
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -98,19 +99,8 @@ def diff(
         screen.print_text("\n".join(table.notes))
 
 
-@dataclasses.dataclass(frozen=True)
-class Topic:
-    """What is printed about a key: a title, then paragraphs."""
-
-    key: str
-    title: str
-    paragraphs: tuple[str, ...] = ()
-    symbol: str = ""  #: another key: TE of the tip error
-
-
 def _list_topics() -> dict[str, list[Topic]]:
     from needlefit.mechanics.laws import LAWS
-    from needlefit.project.help_pages import read_input_columns, read_sections, read_terms
     from needlefit.reporting.columns import list_columns
     from needlefit.studies.toml_reference import list_files
 
@@ -131,17 +121,9 @@ def _list_topics() -> dict[str, list[Topic]]:
         for table, columns in groupby(read_input_columns(), lambda one: one.table)
     ]
     return {
-        "Warnings": [Topic(one.key, one.title, one.paragraphs) for one in read_sections().values()],
+        "Warnings": [*read_sections().values()],
         "Files": [*(Topic(one.name, one.title) for one in list_files()), *tables],
-        "Terms": [
-            Topic(
-                one.name,
-                ", ".join(filter(None, (one.name, one.symbol, one.unit))),
-                (one.meaning,),
-                one.symbol,
-            )
-            for one in read_terms().values()
-        ],
+        "Terms": read_terms(),
         "Tissue laws": laws,
         "Columns of tables": [
             Topic(one.key, f"{one.label} ({one.unit})" if one.unit else one.label, (one.explanation,))
@@ -169,9 +151,8 @@ def explain(context: typer.Context, key: str = "") -> None:
     groups = _list_topics()
     topics = [one for group in groups.values() for one in group]
     found = [one for one in topics if key and key in (one.key, one.symbol)]
-    if (
-        key and not found and (column := find_column(key)).explanation
-    ):  # its name has a number, such as mu3_pa
+    column = find_column(key)
+    if key and not found and column.explanation:  # its name has a number, such as mu3_pa
         found = [Topic(key, column.label, (column.explanation,))]
     if key and not found:
         near = difflib.get_close_matches(key, [one.key for one in topics], n=3)
@@ -208,7 +189,7 @@ def _describe(topic: Topic) -> Topic:
             more = f" Keys: {one.described_in}." if one.described_in else ""
             lines.append(f"\n  {one.key}: {one.value.replace('**', '').replace('`', '')}")
             lines += [f"      {words}" for words in (f"{one.meaning}{more}", one.example) if words]
-    return Topic(topic.key, topic.title, tuple(lines))
+    return dataclasses.replace(topic, paragraphs=tuple(lines))
 
 
 @takes("json verbose")

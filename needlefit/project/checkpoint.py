@@ -30,12 +30,11 @@ from needlefit.project.folders import (
     format_manifest,
     is_regular,
     list_all_files,
-    not_replaced_error,
     not_writable_error,
     read_manifest,
     remove_contents,
     remove_folder,
-    require_writable,
+    require_replaceable,
     try_lock,
 )
 from needlefit.project.input_files import parse_json, read_bytes
@@ -267,11 +266,7 @@ def release_checkpoint(folder: Path) -> None:
 
 def require_own_checkpoint(folder: Path) -> None:
     """Raise ConfigError unless a checkpoint may be kept in `folder`: missing, empty, or needlefit's own."""
-    require_writable(folder)
-    if (place := folder.resolve()).exists() or place.is_symlink():
-        faults = find_foreign_in_checkpoint(place) if place.is_dir() else ["it is a file"]
-        if faults:
-            raise not_replaced_error(place, faults)
+    require_replaceable(folder, find_foreign_in_checkpoint)
 
 
 def find_foreign_in_checkpoint(folder: Path) -> list[str]:

@@ -15,7 +15,7 @@ import os
 import shutil
 import stat
 import tempfile
-from collections.abc import Container, Iterable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from itertools import combinations
 from pathlib import Path, PurePosixPath
@@ -261,11 +261,14 @@ def _find_fault(folder: Path, name: str, listed: Mapping[str, Any]) -> str:
     return "" if same else f"{name} (changed since it was written)"
 
 
-def require_replaceable(folder: Path) -> None:
-    """Raise ConfigError unless a result may be written to `folder`: missing, empty, or needlefit's own."""
+def require_replaceable(folder: Path, find: Callable[[Path], list[str]] | None = None) -> None:
+    """Raise ConfigError unless `folder` may be written to: missing, empty, or needlefit's own result.
+
+    `find` returns what is foreign in a folder of another kind.
+    """
     require_writable(folder)  # first: it also sees names that the system does not take
     if (place := folder.resolve()).exists() or place.is_symlink():
-        faults = find_foreign(place) if place.is_dir() else ["it is a file"]
+        faults = (find or find_foreign)(place) if place.is_dir() else ["it is a file"]
         if faults:
             raise not_replaced_error(place, faults)
 

@@ -36,19 +36,20 @@ def read_input_columns() -> tuple[InputColumn, ...]:
 
 
 @dataclass(frozen=True)
-class HelpSection:
-    """One section: its key, such as "parameter-at-bound", its heading, its paragraphs and items of lists.
+class Topic:
+    """What is printed about a key, such as "parameter-at-bound": a title, then paragraphs and items of lists.
 
     An item of a list begins with "- ".
     """
 
     key: str
     title: str
-    paragraphs: tuple[str, ...]
+    paragraphs: tuple[str, ...] = ()
+    symbol: str = ""  # another key: TE of the tip error
 
 
 @cache
-def read_sections() -> dict[str, HelpSection]:
+def read_sections() -> dict[str, Topic]:
     """Return the sections of the page by key."""
     page = read_text(shipped_folder() / TROUBLESHOOTING_PAGE)
 
@@ -60,7 +61,7 @@ def read_sections() -> dict[str, HelpSection]:
     for match in _SECTION_PATTERN.finditer(page):
         parts = re.split(r"\n\s*\n|\n(?=- )", match["body"].strip())
         plain = (_LINK_PATTERN.sub(name_page, " ".join(part.split())).replace("**", "") for part in parts)
-        found[match["key"]] = HelpSection(match["key"], match["title"], tuple(plain))
+        found[match["key"]] = Topic(match["key"], match["title"], tuple(plain))
     return found
 
 
@@ -70,27 +71,22 @@ GLOSSARY_PAGE = "docs/glossary.md"
 
 _METRIC = re.compile(r"^## ([^\n(]+) \(([A-Z]+)\)\n\n(.*?\.)(?= Column )", re.MULTILINE | re.DOTALL)
 _ROW = re.compile(
-    r"^\| (?P<name>[^|]+) \| (?P<symbol>[^|]*) \| (?P<unit>[^|]*) \| (?P<meaning>[^|]+) \| \[", re.MULTILINE
+    r"^\| ([^|]+) \| ([^|]*) \| ([^|]*) \| ([^|]+) \| \[",
+    re.MULTILINE,  # name, symbol, unit, meaning
 )
 
 
-@dataclass(frozen=True)
-class Term:
-    """A term: its name, symbol and unit (empty without one), and what it means."""
-
-    name: str
-    symbol: str
-    unit: str
-    meaning: str
-
-
 @cache
-def read_terms() -> dict[str, Term]:
-    """Return the terms by name: the metrics, each a section of its own, then the rows of the table."""
+def read_terms() -> list[Topic]:
+    """Return the terms: the metrics, each a section of its own, then the rows of the table."""
     page = read_text(shipped_folder() / GLOSSARY_PAGE)
     metrics = [
-        Term(name[0].lower() + name[1:], symbol, "", " ".join(meaning.split()))
+        (name[0].lower() + name[1:], symbol, "", " ".join(meaning.split()))
         for name, symbol, meaning in _METRIC.findall(page)
     ]
-    rows = [{key: text.strip() for key, text in one.groupdict().items()} for one in _ROW.finditer(page)]
-    return {one.name: one for one in [*metrics, *(Term(**row) for row in rows)]}
+    rows = (tuple(text.strip() for text in one.groups()) for one in _ROW.finditer(page))
+    terms = {
+        name: Topic(name, ", ".join(filter(None, (name, symbol, unit))), (meaning,), symbol)
+        for name, symbol, unit, meaning in [*metrics, *rows]
+    }
+    return list(terms.values())

@@ -4,7 +4,7 @@ A draw of the parameters gives one needle, through the layers that its own plann
 offset of its own (given what was measured of the same insertion at other depths, where there is any) and
 depths of layers and insertion drawn as the dataset states their errors; about it stand
 the errors of pose and points. In a specimen that was not tuned on the parameters differ too
-(`new_specimens`). The measured shape enters nowhere but as what is compared (and laid on, where its pose is
+(`NewSpecimens`). The measured shape enters nowhere but as what is compared (and laid on, where its pose is
 free). What the model misses is not predicted: where coverage falls short of its level, that is why, or the
 stated errors are too small. A needle is one trial: its tip, and its shape as a whole, which holds if no point
 of it leaves a band that the predicted probability of such needles stays within all along.

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
+from needlefit.inference.identifiability import precision
 from needlefit.inference.identifiability.identify import (
     AGREEMENT,
     NORMAL_95_HALF_WIDTH_SD,
@@ -18,16 +19,6 @@ from needlefit.inference.identifiability.identify import (
     Identifiability,
     ParameterProfile,
     assess_parameter,
-)
-from needlefit.inference.identifiability.precision import (
-    MAX_LOG_SD,
-    MAX_SHAPE_SD,
-    Loosened,
-    find_condition,
-    format_sd,
-    is_determined_by_data,
-    prior_information,
-    short_name,
 )
 from needlefit.inference.identifiability.profile import DEVIANCE_95
 from needlefit.inference.parameters import Parameters, is_logarithmic, to_value
@@ -73,7 +64,7 @@ def identify_parameters(
     examination: FitProfiles,
     sds: Mapping[str, float],
     verdict: Identifiability | None = None,
-    loosened: Sequence[Loosened] = (),
+    loosened: Sequence[precision.Loosened] = (),
 ) -> IdentificationRows:
     """Return what profiles and standard deviations together say about every parameter.
 
@@ -81,7 +72,7 @@ def identify_parameters(
     `verdict`: of the fit; before one, a parameter counts as determined if its sd and its profile say so.
     `loosened`: with assumptions loosened: it must stay so.
     """
-    spread = np.linalg.inv(prior_information(problem)) if problem.names else np.zeros((0, 0))
+    spread = np.linalg.inv(precision.prior_information(problem)) if problem.names else np.zeros((0, 0))
     before = dict(zip(problem.names, np.sqrt(np.diag(spread)).tolist(), strict=True))
     judgements, rows, points = {}, [], []
     for one in examination.parameters:
@@ -91,9 +82,9 @@ def identify_parameters(
         judgements[one.name] = judged
         condition = ""
         if verdict is None:
-            is_determined = is_determined_by_data(one.name, sd, prior_sd)
+            is_determined = precision.is_determined_by_data(one.name, sd, prior_sd)
             if is_determined and one.fixed_at is None:
-                condition = find_condition(one.name, prior_sd, loosened)
+                condition = precision.find_condition(one.name, prior_sd, loosened)
         else:
             is_determined = verdict.determined.get(one.name, False)
             condition = verdict.conditions.get(one.name, "")
@@ -185,7 +176,9 @@ def describe_verdicts(identification: pd.DataFrame) -> list[str]:
     for row in to_records(identification):
         held = f" (fixed at {format_number(row['value'])})" if row["status"] == "fixed" else ""
         condition = f"; {row['note']}" if row.get("note") else ""
-        summary.append(f"{short_name(str(row['parameter']))}{held}: {_describe_interval(row)}{condition}.")
+        summary.append(
+            f"{precision.short_name(str(row['parameter']))}{held}: {_describe_interval(row)}{condition}."
+        )
     return summary
 
 
@@ -247,7 +240,7 @@ def _identification_cells(row: Row, expected: bool) -> Row:
     )
     return {
         **{side: closed[side] / unit if side in closed else "open" for side in ("low", "high")},
-        "sd": None if row["sd"] is None else format_sd(row["sd"], is_logarithmic(name)),
+        "sd": None if row["sd"] is None else precision.format_sd(row["sd"], is_logarithmic(name)),
         "parameter": label + (", fixed" if row["status"] == "fixed" else ""),
         "agreement": "; ".join(filter(None, (row["agreement"], row.get("note") if expected else None))),
         "tip_range_mm": "" if row["tip_range_mm"] is None else format_small_mm(row["tip_range_mm"]),
@@ -304,7 +297,7 @@ class ParameterInterval:
 
     def is_narrow(self, name: str) -> bool:
         """Return whether it is no wider than a Gaussian one of the largest SD of a determined parameter."""
-        sd = MAX_LOG_SD if is_logarithmic(name) else MAX_SHAPE_SD
+        sd = precision.MAX_LOG_SD if is_logarithmic(name) else precision.MAX_SHAPE_SD
         return self.width(name) < 2 * NORMAL_95_HALF_WIDTH_SD * sd
 
     def columns(self) -> Row:

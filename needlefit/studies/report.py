@@ -36,7 +36,6 @@ from needlefit.studies.run import (
     verdicts_to_json,
 )
 from needlefit.studies.run_differences import TableComparison
-from needlefit.studies.score import VALIDITY_KEY
 from needlefit.studies.store import store_run
 
 
@@ -294,13 +293,11 @@ def state_blocks(result: Run) -> list[Block]:
     blocks = []
     if result.synthetic:
         names = result.run.get("datasets") or [result.run.get("dataset", {}).get("name")]
-        of_twin = "twin" in names
-        why = SYNTHETIC_NOTE.removeprefix("Synthetic data: ").capitalize() if of_twin else MODEL_DATA_NOTE
-        blocks.append(document.warning(f"Synthetic data. {why}"))
+        of_twin = SYNTHETIC_NOTE.removeprefix("Synthetic data: ").capitalize()
+        blocks.append(document.warning(f"Synthetic data. {of_twin if 'twin' in names else MODEL_DATA_NOTE}"))
     if result.interrupted:
-        blocks.append(
-            document.warning("INTERRUPTED. Some of the work was left undone; what is here is part.")
-        )
+        part = "Some of the work was left undone; what is here is part."
+        blocks.append(document.warning(f"INTERRUPTED. {part}"))
     return blocks
 
 
@@ -311,37 +308,19 @@ def _fault_blocks(result: Run) -> list[Block]:
     return [document.warning(f"{head}{result.name}: {fault}.") for head, fault in pairs]
 
 
-_RUN_KEYS = ("versions", "dataset", "datasets", "recipe", "rules")
-
-
 def _run_blocks(result: Run) -> list[Block]:
-    settings = describe_run({key: result.run[key] for key in _RUN_KEYS if key in result.run})
-    rows = [{"setting": name, "setting_value": line} for name, line in settings]
+    """Return the note of a study and its settings; what the report shows elsewhere is left to run.json."""
+    stated = ("dataset", "datasets", "recipe", "rules", "versions")
+    settings = {key: _format_value(result.run[key]) for key in stated if key in result.run}
+    rows = [{"setting": key, "setting_value": line} for key, line in settings.items() if line]
     if not rows:
         return []
     caption = f"Settings of {result.name}. The file run.json holds all of them."
     table = Table("run", caption, rows, ("setting", "setting_value")).lay_out()
-    return [
-        *([document.text(result.note)] if result.note else []),
-        document.table(table),
-    ]
+    return [*([document.text(result.note)] if result.note else []), document.table(table)]
 
 
-_OMITTED_RUN_KEYS = (
-    *("name", "study", "fit", "medium", "folds", "searches", "hand_tuned", "truth"),
-    *(WARNINGS_KEY, VALIDITY_KEY),
-)
 _OMITTED_DATA_KEYS = ("notes", "origin")  #: of a dataset: they stand elsewhere in a report
-
-
-def describe_run(run: Mapping[str, object]) -> list[tuple[str, str]]:
-    """Return the settings of the run, one line per key; what the report shows elsewhere is left to
-    run.json.
-    """
-    summary = [
-        (key, _format_value(value)) for key, value in sorted(run.items()) if key not in _OMITTED_RUN_KEYS
-    ]
-    return [(key.replace("_", " "), line) for key, line in summary if line]
 
 
 def _describe_moves(moves: str) -> str:

@@ -114,6 +114,21 @@ def simulate_measurement(
     return insertion.with_planar(planar)
 
 
+def simulate_measurements(
+    dataset: Dataset,
+    insertions: Sequence[Insertion],
+    values: Mapping[str, float],
+    medium: MediumRecord,
+    rng: np.random.Generator,
+    shared: dict[tuple[object, ...], float] | None = None,
+) -> tuple[Insertion, ...] | None:
+    """Return insertions as measured in the same specimens; None if one of them cannot be simulated."""
+    errors = {} if shared is None else shared
+    found = [simulate_measurement(dataset, one, values, medium, rng, errors) for one in insertions]
+    known = tuple(one for one in found if one is not None)
+    return known if len(known) == len(found) else None
+
+
 def draw_bevels(
     dataset: Dataset, insertions: Sequence[Insertion], rng: np.random.Generator
 ) -> dict[nodes.Surface, float]:

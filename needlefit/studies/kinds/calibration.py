@@ -60,7 +60,7 @@ from needlefit.studies.simulated_data import (
     draw_bevels,
     find_true_value,
     simulate_design,
-    simulate_measurement,
+    simulate_measurements,
 )
 from needlefit.studies.study_files import begin_run, prepare_target, prepare_with_held_out, target_name
 from needlefit.synthetic.build import build_dataset, build_unscanned
@@ -309,11 +309,8 @@ def simulate_experiment(job: Job, rng: np.random.Generator) -> SimulatedExperime
             continue
         true = {NOISE_SCALE: everything.density.scale, **values}
         shared = draw_bevels(job.dataset, design.insertions, rng) if everything.linear_bevels else {}
-        measurements = [
-            simulate_measurement(job.dataset, one, true, job.medium, rng, shared) for one in design.insertions
-        ]
-        known = tuple(one for one in measurements if one is not None)
-        if len(known) < len(measurements):
+        known = simulate_measurements(job.dataset, design.insertions, true, job.medium, rng, shared)
+        if known is None:
             continue
         problem = replace(everything, insertions=known)
         if np.isfinite(problem.log_posterior(theta)):

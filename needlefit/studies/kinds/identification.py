@@ -9,23 +9,13 @@ import pandas as pd
 
 from needlefit.errors import ConfigError, FitError
 from needlefit.inference.fit import Fit
+from needlefit.inference.identifiability import precision
 from needlefit.inference.identifiability.design_gain import ExpectedPrecision, expect_precision
 from needlefit.inference.identifiability.identify import (
     AGREEMENT,
     MIN_NAMED_WEIGHT,
     describe_posterior_sd,
     profile_parameters,
-)
-from needlefit.inference.identifiability.precision import (
-    MAX_LOG_SD,
-    UNINFORMED_SD_RATIO,
-    add_estimated_noise,
-    describe_combination,
-    format_combination_sd,
-    format_sd,
-    is_determined_by_data,
-    loosen,
-    short_name,
 )
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.project.random_streams import random_stream
@@ -123,7 +113,9 @@ def _identify_design(job: Job, settings: Settings, fitted: Mapping[str, float] |
     values, place = choose_reference_values(job, fitted)
     rng = random_stream(job.recipe.seed, job.name, "design")
     noise = (
-        None if fitted is None else add_estimated_noise(job.problem(fold), job.parameters.theta(values)).noise
+        None
+        if fitted is None
+        else precision.add_estimated_noise(job.problem(fold), job.parameters.theta(values)).noise
     )
     expectation = expect_precision(lambda at: simulate_design(job, fold, at, noise), values, rng)
     problem = simulate_design(job, fold, values, noise)
@@ -136,7 +128,7 @@ def _identify_design(job: Job, settings: Settings, fitted: Mapping[str, float] |
     here = Fit(tuple(theta.tolist()), problem.values(theta), 0.0, (), 0, 0, False)
     sds = dict(zip(expectation.names, expectation.sds[0].tolist(), strict=True))
     profiles = profile_parameters(problem, here, settings.jobs, settings.stop, settings.part_pool)
-    found = identify_parameters(problem, profiles, sds, loosened=loosen(problem, theta))
+    found = identify_parameters(problem, profiles, sds, loosened=precision.loosen(problem, theta))
     near = dict(zip(expectation.names, expectation.sds.T, strict=True))  # over all places
     rows = []
     for row in found.rows:
@@ -168,7 +160,7 @@ def _tabulate_directions(expectation: ExpectedPrecision) -> pd.DataFrame:
     """Return the principal directions: standard deviations at the point and near it, and contraction."""
     rows = [
         {
-            "combination": describe_combination(np.array(direction.weights), expectation.names),
+            "combination": precision.describe_combination(np.array(direction.weights), expectation.names),
             "sd": direction.sd,
             "sd_low": float(expectation.direction_sds[:, k].min()),
             "sd_high": float(expectation.direction_sds[:, k].max()),
@@ -215,7 +207,7 @@ def describe(found: Run) -> dict[str, Any]:
         "expected": [_describe_expected(row, directions) for row in design if row["sd_low"] is not None],
         "fixed": [
             {
-                "name": short_name(str(row["parameter"])),
+                "name": precision.short_name(str(row["parameter"])),
                 "moved": "" if tip is None else format_small_mm(tip),
                 "value": row["value"],
             }
@@ -227,7 +219,7 @@ def describe(found: Run) -> dict[str, Any]:
 def _describe_expected(row: Row, directions: list[Row]) -> Row:
     """Return what a design determines about one free parameter."""
     name, sd, low, high = str(row["parameter"]), row["sd"], row["sd_low"], row["sd_high"]
-    first, last = (format_sd(one, is_logarithmic(name)) for one in (low, high))
+    first, last = (precision.format_sd(one, is_logarithmic(name)) for one in (low, high))
     last = last.removeprefix("factor ") if first.startswith("factor") else last
     # the best-determined combination that contains the parameter, if it is determined
     named = (one for one in directions if abs(one[f"weight_{name}"]) >= MIN_NAMED_WEIGHT)
@@ -235,18 +227,18 @@ def _describe_expected(row: Row, directions: list[Row]) -> Row:
         (
             f"{one['combination']} ({one['note'].split(' is known ', 1)[-1]})"
             for one in named
-            if one["sd_ratio"] < UNINFORMED_SD_RATIO and one["sd"] < MAX_LOG_SD
+            if one["sd_ratio"] < precision.UNINFORMED_SD_RATIO and one["sd"] < precision.MAX_LOG_SD
         ),
         "",
     )
     return {
         **row,
-        "name": short_name(name),
+        "name": precision.short_name(name),
         "known": describe_posterior_sd(name, sd),
         "near": "" if high < 1.3 * low else f"{first} to {last}".replace("factor", "a factor of"),
         "agrees": row["agreement"] == AGREEMENT,
-        "uninformed": row["sd_ratio"] > UNINFORMED_SD_RATIO,
-        "by_data": is_determined_by_data(name, sd, sd / float(row["sd_ratio"])),
+        "uninformed": row["sd_ratio"] > precision.UNINFORMED_SD_RATIO,
+        "by_data": precision.is_determined_by_data(name, sd, sd / float(row["sd_ratio"])),
         "only": only,
     }
 
@@ -271,7 +263,9 @@ def lay_out_tables(found: Run) -> list[Table | TableLayout]:
     for row in to_records(found.frames["directions"]):
         weights = {key.removeprefix("weight_"): one for key, one in row.items() if key.startswith("weight_")}
         vector, names = np.array(list(weights.values())), list(weights)
-        near = {key: format_combination_sd(row[key], vector, names) for key in ("sd_low", "sd_high")}
+        near = {
+            key: precision.format_combination_sd(row[key], vector, names) for key in ("sd_low", "sd_high")
+        }
         words = (row["combination"], str(row["note"]).split(" is ", 1)[1])
         combination, known = (insert_symbols(str(one)) for one in words)
         rows.append({**row, **near, "combination": combination, "known_to": known})

@@ -322,23 +322,19 @@ def _conclude(limit: float, frames: Frames) -> tuple[str, ...]:
         f"{row.failed_solves} of {row.draws} needles of plan {row.method} have no solution"
         for row in lost.itertuples()
     ]
-    ours = plans.set_index("method")["median_mm"].astype(float)
+    median = float(plans.set_index("method")["median_mm"].astype(float)[EXPECTED])
     notes = tuple(fault for fault in frames["posterior"]["note"] if fault)
-    found = bool(notes) or reaches(float(ours[EXPECTED]), limit)  # no misses: no sentence on them
-    beside = () if found else (_describe_unreachable(float(ours[EXPECTED]), limit),)
-    return (*beside, *notes, *failed)
+    if notes or reaches(median, limit):  # no misses: no sentence on them
+        return (*notes, *failed)
+    missed = f"half of the needles of the best one miss by more than {median:.1f} mm"
+    if not np.isfinite(median):
+        missed = "no needle of the best one has a solution"
+    return (f"no plan within these bounds comes within {limit:g} mm of the target: {missed}", *failed)
 
 
 def reaches(median: float | None, limit: float) -> bool:
     """Return whether at least half of a plan's needles come within `limit` mm; False if none is solved."""
     return median is not None and median <= limit
-
-
-def _describe_unreachable(median: float, limit: float) -> str:
-    missed = f"half of the needles of the best one miss by more than {median:.1f} mm"
-    if not np.isfinite(median):
-        missed = "no needle of the best one has a solution"
-    return f"no plan within these bounds comes within {limit:g} mm of the target: {missed}"
 
 
 # ---- the report
@@ -403,20 +399,15 @@ def tabulate(result: Run) -> list[Table]:
     plans = Table("plans", "", rows, columns, strong="first")
     if not found["certified"]:
         return [plans]
-    events = [
-        {**row, "plan": PLAN_NAMES[str(row["method"])], "event": _name_event(row)}
-        for row in to_records(result.frames["exceedances"])
-    ]
-    shares = (
-        part("exceedance_share", event=event) for event in dict.fromkeys(row["event"] for row in events)
-    )
-    missed = pivot(events, ["plan"], ["event"])
-    return [plans, Table("exceedances", "", missed, ("plan", *shares), strong="first")]
-
-
-def _name_event(row: Row) -> str:
-    missed = row["object"] == TARGET
-    return f"misses by > {row['limit_mm']:g} mm" if missed else f"touches {row['object']}"
+    events = []
+    for row in to_records(result.frames["exceedances"]):
+        missed = row["object"] == TARGET
+        event = f"misses by > {row['limit_mm']:g} mm" if missed else f"touches {row['object']}"
+        events.append({**row, "plan": PLAN_NAMES[str(row["method"])], "event": event})
+    every = dict.fromkeys(row["event"] for row in events)
+    shares = (part("exceedance_share", event=event) for event in every)
+    lines = pivot(events, ["plan"], ["event"])
+    return [plans, Table("exceedances", "", lines, ("plan", *shares), strong="first")]
 
 
 def draw(result: Run) -> dict[str, Drawing]:
@@ -466,9 +457,12 @@ def _tabulate_misses(result: Run) -> pd.DataFrame:
     return pd.concat(parts, ignore_index=True).assign(origin=result.origin)
 
 
-def headline(fault: str) -> str:
-    """Return the headline of a fault; a target out of reach is the verdict itself."""
-    return "" if fault.startswith("no plan") else headline_fault(fault)
-
-
-REPORT = StudyReport(KindText("plan"), describe, tabulate, draw, rate=rate, headline=headline)
+REPORT = StudyReport(
+    KindText("plan"),
+    describe,
+    tabulate,
+    draw,
+    rate=rate,
+    # a target out of reach is the verdict itself
+    headline=lambda fault: "" if fault.startswith("no plan") else headline_fault(fault),
+)

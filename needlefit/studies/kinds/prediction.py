@@ -5,7 +5,7 @@ of the depths of layers and tip. The *measurement's* adds what a scan of it woul
 dataset states of its points and of the entry pose. Neither includes model error. Draws that are not certified
 predict nothing: the median stays, marked, and the bands are left out.
 
-In a specimen that was not tuned on the parameters differ (`new_specimens`). What that adds stands beside the
+In a specimen that was not tuned on the parameters differ (`NewSpecimens`). What that adds stands beside the
 width that would be left in the specimen tuned on, and after one insertion into the new one.
 """
 

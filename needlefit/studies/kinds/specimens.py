@@ -18,7 +18,6 @@ from pydantic import Field, NonNegativeFloat
 from scipy.stats import halfnorm
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Insertion
 from needlefit.errors import ConfigError, FitError
 from needlefit.inference.identifiability.precision import describe_combination
 from needlefit.inference.optimize import minimize
@@ -58,7 +57,7 @@ from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Frames, Run
 from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, run_analysis
 from needlefit.studies.score import Row
-from needlefit.studies.simulated_data import simulate_measurement
+from needlefit.studies.simulated_data import simulate_measurements
 
 
 class RecoveryRecord(Record):
@@ -268,33 +267,25 @@ def _simulate_specimen(job: Job, mean: Floats, spread: float, rng: np.random.Gen
 
     Raises FitError if hardly any such specimen has a solution.
     """
-    everything = job.problem(job.folds[0])
+    everything, planned = job.problem(job.folds[0]), []
+    for one in job.folds[0].tune:  # about `NEEDLE_POINTS` of the points of each: neighbours err alike
+        step = max(1, len(one.planar) // NEEDLE_POINTS)
+        kept = np.arange(len(one.planar) - 1, -1, -step)[::-1]
+        sd = None if one.sd is None else one.sd[kept]
+        planned.append(replace(one, planar=one.planar[kept], sd=sd, sections=None))
     for _ in range(MAX_SPECIMEN_DRAWS):
         theta = mean + spread * rng.standard_normal(len(mean))
         if np.any(theta < everything.lower) or np.any(theta > everything.upper):
             continue
         values = everything.values(theta)
-        shared: dict[tuple[object, ...], float] = {}
-        measurements = [
-            simulate_measurement(job.dataset, _thin_points(one), values, job.medium, rng, shared)
-            for one in job.folds[0].tune
-        ]
-        known = tuple(one for one in measurements if one is not None)
-        if len(known) == len(measurements):
+        known = simulate_measurements(job.dataset, planned, values, job.medium, rng)
+        if known is not None:
             return replace(everything, insertions=known)
     raise FitError(
         "specimens about this mean have no solution, or lie outside the bounds",
         where="recovery",
         fix="choose a mean farther within the bounds, or smaller spreads",
     )
-
-
-def _thin_points(insertion: Insertion) -> Insertion:
-    """Return an insertion with about `NEEDLE_POINTS` of its points: neighbours err alike."""
-    step = max(1, len(insertion.planar) // NEEDLE_POINTS)
-    kept = np.arange(len(insertion.planar) - 1, -1, -step)[::-1]
-    sd = None if insertion.sd is None else insertion.sd[kept]
-    return replace(insertion, planar=insertion.planar[kept], sd=sd, sections=None)
 
 
 def _conclude(frames: Frames) -> tuple[str, ...]:
