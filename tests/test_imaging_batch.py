@@ -93,7 +93,8 @@ def test_another_machine_gets_the_files_and_gives_the_same_reconstruction(sample
     there = reconstruct_all([sample, gone], RECIPE, ReconstructionBatch(RemotePool(remote=True)))
     arrays = {}, {}
     assert encode(there[0], batch._HOOKS, arrays[0]) == encode(here[0], batch._HOOKS, arrays[1])
-    assert all(np.array_equal(arrays[0][name], one) for name, one in arrays[1].items())
+    for name, one in arrays[1].items():
+        np.testing.assert_array_equal(arrays[0][name], one)
     assert there[1].scan == gone and str(gone.volume) in str(there[1].error)
 
 
