@@ -42,7 +42,7 @@ def median_width(predictive: pd.DataFrame) -> float:
     return float((predictive["tip_95_high_mm"] - predictive["tip_95_low_mm"]).median())
 
 
-def median_error(predictive: pd.DataFrame) -> float:
+def tip_error_of_medians(predictive: pd.DataFrame) -> float:
     """Return the mean distance of the medians of predicted tips from the measured ones, mm.
 
     That is the tip error of the predictions; `te_mm` is of the posterior mode.
@@ -65,7 +65,7 @@ def tabulate_coverage(predictions: pd.DataFrame) -> Row:
         **shares,
         "insertions": len(predictions),
         "tip_95_width_mm": median_width(predictions),
-        "tip_median_error_mm": median_error(predictions),
+        "tip_median_error_mm": tip_error_of_medians(predictions),
         "tip_crps_mm": predictions["tip_crps_mm"].mean(),
     }
 

@@ -43,7 +43,13 @@ from needlefit.reporting.table_files import Row, to_records, to_tidy, write_csv
 from needlefit.schemas.medium import ParameterRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies import scored_groups as scores
-from needlefit.studies.coverage import list_coverages, list_missed_levels, median_error, median_width
+from needlefit.studies.coverage import (
+    is_too_wide,
+    list_coverages,
+    list_missed_levels,
+    median_width,
+    tip_error_of_medians,
+)
 from needlefit.studies.identification import (
     describe_verdicts,
     lay_out_identification,
@@ -90,6 +96,8 @@ class Facts:
         folds = list(results.run.get("folds", ()))
         counts = sorted(len(fold["tune"]) for fold in folds)
         self.folds, self.held_out_count = len(folds), sum(len(fold["validate"]) for fold in folds)
+        depths = results.frames["errors"].query("method == 'fitted'").groupby("role")["depth_mm"]
+        self.depths = {role: (float(found.min()), float(found.max())) for role, found in depths}
         # the least and the greatest, one if they are equal
         self.fitted_counts = list(dict.fromkeys(map(str, (*counts[:1], *counts[-1:]))))
         fitted = to_records(results.frames["parameters"].query("method == 'fitted'"))
@@ -210,10 +218,13 @@ class Facts:
             for what, level, found in list_coverages(predictive)
             if level == 95 and found.trials
         ]
+        width, deflection = median_width(predictive), float(predictive["tip_measured_mm"].abs().median())
         return {
             "covered": covered,
-            "width_mm": median_width(predictive),
-            "error_mm": median_error(predictive),
+            "width_mm": width,
+            "deflection_mm": deflection,
+            "too_wide": is_too_wide(width, deflection),
+            "error_mm": tip_error_of_medians(predictive),
         }
 
     @cached_property
@@ -428,7 +439,7 @@ def _judge_held_out(results: Run, group: scores.ScoredGroup, named_layers: bool)
     floor_ratio, count = group.over_floor(scores.TE), int(group.head["insertions"])
     judged = judge_errors(name, error, floor_ratio, best, count, reliable=results.reliable)
     predictive = scores.select_group(results.frames["predictive"], group)
-    median = median_error(predictive) if len(predictive) else None
+    median = tip_error_of_medians(predictive) if len(predictive) else None
     numbers |= {} if median is None else {"predictive_median_te_mm": median}
     missed = [
         {"what": what, "level": level, "hits": found.hits, "trials": found.trials}

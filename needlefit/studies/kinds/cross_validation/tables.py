@@ -180,6 +180,7 @@ def lay_out_summary(results: Sequence[Run]) -> TableLayout:
         "held_out": any(group.head["grouping"] == scores.HELD_OUT for group in groups),
         "metrics": [f"{one.label}: {one.explanation.partition(': ')[2] or one.explanation}" for one in shown],
         "marked": any(row["mark"] for row in rows),
+        "paper": any(group.printed for group in groups),
     }
     return _lay_out(table, groups=list(map(_head, groups)), **values)
 
