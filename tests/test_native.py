@@ -241,6 +241,13 @@ def test_damaged_problems_are_errors(part: int) -> None:
     assert 10 < sum(accepted) < 90
 
 
+@pytest.mark.parametrize("first_cell", [1e-320, 1e-10])
+def test_a_first_cell_that_no_depth_tells_apart_is_an_error(first_cell: float) -> None:
+    problem = make_problem(np.random.default_rng(0))
+    with pytest.raises(TypeError):
+        native.KernelProblem.make({**read_numbers(problem), "first_cell": first_cell}, dict(problem.arrays))
+
+
 @pytest.mark.parametrize("seed", range(40))
 def test_damaged_arguments_of_the_other_functions_are_errors(seed: int) -> None:
     rng = np.random.default_rng(seed)

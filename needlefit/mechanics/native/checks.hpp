@@ -46,7 +46,8 @@ inline Fault check_problem(const Problem& p) {
                  p.stop_count > 0 && within(p.rays, 1, MAX_COUNT) && within(p.guides, 0, MAX_COUNT) &&
                  within(p.columns, 0, MAX_COUNT) && within(p.max_iterations, 0, MAX_COUNT) && p.bevels > 0 && p.inputs > 0;
     if (!sizes) return BAD_SIZE;
-    bool mesh = p.element > 0.0 && p.spacing >= 0.5 * p.element && p.first_cell > 0.0 && p.deepest >= 0.0 &&
+    bool mesh = p.element > 0.0 && p.spacing >= 0.5 * p.element && p.spacing > SAME_DEPTH_MM &&
+                p.first_cell > SAME_DEPTH_MM && p.deepest >= 0.0 &&
                 (p.deepest + p.first_cell + 2.0 * p.spacing) / p.element < MAX_COUNT && is_finite(p.length) &&
                 absolute(p.per_cell() * p.element - p.spacing) <= 1e-9 * p.spacing &&
                 (p.part == LINEAR_CUT || (p.part >= 0.0 && p.part <= 1.0));
