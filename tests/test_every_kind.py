@@ -19,9 +19,9 @@ from needlefit.studies.run_differences import compare_runs
 from needlefit.studies.store import read_run
 from needlefit.viewer.opening import open_target
 
-EVERY = pytest.mark.parametrize("kind", KINDS.names())
+EVERY = pytest.mark.parametrize("kind", list(COMMANDS))
 WRITTEN = {"needlefit.json", "report.html", "report.pdf", "results.json.gz", "run.json", "timing.json"}
-RESUMED = [kind for kind in KINDS.names() if "--jobs" in find_words(kind, Path())]
+RESUMED = [kind for kind in COMMANDS if "--jobs" in find_words(kind, Path())]
 
 
 @EVERY

@@ -186,7 +186,7 @@ def test_the_rms_is_over_distances_and_richer_curves_fit_no_worse():
     tuned = [measured(d, (1e-3, 1e-5, 3e-7)) for d in (80.0, 100.0)]
     fits = fit_baselines("known", 0.0, tuned)
     nested = ["straight", "constant_curvature", "linear_curvature", "quadratic_curvature"]
-    assert list(fits) == [*nested, "mean_shape"]
+    assert fits.keys() >= {*nested, "mean_shape"}
     errors = [fits[name].rms for name in nested]
     assert errors == sorted(errors, reverse=True)
     refusal(ConfigError, "spline", lambda: fit_baseline("spline", "known", 0.0, [measured(50.0, ())]))
