@@ -97,7 +97,7 @@ def remove_friction(insertion: Insertion) -> Insertion:
     """Return an insertion whose points lie where they would without the friction of the truth."""
     planned = next(plan for plan in list_planned_insertions() if plan.id == insertion.id)
     one = simulate_insertion(planned, TWIN_SEED)
-    bevel, tissue = Bevel(bevel_offset(one.specimen, planned)), one.true_insertion.tissue
+    bevel, tissue = Bevel(bevel_offset(one.specimen, planned, one.deviations)), one.true_insertion.tissue
     tissues = (tissue, replace(tissue, friction=np.zeros_like(tissue.friction)))
     needle = draw_needle(TWIN_SEED)
     shapes = [simulate(needle, met, bevel, planned.depth, rules=TRUTH_OPTIONS) for met in tissues]

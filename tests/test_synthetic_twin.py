@@ -231,11 +231,12 @@ def test_the_true_media_are_those_of_the_paper_and_pieces_of_chicken_differ():
     assert not np.array_equal(one.field.at(np.zeros((1, 3))), other.field.at(np.zeros((1, 3))))
     assert design.draw_specimen(1, "phantom2", "phantom2").field is None
     specimen = design.draw_specimen(1, "chicken", "chicken-piece1")
-    offset = design.TRUE_MEDIA["chicken"].bevel
+    offset, deviations = design.TRUE_MEDIA["chicken"].bevel, design.draw_deviations(1, PLAN["chicken-02"])
     for fibre_angle, share in ((0.0, 2.0), (45.0, 1.0), (60.0, 0.5), (90.0, 0.0)):
         planned = dataclasses.replace(PLAN["chicken-02"], fibre_angle=fibre_angle)
-        assert design.bevel_offset(specimen, planned) == pytest.approx(share * offset)
-    assert design.bevel_offset(design.draw_specimen(1, "phantom1", "phantom1"), PLAN["phantom1-01"]) == 0.03
+        assert design.bevel_offset(specimen, planned, deviations) == pytest.approx(share * offset)
+    phantom = design.draw_specimen(1, "phantom1", "phantom1")
+    assert design.bevel_offset(phantom, PLAN["phantom1-01"], deviations) == 0.03
 
 
 # ---- one insertion

@@ -46,7 +46,7 @@ from needlefit.studies.rank_statistics import (
 )
 from needlefit.studies.simulated_data import find_true_value, simulate_measurement
 from needlefit.studies.study_files import load_study
-from needlefit.synthetic.design import draw_specimen
+from needlefit.synthetic.design import POPULATION, draw_specimen
 
 ENOUGH = {"sigma": 80, "prior": 20, "pose": 10, "shuffled": 8}
 """Replicates by which each control is noticed."""
@@ -298,7 +298,7 @@ def test_two_replicates_have_their_own_truths_and_resume_to_the_same_frames(smal
     assert frames["predictions"]["tip_pit"].between(0, 1).all()
     seeds = frames["replicates"]["seed"].unique()
     truths = frames["parameters"].query("parameter == 'mu1_pa'")["truth"]
-    drawn = [1e6 * draw_specimen(int(seed), "chicken", "chicken-piece1").mu[0] for seed in seeds]
+    drawn = [1e6 * draw_specimen(int(seed), "chicken", "chicken-piece1", POPULATION).mu[0] for seed in seeds]
     assert len(seeds) == 2 and truths.to_numpy() == pytest.approx(drawn, rel=1e-6)
     asked = iter([False, True])
     kept = Settings(checkpoint=small / "kept", stop=lambda: next(asked))

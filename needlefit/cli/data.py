@@ -334,10 +334,18 @@ _JOBS = option("Processes (default: all cores); they do not change the result.",
 
 
 @takes(
-    "scheduler insecure quiet verbose", seed=_SEED, out=option("Folder of the dataset.", "DIR"), jobs=_JOBS
+    "scheduler insecure quiet verbose",
+    seed=_SEED,
+    population=option("Draw moduli, bevel offsets and friction as `calibrate --truth synthetic` does."),
+    out=option("Folder of the dataset.", "DIR"),
+    jobs=_JOBS,
 )
 def twin_build(
-    context: typer.Context, seed: int | None = None, out: Path = Path("data/twin"), jobs: int | None = None
+    context: typer.Context,
+    seed: int | None = None,
+    population: bool = False,
+    out: Path = Path("data/twin"),
+    jobs: int | None = None,
 ) -> None:
     """Build the synthetic dataset.
 
@@ -348,6 +356,7 @@ def twin_build(
     """
     from needlefit.project.folders import replace_folder
     from needlefit.synthetic.build import build_dataset
+    from needlefit.synthetic.design import POPULATION
     from needlefit.synthetic.insertion import TWIN_SEED
 
     seed, invocation = TWIN_SEED if seed is None else seed, context.find_root().obj
@@ -356,7 +365,8 @@ def twin_build(
         show_progress(invocation.quiet) as report,
         open_pool(jobs, invocation.scheduler, invocation.insecure) as pool,
     ):
-        build_dataset(fresh, seed, pool=pool, progress=report)
+        drawn = POPULATION if population else None
+        build_dataset(fresh, seed, pool=pool, progress=report, population=drawn)
     screen.print_line(f"{out}: synthetic dataset, seed {seed}")
 
 

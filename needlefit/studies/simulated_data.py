@@ -39,7 +39,13 @@ from needlefit.project.random_streams import random_stream
 from needlefit.schemas.analyses import SyntheticDataRecord, SyntheticInsertionRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.studies.job import Fold, Job
-from needlefit.synthetic.design import bevel_offset, draw_specimen, list_planned_insertions
+from needlefit.synthetic.design import (
+    Population,
+    bevel_offset,
+    draw_deviations,
+    draw_specimen,
+    list_planned_insertions,
+)
 
 MIN_WEIGHT = 1e-12  #: of a cross-section that counts for nothing: its noise must stay finite
 FREE_POSE_SHIFT_SD_MM = 10.0  #: standard deviation of where a shape lies whose pose is free, mm
@@ -253,16 +259,17 @@ def _assemble_dataset(name: str, record: SyntheticDataRecord, insertions: tuple[
     )
 
 
-def find_true_value(problem: Problem, name: str, seed: int) -> float:
+def find_true_value(problem: Problem, name: str, seed: int, population: Population | None = None) -> float:
     """Return the geometric mean of a parameter over specimens, layers and bevels that a fit learns from.
 
     NaN for what the truth has not: hyperparameters, exponents, the angle of a cut.
     """
     planned = {one.id: one for one in list_planned_insertions()}
     tuned = [planned[one.id] for one in problem.insertions]
-    specimens = [draw_specimen(seed, one.medium, one.specimen) for one in tuned]
+    specimens = [draw_specimen(seed, one.medium, one.specimen, population) for one in tuned]
     if name == "bevel_mm":
-        known = [bevel_offset(*pair) for pair in zip(specimens, tuned, strict=True)]
+        drawn = zip(specimens, tuned, strict=True)
+        known = [bevel_offset(specimen, one, draw_deviations(seed, one)) for specimen, one in drawn]
         return float(np.exp(np.mean(np.log(known))))
     same = [name, *(tied for tied, (_, source) in problem.parameters.ties.items() if source == name)]
     layers = [int(one.removeprefix("mu").removesuffix("_pa")) - 1 for one in same if one.startswith("mu")]

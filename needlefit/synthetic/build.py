@@ -26,10 +26,11 @@ from needlefit.project.toml import dumps
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic import design
 from needlefit.synthetic.design import (
-    LOG_MU_SD,
     NOMINAL_NEEDLE,
     TRUE_MEDIA,
+    MediumTruth,
     PlannedInsertion,
+    Population,
     TrueSpecimen,
     list_planned_insertions,
 )
@@ -89,17 +90,22 @@ TRUTH_NOTE = (
 )
 
 
-def write_truth(path: Path, seed: int, built: Sequence[ReconstructedInsertion]) -> None:
+def write_truth(
+    path: Path, seed: int, built: Sequence[ReconstructedInsertion], population: Population | None = None
+) -> None:
     """Write the truth of the insertions `built` to the TOML file `path`."""
     needle = design.draw_needle(seed)
-    planned = [one.insertion.planned for one in built]
-    pairs = dict.fromkeys((one.medium, one.specimen) for one in planned)
+    specimens = {one.insertion.specimen.name: one.insertion.specimen for one in built}
+    media = {name: design.draw_medium(seed, name, population) for name in TRUE_MEDIA}
     tables = {
         "schema": 1,
         "origin": "synthetic",
         "seed": seed,
         "note": TRUTH_NOTE,
-        "specimens": [_describe_specimen(design.draw_specimen(seed, *pair)) for pair in pairs],
+        "specimens": [
+            _describe_specimen(one) | ({"bevel_mm": _round(one.bevel)} if population else {})
+            for one in specimens.values()
+        ],
         "insertions": [_describe_insertion(one) for one in built],
         "needle": {
             "length_mm": needle.length,
@@ -113,14 +119,14 @@ def write_truth(path: Path, seed: int, built: Sequence[ReconstructedInsertion]) 
         },
         "media": {
             name: {
-                "mu_pa": medium.mu_pa,
+                "mu_pa": _round_all(medium.mu_pa),
                 "alpha": medium.alpha,
-                "bevel_mm": medium.bevel,
-                "friction": medium.friction,
+                "bevel_mm": _round(medium.bevel),
+                "friction": _round(medium.friction),
                 "hu": medium.hu,
-                "specimen_sd_of_ln_mu": LOG_MU_SD[name],
+                **(_describe_variation(medium) if population else {"specimen_sd_of_ln_mu": medium.layer_sd}),
             }
-            for name, medium in TRUE_MEDIA.items()
+            for name, medium in media.items()
         },
         "deviations": {
             "rigidity_relative_range": design.RIGIDITY_DEVIATION,
@@ -136,6 +142,17 @@ def write_truth(path: Path, seed: int, built: Sequence[ReconstructedInsertion]) 
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(dumps(tables).encode("utf-8"))
+
+
+def _describe_variation(medium: MediumTruth) -> dict[str, float]:
+    return {
+        "layer_sd_of_ln_mu": medium.layer_sd,
+        "specimen_sd_of_ln_mu": _round(medium.modulus_sd),
+        "specimen_sd_of_ln_bevel": _round(medium.bevel_sd),
+        "specimen_correlation": _round(medium.correlation),
+        "insertion_sd_of_ln_bevel": _round(medium.insertion_bevel_sd),
+        "fibre_dependence": _round(medium.fibre_dependence),
+    }
 
 
 def _describe_specimen(specimen: TrueSpecimen) -> dict[str, Any]:
@@ -158,7 +175,7 @@ def _describe_insertion(built: ReconstructedInsertion) -> dict[str, Any]:
         "axis_deflection_mm": _round(true.shape.tip_lateral),
         "tip_mm": _round_all(centerline[-1]),
         "out_of_plane_mm": _round(float(true.frame.to_local(centerline)[-1, 2])),
-        "bevel_mm": _round(design.bevel_offset(insertion.specimen, insertion.planned)),
+        "bevel_mm": _round(design.bevel_offset(insertion.specimen, insertion.planned, deviations)),
         "sequence": true.sequence,
         "boundaries_mm": _round_all(true.boundaries),
         "mu_pa": _round_all(true.tissue.mu * 1e6),
@@ -216,13 +233,13 @@ _LAYER_NOTES = {
 }
 
 
-def describe_dataset(seed: int, more: str = "") -> DatasetDescription:
+def describe_dataset(seed: int, more: str = "", population: Population | None = None) -> DatasetDescription:
     """Return the description of the twin built with `seed`; `more` is added to its notes."""
     return DatasetDescription(
         name="twin",
         title="Synthetic twin of the paper's 47 insertions",
         license="CC0-1.0",
-        source=f"needlefit twin build --seed {seed}",
+        source=f"needlefit twin build --seed {seed}" + (" --population" if population else ""),
         notes=DATASET_NOTES + more,
         media=_LAYER_NOTES,
     )
@@ -235,29 +252,32 @@ def build_dataset(
     plan: Sequence[PlannedInsertion] = list_planned_insertions(),
     pool: TaskPool = THIS_PROCESS,
     progress: Progress = no_progress,
+    population: Population | None = None,
 ) -> Path:
     """Write the twin of `seed` into `folder`; return its `dataset.toml`. The same seed gives the same bytes.
 
     `plan`: the insertions; each comes out the same whatever the others are.
     `pool`: where insertions are made; changes no byte.
     `progress`: told what is being done, how many insertions are done, and of how many.
+    `population`: of the media; without one they are those of the shipped dataset.
     """
     recipe, built = make_recipe([WHOLE_BOX_SETUP]), list[ReconstructedInsertion]()
     progress("reconstructing", 0, len(plan))
-    for one in run_in_order(partial(_build_insertion, seed, recipe), plan, pool):
+    for one in run_in_order(partial(_build_insertion, seed, population, recipe), plan, pool):
         built.append(one)
         progress(f"reconstructed {one.insertion.planned.id}", len(built), len(plan))
-    write_truth(folder / "truth.toml", seed, built)
-    return assemble_dataset(folder, [one.reconstruction for one in built], recipe, describe_dataset(seed))
+    write_truth(folder / "truth.toml", seed, built, population)
+    about = describe_dataset(seed, population=population)
+    return assemble_dataset(folder, [one.reconstruction for one in built], recipe, about)
 
 
 def _build_insertion(
-    seed: int, recipe: ReconstructionRecord, planned: PlannedInsertion
+    seed: int, population: Population | None, recipe: ReconstructionRecord, planned: PlannedInsertion
 ) -> ReconstructedInsertion:
     """Render an insertion, reconstruct it from what was written, and keep no volume."""
     with TemporaryDirectory() as scratch:
         write_layers(Path(scratch), [planned])
-        scanned = render_insertion(Path(scratch), planned, seed)
+        scanned = render_insertion(Path(scratch), planned, seed, population=population)
         reconstruction = reconstruct(scanned.scan, recipe)
     return ReconstructedInsertion(scanned.insertion, scanned.exposure, reconstruction)
 
@@ -273,21 +293,29 @@ UNSCANNED_NOTE = (
 
 
 def build_unscanned(
-    folder: Path, seed: int, plan: Sequence[PlannedInsertion] = list_planned_insertions()
+    folder: Path,
+    seed: int,
+    plan: Sequence[PlannedInsertion] = list_planned_insertions(),
+    *,
+    population: Population | None = None,
 ) -> Path:
     """Write the twin of `seed`, not scanned, into `folder`; return its `dataset.toml`."""
     recipe = make_recipe([WHOLE_BOX_SETUP])
     with TemporaryDirectory() as scratch:
         write_layers(Path(scratch), plan)
-        ones = [_simulate_reconstruction(Path(scratch), planned, seed, recipe) for planned in plan]
-        return assemble_dataset(folder, ones, recipe, describe_dataset(seed, UNSCANNED_NOTE))
+        ones = [_simulate_reconstruction(Path(scratch), one, seed, recipe, population) for one in plan]
+        return assemble_dataset(folder, ones, recipe, describe_dataset(seed, UNSCANNED_NOTE, population))
 
 
 def _simulate_reconstruction(
-    folder: Path, planned: PlannedInsertion, seed: int, recipe: ReconstructionRecord
+    folder: Path,
+    planned: PlannedInsertion,
+    seed: int,
+    recipe: ReconstructionRecord,
+    population: Population | None,
 ) -> Reconstruction:
     """Return what a scan of one insertion would tell."""
-    insertion = simulate_insertion(planned, seed)
+    insertion = simulate_insertion(planned, seed, population)
     exposure = expose(insertion, WHOLE_BOX_SETUP, seed)
     rng = random_stream(seed, "twin", "unscanned", planned.id)
     balls = exposure.scene.markers

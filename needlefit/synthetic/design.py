@@ -1,6 +1,7 @@
 """The design of the synthetic dataset: its phantoms, the insertions planned into them, the true parameters.
 
-Drawn are the needle, the specimens, and the deviations of insertions from plan.
+Drawn are the needle, the specimens, and the deviations of insertions from plan; of the truths of a
+calibration also the media (`Population`).
 """
 
 import difflib
@@ -8,7 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import count
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -246,28 +247,64 @@ class RandomField:
 
 @dataclass(frozen=True)
 class MediumTruth:
-    """The true layers of a medium before its specimens vary, and its bevel offset."""
+    """The true layers of a medium before its specimens vary, its bevel offset, and how they vary."""
 
+    tissue: Literal["gel", "muscle"]
     # `mu_pa`, `alpha`: one per layer, from the paper's table of parameters (sets by media)
     mu_pa: tuple[float, ...]
     alpha: tuple[float, ...]
     bevel: float  # b, mm per 1 mm: chosen so that the tips deflect as much as the paper's tables imply
     friction: float  # gamma between shaft and tissue
     hu: tuple[float, ...]  # what each layer reads in a CT scan
+    layer_sd: float  # of ln mu, of each layer of each specimen by itself
+    # The bevel offset is 1 - k + 2 k cos^2 of the angle between bevel and fibres times that of its specimen,
+    # once on average over angles: muscle is cut along its fibres rather than across them.
+    fibre_dependence: float = 0.0
+    # Between specimens: SDs of ln mu, the same of all layers, and of ln b, and their correlation.
+    modulus_sd: float = 0.0
+    bevel_sd: float = 0.0
+    correlation: float = 0.0
+    insertion_bevel_sd: float = 0.0  # of ln b, between insertions of one specimen
 
 
 GEL_HU = (20.0, 90.0, 35.0, 105.0)  # a stiffer gel holds more solids, and reads brighter
 TRUE_MEDIA = {
-    "phantom1": MediumTruth((2e5, 3.3e7, 2e6, 3.3e7), (1, -1, 1, -1), 0.03, 0.2, GEL_HU),
-    "phantom2": MediumTruth((2e5, 3.3e7, 2e5, 3.3e7), (1, -1, 1, -1), 0.103, 0.2, GEL_HU),
-    "phantom3": MediumTruth((2e5, 3.3e7, 2e5, 3.3e7), (1, -1, 1, -1), 0.03, 0.2, GEL_HU),
-    "chicken": MediumTruth((1e3,), (1,), 0.33, 0.1, (55.0,)),
+    "phantom1": MediumTruth("gel", (2e5, 3.3e7, 2e6, 3.3e7), (1, -1, 1, -1), 0.03, 0.2, GEL_HU, 0.1),
+    "phantom2": MediumTruth("gel", (2e5, 3.3e7, 2e5, 3.3e7), (1, -1, 1, -1), 0.103, 0.2, GEL_HU, 0.1),
+    "phantom3": MediumTruth("gel", (2e5, 3.3e7, 2e5, 3.3e7), (1, -1, 1, -1), 0.03, 0.2, GEL_HU, 0.1),
+    "chicken": MediumTruth("muscle", (1e3,), (1,), 0.33, 0.1, (55.0,), 0.3, fibre_dependence=1.0),
 }
+
+
+@dataclass(frozen=True)
+class Population:
+    """The population from which the media of each truth of a calibration are drawn, gel and muscle apart.
+
+    A factor f stands for the standard deviation ln f of a logarithm. Of one truth the moduli are those of
+    `TRUE_MEDIA`, times a factor for each of the two materials; so phantom 1 keeps its stiffer third layer.
+    Drawn besides are the correlation between ln mu and ln b of specimens, uniform on (-1, 1), and the
+    dependence on fibres in muscle, uniform between none and that of `TRUE_MEDIA`. Chosen from the paper's
+    tables before any coverage was computed.
+    """
+
+    # Of the mean over all specimens: the paper's moduli of one material lie within a factor of 2 of their
+    # middle (mu1 5e4 to 2.2e5 Pa); the mean ln b of its three phantoms is known to ln 1.8 / sqrt(3).
+    mean_modulus_factor: float = 2.0
+    mean_bevel_factor: float = 1.4
+    gel_bevel: float = (0.03 * 0.085 * 0.03) ** (1 / 3)  # geometric mean of the paper's phantoms, mm per 1 mm
+    # Between specimens of one truth: the SDs have half-normal priors of the size that the recipe states.
+    modulus_factor: float = 2.0
+    bevel_factor: float = 1.8
+    layer_sd: float = 0.1  # of ln mu, between layers of nominally one material
+    insertion_bevel_sd: float = 0.1  # size of the half-normal prior of `MediumTruth.insertion_bevel_sd`
+    friction_factor: float = 2.0  # friction is log-uniform between that of `TRUE_MEDIA` over and times this
+
+
+POPULATION = Population()
 
 # The needle as the dataset states it.
 NOMINAL_NEEDLE = Needle.from_tube(length=150.0, outer_diameter=1.27, youngs_modulus=80e3)
 RIGIDITY_DEVIATION = (0.02, 0.05)  # relative deviation of the true EI from the nominal one, up or down
-LOG_MU_SD = {"phantom1": 0.1, "phantom2": 0.1, "phantom3": 0.1, "chicken": 0.3}  # of ln mu, between specimens
 FIELD_LOG_MU_SD, FIELD_LENGTH_MM = 0.4, 12.0  # of ln mu within a piece of chicken, and mm
 LAYER_SD_MM = 0.1  # of a layer's boundary about the place its surface file says, mm along x
 ROLL_SD_DEG = 3.0  # degrees between the stated and the true bevel plane
@@ -286,9 +323,11 @@ class TrueSpecimen:
     # `mu`, `alpha`: (n,); of each layer; mu in MPa
     mu: Floats
     alpha: Floats
-    # `bevel`, `friction`: as in `MediumTruth`
+    # `bevel`, `friction`, `fibre_dependence`, `insertion_bevel_sd`: as in `MediumTruth`
     bevel: float
     friction: float
+    fibre_dependence: float
+    insertion_bevel_sd: float
     phantom: Phantom  # where the boundaries of the layers really are
     surfaces: tuple[Surface, ...]  # the same as meshes
     # ln(mu / `mu`) from place to place, where the specimen is not homogeneous.
@@ -304,6 +343,7 @@ class PlanDeviations:
     roll: float  # of the bevel's plane about the needle, rad
     # (2,); standard normal: how strongly the needle leaves its plane, in two smooth modes.
     out_of_plane: Floats
+    bevel: float  # of ln b from its specimen's, in standard deviations
 
 
 def draw_needle(seed: int) -> Needle:
@@ -313,22 +353,52 @@ def draw_needle(seed: int) -> Needle:
     return Needle(NOMINAL_NEEDLE.length, NOMINAL_NEEDLE.flexural_rigidity * (1 + float(off)))
 
 
-def draw_specimen(seed: int, medium: str, name: str) -> TrueSpecimen:
+def draw_medium(seed: int, name: str, population: Population | None = None) -> MediumTruth:
+    """Draw a medium from a population; without one, media are those of `TRUE_MEDIA`."""
+    nominal = TRUE_MEDIA[name]
+    if population is None:
+        return nominal
+    # the media of one tissue share what is drawn: they are specimens of one population
+    rng = random_stream(seed, "twin", "population", nominal.tissue)
+    materials = np.exp(np.log(population.mean_modulus_factor) * rng.normal(size=2))
+    bevel = nominal.bevel if nominal.tissue == "muscle" else population.gel_bevel
+    layers = len(nominal.mu_pa)
+    return replace(
+        nominal,
+        # two materials alternate
+        mu_pa=tuple((np.array(nominal.mu_pa) * np.resize(materials, layers)).tolist()),
+        bevel=bevel * float(np.exp(np.log(population.mean_bevel_factor) * rng.normal())),
+        friction=nominal.friction * float(population.friction_factor ** rng.uniform(-1, 1)),
+        layer_sd=population.layer_sd if layers > 1 else 0.0,
+        fibre_dependence=nominal.fibre_dependence * float(rng.uniform()),
+        modulus_sd=float(np.log(population.modulus_factor) * abs(rng.normal())),
+        bevel_sd=float(np.log(population.bevel_factor) * abs(rng.normal())),
+        correlation=float(rng.uniform(-1, 1)),
+        insertion_bevel_sd=float(population.insertion_bevel_sd * abs(rng.normal())),
+    )
+
+
+def draw_specimen(seed: int, medium: str, name: str, population: Population | None = None) -> TrueSpecimen:
     """Draw a specimen of a medium."""
-    truth, rng = TRUE_MEDIA[medium], random_stream(seed, "twin", "specimen", name)
-    factors = np.exp(LOG_MU_SD[medium] * rng.normal(size=len(truth.mu_pa)))
+    truth, rng = draw_medium(seed, medium, population), random_stream(seed, "twin", "specimen", name)
+    factors = np.exp(truth.layer_sd * rng.normal(size=len(truth.mu_pa)))
     shifts = LAYER_SD_MM * rng.normal(size=PHANTOMS[medium].boundaries)
     phantom = displace(PHANTOMS[medium], shifts.tolist())
+    field = RandomField.draw(rng, FIELD_LOG_MU_SD, FIELD_LENGTH_MM) if truth.tissue == "muscle" else None
+    stiffer, other = rng.normal(size=2)
+    sideways = truth.correlation * stiffer + math.sqrt(1 - truth.correlation**2) * other
     return TrueSpecimen(
         name=name,
         medium=medium,
-        mu=1e-6 * np.array(truth.mu_pa) * factors,
+        mu=1e-6 * np.array(truth.mu_pa) * factors * math.exp(truth.modulus_sd * stiffer),
         alpha=np.array(truth.alpha, dtype=np.float64),
-        bevel=truth.bevel,
+        bevel=truth.bevel * math.exp(truth.bevel_sd * sideways),
         friction=truth.friction,
+        fibre_dependence=truth.fibre_dependence,
+        insertion_bevel_sd=truth.insertion_bevel_sd,
         phantom=phantom,
         surfaces=make_surfaces(phantom),
-        field=RandomField.draw(rng, FIELD_LOG_MU_SD, FIELD_LENGTH_MM) if medium == "chicken" else None,
+        field=field,
     )
 
 
@@ -340,15 +410,12 @@ def draw_deviations(seed: int, planned: PlannedInsertion) -> PlanDeviations:
         tilt=np.radians(POSE_ANGLE_SD_DEG) * rng.normal(size=2),
         roll=float(np.radians(ROLL_SD_DEG) * rng.normal()),
         out_of_plane=rng.normal(size=2),
+        bevel=float(rng.normal()),
     )
 
 
-def bevel_offset(specimen: TrueSpecimen, planned: PlannedInsertion) -> float:
-    """Return the bevel offset (mm) of an insertion.
-
-    A phantom cuts alike in every direction. Muscle is cut along its fibres rather than across them: the
-    offset is 2 cos^2 of the angle between bevel and fibres times its medium's, once on average over angles.
-    """
-    if specimen.medium != "chicken":
-        return specimen.bevel
-    return float(specimen.bevel * 2 * np.cos(np.radians(planned.fibre_angle)) ** 2)
+def bevel_offset(specimen: TrueSpecimen, planned: PlannedInsertion, deviations: PlanDeviations) -> float:
+    """Return the bevel offset (mm) of an insertion."""
+    along = 2 * np.cos(np.radians(planned.fibre_angle)) ** 2
+    by_fibres = 1 - specimen.fibre_dependence + specimen.fibre_dependence * along
+    return float(specimen.bevel * by_fibres * np.exp(specimen.insertion_bevel_sd * deviations.bevel))

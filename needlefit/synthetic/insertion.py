@@ -58,7 +58,7 @@ def insert_needle(
     origin = stated.origin + deviations.shift @ np.stack([y, z])
     direction = x + deviations.tilt @ np.stack([y, z])
     frame = make_entry_frame(origin, direction, np.cos(deviations.roll) * y + np.sin(deviations.roll) * z)
-    bevel = Bevel(design.bevel_offset(specimen, planned))
+    bevel = Bevel(design.bevel_offset(specimen, planned, deviations))
     curve = frame.to_world(np.outer(centerline_stations(planned.depth), [1.0, 0.0, 0.0]))
     for _ in range(MAX_ROUNDS):
         met = find_crossings(curve, specimen.surfaces)
@@ -127,9 +127,11 @@ class SyntheticInsertion:
     true_insertion: TrueInsertion
 
 
-def simulate_insertion(planned: design.PlannedInsertion, seed: int) -> SyntheticInsertion:
-    """Simulate one insertion; the result depends on its own plan and the seed only."""
-    specimen = design.draw_specimen(seed, planned.medium, planned.specimen)
+def simulate_insertion(
+    planned: design.PlannedInsertion, seed: int, population: design.Population | None = None
+) -> SyntheticInsertion:
+    """Simulate one insertion; the result depends on its own plan, the seed and the population only."""
+    specimen = design.draw_specimen(seed, planned.medium, planned.specimen, population)
     deviations = design.draw_deviations(seed, planned)
     return SyntheticInsertion(
         planned, specimen, deviations, insert_needle(planned, design.draw_needle(seed), specimen, deviations)

@@ -6,8 +6,9 @@ ranked is from M. Modrak et al., Bayesian Anal. 20 (2025) 461.
 
 The other model is that of the synthetic dataset (`needlefit.synthetic.design`): friction, layers that differ
 between specimens, muscle whose modulus varies from place to place, a needle stiffer or softer than stated,
-and errors of pose and roll. Each replicate draws it anew for the insertions of the study, has them measured
-and reconstructed, fits as the study does, and ranks true values and measured tips in what was inferred.
+and errors of pose and roll. Each replicate draws it anew, with media from a `Population`, for the insertions
+of the study, has them measured and reconstructed, fits as the study does, and ranks true values and measured
+tips in what was inferred.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -64,7 +65,13 @@ from needlefit.studies.simulated_data import (
 )
 from needlefit.studies.study_files import begin_run, prepare_target, prepare_with_held_out, target_name
 from needlefit.synthetic.build import build_dataset, build_unscanned
-from needlefit.synthetic.design import PlannedInsertion, list_planned_insertions
+from needlefit.synthetic.design import (
+    POPULATION,
+    PlannedInsertion,
+    Population,
+    draw_specimen,
+    list_planned_insertions,
+)
 
 CONTROLS: tuple[Control, ...] = get_args(Control)
 
@@ -381,7 +388,7 @@ def _swap_shapes(insertions: tuple[Insertion, ...]) -> tuple[Insertion, ...]:
 PREDICTION_DRAWS = 13 * (RANK_DRAWS + 1) - 1
 """Draws of each posterior, 1039: among them the truth has 13 places for each place of a rank."""
 
-MAX_TWIN_SEEDS = 20  #: seeds of a replicate among which one must have a solution
+MAX_TWIN_SEEDS = 100  #: seeds of a replicate among which one must have a solution
 
 
 @dataclass(frozen=True)
@@ -392,6 +399,7 @@ class SyntheticExperiment:
     #: simulated for each replicate: the study's, and those that show how much its specimens differ
     plan: tuple[PlannedInsertion, ...]
     ct: bool  #: whether they are rendered as CT volumes and reconstructed
+    population: Population  #: of the media of all truths
 
 
 def prepare_synthetic(job: Job, ct: bool) -> SyntheticExperiment:
@@ -418,7 +426,9 @@ def prepare_synthetic(job: Job, ct: bool) -> SyntheticExperiment:
     new = NewSpecimens(job, fold, job.parameters.expected)
     others = {name for one in fold.validate if new.differs(one) for name in new.list_others(one)}
     wanted |= {one.id for one in job.dataset.insertions if one.specimen in others}
-    return SyntheticExperiment(job, tuple(one for name, one in planned.items() if name in wanted), ct)
+    return SyntheticExperiment(
+        job, tuple(one for name, one in planned.items() if name in wanted), ct, POPULATION
+    )
 
 
 def replicate_synthetic(number: int, experiment: SyntheticExperiment) -> Row:
@@ -430,7 +440,10 @@ def replicate_synthetic(number: int, experiment: SyntheticExperiment) -> Row:
     found = infer_posterior(problem, job.recipe, PREDICTION_DRAWS, rng)
     sets, parameters = [job.parameters.values(theta) for theta in found.thetas], list[Row]()
     for name in job.parameters.free:
-        truth, values = find_true_value(problem, name, seed), np.array([one[name] for one in sets])
+        truth, values = (
+            find_true_value(problem, name, seed, experiment.population),
+            np.array([one[name] for one in sets]),
+        )
         if np.isfinite(truth):
             low, middle, high = np.percentile(values, [2.5, 50.0, 97.5]).tolist()
             row = {"parameter": name, "truth": truth, "value": middle}
@@ -466,9 +479,12 @@ def _draw_study(number: int, experiment: SyntheticExperiment) -> tuple[Job, int,
     for redrawn in range(MAX_TWIN_SEEDS):
         rng = random_stream(job.recipe.seed, job.name, "calibrate", number, "twin", redrawn)
         seed = int(rng.integers(2**31))
+        if not _is_inside_bounds(seed, experiment):
+            continue
         try:
             with TemporaryDirectory() as folder:
-                dataset = read(build(Path(folder), seed, experiment.plan))
+                built = build(Path(folder), seed, experiment.plan, population=experiment.population)
+                dataset = read(built)
         except ModelError:  # a needle that does not settle
             continue
         # the name keys the random numbers of predictions, which no two replicates share
@@ -476,8 +492,20 @@ def _draw_study(number: int, experiment: SyntheticExperiment) -> tuple[Job, int,
         return prepare(f"{job.name} {number}", job.record, settings, dataset), seed, redrawn
     raise ModelError(
         f"of {MAX_TWIN_SEEDS} synthetic datasets none has a solution for every insertion",
-        fix="select other insertions",
+        fix="select other insertions, or widen the bounds of the medium",
     )
+
+
+def _is_inside_bounds(seed: int, experiment: SyntheticExperiment) -> bool:
+    """Return whether moduli and bevel offsets of all specimens lie inside the bounds of the medium."""
+    bounds = experiment.job.parameters.bounds
+    for medium, name in {(one.medium, one.specimen) for one in experiment.plan}:
+        specimen = draw_specimen(seed, medium, name, experiment.population)
+        values = {f"mu{n}_pa": 1e6 * mu for n, mu in enumerate(specimen.mu.tolist(), start=1)}
+        values["bevel_mm"] = specimen.bevel
+        if any(not low <= values.get(one, low) <= high for one, (low, high) in bounds.items()):
+            return False
+    return True
 
 
 # ---- the run

@@ -167,7 +167,7 @@ def _true_predictor(seed: int) -> score.Predictor:
             mu, alpha = twin.specimen.mu[layers], twin.specimen.alpha[layers]
             gamma = np.array([twin.specimen.friction])
             tissue = Tissue(mu, alpha, insertion.boundaries, friction=gamma)
-        bevel = Bevel(bevel_offset(twin.specimen, twin.planned), insertion.side)
+        bevel = Bevel(bevel_offset(twin.specimen, twin.planned, twin.deviations), insertion.side)
         return SimulatedCurve(
             simulate(draw_needle(seed), tissue, bevel, insertion.depth, rules=ModelOptions())
         )
