@@ -26,6 +26,7 @@ from needlefit.studies.kinds.calibration import (
     Experiment,
     add_intervals,
     average_tips,
+    is_inside_bounds,
     prepare_synthetic,
     replicate,
     replicate_synthetic,
@@ -46,7 +47,12 @@ from needlefit.studies.rank_statistics import (
 )
 from needlefit.studies.simulated_data import find_true_value, simulate_measurement
 from needlefit.studies.study_files import load_study
-from needlefit.synthetic.design import POPULATION, draw_specimen
+from needlefit.synthetic.design import (
+    POPULATION,
+    draw_deviations,
+    draw_specimen,
+    list_planned_insertions,
+)
 
 ENOUGH = {"sigma": 80, "prior": 20, "pose": 10, "shuffled": 8}
 """Replicates by which each control is noticed."""
@@ -285,6 +291,36 @@ def test_the_true_value_of_a_tied_modulus_is_that_of_its_own_layers():
     assert find_true_value(job.problem(job.folds[0]), "mu4_pa", 7) == pytest.approx(mu[3])
     assert find_true_value(job.problem(job.folds[0]), "bevel_mm", 7) == pytest.approx(0.103)
     assert np.isnan(find_true_value(job.problem(job.folds[0]), "bevel_spread", 7))
+
+
+def test_the_true_bevel_offset_of_a_drawn_truth_is_the_mean_of_the_insertions_fitted_to():
+    job = prepare_study("study1")
+    (fold,) = job.folds
+    specimen = draw_specimen(9, "phantom2", "phantom2", POPULATION)
+    planned = {one.id: one for one in list_planned_insertions()}
+    deviations = [draw_deviations(9, planned[one.id]).bevel for one in fold.tune]
+    expected = specimen.bevel * np.exp(specimen.insertion_bevel_sd * np.mean(deviations))
+    found = find_true_value(job.problem(fold), "bevel_mm", 9, POPULATION)
+    assert found == pytest.approx(expected) and found != pytest.approx(specimen.bevel, rel=1e-4)
+    found = find_true_value(job.problem(fold), "mu2_pa", 9, POPULATION)
+    assert found == pytest.approx(1e6 * specimen.mu[1])
+
+
+def test_truths_outside_the_bounds_of_the_medium_are_drawn_again():
+    job = prepare("study5", load_study(find_file("study", "study5")), Settings())
+    experiment = prepare_synthetic(job, ct=False)
+    record = job.medium.model_dump(by_alias=True, exclude_unset=True)
+    record["parameters"]["bevel_mm"] = {"bounds": [1e-3, 0.25]}
+    narrow = Parameters.from_record(type(job.medium).model_validate(record))
+    few = replace(experiment, job=replace(job, parameters=narrow))
+    for each, limit in ((experiment, 0.5), (few, 0.25)):
+        drawn = []
+        for seed in range(40):
+            pieces = [draw_specimen(seed, "chicken", f"chicken-piece{n}", POPULATION) for n in (1, 2, 3)]
+            stiff = min(1e6 * one.mu[0] for one in pieces) >= 1e2  # the medium's lower bound, Pa
+            drawn.append(stiff and max(one.bevel for one in pieces) <= limit)
+            assert is_inside_bounds(seed, each) == drawn[-1]
+        assert True in drawn and False in drawn
 
 
 @pytest.mark.sweep

@@ -51,7 +51,8 @@ def insert_needle(
     """Simulate the needle; the layer depths are those at which its final shape crosses the surfaces.
 
     Shape and depths are found by iteration: a needle through the layers met by the last one, first along the
-    straight axis. ModelError if the two do not come to agree.
+    straight axis. ModelError if the two do not come to agree, or the solution exceeds
+    a limit of its validity.
     """
     stated = stated_frame(planned)
     x, y, z = stated.rotation.T
@@ -69,6 +70,11 @@ def insert_needle(
         if not shape.converged:
             break
         if np.abs(curve - last).max() < CONVERGENCE_MM:
+            if not shape.valid:  # no real needle bends as the model does there
+                raise ModelError(
+                    f"insertion {planned.id} exceeds a limit: {'; '.join(shape.validity.faults)}",
+                    fix="take another seed",
+                )
             return TrueInsertion(frame, shape, curve, boundaries, sequence, tissue)
     raise ModelError(
         f"insertion {planned.id} does not settle ({shape.status})", fix="plan it farther from a layer's edge"

@@ -479,7 +479,7 @@ def _draw_study(number: int, experiment: SyntheticExperiment) -> tuple[Job, int,
     for redrawn in range(MAX_TWIN_SEEDS):
         rng = random_stream(job.recipe.seed, job.name, "calibrate", number, "twin", redrawn)
         seed = int(rng.integers(2**31))
-        if not _is_inside_bounds(seed, experiment):
+        if not is_inside_bounds(seed, experiment):
             continue
         try:
             with TemporaryDirectory() as folder:
@@ -496,7 +496,7 @@ def _draw_study(number: int, experiment: SyntheticExperiment) -> tuple[Job, int,
     )
 
 
-def _is_inside_bounds(seed: int, experiment: SyntheticExperiment) -> bool:
+def is_inside_bounds(seed: int, experiment: SyntheticExperiment) -> bool:
     """Return whether moduli and bevel offsets of all specimens lie inside the bounds of the medium."""
     bounds = experiment.job.parameters.bounds
     for medium, name in {(one.medium, one.specimen) for one in experiment.plan}:
