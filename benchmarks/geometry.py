@@ -29,7 +29,7 @@ from needlefit.mechanics.shape import NeedleShape
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.held_out_predictions import NewSpecimens, find_fit, fit_posterior, tabulate_held_out
+from needlefit.studies.held_out_predictions import Specimens, find_fit, fit_posterior, tabulate_held_out
 from needlefit.studies.job import Settings, leave_out, prepare
 from needlefit.studies.score import Scorer, model_predictor
 
@@ -122,7 +122,7 @@ def score_holes(
         if coverage:
             learned = fit_posterior(job, job.problem(fold), (fold.name,), Settings())
             fit, draws = learned.fit, learned.draws
-            news = {"plain": None, "others": NewSpecimens(job, fold, np.array(fit.theta))}
+            news = {"plain": None, "others": Specimens(job, fold, learned.draws.thetas)}
             predicted += [
                 {**row, "treatment": treatment}
                 for treatment, new in news.items()

@@ -280,7 +280,12 @@ def with_predictions(results: Run, levels: tuple[float, ...] = (0.1, 0.4, 0.7, 0
         row |= {"draw_source": "importance", "certified": True, "draws": 100, "failed_solves": 0}
         tip, half = float(one["deflection_mm"]), 0.3
         row |= {"tip_measured_mm": tip, "tip_median_mm": tip, "tip_crps_mm": 0.1, "shape_crps_mm": 0.1}
-        row |= {"specimen_treatment": "same", "between_sd_ln_mu": np.nan, "between_sd_ln_b": np.nan}
+        row |= {
+            "specimen_treatment": "same",
+            "between_sd_ln_mu": np.nan,
+            "between_sd_ln_b": np.nan,
+            "between_correlation": np.nan,
+        }
         row |= {"other_specimens": np.nan, "tip_95_width_after_one_mm": np.nan, "tip_interval_score_mm": 0.6}
         for what in ("tip", "shape"):
             row |= {f"{what}_pit": level, f"{what}_in_50": 0.25 <= level <= 0.75}

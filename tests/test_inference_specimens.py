@@ -1,6 +1,7 @@
 """Two stages against the joint Gaussian model in closed form, where posteriors of specimens are Gaussian."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,69 +9,24 @@ from inference_cases import medium
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm, truncnorm
 
-from needlefit.inference.parameters import Parameters
+from needlefit.inference.parameters import Parameters, make_gaussian_prior
 from needlefit.inference.specimens import (
     KERNELS_PER_SPECIMEN,
     Population,
     Specimen,
-    SpecimenEstimate,
-    SpecimenSpread,
-    best_determined,
+    SpreadModel,
+    determined_directions,
+    draw_population,
+    draw_specimens,
     highest_density_interval,
-    learn_spread,
     make_specimen,
-    move_to_new_specimen,
 )
 from needlefit.schemas.medium import MediumRecord
 
 RIDGE = np.array([[0.05, -0.024], [-0.024, 0.0144]])
 BOUNDS = np.array([4.0, -7.0]), np.array([18.0, -0.5])
 MEAN = np.array([10.0, -1.6])
-
-
-def population(tau: float, count: int, seed: int) -> Population:
-    rng = np.random.default_rng(seed)
-    found = []
-    for _ in range(count):
-        theta = MEAN + tau * rng.standard_normal(2)
-        estimate = rng.multivariate_normal(theta, RIDGE)
-        found.append(make_specimen(rng.multivariate_normal(estimate, RIDGE, size=KERNELS_PER_SPECIMEN)))
-    return Population(tuple(found), BOUNDS, spread_sd=1.0)
-
-
-def test_kernels_bounds_directions_and_shortest_intervals():
-    draws = np.random.default_rng(1).multivariate_normal([1.0, 2.0], RIDGE, size=50)
-    found = make_specimen(draws)
-    assert found.mean == pytest.approx(draws.mean(axis=0))
-    assert found.covariance == pytest.approx(np.cov(draws.T, bias=True))
-    at = np.array([[*MEAN, -0.1, 0.1], [3.0, -1.6, 0.1, 0.1]])
-    assert np.all(population(0.3, 3, 1).log_density(at) == -np.inf)
-    draws = np.random.default_rng(7).multivariate_normal([0, 0], RIDGE, size=400)
-    stiff = np.linalg.eigh(RIDGE)[1][:, 0]
-    assert abs(best_determined([make_specimen(draws)]) @ stiff) == pytest.approx(1.0, abs=0.01)
-    values = np.abs(np.random.default_rng(8).standard_normal(4000))
-    low, high = highest_density_interval(values, np.full(4000, 1 / 4000), 0.95, 0.0)
-    assert low == 0.0
-    assert high == pytest.approx(1.96, abs=0.1)
-    low, high = highest_density_interval(values, np.full(4000, 1 / 4000), 0.5, 0.0)
-    assert high == pytest.approx(0.674, abs=0.06)
-
-
-@pytest.mark.parametrize("tau", [(0.0, 0.0), (0.3, 0.1)])
-def test_density_is_that_of_gaussian_estimates_whose_variances_add(tau):
-    """One kernel a specimen: estimates are N(m, S + T), and tau has a half-normal prior."""
-    estimates = [np.array([10.2, -1.7]), np.array([9.7, -1.5])]
-    one = Population(tuple(Specimen(at[None], RIDGE) for at in estimates), BOUNDS, spread_sd=0.5)
-    spread = RIDGE + np.diag(np.square(tau))
-    expected = sum(multivariate_normal.logpdf(at, MEAN, spread) for at in estimates)
-    expected += 2 * np.log(2 * np.pi) - 0.5 * float(np.sum(np.square(tau))) / 0.5**2
-    assert one.log_density(np.array([[*MEAN, *tau]])) == pytest.approx([expected])
-
-
-# ---- what is learned of the spread from some specimens, against integrals; a new specimen
-
-PRIOR = (math.log(2.0), math.log(1.2))
-WELL_KNOWN, UNKNOWN = 1e-4, 1e4
+SDS = math.log(2.0), math.log(1.8)
 
 
 def parameters(**changed: object) -> Parameters:
@@ -78,76 +34,190 @@ def parameters(**changed: object) -> Parameters:
 
 
 def one_layer() -> Parameters:
-    bounds = {"mu1_pa": {"bounds": (1e3, 1e6)}, "alpha1": {"fixed": 1.0}, "bevel_mm": {"bounds": (1e-3, 0.5)}}
+    bounds = {"mu1_pa": {"bounds": (1e2, 1e8)}, "alpha1": {"fixed": 1.0}, "bevel_mm": {"bounds": (1e-3, 0.6)}}
     return parameters(layers=1, parameters=bounds)
 
 
-@pytest.mark.parametrize("gap", [0.05, 0.4, 2.0])
-def test_two_specimens_tell_of_the_spread_of_b_what_their_difference_does(gap):
-    found = learn_spread(
-        [SpecimenEstimate(np.array([11.0, b]), np.diag([UNKNOWN, WELL_KNOWN])) for b in (-2.0, gap - 2.0)],
-        one_layer(),
-        PRIOR,
-    )
-
-    def density(tau: float, power: int) -> float:
-        sd = math.sqrt(2 * (tau**2 + WELL_KNOWN))
-        return tau**power * norm.pdf(tau, scale=PRIOR[1]) * norm.pdf(gap, scale=sd)
-
-    moments = [quad(density, 0, 3, args=(power,), points=(0.05, 0.2, 0.5, 1))[0] for power in (0, 2)]
-    assert found.specimens == 2
-    assert found.rms[1] == pytest.approx(math.sqrt(moments[1] / moments[0]), rel=0.01)
-    assert found.rms[0] == pytest.approx(PRIOR[0], rel=0.01)  # of mu nothing is known
-
-
-def test_one_specimen_leaves_the_prior_and_a_new_one_stays_within_the_bounds():
-    found = learn_spread([SpecimenEstimate(np.zeros(2), np.eye(2))], one_layer(), PRIOR)
-    assert found.rms == pytest.approx(PRIOR, rel=1e-3) and found.weights.sum() == pytest.approx(1)
-    known = one_layer()
-    spread = SpecimenSpread(np.array([[3.0, 1.5]]), np.ones(1), 3)
-    tuned = known.theta({"mu1_pa": 1e5, "bevel_mm": 0.4})
-    moved = move_to_new_specimen(known, np.tile(tuned, (4000, 1)), spread, 1, np.random.default_rng(1))
-    assert np.all((moved >= known.lower) & (moved <= known.upper))
-    # drawn again, not put on the bounds
-    assert len(np.unique(moved[:, 1])) == len(moved)
-    kept = truncnorm(
-        (known.lower - tuned) / [3, 1.5] / math.sqrt(2), (known.upper - tuned) / [3, 1.5] / math.sqrt(2)
-    )
-    assert np.mean(moved - tuned, axis=0) == pytest.approx(kept.mean() * [3, 1.5] * math.sqrt(2), abs=0.1)
-
-
-def test_a_new_specimen_has_its_own_mean_of_the_moduli_and_its_own_ratio_between_layers():
+def three_layers() -> Parameters:
     layers = {f"mu{n}_pa": {"bounds": (1e3, 1e9)} for n in (1, 2)} | {
         "mu3_pa": {"tie": "mu1_pa", "spread": 1.2},
         **{f"alpha{n}": {"fixed": 1.0} for n in (1, 2, 3)},
         "bevel_mm": {"bounds": (1e-3, 0.5)},
     }
-    known = parameters(layers=3, parameters=layers)
-    spread = SpecimenSpread(np.array([[0.6, 0.3]]), np.ones(1), 3)
+    return parameters(layers=3, parameters=layers)
+
+
+MODEL = SpreadModel.of(one_layer(), *SDS)
+
+
+def test_kernels_bounds_directions_and_shortest_intervals():
+    draws = np.random.default_rng(1).multivariate_normal([1.0, 2.0], RIDGE, size=50)
+    found = make_specimen(draws)
+    assert found.mean == pytest.approx(draws.mean(axis=0))
+    assert found.covariance == pytest.approx(np.cov(draws.T, bias=True))
+    population = Population((found,), BOUNDS, MODEL)
+    outside = np.array([[MEAN[0], -8.0, -1.0, -1.0, 0.0], [*MEAN, 9.0, -1.0, 0.0]])
+    assert np.all(population.log_density(outside) == -np.inf)
+    draws = np.random.default_rng(7).multivariate_normal([0, 0], RIDGE, size=4000)
+    best, worst = determined_directions([make_specimen(draws)])
+    assert abs(best @ np.linalg.eigh(RIDGE)[1][:, 0]) == pytest.approx(1.0, abs=1e-3)
+    assert best @ worst == pytest.approx(0.0, abs=1e-9)
+    values = np.abs(np.random.default_rng(8).standard_normal(4000))
+    low, high = highest_density_interval(values, np.full(4000, 1 / 4000), 0.95, 0.0)
+    assert low == 0.0 and high == pytest.approx(1.96, abs=0.1)
+    low, high = highest_density_interval(values, np.full(4000, 1 / 4000), 0.5, 0.0)
+    assert high == pytest.approx(0.674, abs=0.06)
+
+
+def test_covariances_of_several_moduli_share_a_factor():
+    model = SpreadModel.of(three_layers(), *SDS)
+    assert model.names == ("mu1_pa", "mu2_pa", "bevel_mm")
+    at = np.array([[math.log(0.6), math.log(0.3), math.atanh(-0.8), math.log(0.25 / 0.75)]])
+    (found,) = model.covariances(at)
+    expected = np.array(
+        [
+            [0.36, 0.25 * 0.36, -0.8 * 0.5 * 0.18],
+            [0.25 * 0.36, 0.36, -0.8 * 0.5 * 0.18],
+            [-0.8 * 0.5 * 0.18, -0.8 * 0.5 * 0.18, 0.09],
+        ]
+    )
+    assert found == pytest.approx(expected)
+
+
+def test_the_prior_is_half_normal_and_of_uniform_correlation_and_share():
+    model = SpreadModel.of(three_layers(), *SDS)
+    covariances = model.covariances(model.draw(20_000, np.random.default_rng(3)))
+    variances = np.diagonal(covariances, axis1=1, axis2=2)
+    assert np.sqrt(variances.mean(axis=0)) == pytest.approx([SDS[0], SDS[0], SDS[1]], rel=0.02)
+    assert model.prior_rms == pytest.approx([SDS[0], SDS[0], SDS[1]])
+    share = covariances[:, 0, 1] / variances[:, 0]
+    rho = covariances[:, 0, 2] / np.sqrt(variances[:, 0] * variances[:, 2] * share)
+    assert np.quantile(share, [0.1, 0.5, 0.9]) == pytest.approx([0.1, 0.5, 0.9], abs=0.02)
+    assert np.quantile(rho, [0.1, 0.5, 0.9]) == pytest.approx([-0.8, 0.0, 0.8], abs=0.03)
+    # the density is of the logarithms and of atanh and logit: its ratio at two places
+    one, two = np.array([-1.0, -2.0, 0.5, 0.3]), np.array([-0.5, -1.0, -1.0, 2.0])
+
+    def density(at: np.ndarray) -> float:
+        logs = sum(norm.logpdf(math.exp(x), scale=sd) + x for x, sd in zip(at[:2], SDS, strict=True))
+        return logs - 2 * math.log(math.cosh(at[2])) - 2 * math.log(math.cosh(at[3] / 2))
+
+    found = model.log_prior(np.array([one, two]))
+    assert found[0] - found[1] == pytest.approx(density(one) - density(two))
+
+
+@pytest.mark.parametrize("rho", [0.0, -0.9])
+def test_density_is_that_of_gaussian_estimates_whose_covariances_add(rho):
+    """One kernel a specimen: estimates are N(m, S + T)."""
+    estimates = [np.array([10.2, -1.7]), np.array([9.7, -1.5])]
+    one = Population(tuple(Specimen(at[None], RIDGE) for at in estimates), BOUNDS, MODEL)
+    spread = np.array([math.log(0.3), math.log(0.1), math.atanh(rho)])
+    between = np.array([[0.09, rho * 0.03], [rho * 0.03, 0.01]])
+    expected = sum(multivariate_normal.logpdf(at, MEAN, RIDGE + between) for at in estimates)
+    expected += 2 * np.log(2 * np.pi) + float(MODEL.log_prior(spread[None])[0])
+    assert one.log_density(np.array([[*MEAN, *spread]])) == pytest.approx([expected])
+
+
+# ---- what is learned of the spread from some specimens; a new specimen
+
+
+def gaussian(mean: np.ndarray, covariance: np.ndarray, seed: int) -> np.ndarray:
+    """Return draws with exactly this mean and covariance."""
+    rough = np.random.default_rng(seed).standard_normal((1000, len(mean)))
+    rough -= rough.mean(axis=0)
+    white = rough @ np.linalg.inv(np.linalg.cholesky(np.cov(rough.T, bias=True))).T
+    return mean + white @ np.linalg.cholesky(covariance).T
+
+
+@pytest.mark.parametrize("gap", [0.05, 0.4, 2.0])
+def test_two_specimens_tell_of_the_spread_of_b_what_their_difference_does(gap):
+    """Of mu nothing is known: the marginal of tau_b is an integral."""
+    covariance = np.diag([0.5, 1e-4])
+    posteriors = {
+        str(n): gaussian(np.array([11.0, b]), covariance, n) for n, b in enumerate((-3.0, gap - 3.0))
+    }
+    found = draw_population(one_layer(), MODEL, posteriors, 4000, np.random.default_rng(1))
+
+    def density(tau: float, power: int) -> float:
+        return tau**power * norm.pdf(tau, scale=SDS[1]) * norm.pdf(gap, scale=math.sqrt(2 * (tau**2 + 1e-4)))
+
+    moments = [quad(density, 0, 3, args=(power,), points=(0.05, 0.2, 0.5, 1))[0] for power in (0, 2)]
+    assert not found.faults
+    assert found.rms[1] == pytest.approx(math.sqrt(moments[1] / moments[0]), rel=0.15)
+
+
+def test_a_ridge_of_specimens_is_learned_along_and_across():
+    """Specimens differ along mu^0.5 b = const by 0.8 in ln mu, across it by 0.03; a new one does as well."""
+    rng = np.random.default_rng(5)
+    along, across = np.array([1.0, -0.5]) * 0.8, np.array([0.5, 1.0]) * 0.03 / math.sqrt(1.25)
+    posteriors = {}
+    for n in range(12):
+        theta = np.array([10.0, -3.0]) + rng.standard_normal() * along + rng.standard_normal() * across
+        estimate = np.outer(along, along) / 9 + np.outer(across, across) / 9
+        posteriors[str(n)] = gaussian(rng.multivariate_normal(theta, estimate), estimate, n)
+    found = draw_population(one_layer(), MODEL, posteriors, 2000, rng)
+    assert not found.faults and found.correlation < -0.97
+    stiff = np.array([0.5, 1.0]) / math.sqrt(1.25)
+    assert np.std(found.new[:, :2] @ stiff) < 0.1
+    assert np.std(found.new[:, 0]) == pytest.approx(0.8, rel=0.4)
+    # the mean is known better than one specimen, and each specimen as well as by itself at most
+    assert np.std(found.mean[:, 0]) == pytest.approx(0.8 / math.sqrt(12), rel=0.4)
+    assert np.std(found.tuned["0"][:, 0]) < 1.05 * np.std(posteriors["0"][:, 0])
+
+
+def test_what_is_stated_of_a_parameter_counts_once():
+    """Three specimens with the same stated prior, and no data: the mean has that prior, not its third."""
+    free = one_layer()
+    prior = make_gaussian_prior(("mu1_pa",), np.array([10.0]), np.array([[0.25]]))
+    stated = replace(free, prior=prior)
+    covariance = np.diag([0.2, 1.0])  # of prior and flat data: 1 / 0.2 = 1 / 0.25 + 1
+    posteriors = {str(n): gaussian(np.array([10.0, -3.0]), covariance, n) for n in range(3)}
+    found = draw_population(stated, MODEL, posteriors, 4000, np.random.default_rng(1))
+    none = draw_population(free, MODEL, posteriors, 4000, np.random.default_rng(1))
+    assert np.std(found.mean[:, 0]) < 0.5 and np.std(none.mean[:, 0]) < np.std(found.mean[:, 0])
+
+
+def test_one_specimen_leaves_the_prior_and_a_new_one_stays_within_the_bounds():
+    known = one_layer()
+    tuned = known.theta({"mu1_pa": 1e5, "bevel_mm": 0.4})
+    thetas = np.tile(tuned, (4000, 1))
+    found = draw_population(known, MODEL, {"a": thetas}, 4000, np.random.default_rng(1))
+    assert found.mean is thetas and found.rms == pytest.approx(SDS, rel=0.05)
+    assert np.std(found.new[:, 0] - tuned[0]) == pytest.approx(math.sqrt(2) * SDS[0], rel=0.05)
+    covariances = np.tile(np.diag([18.0, 4.5]), (4000, 1, 1))
+    moved = draw_specimens(known, MODEL, thetas, covariances, np.random.default_rng(1))
+    assert np.all((moved >= known.lower) & (moved <= known.upper))
+    assert len(np.unique(moved[:, 1])) == len(moved)  # drawn again, not put on the bounds
+    sds = np.sqrt([18.0, 4.5])
+    kept = truncnorm((known.lower - tuned) / sds, (known.upper - tuned) / sds)
+    assert np.mean(moved - tuned, axis=0) == pytest.approx(kept.mean() * sds, abs=0.1)
+
+
+def test_a_new_specimen_has_its_own_moduli_and_its_own_ratio_between_layers():
+    known = three_layers()
+    model = SpreadModel.of(known, *SDS)
     tuned = known.theta({"mu1_pa": 1e5, "mu2_pa": 1e7, "mu3_pa": 2e5, "bevel_mm": 0.1})
-    moved = move_to_new_specimen(known, np.tile(tuned, (40000, 1)), spread, 2, np.random.default_rng(1))
+    covariance = np.array([[0.36, 0.18, -0.09], [0.18, 0.36, 0.0], [-0.09, 0.0, 0.09]])
+    covariances = np.tile(covariance, (40_000, 1, 1))
+    moved = draw_specimens(known, model, np.tile(tuned, (40_000, 1)), covariances, np.random.default_rng(1))
     at = {name: moved[:, known.free.index(name)] - tuned[known.free.index(name)] for name in known.free}
-    widen = math.sqrt(1 + 1 / 2)
-    assert np.std(at["mu1_pa"]) == pytest.approx(0.6 * widen, rel=0.02)
-    assert np.std(at["bevel_mm"]) == pytest.approx(0.3 * widen, rel=0.02)
-    assert np.corrcoef(at["mu1_pa"], at["mu2_pa"])[0, 1] == pytest.approx(0.0, abs=0.02)
+    found = np.cov([at[name] for name in model.names])
+    assert found == pytest.approx(covariance, abs=0.02)
     ratio = at["mu3_pa"] - at["mu1_pa"] + math.log(2)
     assert (np.mean(ratio), np.std(ratio)) == pytest.approx((0.0, math.log(1.2)), abs=0.01)
 
 
-def test_the_spread_is_learned_from_the_sources_of_ties_alone():
-    """Layer 3 of one specimen is another material: it says nothing of how much specimens differ."""
-    layers = {
-        "mu1_pa": {"bounds": (1e3, 1e9)},
-        "mu2_pa": {"tie": "mu1_pa", "spread": 1.2},
-        "alpha1": {"fixed": 1.0},
-        "alpha2": {"fixed": 1.0},
-        "bevel_mm": {"bounds": (1e-3, 0.5)},
-    }
-    known, one = parameters(layers=2, parameters=layers), one_layer()
-    covariance = np.array([[0.04, 0.01, 0.002], [0.01, 0.09, 0.0], [0.002, 0.0, 0.01]])
-    means = (np.array([11.0, 11.1, -2.0]), np.array([11.3, 16.0, -2.2]))
-    found = learn_spread([SpecimenEstimate(mean, covariance) for mean in means], known, PRIOR)
-    kept = [0, 2]
-    alone = [SpecimenEstimate(mean[kept], covariance[np.ix_(kept, kept)]) for mean in means]
-    assert found.rms == pytest.approx(learn_spread(alone, one, PRIOR).rms, rel=1e-12)
+def test_layers_of_specimens_that_are_tied_keep_their_ratio_in_the_mean():
+    known = three_layers()
+    model = SpreadModel.of(known, *SDS)
+    posteriors = {}
+    for n, ratio in enumerate((0.1, 0.3)):
+        draws = gaussian(np.array([11.0 + n, 16.0 + n, -2.5]), 0.01 * np.eye(3), n)
+        theta = np.zeros((1000, len(known.free)))
+        for name, column in zip(model.names, draws.T, strict=True):
+            theta[:, known.free.index(name)] = column
+        theta[:, known.free.index("mu3_pa")] = draws[:, 0] + ratio
+        posteriors[str(n)] = theta
+    found = draw_population(known, model, posteriors, 500, np.random.default_rng(2))
+    ratios = found.mean[:, known.free.index("mu3_pa")] - found.mean[:, known.free.index("mu1_pa")]
+    assert ratios == pytest.approx(np.full(500, 0.2))
+    assert KERNELS_PER_SPECIMEN < 500

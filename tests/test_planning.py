@@ -41,7 +41,7 @@ from needlefit.planning.steering import (
 from needlefit.schemas.planning import ObstacleRecord
 from needlefit.studies import further_insertion
 from needlefit.studies.further_insertion import WeightedPosterior, find_template
-from needlefit.studies.held_out_predictions import NewSpecimens, PosteriorFit
+from needlefit.studies.held_out_predictions import PosteriorFit, Specimens
 from needlefit.studies.job import Job, Settings, prepare
 from needlefit.studies.kinds import next_insertion
 from needlefit.studies.kinds import plan as plan_kind
@@ -374,11 +374,10 @@ def posterior(theta: np.ndarray) -> WeightedPosterior:
 def test_needles_differ_by_bevel_and_in_a_new_specimen_by_its_parameters():
     (fold,) = job().folds
     theta = job().parameters.theta({**SOFT, "bevel_spread": 0.1})
-    unknown = {one.specimen: None for one in job().dataset.insertions}  # the stated spread alone is left
     # so small that no draw meets a bound
     stated = job().recipe.specimens.model_copy(update={"modulus_factor": 2.0, "bevel_factor": 1.2})
     recipe = job().recipe.model_copy(update={"specimens": stated})
-    new = NewSpecimens(replace(job(), recipe=recipe), fold, theta, unknown)
+    new = Specimens(replace(job(), recipe=recipe), fold, theta[None])
     sds = {}
     for name, about in (("same", None), ("new", new)):
         sets = [

@@ -277,13 +277,6 @@ def test_what_has_no_synthetic_truth_is_refused(tmp_path, monkeypatch):
         assert run_command("calibrate", name, "--truth", "synthetic", "-q") == 3
 
 
-def test_other_specimens_are_simulated_where_predictions_learn_from_them():
-    same, other = (prepare_synthetic(prepare_study(name), ct=False) for name in ("study1", "study3"))
-    assert [one.id for one in same.plan] == sorted(one.id for one in same.job.insertions)
-    asked = {one.id for one in other.job.insertions}
-    assert asked < {one.id for one in other.plan}
-
-
 def test_the_true_value_of_a_tied_modulus_is_that_of_its_own_layers():
     job = prepare_study("study1")
     mu = 1e6 * draw_specimen(7, "phantom2", "phantom2").mu

@@ -34,7 +34,7 @@ from needlefit.reporting.table_files import write_json
 from needlefit.schemas.recipe import LikelihoodRecord, SampleRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.held_out_predictions import NewSpecimens
+from needlefit.studies.held_out_predictions import Specimens
 from needlefit.studies.job import Settings, prepare
 from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds import prediction
@@ -236,15 +236,12 @@ def test_bevels_that_differ_widen_the_needle_s_band(job):
 
 def test_a_new_specimen_widens_the_band_and_one_insertion_narrows_it(job):
     (fold,) = job.folds
-    unknown = {
-        one.specimen: None for one in job.dataset.insertions
-    }  # none can be estimated: the prior is left
-    new = NewSpecimens(job, fold, theta(job), unknown)
+    new = Specimens(job, fold, np.array([theta(job)] * 400))
     found = planned(job, [theta(job)] * 400, new=new)
     others, once, same = found.specimens
     assert [one["specimen_treatment"] for one in found.specimens] == ["others", "one insertion", "same"]
-    assert others["between_sd_ln_mu"] == pytest.approx(np.log(2), rel=0.02) and others["other_specimens"] == 0
-    assert others["between_sd_ln_b"] == pytest.approx(np.log(1.8), rel=0.02)
+    assert others["between_sd_ln_mu"] == pytest.approx(np.log(2)) and others["other_specimens"] == 0
+    assert others["between_sd_ln_b"] == pytest.approx(np.log(1.8))
     widths = [one["tip_95_width_mm"] for one in (same, once, others)]
     assert widths[0] < widths[1] < 0.6 * widths[2]
     assert widths[2] == pytest.approx(np.ptp(interval(found.needle, 0.95), axis=0)[-1], rel=0.05)

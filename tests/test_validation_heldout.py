@@ -31,7 +31,7 @@ from needlefit.studies.held_out_predictions import (
     BAND_COLUMNS,
     BAND_POINTS,
     PREDICTIVE_COLUMNS,
-    NewSpecimens,
+    Specimens,
     draw_fold_parameters,
     predict_held_out,
     tabulate_held_out,
@@ -186,11 +186,11 @@ def test_a_remote_pool_predicts_the_same(job, few_draws, monkeypatch):
     monkeypatch.setattr(tasks, "can_fork", lambda: True)
     monkeypatch.setattr(tasks, "MIN_SHARED_S", 0.0)
     few = of(job, *(replace(one, specimen="another") for one in job.folds[0].validate[:3]))
-    new = [NewSpecimens(job, few, few_draws.thetas[0]) for _ in range(2)]
+    new = [Specimens(job, few, few_draws.thetas) for _ in range(2)]
     pairs = (new[0], THIS_PROCESS), (new[1], LocalPool(2, remote=True))
     alone, copied = (list(predict_held_out(job, few, few_draws, one, 2, pool)) for one, pool in pairs)
     assert len(alone) == 3 and repr(alone) == repr(copied)  # repr: NaN equals itself
-    assert new[0].estimates and repr(new[0].estimates) == repr(new[1].estimates)
+    assert np.array_equal(new[0].population.new, new[1].population.new)
 
 
 def test_the_table_counts_covered_insertions(job, few_draws):
@@ -227,8 +227,8 @@ def test_a_known_tip_takes_what_it_shares_with_another_from_its_width():
 def test_one_insertion_narrows_the_interval_in_a_new_specimen(job, known):
     held_out = job.folds[0].validate[:3]
     fold = of(job, *(replace(one, specimen="another") for one in held_out))
-    new = NewSpecimens(job, fold, known.thetas[0])
     few = replace(known, thetas=known.thetas[:300])
+    new = Specimens(job, fold, few.thetas)
     rows = [one.row for one in predict_held_out(job, fold, few, new, bands=True)]
     table = pd.DataFrame(rows)
     (after,) = table["tip_95_width_after_one_mm"].dropna()

@@ -15,7 +15,13 @@ from made_again import store
 from test_cli import run as run_command
 
 from needlefit.errors import ConfigError, DataError
-from needlefit.inference.forward_model import find_layers, make_scene_record, make_simulation_inputs, predict
+from needlefit.inference.forward_model import (
+    ParameterDraws,
+    find_layers,
+    make_scene_record,
+    make_simulation_inputs,
+    predict,
+)
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.simulate import simulate_steps
@@ -24,6 +30,7 @@ from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import StudyRecord
+from needlefit.studies.fit_frames import select_draws
 from needlefit.studies.job import Settings
 from needlefit.studies.kinds.cross_validation.run import run
 from needlefit.studies.store import pack, restore_run
@@ -190,7 +197,7 @@ def test_a_run_shows_its_fit_starting_with_a_held_out_insertion(project):
     rows = results.frames["parameters"].query("method == 'fitted'").set_index("parameter")["value"]
     assert viewed_scene.record.bevel.offset_mm == rows["bevel_mm"]
     assert [layer.mu_pa for layer in viewed_scene.record.layers] == [rows["mu1_pa"], rows["mu2_pa"]]
-    draws = results.frames["draws"]
+    draws = select_draws(results.frames["draws"])
     plain = open_target("small", specimen="same").spread
     assert np.array_equal(plain.mu[:, 0], draws["mu1_pa"] * 1e-6)
     deviations = (plain.bevel / draws["bevel_mm"] - 1) / draws["bevel_spread"]
@@ -198,13 +205,17 @@ def test_a_run_shows_its_fit_starting_with_a_held_out_insertion(project):
     assert abs(deviations.mean()) < 0.3 and deviations.std() == pytest.approx(np.sqrt(1.5), abs=0.2)
 
 
+def widen(new: ParameterDraws, same: ParameterDraws) -> float:
+    """Return the standard deviation of ln mu that draws in a new specimen have more."""
+    return float(np.sqrt(np.var(np.log(new.mu[:, 0])) - np.var(np.log(same.mu[:, 0]))))
+
+
 def test_the_band_of_a_new_specimen_is_as_wide_as_the_run_predicted_it(project):
     row = restore_run(project / "reports/small").frames["predictive"].set_index("insertion").loc["needle-3"]
     assert row["specimen_treatment"] == "others"
     new, same = (open_target("small", specimen=one).spread for one in ("new", "same"))
-    moved = np.log(new.mu[:, 0] / same.mu[:, 0])
-    assert np.std(moved) == pytest.approx(np.sqrt(2) * row["between_sd_ln_mu"], rel=0.2)
-    assert np.array_equal(new.mu[:, 1], same.mu[:, 1])  # fixed in the medium
+    assert widen(new, same) == pytest.approx(np.sqrt(2) * row["between_sd_ln_mu"], rel=0.3)
+    assert set(new.mu[:, 1]) == set(same.mu[:, 1])  # fixed in the medium
 
 
 @pytest.mark.sweep
@@ -213,9 +224,7 @@ def test_a_new_specimen_is_that_also_where_an_insertion_that_was_tuned_on_is_sho
     assert [one.specimen for one in opened] == ["same", "new", "new", "same"]
     shown, planned, new, same = (one.spread for one in opened)
     assert np.array_equal(shown.mu, same.mu) and np.array_equal(planned.mu, new.mu)
-    # the prior of the recipe's factor 2, updated by two specimens
-    moved = np.log(new.mu[:, 0] / same.mu[:, 0])
-    assert 0.2 < np.std(moved) < 1.5 * np.sqrt(2) * np.log(2)
+    assert widen(new, same) == pytest.approx(np.sqrt(2) * np.log(2), rel=0.3)  # the prior of the recipe
 
 
 @pytest.mark.sweep
@@ -228,7 +237,7 @@ def test_a_plan_follows_a_study_without_spread_between_specimens(project, tmp_pa
         open_target(str(tmp_path), specimen=one).spread for one in ("shown", "planned", "new", "same")
     )
     assert np.array_equal(shown.mu, same.mu) and np.array_equal(planned.mu, same.mu)
-    assert np.std(np.log(new.mu[:, 0] / same.mu[:, 0])) > 0.2
+    assert widen(new, same) > 0.2
 
 
 @pytest.mark.sweep
@@ -244,7 +253,7 @@ def test_a_plan_states_specimen_draws_and_the_warnings_of_the_run(project, tmp_p
         printed = capsys.readouterr()
         found[specimen] = json.loads(printed.out)
         assert "worse-than-baseline" in printed.err
-    total = len(results.frames["draws"])
+    total = int((results.frames["draws"]["specimen"] == "(tuned)").sum())
     for specimen, one in found.items():
         assert one["specimen"] == specimen and one["warnings"][0]["kind"] == "worse_than_baseline"
         assert one["draws"] == total - one["search_draws"] and one["search_draws"] == 32

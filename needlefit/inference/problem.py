@@ -13,6 +13,7 @@ squares.
 """
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -571,12 +572,19 @@ class Problem:
         return find_new_bevel_sd(self.dataset, self.insertions) if centred else 1.0
 
 
-def find_new_bevel_sd(dataset: Dataset, insertions: Sequence[Insertion]) -> float:
+def find_new_bevel_sd(
+    dataset: Dataset, insertions: Sequence[Insertion], *, new_specimen: bool = False
+) -> float:
     """Return by how many SDs between insertions a further bevel deviates from the mean of these n, as an SD.
 
-    That is sqrt(1 + 1 / n): their mean is random too.
+    That is sqrt(1 + 1 / n): their mean is random too. In a new specimen b is drawn as others have it, as the
+    mean of their n bevels each: then it is sqrt(1 - 1 / n), with the mean of 1 / n over specimens.
     """
-    return math.sqrt(1 + 1 / len(set(list_bevels(dataset, insertions))))
+    bevels = list_bevels(dataset, insertions)
+    if not new_specimen:
+        return math.sqrt(1 + 1 / len(set(bevels)))
+    counts = Counter(one.specimen for one in dict(zip(bevels, insertions, strict=True)).values())
+    return math.sqrt(1 - sum(1 / n for n in counts.values()) / len(counts))
 
 
 def make_problem(

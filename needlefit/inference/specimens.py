@@ -1,32 +1,28 @@
-"""Estimate the spread of the parameters between specimens, and what it adds to predictions in a new specimen.
+"""Estimate how much the parameters differ between specimens, and predict a new specimen.
 
-    theta_i ~ N( m, T ),      T = sum_g tau_g^2 z_g z_g^T
+    theta_i ~ N( m, T ),      T = cov( ln mu_1 ... ln mu_G, ln b )
 
-for the specimens i of one population. z_g marks the parameters that move together: the moduli of one
-material, or the bevel offset, all in logarithms. There is one tau of all materials and one of the bevel;
-both have a half-normal prior, m a flat one. The posterior of a specimen by itself is taken as Gaussian, so
-that m is integrated out in closed form and (tau_mu, tau_b) stand on a grid. Ties with a spread are left out
-of it: they are known of the specimens that are fitted, and a wrong tie moves all parameters. Of each material
-the source of the ties counts.
+for the specimens i of one population. The moduli of a specimen share a factor and have one of their own each,
 
-Draws theta of a posterior learned from n specimens become draws of a further one by adding
-N( 0, (1 + 1 / n) T ): both it and the mean of the n vary about m. Between layers of nominally one material,
-tied with a spread, the ratios are drawn anew. Few specimens tell little of a spread: with two or three its
-posterior depends strongly on its prior.
+    T_mu = tau_mu^2 ( w 1 1^T + (1 - w) I ),   T_b = tau_b^2,   T_mu,b = rho sqrt(w) tau_mu tau_b
 
-`Population` estimates mean and spread of one medium's specimens, theta_i ~ N( m, diag(tau^2) ), from many, in
-two stages. Stage one has the posterior of every specimen by itself, with a prior flat in theta. Stage two
-weighs its draws anew by the population (D. Lunn, J. Barrett, M. Sweeting, S. Thompson, J. R. Stat. Soc. C 62
-(2013) 551):
+(w = 1 with one modulus). tau_mu and tau_b have half-normal priors, rho is uniform from -1 to 1 (the LKJ prior
+with shape 1; D. Lewandowski, D. Kurowicka, H. Joe, J. Multivar. Anal. 100 (2009) 1989), w is uniform from 0
+to 1, m is flat within the bounds. Of moduli that are tied with a spread the source counts; the others deviate
+from it as the tie states, in every specimen anew. Other parameters that are said to vary have a tau of their
+own and no correlation.
 
-    L(m, tau) = prod_i sum_k w_ik N( theta_ik; m, diag(tau^2) ).
+Two stages estimate it (D. Lunn, J. Barrett, M. Sweeting, S. Thompson, J. R. Stat. Soc. C 62 (2013) 551).
+Stage one draws from the posterior of every specimen by itself. Stage two has the population,
 
-Draws alone fail where tau is smaller than the distance between them, at tau = 0 altogether. So each draw
-stands for a Gaussian, shrunk toward the specimen's mean so that mean and covariance of all stay what they are
-(J. Liu, M. West, in: Sequential Monte Carlo Methods in Practice, Springer 2001, 197), and the sum is over
-N( c_ik; m, H_i + diag(tau^2) ), closed for every tau. tau has a half-normal prior, m a flat one within the
-bounds. A few specimens cannot determine a correlation, so parameters vary independently; what they determine
-best is a combination, so the spread along it is reported too.
+    L(m, T) = prod_i sum_k N( c_ik; m, H_i + T ),
+
+in which each draw stands for a Gaussian, shrunk toward the specimen's mean so that mean and covariance of
+all stay what they are (J. Liu, M. West, in: Sequential Monte Carlo Methods in Practice, Springer 2001, 197):
+draws alone fail where T is narrower than the distance between them. What the medium states of a parameter is
+a prior of m: draws are chosen by its inverse, so that it counts once. One specimen does not determine T:
+then T is drawn from its prior, and as m = theta_1 + N( 0, T ), a new specimen lies about theta_1 with
+covariance 2 T.
 
 `TransferredPrior` makes the prior of a new medium: the posterior of an old one, widened by the spread between
 media. Both media are taken for draws of one population of which only the spread s is known (a standard
@@ -51,11 +47,10 @@ from typing import Self
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.special import logsumexp
+from scipy.special import expit, logsumexp
 
 from needlefit.arrays import Floats
 from needlefit.errors import ConfigError
-from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.parameters import (
     BEVEL_PARAMETERS,
     Parameters,
@@ -66,156 +61,122 @@ from needlefit.inference.parameters import (
 )
 from needlefit.inference.predict import draw_from_prior
 from needlefit.inference.problem import Problem
-from needlefit.inference.sampling.importance import Effort, WeightedDraws, sample_by_importance
+from needlefit.inference.sampling.importance import (
+    Effort,
+    WeightedDraws,
+    resample,
+    sample_by_importance,
+)
 from needlefit.inference.sampling.log_density import approximate_by_laplace
 
-#: values of each spread, evenly spaced up to this many deviations of its prior
-GRID_POINTS, LARGEST_SPREAD = 48, 8.0
+#: least and largest tau, in standard deviations of its half-normal prior
+TAU_RANGE = (1e-3, 5.0)
+MAX_ATANH_CORRELATION, MAX_LOGIT_SHARE = 6.0, 8.0  #: bounds of atanh rho and of logit w
 MAX_REDRAWS = 100  #: times that a specimen outside the bounds is drawn again; then it is put on them
 
 
 @dataclass(frozen=True)
-class SpecimenEstimate:
-    """The posterior of one specimen's theta, as a Gaussian: mean (P,) and covariance (P, P)."""
+class SpreadModel:
+    """Which parameters differ between specimens, and the prior of their covariance T.
 
-    mean: Floats
-    covariance: Floats
+    T has hyperparameters (S,): ln tau of the moduli, of the bevel parameter and of each other parameter that
+    varies, then atanh rho and logit w where there are any.
+    """
 
+    names: tuple[str, ...]  #: Q parameters, in the order of T: moduli, the bevel parameter, others
+    moduli: int  #: how many of them are moduli
+    correlated: bool  #: whether there are moduli and a bevel parameter
+    sds: Floats  #: standard deviations of the half-normal priors of the taus
 
-@dataclass(frozen=True)
-class SpecimenSpread:
-    """The posterior of the standard deviations between specimens, of ln mu and of ln b."""
-
-    taus: Floats  #: (G, 2) of moduli and of the bevel offset
-    weights: Floats  #: (G,) they sum to 1
-    specimens: int  #: how many it was learned from; the prior alone is left from fewer than two
+    @classmethod
+    def of(
+        cls, parameters: Parameters, modulus_sd: float, bevel_sd: float, others: Sequence[str] = ()
+    ) -> Self:
+        """Return the model of some parameters; `others` vary too, by as much as the moduli."""
+        tied = {tie.name for tie in parameters.prior.ties}
+        moduli = [one for one in parameters.free if dimension(one) == "modulus" and one not in tied]
+        bevels = [one for one in parameters.free if one in BEVEL_PARAMETERS]
+        sds = [*[modulus_sd] * bool(moduli), *[bevel_sd] * len(bevels), *[modulus_sd] * len(others)]
+        return cls((*moduli, *bevels, *others), len(moduli), bool(moduli and bevels), np.array(sds))
 
     @property
-    def rms(self) -> Floats:
-        """Root mean squares (2,) of both spreads."""
-        return np.sqrt(self.weights @ self.taus**2)
+    def upper(self) -> Floats:
+        """Upper bounds of the hyperparameters: (S,)."""
+        ends = [MAX_ATANH_CORRELATION] * self.correlated + [MAX_LOGIT_SHARE] * (self.moduli > 1)
+        return np.concatenate([np.log(TAU_RANGE[1] * self.sds), ends])
+
+    @property
+    def lower(self) -> Floats:
+        """Lower bounds of the hyperparameters: (S,)."""
+        return np.concatenate([np.log(TAU_RANGE[0] * self.sds), -self.upper[len(self.sds) :]])
+
+    @property
+    def prior_rms(self) -> Floats:
+        """Root mean square (Q,) of the standard deviations between specimens by the prior alone."""
+        return np.concatenate([np.repeat(self.sds[:1], self.moduli), self.sds[bool(self.moduli) :]])
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
-        """Return draws (B, 2)."""
-        return self.taus[rng.choice(len(self.taus), size=count, p=self.weights)]
+        """Return hyperparameters (B, S) drawn from their prior."""
+        taus = self.sds * np.abs(rng.standard_normal((count, len(self.sds))))
+        rho = np.arctanh(rng.uniform(-1, 1, size=(count, int(self.correlated))))
+        share = rng.logistic(size=(count, int(self.moduli > 1)))  # the logit of a uniform number
+        drawn = np.hstack([np.log(np.maximum(taus, TAU_RANGE[0] * self.sds)), rho, share])
+        return np.clip(drawn, self.lower, self.upper)
 
+    def log_prior(self, at: Floats) -> Floats:
+        """Return the log prior density (W,) of hyperparameters (W, S), but for a constant."""
+        logs, rest = np.split(at, [len(self.sds)], axis=1)
+        found = np.sum(logs - 0.5 * (np.exp(logs) / self.sds) ** 2, axis=1)
+        if self.correlated:  # the derivative of tanh
+            found = found - 2 * np.log(np.cosh(rest[:, 0]))
+        if self.moduli > 1:  # the derivative of expit
+            found = found + np.log(expit(rest[:, -1])) + np.log(expit(-rest[:, -1]))
+        return found
 
-def learn_spread(
-    estimates: Sequence[SpecimenEstimate], parameters: Parameters, prior: tuple[float, float]
-) -> SpecimenSpread:
-    """Return what some specimens say of the spread; `prior` are the deviations of its half-normal priors."""
-    unit = (np.arange(GRID_POINTS) + 0.5) * LARGEST_SPREAD / GRID_POINTS
-    units = np.stack(np.meshgrid(unit, unit, indexing="ij"), axis=-1).reshape(-1, 2)
-    taus, logs = units * prior, -0.5 * np.sum(units**2, axis=1)
-    if len(estimates) < 2:
-        return SpecimenSpread(taus, np.exp(logs - logsumexp(logs)), len(estimates))
-    tied = {tie.name for tie in parameters.prior.ties}
-    untied = [k for k, name in enumerate(parameters.free) if name not in tied]
-    square = np.ix_(untied, untied)
-    groups = list_groups(parameters)
-    marks = np.array([[float(name in names) for name in parameters.free] for _, names in groups])
-    squares = np.array([taus[:, which] ** 2 for which, _ in groups]).T  # (G, groups)
-    between = np.einsum("gk,kp,kq->gpq", squares, marks, marks)[:, untied][:, :, untied]  # (G, Q, Q)
-    information, pull = np.zeros_like(between), np.zeros(between.shape[:2])
-    for one in estimates:
-        whole, mean = one.covariance[square] + between, one.mean[untied]
-        inverse = np.linalg.inv(whole)
-        pulled = inverse @ mean
-        logs -= 0.5 * (np.linalg.slogdet(whole)[1] + pulled @ mean)
-        information, pull = information + inverse, pull + pulled
-    # the mean of the population, flat, is integrated out
-    best = np.linalg.solve(information, pull[..., None])[..., 0]
-    logs += 0.5 * (np.sum(pull * best, axis=1) - np.linalg.slogdet(information)[1])
-    return SpecimenSpread(taus, np.exp(logs - logsumexp(logs)), len(estimates))
-
-
-def list_groups(parameters: Parameters) -> list[tuple[int, tuple[str, ...]]]:
-    """Return the free parameters that move together, each group with the number of its spread."""
-    source = {tie.name: tie.source for tie in parameters.prior.ties}
-    groups: dict[str, list[str]] = {}
-    for name in parameters.free:
-        if dimension(name) == "modulus" or name in BEVEL_PARAMETERS:
-            root = name
-            while root in source:
-                root = source[root]
-            groups.setdefault(root, []).append(name)
-    return [(int(names[0] in BEVEL_PARAMETERS), tuple(names)) for names in groups.values()]
-
-
-def move_to_new_specimen(
-    parameters: Parameters, thetas: Floats, spread: SpecimenSpread, fitted: int, rng: np.random.Generator
-) -> Floats:
-    """Return draws (B, P) of the parameters in a new specimen, from those of a posterior of `fitted` ones.
-
-    A specimen outside the medium's bounds is drawn again.
-    """
-    taus = np.sqrt(1 + 1 / fitted) * spread.draw(len(thetas), rng)
-    moved, left = thetas.copy(), np.arange(len(thetas))
-    for _ in range(MAX_REDRAWS):
-        drawn, spreads = thetas[left].copy(), taus[left]
-        for which, names in list_groups(parameters):
-            shift = spreads[:, which] * rng.standard_normal(len(drawn))
-            for name in names:
-                drawn[:, parameters.free.index(name)] += shift
-        for tie in parameters.prior.ties:  # a source comes before what is tied to it
-            if tie.name in parameters.free and tie.source in parameters.free:
-                own, source = (parameters.free.index(name) for name in (tie.name, tie.source))
-                ratio = math.log(tie.factor) + math.log(tie.spread) * rng.standard_normal(len(drawn))
-                drawn[:, own] = drawn[:, source] + ratio
-        moved[left] = drawn
-        outside = (moved[left] < parameters.lower) | (moved[left] > parameters.upper)
-        left = left[np.any(outside, axis=1)]
-        if not len(left):
-            break
-    return np.clip(moved, parameters.lower, parameters.upper)
-
-
-def estimate_specimen(problem: Problem, begin: Floats) -> SpecimenEstimate | None:
-    """Return the posterior of one specimen, without ties, about its peak, searched from `begin` (P,).
-
-    None where its needles cannot be solved.
-    """
-    prior = problem.parameters.prior.without_ties()
-    problem = problem.with_parameters(replace(problem.parameters, prior=prior))
-    easier = problem.approach("posterior")
-    near = begin if easier is None else minimize_squares(easier, begin).theta
-    found = minimize_squares(problem, near)
-    if not math.isfinite(found.value):
-        return None
-    # no wider than the bounds: along a ridge there is no curvature
-    width = problem.upper - problem.lower
-    covariance = np.linalg.inv(found.information + np.diag(12 / width**2))
-    return SpecimenEstimate(found.theta, np.asarray(covariance, dtype=np.float64))
-
-
-KERNELS_PER_SPECIMEN = 100  #: draws that stand for the posterior of a specimen
-
-SPREAD_EFFORT = Effort(draws=400, min_ess=400.0)
-
-MAX_TAU_SD = 5.0  #: bound of tau, in standard deviations of its prior
-DENSITY_POINTS = 400  #: places at which a marginal density is looked at
+    def covariances(self, at: Floats) -> Floats:
+        """Return T (W, Q, Q) of hyperparameters (W, S)."""
+        taus, rest = np.exp(at[:, : len(self.sds)]), at[:, len(self.sds) :]
+        rho = np.tanh(rest[:, 0]) if self.correlated else np.zeros(len(at))
+        share = expit(rest[:, -1]) if self.moduli > 1 else np.ones(len(at))
+        # a row of `each` for each parameter: the tau of the moduli is that of all of them
+        each = taus[:, [0] * self.moduli + list(range(bool(self.moduli), taus.shape[1]))]
+        correlations = np.tile(np.eye(len(self.names)), (len(at), 1, 1))
+        g = self.moduli
+        correlations[:, :g, :g] += share[:, None, None] * (1 - np.eye(g))
+        if self.correlated:
+            correlations[:, :g, g] = correlations[:, g, :g] = (rho * np.sqrt(share))[:, None]
+        return correlations * each[:, :, None] * each[:, None, :]
 
 
 @dataclass(frozen=True)
 class Specimen:
     """The posterior of one specimen as a mixture of equally weighted Gaussian kernels."""
 
-    centres: Floats  #: (K, P)
-    kernel: Floats  #: (P, P) their covariance
+    centres: Floats  #: (K, Q)
+    kernel: Floats  #: (Q, Q) their covariance
 
     @property
     def mean(self) -> Floats:
-        """Mean of the posterior: (P,)."""
+        """Mean of the posterior: (Q,)."""
         return self.centres.mean(axis=0)
 
     @property
     def covariance(self) -> Floats:
-        """Covariance of the posterior: (P, P)."""
+        """Covariance of the posterior: (Q, Q)."""
         return np.atleast_2d(np.cov(self.centres.T, bias=True)) + self.kernel
+
+    def log_densities(self, means: Floats, covariances: Floats) -> Floats:
+        """Return ln N( c_k; m, H + T ) (W, K) of means (W, Q) and covariances T (W, Q, Q)."""
+        factor = np.linalg.cholesky(self.kernel + covariances)
+        away = self.centres[None] - means[:, None]  # (W, K, Q)
+        white = np.linalg.solve(factor, away.transpose(0, 2, 1))  # (W, Q, K)
+        volume = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)), axis=1)
+        logs: Floats = -0.5 * np.sum(white**2, axis=1) - volume[:, None]
+        return logs
 
 
 def make_specimen(draws: Floats) -> Specimen:
-    """Return the kernels of posterior draws (K, P); their width follows Silverman's rule."""
+    """Return the kernels of posterior draws (K, Q); their width follows Silverman's rule."""
     count, p = draws.shape
     width = (4 / (p + 2)) ** (1 / (p + 4)) * count ** (-1 / (p + 4))
     part = width**2 / (1 + width**2)  # of the covariance, that the kernels have
@@ -224,64 +185,207 @@ def make_specimen(draws: Floats) -> Specimen:
     return Specimen(mean + np.sqrt(1 - part) * (draws - mean), part * covariance)
 
 
+KERNELS_PER_SPECIMEN = 100  #: draws that stand for the posterior of a specimen
+
+#: efforts of importance sampling of a population, tried in turn
+SPREAD_EFFORTS = (Effort(draws=1000, min_ess=2000.0), Effort(draws=3000, min_ess=1000.0, components=30))
+
+
 @dataclass(frozen=True)
 class Population:
-    """The posterior of mean m and spread tau over specimens, given some of them."""
+    """The posterior of mean m and covariance T over specimens, given some of them."""
 
     specimens: tuple[Specimen, ...]
-    bounds: tuple[Floats, Floats]  #: (P,), (P,) of m
-    spread_sd: float  #: of the half-normal prior of every tau
+    bounds: tuple[Floats, Floats]  #: (Q,), (Q,) of m
+    model: SpreadModel
+    #: what is stated of m: means and standard deviations (Q,), (Q,), infinite where nothing is
+    stated: tuple[Floats, Floats] | None = None
 
     @property
     def lower(self) -> Floats:
-        """Lower bounds of (m, tau): (2 P,)."""
-        return np.concatenate([self.bounds[0], np.zeros(len(self.bounds[0]))])
+        """Lower bounds of m and the hyperparameters of T: (Q + S,)."""
+        return np.concatenate([self.bounds[0], self.model.lower])
 
     @property
     def upper(self) -> Floats:
-        """Upper bounds of (m, tau): (2 P,)."""
-        return np.concatenate([self.bounds[1], np.full(len(self.bounds[1]), MAX_TAU_SD * self.spread_sd)])
+        """Upper bounds of m and the hyperparameters of T: (Q + S,)."""
+        return np.concatenate([self.bounds[1], self.model.upper])
+
+    def split(self, at: Floats) -> tuple[Floats, Floats]:
+        """Return m (W, Q) and T (W, Q, Q) of points (W, Q + S)."""
+        means, spread = np.split(at, [len(self.bounds[0])], axis=1)
+        return means, self.model.covariances(spread)
 
     def log_density(self, at: Floats) -> Floats:
-        """Return the log posterior densities (W,) of (m, tau) (W, 2 P), not normalised; -inf outside."""
+        """Return the log posterior densities (W,) of points (W, Q + S), not normalised; -inf outside."""
         inside = np.all((at >= self.lower) & (at <= self.upper), axis=1)
         density = np.full(len(at), -np.inf)
-        means, taus = np.split(at[inside], 2, axis=1)
-        found = -0.5 * np.sum((taus / self.spread_sd) ** 2, axis=1)
+        means, covariances = self.split(at[inside])
+        found = self.model.log_prior(at[inside][:, means.shape[1] :])
+        if self.stated is not None:
+            found = found + _log_gaussians(means, *self.stated)
         for one in self.specimens:
-            # the logarithm of the mean of N( c_k; m, H + diag(tau^2) )
-            whole = one.kernel + taus[:, :, None] ** 2 * np.eye(taus.shape[1])  # (W, P, P)
-            factor = np.linalg.cholesky(whole)
-            away = one.centres[None] - means[:, None]  # (W, K, P)
-            white = np.linalg.solve(factor, away.transpose(0, 2, 1))  # (W, P, K)
-            logs = -0.5 * np.sum(white**2, axis=1)
-            volume = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)), axis=1)
-            found += logsumexp(logs, axis=1) - np.log(logs.shape[1]) - volume
+            logs = one.log_densities(means, covariances)
+            found = found + logsumexp(logs, axis=1) - np.log(logs.shape[1])
         density[inside] = found
         return density
 
     def posterior(self, rng: np.random.Generator) -> WeightedDraws:
-        """Return weighted draws of (m, tau): (N, 2 P)."""
+        """Return weighted draws of m and the hyperparameters of T: (N, Q + S)."""
 
         def height(at: Floats) -> float:
             return -float(self.log_density(at[None])[0])
 
         bounds = list(zip(self.lower.tolist(), self.upper.tolist(), strict=True))
-        means = np.array([one.mean for one in self.specimens])
-        within = np.mean([np.diag(one.covariance) for one in self.specimens], axis=0)
-        # method of moments: variance of the means, less that within specimens; not exactly 0, a bound
-        spread = np.sqrt(np.maximum(means.var(axis=0) - within, 0.01 * self.spread_sd**2))
-        start = np.clip(np.concatenate([means.mean(axis=0), spread]), self.lower, self.upper)
-        found = minimize(height, start, method="Nelder-Mead", bounds=bounds)
+        found = minimize(height, self._guess(), method="Nelder-Mead", bounds=bounds)
         about = approximate_by_laplace(self.log_density, found.x, self.lower, self.upper)
-        return sample_by_importance(self.log_density, [about], (self.lower, self.upper), rng, SPREAD_EFFORT)
+        for effort in SPREAD_EFFORTS:
+            drawn = sample_by_importance(self.log_density, [about], (self.lower, self.upper), rng, effort)
+            if drawn.certified:
+                break
+        return drawn
+
+    def _guess(self) -> Floats:
+        """Return where the search begins, (Q + S,), by the method of moments."""
+        model, means = self.model, np.array([one.mean for one in self.specimens])
+        within = np.mean([np.diag(one.covariance) for one in self.specimens], axis=0)
+        variances = means.var(axis=0) - within
+        first = [0] * bool(model.moduli) + list(range(model.moduli, len(model.names)))
+        moments = np.array([variances[k] for k in first])
+        if model.moduli:
+            moments[0] = np.mean(variances[: model.moduli])
+        taus = np.sqrt(np.maximum(moments, 0.01 * model.sds**2))  # not exactly 0, a bound
+        rest = np.zeros(len(model.lower) - len(taus))
+        if model.correlated and len(means) > 2:
+            common = means[:, : model.moduli].mean(axis=1)
+            rest[0] = np.arctanh(0.9 * np.corrcoef(common, means[:, model.moduli])[0, 1])
+        start = np.concatenate([means.mean(axis=0), np.log(taus), np.nan_to_num(rest)])
+        return np.clip(start, self.lower, self.upper)
 
 
-def best_determined(specimens: Sequence[Specimen]) -> Floats:
-    """Return the combination (P,), of length 1, that the specimens determine best on average."""
+@dataclass(frozen=True)
+class PopulationDraws:
+    """Joint draws of the parameters (B, P) in each specimen, in their mean and in a new one."""
+
+    tuned: Mapping[str, Floats]  #: in each specimen that was fitted, by its name
+    mean: Floats  #: the mean of the population; of a single specimen, those in it
+    new: Floats  #: in a further specimen
+    covariances: Floats  #: T (B, Q, Q)
+    faults: tuple[str, ...] = ()  #: why the draws do not represent the posterior; empty if they do
+
+    @property
+    def rms(self) -> Floats:
+        """Root mean square (Q,) of the standard deviations between specimens."""
+        return np.sqrt(np.mean(np.diagonal(self.covariances, axis1=1, axis2=2), axis=0))
+
+    @property
+    def correlation(self) -> float:
+        """Median correlation of the first parameter (ln mu) with the last (ln b) between specimens."""
+        variances = np.diagonal(self.covariances, axis1=1, axis2=2)
+        with np.errstate(invalid="ignore"):
+            found = self.covariances[:, 0, -1] / np.sqrt(variances[:, 0] * variances[:, -1])
+        return float(np.median(found))
+
+
+def draw_population(
+    parameters: Parameters,
+    model: SpreadModel,
+    posteriors: Mapping[str, Floats],
+    count: int,
+    rng: np.random.Generator,
+) -> PopulationDraws:
+    """Draw from the population of specimens whose own posteriors are known by draws (K, P) each.
+
+    A single specimen has `count` draws, and T is drawn from its prior.
+    """
+    columns = [parameters.free.index(name) for name in model.names]
+    if len(posteriors) == 1:
+        (mean,) = posteriors.values()
+        covariances = model.covariances(model.draw(len(mean), rng))
+        new = draw_specimens(parameters, model, mean, 2 * covariances, rng)
+        return PopulationDraws(posteriors, mean, new, covariances)
+    marginals = [parameters.prior.marginals.get(name, (0.0, math.inf)) for name in model.names]
+    stated = np.array(marginals).T[0], np.array(marginals).T[1]
+    known, counted = dict[str, Specimen](), dict[str, Floats]()
+    for name, thetas in posteriors.items():
+        counted[name] = _log_gaussians(thetas[:, columns], *stated)
+        weights = np.exp(counted[name].min() - counted[name])
+        # systematic, so that without a stated prior the draws are taken evenly
+        places = (np.arange(KERNELS_PER_SPECIMEN) + 0.5) / KERNELS_PER_SPECIMEN * weights.sum()
+        known[name] = make_specimen(thetas[np.searchsorted(np.cumsum(weights), places)][:, columns])
+    bounds = parameters.lower[columns], parameters.upper[columns]
+    population = Population(tuple(known.values()), bounds, model, stated)
+    found = population.posterior(rng)
+    means, covariances = population.split(found.thetas[resample(found, count, rng)])
+    tuned = {}
+    for name, thetas in posteriors.items():
+        logs = replace(known[name], centres=thetas[:, columns]).log_densities(means, covariances)
+        # the largest of these: drawn by weight
+        keys = logs - counted[name] + rng.gumbel(size=logs.shape)
+        tuned[name] = thetas[np.argmax(keys, axis=1)]
+    # what does not vary is known from all specimens alike
+    mean = np.mean(list(tuned.values()), axis=0)
+    for tie in parameters.prior.ties:  # a source comes before what is tied to it
+        if tie.name in parameters.free and tie.source in model.names:
+            own, source = parameters.free.index(tie.name), parameters.free.index(tie.source)
+            mean[:, own] += means[:, model.names.index(tie.source)] - mean[:, source]
+    mean[:, columns] = means
+    new = draw_specimens(parameters, model, mean, covariances, rng)
+    fault = (
+        f"the population of {len(known)} specimens is not certified (Pareto k {found.k:.2f}, worth "
+        f"{found.effective_sample_size:.0f} independent draws)"
+    )
+    return PopulationDraws(tuned, mean, new, covariances, () if found.certified else (fault,))
+
+
+def _log_gaussians(at: Floats, means: Floats, sds: Floats) -> Floats:
+    """Return the log densities (W,) of points (W, Q) under independent Gaussians, but for a constant."""
+    found: Floats = -0.5 * np.sum(((at - means) / sds) ** 2, axis=1)
+    return found
+
+
+def draw_specimens(
+    parameters: Parameters,
+    model: SpreadModel,
+    thetas: Floats,
+    covariances: Floats,
+    rng: np.random.Generator,
+) -> Floats:
+    """Return specimens (B, P) that lie about `thetas` (B, P) with covariances (B, Q, Q).
+
+    A specimen outside the medium's bounds is drawn again.
+    """
+    columns = [parameters.free.index(name) for name in model.names]
+    sizes, axes = np.linalg.eigh(covariances)  # a root that exists where rho is 1 too
+    roots = axes * np.sqrt(np.maximum(sizes, 0.0))[:, None, :]
+    drawn, left = thetas.copy(), np.arange(len(thetas))
+    for _ in range(MAX_REDRAWS):
+        some = thetas[left].copy()
+        some[:, columns] += np.einsum(
+            "bpq,bq->bp", roots[left], rng.standard_normal((len(left), len(columns)))
+        )
+        for tie in parameters.prior.ties:  # a source comes before what is tied to it
+            if tie.name in parameters.free and tie.source in parameters.free:
+                own, source = (parameters.free.index(name) for name in (tie.name, tie.source))
+                ratio = math.log(tie.factor) + math.log(tie.spread) * rng.standard_normal(len(some))
+                some[:, own] = some[:, source] + ratio
+        drawn[left] = some
+        outside = (some < parameters.lower) | (some > parameters.upper)
+        left = left[np.any(outside, axis=1)]
+        if not len(left):
+            break
+    return np.clip(drawn, parameters.lower, parameters.upper)
+
+
+DENSITY_POINTS = 400  #: places at which a marginal density is looked at
+
+
+def determined_directions(specimens: Sequence[Specimen]) -> Floats:
+    """Return the combinations (Q, Q) that specimens determine on average, unit rows, the best first."""
     information = np.mean([np.linalg.inv(one.covariance) for one in specimens], axis=0)
-    vector: Floats = np.linalg.eigh(information)[1][:, -1]
-    return vector * np.sign(vector[np.argmax(np.abs(vector))])
+    vectors: Floats = np.linalg.eigh(information)[1][:, ::-1].T
+    largest = np.argmax(np.abs(vectors), axis=1)
+    return vectors * np.sign(vectors[np.arange(len(vectors)), largest])[:, None]
 
 
 def marginal_density(values: Floats, weights: Floats, lowest: float) -> tuple[Floats, Floats]:

@@ -42,7 +42,8 @@ bands
     Where each insertion held out was predicted to be measured, point by point.
 draws
     Draws of each fold's parameters: from its sampled posterior, or by importance about the modes of its fit,
-    then with Pareto's k of the weights; then one column per parameter.
+    then with Pareto's k of the weights; `specimen` is "(tuned)" (of several that differ, their mean), one of
+    several that differ, or "(new)", not in the dataset; then one column per parameter.
 needles
     Every insertion held out, or, of a single fold, any, point by point in its scan
     (`studies/needles_in_scan.py`).
@@ -51,13 +52,15 @@ needles
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from needlefit.studies.held_out_predictions import BAND_COLUMNS, PREDICTIVE_COLUMNS
+import pandas as pd
+
+from needlefit.studies.held_out_predictions import BAND_COLUMNS, PREDICTIVE_COLUMNS, TUNED_SPECIMENS
 from needlefit.studies.identification import IDENTIFICATION_COLUMNS, PROFILE_COLUMNS
 from needlefit.studies.needles_in_scan import NEEDLE_COLUMNS
 
 FIT_KINDS = ("cross_validation", "fit")  #: kinds of study whose runs have the tables of this module
 
-DRAW_COLUMNS = ("fold", "draw_source", "pareto_k", "ess", "certified")
+DRAW_COLUMNS = ("fold", "specimen", "draw_source", "pareto_k", "ess", "certified")
 SCORE_KEYS = ("fold", "role", "insertion", "method", "boundaries")
 
 COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
@@ -92,3 +95,14 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "needles": NEEDLE_COLUMNS,
     }
 )
+
+
+def select_draws(
+    draws: pd.DataFrame, fold: str | None = None, specimen: str = TUNED_SPECIMENS
+) -> pd.DataFrame:
+    """Return the draws of one fold, by default the first, in one specimen, by default those tuned on."""
+    if draws.empty:
+        return draws
+    name = draws["fold"].iloc[0] if fold is None else fold
+    found: pd.DataFrame = draws[(draws["fold"] == name) & (draws["specimen"] == specimen)]
+    return found

@@ -2,17 +2,18 @@
 
 A draw of the parameters gives one needle, through the layers that its own planned path meets, with a bevel
 offset of its own (given what was measured of the same insertion at other depths, where there is any) and
-depths of layers and insertion drawn as the dataset states their errors; about it stand
-the errors of pose and points. In a specimen that was not tuned on the parameters differ too
-(`NewSpecimens`). The measured shape enters nowhere but as what is compared (and laid on, where its pose is
-free). What the model misses is not predicted: where coverage falls short of its level, that is why, or the
-stated errors are too small. A needle is one trial: its tip, and its shape as a whole, which holds if no point
-of it leaves a band that the predicted probability of such needles stays within all along.
+depths of layers and insertion drawn as the dataset states their errors; about it stand the errors of pose and
+points. Specimens differ in their parameters (`Specimens`). The measured shape enters nowhere but as what is
+compared (and laid on, where its pose is free). What the model misses is not predicted: where coverage falls
+short of its level, that is why, or the stated errors are too small. A needle is one trial: its tip, and its
+shape as a whole, which holds if no point of it leaves a band that the predicted probability of such needles
+stays within all along.
 """
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from needlefit.inference import specimens
 from needlefit.inference.compared_points import align
 from needlefit.inference.fit import Callbacks, Fit
 from needlefit.inference.identifiability.precision import add_estimated_noise
+from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.likelihood.observation import Observation, make_observation
 from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import (
@@ -36,8 +38,13 @@ from needlefit.inference.predict import (
     simulate_shape_pit,
     thin_posterior,
 )
-from needlefit.inference.problem import Problem
-from needlefit.inference.sampling.importance import WeightedDraws, resample_draws, sample_about_fit
+from needlefit.inference.problem import Problem, find_new_bevel_sd
+from needlefit.inference.sampling.importance import (
+    WeightedDraws,
+    resample_draws,
+    sample_about_fit,
+    sample_about_modes,
+)
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import sample_from_fit
 from needlefit.project.progress import never_stop
@@ -45,7 +52,7 @@ from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import THIS_PROCESS, TaskPool, TaskStop, run_parts
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.studies.coverage import estimate_width_after_one
-from needlefit.studies.job import Fold, Job, Settings
+from needlefit.studies.job import Fold, Job, Settings, group_insertions
 from needlefit.studies.planned_draws import (
     PlannedNeedles,
     draw_conditions,
@@ -123,86 +130,145 @@ def sample_posterior(
     return sample_from_fit(known, fit, job.recipe.sample, rng, callbacks)
 
 
-#: insertions of a specimen that its estimate uses, the deepest and others evenly over depths
-MAX_INSERTIONS = 4
+#: in place of a specimen's name: those that were tuned on, together, and one that is not in the dataset
+TUNED_SPECIMENS, NEW_SPECIMEN = "(tuned)", "(new)"
 
 
 @dataclass
-class NewSpecimens:
-    """The spreads that predictions of a fold use; they and the estimates of specimens are kept."""
+class Specimens:
+    """The parameters of a fold in its specimens: in those that were tuned on, and in a further one.
+
+    With a spread between specimens, several that were tuned on have parameters of their own, each; then
+    `draws` of the posterior of all insertions together are of no specimen. What was found is kept.
+    """
 
     job: Job
     fold: Fold
-    theta: Floats  #: (P,) the fit, from which the estimates are searched
-    estimates: dict[str, specimens.SpecimenEstimate | None] = field(default_factory=dict)
-    spreads: dict[tuple[str, ...], specimens.SpecimenSpread] = field(default_factory=dict)
+    draws: Floats  #: (B, P)
+    jobs: int = 1  #: threads
+    pool: TaskPool = THIS_PROCESS
+    #: draws of the posterior of each specimen by itself, by its insertions; folds may share them
+    posteriors: dict[tuple[str, ...], Draws] = field(default_factory=dict)
+
+    @cached_property
+    def tuned(self) -> dict[str, tuple[Insertion, ...]]:
+        """The insertions tuned on, by specimen."""
+        return group_insertions(self.fold.tune, "specimen")
+
+    @cached_property
+    def model(self) -> specimens.SpreadModel:
+        """Which parameters differ between specimens, and the prior of their spread."""
+        stated = self.job.recipe.specimens
+        sds = math.log(stated.modulus_factor), math.log(stated.bevel_factor)
+        return specimens.SpreadModel.of(self.job.parameters, *sds)
+
+    @property
+    def separate(self) -> bool:
+        """Whether the specimens that were tuned on differ."""
+        varies = self.job.record.specimens == "others" and len(self.model.names) > 0
+        return varies and len(self.tuned) > 1
 
     def differs(self, insertion: Insertion) -> bool:
         """Return whether an insertion goes into a specimen that was not tuned on, and may differ."""
-        return self.job.record.specimens == "others" and insertion.specimen not in self._tuned
-
-    def learn_spreads(self, insertions: Sequence[Insertion], jobs: int, pool: TaskPool) -> None:
-        """Learn the spreads for some insertions; the specimens are fitted side by side."""
-        moving = insertions if specimens.list_groups(self.job.parameters) else ()
-        others = {name for insertion in moving for name in self.list_others(insertion)}
-        wanted = sorted(others - self.estimates.keys())
-        found = dict(run_parts(self._search, wanted, pool, jobs, TaskStop(never_stop)))
-        self.estimates |= {specimen: found[n] for n, specimen in enumerate(wanted)}
-        for insertion in insertions:
-            self.find_spread(insertion)
-
-    def find_spread(self, insertion: Insertion | None) -> specimens.SpecimenSpread:
-        """Return the spread between specimens, learned without that of this insertion.
-
-        None stands for one into a specimen that is not in the dataset.
-        """
-        stated = self.job.recipe.specimens
-        prior = (float(np.log(stated.modulus_factor)), float(np.log(stated.bevel_factor)))
-        moving = specimens.list_groups(self.job.parameters)
-        others = tuple(self.list_others(insertion)) if moving else ()
-        if others not in self.spreads:
-            self.estimates |= {one: self._search(one) for one in others if one not in self.estimates}
-            found = [one for name in others if (one := self.estimates[name]) is not None]
-            self.spreads[others] = specimens.learn_spread(found, self.job.parameters, prior)
-        return self.spreads[others]
-
-    def move(self, thetas: Floats, insertion: Insertion | None, rng: np.random.Generator) -> Floats:
-        """Return draws (B, P) of the parameters in the specimen of an insertion."""
-        spread = self.find_spread(insertion)
-        return specimens.move_to_new_specimen(self.job.parameters, thetas, spread, len(self._tuned), rng)
+        return self.job.record.specimens == "others" and insertion.specimen not in self.tuned
 
     @property
-    def _tuned(self) -> set[str]:
-        return {one.specimen for one in self.fold.tune}
+    def faults(self) -> tuple[str, ...]:
+        """Why nothing is known of the specimens; empty if it is, and where they do not differ."""
+        return self.population.faults if self.job.record.specimens == "others" else ()
 
-    def list_others(self, insertion: Insertion | None) -> list[str]:
-        """Return the other specimens with as many layer boundaries, by default as those tuned on."""
-        counts = {len(one.surfaces) for one in (self.fold.tune if insertion is None else (insertion,))}
-        alike = [one for one in self.job.dataset.insertions if len(one.surfaces) in counts]
-        deepest = [one for one in alike if max(one.sequence) <= self.job.medium.layers]
-        target = set() if insertion is None else {insertion.specimen}
-        return sorted({one.specimen for one in deepest} - target)
+    @cached_property
+    def population(self) -> specimens.PopulationDraws:
+        """As many joint draws of all specimens as there are `draws`."""
+        posteriors = {"": self.draws}
+        faults: list[str] = []
+        if self.separate:
+            wanted = {name: tuple(one.id for one in group) for name, group in self.tuned.items()}
+            missing = [name for name, ids in wanted.items() if ids not in self.posteriors]
+            found = dict(
+                run_parts(self._sample_specimen, missing, self.pool, self.jobs, TaskStop(never_stop))
+            )
+            self.posteriors |= {wanted[name]: found[n] for n, name in enumerate(missing)}
+            known = {name: self.posteriors[ids] for name, ids in wanted.items()}
+            posteriors = {name: one.thetas for name, one in known.items()}
+            faults = [f"specimen {name}: {fault}" for name, one in known.items() for fault in one.faults]
+        rng = random_stream(self.job.recipe.seed, self.fold.name, "specimens", len(self.draws))
+        if faults:
+            nothing = np.empty((0, self.draws.shape[1]))
+            empty = np.empty((0, len(self.model.names), len(self.model.names)))
+            return specimens.PopulationDraws({}, nothing, nothing, empty, tuple(faults))
+        count = len(self.draws)
+        return specimens.draw_population(self.job.parameters, self.model, posteriors, count, rng)
 
-    def _search(self, specimen: str) -> specimens.SpecimenEstimate | None:
-        fits = [one for one in self.job.dataset.insertions if max(one.sequence) <= self.job.medium.layers]
-        own = sorted((one for one in fits if one.specimen == specimen), key=lambda one: (one.depth, one.id))
-        chosen = np.unique(np.linspace(0, len(own) - 1, MAX_INSERTIONS).round().astype(int))
+    def draws_in(self, insertion: Insertion | None) -> Floats:
+        """Return draws (B, P) in the specimen of an insertion; of None in one that is not in the dataset."""
+        if insertion is None or self.differs(insertion):
+            return self.population.new
+        return self.population.tuned[insertion.specimen] if self.separate else self.draws
+
+    def replace_mean(self, draws: Draws) -> Draws:
+        """Return draws of the specimens' mean in place of as many draws of all insertions together."""
+        if not self.separate:
+            return draws
+        mean = self.population.mean[: len(draws.thetas)]
+        faults = (*draws.faults, *self.faults)
+        return replace(draws, thetas=mean, source="importance", faults=faults)
+
+    def list_draws(self, thetas: Floats) -> dict[str, Floats]:
+        """Return as many draws (B, P) in each specimen that has some of its own, and in a `NEW_SPECIMEN`.
+
+        `thetas` (B, P) are draws of all insertions together, about which a single specimen's lie.
+        """
+        found = self.population if self.separate else replace(self, draws=thetas).population
+        own = found.tuned if self.separate else {}
+        return {name: some[: len(thetas)] for name, some in {**own, NEW_SPECIMEN: found.new}.items()}
+
+    def problem_of(self, insertion: Insertion | None) -> Problem:
+        """Return the problem whose bevels an insertion's is one of: of its specimen, or of all tuned on."""
         everything = self.job.problem(self.fold)
-        return specimens.estimate_specimen(
-            replace(everything, insertions=tuple(own[k] for k in chosen)), self.theta
-        )
+        own = self.tuned.get(insertion.specimen) if insertion is not None and self.separate else None
+        return everything if own is None else replace(everything, insertions=own)
+
+    @property
+    def new_bevel_sd(self) -> float:
+        """By how many SDs the bevel of an insertion into a new specimen deviates, as an SD."""
+        everything = self.job.problem(self.fold)
+        if not (self.separate and everything.linear_bevels and everything.centred_bevels):
+            return everything.new_bevel_sd
+        return find_new_bevel_sd(everything.dataset, everything.insertions, new_specimen=True)
+
+    def _sample_specimen(self, specimen: str) -> Draws:
+        """Return draws of the posterior of one specimen by itself: about one mode, else about all."""
+        job, key = self.job, ("specimen", specimen)
+        problem = replace(job.problem(self.fold), insertions=self.tuned[specimen])
+        begin, easier = job.parameters.expected, problem.approach("posterior")
+        near = begin if easier is None else minimize_squares(easier, begin).theta
+        minimum = minimize_squares(problem, near)
+        rng = random_stream(job.recipe.seed, *key)
+        if minimum.converged:
+            known = add_estimated_noise(problem, minimum.theta)
+            found = sample_about_modes(known, minimum.theta[None], rng)
+            if found.certified:
+                return resample_draws(found, PREDICTION_DRAWS, rng)
+        return fit_posterior(job, problem, key, Settings()).draws
 
 
-def describe_specimen(new: NewSpecimens | None, insertion: Insertion | None, otherwise: str = "same") -> Row:
-    """Return what a prediction knows of its specimen; `otherwise` is what it is called without `new`."""
-    mu, b, count, treatment = np.nan, np.nan, np.nan, otherwise
+def describe_specimen(new: Specimens | None, otherwise: str = "same") -> Row:
+    """Return what a prediction knows of its specimen, a new one; `otherwise` is what it is called without."""
+    mu, b, correlation, count, treatment = np.nan, np.nan, np.nan, np.nan, otherwise
     if new is not None:
-        spread = new.find_spread(insertion)
-        (mu, b), count, treatment = spread.rms.tolist(), float(spread.specimens), "others"
+        model, treatment = new.model, "others"
+        count = float(len(new.tuned) if new.separate else 0)
+        # of the prior alone its stated size
+        sds = new.population.rms if new.separate else model.prior_rms
+        mu = float(sds[0]) if model.moduli else 0.0
+        b = float(sds[model.moduli]) if len(sds) > model.moduli else 0.0
+        correlation = new.population.correlation if new.separate and model.correlated else 0.0
     return {
         "specimen_treatment": treatment,
         "between_sd_ln_mu": mu,
         "between_sd_ln_b": b,
+        "between_correlation": correlation,
         "other_specimens": count,
     }
 
@@ -211,10 +277,10 @@ def describe_spread(row: Row) -> str:
     """Return in words by how much a specimen differs, from a row of `describe_specimen`."""
     mu, b = (math.exp(row[f"between_sd_ln_{name}"]) for name in ("mu", "b"))
     count = int(row["other_specimens"])
+    source = f"learned from {count} specimens" if count else "by the prior that the recipe states"
     return (
         f"its moduli differ by a factor of {mu:.2g} and its bevel parameter by {b:.2g} (one standard "
-        f"deviation), learned from {count} specimen{'' if count == 1 else 's'} and the prior that the recipe "
-        "states"
+        f"deviation), {source}"
     )
 
 
@@ -227,9 +293,10 @@ AFTER_ONE_COLUMN = "tip_95_width_after_one_mm"
 #: `points_in_*` is the part of points within their own interval, which are no independent trials
 PREDICTIVE_COLUMNS = (
     "fold", "insertion", "specimen", "medium", "layers", "depth_mm", "specimen_treatment", "between_sd_ln_mu",
-    "between_sd_ln_b", "other_specimens", AFTER_ONE_COLUMN, "draw_source", "certified", "draws",
-    "failed_solves", "tip_measured_mm", "tip_median_mm", "tip_50_low_mm", "tip_50_high_mm", "tip_95_low_mm",
-    "tip_95_high_mm", "tip_pit", "tip_in_50", "tip_in_95", "tip_crps_mm", "tip_interval_score_mm",
+    "between_sd_ln_b", "between_correlation", "other_specimens", AFTER_ONE_COLUMN, "draw_source", "certified",
+    "draws", "failed_solves", "tip_measured_mm", "tip_median_mm", "tip_50_low_mm", "tip_50_high_mm",
+    "tip_95_low_mm", "tip_95_high_mm", "tip_pit", "tip_in_50", "tip_in_95", "tip_crps_mm",
+    "tip_interval_score_mm",
     "shape_pit", "shape_in_50", "shape_in_95", "points_in_50", "points_in_95", "shape_crps_mm",
 )  # fmt: skip
 
@@ -282,16 +349,16 @@ class HeldOutPrediction:
     outside: int
 
 
-def tabulate_held_out(job: Job, fold: Fold, draws: Draws, new: NewSpecimens | None = None) -> Iterator[Row]:
+def tabulate_held_out(job: Job, fold: Fold, draws: Draws, known: Specimens | None = None) -> Iterator[Row]:
     """Yield one row for every insertion that a fold holds out, y toward +y of C, mm."""
-    return (one.row for one in predict_held_out(job, fold, draws, new))
+    return (one.row for one in predict_held_out(job, fold, draws, known))
 
 
 def predict_held_out(
     job: Job,
     fold: Fold,
     draws: Draws,
-    new: NewSpecimens | None = None,
+    known: Specimens | None = None,
     jobs: int = 1,
     pool: TaskPool = THIS_PROCESS,
     *,
@@ -299,30 +366,29 @@ def predict_held_out(
 ) -> Iterator[HeldOutPrediction]:
     """Yield the prediction of every insertion that a fold holds out, y toward +y of C, mm.
 
-    Of an insertion whose points have no stated noise, nothing: its measurement then has no distribution.
-    With `new`, parameters differ in specimens that were not tuned on. Without `bands`, those are left out,
-    and what one measured insertion into a new specimen would leave of the width.
+    Of an insertion whose points have no stated noise, nothing: its measurement then has no distribution. With
+    `known` parameters differ between specimens; nothing is predicted where their draws are not certified.
+    Without `bands`, those are left out, and what one measured insertion into a new specimen would leave of
+    the width.
     """
     given = [one for one in fold.validate if job.dataset.noise.stated or one.sd is not None]
-    if new is not None:
-        new.learn_spreads(tuple(filter(new.differs, given)), jobs, pool)  # before several tasks want them
+    if known is not None and given and known.faults:
+        return
     side_by_side = max(1, min(jobs, len(given)))
     # what is predicted are the stored points, as they will be measured
     update = {"depths": "fixed", "bevel_spread": 0.0, "measurement": "points"}
+    new = [one for one in given if known is not None and known.differs(one)]
     predict = _Predictor(
         job,
         fold,
         draws,
-        new,
+        known,
         job.recipe.likelihood.model_copy(update=update),
         rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale),
         find_repeats(job.dataset),
-        job.problem(fold) if fold.tune else None,
         jobs // side_by_side,
         bands,
-        _choose_representatives(job, filter(new.differs, given))
-        if new is not None and bands
-        else frozenset(),
+        _choose_representatives(job, new) if bands else frozenset(),
     )
     parts = run_parts(predict.predict, given, pool, side_by_side, TaskStop(never_stop))
     found = dict(parts)
@@ -336,31 +402,33 @@ class _Predictor:
     job: Job
     fold: Fold
     draws: Draws
-    new: NewSpecimens | None
+    known: Specimens | None
     likelihood: LikelihoodRecord
     factor: float
     repeats: Mapping[str, tuple[str, int]]
-    tuned_on: Problem | None
     jobs: int
     bands: bool
     representatives: frozenset[str]
 
     def predict(self, insertion: Insertion) -> HeldOutPrediction | None:
         """Return the prediction of an insertion; None where too few draws have a solution."""
-        job, fold, draws, new = self.job, self.fold, self.draws, self.new
+        job, fold, draws, known = self.job, self.fold, self.draws, self.known
         rng = random_stream(job.recipe.seed, job.name, fold.name, "foretold", insertion.id)
         observation = make_observation(job.dataset, insertion, likelihood=self.likelihood)
         tuned = any(insertion.specimen == one.specimen for one in fold.tune)
-        differing = new if new is not None and new.differs(insertion) else None
-        about = describe_specimen(differing, insertion, "same" if tuned else "training only")
+        differing = known if known is not None and known.differs(insertion) else None
+        about = describe_specimen(differing, "same" if tuned else "training only")
         # the depths of one insertion have one specimen and one bevel
         own = self.repeats.get(insertion.id)
         once = rng if own is None else random_stream(job.recipe.seed, job.name, fold.name, "foretold", *own)
-        thetas = draws.thetas if differing is None else differing.move(draws.thetas, insertion, once)
+        thetas = draws.thetas if known is None else known.draws_in(insertion)
         sets = [job.parameters.values(theta) for theta in thetas]
         deviations = once.standard_normal(len(sets))
-        if self.tuned_on is not None and len(sets):
-            deviations = _condition_bevels(self.tuned_on, sets, own, deviations, self.jobs)
+        if differing is not None and differing.separate:
+            deviations = differing.new_bevel_sd * deviations
+        elif fold.tune and len(sets):
+            problem = job.problem(fold) if known is None else known.problem_of(insertion)
+            deviations = _condition_bevels(problem, sets, own, deviations, self.jobs)
         found = self._simulate(insertion, observation, scale_bevels(sets, deviations), rng)
         solved = found.solved
         if np.sum(solved) < MIN_SOLVED_DRAWS:
@@ -411,7 +479,7 @@ class _Predictor:
         job, fold = self.job, self.fold
         # a stream of its own: no other number depends on it
         rng = random_stream(job.recipe.seed, job.name, fold.name, "after one", insertion.id)
-        new_bevel_sd = 1.0 if self.tuned_on is None else self.tuned_on.new_bevel_sd
+        new_bevel_sd = 1.0 if self.known is None else self.known.new_bevel_sd
         found = self._simulate(insertion, observation, vary_bevels(sets, new_bevel_sd, rng), rng)
         again = np.full(len(sets), np.nan)
         aligned = align(observation.pose, found.points[found.solved], observation.measured)

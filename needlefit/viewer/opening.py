@@ -21,7 +21,6 @@ from needlefit.inference.forward_model import (
 )
 from needlefit.inference.parameters import BEVEL_SPREAD, Parameters
 from needlefit.inference.problem import find_new_bevel_sd
-from needlefit.inference.specimens import SpecimenSpread, move_to_new_specimen
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
@@ -43,9 +42,9 @@ from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.tracker import PlacementRecord, RecordingRecord
 from needlefit.studies import paper
-from needlefit.studies.fit_frames import FIT_KINDS
-from needlefit.studies.held_out_predictions import NewSpecimens
-from needlefit.studies.job import Inputs, Settings, hand_tuned_set, prepare
+from needlefit.studies.fit_frames import FIT_KINDS, select_draws
+from needlefit.studies.held_out_predictions import NEW_SPECIMEN, TUNED_SPECIMENS
+from needlefit.studies.job import hand_tuned_set
 from needlefit.studies.needles_in_scan import DEFAULT_DIAMETER_MM, NEEDLE_POINTS, align_with_measured
 from needlefit.studies.planned_draws import vary_bevels
 from needlefit.studies.report import list_run_warnings
@@ -257,7 +256,6 @@ def _open_run(view_target: ViewTarget) -> ViewedScene:
     members = tuple(by_id[id_] for id_ in roles)
     insertion = _choose_insertion(members, view_target, f"insertion of run {view_target.name}")
     fold, role = roles[insertion.id]
-    draws = results.frames["draws"][results.frames["draws"]["fold"] == fold]
     rows = results.frames["parameters"]
     rows = rows[(rows["fold"] == fold) & (rows["method"] == SHOWN_METHOD)]
     if rows.empty:
@@ -272,9 +270,12 @@ def _open_run(view_target: ViewTarget) -> ViewedScene:
     shown = ShownInsertion(dataset, insertion, medium, values, results.run["recipe"]["seed"])
     (names,) = (set(one["tune"]) for one in folds if one["name"] == fold)
     fitted = [one for one in dataset.insertions if one.id in names]
-    spread = _choose_spread(results, fold, shown, {one.specimen for one in fitted}, view_target.specimen)
+    specimen = _choose_specimen(
+        results, shown.insertion, {one.specimen for one in fitted}, view_target.specimen
+    )
+    draws = select_draws(results.frames["draws"], fold, specimen)
     crossed = "Its layers lie where it was measured to cross them. " if len(insertion.boundaries) else ""
-    description = f"Parameters: fitted by {results.name}, {role}. {crossed}{_describe_band(draws, spread)}"
+    description = f"Parameters: fitted by {results.name}, {role}. {crossed}{_describe_band(draws, specimen)}"
     viewed_scene = _show_insertion(shown, view_target.name, description, tuple(roles))
     known = {(one.kind, one.what) for one in viewed_scene.warnings}  # of the dataset, with the paths of files
     warnings = [one for one in list_run_warnings(results) if (one.kind, one.what) not in known]
@@ -282,77 +283,43 @@ def _open_run(view_target: ViewTarget) -> ViewedScene:
     if draws.empty or not draws["certified"].all():
         return viewed_scene
     independent = results.run["recipe"]["likelihood"]["depths"] == "quadrature"  # of each insertion's bevel
-    new_bevel_sd = 1.0 if independent else find_new_bevel_sd(dataset, fitted)
+    new = specimen == NEW_SPECIMEN
+    separate = new and len({one.specimen for one in fitted}) > 1
+    new_bevel_sd = 1.0 if independent else find_new_bevel_sd(dataset, fitted, new_specimen=separate)
     return replace(
         viewed_scene,
-        spread=_vary_draws(shown, draws, spread, new_bevel_sd),
-        specimen="same" if spread is None else "new",
+        spread=_vary_draws(shown, draws, new_bevel_sd),
+        specimen="new" if new else "same",
     )
 
 
-#: by how much an insertion's specimen was predicted to differ from so many that were fitted
-_Spread = tuple[SpecimenSpread, int]
+def _choose_specimen(results: Run, insertion: Insertion, tuned: set[str], chosen: SpecimenChoice) -> str:
+    """Return in which specimen the draws of the band are, by its name in the table of draws."""
+    differ = results.record.specimens == "others"
+    if chosen == "new" or (differ and (chosen == "planned" or insertion.specimen not in tuned)):
+        new = chosen != "same"
+        return NEW_SPECIMEN if new else TUNED_SPECIMENS
+    known = set(results.frames["draws"]["specimen"])
+    return insertion.specimen if insertion.specimen in known else TUNED_SPECIMENS
 
 
-def _choose_spread(
-    results: Run, fold: str, shown: ShownInsertion, specimens: set[str], chosen: SpecimenChoice
-) -> _Spread | None:
-    """Return by how much the specimen of the draws differs from the `specimens` of the fold's fit.
-
-    None if it is one of them. What the run did not predict is learnt as it would have done.
-    """
-    if chosen == "planned":
-        chosen = "new" if results.record.specimens == "others" else "same"
-    rows = results.frames.get("predictive", pd.DataFrame(columns=["fold", "insertion"]))
-    rows = rows[(rows["fold"] == fold) & (rows["insertion"] == shown.insertion.id)]
-    predicted = not rows.empty and rows.iloc[0].get("specimen_treatment") == "others"
-    if chosen == "same" or not (predicted or chosen == "new"):
-        return None
-    if predicted:
-        row = rows.iloc[0]
-        taus = np.array([[row["between_sd_ln_mu"], row["between_sd_ln_b"]]], dtype=np.float64)
-        return SpecimenSpread(taus, np.ones(1), int(row["other_specimens"])), len(specimens)
-    recipe = RecipeRecord.model_validate(results.run["recipe"])
-    inputs = Inputs(dataset=shown.dataset, medium=shown.medium, recipe=recipe)
-    job = prepare(results.name, results.record, Settings(inputs=inputs))
-    (tuned,) = (one for one in job.folds if one.name == fold)
-    new = NewSpecimens(job, tuned, job.parameters.theta(shown.values))
-    target = None if shown.insertion.specimen in specimens else shown.insertion
-    return new.find_spread(target), len(specimens)
-
-
-def _vary_draws(
-    shown: ShownInsertion, draws: pd.DataFrame, spread: _Spread | None, new_bevel_sd: float
-) -> ParameterDraws:
-    """Return the draws for the layers that an insertion meets.
-
-    Each has a bevel of its own. In a new specimen they differ as much as others do (root mean square).
-    """
+def _vary_draws(shown: ShownInsertion, draws: pd.DataFrame, new_bevel_sd: float) -> ParameterDraws:
+    """Return the draws for the layers that an insertion meets, each with a bevel of its own."""
     rng = random_stream(shown.seed, "band", shown.insertion.id)
     medium = Parameters.from_record(shown.medium)
     names = [name for name in (*medium.names, BEVEL_SPREAD) if name in draws]
     sets = [dict(zip(names, row, strict=True)) for row in draws[names].to_numpy(dtype=np.float64).tolist()]
-    if spread is not None:
-        thetas = np.array([medium.theta(values) for values in sets])
-        moved = move_to_new_specimen(medium, thetas, *spread, rng)
-        sets = [values | medium.values(theta) for values, theta in zip(sets, moved, strict=True)]
     varied = vary_bevels(sets, new_bevel_sd, rng)
     layers = [layer for _, layer in find_layers(shown.insertion)]
     return select_layer_draws(pd.DataFrame(varied), layers, shown.medium.law)
 
 
-def _describe_band(draws: pd.DataFrame, spread: _Spread | None) -> str:
+def _describe_band(draws: pd.DataFrame, specimen: str) -> str:
     if draws.empty:
         return "No band: the run stored no draws of its parameters, as it was interrupted."
     sources = {"posterior": "of its sampled posterior", "importance": "importance-weighted about its fit"}
     how = sources[draws.iloc[0]["draw_source"]]
     if not draws["certified"].all():
         return f"No band: the draws {how} are not certified."
-    specimen = ""
-    if spread is not None:
-        mu, b = np.exp(spread[0].rms)
-        specimen = (
-            ", in a specimen that was not tuned on, whose moduli differ by a factor of "
-            f"{mu:.2g} and whose bevel parameter by {b:.2g}"
-        )
-    return f"Band: 95 % of the needles of draws {how}{specimen}."
+    new = ", in a specimen that was not tuned on" if specimen == NEW_SPECIMEN else ""
+    return f"Band: 95 % of the needles of draws {how}{new}."

@@ -48,7 +48,7 @@ from needlefit.schemas.limits import MAX_REPLICATES
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.studies import rank_statistics
 from needlefit.studies.csv_tables import ANY_COLUMNS
-from needlefit.studies.held_out_predictions import NewSpecimens, predict_held_out
+from needlefit.studies.held_out_predictions import Specimens, predict_held_out
 from needlefit.studies.job import Fold, Inputs, Job, Settings, prepare
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.rank_statistics import HELD_OUT_TIP, RANK_DRAWS, Control, Counts, name_quantity
@@ -396,8 +396,7 @@ class SyntheticExperiment:
     """The data that all replicates share."""
 
     job: Job  #: of one fold, with what it holds out
-    #: simulated for each replicate: the study's, and those that show how much its specimens differ
-    plan: tuple[PlannedInsertion, ...]
+    plan: tuple[PlannedInsertion, ...]  #: simulated for each replicate: the study's
     ct: bool  #: whether they are rendered as CT volumes and reconstructed
     population: Population  #: of the media of all truths
 
@@ -422,13 +421,8 @@ def prepare_synthetic(job: Job, ct: bool) -> SyntheticExperiment:
                 f"insertion {one.id} of dataset `{job.dataset.name}` is none of the synthetic dataset",
                 expected="a study or fit on the dataset `twin`: others have no synthetic truth",
             )
-    (fold,) = job.folds
-    new = NewSpecimens(job, fold, job.parameters.expected)
-    others = {name for one in fold.validate if new.differs(one) for name in new.list_others(one)}
-    wanted |= {one.id for one in job.dataset.insertions if one.specimen in others}
-    return SyntheticExperiment(
-        job, tuple(one for name, one in planned.items() if name in wanted), ct, POPULATION
-    )
+    chosen = tuple(one for name, one in planned.items() if name in wanted)
+    return SyntheticExperiment(job, chosen, ct, POPULATION)
 
 
 def replicate_synthetic(number: int, experiment: SyntheticExperiment) -> Row:
@@ -454,8 +448,8 @@ def replicate_synthetic(number: int, experiment: SyntheticExperiment) -> Row:
         "posterior" if found.draw_source == "sampler" else "importance"
     )
     draws = Draws(found.thetas, source, () if found.trusted else ("the posterior is not certified",))
-    new = NewSpecimens(job, fold, found.mode)
-    predictions = [one.row for one in predict_held_out(job, fold, draws, new)]
+    known = Specimens(job, fold, draws.thetas)
+    predictions = [one.row for one in predict_held_out(job, fold, draws, known)]
     pits = {one["insertion"]: one["tip_pit"] for one in predictions}
     tips = {}
     for one in fold.validate:

@@ -32,7 +32,7 @@ from needlefit.studies.coverage import COVERAGE_COLUMNS, tabulate_coverage
 from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.held_out_predictions import (
     PREDICTIVE_COLUMNS,
-    NewSpecimens,
+    Specimens,
     fit_posterior,
     tabulate_held_out,
 )
@@ -122,9 +122,9 @@ def _run_task(job: Job, fold: Fold, where: tuple[str, str], settings: Settings) 
         for insertion in fold.validate
         for row in scorer.score({"fold": fold.name, "method": method}, insertion, predictor)[0]
     ]
-    new = NewSpecimens(job, fold, np.array(learned.fit.theta))
+    known = Specimens(job, fold, learned.draws.thetas, settings.jobs, settings.part_pool)
     certified = where[1] != "nothing" and not learned.draws.faults
-    rows = tabulate_held_out(job, fold, learned.draws, new) if certified else ()
+    rows = tabulate_held_out(job, fold, learned.draws, known) if certified else ()
     about = {**head, "fold": fold.name, "insertions": len(fold.tune), "pareto_k": learned.k}
     about |= {"sampled": learned.sampled, "certified": not learned.draws.faults}
     return {

@@ -8,7 +8,7 @@ found first. All are tried on draws that none was sought with, each with the lay
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal, Self
 
@@ -44,7 +44,7 @@ from needlefit.studies.further_insertion import (
     find_template,
     weigh_posterior,
 )
-from needlefit.studies.held_out_predictions import NewSpecimens, describe_specimen, describe_spread
+from needlefit.studies.held_out_predictions import Specimens, describe_specimen, describe_spread
 from needlefit.studies.job import Job, Settings, prepare
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.planned_draws import vary_bevels
@@ -115,7 +115,13 @@ FRAMES: Mapping[str, tuple[str, ...]] = {
     "layers": ("y_mm", "interval", "layer", "low_mm", "high_mm"),
     "posterior": (
         *("insertions", "pareto_k", "sampled", "draws", "ess", "note"),
-        *("specimen_treatment", "between_sd_ln_mu", "between_sd_ln_b", "other_specimens"),
+        *(
+            "specimen_treatment",
+            "between_sd_ln_mu",
+            "between_sd_ln_b",
+            "between_correlation",
+            "other_specimens",
+        ),
     ),
 }
 
@@ -128,7 +134,7 @@ class _PlanningDraws:
     record: PlanRecord
     site: TargetSite
     knowledge: WeightedPosterior
-    new: NewSpecimens | None
+    new: Specimens | None
     search_draws: tuple[ExecutionDraw, ...]
     test_draws: tuple[ExecutionDraw, ...]
 
@@ -180,24 +186,23 @@ def _draw_executions(
 
 def find_new_specimen(
     job: Job, stated: str | None, like: Insertion, known: WeightedPosterior
-) -> NewSpecimens | None:
+) -> Specimens | None:
     """Return by how much the parameters of the plan's specimen differ; None if it was tuned on."""
     (fold,) = job.folds
-    new = NewSpecimens(job, fold, np.array(known.learned.fit.theta))
+    new = Specimens(job, fold, known.learned.draws.thetas)
     differs = new.differs(like) if stated is None else stated == "new"
     return new if differs else None
 
 
 def draw_trials(
-    job: Job, like: Insertion, known: WeightedPosterior, new: NewSpecimens | None, count: int
+    job: Job, like: Insertion, known: WeightedPosterior, new: Specimens | None, count: int
 ) -> tuple[ExecutionDraw, ...]:
     """Return draws of parameters and of errors; other counts are other draws."""
     rng = random_stream(job.recipe.seed, job.name, "trials", count)
-    thetas = known.thetas[known.drawn(count, rng)]
+    thetas, bevel_sd = known.thetas[known.drawn(count, rng)], known.problem.new_bevel_sd
     if new is not None:
-        thetas = new.move(thetas, like, rng)
-    sets = [known.problem.values(theta) for theta in thetas]
-    sets = vary_bevels(sets, known.problem.new_bevel_sd, rng)
+        thetas, bevel_sd = replace(new, draws=thetas).draws_in(None), new.new_bevel_sd
+    sets = vary_bevels([known.problem.values(theta) for theta in thetas], bevel_sd, rng)
     return tuple(draw_execution(values, like, rng) for values in sets)
 
 
@@ -205,7 +210,7 @@ def _posterior_row(known: GetDraws) -> FrameRows:
     now = known()
     if now is None:
         return {}
-    about = describe_specimen(now.new, now.site.like)
+    about = describe_specimen(now.new)
     return {"posterior": [describe_posterior(now.knowledge) | about]}
 
 

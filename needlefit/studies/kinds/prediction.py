@@ -5,7 +5,7 @@ of the depths of layers and tip. The *measurement's* adds what a scan of it woul
 dataset states of its points and of the entry pose. Neither includes model error. Draws that are not certified
 predict nothing: the median stays, marked, and the bands are left out.
 
-In a specimen that was not tuned on the parameters differ (`NewSpecimens`). What that adds stands beside the
+In a specimen that was not tuned on the parameters differ (`Specimens`). What that adds stands beside the
 width that would be left in the specimen tuned on, and after one insertion into the new one.
 """
 
@@ -66,7 +66,7 @@ from needlefit.studies.coverage import (
 from needlefit.studies.csv_tables import TableSchema
 from needlefit.studies.held_out_predictions import (
     PREDICTION_DRAWS,
-    NewSpecimens,
+    Specimens,
     describe_specimen,
     describe_spread,
     draw_fold_parameters,
@@ -111,7 +111,7 @@ RIGIDITY_TOLERANCE = 0.02  #: relative difference of two needles' rigidity from 
 BANDS = ("needle", "measured")  #: where the needle is, and where it would be measured
 #: the first row is what is predicted, the others what would be left of its width
 SPECIMEN_COLUMNS = (
-    *("specimen_treatment", "between_sd_ln_mu", "between_sd_ln_b", "other_specimens"),
+    *("specimen_treatment", "between_sd_ln_mu", "between_sd_ln_b", "between_correlation", "other_specimens"),
     "tip_95_width_mm",
 )
 
@@ -230,7 +230,7 @@ def _find_quantile(mixture: PredictiveMixture, p: float) -> Floats:
 
 
 def forecast(
-    scene: Scene, draws: Draws, job: Job, new: NewSpecimens | None = None, otherwise: str = "same"
+    scene: Scene, draws: Draws, job: Job, new: Specimens | None = None, otherwise: str = "same"
 ) -> Forecast:
     """Predict the needle of a planned insertion.
 
@@ -246,8 +246,10 @@ def forecast(
     _check(scene, job.medium, job.dataset)
     rng = random_stream(job.recipe.seed, job.name, "forecast")
     s = np.linspace(0.0, scene.depth, FORECAST_POINTS)
-    thetas = draws.thetas if new is None else new.move(draws.thetas, None, rng)
-    found = _simulate_draws(scene, thetas, job, s, rng)
+    thetas = draws.thetas if new is None else new.draws_in(None)
+    tuned_bevel_sd = job.problem(job.folds[0]).new_bevel_sd
+    bevel_sd = tuned_bevel_sd if new is None else new.new_bevel_sd
+    found = _simulate_draws(scene, thetas, job, s, bevel_sd, rng)
     points = found.points[found.solved]  # (B, K, 2)
     if not len(points):
         raise ModelError(
@@ -259,16 +261,16 @@ def forecast(
         s, job.dataset, rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
     )
     tips = found.points[:, -1, 1]
-    rows = [describe_specimen(new, None, otherwise) | {"tip_95_width_mm": measure_width(tips)}]
+    rows = [describe_specimen(new, otherwise) | {"tip_95_width_mm": measure_width(tips)}]
     if new is not None:
+        fitted = next(iter(new.population.tuned.values()))  # in one of those tuned on
         again, same = (
-            _simulate_draws(scene, some, job, s, rng).points[:, -1, 1] for some in (thetas, draws.thetas)
+            _simulate_draws(scene, some, job, s, sd_of_bevel, rng).points[:, -1, 1]
+            for some, sd_of_bevel in ((thetas, bevel_sd), (fitted, tuned_bevel_sd))
         )
         known = tips + sd[-1] * rng.standard_normal(len(tips))
         left = {"one insertion": estimate_width_after_one(again, known), "same": measure_width(same)}
-        rows += [
-            describe_specimen(None, None, name) | {"tip_95_width_mm": width} for name, width in left.items()
-        ]
+        rows += [describe_specimen(None, name) | {"tip_95_width_mm": width} for name, width in left.items()]
     return Forecast(
         s=s,
         x=np.median(points[:, :, 0], axis=0),
@@ -281,11 +283,10 @@ def forecast(
 
 
 def _simulate_draws(
-    scene: Scene, thetas: Floats, job: Job, s: Floats, rng: np.random.Generator
+    scene: Scene, thetas: Floats, job: Job, s: Floats, bevel_sd: float, rng: np.random.Generator
 ) -> PlannedNeedles:
     """Return the needles of parameters (B, P) at arc lengths `s` (K,), each of its own bevel and depths."""
-    new_bevel_sd = job.problem(job.folds[0]).new_bevel_sd
-    sets = vary_bevels([job.parameters.values(theta) for theta in thetas], new_bevel_sd, rng)
+    sets = vary_bevels([job.parameters.values(theta) for theta in thetas], bevel_sd, rng)
     typical = [(one.depth_sd, np.hypot(*split_boundary_sd(one))) for one in job.dataset.insertions]
     entry_sd, boundary_sd = np.sqrt(np.mean(np.square(typical), axis=0))
     deep = entry_sd * rng.standard_normal(len(sets))
@@ -431,7 +432,9 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
         return replace(about, interrupted=True)
     (fold,) = job.folds
     known = record.specimen or ("new" if job.record.specimens == "others" else "training only")
-    new = NewSpecimens(job, fold, draws.thetas.mean(axis=0)) if known == "new" else None
+    new = Specimens(job, fold, draws.thetas, settings.jobs, settings.part_pool) if known == "new" else None
+    if new is not None:
+        draws = replace(draws, faults=(*draws.faults, *new.faults))
     found = forecast(scene, draws, job, new, known)
     frames = _make_frames(found, title, certified=not draws.faults)
     warned = [*job.warnings, *scene_warnings(record.scene, record.scene_name)]

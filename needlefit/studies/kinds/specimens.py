@@ -29,7 +29,8 @@ from needlefit.inference.specimens import (
     KERNELS_PER_SPECIMEN,
     Population,
     Specimen,
-    best_determined,
+    SpreadModel,
+    determined_directions,
     highest_density_interval,
     make_specimen,
     marginal_density,
@@ -91,7 +92,8 @@ POSTERIOR_DRAWS = 100  #: draws of a specimen's posterior that the Gaussian kern
 
 LEVELS = (0.50, 0.95)
 
-BEST_DETERMINED = "best_determined"  #: the combination of parameters that specimens determine best
+#: the combinations of parameters that specimens determine best and worst
+COMBINATIONS = ("best_determined", "worst_determined")
 NEW_SPECIMENS = 4000  #: further specimens that are drawn of a population
 
 SPECIMEN_STARTS, SPECIMEN_EFFORT = 2, Effort(draws=120, min_ess=150.0)
@@ -170,19 +172,20 @@ def run(name: str, record: SpecimensRecord, settings: Settings) -> Run:
 def _measure_population(job: Job, record: SpecimensRecord, what: str, settings: Settings) -> FrameRows:
     """Return what the dataset's specimens, or its insertions as if each were one, say of their population."""
     everything = job.problem(job.folds[0])
-    known, rows = list[Specimen](), list[Row]()
+    model, (known, rows) = _make_model(everything, record), (list[Specimen](), list[Row]())
+    columns = [everything.names.index(name) for name in model.names]
     for name, members in group_insertions(job.folds[0].tune, what).items():
         problem = replace(everything, insertions=members)
         learned = fit_posterior(job, problem, (what, name), settings, POSTERIOR_DRAWS)
         if settings.stop():
             return {}
-        known.append(make_specimen(learned.draws.thetas))
+        known.append(make_specimen(learned.draws.thetas[:, columns]))
         about = {"groups": what, "specimen": name, "insertions": len(members)}
         trust = {"pareto_k": learned.k, "certified": not learned.draws.faults}
         moments = known[-1].mean.tolist(), np.sqrt(np.diag(known[-1].covariance)).tolist()
         rows += [
             {**about, "parameter": parameter, "mean": mean, "sd": sd, **trust}
-            for parameter, mean, sd in zip(everything.names, *moments, strict=True)
+            for parameter, mean, sd in zip(model.names, *moments, strict=True)
         ]
     rng = random_stream(job.recipe.seed, job.name, "population", what)
     population, densities = _infer_population(everything, known, record, rng)
@@ -193,34 +196,47 @@ def _measure_population(job: Job, record: SpecimensRecord, what: str, settings: 
     }
 
 
+def _make_model(problem: Problem, record: SpecimensRecord) -> SpreadModel:
+    """Return the model of the spread of every free parameter; what is tied with a spread has none."""
+    sd, parameters = record.spread_prior_sd, problem.parameters
+    tied = {tie.name for tie in parameters.prior.ties}
+    own = SpreadModel.of(parameters, sd, sd).names
+    others = [name for name in parameters.free if name not in tied and name not in own]
+    return SpreadModel.of(parameters, sd, sd, others)
+
+
 def _infer_population(
     problem: Problem, known: list[Specimen], record: SpecimensRecord, rng: np.random.Generator
 ) -> tuple[list[Row], list[Row]]:
     """Return rows of what specimens say of their population, and the densities of its spreads."""
-    population = Population(tuple(known), (problem.lower, problem.upper), record.spread_prior_sd)
+    model = _make_model(problem, record)
+    names, columns = model.names, [problem.names.index(name) for name in model.names]
+    population = Population(tuple(known), (problem.lower[columns], problem.upper[columns]), model)
     found = population.posterior(rng)
-    weights, names = np.exp(found.log_weights), problem.names
-    means, taus = np.split(found.thetas, 2, axis=1)
-    stiff = best_determined(known)
+    weights = np.exp(found.log_weights)
+    means, covariances = population.split(found.thetas)
     every = [(name, "", axis) for name, axis in zip(names, np.eye(len(names)), strict=True)]
-    every += [(BEST_DETERMINED, describe_combination(stiff, names), stiff)] if len(names) > 1 else []
+    directions = determined_directions(known)
+    if len(names) > 1:
+        ends = zip(COMBINATIONS, directions[[0, -1]], strict=True)
+        every += [(name, describe_combination(axis, names), axis) for name, axis in ends]
     rows, densities = list[Row](), list[Row]()
     trust = {"pareto_k": found.k, "certified": found.certified}
     again = rng.choice(len(weights), size=NEW_SPECIMENS, p=weights)
     for name, words, axis in every:
-        mean, spread = means @ axis, np.sqrt(taus**2 @ axis**2)
+        mean, spread = means @ axis, np.sqrt(np.einsum("p,npq,q->n", axis, covariances, axis))
         new = mean[again] + spread[again] * rng.standard_normal(NEW_SPECIMENS)
         shortest = [end for one in LEVELS for end in highest_density_interval(spread, weights, one, 0.0)]
-        ends = {
+        intervals = {
             "mean": _central_intervals(mean, weights),
             "spread": [_central_intervals(spread, weights)[0], *shortest],
             "new": _central_intervals(new, np.full(NEW_SPECIMENS, 1 / NEW_SPECIMENS)),
         }
-        for what, five in ends.items():
+        for what, five in intervals.items():
             head = {"quantity": what, "parameter": name, "combination": words}
             rows.append({**head, **dict(zip(_INTERVAL_COLUMNS, five, strict=True)), **trust})
         grid, density = marginal_density(spread, weights, 0.0)
-        own = name != BEST_DETERMINED  # a parameter's spread, which has a prior of its own
+        own = name not in COMBINATIONS  # a parameter's spread, which has a prior of its own
         prior = halfnorm.pdf(grid, scale=record.spread_prior_sd) if own else np.full(len(grid), np.nan)
         some = np.column_stack([grid, density, prior])[::4].tolist()
         heads = ("spread", "density", "prior")
@@ -244,18 +260,19 @@ def _recover_population(
     rng = random_stream(job.recipe.seed, job.name, "recovery", str(spread), number)
     everything = job.problem(job.folds[0])
     mean = job.parameters.theta({**job.parameters.fixed, **recovery.mean})
+    columns = [everything.names.index(one) for one in _make_model(everything, record).names]
     recipe, known = job.recipe.model_copy(update={"starts": SPECIMEN_STARTS, "minimize": "posterior"}), []
     for _ in range(recovery.specimens):  # each by its posterior from a flat prior
         problem = _simulate_specimen(job, mean, spread, rng)
         found = sample_about_fit(problem, minimize(problem, recipe, rng), rng, 1, SPECIMEN_EFFORT)
         chosen = rng.choice(len(found.thetas), size=KERNELS_PER_SPECIMEN, p=np.exp(found.log_weights))
-        known.append(make_specimen(found.thetas[chosen]))
+        known.append(make_specimen(found.thetas[chosen][:, columns]))
     population, _ = _infer_population(everything, known, record, rng)
     truths = dict(zip(everything.names, mean.tolist(), strict=True))
     rows = [
         {"spread": spread, "replicate": number + 1, **row, "truth": truths[row["parameter"]]}
         for row in population
-        if row["quantity"] != "new" and row["parameter"] != BEST_DETERMINED
+        if row["quantity"] != "new" and row["parameter"] not in COMBINATIONS
     ]
     return {
         "recovered": [row | ({"truth": spread} if row["quantity"] == "spread" else {}) for row in rows],
@@ -347,7 +364,7 @@ def _describe_group(result: Run, what: str) -> dict[str, Any]:
     spreads = [
         {**row, "name": _name_parameter(row)} for row in to_records(mine[mine["quantity"] == "spread"])
     ]
-    new = to_records(mine[(mine["quantity"] == "new") & (mine["parameter"] != BEST_DETERMINED)])
+    new = to_records(mine[(mine["quantity"] == "new") & ~mine["parameter"].isin(COMBINATIONS)])
     beyond = [
         row
         for row in new
@@ -388,7 +405,7 @@ def tabulate(result: Run) -> list[Table]:
         columns = ("true_spread", "population_quantity", "parameter", *levels)
         return [Table("coverage", "", pivot(rows, ["spread", "quantity", "parameter"], ["level"]), columns)]
     for row, found in zip(rows, to_records(result.frames["population"]), strict=True):
-        unitless = row["quantity"] == "spread" or found["parameter"] == BEST_DETERMINED
+        unitless = row["quantity"] == "spread" or found["parameter"] in COMBINATIONS
         row["specimens_of"] = f"{row['specimens']} {row['groups']}s"
         row["own_units_95"] = MISSING if unitless else _format_ends(found)
     columns = (
@@ -399,7 +416,7 @@ def tabulate(result: Run) -> list[Table]:
 
 
 def _name_parameter(row: Row) -> str:
-    if row["parameter"] == BEST_DETERMINED:
+    if row["parameter"] in COMBINATIONS:
         return insert_symbols(str(row["combination"]))
     return format_bare_symbol(str(row["parameter"]))
 
@@ -452,8 +469,8 @@ def draw(result: Run) -> dict[str, Drawing]:
 
 
 def _axis_label(name: str) -> str:
-    if name == BEST_DETERMINED:
-        return "best-determined combination"
+    if name in COMBINATIONS:
+        return name.replace("_", "-") + " combination"
     return f"ln {format_bare_symbol(name)}" if is_logarithmic(name) else format_bare_symbol(name)
 
 

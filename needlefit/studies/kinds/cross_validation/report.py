@@ -50,6 +50,7 @@ from needlefit.studies.coverage import (
     median_width,
     tip_error_of_medians,
 )
+from needlefit.studies.fit_frames import select_draws
 from needlefit.studies.identification import (
     describe_verdicts,
     lay_out_identification,
@@ -265,17 +266,15 @@ class Facts:
     @cached_property
     def drawn(self) -> Row:
         """The draws of the first fold: source, convergence, and their longest direction."""
-        every = self.frames["draws"]
-        fold = every["fold"].iloc[0]
-        draws = every[every["fold"] == fold]
+        draws = select_draws(self.frames["draws"])
         axes = tables.principal_axes(draws[tables.list_free_parameters(self.results)])
         return {
             "count": len(draws),
             "source": str(draws["draw_source"].iloc[0]),
             "pareto_k": float(draws["pareto_k"].iloc[0]),
             "certified": bool(draws["certified"].iloc[0]),
-            "folds": int(every["fold"].nunique()),
-            "fold": str(fold),
+            "folds": int(self.frames["draws"]["fold"].nunique()),
+            "fold": str(draws["fold"].iloc[0]),
             "ridge": tables.is_ridge(axes),
             "known": axes[0].words,
             "loose": axes[-1].words,
@@ -861,7 +860,7 @@ def _tabulate_marks(results: Run) -> pd.DataFrame:
     """Return what is drawn, Pa and mm: one row per draw, fit, paper's set, bound and end of the ridge."""
     fold = results.frames["draws"]["fold"].iloc[0]
     names = tables.list_free_parameters(results)
-    draws = results.frames["draws"].loc[results.frames["draws"]["fold"] == fold, names].assign(mark="draw")
+    draws = select_draws(results.frames["draws"])[names].assign(mark="draw")
     known = results.frames["parameters"][results.frames["parameters"]["fold"] == fold]
     values = known.pivot_table(index="method", columns="parameter", values="value", sort=False)
     sets = [method for method in forms.DRAWN_SETS if method in values.index]
@@ -949,7 +948,7 @@ def _collect_draws(results: Run) -> dict[str, Any] | None:
     draws = results.frames["draws"]
     if draws.empty or len(names) < 2:
         return None
-    draws = draws[draws["fold"] == draws["fold"].iloc[0]]
+    draws = select_draws(draws)
     parameters = []
     for name in names:
         values = draws[name].to_numpy(dtype=np.float64)

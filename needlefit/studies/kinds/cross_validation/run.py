@@ -37,7 +37,12 @@ from needlefit.project.random_streams import random_stream
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.fit_frames import COLUMNS as FRAMES
 from needlefit.studies.fit_warnings import add_warnings
-from needlefit.studies.held_out_predictions import NewSpecimens, draw_fold_parameters, predict_held_out
+from needlefit.studies.held_out_predictions import (
+    TUNED_SPECIMENS,
+    Specimens,
+    draw_fold_parameters,
+    predict_held_out,
+)
 from needlefit.studies.identification import (
     NO_SOURCE,
     add_intervals,
@@ -158,6 +163,9 @@ class _StudyRun:
     search_faults: dict[str, list[str]] = field(default_factory=dict)
     counts: ValidityCounts = field(default_factory=ValidityCounts)
     needles: dict[str, NeedleInScan] = field(default_factory=dict)
+    #: posteriors of single specimens, which folds share, and the folds whose specimens differ
+    specimens: dict[tuple[str, ...], Draws] = field(default_factory=dict)
+    separate: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         floors = {insertion.id: self.job.floor(insertion) for insertion in self.job.insertions}
@@ -186,9 +194,12 @@ class _StudyRun:
         known = "fitted" in fits and math.isfinite(fits["fitted"].objective)
         if known and (fold.validate or not self.interrupted):
             few, many = draw_fold_parameters(job, fold, fits["fitted"], posterior, settings)
-            self._tabulate_draws(fold, many)
+            specimens = Specimens(job, fold, few.thetas, settings.jobs, settings.part_pool, self.specimens)
             if not few.faults:  # of what is not certified nothing is predicted
-                self._predict(fold, few)
+                self._predict(fold, few, specimens)
+                few, many = specimens.replace_mean(few), specimens.replace_mean(many)
+                self.separate |= {fold.name} if specimens.separate else set()
+            self._tabulate_draws(fold, many, specimens)
         self._tabulate_searches(fold, profiles)
         usable = {name: fit for name, fit in fits.items() if math.isfinite(fit.objective)}
         if known:
@@ -272,27 +283,29 @@ class _StudyRun:
             self.rows["failures"] += _failure_rows(place, job.problem(fold), thetas)
         return posterior.interrupted
 
-    def _tabulate_draws(self, fold: Fold, draws: Draws) -> None:
-        """Add draws of a fold's parameters, in Pa and mm."""
+    def _tabulate_draws(self, fold: Fold, draws: Draws, specimens: Specimens) -> None:
+        """Add draws of a fold's parameters, in Pa and mm: of their mean, of each specimen and a new one."""
         job, about = self.job, {"fold": fold.name, **draws.describe()}
         if draws.faults:
             self.uncertified[fold.name] = draws.faults
-        self.rows["draws"] += [{**about, **job.parameters.values(theta)} for theta in draws.thetas]
+        every = {TUNED_SPECIMENS: draws.thetas} | ({} if draws.faults else specimens.list_draws(draws.thetas))
+        for specimen, thetas in every.items():
+            where = about | {"specimen": specimen}
+            self.rows["draws"] += [{**where, **job.parameters.values(theta)} for theta in thetas]
         outside = find_outside_validity(job.problem(fold), draws.thetas)
         self.counts.draws.add(len(draws.thetas), int(outside.sum()))
 
-    def _predict(self, fold: Fold, draws: Draws) -> None:
+    def _predict(self, fold: Fold, draws: Draws, specimens: Specimens) -> None:
         """Add the predictions of the insertions that a fold holds out.
 
         Those into new specimens are predicted as the paper does too, by what was tuned alone.
         """
         job, jobs, pool = self.job, self.settings.jobs, self.settings.part_pool
-        new = NewSpecimens(job, fold, np.array(self.searches[fold.name]["fitted"].theta))
-        for one in predict_held_out(job, fold, draws, new, jobs, pool, bands=True):
+        for one in predict_held_out(job, fold, draws, specimens, jobs, pool, bands=True):
             self.rows["predictive"].append(one.row)
             self.rows["bands"] += one.band
             self.counts.predicted.add(one.solved, one.outside)
-        others = replace(fold, validate=tuple(filter(new.differs, fold.validate)))
+        others = replace(fold, validate=tuple(filter(specimens.differs, fold.validate)))
         plain = predict_held_out(job, others, draws, None, jobs, pool)
         self.rows["predictive_training"] += [one.row for one in plain]
 
@@ -336,7 +349,9 @@ class _StudyRun:
             for one in verdict.directions
         ]
         fitted = _fitted_rows(job, fold, fit, verdict, judgements)
-        sampled = intervals_of_draws(job.parameters, draws, self.posteriors.get(fold.name))
+        # the sampler's posterior has one set of parameters, specimens that differ have several
+        posterior = None if fold.name in self.separate else self.posteriors.get(fold.name)
+        sampled = intervals_of_draws(job.parameters, draws, posterior)
         add_intervals(fitted, judged, sampled, job.parameters.ties)
         self.rows["identification"] += judged
         self.rows["parameters"] += fitted
