@@ -283,8 +283,8 @@ class Population:
     A factor f stands for the standard deviation ln f of a logarithm. Of one truth the moduli are those of
     `TRUE_MEDIA`, times a factor for each of the two materials; so phantom 1 keeps its stiffer third layer.
     Drawn besides are the correlation between ln mu and ln b of specimens, uniform on (-1, 1), and the
-    dependence on fibres in muscle, uniform between none and that of `TRUE_MEDIA`. Chosen from the paper's
-    tables before any coverage was computed.
+    dependence on fibres in muscle, uniform between none and that of `TRUE_MEDIA`. The paper states nothing
+    about friction and fibres; their ranges are decided here. No width was chosen by the coverage it leads to.
     """
 
     # Of the mean over all specimens: the paper's moduli of one material lie within a factor of 2 of their
