@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.integrate import quad
-from scipy.stats import multivariate_normal, norm
+from scipy.stats import multivariate_normal
 from test_cli import run as run_cli
 
 from needlefit.datasets.read import read
@@ -575,7 +575,7 @@ def test_layers_that_the_old_medium_ties_may_differ_in_the_new_one():
     )
     cov = np.linalg.inv(prior.information(new.free))
     together = np.log(1.2) ** 2 / 2
-    assert cov[0, 1] == pytest.approx(together)
+    assert cov[0, 1] == pytest.approx(together + 0.5 * 2 * 0.5**2)  # half of the variance is a common factor
     assert cov[1, 1] == pytest.approx(together + 2 * 0.5**2 + MIN_SPREAD**2)
 
 
@@ -594,11 +594,17 @@ def test_the_mixture_has_both_parts_of_an_old_posterior():
     assert np.mean(drawn[:, 0] > centre[0] + 3) == pytest.approx(0.1, abs=0.02)
     near = drawn[drawn[:, 0] < centre[0] + 3]
     assert np.std(near, axis=0) == pytest.approx(np.hypot(0.1, np.sqrt(2) * np.array([0.3, 0.2])), rel=0.05)
-    # the mixture's density beside that of the two Gaussians from which all this was drawn
-    sd = np.hypot(0.1, np.sqrt(2) * np.array([0.3, 0.2]))
+    # the mixture's density beside that of the two Gaussians from which all this was drawn, of any correlation
+    rhos = np.linspace(-1, 1, 401)[1::2]
+    cross = 2 * 0.3 * 0.2 * np.array([[0.0, 1.0], [1.0, 0.0]])
+    between = [0.01 * np.eye(2) + 2 * np.diag([0.3**2, 0.2**2]) + rho * cross for rho in rhos]
+
+    def density(away: np.ndarray) -> float:
+        return float(np.mean([multivariate_normal.pdf(away, [0.0, 0.0], one) for one in between]))
+
     at = centre + np.array([[0.0, 0.0], [0.8, 0.3], [6.0, 0.0]])
     expected = [
-        np.log(sum(w * np.prod(norm.pdf(one, centre + off, sd)) for w, off in ((0.9, [0, 0]), (0.1, [6, 0]))))
+        np.log(sum(w * density(one - centre - off) for w, off in ((0.9, [0, 0]), (0.1, [6, 0]))))
         for one in at
     ]
     found = transferred.correct(at) + [prior.log_density(parameters.values(one)) for one in at]

@@ -25,15 +25,17 @@ then T is drawn from its prior, and as m = theta_1 + N( 0, T ), a new specimen l
 covariance 2 T.
 
 `TransferredPrior` makes the prior of a new medium: the posterior of an old one, widened by the spread between
-media. Both media are taken for draws of one population of which only the spread s is known (a standard
-deviation of each coordinate of theta). Then the new medium lies about the old one with variance 2 s^2, and
-with draws theta_i of the old posterior the prior is the mixture
+media. Both media are taken for draws of one population of which only the spread is known: a standard
+deviation of each coordinate of theta, with the correlations above. Then the new medium lies about the old one
+with covariance 2 T, and with draws theta_i of the old posterior the prior is the mixture
 
-    theta_new ~ 1/B sum_i N( theta_i,  diag(2 s^2) )
+    theta_new ~ 1/B sum_i N( theta_i, 2 T_i ),
+
+where w and rho of T_i are spread evenly over their uniform priors,
 
 by which draws are made and weighted. Searches need a sum of squares. They use a Gaussian in its place
 
-    theta_new ~ N( theta_fit,  E[ (theta - theta_fit) (theta - theta_fit)^T ]  +  diag(2 s^2) )
+    theta_new ~ N( theta_fit,  E[ (theta - theta_fit) (theta - theta_fit)^T  +  2 T ] )
 
 with E the mean over the old posterior. It peaks at the old fit, not at the posterior's mean, so that without
 new data the optimum is what it was. Where draws lie on a plateau beside the peak it is too wide. Layers that
@@ -356,8 +358,7 @@ def draw_specimens(
     A specimen outside the medium's bounds is drawn again.
     """
     columns = [parameters.free.index(name) for name in model.names]
-    sizes, axes = np.linalg.eigh(covariances)  # a root that exists where rho is 1 too
-    roots = axes * np.sqrt(np.maximum(sizes, 0.0))[:, None, :]
+    roots = _find_roots(covariances)
     drawn, left = thetas.copy(), np.arange(len(thetas))
     for _ in range(MAX_REDRAWS):
         some = thetas[left].copy()
@@ -443,8 +444,8 @@ def widen_posterior(
             )
     centre = np.array([to_coordinate(name, fit[name]) for name in names])
     off = _find_coordinates(old, thetas, names) - centre
-    between = np.array([spread.get(name, 0.0) for name in names])
-    covariance = off.T @ off / len(off) + np.diag(2 * between**2 + MIN_SPREAD**2)
+    (between,) = _find_covariances(names, spread, np.array([0.5]), np.zeros(1))  # the means of w and rho
+    covariance = off.T @ off / len(off) + between + MIN_SPREAD**2 * np.eye(len(names))
     return make_gaussian_prior(names, centre, covariance)
 
 
@@ -455,7 +456,7 @@ class TransferredPrior:
     parameters: Parameters  #: of the new medium, with the Gaussian of `widen_posterior` as their prior
     names: tuple[str, ...]  #: q of them: those of the mixture
     centres: Floats  #: (B, Q) draws of the old posterior, in theta's coordinates
-    sds: Floats  #: (Q,) of each Gaussian
+    covariances: Floats  #: (B, Q, Q) of each Gaussian
 
     @classmethod
     def from_draws(
@@ -471,8 +472,8 @@ class TransferredPrior:
         # the old posterior contains a half-normal prior that both share: it must not count twice
         half_normal = {name: sd for name, sd in new.half_normal.items() if name not in prior.names}
         parameters = replace(new, prior=prior, half_normal=half_normal)
-        sds = np.sqrt(2.0) * np.array([spread.get(name, 0.0) for name in prior.names])
-        return cls(parameters, prior.names, _find_coordinates(old, thetas, prior.names), sds)
+        covariances = _draw_covariances(prior.names, spread, len(thetas))
+        return cls(parameters, prior.names, _find_coordinates(old, thetas, prior.names), covariances)
 
     def correct(self, thetas: Floats) -> Floats:
         """Return the log density (W,) of the mixture at thetas (W, P), less that of the Gaussian prior.
@@ -481,12 +482,15 @@ class TransferredPrior:
         mixture is smoothed, by the rule of Silverman.
         """
         at = thetas[:, [self.parameters.free.index(name) for name in self.names]]
-        count, known = len(self.centres), int(np.sum(self.sds == 0))
+        fixed = np.diagonal(self.covariances[0]) == 0
+        count, known = len(self.centres), int(np.sum(fixed))
         smoothing = (4 / ((known + 2) * count)) ** (1 / (known + 4))
         smoothed = np.maximum(smoothing * self.centres.std(axis=0), MIN_SPREAD)
-        sds = np.where(self.sds == 0, smoothed, self.sds)
-        white = (at[:, None] - self.centres) / sds  # (W, B, Q)
-        mixture: Floats = logsumexp(-0.5 * np.sum(white**2, axis=2), axis=1)
+        factors = np.linalg.cholesky(self.covariances + np.diag(np.where(fixed, smoothed**2, 0.0)))
+        away = at[:, None] - self.centres  # (W, B, Q)
+        white = np.linalg.solve(factors, away.transpose(1, 2, 0))  # (B, Q, W)
+        volume = np.sum(np.log(np.diagonal(factors, axis1=1, axis2=2)), axis=1)
+        mixture: Floats = logsumexp(-0.5 * np.sum(white**2, axis=1) - volume[:, None], axis=0)
         prior = self.parameters.prior
         gaussian = np.array([prior.log_density(self.parameters.values(theta)) for theta in thetas])
         return mixture - gaussian
@@ -496,9 +500,10 @@ class TransferredPrior:
         thetas = draw_from_prior(self.parameters, count, rng)
         columns = [self.parameters.free.index(name) for name in self.names]
         lower, upper = self.parameters.lower[columns], self.parameters.upper[columns]
-        found = np.empty((0, len(columns)))
+        found, roots = np.empty((0, len(columns))), _find_roots(self.covariances)
         while len(found) < count:
-            drawn = self.centres + self.sds * rng.standard_normal(self.centres.shape)
+            normal = rng.standard_normal(self.centres.shape)
+            drawn = self.centres + np.einsum("bpq,bq->bp", roots, normal)
             inside = np.all((drawn >= lower - BOUND_TOLERANCE) & (drawn <= upper + BOUND_TOLERANCE), axis=1)
             found = np.concatenate([found, drawn[inside]])
         thetas[:, columns] = np.clip(found[:count], lower, upper)
@@ -521,6 +526,39 @@ class TransferProblem(Problem):
         """Return the log of the posterior density (W,) of many thetas (W, P) at once, on `jobs` threads."""
         density = super().log_posteriors(thetas, jobs)
         return density if self.transferred is None else density + self.transferred.correct(thetas)
+
+
+#: the golden ratio in two dimensions: multiples of its powers, modulo 1, are spread evenly over a square
+PLASTIC_NUMBER = 1.324717957244746
+
+
+def _draw_covariances(names: Sequence[str], spread: Mapping[str, float], count: int) -> Floats:
+    """Return 2 T (B, Q, Q) of parameters whose standard deviations between media are given, by name."""
+    turns = np.arange(1, count + 1)[:, None] / PLASTIC_NUMBER ** np.array([1, 2]) % 1.0
+    return _find_covariances(names, spread, turns[:, 0], 2 * turns[:, 1] - 1)
+
+
+def _find_covariances(
+    names: Sequence[str], spread: Mapping[str, float], share: Floats, rho: Floats
+) -> Floats:
+    """Return 2 T (B, Q, Q) with w and rho (B,)."""
+    moduli = np.array([dimension(name) == "modulus" for name in names])
+    bevels = np.array([name in BEVEL_PARAMETERS for name in names])
+    common = share if moduli.sum() > 1 else np.ones_like(share)
+    correlations = np.outer(moduli, moduli) * common[:, None, None]
+    between = np.outer(moduli, bevels) | np.outer(bevels, moduli)
+    correlations += between * (rho * np.sqrt(common))[:, None, None]
+    correlations[:, np.eye(len(names), dtype=bool)] = 1.0
+    sds = np.array([spread.get(name, 0.0) for name in names])
+    covariances: Floats = 2 * correlations * np.outer(sds, sds)
+    return covariances
+
+
+def _find_roots(covariances: Floats) -> Floats:
+    """Return matrices (B, Q, Q) whose squares are the covariances, singular ones too."""
+    sizes, axes = np.linalg.eigh(covariances)
+    roots: Floats = axes * np.sqrt(np.maximum(sizes, 0.0))[:, None, :]
+    return roots
 
 
 def _find_coordinates(old: Parameters, thetas: Floats, names: tuple[str, ...]) -> Floats:

@@ -82,7 +82,7 @@ class SampleRecord(Record):
 
 class BetweenSpecimensRecord(Record):
     """Prior knowledge of how much parameters differ between specimens: half-normal priors of each
-    spread.
+    spread, beside a uniform one of their correlation.
     """
 
     modulus_factor: float = Field(default=2.0, ge=1)

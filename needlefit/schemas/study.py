@@ -52,8 +52,8 @@ class FitRecord(FileRecord):
     tune: SelectionRecord = Field(default=SelectionRecord())
     """Insertions that are fitted."""
     specimens: Literal["others", "training only"] = "others"
-    """Parameters of a specimen that is not fitted: with the spread between the dataset's specimens
-    ("others"), or as fitted ("training only", as in the paper)."""
+    """Parameters differ between specimens ("others"), or are the same in all ("training only", as in the
+    paper)."""
 
 
 class StudyRecord(FitRecord):

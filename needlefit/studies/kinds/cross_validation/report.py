@@ -275,6 +275,8 @@ class Facts:
             "certified": bool(draws["certified"].iloc[0]),
             "folds": int(self.frames["draws"]["fold"].nunique()),
             "fold": str(draws["fold"].iloc[0]),
+            # beside the mean and a new specimen each has draws of its own
+            "separate": self.frames["draws"]["specimen"].nunique() > 2,
             "ridge": tables.is_ridge(axes),
             "known": axes[0].words,
             "loose": axes[-1].words,
