@@ -37,7 +37,7 @@ from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
-from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.recipe import RecipeRecord, TrackErrorsRecord
 from needlefit.studies.kinds import tracks
 from needlefit.studies.kinds.tracks import TrackTask
 
@@ -126,12 +126,31 @@ def in_session(runs):
 SESSION_NOISE = replace(NOISE, heading_sd=0.01, slope_sd=0.005)
 
 
-def test_a_session_is_one_gaussian_of_all_readings_and_headings(runs):
+ERRORS = TrackErrorsRecord(gain_sd=0.2, slope_sd_deg=0.4, entry_sd_mm=0.3, entry_yield=0.5, entry_length_mm=8)
+
+
+def respond_to_guide(one, depths):
+    """The change (n,) of the tip at `depths` by a guide that moves twice as far, linearised."""
+    moved = [replace(one, guide=factor * one.guide) for factor in (0.9, 1.1)]
+    less, more = simulate_deflections([TRUTH], MEDIUM, NEEDLE, moved, [depths] * 2)
+    return (more[0] - less[0]) / 0.2
+
+
+@pytest.mark.parametrize("errors", [TrackErrorsRecord(), ERRORS])
+def test_a_session_is_one_gaussian_of_all_readings_and_headings(runs, errors):
     """The marginal over what runs share is the density of all their readings together."""
     tracks = in_session(runs)
     asked = problem(tracks)
-    asked = replace(asked, dataset=replace(asked.dataset, noise=SESSION_NOISE))
-    n, off, cov, columns = len(DEPTH), [], [], []
+    asked = replace(
+        asked,
+        dataset=replace(asked.dataset, noise=SESSION_NOISE),
+        likelihood=observation.PLAIN_LIKELIHOOD.model_copy(update={"tip_tracks": errors}),
+    )
+    n, off, cov, columns, gains = len(DEPTH), [], [], [], []
+    step, at = observation.HEADING_STEP_MM, np.append(DEPTH, DEPTH[1:] - observation.HEADING_STEP_MM)
+    take = np.block(
+        [[np.eye(n), np.zeros((n, n - 1))], [np.eye(n)[1:] / step, -np.eye(n - 1) / step]]
+    )  # tips and headings of tips at both places
     for one, tip in zip(tracks, simulate_tips(tracks), strict=True):
         before = simulate_deflections([TRUTH], MEDIUM, NEEDLE, [one], [DEPTH - observation.HEADING_STEP_MM])[
             0
@@ -141,8 +160,22 @@ def test_a_session_is_one_gaussian_of_all_readings_and_headings(runs):
         turn = np.append(DEPTH, np.ones(n - 1))
         columns.append([np.append(np.ones(n), np.zeros(n - 1)), turn, np.append(np.zeros(n), np.ones(n - 1))])
         own = np.diag(np.append(np.full(n, NOISE.point_sd**2), np.full(n - 1, 0.01**2)))
-        cov.append(own + 0.005**2 * np.outer(turn, turn))
+        moved = np.interp(at, DEPTH, one.guide)
+        fading = np.exp(-at / errors.entry_length_mm)
+        size = np.exp(-0.5 * ((at[:, None] - at) / errors.entry_length_mm) ** 2) * np.outer(fading, fading)
+        entry = errors.entry_sd_mm**2 + errors.entry_yield**2 * np.outer(moved, moved)
+        gains.append(errors.gain_sd * take @ respond_to_guide(one, at))
+        cov.append(
+            own
+            + take @ (entry * size) @ take.T
+            + 0.005**2 * np.outer(turn, turn)
+            + np.outer(gains[-1], gains[-1])
+        )
     whole = block_diag(*cov)
+    steered, rest = (np.repeat([one.guided == of for one in tracks], 2 * n - 1) for of in (True, False))
+    turns = np.radians(errors.slope_sd_deg) * np.concatenate([one[1] for one in columns])
+    for shared in (steered * np.concatenate(gains), steered * turns, rest * turns):
+        whole += np.outer(shared, shared)
     for part in (1, 2):
         shared = observation.SESSION_SD_RAD * np.concatenate([one[part] for one in columns])
         whole += np.outer(shared, shared)
@@ -169,12 +202,13 @@ def test_a_model_error_enters_the_covariance_of_tips_and_headings(runs, headings
     assert wide.log_norm < plain.log_norm - 5
 
 
-@pytest.mark.parametrize("together", [False, True])
-def test_log_posterior_residuals_and_gradient_are_one_density(runs, together):
+@pytest.mark.parametrize("errors", [None, TrackErrorsRecord(), ERRORS])
+def test_log_posterior_residuals_and_gradient_are_one_density(runs, errors):
     asked, other = problem(runs), THETA + np.array([0.3, -0.2, 0.1])
-    if together:
+    if errors is not None:
         asked = problem(in_session(runs))
-        asked = replace(asked, dataset=replace(asked.dataset, noise=SESSION_NOISE))
+        likelihood = observation.PLAIN_LIKELIHOOD.model_copy(update={"tip_tracks": errors})
+        asked = replace(asked, dataset=replace(asked.dataset, noise=SESSION_NOISE), likelihood=likelihood)
     assert_one_density(asked, other, rtol=5e-4)
     assert asked.log_posteriors(np.array([THETA, other, other + 50.0]))[2] == -np.inf
 
@@ -229,11 +263,12 @@ def test_a_line_takes_its_slope_from_runs_alike():
 def test_each_predicted_run_has_a_bevel_of_its_own(monkeypatch, runs):
     """Deflections of small needles are proportional to b, so that they spread as ln b does."""
     one = problem(runs[:1])
+    one = replace(one, dataset=replace(one.dataset, noise=SESSION_NOISE))
     task = TrackTask("one", one, tuple(runs[1:]), RecipeRecord(schema_=1))
     sets = [{**TRUTH, "bevel_spread": 0.1}] * 300
     draws = Draws(np.zeros((300, 0)), "posterior")
     monkeypatch.setattr(Problem, "values", lambda *_: sets[0])
-    drawn = tracks._draw_model_tips(task, draws, 1, np.random.default_rng(1))
+    drawn, _ = tracks._draw_model_tips(task, draws, (), 1, np.random.default_rng(1))
     (bent,) = simulate_deflections([TRUTH], MEDIUM, NEEDLE, [runs[2]], [DEPTH])
     assert np.ptp(drawn.tuned[0], axis=0).max() < 1e-9
     ends = [held[:, -1] for held in drawn.held_out]
@@ -346,3 +381,97 @@ def test_no_estimate_where_no_needle_is_found() -> None:
     needle = tracked(options=replace(OPTIONS, max_iterations=1))
     prior = tracking.make_prior_from_factors(needle.tissue.mu, 0.08, (1.1, 1.1), TIP_NOISE)
     assert tracking.estimate_parameters(needle, np.array([[10.0, 0.1]]), prior, TIP_NOISE) is None
+
+
+class Groups:
+    """Runs with the errors of the likelihood about the truth, drawn group by group."""
+
+    def __init__(self, errors, seed):
+        self.rng, self.likelihood = (
+            np.random.default_rng(seed),
+            observation.PLAIN_LIKELIHOOD.model_copy(update={"tip_tracks": errors}),
+        )
+        self.data = replace(dataset([]), noise=replace(SESSION_NOISE, heading_sd=0.0))
+        self.errors, self.plain = errors, [track(f"run{n}", guide) for n, guide in enumerate((GUIDE, -GUIDE))]
+        self.tips = [tip[0] for tip in simulate_tips(self.plain)]
+        self.responses = [respond_to_guide(one, DEPTH) for one in self.plain]
+
+    def measure(self, kind, gain, slope):
+        """A run of a kind, its group with this gain and slope."""
+        normal, error = self.rng.standard_normal, self.errors
+        one, noise = self.plain[kind], NOISE.point_sd * self.rng.standard_normal(len(DEPTH))
+        covariance = observation.entry_covariance(one, DEPTH, error) + 1e-12 * np.eye(len(DEPTH))
+        entry = np.linalg.cholesky(covariance) @ normal(len(DEPTH))
+        gain, slope = gain + error.gain_sd * normal(), slope + SESSION_NOISE.slope_sd * normal()
+        tip = self.tips[kind] + gain * self.responses[kind] + slope * DEPTH + 5 * normal() + entry + noise
+        return with_tip(one, tip)
+
+    def predict(self, kinds, draws, errors=None, gain=None, observed=4):
+        """Draws of the last reading of a further run of the last kind, and what was measured."""
+        of_group = self.errors.gain_sd * self.rng.standard_normal() if gain is None else gain
+        slope = 0.03 + np.radians(self.errors.slope_sd_deg) * self.rng.standard_normal()
+        every = [self.measure(kind, of_group, slope) for kind in kinds]
+        likelihood = (
+            self.likelihood if errors is None else self.likelihood.model_copy(update={"tip_tracks": errors})
+        )
+        seen = [observation.make_observation(self.data, one, likelihood=likelihood) for one in every]
+        curves, columns = [], []
+        for kind, one in zip(kinds, seen, strict=True):
+            change = 0.1 * self.responses[kind]
+            nodes = np.stack([self.tips[kind], self.tips[kind] - change, self.tips[kind] + change])
+            nodes = np.repeat(nodes[None, : len(one.nodes.insertions)], draws, axis=0)
+            curves.append(nodes[:, 0])
+            columns.append(tracking.list_columns(one, nodes))
+        drawn = tracking.TrackDraws(
+            tuple(curves[:-1]), (curves[-1],), np.ones(draws), False, tuple(columns[:-1]), (columns[-1],)
+        )
+        (found,) = tracking.predict_runs(drawn, seen[:-1], seen[-1:], [observed], self.rng)
+        return found[:, -1], every[-1].tip[-1]
+
+
+def test_intervals_of_further_runs_cover_in_groups_with_errors():
+    groups = Groups(ERRORS, 3)
+    levels = []
+    for _ in range(150):
+        ends, measured_end = groups.predict((0, 1, 0, 1, 0), 300)
+        levels.append(np.mean(ends < measured_end))
+    outside = np.abs(np.array(levels) - 0.5)
+    for level in (0.5, 0.95):
+        assert np.mean(outside < level / 2) == pytest.approx(
+            level, abs=3 * np.sqrt(level * (1 - level) / 150)
+        )
+
+
+def test_a_gain_of_the_guide_is_taken_over_from_runs_alike():
+    """A group that answers the guide half as much again is predicted right, and wrong without a gain."""
+    small = TrackErrorsRecord(gain_sd=0.01, slope_sd_deg=0.01)
+    groups, off = Groups(small, 5), {}
+    for name, gain_sd in (("with", 0.5), ("without", 0.0)):
+        errors = small.model_copy(update={"gain_sd": gain_sd})
+        pairs = [groups.predict((0, 1, 0), 50, errors, gain=0.5) for _ in range(20)]
+        off[name] = np.mean([abs(np.median(ends) - end) for ends, end in pairs])
+    # the slope of each run remains unknown: 0.005 over 60 mm
+    assert off["with"] < 0.15 < 0.3 * off["without"]
+
+
+def test_a_yielding_entry_takes_weight_from_the_first_readings():
+    """The same error of the readings near the entry moves the prediction less where the entry yields."""
+    moved = {}
+    for name, errors in (("stiff", TrackErrorsRecord()), ("yields", TrackErrorsRecord(entry_sd_mm=1.0))):
+        shifts = []
+        for add in (0.0, 1.0):
+            groups = Groups(TrackErrorsRecord(), 7)
+            groups.tips[1] = groups.tips[1].copy()
+            one = groups.measure(1, 0.0, 0.03)
+            seen = observation.make_observation(
+                groups.data,
+                with_tip(one, one.tip + add * (DEPTH < 8)),
+                likelihood=groups.likelihood.model_copy(update={"tip_tracks": errors}),
+            )
+            y = groups.tips[1][None]
+            columns = tracking.list_columns(seen, y[:, None])
+            drawn = tracking.TrackDraws((), (y,), np.ones(1), False, (), (columns,))
+            (found,) = tracking.predict_runs(drawn, (), (seen,), [5], np.random.default_rng(1))
+            shifts.append(found[0, 0])
+        moved[name] = abs(shifts[1] - shifts[0])
+    assert moved["yields"] < 0.5 * moved["stiff"]

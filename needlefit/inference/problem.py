@@ -525,7 +525,8 @@ class Problem:
         """The posterior with depths and bevel as stated: one needle instead of 2 d + 1 or more."""
         if all(len(known.nodes.insertions) == 1 for known in self.density.observations):
             return None
-        plain = {"depths": "fixed", "bevel_spread": 0.0}
+        tracks = self.likelihood.tip_tracks.model_copy(update={"gain_sd": 0.0})
+        plain = {"depths": "fixed", "bevel_spread": 0.0, "tip_tracks": tracks}
         return replace(self, likelihood=self.likelihood.model_copy(update=plain))
 
     def with_parameters(self, parameters: Parameters) -> "Problem":

@@ -11,16 +11,18 @@ therefore linearises all readings anew: an iterated extended Kalman filter witho
 F. W. Cathey, IEEE Trans. Automat. Contr. 38 (1993) 294), and without the linearisation errors of its past. An
 estimate can be the prior of the next insertion.
 
-Predictions: given the deflections y of one draw of the parameters, the readings of a run are Gaussian,
+Predictions: given the deflections y of one draw of the parameters, the readings of a run are Gaussian. Those
+of the model have the errors of the likelihood, of which the fitted runs determine what all runs share, z:
 
-    t = y + F n + noise,        n = (shift, slope),   shift free,   slope ~ N(m, v)
+    t = y + shift + sum_j x_j (own_j e_j + shared_j . z) + noise,      e, z ~ N(0, 1),   shift free
 
-with m and v from the runs fitted to: m the mean of the slopes that y leaves in k of them, v what their
-scatter s^2, of f degrees of freedom, says of one more run, s^2 (1 + 1/k) f / (f - 2), the variance of
-Student's t; f is k - 1 where all runs are taken. Conditioned on the first readings this is Gaussian again.
-What the run does further on enters nowhere. Baselines are curves without tissue or guide, fitted to the same
-runs: a straight line has nothing but each run's shift and slope, a parabola one curvature for all runs. The
-scale of the noise is what they leave of the runs fitted to, so that what they predict is as wide.
+with columns x_j by slope and by the response to the guide. Conditioned on the first readings of a run this is
+Gaussian again; what the run does further on enters nowhere.
+
+Baselines are curves without tissue or guide, fitted to the same runs: a straight line has nothing but each
+run's shift and slope, a parabola one curvature for all runs. The slope of a further run has the mean of those
+of k fitted runs and the variance s^2 (1 + 1/k) f / (f - 2) of Student's t; s^2 is their scatter, of f degrees
+of freedom, k - 1 where all runs are taken. The scale of the noise is what they leave of the runs fitted to.
 """
 
 from collections.abc import Sequence
@@ -35,6 +37,7 @@ from needlefit.datasets.insertion import Insertion, TipTrack
 from needlefit.errors import ConfigError
 from needlefit.inference.baselines import BASELINES, Baseline
 from needlefit.inference.compared_points import extrapolate_tip
+from needlefit.inference.likelihood.nodes import NodeGroup
 from needlefit.inference.likelihood.observation import Observation, whiten
 from needlefit.mechanics.batch import linearize_steps
 from needlefit.mechanics.control import ModelOptions, Step
@@ -230,6 +233,9 @@ class TrackDraws:
     scale: Floats  #: (B,) what the stated deviations of the noise are multiplied by
     #: whether the slope of a run is estimated from those alone whose guide moved, or rested, as in it
     alike: bool = False
+    #: of the same runs: (B, d, n) each the changes by one SD along the d axes of their errors
+    tuned_columns: tuple[Floats, ...] = ()
+    held_out_columns: tuple[Floats, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -289,14 +295,66 @@ def predict_readings(
     noise = observation.point_covariance * scale[:, None, None] ** 2
     total = noise + design @ spread @ design.T  # (B, n, n)
     mean = deflection + slope.mean[:, None] * design[:, 1]
+    return _draw_later_readings(observation.measured[:, 1], mean, total, observed_count, rng)
+
+
+def _draw_later_readings(
+    measured: Floats, mean: Floats, total: Floats, observed_count: int, rng: np.random.Generator
+) -> Floats:
+    """Draw the later readings of a Gaussian, mean (B, n) and covariance (B, n, n), given the first ones."""
     # conditioning of a joint Gaussian: gain^T takes the residuals of the first readings to the later ones
     cross = total[:, :observed_count, observed_count:]
     gain = np.linalg.solve(total[:, :observed_count, :observed_count], cross)  # (B, k, n - k)
-    off = observation.measured[:, 1][:observed_count] - mean[:, :observed_count]
+    off = measured[:observed_count] - mean[:, :observed_count]
     centre = mean[:, observed_count:] + np.einsum("bk,bkr->br", off, gain)
     remaining = total[:, observed_count:, observed_count:] - gain.transpose(0, 2, 1) @ cross
     root = np.linalg.cholesky(remaining)
     return centre + np.einsum("brs,bs->br", root, rng.normal(size=centre.shape))
+
+
+def predict_runs(
+    drawn: TrackDraws,
+    tuned: Sequence[Observation],
+    held_out: Sequence[Observation],
+    observed: Sequence[int],
+    rng: np.random.Generator,
+) -> list[Floats]:
+    """Return of each run held out draws (B, n - k) of its readings after the first k, `observed`, mm.
+
+    What runs share is estimated from the runs fitted to, for every draw, and from the first readings.
+    """
+    every = (*tuned, *held_out)
+    surfaces = sorted({axis.surface for one in every for axis in one.nodes.axes if axis.surface})
+    group, count = NodeGroup(tuple(one.nodes for one in every), tuple(surfaces)), len(tuned)
+
+    def spread(k: int, columns: Floats) -> tuple[Floats, Floats]:
+        """Return the covariance (B, n, n) of a run's own errors, and the columns (B, n, K) of the shared."""
+        own = group.own[k][:, None] * columns
+        noise = drawn.scale[:, None, None] ** 2 * every[k].point_covariance + SHIFT_SD_MM**2
+        return noise + own.transpose(0, 2, 1) @ own, columns.transpose(0, 2, 1) @ group.shared[k]
+
+    pull = np.zeros((len(drawn.scale), len(surfaces)))
+    precision = np.tile(np.eye(len(surfaces)), (len(pull), 1, 1))
+    for k, (one, y) in enumerate(zip(tuned, drawn.tuned, strict=True)):
+        covariance, shared = spread(k, drawn.tuned_columns[k])
+        weighted = np.linalg.solve(covariance, shared).transpose(0, 2, 1)  # (B, K, n)
+        precision = precision + weighted @ shared
+        pull = pull + np.einsum("bkn,bn->bk", weighted, one.measured[:, 1] - y)
+    found = np.linalg.inv(precision)
+    best = np.einsum("bkl,bl->bk", found, pull)
+    predicted = []
+    for k, (one, y) in enumerate(zip(held_out, drawn.held_out, strict=True)):
+        covariance, shared = spread(count + k, drawn.held_out_columns[k])
+        mean = y + np.einsum("bnk,bk->bn", shared, best)
+        total = covariance + shared @ found @ shared.transpose(0, 2, 1)
+        predicted.append(_draw_later_readings(one.measured[:, 1], mean, total, observed[k], rng))
+    return predicted
+
+
+def list_columns(observation: Observation, curves: Floats) -> Floats:
+    """Return the changes (B, d, n) of a run by one SD along its d axes, of curves (B, m, n) at its nodes."""
+    frame = np.broadcast_to(observation.pose_spread.T, (len(curves), *observation.pose_spread.T.shape))
+    return np.asarray(observation.nodes.linear[1:] @ np.concatenate([curves, frame], axis=1))
 
 
 def draw_baseline(

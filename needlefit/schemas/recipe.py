@@ -38,6 +38,25 @@ class WeightsRecord(Record):
         return self
 
 
+class TrackErrorsRecord(Record):
+    """Errors of tip tracks beside the noise that the dataset states; 0: none. A group of runs: those into
+    one medium with the guide at rest, or with the guide moved.
+    """
+
+    gain_sd: float = Field(default=0.0, ge=0, le=1)
+    """Relative standard deviation of the tip's response to the guide's moves: once of each group, once of
+    each run."""
+    slope_sd_deg: float = Field(default=0.0, ge=0, le=45)
+    """Standard deviation of the slope of a group of runs in the tracker's frame, where the dataset states
+    that of a run."""
+    entry_sd_mm: float = Field(default=0.0, ge=0)
+    """Standard deviation of the tip at first contact, where the tissue yields."""
+    entry_yield: float = Field(default=0.0, ge=0)
+    """The same as a part of the guide's move until then."""
+    entry_length_mm: float = Field(default=10.0, gt=0)
+    """Depth over which both fade by a factor of e."""
+
+
 class LikelihoodRecord(Record):
     """How the likelihood treats the stated errors (docs/inference.md)."""
 
@@ -54,6 +73,8 @@ class LikelihoodRecord(Record):
     bevel_spread: float = Field(default=0.1, ge=0, le=1)
     """Standard deviation of the half-normal prior of the relative standard deviation of the bevel
     parameter (b or theta) between insertions; 0 gives all insertions the same."""
+    tip_tracks: TrackErrorsRecord = TrackErrorsRecord()
+    """Further errors of tip tracks."""
 
 
 class SampleRecord(Record):

@@ -26,7 +26,7 @@ from scipy.interpolate import CubicSpline
 from scipy.special import logsumexp
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Insertion, split_boundary_sd
+from needlefit.datasets.insertion import Insertion, TipTrack, split_boundary_sd
 from needlefit.errors import ConfigError
 
 #: where each axis is simulated besides its centre, in standard deviations. Of several spacings tried on
@@ -250,9 +250,12 @@ NODE_POSITIONS_SD: dict[DepthTreatment, tuple[float, ...]] = {
     "linear": (-1.0, 1.0),
     "quadrature": QUADRATURE_NODES,
 }  #: where each axis is simulated besides its centre, in standard deviations
-#: stand in place of a layer where what is shared is the tracker's frame, or the bevel of one insertion that
-#: was measured at several depths
-FRAME, BEVEL = -1, -2
+#: stand in place of a layer where what is shared is the tracker's frame, the bevel of one insertion that was
+#: measured at several depths, or slope and response to the guide of a group of runs
+FRAME, BEVEL, GROUP_SLOPE, GROUP_GAIN = -1, -2, -3, -4
+GAIN_STEP = (
+    0.1  #: part of the guide's moves by which they are changed to simulate their effect, to both sides
+)
 BEVEL_STEP = 0.1  #: part of the bevel's offset by which it is changed to simulate its effect, to both sides
 #: least bevel of an insertion, as part of the mean: a normal distribution does not end at zero
 MIN_BEVEL_FACTOR = 0.05
@@ -267,10 +270,10 @@ class ErrorAxis:
     #: sum to 1
     own: float = 1.0
     shared: float = 0.0
-    #: what z belongs to: a specimen and two layers, or `FRAME` and a part of a tracker's frame, or `BEVEL`
-    #: and the number of an insertion, whose t is the deviation of its bevel in SDs between insertions; empty
-    #: where nothing is shared
-    surface: tuple[str, int, int] | tuple[()] = ()
+    #: what z belongs to: a specimen and two layers, or `FRAME` and a part of a tracker's frame, or
+    #: `GROUP_SLOPE` or `GROUP_GAIN` and a group of runs, or `BEVEL` and the number of an insertion, whose t
+    #: is the deviation of its bevel in SDs between insertions; empty where nothing is shared
+    surface: tuple[str, int, int | str] | tuple[()] = ()
 
     @property
     def of_bevel(self) -> bool:
@@ -329,12 +332,13 @@ def make_nodes(
     bevel: bool = False,
     constants: int = 0,
     shared: tuple[ErrorAxis, ...] = (),
+    gain: tuple[ErrorAxis, float] | None = None,
 ) -> Nodes:
     """Return the nodes of an insertion whose measured points have beam coordinates `s` (K,).
 
     With `bevel` its offset may differ from that of other insertions. `constants` curves stand behind those of
     the nodes; the last of these lie along the axes `shared` with other insertions (not with depths by
-    quadrature).
+    quadrature). `gain`: the axis and relative SD of a moved guide's effect (not with quadrature either).
 
     Raises ConfigError if the insertion has more uncertain depths than quadrature is right for.
     """
@@ -343,18 +347,25 @@ def make_nodes(
     found = [(insertion, s)]
     for _, boundaries, depth in moves:
         found += [shift_depths(insertion, s, t * boundaries, t * depth) for t in places]
+    axes = [axis for axis, *_ in moves]
+    if gain is not None:
+        axes.append(gain[0])
+        found += [(_scale_guide(insertion, 1 + step), s) for step in (-GAIN_STEP, GAIN_STEP)]
     if bevel:
         factors = (insertion.bevel_factor * (1 + step) for step in (-BEVEL_STEP, BEVEL_STEP))
         found += [(replace(insertion, bevel_factor=factor), s) for factor in factors]
     insertions, at = zip(*found, strict=True)
-    linear = np.zeros((1 + len(moves) + len(shared), len(found) + constants))
+    linear = np.zeros((1 + len(axes) + len(shared), len(found) + constants))
     linear[0, 0] = 1.0
     for j in range(len(moves)):
         first = 1 + j * len(places)
         # central difference over the first two nodes of the axis, at -places[1] and +places[1]
         linear[1 + j, first : first + 2] = np.array([-0.5, 0.5]) / places[1]
+    if gain is not None:
+        first = 1 + len(moves) * len(places)
+        linear[len(axes), first : first + 2] = np.array([-0.5, 0.5]) * gain[1] / GAIN_STEP
     apart = constants - len(shared)
-    linear[1 + len(moves) :, len(found) + apart :] = np.eye(len(shared))
+    linear[1 + len(axes) :, len(found) + apart :] = np.eye(len(shared))
     effects = np.zeros((bevel + apart, len(found) + constants))
     if bevel:
         effects[0, len(found) - 2 : len(found)] = np.array([-0.5, 0.5]) / BEVEL_STEP
@@ -362,8 +373,14 @@ def make_nodes(
     if depths == "quadrature":
         _check_axes(f"{insertion.id} has {len(moves)} uncertain depths", len(moves))
     integration = make_rule(len(moves)) if depths == "quadrature" and moves else None
-    axes = (*(axis for axis, *_ in moves), *shared)
-    return Nodes(insertions, np.array(at), axes, linear, effects, bevel, integration)
+    return Nodes(insertions, np.array(at), (*axes, *shared), linear, effects, bevel, integration)
+
+
+def _scale_guide(insertion: Insertion, factor: float) -> Insertion:
+    """Return a tip track whose guide moved `factor` times as far from where it first stood."""
+    assert isinstance(insertion, TipTrack)
+    first = insertion.guide[0]
+    return replace(insertion, guide=first + factor * (insertion.guide - first))
 
 
 def find_bevel_factors(spread: Floats | float, deviations: Floats | float) -> Floats:
@@ -434,7 +451,7 @@ class NodeGroup:
     """Insertions whose depths err together, as the surfaces of one specimen do."""
 
     nodes: tuple[Nodes, ...]
-    surfaces: tuple[tuple[str, int, int], ...]  #: the k that at least two of them cross
+    surfaces: tuple[tuple[str, int, int | str], ...]  #: the k that at least two of them cross
     #: whether all bevels, which are then among `surfaces`, are deviations from their mean
     centred: bool = False
 

@@ -39,11 +39,18 @@ from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import align_rigid, differentiate_align_rigid, make_tracker_columns
 from needlefit.geometry.smoothing_spline import SplineSections, fit_matrices, make_knots
 from needlefit.inference.compared_points import rotate_to_entry_axes
-from needlefit.inference.likelihood.nodes import FRAME, ErrorAxis, Nodes, make_nodes
+from needlefit.inference.likelihood.nodes import (
+    FRAME,
+    GROUP_GAIN,
+    GROUP_SLOPE,
+    ErrorAxis,
+    Nodes,
+    make_nodes,
+)
 from needlefit.mechanics.needle import Needle
 from needlefit.project.toml import locate_key
 from needlefit.schemas.dataset import MeasurementRecord
-from needlefit.schemas.recipe import LikelihoodRecord
+from needlefit.schemas.recipe import LikelihoodRecord, TrackErrorsRecord
 
 SHARED_ERROR_LENGTH_MM = 7.5  #: length over which errors that neighbouring cross-sections share fade, mm
 #: cross-sections within so many deviations of the depth from the needle's base are left out: a depth that
@@ -281,23 +288,49 @@ def _observe_track(
         cov = block_diag(cov, noise.heading_sd**2 * np.eye(len(operator) - len(cov)))
         turned = np.tile([0.0, 1.0, 1.0], (len(operator) - len(frame), 1))
         frame = np.concatenate([np.column_stack([frame, np.zeros(len(frame))]), turned])
-    at = measured[:, 0]
-    if model_error is not None:  # along the depth; what it does to a heading is its slope there
-        added = model_error.covariance(at)
-        cov = cov + (added if operator is None else operator @ added @ operator.T)
+    at, errors = measured[:, 0], likelihood.tip_tracks
+    # along the depth; what they do to a heading is their slope there
+    added = entry_covariance(track, at, errors)
+    added = added if model_error is None else added + model_error.covariance(at)
+    cov = cov + (added if operator is None else operator @ added @ operator.T)
     if likelihood.noise == "independent":
         cov = np.diag(np.diag(cov))
     axes = list_session_axes(track.specimen, noise.slope_sd, frame.shape[1] - 1)
     free = frame[:, : frame.shape[1] - len(axes)]
     session = frame[:, free.shape[1] :] * [SESSION_SD_RAD / axis.shared for axis in axes]
+    group = f"{track.medium} {'steered' if track.guided else 'at rest'}"
+    if axes and errors.slope_sd_deg:
+        axes = (*axes, ErrorAxis(0.0, 1.0, (track.specimen, GROUP_SLOPE, group)))
+        session = np.column_stack([session, math.radians(errors.slope_sd_deg) * frame[:, 1]])
+    # of equal size for the group and for the run
+    gain = (
+        (
+            ErrorAxis(math.sqrt(0.5), math.sqrt(0.5), (track.specimen, GROUP_GAIN, group)),
+            math.sqrt(2) * errors.gain_sd,
+        )
+        if track.guided and errors.gain_sd
+        else None
+    )
     try:
         whitening, log_norm = whiten(cov, free)
     except np.linalg.LinAlgError:
         raise _without_errors(dataset, track) from None
     curves, varies = (whitening @ session).T, likelihood.bevel_spread > 0
-    nodes = make_nodes(track, at, "fixed", bevel=varies, constants=len(curves), shared=axes)
+    nodes = make_nodes(track, at, "fixed", bevel=varies, constants=len(curves), shared=axes, gain=gain)
     whitening = whitening if operator is None else whitening @ operator
     return Observation(measured, cov, session, free, whitening, log_norm, dataset.pose, nodes, curves)
+
+
+def entry_covariance(track: TipTrack, depths: Floats, errors: TrackErrorsRecord) -> Floats:
+    """Return the covariance (K, K), mm^2, of errors by a yielding entry, at `depths` (K,) of the tip.
+
+    The tip is then off by an unknown length, and by an unknown part of how far the guide has moved. Both fade
+    with depth, over the same length over which they vary.
+    """
+    moved = np.interp(depths, track.depths, track.guide - track.guide[0])
+    fading = np.exp(-depths / errors.entry_length_mm)
+    size = np.array([np.full(len(depths), errors.entry_sd_mm), errors.entry_yield * moved]) * fading
+    return (size.T @ size) * Discrepancy(1.0, errors.entry_length_mm).covariance(depths)
 
 
 def add_headings(track: TipTrack, heading: Floats) -> tuple[Floats, Floats]:

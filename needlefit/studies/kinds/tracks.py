@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -29,7 +29,14 @@ from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import resample_draws, sample_about_fit
 from needlefit.inference.sampling.posterior import PERCENTILES, Posterior
 from needlefit.inference.sampling.sample import Snapshots, sample_from_fit
-from needlefit.inference.tracking import TrackDraws, draw_baseline, estimate_slopes, predict_readings
+from needlefit.inference.tracking import (
+    TrackDraws,
+    draw_baseline,
+    estimate_slopes,
+    list_columns,
+    predict_readings,
+    predict_runs,
+)
 from needlefit.project.checkpoint import Checkpoint, open_checkpoint
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
@@ -42,7 +49,7 @@ from needlefit.reporting.number_format import choose_printed_unit
 from needlefit.reporting.table import Table, part, pivot
 from needlefit.reporting.table_files import to_records
 from needlefit.reporting.text import KindText
-from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.recipe import RecipeRecord, TrackErrorsRecord
 from needlefit.schemas.tracks import TrackFitRecord, TrackStudyRecord
 from needlefit.studies.coverage import warn_if_too_wide
 from needlefit.studies.csv_tables import TableSchema
@@ -378,8 +385,11 @@ def _predict_runs(
 ) -> dict[str, list[Row]]:
     """Return rows of what every method makes of the runs of one fit, and of their readings."""
     problem, runs, readings = task.problem, list[Row](), list[Row]()
-    # predicted are readings, in a frame whose slope every method estimates from its own residuals
-    plain = problem.likelihood.model_copy(update={"measurement": "points", "bevel_spread": 0.0})
+    # readings up to `placed_by` mm locate a run in the tracker's frame; the others are scored
+    placed = [max(1, int(np.sum(track.depths <= placed_by))) for track in task.held]
+    # curves are of readings in a frame whose slope they estimate from their own residuals
+    exact = {"measurement": "points", "bevel_spread": 0.0, "tip_tracks": TrackErrorsRecord()}
+    plain = problem.likelihood.model_copy(update=exact)
     tuned, held = (
         tuple(make_observation(problem.dataset, track, likelihood=plain) for track in tracks)
         for tracks in (problem.insertions, task.held)
@@ -388,20 +398,23 @@ def _predict_runs(
         rng = random_stream(task.recipe.seed, name, task.name, method)
         if method in BASELINES:
             drawn = draw_baseline(BASELINES[method], tuned, task.held, PREDICTION_DRAWS, rng)
+            ahead = [
+                predict_readings(
+                    known, tip, drawn.scale, estimate_slopes(drawn, tuned, known.insertion), count, rng
+                )
+                for known, tip, count in zip(held, drawn.held_out, placed, strict=True)
+            ]
         else:
-            drawn = _draw_model_tips(task, draws, jobs, rng)
+            drawn, seen = _draw_model_tips(task, draws, tuned, jobs, rng)
+            ahead = predict_runs(drawn, *seen, placed, rng)
         head: Row = {"fit": task.name, "method": method}
         runs += [{**head, "role": "tune", **row} for row in tabulate_tuned(tuned, drawn)]
-        for track, known, deflection in zip(_tracks(held), held, drawn.held_out, strict=True):
-            # readings up to `placed_by` mm locate a run in the tracker's frame; the others are scored
-            placed = max(1, int(np.sum(track.depths <= placed_by)))
-            slope = estimate_slopes(drawn, tuned, track)
-            predicted = predict_readings(known, deflection, drawn.scale, slope, placed, rng)
+        for track, deflection, count, predicted in zip(task.held, drawn.held_out, placed, ahead, strict=True):
             mixture = predict.PredictiveMixture(predicted, np.zeros(predicted.shape[1]))
-            row = _describe_track(track, predicted.shape[1]) | _aligned_error(track, deflection, placed)
-            row |= _score_prediction(mixture, track.tip[placed:], rng)
+            row = _describe_track(track, predicted.shape[1]) | _aligned_error(track, deflection, count)
+            row |= _score_prediction(mixture, track.tip[count:], rng)
             found = [{**head, "role": "validate", **row}]
-            found += [{**head, **one} for one in _reading_rows(track, mixture, placed)]
+            found += [{**head, **one} for one in _reading_rows(track, mixture, count)]
             if draws.faults and method not in BASELINES:  # only certified draws predict intervals
                 found = [
                     {key: np.nan if key.startswith(_INTERVAL_KEYS) else x for key, x in one.items()}
@@ -412,26 +425,59 @@ def _predict_runs(
     return {"runs": runs, "readings": readings}
 
 
-def _draw_model_tips(
-    task: TrackTask, draws: predict.Draws, jobs: int, rng: np.random.Generator
-) -> TrackDraws:
-    """Return the model's draws; those of which a solve fails are left out.
+_SeenRuns = tuple[tuple[Observation, ...], tuple[Observation, ...]]
 
-    Runs fitted to have the needle's bevel, those predicted each one of their own.
-    """
+
+def _observe_readings(task: TrackTask, slope_sd: float) -> _SeenRuns:
+    """Return the runs fitted to and those predicted, by their readings, with the errors of the likelihood."""
     problem = task.problem
+    noise = replace(problem.dataset.noise, heading_sd=0.0, slope_sd=slope_sd)
+    likelihood = problem.likelihood.model_copy(update={"bevel_spread": 0.0, "measurement": "stored"})
+
+    def observe(tracks: Sequence[Insertion]) -> tuple[Observation, ...]:
+        return tuple(make_observation(problem.dataset, track, noise, likelihood) for track in tracks)
+
+    return observe(problem.insertions), observe(task.held)
+
+
+def _draw_model_tips(
+    task: TrackTask,
+    draws: predict.Draws,
+    plain: Sequence[Observation],
+    jobs: int,
+    rng: np.random.Generator,
+) -> tuple[TrackDraws, _SeenRuns]:
+    """Return the model's draws, and the runs with their errors; draws of which a solve fails are left out.
+
+    Runs fitted to, `plain` in frames of any slope, have the needle's bevel, those predicted each one of their
+    own. How much slopes differ between runs is estimated where the dataset does not state it.
+    """
+    problem, slope_sd = task.problem, task.problem.dataset.noise.slope_sd
     sets = [problem.values(theta) for theta in draws.thetas]
+    seen = _observe_readings(task, slope_sd)
 
-    def simulate(sets: Sequence[Mapping[str, float]], runs: Sequence[Insertion]) -> tuple[Floats, ...]:
-        depths = [run.planar[:, 0] for run in runs]
-        return simulate_deflections(sets, problem.medium, problem.dataset.needle, runs, depths, jobs)
+    def simulate(sets: Sequence[Mapping[str, float]], some: Sequence[Observation]) -> Iterator[Floats]:
+        pairs = [pair for one in some for pair in zip(one.nodes.insertions, one.nodes.s, strict=True)]
+        every, depths = [run for run, _ in pairs], [at for _, at in pairs]
+        curves = iter(simulate_deflections(sets, problem.medium, problem.dataset.needle, every, depths, jobs))
+        for one in some:
+            yield np.stack([next(curves) for _ in one.nodes.s], axis=1)  # (B, m, n)
 
-    tuned, held = simulate(sets, problem.insertions), list[Floats]()
-    for one in task.held:
-        held += simulate(vary_bevels(sets, problem.new_bevel_sd, rng), (one,))
-    good = np.all([np.isfinite(one).all(axis=1) for one in (*tuned, *held)], axis=0)
+    tuned, held = list(simulate(sets, seen[0])), list[Floats]()
+    for one in seen[1]:
+        held += simulate(vary_bevels(sets, problem.new_bevel_sd, rng), [one])
+    good = np.all([np.isfinite(one).all(axis=(1, 2)) for one in (*tuned, *held)], axis=0)
     scale = np.array([values.get(NOISE_SCALE, 1.0) for values in sets])[good]
-    return TrackDraws(tuple(one[good] for one in tuned), tuple(one[good] for one in held), scale)
+    tips = [tuple(curves[good, 0] for curves in some) for some in (tuned, held)]
+    drawn = TrackDraws(tips[0], tips[1], scale, alike=True)
+    if not slope_sd:
+        slope_sd = float(np.sqrt(np.median(estimate_slopes(drawn, plain).variance)))
+        seen = _observe_readings(task, slope_sd)
+    columns = [
+        tuple(list_columns(one, curves[good]) for one, curves in zip(known, some, strict=True))
+        for known, some in zip(seen, (tuned, held), strict=True)
+    ]
+    return replace(drawn, tuned_columns=columns[0], held_out_columns=columns[1]), seen
 
 
 def tabulate_tuned(tuned: Sequence[Observation], drawn: TrackDraws) -> Iterator[Row]:
