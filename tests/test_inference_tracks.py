@@ -383,6 +383,23 @@ def test_no_estimate_where_no_needle_is_found() -> None:
     assert tracking.estimate_parameters(needle, np.array([[10.0, 0.1]]), prior, TIP_NOISE) is None
 
 
+def test_a_run_into_another_specimen_has_other_parameters(runs):
+    one = problem(runs[:1])
+    one = replace(one, dataset=replace(one.dataset, noise=SESSION_NOISE))
+    elsewhere = replace(runs[1], id="other", specimen="other")
+    recipe = RecipeRecord.model_validate({"schema": 1, "specimens": {"bevel_factor": 1.01}})
+    task = TrackTask("one", one, (runs[1], elsewhere), recipe)
+    draws = Draws(np.tile(THETA, (400, 1)), "posterior")
+    drawn, _ = tracks._draw_model_tips(task, draws, (), 1, np.random.default_rng(1))
+    here, there = (tips[:, -1] for tips in drawn.held_out)
+    assert np.ptp(here) < 1e-9 and np.std(there) > 0.05
+    moved = tracks._move_to_specimen(task, draws, "other", np.random.default_rng(1))
+    # T from its prior, about a mean that is as uncertain: E[tau^2] = (ln 2)^2, twice
+    spread = np.std([np.log(values["mu1_pa"]) for values in moved])
+    assert spread == pytest.approx(np.sqrt(2) * np.log(2), rel=0.15)
+    assert [values["guide_distance_mm"] for values in moved] == pytest.approx([20.0] * 400)
+
+
 class Groups:
     """Runs with the errors of the likelihood about the truth, drawn group by group."""
 

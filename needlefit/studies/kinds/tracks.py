@@ -29,6 +29,7 @@ from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import resample_draws, sample_about_fit
 from needlefit.inference.sampling.posterior import PERCENTILES, Posterior
 from needlefit.inference.sampling.sample import Snapshots, sample_from_fit
+from needlefit.inference.specimens import SpreadModel, draw_population
 from needlefit.inference.tracking import (
     TrackDraws,
     draw_baseline,
@@ -465,7 +466,8 @@ def _draw_model_tips(
 
     tuned, held = list(simulate(sets, seen[0])), list[Floats]()
     for one in seen[1]:
-        held += simulate(vary_bevels(sets, problem.new_bevel_sd, rng), [one])
+        further = _move_to_specimen(task, draws, one.insertion.specimen, rng) or sets
+        held += simulate(vary_bevels(further, problem.new_bevel_sd, rng), [one])
     good = np.all([np.isfinite(one).all(axis=(1, 2)) for one in (*tuned, *held)], axis=0)
     scale = np.array([values.get(NOISE_SCALE, 1.0) for values in sets])[good]
     tips = [tuple(curves[good, 0] for curves in some) for some in (tuned, held)]
@@ -478,6 +480,19 @@ def _draw_model_tips(
         for known, some in zip(seen, (tuned, held), strict=True)
     ]
     return replace(drawn, tuned_columns=columns[0], held_out_columns=columns[1]), seen
+
+
+def _move_to_specimen(
+    task: TrackTask, draws: predict.Draws, specimen: str, rng: np.random.Generator
+) -> list[dict[str, float]]:
+    """Return the draws' sets of values in a specimen that was not tuned on; none if it was."""
+    problem, stated = task.problem, task.recipe.specimens
+    if specimen in {one.specimen for one in problem.insertions}:
+        return []
+    sds = math.log(stated.modulus_factor), math.log(stated.bevel_factor)
+    model, posteriors = SpreadModel.of(problem.parameters, *sds), {"": draws.thetas}
+    moved = draw_population(problem.parameters, model, posteriors, len(draws.thetas), rng)
+    return [problem.values(theta) for theta in moved.new]
 
 
 def tabulate_tuned(tuned: Sequence[Observation], drawn: TrackDraws) -> Iterator[Row]:
