@@ -14,7 +14,7 @@ from test_inference_identify import COVARIANCE, fit_at, predict_data, tied_probl
 from test_inference_importance import weighted
 from test_inference_optimize import squares, valley
 from test_inference_predict import measured as bent
-from test_inference_specimens import population
+from test_inference_specimens import BOUNDS, MODEL, gaussian
 from test_inference_tracks import make_readings, tracked
 
 from needlefit.datasets.insertion import Noise
@@ -30,6 +30,7 @@ from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import PredictiveMixture, cdf, crps, draw_from_prior, interval, quantile
 from needlefit.inference.problem import make_problem
 from needlefit.inference.sampling.importance import resample
+from needlefit.inference.specimens import Population, make_specimen
 from needlefit.project.locate import find_file
 from needlefit.schemas.dataset import MeasurementRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
@@ -58,7 +59,9 @@ def test_verdicts_profiles_and_designs():
 def test_gains_specimens_and_materials():
     thetas = rng().multivariate_normal([0.0, 0.0], COVARIANCE, size=200)
     of, by_depth = np.arange(60), np.array([0.5, -1.0, 2.0])
-    posterior = population(0.4, 5, 3).posterior(rng())
+    means = rng().multivariate_normal([10.0, -1.6], np.diag([0.16, 0.04]), size=5)
+    known = [make_specimen(gaussian(mean, COVARIANCE, n)[::10]) for n, mean in enumerate(means)]
+    posterior = Population(tuple(known), BOUNDS, MODEL).posterior(rng())
     fits = {str(alpha): fit_specimen(specimen(alpha, 0.8, 0.01), "nominal") for alpha in (-5.0, 3.0, 12.0)}
     estimates = [np.array([np.log(fit.mu), fit.alpha]) for fit in fits.values()]
     found = {

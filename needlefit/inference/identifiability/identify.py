@@ -4,7 +4,8 @@ A parameter is called determined if the shapes could determine it (its standard 
 `MAX_LOG_SD` in the logarithm, `MAX_SHAPE_SD` for shape parameters of a law, and below the part
 `MAX_SD_RATIO` of the prior's), if it stays so with ties loosened and an error of the model (`conditions`), if
 the starts that ended within tolerance of the best agree on it (their range is below `MAX_RANGE_SD` such
-deviations), and if it does not lie at a bound.
+deviations), and if it does not lie at a bound. Of several specimens it is the mean over them; it must be as
+well known in a further one.
 
 Standard deviations and directions are those of the posterior's draws where there are any and no bound cuts
 them off, else by the information. That is J^T J of the whitened residuals plus that of the stated prior or,
@@ -32,6 +33,7 @@ from needlefit.inference.identifiability.precision import (
     MAX_LOG_SD,
     MAX_SD_RATIO,
     MAX_SHAPE_SD,
+    MEAN_OF_SPECIMENS,
     UNINFORMED_SD_RATIO,
     Direction,
     Loosened,
@@ -93,8 +95,13 @@ class Identifiability:
     loosened: tuple[Loosened, ...] = ()
 
 
-def identify(problem: Problem, fit: Fit, draws: Floats | None = None) -> Identifiability:
-    """Return what the data determine at the best point of a fit, given `draws` (B, P) of its posterior."""
+def identify(
+    problem: Problem, fit: Fit, draws: Floats | None = None, further: Floats | None = None
+) -> Identifiability:
+    """Return what the data determine at the best point of a fit, given `draws` (B, P) of its posterior.
+
+    Where several specimens were fitted these are of their mean, and `further` (B, P) are in another specimen.
+    """
     theta, names = np.array(fit.theta), problem.names
     noisy = add_estimated_noise(problem, theta)
     known, information, chi_square = compute_sds(noisy, theta, draws)
@@ -111,6 +118,9 @@ def identify(problem: Problem, fit: Fit, draws: Floats | None = None) -> Identif
         n: informed[n] and sds[n] < limits[n] and ranges[n] < MAX_RANGE_SD * limits[n] for n in names
     }
     loosened = loosen(noisy, theta, sds) if any(nominally.values()) else ()
+    if loosened and further is not None:
+        apart = dict(zip(names, np.std(further, axis=0).tolist(), strict=True))
+        loosened = (Loosened(MEAN_OF_SPECIMENS, apart), *loosened)
     conditions = {n: find_condition(n, prior.sd(n), loosened) if nominally[n] else "" for n in names}
     determined = {n: nominally[n] and not conditions[n] for n in names}
     conditions |= find_tie_conditions(problem.parameters, determined, conditions, loosened)

@@ -298,6 +298,7 @@ MODEL_ERROR_LENGTH_MM = 15.0
 MIN_MODEL_ERROR = 0.01
 
 #: assumptions without which a parameter is not determined
+MEAN_OF_SPECIMENS = "determined only as the mean of specimens, which differ"
 STATED_TIES = "determined only under the stated ties"
 NO_MODEL_ERROR = "determined only if the model has no error"
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from needlefit.arrays import Floats
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_start, read_starts
 from needlefit.inference.identifiability.identify import (
     LOG_POSTERIOR_TOLERANCE,
@@ -163,9 +164,8 @@ class _StudyRun:
     search_faults: dict[str, list[str]] = field(default_factory=dict)
     counts: ValidityCounts = field(default_factory=ValidityCounts)
     needles: dict[str, NeedleInScan] = field(default_factory=dict)
-    #: posteriors of single specimens, which folds share, and the folds whose specimens differ
+    #: posteriors of single specimens, which folds share
     specimens: dict[tuple[str, ...], Draws] = field(default_factory=dict)
-    separate: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         floors = {insertion.id: self.job.floor(insertion) for insertion in self.job.insertions}
@@ -190,7 +190,7 @@ class _StudyRun:
         self.interrupted = self.interrupted or settings.stop()
         if settings.sample and not self.interrupted:
             self.interrupted = self._sample(fold, fits["fitted"])
-        posterior, few = self.posteriors.get(fold.name), None
+        posterior, few, further = self.posteriors.get(fold.name), None, None
         known = "fitted" in fits and math.isfinite(fits["fitted"].objective)
         if known and (fold.validate or not self.interrupted):
             few, many = draw_fold_parameters(job, fold, fits["fitted"], posterior, settings)
@@ -198,12 +198,12 @@ class _StudyRun:
             if not few.faults:  # of what is not certified nothing is predicted
                 self._predict(fold, few, specimens)
                 few, many = specimens.replace_mean(few), specimens.replace_mean(many)
-                self.separate |= {fold.name} if specimens.separate else set()
+                further = specimens.population.new if specimens.separate and not few.faults else None
             self._tabulate_draws(fold, many, specimens)
         self._tabulate_searches(fold, profiles)
         usable = {name: fit for name, fit in fits.items() if math.isfinite(fit.objective)}
         if known:
-            self._tabulate_fit(fold, usable["fitted"], profiles, few)
+            self._tabulate_fit(fold, usable["fitted"], profiles, few, further)
         if "fitted_metric" in usable:
             self.rows["parameters"] += _metric_rows(job, fold, usable["fitted_metric"])
         self.rows["parameters"] += _published_rows(job, fold, usable.get("hand_tuned_b"))
@@ -329,13 +329,20 @@ class _StudyRun:
         if faults:
             self.search_faults[fold.name] = faults
 
-    def _tabulate_fit(self, fold: Fold, fit: Fit, profiles: FitProfiles | None, draws: Draws | None) -> None:
+    def _tabulate_fit(
+        self,
+        fold: Fold,
+        fit: Fit,
+        profiles: FitProfiles | None,
+        draws: Draws | None,
+        further: Floats | None,
+    ) -> None:
         """Add the fitted parameters of a fold and what the data determine.
 
         They are judged by the posterior's `draws`; without certified ones, by the information.
         """
         job, problem = self.job, self.job.problem(fold)
-        verdict = identify(problem, fit, draws.certified if draws else None)
+        verdict = identify(problem, fit, draws.certified if draws else None, further)
         judgements: Mapping[str, Assessment] = {}
         judged: list[Row] = []
         if profiles is not None:
@@ -350,7 +357,7 @@ class _StudyRun:
         ]
         fitted = _fitted_rows(job, fold, fit, verdict, judgements)
         # the sampler's posterior has one set of parameters, specimens that differ have several
-        posterior = None if fold.name in self.separate else self.posteriors.get(fold.name)
+        posterior = self.posteriors.get(fold.name) if further is None else None
         sampled = intervals_of_draws(job.parameters, draws, posterior)
         add_intervals(fitted, judged, sampled, job.parameters.ties)
         self.rows["identification"] += judged
