@@ -85,6 +85,7 @@ def score_all(insertions: list[dict], fold: int, methods: tuple[str, ...], compa
                 key["boundaries"] = boundaries
                 ok = one.get("converged", True) or method != "fitted"
                 about = {k: one[k] for k in ("medium", "specimen", "layers", "depth_mm")}
+                about["hole"] = one["insertion"]
                 about["layers_other"] = one.get("layers_other", one["layers"])
                 errors.append(key | about | {"comparison": comparison} | scores(points, ok))
                 if ok:
@@ -278,6 +279,7 @@ def with_predictions(results: Run, levels: tuple[float, ...] = (0.1, 0.4, 0.7, 0
         level = levels[n % len(levels)]
         row = {name: one[name] for name in ("fold", "insertion", "specimen", "medium", "layers", "depth_mm")}
         row |= {"draw_source": "importance", "certified": True, "draws": 100, "failed_solves": 0}
+        row |= {"hole": one["hole"]}
         tip, half = float(one["deflection_mm"]), 0.3
         row |= {"tip_measured_mm": tip, "tip_median_mm": tip, "tip_crps_mm": 0.1, "shape_crps_mm": 0.1}
         row |= {

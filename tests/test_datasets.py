@@ -119,9 +119,10 @@ def test_what_an_insertion_has_for_itself_is_written_and_read(tmp_path):
     moved = row("a", "given", layers=2, entry=shift, direction=turn[:, 0])
     file = write_dataset(tmp_path, record(), [moved], {"a": CURVE @ turn.T + shift}, SURFACES)
     np.testing.assert_allclose(read(file).insertions[0].planar, CURVE[:, :2], atol=2e-4)
-    rows = [row("a", base_moved=-12.5), row("b")]
+    rows = [row("a", base_moved=-12.5, hole="first"), row("b")]
     a, b = read(write_dataset(tmp_path, record(), rows, dict.fromkeys("ab", CURVE), SURFACES)).insertions
     assert (a.base_moved, b.base_moved) == (-12.5, 0.0)
+    assert (a.hole, b.hole) == ("first", "")
     # A third of a turn about (1, 1, 1) takes x to y, y to z, z to x.
     turned = Frame(np.array([-0.5, 0, 0]), np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]))
     file = write_dataset(

@@ -9,7 +9,13 @@ import pytest
 from docs_scripts import load_script
 
 from needlefit.cli.application import build
-from needlefit.datasets.columns import BASE_SHIFT_COLUMN, INSERTION_COLUMNS, SCAN_COLUMNS, SHARED_COLUMN
+from needlefit.datasets.columns import (
+    BASE_SHIFT_COLUMN,
+    HOLE_COLUMN,
+    INSERTION_COLUMNS,
+    SCAN_COLUMNS,
+    SHARED_COLUMN,
+)
 from needlefit.imaging.scans import SCAN_COLUMNS as TABLE_COLUMNS
 from needlefit.imaging.scans import STAGE_COLUMNS
 from needlefit.project.help_pages import read_input_columns
@@ -128,8 +134,7 @@ def test_every_column_that_is_read_is_explained():
         table: {name for one in columns for name in re.split(r", | or ", one.column)}
         for table, columns in itertools.groupby(read_input_columns(), lambda one: one.table)
     }
-    assert {*INSERTION_COLUMNS, SHARED_COLUMN, BASE_SHIFT_COLUMN, *SCAN_COLUMNS} == explained[
-        "insertions.csv"
-    ]
+    further = {SHARED_COLUMN, HOLE_COLUMN, BASE_SHIFT_COLUMN}
+    assert {*INSERTION_COLUMNS, *further, *SCAN_COLUMNS} == explained["insertions.csv"]
     stated = explained["scans.csv"] | set(STAGE_COLUMNS) | explained["insertions.csv"]
     assert set(TABLE_COLUMNS) <= stated

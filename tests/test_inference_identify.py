@@ -181,7 +181,7 @@ def test_needles_that_differ_widen_the_deviations_and_repeats_of_one_do_not_coun
 
 
 def test_few_pieces_and_no_free_parameters():
-    assert group_independent(["a", "b", "c"], ["piece", "piece", "piece"]) == ("a", "b", "c")
+    assert group_independent(["a", "a", "c"], ["piece", "piece", "piece"]) == ("a", "a", "c")
     holes = [f"hole{n // 2}" for n in range(10)]
     assert group_independent([str(n) for n in range(10)], holes) == tuple(holes)
     record = medium(1, mu1_pa={"fixed": 3e5}, bevel_mm={"fixed": 0.08})

@@ -74,6 +74,7 @@ def two_needles(errors_mm=(1.0, 3.0), deflections_mm=(2.0, 1.0), converged=(True
     template = errors.query("role == 'validate' and method == 'fitted' and boundaries == 'measured'")
     for i, (error, bend) in enumerate(zip(errors_mm, deflections_mm, strict=True)):
         row = template.iloc[0].to_dict() | {"insertion": f"needle{i}", "layers": 3}
+        row["hole"] = row["insertion"]
         row |= dict.fromkeys(("median_err_mm", "ipe_mean_mm", "ipe_max_mm", "te_mm"), error)
         row |= {"ipe_std_mm": 0.0, "edp_percent": 100 * error / bend, "deflection_mm": bend}
         rows.append(row | {"edp_flagged": bend < 0.1, "converged": converged[i]})

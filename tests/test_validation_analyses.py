@@ -717,13 +717,13 @@ def test_posterior_uncertainty_adds_up_over_needles_that_share_it():
 
 def test_repeats_are_never_on_both_sides_and_there_are_no_more_folds_than_needles():
     many = tuple(replace(insertion(30.0 + k), specimen=f"hole {k % 5}") for k in range(15))
-    for fold in deal_folds(many, 3):
+    for fold in deal_folds(many, [one.specimen for one in many], 3):
         assert not {one.specimen for one in fold.tune} & {one.specimen for one in fold.validate}
         assert len(fold.tune) + len(fold.validate) == 15
     block = tuple(replace(insertion(30.0 + k), specimen="one block") for k in range(4))
-    assert [len(fold.validate) for fold in deal_folds(block, 4)] == [1, 1, 1, 1]
-    with pytest.raises(ConfigError, match=r"5 folds .*4 needles"):
-        deal_folds(block, 5)
+    assert [len(fold.validate) for fold in deal_folds(block, list("abcd"), 4)] == [1, 1, 1, 1]
+    with pytest.raises(ConfigError, match=r"5 folds .*4 groups"):
+        deal_folds(block, list("abcd"), 5)
 
 
 def _curved(depth, side=1):
@@ -835,7 +835,7 @@ def compared():
     for k in range(4):
         planned = measure(TRUTH, medium(layers=1), insertion(34.0 + 6 * k, side=(1, -1)[k % 2]), points=21)
         made.append(simulate_measurement(dataset([planned]), planned, TRUTH, medium(layers=1), rng))
-    job = comparison_job(tuple(made), deal_folds(tuple(made), 2))
+    job = comparison_job(tuple(made), deal_folds(tuple(made), list("abcd"), 2))
     return run_analysis("cases", record, Settings(), plan_comparison(record, job, Settings()))
 
 

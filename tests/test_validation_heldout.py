@@ -10,7 +10,7 @@ import pytest
 from inference_cases import TRUTH, assert_one_density, dataset, insertion, measure, medium, problem
 
 from needlefit.datasets.insertion import Noise
-from needlefit.datasets.select import find_repeats
+from needlefit.datasets.select import find_repeats, group_insertions, name_holes
 from needlefit.inference.compared_points import read_points
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.nodes import shift_depths
@@ -262,10 +262,18 @@ def holes(depths=(32.0, 36.0), factors=(1.0,) * 5):
     ]
 
 
-def test_repeats_are_depths_of_one_specimen_among_several():
+def test_repeats_are_depths_of_one_hole():
     made = holes()
     assert find_repeats(dataset(made)) == {one.id: (one.specimen, NAMES.index(one.specimen)) for one in made}
-    assert find_repeats(dataset(made[:8])) == {}  # four specimens alone
+    few = made[:8]  # four specimens: where the pose is known, the entry decides
+    assert name_holes(dataset(few)) == {one.id: f"{one.specimen}32" for one in few}
+    assert group_insertions(dataset(few), few) == tuple(f"{one.specimen}32" for one in few)
+    assert find_repeats(dataset(few, pose="free")) == {}
+    stated = [replace(one, hole=f"{number % 2}", specimen="piece") for number, one in enumerate(few)]
+    for pose in ("known", "free"):
+        assert set(name_holes(dataset(stated, pose=pose)).values()) == {few[0].id, few[1].id}
+    partly = [replace(one, hole="") for one in stated[:2]] + stated[2:]
+    assert len(set(name_holes(dataset(partly)).values())) == 4
     assert find_repeats(dataset([replace(one, depth=30.0) for one in made])) == {}
     apart = [replace(one, frame=replace(one.frame, origin=np.array([0, one.depth, 0]))) for one in made]
     assert find_repeats(dataset(apart)) == {}

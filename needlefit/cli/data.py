@@ -273,10 +273,12 @@ def _join_range(counts: Sequence[int]) -> str:
 def _check_dataset(invocation: Invocation, path: Path) -> None:
     from needlefit.datasets.read import inspect
     from needlefit.datasets.sections import describe_measurement
+    from needlefit.datasets.select import describe_holes
 
     found = inspect(path)
     faults, warnings = found.faults, found.warnings
     measured = "" if found.dataset is None else describe_measurement(found.dataset)
+    holes = "" if found.dataset is None else describe_holes(found.dataset)
     if invocation.json:
         keys = ("where", "what", "expected", "fix")
         rows = [{key: str(getattr(fault, key)) for key in keys} for fault in faults]
@@ -285,6 +287,7 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
                 "dataset": str(path),
                 "ok": not faults,
                 "measurement": measured,
+                "holes": holes,
                 "faults": rows,
                 WARNINGS_KEY: to_rows(warnings),
             }
@@ -299,12 +302,12 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
             screen.print_line(str(error))
     screen.print_warnings(invocation, warnings)
     if found.dataset is not None and not faults and not invocation.json:
-        _show(found.dataset, measured)
+        _show(found.dataset, measured, holes)
     if faults:
         raise typer.Exit(DataError.exit_code)
 
 
-def _show(dataset: "Dataset", measured: str) -> None:
+def _show(dataset: "Dataset", measured: str, holes: str) -> None:
     """Print a row per medium and number of layers: insertions, specimens, depths and deflections."""
     import pandas as pd
 
@@ -325,6 +328,8 @@ def _show(dataset: "Dataset", measured: str) -> None:
     screen.print_text(f"{origin}: {dataset.title}")
     screen.show_display(table, notes=False)
     screen.print_text(f"Measurement: {measured}.")
+    if holes:
+        screen.print_text(f"Holes: {holes}.")
 
 
 # ---- twin

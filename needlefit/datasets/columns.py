@@ -24,8 +24,9 @@ SCAN_SHIFT_COLUMNS = ("scan_x_mm", "scan_y_mm", "scan_z_mm")
 SCAN_COLUMNS = (*SCAN_ROTATION_COLUMNS, *SCAN_SHIFT_COLUMNS)
 # Columns every table of insertions has; with a known pose those of `POSE_COLUMNS` too.
 REQUIRED_COLUMNS = ("id", "medium", "layers", "depth_mm")
-# The columns of `insertions.csv` in the order in which they are written; `SHARED_COLUMN` follows where it is
-# stated, `BASE_SHIFT_COLUMN` where any base was moved, `SCAN_COLUMNS` where any insertion has its own motion.
+# The columns of `insertions.csv` in the order in which they are written. `SHARED_COLUMN` and `HOLE_COLUMN`
+# follow where they are stated, `BASE_SHIFT_COLUMN` where any base was moved, `SCAN_COLUMNS` where any
+# insertion has its own motion.
 INSERTION_COLUMNS = (
     *("id", "medium", "specimen", "layers", "layers_alternative", "depth_mm", "bevel_side"),
     *(*ENTRY_COLUMNS, *DIRECTION_COLUMNS, *BEVEL_COLUMNS),
@@ -33,7 +34,7 @@ INSERTION_COLUMNS = (
     *("boundary_sd_mm", "depth_sd_mm", "guide_distance_mm"),
 )
 SHARED_COLUMN = "boundary_shared_sd_mm"
-
+HOLE_COLUMN = "hole"
 BASE_SHIFT_COLUMN = "base_moved_mm"
 
 # The columns of single numbers: the field of `InsertionRow`, and the value of an empty cell. NaN: the field
@@ -90,4 +91,5 @@ class InsertionRow:
     # The patient coordinates (LPS) of its scan in the world; None: that of `[frame] lps_to_world`.
     patient: Frame | None = None
     base_moved: float = 0.0
+    hole: str = ""  # the same in rows of one specimen: one insertion, measured at several depths
     line: int = 0  # line of the file that it comes from, 0 if from none

@@ -13,6 +13,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import (
     BASE_SHIFT_COLUMN,
+    HOLE_COLUMN,
     INSERTION_COLUMNS,
     NUMBER_COLUMNS,
     POINT_COLUMNS,
@@ -393,7 +394,7 @@ def find_column_warnings(
     """
     rows, points = record.insertions, record.centerlines
     of_curve, one_table = (*POINT_COLUMNS, SD_COLUMN), rows.file is None
-    of_row = (*INSERTION_COLUMNS, SHARED_COLUMN, BASE_SHIFT_COLUMN, *SCAN_COLUMNS)
+    of_row = (*INSERTION_COLUMNS, SHARED_COLUMN, HOLE_COLUMN, BASE_SHIFT_COLUMN, *SCAN_COLUMNS)
     if of_points and points.file is not None and one_table:
         return  # one table, which was looked through with the insertions
     ours: list[str] = []

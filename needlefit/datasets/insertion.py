@@ -107,6 +107,9 @@ class Insertion:
     sections : SplineSections or None
         The cross-sections through which a smoothing spline was drawn, world, arc lengths from first contact;
         where they are known, they are the measurement, and `centerline` is that spline.
+    hole : str
+        Name of its hole, unique within the specimen; insertions of one hole are one, measured at several
+        depths. Empty where the table does not state it.
     bevel_factor : float
         What the needle's bevel offset is multiplied by in this insertion; 1 as measured.
     """
@@ -136,6 +139,7 @@ class Insertion:
     base_moved: float = 0.0
     sections: SplineSections | None = None
     boundary_shared_sd: float | None = None
+    hole: str = ""
     bevel_factor: float = 1.0
 
     def with_planar(self, planar: Floats) -> Self:

@@ -11,6 +11,7 @@ from needlefit.datasets.columns import (
     BEVEL_COLUMNS,
     DIRECTION_COLUMNS,
     ENTRY_COLUMNS,
+    HOLE_COLUMN,
     ID_PATTERN,
     NUMBER_COLUMNS,
     POSE_COLUMNS,
@@ -85,13 +86,13 @@ def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[In
     turn, shift = vectors(SCAN_ROTATION_COLUMNS, math.nan), vectors(SCAN_SHIFT_COLUMNS, math.nan)
     entry, direction = (vectors(ENTRY_COLUMNS), vectors(DIRECTION_COLUMNS)) if pose_known else (None, None)
     numbers = {name: column(name, default) for name, (_, default) in NUMBER_COLUMNS.items()}
-    side, ids = column("bevel_side", 1.0), texts("id")
+    side, ids, holes = column("bevel_side", 1.0), texts("id"), texts(HOLE_COLUMN)
     sources = texts("pose_source") if pose_known else ["none"] * len(ids)
     return [
         InsertionRow(
             id=ids[n],
             medium=medium,
-            specimen=specimen or ids[n],
+            specimen=specimen or holes[n] or ids[n],
             layers=_to_int(layers[n]),
             layers_alternative=_to_int(layers[n] if np.isnan(alternative[n]) else alternative[n]),
             side=_to_int(side[n]),
@@ -100,6 +101,7 @@ def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[In
             bevel=None if np.isnan(bevel[n]).all() else bevel[n],
             pose_source=sources[n],  # type: ignore[arg-type]  # checked with the row
             patient=_make_patient_frame(turn[n], shift[n]),
+            hole=holes[n],
             line=int(table.lines[n]),
             **{
                 field: _to_field(name, float(numbers[name][n]), default)
@@ -141,9 +143,9 @@ def _find_row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> It
             "at most 100 letters, digits, `.`, `_`, `-`: it names a file",
             "rename it, and its centreline with it",
         )
-    fault = name_fault(row.specimen)
-    if fault:
-        yield Fault(where, f"specimen is {row.specimen!r}: {fault}", EXPECTED_NAME, "rename it")
+    for name, value in (("specimen", row.specimen), (HOLE_COLUMN, row.hole)):
+        if (value or name == "specimen") and (fault := name_fault(value)):
+            yield Fault(where, f"{name} is {value!r}: {fault}", EXPECTED_NAME, "rename it")
     if row.medium not in record.media:
         listed = ", ".join(record.media) or "(none)"
         fix = "correct it, or add a table [media.NAME] to dataset.toml"

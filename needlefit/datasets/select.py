@@ -1,8 +1,10 @@
 """Select the insertions of a dataset for a fit or a study, and group insertions that are not independent."""
 
 from collections.abc import Iterable, Sequence
+from typing import Literal
 
 import numpy as np
+import pandas as pd
 
 from needlefit.datasets.insertion import Dataset, Insertion, TipTrack
 from needlefit.errors import ConfigError
@@ -109,40 +111,124 @@ def _require_known(kind: str, wanted: Iterable[str], known: Iterable[str]) -> No
 
 
 MIN_GROUPS = 5  # least number of groups from which the scatter between groups is estimated
+ENTRY_DECIMALS = 3  # to which places, mm, and unit directions of one entry agree
 
 
-def group_independent(insertions: Sequence[str], specimens: Sequence[str]) -> tuple[str, ...]:
-    """Return the group of each insertion: its specimen if there are enough specimens, else the insertion
-    itself.
+def group_independent(holes: Sequence[str], specimens: Sequence[str]) -> tuple[str, ...]:
+    """Return the group of each insertion: its specimen if there are enough specimens, else its hole.
 
-    Repeats in one specimen (one hole at several depths) are no independent observations; but where
-    everything went into a few pieces, the insertions are all there is.
+    Several depths of one hole (`name_holes`) are no independent observations. Nor are holes in one specimen;
+    but where everything went into a few specimens, the holes are all there is.
     """
-    return tuple(specimens) if len(set(specimens)) >= MIN_GROUPS else tuple(insertions)
+    return tuple(specimens if len(set(specimens)) >= MIN_GROUPS else holes)
+
+
+def group_rows(table: pd.DataFrame) -> tuple[str, ...]:
+    """Return the independent group of each row of a table of results.
+
+    In tables of earlier versions, which have no column `hole`, every insertion is a hole.
+    """
+    holes = table["hole" if "hole" in table else "insertion"]
+    return group_independent(list(holes), list(table["specimen"]))
+
+
+HoleSource = Literal["stated", "entry", "assumed", "separate"]
+"""How the insertions of a medium were divided into holes: by their column `hole`, by the entry pose, by
+specimen and bevel side, or not at all."""
+
+
+def find_hole_source(dataset: Dataset, medium: str) -> HoleSource:
+    """Return how the insertions of a medium are divided into holes; all by the column where a row has it."""
+    into = [one for one in dataset.insertions if one.medium == medium]
+    if any(one.hole for one in into):
+        return "stated"
+    if any(isinstance(one, TipTrack) for one in into):
+        return "separate"
+    if dataset.pose == "known":
+        return "entry"
+    # in a few specimens, separate insertions to different depths would be joined
+    return "assumed" if len({one.specimen for one in into}) >= MIN_GROUPS else "separate"
 
 
 def find_repeats(dataset: Dataset) -> dict[str, tuple[str, int]]:
     """Return which insertions of a dataset are one insertion, measured at several depths, by their ids.
 
-    Of each its specimen, and a number in it. They went into one of several specimens (`group_independent`, of
-    one medium) with the bevel on the same side, to different depths, and from one place where that is known.
-    A tip track is a whole insertion.
+    Of each its specimen, and a number in it. They have the same `hole` where the medium states it. Else they
+    went into one specimen with the bevel on the same side, to different depths, and, where the pose is known,
+    from the same entry in the same direction. A tip track is a whole insertion.
     """
     found: dict[str, tuple[str, int]] = {}
     for medium in dict.fromkeys(one.medium for one in dataset.insertions):
-        into = [one for one in dataset.insertions if one.medium == medium and not isinstance(one, TipTrack)]
-        if len({one.specimen for one in into}) < MIN_GROUPS:
-            continue
+        source = find_hole_source(dataset, medium)
         holes: list[list[Insertion]] = []
-        for one in into:
-            own = next((hole for hole in holes if _is_one_hole(dataset, hole, one)), None)
+        by_key: dict[tuple[object, ...], list[list[Insertion]]] = {}
+        for one in dataset.insertions:
+            if one.medium != medium:
+                continue
+            alike = by_key.setdefault(_make_hole_key(source, one), [])
+            own = next((hole for hole in alike if source == "stated" or _has_other_depths(hole, one)), None)
             if own is None:
-                holes.append([one])
-            else:
-                own.append(one)
+                own = []
+                alike.append(own)
+                holes.append(own)
+            own.append(one)
         for number, hole in enumerate(holes):
             found |= {one.id: (one.specimen, number) for one in hole if len(hole) > 1}
     return found
+
+
+def _make_hole_key(source: HoleSource, one: Insertion) -> tuple[object, ...]:
+    """Return what insertions of one hole have in common."""
+    if source == "separate" or (source == "stated" and not one.hole):
+        return (one.id,)
+    if source == "stated":
+        return (one.specimen, one.hole)
+    entry = np.concatenate([one.frame.origin, one.frame.rotation[:, 0]]).round(ENTRY_DECIMALS)
+    # adding 0 makes -0 the same as 0
+    return (one.specimen, one.side, *((entry + 0.0).tolist() if source == "entry" else ()))
+
+
+def _has_other_depths(hole: Sequence[Insertion], one: Insertion) -> bool:
+    """Return whether no insertion into a hole is as deep as this one, which then is another hole."""
+    return all(part.depth != one.depth for part in hole)
+
+
+def name_holes(dataset: Dataset) -> dict[str, str]:
+    """Return the hole of each insertion of a dataset, by ids: the id of the first insertion into it."""
+    first: dict[tuple[str, int], str] = {}
+    bevels = zip(dataset.insertions, list_bevels(dataset, dataset.insertions), strict=True)
+    return {one.id: first.setdefault(bevel, one.id) for one, bevel in bevels}
+
+
+_HOLE_SOURCES: dict[HoleSource, str] = {
+    "stated": "by the column `hole`",
+    "entry": "depths from one entry pose, with one bevel side, are one hole",
+    "assumed": "assumed: depths in one specimen, with one bevel side, are one hole; else state column `hole`",
+    "separate": "assumed: every insertion has its own; else state column `hole`",
+}
+
+
+def describe_holes(dataset: Dataset) -> str:
+    """Return into how many holes insertions went, and how that is known, in words.
+
+    Empty where every insertion has its own hole by its entry, or its specimen.
+    """
+    holes, by_source = name_holes(dataset), dict[str, list[str]]()
+    for medium in dataset.media:
+        into = [one for one in dataset.insertions if one.medium == medium and not isinstance(one, TipTrack)]
+        source = find_hole_source(dataset, medium)
+        found = {holes[one.id] for one in into}
+        of_specimen = {(one.specimen, one.side) for one in into}
+        if len(found) < len(into) or (source == "separate" and len(of_specimen) < len(into)):
+            by_source.setdefault(_HOLE_SOURCES[source], []).append(f"{len(found)} in {medium}")
+    return "; ".join(f"{', '.join(counts)} ({how})" for how, counts in by_source.items())
+
+
+def group_insertions(dataset: Dataset, insertions: Sequence[Insertion]) -> tuple[str, ...]:
+    """Return the independent group of some insertions of a dataset, as `group_independent`."""
+    holes = name_holes(dataset)
+    own = [holes.get(one.id, one.id) for one in insertions]
+    return group_independent(own, [one.specimen for one in insertions])
 
 
 def list_bevels(dataset: Dataset, insertions: Sequence[Insertion]) -> tuple[tuple[str, int], ...]:
@@ -152,13 +238,3 @@ def list_bevels(dataset: Dataset, insertions: Sequence[Insertion]) -> tuple[tupl
     """
     repeats = find_repeats(dataset)
     return tuple(repeats.get(one.id, (one.id, 0)) for one in insertions)
-
-
-def _is_one_hole(dataset: Dataset, hole: Sequence[Insertion], other: Insertion) -> bool:
-    one = hole[0]
-    return (
-        one.specimen == other.specimen
-        and one.side == other.side
-        and all(part.depth != other.depth for part in hole)
-        and (dataset.pose != "known" or np.array_equal(one.frame.rows, other.frame.rows))
-    )

@@ -14,6 +14,7 @@ from needlefit.datasets.columns import (
     BEVEL_COLUMNS,
     DIRECTION_COLUMNS,
     ENTRY_COLUMNS,
+    HOLE_COLUMN,
     INSERTION_COLUMNS,
     NUMBER_COLUMNS,
     POINT_COLUMNS,
@@ -102,6 +103,7 @@ def _write_text(path: Path, text: str) -> None:
 def _format_rows(rows: Sequence[InsertionRow]) -> str:
     columns = list(INSERTION_COLUMNS)
     columns += [SHARED_COLUMN] if any(row.boundary_shared_sd is not None for row in rows) else []
+    columns += [HOLE_COLUMN] if any(row.hole for row in rows) else []
     columns += [BASE_SHIFT_COLUMN] if any(row.base_moved for row in rows) else []
     columns += SCAN_COLUMNS if any(row.patient is not None for row in rows) else []
     lines = [columns, *([cells[name] for name in columns] for cells in map(format_cells, rows))]
@@ -117,7 +119,8 @@ def format_cells(row: InsertionRow) -> dict[str, str]:
     cells = {
         "id": row.id,
         "medium": row.medium,
-        "specimen": row.specimen or row.id,
+        "specimen": row.specimen or row.hole or row.id,
+        HOLE_COLUMN: row.hole,
         "layers": str(row.layers),
         "layers_alternative": str(alternative),
         "bevel_side": f"{row.side:+d}",

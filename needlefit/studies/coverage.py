@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
-from needlefit.datasets.select import group_independent
+from needlefit.datasets.select import group_rows
 from needlefit.inference.predict import Proportion, estimate_proportion
 from needlefit.project.input_files import read_toml
 from needlefit.project.locate import find_file, list_names
@@ -17,8 +17,7 @@ from needlefit.reporting.text import KindText
 
 def count_covered(predictive: pd.DataFrame, column: str) -> Proportion:
     """Return how many insertions lie in their predicted interval; `column` is such as "tip_in_95"."""
-    independent = group_independent(list(predictive["insertion"]), list(predictive["specimen"]))
-    return estimate_proportion(list(predictive[column]), independent)
+    return estimate_proportion(list(predictive[column]), group_rows(predictive))
 
 
 def list_coverages(predictive: pd.DataFrame) -> Iterator[tuple[str, int, Proportion]]:

@@ -70,7 +70,8 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             *("deflection_min_mm", "deflection_max_mm"),
         ),
         "errors": (
-            *("fold", "role", "insertion", "medium", "specimen", "layers", "layers_other", "depth_mm"),
+            *("fold", "role", "insertion", "medium", "hole", "specimen", "layers", "layers_other"),
+            "depth_mm",
             *("method", "boundaries", "comparison"),
             *("deflection_mm", "predicted_deflection_mm", "edp_flagged", "converged"),
         ),

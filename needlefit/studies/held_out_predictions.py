@@ -19,7 +19,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.select import count_layers, find_repeats, list_bevels
+from needlefit.datasets.select import count_layers, find_repeats, list_bevels, name_holes
 from needlefit.inference import specimens
 from needlefit.inference.compared_points import align
 from needlefit.inference.fit import Callbacks, Fit
@@ -292,12 +292,12 @@ AFTER_ONE_COLUMN = "tip_95_width_after_one_mm"
 #: nearer, at its worst point, than the measured one; `shape_in_*` says whether that is within 50 or 95 %;
 #: `points_in_*` is the part of points within their own interval, which are no independent trials
 PREDICTIVE_COLUMNS = (
-    "fold", "insertion", "specimen", "medium", "layers", "depth_mm", "specimen_treatment", "between_sd_ln_mu",
-    "between_sd_ln_b", "between_correlation", "other_specimens", AFTER_ONE_COLUMN, "draw_source", "certified",
-    "draws", "failed_solves", "tip_measured_mm", "tip_median_mm", "tip_50_low_mm", "tip_50_high_mm",
-    "tip_95_low_mm", "tip_95_high_mm", "tip_pit", "tip_in_50", "tip_in_95", "tip_crps_mm",
-    "tip_interval_score_mm",
-    "shape_pit", "shape_in_50", "shape_in_95", "points_in_50", "points_in_95", "shape_crps_mm",
+    "fold", "insertion", "hole", "specimen", "medium", "layers", "depth_mm", "specimen_treatment",
+    "between_sd_ln_mu", "between_sd_ln_b", "between_correlation", "other_specimens", AFTER_ONE_COLUMN,
+    "draw_source", "certified", "draws", "failed_solves", "tip_measured_mm", "tip_median_mm", "tip_50_low_mm",
+    "tip_50_high_mm", "tip_95_low_mm", "tip_95_high_mm", "tip_pit", "tip_in_50", "tip_in_95", "tip_crps_mm",
+    "tip_interval_score_mm", "shape_pit", "shape_in_50", "shape_in_95", "points_in_50", "points_in_95",
+    "shape_crps_mm",
 )  # fmt: skip
 
 
@@ -535,6 +535,7 @@ def _measurement_covariance(observation: Observation, factor: float) -> Floats:
 def _describe_insertion(job: Job, insertion: Insertion, draws: Draws, failed: int) -> Row:
     return {
         "insertion": insertion.id,
+        "hole": name_holes(job.dataset).get(insertion.id, insertion.id),
         "specimen": insertion.specimen,
         "medium": insertion.medium,
         "layers": count_layers(insertion, job.record.layer_count_rule),

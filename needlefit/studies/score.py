@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import NoiseFloor
-from needlefit.datasets.select import count_layers, get_other_rule
+from needlefit.datasets.select import count_layers, get_other_rule, name_holes
 from needlefit.geometry.curves import compare_curves
 from needlefit.inference.baseline_fit import fit_baselines
 from needlefit.inference.baselines import list_baselines
@@ -176,10 +177,15 @@ class Scorer:
             shapes += _shape_rows(where, simulated, measured)
         return errors, shapes
 
+    @cached_property
+    def _holes(self) -> Mapping[str, str]:
+        return name_holes(self.dataset)
+
     def _about(self, insertion: Insertion) -> Row:
         floor = {f"floor_{name}": value for name, value in self.floors[insertion.id].items()}
         return {
             "medium": insertion.medium,
+            "hole": self._holes.get(insertion.id, insertion.id),
             "specimen": insertion.specimen,
             "layers": count_layers(insertion, self.layer_count_rule),
             "layers_other": count_layers(insertion, get_other_rule(self.layer_count_rule)),

@@ -18,7 +18,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.select import count_layers, get_other_rule, group_independent
+from needlefit.datasets.select import count_layers, get_other_rule, group_rows
 from needlefit.geometry.curves import ComparedCurves, compare_curves
 from needlefit.inference.baselines import BASELINES
 from needlefit.metrics import headline_metrics, list_metrics, pool_metric
@@ -106,8 +106,8 @@ def compare_methods(
 ) -> pd.DataFrame:
     """Compare every method with `against` on the same insertions, folds and points.
 
-    Repeats in one specimen are first averaged where there are specimens enough (`group_independent`):
-    the four depths of one hole are no four needles.
+    Errors of one group are first averaged (`group_independent`): the four depths of one hole are no four
+    needles.
 
     Returns
     -------
@@ -119,7 +119,7 @@ def compare_methods(
     """
     errors_frame = results.frames["errors"]
     errors = errors_frame[(errors_frame["role"] == role) & (errors_frame["boundaries"] == "measured")]
-    errors = errors.assign(group=group_independent(list(errors["insertion"]), list(errors["specimen"])))
+    errors = errors.assign(group=group_rows(errors))
     names = [metric.name for metric in headline_metrics()]
     tables = {
         name: errors.assign(value=_finite_column(errors, name)).pivot_table(

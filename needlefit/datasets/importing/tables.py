@@ -55,6 +55,7 @@ ATTRIBUTE_COLUMNS = MappingProxyType(
     {
         **{"medium": "medium", "material": "medium", "phantom": "medium", "tissue": "medium"},
         **{"specimen": "specimen", "sample": "specimen", "probe": "specimen", "block": "specimen"},
+        **{"hole": "hole", "puncture": "hole"},
         **{"bevelside": "bevel_side", "bevel": "bevel_side"},
     }
 )
@@ -579,7 +580,9 @@ class _Part:
                 ),
                 None,
             )
-        skipped = {"", *ATTRIBUTE_COLUMNS, *INDEX_COLUMNS}
+        # a table without another name may have one curve a hole
+        attributes = {name for name, ours in ATTRIBUTE_COLUMNS.items() if ours != "hole"}
+        skipped = {"", *attributes, *INDEX_COLUMNS}
         for column, (name, texts) in enumerate(zip(self.names, self.columns, strict=False)):
             blocks = [(text, len(list(run))) for text, run in groupby(texts)]
             distinct = len(set(texts))

@@ -455,6 +455,7 @@ class _Understanding:
             layers=1,
             depth=float(arc_length(values)[-1]),
             specimen=curve.attributes.get("specimen", ""),
+            hole=curve.attributes.get("hole", ""),
             side=_parse_side(curve),
             boundary_sd=self.layers.sd_mm,
         )
@@ -505,7 +506,7 @@ class _Understanding:
             replace(
                 row,
                 medium=row.medium or named["medium"],
-                specimen=row.specimen or (row.id if each else named["specimen"]),
+                specimen=row.specimen or ((row.hole or row.id) if each else named["specimen"]),
             )
             for row in rows
         ]

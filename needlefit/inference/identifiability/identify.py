@@ -11,8 +11,8 @@ Standard deviations and directions are those of the posterior's draws where ther
 them off, else by the information. That is J^T J of the whitened residuals plus that of the stated prior or,
 without one, of the bounds, 12 / width^2 (the precision of a uniform distribution): without it, an alpha free
 to be 300 would take mu with it. Where the residuals are larger than the noise explains (reduced chi-square
-above 1), J^T J is divided by that ratio. With five independent groups of insertions or more (repeats in one
-specimen are one group), and two more than parameters, no deviation is smaller than the scatter between groups
+above 1), J^T J is divided by that ratio. With five independent groups of insertions or more (depths of one
+hole are one group), and two more than parameters, no deviation is smaller than the scatter between groups
 implies (`precision.between_needle_sds`).
 
 The information at the optimum is local, profile likelihoods are not, and the posterior SD is of draws where

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.select import MIN_GROUPS, group_independent
+from needlefit.datasets.select import MIN_GROUPS, group_insertions
 from needlefit.inference.likelihood.observation import Discrepancy
 from needlefit.inference.parameters import (
     BEVEL_SPREAD,
@@ -233,9 +233,9 @@ def between_needle_sds(problem: Problem, slope: Floats, residuals: Floats, infor
     """
     ends = np.cumsum(problem.density.residual_counts)[:-1]
     parts = zip(np.split(slope, ends), np.split(residuals, ends), strict=True)
-    ids, specimens = zip(*((i.id, i.specimen) for i in problem.insertions), strict=True)
+    groups = group_insertions(problem.dataset, problem.insertions)
     scores: dict[str, Floats] = {}
-    for group, (j, r) in zip(group_independent(ids, specimens), parts, strict=True):
+    for group, (j, r) in zip(groups, parts, strict=True):
         scores[group] = scores.get(group, np.zeros(j.shape[1])) + j.T @ r
     n = len(scores)
     # the scatter of n groups has rank n - 1 at most: fewer groups than parameters would underestimate it

@@ -10,15 +10,15 @@ y being all its points together, is the ratio of two evidences (`inference.sampl
 importance about its own peaks: errors of points, pose and depths as the likelihood has them, and the layers
 that the fit to D meets on the planned path of y, the same for all theta.
 
-Differences of log p between two candidates are taken needle by needle, summed over repeats in one specimen
-where there are enough specimens, and their sum over G groups has the standard error sqrt(G) sd (A. Vehtari,
-A. Gelman, J. Gabry, Stat. Comput. 27 (2017) 1413, section 5; too small where G is: T. Sivula, M. Magnusson,
-A. A. Matamoros, A. Vehtari, arXiv 2008.10296). What the draws behind both leave open is added to it in
-squares. A difference of less than two standard errors is a tie.
+Differences of log p between two candidates are taken needle by needle, summed over depths of one hole
+(needles of one specimen where there are enough), and their sum over G groups has the standard error
+sqrt(G) sd (A. Vehtari, A. Gelman, J. Gabry, Stat. Comput. 27 (2017) 1413, section 5; too small where G is:
+T. Sivula, M. Magnusson, A. A. Matamoros, A. Vehtari, arXiv 2008.10296). What the draws behind both leave open
+is added to it in squares. A difference of less than two standard errors is a tie.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal, Self
@@ -28,7 +28,7 @@ import pandas as pd
 from pydantic import Field, model_validator
 
 from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.select import group_independent
+from needlefit.datasets.select import group_insertions
 from needlefit.errors import ConfigError
 from needlefit.inference.baseline_fit import CurveDensity
 from needlefit.inference.baselines import list_baselines
@@ -312,7 +312,7 @@ def _prepare_job(name: str, record: ComparisonRecord, settings: Settings) -> Job
             expected='a dataset that states its noise, and a recipe with minimize = "posterior"',
         )
     chosen = job.folds[0].tune
-    if len(set(_group_repeats(chosen))) < 2:
+    if len(set(groups := group_insertions(job.dataset, chosen))) < 2:
         raise ConfigError(
             "there is only one group of repeats: none can be left out",
             where=describe_key(name, "folds"),
@@ -320,26 +320,25 @@ def _prepare_job(name: str, record: ComparisonRecord, settings: Settings) -> Job
             expected="insertions of two groups, at least",
             fix="select more in [insertions]",
         )
-    return replace(job, folds=deal_folds(chosen, record.folds))
+    return replace(job, folds=deal_folds(chosen, groups, record.folds))
 
 
-def deal_folds(insertions: tuple[Insertion, ...], count: int) -> tuple[Fold, ...]:
+def deal_folds(insertions: tuple[Insertion, ...], groups: Sequence[str], count: int) -> tuple[Fold, ...]:
     """Return folds to which needles, or groups of repeats, are assigned in turn.
 
     Raises ConfigError if there are fewer of these than folds.
     """
-    names = _group_repeats(insertions)
-    most = len(set(names))
+    most = len(set(groups))
     if count > most:
         raise ConfigError(
-            f"{count} folds cannot be dealt from {most} needles, repeats in a specimen counted as one",
+            f"{count} folds cannot be dealt from {most} groups of repeats",
             key="folds",
             expected=f"{most} at most",
         )
-    order = {name: k % count for k, name in enumerate(dict.fromkeys(names))}
+    order = {group: k % count for k, group in enumerate(dict.fromkeys(groups))}
     folds = []
     for k in range(count):
-        held = [order[name] == k for name in names]
+        held = [order[group] == k for group in groups]
         tune, validate = (
             tuple(one for one, own in zip(insertions, held, strict=True) if own == side)
             for side in (False, True)
@@ -348,17 +347,13 @@ def deal_folds(insertions: tuple[Insertion, ...], count: int) -> tuple[Fold, ...
     return tuple(folds)
 
 
-def _group_repeats(insertions: tuple[Insertion, ...]) -> tuple[str, ...]:
-    return group_independent([one.id for one in insertions], [one.specimen for one in insertions])
-
-
 def _run_task(name: str, job: Job, fold: Fold, settings: Settings) -> FrameRows:
     """Fit one candidate to all folds but one, and ask how probable it makes that one."""
     found = fit_candidate(name, job, fold, settings)
     if found is None:
         return {}
     head: Row = {"method": name, "fold": fold.name}
-    together = _group_repeats((*fold.tune, *fold.validate))[len(fold.tune) :]
+    together = group_insertions(job.dataset, (*fold.tune, *fold.validate))[len(fold.tune) :]
     scores = []
     for insertion, group in zip(fold.validate, together, strict=True):
         scored = score_planned(job, insertion, found.predictor)

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
-from needlefit.datasets.select import group_independent
+from needlefit.datasets.select import group_rows
 from needlefit.inference.baselines import BASELINES, list_baselines
 from needlefit.inference.identifiability.precision import UNINFORMED_SD_RATIO
 from needlefit.inference.parameters import BEVEL_SPREAD, find_tie_spread, is_logarithmic, parse_tie
@@ -776,7 +776,8 @@ def tabulate_predictive_check(results: Sequence[Run]) -> pd.DataFrame:
 
     The PIT value of a measurement is the probability that was predicted of less: of a tip less far toward
     the bevel, of a shape nearer at its worst point. Where predictions are right it is uniform. A needle is
-    one trial, and repeats in one specimen are one where there are specimens enough (`group_independent`).
+    one trial; depths of one hole are one, and so are all in one specimen where there are specimens enough
+    (`group_independent`).
     """
     rows = [row for one in results if len(one.frames["predictive"]) for row in _list_checks(one)]
     return pd.DataFrame(rows, columns=_CHECK_COLUMNS)
@@ -784,7 +785,7 @@ def tabulate_predictive_check(results: Sequence[Run]) -> pd.DataFrame:
 
 def _list_checks(results: Run) -> Iterator[Row]:
     predictions = results.frames["predictive"]
-    groups = group_independent(list(predictions["insertion"]), list(predictions["specimen"]))
+    groups = group_rows(predictions)
     trials = len(set(groups))
     about: Row = {"study": labels.study_name(scores.study_label(results)), "origin": results.origin}
     about |= {"insertions": len(predictions), "replicates": trials}

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
-from needlefit.datasets.select import group_independent
+from needlefit.datasets.select import group_rows
 from needlefit.inference.identifiability.precision import Direction, principal_directions
 from needlefit.inference.parameters import HYPERPARAMETERS, is_logarithmic
 from needlefit.inference.predict import estimate_proportion
@@ -750,7 +750,7 @@ def _compare_coverage(rows: pd.DataFrame, where: str) -> Iterator[Difference]:
         known = some.dropna(subset=["covered_a", "covered_b"])
         if quantity not in _PREDICTED_QUANTITIES or (known["covered_a"] == known["covered_b"]).all():
             continue
-        groups = group_independent(list(known["insertion"]), list(known["specimen_a"]))
+        groups = group_rows(known.rename(columns={"hole_a": "hole", "specimen_a": "specimen"}))
         before, after = (estimate_proportion(list(known[f"covered_{run}"]), groups) for run in "ab")
         nominal = float(str(level))
         one, two = (
