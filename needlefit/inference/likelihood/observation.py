@@ -11,9 +11,10 @@ their distance from it, and a shift along the entry axis by the curve's slope. A
 covariance with its prior; a free one is projected off, as the limit of a prior that is flat. A tip track is
 the same: its points are the tips at some depths, and a shift and a slope of the tracker's frame are projected
 off. Where the dataset states how much runs of a session differ in slope, the slope is the session's, and
-integrated over with its prior. Headings, where their deviation is stated, are compared with the direction of
-the path over the last `HEADING_STEP_MM` before a reading; they may all be off by a constant, the sensor's in
-the needle and the cut's. Equations: docs/inference.md, section 2.
+integrated over with its prior. A slope and the response to the guide may also be a group's, and errors near
+the entry those of a tissue that yields there. Headings, where their deviation is stated, are compared with
+the direction of the path over the last `HEADING_STEP_MM` before a reading; they may all be off by a constant,
+the sensor's in the needle and the cut's. Equations: docs/inference.md, section 2 and "Tip tracks".
 """
 
 import math
