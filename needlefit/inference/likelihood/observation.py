@@ -299,27 +299,29 @@ def _observe_track(
     axes = list_session_axes(track.specimen, noise.slope_sd, frame.shape[1] - 1)
     free = frame[:, : frame.shape[1] - len(axes)]
     session = frame[:, free.shape[1] :] * [SESSION_SD_RAD / axis.shared for axis in axes]
-    group = f"{track.medium} {'steered' if track.guided else 'at rest'}"
     if axes and errors.slope_sd_deg:
-        axes = (*axes, ErrorAxis(0.0, 1.0, (track.specimen, GROUP_SLOPE, group)))
+        axes = (*axes, ErrorAxis(0.0, 1.0, (track.specimen, GROUP_SLOPE, _name_group(track))))
         session = np.column_stack([session, math.radians(errors.slope_sd_deg) * frame[:, 1]])
-    # of equal size for the group and for the run
-    gain = (
-        (
-            ErrorAxis(math.sqrt(0.5), math.sqrt(0.5), (track.specimen, GROUP_GAIN, group)),
-            math.sqrt(2) * errors.gain_sd,
-        )
-        if track.guided and errors.gain_sd
-        else None
-    )
     try:
         whitening, log_norm = whiten(cov, free)
     except np.linalg.LinAlgError:
         raise _without_errors(dataset, track) from None
     curves, varies = (whitening @ session).T, likelihood.bevel_spread > 0
+    gain = _make_gain(track, errors.gain_sd) if track.guided and errors.gain_sd else None
     nodes = make_nodes(track, at, "fixed", bevel=varies, constants=len(curves), shared=axes, gain=gain)
     whitening = whitening if operator is None else whitening @ operator
     return Observation(measured, cov, session, free, whitening, log_norm, dataset.pose, nodes, curves)
+
+
+def _name_group(track: TipTrack) -> str:
+    """Return the name of the group of a run: its medium, and whether the guide moved."""
+    return f"{track.medium}, {'steered' if track.guided else 'at rest'}"
+
+
+def _make_gain(track: TipTrack, sd: float) -> tuple[ErrorAxis, float]:
+    """Return the axis of a run's gain, and its SD: `sd` of the group, and as much of the run."""
+    part = math.sqrt(0.5)
+    return ErrorAxis(part, part, (track.specimen, GROUP_GAIN, _name_group(track))), sd / part
 
 
 def entry_covariance(track: TipTrack, depths: Floats, errors: TrackErrorsRecord) -> Floats:
