@@ -200,8 +200,11 @@ def draw_trials(
     """Return draws of parameters and of errors; other counts are other draws."""
     rng = random_stream(job.recipe.seed, job.name, "trials", count)
     thetas, bevel_sd = known.thetas[known.drawn(count, rng)], known.problem.new_bevel_sd
+    specimens = Specimens(job, job.folds[0], thetas) if new is None else replace(new, draws=thetas)
     if new is not None:
-        thetas, bevel_sd = replace(new, draws=thetas).draws_in(None), new.new_bevel_sd
+        thetas, bevel_sd = specimens.draws_in(None), new.new_bevel_sd
+    elif specimens.separate and like.specimen in specimens.tuned:
+        thetas, bevel_sd = specimens.draws_in(like), specimens.problem_of(like).new_bevel_sd
     sets = vary_bevels([known.problem.values(theta) for theta in thetas], bevel_sd, rng)
     return tuple(draw_execution(values, like, rng) for values in sets)
 
