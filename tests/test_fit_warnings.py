@@ -26,6 +26,7 @@ from needlefit.project.toml import load
 from needlefit.project.unit_warnings import WARNING_KIND
 from needlefit.reporting.number_format import NO_INTERVAL, format_interval
 from needlefit.schemas.study import FitRecord, StudyRecord
+from needlefit.studies.coverage import find_miscalibration, judge_predictions
 from needlefit.studies.fit_warnings import RULES, analysis_bound_warnings, apply_rule
 from needlefit.studies.identification import ParameterInterval, add_intervals, intervals_of_draws
 from needlefit.studies.job import DATA_WARNINGS, Settings, make_folds, prepare, warn_shared_specimens
@@ -469,6 +470,74 @@ def test_intervals_that_cover_too_few_insertions_and_noise_that_is_too_large_are
     )
     assert [[one.status for one in judge_run(run)] for run, _ in cases] == [[status] for _, status in cases]
     assert worst_status([Verdict(""), Verdict("", "fail"), Verdict("", "warn")]) == "fail"
+
+
+def predicted(off_mm, in_50, holes=None, half_mm=0.5):
+    """Return predictions of tips that deflect by 4 mm to alternate sides, `off_mm` more than predicted."""
+    measured = 4.0 * np.resize([1, -1], len(off_mm))
+    table = pd.DataFrame(
+        {"tip_measured_mm": measured, "tip_median_mm": measured - np.sign(measured) * off_mm}
+    )
+    table["insertion"] = [f"i{n}" for n in range(len(table))]
+    table = table.assign(hole=holes or table["insertion"], specimen="gel", fold="all", shape_in_50=in_50)
+    table = table.assign(tip_in_50=in_50, tip_in_95=True, shape_in_95=True)
+    table["tip_95_low_mm"], table["tip_95_high_mm"] = (
+        table["tip_median_mm"] + d for d in (-half_mm, half_mm)
+    )
+    return table.assign(tip_crps_mm=0.2, tip_interval_score_mm=2 * half_mm)
+
+
+HALVES = [True, False]
+
+
+@pytest.mark.parametrize(
+    ("table", "keys"),
+    [
+        (predicted(np.resize([0.1, -0.1], 14), np.resize(HALVES, 14)), []),
+        (predicted(np.full(14, 0.1), np.resize(HALVES, 14)), [("off_centre", "tip", 95)]),
+        (predicted(-np.full(6, 0.1), np.resize(HALVES, 6)), [("off_centre", "tip", 95)]),
+        (predicted(np.full(5, 0.1), np.resize(HALVES, 5)), []),  # 2^-5 > 0.025
+        (predicted(np.zeros(14), np.resize(HALVES, 14)), []),
+        (
+            predicted(np.resize([0.1, -0.1], 14), np.full(14, True)),
+            [("wide_coverage", "tip", 50), ("wide_coverage", "shape", 50)],
+        ),
+        (
+            predicted(np.resize([0.1, -0.1], 14), np.full(14, False)),
+            [("coverage", "tip", 50), ("coverage", "shape", 50)],
+        ),
+        # 24 tips of 6 holes are 6 trials; of 5 holes too few
+        (
+            predicted(np.full(24, 0.1), np.full(24, True), list("abcdef") * 4),
+            [("wide_coverage", "tip", 50), ("wide_coverage", "shape", 50), ("off_centre", "tip", 95)],
+        ),
+        (predicted(np.full(20, 0.1), np.full(20, True), list("abcde") * 4), []),
+        (
+            predicted(np.resize([0.1, -0.1], 14), np.resize(HALVES, 14), half_mm=2.1),
+            [("wide_intervals", "tip", 95)],
+        ),
+    ],
+)
+def test_intervals_that_are_too_narrow_too_wide_or_off_centre_are_found(table, keys):
+    assert [(one.key, one.what, one.level) for one in find_miscalibration(table)] == keys
+    best = BestBaseline("an arc", 0.5, "worse")
+    verdict = judge_predictions(Verdict("TE", numbers={"te_mm": 0.1}), table, best)
+    off = (table["tip_median_mm"] - table["tip_measured_mm"]).abs().mean()
+    assert verdict.status == ("warn" if keys else "pass")
+    assert verdict.numbers == {
+        "te_mm": 0.1,
+        "predictive_median_te_mm": pytest.approx(off),
+        "tip_crps_mm": pytest.approx(0.2),
+        "tip_interval_score_mm": pytest.approx(table["tip_interval_score_mm"].mean()),
+    }
+
+
+def test_predictions_with_a_worse_score_than_the_error_of_a_baseline_do_not_pass():
+    table = predicted(np.resize([0.1, -0.1], 14), np.resize(HALVES, 14))
+    for error, status in ((0.21, "pass"), (0.19, "warn"), (None, "pass")):
+        assert judge_predictions(Verdict(""), table, BestBaseline("", error, "tie")).status == status
+    assert judge_predictions(Verdict(""), table, None).status == "pass"
+    assert judge_predictions(Verdict("TE"), table[:0], None) == Verdict("TE")
 
 
 @pytest.mark.parametrize(

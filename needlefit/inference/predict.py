@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import qr
 from scipy.optimize import elementwise
-from scipy.special import ndtr, ndtri
+from scipy.special import betaincinv, ndtr, ndtri
 
 from needlefit.arrays import Floats, Ints
 from needlefit.inference.parameters import NOISE_SCALE, Parameters
@@ -228,8 +228,16 @@ class Proportion:
     hits: int
     trials: int
     groups: int
+    rate: float  #: mean over groups of the share in each
     low: float
     high: float
+
+    @property
+    def exact(self) -> tuple[float, float]:
+        """The exact 95 % interval with groups as trials (C. J. Clopper, E. S. Pearson, 1934)."""
+        hits, misses = self.rate * self.groups, (1 - self.rate) * self.groups
+        low = float(betaincinv(hits, misses + 1, 0.025)) if hits > 0 else 0.0
+        return low, float(betaincinv(hits + 1, misses, 0.975)) if misses > 0 else 1.0
 
 
 def estimate_proportion(hits: Sequence[bool], groups: Sequence[str]) -> Proportion:
@@ -240,7 +248,7 @@ def estimate_proportion(hits: Sequence[bool], groups: Sequence[str]) -> Proporti
     rate = float(np.mean([np.mean(members) for members in by_group.values()]))
     # as many trials as groups: repeats in one specimen are not independent
     low, high = wilson_interval(rate, len(by_group))
-    return Proportion(sum(map(bool, hits)), len(hits), len(by_group), low, high)
+    return Proportion(sum(map(bool, hits)), len(hits), len(by_group), rate, low, high)
 
 
 def wilson_interval(rate: float, trials: int, level: float = 0.95) -> tuple[float, float]:

@@ -17,7 +17,7 @@ from needlefit.reporting.labels import group_name, medium_name
 from needlefit.reporting.number_format import format_quantity
 from needlefit.reporting.table_files import Row
 from needlefit.reporting.text import KindText
-from needlefit.studies.coverage import find_adaptation, is_too_wide, list_missed_levels, median_width
+from needlefit.studies.coverage import FindingKey, find_adaptation, find_miscalibration
 from needlefit.studies.run import Run
 from needlefit.studies.score import list_outside
 from needlefit.studies.scored_groups import (
@@ -204,30 +204,26 @@ def _find_wrong_noise(results: Run, too_large: bool) -> Iterator[Row]:
 # ---- predictions
 
 
-def _find_missed_levels(results: Run) -> Iterator[Row]:
-    """Yield the intervals of held-out insertions that cover too few of them, by group."""
+def _find_miscalibration(results: Run, key: FindingKey) -> Iterator[Row]:
+    """Yield the findings of one kind about held-out insertions, by group."""
     for group in list_held_out_groups(results):
         rows = select_group(results.frames["predictive"], group)
-        missed = list_missed_levels(rows)
-        narrow = {what for what, level, _ in missed if level == 95}
-        for what, level, found in missed:
-            about = {"what": what, "level": level, "found": found, "group": _name_group(group)}
-            yield {**about, "narrow": what in narrow, "alone": rows["specimen"].nunique() == 1}
-
-
-def _find_wide_intervals(results: Run) -> Iterator[Row]:
-    """Yield the held-out groups whose tips have wide intervals: wider than the tips are deflected."""
-    for group in list_held_out_groups(results):
-        rows = select_group(results.frames["predictive"], group)
-        width, deflection = median_width(rows), float(rows["tip_measured_mm"].abs().median())
-        if is_too_wide(width, deflection):
-            medium = group.head["medium"]
-            gain = ""
-            if (rows["specimen_treatment"] == "others").any():
-                fitted = getattr(results.record, "medium", "")
-                gain = describe_gain(rows, find_adaptation(results.record.dataset, fitted, medium))
-            sizes = {"width_mm": width, "deflection_mm": deflection, "gain": gain}
-            yield {**sizes, "group": medium_name(medium)}
+        findings = find_miscalibration(rows)
+        narrow = {one.what for one in findings if (one.key, one.level) == ("coverage", 95)}
+        for one in findings:
+            if one.key != key:
+                continue
+            about = {**vars(one), "narrow": one.what in narrow, "alone": rows["specimen"].nunique() == 1}
+            about |= {"group": _name_group(group), "gain": "", "fits": rows["fold"].nunique()}
+            if key == "wide_intervals":
+                medium = group.head["medium"]
+                about["group"] = medium_name(medium)
+                if (rows["specimen_treatment"] == "others").any():
+                    fitted = getattr(results.record, "medium", "")
+                    about["gain"] = describe_gain(
+                        rows, find_adaptation(results.record.dataset, fitted, medium)
+                    )
+            yield about
 
 
 def describe_gain(predictive: pd.DataFrame, adaptation: str | None = None) -> str:
@@ -239,6 +235,14 @@ def describe_gain(predictive: pd.DataFrame, adaptation: str | None = None) -> st
     values = {"after_one_mm": None if math.isnan(width) else width, "adaptation": adaptation or ""}
     return TEXT.sentence("gain", {**values, "asked": adaptation is not None})
 
+
+#: kinds of warnings about predictions, and the findings that they are about
+_FINDING_KINDS: tuple[tuple[str, FindingKey], ...] = (
+    ("coverage", "coverage"),
+    ("off_centre", "off_centre"),
+    ("wide_intervals", "wide_coverage"),
+    ("wide_intervals", "wide_intervals"),
+)
 
 #: of fits and cross-validations, in the order in which their warnings are kept
 RULES: Sequence[WarningRule] = (
@@ -253,8 +257,10 @@ RULES: Sequence[WarningRule] = (
     WarningRule("worse_than_baseline", _find_better_baselines),
     WarningRule("noise_too_large", partial(_find_wrong_noise, too_large=True)),
     WarningRule("noise_too_small", partial(_find_wrong_noise, too_large=False)),
-    WarningRule("coverage", _find_missed_levels, complete=False),
-    WarningRule("wide_intervals", _find_wide_intervals, complete=False),
+    *(
+        WarningRule(kind, partial(_find_miscalibration, key=text), text, complete=False)
+        for kind, text in _FINDING_KINDS
+    ),
 )
 #: kinds of warnings that qualify the verdict; they come first
 QUALIFYING_WARNINGS = frozenset(rule.kind for rule in RULES if rule.qualifies)

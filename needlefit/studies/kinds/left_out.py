@@ -28,7 +28,7 @@ from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.coverage import COVERAGE_COLUMNS, tabulate_coverage
+from needlefit.studies.coverage import COVERAGE_COLUMNS, judge_predictions, tabulate_coverage
 from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.held_out_predictions import (
     PREDICTIVE_COLUMNS,
@@ -284,7 +284,9 @@ def _judge_fit(result: Run, rows: list[Row]) -> Verdict:
     numbers |= {"baseline_te_mm": best.error_mm if best else None}
     count = int(row["insertions"])
     found = judge_errors(group, row["value"], ratio, best, count, reliable=result.reliable)
-    return replace(found, group=group, numbers=numbers)
+    predictive = result.frames["predictive"]
+    own = predictive[(predictive["fit"] == row["fit"]) & (predictive["left_out"] == row["left_out"])]
+    return judge_predictions(replace(found, group=group, numbers=numbers), own, best)
 
 
 def _compare_best(result: Run, row: Row) -> BestBaseline | None:

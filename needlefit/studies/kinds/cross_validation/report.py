@@ -45,8 +45,8 @@ from needlefit.schemas.study import StudyRecord
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.coverage import (
     is_too_wide,
+    judge_predictions,
     list_coverages,
-    list_missed_levels,
     median_width,
     tip_error_of_medians,
 )
@@ -227,20 +227,6 @@ class Facts:
             "too_wide": is_too_wide(width, deflection),
             "error_mm": tip_error_of_medians(predictive),
         }
-
-    @cached_property
-    def wide(self) -> list[Row]:
-        """The intervals that cover significantly more insertions than their level."""
-        return [
-            {
-                **vars(found),
-                **{"what": what, "level": level},
-                "group": labels.group_name(group.head["medium"], group.head["layers"]),
-            }
-            for group in scores.list_held_out_groups(self.results)
-            for what, level, found in list_coverages(scores.select_group(self.frames["predictive"], group))
-            if found.low > level / 100
-        ]
 
     @property
     def draws_of_predictions(self) -> int:
@@ -440,22 +426,11 @@ def _judge_held_out(results: Run, group: scores.ScoredGroup, named_layers: bool)
     floor_ratio, count = group.over_floor(scores.TE), int(group.head["insertions"])
     judged = judge_errors(name, error, floor_ratio, best, count, reliable=results.reliable)
     predictive = scores.select_group(results.frames["predictive"], group)
-    median = tip_error_of_medians(predictive) if len(predictive) else None
-    numbers |= {} if median is None else {"predictive_median_te_mm": median}
-    missed = [
-        {"what": what, "level": level, "hits": found.hits, "trials": found.trials}
-        for what, level, found in list_missed_levels(predictive)
-    ]
     noisy = any(one.kind == "noise_too_large" for one in read_warnings(results.run))
-    values = {
-        **{"judged": judged, "median_mm": median, "noisy": noisy},
-        "missed": missed[0] if missed else None,
-        "paper_set": _find_closer_set(results, group, error),
-    }
-    nearest = None if best is None else best.error_mm
-    closer = nearest is not None and median is not None and nearest < median
+    values = {"judged": judged, "noisy": noisy, "paper_set": _find_closer_set(results, group, error)}
     found = replace(judged, sentence=tables.TEXT.sentence("held_out", values), group=name, numbers=numbers)
-    return qualify(found, found.sentence) if closer or missed or noisy else found
+    found = judge_predictions(found, predictive, best)
+    return qualify(found, found.sentence) if noisy else found
 
 
 def _find_closer_set(results: Run, group: scores.ScoredGroup, error: float) -> Row | None:
@@ -975,7 +950,7 @@ def explain(results: Run) -> tuple[list[TableLayout], list[str]]:
     groups = results.frames["identification"].groupby("fold", sort=False)
     verdicts = {str(fold): describe_verdicts(rows) for fold, rows in groups}
     sentences = [
-        *list_sentences(results, *errors, "noise_floor", "prediction_set", "wide_intervals", "searches"),
+        *list_sentences(results, *errors, "noise_floor", "prediction_set", "searches"),
         *map(insert_symbols, _name_folds(_list_undetermined(results))),
         *list_sentences(results, "combinations"),
         *map(insert_symbols, _name_folds(verdicts)),

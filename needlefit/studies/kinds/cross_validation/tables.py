@@ -233,12 +233,13 @@ def lay_out_matrix(results: Sequence[Run], judge: Callable[[Run], Sequence[Any]]
                     "baseline_method": best or "",
                     "paper_te_mm": group.get(scores.TE, "paper"),
                     "floor_ratio": group.over_floor(scores.TE),
+                    "tip_crps_mm": predictive["tip_crps_mm"].mean() if len(predictive) else None,
                     "tip_in_95": f"{covered.hits} of {covered.trials}" if covered else None,
                 }
             )
     columns = (
         *("study", "medium", "layers", "insertions", "te_mm", "floor_te_mm", "floor_ratio"),
-        *("baseline_te_mm", "baseline_method", "tip_in_95", "paper_te_mm", "verdict"),
+        *("baseline_te_mm", "baseline_method", "tip_crps_mm", "tip_in_95", "paper_te_mm", "verdict"),
     )
     return _lay_out(Table("matrix", "", rows, columns, groups=("study",), heads=1))
 
