@@ -103,8 +103,14 @@ def test_searches_on_their_way():
             for budget in (3, 5, 7, 9, 12, 16, 400):
                 how = squares_recipe(algorithm=algorithm, starts=3, evaluations=budget)
                 fit = minimize(squares(function, half), how, rng())
+                # in which evaluation slsqp ends depends on the processor
+                whole = algorithm != "slsqp" or budget == 400
                 ends = [
-                    [*start.theta, start.objective, start.stopped == "bound", start.stopped == "tolerance"]
+                    [
+                        *start.theta,
+                        start.objective,
+                        *[start.stopped == one for one in ("bound", "tolerance") if whole],
+                    ]
                     for start in fit.starts
                 ]
                 spent = [fit.evaluations] if algorithm == "leastsquares" else []
