@@ -320,7 +320,13 @@ def with_draws(results: Run, count: int = 200) -> Run:
     for name in known.index[known["status"] == "free"].difference(["mu1_pa", "bevel_mm"]):
         values[name] = values[name] * np.exp(0.3 * rng.standard_normal(count))
     fold = results.frames["parameters"]["fold"].iloc[0]
-    about = {"fold": fold, "draw_source": "importance", "pareto_k": 0.31, "certified": True}
+    about = {
+        "fold": fold,
+        "specimen": "(tuned)",
+        "draw_source": "importance",
+        "pareto_k": 0.31,
+        "certified": True,
+    }
     return results.with_frames(draws=pd.DataFrame(about | values))
 
 

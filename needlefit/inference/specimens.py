@@ -95,9 +95,12 @@ class SpreadModel:
         cls, parameters: Parameters, modulus_sd: float, bevel_sd: float, others: Sequence[str] = ()
     ) -> Self:
         """Return the model of some parameters; `others` vary too, by as much as the moduli."""
-        tied = {tie.name for tie in parameters.prior.ties}
+        # what is tied to a fixed parameter varies as the others do
+        tied = {tie.name for tie in parameters.prior.ties if tie.source in parameters.free}
         moduli = [one for one in parameters.free if dimension(one) == "modulus" and one not in tied]
         bevels = [one for one in parameters.free if one in BEVEL_PARAMETERS]
+        # an SD of 0: they do not vary
+        moduli, bevels = moduli if modulus_sd else [], bevels if bevel_sd else []
         sds = [*[modulus_sd] * bool(moduli), *[bevel_sd] * len(bevels), *[modulus_sd] * len(others)]
         return cls((*moduli, *bevels, *others), len(moduli), bool(moduli and bevels), np.array(sds))
 
@@ -274,6 +277,9 @@ class PopulationDraws:
     new: Floats  #: in a further specimen
     covariances: Floats  #: T (B, Q, Q)
     faults: tuple[str, ...] = ()  #: why the draws do not represent the posterior; empty if they do
+    #: of the weights of several specimens' population
+    pareto_k: float = math.nan
+    effective_sample_size: float = math.nan
 
     @property
     def rms(self) -> Floats:
@@ -325,19 +331,22 @@ def draw_population(
         # the largest of these: drawn by weight
         keys = logs - counted[name] + rng.gumbel(size=logs.shape)
         tuned[name] = thetas[np.argmax(keys, axis=1)]
-    # what does not vary is known from all specimens alike
-    mean = np.mean(list(tuned.values()), axis=0)
-    for tie in parameters.prior.ties:  # a source comes before what is tied to it
-        if tie.name in parameters.free and tie.source in model.names:
-            own, source = parameters.free.index(tie.name), parameters.free.index(tie.source)
-            mean[:, own] += means[:, model.names.index(tie.source)] - mean[:, source]
+    # What does not vary is as in one of them, another for each draw: a mean over specimens would be narrower
+    # also where nothing is known.
+    own = np.array(list(tuned.values()))[rng.integers(len(tuned), size=count), np.arange(count)]
+    mean = own.copy()
     mean[:, columns] = means
+    for tie in parameters.prior.ties:  # a source comes before what is tied to it
+        if tie.name in parameters.free and tie.source in parameters.free:
+            of, source = parameters.free.index(tie.name), parameters.free.index(tie.source)
+            mean[:, of] = mean[:, source] + own[:, of] - own[:, source]
     new = draw_specimens(parameters, model, mean, covariances, rng)
     fault = (
-        f"the population of {len(known)} specimens is not certified (Pareto k {found.k:.2f}, worth "
-        f"{found.effective_sample_size:.0f} independent draws)"
+        f"the population of {len(known)} specimens is not certified (Pareto k {found.k:.2f}, effective "
+        f"sample size {found.effective_sample_size:.0f})"
     )
-    return PopulationDraws(tuned, mean, new, covariances, () if found.certified else (fault,))
+    faults = () if found.certified else (fault,)
+    return PopulationDraws(tuned, mean, new, covariances, faults, found.k, found.effective_sample_size)
 
 
 def _log_gaussians(at: Floats, means: Floats, sds: Floats) -> Floats:

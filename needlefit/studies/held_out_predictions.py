@@ -172,6 +172,9 @@ class Specimens:
         """Return whether an insertion goes into a specimen that was not tuned on, and may differ."""
         return self.job.record.specimens == "others" and insertion.specimen not in self.tuned
 
+    def __getstate__(self) -> dict[str, object]:
+        return {**self.__dict__, "pool": THIS_PROCESS}  # a pool stays in its process
+
     @property
     def faults(self) -> tuple[str, ...]:
         """Why nothing is known of the specimens; empty if it is, and where they do not differ."""
@@ -210,9 +213,11 @@ class Specimens:
         """Return draws of the specimens' mean in place of as many draws of all insertions together."""
         if not self.separate:
             return draws
-        mean = self.population.mean[: len(draws.thetas)]
-        faults = (*draws.faults, *self.faults)
-        return replace(draws, thetas=mean, source="importance", faults=faults)
+        found = self.population
+        if self.faults:
+            return replace(draws, faults=(*draws.faults, *self.faults))
+        mean, k, ess = found.mean[: len(draws.thetas)], found.pareto_k, found.effective_sample_size
+        return Draws(mean, "importance", draws.faults, k, ess)
 
     def list_draws(self, thetas: Floats) -> dict[str, Floats]:
         """Return as many draws (B, P) in each specimen that has some of its own, and in a `NEW_SPECIMEN`.
@@ -263,7 +268,7 @@ def describe_specimen(new: Specimens | None, otherwise: str = "same") -> Row:
         sds = new.population.rms if new.separate else model.prior_rms
         mu = float(sds[0]) if model.moduli else 0.0
         b = float(sds[model.moduli]) if len(sds) > model.moduli else 0.0
-        correlation = new.population.correlation if new.separate and model.correlated else 0.0
+        correlation = new.population.correlation if new.separate and model.correlated else np.nan
     return {
         "specimen_treatment": treatment,
         "between_sd_ln_mu": mu,
@@ -384,7 +389,6 @@ def predict_held_out(
         draws,
         known,
         job.recipe.likelihood.model_copy(update=update),
-        rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale),
         find_repeats(job.dataset),
         jobs // side_by_side,
         bands,
@@ -404,7 +408,6 @@ class _Predictor:
     draws: Draws
     known: Specimens | None
     likelihood: LikelihoodRecord
-    factor: float
     repeats: Mapping[str, tuple[str, int]]
     jobs: int
     bands: bool
@@ -434,7 +437,10 @@ class _Predictor:
         if np.sum(solved) < MIN_SOLVED_DRAWS:
             return None
         heights = align(observation.pose, found.points[solved], observation.measured)[..., 1]
-        covariance, measured = _measurement_covariance(observation, self.factor), observation.measured[:, 1]
+        factor = rms_noise_scale(
+            replace(draws, thetas=thetas), job.parameters, job.recipe.likelihood.noise_scale
+        )
+        covariance, measured = _measurement_covariance(observation, factor), observation.measured[:, 1]
         mixture = PredictiveMixture(heights, np.sqrt(np.diag(covariance)))
         row = {"fold": fold.name, **_describe_insertion(job, insertion, draws, int(np.sum(~solved))), **about}
         row[AFTER_ONE_COLUMN] = math.nan

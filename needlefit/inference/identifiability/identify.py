@@ -120,6 +120,7 @@ def identify(
     loosened = loosen(noisy, theta, sds) if any(nominally.values()) else ()
     if loosened and further is not None:
         apart = dict(zip(names, np.std(further, axis=0).tolist(), strict=True))
+        apart |= {name: apart.get(source, 0.0) for name, (_, source) in problem.parameters.ties.items()}
         loosened = (Loosened(MEAN_OF_SPECIMENS, apart), *loosened)
     conditions = {n: find_condition(n, prior.sd(n), loosened) if nominally[n] else "" for n in names}
     determined = {n: nominally[n] and not conditions[n] for n in names}

@@ -177,6 +177,10 @@ def _draw_executions(
     if found is None:
         return None
     new = find_new_specimen(job, record.specimen, site.like, found)
+    if new is not None and new.faults:
+        draws = found.learned.draws
+        doubted = replace(draws, faults=(*draws.faults, *new.faults))
+        found, new = replace(found, learned=replace(found.learned, draws=doubted)), None
     # search and test use different draws: a plan must not be tried on the draws it was fitted to
     even = np.arange(len(found.thetas)) % 2 == 0
     search_draws = draw_trials(job, site.like, found.only(even), new, SEARCH_DRAWS)
@@ -203,7 +207,7 @@ def draw_trials(
     specimens = Specimens(job, job.folds[0], thetas) if new is None else replace(new, draws=thetas)
     if new is not None:
         thetas, bevel_sd = specimens.draws_in(None), new.new_bevel_sd
-    elif specimens.separate and like.specimen in specimens.tuned:
+    elif specimens.separate and like.specimen in specimens.tuned and not specimens.faults:
         thetas, bevel_sd = specimens.draws_in(like), specimens.problem_of(like).new_bevel_sd
     sets = vary_bevels([known.problem.values(theta) for theta in thetas], bevel_sd, rng)
     return tuple(draw_execution(values, like, rng) for values in sets)

@@ -258,12 +258,17 @@ def forecast(
             fix="look at `needlefit simulate` of the scene; lessen its depth or its deflection",
         )
     sd = _measurement_sd(
-        s, job.dataset, rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
+        s,
+        job.dataset,
+        rms_noise_scale(replace(draws, thetas=thetas), job.parameters, job.recipe.likelihood.noise_scale),
     )
     tips = found.points[:, -1, 1]
     rows = [describe_specimen(new, otherwise) | {"tip_95_width_mm": measure_width(tips)}]
     if new is not None:
-        fitted = next(iter(new.population.tuned.values()))  # in one of those tuned on
+        name = min(new.population.tuned)  # in one of those tuned on
+        fitted = new.population.tuned[name]
+        if new.separate:
+            tuned_bevel_sd = replace(job.problem(job.folds[0]), insertions=new.tuned[name]).new_bevel_sd
         again, same = (
             _simulate_draws(scene, some, job, s, sd_of_bevel, rng).points[:, -1, 1]
             for some, sd_of_bevel in ((thetas, bevel_sd), (fitted, tuned_bevel_sd))
@@ -433,8 +438,8 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     (fold,) = job.folds
     known = record.specimen or ("new" if job.record.specimens == "others" else "training only")
     new = Specimens(job, fold, draws.thetas, settings.jobs, settings.part_pool) if known == "new" else None
-    if new is not None:
-        draws = replace(draws, faults=(*draws.faults, *new.faults))
+    if new is not None and new.faults:
+        draws, new = replace(draws, faults=(*draws.faults, *new.faults)), None
     found = forecast(scene, draws, job, new, known)
     frames = _make_frames(found, title, certified=not draws.faults)
     warned = [*job.warnings, *scene_warnings(record.scene, record.scene_name)]

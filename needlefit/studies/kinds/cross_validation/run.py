@@ -357,7 +357,8 @@ class _StudyRun:
         ]
         fitted = _fitted_rows(job, fold, fit, verdict, judgements)
         # the sampler's posterior has one set of parameters, specimens that differ have several
-        posterior = self.posteriors.get(fold.name) if further is None else None
+        separate = draws is not None and Specimens(job, fold, draws.thetas).separate
+        posterior = None if separate else self.posteriors.get(fold.name)
         sampled = intervals_of_draws(job.parameters, draws, posterior)
         add_intervals(fitted, judged, sampled, job.parameters.ties)
         self.rows["identification"] += judged
