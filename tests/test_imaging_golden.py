@@ -24,7 +24,8 @@ BALLS = cases.ENTRY + np.array([[6.0, 3, 4], [-5, -6, 12], [4, -6, 20], [-7, 5, 
 def assert_same(name: str, one: Reconstruction) -> None:
     arrays: dict[str, np.ndarray] = {}
     plain = encode(one, batch._HOOKS, arrays)
-    assert_golden(name, {"plain": plain, "arrays": arrays})
+    # an integral over a density whose width a search decides
+    assert_golden(name, {"plain": plain, "arrays": arrays}, wide={".bevel_probability": 2e-3})
 
 
 @pytest.mark.parametrize("pose", ["stage", "shaft"])
