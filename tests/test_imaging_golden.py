@@ -24,8 +24,9 @@ BALLS = cases.ENTRY + np.array([[6.0, 3, 4], [-5, -6, 12], [4, -6, 20], [-7, 5, 
 def assert_same(name: str, one: Reconstruction) -> None:
     arrays: dict[str, np.ndarray] = {}
     plain = encode(one, batch._HOOKS, arrays)
-    # an integral over a density whose width a search decides
-    assert_golden(name, {"plain": plain, "arrays": arrays}, wide={".bevel_probability": 2e-3})
+    # processors differ in where a search for the tip ends, which decides these
+    wide = {".bevel_probability": 2e-2, ".depth_sd": 1e-3, ".tip_sd": 1e-3}
+    assert_golden(name, {"plain": plain, "arrays": arrays}, rtol=2e-4, wide=wide)
 
 
 @pytest.mark.parametrize("pose", ["stage", "shaft"])
