@@ -9,8 +9,8 @@ for the specimens i of one population. The moduli of a specimen share a factor a
 (w = 1 with one modulus). tau_mu and tau_b have half-normal priors, rho is uniform from -1 to 1 (the LKJ prior
 with shape 1; D. Lewandowski, D. Kurowicka, H. Joe, J. Multivar. Anal. 100 (2009) 1989), w is uniform from 0
 to 1, m is flat within the bounds. Of moduli that are tied with a spread the source counts; the others deviate
-from it as the tie states, in every specimen anew. Other parameters that are said to vary have a tau of their
-own and no correlation.
+from it as the tie states, in every specimen anew. Other parameters that vary have a tau of their own and no
+correlation.
 
 Two stages estimate it (D. Lunn, J. Barrett, M. Sweeting, S. Thompson, J. R. Stat. Soc. C 62 (2013) 551).
 Stage one draws from the posterior of every specimen by itself. Stage two has the population,
@@ -145,12 +145,7 @@ class SpreadModel:
         share = expit(rest[:, -1]) if self.moduli > 1 else np.ones(len(at))
         # a row of `each` for each parameter: the tau of the moduli is that of all of them
         each = taus[:, [0] * self.moduli + list(range(bool(self.moduli), taus.shape[1]))]
-        correlations = np.tile(np.eye(len(self.names)), (len(at), 1, 1))
-        g = self.moduli
-        correlations[:, :g, :g] += share[:, None, None] * (1 - np.eye(g))
-        if self.correlated:
-            correlations[:, :g, g] = correlations[:, g, :g] = (rho * np.sqrt(share))[:, None]
-        return correlations * each[:, :, None] * each[:, None, :]
+        return _correlate(self.names, share, rho) * each[:, :, None] * each[:, None, :]
 
 
 @dataclass(frozen=True)
@@ -551,16 +546,21 @@ def _find_covariances(
     names: Sequence[str], spread: Mapping[str, float], share: Floats, rho: Floats
 ) -> Floats:
     """Return 2 T (B, Q, Q) with w and rho (B,)."""
-    moduli = np.array([dimension(name) == "modulus" for name in names])
-    bevels = np.array([name in BEVEL_PARAMETERS for name in names])
+    sds = np.array([spread.get(name, 0.0) for name in names])
+    covariances: Floats = 2 * _correlate(names, share, rho) * np.outer(sds, sds)
+    return covariances
+
+
+def _correlate(names: Sequence[str], share: Floats, rho: Floats) -> Floats:
+    """Return the correlations (B, Q, Q) of T with w and rho (B,); a single modulus has w = 1."""
+    moduli = np.array([dimension(name) == "modulus" for name in names], dtype=np.bool_)
+    bevels = np.array([name in BEVEL_PARAMETERS for name in names], dtype=np.bool_)
     common = share if moduli.sum() > 1 else np.ones_like(share)
     correlations = np.outer(moduli, moduli) * common[:, None, None]
     between = np.outer(moduli, bevels) | np.outer(bevels, moduli)
     correlations += between * (rho * np.sqrt(common))[:, None, None]
     correlations[:, np.eye(len(names), dtype=bool)] = 1.0
-    sds = np.array([spread.get(name, 0.0) for name in names])
-    covariances: Floats = 2 * correlations * np.outer(sds, sds)
-    return covariances
+    return correlations
 
 
 def _find_roots(covariances: Floats) -> Floats:

@@ -253,9 +253,8 @@ NODE_POSITIONS_SD: dict[DepthTreatment, tuple[float, ...]] = {
 #: stand in place of a layer where what is shared is the tracker's frame, the bevel of one insertion that was
 #: measured at several depths, or slope and response to the guide of a group of runs
 FRAME, BEVEL, GROUP_SLOPE, GROUP_GAIN = -1, -2, -3, -4
-GAIN_STEP = (
-    0.1  #: part of the guide's moves by which they are changed to simulate their effect, to both sides
-)
+#: part of the guide's moves by which they are changed to simulate their effect, to both sides
+GAIN_STEP = 0.1
 BEVEL_STEP = 0.1  #: part of the bevel's offset by which it is changed to simulate its effect, to both sides
 #: least bevel of an insertion, as part of the mean: a normal distribution does not end at zero
 MIN_BEVEL_FACTOR = 0.05
