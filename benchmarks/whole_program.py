@@ -29,6 +29,9 @@ COMMANDS = {
     "study3": ("validate", "study3", "-q", "--out", "reports"),
     "report": ("report", "reports/study3", "--out", "again", "-q"),
     "tune": ("tune", "phantom1", "-q", "--out", "reports"),
+    "identify": ("identify", "study1", "-q", "--out", "reports"),
+    "predict": ("predict", "study2", "--scene", "study2", "-q", "--out", "reports"),
+    "calibrate": ("calibrate", "study1", "--truth", "synthetic", "--replicates", "20", "-q", "--out", "reports"),
     "all": ("validate", "all", "-q", "--out", "reports"),
 }
 """By name; `report` rewrites the result of `study3`."""

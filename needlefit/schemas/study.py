@@ -32,6 +32,7 @@ class FitRecord(FileRecord):
     """`configs/fits/<name>.toml`: insertions that are fitted, with a tissue model and a recipe."""
 
     SCHEMA: ClassVar[int] = 2
+    KIND: ClassVar[str] = "fit"
 
     title: str = ""
     """Heading of the report."""
@@ -58,6 +59,8 @@ class FitRecord(FileRecord):
 
 class StudyRecord(FitRecord):
     """`studies/<name>.toml`: a fit and its validation, by `[[validate]]` selections or `leave_out`."""
+
+    KIND: ClassVar[str] = "cross_validation"
 
     question: str = ""
     """What the study answers; printed at the head of its report."""

@@ -44,6 +44,7 @@ class TrackStudyRecord(FileRecord):
     """`observable = "tip tracks"`: fits to tracked tips, and predictions of further runs."""
 
     SCHEMA: ClassVar[int] = 2
+    KIND: ClassVar[str] = "tracks"
 
     observable: Literal["tip tracks"]
     """What was measured."""

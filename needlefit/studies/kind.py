@@ -97,8 +97,8 @@ KINDS = Registry(StudyKind, "needlefit.studies.kinds", "kind of study")
 
 
 def kind_of(record: FileRecord) -> StudyKind:
-    """Return the kind whose study files are records of this type."""
-    return next(kind for kind in KINDS.values() if kind.record is type(record))
+    """Return the kind of a study file: what its key `kind` says, or for types without that key their `KIND`."""
+    return find_kind(getattr(record, "kind", None) or getattr(record, "KIND", None))
 
 
 def find_kind(name: object) -> StudyKind:

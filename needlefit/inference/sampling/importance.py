@@ -126,9 +126,10 @@ class StudentMixture:
 
     def _distances(self, at: Floats) -> Floats:
         """Return squared distances (N, M) from the centres in units of the scales."""
-        away = at[None] - self.centres[:, None]  # (M, N, P)
-        white = np.linalg.solve(self.factors, away.transpose(0, 2, 1))  # (M, P, N)
-        return np.sum(white**2, axis=1).T
+        # inverses of small triangular factors, which all points share
+        inverses = np.linalg.inv(self.factors)
+        white = inverses @ at.T - inverses @ self.centres[:, :, None]  # (M, P, N)
+        return np.einsum("mpn,mpn->nm", white, white)
 
     def _joint(self, at: Floats, squares: Floats) -> Floats:
         """Return log weight and density (N, M) of every component."""
@@ -161,7 +162,7 @@ class StudentMixture:
             return self
         centres = (pulls[:, kept].T @ at) / pulls[:, kept].sum(axis=0)[:, None]
         away = at[None] - centres[:, None]  # (M, N, P)
-        scales = np.einsum("nm,mnp,mnq->mpq", pulls[:, kept], away, away) / parts[kept, None, None]
+        scales = (pulls[:, kept].T[:, None] * away.transpose(0, 2, 1)) @ away / parts[kept, None, None]
         return StudentMixture(parts[kept] / parts[kept].sum(), centres, np.linalg.cholesky(scales + least))
 
 
@@ -250,35 +251,29 @@ def sample_by_importance(
     factors = np.array([np.linalg.cholesky(mode.axes @ mode.axes.T) for mode in approximations])
     even = np.full(len(factors), 1 / len(factors))
     proposal = StudentMixture(even, np.array([mode.centre for mode in approximations]), factors)
-    rounds: list[_Round] = []
+    thetas, density = np.empty((0, len(bounds[0]))), np.empty(0)
+    proposals: list[tuple[StudentMixture, float]] = []  # with the logarithm of the number of tries
+    proposed = np.empty((0, 0))  # log density and log tries (R, N) of every proposal at every draw
     while True:
         # drawn at once, so that the random numbers do not depend on how many fall outside the bounds
         drawn = proposal.draw(50 * effort.draws, rng)
         inside = np.flatnonzero(np.all((drawn >= bounds[0]) & (drawn <= bounds[1]), axis=1))[: effort.draws]
         # tries up to the last accepted draw: the proposal's density within the bounds is normalised by them
         drawn_count = int(inside[-1]) + 1 if len(inside) == effort.draws else len(drawn)
-        rounds.append(_Round(proposal, drawn[inside], log_density(drawn[inside]), drawn_count))
-        thetas = np.concatenate([one.thetas for one in rounds])
-        density = np.concatenate([one.log_density for one in rounds])
-        proposed = [np.log(one.drawn_count) + one.proposal.log_density(thetas) for one in rounds]
+        new = drawn[inside]
+        thetas, density = np.concatenate([thetas, new]), np.concatenate([density, log_density(new)])
+        earlier = [log_tries + one.log_density(new) for one, log_tries in proposals]
+        proposals.append((proposal, math.log(drawn_count)))
+        own = proposals[-1][1] + proposal.log_density(thetas)
+        proposed = np.vstack([np.hstack([proposed, np.reshape(earlier, (len(earlier), len(new)))]), own])
         # deterministic mixture: each draw against all proposals together, not only the one that drew it
         heavy = density - logsumexp(proposed, axis=0)
         weights, evidence = smooth_weights(heavy), float(logsumexp(heavy))
         found = WeightedDraws(thetas, density, *weights, effort.min_ess, log_evidence=evidence)
-        early = len(rounds) <= EARLY_ROUNDS
-        if (found.certified and not early) or len(rounds) == effort.rounds:
+        early = len(proposals) <= EARLY_ROUNDS
+        if (found.certified and not early) or len(proposals) == effort.rounds:
             return found
-        proposal = _fit_proposal(found, len(rounds), rng, effort.components)
-
-
-@dataclass(frozen=True)
-class _Round:
-    """The draws of one proposal within the bounds, and the number of tries."""
-
-    proposal: StudentMixture
-    thetas: Floats
-    log_density: Floats
-    drawn_count: int
+        proposal = _fit_proposal(found, len(proposals), rng, effort.components)
 
 
 EM_STEPS = 6  #: steps of expectation and maximisation between rounds
