@@ -49,15 +49,19 @@ def moments(found: WeightedDraws) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def test_a_banana_is_recovered():
     # E x1 = 1, var x1 = 2.25; x0 is normal; from its Laplace approximation alone k says that it does not.
     once = weighted(Known(banana, half=40.0), effort=Effort(rounds=1, min_ess=1))
-    found = weighted(Known(banana, half=40.0))
-    mean, covariance, errors = moments(found)
-    assert found.certified and once.k > found.k
-    assert np.all(np.abs(mean - [0.0, 1.0]) < 4 * errors)
-    assert covariance[1, 1] == pytest.approx(2.25, rel=0.15)
-    order = np.argsort(found.thetas[:, 0])
-    below = np.cumsum(np.exp(found.log_weights[order]))
-    at = np.interp([0.05, 0.5, 0.95], below, found.thetas[order, 0])
-    assert at == pytest.approx(norm.ppf([0.05, 0.5, 0.95]), abs=0.15)
+    effort = Effort(draws=1000, min_ess=2000.0)
+    many = [weighted(Known(banana, half=40.0), None, effort, seed) for seed in range(16)]
+    assert all(found.certified and once.k > found.k for found in many)
+    # What no draw comes near is missed: the ends of the banana, which have much of the variance.
+    means, covariances, _ = (np.mean(part, axis=0) for part in zip(*map(moments, many), strict=True))
+    assert means == pytest.approx([0.0, 1.0], abs=0.08)
+    assert covariances[1, 1] == pytest.approx(2.25, rel=0.17)
+    orders = [np.argsort(found.thetas[:, 0]) for found in many]
+    quantiles = [
+        np.interp([0.05, 0.5, 0.95], np.cumsum(np.exp(found.log_weights[order])), found.thetas[order, 0])
+        for found, order in zip(many, orders, strict=True)
+    ]
+    assert np.mean(quantiles, axis=0) == pytest.approx(norm.ppf([0.05, 0.5, 0.95]), abs=0.06)
     # Of weights that looked certified after one round, at the density itself, the mean was 0.5.
     found = [weighted(Known(banana, half=40.0), effort=Effort(), seed=seed) for seed in range(6)]
     assert np.mean([moments(one)[0][1] for one in found if one.certified]) == pytest.approx(1.0, abs=0.2)
@@ -97,7 +101,7 @@ class Plateau(Known):
 
 @pytest.mark.parametrize(
     ("effort", "share", "tolerance"),
-    [(Effort(profiles=False), 0.0, 1e-6), (Effort(draws=1000, components=30), 0.2994, 0.05)],
+    [(Effort(profiles=False), 0.0, 1e-6), (Effort(draws=1000), 0.2994, 0.05)],
 )
 def test_a_plateau_at_the_end_of_a_winding_valley_is_found_along_the_profile(effort, share, tolerance):
     """By quadrature 0.2994 of it lies at x0 < 2. From the peak alone none is found, and k is 0.46."""

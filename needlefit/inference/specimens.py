@@ -188,7 +188,7 @@ def make_specimen(draws: Floats) -> Specimen:
 KERNELS_PER_SPECIMEN = 100  #: draws that stand for the posterior of a specimen
 
 #: efforts of importance sampling of a population, tried in turn
-SPREAD_EFFORTS = (Effort(draws=1000, min_ess=2000.0), Effort(draws=3000, min_ess=1000.0, components=30))
+SPREAD_EFFORTS = (Effort(draws=1000, min_ess=2000.0), Effort(draws=3000, min_ess=1000.0))
 
 
 @dataclass(frozen=True)

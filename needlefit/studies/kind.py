@@ -97,7 +97,7 @@ KINDS = Registry(StudyKind, "needlefit.studies.kinds", "kind of study")
 
 
 def kind_of(record: FileRecord) -> StudyKind:
-    """Return the kind of a study file: what its key `kind` says, or for types without that key their `KIND`."""
+    """Return the kind of a study file: its key `kind`, or for types without that key their `KIND`."""
     return find_kind(getattr(record, "kind", None) or getattr(record, "KIND", None))
 
 

@@ -1,18 +1,19 @@
 """Sample the posterior about a fit by adaptive importance sampling; compute the density of further data.
 
-Mixtures of Student's t are fitted to the draws, round by round: after each one all draws so far are weighted
-by the density of all rounds together (deterministic mixture weights; J.-M. Cornuet, J.-M. Marin, A. Mira,
-C. P. Robert, Scand. J. Stat. 39 (2012) 798), and the mixture follows them by one step of expectation and
-maximisation over all components (Rao-Blackwellised population Monte Carlo; O. Cappe, R. Douc, A. Guillin,
-J.-M. Marin, C. P. Robert, Stat. Comput. 18 (2008) 447). At first, and while few draws carry all weight, it
-follows a flatter density, so that it grows along a ridge instead of falling on its best draws. What falls
+Half of each round's draws come from a mixture of Student's t about the modes and points along the profiles,
+half from one that is fitted to all draws so far: they are weighted by the density of all rounds together
+(deterministic mixture weights; J.-M. Cornuet, J.-M. Marin, A. Mira, C. P. Robert, Scand. J. Stat. 39 (2012)
+798), and the mixture follows them by steps of expectation and maximisation over all components
+(Rao-Blackwellised population Monte Carlo; O. Cappe, R. Douc, A. Guillin, J.-M. Marin, C. P. Robert, Stat.
+Comput. 18 (2008) 447). While few draws carry all weight it follows a flatter density, so that it grows along
+a ridge instead of falling on its best draws. The first half keeps what the second might leave. What falls
 outside the bounds has no density, and costs nothing.
 
 The largest weights follow a generalised Pareto distribution; its shape k says how heavy their tail is and
 whether to trust them, and its quantiles take their places (A. Vehtari, D. Simpson, A. Gelman, Y. Yao,
 J. Gabry, J. Mach. Learn. Res. 25 (2024) 72). k is estimated as by J. Zhang & M. A. Stephens, Technometrics 51
 (2009) 316: a mean over a grid of the profile likelihood, drawn to 1/2 by as much as ten further weights
-would. It cannot see what no draw has come near, which is why the first rounds are wide, and never the last.
+would. It cannot see what no draw has come near, which is why half of the draws stay wide.
 
 How probable further data y are, after data D, is the evidence of both over that of the first:
 
@@ -173,8 +174,12 @@ class Effort:
     draws: int = 250  #: of each round, within the bounds
     rounds: int = 14  #: the most; the last one may be earlier, once the weights are good
     min_ess: float = 250.0  #: independent draws that they must be worth, to be good
-    components: int = 12  #: of the mixture
     profiles: bool = True  #: whether the first draws are made along the profiles too, beside the modes
+
+    @property
+    def components(self) -> int:
+        """Number of components of the mixture that is fitted to the draws."""
+        return max(MIN_COMPONENTS, self.draws // DRAWS_PER_COMPONENT)
 
 
 @dataclass(frozen=True)
@@ -249,8 +254,11 @@ def sample_by_importance(
                 break
         return found
     factors = np.array([np.linalg.cholesky(mode.axes @ mode.axes.T) for mode in approximations])
-    even = np.full(len(factors), 1 / len(factors))
-    proposal = StudentMixture(even, np.array([mode.centre for mode in approximations]), factors)
+    centres = np.array([mode.centre for mode in approximations])
+    shares = np.repeat(np.array([1 - WIDE_SHARE, WIDE_SHARE]) / len(factors), len(factors))
+    first = proposal = StudentMixture(
+        shares, np.concatenate([centres, centres]), np.concatenate([factors, WIDE_SCALE * factors])
+    )
     thetas, density = np.empty((0, len(bounds[0]))), np.empty(0)
     proposals: list[tuple[StudentMixture, float]] = []  # with the logarithm of the number of tries
     proposed = np.empty((0, 0))  # log density and log tries (R, N) of every proposal at every draw
@@ -270,49 +278,29 @@ def sample_by_importance(
         heavy = density - logsumexp(proposed, axis=0)
         weights, evidence = smooth_weights(heavy), float(logsumexp(heavy))
         found = WeightedDraws(thetas, density, *weights, effort.min_ess, log_evidence=evidence)
-        early = len(proposals) <= EARLY_ROUNDS
-        if (found.certified and not early) or len(proposals) == effort.rounds:
+        if (found.certified and len(proposals) >= MIN_ROUNDS) or len(proposals) == effort.rounds:
             return found
-        proposal = _fit_proposal(found, len(proposals), rng, effort.components)
+        fitted = _fit_mixture(found, rng, effort.components)
+        proposal = StudentMixture(
+            0.5 * np.concatenate([first.weights, fitted.weights]),
+            np.concatenate([first.centres, fitted.centres]),
+            np.concatenate([first.factors, fitted.factors]),
+        )
 
 
 EM_STEPS = 6  #: steps of expectation and maximisation between rounds
 MIN_ESS_PER_COMPONENT = 12.0  #: independent draws per component that a flatter density is chosen by
-FLAT_ROUNDS = 5  #: in so many rounds the mixture follows a flat density only
-#: the half of a mixture that follows a steeper density has as many times fewer components
-COMPONENTS_PER_STEEP_ONE = 6
-#: in the first rounds the mixture follows this power of the density, and no weights are good enough yet
-EARLY_ROUNDS, EARLY_POWER = 2, 0.5
-#: factors on the scales in the first rounds and later, so that tails are reached
-EARLY_WIDENING, WIDENING = 1.5, 1.2
+MIN_COMPONENTS, DRAWS_PER_COMPONENT = 2, 125  #: of the fitted mixture; draws of one round
+MIN_ROUNDS = 3  #: no weights are good enough before
+WIDENING = 1.4  #: factor on the fitted scales, so that tails are reached
+#: part of the first mixture that is so many times wider, for ridges that bend away from where they begin
+WIDE_SHARE, WIDE_SCALE = 0.3, 3.0
 MIN_COVARIANCE_FRACTION = 1e-4  #: part of the draws' whole covariance that every component has at least
 
 
-def _fit_proposal(
-    found: WeightedDraws, round_count: int, rng: np.random.Generator, components: int
-) -> StudentMixture:
-    """Return a mixture fitted to the draws: half of it to a flat power of the density, half to a steep one.
-
-    The flat half finds what the draws have missed so far, and is alone at first. The steep one, of fewer
-    components, is near the density as soon as a dozen independent draws are; where there are many parameters
-    the flat half alone would stay too wide for ever.
-    """
-    flat = _fit_mixture(found, round_count <= EARLY_ROUNDS, rng, components)
-    if round_count < FLAT_ROUNDS:
-        return flat
-    steep = _fit_mixture(found, False, rng, max(1, components // COMPONENTS_PER_STEEP_ONE))
-    return StudentMixture(
-        0.5 * np.concatenate([flat.weights, steep.weights]),
-        np.concatenate([flat.centres, steep.centres]),
-        np.concatenate([flat.factors, steep.factors]),
-    )
-
-
-def _fit_mixture(
-    found: WeightedDraws, early: bool, rng: np.random.Generator, components: int
-) -> StudentMixture:
+def _fit_mixture(found: WeightedDraws, rng: np.random.Generator, components: int) -> StudentMixture:
     """Return a mixture fitted to the draws as they stand for the density, or a power of it."""
-    weights = _flatten_weights(found, EARLY_POWER if early else 1.0, MIN_ESS_PER_COMPONENT * components)
+    weights = _flatten_weights(found, MIN_ESS_PER_COMPONENT * components)
     at = found.thetas
     mean = weights @ at
     whole = (at - mean).T @ ((at - mean) * weights[:, None])
@@ -325,13 +313,13 @@ def _fit_mixture(
     )
     for _ in range(EM_STEPS):
         fitted = fitted.refit(at, weights, least)
-    return StudentMixture(
-        fitted.weights, fitted.centres, (EARLY_WIDENING if early else WIDENING) * fitted.factors
-    )
+    return StudentMixture(fitted.weights, fitted.centres, WIDENING * fitted.factors)
 
 
-def _flatten_weights(found: WeightedDraws, power: float, fewest: float) -> Floats:
-    """Return weights (N,) of the density to the highest power that leaves `fewest` independent draws."""
+def _flatten_weights(found: WeightedDraws, fewest: float) -> Floats:
+    """Return weights (N,) of the highest power, at most 1, of the density that leaves `fewest` independent
+    draws.
+    """
     known = np.flatnonzero(np.isfinite(found.log_weights))
     density = found.log_density[known]
     drawn = density - found.log_weights[known]  # log density of all rounds together, but for a constant
@@ -342,9 +330,10 @@ def _flatten_weights(found: WeightedDraws, power: float, fewest: float) -> Float
     def missing(at: float) -> float:
         return compute_ess(log_weights(at)) - min(fewest, 0.5 * len(known))
 
-    if missing(power) < 0:
+    power = 1.0
+    if missing(1.0) < 0:
         # the effective sample size falls as the power rises; at power 0 it is the largest possible
-        power = float(brentq(missing, 0.0, power, xtol=1e-3)) if missing(0.0) > 0 else 0.0
+        power = float(brentq(missing, 0.0, 1.0, xtol=1e-3)) if missing(0.0) > 0 else 0.0
     weights = np.zeros(len(found.thetas))
     weights[known] = np.exp(log_weights(power) - logsumexp(log_weights(power)))
     return weights
@@ -358,7 +347,7 @@ PROFILE_STEPS = ProfileSteps(stop_deviance=14.0, root_rise=1.2, min_gain=0.05)
 
 EFFORT = Effort()
 #: effort of the second attempt; still far less than MCMC needs
-LARGER_EFFORT = Effort(draws=1000, components=30)
+LARGER_EFFORT = Effort(draws=1000)
 EFFORTS = (EFFORT, LARGER_EFFORT)
 
 
