@@ -343,7 +343,7 @@ def _flatten_weights(found: WeightedDraws, fewest: float) -> Floats:
 MAX_LOG_DENSITY_GAP = 10.0
 MIN_MODE_DISTANCE = 1e-3  #: ends nearer to each other than this part of the bounds are one mode
 #: profiles along which draws begin: coarse ones, down to densities of a thousandth of the peak's
-PROFILE_STEPS = ProfileSteps(stop_deviance=14.0, root_rise=1.2, min_gain=0.05)
+PROFILE_STEPS = ProfileSteps(stop_deviance=14.0, root_rise=1.2, min_gain=0.5)
 
 EFFORT = Effort()
 #: effort of the second attempt; still far less than MCMC needs
