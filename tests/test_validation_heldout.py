@@ -154,7 +154,8 @@ def test_needles_with_depths_of_their_own_are_those_of_single_simulations(job, k
     conditions = draw_conditions(insertion, len(sets), np.random.default_rng(3))
     s = np.linspace(10.0, insertion.depth, 5)
     other = [*sets[:-1], {**sets[-1], "alpha1": 1.5 * sets[-1]["alpha1"]}]
-    for drawn, tolerance in ((other, 0.05), ([sets[0]] * len(sets), 0.02)):
+    typical = job.parameters.values(known.thetas.mean(axis=0))
+    for drawn, tolerance in ((other, 0.05), ([typical] * len(sets), 0.02)):
         together = simulate_planned(drawn, medium, needle, insertion, s, conditions)
         assert together.solved.all() and together.valid.all()
         for n in [*range(3, 299, 37), 299]:  # of which most are not simulated with other depths

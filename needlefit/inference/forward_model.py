@@ -89,7 +89,7 @@ def make_batch(
     sets: Sequence[Mapping[str, float]], medium: MediumRecord, needle: Needle, insertion: Insertion
 ) -> Batch:
     """Return a batch of one insertion with many parameter sets, for `simulate_batches`; see `predict`."""
-    values = _stack_values(_tabulate_sets(sets), medium, insertion)
+    values = _stack_values(tabulate_sets(sets), medium, insertion)
     return Batch(*make_simulation_inputs(sets[0], medium, needle, insertion), **values)
 
 
@@ -100,20 +100,28 @@ def stack_shape(table: Mapping[str, Any], law: str, sequence: Sequence[int]) -> 
     return np.moveaxis(np.array(rows, dtype=np.float64).reshape(-1, len(sequence), count), -1, 0)
 
 
-def _tabulate_sets(sets: Sequence[Mapping[str, float]]) -> dict[str, Floats]:
+def tabulate_sets(sets: Sequence[Mapping[str, float]]) -> dict[str, Floats]:
     """Return the values (B,) of each parameter."""
     return {name: np.array([values[name] for values in sets]) for name in sets[0]}
 
 
-def _stack_values(table: Mapping[str, Floats], medium: MediumRecord, insertion: Insertion) -> dict[str, Any]:
-    guide = table.get("guide_distance_mm")
-    strength = insertion.bevel_factor * table[medium.bevel_parameter]
+def stack_values(
+    table: Mapping[str, Floats], medium: MediumRecord, sequence: Sequence[int], factor: float = 1.0
+) -> dict[str, Floats]:
+    """Return what sets of values, (B,) each, give a `Batch` into layers `sequence`; bevels by a `factor`."""
+    strength = factor * table[medium.bevel_parameter]
     values = {
         # files and theta hold Pa, the mechanics N and mm: 1 Pa = 1e-6 MPa
-        "mu": np.column_stack([table[f"mu{layer}_pa"] * 1e-6 for layer in insertion.sequence]),
-        "shape": stack_shape(table, medium.law, insertion.sequence),
+        "mu": np.column_stack([table[f"mu{layer}_pa"] * 1e-6 for layer in sequence]),
+        "shape": stack_shape(table, medium.law, sequence),
     }
-    values |= {"cut_angle": np.radians(strength)} if medium.advance == "path_angle" else {"offset": strength}
+    bevel = {"cut_angle": np.radians(strength)} if medium.advance == "path_angle" else {"offset": strength}
+    return values | bevel
+
+
+def _stack_values(table: Mapping[str, Floats], medium: MediumRecord, insertion: Insertion) -> dict[str, Any]:
+    guide = table.get("guide_distance_mm")
+    values = stack_values(table, medium, insertion.sequence, insertion.bevel_factor)
     return values if guide is None else values | {"guide_x": -guide}
 
 
@@ -205,7 +213,7 @@ class PreparedModel:
         return points, moves
 
     def _make_batches(self, sets: Sequence[Mapping[str, float]]) -> list[Batch]:
-        table = _tabulate_sets(sets)
+        table = tabulate_sets(sets)
         return [one.make_batch(sets[0], table, self._medium, self._needle) for one in self._simulations]
 
     def _read(

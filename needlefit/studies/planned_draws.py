@@ -1,4 +1,4 @@
-"""Predict one planned insertion with many draws of the parameters at once.
+"""Predict one planned insertion, or a scene, with many draws of the parameters at once.
 
 Each draw has layers of its own: its needle bends otherwise, and meets the surfaces elsewhere. All draws are
 simulated together (`mechanics.batch`) with the same layer depths, and some of them with other depths too. The
@@ -7,7 +7,7 @@ surfaces lie is tabulated along parallels to the entry axis, since draws deviate
 other. What cannot be interpolated (a surface that some draws meet and others miss) is simulated draw by draw.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,11 +19,18 @@ from needlefit.arrays import Bools, Floats, Ints
 from needlefit.datasets.insertion import Insertion, split_boundary_sd
 from needlefit.datasets.layers import find_layers
 from needlefit.inference.compared_points import read_batch_points, read_points
-from needlefit.inference.forward_model import PreparedModel, predict
-from needlefit.inference.likelihood.nodes import find_bevel_factors, make_spline_weights, shift_depths
-from needlefit.inference.parameters import BEVEL_PARAMETERS, BEVEL_SPREAD
+from needlefit.inference.forward_model import PreparedModel, predict, stack_values, tabulate_sets
+from needlefit.inference.likelihood.nodes import (
+    enforce_order,
+    find_bevel_factors,
+    make_spline_weights,
+    shift_depths,
+)
+from needlefit.inference.parameters import BEVEL_PARAMETERS, BEVEL_SPREAD, make_tissue
 from needlefit.inference.planned_layers import MAX_DRAWN_LAYERS, with_planned_layers
+from needlefit.mechanics.batch import Batch, compute_batch_positions, simulate_batches
 from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.scene import Scene
 from needlefit.schemas.medium import MediumRecord
 
 PATH_POINTS = 101  #: points of a needle among which its crossings are looked for
@@ -139,24 +146,90 @@ def simulate_planned(
     centre = replace(straight, boundaries=np.nanmedian(crossed, axis=0), sequence=table.sequence)
     spread = np.hypot(np.nanstd(crossed, axis=0), np.std(errors, axis=0))
     reach = np.maximum(NODE_SD * spread, MIN_NODE_MM)
-    entry = max(NODE_SD * insertion.depth_sd, MIN_NODE_MM) if insertion.depth_sd > 0 else 0.0
-    moves = [(row, 0.0) for row in np.diag(reach)]
-    moves += [(np.full(len(reach), entry), entry)] if entry else []
-    nodes = [
-        shift_depths(centre, stations, at * shifts, at * deep) for shifts, deep in moves for at in NODE_PLACES
-    ]
-    (points,), valid = simulate(sets, [(centre, stations)])
-    some_steps = simulate(some, nodes)[0] - points[chosen] if nodes else np.empty((0, *points[chosen].shape))
-    steps = _interpolate_steps(coordinates, chosen, some_steps)
-    if steps is None:
+
+    def move(
+        which: Sequence[Mapping[str, float]], moves: Sequence[tuple[Floats, float]]
+    ) -> tuple[Floats, Bools]:
+        return simulate(which, [shift_depths(centre, stations, shifts, deep) for shifts, deep in moves])
+
+    found = _interpolate_depths(sets, move, coordinates, chosen, reach, insertion.depth_sd)
+    if found is None:
         return _simulate_each(sets, medium, needle, insertion, s, conditions)
-    units = np.append(reach, entry) if entry else reach
+    whole, valid = found
     shifts, still = np.zeros((len(sets), len(reach))), np.zeros(len(sets))
-    path = _Interpolation(points[:, :PATH_POINTS], steps[:, :, :PATH_POINTS], units)
+    path = whole.take(slice(None, PATH_POINTS))
     for _ in range(CROSSING_ROUNDS if insertion.surfaces else 0):
         shifts = table.find_crossings(path.at(shifts, still)) - centre.boundaries
-    measured = _Interpolation(points[:, PATH_POINTS:], steps[:, :, PATH_POINTS:], units)
-    return PlannedNeedles(measured.at(shifts + errors, conditions.deep), valid)
+    return PlannedNeedles(whole.take(slice(PATH_POINTS, None)).at(shifts + errors, conditions.deep), valid)
+
+
+def simulate_scene(
+    sets: Sequence[Mapping[str, float]],
+    medium: MediumRecord,
+    scene: Scene,
+    s: Floats,
+    deep: Floats,
+    wrong: Floats,
+    jobs: int = 1,
+) -> PlannedNeedles:
+    """Return the needles of B sets of values in a scene, at arc lengths `s` (K,), mm.
+
+    `deep` (B,) are the errors of the entry, `wrong` (B, n - 1) those of the layers' depths, mm.
+    """
+    layers = range(1, scene.tissue.layers + 1)
+
+    def move(
+        which: Sequence[Mapping[str, float]], moves: Sequence[tuple[Floats, float]]
+    ) -> tuple[Floats, Bools]:
+        given, batches = stack_values(tabulate_sets(which), medium, layers), []
+        for shifts, deeper in moves:
+            boundaries = enforce_order(scene.tissue.boundaries + shifts)
+            tissue = make_tissue(which[0], layers, boundaries, medium)
+            steps = tuple(replace(step, depth=step.depth + deeper) for step in scene.steps)
+            batches.append(Batch(scene.needle, tissue, steps, scene.rules, **given))
+        shapes = simulate_batches(batches, jobs)
+        pairs = zip(shapes, moves, strict=True)
+        return np.array([compute_batch_positions(one, s + deeper) for one, (_, deeper) in pairs]), shapes[
+            0
+        ].valid
+
+    coordinates = _make_coordinates(sets)
+    reach = np.maximum(NODE_SD * np.std(wrong, axis=0), MIN_NODE_MM)
+    chosen = _choose_draws(coordinates)
+    found = _interpolate_depths(sets, move, coordinates, chosen, reach, float(np.std(deep)))
+    if found is not None:
+        whole, valid = found
+        return PlannedNeedles(whole.at(wrong, deep), valid)
+    each = [move([one], [(wrong[n] + deep[n], float(deep[n]))]) for n, one in enumerate(sets)]
+    return PlannedNeedles(
+        np.concatenate([points[0] for points, _ in each]), np.concatenate([v for _, v in each])
+    )
+
+
+def _interpolate_depths(
+    sets: Sequence[Mapping[str, float]],
+    move: "Callable[[Sequence[Mapping[str, float]], Sequence[tuple[Floats, float]]], tuple[Floats, Bools]]",
+    coordinates: Floats,
+    chosen: Ints,
+    reach: Floats,
+    depth_sd: float,
+) -> "tuple[_Interpolation, Bools] | None":
+    """Return the needles of B sets of values, to be read at any depths, and their validity (B,).
+
+    `move` returns the points (m, B, K, 2) with boundaries shifted by (n - 1,) and the tip by a number, mm,
+    and the validity with the first of these moves. `reach` (n - 1,) are typical shifts. None if too few of
+    the `chosen` sets have a solution.
+    """
+    entry = max(NODE_SD * depth_sd, MIN_NODE_MM) if depth_sd > 0 else 0.0
+    moves = [(row, 0.0) for row in np.diag(reach)]
+    moves += [(np.full(len(reach), entry), entry)] if entry else []
+    nodes = [(at * shifts, at * deep) for shifts, deep in moves for at in NODE_PLACES]
+    (points,), valid = move(sets, [(np.zeros(len(reach)), 0.0)])
+    some = [sets[n] for n in chosen]
+    some_steps = move(some, nodes)[0] - points[chosen] if nodes else np.empty((0, *points[chosen].shape))
+    steps = _interpolate_steps(coordinates, chosen, some_steps)
+    units = np.append(reach, entry) if entry else reach
+    return None if steps is None else (_Interpolation(points, steps, units), valid)
 
 
 def _make_coordinates(sets: Sequence[Mapping[str, float]]) -> Floats:
@@ -273,6 +346,10 @@ class _Interpolation:
         """Return the steps as one block of memory, (B, 2 d, 2 K)."""
         count, nodes, points, _ = self.steps.shape
         return np.ascontiguousarray(self.steps).reshape(count, nodes, 2 * points)
+
+    def take(self, points: slice) -> "_Interpolation":
+        """Return some of the points."""
+        return replace(self, points=self.points[:, points], steps=self.steps[:, :, points])
 
     def at(self, shifts: Floats, deep: Floats) -> Floats:
         """Return the points (B, K, 2) with boundaries shifted by (B, n - 1) and the entry by (B,), mm."""

@@ -24,8 +24,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, split_boundary_sd
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.fit import Callbacks, keep_start, read_starts
-from needlefit.inference.forward_model import make_bevel, make_options
-from needlefit.inference.likelihood.nodes import enforce_order
+from needlefit.inference.forward_model import make_options
 from needlefit.inference.likelihood.observation import pose_sds
 from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import (
@@ -37,11 +36,7 @@ from needlefit.inference.predict import (
     thin_posterior,
 )
 from needlefit.inference.sampling.posterior import load
-from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.shape import compute_positions
-from needlefit.mechanics.simulate import simulate_steps
-from needlefit.mechanics.tissue import Tissue
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint, open_checkpoint
 from needlefit.project.folders import require_unchanged
 from needlefit.project.input_files import convert_stored_errors, is_file
@@ -73,7 +68,7 @@ from needlefit.studies.held_out_predictions import (
 )
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.kind import StudyKind
-from needlefit.studies.planned_draws import PlannedNeedles, vary_bevels
+from needlefit.studies.planned_draws import PlannedNeedles, simulate_scene, vary_bevels
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Run, Status, Verdict, describe_configuration, headline_fault
 from needlefit.studies.run_differences import (
@@ -296,24 +291,7 @@ def _simulate_draws(
     entry_sd, boundary_sd = np.sqrt(np.mean(np.square(typical), axis=0))
     deep = entry_sd * rng.standard_normal(len(sets))
     wrong = boundary_sd * rng.standard_normal((len(sets), scene.tissue.layers - 1))
-    points, valid = np.full((len(sets), len(s), 2), np.nan), np.zeros(len(sets), dtype=np.bool_)
-    layers, medium = range(1, scene.tissue.layers + 1), job.medium
-    for n, values in enumerate(sets):
-        tissue = Tissue(
-            np.array([values[f"mu{layer}_pa"] * 1e-6 for layer in layers]),
-            [[values[name] for name in row] for row in LAWS[medium.law].name_shape(layers)],
-            enforce_order(scene.tissue.boundaries + float(deep[n]) + wrong[n]),
-            np.array([medium.thickness_mm]),
-            law=medium.law,
-        )
-        steps = []
-        for step in scene.steps:
-            bevel = make_bevel(values, medium, step.bevel.side)
-            steps.append(replace(step, depth=step.depth + float(deep[n]), bevel=bevel))
-        shape = simulate_steps(scene.needle, tissue, tuple(steps), scene.rules)
-        if shape.converged:
-            points[n], valid[n] = compute_positions(shape, s + deep[n]), shape.valid
-    return PlannedNeedles(points, valid)
+    return simulate_scene(sets, job.medium, scene, s, deep, wrong)
 
 
 def _measurement_sd(s: Floats, dataset: Dataset, scale: float) -> Floats:
