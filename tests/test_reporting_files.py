@@ -23,12 +23,13 @@ from needlefit.studies.kinds.cross_validation.tables import lay_out_parameters
 from needlefit.studies.paper_folder import write_paper_folder
 from needlefit.studies.report import compose_run_report, say, write_run
 
-FIGURES = ("boxplot", "schematic", "overlays", "residuals", "waterfall")
+FIGURES = ("boxplot", "schematic", "overlays", "waterfall")
 EXPECTED = {
     *(f"{name}.csv" for name in ("design", "directions", "errors", "failures", "shapes", "starts")),
     *(f"{name}.csv" for name in ("validation", "tuning", "parameters")),
     *(f"{name}.tex" for name in ("validation", "tuning_by_layers", "tuning_by_media", "parameters")),
     *(f"{name}.{kind}" for name in FIGURES for kind in ("pdf", "csv")),
+    "residuals.csv",
     *(
         "numbers.tex",
         "example.tex",
@@ -51,6 +52,7 @@ def folder(tmp_path_factory) -> Path:
 
 def test_a_result_folder_holds_every_file(folder):
     assert {path.name for path in folder.iterdir()} == EXPECTED
+    assert {path.name for path in write_run(study(1), folder, True).iterdir()} == EXPECTED | {"residuals.pdf"}
     assert [p.name for p in folder.parent.iterdir()] == ["study1"]
     for name in EXPECTED:
         assert (folder / name).stat().st_size > 0
@@ -260,7 +262,7 @@ def test_the_example_compiles(written, tmp_path):
 @pytest.mark.sweep
 def test_a_paper_has_every_figure_in_both_widths_with_letters_of_8_points(written):
     run, paper = written
-    names = {path.stem for path in run.glob("*.pdf")} - {"report"}
+    names = {path.stem for path in run.glob("*.pdf")} - {"report"} | {"residuals"}
     widths = {"single": 3.5, "double": 7.16}
     assert {path.stem for path in paper.glob("*.pdf")} == {f"{n}-{word}" for n in names for word in widths}
     for path in paper.glob("*.pdf"):
@@ -273,7 +275,8 @@ def test_a_paper_has_every_figure_in_both_widths_with_letters_of_8_points(writte
 
 
 def test_the_example_inputs_every_table_and_the_methods(tmp_path):
-    blocks = ({"kind": "figure", "half": True, "path": tmp_path / "boxplot.pdf", "caption": "50 %"},)
+    (tmp_path / "boxplot.pdf").write_bytes(b"/MediaBox [0 0 252 100]")
+    blocks = ({"kind": "figure", "path": tmp_path / "boxplot.pdf", "caption": "50 %"},)
     text = format_example(
         Document("A & B", "", False, ()), blocks, ["validation", "parameters"], methods=True
     )

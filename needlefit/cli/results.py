@@ -4,7 +4,7 @@ import dataclasses
 import difflib
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import typer
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     paper=option(
         "Also write figures 3.5 and 7.16 in wide, LaTeX files and an example to a new folder.", "DIR"
     ),
+    figures=option("main: those that the report needs; all: the optional ones too."),
     latex=option("Also compile the example, a paper of all tables and figures. Needs LaTeX.", "PDF"),
 )
 def report(
@@ -33,6 +34,7 @@ def report(
     out: Path | None = None,
     paper: Path | None = None,
     latex: Path | None = None,
+    figures: Literal["main", "all"] = "main",
     unverified: bool = False,
 ) -> None:
     """Write tables, figures and report of a RUN again, and print it, without fitting anything.
@@ -46,7 +48,7 @@ def report(
 
     folder = find_run(run)
     written = folder if out is None else out
-    runs = rebuild(folder, written, unverified)
+    runs = rebuild(folder, written, unverified, figures == "all")
     several = len(runs) > 1
     for one in runs:
         show_run(context.find_root().obj, one, written, named=several)

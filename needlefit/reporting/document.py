@@ -99,12 +99,14 @@ _MEDIA_BOX = re.compile(rb"/MediaBox\s*\[\s*0\s+0\s+([0-9.]+)")
 
 
 def figure(path: Path, caption: str) -> Block:
-    """Return a figure: the PDF at `path`, in its own size; two that are half as wide as a page stand side by
-    side.
-    """
-    width = _MEDIA_BOX.search(path.read_bytes())
-    half = width is not None and float(width[1]) <= MAX_HALF_WIDTH_PT
-    return {"kind": "figure", "path": path, "caption": caption, "half": half}
+    """Return a figure: the PDF that will be at `path`, in its own size."""
+    return {"kind": "figure", "path": path, "caption": caption}
+
+
+def is_half_width(figure: Path) -> bool:
+    """Return whether a PDF is at most half as wide as a page: two of them stand side by side."""
+    width = _MEDIA_BOX.search(figure.read_bytes())
+    return width is not None and float(width[1]) <= MAX_HALF_WIDTH_PT
 
 
 def compile_pdf(document: Document) -> bytes:
@@ -130,7 +132,8 @@ def _number_blocks(document: Document) -> Iterator[Block]:
             yield {**block}
             continue
         counts[kind] += 1
-        yield {**block, "number": counts[kind], "id": f"{kind}-{counts[kind]}"}
+        more = {"half": is_half_width(block["path"])} if kind == "figure" else {}
+        yield {**block, **more, "number": counts[kind], "id": f"{kind}-{counts[kind]}"}
 
 
 def compile_template(

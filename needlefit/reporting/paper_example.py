@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from needlefit.errors import ConfigError
-from needlefit.reporting.document import Block, Document
+from needlefit.reporting.document import Block, Document, is_half_width
 from needlefit.reporting.latex import escape_latex
 
 EXAMPLE_FILE = "example.tex"
@@ -37,7 +37,7 @@ def format_example(report: Document, figures: Sequence[Block], tables: Sequence[
 
 def _format_figure(block: Block, origin: str) -> str:
     """Return a figure in its own width: larger or smaller, its letters would not be 8 points high."""
-    environment = "figure" if block["half"] else "figure*"
+    environment = "figure" if is_half_width(block["path"]) else "figure*"
     name = Path(block["path"]).stem
     return (
         f"\\begin{{{environment}}}\n\\centering\n"

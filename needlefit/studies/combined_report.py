@@ -133,7 +133,7 @@ def compose_overview(
     return Document("Validation studies", data, synthetic, (*states, *body, *appendix))
 
 
-def rebuild(run: Path, folder: Path, unverified: bool = False) -> list[Run]:
+def rebuild(run: Path, folder: Path, unverified: bool = False, all_figures: bool = False) -> list[Run]:
     """Write tables, figures and report of a stored run to `folder` again, without any computation.
 
     Returns the run, or those reported together. Raises DataError if the run stored no results, they do not
@@ -145,5 +145,5 @@ def rebuild(run: Path, folder: Path, unverified: bool = False) -> list[Run]:
         if is_combined(run):
             write_combined(runs, folder)
         else:
-            write_run(runs[0], folder)
+            write_run(runs[0], folder, all_figures)
         return runs

@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 
 from needlefit.errors import ConfigError
+from needlefit.reporting.document import is_half_width
 from needlefit.reporting.figures.style import COLUMN_WIDTH_IN, TEXT_WIDTH_IN, draw_together, fix_width
 from needlefit.reporting.paper_example import EXAMPLE_FILE, format_example
 from needlefit.studies.kind import find_kind
@@ -41,7 +42,7 @@ def write_paper_folder(result: Run, run_folder: Path, folder: Path) -> list[Path
             figures[name] = path.rename(path.with_stem(f"{path.stem}-{word}"))
         report = compose_run_report(result, figures)
         found = [block for block in report.blocks if block["kind"] == "figure"]
-        kept = [block for block in found if block["half"] == (word == "single")]
+        kept = [block for block in found if is_half_width(block["path"]) == (word == "single")]
         label_figures({str(n): block["path"] for n, block in enumerate(kept)}, result.synthetic)
         for path in set(figures.values()) - {block["path"] for block in kept}:
             path.unlink()

@@ -18,9 +18,10 @@ from needlefit.reporting.document import Block, Document
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.labels import SYNTHETIC_NOTE
 from needlefit.reporting.latex import format_latex, format_table_macros
+from needlefit.reporting.number_format import join_words
 from needlefit.reporting.paper_example import EXAMPLE_FILE, format_example
 from needlefit.reporting.table import Table, TableLayout
-from needlefit.reporting.table_files import to_records, to_tidy, write_csv_pieces, write_json
+from needlefit.reporting.table_files import to_records, to_tidy, write_csv, write_csv_pieces, write_json
 from needlefit.reporting.text import KindText
 from needlefit.studies.columnar import iterate_pieces
 from needlefit.studies.fit_warnings import QUALIFYING_WARNINGS
@@ -131,7 +132,7 @@ class StudyReport:
         return [one if isinstance(one, TableLayout) else self.text.lay_out(one, values) for one in every]
 
     def draw(self, result: Run, folder: Path) -> dict[str, Path]:
-        """Draw figures to a folder, what each shows beside it as CSV; return their files by name."""
+        """Draw all figures to a folder, what each shows beside it as CSV; return their files by name."""
         return {name: one.save(folder / f"{name}.pdf") for name, one in self.figures(result).items()}
 
     def compose(self, result: Run, paths: Mapping[str, Path]) -> list[Block]:
@@ -169,11 +170,12 @@ MODEL_DATA_NOTE = "The needles were simulated: errors on them do not carry over 
 
 
 @one_thread
-def write_run(result: Run, folder: Path) -> Path:
+def write_run(result: Run, folder: Path, all_figures: bool = False) -> Path:
     """Write the result of an analysis to `folder`, replacing an earlier result there; return the folder.
 
-    Every frame as CSV, tables and their numbers as LaTeX, figures as PDF, the report as PDF and HTML,
-    `run.json`, `results.json.gz`, from which all of this can be made again, and `timing.json`.
+    Every frame as CSV, tables and their numbers as LaTeX, figures as PDF (optional ones with `all_figures`),
+    the report as PDF and HTML, `run.json`, `results.json.gz`, from which all of this can be made again, and
+    `timing.json`.
 
     Raises ConfigError if `folder` holds anything that needlefit did not write, or that was changed since.
     """
@@ -181,11 +183,11 @@ def write_run(result: Run, folder: Path) -> Path:
         for name in listed_files(folder) if find_kind(result.kind).report.keeps_files else ():
             (new / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(folder / name, new / name)
-        write_files(result, new)
+        write_files(result, new, all_figures)
     return folder
 
 
-def write_files(result: Run, folder: Path) -> None:
+def write_files(result: Run, folder: Path, all_figures: bool = False) -> None:
     """Write the files of a result, as `write_run`, into a folder that takes the place of another."""
     from needlefit.reporting.figures.style import draw_together  # late: matplotlib takes its time to load
 
@@ -198,8 +200,13 @@ def write_files(result: Run, folder: Path) -> None:
         )
         write_csv_pieces(pieces, folder / f"{name}.csv")
     with draw_together() as begin_drawing:
-        figures = page.draw(result, folder)
+        every = page.figures(result)
+        chosen = {name: one for name, one in every.items() if all_figures or not one.optional}
+        figures = {name: one.save(folder / f"{name}.pdf") for name, one in chosen.items()}
         begin_drawing()
+        left = [name for name in every if name not in chosen]
+        for name in left:
+            write_csv(every[name].frame, folder / f"{name}.csv")
         tables = page.lay_out(result)
         for table in tables:
             path = folder / f"{table.name}.tex"
@@ -207,7 +214,7 @@ def write_files(result: Run, folder: Path) -> None:
         (folder / "numbers.tex").write_text(format_table_macros(result.name, tables), encoding="utf-8")
         page.write_files(result, folder)
         store_run(result, folder)
-    report = compose_run_report(result, figures)
+        report = compose_run_report(result, figures, left)
     write_report(report, folder)
     methods = (folder / "methods.tex").is_file()
     pictures = [block for block in report.blocks if block["kind"] == "figure"]
@@ -232,8 +239,8 @@ def write_report(report: Document, folder: Path, name: str = "report") -> None:
     (folder / f"{name}.html").write_bytes(document.compile_html(report))
 
 
-def compose_run_report(result: Run, figures: Mapping[str, Path]) -> Document:
-    """Return the report: question, verdicts, results, method, provenance."""
+def compose_run_report(result: Run, figures: Mapping[str, Path], left: Sequence[str] = ()) -> Document:
+    """Return the report: question, verdicts, results, method, provenance; `left` are figures not drawn."""
     page = find_kind(result.kind).report
     warnings = list_run_warnings(result)
     sentences = page.summarize(result)[1:] if page.judge is judge_by_summary else []
@@ -247,6 +254,9 @@ def compose_run_report(result: Run, figures: Mapping[str, Path]) -> Document:
         *compose_warnings(one for one in warnings if one.kind not in QUALIFYING_WARNINGS),
         *_run_blocks(result),
     ]
+    if left:
+        words = f"needlefit report {result.name} --figures all also draws {join_words(left)}."
+        blocks.append(document.note(words))
     data = "" if result.synthetic else f" · {result.dataset_title}"  # the first block names synthetic data
     subtitle = f"{result.name}{data}. {result.question}".strip()
     found, marked = page.explore(result), bool(result.unverified)

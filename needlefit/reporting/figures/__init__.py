@@ -22,6 +22,8 @@ class Drawing:
     # Frame -> the frame that the form draws, where that needs columns which are not saved
     prepare: Callable[[pd.DataFrame], pd.DataFrame] = lambda frame: frame
 
+    optional: bool = False  # drawn where all figures are asked for; its frame is saved in any case
+
     def save(self, path: Path) -> Path:
         """Draw the figure to `path` (PDF), its frame beside it as CSV; return the path."""
         # late: matplotlib takes its time to load

@@ -612,7 +612,7 @@ def draw_insertions(results: Run, role: str) -> dict[str, Drawing]:
         "overlays": Drawing(
             forms.insertions, collect_curves(results, role, names, every), {"heads": titles, "names": names}
         ),
-        "residuals": Drawing(forms.residuals, off, {"chosen": three, "names": less}),
+        "residuals": Drawing(forms.residuals, off, {"chosen": three, "names": less}, optional=True),
     }
 
 
@@ -1160,7 +1160,9 @@ def list_figures(results: Run) -> dict[str, Drawing]:
         found |= draw_insertions(results, role)
     if len(frames["draws"]) and tables.list_free_parameters(results):
         names = {"fitted": "the fit", "hand_tuned": labels.method_name("hand_tuned", results.origin)}
-        found["corner"] = Drawing(forms.corner, _tabulate_marks(results), {"names_of_sets": names})
+        found["corner"] = Drawing(
+            forms.corner, _tabulate_marks(results), {"names_of_sets": names}, optional=True
+        )
     if len(frames["starts"]) and not Facts(results).agreement:
         found["waterfall"] = draw_starts(results)
     if len(frames["profiles"]):
