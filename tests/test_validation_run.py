@@ -93,7 +93,24 @@ def clean(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """The study as it is, run once."""
     with pytest.MonkeyPatch.context() as here:
         here.chdir(made(tmp_path_factory.mktemp("clean")))
-        return run("clean", study(), Settings())
+        return run(
+            "clean", study(), Settings(progress=lambda *event: EVENTS.append(event), first=FIRST.append)
+        )
+
+
+EVENTS: list[tuple[str, int, int]] = []  #: what the run above reports
+FIRST: list[str] = []
+
+
+def test_progress_names_every_phase_and_the_fit_is_told_once(clean: Run) -> None:
+    labels, done, totals = zip(*EVENTS, strict=True)
+    phases = list(dict.fromkeys(label.removeprefix("clean: ") for label in labels))
+    assert phases == ["search for the best fit", "profiles", "posterior draws", "predictions"]
+    # 4 starts, 30 for the draws, 4 for each prediction and the profile of each of 3 parameters
+    held_out = clean.frames["predictive"]["insertion"].nunique()
+    assert set(totals) == {4 + 30 + 4 * (3 + held_out)}
+    assert list(done) == sorted(done) and done[-1] == totals[-1]
+    assert len(FIRST) == 1
 
 
 def study(**changes: object) -> StudyRecord:

@@ -16,7 +16,7 @@ from needlefit.cli.exit_codes import Invocation, catch_interrupts
 from needlefit.cli.progress import show_progress
 from needlefit.errors import ConfigError
 from needlefit.project.processes import count_cores
-from needlefit.project.progress import never_stop
+from needlefit.project.progress import never_stop, no_note
 
 if TYPE_CHECKING:
     from needlefit.project.tasks import TaskPool
@@ -98,6 +98,7 @@ class Execution:
                 sample=asked.sample,
                 progress=report,
                 stop=self.stop,
+                first=no_note if asked.quiet else print_remark,
                 note=print_remark,
                 file=self.file,
             )
@@ -121,7 +122,9 @@ class Execution:
         """Write a run; return its folder."""
         from needlefit.studies.report import write_run
 
-        return write_run(result, self.folder(result.name))
+        with show_progress(self.invocation.quiet) as report:
+            report(f"{result.name}: tables, figures and report", 0, 1)
+            return write_run(result, self.folder(result.name))
 
     def write_reference(self, runs: "Iterable[Run]") -> None:
         """Write the reference results of runs, if wanted: their tables, rounded."""

@@ -11,7 +11,7 @@ stays within all along.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -368,13 +368,14 @@ def predict_held_out(
     pool: TaskPool = THIS_PROCESS,
     *,
     bands: bool = False,
+    step: Callable[[int, int], None] = lambda done, total: None,
 ) -> Iterator[HeldOutPrediction]:
     """Yield the prediction of every insertion that a fold holds out, y toward +y of C, mm.
 
     Of an insertion whose points have no stated noise, nothing: its measurement then has no distribution. With
     `known` parameters differ between specimens; nothing is predicted where their draws are not certified.
     Without `bands`, those are left out, and what one measured insertion into a new specimen would leave of
-    the width.
+    the width. `step` is called with the number of predictions made, and of all.
     """
     given = [one for one in fold.validate if job.dataset.noise.stated or one.sd is not None]
     if known is not None and given and known.faults:
@@ -395,7 +396,10 @@ def predict_held_out(
         _choose_representatives(job, new) if bands else frozenset(),
     )
     parts = run_parts(predict.predict, given, pool, side_by_side, TaskStop(never_stop))
-    found = dict(parts)
+    found: dict[int, HeldOutPrediction | None] = {}
+    for n, one in parts:
+        found[n] = one
+        step(len(found), len(given))
     yield from filter(None, (found[n] for n in range(len(given))))
 
 

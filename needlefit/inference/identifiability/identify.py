@@ -20,7 +20,7 @@ there are any: where the three disagree, the sentence about a parameter says whi
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -271,11 +271,17 @@ class FitProfiles:
 
 
 def profile_parameters(
-    problem: Problem, fit: Fit, jobs: int = 1, stop: Stop = never_stop, pool: TaskPool = THIS_PROCESS
+    problem: Problem,
+    fit: Fit,
+    jobs: int = 1,
+    stop: Stop = never_stop,
+    pool: TaskPool = THIS_PROCESS,
+    step: Callable[[int, int], None] = lambda done, total: None,
 ) -> FitProfiles:
     """Compute the profiles about a fit; the result depends neither on the number of threads nor on the pool.
 
     Where the dataset states no noise, the fit's residuals stand for it. `stop` leaves out what has not begun.
+    `step` is called with the number of profiles that are finished, and of all.
     """
     noisy = add_estimated_noise(problem, np.array(fit.theta))
     # the fit, and the ends of at most `MAX_OTHER_STARTS` that lie apart from it and from each other
@@ -293,7 +299,10 @@ def profile_parameters(
 
     parts: list[str | int] = [*range(len(noisy.names)), *find_fixed_shape(noisy)]
     work = partial(_profile_one, noisy, optimum, elsewhere, scale)
-    every = dict(run_side_by_side(work, parts, pool, jobs, TaskStop(stop)))
+    every: dict[int, ParameterProfile] = {}
+    for n, one in run_side_by_side(work, parts, pool, jobs, TaskStop(stop)):
+        every[n] = one
+        step(len(every), len(parts))
     found = tuple(every[n] for n in sorted(every))
     spent = sum(one.evaluations for one in minima) + sum(one.profile.evaluations for one in found)
     at_fit = noisy.residuals(np.array(fit.theta))

@@ -35,6 +35,7 @@ from needlefit.project.checkpoint import Checkpoint, open_checkpoint
 from needlefit.project.input_files import read_toml
 from needlefit.project.processes import one_thread
 from needlefit.project.random_streams import random_stream
+from needlefit.reporting.number_format import format_bare_symbol, format_quantity
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.fit_frames import COLUMNS as FRAMES
 from needlefit.studies.fit_warnings import add_warnings
@@ -59,6 +60,14 @@ from needlefit.studies.scored_groups import count_reasons, tabulate_design
 from needlefit.studies.simulated_data import find_true_value
 
 __all__ = ["FRAMES", "Settings", "run"]
+
+SEARCH_WORDS = {
+    "fitted": "search for the best fit",
+    "fitted_metric": "search for the smallest errors",
+    "hand_tuned_b": "search for b with the paper's moduli",
+}
+#: steps of progress: of a profile, of all posterior draws and of a prediction; a start of a search has 1
+PROFILE_STEPS, DRAW_STEPS, PREDICTION_STEPS = 4, 30, 4
 
 
 @one_thread
@@ -182,21 +191,21 @@ class _StudyRun:
         job, settings = self.job, self.settings
         fits = self.searches[fold.name] = self._search(number, fold)
         self.interrupted = any(fit.interrupted for fit in fits.values()) or len(fits) < len(job.searches)
-        self._report(number, "posterior draws and predictions", len(job.searches) * job.recipe.starts)
-        profiles = None if self.interrupted else self._examine(fold, fits)
+        profiles = None if self.interrupted else self._examine(number, fold, fits)
         if better := _move_to_better(job.problem(fold), fits, profiles):
             fits["fitted"] = better
-            profiles = self._examine(fold, fits)
+            profiles = self._examine(number, fold, fits)
         self.interrupted = self.interrupted or settings.stop()
         if settings.sample and not self.interrupted:
             self.interrupted = self._sample(fold, fits["fitted"])
         posterior, few, further = self.posteriors.get(fold.name), None, None
         known = "fitted" in fits and math.isfinite(fits["fitted"].objective)
         if known and (fold.validate or not self.interrupted):
+            self._report(number, "posterior draws")
             few, many = draw_fold_parameters(job, fold, fits["fitted"], posterior, settings)
             specimens = Specimens(job, fold, few.thetas, settings.jobs, settings.part_pool, self.specimens)
             if not few.faults:  # of what is not certified nothing is predicted
-                self._predict(fold, few, specimens)
+                self._predict(number, fold, few, specimens)
                 few, many = specimens.replace_mean(few), specimens.replace_mean(many)
                 further = specimens.population.new if specimens.separate and not few.faults else None
             self._tabulate_draws(fold, many, specimens)
@@ -220,52 +229,95 @@ class _StudyRun:
                 job.problem(fold), fold, about, self.rows["bands"], settings.jobs, fitted=len(job.folds) == 1
             )
 
-    def _report(self, number: int, what: str, done: int) -> None:
-        """Report so many steps of a fold as done.
+    def _report(self, number: int, phase: str, part: float = 0.0) -> None:
+        """Report a part of a phase of a fold as done."""
+        job, folds = self.job, self.job.folds
+        before = sum(sum(self._list_phases(fold).values()) for fold in folds[:number])
+        for name, steps in self._list_phases(folds[number]).items():
+            if name == phase:
+                before += round(part * steps)
+                break
+            before += steps
+        total = sum(sum(self._list_phases(fold).values()) for fold in folds)
+        which = f"{job.name}: {folds[number].name} (fold {number + 1} of {len(folds)})"
+        label = f"{which if len(folds) > 1 else job.name}: {phase}"
+        self.settings.progress(label, before, total)
 
-        The steps of a fold are its starts, and as many again as one search has for its posterior draws and
-        predictions; their true share of the time varies, and differs little between folds.
-        """
-        job, folds = self.job, len(self.job.folds)
-        which = f"{job.name}: {job.folds[number].name} (fold {number + 1} of {folds})"
-        per_fold = (len(job.searches) + 1) * job.recipe.starts
-        label = f"{which if folds > 1 else job.name}: {what}"
-        self.settings.progress(label, number * per_fold + done, folds * per_fold)
+    def _list_phases(self, fold: Fold) -> dict[str, int]:
+        """Return the steps of each phase of a fold, in order, each about as long in a typical one."""
+        job = self.job
+        phases = {SEARCH_WORDS[search]: job.recipe.starts for search in job.searches}
+        if len(job.folds) == 1:
+            phases["profiles"] = PROFILE_STEPS * len(job.parameters.free)
+        return phases | {"posterior draws": DRAW_STEPS, "predictions": PREDICTION_STEPS * len(fold.validate)}
+
+    def _note_fit(self, fold: Fold, fit: Fit) -> None:
+        """Tell the user the best fit and its errors, before there are intervals."""
+        job = self.job
+        if len(job.folds) > 1 or fit.interrupted or not math.isfinite(fit.objective):
+            return
+        scorer = replace(self.scorer, counts=ValidityCounts())  # these simulations are scored again
+        curves = make_predictors(job.problem(fold), {"fitted": fit}, None)["fitted"]
+        place = {"fold": fold.name, "role": "", "method": "fitted"}
+        scored = fold.validate or fold.tune
+        found = [row["te_mm"] for one in scored for row in scorer.score(place, one, curves)[0][:1]]
+        values = (
+            f"{format_bare_symbol(name)} {format_quantity(name, fit.values[name])}"
+            for name in job.parameters.free
+        )
+        kind = "held-out" if fold.validate else "fitted"
+        self.settings.first(
+            f"{job.name}: best fit: {', '.join(values)}; mean tip error of {len(found)} {kind} insertions "
+            f"{np.mean(found):.2f} mm; intervals follow"
+        )
 
     def _search(self, number: int, fold: Fold) -> dict[str, Fit]:
         """Return the fit of everything free, by the metric too if asked, and of b alone about the paper's."""
         fits = {}
-        for order, search in enumerate(self.job.searches):
+        for search in self.job.searches:
             if self.settings.stop():
                 break
-            fits[search] = self._run_search(number, fold, search, order * self.job.recipe.starts)
+            fits[search] = self._run_search(number, fold, search)
+            if search == "fitted":
+                self._note_fit(fold, fits[search])
         return fits
 
-    def _run_search(self, number: int, fold: Fold, search: str, done: int) -> Fit:
-        """Return the fit of one search; each finished start is kept, and reported after the `done` ones."""
+    def _run_search(self, number: int, fold: Fold, search: str) -> Fit:
+        """Return the fit of one search; each finished start is kept and reported."""
         job, settings, key = self.job, self.settings, f"{fold.name}/{search}"
-        kept, words = read_starts(self.checkpoint, key), search.replace("_", " ")
-        done += len(kept)
+        kept, starts = read_starts(self.checkpoint, key), job.recipe.starts
+        ended = len(kept)
+
+        def report(approached: int) -> None:
+            self._report(number, SEARCH_WORDS[search], (approached + ended) / (2 * starts))
 
         def keep(start: Start) -> None:
-            nonlocal done
+            nonlocal ended
             keep_start(self.checkpoint, key, start)
-            done += 1
-            self._report(number, words, done)
+            ended += 1
+            report(starts)
 
         def approach(at: int, total: int) -> None:
-            self._report(number, f"{words}, approach {at} of {total}", done)
+            report(at)
 
+        report(0)
         rng = random_stream(job.recipe.seed, fold.name, search, "starts")
         callbacks = Callbacks(kept, keep, settings.stop, approach, settings.jobs, settings.part_pool)
         return minimize(job.problem(fold, search), job.recipe_of(search), rng, callbacks)
 
-    def _examine(self, fold: Fold, fits: Mapping[str, Fit]) -> FitProfiles | None:
+    def _examine(self, number: int, fold: Fold, fits: Mapping[str, Fit]) -> FitProfiles | None:
         """Return the profiles of the fit; many folds are scored, not examined."""
         if len(self.job.folds) > 1 or not math.isfinite(fits["fitted"].objective):
             return None
         settings, problem = self.settings, self.job.problem(fold)
-        return profile_parameters(problem, fits["fitted"], settings.jobs, settings.stop, settings.part_pool)
+
+        def step(done: int, total: int) -> None:
+            self._report(number, "profiles", done / total)
+
+        step(0, 1)
+        return profile_parameters(
+            problem, fits["fitted"], settings.jobs, settings.stop, settings.part_pool, step
+        )
 
     def _sample(self, fold: Fold, fit: Fit) -> bool:
         """Sample the posterior of one fold; return whether it was interrupted."""
@@ -295,13 +347,18 @@ class _StudyRun:
         outside = find_outside_validity(job.problem(fold), draws.thetas)
         self.counts.draws.add(len(draws.thetas), int(outside.sum()))
 
-    def _predict(self, fold: Fold, draws: Draws, specimens: Specimens) -> None:
+    def _predict(self, number: int, fold: Fold, draws: Draws, specimens: Specimens) -> None:
         """Add the predictions of the insertions that a fold holds out.
 
         Those into new specimens are predicted as the paper does too, by what was tuned alone.
         """
         job, jobs, pool = self.job, self.settings.jobs, self.settings.part_pool
-        for one in predict_held_out(job, fold, draws, specimens, jobs, pool, bands=True):
+
+        def step(done: int, total: int) -> None:
+            self._report(number, "predictions", done / total)
+
+        step(0, 1)
+        for one in predict_held_out(job, fold, draws, specimens, jobs, pool, bands=True, step=step):
             self.rows["predictive"].append(one.row)
             self.rows["bands"] += one.band
             self.counts.predicted.add(one.solved, one.outside)
