@@ -285,7 +285,8 @@ class _ProfileSide:
         if self.cheaper is None:
             return select_best(self._minimize_each(self.elsewhere, place))
         starts = [self._set_held(start, place) for start in (here.theta, *self.elsewhere)]
-        same, *ends = map_side_by_side(partial(minimize_squares, self.cheaper, held=self.k), starts)
+        search = partial(minimize_squares, self.cheaper, held=self.k, min_gain=self.steps.min_gain)
+        same, *ends = map_side_by_side(search, starts)
         others = []
         for end in (end for end in ends if end.value < same.value + MAX_BRANCH_RISE):
             apart = end.theta - same.theta
