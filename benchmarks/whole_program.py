@@ -20,7 +20,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from in_turns import HERE, Program, add_beside_python, list_programs
+from in_turns import BESIDE, HERE, Program, add_beside_python, list_programs
 
 COMMANDS = {
     "help": ("--help",),
@@ -36,8 +36,11 @@ COMMANDS = {
 }
 """By name; `report` rewrites the result of `study3`."""
 
-GOALS_S = {"simulate": 0.9, "study3": 5.0, "report": 3.0, "tune": 3.0, "all": 40.0}
-"""Wall seconds on two free cores."""
+GOALS = {
+    "study3": 1 / 4, "all": 1 / 4, "report": 1 / 3, "tune": 1 / 5, "identify": 1 / 5, "predict": 1 / 5,
+    "calibrate": 1 / 3,
+}  # fmt: skip
+"""Of the wall seconds of the interpreter beside, of commit 836fb7db, on two free cores."""
 
 SHOWN_PACKAGES, SHOWN_FUNCTIONS = 8, 10
 
@@ -107,6 +110,14 @@ def profile(words: tuple[str, ...], folder: Path, program: Program) -> dict[str,
     return {"packages": _sort(packages, SHOWN_PACKAGES), "functions": _sort(functions, SHOWN_FUNCTIONS)}
 
 
+def _compare(figures: dict[str, Figures], name: str) -> str:
+    """Return the ratio of a command's wall seconds to those of the interpreter beside, and its goal."""
+    beside = figures.get(f"{BESIDE}: {name}")
+    if beside is None or name not in GOALS:
+        return ""
+    return f", ratio {figures[name]['wall_seconds'] / beside['wall_seconds']:.2f} (goal {GOALS[name]:.2f})"
+
+
 def _sort(values: Figures, most: int) -> Figures:
     return dict(sorted(values.items(), key=lambda item: -item[1])[:most])
 
@@ -153,10 +164,9 @@ def main() -> None:
         return
     print(f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
     for name, values in figures.items():
-        goal = GOALS_S.get(name)
         print(
             f"{name:20s} {values['wall_seconds']:8.2f} s, {values['processor_seconds']:8.2f} s processor, "
-            f"{values['memory_mib']:6.0f} MiB" + (f" (goal {goal:g} s on free cores)" if goal else "")
+            f"{values['memory_mib']:6.0f} MiB" + _compare(figures, name)
         )
         for kind, shares in profiles.get(name, {}).items():
             print(f"    {kind}")
