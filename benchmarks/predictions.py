@@ -1,6 +1,6 @@
 """Pool the predictions of held-out tips over studies and synthetic truths.
 
-    for n in 1 2 3 4 5; do needlefit calibrate study$n --truth synthetic --replicates 20; done
+    for n in 1 2 3 4 5; do needlefit calibrate study$n --truth synthetic --replicates 40; done
     python benchmarks/predictions.py reports/calibrate-study?-synthetic
 
 `reports/reference/calibrate-study?-synthetic` holds such results.

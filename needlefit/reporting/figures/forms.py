@@ -134,7 +134,7 @@ def add_legend(figure: Figure, looks: Iterable[Look], width: float = 0.0) -> int
     handles = [
         Line2D(
             [], [], color=one.colour, lw=one.width if width else 0, ls=one.dashes, marker=one.marker,
-            ms=one.size, mfc=one.colour if one.filled else "white", label=one.label,
+            ms=one.size, mfc=one.colour if one.filled else "white", label=one.label, solid_capstyle="butt",
         )
         for one in looks
     ]  # fmt: skip

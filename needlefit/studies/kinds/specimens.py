@@ -470,7 +470,7 @@ def draw(result: Run) -> dict[str, Drawing]:
 
 def _axis_label(name: str) -> str:
     if name in COMBINATIONS:
-        return name.replace("_", "-") + " combination"
+        return name.replace("_", "-")
     return f"ln {format_bare_symbol(name)}" if is_logarithmic(name) else format_bare_symbol(name)
 
 
