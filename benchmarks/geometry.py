@@ -122,7 +122,7 @@ def score_holes(
         if coverage:
             learned = fit_posterior(job, job.problem(fold), (fold.name,), Settings())
             fit, draws = learned.fit, learned.draws
-            news = {"plain": None, "others": Specimens(job, fold, learned.draws.thetas)}
+            news = {"plain": None, "others": Specimens(job, fold, learned.draws)}
             predicted += [
                 {**row, "treatment": treatment}
                 for treatment, new in news.items()

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, Literal, TypedDict, TypeVar, Unpack
+from typing import Any, TypedDict, TypeVar, Unpack
 
 import numpy as np
 
@@ -189,7 +189,7 @@ def sample(
 def predict(
     target: Name | Run,
     scene: Name | SceneRecord | Table,
-    specimen: Literal["new", "same"] | None = None,
+    specimen: str | None = None,
     **options: Unpack[RunOptions],
 ) -> Run:
     """Predict a planned insertion, with its uncertainty.
@@ -202,8 +202,9 @@ def predict(
     scene : str, Path, SceneRecord or table
         The planned insertion; its moduli and bevel offset are replaced. The rules that it states must be
         those of the fit.
-    specimen : "new" or "same", optional
-        Whether it goes into a specimen that was not tuned on, whose parameters differ, or into one that was.
+    specimen : str, optional
+        Where it goes: into a "new" one, whose parameters differ, or the "same" that was tuned on; of several
+        that differ, its name.
         By default a new one, whose parameters differ unless `specimens` of the target leaves that out.
 
     Returns

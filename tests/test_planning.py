@@ -10,7 +10,7 @@ import pytest
 from test_cli import run
 from test_datasets_markups import markup, point, save
 
-from needlefit.errors import DataError, ModelError
+from needlefit.errors import ConfigError, DataError, ModelError
 from needlefit.geometry.frames import Frame, Placement
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import ParameterDraws
@@ -40,7 +40,12 @@ from needlefit.planning.steering import (
 )
 from needlefit.schemas.planning import ObstacleRecord
 from needlefit.studies import further_insertion
-from needlefit.studies.further_insertion import WeightedPosterior, find_template
+from needlefit.studies.further_insertion import (
+    WeightedPosterior,
+    find_specimen,
+    find_template,
+    move_to_specimen,
+)
 from needlefit.studies.held_out_predictions import PosteriorFit, Specimens
 from needlefit.studies.job import Job, Settings, prepare
 from needlefit.studies.kinds import next_insertion
@@ -368,7 +373,8 @@ def posterior(theta: np.ndarray) -> WeightedPosterior:
     """Return one certain draw as the posterior."""
     fit = Fit(tuple(theta), {}, 0.0, (), 1, 0, interrupted=False)
     learned = PosteriorFit(fit, Draws(theta[None], "importance"), 0.0)
-    return WeightedPosterior(job().problem(job().folds[0]), learned, theta[None], np.ones(1), 0.1)
+    problem = job().problem(job().folds[0])
+    return WeightedPosterior(problem, learned, theta[None], np.ones(1), 0.1, problem.new_bevel_sd)
 
 
 def test_needles_differ_by_bevel_and_in_a_new_specimen_by_its_parameters():
@@ -377,12 +383,11 @@ def test_needles_differ_by_bevel_and_in_a_new_specimen_by_its_parameters():
     # so small that no draw meets a bound
     stated = job().recipe.specimens.model_copy(update={"modulus_factor": 2.0, "bevel_factor": 1.2})
     recipe = job().recipe.model_copy(update={"specimens": stated})
-    new = Specimens(replace(job(), recipe=recipe), fold, theta[None])
+    known, rng = Specimens(replace(job(), recipe=recipe), fold), np.random.default_rng(1)
     sds = {}
-    for name, about in (("same", None), ("new", new)):
-        sets = [
-            one.values for one in plan_kind.draw_trials(job(), site().like, posterior(theta), about, 4000)
-        ]
+    for name, into in (("same", site().like), ("new", None)):
+        moved = move_to_specimen(posterior(theta), known, into, rng)
+        sets = [one.values for one in plan_kind.draw_trials(job(), site().like, moved, 4000)]
         sds[name] = [np.std(np.log([values[key] for values in sets])) for key in ("bevel_mm", "mu1_pa")]
     # of one insertion: its bevel is the mean of those fitted to
     assert sds["same"][0] == pytest.approx(0.1 * np.sqrt(2), rel=0.05) and sds["same"][1] < 1e-9
@@ -398,8 +403,7 @@ def test_needles_differ_by_bevel_and_in_a_new_specimen_by_its_parameters():
 def test_the_template_s_specimen_decides_unless_the_study_does(tuned, stated, differs):
     specimens = {one.specimen for one in job().folds[0].tune}
     template = next(one for one in job().dataset.insertions if (one.specimen in specimens) == tuned)
-    found = plan_kind.find_new_specimen(job(), stated, template, posterior(np.empty(0)))
-    assert (found is not None) == differs
+    assert (find_specimen(job(), template, stated) is None) == differs
 
 
 def test_the_answer_is_tried_on_fresh_draws_and_written(world):
@@ -521,7 +525,9 @@ def test_the_mean_bevel_of_all_needles_is_less_known_than_that_of_some(ids):
     job = prepare("deeper", record.tuning(), Settings())
     problem = job.problem(job.folds[0])
     theta = problem.parameters.theta({"mu1_pa": 2e3, "bevel_mm": 0.3, "bevel_spread": 0.1})
-    known = WeightedPosterior(problem, None, np.tile(theta, (4000, 1)), np.full(4000, 1 / 4000), 0.1)
+    known = WeightedPosterior(
+        problem, None, np.tile(theta, (4000, 1)), np.full(4000, 1 / 4000), 0.1, problem.new_bevel_sd
+    )
     factors = np.exp(next_insertion.refer_to_all_needles(known, np.random.default_rng(1)).thetas - theta)
     sds = dict(zip(problem.names, factors.std(axis=0), strict=True))
     assert sds["bevel_mm"] == pytest.approx(0.1 / np.sqrt(len(ids)), rel=0.05)
@@ -541,3 +547,56 @@ def test_deep_insertions_into_one_layer_determine_mu_better_and_alpha_not_at_all
     assert "80 mm deep" in NEXT_REPORT.summarize(answer)[0]
     written = {path.name for path in write_run(answer, tmp_path / "out").iterdir()}
     assert {"gains.csv", "gains.pdf", "report.pdf", "report.html"} <= written
+
+
+def test_a_candidate_has_the_parameters_of_its_specimen_and_only_their_draws_count(monkeypatch):
+    """Specimen 2 is twice as stiff; the draws of all insertions together are not certified."""
+    ids = ["chicken-01", "chicken-02", "chicken-03", "chicken-04"]
+    table = {**NEXT_INSERTION, "tune": {"insertions": ids}, "depths_mm": [40]}
+    tuned = prepare("two", NextInsertionRecord.model_validate(table).tuning(), Settings())
+    first, second = dict.fromkeys(one.specimen for one in tuned.folds[0].tune)
+    last = [one for one in tuned.folds[0].tune if one.specimen == second]
+    theta = tuned.parameters.theta({"mu1_pa": 1e4, "bevel_mm": 0.2, "bevel_spread": 0.01})
+    noise = np.array([0.1, 0.02, 0.02])[: len(theta)] * np.random.default_rng(1).standard_normal((1000, 3))
+    stiffer = math.log(2.0) * (np.arange(len(theta)) == tuned.parameters.free.index("mu1_pa"))
+    drawn = {first: theta + noise, second: theta + stiffer + noise}
+    monkeypatch.setattr(Specimens, "_sample_specimen", lambda self, name: Draws(drawn[name], "importance"))
+    pooled = PosteriorFit(
+        Fit(tuple(theta), {}, 0.0, (), 1, 0, interrupted=False),
+        Draws(theta + noise, "importance", ("not certified",)),
+        0.9,
+        sampled=True,
+    )
+    monkeypatch.setattr(further_insertion, "fit_posterior", lambda *_: pooled)
+    monkeypatch.setattr(next_insertion, "OUTER_DRAWS", 40)
+    found, deflections = {}, {}
+    for specimen, template in ((first, "chicken-01"), (second, last[0].id)):
+        record = NextInsertionRecord.model_validate({**table, "template_insertion": template})
+        answer = next_insertion.run("two", record, Settings())
+        assert answer.faults == () and answer.frames["posterior"]["insertions"].tolist() == [len(ids)]
+        found[specimen] = answer.frames["candidates"].set_index("role")
+        parameters = answer.frames["parameters"].set_index(["role", "parameter"])
+        assert parameters["sd_now"]["candidate", "mu1_pa"] == pytest.approx(0.1, rel=0.1)
+        like, values = find_template(tuned, template), tuned.parameters.values(drawn[specimen].mean(axis=0))
+        place = (record.entries[0], 0.0, 40.0)
+        deflections[specimen] = predict_candidate(tuned, like, place, values).deflection
+        assert found[specimen]["deflection_mm"]["candidate"] == pytest.approx(deflections[specimen], rel=0.01)
+    assert deflections[second] > 1.1 * deflections[first]
+    deepest = max(last, key=lambda one: one.depth)
+    assert found[second]["entry"]["repeat"] == deepest.id
+    # of neither
+    moved = move_to_specimen(
+        WeightedPosterior(
+            tuned.problem(tuned.folds[0]), pooled, pooled.draws.thetas, np.full(1000, 1e-3), 0, 1
+        ),
+        Specimens(tuned, tuned.folds[0], pooled.draws),
+        None,
+        np.random.default_rng(1),
+    )
+    mu = tuned.parameters.free.index("mu1_pa")
+    middle, sd = np.mean(moved.thetas[:, mu]), np.std(moved.thetas[:, mu])
+    assert middle - theta[mu] == pytest.approx(0.5 * math.log(2.0), abs=0.1) and sd > 0.4
+    stated = {**table, "template_insertion": "phantom2-06", "specimen": "same"}
+    with pytest.raises(ConfigError) as caught:
+        next_insertion.run("two", NextInsertionRecord.model_validate(stated), Settings())
+    assert caught.value.key == "specimen" and all(one in caught.value.expected for one in (first, second))

@@ -34,7 +34,7 @@ from needlefit.reporting.table_files import write_json
 from needlefit.schemas.recipe import LikelihoodRecord, SampleRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.held_out_predictions import Specimens
+from needlefit.studies.held_out_predictions import Specimens, choose_specimen
 from needlefit.studies.job import Settings, prepare
 from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds import prediction
@@ -65,8 +65,9 @@ def prepare_small():
     return prepare("small", record.model_copy(update={"tune": small}), Settings())
 
 
-def planned(job, thetas, scene=SCENE, new=None):
-    return forecast(scene, Draws(np.array(thetas), "importance"), job, new)
+def planned(job, thetas, scene=SCENE, new=False):
+    known = Specimens(job, job.folds[0], Draws(np.array(thetas), "importance"))
+    return forecast(scene, known, None if new else job.folds[0].tune[0])
 
 
 def sure(job):
@@ -235,9 +236,7 @@ def test_bevels_that_differ_widen_the_needle_s_band(job):
 
 
 def test_a_new_specimen_widens_the_band_and_one_insertion_narrows_it(job):
-    (fold,) = job.folds
-    new = Specimens(job, fold, np.array([theta(job)] * 400))
-    found = planned(job, [theta(job)] * 400, new=new)
+    found = planned(job, [theta(job)] * 400, new=True)
     others, once, same = found.specimens
     assert [one["specimen_treatment"] for one in found.specimens] == ["others", "one insertion", "same"]
     assert others["between_sd_ln_mu"] == pytest.approx(np.log(2)) and others["other_specimens"] == 0
@@ -247,6 +246,40 @@ def test_a_new_specimen_widens_the_band_and_one_insertion_narrows_it(job):
     assert widths[2] == pytest.approx(np.ptp(interval(found.needle, 0.95), axis=0)[-1], rel=0.05)
     (row,) = planned(job, [theta(job)] * 40).specimens
     assert row["specimen_treatment"] == "same" and np.isnan(row["between_sd_ln_mu"])
+
+
+def test_of_several_specimens_a_name_is_needed_and_their_mean_width_is_reported(job, monkeypatch):
+    """The bevel of the second is 1.5 times as large, and its draws twice as wide; all together are not
+    certified."""
+    one, two = job.folds[0].tune
+    tune = (one, replace(two, specimen="other"))
+    apart = replace(sure(job), folds=(replace(job.folds[0], tune=tune),))
+    noise, sds = np.random.default_rng(3).standard_normal((1000, len(theta(job)))), theta(job) * 0 + 0.01
+    sds[job.parameters.free.index("bevel_mm")] = 0.03
+    drawn = {
+        name: Draws(theta(job, bevel_mm=b) + wider * sds * noise, "importance")
+        for name, b, wider in ((one.specimen, 0.06, 1.0), ("other", 0.09, 2.0))
+    }
+    monkeypatch.setattr(Specimens, "_sample_specimen", lambda self, name: drawn[name])
+    doubted = Draws(drawn["other"].thetas[:200], "importance", ("not certified",))
+    known = Specimens(apart, apart.folds[0], doubted)
+    assert choose_specimen(known, "new") is None and choose_specimen(known, "other") is tune[1]
+    for wrong in ("same", "third"):
+        with pytest.raises(ConfigError) as caught:
+            choose_specimen(known, wrong)
+        assert all(name in caught.value.expected for name in drawn)
+    tips = {name: planned(sure(job), list(each.thetas[:300])) for name, each in drawn.items()}
+    tips = {name: each.needle.means[:, -1] for name, each in tips.items()}
+    assert np.median(tips["other"]) > 1.3 * np.median(tips[one.specimen])
+    named = forecast(SCENE, known, tune[1])
+    assert np.median(named.needle.means[:, -1]) == pytest.approx(np.median(tips["other"]), rel=0.02)
+    assert known.faults == known.draws_in(tune[1]).faults == () and [
+        row["specimen_treatment"] for row in named.specimens
+    ] == ["same"]
+    *_, same = forecast(SCENE, known, None).specimens
+    widths = [np.diff(np.quantile(each, [0.025, 0.975]))[0] for each in tips.values()]
+    assert same["tip_95_width_mm"] == pytest.approx(np.mean(widths), rel=0.15)
+    assert same["tip_95_width_mm"] > 1.3 * min(widths)
 
 
 def test_draws_of_a_posterior_are_spread_over_it(job):

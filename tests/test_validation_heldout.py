@@ -193,7 +193,7 @@ def test_a_remote_pool_predicts_the_same(job, few_draws, monkeypatch):
     monkeypatch.setattr(tasks, "can_fork", lambda: True)
     monkeypatch.setattr(tasks, "MIN_SHARED_S", 0.0)
     few = of(job, *(replace(one, specimen="another") for one in job.folds[0].validate[:3]))
-    new = [Specimens(job, few, few_draws.thetas) for _ in range(2)]
+    new = [Specimens(job, few, few_draws) for _ in range(2)]
     pairs = (new[0], THIS_PROCESS), (new[1], LocalPool(2, remote=True))
     alone, copied = (list(predict_held_out(job, few, few_draws, one, 2, pool)) for one, pool in pairs)
     assert len(alone) == 3 and repr(alone) == repr(copied)  # repr: NaN equals itself
@@ -235,7 +235,7 @@ def test_one_insertion_narrows_the_interval_in_a_new_specimen(job, known):
     held_out = job.folds[0].validate[:3]
     fold = of(job, *(replace(one, specimen="another") for one in held_out))
     few = replace(known, thetas=known.thetas[:300])
-    new = Specimens(job, fold, few.thetas)
+    new = Specimens(job, fold, few)
     rows = [one.row for one in predict_held_out(job, fold, few, new, bands=True)]
     table = pd.DataFrame(rows)
     (after,) = table["tip_95_width_after_one_mm"].dropna()

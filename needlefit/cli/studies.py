@@ -240,9 +240,10 @@ def _write_combined_report(execution: Execution, study: str, runs: "list[Run]") 
     ),
     run=option("Result of `tune TARGET --sample` (default: OUT/TARGET-tune).", "DIR"),
     specimen=option(
-        "new: into a specimen that was not fitted to; same: into one that was (default: new, with the spread "
-        "between specimens unless the TARGET's `specimens` leaves it out).",
-        show_default=False,
+        "new: into a specimen that was not fitted to; same: into the one that was, or, of several that "
+        "differ, its NAME (default: new, with the spread between specimens unless the TARGET's `specimens` "
+        "leaves it out).",
+        "new|same|NAME",
     ),
 )
 def predict(
@@ -250,7 +251,7 @@ def predict(
     target: str,
     scene: str,
     run: Path | None = None,
-    specimen: Literal["new", "same"] | None = None,
+    specimen: str | None = None,
     depth: float | None = None,
     set_: list[str] | None = None,
 ) -> None:

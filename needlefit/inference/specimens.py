@@ -222,13 +222,20 @@ class Population:
         density = np.full(len(at), -np.inf)
         means, covariances = self.split(at[inside])
         found = self.model.log_prior(at[inside][:, means.shape[1] :])
-        if self.stated is not None:
-            found = found + _log_gaussians(means, *self.stated)
+        found = found + self.log_stated(means)
         for one in self.specimens:
             logs = one.log_densities(means, covariances)
             found = found + logsumexp(logs, axis=1) - np.log(logs.shape[1])
         density[inside] = found
         return density
+
+    def log_stated(self, at: Floats) -> Floats:
+        """Return the log density (W,) of what is stated of m, at (W, Q), but for a constant."""
+        if self.stated is None:
+            return np.zeros(len(at))
+        means, sds = self.stated
+        found: Floats = -0.5 * np.sum(((at - means) / sds) ** 2, axis=1)
+        return found
 
     def posterior(self, rng: np.random.Generator) -> WeightedDraws:
         """Return weighted draws of m and the hyperparameters of T: (N, Q + S)."""
@@ -290,6 +297,25 @@ class PopulationDraws:
         return float(np.median(found))
 
 
+def make_population(parameters: Parameters, model: SpreadModel, posteriors: Sequence[Floats]) -> Population:
+    """Return the population of specimens whose own posteriors are known by draws (K, P) each.
+
+    What is stated of a parameter counts once, of m.
+    """
+    columns = [parameters.free.index(name) for name in model.names]
+    marginals = [parameters.prior.marginals.get(name, (0.0, math.inf)) for name in model.names]
+    stated = np.array(marginals).T[0], np.array(marginals).T[1]
+    population = Population((), (parameters.lower[columns], parameters.upper[columns]), model, stated)
+    known = []
+    for thetas in posteriors:
+        counted = population.log_stated(thetas[:, columns])
+        weights = np.exp(counted.min() - counted)
+        # systematic, so that without a stated prior the draws are taken evenly
+        places = (np.arange(KERNELS_PER_SPECIMEN) + 0.5) / KERNELS_PER_SPECIMEN * weights.sum()
+        known.append(make_specimen(thetas[np.searchsorted(np.cumsum(weights), places)][:, columns]))
+    return replace(population, specimens=tuple(known))
+
+
 def draw_population(
     parameters: Parameters,
     model: SpreadModel,
@@ -307,24 +333,15 @@ def draw_population(
         covariances = model.covariances(model.draw(len(mean), rng))
         new = draw_specimens(parameters, model, mean, 2 * covariances, rng)
         return PopulationDraws(posteriors, mean, new, covariances)
-    marginals = [parameters.prior.marginals.get(name, (0.0, math.inf)) for name in model.names]
-    stated = np.array(marginals).T[0], np.array(marginals).T[1]
-    known, counted = dict[str, Specimen](), dict[str, Floats]()
-    for name, thetas in posteriors.items():
-        counted[name] = _log_gaussians(thetas[:, columns], *stated)
-        weights = np.exp(counted[name].min() - counted[name])
-        # systematic, so that without a stated prior the draws are taken evenly
-        places = (np.arange(KERNELS_PER_SPECIMEN) + 0.5) / KERNELS_PER_SPECIMEN * weights.sum()
-        known[name] = make_specimen(thetas[np.searchsorted(np.cumsum(weights), places)][:, columns])
-    bounds = parameters.lower[columns], parameters.upper[columns]
-    population = Population(tuple(known.values()), bounds, model, stated)
+    population = make_population(parameters, model, list(posteriors.values()))
     found = population.posterior(rng)
     means, covariances = population.split(found.thetas[resample(found, count, rng)])
     tuned = {}
-    for name, thetas in posteriors.items():
-        logs = replace(known[name], centres=thetas[:, columns]).log_densities(means, covariances)
+    for (name, thetas), one in zip(posteriors.items(), population.specimens, strict=True):
+        some = thetas[:, columns]
+        logs = replace(one, centres=some).log_densities(means, covariances)
         # the largest of these: drawn by weight
-        keys = logs - counted[name] + rng.gumbel(size=logs.shape)
+        keys = logs - population.log_stated(some) + rng.gumbel(size=logs.shape)
         tuned[name] = thetas[np.argmax(keys, axis=1)]
     # What does not vary is as in one of them, another for each draw: a mean over specimens would be narrower
     # also where nothing is known.
@@ -337,17 +354,11 @@ def draw_population(
             mean[:, of] = mean[:, source] + own[:, of] - own[:, source]
     new = draw_specimens(parameters, model, mean, covariances, rng)
     fault = (
-        f"the population of {len(known)} specimens is not certified (Pareto k {found.k:.2f}, effective "
+        f"the population of {len(tuned)} specimens is not certified (Pareto k {found.k:.2f}, effective "
         f"sample size {found.effective_sample_size:.0f})"
     )
     faults = () if found.certified else (fault,)
     return PopulationDraws(tuned, mean, new, covariances, faults, found.k, found.effective_sample_size)
-
-
-def _log_gaussians(at: Floats, means: Floats, sds: Floats) -> Floats:
-    """Return the log densities (W,) of points (W, Q) under independent Gaussians, but for a constant."""
-    found: Floats = -0.5 * np.sum(((at - means) / sds) ** 2, axis=1)
-    return found
 
 
 def draw_specimens(

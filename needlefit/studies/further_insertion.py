@@ -1,8 +1,8 @@
-"""A further insertion: the posterior given those made so far, its stated errors, and how deep it can go."""
+"""A further insertion: the posterior in its specimen, its stated errors, and how deep it can go."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,25 @@ from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import MAX_PARETO_K, Effort, sample_about_fit
 from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import describe_key
-from needlefit.studies.held_out_predictions import PosteriorFit, fit_posterior
+from needlefit.schemas.analyses import TunedAnalysisRecord
+from needlefit.studies.held_out_predictions import (
+    PosteriorFit,
+    Specimens,
+    choose_specimen,
+    fit_posterior,
+)
 from needlefit.studies.job import Job, Settings, farthest_guide
 from needlefit.studies.score import Row
+
+
+class FurtherInsertionRecord(TunedAnalysisRecord):
+    """The keys of a study of further insertions."""
+
+    template_insertion: str
+    """Insertion whose stated errors of pose, depths and points a further one would have."""
+    specimen: Literal["new", "same"] | None = None
+    """Whether it goes into a specimen that was not fitted ("new") or, as the template, one that was ("same");
+    without it, into the template's."""
 
 
 def find_template(job: Job, like: str) -> Insertion:
@@ -60,6 +76,9 @@ PLANNING_EFFORT = Effort(draws=500, min_ess=1000.0)
 DROPPED_WEIGHT = 1e-3  #: the lightest draws, of this weight together, are left out
 
 
+SPECIMEN_DRAWS = 2000  #: draws of the parameters in one of several specimens, or in a new one
+
+
 @dataclass(frozen=True)
 class WeightedPosterior:
     """A posterior as weighted draws."""
@@ -69,6 +88,8 @@ class WeightedPosterior:
     thetas: Floats  #: (B, P)
     weights: Floats  #: (B,), their sum is 1
     k: float  #: Pareto's k of the weights
+    bevel_sd: float  #: by how many SDs the bevel of a further insertion deviates, as an SD
+    new: Specimens | None = None  #: of which the draws are a further one; None if its specimen was tuned on
 
     @property
     def sets(self) -> list[dict[str, float]]:
@@ -96,24 +117,55 @@ class WeightedPosterior:
         return rng.choice(len(self.weights), size=count, p=self.weights)
 
 
-def weigh_posterior(job: Job, settings: Settings) -> WeightedPosterior | None:
-    """Return the posterior given the insertions that a job is tuned on; None after a stop."""
-    problem = job.problem(job.folds[0])
+def find_specimen(job: Job, like: Insertion, stated: Literal["new", "same"] | None) -> Insertion | None:
+    """Return an insertion into the specimen of a further one; None if that was not tuned on.
+
+    Raises ConfigError if it is to be one of several that were tuned on, but the template is in none of them.
+    """
+    known = Specimens(job, job.folds[0])
+    into = stated or ("new" if known.differs(like) else "same")
+    return choose_specimen(known, like.specimen if into == "same" and like.specimen in known.tuned else into)
+
+
+def weigh_posterior(job: Job, into: Insertion | None, settings: Settings) -> WeightedPosterior | None:
+    """Return the posterior of a further insertion as `find_specimen` returns it; None after a stop."""
+    problem, (fold,) = job.problem(job.folds[0]), job.folds
     learned = fit_posterior(job, problem, ("now",), settings)
     if settings.stop():
         return None
+    specimens = Specimens(job, fold, learned.draws, settings.jobs, settings.part_pool)
     rng = random_stream(job.recipe.seed, job.name, "now", "more")
-    found = None
-    if problem.names and not learned.sampled:
+    thetas, k = learned.draws.thetas, learned.k  # certified, or marked
+    weights = np.full(len(thetas), 1 / len(thetas))
+    if problem.names and not learned.sampled and not specimens.separate:
         found = sample_about_fit(problem, learned.fit, rng, settings.jobs, PLANNING_EFFORT)
-    if found is None or found.k > MAX_PARETO_K:  # the fewer draws of the fit are certified, or marked
-        thetas = learned.draws.thetas
-        return WeightedPosterior(problem, learned, thetas, np.full(len(thetas), 1 / len(thetas)), learned.k)
-    weights = np.exp(found.log_weights)
-    order = np.argsort(weights, kind="stable")
-    heavy = np.sort(order[np.cumsum(weights[order]) > DROPPED_WEIGHT])
-    kept = weights[heavy] / weights[heavy].sum()
-    return WeightedPosterior(problem, learned, found.thetas[heavy], kept, found.k)
+        if not found.k > MAX_PARETO_K:
+            thetas, weights, k = found.thetas, np.exp(found.log_weights), found.k
+            order = np.argsort(weights, kind="stable")
+            heavy = np.sort(order[np.cumsum(weights[order]) > DROPPED_WEIGHT])
+            thetas, weights = thetas[heavy], weights[heavy] / weights[heavy].sum()
+    known = WeightedPosterior(problem, learned, thetas, weights, k, specimens.bevel_sd_in(into))
+    return move_to_specimen(known, specimens, into, rng)
+
+
+def move_to_specimen(
+    known: WeightedPosterior, specimens: Specimens, into: Insertion | None, rng: np.random.Generator
+) -> WeightedPosterior:
+    """Return the posterior of the parameters in the specimen of an insertion; of None in a new one."""
+    if into is not None and not specimens.separate:
+        return known
+    draws = replace(known.learned.draws, thetas=known.thetas[known.drawn(SPECIMEN_DRAWS, rng)])
+    some = replace(specimens, draws=draws)
+    moved = some.draws_in(into)
+    found = replace(known, learned=replace(known.learned, draws=moved))
+    if not len(moved.thetas):  # a specimen's own are not certified
+        return found
+    found = replace(found, new=some if into is None else None)
+    if not some.separate:
+        return replace(found, thetas=moved.thetas, weights=np.full(SPECIMEN_DRAWS, 1 / SPECIMEN_DRAWS))
+    # of a specimen's own draws some are chosen several times
+    thetas, counts = np.unique(moved.thetas, axis=0, return_counts=True)
+    return replace(found, thetas=thetas, weights=counts / SPECIMEN_DRAWS, k=moved.pareto_k)
 
 
 def describe_posterior(known: WeightedPosterior) -> Row:

@@ -13,13 +13,14 @@ stays within all along.
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.select import count_layers, find_repeats, list_bevels, name_holes
+from needlefit.errors import ConfigError
 from needlefit.inference import specimens
 from needlefit.inference.compared_points import align
 from needlefit.inference.fit import Callbacks, Fit
@@ -50,6 +51,7 @@ from needlefit.inference.sampling.sample import sample_from_fit
 from needlefit.project.progress import never_stop
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import THIS_PROCESS, TaskPool, TaskStop, run_parts
+from needlefit.project.toml import describe_key
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.studies.coverage import estimate_width_after_one
 from needlefit.studies.job import Fold, Job, Settings, group_insertions
@@ -139,12 +141,13 @@ class Specimens:
     """The parameters of a fold in its specimens: in those that were tuned on, and in a further one.
 
     With a spread between specimens, several that were tuned on have parameters of their own, each; then
-    `draws` of the posterior of all insertions together are of no specimen. What was found is kept.
+    `draws` of the posterior of all insertions together are of no specimen, whether certified or not. What was
+    found is kept.
     """
 
     job: Job
     fold: Fold
-    draws: Floats  #: (B, P)
+    draws: Draws = field(default_factory=partial(Draws, np.empty((0, 0)), "importance"))
     jobs: int = 1  #: threads
     pool: TaskPool = THIS_PROCESS
     #: draws of the posterior of each specimen by itself, by its insertions; folds may share them
@@ -177,13 +180,14 @@ class Specimens:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """Why nothing is known of the specimens; empty if it is, and where they do not differ."""
-        return self.population.faults if self.job.record.specimens == "others" else ()
+        """Why the draws by which insertions are predicted are not certified; empty if they are."""
+        return self.population.faults if self.separate else self.draws.faults
 
     @cached_property
     def population(self) -> specimens.PopulationDraws:
         """As many joint draws of all specimens as there are `draws`."""
-        posteriors = {"": self.draws}
+        posteriors = {"": self.draws.thetas}
+        count = len(self.draws.thetas) or PREDICTION_DRAWS  # none where all together have no certified ones
         faults: list[str] = []
         if self.separate:
             wanted = {name: tuple(one.id for one in group) for name, group in self.tuned.items()}
@@ -195,36 +199,42 @@ class Specimens:
             known = {name: self.posteriors[ids] for name, ids in wanted.items()}
             posteriors = {name: one.thetas for name, one in known.items()}
             faults = [f"specimen {name}: {fault}" for name, one in known.items() for fault in one.faults]
-        rng = random_stream(self.job.recipe.seed, self.fold.name, "specimens", len(self.draws))
+        rng = random_stream(self.job.recipe.seed, self.fold.name, "specimens", count)
         if faults:
-            nothing = np.empty((0, self.draws.shape[1]))
+            nothing = np.empty((0, len(self.job.parameters.free)))
             empty = np.empty((0, len(self.model.names), len(self.model.names)))
             return specimens.PopulationDraws({}, nothing, nothing, empty, tuple(faults))
-        count = len(self.draws)
         return specimens.draw_population(self.job.parameters, self.model, posteriors, count, rng)
 
-    def draws_in(self, insertion: Insertion | None) -> Floats:
-        """Return draws (B, P) in the specimen of an insertion; of None in one that is not in the dataset."""
+    def draws_in(self, insertion: Insertion | None) -> Draws:
+        """Return draws in the specimen of an insertion; of None in one that is not in the dataset."""
         if insertion is None or self.differs(insertion):
-            return self.population.new
-        return self.population.tuned[insertion.specimen] if self.separate else self.draws
+            return self._describe(self.population.new)
+        found = self.population.tuned.get(insertion.specimen) if self.separate else None
+        return self.draws if found is None else self._describe(found)
 
     def replace_mean(self, draws: Draws) -> Draws:
         """Return draws of the specimens' mean in place of as many draws of all insertions together."""
         if not self.separate:
             return draws
-        found = self.population
         if self.faults:
-            return replace(draws, faults=(*draws.faults, *self.faults))
-        mean, k, ess = found.mean[: len(draws.thetas)], found.pareto_k, found.effective_sample_size
-        return Draws(mean, "importance", draws.faults, k, ess)
+            return replace(draws, faults=self.faults)
+        return self._describe(self.population.mean[: len(draws.thetas)])
+
+    def _describe(self, thetas: Floats) -> Draws:
+        """Return draws (B, P) of the population with how they were made."""
+        if not self.separate:
+            return replace(self.draws, thetas=thetas)
+        found = self.population
+        return Draws(thetas, "importance", found.faults, found.pareto_k, found.effective_sample_size)
 
     def list_draws(self, thetas: Floats) -> dict[str, Floats]:
         """Return as many draws (B, P) in each specimen that has some of its own, and in a `NEW_SPECIMEN`.
 
         `thetas` (B, P) are draws of all insertions together, about which a single specimen's lie.
         """
-        found = self.population if self.separate else replace(self, draws=thetas).population
+        about = replace(self.draws, thetas=thetas)
+        found = self.population if self.separate else replace(self, draws=about).population
         own = found.tuned if self.separate else {}
         return {name: some[: len(thetas)] for name, some in {**own, NEW_SPECIMEN: found.new}.items()}
 
@@ -234,10 +244,11 @@ class Specimens:
         own = self.tuned.get(insertion.specimen) if insertion is not None and self.separate else None
         return everything if own is None else replace(everything, insertions=own)
 
-    @property
-    def new_bevel_sd(self) -> float:
-        """By how many SDs the bevel of an insertion into a new specimen deviates, as an SD."""
+    def bevel_sd_in(self, insertion: Insertion | None) -> float:
+        """By how many SDs a further bevel in the specimen of an insertion deviates, as an SD; None: a new."""
         everything = self.job.problem(self.fold)
+        if insertion is not None and not self.differs(insertion):
+            return self.problem_of(insertion).new_bevel_sd
         if not (self.separate and everything.linear_bevels and everything.centred_bevels):
             return everything.new_bevel_sd
         return find_new_bevel_sd(everything.dataset, everything.insertions, new_specimen=True)
@@ -256,6 +267,26 @@ class Specimens:
             if found.certified:
                 return resample_draws(found, PREDICTION_DRAWS, rng)
         return fit_posterior(job, problem, key, Settings()).draws
+
+
+def choose_specimen(known: Specimens, into: str) -> Insertion | None:
+    """Return an insertion tuned on in the specimen named `into`; None for a "new" one.
+
+    Where specimens do not differ, other words are any of those tuned on.
+
+    Raises ConfigError if specimens differ, and `into` names none of them.
+    """
+    if into == "new":
+        return None
+    if into not in known.tuned and (known.separate or into not in ("same", "training only")):
+        words = "each has parameters of its own" if known.separate else f"{into!r} is none of them"
+        raise ConfigError(
+            f"the specimens tuned on are {', '.join(known.tuned)}: {words}",
+            where=describe_key(known.job.name, "specimen"),
+            key="specimen",
+            expected=f"new, or one of {', '.join(known.tuned)}",
+        )
+    return known.tuned.get(into, known.fold.tune)[0]
 
 
 def describe_specimen(new: Specimens | None, otherwise: str = "same") -> Row:
@@ -378,7 +409,7 @@ def predict_held_out(
     the width. `step` is called with the number of predictions made, and of all.
     """
     given = [one for one in fold.validate if job.dataset.noise.stated or one.sd is not None]
-    if known is not None and given and known.faults:
+    if known is not None and given and known.separate and known.faults:
         return
     side_by_side = max(1, min(jobs, len(given)))
     # what is predicted are the stored points, as they will be measured
@@ -428,11 +459,11 @@ class _Predictor:
         # the depths of one insertion have one specimen and one bevel
         own = self.repeats.get(insertion.id)
         once = rng if own is None else random_stream(job.recipe.seed, job.name, fold.name, "foretold", *own)
-        thetas = draws.thetas if known is None else known.draws_in(insertion)
-        sets = [job.parameters.values(theta) for theta in thetas]
+        draws = draws if known is None else known.draws_in(insertion)
+        sets = [job.parameters.values(theta) for theta in draws.thetas]
         deviations = once.standard_normal(len(sets))
         if differing is not None and differing.separate:
-            deviations = differing.new_bevel_sd * deviations
+            deviations = differing.bevel_sd_in(insertion) * deviations
         elif fold.tune and len(sets):
             problem = job.problem(fold) if known is None else known.problem_of(insertion)
             deviations = _condition_bevels(problem, sets, own, deviations, self.jobs)
@@ -441,9 +472,7 @@ class _Predictor:
         if np.sum(solved) < MIN_SOLVED_DRAWS:
             return None
         heights = align(observation.pose, found.points[solved], observation.measured)[..., 1]
-        factor = rms_noise_scale(
-            replace(draws, thetas=thetas), job.parameters, job.recipe.likelihood.noise_scale
-        )
+        factor = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
         covariance, measured = _measurement_covariance(observation, factor), observation.measured[:, 1]
         mixture = PredictiveMixture(heights, np.sqrt(np.diag(covariance)))
         row = {"fold": fold.name, **_describe_insertion(job, insertion, draws, int(np.sum(~solved))), **about}
@@ -489,8 +518,8 @@ class _Predictor:
         job, fold = self.job, self.fold
         # a stream of its own: no other number depends on it
         rng = random_stream(job.recipe.seed, job.name, fold.name, "after one", insertion.id)
-        new_bevel_sd = 1.0 if self.known is None else self.known.new_bevel_sd
-        found = self._simulate(insertion, observation, vary_bevels(sets, new_bevel_sd, rng), rng)
+        bevel_sd = 1.0 if self.known is None else self.known.bevel_sd_in(insertion)
+        found = self._simulate(insertion, observation, vary_bevels(sets, bevel_sd, rng), rng)
         again = np.full(len(sets), np.nan)
         aligned = align(observation.pose, found.points[found.solved], observation.measured)
         again[found.solved] = aligned[:, -1, 1]

@@ -21,10 +21,14 @@ from needlefit.inference.compared_points import read_points
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood import nodes
 from needlefit.inference.likelihood.observation import (
+    PLAIN_LIKELIHOOD,
     SESSION_SD_RAD,
     SectionData,
     add_headings,
+    entry_covariance,
     list_session_axes,
+    make_gain,
+    make_group_slope,
     points_covariance,
     pose_modes,
     pose_sds,
@@ -38,6 +42,7 @@ from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.analyses import SyntheticDataRecord, SyntheticInsertionRecord
 from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import LikelihoodRecord, TrackErrorsRecord
 from needlefit.studies.job import Fold, Job
 from needlefit.synthetic.design import (
     Population,
@@ -60,6 +65,7 @@ def simulate_measurement(
     medium: MediumRecord,
     rng: np.random.Generator,
     shared: dict[tuple[object, ...], float] | None = None,
+    likelihood: LikelihoodRecord = PLAIN_LIKELIHOOD,
 ) -> Insertion | None:
     """Return the insertion as measured if `values` (Pa, mm) were true; None if it cannot be simulated.
 
@@ -71,7 +77,8 @@ def simulate_measurement(
     where the needle has no solution, or bends as no curve of its length does.
 
     `shared` holds the errors, in standard deviations, of the surfaces of each specimen; it is filled as
-    needed, and to be given again for every insertion measured with them.
+    needed, and to be given again for every insertion measured with them. Of `likelihood` the errors of tip
+    tracks count.
     """
     errors = {} if shared is None else shared
     scale = values.get(NOISE_SCALE, 1.0)
@@ -91,6 +98,9 @@ def simulate_measurement(
     deviation = errors.setdefault((specimen, nodes.BEVEL, number), float(rng.standard_normal()))
     factor = float(nodes.find_bevel_factors(values.get(BEVEL_SPREAD, 0.0), deviation))
     true, at = nodes.shift_depths(replace(insertion, bevel_factor=factor), s, deep + wrong, deep)
+    gain = make_gain(insertion, likelihood.tip_tracks.gain_sd) if isinstance(insertion, TipTrack) else None
+    if gain is not None:
+        true = nodes.scale_guide(true, 1 + gain[1] * _draw_error(gain[0], errors, rng))
     shape = predict(values, medium, dataset.needle, true)
     if not shape.converged:
         return None
@@ -104,10 +114,11 @@ def simulate_measurement(
         spread = pose_modes(points) * pose_sds(insertion, dataset.noise)
         cov = cov + spread @ spread.T
     y = points[:, 1] + np.linalg.cholesky(cov) @ rng.standard_normal(len(s))
-    if dataset.pose == "tracker":
-        frame = _draw_frame(insertion.specimen, dataset.noise, errors, rng)
+    if isinstance(insertion, TipTrack):
+        frame = _draw_frame(insertion, dataset.noise, likelihood.tip_tracks, errors, rng)
         tips = insertion.with_planar(np.column_stack([s, y + frame[0] + frame[1] * s]))
-        return _measure_headings(tips, shape, frame[1:], scale * dataset.noise.heading_sd, rng)
+        heading_sd = scale * dataset.noise.heading_sd
+        return _measure_headings(tips, shape, frame[1:], heading_sd, likelihood.tip_tracks, rng)
     along_x = np.diff(s) ** 2 - np.diff(y) ** 2
     if np.any(along_x <= 0):
         return None
@@ -127,10 +138,13 @@ def simulate_measurements(
     medium: MediumRecord,
     rng: np.random.Generator,
     shared: dict[tuple[object, ...], float] | None = None,
+    likelihood: LikelihoodRecord = PLAIN_LIKELIHOOD,
 ) -> tuple[Insertion, ...] | None:
     """Return insertions as measured in the same specimens; None if one of them cannot be simulated."""
     errors = {} if shared is None else shared
-    found = [simulate_measurement(dataset, one, values, medium, rng, errors) for one in insertions]
+    found = [
+        simulate_measurement(dataset, one, values, medium, rng, errors, likelihood) for one in insertions
+    ]
     known = tuple(one for one in found if one is not None)
     return known if len(known) == len(found) else None
 
@@ -162,29 +176,54 @@ def _measure_sections(
     return replace(measured, sections=replace(stored, points=world))
 
 
+def _draw_error(axis: nodes.ErrorAxis, shared: dict[nodes.Surface, float], rng: np.random.Generator) -> float:
+    """Return an error along an axis, in standard deviations; its shared part is drawn once."""
+    if axis.surface not in shared:
+        shared[axis.surface] = float(rng.standard_normal())
+    return axis.own * float(rng.standard_normal()) + axis.shared * shared[axis.surface]
+
+
 def _draw_frame(
-    session: str, noise: Noise, shared: dict[nodes.Surface, float], rng: np.random.Generator
+    track: TipTrack,
+    noise: Noise,
+    stated: TrackErrorsRecord,
+    shared: dict[nodes.Surface, float],
+    rng: np.random.Generator,
 ) -> Floats:
     """Return shift (mm), slope and offset of headings (rad) of a run in a tracker's frame: (3,)."""
     frame = np.append(rng.standard_normal(2) * TRACKER_FRAME_SD, 0.0)
-    for part, axis in enumerate(list_session_axes(session, noise.slope_sd, 2)):
-        if axis.surface not in shared:
-            shared[axis.surface] = float(rng.standard_normal())
-        err = axis.own * rng.standard_normal() + axis.shared * shared[axis.surface]
-        frame[1 + part] = err * SESSION_SD_RAD / axis.shared
+    axes = list_session_axes(track.specimen, noise.slope_sd, 2)
+    for part, axis in enumerate(axes):
+        frame[1 + part] = _draw_error(axis, shared, rng) * SESSION_SD_RAD / axis.shared
+    if axes and stated.slope_sd_deg:
+        frame[1] += math.radians(stated.slope_sd_deg) * _draw_error(make_group_slope(track), shared, rng)
     return frame
 
 
 def _measure_headings(
-    track: Insertion, shape: NeedleShape, turned: Floats, sd: float, rng: np.random.Generator
+    track: TipTrack,
+    shape: NeedleShape,
+    turned: Floats,
+    sd: float,
+    stated: TrackErrorsRecord,
+    rng: np.random.Generator,
 ) -> Insertion:
-    """Return the track with the headings of a simulated one, turned by slope and offset, with noise `sd`."""
-    if not sd or not isinstance(track, TipTrack) or track.heading is None:
+    """Return a track with errors at its entry, and with the headings of a simulated one.
+
+    These are turned by slope and offset, with noise `sd`.
+    """
+    heading, n = track.heading if sd else None, len(track.depths)
+    places, operator = add_headings(track, np.zeros(n) if heading is None else heading)
+    off = np.zeros(len(places))
+    if stated.entry_sd_mm or stated.entry_yield:
+        sizes, axes = np.linalg.eigh(entry_covariance(track, places[:, 0], stated))  # singular where faded
+        off = axes @ (np.sqrt(np.maximum(sizes, 0.0)) * rng.standard_normal(len(sizes)))
+        track = track.with_planar(track.planar + np.column_stack([np.zeros(n), off[:n]]))
+    if heading is None:
         return track
-    places, operator = add_headings(track, track.heading)
-    path = operator[len(track.depths) :] @ read_points(track, shape, places[:, 0])[:, 1]
+    path = operator[n:] @ (read_points(track, shape, places[:, 0])[:, 1] + off)
     seen = path + turned.sum() + sd * rng.standard_normal(len(path))
-    return replace(track, heading=np.append(track.heading[:1], np.arctan(seen)))
+    return replace(track, heading=np.append(heading[:1], np.arctan(seen)))
 
 
 POINT_SPACING_MM = 1.0  #: distance of measured points along a needle, mm

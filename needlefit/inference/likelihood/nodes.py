@@ -349,7 +349,7 @@ def make_nodes(
     axes = [axis for axis, *_ in moves]
     if gain is not None:
         axes.append(gain[0])
-        found += [(_scale_guide(insertion, 1 + step), s) for step in (-GAIN_STEP, GAIN_STEP)]
+        found += [(scale_guide(insertion, 1 + step), s) for step in (-GAIN_STEP, GAIN_STEP)]
     if bevel:
         factors = (insertion.bevel_factor * (1 + step) for step in (-BEVEL_STEP, BEVEL_STEP))
         found += [(replace(insertion, bevel_factor=factor), s) for factor in factors]
@@ -375,7 +375,7 @@ def make_nodes(
     return Nodes(insertions, np.array(at), (*axes, *shared), linear, effects, bevel, integration)
 
 
-def _scale_guide(insertion: Insertion, factor: float) -> Insertion:
+def scale_guide(insertion: Insertion, factor: float) -> Insertion:
     """Return a tip track whose guide moved `factor` times as far from where it first stood."""
     assert isinstance(insertion, TipTrack)
     first = insertion.guide[0]

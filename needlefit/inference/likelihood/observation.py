@@ -300,14 +300,14 @@ def _observe_track(
     free = frame[:, : frame.shape[1] - len(axes)]
     session = frame[:, free.shape[1] :] * [SESSION_SD_RAD / axis.shared for axis in axes]
     if axes and errors.slope_sd_deg:
-        axes = (*axes, ErrorAxis(0.0, 1.0, (track.specimen, GROUP_SLOPE, _name_group(track))))
+        axes = (*axes, make_group_slope(track))
         session = np.column_stack([session, math.radians(errors.slope_sd_deg) * frame[:, 1]])
     try:
         whitening, log_norm = whiten(cov, free)
     except np.linalg.LinAlgError:
         raise _without_errors(dataset, track) from None
     curves, varies = (whitening @ session).T, likelihood.bevel_spread > 0
-    gain = _make_gain(track, errors.gain_sd) if track.guided and errors.gain_sd else None
+    gain = make_gain(track, errors.gain_sd)
     nodes = make_nodes(track, at, "fixed", bevel=varies, constants=len(curves), shared=axes, gain=gain)
     whitening = whitening if operator is None else whitening @ operator
     return Observation(measured, cov, session, free, whitening, log_norm, dataset.pose, nodes, curves)
@@ -318,8 +318,15 @@ def _name_group(track: TipTrack) -> str:
     return f"{track.medium}, {'steered' if track.guided else 'at rest'}"
 
 
-def _make_gain(track: TipTrack, sd: float) -> tuple[ErrorAxis, float]:
-    """Return the axis of a run's gain, and its SD: `sd` of the group, and as much of the run."""
+def make_group_slope(track: TipTrack) -> ErrorAxis:
+    """Return the axis of the slope of a run's group."""
+    return ErrorAxis(0.0, 1.0, (track.specimen, GROUP_SLOPE, _name_group(track)))
+
+
+def make_gain(track: TipTrack, sd: float) -> tuple[ErrorAxis, float] | None:
+    """Return the axis of a run's gain, and its SD, `sd` of the group and as much of the run; or None."""
+    if not (track.guided and sd):
+        return None
     part = math.sqrt(0.5)
     return ErrorAxis(part, part, (track.specimen, GROUP_GAIN, _name_group(track))), sd / part
 

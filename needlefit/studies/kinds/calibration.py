@@ -316,7 +316,8 @@ def simulate_experiment(job: Job, rng: np.random.Generator) -> SimulatedExperime
             continue
         true = {NOISE_SCALE: everything.density.scale, **values}
         shared = draw_bevels(job.dataset, design.insertions, rng) if everything.linear_bevels else {}
-        known = simulate_measurements(job.dataset, design.insertions, true, job.medium, rng, shared)
+        stated = job.recipe.likelihood
+        known = simulate_measurements(job.dataset, design.insertions, true, job.medium, rng, shared, stated)
         if known is None:
             continue
         problem = replace(everything, insertions=known)
@@ -448,7 +449,7 @@ def replicate_synthetic(number: int, experiment: SyntheticExperiment) -> Row:
         "posterior" if found.draw_source == "sampler" else "importance"
     )
     draws = Draws(found.thetas, source, () if found.trusted else ("the posterior is not certified",))
-    known = Specimens(job, fold, draws.thetas)
+    known = Specimens(job, fold, draws)
     predictions = [one.row for one in predict_held_out(job, fold, draws, known)]
     pits = {one["insertion"]: one["tip_pit"] for one in predictions}
     tips = {}

@@ -122,11 +122,12 @@ def _run_task(job: Job, fold: Fold, where: tuple[str, str], settings: Settings) 
         for insertion in fold.validate
         for row in scorer.score({"fold": fold.name, "method": method}, insertion, predictor)[0]
     ]
-    known = Specimens(job, fold, learned.draws.thetas, settings.jobs, settings.part_pool)
-    certified = where[1] != "nothing" and not learned.draws.faults
-    rows = tabulate_held_out(job, fold, learned.draws, known) if certified else ()
+    known = Specimens(job, fold, learned.draws, settings.jobs, settings.part_pool)
+    predicts = where[1] != "nothing"
+    certified = not (known.faults if predicts else learned.draws.faults)
+    rows = tabulate_held_out(job, fold, learned.draws, known) if predicts and certified else ()
     about = {**head, "fold": fold.name, "insertions": len(fold.tune), "pareto_k": learned.k}
-    about |= {"sampled": learned.sampled, "certified": not learned.draws.faults}
+    about |= {"sampled": learned.sampled, "certified": certified}
     return {
         "errors": errors,
         "predictive": [{**head, **row} for row in rows],

@@ -3,6 +3,7 @@
 The gain of a candidate is the mutual information of parameters and its data, by nested Monte Carlo over the
 posterior of what is known already (`inference.identifiability.design_gain`); its linear form stands beside
 it. Errors of pose, depths and points are those of the insertion that the study names as a model of a new one.
+All go into one specimen; the gain is about its parameters and tips (`further_insertion.find_specimen`).
 All candidates predict data for the same draws: their differences are better known than their values.
 """
 
@@ -47,11 +48,11 @@ from needlefit.reporting.number_format import format_bare_symbol, format_symbol,
 from needlefit.reporting.table import Table, part, pivot
 from needlefit.reporting.table_files import to_records
 from needlefit.reporting.text import KindText
-from needlefit.schemas.analyses import TunedAnalysisRecord
 from needlefit.schemas.base import Name, Record
 from needlefit.schemas.limits import MAX_CANDIDATES, MAX_LAYERS, MAX_NEEDLE_LENGTH_MM
 from needlefit.schemas.planning import Vector
 from needlefit.studies import further_insertion
+from needlefit.studies.held_out_predictions import Specimens
 from needlefit.studies.job import Fold, Job, Settings, prepare
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.planned_draws import vary_bevels
@@ -106,18 +107,17 @@ class QuantityRecord(Record):
     """Its angle."""
 
 
-class NextInsertionRecord(TunedAnalysisRecord):
+class NextInsertionRecord(further_insertion.FurtherInsertionRecord):
     """`kind = "next_insertion"`: the insertion with the largest expected information gain."""
 
     kind: Literal["next_insertion"]
-    template_insertion: str
-    """Insertion whose errors of pose, depths and points a new one would have."""
     depths_mm: tuple[float, ...] = Field(min_length=1, max_length=MAX_CANDIDATES)
     """Candidate depths."""
     entries: tuple[CandidateEntryRecord, ...] = Field(min_length=1, max_length=MAX_CANDIDATES)
     """Candidate entries."""
     quantities: tuple[QuantityRecord, ...] = ()
-    """Tip deflections whose uncertainty is to be reduced; without it, the parameters'."""
+    """Tip deflections, in the specimen of the candidates, whose uncertainty is to be reduced; without it,
+    that of its parameters."""
 
     @model_validator(mode="after")
     def _names(self) -> Self:
@@ -153,7 +153,8 @@ FRAMES: Mapping[str, tuple[str, ...]] = {
     "alphas": (*_WHERE, "parameter", "sd_now", "sd_after"),
     "posterior": ("insertions", "pareto_k", "sampled", "draws", "ess", "note"),
 }
-"""`role` is "candidate", or "repeat": the deepest insertion made so far, once more. Deviations of parameters
+"""`role` is "candidate", or "repeat": the deepest insertion made so far, in its specimen if some were, once
+more. Deviations of parameters
 are of logarithms, of alpha itself; those of `alphas` are what would be left if all else were known. `ess`
 is on how many draws the posterior afterwards stands."""
 
@@ -251,8 +252,10 @@ def run(name: str, record: NextInsertionRecord, settings: Settings) -> Run:
         f"quantities.{n}.depth_mm": (one.depth_mm,) for n, one in enumerate(record.quantities, start=1)
     }
     further_insertion.check_reach(job, like, {key: max(values) for key, values in depths.items() if values})
-    deepest = max(job.folds[0].tune, key=lambda one: one.depth)
-    now = Shared(partial(_find_knowledge, job, record, like, settings))
+    into = further_insertion.find_specimen(job, like, record.specimen)
+    made = Specimens(job, job.folds[0]).problem_of(into).insertions
+    deepest = max(made, key=lambda one: one.depth)
+    now = Shared(partial(_find_knowledge, job, record, like, into, settings))
     names = tuple(one.name for one in record.quantities)
     tasks: dict[str, AnalysisTask] = {"posterior": partial(_describe_now, now)}
     for entry in record.entries:
@@ -281,9 +284,9 @@ def _predict_repeat(job: Job, made: Insertion, values: Mapping[str, float]) -> I
 
 
 def _find_knowledge(
-    job: Job, record: NextInsertionRecord, like: Insertion, settings: Settings
+    job: Job, record: NextInsertionRecord, like: Insertion, into: Insertion | None, settings: Settings
 ) -> _CurrentKnowledge | None:
-    fitted = further_insertion.weigh_posterior(job, settings)
+    fitted = further_insertion.weigh_posterior(job, into, settings)
     if fitted is None:
         return None
     known = refer_to_all_needles(fitted, random_stream(job.recipe.seed, job.name, "bevels"))
@@ -313,11 +316,11 @@ def refer_to_all_needles(
     """Return a posterior in which b is the mean of all needles, not of those fitted to.
 
     From that mean a further insertion deviates as any other: the deviations of two of them are independent.
+    In a new one of several specimens it deviates by less (`find_new_bevel_sd`), which is not counted.
     """
-    problem = known.problem
-    sd = math.sqrt(problem.new_bevel_sd**2 - 1)  # of the mean of the n fitted to: sqrt(1 / n)
+    sd = math.sqrt(max(0.0, known.bevel_sd**2 - 1))  # of the mean of the n fitted to: sqrt(1 / n)
     sets = vary_bevels(known.sets, sd, rng)
-    return replace(known, thetas=np.array([problem.parameters.theta(values) for values in sets]))
+    return replace(known, thetas=np.array([known.problem.parameters.theta(values) for values in sets]))
 
 
 def _run_task(now: GetKnowledge, where: Row, names: tuple[str, ...], predict: PredictInsertion) -> FrameRows:

@@ -8,7 +8,7 @@ found first. All are tried on draws that none was sought with, each with the lay
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal, Self
 
@@ -35,16 +35,17 @@ from needlefit.reporting.labels import PLAN_COLOURS, PLAN_NAMES
 from needlefit.reporting.table import Table, part, pivot
 from needlefit.reporting.table_files import to_records
 from needlefit.reporting.text import KindText
-from needlefit.schemas.analyses import TunedAnalysisRecord
 from needlefit.schemas.planning import EntryPlaneRecord, ObstacleRecord, PlanePoint
 from needlefit.studies.further_insertion import (
+    FurtherInsertionRecord,
     WeightedPosterior,
     check_reach,
     describe_posterior,
+    find_specimen,
     find_template,
     weigh_posterior,
 )
-from needlefit.studies.held_out_predictions import Specimens, describe_specimen, describe_spread
+from needlefit.studies.held_out_predictions import describe_specimen, describe_spread
 from needlefit.studies.job import Job, Settings, prepare
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.planned_draws import vary_bevels
@@ -54,12 +55,10 @@ from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, Shar
 from needlefit.studies.score import Row
 
 
-class PlanRecord(TunedAnalysisRecord):
+class PlanRecord(FurtherInsertionRecord):
     """`kind = "plan"`: the entry that brings the predicted tip to a target."""
 
     kind: Literal["plan"]
-    template_insertion: str
-    """Insertion whose stated errors of entry, depth and layers the planned one would have."""
     target_mm: PlanePoint
     """Target, x and y in the plane."""
     tolerances_mm: tuple[PositiveFloat, ...] = Field(default=(1.0, 2.0), min_length=1)
@@ -68,9 +67,6 @@ class PlanRecord(TunedAnalysisRecord):
     """The plane and what may be chosen in it."""
     obstacles: tuple[ObstacleRecord, ...] = ()
     """Circles that the needle must avoid."""
-    specimen: Literal["new", "same"] | None = None
-    """Whether the plan is for a specimen that was not fitted ("new") or one that was ("same"); without it,
-    as the template."""
 
     @model_validator(mode="after")
     def _within_reach(self) -> Self:
@@ -134,7 +130,6 @@ class _PlanningDraws:
     record: PlanRecord
     site: TargetSite
     knowledge: WeightedPosterior
-    new: Specimens | None
     search_draws: tuple[ExecutionDraw, ...]
     test_draws: tuple[ExecutionDraw, ...]
 
@@ -151,7 +146,8 @@ def run(name: str, record: PlanRecord, settings: Settings) -> Run:
     job = prepare(name, record.tuning(), settings)
     site = make_site(job, record)
     check_reach(job, site.like, {"entry_plane.depth_mm": record.entry_plane.depth_mm[1]})
-    known = Shared(partial(_draw_executions, job, record, site, settings))
+    into = find_specimen(job, site.like, record.specimen)
+    known = Shared(partial(_draw_executions, job, record, site, into, settings))
     names = [EXPECTED, BEST_FIT, *([HAND_TUNED] if job.hand_tuned is not None else []), STRAIGHT]
     tasks: dict[str, AnalysisTask] = {
         "posterior": partial(_posterior_row, known),
@@ -171,45 +167,23 @@ def make_site(job: Job, record: PlanRecord) -> TargetSite:
 
 
 def _draw_executions(
-    job: Job, record: PlanRecord, site: TargetSite, settings: Settings
+    job: Job, record: PlanRecord, site: TargetSite, into: Insertion | None, settings: Settings
 ) -> _PlanningDraws | None:
-    found = weigh_posterior(job, settings)
+    found = weigh_posterior(job, into, settings)
     if found is None:
         return None
-    new = find_new_specimen(job, record.specimen, site.like, found)
-    if new is not None and new.faults:
-        draws = found.learned.draws
-        doubted = replace(draws, faults=(*draws.faults, *new.faults))
-        found, new = replace(found, learned=replace(found.learned, draws=doubted)), None
     # search and test use different draws: a plan must not be tried on the draws it was fitted to
     even = np.arange(len(found.thetas)) % 2 == 0
-    search_draws = draw_trials(job, site.like, found.only(even), new, SEARCH_DRAWS)
-    test_draws = draw_trials(job, site.like, found.only(~even), new, TEST_DRAWS)
-    return _PlanningDraws(job, record, site, found, new, search_draws, test_draws)
+    search_draws = draw_trials(job, site.like, found.only(even), SEARCH_DRAWS)
+    test_draws = draw_trials(job, site.like, found.only(~even), TEST_DRAWS)
+    return _PlanningDraws(job, record, site, found, search_draws, test_draws)
 
 
-def find_new_specimen(
-    job: Job, stated: str | None, like: Insertion, known: WeightedPosterior
-) -> Specimens | None:
-    """Return by how much the parameters of the plan's specimen differ; None if it was tuned on."""
-    (fold,) = job.folds
-    new = Specimens(job, fold, known.learned.draws.thetas)
-    differs = new.differs(like) if stated is None else stated == "new"
-    return new if differs else None
-
-
-def draw_trials(
-    job: Job, like: Insertion, known: WeightedPosterior, new: Specimens | None, count: int
-) -> tuple[ExecutionDraw, ...]:
+def draw_trials(job: Job, like: Insertion, known: WeightedPosterior, count: int) -> tuple[ExecutionDraw, ...]:
     """Return draws of parameters and of errors; other counts are other draws."""
     rng = random_stream(job.recipe.seed, job.name, "trials", count)
-    thetas, bevel_sd = known.thetas[known.drawn(count, rng)], known.problem.new_bevel_sd
-    specimens = Specimens(job, job.folds[0], thetas) if new is None else replace(new, draws=thetas)
-    if new is not None:
-        thetas, bevel_sd = specimens.draws_in(None), new.new_bevel_sd
-    elif specimens.separate and like.specimen in specimens.tuned and not specimens.faults:
-        thetas, bevel_sd = specimens.draws_in(like), specimens.problem_of(like).new_bevel_sd
-    sets = vary_bevels([known.problem.values(theta) for theta in thetas], bevel_sd, rng)
+    thetas = known.thetas[known.drawn(count, rng)]
+    sets = vary_bevels([known.problem.values(theta) for theta in thetas], known.bevel_sd, rng)
     return tuple(draw_execution(values, like, rng) for values in sets)
 
 
@@ -217,7 +191,7 @@ def _posterior_row(known: GetDraws) -> FrameRows:
     now = known()
     if now is None:
         return {}
-    about = describe_specimen(now.new)
+    about = describe_specimen(now.knowledge.new)
     return {"posterior": [describe_posterior(now.knowledge) | about]}
 
 

@@ -6,7 +6,8 @@ dataset states of its points and of the entry pose. Neither includes model error
 predict nothing: the median stays, marked, and the bands are left out.
 
 In a specimen that was not tuned on the parameters differ (`Specimens`). What that adds stands beside the
-width that would be left in the specimen tuned on, and after one insertion into the new one.
+width that would be left in a specimen tuned on (the mean over these), and after one insertion into the new
+one.
 """
 
 import json
@@ -21,7 +22,7 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Dataset, split_boundary_sd
+from needlefit.datasets.insertion import Dataset, Insertion, split_boundary_sd
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.fit import Callbacks, keep_start, read_starts
 from needlefit.inference.forward_model import make_options
@@ -62,6 +63,7 @@ from needlefit.studies.csv_tables import TableSchema
 from needlefit.studies.held_out_predictions import (
     PREDICTION_DRAWS,
     Specimens,
+    choose_specimen,
     describe_specimen,
     describe_spread,
     draw_fold_parameters,
@@ -92,10 +94,10 @@ class PredictionRecord(TargetRecord):
     """Its name in tables and figures."""
     posterior: str | None = None
     """Folder of a sampled run of `target`; without it, a fit is made."""
-    specimen: Literal["new", "same"] | None = None
-    """Whether the insertion goes into a specimen that was not fitted ("new") or one that was ("same");
-    without it, a new one, with the spread between specimens unless `specimens` of the target leaves that
-    out."""
+    specimen: str | None = None
+    """Where the insertion goes: into a specimen that was not fitted ("new"), or one that was ("same"; of
+    several that differ, its name); without it, a new one, with the spread between specimens unless
+    `specimens` of the target leaves that out."""
 
 
 KIND = StudyKind("prediction", PredictionRecord, __name__)  #: what `needlefit predict` runs, or a study file
@@ -224,26 +226,25 @@ def _find_quantile(mixture: PredictiveMixture, p: float) -> Floats:
     return found
 
 
-def forecast(
-    scene: Scene, draws: Draws, job: Job, new: Specimens | None = None, otherwise: str = "same"
-) -> Forecast:
+def forecast(scene: Scene, known: Specimens, into: Insertion | None, otherwise: str = "same") -> Forecast:
     """Predict the needle of a planned insertion.
 
     The scene says needle, depth, layers' places, bevel side and controls, under the rules of the fit
     (`make_scene`); its moduli and bevel offset are replaced by the draws': layer n of the scene is layer n of
     the medium. With each draw a bevel of this insertion and the depths of layers and tip are drawn too, as
-    they err in a typical insertion of the dataset. With `new` the insertion goes into a specimen that is not
-    in the dataset; without, `otherwise` is what its specimen is called.
+    they err in a typical insertion of the dataset. The specimen is that of the insertion `into`, called
+    `otherwise`, or, with None, one that is not in the dataset. Where it has no draws of its own, those of all
+    insertions together stand in.
 
     Raises ConfigError if the scene has more layers than the medium, or another needle than the dataset.
     ModelError if no draw can be solved.
     """
+    job, draws = known.job, known.draws_in(into)
+    new = known if into is None and len(draws.thetas) else None
+    thetas, bevel_sd = draws.thetas if len(draws.thetas) else known.draws.thetas, known.bevel_sd_in(into)
     _check(scene, job.medium, job.dataset)
     rng = random_stream(job.recipe.seed, job.name, "forecast")
     s = np.linspace(0.0, scene.depth, FORECAST_POINTS)
-    thetas = draws.thetas if new is None else new.draws_in(None)
-    tuned_bevel_sd = job.problem(job.folds[0]).new_bevel_sd
-    bevel_sd = tuned_bevel_sd if new is None else new.new_bevel_sd
     found = _simulate_draws(scene, thetas, job, s, bevel_sd, rng)
     points = found.points[found.solved]  # (B, K, 2)
     if not len(points):
@@ -260,16 +261,18 @@ def forecast(
     tips = found.points[:, -1, 1]
     rows = [describe_specimen(new, otherwise) | {"tip_95_width_mm": measure_width(tips)}]
     if new is not None:
-        name = min(new.population.tuned)  # in one of those tuned on
-        fitted = new.population.tuned[name]
-        if new.separate:
-            tuned_bevel_sd = replace(job.problem(job.folds[0]), insertions=new.tuned[name]).new_bevel_sd
-        again, same = (
+        tuned = [one for one, *_ in new.tuned.values()] if new.separate else [new.fold.tune[0]]
+        places = [(thetas, bevel_sd)]  # and of each specimen tuned on an equal part of its draws
+        places += [
+            (new.draws_in(one).thetas[n :: len(tuned)], new.bevel_sd_in(one)) for n, one in enumerate(tuned)
+        ]
+        again, *same = (
             _simulate_draws(scene, some, job, s, sd_of_bevel, rng).points[:, -1, 1]
-            for some, sd_of_bevel in ((thetas, bevel_sd), (fitted, tuned_bevel_sd))
+            for some, sd_of_bevel in places
         )
-        known = tips + sd[-1] * rng.standard_normal(len(tips))
-        left = {"one insertion": estimate_width_after_one(again, known), "same": measure_width(same)}
+        seen = tips + sd[-1] * rng.standard_normal(len(tips))
+        left = {"one insertion": estimate_width_after_one(again, seen)}
+        left["same"] = float(np.mean([measure_width(one) for one in same]))
         rows += [describe_specimen(None, name) | {"tip_95_width_mm": width} for name, width in left.items()]
     return Forecast(
         s=s,
@@ -407,18 +410,18 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     scene = make_scene(record.scene, record.scene_name, job.medium)
     scene_name = record.scene_name.rpartition("/")[2]
     title = record.scene.title or scene_name
+    known = Specimens(job, job.folds[0], jobs=settings.jobs, pool=settings.part_pool)
+    where = record.specimen or ("new" if job.record.specimens == "others" else "training only")
+    into = choose_specimen(known, where)
     about = begin_run(name, record, job, f"Prediction: {title}")
     folder = None if record.posterior is None else Path(record.posterior)
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, about.run, settings.note)
-    draws = draw_parameters(job, folder, settings, checkpoint)
-    if draws is None:
+    fitted = draw_parameters(job, folder, settings, checkpoint)
+    if fitted is None:
         return replace(about, interrupted=True)
-    (fold,) = job.folds
-    known = record.specimen or ("new" if job.record.specimens == "others" else "training only")
-    new = Specimens(job, fold, draws.thetas, settings.jobs, settings.part_pool) if known == "new" else None
-    if new is not None and new.faults:
-        draws, new = replace(draws, faults=(*draws.faults, *new.faults)), None
-    found = forecast(scene, draws, job, new, known)
+    known = replace(known, draws=fitted)
+    draws, treatment = known.draws_in(into), "training only" if where == "training only" else "same"
+    found = forecast(scene, known, into, treatment)
     frames = _make_frames(found, title, certified=not draws.faults)
     warned = [*job.warnings, *scene_warnings(record.scene, record.scene_name)]
     if found.outside:
@@ -496,6 +499,7 @@ def describe(found: Run) -> dict[str, Any]:
         "fault_heads": faults,
         "synthetic": found.synthetic,
         "specimen": "others" if "others" in rows else next(iter(rows)),
+        "named": "" if study["specimen"] in (None, "new", "same") else study["specimen"],
         "spread": describe_spread(rows["others"]) if "others" in rows else "",
         "widths": {name: row["tip_95_width_mm"] for name, row in rows.items()},
     }

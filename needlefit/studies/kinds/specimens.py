@@ -27,12 +27,10 @@ from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import Effort, sample_about_fit
 from needlefit.inference.specimens import (
     KERNELS_PER_SPECIMEN,
-    Population,
-    Specimen,
     SpreadModel,
     determined_directions,
     highest_density_interval,
-    make_specimen,
+    make_population,
     marginal_density,
 )
 from needlefit.project.random_streams import random_stream
@@ -87,8 +85,6 @@ class SpecimensRecord(TunedAnalysisRecord):
 
 
 KIND = StudyKind("specimens", SpecimensRecord, __name__)
-
-POSTERIOR_DRAWS = 100  #: draws of a specimen's posterior that the Gaussian kernels in its place are made of
 
 LEVELS = (0.50, 0.95)
 
@@ -172,25 +168,25 @@ def run(name: str, record: SpecimensRecord, settings: Settings) -> Run:
 def _measure_population(job: Job, record: SpecimensRecord, what: str, settings: Settings) -> FrameRows:
     """Return what the dataset's specimens, or its insertions as if each were one, say of their population."""
     everything = job.problem(job.folds[0])
-    model, (known, rows) = _make_model(everything, record), (list[Specimen](), list[Row]())
+    model, (posteriors, rows) = _make_model(everything, record), (list[Floats](), list[Row]())
     columns = [everything.names.index(name) for name in model.names]
     for name, members in group_insertions(job.folds[0].tune, what).items():
         problem = replace(everything, insertions=members)
-        learned = fit_posterior(job, problem, (what, name), settings, POSTERIOR_DRAWS)
+        learned = fit_posterior(job, problem, (what, name), settings)
         if settings.stop():
             return {}
-        known.append(make_specimen(learned.draws.thetas[:, columns]))
+        posteriors.append(learned.draws.thetas)
         about = {"groups": what, "specimen": name, "insertions": len(members)}
         trust = {"pareto_k": learned.k, "certified": not learned.draws.faults}
-        moments = known[-1].mean.tolist(), np.sqrt(np.diag(known[-1].covariance)).tolist()
+        moments = (find(posteriors[-1][:, columns], axis=0).tolist() for find in (np.mean, np.std))
         rows += [
             {**about, "parameter": parameter, "mean": mean, "sd": sd, **trust}
             for parameter, mean, sd in zip(model.names, *moments, strict=True)
         ]
     rng = random_stream(job.recipe.seed, job.name, "population", what)
-    population, densities = _infer_population(everything, known, record, rng)
+    population, densities = _infer_population(everything, posteriors, record, rng)
     return {
-        "population": [{"groups": what, "specimens": len(known), **row} for row in population],
+        "population": [{"groups": what, "specimens": len(posteriors), **row} for row in population],
         "specimens": rows,
         "densities": [{"groups": what, **row} for row in densities],
     }
@@ -206,17 +202,16 @@ def _make_model(problem: Problem, record: SpecimensRecord) -> SpreadModel:
 
 
 def _infer_population(
-    problem: Problem, known: list[Specimen], record: SpecimensRecord, rng: np.random.Generator
+    problem: Problem, posteriors: list[Floats], record: SpecimensRecord, rng: np.random.Generator
 ) -> tuple[list[Row], list[Row]]:
-    """Return rows of what specimens say of their population, and the densities of its spreads."""
+    """Return rows of what draws (K, P) of specimens say of their population, and densities of its spreads."""
     model = _make_model(problem, record)
-    names, columns = model.names, [problem.names.index(name) for name in model.names]
-    population = Population(tuple(known), (problem.lower[columns], problem.upper[columns]), model)
+    names, population = model.names, make_population(problem.parameters, model, posteriors)
     found = population.posterior(rng)
     weights = np.exp(found.log_weights)
     means, covariances = population.split(found.thetas)
     every = [(name, "", axis) for name, axis in zip(names, np.eye(len(names)), strict=True)]
-    directions = determined_directions(known)
+    directions = determined_directions(population.specimens)
     if len(names) > 1:
         ends = zip(COMBINATIONS, directions[[0, -1]], strict=True)
         every += [(name, describe_combination(axis, names), axis) for name, axis in ends]
@@ -260,14 +255,13 @@ def _recover_population(
     rng = random_stream(job.recipe.seed, job.name, "recovery", str(spread), number)
     everything = job.problem(job.folds[0])
     mean = job.parameters.theta({**job.parameters.fixed, **recovery.mean})
-    columns = [everything.names.index(one) for one in _make_model(everything, record).names]
-    recipe, known = job.recipe.model_copy(update={"starts": SPECIMEN_STARTS, "minimize": "posterior"}), []
-    for _ in range(recovery.specimens):  # each by its posterior from a flat prior
+    recipe, drawn = job.recipe.model_copy(update={"starts": SPECIMEN_STARTS, "minimize": "posterior"}), []
+    for _ in range(recovery.specimens):
         problem = _simulate_specimen(job, mean, spread, rng)
         found = sample_about_fit(problem, minimize(problem, recipe, rng), rng, 1, SPECIMEN_EFFORT)
         chosen = rng.choice(len(found.thetas), size=KERNELS_PER_SPECIMEN, p=np.exp(found.log_weights))
-        known.append(make_specimen(found.thetas[chosen][:, columns]))
-    population, _ = _infer_population(everything, known, record, rng)
+        drawn.append(found.thetas[chosen])
+    population, _ = _infer_population(everything, drawn, record, rng)
     truths = dict(zip(everything.names, mean.tolist(), strict=True))
     rows = [
         {"spread": spread, "replicate": number + 1, **row, "truth": truths[row["parameter"]]}
@@ -295,7 +289,8 @@ def _simulate_specimen(job: Job, mean: Floats, spread: float, rng: np.random.Gen
         if np.any(theta < everything.lower) or np.any(theta > everything.upper):
             continue
         values = everything.values(theta)
-        known = simulate_measurements(job.dataset, planned, values, job.medium, rng)
+        stated = job.recipe.likelihood
+        known = simulate_measurements(job.dataset, planned, values, job.medium, rng, likelihood=stated)
         if known is not None:
             return replace(everything, insertions=known)
     raise FitError(

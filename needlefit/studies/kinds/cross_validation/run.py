@@ -198,21 +198,23 @@ class _StudyRun:
         self.interrupted = self.interrupted or settings.stop()
         if settings.sample and not self.interrupted:
             self.interrupted = self._sample(fold, fits["fitted"])
-        posterior, few, further = self.posteriors.get(fold.name), None, None
+        posterior, few, further, separate = self.posteriors.get(fold.name), None, None, False
         known = "fitted" in fits and math.isfinite(fits["fitted"].objective)
         if known and (fold.validate or not self.interrupted):
             self._report(number, "posterior draws")
             few, many = draw_fold_parameters(job, fold, fits["fitted"], posterior, settings)
-            specimens = Specimens(job, fold, few.thetas, settings.jobs, settings.part_pool, self.specimens)
-            if not few.faults:  # of what is not certified nothing is predicted
-                self._predict(number, fold, few, specimens)
-                few, many = specimens.replace_mean(few), specimens.replace_mean(many)
-                further = specimens.population.new if specimens.separate and not few.faults else None
+            specimens = Specimens(job, fold, few, settings.jobs, settings.part_pool, self.specimens)
+            separate = specimens.separate
+            self._predict(number, fold, few, specimens)
+            few, many = specimens.replace_mean(few), specimens.replace_mean(many)
+            further = specimens.population.new if separate and not few.faults else None
             self._tabulate_draws(fold, many, specimens)
         self._tabulate_searches(fold, profiles)
         usable = {name: fit for name, fit in fits.items() if math.isfinite(fit.objective)}
         if known:
-            self._tabulate_fit(fold, usable["fitted"], profiles, few, further)
+            # the sampler's posterior has one set of parameters, specimens that differ have several
+            sampled = None if separate else posterior
+            self._tabulate_fit(fold, usable["fitted"], profiles, few, further, sampled)
         if "fitted_metric" in usable:
             self.rows["parameters"] += _metric_rows(job, fold, usable["fitted_metric"])
         self.rows["parameters"] += _published_rows(job, fold, usable.get("hand_tuned_b"))
@@ -348,21 +350,23 @@ class _StudyRun:
         self.counts.draws.add(len(draws.thetas), int(outside.sum()))
 
     def _predict(self, number: int, fold: Fold, draws: Draws, specimens: Specimens) -> None:
-        """Add the predictions of the insertions that a fold holds out.
+        """Add the predictions of the insertions that a fold holds out, by draws that are certified.
 
         Those into new specimens are predicted as the paper does too, by what was tuned alone.
         """
         job, jobs, pool = self.job, self.settings.jobs, self.settings.part_pool
+        given = replace(fold, validate=() if specimens.faults else fold.validate)
 
         def step(done: int, total: int) -> None:
             self._report(number, "predictions", done / total)
 
         step(0, 1)
-        for one in predict_held_out(job, fold, draws, specimens, jobs, pool, bands=True, step=step):
+        for one in predict_held_out(job, given, draws, specimens, jobs, pool, bands=True, step=step):
             self.rows["predictive"].append(one.row)
             self.rows["bands"] += one.band
             self.counts.predicted.add(one.solved, one.outside)
-        others = replace(fold, validate=tuple(filter(specimens.differs, fold.validate)))
+        known = () if draws.faults else fold.validate
+        others = replace(fold, validate=tuple(filter(specimens.differs, known)))
         plain = predict_held_out(job, others, draws, None, jobs, pool)
         self.rows["predictive_training"] += [one.row for one in plain]
 
@@ -393,6 +397,7 @@ class _StudyRun:
         profiles: FitProfiles | None,
         draws: Draws | None,
         further: Floats | None,
+        posterior: Posterior | None,
     ) -> None:
         """Add the fitted parameters of a fold and what the data determine.
 
@@ -413,9 +418,6 @@ class _StudyRun:
             for one in verdict.directions
         ]
         fitted = _fitted_rows(job, fold, fit, verdict, judgements)
-        # the sampler's posterior has one set of parameters, specimens that differ have several
-        separate = draws is not None and Specimens(job, fold, draws.thetas).separate
-        posterior = None if separate else self.posteriors.get(fold.name)
         sampled = intervals_of_draws(job.parameters, draws, posterior)
         add_intervals(fitted, judged, sampled, job.parameters.ties)
         self.rows["identification"] += judged
