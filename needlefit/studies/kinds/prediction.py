@@ -241,7 +241,8 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None, otherwise: 
     """
     job, draws = known.job, known.draws_in(into)
     new = known if into is None and len(draws.thetas) else None
-    thetas, bevel_sd = draws.thetas if len(draws.thetas) else known.draws.thetas, known.bevel_sd_in(into)
+    draws = draws if len(draws.thetas) else known.draws
+    thetas, bevel_sd = draws.thetas, known.bevel_sd_in(into)
     _check(scene, job.medium, job.dataset)
     rng = random_stream(job.recipe.seed, job.name, "forecast")
     s = np.linspace(0.0, scene.depth, FORECAST_POINTS)
@@ -253,22 +254,18 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None, otherwise: 
             expected="an insertion that the model can follow",
             fix="look at `needlefit simulate` of the scene; lessen its depth or its deflection",
         )
-    sd = _measurement_sd(
-        s,
-        job.dataset,
-        rms_noise_scale(replace(draws, thetas=thetas), job.parameters, job.recipe.likelihood.noise_scale),
-    )
+    scale = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
+    sd = _measurement_sd(s, job.dataset, scale)
     tips = found.points[:, -1, 1]
     rows = [describe_specimen(new, otherwise) | {"tip_95_width_mm": measure_width(tips)}]
     if new is not None:
         tuned = [one for one, *_ in new.tuned.values()] if new.separate else [new.fold.tune[0]]
-        places = [(thetas, bevel_sd)]  # and of each specimen tuned on an equal part of its draws
-        places += [
-            (new.draws_in(one).thetas[n :: len(tuned)], new.bevel_sd_in(one)) for n, one in enumerate(tuned)
-        ]
+        places: list[tuple[Floats, Insertion | None]] = [(thetas, None)]
+        # of each specimen tuned on an equal part of its draws
+        places += [(new.draws_in(one).thetas[n :: len(tuned)], one) for n, one in enumerate(tuned)]
         again, *same = (
-            _simulate_draws(scene, some, job, s, sd_of_bevel, rng).points[:, -1, 1]
-            for some, sd_of_bevel in places
+            _simulate_draws(scene, some, job, s, new.bevel_sd_in(one), rng).points[:, -1, 1]
+            for some, one in places
         )
         seen = tips + sd[-1] * rng.standard_normal(len(tips))
         left = {"one insertion": estimate_width_after_one(again, seen)}
