@@ -47,7 +47,7 @@ from needlefit.studies.further_insertion import (
     move_to_specimen,
 )
 from needlefit.studies.held_out_predictions import PosteriorFit, Specimens
-from needlefit.studies.job import Job, Settings, prepare
+from needlefit.studies.job import Fold, Job, Settings, prepare
 from needlefit.studies.kinds import next_insertion
 from needlefit.studies.kinds import plan as plan_kind
 from needlefit.studies.kinds.next_insertion import REPORT as NEXT_REPORT
@@ -593,6 +593,14 @@ def test_a_candidate_has_the_parameters_of_its_specimen_and_only_their_draws_cou
         None,
         np.random.default_rng(1),
     )
+    # one insertion into each: the spread between specimens contains the deviation of its bevel
+    alone = Fold("all", tuned.folds[0].tune[2:], ())
+    assert Specimens(replace(tuned, folds=(alone,)), alone).bevel_sd_in(None) == 0.0
+    other = {**table, "tune": {"insertions": ids[2:]}, "specimen": "new"}
+    answer = next_insertion.run("two", NextInsertionRecord.model_validate(other), Settings())
+    # data of a specimen that may be anything determine more than those of one that is known
+    gain = answer.frames["candidates"].set_index("role")["nats"]["candidate"]
+    assert found[second]["nats"]["candidate"] + 0.5 < gain < math.log(2000)
     mu = tuned.parameters.free.index("mu1_pa")
     middle, sd = np.mean(moved.thetas[:, mu]), np.std(moved.thetas[:, mu])
     assert middle - theta[mu] == pytest.approx(0.5 * math.log(2.0), abs=0.1) and sd > 0.4

@@ -153,10 +153,9 @@ FRAMES: Mapping[str, tuple[str, ...]] = {
     "alphas": (*_WHERE, "parameter", "sd_now", "sd_after"),
     "posterior": ("insertions", "pareto_k", "sampled", "draws", "ess", "note"),
 }
-"""`role` is "candidate", or "repeat": the deepest insertion made so far, in its specimen if some were, once
-more. Deviations of parameters
-are of logarithms, of alpha itself; those of `alphas` are what would be left if all else were known. `ess`
-is on how many draws the posterior afterwards stands."""
+"""`role` is "candidate", or "repeat": the deepest insertion so far (into its specimen), once more. Deviations
+of parameters are of logarithms, of alpha itself; those of `alphas` are what would be left if all else were
+known. `ess` is on how many draws the posterior afterwards stands."""
 
 AGREEMENT_COLUMNS = ("candidates", "spearman", "largest_excess_nats", "same_best")
 """Columns of the agreement of the linear gain with the nested one over the candidates."""
@@ -316,7 +315,6 @@ def refer_to_all_needles(
     """Return a posterior in which b is the mean of all needles, not of those fitted to.
 
     From that mean a further insertion deviates as any other: the deviations of two of them are independent.
-    In a new one of several specimens it deviates by less (`find_new_bevel_sd`), which is not counted.
     """
     sd = math.sqrt(max(0.0, known.bevel_sd**2 - 1))  # of the mean of the n fitted to: sqrt(1 / n)
     sets = vary_bevels(known.sets, sd, rng)
@@ -368,7 +366,8 @@ def _estimate_gain(
     (white,) = problem.density.whitened_residuals(sets, 1)
     solved = np.asarray(np.isfinite(white).all(axis=(1, 2)), dtype=np.bool_)
     scales = np.array([values.get(NOISE_SCALE, problem.density.scale) for values in sets])
-    spreads = np.array([values.get(BEVEL_SPREAD, 0.0) for values in sets])
+    # in a new one of several specimens a bevel deviates by less than 1 SD (`find_new_bevel_sd`)
+    spreads = min(1.0, now.known.bevel_sd) * np.array([values.get(BEVEL_SPREAD, 0.0) for values in sets])
     kept = now.only(solved)
     rng = random_stream(now.job.recipe.seed, now.job.name, *map(str, where.values()))
     numbers = (np.log(kept.known.weights), scales[solved], spreads[solved], white[solved])
