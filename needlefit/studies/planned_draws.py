@@ -189,9 +189,8 @@ def simulate_scene(
             batches.append(Batch(scene.needle, tissue, steps, scene.rules, **given))
         shapes = simulate_batches(batches, jobs)
         pairs = zip(shapes, moves, strict=True)
-        return np.array([compute_batch_positions(one, s + deeper) for one, (_, deeper) in pairs]), shapes[
-            0
-        ].valid
+        points = [compute_batch_positions(one, s + deeper) for one, (_, deeper) in pairs]
+        return np.array(points), shapes[0].valid
 
     coordinates = _make_coordinates(sets)
     reach = np.maximum(NODE_SD * np.std(wrong, axis=0), MIN_NODE_MM)
