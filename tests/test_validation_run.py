@@ -105,7 +105,7 @@ FIRST: list[str] = []
 def test_progress_names_every_phase_and_the_fit_is_told_once(clean: Run) -> None:
     labels, done, totals = zip(*EVENTS, strict=True)
     phases = list(dict.fromkeys(label.removeprefix("clean: ") for label in labels))
-    assert phases == ["search for the best fit", "profiles", "posterior draws", "predictions"]
+    assert phases == ["search for the best fit", "posterior draws", "predictions", "profiles", "errors"]
     # 4 starts, 30 for the draws, 4 for each prediction and the profile of each of 3 parameters
     held_out = clean.frames["predictive"]["insertion"].nunique()
     assert set(totals) == {4 + 30 + 4 * (3 + held_out)}

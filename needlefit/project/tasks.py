@@ -17,7 +17,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
@@ -224,18 +224,25 @@ def as_they_end(
 
 
 @contextmanager
-def compute_beside(work: Sequence[Callable[[], bytes]]) -> "Iterator[Callable[[], list[bytes]]]":
+def compute_beside(
+    work: Sequence[Callable[[], bytes]], stop: Stop = never_stop
+) -> "Iterator[Callable[[], list[bytes]]]":
     """Begin pieces of work in a copy of this process; yield a function that returns what they give.
 
     Until it is called this process may do other work. It then takes its share, the last pieces first. What
     failed in the copy is repeated here, so that its errors are raised here. Work must not wait for threads of
-    this process, which the copy lacks: those of typst among them.
+    this process, which the copy lacks: those of typst among them. In the copy `stop_requested` says whether
+    `stop` was asked for, or nobody wants the rest.
     """
     futures: list[Future[bytes]] = []
+    events: list[Event] = []
 
     def end() -> list[bytes]:
         done = {n: work[n]() for n in range(len(work))[::-1] if not futures or futures[n].cancel()}
         others = {n: one for n, one in enumerate(futures) if n not in done}
+        while wait(others.values(), STOP_POLL_S).not_done:
+            if stop():
+                events[0].set()
         done |= {n: work[n]() if one.exception() else one.result() for n, one in others.items()}
         return [done[n] for n in range(len(work))]
 
@@ -243,7 +250,8 @@ def compute_beside(work: Sequence[Callable[[], bytes]]) -> "Iterator[Callable[[]
         if len(work) > 1 and can_fork():
             _Surroundings.work = work
             with suppress(OSError):  # without a copy all is done here
-                pool, _ = stack.enter_context(_open_processes(1))
+                pool, event = stack.enter_context(_open_processes(1))
+                events.append(event)
                 futures += [pool.submit(_run_piece, n) for n in range(len(work))]
             _Surroundings.work = ()
         try:
@@ -251,6 +259,8 @@ def compute_beside(work: Sequence[Callable[[], bytes]]) -> "Iterator[Callable[[]
         finally:
             for future in futures:  # after an error nobody wants the rest
                 future.cancel()
+            for event in events:
+                event.set()
 
 
 def _run_piece(number: int) -> bytes:

@@ -1,10 +1,13 @@
 """Run a study or a fit: fit to some insertions, score on others, each fold by every method."""
 
 import math
+import os
+import pickle
 import re
 import time
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -12,7 +15,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from needlefit.arrays import Floats
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_start, read_starts
 from needlefit.inference.identifiability.identify import (
     LOG_POSTERIOR_TOLERANCE,
@@ -34,13 +36,16 @@ from needlefit.inference.sampling.sample import Snapshots, sample_from_fit
 from needlefit.project.checkpoint import Checkpoint, open_checkpoint
 from needlefit.project.input_files import read_toml
 from needlefit.project.processes import one_thread
+from needlefit.project.progress import no_progress
 from needlefit.project.random_streams import random_stream
+from needlefit.project.tasks import compute_beside, stop_requested
 from needlefit.reporting.number_format import format_bare_symbol, format_quantity
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.fit_frames import COLUMNS as FRAMES
 from needlefit.studies.fit_warnings import add_warnings
 from needlefit.studies.held_out_predictions import (
     TUNED_SPECIMENS,
+    HeldOutPrediction,
     Specimens,
     draw_fold_parameters,
     predict_held_out,
@@ -154,6 +159,17 @@ def find_faults(errors: pd.DataFrame, search_faults: Faults, not_converged: Faul
     return tuple(faults)
 
 
+@dataclass(frozen=True)
+class _Drawn:
+    """Draws of a fold's parameters, to predict with and for figures, and the predictions by them."""
+
+    few: Draws
+    many: Draws
+    specimens: Specimens
+    predicted: tuple[HeldOutPrediction, ...]
+    plain: tuple[HeldOutPrediction, ...]  #: of insertions into new specimens, by what was tuned alone
+
+
 @dataclass
 class _StudyRun:
     """A run that is going on: what it works on, and what it has found by fold.
@@ -175,6 +191,8 @@ class _StudyRun:
     needles: dict[str, NeedleInScan] = field(default_factory=dict)
     #: posteriors of single specimens, which folds share
     specimens: dict[tuple[str, ...], Draws] = field(default_factory=dict)
+    parts: dict[tuple[int, str], float] = field(default_factory=dict)  #: done, of each phase of each fold
+    process: int = field(default_factory=os.getpid)
 
     def __post_init__(self) -> None:
         floors = {insertion.id: self.job.floor(insertion) for insertion in self.job.insertions}
@@ -187,34 +205,43 @@ class _StudyRun:
         return pd.DataFrame(rows) if rows else pd.DataFrame(columns=[*FRAMES[name], *values])
 
     def run_fold(self, number: int, fold: Fold) -> None:
-        """Fit to the insertions of a fold, learn what they determine, score and predict the others."""
+        """Fit to the insertions of a fold, learn what they determine, score and predict the others.
+
+        While draws are made and insertions predicted, a copy of this process goes on with the other searches
+        and the profiles.
+        """
         job, settings = self.job, self.settings
-        fits = self.searches[fold.name] = self._search(number, fold)
+        (first, *others), profiles, drawn = job.searches, None, None
+        fits = self.searches[fold.name] = self._search(number, fold, [first])
+        self._note_fit(fold, fits)
+        rest: list[Callable[[], bytes]] = [
+            lambda: pickle.dumps(self._go_on()._search(number, fold, others)),
+            lambda: pickle.dumps(self._go_on()._examine(number, fold, fits)),
+        ]
+        alone = settings.jobs == 1 or settings.part_pool.remote
+        with compute_beside(() if alone else rest, settings.stop) as finish:
+            if not settings.sample:
+                drawn = self._draw(number, fold, fits)
+            if not settings.stop():
+                more, profiles = map(pickle.loads, finish() or [work() for work in rest])
+                fits |= more
         self.interrupted = any(fit.interrupted for fit in fits.values()) or len(fits) < len(job.searches)
-        profiles = None if self.interrupted else self._examine(number, fold, fits)
-        if better := _move_to_better(job.problem(fold), fits, profiles):
-            fits["fitted"] = better
-            profiles = self._examine(number, fold, fits)
         self.interrupted = self.interrupted or settings.stop()
+        if better := _move_to_better(job.problem(fold), fits, profiles):
+            fits["fitted"], drawn = better, None
+            profiles = self._examine(number, fold, fits)
         if settings.sample and not self.interrupted:
             self.interrupted = self._sample(fold, fits["fitted"])
-        posterior, few, further, separate = self.posteriors.get(fold.name), None, None, False
-        known = "fitted" in fits and math.isfinite(fits["fitted"].objective)
-        if known and (fold.validate or not self.interrupted):
-            self._report(number, "posterior draws")
-            few, many = draw_fold_parameters(job, fold, fits["fitted"], posterior, settings)
-            specimens = Specimens(job, fold, few, settings.jobs, settings.part_pool, self.specimens)
-            separate = specimens.separate
-            self._predict(number, fold, few, specimens)
-            few, many = specimens.replace_mean(few), specimens.replace_mean(many)
-            further = specimens.population.new if separate and not few.faults else None
-            self._tabulate_draws(fold, many, specimens)
+        drawn = drawn or self._draw(number, fold, fits)
+        self.parts |= {(number, phase): 1.0 for phase in self._list_phases(fold)}
+        self._report(number, "errors")
+        if drawn is not None:
+            self._tabulate_draws(fold, drawn)
         self._tabulate_searches(fold, profiles)
         usable = {name: fit for name, fit in fits.items() if math.isfinite(fit.objective)}
+        known = "fitted" in usable
         if known:
-            # the sampler's posterior has one set of parameters, specimens that differ have several
-            sampled = None if separate else posterior
-            self._tabulate_fit(fold, usable["fitted"], profiles, few, further, sampled)
+            self._tabulate_fit(fold, usable["fitted"], profiles, drawn)
         if "fitted_metric" in usable:
             self.rows["parameters"] += _metric_rows(job, fold, usable["fitted_metric"])
         self.rows["parameters"] += _published_rows(job, fold, usable.get("hand_tuned_b"))
@@ -226,37 +253,41 @@ class _StudyRun:
                     self.rows["errors"] += errors
                     self.rows["shapes"] += shapes
         if known:
-            about = FoldFit(fits["fitted"], self.verdicts[fold.name], posterior)
+            about = FoldFit(fits["fitted"], self.verdicts[fold.name], self.posteriors.get(fold.name))
             self.needles |= place_needles(
                 job.problem(fold), fold, about, self.rows["bands"], settings.jobs, fitted=len(job.folds) == 1
             )
 
+    def _go_on(self) -> "_StudyRun":
+        """Return this run; in a copy of its process, where nobody sees its progress, with that one's stop."""
+        if os.getpid() == self.process:
+            return self
+        other = copy(self)
+        other.settings = replace(self.settings, progress=no_progress, stop=stop_requested)
+        return other
+
     def _report(self, number: int, phase: str, part: float = 0.0) -> None:
         """Report a part of a phase of a fold as done."""
         job, folds = self.job, self.job.folds
-        before = sum(sum(self._list_phases(fold).values()) for fold in folds[:number])
-        for name, steps in self._list_phases(folds[number]).items():
-            if name == phase:
-                before += round(part * steps)
-                break
-            before += steps
-        total = sum(sum(self._list_phases(fold).values()) for fold in folds)
+        self.parts[number, phase] = part
+        phases = [(n, item) for n, fold in enumerate(folds) for item in self._list_phases(fold).items()]
+        done = sum(self.parts.get((n, name), 0.0) * steps for n, (name, steps) in phases)
         which = f"{job.name}: {folds[number].name} (fold {number + 1} of {len(folds)})"
         label = f"{which if len(folds) > 1 else job.name}: {phase}"
-        self.settings.progress(label, before, total)
+        self.settings.progress(label, round(done), sum(steps for _, (_, steps) in phases))
 
     def _list_phases(self, fold: Fold) -> dict[str, int]:
-        """Return the steps of each phase of a fold, in order, each about as long in a typical one."""
+        """Return the steps of each phase of a fold, each about as long in a typical one."""
         job = self.job
         phases = {SEARCH_WORDS[search]: job.recipe.starts for search in job.searches}
         if len(job.folds) == 1:
             phases["profiles"] = PROFILE_STEPS * len(job.parameters.free)
         return phases | {"posterior draws": DRAW_STEPS, "predictions": PREDICTION_STEPS * len(fold.validate)}
 
-    def _note_fit(self, fold: Fold, fit: Fit) -> None:
+    def _note_fit(self, fold: Fold, fits: Mapping[str, Fit]) -> None:
         """Tell the user the best fit and its errors, before there are intervals."""
-        job = self.job
-        if len(job.folds) > 1 or fit.interrupted or not math.isfinite(fit.objective):
+        job, fit = self.job, fits.get("fitted")
+        if len(job.folds) > 1 or fit is None or fit.interrupted or not math.isfinite(fit.objective):
             return
         scorer = replace(self.scorer, counts=ValidityCounts())  # these simulations are scored again
         curves = make_predictors(job.problem(fold), {"fitted": fit}, None)["fitted"]
@@ -273,15 +304,13 @@ class _StudyRun:
             f"{np.mean(found):.2f} mm; intervals follow"
         )
 
-    def _search(self, number: int, fold: Fold) -> dict[str, Fit]:
-        """Return the fit of everything free, by the metric too if asked, and of b alone about the paper's."""
+    def _search(self, number: int, fold: Fold, searches: Iterable[str]) -> dict[str, Fit]:
+        """Return the fits of searches: of everything free, by the metric if asked, and of b alone."""
         fits = {}
-        for search in self.job.searches:
+        for search in searches:
             if self.settings.stop():
                 break
             fits[search] = self._run_search(number, fold, search)
-            if search == "fitted":
-                self._note_fit(fold, fits[search])
         return fits
 
     def _run_search(self, number: int, fold: Fold, search: str) -> Fit:
@@ -309,7 +338,8 @@ class _StudyRun:
 
     def _examine(self, number: int, fold: Fold, fits: Mapping[str, Fit]) -> FitProfiles | None:
         """Return the profiles of the fit; many folds are scored, not examined."""
-        if len(self.job.folds) > 1 or not math.isfinite(fits["fitted"].objective):
+        fit = fits.get("fitted")
+        if len(self.job.folds) > 1 or fit is None or fit.interrupted or not math.isfinite(fit.objective):
             return None
         settings, problem = self.settings, self.job.problem(fold)
 
@@ -317,9 +347,7 @@ class _StudyRun:
             self._report(number, "profiles", done / total)
 
         step(0, 1)
-        return profile_parameters(
-            problem, fits["fitted"], settings.jobs, settings.stop, settings.part_pool, step
-        )
+        return profile_parameters(problem, fit, settings.jobs, settings.stop, settings.part_pool, step)
 
     def _sample(self, fold: Fold, fit: Fit) -> bool:
         """Sample the posterior of one fold; return whether it was interrupted."""
@@ -337,9 +365,41 @@ class _StudyRun:
             self.rows["failures"] += _failure_rows(place, job.problem(fold), thetas)
         return posterior.interrupted
 
-    def _tabulate_draws(self, fold: Fold, draws: Draws, specimens: Specimens) -> None:
-        """Add draws of a fold's parameters, in Pa and mm: of their mean, of each specimen and a new one."""
-        job, about = self.job, {"fold": fold.name, **draws.describe()}
+    def _draw(self, number: int, fold: Fold, fits: Mapping[str, Fit]) -> "_Drawn | None":
+        """Return draws of a fold's parameters, and the predictions of the insertions that it holds out.
+
+        They are made by draws that are certified. Insertions into new specimens are predicted as the paper
+        does too, by what was tuned alone. None without a fit, and where a fit alone is interrupted.
+        """
+        job, settings, fit = self.job, self.settings, fits.get("fitted")
+        if fit is None or not math.isfinite(fit.objective) or (settings.stop() and not fold.validate):
+            return None
+        self._report(number, "posterior draws")
+        few, many = draw_fold_parameters(job, fold, fit, self.posteriors.get(fold.name), settings)
+        self._report(number, "posterior draws", 1)
+        jobs, pool = settings.jobs, settings.part_pool
+        specimens = Specimens(job, fold, few, jobs, pool, self.specimens)
+
+        def step(done: int, total: int) -> None:
+            self._report(number, "predictions", done / total)
+
+        step(0, 1)
+        given = replace(fold, validate=() if specimens.faults else fold.validate)
+        predicted = predict_held_out(job, given, few, specimens, jobs, pool, bands=True, step=step)
+        known = () if few.faults else fold.validate
+        others = replace(fold, validate=tuple(filter(specimens.differs, known)))
+        plain = predict_held_out(job, others, few, None, jobs, pool)
+        return _Drawn(few, many, specimens, tuple(predicted), tuple(plain))
+
+    def _tabulate_draws(self, fold: Fold, drawn: "_Drawn") -> None:
+        """Add predictions, and draws in Pa and mm: of the specimens' mean, of each and of a new one."""
+        for one in drawn.predicted:
+            self.rows["predictive"].append(one.row)
+            self.rows["bands"] += one.band
+            self.counts.predicted.add(one.solved, one.outside)
+        self.rows["predictive_training"] += [one.row for one in drawn.plain]
+        job, specimens, draws = self.job, drawn.specimens, drawn.specimens.replace_mean(drawn.many)
+        about = {"fold": fold.name, **draws.describe()}
         if draws.faults:
             self.uncertified[fold.name] = draws.faults
         every = {TUNED_SPECIMENS: draws.thetas} | ({} if draws.faults else specimens.list_draws(draws.thetas))
@@ -348,27 +408,6 @@ class _StudyRun:
             self.rows["draws"] += [{**where, **job.parameters.values(theta)} for theta in thetas]
         outside = find_outside_validity(job.problem(fold), draws.thetas)
         self.counts.draws.add(len(draws.thetas), int(outside.sum()))
-
-    def _predict(self, number: int, fold: Fold, draws: Draws, specimens: Specimens) -> None:
-        """Add the predictions of the insertions that a fold holds out, by draws that are certified.
-
-        Those into new specimens are predicted as the paper does too, by what was tuned alone.
-        """
-        job, jobs, pool = self.job, self.settings.jobs, self.settings.part_pool
-        given = replace(fold, validate=() if specimens.faults else fold.validate)
-
-        def step(done: int, total: int) -> None:
-            self._report(number, "predictions", done / total)
-
-        step(0, 1)
-        for one in predict_held_out(job, given, draws, specimens, jobs, pool, bands=True, step=step):
-            self.rows["predictive"].append(one.row)
-            self.rows["bands"] += one.band
-            self.counts.predicted.add(one.solved, one.outside)
-        known = () if draws.faults else fold.validate
-        others = replace(fold, validate=tuple(filter(specimens.differs, known)))
-        plain = predict_held_out(job, others, draws, None, jobs, pool)
-        self.rows["predictive_training"] += [one.row for one in plain]
 
     def _tabulate_searches(self, fold: Fold, profiles: FitProfiles | None) -> None:
         """Add the starts of a fold, what failed in them, and why the best point may not be the best."""
@@ -391,19 +430,21 @@ class _StudyRun:
             self.search_faults[fold.name] = faults
 
     def _tabulate_fit(
-        self,
-        fold: Fold,
-        fit: Fit,
-        profiles: FitProfiles | None,
-        draws: Draws | None,
-        further: Floats | None,
-        posterior: Posterior | None,
+        self, fold: Fold, fit: Fit, profiles: FitProfiles | None, drawn: "_Drawn | None"
     ) -> None:
         """Add the fitted parameters of a fold and what the data determine.
 
-        They are judged by the posterior's `draws`; without certified ones, by the information.
+        They are judged by draws of the posterior; without certified ones, by the information.
         """
-        job, problem = self.job, self.job.problem(fold)
+        job, problem, posterior = self.job, self.job.problem(fold), self.posteriors.get(fold.name)
+        draws = further = None
+        if drawn is not None:
+            draws = drawn.specimens.replace_mean(drawn.few)
+            if drawn.specimens.separate:
+                further = None if draws.faults else drawn.specimens.population.new
+                posterior = (
+                    None  # the sampler's has one set of parameters, specimens that differ have several
+                )
         verdict = identify(problem, fit, draws.certified if draws else None, further)
         judgements: Mapping[str, Assessment] = {}
         judged: list[Row] = []
