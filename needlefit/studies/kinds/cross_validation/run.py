@@ -33,6 +33,7 @@ from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem, explain_failure, find_outside_validity
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import Snapshots, sample_from_fit
+from needlefit.metrics import METRICS
 from needlefit.project.checkpoint import Checkpoint, open_checkpoint
 from needlefit.project.input_files import read_toml
 from needlefit.project.processes import one_thread
@@ -289,11 +290,8 @@ class _StudyRun:
         job, fit = self.job, fits.get("fitted")
         if len(job.folds) > 1 or fit is None or fit.interrupted or not math.isfinite(fit.objective):
             return
-        scorer = replace(self.scorer, counts=ValidityCounts())  # these simulations are scored again
-        curves = make_predictors(job.problem(fold), {"fitted": fit}, None)["fitted"]
-        place = {"fold": fold.name, "role": "", "method": "fitted"}
-        scored = fold.validate or fold.tune
-        found = [row["te_mm"] for one in scored for row in scorer.score(place, one, curves)[0][:1]]
+        scored = replace(job.problem(fold), insertions=fold.validate or fold.tune)
+        found = [METRICS["te_mm"].compute(curves) for curves in scored.compare(np.array(fit.theta))]
         values = (
             f"{format_bare_symbol(name)} {format_quantity(name, fit.values[name])}"
             for name in job.parameters.free
@@ -442,9 +440,7 @@ class _StudyRun:
             draws = drawn.specimens.replace_mean(drawn.few)
             if drawn.specimens.separate:
                 further = None if draws.faults else drawn.specimens.population.new
-                posterior = (
-                    None  # the sampler's has one set of parameters, specimens that differ have several
-                )
+                posterior = None  # the sampler's has one set of parameters, specimens several
         verdict = identify(problem, fit, draws.certified if draws else None, further)
         judgements: Mapping[str, Assessment] = {}
         judged: list[Row] = []
