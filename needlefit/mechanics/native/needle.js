@@ -32,7 +32,7 @@ import {
   simulate,
 } from "./memory.js";
 
-export { Heap, STATUS, compile };
+export { STATUS, compile };
 
 const SAME_DEPTH = 1e-9; // mm
 const MAX_ELEMENTS = 5000;
@@ -49,8 +49,7 @@ function findFirstCell(depth, spacing) {
 
 // inputs
 
-/** Inputs with what is not given. */
-export function completeInputs(inputs) {
+function completeInputs(inputs) {
   const { bevel = {}, base = {}, guides = [], tip = null } = inputs;
   return {
     bevel: { side: 1, strength: 0, ...bevel },
@@ -265,9 +264,73 @@ export class Session {
     return positions(this.heap, this.shape, s);
   }
 
-  /** All loads across the needle: see `computeLoads`. */
+  /** All loads across the needle as in `mechanics.simulate.compute_loads`: N, N mm, N/mm. */
   forces() {
-    return computeLoads(this.heap, this.model, this.inputs, this.shape);
+    const { heap, shape, inputs, model } = this,
+      { call } = heap;
+    return heap.borrow(() => {
+      const depth = shape.depth,
+        cells = shape.constraints.length / 2 - 1,
+        depths = shape.constraints.filter((_, i) => i % 2 === 0);
+      const first = cells > 0 ? depths[1] : model.spacing;
+      const more = {
+        rays: 1,
+        deepest: Math.max(depths.length * model.spacing, depth) + first + 2 * model.spacing,
+      };
+      const problem = makeProblem(heap, ...pack(model, first, [inputs], new Uint8Array(STOP_BYTES), {}, more));
+      const memory = heap.take(call.nf_memory(problem.at, 1n));
+      const front = shape.x.findIndex((x) => x >= 0),
+        room = problem.maxQuadrature;
+      const [s, weight, layer, near] = [0, 1, 2, 3].map(() => heap.take(8 * room));
+      const count = Number(
+        call.nf_quadrature(
+          problem.at,
+          BigInt(shape.x.length - front),
+          heap.put(shape.x.slice(front)),
+          BigInt(cells),
+          heap.put(depths),
+          memory,
+          s,
+          weight,
+          layer,
+          near,
+        ),
+      );
+      if (count < 0) check(BAD_POINTS);
+      const points = heap.put(shape.constraints);
+      const bent = heap.structure(
+        [shape.x.length, cells],
+        [],
+        [heap.put(shape.x), heap.put(shape.u), heap.put(shape.slope), points],
+      );
+      const load = heap.take(8 * count),
+        nodal = heap.take(16 * shape.x.length);
+      call.nf_load(problem.at, bent, BigInt(count), s, memory, load);
+      check(call.nf_balance(problem.at, bent, BigInt(front), BigInt(count), load, memory, nodal));
+      const held = heap.floats(nodal, 2 * shape.x.length).slice();
+      const supportAt = (x, clamped) => {
+        const i = shape.x.indexOf(x);
+        return { x, force: i < 0 ? 0 : held[2 * i], moment: i < 0 || !clamped ? 0 : held[2 * i + 1] };
+      };
+      const loads = {
+        s: heap.floats(s, count).slice(),
+        weight: heap.floats(weight, count).slice(),
+        load: heap.floats(load, count).slice(),
+      };
+      const nearest = heap.integers(near, count);
+      return {
+        ...loads,
+        tipRegionForce: loads.load.reduce(
+          (sum, q, i) => sum + (nearest[i] === BigInt(cells) ? q * loads.weight[i] : 0),
+          0,
+        ),
+        base: supportAt(shape.x[0], true),
+        guides: inputs.guides.map((guide) => supportAt(guide.x, (guide.slope ?? null) !== null)),
+        tip: inputs.tip
+          ? supportAt(depth, (inputs.tip.slope ?? null) !== null)
+          : { x: depth, force: 0, moment: 0 },
+      };
+    });
   }
 }
 
@@ -277,80 +340,7 @@ const fill = (array, length) => {
   return filled;
 };
 
-/**
- * All loads across a needle in equilibrium, as in `mechanics.simulate.compute_loads`: N, N mm, N/mm.
- *
- * `inputs` are those of its last step, all of them.
- */
-export function computeLoads(heap, model, inputs, shape) {
-  const { call } = heap;
-  return heap.borrow(() => {
-    const depth = shape.depth,
-      cells = shape.constraints.length / 2 - 1,
-      depths = shape.constraints.filter((_, i) => i % 2 === 0);
-    const first = cells > 0 ? depths[1] : model.spacing;
-    const more = {
-      rays: 1,
-      deepest: Math.max(depths.length * model.spacing, depth) + first + 2 * model.spacing,
-    };
-    const problem = makeProblem(heap, ...pack(model, first, [inputs], new Uint8Array(STOP_BYTES), {}, more));
-    const memory = heap.take(call.nf_memory(problem.at, 1n));
-    const front = shape.x.findIndex((x) => x >= 0),
-      room = problem.maxQuadrature;
-    const [s, weight, layer, near] = [0, 1, 2, 3].map(() => heap.take(8 * room));
-    const count = Number(
-      call.nf_quadrature(
-        problem.at,
-        BigInt(shape.x.length - front),
-        heap.put(shape.x.slice(front)),
-        BigInt(cells),
-        heap.put(depths),
-        memory,
-        s,
-        weight,
-        layer,
-        near,
-      ),
-    );
-    if (count < 0) check(BAD_POINTS);
-    const points = heap.put(shape.constraints);
-    const bent = heap.structure(
-      [shape.x.length, cells],
-      [],
-      [heap.put(shape.x), heap.put(shape.u), heap.put(shape.slope), points],
-    );
-    const load = heap.take(8 * count),
-      nodal = heap.take(16 * shape.x.length);
-    call.nf_load(problem.at, bent, BigInt(count), s, memory, load);
-    check(call.nf_balance(problem.at, bent, BigInt(front), BigInt(count), load, memory, nodal));
-    const held = heap.floats(nodal, 2 * shape.x.length).slice();
-    const supportAt = (x, clamped) => {
-      const i = shape.x.indexOf(x);
-      return { x, force: i < 0 ? 0 : held[2 * i], moment: i < 0 || !clamped ? 0 : held[2 * i + 1] };
-    };
-    const loads = {
-      s: heap.floats(s, count).slice(),
-      weight: heap.floats(weight, count).slice(),
-      load: heap.floats(load, count).slice(),
-    };
-    const nearest = heap.integers(near, count);
-    return {
-      ...loads,
-      tipRegionForce: loads.load.reduce(
-        (sum, q, i) => sum + (nearest[i] === BigInt(cells) ? q * loads.weight[i] : 0),
-        0,
-      ),
-      base: supportAt(shape.x[0], true),
-      guides: inputs.guides.map((guide) => supportAt(guide.x, (guide.slope ?? null) !== null)),
-      tip: inputs.tip
-        ? supportAt(depth, (inputs.tip.slope ?? null) !== null)
-        : { x: depth, force: 0, moment: 0 },
-    };
-  });
-}
-
-/** The points (K * 2), mm, of a shape at beam coordinates `given` (K), mm. */
-export function positions(heap, shape, given) {
+function positions(heap, shape, given) {
   const s = Float64Array.from(given);
   if (!s.every((one) => one >= shape.x[0] && one <= shape.depth)) throw new RangeError("s lies beyond the needle");
   return heap.borrow(() => {
@@ -374,18 +364,8 @@ export function positions(heap, shape, given) {
  * Resolves to {shapes, positions(i, s)}.
  */
 export async function simulateBatch(kernel, model, steps, values) {
-  const heap = await Heap.make(kernel);
-  const shapes = simulateSteps(heap, model, steps, values);
-  return { shapes, positions: (i, s) => positions(heap, shapes[i], s) };
-}
-
-/** Return the shapes of `simulateBatch` at once; the heap can be used again. */
-export function simulateSteps(heap, model, steps, values) {
-  return heap.borrow(() => simulateSets(heap, model, steps, values));
-}
-
-function simulateSets(heap, model, steps, values) {
-  const inputs = steps.map((step) => completeInputs(step.inputs ?? {}));
+  const heap = await Heap.make(kernel),
+    inputs = steps.map((step) => completeInputs(step.inputs ?? {}));
   values = Object.fromEntries(
     Object.entries(values).map(([name, value]) => [name, name === "sets" ? value : Float64Array.from(value)]),
   );
@@ -414,5 +394,8 @@ function simulateSets(heap, model, steps, values) {
     points = Number(last.getBigInt64(8, true)) + 1,
     found = makeShapes(heap, problem, points);
   simulate(heap, problem, found);
-  return Array.from({ length: values.sets }, (_, i) => readShape(heap, problem, found, points, i));
+  const shapes = Array.from({ length: values.sets }, (_, i) =>
+    readShape(heap, problem, found, points, i),
+  );
+  return { shapes, positions: (i, s) => positions(heap, shapes[i], s) };
 }
