@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.polynomial.polynomial import polyval
 from numpy.typing import ArrayLike
 
 from needlefit.arrays import Floats
@@ -79,8 +80,8 @@ def fit_free_frame(centerline: ArrayLike) -> Frame:
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 
-def integrate_curvature(depth: float, coefficients: Sequence[float] | Floats, s: ArrayLike) -> Floats:
-    """Return the points (K, 2) of a curve whose curvature is a polynomial in the distance d from the tip.
+def integrate_curvature(depth: float, coefficients: Sequence[ArrayLike], s: ArrayLike) -> Floats:
+    """Return the points (..., K, 2) of curves whose curvature is a polynomial in the distance d from the tip.
 
     kappa(d) = c_0 + c_1 d + ..., d = depth - s. The curve starts at the entry (0, 0) along x, so with P(d)
     the integral of kappa from 0 to d
@@ -88,18 +89,20 @@ def integrate_curvature(depth: float, coefficients: Sequence[float] | Floats, s:
         theta(s) = P(depth) - P(depth - s),    (x, y)(s) = integral_0^s (cos theta, sin theta).
 
     `depth`: inserted arc length, mm.
-    `coefficients`: c_k in mm^-(k + 1); none: a straight line.
+    `coefficients`: c_k (...) in mm^-(k + 1), a number each for one curve; none: a straight line.
     `s`: (K,); arc lengths from the entry, mm; before it (s < 0) the curve is straight.
     """
     along = np.asarray(s, dtype=np.float64)
-    heading_integral = np.polynomial.Polynomial([0.0, *(c / (k + 1) for k, c in enumerate(coefficients))])
+    parts = [np.divide(c, k + 1) for k, c in enumerate(coefficients)]
+    integral = np.array([np.zeros(np.shape(parts[0]) if parts else ()), *parts])  # (P + 1, ...)
     inside = np.maximum(along, 0.0)
     # Gauss points of the interval from 0 to s, for every s.
     at = 0.5 * inside[:, None] * (1 + _NODES)  # (K, Q)
-    heading = heading_integral(depth) - heading_integral(depth - at)
+    turned = polyval(np.float64(depth), integral)  # (...)
+    heading = turned[..., None, None] - polyval(depth - at, integral)  # (..., K, Q)
     half = 0.5 * inside
     x, y = half * (np.cos(heading) @ _WEIGHTS), half * (np.sin(heading) @ _WEIGHTS)
-    return np.column_stack([x + np.minimum(along, 0.0), y])
+    return np.stack([x + np.minimum(along, 0.0), y], axis=-1)
 
 
 COMPARISON_POINTS = 101  # points at which two curves are compared, from entry (j = 1) to tip (j = K)

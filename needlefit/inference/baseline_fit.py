@@ -7,14 +7,15 @@ and the logarithm of the noise scale. Of the uncertain depths only the tip's mov
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares, minimize
+from scipy.optimize import Bounds, least_squares, minimize
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion, Pose
 from needlefit.errors import ConfigError
-from needlefit.inference.baselines import BASELINES, Baseline, list_baselines
+from needlefit.inference.baselines import BASELINES, Baseline, list_baselines, make_curvature_curve
 from needlefit.inference.compared_points import ComparedPoints, Curve, align_points, select_points
 from needlefit.inference.likelihood.marginal import log_marginals
 from needlefit.inference.likelihood.nodes import make_group
@@ -81,6 +82,9 @@ def _residuals(
 
 #: bound of theta's coefficients: a curve that turns by this many rad over 100 mm is none of a needle
 MAX_COEFFICIENT = 10.0
+PEAK_STEP = 1e-5  #: of central differences by theta
+#: relative change of the density, and slope by theta, at which a search for its peak ends
+PEAK_TOLERANCE, PEAK_SLOPE = 1e-12, 1e-5
 
 
 @dataclass(frozen=True)
@@ -134,28 +138,48 @@ class CurveDensity:
         found = theta[:-1] * np.array(self.baseline.scales)
         return FittedBaseline(self.baseline, tuple(found.tolist()), float("nan"))
 
+    def draw_curves(self, thetas: Floats, insertion: Insertion, s: Floats) -> Floats:
+        """Return the points (W, K, 2), or (K, 2) of all, of an insertion at `s` (K,) for thetas (W, P)."""
+        if self.baseline.curve is make_curvature_curve:  # it takes all sets at once
+            rows = thetas[:, :-1].T * np.array(self.baseline.scales)[:, None]
+            return make_curvature_curve(rows, insertion)(s)
+        return np.array([self.curve(theta).curve(insertion)(s) for theta in thetas])
+
     @cached_property
     def peak(self) -> Floats:
         """Theta (P,) of the greatest density, found by a search from the least-squares curve."""
         pose, drop = self.dataset.pose, self.dataset.drop_proximal
         closest = fit_baseline(self.name, pose, drop, self.insertions).coefficients
         scaled = np.array(closest) * (1 / np.array(self.baseline.scales))
+        return self.find_peak(*(np.array([*scaled, np.log(scale)]) for scale in (1.0, 10.0)))
 
-        def negative_log_density(theta: Floats) -> float:
-            return -float(self(theta[None])[0])
+    def find_peak(self, *starts: Floats) -> Floats:
+        """Return theta (P,) of the greatest density that a search from some starts (P,) finds."""
+        moves = PEAK_STEP * np.eye(len(self.lower))
+        bounds = Bounds(self.lower + PEAK_STEP, self.upper - PEAK_STEP)
+        ending: Any = {"ftol": PEAK_TOLERANCE, "gtol": PEAK_SLOPE}
 
-        starts = [np.array([*scaled, np.log(scale)]) for scale in (1.0, min(10.0, self.max_scale))]
-        ends = [minimize(negative_log_density, at, method="Nelder-Mead", tol=1e-6) for at in starts]
+        def descend(theta: Floats) -> tuple[float, Floats]:
+            here, *ahead = -self(theta + np.concatenate([0 * moves[:1], moves, -moves]))
+            before, after = np.array(ahead[len(theta) :]), np.array(ahead[: len(theta)])
+            return here, (after - before) / (2 * PEAK_STEP)
+
+        ends = [
+            minimize(descend, start, jac=True, method="L-BFGS-B", bounds=bounds, options=ending)
+            for start in starts
+        ]
         return min(ends, key=lambda end: float(end.fun)).x
 
 
 def log_likelihoods(density: CurveDensity, observation: Observation, thetas: Floats) -> Floats:
     """Return the log likelihoods (W,) of one insertion, given thetas (W, P)."""
-    nodes, found = observation.nodes, []
-    for theta in thetas:
-        curve, pairs = density.curve(theta), zip(nodes.insertions, nodes.s, strict=True)
-        points = np.array([curve.curve(insertion)(s) for insertion, s in pairs])
-        found.append(np.concatenate([whiten_residuals(observation, points), observation.pose_curves]))
-    white = np.array(found)  # (W, m, R)
+    nodes, size = observation.nodes, (len(thetas), len(observation.measured), 2)
+    points = [
+        np.broadcast_to(density.draw_curves(thetas, insertion, s), size)
+        for insertion, s in zip(nodes.insertions, nodes.s, strict=True)
+    ]
+    white = whiten_residuals(observation, np.stack(points, axis=1))  # (W, m, R)
+    pose = np.broadcast_to(observation.pose_curves, (len(thetas), *observation.pose_curves.shape))
+    white = np.concatenate([white, pose], axis=1)
     scale = np.exp(thetas[:, -1])
     return observation.log_norm + log_marginals([white], make_group(nodes), scale, np.zeros(len(scale)))

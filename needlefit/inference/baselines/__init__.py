@@ -5,11 +5,12 @@ differs between insertions only by their depth and bevel side. `inference/baseli
 posterior. Tables and figures look up names and colours here, so that this module imports no optimizer.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import integrate_curvature
@@ -62,12 +63,12 @@ def list_baselines(of: Literal["shapes", "tracks"] = "shapes") -> tuple[Baseline
     return tuple(one for one in ordered if not one.tracks_only)
 
 
-def make_curvature_curve(coefficients: Sequence[float], insertion: "Insertion") -> "Curve":
+def make_curvature_curve(coefficients: Iterable[ArrayLike], insertion: "Insertion") -> "Curve":
     """Return the curve of an insertion whose curvature toward the bevel is a polynomial.
 
-    Its coefficients, mm^-(k + 1), are by powers of the distance from the tip.
+    Its coefficients, mm^-(k + 1), are by powers of the distance from the tip; with (W,) of each it has W.
     """
-    turned = [insertion.side * c for c in coefficients]
+    turned = [np.multiply(insertion.side, c) for c in coefficients]
     return lambda s: integrate_curvature(insertion.depth, turned, s)
 
 

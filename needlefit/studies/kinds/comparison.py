@@ -259,7 +259,8 @@ def _fit_curve(name: str, job: Job, fold: Fold) -> ModelCandidate:
 
     def after(*insertions: Insertion) -> importance.WeightedDraws:
         both = replace(density, insertions=(*fold.tune, *insertions))
-        about = [approximate_by_laplace(both, both.peak, both.lower, both.upper)]
+        peak = both.find_peak(density.peak) if insertions else density.peak
+        about = [approximate_by_laplace(both, peak, both.lower, both.upper)]
         keys = (one.id for one in insertions)
         rng = random_stream(job.recipe.seed, job.name, fold.name, "weighed", *keys)
         return importance.sample_by_importance(both, about, (both.lower, both.upper), rng)

@@ -164,8 +164,8 @@ def find_faults(errors: pd.DataFrame, search_faults: Faults, not_converged: Faul
 class _Drawn:
     """Draws of a fold's parameters, to predict with and for figures, and the predictions by them."""
 
-    few: Draws
-    many: Draws
+    draws: Draws
+    shown: Draws
     specimens: Specimens
     predicted: tuple[HeldOutPrediction, ...]
     plain: tuple[HeldOutPrediction, ...]  #: of insertions into new specimens, by what was tuned alone
@@ -373,21 +373,22 @@ class _StudyRun:
         if fit is None or not math.isfinite(fit.objective) or (settings.stop() and not fold.validate):
             return None
         self._report(number, "posterior draws")
-        few, many = draw_fold_parameters(job, fold, fit, self.posteriors.get(fold.name), settings)
+        draws, shown = draw_fold_parameters(job, fold, fit, self.posteriors.get(fold.name), settings)
         self._report(number, "posterior draws", 1)
         jobs, pool = settings.jobs, settings.part_pool
-        specimens = Specimens(job, fold, few, jobs, pool, self.specimens)
+        specimens = Specimens(job, fold, draws, jobs, pool, self.specimens)
 
         def step(done: int, total: int) -> None:
             self._report(number, "predictions", done / total)
 
         step(0, 1)
         given = replace(fold, validate=() if specimens.faults else fold.validate)
-        predicted = predict_held_out(job, given, few, specimens, jobs, pool, bands=True, step=step)
-        known = () if few.faults else fold.validate
+        predicted = predict_held_out(job, given, draws, specimens, jobs, pool, bands=True, step=step)
+        known = () if draws.faults else fold.validate
         others = replace(fold, validate=tuple(filter(specimens.differs, known)))
-        plain = predict_held_out(job, others, few, None, jobs, pool)
-        return _Drawn(few, many, specimens, tuple(predicted), tuple(plain))
+        # only their coverage, mean width and score are shown: the draws of figures will do
+        plain = predict_held_out(job, others, shown, None, jobs, pool)
+        return _Drawn(draws, shown, specimens, tuple(predicted), tuple(plain))
 
     def _tabulate_draws(self, fold: Fold, drawn: "_Drawn") -> None:
         """Add predictions, and draws in Pa and mm: of the specimens' mean, of each and of a new one."""
@@ -396,7 +397,7 @@ class _StudyRun:
             self.rows["bands"] += one.band
             self.counts.predicted.add(one.solved, one.outside)
         self.rows["predictive_training"] += [one.row for one in drawn.plain]
-        job, specimens, draws = self.job, drawn.specimens, drawn.specimens.replace_mean(drawn.many)
+        job, specimens, draws = self.job, drawn.specimens, drawn.specimens.replace_mean(drawn.shown)
         about = {"fold": fold.name, **draws.describe()}
         if draws.faults:
             self.uncertified[fold.name] = draws.faults
@@ -437,7 +438,7 @@ class _StudyRun:
         job, problem, posterior = self.job, self.job.problem(fold), self.posteriors.get(fold.name)
         draws = further = None
         if drawn is not None:
-            draws = drawn.specimens.replace_mean(drawn.few)
+            draws = drawn.specimens.replace_mean(drawn.draws)
             if drawn.specimens.separate:
                 further = None if draws.faults else drawn.specimens.population.new
                 posterior = None  # the sampler's has one set of parameters, specimens several
