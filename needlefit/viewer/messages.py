@@ -9,17 +9,32 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.errors import ModelError, NeedlefitError
-from needlefit.mechanics.control import Bevel, ModelOptions
-from needlefit.mechanics.laws import LAWS
+from needlefit.inference.forward_model import ParameterDraws
+from needlefit.mechanics.control import Bevel, ModelOptions, Step
+from needlefit.mechanics.laws import LAWS, PowerLaw
+from needlefit.mechanics.packing import compile_law, pack_layers
 from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.shape import compute_positions, map_beam_points
+from needlefit.mechanics.shape import LIMITS, compute_positions, map_beam_points
 from needlefit.mechanics.simulate import compute_loads
 from needlefit.mechanics.tissue import Tissue
 from needlefit.metrics import list_metrics
-from needlefit.schemas.limits import MAX_NUMBER
+from needlefit.schemas.limits import MAX_NEEDLE_LENGTH_MM, MAX_NUMBER
 from needlefit.viewer.opening import ViewedScene
-from needlefit.viewer.overlays import NeedleBand, compute_live_errors
-from needlefit.viewer.steering import Change, SteeredNeedle, guide_number
+from needlefit.viewer.overlays import (
+    MeasuredOverlay,
+    NeedleBand,
+    choose_band_draws,
+    compute_live_errors,
+)
+from needlefit.viewer.steering import (
+    BASE_CLEARANCE_MM,
+    INPUTS,
+    MAX_GUIDE_NUMBER,
+    Change,
+    SteeredNeedle,
+    find_input,
+    guide_number,
+)
 
 LENGTH_DIGITS = 4  #: decimals of drawn lengths in mm
 POINTS_BEFORE_TISSUE = 25  #: points of the needle drawn before the tissue
@@ -58,16 +73,86 @@ def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         "limits": _encode_limits(scene),
         "measured": measured and {
             "id": measured.id,
-            "x": round_lengths(measured.points[:, 0]),
-            "y": round_lengths(measured.points[:, 1]),
             "depth_mm": measured.depth,
             "metrics": [[one.name, one.label, one.unit, one.explanation] for one in list_metrics()],
+            **encode_measured(measured),
         },
-        "band": viewed_scene.spread is not None,
+        "simulation": encode_simulation(steering),
+        "draws": None if viewed_scene.spread is None else encode_draws(viewed_scene.spread, tissue.law),
         "fit": counts,
         "slice": viewed_scene.scanned is not None,
         "choices": list(viewed_scene.choices),
     }  # fmt: skip
+
+
+def encode_measured(measured: MeasuredOverlay) -> dict[str, Any]:
+    """Return a measured needle as the page draws and compares it."""
+    x, y = measured.points.T.tolist()
+    target = measured.target
+    compared = {"pose": target.pose, "s": target.s.tolist()} | dict(
+        zip("xy", target.measured.T.tolist(), strict=True)
+    )
+    return {"x": x, "y": y, "s": measured.s.tolist(), "floor_mm": measured.floor, "target": compared}
+
+
+def encode_simulation(steering: SteeredNeedle) -> dict[str, Any]:
+    """Return what the page needs to simulate a needle: `model` is that of `native/needle.js`."""
+    scene = steering.scene
+    tissue, rules, law = scene.tissue, scene.rules, LAWS[scene.tissue.law]
+    sizes, layers = pack_layers(tissue, 1, {})
+    terms = None
+    if isinstance(law, PowerLaw):
+        zero, slopes = (np.concatenate(parts, axis=-1) for parts in (law.terms_at_zero, law.term_slopes))
+        # With one parameter in each coefficient and exponent, the page finds the same bits.
+        if (np.count_nonzero(slopes, axis=0) <= 1).all():
+            terms = {"at_zero": zero.tolist(), "slopes": slopes.tolist(), "layers": tissue.layers}
+    shape_inputs = {name: find_input(name) for name in law.shape_names}
+    return {
+        "model": {
+            "length": scene.needle.length, "rigidity": scene.needle.flexural_rigidity,
+            "boundaries": tissue.boundaries.tolist(), "terms": sizes["terms"],
+            **{name: layers[name].ravel().tolist() for name in ("mu", "thickness", "friction", "law")},
+            "spacing": rules.spacing, "element": rules.element, "firstCell": steering.first_cell,
+            "pathAngle": rules.path_angle, "switch": rules.switch, "tangent": rules.tangent,
+            "tolerance": rules.tolerance, "maxIterations": rules.max_iterations,
+        },
+        "shape": tissue.shape.tolist(),
+        "law": {"terms": terms, "tables": {}},
+        "steps": [encode_step(step) for step in scene.steps],
+        "rules": {
+            "inputs": {name: one.to_message() for name, one in (INPUTS | shape_inputs).items()},
+            "max": MAX_NUMBER, "max_mm": MAX_NEEDLE_LENGTH_MM, "max_guide": MAX_GUIDE_NUMBER,
+            "clearance_mm": BASE_CLEARANCE_MM, "validity": LIMITS,
+        },
+    }  # fmt: skip
+
+
+def encode_step(step: Step) -> dict[str, Any]:
+    """Return a step of an insertion, as the page simulates it."""
+    bevel, held, tip = step.bevel, step.controls, step.controls.tip
+    return {
+        "depth": step.depth,
+        "bevel": {"side": bevel.side, "offset": bevel.offset, "cutAngle": bevel.cut_angle},
+        "controls": {
+            "baseY": held.base_y,
+            "baseSlope": held.base_slope,
+            "stageSlope": held.stage_slope,
+            "guides": [{"x": one.x, "y": one.y, "slope": one.slope, "name": one.name} for one in held.guides],
+            "tip": tip and {"y": tip.y, "slope": tip.slope},
+        },
+    }
+
+
+def encode_draws(spread: ParameterDraws, law: str) -> dict[str, Any]:
+    """Return the draws of a band: of each, mu and law of every layer, and the strength of the bevel."""
+    drawn = spread.only(choose_band_draws(spread))
+    numbers = np.concatenate(compile_law(law, drawn.shape), axis=-1)
+    return {
+        "sets": len(drawn),
+        "mu": drawn.mu.ravel().tolist(),
+        "law": numbers.ravel().tolist(),
+        "strength": drawn.bevel.tolist(),
+    }
 
 
 def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, Ints
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.sources import ScanVolume, find_volume
 from needlefit.geometry.curves import COMPARISON_POINTS, arc_length, compare_curves
@@ -14,6 +14,7 @@ from needlefit.geometry.frames import align_rigid
 from needlefit.imaging.reconstruction import ENTRY_MARGIN_MM, render_bending_plane
 from needlefit.imaging.volume_files import ct_packages_installed, read_volume
 from needlefit.inference.compared_points import ComparedPoints, SimulatedCurve, align_points, select_points
+from needlefit.inference.forward_model import ParameterDraws
 from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.metrics import compute_metrics
@@ -49,8 +50,8 @@ def compute_band(insertion: StartedInsertion) -> NeedleBand | None:
     spread, path = insertion.draws, insertion.path
     if spread is None or not path[-1].depth > 0:
         return None
-    chosen = np.linspace(0, len(spread) - 1, min(MAX_BAND_DRAWS, len(spread))).astype(np.intp)
-    batch = spread.only(chosen).make_batch(insertion.needle, insertion.tissue, path, insertion.rules)
+    drawn = spread.only(choose_band_draws(spread))
+    batch = drawn.make_batch(insertion.needle, insertion.tissue, path, insertion.rules)
     # One thread: the other cores are left to the needles that users control at the same time.
     (shapes,) = simulate_batches([batch], threads=1)
     points = compute_batch_positions(shapes, np.linspace(0.0, path[-1].depth, NEEDLE_POINTS))
@@ -59,6 +60,11 @@ def compute_band(insertion: StartedInsertion) -> NeedleBand | None:
         return None
     low, _, high = np.percentile(found[:, :, 1], BAND_PERCENTILES, axis=0)
     return NeedleBand(np.median(found[:, :, 0], axis=0), low, high, len(shapes) - len(found))
+
+
+def choose_band_draws(spread: ParameterDraws) -> Ints:
+    """Return the numbers of the draws of a band, evenly chosen."""
+    return np.linspace(0, len(spread) - 1, min(MAX_BAND_DRAWS, len(spread))).astype(np.intp)
 
 
 @dataclass(frozen=True)

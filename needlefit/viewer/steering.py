@@ -7,10 +7,10 @@ of the model: with them the insertion so far is simulated again.
 
 import math
 import re
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields, replace
 from time import perf_counter
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -35,43 +35,68 @@ BASE_CLEARANCE_MM = 5.0
 
 @dataclass(frozen=True)
 class Input:
-    """The object that the item number of an input counts, and what its value must be.
+    """The object that the item number of an input counts, and what its value must be; the page reads it too.
 
     `parameter`: it is one of the model, which applies to the whole insertion.
     """
 
     item: Literal["guide", "layer"] | None = None
     expected: str = ""
-    allows: Callable[[float], bool] = lambda value: True
+    least: float = -math.inf  #: least, above: lower bound that the value may have, or may not
+    above: float = -math.inf
+    upto: float = math.inf  #: upto, below: upper bound that it may have, or may not
+    below: float = math.inf
+    values: tuple[float, ...] = ()  #: where there are only these
     parameter: bool = False
 
+    def allows(self, value: float) -> bool:
+        """Whether a finite value is one that the input takes."""
+        within = self.least <= value <= self.upto and self.above < value < self.below
+        return within and (not self.values or value in self.values)
 
-_SLOPE = ("between -45° and 45° (dy/dx between -1 and 1)", lambda value: abs(value) < 1)
-_FLAG = ("0 or 1", lambda value: value in (0, 1))
-_LENGTH = ("0 mm or above", lambda value: value >= 0)
-_ANGLE = (f"from 0 to {MAX_CUT_ANGLE_DEG:g}°", lambda value: 0 <= value < MAX_CUT_ANGLE_DEG)
-_MODULUS = (f"above 0 MPa, up to {MAX_MU_PA / 1e6:g} MPa", lambda value: 0 < value <= MAX_MU_PA)
+    def to_message(self) -> dict[str, Any]:
+        """Return what differs from the defaults, for JSON."""
+        return {one.name: value for one in fields(self) if (value := getattr(self, one.name)) != one.default}
+
+
+_SLOPE: dict[str, Any] = {
+    "expected": "between -45° and 45° (dy/dx between -1 and 1)",
+    "above": -1.0,
+    "below": 1.0,
+}
+_FLAG: dict[str, Any] = {"expected": "0 or 1", "values": (0.0, 1.0)}
+_LENGTH: dict[str, Any] = {"expected": "0 mm or above", "least": 0.0}
+_ANGLE: dict[str, Any] = {
+    "expected": f"from 0 to {MAX_CUT_ANGLE_DEG:g}°",
+    "least": 0.0,
+    "below": MAX_CUT_ANGLE_DEG,
+}
+_MODULUS: dict[str, Any] = {
+    "expected": f"above 0 MPa, up to {MAX_MU_PA / 1e6:g} MPa",
+    "above": 0.0,
+    "upto": MAX_MU_PA,
+}
 
 #: all inputs but shape parameters of tissue laws, which are further ones of layers
 INPUTS = {
-    "depth_mm": Input(None, *_LENGTH),
-    "bevel_side": Input(None, "+1 (y > 0) or -1", lambda value: value in (1, -1)),
-    "bevel_offset_mm": Input(None, *_LENGTH),
-    "cut_angle_deg": Input(None, *_ANGLE),
+    "depth_mm": Input(**_LENGTH),
+    "bevel_side": Input(expected="+1 (y > 0) or -1", values=(1.0, -1.0)),
+    "bevel_offset_mm": Input(**_LENGTH),
+    "cut_angle_deg": Input(**_ANGLE),
     "base_y_mm": Input(),
-    "base_slope": Input(None, *_SLOPE),
+    "base_slope": Input(**_SLOPE),
     "guide_x_mm": Input("guide"),
     "guide_y_mm": Input("guide"),
-    "guide_slope": Input("guide", *_SLOPE),
-    "guide_turns_freely": Input("guide", *_FLAG),
-    "guide_engaged": Input("guide", *_FLAG),
+    "guide_slope": Input("guide", **_SLOPE),
+    "guide_turns_freely": Input("guide", **_FLAG),
+    "guide_engaged": Input("guide", **_FLAG),
     "tip_y_mm": Input(),
-    "tip_slope": Input(None, *_SLOPE),
-    "tip_held": Input(None, *_FLAG),
-    "mu_pa": Input("layer", *_MODULUS, parameter=True),
-    "offset_throughout_mm": Input(None, *_LENGTH, parameter=True),
-    "cut_angle_throughout_deg": Input(None, *_ANGLE, parameter=True),
-    "return_to": Input(None, "the number of a step", lambda value: value >= 0 and value == int(value)),
+    "tip_slope": Input(**_SLOPE),
+    "tip_held": Input(**_FLAG),
+    "mu_pa": Input("layer", **_MODULUS, parameter=True),
+    "offset_throughout_mm": Input(**_LENGTH, parameter=True),
+    "cut_angle_throughout_deg": Input(**_ANGLE, parameter=True),
+    "return_to": Input(expected="the number of a step", least=0.0),
 }
 
 _SHAPE_PARAMETER = Input("layer", parameter=True)
@@ -103,7 +128,8 @@ class Change:
             )
         most = MAX_NEEDLE_LENGTH_MM if self.name.endswith("_mm") else MAX_NUMBER
         finite = abs(self.value) <= most
-        if not finite or not known.allows(self.value):
+        whole = self.name != "return_to" or float(self.value).is_integer()
+        if not finite or not known.allows(self.value) or not whole:
             expected = known.expected if finite else f"a finite number, at most {most:g}"
             named = re.sub("_(mm|deg|pa)$", "", self.name).replace("_", " ")
             named += "" if self.item is None else f" of {known.item} {self.item}"

@@ -21,7 +21,7 @@ export class Heap {
   constructor(instance) {
     this.call = instance.exports;
     this.memory = instance.exports.memory;
-    this.top = this.memory.buffer.byteLength; // below are the kernel's stack and constants
+    this.top = this.bottom = this.memory.buffer.byteLength; // below are the kernel's stack and constants
   }
 
   static async make(kernel) {

@@ -38,8 +38,11 @@ const SAME_DEPTH = 1e-9; // mm
 const MAX_ELEMENTS = 5000;
 const MAX_GUIDES = 50;
 const LINEAR_CUT = -1; // in place of `switch`
+const MAX_RAYS = 15000; // MAX_STEPS + MAX_ELEMENTS of schemas/limits.py
+const KEPT_IDS = 256; // of inputs before unused ones are dropped
 const STOP_BYTES = 48; // of `struct Stop` in needle.hpp
-const MOVE_BYTES = 24; // of `struct Move` in plan.hpp
+const MOVE_BYTES = 24; // of `struct Move` and `struct CutRay` in plan.hpp
+const POSITION_BYTES = 64; // of `struct Position` in plan.hpp
 
 /** The first cell with which an insertion to `depth` ends on a constraint point, mm. */
 function findFirstCell(depth, spacing) {
@@ -79,8 +82,10 @@ const turnOf = (bevel, model) => (bevel.side * bevel.strength) / (model.pathAngl
 const bevelKey = ({ bevel }) => JSON.stringify([bevel.side, bevel.strength]);
 const controlsKey = ({ base, guides, tip }) =>
   JSON.stringify([listBase(base), listGuides(guides), listTip(tip)]);
-const offsets = (lists) =>
-  BigInt64Array.from([0, ...lists].map((_, i) => BigInt(lists.slice(0, i).flat().length / 3)));
+function offsets(lists) {
+  let sum = 0;
+  return BigInt64Array.from([0, ...lists].map((_, i) => BigInt((sum += i ? lists[i - 1].length / 3 : 0))));
+}
 
 /** The fields and arrays of a problem of `inputs`; `values` (sets) take the place of the model's. */
 function pack(model, firstCell, inputs, stops, values, more) {
@@ -150,13 +155,22 @@ export class Session {
   }
 
   constructor(heap, model, inputs) {
-    Object.assign(this, { heap, model, inputs, depth: 0, ids: new Map() });
+    Object.assign(this, { heap, start: heap.top, failed: false });
+    this.#begin(model, inputs);
+  }
+
+  #begin(model, inputs) {
     this.deepest = Math.min(model.length, MAX_ELEMENTS * model.element);
-    this.rays = Math.ceil(this.deepest / model.spacing);
-    this.base = heap.top;
+    const rays = Math.ceil(this.deepest / model.spacing);
+    this.#layOut({ model, inputs, depth: 0, ids: new Map(), maxIds: KEPT_IDS, solved: 0, shape: null, rays });
+    this.shape = this.go(0, inputs);
+  }
+
+  // Lay out memory for a state, which is that of first contact.
+  #layOut(fields) {
+    Object.assign(this, fields, { base: this.start, parts: null });
     this.#hold();
     this.#reserve();
-    this.shape = this.#go(0, inputs);
   }
 
   // Write the problem of the present inputs; it has the same sizes each time.
@@ -184,7 +198,7 @@ export class Session {
       next: heap.take(state),
       scratch: heap.take(scratch),
     };
-    Object.assign(this, { parts, end: heap.top });
+    Object.assign(this, { parts, stateBytes: Number(state), end: heap.top });
     call.nf_session_begin(problem.at, parts.fixed, parts.now, parts.scratch);
     if (old) {
       const { now, scratch: room } = old.parts;
@@ -195,49 +209,53 @@ export class Session {
   /** Change inputs, to which the needle adapts at once; those that are not given stay. Returns the shape. */
   set(inputs) {
     const { bevel, base } = this.inputs;
-    const changed = completeInputs({
+    return this.go(this.depth, {
       ...this.inputs,
       ...inputs,
       bevel: { ...bevel, ...inputs.bevel },
       base: { ...base, ...inputs.base },
     });
-    return this.#go(this.depth, changed);
   }
 
   /** Insert by so many mm; returns the shape. If that has not converged, the needle has stayed as it was. */
   advance(distance) {
-    return this.#go(this.depth + Number(distance), this.inputs);
+    const depth = this.depth + Number(distance);
+    return this.go(Math.abs(depth) < SAME_DEPTH ? 0 : depth, this.inputs);
   }
 
   /** Retract by so many mm, at most to the entry. */
   retract(distance) {
-    return this.#go(Math.max(0, this.depth - distance), this.inputs);
+    return this.advance(-Math.min(distance, this.depth));
   }
 
-  #number(key) {
-    if (!this.ids.has(key)) this.ids.set(key, this.ids.size);
-    return this.ids.get(key);
-  }
-
-  #go(given, inputs) {
-    const depth = Math.abs(given) < SAME_DEPTH ? 0 : given;
+  /**
+   * Move the tip to a depth, mm, under all inputs; returns the shape.
+   *
+   * `failed` tells whether it has not converged, or `accepts(shape)` is false: the needle has then stayed as it was.
+   */
+  go(depth, given, accepts = () => true) {
     if (!(depth >= 0 && depth <= this.deepest)) throw new RangeError(`the needle cannot be ${depth} mm deep`);
-    checkInputs(this.model, inputs, depth);
-    const before = this.inputs,
+    const inputs = completeInputs(given),
+      before = this.inputs,
       { heap } = this;
+    checkInputs(this.model, inputs, depth);
     this.inputs = inputs;
     this.#hold();
-    const bevel = BigInt(this.#number(bevelKey(inputs))),
-      held = BigInt(this.#number(controlsKey(inputs)));
+    const bevel = this.#number(bevelKey(inputs), inputs.bevel),
+      held = this.#number(controlsKey(inputs), inputs);
     const advance = () => {
       const { fixed, now, next, scratch } = this.parts,
         { at } = this.problem;
       const fault = heap.call.nf_session_advance(
-        at, fixed, now, next, scratch, this.shapes.at, depth, bevel, held, this.done,
+        at, fixed, now, next, scratch, this.shapes.at, depth, BigInt(bevel), BigInt(held), this.done,
       ); // prettier-ignore
       return [fault, ...heap.integers(this.done, 3)].map(Number);
     };
     let [fault, stops, points, rays] = advance();
+    if (rays > MAX_RAYS) {
+      this.inputs = before;
+      throw new RangeError(`the needle has changed its direction of cutting ${rays} times`);
+    }
     if (rays > this.rays) {
       const old = { problem: this.problem, parts: this.parts };
       Object.assign(this, { rays: 2 * rays, base: this.end, parts: null });
@@ -246,17 +264,122 @@ export class Session {
       [fault, stops, points, rays] = advance();
     }
     check(fault);
+    this.solved += stops;
     let { shape } = this;
     if (stops > 0) {
       shape = readShape(heap, this.problem, this.shapes, points);
-      if (shape.status !== STATUS[0]) {
+      this.failed = shape.status !== STATUS[0] || !accepts(shape);
+      if (this.failed) {
         this.inputs = before;
         return shape;
       }
     }
+    this.failed = false;
     [this.parts.now, this.parts.next] = [this.parts.next, this.parts.now];
     Object.assign(this, { depth, shape });
+    if (this.ids.size > this.maxIds) this.#dropUnused(new Set([bevel, held]));
     return shape;
+  }
+
+  // Equal inputs have equal numbers.
+  #number(key, value) {
+    let found = this.ids.get(key);
+    if (!found) {
+      this.nextId = (this.nextId ?? 0) + 1;
+      this.ids.set(key, (found = { number: this.nextId, value }));
+    }
+    return found.number;
+  }
+
+  #dropUnused(used) {
+    for (const { bevel, held } of this.#listRays().rays) used.add(bevel).add(held);
+    for (const [key, { number }] of this.ids) if (!used.has(number)) this.ids.delete(key);
+    this.maxIds = KEPT_IDS + 2 * this.ids.size;
+  }
+
+  // The rays that the tip has cut, and whether inputs have changed since it came to its depth.
+  #listRays() {
+    const { heap, parts, problem } = this;
+    return heap.borrow(() => {
+      const cut = heap.take(MOVE_BYTES * this.rays),
+        position = heap.take(POSITION_BYTES);
+      const count = Number(
+        heap.call.nf_session_rays(problem.at, parts.fixed, parts.now, parts.scratch, cut, position),
+      );
+      const view = heap.view(cut),
+        id = (at) => Number(view.getBigInt64(at, true));
+      const rays = Array.from({ length: count }, (_, n) => ({
+        start: view.getFloat64(MOVE_BYTES * n, true),
+        bevel: id(MOVE_BYTES * n + 8),
+        held: id(MOVE_BYTES * n + 16),
+      }));
+      return { rays, changed: heap.view(position).getBigInt64(POSITION_BYTES - 8, true) !== 0n };
+    });
+  }
+
+  /** The present state, to which `restore` returns; it holds also after the model was changed. */
+  save() {
+    const { model, inputs, depth, shape, rays, ids, maxIds, solved, heap, parts, stateBytes } = this;
+    const state = new Uint8Array(heap.memory.buffer, parts.now, stateBytes).slice();
+    return { model, inputs, depth, shape, rays, ids: new Map(ids), maxIds, solved, state };
+  }
+
+  restore({ state, ...saved }) {
+    this.#layOut({ ...saved, ids: new Map(saved.ids) });
+    new Uint8Array(this.heap.memory.buffer).set(state, this.parts.now);
+  }
+
+  /** The shortest steps [{depth, inputs}] that lead from first contact to here, as `Session.input_path` in Python. */
+  path() {
+    const { firstCell, spacing } = this.model,
+      { rays, changed } = this.#listRays(),
+      values = new Map([...this.ids.values()].map(({ number, value }) => [number, value]));
+    const alike = (one, other) =>
+      bevelKey(one.inputs) === bevelKey(other.inputs) && controlsKey(one.inputs) === controlsKey(other.inputs);
+    const flip = ({ depth, inputs }) => ({
+      depth,
+      inputs: { ...inputs, bevel: { ...inputs.bevel, side: -inputs.bevel.side } },
+    });
+    const isPoint = (depth) => {
+      const cell =
+        depth <= SAME_DEPTH ? 0 : 1 + Math.max(0, Math.ceil((depth - firstCell - SAME_DEPTH) / spacing));
+      return Math.abs((cell && firstCell + (cell - 1) * spacing) - depth) <= SAME_DEPTH;
+    };
+    const steps = [];
+    rays.forEach(({ start, bevel, held }, n) => {
+      const depth = n + 1 < rays.length ? rays[n + 1].start : this.depth,
+        step = { depth, inputs: { ...values.get(held), bevel: values.get(bevel) } },
+        before = steps.at(-1);
+      if (!before || isPoint(start)) {
+        if (before && alike(before, step)) steps.pop(); // at a constraint point a new ray begins of itself
+      } else if (alike(before, step)) steps.push(flip(before)); // within a cell only changed inputs begin one
+      steps.push(step);
+    });
+    const last = { depth: this.depth, inputs: this.inputs };
+    if (!steps.length || !alike(steps.at(-1), last)) steps.push(last);
+    else if (changed) steps.push(flip(last), last);
+    return steps;
+  }
+
+  /** Simulate steps from first contact on, with another model; returns whether each has converged. */
+  again(model, steps) {
+    this.#begin(model, completeInputs(steps[0].inputs));
+    for (const { depth, inputs } of steps) {
+      this.go(depth, inputs);
+      if (this.failed) return false;
+    }
+    return true;
+  }
+
+  /** The deflections (K), mm, of the beam at beam coordinates `s` (K): not the y of its points. */
+  deflections(s) {
+    const { heap, shape } = this;
+    return heap.borrow(() => {
+      const at = [shape.x, shape.u, shape.slope, Float64Array.from(s)].map((array) => heap.put(array)),
+        out = heap.take(8 * s.length);
+      heap.call.nf_deflections(BigInt(shape.x.length), BigInt(s.length), ...at, out);
+      return heap.floats(out, s.length).slice();
+    });
   }
 
   /** The points (K * 2), mm, of the needle at beam coordinates `s` (K), mm: 0 at the entry, depth at the tip. */
@@ -360,25 +483,31 @@ function positions(heap, shape, given) {
  *
  * steps: [{depth, inputs}]; without `firstCell` the last ends on a constraint point. values: {sets, mu, thickness,
  * friction (sets * n), law (sets * n * numbers), rigidity, strength, baseY, baseSlope, guideX (sets)}, Float64Arrays,
- * all but the first optional.
- * Resolves to {shapes, positions(i, s)}.
+ * all but the first optional. Resolves to {shapes, positions(i, s)}. A call with the same object `kept` reuses the
+ * memory of the one before, whose `positions` then no longer work.
  */
-export async function simulateBatch(kernel, model, steps, values) {
-  const heap = await Heap.make(kernel),
+export async function simulateBatch(kernel, model, steps, values, kept = {}) {
+  const heap = (kept.heap ??= await Heap.make(kernel)),
     inputs = steps.map((step) => completeInputs(step.inputs ?? {}));
+  heap.top = heap.bottom;
   values = Object.fromEntries(
     Object.entries(values).map(([name, value]) => [name, name === "sets" ? value : Float64Array.from(value)]),
   );
   steps.forEach(({ depth }, n) => checkInputs({ ...model, ...values, rigidity: model.rigidity }, inputs[n], depth));
-  const first = (key, one) => inputs.findIndex((other) => key(other) === key(one));
+  const number = (key) => {
+    const keys = inputs.map(key),
+      firsts = new Map(keys.map((one, n) => [one, n]).reverse());
+    return keys.map((one) => BigInt(firsts.get(one)));
+  };
+  const [bevels, controls] = [number(bevelKey), number(controlsKey)];
   const deepest = Math.max(...steps.map((step) => step.depth)),
     firstCell = model.firstCell ?? findFirstCell(steps.at(-1).depth, model.spacing);
   const moves = new Uint8Array(MOVE_BYTES * steps.length),
     view = new DataView(moves.buffer);
   steps.forEach(({ depth }, n) => {
     view.setFloat64(MOVE_BYTES * n, depth, true);
-    view.setBigInt64(MOVE_BYTES * n + 8, BigInt(first(bevelKey, inputs[n])), true);
-    view.setBigInt64(MOVE_BYTES * n + 16, BigInt(first(controlsKey, inputs[n])), true);
+    view.setBigInt64(MOVE_BYTES * n + 8, bevels[n], true);
+    view.setBigInt64(MOVE_BYTES * n + 16, controls[n], true);
   });
   const room = steps.length * (Math.ceil(deepest / model.spacing) + 4);
   const stops = heap.borrow(() => {

@@ -1,0 +1,85 @@
+/** Errors of the simulated needle against the measured one, as `viewer/overlays.py` and `metrics/` compute them. */
+
+const DEPTH_TOLERANCE = 1e-6; // mm; a needle this near to the measured depth has reached it
+const LEAST = 1; // mm; shorter overlaps are not compared
+const POINTS = 101;
+
+const mean = (values) => values.reduce((sum, one) => sum + one, 0) / values.length;
+
+/** By metric, from the distances of compared points (mm), entry first, and the measured deflection, mm. */
+const METRICS = {
+  median_err_mm: (d) => {
+    const sorted = d.toSorted((one, other) => one - other);
+    const half = sorted.length >> 1;
+    return sorted.length % 2 ? sorted[half] : (sorted[half - 1] + sorted[half]) / 2;
+  },
+  ipe_mean_mm: mean,
+  ipe_std_mm: (d) => Math.sqrt(mean(d.map((one) => (one - mean(d)) ** 2))),
+  ipe_max_mm: (d) => Math.max(...d),
+  te_mm: (d) => d.at(-1),
+  edp_percent: (d, deflection) => (deflection ? (100 * d.at(-1)) / Math.abs(deflection) : d.at(-1) ? Infinity : 0),
+};
+
+/**
+ * The errors of a session's needle against `measured` of the scene, or null where they are undefined.
+ *
+ * Where `whole` they are those of a study; else of the length that both have in common.
+ */
+export function computeErrors(session, measured) {
+  const { depth } = session.shape;
+  const upto = Math.min(depth, measured.depth_mm);
+  if (upto < LEAST) return null;
+  const beyond = depth - measured.depth_mm;
+  const whole = Math.abs(beyond) <= DEPTH_TOLERANCE;
+  let [simulated, other] = [null, null];
+  if (whole) {
+    const { s, x, y, pose } = measured.target;
+    other = x.map((one, i) => [one, y[i]]);
+    simulated = readPoints(session, s.map((one) => one + beyond));
+    if (pose === "free") simulated = alignRigid(simulated, other);
+  } else if (measured.target.pose === "known") {
+    const s = Array.from({ length: POINTS }, (_, i) => (upto * i) / (POINTS - 1));
+    simulated = readPoints(session, s);
+    other = interpolate(measured, s);
+  } else return null;
+  const distances = simulated.map(([x, y], i) => Math.hypot(x - other[i][0], y - other[i][1]));
+  const deflection = other.at(-1)[1] - other[0][1];
+  const values = Object.entries(METRICS).map(([name, compute]) => [name, compute(distances, deflection)]);
+  const finite = values.map(([name, value]) => [name, Number.isFinite(value) ? value : null]);
+  return { ...Object.fromEntries(finite), upto_mm: upto, whole, floor_mm: measured.floor_mm };
+}
+
+/** Points [x, y] at beam coordinates; the last may lie beyond the tip by rounding. */
+function readPoints(session, s) {
+  const { x, depth } = session.shape;
+  const points = session.positions(s.map((one) => Math.min(Math.max(one, x[0]), depth)));
+  return s.map((_, i) => [points[2 * i], points[2 * i + 1]]);
+}
+
+/** The measured points at beam coordinates, between those that are known. */
+function interpolate({ s, x, y }, at) {
+  let i = 0;
+  return at.map((one) => {
+    while (i < s.length - 2 && s[i + 1] < one) i += 1;
+    const share = Math.min(Math.max((one - s[i]) / (s[i + 1] - s[i]), 0), 1);
+    return [x[i] + share * (x[i + 1] - x[i]), y[i] + share * (y[i + 1] - y[i])];
+  });
+}
+
+/** Points after the rotation and shift that bring them closest to others, as `align_rigid` in Python. */
+function alignRigid(moving, fixed) {
+  const centre = (points) => [0, 1].map((axis) => mean(points.map((one) => one[axis])));
+  const [m, f] = [centre(moving), centre(fixed)];
+  let [across, along] = [0, 0];
+  moving.forEach(([x, y], i) => {
+    const [a, b, c, d] = [x - m[0], y - m[1], fixed[i][0] - f[0], fixed[i][1] - f[1]];
+    across += a * d - b * c;
+    along += a * c + b * d;
+  });
+  const angle = Math.atan2(across, along);
+  const [c, s] = [Math.cos(angle), Math.sin(angle)];
+  return moving.map(([x, y]) => [
+    c * (x - m[0]) - s * (y - m[1]) + f[0],
+    s * (x - m[0]) + c * (y - m[1]) + f[1],
+  ]);
+}

@@ -1,0 +1,156 @@
+/** The inputs of a needle, as `viewer/steering.py` has them: which values they take, and what they change. */
+
+/** Why the model does not take something: what, expected, fix. */
+export class ModelError extends Error {
+  constructor(what, expected, fix) {
+    super(what);
+    Object.assign(this, { what, expected, fix });
+  }
+}
+
+const RADIANS = Math.PI / 180;
+const DEGREES = 180 / Math.PI;
+const UNITS = [["_mm", " mm"], ["_deg", "°"], ["_pa", " Pa"]];
+
+/** Throw a ModelError for a change [name, item, value] that is none; `rules` are those of the scene. */
+export function checkChange([name, item, value], rules) {
+  const known = rules.inputs[name];
+  if (!known) throw new ModelError(`there is no input ${name}`, `one of ${Object.keys(rules.inputs).join(", ")}`);
+  const counted = Number.isInteger(item) && item >= 1 && item <= (known.item === "guide" ? rules.max_guide : Infinity);
+  if (known.item ? !counted : item !== null) throw new ModelError(`${name} has item ${item}`, `the number of a ${known.item}`);
+  const most = name.endsWith("_mm") ? rules.max_mm : rules.max;
+  const finite = Math.abs(value) <= most;
+  const { least, above, upto, below, values } = known;
+  const allowed = finite && !(value < least || value <= above || value > upto || value >= below)
+    && (!values || values.includes(value));
+  if (!allowed) {
+    const expected = finite ? known.expected : `a finite number, at most ${most}`;
+    throw new ModelError(`${nameOf(name)}${item === null ? "" : ` of ${known.item} ${item}`} is ${written(name, value)}`, expected);
+  }
+}
+
+const nameOf = (name) => name.replace(/_(mm|deg|pa)$/, "").replaceAll("_", " ");
+
+/** A value in the unit of the page's fields. */
+function written(name, value) {
+  if (name === "mu_pa") return `${Number((value * 1e-6).toPrecision(6))} MPa`;
+  if (name.endsWith("slope")) return `${(Math.atan(value) * DEGREES).toFixed(1)}°`;
+  const [, unit] = UNITS.find(([end]) => name.endsWith(end)) ?? ["", ""];
+  return `${Number(value.toPrecision(6))}${unit}`;
+}
+
+/** The number of a guide, from 1. */
+export function guideNumber(name, names) {
+  const at = names.indexOf(name);
+  return at < 0 ? Number(name.replace("guide ", "")) : at + 1;
+}
+
+/** The step after changes, as `apply_changes`: names are those of the scene's guides, `tipY` is where the tip stands, mm. */
+export function applyChanges(step, changes, names, tipY) {
+  const values = new Map(changes.map(([name, item, value]) => [`${name} ${item ?? ""}`, value]));
+  const of = (name, now) => values.get(`${name} `) ?? now;
+  const held = step.controls;
+  let { tip } = held;
+  if (of("tip_held", 1) === 0) tip = null;
+  else if (tip || values.has("tip_held ") || values.has("tip_y_mm ")) {
+    tip = { y: of("tip_y_mm", tip ? tip.y : tipY), slope: of("tip_slope", tip ? tip.slope : null) };
+  }
+  const angle = of("cut_angle_deg", null);
+  return {
+    depth: of("depth_mm", step.depth),
+    bevel: {
+      side: of("bevel_side", step.bevel.side),
+      offset: of("bevel_offset_mm", step.bevel.offset),
+      cutAngle: angle === null ? step.bevel.cutAngle : angle * RADIANS, // stays to the bit
+    },
+    controls: {
+      baseY: of("base_y_mm", held.baseY),
+      baseSlope: of("base_slope", held.baseSlope),
+      stageSlope: held.stageSlope,
+      guides: applyToGuides(held.guides, changes, names),
+      tip,
+    },
+  };
+}
+
+function applyToGuides(guides, changes, names) {
+  const moves = new Map();
+  for (const [name, item, value] of changes) {
+    if (item === null || !name.startsWith("guide_")) continue;
+    if (!moves.has(item)) moves.set(item, {});
+    moves.get(item)[name.slice("guide_".length)] = value;
+  }
+  if (!moves.size) return guides;
+  const now = new Map(guides.map((guide) => [guide.name, guide]));
+  for (const [item, moved] of [...moves].sort(([one], [other]) => one - other)) {
+    const name = names[item - 1] ?? `guide ${item}`;
+    if (moved.engaged === 0) {
+      now.delete(name);
+      continue;
+    }
+    let guide = now.get(name);
+    if (!guide) {
+      if (moved.x_mm === undefined || moved.y_mm === undefined) {
+        throw new ModelError(`there is no ${name}`, "guide_x_mm and guide_y_mm together, which make a guide", "add it before it is moved");
+      }
+      guide = { slope: 0, name };
+    }
+    let slope = moved.slope ?? guide.slope;
+    if (moved.turns_freely !== undefined) slope = moved.turns_freely ? null : (moved.slope ?? guide.slope ?? 0);
+    now.set(name, { name, x: moved.x_mm ?? guide.x, y: moved.y_mm ?? guide.y, slope });
+  }
+  const ordered = [...now.values()].sort((one, other) => one.x - other.x);
+  const twice = ordered.find((guide, i) => guide.x === ordered[i + 1]?.x);
+  if (twice) throw new ModelError(`two guides stand at the same x = ${twice.x} mm`, "guides at different x", "move one of them, or leave it out");
+  return ordered;
+}
+
+/** The changes that turn the inputs of `now` into those of `step`, as `find_changes`; the depth is not included. */
+export function findChanges(step, now, names) {
+  const [wanted, held] = [step.controls, now.controls];
+  const pairs = [
+    ["bevel_side", step.bevel.side, now.bevel.side],
+    ["bevel_offset_mm", step.bevel.offset, now.bevel.offset],
+    ["cut_angle_deg", step.bevel.cutAngle * DEGREES, now.bevel.cutAngle * DEGREES],
+    ["base_y_mm", wanted.baseY, held.baseY],
+    ["base_slope", wanted.baseSlope, held.baseSlope],
+  ];
+  const changes = pairs.filter(([, value, before]) => value !== before).map(([name, value]) => [name, null, value]);
+  for (const { name } of held.guides) {
+    if (!wanted.guides.some((guide) => guide.name === name)) changes.push(["guide_engaged", guideNumber(name, names), 0]);
+  }
+  for (const { name, x, y, slope } of wanted.guides) {
+    if (held.guides.some((guide) => guide.x === x && guide.y === y && guide.slope === slope)) continue;
+    const item = guideNumber(name, names);
+    changes.push(["guide_x_mm", item, x], ["guide_y_mm", item, y], ["guide_turns_freely", item, slope === null ? 1 : 0]);
+    if (slope !== null) changes.push(["guide_slope", item, slope]);
+  }
+  if (!wanted.tip && held.tip) changes.push(["tip_held", null, 0]);
+  else if (wanted.tip && !(held.tip && wanted.tip.y === held.tip.y && wanted.tip.slope === held.tip.slope)) {
+    changes.push(["tip_y_mm", null, wanted.tip.y]);
+    if (wanted.tip.slope !== null) changes.push(["tip_slope", null, wanted.tip.slope]);
+  }
+  return changes;
+}
+
+/** Inputs as the kernel's `Session` takes them; a ModelError where the bevel's strength is that of the other rule. */
+export function toInputs({ bevel, controls }, pathAngle) {
+  if ((pathAngle ? bevel.offset : bevel.cutAngle) !== 0) {
+    throw new ModelError("the strength of the bevel is that of the other rule of advance", pathAngle ? "a cut angle alone" : "an offset alone");
+  }
+  const { baseY, baseSlope, stageSlope, guides, tip } = controls;
+  return {
+    bevel: { side: bevel.side, strength: pathAngle ? bevel.cutAngle : bevel.offset },
+    base: { y: baseY, slope: baseSlope, stageSlope }, guides, tip,
+  };
+}
+
+/** The step of what the kernel's `Session` was given. */
+export function toStep({ depth, inputs }, pathAngle) {
+  const { bevel, base, guides, tip } = inputs;
+  const [offset, cutAngle] = pathAngle ? [0, bevel.strength] : [bevel.strength, 0];
+  return {
+    depth, bevel: { side: bevel.side, offset, cutAngle },
+    controls: { baseY: base.y, baseSlope: base.slope, stageSlope: base.stageSlope, guides, tip },
+  };
+}

@@ -1,0 +1,207 @@
+/** The needle of a scene, simulated step by step: the same changes find the same bits as `SteeredNeedle` in Python. */
+
+import { Session } from "../../../mechanics/native/needle.js";
+import { applyChanges, checkChange, ModelError, toInputs, toStep } from "./inputs.js";
+import { computeValidity, listFaults } from "./validity.js";
+
+
+/** The law of all layers for shape parameters (rows of layers), or null: only the program can compute it. */
+export function makeLaw({ terms, tables }, shape) {
+  if (!terms) return tables[JSON.stringify(shape)] ?? null;
+  const layers = shape[0]?.length ?? terms.layers;
+  return Array.from({ length: layers }, (_, layer) => terms.at_zero.map((value, j) => {
+    const by = terms.slopes.findIndex((row) => row[j]);
+    return by < 0 ? value : value + shape[by][layer] * terms.slopes[by][j];
+  })).flat();
+}
+
+export class SteeredNeedle {
+  /** Begin at first contact. `scene.simulation` has model, shape, law, steps and rules. */
+  static async begin(kernel, scene) {
+    const { model, steps } = scene.simulation;
+    return new SteeredNeedle(scene, await Session.begin(kernel, model, toInputs(steps[0], model.pathAngle)));
+  }
+
+  constructor(scene, session) {
+    const { shape, steps, rules } = scene.simulation;
+    Object.assign(this, { scene, session, rules, shape, names: scene.guide_names });
+    Object.assign(this, { number: 0, failed: 0, solved: session.solved, saved: new Map(), valid: true });
+    this.step = { ...steps[0], depth: 0 };
+    this.#judge();
+    this.keep();
+  }
+
+  get model() {
+    return this.session.model;
+  }
+
+  /** The greatest depth that is possible under controls, mm: the base is then just before guides or tissue. */
+  reach(controls = this.step.controls) {
+    const [first] = controls.guides;
+    return this.model.length + (first?.x < 0 ? first.x - this.rules.clearance_mm : 0) - 1e-6;
+  }
+
+  /** The place of the tip, y in mm, as a recording has it. */
+  get tipLateral() {
+    return this.session.positions([this.session.shape.depth])[1];
+  }
+
+  /** The shortest steps that lead to the present state. */
+  path() {
+    return this.session.path().map((one) => toStep(one, this.model.pathAngle));
+  }
+
+  keep() {
+    const { step, shape, valid, validity } = this;
+    if (!this.saved.has(this.number)) this.saved.set(this.number, { step, shape, valid, validity, session: this.session.save() });
+  }
+
+  /** Delete the state stored at a step; the initial state stays. */
+  forget(number) {
+    if (number) this.saved.delete(number);
+  }
+
+  #return({ session, ...saved }) {
+    this.session.restore(session);
+    Object.assign(this, saved);
+  }
+
+  /** The shape parameters after changes. */
+  shapeAfter(changes) {
+    const shape = this.shape.map((row) => [...row]);
+    for (const [name, item, value] of changes) {
+      const row = this.scene.shape_parameters.findIndex((one) => one.name === name);
+      if (row >= 0) shape[row][item - 1] = value;
+    }
+    return shape;
+  }
+
+  /**
+   * Carry out one step: all changes [name, item, value] at once.
+   *
+   * A ModelError if the model does not take them, or finds no needle; then nothing has happened. A replay has
+   * `validOnly` false: without it a step that leads outside the model's validity is carried out.
+   */
+  apply(changes, { validOnly = true } = {}) {
+    for (const [i, change] of changes.entries()) {
+      checkChange(change, this.rules);
+      const [name, item] = change;
+      if (changes.slice(0, i).some(([one, other]) => one === name && other === item))
+        throw new ModelError(`${name} has two values in one step`, "one value for each input");
+      if (name === "return_to" && changes.length > 1)
+        throw new ModelError("return_to stands beside other inputs", "a step of its own");
+    }
+    if (changes[0]?.[0] === "return_to") {
+      const saved = this.saved.get(changes[0][2]);
+      if (!saved) throw new ModelError(`nothing was kept of step ${changes[0][2]}`, "a step to return to");
+      this.#return(saved);
+    } else this.#advance(changes, validOnly);
+    this.number += 1;
+  }
+
+  #advance(changes, validOnly) {
+    const parameters = changes.filter(([name]) => this.rules.inputs[name].parameter);
+    const others = changes.filter(([name]) => !this.rules.inputs[name].parameter);
+    if (!parameters.length) return this.#move(others, validOnly);
+    const { step, shape, valid, validity } = this;
+    const before = { step, shape, valid, validity, session: this.session.save() };
+    try {
+      this.#simulateAgain(parameters, validOnly);
+      this.#move(others, validOnly);
+    } catch (error) {
+      this.#return(before);
+      throw error;
+    }
+  }
+
+  #simulateAgain(parameters, validOnly) {
+    const mu = [...this.model.mu];
+    let [offset, angle] = [null, null];
+    for (const [name, item, value] of parameters) {
+      if (item > mu.length) throw new ModelError(`there is no layer ${item}`, `one of ${mu.length} layers`);
+      if (name === "mu_pa") mu[item - 1] = value * 1e-6;
+      else if (name === "offset_throughout_mm") offset = value;
+      else if (name === "cut_angle_throughout_deg") angle = value * (Math.PI / 180);
+      else if (!this.scene.shape_parameters.some((one) => one.name === name))
+        throw new ModelError(`the tissue law has no ${name}`, "a parameter of the law");
+    }
+    const shape = this.shapeAfter(parameters);
+    const same = JSON.stringify(shape) === JSON.stringify(this.shape);
+    const law = same ? this.model.law : makeLaw(this.scene.simulation.law, shape);
+    if (!law) throw new ModelError("the law has not been computed with these parameters", "the program", "try again");
+    const { pathAngle } = this.model;
+    const steps = this.path().map(({ bevel, ...one }) => ({
+      ...one, bevel: { ...bevel, offset: offset ?? bevel.offset, cutAngle: angle ?? bevel.cutAngle },
+    }));
+    const found = this.#guard(() => this.session.again(
+      { ...this.model, mu, law }, steps.map((one) => ({ depth: one.depth, inputs: toInputs(one, pathAngle) })),
+    ));
+    this.solved += this.session.solved;
+    if (!found) {
+      this.failed += 1;
+      throw new ModelError(
+        `with these parameters the insertion so far fails ${this.session.depth.toFixed(1)} mm deep`,
+        "a load that tissue and needle can bear", "change them less, or retract the needle first",
+      );
+    }
+    const was = this.valid;
+    Object.assign(this, { shape, step: steps.at(-1) });
+    this.#judge();
+    if (validOnly && was && !this.valid) this.#refuseInvalid(this.validity);
+  }
+
+  #move(changes, validOnly) {
+    const { session } = this;
+    const step = applyChanges(this.step, changes, this.names, session.shape.u.at(-1));
+    if (!changes.length) return;
+    const [first] = step.controls.guides;
+    if (validOnly && first?.x < 0 && step.depth > this.reach(step.controls) + 1e-6) {
+      throw new ModelError(
+        `the base would stand ${(first.x + this.model.length - step.depth).toFixed(2)} mm before the first guide`,
+        `at least ${this.rules.clearance_mm} mm: the base stops at the guide`,
+        "retract the needle, or move the guide toward the tissue",
+      );
+    }
+    const before = session.solved;
+    let refused = null;
+    const judge = (shape) => {
+      const validity = computeValidity(shape, this.model);
+      const valid = listFaults(validity, this.rules.validity).length === 0;
+      if (validOnly && this.valid && !valid) refused = validity;
+      return refused === null;
+    };
+    const shape = this.#guard(() => session.go(step.depth, toInputs(step, this.model.pathAngle), judge));
+    this.solved += session.solved - before;
+    if (refused) this.#refuseInvalid(refused);
+    if (session.failed) {
+      this.failed += 1;
+      throw new ModelError(`the model finds no needle there (${shape.status})`, "a load that tissue and needle can bear", "move less at a time");
+    }
+    this.step = step;
+    this.#judge();
+  }
+
+  /** The kernel's refusals as those of the model. */
+  #guard(work) {
+    try {
+      return work();
+    } catch (error) {
+      if (!(error instanceof RangeError)) throw error;
+      throw new ModelError(error.message, `a needle of ${this.model.length} mm, its base before guides and tissue`, "lessen the depth, or move the guides");
+    }
+  }
+
+  #judge() {
+    this.validity = computeValidity(this.session.shape, this.model);
+    this.valid = listFaults(this.validity, this.rules.validity).length === 0;
+  }
+
+  #refuseInvalid(validity) {
+    this.failed += 1;
+    throw new ModelError(
+      `the needle would be outside the model's validity: ${listFaults(validity, this.rules.validity).join("; ")}`,
+      "a needle within the limits of small deflections",
+      "move less, or bring base, guides and tip nearer to the needle's own shape",
+    );
+  }
+}

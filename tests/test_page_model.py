@@ -1,0 +1,206 @@
+"""The needle that the page simulates, run in Node.js: the same bytes as the program's after every step."""
+
+import json
+import shutil
+import subprocess
+from typing import Any
+
+import numpy as np
+import pytest
+from test_native_wasm import to_hex
+
+from needlefit.errors import ModelError
+from needlefit.inference.forward_model import ParameterDraws
+from needlefit.mechanics import native
+from needlefit.mechanics.laws import LAWS
+from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.shape import compute_validity
+from needlefit.schemas.scene import SceneRecord
+from needlefit.viewer.export import PAGE
+from needlefit.viewer.messages import encode_draws, encode_scene, encode_state
+from needlefit.viewer.opening import ViewedScene, open_target
+from needlefit.viewer.overlays import compute_band
+from needlefit.viewer.plans import continue_insertion
+from needlefit.viewer.steering import Change, SteeredNeedle, find_changes
+
+pytestmark = pytest.mark.skipif(
+    shutil.which("node") is None or not (native.FOLDER / "kernel.wasm").is_file(),
+    reason="no Node.js, or a system compiler has built no WebAssembly",
+)
+
+PROGRAM = """
+import {readFileSync} from 'node:fs'
+import {compile} from KERNEL
+const load = (name) => import(PAGE + name)
+const [{SteeredNeedle}, {describeState}, {computeBand}, {findChanges, toInputs}] = await Promise.all(
+  ['steered.js', 'state.js', 'band.js', 'inputs.js'].map(load))
+const {scene, orders, draws} = JSON.parse(readFileSync(0, 'utf8'))
+const kernel = await compile(readFileSync(WASM))
+const hex = array => Buffer.from(array.buffer, array.byteOffset, array.byteLength).toString('hex')
+const steered = await SteeredNeedle.begin(kernel, scene)
+const found = []
+for (const {changes, keep, forget} of orders) {
+  if (keep) steered.keep()
+  let fault = null
+  try {
+    steered.apply(changes)
+  } catch (error) {
+    if (!error.expected) throw error
+    fault = error.what
+  }
+  const {x, u, slope, constraints} = steered.session.shape
+  found.push({fault, tip: steered.tipLateral, shape: [x, u, slope, constraints].map(hex),
+    path: steered.path(), state: describeState(steered), validity: steered.validity, reach: steered.reach(),
+    back: findChanges(scene.simulation.steps[0], steered.step, scene.guide_names)})
+}
+const band = draws && await computeBand(kernel, steered.model, draws,
+  steered.path().map(one => ({depth: one.depth, inputs: toInputs(one, steered.model.pathAngle)})),
+  () => false, () => null)
+console.log(JSON.stringify({found, band}))
+"""
+
+
+def run_node(scene: dict[str, Any], orders: list[dict[str, Any]], draws: Any = None) -> dict[str, Any]:
+    program = PROGRAM.replace("KERNEL", repr((native.FOLDER / "needle.js").as_uri()))
+    program = program.replace("PAGE", repr((PAGE / "model").as_uri() + "/"))
+    program = program.replace("WASM", repr(str(native.FOLDER / "kernel.wasm")))
+    job = json.dumps({"scene": scene, "orders": orders, "draws": draws}, allow_nan=False)
+    command = ["node", "--input-type=module", "-e", program]
+    done = subprocess.run(command, input=job, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return dict(json.loads(done.stdout))
+
+
+def view_scene(law: str, rules: dict[str, Any], bevel: dict[str, Any], shape: list[dict[str, float]]):
+    layers = [
+        {"top_mm": 18.3 * n, "mu_pa": 2e5 * (1 + n), "thickness_mm": 30.0, "shape": one}
+        for n, one in enumerate(shape)
+    ]
+    guides = [{"x_mm": -25.0, "y_mm": 0.0, "name": "template"}]
+    record = SceneRecord.model_validate({
+        "schema": 1, "depth_mm": 40.0, "law": law, "rules": rules, "bevel": bevel, "layers": layers,
+        "needle": {"length_mm": 150.0, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 80.0},
+        "guides": guides,
+    })  # fmt: skip
+    return ViewedScene("a", "A", "", record, 0.6)
+
+
+SCENES = {
+    "measured": lambda: open_target("twin/phantom2-05"),
+    "two terms": lambda: view_scene(
+        "two_term_ogden", {}, {"offset_mm": 0.08}, 2 * [{"alpha": 1.5, "beta": -1.2, "share": 0.3}]
+    ),
+    "path angle": lambda: view_scene(
+        "ogden",
+        {"advance": "path_angle", "constraint_spacing_mm": 2.0},
+        {"cut_angle_deg": 1.5},
+        3 * [{"alpha": 1.0}],
+    ),
+    "table": lambda: view_scene("gent", {}, {"offset_mm": 0.05}, 2 * [{"jm": 2.0}]),
+}
+SHAPE_VALUES = {"alpha": (0.0, 3.0), "beta": (-3.0, 0.0), "share": (0.0, 1.0)}
+
+
+def random_orders(rng: np.random.Generator, scene: Scene, count: int) -> list[dict[str, Any]]:
+    angle, layers = scene.rules.path_angle, scene.tissue.layers
+    strength = "cut_angle" if angle else "offset"
+    here = "cut_angle_deg" if angle else "bevel_offset_mm"
+    orders: list[dict[str, Any]] = []
+    depth, kept = 0.0, [0]
+    for n in range(count):
+        layer = int(rng.integers(1, layers + 1))
+        options: list[list[list[Any]]] = [
+            [["depth_mm", None, max(0.0, depth + rng.uniform(0.0, 6.0))]],
+            [["depth_mm", None, max(0.0, depth + rng.uniform(-6.0, 2.0))]],
+            [["bevel_side", None, float(rng.choice([-1, 1]))]],
+            [[here, None, rng.uniform(0.0, 0.15) * (20 if angle else 1)]],
+            [["base_y_mm", None, rng.uniform(-3.0, 3.0)], ["base_slope", None, rng.uniform(-0.02, 0.02)]],
+            [["base_y_mm", None, rng.uniform(-3.0, 3.0)], ["depth_mm", None, depth + 1.0]],
+            [["guide_x_mm", 3, -rng.uniform(2.0, 20.0)], ["guide_y_mm", 3, rng.uniform(-0.3, 0.3)]],
+            [["guide_turns_freely", 3, float(rng.choice([0, 1]))]],
+            [["guide_slope", 3, rng.uniform(-0.02, 0.02)]],
+            [["guide_engaged", 3, 0.0]],
+            [["guide_x_mm", 4, rng.uniform(1.0, 20.0)], ["guide_y_mm", 4, rng.uniform(-0.1, 0.1)]],
+            [["guide_engaged", 4, 0.0]],
+            [["tip_held", None, float(rng.choice([0, 1]))]],
+            [["tip_y_mm", None, rng.uniform(-0.5, 0.5)]],
+            [["mu_pa", layer, 10 ** rng.uniform(4.5, 6.0)]],
+            [[f"{strength}_throughout_{'deg' if angle else 'mm'}", None, rng.uniform(0.0, 0.2)]],
+            [["mu_pa", layer, 3e5], ["base_y_mm", None, 0.5]],
+            [["base_y_mm", None, 60.0]],  # outside the model's validity
+            [["base_slope", None, 7.0]],  # refused
+            [["return_to", None, float(rng.choice(kept))]],
+            *(
+                [[name, layer, rng.uniform(*SHAPE_VALUES[name])]]
+                for name in LAWS[scene.tissue.law].shape_names
+                if name in SHAPE_VALUES
+            ),
+        ]
+        changes = options[0] if n < 3 else options[rng.integers(len(options))]
+        if changes[0][0] == "depth_mm":
+            depth = changes[0][2]
+        orders.append({"changes": changes, "keep": n % 5 == 0})
+    return orders
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("name", list(SCENES))
+def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> None:
+    """All inputs, parameters, refusals and returns; what is shown, the path that leads there, the band."""
+    viewed, rng = SCENES[name](), np.random.default_rng(seed)
+    scene = Scene.from_record(viewed.record)
+    steering = SteeredNeedle(scene, viewed.first_cell, valid_only=True)
+    orders = random_orders(rng, scene, 60)
+    draws = ParameterDraws(
+        scene.tissue.mu * 10 ** rng.uniform(-0.3, 0.3, (12, 1)),
+        np.repeat(scene.tissue.shape[None], 12, axis=0),
+        rng.uniform(0.0, 0.1, 12),
+    )
+    done = run_node(encode_scene(viewed, steering), orders, encode_draws(draws, scene.tissue.law))
+    refused = 0
+    for order, found in zip(orders, done["found"], strict=True):
+        if order["keep"]:
+            steering.keep()
+        try:
+            steering.apply([Change(*change) for change in order["changes"]])
+        except ModelError:
+            assert found["fault"], order
+            refused += 1
+        else:
+            assert found["fault"] is None, order
+        shape = steering.now.shape
+        assert found["tip"] == shape.tip_lateral
+        assert found["shape"] == [to_hex(a) for a in (shape.x, shape.u, shape.slope, shape.constraints)]
+        assert found["reach"] == steering.reach()
+        assert_same(found["state"], encode_state(viewed, steering), 2e-4)
+        expected = compute_validity(shape)
+        assert found["validity"] == pytest.approx(
+            {key: float(getattr(expected, key)) for key in found["validity"]}, rel=1e-9, abs=1e-12
+        )
+        back = find_changes(scene.steps[0], steering.now.step, steering.names)
+        assert found["back"] == [[one.name, one.item, one.value] for one in back]
+        path = steering.input_path()
+        assert [(one["depth"], one["bevel"]["side"]) for one in found["path"]] == [
+            (one.depth, one.bevel.side) for one in path
+        ]
+    assert 0 < refused < 40
+    band = compute_band(continue_insertion(steering, draws))
+    if band is not None:
+        for key in ("x", "low", "high"):
+            np.testing.assert_allclose(done["band"][key], getattr(band, key), atol=1e-9)
+        assert done["band"]["failed"] == band.failed
+
+
+def assert_same(found: Any, expected: Any, atol: float) -> None:
+    """Numbers that the page shows may differ in their rounding alone."""
+    if isinstance(expected, dict):
+        for key, value in expected.items():
+            assert_same(found[key], value, atol)
+    elif isinstance(expected, list):
+        assert len(found) == len(expected)
+        for one, other in zip(found, expected, strict=True):
+            assert_same(one, other, atol)
+    elif isinstance(expected, float):
+        assert found == pytest.approx(expected, rel=1e-6, abs=atol)
+    elif not (isinstance(expected, str) and "limit" in expected):
+        assert found == expected
