@@ -10,15 +10,13 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.errors import ModelError, NeedlefitError
 from needlefit.inference.forward_model import ParameterDraws
-from needlefit.mechanics.control import Bevel, ModelOptions, Step
-from needlefit.mechanics.laws import LAWS, PowerLaw
-from needlefit.mechanics.packing import compile_law, pack_layers
-from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.shape import LIMITS, compute_positions, map_beam_points
+from needlefit.mechanics.packing import compile_law
+from needlefit.mechanics.shape import compute_positions, map_beam_points
 from needlefit.mechanics.simulate import compute_loads
-from needlefit.mechanics.tissue import Tissue
 from needlefit.metrics import list_metrics
-from needlefit.schemas.limits import MAX_NEEDLE_LENGTH_MM, MAX_NUMBER
+from needlefit.reporting import needle_page
+from needlefit.reporting.needle_page import encode_layers, encode_strength
+from needlefit.schemas.limits import MAX_NUMBER
 from needlefit.viewer.opening import ViewedScene
 from needlefit.viewer.overlays import (
     MeasuredOverlay,
@@ -26,25 +24,15 @@ from needlefit.viewer.overlays import (
     choose_band_draws,
     compute_live_errors,
 )
-from needlefit.viewer.steering import (
-    BASE_CLEARANCE_MM,
-    INPUTS,
-    MAX_GUIDE_NUMBER,
-    Change,
-    SteeredNeedle,
-    find_input,
-    guide_number,
-)
+from needlefit.viewer.steering import Change, SteeredNeedle, guide_number
 
 LENGTH_DIGITS = 4  #: decimals of drawn lengths in mm
 POINTS_BEFORE_TISSUE = 25  #: points of the needle drawn before the tissue
-#: how far beyond the softest and the stiffest layer the sliders of all moduli reach, a factor
-SLIDER_FACTOR = 100.0
 
 
 def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str, Any]:
     """Return all that stays constant: the needle, the layers, the overlays."""
-    scene, tissue = steering.scene, steering.scene.tissue
+    scene = steering.scene
     measured, shown = viewed_scene.measured, viewed_scene.shown
     counts = None  # how many insertions a live fit can take
     if shown is not None and viewed_scene.record.rules.advance == "tangent":
@@ -52,33 +40,19 @@ def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         of_specimen = sum(one.specimen == shown.insertion.specimen for one in same)
         counts = {"insertion": 1, "specimen": of_specimen, "dataset": len(same)}
     return {
-        "kind": "scene",
+        **needle_page.encode_scene(scene, steering.first_cell, steering.names),
         "title": viewed_scene.title,
         "note": viewed_scene.note,
         "target": viewed_scene.name,
         "synthetic": viewed_scene.synthetic,
-        "length_mm": scene.needle.length,
         "diameter_mm": viewed_scene.diameter,
-        "depth_mm": scene.depth,
-        "layer_names": list(scene.layer_names),
-        "guide_names": list(steering.names),
-        "boundaries_mm": tissue.boundaries.tolist(),
-        "spacing_mm": scene.rules.spacing,
-        "first_cell_mm": steering.first_cell,
-        "shape_parameters": [
-            {name: getattr(one, name) for name in ("name", "symbol", "unit", "explanation")}
-            for one in LAWS[tissue.law].parameters
-        ],
-        "fitted": _encode_parameters(tissue) | _encode_strength(scene.steps[0].bevel, scene.rules),
-        "limits": _encode_limits(scene),
         "measured": measured and {
             "id": measured.id,
             "depth_mm": measured.depth,
             "metrics": [[one.name, one.label, one.unit, one.explanation] for one in list_metrics()],
             **encode_measured(measured),
         },
-        "simulation": encode_simulation(steering),
-        "draws": None if viewed_scene.spread is None else encode_draws(viewed_scene.spread, tissue.law),
+        "draws": None if viewed_scene.spread is None else encode_draws(viewed_scene.spread, scene.tissue.law),
         "fit": counts,
         "slice": viewed_scene.scanned is not None,
         "choices": list(viewed_scene.choices),
@@ -93,54 +67,6 @@ def encode_measured(measured: MeasuredOverlay) -> dict[str, Any]:
         zip("xy", target.measured.T.tolist(), strict=True)
     )
     return {"x": x, "y": y, "s": measured.s.tolist(), "floor_mm": measured.floor, "target": compared}
-
-
-def encode_simulation(steering: SteeredNeedle) -> dict[str, Any]:
-    """Return what the page needs to simulate a needle: `model` is that of `native/needle.js`."""
-    scene = steering.scene
-    tissue, rules, law = scene.tissue, scene.rules, LAWS[scene.tissue.law]
-    sizes, layers = pack_layers(tissue, 1, {})
-    terms = None
-    if isinstance(law, PowerLaw):
-        zero, slopes = (np.concatenate(parts, axis=-1) for parts in (law.terms_at_zero, law.term_slopes))
-        # With one parameter in each coefficient and exponent, the page finds the same bits.
-        if (np.count_nonzero(slopes, axis=0) <= 1).all():
-            terms = {"at_zero": zero.tolist(), "slopes": slopes.tolist(), "layers": tissue.layers}
-    shape_inputs = {name: find_input(name) for name in law.shape_names}
-    return {
-        "model": {
-            "length": scene.needle.length, "rigidity": scene.needle.flexural_rigidity,
-            "boundaries": tissue.boundaries.tolist(), "terms": sizes["terms"],
-            **{name: layers[name].ravel().tolist() for name in ("mu", "thickness", "friction", "law")},
-            "spacing": rules.spacing, "element": rules.element, "firstCell": steering.first_cell,
-            "pathAngle": rules.path_angle, "switch": rules.switch, "tangent": rules.tangent,
-            "tolerance": rules.tolerance, "maxIterations": rules.max_iterations,
-        },
-        "shape": tissue.shape.tolist(),
-        "law": {"terms": terms, "tables": {}},
-        "steps": [encode_step(step) for step in scene.steps],
-        "rules": {
-            "inputs": {name: one.to_message() for name, one in (INPUTS | shape_inputs).items()},
-            "max": MAX_NUMBER, "max_mm": MAX_NEEDLE_LENGTH_MM, "max_guide": MAX_GUIDE_NUMBER,
-            "clearance_mm": BASE_CLEARANCE_MM, "validity": LIMITS,
-        },
-    }  # fmt: skip
-
-
-def encode_step(step: Step) -> dict[str, Any]:
-    """Return a step of an insertion, as the page simulates it."""
-    bevel, held, tip = step.bevel, step.controls, step.controls.tip
-    return {
-        "depth": step.depth,
-        "bevel": {"side": bevel.side, "offset": bevel.offset, "cutAngle": bevel.cut_angle},
-        "controls": {
-            "baseY": held.base_y,
-            "baseSlope": held.base_slope,
-            "stageSlope": held.stage_slope,
-            "guides": [{"x": one.x, "y": one.y, "slope": one.slope, "name": one.name} for one in held.guides],
-            "tip": tip and {"y": tip.y, "slope": tip.slope},
-        },
-    }
 
 
 def encode_draws(spread: ParameterDraws, law: str) -> dict[str, Any]:
@@ -204,8 +130,8 @@ def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         ],
         "tip": tip
         | {"lateral_mm": shape.tip_lateral, "held": controls.tip is not None, "input_y": float(shape.u[-1])},
-        "bevel": {"side": step.bevel.side, **_encode_strength(step.bevel, scene.rules)},
-        **_encode_parameters(now.tissue),
+        "bevel": {"side": step.bevel.side, **encode_strength(step.bevel, scene.rules)},
+        **encode_layers(now.tissue),
         "max_slope": float(shape.validity.max_slope),
         "faults": list(shape.validity.faults),
         "errors": errors
@@ -229,37 +155,6 @@ def round_lengths(values: Floats) -> list[float]:
     """Return drawn lengths, mm, as numbers for JSON."""
     found: list[float] = np.round(values, LENGTH_DIGITS).tolist()
     return found
-
-
-def _encode_parameters(tissue: Tissue) -> dict[str, Any]:
-    names = ["mu_pa", *LAWS[tissue.law].shape_names]
-    rows = np.vstack((tissue.mu * 1e6, tissue.shape))
-    return {"layers": [dict(zip(names, layer, strict=True)) for layer in rows.T.tolist()]}
-
-
-def _encode_strength(bevel: Bevel, rules: ModelOptions) -> dict[str, float]:
-    """Return how strongly a bevel turns the cut, under the key of the rule of advance."""
-    if rules.path_angle:
-        return {"cut_angle_deg": math.degrees(bevel.cut_angle)}
-    return {"offset_mm": bevel.offset}
-
-
-def _encode_limits(scene: Scene) -> dict[str, Any]:
-    """Return how far the page's sliders go; its number fields take what the model takes."""
-    mu, bevel = scene.tissue.mu * 1e6, scene.steps[0].bevel
-    limits: dict[str, Any] = {"mu_pa": [float(mu.min()) / SLIDER_FACTOR, float(mu.max()) * SLIDER_FACTOR]}
-    for one, values in zip(LAWS[scene.tissue.law].parameters, scene.tissue.shape.tolist(), strict=True):
-        (low, high), (least, most) = one.tested, one.bounds
-        reach = 0.25 * (high - low)
-        limits[one.name] = [
-            max(least, min(low, min(values) - reach)),
-            min(most, max(high, max(values) + reach)),
-        ]
-    if scene.rules.path_angle:
-        limits["cut_angle_deg"] = [0.0, min(max(10.0, 3 * math.degrees(bevel.cut_angle)), 44.0)]
-    else:
-        limits["offset_mm"] = [0.0, max(0.3, 3 * bevel.offset)]
-    return limits | {"base_y_mm": [-30.0, 30.0], "depth_mm": scene.needle.length}
 
 
 ACTIONS = {

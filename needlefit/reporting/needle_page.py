@@ -1,0 +1,295 @@
+"""Pages that compute needles: one HTML file with the kernel in WebAssembly, its data and one script.
+
+The file opens from disk and asks for nothing. Its modules, those of `needlefit view` among them, become one
+script, which the content security policy names by its SHA-256; a worker runs the same text from a blob.
+"""
+
+import base64
+import hashlib
+import json
+import math
+import posixpath
+import re
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.errors import ConfigError
+from needlefit.mechanics import native
+from needlefit.mechanics.control import Bevel, ModelOptions, Step
+from needlefit.mechanics.inputs import describe_input_rules
+from needlefit.mechanics.laws import LAWS, PowerLaw
+from needlefit.mechanics.packing import pack_layers
+from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.tissue import Tissue
+from needlefit.project.json_values import to_json_values
+
+SHARE_MODULE = "viewer/page/share/main.js"
+TABLES_MODULE = "reporting/templates/tables.js"
+#: modules that talk to the program, and what stands for them in a file
+OFFLINE_MODULES = {
+    "viewer/page/steering.js": "viewer/page/share/offline.js",
+    "viewer/page/slice.js": "viewer/page/share/offline.js",
+}
+WORKER_MODULE = "viewer/page/model/band_worker.js"
+STAGE = "viewer/page/share/stage.html"
+STYLES = ("viewer/page/style.css", "viewer/page/controls.css")
+SHARE_STYLE = "viewer/page/share/share.css"
+
+_IMPORT = re.compile(r'^import\s+(?:(\*\s+as\s+\w+|\{[^}]*\})\s+from\s+)?"([^"]+)";?', re.MULTILINE)
+_EXPORT = re.compile(r"^export\s+(async\s+function|function|class|const)\s+(\w+)", re.MULTILINE)
+_EXPORT_LIST = re.compile(r"^export\s+\{([^}]*)\};?", re.MULTILINE)
+
+
+def read_package_file(name: str) -> str:
+    """Return the text of a file of the package."""
+    return (files("needlefit") / name).read_text("utf-8")
+
+
+# ---- the script
+
+
+def bundle_modules(entries: Sequence[str], worker: str = "") -> str:
+    """Return one script that runs modules of the package, in order; in a worker, that of the worker alone.
+
+    Modules name what they import by relative paths; each runs when it is first needed. ValueError if modules
+    import each other in a circle, or one exports what can change: an import is read once.
+    """
+    done: dict[str, str] = {}
+    for entry in (*entries, *filter(None, [worker])):
+        _add_module(entry, done, ())
+    modules = ",\n".join(f"{json.dumps(name)}: (take, give) => {{\n{text}}}" for name, text in done.items())
+    run = " ".join(f"take({json.dumps(entry)});" for entry in entries)
+    if worker:
+        run = f'if (typeof document === "undefined") take({json.dumps(worker)});\nelse {{ {run} }}'
+    return (
+        f'(() => {{\n"use strict";\nconst kept = {{}}, modules = {{\n{modules}\n}};\n'
+        "const take = (name) => {\n"
+        "  if (!kept[name]) modules[name](take, (found) => (kept[name] = found));\n"
+        "  return (kept[name] ??= {});\n"
+        "};\n"
+        f"{run}\n}})();\n"
+    )
+
+
+def _add_module(name: str, done: dict[str, str], path: tuple[str, ...]) -> None:
+    if name in path:
+        raise ValueError(f"modules import each other: {' -> '.join((*path, name))}")
+    if name in done:
+        return
+    text = read_package_file(OFFLINE_MODULES.get(name, name))
+    needed = []
+
+    def take(found: re.Match[str]) -> str:
+        needed.append(posixpath.normpath(posixpath.join(posixpath.dirname(name), found[2])))
+        given = (found[1] or "").strip()
+        source = f"take({json.dumps(needed[-1])})"
+        if not given:
+            return f"{source};"
+        if given.startswith("*"):
+            return f"const {given.split()[-1]} = {source};"
+        return f"const {given.replace(' as ', ': ')} = {source};"
+
+    names: dict[str, str] = {}
+
+    def give(found: re.Match[str]) -> str:
+        names[found[2]] = found[2]
+        return f"{found[1]} {found[2]}"
+
+    def give_list(found: re.Match[str]) -> str:
+        for one in filter(None, map(str.strip, found[1].split(","))):
+            own, _, called = one.partition(" as ")
+            names[called.strip() or own.strip()] = own.strip()
+        return ""
+
+    text = _EXPORT_LIST.sub(give_list, _EXPORT.sub(give, _IMPORT.sub(take, text)))
+    if left := re.search(r"^(export|import)\b.*", text, re.MULTILINE):
+        raise ValueError(f"{name}: cannot bundle `{left[0]}`")
+    # Getters: what is exported may be defined below.
+    getters = ", ".join(f"get {called}() {{ return {own}; }}" for called, own in names.items())
+    for one in needed:
+        _add_module(one, done, (*path, name))
+    done[name] = f"give({{{getters}}});\n{text}"
+
+
+@lru_cache(maxsize=2)
+def read_script(computes: bool, tables: bool) -> str:
+    """Return the script of a page that computes needles, or has sortable tables, or both."""
+    entries = [name for name, is_there in ((TABLES_MODULE, tables), (SHARE_MODULE, computes)) if is_there]
+    script = bundle_modules(entries, WORKER_MODULE if computes else "")
+    if re.search(r"</script|<!--", script, re.IGNORECASE):
+        raise ValueError("the script contains what would end its element")
+    return script
+
+
+def write_policy(script: str) -> str:
+    """Return the content security policy of a page with one inline script."""
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    return (
+        f"default-src 'none'; script-src 'sha256-{digest}' 'wasm-unsafe-eval'; worker-src blob:; "
+        "style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'"
+    )
+
+
+def read_style(within: str) -> str:
+    """Return the style of the part that computes, for a page with a style of its own: within an element.
+
+    The colours, the first rule of the page's style, are those of the whole page.
+    """
+    colours, _, rest = "".join(map(read_package_file, STYLES)).partition("\n}\n")
+    return f"{colours}\n}}\n{within} {{{rest}}}\n{read_package_file(SHARE_STYLE)}"
+
+
+# ---- the data
+
+
+def kernel_exists() -> bool:
+    """Return whether this installation has the kernel in WebAssembly: some compilers cannot build it."""
+    return (native.FOLDER / "kernel.wasm").is_file()
+
+
+@lru_cache(maxsize=1)
+def read_kernel() -> str:
+    """Return the kernel in WebAssembly, compressed, as base64; ConfigError if there is none."""
+    if not kernel_exists():
+        raise ConfigError(
+            "this installation has no kernel in WebAssembly",
+            expected="a file kernel.wasm beside the compiled kernel",
+            fix="install needlefit from a wheel, or with the package ziglang: pip install ziglang",
+        )
+    return compress((native.FOLDER / "kernel.wasm").read_bytes())
+
+
+def compress(content: bytes) -> str:
+    """Return bytes as base64 of a raw deflate stream."""
+    packed = zlib.compressobj(9, zlib.DEFLATED, -15)
+    return base64.b64encode(packed.compress(content) + packed.flush()).decode("ascii")
+
+
+@dataclass
+class PageData:
+    """The data of a page, as JSON values; a long list that several needles have is stored once."""
+
+    values: dict[str, Any]
+    needles: list[dict[str, Any]] = field(default_factory=list)
+    _lists: dict[str, int] = field(default_factory=dict)
+
+    def share(self, numbers: Floats) -> dict[str, int]:
+        """Store numbers as one list, and return what stands for it."""
+        return {"$": self._lists.setdefault(json.dumps(numbers.ravel().tolist()), len(self._lists))}
+
+    def pack(self) -> str:
+        """Return all of it, compressed."""
+        lists = [json.loads(text) for text in self._lists]
+        content = to_json_values({"lists": lists, **self.values, "needles": self.needles})
+        return compress(json.dumps(content, separators=(",", ":"), allow_nan=False).encode())
+
+
+def encode_layers(tissue: Tissue) -> dict[str, Any]:
+    """Return moduli, Pa, and shape parameters of all layers."""
+    names = ["mu_pa", *LAWS[tissue.law].shape_names]
+    rows = np.vstack((tissue.mu * 1e6, tissue.shape))
+    return {"layers": [dict(zip(names, layer, strict=True)) for layer in rows.T.tolist()]}
+
+
+def encode_strength(bevel: Bevel, rules: ModelOptions) -> dict[str, float]:
+    """Return how strongly a bevel turns the cut, under the key of the rule of advance."""
+    if rules.path_angle:
+        return {"cut_angle_deg": math.degrees(bevel.cut_angle)}
+    return {"offset_mm": bevel.offset}
+
+
+def encode_step(step: Step) -> dict[str, Any]:
+    """Return a step of an insertion, as the page simulates it."""
+    bevel, held, tip = step.bevel, step.controls, step.controls.tip
+    return {
+        "depth": step.depth,
+        "bevel": {"side": bevel.side, "offset": bevel.offset, "cutAngle": bevel.cut_angle},
+        "controls": {
+            "baseY": held.base_y,
+            "baseSlope": held.base_slope,
+            "stageSlope": held.stage_slope,
+            "guides": [{"x": one.x, "y": one.y, "slope": one.slope, "name": one.name} for one in held.guides],
+            "tip": tip and {"y": tip.y, "slope": tip.slope},
+        },
+    }
+
+
+def encode_model(scene: Scene, first_cell: float) -> dict[str, Any]:
+    """Return what a page needs to simulate a scene; `model` is that of `native/needle.js`.
+
+    Of a law that is a sum of powers, `terms` are its coefficients and exponents where all shape parameters
+    are 0, and their derivatives; else they are None, and the page cannot change those parameters.
+    """
+    tissue, rules, law = scene.tissue, scene.rules, LAWS[scene.tissue.law]
+    sizes, layers = pack_layers(tissue, 1, {})
+    terms = None
+    if isinstance(law, PowerLaw):
+        zero, slopes = (np.concatenate(parts, axis=-1) for parts in (law.terms_at_zero, law.term_slopes))
+        # With one parameter in each coefficient and exponent, the page finds the same bits.
+        if (np.count_nonzero(slopes, axis=0) <= 1).all():
+            terms = {"at_zero": zero.tolist(), "slopes": slopes.tolist(), "layers": tissue.layers}
+    return {
+        "model": {
+            "length": scene.needle.length, "rigidity": scene.needle.flexural_rigidity,
+            "boundaries": tissue.boundaries.tolist(), "terms": sizes["terms"],
+            **{name: layers[name].ravel().tolist() for name in ("mu", "thickness", "friction", "law")},
+            "spacing": rules.spacing, "element": rules.element, "firstCell": first_cell,
+            "pathAngle": rules.path_angle, "switch": rules.switch, "tangent": rules.tangent,
+            "tolerance": rules.tolerance, "maxIterations": rules.max_iterations,
+        },
+        "shape": tissue.shape.tolist(),
+        "law": {"terms": terms, "tables": {}},
+        "steps": [encode_step(step) for step in scene.steps],
+        "rules": describe_input_rules(tissue.law),
+    }  # fmt: skip
+
+
+#: how far beyond the softest and the stiffest layer the sliders of all moduli reach, a factor
+SLIDER_FACTOR = 100.0
+
+
+def encode_limits(scene: Scene) -> dict[str, Any]:
+    """Return how far a page's sliders go; its number fields take what the model takes."""
+    mu, bevel = scene.tissue.mu * 1e6, scene.steps[0].bevel
+    limits: dict[str, Any] = {"mu_pa": [float(mu.min()) / SLIDER_FACTOR, float(mu.max()) * SLIDER_FACTOR]}
+    for one, values in zip(LAWS[scene.tissue.law].parameters, scene.tissue.shape.tolist(), strict=True):
+        (low, high), (least, most) = one.tested, one.bounds
+        reach = 0.25 * (high - low)
+        limits[one.name] = [
+            max(least, min(low, min(values) - reach)),
+            min(most, max(high, max(values) + reach)),
+        ]
+    if scene.rules.path_angle:
+        limits["cut_angle_deg"] = [0.0, min(max(10.0, 3 * math.degrees(bevel.cut_angle)), 44.0)]
+    else:
+        limits["offset_mm"] = [0.0, max(0.3, 3 * bevel.offset)]
+    return limits | {"base_y_mm": [-30.0, 30.0], "depth_mm": scene.needle.length}
+
+
+def encode_scene(scene: Scene, first_cell: float, names: Sequence[str] = ()) -> dict[str, Any]:
+    """Return what a page draws of a scene, and what it needs to simulate it; `names` are those of guides."""
+    tissue = scene.tissue
+    return {
+        "kind": "scene",
+        "length_mm": scene.needle.length,
+        "depth_mm": scene.depth,
+        "layer_names": list(scene.layer_names),
+        "guide_names": list(names),
+        "boundaries_mm": tissue.boundaries.tolist(),
+        "spacing_mm": scene.rules.spacing,
+        "first_cell_mm": first_cell,
+        "shape_parameters": [
+            {key: getattr(one, key) for key in ("name", "symbol", "unit", "explanation")}
+            for one in LAWS[tissue.law].parameters
+        ],
+        "fitted": encode_layers(tissue) | encode_strength(scene.steps[0].bevel, scene.rules),
+        "limits": encode_limits(scene),
+        "simulation": encode_model(scene, first_cell),
+    }
