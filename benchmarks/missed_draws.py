@@ -13,6 +13,7 @@ import time
 
 import numpy as np
 
+from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.optimize import minimize
 from needlefit.inference.sampling.importance import Effort, find_modes, sample_about_modes
 from needlefit.project.locate import find_file
@@ -35,9 +36,9 @@ def compute_shares(job: Job, number: int, starts: int, direction: np.ndarray) ->
     three = ((peaks, False), (peaks, True), (np.vstack([peaks, simulated.theta]), True))
     for centres, profiles in three:
         began = time.process_time()
-        found = sample_about_modes(
-            problem, centres, np.random.default_rng(number), effort=Effort(profiles=profiles)
-        )
+        modes = [minimize_squares(problem, centre) for centre in centres]
+        effort = Effort(profiles=profiles)
+        found = sample_about_modes(problem, modes, np.random.default_rng(number), effort=effort)
         spent = time.process_time() - began
         below = found.thetas @ direction < simulated.theta @ direction
         share = float(np.exp(found.log_weights[below]).sum())

@@ -174,6 +174,9 @@ class Squares:
     def approach(self, minimized: str) -> "Squares | None":
         return self.easier
 
+    def compute_misfits(self, theta: np.ndarray) -> np.ndarray:
+        return self.residuals(theta)
+
     def residuals(self, theta: np.ndarray) -> np.ndarray:
         return self.slopes(theta)[0]
 

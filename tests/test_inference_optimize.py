@@ -37,6 +37,7 @@ from needlefit.inference.optimize import (
     certify_minimum,
     group_approaches,
     minimize,
+    select_leaders,
     starting_points,
 )
 from needlefit.inference.problem import EvaluationFailure, explain_failure
@@ -375,6 +376,29 @@ def test_starts_that_converge_are_merged():
     assert fit.theta == pytest.approx(apart.theta, abs=1e-6)
     assert [s.theta0 for s in fit.starts] == [s.theta0 for s in apart.starts]
     assert len(calls) < 0.4 * apart.evaluations
+
+
+def far_hills(theta):
+    """The second hill is 50 high."""
+    residuals, jacobian = hills(theta)
+    return np.array([residuals[0], 50 * residuals[1], residuals[2]]), jacobian
+
+
+def test_starts_far_behind_the_best_are_not_continued():
+    fit = minimize(hill_squares(far_hills, hill_squares(far_hills)), squares_recipe(starts=12), rng())
+    left = [start for start in fit.starts if start.stopped == "behind"]
+    assert len(left) >= 2 and {start.stopped for start in fit.starts} == {"tolerance", "behind"}
+    assert {round(start.objective + 7.0, 6) for start in left} == {50.0}
+    assert all(start.theta[0] == pytest.approx(-1.5, abs=1e-4) for start in left)
+
+    ends = [Start(k, (0.0,), (0.0,), 1.0 - k, 1, 0, "tolerance") for k in range(6)]
+    known = ObjectiveFunction(np.zeros(1), np.ones(1), lambda theta: 0.0)
+    assert select_leaders(known, ends) == {5, 4, 3, 2}
+    three = [replace(end, objective=value) for end, value in zip(ends, (-16.0, 0.0, 0.1), strict=False)]
+    # eight residuals, each of which counts as 1 at least: 4 * 8 / 2 = 16 above the best; then 4 * 32 / 2
+    for size, chosen in ((0.5, {0, 1}), (2.0, {0, 1, 2})):
+        misfits = np.full(8, size)
+        assert select_leaders(replace(known, misfits=lambda theta, found=misfits: found), three) == chosen
 
 
 def test_what_is_not_merged():

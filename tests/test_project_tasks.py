@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from needlefit.errors import ConfigError
 from needlefit.inference.fit import Callbacks, Start
 from needlefit.inference.identifiability.identify import profile_parameters
+from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.optimize import minimize
 from needlefit.inference.sampling.importance import trace_profiles
 from needlefit.project import cluster, tasks
@@ -179,9 +180,8 @@ def test_a_search_that_is_stopped_in_processes_keeps_its_best_point(problem, pro
 def test_profiles_have_the_same_bytes(problem, fit, processes):
     found = [profile_parameters(problem, fit, pool=where) for where in (THIS_PROCESS, REMOTE)]
     assert len(found[0].parameters) >= 3 and repr(found[0]) == repr(found[1])
-    alone, apart = (
-        trace_profiles(problem, np.array(fit.theta), 2, where) for where in (THIS_PROCESS, REMOTE)
-    )
+    mode = minimize_squares(problem, np.array(fit.theta))
+    alone, apart = (trace_profiles(problem, mode, 2, where) for where in (THIS_PROCESS, REMOTE))
     assert len(alone) > 3
     for part in ("theta", "information"):
         assert [getattr(one, part).tobytes() for one in alone] == [

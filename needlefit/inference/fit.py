@@ -52,7 +52,8 @@ class Start:
     failures: int
     #: why it ended: "tolerance" at a minimum, and nothing else is a success: "stalled" (a further step would
     #: gain), "flat" (a parameter has no effect), "bound" (a minimum of the box alone), "budget", "roundoff",
-    #: "interrupted", "no finite value", "profile" (no search: a better point that a profile met), ...
+    #: "behind" (left after its approach), "interrupted", "no finite value", "profile" (no search: a better
+    #: point that a profile met), ...
     stopped: str
     #: the first evaluations that failed, to be simulated again; not all where there are many
     failed: tuple[tuple[float, ...], ...] = ()
@@ -164,6 +165,8 @@ class ObjectiveFunction:
     residuals: Callable[[Floats], Floats] | None = None
     #: theta -> the residuals and their exact Jacobian (R, P)
     jacobian: Callable[[Floats], tuple[Floats, Floats]] | None = None
+    #: theta -> those residuals that are of data alone, each of size 1 where the model is right
+    misfits: Callable[[Floats], Floats] | None = None
     #: absolute change of the value under which a search may end; 0 leaves it to relative changes
     absolute_tolerance: float = 0.0
     #: an easier one with its minima next to this one's; a search minimises that first

@@ -498,6 +498,12 @@ def _run_stages(
     return certify_minimum(recorder, reason)
 
 
+#: most evaluations of an approach by least squares: one that needs more is left where it is
+APPROACH_EVALUATIONS = 60
+#: ends of the approach that are continued, at most, and the largest misfit (sum of squares) of one, as a
+#: multiple of the best one's: far from all needles a start crawls for hundreds of evaluations, and ends there
+MAX_CONTINUED, MAX_MISFIT_RATIO = 4, 5.0
+BEHIND = "behind"  #: of a start that was not continued
 #: differences of the easier goal, and of every parameter of theta, up to which two ends are one
 SAME_OBJECTIVE, SAME_THETA = 1e-3, 1e-2
 
@@ -622,7 +628,8 @@ def _search_by_approach(
     Approaches are not stored: a resumed search repeats them, and so finds the same groups.
     """
     half = whole.recipe.model_copy(update={"evaluations": max(1, whole.recipe.evaluations // 2)})
-    first_recipe = half if easier.jacobian is None else half.model_copy(update={"algorithm": "leastsquares"})
+    few = {"algorithm": "leastsquares", "evaluations": min(half.evaluations, APPROACH_EVALUATIONS)}
+    first_recipe = half if easier.jacobian is None else half.model_copy(update=few)
     approach = _SearchTask(whole.problem, first_recipe, of_approach=True)
     ends: dict[int, Start] = {}
     for end in approach.run_each(start_points, callbacks):
@@ -643,15 +650,35 @@ def _search_by_approach(
             )
         return
     leader = group_approaches([ends[start_point.index] for start_point in start_points])
-    begin = [
-        replace(p, theta=ends[p.index].theta)
-        for p in start_points
-        # a group whose members are all stored needs no continuation
-        if leader[p.index] == p.index and any(k not in done for k in leader if leader[k] == p.index)
-    ]
-    for continued in _SearchTask(whole.problem, half).run_each(begin, callbacks):
-        for index in (k for k in leader if leader[k] == continued.index and k not in done):
-            _add_start(continue_start(ends[index], continued), done, callbacks)
+    worth = select_leaders(easier, [ends[k] for k in sorted(set(leader.values()))])
+    one = half.model_copy(update={"evaluations": 1})
+    for recipe, chosen in ((half, True), (one, False)):
+        begin = [
+            replace(p, theta=ends[p.index].theta)
+            for p in start_points
+            # a group whose members are all stored needs no continuation
+            if leader[p.index] == p.index
+            and (p.index in worth) == chosen
+            and any(k not in done for k in leader if leader[k] == p.index)
+        ]
+        for found in _SearchTask(whole.problem, recipe).run_each(begin, callbacks):
+            ended = chosen or found.stopped == INTERRUPTED
+            continued = found if ended else replace(found, stopped=BEHIND)
+            for index in (k for k in leader if leader[k] == continued.index and k not in done):
+                _add_start(continue_start(ends[index], continued), done, callbacks)
+
+
+def select_leaders(easier: ObjectiveFunction, ends: Sequence[Start]) -> set[int]:
+    """Return the ends of the approach that are worth to continue, by their index: the best `MAX_CONTINUED`.
+
+    An end whose misfit is many times that of the best is none.
+    """
+    best, *others = sorted(ends, key=lambda end: (end.objective, end.index))[:MAX_CONTINUED]
+    limit = math.inf
+    if easier.misfits is not None and math.isfinite(best.objective):
+        misfits = easier.misfits(np.array(best.theta))
+        limit = best.objective + (MAX_MISFIT_RATIO - 1) * max(0.5 * len(misfits), half_square(misfits))
+    return {best.index, *(end.index for end in others if end.objective <= limit)}
 
 
 def _add_start(start: Start, done: dict[int, Start], callbacks: Callbacks) -> None:

@@ -467,6 +467,10 @@ class Problem:
         """
         return self.density.residuals(self.values(theta))
 
+    def compute_misfits(self, theta: Theta) -> Floats:
+        """Return those of the residuals (R,) that are of the insertions."""
+        return self.residuals(theta)[: sum(self.density.residual_counts)]
+
     def jacobian(self, theta: Theta) -> tuple[Floats, Floats]:
         """Return the residuals (R,) and their exact derivatives (R, P) by theta; NaN where a solve fails."""
         return evaluate(self._jacobians, np.asarray(theta))
@@ -632,8 +636,9 @@ def make_posterior_objective(
         return -density, -slope
 
     residuals, jacobian = (problem.residuals, problem.jacobian) if problem.squares else (None, None)
+    misfits = problem.compute_misfits if problem.squares else None
     return ObjectiveFunction(
-        problem.lower, problem.upper, value, gradient, residuals, jacobian, absolute_tolerance
+        problem.lower, problem.upper, value, gradient, residuals, jacobian, misfits, absolute_tolerance
     )
 
 

@@ -263,7 +263,7 @@ class Specimens:
         rng = random_stream(job.recipe.seed, *key)
         if minimum.converged:
             known = add_estimated_noise(problem, minimum.theta)
-            found = sample_about_modes(known, minimum.theta[None], rng)
+            found = sample_about_modes(known, [minimize_squares(known, minimum.theta)], rng)
             if found.certified:
                 return resample_draws(found, PREDICTION_DRAWS, rng)
         return fit_posterior(job, problem, key, Settings()).draws

@@ -23,7 +23,6 @@ from needlefit.inference.problem import Problem, make_problem
 from needlefit.inference.sampling.importance import (
     Effort,
     resample_draws,
-    sample_about_minimum,
     sample_about_modes,
 )
 from needlefit.mechanics.laws import LAWS
@@ -118,8 +117,7 @@ def find_mode(shown: ShownInsertion, insertions: Sequence[Insertion]) -> LiveMod
             fix="change them by hand, then fit again",
         )
     values = problem.values(found.theta)
-    count = sum(problem.density.residual_counts)
-    misfit = float(np.sqrt(np.mean(problem.density.residuals(values)[:count] ** 2)))
+    misfit = float(np.sqrt(np.mean(problem.compute_misfits(found.theta) ** 2)))
     gaps = np.minimum(found.theta - problem.lower, problem.upper - found.theta)
     at_bounds = tuple(np.array(problem.parameters.free)[gaps < BOUND_TOLERANCE].tolist())
     return LiveMode(problem, found, values, misfit, at_bounds, perf_counter() - began)
@@ -129,10 +127,7 @@ def draw_about(mode: LiveMode, insertion: Insertion, seed: int) -> LiveDraws:
     """Return draws about a mode, for the layers that an insertion meets; on one core."""
     began, problem = perf_counter(), mode.problem
     rng = np.random.default_rng(seed)
-    if len(problem.insertions) == 1:
-        weighted = sample_about_modes(problem, mode.minimum.theta[None], rng, effort=EFFORT)
-    else:  # near to a Gaussian, and each density takes long: the search's own information is enough
-        weighted = sample_about_minimum(problem, mode.minimum, rng, EFFORT)
+    weighted = sample_about_modes(problem, [mode.minimum], rng, effort=EFFORT)
     draws = resample_draws(weighted, SHOWN_DRAWS, rng)
     table = pd.DataFrame([problem.values(theta) for theta in draws.thetas])
     layers = [layer for _, layer in find_layers(insertion)]

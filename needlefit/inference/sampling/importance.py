@@ -51,7 +51,6 @@ from needlefit.inference.sampling.log_density import (
     LaplaceApproximation,
     LogDensityFunction,
     approximate_by_information,
-    approximate_by_laplace,
 )
 from needlefit.inference.side_by_side import run_side_by_side
 from needlefit.project.progress import never_stop
@@ -369,47 +368,37 @@ def select_distinct(ends: Iterable[Floats], width: Floats) -> Floats:
 
 def sample_about_modes(
     problem: Problem,
-    ends: Floats,
+    modes: Sequence[LocalMinimum],
     rng: np.random.Generator,
     jobs: int = 1,
     effort: Effort | None = None,
     pool: TaskPool = THIS_PROCESS,
 ) -> WeightedDraws:
-    """Return weighted draws of a posterior whose modes (M, P), the best first, are known."""
-    evaluator, bounds = Evaluator(problem, jobs), (problem.lower, problem.upper)
-    approximations = [approximate_by_laplace(evaluator, end, *bounds) for end in ends]
-    if effort is None or effort.profiles:
-        points = trace_profiles(problem, ends[0], jobs, pool)
-        approximations += [approximate_by_information(one.information, one.theta, *bounds) for one in points]
-    return sample_by_importance(evaluator, approximations, bounds, rng, effort)
+    """Return weighted draws of a posterior whose modes, the best first, a search by Gauss-Newton has met."""
+    profiles = effort is None or effort.profiles
+    points = [*modes, *(trace_profiles(problem, modes[0], jobs, pool) if profiles else ())]
+    bounds = (problem.lower, problem.upper)
+    # each with the information of its search: that costs no density
+    approximations = [approximate_by_information(one.information, one.theta, *bounds) for one in points]
+    return sample_by_importance(Evaluator(problem, jobs), approximations, bounds, rng, effort)
 
 
 def trace_profiles(
-    problem: Problem, mode: Floats, jobs: int = 1, pool: TaskPool = THIS_PROCESS
+    problem: Problem, mode: LocalMinimum, jobs: int = 1, pool: TaskPool = THIS_PROCESS
 ) -> list[LocalMinimum]:
-    """Return points along the profiles, about a mode (P,), of parameters neither tied nor a spread.
+    """Return points along the profiles, about a mode, of parameters neither tied nor a spread.
 
     A plateau beside the peak, where the data no longer tell a layer from none, may hold a tenth of the
     posterior and end far from the peak. A mixture that grows from the peak alone may never reach it, and the
     weights do not show it.
     """
     stated = {tie.name for tie in problem.parameters.prior.ties} | set(problem.parameters.half_normal)
-    optimum = minimize_squares(problem, mode)
     traced = [k for k, name in enumerate(problem.names) if name not in stated]
-    work = partial(trace_profile, problem, optimum=optimum, steps=PROFILE_STEPS)
+    work = partial(trace_profile, problem, optimum=mode, steps=PROFILE_STEPS)
     found = dict(run_side_by_side(work, traced, pool, jobs, TaskStop(never_stop)))
     # without the optimum, which comes first
     points = [one for n in range(len(traced)) for one in found[n].points[1:]]
-    return [one for one in points if one.value - optimum.value <= 2 * MAX_LOG_DENSITY_GAP]
-
-
-def sample_about_minimum(
-    problem: Problem, minimum: LocalMinimum, rng: np.random.Generator, effort: Effort
-) -> WeightedDraws:
-    """Return weighted draws of a posterior about its mode, where a search by Gauss-Newton has ended."""
-    bounds = (problem.lower, problem.upper)
-    approximation = approximate_by_information(minimum.information, minimum.theta, *bounds)
-    return sample_by_importance(Evaluator(problem, 1), [approximation], bounds, rng, effort)
+    return [one for one in points if one.value - mode.value <= 2 * MAX_LOG_DENSITY_GAP]
 
 
 def sample_about_fit(
@@ -427,12 +416,11 @@ def sample_about_fit(
     """
     theta = np.array(fit.theta)
     known = add_estimated_noise(problem, theta)
-    if fit.minimized == "posterior":
-        ends = find_modes(fit, problem.upper - problem.lower)
-    else:
-        # the minimum of the metric is no mode of the posterior
-        ends = minimize_squares(known, theta).theta[None]
-    return sample_about_modes(known, ends, rng, jobs, effort, pool)
+    # the minimum of the metric is no mode of the posterior
+    of_posterior = fit.minimized == "posterior"
+    ends = find_modes(fit, problem.upper - problem.lower) if of_posterior else theta[None]
+    modes = [minimize_squares(known, end) for end in ends]
+    return sample_about_modes(known, modes, rng, jobs, effort, pool)
 
 
 def resample_draws(found: WeightedDraws, count: int, rng: np.random.Generator) -> Draws:

@@ -28,6 +28,7 @@ from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, FitError, ModelError
 from needlefit.inference.forward_model import simulate_deflections
 from needlefit.inference.identifiability.precision import linearize
+from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import NOISE_SCALE
 from needlefit.inference.predict import Draws, draw_from_prior, thin_posterior, wilson_interval
@@ -161,7 +162,8 @@ def infer_posterior(
     ends = importance.find_modes(minimize(problem, searched, rng), problem.upper - problem.lower)
     found = None
     if sampler != "always":
-        found = importance.sample_about_modes(problem, ends, rng)
+        modes = [minimize_squares(problem, end) for end in ends]
+        found = importance.sample_about_modes(problem, modes, rng)
         if found.certified or sampler == "never":
             chosen = importance.resample(found, draws, rng)
             thetas, density = found.thetas[chosen], found.log_density[chosen]

@@ -41,6 +41,7 @@ from needlefit.inference.parameters import (
     with_hyperparameters,
 )
 from needlefit.inference.planned_layers import with_planned_layers
+from needlefit.inference.problem import Problem
 from needlefit.inference.sampling import importance
 from needlefit.inference.sampling.log_density import approximate_by_laplace
 from needlefit.mechanics.laws import LAWS
@@ -232,25 +233,22 @@ def _fit_law(job: Job, fold: Fold, settings: Settings) -> ModelCandidate | None:
     fit = find_fit(job, problem, (fold.name,), settings)
     if settings.stop():
         return None
-    width = problem.upper - problem.lower
-    ends = importance.find_modes(fit, width)
+    ends = importance.find_modes(fit, problem.upper - problem.lower)
+
+    def sample(target: Problem, rng: np.random.Generator) -> importance.WeightedDraws | None:
+        # the modes move when an insertion is added
+        modes = [one for one in (minimize_squares(target, end) for end in ends) if np.isfinite(one.value)]
+        return importance.sample_about_modes(target, modes, rng, settings.jobs) if modes else None
 
     def after(insertion: Insertion) -> importance.WeightedDraws | None:
         met = with_planned_layers(insertion, fit.values, job.medium, needle)
         if met is None:
             return None
         both = replace(problem, insertions=(*problem.insertions, met))
-        # the modes move when an insertion is added: importance sampling starts from those of the larger
-        # problem
-        settled = [minimize_squares(both, end) for end in ends]
-        peaks = importance.select_distinct((one.theta for one in settled if np.isfinite(one.value)), width)
-        if not len(peaks):
-            return None
-        rng = random_stream(seed, job.name, fold.name, "weighed", insertion.id)
-        return importance.sample_about_modes(both, peaks, rng, settings.jobs)
+        return sample(both, random_stream(seed, job.name, fold.name, "weighed", insertion.id))
 
-    rng = random_stream(seed, job.name, fold.name, "weighed")
-    known = importance.sample_about_modes(problem, ends, rng, settings.jobs)
+    known = sample(problem, random_stream(seed, job.name, fold.name, "weighed"))
+    assert known is not None  # the fit has a needle
     return ModelCandidate(fit.values, model_predictor(fit.values, job.medium, job.dataset), known, after)
 
 
