@@ -22,7 +22,6 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from coverage_rates import measured
 
 from needlefit.datasets.read import read
 from needlefit.inference.fit import StartPoint
@@ -33,6 +32,7 @@ from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
+from needlefit.studies.simulated_data import simulate_measurement
 
 RANGES = {"mu": (3e4, 1e8), "bevel": (0.02, 0.2)}  # Pa, mm
 MEDIA = ("phantom1", "phantom2", "chicken")
@@ -54,7 +54,7 @@ def drawn(number: int, most: int, recipe: RecipeRecord) -> tuple[Problem, np.nda
         ends = [RANGES["bevel" if n.startswith("bevel") else "mu"] for n in blank.names]
         truth = np.array([rng.uniform(*np.log(pair)) for pair in ends])
         if all(shape.converged for shape in blank.shapes(truth)):
-            made = [measured(dataset, i, blank.values(truth), medium, rng) for i in planned]
+            made = [simulate_measurement(dataset, i, blank.values(truth), medium, rng) for i in planned]
             return make_problem(dataset, made, medium, recipe.weights, recipe.likelihood), truth
     raise RuntimeError(f"problem {number} could not be drawn")
 
