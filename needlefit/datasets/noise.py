@@ -1,7 +1,7 @@
 """Measurement noise: the noise floor that perfect parameters would show."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 
 import numpy as np
@@ -38,14 +38,14 @@ def estimate_noise_floor(
     often the same error stated twice. Curves are compared as in a study: at equal fractions of arc length or,
     for free shapes, by arc length from the tip after alignment. Uncertain layer depths are not in it.
     """
-    metrics = [metric.name for metric in list_metrics() if metric.has_floor]
+    metrics = [metric for metric in list_metrics() if metric.has_floor]
     noise = dataset.noise
     shift = max(noise.registration_mean / MEAN_NORM_PER_SD, insertion.pose_shift_sd)
     angle = insertion.pose_angle_sd
     if dataset.pose != "known":
         shift = angle = 0.0
     if not (shift or angle or noise.point_sd or noise.correlated_sd):
-        return dict.fromkeys(metrics, math.nan)
+        return dict.fromkeys((metric.name for metric in metrics), math.nan)
     curve = insertion.planar
     cut = abs(float(curve[0, 0])) < CUT_TOLERANCE_MM
     perturbed = (
@@ -59,9 +59,10 @@ def estimate_noise_floor(
         perturbed[..., 0] = curve[:, 0]  # depths are known; the best shift and slope are taken off
         perturbed = align_lateral(perturbed, curve)
     free = find_free_reach(dataset.drop_proximal, insertion) if dataset.pose == "free" else None
-    compare = compare_curves if dataset.pose == "tracker" else partial(_compare_measured, length=free)
-    errors = [compute_metrics(compare(again, curve)) for again in perturbed]
-    return {name: float(np.mean([row[name] for row in errors])) for name in metrics}
+    tracker = dataset.pose == "tracker"
+    compare = partial(compare_curves, measured=curve) if tracker else _prepare_comparison(curve, free)
+    errors = [compute_metrics(compare(again), metrics) for again in perturbed]
+    return {metric.name: float(np.mean([row[metric.name] for row in errors])) for metric in metrics}
 
 
 def draw_point_noise(curve: Floats, noise: Noise, rng: np.random.Generator, draws: int) -> Floats:
@@ -81,11 +82,24 @@ def displace_by_pose(curve: Floats, shifts: Floats, angle: float, normal: Floats
     return displaced
 
 
-def _compare_measured(again: Floats, curve: Floats, length: float | None) -> ComparedCurves:
-    """Compare at equal fractions, or along `length` from the tip after alignment."""
+def _prepare_comparison(curve: Floats, length: float | None) -> Callable[[Floats], ComparedCurves]:
+    """Return how a curve that was measured again is compared with `curve`, which is sampled once.
+
+    At equal fractions, or along `length` from the tip after alignment.
+    """
     if length is None:
         fractions = np.linspace(0, 1, COMPARISON_POINTS)
-        return compare_curves(resample_curve(curve, fractions), resample_curve(again, fractions))
+        sampled = resample_curve(curve, fractions)
+        return lambda again: compare_curves(sampled, resample_curve(again, fractions))
     from_tip = np.linspace(length, 0, COMPARISON_POINTS)
-    sampled, measured = (interpolate_at_arc(c, arc_length(c)[-1] - from_tip) for c in (curve, again))
-    return compare_curves(align_rigid(sampled, measured), measured)
+
+    def sample(points: Floats) -> Floats:
+        return interpolate_at_arc(points, arc_length(points)[-1] - from_tip)
+
+    sampled = sample(curve)
+
+    def compare(again: Floats) -> ComparedCurves:
+        measured = sample(again)
+        return compare_curves(align_rigid(sampled, measured), measured)
+
+    return compare

@@ -53,13 +53,13 @@ def headline_metrics() -> tuple[Metric, ...]:
     return tuple(metric for metric in list_metrics() if metric.headline)
 
 
-def compute_metrics(curves: ComparedCurves) -> dict[str, float]:
-    """Return all errors of one insertion, by metric.
+def compute_metrics(curves: ComparedCurves, metrics: "Sequence[Metric] | None" = None) -> dict[str, float]:
+    """Return the errors of one insertion, by metric: of some `metrics`, or of all.
 
     Raises ConfigError if a metric of a plugin fails.
     """
     found = {}
-    for metric in list_metrics():
+    for metric in list_metrics() if metrics is None else metrics:
         with METRICS.plugin_error_context(metric.name):
             found[metric.name] = float(metric.compute(curves))
     return found
