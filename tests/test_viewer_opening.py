@@ -210,7 +210,8 @@ def assert_new(new: ParameterDraws, same: ParameterDraws, between: float) -> Non
     rng, known = np.random.default_rng(3), np.log(same.mu[:, 0])
     tau = between * np.abs(rng.standard_normal((100, len(known))))
     ends = np.quantile(known + np.sqrt(2) * tau * rng.standard_normal(tau.shape), [0.1, 0.25, 0.75, 0.9])
-    assert np.quantile(np.log(new.mu[:, 0]), [0.1, 0.25, 0.75, 0.9]) == pytest.approx(ends, abs=0.15)
+    off = np.quantile(np.log(new.mu[:, 0]), [0.1, 0.25, 0.75, 0.9]) - ends
+    assert np.all(np.abs(off) < [0.3, 0.15, 0.15, 0.3])  # three standard errors of 400 draws
 
 
 def test_the_band_of_a_new_specimen_is_as_wide_as_the_run_predicted_it(project):

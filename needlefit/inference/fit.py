@@ -22,6 +22,7 @@ from needlefit.schemas.recipe import ObjectiveName
 
 INTERRUPTED = "interrupted"
 
+BEHIND = "behind"  #: of a start that was not continued after its approach
 MET_BY_PROFILE = "profile"  #: of a start that stands for a better point, which the profiles about the fit met
 #: reasons to end after which no further gain is expected
 CONVERGED_REASONS = ("tolerance", "bound", "flat", "roundoff")
@@ -86,7 +87,7 @@ class Fit:
         """Why the best point may not be a minimum; empty if a search ended at one."""
         if not self.starts or any(start.stopped in CONVERGED_REASONS for start in self.starts):
             return ""
-        reasons = ", ".join(sorted({start.stopped for start in self.starts} - {MET_BY_PROFILE}))
+        reasons = ", ".join(sorted({start.stopped for start in self.starts} - {BEHIND, MET_BY_PROFILE}))
         fix = "check bevel sides, units, layers and poses of the data (needlefit explain not-converged)"
         if any(start.stopped == "budget" for start in self.starts):
             fix = "raise `evaluations` in the recipe"

@@ -37,6 +37,7 @@ from scipy.optimize import least_squares, lsq_linear
 from needlefit.arrays import Floats
 from needlefit.errors import ConfigError, FitError
 from needlefit.inference.fit import (
+    BEHIND,
     EVALUATION_ERRORS,
     INTERRUPTED,
     Callbacks,
@@ -503,7 +504,6 @@ APPROACH_EVALUATIONS = 60
 #: ends of the approach that are continued, at most, and the largest misfit (sum of squares) of one, as a
 #: multiple of the best one's: far from all needles a start crawls for hundreds of evaluations, and ends there
 MAX_CONTINUED, MAX_MISFIT_RATIO = 4, 5.0
-BEHIND = "behind"  #: of a start that was not continued
 #: differences of the easier goal, and of every parameter of theta, up to which two ends are one
 SAME_OBJECTIVE, SAME_THETA = 1e-3, 1e-2
 
