@@ -37,8 +37,8 @@ def compute_shares(job: Job, number: int, starts: int, direction: np.ndarray) ->
     for centres, profiles in three:
         began = time.process_time()
         modes = [minimize_squares(problem, centre) for centre in centres]
-        effort = Effort(profiles=profiles)
-        found = sample_about_modes(problem, modes, np.random.default_rng(number), effort=effort)
+        efforts = (Effort(profiles=profiles),)
+        found = sample_about_modes(problem, modes, np.random.default_rng(number), efforts=efforts)
         spent = time.process_time() - began
         below = found.thetas @ direction < simulated.theta @ direction
         share = float(np.exp(found.log_weights[below]).sum())

@@ -33,7 +33,7 @@ def main() -> None:
         problem = replace(job.problem(job.folds[0]), noise=noise)
         fit = find_fit(job, problem, (correlation,), Settings())
         rng = random_stream(job.recipe.seed, name, correlation)
-        found = sample_about_fit(problem, fit, rng, effort=LARGER_EFFORT)
+        found = sample_about_fit(problem, fit, rng, efforts=(LARGER_EFFORT,))
         evidence = f"{found.log_evidence:.1f} | {found.log_evidence_se:.1f} | {found.k:.2f}"
         at = ", ".join(f"{key} {fit.values[key]:.3g}" for key in problem.names)
         print(correlation, evidence, at, sep=" | ", flush=True)

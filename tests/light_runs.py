@@ -22,7 +22,7 @@ def predict_by_few_draws(patch: pytest.MonkeyPatch) -> None:
 
 def do_not_escalate(patch: pytest.MonkeyPatch) -> None:
     """Leave draws that are not certified as they are: no more of them, and no sampler."""
-    patch.setattr(held_out_predictions, "sample_about_fit", partial(sample_about_fit, effort=EFFORT))
+    patch.setattr(held_out_predictions, "sample_about_fit", partial(sample_about_fit, efforts=(EFFORT,)))
     patch.setattr(held_out_predictions, "sample_posterior", lambda *_: None)
 
 

@@ -35,7 +35,7 @@ def weighted(known: Known, modes: object = None, effort: Effort = EFFORT, seed: 
     evaluator = Evaluator(known, 1)
     about = [approximate_by_laplace(evaluator, end, known.lower, known.upper) for end in ends]
     return sample_by_importance(
-        evaluator, about, (known.lower, known.upper), np.random.default_rng(seed), effort
+        evaluator, about, (known.lower, known.upper), np.random.default_rng(seed), (effort,)
     )
 
 
@@ -104,7 +104,7 @@ def test_a_plateau_at_the_end_of_a_winding_valley_is_found_along_the_profile():
     """By quadrature 0.2994 of it lies at x0 < 2."""
     mode = minimize_squares(Plateau(), np.array([5.0, 4 * np.sin(5.0)]))
     alone, found = (
-        sample_about_modes(Plateau(), [mode], np.random.default_rng(1), effort=effort)
+        sample_about_modes(Plateau(), [mode], np.random.default_rng(1), efforts=(effort,))
         for effort in (Effort(profiles=False), Effort(draws=1000))
     )
     assert not alone.certified and found.certified

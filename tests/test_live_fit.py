@@ -58,10 +58,10 @@ def test_draws_lie_about_the_mode() -> None:
 def test_draws_about_the_information_of_the_search_have_the_evidence_of_others() -> None:
     found = find_mode(shown(), select_insertions(shown(), "specimen")[:4])
     problem, minimum, rng = found.problem, found.minimum, np.random.default_rng
-    fast = sample_about_modes(problem, [minimum], rng(1), effort=EFFORT)
+    fast = sample_about_modes(problem, [minimum], rng(1), efforts=(EFFORT,))
     density, bounds = Evaluator(problem, 1), (problem.lower, problem.upper)
     about = approximate_by_laplace(density, minimum.theta, *bounds)
-    slow = sample_by_importance(density, [about], bounds, rng(1), EFFORT)
+    slow = sample_by_importance(density, [about], bounds, rng(1), (EFFORT,))
     assert fast.certified and slow.certified
     assert fast.log_evidence == pytest.approx(slow.log_evidence, abs=0.1)
     means = [np.exp(one.log_weights) @ one.thetas for one in (fast, slow)]

@@ -246,11 +246,7 @@ class Population:
         bounds = list(zip(self.lower.tolist(), self.upper.tolist(), strict=True))
         found = minimize(height, self._guess(), method="Nelder-Mead", bounds=bounds)
         about = approximate_by_laplace(self.log_density, found.x, self.lower, self.upper)
-        for effort in SPREAD_EFFORTS:
-            drawn = sample_by_importance(self.log_density, [about], (self.lower, self.upper), rng, effort)
-            if drawn.certified:
-                break
-        return drawn
+        return sample_by_importance(self.log_density, [about], (self.lower, self.upper), rng, SPREAD_EFFORTS)
 
     def _guess(self) -> Floats:
         """Return where the search begins, (Q + S,), by the method of moments."""

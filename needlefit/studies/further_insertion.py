@@ -138,7 +138,7 @@ def weigh_posterior(job: Job, into: Insertion | None, settings: Settings) -> Wei
     thetas, k = learned.draws.thetas, learned.k  # certified, or marked
     weights = np.full(len(thetas), 1 / len(thetas))
     if problem.names and not learned.sampled and not specimens.separate:
-        found = sample_about_fit(problem, learned.fit, rng, settings.jobs, PLANNING_EFFORT)
+        found = sample_about_fit(problem, learned.fit, rng, settings.jobs, (PLANNING_EFFORT,))
         if not found.k > MAX_PARETO_K:
             thetas, weights, k = found.thetas, np.exp(found.log_weights), found.k
             order = np.argsort(weights, kind="stable")

@@ -127,7 +127,7 @@ def draw_about(mode: LiveMode, insertion: Insertion, seed: int) -> LiveDraws:
     """Return draws about a mode, for the layers that an insertion meets; on one core."""
     began, problem = perf_counter(), mode.problem
     rng = np.random.default_rng(seed)
-    weighted = sample_about_modes(problem, [mode.minimum], rng, effort=EFFORT)
+    weighted = sample_about_modes(problem, [mode.minimum], rng, efforts=(EFFORT,))
     draws = resample_draws(weighted, SHOWN_DRAWS, rng)
     table = pd.DataFrame([problem.values(theta) for theta in draws.thetas])
     layers = [layer for _, layer in find_layers(insertion)]

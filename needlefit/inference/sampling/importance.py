@@ -181,6 +181,12 @@ class Effort:
         return max(MIN_COMPONENTS, self.draws // DRAWS_PER_COMPONENT)
 
 
+EFFORT = Effort()
+#: effort of the second attempt; still far less than MCMC needs
+LARGER_EFFORT = Effort(draws=1000)
+EFFORTS = (EFFORT, LARGER_EFFORT)
+
+
 @dataclass(frozen=True)
 class WeightedDraws:
     """Weighted draws of a posterior, and how far their weights can be trusted."""
@@ -240,18 +246,26 @@ def sample_by_importance(
     approximations: Sequence[LaplaceApproximation],
     bounds: tuple[Floats, Floats],
     rng: np.random.Generator,
-    effort: Effort | None = None,
+    efforts: Sequence[Effort] = EFFORTS,
 ) -> WeightedDraws:
     """Return weighted draws of a density within its bounds (P,), (P,), given its modes.
 
-    Without an effort those of `EFFORTS` are tried in turn, until the weights can be trusted.
+    Efforts are made in turn, until the weights can be trusted.
     """
-    if effort is None:
-        for each in EFFORTS:
-            found = sample_by_importance(log_density, approximations, bounds, rng, each)
-            if found.certified:
-                break
-        return found
+    for effort in efforts:
+        found = _make_effort(log_density, approximations, bounds, rng, effort)
+        if found.certified:
+            break
+    return found
+
+
+def _make_effort(
+    log_density: LogDensityFunction,
+    approximations: Sequence[LaplaceApproximation],
+    bounds: tuple[Floats, Floats],
+    rng: np.random.Generator,
+    effort: Effort,
+) -> WeightedDraws:
     factors = np.array([np.linalg.cholesky(mode.axes @ mode.axes.T) for mode in approximations])
     centres = np.array([mode.centre for mode in approximations])
     shares = np.repeat(np.array([1 - WIDE_SHARE, WIDE_SHARE]) / len(factors), len(factors))
@@ -344,11 +358,6 @@ MIN_MODE_DISTANCE = 1e-3  #: ends nearer to each other than this part of the bou
 #: profiles along which draws begin: coarse ones, down to densities of a thousandth of the peak's
 PROFILE_STEPS = ProfileSteps(stop_deviance=14.0, root_rise=1.2, min_gain=0.5)
 
-EFFORT = Effort()
-#: effort of the second attempt; still far less than MCMC needs
-LARGER_EFFORT = Effort(draws=1000)
-EFFORTS = (EFFORT, LARGER_EFFORT)
-
 
 def find_modes(fit: Fit, width: Floats) -> Floats:
     """Return the distinct modes (M, P) that a fit found, the best first; `width` (P,) of the bounds."""
@@ -371,16 +380,16 @@ def sample_about_modes(
     modes: Sequence[LocalMinimum],
     rng: np.random.Generator,
     jobs: int = 1,
-    effort: Effort | None = None,
+    efforts: Sequence[Effort] = EFFORTS,
     pool: TaskPool = THIS_PROCESS,
 ) -> WeightedDraws:
     """Return weighted draws of a posterior whose modes, the best first, a search by Gauss-Newton has met."""
-    profiles = effort is None or effort.profiles
-    points = [*modes, *(trace_profiles(problem, modes[0], jobs, pool) if profiles else ())]
+    traced = trace_profiles(problem, modes[0], jobs, pool) if efforts[0].profiles else []
+    points = [*modes, *traced]
     bounds = (problem.lower, problem.upper)
     # each with the information of its search: that costs no density
     approximations = [approximate_by_information(one.information, one.theta, *bounds) for one in points]
-    return sample_by_importance(Evaluator(problem, jobs), approximations, bounds, rng, effort)
+    return sample_by_importance(Evaluator(problem, jobs), approximations, bounds, rng, efforts)
 
 
 def trace_profiles(
@@ -406,7 +415,7 @@ def sample_about_fit(
     fit: Fit,
     rng: np.random.Generator,
     jobs: int = 1,
-    effort: Effort | None = None,
+    efforts: Sequence[Effort] = EFFORTS,
     pool: TaskPool = THIS_PROCESS,
 ) -> WeightedDraws:
     """Return weighted draws of the posterior about a fit with at least one free parameter.
@@ -420,7 +429,7 @@ def sample_about_fit(
     of_posterior = fit.minimized == "posterior"
     ends = find_modes(fit, problem.upper - problem.lower) if of_posterior else theta[None]
     modes = [minimize_squares(known, end) for end in ends]
-    return sample_about_modes(known, modes, rng, jobs, effort, pool)
+    return sample_about_modes(known, modes, rng, jobs, efforts, pool)
 
 
 def resample_draws(found: WeightedDraws, count: int, rng: np.random.Generator) -> Draws:

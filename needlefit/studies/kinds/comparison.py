@@ -149,6 +149,10 @@ integrals'."""
 
 # ---- one candidate, and the predictive density of another insertion
 
+FURTHER_EFFORTS = (importance.Effort(draws=125, min_ess=125.0), *importance.EFFORTS)
+"""Efforts for the evidence with one insertion more, whose Monte Carlo error is its own; that of the evidence
+without it is shared by all insertions of a fold."""
+
 MAX_NOISE_FACTOR = 1000.0
 """Largest noise factor: a candidate that misses by millimetres where points err by hundredths needs it."""
 
@@ -235,19 +239,22 @@ def _fit_law(job: Job, fold: Fold, settings: Settings) -> ModelCandidate | None:
         return None
     ends = importance.find_modes(fit, problem.upper - problem.lower)
 
-    def sample(target: Problem, rng: np.random.Generator) -> importance.WeightedDraws | None:
+    def sample(
+        target: Problem, rng: np.random.Generator, efforts: Sequence[importance.Effort]
+    ) -> importance.WeightedDraws | None:
         # the modes move when an insertion is added
         modes = [one for one in (minimize_squares(target, end) for end in ends) if np.isfinite(one.value)]
-        return importance.sample_about_modes(target, modes, rng, settings.jobs) if modes else None
+        return importance.sample_about_modes(target, modes, rng, settings.jobs, efforts) if modes else None
 
     def after(insertion: Insertion) -> importance.WeightedDraws | None:
         met = with_planned_layers(insertion, fit.values, job.medium, needle)
         if met is None:
             return None
         both = replace(problem, insertions=(*problem.insertions, met))
-        return sample(both, random_stream(seed, job.name, fold.name, "weighed", insertion.id))
+        rng = random_stream(seed, job.name, fold.name, "weighed", insertion.id)
+        return sample(both, rng, FURTHER_EFFORTS)
 
-    known = sample(problem, random_stream(seed, job.name, fold.name, "weighed"))
+    known = sample(problem, random_stream(seed, job.name, fold.name, "weighed"), importance.EFFORTS)
     assert known is not None  # the fit has a needle
     return ModelCandidate(fit.values, model_predictor(fit.values, job.medium, job.dataset), known, after)
 
@@ -261,7 +268,8 @@ def _fit_curve(name: str, job: Job, fold: Fold) -> ModelCandidate:
         about = [approximate_by_laplace(both, peak, both.lower, both.upper)]
         keys = (one.id for one in insertions)
         rng = random_stream(job.recipe.seed, job.name, fold.name, "weighed", *keys)
-        return importance.sample_by_importance(both, about, (both.lower, both.upper), rng)
+        efforts = FURTHER_EFFORTS if insertions else importance.EFFORTS
+        return importance.sample_by_importance(both, about, (both.lower, both.upper), rng, efforts)
 
     best = density.curve(density.peak)
     coefficients = {f"c{k}": value for k, value in enumerate(best.coefficients)}

@@ -258,7 +258,7 @@ def _recover_population(
     recipe, drawn = job.recipe.model_copy(update={"starts": SPECIMEN_STARTS, "minimize": "posterior"}), []
     for _ in range(recovery.specimens):
         problem = _simulate_specimen(job, mean, spread, rng)
-        found = sample_about_fit(problem, minimize(problem, recipe, rng), rng, 1, SPECIMEN_EFFORT)
+        found = sample_about_fit(problem, minimize(problem, recipe, rng), rng, 1, (SPECIMEN_EFFORT,))
         chosen = rng.choice(len(found.thetas), size=KERNELS_PER_SPECIMEN, p=np.exp(found.log_weights))
         drawn.append(found.thetas[chosen])
     population, _ = _infer_population(everything, drawn, record, rng)
