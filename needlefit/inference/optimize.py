@@ -16,8 +16,8 @@ missing part estimated from the changes of J^T r, as in NL2SOL (Dennis, Gay and 
 https://doi.org/10.1145/355958.355965). Where they fail SciPy's method goes on.
 
 Searches begin at many starts spread over the box, side by side, and are resumable; the best end is the fit.
-An easier objective is minimised first; starts that end at the same point there continue as one. With
-uncertain depths every needle is simulated many times: depths taken as stated make a posterior whose modes lie
+An easier objective is minimised first; starts that end at the same point there continue as one, and only the
+best ends continue. With uncertain depths every needle is simulated many times: depths taken as stated make a posterior whose modes lie
 next to those of the whole one, at a fraction of the cost.
 """
 
@@ -650,7 +650,7 @@ def _search_by_approach(
             )
         return
     leader = group_approaches([ends[start_point.index] for start_point in start_points])
-    worth = select_leaders(easier, [ends[k] for k in sorted(set(leader.values()))])
+    continuing = select_leaders(easier, [ends[k] for k in sorted(set(leader.values()))])
     one = half.model_copy(update={"evaluations": 1})
     for recipe, chosen in ((half, True), (one, False)):
         begin = [
@@ -658,7 +658,7 @@ def _search_by_approach(
             for p in start_points
             # a group whose members are all stored needs no continuation
             if leader[p.index] == p.index
-            and (p.index in worth) == chosen
+            and (p.index in continuing) == chosen
             and any(k not in done for k in leader if leader[k] == p.index)
         ]
         for found in _SearchTask(whole.problem, recipe).run_each(begin, callbacks):
@@ -669,9 +669,9 @@ def _search_by_approach(
 
 
 def select_leaders(easier: ObjectiveFunction, ends: Sequence[Start]) -> set[int]:
-    """Return the ends of the approach that are worth to continue, by their index: the best `MAX_CONTINUED`.
+    """Return the indices of the ends of the approach that are continued: of the best `MAX_CONTINUED`.
 
-    An end whose misfit is many times that of the best is none.
+    One whose misfit is many times that of the best is left out.
     """
     best, *others = sorted(ends, key=lambda end: (end.objective, end.index))[:MAX_CONTINUED]
     limit = math.inf
