@@ -17,8 +17,8 @@ https://doi.org/10.1145/355958.355965). Where they fail SciPy's method goes on.
 
 Searches begin at many starts spread over the box, side by side, and are resumable; the best end is the fit.
 An easier objective is minimised first; starts that end at the same point there continue as one, and only the
-best ends continue. With uncertain depths every needle is simulated many times: depths taken as stated make a posterior whose modes lie
-next to those of the whole one, at a fraction of the cost.
+best ends continue. With uncertain depths every needle is simulated many times: depths taken as stated make a
+posterior whose modes lie next to those of the whole one, at a fraction of the cost.
 """
 
 import math
