@@ -11,7 +11,7 @@ from itertools import combinations
 
 import numpy as np
 
-from needlefit.inference.identifiability.precision import MAX_LOG_SD
+from needlefit.inference.identifiability.directions import MAX_LOG_SD
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.study import FitRecord

@@ -20,17 +20,17 @@ from compression_cases import gel_file
 from test_cli import run
 from test_viewer_recording import recorded
 
+from needlefit.inference.identifiability.directions import KNOWN_BY_PRIOR
 from needlefit.inference.identifiability.identify import AGREEMENT
-from needlefit.inference.identifiability.precision import KNOWN_BY_PRIOR
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.medium import MaterialRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies import job
-from needlefit.studies.identification import lay_out_identification
+from needlefit.studies.identification_tables import lay_out_identification
 from needlefit.studies.job import Settings, prepare
 from needlefit.studies.kinds import identification
-from needlefit.studies.run import describe_configuration
+from needlefit.studies.provenance import describe_configuration
 from needlefit.verification import check as running
 from needlefit.verification.check import (
     AcceptanceBound,

@@ -10,6 +10,12 @@ from needlefit.datasets.insertion import Noise
 from needlefit.datasets.select import group_independent
 from needlefit.inference.fit import Fit, Start
 from needlefit.inference.identifiability import design_gain
+from needlefit.inference.identifiability.directions import (
+    KNOWN_BY_PRIOR,
+    describe_combination,
+    format_sd,
+    principal_directions,
+)
 from needlefit.inference.identifiability.identify import (
     AGREEMENT,
     Identifiability,
@@ -22,14 +28,10 @@ from needlefit.inference.identifiability.identify import (
     tip_range,
 )
 from needlefit.inference.identifiability.precision import (
-    KNOWN_BY_PRIOR,
     STATED_TIES,
     cramer_rao,
-    describe_combination,
     difference_jacobian,
     difference_steps,
-    format_sd,
-    principal_directions,
 )
 from needlefit.inference.identifiability.profile import DEVIANCE_95, LikelihoodProfile
 from needlefit.inference.likelihood.nodes import ErrorAxis, Nodes, make_group, make_nodes

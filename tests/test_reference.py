@@ -14,8 +14,8 @@ from needlefit.studies import paper
 from needlefit.studies.job import prepare
 from needlefit.studies.kinds.cross_validation.run import Settings, run
 from needlefit.studies.paper import Claim, ClaimBound
+from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.reference import round_frame
-from needlefit.studies.run import describe_configuration
 from needlefit.studies.store import read_run
 
 REFERENCE = Path(__file__).parent.parent / "reports/reference"

@@ -21,6 +21,7 @@ from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.meshes import TUBE_FACETS, make_tube, write_ply
+from needlefit.geometry.surfaces import make_mesh
 from needlefit.imaging.layers import extract_label_surfaces, read_labels
 from needlefit.imaging.volume import to_patient
 from needlefit.imaging.volume_files import read_volume
@@ -32,7 +33,8 @@ from needlefit.mechanics.scene import Entry
 from needlefit.project.random_streams import random_stream
 from needlefit.studies.job import prepare
 from needlefit.studies.kinds.cross_validation.run import Settings, run
-from needlefit.studies.needles_in_scan import BAND_DRAWS, FoldFit, place_needles, read_needles
+from needlefit.studies.needle_placement import BAND_DRAWS, FoldFit, place_needles
+from needlefit.studies.needles_in_scan import read_needles
 from needlefit.studies.slicer import write_needles, write_scene
 
 __all__ = ["project"]  # a fixture
@@ -44,13 +46,13 @@ POLYGON = (
 @given(st.floats(0.05, 5), st.floats(0.05, 5), st.floats(1, 100), st.integers(2, 20))
 def test_a_straight_tube_has_the_volume_of_a_prism(a, b, length, count):
     axis = np.linspace([1, 2, 3], [1, 2 + length, 3], count)
-    body = make_tube(axis, [a, b], (0.3, 5, 0.4))
+    body = make_mesh(*make_tube(axis, [a, b], (0.3, 5, 0.4)))
     assert body.is_watertight and body.is_winding_consistent
     assert body.volume == pytest.approx(POLYGON * a * b * length, rel=1e-9)
 
 
 def test_the_first_half_width_lies_along_the_direction_given():
-    body = make_tube([[0, 0, 0], [10, 0, 0]], [[3, 1], [2, 1]], (1, 1, 0))
+    body = make_mesh(*make_tube([[0, 0, 0], [10, 0, 0]], [[3, 1], [2, 1]], (1, 1, 0)))
     np.testing.assert_allclose(np.ptp(body.vertices, axis=0), [10, 6, 2], atol=1e-9)
     assert np.ptp(body.vertices[body.vertices[:, 0] == 10], axis=0)[1] == pytest.approx(4)
 
@@ -58,7 +60,7 @@ def test_the_first_half_width_lies_along_the_direction_given():
 def test_a_bent_tube_has_the_volume_of_pappus():
     angle = np.linspace(0, math.pi / 2, 400)
     arc = 30 * np.column_stack([np.sin(angle), 1 - np.cos(angle), 0 * angle])
-    body = make_tube(arc, 0.6, (0, 0, 1))
+    body = make_mesh(*make_tube(arc, 0.6, (0, 0, 1)))
     assert body.volume == pytest.approx(POLYGON * 0.36 * 30 * math.pi / 2, rel=1e-4)
 
 
@@ -74,9 +76,9 @@ def test_no_tube_without_a_curve_or_across_nothing():
 
 
 def test_a_ply_states_lps_and_is_reproducible(tmp_path):
-    body = make_tube([[0, 0, 0], [10, 1, 0], [20, 4, 0]], 0.6, (0, 1, 0))
+    body = make_mesh(*make_tube([[0, 0, 0], [10, 1, 0], [20, 4, 0]], 0.6, (0, 1, 0)))
     for name in ("one.ply", "two.ply"):
-        write_ply(body, tmp_path / name, ("needle, mm", "é"))
+        write_ply(body.vertices, body.faces, tmp_path / name, ("needle, mm", "é"))
     data = (tmp_path / "one.ply").read_bytes()
     assert data == (tmp_path / "two.ply").read_bytes()
     head = data.split(b"end_header")[0].decode("ascii").splitlines()

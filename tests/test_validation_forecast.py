@@ -47,8 +47,8 @@ from needlefit.studies.kinds.prediction import (
     require_same_configuration,
     tabulate_forecast,
 )
+from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.report import list_run_warnings
-from needlefit.studies.run import describe_configuration
 from needlefit.studies.store import read_run
 
 SCENE = needlefit.open_scene("study2")

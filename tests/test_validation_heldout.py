@@ -32,11 +32,10 @@ from needlefit.project.toml import load
 from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.coverage import estimate_width_after_one
+from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.fit_warnings import describe_gain
 from needlefit.studies.held_out_predictions import (
-    BAND_COLUMNS,
     BAND_POINTS,
-    PREDICTIVE_COLUMNS,
     Specimens,
     draw_fold_parameters,
     predict_held_out,
@@ -98,12 +97,12 @@ def test_with_exact_parameters_and_depths_pose_and_point_errors_remain(job, know
     half = (row["tip_95_high_mm"] - row["tip_95_low_mm"]) / 2
     least = 1.959964 * np.hypot(shift, angle * insertion.planar[-1, 0])
     assert least < half < 1.15 * least  # the points' own noise, and a shift along, are small beside it
-    assert tuple(row) == PREDICTIVE_COLUMNS and row["draw_source"] == "importance" and row["certified"]
+    assert tuple(row) == COLUMNS["predictive"] and row["draw_source"] == "importance" and row["certified"]
 
 
 def test_the_band_ends_at_the_predicted_tip(job, known):
     (one,) = predict_held_out(job, of(job, exact(job.folds[0].validate[0])), sure(known), bands=True)
-    assert len(one.band) == BAND_POINTS and all(tuple(point) == BAND_COLUMNS for point in one.band)
+    assert len(one.band) == BAND_POINTS and all(tuple(point) == COLUMNS["bands"] for point in one.band)
     last = one.band[-1]
     for name in ("low_50", "high_50", "low_95", "high_95"):
         side, level = name.split("_")

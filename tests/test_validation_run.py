@@ -39,20 +39,13 @@ from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.job import make_folds, prepare
-from needlefit.studies.kinds.cross_validation.run import Settings, run
+from needlefit.studies.kinds.cross_validation.run import Settings, run, tabulate_design
 from needlefit.studies.kinds.cross_validation.tables import arrange_parameters, tabulate_parameters
 from needlefit.studies.kinds.sensitivity import VariationRecord
 from needlefit.studies.report import say, write_run
 from needlefit.studies.run import Run
-from needlefit.studies.score import (
-    Scorer,
-    ValidityCounts,
-    curve_predictor,
-    describe_outside,
-    list_outside,
-    model_predictor,
-)
-from needlefit.studies.scored_groups import tabulate_design
+from needlefit.studies.score import Scorer, curve_predictor, model_predictor
+from needlefit.studies.validity import ValidityCounts, describe_outside, list_outside
 
 MEDIUM = """schema = 1
 layers = 2

@@ -2,6 +2,7 @@
 
 import atexit
 import gc
+import os
 import sys
 from collections.abc import Sequence
 
@@ -18,6 +19,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     atexit.register(gc.freeze)
     standard_streams.install_streams()
     limit_to_one_thread()
+    os.environ.setdefault("MPLBACKEND", "agg")  # else matplotlib loads pyplot to look for a display
     words = tuple(sys.argv[1:] if arguments is None else arguments)
     try:
         build()(args=list(words), prog_name="needlefit", obj=Invocation(words))

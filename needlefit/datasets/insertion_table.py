@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import (
@@ -126,7 +126,7 @@ def _make_patient_frame(turn: Floats, shift: Floats) -> Frame | None:
         return None
     if np.isnan(six).any():
         return Frame(np.full(3, np.nan), np.full((3, 3), np.nan))
-    return Frame(shift, Rotation.from_rotvec(turn, degrees=True).as_matrix())
+    return Frame(shift, scipy.spatial.transform.Rotation.from_rotvec(turn, degrees=True).as_matrix())
 
 
 def _to_int(value: float) -> int:

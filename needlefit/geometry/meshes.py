@@ -5,9 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from needlefit.arrays import Floats, are_bounded
 from needlefit.errors import DataError
@@ -20,8 +19,10 @@ if TYPE_CHECKING:
 TUBE_FACETS = 12  # number of corners of a tube's cross-section
 
 
-def make_tube(points: ArrayLike, half_widths: ArrayLike, toward: ArrayLike) -> "trimesh.Trimesh":
-    """Return a closed tube with elliptic cross-sections; its triangles face outward.
+def make_tube(
+    points: ArrayLike, half_widths: ArrayLike, toward: ArrayLike
+) -> tuple[Floats, NDArray[np.int64]]:
+    """Return vertices (V, 3) and triangles (F, 3), which face outward, of a tube of elliptic cross-sections.
 
     `points`: (N, 3); its axis, mm; neighbours differ.
     `half_widths`: (N, 2) or what broadcasts to it; semi-axes of each cross-section, mm: along `toward`, and
@@ -50,20 +51,24 @@ def make_tube(points: ArrayLike, half_widths: ArrayLike, toward: ArrayLike) -> "
     last, centre = TUBE_FACETS * (count - 1), TUBE_FACETS * count
     bottom = np.column_stack([j, i, np.full(TUBE_FACETS, centre)])
     top = np.column_stack([i + last, j + last, np.full(TUBE_FACETS, centre + 1)])
-    return make_mesh(np.vstack([vertices.reshape(-1, 3), ends]), np.vstack([wall, bottom, top]))
+    return np.vstack([vertices.reshape(-1, 3), ends]), np.vstack([wall, bottom, top])
 
 
-def write_ply(mesh: "trimesh.Trimesh", path: Path, comments: Sequence[str] = ()) -> None:
-    """Write a mesh in LPS as binary PLY, float32; the same mesh gives the same bytes.
+def write_ply(vertices: ArrayLike, faces: ArrayLike, path: Path, comments: Sequence[str] = ()) -> None:
+    """Write vertices (V, 3), in LPS, and triangles (F, 3) as binary PLY, float32.
 
     The header says `SPACE=LPS`, which 3D Slicer reads; `comments` stand beside it.
     """
-    from trimesh.exchange.ply import export_ply
-
-    data: bytes = export_ply(mesh, encoding="binary", vertex_normal=False)
-    head, format_line, body = data.partition(b"\nformat binary_little_endian 1.0\n")
-    lines = "".join(f"comment {line}\n" for line in ("SPACE=LPS", *comments))
-    path.write_bytes(head + format_line + lines.encode("ascii", "replace") + body)
+    places, corners = np.asarray(vertices, dtype="<f4"), np.asarray(faces)
+    rows = np.zeros(len(corners), dtype=[("count", "u1"), ("index", "<i4", 3)])
+    rows["count"], rows["index"] = 3, corners
+    lines = [
+        *("ply", "format binary_little_endian 1.0", "comment SPACE=LPS"),
+        *(f"comment {line}" for line in comments),
+        *(f"element vertex {len(places)}", *(f"property float {axis}" for axis in "xyz")),
+        *(f"element face {len(rows)}", "property list uchar int vertex_indices", "end_header\n"),
+    ]
+    path.write_bytes("\n".join(lines).encode("ascii", "replace") + places.tobytes() + rows.tobytes())
 
 
 def _find_cross_sections(axis: Floats, toward: ArrayLike) -> tuple[Floats, Floats]:
@@ -100,8 +105,8 @@ def extract_solid(name: str, vertices: ArrayLike, faces: ArrayLike, into: int) -
     """
     points, corners = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
     i, j = np.hstack([corners[:, :2].T, corners[:, 1:].T])
-    links = coo_array((np.ones(len(i)), (i, j)), shape=(len(points), len(points)))
-    pieces = connected_components(links, directed=False)[1][corners[:, 0]]  # (F,)
+    links = scipy.sparse.coo_array((np.ones(len(i)), (i, j)), shape=(len(points), len(points)))
+    pieces = scipy.sparse.csgraph.connected_components(links, directed=False)[1][corners[:, 0]]  # (F,)
     a, b, c = (points[corners[:, k]] for k in range(3))
     # Volume of the tetrahedra from the origin to each triangle: for a closed component their sum is its
     # volume, negative if its triangles face inward.

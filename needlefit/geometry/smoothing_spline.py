@@ -8,8 +8,8 @@ weights are kept, a simulated shape can be smoothed in the same way before the t
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
 
 from needlefit.arrays import Floats
 from needlefit.geometry.frames import Frame
@@ -27,7 +27,7 @@ def make_knots(start: float, end: float, spacing: float) -> Floats:
 
 def design_matrix(q: Floats, knots: Floats) -> Floats:
     """Return the B-splines (N, C) on `knots` (C + 4,) at `q` (N,)."""
-    matrix: Floats = BSpline.design_matrix(q, knots, DEGREE, extrapolate=True).toarray()
+    matrix: Floats = scipy.interpolate.BSpline.design_matrix(q, knots, DEGREE, extrapolate=True).toarray()
     return matrix
 
 
@@ -38,7 +38,7 @@ def free_end_basis(knots: Floats) -> Floats:
     follows from the two before it.
     """
     count = len(knots) - DEGREE - 1
-    bend = BSpline(knots, np.eye(count), DEGREE).derivative(2)(knots[-1])  # (C,)
+    bend = scipy.interpolate.BSpline(knots, np.eye(count), DEGREE).derivative(2)(knots[-1])  # (C,)
     basis = np.eye(count)[:, :-1]
     basis[-1] = -bend[:-1] / bend[-1]
     return basis
@@ -114,7 +114,7 @@ def fit_matrices(q: Floats, weights: Floats, knots: Floats) -> SplineFit:
     """
     design = design_matrix(q, knots)
     reached = np.any(design[weights > 0] > 0, axis=0)
-    bases = BSpline(knots, np.eye(len(reached)), DEGREE)
+    bases = scipy.interpolate.BSpline(knots, np.eye(len(reached)), DEGREE)
     slope: Floats = np.asarray(bases.derivative()(q), dtype=np.float64)[:, reached]
     design = design[:, reached]
     weighted = design * weights[:, None]
@@ -138,7 +138,7 @@ def draw_spline(sections: SplineSections, q: Floats) -> DrawnSpline:
     """
     fit = fit_matrices(sections.q, sections.weights, sections.knots)
     design = design_matrix(q, sections.knots)[:, fit.reached]
-    bases = BSpline(sections.knots, np.eye(len(fit.reached)), DEGREE).derivative()
+    bases = scipy.interpolate.BSpline(sections.knots, np.eye(len(fit.reached)), DEGREE).derivative()
     coefficients = fit.operator @ sections.points  # (F, 3)
     own = sections.sigma * np.sqrt(np.einsum("nf,fg,ng->n", design, fit.spread, design))
     return DrawnSpline(

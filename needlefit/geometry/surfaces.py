@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from needlefit.arrays import are_bounded
 from needlefit.errors import DataError
@@ -427,5 +426,5 @@ def _count_components(edges: NDArray[np.int64]) -> int:
         return 0
     vertices, flat = np.unique(edges, return_inverse=True)
     i, j = flat.reshape(-1, 2).T
-    graph = coo_array((np.ones(len(i)), (i, j)), shape=(len(vertices), len(vertices)))
-    return int(connected_components(graph, directed=False)[0])
+    graph = scipy.sparse.coo_array((np.ones(len(i)), (i, j)), shape=(len(vertices), len(vertices)))
+    return int(scipy.sparse.csgraph.connected_components(graph, directed=False)[0])

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.geometry.meshes import fill_mesh, make_tube
-from needlefit.geometry.surfaces import Surface, map_surface
+from needlefit.geometry.surfaces import Surface, make_mesh, map_surface
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.refusals import refusal
 from needlefit.imaging.scans import Scan
@@ -50,7 +50,7 @@ def mark_voxels(one: Reconstruction, grid: VoxelGrid, diameter: float) -> Marked
     """
     solids = [surface for surface in layers_in_patient(one) if surface.kind == "solid"]
     across = one.patient.rotation.T @ one.frame.rotation[:, 1]  # C's y axis in the scan
-    tube = make_tube(one.needle_axis.points, diameter / 2, across)
+    tube = make_mesh(*make_tube(one.needle_axis.points, diameter / 2, across))
     values = np.zeros(grid.size[::-1], dtype=np.uint8)
     for label, mesh in enumerate([*(solid.mesh for solid in solids), tube], 1):
         indices = mesh.copy()

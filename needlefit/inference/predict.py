@@ -21,10 +21,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.linalg import qr
-from scipy.optimize import elementwise
-from scipy.special import betaincinv, ndtr, ndtri
 
 from needlefit.arrays import Floats, Ints
 from needlefit.inference.parameters import NOISE_SCALE, Parameters
@@ -55,11 +53,12 @@ def cdf(mixture: PredictiveMixture, at: ArrayLike) -> Floats:
     if not mixture.sd.all():
         # with a deviation of 0 the CDF is a step, and 0 / 0 at the step itself counts as the middle
         scaled = np.where(away == 0, 0.0, scaled)
-    return ndtr(scaled, out=scaled).mean(axis=0)
+    return scipy.special.ndtr(scaled, out=scaled).mean(axis=0)
 
 
 def quantile(mixture: PredictiveMixture, p: ArrayLike) -> Floats:
     """Return the quantiles (..., K) of probabilities `p` (...)."""
+    from scipy.optimize import elementwise  # late: reports count proportions by this module
 
     def excess(at: Floats, k: Ints, wanted: Floats) -> Floats:
         return cdf(PredictiveMixture(mixture.means[:, k], mixture.sd[k]), at) - wanted
@@ -132,7 +131,7 @@ def _mean_absolute(mean: Floats, sd: Floats) -> Floats:
         # a deviation of 0 is a point mass: its mean absolute value is |mean|
         z = np.where(sd > 0, mean / sd, 0.0)
     density = np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
-    return np.where(sd > 0, 2 * sd * density + mean * (2 * ndtr(z) - 1), np.abs(mean))
+    return np.where(sd > 0, 2 * sd * density + mean * (2 * scipy.special.ndtr(z) - 1), np.abs(mean))
 
 
 Source = Literal["posterior", "importance"]
@@ -203,7 +202,7 @@ def draw_from_prior(parameters: Parameters, count: int, rng: np.random.Generator
     slopes = slopes[rows]
     # the prior's residuals are off + slopes @ (theta - middle): each is solved for one coordinate, while the
     # others are drawn flat
-    solved = qr(slopes, mode="r", pivoting=True)[-1][: len(rows)]
+    solved = scipy.linalg.qr(slopes, mode="r", pivoting=True)[-1][: len(rows)]
     others = np.setdiff1d(np.arange(len(names)), solved)
     inverse = np.linalg.inv(slopes[:, solved])
     drawn = np.empty((0, len(lower)))
@@ -236,8 +235,8 @@ class Proportion:
     def exact(self) -> tuple[float, float]:
         """The exact 95 % interval with groups as trials (C. J. Clopper, E. S. Pearson, 1934)."""
         hits, misses = self.rate * self.groups, (1 - self.rate) * self.groups
-        low = float(betaincinv(hits, misses + 1, 0.025)) if hits > 0 else 0.0
-        return low, float(betaincinv(hits + 1, misses, 0.975)) if misses > 0 else 1.0
+        low = float(scipy.special.betaincinv(hits, misses + 1, 0.025)) if hits > 0 else 0.0
+        return low, float(scipy.special.betaincinv(hits + 1, misses, 0.975)) if misses > 0 else 1.0
 
 
 def estimate_proportion(hits: Sequence[bool], groups: Sequence[str]) -> Proportion:
@@ -253,7 +252,7 @@ def estimate_proportion(hits: Sequence[bool], groups: Sequence[str]) -> Proporti
 
 def wilson_interval(rate: float, trials: int, level: float = 0.95) -> tuple[float, float]:
     """Return Wilson's interval of a probability with observed `rate` in `trials` (E. B. Wilson, 1927)."""
-    z2 = float(ndtri(0.5 + level / 2)) ** 2
+    z2 = float(scipy.special.ndtri(0.5 + level / 2)) ** 2
     centre = (rate + z2 / (2 * trials)) / (1 + z2 / trials)
     half = math.sqrt(z2 * (rate * (1 - rate) / trials + z2 / (4 * trials**2))) / (1 + z2 / trials)
     return max(0.0, centre - half), min(1.0, centre + half)

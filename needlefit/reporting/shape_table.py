@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from scipy.interpolate import CubicHermiteSpline
+import scipy
 
 from needlefit.geometry.frames import Placement
 from needlefit.mechanics.scene import Scene
@@ -49,7 +49,7 @@ def tabulate_shape(scene: Scene, moment: NeedleState, placement: Placement | Non
             "s_mm": s,
             "x_mm": place[:, 0],
             "y_mm": place[:, 1],
-            "slope": CubicHermiteSpline(shape.x, shape.u, shape.slope)(s, 1),
+            "slope": scipy.interpolate.CubicHermiteSpline(shape.x, shape.u, shape.slope)(s, 1),
             **dict(zip(_WORLD_COLUMNS, world.T, strict=False)),
             "load_n_per_mm": compute_lateral_load(shape, tissue, s, scene.rules),
             "layer": layer,

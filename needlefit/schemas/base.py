@@ -14,7 +14,12 @@ class Record(BaseModel):
     """A checked, frozen table of a TOML file; unknown keys are errors."""
 
     model_config = ConfigDict(
-        extra="forbid", frozen=True, allow_inf_nan=False, populate_by_name=True, protected_namespaces=()
+        extra="forbid",
+        frozen=True,
+        allow_inf_nan=False,
+        populate_by_name=True,
+        protected_namespaces=(),
+        defer_build=True,  # a command uses few of all schemas
     )
 
     @field_validator("*")

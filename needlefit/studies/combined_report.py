@@ -73,7 +73,7 @@ def _summarize_analysis(result: Run, folder: Path) -> list[Block]:
     """Return a result in short: question, summary, first figure; its own report has the rest."""
     page = find_kind(result.kind).report
     (folder / result.name).mkdir()
-    drawn = page.draw(result, folder / result.name)
+    drawn, _ = page.draw(result, folder / result.name)
     every_run = [block for block in page.compose(result, drawn) if block["kind"] == "figure"][:1]
     return [
         document.heading(result.title),

@@ -35,33 +35,48 @@ identification
 profiles
     Deviances of the profiles and their derivatives by ln (by alpha itself), then one column per parameter.
 predictive
-    The predictive distribution of every insertion held out, and how the measurement fell in it.
+    The predictive distribution of every insertion held out, and how the measurement fell in it: `tip_pit` is
+    the probability predicted of a tip up to the measured one, `shape_pit` of a shape nearer, at its worst
+    point, than the measured one; `shape_in_*` says whether that is within 50 or 95 %, `points_in_*` is the
+    part of points within their own interval, which are no independent trials.
 predictive_training
     The same of insertions into specimens that were not tuned on, as if they were known not to differ.
 bands
-    Where each insertion held out was predicted to be measured, point by point.
+    Where each insertion held out was predicted to be measured, point by point, at its measured x.
 draws
     Draws of each fold's parameters: from its sampled posterior, or by importance about the modes of its fit,
     then with Pareto's k of the weights; `specimen` is "(tuned)" (of several that differ, their mean), one of
     several that differ, or "(new)", not in the dataset; then one column per parameter.
 needles
     Every insertion held out, or, of a single fold, any, point by point in its scan
-    (`studies/needles_in_scan.py`).
+    (`studies/needles_in_scan.py`); the single point of the curve "toward" is a direction.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 
 import pandas as pd
 
-from needlefit.studies.held_out_predictions import BAND_COLUMNS, PREDICTIVE_COLUMNS, TUNED_SPECIMENS
-from needlefit.studies.identification import IDENTIFICATION_COLUMNS, PROFILE_COLUMNS
-from needlefit.studies.needles_in_scan import NEEDLE_COLUMNS
+from needlefit.inference.baselines import list_baselines
+from needlefit.metrics import Metric, headline_metrics, list_metrics
 
 FIT_KINDS = ("cross_validation", "fit")  #: kinds of study whose runs have the tables of this module
 
+#: in place of a specimen's name: those that were tuned on, together, and one that is not in the dataset
+TUNED_SPECIMENS, NEW_SPECIMEN = "(tuned)", "(new)"
+
 DRAW_COLUMNS = ("fold", "specimen", "draw_source", "pareto_k", "ess", "certified")
+#: the methods that simulate a needle: both fits, the paper's parameters, and these with b fitted again
+MODEL_METHODS = ("fitted", "fitted_metric", "hand_tuned", "hand_tuned_b")
 SCORE_KEYS = ("fold", "role", "insertion", "method", "boundaries")
+_PREDICTIVE_COLUMNS = (
+    *("fold", "insertion", "hole", "specimen", "medium", "layers", "depth_mm", "specimen_treatment"),
+    *("between_sd_ln_mu", "between_sd_ln_b", "between_correlation", "other_specimens"),
+    *("tip_95_width_after_one_mm", "draw_source", "certified", "draws", "failed_solves", "tip_measured_mm"),
+    *("tip_median_mm", "tip_50_low_mm", "tip_50_high_mm", "tip_95_low_mm", "tip_95_high_mm", "tip_pit"),
+    *("tip_in_50", "tip_in_95", "tip_crps_mm", "tip_interval_score_mm", "shape_pit", "shape_in_50"),
+    *("shape_in_95", "points_in_50", "points_in_95", "shape_crps_mm"),
+)
 
 COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -87,13 +102,24 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             *("determined", "condition", "note"),
         ),
         "directions": ("fold", "sd", "sd_ratio", "note"),
-        "identification": IDENTIFICATION_COLUMNS,
-        "profiles": PROFILE_COLUMNS,
-        "predictive": PREDICTIVE_COLUMNS,
-        "predictive_training": PREDICTIVE_COLUMNS,
-        "bands": BAND_COLUMNS,
+        "identification": (
+            *("fold", "parameter", "status", "determined", "note", "value", "prior_sd"),
+            *("sd", "sd_low", "sd_high", "fisher_sd", "sd_ratio", "low", "high", "end_low", "end_high"),
+            *("interval_low", "interval_high", "draw_source", "bound_low", "bound_high"),
+            *("rise", "minima", "tip_range_mm", "profile_verdict", "agreement"),
+        ),
+        "profiles": ("fold", "parameter", "value", "deviance", "slope", "fisher_deviance", "threshold"),
+        "predictive": _PREDICTIVE_COLUMNS,
+        "predictive_training": _PREDICTIVE_COLUMNS,
+        "bands": (
+            *("fold", "insertion", "x_mm", "measured_mm", "median_mm"),
+            *("low_50_mm", "high_50_mm", "low_95_mm", "high_95_mm"),
+        ),
         "draws": DRAW_COLUMNS,
-        "needles": NEEDLE_COLUMNS,
+        "needles": (
+            *("fold", "role", "insertion", "diameter_mm", "band_source", "converged"),
+            *("curve", "j", "x_mm", "y_mm", "z_mm"),
+        ),
     }
 )
 
@@ -107,3 +133,20 @@ def select_draws(
     name = draws["fold"].iloc[0] if fold is None else fold
     found: pd.DataFrame = draws[(draws["fold"] == name) & (draws["specimen"] == specimen)]
     return found
+
+
+def list_methods() -> tuple[str, ...]:
+    """Return the names of all methods in the order of tables: models, then baselines."""
+    return (*MODEL_METHODS, *(baseline.name for baseline in list_baselines()))
+
+
+def list_score_columns(metrics: Iterable[Metric] | None = None) -> tuple[str, ...]:
+    """Return the columns of a row of errors that hold metrics (all of them by default) and noise floors."""
+    chosen = list_metrics() if metrics is None else tuple(metrics)
+    floors = (f"floor_{metric.name}" for metric in chosen if metric.has_floor)
+    return (*(metric.name for metric in chosen), *floors)
+
+
+def list_length_metrics() -> tuple[Metric, ...]:
+    """Return the headline metrics in mm with a noise floor: those that analyses compare."""
+    return tuple(metric for metric in headline_metrics() if metric.unit == "mm" and metric.has_floor)

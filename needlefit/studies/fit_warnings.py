@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from scipy.special import chdtr, chdtrc
+import scipy
 
-from needlefit.inference.identifiability.precision import BOUND_FRACTION, CUT_OFF_FRACTION, short_name
+from needlefit.inference.identifiability.directions import BOUND_FRACTION, CUT_OFF_FRACTION, short_name
 from needlefit.inference.parameters import Parameters, is_logarithmic
 from needlefit.project.result_warnings import ResultWarning, read_warnings, warnings_entry
 from needlefit.reporting.labels import group_name, medium_name
@@ -19,7 +19,6 @@ from needlefit.reporting.table_files import Row
 from needlefit.reporting.text import KindText
 from needlefit.studies.coverage import FindingKey, find_adaptation, find_miscalibration
 from needlefit.studies.run import Run
-from needlefit.studies.score import list_outside
 from needlefit.studies.scored_groups import (
     HELD_OUT,
     TE,
@@ -29,6 +28,7 @@ from needlefit.studies.scored_groups import (
     list_judged_groups,
     select_group,
 )
+from needlefit.studies.validity import list_outside
 
 if TYPE_CHECKING:
     from needlefit.studies.job import Job
@@ -197,7 +197,7 @@ def _find_wrong_noise(results: Run, too_large: bool) -> Iterator[Row]:
     for medium, some in means.groupby("medium"):
         count, total, rms = len(some), 2 / np.pi * float(some.sum()), float(np.sqrt(some.mean()))
         far = rms < 1 / FAR_FROM_FLOOR if too_large else rms > FAR_FROM_FLOOR
-        if far and (chdtr if too_large else chdtrc)(count, total) < CHANCE:
+        if far and (scipy.special.chdtr if too_large else scipy.special.chdtrc)(count, total) < CHANCE:
             yield {"medium": str(medium), "count": count, "rms": rms}
 
 

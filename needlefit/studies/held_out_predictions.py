@@ -54,6 +54,7 @@ from needlefit.project.tasks import THIS_PROCESS, TaskPool, TaskStop, run_parts
 from needlefit.project.toml import describe_key
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.studies.coverage import estimate_width_after_one
+from needlefit.studies.fit_frames import COLUMNS, NEW_SPECIMEN
 from needlefit.studies.job import Fold, Job, Settings, group_insertions
 from needlefit.studies.planned_draws import (
     PlannedNeedles,
@@ -130,10 +131,6 @@ def sample_posterior(
     rng = random_stream(job.recipe.seed, *key, "posterior")
     callbacks = Callbacks(stop=settings.stop, jobs=settings.jobs)
     return sample_from_fit(known, fit, job.recipe.sample, rng, callbacks)
-
-
-#: in place of a specimen's name: those that were tuned on, together, and one that is not in the dataset
-TUNED_SPECIMENS, NEW_SPECIMEN = "(tuned)", "(new)"
 
 
 @dataclass
@@ -324,17 +321,6 @@ FIGURE_DRAWS = 400  #: parameter sets that a figure of the posterior shows
 MIN_SOLVED_DRAWS = 10  #: fewer solved draws make no distribution
 #: expected width of the 95 % interval of the tip after one measured insertion into the new specimen
 AFTER_ONE_COLUMN = "tip_95_width_after_one_mm"
-#: columns: `tip_pit` is the probability predicted of a tip up to the measured one, `shape_pit` of a shape
-#: nearer, at its worst point, than the measured one; `shape_in_*` says whether that is within 50 or 95 %;
-#: `points_in_*` is the part of points within their own interval, which are no independent trials
-PREDICTIVE_COLUMNS = (
-    "fold", "insertion", "hole", "specimen", "medium", "layers", "depth_mm", "specimen_treatment",
-    "between_sd_ln_mu", "between_sd_ln_b", "between_correlation", "other_specimens", AFTER_ONE_COLUMN,
-    "draw_source", "certified", "draws", "failed_solves", "tip_measured_mm", "tip_median_mm", "tip_50_low_mm",
-    "tip_50_high_mm", "tip_95_low_mm", "tip_95_high_mm", "tip_pit", "tip_in_50", "tip_in_95", "tip_crps_mm",
-    "tip_interval_score_mm", "shape_pit", "shape_in_50", "shape_in_95", "points_in_50", "points_in_95",
-    "shape_crps_mm",
-)  # fmt: skip
 
 
 def draw_fold_parameters(
@@ -364,17 +350,12 @@ def draw_fold_parameters(
     return few, many
 
 
-BAND_COLUMNS = (
-    *("fold", "insertion", "x_mm", "measured_mm", "median_mm"),
-    *("low_50_mm", "high_50_mm", "low_95_mm", "high_95_mm"),
-)  #: columns: where a held-out needle was predicted to be measured, point by point, at its measured x
-
 BAND_POINTS = 41  #: points of a band that are kept, of up to some 200
 
 
 @dataclass(frozen=True)
 class HeldOutPrediction:
-    """The prediction of one needle: its row of `PREDICTIVE_COLUMNS`, and its rows of `BAND_COLUMNS`.
+    """The prediction of one needle: its row of the table "predictive", its rows of "bands" (`fit_frames`).
 
     `solved` needles were simulated, one a draw, `outside` of them outside what the model assumes.
     """
@@ -485,7 +466,7 @@ class _Predictor:
         points = _band_rows(mixture, observation.measured) if self.bands else ()
         band = ({**where, **point} for point in points)
         return HeldOutPrediction(
-            {name: row[name] for name in PREDICTIVE_COLUMNS},
+            {name: row[name] for name in COLUMNS["predictive"]},
             tuple(band),
             len(heights),
             int(np.sum(~found.valid[solved])),

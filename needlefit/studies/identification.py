@@ -1,16 +1,15 @@
-"""Tabulate what is identifiable, and present it as tables for print and as sentences.
+"""Find what is identifiable, and the 95 % interval of every fitted parameter.
 
 Every fitted parameter has one 95 % interval: of certified draws, else of its profile. Verdicts follow it.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pandas as pd
 
-from needlefit.inference.identifiability import precision
+from needlefit.inference.identifiability import directions, precision
 from needlefit.inference.identifiability.identify import (
     AGREEMENT,
     NORMAL_95_HALF_WIDTH_SD,
@@ -26,27 +25,9 @@ from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.reporting.number_format import (
-    NO_INTERVAL,
-    choose_interval_unit,
-    choose_printed_unit,
-    format_interval,
-    format_number,
-    format_quantity_range,
     interval_width,
-    typeset_interval,
 )
-from needlefit.reporting.table import Table, TableLayout
-from needlefit.reporting.table_files import Row, to_records
-from needlefit.studies.csv_tables import TableSchema
-from needlefit.studies.run_differences import Difference, TableComparison, compare_sizes
-
-IDENTIFICATION_COLUMNS = (
-    "fold", "parameter", "status", "determined", "note", "value", "prior_sd", "sd", "sd_low", "sd_high",
-    "fisher_sd", "sd_ratio", "low", "high", "end_low", "end_high", "interval_low", "interval_high",
-    "draw_source", "bound_low", "bound_high", "rise", "minima", "tip_range_mm", "profile_verdict",
-    "agreement",
-)  # fmt: skip
-PROFILE_COLUMNS = ("fold", "parameter", "value", "deviance", "slope", "fisher_deviance", "threshold")
+from needlefit.reporting.table_files import Row
 
 
 @dataclass(frozen=True)
@@ -82,7 +63,7 @@ def identify_parameters(
         judgements[one.name] = judged
         condition = ""
         if verdict is None:
-            is_determined = precision.is_determined_by_data(one.name, sd, prior_sd)
+            is_determined = directions.is_determined_by_data(one.name, sd, prior_sd)
             if is_determined and one.fixed_at is None:
                 condition = precision.find_condition(one.name, prior_sd, loosened)
         else:
@@ -167,116 +148,7 @@ def _profile_rows(parameters: Parameters, one: ParameterProfile) -> list[Row]:
     ]
 
 
-def describe_verdicts(identification: pd.DataFrame) -> list[str]:
-    """Return one sentence per parameter: its 95 % interval, and under which assumption it is determined.
-
-    What information, profile and draws give apart, and where they disagree, is in `identify.csv`.
-    """
-    summary = []
-    for row in to_records(identification):
-        held = f" (fixed at {format_number(row['value'])})" if row["status"] == "fixed" else ""
-        condition = f"; {row['note']}" if row.get("note") else ""
-        summary.append(
-            f"{precision.short_name(str(row['parameter']))}{held}: {_describe_interval(row)}{condition}."
-        )
-    return summary
-
-
-def _describe_interval(row: Row) -> str:
-    """Return the interval of the draws, or what the profile says where there are none."""
-    if row.get("draw_source") in (None, "", "profile"):
-        return str(row["profile_verdict"])
-    text = format_interval(row)
-    if text == NO_INTERVAL:
-        return "not determined: its 95 % interval spans most of its bounds"
-    text = format_quantity_range(str(row["parameter"]), row["interval_low"], row["interval_high"])
-    known = row["determined"] or row.get("note")  # the note says which assumption it needs
-    return f"{'' if known else 'not determined: '}95 % CI {text}"
-
-
-def format_small_mm(value: float) -> str:
-    """Return a length as text, also one close to 0."""
-    return "less than 0.001" if value < 1e-3 else f"{value:.2g}"
-
-
-_INTERVAL_NOTE = (
-    "The 95 % interval is that of the posterior draws if they are certified, else that of the profile "
-    "likelihood, open at a bound. A fixed α is freed for this table only. All other values are in "
-    "identify.csv."
-)
-_SD_NOTE = (
-    "“SD”: by Fisher information and bounds, relative (in % or as a factor) but for α. “SD ratio”: posterior "
-    "SD / prior SD (bounds or a stated prior); 1 where the data add nothing. The interval is that of the "
-    "profile likelihood, open at a bound. A fixed α is freed for this table only."
-)
-
-
-def lay_out_identification(identification: pd.DataFrame, expected: bool = False) -> TableLayout:
-    """Return one row per parameter; for a design also where information and profile disagree."""
-    several = identification["fold"].nunique() > 1
-    rows = [
-        {**row, **_identification_cells(row, expected), "fold": row["fold"] if several else ""}
-        for row in to_records(identification)
-    ]
-    known = (
-        ("sd", "profile_low", "profile_high", "sd_ratio", "tip_range_mm", "agreement")
-        if expected
-        else ("interval_95", "note", "tip_range_mm")
-    )
-    columns = ("fold", "parameter", "determined", *known)
-    caption = f"Identifiability of each parameter from the {'design' if expected else 'data'}."
-    groups, notes = ("fold", "status"), (_SD_NOTE if expected else _INTERVAL_NOTE,)
-    table = Table("identification", caption, rows, columns, groups=groups, notes=notes)
-    return table.lay_out(drop_empty=True)
-
-
-def _identification_cells(row: Row, expected: bool) -> Row:
-    name = str(row["parameter"])
-    closed = {side: row[side] for side in ("low", "high") if row[f"end_{side}"] == "closed"}
-    label, unit = (
-        choose_printed_unit(name, [row["value"], *closed.values()])
-        if expected
-        else choose_interval_unit(row, row["value"])
-    )
-    return {
-        **{side: closed[side] / unit if side in closed else "open" for side in ("low", "high")},
-        "sd": None if row["sd"] is None else precision.format_sd(row["sd"], is_logarithmic(name)),
-        "parameter": label + (", fixed" if row["status"] == "fixed" else ""),
-        "agreement": "; ".join(filter(None, (row["agreement"], row.get("note") if expected else None))),
-        "tip_range_mm": "" if row["tip_range_mm"] is None else format_small_mm(row["tip_range_mm"]),
-        "interval_95": typeset_interval(row, unit),
-    }
-
-
-def tabulate_identification(identification: pd.DataFrame, origin: str) -> pd.DataFrame:
-    """Return the rows of `identify.csv`.
-
-    `value` is where the profile is lowest, or where a design was looked at; without `determined` it is no
-    estimate.
-    """
-    return identification.assign(origin=origin).reindex(columns=[*IDENTIFICATION_COLUMNS, "origin"])
-
-
 # ---- differences of two runs
-
-
-def _compare_identifications(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
-    """Yield changed verdicts and deviations, by stage, fold and parameter."""
-    keys = [name for name in ("stage", "fold", "parameter") if name in before and name in after]
-    several = "fold" in keys and before["fold"].nunique() > 1
-    for _, row in before.merge(after, validate="1:1", on=keys, suffixes=("_a", "_b"), sort=False).iterrows():
-        name = f"{row['parameter']} ({row['fold']})" if several else str(row["parameter"])
-        name += f", {row['stage']}" if "stage" in keys else ""
-        first, second = ("determined" if row[f"determined_{run}"] else "not determined" for run in ("a", "b"))
-        if first != second:
-            yield Difference("state", name, first, second, True, "the verdict changed")
-        sds = float(row["sd_a"]), float(row["sd_b"])
-        yield from compare_sizes("parameter", f"sd of {name}", *sds, "times as large")
-
-
-IDENTIFICATION_COMPARISON = TableComparison(
-    TableSchema(texts=("parameter",), numbers=("sd",), flags=("determined",)), _compare_identifications
-)
 
 
 NO_SOURCE = {"interval_low": math.nan, "interval_high": math.nan, "draw_source": ""}
@@ -297,7 +169,7 @@ class ParameterInterval:
 
     def is_narrow(self, name: str) -> bool:
         """Return whether it is no wider than a Gaussian one of the largest SD of a determined parameter."""
-        sd = precision.MAX_LOG_SD if is_logarithmic(name) else precision.MAX_SHAPE_SD
+        sd = directions.MAX_LOG_SD if is_logarithmic(name) else directions.MAX_SHAPE_SD
         return self.width(name) < 2 * NORMAL_95_HALF_WIDTH_SD * sd
 
     def columns(self) -> Row:

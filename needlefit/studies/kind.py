@@ -31,14 +31,15 @@ class StudyKind:
     name: str  #: the value of `kind` in the study file
     record: type[FileRecord]  #: the keys of the study file
     #: the module with a function `run(name, record, settings)`, the columns of its frames in `FRAMES`, and a
-    #: `StudyReport` named `REPORT`; or a package whose modules `run` and `report` have these. They are
-    #: imported on first use
+    #: `StudyReport` named `REPORT`; or a package whose modules `run` and `report` have these (either one the
+    #: columns). They are imported on first use: to report a run, `report` alone
     package: str
 
     @property
     def frames(self) -> Mapping[str, Sequence[str]]:
         """The columns that every frame of its runs has."""
-        return getattr(self._import("run"), "FRAMES", {})
+        parts = (self._import(part) for part in ("report", "run"))
+        return next((part.FRAMES for part in parts if hasattr(part, "FRAMES")), {})
 
     @property
     def report(self) -> "StudyReport":

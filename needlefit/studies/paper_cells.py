@@ -23,8 +23,9 @@ from needlefit.project.toml import add_file_context, add_key_context, load
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies import paper
+from needlefit.studies.fit_frames import list_score_columns
 from needlefit.studies.job import Fold, Inputs, Job, Settings, find_named, load_medium, prepare
-from needlefit.studies.score import Predictor, Row, Scorer, list_score_columns
+from needlefit.studies.score import Predictor, Row, Scorer
 
 ERROR_COLUMNS = (
     *("study", "role", "insertion", "medium", "specimen", "layers", "method"),

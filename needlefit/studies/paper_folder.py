@@ -35,7 +35,7 @@ def write_paper_folder(result: Run, run_folder: Path, folder: Path) -> list[Path
     blocks = []
     for word, width in WIDTHS_IN.items():
         with fix_width(width), draw_together():
-            drawn = find_kind(result.kind).report.draw(result, folder)
+            drawn, _ = find_kind(result.kind).report.draw(result, folder)
         figures = {}
         for name, path in drawn.items():
             path.with_suffix(".csv").unlink(missing_ok=True)  # the run's folder has it

@@ -12,8 +12,8 @@ from typing import Literal
 
 import numpy as np
 import pandas as pd
+import scipy
 from numpy.typing import NDArray
-from scipy.special import bdtr, gammaln, xlogy  # scipy.stats takes 0.4 s to load
 
 from needlefit.arrays import Bools, Floats
 from needlefit.reporting.number_format import format_bare_symbol
@@ -34,7 +34,9 @@ def count_limits(replicates: int, probability: float | Floats, error: float) -> 
 def _tabulate_cdf(replicates: int, probability: float | Floats) -> Floats:
     """Return the probability (..., N + 1) of at most 0, 1, ..., N events of this probability (...)."""
     counts = np.arange(replicates + 1)
-    return np.asarray(bdtr(counts, replicates, np.asarray(probability)[..., None]), dtype=np.float64)
+    return np.asarray(
+        scipy.special.bdtr(counts, replicates, np.asarray(probability)[..., None]), dtype=np.float64
+    )
 
 
 def _cut_tails(cdf: Floats, error: float) -> tuple[Counts, Counts]:
@@ -73,7 +75,7 @@ def probability_inside(replicates: int, low: Counts, high: Counts) -> float:
 
 def _poisson(counts: Counts, mean: float) -> Floats:
     """Return the Poisson probabilities of counts."""
-    return np.asarray(np.exp(xlogy(counts, mean) - gammaln(counts + 1) - mean))
+    return np.asarray(np.exp(scipy.special.xlogy(counts, mean) - scipy.special.gammaln(counts + 1) - mean))
 
 
 Control = Literal["sigma", "prior", "pose", "shuffled"]

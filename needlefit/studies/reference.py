@@ -17,7 +17,7 @@ from needlefit.reporting.table_files import to_tidy, write_csv, write_json
 from needlefit.studies.fit_frames import FIT_KINDS
 from needlefit.studies.kind import find_kind
 from needlefit.studies.run import Run
-from needlefit.studies.score import VALIDITY_KEY
+from needlefit.studies.validity import VALIDITY_KEY
 
 LENGTH_DECIMALS = 5  #: decimals of a length in mm
 SIGNIFICANT_DIGITS = 5  #: significant digits of all other numbers

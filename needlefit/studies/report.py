@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+from threadpoolctl import threadpool_limits
 
 from needlefit.project.folders import listed_files, replace_folder
 from needlefit.project.help_pages import read_sections
-from needlefit.project.processes import one_thread
 from needlefit.project.result_warnings import WARNINGS_KEY, ResultWarning, read_warnings, to_rows
 from needlefit.reporting import document
 from needlefit.reporting.document import Block, Document
@@ -131,9 +131,17 @@ class StudyReport:
         every = [*self.tables(result), *(self.more_tables(result) if more else ())]
         return [one if isinstance(one, TableLayout) else self.text.lay_out(one, values) for one in every]
 
-    def draw(self, result: Run, folder: Path) -> dict[str, Path]:
-        """Draw all figures to a folder, what each shows beside it as CSV; return their files by name."""
-        return {name: one.save(folder / f"{name}.pdf") for name, one in self.figures(result).items()}
+    def draw(self, result: Run, folder: Path, all_figures: bool = True) -> tuple[dict[str, Path], list[str]]:
+        """Write what each figure shows to a folder, as CSV; draw all, or those that are not optional.
+
+        Return the files by name, and the names of the figures that are not drawn.
+        """
+        every = self.figures(result)
+        drawn = {name: one for name, one in every.items() if all_figures or not one.optional}
+        left = [name for name in every if name not in drawn]
+        for name in left:
+            write_csv(every[name].frame, folder / f"{name}.csv")
+        return {name: one.save(folder / f"{name}.pdf") for name, one in drawn.items()}, left
 
     def compose(self, result: Run, paths: Mapping[str, Path]) -> list[Block]:
         """Return the body of the report, with figures that were drawn to `paths`."""
@@ -169,7 +177,6 @@ def say(result: Run, *blocks: str) -> str:
 MODEL_DATA_NOTE = "The needles were simulated: errors on them do not carry over to measured ones."
 
 
-@one_thread
 def write_run(result: Run, folder: Path, all_figures: bool = False) -> Path:
     """Write the result of an analysis to `folder`, replacing an earlier result there; return the folder.
 
@@ -179,7 +186,7 @@ def write_run(result: Run, folder: Path, all_figures: bool = False) -> Path:
 
     Raises ConfigError if `folder` holds anything that needlefit did not write, or that was changed since.
     """
-    with replace_folder(folder) as new:
+    with threadpool_limits(1, user_api="blas"), replace_folder(folder) as new:
         for name in listed_files(folder) if find_kind(result.kind).report.keeps_files else ():
             (new / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(folder / name, new / name)
@@ -192,21 +199,18 @@ def write_files(result: Run, folder: Path, all_figures: bool = False) -> None:
     from needlefit.reporting.figures.style import draw_together  # late: matplotlib takes its time to load
 
     page = find_kind(result.kind).report
-    frames = page.tabulate(result)
-    for name in frames:  # before the figures: of a frame that is drawn, theirs is the file
-        pieces = (
-            piece if result.origin == "none" or "origin" in piece else piece.assign(origin=result.origin)
-            for piece in iterate_pieces(frames, name)
-        )
-        write_csv_pieces(pieces, folder / f"{name}.csv")
     with draw_together() as begin_drawing:
-        every = page.figures(result)
-        chosen = {name: one for name, one in every.items() if all_figures or not one.optional}
-        figures = {name: one.save(folder / f"{name}.pdf") for name, one in chosen.items()}
+        figures, left = page.draw(result, folder, all_figures)
         begin_drawing()
-        left = [name for name in every if name not in chosen]
-        for name in left:
-            write_csv(every[name].frame, folder / f"{name}.csv")
+        frames = page.tabulate(result)
+        for name in frames:
+            if name in (*figures, *left):  # of a frame that a figure shows, the figure's is the file
+                continue
+            pieces = (
+                piece if result.origin == "none" or "origin" in piece else piece.assign(origin=result.origin)
+                for piece in iterate_pieces(frames, name)
+            )
+            write_csv_pieces(pieces, folder / f"{name}.csv")
         tables = page.lay_out(result)
         for table in tables:
             path = folder / f"{table.name}.tex"

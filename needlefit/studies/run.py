@@ -1,27 +1,16 @@
 """The result of a study: tables, draws, verdicts, and what a reader needs to repeat it."""
 
-import platform
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from importlib.metadata import version
+from functools import update_wrapper
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Concatenate, Literal, ParamSpec, Self, TypeVar
 
 import pandas as pd
 
-from needlefit.datasets.formats import FORMATS
-from needlefit.datasets.insertion import Dataset, split_boundary_sd
-from needlefit.datasets.sections import describe_measurement
 from needlefit.errors import ConfigError
-from needlefit.inference.baselines import BASELINES
-from needlefit.inference.forward_model import make_options as mesh
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.mechanics.laws import LAWS
-from needlefit.metrics import METRICS
-from needlefit.registry import plugin_versions
 from needlefit.reporting.text import KindText
-from needlefit.schemas.medium import MediumRecord
-from needlefit.studies.job import Job
 from needlefit.studies.kind import find_kind
 
 Status = Literal["none", "pass", "warn", "fail"]
@@ -29,6 +18,28 @@ Status = Literal["none", "pass", "warn", "fail"]
 STATUSES: tuple[Status, ...] = ("none", "pass", "warn", "fail")
 
 VERDICTS_KEY = "verdicts"  #: of `--json`
+
+Given = ParamSpec("Given")
+Derived = TypeVar("Derived")
+
+
+def once_per_run(
+    derive: Callable[Concatenate["Run", Given], Derived],
+) -> Callable[Concatenate["Run", Given], Derived]:
+    """Return `derive`, computed once for each run and (hashable) arguments; nobody may change its value.
+
+    Tables, figures, sentences and verdicts of a report ask for the same.
+    """
+
+    def find(result: "Run", /, *args: Given.args, **kwargs: Given.kwargs) -> Derived:
+        key = (derive.__module__, derive.__qualname__, args, *kwargs.items())
+        if key not in result.derived:
+            result.derived[key] = derive(result, *args, **kwargs)
+        found: Derived = result.derived[key]
+        return found
+
+    update_wrapper(find, derive)
+    return find
 
 
 @dataclass(frozen=True)
@@ -58,6 +69,7 @@ def mark_faults(faults: Sequence[str], headline: Callable[[str], str] = headline
     return "".join(dict.fromkeys(f"{head}. " for head in map(headline, faults) if head))
 
 
+@once_per_run
 def judge_run(result: "Run") -> tuple[Verdict, ...]:
     """Return the verdicts of a run, one for each group, from its stored tables alone.
 
@@ -203,6 +215,8 @@ class Run:
     interrupted: bool = False
     faults: tuple[str, ...] = ()
     posteriors: Mapping[str, Posterior] = field(default_factory=dict, repr=False)
+    #: what `once_per_run` keeps
+    derived: dict[object, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def run_json(self) -> dict[str, Any]:
@@ -271,85 +285,3 @@ class Run:
 
     def _repr_html_(self) -> str:
         return find_kind(self.kind).report.format_notebook_html(self)
-
-
-#: whose versions decide the result of a study
-PACKAGES = ("numpy", "scipy", "nlopt", "emcee", "pandas", "trimesh")
-
-
-def describe_configuration(job: Job) -> dict[str, Any]:
-    """Return everything that decides the result of a job, as JSON values."""
-    return {
-        "name": job.name,
-        "versions": package_versions(PACKAGES) | plugin_versions_of(job.medium, job.dataset),
-        "dataset": describe_dataset(job.dataset) | {"needle": asdict(job.dataset.needle)},
-        "study": job.record.model_dump(mode="json", by_alias=True),
-        "medium": job.medium.model_dump(mode="json", by_alias=True),
-        "recipe": job.recipe.model_dump(mode="json", by_alias=True),
-        "hand_tuned": job.hand_tuned,
-        "folds": [
-            {"name": f.name, "tune": [i.id for i in f.tune], "validate": [i.id for i in f.validate]}
-            for f in job.folds
-        ],
-        "rules": describe_model_options(job.medium),
-    }
-
-
-def describe_dataset(dataset: Dataset) -> dict[str, Any]:
-    """Return which data these are, what their measurement does to shapes, and which errors they share."""
-    stated = dataset.measurement.model_dump(mode="json", exclude_none=True, exclude={"note"})
-    shared = {split_boundary_sd(one)[0] for one in dataset.insertions if len(one.boundaries)}
-    return {
-        "name": dataset.name,
-        "origin": dataset.origin,
-        "sha256": dataset.digest,
-        "notes": list(dataset.notes),
-        "measurement": stated | {"description": describe_measurement(dataset)},
-        "boundary_shared_sd_mm": sorted(shared - {0.0}),
-    }
-
-
-def package_versions(packages: Sequence[str]) -> dict[str, str]:
-    """Return the versions of Python, of needlefit and of these packages."""
-    each = {package: version(package) for package in ("needlefit", *packages)}
-    return {"python": platform.python_version(), **each}
-
-
-def plugin_versions_of(medium: MediumRecord, dataset: Dataset) -> dict[str, str]:
-    """Return the versions of the plugins that a result with these depends on, if any."""
-    added = [(registry, name) for registry in (METRICS, BASELINES) for name in registry.names()]
-    return plugin_versions((LAWS, medium.law), (FORMATS, dataset.centerline_format), *added)
-
-
-def describe_model_options(medium: MediumRecord) -> dict[str, Any]:
-    """Return the model rules that fitted numbers depend on; fits with other rules cannot be compared."""
-    switch, tangent = medium.constraint_switch, medium.tangent_part
-    which = "nearest constraint at each quadrature point"
-    if switch != 0.5:
-        which = f"constraint behind up to {switch:g} of the way, then the one ahead"
-    tie = f"{which}, quadrature split where it changes"
-    advance = f"along {tangent:g} of the tip's slope"
-    if medium.advance == "path_angle":
-        tie = "linear between constraint points, quadrature split at them and halfway"
-        advance = "at an angle to the path"
-    else:
-        if switch in (0, 1):
-            tie = f"every cell has the constraint point {'behind' if switch else 'ahead'}"
-        if tangent in (0, 1):
-            advance = "along the tangent" if tangent else "a shift in x"
-    return {
-        "constraint_spacing_mm": medium.constraint_spacing_mm,
-        "thickness_mm": medium.thickness_mm,
-        "law": medium.law,
-        "friction": 0.0,
-        "element_mm": mesh(medium).element,
-        "tie": tie,
-        "advance": advance,
-        "first_cell": "the depth's remainder over the spacing, or a whole cell"
-        if medium.first_cell_mm is None
-        else f"{medium.first_cell_mm:g} mm, whatever the depth",
-        "mu": "Pa, effective foundation modulus",
-        "bevel": "degrees of the cut to the needle's tangent"
-        if medium.advance == "path_angle"
-        else "mm per constraint spacing",
-    }

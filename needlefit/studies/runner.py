@@ -18,7 +18,8 @@ from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.fit_warnings import analysis_bound_warnings
 from needlefit.studies.job import Fold, Job, Settings, warn_shared_specimens
-from needlefit.studies.run import PACKAGES, Frames, Run, describe_configuration, package_versions
+from needlefit.studies.provenance import PACKAGES, describe_configuration, package_versions
+from needlefit.studies.run import Frames, Run
 from needlefit.studies.score import Row
 from needlefit.studies.store import to_json_value
 

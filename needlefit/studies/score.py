@@ -1,7 +1,7 @@
 """Score methods: the curve of every method against every measured one, as rows of the tables of `Run`."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -14,22 +14,21 @@ from needlefit.datasets.noise import NoiseFloor
 from needlefit.datasets.select import count_layers, get_other_rule, name_holes
 from needlefit.geometry.curves import compare_curves
 from needlefit.inference.baseline_fit import fit_baselines
-from needlefit.inference.baselines import list_baselines
 from needlefit.inference.compared_points import Curve, SimulatedCurve, compare_points
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import predict
 from needlefit.inference.planned_layers import planned_layers
 from needlefit.inference.problem import Problem
-from needlefit.mechanics.shape import LIMITS, NeedleShape, Validity
-from needlefit.metrics import METRICS, Metric, compute_metrics, headline_metrics, list_metrics
+from needlefit.mechanics.shape import NeedleShape
+from needlefit.metrics import METRICS, compute_metrics
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.study import LayerCountRule
+from needlefit.studies.fit_frames import MODEL_METHODS
 from needlefit.studies.job import Job
+from needlefit.studies.validity import ValidityCounts
 
 Row = dict[str, Any]
 
-#: the methods that simulate a needle: both fits, the paper's parameters, and these with b fitted again
-MODEL_METHODS = ("fitted", "fitted_metric", "hand_tuned", "hand_tuned_b")
 #: an insertion -> a curve by kind of boundaries ("measured", "planned"); None where the solve failed
 Predictor = Callable[[Insertion], Mapping[str, Curve | None]]
 
@@ -76,78 +75,6 @@ def make_predictors(
     }
     baselines = fit_baselines(dataset.pose, dataset.drop_proximal, problem.insertions)
     return {**models, **{name: curve_predictor(baseline.curve) for name, baseline in baselines.items()}}
-
-
-def list_methods() -> tuple[str, ...]:
-    """Return the names of all methods in the order of tables: models, then baselines."""
-    return (*MODEL_METHODS, *(baseline.name for baseline in list_baselines()))
-
-
-def list_score_columns(metrics: Iterable[Metric] | None = None) -> tuple[str, ...]:
-    """Return the columns of a row of errors that hold metrics (all of them by default) and noise floors."""
-    chosen = list_metrics() if metrics is None else tuple(metrics)
-    floors = (f"floor_{metric.name}" for metric in chosen if metric.has_floor)
-    return (*(metric.name for metric in chosen), *floors)
-
-
-def list_length_metrics() -> tuple[Metric, ...]:
-    """Return the headline metrics in mm with a noise floor: those that analyses compare."""
-    return tuple(metric for metric in headline_metrics() if metric.unit == "mm" and metric.has_floor)
-
-
-VALIDITY_KEY = "validity"  #: key in `run.json`
-#: methods whose invalid predictions give a warning; those of a published set are counted only
-FITTED_METHODS = ("fitted", "fitted_metric")
-MAX_LISTED_ROWS = 20  #: scored simulations outside that are listed; the others are counted
-
-_WORDS = {
-    "scored": "scored simulations",
-    "starts": "ends of starts",
-    "draws": "draws of the posterior",
-    "predicted": "predictions of held-out insertions",
-}
-
-
-@dataclass
-class ValidityCount:
-    """A number of simulations, and how many of them are outside the model's assumptions."""
-
-    simulations: int = 0
-    outside: int = 0
-
-    def add(self, simulations: int, outside: int) -> None:
-        """Add a number of simulations."""
-        self.simulations += simulations
-        self.outside += outside
-
-
-@dataclass
-class ValidityCounts:
-    """The simulations of one run, and how many of them are outside the model's assumptions."""
-
-    #: ends of all starts of all searches: one is outside if any of its insertions is
-    starts: ValidityCount = field(default_factory=ValidityCount)
-    #: of the posterior, sampled or by importance about the fit; counted likewise
-    draws: ValidityCount = field(default_factory=ValidityCount)
-    #: needles predicted of held-out insertions, one for each draw
-    predicted: ValidityCount = field(default_factory=ValidityCount)
-    #: fold, role, method, insertion and boundaries of every scored simulation, with `faults` (empty: inside)
-    scored: list[dict[str, Any]] = field(default_factory=list)
-
-    def score(self, place: Mapping[str, Any], validity: Validity) -> None:
-        """Count one scored simulation."""
-        self.scored.append({**place, "faults": list(validity.faults)})
-
-    def table(self) -> dict[str, Any]:
-        """Return the counts as JSON values."""
-        beyond = [row for row in self.scored if row["faults"]]
-        counts = {"scored": ValidityCount(len(self.scored), len(beyond))}
-        counts |= {name: getattr(self, name) for name in ("starts", "draws", "predicted")}
-        table: dict[str, Any] = {name: vars(count) for name, count in counts.items()}
-        table["limits"] = {name: limit for name, limit, _ in LIMITS}
-        table["fitted_outside"] = sum(row["method"] in FITTED_METHODS for row in beyond)
-        table["scored_outside"] = beyond[:MAX_LISTED_ROWS]
-        return table
 
 
 @dataclass(frozen=True)
@@ -222,29 +149,3 @@ def _shape_rows(where: Row, simulated: Floats, measured: Floats) -> list[Row]:
     names = ("measured_x_mm", "measured_y_mm", "simulated_x_mm", "simulated_y_mm")
     places = enumerate(np.column_stack([measured, simulated]).tolist())
     return [{**where, "j": j, **dict(zip(names, place, strict=True))} for j, place in places]
-
-
-#: share of draws, or of needles predicted by them, that may be outside without a warning: their tails are
-MAX_OUTSIDE_SHARE = 0.01
-
-
-def list_outside(run: Mapping[str, Any]) -> list[str]:
-    """Return in words where fitted, drawn or predicted needles are outside the model's assumptions."""
-    table = run.get(VALIDITY_KEY, {})
-    fitted = table.get("fitted_outside", 0)
-    many = {
-        name: count
-        for name, count in table.items()
-        if name in ("draws", "predicted") and count["outside"] > MAX_OUTSIDE_SHARE * count["simulations"]
-    }
-    return [*([f"{fitted} scored simulations of the fit"] if fitted else []), *_shares(many, tuple(many))]
-
-
-def describe_outside(run: Mapping[str, Any]) -> str:
-    """Return in a clause how many simulations of a run are outside; empty if none is."""
-    return ", ".join(_shares(run.get(VALIDITY_KEY, {}), tuple(_WORDS)))
-
-
-def _shares(table: Mapping[str, Any], names: Sequence[str]) -> list[str]:
-    counts = [(name, table[name]) for name in names if name in table and table[name]["outside"]]
-    return [f"{count['outside']} of {count['simulations']} {_WORDS[name]}" for name, count in counts]

@@ -9,7 +9,6 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import groupby
 from typing import Any, Literal
 
@@ -17,18 +16,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.select import count_layers, get_other_rule, group_rows
+from needlefit.datasets.select import get_other_rule, group_rows
 from needlefit.geometry.curves import ComparedCurves, compare_curves
 from needlefit.inference.baselines import BASELINES
 from needlefit.metrics import headline_metrics, list_metrics, pool_metric
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.studies import paper
-from needlefit.studies.fit_frames import COLUMNS as FRAMES
-from needlefit.studies.fit_frames import SCORE_KEYS
-from needlefit.studies.job import Job
-from needlefit.studies.run import BestBaseline, Run
-from needlefit.studies.score import list_methods
+from needlefit.studies.fit_frames import SCORE_KEYS, list_methods
+from needlefit.studies.run import BestBaseline, Run, once_per_run
 
 AGGREGATE_COLUMNS = (
     *("metric", "value", "pooled", "floor", "unflagged"),
@@ -101,6 +96,7 @@ def _mean(values: NDArray[np.floating[Any]]) -> float:
     return float(np.where(there, values, 0.0).sum() / there.sum()) if there.any() else math.nan
 
 
+@once_per_run
 def compare_methods(
     results: Run, against: str = "fitted", role: str = "validate", metric: str = "ipe_mean_mm"
 ) -> pd.DataFrame:
@@ -180,6 +176,7 @@ def tabulate_points(results: Run) -> pd.DataFrame:
     return shapes.assign(ipe_mm=np.hypot(across, along)).merge(about, on=list(SCORE_KEYS), how="inner")
 
 
+@once_per_run
 def find_bevel_sides(results: Run) -> dict[str, int]:
     """Return by insertion the side of C's x axis that its bevel faces, +1 or -1; deflections point there.
 
@@ -210,36 +207,6 @@ def _finite_column(frame: pd.DataFrame, name: str) -> "pd.Series[float]":
     return values.where(np.isfinite(values))
 
 
-def tabulate_design(job: Job) -> pd.DataFrame:
-    """Return one row per role, medium and layers; folds share their insertions.
-
-    `insertions_other` is how many of the same insertions the other reading counts there; a group that only
-    the other reading has is left out of the first count.
-    """
-    rule, counted = job.record.layer_count_rule, []
-    for each in (rule, get_other_rule(rule)):
-        groups: dict[tuple[str, str, int], dict[str, Insertion]] = {}
-        for fold in job.folds:
-            for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
-                for one in insertions:
-                    group = (role, one.medium, count_layers(one, each))
-                    groups.setdefault(group, {})[one.id] = one
-        counted.append(groups)
-    ours, others = counted
-    rows = []
-    for group in {**ours, **others}:
-        members = ours.get(group) or others[group]
-        row: Row = dict(zip(("role", "medium", "layers"), group, strict=True))
-        row |= {"insertions": len(ours.get(group, {})), "insertions_other": len(others.get(group, {}))}
-        for name in ("depth", "deflection"):
-            values = [getattr(one, name) for one in members.values()]
-            row |= {f"{name}_min_mm": min(values), f"{name}_max_mm": max(values)}
-        rows.append(row)
-    return pd.DataFrame(rows, columns=list(FRAMES["design"])).sort_values(
-        ["role", "medium", "layers"], ascending=[True, True, False], ignore_index=True
-    )
-
-
 _GROUP_COLUMNS = ("study", "grouping", "medium", "layers", "alternate_count")
 _SCORE_COLUMNS = ("method", "boundaries", *AGGREGATE_COLUMNS, "paper", "paper_insertions")
 _DESCRIPTION_COLUMNS = ("layer_count_rule", "comparable", "comparison", "origin")
@@ -255,7 +222,7 @@ _PUBLISHED: Mapping[str, tuple[paper.TableName, Mapping[str, str]]] = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ScoredGroup:
     """The rows of one group: all methods and metrics."""
 
@@ -316,7 +283,12 @@ def list_groups(table: pd.DataFrame) -> list[ScoredGroup]:
 
 def list_held_out_groups(*results: Run, with_alternate: bool = False) -> list[ScoredGroup]:
     """Return the groups of held-out insertions."""
-    return list_groups(tabulate_validation(*results, with_alternate=with_alternate))
+    return [group for one in results for group in _held_out_groups(one, with_alternate)]
+
+
+@once_per_run
+def _held_out_groups(results: Run, with_alternate: bool) -> list[ScoredGroup]:
+    return list_groups(tabulate_validation(results, with_alternate=with_alternate))
 
 
 def study_label(results: Run) -> str | int:
@@ -368,6 +340,7 @@ def _beats(results: Run, group: ScoredGroup, method: str, other: str) -> bool:
     return any(beats_fit(row, TE) for row in compare_group(results, group, other) if row["method"] == method)
 
 
+@once_per_run
 def compare_group(results: Run, group: ScoredGroup, against: str = "fitted") -> list[Row]:
     """Return every method's tip error on the insertions of a group beside that of another method."""
     role = "validate" if group.head["grouping"] == HELD_OUT else "tune"
@@ -375,47 +348,25 @@ def compare_group(results: Run, group: ScoredGroup, against: str = "fitted") -> 
     return to_records(compare_methods(here, against=against, role=role, metric=TE))
 
 
-class _IdentityKey:
-    """Run as a key of a cache: frames have no hash, so identity stands for equality."""
-
-    def __init__(self, results: Run) -> None:
-        self.results = results
-
-    def __hash__(self) -> int:
-        return id(self.results)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _IdentityKey) and other.results is self.results
-
-
 def _make_frame(results: Iterable[Run], groupings: tuple[str, ...], with_alternate: bool) -> pd.DataFrame:
     """Return the rows as a frame in which counts stay whole numbers where some are missing."""
-    metrics = tuple(metric.name for metric in list_metrics())
     rows = [
-        row
-        for one in results
-        for grouping in groupings
-        for row in _cached_rows(_IdentityKey(one), grouping, metrics, with_alternate)
+        row for one in results for grouping in groupings for row in _list_rows(one, grouping, with_alternate)
     ]
     return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"layers": "Int64", "paper_insertions": "Int64"})
 
 
-@lru_cache(maxsize=64)
-def _cached_rows(
-    key: _IdentityKey, grouping: str, metrics: tuple[str, ...], with_alternate: bool
-) -> tuple[Row, ...]:
-    """Return the rows of one grouping, made once: tables, figures and sentences of a report ask for them."""
-    return tuple(_make_rows(key.results, grouping, with_alternate))
-
-
-def _make_rows(results: Run, grouping: str, with_alternate: bool) -> Iterator[Row]:
-    """Yield the rows by the study's reading, then those that the other one makes different, if wanted."""
+@once_per_run
+def _list_rows(results: Run, grouping: str, with_alternate: bool) -> list[Row]:
+    """Return the rows by the study's reading, then those that the other one makes different, if wanted."""
     role = "validate" if grouping == HELD_OUT else "tune"
     groups = find_regrouped(results, role) if with_alternate else set()
-    for one in (results, *([use_alternate_count(results)] if groups else [])):
-        for row in _group_rows(one, role, grouping):
-            if one is results or (row["medium"], row.get("layers")) in groups:
-                yield {**row, "alternate_count": one is not results}
+    return [
+        {**row, "alternate_count": one is not results}
+        for one in (results, *([use_alternate_count(results)] if groups else []))
+        for row in _group_rows(one, role, grouping)
+        if one is results or (row["medium"], row.get("layers")) in groups
+    ]
 
 
 def _group_rows(results: Run, role: str, grouping: str) -> Iterator[Row]:

@@ -44,7 +44,7 @@ def write_needles(needles: pd.DataFrame, synthetic: bool, folder: Path) -> None:
             doubt = ", NOT CONVERGED" if name == "band" and needle.band and not needle.band.converged else ""
             comments = (f"needlefit: {needle.insertion}, {name}{summary}{doubt}, mm",)
             body = make_tube(points, widths, needle.toward)
-            write_ply(body, folder / f"{needle.insertion}.{name}.ply", comments)
+            write_ply(*body, folder / f"{needle.insertion}.{name}.ply", comments)
 
 
 def write_scene(
@@ -70,7 +70,7 @@ def write_scene(
         return False
     if path.suffix.lower() == ".ply":
         radius = (DEFAULT_DIAMETER_MM if diameter is None else diameter) / 2
-        write_ply(make_tube(curves[-1][0], radius, placement.across), path)
+        write_ply(*make_tube(curves[-1][0], radius, placement.across), path)
         return True
     steps = [f"needle, step {n}" for n in range(1, len(curves) + 1)] if len(shapes) > 1 else ["needle"]
     lists = [
@@ -160,7 +160,7 @@ def write_scan(reconstruction: "Reconstruction", folder: Path, diameter: float) 
     for body, points, radius in bodies:
         files.append(folder / f"{name}.{body}.ply")
         toward = _band_direction(reconstruction)
-        write_ply(make_tube(points, radius, toward), files[-1], (f"needlefit: {name}, {body}{summary}, mm",))
+        write_ply(*make_tube(points, radius, toward), files[-1], (f"needlefit: {name}, {body}{summary}, mm",))
     return tuple(files)
 
 

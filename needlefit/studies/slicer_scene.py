@@ -108,7 +108,7 @@ def write_slicer_scene(one: Reconstruction, volume: Volume, diameter: float, pat
         sheets = [surface for surface in layers_in_patient(one) if surface.kind == "sheet"]
         for number, sheet in enumerate(sheets, start=1):
             file = f"{number}_{make_id(sheet.name, 'surface')}.ply"
-            write_ply(sheet.mesh, scene.folder / file, ("SPACE=LPS",))
+            write_ply(sheet.mesh.vertices, sheet.mesh.faces, scene.folder / file)
             shown = {"color": _format_colour(rgb(LAYER_COLOUR)), "opacity": "0.4"}
             scene.add_stored("Model", f"into layer {sheet.into}: {sheet.name}", file, _IN_LPS, shown)
         file = "segmentation.seg.nrrd"

@@ -18,7 +18,8 @@ from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.schemas.tracks import TrackStudyRecord
 from needlefit.studies.job import Job, Settings, prepare
 from needlefit.studies.kind import find_kind
-from needlefit.studies.run import Run, describe_configuration
+from needlefit.studies.provenance import describe_configuration
+from needlefit.studies.run import Run
 
 
 def load_study(path: Path) -> FileRecord:

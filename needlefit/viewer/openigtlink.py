@@ -29,7 +29,7 @@ from scipy.spatial.transform import Rotation
 from needlefit.arrays import Floats
 from needlefit.errors import ConfigError, NeedlefitError
 from needlefit.mechanics.shape import compute_positions
-from needlefit.studies.needles_in_scan import NEEDLE_POINTS
+from needlefit.studies.needle_placement import NEEDLE_POINTS
 from needlefit.viewer.overlays import NeedleBand, compute_band
 from needlefit.viewer.server import RateLimit
 from needlefit.viewer.tracking import TrackedTrial

@@ -42,10 +42,10 @@ from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.tracker import PlacementRecord, RecordingRecord
 from needlefit.studies import paper
-from needlefit.studies.fit_frames import FIT_KINDS, select_draws
-from needlefit.studies.held_out_predictions import NEW_SPECIMEN, TUNED_SPECIMENS
+from needlefit.studies.fit_frames import FIT_KINDS, NEW_SPECIMEN, TUNED_SPECIMENS, select_draws
 from needlefit.studies.job import hand_tuned_set
-from needlefit.studies.needles_in_scan import DEFAULT_DIAMETER_MM, NEEDLE_POINTS, align_with_measured
+from needlefit.studies.needle_placement import NEEDLE_POINTS, align_with_measured
+from needlefit.studies.needles_in_scan import DEFAULT_DIAMETER_MM
 from needlefit.studies.planned_draws import vary_bevels
 from needlefit.studies.report import list_run_warnings
 from needlefit.studies.run import Run

@@ -20,7 +20,7 @@ from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.metrics import compute_metrics
 from needlefit.planning.steering import StartedInsertion
 from needlefit.project.input_files import path_exists
-from needlefit.studies.needles_in_scan import BAND_PERCENTILES, NEEDLE_POINTS
+from needlefit.studies.needle_placement import BAND_PERCENTILES, NEEDLE_POINTS
 
 #: needles of a band, evenly chosen from all draws: it is computed again whenever the needle moves
 MAX_BAND_DRAWS = 100

@@ -8,7 +8,7 @@ no posterior.
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
+import scipy
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion, Pose
@@ -54,7 +54,7 @@ def make_mean_curve(turns: Sequence[float], insertion: Insertion) -> Curve:
     middles = np.append(middles, middles[-1] + insertion.depth)
     turned = np.interp(insertion.depth - along, middles, np.concatenate([[0.0], np.cumsum(steps)]))
     angle = insertion.side * (turned[0] - turned)
-    x, y = cumulative_trapezoid([np.cos(angle), np.sin(angle)], along, initial=0)
+    x, y = scipy.integrate.cumulative_trapezoid([np.cos(angle), np.sin(angle)], along, initial=0)
 
     def curve(s: Floats) -> Floats:
         # before the entry the needle is straight

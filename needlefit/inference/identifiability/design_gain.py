@@ -25,11 +25,10 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from needlefit.arrays import Floats
+from needlefit.inference.identifiability.directions import Direction, principal_directions
 from needlefit.inference.identifiability.precision import (
-    Direction,
     cramer_rao,
     linearize,
-    principal_directions,
     prior_and_noise_information,
     prior_information,
 )

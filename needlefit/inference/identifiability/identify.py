@@ -28,25 +28,27 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.inference.fit import Fit, Start
-from needlefit.inference.identifiability.precision import (
-    LOOSENED,
+from needlefit.inference.identifiability.directions import (
     MAX_LOG_SD,
     MAX_SD_RATIO,
     MAX_SHAPE_SD,
-    MEAN_OF_SPECIMENS,
     UNINFORMED_SD_RATIO,
     Direction,
+    describe_precision,
+    is_determined_by_data,
+    principal_directions,
+)
+from needlefit.inference.identifiability.precision import (
+    LOOSENED,
+    MEAN_OF_SPECIMENS,
     Loosened,
     add_estimated_noise,
     compute_sds,
-    describe_precision,
     find_bounds,
     find_condition,
     find_tie_conditions,
-    is_determined_by_data,
     linearize,
     loosen,
-    principal_directions,
     prior_information,
 )
 from needlefit.inference.identifiability.profile import (

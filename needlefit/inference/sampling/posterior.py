@@ -10,6 +10,7 @@ posterior's information: stiff and sloppy ones), and of the log posterior.
 
 import hashlib
 import json
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+import scipy
 
 from needlefit.arrays import Floats
 from needlefit.errors import ConfigError, DataError
@@ -26,10 +28,6 @@ from needlefit.project.input_files import parse_json
 if TYPE_CHECKING:
     import arviz
     import xarray
-import math
-
-from scipy.fft import irfft, next_fast_len, rfft
-from scipy.special import ndtri
 
 #: the rule: R-hat below, at least this many autocorrelation times long, and more independent draws than this
 #: in the bulk and in the tails of every ensemble
@@ -136,10 +134,10 @@ def autocorrelation_times(series: Floats) -> Floats:
     """
     steps, found = series.shape[1], []
     # padded to twice the length: the FFT's correlation is circular
-    size = next_fast_len(2 * steps, real=True)
+    size = scipy.fft.next_fast_len(2 * steps, real=True)
     for one in series:
-        spectrum = rfft(one - one.mean(), n=size, axis=0)
-        covariance = irfft(np.mean(np.abs(spectrum) ** 2, axis=1), n=size)[:steps]  # (S,)
+        spectrum = scipy.fft.rfft(one - one.mean(), n=size, axis=0)
+        covariance = scipy.fft.irfft(np.mean(np.abs(spectrum) ** 2, axis=1), n=size)[:steps]  # (S,)
         if not covariance[0] > 0.0:
             found.append(math.inf)
             continue
@@ -151,11 +149,9 @@ def autocorrelation_times(series: Floats) -> Floats:
 
 
 def _normal_scores(draws: Floats) -> Floats:
-    from scipy.stats import rankdata  # late: it takes 0.2 s to load
-
-    ranks = rankdata(draws, axis=None).reshape(draws.shape)
+    ranks = scipy.stats.rankdata(draws, axis=None).reshape(draws.shape)
     # Blom's offsets 3/8 and 1/4, as in Vehtari et al.
-    return ndtri((ranks - 0.375) / (draws.size + 0.25))
+    return scipy.special.ndtri((ranks - 0.375) / (draws.size + 0.25))
 
 
 def _folded_scores(draws: Floats) -> Floats:

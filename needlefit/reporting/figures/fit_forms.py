@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator, NullLocator
-from scipy.interpolate import CubicHermiteSpline
 
 from needlefit.arrays import Floats
+from needlefit.geometry.curves import interpolate_hermite
 from needlefit.inference.baselines import list_baselines
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.metrics import headline_metrics
@@ -664,7 +664,7 @@ def _draw_profile(axes: Axes, row: Row, points: pd.DataFrame, unit: float) -> No
     fine = np.linspace(at[0], at[-1], 400)
     values, places = (np.exp(one) if logarithmic else one for one in (at, fine))
     deviance, threshold = points["deviance"].to_numpy(dtype=np.float64), float(points["threshold"].iloc[0])
-    curve = CubicHermiteSpline(at, deviance, points["slope"])(fine)
+    curve = interpolate_hermite(at, deviance, points["slope"].to_numpy(dtype=np.float64), fine)
     # the interval of the tables; of a profile alone, what is within the threshold
     inside = curve <= threshold
     if _is_of_draws(row):

@@ -38,6 +38,7 @@ from needlefit.schemas.base import Record
 from needlefit.schemas.limits import MAX_REPLICATES
 from needlefit.schemas.study import FitRecord, LayerCountRule, SelectionRecord
 from needlefit.studies import score
+from needlefit.studies.fit_frames import list_length_metrics, list_score_columns
 from needlefit.studies.held_out_predictions import (
     PREDICTION_DRAWS,
     PosteriorFit,
@@ -124,7 +125,7 @@ _PREDICTED = (
 
 def list_frames() -> dict[str, tuple[str, ...]]:
     """Return the columns of the frames; `learned_from` names new insertions, joined by +, or "nothing"."""
-    scores = score.list_score_columns(score.list_length_metrics())
+    scores = list_score_columns(list_length_metrics())
     return {
         "errors": (*_WHERE, "insertion", *_SCORED, *scores, *_PREDICTED),
         "fits": (*_WHERE, "pareto_k", "sampled", "parameter", "value"),
@@ -326,7 +327,7 @@ def estimate(values: Floats) -> Estimate:
 
 def list_error_names() -> list[str]:
     """Return the metrics for which the needed number of insertions is estimated."""
-    return [metric.name for metric in score.list_length_metrics()]
+    return [metric.name for metric in list_length_metrics()]
 
 
 def conclude(task: AdaptationTask, frames: Frames) -> tuple[str, ...]:
@@ -460,7 +461,7 @@ def describe(result: Run) -> dict[str, Any]:
         ][:3],
         "floors": [
             f"{metric.label} {format_mm(curves[0][f'floor_{metric.name}'], 3)}"
-            for metric in score.list_length_metrics()
+            for metric in list_length_metrics()
         ],
     }
 
@@ -512,7 +513,7 @@ def draw(result: Run) -> dict[str, Drawing]:
     if frame.empty:
         return {}
     panels = []
-    for metric in score.list_length_metrics():
+    for metric in list_length_metrics():
         name, floor = metric.name, float(frame[f"floor_{metric.name}"].iloc[0])
         low, high = (name.replace("_mm", f"_{end}_mm") for end in ("min", "max"))
         known = (floor, "noise floor")

@@ -21,7 +21,8 @@ from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read
 from needlefit.datasets.sources import digest_folders
 from needlefit.errors import ConfigError, NeedlefitError
-from needlefit.inference.identifiability.precision import find_bounds, format_sd, posterior_sds
+from needlefit.inference.identifiability.directions import format_sd
+from needlefit.inference.identifiability.precision import find_bounds, posterior_sds
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.mechanics.laws import LAWS
 from needlefit.metrics import METRICS, compute_metrics, headline_metrics, list_metrics
@@ -48,8 +49,9 @@ from needlefit.studies.columnar import iterate_pieces, read_columns, require_pya
 from needlefit.studies.held_out_predictions import find_fit
 from needlefit.studies.job import Fold, Job, Settings, find_named, group_insertions, prepare
 from needlefit.studies.kind import StudyKind
+from needlefit.studies.provenance import PACKAGES, describe_model_options, package_versions
 from needlefit.studies.report import StudyReport
-from needlefit.studies.run import PACKAGES, Frames, Run, Verdict, describe_model_options, package_versions
+from needlefit.studies.run import Frames, Run, Verdict
 from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, run_analysis
 from needlefit.studies.score import Row
 

@@ -60,6 +60,7 @@ from needlefit.schemas.analyses import AnalysisRecord, SyntheticDataRecord
 from needlefit.schemas.medium import MediumRecord, ParameterRecord, use_path_angle
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord, LayerCountRule, SelectionRecord
+from needlefit.studies.fit_frames import list_score_columns
 from needlefit.studies.held_out_predictions import find_fit
 from needlefit.studies.job import Fold, Job, Settings, prepare
 from needlefit.studies.kind import StudyKind
@@ -70,7 +71,6 @@ from needlefit.studies.score import (
     Predictor,
     Row,
     curve_predictor,
-    list_score_columns,
     model_predictor,
     score_planned,
 )

@@ -35,12 +35,13 @@ from needlefit.schemas.study import StudyRecord
 from needlefit.studies.coverage import count_covered, format_proportion
 from needlefit.studies.csv_tables import read_table
 from needlefit.studies.fit_frames import FIT_KINDS
-from needlefit.studies.identification import describe_verdicts
+from needlefit.studies.identification_tables import describe_verdicts
 from needlefit.studies.job import Settings
 from needlefit.studies.kind import StudyKind, find_kind
+from needlefit.studies.provenance import package_versions
 from needlefit.studies.rank_statistics import CONTROL_NAMES, name_quantity
 from needlefit.studies.report import StudyReport, say, warning_blocks
-from needlefit.studies.run import Run, package_versions
+from needlefit.studies.run import Run
 from needlefit.studies.run_differences import Difference, compare_leaves, count_words
 from needlefit.studies.score import Row
 from needlefit.studies.scored_groups import aggregate, study_label

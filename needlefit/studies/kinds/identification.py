@@ -11,6 +11,15 @@ from needlefit.errors import ConfigError, FitError
 from needlefit.inference.fit import Fit
 from needlefit.inference.identifiability import precision
 from needlefit.inference.identifiability.design_gain import ExpectedPrecision, expect_precision
+from needlefit.inference.identifiability.directions import (
+    MAX_LOG_SD,
+    UNINFORMED_SD_RATIO,
+    describe_combination,
+    format_combination_sd,
+    format_sd,
+    is_determined_by_data,
+    short_name,
+)
 from needlefit.inference.identifiability.identify import (
     AGREEMENT,
     MIN_NAMED_WEIGHT,
@@ -27,13 +36,12 @@ from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import TargetRecord
-from needlefit.studies.identification import (
-    IDENTIFICATION_COLUMNS,
+from needlefit.studies.fit_frames import COLUMNS
+from needlefit.studies.identification import identify_parameters
+from needlefit.studies.identification_tables import (
     IDENTIFICATION_COMPARISON,
-    PROFILE_COLUMNS,
     describe_verdicts,
     format_small_mm,
-    identify_parameters,
     lay_out_identification,
 )
 from needlefit.studies.job import Job, Settings
@@ -55,7 +63,7 @@ class IdentificationRecord(TargetRecord):
 #: what `needlefit identify` runs, or a study file
 KIND = StudyKind("identification", IdentificationRecord, __name__)
 
-FRAMES: Mapping[str, tuple[str, ...]] = {"identify": ("stage", *IDENTIFICATION_COLUMNS)}
+FRAMES: Mapping[str, tuple[str, ...]] = {"identify": ("stage", *COLUMNS["identification"])}
 
 
 def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
@@ -147,9 +155,9 @@ def _identify_design(job: Job, settings: Settings, fitted: Mapping[str, float] |
         "layers": "planned" if all(insertion.surfaces for insertion in fold.tune) else "stated",
     }
     return _Design(
-        pd.DataFrame(rows, columns=list(IDENTIFICATION_COLUMNS)),
+        pd.DataFrame(rows, columns=list(COLUMNS["identification"])),
         pd.DataFrame(
-            [{"fold": fold.name, **row} for row in found.points], columns=[*PROFILE_COLUMNS, *parameters]
+            [{"fold": fold.name, **row} for row in found.points], columns=[*COLUMNS["profiles"], *parameters]
         ),
         _tabulate_directions(expectation),
         stated,
@@ -160,7 +168,7 @@ def _tabulate_directions(expectation: ExpectedPrecision) -> pd.DataFrame:
     """Return the principal directions: standard deviations at the point and near it, and contraction."""
     rows = [
         {
-            "combination": precision.describe_combination(np.array(direction.weights), expectation.names),
+            "combination": describe_combination(np.array(direction.weights), expectation.names),
             "sd": direction.sd,
             "sd_low": float(expectation.direction_sds[:, k].min()),
             "sd_high": float(expectation.direction_sds[:, k].max()),
@@ -207,7 +215,7 @@ def describe(found: Run) -> dict[str, Any]:
         "expected": [_describe_expected(row, directions) for row in design if row["sd_low"] is not None],
         "fixed": [
             {
-                "name": precision.short_name(str(row["parameter"])),
+                "name": short_name(str(row["parameter"])),
                 "moved": "" if tip is None else format_small_mm(tip),
                 "value": row["value"],
             }
@@ -219,7 +227,7 @@ def describe(found: Run) -> dict[str, Any]:
 def _describe_expected(row: Row, directions: list[Row]) -> Row:
     """Return what a design determines about one free parameter."""
     name, sd, low, high = str(row["parameter"]), row["sd"], row["sd_low"], row["sd_high"]
-    first, last = (precision.format_sd(one, is_logarithmic(name)) for one in (low, high))
+    first, last = (format_sd(one, is_logarithmic(name)) for one in (low, high))
     last = last.removeprefix("factor ") if first.startswith("factor") else last
     # the best-determined combination that contains the parameter, if it is determined
     named = (one for one in directions if abs(one[f"weight_{name}"]) >= MIN_NAMED_WEIGHT)
@@ -227,18 +235,18 @@ def _describe_expected(row: Row, directions: list[Row]) -> Row:
         (
             f"{one['combination']} ({one['note'].split(' is known ', 1)[-1]})"
             for one in named
-            if one["sd_ratio"] < precision.UNINFORMED_SD_RATIO and one["sd"] < precision.MAX_LOG_SD
+            if one["sd_ratio"] < UNINFORMED_SD_RATIO and one["sd"] < MAX_LOG_SD
         ),
         "",
     )
     return {
         **row,
-        "name": precision.short_name(name),
+        "name": short_name(name),
         "known": describe_posterior_sd(name, sd),
         "near": "" if high < 1.3 * low else f"{first} to {last}".replace("factor", "a factor of"),
         "agrees": row["agreement"] == AGREEMENT,
-        "uninformed": row["sd_ratio"] > precision.UNINFORMED_SD_RATIO,
-        "by_data": precision.is_determined_by_data(name, sd, sd / float(row["sd_ratio"])),
+        "uninformed": row["sd_ratio"] > UNINFORMED_SD_RATIO,
+        "by_data": is_determined_by_data(name, sd, sd / float(row["sd_ratio"])),
         "only": only,
     }
 
@@ -263,9 +271,7 @@ def lay_out_tables(found: Run) -> list[Table | TableLayout]:
     for row in to_records(found.frames["directions"]):
         weights = {key.removeprefix("weight_"): one for key, one in row.items() if key.startswith("weight_")}
         vector, names = np.array(list(weights.values())), list(weights)
-        near = {
-            key: precision.format_combination_sd(row[key], vector, names) for key in ("sd_low", "sd_high")
-        }
+        near = {key: format_combination_sd(row[key], vector, names) for key in ("sd_low", "sd_high")}
         words = (row["combination"], str(row["note"]).split(" is ", 1)[1])
         combination, known = (insert_symbols(str(one)) for one in words)
         rows.append({**row, **near, "combination": combination, "known_to": known})

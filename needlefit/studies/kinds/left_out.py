@@ -29,9 +29,8 @@ from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.coverage import COVERAGE_COLUMNS, judge_predictions, tabulate_coverage
-from needlefit.studies.fit_frames import COLUMNS
+from needlefit.studies.fit_frames import COLUMNS, list_score_columns
 from needlefit.studies.held_out_predictions import (
-    PREDICTIVE_COLUMNS,
     Specimens,
     fit_posterior,
     tabulate_held_out,
@@ -41,7 +40,7 @@ from needlefit.studies.kind import StudyKind
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import BestBaseline, Frames, Run, Verdict, judge_errors
 from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, run_analysis
-from needlefit.studies.score import Scorer, curve_predictor, list_score_columns, model_predictor
+from needlefit.studies.score import Scorer, curve_predictor, model_predictor
 
 
 class LeftOutRecord(AnalysisRecord):
@@ -64,7 +63,7 @@ _ERRORS = tuple(name for name in COLUMNS["errors"] if name not in ("role", "edp_
 #: `left_out` is "insertion", "specimen", or "nothing": the error in sample
 FRAMES: Mapping[str, tuple[str, ...]] = {
     "errors": (*_WHERE, *_ERRORS),  # and the columns of metrics
-    "predictive": (*_WHERE, *PREDICTIVE_COLUMNS),
+    "predictive": (*_WHERE, *COLUMNS["predictive"]),
     "fits": (*_WHERE, "fold", "insertions", "pareto_k", "sampled", "certified", "parameter", "value"),
 }
 

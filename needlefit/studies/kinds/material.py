@@ -24,8 +24,9 @@ from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.studies.job import Settings
 from needlefit.studies.kind import StudyKind
+from needlefit.studies.provenance import package_versions
 from needlefit.studies.report import StudyReport
-from needlefit.studies.run import Run, Status, package_versions
+from needlefit.studies.run import Run, Status
 
 
 class CompressionRecord(AnalysisRecord):

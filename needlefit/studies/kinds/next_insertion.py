@@ -26,7 +26,7 @@ from needlefit.datasets.layers import select_layers
 from needlefit.errors import ConfigError, FitError
 from needlefit.geometry.frames import Frame, make_entry_frame, normalize
 from needlefit.inference.forward_model import make_batch, predict
-from needlefit.inference.identifiability import precision
+from needlefit.inference.identifiability import directions, precision
 from needlefit.inference.identifiability.design_gain import (
     ExpectedGain,
     PredictedData,
@@ -381,7 +381,7 @@ def _quantity_rows(
     weights, quantities, free = now.known.weights, now.quantities, now.known.problem.names
     before = np.sqrt(weights @ (quantities - weights @ quantities) ** 2)
     every = list(zip(before.tolist(), gain.sds.tolist(), gain.quantity_nats.tolist(), strict=True))
-    words = ["" for _ in free] + [precision.describe_combination(now.ridge, free)]
+    words = ["" for _ in free] + [directions.describe_combination(now.ridge, free)]
     head = ("parameter", "combination", "sd_now", "sd_after", "nats")
     known = zip([*free, LEAST_KNOWN], words, every, strict=False)
     tip_head = ("tip", "sd_now_mm", "sd_after_mm", "nats")
@@ -467,7 +467,7 @@ def describe(result: Run) -> dict[str, Any]:
             }
             for row in (_select(result, "parameters", best) if best else ())
         ],
-        "worst_now": worst and precision.format_sd(worst["sd_now"], True),
+        "worst_now": worst and directions.format_sd(worst["sd_now"], True),
         "tips": sorted(
             ({**row, "name": _name_entry(row)} for row in to_records(wanted.drop_duplicates("tip"))),
             key=lambda row: order[row["tip"]],
@@ -482,7 +482,7 @@ def describe(result: Run) -> dict[str, Any]:
 
 
 def _describe_sd(row: Row, sd: float) -> str:
-    return precision.describe_precision(sd, _is_worst(row) or is_logarithmic(str(row["parameter"])))
+    return directions.describe_precision(sd, _is_worst(row) or is_logarithmic(str(row["parameter"])))
 
 
 def _is_worst(row: Row) -> bool:
@@ -512,7 +512,7 @@ def tabulate(result: Run) -> list[Table]:
             "entry": "repeat of the deepest" if row["role"] == "repeat" else _name_entry(row),
             "layers_passed": row["layers"],
             "candidate_depth_mm": row["depth_mm"],
-            "sd_after": precision.format_sd(worst["sd_after"], True),
+            "sd_after": directions.format_sd(worst["sd_after"], True),
             "number": number,
         }
         cells += [
@@ -525,7 +525,7 @@ def tabulate(result: Run) -> list[Table]:
     rows = []
     for same in zip(*each, strict=True):
         name = str(same[0]["parameter"])
-        label = str(same[0]["combination"]) if _is_worst(same[0]) else precision.short_name(name)
+        label = str(same[0]["combination"]) if _is_worst(same[0]) else directions.short_name(name)
         sds = (same[0]["sd_now"], *(row["sd_after"] for row in same))
         words = (_describe_sd(same[0], sd) for sd in sds)
         rows.append({"known_quantity": insert_symbols(label), **dict(zip(keys, words, strict=True))})

@@ -71,8 +71,14 @@ from needlefit.studies.held_out_predictions import (
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.planned_draws import PlannedNeedles, simulate_scene, vary_bevels
+from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.report import StudyReport
-from needlefit.studies.run import Run, Status, Verdict, describe_configuration, headline_fault
+from needlefit.studies.run import (
+    Run,
+    Status,
+    Verdict,
+    headline_fault,
+)
 from needlefit.studies.run_differences import (
     Difference,
     TableComparison,

@@ -44,6 +44,7 @@ from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.schemas.limits import MAX_REPLICATES, MAX_RESAMPLES, MAX_STARTS
 from needlefit.studies import paper, paper_cells, score
+from needlefit.studies.fit_frames import list_length_metrics, list_methods, list_score_columns
 from needlefit.studies.job import Settings
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.report import StudyReport
@@ -106,7 +107,7 @@ def run(name: str, record: SeedsRecord, settings: Settings) -> Run:
     seeds = range(record.first_seed, record.first_seed + record.seeds)
     tasks = {f"seed {seed}": partial(_run_on_twin, seed, record, fits, plan, settings) for seed in seeds}
     columns = {
-        "errors": ("seed", *paper_cells.ERROR_COLUMNS, *score.list_score_columns()),
+        "errors": ("seed", *paper_cells.ERROR_COLUMNS, *list_score_columns()),
         "parameters": ("seed", "study", "parameter", "value", "truth", "paper"),
     }
     conclude = partial(_conclude, name, record, paper_cells.find_paper_numbers(jobs))
@@ -230,7 +231,7 @@ def compare_methods(errors: pd.DataFrame, name: str, resamples: int) -> pd.DataF
     rows = []
     for key, group in errors[errors["role"] == "validate"].groupby(GROUP_KEYS, sort=False):
         head = dict(zip(GROUP_KEYS, key, strict=True))
-        for metric in [one.name for one in score.list_length_metrics()]:
+        for metric in [one.name for one in list_length_metrics()]:
             wide = group.pivot_table(index="seed", columns=["method", "insertion"], values=metric, sort=False)
             wide = wide.replace([np.inf], np.nan)  # not solved
             floor = float(group.groupby("insertion")[f"floor_{metric}"].mean().mean())
@@ -378,7 +379,7 @@ def tabulate(result: Run) -> list[Table]:
         rows.append({**row, **scaled, "parameter": label})
     tables.append(Table("parameter_cells", "", rows, columns, groups=("study",), heads=1))
     frame = result.frames["comparisons"]
-    order = frame["method"].map([*score.list_methods(), TRUTH].index)
+    order = frame["method"].map([*list_methods(), TRUTH].index)
     groups = frame.assign(order=order).groupby(list(_GROUP), sort=False)
     ordered = pd.concat([group.sort_values("order", kind="stable") for _, group in groups])
     first = ordered["metric"].iloc[0]  # the metrics of a method stay together
@@ -432,7 +433,7 @@ def draw(result: Run) -> dict[str, Drawing]:
     """Return the pattern, the comparisons of methods, and every cell."""
     compared = result.frames["comparisons"].assign(origin=result.origin)
     cells = result.frames["cells"].assign(origin=result.origin)
-    first, *_ = [one.name for one in score.list_length_metrics()]
+    first, *_ = [one.name for one in list_length_metrics()]
     outcomes = {"wins": ("the fit wins", _OURS), "loses": ("loses", PAPER_COLOUR), "open": ("open", GREY)}
     looks = {
         f"{verdict} {one.name}": Look(
@@ -442,9 +443,9 @@ def draw(result: Run) -> dict[str, Drawing]:
             shift=-0.17 if one.name == first else 0.17,
         )
         for verdict, (label, colour) in outcomes.items()
-        for one in score.list_length_metrics()
+        for one in list_length_metrics()
     }
-    methods = [name for name in (*score.list_methods(), TRUTH) if name in set(compared["method"])]
+    methods = [name for name in (*list_methods(), TRUTH) if name in set(compared["method"])]
     of_comparisons = {
         **{"rows": GROUP_KEYS, "value": "difference", "by": "look", "looks": looks, "panel": "method"},
         **{"panels": {name: method_name(name) for name in methods}, "columns": 3},

@@ -36,11 +36,13 @@ from needlefit.schemas.base import Name, Record
 from needlefit.schemas.limits import MAX_CONSTRAINT_SPACING_MM, MAX_STARTS, MIN_ELEMENT_MM
 from needlefit.schemas.medium import use_path_angle
 from needlefit.studies import paper_cells, runner
+from needlefit.studies.fit_frames import list_score_columns
 from needlefit.studies.job import Job, Settings, adapt_parameters
 from needlefit.studies.kind import StudyKind
+from needlefit.studies.provenance import describe_model_options
 from needlefit.studies.report import StudyReport
-from needlefit.studies.run import Frames, Run, Status, describe_model_options
-from needlefit.studies.score import Row, list_score_columns, model_predictor
+from needlefit.studies.run import Frames, Run, Status
+from needlefit.studies.score import Row, model_predictor
 
 
 class VariationRecord(Record):

@@ -19,7 +19,7 @@ from scipy.stats import halfnorm
 
 from needlefit.arrays import Floats
 from needlefit.errors import ConfigError, FitError
-from needlefit.inference.identifiability.precision import describe_combination
+from needlefit.inference.identifiability.directions import describe_combination
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.inference.predict import wilson_interval

@@ -59,17 +59,15 @@ from needlefit.studies.held_out_predictions import PREDICTION_DRAWS
 from needlefit.studies.job import Fold, Settings, farthest_guide, prepare, specimen_warning
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.planned_draws import vary_bevels
-from needlefit.studies.report import StudyReport
-from needlefit.studies.run import (
+from needlefit.studies.provenance import (
     PACKAGES,
-    Run,
-    Status,
-    Verdict,
     describe_dataset,
     describe_model_options,
     package_versions,
     plugin_versions_of,
 )
+from needlefit.studies.report import StudyReport
+from needlefit.studies.run import Run, Status, Verdict
 from needlefit.studies.run_differences import Difference, TableComparison, compare_means
 from needlefit.studies.score import Row
 

@@ -18,7 +18,7 @@ import pandas as pd
 from needlefit.arrays import Floats
 from needlefit.datasets.select import group_rows
 from needlefit.inference.baselines import BASELINES, list_baselines
-from needlefit.inference.identifiability.precision import UNINFORMED_SD_RATIO
+from needlefit.inference.identifiability.directions import UNINFORMED_SD_RATIO
 from needlefit.inference.parameters import BEVEL_SPREAD, find_tie_spread, is_logarithmic, parse_tie
 from needlefit.inference.predict import estimate_proportion
 from needlefit.metrics import headline_metrics, list_metrics
@@ -50,8 +50,9 @@ from needlefit.studies.coverage import (
     median_width,
     tip_error_of_medians,
 )
-from needlefit.studies.fit_frames import select_draws
-from needlefit.studies.identification import (
+from needlefit.studies.fit_frames import COLUMNS as FRAMES
+from needlefit.studies.fit_frames import list_methods, select_draws
+from needlefit.studies.identification_tables import (
     describe_verdicts,
     lay_out_identification,
     tabulate_identification,
@@ -59,9 +60,11 @@ from needlefit.studies.identification import (
 from needlefit.studies.kinds.cross_validation import tables
 from needlefit.studies.rank_statistics import ecdf_band
 from needlefit.studies.report import StudyReport
-from needlefit.studies.run import Run, Status, Verdict, judge_errors, judge_run, qualify
-from needlefit.studies.score import describe_outside, list_methods
+from needlefit.studies.run import Run, Status, Verdict, judge_errors, judge_run, once_per_run, qualify
 from needlefit.studies.slicer import write_needles
+from needlefit.studies.validity import describe_outside
+
+__all__ = ["FRAMES", "REPORT"]
 
 PAPER_SETS = ("hand_tuned", "hand_tuned_b")
 
@@ -71,8 +74,9 @@ _PACKAGES = {"python": "Python", "numpy": "NumPy", "scipy": "SciPy", "nlopt": "N
 
 def list_sentences(results: Run, *blocks: str) -> list[str]:
     """Return the sentences of some blocks of the text about a run."""
-    facts = {"facts": Facts(results)}
-    return [sentence for block in blocks for sentence in tables.TEXT.sentences(block, facts)]
+    return [
+        sentence for block in blocks for sentence in tables.TEXT.sentences(block, collect_values(results))
+    ]
 
 
 def find_scored_role(results: Run) -> str:
@@ -367,6 +371,12 @@ class Facts:
         }
 
 
+@once_per_run
+def collect_values(results: Run) -> dict[str, Any]:
+    """Return what the text prints."""
+    return {"facts": Facts(results)}
+
+
 def describe_counts(starts: pd.DataFrame) -> str:
     """Return the number of starts of each search, and the number of searches, as text."""
     sizes = starts.groupby(["fit", "fold"], sort=False).size()
@@ -464,7 +474,11 @@ def _collect_numbers(group: scores.ScoredGroup) -> dict[str, float | str | None]
 
 def _judge_fit(results: Run, group: scores.ScoredGroup) -> Verdict:
     """Return the verdict on a fit: how closely it follows its insertions, what it determines."""
-    name, error, facts = labels.medium_name(group.head["medium"]), group.get(scores.TE), Facts(results)
+    name, error, facts = (
+        labels.medium_name(group.head["medium"]),
+        group.get(scores.TE),
+        collect_values(results)["facts"],
+    )
     numbers = {**_collect_numbers(group), "not_determined": ", ".join(facts.undetermined)}
     if error is None:
         return Verdict(f"No fit: no simulation on {name} converged", "fail", name, numbers)
@@ -995,7 +1009,7 @@ def tabulate_files(result: Run) -> dict[str, pd.DataFrame]:
     predictions = [result.frames[name] for name in ("predictive", "predictive_training")]
     if any(map(len, predictions)):
         frames["predictive"] = pd.concat([frame for frame in predictions if len(frame)])
-    frames |= {name: frame for name, frame, _ in lay_out_files([result], [result]) if len(frame)}
+    frames |= {name: frame for name, frame, _ in _lay_out_own_files(result) if len(frame)}
     if len(result.frames["identification"]):
         frames["identify"] = tabulate_identification(result.frames["identification"], result.origin)
     if result.posteriors:
@@ -1019,8 +1033,12 @@ def fit_to_json(result: Run) -> dict[str, Any]:
 
 def lay_out_tables(result: Run) -> list[TableLayout]:
     """Return the tables of errors and parameters beside the paper's."""
-    found = [table for _, _, layouts in lay_out_files([result], [result]) for table in layouts]
-    return [table for table in found if table.rows]
+    return [table for _, _, layouts in _lay_out_own_files(result) for table in layouts if table.rows]
+
+
+@once_per_run
+def _lay_out_own_files(result: Run) -> list[tuple[str, pd.DataFrame, list[TableLayout]]]:
+    return list(lay_out_files([result], [result]))
 
 
 def lay_out_files(
@@ -1035,26 +1053,32 @@ def lay_out_files(
     yield "parameters", tables.tabulate_parameters(*every), [tables.lay_out_parameters(every)]
 
 
-def _list_tables(results: Run) -> Iterator[TableLayout]:
-    """Yield every table whose cells are macros of `numbers.tex`."""
+@once_per_run
+def _list_tables(results: Run) -> list[TableLayout]:
+    """Return every table whose cells are macros of `numbers.tex`."""
     role = find_scored_role(results)
+    *errors, parameters = (table for _, _, layouts in _lay_out_own_files(results) for table in layouts)
     baselines = tables.lay_out_baselines(results, role)
-    yield tables.lay_out_design([results])
-    yield tables.lay_out_validation([results])
-    yield from (
-        tables.lay_out_tuning([results], grouping) for grouping in (scores.BY_LAYERS, scores.BY_MEDIA)
-    )
-    if len(results.frames["predictive"]):
-        yield tables.lay_out_coverage(results)
-    if len(baselines.rows) > 1:
-        yield baselines
-    yield tables.lay_out_parameters([results])
-    yield tables.lay_out_directions(results)
-    if len(results.frames["identification"]):
-        yield lay_out_identification(results.frames["identification"])
-    if results.posteriors:
-        yield tables.lay_out_posterior(results)
-    yield tables.lay_out_insertions(results, role)
+    return [
+        tables.lay_out_design([results]),
+        *errors,
+        *([tables.lay_out_coverage(results)] if len(results.frames["predictive"]) else []),
+        *([baselines] if len(baselines.rows) > 1 else []),
+        parameters,
+        tables.lay_out_directions(results),
+        *(
+            [lay_out_identification(results.frames["identification"])]
+            if len(results.frames["identification"])
+            else []
+        ),
+        *([tables.lay_out_posterior(results)] if results.posteriors else []),
+        tables.lay_out_insertions(results, role),
+    ]
+
+
+@once_per_run
+def _lay_out_summary(results: Run) -> TableLayout:
+    return tables.lay_out_summary([results])
 
 
 # ---- files
@@ -1067,7 +1091,7 @@ def write_files(result: Run, folder: Path) -> None:
     if len(result.frames["needles"]):
         write_needles(result.frames["needles"], result.synthetic, folder / "slicer")
     (folder / "numbers.tex").write_text(format_macros([result]), encoding="utf-8")
-    if Facts(result).has_methods:
+    if collect_values(result)["facts"].has_methods:
         lines, cited = format_methods(result)
         (folder / "methods.tex").write_text(lines, encoding="utf-8")
         (folder / "references.bib").write_text(format_references(cited), encoding="utf-8")
@@ -1075,7 +1099,7 @@ def write_files(result: Run, folder: Path) -> None:
 
 def format_methods(result: Run) -> tuple[str, list[str]]:
     """Return the methods paragraph as LaTeX, and the keys of `references.bib` that it cites."""
-    values = {"facts": Facts(result)}
+    values = collect_values(result)
     parts = [tables.TEXT.format_latex(block, values) for block in ("methods_data", "methods")]
     cited = dict.fromkeys(key for _, keys in parts for key in keys)
     return "\n".join(lines for lines, _ in parts if lines) + "\n", list(cited)
@@ -1109,7 +1133,7 @@ def format_macros(results: Sequence[Run]) -> str:
         for numbers in (
             _list_errors(one),
             _list_parameters(one),
-            latex.list_cells(one.name, tuple(_list_tables(one))),
+            latex.list_cells(one.name, _list_tables(one)),
         )
         for number in numbers
     )
@@ -1163,7 +1187,7 @@ def list_figures(results: Run) -> dict[str, Drawing]:
         found["corner"] = Drawing(
             forms.corner, _tabulate_marks(results), {"names_of_sets": names}, optional=True
         )
-    if len(frames["starts"]) and not Facts(results).agreement:
+    if len(frames["starts"]) and not collect_values(results)["facts"].agreement:
         found["waterfall"] = draw_starts(results)
     if len(frames["profiles"]):
         found["profiles"] = forms.draw_profiles(frames["identification"], frames["profiles"], results.origin)
@@ -1180,17 +1204,17 @@ def tuning_tables(results: Sequence[Run]) -> list[TableLayout]:
 
 REPORT = StudyReport(
     tables.TEXT,
-    lambda results: {"facts": Facts(results)},
+    collect_values,
     lay_out_tables,
     list_figures,
     blocks=lambda results: {
         "methods": [document.text(" ".join(list_sentences(results, "methods")))]
-        if Facts(results).has_methods
+        if collect_values(results)["facts"].has_methods
         else []
     },
     more_tables=lambda results: [
         *_list_tables(results),
-        tables.lay_out_summary([results]),
+        _lay_out_summary(results),
         tables.lay_out_all_errors(results),
     ],
     tabulate=tabulate_files,
@@ -1200,6 +1224,6 @@ REPORT = StudyReport(
     compares_only_these=True,
     judge=judge,
     explore=collect_explorer,
-    lay_out_first=lambda results: [tables.lay_out_summary([results]), tables.lay_out_values(results)],
+    lay_out_first=lambda results: [_lay_out_summary(results), tables.lay_out_values(results)],
     explain=explain,
 )

@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.select import count_layers, get_other_rule
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_start, read_starts
 from needlefit.inference.identifiability.identify import (
     LOG_POSTERIOR_TOLERANCE,
@@ -43,9 +45,9 @@ from needlefit.project.tasks import compute_beside, stop_requested
 from needlefit.reporting.number_format import format_bare_symbol, format_quantity
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.fit_frames import COLUMNS as FRAMES
+from needlefit.studies.fit_frames import TUNED_SPECIMENS
 from needlefit.studies.fit_warnings import add_warnings
 from needlefit.studies.held_out_predictions import (
-    TUNED_SPECIMENS,
     HeldOutPrediction,
     Specimens,
     draw_fold_parameters,
@@ -59,11 +61,14 @@ from needlefit.studies.identification import (
     reconcile_verdict,
 )
 from needlefit.studies.job import Fold, Job, Settings, prepare
-from needlefit.studies.needles_in_scan import FoldFit, NeedleInScan, place_needles, tabulate_needles
-from needlefit.studies.run import Run, describe_configuration
-from needlefit.studies.score import VALIDITY_KEY, Row, Scorer, ValidityCounts, make_predictors
-from needlefit.studies.scored_groups import count_reasons, tabulate_design
+from needlefit.studies.needle_placement import FoldFit, place_needles
+from needlefit.studies.needles_in_scan import NeedleInScan, tabulate_needles
+from needlefit.studies.provenance import describe_configuration
+from needlefit.studies.run import Run
+from needlefit.studies.score import Row, Scorer, make_predictors
+from needlefit.studies.scored_groups import count_reasons
 from needlefit.studies.simulated_data import find_true_value
+from needlefit.studies.validity import VALIDITY_KEY, ValidityCounts
 
 __all__ = ["FRAMES", "Settings", "run"]
 
@@ -623,3 +628,33 @@ def _published_rows(job: Job, fold: Fold, retuned: Fit | None) -> list[Row]:
             row |= {"determined": free and found.get(name, False)}
             rows.append({**row, "note": "re-tuned alone" if free else "tuned by hand"})
     return rows
+
+
+def tabulate_design(job: Job) -> pd.DataFrame:
+    """Return one row per role, medium and layers; folds share their insertions.
+
+    `insertions_other` is how many of the same insertions the other reading counts there; a group that only
+    the other reading has is left out of the first count.
+    """
+    rule, counted = job.record.layer_count_rule, []
+    for each in (rule, get_other_rule(rule)):
+        groups: dict[tuple[str, str, int], dict[str, Insertion]] = {}
+        for fold in job.folds:
+            for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
+                for one in insertions:
+                    group = (role, one.medium, count_layers(one, each))
+                    groups.setdefault(group, {})[one.id] = one
+        counted.append(groups)
+    ours, others = counted
+    rows = []
+    for group in {**ours, **others}:
+        members = ours.get(group) or others[group]
+        row: Row = dict(zip(("role", "medium", "layers"), group, strict=True))
+        row |= {"insertions": len(ours.get(group, {})), "insertions_other": len(others.get(group, {}))}
+        for name in ("depth", "deflection"):
+            values = [getattr(one, name) for one in members.values()]
+            row |= {f"{name}_min_mm": min(values), f"{name}_max_mm": max(values)}
+        rows.append(row)
+    return pd.DataFrame(rows, columns=list(FRAMES["design"])).sort_values(
+        ["role", "medium", "layers"], ascending=[True, True, False], ignore_index=True
+    )

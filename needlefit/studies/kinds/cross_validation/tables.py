@@ -15,7 +15,7 @@ import pandas as pd
 
 from needlefit.arrays import Floats
 from needlefit.datasets.select import group_rows
-from needlefit.inference.identifiability.precision import Direction, principal_directions
+from needlefit.inference.identifiability.directions import Direction, principal_directions
 from needlefit.inference.parameters import HYPERPARAMETERS, is_logarithmic
 from needlefit.inference.predict import estimate_proportion
 from needlefit.inference.sampling.posterior import PERCENTILES
@@ -44,7 +44,7 @@ from needlefit.studies import scored_groups as scores
 from needlefit.studies.coverage import COVERAGE_COLUMNS, count_covered, tabulate_coverage
 from needlefit.studies.csv_tables import TableSchema
 from needlefit.studies.fit_warnings import describe_gain
-from needlefit.studies.identification import IDENTIFICATION_COMPARISON
+from needlefit.studies.identification_tables import IDENTIFICATION_COMPARISON
 from needlefit.studies.paper import Claim
 from needlefit.studies.run import Run
 from needlefit.studies.run_differences import (

@@ -31,8 +31,9 @@ from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.studies.job import Settings
 from needlefit.studies.kinds.reconstruction import KIND, ReconstructionBatchRecord
 from needlefit.studies.kinds.reconstruction.pages import list_reasons, write_quality, write_refused_pages
+from needlefit.studies.provenance import package_versions
 from needlefit.studies.report import StudyReport, write_files
-from needlefit.studies.run import Run, package_versions
+from needlefit.studies.run import Run
 from needlefit.studies.slicer import write_scan
 from needlefit.studies.slicer_scene import write_slicer_scene
 

@@ -1,0 +1,134 @@
+"""Principal directions of the information and standard deviations of theta, in words."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.inference.parameters import BEVEL_SPREAD, is_logarithmic
+
+#: SD of a combination's logarithm (of a sum with shape parameters) above which it is called nearly free
+NEARLY_FREE_SD = 0.5
+#: posterior SD / prior SD from which on the data add nothing to what ties, priors and bounds say
+UNINFORMED_SD_RATIO = 0.9
+#: what is added to the words of such a direction
+KNOWN_BY_PRIOR = ", by the stated ties, priors or bounds alone"
+MIN_RELATIVE_WEIGHT = 0.05  #: weights below this part of the largest are left out of the words
+
+
+@dataclass(frozen=True)
+class Direction:
+    """One principal direction of the information on theta, with its standard deviation."""
+
+    sd: float  #: standard deviation of theta along it (unit length in theta)
+    weights: tuple[float, ...]  #: its components, in the order of the free parameters
+    words: str  #: the same in words, for a person
+    prior_sd: float = math.inf  #: standard deviation of the prior along it; infinite where none is given
+
+    @property
+    def sd_ratio(self) -> float:
+        """Posterior SD / prior SD."""
+        return self.sd / self.prior_sd
+
+    @property
+    def is_informed(self) -> bool:
+        """Whether the data, not ties, priors or bounds alone, say something about it."""
+        return not self.sd_ratio >= UNINFORMED_SD_RATIO  # NaN: neither is finite
+
+
+def principal_directions(
+    information: Floats, names: Sequence[str], prior: Floats | None = None
+) -> tuple[Direction, ...]:
+    """Return the principal directions of the information (P, P), best known first, in words.
+
+    With the information (P, P) of the prior, which is a part of it, those that it alone knows are marked.
+    """
+    precision, vectors = np.linalg.eigh(information)
+    before = None if prior is None else np.linalg.inv(prior)
+    found = []
+    for value, vector in zip(precision[::-1], vectors.T[::-1], strict=True):
+        sd = 1 / math.sqrt(value) if value > 0 else math.inf
+        # the sign of an eigenvector is arbitrary: the largest component is made positive, so that words do
+        # not change
+        vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
+        prior_sd = math.inf if before is None else math.sqrt(vector @ before @ vector)
+        scaled_sd, logarithm = _scale_sd(sd, vector, names)
+        known = "is known" if scaled_sd < NEARLY_FREE_SD else "is nearly free: known"
+        precision_words = describe_precision(scaled_sd, logarithm)
+        words = f"{describe_combination(vector, names)} {known} {precision_words}"
+        one = Direction(sd, tuple(vector.tolist()), words, prior_sd)
+        found.append(one if one.is_informed else replace(one, words=f"{words}{KNOWN_BY_PRIOR}"))
+    return tuple(found)
+
+
+def describe_combination(weights: Floats, names: Sequence[str]) -> str:
+    """Return a combination in words, its largest weight 1: `mu1 * b^1.9`; a sum with shape parameters."""
+    scaled = weights / np.max(np.abs(weights))
+    parts = [(name, float(w)) for name, w in zip(names, scaled, strict=True) if abs(w) >= MIN_RELATIVE_WEIGHT]
+    if all(is_logarithmic(name) for name, _ in parts):
+        powers = ((short_name(n), "" if abs(w - 1) < 0.005 else f"^{w:.2g}") for n, w in parts)
+        return " * ".join(map("".join, powers))
+    terms = []
+    for name, weight in parts:
+        factor = "" if abs(abs(weight) - 1) < 0.005 else f"{abs(weight):.2g} "
+        term = f"ln {short_name(name)}" if is_logarithmic(name) else short_name(name)
+        terms.append(f"{'-' if weight < 0 else '+'} {factor}{term}")
+    return " ".join(terms).removeprefix("+ ")
+
+
+def short_name(name: str) -> str:
+    """Return a parameter's name in a sentence: no unit; b and θ as tables have them."""
+    named = {
+        "bevel_mm": "b",
+        "cut_angle_deg": "θ",  # "theta" is the vector of all parameters
+        "guide_distance_mm": "guide_distance",
+        BEVEL_SPREAD: "relative bevel SD",
+    }
+    return named.get(name, name.removesuffix("_pa"))
+
+
+def format_sd(sd: float, logarithm: bool) -> str:
+    """Return a standard deviation: "0.3", and of a logarithm "12 %" or "factor 2.9"."""
+    if not logarithm:
+        return f"{sd:.2g}"
+    return f"{100 * sd:.2g} %" if sd < NEARLY_FREE_SD else f"factor {_print_factor(sd)}"
+
+
+def describe_precision(sd: float, logarithm: bool) -> str:
+    """Return in words how well a quantity is known, given the deviation of its value or logarithm."""
+    if logarithm and sd >= NEARLY_FREE_SD:
+        return f"within a factor of {_print_factor(sd)} only"
+    return f"to {format_sd(sd, logarithm)}"
+
+
+def format_combination_sd(sd: float, weights: Floats, names: Sequence[str]) -> str:
+    """Return the standard deviation of a combination as `describe_combination` writes it."""
+    return format_sd(*_scale_sd(sd, weights, names))
+
+
+def _scale_sd(sd: float, weights: Floats, names: Sequence[str]) -> tuple[float, bool]:
+    """Return the deviation of a combination whose largest weight is 1, and whether it is of a logarithm."""
+    scaled = np.abs(weights) / np.max(np.abs(weights))
+    kept = (name for name, weight in zip(names, scaled, strict=True) if weight >= MIN_RELATIVE_WEIGHT)
+    return sd / float(np.max(np.abs(weights))), all(map(is_logarithmic, kept))
+
+
+def _print_factor(sd: float) -> str:
+    factor = math.exp(min(sd, math.log(1e6)))
+    return "more than 1e6" if factor >= 1e6 else f"{factor:.2g}" if factor < 10 else f"{factor:.0f}"
+
+
+#: largest standard deviations, of a logarithm and of a shape parameter, of one called determined
+MAX_LOG_SD, MAX_SHAPE_SD = 0.3, 0.5
+#: largest part of its prior's standard deviation of a parameter that the shapes, not the prior, determine
+MAX_SD_RATIO = 0.5
+BOUND_FRACTION = 1e-3  #: a parameter closer to a bound than this part of its range lies at it
+#: a 95 % interval that ends closer to a bound than this part of the bounds is cut off there
+CUT_OFF_FRACTION = 0.01
+
+
+def is_determined_by_data(name: str, sd: float, prior_sd: float) -> bool:
+    """Return whether a posterior standard deviation is small enough by the data, not only by the prior."""
+    return sd < (MAX_LOG_SD if is_logarithmic(name) else MAX_SHAPE_SD) and sd < MAX_SD_RATIO * prior_sd

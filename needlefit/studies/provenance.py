@@ -1,0 +1,99 @@
+"""What decides a result: versions of packages, data, configuration, rules of the model."""
+
+import platform
+from collections.abc import Sequence
+from dataclasses import asdict
+from importlib.metadata import version
+from typing import Any
+
+from needlefit.datasets.formats import FORMATS
+from needlefit.datasets.insertion import Dataset, split_boundary_sd
+from needlefit.datasets.sections import describe_measurement
+from needlefit.inference.baselines import BASELINES
+from needlefit.inference.forward_model import make_options as mesh
+from needlefit.mechanics.laws import LAWS
+from needlefit.metrics import METRICS
+from needlefit.registry import plugin_versions
+from needlefit.schemas.medium import MediumRecord
+from needlefit.studies.job import Job
+
+#: whose versions decide the result of a study
+PACKAGES = ("numpy", "scipy", "nlopt", "emcee", "pandas", "trimesh")
+
+
+def describe_configuration(job: Job) -> dict[str, Any]:
+    """Return everything that decides the result of a job, as JSON values."""
+    return {
+        "name": job.name,
+        "versions": package_versions(PACKAGES) | plugin_versions_of(job.medium, job.dataset),
+        "dataset": describe_dataset(job.dataset) | {"needle": asdict(job.dataset.needle)},
+        "study": job.record.model_dump(mode="json", by_alias=True),
+        "medium": job.medium.model_dump(mode="json", by_alias=True),
+        "recipe": job.recipe.model_dump(mode="json", by_alias=True),
+        "hand_tuned": job.hand_tuned,
+        "folds": [
+            {"name": f.name, "tune": [i.id for i in f.tune], "validate": [i.id for i in f.validate]}
+            for f in job.folds
+        ],
+        "rules": describe_model_options(job.medium),
+    }
+
+
+def describe_dataset(dataset: Dataset) -> dict[str, Any]:
+    """Return which data these are, what their measurement does to shapes, and which errors they share."""
+    stated = dataset.measurement.model_dump(mode="json", exclude_none=True, exclude={"note"})
+    shared = {split_boundary_sd(one)[0] for one in dataset.insertions if len(one.boundaries)}
+    return {
+        "name": dataset.name,
+        "origin": dataset.origin,
+        "sha256": dataset.digest,
+        "notes": list(dataset.notes),
+        "measurement": stated | {"description": describe_measurement(dataset)},
+        "boundary_shared_sd_mm": sorted(shared - {0.0}),
+    }
+
+
+def package_versions(packages: Sequence[str]) -> dict[str, str]:
+    """Return the versions of Python, of needlefit and of these packages."""
+    each = {package: version(package) for package in ("needlefit", *packages)}
+    return {"python": platform.python_version(), **each}
+
+
+def plugin_versions_of(medium: MediumRecord, dataset: Dataset) -> dict[str, str]:
+    """Return the versions of the plugins that a result with these depends on, if any."""
+    added = [(registry, name) for registry in (METRICS, BASELINES) for name in registry.names()]
+    return plugin_versions((LAWS, medium.law), (FORMATS, dataset.centerline_format), *added)
+
+
+def describe_model_options(medium: MediumRecord) -> dict[str, Any]:
+    """Return the model rules that fitted numbers depend on; fits with other rules cannot be compared."""
+    switch, tangent = medium.constraint_switch, medium.tangent_part
+    which = "nearest constraint at each quadrature point"
+    if switch != 0.5:
+        which = f"constraint behind up to {switch:g} of the way, then the one ahead"
+    tie = f"{which}, quadrature split where it changes"
+    advance = f"along {tangent:g} of the tip's slope"
+    if medium.advance == "path_angle":
+        tie = "linear between constraint points, quadrature split at them and halfway"
+        advance = "at an angle to the path"
+    else:
+        if switch in (0, 1):
+            tie = f"every cell has the constraint point {'behind' if switch else 'ahead'}"
+        if tangent in (0, 1):
+            advance = "along the tangent" if tangent else "a shift in x"
+    return {
+        "constraint_spacing_mm": medium.constraint_spacing_mm,
+        "thickness_mm": medium.thickness_mm,
+        "law": medium.law,
+        "friction": 0.0,
+        "element_mm": mesh(medium).element,
+        "tie": tie,
+        "advance": advance,
+        "first_cell": "the depth's remainder over the spacing, or a whole cell"
+        if medium.first_cell_mm is None
+        else f"{medium.first_cell_mm:g} mm, whatever the depth",
+        "mu": "Pa, effective foundation modulus",
+        "bevel": "degrees of the cut to the needle's tangent"
+        if medium.advance == "path_angle"
+        else "mm per constraint spacing",
+    }
