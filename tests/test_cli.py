@@ -76,6 +76,14 @@ def test_a_command_imports_what_it_uses(words, libraries, modules):
     assert {name for name in MODULES if f"needlefit.cli.{name}" in loaded} == modules
 
 
+def test_a_report_loads_nothing_that_only_computing_needs():
+    code = "import sys, needlefit.studies.combined_report as report; print(*sys.modules, report.TEXT.name)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    computing = {"scipy.linalg", "trimesh", "nlopt", "emcee", "needlefit.mechanics.batch"}
+    computing |= {"needlefit.inference.problem", "needlefit.studies.job"}
+    assert not set(done.stdout.split()) & computing
+
+
 @pytest.mark.parametrize(
     ("words", "code", "expected"),
     [
