@@ -16,9 +16,9 @@ missing part estimated from the changes of J^T r, as in NL2SOL (Dennis, Gay and 
 https://doi.org/10.1145/355958.355965). Where they fail SciPy's method goes on.
 
 Searches begin at many starts spread over the box, side by side, and are resumable; the best end is the fit.
-An easier objective is minimised first; starts that end at the same point there continue as one, and only the
-best ends continue. With uncertain depths every needle is simulated many times: depths taken as stated make a
-posterior whose modes lie next to those of the whole one, at a fraction of the cost.
+An easier objective is minimised first; starts that end at the same point there continue as one, and those far
+behind the best do not. With uncertain depths every needle is simulated many times: depths taken as stated
+make a posterior whose modes lie next to those of the whole one, at a fraction of the cost.
 """
 
 import itertools
@@ -502,9 +502,9 @@ def _run_stages(
 
 #: most evaluations of an approach by least squares: one that needs more is left where it is
 APPROACH_EVALUATIONS = 60
-#: ends of the approach that are continued, at most, and the largest misfit (sum of squares) of one, as a
-#: multiple of the best one's: far from all needles a start crawls for hundreds of evaluations, and ends there
-MAX_CONTINUED, MAX_MISFIT_RATIO = 4, 5.0
+#: largest misfit (sum of squares) of an end of the approach that is continued, in units of the best one: far
+#: from all needles a start crawls for hundreds of evaluations, and ends there
+MAX_MISFIT_RATIO = 5.0
 #: differences of the easier goal, and of every parameter of theta, up to which two ends are one
 SAME_OBJECTIVE, SAME_THETA = 1e-3, 1e-2
 
@@ -670,11 +670,8 @@ def _search_by_approach(
 
 
 def select_leaders(easier: ObjectiveFunction, ends: Sequence[Start]) -> set[int]:
-    """Return the indices of the ends of the approach that are continued: of the best `MAX_CONTINUED`.
-
-    One whose misfit is many times that of the best is left out.
-    """
-    best, *others = sorted(ends, key=lambda end: (end.objective, end.index))[:MAX_CONTINUED]
+    """Return the indices of the ends of the approach that are continued: of a misfit near the best one's."""
+    best, *others = sorted(ends, key=lambda end: (end.objective, end.index))
     limit = math.inf
     if easier.misfits is not None and math.isfinite(best.objective):
         misfits = easier.misfits(np.array(best.theta))
