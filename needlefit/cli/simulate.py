@@ -61,7 +61,7 @@ class SimulationOutcome:
         "FILE",
     ),
     animation=option("Animate the insertion: .gif, or .mp4 (needs ffmpeg); a SCENE at 10 mm/s.", "FILE"),
-    html=option("Of a recording: one HTML file that plays it without a server.", "FILE"),
+    html=option("Of a recording: one HTML file that computes it offline.", "FILE"),
 )
 def simulate(
     context: typer.Context,

@@ -6,7 +6,7 @@ Derivatives by theta are the mechanics' own, chained through logarithms and ties
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
 import numpy as np
 
@@ -67,11 +67,30 @@ def predict(
     return simulate_steps(*make_simulation_inputs(values, medium, needle, insertion, boundaries, sequence))
 
 
+class InsertionInputs(Protocol):
+    """What the simulation of an insertion needs of it; see `Insertion`."""
+
+    @property
+    def depth(self) -> float: ...
+    @property
+    def side(self) -> int: ...
+    @property
+    def bevel_factor(self) -> float: ...
+    @property
+    def guide_distance(self) -> float | None: ...
+    @property
+    def base_moved(self) -> float: ...
+    @property
+    def sequence(self) -> tuple[int, ...]: ...
+    @property
+    def boundaries(self) -> Floats: ...
+
+
 def make_simulation_inputs(
     values: Mapping[str, float],
     medium: MediumRecord,
     needle: Needle,
-    insertion: Insertion,
+    insertion: InsertionInputs,
     boundaries: Floats | None = None,
     sequence: Sequence[int] | None = None,
 ) -> tuple[Needle, Tissue, tuple[Step, ...], ModelOptions]:
@@ -284,7 +303,9 @@ class _Simulation:
         return found.reshape(len(self.factors) * sets, len(names), free)
 
 
-def _make_steps(values: Mapping[str, float], insertion: Insertion, medium: MediumRecord) -> tuple[Step, ...]:
+def _make_steps(
+    values: Mapping[str, float], insertion: InsertionInputs, medium: MediumRecord
+) -> tuple[Step, ...]:
     """Return the insertion, and behind it the base's move, if there was one.
 
     Of a tip track they are the way to each reading under the guide's place then, the last one on to a

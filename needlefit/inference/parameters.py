@@ -30,6 +30,8 @@ Status = Literal["free", "fixed", "tied"]
 
 NOISE_SCALE = "noise_scale"  #: estimated factor on the SDs of the noise of the points; no medium has it
 BEVEL_SPREAD = "bevel_spread"  #: relative SD of b or θ between insertions, estimated; no medium has it
+#: least bevel of an insertion, as part of the mean: a normal distribution does not end at zero
+MIN_BEVEL_FACTOR = 0.05
 BEVEL_PARAMETERS = ("bevel_mm", "cut_angle_deg")  #: how strongly a needle steers; a medium has one of them
 NOISE_SCALE_BOUNDS = (0.1, 10.0)  #: of a scale that is estimated; its prior is flat in the logarithm
 BEVEL_SPREAD_BOUNDS = (0.01, 5.0)  #: in standard deviations of its half-normal prior
@@ -64,6 +66,11 @@ def dimension(name: str) -> str:
     if name in (NOISE_SCALE, BEVEL_SPREAD, "cut_angle_deg"):
         return "angle" if name == "cut_angle_deg" else "factor"
     return "modulus" if match[1] == "mu" else match[1] or "length"
+
+
+def find_bevel_factors(spread: Floats | float, deviations: Floats | float) -> Floats:
+    """Return bevels, as parts of their mean, that deviate by so many SDs of relative size `spread`."""
+    return np.maximum(1.0 + np.asarray(spread) * deviations, MIN_BEVEL_FACTOR)
 
 
 def is_shape_parameter(name: str) -> bool:

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
-from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
@@ -19,7 +18,8 @@ import jinja2
 import typst
 from markupsafe import Markup, escape
 
-from needlefit.project.json_values import to_json_values
+from needlefit.reporting import needle_page
+from needlefit.reporting.needle_page import PageData
 from needlefit.reporting.sheet import compile_sheet
 from needlefit.reporting.table import TableLayout
 
@@ -38,8 +38,8 @@ class Document:
     # Made by `heading`, `subheading`, `verdict`, `text`, `note`, `bullets`, `warning`, `gap_box`, `table` and
     # `figure`
     blocks: tuple[Block, ...]
-    # What the HTML page draws interactively, as JSON values (`templates/explorer.js`)
-    explorer: Mapping[str, Any] | None = None
+    # The needles that the HTML page computes
+    explorer: PageData | None = None
     # Whether it is made from files that do not agree with their manifest: the foot of every page says so
     unverified: bool = False
 
@@ -206,11 +206,6 @@ def _render_html(template: str, document: Document) -> str:
     for block in blocks:
         if "path" in block:
             block |= _encode_figure(block.pop("path").read_bytes())
-    explorer = None
-    if document.explorer is not None:
-        values = to_json_values(document.explorer)
-        words = json.dumps(values, ensure_ascii=True, separators=(",", ":"), allow_nan=False)
-        explorer = Markup(words.replace("<", "\\u003c"))  # noqa: S704 - nothing in it can end a script element
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("needlefit.reporting"),
         autoescape=True,
@@ -230,8 +225,7 @@ def _render_html(template: str, document: Document) -> str:
         explorer_place=next(
             k for k, block in enumerate([*blocks, {"kind": "heading"}]) if block["kind"] == "heading"
         ),
-        explorer=explorer,
-        scripts=_read_scripts(document.explorer is not None),
+        page=_compose_page(document.explorer),
         open_tables=OPEN_TABLES,
     )
 
@@ -261,14 +255,18 @@ def _raise_exponents(words: str) -> Markup:
     return Markup(raised)  # noqa: S704 - escaped first; the pattern adds only the tags
 
 
-def _read_scripts(plots: bool) -> list[Markup]:
-    """Return the scripts of a page: sortable tables, and where it has plots Bokeh's and what uses it."""
-    own = files("needlefit.reporting") / "templates"
-    found = [own / "tables.js"]
-    if plots:
-        # The script alone is needed: importing Bokeh would take a second.
-        bokeh = find_spec("bokeh")
-        assert bokeh is not None and bokeh.submodule_search_locations, "Bokeh is a dependency"
-        folder = Path(bokeh.submodule_search_locations[0]) / "server" / "static" / "js"
-        found += [folder / "bokeh.min.js", folder / "bokeh-api.min.js", own / "explorer.js"]
-    return [Markup(one.read_text(encoding="utf-8").replace("</script", "<\\/script")) for one in found]  # noqa: S704
+def _compose_page(data: PageData | None) -> dict[str, Any]:
+    """Return script, policy, and of a page that computes needles its part, style and data.
+
+    Nothing in them can end their elements.
+    """
+    script = needle_page.read_script(computes=data is not None, tables=True)
+    parts = {"script": script, "policy": needle_page.write_policy(script), "style": "", "data": ""}
+    if data is not None:
+        parts |= {
+            "stage": needle_page.read_package_file(needle_page.STAGE),
+            "style": needle_page.read_style("#explorer"),
+            "kernel": needle_page.read_kernel(),
+            "data": data.pack(),
+        }
+    return {name: Markup(part) for name, part in parts.items()}  # noqa: S704

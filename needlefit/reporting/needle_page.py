@@ -6,6 +6,7 @@ script, which the content security policy names by its SHA-256; a worker runs th
 
 import base64
 import hashlib
+import html
 import json
 import math
 import posixpath
@@ -38,6 +39,7 @@ OFFLINE_MODULES = {
     "viewer/page/slice.js": "viewer/page/share/offline.js",
 }
 WORKER_MODULE = "viewer/page/model/band_worker.js"
+SHARE_PAGE = "viewer/page/share/share.html"
 STAGE = "viewer/page/share/stage.html"
 STYLES = ("viewer/page/style.css", "viewer/page/controls.css")
 SHARE_STYLE = "viewer/page/share/share.css"
@@ -64,14 +66,14 @@ def bundle_modules(entries: Sequence[str], worker: str = "") -> str:
     done: dict[str, str] = {}
     for entry in (*entries, *filter(None, [worker])):
         _add_module(entry, done, ())
-    modules = ",\n".join(f"{json.dumps(name)}: (take, give) => {{\n{text}}}" for name, text in done.items())
-    run = " ".join(f"take({json.dumps(entry)});" for entry in entries)
+    modules = ",\n".join(f"{json.dumps(name)}: ($take, $give) => {{\n{text}}}" for name, text in done.items())
+    run = " ".join(f"$take({json.dumps(entry)});" for entry in entries)
     if worker:
-        run = f'if (typeof document === "undefined") take({json.dumps(worker)});\nelse {{ {run} }}'
+        run = f'if (typeof document === "undefined") $take({json.dumps(worker)});\nelse {{ {run} }}'
     return (
         f'(() => {{\n"use strict";\nconst kept = {{}}, modules = {{\n{modules}\n}};\n'
-        "const take = (name) => {\n"
-        "  if (!kept[name]) modules[name](take, (found) => (kept[name] = found));\n"
+        "const $take = (name) => {\n"
+        "  if (!kept[name]) modules[name]($take, (found) => (kept[name] = found));\n"
         "  return (kept[name] ??= {});\n"
         "};\n"
         f"{run}\n}})();\n"
@@ -89,7 +91,7 @@ def _add_module(name: str, done: dict[str, str], path: tuple[str, ...]) -> None:
     def take(found: re.Match[str]) -> str:
         needed.append(posixpath.normpath(posixpath.join(posixpath.dirname(name), found[2])))
         given = (found[1] or "").strip()
-        source = f"take({json.dumps(needed[-1])})"
+        source = f"$take({json.dumps(needed[-1])})"
         if not given:
             return f"{source};"
         if given.startswith("*"):
@@ -115,7 +117,7 @@ def _add_module(name: str, done: dict[str, str], path: tuple[str, ...]) -> None:
     getters = ", ".join(f"get {called}() {{ return {own}; }}" for called, own in names.items())
     for one in needed:
         _add_module(one, done, (*path, name))
-    done[name] = f"give({{{getters}}});\n{text}"
+    done[name] = f"$give({{{getters}}});\n{text}"
 
 
 @lru_cache(maxsize=2)
@@ -144,6 +146,18 @@ def read_style(within: str) -> str:
     """
     colours, _, rest = "".join(map(read_package_file, STYLES)).partition("\n}\n")
     return f"{colours}\n}}\n{within} {{{rest}}}\n{read_package_file(SHARE_STYLE)}"
+
+
+def compose_file(title: str, note: str, data: "PageData") -> str:
+    """Return the text of an HTML file that is one page of needles; `title` and `note` may be any text."""
+    script = read_script(computes=True, tables=False)
+    style = "".join(map(read_package_file, (*STYLES, SHARE_STYLE)))
+    parts = {
+        "title": html.escape(title), "note": html.escape(note), "policy": write_policy(script),
+        "style": style, "stage": read_package_file(STAGE), "kernel": read_kernel(), "data": data.pack(),
+        "script": script,
+    }  # fmt: skip
+    return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], read_package_file(SHARE_PAGE))
 
 
 # ---- the data

@@ -18,6 +18,7 @@ from needlefit.reporting.document import Block, Document
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.labels import SYNTHETIC_NOTE
 from needlefit.reporting.latex import format_latex, format_table_macros
+from needlefit.reporting.needle_page import PageData
 from needlefit.reporting.number_format import join_words
 from needlefit.reporting.paper_example import EXAMPLE_FILE, format_example
 from needlefit.reporting.table import Table, TableLayout
@@ -102,8 +103,8 @@ class StudyReport:
     judge: Callable[[Run], list[Verdict]] = judge_by_summary
     #: result -> the status of its verdict, where that is the first sentence of its summary
     rate: Callable[[Run], Status] = lambda result: "none"
-    #: result -> what the HTML page draws interactively (`Document.explorer`)
-    explore: Callable[[Run], dict[str, Any] | None] = lambda result: None
+    #: result -> the needles that the HTML page computes (`Document.explorer`)
+    explore: Callable[[Run], PageData | None] = lambda result: None
     #: result -> the tables that terminal and first page show under the verdict, without their notes
     lay_out_first: Callable[[Run], list[TableLayout]] = lambda result: find_kind(result.kind).report.lay_out(
         result

@@ -34,7 +34,7 @@ from needlefit.inference.likelihood.observation import (
     pose_sds,
     select_sections,
 )
-from needlefit.inference.parameters import BEVEL_SPREAD, NOISE_SCALE
+from needlefit.inference.parameters import BEVEL_SPREAD, NOISE_SCALE, find_bevel_factors
 from needlefit.inference.planned_layers import with_planned_layers
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.needle import Needle
@@ -96,7 +96,7 @@ def simulate_measurement(
     # by how many SDs the bevel deviates: the same for all depths of one insertion
     ((specimen, number),) = list_bevels(dataset, (insertion,))
     deviation = errors.setdefault((specimen, nodes.BEVEL, number), float(rng.standard_normal()))
-    factor = float(nodes.find_bevel_factors(values.get(BEVEL_SPREAD, 0.0), deviation))
+    factor = float(find_bevel_factors(values.get(BEVEL_SPREAD, 0.0), deviation))
     true, at = nodes.shift_depths(replace(insertion, bevel_factor=factor), s, deep + wrong, deep)
     gain = make_gain(insertion, likelihood.tip_tracks.gain_sd) if isinstance(insertion, TipTrack) else None
     if gain is not None:

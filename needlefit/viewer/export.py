@@ -1,16 +1,6 @@
-"""Export a recording: its last shape, figures, an animation, its inputs, or one HTML file that plays it.
+"""Export a recording: its last shape, figures, an animation, its inputs, or an HTML file that computes."""
 
-The HTML file asks for nothing from anywhere: modules of the page are embedded as `data:` addresses in an
-import map, since a page opened from a file may not import other files. Modules that
-talk to the program are replaced.
-"""
-
-import base64
-import html
-import json
-import posixpath
-import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needlefit import __version__
 from needlefit.geometry.frames import Placement
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import NeedleState
-from needlefit.viewer.messages import encode_band, encode_scene, encode_state
+from needlefit.reporting import needle_page
+from needlefit.viewer.messages import encode_scene
 from needlefit.viewer.opening import open_recording
 from needlefit.viewer.overlays import compute_band
 from needlefit.viewer.plans import continue_insertion
@@ -33,15 +23,6 @@ if TYPE_CHECKING:
     from needlefit.reporting.figures.needles import SceneOverlays
 
 PAGE = Path(__file__).parent / "page"
-MAX_SHARED_STATES = 240  #: states of an HTML file; of a longer recording so many, evenly chosen
-#: what stands for modules that talk to the program
-OFFLINE_MODULES = {
-    "steering.js": "export const command = () => null;",
-    "slice.js": "export const slice = () => null;",
-}
-MAIN_MODULE = "share/main.js"
-_IMPORT = re.compile(r'(\bfrom|\bimport) "(\.{1,2}/[^"]+)"')
-_PREFIX = "needlefit/"
 
 
 @dataclass(frozen=True)
@@ -168,43 +149,16 @@ def _find_overlays(outcome: RecordingOutcome, banded: bool) -> "SceneOverlays":
 
 
 def compose_share(recording: Recording) -> str:
-    """Return the text of an HTML file that plays a recording offline; errors as of `replay`."""
+    """Return the text of an HTML file that replays a recording by itself, and lets its reader steer on.
+
+    ConfigError if the model does not take its scene, or this installation has no kernel in WebAssembly.
+    """
     viewed_scene = open_recording(recording)
-    steering = begin_replay(recording)
-    numbers = np.linspace(0, len(recording.steps), min(len(recording.steps) + 1, MAX_SHARED_STATES))
-    wanted = set(np.rint(numbers).astype(np.intp).tolist())
-    states = []
-    for number, replayed in enumerate(replay(recording, steering)):
-        if number in wanted:
-            band = None
-            if viewed_scene.spread is not None:
-                found = compute_band(continue_insertion(steering, viewed_scene.spread))
-                band = encode_band(steering.number, found)
-            states.append([encode_state(viewed_scene, steering) | {"time_s": replayed.time}, band])
-    scene = encode_scene(viewed_scene, steering) | {"slice": False}
-    data = {"scene": scene, "states": states, "needlefit": __version__}
-    parts = {
-        "title": html.escape(viewed_scene.title),
-        "style": "".join((PAGE / name).read_text("utf-8") for name in ("style.css", "controls.css")),
-        "imports": json.dumps({"imports": dict(_embed_modules())}),
-        # "<" would end the element where the data hold "</script>"
-        "data": json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
-    }
-    text = (PAGE / "share/share.html").read_text("utf-8")
-    return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], text)
-
-
-def _embed_modules() -> Iterator[tuple[str, str]]:
-    """Yield the name and the `data:` address of every module that the file needs."""
-    waiting, done = [MAIN_MODULE], set[str]()
-    while waiting:
-        module = waiting.pop()
-        if module in done:
-            continue
-        done.add(module)
-        text = OFFLINE_MODULES.get(module) or (PAGE / module).read_text("utf-8")
-        for word, given in set(_IMPORT.findall(text)):
-            needed = posixpath.normpath(posixpath.join(posixpath.dirname(module), given))
-            text = text.replace(f'{word} "{given}"', f'{word} "{_PREFIX}{needed}"')
-            waiting.append(needed)
-        yield f"{_PREFIX}{module}", f"data:text/javascript;base64,{base64.b64encode(text.encode()).decode()}"
+    scene = encode_scene(viewed_scene, begin_replay(recording))
+    steps = [
+        [step.time, [[one.name, one.item, one.value] for one in step.changes], step.tip_lateral]
+        for step in recording.steps
+    ]
+    data = needle_page.PageData({"needlefit": recording.head.needlefit})
+    data.needles.append({"scene": scene, "recording": steps})
+    return needle_page.compose_file(viewed_scene.title, viewed_scene.note, data)

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-import numpy as np
 import pandas as pd
 
 from needlefit.datasets.insertion import Dataset, Insertion
@@ -19,7 +18,7 @@ from needlefit.inference.forward_model import (
     make_scene_record,
     select_layer_draws,
 )
-from needlefit.inference.parameters import BEVEL_SPREAD, Parameters
+from needlefit.inference.parameters import Parameters
 from needlefit.inference.problem import find_new_bevel_sd
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
@@ -42,13 +41,12 @@ from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.tracker import PlacementRecord, RecordingRecord
 from needlefit.studies import paper
-from needlefit.studies.fit_frames import FIT_KINDS, NEW_SPECIMEN, TUNED_SPECIMENS, select_draws
+from needlefit.studies.explorer import choose_specimen, vary_draws
+from needlefit.studies.fit_frames import FIT_KINDS, NEW_SPECIMEN, select_draws
 from needlefit.studies.job import hand_tuned_set
 from needlefit.studies.needle_placement import NEEDLE_POINTS, align_with_measured
 from needlefit.studies.needles_in_scan import DEFAULT_DIAMETER_MM
-from needlefit.studies.planned_draws import vary_bevels
 from needlefit.studies.report import list_run_warnings
-from needlefit.studies.run import Run
 from needlefit.studies.store import restore_run, unpack
 from needlefit.viewer.overlays import InsertionScan, MeasuredOverlay, find_scan, make_measured_overlay
 from needlefit.viewer.recording import Recording, make_head
@@ -270,8 +268,8 @@ def _open_run(view_target: ViewTarget) -> ViewedScene:
     shown = ShownInsertion(dataset, insertion, medium, values, results.run["recipe"]["seed"])
     (names,) = (set(one["tune"]) for one in folds if one["name"] == fold)
     fitted = [one for one in dataset.insertions if one.id in names]
-    specimen = _choose_specimen(
-        results, shown.insertion, {one.specimen for one in fitted}, view_target.specimen
+    specimen = choose_specimen(
+        results, shown.insertion.specimen, {one.specimen for one in fitted}, view_target.specimen
     )
     draws = select_draws(results.frames["draws"], fold, specimen)
     crossed = "Its layers lie where it was measured to cross them. " if len(insertion.boundaries) else ""
@@ -293,25 +291,11 @@ def _open_run(view_target: ViewTarget) -> ViewedScene:
     )
 
 
-def _choose_specimen(results: Run, insertion: Insertion, tuned: set[str], chosen: SpecimenChoice) -> str:
-    """Return in which specimen the draws of the band are, by its name in the table of draws."""
-    differ = results.record.specimens == "others"
-    if chosen == "new" or (differ and (chosen == "planned" or insertion.specimen not in tuned)):
-        new = chosen != "same"
-        return NEW_SPECIMEN if new else TUNED_SPECIMENS
-    known = set(results.frames["draws"]["specimen"])
-    return insertion.specimen if insertion.specimen in known else TUNED_SPECIMENS
-
-
 def _vary_draws(shown: ShownInsertion, draws: pd.DataFrame, new_bevel_sd: float) -> ParameterDraws:
     """Return the draws for the layers that an insertion meets, each with a bevel of its own."""
-    rng = random_stream(shown.seed, "band", shown.insertion.id)
-    medium = Parameters.from_record(shown.medium)
-    names = [name for name in (*medium.names, BEVEL_SPREAD) if name in draws]
-    sets = [dict(zip(names, row, strict=True)) for row in draws[names].to_numpy(dtype=np.float64).tolist()]
-    varied = vary_bevels(sets, new_bevel_sd, rng)
+    varied = vary_draws(draws, shown.medium, shown.insertion.id, shown.seed, new_bevel_sd)
     layers = [layer for _, layer in find_layers(shown.insertion)]
-    return select_layer_draws(pd.DataFrame(varied), layers, shown.medium.law)
+    return select_layer_draws(varied, layers, shown.medium.law)
 
 
 def _describe_band(draws: pd.DataFrame, specimen: str) -> str:

@@ -256,8 +256,6 @@ FRAME, BEVEL, GROUP_SLOPE, GROUP_GAIN = -1, -2, -3, -4
 #: part of the guide's moves by which they are changed to simulate their effect, to both sides
 GAIN_STEP = 0.1
 BEVEL_STEP = 0.1  #: part of the bevel's offset by which it is changed to simulate its effect, to both sides
-#: least bevel of an insertion, as part of the mean: a normal distribution does not end at zero
-MIN_BEVEL_FACTOR = 0.05
 MIN_GAP_MM = 1e-3  #: smallest distance, mm, of moved boundaries from each other and from the entry
 
 
@@ -380,11 +378,6 @@ def scale_guide(insertion: Insertion, factor: float) -> Insertion:
     assert isinstance(insertion, TipTrack)
     first = insertion.guide[0]
     return replace(insertion, guide=first + factor * (insertion.guide - first))
-
-
-def find_bevel_factors(spread: Floats | float, deviations: Floats | float) -> Floats:
-    """Return bevels, as parts of their mean, that deviate by so many SDs of relative size `spread`."""
-    return np.maximum(1.0 + np.asarray(spread) * deviations, MIN_BEVEL_FACTOR)
 
 
 Surface = tuple[object, ...]

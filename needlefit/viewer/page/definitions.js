@@ -1,6 +1,6 @@
 /** What the words of the page mean, shown on hover, focus and tap. */
 
-import { element } from "./dom.js";
+import { element, part } from "./dom.js";
 
 /** One or two sentences each, which `docs/glossary.py` copies; those of error metrics come with the scene. */
 export const DEFINITIONS = {
@@ -28,7 +28,7 @@ export const DEFINITIONS = {
 const ROOM = 110; // px, of the highest definition
 
 const shown = element("div", { id: "definition", role: "tooltip", popover: "auto" });
-document.body.append(shown);
+(part("explorer") ?? document.body).append(shown); // a report has a style of its own outside
 
 /** A term that shows the definition of `name`, itself or `called` otherwise; plain text where there is none. */
 export function define(name, called = name) {

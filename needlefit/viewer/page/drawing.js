@@ -18,6 +18,9 @@ const before = foreground.getContext("2d");
 /** Which parts are drawn; what there is none of is not, whatever stands here. */
 export const shown = { load: true, points: true, path: true, measured: true, band: true, raw: false, errors: true, slice: true, plan: true, reach: true };
 
+/** What else is drawn over the needle: functions of the context. */
+export const further = [];
+
 let drawnTissue = "";
 let stale = true; // whether the foreground must be drawn though no state has come
 
@@ -63,6 +66,7 @@ function paintForeground(state) {
       overlay.paintMeasuredPoints(before);
       if (shown.errors) overlay.paintGaps(before, state, now.scene.measured);
     }
+    for (const draw of further) draw(before);
     needle.paintGuides(before, state);
     needle.paintBase(before, state);
     overlay.paintTrackedTip(before);

@@ -27,9 +27,9 @@ from needlefit.reporting import document, labels, latex
 from needlefit.reporting.columns import DIGITS, METRIC_FORMAT, find_column, format_value
 from needlefit.reporting.figures import Drawing, Look
 from needlefit.reporting.figures import fit_forms as forms
+from needlefit.reporting.needle_page import PageData
 from needlefit.reporting.number_format import (
     choose_interval_unit,
-    choose_printed_unit,
     format_metric,
     format_mm,
     format_number,
@@ -50,6 +50,7 @@ from needlefit.studies.coverage import (
     median_width,
     tip_error_of_medians,
 )
+from needlefit.studies.explorer import collect_explorer
 from needlefit.studies.fit_frames import COLUMNS as FRAMES
 from needlefit.studies.fit_frames import list_methods, select_draws
 from needlefit.studies.identification_tables import (
@@ -867,87 +868,15 @@ def _tabulate_marks(results: Run) -> pd.DataFrame:
     return drawn.assign(origin=results.origin)
 
 
-# ---- what the HTML page draws interactively
-
-CURVE_DECIMALS = 3  #: of mm on the page
-
-MAX_EXPLORED_PARAMETERS = 6
+# ---- what the HTML page computes
 
 
-def collect_explorer(results: Run) -> dict[str, Any] | None:
-    """Return the values of the interactive part of the page; None where nothing was scored."""
-    role = find_scored_role(results)
-    scored = results.frames["errors"].query(
-        "role == @role and boundaries == 'measured' and method == 'fitted' and converged"
-    )
-    if scored.empty:
-        return None
-    methods = ("fitted", *(name for name in list_methods() if name != "fitted"))
-    curves = collect_curves(results, role, methods)
-    listed_curves, listed_residuals = _list_curves(curves), _list_curves(subtract_fit(curves))
-    status = {one.group: one.status for one in judge_run(results)}
-    metrics = [one for one in list_metrics() if one.headline or one.relative]
-    return {
-        "heads": ["Insertion", "Group", "Depth (mm)", *(f"{one.label} ({one.unit})" for one in metrics)],
-        "insertions": [
-            {
-                "cells": [
-                    row["insertion"],
-                    f"{labels.medium_name(row['medium'])}, {labels.layers_name(row['layers'])}",
-                    f"{row['depth_mm']:.1f}",
-                    *(format_metric(one, row[one.name]) for one in metrics),
-                ],
-                # a verdict names the layers only where a medium has several groups
-                "status": status.get(
-                    labels.group_name(row["medium"], row["layers"]),
-                    status.get(labels.medium_name(row["medium"]), ""),
-                ),
-                "error": row["te_mm"],
-                "curves": listed_curves.get((row["fold"], row["insertion"]), {}),
-                "residuals": listed_residuals.get((row["fold"], row["insertion"]), {}),
-            }
-            for row in to_records(scored)
-        ],
-        "methods": [
-            {
-                "key": name,
-                "name": labels.method_name(name, results.origin),
-                "colour": labels.method_colour(name),
-            }
-            for name in methods
-            if (curves["curve"] == name).any()
-        ],
-        "posterior": _collect_draws(results),
-    }
-
-
-def _list_curves(points: pd.DataFrame) -> dict[tuple[str, str], dict[str, dict[str, list[float]]]]:
-    """Return the curves by fold and insertion, of each its columns; points that lack one are left out."""
-    found: dict[tuple[str, str], dict[str, dict[str, list[float]]]] = {}
-    every = {key: points[key].to_numpy(dtype=np.float64) for key in ("x_mm", *forms.HEIGHT_COLUMNS)}
-    groups: dict[Any, Any] = points.groupby(["fold", "insertion", "curve"], sort=False).indices
-    for (fold, insertion, name), rows in sorted(groups.items(), key=lambda group: int(group[1][0])):
-        heights = forms.HEIGHT_COLUMNS[1:] if str(name).endswith("%") else forms.HEIGHT_COLUMNS[:1]
-        columns = np.array([every[key][rows] for key in ("x_mm", *heights)])
-        known = np.round(columns[:, ~np.isnan(columns).any(axis=0)], CURVE_DECIMALS).tolist()
-        found.setdefault((fold, insertion), {})[str(name)] = dict(zip(("x_mm", *heights), known, strict=True))
-    return found
-
-
-def _collect_draws(results: Run) -> dict[str, Any] | None:
-    """Return the draws of the first fold, moduli in kPa or MPa; None without draws or with one parameter."""
-    names = tables.list_free_parameters(results)[:MAX_EXPLORED_PARAMETERS]
-    draws = results.frames["draws"]
-    if draws.empty or len(names) < 2:
-        return None
-    draws = select_draws(draws)
-    parameters = []
-    for name in names:
-        values = draws[name].to_numpy(dtype=np.float64)
-        label, unit = choose_printed_unit(name, [float(np.median(values))])
-        digits = [float(f"{value / unit:.4g}") for value in values]
-        parameters.append({"label": label, "log": is_logarithmic(name), "values": digits})
-    return {"parameters": parameters}
+def collect_page_data(results: Run) -> PageData | None:
+    """Return the data of the interactive part of the page; None where nothing was scored."""
+    errors = results.frames["errors"]
+    fitted = (errors["method"] == "fitted") & (errors["boundaries"] == "measured")
+    scored = errors[fitted & (errors["role"] == find_scored_role(results)) & errors["converged"].astype(bool)]
+    return collect_explorer(results, scored, {one.group: one.status for one in judge_run(results)})
 
 
 # ---- sentences
@@ -1223,7 +1152,7 @@ REPORT = StudyReport(
     comparisons=tables.COMPARISONS,
     compares_only_these=True,
     judge=judge,
-    explore=collect_explorer,
+    explore=collect_page_data,
     lay_out_first=lambda results: [_lay_out_summary(results), tables.lay_out_values(results)],
     explain=explain,
 )

@@ -44,6 +44,7 @@ from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import compute_beside, stop_requested
 from needlefit.reporting.number_format import format_bare_symbol, format_quantity
 from needlefit.schemas.study import FitRecord, StudyRecord
+from needlefit.studies.explorer import describe_insertions
 from needlefit.studies.fit_frames import COLUMNS as FRAMES
 from needlefit.studies.fit_frames import TUNED_SPECIMENS
 from needlefit.studies.fit_warnings import add_warnings
@@ -112,7 +113,11 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
             "needles": tabulate_needles(going.needles.values()),
         },
         posteriors=going.posteriors,
-        run=work | {"layers": _list_layers(job)} | _find_truth(job) | going.summarize_searches(),
+        run=work
+        | {"layers": _list_layers(job)}
+        | describe_insertions(job)
+        | _find_truth(job)
+        | going.summarize_searches(),
         timing={"seconds": time.time() - begin, "jobs": settings.jobs, "dataset": str(job.dataset.path)},
         interrupted=going.interrupted,
     )

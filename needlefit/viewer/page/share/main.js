@@ -1,81 +1,246 @@
-/** A shared recording: plays its states, which the file holds. */
+/** A file that computes: the needles of a report, or one recorded insertion, steered by who reads it. */
 
-import { part } from "../dom.js";
-import { paint } from "../drawing.js";
-import { degrees, signed, strengthOf } from "../quantities.js";
-import { fillReadouts, refresh, refreshDescription } from "../readouts.js";
-import { now, take } from "../store.js";
+import { element, part, press, write } from "../dom.js";
+import { further, invalidate, paint } from "../drawing.js";
+import { toInputs } from "../model/inputs.js";
+import { describeState } from "../model/state.js";
+import { line, palette } from "../painters/strokes.js";
+import { counted } from "../quantities.js";
+import { refresh, refreshDescription } from "../readouts.js";
+import { listen, now, take } from "../store.js";
 import "../toolbar.js";
+import { fit, view } from "../view.js";
+import { buildFields, refreshFields } from "./controls.js";
+import { begin, insert, load, prove, Replay, steer } from "./needles.js";
+import { listenToPicture } from "./picture.js";
 
-const SHORTEST = 2; // s that a recording lasts at least while it is played
-const { scene, states, needlefit } = JSON.parse(part("data").textContent);
-const [slider, button] = [part("scrub"), part("play")];
-let [at, playing, fresh, last, clock] = [0, false, true, null, 0];
+const SHORTEST = 2, LONGEST = 20; // s that a recording lasts while it is played
+const RESTS = 300; // ms after the last change, when the picture is described in words
+const SAME = 1e-6; // mm: what differs by more is no needle of this file
 
-const ends = states.at(-1)[0].time_s;
-const pace = Math.max(1, ends / 20, 1e-9); // a long recording is played within 20 s
-const lasts = Math.max(ends / pace, SHORTEST);
-const timeOf = (index) => (ends > 0 ? (states[index][0].time_s / ends) * lasts : (index / states.length) * lasts);
+let data = null;
+let needle = null; // the one that is shown: {scene, recording or methods}
+let steered = null;
+let replay = null;
+let steps = 0; // of all needles together
+let described = 0;
+let frame = 0;
+let fresh = false;
+let order = 0; // of the newest band
+let begun = false; // whether a needle was chosen whose band has not come yet
+let unsent = {}; // kernel and draws, which the worker is sent once
+const shownMethods = new Set(["hand_tuned"]);
+const worker = new Worker(URL.createObjectURL(new Blob([part("program").textContent], { type: "text/javascript" })));
 
-/** What is put in at a state. */
-const { symbol, unit } = strengthOf(scene.fitted);
-const writeInputs = fillReadouts(part("inputs"), [
-  ["bevel", "", ({ bevel }) => (bevel.side > 0 ? "▲ to +y" : "▼ to −y")],
-  [symbol, unit, ({ bevel }) => strengthOf(bevel).value.toFixed(strengthOf(bevel).digits)],
-  ["base y", "mm", ({ base }) => signed(base.input_y, 2)],
-  ["base slope", "°", ({ base }) => signed(degrees(base.input_slope), 2)],
-  ["guides", "", ({ guides }) => String(guides.length)],
-]);
-
-function showState(index) {
-  at = index;
-  const [state, band] = states[index];
-  take(state);
-  take(band ?? { kind: "band", x: [] });
-  slider.value = index;
-  slider.ariaValueText = `${state.time_s.toFixed(1)} s, ${state.depth_mm.toFixed(1)} mm deep`;
-  part("time").textContent = `${state.time_s.toFixed(1)} s of ${ends.toFixed(1)} s`;
-  writeInputs(state);
-  refresh();
-  refreshDescription();
+/** Show what the needle is now. */
+function update() {
+  steps += 1;
+  take({ ...describeState(steered), step: steps, kind: "state" });
   fresh = true;
+  redraw();
+  refresh();
+  refreshFields();
+  refreshMethods();
+  askBand();
+  clearTimeout(described);
+  described = setTimeout(refreshDescription, RESTS);
+}
+
+function redraw() {
+  frame ||= requestAnimationFrame(() => {
+    frame = 0;
+    paint(fresh);
+    fresh = false;
+  });
+}
+
+/** Order the band of the draws where the needle stands; a newer order takes the place of one that is under way. */
+function askBand() {
+  if (!needle.scene.draws) return;
+  order += 1;
+  const path = steered.path().map((one) => ({ depth: one.depth, inputs: toInputs(one, steered.model.pathAngle) }));
+  worker.postMessage({ id: order, model: steered.model, steps: path, ...unsent });
+  unsent = {};
+}
+
+worker.onmessage = ({ data: { id, band } }) => {
+  if (id !== order) return;
+  take({ kind: "band", step: steps, ...(band ?? { x: [], failed: 0 }) });
+  if (begun) fit(view.fit); // of a needle that has just been chosen, the band is in the picture too
+  begun = false;
+};
+
+/** Carry out a change; what the model does not take is stated, and the needle stays. */
+function change(changes) {
+  if (replay) play(false);
+  try {
+    steer(steered, changes);
+    write("refusal", "");
+  } catch (error) {
+    if (!error.what) throw error;
+    write("refusal", `${error.what}. Expected: ${error.expected}.`);
+  }
+  part("back").disabled = false;
+  update();
+}
+
+/** Show a needle as the file has it: of a recording its end, else the fit at the depth of the measured needle. */
+async function choose(number) {
+  needle = data.needles[number];
+  const { scene } = needle;
+  replay = needle.recording ? new Replay(data.kernel, needle) : null;
+  unsent = { kernel: data.kernel, draws: scene.draws };
+  begun = true;
+  take({ slice: false, ...scene, band: Boolean(scene.draws), kind: "scene" });
+  buildFields(scene, change);
+  listMethods();
+  const specimen = needle.new_specimen ? " of a specimen that was not fitted" : "";
+  const draws = counted(scene.draws?.sets ?? 0, "posterior draw");
+  write("band-note", scene.draws ? `Band: 95 % of the needles of ${draws}${specimen}, without noise and model error.` : "");
+  part("synthetic")?.toggleAttribute("hidden", !scene.synthetic);
+  await goBack();
+}
+
+async function goBack() {
+  write("refusal", "");
+  if (replay) return showStep(replay.steps.length);
+  steered = await begin(data.kernel, needle);
+  insert(steered);
+  part("back").disabled = true;
+  update();
+}
+
+// ---- methods: the fit beside the baselines
+
+const errorsOf = (values) => ["ipe_mean_mm", "te_mm", "edp_percent"].map((name) => {
+  const value = values?.[name];
+  return Number.isFinite(value) ? value.toFixed(name.endsWith("percent") ? 1 : 3) : "–";
+});
+let present = []; // the cells of the needle's own errors
+
+function listMethods() {
+  const { methods } = needle;
+  part("methods").hidden = !methods;
+  if (!methods) return;
+  const row = (name, values) => element("tr", {}, element("th", { scope: "row" }, name), values.map((one) => element("td", {}, one)));
+  const first = row("", errorsOf(null));
+  present = [...first.cells];
+  const rows = methods.map((method) => {
+    if (!method.x) return row(method.name, errorsOf(method.errors));
+    const swatch = element("i", { className: "swatch line", ariaHidden: "true" });
+    swatch.style.background = method.colour;
+    const toggle = element("button", { type: "button", ariaPressed: String(shownMethods.has(method.key)) }, swatch, method.name);
+    press(toggle, () => {
+      const on = shownMethods.has(method.key);
+      on ? shownMethods.delete(method.key) : shownMethods.add(method.key);
+      toggle.ariaPressed = String(!on);
+      invalidate();
+    });
+    return row(toggle, errorsOf(method.errors));
+  });
+  part("method-rows").replaceChildren(first, ...rows);
+}
+
+function refreshMethods() {
+  if (!needle.methods) return;
+  const { errors } = now.state;
+  const upto = errors && !errors.whole ? `, first ${errors.upto_mm.toFixed(1)} mm` : "";
+  [`the needle above${upto}`, ...errorsOf(errors)].forEach((text, i) => write(present[i], text));
+}
+
+further.push((context) => {
+  for (const { key, x, y, colour } of needle?.methods ?? []) {
+    if (!x || !shownMethods.has(key)) continue;
+    line(context, x, y, palette.halo, 4);
+    line(context, x, y, colour, 2);
+  }
+});
+
+// ---- a recording
+
+let playing = null; // {clock, last}: s of the recording, ms
+const timeOf = (n) => (n ? replay.steps[n - 1][0] : 0);
+
+async function showStep(n) {
+  steered = await replay.to(n);
+  part("scrub").value = n;
+  part("scrub").ariaValueText = `${timeOf(n).toFixed(1)} s`;
+  write("time", `${timeOf(n).toFixed(1)} s of ${timeOf(replay.steps.length).toFixed(1)} s`);
+  part("back").disabled = true;
+  update();
 }
 
 function play(on) {
-  playing = on;
-  if (on && at === states.length - 1) showState(0);
-  clock = timeOf(at);
-  last = null;
-  button.textContent = on ? "Pause" : "Play";
+  part("play").textContent = on ? "Pause" : "Play";
+  if (!on) return void (playing = null);
+  const begun = replay.at === replay.steps.length || !part("back").disabled ? 0 : replay.at;
+  if (begun === 0) replay.steered = null; // what a reader has changed is no state of the recording
+  playing = { clock: timeOf(begun), last: performance.now() };
+  requestAnimationFrame(advance);
 }
 
-function advance(t) {
-  clock += last === null ? 0 : (t - last) / 1000;
-  last = t;
-  let next = at;
-  while (next < states.length - 1 && timeOf(next + 1) <= clock) next += 1;
-  if (next !== at) showState(next);
-  if (at === states.length - 1) play(false);
+async function advance(t) {
+  if (!playing) return;
+  const ends = Math.max(timeOf(replay.steps.length), 1e-9);
+  playing.clock += ((t - playing.last) / 1000) * (ends / Math.min(Math.max(ends, SHORTEST), LONGEST));
+  playing.last = t;
+  let n = replay.steered ? replay.at : 0;
+  while (n < replay.steps.length && timeOf(n + 1) <= playing.clock) n += 1;
+  await showStep(n);
+  if (n === replay.steps.length) return play(false);
+  requestAnimationFrame(advance);
 }
 
-function frame(t) {
-  if (playing) advance(t);
-  paint(fresh);
-  fresh = false;
-  requestAnimationFrame(frame);
+function buildRecording() {
+  const { recording } = data.needles[0];
+  part("transport").hidden = !recording;
+  if (!recording) return;
+  part("scrub").max = recording.length;
+  part("scrub").addEventListener("input", ({ target }) => {
+    play(false);
+    if (!part("back").disabled) replay.steered = null;
+    showStep(Number(target.value));
+  });
+  press("play", () => play(!playing));
 }
 
-button.addEventListener("click", () => play(!playing));
-slider.max = states.length - 1;
-slider.addEventListener("input", () => {
-  play(false);
-  showState(Number(slider.value));
+// ---- the file
+
+/** State how what the file holds agrees with what this browser computes. */
+async function stateAgreement() {
+  const { count, largest } = await prove(data);
+  const what = counted(count, data.needles[0].recording ? "recorded state" : "stored needle");
+  const agrees = largest === 0 ? "the same bytes" : `the largest difference is ${largest.toExponential(1)} mm`;
+  const place = part("proof");
+  place.classList.toggle("bad", !(largest < SAME));
+  place.dataset.count = count;
+  place.dataset.largest = largest;
+  write("proof", `This page computed ${what} of needlefit ${data.needlefit} again: ${Number.isNaN(largest) ? "one has failed" : agrees}.`);
+}
+
+async function start() {
+  data = await load();
+  const choice = part("needle-choice");
+  choice.append(...data.needles.map(({ scene, group }, i) =>
+    element("option", { value: String(i) }, [scene.measured?.id ?? scene.title, group].filter(Boolean).join(", "))));
+  part("choosing").hidden = data.needles.length < 2;
+  choice.addEventListener("change", () => choose(Number(choice.value)));
+  press("flip", () => change([["bevel_side", null, -now.state.bevel.side]]));
+  press("back", () => {
+    if (replay) replay.steered = null;
+    goBack();
+  });
+  listen("redraw", redraw);
+  listenToPicture(change);
+  buildRecording();
+  await choose(0);
+  fit("tissue");
+  await stateAgreement();
+  if (replay && !matchMedia("(prefers-reduced-motion: reduce)").matches) play(true);
+}
+
+start().catch((error) => {
+  write("proof", `This browser cannot compute the needle: ${error.message}`);
+  part("proof").classList.add("bad");
+  throw error;
 });
-part("version").textContent = `Recorded with needlefit ${needlefit}, an interactive simulation of needles in soft tissue.`;
-part("note").textContent = scene.note;
-part("synthetic").hidden = !scene.synthetic;
-take({ ...scene, kind: "scene" });
-showState(states.length - 1);
-requestAnimationFrame(frame);
-now.shared = { show: showState, count: states.length }; // for whoever measures the page
-if (!matchMedia("(prefers-reduced-motion: reduce)").matches) play(true);

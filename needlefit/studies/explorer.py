@@ -1,0 +1,258 @@
+"""What the HTML page of a fit or cross-validation computes: scored needles, their draws, the baselines.
+
+A run stores how each insertion was made, so that its report can be made again without the dataset.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+import pandas as pd
+
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import TipTrack, find_free_reach
+from needlefit.geometry.curves import COMPARISON_POINTS
+from needlefit.geometry.frames import align_rigid
+from needlefit.inference.parameters import BEVEL_PARAMETERS, BEVEL_SPREAD, Parameters, find_bevel_factors
+from needlefit.mechanics.laws import LAWS, PowerLaw
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.packing import compile_law
+from needlefit.mechanics.plan import Lattice, make_lattice
+from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.shape import compute_positions
+from needlefit.mechanics.tissue import Tissue
+from needlefit.metrics import list_metrics
+from needlefit.project.locate import SpecimenChoice
+from needlefit.project.random_streams import random_stream
+from needlefit.reporting import labels
+from needlefit.reporting.needle_page import PageData, encode_scene, kernel_exists
+from needlefit.reporting.table_files import Row, to_records
+from needlefit.schemas.medium import MediumRecord
+from needlefit.studies.fit_frames import NEW_SPECIMEN, TUNED_SPECIMENS, list_methods, select_draws
+from needlefit.studies.needles_in_scan import DEFAULT_DIAMETER_MM
+from needlefit.studies.run import Run
+
+if TYPE_CHECKING:
+    from needlefit.studies.job import Fold, Job
+
+# Modules that simulate are imported where they are used: other reports do not load them.
+INSERTIONS_KEY, NEW_BEVEL_KEY = "insertions", "new_bevel_sd"  #: keys in `run.json`
+MAX_DRAWS = 200  #: needles of a band, evenly chosen from all draws
+#: the same of a law that is a table whose parameters differ between draws: each draw has tables of its own
+MAX_TABLE_DRAWS = 40
+CURVE_DECIMALS = 3  #: of mm, of the curves of baselines
+
+
+@dataclass(frozen=True)
+class StoredInsertion:
+    """How one insertion was made: what its simulation needs, lengths in mm."""
+
+    depth: float
+    side: int
+    bevel_factor: float
+    guide_distance: float | None
+    base_moved: float
+    compared: float | None  #: length from the tip that is compared, of a shape of unknown pose
+    specimen: str
+    sequence: tuple[int, ...]
+    boundaries: Floats
+
+    @classmethod
+    def read(cls, run: Mapping[str, Any], name: str) -> Self:
+        """Return an insertion as `run.json` stores it."""
+        layers = run["layers"][name]
+        sequence, tops = tuple(layer for layer, _ in layers), np.array([top for _, top in layers[1:]])
+        return cls(**run[INSERTIONS_KEY][name], sequence=sequence, boundaries=tops)
+
+
+def describe_insertions(job: "Job") -> dict[str, Any]:
+    """Return what `run.json` stores of every insertion, besides its layers; of tip tracks nothing."""
+    drop = job.dataset.drop_proximal if job.dataset.pose == "free" else None
+    return {
+        INSERTIONS_KEY: {
+            one.id: {
+                "depth": one.depth, "side": one.side, "bevel_factor": one.bevel_factor,
+                "guide_distance": one.guide_distance, "base_moved": one.base_moved,
+                "compared": None if drop is None else find_free_reach(drop, one), "specimen": one.specimen,
+            }
+            for one in job.insertions
+            if not isinstance(one, TipTrack)
+        },
+        NEW_BEVEL_KEY: {fold.name: _find_bevel_sd(job, fold) for fold in job.folds},
+    }  # fmt: skip
+
+
+def _find_bevel_sd(job: "Job", fold: "Fold") -> float:
+    """Return by how many SDs the bevel of a further insertion deviates, see `find_new_bevel_sd`."""
+    from needlefit.inference.problem import find_new_bevel_sd
+
+    if job.recipe.likelihood.depths == "quadrature":  # of each insertion's bevel
+        return 1.0
+    tuned = {one.specimen for one in fold.tune}
+    new = job.record.specimens == "others" and any(one.specimen not in tuned for one in fold.validate)
+    return find_new_bevel_sd(job.dataset, fold.tune, new_specimen=new and len(tuned) > 1)
+
+
+def choose_specimen(results: Run, specimen: str, tuned: set[str], chosen: SpecimenChoice = "shown") -> str:
+    """Return in which specimen the draws for an insertion are, by its name in the table of draws.
+
+    `specimen` is that of the insertion, `tuned` are those that were fitted to.
+    """
+    differ = results.record.specimens == "others"
+    if chosen == "new" or (differ and (chosen == "planned" or specimen not in tuned)):
+        return NEW_SPECIMEN if chosen != "same" else TUNED_SPECIMENS
+    return specimen if specimen in set(results.frames["draws"]["specimen"]) else TUNED_SPECIMENS
+
+
+def vary_draws(draws: pd.DataFrame, medium: MediumRecord, name: str, seed: int, sd: float) -> pd.DataFrame:
+    """Return draws of all parameters (Pa, mm), each with a bevel of its own for the insertion `name`."""
+    names = [one for one in (*Parameters.from_record(medium).names, BEVEL_SPREAD) if one in draws]
+    found = draws[names].astype(np.float64)
+    spreads = found[BEVEL_SPREAD].to_numpy() if BEVEL_SPREAD in names else np.zeros(len(found))
+    deviations = sd * random_stream(seed, "band", name).standard_normal(len(found))
+    factors = find_bevel_factors(spreads, deviations)
+    return found.assign(**{one: found[one] * factors for one in BEVEL_PARAMETERS if one in names})
+
+
+def collect_explorer(results: Run, scored: pd.DataFrame, status: Mapping[str, str]) -> PageData | None:
+    """Return the data of the page; None where nothing can be computed.
+
+    `scored` are the rows of `errors` of the fit that are shown, `status` the verdicts by group. Nothing can
+    be computed in an installation without the kernel in WebAssembly, of tip tracks, and of runs of earlier
+    versions, which did not store how each insertion was made.
+    """
+    stored = results.run.get(INSERTIONS_KEY, {})
+    rows = [row for row in to_records(scored) if row["insertion"] in stored]
+    if not rows or not kernel_exists():
+        return None
+    data = PageData({"needlefit": results.run["versions"]["needlefit"], "title": results.title})
+    shapes = results.frames["shapes"]
+    shapes = shapes[shapes["boundaries"] == "measured"]
+    points = shapes[[f"{kind}_{axis}_mm" for kind in ("measured", "simulated") for axis in "xy"]].to_numpy()
+    places: Any = shapes.groupby(["fold", "role", "insertion", "method"], sort=False).indices
+    curves = {key: points[rows].reshape(-1, 2, 2) for key, rows in places.items()}  # stations are in order
+    errors = results.frames["errors"]
+    errors = errors[(errors["boundaries"] == "measured") & errors["converged"].astype(bool)]
+    scores = dict(iter(errors.groupby(["fold", "role", "insertion"], sort=False)))
+    medium = MediumRecord.model_validate(results.run["medium"])
+    for row in rows:
+        where = row["fold"], row["role"], row["insertion"]
+        needle = _encode_needle(data, results, medium, row, curves[*where, "fitted"])
+        methods = [
+            _encode_method(one, curves.get((*where, one["method"])), results.origin)
+            for one in _sort_methods(to_records(scores[where]))
+        ]
+        group = labels.group_name(row["medium"], row["layers"])
+        found = status.get(group, status.get(labels.medium_name(row["medium"]), ""))
+        data.needles.append(needle | {"group": group, "status": found, "methods": methods})
+    return data
+
+
+def _encode_needle(
+    data: PageData, results: Run, medium: MediumRecord, row: Row, curve: Floats
+) -> dict[str, Any]:
+    """Return one needle with the fit's parameters: its scene, draws, and what the run stored of it."""
+    from needlefit.inference.forward_model import make_simulation_inputs
+
+    run, name = results.run, row["insertion"]
+    needle = Needle(**run["dataset"]["needle"])
+    stored = StoredInsertion.read(run, name)
+    known = results.frames["parameters"]
+    known = known[(known["fold"] == row["fold"]) & (known["method"] == "fitted")]
+    values = dict(zip(known["parameter"], known["value"].astype(float), strict=True))
+    needle, tissue, steps, rules = make_simulation_inputs(values, medium, needle, stored)
+    names = tuple(f"layer {layer}" for layer in stored.sequence)
+    scene = Scene(needle, tissue, steps, rules, layer_names=names)
+    lattice = make_lattice(steps, rules)
+    measured = _encode_measured(scene, lattice, stored, row, curve)
+    encoded = encode_scene(scene, lattice.first_cell) | {
+        "title": f"{name} · {results.dataset_title}",
+        "target": name,
+        "synthetic": results.synthetic,
+        "diameter_mm": DEFAULT_DIAMETER_MM,
+        "measured": measured,
+        "draws": None,
+    }
+    fold = next(one for one in run["folds"] if one["name"] == row["fold"])
+    tuned = {run[INSERTIONS_KEY][one]["specimen"] for one in fold["tune"]}
+    specimen = choose_specimen(results, stored.specimen, tuned)
+    draws = select_draws(results.frames["draws"], row["fold"], specimen)
+    if len(draws) and draws["certified"].all():
+        varied = vary_draws(draws, medium, name, run["recipe"]["seed"], run[NEW_BEVEL_KEY][row["fold"]])
+        encoded["draws"] = _encode_draws(data, varied, medium, stored, tissue)
+    return {"scene": encoded, "new_specimen": specimen == NEW_SPECIMEN}
+
+
+def _encode_measured(
+    scene: Scene, lattice: Lattice, stored: StoredInsertion, row: Row, curve: Floats
+) -> dict[str, Any]:
+    """Return the measured needle as the page draws and compares it, and the needle that the run stored.
+
+    `curve` (K, 2, 2) are its points and the simulated ones.
+    """
+    from needlefit.mechanics.simulate import simulate_steps
+
+    measured, simulated = curve[:, 0], curve[:, 1]
+    if stored.compared is None:
+        s, shown = stored.depth * np.linspace(0.0, 1.0, COMPARISON_POINTS), measured
+    else:  # laid on the needle of the fit
+        s = stored.depth - np.linspace(stored.compared, 0.0, COMPARISON_POINTS)
+        shape = simulate_steps(scene.needle, scene.tissue, scene.steps, scene.rules, lattice)
+        shown = align_rigid(measured, compute_positions(shape, s))
+    (x, y), (drawn_x, drawn_y) = measured.T.tolist(), shown.T.tolist()
+    pose = "known" if stored.compared is None else "free"
+    return {
+        "id": row["insertion"],
+        "depth_mm": stored.depth,
+        "metrics": [[one.name, one.label, one.unit, one.explanation] for one in list_metrics()],
+        "x": drawn_x,
+        "y": drawn_y,
+        "s": s.tolist(),
+        "floor_mm": row["floor_te_mm"],
+        "target": {"pose": pose, "s": s.tolist(), "x": x, "y": y},
+        "stored": dict(zip("xy", simulated.T.tolist(), strict=True)),
+    }
+
+
+def _encode_draws(
+    data: PageData, draws: pd.DataFrame, medium: MediumRecord, stored: StoredInsertion, tissue: Tissue
+) -> dict[str, Any]:
+    """Return the draws of a band: of each, mu and law of every layer, and the strength of the bevel."""
+    from needlefit.inference.forward_model import stack_values
+
+    table = {str(name): column.to_numpy() for name, column in draws.items()}
+    values = stack_values(table, medium, stored.sequence, stored.bevel_factor)
+    shape = values["shape"]
+    varying = not isinstance(LAWS[tissue.law], PowerLaw) and bool((shape != shape[:1]).any())
+    count = min(MAX_TABLE_DRAWS if varying else MAX_DRAWS, len(draws))
+    rows = np.linspace(0, len(draws) - 1, count).astype(np.intp)
+    strength = values["cut_angle" if "cut_angle" in values else "offset"]
+    law = np.concatenate(compile_law(tissue.law, shape[rows]), axis=-1)
+    return {
+        "sets": count,
+        "mu": data.share(values["mu"][rows]),
+        "law": data.share(law),
+        "strength": data.share(strength[rows]),
+    }
+
+
+def _sort_methods(rows: list[Row]) -> list[Row]:
+    """Return rows of errors in the order of methods, the fit first."""
+    order = {name: n for n, name in enumerate(list_methods())}
+    return sorted(rows, key=lambda row: (row["method"] != "fitted", order.get(row["method"], len(order))))
+
+
+def _encode_method(row: Row, curve: Floats | None, origin: str) -> dict[str, Any]:
+    """Return the errors of a method, and of a baseline its curve."""
+    name = row["method"]
+    found = {
+        "key": name,
+        "name": labels.method_name(name, origin),
+        "colour": labels.method_colour(name),
+        "errors": {metric.name: row[metric.name] for metric in list_metrics()},
+    }
+    if curve is None or name == "fitted":
+        return found
+    points = np.round(curve[::2, 1], CURVE_DECIMALS)
+    return found | dict(zip("xy", points.T.tolist(), strict=True))

@@ -1,0 +1,58 @@
+/** The inputs of a file's needle: its depth, bevel and base, and the parameters of the model. */
+
+import { DEFINITIONS } from "../definitions.js";
+import { part } from "../dom.js";
+import { makeField, setHome, show } from "../fields.js";
+import { asMpa, degrees, fromMpa, slope, strengthOf } from "../quantities.js";
+import { now } from "../store.js";
+
+const digits = (count) => (value) => value.toFixed(count);
+let fields = []; // [field, () => value]
+
+/** Make the fields of a scene; `steer(changes)` carries a change out. */
+export function buildFields(scene, steer) {
+  fields = [];
+  for (const id of ["insertion-fields", "tissue-fields"]) part(id).replaceChildren();
+  const add = (into, [input, item], about, current, { shown = (x) => x, meant = (x) => x } = {}) => {
+    const field = makeField(part(into), { ...about, ask: (value) => steer([[input, item, meant(value)]]) });
+    const home = current(scene.fitted);
+    if (home !== undefined) setHome(field, shown(home));
+    fields.push([field, () => shown(current(now.state))]);
+  };
+  const { limits, fitted, simulation } = scene;
+  const mm = { unit: "mm", step: 0.1 };
+  add("insertion-fields", ["depth_mm", null],
+    { ...mm, name: "depth", symbol: "depth", step: 1, write: digits(1), limits: [0, limits.depth_mm - 0.01] },
+    (of) => of.depth_mm ?? scene.depth_mm);
+  add("insertion-fields", ["base_y_mm", null],
+    { ...mm, name: "base y", symbol: "base y", write: digits(2), limits: [-10, 10] },
+    (of) => (of.base ? of.base.input_y : simulation.steps[0].controls.baseY));
+  add("insertion-fields", ["base_slope", null],
+    { name: "base slope", symbol: "base slope", unit: "°", step: 0.1, write: digits(2), limits: [-5, 5] },
+    (of) => (of.base ? of.base.input_slope : simulation.steps[0].controls.baseSlope),
+    { shown: degrees, meant: slope });
+  const { key, symbol, unit, digits: count, step, throughout } = strengthOf(fitted);
+  add("tissue-fields", [throughout, null],
+    { name: symbol, symbol, unit, step, write: digits(count), limits: limits[key] },
+    (of) => (of.bevel ?? of)[key]);
+  fitted.layers.forEach((_, i) => {
+    const called = scene.layer_names[i] || `layer ${i + 1}`;
+    add("tissue-fields", ["mu_pa", i + 1],
+      { name: `${called} μ`, symbol: "μ", unit: "MPa", write: asMpa, read: fromMpa, logarithmic: true, step: 1.05, limits: limits.mu_pa },
+      (of) => of.layers[i].mu_pa);
+    if (!simulation.law.terms) return; // a law that is a table has been computed for these parameters alone
+    for (const { name, symbol: sign, unit: of, explanation } of scene.shape_parameters) {
+      DEFINITIONS[sign] ??= `${explanation}.`;
+      const step = Math.min(0.1, (limits[name][1] - limits[name][0]) / 100);
+      add("tissue-fields", [name, i + 1],
+        { name: `${called} ${sign}`, symbol: sign, unit: of, step, write: digits(2), limits: limits[name] },
+        (from) => from.layers[i][name]);
+    }
+  });
+}
+
+/** Let every field say what is. */
+export function refreshFields() {
+  for (const [field, current] of fields) show(field, current());
+  part("side").textContent = now.state.bevel.side > 0 ? "▲ to +y" : "▼ to −y";
+}

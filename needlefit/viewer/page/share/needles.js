@@ -1,0 +1,124 @@
+/** The needles of a file: read, computed with the kernel in the file, and compared with what was stored. */
+
+import { compile } from "../../../mechanics/native/needle.js";
+import { part } from "../dom.js";
+import { alignRigid } from "../model/errors.js";
+import { findChanges } from "../model/inputs.js";
+import { SteeredNeedle } from "../model/steered.js";
+
+const SLICE = 12; // ms that work may take at a time
+
+/** The bytes of an element that holds a compressed stream as base64. */
+async function unpack(id) {
+  const bytes = Uint8Array.from(atob(part(id).textContent), (one) => one.charCodeAt(0));
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate-raw"));
+  return new Response(stream).arrayBuffer();
+}
+
+/** Resolves to the data of the file and the compiled kernel. */
+export async function load() {
+  const [data, kernel] = await Promise.all([unpack("data"), unpack("kernel").then(compile)]);
+  const { lists, ...read } = JSON.parse(new TextDecoder().decode(data));
+  const resolve = (value) => (Array.isArray(value?.$) || Number.isInteger(value?.$) ? lists[value.$] : value);
+  for (const { scene } of read.needles) {
+    if (!scene.draws) continue;
+    for (const name of ["mu", "law", "strength"]) scene.draws[name] = resolve(scene.draws[name]);
+  }
+  return { ...read, kernel };
+}
+
+/** Resolves to a needle at first contact. */
+export const begin = (kernel, { scene }) => SteeredNeedle.begin(kernel, scene);
+
+const always = { validOnly: false }; // whatever has been stored can be carried out
+
+/** Carry out the steps of the scene. */
+export function insert(steered) {
+  for (const step of steered.scene.simulation.steps) {
+    const inputs = findChanges(step, steered.step, steered.names);
+    steered.apply([...inputs, ["depth_mm", null, step.depth]], always);
+  }
+}
+
+/** Carry out a change of the reader. */
+export const steer = (steered, changes) => steered.apply(changes, always);
+
+/** Replays a recording: `to(n)` carries out its first n steps, from the beginning if it is beyond. */
+export class Replay {
+  constructor(kernel, needle) {
+    Object.assign(this, { kernel, needle, steps: needle.recording, at: 0, steered: null, last: new Map() });
+    this.steps.forEach(([, changes], i) => {
+      for (const [name, , value] of changes) if (name === "return_to") this.last.set(value, i + 1);
+    });
+  }
+
+  async to(n) {
+    if (!this.steered || n < this.at) Object.assign(this, { steered: await begin(this.kernel, this.needle), at: 0 });
+    while (this.at < n) this.#next();
+    return this.steered;
+  }
+
+  #next() {
+    const [, changes] = this.steps[this.at];
+    this.steered.apply(changes, always);
+    this.at += 1;
+    if (this.last.has(this.at)) this.steered.keep();
+    for (const [name, , value] of changes) {
+      if (name === "return_to" && this.last.get(value) === this.at) this.steered.forget(value);
+    }
+  }
+}
+
+/** Points x and y of a needle at beam coordinates of its depth. */
+function readCurve({ session }, s) {
+  const { x, depth } = session.shape;
+  const points = session.positions(s.map((one) => Math.min(Math.max(one, x[0]), depth)));
+  return s.map((_, i) => [points[2 * i], points[2 * i + 1]]);
+}
+
+/** The largest distance, mm, of a needle of a report from the one that its run stored; 0: the same bytes. */
+function compareStored(steered) {
+  const { target, stored } = steered.scene.measured;
+  let points = readCurve(steered, target.s);
+  if (target.pose === "free") points = alignRigid(points, target.x.map((x, i) => [x, target.y[i]]));
+  return Math.max(...points.map(([x, y], i) => Math.max(Math.abs(x - stored.x[i]), Math.abs(y - stored.y[i]))));
+}
+
+/**
+ * Compute again all that the file holds, a slice at a time.
+ *
+ * Resolves to {count, largest}: states that were compared, and the largest distance, mm; NaN where one failed.
+ */
+export async function prove({ needles, kernel }) {
+  let [count, largest, since] = [0, 0, performance.now()];
+  const rest = async () => {
+    if (performance.now() - since < SLICE) return;
+    await new Promise((done) => setTimeout(done));
+    since = performance.now();
+  };
+  for (const needle of needles) {
+    const compare = (distance) => {
+      count += 1;
+      largest = Math.max(largest, distance);
+    };
+    try {
+      if (needle.recording) {
+        const replay = new Replay(kernel, needle);
+        for (let n = 1; n <= needle.recording.length; n += 1) {
+          const { tipLateral } = await replay.to(n);
+          compare(Math.abs(tipLateral - needle.recording[n - 1][2]));
+          await rest();
+        }
+      } else {
+        const steered = await begin(kernel, needle);
+        insert(steered);
+        compare(compareStored(steered));
+      }
+    } catch (error) {
+      if (!error.what) throw error;
+      compare(NaN);
+    }
+    await rest();
+  }
+  return { count, largest };
+}

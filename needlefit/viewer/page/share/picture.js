@@ -1,0 +1,72 @@
+/** Mouse, pen and keys on the picture of a file; the wheel and a finger scroll the page. */
+
+import { part } from "../dom.js";
+import { handleAt } from "../handles.js";
+import { slope, degrees } from "../quantities.js";
+import { now } from "../store.js";
+import { fit, pan, zoom } from "../view.js";
+import { pressed } from "../toolbar.js";
+
+const canvas = part("canvas");
+const BASE = { y: 0.1, angle: 0.1 }; // mm, degrees a key
+let drag = null; // {handle, from} or {last}
+
+const place = (event) => {
+  const { left, top } = canvas.getBoundingClientRect();
+  return [event.clientX - left, event.clientY - top];
+};
+
+/** Let the picture be steered: `steer(changes)` carries a change out. */
+export function listenToPicture(steer) {
+  canvas.addEventListener("pointerdown", (event) => {
+    if (event.button > 0 || event.pointerType === "touch") return;
+    canvas.setPointerCapture(event.pointerId);
+    const at = place(event),
+      handle = handleAt(...at, event.pointerType);
+    drag = { handle, from: at, last: at };
+    canvas.classList.add("dragging");
+  });
+  canvas.addEventListener("pointermove", (event) => {
+    const at = place(event);
+    if (!drag) return void (canvas.style.cursor = handleAt(...at)?.cursor ?? "");
+    if (drag.handle) {
+      const set = drag.handle.drag(drag.from, at);
+      if (set.length) steer(set);
+    } else pan(at[0] - drag.last[0], at[1] - drag.last[1]);
+    drag.last = at;
+    pressed();
+  });
+  for (const kind of ["pointerup", "pointercancel"]) {
+    canvas.addEventListener(kind, () => {
+      drag = null;
+      canvas.classList.remove("dragging");
+    });
+  }
+  canvas.addEventListener("wheel", (event) => {
+    if (!event.ctrlKey && !event.metaKey) return;
+    event.preventDefault();
+    zoom(Math.exp(-0.002 * event.deltaY), ...place(event));
+    pressed();
+  }, { passive: false });
+  const insertBy = (mm) => steer([["depth_mm", null, Math.min(Math.max(now.state.depth_mm + mm, 0), now.scene.length_mm - 0.01)]]);
+  const base = (mm) => steer([["base_y_mm", null, now.state.base.input_y + mm]]);
+  const turn = (by) => steer([["base_slope", null, slope(degrees(now.state.base.input_slope) + by)]]);
+  const keys = {
+    ArrowRight: ({ shiftKey }) => insertBy(shiftKey ? 0.1 : 1),
+    ArrowLeft: ({ shiftKey }) => insertBy(shiftKey ? -0.1 : -1),
+    ArrowUp: ({ shiftKey }) => (shiftKey ? turn(BASE.angle) : base(BASE.y)),
+    ArrowDown: ({ shiftKey }) => (shiftKey ? turn(-BASE.angle) : base(-BASE.y)),
+    f: () => steer([["bevel_side", null, -now.state.bevel.side]]),
+    1: () => fit("whole"),
+    2: () => fit("tissue"),
+    3: () => fit("tip"),
+    "+": () => zoom(1.25),
+    "-": () => zoom(0.8),
+  };
+  canvas.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey || !(event.key in keys)) return;
+    event.preventDefault();
+    keys[event.key](event);
+    pressed();
+  });
+}

@@ -1,0 +1,47 @@
+"""HTML files that compute needles, in tests: their data, and a browser without a network that shows them."""
+
+import base64
+import json
+import re
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+#: states that a page has computed again, and the largest distance from what is stored, mm
+ALL_STATES = "[Number(proof.dataset.count), Number(proof.dataset.largest)]"
+PATIENCE_MS, PAUSE_MS = 60_000, 100
+
+
+def read_page_data(text: str) -> dict[str, Any]:
+    """Return the data in the text of a file, each shared list in its places."""
+    (packed,) = re.findall(r'id="data">([^<]*)</script>', text)
+    data = json.loads(zlib.decompress(base64.b64decode(packed), -15))
+    lists = data.pop("lists")
+
+    def resolve(value: Any) -> Any:
+        if isinstance(value, dict):
+            return lists[value["$"]] if "$" in value else {key: resolve(one) for key, one in value.items()}
+        return [resolve(one) for one in value] if isinstance(value, list) else value
+
+    return dict(resolve(data))
+
+
+@contextmanager
+def open_offline(chromium, path: Path, **settings) -> Iterator[Any]:
+    """Yield a page without a network that has computed all it holds; a fault or a request fails the test."""
+    begun = {"viewport": {"width": 1280, "height": 800}, "reduced_motion": "reduce", "offline": True}
+    context = chromium.new_context(**(begun | settings))
+    page, faults, asked = context.new_page(), [], []
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.on("console", lambda message: message.type == "error" and faults.append(message.text))
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto(path.as_uri())
+    for _ in range(PATIENCE_MS // PAUSE_MS):  # the policy forbids what playwright itself would wait with
+        if page.evaluate("document.getElementById('proof').dataset.count !== undefined") or faults:
+            break
+        page.wait_for_timeout(PAUSE_MS)
+    yield page
+    context.close()
+    assert faults == [] and [url for url in asked if not url.startswith("blob:")] == [path.as_uri()]

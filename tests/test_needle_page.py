@@ -1,0 +1,124 @@
+"""The page of a report that computes its needles: the bundle, its data, and what it shows in a browser."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from page_files import ALL_STATES, open_offline, read_page_data
+from test_page import NO_BROWSER, chromium  # noqa: F401 - a fixture
+
+from needlefit.reporting import needle_page
+from needlefit.reporting.document import compile_html
+from needlefit.studies.explorer import INSERTIONS_KEY
+from needlefit.studies.report import compose_run_report
+
+pytestmark = pytest.mark.skipif(
+    not needle_page.kernel_exists(), reason="a system compiler has built no WebAssembly"
+)
+MOST_BYTES = 1_500_000
+HOSTILE = "</script><img src=x onerror=alert(1)>"
+
+
+@pytest.fixture(scope="module")
+def result(world):
+    """A run with a second held-out insertion, a copy of the first with a hostile name."""
+    run = world.restore("cross_validation")
+    first = run.run["folds"][0]["validate"][0]
+    name, frames, about = first + HOSTILE, dict(run.frames), dict(run.run)
+    for key in ("errors", "shapes"):
+        copy = frames[key][frames[key]["insertion"] == first].assign(insertion=name)
+        frames[key] = pd.concat([frames[key], copy])
+    for key in (INSERTIONS_KEY, "layers"):
+        about[key] = {**about[key], name: about[key][first]}
+    return replace(run, frames=frames, run=about, dataset_title=HOSTILE)
+
+
+@pytest.fixture(scope="module")
+def page(result, tmp_path_factory):
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    path.write_bytes(compile_html(compose_run_report(result, {})))
+    return path
+
+
+def test_the_page_holds_every_scored_insertion(page, result) -> None:
+    text = page.read_text("utf-8")
+    needles, errors = read_page_data(text)["needles"], result.frames["errors"]
+    scored = errors.query("role == 'validate' and boundaries == 'measured' and method == 'fitted'")
+    assert [one["scene"]["measured"]["id"] for one in needles] == scored["insertion"].tolist()
+    assert [one["methods"][0]["errors"]["te_mm"] for one in needles] == scored["te_mm"].tolist()
+    shapes = result.frames["shapes"].query("method == 'fitted' and boundaries == 'measured'")
+    for one in needles:
+        measured = one["scene"]["measured"]
+        rows = shapes[(shapes["insertion"] == measured["id"]) & (shapes["role"] == "validate")]
+        assert measured["stored"]["y"] == rows["simulated_y_mm"].tolist()
+        assert measured["target"]["y"] == rows["measured_y_mm"].tolist()
+        assert {"key", "name", "colour", "errors", "x", "y"} == set(one["methods"][1])
+        draws = one["scene"]["draws"]
+        layers = len(one["scene"]["layer_names"])
+        assert len(draws["mu"]) == layers * draws["sets"] and len(draws["strength"]) == draws["sets"] <= 200
+    assert len(text) < MOST_BYTES and HOSTILE not in text
+    assert not re.search(r"(src|href)=\"https?:", re.sub(r"<script.*?</script>", "", text, flags=re.DOTALL))
+
+
+def test_a_run_of_an_earlier_version_has_no_page_that_computes(result) -> None:
+    run = {key: value for key, value in result.run.items() if key != INSERTIONS_KEY}
+    assert compose_run_report(replace(result, run=run), {}).explorer is None
+
+
+@pytest.mark.parametrize("text", ["export let a = 1;\n", 'import a from "./b.js";\n', "export default 1;\n"])
+def test_what_the_bundle_would_change_is_refused(text, monkeypatch) -> None:
+    monkeypatch.setattr(needle_page, "read_package_file", lambda name: text)
+    with pytest.raises(ValueError, match="cannot bundle"):
+        needle_page.bundle_modules(["a.js"])
+
+
+def test_modules_that_import_each_other_are_refused(monkeypatch) -> None:
+    modules = {"a/a.js": 'import { b as c } from "../b.js";\n', "b.js": 'import * as a from "./a/a.js";\n'}
+    monkeypatch.setattr(needle_page, "read_package_file", modules.__getitem__)
+    with pytest.raises(ValueError, match=r"a/a\.js -> b\.js -> a/a\.js"):
+        needle_page.bundle_modules(["a/a.js"])
+
+
+@pytest.mark.sweep
+@NO_BROWSER
+def test_the_needles_of_a_report_are_computed_again(page, result, chromium) -> None:  # noqa: F811
+    errors = result.frames["errors"].query("boundaries == 'measured' and method == 'fitted'")
+    scored = errors.query("role == 'validate'").to_dict("records")
+    with open_offline(chromium, page) as window:
+        assert window.evaluate(ALL_STATES) == [len(scored), 0]
+        for number, row in enumerate(scored):
+            window.select_option("#needle-choice", str(number))
+            window.wait_for_timeout(300)
+            found = window.evaluate("needlefit.state.errors")
+            for name in ("median_err_mm", "ipe_mean_mm", "ipe_std_mm", "ipe_max_mm", "te_mm", "edp_percent"):
+                assert found[name] == pytest.approx(row[name], rel=1e-9)
+        for _ in range(100):
+            if band := window.evaluate("needlefit.band"):
+                break
+            window.wait_for_timeout(100)
+        assert band["failed"] == 0 and np.all(np.array(band["low"]) <= band["high"])
+        tip = window.evaluate("needlefit.state.tip.lateral_mm")
+        fields = window.locator("#tissue-fields .slider")
+        fields.first.fill("900")  # b
+        assert abs(window.evaluate("needlefit.state.tip.lateral_mm")) > abs(tip)
+        window.click("#back")
+        window.wait_for_timeout(300)
+        assert window.evaluate("needlefit.state.tip.lateral_mm") == tip
+        assert window.locator("#method-rows button").count() >= 2
+        assert HOSTILE in window.inner_text("#needle-choice") and window.locator("img[src=x]").count() == 0
+
+
+@pytest.mark.sweep
+@NO_BROWSER
+@pytest.mark.parametrize("size", [(1440, 900), (390, 844)])
+def test_the_page_is_accessible(page, chromium, size) -> None:  # noqa: F811
+    from axe_playwright_python.sync_playwright import Axe
+
+    width, height = size
+    settings = {"viewport": {"width": width, "height": height}, "bypass_csp": True}
+    with open_offline(chromium, page, **settings) as window:
+        found = Axe().run(window)
+        assert found.violations_count == 0, found.generate_report()
+        assert window.evaluate("document.documentElement.scrollWidth") <= width
