@@ -21,7 +21,6 @@ behind the best do not. With uncertain depths every needle is simulated many tim
 make a posterior whose modes lie next to those of the whole one, at a fraction of the cost.
 """
 
-import itertools
 import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -689,16 +688,13 @@ def _add_start(start: Start, done: dict[int, Start], callbacks: Callbacks) -> No
 def starting_points(lower: Floats, upper: Floats, count: int, rng: np.random.Generator) -> Floats:
     """Return `count` starts (n, P) spread over the box by a scrambled Halton sequence.
 
-    More starts extend fewer ones. Where nothing is free there is one start, without coordinates. The numbers
-    are those of `scipy.stats.qmc.Halton` (A. B. Owen, arXiv:1706.02808), which takes 0.2 s to load.
+    More starts extend fewer ones. Where nothing is free there is one start, without coordinates.
     """
-    cube, own = np.zeros((count if len(lower) else 1, len(lower))), rng.spawn(1)[0]
-    primes = (number for number in itertools.count(2) if all(number % k for k in range(2, number)))
-    for column, base in zip(cube.T, primes, strict=False):
-        rest, scale = np.arange(count), 1 / base
-        for _ in range(1, math.ceil(54 / math.log2(base))):  # further digits are smaller than 2^-54
-            column += own.permutation(base)[rest % base] * scale
-            rest, scale = rest // base, scale / base
+    if len(lower) == 0:
+        return np.empty((1, 0))
+    from scipy.stats import qmc  # late: it takes 0.2 s to load, which a report need not wait for
+
+    cube = qmc.Halton(len(lower), scramble=True, rng=rng).random(count)
     return lower + cube * (upper - lower)
 
 
