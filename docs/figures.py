@@ -207,7 +207,7 @@ def record(path: Path) -> None:
     scene = load(find_file("scene", "figure1"), SceneRecord)
     scene = scene.model_copy(update={"title": "Steering through four layers: the bevel turns over twice"})
     steering = SteeredNeedle(Scene.from_record(scene), 1.0)
-    writer = RecordingWriter(path, make_head("figure1", 1.0, scene.model_dump(mode="json", by_alias=True)))
+    writer = RecordingWriter(path, make_head("figure1", 1.0, scene))
     number, begin, depth, base = 0, 0.0, 0.0, 0.0
     for seconds, end, settings in LEGS:
         target_base = settings.get("base_y_mm", base)
