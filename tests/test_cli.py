@@ -155,7 +155,7 @@ def test_an_unwritable_path_is_named(words, monkeypatch, capsys):
 def test_the_version_and_names_of_the_completion(capsys):
     assert run("--version") == 0
     assert capsys.readouterr().out == f"needlefit {__version__}\n"
-    assert complete_scenes("phantom2") == ["phantom2", "phantom2_by_layers"]
+    assert complete_scenes("phantom2") == ["phantom2", "phantom2_by_layers", "phantom2_fitted"]
     assert "all" in complete_studies("a")
 
 

@@ -25,7 +25,8 @@ from needlefit.inference.forward_model import (
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.simulate import simulate_steps
-from needlefit.project.locate import find_view_target
+from needlefit.planning.steering import StartedInsertion
+from needlefit.project.locate import find_file, find_view_target
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import SceneRecord
@@ -34,8 +35,9 @@ from needlefit.studies.fit_frames import select_draws
 from needlefit.studies.job import Settings
 from needlefit.studies.kinds.cross_validation.run import run
 from needlefit.studies.store import pack, restore_run
+from needlefit.viewer.live_fit import find_mode, tabulate_draws
 from needlefit.viewer.opening import choose_start_parameters, open_target
-from needlefit.viewer.overlays import compute_live_errors
+from needlefit.viewer.overlays import compute_band, compute_live_errors
 
 VALUES = {"mu1_pa": 3e5, "alpha1": 1.2, "mu2_pa": 2e7, "alpha2": -1.0, "bevel_mm": 0.08}
 GEL = """schema = 1
@@ -149,7 +151,42 @@ def test_a_scene_is_shown_as_it_is_simulated(monkeypatch, tmp_path):
         scene.needle, scene.tissue, first.bevel, viewed_scene.first_cell, first.controls, scene.rules
     )
     assert np.array_equal(session.go(first).u, followed(viewed_scene.record).u)
-    assert open_target(None).name == "phantom2"
+
+
+def test_nothing_named_shows_the_fit_of_an_insertion_with_its_band():
+    """Needle and draws are those that the fit on the page finds for phantom2-05."""
+    viewed_scene, source = open_target(None), open_target("twin/phantom2-05")
+    scene = Scene.from_record(viewed_scene.record)
+    shape = followed(viewed_scene.record)
+    assert viewed_scene.name == "phantom2_fitted" and shape.tip_lateral == pytest.approx(-4.55, abs=0.01)
+    assert scene.depth == pytest.approx(source.measured.depth, abs=0.01)
+    fitted = find_mode(source.shown, (source.shown.insertion,)).values
+    found = [*(layer.mu_pa for layer in viewed_scene.record.layers), viewed_scene.record.bevel.offset_mm]
+    expected = [*(fitted[f"mu{n}_pa"] for n in range(1, 5)), fitted["bevel_mm"]]
+    np.testing.assert_allclose(found, expected, rtol=1e-3)
+    spread, table = viewed_scene.spread, tabulate_draws("twin/phantom2-05")
+    assert spread.mu.shape == (100, 4) and spread.shape[7].tolist() == [[1.0, -1.0, 1.0, -1.0]]
+    shares = (0.025, 0.5, 0.975)
+    for n, name in enumerate(table.columns):
+        drawn = spread.bevel if name == "bevel_mm" else spread.mu[:, n] * 1e6
+        np.testing.assert_allclose(np.quantile(drawn, shares), np.quantile(table[name], shares), rtol=0.01)
+    band = compute_band(StartedInsertion(scene.needle, scene.tissue, scene.rules, scene.steps, spread))
+    assert band.failed == 0 and band.low[-1] < shape.tip_lateral < band.high[-1]
+    assert 0.3 < band.high[-1] - band.low[-1] < 0.6
+
+
+def test_draws_beside_a_scene_are_checked(tmp_path):
+    path = tmp_path / "own.toml"
+    path.write_text(find_file("scene", "phantom1").read_text("utf-8"))
+    assert open_target(str(path)).spread is None
+    beside = tmp_path / "own.draws.csv"
+    beside.write_text("mu1_pa,bevel_mm,alpha1\n2e5,0.1,3\n3e5,0.2,2\n")
+    spread = open_target(str(path)).spread
+    assert spread.mu.tolist() == [[0.2], [0.3]] and spread.shape[:, 0, 0].tolist() == [3.0, 2.0]
+    for damaged in ("mu1_pa\n2e5\n", "mu1_pa,bevel_mm\n", "mu1_pa,bevel_mm\n-1,0.1\n"):
+        beside.write_text(damaged)
+        with pytest.raises(DataError):
+            open_target(str(path))
 
 
 @pytest.mark.sweep

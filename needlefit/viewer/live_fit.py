@@ -4,6 +4,7 @@ The mode is found by Gauss-Newton steps with the exact Jacobian, from the parame
 are importance-weighted about it. All insertions have one b, and errors of depths are linear.
 """
 
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
@@ -30,7 +31,7 @@ from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
 from needlefit.schemas.recipe import WeightsRecord
-from needlefit.viewer.opening import ShownInsertion, ViewedScene
+from needlefit.viewer.opening import ShownInsertion, ViewedScene, open_target
 from needlefit.viewer.overlays import make_measured_overlay
 
 FitScope = Literal["insertion", "specimen", "dataset"]
@@ -185,3 +186,22 @@ def _free_medium(medium: MediumRecord) -> MediumRecord:
         if name == "bevel_mm" or name.startswith("mu")
     }
     return medium.model_copy(update={"parameters": {**medium.parameters, **freed}})
+
+
+def tabulate_draws(name: str) -> pd.DataFrame:
+    """Return the draws of the fit of one insertion, DATASET/ID, as the table beside a scene holds them.
+
+    The scene `phantom2_fitted` has such a table:
+
+        python -m needlefit.viewer.live_fit twin/phantom2-05 > configs/scenes/phantom2_fitted.draws.csv
+    """
+    shown = open_target(name).shown
+    assert shown is not None
+    mode = find_mode(shown, (shown.insertion,))
+    spread = draw_about(mode, shown.insertion, shown.seed).spread
+    columns = {f"mu{n}_pa": column * 1e6 for n, column in enumerate(spread.mu.T, start=1)}
+    return pd.DataFrame(columns | {"bevel_mm": spread.bevel})
+
+
+if __name__ == "__main__":
+    tabulate_draws(sys.argv[1]).to_csv(sys.stdout, index=False, float_format="%.5g")

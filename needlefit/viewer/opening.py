@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Literal
 
 import pandas as pd
@@ -20,10 +21,11 @@ from needlefit.inference.forward_model import (
 )
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.problem import find_new_bevel_sd
+from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
-from needlefit.project.input_files import convert_stored_errors
+from needlefit.project.input_files import convert_stored_errors, is_file
 from needlefit.project.locate import (
     SpecimenChoice,
     ViewTarget,
@@ -41,6 +43,7 @@ from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.tracker import PlacementRecord, RecordingRecord
 from needlefit.studies import paper
+from needlefit.studies.csv_tables import TableSchema, read_table
 from needlefit.studies.explorer import choose_specimen, vary_draws
 from needlefit.studies.fit_frames import FIT_KINDS, NEW_SPECIMEN, select_draws
 from needlefit.studies.job import hand_tuned_set
@@ -51,7 +54,8 @@ from needlefit.studies.store import restore_run, unpack
 from needlefit.viewer.overlays import InsertionScan, MeasuredOverlay, find_scan, make_measured_overlay
 from needlefit.viewer.recording import Recording, make_head
 
-DEFAULT_SCENE = "phantom2"  #: the scene that is shown where nothing is named
+DEFAULT_SCENE = "phantom2_fitted"  #: the scene that is shown where nothing is named
+DRAWS_SUFFIX = ".draws.csv"  #: ending of the table of parameter draws beside a scene, in place of `.toml`
 SHOWN_METHOD = "fitted"  #: the method of a run whose parameters are shown
 #: parameters of all layers of an undescribed medium: the paper's softer material, and roughly its bevel
 #: offset
@@ -120,7 +124,8 @@ def open_target(
         scene = Scene.from_record(record, file_label(view_target.path))
         title = record.title or view_target.path.stem
         note = f"Parameters: those of the scene {view_target.name}. {record.note}".rstrip()
-        return ViewedScene(view_target.name, title, note, record, scene.lattice.first_cell)
+        draws = read_scene_draws(view_target.path.with_suffix(DRAWS_SUFFIX), record)
+        return ViewedScene(view_target.name, title, note, record, scene.lattice.first_cell, spread=draws)
     view_target = replace(view_target, insertion=view_target.insertion if insertion is None else insertion)
     if view_target.kind == "run":
         with convert_stored_errors(view_target.path):
@@ -132,6 +137,26 @@ def open_target(
     shown = ShownInsertion(dataset, one, begun.medium, begun.values, seed)
     choices = tuple(other.id for other in dataset.insertions)
     return _show_insertion(shown, view_target.name, begun.description, choices)
+
+
+def read_scene_draws(path: Path, record: SceneRecord) -> ParameterDraws | None:
+    """Return the draws in the table beside a scene: a row for each, `mu1_pa`, `mu2_pa`, ... and `bevel_mm`.
+
+    A shape parameter without a column is that of the scene. None if there is no table, or the scene advances
+    by the path angle. DataError if a value is missing or no positive number.
+    """
+    if record.bevel.offset_mm is None or not is_file(path):
+        return None
+    layers = range(1, len(record.layers) + 1)
+    names = [*(f"mu{layer}_pa" for layer in layers), "bevel_mm"]
+    table = read_table(path, TableSchema(numbers=(*names,), finite=(*names,)))
+    if not len(table) or (table[names] <= 0).any(axis=None):
+        raise DataError("its draws are not all positive", where=str(path), expected=", ".join(names))
+    tissue = Scene.from_record(record, str(path)).tissue
+    for layer, shape in zip(layers, tissue.shape.T.tolist(), strict=True):
+        for name, value in zip(LAWS[record.law].shape_names, shape, strict=True):
+            table[f"{name}{layer}"] = table.get(f"{name}{layer}", value)
+    return select_layer_draws(table, layers, record.law)
 
 
 def open_recording(recording: Recording) -> ViewedScene:

@@ -4,7 +4,7 @@ import { onScheme, part } from "./dom.js";
 import { paintAxes, paintTissue } from "./painters/background.js";
 import * as needle from "./painters/needle.js";
 import * as overlay from "./painters/overlay.js";
-import { palette, readPalette } from "./painters/strokes.js";
+import { clearBoxes, palette, readPalette } from "./painters/strokes.js";
 import { slice } from "./slice.js";
 import { listen, now, publish } from "./store.js";
 import { fit, follow, resize, seesTip, takeChange, touch, view } from "./view.js";
@@ -16,7 +16,7 @@ const behind = background.getContext("2d", { alpha: false });
 const before = foreground.getContext("2d");
 
 /** Which parts are drawn; what there is none of is not, whatever stands here. */
-export const shown = { load: true, points: true, path: true, measured: true, band: true, raw: false, errors: true, slice: true, plan: true, reach: true };
+export const shown = { load: true, points: true, path: true, measured: true, band: true, raw: false, errors: true, slice: true, plan: true, reach: true, pinned: true, strip: true };
 
 /** What else is drawn over the needle: functions of the context. */
 export const further = [];
@@ -35,30 +35,52 @@ export function paint(fresh) {
   if (fresh) follow();
   const moved = takeChange();
   const tissue = JSON.stringify(now.state.layers);
-  if (moved || tissue !== drawnTissue) paintBackground();
+  if (moved || tissue !== drawnTissue) paintBackground(behind);
   drawnTissue = tissue;
-  if (moved || fresh || stale) paintForeground(now.state);
+  if (moved || fresh || stale) {
+    before.clearRect(0, 0, picture.clientWidth, picture.clientHeight);
+    paintForeground(before, now.state);
+  }
   stale = false;
   document.body.classList.add("begun");
 }
 
-function paintBackground() {
+/** Width and height of the picture, px. */
+export const size = () => [picture.clientWidth, picture.clientHeight];
+
+/** Draw the picture as it is seen on another context; with a state and a band, as it would be seen with these. */
+export function paintOn(context, { state, band } = now) {
+  const kept = { state: now.state, band: now.band };
+  Object.assign(now, { state, band });
+  try {
+    paintBackground(context);
+    paintForeground(context, state);
+  } finally {
+    Object.assign(now, kept);
+  }
+}
+
+function paintBackground(behind) {
   behind.fillStyle = palette.gutter;
-  behind.fillRect(0, 0, picture.clientWidth, picture.clientHeight);
+  behind.fillRect(0, 0, ...size());
   within(behind, () => paintTissue(behind, shown.slice ? slice() : null));
   paintAxes(behind);
 }
 
-function paintForeground(state) {
-  before.clearRect(0, 0, picture.clientWidth, picture.clientHeight);
+function paintForeground(before, state) {
+  clearBoxes();
+  if (shown.load) needle.paintKey(before);
   within(before, () => {
     if (shown.reach) overlay.paintReach(before);
-    overlay.paintGoal(before);
-    if (shown.plan) overlay.paintPlan(before);
-    needle.paintNeedle(before, state);
-    if (shown.band && now.band) overlay.paintBand(before, now.band, now.band.step !== state.step);
     if (shown.load) needle.paintLoad(before, state, shown.raw);
+    if (shown.band && now.band) overlay.paintBand(before, now.band, now.band.step !== state.step);
+    if (shown.plan) overlay.paintPlan(before);
+    if (shown.pinned && now.pinned) overlay.paintPinned(before, now.pinned);
+    needle.paintNeedle(before, state);
+    if (view.magnified > 1) overlay.paintInset(before, state);
     needle.paintTip(before, state);
+    overlay.paintGoal(before);
+    if (shown.load) needle.paintTipForce(before, state);
     if (shown.path) needle.paintPath(before, state);
     if (shown.points) needle.paintPoints(before, state);
     if (shown.measured && now.scene.measured) {
@@ -70,8 +92,8 @@ function paintForeground(state) {
     needle.paintGuides(before, state);
     needle.paintBase(before, state);
     overlay.paintTrackedTip(before);
+    if (now.marked != null) needle.paintMark(before, state, now.marked);
     needle.paintHint(before, state);
-    if (view.magnified > 1) overlay.paintInset(before, state);
     if (!seesTip()) overlay.paintArrow(before, state);
   });
 }

@@ -1,13 +1,16 @@
-/** What can be saved: files of the server, and the picture as it is shown. */
+/** What can be saved: files of the server, and pictures as they are shown. */
 
 import { needle } from "./connection.js";
 import { button, element, part } from "./dom.js";
+import { paintOn, size } from "./drawing.js";
+import { encodeGif } from "./gif.js";
 import { post } from "./requests.js";
 import { listen, now } from "./store.js";
+import { SvgContext } from "./svg.js";
 
 const FILES = {
   "inputs.csv": "inputs, CSV", "shape.csv": "shape, CSV", "shape.mrk.json": "shape, Slicer markups",
-  "picture.png": "picture, PNG", "animation.gif": "animation, GIF",
+  "picture.svg": "picture, SVG", "picture.png": "picture, PNG", "animation.gif": "animation, GIF",
   "share.html": "share, one HTML file",
 };
 const [group, note] = [part("exports"), part("export-note")];
@@ -18,7 +21,7 @@ async function save(file, pressed) {
   note.classList.remove("bad");
   note.textContent = `Making ${file} …`;
   try {
-    const blob = await (file === "picture.png" ? takePicture() : ask(file));
+    const blob = await (MADE_HERE[file] ?? ask)(file);
     const name = `${(now.scene?.recording ?? "needle").replace(/\.csv$/, "")}.${file}`;
     const link = element("a", { href: URL.createObjectURL(blob), download: name });
     link.click();
@@ -33,13 +36,55 @@ async function save(file, pressed) {
   }
 }
 
+/** The picture as it is seen. */
 function takePicture() {
-  const layers = [part("background"), part("canvas")];
-  const both = element("canvas", { width: layers[0].width, height: layers[0].height });
-  for (const layer of layers) both.getContext("2d").drawImage(layer, 0, 0);
-  return new Promise((done) => both.toBlob(done, "image/png"));
+  const canvas = draw(devicePixelRatio);
+  return new Promise((done) => canvas.toBlob(done, "image/png"));
 }
 
+function takeSvg() {
+  const context = new SvgContext();
+  paintOn(context);
+  return new Blob([context.write(...size())], { type: "image/svg+xml" });
+}
+
+/** A canvas with the picture, by default as it is seen now. */
+function draw(scale, seen) {
+  const canvas = element("canvas");
+  [canvas.width, canvas.height] = size().map((one) => Math.round(one * scale));
+  const context = canvas.getContext("2d", { willReadFrequently: true });
+  context.setTransform(scale, 0, 0, scale, 0, 0);
+  paintOn(context, seen);
+  return canvas;
+}
+
+const FRAMES = { kept: 120, apart: 80, longest: 1, last: 1.5 }; // ms between two that are kept; seen at most, and the last one, s
+let frames = []; // what was seen: {at (ms), state, band}
+
+listen("scene", () => (frames = []));
+listen("state", (state) => {
+  const at = performance.now();
+  if (frames.length > 1 && at - frames.at(-2).at < FRAMES.apart) frames.pop();
+  frames.push({ at, state, band: now.band });
+  if (frames.length > FRAMES.kept) frames = frames.filter((_, i) => i % 2 === 0 || i === FRAMES.kept);
+});
+listen("band", (band) => {
+  const [last] = frames.slice(-1);
+  if (last?.state.step === band.step) last.band = now.band;
+});
+
+/** What was seen, in the present view: the insertion at its own speed, without longer pauses. */
+async function takeAnimation() {
+  if (frames.length < 2) return ask("animation.gif"); // of a page that was loaded again the server has the recording
+  const pictures = frames.map((one) => {
+    const canvas = draw(1, one);
+    return canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  });
+  const seconds = frames.map(({ at }, i) => (i + 1 < frames.length ? Math.min((frames[i + 1].at - at) / 1000, FRAMES.longest) : FRAMES.last));
+  return encodeGif(pictures, seconds);
+}
+
+const MADE_HERE = { "picture.png": takePicture, "picture.svg": takeSvg, "animation.gif": takeAnimation };
 const ask = async (file) => (await post(`/export/${file}`, { needle: needle() })).blob();
 
 for (const [file, called] of Object.entries(FILES)) {

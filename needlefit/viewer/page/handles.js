@@ -39,6 +39,7 @@ export const points = {
 };
 
 const ARM = { base: 56, guide: 42, bevel: 26 }; // px from a place to what turns it
+const AHEAD = 16; // px, of the bevel's knob before the tip: beside the arrow of the tip force
 const NEAR = { mouse: 16, touch: 28 }; // px
 const BEGINS = { across: 3, along: 8, times: 2 }; // px before a drag has a direction; along: so many times as far as across
 
@@ -56,11 +57,11 @@ export function guidePlace({ x, y, slope }) {
   return { place: [px, py], turn: [px - ARM.guide * Math.sin(angle), py - ARM.guide * Math.cos(angle)], angle };
 }
 
-/** Where the arrow stands that shows to which side the bevel turns the cut, and the direction of the tip. */
+/** Where the tip is drawn, and, ahead of it, the knob on the side to which the bevel turns the cut. */
 export function bevelPlace({ tip, bevel }) {
-  const [px, py, angle] = [toPx(tip.x), toPy(tip.y), angleOf(Math.tan(tip.rotation))];
-  const arm = bevel.side * (ARM.bevel + (now.scene.diameter_mm * view.scale) / 2);
-  return { tip: [px, py], turn: [px - arm * Math.sin(angle), py - arm * Math.cos(angle)], angle };
+  const [px, py] = [toPx(tip.x), toPy(tip.y)];
+  const half = view.magnified > 1 ? 0 : (now.scene.diameter_mm * view.scale) / 2;
+  return { tip: [px, py], turn: [px + AHEAD, py - bevel.side * (ARM.bevel + half)] };
 }
 
 /** All handles, the ones drawn last first. */
@@ -115,12 +116,11 @@ function dragBase({ base, depth_mm: depth, guides }) {
   };
 }
 
-/** The arrow at the tip turns the bevel over once it is on the other side of the needle. */
+/** The knob at the tip turns the bevel over once it is on the other side of the needle. */
 function turnBevel({ bevel }) {
   let { side } = bevel;
-  return (_, [px, py]) => {
-    const { tip, angle } = bevelPlace(now.state);
-    const above = (tip[0] - px) * Math.sin(angle) + (tip[1] - py) * Math.cos(angle);
+  return (_, [, py]) => {
+    const above = bevelPlace(now.state).tip[1] - py;
     if (above * side > -BEGINS.across) return [];
     side = -side;
     return [["bevel_side", null, side]];

@@ -6,6 +6,7 @@ import { element, entry, part, press as onPress } from "./dom.js";
 import { describe } from "./readouts.js";
 import { halt, letGo } from "./steering.js";
 import { now } from "./store.js";
+import { pin } from "./strip.js";
 import { pressed } from "./toolbar.js";
 import { fit, zoom } from "./view.js";
 
@@ -26,6 +27,7 @@ const KEYS = [
   [["g", "G"], "G", "add a guide", (e) => e.repeat || act.addGuide()],
   [["t", "T"], "T", "hold the tip, let go of it", (e) => e.repeat || act.toggleTip(e.timeStamp)],
   [[" "], "space", "stop", () => ((holding = []), halt())],
+  [["k", "K"], "K", "pin this needle to compare with, or unpin", (e) => e.repeat || pin()],
   [["p", "P"], "P", "play the scene", (e) => e.repeat || act.play()],
   [["d", "D"], "D", "say where the needle stands", () => describe()],
   [["+", "="], "+", "zoom in", () => zoom(1.25)],

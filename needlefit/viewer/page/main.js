@@ -8,6 +8,7 @@ import * as frames from "./frames.js";
 import "./keyboard.js";
 import "./live_fit.js";
 import "./notices.js";
+import "./strip.js";
 import * as panel from "./panel.js";
 import * as planning from "./planning.js";
 import "./pointers.js";

@@ -64,6 +64,8 @@ export function refresh() {
   write("aim-error", aim.target ? `Tip to target: ${tipError(now.state).toFixed(2)} mm.` : "");
   write("plan-note", aim.planning ? "Planning …" : describePlan());
   write("game-note", describeGame());
+  part("game").hidden = !aim.challenge;
+  part("game-compare").hidden = !aim.challenge?.hidden;
 }
 
 /** The plan in sentences, its outcome first. */
@@ -148,6 +150,12 @@ const PRESSED = {
   "step-plan": () => begin({ one: true }),
   "open-markups": () => part("markups").click(),
   challenge,
+  "game-compare": challenge,
+  "game-end": () => {
+    aim.challenge = null;
+    part("challenge").textContent = "Beat the planner";
+    refresh();
+  },
 };
 for (const [id, act] of Object.entries(PRESSED)) press(id, (event) => now.state && act(event));
 part("markups").addEventListener("change", async ({ target }) => {

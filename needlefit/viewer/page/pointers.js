@@ -9,7 +9,7 @@ import { handleAt } from "./handles.js";
 import { heightAt } from "./quantities.js";
 import { change, newGesture } from "./steering.js";
 import { now } from "./store.js";
-import { fromPx, fromPy, pan, toPy, zoom } from "./view.js";
+import { fromPx, fromPy, hold, pan, toPy, zoom } from "./view.js";
 
 const NOTCH = { 0: 100, 1: 3, 2: 1 }; // wheel units a notch, by deltaMode
 const FINE = 0.1;
@@ -39,6 +39,7 @@ function down(event) {
     if (handle) drag = { handle, from: at, gesture: newGesture(), pointer: event.pointerId };
   }
   canvas.classList.toggle("dragging", drag !== null);
+  hold(drag !== null);
 }
 
 /** A handle follows at once: this event does not wait for the next frame, as moves do. */
@@ -73,6 +74,7 @@ function up(event) {
   const from = fingers.get(event.pointerId);
   fingers.delete(event.pointerId);
   canvas.classList.remove("dragging");
+  hold(false);
   if (from && event.type === "pointerup") tapped(event, place(event));
 }
 

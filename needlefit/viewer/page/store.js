@@ -1,7 +1,7 @@
 /** The last message of each kind from the server, and the listeners to each. */
 
 /** The page's knowledge; also `window.needlefit`, for whoever measures the page. */
-export const now = { scene: null, state: null, band: null, connected: false, frames: [] };
+export const now = { scene: null, state: null, band: null, connected: false, pinned: null, marked: null, frames: [] };
 window.needlefit = now;
 
 const listeners = new Map();

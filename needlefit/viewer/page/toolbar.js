@@ -3,7 +3,7 @@
 import { aim } from "./aim.js";
 import { button, element, part, press } from "./dom.js";
 import { invalidate, shown } from "./drawing.js";
-import { listen } from "./store.js";
+import { listen, now } from "./store.js";
 import { drawTrue, fit, refit, touch, view, zoom } from "./view.js";
 
 /** What can be shown and hidden: its name, what the button is called and explained, whether it has a swatch. */
@@ -11,8 +11,10 @@ const CHIPS = [
   ["load", "lateral load"], ["raw", "raw load", "The load between constraint points, not its mean over two spacings", false],
   ["points", "constraint points"], ["path", "tip path"], ["measured", "measured"],
   ["errors", "errors", "Gaps at the tip (TE) and along the shaft (IPE)"], ["band", "95 % band"], ["plan", "plan"],
-  ["reach", "reachable"], ["slice", "scan"], ["true", "true scale", "Draws y as large as x", false],
+  ["pinned", "pinned"], ["reach", "reachable"], ["slice", "scan"], ["true", "true scale", "Draws y as large as x", false],
+  ["strip", "tip against depth", "Deflection and force of the tip against depth", false],
 ];
+const TALL = 700; // px of a window that has room for the strip
 const fits = document.querySelectorAll("[data-fit]");
 const refitButton = part("refit"); // a shared page has none
 const chips = Object.fromEntries(CHIPS.map(([name, called, title = "", marked = true]) => {
@@ -34,6 +36,7 @@ function toggle(name) {
   const on = chips[name].ariaPressed !== "true";
   chips[name].ariaPressed = String(on);
   if (name === "true") return drawTrue(on);
+  if (name === "strip") return (part("strip").hidden = !on);
   shown[name] = on;
   name === "slice" ? touch() : invalidate();
 }
@@ -41,7 +44,8 @@ function toggle(name) {
 /** Offer what there is, by name; a fit or an estimate on the page has a band, too. */
 const offer = (there) => Object.entries(there).forEach(([name, is]) => (chips[name].hidden = !is));
 
-offer({ measured: false, errors: false, band: false, plan: false, reach: false, slice: false });
+offer({ measured: false, errors: false, band: false, plan: false, reach: false, slice: false, pinned: false, strip: part("strip") });
+if (part("strip") && innerHeight < TALL) toggle("strip"); // the picture needs the room
 for (const one of fits) press(one, () => (fit(one.dataset.fit), pressed()));
 if (refitButton) press(refitButton, () => (refit(), pressed()));
 for (const one of document.querySelectorAll("[data-zoom]")) {
@@ -51,5 +55,6 @@ listen("scene", ({ measured, band, slice }) => offer({ measured, errors: measure
 listen("ridge", () => offer({ band: true }));
 listen("tracking", ({ readings }) => readings && offer({ band: true }));
 listen("aimed", () => offer({ plan: aim.plan, reach: aim.reach }));
+listen("pinned", () => offer({ pinned: now.pinned }));
 listen("redraw", pressed);
 listen("state", pressed);

@@ -13,7 +13,7 @@ const [MOVED, INSERTED] = [0.5, 5]; // mm that the base, or the depth, must chan
 /** What to do, the handle that does it, its button, the view that shows it, and when it is done since a state. */
 const STEPS = [
   {
-    words: "Turn the bevel over: drag the arrow at its tip to the other side (or press F).",
+    words: "Turn the bevel over: drag the red knob at its tip to the other side (or press F).",
     hint: "bevel", button: "flip", shows: "tissue", done: (from, to) => from.bevel.side !== to.bevel.side,
   },
   {
@@ -72,7 +72,6 @@ export function offer() {
   if (!localStorage.getItem(SEEN)) show(0);
 }
 
-const PART = 0.6; // of the scene's or the measured depth
 let begun = false;
 let moving = false; // until the first insertion has come to its end
 
@@ -86,6 +85,6 @@ listen("state", ({ depth_mm: depth, undo, moving: speed }) => {
   begun = true;
   const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
   if (still || now.scene.tracked || depth !== 0 || undo) return;
-  act.goTo(PART * act.ownDepth());
+  act.goTo(act.ownDepth());
   moving = true;
 });

@@ -3,19 +3,18 @@
 import { aim } from "./aim.js";
 import { listen, now, publish } from "./store.js";
 
-const GUTTER = { left: 56, right: 10, top: 10, bottom: 38 }; // px, for the axes
-const MAGNIFICATIONS = [1, 2, 5, 10, 20, 50]; // of y against x
-const VISIBLE = 0.45; // part of the window's height that deflections take at most when y is magnified for them
-const LEAST_SPAN = 0.5; // mm; smaller deflections are not magnified further
+const GUTTER = { left: 56, right: 10, top: 42, bottom: 38 }; // px, for the axes, the names of layers and the load's key
+const MAGNIFICATIONS = [1, 1.5, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 30, 50]; // of y against x
+const ROOM = 56; // px above and below the needle: load, handles, labels; at most 0.2 of the height
+const LEAST_SPAN = { moving: 0.05, still: 0.01 }; // of the depth: smaller deflections are not magnified further
+const LOW = 0.45; // part of the room below which a needle at rest is magnified anew
 const SCALES = [0.5, 400]; // px per mm
 const [EDGE, AHEAD] = [0.3, 0.2]; // from the middle, parts of the window: when it follows the tip, and how far
-const TALL = 0.8; // part of the window's height that needles may take
-const SEEN = 0.42; // from the middle, part of the window's height: beyond it words cover the tip
 const TIP_WINDOW = 45; // mm seen across while the tip is followed
 
 /** The window: its centre (mm), its scale (px per mm), its box on the canvas (px). */
 export const view = {
-  x: 0, y: 0, scale: 5, magnified: 1, true: false, fit: null, box: { left: 0, top: 0, width: 1, height: 1 },
+  x: 0, y: 0, scale: 5, magnified: 1, true: false, held: false, fit: null, box: { left: 0, top: 0, width: 1, height: 1 },
 };
 
 let changed = true;
@@ -60,20 +59,21 @@ export function fit(which) {
   // From the base at first contact, or from the skin, to the greatest depth that is known; room in px for the base's
   // handle, or for the key of the load before the skin.
   const [low, high, before, after] = which === "whole"
-    ? [-now.scene.length_mm, deepest() + 4, Math.min(74, 0.1 * view.box.width + 20), 12] : [0, 1.08 * deepest(), 84, 8];
+    ? [-now.scene.length_mm, deepest() + 4, Math.min(74, 0.1 * view.box.width + 20), 34] : [0, 1.04 * deepest(), Math.min(84, 0.2 * view.box.width), 34];
   const room = view.box.width - before - after;
   const [bottom, top] = heights(which);
-  const [along, across] = [room / (high - low), (TALL * view.box.height) / (top - bottom)];
+  const [along, across] = [room / (high - low), roomAcross() / (top - bottom)];
   view.scale = limited(Math.min(along, across));
   // How many times as large as x the y axis is drawn, so that deflections can be seen.
-  const times = (VISIBLE * view.box.height) / view.scale / Math.max(top - bottom, LEAST_SPAN);
-  const plain = which === "whole" || view.true;
-  view.magnified = plain ? 1 : MAGNIFICATIONS.filter((one) => one <= times).at(-1) ?? 1;
+  const least = LEAST_SPAN[now.state.moving ? "moving" : "still"] * deepest();
+  const times = roomAcross() / view.scale / Math.max(top - bottom, least);
+  view.magnified = view.true ? 1 : MAGNIFICATIONS.filter((one) => one <= times).at(-1) ?? 1;
   view.x = (low + high) / 2 + (after - before) / (2 * view.scale);
-  // The axis stays in the middle while all that must be seen is seen anyway.
-  const half = (TALL * view.box.height) / 2 / (view.scale * view.magnified);
-  view.y = top < half && bottom > -half ? 0 : (bottom + top) / 2;
+  view.y = (bottom + top) / 2;
 }
+
+/** Px that what must be seen may take of the window's height. */
+const roomAcross = () => view.box.height - 2 * Math.min(ROOM, 0.2 * view.box.height);
 
 function deepest() {
   const { depth_mm: depth, boundaries_mm: tops, measured } = now.scene;
@@ -90,7 +90,7 @@ function heights(which) {
   const seen = which === "whole" ? y : y.filter((_, i) => x[i] >= 0);
   const goals = goalCircles().flatMap(([, y, radius]) => [y - radius, y + radius]);
   const band = [now.band?.low.at(-1), now.band?.high.at(-1)].filter(Number.isFinite);
-  const all = [...seen, ...(now.scene.measured?.y ?? []), ...goals, ...band, 0];
+  const all = [...seen, ...(now.scene.measured?.y ?? []), ...(now.pinned ? now.pinned.y.filter((_, i) => which === "whole" || now.pinned.x[i] >= 0) : []), ...goals, ...band, 0];
   return [Math.min(...all), Math.max(...all)];
 }
 
@@ -100,13 +100,19 @@ export function seesTip() {
   return px >= 0 && px <= width && py >= 0 && py <= height;
 }
 
-/** Keep the tip in sight: fit again once it leaves the window or the magnification does not suit it. */
+/**
+ * Keep the needle in sight: fit again once it leaves the room it has, or is small in it.
+ *
+ * Not while something is dragged: the place under the pointer would become another one.
+ */
 export function follow() {
+  if (view.held) return;
   if (view.fit && view.fit !== "tip") {
     const [bottom, top] = heights(view.fit);
-    const tall = (top - bottom) * view.scale * view.magnified > TALL * view.box.height;
-    const far = Math.abs(now.state.tip.y - view.y) * view.scale * view.magnified > SEEN * view.box.height;
-    if (tall || far || !seesTip()) fit(view.fit);
+    const px = view.scale * view.magnified;
+    const out = (Math.max(top - view.y, view.y - bottom) * px) > roomAcross() / 2 + 1 || !seesTip();
+    const low = !now.state.moving && !view.true && (top - bottom) * px < LOW * roomAcross();
+    if (out || (low && view.magnified < MAGNIFICATIONS.at(-1))) fit(view.fit);
     return;
   }
   if (view.fit !== "tip") return;
@@ -150,6 +156,13 @@ export function drawTrue(on) {
   if (on) view.magnified = 1;
   touch();
   fit(view.fit);
+}
+
+/** Something is dragged, or no more. */
+export function hold(on) {
+  if (view.held === on) return;
+  view.held = on;
+  if (!on && now.state) follow();
 }
 
 const limited = (scale) => Math.min(Math.max(scale, SCALES[0]), SCALES[1]);

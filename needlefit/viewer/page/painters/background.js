@@ -1,12 +1,11 @@
-/** What stands still: air, layers, the scan's slice, skin, axes in mm, and a scale bar. */
+/** What stands still: air, layers and their names, the scan's slice, skin, and axes in mm. */
 
-import { asMpa, brief, roundStep } from "../quantities.js";
+import { brief, roundStep } from "../quantities.js";
 import { now } from "../store.js";
 import { fromPx, fromPy, toPx, toPy, view } from "../view.js";
-import { faintly, label, palette, segments, setFont, shades, turned } from "./strokes.js";
+import { faintly, palette, segments, setFont, shades, turned } from "./strokes.js";
 
 const NAME_PAD = 14; // px between a name and its layer's edges
-const LOW = 160; // px; in a lower window μ would lie on the needle
 const TICK = 5; // px
 const TICKS_APART = 48; // px between ticks, at least, where there is room for so few
 const QUARTER = Math.PI / 2;
@@ -35,7 +34,6 @@ export function paintTissue(context, slice) {
   context.setLineDash([5, 4]);
   segments(context, [[[left, axis], [left + width, axis]]], palette.quiet, 1);
   context.setLineDash([]);
-  paintNames(context, layers);
 }
 
 /** The layers that are in the window: their edges (px), shades and numbers. */
@@ -50,25 +48,27 @@ function listLayers() {
   return layers.filter(({ from, to }) => to > from);
 }
 
-/** All layers are called in the same way: by their names if these fit, or by their numbers. */
-function paintNames(context, layers) {
-  const { left, top, height } = view.box;
+/** Write above the window what the layers are: all by their names if these fit, or by their numbers. */
+function paintNames(context) {
+  const { left, top } = view.box;
+  const layers = listLayers();
   setFont(context, "plain", "center", "alphabetic");
   const fits = (text, layer) => context.measureText(text).width + NAME_PAD < layer.to - layer.from;
   const named = layers.every((layer) => fits(layer.name, layer));
   for (const layer of layers) {
     const middle = (layer.from + layer.to) / 2;
-    label(context, named ? layer.name : String(layer.number), middle, top + 18);
-    const mu = `μ ${asMpa(layer.mu)} MPa`;
-    if (height >= LOW && fits(mu, layer)) label(context, mu, middle, top + 34);
+    const called = named ? layer.name : String(layer.number);
+    if (context.measureText(called).width < layer.to - layer.from) context.fillText(called, middle, top - 23);
+    const mu = `μ ${brief(layer.mu * 1e-6, 3)} MPa`;
+    if (fits(mu, layer)) context.fillText(mu, middle, top - 7);
   }
   const skin = toPx(0);
-  if (skin <= left + 40) return;
-  context.textAlign = "left";
-  turned(context, skin - 6, top + height - 10, QUARTER, () => label(context, "skin", 0, 0));
+  if (skin <= left + 40 || skin > left + view.box.width) return;
+  context.textAlign = "right";
+  context.fillText("skin", skin - 4, top - 7);
 }
 
-/** Draw ticks and names outside the box, and the scale bar inside. */
+/** Draw ticks and names outside the box. */
 export function paintAxes(context) {
   const { left, top, width, height } = view.box;
   const bottom = top + height;
@@ -76,6 +76,7 @@ export function paintAxes(context) {
   context.strokeStyle = palette.quiet;
   context.strokeRect(left - 0.5, top - 0.5, width + 1, height + 1);
   context.fillStyle = palette.label;
+  paintNames(context);
 
   setFont(context, "small", "center", "top");
   const along = ticks(fromPx(left), fromPx(left + width), view.scale, width).map((x) => [x, Math.round(toPx(x)) + 0.5]);
@@ -91,7 +92,6 @@ export function paintAxes(context) {
   for (const [y, py] of across) context.fillText(written(y), left - TICK - 2, py);
   context.textAlign = "center";
   turned(context, 11, top + height / 2, QUARTER, () => context.fillText(nameAcross(context, height), 0, 0));
-  paintScaleBar(context);
 }
 
 /** Ticks along so many px at a scale in px per mm; their step is rounded down, by 2.5 at most. */
@@ -108,19 +108,4 @@ function nameAcross(context, room) {
   if (view.magnified === 1) return "y (mm)";
   const long = `y (mm), drawn ${view.magnified}× as large as x`;
   return context.measureText(long).width < room ? long : `y (mm), drawn ${view.magnified}×`;
-}
-
-/** A bar of a round length at the lower right; magnified, it holds along x alone. */
-function paintScaleBar(context) {
-  const { left, top, width, height } = view.box;
-  const length = roundStep((0.2 * width) / view.scale);
-  const [right, py] = [left + width - 14, top + height - 14];
-  const start = right - length * view.scale;
-  context.fillStyle = palette.ink;
-  context.fillRect(start, py, right - start, 2);
-  for (const px of [start, right - 1.5]) context.fillRect(px, py - 4, 1.5, 6);
-  setFont(context, "small", "center", "bottom");
-  const text = `${brief(length)} mm${view.magnified === 1 ? "" : " along x"}`;
-  const middle = Math.min((start + right) / 2, right + 8 - context.measureText(text).width / 2);
-  label(context, text, middle, py - 5);
 }

@@ -1,29 +1,35 @@
 /** The needle, what holds it, what the tissue puts on its shaft, and a hint at a handle. */
 
 import { basePlace, bevelPlace, guidePlace } from "../handles.js";
-import { brief, roundStep, shortName } from "../quantities.js";
+import { brief, heightAt, roundStep, shortName } from "../quantities.js";
 import { now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
-import { cross, faintly, label, line, palette, polygon, ring, segments, setFont, stroke, turned } from "./strokes.js";
+import { arrow, cross, faintly, label, labelFree, line, palette, polygon, reserve, ring, segments, setFont, stroke, trace, turned } from "./strokes.js";
 
 const THINNEST = 2; // px
+const THICKEST = 5; // px, where y is magnified: there the body has no thickness that could be read off
 const CROSS = { of: 0.28, least: 1, most: 3.2 }; // half a cross: part of the spacing, px
 const LONGEST_BEVEL = 2.5; // diameters
 const WIDE = 7; // px; from here on the body is drawn faint
 const FAINT = 0.24; // opacity
 const AXIS = 2; // px
 const HANDLE = 7; // px
-const NAME_HEIGHT = 15; // px
-const [TALLEST, LOWEST] = [64, 18]; // px, of the load's curve
+const [TALLEST, LOWEST] = [48, 16]; // px, of the load's curve and the force's arrow
+const SHORTEST = 5; // px, of the arrow of a force; a shorter one is not drawn
+const LEAST_FORCE = 0.5; // N, for which an arrow may be the tallest
 const LEAST_LOAD = 1e-6; // N/mm; less is drawn as nothing
 const HINT_RADIUS = 22; // px
 const UP = Math.PI / 2;
 
-let perNewton = null; // px per N/mm
+let perLoad = null; // px per N/mm
+let greatestForce = { scene: null, newton: 0 }; // on the tip of this scene so far: arrows of its forces have one scale
 const distance = (one, other) => Math.hypot(one[0] - other[0], one[1] - other[1]);
 
 /** How thick the needle is drawn, px. */
-export const thickness = () => Math.max(now.scene.diameter_mm * view.scale, THINNEST);
+export function thickness() {
+  const px = now.scene.diameter_mm * view.scale;
+  return Math.max(view.magnified > 1 ? Math.min(px, THICKEST) : px, THINNEST);
+}
 
 /**
  * Draw the shaft and the bevel, whose point lies where it turns the cut to.
@@ -41,13 +47,12 @@ export function paintNeedle(context, { x, y, bevel, faults }) {
   const last = points.at(-1) ?? tip;
   const share = 1 - length / (distance(last, tip) || 1);
   points.push(last.map((from, i) => from + share * (tip[i] - from)));
-  const axis = new Path2D();
-  for (const one of points) axis.lineTo(...one);
+  trace(context, points);
   context.lineJoin = "round";
   context.lineCap = "butt";
-  if (width >= WIDE) faintly(context, FAINT, () => stroke(context, shown, width, axis));
+  if (width >= WIDE) faintly(context, FAINT, () => stroke(context, shown, width));
   context.setLineDash(outside ? [9, 5] : []);
-  stroke(context, shown, width < WIDE ? width : AXIS, axis);
+  stroke(context, shown, width < WIDE ? width : AXIS);
   context.setLineDash([]);
   // The cut face is drawn as a line of its own: it looks away from the side of the point.
   const [end, half, { side }] = [points.at(-1), Math.max(width, 3) / 2, bevel];
@@ -59,16 +64,36 @@ export function paintNeedle(context, { x, y, bevel, faults }) {
   segments(context, [[back, point]], palette.tip, 2);
 }
 
-/** Draw to which side the bevel turns the cut, and whether the tip is held. */
+/** Draw the knob on the side to which the bevel turns the cut, and whether the tip is held. */
 export function paintTip(context, state) {
-  const { tip, turn, angle } = bevelPlace(state);
-  const to = -state.bevel.side; // canvas y runs downwards
-  segments(context, [[tip, turn]], palette.tip, 1);
-  turned(context, ...turn, angle, () => polygon(context, [[-6, -3 * to], [0, 6 * to], [6, -3 * to]], palette.tip));
+  const { tip, turn } = bevelPlace(state);
+  segments(context, [[tip, turn]], palette.tip, 1.5);
+  ring(context, ...turn, 6, palette.air, palette.tip);
+  reserve(turn[0] - 9, turn[1] - 9, 18, 18);
   if (state.tip.held) ring(context, ...tip, 11, palette.tip, "transparent");
 }
 
+/** Draw the lateral force on the tip as an arrow along y. */
+export function paintTipForce(context, { tip, forces: { tip_n: force } }) {
+  if (greatestForce.scene !== now.scene) greatestForce = { scene: now.scene, newton: LEAST_FORCE };
+  greatestForce.newton = Math.max(greatestForce.newton, Math.abs(force));
+  const length = (TALLEST * force) / greatestForce.newton;
+  if (Math.abs(length) < SHORTEST) return;
+  const [px, py] = [toPx(tip.x), toPy(tip.y)];
+  arrow(context, [px, py], length, palette.load);
+  setFont(context, "small");
+  const at = py - length - 9 * Math.sign(length);
+  labelFree(context, `${brief(Math.abs(force), 2)} N`, [[px, at], [px - 34, at], [px + 30, at]], palette.load);
+}
+
 export const paintPath = (context, { tip_path: [x, y] }) => line(context, x, y, palette.path, 1.5);
+
+/** Draw where the tip stood at the x (mm) that is marked in the strip. */
+export function paintMark(context, { tip, tip_path: [x, y] }, at) {
+  if (at > tip.x) return;
+  const py = toPy(heightAt({ x: [...x, tip.x], y: [...y, tip.y] }, at));
+  ring(context, toPx(at), py, 5, palette.accent, palette.air);
+}
 
 /** Draw the points that hold the needle in the tissue, as crosses. */
 export function paintPoints(context, { constraints: [x, y] }) {
@@ -82,10 +107,7 @@ export function paintBase(context, state) {
   const { place: [px, py], turn, angle } = basePlace(state);
   const half = Math.max(thickness() / 2 + 4, 7);
   segments(context, [[[px, py - 46], [px, py + 46]]], palette.quiet, 2);
-  for (const to of [-1, 1]) {
-    const end = py + 46 * to;
-    polygon(context, [[px - 5, end], [px, end + 7 * to], [px + 5, end]], palette.quiet);
-  }
+  segments(context, [-46, 46].map((to) => [[px - 5, py + to], [px + 5, py + to]]), palette.quiet, 2);
   segments(context, [[[px, py], turn]], palette.ink, 1.5);
   turned(context, px, py, angle, () => box(context, -22, -half, 26, 2 * half, 4, palette.ink));
   ring(context, ...turn, HANDLE, palette.ink, palette.air);
@@ -120,21 +142,15 @@ export function paintGuides(context, { guides }) {
 /** Under each guide its number, or the name that its scene gives it; of two that would overlap, the first. */
 function writeNames(context, guides) {
   setFont(context, "strong");
-  const written = [];
   for (const guide of guides.toSorted((one, other) => one.item - other.item)) {
     const [px, py] = [toPx(guide.x), toPy(guide.y) + thickness() / 2 + 26];
     if (px < view.box.left || px > view.box.left + view.box.width) continue; // out of the picture
-    const name = shortName(guide);
-    const half = context.measureText(name).width / 2 + 3;
-    const overlaps = (one) => Math.abs(one.px - px) < one.half + half && Math.abs(one.py - py) < NAME_HEIGHT;
-    if (written.some(overlaps)) continue;
-    written.push({ px, py, half });
-    label(context, name, px, py, palette.guide);
+    labelFree(context, shortName(guide), [[px, py]], palette.guide);
   }
 }
 
 /**
- * Draw the load normal to the shaft, N/mm, on the side to which it pushes: a filled curve with a scale of its own.
+ * Draw the lateral load, N/mm, along y, on the side to which it pushes: a filled curve with a scale of its own.
  *
  * Between constraint points the load of the model is a sawtooth; its mean over two spacings is what the
  * tissue means to the shaft. `raw` draws the load itself.
@@ -144,24 +160,22 @@ export function paintLoad(context, { load: { x, y, n_per_mm: values } }, raw) {
   const greatest = load.reduce((most, one) => Math.max(most, Math.abs(one)), 0);
   if (greatest < LEAST_LOAD || x.length < 2) return;
   // The scale stays while the curve is neither too tall nor too low: a load that grows shall look so.
-  const height = greatest * (perNewton ?? 0);
-  if (height > TALLEST || height < LOWEST) perNewton = (0.75 * TALLEST) / (2 * roundStep(greatest));
+  const height = greatest * (perLoad ?? 0);
+  if (height > TALLEST || height < LOWEST) perLoad = (0.75 * TALLEST) / (2 * roundStep(greatest));
   const [px, py] = [x.map(toPx), y.map(toPy)];
   const surface = beside(px, py, load, 0);
-  const ends = beside(px, py, load, perNewton);
-  const [areas, edges] = [new Path2D(), new Path2D()];
+  const ends = beside(px, py, load, perLoad);
   // where the load pushes to one side without a break: first point, and one behind the last
   const starts = load.map((_, i) => i).filter((i) => i === 0 || load[i] * load[i - 1] <= 0);
-  for (const [from, to] of starts.map((start, n) => [start, starts[n + 1] ?? load.length])) {
-    const curve = [surface[from], ...ends.slice(from, to), surface[to - 1]];
-    curve.forEach((place, i) => (i ? edges.lineTo(...place) : edges.moveTo(...place)));
-    curve.push(...surface.slice(from, to).reverse());
-    curve.forEach((place, i) => (i ? areas.lineTo(...place) : areas.moveTo(...place)));
-  }
+  const edges = starts.map((from, n) => {
+    const to = starts[n + 1] ?? load.length;
+    return [surface[from], ...ends.slice(from, to), surface[to - 1]];
+  });
+  trace(context, ...edges.map((edge, n) => [...edge, ...surface.slice(starts[n], starts[n + 1] ?? load.length).reverse()]));
   context.fillStyle = palette.load;
-  faintly(context, 0.32, () => context.fill(areas));
-  stroke(context, palette.load, 1.25, edges);
-  paintKey(context);
+  faintly(context, 0.32, () => context.fill());
+  trace(context, ...edges);
+  stroke(context, palette.load, 1.25);
 }
 
 /** The mean of a load over so many mm to either side of each of its places; less at the ends. */
@@ -184,26 +198,19 @@ export function smooth(x, load, reach) {
   });
 }
 
-/** Places beside the shaft, px: on its normal, as far from the surface that is pushed as the load is great. */
-function beside(px, py, load, scale) {
-  const [last, surface] = [px.length - 1, thickness() / 2];
-  return px.map((_, i) => {
-    const [before, after] = [Math.max(i - 1, 0), Math.min(i + 1, last)];
-    const [dx, dy] = [px[after] - px[before], py[after] - py[before]];
-    const size = (load[i] * scale + Math.sign(load[i]) * surface) / (Math.hypot(dx, dy) || 1);
-    return [px[i] + dy * size, py[i] - dx * size];
-  });
-}
+/** Places beside the shaft, px: along y, as far from the surface that is pushed as the load is great. */
+const beside = (px, py, load, scale) =>
+  px.map((x, i) => [x, py[i] - load[i] * scale - (Math.sign(load[i]) * thickness()) / 2]);
 
-/** The length of a round load, at the upper left. */
-function paintKey(context) {
-  const size = roundStep(40 / perNewton);
-  const [px, py, height] = [view.box.left + 14, view.box.top + 14, size * perNewton];
-  context.fillStyle = palette.load;
-  context.fillRect(px, py, 2, height);
-  for (const end of [py, py + height - 1.5]) context.fillRect(px - 3, end, 8, 1.5);
+/** The length of a round load, at the upper left, outside the window. */
+export function paintKey(context) {
+  if (!perLoad) return;
+  const size = roundStep(30 / perLoad);
+  const [px, height] = [7, size * perLoad];
+  const py = view.box.top - 6 - height;
+  segments(context, [[[px, py], [px, py + height]], ...[py, py + height].map((end) => [[px - 3, end], [px + 3, end]])], palette.load, 1.5);
   setFont(context, "small", "left");
-  label(context, `${brief(size)} N/mm`, px + 10, py + height / 2);
+  label(context, `${brief(size)} N/mm`, px + 6, py + height / 2);
 }
 
 /** Draw a ring about the handle that `now.hint` names (the bevel's arrow, the base), and the ways it can go. */

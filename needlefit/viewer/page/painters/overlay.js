@@ -6,14 +6,14 @@ import { heightAt } from "../quantities.js";
 import { listen, now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
 import { thickness } from "./needle.js";
-import { cross, faintly, fillBetween, label, line, palette, polygon, ring, segments, setFont, stroke, turned } from "./strokes.js";
+import { cross, faintly, fillBetween, isFree, label, labelFree, line, palette, polygon, reserve, ring, segments, setFont, stroke, turned } from "./strokes.js";
 
 const GAPS = 12; // parts of the shaft between which gaps are drawn
-const MARGIN = 40; // px, half of what is written beside the tip
 const FAN = 0.3; // opacity of the plan's draws
 const PALE = 0.35; // of a plan that the needle has left
 const [CROSS, TRACKED_CROSS] = [5, 9]; // px
 const INSET = { width: 170, height: 46, edge: 10 }; // px
+const CLEAR = 30; // px between the inset and curves, for load and crosses
 const ARROW = 11; // px
 let tracked = null;
 
@@ -27,6 +27,14 @@ export function paintMeasured(context, { x, y }) {
   context.lineCap = "butt";
 }
 
+/** Draw the pinned needle: what the needle is compared with. */
+export function paintPinned(context, { x, y, tip }) {
+  line(context, x, y, palette.halo, 5);
+  line(context, x, y, palette.ghost, 2.5, [2, 3]);
+  setFont(context, "strong");
+  labelFree(context, "pinned", [[toPx(tip.x), toPy(tip.y) - 20], [toPx(tip.x), toPy(tip.y) + 20], [toPx(tip.x) - 60, toPy(tip.y)]], palette.ghost);
+}
+
 /** Draw the points of the measured needle that can be dragged. */
 export function paintMeasuredPoints(context) {
   if (!points.shown) return;
@@ -35,9 +43,9 @@ export function paintMeasuredPoints(context) {
 
 /** Draw the band; pale as long as it belongs to an earlier step. */
 export function paintBand(context, { x, low, high }, pale) {
-  faintly(context, pale ? 0.1 : 0.22, () => fillBetween(context, x, low, high, palette.band));
+  faintly(context, pale ? 0.16 : 0.4, () => fillBetween(context, x, low, high, palette.band));
   faintly(context, pale ? 0.4 : 1, () => {
-    for (const edge of [low, high]) line(context, x, edge, palette.band, 1.5, [3, 2]);
+    for (const edge of [low, high]) line(context, x, edge, palette.band, 1.5);
   });
 }
 
@@ -53,11 +61,12 @@ export function paintGaps(context, state, measured) {
   const end = errors.whole ? [tip.x, tip.y] : [reach, heightAt(state, reach)];
   for (const [shown, width] of [[palette.halo, 5], [palette.gap, 2.5]]) line(context, [x, end[0]], [y, end[1]], shown, width);
   setFont(context, "strong");
-  const { left, width } = view.box;
-  const px = Math.min(Math.max(toPx(x), left + MARGIN), left + width - MARGIN);
+  const px = toPx(x);
   const [top, bottom] = [toPy(y), toPy(end[1])].sort((one, other) => one - other);
-  const away = thickness() / 2 + 14; // beside the needle, opposite to the bevel's arrow
-  label(context, `TE ${errors.te_mm.toFixed(2)} mm`, px, state.bevel.side > 0 ? bottom + away : top - away, palette.gap);
+  const away = thickness() / 2 + 18;
+  const sides = [[px, top - away], [px, bottom + away]]; // first the one that has no knob of the bevel
+  if (state.bevel.side > 0) sides.reverse();
+  labelFree(context, `TE ${errors.te_mm.toFixed(2)} mm`, [...sides, [px - 90, top - away], [px - 90, bottom + away]], palette.gap);
 }
 
 /** Shade where the tip can come to stand: the more of the draws, the stronger. */
@@ -96,8 +105,11 @@ function paintCircle(context, x, y, radius, shown, name, opacity = 0) {
   faintly(context, opacity, () => context.fill());
   stroke(context, palette.halo, 4);
   stroke(context, shown, 2);
+  if (px < view.box.left || px > view.box.left + view.box.width) return;
   setFont(context, "strong");
-  label(context, name, px, toPy(y + radius) - 9, shown);
+  const sides = [[px, toPy(y + radius) - 12], [px, toPy(y - radius) + 12]];
+  if (now.state.bevel.side > 0) sides.reverse(); // the knob of the bevel is on the other one
+  labelFree(context, name, sides, shown);
 }
 
 /** Draw where the tracker has the tip: a cross, grey while it is frozen. */
@@ -108,16 +120,26 @@ export function paintTrackedTip(context) {
   segments(context, lines, tracked.frozen ? palette.quiet : palette.measured, 2);
 }
 
-/** Draw the inserted part of the needle with y as large as x, in the lower left. */
+/** Draw the inserted part of the needle with y as large as x, in a corner where nothing else is; else nowhere. */
 export function paintInset(context, { x, y }) {
-  const { left, top, height } = view.box;
-  const [px, py] = [left + INSET.edge, top + height - INSET.height - INSET.edge];
+  const { left, top, width, height } = view.box;
+  const curves = [{ x, y }, now.scene.measured, now.band && { x: now.band.x, y: now.band.low }, now.band && { x: now.band.x, y: now.band.high }];
+  const places = curves.flatMap((one) => (one ? one.x.map((at, i) => [toPx(at), toPy(one.y[i])]) : []));
+  const wide = Math.min(INSET.width, 0.36 * width);
+  const empty = ([px, py]) => isFree([px, py, wide, INSET.height]) && places.every(([cx, cy]) =>
+    cx < px - CLEAR || cx > px + wide + CLEAR || cy < py - CLEAR || cy > py + INSET.height + CLEAR);
+  const rows = [top + height - INSET.height - INSET.edge, top + INSET.edge];
+  const columns = [left + INSET.edge, left + width - wide - INSET.edge];
+  const corner = rows.flatMap((py) => columns.map((px) => [px, py])).find(empty);
+  if (!corner) return;
+  const [px, py] = corner;
+  reserve(px, py, wide, INSET.height);
   context.fillStyle = palette.air;
-  context.fillRect(px, py, INSET.width, INSET.height);
+  context.fillRect(px, py, wide, INSET.height);
   context.strokeStyle = palette.quiet;
   context.lineWidth = 1;
-  context.strokeRect(px + 0.5, py + 0.5, INSET.width - 1, INSET.height - 1);
-  const scale = (INSET.width - 2 * INSET.edge) / Math.max(now.scene.depth_mm, now.state.depth_mm, 1);
+  context.strokeRect(px + 0.5, py + 0.5, wide - 1, INSET.height - 1);
+  const scale = (wide - 2 * INSET.edge) / Math.max(now.scene.depth_mm, now.state.depth_mm, 1);
   context.beginPath();
   x.forEach((one, i) => one >= 0 && context.lineTo(px + INSET.edge + one * scale, py + INSET.height / 2 + 6 - y[i] * scale));
   stroke(context, palette.needle, 1.5);
@@ -125,7 +147,7 @@ export function paintInset(context, { x, y }) {
   label(context, "true scale", px + 6, py + 4);
 }
 
-/** Draw at the edge of the window where the tip is. */
+/** Draw at the edge of the window, by name, where the tip is. */
 export function paintArrow(context, { tip }) {
   const { left, top, width, height } = view.box;
   const [middle, centre] = [left + width / 2, top + height / 2];
@@ -136,5 +158,7 @@ export function paintArrow(context, { tip }) {
   );
   const [px, py] = [middle + reach * Math.cos(angle), centre + reach * Math.sin(angle)];
   const head = [[ARROW, 0], [-ARROW, ARROW * 0.8], [-ARROW, -ARROW * 0.8]];
-  turned(context, px, py, -angle, () => polygon(context, head, palette.tip));
+  turned(context, px, py, -angle, () => polygon(context, head, palette.quiet));
+  setFont(context, "small");
+  labelFree(context, "tip", [[px, py + 20], [px, py - 20]], palette.label);
 }

@@ -1,11 +1,11 @@
 /** Colours, lines and shapes on the canvas, given in mm or px. */
 
 import { colour } from "../dom.js";
-import { toPx, toPy } from "../view.js";
+import { toPx, toPy, view } from "../view.js";
 
 const NAMES = [
   "air", "gutter", "ink", "quiet", "edge", "needle", "points", "path", "tip", "guide", "load",
-  "measured", "band", "plan", "reach", "gap", "bad", "halo", "soft", "stiff", "label", "accent",
+  "measured", "band", "ghost", "plan", "reach", "gap", "bad", "halo", "soft", "stiff", "label", "accent",
 ];
 const FONTS = { small: "11px system-ui, sans-serif", plain: "12px system-ui, sans-serif", strong: "600 12px system-ui, sans-serif" };
 
@@ -38,12 +38,24 @@ export function faintly(context, opacity, draw) {
   context.globalAlpha = 1;
 }
 
-/** Draw a path (by default the current one) as a line. */
-export function stroke(context, colour, width, path = null) {
+/** Draw the current path as a line. */
+export function stroke(context, colour, width) {
   context.strokeStyle = colour;
   context.lineWidth = width;
-  if (path) context.stroke(path);
-  else context.stroke();
+  context.stroke();
+}
+
+/** Make the current path from lines through places (px). */
+export function trace(context, ...lines) {
+  context.beginPath();
+  for (const places of lines) places.forEach(([px, py], i) => (i ? context.lineTo(px, py) : context.moveTo(px, py)));
+}
+
+/** Draw an arrow, which always means a force: from a place (px) along y by so many px, up if positive. */
+export function arrow(context, [px, py], length, colour) {
+  const [end, head] = [py - length, 8 * Math.sign(length)];
+  segments(context, [[[px, py], [px, end + head]]], colour, 2.5);
+  polygon(context, [[px - 5, end + head], [px, end], [px + 5, end + head]], colour);
 }
 
 /** Draw a line along points (mm). */
@@ -118,4 +130,29 @@ export function label(context, text, px, py, colour = palette.label) {
   context.strokeText(text, px, py);
   context.fillStyle = colour;
   context.fillText(text, px, py);
+}
+
+const LINE = 16; // px, height of a label
+let boxes = []; // of this frame, px: [left, top, width, height]
+
+/** What is written in this frame, and what else no label may lie on. */
+export const takenBoxes = () => boxes;
+export const clearBoxes = () => (boxes = []);
+const overlap = ([x, y, w, h], [x2, y2, w2, h2]) => x < x2 + w2 && x2 < x + w && y < y2 + h2 && y2 < y + h;
+export const isFree = (box) => !boxes.some((one) => overlap(one, box));
+export const reserve = (...box) => boxes.push(box);
+
+/** Write a label at the first of some places (px, its middle) that is free, inside the window; else nowhere. */
+export function labelFree(context, text, places, colour) {
+  const { left, top, width, height } = view.box;
+  const wide = context.measureText(text).width + 6;
+  const within = (value, low, high) => Math.max(low, Math.min(value, high));
+  for (const [px, py] of places) {
+    const box = [within(px - wide / 2, left + 2, left + width - wide - 2), within(py - LINE / 2, top + 2, top + height - LINE - 2), wide, LINE];
+    if (!isFree(box)) continue;
+    boxes.push(box);
+    context.textAlign = "center";
+    context.textBaseline = "middle";
+    return label(context, text, box[0] + wide / 2, box[1] + LINE / 2, colour);
+  }
 }

@@ -1,0 +1,142 @@
+/** A pinned needle, and the strip below the picture: deflection and force of the tip against depth, of both needles. */
+
+import { goTo } from "./actions.js";
+import { onScheme, part, press, write } from "./dom.js";
+import { invalidate } from "./drawing.js";
+import { palette, ring, segments, setFont, stroke, trace } from "./painters/strokes.js";
+import { brief, heightAt, signed } from "./quantities.js";
+import { listen, now, publish } from "./store.js";
+
+const PAD = { left: 46, right: 12, top: 18, bottom: 16 }; // px
+const CHANGED = 1e-3; // mm that a cut has moved by when the insertion was simulated again
+const canvas = part("strip-canvas");
+const context = canvas.getContext("2d");
+let forces = { x: [], y: [] }; // the tip force, N, where the tip (x, mm) stood
+let before = null; // the tip path of the state before
+
+/** What is drawn against depth: a name, decimals, and the curve of a needle. */
+const PANELS = [["tip y, mm", 2, ({ path }) => path], ["tip force, N", 2, ({ forces }) => forces]];
+
+/** The needle as it stands: its shape, the path of its tip, the forces on the tip on the way. */
+function current() {
+  const { x, y, tip, tip_path: [along, across] } = now.state;
+  return { x, y, tip, path: { x: [...along, tip.x], y: [...across, tip.y] }, forces };
+}
+
+/** Forces of an earlier insertion are none of this one: of the same inputs with other parameters, or undone. */
+function remember({ tip, tip_path: [, path], forces: { tip_n: force } }) {
+  const middle = Math.min(path.length, before?.length ?? 0) >> 1;
+  const again = before !== null && Math.abs((before[middle] ?? 0) - (path[middle] ?? 0)) > CHANGED;
+  before = path;
+  let { length } = again ? [] : forces.x;
+  while (length && forces.x[length - 1] >= tip.x - 1e-9) length -= 1;
+  forces = { x: [...forces.x.slice(0, length), tip.x], y: [...forces.y.slice(0, length), force] };
+}
+
+const needles = () => [[now.pinned, palette.ghost], [current(), palette.needle]].filter(([one]) => one);
+const depthAt = (x) => now.state.depth_mm + x - now.state.tip.x;
+
+function draw() {
+  if (part("strip").hidden || !now.state) return;
+  const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+  if (canvas.width !== Math.round(width * devicePixelRatio)) canvas.width = Math.round(width * devicePixelRatio);
+  if (canvas.height !== Math.round(height * devicePixelRatio)) canvas.height = Math.round(height * devicePixelRatio);
+  context.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
+  context.clearRect(0, 0, width, height);
+  PANELS.forEach(([name, digits, curve], n) => {
+    const left = (n * width) / 2 + PAD.left;
+    drawPanel(name, digits, curve, { left, right: ((n + 1) * width) / 2 - PAD.right, top: PAD.top, bottom: height - PAD.bottom });
+  });
+  describe();
+}
+
+/** The greatest depth that the strip shows, mm. */
+const greatest = () => Math.max(now.scene.depth_mm, ...needles().map(([{ tip }]) => tip.x), 1);
+
+function drawPanel(name, digits, curve, { left, right, top, bottom }) {
+  const curves = needles().map(([one, colour]) => [curve(one), colour]);
+  const values = curves.flatMap(([{ y }]) => y);
+  const [low, high] = [Math.min(0, ...values), Math.max(0, ...values)];
+  const px = (x) => left + (x / greatest()) * (right - left);
+  const py = (y) => bottom - ((y - low) / (high - low || 1)) * (bottom - top);
+  segments(context, [[[left, py(0)], [right, py(0)]], [[left, top], [left, bottom]]], palette.quiet, 1);
+  for (const [{ x, y }, colour] of curves) {
+    trace(context, x.map((one, i) => [px(one), py(y[i])]));
+    stroke(context, colour, 2);
+  }
+  const at = now.marked ?? now.state.tip.x;
+  segments(context, [[[px(at), top], [px(at), bottom]]], now.marked === null ? palette.quiet : palette.accent, 1);
+  for (const [{ x, y }, colour] of curves) if (at <= x.at(-1)) ring(context, px(at), py(heightAt({ x, y }, at)), 3, colour, palette.air);
+  context.fillStyle = palette.label;
+  setFont(context, "small", "left");
+  context.fillText(name, left, 8);
+  setFont(context, "small", "right");
+  for (const [value, place] of high - low < 10 ** -digits ? [[0, py(0)]] : [[low, bottom], [high, top]]) context.fillText(brief(value, 3).replace("-", "−"), left - 4, place);
+  context.textBaseline = "alphabetic";
+  context.fillText(`${brief(greatest(), 3)} mm deep`, right, bottom + 13);
+  context.textAlign = "left";
+  context.fillText("0", left, bottom + 13);
+}
+
+/** The values at the depth that is marked, or at the tip, in words. */
+function describe() {
+  const at = now.marked ?? now.state.tip.x;
+  const read = ([one]) => PANELS.map(([name, digits, curve]) => {
+    const { x, y } = curve(one);
+    return at > x.at(-1) + 1e-6 || at < x[0] ? `${name.split(",")[0]} –` : `${name.replace(/, .*/, "")} ${signed(heightAt({ x, y }, at), digits)}${name.replace(/.*,/, "")}`;
+  }).join(", ");
+  const words = needles().map((one) => `${one[0] === now.pinned ? "pinned: " : ""}${read(one)}`).reverse().join("; ");
+  const text = `At ${depthAt(at).toFixed(1)} mm: ${words}`;
+  write("strip-note", text);
+  Object.assign(canvas, { ariaValueNow: at.toFixed(1), ariaValueMax: greatest().toFixed(1), ariaValueText: text });
+}
+
+/** Mark a depth (x of the tip, mm; null: none) here and in the picture. */
+function mark(x) {
+  now.marked = x === null ? null : Math.max(0, Math.min(x, greatest()));
+  invalidate();
+  draw();
+}
+
+function under({ clientX }) {
+  const { left, width } = canvas.getBoundingClientRect();
+  const within = (clientX - left) % (width / 2);
+  return ((within - PAD.left) / (width / 2 - PAD.left - PAD.right)) * greatest();
+}
+
+const go = () => now.marked !== null && goTo(Math.max(depthAt(now.marked), 0));
+const KEYS = {
+  ArrowRight: () => mark((now.marked ?? now.state.tip.x) + 1), ArrowLeft: () => mark((now.marked ?? now.state.tip.x) - 1),
+  Home: () => mark(0), End: () => mark(greatest()), Enter: go, Escape: () => mark(null),
+};
+canvas.addEventListener("keydown", (event) => {
+  if (!(event.key in KEYS) || !now.state) return;
+  event.preventDefault();
+  event.stopPropagation(); // here they do not move the needle
+  KEYS[event.key]();
+});
+canvas.addEventListener("pointermove", (event) => now.state && mark(under(event)));
+for (const kind of ["pointerleave", "blur"]) canvas.addEventListener(kind, () => now.state && mark(null));
+press(canvas, (event) => now.state && (mark(under(event)), go()));
+
+/** Keep the needle as it stands to compare with, or forget the one that was kept. */
+export function pin() {
+  now.pinned = now.pinned ? null : current();
+  part("pin").ariaPressed = String(now.pinned !== null);
+  part("pin").textContent = now.pinned ? "Unpin" : "Pin";
+  publish("pinned");
+  invalidate();
+  draw();
+}
+
+press("pin", () => now.state && pin());
+listen("scene", () => {
+  [forces, before, now.marked] = [{ x: [], y: [] }, null, null];
+});
+let due = 0;
+listen("state", (state) => {
+  remember(state);
+  due ||= requestAnimationFrame(() => ((due = 0), draw()));
+});
+new ResizeObserver(draw).observe(canvas);
+onScheme(() => requestAnimationFrame(draw));
