@@ -552,9 +552,13 @@ def test_texts_bands_and_gaps_stand_out_in_both_colour_schemes(server, chromium,
         dark = page.evaluate("getComputedStyle(document.body).backgroundColor")
     assert len(rows) > 30 and [row for row in rows if contrast(*row[1:]) < 4.5] == []
     assert (sum(map(int, re.findall(r"\d+", dark)[:3])) < 200) == (scheme == "dark")
-    for drawn in ("band", "gap", "plan", "bad"):
+    for drawn in ("band", "gap", "plan", "bad", "ghost", "needle"):
         for behind in ("soft", "stiff"):
             assert contrast(colours[drawn], colours[behind]) >= 3, (drawn, behind)
+    channels = {name: [int(part, 16) for part in re.findall("..", colours[name][1:7])] for name in colours}
+    assert np.ptp(channels["needle"]) < 20 and np.ptp(channels["band"]) > 100  # grey, and a colour
+    pairs = [("band", "needle"), ("band", "load"), ("tip", "load"), ("ghost", "needle")]
+    assert min(np.linalg.norm(np.subtract(channels[a], channels[b])) for a, b in pairs) > 60
 
 
 @sweep
@@ -604,7 +608,7 @@ def test_an_export_is_a_file_and_the_saved_picture_the_one_shown(page) -> None:
 def test_a_new_page_shows_an_insertion_and_keeps_its_tip_in_sight(server, chromium) -> None:
     with opened(chromium, server, reduced_motion="no-preference") as page:
         state = until(page, "s.depth_mm > 5 && !s.moving")
-        assert state["depth_mm"] == pytest.approx(0.6 * get(page, "n.scene.measured.depth_mm"), abs=0.01)
+        assert state["depth_mm"] == pytest.approx(get(page, "n.scene.measured.depth_mm"), abs=0.01)
         page.click("[data-fit=tissue]")
         assert call(page, "view", "m.seesTip() && m.view.magnified > 1")
         drag(page, "tip", 0, -250)
@@ -612,6 +616,143 @@ def test_a_new_page_shows_an_insertion_and_keeps_its_tip_in_sight(server, chromi
         assert call(page, "view", "m.seesTip()")
         page.click("[data-show=true]")
         assert call(page, "view", "m.view.magnified") == 1
+
+
+SIZES = [(1440, 900), (1280, 720), (390, 844)]
+OVERFLOWS = """[...document.querySelectorAll("button, label, dt, dd, p, h2, legend")].filter((one) =>
+    one.checkVisibility() && !one.closest(".unseen, dialog") && one.scrollWidth > one.clientWidth + 1
+    && getComputedStyle(one).display !== "inline").map((one) => [one.id, one.textContent.slice(0, 30)])"""
+
+
+@pytest.mark.parametrize("size", [pytest.param(one, marks=sweep) if one[0] > 400 else one for one in SIZES])
+def test_nothing_is_cut_off_or_covered_at_any_size(server, chromium, size) -> None:
+    """Labels lie apart and in the window; the needle uses its height; nothing runs off the page."""
+    viewport = dict(zip(("width", "height"), size, strict=True))
+    with opened(chromium, server, viewport=viewport, has_touch=size[0] < 400) as page:
+        go_to(page, 53)
+        aim_at(page, "{ target: [50, -4], obstacles: [[44, -3, 1]] }")
+        until(page, "aim.obstacles.length")
+        for name in ("whole", "tissue", "tip"):
+            page.click(f"[data-fit={name}]")
+            page.wait_for_timeout(400)
+            boxes = np.array(call(page, "painters/strokes", "m.takenBoxes()"))
+            window = call(page, "view", "m.view.box")
+            low, high = boxes[:, :2], boxes[:, :2] + boxes[:, 2:]
+            labels = boxes[:, 2] != boxes[:, 3]  # not the knob of the bevel, which is square
+            assert (low[labels] >= [window["left"], window["top"]]).all()
+            ends = [window["left"] + window["width"], window["top"] + window["height"]]
+            assert (high[labels] <= ends).all()
+            for n in range(len(boxes)):
+                apart = (high[:n] <= low[n]).any(axis=1) | (low[:n] >= high[n]).any(axis=1)
+                assert apart.all(), (name, boxes.tolist())
+            if name == "tip":
+                continue
+            seen = call(page, "view", "[m.view.magnified, needlefit.state.y.map(m.toPy), m.view.scale]")
+            assert seen[0] >= 2 and np.ptp(seen[1]) > 0.25 * window["height"]
+            assert 60 / (seen[0] * seen[2]) < 6.5  # mm that a drag of 60 px moves the base across
+        assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+        assert page.evaluate(OVERFLOWS) == []
+        for button in ("#insert", "#retract", "#flip", "#halt", "#pin", "#help"):
+            box = page.locator(button).bounding_box()
+            assert box["x"] >= 0 and box["x"] + box["width"] <= size[0], button
+
+
+@sweep
+def test_forces_are_drawn_along_y_and_arrows_are_forces_alone(page) -> None:
+    state = go_to(page, 53)
+    page.click("[data-show=points]")
+    page.wait_for_timeout(300)
+    arrow = page.evaluate(DRAWN)["arrow"]
+    tip = call(page, "view", "[m.toPx(needlefit.state.tip.x), m.toPy(needlefit.state.tip.y)]")
+    (x, y), (x2, y2) = arrow
+    assert [x, y] == pytest.approx(tip, abs=0.02) and x2 == x
+    assert (y - y2) * state["forces"]["tip_n"] > 0  # up where the force is positive
+
+
+DRAWN = """async () => {
+    const [{ SvgContext }, { paintOn, size }, { palette }] = await Promise.all(
+        ["svg", "drawing", "painters/strokes"].map((one) => import(`/page/${one}.js`)));
+    const context = new SvgContext();
+    paintOn(context);
+    const text = context.write(...size());
+    const drawn = new DOMParser().parseFromString(text, "image/svg+xml");
+    const paths = [...drawn.querySelectorAll("path")].filter((one) =>
+        one.getAttribute("stroke") === palette.load && one.getAttribute("stroke-width") === "2.5");
+    const arrow = paths.map((one) => one.getAttribute("d").match(/-?[0-9.]+/g).map(Number))[0];
+    return { text, arrow: [arrow.slice(0, 2), arrow.slice(2, 4)] };
+}"""
+
+
+@sweep
+def test_what_is_saved_is_what_is_seen_with_its_band(chromium, tmp_path) -> None:
+    """The paths of the file lie where the page draws them; the animation ends with needle and band."""
+    from PIL import Image
+
+    running = Server(tmp_path, "phantom2_fitted")
+    try:
+        with opened(chromium, running) as page:
+            page.fill("#speed", "50")
+            page.fill("#goto-depth", "53")
+            page.press("#goto-depth", "Enter")
+            until(page, "s.depth_mm > 52.9 && !s.moving && n.band?.step === s.step", 60)
+            page.wait_for_timeout(300)
+            shown_now = page.evaluate(DRAWN)["text"]
+            saved = {}
+            for name in ("picture, SVG", "animation, GIF"):
+                began = time.monotonic()
+                with page.expect_download() as download:
+                    page.get_by_role("button", name=name).click()
+                saved[name] = download.value.path().read_bytes()
+                assert time.monotonic() - began < 10
+            assert saved["picture, SVG"].decode() == shown_now
+            colours = call(page, "painters/strokes", "{ ...m.palette }")
+            edges = call(
+                page,
+                "view",
+                "(({ x, ...band }) => ['low', 'high'].map((one) => band[one].map((y, i) => "
+                "[m.toPx(x[i]), m.toPy(y)])))(needlefit.band)",
+            )
+            width = call(page, "drawing", "m.size()")
+        paths = re.findall(r'<path d="([^"]+)" fill="none" stroke="([^"]+)"', shown_now)
+        band = [one for one, colour in paths if colour == colours["band"]]
+        assert len(band) == 2
+        for one, edge in zip(band, edges, strict=True):
+            np.testing.assert_allclose(
+                np.reshape(re.findall(r"-?[\d.]+", one), (-1, 2)).astype(float), edge, atol=0.011
+            )
+        with Image.open(io.BytesIO(saved["animation, GIF"])) as gif:
+            assert gif.n_frames >= 5 and list(gif.size) == [round(one) for one in width]
+            gif.seek(gif.n_frames - 1)
+            last = np.asarray(gif.convert("RGB")).astype(int)
+        blue = [int(part, 16) for part in re.findall("..", colours["band"][1:])]
+        x, y = edges[0][len(edges[0]) // 2]
+        near = last[round(y) - 3 : round(y) + 4, round(x) - 3 : round(x) + 4].reshape(-1, 3)
+        assert np.abs(near - blue).sum(axis=1).min() < 60
+    finally:
+        running.end()
+
+
+@sweep
+def test_a_pinned_needle_stays_and_the_strip_reads_both(page) -> None:
+    pinned = go_to(page, 30)
+    page.focus("#canvas")
+    do(page, ("key", "k", "n.pinned && part('#pin').ariaPressed === 'true'"))
+    state = do(page, ("key", "f", "s.bevel.side !== n.state.side"), ("go to", 45, "n.pinned.tip.x < s.tip.x"))
+    assert get(page, "n.pinned.y.at(-1)") == pinned["y"][-1] != state["y"][-1]
+    page.focus("#strip-canvas")
+    page.keyboard.press("Home")
+    for _ in range(20):
+        page.keyboard.press("ArrowRight")
+    assert get(page, "n.marked") == 20 and get(page, "s.depth_mm") == 45
+    path = get(page, "n.pinned.path")
+    y = np.interp(20, path["x"], path["y"])
+    text = page.inner_text("#strip-note")
+    values = [float(one.replace("−", "-")) for one in re.findall(r"tip y ([−+]?[\d.]+)", text)]
+    assert len(values) == 2 and values[1] == pytest.approx(y, abs=0.006)
+    depth = 20 + state["depth_mm"] - state["tip"]["x"]
+    do(page, ("key", "Enter", f"Math.abs(s.depth_mm - {depth}) < 1e-6 && !s.moving"))
+    page.click("#pin")
+    assert get(page, "n.pinned") is None
 
 
 @sweep

@@ -180,10 +180,12 @@ def test_draws_beside_a_scene_are_checked(tmp_path):
     path.write_text(find_file("scene", "phantom1").read_text("utf-8"))
     assert open_target(str(path)).spread is None
     beside = tmp_path / "own.draws.csv"
-    beside.write_text("mu1_pa,bevel_mm,alpha1\n2e5,0.1,3\n3e5,0.2,2\n")
+    head = "mu1_pa,mu2_pa,mu3_pa,mu4_pa,bevel_mm,alpha1\n"
+    beside.write_text(f"{head}2e5,3e5,4e5,5e5,0.1,3\n3e5,1e5,1e5,1e5,0.2,2\n")
     spread = open_target(str(path)).spread
-    assert spread.mu.tolist() == [[0.2], [0.3]] and spread.shape[:, 0, 0].tolist() == [3.0, 2.0]
-    for damaged in ("mu1_pa\n2e5\n", "mu1_pa,bevel_mm\n", "mu1_pa,bevel_mm\n-1,0.1\n"):
+    assert spread.mu[0].tolist() == pytest.approx([0.2, 0.3, 0.4, 0.5])
+    assert spread.bevel.tolist() == [0.1, 0.2] and spread.shape[:, 0, 0].tolist() == [3.0, 2.0]
+    for damaged in ("mu1_pa\n2e5\n", head, f"{head}-1,3e5,4e5,5e5,0.1,3\n", f"{head}2e5,3e5,4e5,5e5,,3\n"):
         beside.write_text(damaged)
         with pytest.raises(DataError):
             open_target(str(path))

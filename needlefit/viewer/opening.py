@@ -150,7 +150,7 @@ def read_scene_draws(path: Path, record: SceneRecord) -> ParameterDraws | None:
     layers = range(1, len(record.layers) + 1)
     names = [*(f"mu{layer}_pa" for layer in layers), "bevel_mm"]
     table = read_table(path, TableSchema(numbers=(*names,), finite=(*names,)))
-    if not len(table) or (table[names] <= 0).any(axis=None):
+    if not len(table) or not (table[names] > 0).all(axis=None):
         raise DataError("its draws are not all positive", where=str(path), expected=", ".join(names))
     tissue = Scene.from_record(record, str(path)).tissue
     for layer, shape in zip(layers, tissue.shape.T.tolist(), strict=True):

@@ -32,7 +32,7 @@ from needlefit.reporting.labels import GREY, INK
 from needlefit.reporting.number_format import format_quantity
 
 COLOURS = {
-    **{"ink": "#1a1a1a", "needle": "#0072b2", "points": "#b84f00", "path": "#0a2f4a", "tip": "#c8102e"},
+    **{"ink": "#1a1a1a", "needle": "#4b5158", "points": "#b84f00", "path": "#0a2f4a", "tip": "#c8102e"},
     **{"guide": "#007a58", "load": "#a2457b", "measured": "#1a1a1a", "band": "#0072b2", "halo": "#ffffffd8"},
 }
 """Colours of the page of `needlefit view` in its light theme, by the names in its style sheet."""
@@ -47,9 +47,13 @@ _LOOKS: dict[str, dict[str, Any]] = {
     "halo": {"color": COLOURS["halo"], "lw": 2.6},
     "measured": {"color": COLOURS["measured"], "lw": 1.3, "ls": (0, (3.5, 2.0)), "dash_capstyle": "round"},
     "load": {"fc": to_rgba(COLOURS["load"], 0.32), "ec": COLOURS["load"], "lw": 0.5},
-    "band": {"color": COLOURS["band"], "alpha": 0.35, "lw": 0},
+    "band": {"color": COLOURS["band"], "alpha": 0.4, "lw": 0},
 }
-_ARROW = {"arrowstyle": "-|>,head_width=0.12,head_length=0.3", "color": COLOURS["tip"], "lw": 0.8}
+_ARROW = {
+    "arrowstyle": "-|>,head_width=0.12,head_length=0.3",
+    "color": COLOURS["load"],
+    "lw": 0.8,
+}  # an arrow is a force, as on the page
 _ARROW |= {"shrinkA": 0, "shrinkB": 0}
 _LAYER_COLOURS = LinearSegmentedColormap.from_list("layers", ["#f7f4ee", "#d3c7ae"])
 Span = tuple[float, float]

@@ -14,7 +14,7 @@ const CHIPS = [
   ["pinned", "pinned"], ["reach", "reachable"], ["slice", "scan"], ["true", "true scale", "Draws y as large as x", false],
   ["strip", "tip against depth", "Deflection and force of the tip against depth", false],
 ];
-const TALL = 700; // px of a window that has room for the strip
+const TALL = 800; // px of a window that has room for the strip
 const fits = document.querySelectorAll("[data-fit]");
 const refitButton = part("refit"); // a shared page has none
 const chips = Object.fromEntries(CHIPS.map(([name, called, title = "", marked = true]) => {
