@@ -756,6 +756,26 @@ def test_a_pinned_needle_stays_and_the_strip_reads_both(page) -> None:
 
 
 @sweep
+def test_presets_change_tissue_and_needle_and_a_pinned_needle_stays(chromium, tmp_path) -> None:
+    running = Server(tmp_path, "phantom2_fitted")
+    try:
+        with opened(chromium, running) as page:
+            first = go_to(page, 30)
+            page.click("#pin")
+            page.select_option("#preset-needle", "20 gauge")
+            until(page, "n.scene.needle_name === '20 gauge' && s.depth_mm === 0")
+            assert get(page, "n.scene.diameter_mm") == 0.908 and get(page, "n.pinned.y") == first["y"]
+            thin = go_to(page, 30)
+            assert abs(thin["tip"]["y"]) > 1.1 * abs(first["tip"]["y"])  # a thinner one bends more
+            page.select_option("#preset-scene", "chicken")
+            state = until(page, "n.scene.target === 'chicken'")
+            assert len(state["layers"]) == 1 and get(page, "n.scene.needle_name") != "20 gauge"
+            assert find_violations(page) == []
+    finally:
+        running.end()
+
+
+@sweep
 def test_until_it_is_drawn_the_picture_is_not_black(server, chromium) -> None:
     page = chromium.new_page()
     page.route("**/page/main.js", lambda route: route.abort())  # nothing is ever drawn

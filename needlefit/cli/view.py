@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from needlefit.project.locate import SpecimenChoice
     from needlefit.schemas.tracker import TrackerRecord
     from needlefit.viewer.openigtlink import OpenIGTLinkServer
-    from needlefit.viewer.opening import ViewedScene
     from needlefit.viewer.scan_session import ScanSession
     from needlefit.viewer.server import AccessControl, ServedPage
     from needlefit.viewer.trials import TrialRegistry
@@ -196,7 +195,7 @@ def _trials(
     folder: Path,
     specimen: "SpecimenChoice",
 ) -> "TrialRegistry":
-    from needlefit.viewer.opening import open_recording, open_target
+    from needlefit.viewer.opening import open_recording, open_target, reopen
     from needlefit.viewer.recording import read_recording
     from needlefit.viewer.trials import TrialRegistry
 
@@ -204,10 +203,7 @@ def _trials(
     shown = open_target(target, specimen=specimen) if source is None else open_recording(source)
     screen.print_warnings(invocation, shown.warnings)
 
-    def reopen(insertion: str) -> "ViewedScene":
-        return open_target(shown.name, insertion, specimen)
-
-    return TrialRegistry(shown, folder, reopen, source)
+    return TrialRegistry(shown, folder, lambda choice: reopen(shown, choice, specimen), source)
 
 
 async def _until_stopped() -> None:

@@ -17,7 +17,7 @@ from needlefit.metrics import list_metrics
 from needlefit.reporting import needle_page
 from needlefit.reporting.needle_page import encode_layers, encode_strength
 from needlefit.schemas.limits import MAX_NUMBER
-from needlefit.viewer.opening import ViewedScene
+from needlefit.viewer.opening import NEEDLES, ViewedScene
 from needlefit.viewer.overlays import (
     MeasuredOverlay,
     NeedleBand,
@@ -56,6 +56,8 @@ def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         "fit": counts,
         "slice": viewed_scene.scanned is not None,
         "choices": list(viewed_scene.choices),
+        "needles": list(NEEDLES) if viewed_scene.is_preset else [],
+        "needle_name": viewed_scene.record.needle.name,
     }  # fmt: skip
 
 

@@ -56,6 +56,9 @@ from needlefit.viewer.recording import Recording, make_head
 
 DEFAULT_SCENE = "phantom2_fitted"  #: the scene that is shown where nothing is named
 DRAWS_SUFFIX = ".draws.csv"  #: ending of the table of parameter draws beside a scene, in place of `.toml`
+#: outer diameters of the needles that the page offers instead of a scene's own, mm; solid, as with a stylet
+NEEDLES = {"16 gauge": 1.651, "18 gauge": 1.27, "19 gauge": 1.067, "20 gauge": 0.908}
+DEFAULT_MODULUS_GPA = 80.0  #: their Young's modulus where the scene states none: the paper's
 SHOWN_METHOD = "fitted"  #: the method of a run whose parameters are shown
 #: parameters of all layers of an undescribed medium: the paper's softer material, and roughly its bevel
 #: offset
@@ -94,10 +97,17 @@ class ViewedScene:
     #: what they are for: a specimen that was not fitted, with the spread between specimens, or one that was
     specimen: Literal["new", "same", ""] = ""
     scanned: InsertionScan | None = None  #: the scan in which the needle was measured
-    choices: tuple[str, ...] = ()  #: insertions that can be shown instead
+    choices: tuple[
+        str, ...
+    ] = ()  #: insertions that can be shown instead; of a shipped scene, all such scenes
     warnings: tuple[ResultWarning, ...] = ()  #: what is suspicious in the dataset or the run that it is from
     shown: ShownInsertion | None = None  #: the measured insertion with its dataset, to be fitted to
     faults: tuple[str, ...] = ()  #: why the run that it shows is not to be trusted
+
+    @property
+    def is_preset(self) -> bool:
+        """Whether it is a shipped scene: the page then offers others, and other needles."""
+        return self.name in self.choices
 
     @property
     def diameter(self) -> float:
@@ -125,7 +135,11 @@ def open_target(
         title = record.title or view_target.path.stem
         note = f"Parameters: those of the scene {view_target.name}. {record.note}".rstrip()
         draws = read_scene_draws(view_target.path.with_suffix(DRAWS_SUFFIX), record)
-        return ViewedScene(view_target.name, title, note, record, scene.lattice.first_cell, spread=draws)
+        names = tuple(list_names("scene"))
+        choices = names if view_target.name in names else ()
+        return ViewedScene(
+            view_target.name, title, note, record, scene.lattice.first_cell, spread=draws, choices=choices
+        )
     view_target = replace(view_target, insertion=view_target.insertion if insertion is None else insertion)
     if view_target.kind == "run":
         with convert_stored_errors(view_target.path):
@@ -137,6 +151,27 @@ def open_target(
     shown = ShownInsertion(dataset, one, begun.medium, begun.values, seed)
     choices = tuple(other.id for other in dataset.insertions)
     return _show_insertion(shown, view_target.name, begun.description, choices)
+
+
+def reopen(viewed_scene: ViewedScene, choice: str, specimen: SpecimenChoice = "shown") -> ViewedScene:
+    """Return one of the `choices` of a scene; errors as of `open_target`."""
+    if viewed_scene.is_preset:
+        return open_target(choice)
+    return open_target(viewed_scene.name, choice, specimen)
+
+
+def replace_needle(viewed_scene: ViewedScene, name: str) -> ViewedScene:
+    """Return a scene with one of `NEEDLES` of the same length; the draws of the tissue stay."""
+    own = viewed_scene.record.needle
+    values = {
+        "name": name,
+        "outer_diameter_mm": NEEDLES[name],
+        "inner_diameter_mm": 0.0,
+        "youngs_modulus_gpa": own.youngs_modulus_gpa or DEFAULT_MODULUS_GPA,
+        "flexural_rigidity_nmm2": None,
+    }
+    record = viewed_scene.record.model_copy(update={"needle": own.model_copy(update=values)})
+    return replace(viewed_scene, record=record)
 
 
 def read_scene_draws(path: Path, record: SceneRecord) -> ParameterDraws | None:

@@ -28,7 +28,7 @@ from needlefit.viewer.messages import (
     encode_scene,
     encode_state,
 )
-from needlefit.viewer.opening import ViewedScene
+from needlefit.viewer.opening import NEEDLES, ViewedScene, replace_needle
 from needlefit.viewer.plans import (
     MAX_ENTRY_MM,
     TrialAim,
@@ -274,6 +274,19 @@ class TrialRegistry:
         there = trial.window_trials.get(insertion)
         return self._instead(trial, there or self._begin(self._viewed_scenes[insertion], None))
 
+    def with_needle(self, trial: InteractiveTrial, name: str) -> InteractiveTrial:
+        """Return a new trial with one of `NEEDLES`, in the tissue as it is now.
+
+        ModelError if there is none of that name, or a measured needle is shown, which was another one.
+        """
+        if not trial.viewed_scene.is_preset or name not in NEEDLES:
+            raise ModelError(f"there is no needle `{name:.40}` for this scene", expected="one of the list")
+        other = self._begin(replace_needle(trial.viewed_scene, name), None)
+        changes = find_tissue_changes(trial.steering.now.tissue, other.scene.tissue)
+        if changes:
+            other.act(changes, gesture=0)
+        return self._instead(trial, other)
+
     def aligned(self, trial: InteractiveTrial) -> InteractiveTrial:
         """Return a new trial whose constraint points end where the needle stands, taken there by its inputs.
 
@@ -475,6 +488,8 @@ class Window:
                 self._play(trial.steering.scene.steps, message)
             case "replay":
                 self._replay(message)
+            case "show" if message.text("with_needle"):
+                self.trial = self.trials.with_needle(trial, message.text("with_needle"))
             case "show":
                 self.trial = self.trials.another(trial, message.text("insertion"))
             case "aim":

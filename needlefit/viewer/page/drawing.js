@@ -69,7 +69,6 @@ function paintBackground(behind) {
 
 function paintForeground(before, state) {
   clearBoxes();
-  if (shown.load) needle.paintKey(before);
   within(before, () => {
     if (shown.reach) overlay.paintReach(before);
     if (shown.load) needle.paintLoad(before, state, shown.raw);
@@ -96,6 +95,7 @@ function paintForeground(before, state) {
     needle.paintHint(before, state);
     if (!seesTip()) overlay.paintArrow(before, state);
   });
+  if (shown.load) needle.paintKey(before);
 }
 
 function within(context, draw) {

@@ -51,7 +51,7 @@ if (refitButton) press(refitButton, () => (refit(), pressed()));
 for (const one of document.querySelectorAll("[data-zoom]")) {
   press(one, () => (zoom(one.dataset.zoom === "in" ? 1.25 : 0.8), pressed()));
 }
-listen("scene", ({ measured, band, slice }) => offer({ measured, errors: measured, band, slice, plan: false, reach: false }));
+listen("scene", ({ measured, draws, slice }) => offer({ measured, errors: measured, band: draws, slice, plan: false, reach: false }));
 listen("ridge", () => offer({ band: true }));
 listen("tracking", ({ readings }) => readings && offer({ band: true }));
 listen("aimed", () => offer({ plan: aim.plan, reach: aim.reach }));

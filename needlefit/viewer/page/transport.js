@@ -63,6 +63,8 @@ part("goto").addEventListener("submit", (event) => {
   event.preventDefault();
   if (now.state) act.goTo(Number(part("goto-depth").value));
 });
+part("preset-scene").addEventListener("change", ({ target }) => command({ do: "show", insertion: target.value }));
+part("preset-needle").addEventListener("change", ({ target }) => command({ do: "show", with_needle: target.value }));
 part("choices").addEventListener("change", () => command({ do: "show", insertion: part("choices").value }));
 
 listen("aimed", () => now.state && refresh());
@@ -71,7 +73,12 @@ listen("scene", (scene) => {
   part("note").textContent = scene.note;
   document.title = `${scene.title} · needlefit view`;
   part("synthetic").hidden = !scene.synthetic;
-  part("choice").hidden = scene.choices.length < 2;
+  const preset = scene.needles.length > 0;
+  part("presets").hidden = !preset;
+  part("preset-scene").replaceChildren(...(preset ? scene.choices : []).map((one) => new Option(one, one, false, one === scene.target)));
+  const needles = scene.needles.includes(scene.needle_name) ? scene.needles : [scene.needle_name, ...scene.needles];
+  part("preset-needle").replaceChildren(...needles.map((one) => new Option(one, one, false, one === scene.needle_name)));
+  part("choice").hidden = preset || scene.choices.length < 2;
   part("choices").replaceChildren(...scene.choices.map((one) => new Option(one, one)));
   if (!scene.measured) part("choices").prepend(new Option("none", ""));
   part("choices").value = scene.measured?.id ?? "";
