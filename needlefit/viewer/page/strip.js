@@ -71,7 +71,8 @@ function drawPanel(name, digits, curve, { left, right, top, bottom }) {
   setFont(context, "small", "left");
   context.fillText(name, left, 8);
   setFont(context, "small", "right");
-  for (const [value, place] of high - low < 10 ** -digits ? [[0, py(0)]] : [[low, bottom], [high, top]]) context.fillText(brief(value, 3).replace("-", "−"), left - 4, place);
+  const ends = high - low < 10 ** -digits ? [[0, py(0)]] : [[low, bottom], [high, top]];
+  for (const [value, place] of ends) context.fillText(String(Number(value.toFixed(digits)) || 0).replace("-", "−"), left - 4, place);
   context.textBaseline = "alphabetic";
   context.fillText(`${brief(greatest(), 3)} mm deep`, right, bottom + 13);
   context.textAlign = "left";
