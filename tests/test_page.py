@@ -199,6 +199,14 @@ def plan(page):
     return get(page, "aim.plan")
 
 
+def measure_cpu_seconds(page) -> float:
+    """Return the time that the page has computed, s; other load of the machine does not count."""
+    devtools = page.context.new_cdp_session(page)
+    devtools.send("Performance.enable", {"timeDomain": "threadTicks"})
+    metrics = devtools.send("Performance.getMetrics")["metrics"]
+    return next(one["value"] for one in metrics if one["name"] == "TaskDuration")
+
+
 def find_violations(page, part: str = "") -> list:
     """Return what axe finds on the page."""
     package = pytest.importorskip("axe_playwright_python")
@@ -699,11 +707,11 @@ def test_what_is_saved_is_what_is_seen_with_its_band(chromium, tmp_path) -> None
             shown_now = page.evaluate(DRAWN)["text"]
             saved = {}
             for name in ("picture, SVG", "animation, GIF"):
-                began = time.monotonic()
+                began = measure_cpu_seconds(page)
                 with page.expect_download() as download:
                     page.get_by_role("button", name=name).click()
                 saved[name] = download.value.path().read_bytes()
-                assert time.monotonic() - began < 10
+                assert measure_cpu_seconds(page) - began < 10
             assert saved["picture, SVG"].decode() == shown_now
             colours = call(page, "painters/strokes", "{ ...m.palette }")
             edges = call(
