@@ -66,6 +66,23 @@ def write_workbook(path: Path, curves):
             archive.writestr(zipfile.ZipInfo(name), data, zipfile.ZIP_DEFLATED)
 
 
+def write_struct_array(path: Path, name, fields, rows, **numbers):
+    """An array of structs as MATLAB 7.3 stores it: every field an array of references, matrices turned."""
+    with h5py.File(path, "w") as file:
+        group, hidden = file.create_group(name), file.create_group("#refs#")
+        for column, key in enumerate(fields):
+            references = []
+            for n, row in enumerate(rows):
+                value, is_text = row[column], isinstance(row[column], str)
+                data = np.array([[ord(one)] for one in value], "u2") if is_text else np.atleast_2d(value).T
+                item = hidden.create_dataset(f"{key}{n}", data=data)
+                item.attrs["MATLAB_class"] = np.bytes_("char" if is_text else "double")
+                references.append([item.ref])
+            group.create_dataset(key, data=np.array(references, dtype=h5py.ref_dtype), dtype=h5py.ref_dtype)
+        for key, number in numbers.items():
+            file[key] = np.array([[number]])
+
+
 def markups(name, points, kind="Curve", system="LPS"):
     signs = [-1, -1, 1] if system == "RAS" else [1, 1, 1]
     return {

@@ -87,6 +87,7 @@ CASES = {
     "twin ct": Case("twin ct sample --out out/ct -q --jobs 1", "ct"),
     "new dataset": Case("new dataset out/data", "data"),
     "new dataset --from": Case("new dataset out/from --from curves.csv", "from"),
+    "new workbook": Case("new workbook out/own.xlsx"),
     "view --recording": Case("view --recording log.csv --no-browser --out out"),
     "simulate --recording": Case(
         "simulate --recording log.csv --plot out/n.pdf --csv out/n.csv --slicer out/n.ply"
@@ -209,7 +210,7 @@ def test_other_files_in_the_folder_stay(command, project, request):
         leave_run(project / "out/run", command)
     log = (project / "log.csv").read_bytes()
     # the second time what it wrote is replaced
-    for _ in range(1 if command.startswith(("init", "new dataset", "import")) else 2):
+    for _ in range(1 if command.startswith(("init", "new", "import")) else 2):
         assert run(*case.words) == case.code
     for place in case.places:
         assert (

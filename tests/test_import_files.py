@@ -18,7 +18,10 @@ from needlefit.datasets.importing.tables import parse_number, read_sheets, read_
 from needlefit.datasets.read import check_all, read
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.surfaces import make_cylinder, make_sheet, read_surface, write_surface
-from needlefit.project.toml import read_toml
+from needlefit.project.toml import load, read_toml
+from needlefit.schemas.dataset import DatasetRecord
+from needlefit.schemas.scene import SceneRecord
+from needlefit.studies.provenance import describe_dataset
 from needlefit.studies.study_files import load_study
 
 CURVES = [import_cases.needle(n, 16 - n) for n in range(3)]
@@ -63,7 +66,7 @@ def test_a_european_table_a_workbook_and_many_markups(tmp_path):
         import_cases.write_markups(folder / f"{n}.mrk.json", "C", curve, system="RAS" if n else "LPS")
     (folder / "readme.txt").write_text("nothing here")
     content = read_content([folder])
-    assert [one.name for one in content.curves] == ["C", "C-2", "C-3"] and len(content.notes) == 1
+    assert [one.name for one in content.curves] == ["C", "C-2", "C-3"] and len(content.unused) == 1
     assert_same({one.name: one for one in content.curves})
 
 
@@ -87,10 +90,10 @@ def test_a_long_table_with_names_and_attributes_or_a_column_that_names_the_curve
     assert found["a"].unit == "cm" and found["a"].attributes == {"medium": "gel", "bevel_side": "-1"}
     assert_same(found, [curve / 10 for curve in CURVES[:2]])
     rows = [f"{n};{i};{x};{y};{z}" for n, one in enumerate(CURVES[:2]) for i, (x, y, z) in enumerate(one)]
-    (tmp_path / "a.csv").write_text("\n".join(["Stich;t;x;y;z", *rows]))
+    (tmp_path / "a.csv").write_text("\n".join(["Serie;t;x;y;z", *rows]))
     found = curves_of(tmp_path / "a.csv")
     assert_same(found, CURVES[:2])
-    assert set(found) == {"0", "1"} and found["0"].remarks[1][:2] == ("curves", "one for each stich")
+    assert set(found) == {"0", "1"} and found["0"].remarks[1][:2] == ("curves", "one for each Serie")
 
 
 @pytest.mark.parametrize("title", ["", "needle {}\n", "x y z\n"])
@@ -136,6 +139,146 @@ def test_columns_that_name_their_quantity_beside_the_axis(tmp_path, count):
 def test_matlab_structs_and_cells(tmp_path, variables):
     savemat(tmp_path / "a.mat", variables)
     assert_same(curves_of(tmp_path / "a.mat"))
+
+
+SIDES = {"N1": "1", "N2": "-1", "N3": "1"}
+TWO_ROWS = [["Versuch", "Schliffseite", "Koordinaten [mm]", None, None, "Kraft"], [None, None, *"xyz", "[N]"]]
+
+
+def write_sheets(path, **sheets):
+    from openpyxl import Workbook
+
+    book = Workbook()
+    book.remove(book.active)
+    for name, rows in sheets.items():
+        sheet = book.create_sheet(name)
+        for row in rows:
+            sheet.append(row)
+    book.save(path)
+    return path
+
+
+def point_rows(head=lambda _name, _n: [], tail=()):
+    """Return the rows of all curves below each other, with cells before and behind the coordinates."""
+    return [
+        [*head(name, n), *map(float, point), *tail]
+        for name, curve in zip(SIDES, CURVES, strict=True)
+        for n, point in enumerate(curve)
+    ]
+
+
+def block_rows():
+    for (name, side), curve in zip(SIDES.items(), CURVES, strict=True):
+        yield from (["Needle", name], ["bevel", int(side)], ["X (mm)", "Y (mm)", "Z (mm)"])
+        yield from (list(map(float, point)) for point in curve)
+        yield []
+
+
+def beside_rows():
+    yield [cell for name in SIDES for cell in (name, None, None, None)]
+    yield [
+        cell for side in SIDES.values() for cell in ("biseau", "haut" if side == "1" else "bas", None, None)
+    ]
+    yield ["x [mm]", "y [mm]", "z [mm]", None] * 3
+    for n in range(len(CURVES[0])):
+        points = [list(map(float, one[n])) if n < len(one) else [None] * 3 for one in CURVES]
+        yield [cell for point in points for cell in (*point, None)]
+
+
+LAYOUTS = {
+    "two rows, first row of each": {
+        "Tabelle1": TWO_ROWS
+        + point_rows(lambda name, n: [None, None] if n else [name, "+" if SIDES[name] == "1" else "-"], [0.5])
+    },
+    "blocks": {"a": [["Protocol", "by me"], *block_rows()]},
+    "side by side": {"a": list(beside_rows())},
+    "a sheet of needles": {
+        "Nadeln": [
+            ["Nadel", "Schliff", "Datum"],
+            *([name, int(side), "today"] for name, side in SIDES.items()),
+        ],
+        "Punkte": [["Nadel", "x [mm]", "y [mm]", "z [mm]"], *point_rows(lambda name, _: [name])],
+    },
+    "a target in every row": {
+        "a": [
+            ["Trial", "Insertion", "Position (mm)", None, None, "Target (mm)", None, None],
+            ["#", "bevel angle (deg)", *"xyz", *"xyz"],
+            *point_rows(lambda name, _: [name, 0 if SIDES[name] == "1" else 180], [60.0, 0.0, 0.0]),
+        ]
+    },
+}
+LEFT_OUT = {
+    "two rows, first row of each": {"column Kraft [N]"},
+    "blocks": {"text 'Protocol, by me'"},
+    "side by side": set(),
+    "a sheet of needles": {"column Datum"},
+    "a target in every row": {f"column Target (mm) {axis}" for axis in "xyz"},
+}
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_layouts_of_sheets_lose_nothing(tmp_path, layout):
+    file = write_sheets(tmp_path / "a.xlsx", **LAYOUTS[layout])
+    content = read_content([file])
+    found = {one.name: one for one in content.curves}
+    assert list(found) == list(SIDES)
+    assert_same(found)
+    assert {what for what, _ in content.unused} == LEFT_OUT[layout]
+    plan, made = understood([file], pose="1,0,0", bevel="0,1,0")
+    assert [one.row.side for one in plan.insertions] == [1, -1, 1]
+    assert made["bevel side"][1] == "file" and made["units"] == ("mm", "file")
+
+
+@pytest.mark.parametrize("version", [5, 7.3])
+def test_fields_of_structs_name_curves_and_state_their_bevels(tmp_path, version):
+    fields = ("name", "bevel", "depth", "layers", "points", "force")
+    rows = [
+        (name, float(side), 60.0, 1.0, curve, np.arange(30.0))
+        for (name, side), curve in zip(SIDES.items(), CURVES, strict=True)
+    ]
+    if version == 5:
+        array = np.empty(len(rows), dtype=[(name, object) for name in fields])
+        array[:] = rows
+        savemat(tmp_path / "a.mat", {"needles": array, "rate": 100.0})
+    else:
+        import_cases.write_struct_array(tmp_path / "a.mat", "needles", fields, rows, rate=100.0)
+    content = read_content([tmp_path / "a.mat"])
+    found = {one.name: one for one in content.curves}
+    assert_same(found)
+    assert {name: one.attributes["bevel_side"] for name, one in found.items()} == SIDES
+    forces = {f"variable needles_{n}_force" for n in (1, 2, 3)}
+    assert {what for what, _ in content.unused} == {"field rate", *forces}
+
+
+def test_lists_beside_a_list_of_curves_and_structs_beside_a_curve_state_one_of_each(tmp_path):
+    cells, ids = np.empty(3, dtype=object), np.array(list(SIDES), dtype=object)
+    cells[:] = CURVES
+    savemat(tmp_path / "a.mat", {"lines": cells, "bevel": [1.0, -1.0, 1.0], "ids": ids})
+    found = curves_of(tmp_path / "a.mat")
+    assert {name: one.attributes["bevel_side"] for name, one in found.items()} == SIDES
+    runs = {f"r{n}": {"xyz": one, "about": {"bevel": "left", "by": "me"}} for n, one in enumerate(CURVES)}
+    savemat(tmp_path / "a.mat", {"runs": runs})
+    content = read_content([tmp_path / "a.mat"])
+    assert [one.attributes for one in content.curves] == [{"bevel_side": "left"}] * 3
+    assert [what for what, _ in content.unused] == ["field by"]
+
+
+def test_names_that_come_again_in_another_specimen_are_other_curves(tmp_path):
+    rows = [["Probe", "Nadel", "Schliff", *"xyz"]]
+    rows += [[1 + n // 2, 1 + n % 2, 1 - 2 * (n % 2), *point] for n in range(3) for point in CURVES[n]]
+    file = write_sheets(tmp_path / "a.xlsx", a=rows)
+    found = curves_of(file)
+    assert_same(found)
+    stated = [(name, one.attributes["specimen"], one.attributes["bevel_side"]) for name, one in found.items()]
+    assert stated == [("1-1", "1", "1"), ("1-2", "1", "-1"), ("2-1", "2", "1")]
+
+
+def test_needles_joined_in_one_table_are_divided(tmp_path):
+    rows = ["x,y,z", *(",".join(map(str, point)) for point in point_rows())]
+    (tmp_path / "a.csv").write_text("\n".join(rows))
+    assert_same(curves_of(tmp_path / "a.csv"))
+    _, made = understood([tmp_path / "a.csv"])
+    assert made["points of a.csv"] == ("3 curves", "guess")
 
 
 @pytest.mark.sweep
@@ -381,7 +524,11 @@ def test_bevel_sides_of_a_table_need_a_direction(tmp_path):
         for p in one
     ]
     (tmp_path / "a.csv").write_text("\n".join(["id,bevel side,medium,specimen,x,y,z", *rows]))
-    refusal(ConfigError, "--bevel", understood, [tmp_path / "a.csv"], pose="1,0,0")
+    plan, made = understood([tmp_path / "a.csv"], pose="1,0,0")
+    assert made["bevel"] == ("0,1,0", "guess") and made["bevel side"] == ("1=1, -1=-1", "file")
+    assert [one.row.side for one in plan.insertions] == [1, -1]
+    refusal(ConfigError, "--bevel", understood, [tmp_path / "a.csv"], pose="1,0,0", bevel_side="1,-1")
+    refusal(ConfigError, "--bevel", understood, [tmp_path / "a.csv"], pose="1,0,0", bevel="bend")
     out = tmp_path / "gel"
     assert (
         run("import", tmp_path / "a.csv", "--out", out, "--pose", "1,0,0", "--bevel", "0,1,0", "--yes") == 0
@@ -392,6 +539,104 @@ def test_bevel_sides_of_a_table_need_a_direction(tmp_path):
     assert [one.deflection for one in dataset.insertions] == pytest.approx([1.44, 1.44])
     decided = {one["what"]: one for one in read_toml(out / "dataset.toml")["import"]["decisions"]}
     assert decided["medium"]["source"] == decided["specimen"]["source"] == "file"
+
+
+@pytest.mark.parametrize(
+    ("texts", "sides", "source"),
+    [
+        (["left", "right", "left"], [-1, 1, -1], "file"),
+        (["rechts", "links", "rechts"], [1, -1, 1], "file"),
+        (["90 deg", "270", "90"], [1, -1, 1], "file"),
+        (["0", "1", "1"], [-1, 1, 1], "assumption"),
+        (["A", "B", "A"], [1, -1, 1], "assumption"),
+        (["1", "", "-1"], [1, 1, -1], "assumption"),
+        (["", "", ""], [1, 1, 1], "assumption"),
+    ],
+)
+def test_sides_are_read_or_stand_as_an_assumption(tmp_path, texts, sides, source):
+    rows = [["id", "Schliff", *"xyz"], *point_rows(lambda name, _: [name, texts[list(SIDES).index(name)]])]
+    file = write_sheets(tmp_path / "a.xlsx", a=rows)
+    plan, made = understood([file], pose="1,0,0", bevel="0,1,0", units="mm")
+    assert [one.row.side for one in plan.insertions] == sides and made["bevel side"][1] == source
+    plan, made = understood([file], pose="1,0,0", bevel="0,1,0", units="mm", bevel_side="N1=1,N2=-1,N3=-1")
+    assert [one.row.side for one in plan.insertions] == [1, -1, -1] and made["bevel side"][1] == "option"
+    assert understood([file], units="mm")[1]["bevel"] == ("bend", "guess" if any(texts) else "assumption")
+
+
+def test_a_side_may_stand_in_the_names_of_curves(tmp_path):
+    for name, side, curve in zip("abc", ("oben", "unten", "oben"), CURVES, strict=True):
+        write_plain(tmp_path, [curve], f"{name} (Schliff {side}).csv")
+    plan, made = understood([tmp_path], pose="1,0,0", bevel="0,1,0")
+    assert [one.row.side for one in plan.insertions] == [1, -1, 1] and made["bevel side"][1] == "file"
+
+
+def test_bevels_at_right_angles_turn_the_direction_of_their_side(tmp_path):
+    rows = [["id", "bevel", *"xyz"], *point_rows(lambda name, _: [name, 90 * list(SIDES).index(name)])]
+    file = write_sheets(tmp_path / "a.xlsx", a=rows)
+    plan, made = understood([file], pose="1,0,0", bevel="0,1,0", units="mm")
+    bevels = [one.row.bevel for one in plan.insertions]
+    np.testing.assert_allclose(bevels, [[0, 1, 0], [0, 0, 1], [0, -1, 0]], atol=1e-9)
+    assert {one.row.side for one in plan.insertions} == {1} and made["bevel angles"][1] == "assumption"
+
+
+def test_one_curve_stored_tip_first_is_turned_and_depths_are_compared(tmp_path):
+    rows = [["id", "depth", *"xyz"]]
+    rows += [[name, 60 - 5 * n, *p] for n, name in enumerate(SIDES) for p in CURVES[n][:: 1 if n else -1]]
+    file = write_sheets(tmp_path / "a.xlsx", a=rows)
+    plan, made = understood([file], units="mm")
+    assert made["order of N1"] == ("turned", "assumption") and made["entry"] == ("first", "guess")
+    assert made["depth"][1] == "file"
+    np.testing.assert_allclose(plan.insertions[0].points.values, CURVES[0], atol=1e-9)
+    rows[-1][1] = rows[1][1] = 60
+    rows = [[row[0], 70 if n else row[1], *row[2:]] for n, row in enumerate(rows)]
+    assert understood([write_sheets(file, a=rows)], units="mm")[1]["depth"][1] == "assumption"
+
+
+def test_assumptions_that_a_verdict_depends_on_are_those_of_the_dataset(tmp_path):
+    options = ["--pose", "1,0,0", "--bevel", "0,1,0", "--specimen", "each", "--point-sd", "0.05", "--yes"]
+    file, out = write_plain(tmp_path, NEEDLES), tmp_path / "gel"
+    assert run("import", file, "--out", out, *options) == 0
+    dataset = read(out)
+    assert set(dataset.assumed) == {"entry point = first", "pose angle sd = 0.5", "bevel side = 1"}
+    assert describe_dataset(dataset)["assumed"] == list(dataset.assumed)
+    scene = load(out / "scene.toml", SceneRecord)
+    assert (scene.depth_mm, len(scene.layers)) == (pytest.approx(60.02, abs=0.1), 1)
+    assert scene.needle == load(out / "dataset.toml", DatasetRecord).needle
+
+
+def test_the_workbook_to_fill_in_is_read(tmp_path):
+    file = tmp_path / "own.xlsx"
+    assert run("new", "workbook", file) == 0
+    assert run("new", "workbook", file) == 3
+    content = read_content([file])
+    assert [one.name for one in content.curves] == [f"n{n}" for n in range(1, 7)]
+    assert {key for one in content.curves for key in one.attributes} == {
+        "bevel_side",
+        "depth",
+        "specimen",
+        "medium",
+    }
+
+
+@pytest.mark.parametrize("answer", ["y", "n"])
+def test_in_a_terminal_the_picture_comes_before_the_questions_and_writing(tmp_path, monkeypatch, answer):
+    asked, out = [], tmp_path / "gel"
+
+    def prompt(text, default, **_):
+        asked.append((text, out.exists()))
+        return default
+
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    monkeypatch.setattr("typer.prompt", prompt)
+    monkeypatch.setattr("typer.confirm", lambda *_, **__: answer == "y")
+    drawn = []
+    monkeypatch.setattr("needlefit.reporting.dataset_import.draw", lambda path, _: drawn.append(len(asked)))
+    assert run("import", write_plain(tmp_path, NEEDLES), "--out", out) == 0
+    assert len(asked) > 5 and not any(exists for _, exists in asked)
+    assert drawn[0] == 0 and out.exists() == (answer == "y")
+    if out.exists():
+        assert "bevel = bend" in read(out).assumed
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ _COMMANDS: Mapping[str, Mapping[str, str]] = {
     "Data": {
         "init": "myproject",
         "new dataset": "data/mine --from curves.csv",
+        "new workbook": "needles.xlsx",
         "import": "curves.xlsx --out data/mine",
         "check": "data/mine/dataset.toml",
         "reconstruct": "scans.csv --out data/mine",
@@ -55,15 +56,12 @@ _GROUPS = {
 }
 """First words of commands that form a group, with its help."""
 
-_DATA = ("init", "new dataset", "check", "twin build", "twin ct")
+_DATA = ("init", "new dataset", "new workbook", "check", "twin build", "twin ct")
 _STUDIES = (*("tune", "identify", "calibrate", "validate", "predict", "material", "verify", "credibility"),)
 
 _MODULES = {
     "import": "data.import_data",
-    **{
-        name: f"data.{name.replace(' ', '_')}"
-        for name in ("init", "new dataset", "check", "twin build", "twin ct")
-    },
+    **{name: f"data.{name.replace(' ', '_')}" for name in _DATA},
     **{name: f"studies.{name}" for name in _STUDIES},
     **{name: f"results.{name}" for name in ("report", "explain", "diff", "paper")},
 }

@@ -3,6 +3,7 @@
 import shlex
 import shutil
 import sys
+import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -21,7 +22,9 @@ from needlefit.project.processes import count_cores
 from needlefit.project.result_warnings import WARNINGS_KEY, to_rows
 
 if TYPE_CHECKING:
-    from needlefit.datasets.importing.decisions import Question
+    from needlefit.datasets.importing.decisions import Decisions, Question
+    from needlefit.datasets.importing.files import ImportContent
+    from needlefit.datasets.importing.understanding import ImportPlan
     from needlefit.datasets.insertion import Dataset
 
 
@@ -57,6 +60,25 @@ def new_dataset(folder: Path, source: Path | None = None) -> None:
     screen.print_line(str(write_template(folder, source, screen.print_note)))
     path = str(folder) if folder.is_absolute() else f"./{folder}"
     screen.print_note(f"fill it in, then: {shlex.join(('needlefit', 'check', path))}")
+
+
+@takes("verbose", file=argument("FILE", "A workbook (.xlsx) that does not exist yet."))
+def new_workbook(file: Path) -> None:
+    """Write a workbook to fill in with your needles, beside filled examples.
+
+    `needlefit import` reads it; while it is not filled in, the examples.
+    """
+    from needlefit.datasets.importing.tables import WORKBOOK_FILE
+    from needlefit.project.folders import replace_file
+
+    if file.suffix.lower() != ".xlsx" or file.exists():
+        what = "exists already" if file.exists() else f"has the ending {file.suffix!r}"
+        raise ConfigError(what, where=str(file), expected="a new .xlsx", fix="choose another name")
+    with replace_file(file) as fresh:
+        shutil.copyfile(WORKBOOK_FILE, fresh)
+    screen.print_line(str(file))
+    path = str(file) if file.is_absolute() else f"./{file}"
+    screen.print_note(f"fill it in, then: {shlex.join(('needlefit', 'import', path, '--out', file.stem))}")
 
 
 MAX_LISTED_NAMES = 5  # files that a message names
@@ -126,6 +148,7 @@ def _require_unused(folder: Path) -> None:
     pose_shift_sd=option("Standard deviation of the entry point.", "MM"),
     pose_angle_sd=option("Standard deviation of the entry direction.", "DEG"),
     bevel=option("Direction toward which bevels of side 1 deflect, X,Y,Z; or bend."),
+    bevel_side=option("Sides that bevels face: 1 or -1 of all, or NAME=1,NAME=-1."),
     boundaries=option("Depths of the boundaries between layers along the needle.", "MM,MM"),
     boundary_sd=option("Standard deviation of the depths of the boundaries.", "MM"),
     medium=option("Name of what was punctured."),
@@ -150,12 +173,14 @@ def import_data(
 ) -> None:
     """Make a dataset from files of other programs.
 
-    In a terminal it asks for whatever the files do not state; options answer beforehand. Then it shows what
-    it understood as a table and a picture (DIR/import.png), and lists every decision under [import] in
-    DIR/dataset.toml.
+    In a terminal it first shows a picture of what it understood, then asks for whatever the files do not
+    state, one question at a time; options answer beforehand. DIR/dataset.toml lists every decision under
+    [import], with all columns, fields and sheets that are not used. DIR also gets a first study and a scene.
     """
-    from needlefit.datasets.importing.conversion import name_study_file, plan_import
+    from needlefit.datasets.importing.conversion import SCENE_FILE, name_study_file
     from needlefit.datasets.importing.decisions import Decisions
+    from needlefit.datasets.importing.files import read_content
+    from needlefit.datasets.importing.understanding import understand
     from needlefit.datasets.read import check_all
     from needlefit.project.folders import require_new, require_no_inputs_within
     from needlefit.reporting.dataset_import import tabulate_decisions, tabulate_needles, write_import
@@ -167,10 +192,19 @@ def import_data(
     invocation = context.find_root().obj
     questions = {name.replace("_", " "): value for name, value in answers.items() if value is not None}
     asks = not yes and not invocation.json and sys.stdin.isatty() and sys.stderr.isatty()
+    content = read_content(files, [name.strip() for name in columns.split(",")] if columns else ())
     decisions = Decisions(questions, _ask if asks else None)
-    content, plan = plan_import(
-        files, decisions, [name.strip() for name in columns.split(",")] if columns else ()
-    )
+    with tempfile.TemporaryDirectory(prefix="needlefit-import-") as drafts:
+        if asks:
+            with suppress(ConfigError, DataError):  # answers may correct it
+                _show_draft(Path(drafts, "guess", out.name), content, Decisions(questions))
+        plan = understand(content, decisions)
+        if asks:
+            if any(one.source == "answer" for one in decisions.made):
+                _show_draft(Path(drafts, "answers", out.name), content, decisions, plan)
+            if not typer.confirm(f"Write {out}", default=True, err=True):
+                screen.print_note("nothing is written")
+                raise typer.Exit
     dataset = write_import(out, content, plan, decisions)
     warnings = check_all(out)[1]
     count, needles = len(dataset.insertions), tabulate_needles(dataset)
@@ -191,6 +225,8 @@ def import_data(
         screen.show_frame(tabulate_decisions(decisions), "Decisions")
         for note in content.notes:
             screen.print_note(note)
+        if content.unused:
+            screen.print_note(f"not used: {'; '.join(dict.fromkeys(what for what, _ in content.unused))}")
     screen.print_warnings(invocation, warnings)
     path = str(out) if out.is_absolute() else f"./{out}"
     screen.print_note(f"look at {out}/import.png, then: {shlex.join(('needlefit', 'check', path))}")
@@ -198,6 +234,22 @@ def import_data(
     if (out / study_file).is_file():
         study = shlex.join(("needlefit", "validate", f"{path}/{study_file}"))
         screen.print_note(f"a first study, by cross-validation: {study}")
+        predict = ("needlefit", "predict", f"{path}/{study_file}", "--scene", f"{path}/{SCENE_FILE}")
+        screen.print_note(f"then a prediction: {shlex.join(predict)}")
+
+
+def _show_draft(
+    folder: Path, content: "ImportContent", decisions: "Decisions", plan: "ImportPlan | None" = None
+) -> None:
+    """Show needles and picture of an import before anything is written where the user wants it."""
+    from needlefit.datasets.importing.understanding import understand
+    from needlefit.reporting.dataset_import import PICTURE_FILE, tabulate_needles, write_import
+
+    dataset = write_import(folder, content, plan or understand(content, decisions), decisions)
+    screen.show_frame(tabulate_needles(dataset), "Needles")
+    for what, where in dict.fromkeys(content.unused):
+        screen.print_note(f"not used: {what} ({where})")
+    screen.print_note(f"look at {folder / PICTURE_FILE}")
 
 
 def _ask(question: "Question", guess: str, reason: str) -> str:

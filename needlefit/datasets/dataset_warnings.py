@@ -61,6 +61,8 @@ MAX_NAMED_INSERTIONS = 8  # number of insertions that a warning names
 COPY_TOLERANCE_MM = 1e-6  # largest distance, per axis, of two points that count as the same
 MIN_SIMILARITY = 0.8  # ratio of `difflib` above which a name counts as a mistyped version of another
 _UNIT = re.compile(r"_(mm|deg)$")
+# Decisions of an import that change the scale of mu and b, and hardly the shapes that are predicted.
+_SCALES = frozenset(["needle length", "diameter", "inner diameter", "modulus"])
 
 # Whether it is so, and the warning then: its kind, the key that it is about, what, and how to fix it.
 Check = tuple[bool, str, str, str, str]
@@ -73,13 +75,23 @@ def _warn(checks: Iterable[Check], where: FormatPlace) -> Iterator[ResultWarning
 # ---- the record
 
 
+def list_assumptions(record: DatasetRecord | TrackDatasetRecord) -> list[tuple[str, str]]:
+    """Return what the import assumed without evidence, and the values taken."""
+    import_ = record.import_ if isinstance(record, DatasetRecord) else None
+    decisions = () if import_ is None else import_.decisions
+    return [(one.what, one.value) for one in decisions if one.source == "assumption"]
+
+
+def list_decisive_assumptions(record: DatasetRecord | TrackDatasetRecord) -> tuple[str, ...]:
+    """Return the assumptions that a verdict depends on: all but those that only scale the parameters."""
+    return tuple(f"{what} = {value}" for what, value in list_assumptions(record) if what not in _SCALES)
+
+
 def find_record_warnings(record: DatasetRecord | TrackDatasetRecord, file: Path) -> Iterator[ResultWarning]:
     """Yield the warnings about a `dataset.toml`, without regard to its tables."""
     where = format_place(file)
     keys = list(_iterate_placeholder_keys(record.model_dump(by_alias=True)))
-    import_ = record.import_ if isinstance(record, DatasetRecord) else None
-    decisions = () if import_ is None else import_.decisions
-    assumed = [f"{one.what} = {one.value}" for one in decisions if one.source == "assumption"]
+    assumed = [f"{what} = {value}" for what, value in list_assumptions(record)]
     left = f'"{PLACEHOLDER}" is left in {", ".join(f"`{key}`" for key in keys)}'
     yield from _warn([(bool(keys), "placeholder", "".join(keys[:1]), left, _PLACEHOLDER_FIX)], where)
     yield from needle_warnings(record.needle, where)

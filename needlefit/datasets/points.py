@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,7 @@ class Points:
     # (N,); standard deviation of each point across the curve, mm; None where the file has none.
     sd: NDArray[np.float64] | None = None
     columns: tuple[str, ...] = ()  # the header of the table that it was read from, if it was one
+    stated: Mapping[str, str] = field(default_factory=dict)  # fields of the file beside it, as text
 
     def part(self, rows: NDArray[np.int64]) -> "Points":
         """Return some of the points."""

@@ -23,6 +23,7 @@ from needlefit.datasets.dataset_warnings import (
     find_record_warnings,
     find_side_warnings,
     find_spacing_warnings,
+    list_decisive_assumptions,
 )
 from needlefit.datasets.faults import Fault, as_error, from_error
 from needlefit.datasets.formats import FORMATS, find_format
@@ -159,6 +160,7 @@ def inspect(path: Path) -> Inspection:
         path=file,
         digest=compute_digest(file, reading.roots, files),
         notes=tuple(head + text.strip() for head, text in parts if text.strip()),
+        assumed=() if of_tracks else list_decisive_assumptions(record),
         outer_diameter=record.needle.outer_diameter_mm,
         warnings=tuple(reading.warnings),
         **own,

@@ -11,7 +11,7 @@ from matplotlib.tri import Triangulation
 
 from needlefit.arrays import Floats
 from needlefit.datasets.dataset_warnings import find_bend_side
-from needlefit.datasets.importing.conversion import write_plan, write_starter_study
+from needlefit.datasets.importing.conversion import write_plan, write_scene, write_starter_study
 from needlefit.datasets.importing.decisions import Decisions
 from needlefit.datasets.importing.files import ImportContent
 from needlefit.datasets.importing.understanding import ImportPlan
@@ -40,7 +40,7 @@ _SIDES = {"toward": "toward", "away": "AWAY", "unknown": "too straight"}
 
 
 def write_import(folder: Path, content: ImportContent, plan: ImportPlan, decisions: Decisions) -> Dataset:
-    """Write the dataset of a plan, its picture and a first study into a new folder, or nothing; return it.
+    """Write the dataset of a plan, its picture, a scene and a first study into a new folder, or nothing.
 
     ConfigError if `folder` holds something. DataError: listing the faults of the dataset, at their places in
     the imported files.
@@ -49,6 +49,7 @@ def write_import(folder: Path, content: ImportContent, plan: ImportPlan, decisio
         dataset = read(write_plan(fresh, content, plan, decisions))
         home = str(folder) if folder.is_absolute() else f"./{folder.as_posix()}"
         write_starter_study(fresh, dataset, home)
+        write_scene(fresh, dataset)
         draw(fresh / PICTURE_FILE, lambda: paint_import(dataset, plan))
     return dataset
 

@@ -74,10 +74,14 @@ def judge_run(result: "Run") -> tuple[Verdict, ...]:
     """Return the verdicts of a run, one for each group, from its stored tables alone.
 
     A run that was interrupted, or that has faults, passes nowhere; the headlines of its faults come first.
-    Those of a preliminary recipe are marked.
+    Those of a preliminary recipe are marked. What the import of its data assumed, and errors depend on, is
+    named.
     """
     report = find_kind(result.kind).report
     verdicts = report.judge(result)
+    if assumed := (result.run.get("dataset") or {}).get("assumed"):
+        named = f"; assumed at the import: {', '.join(map(str, assumed))}"
+        verdicts = [replace(one, sentence=f"{one.sentence}{named}") for one in verdicts]
     if (result.run.get("recipe") or {}).get("preliminary"):
         recipe = Path(str(getattr(result.record, "recipe", ""))).stem
         mark = f"; preliminary (recipe {recipe})" if recipe else "; preliminary"

@@ -27,6 +27,7 @@ from needlefit.project.sandbox import (
 # Signature of HDF5, which MATLAB uses from version 7.3 on, and its possible positions behind MATLAB's own
 # header.
 SIGNATURE, SIGNATURE_OFFSETS = b"\x89HDF\r\n\x1a\n", (0, 512, 1024, 2048)
+MAX_TEXT_CHARS, MAX_STATED_NUMBERS = 200, 20  # of a text, and numbers in a vector, that are stated of a curve
 MAX_SHOWN_VARIABLES = 20  # number of variables that a message lists
 ELEMENT_TYPES = range(1, 19)
 COMPRESSED_TYPE = 15  # types of elements in versions 5 to 7: numbers, matrices, compressed data, text
@@ -41,10 +42,13 @@ EXPECTED_FILE = "a MATLAB .mat file"
 SAVE_FIX = "save it again, e.g. save(file, 'x', '-v7')"
 
 
-def read_curves(path: Path) -> dict[str, Points]:
-    """Return every array of shape (N, 3) or (3, N), N > 3, by name: `a`, `a_1` in a cell, `a_b` in a struct.
+def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
+    """Return every array of shape (N, 3) or (3, N), N > 3, by name, and the names of what is none.
 
-    A struct with vectors x, y and z of one length is a curve, too. Reads versions 4 to 7 (scipy), 7.3 (h5py).
+    Names: `a`, `a_1` in a cell or array of structs, `a_b` in a struct; a struct with one such array gives it
+    its name. A struct with vectors x, y and z of one length is a curve, too. Texts and single numbers beside
+    a curve, or above it, are its `stated`. Reads versions 4 to 7 (scipy), 7.3 (h5py).
+
     DataError if the file is missing, is no MATLAB file, or holds no such array.
     """
     data = read_bytes(path)
@@ -52,7 +56,7 @@ def read_curves(path: Path) -> dict[str, Points]:
         _check_elements(data, path)
     memory = stated_memory_bytes() or MAX_EXPANSION * len(data)
     allowed = limits_for(memory, READER_BYTES + memory, len(data) / READ_BYTES_PER_SECOND)
-    variables, found = read_in_sandbox(
+    (variables, stated, unused), found = read_in_sandbox(
         "needlefit.datasets.formats.mat:read_variables", path, allowed, {"path": str(path)}
     )
     if not found:
@@ -63,11 +67,17 @@ def read_curves(path: Path) -> dict[str, Points]:
             expected=EXPECTED_ARRAYS,
             fix="save the points of the centreline as one N x 3 array",
         )
-    return {name: Points(path, array) for name, array in found.items()}
+    curves = {name: Points(path, array, stated=stated[name]) for name, array in found.items()}
+    return curves, [f"variable {name} ignored" for name in unused]
 
 
-def read_variables(results: SandboxArrays, path: str) -> list[str]:
-    """Fill an array for every curve in a file, in the child process; return the names of all variables."""
+def read_variables(
+    results: SandboxArrays, path: str
+) -> tuple[list[str], dict[str, dict[str, str]], list[str]]:
+    """Fill an array for every curve in a file, in the child process.
+
+    Return the names of all variables, what is stated of each curve, and what is not used.
+    """
     data = read_bytes(Path(path))
     try:
         variables = _read_hdf(data) if _is_hdf(data) else _read_classic(data)
@@ -75,10 +85,12 @@ def read_variables(results: SandboxArrays, path: str) -> list[str]:
         raise
     except Exception as error:  # the readers raise whatever the bytes provoke
         raise _read_error(Path(path), f"({type(error).__name__})") from None
-    for key, value in variables.items():
-        for name, array in _iterate_arrays(key, value):
-            results.new(name, array.shape, "float64")[...] = array
-    return list(variables)
+    stated: dict[str, dict[str, str]] = {}
+    unused: list[str] = []
+    for name, array, texts in _iterate_curves("", variables, {}, unused):
+        results.new(name, array.shape, "float64")[...] = array
+        stated[name] = texts
+    return list(variables), stated, unused
 
 
 def _check_elements(data: bytes, path: Path) -> None:
@@ -104,21 +116,83 @@ def _read_error(path: Path, reason: str) -> DataError:
     return DataError(f"cannot be read: {reason}", where=str(path), expected=EXPECTED_FILE, fix=SAVE_FIX)
 
 
-def _iterate_arrays(name: str, value: Any) -> Iterator[tuple[str, Floats]]:  # noqa: ANN401 - whatever MATLAB saved
+def _iterate_curves(
+    name: str,
+    value: Any,  # noqa: ANN401 - whatever MATLAB saved
+    stated: dict[str, str],
+    unused: list[str],
+) -> Iterator[tuple[str, Floats, dict[str, str]]]:
+    """Yield name, points and what is stated of every curve in a value; add what is none to `unused`."""
     if isinstance(value, dict):
         columns, value = _take_columns(value)
-        if columns is not None:
-            yield name, columns
-        for key, part in value.items():
-            yield from _iterate_arrays(f"{name}_{key}", part)
-    elif isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object):
+        for key in [key for key, part in value.items() if isinstance(part, dict)]:
+            inner = {name: _to_text(part) for name, part in value[key].items()}
+            if None not in inner.values():  # a struct of texts and numbers beside the curve
+                value = {**value, **inner}
+                del value[key]
+        counts = {key: len(part) for key, part in value.items() if _is_list(part)}
+        shared = {
+            key: part
+            for key, part in value.items()
+            if np.size(part) > 1 and np.size(part) in counts.values() and _list_texts(part) is not None
+        }
+        texts = {key: text for key, part in value.items() if (text := _to_text(part)) is not None}
+        texts = {key: text for key, text in texts.items() if key not in shared}
+        others = {key: part for key, part in value.items() if key not in (*texts, *shared)}
+        is_one = columns is None and sum(_to_points(part) is not None for part in others.values()) == 1
+        here = [] if columns is None else [(name or "curve", columns, stated | texts)]
+        for key, part in others.items():
+            own = name if name and is_one and _to_points(part) is not None else f"{name}_{key}".strip("_")
+            if _is_list(part):  # a list beside it of as many texts or numbers states one of each
+                lists = {one: _list_texts(of) or () for one, of in shared.items() if np.size(of) == len(part)}
+                for number, inner_part in enumerate(part, 1):
+                    each = {one: of[number - 1] for one, of in lists.items()}
+                    more = stated | texts | each
+                    here += _iterate_curves(f"{own}_{number}", inner_part, more, unused)
+            else:
+                here += _iterate_curves(own, part, stated | texts, unused)
+        if not here:  # nothing that the texts could be stated of
+            unused += [f"{name}.{key}".strip(".") for key in (*texts, *shared)]
+        yield from here
+    elif _is_list(value):
         for number, part in enumerate(value if isinstance(value, list) else value.ravel(), 1):
-            yield from _iterate_arrays(f"{name}_{number}", part)
-    elif isinstance(value, np.ndarray) and (
-        _is_real(value) and value.ndim == 2 and 3 in value.shape and max(value.shape) > 3
-    ):
-        rows = value if value.shape[1] == 3 else value.T
-        yield name, np.ascontiguousarray(rows, dtype=np.float64)
+            yield from _iterate_curves(f"{name}_{number}", part, stated, unused)
+    elif (points := _to_points(value)) is not None:
+        yield name, points, stated
+    else:
+        unused.append(name)
+
+
+def _is_list(value: Any) -> bool:  # noqa: ANN401 - whatever MATLAB saved
+    return isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object)
+
+
+def _list_texts(value: Any) -> list[str] | None:  # noqa: ANN401 - whatever MATLAB saved
+    """Return the texts or numbers of a list or vector; None for anything else."""
+    parts = [_to_text(part) for part in (value if isinstance(value, list) else np.ravel(value))]
+    texts = [part for part in parts if part is not None]
+    return texts if len(texts) == len(parts) and np.size(value) == max(np.shape(value), default=0) else None
+
+
+def _to_points(value: Any) -> Floats | None:  # noqa: ANN401 - whatever MATLAB saved
+    """Return an array of shape (N, 3) or (3, N) as points (N, 3); None for anything else."""
+    if not isinstance(value, np.ndarray) or not _is_real(value) or value.ndim != 2:
+        return None
+    if 3 not in value.shape or max(value.shape) <= 3:
+        return None
+    return np.ascontiguousarray(value if value.shape[1] == 3 else value.T, dtype=np.float64)
+
+
+def _to_text(value: Any) -> str | None:  # noqa: ANN401 - whatever MATLAB saved
+    """Return a text, a number or a few numbers as text; None for anything else."""
+    if isinstance(value, str):
+        return value[:MAX_TEXT_CHARS].strip()
+    array = np.asarray(value) if isinstance(value, int | float | np.ndarray | np.generic) else None
+    if array is None or array.size > MAX_STATED_NUMBERS or max(array.shape, default=1) != max(array.size, 1):
+        return None
+    if not (_is_real(array) or array.dtype == bool):
+        return None
+    return ", ".join(f"{float(one):.10g}" for one in array.ravel())
 
 
 def _take_columns(fields: dict[str, Any]) -> tuple[Floats | None, dict[str, Any]]:
@@ -168,16 +242,27 @@ def get_local_member(group: Any, key: str) -> Any:  # noqa: ANN401 - h5py has no
 
 
 def _read_hdf_value(file: Any, item: Any) -> Any:  # noqa: ANN401 - h5py has no stubs
-    """Return a struct as a dict, a cell array as a list, a matrix as MATLAB shows it (the file turns it)."""
+    """Return a struct as a dict, a cell array or array of structs as a list, a text, or a matrix as MATLAB
+    shows it (the file turns it).
+    """
     if hasattr(item, "keys"):
-        return {key: _read_hdf_value(file, get_local_member(item, key)) for key in item}
+        members = {key: get_local_member(item, key) for key in item}
+        fields = {key: _read_hdf_value(file, member) for key, member in members.items()}
+        # In an array of structs every field is an array of references, without the class of a cell array.
+        is_array = fields and all(
+            isinstance(fields[key], list) and member.attrs.get("MATLAB_class") != b"cell"
+            for key, member in members.items()
+        )
+        if is_array and len({len(part) for part in fields.values()}) == 1:
+            return [dict(zip(fields, parts, strict=True)) for parts in zip(*fields.values(), strict=True)]
+        return fields
     if item.external or item.is_virtual:  # reached by a reference
         raise ValueError("not in this file")
     if item.dtype == object:
         return [_read_hdf_value(file, file[reference]) for reference in np.ravel(item[()])]
+    if item.attrs.get("MATLAB_class") == b"char":
+        return "".join(map(chr, np.ravel(item[()])[:MAX_TEXT_CHARS]))
     return np.asarray(item[()]).T
 
 
-MAT = FileFormat(
-    "mat", (".mat",), "the N x 3 arrays of a .mat, by their names", lambda path: (read_curves(path), ())
-)
+MAT = FileFormat("mat", (".mat",), "the N x 3 arrays of a .mat, by their names", read_curves)

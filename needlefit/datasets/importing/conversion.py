@@ -16,14 +16,17 @@ from needlefit.datasets.template import draft_record
 from needlefit.datasets.write import write_dataset
 from needlefit.project.folders import sha256
 from needlefit.project.toml import check as check_record
-from needlefit.project.toml import dumps
+from needlefit.project.toml import dumps, load
 from needlefit.schemas.dataset import DatasetRecord, ImportRecord
 from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import StudyRecord
 
 SURFACE_FOLDER = "layers"
 TISSUE_FILE = "tissue.toml"
+SCENE_FILE = "scene.toml"
 MODULUS_BOUNDS_PA, BEVEL_BOUNDS_MM = [1e3, 1e9], [1e-3, 1.0]
+SCENE_MU_PA, SCENE_ALPHA, SCENE_BEVEL_MM = 2e5, 1.0, 0.05  # of a scene before any fit
 
 _NOTE = """\
 # Made by `needlefit import`. [import] lists every decision and where it comes from; correct what is wrong.
@@ -85,6 +88,31 @@ def name_study_file(name: str) -> str:
     return f"{name}_study.toml"
 
 
+def write_scene(folder: Path, dataset: Dataset) -> None:
+    """Write the deepest insertion as a scene into `folder`, to be planned, viewed and predicted."""
+    deepest = max(dataset.insertions, key=lambda one: one.depth)
+    tops = [0.0, *deepest.boundaries.round(3).tolist()]
+    needle = load(folder / "dataset.toml", DatasetRecord).needle
+    scene: dict[str, object] = {
+        "schema": 2,
+        "title": f"A planned insertion as {deepest.id} of {dataset.name}",
+        "note": "Parameters are made up: `needlefit predict` replaces them by fitted ones.",
+        "depth_mm": round(deepest.depth, 3),
+        "needle": needle.model_dump(exclude_defaults=True),
+        "bevel": {"offset_mm": SCENE_BEVEL_MM, "side": deepest.side},
+        "layers": [
+            {"name": f"layer {layer}", "top_mm": top, "mu_pa": SCENE_MU_PA, "alpha": SCENE_ALPHA}
+            for top, layer in zip(tops, deepest.sequence, strict=True)
+        ],
+    }
+    check_record(scene, SceneRecord, SCENE_FILE)
+    _write_start(folder / SCENE_FILE, scene, "scene.toml", "needle, depth, layers and bevel.")
+
+
+def _write_start(file: Path, tables: dict[str, object], kind: str, what: str) -> None:
+    file.write_bytes((_START_NOTE.format(what=what, kind=kind) + dumps(tables)).encode("utf-8"))
+
+
 def write_starter_study(folder: Path, dataset: Dataset, home: str) -> bool:
     """Write a study and its `tissue.toml` into `folder`; return False if there are too few insertions.
 
@@ -98,7 +126,7 @@ def write_starter_study(folder: Path, dataset: Dataset, home: str) -> bool:
         return False
     layers = max(max(one.sequence) for one in dataset.insertions)
     numbers = range(1, layers + 1)
-    tissue = {
+    tissue: dict[str, object] = {
         "schema": 1,
         "title": f"Tissue of {dataset.name}",
         "layers": layers,
@@ -111,7 +139,7 @@ def write_starter_study(folder: Path, dataset: Dataset, home: str) -> bool:
     several = len({one.specimen for one in dataset.insertions}) > 1
     unit = "specimen" if several else "insertion"
     where = "those into a new specimen" if several else "another one into the same specimen"
-    study = {
+    study: dict[str, object] = {
         "schema": 2,
         "title": f"{dataset.name}: leave one {unit} out",
         "question": f"Does a model fitted to all other insertions predict {where}?",
@@ -124,10 +152,6 @@ def write_starter_study(folder: Path, dataset: Dataset, home: str) -> bool:
     study_file = name_study_file(dataset.name)
     check_record(tissue, MediumRecord, TISSUE_FILE)
     check_record(study, StudyRecord, study_file)
-    for name, tables, kind, what in (
-        (TISSUE_FILE, tissue, "medium.toml", "the layers, and which parameters are fitted."),
-        (study_file, study, "study.toml", "what is fitted, and what is predicted."),
-    ):
-        note = _START_NOTE.format(what=what, kind=kind)
-        (folder / name).write_bytes((note + dumps(tables)).encode("utf-8"))
+    _write_start(folder / TISSUE_FILE, tissue, "medium.toml", "the layers, and which parameters are fitted.")
+    _write_start(folder / study_file, study, "study.toml", "what is fitted, and what is predicted.")
     return True

@@ -30,6 +30,7 @@ QUESTIONS = MappingProxyType(
         "pose shift sd": "Standard deviation of the entry point per axis, mm",
         "pose angle sd": "Standard deviation of the entry direction, degrees",
         "bevel": "Direction toward which bevels of side 1 deflect: `bend` (as each needle bends), or X,Y,Z",
+        "bevel side": "Sides of the bevels: 1 or -1 of all, or NAME=1,NAME=-1 by needle or stated value",
         "medium": "Name of what was punctured",
         "specimen": "Specimen of all insertions (`each`: every insertion has its own)",
         "needle length": "Length of the needle, mm",

@@ -5,6 +5,7 @@ Those of a scene of 3D Slicer are moved by its transforms into world coordinates
 
 import io
 import itertools
+import re
 import tempfile
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -22,10 +23,14 @@ from needlefit.datasets.formats.fcsv import read_fcsv
 from needlefit.datasets.formats.mat import get_local_member
 from needlefit.datasets.formats.mrk_json import read_mrk_json
 from needlefit.datasets.importing.tables import (
+    ATTRIBUTES,
     SHEET_SUFFIXES,
     TEXT_SUFFIXES,
     ImportedCurve,
+    TableContent,
+    add_unit,
     find_curves,
+    find_role,
     read_sheets,
     read_text_cells,
 )
@@ -43,7 +48,6 @@ from needlefit.geometry.surfaces import (
 )
 from needlefit.project.archives import ArchiveLimits, name_archive, unpack_archive
 from needlefit.project.input_files import is_dir, is_file, open_regular, path_exists, read_bytes, read_text
-from needlefit.project.locate import join_names
 from needlefit.project.sandbox import ReaderLimits, SandboxArrays, read_in_sandbox
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
@@ -74,11 +78,12 @@ class ImportedSurface:
 
 @dataclass(frozen=True)
 class SceneContent:
-    """What a scene holds for a dataset; notes say what was left out, or moved."""
+    """What a scene holds for a dataset, what was moved, and what is not used and why."""
 
     curves: tuple[ImportedCurve, ...]
     surfaces: tuple[ImportedSurface, ...]
     notes: tuple[str, ...]
+    unused: tuple[tuple[str, str], ...]
 
 
 def read_scene(path: Path) -> SceneContent:
@@ -156,11 +161,12 @@ def _name(node: Node) -> str:
 
 @dataclass(frozen=True)
 class _Scene:
-    """A scene, its nodes by id, notes on what is left out, and transforms and sizes of files read so far."""
+    """A scene, its nodes by id, what is moved or not used, and transforms and sizes of files read so far."""
 
     path: Path
     nodes: Mapping[str, Node]
     notes: list[str] = field(default_factory=list)
+    unused: list[tuple[str, str]] = field(default_factory=list)
     matrices: dict[str, Floats] = field(default_factory=dict)
     sizes: list[int] = field(default_factory=list)
 
@@ -184,10 +190,10 @@ class _Scene:
                     )
                 else:
                     remark = f"{file.suffix} is not read; save it as .vtk or .stl"
-                    self.notes.append(f"model `{_name(node)}` is left out: {remark}")
+                    self.unused.append((f"model {_name(node)}", remark))
             elif tag == "Segmentation":
                 remark = "export its segments to models in Slicer"
-                self.notes.append(f"segmentation `{_name(node)}` is left out: {remark}")
+                self.unused.append((f"segmentation {_name(node)}", remark))
         # the open curves; where there is none, the point lists that are long enough for a needle
         wanted = "Curve" if any(one.kind == "Curve" for _, one in lists) else "Fiducial"
         curves = []
@@ -196,9 +202,8 @@ class _Scene:
                 values = apply_affine(self.find_matrix(node), one.points)
                 curves.append(ImportedCurve(one.name, replace(one.as_curve(), values=values), "mm", "LPS"))
             else:
-                what = f"list `{one.name}` ({one.kind}, {len(one.points)} points) is left out: no needle"
-                self.notes.append(what)
-        return SceneContent(tuple(curves), tuple(surfaces), tuple(self.notes))
+                self.unused.append((f"list {one.name} ({one.kind}, {len(one.points)} points)", "no needle"))
+        return SceneContent(tuple(curves), tuple(surfaces), tuple(self.notes), tuple(self.unused))
 
     def find_file(self, node: Node) -> Path | None:
         """Return the file of a node; None where it has none. Files outside the scene's folder are refused."""
@@ -230,7 +235,7 @@ class _Scene:
         except DataError as error:
             if " is empty" not in error.what:
                 raise
-            self.notes.append(f"list `{_name(node)}` is left out: it has no points")
+            self.unused.append((f"list {_name(node)}", "it has no points"))
             return ()
         return tuple(replace(one, name=_name(node) or one.name) for one in found)
 
@@ -351,6 +356,7 @@ def read_hdf_transform(_results: SandboxArrays, path: str) -> tuple[str, list[fl
 
 SCENE_SUFFIXES = (".mrml", ".mrb")
 
+EXAMPLE_SHEET = "example"
 MAX_FILES = 2000
 MAX_CURVES = 5000
 MAX_SHOWN_FILES = 8
@@ -361,10 +367,12 @@ MAX_NAME_CHARS = 60
 class ImportContent:
     """What the files of an import hold."""
 
-    files: tuple[Path, ...]  # those that curves or surfaces were read from
-    curves: tuple[ImportedCurve, ...]  # by different names, which can name files
-    surfaces: tuple[ImportedSurface, ...]
-    notes: tuple[str, ...]  # what was left out, or taken in a way that may surprise
+    files: tuple[Path, ...]  # those that curves, surfaces or what is stated of needles were read from
+    curves: tuple[ImportedCurve, ...] = ()  # by different names, which can name files
+    surfaces: tuple[ImportedSurface, ...] = ()
+    needles: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  # what tables state, by names
+    notes: tuple[str, ...] = ()  # how files were read, where that may surprise
+    unused: tuple[tuple[str, str], ...] = ()  # what is not used, and where it stands or why
 
 
 def read_content(paths: Sequence[Path], columns: Sequence[str] = ()) -> ImportContent:
@@ -374,37 +382,66 @@ def read_content(paths: Sequence[Path], columns: Sequence[str] = ()) -> ImportCo
 
     DataError listing what is wrong with all files, or because they hold no curve.
     """
-    found: list[Fault] = []
-    notes: list[str] = []
-    files: list[Path] = []
-    curves: list[ImportedCurve] = []
-    surfaces: list[ImportedSurface] = []
-    for path, is_named in _list_files(paths, notes):
+    faults: list[Fault] = []
+    unused: list[tuple[str, str]] = []
+    read: list[ImportContent] = []
+    for path, is_named in _list_files(paths, unused):
         try:
-            some, more, remarks = _read_file(path, columns)
+            read.append(_read_file(path, columns))
         except DataError as error:
             if is_named or path.suffix.lower() not in TEXT_SUFFIXES or "no table" not in error.what:
-                found.append(from_error(error, str(path)))
+                faults.append(from_error(error, str(path)))
             else:
-                notes.append(f"{path.name} is left out: it {error.what}")
-            continue
-        curves += some
-        surfaces += more
-        notes += [f"{path.name}: {remark}" for remark in remarks]
-        files += [path] if some or more else []
-    if not found and not curves:
+                unused.append((f"file {path.name}", f"it {error.what}"))
+    curves = [curve for one in read for curve in one.curves]
+    surfaces = [surface for one in read for surface in one.surfaces]
+    if not faults and not curves:
         what = "holds surfaces, but no curve" if surfaces else "holds no file that can be read"
         expected = f"curves of needles in files that end in {', '.join(list_import_suffixes())}"
-        found.append(Fault(str(paths[0]), what, expected, "name their files or folder"))
-    found += [fault for one in curves for fault in one.points.find_faults(one.name)]
-    if found:
-        raise as_error(found, paths[0])
+        faults.append(Fault(str(paths[0]), what, expected, "name their files or folder"))
+    faults += [fault for one in curves for fault in one.points.find_faults(one.name)]
+    if faults:
+        raise as_error(faults, paths[0])
     names: dict[str, ImportedSurface] = {}
     for one in surfaces:
         plain = "".join(letter for letter in one.surface.name if letter.isprintable())[:MAX_NAME_CHARS]
         name = _make_unique(plain or "surface", names)
         names[name] = replace(one, surface=replace(one.surface, name=name))
-    return ImportContent(tuple(files), _name_curves(curves), tuple(names.values()), tuple(notes))
+    needles = {name: stated for one in read for name, stated in one.needles.items()}
+    named, missed = _add_stated(_name_curves(curves), needles)
+    return ImportContent(
+        files=tuple(file for one in read for file in one.files),
+        curves=named,
+        surfaces=tuple(names.values()),
+        notes=tuple(note for one in read for note in one.notes),
+        unused=(*unused, *(what for one in read for what in one.unused), *missed),
+    )
+
+
+def _add_stated(
+    curves: Sequence[ImportedCurve], needles: Mapping[str, Mapping[str, str]]
+) -> tuple[tuple[ImportedCurve, ...], list[tuple[str, str]]]:
+    """Return curves with what tables state by their names, else by their numbers; and rows without curve."""
+    by_name = {make_id(name, name).lower(): name for name in needles}
+    by_number = {_find_number(name): name for name in needles} if len(needles) > 1 else {}
+    by_number = by_number if len(by_number) == len(needles) and "" not in by_number else {}
+    found = {
+        one.name: by_name.get(one.name.lower()) or by_number.get(_find_number(one.name), "") for one in curves
+    }
+    if len({*found.values()} - {""}) < len([name for name in found.values() if name]):
+        found = {one.name: by_name.get(one.name.lower(), "") for one in curves}  # numbers are those of others
+    merged = [
+        replace(one, attributes={**needles.get(found[one.name], {}), **one.attributes}) for one in curves
+    ]
+    missed = [
+        (f"row of needle {name}", "no curve has its name") for name in needles if name not in found.values()
+    ]
+    return tuple(merged), missed
+
+
+def _find_number(name: str) -> str:
+    """Return the last number in a name, without leading zeros; "" where there is none."""
+    return next(iter(re.findall(r"\d+", name)[::-1]), "").lstrip("0")
 
 
 def list_import_suffixes() -> tuple[str, ...]:
@@ -413,7 +450,7 @@ def list_import_suffixes() -> tuple[str, ...]:
     return tuple(sorted({*TEXT_SUFFIXES, *SHEET_SUFFIXES, *SCENE_SUFFIXES, *READ_SUFFIXES, *plugins}))
 
 
-def _list_files(paths: Sequence[Path], notes: list[str]) -> list[tuple[Path, bool]]:
+def _list_files(paths: Sequence[Path], unused: list[tuple[str, str]]) -> list[tuple[Path, bool]]:
     """Return the files, and whether each is named itself; of a folder with a scene that one alone."""
     listed: list[tuple[Path, bool]] = []
     for path in paths:
@@ -425,9 +462,9 @@ def _list_files(paths: Sequence[Path], notes: list[str]) -> list[tuple[Path, boo
         known = [one for one in there if one.name.lower().endswith(list_import_suffixes())]
         known = [one for one in known if one.suffix.lower() in SCENE_SUFFIXES] or known
         other = [one.name for one in there if one not in known]
-        if other:
-            names = join_names(other, MAX_SHOWN_FILES)
-            notes.append(f"{len(other)} files of {path.name or path} are left out: {names}")
+        unused += [(f"file {name}", "its ending") for name in other[:MAX_SHOWN_FILES]]
+        if len(other) > MAX_SHOWN_FILES:
+            unused.append((f"{len(other) - MAX_SHOWN_FILES} further files", "their endings"))
         listed += [(one, False) for one in known]
     if len(listed) > MAX_FILES:
         what = f"{len(listed)} files are named"
@@ -436,23 +473,26 @@ def _list_files(paths: Sequence[Path], notes: list[str]) -> list[tuple[Path, boo
     return listed
 
 
-def _read_file(
-    path: Path, columns: Sequence[str]
-) -> tuple[Sequence[ImportedCurve], Sequence[ImportedSurface], Sequence[str]]:
-    """Return the curves and surfaces of one file, with remarks on how it was read."""
+def _read_file(path: Path, columns: Sequence[str]) -> ImportContent:
+    """Return what one file holds."""
     suffix = path.suffix.lower()
     if suffix in SCENE_SUFFIXES:
         scene = read_scene(path)
-        return scene.curves, scene.surfaces, scene.notes
+        used = (path,) if scene.curves or scene.surfaces else ()
+        notes = tuple(f"{path.name}: {note}" for note in scene.notes)
+        return ImportContent(used, scene.curves, scene.surfaces, notes=notes, unused=scene.unused)
     if suffix in TEXT_SUFFIXES:
         cells = read_text_cells(path)
-        return _with_stem(find_curves(cells, columns), path), (), [cells.layout]
+        table = find_curves(cells, columns)
+        notes = (f"{path.name}: {cells.layout}",)
+        curves = _with_stem(table.curves, path)
+        return ImportContent((path,), curves, needles=table.needles, notes=notes, unused=table.unused)
     if suffix in SHEET_SUFFIXES:
         return _read_sheets(path, columns)
     if suffix in READ_SUFFIXES:
         surface, stated = read_surface(path, "sheet", 2), read_coordinate_system(path)
         surface = transform_surface(surface, RAS_TO_LPS) if stated == "RAS" else surface
-        return (), [ImportedSurface(path, surface, "LPS" if stated else None)], ()
+        return ImportContent((path,), (), (ImportedSurface(path, surface, "LPS" if stated else None),))
     if not path_exists(path):
         raise DataError("there is no such file", where=str(path), fix="check the name and the path")
     format_ = find_format(path)
@@ -463,45 +503,75 @@ def _read_file(
     named, remarks = format_.read_curves(path)
     unit, system = ("mm", "LPS") if format_.in_scan else ("", None)
     found = [ImportedCurve(name, points, unit, system) for name, points in named.items()]  # type: ignore[arg-type]
-    return _with_stem(found, path), (), remarks
+    named_curves, fields = _read_fields(found)
+    left = [remark.removesuffix(" ignored") for remark in remarks]
+    unused = tuple((what, path.name) for what in (*left, *fields))
+    return ImportContent((path,), _with_stem(named_curves, path), unused=unused)
 
 
-def _with_stem(curves: Sequence[ImportedCurve], path: Path) -> list[ImportedCurve]:
+def _read_fields(curves: Sequence[ImportedCurve]) -> tuple[list[ImportedCurve], list[str]]:
+    """Return curves with their names and attributes of the fields beside their points; and unused fields."""
+    found, unused = [], dict[str, None]()
+    for one in curves:
+        fields = {key: text for key, text in one.points.stated.items() if text}
+        roles = {key: find_role(key) for key in fields}
+        by_role = {role: add_unit(fields[key], key) for key, role in reversed(roles.items())}
+        attributes = {role: text for role, text in by_role.items() if role in ATTRIBUTES}
+        unused |= dict.fromkeys(
+            f"field {key}" for key, role in roles.items() if role not in ("name", *ATTRIBUTES)
+        )
+        found.append(replace(one, name=by_role.get("name", ""), attributes=attributes))
+    if len({one.name for one in found}) < len(found):  # one name of all is that of the experiment
+        found = [replace(one, name=old.name) for one, old in zip(found, curves, strict=True)]
+    else:
+        found = [replace(one, name=one.name or old.name) for one, old in zip(found, curves, strict=True)]
+    return found, list(unused)
+
+
+def _with_stem(curves: Sequence[ImportedCurve], path: Path) -> tuple[ImportedCurve, ...]:
     """Return curves without names under that of their file."""
     stem = path.name.split(".")[0] or path.stem
     unnamed = sum(not one.name for one in curves)
     numbers = iter(range(1, len(curves) + 1))
-    return [
+    return tuple(
         one if one.name else replace(one, name=stem if unnamed == 1 else f"{stem}-{next(numbers)}")
         for one in curves
-    ]
+    )
 
 
-def _read_sheets(path: Path, columns: Sequence[str]) -> tuple[list[ImportedCurve], tuple[()], list[str]]:
-    """Return the curves of all sheets; those without numbers are left out."""
-    by_sheet: dict[str, tuple[ImportedCurve, ...]] = {}
-    remarks = []
+def _read_sheets(path: Path, columns: Sequence[str]) -> ImportContent:
+    """Return the curves of all sheets, and what they state of needles; those without numbers are not used.
+
+    Sheets called `example` are those of the workbook to fill in: they are used where no other holds curves.
+    """
+    by_sheet: dict[str, TableContent] = {}
+    unused: list[tuple[str, str]] = []
     faults: list[DataError] = []
     for cells in read_sheets(path):
         try:
             by_sheet[cells.sheet] = find_curves(cells, columns)
         except DataError as error:
             faults.append(error)
-            continue
-        if not by_sheet[cells.sheet]:
-            del by_sheet[cells.sheet]
-            remarks.append(f"sheet {cells.sheet!r} is left out: it holds no coordinates")
-    if faults and (not by_sheet or columns):
+            unused.append((f"sheet {cells.sheet}", error.what))
+    own = {name: one for name, one in by_sheet.items() if not name.lower().startswith(EXAMPLE_SHEET)}
+    if any(one.curves for one in own.values()):
+        unused += [(f"sheet {name}", "an example") for name in by_sheet if name not in own]
+        by_sheet = own
+    with_curves = {name: one.curves for name, one in by_sheet.items() if one.curves}
+    if faults and (not with_curves or columns):
         raise faults[0]
-    remarks += [f"left out: {error.where} {error.what}" for error in faults]
-    found = [one for ones in by_sheet.values() for one in ones]
-    if len(by_sheet) > 1:
+    for name, one in by_sheet.items():
+        used = bool(one.curves or one.needles)
+        unused += one.unused if used else [(f"sheet {name}", "it holds no coordinates")]
+    found = [one for ones in with_curves.values() for one in ones]
+    if len(with_curves) > 1:
         found = [
             replace(one, name=sheet if len(ones) == 1 else f"{sheet}-{one.name or n}")
-            for sheet, ones in by_sheet.items()
+            for sheet, ones in with_curves.items()
             for n, one in enumerate(ones, 1)
         ]
-    return _with_stem(found, path), (), remarks
+    needles = {name: stated for one in by_sheet.values() for name, stated in one.needles.items()}
+    return ImportContent((path,), _with_stem(found, path), needles=needles, unused=tuple(unused))
 
 
 def _name_curves(curves: Sequence[ImportedCurve]) -> tuple[ImportedCurve, ...]:

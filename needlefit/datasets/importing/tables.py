@@ -4,26 +4,30 @@ import codecs
 import csv
 import io
 import re
+import unicodedata
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import date, time, timedelta
 from functools import cached_property
-from itertools import groupby
+from itertools import count, groupby, pairwise, zip_longest
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.datasets.formats.csv import MAX_COLUMNS
-from needlefit.datasets.points import MAX_COORDINATE, Points
+from needlefit.datasets.points import MAX_COORDINATE, MIN_POINTS, Points
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PatientSystem, to_lps
 from needlefit.project.input_files import open_regular, read_bytes
 from needlefit.project.sandbox import READER_BYTES, SandboxArrays, limits_for, read_in_sandbox
 
 TEXT_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc")
+WORKBOOK_FILE = Path(__file__).with_name("workbook.xlsx")  # to fill in; `EXAMPLE_SHEET`s are filled
 SHEET_SUFFIXES = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 
 MAX_TABLE_BYTES, MAX_TABLE_CELLS = 16 * 2**20, 1_000_000  # of a text table; empty cells count
@@ -35,6 +39,7 @@ MAX_CELL_CHARS = 500  # longer text is no header and no number; the rest of it i
 SAMPLE_ROWS = 300  # rows by which the separator and the decimal sign are found
 MAX_HEADER_ROWS = 6
 MAX_LISTED_COLUMNS = 12
+MIN_JUMP_STEPS = 4.0  # length of a step back, in median steps, that divides a curve into two
 MIN_BLOCK_ROWS = 5  # rows at least of each value of a column that tells curves apart without a known name
 SEPARATOR_NAMES = {";": "semicolon", "\t": "tab", "|": "bar", ",": "comma", " ": "blanks"}
 
@@ -45,22 +50,27 @@ UNITS_MM = MappingProxyType(
         **{"um": 1e-3, "µm": 1e-3, "μm": 1e-3, "micron": 1e-3, "in": 25.4, "inch": 25.4},
     }
 )
-# Headers of the column that tells the curves of a long table apart.
-NAME_COLUMNS = frozenset(
-    {"id", "needle", "insertion", "curve", "name", "shape", "run", "trial", "label"}
-    | {"nadel", "einstich", "kurve", "versuch", "aiguille", "insertionid", "needleid", "ago", "aguja"}
-)
-# Headers of what an insertion has once: without blanks and signs, and the column of `insertions.csv`.
-ATTRIBUTE_COLUMNS = MappingProxyType(
-    {
-        **{"medium": "medium", "material": "medium", "phantom": "medium", "tissue": "medium"},
-        **{"specimen": "specimen", "sample": "specimen", "probe": "specimen", "block": "specimen"},
-        **{"hole": "hole", "puncture": "hole"},
-        **{"bevelside": "bevel_side", "bevel": "bevel_side"},
-    }
-)
-# Headers of a column that counts points.
-INDEX_COLUMNS = frozenset(["index", "nr", "no", "n", "i", "point", "punkt", "pointid", "row", "zeile"])
+# What a header, a field of a struct or the first cell of a pair stands for beside coordinates: the first that
+# fits its letters, without accents, unit, blanks and signs.
+_NUMBERED = r"(id|nr|no|num|number|nummer|numero|s)?"
+_ROLES = {
+    role: re.compile(pattern)
+    for role, pattern in {
+        "bevel_side": r".*(bevel|schliff|biseau|bisel|smusso).*|(needle|tip)?(side|seite|cote|lado|lato)",
+        "depth": r".*(depth|tiefe|profond|profund).*",
+        "layers": r"(nr|no|n|num|number|anzahl|nombre|numero)?(of|de|der)?"
+        rf"(layer|schicht|schichten|couche|capa){_NUMBERED}",
+        "medium": r"medium|milieu|medio|material|materiau|phantom|fantome|tissue|gewebe|tissu|tejido|tessuto",
+        "specimen": rf"(specimen|sample|probe|bloc|block|bloque|echantillon|muestra|campione){_NUMBERED}",
+        "hole": rf"(hole|puncture|loch|trou|agujero|foro){_NUMBERED}",
+        "name": r"(n|nr|no)?(id|needle|insertion|curve|name|shape|run|trial|test|label|code|measurement|nadel"
+        r"|einstich|stich|kurve|versuch|messung|bezeichnung|aiguille|essai|mesure|courbe|nom|ago|aguja|ensayo"
+        rf"|insercion|curva)+{_NUMBERED}",
+        "index": rf"index|nr|no|n|i|num|row|zeile|(mess)?(point|pt|punkt|punto){_NUMBERED}",
+    }.items()
+}
+# Of these, what an insertion has once.
+ATTRIBUTES = ("bevel_side", "depth", "layers", "medium", "specimen", "hole")
 
 # Separators and decimal signs, in the order in which equally good ones are taken.
 _LAYOUTS = (
@@ -73,19 +83,13 @@ _UNIT = re.compile(r"[\[(/]\s*([^\W\d_]{1,10})\s*[\])]?\s*$|[_ ]((?:mm|cm|um|µm
 _WORD = re.compile(r"[^\W\d_]+|\d+")
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _FILLERS = frozenset(
-    {
-        "coord",
-        "coordinate",
-        "coordinates",
-        "koordinate",
-        "pos",
-        "position",
-        "axis",
-        "achse",
-        "point",
-        "points",
-    }
+    {"coord", "coordinate", "coordinates", "koordinate", "coordenada", "coordonnée", "pos", "position"}
+    | {"posición", "axis", "achse", "eje", "axe", "point", "points", "punkt"}
 )
+_PAIR = re.compile(r"[^\w]*([^:=]{1,60}?)\s*[:=]\s*(\S.*)")
+_NUMBER = re.compile(r"[-+\u2212]?\d+([.,]\d*)?")
+_NUMBERS = re.compile(r"[-+\d., ]+")
+_DEGREES = re.compile(r"deg|°|angle|winkel|angolo|[aá]ngulo|grad", re.IGNORECASE)
 _SYSTEMS: tuple[tuple[str, PatientSystem | None], ...] = (("xyz", None), ("ras", "RAS"), ("lps", "LPS"))
 
 
@@ -305,9 +309,18 @@ class ImportedCurve:
     unit: str = ""  # as the file states it; empty where it does not
     # LPS once points were converted to it, as those of markups are; None where the file states no system.
     system: PatientSystem | None = None
-    # Columns of `insertions.csv` that the file states for it.
+    # What the file states once for it, by the keys of `_ROLES`; a number with the unit of its header.
     attributes: Mapping[str, str] = field(default_factory=dict)
     remarks: tuple[tuple[str, str, str], ...] = ()  # what was taken how, and why, where it was not obvious
+
+
+@dataclass(frozen=True)
+class TableContent:
+    """The curves of a table, or what it states of needles by their names; what was not used, and where."""
+
+    curves: tuple[ImportedCurve, ...] = ()
+    needles: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    unused: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -319,37 +332,114 @@ class _Axes:
     unit: str
     system: PatientSystem | None
     why: str
+    span: range = range(MAX_COLUMNS)  # the columns that may state something of this curve
+    common: int = 0  # those before this one may state something of all curves
 
 
-def find_curves(cells: CellTable, columns: Sequence[str] = ()) -> tuple[ImportedCurve, ...]:
-    """Return the curves in a table; none where it holds no coordinates.
+def find_role(text: str) -> str:
+    """Return what a header or a field of a struct stands for, a key of `_ROLES`; "" for anything else."""
+    plain = unicodedata.normalize("NFKD", _CAMEL.sub(" ", _split_unit(text)[0])).lower()
+    letters = "".join(_WORD.findall("".join(one for one in plain if not unicodedata.combining(one))))
+    return next((role for role, pattern in _ROLES.items() if pattern.fullmatch(letters)), "")
+
+
+def add_unit(text: str, header: str, unit: str = "") -> str:
+    """Return a stated number with the unit of its header, where that names one; other texts as they are."""
+    if not _NUMBER.fullmatch(text):
+        return re.sub(r'[,"]', " ", text) if not _NUMBERS.fullmatch(text) else text
+    if _DEGREES.search(header):
+        return f"{text} deg"
+    return f"{text} {_split_unit(header)[1] or unit}".strip()
+
+
+def find_curves(cells: CellTable, columns: Sequence[str] = ()) -> TableContent:
+    """Return the curves in a table, or what it states of needles; neither where it holds no coordinates.
 
     `columns`: the headers, or numbers from 1, of x, y and z, where the user states them.
 
     DataError if the columns of the coordinates cannot be found, or a coordinate is no number.
     """
-    found: list[ImportedCurve] = []
+    if not columns and (found := _find_needles(cells)) is not None:
+        return found
+    unused: dict[tuple[str, str], None] = {}
     header: Sequence[int] = ()
+    joined: dict[object, ImportedCurve] = {}
     for head, body in _divide(cells):
         header = head if not header or cells.names_axes(head) else header
-        part = _Part(cells, body, header[-MAX_HEADER_ROWS:])
-        all_axes = part.find_axes(columns)
-        title = _find_title(cells, head) if len(all_axes) == 1 else ""
-        for axes in all_axes:
-            found += part.read_curves(axes, title)
-    joined: dict[object, ImportedCurve] = {}
-    for n, one in enumerate(found):
-        first = joined.setdefault(one.name or n, one)
-        if first is not one:
-            both = [part.points for part in (first, one)]
-            lines = np.concatenate([part.lines for part in both if part.lines is not None])
-            values = np.concatenate([part.values for part in both])
-            joined[one.name] = replace(first, points=replace(both[0], values=values, lines=lines))
-    return tuple(joined.values())
+        part = _Part(cells, body, header[-MAX_HEADER_ROWS:] if body else (), head)
+        all_axes = part.all_axes(columns) if body else []
+        curves = [one for axes in all_axes for one in part.read_curves(axes, len(all_axes) == 1)]
+        for one in curves:
+            both = _join(joined[one.name], one) if one.name in joined else None
+            goes_on = one.name and both is not None and len(_divide_points(both.points.values)) == 1
+            joined[one.name if goes_on or one.name not in joined else len(joined)] = (
+                both if goes_on and both is not None else one
+            )
+        unused |= dict.fromkeys(part.find_unused())
+    return TableContent(tuple(joined.values()), {}, tuple(unused) if joined else ())
+
+
+def _join(one: ImportedCurve, other: ImportedCurve) -> ImportedCurve:
+    """Return a curve that goes on in a further part of its table."""
+    both = [one.points, other.points]
+    lines = np.concatenate([part.lines for part in both if part.lines is not None])
+    values = np.concatenate([part.values for part in both])
+    return replace(one, points=replace(one.points, values=values, lines=lines))
+
+
+def _divide_points(values: Floats) -> list[NDArray[np.int64]]:
+    """Return the rows of each part of points (N, 3) that jump back: of several needles below each other."""
+    steps = np.diff(values, axis=0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        lengths = np.linalg.norm(steps, axis=1)
+        least = MIN_JUMP_STEPS * float(np.median(lengths[lengths > 0])) if lengths.any() else 0.0
+        begin, parts = 0, list[NDArray[np.int64]]()
+        for n in np.flatnonzero(lengths > least).tolist():
+            chord = values[n] - values[begin]
+            if steps[n] @ chord < 0 and 2 * lengths[n] > np.linalg.norm(chord):
+                parts.append(np.arange(begin, n + 1))
+                begin = n + 1
+    parts.append(np.arange(begin, len(values)))
+    return parts if min(map(len, parts)) >= MIN_POINTS else [np.arange(len(values))]
+
+
+def _find_needles(cells: CellTable) -> TableContent | None:
+    """Return what a table without coordinates states of needles, one a row; None where it is none."""
+    for n, row in enumerate(cells.rows[:SAMPLE_ROWS]):
+        roles = [find_role(text) for text in row]
+        if any(cells.names_axes((m,)) for m in range(n, min(n + 3, len(cells.rows))) if cells.rows[m]):
+            return None
+        if "name" not in roles or not set(roles) & set(ATTRIBUTES):
+            continue
+        key = roles.index("name")
+        rows = [one for one in cells.rows[n + 1 :] if len(one) > key and one[key]]
+        names = [one[key] for one in rows]
+        if not names or len(set(names)) < len(names):
+            return None
+        units = _find_unit_row(cells.rows[n + 1 : n + 2])
+        needles = {
+            one[key]: {
+                role: add_unit(text, row[column], units.get(column, ""))
+                for column, (role, text) in enumerate(zip(roles, one, strict=False))
+                if role in ATTRIBUTES and text
+            }
+            for one in rows
+        }
+        where = cells.where(n)
+        unused = [
+            (f"column {text}", Path(where).name)
+            for text, role in zip(row, roles, strict=True)
+            if text and role not in ("name", *ATTRIBUTES)
+        ]
+        return TableContent((), needles, tuple(unused))
+    return None
 
 
 def _divide(cells: CellTable) -> Iterator[tuple[Sequence[int], Sequence[int]]]:
-    """Yield the header rows and the rows of numbers of each part: text, or a blank row, stands above it."""
+    """Yield the header rows and the rows of numbers of each part: text, or a blank row, stands above it.
+
+    Text below the last part is yielded without numbers.
+    """
     head: list[int] = []
     body: list[int] = []
     blank = False
@@ -360,23 +450,14 @@ def _divide(cells: CellTable) -> Iterator[tuple[Sequence[int], Sequence[int]]]:
         filled = [cell for cell in row if cell]
         numbers = sum(cells.number(cell) is not None for cell in filled)
         is_data = numbers > 1 and 3 * numbers >= len(filled) and not row[0].startswith(("#", "%"))
+        is_data = is_data and not any(map(find_role, filled))  # "bevel 1 depth 40" above each of two curves
         if body and (blank or not is_data):
             yield head, body
             head, body = [], []
         (body if is_data else head).append(n)
         blank = False
-    if body:
+    if head or body:
         yield head, body
-
-
-def _find_title(cells: CellTable, head: Sequence[int]) -> str:
-    """Return the only filled cell of the first of the header rows that has one, such as `Needle 3`."""
-    for n in head[-MAX_HEADER_ROWS:]:
-        filled = [cell for cell in cells.header(n) if cell]
-        filled = [" ".join(filled)] if cells.separator == " " and not cells.names_axes((n,)) else filled
-        if len(filled) == 1 and not _split_axis(filled[0])[0]:
-            return filled[0]
-    return ""
 
 
 def _split_unit(text: str) -> tuple[str, str]:
@@ -420,11 +501,14 @@ def _make_axes(key: str, columns: Mapping[str, int], unit: str, where: str) -> _
 
 @dataclass(frozen=True)
 class _Part:
-    """Rows of numbers of a table (`body`), and the header rows that name their columns."""
+    """Rows of numbers of a table (`body`), the header rows of their columns, and the text above them."""
 
     cells: CellTable
     body: Sequence[int]
     header: Sequence[int]
+    above: Sequence[int] = ()
+    used: set[int] = field(default_factory=set)  # columns
+    used_text: set[str] = field(default_factory=set)  # cells above
 
     @cached_property
     def heads(self) -> list[list[str]]:
@@ -439,17 +523,77 @@ class _Part:
     @cached_property
     def columns(self) -> list[list[str]]:
         """The cells of each column."""
-        width = max(len(self.cells.rows[n]) for n in self.body)
+        width = max((len(self.cells.rows[n]) for n in self.body), default=0)
         return [self.cells.column(self.body, column) for column in range(width)]
 
     @cached_property
+    def label_rows(self) -> list[int]:
+        """The header rows that name columns: from the lowest one up to a title or a pair of cells."""
+        found: list[int] = []
+        for n, row in zip(self.header[::-1], self.heads[::-1], strict=True):
+            # with blanks as separators, the words of a title are cells, too
+            is_title = len({*row} - {""}) < 2 or (
+                self.cells.separator == " " and len(row) != len(self.columns)
+            )
+            if found and (is_title or _find_pairs(row)):
+                break
+            if found and n < found[0] - 1:
+                break  # a blank row, or one of units, is between them
+            if not is_title and not _find_unit_row([row]) and not _find_pairs(row):
+                found.insert(0, n)
+        return found
+
+    @cached_property
+    def labels(self) -> list[list[str]]:
+        """The cells of the rows that name columns, filled over merged columns."""
+        rows = [self.cells.header(n) for n in self.label_rows]
+        filled = []
+        for row, below in pairwise([*rows, []]):
+            full, text = list(row), ""
+            for n, cell in enumerate(row):
+                text = cell or (text if n < len(below) and below[n] else "")
+                full[n] = text
+            full += [text] * (len(below) - len(row)) if all(below[len(row) :]) else []
+            filled.append(full)
+        return filled
+
+    @cached_property
     def names(self) -> list[str]:
-        """The columns' headers, letters alone: of the row with most words, no title and no units."""
-        labels = [row for row in self.heads if sum(map(bool, row)) > 1 and not _find_unit_row([row])]
-        if self.cells.separator == " ":  # the words of a title are cells, too
-            labels = [row for row in labels if len(row) == len(self.columns)]
-        label_row = max(labels, key=lambda row: sum(map(bool, row)), default=[])
-        return ["".join(_WORD.findall(_split_unit(text)[0])).lower() for text in label_row]
+        """The columns' headers, with those of the merged cells above them."""
+        width = max(map(len, self.labels), default=0)
+        columns = ([row[n] for row in self.labels if n < len(row)] for n in range(width))
+        return [" ".join(dict.fromkeys(filter(None, column))) for column in columns]
+
+    @cached_property
+    def roles(self) -> list[str]:
+        """What each column stands for: by its own header, else by that with those above."""
+        own = ["" for _ in self.names]
+        for row in self.labels:
+            own = [text or before for text, before in zip_longest(row, own, fillvalue="")]
+        return [find_role(text) or find_role(name) for text, name in zip(own, self.names, strict=True)]
+
+    def all_axes(self, stated: Sequence[str]) -> list[_Axes]:
+        """Return the columns of every curve; several groups of them divide the columns among each other."""
+        found = sorted(self.find_axes(stated), key=lambda one: min(one.columns))
+        # a group of columns that seldom changes is no curve: a target, or an entry, stated in every row
+        found = [one for one in found if self._is_moving(one)] or found
+        if len(found) < 2:
+            return found
+        starts = [min(one.columns) for one in found]
+        for row in self.heads:  # names above the groups say where each begins
+            places = [n for n, text in enumerate(row) if text and (not n or text != row[n - 1])]
+            if len(places) == len(found) and all(a <= b for a, b in zip(places, starts, strict=True)):
+                starts = places
+                break
+        ends = [*starts[1:], MAX_COLUMNS]
+        return [
+            replace(one, span=range(a, b), common=starts[0])
+            for one, a, b in zip(found, starts, ends, strict=True)
+        ]
+
+    def _is_moving(self, axes: _Axes) -> bool:
+        rows = [texts for texts in zip(*(self.columns[n] for n in axes.columns), strict=True) if any(texts)]
+        return 2 * sum(one != other for one, other in pairwise(rows)) >= len(rows) - 1
 
     def find_axes(self, stated: Sequence[str]) -> list[_Axes]:
         """Return the columns of every curve: as stated, by the header, or by the number of columns."""
@@ -474,50 +618,42 @@ class _Part:
                     fix = "name the columns of x, y and z with --columns, by their headers or numbers"
                     raise DataError(f"there is no column {name!r}", where=where, expected=expected, fix=fix)
                 places.append(place)
-            units = [_split_unit(row[places[0]])[1] for row in self.heads if places[0] < len(row)]
-            unit = next(filter(None, units), self.units.get(places[0], ""))
-            return [_Axes("", tuple(places), unit, None, "--columns")]
+            return [_Axes("", tuple(places), self._find_unit(places[0]), None, "--columns")]
         named = next((n for n in reversed(self.header) if self.cells.names_axes((n,))), None)
         return ([] if named is None else self._find_named(named)) or self._count_axes()
 
+    def _find_unit(self, column: int) -> str:
+        """Return the unit that a column's headers state, the lowest first, or the row of units."""
+        texts = [row[column] for row in (*reversed(self.heads), *reversed(self.labels)) if column < len(row)]
+        return next((unit for text in texts if (unit := _split_unit(text)[1])), self.units.get(column, ""))
+
     def _find_named(self, row: int) -> list[_Axes]:
-        """Return the axes that a header row names, of every group of columns that the rows above it name."""
-        groups = self._fill_groups(self.heads[: self.header.index(row)])
-        found: dict[str, dict[str, int]] = {}
-        units: dict[str, str] = {}
+        """Return the axes that a header row names; a letter that comes again begins another group."""
+        found: dict[tuple[int, str], dict[str, int]] = {}
         for column, text in enumerate(self.cells.header(row)):
             axis, rest = _split_axis(text)
             if axis:
-                key = "_".join(word for word in (groups.get(column, ""), rest) if word)
-                found.setdefault(key, {}).setdefault(axis, column)
-                units.setdefault(key, _split_unit(text)[1] or self.units.get(column, ""))
+                turn = next(n for n in count() if axis not in found.get((n, rest), ()))
+                found.setdefault((turn, rest), {})[axis] = column
         merged = {letter: column for columns in found.values() for letter, column in columns.items()}
         if len(merged) == len(found) == sum(map(len, found.values())):
             # each header has a word of its own beside its axis: "depth x", "deflection y"
-            found, units = {"": merged}, {"": next(filter(None, units.values()), "")}
+            found = {(0, ""): merged}
         where = self.cells.where(row)
-        axes = [_make_axes(key, columns, units[key], where) for key, columns in found.items()]
+        axes = [
+            _make_axes(rest, columns, self._find_unit(min(columns.values())), where)
+            for (_, rest), columns in found.items()
+        ]
         return [one for one in axes if one is not None]
-
-    def _fill_groups(self, rows: Sequence[Sequence[str]]) -> dict[int, str]:
-        """Return the name above each column, which the first of merged cells holds; one alone is a title."""
-        for row in reversed(rows):
-            filled = {n: text for n, text in enumerate(row) if text}
-            if len(filled) > 1:
-                found, current = {}, ""
-                for n in range(len(self.columns)):
-                    found[n] = current = filled.get(n, current)
-                return found
-        return {}
 
     def _count_axes(self) -> list[_Axes]:
         """Return the axes of a table whose header names none: by the number of its columns."""
-        names = dict(enumerate(self.names))
-        others = {n for n, name in names.items() if name in NAME_COLUMNS or name in ATTRIBUTE_COLUMNS}
+        roles = dict(enumerate(self.roles))
+        others = {n for n, role in roles.items() if role not in ("", "index")}
         numbers = [[self.cells.number(text) for text in column] for column in self.columns]
         counts = [len(column) - column.count(None) for column in numbers]
         full = [n for n, count in enumerate(counts) if count > 0.5 * len(self.body) and n not in others]
-        if full and (len(full) % 3 == 1 or names.get(full[0]) in INDEX_COLUMNS):
+        if full and (len(full) % 3 == 1 or roles.get(full[0]) == "index"):
             steps = np.diff(np.array(numbers[full[0]], dtype=np.float64))
             full = full[1:] if len(steps) and (steps == 1).all() else full
         if len(list(filter(None, self.names))) >= max(len(full), 2) and len(full) != 3:
@@ -540,28 +676,85 @@ class _Part:
             for n, block in enumerate(blocks, 1)
         ]
 
-    def read_curves(self, axes: _Axes, title: str) -> Iterator[ImportedCurve]:
-        """Yield the curve of some columns, or several where a column of the table names them."""
-        named = enumerate(self.names)
-        known = next((n for n, name in named if name in NAME_COLUMNS and n not in axes.columns), None)
-        key = self._find_key_column(axes) if known is None else known
-        names = self.columns[key] if key is not None and key < len(self.columns) else [""] * len(self.body)
+    def read_curves(self, axes: _Axes, is_only: bool) -> Iterator[ImportedCurve]:
+        """Yield the curve of some columns, or several where columns of the table name them.
+
+        `is_only`: no other curve lies beside it.
+        """
+        title, above = self._read_above(axes.span)
+        keys = self._find_name_columns(axes)
+        known = bool(keys)
+        if not known and (key := self._find_key_column(axes)) is not None:
+            keys = (key,)
+        self.used.update(axes.columns, keys)
+        names = [
+            "-".join(filter(None, texts))
+            for texts in zip(*(_fill_down(self.columns[key]) for key in keys), strict=True)
+        ] or [""] * len(self.body)
+        beside = "" if is_only else title or axes.name
         groups: dict[str, list[int]] = {}
         for row, name in zip(self.body, names, strict=True):
             groups.setdefault(name, []).append(row)
         planar = len(axes.columns) == 2
         remarks = [("axes", "x, y; z = 0" if planar else "x, y, z", axes.why)]
-        if known is None and key is not None and self.names:
+        if keys and not known and self.names:
             why = "the column changes from curve to curve alone"
-            remarks.append(("curves", f"one for each {self.names[key]}", why))
+            remarks.append(("curves", f"one for each {self.names[keys[0]]}", why))
         system: PatientSystem | None = "LPS" if axes.system else None
         for name, rows in groups.items():
-            points = self._read_points(rows, axes)
-            if points is not None:
-                stated = self._find_attributes(rows, axes)
-                yield ImportedCurve(
-                    name or axes.name or title, points, axes.unit, system, stated, tuple(remarks)
-                )
+            whole = self._read_points(rows, axes)
+            if whole is None:
+                continue
+            full = "-".join(filter(None, (name, beside))) if name else axes.name or title
+            full = title if not name and title and not is_only else full
+            if full == title:
+                self.used_text.add(title)
+            parts = _divide_points(whole.values)
+            more = remarks
+            if len(parts) > 1:
+                why = "divided where the points jump back"
+                more = [*remarks, (f"points of {full or self.cells.path.name}", f"{len(parts)} curves", why)]
+            for n, part in enumerate(parts, 1):
+                points = whole.part(part)
+                lines = () if points.lines is None else points.lines.tolist()
+                stated = above | self._find_attributes([line - self.cells.first for line in lines], axes)
+                own = f"{full}-{n}" if full and len(parts) > 1 else full
+                yield ImportedCurve(own, points, axes.unit, system, stated, tuple(more))
+
+    def _read_above(self, span: range) -> tuple[str, dict[str, str]]:
+        """Return the title above some columns, such as `Needle 3`, and what pairs of cells there state."""
+        stated: dict[str, str] = {}
+        titles: list[str] = []
+        for n in self.above[-MAX_HEADER_ROWS:]:
+            filled = [cell for m, cell in enumerate(self.cells.header(n)) if cell and m in span]
+            filled = [" ".join(filled)] if self.cells.separator == " " and not _find_pairs(filled) else filled
+            pairs = _find_pairs(filled)
+            for (key, value), role in pairs.items():
+                stated.setdefault(role, add_unit(value, key))
+                self.used_text.update(filled)
+            if not pairs and not self.cells.names_axes((n,)) and len(set(filled)) == 1:
+                titles.append(filled[0])
+        named = [one for one in titles if find_role(next(iter(_WORD.findall(one)), "")) == "name"]
+        return stated.pop("name", "") or next(iter([*named[::-1], *titles[::-1]]), ""), stated
+
+    def _find_name_columns(self, axes: _Axes) -> tuple[int, ...]:
+        """Return the columns of names that tell curves apart: the one that does, else all that change."""
+        width = len(self.columns)
+        columns = [
+            n for n, role in enumerate(self.roles) if role == "name" and n < width and n not in axes.columns
+        ]
+        counts = {n: len(set(_fill_down(self.columns[n]))) for n in columns if self.columns[n][0]}
+        # a name for each point is that of no curve
+        counts = {n: count for n, count in counts.items() if count == 1 or 3 * count <= len(self.body)}
+        if not counts:
+            return ()
+        varied = [n for n, count in counts.items() if count > 1] or list(counts)[:1]
+        names = list(zip(*(_fill_down(self.columns[n]) for n in varied), strict=True))
+        if len(set(names)) < len(list(groupby(names))):  # names that come again in the next specimen
+            named = [n for n, role in enumerate(self.roles) if role in ("specimen", "hole") and n < width]
+            varied = [*(n for n in named if len(set(self.columns[n])) > 1), *varied]
+        together = len(set(zip(*(_fill_down(self.columns[n]) for n in varied), strict=True)))
+        return next(((n,) for n in varied if counts.get(n) == together), tuple(varied))
 
     def _find_key_column(self, axes: _Axes) -> int | None:
         """Return the column that tells curves apart without a known name.
@@ -580,13 +773,12 @@ class _Part:
                 ),
                 None,
             )
-        # a table without another name may have one curve a hole
-        attributes = {name for name, ours in ATTRIBUTE_COLUMNS.items() if ours != "hole"}
-        skipped = {"", *attributes, *INDEX_COLUMNS}
-        for column, (name, texts) in enumerate(zip(self.names, self.columns, strict=False)):
+        # a table without another name may have one curve a hole, or a depth
+        skipped = {"", *_ROLES} - {"", "hole", "depth"}
+        for column, (role, texts) in enumerate(zip(self.roles, self.columns, strict=False)):
             blocks = [(text, len(list(run))) for text, run in groupby(texts)]
             distinct = len(set(texts))
-            if column in axes.columns or name in skipped or not all(texts):
+            if column in axes.columns or role in skipped or not all(texts) or not self.names[column]:
                 continue
             if 1 < distinct == len(blocks) and min(count for _, count in blocks) >= MIN_BLOCK_ROWS:
                 return column
@@ -620,9 +812,49 @@ class _Part:
 
     def _find_attributes(self, rows: Sequence[int], axes: _Axes) -> dict[str, str]:
         """Return what the table states once for a curve, in columns whose cells are the same all through."""
-        found = {}
-        for column, name in enumerate(self.names):
+        found: dict[str, str] = {}
+        for column, (role, name) in enumerate(zip(self.roles, self.names, strict=True)):
             texts = set(self.cells.column(rows, column)) - {""}
-            if name in ATTRIBUTE_COLUMNS and column not in axes.columns and len(texts) == 1:
-                found[ATTRIBUTE_COLUMNS[name]] = re.sub(r'[,"]', " ", texts.pop())
+            is_near = column in axes.span or column < axes.common
+            if role in ATTRIBUTES and role not in found and is_near and len(texts) == 1:
+                found[role] = add_unit(texts.pop(), name, self.units.get(column, ""))
+                self.used.add(column)
         return found
+
+    def find_unused(self) -> Iterator[tuple[str, str]]:
+        """Yield what no curve used: columns by their headers, and texts above them."""
+        place = (*self.header, *self.body, *self.above)[0]
+        where = Path(self.cells.where(place)).name
+        for column, texts in enumerate(self.columns):
+            if column not in self.used and any(texts):
+                name = self.names[column] if column < len(self.names) else ""
+                yield f"column {name or column + 1}", where
+        for n in self.above:
+            row = [cell for cell in self.cells.header(n) if cell]
+            is_label = n in self.label_rows or (n in self.header and _find_unit_row([row]))
+            text = " ".join(row) if self.cells.separator == " " else ", ".join(dict.fromkeys(row))
+            known = {*self.used_text, *self.names}
+            if not is_label and not {*row} <= known and text not in known:
+                yield f"text {text!r}"[:MAX_CELL_CHARS], Path(self.cells.where(n)).name
+
+
+def _fill_down(texts: Sequence[str]) -> list[str]:
+    """Return cells of a column of names; an empty one has the name above it."""
+    names: list[str] = []
+    for text in texts:
+        names.append(text or (names[-1] if names else ""))
+    return names
+
+
+def _find_pairs(row: Sequence[str]) -> dict[tuple[str, str], str]:
+    """Return the pairs of a name and a value in a row, with what the names stand for; none of a row of names.
+
+    `bevel | 1 | depth | 40`, or `bevel: 1` in a cell.
+    """
+    filled = [cell for cell in row if cell]
+    split = [(match[1].strip(), match[2].strip()) for cell in filled if (match := _PAIR.fullmatch(cell))]
+    if len(split) < len(filled):
+        split = list(zip(filled[::2], filled[1::2], strict=False)) if len(filled) % 2 == 0 else []
+        split = [] if any(find_role(value) or _split_axis(value)[0] for _, value in split) else split
+    roles = {pair: find_role(pair[0].rstrip(":= ")) for pair in split}
+    return roles if all(role in ("name", *ATTRIBUTES) for role in roles.values()) else {}

@@ -43,7 +43,26 @@ TANGENT_SD_DEG, STATED_SD_DEG = 2.0, 0.5
 MODULI_GPA = {"steel": 200.0, "nitinol": 60.0, "titanium": 110.0, "peek": 3.6}  # young's moduli by material
 # Length assumed of a needle: at least this, and so much more than the greatest depth.
 MIN_DEFAULT_LENGTH_MM, SHAFT_MM = 150.0, 50.0
-_BEVEL_SIDES = {"1": 1, "+1": 1, "1.0": 1, "-1": -1, "-1.0": -1, "\u22121": -1}
+# Words for the direction that a bevel faces, as an angle about the needle, degrees: clockwise from up, seen
+# along the insertion.
+_BEVEL_ANGLES = {
+    **dict.fromkeys(
+        ("up", "top", "oben", "o", "haut", "arriba", "su", "+", "plus", "positive", "positiv"), 0.0
+    ),
+    **dict.fromkeys(("right", "r", "rechts", "droite", "derecha", "destra"), 90.0),
+    **dict.fromkeys(("down", "bottom", "unten", "bas", "abajo", "-", "minus", "negative", "negativ"), 180.0),
+    **dict.fromkeys(("left", "l", "links", "gauche", "izquierda", "sinistra"), 270.0),
+}
+MIN_SAME_SIDE = (
+    0.9  # mean of the unit deflections, each toward its bevel, from which a direction is read of them
+)
+MAX_CUT_DEG = 90.0  # a bevel angle below it, the same of all needles, is that of the cut
+MAX_DEPTH_DIFFERENCE = 0.05  # between a stated depth and the length of its curve, as a part of it
+MIN_SIBLINGS, SAME_WAY, SAME_END = (
+    3,
+    0.9,
+    0.3,
+)  # curves, cosine to their axis, and part of a curve, for `turn_tip_first`
 _TISSUE_NAME = re.compile(r"skin|tissue|surface|outer|phantom|block|haut|entry", re.IGNORECASE)
 
 
@@ -125,6 +144,7 @@ class _Understanding:
         self.tissue: Surface | None = None
         self.layers = ImportedLayers()
         self.point_sd = POINT_SD_MM
+        self.turns = [0.0 for _ in self.curves]  # of bevels about their needles, rad
 
     def make_plan(self) -> ImportPlan:
         """Return the plan, question by question."""
@@ -133,10 +153,17 @@ class _Understanding:
             remarks.setdefault((what, value), []).append(why)
         for (what, value), whys in remarks.items():
             more = f", and {len(whys) - 1} more" if len(whys) > 1 else ""
-            self.decisions.keep(what, value, "guess" if "column" in whys[0] else "file", whys[0] + more)
+            self.decisions.keep(what, value, "file" if what == "axes" else "guess", whys[0] + more)
+        places: dict[str, list[str]] = {}
+        for what, where in dict.fromkeys(self.content.unused):
+            places.setdefault(what, []).append(where)
+        for what, wheres in places.items():
+            more = f", and {len(wheres) - 1} more" if len(wheres) > 1 else ""
+            self.decisions.keep("not used", what, "file", wheres[0] + more)
         self.convert_units()
         self.drop_repeats()
         self.decide_frame()
+        self.turn_tip_first()
         if self.settle("entry", *self.guess_entry(), ("first", "last")) == "last":
             self.move([one.points.part(np.arange(len(one.points.values))[::-1]) for one in self.curves])
         self.decide_tissue()
@@ -146,13 +173,9 @@ class _Understanding:
         text = self.settle("point sd", f"{POINT_SD_MM:g}", "assumption", reason)
         self.point_sd = parse_number("point sd", text, above=True)
         pose = self.decide_pose()
-        bevel = self.decide_bevel(pose)
-        rows = self.name_tissue(
-            [
-                self.make_row(one, shaft, pose, bevel)
-                for one, shaft in zip(self.curves, self.shafts, strict=True)
-            ]
-        )
+        rows = [self.make_row(one, shaft, pose) for one, shaft in zip(self.curves, self.shafts, strict=True)]
+        rows = self.name_tissue(self.decide_bevel(rows))
+        self.compare_depths(rows)
         needle = self.decide_needle(max(row.depth for row in rows))
         insertions = [ImportedInsertion(row, one.points) for row, one in zip(rows, self.curves, strict=True)]
         how = "free" if pose.how == "free" else "known"
@@ -253,6 +276,28 @@ class _Understanding:
 
     # ---- entry, tissue and layers
 
+    def turn_tip_first(self) -> None:
+        """Turn the few curves that run against all others and end where those begin."""
+        lines = self.lines
+        chords = np.array([normalize(line[-1] - line[0]) for line in lines if (line[-1] != line[0]).any()])
+        if len(lines) < MIN_SIBLINGS or len(chords) < len(lines):
+            return
+        axis = np.linalg.svd(chords, full_matrices=False)[2][0]
+        axis = axis if (chords @ axis).sum() > 0 else -axis
+        against = chords @ axis < 0
+        if 2 * against.sum() >= len(lines) or np.abs(chords @ axis).min() < SAME_WAY:
+            return
+        begin = float(
+            np.median([line[0] @ axis for line, turns in zip(lines, against, strict=True) if not turns])
+        )
+        for n in np.flatnonzero(against):
+            one, line = self.curves[n], lines[n]
+            if abs(line[-1] @ axis - begin) < SAME_END * abs((line[-1] - line[0]) @ axis):
+                reason = "it runs against the others, and ends where they begin"
+                self.decisions.keep(f"order of {one.name}", "turned", "assumption", reason)
+                points = one.points.part(np.arange(len(line))[::-1])
+                self.curves[n] = replace(one, points=points)
+
     def guess_entry(self) -> tuple[str, Source, str]:
         """Return which end of the curves is the entry, where that comes from, and why."""
         lines, solids = self.lines, [one for one in self.surfaces if one.kind == "solid"]
@@ -328,7 +373,7 @@ class _Understanding:
             fix = "leave --boundaries out, or the files of the surfaces"
             raise ConfigError(what, expected="one of the two", fix=fix)
         if not self.surfaces:
-            text = self.settle("boundaries", "none", "guess", "no surfaces in the files: one layer")
+            text = self.settle("boundaries", *self.guess_boundaries())
             if text != "none":
                 depths = parse_depths("boundaries", text)
                 sd = self.decisions.settle_number("boundary sd", DEPTH_SD_MM, "assumption", "that of a ruler")
@@ -350,6 +395,16 @@ class _Understanding:
         reason = "that of a surface segmented in a CT scan"
         sd = self.decisions.settle_number("boundary sd", SURFACE_SD_MM, "assumption", reason)
         self.layers = ImportedLayers(numbered, sd_mm=sd)
+
+    def guess_boundaries(self) -> tuple[str, Source, str]:
+        """Return the depths of boundaries that every file states, or none; where that comes from, and why."""
+        stated = [one.attributes.get("layers", "") for one in self.curves]
+        if "," in stated[0] and len(set(stated)) == 1:
+            return stated[0].replace(" ", ""), "file", "field of layers, taken as depths in mm"
+        if all(text in ("", "1") for text in stated):
+            return "none", "guess", "no surfaces in the files: one layer"
+        listed = ", ".join(sorted({*stated} - {""}))[:MAX_ANSWER_CHARS]
+        return "none", "assumption", f"{listed} layers are stated, without their depths: taken as one layer"
 
     # ---- entry pose and bevel
 
@@ -426,27 +481,124 @@ class _Understanding:
         axis = axis if axis @ (entry - shaft[0]) > 0 else -axis
         return normalize(axis), self.point_sd / float(np.linalg.norm(centred))
 
-    def decide_bevel(self, pose: _Pose) -> Floats | None:
-        """Return the world direction toward which bevels deflect; None: the side to which each needle bends.
+    def decide_bevel(self, rows: list[InsertionRow]) -> list[InsertionRow]:
+        """Return the rows with their bevels: side, and the world direction toward which side 1 deflects.
 
-        ConfigError if bevels face to side -1 of a direction that is not stated.
+        ConfigError if bevels face to side -1 of a direction that is neither stated nor seen in the curves.
         """
-        if pose.how == "free":
-            self.decisions.keep("bevel", "bend", "guess", "a free shape bends toward its bevel by definition")
-            return None
-        text = self.settle("bevel", "bend", "assumption", "every needle is taken to bend toward its bevel")
-        if text != "bend":
-            return np.array(parse_vector("bevel", text))
-        turned = [one.name for one in self.curves if _parse_side(one) < 0]
-        if turned:
-            what = f"the bevel side of {turned[0]!r} is -1, and no direction of side 1 is stated"
-            expected = "the direction toward which bevels of side 1 deflect, X,Y,Z"
-            raise ConfigError(what, expected=expected, fix="state it with --bevel")
-        return None
+        stated = [one.attributes.get("bevel_side", "") for one in self.curves]
+        if not any(stated):
+            stated = [_find_side_in_name(one.name) for one in self.curves]
+        numbers = [_to_number(text) for text in stated]
+        if any(abs(one or 0.0) >= MAX_CUT_DEG for one in numbers):
+            stated = [
+                text if one is None else f"{one:g} deg" for text, one in zip(stated, numbers, strict=True)
+            ]
+        angles = [_parse_angle(text) for text in stated]
+        if len(set(stated)) == 1 and stated[0].endswith(" deg") and 0 < (angles[0] or 0.0) < MAX_CUT_DEG:
+            self.decisions.keep(
+                "not used", f"bevel angle {stated[0]}", "guess", "the angle of the cut, not a side"
+            )
+            stated = ["" for _ in stated]
+        if any(stated) or "bevel side" in self.decisions.options:
+            rows = self.decide_sides(rows, stated)
+        if rows[0].direction is None:  # a free shape
+            reason = "no file states bevels: every needle is taken to bend toward its own"
+            shown: tuple[Source, str] = ("assumption", reason)
+            if any(stated):
+                shown = ("guess", "a free shape bends toward its bevel by definition")
+            self.decisions.keep("bevel", "bend", *shown)
+            return [replace(row, bevel=None) for row in rows]
+        bends = np.array(
+            [one.points.values[-1] - row.entry for one, row in zip(self.curves, rows, strict=True)],
+            dtype=np.float64,
+        )
+        along = np.array([row.direction for row in rows], dtype=np.float64)
+        bends -= np.sum(bends * along, axis=1)[:, None] * along
+        toward = [
+            row.side * _turn(normalize(bend), way, -turn) if bend.any() else bend
+            for row, bend, way, turn in zip(rows, bends, along, self.turns, strict=True)
+        ]
+        mean = np.mean(toward, axis=0)
+        guess: tuple[str, Source, str] = (
+            "bend",
+            "assumption",
+            "every needle is taken to bend toward its bevel",
+        )
+        differ = len({row.side for row in rows}) > 1 or len({*self.turns}) > 1
+        if differ and np.linalg.norm(mean) > MIN_SAME_SIDE:
+            agree = sum(bool(one @ mean > 0) for one in toward)
+            direction = ",".join(f"{value:z.3g}" for value in normalize(mean).round(3))
+            guess = (direction, "guess", f"{agree} of {len(rows)} needles bend to it from their sides")
+        text = self.settle("bevel", *guess)
+        if text == "bend":
+            turned = [row.id for row in rows if row.side < 0]
+            if turned or differ:
+                named = (turned or [rows[-1].id])[0]
+                what = f"the bevel of {named!r} is turned, and no direction of side 1 is stated"
+                expected = "the direction toward which bevels of side 1 deflect, X,Y,Z"
+                raise ConfigError(what, expected=expected, fix="state it with --bevel")
+            return rows
+        if not any(stated) and "bevel side" not in self.decisions.options:
+            rows = self.decide_sides(rows, stated)
+        bevel = np.array(parse_vector("bevel", text))
+        return [
+            replace(row, bevel=_turn(bevel, way, turn))
+            for row, way, turn in zip(rows, along, self.turns, strict=True)
+        ]
 
-    def make_row(
-        self, curve: ImportedCurve, shaft: Floats, pose: _Pose, bevel: Floats | None
-    ) -> InsertionRow:
+    def decide_sides(self, rows: Sequence[InsertionRow], stated: Sequence[str]) -> list[InsertionRow]:
+        """Return the rows with the sides of their bevels; what is no half turn is kept in `turns`, rad."""
+        texts = [text or row.id for text, row in zip(stated, rows, strict=True)]
+        known = {text: _parse_angle(text) if text in stated else 0.0 for text in dict.fromkeys(texts)}
+        unclear = [text for text, angle in known.items() if angle is None]
+        free = [angle for angle in (0.0, 180.0) if angle not in known.values()]
+        if len(unclear) > len(free):
+            what = f"the bevel side of {rows[texts.index(unclear[0])].id!r} is {unclear[0][:40]!r}"
+            where = self.curves[texts.index(unclear[0])].points.where()
+            fix = "write 1 or -1, or state --bevel-side NAME=1,NAME=-1 for each value"
+            raise DataError(
+                what, where=where, expected="1 or -1, up or down, left or right, degrees", fix=fix
+            )
+        source, reason = "file", "stated beside the points"
+        if unclear:
+            # of 0 and 1, and of 1 and 2, 1 is the first side
+            unclear.sort(key=lambda text: text.split()[0] != "1")
+            known |= dict(zip(unclear, free, strict=False))
+            source, reason = "assumption", f"{' and '.join(unclear)} do not state which is which"
+        elif missing := [row.id for text, row in zip(stated, rows, strict=True) if not text]:
+            source, reason = "assumption", "not stated in the files"
+            reason += "" if len(missing) == len(rows) else f" of {', '.join(missing)}"
+        halves = len({(angle or 0.0) % 180.0 for angle in known.values()}) == 1
+        guess = ", ".join(f"{text}={_name_angle(angle or 0.0, halves)}" for text, angle in known.items())
+        guess = guess if any(stated) else "1"
+        answer = self.settle("bevel side", guess[:MAX_ANSWER_CHARS], source, reason)  # type: ignore[arg-type]
+        if answer != guess[:MAX_ANSWER_CHARS] or not any(stated):
+            one = _parse_angle(answer)
+            pairs = [part.rpartition("=") for part in answer.split(",")]
+            given = {name.strip(): _parse_angle(side.strip()) for name, _, side in pairs}
+            known = (
+                dict.fromkeys(texts, one) if one is not None else {text: given.get(text) for text in texts}
+            )
+            known |= {} if one is not None else {row.id: given[row.id] for row in rows if row.id in given}
+        found = [known.get(row.id, known[text]) for row, text in zip(rows, texts, strict=True)]
+        if None in found:
+            what = f"bevel side is {answer[:60]!r}, which has none of {rows[found.index(None)].id!r}"
+            raise ConfigError(what, expected="1, -1, or NAME=1,NAME=-1", fix="state it with --bevel-side")
+        angles = np.array(found, dtype=np.float64) % 360.0
+        rest = np.radians(angles % 180.0)
+        if len(set(rest.round(6))) == 1:
+            rest[:] = 0.0
+        else:
+            angles[:], rest = 0.0, np.radians(angles)
+            reason = "bevel angles are counted clockwise, seen along the insertion"
+            self.decisions.keep("bevel angles", "clockwise", "assumption", reason)
+        self.turns = rest.tolist()
+        return [
+            replace(row, side=1 if angle < 180.0 else -1) for row, angle in zip(rows, angles, strict=True)
+        ]
+
+    def make_row(self, curve: ImportedCurve, shaft: Floats, pose: _Pose) -> InsertionRow:
         """Return the row of one insertion; medium and specimen are empty where its file states none."""
         values, depths = curve.points.values, np.array(self.layers.depths_mm)
         row = InsertionRow(
@@ -456,7 +608,6 @@ class _Understanding:
             depth=float(arc_length(values)[-1]),
             specimen=curve.attributes.get("specimen", ""),
             hole=curve.attributes.get("hole", ""),
-            side=_parse_side(curve),
             boundary_sd=self.layers.sd_mm,
         )
         if pose.how == "free":
@@ -479,13 +630,25 @@ class _Understanding:
             layers=len(met),
             entry=entry,
             direction=direction,
-            bevel=bevel,
             pose_source=source,
             pose_shift_sd=pose.shift_sd,
             pose_angle_sd=shaft_sd if pose.angle_sd is None else pose.angle_sd,
         )
 
     # ---- names and needle
+
+    def compare_depths(self, rows: Sequence[InsertionRow]) -> None:
+        """Keep whether the depths that files state are the lengths of the curves."""
+        stated = [_to_length(one.attributes.get("depth", "")) for one in self.curves]
+        both = [(depth, row) for depth, row in zip(stated, rows, strict=True) if depth is not None]
+        if not both:
+            return
+        depth, row = max(both, key=lambda pair: abs(pair[0] - pair[1].depth) / pair[1].depth)
+        if abs(depth - row.depth) <= MAX_DEPTH_DIFFERENCE * row.depth:
+            self.decisions.keep("depth", "lengths of the curves", "file", "the stated depths agree with them")
+        else:
+            reason = f"{depth:g} mm is stated of {row.id}, and its curve is {row.depth:.1f} mm long"
+            self.decisions.keep("depth", "lengths of the curves", "assumption", reason)
 
     def name_tissue(self, rows: Sequence[InsertionRow]) -> list[InsertionRow]:
         """Return the rows with medium and specimen; what a file states for a needle is kept."""
@@ -551,12 +714,39 @@ def _find_arcs(lines: Sequence[Floats], surface: Surface) -> list[Floats]:
     return [arcs for line in lines if len(arcs := find_surface_hits(line, surface))]
 
 
-def _parse_side(curve: ImportedCurve) -> int:
-    """Return the side of C's x axis that the bevel faces; +1 where the file states none."""
-    text = curve.attributes.get("bevel_side", "1").strip()
-    if text not in _BEVEL_SIDES:
-        what = f"the bevel side of {curve.name!r} is {text[:40]!r}"
-        where = curve.points.where()
-        fix = "write 1 or -1, or rename the column and state --bevel"
-        raise DataError(what, where=where, expected="1 (toward +y of the constraint frame) or -1", fix=fix)
-    return _BEVEL_SIDES[text]
+def _parse_angle(text: str) -> float | None:
+    """Return the direction that a bevel faces, degrees about the needle; None where the text states none."""
+    plain = text.replace("\u2212", "-").strip().lower()
+    named = [_BEVEL_ANGLES[word] for word in re.findall(r"[^\W\d_]+|^[+-]$", plain) if word in _BEVEL_ANGLES]
+    value = _to_number(plain)
+    if named or value is None:
+        return named[0] if len({*named}) == 1 else None
+    return value if plain.endswith(" deg") else {1.0: 0.0, -1.0: 180.0}.get(value)
+
+
+def _find_side_in_name(name: str) -> str:
+    """Return the word for a side in the name of a curve, such as `Nadel_1_Schliff_oben`; "" without one."""
+    match = re.search(r"(?:bevel|schliff|biseau|bisel)_+([a-z]+)", name, re.IGNORECASE)
+    return match[1] if match is not None and _parse_angle(match[1]) is not None else ""
+
+
+def _name_angle(angle: float, is_side: bool) -> str:
+    return ("1" if angle % 360.0 < 180.0 else "-1") if is_side else f"{angle:g} deg"
+
+
+def _to_number(text: str) -> float | None:
+    """Return the number in a text such as `38,5 mm`; None where it holds anything else."""
+    match = re.fullmatch(r"([-+]?\d+(?:[.,]\d*)?)\s*[^\W\d_]{0,10}", text.strip())
+    return None if match is None else float(match[1].replace(",", "."))
+
+
+def _to_length(text: str) -> float | None:
+    """Return a stated length in mm, which it is in where no unit follows it; None where there is none."""
+    value = _to_number(text)
+    return None if value is None else value * UNITS_MM.get(text.split()[-1], 1.0)
+
+
+def _turn(vector: Floats, axis: Floats, angle: float) -> Floats:
+    """Return a vector turned about a unit axis, right-handed; angle in rad."""
+    turned = vector * np.cos(angle) + np.cross(axis, vector) * np.sin(angle)
+    return np.asarray(turned + axis * (axis @ vector) * (1.0 - np.cos(angle)), dtype=np.float64)
