@@ -179,6 +179,30 @@ def read_design(part: str) -> list[Row]:
     ]
 
 
+IN_SLICE_MM = ("0.8", "1.0", "1.5", "2.0")
+"""Slices, in turn, of volumes that are drawn by a seed."""
+LEVELS = {
+    "kernel": ("soft", "standard", "bone", "edge"),
+    "material": ("steel", "brass", "glass", "ceramic"),
+    "balls": ("7", "6of7", "4"),
+    "ceiling": ("clip", "extended"),
+    "accessory": ("none", "none", "hub", "holder", "plate", "second", "wire", "bone"),
+    "beam": ("parallel", "fan"),
+    "dose": ("high", "low"),
+}
+
+
+def draw_row(seed: int) -> Row:
+    """Draw the levels of a volume whose needle lies in slices of 0.8 to 2 mm; balls are 1.5 slices wide."""
+    rng = random_stream(SEED, "levels", seed)
+    levels = {name: str(rng.choice(choices)) for name, choices in LEVELS.items()}
+    slices = IN_SLICE_MM[seed % len(IN_SLICE_MM)]
+    sizes = [size for size in ("2", "3", "5") if float(size) >= 1.5 * float(slices)]
+    levels |= {"way": "inplane", "voxels": f"{rng.choice(('0.3', '0.4', '0.5', '0.6'))}x{slices}"}
+    levels["ball_mm"] = str(rng.choice(sizes))
+    return Row(f"s{seed}", {name: levels[name] for name in FACTORS})
+
+
 def make_case(row: Row) -> Case:
     """Return the scene of a row; it depends on the row and `SEED` only."""
     rng, level = random_stream(SEED, "real scanners", row.name), row.levels

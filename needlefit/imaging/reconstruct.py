@@ -77,9 +77,7 @@ MAX_DISAGREEMENT_SD = 3.0  # deviations from which on two ways to the same quant
 MAX_BEVEL_ANGLE_DEG = 30.0
 MAX_PLANE_SD_DEG = 20.0  # deviation of the bending plane, degrees, from which on a shape does not tell it
 MAX_TIP_SD_MM = 0.5  # deviation of the tip along the needle, mm, that is spoken of
-# Length of the needle along which rays run that hide its end, mm, that is spoken of: with less no tip is off
-# by more than 0.4 mm on the part `tuning` of `benchmarks/real_scanners.py`.
-MAX_HIDDEN_LENGTH_MM = 12.0
+MAX_NORMAL_SD_MM = 0.3  # deviation of the tip along the slices' normal, mm, that is spoken of
 TIP_CLEARANCE_MM = 2.0  # distance from the tip, mm, from which on its blur does not show
 MAX_DEPTH_SD_MM = 2.0  # deviation of the inserted length, mm, beyond which a scan is refused
 # Deviation of a layer's depth, mm, that is spoken of; the tip's deflection hangs on it steeply.
@@ -119,14 +117,14 @@ def list_tip_warnings(one: Reconstruction) -> list[str]:
             "the model of the needle's end does not explain the scan: the tip is taken where a threshold "
             f"sees it, {needle.tip_disagreement:+.2f} mm from there, {sd} along the needle"
         )
-    elif needle.hidden_length > MAX_HIDDEN_LENGTH_MM:
-        notes.append(
-            f"rays run along {needle.hidden_length:.0f} mm of the needle, which lies in the slices, and may "
-            f"hide its end: {sd} along the needle, and some are 2 mm off and more; look at it, or "
-            "scan the needle across the slices"
-        )
     elif needle.tip_sd[0] > MAX_TIP_SD_MM:
         notes.append(f"the tip is known to {sd} only along the needle")
+    if needle.normal_sd > MAX_NORMAL_SD_MM:
+        notes.append(
+            "the needle stays within a slice, which does not show where in it the tip lies: "
+            f"+- {needle.normal_sd:.2f} mm along the slices' normal; scan it across the slices, or with "
+            "thinner ones"
+        )
     if (further := _find_metal_beyond(one)) is not None:
         notes.append(
             f"{further:.1f} mm beyond the tip found, on the needle's axis, something is as bright as the "

@@ -35,6 +35,8 @@ class AxisSpline:
     final_weights: Floats
     # Deviation that all cross-sections of a stretch share, so that their scatter does not show it, mm.
     shared_sd: float = 0.0
+    # (S,); of a needle near the slices: deviation along their normal at `s`, mm.
+    normal_sd: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,13 @@ def extend_axis(axis: AxisSpline, at: float, point: Floats, sd: float, knot: flo
     longer = fit_axis(s, points, np.append(axis.weights, weight), knot)
     scale = axis.variance / longer.variance  # one point more tells nothing of the scatter
     covariance = longer.covariance * scale
-    return replace(longer, variance=axis.variance, covariance=covariance, shared_sd=axis.shared_sd)
+    return replace(
+        longer,
+        variance=axis.variance,
+        covariance=covariance,
+        shared_sd=axis.shared_sd,
+        normal_sd=axis.normal_sd,
+    )
 
 
 def correlation_factor(residuals: Floats, parameters: int) -> float:
@@ -115,9 +123,12 @@ def correlation_factor(residuals: Floats, parameters: int) -> float:
 
 
 def axis_sd(axis: AxisSpline, s: Floats) -> Floats:
-    """Return the standard deviation in one direction across (N,) at `s` (N,), mm."""
+    """Return the standard deviation in any one direction across (N,) at `s` (N,), mm."""
     matrix = design_matrix(s, axis.spline.t)
-    return np.asarray(np.sqrt(np.einsum("nc,cd,nd->n", matrix, axis.covariance, matrix) + axis.shared_sd**2))
+    variance = np.einsum("nc,cd,nd->n", matrix, axis.covariance, matrix) + axis.shared_sd**2
+    if axis.normal_sd is not None:  # one of the two directions across
+        variance += np.interp(s, axis.s[: len(axis.normal_sd)], axis.normal_sd) ** 2 / 2
+    return np.asarray(np.sqrt(variance))
 
 
 def axis_frames(axis: AxisSpline, s: Floats) -> AxisFrames:

@@ -26,6 +26,7 @@ from needlefit.imaging.needle.axis_spline import (
     select_sections,
 )
 from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, principal_axes
+from needlefit.imaging.needle.slice_fit import fit_slices, runs_in_slices, slice_frames
 from needlefit.imaging.needle.tip import MAX_DISAGREEMENT_MM, TipFit, TipSource, bevel_length, fit_tip
 from needlefit.imaging.refusals import refusal
 from needlefit.imaging.spheres import PointSpread
@@ -36,6 +37,7 @@ BIN_LENGTH_MM = 2.0  # length of the pieces whose centroids are the first axis, 
 BEVEL_MARGIN_MM = 1.2  # length at its end by which a needle may look shorter than it is, mm
 MIN_RELATIVE_AMPLITUDE = 0.3  # cross-sections fainter than this part of the middle one are left out
 AXIS_FIT_ROUNDS = 3  # rounds of fits across the axis, each on the axis of the one before
+SLICE_FIT_ROUNDS = 2  # of fits along the slices' normal, each on the axis of the one before
 MIN_SECTIONS = 8  # fewer do not make an axis
 MAX_EDGE_DISTANCE_MM = 3.0  # an end this near to the volume's face (mm) has left it
 # A tip that was placed by hand lies at most so far beside the needle's surface, mm.
@@ -73,7 +75,8 @@ class Centerline:
     # By how much a threshold sees the needle end later than the fitted model ends, mm.
     tip_disagreement: float = 0.0
     tip_source: TipSource = "model"  # "model", or "threshold" where the model's tip was not to be trusted
-    hidden_length: float = 0.0  # length of the needle along which rays run that hide its end, mm
+    # Deviation of the tip along the slices' normal, mm, of a needle near thick slices; otherwise 0.
+    normal_sd: float = 0.0
 
 
 def trace_needle(
@@ -183,7 +186,10 @@ def refine_axis(
         s = arc_length(points)
         noise = found.noise[good] / found.amplitude[good]
         weights = 1 / (1 + (noise / np.median(noise)) ** 2)
-        axis = fit_axis(s, points, weights / weights.mean(), recipe.centerline.knot_spacing_mm, s[-1] + heel)
+        weights /= weights.mean()
+        axis = fit_axis(s, points, weights, rules.knot_spacing_mm, s[-1] + heel)
+        if round_ == AXIS_FIT_ROUNDS - 1 and runs_in_slices(volume, axis):
+            axis = _place_along_normal(volume, axis, recipe, heel)
         stop = axis.length + 1e-6
     good = _find_usable_sections(found, reach)
     return replace(
@@ -192,6 +198,26 @@ def refine_axis(
             select_sections(rough, good), select_sections(found, good), rules.station_spacing_mm
         ),
     )
+
+
+def _place_along_normal(
+    volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord, heel: float
+) -> AxisSpline:
+    """Return the axis with its place along the slices' normal fitted to every slice on its own."""
+    rules = recipe.centerline
+    for _ in range(SLICE_FIT_ROUNDS):
+        found = fit_slices(
+            volume, axis, recipe.needle.diameter_mm, rules.knot_spacing_mm, rules.station_spacing_mm
+        )
+        if found is None:
+            return axis
+        where = slice_frames(volume, axis, axis.s)
+        beside = np.einsum("sd,sd->s", axis.points - where.origins, where.v)
+        points = axis.points + (found.shift(axis.s) - beside)[:, None] * where.v
+        s = arc_length(points)
+        sd = found.sd(axis.s)
+        axis = replace(fit_axis(s, points, axis.weights, rules.knot_spacing_mm, s[-1] + heel), normal_sd=sd)
+    return axis
 
 
 def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> AxisSpline:
@@ -256,8 +282,13 @@ def _sample_centerline(
     s = np.linspace(0.0, end.at, count)
     heel = bevel_length(recipe.needle) + BEVEL_MARGIN_MM
     swung = end.sd[1] * np.clip((s - end.at + heel) / heel, 0, 1)  # the rod alone holds the axis there
-    shared = float(np.hypot(SYSTEMATIC_SD_MM, slice_sd(volume, axis, recipe)))
-    sd = np.hypot(np.maximum(axis_sd(axis, s), swung), shared)
+    # what neighbours share: of a needle near thick slices by their fit, otherwise by the slices' thickness
+    if axis.normal_sd is None:
+        hidden = slice_sd(volume, axis, recipe)
+        more = float(np.hypot(SYSTEMATIC_SD_MM, hidden))
+    else:  # in the spline's own deviation already
+        hidden, more = float(np.sqrt(np.mean(axis.normal_sd**2) / 2)), SYSTEMATIC_SD_MM
+    sd = np.hypot(np.maximum(axis_sd(axis, s), swung), more)
     points, tip_sd = axis.spline(s), np.array([end.sd[0], sd[-1]])
     sections = axis.s[:-1]  # the last is the tip
     beside = axis.points[:-1] - axis.spline(sections)
@@ -270,7 +301,7 @@ def _sample_centerline(
         weights=axis.final_weights,
         knots=axis.spline.t,
         sigma=float(np.sqrt(axis.variance)),
-        shared_sd=float(np.hypot(axis.shared_sd, shared)),
+        shared_sd=float(np.linalg.norm([axis.shared_sd, SYSTEMATIC_SD_MM, hidden])),
     )
     return Centerline(
         points,
@@ -284,7 +315,7 @@ def _sample_centerline(
         end.bevel_probability,
         end.disagreement,
         end.source,
-        end.hidden_length,
+        0.0 if axis.normal_sd is None else float(axis.normal_sd[-1]),
     )
 
 

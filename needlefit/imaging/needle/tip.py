@@ -212,7 +212,7 @@ def measure_ray(volume: Volume, axis: AxisSpline, needle: ScannedNeedleRecord) -
     s = np.linspace(max(0.0, axis.length - END_LENGTH_MM), axis.length, 16)
     steep = float(np.abs(axis_frames(axis, s).tangents @ volume.direction[:, 2]).min())
     thick = needle.diameter_mm + float(volume.spacing[2])
-    return min(MAX_RAY_MM, thick / max(steep, 1e-6))
+    return thick / max(steep, 1e-6)
 
 
 def bevel_length(needle: ScannedNeedleRecord) -> float:
@@ -248,7 +248,8 @@ class TipProblem:
         self.swing = np.clip((self.near.s - axis.length) / max(guess - axis.length, 0.25), 0, None)
         swing_sd = float(np.hypot(SWING_SD_MM, axis_sd(axis, np.array([axis.length]))[0]))
         self.ray = measure_ray(volume, axis, needle)
-        self.means, self.sds = _prior(volume, needle, spread, (swing_sd, self.ray))
+        course = swing_sd, min(MAX_RAY_MM, self.ray)
+        self.means, self.sds = _prior(volume, needle, spread, course)
         low, high = LOWER_BOUNDS.copy(), UPPER_BOUNDS.copy()
         low[HELD] = np.maximum(low[HELD], self.means - MAX_PRIOR_SD * self.sds)
         high[HELD] = np.minimum(high[HELD], self.means + MAX_PRIOR_SD * self.sds)
@@ -461,7 +462,6 @@ class TipFit:
     disagreement: float
     # What the place along comes from: "model", "threshold" where the model is not to be trusted, or "hand".
     source: TipSource
-    hidden_length: float = 0.0  # length of the needle along which rays run that may hide its end, mm
 
 
 def fit_tip(
@@ -487,7 +487,10 @@ def fit_tip(
     covariance = problem.covariance(best)
     variance = np.diag(covariance)
     away = problem.threshold_disagreement(best.x)
-    parts = [np.sqrt(variance[TIP]), EDGE_SD_MM, DISAGREEMENT_SD * away, HIDDEN_END_SD_PER_MM * problem.ray]
+    hidden = HIDDEN_END_SD_PER_MM * min(MAX_RAY_MM, problem.ray)
+    if axis.normal_sd is not None:
+        hidden = min(MAX_PLACED_END_SD_MM, PLACED_END_SD_PER_MM * problem.ray)
+    parts = [np.sqrt(variance[TIP]), EDGE_SD_MM, DISAGREEMENT_SD * away, hidden]
     along = float(np.linalg.norm(parts))
     heel = float(axis_sd(axis, np.array([axis.length]))[0])  # from where the rod swings
     across = float(np.hypot(np.sqrt(variance[[U, V]].mean()), heel))
@@ -501,7 +504,7 @@ def fit_tip(
     sided = probability >= MIN_BEVEL_PROBABILITY and source == "model"
     bevel = np.cos(roll) * u + np.sin(roll) * v if sided else np.full(3, np.nan)
     point = there.origins[0] + best.x[U] * u + best.x[V] * v
-    return TipFit(at, point, np.array([along, across]), bevel, float(probability), away, source, problem.ray)
+    return TipFit(at, point, np.array([along, across]), bevel, float(probability), away, source)
 
 
 def _end_by_threshold(at: float, away: float, volume: Volume) -> tuple[float, float, TipSource]:
@@ -522,6 +525,9 @@ def _end_by_threshold(at: float, away: float, volume: Volume) -> tuple[float, fl
 # Deviation of the place along, in parts of the length of the needle that rays pass: they harden, and hide its
 # end. Set as `BEVEL_RAY_MM`.
 HIDDEN_END_SD_PER_MM = 0.02
+# The same of a needle that was placed along the normal of thick slices, and the most of it, mm. Set on
+# volumes of `benchmarks/real_scanners.py --seeds` below 2000.
+PLACED_END_SD_PER_MM, MAX_PLACED_END_SD_MM = 0.005, 0.9
 DISAGREEMENT_SD = 0.5  # deviation of the place along, in parts of the disagreement with a threshold
 # Deviation along, and disagreement with a threshold, up to which the model's tip is taken, mm.
 MAX_MODEL_SD_MM, MAX_DISAGREEMENT_MM = 1.0, 1.5
