@@ -210,6 +210,8 @@ def test_tips_lie_in_the_reachable_region() -> None:
 @pytest.mark.parametrize("depth", [0.0, 20.0])
 def test_the_reachable_region_ends_where_plans_end(depth) -> None:
     there = replace(insertion(), path=(replace(insertion().now, depth=depth),))
+    behind = find_reachable_region(there, there.now.depth - 10.0, threads=1)
+    assert behind.x.shape == (0,) and behind.low.shape == (3, 0)  # the tip is beyond it
     region = find_reachable_region(there, 45.0, threads=1)
     assert region.x[0] == depth + 0.5 and abs(region.high[1][0] - region.low[1][0]) < (2.0 if depth else 0.1)
     for edge, sign in ((region.low[1][-1], -1), (region.high[1][-1], 1)):

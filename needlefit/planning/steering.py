@@ -513,6 +513,9 @@ def find_reachable_region(
     that depth: these are the needles that bend most.
     """
     limits, end = limits or PlanLimits(), min(depth, insertion.reach)
+    empty = np.empty((len(REACH_SHARES), 0))
+    if end <= insertion.now.depth + SAME_DEPTH_MM:  # nothing is ahead of the tip
+        return ReachableRegion(np.empty(0), empty, empty)
     begin = min(insertion.now.depth + NEAREST_TARGET_MM, end)
     depths = np.append(begin, np.linspace(min(begin + 2 * BASE_STEP_MM, end), end, REACH_DEPTHS))
     ways, side = list[tuple[Step, ...]](), insertion.now.bevel.side
@@ -526,8 +529,7 @@ def find_reachable_region(
     tips = np.array([np.where(one.valid, one.tip_track[:, -1, 0], np.nan) for one in found])
     tips = tips.reshape(len(depths), -1, len(draws))  # (K, ways, B)
     kept = np.isfinite(tips).any(axis=1).all(axis=0)  # draws with a needle at every depth
-    if not kept.any() or end <= insertion.now.depth + SAME_DEPTH_MM:
-        empty = np.empty((len(REACH_SHARES), 0))
+    if not kept.any():
         return ReachableRegion(np.empty(0), empty, empty)
     least, greatest = np.nanmin(tips[..., kept], axis=1).T, np.nanmax(tips[..., kept], axis=1).T  # (B, K)
     shares = np.array(REACH_SHARES)

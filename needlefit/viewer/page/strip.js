@@ -3,6 +3,7 @@
 import { goTo } from "./actions.js";
 import { onScheme, part, press, write } from "./dom.js";
 import { invalidate } from "./drawing.js";
+import { smooth } from "./painters/needle.js";
 import { palette, ring, segments, setFont, stroke, trace } from "./painters/strokes.js";
 import { brief, heightAt, signed } from "./quantities.js";
 import { listen, now, publish } from "./store.js";
@@ -14,8 +15,8 @@ const context = canvas.getContext("2d");
 let forces = { x: [], y: [] }; // the tip force, N, where the tip (x, mm) stood
 let before = null; // the tip path of the state before
 
-/** What is drawn against depth: a name, decimals, and the curve of a needle. */
-const PANELS = [["tip y, mm", 2, ({ path }) => path], ["tip force, N", 2, ({ forces }) => forces]];
+/** What is drawn against depth: a name, decimals, and the curve of a needle; of forces, which rise and fall in each cell, the mean over two. */
+const PANELS = [["tip y, mm", 2, ({ path }) => path], ["tip force, N", 2, ({ forces: { x, y } }) => ({ x, y: smooth(x, y, now.scene.spacing_mm) })]];
 
 /** The needle as it stands: its shape, the path of its tip, the forces on the tip on the way. */
 function current() {
