@@ -376,9 +376,9 @@ def test_a_sequence_of_inputs_has_its_effects(page, sequence: str) -> None:
 @sweep
 def test_the_base_is_dragged_in_millimetres_and_one_undo_takes_it_back(page) -> None:
     go_to(page, 30)
-    scale = call(page, "view", "m.view.scale")
-    state = do(page, ("drag", "base", 0, -5 * scale, "s.base.y > 4"))
-    assert state["base"]["y"] == pytest.approx(5, abs=1.5 / scale)
+    across = call(page, "view", "m.view.scale * m.view.magnified")
+    state = do(page, ("drag", "base", 0, -2 * across, "s.base.y > 1.8"))
+    assert state["base"]["y"] == pytest.approx(2, abs=1.5 / across)
     assert state["y"][0] == pytest.approx(state["base"]["y"])
     undone, again = "s.base.y === 0 && s.depth_mm === 30", f"s.base.y === {state['base']['y']}"
     do(page, ("key", "Control+z", undone), ("key", "Control+y", again))
