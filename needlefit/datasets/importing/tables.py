@@ -9,7 +9,7 @@ import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import date, time, timedelta
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import count, groupby, pairwise, zip_longest
 from pathlib import Path
 from types import MappingProxyType
@@ -38,7 +38,8 @@ SHEET_BYTES_PER_SECOND = 2**20
 MAX_CELL_CHARS = 500  # longer text is no header and no number; the rest of it is dropped
 SAMPLE_ROWS = 300  # rows by which the separator and the decimal sign are found
 MAX_HEADER_ROWS = 6
-MAX_LISTED_COLUMNS = 12
+MAX_LISTED_COLUMNS, MAX_LISTED_TEXTS = 12, 20  # columns of a message, and rows of text that are not used
+MAX_JOINED_CURVES = 200  # that a curve is divided into
 MIN_JUMP_STEPS = 4.0  # length of a step back, in median steps, that divides a curve into two
 MIN_BLOCK_ROWS = 5  # rows at least of each value of a column that tells curves apart without a known name
 SEPARATOR_NAMES = {";": "semicolon", "\t": "tab", "|": "bar", ",": "comma", " ": "blanks"}
@@ -86,7 +87,7 @@ _FILLERS = frozenset(
     {"coord", "coordinate", "coordinates", "koordinate", "coordenada", "coordonnée", "pos", "position"}
     | {"posición", "axis", "achse", "eje", "axe", "point", "points", "punkt"}
 )
-_PAIR = re.compile(r"[^\w]*([^:=]{1,60}?)\s*[:=]\s*(\S.*)")
+_PAIR = re.compile(r"([^:=]{1,60})[:=]\s*(\S.*)")
 _NUMBER = re.compile(r"[-+\u2212]?\d+([.,]\d*)?")
 _NUMBERS = re.compile(r"[-+\d., ]+")
 _DEGREES = re.compile(r"deg|°|angle|winkel|angolo|[aá]ngulo|grad", re.IGNORECASE)
@@ -336,6 +337,7 @@ class _Axes:
     common: int = 0  # those before this one may state something of all curves
 
 
+@lru_cache(maxsize=1024)
 def find_role(text: str) -> str:
     """Return what a header or a field of a struct stands for, a key of `_ROLES`; "" for anything else."""
     plain = unicodedata.normalize("NFKD", _CAMEL.sub(" ", _split_unit(text)[0])).lower()
@@ -370,11 +372,11 @@ def find_curves(cells: CellTable, columns: Sequence[str] = ()) -> TableContent:
         all_axes = part.all_axes(columns) if body else []
         curves = [one for axes in all_axes for one in part.read_curves(axes, len(all_axes) == 1)]
         for one in curves:
-            both = _join(joined[one.name], one) if one.name in joined else None
-            goes_on = one.name and both is not None and len(_divide_points(both.points.values)) == 1
-            joined[one.name if goes_on or one.name not in joined else len(joined)] = (
-                both if goes_on and both is not None else one
-            )
+            before = joined.get(one.name)
+            if before is None or not one.name or not _goes_on(before.points.values, one.points.values):
+                joined[one.name if before is None else len(joined)] = one
+            else:
+                joined[one.name] = _join(before, one)
         unused |= dict.fromkeys(part.find_unused())
     return TableContent(tuple(joined.values()), {}, tuple(unused) if joined else ())
 
@@ -385,6 +387,12 @@ def _join(one: ImportedCurve, other: ImportedCurve) -> ImportedCurve:
     lines = np.concatenate([part.lines for part in both if part.lines is not None])
     values = np.concatenate([part.values for part in both])
     return replace(one, points=replace(one.points, values=values, lines=lines))
+
+
+def _goes_on(before: Floats, after: Floats) -> bool:
+    """Whether points (N, 3) go on behind others; not if they begin anew, as those of another needle."""
+    step, chord = after[0] - before[-1], before[-1] - before[0]
+    return bool(step @ chord >= 0 or 2 * np.linalg.norm(step) <= np.linalg.norm(chord))
 
 
 def _divide_points(values: Floats) -> list[NDArray[np.int64]]:
@@ -400,7 +408,8 @@ def _divide_points(values: Floats) -> list[NDArray[np.int64]]:
                 parts.append(np.arange(begin, n + 1))
                 begin = n + 1
     parts.append(np.arange(begin, len(values)))
-    return parts if min(map(len, parts)) >= MIN_POINTS else [np.arange(len(values))]
+    is_right = len(parts) <= MAX_JOINED_CURVES and min(map(len, parts)) >= MIN_POINTS
+    return parts if is_right else [np.arange(len(values))]
 
 
 def _find_needles(cells: CellTable) -> TableContent | None:
@@ -450,7 +459,8 @@ def _divide(cells: CellTable) -> Iterator[tuple[Sequence[int], Sequence[int]]]:
         filled = [cell for cell in row if cell]
         numbers = sum(cells.number(cell) is not None for cell in filled)
         is_data = numbers > 1 and 3 * numbers >= len(filled) and not row[0].startswith(("#", "%"))
-        is_data = is_data and not any(map(find_role, filled))  # "bevel 1 depth 40" above each of two curves
+        if is_data and numbers < len(filled) and find_role(filled[0]):
+            is_data = not _find_pairs(row)  # "bevel 1 depth 40" above each of two curves
         if body and (blank or not is_data):
             yield head, body
             head, body = [], []
@@ -592,7 +602,8 @@ class _Part:
         ]
 
     def _is_moving(self, axes: _Axes) -> bool:
-        rows = [texts for texts in zip(*(self.columns[n] for n in axes.columns), strict=True) if any(texts)]
+        cells = (self.cells.column(self.body, n) for n in axes.columns)
+        rows = [texts for texts in zip(*cells, strict=True) if any(texts)]
         return 2 * sum(one != other for one, other in pairwise(rows)) >= len(rows) - 1
 
     def find_axes(self, stated: Sequence[str]) -> list[_Axes]:
@@ -829,11 +840,11 @@ class _Part:
             if column not in self.used and any(texts):
                 name = self.names[column] if column < len(self.names) else ""
                 yield f"column {name or column + 1}", where
-        for n in self.above:
+        known = {*self.used_text, *self.names}
+        for n in self.above[:MAX_LISTED_TEXTS]:
             row = [cell for cell in self.cells.header(n) if cell]
             is_label = n in self.label_rows or (n in self.header and _find_unit_row([row]))
             text = " ".join(row) if self.cells.separator == " " else ", ".join(dict.fromkeys(row))
-            known = {*self.used_text, *self.names}
             if not is_label and not {*row} <= known and text not in known:
                 yield f"text {text!r}"[:MAX_CELL_CHARS], Path(self.cells.where(n)).name
 
@@ -852,7 +863,7 @@ def _find_pairs(row: Sequence[str]) -> dict[tuple[str, str], str]:
     `bevel | 1 | depth | 40`, or `bevel: 1` in a cell.
     """
     filled = [cell for cell in row if cell]
-    split = [(match[1].strip(), match[2].strip()) for cell in filled if (match := _PAIR.fullmatch(cell))]
+    split = [(match[1].strip("#% "), match[2].strip()) for cell in filled if (match := _PAIR.fullmatch(cell))]
     if len(split) < len(filled):
         split = list(zip(filled[::2], filled[1::2], strict=False)) if len(filled) % 2 == 0 else []
         split = [] if any(find_role(value) or _split_axis(value)[0] for _, value in split) else split

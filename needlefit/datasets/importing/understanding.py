@@ -539,16 +539,22 @@ class _Understanding:
                 expected = "the direction toward which bevels of side 1 deflect, X,Y,Z"
                 raise ConfigError(what, expected=expected, fix="state it with --bevel")
             return rows
-        if not any(stated) and "bevel side" not in self.decisions.options:
-            rows = self.decide_sides(rows, stated)
         bevel = np.array(parse_vector("bevel", text))
+        if not any(stated) and "bevel side" not in self.decisions.options:
+            away = sum(bool(bend @ bevel < 0) for bend in bends)
+            rows = self.decide_sides(rows, stated, f"; {away} of {len(rows)} needles bend away from side 1")
         return [
             replace(row, bevel=_turn(bevel, way, turn))
             for row, way, turn in zip(rows, along, self.turns, strict=True)
         ]
 
-    def decide_sides(self, rows: Sequence[InsertionRow], stated: Sequence[str]) -> list[InsertionRow]:
-        """Return the rows with the sides of their bevels; what is no half turn is kept in `turns`, rad."""
+    def decide_sides(
+        self, rows: Sequence[InsertionRow], stated: Sequence[str], seen: str = ""
+    ) -> list[InsertionRow]:
+        """Return the rows with the sides of their bevels; what is no half turn is kept in `turns`, rad.
+
+        `seen`: what the curves show of sides that are not stated.
+        """
         texts = [text or row.id for text, row in zip(stated, rows, strict=True)]
         known = {text: _parse_angle(text) if text in stated else 0.0 for text in dict.fromkeys(texts)}
         unclear = [text for text, angle in known.items() if angle is None]
@@ -568,7 +574,7 @@ class _Understanding:
             source, reason = "assumption", f"{' and '.join(unclear)} do not state which is which"
         elif missing := [row.id for text, row in zip(stated, rows, strict=True) if not text]:
             source, reason = "assumption", "not stated in the files"
-            reason += "" if len(missing) == len(rows) else f" of {', '.join(missing)}"
+            reason += seen if len(missing) == len(rows) else f" of {', '.join(missing)}"
         halves = len({(angle or 0.0) % 180.0 for angle in known.values()}) == 1
         guess = ", ".join(f"{text}={_name_angle(angle or 0.0, halves)}" for text, angle in known.items())
         guess = guess if any(stated) else "1"
