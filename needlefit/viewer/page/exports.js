@@ -58,7 +58,7 @@ function draw(scale, seen) {
   return canvas;
 }
 
-const FRAMES = { kept: 120, apart: 80, longest: 1, last: 1.5 }; // ms between two that are kept; seen at most, and the last one, s
+const FRAMES = { kept: 80, apart: 80, longest: 1, last: 1.5 }; // ms between two that are kept; seen at most, and the last one, s
 let frames = []; // what was seen: {at (ms), state, band}
 
 listen("scene", () => (frames = []));
