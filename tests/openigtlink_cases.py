@@ -19,7 +19,8 @@ from needlefit.mechanics.shape import compute_positions
 from needlefit.schemas.tracker import TrackerRecord
 from needlefit.viewer.openigtlink import OpenIGTLinkServer
 from needlefit.viewer.opening import open_target
-from needlefit.viewer.server import AccessControl, SteeringPage
+from needlefit.viewer.server import AccessControl
+from needlefit.viewer.steering_page import SteeringPage
 from needlefit.viewer.tracking import TrackedTrial
 from needlefit.viewer.trials import TrialRegistry
 

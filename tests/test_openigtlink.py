@@ -346,15 +346,24 @@ async def test_the_page_shows_the_tracked_needle(tmp_path) -> None:
         _, writer = await asyncio.open_connection(*server.server.address)
         writer.write(pack("Base", transform((-125.0, 0.5))))
         await until(lambda: server.depth == pytest.approx(25.0, abs=1e-3))
-        while (await page.hear("state"))["depth_mm"] != pytest.approx(25.0, abs=1e-3):
-            pass
+        while page.depth != pytest.approx(25.0, abs=1e-3):
+            await page.read()
         status = await page.hear("tracking")
         while "base" not in status["devices"]:
             status = await page.hear("tracking")
         assert status["frozen"] == "" and status["research_use"]
         writer.write(pack("Base", transform((-90.0, 0.5))))
         await until(lambda: "jumped" in server.tracked.find_frozen(time.time()))
-        assert (await page.say("frame"))["depth_mm"] == pytest.approx(25.0, abs=1e-3)
+        assert page.depth == pytest.approx(25.0, abs=1e-3)
+        # The program orders the steps: inputs of the page come back as such, and an undo, too.
+        before = page.steering.now
+        await page.say("change", set=[["bevel_side", None, -before.step.bevel.side]], gesture=7)
+        assert page.steering.now.step.bevel.side == -before.step.bevel.side and not page.refused
+        await page.say("change", set=[["return_to", None, page.steering.number - 1]], gesture="undo")
+        assert page.steering.now.step == before.step
+        assert page.steering.now.shape.tip_lateral == before.shape.tip_lateral
+        await page.say("steps", steps=[[99, 0.0, None, [["depth_mm", None, -1.0]], 0.0]])
+        assert page.refused
         await page.say("release_tracker")
         writer.write(pack("Base", transform((-90.0, 0.5))))
         await until(lambda: server.depth == pytest.approx(60.0, abs=1e-3))

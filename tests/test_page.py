@@ -435,7 +435,7 @@ def test_a_disconnected_page_shows_it_and_reconnects_to_its_needle(server, chrom
         state = go_to(page, 15)
         page.evaluate("window.lost = 0")
         call(page, "store", "m.listen('line', ({ open, why }) => open || (window.lost += why === 'lost'))")
-        call(page, "connection", "m.send({ do: 'x'.repeat(20000) })")  # too long: the server hangs up
+        call(page, "connection", "m.send({ do: 'x'.repeat(100000) })")  # too long: the server hangs up
         until(page, "window.lost === 1")
         back = until(page, "n.connected && s.depth_mm === 15")
         assert back["y"] == state["y"] and back["undo"]
@@ -588,6 +588,95 @@ def test_at_200_percent_nothing_is_cut_off(server, chromium) -> None:
         message.wait_for()
         box, typed = message.bounding_box(), field.bounding_box()
         assert box["y"] >= 0 and box["y"] + box["height"] <= min(400, typed["y"])
+
+
+BYTES = """import('/page/trial.js').then(({trial}) => {
+    const byte = (one) => one.toString(16).padStart(2, '0');
+    const hex = (array) => Array.from(new Uint8Array(array.buffer), byte).join('');
+    const {x, u, slope, constraints} = trial.steered.session.shape;
+    return [x, u, slope, constraints].map(hex);
+})"""
+
+
+def test_a_drive_is_recorded_and_replayed_to_the_same_bits(page, server) -> None:
+    """By keys, pointer, wheel and sliders, undone and redone; a page that is reloaded finds its needle."""
+    side = go_to(page, 20)["bevel"]["side"]
+    drag(page, "base", 0, -20)
+    do(page, ("focus", "#canvas", "true"), ("key", "f", f"s.bevel.side === {-side}"))
+    page.focus("#tissue-fields .slider >> nth=0")
+    for key in ("ArrowRight", "ArrowRight", "PageUp"):
+        do(page, ("keep", "true"), ("key", key, "s.step > kept.step"))
+    do(page, ("click", "#add-guide", "s.guides.length === 1"), ("click", "#undo", "!s.guides.length"))
+    do(page, ("click", "#redo", "s.guides.length === 1"), ("click", "#undo", "!s.guides.length"))
+    page.mouse.move(*place(page, "tip"))
+    page.mouse.wheel(0, -300)
+    until(page, "Math.abs(s.depth_mm - 23) < 1e-6")
+    do(
+        page,
+        ("focus", "#canvas", "true"),
+        ("down", "ArrowRight", "s.depth_mm > 26"),
+        ("up", "ArrowRight", "!s.moving"),
+    )
+    state = settle(page)
+    page.wait_for_function("import('/page/trial.js').then(({trial}) => !trial.outbox.length)")
+    recording = read_recording(server.folder / get(page, "n.scene.recording"))
+    *_, last = replayed = list(replay(recording))
+    assert [one.tip_offset_mm for one in replayed] == [0.0] * (state["step"] + 1)
+    shape = last.state.shape
+    arrays = (shape.x, shape.u, shape.slope, shape.constraints)
+    assert page.evaluate(BYTES) == [np.ascontiguousarray(one).tobytes().hex() for one in arrays]
+    page.reload()
+    until(page, f"s?.step === {state['step']}")
+    assert page.evaluate(BYTES) == [np.ascontiguousarray(one).tobytes().hex() for one in arrays]
+    do(page, ("click", "#undo", "Math.abs(s.depth_mm - 23) < 1e-6"), ("click", "#redo", "s.depth_mm > 26"))
+
+
+def test_inputs_join_a_stroke_which_is_undone_whole(page) -> None:
+    """b, the bevel's side and the base; an insertion by hand takes over."""
+    begun = get(page, "s.bevel")
+    call(page, "steering", "m.move(5, 20)")
+    for change in (
+        "['bevel_offset_mm', null, 0.02]",
+        f"['bevel_side', null, {-begun['side']}]",
+        "['base_y_mm', null, 0.3]",
+    ):
+        until(page, "s.depth_mm > 0.2 && s.moving === 5")
+        call(page, "steering", f"m.change([{change}])")
+    state = until(page, "!s.moving && s.base.input_y === 0.3")
+    assert state["depth_mm"] == 20 and state["bevel"] == {"side": -begun["side"], "offset_mm": 0.02}
+    call(page, "steering", "m.undo()")
+    assert until(page, "s.depth_mm === 0 && s.redo")["bevel"] == begun
+    call(page, "steering", "m.move(5)")
+    until(page, "s.moving && s.depth_mm > 0.1")
+    call(page, "steering", "m.change([], { insert: 1 })")
+    do(page, ("focus", "#canvas", "!s.moving && s.depth_mm > 1"))
+    call(page, "steering", "m.change([['guide_x_mm', 1, -110], ['guide_y_mm', 1, 0]])")
+    until(page, "s.guides.length")
+    call(page, "steering", "m.change([], { insert: 500 })")
+    assert until(page, "s.depth_mm > 30")["depth_mm"] == pytest.approx(35, abs=1e-5)  # the base at the guide
+    call(page, "steering", "m.reset()")
+    until(page, "s.depth_mm === 0 && s.undo")
+
+
+@sweep
+def test_a_replay_keeps_time_can_be_halted_and_goes_on(page) -> None:
+    for insert in (5, 2):
+        call(page, "steering", f"m.change([], {{ insert: {insert} }})")
+        until(page, f"Math.abs(s.depth_mm - {insert if insert == 5 else 7}) < 1e-9")
+        page.wait_for_timeout(450)
+    call(page, "steering", "m.undo()")
+    last = until(page, "s.depth_mm === 5")
+    name = get(page, "n.scene.recording")
+    call(page, "steering", "m.replayRecording(0.01)")
+    until(page, f"n.scene.recording !== '{name}' && s.playing && s.step === 1")
+    call(page, "steering", "m.halt()")
+    until(page, "s.paused && !s.playing && s.step === 1")
+    call(page, "steering", "m.replayRecording(1000)")
+    state = until(page, "!s.playing && !s.paused && s.step === 3")
+    assert state["tip"] == last["tip"]
+    do(
+        page, ("click", "#undo", "s.depth_mm === 7"), ("click", "#undo", "s.depth_mm === 5")
+    )  # the pauses part gestures
 
 
 @sweep

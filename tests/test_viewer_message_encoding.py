@@ -5,17 +5,16 @@ import pytest
 
 from needlefit.mechanics.scene import Scene
 from needlefit.schemas.scene import SceneRecord
-from needlefit.viewer.messages import encode_scene
+from needlefit.viewer.messages import encode_scene, encode_state
 from needlefit.viewer.opening import ViewedScene
 from needlefit.viewer.steering import Change, SteeredNeedle
-from needlefit.viewer.trials import InteractiveTrial
 
 LENGTH, K = 150.0, 0.3  # mm; N/mm per mm
 STIFF, NEEDLE = 1e10, 1e4  # N mm^2
 
 
 @pytest.fixture
-def encode(tmp_path):
+def encode():
     """Return the message to the page after steps, of a needle in even, linear tissue."""
 
     def state(rigidity: float, *steps: dict) -> dict:
@@ -29,12 +28,13 @@ def encode(tmp_path):
                 "bevel": {"offset_mm": 0.0},
             }
         )
-        trial = InteractiveTrial("a", ViewedScene("even", "even", "", record, 1.0), tmp_path / "log.csv")
-        trial.steering = SteeredNeedle(trial.scene, 1.0)  # beyond the limits, too
+        steering = SteeredNeedle(Scene.from_record(record), 1.0)  # beyond the limits, too
         for step in steps:
             changes = [(name.split("@"), value) for name, value in step.items()]
-            trial.act([Change(name, int(*item) if item else None, value) for (name, *item), value in changes])
-        return trial.describe_state()
+            steering.apply(
+                [Change(name, int(*item) if item else None, value) for (name, *item), value in changes]
+            )
+        return encode_state(ViewedScene("even", "even", "", record, 1.0), steering)
 
     return state
 

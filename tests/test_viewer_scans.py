@@ -13,6 +13,7 @@ from needlefit.cli.view import names_scan, open_session
 from needlefit.errors import ConfigError, DataError
 from needlefit.imaging.scans import read_scans, write_scan_table
 from needlefit.imaging.volume import Volume, to_patient
+from needlefit.viewer.scan_page import ScanPage
 from needlefit.viewer.scan_session import (
     HALF_WIDTH_MM,
     PIXEL_MM,
@@ -22,7 +23,6 @@ from needlefit.viewer.scan_session import (
     make_course,
     read_corrections,
 )
-from needlefit.viewer.server import ScanPage
 
 SAMPLE = Path(__file__).parents[1] / "data/sample_scan/scans.csv"
 

@@ -12,8 +12,9 @@ import aiohttp
 import pytest
 from server_cases import served
 
-from needlefit.errors import ModelError
+from needlefit.errors import ConfigError, ModelError
 from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.planning.goals import Goal
 from needlefit.planning.steering import PlanLimits, plan_steering
@@ -24,45 +25,87 @@ from needlefit.viewer.opening import open_target
 from needlefit.viewer.plans import begin_insertion
 from needlefit.viewer.recording import read_recording, replay
 from needlefit.viewer.server import (
+    KERNEL_FILES,
     MAX_BURST_MESSAGES,
     MAX_MESSAGE_BYTES,
-    MAX_WINDOWS,
     AccessControl,
+    LoadingPage,
     RateLimit,
-    SteeringPage,
 )
-from needlefit.viewer.steering import Change
+from needlefit.viewer.steering import Change, SteeredNeedle, find_changes
+from needlefit.viewer.steering_page import MAX_WINDOWS, SteeringPage
 from needlefit.viewer.trials import MAX_TRIALS, TrialRegistry
+
+#: id of a message that is refused after all those before it were answered
+BARRIER = 1_000_000
 
 
 class Page:
-    """A window as the server sees it: messages out, answers in."""
+    """A window as the server sees it: it simulates its needle, sends its steps, and hears answers."""
 
     def __init__(self, socket) -> None:
-        self.socket, self.id, self.scene, self.kept = socket, 0, None, {}
+        self.socket, self.id, self.kept = socket, 0, {}
+        self.scene, self.steering, self.steps, self.refused = None, None, [], None
+
+    async def read(self) -> dict:
+        """Take the next message; what is not awaited is kept."""
+        answer = json.loads((await self.socket.receive(timeout=20)).data)
+        if answer["kind"] == "scene":
+            self.begin(answer)
+        elif answer["kind"] in ("refused", "ended") and answer.get("answers") != BARRIER:
+            self.refused = answer["what"]
+        elif answer["kind"] == "steps":
+            self.follow(answer)
+        else:
+            self.kept[answer["kind"]] = answer
+        return answer
 
     async def hear(self, kind: str) -> dict:
         """Return the next message of a kind, also one that came before an answer."""
         while kind not in self.kept:
-            answer = json.loads((await self.socket.receive(timeout=20)).data)
-            self.kept[answer["kind"]] = answer
+            await self.read()
         return self.kept.pop(kind)
 
-    async def say(self, do: str, **arguments) -> dict:
-        """Return the state that answers a message; whatever comes before it is kept."""
+    def begin(self, scene: dict) -> None:
+        """Begin with a needle of the program, at first contact, and carry out its steps."""
+        self.scene, self.steps = scene, []
+        record = open_target(scene["target"]).record
+        self.steering = SteeredNeedle(Scene.from_record(record), scene["first_cell_mm"])
+        self.follow(scene)
+
+    def follow(self, given: dict) -> None:
+        for number, _, _, changes, tip in given["past"]:
+            self.steering.keep()
+            self.steering.apply([Change(*change) for change in changes])
+            assert (number, tip) == (self.steering.number, self.steering.now.shape.tip_lateral)
+            self.steps.append(changes)
+
+    async def send(self, do: str, **arguments) -> None:
         self.id += 1
         await self.socket.send_str(json.dumps({"do": do, "id": self.id, **arguments}))
+
+    async def say(self, do: str, **arguments) -> None:
+        """Send a message; return once all before it has been answered."""
         self.refused = None
-        while True:
-            answer = json.loads((await self.socket.receive(timeout=10)).data)
-            if answer["kind"] == "scene":
-                self.scene = answer
-            elif answer["kind"] == "refused":
-                self.refused = answer["what"]
-            elif answer["kind"] == "state" and answer["answers"] == self.id:
-                return answer
-            else:
-                self.kept[answer["kind"]] = answer
+        await self.send(do, **arguments)
+        await self.socket.send_str(json.dumps({"do": "nothing", "id": BARRIER}))
+        while (await self.read()).get("answers") != BARRIER:
+            pass
+
+    async def act(self, *changes, gesture=None, time: float = 0.0) -> None:
+        """Carry out a step, and send it."""
+        self.steering.keep()
+        state = self.steering.apply([Change(*change) for change in changes])
+        self.steps.append(list(changes))
+        row = [self.steering.number, time, gesture, changes, state.shape.tip_lateral]
+        await self.say("steps", steps=[row])
+
+    async def insert(self, depth: float) -> None:
+        await self.act(("depth_mm", None, depth))
+
+    @property
+    def depth(self) -> float:
+        return self.steering.now.step.depth
 
 
 @dataclass
@@ -82,7 +125,7 @@ class RunningServer:
 
     async def page(self, needle: str | None = None) -> Page:
         page = Page(await self.connect())
-        page.first = await page.say("hello", token=self.access.token, needle=needle)
+        await page.say("hello", token=self.access.token, needle=needle)
         return page
 
 
@@ -104,161 +147,75 @@ def visit(test, name: str = "study2"):
 
 
 @visit
-async def test_the_base_stops_before_the_first_guide(server, page) -> None:
-    await page.say("change", set=[["guide_x_mm", 1, -100.0], ["guide_y_mm", 1, 0.0]])
-    stopped = await page.say("change", insert_mm=500)
-    assert stopped["depth_mm"] == pytest.approx(150 - 100 - 5) and stopped["base"]["x"] == pytest.approx(-105)
-    before = await page.say("change", set=[["guide_x_mm", 1, -103.0]])
-    assert page.refused and before["guides"][0]["x"] == -100
-
-
-@visit
-async def test_a_needle_that_leaves_the_validity_stays_as_it_was(server, page) -> None:
-    """Two guides hold it; a base moved aside just before them would bend it beyond small slopes."""
-    guides = [
-        ["guide_x_mm", 1, -40.0],
-        ["guide_y_mm", 1, 0.0],
-        ["guide_x_mm", 2, -30.0],
-        ["guide_y_mm", 2, 0.0],
-    ]
-    before = await page.say("change", insert_mm=100, set=[["bevel_offset_mm", None, 0.0], *guides])
-    after = await page.say("change", set=[["base_y_mm", None, 5.0]])
-    assert "slope" in page.refused and "limit 0.3" in page.refused
-    assert after["step"] == before["step"] and after["y"] == before["y"]
-    again = await page.say("change", set=[["base_y_mm", None, 0.1]])
-    assert again["step"] == before["step"] + 1 and again["faults"] == []
-
-
-@visit
-async def test_a_window_steers_its_needle(server, page) -> None:
-    assert page.first["depth_mm"] == 0 and page.scene["target"] == "study2"
-    state = await page.say("change", insert_mm=30, set=[["base_y_mm", None, 0.5]])
-    assert (state["depth_mm"], state["base"]["y"], state["step"]) == (30, 0.5, 1)
-    assert len(state["x"]) == len(state["y"]) > 50
-    state = await page.say("change", set=[["bevel_side", None, -1]], insert_mm=30)
-    assert state["bevel"]["side"] == -1 and state["depth_mm"] == 60
-    assert (await page.say("undo"))["depth_mm"] == 30
-    assert (await page.say("redo"))["depth_mm"] == 60
-    assert (await page.say("reset"))["depth_mm"] == 0
-    assert (await page.say("undo"))["depth_mm"] == 60
-    assert (await page.say("undo"))["redo"]
-    assert not (await page.say("change", insert_mm=1))["redo"]  # another way was taken
-
-
-@visit
-async def test_a_needle_moves_only_while_its_page_asks_for_frames(server, page) -> None:
-    assert (await page.say("move", speed_mm_s=100, to_mm=8))["depth_mm"] == 0
-    await asyncio.sleep(0.05)
-    first = await page.say("frame")
-    assert 3 < first["depth_mm"] <= 8 and first["step"] == 1
-    await asyncio.sleep(0.05)
-    last = await page.say("frame")
-    assert last["depth_mm"] == 8 and last["moving"] == 0
-    assert (await page.say("frame"))["step"] == last["step"]
-    await page.say("move", speed_mm_s=-100)
-    await asyncio.sleep(0.03)
-    halted = await page.say("halt")  # no frame was asked for since
-    assert (halted["moving"], halted["depth_mm"]) == (0, 8)
-    assert (await page.say("undo"))["depth_mm"] == 0  # the whole stroke is one gesture
-    await page.say("move", speed_mm_s=100)
-    await asyncio.sleep(0.3)
-    assert (await page.say("frame"))["depth_mm"] == pytest.approx(10)  # it does not leap after a pause
-
-
-@visit
-async def test_inputs_change_while_the_needle_goes_in(server, page) -> None:
-    """b, the bevel's side and the base change during a stroke, which goes on, and is undone with them."""
-    await page.say("move", speed_mm_s=50, to_mm=20)
-    moved = [["bevel_offset_mm", None, 0.02], ["bevel_side", None, -1], ["base_y_mm", None, 0.3]]
-    for change in moved:
-        await asyncio.sleep(0.02)
-        assert (await page.say("frame"))["moving"] == 50
-        assert (await page.say("change", set=[change], gesture=77))["moving"] == 50
-    while (state := await page.say("frame"))["moving"]:
-        await asyncio.sleep(0.01)
-    assert state["depth_mm"] == 20 and state["bevel"] == {"side": -1, "offset_mm": 0.02}
-    assert (await page.say("undo"))["step"] == state["step"] + 1
-    assert (await page.say("frame"))["depth_mm"] == 0
-    await page.say("move", speed_mm_s=50)
-    assert (await page.say("change", insert_mm=1))["moving"] == 0  # the hand takes over
-
-
-@visit
 async def test_what_is_recorded_is_there_at_every_moment_and_replays(server, page) -> None:
     path = server.folder / page.scene["recording"]
-    assert not path.exists()
+    assert not path.exists() and page.depth == 0 and page.scene["target"] == "study2"
     for n in range(1, 6):
-        state = await page.say("change", insert_mm=3.3, set=[["base_slope", None, 0.001 * n]])
+        await page.act(("depth_mm", None, 3.3 * n), ("base_slope", None, 0.001 * n), gesture=n, time=0.1 * n)
         steps = list(replay(read_recording(path)))
-        assert len(steps) == n + 1
-        assert steps[-1].state.shape.tip_lateral == state["tip"]["lateral_mm"]
-    again = await page.say("replay", times=1000)
-    assert again["playing"] and page.scene["recording"] != path.name
-    await asyncio.sleep(0.02)
-    done = await page.say("frame")
-    assert done["tip"] == state["tip"] and not done["playing"]
-
-
-@pytest.mark.sweep
-@visit
-async def test_a_replay_keeps_time_can_be_halted_and_goes_on(server, page) -> None:
-    await page.say("change", insert_mm=5)
-    await asyncio.sleep(0.45)
-    await page.say("undo")
-    await asyncio.sleep(0.45)
-    last = await page.say("change", insert_mm=7)
-    assert (await page.say("replay", times=0.01))["playing"]
-    await asyncio.sleep(0.05)
-    assert (await page.say("frame"))["step"] == 1
-    halted = await page.say("halt")
-    assert halted["paused"] and not halted["playing"]
-    await asyncio.sleep(0.05)
-    assert (await page.say("frame"))["step"] == 1
-    recording = page.scene["recording"]
-    assert (await page.say("replay", times=1000))["playing"]
-    await asyncio.sleep(0.02)
-    done = await page.say("frame")
-    assert (done["tip"], done["step"], page.scene["recording"]) == (last["tip"], 3, recording)
-    assert (await page.say("undo"))["depth_mm"] == 0  # as recorded: the pauses part gestures
-    assert (await page.say("undo"))["depth_mm"] == 5
+        assert len(steps) == n + 1 and steps[-1].recorded.time == pytest.approx(0.1 * n)
+        assert steps[-1].state.shape.tip_lateral == page.steering.now.shape.tip_lateral
+    done, recording = page.steps, page.scene["recording"]
+    await page.say("replay", times=7)
+    replayed = await page.hear("replay")
+    assert page.scene["recording"] != recording and page.depth == 0
+    assert replayed["times"] == 7 and [one[3] for one in replayed["past"]] == [
+        list(map(list, s)) for s in done
+    ]
+    await page.act(*replayed["past"][0][3])  # left there
+    await page.say("replay")
+    assert len((await page.hear("replay"))["past"]) == 5  # the whole of it once more
+    await page.insert(1.0)
+    await page.say("replay")
+    assert len((await page.hear("replay"))["past"]) == 1  # another needle
 
 
 @visit
-async def test_a_replay_that_was_left_can_be_begun_anew_whole(server, page) -> None:
-    for _ in range(3):
-        last = await page.say("change", insert_mm=5)
-        await asyncio.sleep(0.02)
-    await page.say("replay", times=0.01)
-    await asyncio.sleep(0.01)
-    assert (await page.say("frame"))["step"] == 1
-    await page.say("frame")
-    await page.socket.close()
+async def test_the_program_follows_the_needle_of_the_page(server, page) -> None:
+    """Also where it returns to states that were not kept here, and one after the other is undone."""
+    trial = server.trials.known(page.scene["needle"])
+    for n in range(1, 8):
+        await page.act(("depth_mm", None, 2.0 * n), ("base_y_mm", None, 0.1 * n), gesture=1)
+    assert trial.steering.number == 7
+    await page.act(("return_to", None, 3.0), gesture="undo")  # within a gesture: not kept by the program
+    await page.act(("mu_pa", 1, 3e5))
+    await page.act(("return_to", None, 7.0), gesture="redo")
+    assert trial.steering.now.shape.tip_lateral == page.steering.now.shape.tip_lateral
+    assert trial.steering.number == page.steering.number == 10
     back = await server.page(page.scene["needle"])
-    await back.say("replay", times=1000)
-    await asyncio.sleep(0.02)
-    assert (await back.say("frame"))["tip"] == last["tip"]
+    assert [step[2] for step in back.scene["past"]] == [*7 * [1], "undo", None, "redo"]
+
+
+@visit
+async def test_steps_that_do_not_follow_end_the_connection(server, page) -> None:
+    await page.insert(10.0)
+    await page.send("steps", steps=[[3, 0.0, None, [["depth_mm", None, 20.0]], 0.0]])
+    assert (await page.socket.receive()).type is aiohttp.WSMsgType.CLOSE
+    back = await server.page(page.scene["needle"])
+    assert back.depth == 10
+    await back.say("hello", token=server.access.token, needle=back.scene["needle"], known=1)
+    assert back.scene["known"] == 1 and back.scene["past"] == []
 
 
 @visit
 async def test_two_windows_have_two_needles_and_a_page_that_comes_back_finds_its_own(server, page) -> None:
     one, two = page, await server.page()
-    await one.say("change", insert_mm=10)
-    assert (await two.say("change", insert_mm=20))["depth_mm"] == 20
-    assert (await one.say("frame"))["depth_mm"] == 10
+    await one.insert(10.0)
+    await two.insert(20.0)
     await one.socket.close()
     back = await server.page(one.scene["needle"])
-    assert back.first["depth_mm"] == 10 and back.scene["recording"] == one.scene["recording"]
-    assert back.first["undo"]
+    assert back.depth == 10 and back.scene["recording"] == one.scene["recording"]
 
 
 @visit
 async def test_a_needle_has_one_window_the_newest(server, page) -> None:
-    await page.say("change", insert_mm=10)
+    await page.insert(10.0)
     two = await server.page(page.scene["needle"])
-    assert two.first["depth_mm"] == 10
+    assert two.depth == 10
     assert json.loads((await page.socket.receive()).data) == {"kind": "taken"}
     assert (await page.socket.receive()).type is aiohttp.WSMsgType.CLOSE
-    assert (await two.say("change", insert_mm=1))["depth_mm"] == 11
+    await two.insert(11.0)
+    assert server.trials.known(two.scene["needle"]).steering.now.step.depth == 11
 
 
 @pytest.mark.sweep
@@ -268,7 +225,7 @@ async def test_a_needle_taken_while_its_window_looks_for_another_has_one_window(
     read_on = threading.Event()
     reopen = server.trials._reopen
     server.trials._reopen = lambda insertion: read_on.wait(10) and reopen(insertion)
-    await page.say("change", insert_mm=10)
+    await page.insert(10.0)
     await page.socket.send_str('{"do": "show", "id": 99, "insertion": "phantom1-05"}')
     await asyncio.sleep(0.05)
     two = await server.page(page.scene["needle"])
@@ -276,7 +233,7 @@ async def test_a_needle_taken_while_its_window_looks_for_another_has_one_window(
     await asyncio.sleep(0.3)
     three = await server.page(page.scene["needle"])
     assert json.loads((await two.socket.receive(timeout=5)).data) == {"kind": "taken"}
-    assert (await three.say("change", insert_mm=1))["depth_mm"] == 11
+    await three.insert(11.0)
 
 
 @visit
@@ -285,7 +242,7 @@ async def test_so_many_windows_and_no_more_but_each_finds_its_needle(server, pag
     socket = await server.connect()
     await socket.send_json({"do": "hello", "id": 0, "token": server.access.token})
     assert (await socket.receive()).data == 1013
-    assert (await server.page(pages[3].scene["needle"])).first["depth_mm"] == 0
+    assert (await server.page(pages[3].scene["needle"])).depth == 0
 
 
 @pytest.mark.sweep
@@ -325,6 +282,13 @@ def test_only_idle_needles_are_dropped(tmp_path) -> None:
         '{"do": "change", "id": 9, "set": [["tip_held", null, 1], ["tip_y_mm", null, -1e308]]}',
         '{"do": "change", "id": 9, "set": [["alpha", 1, 1e16]]}',
         '{"do": "change", "id": 9, "set": [["base_y_mm", null, ' + "9" * 400 + "]]}",
+        '{"do": "steps", "id": 9, "steps": 7}',
+        '{"do": "steps", "id": 9, "steps": ' + str(17 * [[1, 0, 1, [["base_y_mm", 1, 1]], 0]]) + "}",
+        '{"do": "steps", "id": 9, "steps": [[1, 0.0, 1, [], 0.0]]}',
+        '{"do": "steps", "id": 9, "steps": [[1, -1.0, 1, [["depth_mm", null, 1]], 0.0]]}',
+        '{"do": "steps", "id": 9, "steps": [[1, 0.0, 1, [["depth_mm", null, 1]], NaN]]}',
+        '{"do": "steps", "id": 9, "steps": [[true, 0.0, 1, [["depth_mm", null, 1]], 0.0]]}',
+        '{"do": "steps", "id": 9, "steps": [[1, 0.0, 1, [["depth_mm", null, -1]], 0.0]]}',
     ],
 )
 def test_a_faulty_message_is_refused(text: str) -> None:
@@ -333,21 +297,18 @@ def test_a_faulty_message_is_refused(text: str) -> None:
 
 @visit
 async def test_what_is_refused_changes_nothing(server, page) -> None:
-    before = await page.say("change", insert_mm=30)
+    await page.insert(30.0)
     for do, arguments in (
-        ("change", {"set": [["base_y_mm", None, float("inf")]]}),
-        ("change", {"insert_mm": float("nan")}),
-        ("change", {"set": [["return_to", None, 0]]}),
-        ("change", {"set": [["mu_pa", 1, -3]]}),
-        ("change", {"set": [["guide_x_mm", 1, -140], ["guide_y_mm", 1, 0]]}),
-        ("move", {"speed_mm_s": "fast"}),
-        ("move", {"speed_mm_s": 1e9}),
+        ("steps", {"steps": [[2, 0.0, None, [["base_y_mm", None, float("inf")]], 0.0]]}),
+        ("steps", {"steps": [[2, 0.0, None, [["mu_pa", 1, -3]], 0.0]]}),
+        ("change", {"set": [["base_y_mm", None, 1.0]]}),  # the page's own
+        ("replay", {"times": "fast"}),
         ("show", {"insertion": "../../etc"}),
         ("no such thing", {}),
     ):
-        state = await page.say(do, **arguments)
+        await page.say(do, **arguments)
         assert page.refused, (do, arguments)
-        assert state | {"answers": 0, "time_s": 0} == before | {"answers": 0, "time_s": 0}
+        assert len(server.trials.known(page.scene["needle"]).steps) == 1
 
 
 @visit
@@ -382,19 +343,19 @@ async def test_too_large_and_too_fast_is_cut_off_and_the_needle_is_not_lost(serv
     server.patch.setattr(
         "needlefit.viewer.server.MAX_MESSAGES_PER_S", 0.0
     )  # however slowly this machine sends
-    await page.say("change", insert_mm=10)
+    await page.insert(10.0)
     await page.socket.send_str("x" * (MAX_MESSAGE_BYTES + 1))
     assert (await page.socket.receive()).data == 1009
     back = await server.page(page.scene["needle"])
-    assert back.first["depth_mm"] == 10
+    assert back.depth == 10
     with pytest.raises(ConnectionError):
         for _ in range(int(MAX_BURST_MESSAGES) + 1):
-            await back.socket.send_str('{"do": "frame", "id": 1}')
+            await back.socket.send_str('{"do": "steps", "id": 1}')
         while (await back.socket.receive(timeout=10)).type is aiohttp.WSMsgType.TEXT:
             pass
         raise ConnectionError
     assert back.socket.close_code in (1008, 1006)
-    assert (await server.page(page.scene["needle"])).first["depth_mm"] == 10
+    assert (await server.page(page.scene["needle"])).depth == 10
 
 
 def test_a_pause_allows_a_burst_and_no_more() -> None:
@@ -408,7 +369,7 @@ def test_a_pause_allows_a_burst_and_no_more() -> None:
 
 @visit
 async def test_inputs_can_be_taken_away_as_they_were_recorded(server, page) -> None:
-    await page.say("change", insert_mm=10)
+    await page.insert(10.0)
     headers = {"Authorization": f"Bearer {server.access.token}", "Origin": server.base}
     url, needle = f"{server.base}/export", {"needle": page.scene["needle"]}
     async with server.client.post(f"{url}/inputs.csv", headers=headers, json=needle) as answer:
@@ -421,6 +382,60 @@ async def test_inputs_can_be_taken_away_as_they_were_recorded(server, page) -> N
             sent = headers | {"Content-Type": kind}
             async with server.client.post(f"{url}/inputs.csv", headers=sent, data=body) as answer:
                 assert answer.status == 404
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_the_page_is_there_while_its_needle_is_loaded(tmp_path, fails) -> None:
+    """It is told the stage, and gets its needle then; an error ends it."""
+    read_on = threading.Event()
+
+    def load(show) -> SteeringPage:
+        show("Reading study2")
+        assert read_on.wait(30)
+        shown = open_target("study2")
+        if fails:
+            raise ConfigError("no such needle")
+        return SteeringPage(TrialRegistry(shown, tmp_path, open_target))
+
+    async def attend() -> None:
+        page = LoadingPage(load)
+        async with served(page) as (access, client):
+            base = f"http://127.0.0.1:{access.port}"
+            for name in KERNEL_FILES:
+                async with client.get(f"{base}/mechanics/native/{name}") as answer:
+                    assert answer.status == 200
+            for name in ("native.py", "..%2fsession.py"):
+                async with client.get(f"{base}/mechanics/native/{name}") as answer:
+                    assert answer.status == 404
+            stranger = await client.ws_connect(f"{base}/ws", headers={"Origin": base})
+            await stranger.send_json({"do": "hello", "id": 0, "token": "wrong"})
+            assert (await stranger.receive(timeout=10)).data == 4401
+            socket = await client.ws_connect(f"{base}/ws", headers={"Origin": base})
+            await socket.send_json({"do": "hello", "id": 0, "token": access.token, "needle": None})
+            stages = [json.loads((await socket.receive(timeout=20)).data) for _ in range(3)]
+            assert stages[-1] == {"kind": "stage", "what": "Reading study2"}
+            read_on.set()
+            while (answer := await socket.receive(timeout=60)).type is aiohttp.WSMsgType.TEXT:
+                if (scene := json.loads(answer.data))["kind"] == "scene":
+                    break
+            if fails:
+                assert answer.type is aiohttp.WSMsgType.CLOSE and isinstance(page.error, ConfigError)
+            else:
+                assert scene["target"] == "study2" and page.ended.is_set()
+
+    asyncio.run(asyncio.wait_for(attend(), 90))
+
+
+@visit
+async def test_a_law_that_is_a_table_is_computed_for_the_page(server, page) -> None:
+    tissue = Scene.from_record(open_target("study2").record).tissue
+    headers = {"Authorization": f"Bearer {server.access.token}", "Origin": server.base}
+    for shape, status in ((tissue.shape.tolist(), 200), ([[1.0]], 422), ("x", 422), ([[1e300] * 9], 422)):
+        content = {"needle": page.scene["needle"], "shape": shape}
+        async with server.client.post(f"{server.base}/law", headers=headers, json=content) as answer:
+            assert answer.status == status
+            if status == 200:
+                assert await answer.json() == page.scene["simulation"]["model"]["law"]
 
 
 @visit
@@ -440,21 +455,22 @@ async def test_requests_that_are_not_sent_to_their_end_time_out(server, page) ->
     assert (await reader.readline()).split()[1] == b"408"
     writer.close()
     await asyncio.sleep(0.6)
-    assert (await page.say("change", insert_mm=1))["depth_mm"] == 1
+    await page.insert(1.0)
+    assert not page.refused
 
 
 @visit
 async def test_a_recording_that_cannot_be_written_ends_with_a_message(server, page) -> None:
-    await page.say("change", insert_mm=10)
+    await page.insert(10.0)
     path = server.folder / page.scene["recording"]
     kept = path.read_bytes()
     path.unlink()
     path.mkdir()
-    await page.say("change", insert_mm=1)
+    await page.insert(11.0)
     assert "cannot be written" in page.refused
     path.rmdir()
     path.write_bytes(kept)
-    await page.say("change", insert_mm=1)
+    await page.insert(12.0)
     assert "has ended" in page.refused
     assert path.read_bytes() == kept
 
@@ -462,19 +478,18 @@ async def test_a_recording_that_cannot_be_written_ends_with_a_message(server, pa
 @partial(visit, name="twin/phantom1-02")
 async def test_another_insertion_is_another_needle(server, page) -> None:
     assert page.scene["measured"]["id"] == "phantom1-02" and page.scene["synthetic"]
-    state = await page.say("change", set=[["depth_mm", None, page.scene["depth_mm"]]])
-    assert state["errors"]["whole"] and 0 < state["errors"]["te_mm"] < 5
-    first = page.scene["needle"]
+    await page.insert(page.scene["depth_mm"])
+    first, tip = page.scene["needle"], page.steering.now.shape.tip_lateral
     await page.say("show", insertion="phantom1-05")
     assert page.scene["measured"]["id"] == "phantom1-05" and page.scene["needle"] != first
-    back = await page.say("show", insertion="phantom1-02")
-    assert page.scene["needle"] == first and back["tip"] == state["tip"] and back["undo"]
+    await page.say("show", insertion="phantom1-02")
+    assert page.scene["needle"] == first and page.steering.now.shape.tip_lateral == tip
 
 
 @pytest.mark.sweep
 @visit
 async def test_goals_plans_and_their_faults_reach_the_page(server, page) -> None:
-    await page.say("change", insert_mm=5.0)
+    await page.insert(5.0)
     for bad in (
         {"target": [1]},
         {"target": [1, "2"]},
@@ -500,8 +515,7 @@ async def test_goals_plans_and_their_faults_reach_the_page(server, page) -> None
     assert plan["hits"] == plan["draws"] == 1 and plan["touched"] == {"obstacle 1": 0.0}
     assert plan["nominal_miss_mm"] < 0.5 and plan["steps"][-1][0] == pytest.approx(35, abs=1)
     assert len(plan["fan"][0][0]) == len(plan["fan"][0][1]) > 10
-    state = await page.say("run", speed_mm_s=1000.0, one=True)
-    assert state["playing"]
+    assert [one["depth"] for one in plan["path"]] == [one[0] for one in plan["steps"]]
     await page.say("aim", target=[3.0, 0.5])
     await page.say("plan")
     assert (await page.hear("plan"))["fault"]["what"]  # the target is behind the tip
@@ -513,7 +527,7 @@ async def test_goals_plans_and_their_faults_reach_the_page(server, page) -> None
 @pytest.mark.sweep
 @partial(visit, name="phantom2")
 async def test_a_plan_shifts_the_entry_as_the_command_does_and_begins_there(server, page) -> None:
-    await page.say("change", insert_mm=5.0)
+    await page.insert(5.0)
     first = page.scene["needle"]
     await page.say("aim", target=[40.0, 7.0], radius=0.5, obstacles=[[20, 4, 1, "bone"]])
     for bad in (-1.0, "far", 1e6):
@@ -529,17 +543,21 @@ async def test_a_plan_shifts_the_entry_as_the_command_does_and_begins_there(serv
         [one.depth, one.bevel.side, one.controls.base_y, one.controls.base_slope] for one in same.steps
     ]
     page.kept.clear()
-    state = await page.say("run", speed_mm_s=1000.0)
-    assert page.scene["needle"] != first and state["playing"]
+    await page.say("run")
+    assert page.scene["needle"] != first and page.depth == 0
     aim = await page.hear("aim")
     assert aim["target"] == [40.0, 7.0 - same.entry_mm]
     assert aim["obstacles"] == [[20.0, 4.0 - same.entry_mm, 1.0, "bone"]]
-    assert (await page.hear("plan"))["anew"] is False
-    while state["playing"]:
-        await asyncio.sleep(0.02)
-        state = await page.say("frame")
-    miss = math.hypot(state["tip"]["x"] - 40, state["tip"]["y"] - aim["target"][1])
-    assert state["depth_mm"] == same.end.depth and miss == pytest.approx(same.nominal_miss, abs=1e-3)
+    plan = await page.hear("plan")
+    assert plan["anew"] is False
+    steering = page.steering
+    for step in same.move_to_entry().steps:
+        changes = find_changes(step, steering.now.step, steering.names)
+        await page.act(*([c.name, c.item, c.value] for c in changes), ["depth_mm", None, step.depth])
+    end = steering.now.shape
+    tip = compute_positions(end, end.x[-1:])[0]
+    miss = math.hypot(tip[0] - 40, tip[1] - aim["target"][1])
+    assert end.depth == same.end.depth and miss == pytest.approx(same.nominal_miss, abs=1e-3)
     recording = read_recording(server.folder / page.scene["recording"])
     assert recording.head.scene.entry.y_mm == same.entry_mm
 
@@ -581,9 +599,8 @@ async def test_a_fit_sends_its_mode_and_its_draws(server, page) -> None:
     assert len(mode["layers"]) == 4 and mode["offset_mm"] > 0
     ridge = await page.hear("ridge")
     assert len(ridge["mu_pa"]) == len(ridge["offset_mm"]) == 100
-    await page.say("change", insert_mm=20.0)
-    while not (await page.hear("band"))["x"]:  # the first may be that of first contact
-        pass
+    draws = (await page.hear("draws"))["draws"]
+    assert draws["sets"] == 100 and len(draws["mu"]) == 400 and len(draws["strength"]) == 100
 
 
 @visit
@@ -599,11 +616,11 @@ async def test_aligned_constraint_points_give_the_tip_of_simulate(server, page) 
     wanted = simulate_steps(scene.needle, scene.tissue, (step,), scene.rules).tip_lateral
     await page.say("align")
     assert page.refused  # at the entry
-    before = await page.say("change", insert_mm=40.0)
-    assert abs(before["tip"]["lateral_mm"] - wanted) > 1e-3
-    state = await page.say("align")
-    assert page.scene["first_cell_mm"] == pytest.approx(1.0) and state["depth_mm"] == 40.0
-    assert state["tip"]["lateral_mm"] == pytest.approx(wanted, abs=1e-9)
-    await page.say("change", set=[["mu_pa", 1, 3e5]])
+    await page.insert(40.0)
+    assert abs(page.steering.now.shape.tip_lateral - wanted) > 1e-3
+    await page.say("align")
+    assert page.scene["first_cell_mm"] == pytest.approx(1.0) and page.depth == 40.0
+    assert page.steering.now.shape.tip_lateral == pytest.approx(wanted, abs=1e-9)
+    await page.act(("mu_pa", 1, 3e5))
     await page.say("align")
     assert page.refused  # parameters of the scene alone

@@ -4,6 +4,7 @@ import shlex
 import signal
 import threading
 from collections.abc import Callable, Coroutine, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -15,7 +16,7 @@ from needlefit.cli.options import complete_view_targets, option, takes
 from needlefit.errors import ConfigError
 from needlefit.project.folders import require_writable
 from needlefit.project.input_files import is_dir, is_file, path_exists
-from needlefit.project.locate import find_file, list_names
+from needlefit.project.locate import find_file, find_view_target, list_names
 
 if TYPE_CHECKING:
     from needlefit.imaging.scans import Scan
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from needlefit.viewer.openigtlink import OpenIGTLinkServer
     from needlefit.viewer.scan_session import ScanSession
     from needlefit.viewer.server import AccessControl, ServedPage
+    from needlefit.viewer.steering_page import SteeringPage
     from needlefit.viewer.trials import TrialRegistry
 
 
@@ -90,13 +92,27 @@ def view(
         raise typer.BadParameter("is for scans alone", param_hint=hints)
     record = _read_tracker(openigtlink, tracker)
     require_writable(out / "view")
+    if target is not None:
+        find_view_target(target)  # a wrong name ends it before a page opens
     serve = _server()
-    trials = _trials(context.find_root().obj, target, recording, out / "view", specimen or "shown")
-    from needlefit.viewer.server import SteeringPage
+    begun: list[TrialRegistry] = []
 
-    server = None if record is None else _openigtlink(record, trials, openigtlink_host, openigtlink or 0)
-    _serve(serve, SteeringPage(trials, server), port, browser)
-    for path in trials.written():
+    def load(show: Callable[[str], None]) -> "SteeringPage":
+        show("Loading the model")
+        from needlefit.viewer.steering_page import SteeringPage
+
+        show(f"Reading {recording or target or 'the scene'}")
+        trials = _trials(context.find_root().obj, target, recording, out / "view", specimen or "shown")
+        begun.append(trials)
+        if record is None:
+            return SteeringPage(trials)
+        return SteeringPage(trials, _openigtlink(record, trials, openigtlink_host, openigtlink or 0))
+
+    from needlefit.viewer.server import LoadingPage
+
+    # A tracker's server begins with the page's own.
+    _serve(serve, LoadingPage(load) if record is None else load(screen.print_note), port, browser)
+    for path in begun[0].written() if begun else ():
         screen.print_line(f"recorded: {path}")
         screen.print_note(f"replay it: {shlex.join(('needlefit', 'simulate', '--recording', str(path)))}")
 
@@ -108,7 +124,7 @@ def _examine(
     serve = _server()
     screen.print_note(f"needlefit: examining {target}")
     session = open_session(target, named, recipe, folder)
-    from needlefit.viewer.server import ScanPage
+    from needlefit.viewer.scan_page import ScanPage
 
     _serve(serve, ScanPage(session), port, browser)
     path = session.keep_unsaved()
@@ -131,7 +147,7 @@ def _serve(
         if browser:  # some browsers hold up whoever calls them
             threading.Thread(target=webbrowser.open, args=(access.address,), daemon=True).start()
 
-    asyncio.run(serve(page, port, ready, _until_stopped))
+    asyncio.run(serve(page, port, ready, partial(_until_stopped, page)))
 
 
 def _server() -> Callable[..., "Coroutine[None, None, None]"]:
@@ -206,14 +222,22 @@ def _trials(
     return TrialRegistry(shown, folder, lambda choice: reopen(shown, choice, specimen), source)
 
 
-async def _until_stopped() -> None:
-    """Wait for Ctrl-C or a signal to end."""
+async def _until_stopped(page: "ServedPage") -> None:
+    """Wait for Ctrl-C or a signal to end; raise the error of a page that could not be loaded."""
     import asyncio
+
+    from needlefit.viewer.server import LoadingPage
 
     stopped, loop = asyncio.Event(), asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stopped.set)
-    await stopped.wait()
+    waiting = asyncio.create_task(stopped.wait())
+    if isinstance(page, LoadingPage):
+        loading = asyncio.create_task(page.ended.wait())
+        await asyncio.wait((waiting, loading), return_when=asyncio.FIRST_COMPLETED)
+        if page.error is not None:
+            raise page.error
+    await waiting
 
 
 # ---- scans

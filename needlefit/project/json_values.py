@@ -1,7 +1,9 @@
-"""Convert values to the types that JSON knows."""
+"""Convert values to the types that JSON knows, and read them."""
 
+import json
 import math
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 
 def to_json_values(value: object) -> object:
@@ -17,3 +19,16 @@ def to_json_values(value: object) -> object:
     if value is None or isinstance(value, str | int):
         return value
     return [to_json_values(inner) for inner in value] if isinstance(value, Iterable) else str(value)
+
+
+def parse_json(text: str | bytes) -> Any:  # noqa: ANN401 - JSON
+    """Return the value in a JSON text.
+
+    ValueError if it is none, nests too deeply, or has half of a pair of surrogates: no text is made of that.
+    """
+    try:
+        content = json.loads(text)
+        json.dumps(content, ensure_ascii=False).encode()
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+    return content

@@ -1,7 +1,7 @@
 """The messages between a needle and its page, as values for JSON; lengths in mm, frame C."""
 
-import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,10 +10,13 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.errors import ModelError, NeedlefitError
 from needlefit.inference.forward_model import ParameterDraws
+from needlefit.mechanics.laws import LAWS, PowerLaw
 from needlefit.mechanics.packing import compile_law
 from needlefit.mechanics.shape import compute_positions, map_beam_points
 from needlefit.mechanics.simulate import compute_loads
+from needlefit.mechanics.tissue import Tissue
 from needlefit.metrics import list_metrics
+from needlefit.project.json_values import parse_json
 from needlefit.reporting import needle_page
 from needlefit.reporting.needle_page import encode_layers, encode_strength
 from needlefit.schemas.limits import MAX_NUMBER
@@ -24,6 +27,7 @@ from needlefit.viewer.overlays import (
     choose_band_draws,
     compute_live_errors,
 )
+from needlefit.viewer.recording import RecordedStep
 from needlefit.viewer.steering import Change, SteeredNeedle, guide_number
 
 LENGTH_DIGITS = 4  #: decimals of drawn lengths in mm
@@ -71,14 +75,45 @@ def encode_measured(measured: MeasuredOverlay) -> dict[str, Any]:
     return {"x": x, "y": y, "s": measured.s.tolist(), "floor_mm": measured.floor, "target": compared}
 
 
+def encode_recorded(step: RecordedStep) -> list[Any]:
+    """Return a step that the page is to carry out."""
+    changes = [[change.name, change.item, change.value] for change in step.changes]
+    return [step.number, step.time, step.gesture, changes, step.tip_lateral]
+
+
+def encode_law(law: str, shape: Floats) -> list[float]:
+    """Return the law of all layers at shape parameters (..., p, n) as the kernel has it, or a ModelError."""
+    found: list[float] = np.concatenate(compile_law(law, shape), axis=-1).ravel().tolist()
+    return found
+
+
+def encode_tables(tissue: Tissue, steps: Sequence[RecordedStep]) -> list[Any]:
+    """Return shape parameters and law for all that occur in steps; none where the page computes the law."""
+    names = LAWS[tissue.law].shape_names
+    if isinstance(LAWS[tissue.law], PowerLaw):
+        return []
+    after, found = {0: tissue.shape}, dict[str, Any]()
+    for number, step in enumerate(steps, start=1):
+        first, shape = step.changes[0], after[number - 1]
+        if first.name == "return_to":
+            shape = after.get(int(first.value), shape)
+        for change in step.changes:
+            if change.name in names and change.item is not None and change.item <= tissue.layers:
+                shape = shape.copy()
+                shape[names.index(change.name), change.item - 1] = change.value
+        after[number] = shape
+        if shape is not tissue.shape:
+            found.setdefault(str(shape.tolist()), [shape.tolist(), encode_law(tissue.law, shape)])
+    return list(found.values())
+
+
 def encode_draws(spread: ParameterDraws, law: str) -> dict[str, Any]:
     """Return the draws of a band: of each, mu and law of every layer, and the strength of the bevel."""
     drawn = spread.only(choose_band_draws(spread))
-    numbers = np.concatenate(compile_law(law, drawn.shape), axis=-1)
     return {
         "sets": len(drawn),
         "mu": drawn.mu.ravel().tolist(),
-        "law": numbers.ravel().tolist(),
+        "law": encode_law(law, drawn.shape),
         "strength": drawn.bevel.tolist(),
     }
 
@@ -160,12 +195,12 @@ def round_lengths(values: Floats) -> list[float]:
 
 
 ACTIONS = {
-    *("hello", "change", "move", "halt", "frame", "undo", "redo", "reset", "play", "replay", "show"),
-    *("aim", "markups", "plan", "run", "challenge", "fit", "points", "align"),
+    *("hello", "steps", "change", "replay", "show", "align", "fit", "points"),
+    *("aim", "markups", "plan", "run", "challenge"),
     *("release_tracker", "forget_estimate"),
 }
-MAX_CHANGES = 64  #: number of inputs that one message may set
-MAX_SPEED_MM_S = 1000.0
+MAX_CHANGES = 64  #: number of inputs that one step may set
+MAX_MESSAGE_STEPS = 16  #: number of steps of one message
 MAX_REPLAY_SPEED = 1000.0  #: greatest speed of a replay, as a multiple of the recorded speed
 
 
@@ -176,6 +211,7 @@ class Message:
     do: str  #: one of `ACTIONS`
     id: int = 0  #: the page's own number of it; answers name it
     changes: tuple[Change, ...] = ()
+    steps: tuple[RecordedStep, ...] = ()  #: that a page has carried out
     content: dict[str, Any] = field(default_factory=dict)  #: all other keys of the message
     fault: ModelError | None = None  #: why it cannot be carried out
 
@@ -194,22 +230,8 @@ class Message:
         return value if isinstance(value, str) else ""
 
     @property
-    def gesture(self) -> int | None:
-        value = self.content.get("gesture")
-        return value if isinstance(value, int) and not isinstance(value, bool) else None
-
-
-def parse_json(text: str | bytes) -> Any:  # noqa: ANN401 - JSON
-    """Return the value in a JSON text.
-
-    ValueError if it is none, nests too deeply, or has half of a pair of surrogates: no text is made of that.
-    """
-    try:
-        content = json.loads(text)
-        json.dumps(content, ensure_ascii=False).encode()
-    except RecursionError:
-        raise ValueError("nested too deeply") from None
-    return content
+    def gesture(self) -> int | str | None:
+        return _read_gesture(self.content.get("gesture"))
 
 
 def read_message(text: str) -> Message:
@@ -231,12 +253,33 @@ def read_message(text: str) -> Message:
         if not isinstance(action, str) or action not in ACTIONS or type(number) is not int:
             expected = f"`id`, and `do`: {', '.join(sorted(ACTIONS))}"
             raise ModelError("the message names no action", expected=expected)
-        if not isinstance(rows, list) or len(rows) > MAX_CHANGES:
-            expected = f"up to {MAX_CHANGES} of [input, item, value]"
-            raise ModelError("`set` holds no inputs", expected=expected)
-        return Message(action, known, tuple(map(_read_change, rows)), content)
+        steps = content.get("steps", [])
+        if not isinstance(steps, list) or len(steps) > MAX_MESSAGE_STEPS:
+            raise ModelError("`steps` holds no steps", expected=f"up to {MAX_MESSAGE_STEPS} of them")
+        return Message(action, known, _read_changes(rows), tuple(map(_read_step, steps)), content)
     except ModelError as error:
         return Message("", known, fault=error)
+
+
+def _read_step(row: object) -> RecordedStep:
+    """Return a step: its number, time, gesture, changes, and the tip's lateral displacement after it."""
+    if not isinstance(row, list) or len(row) != 5 or type(row[0]) is not int or not row[3]:
+        raise ModelError(f"{row!r:.60} is no step", expected="[number, time, gesture, changes, tip]")
+    time, tip = _read_finite(row[1]), _read_finite(row[4])
+    if time is None or time < 0 or tip is None:
+        raise ModelError(f"{row!r:.60} is no step", expected="a finite time and place of the tip")
+    return RecordedStep(row[0], time, _read_changes(row[3]), tip, gesture=_read_gesture(row[2]))
+
+
+def _read_gesture(value: object) -> int | str | None:
+    return value if type(value) is int or value in ("undo", "redo") else None
+
+
+def _read_changes(rows: object) -> tuple[Change, ...]:
+    if not isinstance(rows, list) or len(rows) > MAX_CHANGES:
+        expected = f"up to {MAX_CHANGES} of [input, item, value]"
+        raise ModelError("`set` holds no inputs", expected=expected)
+    return tuple(map(_read_change, rows))
 
 
 def _read_change(row: object) -> Change:

@@ -16,6 +16,7 @@ from needlefit.mechanics.control import Step
 from needlefit.mechanics.scene import Scene
 from needlefit.planning.goals import Goal, cut_plane, name_obstacles, read_goal_points
 from needlefit.planning.steering import StartedInsertion, SteeringPlan, draw_target
+from needlefit.reporting.needle_page import encode_step
 from needlefit.schemas.planning import ObstacleRecord
 from needlefit.viewer.messages import Message, round_lengths
 from needlefit.viewer.opening import ViewedScene
@@ -173,6 +174,7 @@ def plan_message(found: SteeringPlan, aim: TrialAim) -> dict[str, Any]:
         "steps": [
             [one.depth, one.bevel.side, one.controls.base_y, one.controls.base_slope] for one in found.steps
         ],
+        "path": [encode_step(one) for one in found.steps],
         "turns": len(found.turns),
         "draws": len(found.needles),
         "hits": found.hits,

@@ -42,6 +42,8 @@ class RecordedStep:
     changes: tuple[Change, ...]
     tip_lateral: float
     line: int = 0
+    #: steps of the same gesture are undone together; not written. "undo" and "redo" return to a step.
+    gesture: int | str | None = None
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ class RecordingWriter:
     """
 
     def __init__(self, path: Path, head: RecordingRecord) -> None:
-        self.path, self._head, self._begun = path, head, False
+        self.path, self.head, self._begun = path, head, False
 
     def write(self, step: RecordedStep) -> None:
         """Append a step; OSError if the file cannot be written."""
@@ -77,7 +79,7 @@ class RecordingWriter:
         """Create the file with its head, unless it exists; OSError if it cannot be written."""
         if self._begun:
             return
-        tables = self._head.model_dump(mode="json", by_alias=True, exclude_none=True)
+        tables = self.head.model_dump(mode="json", by_alias=True, exclude_none=True)
         text = "# a needle steered by hand; `needlefit simulate --recording FILE` replays it\n" + dumps(
             tables
         )

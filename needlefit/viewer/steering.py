@@ -9,7 +9,6 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from time import perf_counter
 
 import numpy as np
 
@@ -22,10 +21,6 @@ from needlefit.mechanics.session import NeedleState, Session
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.limits import MAX_NEEDLE_LENGTH_MM, MAX_NUMBER
-
-#: duration of a trial, s, and number of trials; the fastest counts, since other programs can only slow a
-#: trial down
-STEP_RATE_TRIAL_S, STEP_RATE_TRIALS = 0.008, 3
 
 
 @dataclass(frozen=True)
@@ -188,12 +183,11 @@ def _apply_to_guides(guides: Sequence[Guide], values: Values, names: Sequence[st
 class SteeredNeedle:
     """The needle of a scene, simulated step by step from first contact on.
 
-    The same changes in the same order find the same bits. `first_cell` is the depth of the first constraint
-    point, mm; with `valid_only` a step that leads outside the model's validity is refused.
+    The same changes in the same order find the same bits, here and in the page (`page/model/steered.js`).
+    `first_cell` is the depth of the first constraint point, mm.
     """
 
-    def __init__(self, scene: Scene, first_cell: float, *, valid_only: bool = False) -> None:
-        self._valid_only = valid_only
+    def __init__(self, scene: Scene, first_cell: float) -> None:
         steps = []  # all guides get a name
         for step in scene.steps:
             guides = tuple(replace(guide, name=guide.name or "guide") for guide in step.controls.guides)
@@ -219,25 +213,6 @@ class SteeredNeedle:
         """Return the shortest steps that lead to the present state."""
         return self._session.input_path()
 
-    def step_rate(self) -> float:
-        """Return the steps per second that this needle can compute at the final depth of its scene.
-
-        A step moves the tip by a constraint spacing, in and out alternately, with no other work. Between the
-        frames of a page the processor sleeps and forgets, and single steps take a few times as long.
-        """
-        session, depth = self._session, min(self.scene.depth, self.reach())
-        other, inputs, rates = session.copy(), session.last, list[float]()
-        places = (max(depth - session.rules.spacing, 0.0), depth)
-        steps = [Step(place, inputs.bevel, inputs.controls) for place in places]
-        other.go(steps[1])
-        for _ in range(STEP_RATE_TRIALS):
-            before, began = other.solved, perf_counter()
-            while (spent := perf_counter() - began) < STEP_RATE_TRIAL_S:
-                for step in steps:
-                    other.go(step)
-            rates.append((other.solved - before) / spent)
-        return max(rates)
-
     def reach(self, controls: Controls | None = None) -> float:
         """Return the greatest depth possible under controls (by default those now), mm.
 
@@ -247,10 +222,11 @@ class SteeredNeedle:
         # 1e-6 mm less: the base must stay before guides and tissue.
         return self.scene.needle.length + (before[0].x - BASE_CLEARANCE_MM if before else 0.0) - 1e-6
 
-    def apply(self, changes: Sequence[Change]) -> NeedleState:
+    def apply(self, changes: Sequence[Change], *, valid_only: bool = False) -> NeedleState:
         """Carry out one step: all changes at once.
 
         ModelError if the model does not take them, or finds no needle that does; then nothing has happened.
+        With `valid_only` a step that leads outside the model's validity is refused, too.
         """
         inputs = [(change.name, change.item) for change in changes]
         for name, item in inputs:
@@ -265,19 +241,23 @@ class SteeredNeedle:
             # A copy: the stored state must survive further steps, for another return.
             self._session = self._saved[number].copy()
         else:
-            self._session = self._advance(changes)
+            self._session = self._advance(changes, valid_only)
         self.number += 1
         return self.now
 
     def keep(self) -> None:
         self._saved[self.number] = self._session.copy()
 
+    def has_kept(self, number: int) -> bool:
+        """Whether the state after a step is stored."""
+        return number in self._saved
+
     def forget(self, number: int) -> None:
         """Delete the state stored at a step; the initial state stays."""
         if number:
             self._saved.pop(number, None)
 
-    def _advance(self, changes: Sequence[Change]) -> Session:
+    def _advance(self, changes: Sequence[Change], valid_only: bool) -> Session:
         """Return the session after a step; the one there is stays as it was if that fails."""
         session, before = self._session, self._session.solved
         parameters = [change for change in changes if change.is_parameter]
@@ -294,22 +274,22 @@ class SteeredNeedle:
                 f"with these parameters the insertion so far fails {session.depth:.1f} mm deep",
                 "change them less, or retract the needle first",
             )
-            self._require_valid(session.now.shape)
+            self._require_valid(session.now.shape, valid_only)
         moved = [change for change in changes if not change.is_parameter]
         step = apply_changes(session.last, moved, self.names, float(session.now.shape.u[-1]))
         if step != session.last:
             reach, guides = self.reach(step.controls), step.controls.before
-            if self._valid_only and guides and step.depth > reach + 1e-6:
+            if valid_only and guides and step.depth > reach + 1e-6:
                 gap = guides[0].x + self.scene.needle.length - step.depth
                 raise ModelError(
                     f"the base would stand {gap:.2f} mm before the first guide",
                     expected=f"at least {BASE_CLEARANCE_MM:g} mm: the base stops at the guide",
                     fix="retract the needle, or move the guide toward the tissue",
                 )
-            shape = session.go(step, valid_only=self._valid_only)
+            shape = session.go(step, valid_only=valid_only)
             what = f"the model finds no needle there ({shape.status})"
             self._require_found(shape.converged, what, "move less at a time")
-            self._require_valid(shape)
+            self._require_valid(shape, valid_only)
         self.solved += session.solved - before
         return session
 
@@ -318,9 +298,9 @@ class SteeredNeedle:
             self.failed += 1
             raise ModelError(what, expected="a load that tissue and needle can bear", fix=fix)
 
-    def _require_valid(self, shape: NeedleShape) -> None:
+    def _require_valid(self, shape: NeedleShape, valid_only: bool) -> None:
         """Raise ModelError where a needle would leave the model's validity, unless it is outside already."""
-        if self._valid_only and not shape.valid and self.now.shape.valid:
+        if valid_only and not shape.valid and self.now.shape.valid:
             self.failed += 1
             raise ModelError(
                 f"the needle would be outside the model's validity: {'; '.join(shape.validity.faults)}",

@@ -1,18 +1,18 @@
-"""Interactive trials: each window controls, records and undoes the steps of one needle.
+"""Interactive trials: each window controls one needle, whose steps are recorded.
 
-A window's messages are answered here: inputs are carried out, and motions advance frame by frame.
+The page simulates the needle and sends its steps. Where a tracker moves it, it is simulated here, and the
+page follows.
 """
 
 import asyncio
-import math
 import secrets
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path, PurePath
 from time import monotonic
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 from needlefit.errors import ModelError, NeedlefitError
 from needlefit.mechanics.control import Step
@@ -22,11 +22,11 @@ from needlefit.planning.steering import StartedInsertion
 from needlefit.viewer.live_fit import KNOTS, FitScope
 from needlefit.viewer.messages import (
     MAX_REPLAY_SPEED,
-    MAX_SPEED_MM_S,
     Message,
     encode_fault,
+    encode_recorded,
     encode_scene,
-    encode_state,
+    encode_tables,
 )
 from needlefit.viewer.opening import NEEDLES, ViewedScene, replace_needle
 from needlefit.viewer.plans import (
@@ -38,35 +38,21 @@ from needlefit.viewer.plans import (
     read_goal,
     shift_entry,
 )
-from needlefit.viewer.recording import (
-    RecordedStep,
-    Recording,
-    RecordingWriter,
-    find_last_returns,
-    keep_for_returns,
-    read_recording,
-)
-from needlefit.viewer.steering import Change, SteeredNeedle, find_changes, find_tissue_changes
+from needlefit.viewer.recording import RecordedStep, Recording, RecordingWriter, replay
+from needlefit.viewer.steering import Change, SteeredNeedle, find_tissue_changes
 
-MAX_UNDO = 200  #: number of gestures that can be undone
+MAX_KEPT = 400  #: states to which an undo may return that are kept; others are simulated again
 #: number of trials that are kept. Beyond it, those whose windows closed first are dropped; their recordings
 #: stay.
 MAX_TRIALS = 32
-MAX_FRAME_S = 0.1  #: longest motion in one frame, s: after a pause the needle does not jump
-UNDO_PAUSE_S = 0.4  #: steps of a recording that are farther apart than this, s, are undone one by one
 MAX_OFFSET_MM = 50.0  #: a measured point is moved by at most so much, mm
-#: messages that leave a moving needle as it is
-_MOVING_NOTHING = ("frame", "hello", "aim", "markups", "fit", "points", "release_tracker", "forget_estimate")
-
-#: moves a needle on in every frame, which sends the time since the frame before, s; ends with the motion
-Frames = Generator[None, float, None]
-
 Reply = dict[str, Any]
 
 
 class InteractiveTrial:
     """An interactive insertion, from first contact on: recorded to `path` as the needle moves.
 
+    A page simulates its needle and sends its steps; the needle here follows them once somebody asks for it.
     `name` is part of the recording's name; `source` is a recording that can be carried out again.
     """
 
@@ -75,45 +61,69 @@ class InteractiveTrial:
     ) -> None:
         self.name, self.viewed_scene, self.source = name, viewed_scene, source
         self.scene = Scene.from_record(viewed_scene.record, viewed_scene.name)
-        self.steering = SteeredNeedle(self.scene, viewed_scene.first_cell, valid_only=True)
+        self.steps: list[RecordedStep] = []
         self.recorder = RecordingWriter(path, viewed_scene.make_head())
-        self.speed = self.steering.step_rate()  #: steps a second that its needle can make here
         self.aim = TrialAim()
         self.wanted_fit: FitScope | None = None  #: what is to be fitted to, until that has begun
         #: the measured insertion before its points were moved, and by how much they are to be, until they are
         self.measured, self.wanted_offsets = viewed_scene.shown, list[float]()
+        self._steering = self._begin()
+        self._gesture: int | str | None = None  # of the step before, and the steps whose states are kept
+        self._kept = deque[int]()
         self._began: float | None = None
         self._write_failed = False
-        self._past: list[int] = []
-        self._future: list[int] = []
-        self._gesture: int | None = None
-        self._pinned: set[int] = set()
         #: the last needle of the same window beside each insertion that it has shown, this one among them
         self.window_trials = {self.shown_insertion: self}
-        #: held while a message is carried out: one that simulates the insertion again runs in a thread
+        #: held while a message is carried out: some run in a thread
         self.lock = asyncio.Lock()
+
+    def _begin(self) -> SteeredNeedle:
+        return SteeredNeedle(self.scene, self.viewed_scene.first_cell)
 
     @property
     def shown_insertion(self) -> str:
         """The id of the measured insertion shown with the needle; empty if there is none."""
         return self.viewed_scene.measured.id if self.viewed_scene.measured else ""
 
-    def describe_scene(self) -> dict[str, Any]:
-        """Return the message of all that stays constant."""
-        return encode_scene(self.viewed_scene, self.steering) | {
+    def describe_scene(self, known: int = 0) -> dict[str, Any]:
+        """Return the message of all that stays constant, and of the steps after those that are known."""
+        return encode_scene(self.viewed_scene, self._steering) | {
             "needle": self.name,
             "recording": self.recorder.path.name,
+            "time_s": self.time() if self.steps else 0.0,
+            "known": known,
+            **self.describe_steps(self.steps, known),
         }
 
-    def describe_state(self) -> dict[str, Any]:
-        """Return the message of all that changes from step to step."""
-        steering = self.steering
-        return encode_state(self.viewed_scene, steering) | {
-            "time_s": self.time() if steering.number else 0.0,
-            "undo": bool(self._past),
-            "redo": bool(self._future),
-            "solver": {"steps": steering.solved, "rate_per_s": self.speed, "failed": steering.failed},
+    def describe_steps(self, steps: Sequence[RecordedStep], known: int = 0) -> dict[str, Any]:
+        """Return steps, without some that are known, as the page carries them out."""
+        return {
+            "past": [encode_recorded(step) for step in steps[known:]],
+            "tables": encode_tables(self.scene.tissue, steps),
         }
+
+    @property
+    def steering(self) -> SteeredNeedle:
+        """The needle after all steps; DataError if one cannot be carried out: it is none of a page."""
+        for step in self.steps[self._steering.number :]:
+            returns = step.changes[0].name == "return_to"
+            if returns and not self._steering.has_kept(int(step.changes[0].value)):
+                self._steering = self._begin()  # from the first step on, with those kept that are needed
+                recording = Recording(self.recorder.head, tuple(self.steps), str(self.recorder.path))
+                deque(replay(recording, self._steering), maxlen=0)
+                break
+            self._keep_before(step.gesture)
+            self._steering.apply(step.changes)
+        return self._steering
+
+    def _keep_before(self, gesture: int | str | None) -> None:
+        """Keep the state at which a gesture begins: an undo may return to it."""
+        if gesture is None or isinstance(gesture, str) or gesture != self._gesture:
+            self._steering.keep()
+            self._kept.append(self._steering.number)
+            if len(self._kept) > MAX_KEPT:
+                self._steering.forget(self._kept.popleft())
+        self._gesture = gesture
 
     @property
     def insertion(self) -> StartedInsertion:
@@ -136,79 +146,45 @@ class InteractiveTrial:
             self._began = monotonic()
         return monotonic() - self._began
 
-    def act(self, changes: Sequence[Change], gesture: int | None = None) -> None:
+    def act(self, changes: Sequence[Change], gesture: int | str | None = None) -> None:
         """Carry out and record one step; steps of the same gesture are undone together.
 
         ModelError if the model does not take it; then nothing has happened. OSError if it cannot be recorded.
         """
-        number = self.steering.number
-        if begins := gesture is None or gesture != self._gesture:
-            self.steering.keep()
-        try:
-            self._step(changes)
-        except Exception:
-            self._forget([number])
-            raise
-        if begins:
-            self._gesture = gesture
-            left = [*self._future, *self._past[: 1 - MAX_UNDO]]
-            self._past, self._future = [*self._past[1 - MAX_UNDO :], number], []
-            self._forget(left)
+        self._require_recorder()
+        steering, time = self.steering, self.time()
+        self._keep_before(gesture)
+        tip = steering.apply(changes, valid_only=True).shape.tip_lateral
+        self.record(RecordedStep(steering.number, time, tuple(changes), tip, gesture=gesture))
 
-    def undo(self, *, redo: bool = False) -> None:
-        """Undo the last gesture, or redo the one that was undone last."""
-        back, forth = (self._future, self._past) if redo else (self._past, self._future)
-        if not back:
-            return
-        number = self.steering.number
-        self.steering.keep()
-        self._step((Change("return_to", None, float(back[-1])),))
-        forth.append(number)
-        self._forget([back.pop()])
-        self._gesture = None
+    def record(self, step: RecordedStep) -> None:
+        """Append a step; OSError if it cannot be written, StepOrderError if it does not follow the last."""
+        self._require_recorder()
+        if step.number != len(self.steps) + 1:
+            raise StepOrderError(f"step {step.number} follows step {len(self.steps)}")
+        if self._began is None:
+            self._began = monotonic() - step.time
+        # Set before the write and cleared after it: an error of any kind in between leaves it set.
+        self._write_failed = True
+        self.recorder.write(step)
+        self._write_failed = False
+        self.steps.append(step)
 
-    def reset(self) -> None:
-        """Return to first contact with the present parameters of the model; this can be undone.
-
-        A band and a planner with draws of a fit keep them, and so must the needle.
-        """
-        before = self.steering.now
-        self.act((Change("return_to", None, 0.0),))
-        now = self.steering.now
-        bevel = replace(before.step.bevel, side=now.step.bevel.side)
-        changes = find_changes(replace(now.step, bevel=bevel), now.step, self.steering.names)
-        changes = (*find_tissue_changes(before.tissue, now.tissue), *changes)
-        if changes:
-            self._step(changes)
-
-    def pin(self) -> None:
-        """Store the present state, for a replay that returns to it."""
-        self._pinned.add(self.steering.number)
-        self.steering.keep()
-
-    def unpin(self, number: int) -> None:
-        """Delete the state that was stored at a step."""
-        self._pinned.discard(number)
-        self._forget([number])
-
-    def _forget(self, numbers: Sequence[int]) -> None:
-        for number in set(numbers) - {*self._past, *self._future, *self._pinned}:
-            self.steering.forget(number)
-
-    def _step(self, changes: Sequence[Change]) -> None:
+    def _require_recorder(self) -> None:
         if self._write_failed:  # what came after a gap could not be replayed
-            raise ModelError(
+            raise RecordingEndedError(
                 f"the recording {self.recorder.path} has ended: it could not be written",
                 expected="room on the disk, and a folder that may be written to",
                 fix="make room, then open the page in a new window",
             )
-        time = self.time()
-        moment = self.steering.apply(changes)
-        recorded = RecordedStep(self.steering.number, time, tuple(changes), moment.shape.tip_lateral)
-        # Set before the write and cleared after it: an error of any kind in between leaves it set.
-        self._write_failed = True
-        self.recorder.write(recorded)
-        self._write_failed = False
+
+
+class StepOrderError(Exception):
+    """A page and the program hold different needles: the page begins anew with the recorded steps."""
+
+
+class RecordingEndedError(ModelError):
+    """Nothing more can be recorded."""
 
 
 class TrialRegistry:
@@ -353,160 +329,83 @@ class TrialRegistry:
         return self._all[name]
 
 
-class Motion:
-    """What moves a needle by itself: a stroke, the steps of a scene or a plan, or a recording.
-
-    `speed` is in mm/s, of a recording a multiple of its own.
-    """
-
-    def __init__(self, kind: Literal["stroke", "play", "replay"], speed: float, gesture: int) -> None:
-        self.kind, self.speed, self.gesture = kind, speed, gesture
-        self.frames: Frames | None = None
-
-
-def _stroke(trial: InteractiveTrial, speed: float, gesture: int, to: float | None = None) -> Frames:
-    """Move the tip: in (out, if `speed` is negative) until it is stopped, or reaches the depth `to`, mm."""
-    left = math.inf
-    while left > SAME_DEPTH_MM:
-        dt = yield
-        now, reach = trial.steering.now.step.depth, trial.steering.reach()
-        low, high = (0.0, reach) if to is None else sorted((now, min(max(to, 0.0), reach)))
-        depth = min(max(now + speed * dt, low), high)
-        left = abs((high if speed > 0 else low) - depth)
-        if abs(depth - now) > SAME_DEPTH_MM:
-            trial.act((Change("depth_mm", None, depth),), gesture)
-
-
-def _play(trial: InteractiveTrial, steps: Iterable[Step], speed: float, gesture: int) -> Frames:
-    """Move through steps, at constant speed: those of the scene from first contact on, or of a plan."""
-    for step in steps:
-        yield
-        if changes := find_changes(step, trial.steering.now.step, trial.steering.names):
-            trial.act(changes, gesture)
-        distance = step.depth - trial.steering.now.step.depth
-        yield from _stroke(trial, speed if distance >= 0 else -speed, gesture, step.depth)
-    yield
-
-
-def _replay(trial: InteractiveTrial, steps: Sequence[RecordedStep], motion: Motion) -> Frames:
-    """Move through a recording's steps at their own times; steps without pause are one gesture."""
-    clock, last, left = steps[0].time, find_last_returns(steps), deque(steps)
-    gesture = -1  # a page's own gestures are above 0
-    while left:
-        dt = yield
-        clock += motion.speed * dt  # the speed may have been changed meanwhile
-        while left and left[0].time <= clock:
-            step = left.popleft()
-            trial.act(step.changes, gesture)
-            keep_for_returns(step, last, trial.pin, trial.unpin)
-            if left and left[0].time - step.time > UNDO_PAUSE_S:
-                gesture -= 1
-
-
 class Window:
-    """One authenticated page, and the needle that it controls.
-
-    Motions advance only when the page requests its next frame, by the time since
-    the frame before. A page that is hidden or gone therefore stops its needle.
-    """
+    """One authenticated page, and the needle that it controls."""
 
     def __init__(self, trials: TrialRegistry, trial: InteractiveTrial) -> None:
         self.trials, self.trial = trials, trial
-        self.last_message_id = 0
-        self._motion: Motion | None = None
-        self._paused: Motion | None = None
-        self._at = 0.0
+        self.sent = 0  #: steps that the page has, where a tracker moves the needle
 
     def answer(self, message: Message) -> Iterator[Reply]:
-        """Carry out a message; yield the replies."""
-        self.last_message_id = message.id
+        """Carry out a message; yield the replies. StepOrderError if its steps do not follow the recorded."""
         trial = self.trial
         try:
-            self._do(message)
-        except (NeedlefitError, OSError) as error:
-            self._motion = None
-            if isinstance(error, OSError):
-                error = ModelError(
-                    f"the recording {trial.recorder.path} cannot be written: {error.strerror}",
-                    expected="room on the disk, and a folder that may be written to",
-                    fix="it ends before this step; make room, then open the page in a new window",
-                )
-            yield {"kind": "refused", "answers": self.last_message_id, **encode_fault(error)}
-        if self.trial is not trial or message.do == "hello":
-            yield self.trial.describe_scene() | {"tracked": self.trials.shared}
-        yield self.state()
+            yield from self._do(message)
+        except RecordingEndedError as error:
+            yield {"kind": "ended", **encode_fault(error)}
+        except OSError as error:
+            what = f"the recording {trial.recorder.path} cannot be written: {error.strerror}"
+            expected = "room on the disk, and a folder that may be written to"
+            fix = "it ends before this step; make room, then open the page in a new window"
+            yield {"kind": "ended", "what": what, "expected": expected, "fix": fix}
+        except NeedlefitError as error:
+            yield {"kind": "refused", "answers": message.id, **encode_fault(error)}
+        if message.do == "hello":
+            known = int(message.number("known", 0.0)) if message.text("needle") == trial.name else 0
+            yield self._describe(max(0, min(known, len(trial.steps))))
+        elif self.trials.shared:
+            yield from self.new_steps()
 
-    @property
-    def moves(self) -> bool:
-        """Whether the needle goes on by itself."""
-        return self._motion is not None
+    def _describe(self, known: int = 0) -> Reply:
+        self.sent = len(self.trial.steps)
+        return self.trial.describe_scene(known) | {"tracked": self.trials.shared}
 
-    @property
-    def _stroke_gesture(self) -> int | None:
-        """The gesture of the stroke that goes on; None where none does."""
-        return self._motion.gesture if self._motion and self._motion.kind == "stroke" else None
+    def new_steps(self) -> Iterator[Reply]:
+        """Yield the steps of a tracked needle that the page does not have."""
+        if self.sent < len(self.trial.steps):
+            known, self.sent = self.sent, len(self.trial.steps)
+            yield {"kind": "steps", **self.trial.describe_steps(self.trial.steps, known)}
 
-    def state(self) -> Reply:
-        strokes = self._stroke_gesture is not None
-        return self.trial.describe_state() | {
-            "answers": self.last_message_id,
-            "moving": self._motion.speed if self._motion and strokes else 0,
-            "playing": self.moves and not strokes,
-            "paused": self._paused is not None,
-        }
+    def _take(self, trial: InteractiveTrial) -> Iterator[Reply]:
+        """Change to another needle."""
+        self.trial = trial
+        yield self._describe()
 
-    def _do(self, message: Message) -> None:
+    def _do(self, message: Message) -> Iterator[Reply]:
         if message.fault:
             raise message.fault
-        # A message that steers a needle being inserted, and does not insert it itself, joins the stroke.
-        inserts = "insert_mm" in message.content or any(c.name == "depth_mm" for c in message.changes)
-        joins = message.do == "change" and self._stroke_gesture is not None and not inserts
-        if message.do not in _MOVING_NOTHING and not joins:
-            # A hand is on the needle: what goes on by itself stops. A replay that is only halted can go on.
-            if message.do == "halt" and self._motion and self._motion.kind == "replay":
-                self._paused = self._motion
-            elif message.do not in ("halt", "replay"):
-                self._paused = None
-            self._motion = None
-        trial = self.trial
+        trial, shared = self.trial, self.trials.shared
         match message.do:
+            case "steps":
+                if shared:
+                    raise StepOrderError("a tracker moves the needle")
+                for step in message.steps:
+                    trial.record(step)
+                yield {"kind": "recorded", "step": len(trial.steps)}
             case "change":
-                self._change(message)
-            case "frame":
-                now = monotonic()
-                dt, self._at = min(now - self._at, MAX_FRAME_S), now
-                if self._motion and self._motion.frames:
-                    try:
-                        self._motion.frames.send(dt)
-                    except StopIteration:
-                        self._motion = None
-            case "move":
-                self._move(message)
-            case "play":
-                if trial.steering.number:
-                    trial.reset()
-                self._play(trial.steering.scene.steps, message)
+                if not shared:
+                    raise ModelError("the page carries out its inputs", expected="steps")
+                trial.act(message.changes, message.gesture)
             case "replay":
-                self._replay(message)
+                yield from self._replay(message)
             case "show" if message.text("with_needle"):
-                self.trial = self.trials.with_needle(trial, message.text("with_needle"))
+                yield from self._take(self.trials.with_needle(trial, message.text("with_needle")))
             case "show":
-                self.trial = self.trials.another(trial, message.text("insertion"))
+                yield from self._take(self.trials.another(trial, message.text("insertion")))
             case "aim":
                 trial.aim.set(*read_goal(message))
             case "markups":
                 trial.aim.read_markups(message, find_placement(trial.viewed_scene))
             case "challenge":
-                trial.reset()
                 trial.aim.set(None, read_goal(message)[1], ())
                 trial.aim.challenged = True
             case "align":
                 if trial.steering.now.step.depth <= SAME_DEPTH_MM:
                     raise ModelError("the needle stands at the entry", expected="a needle in the tissue")
-                if trial.steering.now.tissue is not trial.scene.tissue:
+                if find_tissue_changes(trial.steering.now.tissue, trial.scene.tissue):
                     what, fix = "moduli or shape parameters were changed", "set them back first"
                     raise ModelError(what, expected="the initial parameters", fix=fix)
-                self.trial = self.trials.aligned(trial)
+                yield from self._take(self.trials.aligned(trial))
             case "fit":
                 trial.wanted_fit = _read_scope(trial, message)
             case "points":
@@ -517,7 +416,7 @@ class Window:
                 offsets = [one.number("offset", None, MAX_OFFSET_MM, "mm") for one in moves]
                 trial.wanted_offsets, trial.wanted_fit = offsets, _read_scope(trial, message)
             case "plan":
-                entry, shared = message.number("entry_mm", 0.0, MAX_ENTRY_MM, "mm"), self.trials.shared
+                entry = message.number("entry_mm", 0.0, MAX_ENTRY_MM, "mm")
                 if trial.aim.goal is None:
                     raise ModelError("there is no target", expected="a target in the tissue", fix="place one")
                 if entry < 0 or (entry and shared):
@@ -525,68 +424,18 @@ class Window:
                     raise ModelError(f"the entry may shift by {entry:g} mm", expected=expected)
                 trial.aim.wanted, trial.aim.entry_mm, trial.aim.plan = True, entry, None
             case "run":
-                if trial.aim.plan is not None and trial.aim.entry_mm:
-                    self.trial = self.trials.entered(trial)
-                plan, depth = self.trial.aim.plan, self.trial.steering.now.step.depth
-                steps = [step for step in plan.steps if step.depth > depth + SAME_DEPTH_MM] if plan else []
-                if not steps:
-                    what = "there is no plan from where the needle stands"
-                    raise ModelError(what, expected="a plan", fix="plan again")
-                self._play(steps[:1] if message.content.get("one") is True else steps, message)
-            case "undo":
-                trial.undo()
-            case "redo":
-                trial.undo(redo=True)
-            case "reset":
-                trial.reset()
+                yield from self._take(self.trials.entered(trial))
 
-    def _change(self, message: Message) -> None:
-        if any(change.name == "return_to" for change in message.changes):
-            raise ModelError("`return_to` is written by the program", expected="undo, redo or reset")
-        changes = message.changes
-        if "insert_mm" in message.content:
-            now, reach = self.trial.steering.now.step.depth, self.trial.steering.reach()
-            depth = min(max(now + message.number("insert_mm"), 0.0), max(reach, now))
-            changes = (*changes, Change("depth_mm", None, depth))
-        if changes:  # what is done during a stroke is undone with it
-            stroke = self._stroke_gesture
-            self.trial.act(changes, message.gesture if stroke is None else stroke)
-
-    def _move(self, message: Message) -> None:
-        to = None if message.content.get("to_mm") is None else message.number("to_mm")
-        speed = message.number("speed_mm_s", most=MAX_SPEED_MM_S)
-        if to is not None:
-            speed = abs(speed) if to >= self.trial.steering.now.step.depth else -abs(speed)
-        motion = Motion("stroke", speed, message.gesture or message.id)
-        self._start(motion, _stroke(self.trial, speed, motion.gesture, to))
-
-    def _play(self, steps: Iterable[Step], message: Message) -> None:
-        motion = Motion("play", abs(message.number("speed_mm_s", 10.0, MAX_SPEED_MM_S)), message.id)
-        self._start(motion, _play(self.trial, steps, motion.speed, message.id))
-
-    def _replay(self, message: Message) -> None:
+    def _replay(self, message: Message) -> Iterator[Reply]:
         times = abs(message.number("times", 1.0, MAX_REPLAY_SPEED))
-        if self._paused is not None:
-            self._motion, self._paused, self._at = self._paused, None, monotonic()
-            self._motion.speed = times
-            return
         trial = self.trial  # what it has recorded; while that is a part of what it replays, the whole of that
-        source, done = trial.source, trial.steering.number
-        if done:
-            own = read_recording(trial.recorder.path)
-            acts = [step.changes for step in own.steps]
-            if source is None or [step.changes for step in source.steps[:done]] != acts:
-                source = own
+        source, done = trial.source, [step.changes for step in trial.steps]
+        if done and (source is None or [step.changes for step in source.steps[: len(done)]] != done):
+            source = Recording(trial.recorder.head, tuple(trial.steps), str(trial.recorder.path))
         if source is None or not source.steps:
             raise ModelError("nothing has been recorded", expected="a needle that was moved")
-        self.trial = self.trials.again(trial, source)
-        motion = Motion("replay", times, -1)
-        self._start(motion, _replay(self.trial, source.steps, motion))
-
-    def _start(self, motion: Motion, frames: Frames) -> None:
-        next(frames)  # the first frame begins it
-        motion.frames = frames
-        self._motion, self._at = motion, monotonic()
+        yield from self._take(self.trials.again(trial, source))
+        yield {"kind": "replay", "times": times, **self.trial.describe_steps(source.steps)}
 
 
 def _read_scope(trial: InteractiveTrial, message: Message) -> FitScope:

@@ -196,13 +196,18 @@ def _conversation(path: Path) -> object:
     window = _late("viewer.trials.Window")(registry, registry.open(""))
     read, refused = _late("viewer.messages.read_message"), None
     for text in _text(path).splitlines()[:MAX_LINES]:
-        for reply in window.answer(read(text)):
+        try:
+            replies = list(window.answer(read(text)))
+        except _late("viewer.trials.StepOrderError") as error:
+            refused = str(error)
+            continue
+        for reply in replies:
             json.dumps(reply, allow_nan=False).encode()
             if reply["kind"] == "refused":
                 refused = reply["what"]
     if refused is not None:
         raise _late("errors.ModelError")(refused)
-    return window.state()
+    return window.trial.steering.number
 
 
 def _share(path: Path) -> object:

@@ -463,28 +463,23 @@ def assignments() -> list[Seed]:
 
 STEERING = """\
 {"do": "hello", "id": 1}
-{"do": "change", "id": 2, "set": [["depth_mm", null, 12.5]]}
-{"do": "change", "id": 3, "gesture": 4, "insert_mm": 5, "set": [["bevel_side", null, -1]]}
-{"do": "change", "id": 4, "set": [["guide_x_mm", 1, -30.0], ["guide_y_mm", 1, 0.1]]}
-{"do": "change", "id": 5, "set": [["tip_held", null, 1], ["tip_y_mm", null, 0.5]]}
-{"do": "change", "id": 6, "set": [["mu_pa", 1, 3e5], ["alpha", 1, 2.0]], "gesture": 4}
-{"do": "change", "id": 7, "set": [["tip_held", null, 0], ["base_y_mm", null, 1.0]]}
-{"do": "undo", "id": 8}
-{"do": "redo", "id": 9}
+{"do": "steps", "id": 2, "steps": [[1, 0.1, 4, [["depth_mm", null, 12.5]], 0.1]]}
+{"do": "steps", "id": 3, "steps": [[2, 0.2, 4, [["bevel_side", null, -1]], 0.1]]}
+{"do": "steps", "id": 4, "steps": [[3, 0.3, 5, [["guide_x_mm", 1, -30.0], ["guide_y_mm", 1, 0.1]], 0.2]]}
+{"do": "steps", "id": 5, "steps": [[4, 0.4, null, [["tip_held", null, 1], ["tip_y_mm", null, 0.5]], 0.5]]}
+{"do": "steps", "id": 6, "steps": [[5, 0.5, 6, [["mu_pa", 1, 3e5], ["alpha", 1, 2.0]], 0.5]]}
+{"do": "steps", "id": 7, "steps": [[6, 0.6, "undo", [["return_to", null, 4]], 0.5]]}
+{"do": "steps", "id": 8, "steps": [[7, 0.7, "redo", [["return_to", null, 5]], 0.5]]}
+{"do": "change", "id": 9, "gesture": 4, "set": [["tip_held", null, 0], ["base_y_mm", null, 1.0]]}
 {"do": "align", "id": 10}
-{"do": "reset", "id": 11}
-{"do": "frame", "id": 12, "n": 3}
 """
 AIMING = """\
 {"do": "hello", "id": 1}
-{"do": "move", "id": 2, "to_mm": 20, "speed_mm_s": 900}
-{"do": "frame", "id": 3}
-{"do": "halt", "id": 5}
+{"do": "steps", "id": 2, "steps": [[1, 0.1, 4, [["depth_mm", null, 2.5]], 0.1]]}
 {"do": "aim", "id": 6, "target": [40, 1.5], "radius": 2, "obstacles": [[20, 0.5, 1, "vessel"]]}
 {"do": "markups", "id": 7, "name": "a.fcsv", "text": "# Markups fiducial file\\n1,2,3,4"}
 {"do": "plan", "id": 8, "entry_mm": 2}
-{"do": "run", "id": 9, "speed_mm_s": 10}
-{"do": "play", "id": 10, "speed_mm_s": 500}
+{"do": "run", "id": 9}
 {"do": "replay", "id": 11, "times": 20}
 {"do": "fit", "id": 12, "scope": "insertion"}
 {"do": "points", "id": 13, "offsets": [0, 0, 0]}

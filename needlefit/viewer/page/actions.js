@@ -4,7 +4,8 @@ import { part } from "./dom.js";
 import { redoGoal, undoGoal } from "./aim.js";
 import { amount } from "./fields.js";
 import { degrees, heightAt, slope, strengthOf } from "./quantities.js";
-import { change, command, move, newGesture, wanted } from "./steering.js";
+import * as steering from "./steering.js";
+import { change, move, newGesture, wanted } from "./steering.js";
 import { now } from "./store.js";
 
 const WITHIN = 1000; // ms; a key pressed again so soon goes on with what the one before began
@@ -62,10 +63,10 @@ export function addGuide(x = freePlace(), at = performance.now()) {
 /** Hold the tip where it is, or let go of it. */
 export const toggleTip = (at) => change([["tip_held", null, now.state.tip.held ? 0 : 1]], { at });
 
-export const undo = () => undoGoal() || command({ do: "undo" });
-export const redo = () => redoGoal() || command({ do: "redo" });
-export const reset = () => command({ do: "reset" });
-export const play = () => command({ do: "play", speed_mm_s: speed() });
+export const undo = () => undoGoal() || steering.undo();
+export const redo = () => redoGoal() || steering.redo();
+export const { reset } = steering;
+export const play = () => steering.playScene(speed());
 
 /** The first number that no guide has; the scene's own guides keep theirs. */
 function freeNumber() {

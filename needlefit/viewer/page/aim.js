@@ -13,7 +13,6 @@ let timer = 0;
 let sent = null; // id of the goal that was sent last
 let known = EMPTY; // the goal that the server took last
 let changedAt = -Infinity; // ms
-let running = null; // id of the message by which the plan is carried out
 let at = null; // step of the needle
 let [past, future] = [[], []]; // goals to go back to, and forth, each with the step of the needle at which it was left
 
@@ -121,7 +120,7 @@ listen("scene", () => {
 });
 listen("refused", ({ answers }) => { // what was refused is taken back
   aim.planning = false;
-  if (sent !== null && answers === sent && !timer) Object.assign(aim, known);
+  if (answers !== null && answers === sent && !timer) Object.assign(aim, known);
   publish("aimed");
 });
 listen("aim", ({ target, radius, obstacles, roll_deg: roll }) => {
@@ -137,20 +136,16 @@ listen("reach", (region) => {
   aim.reach = aim.target && region.x.length ? region : null;
   publish("aimed");
 });
-export function run(message) {
-  running = command({ do: "run", ...message });
-}
 
 /** A needle that is moved by hand leaves its plan, whose outcome is then no longer its own. */
-listen("state", ({ step, playing, answers }) => {
-  if (aim.plan && step !== at && !(running && playing) && !aim.challenge) aim.plan.left = true;
-  if (!playing && answers >= running) running = null;
+listen("state", ({ step, planned }) => {
+  if (aim.plan && step !== at && !planned && !aim.challenge) aim.plan.left = true;
   at = step;
 });
 listen("plan", (plan) => {
   if (plan.fault) publish("notice", plan.fault);
   aim.planning = false;
-  aim.plan = plan.fault ? null : { ...plan, left: plan.step !== now.state.step && !aim.challenge && !(running && now.state.playing) };
+  aim.plan = plan.fault ? null : { ...plan, left: plan.step !== now.state.step && !aim.challenge && !now.state.planned };
   if (aim.challenge) {
     const touched = Object.values(aim.plan?.touched ?? {}).some((share) => share >= 0.5);
     aim.challenge.planner = touched ? null : (aim.plan?.nominal_miss_mm ?? null);

@@ -1,27 +1,24 @@
-/** The line to the server, which comes back by itself; its socket is held by a thread of its own. */
+/** The line to the program, which comes back by itself: steps of the needle go out, and what the program found comes in. */
 
-import { makeMailbox, take as takeText } from "./mailbox.js";
 import { token } from "./requests.js";
-import { now, take, publish } from "./store.js";
+import { now, publish, take } from "./store.js";
+import { trial } from "./trial.js";
 
 const FIRST_WAIT = 0.25; // s
 const LONGEST_WAIT = 5; // s
-const KEPT = 256; // times of inputs not yet answered
-const WORTH_WAITING = 8; // ms that a frame waits for the answer to its input
+const STEPS_A_MESSAGE = 16;
 const GONE =
   "This is a new needle: the program no longer has the one that this page held. Its recording is kept.";
 const STRANGER = 4401; // closed by the server: it does not know the token
 
-const worker = new Worker("/page/socket_worker.js", { type: "module" });
-const mailbox = makeMailbox();
-let opening = false; // whether a socket is open or will be
+let socket = null;
 let timer = 0;
 let wait = FIRST_WAIT;
 let lastId = 0;
 let greeted = false; // whether the server has named the needle of this window
 let farewell = null; // the last message of the program, when it stopped
-const sentAt = new Map();
-let patience = -Infinity; // ms, until when a frame waits
+let heard = Promise.resolve(); // messages are taken one after the other: a scene takes a while
+let sent = 0; // steps that were sent over this line
 
 /** Which needle this window holds, or null. */
 export const needle = () => sessionStorage.getItem("needlefit.needle");
@@ -29,88 +26,76 @@ export const needle = () => sessionStorage.getItem("needlefit.needle");
 /** Open the line, or open it anew at once. */
 export function open() {
   clearTimeout(timer);
-  if (opening) return;
-  opening = true;
+  if (socket) return;
   greeted = false;
-  lastId = 0;
-  sentAt.clear();
-  const address = new URL("/ws", location.origin.replace("http", "ws")).href;
-  const hello = JSON.stringify({ do: "hello", id: 0, token: token(), needle: needle() });
-  worker.postMessage({ address, hello, mailbox });
+  const line = new WebSocket(new URL("/ws", location.origin.replace("http", "ws")));
+  socket = line;
+  const mine = (work) => (...given) => line === socket && work(...given); // not of a line that was given up
+  const known = trial.scene?.needle === needle() ? trial.recorded : 0;
+  line.onopen = mine(() => line.send(JSON.stringify({ do: "hello", id: 0, token: token(), needle: needle(), known })));
+  line.onmessage = mine(({ data }) => (heard = heard.then(mine(() => hear(JSON.parse(data)))).catch(reportError)));
+  line.onclose = mine(({ code }) => lost(code));
 }
 
-/** Send an input that happened at `at` (ms, as events have it). Returns its id, or null without a line. */
-export function send(message, at = null) {
+/** Send a message. Returns its id, or null without a line. */
+export function send(message) {
   if (!now.connected) {
     publish("unsent", message);
     return null;
   }
   lastId += 1;
-  if (at !== null) sentAt.set(lastId, at);
-  worker.postMessage({ text: JSON.stringify({ ...message, id: lastId }) });
-  publish("sent");
+  sendSteps(); // it may be about them
+  socket.send(JSON.stringify({ ...message, id: lastId }));
   return lastId;
 }
 
-/** Read what has come; also called before each frame. */
-function receive() {
-  if (!mailbox) return;
-  for (let text = takeText(mailbox); text !== null; text = takeText(mailbox)) hear(JSON.parse(text));
-}
-
-/**
- * Let the next frame wait for the answer to an input that came with it.
- *
- * The browser holds a wheel's event back until a frame begins; without waiting its effect would be seen one frame
- * later still. The answer takes a few ms, and the frame has them.
- */
-export function awaitAnswer() {
-  patience = performance.now() + WORTH_WAITING;
-}
-
-/** Whether an input has no answer yet. */
-export const awaitsAnswer = () => sentAt.size > 0;
-
-/** Read what has come, and what is worth waiting for. */
-export function receiveForFrame() {
-  receive();
-  while (mailbox && sentAt.size && performance.now() < patience) receive();
-}
-
-/** When the oldest of the inputs happened that this answer is the first to cover; null if there is none. */
-export function answered(id) {
-  let oldest = null;
-  for (const [sent, at] of sentAt) {
-    if (sent > id) break;
-    oldest ??= at;
-    sentAt.delete(sent);
+/** Send the steps that the server does not have yet. */
+export function sendSteps() {
+  if (!now.connected) return;
+  const first = Math.max(sent - trial.recorded, 0);
+  for (let i = first; i < trial.outbox.length; i += STEPS_A_MESSAGE) {
+    const steps = trial.outbox.slice(i, i + STEPS_A_MESSAGE);
+    socket.send(JSON.stringify({ do: "steps", id: 0, steps }));
   }
-  if (sentAt.size > KEPT) sentAt.clear();
-  return oldest;
+  sent = trial.recorded + trial.outbox.length;
 }
 
-worker.onmessage = ({ data }) => {
-  receive();
-  if (data.text) hear(JSON.parse(data.text));
-  if (data.closed) lost(data.closed);
-};
+/** Resolves once the program has recorded all steps. */
+export async function settle() {
+  sendSteps();
+  while (now.connected && trial.outbox.length) await new Promise((done) => setTimeout(done, 10));
+}
 
-function hear(message) {
-  if (!opening) return; // of a line that was given up
+async function hear(message) {
   if (message.kind === "taken" || message.kind === "bye") return leave(message);
+  if (message.kind === "recorded") return trial.confirm(message.step);
+  if (message.kind === "steps") return trial.follow(message) || beginAnew();
+  if (message.kind === "stage") return publish("stage", message);
   if (message.kind !== "scene") return take(message);
   const gone = !greeted && ![null, message.needle].includes(needle());
   sessionStorage.setItem("needlefit.needle", message.needle);
-  greeted = now.connected = true;
+  greeted = true;
   [wait, farewell] = [FIRST_WAIT, null];
-  take(message);
+  if (!(await trial.begin(message))) return beginAnew();
+  sent = trial.recorded;
+  now.connected = true;
+  take(trial.scene);
+  trial.show();
   publish("line", { open: true });
+  sendSteps();
   if (gone) publish("notice", { what: GONE });
+}
+
+/** Carry out all steps of the needle from the first on: another window moved it. */
+function beginAnew() {
+  trial.scene = null;
+  close();
+  open();
 }
 
 /** The server ends it: another window has the needle, or the program stops. */
 function leave({ kind, what = null }) {
-  worker.postMessage({ close: true });
+  close();
   down({ why: kind, what });
   if (kind === "taken") return;
   farewell = what;
@@ -119,12 +104,19 @@ function leave({ kind, what = null }) {
 
 function lost(code) {
   const why = code === STRANGER ? "stranger" : farewell === null ? "lost" : "bye";
+  close();
   down({ why, wait, what: farewell });
   if (code !== STRANGER) again();
 }
 
+function close() {
+  const line = socket;
+  socket = null;
+  line?.close();
+}
+
 function down(reason) {
-  opening = now.connected = false;
+  now.connected = false;
   publish("line", { open: false, ...reason });
 }
 
@@ -132,11 +124,12 @@ function down(reason) {
 addEventListener("hashchange", () => {
   const before = sessionStorage.getItem("needlefit.token");
   if (now.connected && token() === before) return;
-  worker.postMessage({ close: true });
-  opening = now.connected = false;
+  close();
+  now.connected = false;
   wait = FIRST_WAIT;
   open();
 });
+addEventListener("pagehide", sendSteps);
 
 function again() {
   timer = setTimeout(open, 1000 * wait);

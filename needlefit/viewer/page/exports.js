@@ -1,6 +1,6 @@
 /** What can be saved: files of the server, and pictures as they are shown. */
 
-import { needle } from "./connection.js";
+import { needle, settle } from "./connection.js";
 import { button, element, part } from "./dom.js";
 import { paintOn, size } from "./drawing.js";
 import { encodeGif } from "./gif.js";
@@ -85,7 +85,10 @@ async function takeAnimation() {
 }
 
 const MADE_HERE = { "picture.png": takePicture, "picture.svg": takeSvg, "animation.gif": takeAnimation };
-const ask = async (file) => (await post(`/export/${file}`, { needle: needle() })).blob();
+async function ask(file) {
+  await settle();
+  return (await post(`/export/${file}`, { needle: needle() })).blob();
+}
 
 for (const [file, called] of Object.entries(FILES)) {
   const made = button(called, () => save(file, made), { disabled: true });

@@ -5,18 +5,17 @@
  * event back for one frame longer.
  */
 
-import { answered, awaitsAnswer, receiveForFrame } from "./connection.js";
 import { listen, now } from "./store.js";
 
 const KEPT = 8192;
 const SPAN = 2000; // ms over which rates are averaged
 
 let count = 0;
-let fresh = false;
-let oldestInput = null; // ms; of the inputs that the next frame is the first to show
 const channel = new MessageChannel();
 let drawn = null; // the record of a frame that may not be painted yet
 let paint = null;
+let advance = null;
+let goesOn = null; // whether something moves by itself
 let asked = false; // whether the browser was asked for a frame that has not come yet
 let began = null; // ms, when the frames began that have come without a pause since
 
@@ -31,26 +30,17 @@ function mark() {
 channel.port1.onmessage = mark;
 for (const kind of ["keydown", "keyup", "pointerdown", "pointerup"]) addEventListener(kind, mark, true);
 
-listen("state", ({ answers }) => {
-  fresh = true;
-  const input = answered(answers);
-  oldestInput ??= input;
-});
-
 function frame(t) {
   asked = false;
   began ??= t;
   mark();
-  receiveForFrame();
-  const step = now.state?.step ?? null;
-  const record = { t, step, fresh, input: oldestInput, latency_ms: null, painted: null };
+  const { fresh, input } = advance();
+  const record = { t, step: now.state?.step ?? null, fresh, input, latency_ms: null, painted: null };
   paint(fresh, t);
-  fresh = false;
-  oldestInput = null;
   now.frames[count++ % KEPT] = record;
   drawn = record;
   channel.port2.postMessage(null); // heard once the browser is done with this frame's scripts and layout
-  if (now.state?.moving || now.state?.playing || awaitsAnswer()) wake();
+  if (goesOn()) wake();
   else began = null;
 }
 
@@ -61,13 +51,16 @@ function wake() {
   requestAnimationFrame(frame);
 }
 
-/** Call `draw(fresh, t)` in every frame from now on and keep a record of it. */
-export function start(draw) {
-  paint = draw;
+/**
+ * In every frame from now on call `move()`, which returns whether there is a new state and when its oldest input
+ * happened, ms, then `draw(fresh, t)`, and keep a record. Frames go on by themselves while `moves()`.
+ */
+export function start(move, draw, moves) {
+  [advance, paint, goesOn] = [move, draw, moves];
   wake();
 }
 
-for (const kind of ["state", "redraw", "sent"]) listen(kind, wake);
+for (const kind of ["moved", "redraw"]) listen(kind, wake);
 
 /** Frames a second since the last pause, and median latency (ms), of the last two seconds; null where there are none. */
 export function rates() {

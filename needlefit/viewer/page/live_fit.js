@@ -117,7 +117,7 @@ press("fit-drag", ({ currentTarget }) => {
 press("fit-back", () => points.reset());
 part("fit-scope").addEventListener("change", () => mode && ask());
 listen("fit", takeMode);
-listen("refused", ({ answers }) => answers === asked && end());
+listen("refused", ({ answers }) => answers !== null && answers === asked && end());
 listen("ridge", takeRidge);
 listen("scene", ({ fit }) => {
   part("fit").hidden = !fit;
@@ -130,8 +130,8 @@ listen("scene", ({ fit }) => {
   const scopes = Object.keys(SCOPES).filter((one) => one === "insertion" || fit[one] > 1);
   part("fit-scope").replaceChildren(...scopes.map((one) => new Option(fit[one] > 1 ? `${SCOPES[one]} (${fit[one]})` : SCOPES[one], one)));
 });
-listen("measured", ({ x, y }) => {
-  if (now.scene.measured) Object.assign(now.scene.measured, { x, y });
+listen("measured", ({ x, y, s, target }) => {
+  if (now.scene.measured) Object.assign(now.scene.measured, { x, y, s, target });
   invalidate();
 });
 onScheme(() => requestAnimationFrame(drawRidge));

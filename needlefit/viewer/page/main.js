@@ -3,6 +3,7 @@
 import { open } from "./connection.js";
 import { part, write } from "./dom.js";
 import { paint } from "./drawing.js";
+import "./bands.js";
 import "./exports.js";
 import * as frames from "./frames.js";
 import "./keyboard.js";
@@ -14,7 +15,7 @@ import * as planning from "./planning.js";
 import "./pointers.js";
 import { grouped } from "./quantities.js";
 import * as readouts from "./readouts.js";
-import { askFrame } from "./steering.js";
+import { advance, moves } from "./steering.js";
 import { listen, now } from "./store.js";
 import "./toolbar.js";
 import "./tour.js";
@@ -59,14 +60,14 @@ function refreshStatus() {
   write("recording", now.scene?.recording ? `recording ${now.scene.recording}` : "");
 }
 
+listen("stage", ({ what }) => write("waiting", `${what} …`));
 listen("refused", () => { // fields go back to what is
   READOUTS.forEach((one) => (one.step = null));
   refreshOne(performance.now());
 });
-frames.start((fresh, t) => {
-  if (now.state) askFrame(); // the needle goes on while this frame is drawn
+frames.start(advance, (fresh, t) => {
   paint(fresh);
   refreshOne(t);
-});
+}, moves);
 setInterval(refreshStatus, STATUS_EVERY);
 open();

@@ -9,7 +9,6 @@ const refusal = part("refusal");
 const banner = part("banner");
 const act = part("banner-act");
 let fading = 0;
-let refused = Infinity; // number of the message that was refused last
 
 /** Say what was refused and how to fix it, until it is read. */
 function refuse({ what, expected, fix }) {
@@ -45,17 +44,8 @@ listen("line", (line) => {
   act.textContent = button;
   act.hidden = false;
 });
-listen("refused", (message) => {
-  refused = message.answers;
-  refuse(message);
-});
-listen("notice", refuse);
-listen("accepted", () => refusal.replaceChildren()); // what was wrong has been put right
-listen("state", ({ answers }) => { // something later was carried out: an input, a reset
-  if (answers <= refused) return;
-  refused = Infinity;
-  refusal.replaceChildren();
-});
+for (const kind of ["refused", "ended", "notice"]) listen(kind, refuse);
+listen("accepted", () => refusal.replaceChildren()); // something later was carried out: an input, a reset
 addEventListener("input", ({ target }) => target.type === "number" && refusal.replaceChildren()); // or is about to be
 listen("unsent", () => refuse({ what: "Not sent: there is no line to the needle." }));
 press(refusal, () => refusal.replaceChildren());

@@ -1,11 +1,11 @@
 /** The panel of target and plan: places, obstacles, the plan's probability, and a game against the planner. */
 
 import { ownDepth, speed } from "./actions.js";
-import { aim, nameOf, place, put, run, sendAfterGoal, setAim, SMALLEST, tipError, touches } from "./aim.js";
+import { aim, nameOf, place, put, sendAfterGoal, setAim, SMALLEST, tipError, touches } from "./aim.js";
 import { button, element, part, press, say, write } from "./dom.js";
 import { amount, makeField, show } from "./fields.js";
 import { counted, signed } from "./quantities.js";
-import { command } from "./steering.js";
+import { command, reset, runPlan } from "./steering.js";
 import { listen, now } from "./store.js";
 
 const entry = amount(part("plan-entry"));
@@ -109,8 +109,9 @@ function describeGame() {
 
 /** Run the plan; at its entry the next one goes on from where the needle stands. */
 function begin(how) {
-  if (aim.plan.anew) part("plan-entry").value = "0";
-  run({ speed_mm_s: speed(), ...how });
+  const { plan } = aim;
+  if (plan.anew) part("plan-entry").value = "0";
+  runPlan(plan, { speed: speed(), ...how });
 }
 
 function challenge() {
@@ -118,6 +119,7 @@ function challenge() {
     Object.assign(aim.challenge, { hidden: false, hand: tipError(now.state), touched: touches(now.state) });
     say(describeGame());
   } else {
+    reset();
     command({ do: "challenge", radius: aim.radius });
     Object.assign(aim, { target: null, obstacles: [], plan: null, reach: null });
     aim.challenge = { hidden: true, hand: null, touched: false, planner: null };

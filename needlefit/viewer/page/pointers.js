@@ -3,7 +3,6 @@
 import { part } from "./dom.js";
 import { addGuide, insert } from "./actions.js";
 import { put } from "./aim.js";
-import { awaitAnswer } from "./connection.js";
 import { amount } from "./fields.js";
 import { handleAt } from "./handles.js";
 import { heightAt } from "./quantities.js";
@@ -100,7 +99,6 @@ function wheel(event) {
   if (event.ctrlKey || event.metaKey) return zoom(Math.exp(-0.2 * notches), ...place(event));
   const mm = notch() * (event.shiftKey ? FINE : 1);
   insert(-notches * mm, event.timeStamp);
-  awaitAnswer();
 }
 
 const RAW = "onpointerrawupdate" in canvas;

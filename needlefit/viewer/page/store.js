@@ -1,4 +1,4 @@
-/** The last message of each kind from the server, and the listeners to each. */
+/** The last message of each kind, and the listeners to each. */
 
 /** The page's knowledge; also `window.needlefit`, for whoever measures the page. */
 export const now = { scene: null, state: null, band: null, connected: false, pinned: null, marked: null, frames: [] };
@@ -16,12 +16,13 @@ export function publish(kind, message) {
   for (const hear of listeners.get(kind) ?? []) hear(message);
 }
 
-/** Keep a message of the server, then publish it. */
+/** Keep a message, then publish it. */
 export function take(message) {
   if (message.kind === "scene") {
     now.scene = message;
     now.band = null;
   } else if (message.kind === "state") now.state = message;
   else if (message.kind === "band") now.band = message.x.length ? message : null; // empty: there is none
+  else if (message.kind === "draws") now.scene.draws = message.draws;
   publish(message.kind, message);
 }

@@ -52,8 +52,7 @@ for (const one of document.querySelectorAll("[data-zoom]")) {
   press(one, () => (zoom(one.dataset.zoom === "in" ? 1.25 : 0.8), pressed()));
 }
 listen("scene", ({ measured, draws, slice }) => offer({ measured, errors: measured, band: draws, slice, plan: false, reach: false }));
-listen("ridge", () => offer({ band: true }));
-listen("tracking", ({ readings }) => readings && offer({ band: true }));
+listen("draws", () => offer({ band: true }));
 listen("aimed", () => offer({ plan: aim.plan, reach: aim.reach }));
 listen("pinned", () => offer({ pinned: now.pinned }));
 listen("redraw", pressed);

@@ -4,7 +4,7 @@ import { part, press, write } from "./dom.js";
 import * as act from "./actions.js";
 import { canRedoGoal, canUndoGoal } from "./aim.js";
 import { brief } from "./quantities.js";
-import { command, halt, letGo } from "./steering.js";
+import { command, halt, letGo, replayRecording } from "./steering.js";
 import { listen, now } from "./store.js";
 
 const STEP = 1; // mm; what a mere click does, as assistive technology gives it
@@ -52,7 +52,7 @@ export function refresh() {
 const PRESSED = {
   undo: act.undo, redo: act.redo, reset: act.reset, play: act.play, halt,
   flip: (event) => act.flip(event.timeStamp),
-  replay: () => command({ do: "replay", times: Number(part("times").value) }),
+  replay: () => replayRecording(Number(part("times").value)),
   align: () => command({ do: "align" }),
   "goto-scene": () => act.goTo(act.ownDepth()),
 };

@@ -2,24 +2,31 @@
 
 import { computeBand } from "./band.js";
 
-let newest = null;
+const STALE = 100; // ms; while orders come without a pause, a band that old is completed
+let newest = {};
 let busy = false;
+let done = 0; // ms, when the last band was completed
 const channel = new MessageChannel();
 const waiting = [];
 channel.port1.onmessage = () => waiting.shift()();
 
 /** Let messages that have come be heard. */
-const pause = () => new Promise((done) => {
-  waiting.push(done);
+const pause = () => new Promise((resume) => {
+  waiting.push(resume);
   channel.port2.postMessage(null);
 });
 
 async function work() {
   busy = true;
-  for (let order = newest; order; order = newest === order ? null : newest) {
+  let order = null;
+  while (order !== newest && newest.steps && newest.draws) {
+    order = newest;
     const { kernel, model, draws, steps, id } = order;
-    const band = await computeBand(kernel, model, draws, steps, () => newest !== order, pause);
-    if (newest === order) postMessage({ id, band });
+    const isOld = () => newest !== order && (newest.draws !== draws || performance.now() - done < STALE);
+    const band = await computeBand(kernel, model, draws, steps, isOld, pause);
+    if (isOld()) continue;
+    done = performance.now();
+    postMessage({ id, band });
   }
   busy = false;
 }
