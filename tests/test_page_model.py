@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from page_state import encode_state
 from test_native_wasm import to_hex
 
 from needlefit.errors import ModelError
@@ -17,7 +18,7 @@ from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_validity
 from needlefit.schemas.scene import SceneRecord
 from needlefit.viewer.export import PAGE
-from needlefit.viewer.messages import encode_draws, encode_scene, encode_state
+from needlefit.viewer.messages import encode_draws, encode_scene
 from needlefit.viewer.opening import ViewedScene, open_target
 from needlefit.viewer.overlays import compute_band
 from needlefit.viewer.plans import continue_insertion

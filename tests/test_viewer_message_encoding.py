@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from page_state import encode_state
 
 from needlefit.mechanics.scene import Scene
 from needlefit.schemas.scene import SceneRecord
-from needlefit.viewer.messages import encode_scene, encode_state
+from needlefit.viewer.messages import encode_scene
 from needlefit.viewer.opening import ViewedScene
 from needlefit.viewer.steering import Change, SteeredNeedle
 

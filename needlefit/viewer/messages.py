@@ -12,26 +12,20 @@ from needlefit.errors import ModelError, NeedlefitError
 from needlefit.inference.forward_model import ParameterDraws
 from needlefit.mechanics.laws import LAWS, PowerLaw
 from needlefit.mechanics.packing import compile_law
-from needlefit.mechanics.shape import compute_positions, map_beam_points
-from needlefit.mechanics.simulate import compute_loads
 from needlefit.mechanics.tissue import Tissue
 from needlefit.metrics import list_metrics
 from needlefit.project.json_values import parse_json
 from needlefit.reporting import needle_page
-from needlefit.reporting.needle_page import encode_layers, encode_strength
 from needlefit.schemas.limits import MAX_NUMBER
 from needlefit.viewer.opening import NEEDLES, ViewedScene
 from needlefit.viewer.overlays import (
     MeasuredOverlay,
-    NeedleBand,
     choose_band_draws,
-    compute_live_errors,
 )
 from needlefit.viewer.recording import RecordedStep
-from needlefit.viewer.steering import Change, SteeredNeedle, guide_number
+from needlefit.viewer.steering import Change, SteeredNeedle
 
 LENGTH_DIGITS = 4  #: decimals of drawn lengths in mm
-POINTS_BEFORE_TISSUE = 25  #: points of the needle drawn before the tissue
 
 
 def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str, Any]:
@@ -116,71 +110,6 @@ def encode_draws(spread: ParameterDraws, law: str) -> dict[str, Any]:
         "law": encode_law(law, drawn.shape),
         "strength": drawn.bevel.tolist(),
     }
-
-
-def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str, Any]:
-    """Return all that changes from step to step; rotations u' in rad."""
-    now, scene, measured = steering.now, steering.scene, viewed_scene.measured
-    shape, step, controls = now.shape, now.step, now.step.controls
-    before = np.linspace(float(shape.x[0]), min(0.0, shape.depth), POINTS_BEFORE_TISSUE)
-    needle = compute_positions(shape, np.unique(np.concatenate([before, shape.x])))  # (K, 2)
-    load = compute_loads(shape, now.tissue, scene.needle, controls, scene.rules)
-    loaded = compute_positions(shape, load.s) if len(load.s) else np.empty((0, 2))
-    items = [guide_number(guide, steering.names) for guide in controls.guides]
-    errors = None if measured is None else compute_live_errors(measured, shape)
-    base, tip = (
-        {"x": place[0], "y": place[1], "rotation": float(slope)}
-        for place, slope in zip(
-            needle[[0, -1]].round(LENGTH_DIGITS).tolist(), shape.slope[[0, -1]], strict=True
-        )
-    )
-    return {
-        "kind": "state",
-        "step": steering.number,
-        "depth_mm": step.depth,
-        "x": round_lengths(needle[:, 0]),
-        "y": round_lengths(needle[:, 1]),
-        "constraints": [round_lengths(column) for column in map_beam_points(shape, shape.constraints).T],
-        "tip_path": [round_lengths(column) for column in map_beam_points(shape, shape.tip_path).T],
-        "load": {
-            "x": round_lengths(loaded[:, 0]),
-            "y": round_lengths(loaded[:, 1]),
-            "n_per_mm": np.round(load.load, 6).tolist(),
-        },
-        "forces": {
-            "tip_n": load.tip_force,
-            "base_n": load.base.force,
-            "base_nmm": load.base.moment,
-            "guides_n": {str(n): hold.force for n, hold in zip(items, load.guides, strict=True)},
-        },
-        "base": base | {"input_y": controls.base_y, "input_slope": controls.base_slope},
-        "guides": [
-            {
-                "item": item,
-                "name": guide.name,
-                "x": guide.x,
-                "y": guide.y,
-                "slope": guide.slope or 0.0,
-                "turns_freely": guide.slope is None,
-            }
-            for item, guide in zip(items, controls.guides, strict=True)
-        ],
-        "tip": tip
-        | {"lateral_mm": shape.tip_lateral, "held": controls.tip is not None, "input_y": float(shape.u[-1])},
-        "bevel": {"side": step.bevel.side, **encode_strength(step.bevel, scene.rules)},
-        **encode_layers(now.tissue),
-        "max_slope": float(shape.validity.max_slope),
-        "faults": list(shape.validity.faults),
-        "errors": errors
-        and measured
-        and {**errors.values, "upto_mm": errors.upto, "whole": errors.whole, "floor_mm": measured.floor},
-    }
-
-
-def encode_band(step: int, band: NeedleBand | None) -> dict[str, Any]:
-    """Return the needle's band after a step; without points if there is no band."""
-    edges = {name: round_lengths(getattr(band, name)) if band else [] for name in ("x", "low", "high")}
-    return {"kind": "band", "step": step, **edges, "failed": band.failed if band else 0}
 
 
 def encode_fault(error: NeedlefitError, *names: str) -> dict[str, str]:
