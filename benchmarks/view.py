@@ -10,9 +10,11 @@ frames      late: further from the one before than 1.5 of 1/60 s, each counted a
             stale: shown while the needle moved, without a state of its own.
 latency     from the time stamp of the input event to when the browser had drawn the first frame that shows
             its effect (a message posted in that frame and heard after it); of the wheel apart, which
-            the browser holds back before the page hears of it; and of mu, changed at a depth of 140 mm.
-solver      steps a second as the page shows them, measured by the server as it opens; and of 60 s without a
-            pause, in this process.
+            the browser holds back before the page hears of it; of keys and of mu at a depth of 140 mm, there
+            also on a processor that is slowed down by PHONE_SLOWER.
+band        from the frame that shows a needle to the band of its draws, at 55 and 140 mm.
+first       from the command to the first picture, in a browser that is open already.
+solver      steps a second as the page shows them; and of 60 s without a pause, in this process.
 
 With --minutes, random input of every kind for so long: memory of server and page (after collecting garbage),
 errors of the page, and whether the recording, replayed, ends with the very needle that the page shows.
@@ -42,6 +44,7 @@ FRAME = 1000 / 60
 LATE = 1.5
 DEEP_MM = 140.0
 """Depth at which a modulus is changed: the whole insertion is simulated again."""
+PHONE_SLOWER = 5
 SIZE = {"width": 1280, "height": 800}
 FLAGS = ["--no-sandbox", "--disable-gpu"]
 KINDS = ("drag", "wheel", "insert", "retract", "flip", "b", "mu", "guide", "undo", "redo", "reset", "to")
@@ -119,6 +122,60 @@ def turn(page: Page, seconds: float) -> None:
         time.sleep(0.05)
 
 
+def nudge(page: Page, seconds: float) -> None:
+    """Move the base by keys."""
+    page.focus("#canvas")
+    began = time.monotonic()
+    while (t := time.monotonic() - began) < seconds:
+        page.keyboard.press("ArrowUp" if t % 2 < 1 else "ArrowDown")
+        time.sleep(0.05)
+
+
+def reach(page: Page, depth: float) -> None:
+    """Insert to a depth, mm."""
+    page.fill("#speed", "1000")
+    page.fill("#goto-depth", str(depth))
+    page.press("#goto-depth", "Enter")
+    while abs(page.evaluate("window.needlefit.state.depth_mm") - depth) > 1e-6:
+        page.wait_for_timeout(50)
+
+
+def band_waits(page: Page, times: int = 20) -> dict[str, float] | None:
+    """Return percentiles of the time from a state to its band, ms; None without draws."""
+    if not page.evaluate("window.needlefit.scene.draws"):
+        return None
+    page.evaluate(
+        """import("/page/store.js").then(({ listen }) => {
+            if (window.bands) return (window.bands = []);
+            window.bands = [];
+            let at = null;
+            listen("state", ({ step }) => (at = { step, t: performance.now() }));
+            listen("band", ({ step }) => step === at?.step && window.bands.push(performance.now() - at.t));
+        })"""
+    )
+    page.focus("#canvas")
+    for _ in range(times):
+        page.keyboard.press("ArrowUp")
+        page.wait_for_timeout(400)
+    found = np.array(page.evaluate("window.bands"))
+    return {f"p{p}": round(float(np.percentile(found, p)), 1) for p in (0, 50, 95)} | {"bands": len(found)}
+
+
+def first_picture(subject: str) -> float:
+    """Return the time from the command to the first picture, s."""
+    with tempfile.TemporaryDirectory() as out, sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
+        page = browser.new_page(viewport=SIZE, reduced_motion="reduce")
+        page.goto("about:blank")
+        began = time.monotonic()
+        with served(subject, Path(out)) as (address, _):
+            page.goto(address)
+            page.wait_for_selector("body.begun", state="attached")
+            spent = time.monotonic() - began
+            browser.close()
+    return spent
+
+
 def slide(page: Page, seconds: float) -> None:
     """Change mu of the first layer by its slider, again and again."""
     page.locator("#tissue-fields .slider").first.focus()
@@ -154,12 +211,18 @@ def real_time(subject: str, seconds: float) -> dict:
         frames = measure_frames(page, drive, seconds)
         wheel = measure_frames(page, turn, seconds / 4)
         solver = page.evaluate("window.needlefit.state.solver")
-        page.fill("#speed", "1000")
-        page.fill("#goto-depth", str(DEEP_MM))
-        page.press("#goto-depth", "Enter")
-        while abs(page.evaluate("window.needlefit.state.depth_mm") - DEEP_MM) > 1e-6:
-            page.wait_for_timeout(50)
-        modulus = measure_frames(page, slide, seconds / 4)
+        reach(page, 55.0)
+        bands = {"band_ms_55": band_waits(page)}
+        reach(page, DEEP_MM)
+        bands["band_ms_140"] = band_waits(page)
+        deep = {
+            f"{name}_latency_ms": waits(measure_frames(page, steer, seconds / 4))
+            for name, steer in (("deep_keys", nudge), ("deep_wheel", turn), ("modulus", slide))
+        }
+        devtools = page.context.new_cdp_session(page)
+        devtools.send("Emulation.setCPUThrottlingRate", {"rate": PHONE_SLOWER})
+        for name, steer in (("phone_keys", nudge), ("phone_modulus", slide)):
+            deep[f"{name}_latency_ms"] = waits(measure_frames(page, steer, seconds / 4))
     t = np.array([frame["t"] for frame in frames])
     fell_out = np.maximum(np.rint(np.diff(t) / FRAME) - 1, 0)[np.diff(t) > LATE * FRAME].sum()
     return {
@@ -169,7 +232,8 @@ def real_time(subject: str, seconds: float) -> dict:
         "longest_ms": float(np.diff(t).max()),
         "latency_ms": waits(frames),
         "wheel_latency_ms": waits(wheel),
-        "modulus_latency_ms": waits(modulus),
+        **deep,
+        **bands,
         "shown_steps_per_s": solver["rate_per_s"],
         "steps": solver["steps"],
     }
@@ -296,6 +360,7 @@ def main() -> None:
     if asked.minutes:
         found |= endure(asked.subject, asked.minutes, asked.seed)
     else:
+        found["first_picture_s"] = round(min(first_picture(asked.subject) for _ in range(3)), 2)
         found |= real_time(asked.subject, asked.seconds)
         found["sustained_steps_per_s"] = sustained(asked.subject, asked.seconds)
     if asked.json:

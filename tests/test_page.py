@@ -420,7 +420,8 @@ def test_band_validity_and_pause_messages_are_shown(page) -> None:
     call(
         page,
         "store",
-        "m.take({ ...m.now.state, max_slope: 0.4, faults: ['slope 0.4 (limit 0.3)'], paused: true })",
+        "m.take({ ...m.now.state, max_slope: 0.4, faults: ['slope 0.4 (limit 0.3)'], paused: true }), "
+        "m.publish('redraw')",
     )
     shown(page, "slope 0.4 (limit 0.3)")
     shown(page, "Go on")
