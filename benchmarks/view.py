@@ -154,8 +154,8 @@ def band_waits(page: Page, times: int = 20) -> dict[str, float] | None:
         })"""
     )
     page.focus("#canvas")
-    for _ in range(times):
-        page.keyboard.press("ArrowUp")
+    for n in range(times):
+        page.keyboard.press("ArrowDown" if n % 2 else "ArrowUp")  # it ends where it began
         page.wait_for_timeout(400)
     found = np.array(page.evaluate("window.bands"))
     return {f"p{p}": round(float(np.percentile(found, p)), 1) for p in (0, 50, 95)} | {"bands": len(found)}
