@@ -132,12 +132,13 @@ def nudge(page: Page, seconds: float) -> None:
 
 
 def reach(page: Page, depth: float) -> None:
-    """Insert to a depth, mm."""
+    """Insert to a depth, mm, with a b that keeps the needle within the model's validity."""
+    page.fill("#bevel-fields [aria-label*=throughout].number", "0.02")
+    page.press("#bevel-fields [aria-label*=throughout].number", "Enter")
     page.fill("#speed", "1000")
     page.fill("#goto-depth", str(depth))
     page.press("#goto-depth", "Enter")
-    while abs(page.evaluate("window.needlefit.state.depth_mm") - depth) > 1e-6:
-        page.wait_for_timeout(50)
+    page.wait_for_function(f"Math.abs(window.needlefit.state.depth_mm - {depth}) < 1e-6")
 
 
 def band_waits(page: Page, times: int = 20) -> dict[str, float] | None:
