@@ -138,7 +138,8 @@ def reach(page: Page, depth: float) -> None:
     page.fill("#speed", "1000")
     page.fill("#goto-depth", str(depth))
     page.press("#goto-depth", "Enter")
-    page.wait_for_function(f"Math.abs(window.needlefit.state.depth_mm - {depth}) < 1e-6")
+    while abs(page.evaluate("window.needlefit.state.depth_mm") - depth) > 1e-6:
+        page.wait_for_timeout(50)
 
 
 def band_waits(page: Page, times: int = 20) -> dict[str, float] | None:

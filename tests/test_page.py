@@ -619,7 +619,8 @@ def test_a_drive_is_recorded_and_replayed_to_the_same_bits(page, server) -> None
         ("up", "ArrowRight", "!s.moving"),
     )
     state = settle(page)
-    page.wait_for_function("import('/page/trial.js').then(({trial}) => !trial.outbox.length)")
+    while call(page, "trial", "m.trial.outbox.length"):
+        page.wait_for_timeout(20)
     recording = read_recording(server.folder / get(page, "n.scene.recording"))
     *_, last = replayed = list(replay(recording))
     assert [one.tip_offset_mm for one in replayed] == [0.0] * (state["step"] + 1)
