@@ -255,7 +255,7 @@ def test_intervals_cover_the_synthetic_population(tmp_path):
     spreads = coverage[(coverage["quantity"] == "spread") & (coverage["level"] == 0.95)]
     held = found[(found["quantity"] == "spread") & (found["low_95"] == 0.0)]
     assert spreads["covered"].sum() == len(held)
-    assert REPORT.draw(answer, tmp_path)["recovered"].is_file()
+    assert REPORT.draw(answer, tmp_path)[0]["recovered"].is_file()
     assert any("True spread 0" in line for line in REPORT.summarize(answer))
 
 

@@ -395,17 +395,18 @@ def test_matlab_centrelines_structs_and_cells_are_read(tmp_path):
     cells = np.empty(2, dtype=object)
     cells[:] = [CURVE, 2 * CURVE]
     savemat(tmp_path / "old.mat", {"run": {"shape": CURVE, "depth": 50.0}, "all": cells})
-    curves = read_curves(tmp_path / "old.mat")
-    assert sorted(curves) == ["all_1", "all_2", "run_shape"]
+    curves, unused = read_curves(tmp_path / "old.mat")
+    assert sorted(curves) == ["all_1", "all_2", "run"] and unused == []
+    assert curves["run"].stated == {"depth": "50"}
     np.testing.assert_array_equal(curves["all_2"].values, 2 * CURVE)
     with h5py.File(tmp_path / "new.mat", "w") as new:  # version 7.3 is HDF5, its matrices turned
         new["x"] = CURVE.T
         new["run/shape"] = 3 * CURVE.T
         new["#refs#/a"] = 2 * CURVE.T
         new.create_dataset("all", data=[[new["#refs#/a"].ref]], dtype=h5py.ref_dtype)
-    curves = read_curves(tmp_path / "new.mat")
-    assert sorted(curves) == ["all_1", "run_shape", "x"]
-    np.testing.assert_array_equal(curves["run_shape"].values, 3 * CURVE)
+    curves, _ = read_curves(tmp_path / "new.mat")
+    assert sorted(curves) == ["all_1", "run", "x"]
+    np.testing.assert_array_equal(curves["run"].values, 3 * CURVE)
 
 
 @pytest.mark.sweep

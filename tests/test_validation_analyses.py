@@ -364,7 +364,7 @@ def test_a_small_study_under_variations(world, tmp_path):
     assert ratios["rigidity", "mu1_pa"] == pytest.approx(1.1, rel=0.01)
     assert pd.isna(ratios["constraint spacing", "bevel_mm"])
     assert "2 variations" in REPORT.summarize(answer)[0]
-    assert REPORT.draw(answer, tmp_path)["studies"].is_file()
+    assert REPORT.draw(answer, tmp_path)[0]["studies"].is_file()
     again, kept, *_ = REPORT.lay_out(answer)
     assert len(again.rows) == 3 and len(kept.rows) == 2
     assert answer.run["variations"]["constraint spacing: 2 mm"]["constraint_spacing_mm"] == 2.0
@@ -501,7 +501,7 @@ def test_the_studies_on_two_twins_are_reported(two_twins, tmp_path):
     page = find_kind("seeds").report
     assert "2 of 2 " in page.summarize(answer)[0]
     assert {"generalising.pdf", "comparisons.pdf", "cells.pdf"} == {
-        p.name for p in page.draw(answer, tmp_path).values()
+        p.name for p in page.draw(answer, tmp_path)[0].values()
     }
     lost = {table.name: table for table in page.lay_out(answer)}["losses"]
     assert len(lost.rows) == (answer.frames["comparisons"]["verdict"] == "loses").sum()
