@@ -377,7 +377,7 @@ LOCK_NAME = "lock"
 _SCRATCH = ".needlefit-"  # in the name of a scratch folder, behind that of its place
 _SCRATCH_NAMES = {LOCK_NAME, f"{LOCK_NAME}.new", NEW_NAME, OLD_NAME, f"{OLD_NAME}.aside"}
 _MARK = "a scratch folder of needlefit\n"
-REMOVED_LAST = (MANIFEST, "run.json", "dataset.toml")
+REMOVED_LAST = ("dataset.toml", MANIFEST)
 """What is removed last of a result: by them it is known, also half removed."""
 
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2

@@ -109,7 +109,9 @@ def _make_small_twin() -> None:
     from needlefit.synthetic.insertion import TWIN_SEED
 
     plan, built = design.select_planned_insertions(("phantom2-16",)), _once(build._build_insertion)
-    build._build_insertion = lambda seed, recipe, planned: built(planned.id, TWIN_SEED, recipe, planned)
+    build._build_insertion = lambda seed, population, recipe, planned: built(
+        planned.id, TWIN_SEED, population, recipe, planned
+    )
     build.build_dataset = partial(build.build_dataset, plan=plan)
     with tempfile.TemporaryDirectory() as folder:
         build.build_dataset(Path(folder))
