@@ -386,7 +386,7 @@ async def test_inputs_can_be_taken_away_as_they_were_recorded(server, page) -> N
 
 @pytest.mark.parametrize("fails", [False, True])
 def test_the_page_is_there_while_its_needle_is_loaded(tmp_path, fails) -> None:
-    """It is told the stage, and gets its needle then; an error ends it."""
+    """It receives the stage, and then its needle; an error ends it."""
     read_on = threading.Event()
 
     def load(show) -> SteeringPage:

@@ -19,7 +19,12 @@ from needlefit.inference.baselines import BASELINES, Baseline, list_baselines, m
 from needlefit.inference.compared_points import ComparedPoints, Curve, align_points, select_points
 from needlefit.inference.likelihood.marginal import log_marginals
 from needlefit.inference.likelihood.nodes import make_group
-from needlefit.inference.likelihood.observation import Observation, make_observation, whiten_residuals
+from needlefit.inference.likelihood.observation import (
+    Observation,
+    append_pose_curves,
+    make_observation,
+    whiten_residuals,
+)
 from needlefit.inference.parameters import NOISE_SCALE_BOUNDS
 from needlefit.schemas.recipe import LikelihoodRecord
 
@@ -178,8 +183,6 @@ def log_likelihoods(density: CurveDensity, observation: Observation, thetas: Flo
         np.broadcast_to(density.draw_curves(thetas, insertion, s), size)
         for insertion, s in zip(nodes.insertions, nodes.s, strict=True)
     ]
-    white = whiten_residuals(observation, np.stack(points, axis=1))  # (W, m, R)
-    pose = np.broadcast_to(observation.pose_curves, (len(thetas), *observation.pose_curves.shape))
-    white = np.concatenate([white, pose], axis=1)
+    white = append_pose_curves(observation, whiten_residuals(observation, np.stack(points, axis=1)))
     scale = np.exp(thetas[:, -1])
     return observation.log_norm + log_marginals([white], make_group(nodes), scale, np.zeros(len(scale)))

@@ -48,6 +48,7 @@ from needlefit.inference.likelihood.observation import (
     PLAIN_LIKELIHOOD,
     Discrepancy,
     Observation,
+    append_pose_curves,
     make_observation,
     whiten_derivatives,
     whiten_residuals,
@@ -283,7 +284,7 @@ class PosteriorDensity:
         points = iter(nodes.model.read_points(sets, nodes.places, jobs))
         for one, some in zip(self.observations, nodes.nodes, strict=True):
             stacked = np.stack([next(points) for _ in some.s], axis=1)  # (B, m, K, 2)
-            yield _append_curves(one, whiten_residuals(one, stacked))
+            yield append_pose_curves(one, whiten_residuals(one, stacked))
 
     def _differentiate(
         self, nodes: "_ModelledNodes", sets: Sequence[Values], jobs: int
@@ -293,7 +294,7 @@ class PosteriorDensity:
         points, slopes = map(iter, nodes.model.differentiate(sets, self.parameters, nodes.places, jobs))
         for one, some in zip(self.observations, nodes.nodes, strict=True):
             stacked, by = (np.stack([next(part) for _ in some.s], axis=1) for part in (points, slopes))
-            white = _append_curves(one, whiten_residuals(one, stacked))
+            white = append_pose_curves(one, whiten_residuals(one, stacked))
             by_white = np.zeros((*white.shape, by.shape[-1]))
             by_white[:, : len(some.s)] = whiten_derivatives(one, stacked, by)
             found.append((white, by_white))
@@ -312,12 +313,6 @@ class _ModelledNodes:
     def places(self) -> list[Floats]:
         """Where the points of all nodes lie on the beam, (K,) mm each."""
         return [s for some in self.nodes for s in some.s]
-
-
-def _append_curves(observation: Observation, white: Floats) -> Floats:
-    """Return whitened residuals (B, m, R) with the curves of the pose behind them."""
-    curves = np.broadcast_to(observation.pose_curves, (len(white), *observation.pose_curves.shape))
-    return np.concatenate([white, curves], axis=1)
 
 
 #: distance below which a distance counts as squared, mm: less than any measured centreline is known to

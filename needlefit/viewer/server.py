@@ -300,7 +300,7 @@ class LoadingPage:
         return self._page
 
     async def attend(self, access: AccessControl, request: web.Request) -> web.WebSocketResponse:
-        """Serve one window; it is told the stage until the needle is there."""
+        """Serve one window; it receives the stage until the needle is there."""
         socket = await open_socket(request)
         hello = await receive_hello(access, socket)
         if hello is None:

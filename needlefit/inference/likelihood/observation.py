@@ -446,6 +446,12 @@ def whiten_deflections(observation: Observation, deflections: Floats) -> Floats:
     return (deflections - observation.measured[:, 1]) @ observation.whitening.T + observation.offset
 
 
+def append_pose_curves(observation: Observation, white: Floats) -> Floats:
+    """Return whitened residuals (B, m, R) with the curves of the pose behind them."""
+    curves = np.broadcast_to(observation.pose_curves, (len(white), *observation.pose_curves.shape))
+    return np.concatenate([white, curves], axis=1)
+
+
 def whiten_derivatives(observation: Observation, simulated: Floats, slopes: Floats) -> Floats:
     """Return the derivatives (..., R, P) of `whiten_residuals`, given those of the points, (..., K, 2, P)."""
     if observation.pose == "free":

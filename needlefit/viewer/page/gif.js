@@ -1,7 +1,7 @@
 /** Encodes pictures (ImageData of one size) as an animated GIF, which plays for ever. */
 
 const COLOURS = 256;
-const BITS = 5; // of a channel by which colours are told apart
+const BITS = 5; // of a channel, by which colours are distinguished
 const keyOf = (r, g, b) => ((r >> (8 - BITS)) << (2 * BITS)) | ((g >> (8 - BITS)) << BITS) | (b >> (8 - BITS));
 
 /** The most frequent colours of some pictures, and the nearest of them to every colour, by its key. */
