@@ -18,11 +18,11 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import lsq_linear
 from scipy.special import gammaincinv
 
 from needlefit.arrays import Bools, Floats
+from needlefit.geometry.curves import interpolate_hermite
 from needlefit.inference.fit import EVALUATION_ERRORS
 from needlefit.inference.problem import Problem
 from needlefit.inference.side_by_side import map_side_by_side
@@ -445,7 +445,7 @@ def _find_end(path: ProfilePath, curve: tuple[Floats, Floats, Floats], side: int
 def _interpolate(at: Floats, deviance: Floats, slope: Floats, where: Floats) -> Floats:
     if len(at) == 1:
         return np.full(len(where), deviance[0])
-    return CubicHermiteSpline(at, deviance, slope)(where)
+    return interpolate_hermite(at, deviance, slope, where)
 
 
 def _count_minima(deviance: Floats) -> int:
