@@ -20,22 +20,22 @@ STATUSES: tuple[Status, ...] = ("none", "pass", "warn", "fail")
 VERDICTS_KEY = "verdicts"  #: of `--json`
 
 Given = ParamSpec("Given")
-Derived = TypeVar("Derived")
+Value = TypeVar("Value")
 
 
 def once_per_run(
-    derive: Callable[Concatenate["Run", Given], Derived],
-) -> Callable[Concatenate["Run", Given], Derived]:
+    derive: Callable[Concatenate["Run", Given], Value],
+) -> Callable[Concatenate["Run", Given], Value]:
     """Return `derive`, computed once for each run and (hashable) arguments; nobody may change its value.
 
     Tables, figures, sentences and verdicts of a report ask for the same.
     """
 
-    def find(result: "Run", /, *args: Given.args, **kwargs: Given.kwargs) -> Derived:
+    def find(result: "Run", /, *args: Given.args, **kwargs: Given.kwargs) -> Value:
         key = (derive.__module__, derive.__qualname__, args, *kwargs.items())
         if key not in result.derived:
             result.derived[key] = derive(result, *args, **kwargs)
-        found: Derived = result.derived[key]
+        found: Value = result.derived[key]
         return found
 
     update_wrapper(find, derive)
