@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import groupby
 from multiprocessing import parent_process
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -224,8 +225,8 @@ def plan_studies(study: str) -> list[StudyTask]:
 def run_studies(execution: Execution, todo: Sequence[StudyTask]) -> "list[Run]":
     """Run, write and print every work; their checkpoints stay.
 
-    Several studies and fits run side by side, one in each process: much of a fit keeps Python busy, which
-    threads of one process cannot share. Studies whose work falls into tasks follow one after the other.
+    Studies and fits that follow each other run side by side, one in each process: much of a fit keeps Python
+    busy, which threads of one process cannot share. Studies whose work falls into tasks run one by one.
     """
     done = []
     for result in _run_each(execution, todo):
@@ -243,19 +244,28 @@ def run_studies(execution: Execution, todo: Sequence[StudyTask]) -> "list[Run]":
     return done
 
 
-def _run_each(execution: Execution, todo: Sequence[StudyTask]) -> "Iterable[Run]":
+def _run_each(execution: Execution, todo: Sequence[StudyTask]) -> "Iterator[Run]":
     """Run and write the studies; yield them in their order, not all where Ctrl-C asks to stop."""
-    from needlefit.project.checkpoint import hold_checkpoint
     from needlefit.project.tasks import LocalPool
     from needlefit.schemas.study import FitRecord, StudyRecord
 
-    fits = all(isinstance(work.record, FitRecord | StudyRecord) for work in todo)
-    if not fits or len(todo) == 1 or not isinstance(execution.pool, LocalPool) or execution.pool.size == 1:
-        return map(partial(_run_one, execution), todo)
+    several = isinstance(execution.pool, LocalPool) and execution.pool.size > 1
+    for fits, group in groupby(todo, lambda work: isinstance(work.record, FitRecord | StudyRecord)):
+        works = list(group)
+        if fits and several and len(works) > 1:
+            yield from _run_side_by_side(execution, works)
+        else:
+            yield from map(partial(_run_one, execution), works)
+
+
+def _run_side_by_side(execution: Execution, todo: Sequence[StudyTask]) -> "list[Run]":
+    from needlefit.project.checkpoint import hold_checkpoint
+
     # a process among several shows no progress of its own
     quiet = replace(execution.invocation, quiet=True)
     sent = partial(_run_in_process, replace(execution, invocation=quiet, stop=_stop_in_process, pool=None))
     finished: dict[int, Run] = {}
+    assert execution.pool is not None
     with show_progress(execution.invocation.quiet) as report:
         report(f"{len(todo)} studies side by side", 0, len(todo))
         for n, result in execution.pool.run(sent, todo, execution.stop):
