@@ -1,4 +1,4 @@
-"""`needlefit identify`: what it prints and writes, from the design alone and after a fit."""
+"""Commands of single analyses: `tune --design`, `material`, `verify`, `view`."""
 
 import csv
 import json
@@ -49,7 +49,7 @@ from needlefit.viewer.recording import read_recording
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    return tmp_path / "reports" / "identify-study2"
+    return tmp_path / "reports" / "study2-design"
 
 
 @pytest.fixture(scope="module")
@@ -57,8 +57,8 @@ def designed(tmp_path_factory):
     """The folder of a run from the design alone, and what it printed."""
     with pytest.MonkeyPatch.context() as here, redirect_stdout(StringIO()) as printed:
         here.chdir(tmp_path_factory.mktemp("designed"))
-        assert run("identify", "study2", "--jobs", "1", "-q", "--explain") == 0
-        return Path.cwd() / "reports" / "identify-study2", printed.getvalue()
+        assert run("tune", "study2", "--design", "--jobs", "1", "-q", "--explain") == 0
+        return Path.cwd() / "reports" / "study2-design", printed.getvalue()
 
 
 @pytest.mark.sweep
@@ -67,7 +67,9 @@ def test_the_design_part_ranks_the_parameters_of_one_short_insertion(designed):
     assert "1 insertion, 24 mm deep" in out and "study2" in out
     assert re.search(r"alpha1 .* 0\.001 mm .* 40 mm", " ".join(out.split()))
     table = pd.read_csv(folder / "identify.csv").set_index("parameter")
-    assert set(table["stage"]) == {"design"} and not table["determined"].any()
+    assert not table["determined"].any()
+    profiles = pd.read_csv(folder / "profiles.csv")
+    assert (profiles.groupby("parameter")["deviance"].min() == 0).all()
     assert table.loc["alpha1", "sd_ratio"] == pytest.approx(1.0, abs=1e-3)
     assert (table.loc["bevel_mm", "end_low"], table.loc["bevel_mm", "end_high"]) == ("closed", "closed")
     assert (table["sd_low"] <= table["sd"])[:3].all() and (table["sd_high"] >= table["sd"])[:3].all()
@@ -84,7 +86,7 @@ def test_the_design_part_ranks_the_parameters_of_one_short_insertion(designed):
 
 def test_a_parameter_that_needs_an_assumption_states_it_in_table_and_sentence():
     row = {
-        "stage": "design", "fold": "all", "parameter": "mu3_pa", "status": "free", "determined": False,
+        "fold": "all", "parameter": "mu3_pa", "status": "free", "determined": False,
         "note": "an assumption", "value": 2.2e5, "prior_sd": 3.0, "sd": 0.19, "sd_low": 0.19, "sd_high": 0.19,
         "fisher_sd": 0.19, "sd_ratio": 0.06, "low": 1.5e5, "high": 3.2e5, "end_low": "closed",
         "end_high": "closed", "tip_range_mm": None, "profile_verdict": "154 to 321 kPa (95 %)",
@@ -98,23 +100,6 @@ def test_a_parameter_that_needs_an_assumption_states_it_in_table_and_sentence():
         assert "19 %" in sentence and "154 to 321 kPa" in sentence and "an assumption" in sentence
         assert (" but " in sentence) is contrasted
         assert "an assumption" in lay_out_identification(frame, expected=True).rows[0][-1]
-
-
-@pytest.mark.sweep
-def test_a_fit_adds_its_stage_beside_the_design(folder, capsys):
-    text = (
-        'schema = 1\ndataset = "twin"\nmedium = "phantom2"\nrecipe = "quick"\n'
-        '[tune]\nmedium = "phantom2"\nlayers = [1]\n'
-    )
-    (folder.parents[1] / "one.toml").write_text(text)
-    assert run("identify", "./one.toml", "--fit", "--json", "-q") == 0
-    output = json.loads(capsys.readouterr().out)
-    assert {"design", "fit", "sentences", "directions", "place"} <= set(output)
-    by_stage = pd.read_csv(folder.parent / "identify-one" / "identify.csv").groupby("stage")["parameter"]
-    assert by_stage.size()["design"] == by_stage.size()["fit"]
-    for name in ("profiles", "profiles_design"):
-        profiles = pd.read_csv(folder.parent / "identify-one" / f"{name}.csv")
-        assert (profiles.groupby("parameter")["deviance"].min() == 0).all()
 
 
 @pytest.mark.sweep
@@ -134,7 +119,7 @@ def test_the_design_part_uses_no_measured_shape(monkeypatch, designed, folder):
         return replace(found, insertions=tuple(moved))
 
     monkeypatch.setattr(job, "read", bent)
-    assert run("identify", "study2", "-q") == 0
+    assert run("tune", "study2", "--design", "-q") == 0
     assert (folder / "identify.csv").read_bytes() == (designed[0] / "identify.csv").read_bytes()
 
 

@@ -72,7 +72,7 @@ CASES = {
     "validate": Case(
         "validate held_out --reference --out out -q", "held_out held_out.partial reference/held_out"
     ),
-    "identify": Case("identify held_out --out out -q", "identify-held_out identify-held_out.partial"),
+    "tune --design": Case("tune held_out --design --out out -q", "held_out-design held_out-design.partial"),
     "calibrate": Case(
         "calibrate meat --replicates 2 --jobs 1 --out out -q", "calibrate-meat calibrate-meat.partial", 5
     ),
@@ -83,7 +83,7 @@ CASES = {
     "material": Case("material gel.csv --out out", "material-gel"),
     "reconstruct": Case(f"reconstruct {SCANS} --out out/rr -q", "rr rr.partial"),
     "import": Case("import curves.csv --out out/found --yes", "found"),
-    "init": Case("init out/project", "project/data project/configs project/studies"),
+    "new project": Case("new project out/project", "project/data project/configs project/studies"),
     "twin build": Case("twin build --out out/twin -q", "twin"),
     "twin ct": Case("twin ct sample --out out/ct -q --jobs 1", "ct"),
     "new dataset": Case("new dataset out/data", "data"),
@@ -213,7 +213,7 @@ def test_other_files_in_the_folder_stay(command, project, request):
         leave_run(project / "out/run", command)
     log = (project / "log.csv").read_bytes()
     # the second time what it wrote is replaced
-    for _ in range(1 if command.startswith(("init", "new", "import")) else 2):
+    for _ in range(1 if command.startswith(("new", "import")) else 2):
         assert run(*case.words) == case.code
     for place in case.places:
         assert (
@@ -300,9 +300,9 @@ def test_an_unwritable_output_path_is_refused(name, tmp_path):
 
 LONG = (
     *("verify -q --out", "tune study3 -q --out", "validate study3 --reference -q --out"),
-    *("calibrate study3 -q --out", "identify study3 -q --out", "predict study3 --scene study2 -q --out"),
+    *("calibrate study3 -q --out", "tune study3 --design -q --out", "predict study3 --scene study2 -q --out"),
     *("view study2 --no-browser --out", f"reconstruct {SCANS} -q --out", "twin build -q --out"),
-    *("twin ct -q --out", "init", "new dataset"),
+    *("twin ct -q --out", "new project", "new dataset"),
 )
 
 

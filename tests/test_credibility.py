@@ -92,7 +92,7 @@ def test_without_evidence_every_gap_names_the_missing_evidence(bare):
     gaps = {key: " ".join(bare[key][1]) for key in bare}
     assert "tie, advance, constraint spacing" in gaps["form"]
     assert "thickness, rigidity, layer depths" in gaps["sensitivities"]
-    assert "needlefit identify" in gaps["sensitivities"]
+    assert "needlefit tune" in gaps["sensitivities"]
     assert "needlefit calibrate" in gaps["uncertainties"]
     assert "nothing physical" in gaps["samples"]
     assert bare["samples_uncertainty"][0] == ""

@@ -314,8 +314,8 @@ def test_every_warning_that_a_study_prints_is_in_run_json(flipped, capsys):
 def test_an_error_of_a_study_or_medium_names_file_and_line(flipped, capsys, file, old, new, place):
     path = flipped / file
     path.write_text(path.read_text().replace(old, new))
-    for command in ("tune", "identify"):
-        assert run(command, "./fit.toml", "-q") == 3
+    for options in ((), ("--design",)):
+        assert run("tune", "./fit.toml", "-q", *options) == 3
         err = capsys.readouterr().err
         assert err.startswith(f"needlefit: {place}: ") and "\n  fix: " in err
 

@@ -74,7 +74,7 @@ def test_the_wheel_is_used_from_an_empty_folder(built, installed, tmp_path):
     keys = {*read_sections(), "study.toml", "scans.csv", "stretch", "te_mm"}
     assert {one["key"] for one in json.loads(run("explain", "--json"))} >= keys
     assert list(tmp_path.iterdir()) == []
-    run("init", "mine")
+    run("new", "project", "mine")
     mine = tmp_path / "mine"
     assert {path.name for path in mine.iterdir()} == {"data", "configs", "studies"}
     wanted = {p.relative_to(ROOT) for p in (ROOT / "configs").rglob("*.toml")}

@@ -127,7 +127,7 @@ def add(folder, name, frame):
 
 
 def test_a_verdict_and_a_deviation_of_identify_are_compared(tmp_path):
-    row = {"stage": "design", "fold": "all", "parameter": "mu1_pa", "determined": True, "sd": 0.1}
+    row = {"fold": "all", "parameter": "mu1_pa", "determined": True, "sd": 0.1}
     one = table(tmp_path / "a", "identify", [row])
     two = table(tmp_path / "b", "identify", [{**row, "determined": False, "sd": 0.2}])
     (two / "run.json").write_text('{"kind": "identification", "dataset": {"name": "other"}}')
@@ -139,7 +139,7 @@ def test_a_verdict_and_a_deviation_of_identify_are_compared(tmp_path):
     folds = [table(tmp_path / f"{sd}", "identify", [{**row, "fold": f, "sd": sd} for f in ("one", "two")])
              for sd in (0.1, 0.2)]  # fmt: skip
     assert [found.where for found in compare_runs(*folds)] == [
-        f"sd of mu1_pa ({fold}), design" for fold in ("one", "two")
+        f"sd of mu1_pa ({fold})" for fold in ("one", "two")
     ]
 
 

@@ -191,6 +191,9 @@ def test_a_prediction_follows_a_target_without_spread_between_specimens(job, mon
     )
     treatments = [one.frames["specimens"]["specimen_treatment"].iloc[0] for one in (found, same, new)]
     assert treatments == ["training only", "same", "others"]
+    within = replace(job, record=job.record.model_copy(update={"same_specimen": True}))
+    stated = predict_with(within, monkeypatch, [theta(job)] * 20)
+    assert stated.frames["specimens"]["specimen_treatment"].tolist() == ["same"]
     widths = [one.frames["specimens"]["tip_95_width_mm"].iloc[0] for one in (found, same, new)]
     assert widths[2] > 2 * widths[0] and widths[0] == widths[1]
     tables, sentences = find_kind("prediction").report.explain(new)

@@ -64,7 +64,7 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
         ),
         "cross_validation": _validate("held_out", 0),
         "fit": Command(("tune", "gel", "--sample"), "gel", (5,)),
-        "identification": Command(("identify", "gel", "--fit"), "identify-gel", (0,)),
+        "identification": Command(("tune", "gel", "--design"), "gel-design", (0,)),
         "left_out": _validate("left_out"),
         "material": Command(("material", "gel.csv"), "material-gel", (0,)),
         "next_insertion": _validate("next_insertion"),

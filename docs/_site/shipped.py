@@ -20,7 +20,7 @@ FOLDERS = {
 OPENING = """\
 # What ships
 
-Every file of the project that a command takes by its name; `needlefit init DIR` writes a copy to edit.
+Every file of the project that a command takes by its name; `needlefit new project DIR` writes a copy to edit.
 
 ## Studies
 

@@ -14,50 +14,50 @@ from typer.core import TyperCommand, TyperGroup
 from needlefit.cli import exit_codes, options
 
 _COMMANDS: Mapping[str, Mapping[str, str]] = {
-    "Data": {
-        "init": "myproject",
+    "Commands": {
+        "import": "curves.xlsx --out ./mydata",
+        "check": "./mydata",
+        "tune": "phantom1",
+        "validate": "study3",
+        "predict": "study3 --scene study3",
+        "simulate": "figure1 --depth 60",
+        "view": "figure1",
+        "plan": "phantom2 --target 45,2 --obstacle 25,0.5,1",
+        "explain": "coverage",
+    },
+    "data": {
+        "new project": "myproject",
         "new dataset": "data/mine --from curves.csv",
         "new workbook": "needles.xlsx",
-        "import": "curves.xlsx --out data/mine",
-        "check": "data/mine/dataset.toml",
         "reconstruct": "scans.csv --out data/mine",
         "material": "compression.csv --foundation 4 1.5",
         "twin build": "--out data/twin2 --seed 2",
         "twin ct": "phantom2-14 --out twin_ct",
     },
-    "Simulate": {
-        "simulate": "figure1 --depth 60",
-        "view": "figure1",
-        "plan": "phantom2 --target 45,2 --obstacle 25,0.5,1",
-    },
-    "Fit": {
-        "tune": "phantom1",
-        "identify": "study3 --fit",
-        "calibrate": "phantom1 --replicates 100",
-    },
-    "Validate": {
-        "validate": "study3",
-        "predict": "study3 --scene study3",
+    "evidence": {
         "verify": "",
+        "calibrate": "phantom1 --replicates 100",
         "credibility": "study3",
-    },
-    "Report": {
-        "report": "study3 --explain",
-        "explain": "coverage",
-        "diff": "reports/study3 old/study3",
         "paper": "",
     },
+    "results": {
+        "report": "study3 --explain",
+        "diff": "reports/study3 old/study3",
+    },
 }
-"""By heading of `--help`: commands in the order of the work, each with the words of an example."""
+"""By heading of `--help`: commands, each with the words of an example; those most used come first."""
 
 _GROUPS = {
-    "new": "Write example files to edit.",
+    "new": "Write files to edit: a project, a dataset, or a workbook.",
     "twin": "Build the synthetic dataset, or render its CT volumes.",
 }
 """First words of commands that form a group, with its help."""
 
-_DATA = ("init", "new dataset", "new workbook", "check", "twin build", "twin ct")
-_STUDIES = (*("tune", "identify", "calibrate", "validate", "predict", "material", "verify", "credibility"),)
+_RENAMED = {"init": "new project", "identify": "tune (before any measurement: tune --design)"}
+"""Former commands, with what took their place."""
+
+_DATA = ("new project", "new dataset", "new workbook", "check", "twin build", "twin ct")
+_STUDIES = ("tune", "calibrate", "validate", "predict", "material", "verify", "credibility")
 
 _MODULES = {
     "import": "data.import_data",
@@ -124,12 +124,20 @@ class _Guarded(_Group):
             raise
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - as the base class takes it
-        """Write the commands below the headings of `_COMMANDS`."""
-        for heading, members in _COMMANDS.items():
-            words = dict.fromkeys(name.split()[0] for name in members)
-            with formatter.section(heading):
-                limit = formatter.width - 6 - max(map(len, self.commands))
-                formatter.write_dl([(word, self.commands[word].get_short_help_str(limit)) for word in words])
+        """Write the commands most used, each with its help, and the names of the others by heading."""
+        (first, commands), *more = _COMMANDS.items()
+        with formatter.section(first):
+            limit = formatter.width - 6 - max(map(len, commands))
+            formatter.write_dl([(one, self.commands[one].get_short_help_str(limit)) for one in commands])
+        with formatter.section("More (needlefit COMMAND --help)"):
+            names = {head: dict.fromkeys(one.split()[0] for one in members) for head, members in more}
+            formatter.write_dl([(head, ", ".join(words)) for head, words in names.items()])
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:  # noqa: ANN401 - as the base class takes it
+        """Name what took the place of a former command."""
+        if args[0] in _RENAMED:
+            ctx.fail(f"'{args[0]}' is now: needlefit {_RENAMED[args[0]]}")
+        return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: typer.Context) -> object:  # type: ignore[override]
         try:

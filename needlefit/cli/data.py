@@ -1,4 +1,4 @@
-"""Commands that make and check data: init, new dataset, import, check, twin."""
+"""Commands that make and check data: new, import, check, twin."""
 
 import shlex
 import shutil
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 @takes("verbose", folder=argument("DIR", "A folder; it is made if it is missing."))
-def init(folder: Path) -> None:
+def new_project(folder: Path) -> None:
     """Write an editable copy of the project to DIR.
 
     That is data/, configs/ and studies/; in DIR the program then uses those.
@@ -273,7 +273,7 @@ def _ask(question: "Question", guess: str, reason: str) -> str:
     ),
 )
 def check(context: typer.Context, name: str) -> None:
-    """Check a dataset or a study: list every fault and how to fix it, and every warning.
+    """Check a dataset or study: list faults, fixes and warnings.
 
     For a dataset it checks files, ids, units, centrelines, surfaces, bevel sides and checksums; for a study
     its keys and all files that it names. Every fit makes the same checks. Exit code 3: there is a fault; with

@@ -60,7 +60,7 @@ def plan(
     specimen: Literal["new", "same"] | None = None,
     recording: Path | None = None,
 ) -> None:
-    """Plan how to steer a needle to a target: entry, path of the base, turns of the bevel, depth.
+    """Plan how to steer a needle to a target: entry, base, turns.
 
     The plan has the greatest probability, over posterior draws of the parameters, that the tip ends within
     --radius and no obstacle is touched. A SCENE has one set of parameters, taken as exact.

@@ -147,7 +147,7 @@ def _complete_keys(start: str) -> list[str]:
     ),
 )
 def explain(context: typer.Context, key: str = "") -> None:
-    """Explain a warning, a file with all its keys, a term, a law or a column. Without NAME: list all."""
+    """Explain a warning, file, term, law or column (none: list all)."""
     from needlefit.reporting.columns import find_column
 
     groups = _list_topics()

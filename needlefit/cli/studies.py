@@ -1,4 +1,4 @@
-"""Commands that run studies: tune, identify, calibrate, validate, predict, material, verify, credibility."""
+"""Commands that run studies: tune, calibrate, validate, predict, material, verify, credibility."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -31,21 +31,35 @@ if TYPE_CHECKING:
     from needlefit.studies.run import Run
 
 
-@takes("sample seed jobs scheduler insecure out resume strict explain json quiet verbose")
-def tune(context: typer.Context, target: str) -> None:
+@takes(
+    "sample seed jobs scheduler insecure out resume strict explain json quiet verbose",
+    design=flag("Which parameters the design determines, before any measurement.", "--design"),
+)
+def tune(context: typer.Context, target: str, design: bool = False) -> None:
     """Fit the parameters of a TARGET (mu, alpha, b).
 
     Prints each parameter with its 95 % interval, and which ones the data do not determine.
+
+    With --design no measured shape is used: shapes are simulated with the paper's parameters or the middle of
+    the bounds. Fisher information, profile likelihoods and posterior SD / prior SD go to OUT/TARGET-design/.
 
     Of a study only the fit is run; results go to OUT/STUDY-tune/. The folder slicer/ holds every needle,
     measured and fitted with the 95 % band of the parameters, for 3D Slicer. Ctrl-C writes the best result so
     far, marked as interrupted, and prints the command that continues; a second Ctrl-C stops at once.
     """
     with begin(context) as execution:
+        if design and execution.invocation.sample:
+            raise typer.BadParameter("excludes --sample: nothing is fitted", param_hint="--design")
         from needlefit.project.toml import add_file_context
         from needlefit.studies.study_files import load_target
 
         name, record, file = load_target(target)
+        if design:
+            name = f"{name.removesuffix('-tune')}-design"
+            execution.prepare([name])
+            with execution.in_pool() as pooled:
+                execution.show(pooled.run_kind("identification", name, target=target))
+            return
         execution.prepare([name])
         with add_file_context(file), execution.in_pool() as pooled:
             results = pooled.run(name, record)
@@ -57,26 +71,6 @@ def tune(context: typer.Context, target: str) -> None:
             raise execution.interrupted()
         execution.remove_checkpoint(name)
     require_no_faults(f"{results.name}: {fault}" for fault in results.faults)
-
-
-@takes(
-    "seed jobs out resume strict explain json quiet verbose",
-    fit=flag("Also fit, and report what the measured shapes determine.", "--fit"),
-)
-def identify(context: typer.Context, target: str, fit: bool = False) -> None:
-    """Determine which parameters of a TARGET are identifiable from its insertions.
-
-    Without --fit only the design is used (depths, layers, bevel sides, poses and noise), at the paper's
-    hand-tuned parameters or in the middle of the bounds; with --fit, the fitted values. Fisher information,
-    its eigenvectors, profile likelihoods and posterior SD / prior SD go to OUT/identify-<target>/.
-    """
-    with begin(context) as execution:
-        from needlefit.studies.study_files import load_target
-
-        name = f"identify-{load_target(target)[0].removesuffix('-tune')}"
-        execution.prepare([name])
-        found = execution.run_kind("identification", name, target=target, fit=fit)
-    execution.show(found)
 
 
 @takes(
@@ -188,7 +182,7 @@ def _end_calibration(execution: Execution, found: "list[Run]") -> None:
     ),
 )
 def validate(context: typer.Context, study: str) -> None:
-    """Run a STUDY: fit, score held-out insertions, compare, plan, as its file states.
+    """Run a STUDY, such as: fit some insertions, predict others.
 
     `all` runs the paper's five studies and the fits of its tuning tables; `everything` runs all studies whose
     data are present.
@@ -241,8 +235,8 @@ def _write_combined_report(execution: Execution, study: str, runs: "list[Run]") 
     run=option("Result of `tune TARGET --sample` (default: OUT/TARGET-tune).", "DIR"),
     specimen=option(
         "new: into a specimen that was not fitted to; same: into the one that was, or, of several that "
-        "differ, its NAME (default: new, with the spread between specimens unless the TARGET's `specimens` "
-        "leaves it out).",
+        "differ, its NAME (default: same if the TARGET states `same_specimen`; else new, with the spread "
+        "between specimens unless its `specimens` leaves it out).",
         "new|same|NAME",
     ),
 )
@@ -255,7 +249,7 @@ def predict(
     depth: float | None = None,
     set_: list[str] | None = None,
 ) -> None:
-    """Predict a planned insertion with the parameters fitted to a TARGET's data.
+    """Predict a planned insertion with what was fitted to a TARGET.
 
     The scene defines needle, depth, layer depths, bevel side and controls. Moduli and bevel offset are draws
     of the TARGET's posterior: the sampled posterior if there is one, else importance-weighted draws about a
@@ -359,8 +353,8 @@ def verify(context: typer.Context, seed: int = 1) -> None:
 @takes(
     "out explain json quiet verbose",
     evidence=option(
-        "A folder of verify, calibrate, identify or a sensitivity study (several times), instead of those of "
-        "its kind beside RUN.",
+        "A folder of verify, calibrate, tune --design or a sensitivity study (several times), instead of "
+        "those of its kind beside RUN.",
         "DIR",
     ),
     statements=option("TOML with what only people can state: question, context, risk.", "FILE"),

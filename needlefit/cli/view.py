@@ -71,7 +71,7 @@ def view(
     browser: bool = True,
     **files: Any,  # noqa: ANN401 - those of `SCAN_FILES`
 ) -> None:
-    """Steer a needle by hand, or examine and correct a scan, in the browser.
+    """Steer a needle by hand, or correct a scan, in the browser.
 
     Only this machine can open the page. Each needle is recorded to a CSV in OUT/view/;
     `needlefit simulate --recording LOG` replays it. For a SCAN, the page shows what `needlefit reconstruct`

@@ -539,7 +539,7 @@ def read_shapes(path: Path) -> Dataset:
     if holds_tracks(path):
         what = "holds tip tracks, no shapes"
         where = str(find_dataset_file(path))
-        fix = "tune, identify, calibrate and predict take it; this does not"
+        fix = "tune, calibrate and predict take it; this does not"
         raise DataError(what, where=where, expected="a dataset with [centerlines]", fix=fix)
     return read(path)
 

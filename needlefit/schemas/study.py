@@ -55,6 +55,9 @@ class FitRecord(FileRecord):
     specimens: Literal["others", "training only"] = "others"
     """Parameters differ between specimens ("others"), or are the same in all ("training only", as in the
     paper)."""
+    same_specimen: bool = False
+    """Whether predicted insertions go on purpose into specimens that are fitted. Without it, that is a
+    warning of a study, and `needlefit predict` predicts a new specimen."""
 
 
 class StudyRecord(FitRecord):
@@ -71,9 +74,6 @@ class StudyRecord(FitRecord):
     leave_out: Literal["insertion", "specimen"] | None = None
     """Cross-validation in place of `[[validate]]`: every insertion or specimen of `tune` is predicted by a
     fit to the others."""
-    same_specimen: bool = False
-    """Whether held-out insertions go on purpose into specimens that are fitted. Without it, that is a
-    warning."""
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:

@@ -85,4 +85,5 @@ class TrackStudyRecord(FileRecord):
             recipe=self.recipe,
             priors=fit.priors,
             tune=fit.tune.selection(),
+            same_specimen=self.same_specimen,
         )

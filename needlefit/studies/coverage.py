@@ -178,15 +178,15 @@ def is_too_wide(width_mm: float, deflection_mm: float) -> bool:
     return width_mm > max(MAX_AIMING_WIDTH_MM, deflection_mm)
 
 
-def find_adaptation(dataset: str, fitted: str, new: str | None = None) -> str:
+def find_adaptation(dataset: str, fitted: str, new: str) -> str:
     """Return the name of a study that adds insertions of another medium to a fit on a dataset; "" if none.
 
-    `fitted` and `new` are the media; without `new` any will do.
+    `fitted` and `new` are the media.
     """
     for name in list_names("study"):
         found = read_toml(find_file("study", name))
         if found.get("kind") == "adaptation" and found.get("dataset") == dataset:
             media = found.get("old", {}).get("medium"), found.get("new", {}).get("medium")
-            if media[0] == fitted and new in (None, media[1]):
+            if media == (fitted, new):
                 return name
     return ""

@@ -115,12 +115,11 @@ def tabulate_identification(identification: pd.DataFrame, origin: str) -> pd.Dat
 
 
 def _compare_identifications(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
-    """Yield changed verdicts and deviations, by stage, fold and parameter."""
-    keys = [name for name in ("stage", "fold", "parameter") if name in before and name in after]
+    """Yield changed verdicts and deviations, by fold and parameter."""
+    keys = [name for name in ("fold", "parameter") if name in before and name in after]
     several = "fold" in keys and before["fold"].nunique() > 1
     for _, row in before.merge(after, validate="1:1", on=keys, suffixes=("_a", "_b"), sort=False).iterrows():
         name = f"{row['parameter']} ({row['fold']})" if several else str(row["parameter"])
-        name += f", {row['stage']}" if "stage" in keys else ""
         first, second = ("determined" if row[f"determined_{run}"] else "not determined" for run in ("a", "b"))
         if first != second:
             yield Difference("state", name, first, second, True, "the verdict changed")

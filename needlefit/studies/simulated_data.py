@@ -317,32 +317,25 @@ def find_true_value(problem: Problem, name: str, seed: int, population: Populati
     return float(1e6 * np.exp(np.mean([np.log(specimen.mu[layers]) for specimen in specimens])))
 
 
-def simulate_design(
-    job: Job, fold: Fold, values: Mapping[str, float], noise: Noise | None = None
-) -> Problem | None:
+def simulate_design(job: Job, fold: Fold, values: Mapping[str, float]) -> Problem | None:
     """Return the fit's problem with every measured shape replaced by the one that `values` (Pa, mm) give.
 
     Layers are those that the simulated needle meets, where the dataset has their surfaces; depths, sides,
-    poses, noise and the number of points stay; `noise` is for a dataset that states none. None where a needle
-    has no solution, or leaves the medium.
+    poses, noise and the number of points stay. None where a needle has no solution, or leaves the medium.
     """
     made = [_simulate_insertion(job, insertion, values) for insertion in fold.tune]
     known = tuple(insertion for insertion in made if insertion is not None)
-    return replace(job.problem(fold), insertions=known, noise=noise) if len(known) == len(made) else None
+    return replace(job.problem(fold), insertions=known) if len(known) == len(made) else None
 
 
-def choose_reference_values(
-    job: Job, fitted: Mapping[str, float] | None = None
-) -> tuple[dict[str, float], str]:
+def choose_reference_values(job: Job) -> tuple[dict[str, float], str]:
     """Return the values (Pa, mm) at which a design is evaluated, within the bounds, and their origin.
 
-    They are those fitted, or those of the paper's hand-tuned set, or the middle of the bounds.
+    They are those of the paper's hand-tuned set, or the middle of the bounds.
     """
     parameters = job.parameters
     middle = parameters.values(parameters.expected)
-    if fitted is not None:
-        asked, words = dict(fitted), "the fitted values"
-    elif job.hand_tuned is not None:
+    if job.hand_tuned is not None:
         asked, words = dict(job.hand_tuned), f"the paper's parameters, set {job.record.paper_parameters}"
     else:
         asked, words = middle, "the middle of the bounds"

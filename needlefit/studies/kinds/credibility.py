@@ -81,7 +81,7 @@ EVIDENCE_TABLES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
     "calibration": {
         "coverage.csv": ("quantity", "level", "replicates", "covered", "count_low", "count_high")
     },
-    "identification": {"identify.csv": ("stage", "parameter", "status", "determined", "profile_verdict")},
+    "identification": {"identify.csv": ("parameter", "status", "determined", "profile_verdict")},
     "sensitivity": {
         "cells.csv": (
             *("aspect", "variation", "tuned", "grouping", "study", "medium", "layers", "metric"),
@@ -128,19 +128,17 @@ class CredibilityEvidence:
         verb = {
             "verification": "verify",
             "calibration": f"calibrate {name} --replicates {self.run.get('replicates')}",
-            "identification": f"identify {name.removeprefix('identify-')}",
+            "identification": f"tune {name.removesuffix('-design')} --design",
             "sensitivity": f"validate {name}",
         }[self.kind]
         options = {
-            "identification": {"--fit": study.get("fit")},
-            "calibration": {
-                "--truth synthetic": study.get("truth") == "synthetic",
-                "--ct": study.get("ct"),
-                "--sample": study.get("sampled"),
-                f"--control {control}": control,
-            },
-        }.get(self.kind, {})
-        return " ".join(["needlefit", verb, *(option for option, given in options.items() if given)])
+            "--truth synthetic": study.get("truth") == "synthetic",
+            "--ct": study.get("ct"),
+            "--sample": study.get("sampled"),
+            f"--control {control}": control,
+        }
+        chosen = [option for option, given in options.items() if given] if self.kind == "calibration" else []
+        return " ".join(["needlefit", verb, *chosen])
 
 
 _IGNORED_KEYS = ("title", "note", "seed")
@@ -207,7 +205,7 @@ def gather_evidence(
             raise DataError(
                 "holds no evidence",
                 where=str(folder),
-                expected="what `needlefit verify`, `calibrate`, `identify` or a sensitivity study wrote",
+                expected="what `needlefit verify`, `calibrate`, `tune --design` or a sensitivity study wrote",
             )
     kinds = {"", *map(_find_evidence_kind, given.values())}
     beside, _ = _read_runs_beside(run)
@@ -272,7 +270,7 @@ def _find_objections(
         yield "", [difference for here in runs.values() for difference in _compare_versions(table, here)]
         return
     study = table["study"]
-    targets = [str(table["name"]).removeprefix("identify-")]
+    targets = [str(table["name"]).removesuffix("-design")]
     if kind == "sensitivity":
         every = [*study.get("studies", ()), *study.get("fits", ())]
         targets = [name for name in every if isinstance(name, str)]
@@ -524,10 +522,8 @@ def _find_model(case: CredibilityCase) -> Iterator[tuple[str, Item]]:
         yield "form", make_finding(one, "errors.csv", say(one, "conclusion", "ties", "paper_sets"))
         yield "sensitivities", make_finding(one, "parameters.csv", say(one, "undetermined"))
     for evidence in case.counted("identification"):
-        rows = evidence.tables["identify.csv"]
-        last = "fit" if "fit" in set(rows["stage"]) else "design"
-        verdicts = list(map(insert_symbols, describe_verdicts(rows[rows["stage"] == last])))
-        yield "sensitivities", _find(evidence, "identify.csv", "identified", last=last, verdicts=verdicts)
+        verdicts = list(map(insert_symbols, describe_verdicts(evidence.tables["identify.csv"])))
+        yield "sensitivities", _find(evidence, "identify.csv", "identified", verdicts=verdicts)
     examined = [find_target(one) for one in case.results if len(one.frames["identification"])]
     if missing := [one for one in case.list_lacking("identification") if one not in examined]:
         yield "sensitivities", _gap("not_identified", names=missing)

@@ -1,8 +1,8 @@
-"""Find which parameters the insertions of a design determine, before any measured shape, and by a fit."""
+"""Find which parameters the insertions of a design determine, before any measured shape."""
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -28,7 +28,6 @@ from needlefit.inference.identifiability.identify import (
 )
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.project.random_streams import random_stream
-from needlefit.project.result_warnings import read_warnings, warnings_entry
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures.fit_forms import draw_profiles
 from needlefit.reporting.number_format import insert_symbols
@@ -40,12 +39,11 @@ from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.identification import identify_parameters
 from needlefit.studies.identification_tables import (
     IDENTIFICATION_COMPARISON,
-    describe_verdicts,
     format_small_mm,
     lay_out_identification,
 )
-from needlefit.studies.job import Job, Settings
-from needlefit.studies.kind import StudyKind, find_kind
+from needlefit.studies.job import Settings
+from needlefit.studies.kind import StudyKind
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Run, Verdict
 from needlefit.studies.simulated_data import choose_reference_values, simulate_design
@@ -53,64 +51,28 @@ from needlefit.studies.study_files import begin_run, prepare_target, target_name
 
 
 class IdentificationRecord(TargetRecord):
-    """`kind = "identification"`: which parameters the insertions determine."""
+    """`kind = "identification"`: which parameters the design of the insertions determines."""
 
     kind: Literal["identification"]
-    fit: bool = False
-    """Whether the insertions are fitted too, so that the measured shapes are analysed beside the design."""
 
 
-#: what `needlefit identify` runs, or a study file
+#: what `needlefit tune --design` runs, or a study file
 KIND = StudyKind("identification", IdentificationRecord, __name__)
 
-FRAMES: Mapping[str, tuple[str, ...]] = {"identify": ("stage", *COLUMNS["identification"])}
+FRAMES: Mapping[str, tuple[str, ...]] = {"identify": COLUMNS["identification"]}
 
 
 def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
-    """Find what depths, layers, sides, poses and noise of the insertions identify, and a fit to them.
+    """Find what depths, layers, sides, poses and noise of the insertions identify.
 
-    Where the dataset states no noise, the residuals of the fit stand for it, and without one there is no
-    answer. They are taken at the fitted values, or at the paper's hand-tuned set, or in the middle of the
-    bounds.
+    The planned shapes are those of the paper's parameters, or of the middle of the bounds.
 
     Raises ConfigError or DataError if anything the record names is missing or wrong, or no noise is stated.
     FitError if the planned insertions have no solution there.
     """
     target = target_name(record, settings).removesuffix("-tune")
-    job = prepare_target(record, f"identify-{target}", settings)
+    job = prepare_target(record, f"{target}-design", settings)
     about = begin_run(name, record, job, f"Identification: {job.record.title or target}")
-    fitted = find_kind("fit").compute(job.name, job.record, settings) if record.fit else None
-    if fitted is not None and fitted.interrupted:
-        return replace(about, interrupted=True)
-    values = None
-    if fitted is not None:
-        rows = fitted.frames["parameters"].query("method == 'fitted'")
-        values = dict(zip(rows["parameter"], rows["value"].astype(float), strict=True))
-    design = _identify_design(job, settings, values)
-    stages = {"design": design.identification}
-    frames = {"directions": design.directions, "profiles": design.profiles}
-    work = design.run | about.run
-    if fitted is not None:
-        stages["fit"] = fitted.frames["identification"]
-        frames |= {"profiles": fitted.frames["profiles"], "profiles_design": design.profiles}
-        work = fitted.run | work
-        work |= warnings_entry([*read_warnings(about.run), *read_warnings(fitted.run)])
-    # an empty column of one of them has no type
-    parts = [one.dropna(axis=1, how="all").assign(stage=stage) for stage, one in stages.items()]
-    frames["identify"] = pd.concat(parts, ignore_index=True).reindex(columns=list(FRAMES["identify"]))
-    return replace(about, frames=frames, run=work, interrupted=settings.stop())
-
-
-class _Design(NamedTuple):
-    """What the planned shapes, a measurement without error, identify."""
-
-    identification: pd.DataFrame
-    profiles: pd.DataFrame
-    directions: pd.DataFrame
-    run: dict[str, Any]
-
-
-def _identify_design(job: Job, settings: Settings, fitted: Mapping[str, float] | None) -> _Design:
     fold = job.folds[0]
     if not job.parameters.free:
         raise ConfigError(
@@ -118,19 +80,14 @@ def _identify_design(job: Job, settings: Settings, fitted: Mapping[str, float] |
             where=job.place_in_medium("parameters"),
             fix="give at least one parameter bounds instead of `fixed`",
         )
-    values, place = choose_reference_values(job, fitted)
+    values, place = choose_reference_values(job)
     rng = random_stream(job.recipe.seed, job.name, "design")
-    noise = (
-        None
-        if fitted is None
-        else precision.add_estimated_noise(job.problem(fold), job.parameters.theta(values)).noise
-    )
-    expectation = expect_precision(lambda at: simulate_design(job, fold, at, noise), values, rng)
-    problem = simulate_design(job, fold, values, noise)
+    expectation = expect_precision(lambda at: simulate_design(job, fold, at), values, rng)
+    problem = simulate_design(job, fold, values)
     if expectation is None or problem is None:
         raise FitError(
             f"the planned insertions have no solution at {place}",
-            fix="name a set of the paper's parameters, or use the fitted values with --fit",
+            fix="name a set of the paper's parameters (`paper_parameters`), or narrow the bounds",
         )
     theta = problem.parameters.theta(values)
     here = Fit(tuple(theta.tolist()), problem.values(theta), 0.0, (), 0, 0, False)
@@ -154,14 +111,14 @@ def _identify_design(job: Job, settings: Settings, fitted: Mapping[str, float] |
         "depths_mm": [min(depths), max(depths)],
         "layers": "planned" if all(insertion.surfaces for insertion in fold.tune) else "stated",
     }
-    return _Design(
-        pd.DataFrame(rows, columns=list(COLUMNS["identification"])),
-        pd.DataFrame(
+    frames = {
+        "identify": pd.DataFrame(rows, columns=list(FRAMES["identify"])),
+        "profiles": pd.DataFrame(
             [{"fold": fold.name, **row} for row in found.points], columns=[*COLUMNS["profiles"], *parameters]
         ),
-        _tabulate_directions(expectation),
-        stated,
-    )
+        "directions": _tabulate_directions(expectation),
+    }
+    return replace(about, frames=frames, run=stated | about.run, interrupted=settings.stop())
 
 
 def _tabulate_directions(expectation: ExpectedPrecision) -> pd.DataFrame:
@@ -187,28 +144,14 @@ def _tabulate_directions(expectation: ExpectedPrecision) -> pd.DataFrame:
 TEXT = KindText("identification")
 
 
-def list_stages(found: Run) -> list[str]:
-    """Return "design", and with a fit "fit"."""
-    return list(found.frames["identify"]["stage"].unique())
-
-
-def select_stage(found: Run, stage: str) -> pd.DataFrame:
-    """Return the verdict of one stage, a row per parameter."""
-    rows = found.frames["identify"]
-    return rows[rows["stage"] == stage].reset_index(drop=True)
-
-
 def describe(found: Run) -> dict[str, Any]:
-    """Return what the text prints: what the design determines, or with a fit the measured shapes."""
-    last = list_stages(found)[-1]
-    free = [row for row in to_records(select_stage(found, last)) if row["status"] != "fixed"]
-    design, directions = to_records(select_stage(found, "design")), to_records(found.frames["directions"])
+    """Return what the text prints: what the design determines."""
+    design, directions = to_records(found.frames["identify"]), to_records(found.frames["directions"])
+    free = [row for row in design if row["status"] != "fixed"]
     depths = dict.fromkeys(f"{depth:.3g}" for depth in found.run["depths_mm"])
     thickness = found.run["medium"]["thickness_mm"]
     moved = ((row, row["tip_range_mm"]) for row in design if row["status"] == "fixed")
     return {
-        "fitted": last == "fit",
-        "verdicts": describe_verdicts(select_stage(found, "fit")),
         "known": [row["parameter"] for row in free if row["determined"]],
         "loose": [row["parameter"] for row in free if not row["determined"]],
         "about": {**found.run, "depths": list(depths), "thickness_mm": thickness},
@@ -252,7 +195,7 @@ def _describe_expected(row: Row, directions: list[Row]) -> Row:
 
 
 def judge(found: Run) -> list[Verdict]:
-    """Return which parameters are identifiable, from the measured shapes or else from the design alone."""
+    """Return which parameters are identifiable from the design."""
     values = describe(found)
     count, total = len(values["known"]), len(values["known"]) + len(values["loose"])
     numbers = {"identifiable": count, "parameters": total}
@@ -261,12 +204,7 @@ def judge(found: Run) -> list[Verdict]:
 
 
 def lay_out_tables(found: Run) -> list[Table | TableLayout]:
-    """Return the parameters of the fit, if there is one, then parameters and directions of the design."""
-    tables = list[Table | TableLayout]()
-    if "fit" in list_stages(found):
-        fitted = lay_out_identification(select_stage(found, "fit"))
-        tables.append(replace(fitted, name="identification_fit"))
-    tables.append(lay_out_identification(select_stage(found, "design"), expected=True))
+    """Return the parameters, then their combinations."""
     rows = []
     for row in to_records(found.frames["directions"]):
         weights = {key.removeprefix("weight_"): one for key, one in row.items() if key.startswith("weight_")}
@@ -276,29 +214,22 @@ def lay_out_tables(found: Run) -> list[Table | TableLayout]:
         combination, known = (insert_symbols(str(one)) for one in words)
         rows.append({**row, **near, "combination": combination, "known_to": known})
     columns = ("combination", "sd_low", "sd_high", "combination_sd_ratio", "known_to")
-    return [*tables, Table("directions", "", rows, columns)]
+    parameters = lay_out_identification(found.frames["identify"], expected=True)
+    return [parameters, Table("directions", "", rows, columns)]
 
 
 def draw(found: Run) -> dict[str, Drawing]:
-    """Return the profiles of the last stage, and those of the design beside a fit."""
-    stages = list_stages(found)
-    names = {stage: "profiles" if stage == stages[-1] else f"profiles_{stage}" for stage in stages}
-    return {
-        name: draw_profiles(select_stage(found, stage), found.frames[name], found.origin)
-        for stage, name in names.items()
-    }
+    """Return the profiles."""
+    return {"profiles": draw_profiles(found.frames["identify"], found.frames["profiles"], found.origin)}
 
 
 def identification_to_json(found: Run) -> dict[str, Any]:
     """Return the verdict as JSON values."""
-    about = {"name": found.name, "origin": found.origin, "dataset": found.dataset_title}
-    values = describe(found)
-    sentences = {"design": TEXT.sentences("design", values)}
-    if values["fitted"]:
-        sentences["fit"] = values["verdicts"]
-    rows = {stage: to_records(select_stage(found, stage)) for stage in list_stages(found)}
-    directions = to_records(found.frames["directions"])
-    return {**about, "place": found.run["place"], "sentences": sentences, **rows, "directions": directions}
+    return {
+        **{"name": found.name, "origin": found.origin, "dataset": found.dataset_title},
+        **{"place": found.run["place"], "sentences": TEXT.sentences("design", describe(found))},
+        **{name: to_records(found.frames[name]) for name in ("identify", "directions")},
+    }
 
 
 REPORT = StudyReport(

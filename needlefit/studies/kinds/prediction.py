@@ -55,7 +55,6 @@ from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.studies.coverage import (
     estimate_width_after_one,
-    find_adaptation,
     measure_width,
     warn_if_too_wide,
 )
@@ -102,8 +101,8 @@ class PredictionRecord(TargetRecord):
     """Folder of a sampled run of `target`; without it, a fit is made."""
     specimen: str | None = None
     """Where the insertion goes: into a specimen that was not fitted ("new"), or one that was ("same"; of
-    several that differ, its name); without it, a new one, with the spread between specimens unless
-    `specimens` of the target leaves that out."""
+    several that differ, its name); without it, a fitted one if `same_specimen` of the target says so, else a
+    new one, with the spread between specimens unless `specimens` of the target leaves that out."""
 
 
 KIND = StudyKind("prediction", PredictionRecord, __name__)  #: what `needlefit predict` runs, or a study file
@@ -415,6 +414,8 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     title = record.scene.title or scene_name
     known = Specimens(job, job.folds[0], jobs=settings.jobs, pool=settings.part_pool)
     where = record.specimen or ("new" if job.record.specimens == "others" else "training only")
+    if record.specimen is None and job.record.same_specimen and not known.separate:
+        where = "same"
     into = choose_specimen(known, where)
     about = begin_run(name, record, job, f"Prediction: {title}")
     folder = None if record.posterior is None else Path(record.posterior)
@@ -432,7 +433,7 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
         what = f"{share} are outside what the model assumes (slopes, shortening, compression)"
         fix = "read the bands with care; `needlefit simulate` of the scene names what is exceeded"
         warned.append(ResultWarning("validity", what, fix=fix))
-    warned += warn_of_width(frames, find_adaptation(about.run["fit"]["dataset"], about.run["fit"]["medium"]))
+    warned += warn_of_width(frames)
     stored: Any = about.record
     named = {"scene_name": scene_name, "posterior": folder.name if folder else None}
     return replace(
@@ -465,18 +466,14 @@ def _make_frames(found: Forecast, title: str, certified: bool) -> dict[str, pd.D
     return {"forecast": needle.assign(scene=title, converged=certified), "specimens": specimens}
 
 
-def warn_of_width(frames: Mapping[str, pd.DataFrame], adaptation: str) -> Iterator[ResultWarning]:
-    """Yield that the tip's interval is too wide for aiming, with what one insertion would gain.
-
-    `adaptation` is the name of a study that measures it, or empty.
-    """
+def warn_of_width(frames: Mapping[str, pd.DataFrame]) -> Iterator[ResultWarning]:
+    """Yield that the tip's interval is too wide for aiming, with what one insertion would gain."""
     widths = frames["specimens"].set_index("specimen_treatment")["tip_95_width_mm"].dropna()
     fix = ""
     if "one insertion" in widths:
-        study = f" (`needlefit validate {adaptation}`)" if adaptation else ""
         fix = (
             f"one measured insertion into this specimen would narrow it to {widths['one insertion']:.2g} mm "
-            f"if the model is right there; a study of kind adaptation{study} measures the gain"
+            "if the model is right there; into a fitted one, use --specimen same"
         )
     if len(widths):
         deflection = abs(float(frames["forecast"]["needle_median_mm"].iloc[-1]))
