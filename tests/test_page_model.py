@@ -33,13 +33,15 @@ PROGRAM = """
 import {readFileSync} from 'node:fs'
 import {compile} from KERNEL
 const load = (name) => import(PAGE + name)
-const [{SteeredNeedle}, {describeState}, {computeBand}, {findChanges, toInputs}] = await Promise.all(
+const [{SteeredNeedle}, {describeState}, {Band}, {findChanges, toInputs}] = await Promise.all(
   ['steered.js', 'state.js', 'band.js', 'inputs.js'].map(load))
 const {scene, orders, draws} = JSON.parse(readFileSync(0, 'utf8'))
 const kernel = await compile(readFileSync(WASM))
 const hex = array => Buffer.from(array.buffer, array.byteOffset, array.byteLength).toString('hex')
 const steered = await SteeredNeedle.begin(kernel, scene)
 const found = []
+const bands = draws && new Band(kernel, steered.model, draws)
+let band = null
 for (const {changes, keep, forget} of orders) {
   if (keep) steered.keep()
   let fault = null
@@ -53,10 +55,9 @@ for (const {changes, keep, forget} of orders) {
   found.push({fault, tip: steered.tipLateral, shape: [x, u, slope, constraints].map(hex),
     path: steered.path(), state: describeState(steered), validity: steered.validity, reach: steered.reach(),
     back: findChanges(scene.simulation.steps[0], steered.step, scene.guide_names)})
+  if (bands) band = await bands.compute(steered.path().map(one => (
+    {depth: one.depth, inputs: toInputs(one, steered.model.pathAngle)})), () => false, () => null)
 }
-const band = draws && await computeBand(kernel, steered.model, draws,
-  steered.path().map(one => ({depth: one.depth, inputs: toInputs(one, steered.model.pathAngle)})),
-  () => false, () => null)
 console.log(JSON.stringify({found, band}))
 """
 
@@ -147,7 +148,7 @@ def random_orders(rng: np.random.Generator, scene: Scene, count: int) -> list[di
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("name", list(SCENES))
 def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> None:
-    """All inputs, parameters, refusals and returns; what is shown, the path that leads there, the band."""
+    """All inputs, parameters, refusals and returns; what is shown, the path that leads there, the band as it goes on."""
     viewed, rng = SCENES[name](), np.random.default_rng(seed)
     scene = Scene.from_record(viewed.record)
     steering = SteeredNeedle(scene, viewed.first_cell)
@@ -188,7 +189,9 @@ def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> No
     band = compute_band(continue_insertion(steering, draws))
     if band is not None:
         for key in ("x", "low", "high"):
-            np.testing.assert_allclose(done["band"][key], getattr(band, key), atol=1e-9)
+            np.testing.assert_allclose(
+                done["band"][key], getattr(band, key), atol=1e-7
+            )  # each step ends within 1e-7 mm
         assert done["band"]["failed"] == band.failed
 
 

@@ -3,7 +3,7 @@ import { readFileSync, writeFileSync } from "node:fs";
 import { pathToFileURL } from "node:url";
 
 const [library, wasm, problems, results] = process.argv.slice(2);
-const { ARRAYS, NUMBERS, SIZES, Heap, compile, makeProblem, makeShapes, simulate } = await import(
+const { ARRAYS, NUMBERS, SIZES, Heap, check, compile, makeProblem, makeShapes } = await import(
   pathToFileURL(library).href
 );
 const kernel = await compile(readFileSync(wasm)),
@@ -37,7 +37,12 @@ while (at < file.length) {
   problem.room = Number(heap.call.nf_nodes(problem.at, heap.take(8 * problem.room)));
   const shapes = makeShapes(heap, problem, points);
   new Uint8Array(heap.memory.buffer).fill(0, shapes.x, shapes.at);
-  simulate(heap, problem, shapes);
+  heap.borrow(() => {
+    const lanes = heap.call.nf_lanes(),
+      memory = heap.take(heap.call.nf_memory(problem.at, lanes));
+    for (let first = 0n; first < fields.sets; first += lanes)
+      check(heap.call.nf_simulate(problem.at, first, lanes, memory, shapes.at));
+  });
   const write = (address, count) =>
     parts.push(Buffer.from(new Uint8Array(heap.memory.buffer, address, count).slice()));
   for (const [name, count] of Object.entries(shapes.counts)) write(shapes[name], 8 * count);

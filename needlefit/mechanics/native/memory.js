@@ -13,7 +13,7 @@ export const ARRAYS = (
   "within held_tip guide_x turn_by column_of guide_columns"
 ).split(" ");
 
-/** Compile the bytes of kernel.wasm; `Session.begin` and `simulateBatch` take what this resolves to. */
+/** Compile the bytes of kernel.wasm; sessions take what this resolves to. */
 export const compile = (bytes) => WebAssembly.compile(bytes);
 
 /** An instance of the kernel, and its memory: it grows, and views of it are made anew each time. */
@@ -82,6 +82,14 @@ export function check(fault) {
   if (fault) throw new TypeError(`the kernel refuses a problem: ${FAULTS[Number(fault)]}`);
 }
 
+/** Write the structure of a problem whose arrays are at addresses. */
+export const makeStructure = (heap, fields, addresses) =>
+  heap.structure(
+    SIZES.map((name) => fields[name]),
+    NUMBERS.map((name) => fields[name]),
+    addresses,
+  );
+
 /** Write a problem into the heap: `fields` of SIZES and NUMBERS, typed arrays by the names of ARRAYS. */
 export function makeProblem(heap, fields, arrays) {
   const f = fields,
@@ -105,11 +113,7 @@ export function makeProblem(heap, fields, arrays) {
       throw new TypeError(`${name} has ${arrays[name].length} numbers, not ${count}`);
   }
   const addresses = ARRAYS.map((name) => (arrays[name] ? heap.put(arrays[name]) : 0));
-  const at = heap.structure(
-    SIZES.map((name) => f[name]),
-    NUMBERS.map((name) => f[name]),
-    addresses,
-  );
+  const at = makeStructure(heap, f, addresses);
   const sizes = heap.take(24);
   check(heap.call.nf_check(at, sizes));
   const [room, points, quadrature] = heap.integers(sizes, 3);
@@ -152,30 +156,20 @@ export function makeShapes(heap, problem, points) {
   return shapes;
 }
 
-/** Simulate all sets of a problem, in lanes. */
-export function simulate(heap, problem, shapes) {
-  heap.borrow(() => {
-    const lanes = heap.call.nf_lanes(),
-      memory = heap.take(heap.call.nf_memory(problem.at, lanes));
-    for (let first = 0n; first < problem.fields.sets; first += lanes) {
-      check(heap.call.nf_simulate(problem.at, first, lanes, memory, shapes.at));
-    }
-  });
-}
-
-/** Return the shape of one set. */
-export function readShape(heap, problem, shapes, points, set = 0) {
-  const count = Number(heap.integers(shapes.nodes, 1)[0]);
-  const read = (name, stride, used) => heap.floats(shapes[name] + 8 * set * stride, used).slice();
-  const x = read("x", problem.room, count);
+/** Return the shape of a problem of one set. */
+export function readShape(heap, shapes, points) {
+  const number = (name) => Number(heap.integers(shapes[name], 1)[0]);
+  const read = (name, count) => heap.floats(shapes[name], count).slice();
+  const nodes = number("nodes"),
+    x = read("x", nodes);
   return {
-    status: STATUS[Number(heap.integers(shapes.status, set + 1)[set])],
-    passes: Number(heap.integers(shapes.passes, set + 1)[set]),
+    status: STATUS[number("status")],
+    passes: number("passes"),
     depth: x.at(-1),
     x,
-    u: read("u", problem.room, count),
-    slope: read("slope", problem.room, count),
-    constraints: read("constraints", 2 * points, 2 * points),
-    track: read("track", 2 * points, 2 * points),
+    u: read("u", nodes),
+    slope: read("slope", nodes),
+    constraints: read("constraints", 2 * points),
+    track: read("track", 2 * points),
   };
 }

@@ -21,6 +21,7 @@
 //         constraints, track}                        (m + 1, 2): depth and y of the cut; of the tip there
 
 import {
+  ARRAYS,
   BAD_POINTS,
   STATUS,
   Heap,
@@ -28,8 +29,8 @@ import {
   compile,
   makeProblem,
   makeShapes,
+  makeStructure,
   readShape,
-  simulate,
 } from "./memory.js";
 
 export { STATUS, compile };
@@ -44,11 +45,8 @@ const STOP_BYTES = 48; // of `struct Stop` in needle.hpp
 const MOVE_BYTES = 24; // of `struct Move` and `struct CutRay` in plan.hpp
 const POSITION_BYTES = 64; // of `struct Position` in plan.hpp
 
-/** The first cell with which an insertion to `depth` ends on a constraint point, mm. */
-function findFirstCell(depth, spacing) {
-  if (depth <= SAME_DEPTH) return spacing;
-  return depth - (Math.max(1, Math.ceil((depth - SAME_DEPTH) / spacing)) - 1) * spacing;
-}
+/** How deep a needle can be, mm. */
+const findDeepest = (model) => Math.min(model.length, MAX_ELEMENTS * model.element);
 
 // inputs
 
@@ -75,51 +73,45 @@ function checkInputs(model, inputs, depth) {
     throw new RangeError(`base and guides stand at ${ends} mm; they must increase`);
 }
 
-const listGuides = (guides) => guides.flatMap((guide) => [guide.x, guide.y, guide.slope ?? NaN]);
+/** As many numbers for any guides, so that later ones have room. */
+function listGuides(guides) {
+  const listed = new Float64Array(3 * MAX_GUIDES);
+  listed.set(guides.flatMap((guide) => [guide.x, guide.y, guide.slope ?? NaN]));
+  return listed;
+}
 const listTip = (tip) => (tip ? [tip.y, tip.slope ?? NaN] : [NaN, NaN]);
 const listBase = (base) => [base.y, base.slope, base.stageSlope];
 const turnOf = (bevel, model) => (bevel.side * bevel.strength) / (model.pathAngle ? 1 : model.spacing);
 const bevelKey = ({ bevel }) => JSON.stringify([bevel.side, bevel.strength]);
 const controlsKey = ({ base, guides, tip }) =>
-  JSON.stringify([listBase(base), listGuides(guides), listTip(tip)]);
-function offsets(lists) {
-  let sum = 0;
-  return BigInt64Array.from([0, ...lists].map((_, i) => BigInt((sum += i ? lists[i - 1].length / 3 : 0))));
-}
+  JSON.stringify([listBase(base), guides.map((guide) => [guide.x, guide.y, guide.slope ?? null]), listTip(tip)]);
 
-/** The fields and arrays of a problem of `inputs`; `values` (sets) take the place of the model's. */
-function pack(model, firstCell, inputs, stops, values, more) {
-  const sets = values.sets ?? 1,
+/** The fields and arrays of a problem under `inputs`; `values` (sets) take the place of what model and inputs have. */
+function pack(model, inputs, values, more) {
+  const { bevel, base, guides, tip } = inputs,
+    { sets } = values,
     layers = model.mu.length;
   const repeat = (name, given = model[name]) =>
     values[name] ?? Float64Array.from({ length: sets * given.length }, (_, i) => given[i % given.length]);
-  const before = inputs.map((one) => listGuides(one.guides.filter((guide) => guide.x < 0)));
-  const within = inputs.map((one) => listGuides(one.guides.filter((guide) => guide.x >= 0)));
-  const spread = (of) =>
-    Float64Array.from(inputs.flatMap((one) => Array.from({ length: sets }, (_, i) => of(one, i)).flat()));
+  const before = guides.filter((guide) => guide.x < 0),
+    within = guides.filter((guide) => guide.x >= 0);
   const arrays = {
     boundaries: Float64Array.from(model.boundaries),
-    stops,
+    stops: new Uint8Array(STOP_BYTES),
     rigidity: repeat("rigidity", [model.rigidity]),
     mu: repeat("mu"),
     thickness: repeat("thickness"),
     friction: repeat("friction"),
     law: repeat("law"),
-    turn: spread((one, i) => {
-      const strength = values.strength ? values.strength[i] : one.bevel.strength;
-      return turnOf({ ...one.bevel, strength }, model);
-    }),
-    base: spread((one, i) => [
-      values.baseY ? values.baseY[i] : one.base.y,
-      values.baseSlope ? values.baseSlope[i] : one.base.slope,
-      one.base.stageSlope,
-    ]),
-    before_first: offsets(before),
-    within_first: offsets(within),
-    before: Float64Array.from(before.flat()),
-    within: Float64Array.from(within.flat()),
-    held_tip: Float64Array.from(inputs.flatMap((one) => listTip(one.tip))),
-    guide_x: values.guideX,
+    turn: Float64Array.from({ length: sets }, (_, i) =>
+      turnOf({ side: bevel.side, strength: values.strength?.[i] ?? bevel.strength }, model),
+    ),
+    base: repeat("base", listBase(base)),
+    before_first: BigInt64Array.of(0n, BigInt(before.length)),
+    within_first: BigInt64Array.of(0n, BigInt(within.length)),
+    before: listGuides(before),
+    within: listGuides(within),
+    held_tip: Float64Array.from(listTip(tip)),
   };
   const fields = {
     sets,
@@ -127,19 +119,19 @@ function pack(model, firstCell, inputs, stops, values, more) {
     shapes: 1,
     terms: model.terms,
     numbers: model.law.length / layers,
-    stop_count: stops.byteLength / STOP_BYTES,
-    bevels: inputs.length,
-    inputs: inputs.length,
+    stop_count: 1,
+    bevels: 1,
+    inputs: 1,
+    guides: MAX_GUIDES,
     columns: 0,
     max_iterations: model.maxIterations ?? 40,
     length: model.length,
-    first_cell: firstCell,
+    first_cell: model.firstCell,
     spacing: model.spacing,
     element: model.element,
     part: model.pathAngle ? LINEAR_CUT : (model.switch ?? 0.5),
     tangent: model.tangent ?? 1,
     tolerance: model.tolerance ?? 1e-7,
-    guides: Math.max(...inputs.map((one) => one.guides.length)),
     ...more,
   };
   return [fields, arrays];
@@ -160,7 +152,7 @@ export class Session {
   }
 
   #begin(model, inputs) {
-    this.deepest = Math.min(model.length, MAX_ELEMENTS * model.element);
+    this.deepest = findDeepest(model);
     const rays = Math.ceil(this.deepest / model.spacing);
     this.#layOut({ model, inputs, depth: 0, ids: new Map(), maxIds: KEPT_IDS, solved: 0, shape: null, rays });
     this.shape = this.go(0, inputs);
@@ -175,12 +167,9 @@ export class Session {
 
   // Write the problem of the present inputs; it has the same sizes each time.
   #hold() {
-    const more = { rays: this.rays, guides: MAX_GUIDES, deepest: this.deepest };
     this.heap.top = this.base;
-    const packed = pack(this.model, this.model.firstCell, [this.inputs], new Uint8Array(STOP_BYTES), {}, more);
-    packed[1].before = fill(packed[1].before, 3 * MAX_GUIDES); // so that later ones have room
-    packed[1].within = fill(packed[1].within, 3 * MAX_GUIDES);
-    this.problem = makeProblem(this.heap, ...packed);
+    const more = { rays: this.rays, deepest: this.deepest };
+    this.problem = makeProblem(this.heap, ...pack(this.model, this.inputs, { sets: 1 }, more));
     if (this.parts) this.heap.top = this.end;
   }
 
@@ -267,7 +256,7 @@ export class Session {
     this.solved += stops;
     let { shape } = this;
     if (stops > 0) {
-      shape = readShape(heap, this.problem, this.shapes, points);
+      shape = readShape(heap, this.shapes, points);
       this.failed = shape.status !== STATUS[0] || !accepts(shape);
       if (this.failed) {
         this.inputs = before;
@@ -334,8 +323,7 @@ export class Session {
     const { firstCell, spacing } = this.model,
       { rays, changed } = this.#listRays(),
       values = new Map([...this.ids.values()].map(({ number, value }) => [number, value]));
-    const alike = (one, other) =>
-      bevelKey(one.inputs) === bevelKey(other.inputs) && controlsKey(one.inputs) === controlsKey(other.inputs);
+    const alike = (one, other) => one.bevel === other.bevel && one.held === other.held;
     const flip = ({ depth, inputs }) => ({
       depth,
       inputs: { ...inputs, bevel: { ...inputs.bevel, side: -inputs.bevel.side } },
@@ -349,14 +337,14 @@ export class Session {
     rays.forEach(({ start, bevel, held }, n) => {
       const depth = n + 1 < rays.length ? rays[n + 1].start : this.depth,
         step = { depth, inputs: { ...values.get(held), bevel: values.get(bevel) } },
-        before = steps.at(-1);
-      if (!before || isPoint(start)) {
-        if (before && alike(before, step)) steps.pop(); // at a constraint point a new ray begins of itself
-      } else if (alike(before, step)) steps.push(flip(before)); // within a cell only changed inputs begin one
+        again = n > 0 && alike(rays[n - 1], rays[n]);
+      if (again && isPoint(start)) steps.pop(); // at a constraint point a new ray begins of itself
+      else if (again) steps.push(flip(steps.at(-1))); // within a cell only changed inputs begin one
       steps.push(step);
     });
-    const last = { depth: this.depth, inputs: this.inputs };
-    if (!steps.length || !alike(steps.at(-1), last)) steps.push(last);
+    const last = { depth: this.depth, inputs: this.inputs },
+      now = { bevel: this.#number(bevelKey(this.inputs)), held: this.#number(controlsKey(this.inputs)) };
+    if (!rays.length || !alike(rays.at(-1), now)) steps.push(last);
     else if (changed) steps.push(flip(last), last);
     return steps;
   }
@@ -384,7 +372,12 @@ export class Session {
 
   /** The points (K * 2), mm, of the needle at beam coordinates `s` (K), mm: 0 at the entry, depth at the tip. */
   positions(s) {
-    return positions(this.heap, this.shape, s);
+    const { heap, shape } = this,
+      at = Float64Array.from(s);
+    if (!at.every((one) => one >= shape.x[0] && one <= shape.depth)) throw new RangeError("s lies beyond the needle");
+    return heap.borrow(() =>
+      findPositions(heap, shape.x.length, [shape.x, shape.u, shape.slope].map((array) => heap.put(array)), at),
+    );
   }
 
   /** All loads across the needle as in `mechanics.simulate.compute_loads`: N, N mm, N/mm. */
@@ -400,7 +393,7 @@ export class Session {
         rays: 1,
         deepest: Math.max(depths.length * model.spacing, depth) + first + 2 * model.spacing,
       };
-      const problem = makeProblem(heap, ...pack(model, first, [inputs], new Uint8Array(STOP_BYTES), {}, more));
+      const problem = makeProblem(heap, ...pack({ ...model, firstCell: first }, inputs, { sets: 1 }, more));
       const memory = heap.take(call.nf_memory(problem.at, 1n));
       const front = shape.x.findIndex((x) => x >= 0),
         room = problem.maxQuadrature;
@@ -457,74 +450,85 @@ export class Session {
   }
 }
 
-const fill = (array, length) => {
-  const filled = new Float64Array(length);
-  filled.set(array);
-  return filled;
-};
-
-function positions(heap, shape, given) {
-  const s = Float64Array.from(given);
-  if (!s.every((one) => one >= shape.x[0] && one <= shape.depth)) throw new RangeError("s lies beyond the needle");
+/** The points at beam coordinates of a needle whose nodes, u and u' are at addresses of the heap. */
+function findPositions(heap, nodes, [x, u, slope], s) {
   return heap.borrow(() => {
-    const nodes = shape.x.length,
-      out = heap.take(16 * s.length);
-    const memory = heap.take(48 * (nodes + 2) * Number(heap.call.nf_lanes()));
-    const arrays = [shape.x, shape.u, shape.slope, s].map((array) => heap.put(array));
-    heap.call.nf_positions(1n, BigInt(nodes), BigInt(s.length), ...arrays, memory, out);
+    const out = heap.take(16 * s.length),
+      memory = heap.take(48 * (nodes + 2) * Number(heap.call.nf_lanes()));
+    heap.call.nf_positions(1n, BigInt(nodes), BigInt(s.length), x, u, slope, heap.put(s), memory, out);
     return heap.floats(out, 2 * s.length).slice();
   });
 }
 
-// many needles
+// many needles, step by step
 
 /**
- * Simulate one insertion with many parameter sets.
+ * Needles that differ in their parameters alone, each inserted from its own state.
  *
- * steps: [{depth, inputs}]; without `firstCell` the last ends on a constraint point. values: {sets, mu, thickness,
- * friction (sets * n), law (sets * n * numbers), rigidity, strength, baseY, baseSlope, guideX (sets)}, Float64Arrays,
- * all but the first optional. Resolves to {shapes, positions(i, s)}. A call with the same object `kept` reuses the
- * memory of the one before, whose `positions` then no longer work.
+ * values: {sets, mu (sets * n), law (sets * n * numbers), strength (sets)}, Float64Arrays, in place of those of model
+ * and inputs. Each can change its direction of cutting `rays` times.
  */
-export async function simulateBatch(kernel, model, steps, values, kept = {}) {
-  const heap = (kept.heap ??= await Heap.make(kernel)),
-    inputs = steps.map((step) => completeInputs(step.inputs ?? {}));
-  heap.top = heap.bottom;
-  values = Object.fromEntries(
-    Object.entries(values).map(([name, value]) => [name, name === "sets" ? value : Float64Array.from(value)]),
-  );
-  steps.forEach(({ depth }, n) => checkInputs({ ...model, ...values, rigidity: model.rigidity }, inputs[n], depth));
-  const number = (key) => {
-    const keys = inputs.map(key),
-      firsts = new Map(keys.map((one, n) => [one, n]).reverse());
-    return keys.map((one) => BigInt(firsts.get(one)));
-  };
-  const [bevels, controls] = [number(bevelKey), number(controlsKey)];
-  const deepest = Math.max(...steps.map((step) => step.depth)),
-    firstCell = model.firstCell ?? findFirstCell(steps.at(-1).depth, model.spacing);
-  const moves = new Uint8Array(MOVE_BYTES * steps.length),
-    view = new DataView(moves.buffer);
-  steps.forEach(({ depth }, n) => {
-    view.setFloat64(MOVE_BYTES * n, depth, true);
-    view.setBigInt64(MOVE_BYTES * n + 8, bevels[n], true);
-    view.setBigInt64(MOVE_BYTES * n + 16, controls[n], true);
-  });
-  const room = steps.length * (Math.ceil(deepest / model.spacing) + 4);
-  const stops = heap.borrow(() => {
-    const at = heap.take(STOP_BYTES * room),
-      rays = heap.take(MOVE_BYTES * room);
-    const count = heap.call.nf_plan(
-      firstCell, model.spacing, heap.put(moves), BigInt(steps.length), rays, at, BigInt(room),
-    ); // prettier-ignore
-    return new Uint8Array(heap.memory.buffer, at, STOP_BYTES * Number(count)).slice();
-  });
-  const problem = makeProblem(heap, ...pack(model, firstCell, inputs, stops, values, { rays: room, deepest }));
-  const last = new DataView(stops.buffer, stops.byteLength - STOP_BYTES),
-    points = Number(last.getBigInt64(8, true)) + 1,
-    found = makeShapes(heap, problem, points);
-  simulate(heap, problem, found);
-  const shapes = Array.from({ length: values.sets }, (_, i) =>
-    readShape(heap, problem, found, points, i),
-  );
-  return { shapes, positions: (i, s) => positions(heap, shapes[i], s) };
+export class SessionBatch {
+  static async begin(kernel, model, values, rays) {
+    return new SessionBatch(await Heap.make(kernel), model, values, rays);
+  }
+
+  constructor(heap, model, values, rays) {
+    const more = { rays, deepest: findDeepest(model) };
+    Object.assign(this, { heap, model, values, more, start: heap.top, end: heap.top, ids: new Map() });
+    this.hold({});
+    const { fields, arrays, maxPoints, room } = this.problem,
+      { layers, numbers } = fields;
+    const stride = { rigidity: 1, mu: layers, thickness: layers, friction: layers, law: layers * numbers, turn: 1, base: 3 },
+      alone = { ...fields, sets: 1 };
+    this.done = heap.take(24);
+    // A problem of each set reads its part of the arrays of all.
+    const problems = Array.from({ length: fields.sets }, (_, i) =>
+      makeStructure(heap, alone, ARRAYS.map((name) => arrays[name] && arrays[name] + 8 * i * (stride[name] ?? 0))),
+    );
+    heap.call.nf_session_memory(problems[0], this.done);
+    const [fixed, state, scratch] = heap.integers(this.done, 3).map(BigInt);
+    Object.assign(this, { spare: heap.take(state), scratch: heap.take(scratch) });
+    this.needles = problems.map((at) => {
+      const shapes = makeShapes(heap, { fields: alone, room }, maxPoints);
+      return { at, shapes, fixed: heap.take(fixed), state: heap.take(state) };
+    });
+    this.end = heap.top;
+    problems.forEach((_, i) => this.restart(i));
+  }
+
+  /** Bring a needle to first contact. */
+  restart(i) {
+    const { at, fixed, state } = this.needles[i];
+    this.heap.call.nf_session_begin(at, fixed, state, this.scratch);
+  }
+
+  /** Set the inputs under which needles move from now on. */
+  hold(given) {
+    const { heap, ids } = this,
+      inputs = completeInputs(given);
+    const number = (key) => ids.get(key) ?? ids.set(key, BigInt(ids.size + 1)).get(key);
+    heap.top = this.start; // the arrays have the same sizes each time
+    this.problem = makeProblem(heap, ...pack(this.model, inputs, this.values, this.more));
+    Object.assign(this, { bevel: number(bevelKey(inputs)), held: number(controlsKey(inputs)) });
+    heap.top = Math.max(heap.top, this.end);
+  }
+
+  /** Move a needle to a depth, mm; returns whether that has converged: it has else stayed as it was. */
+  go(i, depth) {
+    const { heap, done, scratch, spare, bevel, held } = this,
+      needle = this.needles[i];
+    const { at, fixed, state, shapes } = needle;
+    check(heap.call.nf_session_advance(at, fixed, state, spare, scratch, shapes.at, depth, bevel, held, done));
+    if (heap.integers(done, 1)[0] > 0n && heap.integers(shapes.status, 1)[0] !== 0n) return false;
+    [needle.state, this.spare] = [spare, state];
+    return true;
+  }
+
+  /** The points (K * 2), mm, of a needle that has converged, at beam coordinates `s` (K), mm. */
+  positions(i, s) {
+    const { heap } = this,
+      { shapes } = this.needles[i];
+    return findPositions(heap, Number(heap.integers(shapes.nodes, 1)[0]), [shapes.x, shapes.u, shapes.slope], s);
+  }
 }

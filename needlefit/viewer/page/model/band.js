@@ -1,46 +1,105 @@
 /** The band of draws of the parameters: the central 95 % of their needles where a needle stands. */
 
-import { simulateBatch } from "../../../mechanics/native/needle.js";
+import { SessionBatch } from "../../../mechanics/native/needle.js";
 
 const POINTS = 51; // from entry to tip
 const EDGES = [0.025, 0.975];
-const CHUNK = 10; // draws that are simulated before a newer order is looked for
+const CHUNK = 20; // draws that move before a newer order is looked for
+const SAME = 1e-9; // mm; depths that differ by less are one
+const BACK = 1e-6; // mm; a needle retracted by that much has left inputs under which it has cut nothing
 
-/**
- * Resolves to {x, low, high, failed} from entry to tip, or null where there is no needle to draw or `cancelled()`.
- *
- * draws: {sets, mu, law, strength} of `simulateBatch`; steps [{depth, inputs}] lead to the needle. `pause` resolves
- * once newer orders have come.
- */
-export async function computeBand(kernel, model, draws, steps, cancelled, pause) {
-  const { depth } = steps.at(-1);
-  if (!(depth > 0)) return null;
-  const s = Array.from({ length: POINTS }, (_, i) => (i === POINTS - 1 ? depth : (depth * i) / (POINTS - 1)));
-  const [xs, ys] = [[], []];
-  let failed = 0;
-  const kept = {};
-  for (let first = 0; first < draws.sets; first += CHUNK) {
-    const sets = Math.min(CHUNK, draws.sets - first);
-    const part = (values) => values.slice((first * values.length) / draws.sets, ((first + sets) * values.length) / draws.sets);
-    const values = { sets, mu: part(draws.mu), law: part(draws.law), strength: part(draws.strength) };
-    const { shapes, positions } = await simulateBatch(kernel, model, steps, values, kept);
-    shapes.forEach(({ status }, i) => {
-      if (status !== "converged") return void (failed += 1);
-      const points = positions(i, s);
-      xs.push(points.filter((_, k) => k % 2 === 0));
-      ys.push(points.filter((_, k) => k % 2 === 1));
-    });
-    await pause();
-    if (cancelled()) return null;
+/** The needles of draws. Each goes on from where it stands, so that a small step costs little. */
+export class Band {
+  /** draws: {sets, mu, law, strength} in place of the model's. */
+  constructor(kernel, model, draws) {
+    const chunks = Array.from({ length: Math.ceil(draws.sets / CHUNK) }, (_, n) => ({
+      numbers: Array.from({ length: Math.min(CHUNK, draws.sets - n * CHUNK) }, (_, i) => n * CHUNK + i),
+    }));
+    const typed = ["mu", "law", "strength"].map((name) => [name, Float64Array.from(draws[name])]);
+    const values = { sets: draws.sets, ...Object.fromEntries(typed) };
+    Object.assign(this, { kernel, model, draws, values, chunks, rays: 0, points: [] });
   }
-  if (!xs.length) return null;
-  const at = (rows, k, share) => quantile(rows.map((row) => row[k]).sort((one, other) => one - other), share);
-  return {
-    x: s.map((_, k) => at(xs, k, 0.5)),
-    low: s.map((_, k) => at(ys, k, EDGES[0])),
-    high: s.map((_, k) => at(ys, k, EDGES[1])),
-    failed,
-  };
+
+  /**
+   * Resolves to {x, low, high, failed} from entry to tip, or null where there is no needle to draw or `cancelled()`.
+   *
+   * steps [{depth, inputs}] lead to the needle from first contact on. `pause` resolves once newer orders have come.
+   */
+  async compute(steps, cancelled, pause) {
+    const path = mark(steps);
+    const { depth } = path.at(-1);
+    if (!(depth > 0)) return null;
+    const rays = path.length + Math.ceil(depth / this.model.spacing) + 2;
+    if (rays > this.rays) {
+      this.rays = 2 * rays;
+      this.batch = await SessionBatch.begin(this.kernel, this.model, this.values, this.rays);
+      for (const chunk of this.chunks) chunk.path = null;
+    }
+    for (const chunk of this.chunks) {
+      this.#move(chunk, path);
+      await pause();
+      if (cancelled()) return null;
+    }
+    const found = this.points.filter((one) => one);
+    if (!found.length) return null;
+    const at = (k, share) => quantile(Float64Array.from(found, (one) => one[k]).sort(), share);
+    const read = (axis, share) => Array.from({ length: POINTS }, (_, k) => at(2 * k + axis, share));
+    return { x: read(0, 0.5), low: read(1, EDGES[0]), high: read(1, EDGES[1]), failed: this.values.sets - found.length };
+  }
+
+  /** Move some needles to the end of a path. Those that failed there or deeper try again from first contact on. */
+  #move(chunk, path) {
+    const { batch, points } = this;
+    let way = chunk.path && findWay(chunk.path, path);
+    if (!way || way[0]?.depth <= chunk.failed) {
+      way = path;
+      chunk.failed = -Infinity; // depth, mm, where the last one has failed
+      for (const i of chunk.numbers) {
+        batch.restart(i);
+        points[i] = [];
+      }
+    }
+    chunk.path = path;
+    const { depth } = path.at(-1);
+    const s = Float64Array.from({ length: POINTS }, (_, k) => (k === POINTS - 1 ? depth : (depth * k) / (POINTS - 1)));
+    way.forEach((step, n) => {
+      batch.hold(step.inputs);
+      for (const i of chunk.numbers) {
+        if (!points[i]) continue;
+        const converged = batch.go(i, step.depth);
+        if (!converged) [points[i], chunk.failed] = [null, Math.max(chunk.failed, step.depth)];
+        else if (n === way.length - 1) points[i] = batch.positions(i, s);
+      }
+    });
+  }
+}
+
+/** Steps with a text that is the same for the same inputs. Each draw has a bevel of its own: that it changes counts. */
+function mark(steps) {
+  let changes = 0;
+  return steps.map(({ depth, inputs }, n) => {
+    if (n && inputs.bevel.strength !== steps[n - 1].inputs.bevel.strength) changes += 1;
+    const alike = { ...inputs, bevel: { side: inputs.bevel.side, strength: changes } };
+    return { depth, inputs: alike, text: JSON.stringify(alike) };
+  });
+}
+
+const same = (depth, other) => Math.abs(depth - other) <= SAME;
+
+/** The steps that lead from the end of one path to the end of another; null: first contact has to come first. */
+function findWay(past, path) {
+  let shared = 0;
+  const alike = (n) => past[n]?.text === path[n]?.text;
+  while (shared < past.length && shared < path.length && alike(shared) && same(past[shared].depth, path[shared].depth)) shared += 1;
+  const [last, rest] = [past.at(-1), path.slice(shared)];
+  const left = past.length - shared; // steps that the path does not have
+  const begun = left > 0 && rest.length > 0 && alike(shared); // the next one has the same inputs, and ends elsewhere
+  const turned = shared > 0 && rest.length > 0 && same(last.depth, path[shared - 1].depth); // inputs changed, nothing was cut
+  if (left === 0 || (begun && left === 1) || (!begun && turned)) return rest;
+  const from = begun ? shared : shared - 1;
+  if (from < 0) return null;
+  const depth = (begun ? Math.min(past[shared].depth, path[shared].depth) : path[from].depth) - BACK;
+  return depth > 0 ? [{ ...path[from], depth }, ...path.slice(from)] : null;
 }
 
 /** A quantile of sorted values, linear between them. */

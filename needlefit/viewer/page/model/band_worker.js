@@ -1,9 +1,10 @@
 /** The thread that computes bands: the newest order alone counts. */
 
-import { computeBand } from "./band.js";
+import { Band } from "./band.js";
 
 const STALE = 100; // ms; while orders come without a pause, a band that old is completed
 let newest = {};
+let band = null;
 let busy = false;
 let done = 0; // ms, when the last band was completed
 const channel = new MessageChannel();
@@ -22,11 +23,12 @@ async function work() {
   while (order !== newest && newest.steps && newest.draws) {
     order = newest;
     const { kernel, model, draws, steps, id } = order;
+    if (band?.draws !== draws) band = new Band(kernel, model, draws);
     const isOld = () => newest !== order && (newest.draws !== draws || performance.now() - done < STALE);
-    const band = await computeBand(kernel, model, draws, steps, isOld, pause);
+    const found = await band.compute(steps, isOld, pause);
     if (isOld()) continue;
     done = performance.now();
-    postMessage({ id, band });
+    postMessage({ id, band: found });
   }
   busy = false;
 }
