@@ -38,15 +38,17 @@ export function paint(fresh) {
   if (moved || tissue !== drawnTissue) paintBackground(behind);
   drawnTissue = tissue;
   if (moved || fresh || stale) {
-    before.clearRect(0, 0, picture.clientWidth, picture.clientHeight);
+    before.clearRect(0, 0, ...size());
     paintForeground(before, now.state);
   }
   stale = false;
   document.body.classList.add("begun");
 }
 
+let measured = [1, 1];
+
 /** Width and height of the picture, px. */
-export const size = () => [picture.clientWidth, picture.clientHeight];
+export const size = () => measured;
 
 /** Draw the picture as it is seen on another context; with a state and a band, as it would be seen with these. */
 export function paintOn(context, { state, band } = now) {
@@ -110,7 +112,7 @@ function within(context, draw) {
 
 /** Give both canvases as many pixels as the screen has for them. */
 function measure() {
-  const [width, height] = [picture.clientWidth, picture.clientHeight];
+  const [width, height] = (measured = [picture.clientWidth, picture.clientHeight]);
   for (const [canvas, context] of [[background, behind], [foreground, before]]) {
     canvas.width = Math.round(width * devicePixelRatio);
     canvas.height = Math.round(height * devicePixelRatio);

@@ -9,13 +9,17 @@ import { listen, now } from "./store.js";
 
 const KEPT = 8192;
 const SPAN = 2000; // ms over which rates are averaged
+const RESTED = 25; // ms after a frame; an input that comes later is drawn before the next one begins
 
 let count = 0;
 const channel = new MessageChannel();
 let drawn = null; // the record of a frame that may not be painted yet
 let paint = null;
 let advance = null;
+let rest = null; // what does not have to be in the frame
 let goesOn = null; // whether something moves by itself
+let shown = { fresh: false, input: null }; // what was drawn since the last frame
+let last = -Infinity; // ms, when that began
 let asked = false; // whether the browser was asked for a frame that has not come yet
 let began = null; // ms, when the frames began that have come without a pause since
 
@@ -27,16 +31,26 @@ function mark() {
   drawn = null;
 }
 
-channel.port1.onmessage = mark;
+channel.port1.onmessage = () => {
+  mark();
+  rest();
+};
 for (const kind of ["keydown", "keyup", "pointerdown", "pointerup"]) addEventListener(kind, mark, true);
+
+function draw() {
+  const { fresh, input } = advance();
+  paint(fresh);
+  shown = { fresh: shown.fresh || fresh, input: shown.input ?? input };
+}
 
 function frame(t) {
   asked = false;
   began ??= t;
   mark();
-  const { fresh, input } = advance();
-  const record = { t, step: now.state?.step ?? null, fresh, input, latency_ms: null, painted: null };
-  paint(fresh, t);
+  draw();
+  const record = { t, step: now.state?.step ?? null, ...shown, latency_ms: null, painted: null };
+  shown = { fresh: false, input: null };
+  last = t;
   now.frames[count++ % KEPT] = record;
   drawn = record;
   channel.port2.postMessage(null); // heard once the browser is done with this frame's scripts and layout
@@ -51,16 +65,23 @@ function wake() {
   requestAnimationFrame(frame);
 }
 
-/**
- * In every frame from now on call `move()`, which returns whether there is a new state and when its oldest input
- * happened, ms, then `draw(fresh, t)`, and keep a record. Frames go on by themselves while `moves()`.
- */
-export function start(move, draw, moves) {
-  [advance, paint, goesOn] = [move, draw, moves];
+/** An input after a pause is computed while the page waits for the frame that shows it. */
+function wakeMoved() {
+  if (!asked && paint && !goesOn() && performance.now() - last > RESTED) queueMicrotask(draw);
   wake();
 }
 
-for (const kind of ["moved", "redraw"]) listen(kind, wake);
+/**
+ * In every frame from now on call `move()`, which returns whether there is a new state and when its oldest input
+ * happened, ms, then `picture(fresh)`; once that is drawn, `others()`. Frames go on by themselves while `moves()`.
+ */
+export function start(move, picture, moves, others) {
+  [advance, paint, goesOn, rest] = [move, picture, moves, others];
+  wake();
+}
+
+listen("redraw", wake);
+listen("moved", wakeMoved);
 
 /** Frames a second since the last pause, and median latency (ms), of the last two seconds; null where there are none. */
 export function rates() {

@@ -16,7 +16,7 @@ import "./pointers.js";
 import { grouped } from "./quantities.js";
 import * as readouts from "./readouts.js";
 import { advance, moves } from "./steering.js";
-import { listen, now } from "./store.js";
+import { listen, now, publish } from "./store.js";
 import "./toolbar.js";
 import "./tour.js";
 import "./tracking.js";
@@ -30,20 +30,24 @@ const READOUTS = [ // beside the picture, and how often they are refreshed, ms
   { every: 1000, refresh: readouts.refreshDescription },
 ];
 const STATUS_EVERY = 500; // ms
-const BETWEEN = 20; // ms between two readouts that no frame refreshes
 let later = 0;
 
-/** Refresh one readout that is due in a frame, so that no frame has to wait for all of them; others soon after it. */
-function refreshOne(t) {
+/** Refresh the readouts that are due; others once they are. */
+function refreshReadouts() {
   clearTimeout(later);
   if (!now.state) return;
-  const waiting = READOUTS.filter((one) => one.step !== now.state);
-  const due = waiting.find((one) => t - (one.last ?? -Infinity) >= one.every);
-  if (waiting.length) later = setTimeout(() => refreshOne(performance.now()), BETWEEN);
-  if (!due) return;
-  due.last = t;
-  due.step = now.state;
-  due.refresh();
+  const t = performance.now();
+  let next = Infinity;
+  for (const one of READOUTS) {
+    if (one.step === now.state) continue;
+    const left = (one.last ?? -Infinity) + one.every - t;
+    if (left > 0) next = Math.min(next, left);
+    else {
+      [one.last, one.step] = [t, now.state];
+      one.refresh();
+    }
+  }
+  if (next < Infinity) later = setTimeout(refreshReadouts, next);
 }
 
 /** Write whether the page is connected, how fast it draws, how fast the solver is. */
@@ -63,11 +67,11 @@ function refreshStatus() {
 listen("stage", ({ what }) => write("waiting", `${what} …`));
 listen("refused", () => { // fields go back to what is
   READOUTS.forEach((one) => (one.step = null));
-  refreshOne(performance.now());
+  refreshReadouts();
 });
-frames.start(advance, (fresh, t) => {
-  paint(fresh);
-  refreshOne(t);
-}, moves);
+frames.start(advance, paint, moves, () => {
+  refreshReadouts();
+  publish("drawn");
+});
 setInterval(refreshStatus, STATUS_EVERY);
 open();

@@ -14,6 +14,8 @@ const canvas = part("strip-canvas");
 const context = canvas.getContext("2d");
 let forces = { x: [], y: [] }; // the tip force, N, where the tip (x, mm) stood
 let before = null; // the tip path of the state before
+let size = [1, 1]; // px
+let drawn = null; // the state that was drawn last
 
 /** What is drawn against depth: a name, decimals, and the curve of a needle; of forces, which rise and fall in each cell, the mean over two. */
 const PANELS = [["tip y, mm", 2, ({ path }) => path], ["tip force, N", 2, ({ forces: { x, y } }) => ({ x, y: smooth(x, y, now.scene.spacing_mm) })]];
@@ -38,27 +40,29 @@ const needles = () => [[now.pinned, palette.ghost], [current(), palette.needle]]
 const depthAt = (x) => now.state.depth_mm + x - now.state.tip.x;
 
 function draw() {
+  drawn = now.state;
   if (part("strip").hidden || !now.state) return;
-  const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+  const [width, height] = size;
+  const deep = greatest();
+  const curves = PANELS.map(([, , curve]) => needles().map(([one, colour]) => [curve(one), colour]));
   if (canvas.width !== Math.round(width * devicePixelRatio)) canvas.width = Math.round(width * devicePixelRatio);
   if (canvas.height !== Math.round(height * devicePixelRatio)) canvas.height = Math.round(height * devicePixelRatio);
   context.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
   context.clearRect(0, 0, width, height);
-  PANELS.forEach(([name, digits, curve], n) => {
+  PANELS.forEach(([name, digits], n) => {
     const left = (n * width) / 2 + PAD.left;
-    drawPanel(name, digits, curve, { left, right: ((n + 1) * width) / 2 - PAD.right, top: PAD.top, bottom: height - PAD.bottom });
+    drawPanel(name, digits, curves[n], deep, { left, right: ((n + 1) * width) / 2 - PAD.right, top: PAD.top, bottom: height - PAD.bottom });
   });
-  describe();
+  describe(curves, deep);
 }
 
 /** The greatest depth that the strip shows, mm. */
 const greatest = () => Math.max(now.scene.depth_mm, ...needles().map(([{ tip }]) => tip.x), 1);
 
-function drawPanel(name, digits, curve, { left, right, top, bottom }) {
-  const curves = needles().map(([one, colour]) => [curve(one), colour]);
+function drawPanel(name, digits, curves, deep, { left, right, top, bottom }) {
   const values = curves.flatMap(([{ y }]) => y);
   const [low, high] = [Math.min(0, ...values), Math.max(0, ...values)];
-  const px = (x) => left + (x / greatest()) * (right - left);
+  const px = (x) => left + (x / deep) * (right - left);
   const py = (y) => bottom - ((y - low) / (high - low || 1)) * (bottom - top);
   segments(context, [[[left, py(0)], [right, py(0)]], [[left, top], [left, bottom]]], palette.quiet, 1);
   for (const [{ x, y }, colour] of curves) {
@@ -75,22 +79,22 @@ function drawPanel(name, digits, curve, { left, right, top, bottom }) {
   const ends = high - low < 10 ** -digits ? [[0, py(0)]] : [[low, bottom], [high, top]];
   for (const [value, place] of ends) context.fillText(String(Number(value.toFixed(digits)) || 0).replace("-", "−"), left - 4, place);
   context.textBaseline = "alphabetic";
-  context.fillText(`${brief(greatest(), 3)} mm deep`, right, bottom + 13);
+  context.fillText(`${brief(deep, 3)} mm deep`, right, bottom + 13);
   context.textAlign = "left";
   context.fillText("0", left, bottom + 13);
 }
 
 /** The values at the depth that is marked, or at the tip, in words. */
-function describe() {
+function describe(curves, deep) {
   const at = now.marked ?? now.state.tip.x;
-  const read = ([one]) => PANELS.map(([name, digits, curve]) => {
-    const { x, y } = curve(one);
+  const read = (number) => PANELS.map(([name, digits], n) => {
+    const [{ x, y }] = curves[n][number];
     return at > x.at(-1) + 1e-6 || at < x[0] ? `${name.split(",")[0]} –` : `${name.replace(/, .*/, "")} ${signed(heightAt({ x, y }, at), digits)}${name.replace(/.*,/, "")}`;
   }).join(", ");
-  const words = needles().map((one) => `${one[0] === now.pinned ? "pinned: " : ""}${read(one)}`).reverse().join("; ");
+  const words = needles().map(([one], number) => `${one === now.pinned ? "pinned: " : ""}${read(number)}`).reverse().join("; ");
   const text = `At ${depthAt(at).toFixed(1)} mm: ${words}`;
   write("strip-note", text);
-  Object.assign(canvas, { ariaValueNow: at.toFixed(1), ariaValueMax: greatest().toFixed(1), ariaValueText: text });
+  Object.assign(canvas, { ariaValueNow: at.toFixed(1), ariaValueMax: deep.toFixed(1), ariaValueText: text });
 }
 
 /** Mark a depth (x of the tip, mm; null: none) here and in the picture. */
@@ -135,10 +139,10 @@ press("pin", () => now.state && pin());
 listen("scene", () => {
   [forces, before, now.marked] = [{ x: [], y: [] }, null, null];
 });
-let due = 0;
-listen("state", (state) => {
-  remember(state);
-  due ||= requestAnimationFrame(() => ((due = 0), draw()));
-});
-new ResizeObserver(draw).observe(canvas);
+listen("state", remember);
+listen("drawn", () => now.state !== drawn && draw());
+new ResizeObserver(() => {
+  size = [canvas.clientWidth, canvas.clientHeight];
+  draw();
+}).observe(canvas);
 onScheme(() => requestAnimationFrame(draw));

@@ -14,7 +14,10 @@ const METRICS = {
     return sorted.length % 2 ? sorted[half] : (sorted[half - 1] + sorted[half]) / 2;
   },
   ipe_mean_mm: mean,
-  ipe_std_mm: (d) => Math.sqrt(mean(d.map((one) => (one - mean(d)) ** 2))),
+  ipe_std_mm: (d) => {
+    const middle = mean(d);
+    return Math.sqrt(mean(d.map((one) => (one - middle) ** 2)));
+  },
   ipe_max_mm: (d) => Math.max(...d),
   te_mm: (d) => d.at(-1),
   edp_percent: (d, deflection) => (deflection ? (100 * d.at(-1)) / Math.abs(deflection) : d.at(-1) ? Infinity : 0),

@@ -6,13 +6,16 @@ const GAUSS = [[0.5 - Math.sqrt(0.15), 5 / 18], [0.5, 4 / 9], [0.5 + Math.sqrt(0
 /** The greatest |u'|, range of deflection / length, shortening / thinnest layer, miss (mm), and compression of a shape. */
 export function computeValidity({ x, u, slope, constraints, track }, { boundaries, thickness, spacing }) {
   const last = x.length - 1;
-  let [steepest, shortening, missed, miss, low, high] = [0, 0, 0, 0, u[0], u[0]];
-  for (const one of slope) steepest = Math.max(steepest, Math.abs(one));
-  for (const one of u) [low, high] = [Math.min(low, one), Math.max(high, one)];
+  let steepest = 0, shortening = 0, missed = 0, miss = 0, low = u[0], high = u[0];
+  for (let i = 0; i <= last; i += 1) {
+    steepest = Math.max(steepest, Math.abs(slope[i]));
+    low = Math.min(low, u[i]);
+    high = Math.max(high, u[i]);
+  }
   for (let i = 0; i < last; i += 1) {
-    const [step, begin, end] = [x[i + 1] - x[i], slope[i], slope[i + 1]];
+    const step = x[i + 1] - x[i], begin = slope[i], end = slope[i + 1];
     const mean = (u[i + 1] - u[i]) / step;
-    const [bend, curl] = [6 * mean - 4 * begin - 2 * end, 3 * (begin + end) - 6 * mean]; // u' = begin + t bend + t^2 curl
+    const bend = 6 * mean - 4 * begin - 2 * end, curl = 3 * (begin + end) - 6 * mean; // u' = begin + t bend + t^2 curl
     const at = Math.abs(curl) > 1e-12 ? (-0.5 * bend) / curl : 0;
     if (at > 0 && at < 1) steepest = Math.max(steepest, Math.abs(begin + at * (bend + at * curl)));
     for (const [t, weight] of GAUSS) {
