@@ -148,7 +148,7 @@ def random_orders(rng: np.random.Generator, scene: Scene, count: int) -> list[di
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("name", list(SCENES))
 def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> None:
-    """All inputs, parameters, refusals and returns; what is shown, the path that leads there, the band as it goes on."""
+    """All inputs, parameters, refusals, returns; what is shown, the path that leads there, all bands."""
     viewed, rng = SCENES[name](), np.random.default_rng(seed)
     scene = Scene.from_record(viewed.record)
     steering = SteeredNeedle(scene, viewed.first_cell)

@@ -101,6 +101,7 @@ function describeGame() {
   if (!game) return "";
   if (!aim.target) return "Choosing a target …";
   if (game.hidden) return "Steer the tip into the target past the obstacle, then compare.";
+  if (game.planner === undefined) return `You ${game.hand.toFixed(2)} mm. The planner is still searching …`;
   const planner = game.planner === null ? "the planner found no way" : `the planner ${game.planner.toFixed(2)} mm`;
   if (game.touched) return `You touch the obstacle, ${planner}: ${game.planner === null ? "nobody wins" : "the planner wins"}.`;
   const won = game.planner === null || game.hand < game.planner;
@@ -122,7 +123,7 @@ function challenge() {
     reset();
     command({ do: "challenge", radius: aim.radius });
     Object.assign(aim, { target: null, obstacles: [], plan: null, reach: null });
-    aim.challenge = { hidden: true, hand: null, touched: false, planner: null };
+    aim.challenge = { hidden: true, hand: null, touched: false }; // and, once the planner is done, its distance
   }
   part("challenge").textContent = aim.challenge.hidden ? "Compare with the planner" : "Beat the planner";
   refresh();
@@ -167,7 +168,8 @@ part("markups").addEventListener("change", async ({ target }) => {
 });
 listen("plan", (plan) => {
   refresh();
-  if (!plan.fault && !aim.challenge) say(describePlan());
+  if (aim.challenge?.hidden === false) say(describeGame());
+  else if (!plan.fault && !aim.challenge) say(describePlan());
 });
 listen("aimed", () => {
   if (!aim.challenge) part("challenge").textContent = "Beat the planner";

@@ -18,7 +18,7 @@ const TWICE = { within: 350, apart: 24 }; // ms and px between the taps of a dou
 const canvas = part("canvas");
 const notch = amount(part("notch"));
 const fingers = new Map(); // pointers that are down, and where
-let drag = null; // {handle, from, gesture, pointer}
+let drag = null; // {handle, from, last, to, gesture, pointer}: where it began, where the pointer is, to where it drags
 let lastTap = { at: -Infinity, px: 0, py: 0 };
 
 const place = (event) => {
@@ -35,16 +35,19 @@ function down(event) {
   if (fingers.size > 1) drag = null; // two fingers pinch
   else {
     const handle = handleAt(...at, event.pointerType);
-    if (handle) drag = { handle, from: at, gesture: newGesture(), pointer: event.pointerId };
+    if (handle) drag = { handle, from: at, last: at, to: at, gesture: newGesture(), pointer: event.pointerId };
   }
   canvas.classList.toggle("dragging", drag !== null);
   hold(drag !== null);
 }
 
-/** A handle follows at once: this event does not wait for the next frame, as moves do. */
+/** A handle follows at once: this event does not wait for the next frame, as moves do. It stays under the pointer; with Shift it goes a tenth as far. */
 function follow(event) {
   if (drag?.pointer !== event.pointerId || !now.connected) return;
-  const set = drag.handle.drag(drag.from, place(event));
+  const at = place(event);
+  drag.to = drag.to.map((to, i) => to + (event.shiftKey ? FINE : 1) * (at[i] - drag.last[i]));
+  drag.last = at;
+  const set = drag.handle.drag(drag.from, drag.to);
   if (set.length) change(set, { gesture: drag.gesture, at: event.timeStamp });
 }
 

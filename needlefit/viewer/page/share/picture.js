@@ -4,7 +4,7 @@ import { part } from "../dom.js";
 import { handleAt } from "../handles.js";
 import { slope, degrees } from "../quantities.js";
 import { now } from "../store.js";
-import { fit, pan, zoom } from "../view.js";
+import { fit, hold, pan, zoom } from "../view.js";
 import { pressed } from "../toolbar.js";
 
 const canvas = part("canvas");
@@ -24,6 +24,7 @@ export function listenToPicture(steer) {
     const at = place(event),
       handle = handleAt(...at, event.pointerType);
     drag = { handle, from: at, last: at };
+    hold(handle !== null);
     canvas.classList.add("dragging");
   });
   canvas.addEventListener("pointermove", (event) => {
@@ -39,6 +40,7 @@ export function listenToPicture(steer) {
   for (const kind of ["pointerup", "pointercancel"]) {
     canvas.addEventListener(kind, () => {
       drag = null;
+      hold(false);
       canvas.classList.remove("dragging");
     });
   }
