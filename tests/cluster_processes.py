@@ -12,13 +12,13 @@ from pathlib import Path
 
 
 @contextmanager
-def start_process(*words: str, folder: Path | None = None) -> "Iterator[subprocess.Popen[bytes]]":
-    """Start a module as a program, in `folder`; end it, with what it started, after the block."""
+def start_process(*words: str) -> "Iterator[subprocess.Popen[bytes]]":
+    """Start a module as a program; end it, with what it started, after the block."""
     paths = [str(Path(__file__).parent.parent), os.environ.get("PYTHONPATH", "")]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
     one = subprocess.Popen(
         [sys.executable, "-m", *words],
-        start_new_session=True, stderr=subprocess.DEVNULL, cwd=folder, env=environment,
+        start_new_session=True, stderr=subprocess.DEVNULL, env=environment,
     )  # fmt: skip
     try:
         yield one
@@ -29,11 +29,11 @@ def start_process(*words: str, folder: Path | None = None) -> "Iterator[subproce
 
 
 @contextmanager
-def start_scheduler(folder: Path, *options: str) -> "Iterator[tuple[str, subprocess.Popen[bytes]]]":
+def start_scheduler(folder: Path) -> "Iterator[tuple[str, subprocess.Popen[bytes]]]":
     """Start a scheduler; its address and its process."""
     file = folder / "scheduler.json"
     words = ("--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(file))
-    with start_process("distributed.cli.dask_scheduler", *words, *options) as one:
+    with start_process("distributed.cli.dask_scheduler", *words) as one:
         deadline = time.monotonic() + 60
         while not (address := _read_address(file)):
             assert time.monotonic() < deadline and one.poll() is None
@@ -49,12 +49,7 @@ def _read_address(file: Path) -> str:
         return ""
 
 
-def start_worker(
-    address: str, *options: str, folder: Path | None = None
-) -> "AbstractContextManager[subprocess.Popen[bytes]]":
-    """Start a worker of one thread, with the process that starts it again when it is killed.
-
-    `folder` is where it works.
-    """
-    words = (address, "--nthreads", "1", "--no-dashboard", "--nanny", "--memory-limit", "0", *options)
-    return start_process("distributed.cli.dask_worker", *words, folder=folder)
+def start_worker(address: str) -> "AbstractContextManager[subprocess.Popen[bytes]]":
+    """Start a worker of one thread, with the process that starts it again when it is killed."""
+    words = (address, "--nthreads", "1", "--no-dashboard", "--nanny", "--memory-limit", "0")
+    return start_process("distributed.cli.dask_worker", *words)

@@ -174,12 +174,6 @@ def test_a_changed_dataset_is_refused(dataset):
             needlefit.fit(changed, "chicken", tune=TUNE, recipe=RECIPE)
 
 
-def test_a_run_of_other_data_is_refused(fitted):
-    other = {**fitted.run, "dataset": {**fitted.run["dataset"], "sha256": "0"}}
-    with pytest.raises(ConfigError, match="another dataset"):
-        needlefit.predict(replace(fitted, run=other), "chicken")
-
-
 @pytest.mark.sweep
 def test_an_interrupted_fit_is_the_best_so_far_and_goes_on(fitted, tmp_path):
     pressed = []
@@ -203,17 +197,6 @@ def test_an_interrupted_fit_is_the_best_so_far_and_goes_on(fitted, tmp_path):
     whole = needlefit.fit("twin", "chicken", **options)
     assert not whole.interrupted and not options["checkpoint"].exists()
     assert list(whole.frames["starts"]["stopped"]) == ["tolerance"] * 3
-
-
-def test_an_interrupted_prediction_raises():
-    def interrupt(what, done, of):
-        os.kill(os.getpid(), signal.SIGINT)
-
-    table = {"schema": 2, "recipe": "quick", "dataset": "twin", "medium": "chicken", "tune": TUNE}
-    with pytest.raises(KeyboardInterrupt):
-        needlefit.validate(
-            {**table, "validate": [{"insertions": ["chicken-10"]}]}, progress=interrupt, jobs=1
-        )
 
 
 def test_importing_the_package_loads_nothing_else():

@@ -4,8 +4,6 @@ import dataclasses
 import os
 import shlex
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,7 +14,6 @@ from light_runs import draw_blank
 from reporting_results import skip_figures, study
 from test_cli import run
 from test_cli_analyses import GOOD
-from test_project_checkpoint import HOLDS
 from test_viewer_recording import recorded
 from world import build_project
 
@@ -26,7 +23,6 @@ from needlefit.mechanics import scene
 from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.folders import (
     MANIFEST,
-    find_foreign,
     replace_folder,
     require_output_files,
     require_writable,
@@ -241,48 +237,6 @@ def test_a_file_added_during_the_run_stays(place, project, stubs, monkeypatch, c
     assert (project / "out/held_out-tune/run.json").is_file() == partial
 
 
-def test_a_second_run_into_the_same_folder_is_refused(project, stubs, capsys):
-    pytest.importorskip("fcntl")
-    words = [sys.executable, "-c", HOLDS, "out/held_out-tune.partial"]
-    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as first:
-        assert first.stdout.readline() == b"holds\n"
-        for more in ((), ("--resume",)):
-            assert run(*CASES["tune"].words, *more) == 3
-            printed = capsys.readouterr().err
-            assert f"process {first.pid}" in printed and "held_out-tune.partial" in printed
-        assert not (project / "out/held_out-tune").exists()
-        first.stdin.close()
-    assert run(*CASES["tune"].words) == 0
-
-
-@pytest.mark.parametrize("when", ["before a row is kept", "before the results are written", "meanwhile"])
-def test_the_folder_is_removed_while_it_is_written(when, project, stubs, monkeypatch, capsys):
-    def run_and_remove(name, record, settings):
-        checkpoint = open_checkpoint(settings.checkpoint, settings.resume, {"n": 1})
-        if when.startswith("before a row"):
-            shutil.rmtree(project / "out")
-        checkpoint.keep_row("a", {"b": 1})
-        if when != "meanwhile":
-            shutil.rmtree(project / "out")
-        return dataclasses.replace(study(1), name=name, record=record)
-
-    def remove(_: object) -> bytes:
-        shutil.rmtree(project / "out")
-        return b"a page"
-
-    monkeypatch.setattr("needlefit.studies.kinds.cross_validation.run.run", run_and_remove)
-    if when == "meanwhile":
-        monkeypatch.setattr("needlefit.reporting.document.compile_pdf", remove)
-    code = run(*CASES["tune"].words)
-    printed = capsys.readouterr().err
-    assert code == (0 if when.startswith("before the results") else 3)
-    if when.startswith("before a row"):
-        assert "held_out-tune.partial" in printed
-    elif code == 0:
-        assert find_foreign(project / "out/held_out-tune") == []
-    assert "Traceback" not in printed and "unexpected" not in printed
-
-
 # --- names, folders and inputs are checked before the work --------------------
 
 
@@ -296,28 +250,6 @@ def test_an_unwritable_output_path_is_refused(name, tmp_path):
     longest = os.pathconf(tmp_path, "PC_NAME_MAX") - 24
     for place in ("new", "new/newer/newest", "n" * longest, "é" * (longest // 2)):
         require_writable(tmp_path / place)
-
-
-LONG = (
-    *("verify -q --out", "tune study3 -q --out", "validate study3 --reference -q --out"),
-    *("calibrate study3 -q --out", "tune study3 --design -q --out", "predict study3 --scene study2 -q --out"),
-    *("view study2 --no-browser --out", f"reconstruct {SCANS} -q --out", "twin build -q --out"),
-    *("twin ct -q --out", "new project", "new dataset"),
-)
-
-
-@pytest.mark.parametrize("line", LONG, ids=lambda line: " ".join(line.split()[:2]))
-def test_every_command_refuses_a_name_that_is_too_long_before_it_works(line, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    for place in (
-        *("studies.kinds.cross_validation.run.run", "studies.job.prepare", "cli.view._trials"),
-        *("synthetic.build.build_dataset", "synthetic.scans.write_scans", "verification.check.find_checks"),
-        "imaging.batch.reconstruct_all",
-    ):
-        monkeypatch.setattr(f"needlefit.{place}", None)
-    assert run(*line.split(), "o" * (240 if "reconstruct" in line else 300)) == 3
-    assert "unexpected" not in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.fixture

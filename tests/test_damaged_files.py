@@ -4,7 +4,6 @@ import dataclasses
 import gzip
 import json
 import os
-from functools import partial
 from pathlib import Path
 
 import h5py
@@ -17,11 +16,10 @@ from reporting_results import sampled, skip_figures, stereo, study
 from test_cli import run
 
 import needlefit
-from needlefit.errors import DataError, NeedlefitError
+from needlefit.errors import DataError
 from needlefit.inference.sampling.posterior import load, save
-from needlefit.project.folders import MANIFEST, find_changes, sha256, write_manifest
+from needlefit.project.folders import find_changes, write_manifest
 from needlefit.project.input_files import convert_stored_errors
-from needlefit.project.locate import find_file, find_run, find_studies, find_study_or_fit, find_view_target
 from needlefit.reporting.table_files import write_json
 from needlefit.studies import store as stored_files
 from needlefit.studies.combined_report import rebuild, write_combined
@@ -97,12 +95,6 @@ def test_results_that_do_not_agree_are_used_on_demand_and_marked(written, tmp_pa
     marked = needlefit.load_run(again)  # also what is made of it later
     assert len(marked.unverified) == 1 and RESULTS_FILE in marked.unverified[0]
     assert "do not agree" in (again / "report.html").read_text() and not marked.reliable
-
-
-def test_the_digest_of_the_manifest_is_printed(tmp_path, capsys, monkeypatch):
-    skip_figures(monkeypatch)
-    assert run("report", str(write_run(study(1), tmp_path / "run"))) == 0
-    assert sha256(tmp_path / "run" / MANIFEST) in capsys.readouterr().out
 
 
 def test_a_file_that_unpacks_to_more_than_its_bound_is_refused(tmp_path, monkeypatch):
@@ -241,20 +233,6 @@ def test_unusable_stored_values_are_an_error_with_its_cause():
     assert isinstance(caught.value.__cause__, ZeroDivisionError) and caught.value.where == "run"
     with pytest.raises(OSError), convert_stored_errors("run"):
         raise OSError(28, os.strerror(28))
-
-
-LONG = "a" * 300
-
-
-@pytest.mark.parametrize("name", [LONG, f"{LONG}.toml", f"./{LONG}", "a\0b", "./a\0b.toml"])
-def test_a_name_that_no_file_can_have_is_not_found(name):
-    lookups = [
-        *(partial(find_file, kind) for kind in ("study", "scene", "dataset")),
-        *(find_study_or_fit, find_studies, find_run, find_view_target),
-    ]
-    for lookup in lookups:
-        caught = refusal(NeedlefitError, "", lookup, name)
-        assert caught.exit_code == 3
 
 
 @pytest.mark.parametrize("results", [study(1), study(5), stereo()], ids=["study1", "study5", "stereo"])

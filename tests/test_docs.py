@@ -96,18 +96,6 @@ def test_a_transcript_is_compared_with_its_commands(tmp_path, transcripts, capsy
     assert page.read_text("utf-8").startswith("```console\n$ echo 1.234\n1.234\n")
 
 
-def test_an_exit_code_is_part_of_a_transcript(tmp_path, transcripts):
-    page = tmp_path / "page.md"
-    page.write_text("```console\n$ exit 3\n[exit code 3]\n```\n", "utf-8")
-    assert transcripts.check(page)
-
-
-def test_an_excerpt_follows_what_is_printed_now(transcripts):
-    shown = ["head", "...", "sum 1.0", "..."]
-    printed = ["head", "new", "sum 2.0", "tail"]
-    assert transcripts.excerpt(shown, printed) == ["head", "...", "sum 2.0", "..."]
-
-
 def test_the_commands_of_a_guide_print_what_it_shows(transcripts):
     assert transcripts.check(DOCS / "guides/slicer.md")
 

@@ -182,15 +182,6 @@ def test_an_editable_installation_names_the_command_when_its_library_is_stale(ch
 
 
 @pytest.mark.on_demand
-def test_pip_builds_a_wheel_from_the_source_archive(checkout, built):
-    (archive,) = built.glob("*.tar.gz")
-    done = checkout.run("-m", "pip", "wheel", "--no-deps", str(archive))
-    assert done.returncode == 0, done.stdout + done.stderr
-    (wheel,) = checkout.home.glob("*.whl")
-    assert "-py3-none-" in wheel.name and "-any" not in wheel.name
-
-
-@pytest.mark.on_demand
 @pytest.mark.skipif(shutil.which("g++") is None, reason="no g++")
 def test_a_system_compiler_builds_without_isolation_and_network(checkout):
     checkout.use_packages_of_this_environment()
@@ -203,15 +194,6 @@ def test_a_system_compiler_builds_without_isolation_and_network(checkout):
     installed = Path(checkout.load().stdout.strip())
     made_from = json.loads((installed / "libraries.json").read_text())["made_from"]
     assert made_from["compiler"] == "g++"
-
-
-@pytest.mark.on_demand
-def test_without_a_compiler_the_installation_fails_in_one_sentence(checkout):
-    assert checkout.run("-m", "pip", "install", "hatchling").returncode == 0
-    done = checkout.install("--no-build-isolation", str(checkout.root))
-    reasons = [line for line in (done.stdout + done.stderr).splitlines() if "needlefit: " in line]
-    assert done.returncode != 0 and len(reasons) == 1 and "NEEDLEFIT_CXX" in reasons[0]
-    assert "Traceback" not in done.stdout + done.stderr
 
 
 @pytest.mark.on_demand

@@ -4,10 +4,8 @@ Every comparison is of all files of a result folder but `timing.json`, which is 
 """
 
 import os
-import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -16,7 +14,6 @@ from made_again import read_files
 from world import COMMANDS, build_project, find_words
 
 from needlefit.project.processes import THREAD_VARIABLES as THREADS
-from tests.cluster_processes import start_scheduler, start_worker
 
 ON_CORES = """
 import os, sys
@@ -90,26 +87,6 @@ def test_a_run_is_the_same_on_one_core_in_other_surroundings(world, kind, new_pr
         begin(COMMAND, find_words(kind, place / "out"), place, one_core(), **ELSEWHERE, **home),
         codes=COMMANDS[kind].codes,
     )
-    assert_same(place / "out" / expected.name, expected)
-
-
-def wait_for(running: "subprocess.Popen[str]", pattern: str, place: Path) -> None:
-    """Wait until a command has kept something of its work."""
-    deadline = time.monotonic() + 600
-    while not any(path.stat().st_size for path in place.glob(pattern)):
-        assert running.poll() is None and time.monotonic() < deadline
-        time.sleep(0.005)
-
-
-@pytest.mark.sweep
-def test_an_analysis_is_the_same_on_a_cluster_that_loses_a_worker(world, new_project):
-    expected, place = world.find("left_out"), new_project("analysis")
-    with start_scheduler(place) as (address, _), start_worker(address) as doomed, start_worker(address):
-        words = [*COMMANDS["left_out"].words, "--scheduler", address, "--out", "out"]
-        running = begin(COMMAND, words, place)
-        wait_for(running, "out/left_out.partial/*.jsonl", place)
-        os.killpg(doomed.pid, signal.SIGKILL)
-        outputs(running, codes=COMMANDS["left_out"].codes)
     assert_same(place / "out" / expected.name, expected)
 
 
