@@ -292,17 +292,6 @@ def test_a_mistyped_column_of_the_insertions_is_named_with_the_nearest(tmp_path,
     assert all(f"`{new}`" in one.what and f"`{old}`" in one.what for one in found)
 
 
-@pytest.mark.parametrize(("name", "count"), [("SD_mm", 1), ("sd", 1), ("s_mm", 0)])
-def test_a_mistyped_column_of_centrelines_is_named_once(tmp_path, name, count):
-    file = gel(tmp_path)
-    for id_ in "abc":
-        curve = tmp_path / f"centerlines/{id_}.csv"
-        head, *rows = curve.read_text().splitlines()
-        curve.write_text("\n".join([f"{head},{name}", *(f"{one},0.02" for one in rows)]))
-    _, warnings = check_all(file)
-    assert [one.where for one in warnings] == [f"{tmp_path}/centerlines/a.csv:1"] * count
-
-
 @pytest.mark.parametrize(
     ("boundaries", "count"),
     [

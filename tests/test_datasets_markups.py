@@ -177,18 +177,6 @@ def test_fcsv_faults(tmp_path, content, words):
     assert words in refused(path)
 
 
-@given(st.binary(max_size=80) | st.text('{}[]":,#=\n x1LPS', max_size=80).map(str.encode))
-@anything
-def test_any_bytes_are_markups_or_a_data_error(tmp_path, content):
-    for ending in ("mrk.json", "fcsv"):
-        path = tmp_path / f"any.{ending}"
-        path.write_bytes(content)
-        try:
-            assert len(read_markups(path).points)
-        except DataError as error:
-            assert error.where.startswith(str(path))
-
-
 @given(st.lists(st.tuples(coordinate, coordinate, coordinate), min_size=1, max_size=12), st.text(max_size=9))
 @anything
 def test_what_is_written_is_read_back(tmp_path, points, label):

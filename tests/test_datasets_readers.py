@@ -13,34 +13,15 @@ from test_datasets import block, without_checksums
 from track_cases import DEPTH, GUIDE, TOML, measured, track, written
 
 from needlefit.datasets.compression import read_compression
-from needlefit.datasets.formats import mat
 from needlefit.datasets.formats.csv import parse_numbers, read_table
 from needlefit.datasets.read import check, read, read_shapes
 from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError, DataError
-from needlefit.project import input_files
 from needlefit.project.locate import shipped_folder
 from needlefit.schemas.study import SelectionRecord
 
 anything = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 finite = st.floats(-1e6, 1e6)
-
-
-@given(
-    st.binary(max_size=200)
-    | st.text(max_size=200).map(str.encode)
-    | st.text('a,1"\n;', max_size=60).map(str.encode)
-)
-@anything
-def test_any_bytes_are_a_table_or_a_data_error(tmp_path, content):
-    path = tmp_path / "any.csv"
-    path.write_bytes(content)
-    try:
-        table = read_table(path)
-    except DataError as error:
-        assert error.where.startswith(str(path))
-    else:
-        assert len(table.cells) == len(table.lines) > 0
 
 
 @given(st.lists(st.tuples(finite, finite, st.integers(0, 3)), min_size=1, max_size=20))
@@ -57,14 +38,6 @@ def test_numbers_and_lines_survive_whatever_blank_lines_stand_between(tmp_path, 
     values = np.column_stack([parse_numbers(table, column, found) for column in "ab"])
     assert not found and table.lines.tolist() == lines
     np.testing.assert_allclose(values, [row[:2] for row in rows], rtol=1e-14)
-
-
-@pytest.mark.parametrize("read", [mat.read_curves, input_files.read_text])
-def test_every_reader_reports_an_unreadable_file_alike(tmp_path, read):
-    error = refusal(DataError, "no such file", read, tmp_path / "gone")
-    assert error.where == str(tmp_path / "gone")
-    with pytest.raises(DataError, match="is a folder"):
-        read(tmp_path)  # a folder
 
 
 SECRET = [
@@ -328,9 +301,3 @@ def test_the_public_tip_tracks():
     assert any("phantomA_closedloop_03 " in remark for remark in dataset.remarks)
     for one in dataset.insertions:
         assert 90 < one.depths[-1] < 105 and np.abs(one.guide).max() < 13 and one.heading is not None
-
-
-def test_missing_public_tip_tracks_name_their_source(monkeypatch):
-    monkeypatch.delenv("NEEDLEFIT_REAL_DATA", raising=False)
-    [fault] = check(shipped_folder() / "data" / "guided_tips")
-    assert "not set" in fault.what and "steps.csv" in fault.fix
