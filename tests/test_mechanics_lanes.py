@@ -168,15 +168,6 @@ def test_any_parameter_may_be_nan(name: str) -> None:
     assert one(Batch(NEEDLE, TISSUE, steps, **{name: [np.nan]})).failures == Counter({"non-finite": 1})
 
 
-def test_guides_moved_into_the_tissue_and_batches_of_failures():
-    steps = (Step(8.0, Bevel(0.1), Controls(guides=(Guide(-5.0),))),)
-    assert one(Batch(NEEDLE, TISSUE, steps, guide_x=[-5.0, 0.0, 3.0])).status.tolist() == [0, 3, 3]
-    shapes = one(thin([0.2] * 40, 0.05))
-    assert shapes.failures == Counter({"over-compressed": 40})
-    assert shapes.u.shape == (40, 12) and np.isnan(shapes.u).all()
-    assert shapes[0].depth == 10.0
-
-
 def thin(offset: list[float], thickness: float, friction: float = 0.0) -> Batch:
     tissue = Tissue(mu=[0.2], alpha=[1.0], thickness=[thickness], friction=[friction])
     return Batch(NEEDLE, tissue, (Step(10.0, Bevel(0.1)),), offset=offset)

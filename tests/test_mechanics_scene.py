@@ -11,10 +11,8 @@ from refusals import refusal
 import needlefit
 from needlefit.errors import ConfigError
 from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
-from needlefit.mechanics.plan import make_lattice
 from needlefit.mechanics.scene import Entry, Scene, simulate_scene
 from needlefit.mechanics.shape import NeedleShape, compute_positions
-from needlefit.mechanics.simulate import simulate_steps
 from needlefit.project.toml import check
 from needlefit.schemas.scene import SceneRecord
 
@@ -112,15 +110,6 @@ def test_names_faults_and_the_step_that_fails():
     crushing = replace(FIGURE1.steps[1], bevel=Bevel(60.0))
     shapes = simulate_scene(replace(FIGURE1, steps=(FIGURE1.steps[0], crushing, FIGURE1.steps[2])))
     assert [shape.status for shape in shapes] == ["converged", "over-compressed"]
-
-
-def test_each_shape_is_the_history_of_the_next():
-    lattice = make_lattice(FIGURE1.steps, FIGURE1.rules)
-    for n, shape in enumerate(SHAPES, start=1):
-        alone = simulate_steps(FIGURE1.needle, FIGURE1.tissue, FIGURE1.steps[:n], FIGURE1.rules, lattice)
-        assert np.array_equal(alone.u, shape.u)
-    whole = simulate_steps(FIGURE1.needle, FIGURE1.tissue, FIGURE1.steps, FIGURE1.rules)
-    assert np.array_equal(whole.u, SHAPES[-1].u)
 
 
 def at(shape: NeedleShape, x: float) -> tuple[float, float]:

@@ -25,7 +25,7 @@ from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, St
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import simulate, simulate_steps
+from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
 TISSUE = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[9.3])
@@ -48,15 +48,6 @@ def test_a_session_gives_the_bits_of_the_whole_insertion(seed: int, kind: str) -
         assert_same_steps(under_way.go(step), expected)
         if not expected.converged:
             break  # the session stays where it was
-
-
-def test_one_step_is_the_batch_at_the_same_first_cell():
-    controls = Controls(base_y=0.2, guides=(Guide(-5.0),))
-    found = session(0.25, controls=controls).step(14.25)
-    assert_same_steps(found, simulate(NEEDLE, TISSUE, LEFT, 14.25, controls))
-    assert session(0.3).lattice == Lattice(0.3, 1.0)
-    assert session().lattice.first_cell == 1.0
-    np.testing.assert_allclose(session(0.3).step(2.5).constraints[:, 0], [0, 0.3, 1.3, 2.3, 2.5])
 
 
 def test_named_inputs_are_the_inputs_of_a_step() -> None:

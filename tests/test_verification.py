@@ -292,28 +292,3 @@ def test_a_column_without_a_number_fails_its_quantity(prefix, quantity, part, mo
 
     (failed,) = with_jacobian(monkeypatch, blank).failed
     assert quantity in failed.quantity and np.isnan(failed.measured)
-
-
-def test_a_kind_of_columns_that_is_missing_fails(monkeypatch):
-    def fewer(shape, jacobian):
-        kept = [i for i, name in enumerate(jacobian.names) if not name.startswith("boundary")]
-        parts = {part: getattr(jacobian, part)[:, kept] for part in ("x", "u", "slope", "constraints")}
-        return shape, replace(jacobian, names=tuple(jacobian.names[i] for i in kept), **parts)
-
-    found = with_jacobian(monkeypatch, fewer)
-    assert len(found.failed) == 3 and "ValueError" in found.failed[0].remark
-
-
-@pytest.mark.parametrize("check", symmetries.CHECKS[1:-1], ids=lambda check: check.title)
-def test_a_single_distance_without_a_number_fails(check, monkeypatch):
-    """The last of ten shapes is no shape: Python's own max of the ten would be a number."""
-    shapes = []
-    true = cases.RandomCase.shape
-
-    def last_is_nan(self, *arguments, **named):
-        shape = true(self, *arguments, **named)
-        shapes.append(shape)
-        return replace(shape, u=np.full_like(shape.u, np.nan)) if len(shapes) == 10 else shape
-
-    monkeypatch.setattr(cases.RandomCase, "shape", last_is_nan)
-    assert len(verify(1, [check]).failed) == 1

@@ -322,13 +322,6 @@ def read_jacobians(evaluation: Evaluation, converged: Bools) -> Jacobians:
     return Jacobians(insertion.columns.names, by_x, u, slope, points, track, converged)
 
 
-def differentiate_positions(shape: NeedleShape, jacobian: Jacobian, s: Floats) -> Floats:
-    """Return the derivatives (K, 2, P) of `compute_positions(shape, s)` by the Jacobian's parameters."""
-    parts = (shape.x, shape.u, shape.slope, jacobian.u, jacobian.slope)
-    x, u, slope, u_by, slope_by = (part[None] for part in parts)
-    return native.compute_position_derivatives(x, u, slope, s, jacobian.x, u_by, slope_by)[0]
-
-
 def differentiate_batch_positions(shapes: NeedleShapes, jacobians: Jacobians, s: Floats) -> Floats:
     """Return the derivatives (B, K, 2, P) of `compute_batch_positions(shapes, s)`."""
     by = jacobians.x, jacobians.u, jacobians.slope
