@@ -12,8 +12,6 @@ from needlefit.inference.fit import Fit, Start
 from needlefit.inference.identifiability import design_gain
 from needlefit.inference.identifiability.directions import (
     KNOWN_BY_PRIOR,
-    describe_combination,
-    format_sd,
     principal_directions,
 )
 from needlefit.inference.identifiability.identify import (
@@ -144,19 +142,6 @@ def test_information_of_a_linear_model_by_hand():
     assert difference_steps(("mu1_pa", "alpha1"))[1] > difference_steps(("mu1_pa", "alpha1"))[0] > 0
 
 
-def test_directions_are_formatted_as_text():
-    names = ("mu1_pa", "bevel_mm")
-    v = np.array([1.0, 1.9]) / math.hypot(1, 1.9)
-    w = np.array([-v[1], v[0]])
-    information = np.outer(v, v) / 0.01**2 + np.outer(w, w) / 2.0**2
-    first, second = principal_directions(information, names)
-    assert first.words.startswith("mu1^0.53 * b ") and "1.1 %" in first.words
-    assert first.sd == pytest.approx(0.01) and second.sd == pytest.approx(2.0)
-    assert "nearly free" in second.words and "factor of" in second.words
-    assert describe_combination(np.array([1.0, -0.5]), ("alpha1", "bevel_mm")) == "alpha1 - 0.5 ln b"
-    assert describe_combination(np.array([0.001, 1.0]), ("alpha1", "mu2_pa")) == "mu2"
-
-
 def test_a_direction_that_a_tie_alone_knows_is_marked():
     names, tie = ("mu1_pa", "mu3_pa"), math.log(1.2)
     prior = np.eye(2) / 4**2 + np.outer([1, -1], [1, -1]) / tie**2
@@ -243,40 +228,22 @@ PRIOR_SD = (BOUNDS[1] - BOUNDS[0]) / math.sqrt(12)
 
 
 @pytest.mark.parametrize(
-    ("sd", "logarithm", "text"),
+    ("profile", "sd", "draws", "determined", "numbers"),
     [
-        (0.118, True, "12 %"), (1.06, True, "factor 2.9"), (4.87, True, "factor 130"), (0.118, False, "0.12"),
+        (parabola(), 0.1, None, True, []),
+        (parabola(low=MIDDLE - 10 * 0.196), 0.1, None, False, ["10"]),  # times as wide, below
+        (parabola(ends=("bound", "closed"), low=BOUNDS[0]), 0.1, None, False, None),
+        (parabola(), 0.25, None, True, ["2.5"]),
+        (parabola(), 0.1, (math.log(0.05), math.log(0.1)), True, ["0.05", "0.1"]),
     ],
-)  # fmt: skip
-def test_the_sd_of_a_logarithm_is_a_percentage_or_a_factor(sd, logarithm, text):
-    assert format_sd(sd, logarithm) == text
-
-
-def test_words_of_a_profile_and_of_its_agreement_with_information_and_draws():
-    profile = parabola("mu1_pa", math.log(1e6), low=math.log(71.2e3), high=math.log(14.4e6))
-    judged = assess_parameter(ParameterProfile(profile, (math.log(1e3), math.log(1e9))), (1.0, PRIOR_SD))
-    assert judged.profile_verdict.startswith("0.0712 to 14.4 MPa")
-    judged = assess_parameter(ParameterProfile(parabola(), BOUNDS), (0.1, PRIOR_SD))
-    assert judged.determined and judged.agreement == AGREEMENT
-    assert judged.profile_verdict == "0.0822 to 0.122 mm (95 %)"
-    profile = parabola()
-    wide = replace(profile, low=profile.best - 10 * 0.196)
-    judged = assess_parameter(ParameterProfile(wide, BOUNDS), (0.1, PRIOR_SD))
-    assert "10 times" in judged.agreement and "below" in judged.agreement
-    assert not judged.determined
-    assert "in part" in judged.agreement
-    judged = assess_parameter(
-        ParameterProfile(parabola(ends=("bound", "closed"), low=BOUNDS[0]), BOUNDS), (0.1, PRIOR_SD)
-    )
-    assert not judged.determined
-    assert judged.profile_verdict.startswith("not identifiable")
-    assert re.findall(r"\d+\.\d+", judged.profile_verdict) == ["0.122", "0.001"]  # the limit and the bound
-    judged = assess_parameter(
-        ParameterProfile(parabola(), BOUNDS), (0.1, PRIOR_SD), (math.log(0.05), math.log(0.1))
-    )
-    assert re.findall(r"[\d.]*\d", judged.agreement)[-2:] == ["0.05", "0.1"]
-    judged = assess_parameter(ParameterProfile(parabola(), BOUNDS), (0.25, PRIOR_SD))
-    assert "2.5 times" in judged.agreement
+)
+def test_a_profile_is_compared_with_information_and_draws(profile, sd, draws, determined, numbers):
+    judged = assess_parameter(ParameterProfile(profile, BOUNDS), (sd, PRIOR_SD), draws)
+    assert judged.determined == determined and (judged.agreement == AGREEMENT) == (numbers == [])
+    if numbers is None:  # the limit, and the bound that leaves the interval open
+        assert re.findall(r"\d+\.\d+", judged.profile_verdict) == ["0.122", "0.001"]
+    elif numbers:
+        assert re.findall(r"\d[\d.]*", judged.agreement)[-len(numbers) :] == numbers
 
 
 def test_layers_of_one_material_share_the_alpha_that_is_freed():

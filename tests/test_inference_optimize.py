@@ -467,13 +467,3 @@ def test_uncertain_depths_are_approached_as_stated_and_a_metric_by_plain_squares
     off = simulated[:, 1] - measured[:, 1]
     # every point weighs as the next one does, but for what the pose's angle does to it
     assert np.corrcoef(off[1:], residuals[1:])[0, 1] > 0.95
-
-
-@pytest.mark.parametrize("approach", [True, False])
-def test_squares_and_gradients_end_at_the_same_posterior_of_needles(approach):
-    made = measure(TRUTH, medium(), insertion(24.0, (9.0,), (1, 2)))
-    task = problem(medium(), [replace(made, boundary_sd=0.1)])
-    ways = ("leastsquares", "slsqp")
-    fits = [minimize(task, squares_recipe(algorithm=way, starts=2, approach=approach), rng()) for way in ways]
-    assert fits[0].objective == pytest.approx(fits[1].objective, abs=1e-6)
-    assert task.log_posterior(np.array(fits[1].theta)) == -fits[1].objective

@@ -472,29 +472,6 @@ def test_a_gain_of_the_guide_is_taken_over_from_runs_alike():
     assert off["with"] < 0.15 < 0.3 * off["without"]
 
 
-def test_a_yielding_entry_takes_weight_from_the_first_readings():
-    """The same error of the readings near the entry moves the prediction less where the entry yields."""
-    moved = {}
-    for name, errors in (("stiff", TrackErrorsRecord()), ("yields", TrackErrorsRecord(entry_sd_mm=1.0))):
-        shifts = []
-        for add in (0.0, 1.0):
-            groups = Groups(TrackErrorsRecord(), 7)
-            groups.tips[1] = groups.tips[1].copy()
-            one = groups.measure(1, 0.0, 0.03)
-            seen = observation.make_observation(
-                groups.data,
-                with_tip(one, one.tip + add * (DEPTH < 8)),
-                likelihood=groups.likelihood.model_copy(update={"tip_tracks": errors}),
-            )
-            y = groups.tips[1][None]
-            columns = tracking.list_columns(seen, y[:, None])
-            drawn = tracking.TrackDraws((), (y,), np.ones(1), False, (), (columns,))
-            (found,) = tracking.predict_runs(drawn, (), (seen,), [5], np.random.default_rng(1))
-            shifts.append(found[0, 0])
-        moved[name] = abs(shifts[1] - shifts[0])
-    assert moved["yields"] < 0.5 * moved["stiff"]
-
-
 @pytest.mark.parametrize("part", ["gain_sd", "slope_sd_deg", "entry_sd_mm"])
 def test_measurements_are_simulated_with_the_errors_that_the_likelihood_states(part):
     """Each by itself, about the truth; of a session whose own slope is known."""
