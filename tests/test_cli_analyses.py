@@ -12,7 +12,6 @@ from contextlib import redirect_stdout
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
-from types import SimpleNamespace
 
 import pandas as pd
 import pytest
@@ -21,15 +20,12 @@ from test_cli import run
 from test_viewer_recording import recorded
 
 from needlefit.inference.identifiability.directions import KNOWN_BY_PRIOR
-from needlefit.inference.identifiability.identify import AGREEMENT
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.medium import MaterialRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies import job
-from needlefit.studies.identification_tables import lay_out_identification
 from needlefit.studies.job import Settings, prepare
-from needlefit.studies.kinds import identification
 from needlefit.studies.provenance import describe_configuration
 from needlefit.verification import check as running
 from needlefit.verification.check import (
@@ -82,24 +78,6 @@ def test_the_design_part_ranks_the_parameters_of_one_short_insertion(designed):
     assert found.iloc[0]["combination"] in sentences and tied["combination"] not in sentences
     assert table.loc["bevel_spread", "sd_ratio"] == pytest.approx(1.0)
     assert json.loads((folder / "run.json").read_text())["values"]["mu1_pa"] == pytest.approx(5e4)
-
-
-def test_a_parameter_that_needs_an_assumption_states_it_in_table_and_sentence():
-    row = {
-        "fold": "all", "parameter": "mu3_pa", "status": "free", "determined": False,
-        "note": "an assumption", "value": 2.2e5, "prior_sd": 3.0, "sd": 0.19, "sd_low": 0.19, "sd_high": 0.19,
-        "fisher_sd": 0.19, "sd_ratio": 0.06, "low": 1.5e5, "high": 3.2e5, "end_low": "closed",
-        "end_high": "closed", "tip_range_mm": None, "profile_verdict": "154 to 321 kPa (95 %)",
-    }  # fmt: skip
-    about = {"insertions": 1, "place": "here", "places_near": 3, "layers": "one", "depths_mm": [20.0, 30.0]}
-    about |= {"medium": {"thickness_mm": 40.0}}
-    for agreement, contrasted in ((AGREEMENT, False), ("the profile is 2 times wider below", True)):
-        frame = pd.DataFrame([row | {"agreement": agreement}])
-        found = SimpleNamespace(frames={"identify": frame, "directions": pd.DataFrame()}, run=about)
-        sentence = identification.REPORT.summarize(found)[1]
-        assert "19 %" in sentence and "154 to 321 kPa" in sentence and "an assumption" in sentence
-        assert (" but " in sentence) is contrasted
-        assert "an assumption" in lay_out_identification(frame, expected=True).rows[0][-1]
 
 
 @pytest.mark.sweep

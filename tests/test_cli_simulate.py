@@ -5,8 +5,6 @@ import math
 import re
 import time
 
-import numpy as np
-import pandas as pd
 import pytest
 from test_cli import run
 from test_viewer_recording import WANDERING, recorded
@@ -15,7 +13,6 @@ from needlefit.cli import screen
 from needlefit.project.locate import find_file, list_names
 from needlefit.project.toml import load
 from needlefit.project.unit_warnings import coarse_warnings, scene_warnings
-from needlefit.reporting.figures import animation
 from needlefit.schemas.scene import SceneRecord
 
 
@@ -42,13 +39,6 @@ def test_json_has_the_documented_keys(capsys):
     (step,) = found["steps"]
     assert {key: found[key] for key in step} == step
     assert step["tip_angle_deg"] == pytest.approx(math.degrees(step["tip_slope"]))
-
-
-@pytest.mark.parametrize(
-    ("scene", "implied_mm"), [("phantom1", 1.2), ("phantom3", 1.0), ("chicken", 0.29)]
-)  # the deflections that the published parameters give in this model
-def test_magnitudes(scene, implied_mm, capsys):
-    assert answer(capsys, scene)["tip_lateral_mm"] == pytest.approx(implied_mm, rel=0.15)
 
 
 @pytest.mark.parametrize(("side", "row", "tip"), [(1, 0, "1.33"), (-1, -1, "-1.33")])
@@ -186,11 +176,6 @@ def test_strict_turns_a_warning_into_an_exit_code_and_nothing_else(capsys):
     assert run("simulate", "phantom2", "--strict") == 0
 
 
-def test_a_steep_offset_of_a_step_gives_a_warning_per_mm(capsys):
-    found = answer(capsys, "figure1", *settings("steps.2.offset_mm=1.5", "rules.constraint_spacing_mm=0.5"))
-    assert "`steps.2.offset_mm`" in found["stderr"] and "1.5 mm per 0.5 mm" in found["stderr"]
-
-
 def test_a_plot_is_drawn_the_same_twice(tmp_path, capsys):
     for name in ("a.png", "b.png"):
         assert run("simulate", "phantom1", "--plot", str(tmp_path / name)) == 0
@@ -226,13 +211,6 @@ def test_an_insertion_of_few_constraint_cells_is_named_as_coarse(depth, spacing,
     found = warned(answer(capsys, "phantom1", *settings(*sizes)), "coarse")
     assert len(found) == count
     assert all("`rules.constraint_spacing_mm`" in one["what"] for one in found)
-
-
-def test_a_path_is_a_scene_too(tmp_path, monkeypatch, capsys):
-    text = find_file("scene", "chicken").read_text(encoding="utf-8")
-    (tmp_path / "mine.toml").write_text(text.replace("depth_mm = 44.1", "depth_mm = 20"), encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    assert answer(capsys, "mine.toml")["depth_mm"] == answer(capsys, "./mine.toml")["depth_mm"] == 20
 
 
 def test_every_step_has_an_entry_and_a_line(capsys):
@@ -295,26 +273,6 @@ def test_a_recording_is_printed_as_a_scene_is_with_what_differs(log, capsys):
     assert answer(capsys, "--recording", path)["replayed"]["tip_offset_mm"] == pytest.approx(1e-3, rel=1e-6)
     run("simulate", "--recording", str(path))
     assert " 0.001 mm " in capsys.readouterr().out
-
-
-@pytest.mark.sweep
-def test_files_of_a_recording_and_of_a_scene(log, tmp_path, capsys, monkeypatch):
-    for name, value in (("MAX_FRAMES", 4), ("FINAL_FRAMES", 2), ("DOTS_PER_INCH", 15)):
-        monkeypatch.setattr(animation, name, value)
-    files = {"csv": "a.csv", "slicer": "a.mrk.json", "plot": "a.svg", "animation": "a.gif"}
-    options = [word for option, file in files.items() for word in (f"--{option}", tmp_path / file)]
-    for source in (["--recording", log[0], "--step", 8], ["study2", "--depth", 20]):
-        assert run("simulate", *map(str, [*source, *options])) == 0
-        captured = capsys.readouterr()
-        tip = float(re.search(r"[-−]?[\d.]+", captured.out)[0])
-        assert all(f": {tmp_path / file}" in captured.err for file in files.values())
-        assert pd.read_csv(tmp_path / "a.csv")["y_mm"].iloc[-1] == pytest.approx(tip, abs=5.1e-4)
-        (curve,) = json.loads((tmp_path / "a.mrk.json").read_text())["markups"]
-        np.testing.assert_allclose(curve["controlPoints"][-1]["position"][1], tip, atol=5.1e-4)
-        assert (tmp_path / "a.svg").read_bytes().startswith(b"<?xml")
-        assert (tmp_path / "a.gif").read_bytes().startswith(b"GIF89a")
-        for file in files.values():
-            (tmp_path / file).unlink()
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from reporting_results import stereo, study
+from reporting_results import study
 from test_cli import run
 
 from needlefit.cli import screen
@@ -111,15 +111,6 @@ def test_validate_reference_writes_evidence(stub):
     evidence = pd.read_csv("new/reference/mine/validation.csv")
     assert all(f"{value:.5g}" == f"{value:.9g}" for value in evidence["value"])
     assert "searches" not in json.loads(Path("new/reference/mine/run.json").read_text())
-
-
-def test_a_curve_as_close_as_the_model_is_named_with_its_difference_on_demand(stub, capsys):
-    stub(stereo())
-    assert run("validate", "mine", "--explain") == 0
-    printed = " ".join(capsys.readouterr().out.split())
-    assert re.search(r"linear in arc length \(−0\.002 ± 0\.002 mm", printed)
-    assert run("validate", "mine", "--out", "brief") == 0
-    assert "± 0.002 mm" not in capsys.readouterr().out
 
 
 def test_simulations_that_fail_are_marked_by_the_exit_code(stub, capsys):

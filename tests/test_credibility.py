@@ -2,7 +2,6 @@
 
 import json
 import re
-from dataclasses import replace
 from shutil import copytree
 
 import pandas as pd
@@ -15,7 +14,6 @@ from credibility_cases import (
     leave_verification,
     results,
 )
-from reporting_results import stereo
 from test_cli import run
 
 from needlefit.errors import DataError
@@ -171,15 +169,6 @@ def test_verification_of_another_mesh_covers_the_code_but_not_the_discretisation
     assert " 1 mm" in gaps and " 0.5 mm" in gaps
 
 
-def test_a_figure_beside_the_numbers_is_shown_and_its_bytes_are_recorded(alone, tmp_path):
-    folder = leave_verification(tmp_path)
-    assert find_code_verification(load_case(alone)).blocks == ()
-    (folder / "convergence.pdf").write_bytes(b"figure")
-    (picture,) = find_code_verification(load_case(alone)).blocks
-    assert picture["kind"] == "figure" and picture["path"] == folder / "convergence.pdf"
-    assert "convergence.pdf" in load_case(alone).evidence[0].digests
-
-
 def test_named_folders_replace_those_found_and_are_refused_if_no_evidence(alone, tmp_path):
     leave_verification(tmp_path, measured=1e-8)
     named = leave_verification(tmp_path / "elsewhere", measured=2e-8)
@@ -205,14 +194,6 @@ def test_evidence_with_a_table_missing_or_of_another_layout_is_not_counted(tmp_p
     assert objections["sensitivity"][0].endswith(" change")
 
 
-def test_measured_shapes_are_not_called_synthetic_and_leave_gaps(tmp_path):
-    found = read_findings(leave(replace(stereo(), run={"name": "stereo_insertions"}), tmp_path))
-    assert not any("nothing physical" in gap for _, gaps in found.values() for gap in gaps)
-    assert "rigid alignment" in found["outputs_alike"][0]
-    assert "uncertainty" in " ".join(found["rigour"][1])
-    assert "Nothing found" in found["quality_assurance"][0] or found["quality_assurance"][1]
-
-
 def test_equal_findings_of_several_runs_are_listed_once(tmp_path):
     runs = [results(1), results(5)]
     for one in runs:
@@ -228,13 +209,6 @@ def test_equal_findings_of_several_runs_are_listed_once(tmp_path):
     assert any(item.startswith("study5: 500 truths") for item in items)
     gaps = [block["text"] for block in blocks if block["kind"] == "empty"]
     assert any(re.search(r"uncertainties .* study1: ", gap) for gap in gaps)
-
-
-def test_statements_of_the_user_fill_their_factors(alone):
-    question = "Where does the tip end?"
-    found = read_findings(alone, about={"question_of_interest": question})
-    assert found["question_of_interest"] == (question, [])
-    assert found["context_of_use"][1]
 
 
 def test_a_bundle_claims_nothing_and_records_what_it_read(alone, tmp_path, capsys, monkeypatch):

@@ -4,17 +4,11 @@ import dataclasses
 import io
 import json
 import math
-import re
 from dataclasses import replace
-from importlib.resources import files
-from itertools import pairwise
 
-import matplotlib.style
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.image import imread
 from PIL import Image
 from test_viewer_recording import recorded
 
@@ -31,14 +25,8 @@ from needlefit.reporting.figures.animation import sample_states
 from needlefit.reporting.figures.needles import (
     SceneOverlays,
     StateFigure,
-    describe_changes,
-    describe_state,
-    draw_scene,
-    label_layers,
     paint_steps,
-    round_up,
 )
-from needlefit.reporting.figures.style import RC_PARAMS
 from needlefit.reporting.shape_table import tabulate_shape, write_shape
 from needlefit.viewer.export import EXPORT_TYPES, export, replay_to_end, write_picture
 from needlefit.viewer.opening import open_target
@@ -145,40 +133,6 @@ def test_the_inserted_part_alone_is_shown_where_nothing_but_the_bevel_steers() -
     for whole, start in ((None, -4.0), (False, -4.0), (True, -140.0)):
         moment_figure = StateFigure("Free", plain, [end(plain)], SceneOverlays(), whole)
         assert moment_figure.axes.get_xlim()[0] == pytest.approx(start, abs=8.0)
-
-
-def test_the_text_above_lists_the_acting_loads() -> None:
-    moment = end(scene())
-    found = compute_loads(moment.shape, TISSUE, NEEDLE, moment.step.controls)
-    lines, tip = describe_state(Entry(), moment, found, 90)
-    assert lines[0].split("  ·  ")[:3] == ["15.25 mm deep", "bevel right", "base +1 mm"]
-    forces = [found.base.force, *(hold.force for hold in found.guides)]
-    base, guide, ring = (f"{force:+.3f} N" for force in forces)
-    expected = f"base {base}, {found.base.moment:+.2f} N mm  ·  guide 1 {guide}  ·  ring {ring}"
-    assert lines[1] == expected.replace("-", "−")
-    assert len(describe_state(Entry(), moment, found, 30)[0]) > 4
-    assert tip[1] == (f"tip force {found.tip_force:+.3f} N".replace("-", "−"))
-
-
-@pytest.mark.parametrize(
-    ("value", "rounded"), [(0.013, 0.02), (1.0, 1.0), (2.1, 5.0), (5.1, 10.0), (0.5, 0.5), (700.0, 1000.0)]
-)
-def test_scales_are_round(value: float, rounded: float) -> None:
-    assert round_up(value) == rounded
-
-
-def test_a_picture_before_first_contact_has_no_load(tmp_path) -> None:
-    one = replace(scene(), steps=(Step(0.0, Bevel(0.1)),))
-    moment_figure = StateFigure("Before", one, [end(one)])
-    moment_figure.paint(end(one))
-    assert moment_figure.per_mm == 0 and moment_figure.axes.get_xlim()[0] < -100
-
-
-def test_pictures_have_the_colours_of_the_page() -> None:
-    moment_figure = (files("needlefit.viewer") / "page" / "style.css").read_text()
-    for name, colour in needles.COLOURS.items():
-        found = re.search(rf"--{name}: (?:light-dark\()?(#\w+)", moment_figure)
-        assert found.group(1) == colour  # the first: by light
 
 
 # ---- on the way ----
@@ -324,67 +278,6 @@ def test_of_many_steps_an_even_selection_is_shown_and_counted_in_the_title(angle
     assert len(figure.axes) == 4 and "of" not in figure.legends[0].get_title().get_text()
 
 
-@pytest.mark.parametrize(("side", "angle"), [(1, 0.0), (-1, 0.3)])
-def test_labels_of_layers_stay_in_the_panel_and_clear_of_its_title(side, angle, monkeypatch):
-    monkeypatch.setattr(needles, "MAX_PANELS", 8)
-    needle = Needle.from_tube(150.0, 1.27, 80e3)
-    tissue = Tissue(np.array([0.1, 0.2, 0.3]), np.ones(3), np.array([20.0, 40.0]))
-    steps = tuple(Step(6.2 * n, Bevel(0.05, side)) for n in range(1, needles.MAX_PANELS + 6))
-    many = Scene(needle, tissue, steps, entry=Entry(5.0, -7.0, angle))
-    with matplotlib.style.context(["default", RC_PARAMS]):
-        figure = paint_steps("Many steps", many, simulate_scene(many))
-        FigureCanvasAgg(figure)
-        figure.draw_without_rendering()
-        first = figure.axes[0]
-        labels = [text.get_window_extent() for text in first.texts]
-        above = [one.get_window_extent() for one in (first.title, first._right_title) if one.get_text()]
-        assert len(labels) == 3
-        for label in labels:
-            assert label.y1 <= first.bbox.y1 + 1 and label.y0 >= first.bbox.y0 - 1
-            assert not any(label.overlaps(head) for head in above)
-        assert not any(a.overlaps(b) for a, b in pairwise(labels))
-
-
-def test_a_panel_title_names_the_changes_of_its_step():
-    first, second, third = two_layers(MOVED, PULLED).steps
-    assert describe_changes(None, first) == ["bevel left"]
-    assert describe_changes(first, second) == ["bevel right", "base +2 mm", "guide +1 mm"]
-    assert describe_changes(second, third) == ["guide let go"]
-    named = dataclasses.replace(third, controls=Controls(2.0, guides=(Guide(-10.0, 1.5, name="ring"),)))
-    assert describe_changes(third, named, " in C") == ["ring +1.5 mm in C"]
-    assert describe_changes(named, third) == ["ring let go"]
-    tracked = dataclasses.replace(third, bevel=Bevel(0.1, -1), controls=Controls(2.0, tip=TrackedTip(-0.5)))
-    assert describe_changes(third, tracked) == ["bevel right, b 0.1 mm", "tip tracked at −0.5 mm"]
-    assert describe_changes(tracked, dataclasses.replace(tracked, controls=Controls(2.0))) == ["tip let go"]
-
-
-def test_the_title_names_the_frame_where_it_is_not_the_world():
-    for entry, frame in ((Entry(), ""), (Entry(30.0), " in C")):
-        one = two_layers(MOVED, entry=entry)
-        panels = paint_steps("Two steps", one, simulate_scene(one)).axes
-        assert panels[1].get_title("left").endswith(f"base +2 mm{frame}  ·  guide +1 mm{frame}")
-        assert re.fullmatch(rf"tip [+−]\d\.\d\d mm{frame}", panels[1].get_title("right"))
-
-
-def test_the_layers_of_a_picture_are_all_called_in_the_same_way():
-    one = dataclasses.replace(two_layers(), layer_names=("fat", "muscle"))
-    assert label_layers(one, {0: 1.0, 1: 1.0}) == {0: "fat\n200 kPa", 1: "muscle\n33 MPa"}
-    assert label_layers(one, {0: 0.5, 1: 0.5}) == {0: "fat", 1: "muscle"}
-    assert label_layers(one, {0: 1.0, 1: 0.2}) == {0: "1\n200 kPa", 1: "2"}
-    long = dataclasses.replace(one, layer_names=("", "the muscle below the second fascia"))
-    assert label_layers(long, {0: 1.0, 1: 1.0})[1].startswith("layer 2")
-    assert label_layers(one, {1: 1.0}) == {1: "muscle\n33 MPa"}
-
-
-@pytest.mark.parametrize("more", [(), (MOVED, PULLED)], ids=["one step", "three steps"])
-def test_no_blank_band_stands_above_or_below_a_picture(tmp_path, more):
-    one = two_layers(*more)
-    draw_scene("Two layers", one, simulate_scene(one), tmp_path / "a.png")
-    rows = np.flatnonzero((imread(tmp_path / "a.png")[..., :3] < 1).any(axis=(1, 2)))
-    height = len(imread(tmp_path / "a.png"))
-    assert rows[0] < 0.1 * 200 and rows[-1] > height - 0.1 * 200  # pixels, at 200 to the inch
-
-
 def test_the_steps_after_a_failure_are_not_drawn():
     one = two_layers(dataclasses.replace(MOVED, bevel=Bevel(60.0)), PULLED)
     shapes = simulate_scene(one)
@@ -394,32 +287,3 @@ def test_the_steps_after_a_failure_are_not_drawn():
     assert panels[1].get_title("right") == "" and panels[1].get_aspect() <= 5
     base = one.entry.to_world([[40.0 - 150.0, 2.0]])[0]  # where the step brought it
     assert any(np.allclose(line.get_xydata()[0], base) for line in panels[1].lines)
-
-
-STEERED = (
-    Controls(1.0), Controls(0.0, 0.02), Controls(stage_slope=0.01), Controls(tip=TrackedTip(0.5)),
-    Controls(guides=(Guide(-10.0),)),
-)  # fmt: skip
-
-
-@pytest.mark.parametrize("controls", STEERED)
-def test_one_step_that_is_steered_shows_its_base_and_guides(controls):
-    plain = two_layers()
-    one = dataclasses.replace(plain, steps=(dataclasses.replace(plain.steps[0], controls=controls),))
-    (axes,) = paint_steps("Steered", one, simulate_scene(one)).axes
-    assert axes.get_title("left").startswith("to 25 mm")
-    drawn = np.concatenate([line.get_xydata() for line in axes.lines])
-    held = [(25.0 - 150.0, controls.base_y + 25.0 * controls.stage_slope)]
-    for point in held + [(guide.x, guide.y) for guide in controls.guides]:
-        assert np.abs(drawn - point).max(axis=1).min() < 1e-9
-
-
-@pytest.mark.parametrize("name", ["needle.jpg", "needle"])
-def test_another_suffix_is_refused_and_the_valid_ones_named(tmp_path, name):
-    one = two_layers()
-    shapes = simulate_scene(one)
-    with pytest.raises(ConfigError, match="needle") as fault:
-        draw_scene("Two layers", one, shapes, tmp_path / name)
-    assert all(suffix in str(fault.value) for suffix in (".pdf", ".png", ".svg"))
-    with pytest.raises(ConfigError, match="no such folder"):
-        draw_scene("Two layers", one, shapes, tmp_path / "missing" / "needle.pdf")

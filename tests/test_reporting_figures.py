@@ -17,7 +17,6 @@ from needlefit.reporting.figures.fit_forms import choose_log_ticks
 from needlefit.studies.kinds.cross_validation import report, tables
 from needlefit.studies.kinds.cross_validation.report import (
     collect_curves,
-    describe_counts,
     subtract_fit,
     tabulate_predictive_check,
 )
@@ -35,12 +34,6 @@ def test_residuals_are_heights_above_the_fit_at_the_same_depth():
     assert off["y_mm"].dropna().tolist() == pytest.approx([0.5] * 4)
     assert off["low_mm"].dropna().tolist() == pytest.approx([-1.0] * 4)
     assert off["high_mm"].dropna().tolist() == pytest.approx([2.0] * 4)
-
-
-def test_starts_are_counted_as_each_search_had_them():
-    assert re.findall(r"\d+ \w+", describe_counts(study(5).frames["starts"])) == ["8 starts", "2 searches"]
-    assert re.findall(r"\d+ \w+", describe_counts(stereo().frames["starts"])) == ["8 starts", "3 folds"]
-    assert describe_counts(stereo().frames["starts"].query("fold == 1")) == "8 starts"
 
 
 def test_bands_stay_at_the_needle_they_were_predicted_for():

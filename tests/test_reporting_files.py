@@ -19,9 +19,8 @@ from needlefit.reporting.table import TableColumn, TableLayout
 from needlefit.studies.combined_report import write_combined
 from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.kinds.cross_validation.report import format_macros, format_methods, format_references
-from needlefit.studies.kinds.cross_validation.tables import lay_out_parameters
 from needlefit.studies.paper_folder import write_paper_folder
-from needlefit.studies.report import compose_run_report, say, write_run
+from needlefit.studies.report import say, write_run
 
 FIGURES = ("boxplot", "schematic", "overlays", "waterfall")
 EXPECTED = {
@@ -64,26 +63,6 @@ def test_every_table_is_marked_synthetic(folder):
     assert json.loads((folder / "timing.json").read_text()) == {"out": "somewhere", "seconds": 12.5}
     for path in folder.glob("*.tex"):
         assert path.read_text().count(r"\caption{SYNTHETIC DATA.") == path.read_text().count(r"\caption{")
-
-
-def test_failures_are_counted_by_reason_where_there_are_any():
-    """Start 0 of both fits fails 600 times, every fourth time because it does not converge; 20 are kept."""
-    texts = [block.get("text") or "" for block in compose_run_report(study(1), {}).blocks]
-    (warning,) = (text for text in texts if "failures.csv" in text)
-    assert re.findall(r"\d+", warning) == ["1200", "9600", "40", "30", "10"]
-    assert "30 over-compressed" in warning and "10 not converged" in warning
-
-
-@pytest.mark.sweep
-def test_the_report_warns_before_any_number():
-    document = compose_run_report(study(1), {})
-    assert document.synthetic
-    assert "consistency" in document.blocks[0]["text"]
-    assert "INTERRUPTED" in compose_run_report(study(2), {}).blocks[1]["text"]
-    assert "NOT CONVERGED" in compose_run_report(study(3), {}).blocks[1]["text"]
-    measured = compose_run_report(stereo(), {})
-    assert not measured.synthetic
-    assert measured.blocks[0]["kind"] == "verdict"
 
 
 @pytest.mark.sweep
@@ -161,26 +140,6 @@ def test_the_methods_paragraph_describes_this_run():
     assert re.search(r"BOBYQA\b.*\bNELDERMEAD\b.*\b5 starts", changed) and "posterior" not in changed
 
 
-@pytest.mark.parametrize(
-    ("operator", "likelihood", "words"),
-    [
-        ("spline", {}, "coefficients"),
-        ("spline", {"measurement": "points"}, "as they are"),
-        ("spline", {"noise": "independent"}, "as they are"),
-        ("gaussian", {}, "smoothed"),
-        ("unknown", {}, "bias"),
-    ],
-)
-def test_the_methods_paragraph_names_the_operator_and_what_insertions_share(operator, likelihood, words):
-    data = {"measurement": {"operator": operator, "description": "MEASURED"}, "boundary_shared_sd_mm": [0.07]}
-    recipe = RECIPE | {"likelihood": RECIPE["likelihood"] | likelihood}
-    plain, text = (say(run_of(recipe=recipe, **more), "methods") for more in ({}, {"dataset": data}))
-    assert "MEASURED" in text and words in text and words not in plain
-    assert "0.07 mm" in text
-    fixed = recipe | {"likelihood": recipe["likelihood"] | {"depths": "fixed"}}
-    assert "0.07 mm" not in say(run_of(recipe=fixed, dataset=data), "methods")
-
-
 def test_citations_and_entries_correspond():
     one = run_of()
     cited = {
@@ -236,13 +195,6 @@ def test_keys_of_parameters_differ_by_their_symbols():
     assert r"\nfnum{study2-ranks-mu2-coverage}{95}" in macros
 
 
-def test_methods_name_synthetic_data():
-    one = run_of(dataset={**RUN["dataset"], "name": "twin"})
-    assert "synthetic" in format_methods(one)[0]
-    measured = dataclasses.replace(one, origin="measured")
-    assert "synthetic" not in format_methods(measured)[0]
-
-
 @pytest.fixture
 def written(tmp_path):
     """The paths of a run's folder and of a paper's folder made from it."""
@@ -282,13 +234,3 @@ def test_the_example_inputs_every_table_and_the_methods(tmp_path):
     )
     assert set(re.findall(r"\\input\{(\w+)\}", text)) == {"numbers", "methods", "validation", "parameters"}
     assert r"\title{A \& B}" in text and r"\begin{figure}" in text and r"\caption{50 \%}" in text
-
-
-def test_macros_of_parameters_have_the_interval_of_the_table_and_keys_without_notes():
-    results = study(5)
-    layout = lay_out_parameters([results])
-    text = format_macros([results])
-    keys = re.findall(r"^\\nf\w+\{study5-parameters-([^}]+)\}", text, re.M)
-    heads = [column.label for column in layout.columns]
-    notes = [row[heads.index("Note")] for row in layout.rows]
-    assert keys and not any(re.search("determined|known|fixed|tied", key) for key in keys), (keys, notes)

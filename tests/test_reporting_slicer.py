@@ -18,7 +18,7 @@ from test_validation_run import made, project, study
 from needlefit.datasets.formats.fcsv import read_fcsv
 from needlefit.datasets.formats.mrk_json import read_mrk_json
 from needlefit.datasets.read import read
-from needlefit.errors import ConfigError, DataError
+from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.meshes import TUBE_FACETS, make_tube, write_ply
 from needlefit.geometry.surfaces import make_mesh
@@ -29,13 +29,12 @@ from needlefit.inference.fit import Callbacks
 from needlefit.inference.identifiability.identify import identify
 from needlefit.inference.optimize import minimize
 from needlefit.inference.sampling.posterior import Convergence, Posterior
-from needlefit.mechanics.scene import Entry
 from needlefit.project.random_streams import random_stream
 from needlefit.studies.job import prepare
 from needlefit.studies.kinds.cross_validation.run import Settings, run
 from needlefit.studies.needle_placement import BAND_DRAWS, FoldFit, place_needles
 from needlefit.studies.needles_in_scan import read_needles
-from needlefit.studies.slicer import write_needles, write_scene
+from needlefit.studies.slicer import write_needles
 
 __all__ = ["project"]  # a fixture
 POLYGON = (
@@ -257,17 +256,6 @@ def test_simulate_writes_a_body_too(scene):
     assert code == 0 and body.is_watertight
     tip = json.loads(output.out)["tip_mm"]
     assert np.linalg.norm(body.vertices - [*tip, 0], axis=1).min() < 1e-4
-
-
-def test_simulate_refuses_another_ending_or_folder(scene, tmp_path):
-    code, path, output = scene(".stl", "phantom1")
-    assert code == 3 and ".mrk.json" in output.err and ".ply" in output.err and not path.exists()
-    with pytest.raises(ConfigError, match="no such folder"):
-        write_scene(Entry().placement, (), tmp_path / "none" / "needle.ply")
-    assert (
-        not write_scene(Entry().placement, (), tmp_path / "needle.ply")
-        and not (tmp_path / "needle.ply").exists()
-    )
 
 
 FILES = Path(slicerio.__file__).parent / "data"

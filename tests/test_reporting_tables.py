@@ -3,7 +3,6 @@
 import json
 import math
 import re
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -15,7 +14,6 @@ from needlefit.reporting.columns import (
     LENGTH_ERROR_FORMAT,
     METRIC_FORMAT,
     Column,
-    find_column,
     list_columns,
 )
 from needlefit.reporting.latex import escape_latex, format_cell, format_latex
@@ -24,30 +22,24 @@ from needlefit.reporting.number_format import (
     format_mm,
     format_number,
     format_percent,
-    format_signed_mm,
     format_symbol,
     insert_symbols,
     typeset,
     typeset_interval,
 )
 from needlefit.reporting.table import Table, part, pivot
-from needlefit.reporting.table_files import to_records, to_tidy
+from needlefit.reporting.table_files import to_records
 from needlefit.studies import paper
-from needlefit.studies.kind import KINDS
-from needlefit.studies.kinds.cross_validation.report import REPORT, Facts, explain, list_sentences
+from needlefit.studies.kinds.cross_validation.report import Facts, list_sentences
 from needlefit.studies.kinds.cross_validation.tables import (
     CONDITIONAL,
     NOT_DETERMINED,
     SEE_INTERVAL,
     WIDE_INTERVAL,
     arrange_parameters,
-    lay_out_baselines,
     lay_out_contradictions,
-    lay_out_design,
-    lay_out_insertions,
     lay_out_parameters,
     lay_out_posterior,
-    lay_out_tuning,
     lay_out_validation,
     lay_out_values,
     tabulate_parameters,
@@ -88,10 +80,6 @@ def two_needles(errors_mm=(1.0, 3.0), deflections_mm=(2.0, 1.0), converged=(True
         key = {name: row[name] for name in ("fold", "role", "insertion", "method", "boundaries")}
         shapes.append(pd.DataFrame(points).assign(j=np.arange(101), **key))
     return study(1).with_frames(errors=pd.DataFrame(rows), shapes=pd.concat(shapes))
-
-
-def compared(results: Run) -> str:
-    return " ".join(list_sentences(results, "conclusion", "ties", "paper_sets"))
 
 
 def by_metric(frame: pd.DataFrame, column: str = "value") -> dict:
@@ -142,39 +130,6 @@ def test_baselines_are_compared_on_the_same_insertions():
     )
 
 
-def test_explained_sentences_that_differ_between_folds_name_their_fold():
-    results = stereo()
-    folds = ["without a", "without b", "without c"]
-    row = results.frames["parameters"].query("method == 'fitted'").iloc[0].to_dict()
-    row |= {"determined": False, "status": "free"}
-    shared = [row | {"fold": fold, "note": "not determined"} for fold in folds]
-    own = [one | {"parameter": "mu2_pa", "note": f"not determined {n}"} for n, one in enumerate(shared)]
-    direction = results.frames["directions"].iloc[0].to_dict() | {"sd_ratio": 0.1}
-    found = results.with_frames(
-        parameters=pd.DataFrame(shared + own),
-        directions=pd.DataFrame([direction | {"fold": fold, "note": fold} for fold in folds]),
-    )
-    sentences = explain(found)[1]
-    once = [one for one in sentences if one.endswith("not determined.")]
-    assert len(once) == 1 and not any(fold in once[0] for fold in folds)
-    for n, fold in enumerate(folds):
-        (named,) = (one for one in sentences if one.endswith(f"not determined {n}."))
-        assert fold in named
-        assert fold in sentences[sentences.index(f"{fold}.") - 1]
-
-
-def test_a_better_parameter_set_of_the_paper_is_reported_with_its_difference():
-    one = two_needles((1.0, 3.0))
-    retuned = one.frames["errors"].assign(method="hand_tuned_b", te_mm=[0.5, 2.0])
-    worse = one.frames["errors"].assign(method="hand_tuned", te_mm=[1.5, 4.0])
-    both = one.with_frames(errors=pd.concat([one.frames["errors"], retuned, worse]))
-    gap = "(−0.750 ± 0.250 mm"
-    assert f"b re-fitted {gap}" in compared(both)
-    assert f"b re-fitted {gap}" in say(both, "better")
-    assert say(both, "better").count("±") == 1  # the other set of the paper does worse
-    assert say(one, "better") == ""
-
-
 def test_the_validation_table_has_every_cell_of_the_paper():
     published = paper.read_published_table("validation")
     table = tabulate_validation(*(study(n) for n in range(1, 6)))
@@ -196,16 +151,6 @@ def test_rows_are_json_and_missing_cells_are_null():
     assert table["paper"].isna().all() and "hand_tuned" not in set(table["method"])
     assert rows[0]["study"] == "stereo_insertions"
     assert "no such row" in rows[0]["comparable"]
-
-
-def test_held_out_groups_have_planned_pooled_and_floor_values():
-    group = list_groups(tabulate_validation(study(1)))[0]
-    assert group.get("te_mm", "floor") == pytest.approx(0.22)
-    assert group.get("edp_percent", "floor") is None
-    assert group.get("te_mm", boundaries="planned") != group.get("te_mm")
-    assert group.get("ipe_mean_mm", "pooled") == pytest.approx(group.get("ipe_mean_mm"))
-    assert group.get("ipe_max_mm", "pooled") > group.get("ipe_max_mm")
-    assert group.get("te_mm", method="straight") > group.get("te_mm")
 
 
 def test_errors_stand_as_multiples_of_their_floor():
@@ -281,15 +226,6 @@ def test_a_fixed_parameter_is_given_and_marked_as_fixed():
     assert "fixed, not fitted: α₁" in say(study(5), "undetermined")
 
 
-@pytest.mark.parametrize("results", [study(1), study(5), stereo()], ids=["study1", "study5", "stereo"])
-def test_every_row_has_a_cell_per_column(results):
-    tables = [lay_out_validation([results]), lay_out_tuning([results], "layers"), lay_out_design([results])]
-    tables += [lay_out_baselines(results, "validate"), lay_out_insertions(results, "validate")]
-    for table in tables:
-        assert "Origin" not in [column.label for column in table.columns]  # the page says it once
-        assert all(len(row) == len(table.columns) for row in table.rows)
-
-
 def test_the_papers_value_is_below_the_models_in_the_same_column():
     table = lay_out_validation([study(1)])
     names = [row[4] for row in table.rows[:5]]
@@ -300,22 +236,6 @@ def test_the_papers_value_is_below_the_models_in_the_same_column():
     flagged = next(row for row in lay_out_validation([study(5)]).rows if row[4] == "posterior-mode fit")
     assert "†" in dict(zip(paper, flagged, strict=True))["EDP", "%"]
     assert any("did not converge" in note for note in lay_out_validation([study(3)]).notes)
-
-
-def test_the_short_answer_names_floor_and_paper():
-    short = REPORT.summarize(study(1))[0]
-    assert "0.21 and 0.22 mm" in short.partition("noise floor")[2].partition("paper")[0]
-    assert "0.19 and 0.14 mm" in short.partition("paper")[2]
-    assert "paper" not in REPORT.summarize(stereo())[0]
-
-
-def test_without_a_row_of_the_paper_the_short_answer_compares_every_curve():
-    text = REPORT.summarize(stereo())[-1]
-    for row in to_records(compare_methods(stereo(), metric=TE)):
-        if row["method"] != "fitted":
-            gap = f"{format_signed_mm(row['difference_mm'], 3)} ± {row['difference_se_mm']:.3f} mm"
-            assert gap in text
-    assert all(name in text for name in ("straight line", "constant curvature", "curvature linear"))
 
 
 @pytest.mark.parametrize(
@@ -410,16 +330,6 @@ def fitted(results: Run) -> float:
     return float(table["value"].iloc[0])
 
 
-def test_a_fit_within_its_posterior_stands_beside_it():
-    inside = sampled(0.05, 0.15)
-    row = to_records(tabulate_percentiles(inside))[0]
-    assert row["p50"] == pytest.approx(0.1)
-    assert row["fit_value_used"] == fitted(inside)
-    assert row["fit_in_central_95"] is True
-    assert say(inside, "outside_fits") == ""
-    assert not lay_out_posterior(inside).notes
-
-
 def test_a_fit_outside_the_central_95_percent_is_reported():
     outside = sampled(fitted(study(5)) - 0.001, 0.15)  # a draw is lower, but not 2.5 % of them
     assert to_records(tabulate_percentiles(outside))[0]["fit_in_central_95"] is False
@@ -446,9 +356,6 @@ def test_an_unconverged_posterior_is_flagged_in_every_output():
     assert say(fine, "unconverged") == "" and "NOT CONVERGED" not in lay_out_posterior(fine).caption
 
 
-REFERENCE = Path(__file__).parent.parent / "reports/reference"
-
-
 def test_columns_have_explanations_of_their_own():
     columns = list_columns()
     explanations = [one.explanation for one in columns.values()]
@@ -457,23 +364,6 @@ def test_columns_have_explanations_of_their_own():
         form for one in columns.values() for form in re.findall(r":(\w+)}", one.format) or [one.format]
     }
     assert formats <= {*FORMATS, METRIC_FORMAT, LENGTH_ERROR_FORMAT}
-
-
-@pytest.mark.parametrize("name", KINDS.names())
-def test_every_column_that_a_kind_declares_is_registered(name):
-    for frame, columns in KINDS[name].frames.items():
-        written = to_tidy(pd.DataFrame(columns=list(dict.fromkeys(columns))))
-        unknown = [one for one in written if not find_column(str(one)).explanation]
-        assert not unknown, f"{frame}: {unknown}"
-
-
-def test_every_column_of_the_committed_tables_is_registered():
-    if not REFERENCE.is_dir():
-        pytest.skip("not run from the repository")
-    tables = [pd.read_csv(path) for path in REFERENCE.glob("*/*.csv")]
-    names = {str(name) for table in tables for name in table}
-    assert all(find_column(name).explanation for name in names)
-    assert all(to_tidy(table) is table for table in tables)
 
 
 def test_a_template_composes_columns():
@@ -489,11 +379,6 @@ def test_a_template_composes_columns():
     )
     assert [ends.format_cell(row) for row in rows] == ["1.00 to 2.00", "1.00", "", ""]
     assert Column("value", format="mm").format_cell({"value": "not determined"}) == "not determined"
-
-
-def test_a_number_in_a_key_stands_in_the_heading():
-    assert [find_column(key).label for key in ("p2.5", "q05", "alpha3")] == ["2.5 %", "5 %", "α3"]
-    assert (find_column("tip_in_95").label, find_column("tip_in_95").unit) == ("Tip coverage", "95 %")
 
 
 def test_pivoted_rows_have_a_column_for_each_place():
