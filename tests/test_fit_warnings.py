@@ -22,17 +22,15 @@ from needlefit.inference.parameters import Parameters
 from needlefit.inference.predict import Draws
 from needlefit.project.help_pages import TROUBLESHOOTING_PAGE, read_sections
 from needlefit.project.result_warnings import ResultWarning, read_warnings, warnings_entry
-from needlefit.project.toml import load
 from needlefit.project.unit_warnings import WARNING_KIND
 from needlefit.reporting.number_format import NO_INTERVAL, format_interval
-from needlefit.schemas.study import FitRecord, StudyRecord
+from needlefit.schemas.study import StudyRecord
 from needlefit.studies.coverage import find_miscalibration, judge_predictions
 from needlefit.studies.fit_warnings import RULES, analysis_bound_warnings, apply_rule
 from needlefit.studies.identification import ParameterInterval, add_intervals, intervals_of_draws
-from needlefit.studies.job import DATA_WARNINGS, Settings, make_folds, prepare, warn_shared_specimens
+from needlefit.studies.job import DATA_WARNINGS, make_folds, warn_shared_specimens
 from needlefit.studies.kinds.calibration import find_calibration_faults, headline_calibration
-from needlefit.studies.kinds.cross_validation.run import run as run_fit
-from needlefit.studies.report import run_to_json, say, warning_blocks
+from needlefit.studies.report import run_to_json
 from needlefit.studies.run import (
     NOT_CONVERGED,
     VERDICTS_KEY,
@@ -81,11 +79,6 @@ def test_a_parameter_at_its_bound_is_named(values, names):
     found = list(warn("parameter_at_bound", fitted(values)))
     assert [one.kind for one in found] == ["parameter_at_bound"] * len(names)
     assert all(f"fitted {name} lies" in one.what for name, one in zip(names, found, strict=True))
-
-
-def test_of_several_folds_one_warning_counts_them():
-    (one,) = warn("parameter_at_bound", fitted({"mu1_pa": 1e9}, 3))
-    assert "1 of 3 folds" in one.what
 
 
 def scored(role: str, errors: dict[str, list[float]], floor: float = 0.01) -> Run:
@@ -173,16 +166,6 @@ def test_in_sample_errors_far_from_the_noise_floor_are_named(errors, floor, kind
     assert list(warn("noise", results.with_frames(errors=held_out))) == []
 
 
-def test_the_closest_curve_is_named_and_the_report_shows_it():
-    errors = {"fitted": FAR, "straight": [0.1] * 5, "constant_curvature": NEAR}
-    results = scored("validate", errors)
-    (one,) = warn("worse_than_baseline", results)
-    assert "constant curvature" in one.what and "0.040 mm against 0.256 mm" in one.what
-    blocks = warning_blocks(replace(results, run={**results.run, **warnings_entry([one])}))
-    assert sum(one.what in str(block) for block in blocks) == 1
-    assert read_warnings(warnings_entry([one])) == (one,)
-
-
 def test_specimens_on_both_sides_are_named_unless_the_study_leaves_specimens_out(tmp_path):
     rows = [
         row(name, "gel", layers=1, specimen=piece) for name, piece in (("a", "x"), ("b", "x"), ("c", "y"))
@@ -253,13 +236,6 @@ CAUSE_AND_EFFECT = {"bevel_side", "parameter_at_bound", "worse_than_baseline"}
 
 
 @pytest.mark.sweep
-def test_a_fit_to_flipped_bevels_warns_of_cause_and_effect(flipped):
-    results = run_fit("fit", load(flipped / "fit.toml", FitRecord), Settings())
-    assert {one["kind"] for one in results.run["warnings"]} >= CAUSE_AND_EFFECT
-    assert "insertions.csv:2" in {one["where"] for one in results.run["warnings"]}
-
-
-@pytest.mark.sweep
 def test_tune_prints_its_warnings_and_writes_the_result_all_the_same(flipped, capsys):
     assert run("tune", "./fit.toml", "-q", "--strict") == 5
     err = capsys.readouterr().err
@@ -270,32 +246,6 @@ def test_tune_prints_its_warnings_and_writes_the_result_all_the_same(flipped, ca
     assert err.count("needlefit: warning: ") == 1 + len(warnings)
     assert err.count(" (needlefit explain ") == len(warnings)
     assert err.count("data/insertions.csv:2") == 2
-
-
-HELD_OUT = """
-schema = 2
-dataset = "./data"
-medium = "./gel.toml"
-recipe = "./fast.toml"
-validate = [{ insertions = ["c", "d", "e"] }]
-[tune]
-insertions = ["a", "b"]
-"""
-
-
-@pytest.mark.sweep
-def test_every_warning_that_a_study_prints_is_in_run_json(flipped, capsys):
-    rows = [row(name, "gel", layers=1, bevel=np.array([0, 1.0, 0])) for name in "abcde"]
-    bent = CURVE * [1, 3, 1]
-    curves = dict.fromkeys("ab", CURVE) | dict.fromkeys("cde", bent)
-    tables = record(media={"gel": {}}, noise={"point_sd_mm": 0.02})
-    write_dataset(flipped / "other", tables, rows, curves, {})
-    (flipped / "study.toml").write_text(HELD_OUT.replace("./data", "./other"))
-    assert run("validate", "./study.toml", "-q") == 0
-    printed = re.findall(r"needlefit explain ([\w-]+)", capsys.readouterr().err)
-    warnings = json.loads((flipped / "reports/study/run.json").read_text())["warnings"]
-    assert sorted(printed) == sorted(one["kind"].replace("_", "-") for one in warnings)
-    assert "copy" in {one["kind"] for one in warnings}  # of c, d and e
 
 
 @pytest.mark.parametrize(
@@ -318,69 +268,6 @@ def test_an_error_of_a_study_or_medium_names_file_and_line(flipped, capsys, file
         assert run("tune", "./fit.toml", "-q", *options) == 3
         err = capsys.readouterr().err
         assert err.startswith(f"needlefit: {place}: ") and "\n  fix: " in err
-
-
-COMPARED = """
-schema = 1
-kind = "comparison"
-title = "t"
-question = "q"
-dataset = "./data"
-medium = "./gel.toml"
-folds = 2
-insertions = { insertions = ["a", "b"] }
-"""
-ADAPTED = """
-schema = 1
-kind = "adaptation"
-title = "t"
-question = "q"
-dataset = "./data"
-recipe = "./fast.toml"
-counts = [0]
-[old]
-medium = "./gel.toml"
-insertions = { insertions = ["a"] }
-[new]
-medium = "./gel.toml"
-insertions = { insertions = ["b"] }
-held_out = ["b"]
-[between_media]
-ln_mu_sd = 0.66
-ln_bevel_sd = 0.60
-source = "s"
-"""
-
-
-@pytest.mark.parametrize(
-    ("study", "old", "new", "line"),
-    [
-        (COMPARED, '"a", "b"', '"a", "x"', 9),
-        (COMPARED, '{ insertions = ["a", "b"] }', '{ medium = "x" }', 9),
-        (COMPARED, "./gel.toml", "gol", 7),
-        (COMPARED, "folds = 2", "folds = 3", 8),
-        (ADAPTED, '["a"]', '["x"]', 11),
-        (ADAPTED, '["b"] }', '["x"] }', 14),
-        (ADAPTED, 'held_out = ["b"]', 'held_out = ["a"]', 15),
-        (ADAPTED, 'held_out = ["b"]', 'held_out = ["x"]', 15),
-    ],
-)
-def test_an_error_of_a_study_that_analyses_names_its_file_and_line(flipped, capsys, study, old, new, line):
-    assert old in study
-    (flipped / "mine.toml").write_text(study.replace(old, new))
-    assert run("validate", "./mine.toml", "-q") == 3
-    assert f"\nneedlefit: mine.toml:{line}: " in "\n" + capsys.readouterr().err
-
-
-def test_the_warning_about_specimens_names_the_file_and_line_of_the_study(flipped):
-    table = flipped / "data/insertions.csv"
-    table.write_text(table.read_text().replace(",a,", ",x,").replace(",b,", ",x,"))
-    data = flipped / "data/dataset.toml"
-    data.write_text(data.read_text().split("[checksums]")[0])
-    file = flipped / "mine.toml"
-    file.write_text(FLIPPED.replace(', "b"', "") + '\n[[validate]]\ninsertions = ["b"]\n')
-    found = prepare("mine", load(file, StudyRecord), Settings(file=file)).warnings
-    assert [one.where for one in found if one.kind == "same_specimen"] == [f"{file}:9"]
 
 
 def test_a_warning_is_one_line_and_a_run_keeps_its_file_without_the_folder():
@@ -574,17 +461,6 @@ def test_a_fit_fails_where_a_curve_is_closer_and_the_errors_are_above_the_floor(
     closer = {**results.run, **warnings_entry([ResultWarning("worse_than_baseline", "")])}
     (verdict, *_) = judge_run(replace(results, kind="fit", run=closer))
     assert verdict.status == status
-
-
-def test_the_evidence_has_counts_and_coverage():
-    results = with_predictions(with_tip_errors(study(4), **CURVES))
-    folds = [{"tune": ["a", "b"], "validate": ["c"]}, {"tune": ["a", "b", "c"], "validate": ["d"]}]
-    words = say(replace(results, run={**results.run, "folds": folds}), "evidence")
-    predicted = results.frames["predictive"]
-    tips, count = int(predicted["tip_in_95"].sum()), len(predicted)
-    numbers = [int(one) for one in re.findall(r"\d+", words)]
-    assert {2, 3} <= set(numbers) and f"{tips} of {count}" in words
-    assert re.findall(r"\d+", say(replace(results, run={}), "evidence"))[0] == "95"
 
 
 def test_one_verdict_for_each_group_and_in_json():

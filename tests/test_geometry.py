@@ -31,7 +31,6 @@ from needlefit.geometry.frames import (
 from needlefit.metrics import METRICS, compute_metrics, headline_metrics, list_metrics, pool_metric
 
 seeds = st.integers(0, 2**32 - 1)
-angles = st.floats(-np.pi, np.pi)
 shifts = st.floats(-100, 100)
 
 

@@ -194,19 +194,6 @@ def test_a_target_behind_the_tip_or_out_of_reach_is_refused(x) -> None:
 
 
 @pytest.mark.sweep
-def test_tips_lie_in_the_reachable_region() -> None:
-    limits = PlanLimits(base_mm=3.0, base_angle_deg=1.0)
-    region = find_reachable_region(uncertain(), 45.0, limits, threads=1)
-    assert region.x[-1] == pytest.approx(45.0, abs=1.0)
-    assert np.all(region.low[0] <= region.low[2]) and np.all(region.high[0] >= region.high[2])
-    assert np.all(region.low[2] < region.high[2])
-    within = tip_of(replace(insertion().now, depth=45.0))
-    assert region.low[1][-1] < within[1] < region.high[1][-1]
-    y = float(region.high[0][-1]) + 3.0
-    assert plan((45.0, y), 0.5, start=uncertain(), base_mm=3.0, base_angle_deg=1.0).probability < 0.05
-
-
-@pytest.mark.sweep
 @pytest.mark.parametrize("depth", [0.0, 20.0])
 def test_the_reachable_region_ends_where_plans_end(depth) -> None:
     there = replace(insertion(), path=(replace(insertion().now, depth=depth),))
@@ -270,14 +257,6 @@ def test_the_command_prints_a_plan_and_writes_it_as_a_recording(tmp_path, capsys
     assert last.state.step.depth == found["steps"][-1]["depth_mm"]
     entry = read_recording(path).head.scene.entry
     assert entry.y_mm == pytest.approx(found["entry_mm"]) and abs(entry.y_mm) <= 5
-
-
-@pytest.mark.parametrize(
-    "words",
-    [("phantom2",), ("phantom2", "--target", "4"), ("phantom2", "--target", "40,0", "--obstacle", "1,2,-3")],
-)
-def test_a_command_without_a_target_is_refused(words) -> None:
-    assert run("plan", "phantom2", *words) == 2
 
 
 @pytest.mark.sweep

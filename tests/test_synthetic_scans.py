@@ -1,6 +1,5 @@
 """The twin as scans: what is true stands in the volumes at its stated position."""
 
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +19,7 @@ from needlefit.imaging.registration.pairing import find_symmetries
 from needlefit.imaging.volume import to_index, to_patient
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.locate import shipped_folder
-from needlefit.project.tasks import THIS_PROCESS, LocalPool, run_in_order
+from needlefit.project.tasks import THIS_PROCESS
 from needlefit.synthetic import design, render, scans
 from needlefit.synthetic.design import list_planned_insertions, select_planned_insertions
 from needlefit.synthetic.insertion import TWIN_SEED, simulate_insertion
@@ -184,17 +183,6 @@ def test_scans_replace_scans_and_nothing_else(tmp_path):
 
 
 # ---- processes
-
-
-def test_tasks_keep_their_order_and_errors_reach_the_caller():
-    tasks = [-3, 1, -2]
-    assert (
-        list(run_in_order(abs, tasks, LocalPool()))
-        == list(run_in_order(abs, tasks, LocalPool(2)))
-        == [3, 1, 2]
-    )
-    refusal(TypeError, "bad operand", lambda: list(run_in_order(abs, [1, "one", 2], LocalPool(2))))
-    refusal(ConfigError, "ended from outside", lambda: list(run_in_order(os._exit, [1, 1], LocalPool(2))))
 
 
 # ---- rendered scans: what must be in them whatever the scanner does

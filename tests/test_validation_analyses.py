@@ -48,7 +48,6 @@ from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.job import Fold, Job, Settings
 from needlefit.studies.kind import find_kind
-from needlefit.studies.kinds.adaptation import REPORT as ADAPTATION_REPORT
 from needlefit.studies.kinds.adaptation import (
     AdaptationRecord,
     AdaptationTask,
@@ -167,16 +166,6 @@ def test_evidence_is_rounded_to_five_decimals_of_a_length_and_five_digits():
     assert got[["insertions", "note"]].equals(frame[["insertions", "note"]])
 
 
-def test_an_unknown_kind_of_study_lists_the_known_ones(tmp_path):
-    file = tmp_path / "odd.toml"
-    file.write_text("schema = 1\nkind = { odd = 1 }\n")
-    with pytest.raises(ConfigError, match="kind"):
-        load_study(file)
-    file.write_text('schema = 1\nkind = "odd"\n')
-    with pytest.raises(ConfigError, match=r"(?s)`odd`.*left_out"):
-        load_study(file)
-
-
 @pytest.fixture
 def project(tmp_path, monkeypatch):
     for folder in ("studies", "configs/fits", "configs/recipes"):
@@ -242,15 +231,6 @@ def test_two_results_differ_in_rows_lengths_and_numbers(tmp_path):
     assert rows.where == "rows of summary" and rows.why.startswith("2 rows")
 
 
-def test_errors_of_results_are_compared_insertion_by_insertion(tmp_path):
-    first = pd.DataFrame({"insertion": ["a", "b", "c"], "te_mm": [0.2, 0.4, 0.3]})
-    worse = first.assign(te_mm=first["te_mm"] + [0.1, 0.1, 0.1])
-    (found,) = compare_runs(
-        _answer(tmp_path / "1", "left_out", errors=first), _answer(tmp_path / "2", "left_out", errors=worse)
-    )
-    assert found.matters and "on 3 insertions" in found.why
-
-
 def test_results_of_different_analyses_are_not_compared(tmp_path):
     one, two = (_answer(tmp_path / kind, kind) for kind in ("left_out", "plan"))
     study = tmp_path / "study"
@@ -285,6 +265,17 @@ ALONE = {
     "insertions": {"insertions": ["chicken-01"]},
 }
 
+SIDES = {"medium": "chicken", "insertions": {"insertions": ["chicken-01"]}}
+ADAPTED = {
+    "schema": 1,
+    "kind": "adaptation",
+    "dataset": "twin",
+    "old": SIDES,
+    "new": {**SIDES, "insertions": {"insertions": ["chicken-02"]}, "held_out": ["chicken-02"]},
+    "counts": [0],
+    "between_media": {"ln_mu_sd": 0.6, "ln_bevel_sd": 0.6, "source": "none"},
+}
+
 
 @pytest.mark.parametrize(
     ("record", "what", "where"),
@@ -294,14 +285,16 @@ ALONE = {
         ({**NEXT, "quantities": DEEP}, "4000 mm", "quantities.1.depth_mm"),
         ({**LEFT, "fits": ["no"]}, "fit .*`no`", "fits"),
         (ALONE, "one group", "folds"),
+        ({**ADAPTED, "old": {**SIDES, "insertions": {"insertions": ["x"]}}}, "x", "old.insertions"),
+        ({**ADAPTED, "new": {**ADAPTED["new"], "held_out": ["x"]}}, "x", "new.held_out"),
     ],
-    ids=["like", "depths", "quantities", "fits", "folds"],
+    ids=["like", "depths", "quantities", "fits", "folds", "old", "held_out"],
 )
 def test_a_faulty_study_is_reported_with_its_name_and_key(record, what, where):
     with pytest.raises(ConfigError, match=what) as error:
         kind = find_kind(record["kind"])
         kind.run("mine", kind.record.model_validate(record), Settings())
-    assert error.value.where == f"study mine, key `{where}`"
+    assert f"study mine, key `{where}" in f"{error.value.where}, key `{error.value.key}`"
 
 
 @pytest.fixture(scope="module")
@@ -475,25 +468,8 @@ def test_every_cell_is_next_to_the_papers_value():
     assert found.loc[("tuning_by_media", 0, "te_mm"), "paper"] == 0.37
 
 
-@pytest.fixture
-def two_twins(tmp_path, monkeypatch):
-    """A study of two twins, in a project of its own."""
-    for folder in ("studies", "configs/recipes"):
-        (tmp_path / folder).mkdir(parents=True)
-    (tmp_path / "configs/recipes/few.toml").write_text(RECIPE.replace("starts = 4", "starts = 2"))
-    head = 'schema = 1\ndataset = "twin"\nmedium = "chicken"\nrecipe = "few"\npaper_parameters = "study5"\n'
-    chosen = '[tune]\ninsertions = ["chicken-01"]\n[[validate]]\ninsertions = ["chicken-04", "chicken-05"]\n'
-    (tmp_path / "studies/small.toml").write_text(f"{head}paper_study = 5\n{chosen}")
-    keys = 'kind = "seeds"\nstudies = ["small"]\nseeds = 2\nresamples = 100\n'
-    keys += 'generalization_studies = ["small"]\n'
-    (tmp_path / "studies/two.toml").write_text(f"schema = 1\n{keys}")
-    monkeypatch.chdir(tmp_path)
-    return load_study(find_file("study", "two"))
-
-
-@pytest.mark.sweep
-def test_the_studies_on_two_twins_are_reported(two_twins, tmp_path):
-    answer = find_kind("seeds").run("two", two_twins, Settings())
+def test_the_studies_on_two_twins_are_reported(world, tmp_path):
+    answer = world.restore("seeds")
     table = answer.frames["errors"]
     truth = table[(table["method"] == "truth") & (table["role"] == "validate")]
     assert truth["te_mm"].max() < 0.5 and truth["seed"].nunique() == 2  # registration alone
@@ -690,17 +666,6 @@ def test_a_medium_that_is_not_new_costs_nothing(not_new):
     assert set(not_new.frames["fits"]["learned_from"]) == {"nothing", "at42"}
 
 
-def test_the_report_has_a_line_per_approach_and_count(not_new):
-    assert ADAPTATION_REPORT.summarize(not_new)
-    curves, needed = ADAPTATION_REPORT.lay_out(not_new)
-    # New insertions alone need one; without an update there is nothing to learn from.
-    heads_and_counts = [(row[0] != "", row[1]) for row in curves.rows]
-    assert heads_and_counts == [(True, "0"), (False, "1"), (True, "1"), (True, "0")]
-    heads = [(column.label, column.unit) for column in curves.columns]
-    assert len(set(heads)) == len(heads) and ("TE", "range, mm") in heads
-    assert len(needed.rows) == 2 * len({row[0] for row in needed.rows}) and len(needed.columns) == 7
-
-
 def test_differences_are_summed_over_groups_and_their_error_is_that_of_the_groups():
     differences = pd.Series([0.5, 0.5, 2.0, 3.0])
     total, error, count = sum_differences(differences, pd.Series(["a", "a", "b", "c"]))
@@ -788,19 +753,6 @@ def test_a_straight_lines_density_is_that_of_the_noise_factor_alone():
     density = found.predict_density(made[2])
     assert density.log_density == pytest.approx(log_evidence(made) - log_evidence(made[:2]), abs=0.15)
     assert density.k < 0.7 and density.se < 0.1
-
-
-@pytest.mark.sweep
-def test_the_path_angle_is_a_candidate():
-    made = tuple(measure(TRUTH, medium(layers=1), insertion(30.0 + 6 * k), points=31) for k in range(2))
-    fold = Fold("one", made[:1], made[1:])
-    job = candidate_job("path_angle", comparison_job(made, (fold,)))
-    assert job.medium.advance == "path_angle" and "cut_angle_deg" in job.parameters.free
-    found = fit_candidate("path_angle", job, fold, Settings())
-    (curve, *_) = found.predictor(made[1]).values()
-    tip = curve(np.array([made[1].depth]))[0]
-    assert tip[1] == pytest.approx(made[1].planar[-1, 1], abs=0.2)
-    assert np.isfinite(found.predict_density(made[1]).log_density)
 
 
 def test_further_points_add_their_whole_density():

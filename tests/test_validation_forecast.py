@@ -1,6 +1,5 @@
 """Predictions of planned insertions: what draws and measurement make of them, and what is refused."""
 
-import json
 import math
 from dataclasses import replace
 
@@ -9,7 +8,6 @@ import pytest
 from light_runs import (
     do_not_escalate,
 )
-from test_cli import run
 
 import needlefit
 from needlefit.cli.options import scene_record
@@ -94,13 +92,6 @@ def test_one_draw_is_the_scene_with_its_parameters(job):
     half = table["measured_95_high_mm"].iloc[-1] - table["measured_median_mm"].iloc[-1]
     assert half == pytest.approx(1.959964 * found.measured.sd[-1], rel=1e-3)
     assert found.measured.sd[-1] > found.measured.sd[0] > 0  # the pose's angle tells on the tip
-
-
-def test_bands_are_quantiles_of_draws(job):
-    found = planned(sure(job), [theta(job, bevel_mm=b) for b in np.linspace(0.06, 0.10, 101)])
-    tips = np.sort(found.needle.means[:, -1])
-    low, high = tabulate_forecast(found).iloc[-1][["needle_50_low_mm", "needle_50_high_mm"]]
-    assert (low, high) == pytest.approx((tips[25], tips[75]), abs=1e-12)
 
 
 def test_quantiles_between_two_distant_draws_are_interpolated_and_agree_with_the_printed_width(job):
@@ -209,22 +200,6 @@ def test_an_interval_that_is_useless_for_aiming_is_a_warning(job, monkeypatch):
     assert f"{once:.2g} mm" in one.fix
     narrow = predict_with(job, monkeypatch, [theta(job)] * 20, specimen="same")
     assert not [w for w in list_run_warnings(narrow) if w.kind == "wide_intervals"]
-
-
-def test_depths_that_err_widen_the_needle_s_band(job):
-    exact, open_ = (planned(one, [theta(job)] * 200).needle.means[:, -1] for one in (sure(job), job))
-    assert np.ptp(exact) < 1e-7
-    # a layer 0.1 mm deeper moves such a tip by a tenth of a millimetre or two
-    assert 0.02 < np.std(open_) < 0.5
-
-
-def test_the_scale_of_the_noise_widens_points_and_leaves_the_pose(job):
-    doubled = job.recipe.likelihood.model_copy(update={"noise_scale": 2.0})
-    wide = replace(job, recipe=job.recipe.model_copy(update={"likelihood": doubled}))
-    one, two = (planned(sure(each), [theta(job)] * 3).measured.sd for each in (job, wide))
-    noise, insertions = job.dataset.noise, job.dataset.insertions
-    points = noise.point_sd**2 + np.mean([np.mean(each.sd**2) for each in insertions])
-    assert two**2 - one**2 == pytest.approx(np.full(len(one), 3 * points))
 
 
 def test_bevels_that_differ_widen_the_needle_s_band(job):
@@ -336,11 +311,6 @@ def test_a_posterior_of_other_data_is_refused(job, tmp_path):
         require_same_configuration(job, read_run(tmp_path), "run")
 
 
-def test_a_run_that_is_named_must_hold_a_posterior(job, tmp_path):
-    with pytest.raises(ConfigError, match=r"no posterior\.nc"):
-        draw_parameters(job, tmp_path, Settings())
-
-
 def test_an_interrupted_search_predicts_nothing_and_an_early_end_is_flagged(job, monkeypatch):
     do_not_escalate(monkeypatch)
     assert draw_parameters(job, None, Settings(stop=lambda: True)) is None
@@ -362,24 +332,6 @@ def test_importance_draws_match_the_posterior(job):
         one, two = drawn @ direction, thetas @ direction
         assert np.median(one) == pytest.approx(np.median(two), abs=0.35 * np.std(two))
         assert np.std(one) == pytest.approx(np.std(two), rel=0.3)
-
-
-@pytest.mark.sweep
-def test_the_command(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    fit = find_file("fit", "phantom2").read_text(encoding="utf-8").replace('"default"', '"quick"')
-    (tmp_path / "gel.toml").write_text(
-        fit + 'insertions = ["phantom2-13", "phantom2-14", "phantom2-15", "phantom2-16"]\n'
-    )
-    words = ("predict", "./gel.toml", "--scene", "study2", "--depth", "30", "--specimen", "same", "-q")
-    assert run(*words, "--json") == 0
-    output = json.loads(capsys.readouterr().out)
-    assert output["draw_source"] == "importance" and output["draws"] + output["failed_solves"] == 1000
-    assert [one["specimen_treatment"] for one in output["specimens"]] == ["same"]
-    tip = output["tip"]
-    assert tip["s_mm"] == 30
-    assert tip["needle_95_low_mm"] < tip["needle_median_mm"] < tip["needle_95_high_mm"]
-    assert tip["measured_95_low_mm"] < tip["needle_95_low_mm"]
 
 
 def test_wilson_gives_the_textbook_interval():

@@ -42,7 +42,6 @@ from needlefit.studies.held_out_predictions import (
     tabulate_held_out,
 )
 from needlefit.studies.job import Fold, Job, Settings, prepare, with_one_bevel
-from needlefit.studies.kinds.cross_validation.tables import lay_out_coverage
 from needlefit.studies.planned_draws import draw_conditions, simulate_planned
 
 POINTS = LikelihoodRecord(depths="fixed", bevel_spread=0.0, measurement="points")
@@ -179,14 +178,6 @@ def test_the_measured_shape_is_only_compared(job, known):
     assert moved["tip_crps_mm"] > as_is["tip_crps_mm"] + 3.0
 
 
-def test_the_same_study_predicts_the_same(job, few_draws):
-    few = of(job, *job.folds[0].validate[:2])
-    first, again = (list(tabulate_held_out(job, few, few_draws)) for _ in range(2))
-    assert first == again
-    alone = list(tabulate_held_out(job, of(job, job.folds[0].validate[1]), few_draws))
-    assert alone == first[1:]  # an insertion does not depend on the others
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are copied on Linux only")
 def test_a_remote_pool_predicts_the_same(job, few_draws, monkeypatch):
     monkeypatch.setattr(tasks, "can_fork", lambda: True)
@@ -197,17 +188,6 @@ def test_a_remote_pool_predicts_the_same(job, few_draws, monkeypatch):
     alone, copied = (list(predict_held_out(job, few, few_draws, one, 2, pool)) for one, pool in pairs)
     assert len(alone) == 3 and repr(alone) == repr(copied)  # repr: NaN equals itself
     assert np.array_equal(new[0].population.new, new[1].population.new)
-
-
-def test_the_table_counts_covered_insertions(job, few_draws):
-    from reporting_results import study
-
-    rows = list(tabulate_held_out(job, of(job, *job.folds[0].validate[:2]), few_draws))
-    rows[0] |= {"tip_in_50": True, "tip_in_95": True}
-    rows[1] |= {"tip_in_50": False, "tip_in_95": True}
-    table = lay_out_coverage(study(2).with_frames(predictive=pd.DataFrame(rows)))
-    assert table.rows[0][3:6] == ("2", "1 (9–91 %)", "2 (34–100 %)")
-    assert "posterior" in table.caption
 
 
 def test_the_noise_scale_is_that_of_the_prediction(job, known):

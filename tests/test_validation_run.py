@@ -21,12 +21,8 @@ from needlefit.errors import ConfigError, NeedlefitError
 from needlefit.geometry.surfaces import make_sheet
 from needlefit.inference.baselines import list_baselines
 from needlefit.inference.forward_model import predict
-from needlefit.inference.planned_layers import planned_layers
 from needlefit.inference.problem import find_outside_validity
-from needlefit.mechanics.control import Bevel
 from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
-from needlefit.mechanics.simulate import simulate
-from needlefit.mechanics.tissue import Tissue
 from needlefit.project.locate import find_file
 from needlefit.project.result_warnings import read_warnings
 from needlefit.project.toml import load
@@ -164,31 +160,6 @@ def test_the_run_records_its_settings(clean: Run) -> None:
     assert [name for name, frame in frames(clean).items() if frame.empty] == ["failures"]
 
 
-def test_there_is_one_fit_where_the_recipe_asks_for_no_second(clean: Run) -> None:
-    assert set(clean.frames["starts"]["fit"]) == set(clean.frames["parameters"]["method"]) == {"fitted"}
-    assert "fitted_metric" not in set(clean.frames["errors"]["method"])
-    assert {row["fitted_metric"] for row in arrange_parameters(tabulate_parameters(clean))} == {""}
-
-
-@pytest.mark.usefixtures("few_draws")
-def test_a_checkpoint_of_other_work_is_refused(project: Path) -> None:
-    kept = project / "other.partial"
-    run("other", study(), Settings(checkpoint=kept, stop=lambda: any(kept.glob("*.jsonl"))))
-    with pytest.raises(ConfigError, match="other work"):
-        run("other", study(), Settings(checkpoint=kept, resume=True, seed=99))
-
-
-def test_where_nothing_fails_the_table_of_failures_is_a_header(clean: Run) -> None:
-    results = clean
-    assert list(results.frames["failures"].columns) == [
-        *COLUMNS["failures"],
-        *results.frames["parameters"]["parameter"],
-    ]
-    assert results.frames["failures"].empty
-    assert results.run["recorded_failures"] == {}
-    assert say(results, "failures") == ""
-
-
 @pytest.mark.sweep
 def test_a_row_of_failures_csv_reproduces_its_failure(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Constraints that leave the needle by 30 mm a millimetre and more press the tissue flat."""
@@ -241,29 +212,6 @@ def test_the_paper_s_set_must_fit_the_medium(project: Path) -> None:
         run("hand", study(paper_parameters="chicken"), Settings())
 
 
-@pytest.mark.parametrize("steep", [0.5, 2.0])
-def test_planned_layers_follow_the_bending_needle(project: Path, steep: float) -> None:
-    """On an oblique interface the crossing found is where the simulated needle really crosses."""
-    dataset = read(project / "data" / "needles" / "dataset.toml")
-    oblique = make_sheet("oblique", [18.0, 6.0, 0], [1.0, steep, 0], 200.0, 2)
-    insertion = dataclasses.replace(dataset.insertions[2], surfaces=(oblique,))
-
-    def predict(boundaries: np.ndarray, sequence: tuple[int, ...]):
-        tissue = Tissue(
-            mu=np.take(needles.MU, np.array(sequence) - 1),
-            alpha=np.ones(len(sequence)),
-            boundaries=boundaries,
-        )
-        return simulate(needles.NEEDLE, tissue, Bevel(0.25), insertion.depth)
-
-    boundaries, sequence = planned_layers(insertion, predict)
-    assert sequence == (1, 2)
-    shape = predict(boundaries, sequence)
-    y = np.interp(boundaries[0], *sample_inserted_points(shape, 2001).T)
-    assert y > 0.2  # it has bent by then
-    assert boundaries[0] == pytest.approx(18.0 - steep * y, abs=2e-3)  # x + steep y = 18, y from the entry
-
-
 def rewrite(project: Path, kind: str, old: str, new: str) -> None:
     file = project / "configs" / kind / "gel.toml"
     text = file.read_text()
@@ -288,15 +236,6 @@ def test_a_fixed_bevel_is_not_tuned_anew_about_the_paper_s_set(project: Path) ->
     assert "hand_tuned_b" not in set(found.frames["errors"]["method"]) and "hand_tuned" in set(
         found.frames["errors"]["method"]
     )
-
-
-@pytest.mark.usefixtures("few_draws")
-def test_what_is_tied_to_a_fixed_parameter_is_fixed(project: Path) -> None:
-    rewrite(project, "media", "mu1_pa = { bounds = [3e4, 3e6] }", 'mu1_pa = { tie = "0.015 * mu2_pa" }')
-    results = run("tied", study(), Settings())
-    row = results.frames["parameters"][results.frames["parameters"]["parameter"] == "mu1_pa"].iloc[0]
-    assert row["status"] == "fixed"
-    assert row["value"] == pytest.approx(3e5)
 
 
 def test_a_medium_without_the_layers_met_is_refused_before_the_fit(project: Path) -> None:
@@ -478,10 +417,6 @@ def test_planned_rows_follow_the_simulated_needle_and_measured_ones_what_was_mea
         meant = sample_inserted_points(shape_with(planned, boundary), 42)
         np.testing.assert_allclose(curves[kind](s), meant, atol=5e-4)
     assert abs(curves["planned"](s)[-1, 1] - curves["measured"](s)[-1, 1]) > 0.5
-
-
-def test_without_surfaces_there_is_nothing_to_plan(planned) -> None:
-    assert list(model_predictor(WRONG, medium(), dataset([planned]))(planned)) == ["measured"]
 
 
 # ---- one row
