@@ -87,7 +87,6 @@ _VALIDATE = ("validate", "tiny", "--jobs", "1", "-q")
 _ANALYSE = ("validate", "tiny_left_out", "--jobs", "1", "-q")
 _REPORT = ("report", "tiny", "--out", "reports/again", "-q")
 _RECONSTRUCT = ("reconstruct", str(SCANS), "--out", "mydata", "--jobs", "1", "-q")
-_TWIN = ("twin", "build", "--out", "mytwin", "--jobs", "1", "-q")
 
 COMMANDS: Mapping[str, Command] = {
     "tune --sample": Command(_TUNE, "reports/tiny_fit", ((*_TUNE, "--seed", "3"),)),
@@ -100,7 +99,6 @@ COMMANDS: Mapping[str, Command] = {
         resumes=False,
     ),
     "reconstruct": Command(_RECONSTRUCT, "mydata", ((*_RECONSTRUCT, "--title", "Before"),)),
-    "twin build": Command(_TWIN, "mytwin", ((*_TWIN, "--seed", "2"),), resumes=False),
 }
 """Every kind of command that writes a folder, by its name."""
 

@@ -15,7 +15,6 @@ import subprocess
 import sys
 import tempfile
 import traceback
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -103,20 +102,6 @@ def _draw_nothing() -> None:
 _SVG = b'<svg width="10pt"><image xlink:href="data:image/svg+xml;base64,PHN2Zy8+"/></svg>'
 
 
-def _make_small_twin() -> None:
-    """Let `twin build` make one insertion of its 47, and that once: it is written by the same steps."""
-    from needlefit.synthetic import build, design
-    from needlefit.synthetic.insertion import TWIN_SEED
-
-    plan, built = design.select_planned_insertions(("phantom2-16",)), _once(build._build_insertion)
-    build._build_insertion = lambda seed, population, recipe, planned: built(
-        planned.id, TWIN_SEED, population, recipe, planned
-    )
-    build.build_dataset = partial(build.build_dataset, plan=plan)
-    with tempfile.TemporaryDirectory() as folder:
-        build.build_dataset(Path(folder))
-
-
 def _reconstruct_once() -> None:
     """Let `reconstruct` find what it found the first time: it writes nothing while it looks."""
     from faults.commands import SCANS
@@ -127,27 +112,12 @@ def _reconstruct_once() -> None:
     from needlefit.project.toml import load
     from needlefit.schemas.reconstruction import ReconstructionRecord
 
-    found = _once(batch.examine)
-    batch.examine = lambda volume, scan, recipe: found(scan.id, volume, scan, recipe)
     recipe = load(find_file("reconstruction", "default"), ReconstructionRecord)
-    for scan in read_scans(SCANS):
-        batch.examine(read_volume(scan.volume, scan.series), scan, recipe)
-
-
-_PREPARE: dict[str, Callable[[], None]] = {"twin": _make_small_twin, "reconstruct": _reconstruct_once}
-"""What is done before the first of some commands."""
-
-
-def _once(work: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function of a key and arguments that does the work once for each key."""
-    done: dict[object, Any] = {}
-
-    def looked_up(key: object, *args: Any) -> Any:
-        if key not in done:
-            done[key] = work(*args)
-        return done[key]
-
-    return looked_up
+    found = {
+        scan.id: batch.examine(read_volume(scan.volume, scan.series), scan, recipe)
+        for scan in read_scans(SCANS)
+    }
+    batch.examine = lambda volume, scan, recipe: found[scan.id]
 
 
 def _child(asked: dict[str, Any], printed: Path, answer: int) -> None:
@@ -217,12 +187,13 @@ def main() -> None:
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
     warm()
-    printed = Path(tempfile.mkdtemp(prefix="needlefit-faults-"))
+    printed, reconstructed = Path(tempfile.mkdtemp(prefix="needlefit-faults-")), False
     try:
         for line in sys.stdin:
             asked = json.loads(line)
-            if prepare := _PREPARE.pop(asked["words"][0], None):
-                prepare()
+            if asked["words"][0] == "reconstruct" and not reconstructed:
+                _reconstruct_once()
+                reconstructed = True
             answers.write(json.dumps(_answer(asked, printed)) + "\n")
     finally:
         shutil.rmtree(printed, ignore_errors=True)

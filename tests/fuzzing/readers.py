@@ -181,14 +181,6 @@ def _assignments(path: Path) -> object:
     return check(override(tables, pairs, scene, "figure1"), scene, "figure1")
 
 
-def _message(path: Path) -> object:
-    """Read a message as the page's server does; a fault in it is an answer, not an exception."""
-    found = _late("viewer.messages.read_message")(_text(path))
-    if found.fault is not None:
-        raise found.fault
-    return found.text("what"), found.gesture, found.number("to_mm", 0.0)
-
-
 def _conversation(path: Path) -> object:
     """Answer messages, a line each, in one window as the page's server does; replies must be JSON."""
     open_target = _late("viewer.opening.open_target")
@@ -208,10 +200,6 @@ def _conversation(path: Path) -> object:
     if refused is not None:
         raise _late("errors.ModelError")(refused)
     return window.trial.steering.number
-
-
-def _share(path: Path) -> object:
-    return _late("viewer.export.compose_share")(_late("viewer.recording.read_recording")(path))
 
 
 def _tracker(path: Path) -> object:
@@ -274,7 +262,6 @@ READERS: dict[str, Reader] = {
     "recipe": _configs("recipe.RecipeRecord", "recipes", "recipe"),
     "reconstruction": _configs("reconstruction.ReconstructionRecord", "reconstruction", "reconstruction"),
     "medium": Reader(_medium, partial(project_files, "configs/media/*.toml", "medium.toml")),
-    "prior": Reader(partial(_load, "medium.MaterialRecord"), seeds.priors),
     "dataset": Reader(_dataset, seeds.datasets, 40),
     "compression": Reader(partial(_call, "datasets.compression.read_compression"), seeds.compression),
     "markers": Reader(partial(_call, "imaging.markers.read_markers"), seeds.markers),
@@ -304,10 +291,8 @@ READERS: dict[str, Reader] = {
     "manifest": Reader(partial(_call, "project.folders.require_replaceable"), seeds.manifests),
     "parquet": Reader(_parquet, seeds.parquet_tables, NATIVE),
     "tracker": Reader(_tracker, seeds.trackers),
-    "share": Reader(_share, seeds.recordings, 20),
     "conversation": Reader(_conversation, seeds.conversations, 20),
     "set": Reader(_assignments, seeds.assignments, 40),
-    "message": Reader(_message, seeds.page_messages, 150),
     "command": Reader(_command, seeds.commands, 30),
     "name": Reader(_names, seeds.names, 40),
 }

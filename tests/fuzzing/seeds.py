@@ -438,18 +438,6 @@ def manifests() -> list[Seed]:
     return [written(write, "out")]
 
 
-PRIOR = """\
-schema = 1
-title = "Gel"
-alpha = { mean = -4.5, sd = 1.0 }
-mu_pa = { median = 2.5e4, factor = 2.0, correlation = 0.5 }
-"""
-
-
-def priors() -> list[Seed]:
-    return [one_file("prior.toml", PRIOR)]
-
-
 # ---- texts
 
 
@@ -487,10 +475,6 @@ AIMING = """\
 {"do": "show", "id": 15, "insertion": "a", "what": "field"}
 """
 """Messages in one window, a line each: steering and undo; goals, and what ends it."""
-
-
-def page_messages() -> list[Seed]:
-    return [one_file("messages.txt", one) for one in (STEERING + AIMING).splitlines()]
 
 
 def conversations() -> list[Seed]:
