@@ -257,6 +257,28 @@ def two_needles(folder):
     return [spoiled(folder, change)]
 
 
+@pytest.mark.parametrize("masked", [False, True])
+def test_every_needle_of_a_scan_is_an_insertion_with_the_same_markers(tmp_path, masked) -> None:
+    (path,) = two_needles(tmp_path)
+    volume, words = read_volume(path), []
+    if masked:
+        mask = Volume(np.float32(volume.values > 1500), volume.origin, volume.spacing, volume.direction)
+        write_volume(mask, tmp_path / "mask.nrrd")
+        words = ["--mask", tmp_path / "mask.nrrd"]
+    assert run("reconstruct", path, "--all", *words, "--out", tmp_path / "both", "-q") == 0
+    found = read_dataset(tmp_path / "both").insertions
+    assert [one.id for one in found] == ["spoiled-1", "spoiled-2"]
+    rows = pd.read_csv(tmp_path / "both" / "scans.csv")
+    apart = np.diff(rows[["needle_x_mm", "needle_y_mm", "needle_z_mm"]].to_numpy(), axis=0)[0]
+    assert apart[0] > 0  # along L
+    ends = [
+        np.loadtxt(tmp_path / "both" / "centerlines" / f"{one.id}.csv", delimiter=",", skiprows=1)[-1, :3]
+        for one in found
+    ]
+    moved = 18 * volume.spacing[0]  # the second needle is the first one, as many voxels away
+    assert np.linalg.norm(ends[1] - ends[0]) == pytest.approx(moved, abs=0.3)
+
+
 def tip_outside(folder):
     volume = read_volume(VOLUME)
     needle_end = np.argwhere(volume.values > 2500)

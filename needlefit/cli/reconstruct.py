@@ -11,7 +11,7 @@ import typer
 from needlefit.cli import exit_codes, options, screen
 from needlefit.cli.execution import open_pool, print_remark
 from needlefit.cli.exit_codes import catch_interrupts
-from needlefit.cli.options import option, takes
+from needlefit.cli.options import flag, option, takes
 from needlefit.cli.progress import show_progress
 from needlefit.cli.screen import print_warnings
 from needlefit.errors import DataError
@@ -49,6 +49,7 @@ class Export(StrEnum):
     ),
     out=option("Folder of the dataset.", "DATASET", "--out"),
     **options.SCAN_FILES,
+    every=flag("Every needle of a scan is an insertion: ID-1, ID-2, ... along L.", "--all"),
     recipe=option(
         "configs/reconstruction, or a path.", "RECIPE", autocompletion=options.complete_reconstructions
     ),
@@ -60,6 +61,7 @@ def reconstruct(
     context: typer.Context,
     scans: list[Path],
     out: Path,
+    every: bool = False,
     recipe: str = "default",
     title: str = "",
     export: list[Export] | None = None,
@@ -81,6 +83,7 @@ def reconstruct(
             ReconstructionBatch,
             ReconstructionFailure,
             add_findings,
+            divide_scan,
             reconstruct_all,
         )
         from needlefit.project.checkpoint import (
@@ -109,6 +112,9 @@ def reconstruct(
         record = load(find_file("reconstruction", recipe), ReconstructionRecord)
         checkpoint = open_checkpoint(keep, invocation.resume, CHECKPOINT_WORK, print_remark)
         with show_progress(invocation.quiet) as report:
+            if every:
+                report("looking for needles", 0, len(wanted))
+                wanted = tuple(one for scan in wanted for one in divide_scan(scan, record))
             with open_pool(
                 jobs or min(MAX_DEFAULT_JOBS, count_cores()), invocation.scheduler, invocation.insecure
             ) as pool:

@@ -233,6 +233,23 @@ class ReconstructionBatch:
     stop: Stop = never_stop  # whether to begin no further scan
 
 
+def divide_scan(scan: Scan, recipe: ReconstructionRecord) -> tuple[Scan, ...]:
+    """Return one scan for each needle that a scan holds, `ID-1`, `ID-2`, ... along L; itself if there is one.
+
+    So is one of which something is stated that only one needle has, or that cannot be read.
+    """
+    own = (scan.needle_at, scan.contact, scan.tip, scan.stage)
+    if any(stated is not None for stated in own):
+        return (scan,)
+    with suppress(NeedlefitError):  # its reconstruction says why
+        volume = read_volume(scan.volume, scan.series)
+        points = segmentation.locate_needles(volume, recipe, scan.mask)
+        if len(points) > 1:
+            ones = enumerate(points, start=1)
+            return tuple(replace(scan, id=f"{scan.id}-{n}", needle_at=at, divided=True) for n, at in ones)
+    return (scan,)
+
+
 def reconstruct_all(
     scans: Sequence[Scan], recipe: ReconstructionRecord, batch: ReconstructionBatch
 ) -> tuple[Reconstruction | ReconstructionFailure, ...]:

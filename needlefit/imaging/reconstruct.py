@@ -154,7 +154,7 @@ def _input_warnings(one: Reconstruction) -> Iterator[str]:
             f"(probability {known.p_value:.1g}): the stated deviations are too small, or a marker has moved"
         )
     placed = {
-        "the needle": scan.needle_at,
+        "the needle": None if scan.divided else scan.needle_at,
         "the markers": scan.fiducials,
         "the first contact": scan.contact,
         "the tip": scan.tip,
@@ -540,7 +540,7 @@ def derive_reconstruction(
         views=(),
         warnings=(),
     )
-    doubts += () if found.selection is None else found.selection.warnings
+    doubts += () if found.selection is None or found.scan.divided else found.selection.warnings
     return replace(one, warnings=(*collect_warnings(one, doubts), *notes))
 
 
@@ -613,7 +613,7 @@ def examine(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Examina
         if scan.mask is None:
             found.selection = select_needle(volume, recipe, scan.needle_at)
         else:
-            found.selection = NeedleSelection(read_mask_component(volume, scan.mask, recipe))
+            found.selection = NeedleSelection(read_mask_component(volume, scan.mask, recipe, scan.needle_at))
     needle = None if found.selection is None else found.selection.needle
     with found.step():
         found.markers = find_scan_markers(volume, None if needle is None else needle.voxels, scan, recipe)

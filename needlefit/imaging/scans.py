@@ -95,6 +95,7 @@ class Scan:
     # About how much of the needle is in the tissue, mm: it names the entry among several candidates.
     expected_depth: float | None = None
     needle_at: Floats | None = None  # (3,) or None; a point on the needle that is meant, LPS of the scan, mm
+    divided: bool = False  # whether the scan's other needles are insertions too: the program set `needle_at`
     # (3,) or None; where the needle enters the tissue, and where it ends, placed by hand in the scan, LPS,
     # mm; None: they are looked for.
     contact: Floats | None = None

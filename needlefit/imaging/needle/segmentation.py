@@ -1,5 +1,6 @@
 """Find the needle's voxels: tubes above thresholds, cut off from what is wider, or a mask made elsewhere."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -374,21 +375,39 @@ def find_ends(volume: Volume, part: Component) -> Floats:
 
 def _choose_longest(volume: Volume, tubes: Sequence[Component], diameter: float) -> Component:
     """Return the longest tube, unless another one of nearly its length is nearer to the diameter."""
-    first = tubes[0]
-    level = MIN_SECOND_NEEDLE_RATIO * _mean_hu(volume, first)
-    length = MIN_SECOND_NEEDLE_RATIO * first.length
-    alternatives = [part for part in tubes if part.length >= length and _mean_hu(volume, part) >= level]
-    alternatives.sort(key=lambda part: abs(np.log(part.width / diameter)))
-    if len(alternatives) == 1:
-        return first
-    misses = [float(np.exp(abs(np.log(part.width / diameter)))) for part in alternatives]  # factors
-    if misses[1] >= CLEAR_WIDTH_RATIO * misses[0]:
-        return alternatives[0]
-    raise refusal(f"""{len(alternatives)} needles:
-            {"; ".join(describe_tube(volume, part) for part in alternatives)}
+    needles = list_needles(volume, tubes, diameter)
+    if len(needles) == 1:
+        return needles[0]
+    raise refusal(f"""{len(needles)} needles: {"; ".join(describe_tube(volume, part) for part in needles)}
         expected: one needle
-        fix: state a point on the needle that is meant (LPS) in a table of scans: needle_x_mm, needle_y_mm,
-            needle_z_mm; or crop the scan, or give a mask""")
+        fix: reconstruct every one (--all); or state a point on the needle that is meant (LPS) in a table of
+            scans: needle_x_mm, needle_y_mm, needle_z_mm; or crop the scan, or give a mask""")
+
+
+def list_needles(volume: Volume, tubes: Sequence[Component], diameter: float) -> list[Component]:
+    """Return the tubes, of those given longest first, that may be a needle beside the longest one."""
+    level = MIN_SECOND_NEEDLE_RATIO * _mean_hu(volume, tubes[0])
+    length = MIN_SECOND_NEEDLE_RATIO * tubes[0].length
+    alike = [part for part in tubes if part.length >= length and _mean_hu(volume, part) >= level]
+    misses = [abs(math.log(part.width / diameter)) for part in alike]
+    clear = min(misses) + math.log(CLEAR_WIDTH_RATIO)
+    return [part for part, miss in zip(alike, misses, strict=True) if miss < clear]
+
+
+def locate_needles(volume: Volume, recipe: ReconstructionRecord, mask: Path | None = None) -> list[Floats]:
+    """Return a point (3,) on each needle of a scan, or on each part of a mask, LPS, mm; along L.
+
+    DataError as `select_needle` and `read_mask_component`.
+    """
+    if mask is None:
+        parts = list_needles(volume, find_tubes(volume, recipe), recipe.needle.diameter_mm)
+    else:
+        large = [one for one in _list_mask_parts(volume, mask) if len(one) >= MIN_COMPONENT_VOXELS]
+        parts = [measure_component(volume, one) for one in large]
+        parts = [part for part in parts if part.length >= recipe.segmentation.min_length_mm]
+    points = [to_patient(volume, part.voxels) for part in parts]
+    middles = [some[np.argmin(np.linalg.norm(some - some.mean(axis=0), axis=1))] for some in points]
+    return sorted(middles, key=lambda middle: float(middle[0]))
 
 
 def _mean_hu(volume: Volume, part: Component) -> float:
@@ -403,42 +422,53 @@ MARGIN_VOXELS = 2  # width in voxels of the gap between a mask and its surroundi
 MIN_CONTRAST_RATIO = 2.0
 
 
-def read_mask_component(volume: Volume, path: Path, recipe: ReconstructionRecord) -> Component:
+def read_mask_component(
+    volume: Volume, path: Path, recipe: ReconstructionRecord, point: Floats | None = None
+) -> Component:
     """Read the needle's voxels from a mask: a volume that is above 0 in the needle, or a DICOM segmentation.
 
     It may stand on other voxels than the scan's, in any order; each voxel of the scan then asks the nearest
-    of the mask.
+    of the mask. Of several parts that at `point` (LPS, mm) is taken, if it is stated.
 
     DataError if the mask marks nothing, lies elsewhere than the scan's needle, or cannot be a needle.
     """
-    mask = read_mask(path)
     with located(path):
-        require_same_frame(mask, volume.frame_of_reference)
-        _require_marked(int(np.count_nonzero(mask.values > 0)))
-        marked = _resample_mask(volume, mask)
-        _require_marked(int(np.count_nonzero(marked)))
-        where = np.argwhere(marked)
-        low, high = (
-            np.maximum(where.min(axis=0) - 2 * MARGIN_VOXELS, 0),
-            where.max(axis=0) + 1 + 2 * MARGIN_VOXELS,
-        )
-        box = tuple(slice(a, b) for a, b in zip(low.tolist(), high.tolist(), strict=True))
-        inside, values = marked[box], volume.values[box]
-        near = binary_dilation(inside, iterations=MARGIN_VOXELS)
-        around = values[binary_dilation(near, iterations=MARGIN_VOXELS) & ~near]
-        if not len(around):
-            raise _misplaced_mask("it marks the whole scan")
-        middle, bright = np.percentile(around, [50, 95])
-        metal = float(np.percentile(values[inside], 95))
-        if metal - middle <= MIN_CONTRAST_RATIO * (bright - middle):
-            levels = f"no brighter ({metal:.0f}) than what lies around it ({middle:.0f})"
-            raise _misplaced_mask(f"what it marks is {levels}")
-        part = measure_component(volume, np.argwhere(marked)[:, ::-1])
+        parts = _list_mask_parts(volume, path)
+        if point is not None:
+            away = [float(cKDTree(to_patient(volume, one)).query(point)[0]) for one in parts]
+            parts = [parts[int(np.argmin(away))]]
+        part = measure_component(volume, np.concatenate(parts))
         if part.length < recipe.segmentation.min_length_mm:
             raise refusal(f"""the mask is {part.length:.1f} mm long
                 expected: at least segmentation.min_length_mm = {recipe.segmentation.min_length_mm:g}
                 fix: give the mask of the whole needle, or lower min_length_mm""")
     return part
+
+
+def _list_mask_parts(volume: Volume, path: Path) -> list[Ints]:
+    """Return the voxels (n, 3), i, j, k, of each part of a mask that hangs together."""
+    mask = read_mask(path)
+    require_same_frame(mask, volume.frame_of_reference)
+    _require_marked(int(np.count_nonzero(mask.values > 0)))
+    marked = _resample_mask(volume, mask)
+    _require_marked(int(np.count_nonzero(marked)))
+    where = np.argwhere(marked)
+    low, high = (
+        np.maximum(where.min(axis=0) - 2 * MARGIN_VOXELS, 0),
+        where.max(axis=0) + 1 + 2 * MARGIN_VOXELS,
+    )
+    box = tuple(slice(a, b) for a, b in zip(low.tolist(), high.tolist(), strict=True))
+    inside, values = marked[box], volume.values[box]
+    near = binary_dilation(inside, iterations=MARGIN_VOXELS)
+    around = values[binary_dilation(near, iterations=MARGIN_VOXELS) & ~near]
+    if not len(around):
+        raise _misplaced_mask("it marks the whole scan")
+    middle, bright = np.percentile(around, [50, 95])
+    metal = float(np.percentile(values[inside], 95))
+    if metal - middle <= MIN_CONTRAST_RATIO * (bright - middle):
+        levels = f"no brighter ({metal:.0f}) than what lies around it ({middle:.0f})"
+        raise _misplaced_mask(f"what it marks is {levels}")
+    return [part[:, ::-1] for part in _list_parts(marked)]
 
 
 def _require_marked(count: int) -> None:

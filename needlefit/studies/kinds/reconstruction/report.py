@@ -306,8 +306,9 @@ def write_reconstruction(
 
     Where none can be held nothing is written, and what was there stays.
 
-    The dataset, and where its scans lie; `quality/<id>.pdf`, also of the scans that were `refused`;
-    `slicer/`, with what is exported of each scan; and the files of every run.
+    The dataset, and where its scans lie, with a row for each needle of divided ones; `quality/<id>.pdf`, also
+    of the scans that were `refused`; `slicer/`, with what is exported of each scan; and the files of every
+    run.
 
     DataError if the dataset has a fault that belongs to no single scan. ConfigError if `folder` holds
     anything that needlefit did not write, or that was changed since.
@@ -321,6 +322,8 @@ def write_reconstruction(
         refused = (*refused, *failures)
         volumes = {one.scan.id: ScanVolume(one.scan.volume, one.scan.series) for one in kept}
         write_volumes(fresh, volumes, folder)
+        if any(one.scan.divided for one in kept):  # to correct one needle, and for the next run
+            write_scan_table([one.scan for one in kept], fresh / SCANS_FILE, folder)
         written = []
         for done, one in enumerate(kept):
             progress(f"{one.scan.id}: quality page", done, len(kept))
