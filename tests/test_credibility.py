@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from shutil import copytree
 
 import pandas as pd
@@ -14,6 +15,7 @@ from credibility_cases import (
     leave_verification,
     results,
 )
+from reporting_results import stereo
 from test_cli import run
 
 from needlefit.errors import DataError
@@ -192,6 +194,14 @@ def test_evidence_with_a_table_missing_or_of_another_layout_is_not_counted(tmp_p
         (objection,) = objections[kind]
         assert objection.startswith(f"{name} ")
     assert objections["sensitivity"][0].endswith(" change")
+
+
+def test_measured_shapes_are_not_called_synthetic_and_leave_gaps(tmp_path):
+    found = read_findings(leave(replace(stereo(), run={"name": "stereo_insertions"}), tmp_path))
+    assert not any("nothing physical" in gap for _, gaps in found.values() for gap in gaps)
+    assert "rigid alignment" in found["outputs_alike"][0]
+    assert "uncertainty" in " ".join(found["rigour"][1])
+    assert "Nothing found" in found["quality_assurance"][0] or found["quality_assurance"][1]
 
 
 def test_equal_findings_of_several_runs_are_listed_once(tmp_path):

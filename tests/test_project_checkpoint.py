@@ -1,6 +1,7 @@
 """Checkpoints: what is whole is used, what is damaged is set aside, one process at a time; no code is run."""
 
 import dataclasses
+import errno
 import hashlib
 import json
 import os
@@ -202,6 +203,15 @@ def test_one_process_at_a_time(tmp_path):
         os.kill(process.pid, signal.SIGKILL)
         process.wait(10)
     open_checkpoint(tmp_path / "c", True, {"n": 1})
+
+
+def test_a_full_disk_is_the_reason_why_a_checkpoint_cannot_be_opened(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "open", full)
+    with pytest.raises(ConfigError, match=os.strerror(errno.ENOSPC)):
+        open_checkpoint(tmp_path / "c", False, {"n": 1})
 
 
 def test_a_lock_is_free_again_once_it_is_released(tmp_path):

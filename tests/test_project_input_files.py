@@ -24,7 +24,7 @@ from needlefit.project.input_files import (
     read_text,
 )
 from needlefit.project.toml import add_file_context, add_key_context, find_line, load, schema_faults
-from needlefit.schemas.dataset import MeasurementRecord
+from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord
 
@@ -73,6 +73,9 @@ def test_a_file_replaced_by_a_pipe_does_not_block(tmp_path, monkeypatch):
 def test_impossible_names_are_refused(tmp_path, name):
     error = refused(read_bytes, tmp_path / name)
     assert "\0" not in str(error) and "\x1b" not in str(error)
+    for find in (locate.find_view_target, locate.find_study_or_fit):
+        with pytest.raises(ConfigError):
+            find(f"./{name}")
 
 
 def test_a_file_larger_than_the_limit_is_refused(tmp_path):
@@ -165,7 +168,7 @@ def test_keys_with_numbers_that_are_no_toml_are_refused(text):
 
 def faults(record=RecipeRecord, **table):
     with pytest.raises(ValidationError) as caught:
-        record.model_validate(table if record is MeasurementRecord else {"schema": 1, **table})
+        record.model_validate({"schema": 1, **table})
     return schema_faults(caught.value, record)
 
 
@@ -181,6 +184,11 @@ def test_a_wrong_union_value_is_one_fault(value, expected):
     (fault,) = faults(likelihood={"noise_scale": value})
     assert fault.key == "likelihood.noise_scale"
     assert expected in fault.expected and '"estimated"' in fault.expected
+
+
+def test_an_unknown_key_of_a_parameter_names_the_forms_that_it_may_have():
+    (fault,) = faults(MediumRecord, layers=3, parameters={"mu3_pa": {"as": "mu1"}})
+    assert fault.key == "parameters.mu3_pa.as" and 'tie = "mu1_pa", spread = 1.2' in fault.expected
 
 
 def test_a_file_of_a_later_schema_is_refused_and_left_alone(tmp_path):
@@ -236,6 +244,7 @@ layers = [2]
 )
 def test_the_line_of_a_key(key, line):
     assert find_line(TEXT, key) == line
+    assert find_line(f"{TEXT}= 1", key) is None
 
 
 def test_errors_name_the_file_and_line_once(tmp_path):
@@ -324,6 +333,8 @@ def test_a_folder_of_that_name_is_pointed_out(project):
 
 def test_a_dataset_may_be_named_by_its_folder(project):
     (project / "gel").mkdir()
+    with pytest.raises(ConfigError, match=r"no dataset\.toml"):
+        locate.find_file("dataset", "./gel")
     (project / "gel/dataset.toml").write_text("")
     assert locate.find_file("dataset", "./gel") == Path("gel/dataset.toml")
 

@@ -20,7 +20,7 @@ from needlefit.studies.combined_report import write_combined
 from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.kinds.cross_validation.report import format_macros, format_methods, format_references
 from needlefit.studies.paper_folder import write_paper_folder
-from needlefit.studies.report import say, write_run
+from needlefit.studies.report import compose_run_report, say, write_run
 
 FIGURES = ("boxplot", "schematic", "overlays", "waterfall")
 EXPECTED = {
@@ -63,6 +63,18 @@ def test_every_table_is_marked_synthetic(folder):
     assert json.loads((folder / "timing.json").read_text()) == {"out": "somewhere", "seconds": 12.5}
     for path in folder.glob("*.tex"):
         assert path.read_text().count(r"\caption{SYNTHETIC DATA.") == path.read_text().count(r"\caption{")
+
+
+@pytest.mark.sweep
+def test_the_report_warns_before_any_number():
+    document = compose_run_report(study(1), {})
+    assert document.synthetic
+    assert "consistency" in document.blocks[0]["text"]
+    assert "INTERRUPTED" in compose_run_report(study(2), {}).blocks[1]["text"]
+    assert "NOT CONVERGED" in compose_run_report(study(3), {}).blocks[1]["text"]
+    measured = compose_run_report(stereo(), {})
+    assert not measured.synthetic
+    assert measured.blocks[0]["kind"] == "verdict"
 
 
 @pytest.mark.sweep
@@ -138,6 +150,26 @@ def test_the_methods_paragraph_describes_this_run():
     other = RECIPE | {"minimize": "metric", "algorithm": "bobyqa+neldermead", "starts": 5}
     changed = say(run_of(recipe=other), "methods")
     assert re.search(r"BOBYQA\b.*\bNELDERMEAD\b.*\b5 starts", changed) and "posterior" not in changed
+
+
+@pytest.mark.parametrize(
+    ("operator", "likelihood", "words"),
+    [
+        ("spline", {}, "coefficients"),
+        ("spline", {"measurement": "points"}, "as they are"),
+        ("spline", {"noise": "independent"}, "as they are"),
+        ("gaussian", {}, "smoothed"),
+        ("unknown", {}, "bias"),
+    ],
+)
+def test_the_methods_paragraph_names_the_operator_and_what_insertions_share(operator, likelihood, words):
+    data = {"measurement": {"operator": operator, "description": "MEASURED"}, "boundary_shared_sd_mm": [0.07]}
+    recipe = RECIPE | {"likelihood": RECIPE["likelihood"] | likelihood}
+    plain, text = (say(run_of(recipe=recipe, **more), "methods") for more in ({}, {"dataset": data}))
+    assert "MEASURED" in text and words in text and words not in plain
+    assert "0.07 mm" in text
+    fixed = recipe | {"likelihood": recipe["likelihood"] | {"depths": "fixed"}}
+    assert "0.07 mm" not in say(run_of(recipe=fixed, dataset=data), "methods")
 
 
 def test_citations_and_entries_correspond():

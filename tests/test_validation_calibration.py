@@ -263,6 +263,14 @@ def test_the_interval_of_a_share_is_wilson_s():
     assert (row["share"], row["low"], row["high"]) == pytest.approx((0.8, 0.4902, 0.9433), abs=1e-4)
 
 
+@pytest.mark.parametrize(
+    "options", [("--ct",), ("--truth", "nothing"), ("--truth", "synthetic", "--control", "pose")]
+)
+def test_options_that_exclude_each_other_are_usage_errors(options, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run_command("calibrate", "study1", *options) == 2
+
+
 def test_what_has_no_synthetic_truth_is_refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("leave_one_out", "guided_tip:rest", "stereo_holes"):
