@@ -213,26 +213,6 @@ def test_an_insertion_of_few_constraint_cells_is_named_as_coarse(depth, spacing,
     assert all("`rules.constraint_spacing_mm`" in one["what"] for one in found)
 
 
-def test_every_step_has_an_entry_and_a_line(capsys):
-    found = answer(capsys, "figure1")
-    steps = found["steps"]
-    assert [step["depth_mm"] for step in steps] == [40, 70, 105]
-    assert {key: found[key] for key in ("tip_lateral_mm", "tip_mm", "status")}.items() <= steps[-1].items()
-    assert sum(step["iterations"] for step in steps) == found["iterations"]
-    first = answer(capsys, "figure1", *settings("steps.2.side=1"))["steps"]
-    assert first[0] == steps[0] and first[1]["tip_lateral_mm"] > steps[1]["tip_lateral_mm"]
-    moved = answer(capsys, "figure1", *settings("steps.1.guides.template.y_mm=1"))["steps"]
-    assert moved[0]["tip_lateral_mm"] != steps[0]["tip_lateral_mm"] and moved[2]["iterations"] > 0
-    freed = answer(capsys, "figure1", *settings("guides.1.turns_freely=true"))
-    assert freed["tip_lateral_mm"] != found["tip_lateral_mm"]
-    assert run("simulate", "figure1") == 0
-    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
-    rows = [line[:2] for line in lines if line and line[-1] == "ok"]
-    assert rows == [["1", "40.00"], ["2", "70.00"], ["3", "105.00"]]
-    shallow = answer(capsys, "figure1", *settings("steps.3.depth_mm=50"))
-    assert [step["depth_mm"] for step in shallow["steps"]] == [40, 70, 50]
-
-
 def test_a_failure_names_its_step(capsys):
     found = answer(capsys, "figure1", *settings("steps.2.offset_mm=60"), code=5)
     assert [step["status"] for step in found["steps"]] == ["converged", "over-compressed", "not reached"]

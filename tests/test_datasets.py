@@ -225,29 +225,6 @@ def test_point_noise_has_the_stated_covariance_and_toml_text_is_read_back():
 
 # ---- what every insertion has for itself: deviations, its scan, its layers
 
-QUARTER = Frame(np.array([1.0, 2.0, 3.0]), np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))  # about z
-
-
-def test_deviations_and_scans_are_kept_where_they_are_given(tmp_path):
-    sd = np.linspace(0.02, 0.3, 101)
-    curves = {"a": np.column_stack([CURVE, sd]), "b": CURVE}
-    rows = [row(name, "given", layers=2) for name in "ab"]
-    a, b = read(write_dataset(tmp_path, record(), rows, curves, SURFACES)).insertions
-    np.testing.assert_allclose(a.sd, sd, atol=0.5e-4)
-    assert b.sd is None
-    assert (tmp_path / "centerlines" / "a.csv").read_text().splitlines()[0] == "x_mm,y_mm,z_mm,sd_mm"
-    assert (tmp_path / "centerlines" / "b.csv").read_text().splitlines()[0] == "x_mm,y_mm,z_mm"
-    # A quarter turn about z is the rotation vector (0, 0, 90) in degrees.
-    rows = [row("a", "given", layers=2, patient=QUARTER), row("b", "given", layers=2)]
-    file = write_dataset(tmp_path, record(), rows, dict.fromkeys("ab", CURVE), SURFACES)
-    lines = (tmp_path / "insertions.csv").read_text().splitlines()
-    assert lines[0].endswith("scan_rx_deg,scan_ry_deg,scan_rz_deg,scan_x_mm,scan_y_mm,scan_z_mm")
-    assert lines[1].endswith("0.000000,0.000000,90.000000,1.0000,2.0000,3.0000")
-    assert lines[2].endswith(",,,,,,")
-    a, b = read(file).insertions
-    np.testing.assert_allclose(a.patient.to_world([[5.0, 0, 0]]), [[1, 7, 3]], atol=1e-9)
-    np.testing.assert_array_equal(b.patient.to_world([[5.0, 0, 0]]), [[5, 0, 0]])
-
 
 def own_layers(folder):
     """A dataset in which the sheet lies at 20 mm for insertion a, at 30 for b; the cylinder is shared."""

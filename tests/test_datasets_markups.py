@@ -17,7 +17,6 @@ from needlefit.datasets.formats.fcsv import read_fcsv
 from needlefit.datasets.formats.mrk_json import CurveStyle, read_mrk_json, write_mrk_json
 from needlefit.datasets.markups import Markups, pick_list
 from needlefit.datasets.read import check, read
-from needlefit.datasets.template import write_template
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import ConfigError, DataError
 
@@ -271,15 +270,3 @@ def test_only_open_curves_are_centrelines(file):
     assert list(read_curves(file)) == ["a", "b"]
     save(file, markup("Curve", name="a"), markup("Curve", name="a"))
     assert "2 lists called `a`" in refused(file, read_curves)
-
-
-def test_a_dataset_begins_with_curves_of_slicer(tmp_path):
-    unset = point(99, "", positionStatus="undefined")
-    lists = [markup("Curve", points=[*CURVE.tolist(), unset], name=f"needle {n}") for n in (1, 2)]
-    path, notes = save(tmp_path / "n.mrk.json", *lists), []
-    found = read(write_template(tmp_path / "mine", path, notes.append))
-    assert [i.id for i in found.insertions] == ["needle_1", "needle_2"]
-    np.testing.assert_allclose(found.insertions[0].centerline, CURVE, atol=1e-4)
-    assert len(notes) == 2 and all(note.startswith(f"{path}: ") for note in notes)
-    assert "2 points" in notes[0]
-    assert "'needle 1' is needle_1, 'needle 2' is needle_2" in notes[1]

@@ -1,7 +1,6 @@
 import itertools
 import json
 import math
-import threading
 from dataclasses import replace
 
 import numpy as np
@@ -107,38 +106,6 @@ def test_a_bug_is_raised_not_counted(jobs):
         raise KeyError("mu7_pa")
 
     refusal(KeyError, "mu7_pa", lambda: minimize(box(bug), recipe(), rng(), Callbacks(jobs=jobs)))
-
-
-@pytest.mark.parametrize(("algorithm", "jobs"), [("neldermead", 1), ("praxis", 2), ("crs2", 2)])
-def test_an_interrupted_search_resumes_to_the_identical_fit(algorithm, jobs):
-    whole = minimize(box(rosenbrock), recipe(algorithm=algorithm), rng())
-    reported, calls, lock = [], [0], threading.Lock()
-
-    def stop():
-        with lock:
-            calls[0] += 1
-            return calls[0] > 300
-
-    callbacks = Callbacks(report=reported.append, stop=stop, jobs=jobs)
-    part = minimize(box(rosenbrock), recipe(algorithm=algorithm), rng(), callbacks)
-    assert part.interrupted and not whole.interrupted
-    assert math.isfinite(part.objective) and part.objective == rosenbrock(np.array(part.theta))
-    assert all(s.stopped != "interrupted" for s in reported)
-    finished = {
-        s.index: start_from_dict(json.loads(json.dumps(start_to_dict(s), allow_nan=False))) for s in reported
-    }
-    assert finished == {i: whole.starts[i] for i in finished} and 0 < len(finished) < 4
-    evaluated = []
-
-    def counted(theta):
-        evaluated.append(0)
-        return rosenbrock(theta)
-
-    again = minimize(
-        box(counted), recipe(algorithm=algorithm), rng(), Callbacks(finished=finished, jobs=jobs)
-    )
-    assert again == whole
-    assert len(evaluated) == whole.evaluations - sum(s.evaluations for s in reported)
 
 
 def test_starts_go_through_json_and_more_of_them_fill_the_box():

@@ -93,21 +93,6 @@ def test_planned_boundaries_meshes_and_what_cannot_be_compared():
         compare_points("free", 10.0, short, lambda s: np.column_stack([s, 0 * s]))
 
 
-def test_free_shapes_are_compared_from_the_tip_after_alignment():
-    """A moved, turned copy of the model's own shape, its proximal end cut off and garbled, fits exactly."""
-
-    def moved(points):
-        bent = rotated(points, 37.0, [100.0, -20.0])[60:]  # what is missing at the entry does not matter
-        return np.concatenate([bent[:30] + np.random.default_rng(1).normal(0, 0.3, (30, 2)), bent[30:]])
-
-    record = medium(1)
-    made = [measure(TRUTH, record, insertion(d), 1001, moved) for d in (50.0, 60.0)]
-    # The garbled points lengthen the polyline, but only on the far side of what is compared.
-    p = problem(record, made, pose="free", drop=20.0)
-    assert p.objective(p.parameters.theta(TRUTH)) < 1e-3
-    assert p.objective(p.parameters.theta({**TRUTH, "bevel_mm": 0.1})) > 0.01
-
-
 def test_a_free_arc_is_shown_in_the_axes_of_its_entry_side():
     """A circle of radius R: the tip's distance from its first tangent is R (1 - cos(L / R))."""
     radius, length = 500.0, 100.0

@@ -129,15 +129,6 @@ def part(shapes: NeedleShapes, sets: np.ndarray) -> NeedleShapes:
     return NeedleShapes(*(getattr(shapes, field.name)[sets] for field in fields(shapes)))
 
 
-@pytest.mark.parametrize("threads", [2, 3, 8])
-def test_the_number_of_threads_changes_no_bit(threads: int) -> None:
-    """Blocks of one insertion run side by side; its element at the entry grows with each stop of a block."""
-    batch = broad(320, steps=(replace(WIDE, depth=40.2),))
-    alone = one(batch, 1)
-    for _ in range(3):
-        assert_same_bits(one(batch, threads), alone)
-
-
 @pytest.mark.parametrize("steps", [THERE_AND_BACK, (replace(WIDE, depth=16.0),)])
 def test_invalid_numbers_affect_no_other_set(steps: tuple[Step, ...]) -> None:
     """Also where the bad set is the first, or fills a block of its own."""
@@ -211,17 +202,6 @@ def test_different_insertions_come_back_in_their_order() -> None:
     for batch, shapes in zip(batches, found, strict=True):
         assert_same_bits(shapes, one(batch, 1))
     assert simulate_batches([]) == ()
-
-
-def test_a_guide_that_the_base_would_reach_is_the_failure_of_its_set_alone() -> None:
-    """So are guides that stand nowhere; the others do not notice."""
-    steps = (Step(50.0, Bevel(0.1), Controls(guides=(Guide(-5.0),))),)
-    places = [-5.0, -100.0, np.inf, -50.0, -np.inf, 0.0, np.nan, 1e300]
-    (shapes,) = simulate_batches([Batch(NEEDLE, TISSUE, steps, guide_x=places)])
-    (alone,) = simulate_batches([Batch(NEEDLE, TISSUE, steps, guide_x=[-5.0, -50.0])])
-    assert shapes.converged.tolist() == [True, False, False, True, False, False, False, False]
-    assert shapes.failures == {"non-finite": 6}
-    np.testing.assert_array_equal(shapes.u[[0, 3]], alone.u)
 
 
 def test_what_the_memory_held_before_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:

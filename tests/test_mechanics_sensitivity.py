@@ -192,36 +192,6 @@ def test_every_set_is_what_a_single_one_gives(seed: int) -> None:
             np.testing.assert_array_equal(points[i], compute_positions(shape, s))
 
 
-@pytest.mark.parametrize("advance", ["tangent", "path_angle"])
-def test_derivatives_in_lanes_are_those_of_complex_steps(advance: str) -> None:
-    """By every kind of parameter, with friction, guides before and in the tissue, a turn of the bevel."""
-    batch = make_batch(9)
-    if advance == "path_angle":
-        steps = tuple(replace(s, bevel=Bevel(0.0, s.bevel.side, 0.01)) for s in STEPS)
-        angles = np.linspace(0.0, 0.03, 9)
-        batch = replace(
-            batch, steps=steps, rules=ModelOptions(advance=advance), offset=None, cut_angle=angles
-        )
-    shapes, jacobians = linearize_batch(batch)
-    assert shapes.converged.all() and len(jacobians.names) == 19
-    for i in (0, 7, 8):
-        assert_derivatives(jacobians[i], *batch.pick(i), rtol=1e-6)
-
-
-def test_a_guide_that_stands_elsewhere_in_each_set() -> None:
-    steps = (Step(12.0, Bevel(0.1), Controls(guides=(Guide(-9.0, 0.1),))),)
-    places = np.array([-3.0, -20.0, np.nan, -9.0, 5.0])
-    batch = make_batch(5, steps, guide_x=places)
-    shapes, jacobians = linearize_batch(batch, ("guides", "mu"))
-    assert shapes.converged.tolist() == [True, True, False, True, False]
-    for i in (0, 1, 3):
-        shape, jacobian = linearize_steps(*batch.pick(i), wrt=("guides", "mu"))
-        assert_same_bits(shapes[i], shape)
-        assert_same_bits(jacobians[i], jacobian)
-    for part in (jacobians[2].x, jacobians.u[4], jacobians.constraints[2], jacobians.tip_track[4]):
-        assert np.isnan(part).all()
-
-
 def test_what_is_prepared_serves_other_sets() -> None:
     """A batch whose sets are all invalid prepares the insertion as well as any other."""
     first = make_batch(2).with_sets(mu=np.full((2, 2), np.nan), shape=np.ones((2, 1, 2)), offset=np.zeros(2))

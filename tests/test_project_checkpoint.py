@@ -416,21 +416,6 @@ def test_added_or_changed_files_are_kept_and_named(file, tmp_path):
     assert everything(tmp_path) == before
 
 
-@pytest.mark.parametrize("empty", ["mine", "part/mine", "mine/deep/er", "slicer"])
-def test_an_empty_folder_of_the_user_is_kept_and_named(empty, tmp_path):
-    folder = tmp_path / "out"
-    write(folder)
-    (folder / empty).mkdir(parents=True)
-    with pytest.raises(ConfigError, match=empty.removesuffix("/deep/er")):
-        write(folder, "two")
-    assert (folder / empty).is_dir()
-    shutil.rmtree(folder / empty)
-    if empty.startswith("mine/"):
-        shutil.rmtree(folder / "mine")
-    write(folder, "two")
-    assert find_foreign(folder) == []
-
-
 def test_empty_folders_alone_are_kept_and_a_result_has_neither_these_nor_scratch(tmp_path):
     (tmp_path / "mine" / "raw" / "day1").mkdir(parents=True)
     for find in (find_foreign, find_foreign_in_checkpoint):
@@ -550,17 +535,6 @@ def test_files_without_a_place_are_foreign(tmp_path):
     (tmp_path / "link").symlink_to(tmp_path / "nowhere")
     with pytest.raises(ConfigError, match="exists already"), create_folder(tmp_path / "file"):
         pytest.fail("began")
-
-
-def test_a_foreign_folder_is_no_checkpoint(tmp_path):
-    (tmp_path / "0123456789abcdef.jsonl").write_text("mine")
-    with pytest.raises(ConfigError, match="0123456789abcdef"):
-        require_own_checkpoint(tmp_path)
-    (tmp_path / MANIFEST).write_text(json.dumps({"program": "needlefit", "format": 1, "work": "a"}))
-    require_own_checkpoint(tmp_path)
-    (tmp_path / "data.csv").write_text("mine")
-    with pytest.raises(ConfigError, match=r"data\.csv"):
-        require_own_checkpoint(tmp_path)
 
 
 def test_a_read_only_place_is_refused_before_the_work(tmp_path, monkeypatch):

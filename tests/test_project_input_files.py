@@ -375,22 +375,6 @@ def test_init_copies_once_into_a_folder_of_its_own_and_never_overwrites(tmp_path
     assert len(copy_project(tmp_path / "new")) == 3
 
 
-def test_all_names_are_listed_the_nearest_first(project):
-    for part in range(4):
-        (project / f"reports/run{part}").mkdir(parents=True)
-        (project / f"reports/run{part}/run.json").write_text("{}")
-    with pytest.raises(ConfigError) as fault:
-        locate.find_run("run1x")
-    assert fault.value.expected.startswith("one of run1, ") and "run0" in fault.value.expected
-    for wanted in ("study33", "STUDY3", "study3.tml"):
-        with pytest.raises(ConfigError) as fault:
-            locate.find_studies(wanted)
-        listed = fault.value.expected.removeprefix("one of ").split(", ")
-        assert listed[0] == "study3" and sorted(listed) == sorted(
-            [*locate.list_names("study"), "all", "everything"]
-        )
-
-
 @pytest.mark.parametrize("ending", ["tml", "tom", "TOML", "tmol", "toml~"])
 def test_a_misspelt_ending_is_taken_for_a_path(project, ending):
     (project / "mine.toml").write_text(STUDY)

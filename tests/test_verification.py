@@ -93,20 +93,6 @@ def test_the_same_seed_measures_the_same_and_another_one_other_cases():
     assert first == again != other
 
 
-def test_a_file_in_the_folder_is_a_row(tmp_path, monkeypatch):
-    from needlefit.verification import checks
-
-    (tmp_path / "another.py").write_text(
-        "from needlefit.verification.check import Check, Group, CheckOutcome, Quantity, at_most\n"
-        "ROWS = (Quantity('zero', at_most(1), ''),)\n"
-        "CHECKS = (Check(Group.TANGENT, 'One more', ROWS, lambda rng: CheckOutcome((0.0,))),)\n"
-    )
-    before = len(find_checks())
-    monkeypatch.setattr(checks, "__path__", [*checks.__path__, str(tmp_path)])
-    assert len(find_checks()) == before + 1
-    assert "One more" in {check.title for check in find_checks()}
-
-
 def test_a_check_that_crashes_is_a_failed_row_with_its_reason_and_the_next_one_goes_on():
     def crash(rng):
         raise ZeroDivisionError("no\nluck")
