@@ -71,6 +71,7 @@ function paintBackground(behind) {
 
 function paintForeground(before, state) {
   clearBoxes();
+  needle.reserveNeedle(state);
   within(before, () => {
     if (shown.reach) overlay.paintReach(before);
     if (shown.load) needle.paintLoad(before, state, shown.raw);

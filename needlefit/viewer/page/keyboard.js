@@ -36,7 +36,7 @@ const KEYS = [
   [["2"], "2", "show the tissue", () => show("tissue")],
   [["3"], "3", "follow the tip", () => show("tip")],
 ];
-const ALWAYS = [["Shift", "held: a drag or the wheel moves a tenth as far"], ["Esc", "no target, no obstacle after all"], ["Ctrl+Z", "undo"], ["Ctrl+Y", "redo; Ctrl+Shift+Z does the same"], ["?", "this list"]];
+const ALWAYS = [["Esc", "no target, no obstacle after all"], ["Ctrl+Z", "undo"], ["Ctrl+Y", "redo; Ctrl+Shift+Z does the same"], ["?", "this list"]];
 
 const dialog = part("keys");
 const typed = new WeakSet(); // fields with something typed that does not count yet

@@ -3,7 +3,7 @@
 import { aim } from "./aim.js";
 import { listen, now, publish } from "./store.js";
 
-const GUTTER = { left: 56, right: 10, top: 42, bottom: 38 }; // px, for the axes, the names of layers and the load's key
+const GUTTER = { left: 56, right: 10, top: 42, bottom: 40 }; // px, for the axes, the names of layers and the load's key
 const MAGNIFICATIONS = [1, 1.5, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 30, 50]; // of y against x
 const ROOM = 56; // px above and below the needle: load, handles, labels; at most 0.2 of the height
 const LEAST_SPAN = { moving: 0.05, still: 0.01 }; // of the depth: smaller deflections are not magnified further

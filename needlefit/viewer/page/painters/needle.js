@@ -4,7 +4,7 @@ import { basePlace, bevelPlace, guidePlace } from "../handles.js";
 import { brief, heightAt, roundStep, shortName } from "../quantities.js";
 import { now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
-import { arrow, cross, faintly, label, labelFree, line, palette, polygon, reserve, ring, segments, setFont, stroke, trace, turned } from "./strokes.js";
+import { arrow, avoid, cross, faintly, label, labelFree, line, palette, polygon, reserve, ring, segments, setFont, stroke, trace, turned } from "./strokes.js";
 
 const THINNEST = 2; // px
 const THICKEST = 5; // px, where y is magnified: there the body has no thickness that could be read off
@@ -64,20 +64,33 @@ export function paintNeedle(context, { x, y, bevel, faults }) {
   segments(context, [[back, point]], palette.tip, 2);
 }
 
+/** Keep labels off the needle, the bevel's knob and the arrow of the tip force. */
+export function reserveNeedle(state) {
+  const { tip: [px, py], turn } = bevelPlace(state);
+  reserve(turn[0] - 9, turn[1] - 9, 18, 18);
+  const arrow = Array.from({ length: 5 }, (_, i) => [px, py - (i / 6) * arrowLength(state)]); // its force is written at its end
+  avoid([...state.x.map((x, i) => [toPx(x), toPy(state.y[i])]), ...arrow]);
+}
+
+/** Length of the arrow of the tip force, px, up if positive. */
+function arrowLength({ forces: { tip_n: force } }) {
+  if (greatestForce.scene !== now.scene) greatestForce = { scene: now.scene, newton: LEAST_FORCE };
+  greatestForce.newton = Math.max(greatestForce.newton, Math.abs(force));
+  return (TALLEST * force) / greatestForce.newton;
+}
+
 /** Draw the knob on the side to which the bevel turns the cut, and whether the tip is held. */
 export function paintTip(context, state) {
   const { tip, turn } = bevelPlace(state);
   segments(context, [[tip, turn]], palette.tip, 1.5);
   ring(context, ...turn, 6, palette.air, palette.tip);
-  reserve(turn[0] - 9, turn[1] - 9, 18, 18);
   if (state.tip.held) ring(context, ...tip, 11, palette.tip, "transparent");
 }
 
 /** Draw the lateral force on the tip as an arrow along y. */
-export function paintTipForce(context, { tip, forces: { tip_n: force } }) {
-  if (greatestForce.scene !== now.scene) greatestForce = { scene: now.scene, newton: LEAST_FORCE };
-  greatestForce.newton = Math.max(greatestForce.newton, Math.abs(force));
-  const length = (TALLEST * force) / greatestForce.newton;
+export function paintTipForce(context, state) {
+  const { tip, forces: { tip_n: force } } = state;
+  const length = arrowLength(state);
   if (Math.abs(length) < SHORTEST) return;
   const [px, py] = [toPx(tip.x), toPy(tip.y)];
   arrow(context, [px, py], length, palette.load);

@@ -32,7 +32,7 @@ export function paintPinned(context, { x, y, tip }) {
   line(context, x, y, palette.halo, 5);
   line(context, x, y, palette.ghost, 2.5, [2, 3]);
   setFont(context, "strong");
-  labelFree(context, "pinned", [[toPx(tip.x), toPy(tip.y) - 20], [toPx(tip.x), toPy(tip.y) + 20], [toPx(tip.x) - 60, toPy(tip.y)]], palette.ghost);
+  labelFree(context, "pinned", [[toPx(tip.x), toPy(tip.y) - 20], [toPx(tip.x), toPy(tip.y) + 20], [toPx(tip.x) - 60, toPy(tip.y)], [toPx(tip.x) + 40, toPy(tip.y)]], palette.ghost);
 }
 
 /** Draw the points of the measured needle that can be dragged. */
@@ -66,7 +66,7 @@ export function paintGaps(context, state, measured) {
   const away = thickness() / 2 + 18;
   const sides = [[px, top - away], [px, bottom + away]]; // first the one that has no knob of the bevel
   if (state.bevel.side > 0) sides.reverse();
-  labelFree(context, `TE ${errors.te_mm.toFixed(2)} mm`, [...sides, [px - 90, top - away], [px - 90, bottom + away]], palette.gap);
+  labelFree(context, `TE ${errors.te_mm.toFixed(2)} mm`, [...sides, [px + 60, top - away], [px + 60, bottom + away], [px - 90, top - away], [px - 90, bottom + away]], palette.gap);
 }
 
 /** Shade where the tip can come to stand: the more of the draws, the stronger. */
@@ -121,7 +121,8 @@ export function paintTrackedTip(context) {
 }
 
 /** Draw the inserted part of the needle with y as large as x, in a corner where nothing else is; else nowhere. */
-export function paintInset(context, { x, y }) {
+export function paintInset(context, { x, y, tip }) {
+  if (tip.x <= 0) return;
   const { left, top, width, height } = view.box;
   const curves = [{ x, y }, now.scene.measured, now.band && { x: now.band.x, y: now.band.low }, now.band && { x: now.band.x, y: now.band.high }];
   const places = curves.flatMap((one) => (one ? one.x.map((at, i) => [toPx(at), toPy(one.y[i])]) : []));

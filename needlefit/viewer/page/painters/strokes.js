@@ -133,26 +133,34 @@ export function label(context, text, px, py, colour = palette.label) {
 }
 
 const LINE = 16; // px, height of a label
-let boxes = []; // of this frame, px: [left, top, width, height]
+let [boxes, avoided] = [[], []]; // of this frame, px: [left, top, width, height]
 
 /** What is written in this frame, and what else no label may lie on. */
 export const takenBoxes = () => boxes;
-export const clearBoxes = () => (boxes = []);
+export const clearBoxes = () => ([boxes, avoided] = [[], []]);
 const overlap = ([x, y, w, h], [x2, y2, w2, h2]) => x < x2 + w2 && x2 < x + w && y < y2 + h2 && y2 < y + h;
 export const isFree = (box) => !boxes.some((one) => overlap(one, box));
 export const reserve = (...box) => boxes.push(box);
+
+/** Keep labels off a line (px) where there is room for them elsewhere. */
+export function avoid(places) {
+  for (const [px, py] of places) {
+    const [left, top] = avoided.at(-1) ?? [-Infinity, 0];
+    if (Math.hypot(px - 4 - left, py - 4 - top) > 8) avoided.push([px - 4, py - 4, 8, 8]);
+  }
+}
 
 /** Write a label at the first of some places (px, its middle) that is free, inside the window; else nowhere. */
 export function labelFree(context, text, places, colour) {
   const { left, top, width, height } = view.box;
   const wide = context.measureText(text).width + 6;
   const within = (value, low, high) => Math.max(low, Math.min(value, high));
-  for (const [px, py] of places) {
-    const box = [within(px - wide / 2, left + 2, left + width - wide - 2), within(py - LINE / 2, top + 2, top + height - LINE - 2), wide, LINE];
-    if (!isFree(box)) continue;
-    boxes.push(box);
-    context.textAlign = "center";
-    context.textBaseline = "middle";
-    return label(context, text, box[0] + wide / 2, box[1] + LINE / 2, colour);
-  }
+  const free = places.map(([px, py]) =>
+    [within(px - wide / 2, left + 2, left + width - wide - 2), within(py - LINE / 2, top + 2, top + height - LINE - 2), wide, LINE]).filter(isFree);
+  const box = free.find((one) => !avoided.some((other) => overlap(one, other))) ?? free[0];
+  if (!box) return;
+  boxes.push(box);
+  context.textAlign = "center";
+  context.textBaseline = "middle";
+  label(context, text, box[0] + wide / 2, box[1] + LINE / 2, colour);
 }
