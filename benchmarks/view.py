@@ -12,7 +12,8 @@ latency     from the time stamp of the input event to when the browser had drawn
             its effect (a message posted in that frame and heard after it); of the wheel apart, which
             the browser holds back before the page hears of it; of keys and of mu at a depth of 140 mm, there
             also on a processor that is slowed down by PHONE_SLOWER.
-band        from the frame that shows a needle to the band of its draws, at 55 and 140 mm.
+            Most of it is waiting for the frame, FRAME / 2 on average; `own` is the rest, from when that began.
+band        from the frame that shows a needle to the one with the band of its draws, at 55 and 140 mm.
 first       from the command to the first picture, in a browser that is open already.
 solver      steps a second as the page shows them; and of 60 s without a pause, in this process.
 
@@ -143,23 +144,20 @@ def reach(page: Page, depth: float) -> None:
 
 
 def band_waits(page: Page, times: int = 20) -> dict[str, float] | None:
-    """Return percentiles of the time from a state to its band, ms; None without draws."""
+    """Return percentiles of the time from a needle's picture to that with its band, ms; None without draws."""
     if not page.evaluate("window.needlefit.scene.draws"):
         return None
-    page.evaluate(
-        """import("/page/store.js").then(({ listen }) => {
-            if (window.bands) return (window.bands = []);
-            window.bands = [];
-            let at = null;
-            listen("state", ({ step }) => (at = { step, t: performance.now() }));
-            listen("band", ({ step }) => step === at?.step && window.bands.push(performance.now() - at.t));
-        })"""
-    )
     page.focus("#canvas")
+    start = page.evaluate("performance.now()")
     for n in range(times):
         page.keyboard.press("ArrowDown" if n % 2 else "ArrowUp")  # it ends where it began
         page.wait_for_timeout(400)
-    found = np.array(page.evaluate("window.bands"))
+    needles, bands = {}, {}
+    for frame in sorted(page.evaluate("window.needlefit.frames"), key=lambda frame: frame["t"]):
+        if frame["t"] > start and frame["painted"] is not None:
+            needles.setdefault(frame["step"], frame["painted"])
+            bands.setdefault(frame["band"], frame["painted"])
+    found = [bands[step] - shown for step, shown in needles.items() if step in bands]
     return {f"p{p}": round(float(np.percentile(found, p)), 1) for p in (0, 50, 95)} | {"bands": len(found)}
 
 
@@ -199,7 +197,8 @@ def waits(frames: list[dict]) -> dict[str, float]:
     """Return percentiles of the time from an input to its picture, ms, and how many inputs there were."""
     latency = np.array([frame["latency_ms"] for frame in frames if frame["latency_ms"] is not None])
     found = {f"p{p}": round(float(np.percentile(latency, p)), 1) for p in (50, 95, 99)}
-    return found | {"inputs": len(latency)}
+    own = [frame["painted"] - frame["t"] for frame in frames if frame["latency_ms"] is not None]
+    return found | {"own_p95": round(float(np.percentile(own, 95)), 1), "inputs": len(latency)}
 
 
 def real_time(subject: str, seconds: float) -> dict:

@@ -48,7 +48,7 @@ function frame(t) {
   began ??= t;
   mark();
   draw();
-  const record = { t, step: now.state?.step ?? null, ...shown, latency_ms: null, painted: null };
+  const record = { t, step: now.state?.step ?? null, band: now.band?.step ?? null, ...shown, latency_ms: null, painted: null };
   shown = { fresh: false, input: null };
   last = t;
   now.frames[count++ % KEPT] = record;
