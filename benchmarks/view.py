@@ -12,7 +12,7 @@ latency     from the time stamp of the input event to when the browser had drawn
             its effect (a message posted in that frame and heard after it); of the wheel apart, which
             the browser holds back before the page hears of it; of keys and of mu at a depth of 140 mm, there
             also on a processor that is slowed down by PHONE_SLOWER.
-            Most of it is waiting for the frame, FRAME / 2 on average; `own` is the rest, from when that began.
+            Half a FRAME of it, on average, is waiting for the next one; `own` is what comes after that.
 band        from the frame that shows a needle to the one with the band of its draws, at 55 and 140 mm.
 first       from the command to the first picture, in a browser that is open already.
 solver      steps a second as the page shows them; and of 60 s without a pause, in this process.
@@ -144,7 +144,7 @@ def reach(page: Page, depth: float) -> None:
 
 
 def band_waits(page: Page, times: int = 20) -> dict[str, float] | None:
-    """Return percentiles of the time from a needle's picture to that with its band, ms; None without draws."""
+    """Return percentiles of the time from the picture of a needle to its band, ms; None without draws."""
     if not page.evaluate("window.needlefit.scene.draws"):
         return None
     page.focus("#canvas")
