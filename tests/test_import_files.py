@@ -134,11 +134,39 @@ def test_columns_that_name_their_quantity_beside_the_axis(tmp_path, count):
     [
         {"runs": {"a": CURVES[0], "b": CURVES[1], "c": CURVES[2].T}},
         {"c": np.array([{k: one[:, n] for n, k in enumerate("xyz")} for one in CURVES], dtype=object)},
+        {"rows": np.vstack([[[4 + n, m, *p] for m, p in enumerate(one)] for n, one in enumerate(CURVES)])},
+        {"rows": np.vstack([[[*p, n] for p in one] for n, one in enumerate(CURVES)])},
     ],
 )
 def test_matlab_structs_and_cells(tmp_path, variables):
     savemat(tmp_path / "a.mat", variables)
     assert_same(curves_of(tmp_path / "a.mat"))
+
+
+@pytest.mark.parametrize("head", ["{0},{1} mm,", "N{0},{1},", "{1} [mm];", ""])
+def test_coordinates_in_rows(tmp_path, head):
+    """The rows of a needle may be labelled; without any labels the table holds a single one."""
+    curves = CURVES if "{0}" in head else CURVES[:1]
+    separator = ";" if ";" in head else ","
+    rows = [
+        head.format(n, axis) + separator.join(f"{value:.4f}" for value in values)
+        for n, one in enumerate(curves, 1)
+        for axis, values in zip("xyz", one.T, strict=True)
+    ]
+    (tmp_path / "a.csv").write_text("\n".join(rows))
+    assert_same(curves_of(tmp_path / "a.csv"), curves)
+    rows[1] = rows[1].replace("0", "?")
+    (tmp_path / "a.csv").write_text("\n".join(rows))
+    if head:
+        assert "column" in refusal(DataError, "", read_content, [tmp_path / "a.csv"]).where
+
+
+@pytest.mark.parametrize("head", ["Nr;Punkt;x;y;z", ""])
+def test_numbers_of_curves_and_points(tmp_path, head):
+    rows = [[n, m, *p] for n, one in enumerate(CURVES, 1) for m, p in enumerate(one)]
+    lines = [head, *(";".join(map(str, row)) for row in rows)]
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    assert_same(curves_of(tmp_path / "a.csv"))
 
 
 SIDES = {"N1": "1", "N2": "-1", "N3": "1"}
@@ -563,11 +591,28 @@ def test_sides_are_read_or_stand_as_an_assumption(tmp_path, texts, sides, source
     assert understood([file], units="mm")[1]["bevel"] == ("bend", "guess" if any(texts) else "assumption")
 
 
-def test_a_side_may_stand_in_the_names_of_curves(tmp_path):
-    for name, side, curve in zip("abc", ("oben", "unten", "oben"), CURVES, strict=True):
-        write_plain(tmp_path, [curve], f"{name} (Schliff {side}).csv")
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("a (Schliff oben)", "b (Schliff unten)", "c (Schliff oben)"),
+        ("a_bevel+1", "b_bevel-1", "c_bevel+1"),
+        ("gel_01_+1", "gel_02_-1", "gel_03_+1"),
+    ],
+)
+def test_a_side_may_stand_in_the_names_of_curves(tmp_path, names):
+    for name, curve in zip(names, CURVES, strict=True):
+        write_plain(tmp_path, [curve], f"{name}.csv")
     plan, made = understood([tmp_path], pose="1,0,0", bevel="0,1,0")
     assert [one.row.side for one in plan.insertions] == [1, -1, 1] and made["bevel side"][1] == "file"
+
+
+@pytest.mark.parametrize(
+    "names", [("gel_1", "gel_2", "gel_3"), ("gel-1", "gel-2", "gel-3"), ("a_-1", "b", "c")]
+)
+def test_numbers_of_needles_are_no_sides(tmp_path, names):
+    for name, curve in zip(names, CURVES, strict=True):
+        write_plain(tmp_path, [curve], f"{name}.csv")
+    assert understood([tmp_path], pose="1,0,0", bevel="0,1,0")[1]["bevel side"][1] == "assumption"
 
 
 def test_bevels_at_right_angles_turn_the_direction_of_their_side(tmp_path):
@@ -597,7 +642,7 @@ def test_assumptions_that_a_verdict_depends_on_are_those_of_the_dataset(tmp_path
     file, out = write_plain(tmp_path, NEEDLES), tmp_path / "gel"
     assert run("import", file, "--out", out, *options) == 0
     dataset = read(out)
-    assert set(dataset.assumed) == {"entry point = first", "pose angle sd = 0.5", "bevel side = 1"}
+    assert dataset.assumed == ("bevel side = 1", "pose angle sd = 0.5", "entry point = first")
     assert describe_dataset(dataset)["assumed"] == list(dataset.assumed)
     scene = load(out / "scene.toml", SceneRecord)
     assert (scene.depth_mm, len(scene.layers)) == (pytest.approx(60.02, abs=0.1), 1)

@@ -63,6 +63,8 @@ MIN_SIMILARITY = 0.8  # ratio of `difflib` above which a name counts as a mistyp
 _UNIT = re.compile(r"_(mm|deg)$")
 # Decisions of an import that change the scale of mu and b, and hardly the shapes that are predicted.
 _SCALES = frozenset(["needle length", "diameter", "inner diameter", "modulus"])
+# Those on which a verdict depends most: which way a needle bends, and the errors of which its noise floor is.
+_DECISIVE = ("bevel side", "bevel", "pose angle sd", "pose shift sd", "point sd", "pose")
 
 # Whether it is so, and the warning then: its kind, the key that it is about, what, and how to fix it.
 Check = tuple[bool, str, str, str, str]
@@ -83,8 +85,13 @@ def list_assumptions(record: DatasetRecord | TrackDatasetRecord) -> list[tuple[s
 
 
 def list_decisive_assumptions(record: DatasetRecord | TrackDatasetRecord) -> tuple[str, ...]:
-    """Return the assumptions that a verdict depends on: all but those that only scale the parameters."""
-    return tuple(f"{what} = {value}" for what, value in list_assumptions(record) if what not in _SCALES)
+    """Return the assumptions that a verdict depends on, all but those that only scale the parameters.
+
+    The most decisive come first.
+    """
+    found = [(what, value) for what, value in list_assumptions(record) if what not in _SCALES]
+    found.sort(key=lambda one: _DECISIVE.index(one[0]) if one[0] in _DECISIVE else len(_DECISIVE))
+    return tuple(f"{what} = {value}" for what, value in found)
 
 
 def find_record_warnings(record: DatasetRecord | TrackDatasetRecord, file: Path) -> Iterator[ResultWarning]:

@@ -74,13 +74,14 @@ def judge_run(result: "Run") -> tuple[Verdict, ...]:
     """Return the verdicts of a run, one for each group, from its stored tables alone.
 
     A run that was interrupted, or that has faults, passes nowhere; the headlines of its faults come first.
-    Those of a preliminary recipe are marked. What the import of its data assumed, and errors depend on, is
-    named.
+    Those of a preliminary recipe are marked. Of what the import of its data assumed the most decisive is
+    named, with the place of the others.
     """
     report = find_kind(result.kind).report
     verdicts = report.judge(result)
     if assumed := (result.run.get("dataset") or {}).get("assumed"):
-        named = f"; assumed at the import: {', '.join(map(str, assumed))}"
+        more = f" and {len(assumed) - 1} more ([import] in dataset.toml)" if len(assumed) > 1 else ""
+        named = f"; assumed at the import: {assumed[0]}{more}"
         verdicts = [replace(one, sentence=f"{one.sentence}{named}") for one in verdicts]
     if (result.run.get("recipe") or {}).get("preliminary"):
         recipe = Path(str(getattr(result.record, "recipe", ""))).stem

@@ -1,4 +1,4 @@
-"""Read MATLAB files: every N x 3 array in them, also in structs and cells, and structs of x, y and z.
+"""Read MATLAB files: N x 3 arrays, also in structs and cells, structs of x, y and z, and numbered tables.
 
 scipy and h5py read them, in a child process: scipy crashes on some damaged files.
 """
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
 from needlefit.datasets.formats import FileFormat
-from needlefit.datasets.points import Points
+from needlefit.datasets.points import Points, find_counters
 from needlefit.errors import DataError
 from needlefit.project.input_files import read_bytes
 from needlefit.project.sandbox import (
@@ -46,8 +46,9 @@ def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
     """Return every array of shape (N, 3) or (3, N), N > 3, by name, and the names of what is none.
 
     Names: `a`, `a_1` in a cell or array of structs, `a_b` in a struct; a struct with one such array gives it
-    its name. A struct with vectors x, y and z of one length is a curve, too. Texts and single numbers beside
-    a curve, or above it, are its `stated`. Reads versions 4 to 7 (scipy), 7.3 (h5py).
+    its name. A struct with vectors x, y and z of one length is a curve, too, and so are the points of each
+    number in an array (N, 4) or (N, 5) with columns that number curves and points. Texts and single numbers
+    beside a curve, or above it, are its `stated`. Reads versions 4 to 7 (scipy), 7.3 (h5py).
 
     DataError if the file is missing, is no MATLAB file, or holds no such array.
     """
@@ -159,6 +160,15 @@ def _iterate_curves(
             yield from _iterate_curves(f"{name}_{number}", part, stated, unused)
     elif (points := _to_points(value)) is not None:
         yield name, points, stated
+    elif isinstance(value, np.ndarray) and (counters := _find_counters(value)):
+        numbers, points = value[:, counters[0]], np.delete(value, counters, axis=1).astype(np.float64)
+        is_one = bool((np.diff(numbers) == 1).all())  # curve, of which the points are numbered
+        unused += [f"{name}: column {n + 1}" for n in counters[not is_one :]]
+        if is_one:
+            yield name, points, stated
+        else:
+            ids = dict.fromkeys(numbers.tolist())
+            yield from ((f"{name}_{one:g}", points[numbers == one], stated) for one in ids)
     else:
         unused.append(name)
 
@@ -181,6 +191,13 @@ def _to_points(value: Any) -> Floats | None:  # noqa: ANN401 - whatever MATLAB s
     if 3 not in value.shape or max(value.shape) <= 3:
         return None
     return np.ascontiguousarray(value if value.shape[1] == 3 else value.T, dtype=np.float64)
+
+
+def _find_counters(value: NDArray[Any]) -> list[int]:
+    """Return the columns beside the coordinates of a table (N, 4) or (N, 5), if they number its rows."""
+    more = value.shape[1] - 3 if value.ndim == 2 and _is_real(value) else 0
+    counters = find_counters(value.astype(np.float64))[:more] if more in (1, 2) else []
+    return counters if len(counters) == more else []
 
 
 def _to_text(value: Any) -> str | None:  # noqa: ANN401 - whatever MATLAB saved

@@ -1,6 +1,7 @@
 """What an import decides: by an option, an answer, a guess from the numbers, or an assumption."""
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from types import MappingProxyType
@@ -8,6 +9,25 @@ from typing import Literal
 
 from needlefit.errors import ConfigError
 from needlefit.schemas.dataset import ImportDecisionRecord
+
+# Words for the direction that a bevel faces, as an angle about the needle, degrees: clockwise from up, seen
+# along the insertion.
+_BEVEL_ANGLES = {
+    **dict.fromkeys(
+        ("up", "top", "oben", "o", "haut", "arriba", "su", "+", "plus", "positive", "positiv"), 0.0
+    ),
+    **dict.fromkeys(("right", "r", "rechts", "droite", "derecha", "destra"), 90.0),
+    **dict.fromkeys(("down", "bottom", "unten", "bas", "abajo", "-", "minus", "negative", "negativ"), 180.0),
+    **dict.fromkeys(("left", "l", "links", "gauche", "izquierda", "sinistra"), 270.0),
+}
+# A word after that for the bevel, or a last number, of which the sign must be written in one name or more.
+_SIDES_IN_NAMES = (
+    re.compile(
+        r"(?:bevel|schliff|biseau|bisel|smusso|side|seite)[\W_]*?([-+\u2212]?1(?!\d)|[^\W\d_]+)",
+        re.IGNORECASE,
+    ),
+    re.compile(r"[\s_.(]([-+\u2212]?1)\W*$"),
+)
 
 Source = Literal["file", "option", "answer", "guess", "assumption"]
 
@@ -144,6 +164,37 @@ def parse_depths(what: str, text: str) -> tuple[float, ...]:
     is_right = all(low < high < MAX_NUMBER for low, high in pairwise((0.0, *depths)))
     _require(is_right, what, text, "depths above 0 that increase, such as 15,30")
     return depths
+
+
+def parse_angle(text: str) -> float | None:
+    """Return the direction that a bevel faces, degrees about the needle; None where the text states none."""
+    plain = text.replace("\u2212", "-").strip().lower()
+    named = [_BEVEL_ANGLES[word] for word in re.findall(r"[^\W\d_]+|^[+-]$", plain) if word in _BEVEL_ANGLES]
+    value = find_number(plain)
+    if named or value is None:
+        return named[0] if len({*named}) == 1 else None
+    return value if plain.endswith(" deg") else {1.0: 0.0, -1.0: 180.0}.get(value)
+
+
+def find_sides_in_names(names: Sequence[str]) -> list[str]:
+    """Return the bevel sides in the names of curves, such as `bevel_up` or `_-1`; "" if not in all."""
+    for pattern in _SIDES_IN_NAMES:
+        found = [
+            match[1]
+            for name in names
+            if (match := pattern.search(name)) and parse_angle(match[1]) is not None
+        ]
+        if len(found) == len(names) and (
+            pattern is not _SIDES_IN_NAMES[1] or any(one < "0" for one in found)
+        ):
+            return found
+    return [""] * len(names)
+
+
+def find_number(text: str) -> float | None:
+    """Return the number in a text such as `38,5 mm`; None where it holds anything else."""
+    match = re.fullmatch(r"([-+]?\d+(?:[.,]\d*)?)\s*[^\W\d_]{0,10}", text.strip())
+    return None if match is None else float(match[1].replace(",", "."))
 
 
 def _to_float(text: str) -> float:

@@ -22,6 +22,7 @@ from needlefit.datasets.formats import FORMATS, find_format
 from needlefit.datasets.formats.fcsv import read_fcsv
 from needlefit.datasets.formats.mat import get_local_member
 from needlefit.datasets.formats.mrk_json import read_mrk_json
+from needlefit.datasets.importing.decisions import find_sides_in_names
 from needlefit.datasets.importing.tables import (
     ATTRIBUTES,
     SHEET_SUFFIXES,
@@ -584,13 +585,15 @@ def _name_curves(curves: Sequence[ImportedCurve]) -> tuple[ImportedCurve, ...]:
         fix = "name the columns with --columns: one curve may have been taken for many"
         raise DataError(what, where=str(curves[0].points.path), expected=f"at most {MAX_CURVES}", fix=fix)
     names: dict[str, ImportedCurve] = {}
-    for one in curves:
+    sides = find_sides_in_names([one.name for one in curves])
+    for one, side in zip(curves, sides, strict=True):
         if fault := name_fault(one.name):
             what = f"the name {one.name[:80]!r} of a curve is refused: {fault}"
             where = one.points.where()
             raise DataError(what, where=where, expected=EXPECTED_NAME, fix="rename it in its file")
         name = _make_unique(make_id(one.name, "curve")[:MAX_NAME_CHARS], names)
-        names[name] = replace(one, name=name)
+        stated = {"bevel_side": side, **one.attributes} if side else one.attributes
+        names[name] = replace(one, name=name, attributes=stated)
     return tuple(names.values())
 
 

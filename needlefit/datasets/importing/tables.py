@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
 from needlefit.datasets.formats.csv import MAX_COLUMNS
-from needlefit.datasets.points import MAX_COORDINATE, MIN_POINTS, Points
+from needlefit.datasets.points import MAX_COORDINATE, MIN_POINTS, Points, find_counters
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PatientSystem, to_lps
 from needlefit.project.input_files import open_regular, read_bytes
@@ -106,10 +106,12 @@ class CellTable:
     decimal: str = "."
     separator: str = ""  # between the cells; empty for a sheet
     layout: str = ""  # how the file was read, for people
+    transposed: bool = False  # its rows are the columns of the file
 
     def where(self, row: int) -> str:
         """Return the place of a row for a message."""
-        sheet = f", sheet {self.sheet!r}, row " if self.sheet else ":"
+        line = "column" if self.transposed else "row"
+        sheet = f", sheet {self.sheet!r}, {line} " if self.sheet else f", {line} " if self.transposed else ":"
         return f"{self.path}{sheet}{self.first + row}"
 
     def number(self, text: str) -> float | None:
@@ -129,6 +131,21 @@ class CellTable:
     def names_axes(self, rows: Iterable[int]) -> bool:
         """Whether one of these header rows names two axes or more."""
         return any(sum(bool(_split_axis(cell)[0]) for cell in self.header(n)) > 1 for n in rows)
+
+    def turn_upright(self) -> "CellTable":
+        """Return the table with a point in each row: transposed where x, y and z are rows."""
+        rows = [row for row in self.rows if any(row)]
+        if self.transposed or self.names_axes(n for n, row in enumerate(self.rows) if any(row)):
+            return self
+        turned = [tuple(column) for column in zip_longest(*self.rows, fillvalue="")]
+        axes = [{_split_axis(cell)[0] for cell in column} for column in turned[:MAX_HEADER_ROWS]]
+        heads = [n for n, one in enumerate(axes) if any(set(letters[:2]) <= one for letters, _ in _SYSTEMS)]
+        numbers = [sum(self.number(cell) is not None for cell in row) for row in rows]
+        if not heads and (len(rows) not in (2, 3) or min(numbers) < MIN_POINTS):
+            return self
+        for n in range(heads[0] if heads else 0):  # numbers of needles above their axes are no points
+            turned[n] = (f"#{turned[n][0]}", *turned[n][1:])
+        return replace(self, rows=turned, first=1, transposed=True)
 
 
 def parse_number(text: str, decimal: str) -> float | None:
@@ -363,6 +380,10 @@ def find_curves(cells: CellTable, columns: Sequence[str] = ()) -> TableContent:
     """
     if not columns and (found := _find_needles(cells)) is not None:
         return found
+    if not columns and (turned := cells.turn_upright()).transposed and not cells.transposed:
+        found = find_curves(turned)
+        placed = (replace(one, points=replace(one.points, lines=None)) for one in found.curves)
+        return replace(found, curves=tuple(placed))
     unused: dict[tuple[str, str], None] = {}
     header: Sequence[int] = ()
     joined: dict[object, ImportedCurve] = {}
@@ -664,9 +685,9 @@ class _Part:
         numbers = [[self.cells.number(text) for text in column] for column in self.columns]
         counts = [len(column) - column.count(None) for column in numbers]
         full = [n for n, count in enumerate(counts) if count > 0.5 * len(self.body) and n not in others]
-        if full and (len(full) % 3 == 1 or roles.get(full[0]) == "index"):
-            steps = np.diff(np.array(numbers[full[0]], dtype=np.float64))
-            full = full[1:] if len(steps) and (steps == 1).all() else full
+        if drop := len(full) % 3 if len(full) > 3 else int(roles.get(next(iter(full), -1)) == "index"):
+            counters = find_counters(np.array([numbers[n] for n in full], dtype=np.float64).T)[:drop]
+            full = [n for m, n in enumerate(full) if m not in counters] if len(counters) == drop else full
         if len(list(filter(None, self.names))) >= max(len(full), 2) and len(full) != 3:
             full = []  # names that are not known must not be overruled
         if len(full) == 2:
@@ -770,28 +791,21 @@ class _Part:
     def _find_key_column(self, axes: _Axes) -> int | None:
         """Return the column that tells curves apart without a known name.
 
-        Without a header the first one with text in every row, else the first whose value is one along each of
-        several blocks of rows.
+        The first whose value is one along each of several blocks of rows; without a header also the first one
+        with text in every row.
         """
-        if not self.names:
-            others = (n for n in range(len(self.columns)) if n not in axes.columns)
-            return next(
-                (
-                    n
-                    for n in others
-                    if all(self.columns[n])
-                    and not any(self.cells.number(text) is not None for text in self.columns[n])
-                ),
-                None,
-            )
         # a table without another name may have one curve a hole, or a depth
         skipped = {"", *_ROLES} - {"", "hole", "depth"}
-        for column, (role, texts) in enumerate(zip(self.roles, self.columns, strict=False)):
+        heads = zip_longest(self.roles, self.names, self.columns, fillvalue="")
+        for column, (role, name, texts) in enumerate(heads):
             blocks = [(text, len(list(run))) for text, run in groupby(texts)]
             distinct = len(set(texts))
-            if column in axes.columns or role in skipped or not all(texts) or not self.names[column]:
+            is_nameless = bool(self.names) and not name
+            if column in axes.columns or role in skipped or not texts or not all(texts) or is_nameless:
                 continue
             if 1 < distinct == len(blocks) and min(count for _, count in blocks) >= MIN_BLOCK_ROWS:
+                return column
+            if not self.names and not any(self.cells.number(text) is not None for text in texts):
                 return column
         return None
 

@@ -13,6 +13,8 @@ from needlefit.datasets.importing.decisions import (
     MAX_ANSWER_CHARS,
     Decisions,
     Source,
+    find_number,
+    parse_angle,
     parse_depths,
     parse_number,
     parse_vector,
@@ -43,16 +45,6 @@ TANGENT_SD_DEG, STATED_SD_DEG = 2.0, 0.5
 MODULI_GPA = {"steel": 200.0, "nitinol": 60.0, "titanium": 110.0, "peek": 3.6}  # young's moduli by material
 # Length assumed of a needle: at least this, and so much more than the greatest depth.
 MIN_DEFAULT_LENGTH_MM, SHAFT_MM = 150.0, 50.0
-# Words for the direction that a bevel faces, as an angle about the needle, degrees: clockwise from up, seen
-# along the insertion.
-_BEVEL_ANGLES = {
-    **dict.fromkeys(
-        ("up", "top", "oben", "o", "haut", "arriba", "su", "+", "plus", "positive", "positiv"), 0.0
-    ),
-    **dict.fromkeys(("right", "r", "rechts", "droite", "derecha", "destra"), 90.0),
-    **dict.fromkeys(("down", "bottom", "unten", "bas", "abajo", "-", "minus", "negative", "negativ"), 180.0),
-    **dict.fromkeys(("left", "l", "links", "gauche", "izquierda", "sinistra"), 270.0),
-}
 MIN_SAME_SIDE = (
     0.9  # mean of the unit deflections, each toward its bevel, from which a direction is read of them
 )
@@ -487,14 +479,12 @@ class _Understanding:
         ConfigError if bevels face to side -1 of a direction that is neither stated nor seen in the curves.
         """
         stated = [one.attributes.get("bevel_side", "") for one in self.curves]
-        if not any(stated):
-            stated = [_find_side_in_name(one.name) for one in self.curves]
-        numbers = [_to_number(text) for text in stated]
+        numbers = [find_number(text) for text in stated]
         if any(abs(one or 0.0) >= MAX_CUT_DEG for one in numbers):
             stated = [
                 text if one is None else f"{one:g} deg" for text, one in zip(stated, numbers, strict=True)
             ]
-        angles = [_parse_angle(text) for text in stated]
+        angles = [parse_angle(text) for text in stated]
         if len(set(stated)) == 1 and stated[0].endswith(" deg") and 0 < (angles[0] or 0.0) < MAX_CUT_DEG:
             self.decisions.keep(
                 "not used", f"bevel angle {stated[0]}", "guess", "the angle of the cut, not a side"
@@ -556,7 +546,7 @@ class _Understanding:
         `seen`: what the curves show of sides that are not stated.
         """
         texts = [text or row.id for text, row in zip(stated, rows, strict=True)]
-        known = {text: _parse_angle(text) if text in stated else 0.0 for text in dict.fromkeys(texts)}
+        known = {text: parse_angle(text) if text in stated else 0.0 for text in dict.fromkeys(texts)}
         unclear = [text for text, angle in known.items() if angle is None]
         free = [angle for angle in (0.0, 180.0) if angle not in known.values()]
         if len(unclear) > len(free):
@@ -566,7 +556,7 @@ class _Understanding:
             raise DataError(
                 what, where=where, expected="1 or -1, up or down, left or right, degrees", fix=fix
             )
-        source, reason = "file", "stated beside the points"
+        source, reason = "file", "stated beside the points, or in their names"
         if unclear:
             # of 0 and 1, and of 1 and 2, 1 is the first side
             unclear.sort(key=lambda text: text.split()[0] != "1")
@@ -580,9 +570,9 @@ class _Understanding:
         guess = guess if any(stated) else "1"
         answer = self.settle("bevel side", guess[:MAX_ANSWER_CHARS], source, reason)  # type: ignore[arg-type]
         if answer != guess[:MAX_ANSWER_CHARS] or not any(stated):
-            one = _parse_angle(answer)
+            one = parse_angle(answer)
             pairs = [part.rpartition("=") for part in answer.split(",")]
-            given = {name.strip(): _parse_angle(side.strip()) for name, _, side in pairs}
+            given = {name.strip(): parse_angle(side.strip()) for name, _, side in pairs}
             known = (
                 dict.fromkeys(texts, one) if one is not None else {text: given.get(text) for text in texts}
             )
@@ -720,35 +710,13 @@ def _find_arcs(lines: Sequence[Floats], surface: Surface) -> list[Floats]:
     return [arcs for line in lines if len(arcs := find_surface_hits(line, surface))]
 
 
-def _parse_angle(text: str) -> float | None:
-    """Return the direction that a bevel faces, degrees about the needle; None where the text states none."""
-    plain = text.replace("\u2212", "-").strip().lower()
-    named = [_BEVEL_ANGLES[word] for word in re.findall(r"[^\W\d_]+|^[+-]$", plain) if word in _BEVEL_ANGLES]
-    value = _to_number(plain)
-    if named or value is None:
-        return named[0] if len({*named}) == 1 else None
-    return value if plain.endswith(" deg") else {1.0: 0.0, -1.0: 180.0}.get(value)
-
-
-def _find_side_in_name(name: str) -> str:
-    """Return the word for a side in the name of a curve, such as `Nadel_1_Schliff_oben`; "" without one."""
-    match = re.search(r"(?:bevel|schliff|biseau|bisel)_+([a-z]+)", name, re.IGNORECASE)
-    return match[1] if match is not None and _parse_angle(match[1]) is not None else ""
-
-
 def _name_angle(angle: float, is_side: bool) -> str:
     return ("1" if angle % 360.0 < 180.0 else "-1") if is_side else f"{angle:g} deg"
 
 
-def _to_number(text: str) -> float | None:
-    """Return the number in a text such as `38,5 mm`; None where it holds anything else."""
-    match = re.fullmatch(r"([-+]?\d+(?:[.,]\d*)?)\s*[^\W\d_]{0,10}", text.strip())
-    return None if match is None else float(match[1].replace(",", "."))
-
-
 def _to_length(text: str) -> float | None:
     """Return a stated length in mm, which it is in where no unit follows it; None where there is none."""
-    value = _to_number(text)
+    value = find_number(text)
     return None if value is None else value * UNITS_MM.get(text.split()[-1], 1.0)
 
 
