@@ -325,7 +325,6 @@ def test_a_long_table_is_read_through_its_mapping(long):
     path.write_text(whole)
     shapes(long.parent / "lab-c", [2])
     [fault] = check(long)
-    [fault] = check(long)
     assert "hole2_50 " in fault.what and "folder" in fault.what
 
 

@@ -168,14 +168,6 @@ def test_a_set_outside_of_the_laws_bounds_is_no_number(law: str) -> None:
     np.testing.assert_array_equal(shapes.u[0], shapes.u[2])
 
 
-@pytest.mark.parametrize("turned", [False, True])
-def test_numbers_out_of_bounds_fail_alone_whatever_the_order(turned: bool) -> None:
-    order = [1, 0] if turned else [0, 1]
-    offset = np.array([0.1, 1e16])[order]
-    (shapes,) = simulate_batches([Batch(NEEDLE, make_tissue("ogden", 1), STEPS, offset=offset)])
-    assert shapes.status[order].tolist() == [0, 3]
-
-
 def test_alpha_alone_and_a_law_without_shape_parameters(monkeypatch):
     alpha = np.ones((3, LAYERS))
     assert Batch(NEEDLE, make_tissue("ogden", 1), STEPS, alpha=alpha).shape.shape == (3, 1, LAYERS)
