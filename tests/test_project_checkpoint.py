@@ -481,28 +481,6 @@ def test_a_file_put_there_meanwhile_is_kept(tmp_path, monkeypatch):
     assert {path.name for path in tmp_path.iterdir()} == {"outTrue", "outFalse"}
 
 
-def test_a_foreign_result_stays_accessible_if_it_cannot_be_restored(tmp_path, monkeypatch):
-    folder, calls = tmp_path / "out", []
-
-    def exchange(one, other):
-        calls.append(one)
-        if len(calls) == 2:
-            raise OSError("disk full")
-        one.rename(one.with_name("third"))
-        other.rename(one)
-        one.with_name("third").rename(other)
-
-    write(folder)
-    monkeypatch.setattr(folders, "_exchange", exchange)
-    with pytest.raises(OSError, match="disk full"), replace_folder(folder) as fresh:
-        (fresh / "new.csv").write_text("new")
-        (folder / "notes.txt").write_text("mine")
-    assert [path.read_text() for path in tmp_path.rglob("notes.txt")] == ["mine"]
-    monkeypatch.undo()
-    write(folder)
-    assert [path.read_text() for path in tmp_path.rglob("notes.txt")] == ["mine"]
-
-
 def test_there_is_a_result_at_every_moment(tmp_path):
     """Where the system can exchange two folders at once."""
     for name in ("one", "two"):
