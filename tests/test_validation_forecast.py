@@ -359,3 +359,8 @@ def test_a_whole_curve_leaves_its_band_at_the_nominal_rate(length):
     levels = np.array([simulate_shape_pit(mixture, covariance, one, rng) for one in observed])
     for level in (0.5, 0.95):  # 300 trials: four standard deviations
         assert np.mean(levels <= level) == pytest.approx(level, abs=4 * np.sqrt(level * (1 - level) / 300))
+
+
+def test_a_run_that_is_named_must_hold_a_posterior(job, tmp_path):
+    with pytest.raises(ConfigError, match=r"no posterior\.nc"):
+        draw_parameters(job, tmp_path, Settings())
