@@ -158,7 +158,7 @@ def test_a_plate_before_air_is_no_tissue_and_a_narrow_gap_a_gap():
         assert abs(choice.chosen.at) < 0.1
         assert_allclose([one.depth for one in choice.candidates], [59.0, 40.0], atol=0.15)
         assert len(choice.warnings) == 1
-    for gap in [2.0, 3.0, 6.0]:
+    for gap in [0.7, 1.2, 2.0, 3.0, 6.0]:
         shown = profile((-8.0 - gap, -1000.0, 110.0), (-gap, 110.0, -1000.0), *FACE, width=0.7)
         choice = choose(shown, thickness=8.0)
         assert abs(choice.chosen.at) < 0.15
@@ -203,9 +203,8 @@ def test_a_plate_that_lies_on_the_tissue_or_does_not_show_is_a_doubt():
     assert choose(FLUSH, explained=[0.3]).warnings == ()
     assert len(choose(FLUSH, explained=[13.0]).warnings) == 1
     shown = profile(*FACE)
-    choice = choose(shown, thickness=8.0)
-    assert_allclose(choice.chosen.at, 8.0, atol=0.1)
-    assert len(choice.warnings) == 1
+    assert refusal(DataError, "", choose, shown, thickness=8.0).where == "guide.thickness_mm"
+    assert_allclose(choose(shown, thickness=8.0, distance=0.0).chosen.at, 8.0, atol=0.1)
     assert_allclose(choose(shown, thickness=8.0, distance=30.0).chosen.at, 0.0, atol=0.1)
 
 
@@ -218,6 +217,7 @@ def test_candidates_are_rises_and_steps_before_the_tip_and_no_metal():
     shown = profile((-24.0, -1000.0, 2500.0), (-16.0, 2500.0, -1000.0), *FACE)
     assert [run.kind for run in find_runs(shown)] == ["air", "metal", "air", "soft"]
     assert_allclose([at for _, at, _ in find_rises(shown)], [0.0], atol=0.1)
+    assert_allclose(choose(shown, thickness=8.0).chosen.at, 0.0, atol=0.1)
     shown = profile((0.0, -1000.0, 35.0), (30.0, 35.0, -1000.0), (44.0, -1000.0, 35.0))
     assert_allclose([one.at for one in list_candidates(shown, TIP)], [0.0], atol=0.1)
     assert [one.change for one in list_candidates(FLUSH, TIP)] == ["rise", "step", "step"]

@@ -131,6 +131,8 @@ def _examine(
     if path is not None:
         screen.print_line(f"corrected: {path}")
         screen.print_note(f"reconstruct it: {session.command(path)}")
+        if session.found.error is not None:
+            screen.print_note(f"it is still refused: {session.found.error.what}")
 
 
 def _serve(

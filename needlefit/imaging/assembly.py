@@ -156,7 +156,7 @@ def _insertion_row(one: Reconstruction) -> InsertionRow:
         pose_angle_sd=one.pose.angle_sd,
         boundary_sd=float(np.sqrt(np.mean(sd**2))) if len(sd) else 0.0,
         depth_sd=one.depth_sd,
-        guide_distance=scan.guide_distance,
+        guide_distance=scan.guide_distance or None,
         patient=one.patient,
     )
 

@@ -25,10 +25,10 @@ from needlefit.geometry.surfaces import Surface, Triangles, from_triangles, to_t
 from needlefit.imaging.entry import EntryCandidate, list_candidates
 from needlefit.imaging.needle import segmentation
 from needlefit.imaging.needle.centerline import Centerline
-from needlefit.imaging.reconstruct import Examination, add_views, examine
+from needlefit.imaging.reconstruct import Examination, VolumeSearch, add_views, examine
 from needlefit.imaging.reconstruction import IntensityProfile, Reconstruction
 from needlefit.imaging.scans import Scan
-from needlefit.imaging.volume import Volume, VoxelGrid, list_series_files
+from needlefit.imaging.volume import VoxelGrid, list_series_files
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.checkpoint import ARRAYS_KEY, NO_CHECKPOINT, Checkpoint
 from needlefit.project.encode import Arrays, Hook, Hooks, decode, encode
@@ -79,8 +79,9 @@ class Findings:
         return place_entries(self.needle, self.entries)
 
 
-def collect_findings(volume: Volume, examined: Examination, recipe: ReconstructionRecord) -> Findings:
+def collect_findings(search: VolumeSearch, examined: Examination, recipe: ReconstructionRecord) -> Findings:
     """Return what a scan shows, for its page."""
+    volume = search.volume
     projections = (volume.values.max(axis=0), volume.values.max(axis=1), volume.values.max(axis=2))
     axis, profile, found = examined.needle_axis, examined.profile, examined.markers
     size, rejected = recipe.markers.diameter_mm, () if found is None else found.rejected
@@ -90,7 +91,7 @@ def collect_findings(volume: Volume, examined: Examination, recipe: Reconstructi
     return Findings(
         volume.grid,
         projections,
-        list_tubes(volume, recipe, examined.selection),
+        list_tubes(search, recipe, examined.selection),
         tuple(balls[:MAX_BALLS]),
         None if axis is None else axis.points,
         profile,
@@ -120,23 +121,16 @@ def _try(step: Callable[[], T]) -> T | None:
 
 
 def list_tubes(
-    volume: Volume, recipe: ReconstructionRecord, found: segmentation.NeedleSelection | None
+    search: VolumeSearch, recipe: ReconstructionRecord, found: segmentation.NeedleSelection | None
 ) -> tuple[TubeFinding, ...]:
     """Return the needle and the other tubes, or, where none is one, the longest bright components."""
-
-    def list_longest() -> list[segmentation.Component]:
-        parts = segmentation.find_components(volume, *segmentation.list_thresholds(volume, recipe)[-1])
-        return sorted(
-            segmentation.cut_components(volume, parts, recipe), key=lambda part: part.length, reverse=True
-        )
-
     if found is not None:
         parts = [found.needle, *found.others]
     else:
-        parts = _try(lambda: segmentation.find_tubes(volume, recipe)) or _try(list_longest) or []
+        parts = _try(lambda: search.find_tubes(recipe)) or _try(lambda: search.find_longest(recipe)) or []
     chosen = None if found is None else found.needle
     return tuple(
-        TubeFinding(segmentation.find_ends(volume, part), part.length, part.width, part is chosen)
+        TubeFinding(segmentation.find_ends(search.volume, part), part.length, part.width, part is chosen)
         for part in parts[:MAX_TUBES]
     )
 
@@ -298,7 +292,7 @@ def add_findings(
         return failure
     profile = replace(one.profile, s=one.profile.s - one.profile.s[0])
     found = Examination(one.scan, None, one.needle_axis, one.markers, one.registration, profile)
-    return replace(failure, findings=collect_findings(volume, found, recipe))
+    return replace(failure, findings=collect_findings(VolumeSearch(volume), found, recipe))
 
 
 @one_thread
@@ -307,11 +301,12 @@ def _try_reconstruct(
 ) -> Reconstruction | ReconstructionFailure:
     try:
         volume = read_volume(scan.volume, scan.series)
-        found = examine(volume, scan, recipe)
+        search = VolumeSearch(volume)
+        found = examine(volume, scan, recipe, search)
         if found.error is None and found.reconstruction is not None:
             return add_views(found.reconstruction, volume)
         failed = found.error or NeedlefitError("nothing was found", where=str(scan.volume))
-        findings = collect_findings(volume, found, recipe) if collect else None
+        findings = collect_findings(search, found, recipe) if collect else None
         return ReconstructionFailure(scan, failed, findings)
     except NeedlefitError as error:
         return ReconstructionFailure(scan, error)

@@ -32,7 +32,7 @@ from needlefit.arrays import Floats
 from needlefit.geometry.crossings import find_surface_hits
 from needlefit.geometry.curves import arc_length, interpolate_at_arc, make_normal
 from needlefit.geometry.surfaces import Surface
-from needlefit.imaging.materials import MaterialRun, find_rises, find_runs, find_soft_steps
+from needlefit.imaging.materials import AIR_HU, MaterialRun, find_rises, find_runs, find_soft_steps
 from needlefit.imaging.reconstruction import EntryPose, IntensityProfile
 from needlefit.imaging.refusals import refusal
 from needlefit.imaging.registration.register import Registration, target_covariance
@@ -224,6 +224,8 @@ def _variance_across(covariance: Floats, direction: Floats) -> float:
     return float((np.trace(covariance) - direction @ covariance @ direction) / 2)
 
 
+MAX_HIDDEN_GAP_MM = 2.5  # a wider gap of air shows as such, mm
+MIN_GAP_DIP_HU = 150.0  # by so much a hidden gap is darker than guide and tissue, HU
 GUIDE_SD_MM = 0.1  # deviation of the stated thickness of a guide, mm
 MATCH_MM = 1.5  # a soft run whose length misses the guide's thickness by no more is the guide, mm
 MAX_GUIDE_MM = 40.0  # thicker guides are not looked for unless they are stated, mm
@@ -299,7 +301,7 @@ def choose_entry(profile: IntensityProfile, tip: float, known: EntryKnowledge) -
     if guide == 0:
         return EntryChoice(rises[0], candidates, ())
     if guide is not None:
-        behind = _find_behind_guide(profile, candidates, guide, known.guide_distance)
+        behind = _find_behind_guide(profile, candidates, guide, known)
         if behind is not None:
             return behind
     entry, face = rises[-1], _find_flush_guide(rises[-1], candidates, known)
@@ -346,9 +348,13 @@ def _find_behind_guide(
     profile: IntensityProfile,
     candidates: tuple[EntryCandidate, ...],
     thickness: float,
-    distance: float | None,
+    known: EntryKnowledge,
 ) -> EntryChoice | None:
-    """Return the face behind a guide of stated thickness; None where no soft run can be the guide."""
+    """Return the face behind a guide of stated thickness; None where no soft run can be the guide.
+
+    DataError if the guide, or its face on the tissue, does not show, and `guide_distance` does not say which.
+    """
+    distance = known.guide_distance
     rises = [one for one in candidates if one.change == "rise"]
     soft = [run for run in find_runs(profile) if run.kind == "soft"]
     first = rises[0]
@@ -367,17 +373,46 @@ def _find_behind_guide(
                 )
                 return EntryChoice(entry, candidates, (note,) if note else ())
     lies_apart = distance is not None and distance > MATCH_MM
-    if len(soft) > 1 or begun or first.depth <= thickness or lies_apart:
+    of_metal = any(run.kind == "metal" and run.end <= first.at for run in find_runs(profile))
+    if len(soft) > 1 or begun or first.depth <= thickness or lies_apart or of_metal:
         return None
     at, sd = first.at + thickness, float(np.hypot(first.sd, GUIDE_SD_MM))
-    entry = EntryCandidate(at, sd, first.depth - thickness, "step", first.run)
-    seen = any(one.change == "step" and abs(one.at - at) <= MATCH_MM + 3 * one.sd for one in candidates)
-    note = (
-        f"a guide of {entry.at - first.at:g} mm is stated, and taken to lie on the tissue, which begins "
-        f"{entry.depth:.1f} mm before the tip; but the scan shows no change of material there: if the guide "
-        f"is not in the scan, the tissue begins {first.depth:.1f} mm before the tip (guide.thickness_mm = 0)"
-    )
-    return EntryChoice(entry, candidates, () if seen else (note,))
+    gap = _find_narrow_gap(profile, at)
+    if gap is not None:
+        at, sd = gap
+    steps = [one for one in candidates if one.change == "step" and not _is_explained(one, known)]
+    seen = any(abs(one.at - at) <= MATCH_MM + 3 * one.sd for one in steps)
+    if gap is None and not seen and distance is None:
+        raise refusal(f"""a guide of {thickness:g} mm is stated, but the scan shows neither air nor another
+                material behind it: the tissue begins {first.depth - thickness:.1f} mm before the tip if the
+                guide lies on it, {first.depth:.1f} mm if the guide is not in the scan
+            expected: which of both
+            fix: state guide_distance_mm = 0 for this scan if the guide lies on the tissue,
+                guide.thickness_mm = 0 if it is not in the scan
+            where: guide.thickness_mm""")
+    entry = EntryCandidate(at, sd, first.at + first.depth - at, "step", first.run)
+    return EntryChoice(entry, candidates, ())
+
+
+def _find_narrow_gap(profile: IntensityProfile, face: float) -> tuple[float, float] | None:
+    """Return where tissue begins behind air that blur hides at the `face` of a guide, and its SD, mm.
+
+    The gap's width is the area that is missing from the profile over the step from tissue to air.
+    """
+    near = (np.abs(profile.s - face) < 2 * MATCH_MM + MAX_HIDDEN_GAP_MM) & np.isfinite(profile.around)
+    s, values = profile.s[near], profile.around[near]
+    dip = np.abs(s - face) <= MATCH_MM + MAX_HIDDEN_GAP_MM
+    if dip.sum() < 3 or dip.all():
+        return None
+    before, after = s < face, s > face
+    levels = [float(np.median(values[~dip & side])) for side in (before, after) if (~dip & side).any()]
+    if len(levels) < 2 or values[dip].min() > min(levels) - MIN_GAP_DIP_HU:
+        return None
+    missing = np.where(dip & (values < min(levels) - MIN_GAP_DIP_HU / 3), np.mean(levels) - values, 0.0)
+    step = float(np.median(np.diff(s)))
+    width = float(missing.sum()) * step / (np.mean(levels) - AIR_HU)
+    middle = float(missing @ s / missing.sum())
+    return middle + width / 2, float(np.hypot(step / 2, GUIDE_SD_MM))
 
 
 def _rise_warnings(
@@ -409,9 +444,12 @@ def _find_flush_guide(
     ]
     if not behind or known.guide_thickness is not None or behind[0].at - entry.at > MAX_GUIDE_MM:
         return None
-    first = behind[0]
-    explained = (np.abs(known.explained - first.at) <= MATCH_MM + 3 * first.sd).any()
-    return None if explained else first
+    return None if _is_explained(behind[0], known) else behind[0]
+
+
+def _is_explained(step: EntryCandidate, known: EntryKnowledge) -> bool:
+    """Return whether a stated layer ends where a material changes."""
+    return bool((np.abs(known.explained - step.at) <= MATCH_MM + 3 * step.sd).any())
 
 
 def _is_plastic(profile: IntensityProfile, begin: float, end: float) -> bool:

@@ -5,6 +5,7 @@ import zlib
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -12,7 +13,9 @@ from typing import Any
 import numpy as np
 import SimpleITK as sitk
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from needlefit.arrays import Floats, Ints
 from needlefit.errors import DataError
 from needlefit.imaging.image_headers import missing_voxels, unreadable_image
 from needlefit.imaging.refusals import located, refusal
@@ -146,6 +149,28 @@ def _check_space(reader: sitk.ImageFileReader) -> None:
                 its sform
             expected: the same spacing in both
             fix: convert the scan from its DICOM series again""")
+    if "0" not in (metadata["qform_code"], metadata["sform_code"]):
+        _check_forms(metadata, spacing, np.array(reader.GetSize()))
+
+
+def _check_forms(metadata: Mapping[str, str], spacing: Floats, size: Ints) -> None:
+    """See that sform and qform of a NIfTI header place the same voxels alike, within one of them."""
+    unit = _MILLIMETRES.get(int(metadata["xyzt_units"]) % 8, 1.0)
+    sform = np.array([metadata[f"srow_{axis}"].split() for axis in "xyz"], dtype=np.float64) * unit
+    turn = np.array([float(metadata[f"quatern_{name}"]) for name in "bcd"])
+    turned = Rotation.from_quat([*turn, np.sqrt(max(0.0, 1 - turn @ turn))]).as_matrix()
+    hand = -1.0 if float(metadata["pixdim[0]"]) < 0 else 1.0
+    qform = np.column_stack([turned * spacing * [1, 1, hand], [0.0, 0, 0]])
+    qform[:, 3] = [unit * float(metadata[f"qoffset_{axis}"]) for axis in "xyz"]
+    corners = np.array(list(product(*[(0, n - 1) for n in size.tolist()], (1,))))
+    apart = float(np.linalg.norm((sform - qform) @ corners.T, axis=0).max())
+    if apart > spacing.max():
+        between = (sform[:, :3] / spacing).T @ (qform[:, :3] / spacing)
+        angle = np.degrees(np.arccos(np.clip((np.trace(between) - 1) / 2, -1, 1)))
+        raise refusal(f"""its sform and its qform place the voxels up to {apart:.1f} mm apart, turned by
+                {angle:.1f} degrees
+            expected: one place of the scan in the patient
+            fix: convert the scan from its DICOM series again, or set the code of the wrong one to 0""")
 
 
 def _check_length(reader: sitk.ImageFileReader, path: Path, grid: VoxelGrid) -> None:

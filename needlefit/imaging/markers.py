@@ -5,8 +5,8 @@ shows at a low one. The bright voxels of the lowest level are listed once, with 
 higher level is a part of that list, so that no second array of the volume's size is needed.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -18,7 +18,6 @@ from scipy.spatial.distance import cdist
 
 from needlefit.arrays import Floats, Ints
 from needlefit.datasets.formats import find_format, list_suffixes
-from needlefit.errors import DataError
 from needlefit.imaging.needle.segmentation import MIN_METAL_CONTRAST_HU, median_tissue_hu
 from needlefit.imaging.reconstruction import MarkerResult, RejectedMarker
 from needlefit.imaging.refusals import refusal
@@ -149,7 +148,10 @@ MAX_MISFIT_RATIO = 0.6
 
 
 def _check_diameter(
-    volume: Volume, balls: Sequence[tuple[Blob, SphereFit]], diameter: float
+    volume: Volume,
+    balls: Sequence[tuple[Blob, SphereFit]],
+    diameter: float,
+    fit: Callable[[Volume, Blob, float], SphereFit],
 ) -> tuple[str, ...]:
     """Return a warning if the balls found are of another diameter than stated, mm.
 
@@ -162,7 +164,7 @@ def _check_diameter(
 
     def remain(factor: float) -> float:
         """Return the misfit that is left, the median part of the balls' own."""
-        fits = [fit_sphere(volume, blob, factor * diameter / 2) for blob, _ in used]
+        fits = [fit(volume, blob, factor * diameter / 2) for blob, _ in used]
         # a blur at its bound explains anything
         left = [one.misfit if one.spread.blur < 0.99 * MAX_BLUR_MM else np.inf for one in fits]
         return float(np.median(left / own))
@@ -182,13 +184,19 @@ MAX_MISFIT_NOISE = 1.5
 MAX_FIDUCIAL_SD = 2.0  # a fiducial may be off by so many of its deviations
 
 
-def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | None = None) -> MarkerResult:
+def find_markers(
+    volume: Volume,
+    recipe: ReconstructionRecord,
+    exclude: Ints | None = None,
+    fit: Callable[[Volume, Blob, float], SphereFit] = fit_sphere,
+) -> MarkerResult:
     """Return the balls of `recipe.markers.diameter_mm` in a scan: as many as there are, be it none.
 
     A ball is left out that hangs together with the needle however high the threshold, or that a face of the
     volume cuts: its centre would be pulled aside.
 
     `exclude`: (N, 3); voxels i, j, k of the needle, never a marker.
+    `fit`: `fit_sphere`, or what keeps its results.
 
     DataError if nothing in the volume is bright enough.
     """
@@ -202,7 +210,7 @@ def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | N
         if _is_near(middle, tried, radius):
             continue
         tried.append(middle)
-        ball = fit_sphere(volume, blob, radius)
+        ball = fit(volume, blob, radius)
         # what the recipe allows, and what the noise around it leaves
         limit = float(np.hypot(rules.max_misfit, MAX_MISFIT_NOISE * ball.noise))
         reason = _find_fault(volume, ball, middle, (radius, limit))
@@ -221,7 +229,7 @@ def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | N
         misfits=np.array([ball.misfit for ball in balls]),
         rejected=tuple(one for one in rejected if not _is_near(one.center, centers, radius)),
         spread=PointSpread(*np.median(spreads, axis=0).tolist()) if balls else None,
-        warnings=_check_diameter(volume, fitted, rules.diameter_mm),
+        warnings=_check_diameter(volume, fitted, rules.diameter_mm, fit),
     )
 
 
@@ -257,6 +265,12 @@ CANDIDATE_FIX = (
 )
 
 
+def is_list_of_points(path: Path) -> bool:
+    """Return whether a file is, by its ending, a list of points."""
+    format_ = find_format(path)
+    return format_ is not None and format_.read_markers is not None
+
+
 def read_markers(path: Path) -> Floats:
     """Read points (N, 3), mm, from a file of points: a CSV (x_mm, y_mm, z_mm), .fcsv or .mrk.json (LPS).
 
@@ -278,9 +292,9 @@ def read_fiducials(path: Path, recipe: ReconstructionRecord) -> MarkerResult:
 
 
 def refine_fiducials(
-    given: MarkerResult, volume: Volume, recipe: ReconstructionRecord, exclude: Ints | None = None
+    given: MarkerResult, volume: Volume, recipe: ReconstructionRecord, balls: MarkerResult
 ) -> MarkerResult:
-    """Move fiducials to the balls that they mark; a moved one gets the ball's deviation.
+    """Move fiducials to the `balls` that they mark; a moved one gets the ball's deviation.
 
     A ball within half a diameter and `MAX_FIDUCIAL_SD` deviations of a fiducial is its own: a click may hit
     the ball's surface. Where the volume shows no ball, a fiducial stays as it was placed.
@@ -288,10 +302,6 @@ def refine_fiducials(
     DataError if fiducials lie on the balls only with the signs of coordinates changed, or outside the volume.
     """
     rules = recipe.markers
-    try:
-        balls = find_markers(volume, recipe, exclude)
-    except DataError:  # landmarks, not metal
-        balls = MarkerResult(np.empty((0, 3)), np.empty(0), "volume")
     if len(balls.centers):
         check_axis_signs(given.centers, balls.centers, rules.fiducial_sd_mm)
     index, last = to_index(volume, given.centers), np.array(volume.values.shape[::-1]) - 1
@@ -311,7 +321,7 @@ def refine_fiducials(
         mark, ball = np.unravel_index(int(apart.argmin()), apart.shape)
         centers[mark], sd[mark] = balls.centers[ball], balls.sd[ball]
         apart[mark], apart[:, ball] = np.inf, np.inf
-    return MarkerResult(centers, sd, given.source, spread=balls.spread, warnings=balls.warnings)
+    return replace(balls, centers=centers, sd=sd, source=given.source, misfits=np.empty(0))
 
 
 def _find_fault(

@@ -6,11 +6,12 @@ Reconstruct one scan step by step; what was found is kept, also where a step fai
 be right, and list warnings for the user.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, TypeVar, cast
 
 import numpy as np
 
@@ -41,13 +42,23 @@ from needlefit.imaging.markers import (
     CANDIDATE_FIX,
     describe_candidates,
     find_markers,
+    is_list_of_points,
     read_fiducials,
     read_markers,
     refine_fiducials,
 )
 from needlefit.imaging.materials import find_rises, find_tissue_edge, sample_profile
+from needlefit.imaging.needle.axis_spline import AxisSpline
 from needlefit.imaging.needle.centerline import Centerline, trace_needle
-from needlefit.imaging.needle.segmentation import NeedleSelection, read_mask_component, select_needle
+from needlefit.imaging.needle.follow import follow_points, select_rod
+from needlefit.imaging.needle.segmentation import (
+    Component,
+    NeedleSelection,
+    find_longest,
+    find_tubes,
+    read_mask_component,
+    select_needle,
+)
 from needlefit.imaging.needle.tip import END_LENGTH_MM
 from needlefit.imaging.reconstruction import (
     EntryPose,
@@ -66,6 +77,7 @@ from needlefit.imaging.registration.register import (
     scan_frame,
 )
 from needlefit.imaging.scans import BEVEL_FIX, CONTACT_COLUMNS, Scan
+from needlefit.imaging.spheres import Blob, PointSpread, SphereFit, fit_sphere
 from needlefit.imaging.volume import Volume, VoxelGrid, require_hounsfield
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.processes import one_thread
@@ -155,6 +167,7 @@ def _input_warnings(one: Reconstruction) -> Iterator[str]:
         )
     placed = {
         "the needle": None if scan.divided else scan.needle_at,
+        "points on the needle": scan.mask if scan.mask and is_list_of_points(scan.mask) else None,
         "the markers": scan.fiducials,
         "the first contact": scan.contact,
         "the tip": scan.tip,
@@ -381,17 +394,91 @@ def sample_needle_profile(volume: Volume, needle: Floats) -> IntensityProfile:
     return sample_profile(volume, points, arc_length(points))
 
 
+T = TypeVar("T")
+
+
+class VolumeSearch:
+    """What is looked for in a whole volume, which takes long: once for all corrections of a scan."""
+
+    def __init__(self, volume: Volume) -> None:
+        self.volume = volume
+        self._found: dict[tuple[str, str, bytes], object] = {}
+
+    def find_tubes(self, recipe: ReconstructionRecord) -> list[Component]:
+        """Return the components that may be the needle; DataError as `segmentation.find_tubes`."""
+        return self._once("tubes", _digest_needle(recipe), b"", partial(find_tubes, self.volume, recipe))
+
+    def find_longest(self, recipe: ReconstructionRecord) -> list[Component]:
+        """Return the bright components, the longest first; DataError if nothing is as bright as metal."""
+        return self._once("longest", _digest_needle(recipe), b"", partial(find_longest, self.volume, recipe))
+
+    def find_markers(self, recipe: ReconstructionRecord, needle: Ints | None) -> MarkerResult:
+        """Return the balls beside the needle (N, 3); DataError if nothing is bright enough."""
+        own = b"" if needle is None else needle.tobytes()
+        rules = recipe.markers.model_dump_json()
+        work = partial(find_markers, self.volume, recipe, needle, self._fit_sphere)
+        return self._once("markers", rules, own, work)
+
+    def _fit_sphere(self, volume: Volume, blob: Blob, radius: float) -> SphereFit:
+        work = partial(fit_sphere, volume, blob, radius)
+        return self._once("ball", f"{radius} {blob.level}", blob.voxels.tobytes(), work)
+
+    def trace_needle(
+        self,
+        selected: NeedleSelection,
+        recipe: ReconstructionRecord,
+        spread: PointSpread | None,
+        tip: Floats | None,
+    ) -> Centerline:
+        """Return the axis of the needle that was selected; see `centerline.trace_needle`."""
+        rough = selected.axis or selected.needle
+        own = rough.points if isinstance(rough, AxisSpline) else rough.voxels
+        rules = f"{_digest_needle(recipe)} {recipe.centerline.model_dump_json()} {spread} {tip}"
+        work = partial(trace_needle, self.volume, rough, recipe, spread, tip)
+        return self._once("axis", rules, own.tobytes(), work)
+
+    def _once(self, name: str, rules: str, own: bytes, work: Callable[[], T]) -> T:
+        key = name, rules, own
+        if key not in self._found:
+            try:
+                self._found[key] = work()
+            except DataError as error:
+                self._found[key] = error
+        found: Any = self._found[key]
+        if isinstance(found, DataError):
+            raise found
+        return cast(T, found)
+
+
+def _digest_needle(recipe: ReconstructionRecord) -> str:
+    return recipe.needle.model_dump_json() + recipe.segmentation.model_dump_json()
+
+
+def choose_needle(search: VolumeSearch, scan: Scan, recipe: ReconstructionRecord) -> NeedleSelection:
+    """Return the needle: by a person's mask or points on it, else among the tubes of the volume."""
+    if scan.mask is None:
+        return select_needle(search.volume, recipe, scan.needle_at, search.find_tubes(recipe))
+    if not is_list_of_points(scan.mask):
+        return NeedleSelection(read_mask_component(search.volume, scan.mask, recipe, scan.needle_at))
+    axis = follow_points(search.volume, read_markers(scan.mask), recipe)
+    return NeedleSelection(select_rod(search.volume, axis, recipe), axis=axis)
+
+
 def find_scan_markers(
-    volume: Volume, needle: Ints | None, scan: Scan, recipe: ReconstructionRecord
+    search: VolumeSearch, needle: Ints | None, scan: Scan, recipe: ReconstructionRecord
 ) -> MarkerResult | None:
     """Return the markers, placed by hand or found beside the needle (N, 3); None: none are needed."""
-    if scan.fiducials is not None:
-        given = read_fiducials(scan.fiducials, recipe)
-        try:
-            return refine_fiducials(given, volume, recipe, needle)
-        except DataError as error:
-            raise error.at(str(scan.fiducials)) from None
-    return None if scan.markers is None else find_markers(volume, recipe, needle)
+    if scan.fiducials is None:
+        return None if scan.markers is None else search.find_markers(recipe, needle)
+    given = read_fiducials(scan.fiducials, recipe)
+    try:
+        balls = search.find_markers(recipe, needle)
+    except DataError:  # landmarks, not metal
+        balls = MarkerResult(np.empty((0, 3)), np.empty(0), "volume")
+    try:
+        return refine_fiducials(given, search.volume, recipe, balls)
+    except DataError as error:
+        raise error.at(str(scan.fiducials)) from None
 
 
 def estimate_first_contact(
@@ -425,7 +512,7 @@ def _select_outside_shaft(
         points=world[before],
         sd=found.axis.sd[before],
         s=s[before] - at,
-        free=base if scan.guide_distance is None else scan.guide_distance,
+        free=scan.guide_distance or base,
         bend=rules.entry_shift_sd_mm,
         turn=np.radians(rules.entry_tilt_sd_deg),
     )
@@ -603,24 +690,27 @@ def add_views(one: Reconstruction, volume: Volume) -> Reconstruction:
 
 
 @one_thread
-def examine(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Examination:
-    """Return everything that the steps of a reconstruction find in a volume that was read, without views."""
-    found = Examination(scan)
+def examine(
+    volume: Volume, scan: Scan, recipe: ReconstructionRecord, search: VolumeSearch | None = None
+) -> Examination:
+    """Return everything that the steps of a reconstruction find in a volume that was read, without views.
+
+    `search`: of the volume, with what was found in it before.
+    """
+    found, search = Examination(scan), search or VolumeSearch(volume)
     with found.step():
-        if scan.mask is None:
+        if scan.mask is None or is_list_of_points(scan.mask):
             require_hounsfield(volume, str(scan.volume))
     with found.step():
-        if scan.mask is None:
-            found.selection = select_needle(volume, recipe, scan.needle_at)
-        else:
-            found.selection = NeedleSelection(read_mask_component(volume, scan.mask, recipe, scan.needle_at))
-    needle = None if found.selection is None else found.selection.needle
+        found.selection = choose_needle(search, scan, recipe)
+    selection = found.selection
     with found.step():
-        found.markers = find_scan_markers(volume, None if needle is None else needle.voxels, scan, recipe)
+        voxels = None if selection is None else selection.needle.voxels
+        found.markers = find_scan_markers(search, voxels, scan, recipe)
     with found.step():
-        if needle is not None:
+        if selection is not None:
             spread = None if found.markers is None else found.markers.spread
-            found.needle_axis = trace_needle(volume, needle, recipe, spread, scan.tip)
+            found.needle_axis = search.trace_needle(selection, recipe, spread, scan.tip)
     with found.step():
         if found.markers is not None and scan.markers is not None:
             found.registration = register_scan(found.markers, scan.markers, recipe)

@@ -91,7 +91,7 @@ class Scan:
     # Layers that were met, where somebody counted them; None: as many as are found.
     layers: int | None = None
     layers_alternative: int | None = None
-    guide_distance: float | None = None  # as in `insertions.csv`, mm
+    guide_distance: float | None = None  # as in `insertions.csv`, mm; 0: the guide lies on the tissue
     # About how much of the needle is in the tissue, mm: it names the entry among several candidates.
     expected_depth: float | None = None
     needle_at: Floats | None = None  # (3,) or None; a point on the needle that is meant, LPS of the scan, mm
@@ -325,9 +325,11 @@ def _number_checks(row: ScanRow) -> Iterator[tuple[bool, str, str, str]]:
     alone = math.isnan(number["layers"]) and not math.isnan(number["layers_alternative"])
     what, fix = "layers_alternative is given without layers", "fill the cell under layers, too"
     yield alone, what, "both counts, or none", fix
-    for name, meaning in zip(LENGTHS.values(), ("held at its base", "the last change from air"), strict=True):
-        what, fix = f"{name} is {number[name]:g}", f"leave it empty: {meaning}"
-        yield number[name] <= 0, what, "a length above 0", fix
+    distance, depth = (number[name] for name in LENGTHS.values())
+    what, expected = f"guide_distance_mm is {distance:g}", "a length, or 0: the guide lies on the tissue"
+    yield distance < 0, what, expected, "leave it empty: held at its base"
+    what, fix = f"expected_depth_mm is {depth:g}", "leave it empty: the last change from air"
+    yield depth <= 0, what, "a length above 0", fix
 
 
 SCAN_TABLE_FIX = "write a table of scans, with a column for it"

@@ -174,6 +174,10 @@ def to_index(volume: Volume, points: ArrayLike) -> Floats:
     return np.asarray(steps / volume.spacing)
 
 
+MAX_12_BIT_HU = 3100.0  # a scan that reaches above has more than 12 bits, HU
+# Values that run over 12 bits rise, then fall by nearly 4096 in one voxel; no blurred edge does, HU.
+MIN_WRAP_HU, MIN_RISE_HU = 2800.0, 200.0
+MIN_WRAPS = 30  # fewer are noise
 MIN_RANGE_HU = 100.0  # air, tissue and metal differ by more, HU; attenuation per length never does
 STORED_WATER = 1024.0  # what water reads where a CT was saved without its rescale
 
@@ -185,6 +189,7 @@ def require_hounsfield(volume: Volume, where: str) -> None:
     """
     low, high = float(volume.values.min()), float(volume.values.max())
     if low < 0 and high - low >= MIN_RANGE_HU:
+        _refuse_wrapped_metal(volume, high, where)
         return
     some = volume.values[::3, ::3, ::3]
     dense = some[some > STORED_WATER / 2]
@@ -199,3 +204,22 @@ def require_hounsfield(volume: Volume, where: str) -> None:
         fix: export the scan in HU (water 0, air -1000), e.g. as DICOM with its rescale, or convert the
             values: HU = 1000 (mu / mu of water - 1)
         where: {where}""")
+
+
+def _refuse_wrapped_metal(volume: Volume, high: float, where: str) -> None:
+    """Refuse metal whose values have run over 12 bits, and begin again at the lowest."""
+    if high > MAX_12_BIT_HU:
+        return
+    count = 0
+    for plane in volume.values:
+        if plane.max() > MAX_12_BIT_HU - MIN_RISE_HU:
+            steps = np.diff(plane, axis=1)
+            falls = (steps[:, 1:] < -MIN_WRAP_HU) & (steps[:, :-1] > MIN_RISE_HU)
+            falls |= (steps[:, :-1] > MIN_WRAP_HU) & (steps[:, 1:] < -MIN_RISE_HU)
+            count += int(np.count_nonzero(falls))
+    if count >= MIN_WRAPS:
+        raise refusal(f"""the values of its metal have run over 12 bits: {count} times they rise toward it,
+                then fall by more than {MIN_WRAP_HU:.0f} HU from one voxel to the next
+            expected: metal that ends at the greatest number, or an extended scale
+            fix: export the series again, with values that are cut or with 16 bits
+            where: {where}""")

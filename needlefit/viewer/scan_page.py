@@ -43,7 +43,9 @@ class ScanPage:
     async def save(self, request: web.Request) -> web.Response:
         async with self._examining:
             path = await self._run(self.session.save_shown, request)
-        return web.json_response({"table": str(path), "command": self.session.command(path)})
+            error = self.session.found.error
+        saved = {"table": str(path), "command": self.session.command(path)}
+        return web.json_response(saved | {"refused": error and error.what})
 
     async def _run(self, work: Callable[[Any], Any], request: web.Request) -> Any:  # noqa: ANN401 - as of `work`
         try:

@@ -16,16 +16,18 @@ from scipy.ndimage import map_coordinates
 
 from needlefit.arrays import Floats
 from needlefit.datasets.faults import as_error
-from needlefit.errors import DataError
+from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc, make_normal
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
-from needlefit.imaging.batch import list_entries, list_tubes, place_entries
+from needlefit.imaging.batch import TubeFinding, list_entries, list_tubes, place_entries
+from needlefit.imaging.needle.follow import MIN_POINTS
 from needlefit.imaging.needle.segmentation import median_tissue_hu
-from needlefit.imaging.reconstruct import Examination, examine
+from needlefit.imaging.reconstruct import Examination, VolumeSearch, examine
 from needlefit.imaging.registration.pairing import MIN_MARKERS
 from needlefit.imaging.scans import Scan, placed_contact_fault, write_scan_table
 from needlefit.imaging.volume import Volume, grid_to_json, to_index
 from needlefit.imaging.volume_files import read_volume
+from needlefit.project.toml import dumps
 from needlefit.reporting.figures.scan_views import encode_grey
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -112,8 +114,10 @@ def make_course(needle: Floats) -> NeedleCourse:
     return NeedleCourse(points, np.cross(v, tangents), v)
 
 
-MAX_BALLS = 64  #: balls that may be placed by hand
-BALLS_FILE = "balls.csv"
+MAX_PLACES = 64  #: balls, or points on the needle, that may be placed by hand
+BALLS_FILE, POINTS_FILE = "balls.csv", "needle.csv"
+BALL_RANGE_MM = (0.3, 30.0)  #: diameters of balls that may be stated, mm
+MAX_CANDIDATES = 8  #: things like balls, rejected, that the page lists
 DIGITS = 3  #: decimals of a place, mm: as many as the files keep, so that these give the same numbers again
 
 
@@ -122,48 +126,64 @@ class Corrections:
     """Places that a person gave, LPS, mm; None: as found."""
 
     needle: Floats | None = None  #: (3,) A point on the tube that is the needle
+    points: Floats | None = None  #: (N, 3) points along the needle, instead of a tube
     balls: Floats | None = None  #: (M, 3) all balls
     contact: Floats | None = None  #: contact, tip: (3,) Where the needle enters the tissue, and where it ends
     tip: Floats | None = None
+    ball_mm: float | None = None  #: diameter of the balls, mm
 
     @property
     def any(self) -> bool:
         return any(part is not None for part in vars(self).values())
 
     def to_json(self) -> dict[str, Any]:
-        return {name: None if part is None else part.tolist() for name, part in vars(self).items()}
+        return {
+            name: part.tolist() if isinstance(part, np.ndarray) else part for name, part in vars(self).items()
+        }
 
 
 def read_corrections(content: object) -> Corrections:
     """Return the corrections that a page sent; DataError if they are not places."""
     if not isinstance(content, Mapping):
-        raise DataError("the corrections are no table", expected="needle, balls, contact, tip")
-    balls = content.get("balls")
-    if balls is not None:
-        if not isinstance(balls, Sequence) or isinstance(balls, str) or len(balls) > MAX_BALLS:
-            raise DataError("balls are no list of places", expected=f"at most {MAX_BALLS} places, LPS, mm")
-        points = [_read_point(ball, "a ball") for ball in balls if ball is not None]
-        balls = np.array(points).reshape(-1, 3)
-    places = {name: content.get(name) for name in ("needle", "contact", "tip")}
-    read = {name: None if at is None else _read_point(at, name) for name, at in places.items()}
-    return Corrections(balls=balls, **read)
+        raise DataError(
+            "the corrections are no table", expected="needle, points, balls, contact, tip, ball_mm"
+        )
+    read: dict[str, Any] = {}
+    for name in ("points", "balls"):
+        places = content.get(name)
+        if places is not None:
+            if not isinstance(places, Sequence) or isinstance(places, str) or len(places) > MAX_PLACES:
+                raise DataError(f"{name} are no list of places", expected=f"at most {MAX_PLACES}, LPS, mm")
+            read[name] = np.array([_read_point(one, f"one of {name}") for one in places]).reshape(-1, 3)
+    for name in ("needle", "contact", "tip"):
+        if (at := content.get(name)) is not None:
+            read[name] = _read_point(at, name)
+    if (size := content.get("ball_mm")) is not None:
+        low, high = BALL_RANGE_MM
+        if not _is_number(size) or not low <= size <= high:
+            raise DataError(
+                f"the balls' diameter is {json.dumps(size)[:60]}", expected=f"{low} to {high:g} mm"
+            )
+        read["ball_mm"] = float(size)
+    return Corrections(**read)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e6
 
 
 def _read_point(given: object, name: str) -> Floats:
-    def is_number(value: object) -> bool:
-        return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e6
-
-    if not isinstance(given, Sequence) or len(given) != 3 or not all(map(is_number, given)):
+    if not isinstance(given, Sequence) or len(given) != 3 or not all(map(_is_number, given)):
         raise DataError(f"{name} is {json.dumps(given)[:60]}", expected="three numbers, LPS, mm")
     return np.array([round(float(x), DIGITS) for x in given])
 
 
 def correct_scan(scan: Scan, corrections: Corrections, folder: Path) -> Scan:
-    """Return the scan with the corrections; the balls that it then names are written to `folder`.
+    """Return the scan with the corrections; the balls and points that it then names are written to `folder`.
 
     DataError if balls are given to a scan without markers, or too few, or an entry beside that of the stage.
     """
-    balls, fiducials = corrections.balls, scan.fiducials
+    balls, needle = corrections.balls, corrections.needle
     if balls is not None and scan.markers is None:
         raise DataError(
             "balls were placed, but the scan has no known places to lay them on",
@@ -178,15 +198,17 @@ def correct_scan(scan: Scan, corrections: Corrections, folder: Path) -> Scan:
         )
     if corrections.contact is not None and scan.stage is not None:
         raise as_error([placed_contact_fault(scan.id)], scan.volume)
-    if balls is not None:
-        fiducials = folder / BALLS_FILE
-        lines = ["x_mm,y_mm,z_mm", *(",".join(f"{x:.{DIGITS}f}" for x in ball) for ball in balls)]
-        fiducials.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    files: dict[str, Path] = {}
+    for field, name, places in (("fiducials", BALLS_FILE, balls), ("mask", POINTS_FILE, corrections.points)):
+        if places is not None:
+            files[field] = folder / name
+            lines = ["x_mm,y_mm,z_mm", *(",".join(f"{x:.{DIGITS}f}" for x in place) for place in places)]
+            files[field].write_text("\n".join(lines) + "\n", encoding="utf-8")
+    if needle is not None or corrections.points is not None:
+        scan = replace(scan, mask=None, needle_at=needle)
     return replace(
         scan,
-        mask=scan.mask if corrections.needle is None else None,
-        fiducials=fiducials,
-        needle_at=scan.needle_at if corrections.needle is None else corrections.needle,
+        **files,
         contact=scan.contact if corrections.contact is None else corrections.contact,
         tip=scan.tip if corrections.tip is None else corrections.tip,
     )
@@ -201,8 +223,9 @@ MAX_HU = 3071.0  #: brightest value of the window that shows metal, HU
 class ScanSession:
     """A scan, examined once and again after every correction.
 
-    Corrections are saved to `folder`: a table of this one scan, the files that it names, and the recipe.
-    Where it exists already, that of an earlier session or of another scan, a numbered one beside it is taken.
+    A correction with which the examination gets less far than without it is refused: what was found before
+    stays, and `refusal` says why. Corrections are saved to `folder`: a table of this one scan, the files that
+    it names, and the recipe. Where it exists already, a numbered one beside it is taken.
     """
 
     def __init__(self, scan: Scan, recipe: ReconstructionRecord, recipe_file: Path, folder: Path) -> None:
@@ -211,12 +234,24 @@ class ScanSession:
         self._saved_to: Path | None = None
         self.volume: Volume = read_volume(scan.volume, scan.series)
         self.axes = list_slice_axes(self.volume)
-        self._first = self._examine(scan)
-        self._take(self._first, Corrections())
+        self._search = VolumeSearch(self.volume)
+        self._first: Examination | None = None
+        self.found, self.corrections = Examination(scan), Corrections()
+        self.refusal: NeedlefitError | None = None  # of the last examination
+        self._tubes: tuple[TubeFinding, ...] = ()
+        self.course: NeedleCourse | None = None
 
     def _take(self, found: Examination, corrections: Corrections) -> None:
         self.found, self.corrections, self.unsaved = found, corrections, corrections.any
+        self.refusal = found.error
+        self._tubes = list_tubes(self._search, self._correct_recipe(corrections), found.selection)
         self.course = None if found.needle_axis is None else make_course(found.needle_axis.points)
+
+    def _correct_recipe(self, corrections: Corrections) -> ReconstructionRecord:
+        if corrections.ball_mm is None:
+            return self.recipe
+        markers = self.recipe.markers.model_copy(update={"diameter_mm": corrections.ball_mm})
+        return self.recipe.model_copy(update={"markers": markers})
 
     def again(self, content: object) -> None:
         """Examine the scan again, with the corrections that a page sent.
@@ -225,22 +260,26 @@ class ScanSession:
         """
         given = read_corrections(content)
         if not given.any:
+            self._first = self._first or self._examine(self.scan, self.recipe)
             self._take(self._first, given)
             return
         with TemporaryDirectory(prefix="needlefit-") as name:
-            found = self._examine(correct_scan(self.scan, given, Path(name)))
+            found = self._examine(correct_scan(self.scan, given, Path(name)), self._correct_recipe(given))
         if found.error is not None and found.error.where.startswith(name):
             found = replace(found, error=found.error.at("balls placed by hand"))
-        self._take(found, given)
+        if _progress(found) >= _progress(self.found):
+            self._take(found, given)
+        else:
+            self.refusal = found.error
 
-    def _examine(self, scan: Scan) -> Examination:
+    def _examine(self, scan: Scan, recipe: ReconstructionRecord) -> Examination:
         """Return what is found in a scan; what a dataset may not hold is refused, as when it is written."""
-        found = examine(self.volume, scan, self.recipe)
+        found = examine(self.volume, scan, recipe, self._search)
         if found.reconstruction is None:
             return found
         with TemporaryDirectory(prefix="needlefit-") as folder:
             about = DatasetDescription(scan.id)
-            _, refused = assemble_checked(Path(folder), [found.reconstruction], self.recipe, about)
+            _, refused = assemble_checked(Path(folder), [found.reconstruction], recipe, about)
         return replace(found, reconstruction=None, error=refused[0].error) if refused else found
 
     def save_shown(self, content: object) -> Path:
@@ -269,6 +308,9 @@ class ScanSession:
         path = folder / TABLE_FILE
         write_scan_table([correct_scan(self.scan, self.corrections, folder)], path)
         shutil.copyfile(self._recipe_file, folder / RECIPE_FILE)
+        if self.corrections.ball_mm is not None:
+            tables = self._correct_recipe(self.corrections).model_dump(mode="json", by_alias=True)
+            (folder / RECIPE_FILE).write_text(dumps(tables), encoding="utf-8")
         self._saved_to, self.unsaved = folder, False
         return path
 
@@ -281,8 +323,10 @@ class ScanSession:
 
     def command(self, table: Path) -> str:
         """Return the command that repeats what was done."""
-        recipe, out = str(table.with_name(RECIPE_FILE)), f"{table.parent.name}_dataset"
-        return shlex.join(["needlefit", "reconstruct", str(table), "--recipe", recipe, "--out", out])
+        recipe, out = str(table.with_name(RECIPE_FILE).resolve()), f"{table.parent.name}_dataset"
+        return shlex.join(
+            ["needlefit", "reconstruct", str(table.resolve()), "--recipe", recipe, "--out", out]
+        )
 
     def cut(self, request: Mapping[str, Any]) -> bytes:
         """Return a slice as PNG; DataError if there is no such slice."""
@@ -302,7 +346,8 @@ class ScanSession:
     def describe(self) -> dict[str, Any]:
         """Return everything that the page shows, as JSON values; lengths in mm, places LPS."""
         found, volume = self.found, self.volume
-        tissue, missed, balls, course = median_tissue_hu(volume), {}, [], None
+        recipe = self._correct_recipe(self.corrections)
+        tissue, missed, balls, candidates, course = median_tissue_hu(volume), {}, [], [], None
         if found.registration is not None:
             lengths = np.linalg.norm(found.registration.residuals, axis=1)
             missed = dict(zip(found.registration.pairs[:, 0].tolist(), lengths.tolist(), strict=True))
@@ -311,6 +356,8 @@ class ScanSession:
                 {"at": center.tolist(), "sd": float(sd), "residual": missed.get(n), "source": markers.source}
                 for n, (center, sd) in enumerate(zip(markers.centers, markers.sd, strict=True))
             ]
+            alike = sorted(markers.rejected, key=lambda one: one.misfit / one.max_misfit)[:MAX_CANDIDATES]
+            candidates = [{"at": one.center.tolist(), "diameter": one.diameter} for one in alike]
         if self.course is not None:
             course = {name: np.round(line, 4).tolist() for name, line in vars(self.course).items()} | {
                 "rows": len(self.course.aside), "pixel": PIXEL_MM, "half_width": HALF_WIDTH_MM,
@@ -325,23 +372,34 @@ class ScanSession:
                 "tissue": [tissue - TISSUE_WINDOW_HU, tissue + TISSUE_WINDOW_HU],
                 "metal": [-1000.0, MAX_HU],
             },
-            "error": found.error
-            and {key: getattr(found.error, key) for key in ("what", "where", "expected", "fix")},
+            "examined": self._first is not None,
+            "error": self.refusal
+            and {key: getattr(self.refusal, key) for key in ("what", "where", "expected", "fix")},
+            "former": self.refusal is not found.error,
             "warnings": list(found.reconstruction.warnings if found.reconstruction else volume.warnings),
             "tubes": [
                 {name: getattr(tube, name) for name in ("length", "width", "chosen")}
                 | {"line": tube.ends.tolist(), "middle": tube.ends.mean(axis=0).tolist()}
-                for tube in list_tubes(volume, self.recipe, found.selection)
+                for tube in self._tubes
             ],
             **_describe_needle(found),
             "balls": balls,
+            "candidates": candidates,
+            "ball_mm": recipe.markers.diameter_mm,
             **_describe_reconstruction(found),
             "course": course,
             "corrections": self.corrections.to_json(),
             "has_markers": self.scan.markers is not None,
             "min_balls": MIN_MARKERS,
+            "min_points": MIN_POINTS,
             "entry_stated": self.scan.stage is not None,
         }
+
+
+def _progress(found: Examination) -> tuple[bool, int]:
+    """Return whether a scan was reconstructed, and how many steps found something."""
+    steps = (found.selection, found.needle_axis, found.markers, found.registration)
+    return found.reconstruction is not None, sum(step is not None for step in steps)
 
 
 def _describe_needle(found: Examination) -> dict[str, Any]:

@@ -34,6 +34,7 @@ READ_TAGS = (
     *("SOPClassUID", "SeriesInstanceUID", "SeriesNumber", "SeriesDescription", "FrameOfReferenceUID"),
     *("Modality", "GantryDetectorTilt"),
     *("ImageType", "Rows", "Columns", "NumberOfFrames", "SamplesPerPixel", "BitsAllocated"),
+    "PhotometricInterpretation",
     *("PixelRepresentation", "ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing"),
     *("RescaleSlope", "RescaleIntercept", "ModalityLUTSequence", "PixelPaddingValue"),
     *("PixelPaddingRangeLimit", "RescaleType"),
@@ -102,6 +103,7 @@ class DicomSlice:
     padding: Floats | None  # (2,); least and greatest stored value that means "not measured"
     table: bool  # whether values are rescaled by a table
     unit: str = ""  # RescaleType; empty where the file does not say: HU
+    inverted: bool = False  # whether small numbers are white (MONOCHROME1)
     # Index of the image among those of an enhanced multi-frame file; None in a file of one image.
     frame: int | None = None
 
@@ -210,6 +212,7 @@ def _parse_slice(file: Path, data: pydicom.Dataset) -> DicomSlice:
         padding=_parse_padding(data),
         table="ModalityLUTSequence" in data,
         unit=_to_text(data.get("RescaleType")).upper(),
+        inverted=_to_text(data.get("PhotometricInterpretation")).upper() == "MONOCHROME1",
     )
 
 
@@ -412,6 +415,9 @@ def _kind_fault(item: DicomSlice) -> tuple[str, str, str] | None:
     if item.samples != 1 or item.table:
         what = "rescales its values by a table" if item.table else f"holds {item.samples} colours a voxel"
         return what, "one attenuation a voxel, with a slope and an intercept", _EXPORT_FIX
+    if item.inverted:
+        what = "its PhotometricInterpretation is MONOCHROME1: small numbers are white"
+        return what, "MONOCHROME2, in which metal has the greatest numbers, in HU", _EXPORT_FIX
     if item.rescale is None:
         return "has no RescaleSlope, RescaleIntercept: its values are no HU", "how values become HU", HU_FIX
     if item.unit not in HU_UNITS:

@@ -25,6 +25,7 @@ from needlefit.imaging.needle.axis_spline import (
     sample_planes,
     select_sections,
 )
+from needlefit.imaging.needle.follow import MIN_RELATIVE_AMPLITUDE, retrace_end, tip_beside_error
 from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, principal_axes
 from needlefit.imaging.needle.slice_fit import fit_slices, runs_in_slices, slice_frames
 from needlefit.imaging.needle.tip import MAX_DISAGREEMENT_MM, TipFit, TipSource, bevel_length, fit_tip
@@ -35,13 +36,13 @@ from needlefit.schemas.reconstruction import ReconstructionRecord
 
 BIN_LENGTH_MM = 2.0  # length of the pieces whose centroids are the first axis, mm
 BEVEL_MARGIN_MM = 1.2  # length at its end by which a needle may look shorter than it is, mm
-MIN_RELATIVE_AMPLITUDE = 0.3  # cross-sections fainter than this part of the middle one are left out
 AXIS_FIT_ROUNDS = 3  # rounds of fits across the axis, each on the axis of the one before
 SLICE_FIT_ROUNDS = 2  # of fits along the slices' normal, each on the axis of the one before
 MIN_SECTIONS = 8  # fewer do not make an axis
 MAX_EDGE_DISTANCE_MM = 3.0  # an end this near to the volume's face (mm) has left it
-# A tip that was placed by hand lies at most so far beside the needle's surface, mm.
-MAX_PLACED_TIP_DISTANCE_MM = 2.0
+# A tip placed by hand so far beside the needle's surface shows that the axis is wrong there, mm; a nearer one
+# is moved onto the axis.
+MAX_PLACED_TIP_DISTANCE_MM = 0.7
 MAX_TIPS = 4  # how often a tip is looked for: rays may hide a stretch of the shaft before it
 END_REACH_MM = 4.0  # distance beyond an end of the needle from which on its surroundings are looked at, mm
 MAX_SOFT_HU = 1000.0  # brighter surroundings are metal, HU
@@ -81,20 +82,21 @@ class Centerline:
 
 def trace_needle(
     volume: Volume,
-    component: Component,
+    component: Component | AxisSpline,
     recipe: ReconstructionRecord,
     spread: PointSpread | None = None,
     tip: Floats | None = None,
 ) -> Centerline:
     """Trace the axis of the needle whose voxels are `component`; `spread` is the scanner's, if it is known.
 
+    `component`: its voxels, or its rough axis.
     `tip`: (3,); where a person placed the tip, LPS, mm: it says which end is the tip, and how far the needle
-    goes.
+    goes; where the axis misses it, its end is traced again.
 
     DataError if the needle's tip lies outside the volume or beside the needle, or its two ends look alike.
     """
-    axis = fit_rough_axis(volume, component, recipe)
-    heel = bevel_length(recipe.needle) + BEVEL_MARGIN_MM
+    rough = component if isinstance(component, AxisSpline) else fit_rough_axis(volume, component, recipe)
+    axis, heel = rough, bevel_length(recipe.needle) + BEVEL_MARGIN_MM
     if tip is None:
         axis = refine_axis(volume, orient_axis(volume, axis, recipe), recipe, heel)
         end = _find_tip(volume, axis, recipe, axis.length + heel, spread)
@@ -103,8 +105,15 @@ def trace_needle(
     else:
         base, last = np.linalg.norm(axis.spline(np.array([0.0, axis.length])) - tip, axis=1)
         axis = axis if last <= base else reverse_axis(axis)
-        axis = refine_axis(volume, axis, recipe, heel, _project_tip(axis, tip, recipe))
-        at = np.array([_project_tip(axis, tip, recipe)])
+        axis = refine_axis(volume, axis, recipe, heel, _project_tip(axis, tip)[0])
+        place, beside = _project_tip(axis, tip)
+        if beside > MAX_PLACED_TIP_DISTANCE_MM + recipe.needle.diameter_mm / 2:
+            axis = retrace_end(volume, axis, tip, recipe)
+            axis = refine_axis(volume, axis, recipe, heel, axis.length)
+            place, beside = _project_tip(axis, tip)
+            if beside > MAX_PLACED_TIP_DISTANCE_MM + recipe.needle.diameter_mm / 2:
+                raise tip_beside_error(beside)
+        at = np.array([place])
         sd = np.array([recipe.centerline.placed_tip_sd_mm, float(axis_sd(axis, at)[0])])
         point, unknown = axis_frames(axis, at).origins[0], np.full(3, np.nan)
         end = TipFit(float(at[0]), point, sd, unknown, float("nan"), 0.0, "hand")
@@ -126,20 +135,14 @@ def _find_tip(
     return min(found, key=lambda one: abs(one.disagreement))
 
 
-def _project_tip(axis: AxisSpline, tip: Floats, recipe: ReconstructionRecord) -> float:
-    """Return where along the axis, or along its tangent beyond it, a placed tip (3,) lies, mm."""
+def _project_tip(axis: AxisSpline, tip: Floats) -> tuple[float, float]:
+    """Return where along the axis, or its tangent, a placed tip (3,) lies, and how far beside it, mm."""
     s = np.arange(0.0, axis.length, 0.05)
     at = float(s[np.argmin(np.linalg.norm(axis.spline(s) - tip, axis=1))])
     frame = axis_frames(axis, np.array([at]))
     away = tip - frame.origins[0]
     along = float(away @ frame.tangents[0])
-    beside = float(np.linalg.norm(away - along * frame.tangents[0]))
-    if beside > MAX_PLACED_TIP_DISTANCE_MM + recipe.needle.diameter_mm / 2:
-        raise refusal(f"""the tip that was placed lies {beside:.1f} mm beside the needle
-            expected: a point on the needle, LPS, mm
-            fix: place it on the needle; RAS has x and y of the other sign
-            where: tip_x_mm, tip_y_mm, tip_z_mm""")
-    return at + along
+    return at + along, float(np.linalg.norm(away - along * frame.tangents[0]))
 
 
 def fit_rough_axis(volume: Volume, component: Component, recipe: ReconstructionRecord) -> AxisSpline:

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from needlefit.arrays import Floats, Ints
 from needlefit.errors import DataError
+from needlefit.imaging.needle.axis_spline import AxisSpline
 from needlefit.imaging.refusals import located, refusal
 from needlefit.imaging.volume import Volume, require_same_frame, to_index, to_patient
 from needlefit.imaging.volume_files import read_mask
@@ -107,7 +108,17 @@ def find_tubes(volume: Volume, recipe: ReconstructionRecord) -> list[Component]:
             mm long, {largest.width:.1f} mm wide and strays {largest.bend:.1f} mm from a parabola
         expected: {rules.min_length_mm:g} mm or longer, at most
             {rules.max_widening * recipe.needle.diameter_mm:.1f} mm wide
-        fix: set the thresholds, needle.diameter_mm or min_length_mm in the recipe, or give a mask""")
+        fix: set the thresholds, needle.diameter_mm or min_length_mm in the recipe, or give a mask
+            or points on the needle""")
+
+
+def find_longest(volume: Volume, recipe: ReconstructionRecord) -> list[Component]:
+    """Return the bright components at the lowest threshold, the longest first; for a person to look at.
+
+    DataError if nothing is as bright as metal.
+    """
+    parts = cut_components(volume, find_components(volume, *list_thresholds(volume, recipe)[-1]), recipe)
+    return sorted(parts, key=lambda part: part.length, reverse=True)
 
 
 def _grow_tube(
@@ -322,6 +333,7 @@ class NeedleSelection:
     needle: Component
     others: tuple[Component, ...] = ()
     warnings: tuple[str, ...] = ()
+    axis: AxisSpline | None = None  # rough, where a person placed points on the needle
 
 
 def segment_needle(volume: Volume, recipe: ReconstructionRecord) -> Component:
@@ -330,14 +342,19 @@ def segment_needle(volume: Volume, recipe: ReconstructionRecord) -> Component:
 
 
 def select_needle(
-    volume: Volume, recipe: ReconstructionRecord, point: Floats | None = None
+    volume: Volume,
+    recipe: ReconstructionRecord,
+    point: Floats | None = None,
+    tubes: Sequence[Component] | None = None,
 ) -> NeedleSelection:
     """Return the needle: the tube at `point` (LPS, mm) if it is stated, else the longest.
+
+    `tubes`: those of the volume, where they were found already.
 
     DataError if nothing is as bright as metal, no component is a tube, another tube may be the needle, too,
     or none is at the point.
     """
-    tubes = find_tubes(volume, recipe)
+    tubes = find_tubes(volume, recipe) if tubes is None else tubes
     if point is None:
         needle = _choose_longest(volume, tubes, recipe.needle.diameter_mm)
     else:

@@ -6,9 +6,9 @@ import { post } from "../requests.js";
 import { Views } from "./views.js";
 
 const ask = async (name, content = {}) => (await post(`/scan/${name}`, content)).json();
-const NOTHING = { needle: null, balls: null, contact: null, tip: null };
+const NOTHING = { needle: null, points: null, balls: null, contact: null, tip: null, ball_mm: null };
 const SAME_BALL_MM = 2;
-const KEYS = { l: "look", n: "needle", e: "contact", t: "tip", b: "ball" };
+const KEYS = { l: "look", n: "needle", p: "points", e: "contact", t: "tip", b: "ball" };
 const [TOOLS, WINDOWS] = ["tool", "window"].map((kind) => [...document.querySelectorAll(`[data-${kind}]`)]);
 
 const state = {
@@ -16,6 +16,7 @@ const state = {
   corrections: { ...NOTHING }, // as they stand on the page
   history: [],
   applied: JSON.stringify(NOTHING), // those that the program has used
+  refused: "", // those that it refused
   tool: "look",
   shade: "tissue",
   cursor: null,
@@ -27,12 +28,17 @@ const state = {
 const HINTS = {
   look: "Click a slice: the others go through that point.",
   needle: "Click the bright tube that is the needle.",
+  points: "Click three or more points on the needle, from end to end: it is followed along them.",
   contact: "Click where the needle enters the tissue, best in the slice along the needle.",
   tip: "Click where the needle ends, best in the slice along the needle.",
   ball: "Click the centre of a marker ball; Remove in the list deletes one.",
 };
 const views = new Views(part("views"), state, { use, look });
-const act = { look, correct, remove: (n) => correct({ balls: places().toSpliced(n, 1) }) };
+const act = {
+  look, correct,
+  add: (balls) => correct({ balls: [...places(), ...balls] }),
+  remove: (n) => correct({ balls: places().toSpliced(n, 1) }),
+};
 const places = () => state.balls().map((one) => one.at);
 
 /** What was found of a ball that was placed at `at`: the program moves it to the ball that it sees there. */
@@ -41,9 +47,12 @@ function nearBall(at) {
 }
 
 function use(place) {
-  if (state.busy) return;
-  if (state.tool === "look") look(place);
-  else correct(state.tool === "ball" ? { balls: [...places(), place] } : { [state.tool]: place });
+  const { tool } = state;
+  if (tool === "look") look(place);
+  else if (state.busy) return;
+  else if (tool === "ball") act.add([place]);
+  else if (tool === "points") correct({ points: [...(state.corrections.points ?? []), place], needle: null });
+  else correct(tool === "needle" ? { needle: place, points: null } : { [tool]: place });
 }
 
 function look(place) {
@@ -71,16 +80,18 @@ function undo() {
 }
 
 const isNew = () => JSON.stringify(state.corrections) !== state.applied;
+const isRefused = () => JSON.stringify(state.corrections) === state.refused;
 
 function refresh() {
   const corrected = Object.values(state.corrections).some((one) => one !== null);
-  const can = { undo: state.history.length, clear: corrected, again: isNew(), save: !isNew() && corrected };
+  const can = { undo: state.history.length, clear: corrected, again: isNew() && !isRefused(), save: !isNew() && corrected };
   for (const [id, does] of Object.entries(can)) part(id).disabled = state.busy || !does;
   part("again").classList.toggle("on", !part("again").disabled);
   forbid("contact", state.found.entry_stated && "The table of scans states the entry (entry_x_mm ...)");
   forbid("ball", !state.found.has_markers && "The scan has no known places of markers: start the page with --markers");
   showLists(state, act);
-  showWaiting(!state.busy && isNew());
+  showWaiting(!state.busy && isNew() && !isRefused());
+  if (part("ball-mm") !== document.activeElement) part("ball-mm").value = state.corrections.ball_mm ?? state.found.ball_mm;
   views.draw();
 }
 
@@ -94,17 +105,19 @@ function forbid(tool, reason) {
   one.title = reason || one.dataset.title;
 }
 
+/** Show what was found; corrections that were refused stay on the page beside the former result. */
 function take(found) {
-  state.found = found;
-  state.corrections = { ...NOTHING, ...found.corrections };
-  state.applied = JSON.stringify(state.corrections);
-  state.busy = false;
+  const refused = found.former && state.found ? JSON.stringify(state.corrections) : "";
+  const used = { ...NOTHING, ...found.corrections };
+  const again = !refused;
+  if (again) state.corrections = used;
+  Object.assign(state, { found, refused, applied: JSON.stringify(used) });
   part("title").textContent = found.id;
   part("where").textContent = found.volume;
   part("synthetic").hidden = !found.synthetic;
   document.title = `${found.id} – needlefit view`;
   showVerdict(state);
-  views.make();
+  if (again) views.make();
   refresh();
 }
 
@@ -142,6 +155,9 @@ for (const one of WINDOWS) {
     views.load();
   });
 }
+part("ball-mm").addEventListener("change", ({ target }) => {
+  if (target.checkValidity() && target.value) correct({ ball_mm: target.valueAsNumber });
+});
 press("undo", undo);
 press("clear", () => correct({ ...NOTHING }));
 press("again", again);
@@ -155,4 +171,7 @@ addEventListener("beforeunload", (event) => state.found && isNew() && event.prev
 addEventListener("resize", () => state.found && views.draw());
 
 hint();
-run(async () => take(await ask("describe")), "Not shown");
+run(async () => {
+  take(await ask("describe"));
+  if (!state.found.examined) take(await ask("again"));
+}, "Not shown");

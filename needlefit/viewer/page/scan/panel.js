@@ -7,6 +7,7 @@ const ORIGINS = { stage: "stated (stage)" };
 
 const mm = (value, digits = 2) => `${value.toFixed(digits)} mm`;
 const within = ({ depth, sd }) => `${depth.toFixed(2)} ± ${mm(sd)}`;
+const apart = (one, other) => Math.hypot(...one.map((x, n) => x - other[n]));
 const quiet = (text, more = "") => element("p", { className: `quiet ${more}`.trim() }, text);
 const byHand = (text) => element("p", { className: "by-hand" }, text);
 const key = (kind) => element("i", { className: `key ${kind}` });
@@ -24,8 +25,9 @@ function table(heads, rows) {
   return element("table", {}, element("thead", {}, element("tr", {}, head)), element("tbody", {}, rows));
 }
 
-export function showVerdict({ found: { error, inserted, warnings } }) {
-  if (error) return showFault(error, "Refused");
+export function showVerdict({ found: { examined, error, former, inserted, warnings } }) {
+  if (!examined) return part("verdict").replaceChildren("Examining the scan …");
+  if (error) return showFault(error, former ? "Refused, and the former result stays" : "Refused");
   const made = element("strong", {}, `Reconstructed: inserted ${within(inserted)}`);
   const count = `${warnings.length} ${warnings.length === 1 ? "warning" : "warnings"}`;
   const more = warnings.length ? ["; ", element("a", { href: "#note-part" }, count)] : [];
@@ -42,10 +44,11 @@ export function showFault({ what, where, expected, fix }, verdict) {
 }
 
 /** Say where corrections were saved, and how to go on. */
-export function showSaved(state, { table: path, command }) {
+export function showSaved(state, { table: path, command, refused }) {
   showVerdict(state);
   const repeat = element("p", {}, "To repeat it: ", element("code", {}, command));
-  part("verdict").append(element("p", {}, `Saved: ${path}`), repeat);
+  const note = refused ? "; with these corrections the scan is still refused, also by this command" : "";
+  part("verdict").append(element("p", {}, `Saved: ${path}${note}`), repeat);
 }
 
 export function showWaiting(waiting) {
@@ -61,11 +64,18 @@ export function showLists(state, act) {
 
   const tubes = found.tubes.map(({ chosen, length, width, middle }, n) => row(
     [key(chosen ? "needle" : "other"), chosen ? "needle" : "other tube"], [`${length.toFixed(1)} × ${mm(width, 1)}`],
-    [show(middle, `tube ${n + 1}`), chosen ? "" : take({ needle: middle }, `tube ${n + 1} for the needle`)], chosen,
+    [show(middle, `tube ${n + 1}`), chosen ? "" : take({ needle: middle, points: null }, `tube ${n + 1} for the needle`)], chosen,
   ));
-  const placed = corrections.needle;
+  const [placed, points] = [corrections.needle, corrections.points ?? []];
+  const rest = (n) => (points.length > 1 ? points.toSpliced(n, 1) : null);
+  const along = points.map((at, n) => row(
+    [key("needle"), `point ${n + 1}`], [],
+    [show(at, `point ${n + 1}`), press("remove", `remove point ${n + 1}`, () => act.correct({ points: rest(n) }))],
+  ));
   part("needles").replaceChildren(
     tubes.length ? table([["tube"], ["length × width", "n"], [""]], tubes) : quiet("Nothing is as bright as metal."),
+    ...(along.length ? [table([["by hand"], [""]], along)] : []),
+    ...(along.length && along.length < found.min_points ? [byHand(`At least ${found.min_points} points.`)] : []),
     ...(placed ? [quiet(`By hand: the tube at ${placed.map((x, n) => `${"LPS"[n]} ${x.toFixed(1)}`).join(", ")} mm.`, "by-hand")] : []),
   );
 
@@ -77,7 +87,7 @@ export function showLists(state, act) {
     const sd = one && (used || !given) ? `± ${mm(one.along_sd)}` : "";
     return row([key(kind), name], [[element("span", { className: given ? "by-hand" : "" }, source)], sd], at ? show(at, `the ${name}`) : "");
   });
-  const isEntry = ({ at }) => found.contact && Math.hypot(...at.map((x, n) => x - found.contact.at[n])) < SAME_PLACE_MM;
+  const isEntry = ({ at }) => found.contact && apart(at, found.contact.at) < SAME_PLACE_MM;
   const entries = found.entries.map((one, n) => row(
     one.change === "rise" ? "after air" : "in tissue", [within(one)],
     [show(one.at, `place ${n + 1}`), found.entry_stated || isEntry(one) ? "" : take({ contact: one.at }, `place ${n + 1} for the entry`)],
@@ -93,10 +103,19 @@ export function showLists(state, act) {
     [show(at, `ball ${n + 1}`), press("remove", `remove ball ${n + 1}`, () => act.remove(n))],
   ));
   const least = found.min_balls;
+  const candidates = found.candidates.filter(({ at }) => !state.balls().some((one) => apart(one.at, at) < SAME_PLACE_MM));
+  const others = candidates.map(({ at, diameter }, n) => row(
+    [key("candidate"), `${diameter.toFixed(1)} mm wide`], [],
+    [show(at, `candidate ${n + 1}`), press("add", `add candidate ${n + 1}`, () => act.add([at]))],
+  ));
+  const these = () => act.add(candidates.map(({ at }) => at));
+  const alike = [quiet("About as large, but not taken for balls:"), table([[""], [""]], others),
+    press("use these", "use these candidates as balls", these)];
   part("ball-part").hidden = !found.has_markers;
   part("balls").replaceChildren(element("div", {},
     balls.length ? [table([["ball"], ["centre", "n"], ["residual", "n"], [""]], balls)] : [],
     balls.length < least ? byHand(`${balls.length} of at least ${least} balls: add the others.`) : [],
+    others.length && found.error ? alike : [],
   ));
 
   const layers = found.layers.map((one, n) => row([key("layer"), `boundary ${n + 1}`], [within(one)], show(one.at, `boundary ${n + 1}`)));

@@ -1,0 +1,180 @@
+"""Follow a needle along points that a person placed on it, where no threshold separates it from the rest."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from needlefit.arrays import Floats, Ints
+from needlefit.errors import DataError
+from needlefit.geometry.curves import arc_length, make_normal
+from needlefit.imaging.needle.axis_spline import (
+    AxisFrames,
+    AxisSpline,
+    disc_points,
+    find_centroids,
+    fit_axis,
+    sample_planes,
+)
+from needlefit.imaging.needle.segmentation import (
+    MIN_METAL_CONTRAST_HU,
+    Component,
+    measure_component,
+    principal_axes,
+)
+from needlefit.imaging.refusals import refusal
+from needlefit.imaging.volume import Volume, to_index
+from needlefit.schemas.reconstruction import ReconstructionRecord
+
+MIN_POINTS = 3  # fewer do not show which way a needle bends
+STEP_MM = 1.0  # distance of the places at which the needle is looked for, mm
+ROUNDS = 3  # of moving the places to the needle's middle
+# Sections fainter than this part of the needle's middle one show no needle, as when an axis is fitted.
+MIN_RELATIVE_AMPLITUDE = 0.3
+# The needle ends where it is faint for longer, mm; a longer gap must have points on both sides.
+MAX_FAINT_MM = 3.0
+END_LENGTH_MM = 12.0  # length at an end by whose line the next place is predicted, mm
+MIN_SHOWN_FRACTION = 0.5  # part of the way between the points on which the needle must show
+# Lengths before a placed tip from which on the axis may be wrong, mm.
+LEFT_BEFORE_MM = (6.0, 10.0, 15.0, 22.0, 30.0, 40.0, 55.0)
+# Part of the needle's brightness by which a longer stretch must be better to be replaced.
+CLEAR_AMPLITUDE = 0.1
+
+
+def follow_points(volume: Volume, points: Floats, recipe: ReconstructionRecord) -> AxisSpline:
+    """Return the rough axis of the needle on which points (N, 3), LPS, mm, lie, from end to end.
+
+    The points may be in any order. DataError if they are fewer than `MIN_POINTS`, or no needle shows there.
+    """
+    if len(points) < MIN_POINTS:
+        raise refusal(f"""{len(points)} points are on the needle
+            expected: at least {MIN_POINTS}, from end to end
+            fix: place more points on the needle
+            where: points on the needle""")
+    center, axes = principal_axes(points)
+    ordered = points[np.argsort((points - center) @ axes[0])]
+    places, amplitude = _center_places(volume, _join(ordered), recipe)
+    shown = amplitude > MIN_RELATIVE_AMPLITUDE * np.median(amplitude)
+    level = float(np.median(amplitude))
+    if level < MIN_METAL_CONTRAST_HU / 2 or shown.mean() < MIN_SHOWN_FRACTION:
+        raise refusal(f"""between the points that were placed the scan shows no needle: what lies there is
+                {level:.0f} HU brighter than its surroundings, and faint on {100 * (1 - shown.mean()):.0f} %
+            expected: points on one needle, LPS, mm
+            fix: take back those that are not on it; RAS has x and y of the other sign
+            where: points on the needle""")
+    places = places[shown]
+    before = [*_extend(volume, places[::-1], level, recipe)]
+    whole = np.array([*before[::-1], *places, *_extend(volume, places, level, recipe)])
+    s = arc_length(whole)
+    return fit_axis(s, whole, np.ones(len(whole)), 2 * recipe.centerline.knot_spacing_mm)
+
+
+def retrace_end(volume: Volume, axis: AxisSpline, tip: Floats, recipe: ReconstructionRecord) -> AxisSpline:
+    """Return the rough axis with its end led to a `tip` (3,), LPS, mm, that lies beside it.
+
+    The axis is left where the way from there to the tip is brightest.
+
+    DataError if no way to the tip is as bright as the needle.
+    """
+    s = np.arange(0.0, axis.length, STEP_MM)
+    points = axis.spline(s)
+    nearest = float(s[np.argmin(np.linalg.norm(points - tip, axis=1))])
+    usual = float(np.median(_center_places(volume, points, recipe)[1]))
+    best, found = -np.inf, points
+    for length in LEFT_BEFORE_MM:
+        kept = points[s <= nearest - length]
+        if len(kept) < END_LENGTH_MM / STEP_MM:
+            break
+        way = _join(np.vstack([kept[:: round(END_LENGTH_MM / STEP_MM / 2)], kept[-1:], tip]))
+        places, amplitude = _center_places(volume, way, recipe, keep_end=True)
+        late = arc_length(way)[-1] - arc_length(way) < length + np.linalg.norm(tip - points[-1])
+        shown = np.asarray(amplitude > MIN_RELATIVE_AMPLITUDE * usual)
+        score = float(np.mean(np.minimum(amplitude[late] / usual, 1.0)))
+        if score > best + CLEAR_AMPLITUDE and shown[late].mean() >= MIN_SHOWN_FRACTION:
+            best, found = score, places[shown]
+    if not np.isfinite(best):
+        raise tip_beside_error(float(np.linalg.norm(points - tip, axis=1).min()))
+    s = arc_length(found)
+    return fit_axis(s, found, np.ones(len(found)), 2 * recipe.centerline.knot_spacing_mm)
+
+
+def tip_beside_error(away: float) -> DataError:
+    """Return the error of a placed tip that lies `away` mm from the needle."""
+    return refusal(f"""the tip that was placed lies {away:.1f} mm beside the needle, and nothing as bright as
+            the needle leads there
+        expected: a point on the needle, LPS, mm
+        fix: place it on the needle, or place points along the needle; RAS has x and y of the other sign
+        where: tip_x_mm, tip_y_mm, tip_z_mm""")
+
+
+def select_rod(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> Component:
+    """Return the voxels within a needle's diameter of an axis that are at least half as bright as it."""
+    step, reach = float(volume.spacing.min()) / 2, recipe.needle.diameter_mm
+    side = np.arange(-reach, reach + step, step)
+    ball = np.stack(np.meshgrid(side, side, side), axis=-1).reshape(-1, 3)
+    ball = ball[np.linalg.norm(ball, axis=1) <= reach]
+    middle = axis.spline(np.arange(0.0, axis.length, reach / 2))
+    near = _voxels(volume, (middle[:, None] + ball).reshape(-1, 3))
+    i, j, k = _voxels(volume, middle).T
+    level = float(np.median(volume.values[k, j, i])) / 2
+    i, j, k = near.T
+    return measure_component(volume, near[volume.values[k, j, i] > level])
+
+
+def _voxels(volume: Volume, points: Floats) -> Ints:
+    index = np.unique(np.rint(to_index(volume, points)).astype(np.int64), axis=0)
+    return index[((index >= 0) & (index < np.array(volume.grid.size))).all(axis=1)]
+
+
+def _join(points: Floats) -> Floats:
+    """Return places every `STEP_MM` on a smooth curve through points (N, 3)."""
+    s = arc_length(points)
+    count = max(2, round(float(s[-1]) / STEP_MM) + 1)
+    return np.asarray(PchipInterpolator(s, points)(np.linspace(0.0, s[-1], count)))
+
+
+def _look_across(volume: Volume, places: Floats, recipe: ReconstructionRecord) -> tuple[Floats, Floats]:
+    """Return by how much the needle lies beside places (N, 3), mm, and its amplitude (N,), HU."""
+    ways = np.gradient(places, axis=0)
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    u = np.cross(ways, make_normal(ways[len(ways) // 2]))
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    where = AxisFrames(places, ways, u, np.cross(ways, u))
+    plane = disc_points(recipe.centerline.patch_width_mm)
+    values = sample_planes(volume, where, plane)
+    inside = np.isfinite(values).all(axis=1)
+    found = find_centroids(np.nan_to_num(values), plane, recipe.needle.diameter_mm)
+    shifts = found.shifts[:, :1] * where.u + found.shifts[:, 1:] * where.v
+    return np.where(inside[:, None], shifts, 0.0), np.where(inside, found.amplitude, 0.0)
+
+
+def _center_places(
+    volume: Volume, places: Floats, recipe: ReconstructionRecord, keep_end: bool = False
+) -> tuple[Floats, Floats]:
+    """Return places (N, 3) moved to the needle's middle, and its amplitude there (N,); faint ones stay."""
+    for _ in range(ROUNDS):
+        shifts, amplitude = _look_across(volume, places, recipe)
+        shown = amplitude > MIN_RELATIVE_AMPLITUDE * np.median(amplitude)
+        if keep_end:
+            shown[-1] = False
+        places = places + np.where(shown[:, None], shifts, 0.0)
+    return places, amplitude
+
+
+def _extend(volume: Volume, places: Floats, level: float, recipe: ReconstructionRecord) -> Iterator[Floats]:
+    """Yield the places of the needle beyond the last of `places` (N, 3), until it is faint or ends."""
+    known, faint = list(places[-round(END_LENGTH_MM / STEP_MM) :]), 0.0
+    while faint <= MAX_FAINT_MM:
+        recent = np.array(known[-round(END_LENGTH_MM / STEP_MM) :])
+        way = np.linalg.svd(recent - recent.mean(axis=0), full_matrices=False)[2][0]
+        way *= np.sign(way @ (recent[-1] - recent[0]))
+        start = recent.mean(axis=0) + way * ((recent[-1] - recent.mean(axis=0)) @ way)
+        here = start + way * (STEP_MM + faint)
+        shifts, amplitude = _look_across(volume, np.stack([here - way, here, here + way]), recipe)
+        beside = float(np.linalg.norm(shifts[1]))
+        if amplitude[1] > MIN_RELATIVE_AMPLITUDE * level and beside < recipe.needle.diameter_mm:
+            known.append(here + shifts[1])
+            yield known[-1]
+            faint = 0.0
+        else:
+            faint += STEP_MM
