@@ -50,7 +50,7 @@ class Worked:
         monkeypatch.setattr(batch, "examine", self)
         monkeypatch.setattr(batch, "add_views", lambda one, volume: one)
 
-    def __call__(self, volume, scan, recipe):
+    def __call__(self, volume, scan, *more):
         self.done.append(scan.id)
         return Examination(scan, reconstruction=replace(self.one, scan=scan))
 
@@ -125,7 +125,7 @@ def test_errors_name_packed_files_and_unexpected_ones_are_failures(sample, monke
     assert isinstance(named, DataError)
     assert vars(named) == {name: f"{name} of {packed.root}/a.nrrd" for name in parts}
 
-    def breaks(volume, scan, recipe):
+    def breaks(*_):
         raise ZeroDivisionError("by nought")
 
     monkeypatch.setattr(batch, "examine", breaks)

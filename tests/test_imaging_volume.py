@@ -174,6 +174,11 @@ def test_nifti_is_ras_and_metaimage_lps(tmp_path):
     }
     volume = read_volume(nifti(tmp_path / "a.nii", codes=(1, 0), **form))
     check_plain(volume, (1, 1, -1), (-1.0, -2.0, 3.0))
+    turn = {"quaternion": ("<3f", 256, 0.0, 0.0, np.sin(np.radians(5.5))), "offset": form["offset"]}
+    error = refused(
+        nifti(tmp_path / "a.nii", sizes=(40, 30, 20), values=np.zeros(24000, "<i2"), codes=(1, 1), **turn)
+    )
+    assert "11.0 degrees" in error.what
     for unit, factor in [(1, 1e-3), (3, 1e3)]:
         steps = np.array(STEPS) * factor
         rows = np.column_stack([np.diag(steps), np.array(CORNER) * factor])

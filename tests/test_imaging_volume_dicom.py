@@ -258,6 +258,7 @@ TILTED = [np.radians(degrees) for degrees in (0.5, -15.0)]
                 ({"ImagePositionPatient": [1.0, 2.0]}, "ImagePositionPatient is [[1.0, 2.0]]"),
                 ({"RescaleSlope": None}, "RescaleSlope and RescaleIntercept is"),
                 ({"RescaleSlope": 0}, "RescaleSlope is 0"),
+                ({"PhotometricInterpretation": "MONOCHROME1"}, "MONOCHROME1"),
                 ({"RescaleSlope": None, "RescaleIntercept": None}, "its values are no HU"),
                 ({"Modality": "MR"}, "is no CT: its Modality is MR"),
                 ({"GantryDetectorTilt": [1.0, 2.0]}, "GantryDetectorTilt is"),

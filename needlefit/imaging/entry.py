@@ -377,12 +377,12 @@ def _find_behind_guide(
     if len(soft) > 1 or begun or first.depth <= thickness or lies_apart or of_metal:
         return None
     at, sd = first.at + thickness, float(np.hypot(first.sd, GUIDE_SD_MM))
-    gap = _find_narrow_gap(profile, at)
-    if gap is not None:
-        at, sd = gap
+    hidden = _find_narrow_gap(profile, at)
+    if hidden is not None:
+        at, sd = hidden
     steps = [one for one in candidates if one.change == "step" and not _is_explained(one, known)]
     seen = any(abs(one.at - at) <= MATCH_MM + 3 * one.sd for one in steps)
-    if gap is None and not seen and distance is None:
+    if hidden is None and not seen and distance is None:
         raise refusal(f"""a guide of {thickness:g} mm is stated, but the scan shows neither air nor another
                 material behind it: the tissue begins {first.depth - thickness:.1f} mm before the tip if the
                 guide lies on it, {first.depth:.1f} mm if the guide is not in the scan
@@ -410,7 +410,7 @@ def _find_narrow_gap(profile: IntensityProfile, face: float) -> tuple[float, flo
         return None
     missing = np.where(dip & (values < min(levels) - MIN_GAP_DIP_HU / 3), np.mean(levels) - values, 0.0)
     step = float(np.median(np.diff(s)))
-    width = float(missing.sum()) * step / (np.mean(levels) - AIR_HU)
+    width = float(missing.sum()) * step / float(np.mean(levels) - AIR_HU)
     middle = float(missing @ s / missing.sum())
     return middle + width / 2, float(np.hypot(step / 2, GUIDE_SD_MM))
 

@@ -159,7 +159,7 @@ def _check_forms(metadata: Mapping[str, str], spacing: Floats, size: Ints) -> No
     sform = np.array([metadata[f"srow_{axis}"].split() for axis in "xyz"], dtype=np.float64) * unit
     turn = np.array([float(metadata[f"quatern_{name}"]) for name in "bcd"])
     turned = Rotation.from_quat([*turn, np.sqrt(max(0.0, 1 - turn @ turn))]).as_matrix()
-    hand = -1.0 if float(metadata["pixdim[0]"]) < 0 else 1.0
+    hand = float(np.sign(np.linalg.det(sform[:, :3])))  # SimpleITK does not tell that of the qform
     qform = np.column_stack([turned * spacing * [1, 1, hand], [0.0, 0, 0]])
     qform[:, 3] = [unit * float(metadata[f"qoffset_{axis}"]) for axis in "xyz"]
     corners = np.array(list(product(*[(0, n - 1) for n in size.tolist()], (1,))))

@@ -174,10 +174,10 @@ def to_index(volume: Volume, points: ArrayLike) -> Floats:
     return np.asarray(steps / volume.spacing)
 
 
-MAX_12_BIT_HU = 3100.0  # a scan that reaches above has more than 12 bits, HU
-# Values that run over 12 bits rise, then fall by nearly 4096 in one voxel; no blurred edge does, HU.
-MIN_WRAP_HU, MIN_RISE_HU = 2800.0, 200.0
-MIN_WRAPS = 30  # fewer are noise
+# Values that run over 12 bits come close to their greatest number, HU, and few voxels have it.
+TOP_12_BIT_HU, MAX_SATURATED = (2900.0, 3100.0), 10
+# In metal they leave single voxels darker than both neighbours by more, HU; fewer are noise.
+MIN_HOLE_HU, MIN_HOLES = 800.0, 30
 MIN_RANGE_HU = 100.0  # air, tissue and metal differ by more, HU; attenuation per length never does
 STORED_WATER = 1024.0  # what water reads where a CT was saved without its rescale
 
@@ -208,18 +208,18 @@ def require_hounsfield(volume: Volume, where: str) -> None:
 
 def _refuse_wrapped_metal(volume: Volume, high: float, where: str) -> None:
     """Refuse metal whose values have run over 12 bits, and begin again at the lowest."""
-    if high > MAX_12_BIT_HU:
+    low, top = TOP_12_BIT_HU
+    if not low <= high <= top:
         return
-    count = 0
+    holes, saturated = 0, 0
     for plane in volume.values:
-        if plane.max() > MAX_12_BIT_HU - MIN_RISE_HU:
-            steps = np.diff(plane, axis=1)
-            falls = (steps[:, 1:] < -MIN_WRAP_HU) & (steps[:, :-1] > MIN_RISE_HU)
-            falls |= (steps[:, :-1] > MIN_WRAP_HU) & (steps[:, 1:] < -MIN_RISE_HU)
-            count += int(np.count_nonzero(falls))
-    if count >= MIN_WRAPS:
-        raise refusal(f"""the values of its metal have run over 12 bits: {count} times they rise toward it,
-                then fall by more than {MIN_WRAP_HU:.0f} HU from one voxel to the next
+        if plane.max() > low / 2:
+            saturated += int(np.count_nonzero(plane >= high - 1))
+            depth = np.minimum(plane[:, :-2], plane[:, 2:]) - plane[:, 1:-1]
+            holes += int(np.count_nonzero(depth > MIN_HOLE_HU))
+    if holes >= MIN_HOLES and saturated < MAX_SATURATED:
+        raise refusal(f"""the values of its metal have run over 12 bits: {holes} voxels are {MIN_HOLE_HU:.0f}
+                HU darker than both neighbours, and {saturated} have the greatest number
             expected: metal that ends at the greatest number, or an extended scale
             fix: export the series again, with values that are cut or with 16 bits
             where: {where}""")

@@ -198,7 +198,7 @@ def correct_scan(scan: Scan, corrections: Corrections, folder: Path) -> Scan:
         )
     if corrections.contact is not None and scan.stage is not None:
         raise as_error([placed_contact_fault(scan.id)], scan.volume)
-    files: dict[str, Path] = {}
+    files: dict[str, Any] = {}
     for field, name, places in (("fiducials", BALLS_FILE, balls), ("mask", POINTS_FILE, corrections.points)):
         if places is not None:
             files[field] = folder / name

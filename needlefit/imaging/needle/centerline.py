@@ -1,5 +1,6 @@
 """Trace the needle's axis from base to tip, with a standard deviation for every point."""
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,6 +44,8 @@ MAX_EDGE_DISTANCE_MM = 3.0  # an end this near to the volume's face (mm) has lef
 # A tip placed by hand so far beside the needle's surface shows that the axis is wrong there, mm; a nearer one
 # is moved onto the axis.
 MAX_PLACED_TIP_DISTANCE_MM = 0.7
+# So far beyond the last cross-section and the bevel, mm, the axis is not known, either.
+MAX_UNSEEN_MM = 2.0
 MAX_TIPS = 4  # how often a tip is looked for: rays may hide a stretch of the shaft before it
 END_REACH_MM = 4.0  # distance beyond an end of the needle from which on its surroundings are looked at, mm
 MAX_SOFT_HU = 1000.0  # brighter surroundings are metal, HU
@@ -107,11 +110,13 @@ def trace_needle(
         axis = axis if last <= base else reverse_axis(axis)
         axis = refine_axis(volume, axis, recipe, heel, _project_tip(axis, tip)[0])
         place, beside = _project_tip(axis, tip)
-        if beside > MAX_PLACED_TIP_DISTANCE_MM + recipe.needle.diameter_mm / 2:
-            axis = retrace_end(volume, axis, tip, recipe)
-            axis = refine_axis(volume, axis, recipe, heel, axis.length)
-            place, beside = _project_tip(axis, tip)
-            if beside > MAX_PLACED_TIP_DISTANCE_MM + recipe.needle.diameter_mm / 2:
+        limit = MAX_PLACED_TIP_DISTANCE_MM + recipe.needle.diameter_mm / 2
+        if beside > limit or place > axis.length + heel + MAX_UNSEEN_MM:
+            with suppress(DataError):  # where its end does not show, a tip on the axis stays
+                again = retrace_end(volume, axis, tip, recipe)
+                axis = refine_axis(volume, again, recipe, heel, again.length)
+                place, beside = _project_tip(axis, tip)
+            if beside > limit:
                 raise tip_beside_error(beside)
         at = np.array([place])
         sd = np.array([recipe.centerline.placed_tip_sd_mm, float(axis_sd(axis, at)[0])])

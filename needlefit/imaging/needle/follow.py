@@ -37,8 +37,8 @@ END_LENGTH_MM = 12.0  # length at an end by whose line the next place is predict
 MIN_SHOWN_FRACTION = 0.5  # part of the way between the points on which the needle must show
 # Lengths before a placed tip from which on the axis may be wrong, mm.
 LEFT_BEFORE_MM = (6.0, 10.0, 15.0, 22.0, 30.0, 40.0, 55.0)
-# Part of the needle's brightness by which a longer stretch must be better to be replaced.
-CLEAR_AMPLITUDE = 0.1
+# Needle that must show more, mm, for each mm of the axis that is replaced.
+LENGTH_COST = 0.02
 
 
 def follow_points(volume: Volume, points: Floats, recipe: ReconstructionRecord) -> AxisSpline:
@@ -72,7 +72,7 @@ def follow_points(volume: Volume, points: Floats, recipe: ReconstructionRecord) 
 def retrace_end(volume: Volume, axis: AxisSpline, tip: Floats, recipe: ReconstructionRecord) -> AxisSpline:
     """Return the rough axis with its end led to a `tip` (3,), LPS, mm, that lies beside it.
 
-    The axis is left where the way from there to the tip is brightest.
+    The axis is left where on the way from there to the tip the least of the needle is missing.
 
     DataError if no way to the tip is as bright as the needle.
     """
@@ -80,19 +80,18 @@ def retrace_end(volume: Volume, axis: AxisSpline, tip: Floats, recipe: Reconstru
     points = axis.spline(s)
     nearest = float(s[np.argmin(np.linalg.norm(points - tip, axis=1))])
     usual = float(np.median(_center_places(volume, points, recipe)[1]))
-    best, found = -np.inf, points
+    least, found = np.inf, points
     for length in LEFT_BEFORE_MM:
         kept = points[s <= nearest - length]
         if len(kept) < END_LENGTH_MM / STEP_MM:
             break
-        way = _join(np.vstack([kept[:: round(END_LENGTH_MM / STEP_MM / 2)], kept[-1:], tip]))
+        way = _join(np.vstack([kept[:: -round(END_LENGTH_MM / STEP_MM / 2)][::-1], tip]))
         places, amplitude = _center_places(volume, way, recipe, keep_end=True)
-        late = arc_length(way)[-1] - arc_length(way) < length + np.linalg.norm(tip - points[-1])
-        shown = np.asarray(amplitude > MIN_RELATIVE_AMPLITUDE * usual)
-        score = float(np.mean(np.minimum(amplitude[late] / usual, 1.0)))
-        if score > best + CLEAR_AMPLITUDE and shown[late].mean() >= MIN_SHOWN_FRACTION:
-            best, found = score, places[shown]
-    if not np.isfinite(best):
+        missing = STEP_MM * float(np.sum(np.clip(1 - amplitude / usual, 0, None))) + LENGTH_COST * length
+        after, faint = arc_length(way) > s[len(kept) - 1], MIN_RELATIVE_AMPLITUDE * usual
+        if missing < least and np.mean(amplitude[after] > faint) >= MIN_SHOWN_FRACTION:
+            least, found = missing, places[amplitude > faint]
+    if not np.isfinite(least):
         raise tip_beside_error(float(np.linalg.norm(points - tip, axis=1).min()))
     s = arc_length(found)
     return fit_axis(s, found, np.ones(len(found)), 2 * recipe.centerline.knot_spacing_mm)
@@ -142,7 +141,7 @@ def _look_across(volume: Volume, places: Floats, recipe: ReconstructionRecord) -
     where = AxisFrames(places, ways, u, np.cross(ways, u))
     plane = disc_points(recipe.centerline.patch_width_mm)
     values = sample_planes(volume, where, plane)
-    inside = np.isfinite(values).all(axis=1)
+    inside = ~np.isnan(values.sum(axis=1))
     found = find_centroids(np.nan_to_num(values), plane, recipe.needle.diameter_mm)
     shifts = found.shifts[:, :1] * where.u + found.shifts[:, 1:] * where.v
     return np.where(inside[:, None], shifts, 0.0), np.where(inside, found.amplitude, 0.0)

@@ -99,7 +99,7 @@ export function showLists(state, act) {
 
   const balls = state.balls().map(({ at, sd, residual }, n) => row(
     [key("ball"), String(n + 1)],
-    [sd === undefined ? "by hand, not yet used" : `± ${mm(sd, 3)}`, residual === undefined || residual === null ? "—" : mm(residual)],
+    [sd === undefined ? "by hand" : `± ${mm(sd, 3)}`, residual === undefined || residual === null ? "—" : mm(residual)],
     [show(at, `ball ${n + 1}`), press("remove", `remove ball ${n + 1}`, () => act.remove(n))],
   ));
   const least = found.min_balls;
