@@ -117,6 +117,8 @@ def test_a_stop_and_an_error_end_the_processes(processes):
     assert list(pool.run(wait_for_stop, [60.0, 60.0], lambda: time.monotonic() > begun + 0.5)) == []
     with pytest.raises(ConfigError, match="of task 1"):
         list(pool.run(fail, [1, 1]))
+    with pytest.raises(ConfigError, match="ended from outside"):
+        list(pool.run(os._exit, [1, 1]))
     assert list(run_in_order(square, [1.0, 2.0, 3.0], pool)) == [1.0, 4.0, 9.0]
     assert time.monotonic() < begun + 60
 

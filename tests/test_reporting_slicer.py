@@ -258,6 +258,11 @@ def test_simulate_writes_a_body_too(scene):
     assert np.linalg.norm(body.vertices - [*tip, 0], axis=1).min() < 1e-4
 
 
+def test_simulate_refuses_another_ending(scene):
+    code, path, output = scene(".stl", "phantom1")
+    assert code == 3 and ".mrk.json" in output.err and not path.exists()
+
+
 FILES = Path(slicerio.__file__).parent / "data"
 
 
