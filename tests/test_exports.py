@@ -25,6 +25,7 @@ from needlefit.reporting.figures.animation import sample_states
 from needlefit.reporting.figures.needles import (
     SceneOverlays,
     StateFigure,
+    describe_changes,
     paint_steps,
 )
 from needlefit.reporting.shape_table import tabulate_shape, write_shape
@@ -287,3 +288,16 @@ def test_the_steps_after_a_failure_are_not_drawn():
     assert panels[1].get_title("right") == "" and panels[1].get_aspect() <= 5
     base = one.entry.to_world([[40.0 - 150.0, 2.0]])[0]  # where the step brought it
     assert any(np.allclose(line.get_xydata()[0], base) for line in panels[1].lines)
+
+
+def test_a_panel_title_names_the_changes_of_its_step():
+    first, second, third = two_layers(MOVED, PULLED).steps
+    assert describe_changes(None, first) == ["bevel left"]
+    assert describe_changes(first, second) == ["bevel right", "base +2 mm", "guide +1 mm"]
+    assert describe_changes(second, third) == ["guide let go"]
+    named = dataclasses.replace(third, controls=Controls(2.0, guides=(Guide(-10.0, 1.5, name="ring"),)))
+    assert describe_changes(third, named, " in C") == ["ring +1.5 mm in C"]
+    assert describe_changes(named, third) == ["ring let go"]
+    tracked = dataclasses.replace(third, bevel=Bevel(0.1, -1), controls=Controls(2.0, tip=TrackedTip(-0.5)))
+    assert describe_changes(third, tracked) == ["bevel right, b 0.1 mm", "tip tracked at −0.5 mm"]
+    assert describe_changes(tracked, dataclasses.replace(tracked, controls=Controls(2.0))) == ["tip let go"]

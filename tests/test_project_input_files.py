@@ -389,3 +389,7 @@ def test_a_misspelt_ending_is_taken_for_a_path(project, ending):
     with pytest.raises(ConfigError) as fault:
         locate.find_file("scene", f"./mine.{ending}")
     assert fault.value.expected.endswith("mine.toml")
+
+
+def test_a_long_list_of_names_is_cut():
+    assert locate.join_names([str(n) for n in range(45)]).endswith("and 5 more")
