@@ -83,7 +83,6 @@ CASES = {
     "twin build": Case("twin build --out out/twin -q", "twin"),
     "twin ct": Case("twin ct sample --out out/ct -q --jobs 1", "ct"),
     "new dataset": Case("new dataset out/data", "data"),
-    "new dataset --from": Case("new dataset out/from --from curves.csv", "from"),
     "new workbook": Case("new workbook out/own.xlsx"),
     "view --recording": Case("view --recording log.csv --no-browser --out out"),
     "simulate --recording": Case(

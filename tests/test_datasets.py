@@ -402,61 +402,13 @@ def test_matlab_faults(tmp_path):
     assert fault.where.endswith("point 5")
 
 
-def long_table(path, curves, header="id,x_mm,y_mm,z_mm"):
-    lines = [",".join(map(str, (name, *cells))) for name, curve in curves.items() for cells in curve]
-    path.write_text("\n".join([header, *lines]) + "\n")
-    return path
-
-
-def test_a_template_passes_check_and_may_begin_with_centrelines(tmp_path):
+def test_a_template_passes_check(tmp_path):
     file = write_template(tmp_path / "mine")
     assert check(tmp_path / "mine") == []
     dataset = read(file)
     assert dataset.origin == "synthetic" and "made-up" in file.read_text()
     assert [i.sequence for i in dataset.insertions] == [(1, 2), (1, 2)]
     refusal(ConfigError, "exists already", write_template, tmp_path / "mine")
-    noted = np.column_stack([3 * CURVE, np.full(101, 0.25)])
-    source, notes = tmp_path / "runs.csv", []
-    long_table(source, {"first run": noted, "r2": noted}, "id,x_mm,y_mm,z_mm,sd_mm")
-    dataset = read(write_template(tmp_path / "a", source, notes.append))
-    assert [i.id for i in dataset.insertions] == ["first_run", "r2"]
-    assert len(notes) == 1 and "first_run" in notes[0]
-    assert dataset.pose == "free" and dataset.needle.length > dataset.insertions[0].depth > 149
-    np.testing.assert_array_equal(dataset.insertions[0].sd, 0.25)
-    long_table(source, {"1": CURVE}, "run,x_mm,y_mm,z_mm")
-    assert [one.id for one in read(write_template(tmp_path / "b", source, notes.append)).insertions] == [
-        "runs"
-    ]
-    assert len(notes) == 3 and all(note.startswith(f"{source}: ") for note in notes)
-    assert "`run`" in notes[1] and "`id`" in notes[2] and "101 rows" in notes[2]
-    savemat(tmp_path / "runs.mat", {"r1": CURVE, "r2": CURVE})
-    dataset = read(write_template(tmp_path / "c", tmp_path / "runs.mat"))
-    assert [i.id for i in dataset.insertions] == ["r1", "r2"]
-
-
-SPOILT = [  # curves, header if it is another, what is said of them, and the line
-    ({"good": CURVE, "bad": CURVE[::-1] / 1000}, {}, r"bad: depth_mm[\s\S]*metres", ":103"),
-    ({"good": CURVE, "bad": CURVE[[*range(50), 51, 50, *range(52, 101)]]}, {}, "curve bad ", ":154"),
-    ({"a": CURVE, "b": CURVE[:1]}, {}, r"curve b .*\b1 points", ":103"),
-    ({"a b": CURVE, "a_b": CURVE}, {}, "'a_b' becomes a_b, as another", ""),
-    ({"=1+1": CURVE}, {}, "refused", ""),
-    ({"1": [(2,)]}, {"header": "x,y"}, r"`x_mm` is missing[\s\S]*--from reads", ""),
-]
-
-
-@pytest.mark.parametrize(("curves", "header", "words", "line"), SPOILT)
-def test_a_template_from_faulty_centrelines_leaves_nothing_and_names_the_source(
-    tmp_path, curves, header, words, line
-):
-    source = long_table(tmp_path / "runs.csv", curves, **header)
-    error = refusal(DataError, words, write_template, tmp_path / "mine", source)
-    assert f"{source}{line}" in str(error)
-    savemat(tmp_path / "runs.mat", {"bad": CURVE * [1, np.nan, 1]})
-    with pytest.raises(DataError, match=r"runs\.mat, point 1: curve bad .*\b101\b"):
-        write_template(tmp_path / "mine", tmp_path / "runs.mat")
-    for name, fix in (("none.csv", "check the path"), ("e.xlsx", "ending")):
-        refusal(DataError, f"{name}[\\s\\S]*{fix}", write_template, tmp_path / "mine", tmp_path / name)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["runs.csv", "runs.mat"]
 
 
 @pytest.mark.skipif("NEEDLEFIT_REAL_DATA" not in os.environ, reason="NEEDLEFIT_REAL_DATA is not set")

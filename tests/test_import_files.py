@@ -169,6 +169,15 @@ def test_numbers_of_curves_and_points(tmp_path, head):
     assert_same(curves_of(tmp_path / "a.csv"))
 
 
+def test_deviations_of_points_are_read_in_their_unit(tmp_path):
+    rows = [[n, *(p / 10), 0.2 + n] for n, one in enumerate(CURVES, 1) for p in one]
+    lines = ["id;x [cm];y [cm];z [cm];sd [mm]", *(";".join(map(str, row)) for row in rows)]
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    found = [one.points.sd for one in understood([tmp_path])[0].insertions]
+    for n, sd in enumerate(found, 1):
+        np.testing.assert_allclose(sd, 0.2 + n)
+
+
 SIDES = {"N1": "1", "N2": "-1", "N3": "1"}
 TWO_ROWS = [["Versuch", "Schliffseite", "Koordinaten [mm]", None, None, "Kraft"], [None, None, *"xyz", "[N]"]]
 

@@ -195,7 +195,7 @@ def test_a_study_with_everything_of_a_plugin(
 
 def test_curves_of_the_format_become_a_dataset(law_site: Site, law_project: Path) -> None:
     _, options = law_site
-    assert run("new", "dataset", "other", "--from", "data/mine/centerlines/example1.xyz", *options) == 0
+    assert run("import", "data/mine/centerlines/example1.xyz", "--out", "other", "--yes", *options) == 0
     assert check(Path("other")) == []
 
 

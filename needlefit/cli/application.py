@@ -27,7 +27,7 @@ _COMMANDS: Mapping[str, Mapping[str, str]] = {
     },
     "data": {
         "new project": "myproject",
-        "new dataset": "data/mine --from curves.csv",
+        "new dataset": "data/mine",
         "new workbook": "needles.xlsx",
         "reconstruct": "scans.csv --out data/mine",
         "material": "compression.csv --foundation 4 1.5",

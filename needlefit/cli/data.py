@@ -39,25 +39,15 @@ def new_project(folder: Path) -> None:
     screen.print_note(f"edit them, then: {shlex.join(('cd', str(folder)))} && needlefit validate study3")
 
 
-@takes(
-    "verbose",
-    folder=argument("DIR", "A folder that does not exist yet."),
-    source=option(
-        "Your centrelines: a CSV with columns x_mm, y_mm, z_mm (and id, if it holds several), a .mat file of "
-        "N x 3 arrays, or a .mrk.json or .fcsv of 3D Slicer. For tables of any other layout: needlefit "
-        "import.",
-        "FILE",
-        "--from",
-    ),
-)
-def new_dataset(folder: Path, source: Path | None = None) -> None:
+@takes("verbose", folder=argument("DIR", "A folder that does not exist yet."))
+def new_dataset(folder: Path) -> None:
     """Write an example dataset to DIR, to be filled with your own measurements.
 
     It passes `needlefit check`; what you must fill in is marked TO FILL IN.
     """
     from needlefit.datasets.template import write_template
 
-    screen.print_line(str(write_template(folder, source, screen.print_note)))
+    screen.print_line(str(write_template(folder)))
     path = str(folder) if folder.is_absolute() else f"./{folder}"
     screen.print_note(f"fill it in, then: {shlex.join(('needlefit', 'check', path))}")
 

@@ -251,7 +251,6 @@ def _configs(record: str, folder: str, name: str) -> Reader:
     return Reader(partial(_load, record), partial(project_files, f"configs/{folder}/*.toml", f"{name}.toml"))
 
 
-READ_SOURCE = partial(_call, "datasets.template.read_source")
 READ_VOLUME = partial(_call, "imaging.volume_files.read_volume")
 READ_LABELS = partial(_call, "imaging.layers.read_labels")
 
@@ -266,13 +265,13 @@ READERS: dict[str, Reader] = {
     "compression": Reader(partial(_call, "datasets.compression.read_compression"), seeds.compression),
     "markers": Reader(partial(_call, "imaging.markers.read_markers"), seeds.markers),
     "scans": Reader(partial(_call, "imaging.scans.read_scans"), seeds.scans, 40),
-    "markups": Reader(READ_SOURCE, seeds.markups),
-    "source": Reader(READ_SOURCE, seeds.sources),
+    "markups": Reader(_import, seeds.markups),
+    "source": Reader(_import, seeds.sources),
     "table": Reader(_import, seeds.import_tables, 30),
     "workbook": Reader(_import, seeds.workbooks, SLOWEST),
     "slicer_scene": Reader(_import, seeds.slicer_scenes, 40),
     "bundle": Reader(_import, seeds.bundles, 40),
-    "mat": Reader(READ_SOURCE, seeds.matlab, SLOWEST),
+    "mat": Reader(_import, seeds.matlab, SLOWEST),
     "volume": Reader(READ_VOLUME, seeds.volumes, NATIVE, packed=True),
     "labels": Reader(READ_LABELS, seeds.labels, NATIVE, packed=True),
     "dicom": Reader(READ_VOLUME, seeds.dicom, SLOWEST),

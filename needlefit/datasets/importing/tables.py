@@ -67,6 +67,7 @@ _ROLES = {
         "name": r"(n|nr|no)?(id|needle|insertion|curve|name|shape|run|trial|test|label|code|measurement|nadel"
         r"|einstich|stich|kurve|versuch|messung|bezeichnung|aiguille|essai|mesure|courbe|nom|ago|aguja|ensayo"
         rf"|insercion|curva)+{_NUMBERED}",
+        "sd": r"(point|punkt)?(sd|std|stdev|sigma|standarddeviation|standardabweichung|ecarttype)",
         "index": rf"index|nr|no|n|i|num|row|zeile|(mess)?(point|pt|punkt|punto){_NUMBERED}",
     }.items()
 }
@@ -833,7 +834,20 @@ class _Part:
         if not filled:
             return None
         values = values if axes.system is None else to_lps(values, axes.system)
-        return Points(cells.path, values, np.array([cells.first + row for row, _ in filled], dtype=np.int64))
+        lines = np.array([cells.first + row for row, _ in filled], dtype=np.int64)
+        return Points(cells.path, values, lines, self._read_sd([row for row, _ in filled], axes))
+
+    def _read_sd(self, rows: Sequence[int], axes: _Axes) -> Floats | None:
+        """Return the standard deviations of points, in the unit of the axes; None unless a column has all."""
+        roles = enumerate(self.roles)
+        column = next((n for n, role in roles if role == "sd" and n in axes.span), None)
+        texts = [] if column is None else self.cells.column(rows, column)
+        numbers = [number for text in texts if (number := self.cells.number(text)) is not None]
+        if column is None or len(numbers) < len(rows):
+            return None
+        self.used.add(column)
+        unit = UNITS_MM.get(self._find_unit(column) or axes.unit, 1.0) / UNITS_MM.get(axes.unit, 1.0)
+        return unit * np.array(numbers, dtype=np.float64)
 
     def _find_attributes(self, rows: Sequence[int], axes: _Axes) -> dict[str, str]:
         """Return what the table states once for a curve, in columns whose cells are the same all through."""
