@@ -50,13 +50,14 @@ let measured = [1, 1];
 /** Width and height of the picture, px. */
 export const size = () => measured;
 
-/** Draw the picture as it is seen on another context; with a state and a band, as it would be seen with these. */
-export function paintOn(context, { state, band } = now) {
-  const kept = { state: now.state, band: now.band };
-  Object.assign(now, { state, band });
+/** Draw the picture as it is seen on another context, then more; `seen` is another state with its band and forces. */
+export function paintOn(context, { state, band, forces } = now, paintMore = () => {}) {
+  const kept = { state: now.state, band: now.band, forces: now.forces };
+  Object.assign(now, { state, band, forces });
   try {
     paintBackground(context);
     paintForeground(context, state);
+    paintMore();
   } finally {
     Object.assign(now, kept);
   }

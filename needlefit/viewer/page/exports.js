@@ -1,12 +1,15 @@
-/** What can be saved: files of the server, and pictures as they are shown. */
+/** What can be saved: files of the server, and pictures as they are seen: with legend and strip. */
 
 import { needle, settle } from "./connection.js";
 import { button, element, part } from "./dom.js";
 import { paintOn, size } from "./drawing.js";
 import { encodeGif } from "./gif.js";
+import { cross, palette, segments, setFont } from "./painters/strokes.js";
 import { post } from "./requests.js";
 import { listen, now } from "./store.js";
+import { paintStrip } from "./strip.js";
 import { SvgContext } from "./svg.js";
+import { listShown } from "./toolbar.js";
 
 const FILES = {
   "inputs.csv": "inputs, CSV", "shape.csv": "shape, CSV", "shape.mrk.json": "shape, Slicer markups",
@@ -36,36 +39,78 @@ async function save(file, pressed) {
   }
 }
 
-/** The picture as it is seen. */
-function takePicture() {
-  const canvas = draw(devicePixelRatio);
-  return new Promise((done) => canvas.toBlob(done, "image/png"));
+const LOOKS = { // samples of the legend: a colour, and the dash of a line, an area or a cross
+  needle: ["needle", []], load: ["load", "area"], points: ["points", "cross"], path: ["path", []], measured: ["measured", [5, 3]],
+  errors: ["gap", []], band: ["band", "area"], plan: ["plan", [6, 2]], pinned: ["ghost", [2, 3]], reach: ["reach", "area"],
+};
+const ROW = { height: 20, sample: 18, gap: 16 }; // px of the legend
+const STRIP = 108; // px
+
+/** The entries of the legend, from their left ends: [x, row, look, text]; they fill rows of the width, px. */
+function layOutLegend(context, width) {
+  const { title, synthetic } = now.scene;
+  setFont(context, "plain", "left");
+  let [x, row] = [8, 1];
+  const entries = [["needle", "needle"], ...listShown()].filter(([name]) => name in LOOKS).map(([name, text]) => {
+    const wide = ROW.sample + 6 + context.measureText(text).width;
+    if (x > 8 && x + wide > width) [x, row] = [8, row + 1];
+    x += wide + ROW.gap;
+    return [x - wide - ROW.gap, row, LOOKS[name], text];
+  });
+  return [[8, 0, null, synthetic ? `${title} · synthetic data` : title], ...entries];
 }
 
-function takeSvg() {
-  const context = new SvgContext();
-  paintOn(context);
-  return new Blob([context.write(...size())], { type: "image/svg+xml" });
+function paintEntry(context, x, y, look, text) {
+  setFont(context, look ? "plain" : "strong", "left");
+  context.fillStyle = palette.label;
+  context.fillText(text, x + (look ? ROW.sample + 6 : 0), y);
+  if (!look) return;
+  const [colour, way] = [palette[look[0]], look[1]];
+  if (way === "cross") return segments(context, cross(x + ROW.sample / 2, y, 4, true), colour, 1.5);
+  if (way === "area") {
+    context.fillStyle = `${colour}55`;
+    context.fillRect(x, y - 5, ROW.sample, 10);
+  }
+  context.setLineDash(way === "area" ? [] : way);
+  segments(context, [[[x, way === "area" ? y - 5 : y], [x + ROW.sample, way === "area" ? y - 5 : y]]], colour, 2);
+  context.setLineDash([]);
 }
 
-/** A canvas with the picture, by default as it is seen now. */
-function draw(scale, seen) {
-  const canvas = element("canvas");
-  [canvas.width, canvas.height] = size().map((one) => Math.round(one * scale));
+/** Draw what is seen on a context that `make(width, height)` returns: the picture, its legend, and the strip unless it is hidden. */
+function draw(make, seen) {
+  const [width, height] = size();
+  const legend = layOutLegend(part("canvas").getContext("2d"), width);
+  const below = height + ROW.height * (legend.at(-1)[1] + 1) + 8;
+  const whole = below + (part("strip").hidden ? 0 : STRIP);
+  const context = make(width, whole);
+  paintOn(context, seen, () => {
+    context.fillStyle = palette.gutter;
+    context.fillRect(0, height, width, whole - height);
+    for (const [x, row, look, text] of legend) paintEntry(context, x, height + 4 + ROW.height * (row + 0.5), look, text);
+    if (whole > below) paintStrip(context, width, below, whole);
+  });
+  return context;
+}
+
+/** A context of a canvas of its own, with so many of its pixels for one of the picture. */
+const onCanvas = (scale) => (width, height) => {
+  const canvas = element("canvas", { width: Math.round(width * scale), height: Math.round(height * scale) });
   const context = canvas.getContext("2d", { willReadFrequently: true });
   context.setTransform(scale, 0, 0, scale, 0, 0);
-  paintOn(context, seen);
-  return canvas;
-}
+  return context;
+};
+
+const takePicture = () => new Promise((done) => draw(onCanvas(devicePixelRatio)).canvas.toBlob(done, "image/png"));
+const takeSvg = () => new Blob([draw((...whole) => new SvgContext(...whole)).write()], { type: "image/svg+xml" });
 
 const FRAMES = { kept: 80, apart: 80, longest: 1, last: 1.5 }; // ms between two that are kept; seen at most, and the last one, s
-let frames = []; // what was seen: {at (ms), state, band}
+let frames = []; // what was seen: {at (ms), state, band, forces}
 
 listen("scene", () => (frames = []));
 listen("state", (state) => {
   const at = performance.now();
   if (frames.length > 1 && at - frames.at(-2).at < FRAMES.apart) frames.pop();
-  frames.push({ at, state, band: now.band });
+  frames.push({ at, state, band: now.band, forces: now.forces });
   if (frames.length > FRAMES.kept) frames = frames.filter((_, i) => i % 2 === 0 || i === FRAMES.kept);
 });
 listen("band", (band) => {
@@ -75,10 +120,10 @@ listen("band", (band) => {
 
 /** What was seen, in the present view: the insertion at its own speed, without longer pauses. */
 async function takeAnimation() {
-  if (frames.length < 2) return ask("animation.gif"); // of a page that was loaded again the server has the recording
+  if (frames.length < 2) throw { what: "the needle has not moved on this page yet", fix: "move it, or replay the recording" };
   const pictures = frames.map((one) => {
-    const canvas = draw(1, one);
-    return canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+    const context = draw(onCanvas(1), one);
+    return context.getImageData(0, 0, context.canvas.width, context.canvas.height);
   });
   const seconds = frames.map(({ at }, i) => (i + 1 < frames.length ? Math.min((frames[i + 1].at - at) / 1000, FRAMES.longest) : FRAMES.last));
   return encodeGif(pictures, seconds);

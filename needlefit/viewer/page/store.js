@@ -1,7 +1,7 @@
 /** The last message of each kind, and the listeners to each. */
 
-/** The page's knowledge; also `window.needlefit`, for whoever measures the page. */
-export const now = { scene: null, state: null, band: null, connected: false, pinned: null, marked: null, frames: [] };
+/** The page's knowledge (`forces`: on the tip, N, where it stood, mm); also `window.needlefit`, for whoever measures the page. */
+export const now = { scene: null, state: null, band: null, connected: false, pinned: null, marked: null, frames: [], forces: { x: [], y: [] } };
 window.needlefit = now;
 
 const listeners = new Map();

@@ -12,7 +12,6 @@ const PAD = { left: 46, right: 12, top: 18, bottom: 16 }; // px
 const CHANGED = 1e-3; // mm that a cut has moved by when the insertion was simulated again
 const canvas = part("strip-canvas");
 const context = canvas.getContext("2d");
-let forces = { x: [], y: [] }; // the tip force, N, where the tip (x, mm) stood
 let before = null; // the tip path of the state before
 let size = [1, 1]; // px
 let drawn = null; // the state that was drawn last
@@ -23,7 +22,7 @@ const PANELS = [["tip y, mm", 2, ({ path }) => path], ["tip force, N", 2, ({ for
 /** The needle as it stands: its shape, the path of its tip, the forces on the tip on the way. */
 function current() {
   const { x, y, tip, tip_path: [along, across] } = now.state;
-  return { x, y, tip, path: { x: [...along, tip.x], y: [...across, tip.y] }, forces };
+  return { x, y, tip, path: { x: [...along, tip.x], y: [...across, tip.y] }, forces: now.forces };
 }
 
 /** Forces of an earlier insertion are none of this one: of the same inputs with other parameters, or undone. */
@@ -31,9 +30,10 @@ function remember({ tip, tip_path: [, path], forces: { tip_n: force } }) {
   const middle = Math.min(path.length, before?.length ?? 0) >> 1;
   const again = before !== null && Math.abs((before[middle] ?? 0) - (path[middle] ?? 0)) > CHANGED;
   before = path;
-  let { length } = again ? [] : forces.x;
-  while (length && forces.x[length - 1] >= tip.x - 1e-9) length -= 1;
-  forces = { x: [...forces.x.slice(0, length), tip.x], y: [...forces.y.slice(0, length), force] };
+  const { x, y } = now.forces;
+  let { length } = again ? [] : x;
+  while (length && x[length - 1] >= tip.x - 1e-9) length -= 1;
+  now.forces = { x: [...x.slice(0, length), tip.x], y: [...y.slice(0, length), force] };
 }
 
 const needles = () => [[now.pinned, palette.ghost], [current(), palette.needle]].filter(([one]) => one);
@@ -43,23 +43,28 @@ function draw() {
   drawn = now.state;
   if (part("strip").hidden || !now.state) return;
   const [width, height] = size;
-  const deep = greatest();
-  const curves = PANELS.map(([, , curve]) => needles().map(([one, colour]) => [curve(one), colour]));
   if (canvas.width !== Math.round(width * devicePixelRatio)) canvas.width = Math.round(width * devicePixelRatio);
   if (canvas.height !== Math.round(height * devicePixelRatio)) canvas.height = Math.round(height * devicePixelRatio);
   context.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
   context.clearRect(0, 0, width, height);
+  describe(...paintStrip(context, width, 0, height));
+}
+
+/** Draw both panels between two heights, px; return their curves and the greatest depth, mm. */
+export function paintStrip(context, width, top, bottom) {
+  const deep = greatest();
+  const curves = PANELS.map(([, , curve]) => needles().map(([one, colour]) => [curve(one), colour]));
   PANELS.forEach(([name, digits], n) => {
-    const left = (n * width) / 2 + PAD.left;
-    drawPanel(name, digits, curves[n], deep, { left, right: ((n + 1) * width) / 2 - PAD.right, top: PAD.top, bottom: height - PAD.bottom });
+    const [left, right] = [(n * width) / 2 + PAD.left, ((n + 1) * width) / 2 - PAD.right];
+    drawPanel(context, name, digits, curves[n], deep, { left, right, top: top + PAD.top, bottom: bottom - PAD.bottom });
   });
-  describe(curves, deep);
+  return [curves, deep];
 }
 
 /** The greatest depth that the strip shows, mm. */
 const greatest = () => Math.max(now.scene.depth_mm, ...needles().map(([{ tip }]) => tip.x), 1);
 
-function drawPanel(name, digits, curves, deep, { left, right, top, bottom }) {
+function drawPanel(context, name, digits, curves, deep, { left, right, top, bottom }) {
   const values = curves.flatMap(([{ y }]) => y);
   const [low, high] = [Math.min(0, ...values), Math.max(0, ...values)];
   const px = (x) => left + (x / deep) * (right - left);
@@ -74,7 +79,7 @@ function drawPanel(name, digits, curves, deep, { left, right, top, bottom }) {
   for (const [{ x, y }, colour] of curves) if (at <= x.at(-1)) ring(context, px(at), py(heightAt({ x, y }, at)), 3, colour, palette.air);
   context.fillStyle = palette.label;
   setFont(context, "small", "left");
-  context.fillText(name, left, 8);
+  context.fillText(name, left, top - 10);
   setFont(context, "small", "right");
   const ends = high - low < 10 ** -digits ? [[0, py(0)]] : [[low, bottom], [high, top]];
   for (const [value, place] of ends) context.fillText(String(Number(value.toFixed(digits)) || 0).replace("-", "−"), left - 4, place);
@@ -137,7 +142,7 @@ export function pin() {
 
 press("pin", () => now.state && pin());
 listen("scene", () => {
-  [forces, before, now.marked] = [{ x: [], y: [] }, null, null];
+  [now.forces, before, now.marked] = [{ x: [], y: [] }, null, null];
 });
 listen("state", remember);
 listen("drawn", () => now.state !== drawn && draw());

@@ -21,14 +21,14 @@ export class SvgContext {
   #state = { matrix: [1, 0, 0, 1, 0, 0], clip: "", dash: [] };
   #ruler = document.createElement("canvas").getContext("2d");
 
-  constructor() {
+  constructor(width, height) {
+    this.#parts.push(`<svg xmlns="http://www.w3.org/2000/svg" width="${width}" height="${height}" viewBox="0 0 ${width} ${height}">`);
     Object.assign(this, { globalAlpha: 1, lineWidth: 1, lineJoin: "miter", lineCap: "butt", textAlign: "left", textBaseline: "alphabetic" });
   }
 
   /** The text of the file. */
-  write(width, height) {
-    const size = `width="${width}" height="${height}" viewBox="0 0 ${width} ${height}"`;
-    return `<svg xmlns="http://www.w3.org/2000/svg" ${size}>\n${this.#parts.join("\n")}\n</svg>\n`;
+  write() {
+    return `${this.#parts.join("\n")}\n</svg>\n`;
   }
 
   save() {

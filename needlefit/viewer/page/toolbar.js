@@ -41,6 +41,9 @@ function toggle(name) {
   name === "slice" ? touch() : invalidate();
 }
 
+/** What is offered and shown, of what has a swatch: pairs of its name and what it is called. */
+export const listShown = () => CHIPS.filter(([name, , , marked = true]) => marked && !chips[name].hidden && chips[name].ariaPressed === "true");
+
 /** Offer what there is, by name; a fit or an estimate on the page has a band, too. */
 const offer = (there) => Object.entries(there).forEach(([name, is]) => (chips[name].hidden = !is));
 
