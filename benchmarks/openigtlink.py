@@ -10,6 +10,7 @@ Memory is that of the command's process.
 """
 
 import argparse
+import contextlib
 import json
 import os
 import random
@@ -49,7 +50,6 @@ def main() -> None:
         command = [sys.executable, "-m", "needlefit", "view", "phantom2", "--no-browser", "--out", folder]
         command += ["--openigtlink", str(port), "--tracker", str(tracker)]
         with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
-            process.stdout.readline()  # the address of the page: it listens
             try:
                 found = measure(port, process.pid, asked.minutes, asked.rate)
             finally:
@@ -58,12 +58,20 @@ def main() -> None:
     print(json.dumps(found, indent=2) if asked.json else "\n".join(f"{k:24} {v}" for k, v in found.items()))
 
 
+def connect(port: int) -> socket.socket:
+    """Return a connection to the program, once it listens."""
+    while True:
+        with contextlib.suppress(ConnectionRefusedError):
+            return socket.create_connection(("127.0.0.1", port))
+        time.sleep(0.1)
+
+
 def measure(port: int, pid: int, minutes: float, rate: float) -> dict[str, object]:
     """Return latencies (ms), memory (MB) minute by minute, and what the program reported at the end."""
     path, rng = simulate_tips(), np.random.default_rng(3)
     latencies, memory, status = [], [], {}
     began, visited, minute, sent = time.monotonic(), 0, 0, 0
-    with socket.create_connection(("127.0.0.1", port)) as link:
+    with connect(port) as link:
         link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         received = Receiver(link)
         while (now := time.monotonic() - began) < 60 * minutes:

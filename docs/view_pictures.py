@@ -21,7 +21,7 @@ import numpy as np
 from playwright.sync_api import Page, sync_playwright
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-from openigtlink import TRACKER, pack, simulate_tips
+from openigtlink import TRACKER, connect, pack, simulate_tips
 
 FIGURES = Path(__file__).parent / "figures"
 GOAL = "{ target: [46, -1], radius: 0.8, obstacles: [[30, -1.4, 0.4]] }"
@@ -102,7 +102,7 @@ def take(address: str) -> None:
 def send_tips(port: int, stop: threading.Event) -> None:
     """Send poses of base and tip, with errors, of a needle that goes in and stays, until `stop` is set."""
     path, rng, depth = simulate_tips(), np.random.default_rng(3), 0.0
-    with socket.create_connection(("127.0.0.1", port)) as link:
+    with connect(port) as link:
         while not stop.wait(0.03):
             depth = min(depth + 0.2, TRACKED_DEPTH_MM)
             tip = np.array([np.interp(depth, path[:, 0], path[:, k]) for k in (1, 2)])

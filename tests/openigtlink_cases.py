@@ -2,7 +2,9 @@
 
 import asyncio
 import contextlib
+import socket
 import struct
+import time
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
 from functools import cache
@@ -19,7 +21,7 @@ from needlefit.mechanics.shape import compute_positions
 from needlefit.schemas.tracker import TrackerRecord
 from needlefit.viewer.openigtlink import OpenIGTLinkServer
 from needlefit.viewer.opening import open_target
-from needlefit.viewer.server import AccessControl
+from needlefit.viewer.server import AccessControl, LoadingPage
 from needlefit.viewer.steering_page import SteeringPage
 from needlefit.viewer.tracking import TrackedTrial
 from needlefit.viewer.trials import TrialRegistry
@@ -53,8 +55,19 @@ async def served(folder, name="phantom2", **changes):
     viewed_scene = open_target(name)
     trials = TrialRegistry(viewed_scene, folder, lambda insertion: open_target(viewed_scene.name, insertion))
     server = OpenIGTLinkServer(TrackedTrial(record(**changes), trials), "127.0.0.1", 0)
-    async with serving(SteeringPage(trials, server)) as (access, client):
+    page = LoadingPage(lambda show: SteeringPage(trials, server))
+    async with serving(page) as (access, client):
+        await page.ended.wait()
         yield Served(access, server, trials, client)
+
+
+def connect(port: int) -> socket.socket:
+    """Return a connection to a server that may still be loading."""
+    for _ in range(600):
+        with contextlib.suppress(ConnectionRefusedError):
+            return socket.create_connection(("127.0.0.1", port))
+        time.sleep(0.1)
+    raise TimeoutError(port)
 
 
 @contextlib.contextmanager

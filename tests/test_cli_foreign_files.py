@@ -31,7 +31,6 @@ from needlefit.project.folders import (
 from needlefit.project.locate import find_file, shipped_folder
 from needlefit.studies import study_files as study_files  # bound before a test takes away what it imports
 from needlefit.verification import check as verification
-from needlefit.viewer.server import LoadingPage
 from needlefit.viewer.steering import Change
 
 SCANS = str(shipped_folder() / "data" / "sample_scan" / "scans.csv")
@@ -127,9 +126,7 @@ class Stub:
 
 async def steer(page, port, ready, until):
     """Stand for the server: one needle is steered by one step."""
-    if isinstance(page, LoadingPage):
-        page = page._load(lambda stage: None)
-    trial = page.trials.open("a")
+    trial = page._load(lambda stage: None).trials.open("a")
     trial.act([Change("depth_mm", None, 10.0)])
 
 

@@ -202,17 +202,15 @@ def test_an_animation_needs_an_encoder_and_a_known_ending(tmp_path, monkeypatch)
 
 
 @pytest.mark.sweep
-def test_every_export_of_a_recording_is_of_its_last_moment(tmp_path, monkeypatch) -> None:
+def test_every_export_of_a_recording_is_of_its_last_moment(tmp_path) -> None:
     log = tmp_path / "log.csv"
     last = recorded(log).found[-1]
-    small(monkeypatch)
     written = {kind: export(log, kind) for kind in EXPORT_TYPES}
     table = pd.read_csv(io.BytesIO(written["shape.csv"]))
     # recorded is the deflection of the beam, drawn the y of its tip
     assert table["y_mm"].iloc[-1] == pytest.approx(last[-1], abs=1e-6)
     (curve,) = json.loads(written["shape.mrk.json"])["markups"]
     assert curve["controlPoints"][-1]["position"][1] == pytest.approx(last[-1], abs=1e-6)
-    assert written["animation.gif"].startswith(b"GIF89a")
     assert written["inputs.csv"] == log.read_bytes()
     done = replay_to_end(read_recording(log))
     for name in ("a.svg", "b.svg"):

@@ -5,7 +5,7 @@ import time
 
 import numpy as np
 import pytest
-from openigtlink_cases import pack, tip_path, transform
+from openigtlink_cases import connect, pack, tip_path, transform
 from test_page import NO_BROWSER, Server, chromium, find_violations  # noqa: F401 - a fixture
 
 pytestmark = [pytest.mark.sweep, NO_BROWSER]
@@ -19,7 +19,7 @@ def served(tmp_path):
         port = free.getsockname()[1]
     tracker = ("--openigtlink", str(port), "--tracker", str(tmp_path / "tracker.toml"))
     running = Server(tmp_path, "phantom2", *tracker)
-    with socket.create_connection(("127.0.0.1", port)) as link:
+    with connect(port) as link:
         yield running.address, link
     running.end()
 

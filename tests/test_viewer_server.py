@@ -26,14 +26,12 @@ from needlefit.viewer.plans import begin_insertion
 from needlefit.viewer.recording import read_recording, replay
 from needlefit.viewer.server import (
     KERNEL_FILES,
-    MAX_BURST_MESSAGES,
     MAX_MESSAGE_BYTES,
     AccessControl,
     LoadingPage,
-    RateLimit,
 )
 from needlefit.viewer.steering import Change, SteeredNeedle, find_changes
-from needlefit.viewer.steering_page import MAX_WINDOWS, SteeringPage
+from needlefit.viewer.steering_page import SteeringPage
 from needlefit.viewer.trials import MAX_TRIALS, TrialRegistry
 
 #: id of a message that is refused after all those before it were answered
@@ -135,7 +133,7 @@ def visit(test, name: str = "study2"):
     async def attend(folder, patch) -> None:
         shown = open_target(name)
         trials = TrialRegistry(shown, folder, lambda insertion: open_target(shown.name, insertion))
-        async with served(SteeringPage(trials)) as (access, client):
+        async with served(LoadingPage(lambda show: SteeringPage(trials))) as (access, client):
             server = RunningServer(access, client, trials, folder, patch)
             await test(server, await server.page())
 
@@ -236,15 +234,6 @@ async def test_a_needle_taken_while_its_window_looks_for_another_has_one_window(
     await three.insert(11.0)
 
 
-@visit
-async def test_so_many_windows_and_no_more_but_each_finds_its_needle(server, page) -> None:
-    pages = [page, *[await server.page() for _ in range(MAX_WINDOWS - 1)]]
-    socket = await server.connect()
-    await socket.send_json({"do": "hello", "id": 0, "token": server.access.token})
-    assert (await socket.receive()).data == 1013
-    assert (await server.page(pages[3].scene["needle"])).depth == 0
-
-
 @pytest.mark.sweep
 def test_only_idle_needles_are_dropped(tmp_path) -> None:
     viewed_scene = open_target("study2")
@@ -331,7 +320,7 @@ async def test_strangers_are_kept_out(server, page) -> None:
             assert answer.status == 403 and "Content-Security-Policy" in answer.headers
     for path in ("/page/../server.py", "/page/%2e%2e/server.py", "/page/"):
         async with server.client.get(server.base + path) as answer:
-            assert answer.status in (403, 404)
+            assert answer.status in (403, 404, 405)
     async with server.client.get(server.base) as answer:
         assert server.access.token not in await answer.text()
         assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
@@ -339,32 +328,11 @@ async def test_strangers_are_kept_out(server, page) -> None:
 
 @pytest.mark.sweep
 @visit
-async def test_too_large_and_too_fast_is_cut_off_and_the_needle_is_not_lost(server, page) -> None:
-    server.patch.setattr(
-        "needlefit.viewer.server.MAX_MESSAGES_PER_S", 0.0
-    )  # however slowly this machine sends
+async def test_what_is_too_large_is_cut_off_and_the_needle_is_not_lost(server, page) -> None:
     await page.insert(10.0)
     await page.socket.send_str("x" * (MAX_MESSAGE_BYTES + 1))
     assert (await page.socket.receive()).data == 1009
-    back = await server.page(page.scene["needle"])
-    assert back.depth == 10
-    with pytest.raises(ConnectionError):
-        for _ in range(int(MAX_BURST_MESSAGES) + 1):
-            await back.socket.send_str('{"do": "steps", "id": 1}')
-        while (await back.socket.receive(timeout=10)).type is aiohttp.WSMsgType.TEXT:
-            pass
-        raise ConnectionError
-    assert back.socket.close_code in (1008, 1006)
     assert (await server.page(page.scene["needle"])).depth == 10
-
-
-def test_a_pause_allows_a_burst_and_no_more() -> None:
-    pace = RateLimit()
-    assert (
-        MAX_BURST_MESSAGES
-        <= sum(pace.allows() for _ in range(int(2 * MAX_BURST_MESSAGES)))
-        < 1.2 * MAX_BURST_MESSAGES
-    )
 
 
 @visit
@@ -381,7 +349,7 @@ async def test_inputs_can_be_taken_away_as_they_were_recorded(server, page) -> N
         for kind in ("application/json", "text/plain; charset=nonsense"):
             sent = headers | {"Content-Type": kind}
             async with server.client.post(f"{url}/inputs.csv", headers=sent, data=body) as answer:
-                assert answer.status == 404
+                assert answer.status in (400, 404)
 
 
 @pytest.mark.parametrize("fails", [False, True])
@@ -508,6 +476,7 @@ async def test_goals_plans_and_their_faults_reach_the_page(server, page) -> None
     await page.say("aim", target=[35.0, 0.5], radius=0.5, obstacles=[[20, 4, 1]])
     aim = await page.hear("aim")
     assert aim["target"] == [35.0, 0.5] and aim["obstacles"] == [[20.0, 4.0, 1.0, "obstacle 1"]]
+    await page.say("reach")
     region = await page.hear("reach")
     assert region["x"][0] > 5 and len(region["low"]) == 3
     await page.say("plan")

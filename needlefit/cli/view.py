@@ -23,8 +23,9 @@ if TYPE_CHECKING:
     from needlefit.project.locate import SpecimenChoice
     from needlefit.schemas.tracker import TrackerRecord
     from needlefit.viewer.openigtlink import OpenIGTLinkServer
+    from needlefit.viewer.scan_page import ScanPage
     from needlefit.viewer.scan_session import ScanSession
-    from needlefit.viewer.server import AccessControl, ServedPage
+    from needlefit.viewer.server import AccessControl, LoadingPage
     from needlefit.viewer.steering_page import SteeringPage
     from needlefit.viewer.trials import TrialRegistry
 
@@ -110,8 +111,7 @@ def view(
 
     from needlefit.viewer.server import LoadingPage
 
-    # A tracker's server begins with the page's own.
-    _serve(serve, LoadingPage(load) if record is None else load(screen.print_note), port, browser)
+    _serve(serve, LoadingPage(load), port, browser)
     for path in begun[0].written() if begun else ():
         screen.print_line(f"recorded: {path}")
         screen.print_note(f"replay it: {shlex.join(('needlefit', 'simulate', '--recording', str(path)))}")
@@ -136,15 +136,16 @@ def _examine(
 
 
 def _serve(
-    serve: Callable[..., "Coroutine[None, None, None]"], page: "ServedPage", port: int, browser: bool
+    serve: Callable[..., "Coroutine[None, None, None]"],
+    page: "LoadingPage | ScanPage",
+    port: int,
+    browser: bool,
 ) -> None:
     import asyncio  # here, since every `--help` would wait for it
     import webbrowser
 
     def ready(access: "AccessControl") -> None:
         screen.print_line(access.address)
-        if (server := getattr(page, "openigtlink", None)) is not None:
-            screen.print_note("needlefit: OpenIGTLink at {}:{}; research use only".format(*server.address))
         screen.print_note("needlefit: Ctrl-C ends")
         if browser:  # some browsers hold up whoever calls them
             threading.Thread(target=webbrowser.open, args=(access.address,), daemon=True).start()
@@ -224,7 +225,7 @@ def _trials(
     return TrialRegistry(shown, folder, lambda choice: reopen(shown, choice, specimen), source)
 
 
-async def _until_stopped(page: "ServedPage") -> None:
+async def _until_stopped(page: "LoadingPage | ScanPage") -> None:
     """Wait for Ctrl-C or a signal to end; raise the error of a page that could not be loaded."""
     import asyncio
 
@@ -239,6 +240,8 @@ async def _until_stopped(page: "ServedPage") -> None:
         await asyncio.wait((waiting, loading), return_when=asyncio.FIRST_COMPLETED)
         if page.error is not None:
             raise page.error
+        if page.loaded is not None and (server := page.loaded.openigtlink) is not None:
+            screen.print_note("needlefit: OpenIGTLink at {}:{}; research use only".format(*server.address))
     await waiting
 
 

@@ -111,7 +111,6 @@ WRITERS: dict[str, Write] = {
 _EXPORTS: dict[str, tuple[str, Write | None]] = {
     "shape.csv": ("text/csv", write_table),
     "shape.mrk.json": ("application/json", write_curve),
-    "animation.gif": ("image/gif", write_animation),
     "share.html": ("text/html", write_share),
     "inputs.csv": ("text/csv", None),
 }

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, are_bounded
 from needlefit.errors import ModelError, NeedlefitError
 from needlefit.inference.forward_model import ParameterDraws
 from needlefit.mechanics.laws import LAWS, PowerLaw
@@ -81,6 +81,17 @@ def encode_law(law: str, shape: Floats) -> list[float]:
     return found
 
 
+def compile_asked_law(tissue: Tissue, rows: object) -> list[float]:
+    """Return the law of all layers at shape parameters that a page sent; ModelError if they are none."""
+    try:
+        shape = np.array(rows, dtype=np.float64)
+    except (ValueError, TypeError):
+        shape = np.empty(0)
+    if shape.shape != tissue.shape.shape or not are_bounded(shape, MAX_NUMBER):
+        raise ModelError("these are no shape parameters", expected="a number for each layer")
+    return encode_law(tissue.law, shape)
+
+
 def encode_tables(tissue: Tissue, steps: Sequence[RecordedStep]) -> list[Any]:
     """Return shape parameters and law for all that occur in steps; none where the page computes the law."""
     names = LAWS[tissue.law].shape_names
@@ -125,7 +136,7 @@ def round_lengths(values: Floats) -> list[float]:
 
 ACTIONS = {
     *("hello", "steps", "change", "replay", "show", "align", "fit", "points"),
-    *("aim", "markups", "plan", "run", "challenge"),
+    *("aim", "markups", "plan", "reach", "run", "challenge"),
     *("release_tracker", "forget_estimate"),
 }
 MAX_CHANGES = 64  #: number of inputs that one step may set

@@ -10,12 +10,10 @@ import asyncio
 import json
 import struct
 import time
-from collections.abc import AsyncIterator
 from contextlib import suppress
 from time import monotonic
 
 import numpy as np
-from aiohttp import web
 from pyigtl.messages import (
     CRC64,
     MessageBase,
@@ -31,7 +29,6 @@ from needlefit.errors import ConfigError, NeedlefitError
 from needlefit.mechanics.shape import compute_positions
 from needlefit.studies.needle_placement import NEEDLE_POINTS
 from needlefit.viewer.overlays import NeedleBand, compute_band
-from needlefit.viewer.server import RateLimit
 from needlefit.viewer.tracking import TrackedTrial
 
 MAX_PEERS = 8
@@ -45,6 +42,8 @@ MAX_WAITING_BYTES = 256 * 1024  #: unsent bytes beyond which a peer misses messa
 #: shortest time between two poses sent, and two bands; and the longest between two messages
 SEND_INTERVAL_S, BAND_INTERVAL_S, REPEAT_INTERVAL_S = 1 / 60, 0.15, 1.0
 RECONNECT_INTERVAL_S = 1.0
+#: messages per second that a peer may send, and how many may arrive at once after a pause
+MAX_MESSAGES_PER_S, MAX_BURST_MESSAGES = 1000.0, 2000.0
 HEADER_VERSIONS = (1, 2)  #: of OpenIGTLink 1 and 2, and of 3
 _POSITION = {12: struct.Struct(">3f"), 28: struct.Struct(">7f")}
 _CHECKSUM = struct.Struct(">Q")
@@ -60,10 +59,10 @@ class OpenIGTLinkServer:
         self._conversations: set[asyncio.Task[None]] = set()
         self._changed = asyncio.Event()
 
-    async def run(self, _: web.Application) -> AsyncIterator[None]:
-        """Serve while the page is served, for `cleanup_ctx`; ConfigError if the address cannot be used."""
+    async def begin(self) -> None:
+        """Serve from now on; ConfigError if the address cannot be used."""
         try:
-            server = await asyncio.start_server(self._attend, *self.address)
+            self._server = await asyncio.start_server(self._attend, *self.address)
         except (OSError, OverflowError) as error:
             raise ConfigError(
                 f"{self.address[0]}:{self.address[1]} cannot be used: {error}",
@@ -71,13 +70,15 @@ class OpenIGTLinkServer:
                 expected="a free port from 1024 to 65535, and an address of this machine",
                 fix="name another port; 0 takes a free one",
             ) from error
-        self.address = server.sockets[0].getsockname()[:2]
+        self.address = self._server.sockets[0].getsockname()[:2]
         jobs = [self._drive, self._send_bands, *([self._connect] if self.tracked.record.server else [])]
         for job in jobs:
             self._tasks.add(task := asyncio.create_task(job()))
             task.add_done_callback(_report_failure)
-        yield
-        server.close()
+
+    async def end(self) -> None:
+        """Serve no more; every connection is closed."""
+        self._server.close()
         for task in self._tasks:
             task.cancel()
         for writer in list(
@@ -212,6 +213,23 @@ class OpenIGTLinkServer:
         if self._peers.pop(writer, None) is not None:
             self.tracked.count_peers(-1)
             writer.close()
+
+
+class RateLimit:
+    """The limit of a peer's messages: `MAX_MESSAGES_PER_S`, `MAX_BURST_MESSAGES` after a pause."""
+
+    def __init__(self) -> None:
+        self._left, self._at = MAX_BURST_MESSAGES, monotonic()
+
+    def allows(self) -> bool:
+        now = monotonic()
+        # A token bucket: the allowance grows with time up to the burst, and each message takes one.
+        self._left = min(MAX_BURST_MESSAGES, self._left + MAX_MESSAGES_PER_S * (now - self._at))
+        self._at = now
+        if self._left < 1:
+            return False
+        self._left -= 1
+        return True
 
 
 def _report_failure(task: asyncio.Task[None]) -> None:

@@ -51,10 +51,6 @@ class TrialAim:
     roll_deg: float = 0.0  #: angle about x by which the needle's plane contains a target in space
     #: by how much a plan may shift the entry to either side. Above 0 it begins anew at first contact.
     entry_mm: float = 0.0
-    #: wanted, challenged: whether a plan, or a random target, has been asked for and is not computed yet
-    wanted: bool = False
-    challenged: bool = False
-    version: int = 0  #: counts changes of the goal
 
     def set(
         self,
@@ -66,8 +62,7 @@ class TrialAim:
         """Take another goal; a plan for the one before is dropped."""
         self.goal = None if target is None else Goal(target, radius, obstacles)
         self.radius, self.obstacles, self.roll_deg = radius, obstacles, roll_deg
-        self.plan, self.wanted, self.challenged = None, False, False
-        self.version += 1
+        self.plan = None
 
     def take(self, other: "TrialAim") -> None:
         """Take the goal of another trial of the same tissue."""

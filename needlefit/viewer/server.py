@@ -1,4 +1,4 @@
-"""The local server of a page: access control, and the page that is there while what it shows is read.
+"""The local server of a page: access control, and the page that is there while its needle is read.
 
 It imports little, so that the page is there at once.
 """
@@ -6,21 +6,25 @@ It imports little, so that the page is there at once.
 import asyncio
 import json
 import secrets
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from socket import create_server
 from time import monotonic
-from typing import Protocol
+from typing import TYPE_CHECKING, Any
 
 from aiohttp import web
 from aiohttp.typedefs import Handler
 from aiohttp.web_protocol import RequestHandler
 
-from needlefit.errors import ConfigError
+from needlefit.errors import ConfigError, NeedlefitError
 from needlefit.project.json_values import parse_json
+
+if TYPE_CHECKING:
+    from needlefit.viewer.scan_page import ScanPage
+    from needlefit.viewer.steering_page import SteeringPage
 
 PAGE = Path(__file__).parent / "page"
 #: what the page needs of `mechanics/native`, under the address that its modules import
@@ -28,9 +32,6 @@ KERNEL = Path(__file__).parents[1] / "mechanics" / "native"
 KERNEL_FILES = ("needle.js", "memory.js", "kernel.wasm")
 LOOPBACK = "127.0.0.1"
 MAX_MESSAGE_BYTES = 64 * 1024  #: size limit of a message; the largest from the page are steps
-#: messages per second that a window may send, and how many may arrive at once after a pause; a page sends
-#: its steps in each of its frames
-MAX_MESSAGES_PER_S, MAX_BURST_MESSAGES = 1000.0, 2000.0
 TOKEN_TIMEOUT_S = 10.0  #: time in which a window must send its token, s
 #: time in which a request must have come whole, s, and pause between two looks at the connections
 REQUEST_TIMEOUT_S, CHECK_INTERVAL_S = 10.0, 1.0
@@ -80,34 +81,8 @@ class AccessControl:
         )
 
 
-class RateLimit:
-    """The limit of a window's messages: `MAX_MESSAGES_PER_S`, `MAX_BURST_MESSAGES` after a pause."""
-
-    def __init__(self) -> None:
-        self._left, self._at = MAX_BURST_MESSAGES, monotonic()
-
-    def allows(self) -> bool:
-        now = monotonic()
-        # A token bucket: the allowance grows with time up to the burst, and each message takes one.
-        self._left = min(MAX_BURST_MESSAGES, self._left + MAX_MESSAGES_PER_S * (now - self._at))
-        self._at = now
-        if self._left < 1:
-            return False
-        self._left -= 1
-        return True
-
-
-class ServedPage(Protocol):
-    """A page: its file in `page/`, and what adds the routes that it asks for."""
-
-    index: str
-
-    def add_routes(self, app: web.Application, access: AccessControl) -> None:
-        """Add the page's own routes to its server."""
-
-
 async def serve(
-    page: ServedPage,
+    page: "LoadingPage | ScanPage",
     port: int,
     ready: Callable[[AccessControl], None],
     stop: Callable[[], Awaitable[None]],
@@ -157,7 +132,7 @@ async def _close_silent(runner: web.AppRunner, app: web.Application) -> None:
                 one.force_close()
 
 
-def _make_application(access: AccessControl, page: ServedPage) -> web.Application:
+def _make_application(access: AccessControl, page: "LoadingPage | ScanPage") -> web.Application:
     """Return the routes of every page, and those of this one."""
 
     @web.middleware
@@ -183,6 +158,21 @@ def _make_application(access: AccessControl, page: ServedPage) -> web.Applicatio
     async def send_index(_: web.Request) -> web.FileResponse:
         return web.FileResponse(PAGE / page.index)
 
+    async def answer(request: web.Request) -> web.Response:
+        """Return what the page asks for; a fault is one that it shows."""
+        try:
+            content = await request.json(loads=parse_json)
+            if not isinstance(content, dict):
+                raise ValueError
+        except (ValueError, LookupError):  # no JSON, or of no known charset
+            raise web.HTTPBadRequest(text="the request is no JSON") from None
+        try:
+            return await page.answer(request.path.strip("/"), content)
+        except (NeedlefitError, OSError) as error:
+            fault = error if isinstance(error, NeedlefitError) else NeedlefitError(str(error))
+            text = json.dumps({name: getattr(fault, name) for name in ("what", "where", "expected", "fix")})
+            raise web.HTTPUnprocessableEntity(text=text, content_type="application/json") from error
+
     async def add_headers(_: web.Request, response: web.StreamResponse) -> None:
         response.headers.update(HEADERS)
 
@@ -190,67 +180,14 @@ def _make_application(access: AccessControl, page: ServedPage) -> web.Applicatio
     app[_SPOKEN] = set()
     app.router.add_get("/", send_index)
     app.router.add_static("/page", PAGE)
+    app.router.add_post("/{name:.+}", answer)
     app.on_response_prepare.append(add_headers)
-    page.add_routes(app, access)
+    if isinstance(page, LoadingPage):
+        app.router.add_get("/ws", partial(page.attend, access))
+        app.router.add_get("/mechanics/native/{name}", _send_kernel)
+        app.on_startup.append(page.begin)
+        app.on_shutdown.append(page.end)
     return app
-
-
-async def open_socket(request: web.Request) -> web.WebSocketResponse:
-    """Return the WebSocket of a window."""
-    socket = web.WebSocketResponse(
-        timeout=2.0, max_msg_size=MAX_MESSAGE_BYTES, heartbeat=20.0, compress=False
-    )
-    await socket.prepare(request)
-    return socket
-
-
-async def receive_hello(access: AccessControl, socket: web.WebSocketResponse) -> str | None:
-    """Return a window's first message; None, the socket closed, if it has not the token."""
-    try:
-        text = await socket.receive_str(timeout=TOKEN_TIMEOUT_S)
-        content = parse_json(text)
-    except (TypeError, ValueError, TimeoutError):
-        content = None
-    if (
-        not isinstance(content, dict)
-        or content.get("do") != "hello"
-        or not access.is_token(content.get("token"))
-    ):
-        await socket.close(code=CLOSE_NO_TOKEN, message=b"the token is missing or wrong")
-        return None
-    return text
-
-
-class NeedleRequests(Protocol):
-    """What answers the requests of the page of a needle."""
-
-    async def export(self, request: web.Request) -> web.Response:
-        """Return a file made from a recording."""
-
-    async def cut(self, request: web.Request) -> web.Response:
-        """Return the slice of a scan."""
-
-    async def compile_law(self, request: web.Request) -> web.Response:
-        """Return the law of all layers."""
-
-    async def leave(self, app: web.Application) -> None:
-        """Say goodbye to every window."""
-
-
-class NeedlePage(NeedleRequests, Protocol):
-    """The page of a needle, once it is there."""
-
-    async def converse(self, socket: web.WebSocketResponse, hello: str) -> web.WebSocketResponse:
-        """Serve a window that has the token."""
-
-
-def add_needle_routes(app: web.Application, page: NeedleRequests) -> None:
-    """Add the requests that the page of a needle makes."""
-    app.router.add_post("/export/{kind}", page.export)
-    app.router.add_post("/slice", page.cut)
-    app.router.add_post("/law", page.compile_law)
-    app.router.add_get("/mechanics/native/{name}", _send_kernel)
-    app.on_shutdown.append(page.leave)
 
 
 async def _send_kernel(request: web.Request) -> web.FileResponse:
@@ -266,64 +203,63 @@ class LoadingPage:
 
     index = "index.html"
 
-    def __init__(self, load: Callable[[Callable[[str], None]], NeedlePage]) -> None:
+    def __init__(self, load: "Callable[[Callable[[str], None]], SteeringPage]") -> None:
         """`load` is given what takes the words of each stage."""
         self._load, self._stage = load, "Starting"
-        self._page: NeedlePage | None = None
+        self.loaded: SteeringPage | None = None
         self.ended = asyncio.Event()  #: set once it is loaded, or has failed
         self.error: BaseException | None = None
 
-    def add_routes(self, app: web.Application, access: AccessControl) -> None:
-        app.cleanup_ctx.append(self._run)
-        app.router.add_get("/ws", partial(self.attend, access))
-        add_needle_routes(app, self)
+    async def begin(self, _: web.Application) -> None:
+        """Begin to load, for `on_startup`."""
+        self._loading = asyncio.create_task(self._run())
 
-    async def _run(self, _: web.Application) -> AsyncIterator[None]:
-        loading = asyncio.create_task(self._begin())
-        yield
-        loading.cancel()
-
-    async def _begin(self) -> None:
+    async def _run(self) -> None:
         def show(stage: str) -> None:
             self._stage = stage
 
         try:
-            self._page = await asyncio.to_thread(self._load, show)
+            loaded = await asyncio.to_thread(self._load, show)
+            await loaded.begin()
+            self.loaded = loaded
         except Exception as error:  # the server ends with it
             self.error = error
         self.ended.set()
 
-    async def _wait(self) -> NeedlePage:
+    async def end(self, _: web.Application) -> None:
+        """Say goodbye to every window, for `on_shutdown`."""
+        self._loading.cancel()
+        if self.loaded is not None:
+            await self.loaded.end()
+
+    async def answer(self, name: str, content: dict[str, Any]) -> web.Response:
+        """Return what the page asks for by a request."""
         await self.ended.wait()
-        if self._page is None:
+        if self.loaded is None:
             raise web.HTTPServiceUnavailable(text="the program ends: see its terminal")
-        return self._page
+        return await self.loaded.answer(name, content)
 
     async def attend(self, access: AccessControl, request: web.Request) -> web.WebSocketResponse:
-        """Serve one window; it receives the stage until the needle is there."""
-        socket = await open_socket(request)
-        hello = await receive_hello(access, socket)
-        if hello is None:
+        """Serve one window that sends the token first; it receives the stage until the needle is there."""
+        socket = web.WebSocketResponse(
+            timeout=2.0, max_msg_size=MAX_MESSAGE_BYTES, heartbeat=20.0, compress=False
+        )
+        await socket.prepare(request)
+        try:
+            hello = await socket.receive_str(timeout=TOKEN_TIMEOUT_S)
+            content = parse_json(hello)
+        except (TypeError, ValueError, TimeoutError):
+            content = None
+        if not isinstance(content, dict) or not access.is_token(content.get("token")):
+            await socket.close(code=CLOSE_NO_TOKEN, message=b"the token is missing or wrong")
             return socket
         while not self.ended.is_set() and not socket.closed:
             with suppress(ConnectionError):
                 await socket.send_str(json.dumps({"kind": "stage", "what": self._stage}))
             with suppress(TimeoutError):
                 await asyncio.wait_for(self.ended.wait(), STAGE_INTERVAL_S)
-        if self._page is None or socket.closed:
+        if self.loaded is None or socket.closed:
             await socket.close()
-            return socket
-        return await self._page.converse(socket, hello)
-
-    async def export(self, request: web.Request) -> web.Response:
-        return await (await self._wait()).export(request)
-
-    async def cut(self, request: web.Request) -> web.Response:
-        return await (await self._wait()).cut(request)
-
-    async def compile_law(self, request: web.Request) -> web.Response:
-        return await (await self._wait()).compile_law(request)
-
-    async def leave(self, app: web.Application) -> None:
-        if self._page is not None:
-            await self._page.leave(app)
+        else:
+            await self.loaded.converse(socket, hello)
+        return socket

@@ -12,34 +12,57 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path, PurePath
 from time import monotonic
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from needlefit.errors import ModelError, NeedlefitError
 from needlefit.mechanics.control import Step
 from needlefit.mechanics.plan import SAME_DEPTH_MM, Lattice
 from needlefit.mechanics.scene import Scene
-from needlefit.planning.steering import StartedInsertion
-from needlefit.viewer.live_fit import KNOTS, FitScope
+from needlefit.planning.goals import Goal
+from needlefit.planning.steering import (
+    PlanLimits,
+    StartedInsertion,
+    find_reachable_region,
+    plan_steering,
+)
+from needlefit.viewer.live_fit import (
+    KNOTS,
+    FitScope,
+    draw_about,
+    find_mode,
+    move_points,
+    select_insertions,
+    show_moved,
+)
 from needlefit.viewer.messages import (
     MAX_REPLAY_SPEED,
     Message,
+    encode_draws,
     encode_fault,
+    encode_measured,
     encode_recorded,
     encode_scene,
     encode_tables,
+    round_lengths,
 )
 from needlefit.viewer.opening import NEEDLES, ViewedScene, replace_needle
 from needlefit.viewer.plans import (
+    BEYOND_TARGET_MM,
     MAX_ENTRY_MM,
     TrialAim,
     continue_insertion,
+    draw_challenge,
     find_placement,
     list_changes,
+    plan_message,
     read_goal,
     shift_entry,
 )
 from needlefit.viewer.recording import RecordedStep, Recording, RecordingWriter, replay
 from needlefit.viewer.steering import Change, SteeredNeedle, find_tissue_changes
+
+if TYPE_CHECKING:
+    from needlefit.viewer.tracking import TrackedTrial
 
 MAX_KEPT = 400  #: states to which an undo may return that are kept; others are simulated again
 #: number of trials that are kept. Beyond it, those whose windows closed first are dropped; their recordings
@@ -64,9 +87,7 @@ class InteractiveTrial:
         self.steps: list[RecordedStep] = []
         self.recorder = RecordingWriter(path, viewed_scene.make_head())
         self.aim = TrialAim()
-        self.wanted_fit: FitScope | None = None  #: what is to be fitted to, until that has begun
-        #: the measured insertion before its points were moved, and by how much they are to be, until they are
-        self.measured, self.wanted_offsets = viewed_scene.shown, list[float]()
+        self.measured = viewed_scene.shown  #: the measured insertion before its points were moved
         self._steering = self._begin()
         self._gesture: int | str | None = None  # of the step before, and the steps whose states are kept
         self._kept = deque[int]()
@@ -101,6 +122,11 @@ class InteractiveTrial:
             "past": [encode_recorded(step) for step in steps[known:]],
             "tables": encode_tables(self.scene.tissue, steps),
         }
+
+    def describe_draws(self) -> dict[str, Any]:
+        """Return the message of the draws of a band."""
+        assert self.viewed_scene.spread is not None
+        return {"kind": "draws", "draws": encode_draws(self.viewed_scene.spread, self.scene.tissue.law)}
 
     @property
     def steering(self) -> SteeredNeedle:
@@ -214,11 +240,6 @@ class TrialRegistry:
             self._shared = self._begin(self._viewed_scene, self._source)
         return self._shared
 
-    @property
-    def shared(self) -> bool:
-        """Whether all windows have one trial, which a tracker moves."""
-        return self._shared is not None
-
     def open(self, name: str) -> InteractiveTrial:
         """Return the trial of this name, or a new one if there is none."""
         trial = self._shared or self._all.get(name) or self._begin(self._viewed_scene, self._source)
@@ -234,11 +255,6 @@ class TrialRegistry:
         if trial.name in self._all:  # becomes the newest of those without a window
             self._all[trial.name] = self._all.pop(trial.name)
 
-    def prepare(self, trial: InteractiveTrial, insertion: str) -> None:
-        """Read the files for showing another insertion, before `another` is called; can run in a thread."""
-        if insertion in trial.viewed_scene.choices and insertion not in self._viewed_scenes:
-            self._viewed_scenes[insertion] = self._reopen(insertion)
-
     def another(self, trial: InteractiveTrial, insertion: str) -> InteractiveTrial:
         """Return the window's trial with another insertion, or a new trial.
 
@@ -246,8 +262,9 @@ class TrialRegistry:
         """
         if insertion not in trial.viewed_scene.choices:
             raise ModelError(f"there is no insertion `{insertion:.40}`", expected="one of the list")
-        self.prepare(trial, insertion)
         there = trial.window_trials.get(insertion)
+        if there is None and insertion not in self._viewed_scenes:
+            self._viewed_scenes[insertion] = self._reopen(insertion)
         return self._instead(trial, there or self._begin(self._viewed_scenes[insertion], None))
 
     def with_needle(self, trial: InteractiveTrial, name: str) -> InteractiveTrial:
@@ -330,11 +347,16 @@ class TrialRegistry:
 
 
 class Window:
-    """One authenticated page, and the needle that it controls."""
+    """One authenticated page, and the needle that it controls; `tracked` is the one that a tracker moves."""
 
-    def __init__(self, trials: TrialRegistry, trial: InteractiveTrial) -> None:
-        self.trials, self.trial = trials, trial
+    def __init__(
+        self, trials: TrialRegistry, trial: InteractiveTrial, tracked: "TrackedTrial | None" = None
+    ) -> None:
+        self.trials, self.trial, self._tracked = trials, trial, tracked
         self.sent = 0  #: steps that the page has, where a tracker moves the needle
+        #: what takes long, by kind: the newest order counts. It first yields an empty reply, once it has read
+        #: the needle, then those for the page.
+        self.orders: dict[str, Iterator[Reply]] = {}
 
     def answer(self, message: Message) -> Iterator[Reply]:
         """Carry out a message; yield the replies. StepOrderError if its steps do not follow the recorded."""
@@ -352,53 +374,55 @@ class Window:
             yield {"kind": "refused", "answers": message.id, **encode_fault(error)}
         if message.do == "hello":
             known = int(message.number("known", 0.0)) if message.text("needle") == trial.name else 0
-            yield self._describe(max(0, min(known, len(trial.steps))))
-        elif self.trials.shared:
+            yield from self._describe(max(0, min(known, len(trial.steps))))
+        else:
             yield from self.new_steps()
 
-    def _describe(self, known: int = 0) -> Reply:
-        self.sent = len(self.trial.steps)
-        return self.trial.describe_scene(known) | {"tracked": self.trials.shared}
+    def _describe(self, known: int = 0) -> Iterator[Reply]:
+        self.sent, aim = len(self.trial.steps), self.trial.aim
+        yield self.trial.describe_scene(known) | {"tracked": self._tracked is not None}
+        if aim.goal is not None or aim.obstacles:
+            yield aim.to_message()
+        if aim.plan is not None:
+            yield plan_message(aim.plan, aim)
 
     def new_steps(self) -> Iterator[Reply]:
         """Yield the steps of a tracked needle that the page does not have."""
-        if self.sent < len(self.trial.steps):
+        if self._tracked is not None and self.sent < len(self.trial.steps):
             known, self.sent = self.sent, len(self.trial.steps)
             yield {"kind": "steps", **self.trial.describe_steps(self.trial.steps, known)}
 
     def _take(self, trial: InteractiveTrial) -> Iterator[Reply]:
         """Change to another needle."""
         self.trial = trial
-        yield self._describe()
+        self.orders.clear()
+        yield from self._describe()
 
     def _do(self, message: Message) -> Iterator[Reply]:
         if message.fault:
             raise message.fault
-        trial, shared = self.trial, self.trials.shared
+        trial, tracked = self.trial, self._tracked
         match message.do:
             case "steps":
-                if shared:
+                if tracked:
                     raise StepOrderError("a tracker moves the needle")
                 for step in message.steps:
                     trial.record(step)
                 yield {"kind": "recorded", "step": len(trial.steps)}
             case "change":
-                if not shared:
+                if not tracked:
                     raise ModelError("the page carries out its inputs", expected="steps")
                 trial.act(message.changes, message.gesture)
+            case "release_tracker" if tracked:
+                tracked.release()
+            case "forget_estimate" if tracked:
+                tracked.forget()
             case "replay":
                 yield from self._replay(message)
             case "show" if message.text("with_needle"):
                 yield from self._take(self.trials.with_needle(trial, message.text("with_needle")))
             case "show":
                 yield from self._take(self.trials.another(trial, message.text("insertion")))
-            case "aim":
-                trial.aim.set(*read_goal(message))
-            case "markups":
-                trial.aim.read_markups(message, find_placement(trial.viewed_scene))
-            case "challenge":
-                trial.aim.set(None, read_goal(message)[1], ())
-                trial.aim.challenged = True
             case "align":
                 if trial.steering.now.step.depth <= SAME_DEPTH_MM:
                     raise ModelError("the needle stands at the entry", expected="a needle in the tissue")
@@ -407,22 +431,35 @@ class Window:
                     raise ModelError(what, expected="the initial parameters", fix=fix)
                 yield from self._take(self.trials.aligned(trial))
             case "fit":
-                trial.wanted_fit = _read_scope(trial, message)
+                self.orders["fit"] = self._fit(trial, _read_scope(trial, message))
             case "points":
                 rows = message.content.get("offsets")
                 if not isinstance(rows, list) or len(rows) != KNOTS:
                     raise ModelError("these are no offsets of points", expected=f"{KNOTS} numbers, mm")
                 moves = [Message("points", content={"offset": row}) for row in rows]
                 offsets = [one.number("offset", None, MAX_OFFSET_MM, "mm") for one in moves]
-                trial.wanted_offsets, trial.wanted_fit = offsets, _read_scope(trial, message)
+                self.orders["fit"] = self._fit(trial, _read_scope(trial, message), offsets)
+            case "aim":
+                trial.aim.set(*read_goal(message))
+                yield trial.aim.to_message()
+            case "markups":
+                trial.aim.read_markups(message, find_placement(trial.viewed_scene))
+                yield trial.aim.to_message()
+            case "challenge":
+                trial.aim.set(None, read_goal(message)[1], ())
+                trial.aim.entry_mm = 0.0
+                self.orders["plan"] = self._challenge(trial)
             case "plan":
                 entry = message.number("entry_mm", 0.0, MAX_ENTRY_MM, "mm")
                 if trial.aim.goal is None:
                     raise ModelError("there is no target", expected="a target in the tissue", fix="place one")
-                if entry < 0 or (entry and shared):
-                    expected = "0 mm: a tracker moves the needle" if shared else "0 mm or above"
+                if entry < 0 or (entry and tracked):
+                    expected = "0 mm: a tracker moves the needle" if tracked else "0 mm or above"
                     raise ModelError(f"the entry may shift by {entry:g} mm", expected=expected)
-                trial.aim.wanted, trial.aim.entry_mm, trial.aim.plan = True, entry, None
+                trial.aim.entry_mm, trial.aim.plan = entry, None
+                self.orders["plan"] = self._plan(trial, trial.aim.goal)
+            case "reach" if trial.aim.goal is not None:
+                self.orders["reach"] = self._reach(trial, trial.aim.goal)
             case "run":
                 yield from self._take(self.trials.entered(trial))
 
@@ -436,6 +473,64 @@ class Window:
             raise ModelError("nothing has been recorded", expected="a needle that was moved")
         yield from self._take(self.trials.again(trial, source))
         yield {"kind": "replay", "times": times, **self.trial.describe_steps(source.steps)}
+
+    def _fit(
+        self, trial: InteractiveTrial, scope: FitScope, offsets: Sequence[float] = ()
+    ) -> Iterator[Reply]:
+        """Move measured points, fit and draw; the page takes the fitted values as its input."""
+        yield {}
+        if trial.measured is not None and offsets:
+            trial.viewed_scene = show_moved(trial.viewed_scene, move_points(trial.measured, offsets))
+            assert trial.viewed_scene.measured is not None
+            yield {"kind": "measured", "offsets": offsets, **encode_measured(trial.viewed_scene.measured)}
+        shown = trial.viewed_scene.shown
+        assert shown is not None
+        try:
+            mode = find_mode(shown, select_insertions(shown, scope))
+            yield mode.to_message(shown.insertion)
+            if "fit" in self.orders:  # these draws would be of no use
+                return
+            draws = draw_about(mode, shown.insertion, shown.seed)
+        except NeedlefitError as error:
+            yield {"kind": "fit", "fault": encode_fault(error, "what", "fix")}
+            return
+        trial.viewed_scene = replace(trial.viewed_scene, spread=draws.spread)
+        yield trial.describe_draws()
+        yield draws.to_message()
+
+    def _challenge(self, trial: InteractiveTrial) -> Iterator[Reply]:
+        """Choose a random target, and plan to it."""
+        insertion = trial.insertion
+        yield {}
+        parts = draw_challenge(insertion, trial.scene.depth, trial.aim.radius)
+        if trial.aim.goal is None:  # nobody has put another target meanwhile
+            trial.aim.set(*parts)
+            yield trial.aim.to_message()
+        if trial.aim.goal is not None:
+            self.orders["plan"] = self._plan(trial, trial.aim.goal)
+
+    def _plan(self, trial: InteractiveTrial, goal: Goal) -> Iterator[Reply]:
+        """Plan to a goal from where the needle stands."""
+        step, insertion, limits = len(trial.steps), trial.planned_insertion, PlanLimits(trial.aim.entry_mm)
+        yield {}
+        try:
+            plan = plan_steering(insertion, goal, limits, threads=1)
+        except NeedlefitError as error:
+            yield {"kind": "plan", "fault": encode_fault(error)}
+            return
+        if trial.aim.goal is goal:
+            trial.aim.plan, trial.aim.plan_step = plan, step
+            yield plan_message(plan, trial.aim)
+
+    def _reach(self, trial: InteractiveTrial, goal: Goal) -> Iterator[Reply]:
+        """Find the region that the tip can reach from where it stands."""
+        step, insertion = len(trial.steps), trial.insertion
+        yield {}
+        depth = max(goal.target[0] + BEYOND_TARGET_MM, trial.scene.depth)
+        region = find_reachable_region(insertion, depth, threads=1)
+        edges = {"low": region.low, "high": region.high}  # from the least share of draws to the greatest
+        rows = {name: [round_lengths(one) for one in edge] for name, edge in edges.items()}
+        yield {"kind": "reach", "step": step, "x": round_lengths(region.x), **rows}
 
 
 def _read_scope(trial: InteractiveTrial, message: Message) -> FitScope:

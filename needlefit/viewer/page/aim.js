@@ -6,10 +6,11 @@ import { listen, now, publish } from "./store.js";
 export const SMALLEST = 0.05; // mm, of a radius
 const PAUSE = 80; // ms between two goals while one is dragged
 const WITHIN = 1000; // ms; changes that follow so soon are undone together
+const REST = 200; // ms after the last change of needle or goal, when the region that the tip can reach is asked for
 const MAX_OBSTACLES = 16; // the server takes no more
 const EMPTY = { target: null, radius: 2, obstacles: [] };
 const NOTHING = { reach: null, plan: null, planning: false, placing: null, challenge: null };
-let timer = 0;
+let [timer, resting] = [0, 0];
 let sent = null; // id of the goal that was sent last
 let known = EMPTY; // the goal that the server took last
 let changedAt = -Infinity; // ms
@@ -61,6 +62,12 @@ export const redoGoal = () => go(future, past);
 /** Whether the last change is one of the goal, or the last one undone. */
 export const canUndoGoal = () => past.at(-1)?.step === now.state.step;
 export const canRedoGoal = () => future.at(-1)?.step === now.state.step;
+
+/** Ask for the region that the tip can reach, once needle and goal rest. */
+function askReach() {
+  clearTimeout(resting);
+  resting = setTimeout(() => aim.target && now.connected && command({ do: "reach" }), REST);
+}
 
 /** Send a goal that still waits, then a message about it. */
 export function sendAfterGoal(message) {
@@ -129,6 +136,7 @@ listen("aim", ({ target, radius, obstacles, roll_deg: roll }) => {
   publish("accepted");
   Object.assign(aim, known);
   if (!target) aim.reach = null;
+  askReach();
   if (roll) publish("notice", { what: `The needle is rolled by ${roll.toFixed(1)}° about x: its plane holds the target.` });
   publish("aimed");
 });
@@ -140,6 +148,7 @@ listen("reach", (region) => {
 /** A needle that is moved by hand leaves its plan, whose outcome is then no longer its own. */
 listen("state", ({ step, planned }) => {
   if (aim.plan && step !== at && !planned && !aim.challenge) aim.plan.left = true;
+  if (step !== at) askReach();
   at = step;
 });
 listen("plan", (plan) => {
