@@ -8,10 +8,14 @@ from page_files import ALL_STATES, open_offline, read_page_data
 from test_cli import run
 from test_page import NO_BROWSER, chromium  # noqa: F401 - a fixture
 
+from needlefit.mechanics.scene import Scene
 from needlefit.reporting.needle_page import PageData, compose_file, kernel_exists
 from needlefit.viewer.export import compose_share, export
-from needlefit.viewer.recording import read_recording, replay
+from needlefit.viewer.opening import open_target
+from needlefit.viewer.recording import RecordedStep, RecordingWriter, read_recording, replay
+from needlefit.viewer.steering import Change, SteeredNeedle
 
+HOSTILE = "</script><img src=x onerror=alert(1)> {{data}}"
 RECORDING = Path(__file__).parent.parent / "docs/figures/steering.csv"
 pytestmark = pytest.mark.skipif(not kernel_exists(), reason="a system compiler has built no WebAssembly")
 
@@ -21,6 +25,32 @@ def shared(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("share") / "steering.html"
     path.write_text(compose_share(read_recording(RECORDING)), "utf-8")
     return path
+
+
+@pytest.fixture(scope="module")
+def tabulated(tmp_path_factory) -> Path:
+    """A recording under a law that is a table, whose parameters change, of a scene with a hostile title."""
+    folder = tmp_path_factory.mktemp("gent")
+    scene = (Path(__file__).parent.parent / "configs/scenes/phantom2.toml").read_text("utf-8")
+    scene = re.sub(r"(?m)^alpha = .*$", "shape = { jm = 5.0 }", scene).replace(
+        "depth_mm", 'law = "gent"\ndepth_mm', 1
+    )
+    scene = re.sub(r"(?m)^title = .*$", f"title = '{HOSTILE}'", scene)
+    (folder / "gent.toml").write_text(scene, "utf-8")
+    shown = open_target(str(folder / "gent.toml"))
+    needle = SteeredNeedle(Scene.from_record(shown.record), shown.first_cell)
+    recorder = RecordingWriter(folder / "gent.csv", shown.make_head())
+    inputs = (
+        ("depth_mm", None, 30.0),
+        ("jm", 1, 2.0),
+        ("jm", 2, 0.9),
+        ("jm", 1, 5.0),
+        ("depth_mm", None, 50.0),
+    )
+    for number, change in enumerate((Change(*one) for one in inputs), start=1):
+        tip = needle.apply([change]).shape.tip_lateral
+        recorder.write(RecordedStep(number, 0.1 * number, (change,), tip))
+    return folder / "gent.csv"
 
 
 def test_the_file_holds_the_recording_and_no_address(shared) -> None:
@@ -34,10 +64,16 @@ def test_the_file_holds_the_recording_and_no_address(shared) -> None:
 
 
 def test_hostile_names_are_escaped() -> None:
-    hostile = "</script><img src=x onerror=alert(1)> {{data}}"
-    data = PageData({"needlefit": hostile})
-    text = compose_file(hostile, hostile, data)
-    assert "<img" not in text and read_page_data(text)["needlefit"] == hostile
+    data = PageData({"needlefit": HOSTILE})
+    text = compose_file(HOSTILE, HOSTILE, data)
+    assert "<img" not in text and read_page_data(text)["needlefit"] == HOSTILE
+
+
+def test_laws_that_are_tables_come_along(tabulated) -> None:
+    (needle,) = read_page_data(compose_share(read_recording(tabulated)))["needles"]
+    law = needle["scene"]["simulation"]["law"]
+    assert law["terms"] is None
+    assert [shape for shape, _ in law["tables"]] == [[[2, 5, 5, 5]], [[2, 0.9, 5, 5]], [[5, 0.9, 5, 5]]]
 
 
 def test_a_scene_is_not_shared(tmp_path) -> None:
@@ -68,3 +104,20 @@ def test_it_computes_every_recorded_state_and_can_be_steered(shared, chromium) -
         page.get_by_role("button", name="Play").click()
         page.wait_for_timeout(1500)
         assert int(page.locator("#scrub").input_value()) > 0
+
+
+@pytest.mark.sweep
+@NO_BROWSER
+@pytest.mark.parametrize("size", [(1440, 900), (390, 844)])
+def test_a_law_that_is_a_table_is_computed_again_by_an_accessible_page(tabulated, chromium, size) -> None:  # noqa: F811
+    from axe_playwright_python.sync_playwright import Axe
+
+    path = tabulated.with_suffix(".html")
+    path.write_text(compose_share(read_recording(tabulated)), "utf-8")
+    viewport = dict(zip(("width", "height"), size, strict=True))
+    with open_offline(chromium, path, viewport=viewport, bypass_csp=True) as page:
+        assert page.evaluate(ALL_STATES) == [5, 0]
+        assert page.locator("#tissue-fields .slider").count() == 5  # b, and mu of four layers
+        assert page.locator(".hand:visible").count() == 0
+        found = Axe().run(page)
+        assert found.violations_count == 0, found.generate_report()

@@ -239,7 +239,8 @@ def encode_model(scene: Scene, first_cell: float) -> dict[str, Any]:
     """Return what a page needs to simulate a scene; `model` is that of `native/needle.js`.
 
     Of a law that is a sum of powers, `terms` are its coefficients and exponents where all shape parameters
-    are 0, and their derivatives; else they are None, and the page cannot change those parameters.
+    are 0, and their derivatives. Else they are None, and the page knows the laws that are in `tables` alone,
+    pairs of shape parameters and law.
     """
     tissue, rules, law = scene.tissue, scene.rules, LAWS[scene.tissue.law]
     sizes, layers = pack_layers(tissue, 1, {})
@@ -259,7 +260,7 @@ def encode_model(scene: Scene, first_cell: float) -> dict[str, Any]:
             "tolerance": rules.tolerance, "maxIterations": rules.max_iterations,
         },
         "shape": tissue.shape.tolist(),
-        "law": {"terms": terms, "tables": {}},
+        "law": {"terms": terms, "tables": []},
         "steps": [encode_step(step) for step in scene.steps],
         "rules": describe_input_rules(tissue.law),
     }  # fmt: skip

@@ -12,7 +12,7 @@ from needlefit.geometry.frames import Placement
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import NeedleState
 from needlefit.reporting import needle_page
-from needlefit.viewer.messages import encode_scene
+from needlefit.viewer.messages import encode_scene, encode_tables
 from needlefit.viewer.opening import open_recording
 from needlefit.viewer.overlays import compute_band
 from needlefit.viewer.plans import continue_insertion
@@ -153,7 +153,9 @@ def compose_share(recording: Recording) -> str:
     ConfigError if the model does not take its scene, or this installation has no kernel in WebAssembly.
     """
     viewed_scene = open_recording(recording)
-    scene = encode_scene(viewed_scene, begin_replay(recording))
+    steering = begin_replay(recording)
+    scene = encode_scene(viewed_scene, steering)
+    scene["simulation"]["law"]["tables"] = encode_tables(steering.scene.tissue, recording.steps)
     steps = [
         [step.time, [[one.name, one.item, one.value] for one in step.changes], step.tip_lateral]
         for step in recording.steps

@@ -70,7 +70,9 @@ class SteeringPage:
     async def converse(self, socket: web.WebSocketResponse, hello: str) -> None:
         """Serve a window that has the token, for as long as it is there; `hello` is its first message."""
         first = read_message(hello)
-        window = Window(self.trials, self.trials.open(first.text("needle")), self._tracked)
+        window = Window(
+            self.trials, self.trials.open(first.text("needle")), tracked=self._tracked is not None
+        )
         before, self._sockets[window.trial.name] = self._sockets.get(window.trial.name), socket
         if before is not None:
             await _send(before, {"kind": "taken"})
@@ -97,6 +99,10 @@ class SteeringPage:
                 await socket.close(code=WSCloseCode.UNSUPPORTED_DATA)
                 return
             message, trial = read_message(frame.data), window.trial
+            if self._tracked is not None and message.do == "release_tracker":
+                self._tracked.release()
+            elif self._tracked is not None and message.do == "forget_estimate":
+                self._tracked.forget()
             async with trial.lock:
                 if self._sockets.get(trial.name) is not socket:
                     return  # another window has taken the needle

@@ -12,7 +12,7 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path, PurePath
 from time import monotonic
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
 
 from needlefit.errors import ModelError, NeedlefitError
 from needlefit.mechanics.control import Step
@@ -60,9 +60,6 @@ from needlefit.viewer.plans import (
 )
 from needlefit.viewer.recording import RecordedStep, Recording, RecordingWriter, replay
 from needlefit.viewer.steering import Change, SteeredNeedle, find_tissue_changes
-
-if TYPE_CHECKING:
-    from needlefit.viewer.tracking import TrackedTrial
 
 MAX_KEPT = 400  #: states to which an undo may return that are kept; others are simulated again
 #: number of trials that are kept. Beyond it, those whose windows closed first are dropped; their recordings
@@ -347,11 +344,9 @@ class TrialRegistry:
 
 
 class Window:
-    """One authenticated page, and the needle that it controls; `tracked` is the one that a tracker moves."""
+    """One authenticated page, and the needle that it controls, or that a tracker moves (`tracked`)."""
 
-    def __init__(
-        self, trials: TrialRegistry, trial: InteractiveTrial, tracked: "TrackedTrial | None" = None
-    ) -> None:
+    def __init__(self, trials: TrialRegistry, trial: InteractiveTrial, *, tracked: bool) -> None:
         self.trials, self.trial, self._tracked = trials, trial, tracked
         self.sent = 0  #: steps that the page has, where a tracker moves the needle
         #: what takes long, by kind: the newest order counts. It first yields an empty reply, once it has read
@@ -380,7 +375,7 @@ class Window:
 
     def _describe(self, known: int = 0) -> Iterator[Reply]:
         self.sent, aim = len(self.trial.steps), self.trial.aim
-        yield self.trial.describe_scene(known) | {"tracked": self._tracked is not None}
+        yield self.trial.describe_scene(known) | {"tracked": self._tracked}
         if aim.goal is not None or aim.obstacles:
             yield aim.to_message()
         if aim.plan is not None:
@@ -388,7 +383,7 @@ class Window:
 
     def new_steps(self) -> Iterator[Reply]:
         """Yield the steps of a tracked needle that the page does not have."""
-        if self._tracked is not None and self.sent < len(self.trial.steps):
+        if self._tracked and self.sent < len(self.trial.steps):
             known, self.sent = self.sent, len(self.trial.steps)
             yield {"kind": "steps", **self.trial.describe_steps(self.trial.steps, known)}
 
@@ -413,10 +408,6 @@ class Window:
                 if not tracked:
                     raise ModelError("the page carries out its inputs", expected="steps")
                 trial.act(message.changes, message.gesture)
-            case "release_tracker" if tracked:
-                tracked.release()
-            case "forget_estimate" if tracked:
-                tracked.forget()
             case "replay":
                 yield from self._replay(message)
             case "show" if message.text("with_needle"):

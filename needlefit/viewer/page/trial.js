@@ -75,8 +75,7 @@ class Trial {
 
   /** Laws that are tables, which only the program computes: pairs of shape parameters and all layers' laws. */
   takeTables(tables) {
-    const known = this.scene.simulation.law.tables;
-    for (const [shape, law] of tables) known[JSON.stringify(shape)] = law;
+    this.scene.simulation.law.tables.push(...tables);
   }
 
   /** The shape parameters after changes whose law has to be asked for; null where it is known. */

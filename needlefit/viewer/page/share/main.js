@@ -92,7 +92,7 @@ async function choose(number) {
   unsent = { kernel: data.kernel, draws: scene.draws };
   begun = true;
   take({ slice: false, ...scene, band: Boolean(scene.draws), kind: "scene" });
-  buildFields(scene, change);
+  buildFields(scene, Boolean(needle.recording), change);
   listMethods();
   const specimen = needle.new_specimen ? " of a specimen that was not fitted" : "";
   const draws = counted(scene.draws?.sets ?? 0, "posterior draw");
