@@ -1,12 +1,15 @@
-"""Draw the schematics of the documentation, and record and animate the insertion of its first page.
+"""Draw the schematics of the documentation, and write the files of its gallery that compute.
 
 python docs/figures.py                 writes docs/figures/{needle,frames,cell,layers}.svg
 python docs/figures.py --animation     writes docs/figures/steering.{csv,gif,html} too (a minute)
+python docs/figures.py --report RUN    writes docs/figures/study3.html too, without static figures
 """
 
 import argparse
+import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import matplotlib as mpl
@@ -15,10 +18,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Rectangle
 
+from needlefit.api import load_run
 from needlefit.mechanics.scene import Scene
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.scene import SceneRecord
+from needlefit.studies.report import compose_run_report, write_report
 from needlefit.viewer.recording import RecordedStep, RecordingWriter, make_head
 from needlefit.viewer.steering import Change, SteeredNeedle
 
@@ -31,6 +36,7 @@ def main() -> None:
     """Write the figures."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--animation", action="store_true", help="record and animate the insertion too")
+    parser.add_argument("--report", metavar="RUN", help="folder of a run of study 3")
     options = parser.parse_args()
     with mpl.rc_context(STYLE):
         for draw in (draw_needle, draw_frames, draw_cell, draw_layers):
@@ -43,6 +49,12 @@ def main() -> None:
         replay = [sys.executable, "-m", "needlefit", "simulate", "--recording", str(FOLDER / "steering.csv")]
         outputs = ["--animation", str(FOLDER / "steering.gif"), "--html", str(FOLDER / "steering.html")]
         subprocess.run([*replay, *outputs], check=True)
+
+
+    if options.report:
+        with tempfile.TemporaryDirectory() as folder:
+            write_report(compose_run_report(load_run(options.report), {}), Path(folder), "study3")
+            shutil.copy(Path(folder) / "study3.html", FOLDER)
 
 
 # --- the schematics -------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ import math
 import posixpath
 import re
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib.resources import files
@@ -46,7 +46,7 @@ SHARE_STYLE = "viewer/page/share/share.css"
 
 _IMPORT = re.compile(r'^import\s+(?:(\*\s+as\s+\w+|\{[^}]*\})\s+from\s+)?"([^"]+)";?', re.MULTILINE)
 _EXPORT = re.compile(r"^export\s+(async\s+function|function|class|const)\s+(\w+)", re.MULTILINE)
-_EXPORT_LIST = re.compile(r"^export\s+\{([^}]*)\};?", re.MULTILINE)
+_EXPORT_LIST = re.compile(r"^export\s+\{\s*(\w+(?:,\s*\w+)*),?\s*\};", re.MULTILINE)
 
 
 def read_package_file(name: str) -> str:
@@ -60,64 +60,47 @@ def read_package_file(name: str) -> str:
 def bundle_modules(entries: Sequence[str], worker: str = "") -> str:
     """Return one script that runs modules of the package, in order; in a worker, that of the worker alone.
 
-    Modules name what they import by relative paths; each runs when it is first needed. ValueError if modules
-    import each other in a circle, or one exports what can change: an import is read once.
+    Modules name what they import by relative paths. ValueError if they import each other in a circle, or one
+    exports what can change: an import is read once.
     """
-    done: dict[str, str] = {}
-    for entry in (*entries, *filter(None, [worker])):
-        _add_module(entry, done, ())
-    modules = ",\n".join(f"{json.dumps(name)}: ($take, $give) => {{\n{text}}}" for name, text in done.items())
-    run = " ".join(f"$take({json.dumps(entry)});" for entry in entries)
+    of_page, of_worker = dict[str, str](), dict[str, str]()
+    for entry in entries:
+        _add_module(entry, of_page, ())
     if worker:
-        run = f'if (typeof document === "undefined") $take({json.dumps(worker)});\nelse {{ {run} }}'
+        _add_module(worker, of_worker, ())
+
+    def write(names: Iterable[str]) -> str:
+        each = ((json.dumps(name), (of_page | of_worker)[name]) for name in names)
+        return "\n".join(f"$of[{name}] = (() => {{\n{text}\n}})();" for name, text in each)
+
+    both = [name for name in of_worker if name in of_page]
+    alone = [write(name for name in of if name not in both) for of in (of_worker, of_page)]
     return (
-        f'(() => {{\n"use strict";\nconst kept = {{}}, modules = {{\n{modules}\n}};\n'
-        "const $take = (name) => {\n"
-        "  if (!kept[name]) modules[name]($take, (found) => (kept[name] = found));\n"
-        "  return (kept[name] ??= {});\n"
-        "};\n"
-        f"{run}\n}})();\n"
+        f'(() => {{\n"use strict";\nconst $of = {{}};\n{write(both)}\n'
+        f'if (typeof document === "undefined") {{\n{alone[0]}\n}} else {{\n{alone[1]}\n}}\n}})();\n'
     )
 
 
 def _add_module(name: str, done: dict[str, str], path: tuple[str, ...]) -> None:
+    """Add the body of a function that runs a module and returns what it exports, after those it imports."""
     if name in path:
         raise ValueError(f"modules import each other: {' -> '.join((*path, name))}")
     if name in done:
         return
-    text = read_package_file(OFFLINE_MODULES.get(name, name))
-    needed = []
 
     def take(found: re.Match[str]) -> str:
-        needed.append(posixpath.normpath(posixpath.join(posixpath.dirname(name), found[2])))
-        given = (found[1] or "").strip()
-        source = f"$take({json.dumps(needed[-1])})"
-        if not given:
-            return f"{source};"
-        if given.startswith("*"):
-            return f"const {given.split()[-1]} = {source};"
-        return f"const {given.replace(' as ', ': ')} = {source};"
+        needed = posixpath.normpath(posixpath.join(posixpath.dirname(name), found[2]))
+        _add_module(needed, done, (*path, name))
+        given = (found[1] or "").removeprefix("* as ").replace(" as ", ": ")
+        return f"const {given} = $of[{json.dumps(needed)}];" if given else ""
 
-    names: dict[str, str] = {}
-
-    def give(found: re.Match[str]) -> str:
-        names[found[2]] = found[2]
-        return f"{found[1]} {found[2]}"
-
-    def give_list(found: re.Match[str]) -> str:
-        for one in filter(None, map(str.strip, found[1].split(","))):
-            own, _, called = one.partition(" as ")
-            names[called.strip() or own.strip()] = own.strip()
-        return ""
-
-    text = _EXPORT_LIST.sub(give_list, _EXPORT.sub(give, _IMPORT.sub(take, text)))
+    text = _IMPORT.sub(take, read_package_file(OFFLINE_MODULES.get(name, name)))
+    exported = [found[2] for found in _EXPORT.finditer(text)]
+    exported += [found[1] for found in _EXPORT_LIST.finditer(text)]
+    text = _EXPORT_LIST.sub("", _EXPORT.sub(r"\1 \2", text))
     if left := re.search(r"^(export|import)\b.*", text, re.MULTILINE):
         raise ValueError(f"{name}: cannot bundle `{left[0]}`")
-    # Getters: what is exported may be defined below.
-    getters = ", ".join(f"get {called}() {{ return {own}; }}" for called, own in names.items())
-    for one in needed:
-        _add_module(one, done, (*path, name))
-    done[name] = f"$give({{{getters}}});\n{text}"
+    done[name] = f"{text}\nreturn {{ {', '.join(exported)} }};"
 
 
 @lru_cache(maxsize=2)

@@ -161,5 +161,6 @@ def compose_share(recording: Recording) -> str:
         for step in recording.steps
     ]
     data = needle_page.PageData({"needlefit": recording.head.needlefit})
-    data.needles.append({"scene": scene, "recording": steps})
+    new_specimen = viewed_scene.specimen == "new"
+    data.needles.append({"scene": scene, "recording": steps, "new_specimen": new_specimen})
     return needle_page.compose_file(viewed_scene.title, viewed_scene.note, data)
