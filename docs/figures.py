@@ -49,8 +49,6 @@ def main() -> None:
         replay = [sys.executable, "-m", "needlefit", "simulate", "--recording", str(FOLDER / "steering.csv")]
         outputs = ["--animation", str(FOLDER / "steering.gif"), "--html", str(FOLDER / "steering.html")]
         subprocess.run([*replay, *outputs], check=True)
-
-
     if options.report:
         with tempfile.TemporaryDirectory() as folder:
             write_report(compose_run_report(load_run(options.report), {}), Path(folder), "study3")
