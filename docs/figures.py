@@ -3,6 +3,7 @@
 python docs/figures.py                 writes docs/figures/{needle,frames,cell,layers}.svg
 python docs/figures.py --animation     writes docs/figures/steering.{csv,gif,html} too (a minute)
 python docs/figures.py --report RUN    writes docs/figures/study3.html too, without static figures
+python docs/figures.py --workbook      fills the example sheets of the workbook that ships
 """
 
 import argparse
@@ -14,12 +15,16 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+import openpyxl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Rectangle
 
 from needlefit.api import load_run
+from needlefit.datasets.importing.tables import WORKBOOK_FILE
 from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.shape import compute_positions
+from needlefit.mechanics.simulate import simulate_steps
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.scene import SceneRecord
@@ -37,7 +42,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--animation", action="store_true", help="record and animate the insertion too")
     parser.add_argument("--report", metavar="RUN", help="folder of a run of study 3")
+    parser.add_argument("--workbook", action="store_true", help="fill the workbook that ships")
     options = parser.parse_args()
+    if options.workbook:
+        fill_workbook()
     with mpl.rc_context(STYLE):
         for draw in (draw_needle, draw_frames, draw_cell, draw_layers):
             figure = Figure(figsize=(6.6, 2.7), layout="constrained")
@@ -232,6 +240,39 @@ def record(path: Path) -> None:
             time = round(begin + part * seconds, 3)
             writer.write(RecordedStep(number, time, tuple(changes), steering.now.shape.tip_lateral))
         begin, depth, base = begin + seconds, end, target_base
+
+
+# --- the example of the workbook ------------------------------------------------------------------------
+
+DEPTHS_MM = (35, 40, 45, 50, 55, 60, 65, 70)
+NOISE_MM, DIRECTION_SD_DEG, SPECIMEN_SD = 0.05, 0.1, 0.03
+"""Standard deviations: of a coordinate, of an entry direction, of the logarithm of the moduli of a block."""
+
+
+def fill_workbook() -> None:
+    """Simulate a needle in each of eight blocks of gel, and write its points to the example sheets."""
+    random, book = np.random.default_rng(4), openpyxl.load_workbook(WORKBOOK_FILE)
+    for name in ("example points", "example needles"):
+        book[name].delete_rows(2, book[name].max_row)
+    for number, depth in enumerate(DEPTHS_MM, start=1):
+        side, stiffness = (1, -1)[number % 2], float(np.exp(random.normal(0, SPECIMEN_SD)))
+        scene = Scene.from_record(SceneRecord.model_validate({
+            "schema": 2, "title": "A block of two gels", "depth_mm": depth,
+            "needle": {"length_mm": 150.0, "outer_diameter_mm": 0.908, "youngs_modulus_gpa": 60.0},
+            "bevel": {"offset_mm": 0.07, "side": side},
+            "layers": [
+                {"name": "stiff", "top_mm": 0.0, "mu_pa": 2e6 * stiffness, "alpha": 1.0},
+                {"name": "soft", "top_mm": 20.0, "mu_pa": 6e4 * stiffness, "alpha": 1.0},
+            ],
+        }))  # fmt: skip
+        shape = simulate_steps(scene.needle, scene.tissue, scene.steps, scene.rules)
+        x, y = compute_positions(shape, np.arange(0.0, depth + 1, 5)).T
+        turn, errors = np.radians(random.normal(0, DIRECTION_SD_DEG)), random.normal(0, NOISE_MM, (2, len(x)))
+        points = np.column_stack((x, y + turn * x + errors[0], errors[1]))
+        for row in np.round(points, 2) + 0.0:
+            book["example points"].append([f"n{number}", *map(float, row)])
+        book["example needles"].append([f"n{number}", side, depth, f"block {number}", "gel"])
+    book.save(WORKBOOK_FILE)
 
 
 if __name__ == "__main__":

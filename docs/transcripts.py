@@ -1,17 +1,19 @@
 """Run the commands shown on the pages, and compare their output with the pages.
 
     python docs/transcripts.py [PAGE ...]            ends with exit code 1 if the output differs
-    python docs/transcripts.py [PAGE ...] --write    writes the present output into the pages
+    python docs/transcripts.py [PAGE ...] --write    writes the present output and pictures into the pages
 
 The `console` blocks of a page are one session in an empty folder. `$ ` begins a command, `> ` continues
 it, and its output follows; `...` marks lines left out. A number with decimals may differ by one
 in its last digit, or by 3 %: so do intervals of random draws from processor to processor.
+A picture whose caption begins with a file of the session, *`FILE`, is that file.
 """
 
 import argparse
 import difflib
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -20,9 +22,13 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
+import typst
+
 HERE = Path(__file__).resolve().parent
-PAGES = sorted((HERE / "guides").glob("*.md"))
+PAGES = [HERE / "start.md", *sorted((HERE / "guides").glob("*.md"))]
 BLOCK = re.compile(r"(?<=^```console\n).*?(?=^```$)", re.MULTILINE | re.DOTALL)
+PICTURE = re.compile(r"^!\[[^]]*\]\((.+\.png)\)\n\n\*`(.+?)`", re.MULTILINE)
+PIXELS_PER_INCH = 200
 NUMBER = re.compile(r"\d+(?:\.(\d+))?")
 LEFT_OUT = "..."
 DRAW_ERROR = 0.03
@@ -46,7 +52,9 @@ def check(page: Path, *, write: bool = False) -> bool:
     """Whether the commands of a page print what it shows; prints the differences."""
     text = page.read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory() as folder:
-        now = BLOCK.sub(lambda block: renewed(block[0], partial(run, folder)), text)
+        now = run_page(text, folder)
+        for picture, file in PICTURE.findall(text) if write else ():
+            save_picture(Path(folder, file), page.parent / picture)
     if write:
         page.write_text(now, encoding="utf-8")
     lines = (version.splitlines(keepends=True) for version in (text, now))
@@ -54,6 +62,21 @@ def check(page: Path, *, write: bool = False) -> bool:
     verdict = "the output of its commands differs" if difference else "agrees with its commands"
     print(f"{difference}{page.name}: {verdict}", flush=True)
     return not difference
+
+
+def run_page(text: str, folder: str) -> str:
+    """Run the commands of a page in a folder; return the page with their present output."""
+    return BLOCK.sub(lambda block: renewed(block[0], partial(run, folder)), text)
+
+
+def save_picture(file: Path, picture: Path) -> None:
+    """Save a figure (.png or .pdf) as a PNG."""
+    if file.suffix == ".png":
+        shutil.copyfile(file, picture)
+        return
+    sheet = file.with_suffix(".typ")
+    sheet.write_text(f'#set page(width: auto, height: auto, margin: 2mm)\n#image("{file.name}")\n', "utf-8")
+    typst.compile(sheet, output=picture, ppi=PIXELS_PER_INCH)
 
 
 def renewed(block: str, run: Run) -> str:

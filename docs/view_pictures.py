@@ -1,10 +1,11 @@
-"""Take the pictures of the page in docs/figures: view.png, view_fit.png, view_plan.png and view_tracked.png.
+"""Take the pictures of the page in docs/figures: start_view.png and view*.png, but that of a scan.
 
     python docs/view_pictures.py
 
 Opens the page of twin/phantom2-05 in the installed Chromium (Playwright): at a depth of 34 mm; fitted to the
 measured needle; and fitted at 15 mm, with a target, an obstacle and the plan. Last comes phantom2, its needle
-tracked through OpenIGTLink to 40 mm (`benchmarks/openigtlink.py` has the truth).
+tracked through OpenIGTLink to 40 mm (`benchmarks/openigtlink.py` has the truth). start_view.png is of the run
+that the commands of start.md make.
 """
 
 import shutil
@@ -18,6 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+import transcripts
 from playwright.sync_api import Page, sync_playwright
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
@@ -99,6 +101,14 @@ def take(address: str) -> None:
         save(page, "view_plan.png", "#plan-note")
 
 
+def take_start(address: str) -> None:
+    with open_browser(address) as open_page:
+        page = open_page()
+        insert(page, page.evaluate("window.needlefit.scene.measured.depth_mm"))
+        wait(page, "state => window.needlefit.band?.step === state.step")
+        save(page, "start_view.png")
+
+
 def send_tips(port: int, stop: threading.Event) -> None:
     """Send poses of base and tip, with errors, of a needle that goes in and stays, until `stop` is set."""
     path, rng, depth = simulate_tips(), np.random.default_rng(3), 0.0
@@ -125,8 +135,8 @@ def take_tracked(address: str, port: int) -> None:
             sender.join()
 
 
-def serve(target: str, *options: str, then: Callable[[str], None]) -> None:
-    """Run the page of a target while pictures of it are taken."""
+def serve(target: str, *options: str, then: Callable[[str], None], cwd: str | None = None) -> None:
+    """Run the page of a target, from the folder `cwd`, while pictures of it are taken."""
     with tempfile.TemporaryDirectory() as folder:
         command = [
             sys.executable,
@@ -139,7 +149,7 @@ def serve(target: str, *options: str, then: Callable[[str], None]) -> None:
             folder,
             *options,
         ]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=cwd) as process:
             try:
                 then(process.stdout.readline().strip())
             finally:
@@ -147,6 +157,10 @@ def serve(target: str, *options: str, then: Callable[[str], None]) -> None:
 
 
 def main() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        page = FIGURES.parent / "start.md"
+        transcripts.run_page(page.read_text(encoding="utf-8"), folder)
+        serve("reports/mine_study/n8", then=take_start, cwd=folder)
     serve("twin/phantom2-05", then=take)
     with tempfile.TemporaryDirectory() as folder, socket.create_server(("127.0.0.1", 0)) as free:
         port, tracker = free.getsockname()[1], Path(folder) / "tracker.toml"

@@ -79,7 +79,7 @@ def show_json(value: object) -> None:
 def show_frame(frame: Any, title: str) -> None:  # noqa: ANN401  a pandas.DataFrame, not imported here
     """Print a DataFrame under a title; missing values are empty."""
     rows = [[_cell(value) for value in row] for row in frame.itertuples(index=False)]
-    right = [any(is_number for _, is_number in column) for column in zip(*rows, strict=True)]
+    right = [all(is_number or not text for text, is_number in column) for column in zip(*rows, strict=True)]
     columns = [(str(name), at_right) for name, at_right in zip(frame.columns, right, strict=True)]
     print_line(title)
     _show(columns, [[text for text, _ in row] for row in rows])

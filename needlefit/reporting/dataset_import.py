@@ -180,11 +180,11 @@ def _draw_shapes(axes: Axes, dataset: Dataset, side: str) -> None:
         axes.plot(one.boundaries, np.interp(one.boundaries, x, y), "|", color=INK, ms=6)
     if len(ones) <= MAX_LABELLED_NEEDLES:
         _label_tips(axes, ones)
-    toward = f"toward the {side} (mm)" if all(one.side > 0 for one in ones) else "(mm)"
+    toward = f", toward the {side}" if all(one.side > 0 for one in ones) else ""
     axes.set(
         title="\n",
         xlabel="x, along the entry direction (mm)",
-        ylabel=f"y, {toward}",
+        ylabel=f"y{toward} (mm)",
     )
     draw_grid(axes, "y")
 
