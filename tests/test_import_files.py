@@ -663,7 +663,7 @@ def test_the_workbook_to_fill_in_is_read(tmp_path):
     assert run("new", "workbook", file) == 0
     assert run("new", "workbook", file) == 3
     content = read_content([file])
-    assert [one.name for one in content.curves] == [f"n{n}" for n in range(1, 7)]
+    assert [one.name for one in content.curves] == [f"n{n}" for n in range(1, 9)]
     assert {key for one in content.curves for key in one.attributes} == {
         "bevel_side",
         "depth",
