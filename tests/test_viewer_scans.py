@@ -230,9 +230,8 @@ def test_a_correction_that_does_not_fit_is_an_error_of_the_scan(session, refused
     before = session.describe()
     session.again(corrections)
     found = session.describe()
-    assert found["error"]["what"] and found["error"]["where"].startswith(where)
-    former = before | {"error": found["error"], "former": True}
-    assert found == former and not session.unsaved  # the former result stays
+    assert found["refusal"]["what"] and found["refusal"]["where"].startswith(where)
+    assert found == before | {"refusal": found["refusal"]} and not session.unsaved  # the former result stays
 
 
 @pytest.mark.sweep
@@ -265,7 +264,7 @@ def test_what_a_dataset_may_not_hold_is_refused_on_the_page_and_by_the_command(
     )
     refused.again({})
     error, table = refused.describe()["error"], refused.save()
-    assert error == free_session.describe()["error"] is not None and refused.refusal is not None
+    assert error == free_session.describe()["refusal"] is not None
     assert run("reconstruct", str(table), "--out", str(tmp_path / "out"), "-q") == 3
     assert error["what"] in capsys.readouterr().err
 

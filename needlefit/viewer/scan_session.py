@@ -373,9 +373,8 @@ class ScanSession:
                 "metal": [-1000.0, MAX_HU],
             },
             "examined": self._first is not None,
-            "error": self.refusal
-            and {key: getattr(self.refusal, key) for key in ("what", "where", "expected", "fix")},
-            "former": self.refusal is not found.error,
+            "error": _describe_error(found.error),
+            "refusal": None if self.refusal is found.error else _describe_error(self.refusal),
             "warnings": list(found.reconstruction.warnings if found.reconstruction else volume.warnings),
             "tubes": [
                 {name: getattr(tube, name) for name in ("length", "width", "chosen")}
@@ -394,6 +393,12 @@ class ScanSession:
             "min_points": MIN_POINTS,
             "entry_stated": self.scan.stage is not None,
         }
+
+
+def _describe_error(error: NeedlefitError | None) -> dict[str, str] | None:
+    if error is None:
+        return None
+    return {key: getattr(error, key) for key in ("what", "where", "expected", "fix")}
 
 
 def _progress(found: Examination) -> tuple[bool, int]:

@@ -21,6 +21,7 @@ const state = {
   shade: "tissue",
   cursor: null,
   busy: true,
+  isRefused: () => JSON.stringify(state.corrections) === state.refused,
   window: () => state.found.windows[state.shade],
   place: (kind) => state.corrections[kind] ?? state.found[kind]?.at ?? null,
   balls: () => state.corrections.balls?.map((at) => ({ ...nearBall(at), at })) ?? state.found.balls,
@@ -70,27 +71,28 @@ function hint() {
 function correct(change) {
   state.history.push(state.corrections);
   state.corrections = { ...state.corrections, ...change };
+  showVerdict(state);
   refresh();
 }
 
 function undo() {
   if (!state.history.length || state.busy) return;
   state.corrections = state.history.pop();
+  showVerdict(state);
   refresh();
 }
 
 const isNew = () => JSON.stringify(state.corrections) !== state.applied;
-const isRefused = () => JSON.stringify(state.corrections) === state.refused;
 
 function refresh() {
   const corrected = Object.values(state.corrections).some((one) => one !== null);
-  const can = { undo: state.history.length, clear: corrected, again: isNew() && !isRefused(), save: !isNew() && corrected };
+  const can = { undo: state.history.length, clear: corrected, again: isNew() && !state.isRefused(), save: !isNew() && corrected };
   for (const [id, does] of Object.entries(can)) part(id).disabled = state.busy || !does;
   part("again").classList.toggle("on", !part("again").disabled);
   forbid("contact", state.found.entry_stated && "The table of scans states the entry (entry_x_mm ...)");
   forbid("ball", !state.found.has_markers && "The scan has no known places of markers: start the page with --markers");
   showLists(state, act);
-  showWaiting(!state.busy && isNew() && !isRefused());
+  showWaiting(!state.busy && isNew() && !state.isRefused());
   if (part("ball-mm") !== document.activeElement) part("ball-mm").value = state.corrections.ball_mm ?? state.found.ball_mm;
   views.draw();
 }
@@ -107,7 +109,7 @@ function forbid(tool, reason) {
 
 /** Show what was found; corrections that were refused stay on the page beside the former result. */
 function take(found) {
-  const refused = found.former && state.found ? JSON.stringify(state.corrections) : "";
+  const refused = found.refusal && state.found ? JSON.stringify(state.corrections) : "";
   const used = { ...NOTHING, ...found.corrections };
   const again = !refused;
   if (again) state.corrections = used;

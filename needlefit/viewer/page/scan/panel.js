@@ -25,9 +25,10 @@ function table(heads, rows) {
   return element("table", {}, element("thead", {}, element("tr", {}, head)), element("tbody", {}, rows));
 }
 
-export function showVerdict({ found: { examined, error, former, inserted, warnings } }) {
+export function showVerdict({ found: { examined, error, refusal, inserted, warnings }, isRefused }) {
   if (!examined) return part("verdict").replaceChildren("Examining the scan …");
-  if (error) return showFault(error, former ? "Refused, and the former result stays" : "Refused");
+  if (isRefused()) return showFault(refusal, "Refused, and the former result stays");
+  if (error) return showFault(error, "Refused");
   const made = element("strong", {}, `Reconstructed: inserted ${within(inserted)}`);
   const count = `${warnings.length} ${warnings.length === 1 ? "warning" : "warnings"}`;
   const more = warnings.length ? ["; ", element("a", { href: "#note-part" }, count)] : [];

@@ -228,7 +228,7 @@ class View {
 
   dot(place, fill, radius, name, side = -1) {
     const [x, y, away] = this.at(place);
-    if (away > NEAR) return;
+    if (away > NEAR || x < 0 || y < 0 || x > this.canvas.width || y > this.canvas.height) return;
     const { paint } = this;
     paint.beginPath();
     paint.arc(x, y, radius * this.unit, 0, 2 * Math.PI);
@@ -242,7 +242,7 @@ class View {
 
   cross(place, colour, reach, name = "") {
     const [x, y, away] = this.at(place);
-    if (away > NEAR) return;
+    if (away > NEAR || x < 0 || y < 0 || x > this.canvas.width || y > this.canvas.height) return;
     const r = reach * this.unit;
     this.stroke([[[x - r, y], [x + r, y]], [[x, y - r], [x, y + r]]], colour, 2);
     this.text(name, x, y - r - 8 * this.unit);
