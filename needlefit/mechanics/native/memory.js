@@ -36,8 +36,7 @@ export class Heap {
     return at;
   }
 
-  put(array) {
-    const at = this.take(array.byteLength);
+  put(array, at = this.take(array.byteLength)) {
     new Uint8Array(this.memory.buffer, at, array.byteLength).set(
       new Uint8Array(array.buffer, array.byteOffset, array.byteLength),
     );
@@ -119,12 +118,19 @@ export function makeProblem(heap, fields, arrays) {
   const [room, points, quadrature] = heap.integers(sizes, 3);
   return {
     at,
+    sizes,
     fields: f,
     arrays: Object.fromEntries(ARRAYS.map((name, i) => [name, addresses[i]])),
     room: Number(room),
     maxPoints: Number(points),
     maxQuadrature: Number(quadrature),
   };
+}
+
+/** Write other arrays of the same sizes into a problem. */
+export function rewrite(heap, problem, arrays) {
+  for (const [name, array] of Object.entries(arrays)) heap.put(array, problem.arrays[name]);
+  check(heap.call.nf_check(problem.at, problem.sizes));
 }
 
 /** Take room for the shapes of all sets; addresses by name, and the `counts` of 64-bit numbers there. */

@@ -31,6 +31,7 @@ import {
   makeShapes,
   makeStructure,
   readShape,
+  rewrite,
 } from "./memory.js";
 
 export { STATUS, compile };
@@ -79,6 +80,7 @@ function listGuides(guides) {
   listed.set(guides.flatMap((guide) => [guide.x, guide.y, guide.slope ?? NaN]));
   return listed;
 }
+const repeat = (numbers, sets) => Float64Array.from({ length: sets * numbers.length }, (_, i) => numbers[i % numbers.length]);
 const listTip = (tip) => (tip ? [tip.y, tip.slope ?? NaN] : [NaN, NaN]);
 const listBase = (base) => [base.y, base.slope, base.stageSlope];
 const turnOf = (bevel, model) => (bevel.side * bevel.strength) / (model.pathAngle ? 1 : model.spacing);
@@ -86,32 +88,33 @@ const bevelKey = ({ bevel }) => JSON.stringify([bevel.side, bevel.strength]);
 const controlsKey = ({ base, guides, tip }) =>
   JSON.stringify([listBase(base), guides.map((guide) => [guide.x, guide.y, guide.slope ?? null]), listTip(tip)]);
 
-/** The fields and arrays of a problem under `inputs`; `values` (sets) take the place of what model and inputs have. */
-function pack(model, inputs, values, more) {
-  const { bevel, base, guides, tip } = inputs,
-    { sets } = values,
-    layers = model.mu.length;
-  const repeat = (name, given = model[name]) =>
-    values[name] ?? Float64Array.from({ length: sets * given.length }, (_, i) => given[i % given.length]);
+/** The arrays of a problem that hold the inputs. */
+function packInputs({ bevel, base, guides, tip }, model, { sets, strength }) {
   const before = guides.filter((guide) => guide.x < 0),
     within = guides.filter((guide) => guide.x >= 0);
-  const arrays = {
-    boundaries: Float64Array.from(model.boundaries),
-    stops: new Uint8Array(STOP_BYTES),
-    rigidity: repeat("rigidity", [model.rigidity]),
-    mu: repeat("mu"),
-    thickness: repeat("thickness"),
-    friction: repeat("friction"),
-    law: repeat("law"),
-    turn: Float64Array.from({ length: sets }, (_, i) =>
-      turnOf({ side: bevel.side, strength: values.strength?.[i] ?? bevel.strength }, model),
-    ),
-    base: repeat("base", listBase(base)),
+  const turn = (_, i) => turnOf({ side: bevel.side, strength: strength?.[i] ?? bevel.strength }, model);
+  return {
+    turn: Float64Array.from({ length: sets }, turn),
+    base: repeat(listBase(base), sets),
     before_first: BigInt64Array.of(0n, BigInt(before.length)),
     within_first: BigInt64Array.of(0n, BigInt(within.length)),
     before: listGuides(before),
     within: listGuides(within),
     held_tip: Float64Array.from(listTip(tip)),
+  };
+}
+
+/** The fields and arrays of a problem under `inputs`; `values` (sets) take the place of what model and inputs have. */
+function pack(model, inputs, values, more) {
+  const { sets } = values,
+    layers = model.mu.length,
+    ofLayers = ["mu", "thickness", "friction", "law"].map((name) => [name, values[name] ?? repeat(model[name], sets)]);
+  const arrays = {
+    boundaries: Float64Array.from(model.boundaries),
+    stops: new Uint8Array(STOP_BYTES),
+    rigidity: repeat([model.rigidity], sets),
+    ...Object.fromEntries(ofLayers),
+    ...packInputs(inputs, model, values),
   };
   const fields = {
     sets,
@@ -160,23 +163,17 @@ export class Session {
 
   // Lay out memory for a state, which is that of first contact.
   #layOut(fields) {
-    Object.assign(this, fields, { base: this.start, parts: null });
-    this.#hold();
+    Object.assign(this, fields, { base: this.start });
     this.#reserve();
   }
 
-  // Write the problem of the present inputs; it has the same sizes each time.
-  #hold() {
-    this.heap.top = this.base;
-    const more = { rays: this.rays, deepest: this.deepest };
-    this.problem = makeProblem(this.heap, ...pack(this.model, this.inputs, { sets: 1 }, more));
-    if (this.parts) this.heap.top = this.end;
-  }
-
-  // Take memory for the state; it becomes that of `old`, which has fewer rays.
+  // Take memory for problem and state; the state becomes that of `old`, which has fewer rays.
   #reserve(old) {
-    const { heap, problem } = this,
+    const { heap, model, inputs, rays, deepest } = this,
       { call } = heap;
+    heap.top = this.base;
+    const problem = makeProblem(heap, ...pack(model, inputs, { sets: 1 }, { rays, deepest }));
+    this.problem = problem;
     this.shapes = makeShapes(heap, problem, problem.maxPoints);
     this.done = heap.take(24);
     call.nf_session_memory(problem.at, this.done);
@@ -229,7 +226,7 @@ export class Session {
       { heap } = this;
     checkInputs(this.model, inputs, depth);
     this.inputs = inputs;
-    this.#hold();
+    rewrite(heap, this.problem, packInputs(inputs, this.model, { sets: 1 }));
     const bevel = this.#number(bevelKey(inputs), inputs.bevel),
       held = this.#number(controlsKey(inputs), inputs);
     const advance = () => {
@@ -247,8 +244,7 @@ export class Session {
     }
     if (rays > this.rays) {
       const old = { problem: this.problem, parts: this.parts };
-      Object.assign(this, { rays: 2 * rays, base: this.end, parts: null });
-      this.#hold();
+      Object.assign(this, { rays: 2 * rays, base: this.end });
       this.#reserve(old);
       [fault, stops, points, rays] = advance();
     }
@@ -474,10 +470,9 @@ export class SessionBatch {
   }
 
   constructor(heap, model, values, rays) {
-    const more = { rays, deepest: findDeepest(model) };
-    Object.assign(this, { heap, model, values, more, start: heap.top, end: heap.top, ids: new Map() });
-    this.hold({});
-    const { fields, arrays, maxPoints, room } = this.problem,
+    const problem = makeProblem(heap, ...pack(model, completeInputs({}), values, { rays, deepest: findDeepest(model) }));
+    Object.assign(this, { heap, model, values, problem, ids: new Map() });
+    const { fields, arrays, maxPoints, room } = problem,
       { layers, numbers } = fields;
     const stride = { rigidity: 1, mu: layers, thickness: layers, friction: layers, law: layers * numbers, turn: 1, base: 3 },
       alone = { ...fields, sets: 1 };
@@ -493,7 +488,6 @@ export class SessionBatch {
       const shapes = makeShapes(heap, { fields: alone, room }, maxPoints);
       return { at, shapes, fixed: heap.take(fixed), state: heap.take(state) };
     });
-    this.end = heap.top;
     problems.forEach((_, i) => this.restart(i));
   }
 
@@ -508,10 +502,8 @@ export class SessionBatch {
     const { heap, ids } = this,
       inputs = completeInputs(given);
     const number = (key) => ids.get(key) ?? ids.set(key, BigInt(ids.size + 1)).get(key);
-    heap.top = this.start; // the arrays have the same sizes each time
-    this.problem = makeProblem(heap, ...pack(this.model, inputs, this.values, this.more));
+    rewrite(heap, this.problem, packInputs(inputs, this.model, this.values));
     Object.assign(this, { bevel: number(bevelKey(inputs)), held: number(controlsKey(inputs)) });
-    heap.top = Math.max(heap.top, this.end);
   }
 
   /** Move a needle to a depth, mm; returns whether that has converged: it has else stayed as it was. */
