@@ -73,6 +73,7 @@ function paintBackground(behind) {
 function paintForeground(before, state) {
   clearBoxes();
   needle.reserveNeedle(state);
+  before.lineJoin = "round"; // of curves and labels, on a new context too
   within(before, () => {
     if (shown.reach) overlay.paintReach(before);
     if (shown.load) needle.paintLoad(before, state, shown.raw);

@@ -48,7 +48,6 @@ export function paintNeedle(context, { x, y, bevel, faults }) {
   const share = 1 - length / (distance(last, tip) || 1);
   points.push(last.map((from, i) => from + share * (tip[i] - from)));
   trace(context, points);
-  context.lineJoin = "round";
   context.lineCap = "butt";
   if (width >= WIDE) faintly(context, FAINT, () => stroke(context, shown, width));
   context.setLineDash(outside ? [9, 5] : []);

@@ -124,7 +124,6 @@ export function setFont(context, font, align = "center", baseline = "middle") {
 
 /** Write on the picture, set off from what lies behind. */
 export function label(context, text, px, py, colour = palette.label) {
-  context.lineJoin = "round";
   context.strokeStyle = palette.halo;
   context.lineWidth = 4;
   context.strokeText(text, px, py);
