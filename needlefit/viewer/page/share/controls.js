@@ -9,13 +9,13 @@ import { now } from "../store.js";
 const digits = (count) => (value) => value.toFixed(count);
 let fields = []; // [field, () => value]
 
-/** Make the fields of a scene; `steer(changes)` carries a change out. A recording has no depth of its own to go back to. */
+/** Make the fields of a scene; `steer(changes)` carries a change out. Depth and base of a recording have no values to go back to. */
 export function buildFields(scene, isRecording, steer) {
   fields = [];
   for (const id of ["insertion-fields", "tissue-fields"]) part(id).replaceChildren();
   const add = (into, [input, item], about, current, { shown = (x) => x, meant = (x) => x } = {}) => {
     const field = makeField(part(into), { ...about, ask: (value) => steer([[input, item, meant(value)]]) });
-    const home = current(scene.fitted);
+    const home = isRecording && into === "insertion-fields" ? undefined : current(scene.fitted);
     if (home !== undefined) setHome(field, shown(home));
     fields.push([field, () => shown(current(now.state))]);
   };
@@ -23,7 +23,7 @@ export function buildFields(scene, isRecording, steer) {
   const mm = { unit: "mm", step: 0.1 };
   add("insertion-fields", ["depth_mm", null],
     { ...mm, name: "depth", symbol: "depth", step: 1, write: digits(1), limits: [0, limits.depth_mm - 0.01] },
-    (of) => of.depth_mm ?? (isRecording ? undefined : scene.depth_mm));
+    (of) => of.depth_mm ?? scene.depth_mm);
   add("insertion-fields", ["base_y_mm", null],
     { ...mm, name: "base y", symbol: "base y", write: digits(2), limits: [-10, 10] },
     (of) => (of.base ? of.base.input_y : simulation.steps[0].controls.baseY));
