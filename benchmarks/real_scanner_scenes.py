@@ -5,7 +5,7 @@ balls glued on the face or embedded. Everything is rendered in projection space 
 """
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -154,6 +154,8 @@ class Case:
         Those in the scan, world; and the stated places of all.
     interfaces : (2,) array
         Of the layers, x, mm.
+    isocenter : (3,) array
+        A point of the gantry's axis, scan.
     """
 
     row: Row
@@ -166,6 +168,7 @@ class Case:
     balls: Floats
     known: Floats
     interfaces: Floats
+    isocenter: Floats
 
 
 def read_design(part: str) -> list[Row]:
@@ -222,12 +225,32 @@ def make_case(row: Row) -> Case:
         photons=PHOTONS[level["dose"]],
         source_mm=570.0 if level["beam"] == "fan" else None,
     )
-    return Case(row, scene, gantry, _fit_grid(world, spacing), world, axis, bevel, balls, known, interfaces)
+    grid = _fit_grid(world, spacing)
+    middle = grid.origin + (np.array(grid.size) - 1) / 2 * grid.spacing
+    return Case(row, scene, gantry, grid, world, axis, bevel, balls, known, interfaces, middle)
+
+
+AROUND_MM, SLICES_AROUND = 9.0, 4
+"""What a narrow volume shows around the needle: in the slices, mm, and along their normal, slices or mm."""
+
+
+def narrow_case(case: Case) -> Case:
+    """Return a case whose volume shows the needle and little else."""
+    grid = case.grid
+    x = np.append(np.linspace(FIELD_LOW[0], case.axis[-1, 0], 50), case.axis[-1, 0] + 8.0)
+    points = case.world.to_world(
+        np.stack([x, *(np.interp(x, case.axis[:, 0], y) for y in case.axis.T[1:])], 1)
+    )
+    pad = np.array([AROUND_MM, AROUND_MM, SLICES_AROUND * max(1.0, grid.spacing[2])])
+    low = np.floor((points.min(axis=0) - pad - grid.origin) / grid.spacing).clip(0).astype(int)
+    high = np.ceil((points.max(axis=0) + pad - grid.origin) / grid.spacing).astype(int) + 1
+    size = tuple(int(n) for n in np.minimum(high, grid.size) - low)
+    return replace(case, grid=VoxelGrid(size, grid.origin + low * grid.spacing, grid.spacing, grid.direction))
 
 
 def render_cached(case: Case, folder: Path) -> Path:
     """Return the volume of a case in `folder`; it is rendered if it is not there yet."""
-    key = hashlib.sha256(repr((SEED, case.row)).encode()).hexdigest()[:8]
+    key = hashlib.sha256(repr((SEED, case.row, case.grid.size)).encode()).hexdigest()[:8]
     path = folder / f"{case.row.name}-{key}.nrrd"
     if path.exists():
         return path
@@ -235,7 +258,7 @@ def render_cached(case: Case, folder: Path) -> Path:
     ceiling = CLIPPED_HU if case.row.levels["ceiling"] == "clip" else EXTENDED_HU
     rng = random_stream(SEED, "real scanners", case.row.name, "noise")
     kernel = KERNELS[case.row.levels["kernel"]]
-    volume = render_volume(case.scene, case.gantry, case.grid, kernel, ceiling, rng)
+    volume = render_volume(case.scene, case.gantry, case.grid, kernel, ceiling, rng, case.isocenter)
     unfinished = folder / f"unfinished-{path.name}"
     write_volume(volume, unfinished, f"Synthetic: benchmarks/real_scanners.py {case.row.name}")
     unfinished.rename(path)

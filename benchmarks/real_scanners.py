@@ -7,13 +7,16 @@ voxels x material, size and number of the balls x range of HU x accessories x be
 on the part `tuning`; the part `apart` is for what is reported afterwards. Every volume is reconstructed and
 checked as the program does. A row is `wrong` if tip, entry, inserted length, registration or a crossing is
 off by more than 1 mm. `--seeds FIRST:LAST` draws volumes instead whose needle lies in or near slices of 0.8,
-1, 1.5 and 2 mm, in turn; constants were set on seeds below 2000. Rendered volumes stay in the folder
-`--cache`, so that a run can be continued.
+1, 1.5 and 2 mm, in turn; constants were set on seeds below 2000. They show little but the needle, which alone
+is traced; the scene is that of a whole volume. Rendered volumes stay in the folder `--cache`, so that a run
+can be continued.
 
 Errors in mm: `axis` mean distance of the needle's points from the true axis; `tip_along` (negative: short)
 and `tip_across`; `entry` along the needle; `length` inserted; `tre` of true entry and tip, the larger;
 `crossing` the largest distance of a point at which a layer is crossed. `bevel_deg` is the error of the
-bevel's side; `bevel_stated`: whether one is stated. `--large` times one row's volume, padded with air to
+bevel's side; `bevel_stated`: whether one is stated. With `--seeds`, `side` and `normal` are the parts of
+`axis` in the slices and along their normal, `tip_side` and `tip_normal` those of the tip; `crossed` is how
+many slices the needle crosses. `--large` times one row's volume, padded with air to
 512 x 512 x 400 voxels, and measures the memory of the process that reconstructs it.
 """
 
@@ -34,6 +37,7 @@ from numpy.typing import NDArray
 from real_scanner_scenes import (
     BEVEL_DEG,
     FACTORS,
+    FIELD_LOW,
     KNOWN_SD_MM,
     NEEDLE_LENGTH_MM,
     NEEDLE_MM,
@@ -41,6 +45,7 @@ from real_scanner_scenes import (
     Row,
     draw_row,
     make_case,
+    narrow_case,
     read_design,
     render_cached,
 )
@@ -51,6 +56,8 @@ from needlefit.geometry.curves import arc_length
 from needlefit.geometry.surfaces import make_sheet, write_surface
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
 from needlefit.imaging.batch import ReconstructionFailure, try_reconstruct
+from needlefit.imaging.needle.centerline import trace_needle
+from needlefit.imaging.needle.segmentation import segment_needle
 from needlefit.imaging.reconstruct import list_tip_warnings
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import LayerSource, Scan
@@ -65,6 +72,8 @@ Floats = NDArray[np.float64]
 WRONG_MM = 1.0
 FINE_SPACING_MM = 0.6 + 1e-9
 """Largest spacing along the needle that is fine."""
+FEW_CROSSED = 2.5
+"""Slices crossed, up to which where in them a needle lies shows little."""
 ERRORS = ("tip_along", "tip_across", "entry", "length", "tre", "crossing")
 
 
@@ -123,6 +132,71 @@ def score(row: Row, cache: Path) -> dict[str, object]:
     return line | {"written": True} | _measure_errors(found, case)
 
 
+def trace_narrow(row: Row, cache: Path) -> dict[str, object]:
+    """Render the narrow volume of a row and trace its needle; return its line of the table."""
+    case, recipe = narrow_case(make_case(row)), make_recipe(row)
+    volume = read_volume(render_cached(case, cache))
+    axis = densify(case.axis)
+    height = axis[axis[:, 0] >= FIELD_LOW[0]] @ case.world.rotation[2]
+    line: dict[str, object] = {"id": row.name, **row.levels}
+    line |= {"crossed": float(np.ptp(height)) / case.grid.spacing[2], "where": ""}
+    try:
+        found = trace_needle(volume, segment_needle(volume, recipe), recipe)
+    except NeedlefitError as error:
+        return line | {"written": False, "what": error.what}
+    beside = _beside(case.world.to_local(found.points), axis, case)
+    # the tip from the true one, not from the point of the axis that is nearest to it
+    beside = np.vstack([beside, _beside(case.world.to_local(found.tip[None]), axis, case, -1)])
+    errors = dict(zip(("tip_side", "tip_normal", "tip_along"), beside[-1], strict=True))
+    normal_sd = found.normal_sd or float(found.tip_sd[1])
+    return (
+        line
+        | errors
+        | {
+            "written": True,
+            "what": found.tip_source,
+            "axis": np.hypot(*beside[:-1, :2].T).mean(),
+            "side": np.abs(beside[:-1, 0]).mean(),
+            "normal": np.abs(beside[:-1, 1]).mean(),
+            "tip_across": np.hypot(*beside[-1, :2]),
+            "in_1sd_tip_along": abs(beside[-1, 2]) <= found.tip_sd[0],
+            "in_1sd_tip_across": np.mean(np.abs(beside[-1, :2]) <= found.tip_sd[1]),
+            "in_1sd_tip_normal": abs(beside[-1, 1]) <= normal_sd,
+            "in_1sd_axis": np.mean(np.abs(beside[:-1, :2]) <= found.sd[:, None]),
+            "normal_sd": normal_sd,
+        }
+    )
+
+
+def _beside(points: Floats, axis: Floats, case: Case, at: int | None = None) -> Floats:
+    """Return where points (N, 3) lie from `axis`: in the slices, along their normal, along the needle, mm.
+
+    From its point `at`, or from the nearest.
+    """
+    ways = np.gradient(axis, axis=0)
+    nearest = cKDTree(axis).query(points)[1] if at is None else np.full(len(points), at)
+    ways = ways[nearest] / np.linalg.norm(ways[nearest], axis=1, keepdims=True)
+    side = np.cross(case.world.rotation[2], ways)
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    sides = np.stack([side, np.cross(ways, side), ways], axis=1)
+    beside: Floats = np.einsum("nd,nsd->ns", points - axis[nearest], sides)
+    return beside
+
+
+def summarize_narrow(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return mean absolute errors of narrow volumes: all, by how many slices are crossed, and by slices."""
+    few = rows["crossed"] < FEW_CROSSED
+    groups = [("all", rows), (f"fewer than {FEW_CROSSED} crossed", rows[few]), ("more crossed", rows[~few])]
+    groups += [(f"{level} mm", part) for level, part in rows.groupby(rows["voxels"].str.split("x").str[1])]
+    lines = []
+    for name, part in groups:
+        done = part[part["written"]]
+        means = done.drop(columns=["id", "crossed", *FACTORS]).select_dtypes("number").abs().mean()
+        inside = done.filter(like="in_1sd").astype(float).mean()
+        lines.append({"volumes": name, "n": len(part), "refused": len(part) - len(done), **means, **inside})
+    return pd.DataFrame(lines)
+
+
 def _measure_spacing(case: Case) -> float:
     """Return the voxels' spacing along the needle's end, mm."""
     end = case.world.rotation @ (case.axis[-1] - case.axis[-2])
@@ -158,7 +232,7 @@ def _measure_errors(one: Reconstruction, case: Case) -> dict[str, object]:
     same = len(one.layers.points) == len(crossed)
     crossings = np.linalg.norm(one.layers.points - crossed, axis=1) if same else np.array([np.nan])
     errors: dict[str, object] = {
-        "axis": float(_off_axis(local, axis).mean()),
+        "axis": float(np.hypot(*_beside(local, axis, case)[:, :2].T).mean()),
         "tip_along": along,
         "tip_along_sd": float(one.needle_axis.tip_sd[0]),
         "tip_across": across,
@@ -179,18 +253,6 @@ def _measure_errors(one: Reconstruction, case: Case) -> dict[str, object]:
     }
     off = [name for name in ERRORS if not abs(float(str(errors[name]))) <= WRONG_MM]
     return errors | {"wrong": bool(off), "where": " ".join(off)}
-
-
-def _off_axis(points: Floats, axis: Floats) -> Floats:
-    """Return how far points (N, 3) lie from the line of `axis` (M, 3), mm."""
-    ways = np.gradient(axis, axis=0)
-    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    nearest = cKDTree(axis).query(points)[1]
-    away = points - axis[nearest]
-    aside: Floats = np.linalg.norm(
-        away - np.einsum("ni,ni->n", away, ways[nearest])[:, None] * ways[nearest], axis=1
-    )
-    return aside
 
 
 def summarize(rows: pd.DataFrame, statistic: str) -> pd.DataFrame:
@@ -282,16 +344,20 @@ def main() -> None:
         print_large(arguments.cache)
         return
     design = read_design(arguments.part)
+    measure = partial(trace_narrow if arguments.seeds else score, cache=arguments.cache)
     if arguments.seeds:
         design = [draw_row(seed) for seed in range(*map(int, arguments.seeds.split(":")))]
     design = design[: arguments.volumes]
     lines: list[dict[str, object]] = []
-    for _, line in LocalPool(arguments.jobs).run(partial(score, cache=arguments.cache), design):
+    for _, line in LocalPool(arguments.jobs).run(measure, design):
         lines.append(line)
         print(f"{line['id']} written {line['written']} {line['where']}: {line['what']}", file=sys.stderr)
         if arguments.out:
             pd.DataFrame(lines).sort_values("id").to_csv(arguments.out, index=False)
     rows = pd.DataFrame(lines).sort_values("id")
+    if arguments.seeds:
+        print(summarize_narrow(rows).T.to_string(header=False, float_format=lambda x: f"{x:.3f}"))
+        return
     for statistic in ("mean", "median"):
         print(f"{statistic} absolute errors of the volumes written, mm")
         table = summarize(rows, statistic)

@@ -123,7 +123,8 @@ def trace_needle(
         point, unknown = axis_frames(axis, at).origins[0], np.full(3, np.nan)
         end = TipFit(float(at[0]), point, sd, unknown, float("nan"), 0.0, "hand")
     # the spline is extended through the tip, so that the end is interpolated
-    across = max(float(end.sd[1]), SYSTEMATIC_SD_MM)
+    # near thick slices both share their error
+    across = SYSTEMATIC_SD_MM if axis.normal_sd is not None else max(float(end.sd[1]), SYSTEMATIC_SD_MM)
     axis = extend_axis(axis, end.at, end.point, across, recipe.centerline.knot_spacing_mm)
     return _sample_centerline(volume, axis, end, recipe)
 
@@ -214,9 +215,7 @@ def _place_along_normal(
     """Return the axis with its place along the slices' normal fitted to every slice on its own."""
     rules = recipe.centerline
     for _ in range(SLICE_FIT_ROUNDS):
-        found = fit_slices(
-            volume, axis, recipe.needle.diameter_mm, rules.knot_spacing_mm, rules.station_spacing_mm
-        )
+        found = fit_slices(volume, axis, recipe.needle.diameter_mm, rules.knot_spacing_mm)
         if found is None:
             return axis
         where = slice_frames(volume, axis, axis.s)
