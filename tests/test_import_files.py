@@ -176,6 +176,13 @@ def test_deviations_of_points_are_read_in_their_unit(tmp_path):
     found = [one.points.sd for one in understood([tmp_path])[0].insertions]
     for n, sd in enumerate(found, 1):
         np.testing.assert_allclose(sd, 0.2 + n)
+    (tmp_path / "a.csv").write_text("\n".join([*lines[:9], "", *lines[9:]]))
+    assert [len(one.points.sd) for one in understood([tmp_path])[0].insertions] == [*map(len, CURVES)]
+    (tmp_path / "a.csv").write_text(
+        "\n".join([*lines[:8], "", *(line.rpartition(";")[0] for line in lines[8:])])
+    )
+    plan, made = understood([tmp_path])
+    assert plan.insertions[0].points.sd is None and "not used" in made
 
 
 SIDES = {"N1": "1", "N2": "-1", "N3": "1"}

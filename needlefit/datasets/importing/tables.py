@@ -408,7 +408,11 @@ def _join(one: ImportedCurve, other: ImportedCurve) -> ImportedCurve:
     both = [one.points, other.points]
     lines = np.concatenate([part.lines for part in both if part.lines is not None])
     values = np.concatenate([part.values for part in both])
-    return replace(one, points=replace(one.points, values=values, lines=lines))
+    sds = [part.sd for part in both if part.sd is not None]
+    sd = np.concatenate(sds) if len(sds) == len(both) else None
+    lost = (("not used", "standard deviations of points", f"a part of {one.name} has none"),)
+    remarks = (*one.remarks, *(lost if sds and sd is None else ()))
+    return replace(one, points=replace(one.points, values=values, lines=lines, sd=sd), remarks=remarks)
 
 
 def _goes_on(before: Floats, after: Floats) -> bool:
