@@ -473,7 +473,7 @@ def warn_of_width(frames: Mapping[str, pd.DataFrame]) -> Iterator[ResultWarning]
     if "one insertion" in widths:
         fix = (
             f"one measured insertion into this specimen would narrow it to {widths['one insertion']:.2g} mm "
-            "if the model is right there; into a fitted one, use --specimen same"
+            "if the model is right there; state a fitted one with --specimen"
         )
     if len(widths):
         deflection = abs(float(frames["forecast"]["needle_median_mm"].iloc[-1]))
