@@ -337,6 +337,7 @@ def test_a_dataset_may_be_named_by_its_folder(project):
         locate.find_file("dataset", "./gel")
     (project / "gel/dataset.toml").write_text("")
     assert locate.find_file("dataset", "./gel") == Path("gel/dataset.toml")
+    assert all(map(locate.is_path, (".", "..", "mine.toml"))) and not locate.is_path("mine")
 
 
 def test_all_means_the_five_of_the_paper():
