@@ -37,7 +37,7 @@ from needlefit.studies.kinds.cross_validation.run import run
 from needlefit.studies.store import pack, restore_run
 from needlefit.viewer.live_fit import find_mode, tabulate_draws
 from needlefit.viewer.opening import choose_start_parameters, open_target
-from needlefit.viewer.overlays import compute_band, compute_live_errors
+from needlefit.viewer.overlays import compute_band
 
 VALUES = {"mu1_pa": 3e5, "alpha1": 1.2, "mu2_pa": 2e7, "alpha2": -1.0, "bevel_mm": 0.08}
 GEL = """schema = 1
@@ -300,17 +300,6 @@ def test_a_plan_states_specimen_draws_and_the_warnings_of_the_run(project, tmp_p
     for specimen, one in found.items():
         assert one["specimen"] == specimen and one["warnings"][0]["kind"] == "worse_than_baseline"
         assert one["draws"] == total - one["search_draws"] and one["search_draws"] == 32
-
-
-@pytest.mark.sweep
-def test_live_errors_at_the_measured_depth_are_those_of_the_run(project):
-    errors = restore_run(project / "reports/small").frames["errors"]
-    for id_ in open_target("small").choices:
-        viewed_scene = open_target("small", id_)
-        row = errors.query("method == 'fitted' and boundaries == 'measured' and insertion == @id_").iloc[0]
-        found = compute_live_errors(viewed_scene.measured, followed(viewed_scene.record))
-        assert found.whole and viewed_scene.measured.floor == row["floor_te_mm"]
-        assert found.values == pytest.approx(row[list(found.values)].to_dict(), abs=1e-4)
 
 
 def test_a_run_of_data_that_changed_or_of_another_kind_is_refused(project, tmp_path):

@@ -2,7 +2,10 @@
 
 import dataclasses
 import io
+import json
 import math
+import shutil
+import subprocess
 from pathlib import Path
 
 import matplotlib.image
@@ -29,10 +32,11 @@ from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.metrics import compute_metrics
 from needlefit.planning.steering import StartedInsertion
+from needlefit.viewer.export import PAGE
+from needlefit.viewer.messages import encode_measured
 from needlefit.viewer.overlays import (
     InsertionScan,
     compute_band,
-    compute_live_errors,
     find_scan,
     make_measured_overlay,
     read_slice,
@@ -61,54 +65,79 @@ def of(one, pose="known", floor=0.2, shape=None, drop=0.0):
     )
 
 
-@pytest.mark.parametrize(("depth", "whole"), [(12.5, False), (39.999, False), (40.0, True), (55.0, False)])
-def test_errors_up_to_the_depth_in_common(depth, whole):
-    angle, upto = 0.05, min(depth, 40.0)
-    found = compute_live_errors(of(oblique(angle)), straight(depth))
-    chord = 2 * upto * math.sin(angle / 2)
-    assert found.values["te_mm"] == pytest.approx(chord) and found.values["ipe_max_mm"] == pytest.approx(
-        chord
+ERRORS = """
+import {readFileSync} from 'node:fs'
+const {computeErrors} = await import(MODULE)
+const {measured, depths} = JSON.parse(readFileSync(0, 'utf8'))
+const positions = (s) => s.flatMap((one) => [one, 0])
+const straight = (depth) => ({shape: {x: [depth - 150, depth], depth}, positions})
+console.log(JSON.stringify(depths.map((depth) => computeErrors(straight(depth), measured))))
+"""
+
+
+def page_errors(overlay, *depths: float) -> list[dict | None]:
+    """The errors, on the page, of straight needles of some depths."""
+    program = ERRORS.replace("MODULE", repr((PAGE / "model" / "errors.js").as_uri()))
+    job = {"measured": {"depth_mm": overlay.depth, **encode_measured(overlay)}, "depths": depths}
+    done = subprocess.run(
+        ["node", "--input-type=module", "-e", program], input=json.dumps(job), capture_output=True, text=True
     )
-    assert found.values["ipe_mean_mm"] == pytest.approx(chord / 2)
-    assert found.values["edp_percent"] == pytest.approx(100 * chord / (upto * math.sin(angle)))
-    assert (found.upto, found.whole) == (upto, whole)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
 
 
+needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="no Node.js")
+
+
+@needs_node
+def test_errors_up_to_the_depth_in_common():
+    angle, depths = 0.05, (12.5, 39.999, 40.0, 55.0)
+    for depth, found in zip(depths, page_errors(of(oblique(angle)), *depths), strict=True):
+        upto = min(depth, 40.0)
+        chord = 2 * upto * math.sin(angle / 2)
+        assert found["te_mm"] == pytest.approx(chord) and found["ipe_max_mm"] == pytest.approx(chord)
+        assert found["ipe_mean_mm"] == pytest.approx(chord / 2)
+        assert found["edp_percent"] == pytest.approx(100 * chord / (upto * math.sin(angle)))
+        assert (found["upto_mm"], found["whole"]) == (upto, depth == 40.0)
+
+
+@needs_node
 def test_errors_grow_into_those_of_the_whole_needle():
     """The measured curve is longer than its depth, as one is that does not begin in the plane of entry."""
     one = of(dataclasses.replace(oblique(0.05), planar=1.03 * oblique(0.05).planar))
-    almost, there = (compute_live_errors(one, straight(depth)) for depth in (40.0 - 1e-5, 40.0))
-    assert (almost.whole, there.whole) == (False, True)
-    assert almost.values["te_mm"] == pytest.approx(there.values["te_mm"], abs=1e-4)
-    assert there.values["te_mm"] > 1.2
+    almost, there = page_errors(one, 40.0 - 1e-5, 40.0)
+    assert (almost["whole"], there["whole"]) == (False, True)
+    assert almost["te_mm"] == pytest.approx(there["te_mm"], abs=1e-4)
+    assert there["te_mm"] > 1.2
 
 
+@needs_node
 def test_at_the_measured_depth_errors_are_those_of_a_study():
-    shape = predict(OFF, medium(), dataset([MEASURED]).needle, MEASURED)
+    shape = straight(40.0)
     curves = compare_curves(*compare_points("known", 0.0, MEASURED, lambda s: compute_positions(shape, s)))
-    assert compute_live_errors(of(MEASURED), shape).values == compute_metrics(curves)
+    (found,) = page_errors(of(MEASURED), 40.0)
+    assert {name: found[name] for name in compute_metrics(curves)} == pytest.approx(compute_metrics(curves))
 
 
+@needs_node
 def test_without_a_measured_shape_there_are_no_errors():
     one = of(oblique(0.05), floor=math.nan)
-    assert compute_live_errors(one, straight(0.5)) is None
-    assert compute_live_errors(one, straight(40.0, "over-compressed")) is None
-    assert one.floor is None
+    assert page_errors(one, 0.5) == [None] and one.floor is None
     shifted = dataclasses.replace(oblique(0.0), planar=np.add(oblique(0.0).planar, [0.0, 0.3]))
-    found = compute_live_errors(of(shifted), straight(40.0))
-    assert (
-        found.values["te_mm"] == pytest.approx(0.3) and found.values["edp_percent"] is None
-    )  # no deflection to divide by
+    (found,) = page_errors(of(shifted), 40.0)
+    assert found["te_mm"] == pytest.approx(0.3) and found["edp_percent"] is None  # nothing to divide by
 
 
+@needs_node
 def test_a_shape_of_unknown_pose_lies_on_the_needle_and_is_compared_where_it_is_whole():
     turned = MEASURED.planar @ [[0.0, 1.0], [-1.0, 0.0]] + [30.0, -4.0]
     free = dataclasses.replace(MEASURED, planar=turned)
     shape = predict(OFF, medium(), dataset([free]).needle, free)
     one = of(free, "free", shape=shape, drop=5.0)
-    expected = compare_curves(*compare_points("free", 5.0, free, lambda s: compute_positions(shape, s)))
-    assert compute_live_errors(one, shape).values["te_mm"] == expected.tip_error
-    assert compute_live_errors(one, straight(30.0)) is None
+    flat = straight(40.0)
+    expected = compare_curves(*compare_points("free", 5.0, free, lambda s: compute_positions(flat, s)))
+    part, whole = page_errors(one, 30.0, 40.0)
+    assert part is None and whole["te_mm"] == pytest.approx(expected.tip_error)
     onto = compute_positions(shape, one.s)
     assert np.linalg.norm(one.points - onto, axis=1).max() < 0.3  # from 30 mm away
     np.testing.assert_allclose(align_rigid(one.points, onto), one.points, atol=1e-9)

@@ -1,7 +1,6 @@
 """Overlays of the simulated needle: a measured needle, the band of a fit, a slice of a scan."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,23 +8,20 @@ import numpy as np
 from needlefit.arrays import Floats, Ints
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.sources import ScanVolume, find_volume
-from needlefit.geometry.curves import COMPARISON_POINTS, arc_length, compare_curves
+from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import align_rigid
 from needlefit.imaging.reconstruction import ENTRY_MARGIN_MM, render_bending_plane
 from needlefit.imaging.volume_files import ct_packages_installed, read_volume
-from needlefit.inference.compared_points import ComparedPoints, SimulatedCurve, align_points, select_points
+from needlefit.inference.compared_points import ComparedPoints, select_points
 from needlefit.inference.forward_model import ParameterDraws
 from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
 from needlefit.mechanics.shape import NeedleShape, compute_positions
-from needlefit.metrics import compute_metrics
 from needlefit.planning.steering import StartedInsertion
 from needlefit.project.input_files import path_exists
 from needlefit.studies.needle_placement import BAND_PERCENTILES, NEEDLE_POINTS
 
 #: needles of a band, evenly chosen from all draws: it is computed again whenever the needle moves
 MAX_BAND_DRAWS = 100
-DEPTH_TOLERANCE_MM = 1e-6  #: a needle this near to the measured depth, mm, has reached it
-MIN_COMPARED_MM = 1.0  #: shorter overlaps than this, mm, are not compared
 SLICE_HALF_WIDTH_MM = 25.0  #: how far the slice reaches to both sides of the needle, mm
 
 
@@ -83,17 +79,6 @@ class MeasuredOverlay:
     floor: float | None  #: TE that the true parameters would still show, mm; None where no noise is stated
 
 
-@dataclass(frozen=True)
-class LiveErrors:
-    """The errors of the simulated needle against the measured one; mm unless stated."""
-
-    #: by metric, as in a study where `whole`; else of the length that both have in common, counted from the
-    #: entry, with its end as the tip. None where a metric is not defined: EDP of a straight needle.
-    values: Mapping[str, float | None]
-    upto: float  #: inserted length that is compared
-    whole: bool  #: whether the needle has the measured depth, so that these are the errors of a study
-
-
 def make_measured_overlay(
     dataset: Dataset, insertion: Insertion, floor: float, shape: NeedleShape
 ) -> MeasuredOverlay:
@@ -111,32 +96,6 @@ def make_measured_overlay(
             points = align_rigid(points, compute_positions(shape, s))
     stated = None if math.isnan(floor) else floor
     return MeasuredOverlay(insertion.id, points, s, aim, insertion.depth, insertion.side, stated)
-
-
-def compute_live_errors(measured: MeasuredOverlay, shape: NeedleShape) -> LiveErrors | None:
-    """Return the errors of a simulated needle against the measured one.
-
-    None where that is undefined: the needle has no solution, has hardly begun, or is not as deep as a
-    measured one of which only the shape is known.
-    """
-    upto = min(shape.depth, measured.depth)
-    if not shape.converged or upto < MIN_COMPARED_MM:
-        return None
-    beyond = shape.depth - measured.depth
-    whole = abs(beyond) <= DEPTH_TOLERANCE_MM
-    if whole:
-        # The depths agree only to a tolerance: positions are read from the tip, so that both tips are
-        # compared.
-        curve = SimulatedCurve(shape)
-        errors = compare_curves(*align_points(measured.target, lambda s: curve(s + beyond)))
-    elif measured.target.pose == "known":
-        s = upto * np.linspace(0.0, 1.0, COMPARISON_POINTS)
-        seen = np.column_stack([np.interp(s, measured.s, axis) for axis in measured.points.T])
-        errors = compare_curves(compute_positions(shape, s), seen)
-    else:
-        return None
-    values = {name: v if math.isfinite(v) else None for name, v in compute_metrics(errors).items()}
-    return LiveErrors(values, upto, whole)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-/** Errors of the simulated needle against the measured one, as `viewer/overlays.py` and `metrics/` compute them. */
+/** Errors of the simulated needle against the measured one, as `metrics/` computes them. */
 
 const DEPTH_TOLERANCE = 1e-6; // mm; a needle this near to the measured depth has reached it
 const LEAST = 1; // mm; shorter overlaps are not compared
