@@ -19,7 +19,7 @@ from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.imaging.assembly import DatasetDescription
 from needlefit.imaging.batch import ReconstructionFailure, collect_findings
-from needlefit.imaging.reconstruct import Examination, examine
+from needlefit.imaging.reconstruct import Examination, VolumeSearch, examine
 from needlefit.imaging.reconstruction import MarkerResult, RejectedMarker
 from needlefit.imaging.registration.register import register
 from needlefit.imaging.scans import Scan
@@ -222,7 +222,8 @@ ERROR = DataError("no markers", where="here", expected="some", fix="add them")
 
 
 def findings(volume):
-    return collect_findings(volume, examine(volume, SCAN, ct_cases.RECIPE), ct_cases.RECIPE)
+    examined = examine(volume, SCAN, ct_cases.RECIPE)
+    return collect_findings(VolumeSearch(volume), examined, ct_cases.RECIPE)
 
 
 @pytest.fixture(scope="module")
@@ -252,7 +253,9 @@ def test_steps_that_fail_leave_the_others():
 def test_balls_are_those_that_the_examination_found():
     others = tuple(RejectedMarker(np.full(3, x), x, 0.5, 0.2, "misfit") for x in (9.0, 4.0))
     markers = MarkerResult(np.zeros((2, 3)), np.full(2, 0.1), "volume", rejected=others)
-    found = collect_findings(cases.small_scan(), Examination(SCAN, markers=markers), ct_cases.RECIPE)
+    found = collect_findings(
+        VolumeSearch(cases.small_scan()), Examination(SCAN, markers=markers), ct_cases.RECIPE
+    )
     size = ct_cases.RECIPE.markers.diameter_mm
     assert [(one.diameter, one.marker) for one in found.balls] == [(size, True)] * 2 + [
         (4, False),

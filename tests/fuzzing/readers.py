@@ -185,7 +185,7 @@ def _conversation(path: Path) -> object:
     """Answer messages, a line each, in one window as the page's server does; replies must be JSON."""
     open_target = _late("viewer.opening.open_target")
     registry = _late("viewer.trials.TrialRegistry")(open_target("figure1"), path.parent / "view", open_target)
-    window = _late("viewer.trials.Window")(registry, registry.open(""))
+    window = _late("viewer.trials.Window")(registry, registry.open(""), tracked=False)
     read, refused = _late("viewer.messages.read_message"), None
     for text in _text(path).splitlines()[:MAX_LINES]:
         try:
