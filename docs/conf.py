@@ -8,7 +8,10 @@ import sys
 from importlib.metadata import version as version_of
 from pathlib import Path
 
+from docutils import nodes
+from sphinx import addnodes
 from sphinx.application import Sphinx
+from sphinx.transforms import SphinxTransform
 
 sys.path.insert(0, str(Path(__file__).parent / "_site"))
 
@@ -74,6 +77,23 @@ nitpick_ignore_regex = [
 ]
 
 
+class TermIndexer(SphinxTransform):
+    """Give each term of the glossary an anchor and an entry in index and search."""
+
+    default_priority = 500
+
+    def apply(self) -> None:
+        """Index the items of the page's lists: each begins with its term in bold."""
+        if self.env.docname != "glossary":
+            return
+        for item in self.document.findall(nodes.list_item):
+            term = next(item.findall(nodes.strong)).astext()
+            anchor = nodes.make_id(term)
+            item["ids"].append(anchor)
+            item.insert(0, addnodes.index(entries=[("single", term, anchor, "main", None)]))
+
+
 def setup(app: Sphinx) -> None:
     """Read the glossary at every build: the search index loses index entries of pages that are not read."""
+    app.add_transform(TermIndexer)
     app.connect("env-get-outdated", lambda *_: ["glossary"])

@@ -69,24 +69,21 @@ def read_sections() -> dict[str, Topic]:
 
 GLOSSARY_PAGE = "docs/glossary.md"
 
-_METRIC = re.compile(r"^## ([^\n(]+) \(([A-Z]+)\)\n\n(.*?\.)(?= Column )", re.MULTILINE | re.DOTALL)
-_ROW = re.compile(
-    r"^\| ([^|]+) \| ([^|]*) \| ([^|]*) \| ([^|]+) \| \[",
-    re.MULTILINE,  # name, symbol, unit, meaning
+# - **[name](page)** symbol [unit]: meaning, which may go on in indented lines
+_TERM = re.compile(
+    r"^- \*\*\[?(?P<name>[^]*]+)(?:\]\([^)]+\))?\*\*(?P<symbol>[^[:]*)(?:\[(?P<unit>[^]]+)\])?:"
+    r"(?P<meaning>.+(?:\n  .+)*)",
+    re.MULTILINE,
 )
 
 
 @cache
 def read_terms() -> list[Topic]:
-    """Return the terms: the metrics, each a section of its own, then the rows of the table."""
-    page = read_text(shipped_folder() / GLOSSARY_PAGE)
-    metrics = [
-        (name[0].lower() + name[1:], symbol, "", " ".join(meaning.split()))
-        for name, symbol, meaning in _METRIC.findall(page)
-    ]
-    rows = (tuple(text.strip() for text in one.groups()) for one in _ROW.finditer(page))
-    terms = {
-        name: Topic(name, ", ".join(filter(None, (name, symbol, unit))), (meaning,), symbol)
-        for name, symbol, unit, meaning in [*metrics, *rows]
-    }
-    return list(terms.values())
+    """Return the terms in the order of the page."""
+    found = []
+    for match in _TERM.finditer(read_text(shipped_folder() / GLOSSARY_PAGE)):
+        name, symbol, unit, meaning = (
+            " ".join((match[part] or "").split()) for part in ("name", "symbol", "unit", "meaning")
+        )
+        found.append(Topic(name, ", ".join(filter(None, (name, symbol, unit))), (meaning,), symbol))
+    return found
