@@ -2,7 +2,7 @@
 
 import { element, part } from "./dom.js";
 
-/** One or two sentences each, which `docs/glossary.py` copies; those of error metrics come with the scene. */
+/** One or two sentences each, which `docs/_site/columns_page.py` copies; those of error metrics come with the scene. */
 export const DEFINITIONS = {
   "depth": "Inserted arc length: how much of the needle is beyond the entry.",
   "tip y": "Distance of the tip from the entry axis, y; positive to the left of the entry.",
