@@ -21,6 +21,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Rectangle
 
 from needlefit.api import load_run
+from needlefit.datasets.importing.decisions import ANSWER_UNITS, DESCRIPTIONS, QUESTIONS
 from needlefit.datasets.importing.tables import WORKBOOK_FILE
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
@@ -248,12 +249,31 @@ DEPTHS_MM = (35, 40, 45, 50, 55, 60, 65, 70)
 NOISE_MM, DIRECTION_SD_DEG, SPECIMEN_SD = 0.05, 0.1, 0.03
 """Standard deviations: of a coordinate, of an entry direction, of the logarithm of the moduli of a block."""
 
+SETUP: dict[str, str | float] = {
+    "title": "Eight needles in gel", "source": "simulated", "license": "CC0",
+    "needle length": 150, "diameter": "20G", "inner diameter": 0, "modulus": "nitinol",
+    "boundaries": "20", "boundary sd": 0.2, "point sd": NOISE_MM,
+    "entry": "first", "entry point": "0,0,0", "pose shift sd": 0.05,
+    "pose": "1,0,0", "pose angle sd": DIRECTION_SD_DEG, "bevel": "0,1,0",
+}  # fmt: skip
+
 
 def fill_workbook() -> None:
     """Simulate a needle in each of eight blocks of gel, and write its points to the example sheets."""
     random, book = np.random.default_rng(4), openpyxl.load_workbook(WORKBOOK_FILE)
-    for name in ("example points", "example needles"):
+    for name in ("example points", "example needles", "setup", "example setup"):
         book[name].delete_rows(2, book[name].max_row)
+    for what, value in SETUP.items():
+        text = ANSWER_UNITS.get(what), {**QUESTIONS, **DESCRIPTIONS}[what]
+        for name, shown in (("setup", None), ("example setup", value)):
+            book[name].append([what, shown, *text])
+            if what in (
+                "pose",
+                "entry point",
+                "bevel",
+                "boundaries",
+            ):  # else a spreadsheet reads 15,30 as 15.3
+                book[name].cell(book[name].max_row, 2).number_format = "@"
     for number, depth in enumerate(DEPTHS_MM, start=1):
         side, stiffness = (1, -1)[number % 2], float(np.exp(random.normal(0, SPECIMEN_SD)))
         scene = Scene.from_record(SceneRecord.model_validate({

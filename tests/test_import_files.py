@@ -143,6 +143,16 @@ def test_matlab_structs_and_cells(tmp_path, variables):
     assert_same(curves_of(tmp_path / "a.mat"))
 
 
+@pytest.mark.parametrize("per_number", [1, 10])
+def test_a_first_column_that_only_counts_is_doubted(tmp_path, per_number):
+    numbers = 1.0 + np.arange(30) // per_number
+    points = np.column_stack([numbers, np.arange(30) % 10 * 4.0, np.arange(30) ** 2 / 300])
+    savemat(tmp_path / "a.mat", {"runs": points})
+    assert understood([tmp_path], units="mm")[1]["x"][1] == "assumption"
+    savemat(tmp_path / "a.mat", {"runs": points - [1.0, 0.0, 0.0]})  # millimetres from the entry
+    assert "x" not in understood([tmp_path], units="mm")[1]
+
+
 @pytest.mark.parametrize("head", ["{0},{1} mm,", "N{0},{1},", "{1} [mm];", ""])
 def test_coordinates_in_rows(tmp_path, head):
     """The rows of a needle may be labelled; without any labels the table holds a single one."""
@@ -677,6 +687,23 @@ def test_the_workbook_to_fill_in_is_read(tmp_path):
         "specimen",
         "medium",
     }
+    assert content.unused == ()
+    _, made = understood([file], point_sd="0.2", surfaces_frame="RAS")
+    assert (made["point sd"], made["pose angle sd"]) == (("0.2", "option"), ("0.1", "file"))
+    assert "assumption" not in {source for _, source in made.values()}
+    assert made["not used"] == ("surfaces frame = RAS", "option")
+
+
+def test_a_sheet_states_answers_in_their_unit_and_an_empty_cell_is_an_assumption(tmp_path):
+    rows = [["name", "value", "unit"], ["Point SD", "0,05", "mm"], ["pose", None], ["Stage", "new"]]
+    sheets = {"a": [["id", *"xyz"], *point_rows(lambda name, _: [name])], "Example points": [[*"xyz"]]}
+    plan, made = understood([write_sheets(tmp_path / "a.xlsx", setup=rows, **sheets)], units="mm")
+    assert plan.point_sd_mm == 0.05 and made["pose"] == ("free", "assumption")
+    assert made["not used"] == ("row Stage = new", "file")
+    write_sheets(tmp_path / "b.xlsx", setup=[["point sd", 0.1]], **sheets)
+    refusal(DataError, "another file", read_content, [tmp_path])
+    write_sheets(tmp_path / "b.xlsx", setup=[["point sd", 0.1, "cm"]], **sheets)
+    refusal(DataError, "cm", read_content, [tmp_path / "b.xlsx"])
 
 
 @pytest.mark.parametrize("answer", ["y", "n"])

@@ -215,8 +215,8 @@ def import_data(
         screen.show_frame(tabulate_decisions(decisions), "Decisions")
         for note in content.notes:
             screen.print_note(note)
-        if content.unused:
-            screen.print_note(f"not used: {'; '.join(dict.fromkeys(what for what, _ in content.unused))}")
+        if unused := [one.value for one in decisions.made if one.what == "not used"]:
+            screen.print_note(f"not used: {'; '.join(unused)}")
     screen.print_warnings(invocation, warnings)
     path = str(out) if out.is_absolute() else f"./{out}"
     screen.print_note(f"look at {out}/import.png, then: {shlex.join(('needlefit', 'check', path))}")
@@ -237,8 +237,9 @@ def _show_draft(
 
     dataset = write_import(folder, content, plan or understand(content, decisions), decisions)
     screen.show_frame(tabulate_needles(dataset), "Needles")
-    for what, where in dict.fromkeys(content.unused):
-        screen.print_note(f"not used: {what} ({where})")
+    for one in decisions.made:
+        if one.what == "not used":
+            screen.print_note(f"not used: {one.value} ({one.reason})")
     screen.print_note(f"look at {folder / PICTURE_FILE}")
 
 

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from needlefit.datasets.faults import as_error
-from needlefit.datasets.importing.decisions import Decisions
+from needlefit.datasets.importing.decisions import DESCRIPTIONS, Decisions
 from needlefit.datasets.importing.files import ImportContent, read_content
 from needlefit.datasets.importing.understanding import ImportPlan, understand
 from needlefit.datasets.insertion import Dataset
@@ -59,7 +59,7 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, decisions
         medium = {"boundaries_mm": list(layers.depths_mm)}
     files = {path.name: sha256(path) for path in content.files}
     rows = [one.row for one in plan.insertions]
-    texts = {key: text for key in ("title", "source", "license") if (text := decisions.options.get(key))}
+    texts = {key: text for key in DESCRIPTIONS if (text := decisions.stated.get(key))}
     imported = ImportRecord(files=files, decisions=tuple(decisions.made)).model_dump()
     draft = draft_record(
         folder.name,

@@ -59,6 +59,22 @@ QUESTIONS = MappingProxyType(
         "modulus": "Young's modulus, GPa, or steel, nitinol, titanium, peek",
     }
 )
+# What else an option or the sheet `setup` states, but nobody is asked for.
+DESCRIPTIONS = MappingProxyType(
+    {
+        "title": "What was inserted into what",
+        "source": "Who measured this, when, how",
+        "license": "Terms of use",
+    }
+)
+# Units of the answers that have one, as the sheet `setup` states them.
+ANSWER_UNITS = MappingProxyType(
+    {
+        **dict.fromkeys(("boundaries", "boundary sd", "point sd", "entry point", "pose shift sd"), "mm"),
+        **dict.fromkeys(("needle length", "diameter", "inner diameter"), "mm"),
+        **{"pose angle sd": "deg", "modulus": "GPa"},
+    }
+)
 
 
 @dataclass(frozen=True)
@@ -79,6 +95,14 @@ class Decisions:
     # (question, guess, reason) -> answer of the user, "" for the guess; None: nobody is asked.
     prompt: Callable[[Question, str, str], str] | None = None
     made: list[ImportDecisionRecord] = field(default_factory=list)  # in their order
+    # Values that the files state, by the names of questions; options win.
+    setup: Mapping[str, str] = field(default_factory=dict)
+    settled: set[str] = field(default_factory=set)  # names of questions
+
+    @property
+    def stated(self) -> Mapping[str, str]:
+        """What options and files state, by the names of questions."""
+        return {**self.setup, **self.options}
 
     def settle(
         self,
@@ -98,9 +122,10 @@ class Decisions:
         ConfigError if an option or an answer is none of the choices, or the guess is not clear.
         """
         question = Question(what, QUESTIONS[what], choices)
-        value = self.options.get(what, "")
+        self.settled.add(what)
+        value = self.stated.get(what, "")
         if value:
-            source, reason = "option", ""
+            source, reason = ("option", "") if what in self.options else ("file", "sheet setup")
         elif self.prompt is not None and source in ("guess", "assumption"):
             answer = self.prompt(question, guess, reason).strip()[:MAX_ANSWER_CHARS]
             if answer:
@@ -131,7 +156,7 @@ def option_name(what: str) -> str:
 
 def _require(is_right: bool, what: str, text: str, expected: str) -> None:
     if not is_right:
-        fix = f"state it with {option_name(what)}"
+        fix = f"correct it, or state it with {option_name(what)}"
         raise ConfigError(f"{what} is {text[:60]!r}", expected=expected, fix=fix)
 
 

@@ -22,11 +22,17 @@ from needlefit.datasets.formats import FORMATS, find_format
 from needlefit.datasets.formats.fcsv import read_fcsv
 from needlefit.datasets.formats.mat import get_local_member
 from needlefit.datasets.formats.mrk_json import read_mrk_json
-from needlefit.datasets.importing.decisions import find_sides_in_names
+from needlefit.datasets.importing.decisions import (
+    ANSWER_UNITS,
+    DESCRIPTIONS,
+    QUESTIONS,
+    find_sides_in_names,
+)
 from needlefit.datasets.importing.tables import (
     ATTRIBUTES,
     SHEET_SUFFIXES,
     TEXT_SUFFIXES,
+    CellTable,
     ImportedCurve,
     TableContent,
     add_unit,
@@ -36,7 +42,7 @@ from needlefit.datasets.importing.tables import (
     read_text_cells,
 )
 from needlefit.datasets.markups import Markups
-from needlefit.datasets.points import MIN_POINTS
+from needlefit.datasets.points import MIN_POINTS, find_counters
 from needlefit.errors import DataError
 from needlefit.geometry.frames import AXIS_SIGNS, RAS_TO_LPS, apply_affine
 from needlefit.geometry.surfaces import (
@@ -357,7 +363,8 @@ def read_hdf_transform(_results: SandboxArrays, path: str) -> tuple[str, list[fl
 
 SCENE_SUFFIXES = (".mrml", ".mrb")
 
-EXAMPLE_SHEET = "example"
+# Sheets of the workbook to fill in: of examples (a beginning of names), answers, an explanation, points.
+EXAMPLE_SHEET, SETUP_SHEET, GUIDE_SHEET, EMPTY_SHEETS = "example", "setup", "read me", ("points", "needles")
 MAX_FILES = 2000
 MAX_CURVES = 2000
 MAX_SHOWN_FILES = 8
@@ -374,6 +381,7 @@ class ImportContent:
     needles: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  # what tables state, by names
     notes: tuple[str, ...] = ()  # how files were read, where that may surprise
     unused: tuple[tuple[str, str], ...] = ()  # what is not used, and where it stands or why
+    setup: Mapping[str, str] = field(default_factory=dict)  # answers by the names of questions
 
 
 def read_content(paths: Sequence[Path], columns: Sequence[str] = ()) -> ImportContent:
@@ -401,6 +409,12 @@ def read_content(paths: Sequence[Path], columns: Sequence[str] = ()) -> ImportCo
         expected = f"curves of needles in files that end in {', '.join(list_import_suffixes())}"
         faults.append(Fault(str(paths[0]), what, expected, "name their files or folder"))
     faults += [fault for one in curves for fault in one.points.find_faults(one.name)]
+    setup: dict[str, str] = {}
+    for content in read:
+        for what, value in content.setup.items():
+            if setup.setdefault(what, value) != value:
+                states = f"states {value[:60]!r} as {what}, and another file {setup[what][:60]!r}"
+                faults.append(Fault(str(content.files[0]), states, "one value", "import them one by one"))
     if faults:
         raise as_error(faults, paths[0])
     names: dict[str, ImportedSurface] = {}
@@ -409,14 +423,27 @@ def read_content(paths: Sequence[Path], columns: Sequence[str] = ()) -> ImportCo
         name = _make_unique(plain or "surface", names)
         names[name] = replace(one, surface=replace(one.surface, name=name))
     needles = {name: stated for one in read for name, stated in one.needles.items()}
-    named, missed = _add_stated(_name_curves(curves), needles)
+    named, missed = _add_stated(_name_curves([_doubt_axes(one) for one in curves]), needles)
     return ImportContent(
         files=tuple(file for one in read for file in one.files),
         curves=named,
         surfaces=tuple(names.values()),
         notes=tuple(note for one in read for note in one.notes),
         unused=(*unused, *(what for one in read for what in one.unused), *missed),
+        setup=setup,
     )
+
+
+def _doubt_axes(curve: ImportedCurve) -> ImportedCurve:
+    """Return a curve with the remark that its x only counts, where no header names the columns."""
+    is_named = any(
+        what == "axes" and not why.endswith("columns of numbers") for what, _, why in curve.remarks
+    )
+    values = curve.points.values
+    if is_named or curve.system is not None or values[0, 0] != 1.0 or 0 not in find_counters(values):
+        return curve
+    why = "the first of three columns only counts: if it numbers points or needles, save x, y, z instead"
+    return replace(curve, remarks=(*curve.remarks, ("x", "1, 2, 3, ... mm", why)))
 
 
 def _add_stated(
@@ -541,7 +568,7 @@ def _with_stem(curves: Sequence[ImportedCurve], path: Path) -> tuple[ImportedCur
 
 
 def _read_sheets(path: Path, columns: Sequence[str]) -> ImportContent:
-    """Return the curves of all sheets, and what they state of needles; those without numbers are not used.
+    """Return the curves of all sheets, what they state of needles, and the answers of the sheet `setup`.
 
     Sheets called `example` are those of the workbook to fill in: they are used where no other holds curves.
     """
@@ -549,21 +576,27 @@ def _read_sheets(path: Path, columns: Sequence[str]) -> ImportContent:
     unused: list[tuple[str, str]] = []
     faults: list[DataError] = []
     for cells in read_sheets(path):
+        plain = cells.sheet.lower()
+        if plain.removeprefix(EXAMPLE_SHEET).strip() == SETUP_SHEET:
+            by_sheet[cells.sheet] = _read_setup(cells)
+            continue
+        if plain == GUIDE_SHEET or (plain in EMPTY_SHEETS and sum(map(any, cells.rows)) < 2):
+            continue
         try:
             by_sheet[cells.sheet] = find_curves(cells, columns)
         except DataError as error:
             faults.append(error)
             unused.append((f"sheet {cells.sheet}", error.what))
     own = {name: one for name, one in by_sheet.items() if not name.lower().startswith(EXAMPLE_SHEET)}
-    if any(one.curves for one in own.values()):
-        unused += [(f"sheet {name}", "an example") for name in by_sheet if name not in own]
-        by_sheet = own
+    examples = {name: one for name, one in by_sheet.items() if name not in own}
+    is_own = any(one.curves for one in own.values())
+    by_sheet = own if is_own else examples | own
     with_curves = {name: one.curves for name, one in by_sheet.items() if one.curves}
     if faults and (not with_curves or columns):
         raise faults[0]
     for name, one in by_sheet.items():
-        used = bool(one.curves or one.needles)
-        unused += one.unused if used else [(f"sheet {name}", "it holds no coordinates")]
+        is_used = bool(one.curves or one.needles) or name.lower().endswith(SETUP_SHEET)
+        unused += one.unused if is_used else [(f"sheet {name}", "it holds no coordinates")]
     found = [one for ones in with_curves.values() for one in ones]
     if len(with_curves) > 1:
         found = [
@@ -571,8 +604,41 @@ def _read_sheets(path: Path, columns: Sequence[str]) -> ImportContent:
             for sheet, ones in with_curves.items()
             for n, one in enumerate(ones, 1)
         ]
-    needles = {name: stated for one in by_sheet.values() for name, stated in one.needles.items()}
-    return ImportContent((path,), _with_stem(found, path), needles=needles, unused=tuple(unused))
+    why = "not read: other sheets hold points" if is_own else "read: no other sheet holds points"
+    return ImportContent(
+        (path,),
+        _with_stem(found, path),
+        needles={name: stated for one in by_sheet.values() for name, stated in one.needles.items()},
+        notes=(f"{path.name}: examples ({', '.join(examples)}) are {why}",) if examples else (),
+        unused=tuple(unused),
+        setup={what: value for one in by_sheet.values() for what, value in one.setup.items()},
+    )
+
+
+def _read_setup(cells: CellTable) -> TableContent:
+    """Return the answers of a sheet with a row for each question: its name, value and unit.
+
+    DataError if a unit is not that of the question.
+    """
+    setup: dict[str, str] = {}
+    unused: list[tuple[str, str]] = []
+    for n, row in enumerate(cells.rows):
+        name, value, unit = (*row, "", "", "")[:3]
+        what = re.sub(r"[\W_]+", " ", name).strip().lower()
+        if not value or (n == 0 and value.lower() == "value"):
+            continue
+        if what in setup or what not in {*QUESTIONS, *DESCRIPTIONS}:
+            unused.append((f"row {name} = {value}"[:MAX_NODE_NAME_CHARS], Path(cells.where(n)).name))
+            continue
+        expected = ANSWER_UNITS.get(what, "")
+        if unit.lower() not in ("", expected.lower()):
+            fix = "convert the value, and restore the unit"
+            expected = expected or "no unit"
+            raise DataError(
+                f"the unit of {what} is {unit[:40]!r}", where=cells.where(n), expected=expected, fix=fix
+            )
+        setup[what] = value
+    return TableContent(unused=tuple(unused), setup=setup)
 
 
 def _name_curves(curves: Sequence[ImportedCurve]) -> tuple[ImportedCurve, ...]:

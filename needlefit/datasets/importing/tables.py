@@ -340,6 +340,7 @@ class TableContent:
     curves: tuple[ImportedCurve, ...] = ()
     needles: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     unused: tuple[tuple[str, str], ...] = ()
+    setup: Mapping[str, str] = field(default_factory=dict)  # answers by the names of questions
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from needlefit.datasets.columns import InsertionRow, PoseSource
 from needlefit.datasets.faults import as_error
 from needlefit.datasets.importing.decisions import (
     MAX_ANSWER_CHARS,
+    QUESTIONS,
     Decisions,
     Source,
     find_number,
@@ -130,6 +131,7 @@ class _Understanding:
 
     def __init__(self, content: ImportContent, decisions: Decisions) -> None:
         self.content, self.decisions, self.settle = content, decisions, decisions.settle
+        decisions.setup = content.setup
         self.curves: list[ImportedCurve] = list(content.curves)
         self.surfaces: list[Surface] = []
         self.shafts: list[Floats] = []
@@ -141,11 +143,12 @@ class _Understanding:
     def make_plan(self) -> ImportPlan:
         """Return the plan, question by question."""
         remarks: dict[tuple[str, str], list[str]] = {}
+        sources: dict[str, Source] = {"axes": "file", "x": "assumption"}
         for what, value, why in dict.fromkeys(remark for one in self.curves for remark in one.remarks):
             remarks.setdefault((what, value), []).append(why)
         for (what, value), whys in remarks.items():
             more = f", and {len(whys) - 1} more" if len(whys) > 1 else ""
-            self.decisions.keep(what, value, "file" if what == "axes" else "guess", whys[0] + more)
+            self.decisions.keep(what, value, sources.get(what, "guess"), whys[0] + more)
         places: dict[str, list[str]] = {}
         for what, where in dict.fromkeys(self.content.unused):
             places.setdefault(what, []).append(where)
@@ -169,6 +172,10 @@ class _Understanding:
         rows = self.name_tissue(self.decide_bevel(rows))
         self.compare_depths(rows)
         needle = self.decide_needle(max(row.depth for row in rows))
+        for what, value in self.decisions.stated.items():
+            if what in QUESTIONS and what not in self.decisions.settled:
+                origin: Source = "option" if what in self.decisions.options else "file"
+                self.decisions.keep("not used", f"{what} = {value}", origin, "nothing depends on it")
         insertions = [ImportedInsertion(row, one.points) for row, one in zip(rows, self.curves, strict=True)]
         how = "free" if pose.how == "free" else "known"
         return ImportPlan(tuple(insertions), self.layers, how, needle, self.point_sd, self.tissue)
@@ -237,7 +244,7 @@ class _Understanding:
         if len(loose) < len(self.curves):
             reason = "the system that the curves' files state, converted to LPS"
             self.decisions.keep("frame", "LPS", "file", reason)
-        if loose and not surfaces and "frame" not in self.decisions.options:
+        if loose and not surfaces and "frame" not in self.decisions.stated:
             reason = "neither LPS nor RAS is stated, and nothing depends on it"
             self.decisions.keep("frame", "as in the files", "file", reason)
         elif loose:
@@ -360,9 +367,9 @@ class _Understanding:
         A solid in which most needles begin is layer 1, which needs no surface. ConfigError if surfaces and
         depths are given, or the depths do not increase.
         """
-        if self.surfaces and "boundaries" in self.decisions.options:
+        if self.surfaces and "boundaries" in self.decisions.stated:
             what = "boundaries are stated, and the files hold surfaces of layers"
-            fix = "leave --boundaries out, or the files of the surfaces"
+            fix = "leave the depths (--boundaries) out, or the files of the surfaces"
             raise ConfigError(what, expected="one of the two", fix=fix)
         if not self.surfaces:
             text = self.settle("boundaries", *self.guess_boundaries())
@@ -490,7 +497,7 @@ class _Understanding:
                 "not used", f"bevel angle {stated[0]}", "guess", "the angle of the cut, not a side"
             )
             stated = ["" for _ in stated]
-        if any(stated) or "bevel side" in self.decisions.options:
+        if any(stated) or "bevel side" in self.decisions.stated:
             rows = self.decide_sides(rows, stated)
         if rows[0].direction is None:  # a free shape
             reason = "no file states bevels: every needle is taken to bend toward its own"
@@ -530,7 +537,7 @@ class _Understanding:
                 raise ConfigError(what, expected=expected, fix="state it with --bevel")
             return rows
         bevel = np.array(parse_vector("bevel", text))
-        if not any(stated) and "bevel side" not in self.decisions.options:
+        if not any(stated) and "bevel side" not in self.decisions.stated:
             away = sum(bool(bend @ bevel < 0) for bend in bends)
             rows = self.decide_sides(rows, stated, f"; {away} of {len(rows)} needles bend away from side 1")
         return [
