@@ -254,7 +254,7 @@ SETUP: dict[str, str | float] = {
     "needle length": 150, "diameter": "20G", "inner diameter": 0, "modulus": "nitinol",
     "boundaries": "20", "boundary sd": 0.2, "point sd": NOISE_MM,
     "entry": "first", "entry point": "0,0,0", "pose shift sd": 0.05,
-    "pose": "1,0,0", "pose angle sd": DIRECTION_SD_DEG, "bevel": "0,1,0",
+    "pose": "1,0,0", "pose angle sd": DIRECTION_SD_DEG, "bevel": "",  # found by the bends
 }  # fmt: skip
 
 
