@@ -1,18 +1,44 @@
 """What the page shows of a needle, computed in Python: the reference of `page/model/state.js`."""
 
+import math
 from typing import Any
 
 import numpy as np
 
-from needlefit.mechanics.shape import compute_positions, map_beam_points
+from needlefit.geometry.curves import COMPARISON_POINTS, compare_curves
+from needlefit.inference.compared_points import SimulatedCurve, align_points
+from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points
 from needlefit.mechanics.simulate import compute_loads
+from needlefit.metrics import compute_metrics
 from needlefit.reporting.needle_page import encode_layers, encode_strength
 from needlefit.viewer.messages import LENGTH_DIGITS, round_lengths
 from needlefit.viewer.opening import ViewedScene
-from needlefit.viewer.overlays import compute_live_errors
+from needlefit.viewer.overlays import MeasuredOverlay
 from needlefit.viewer.steering import SteeredNeedle, guide_number
 
 POINTS_BEFORE_TISSUE = 25  # points of the needle drawn before the tissue
+
+
+def compute_live_errors(measured: MeasuredOverlay, shape: NeedleShape) -> dict[str, Any] | None:
+    """Return the errors, mm, of a needle as deep as the measured one, or of the length that both share.
+
+    None where they are undefined.
+    """
+    upto, beyond = min(shape.depth, measured.depth), shape.depth - measured.depth
+    if not shape.converged or upto < 1.0:
+        return None
+    whole = abs(beyond) <= 1e-6
+    if whole:  # read from the tip, so that both tips are compared
+        curve = SimulatedCurve(shape)
+        errors = compare_curves(*align_points(measured.target, lambda s: curve(s + beyond)))
+    elif measured.target.pose == "known":
+        s = upto * np.linspace(0.0, 1.0, COMPARISON_POINTS)
+        seen = np.column_stack([np.interp(s, measured.s, axis) for axis in measured.points.T])
+        errors = compare_curves(compute_positions(shape, s), seen)
+    else:
+        return None
+    values = {name: v if math.isfinite(v) else None for name, v in compute_metrics(errors).items()}
+    return {**values, "upto_mm": upto, "whole": whole, "floor_mm": measured.floor}
 
 
 def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str, Any]:
@@ -68,7 +94,5 @@ def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         **encode_layers(now.tissue),
         "max_slope": float(shape.validity.max_slope),
         "faults": list(shape.validity.faults),
-        "errors": errors
-        and measured
-        and {**errors.values, "upto_mm": errors.upto, "whole": errors.whole, "floor_mm": measured.floor},
+        "errors": errors,
     }

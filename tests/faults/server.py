@@ -117,7 +117,7 @@ def _reconstruct_once() -> None:
         scan.id: batch.examine(read_volume(scan.volume, scan.series), scan, recipe)
         for scan in read_scans(SCANS)
     }
-    batch.examine = lambda volume, scan, recipe: found[scan.id]
+    batch.examine = lambda volume, scan, recipe, search: found[scan.id]
 
 
 def _child(asked: dict[str, Any], printed: Path, answer: int) -> None:
