@@ -285,9 +285,9 @@ SEQUENCES = {
         ("fill", "#goto-depth", "200", "true"),
         ("key", "Enter", "s.depth_mm === 0"),
         ("go to", 20, "true"),
-        ("enter", MU, "-5", f"{REFUSED} && part('#refusal').textContent.includes('-5 MPa')"),
+        ("enter", MU, "-5", f"{REFUSED} && part('#refusal').textContent.includes('-5 kPa')"),
         ("focus", "#canvas", f"s.layers[0].mu_pa > 0 && part('{MU}').value !== '-5'"),  # what is stands there
-        ("enter", MU, "0.4", f"Math.abs(s.layers[0].mu_pa - 4e5) < 1 && {CALM}"),
+        ("enter", MU, "400", f"Math.abs(s.layers[0].mu_pa - 4e5) < 1 && {CALM}"),
         ("enter", BASE_ANGLE, "-1e9", f"{REFUSED}?.textContent.includes('-90.0°')"),
         ("enter", BASE_ANGLE, "0.5", "Math.abs(s.base.input_slope - 0.008727) < 1e-5"),
         ("key", "Control+z", f"s.base.input_slope === 0 && {CALM}"),
@@ -297,10 +297,10 @@ SEQUENCES = {
     "undo works after a number was typed, and parameters say that they were changed": [
         ("go to", 20, "true"),
         ("keep", "true"),
-        ("enter", MU, "0.7", f"Math.abs(s.layers[0].mu_pa - 7e5) < 1 && !{HAND}.hidden"),
+        ("enter", MU, "700", f"Math.abs(s.layers[0].mu_pa - 7e5) < 1 && !{HAND}.hidden"),
         ("focus", f"{MU} >> nth=0", "part('#by-hand').textContent.includes('layer 1')"),
         ("key", "Control+z", f"s.layers[0].mu_pa === kept.layers[0].mu_pa && {HAND}.hidden"),
-        ("focus", f"{MU} >> nth=0", f"Math.abs((part('{MU}').value * 1e6) / s.layers[0].mu_pa - 1) < 1e-3"),
+        ("focus", f"{MU} >> nth=0", f"Math.abs((part('{MU}').value * 1e3) / s.layers[0].mu_pa - 1) < 1e-3"),
         ("key", "9", "true"),
         ("key", "Control+z", "s.depth_mm === 20"),  # now the field undoes what is typed
     ],

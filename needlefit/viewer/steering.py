@@ -48,7 +48,8 @@ class Change:
             named = re.sub("_(mm|deg|pa)$", "", self.name).replace("_", " ")
             named += "" if self.item is None else f" of {known.item} {self.item}"
             if self.name == "mu_pa":  # in the unit of the page's fields
-                value = f"{self.value / 1e6:g} MPa"
+                small = abs(self.value) < 1e6
+                value = f"{self.value / 1e3:g} kPa" if small else f"{self.value / 1e6:g} MPa"
             elif self.name.endswith("slope"):
                 value = f"{math.degrees(math.atan(self.value)):.1f}°"
             else:

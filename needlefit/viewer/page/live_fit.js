@@ -5,7 +5,7 @@ import { invalidate } from "./drawing.js";
 import { points } from "./handles.js";
 import { palette, setFont } from "./painters/strokes.js";
 import { layerInputs } from "./panel.js";
-import { brief, counted, strengthOf } from "./quantities.js";
+import { brief, counted, modulus, strengthOf } from "./quantities.js";
 import { change, command } from "./steering.js";
 import { listen, now, publish } from "./store.js";
 
@@ -58,15 +58,15 @@ function takeMode(message) {
   const far = misfit > MISFIT ? ` The residuals are ${misfit.toFixed(1)} times the stated errors: the model does not describe these points.` : "";
   const bound = bounds.length ? ` At its bound: ${bounds.join(", ")}.` : "";
   part("fit-note").textContent = `Fitted to ${counted(insertions, "needle")} in ${seconds.toFixed(2)} s: b ${message.offset_mm.toFixed(3)} mm, `
-    + `first layer μ ${brief(message.layers[0][0] * 1e-6, 3)} MPa.${far}${bound} Drawing …`;
+    + `first layer μ ${modulus(message.layers[0][0])}.${far}${bound} Drawing …`;
 }
 
 function takeRidge(message) {
   ridge = message;
-  const [low, high] = limits(message.mu_pa).map((one) => brief(one * 1e-6, 3));
+  const [low, high] = limits(message.mu_pa).map(modulus);
   const [less, more] = limits(message.offset_mm).map((one) => brief(one, 3));
   const sure = message.certified ? "" : " The weights of these draws cannot be relied on.";
-  const words = `95 % of draws: first layer μ ${low} to ${high} MPa, b ${less} to ${more} mm; `
+  const words = `95 % of draws: first layer μ ${low} to ${high}, b ${less} to ${more} mm; `
     + `correlation of their logarithms ${message.correlation.toFixed(2)}.${sure}`;
   end(part("fit-note").textContent.replace(" Drawing …", ""));
   part("ridge-note").textContent = words;
@@ -99,10 +99,10 @@ function drawRidge() {
   context.fillStyle = palette.band;
   px.forEach((one, i) => context.fillRect(one - 1.5, py[i] - 1.5, 3, 3));
   context.fillStyle = palette.label;
-  const [[less, more], [low, high]] = [spans[0].map(Math.exp), spans[1].map((one) => Math.exp(one) * 1e-6)];
+  const [[less, more], [low, high]] = spans.map((span) => span.map(Math.exp));
   setFont(context, "small", "left", "alphabetic");
-  context.fillText(`μ ${brief(high, 3)} MPa`, 2, 14);
-  context.fillText(`μ ${brief(low, 3)}`, 2, height - PAD + 18);
+  context.fillText(`μ ${modulus(high)}`, 2, 14);
+  context.fillText(`μ ${modulus(low)}`, 2, height - PAD + 18);
   context.fillText(`b ${brief(less, 3)}`, PAD - 4, height - 6);
   context.textAlign = "right";
   context.fillText(`b ${brief(more, 3)} mm`, width - 4, height - 6);

@@ -4,7 +4,7 @@ import * as act from "./actions.js";
 import { DEFINITIONS } from "./definitions.js";
 import { part, press, write } from "./dom.js";
 import { makeField, setHome, show } from "./fields.js";
-import { asMpa, counted, degrees, fromMpa, numbered, slope, strengthOf } from "./quantities.js";
+import { counted, degrees, modulusLike, numbered, slope, strengthOf } from "./quantities.js";
 import { change, wanted } from "./steering.js";
 import { listen, now } from "./store.js";
 
@@ -43,7 +43,7 @@ function buildBevel({ limits, fitted }) {
 function buildTissue({ layer_names: names, boundaries_mm: tops, limits, fitted, shape_parameters: shapes }) {
   for (let i = 0; i <= tops.length; i += 1) {
     const called = names[i] || `layer ${i + 1}`;
-    const modulus = { unit: "MPa", write: asMpa, read: fromMpa, logarithmic: true, step: 1.05, limits: limits.mu_pa };
+    const modulus = { ...modulusLike(fitted.layers[i].mu_pa), logarithmic: true, step: 1.05, limits: limits.mu_pa };
     const add = (name, about) => {
       const field = inputField("tissue-fields", [name, i + 1], about, () => now.state.layers[i][name]);
       setHome(field, fitted.layers[i][name]);

@@ -15,9 +15,17 @@ export const counted = (count, one) => `${count} ${one}${count === 1 ? "" : "s"}
 /** Groups of three digits, apart by thin spaces. */
 export const grouped = (value) => Math.round(value).toString().replace(/\B(?=(\d{3})+$)/g, "\u2009");
 
-/** A modulus, Pa, as it is read: in MPa. */
-export const asMpa = (pascal) => brief(pascal * 1e-6);
-export const fromMpa = (text) => Number(text) * 1e6;
+/** How moduli (Pa) like one are written and read: in kPa, from 1 MPa on in MPa. */
+export function modulusLike(one) {
+  const [unit, pascals] = one < 1e6 ? ["kPa", 1e3] : ["MPa", 1e6];
+  return { unit, write: (value, digits = 4) => brief(value / pascals, digits), read: (text) => Number(text) * pascals };
+}
+
+/** A modulus, Pa, with its unit. */
+export function modulus(value) {
+  const { unit, write } = modulusLike(value);
+  return `${write(value, 3)} ${unit}`;
+}
 
 export const toDegrees = (rotation) => (rotation * 180) / Math.PI;
 export const degrees = (slope) => (Math.atan(slope) * 180) / Math.PI;

@@ -2,7 +2,7 @@
 
 import { entry, part, press, write } from "./dom.js";
 import { layerInputs, takeFitted } from "./panel.js";
-import { asMpa, brief, counted, strengthOf } from "./quantities.js";
+import { counted, modulusLike, strengthOf } from "./quantities.js";
 import { command } from "./steering.js";
 import { listen, now } from "./store.js";
 
@@ -24,7 +24,10 @@ listen("tracking", (message) => {
 function showEstimate(message) {
   const { layer_names: names, fitted } = now.scene;
   const { key, symbol, unit, digits } = strengthOf(fitted);
-  const rows = message.mu_pa.map((values, i) => [`${names[i] || `layer ${i + 1}`} μ`, values.map(asMpa).map((one) => brief(one, 3)), "MPa"]);
+  const rows = message.mu_pa.map((values, i) => {
+    const { unit: of, write: written } = modulusLike(values[1]);
+    return [`${names[i] || `layer ${i + 1}`} μ`, values.map((one) => written(one, 3)), of];
+  });
   rows.push([symbol, message[key].map((one) => one.toFixed(digits)), unit]);
   const entries = rows.map(([name, [low, median, high], of]) => entry(name, `${median} (${low} to ${high}) ${of}`));
   part("tracking-estimate").replaceChildren(...entries);

@@ -33,11 +33,13 @@ const nameOf = (name) => name.replace(/_(mm|deg|pa)$/, "").replaceAll("_", " ");
 
 /** A value in the unit of the page's fields. */
 function written(name, value) {
-  if (name === "mu_pa") return `${Number((value * 1e-6).toPrecision(6))} MPa`;
+  if (name === "mu_pa") return Math.abs(value) < 1e6 ? `${significant(value * 1e-3)} kPa` : `${significant(value * 1e-6)} MPa`;
   if (name.endsWith("slope")) return `${(Math.atan(value) * DEGREES).toFixed(1)}°`;
   const [, unit] = UNITS.find(([end]) => name.endsWith(end)) ?? ["", ""];
-  return `${Number(value.toPrecision(6))}${unit}`;
+  return `${significant(value)}${unit}`;
 }
+
+const significant = (value) => Number(value.toPrecision(6));
 
 /** The number of a guide, from 1. */
 export function guideNumber(name, names) {

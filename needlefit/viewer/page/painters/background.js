@@ -1,6 +1,6 @@
 /** What stands still: air, layers and their names, the scan's slice, skin, and axes in mm. */
 
-import { brief, roundStep } from "../quantities.js";
+import { brief, modulus, roundStep } from "../quantities.js";
 import { now } from "../store.js";
 import { fromPx, fromPy, toPx, toPy, view } from "../view.js";
 import { faintly, palette, segments, setFont, shades, turned } from "./strokes.js";
@@ -59,7 +59,7 @@ function paintNames(context) {
     const middle = (layer.from + layer.to) / 2;
     const called = named ? layer.name : String(layer.number);
     if (context.measureText(called).width < layer.to - layer.from) context.fillText(called, middle, top - 23);
-    const mu = `μ ${brief(layer.mu * 1e-6, 3)} MPa`;
+    const mu = `μ ${modulus(layer.mu)}`;
     if (fits(mu, layer)) context.fillText(mu, middle, top - 7);
   }
   const skin = toPx(0);

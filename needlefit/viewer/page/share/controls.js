@@ -3,7 +3,7 @@
 import { DEFINITIONS } from "../definitions.js";
 import { part } from "../dom.js";
 import { makeField, setHome, show } from "../fields.js";
-import { asMpa, degrees, fromMpa, slope, strengthOf } from "../quantities.js";
+import { degrees, modulusLike, slope, strengthOf } from "../quantities.js";
 import { now } from "../store.js";
 
 const digits = (count) => (value) => value.toFixed(count);
@@ -38,7 +38,7 @@ export function buildFields(scene, isRecording, steer) {
   fitted.layers.forEach((_, i) => {
     const called = scene.layer_names[i] || `layer ${i + 1}`;
     add("tissue-fields", ["mu_pa", i + 1],
-      { name: `${called} μ`, symbol: "μ", unit: "MPa", write: asMpa, read: fromMpa, logarithmic: true, step: 1.05, limits: limits.mu_pa },
+      { name: `${called} μ`, symbol: "μ", ...modulusLike(fitted.layers[i].mu_pa), logarithmic: true, step: 1.05, limits: limits.mu_pa },
       (of) => of.layers[i].mu_pa);
     if (!simulation.law.terms) return; // a law that is a table has been computed for these parameters alone
     for (const { name, symbol: sign, unit: of, explanation } of scene.shape_parameters) {
