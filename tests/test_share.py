@@ -88,9 +88,15 @@ def test_it_computes_every_recorded_state_and_can_be_steered(shared, chromium) -
         largest = max(one.tip_offset_mm for one in states)  # of this very replay
         assert page.evaluate(ALL_STATES) == [len(states) - 1, largest]
         assert page.evaluate("needlefit.state.tip.lateral_mm") == states[-1].state.shape.tip_lateral
-        page.locator("#scrub").fill("10")
-        page.wait_for_timeout(300)
-        assert page.evaluate("needlefit.state.tip.lateral_mm") == states[10].state.shape.tip_lateral
+        page.locator("#scrub").fill("2.5")  # s
+        at = sum(step.time <= 2.5 for step in read_recording(RECORDING).steps)
+        assert page.evaluate("needlefit.state.tip.lateral_mm") == states[at].state.shape.tip_lateral
+        shown = page.locator("#insertion-fields .number").first
+        before = shown.input_value()
+        shown.fill("1e9")
+        shown.press("Enter")
+        assert shown.input_value() == before and page.locator("#back").is_disabled()
+        assert page.locator("#insertion-fields .field:first-child + #refusal").inner_text()
         side = page.evaluate("needlefit.state.bevel.side")
         page.click("#flip")
         assert page.evaluate("needlefit.state.bevel.side") == -side
@@ -103,7 +109,7 @@ def test_it_computes_every_recorded_state_and_can_be_steered(shared, chromium) -
         assert page.evaluate("needlefit.state.tip.lateral_mm") == states[-1].state.shape.tip_lateral
         page.get_by_role("button", name="Play").click()
         page.wait_for_timeout(1500)
-        assert int(page.locator("#scrub").input_value()) > 0
+        assert float(page.locator("#scrub").input_value()) > 0
 
 
 @pytest.mark.sweep

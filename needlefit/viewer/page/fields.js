@@ -109,8 +109,8 @@ function markHome({ part, back, write, value, home }) {
 
 function ask(field, value, event) {
   field.latest = value;
+  field.value = null; // the answer, which may come at once, is shown even where it is what was
   field.ask(value, { gesture: field.gesture, at: event.timeStamp });
-  field.value = null; // what the server answers is shown even where it is what was
 }
 
 /** A number counts once it is done: at Enter, at a step of the arrows, or when the field is left. */

@@ -32,7 +32,7 @@ export function pressed() {
   for (const one of fits) one.ariaPressed = String(one.dataset.fit === view.fit);
 }
 
-function toggle(name) {
+export function toggle(name) {
   const on = chips[name].ariaPressed !== "true";
   chips[name].ariaPressed = String(on);
   if (name === "true") return drawTrue(on);

@@ -89,7 +89,7 @@ function heights(which) {
   const { x, y } = now.state;
   const seen = which === "whole" ? y : y.filter((_, i) => x[i] >= 0);
   const goals = goalCircles().flatMap(([, y, radius]) => [y - radius, y + radius]);
-  const band = [now.band?.low.at(-1), now.band?.high.at(-1)].filter(Number.isFinite);
+  const band = [...(now.band?.low ?? []), ...(now.band?.high ?? [])].filter(Number.isFinite);
   const all = [...seen, ...(now.scene.measured?.y ?? []), ...(now.pinned ? now.pinned.y.filter((_, i) => which === "whole" || now.pinned.x[i] >= 0) : []), ...goals, ...band, 0];
   return [Math.min(...all), Math.max(...all)];
 }

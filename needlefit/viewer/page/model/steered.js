@@ -61,6 +61,13 @@ export class SteeredNeedle {
     if (number) this.saved.delete(number);
   }
 
+  /** Return to first contact, as if nothing had been carried out. */
+  rewind() {
+    const [[, first]] = this.saved;
+    this.#return(first);
+    Object.assign(this, { number: 0, saved: new Map([[0, first]]) });
+  }
+
   #return({ session, ...saved }) {
     this.session.restore(session);
     Object.assign(this, saved);

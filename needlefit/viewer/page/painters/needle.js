@@ -11,7 +11,7 @@ const THICKEST = 5; // px, where y is magnified: there the body has no thickness
 const CROSS = { of: 0.28, least: 1, most: 3.2 }; // half a cross: part of the spacing, px
 const LONGEST_BEVEL = 2.5; // diameters
 const WIDE = 7; // px; from here on the body is drawn faint
-const FAINT = 0.24; // opacity
+const FAINT = 0.24; // opacity; its edges are drawn as lines
 const AXIS = 2; // px
 const HANDLE = 7; // px
 const [TALLEST, LOWEST] = [48, 16]; // px, of the load's curve and the force's arrow
@@ -52,6 +52,14 @@ export function paintNeedle(context, { x, y, bevel, faults }) {
   if (width >= WIDE) faintly(context, FAINT, () => stroke(context, shown, width));
   context.setLineDash(outside ? [9, 5] : []);
   stroke(context, shown, width < WIDE ? width : AXIS);
+  if (width >= WIDE) {
+    trace(context, ...[-width / 2, width / 2].map((to) => points.map(([px, py], i) => {
+      const [one, other] = [points[Math.max(i - 1, 0)], points[Math.min(i + 1, points.length - 1)]];
+      const size = distance(one, other) || 1;
+      return [px - (to * (other[1] - one[1])) / size, py + (to * (other[0] - one[0])) / size];
+    })));
+    stroke(context, shown, 1);
+  }
   context.setLineDash([]);
   // The cut face is drawn as a line of its own: it looks away from the side of the point.
   const [end, half, { side }] = [points.at(-1), Math.max(width, 3) / 2, bevel];

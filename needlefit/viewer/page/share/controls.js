@@ -9,12 +9,12 @@ import { now } from "../store.js";
 const digits = (count) => (value) => value.toFixed(count);
 let fields = []; // [field, () => value]
 
-/** Make the fields of a scene; `steer(changes)` carries a change out. Depth and base of a recording have no values to go back to. */
+/** Make the fields of a scene; `steer(changes, below)` carries a change out. Depth and base of a recording have no values to go back to. */
 export function buildFields(scene, isRecording, steer) {
   fields = [];
   for (const id of ["insertion-fields", "tissue-fields"]) part(id).replaceChildren();
   const add = (into, [input, item], about, current, { shown = (x) => x, meant = (x) => x } = {}) => {
-    const field = makeField(part(into), { ...about, ask: (value) => steer([[input, item, meant(value)]]) });
+    const field = makeField(part(into), { ...about, ask: (value) => steer([[input, item, meant(value)]], field.part) });
     const home = isRecording && into === "insertion-fields" ? undefined : current(scene.fitted);
     if (home !== undefined) setHome(field, shown(home));
     fields.push([field, () => shown(current(now.state))]);

@@ -8,14 +8,14 @@ import { line, palette } from "../painters/strokes.js";
 import { counted } from "../quantities.js";
 import { refresh, refreshDescription } from "../readouts.js";
 import { listen, now, take } from "../store.js";
-import "../toolbar.js";
-import { fit, view } from "../view.js";
+import { toggle } from "../toolbar.js";
+import { fit, follow, view } from "../view.js";
 import { buildFields, refreshFields } from "./controls.js";
 import { begin, insert, load, prove, Replay, steer } from "./needles.js";
 import { listenToPicture } from "./picture.js";
 
 const SHORTEST = 2, LONGEST = 20; // s that a recording lasts while it is played
-const RESTS = 300; // ms after the last change, when the picture is described in words
+const DESCRIBED_EVERY = 2000; // ms, while it changes
 const SAME = 1e-6; // mm: what differs by more is no needle of this file
 
 let data = null;
@@ -29,7 +29,8 @@ let fresh = false;
 let order = 0; // of the newest band
 let begun = false; // whether a needle was chosen whose band has not come yet
 let unsent = {}; // kernel and draws, which the worker is sent once
-const shownMethods = new Set(["hand_tuned"]);
+const shownMethods = new Set();
+const refusal = part("refusal");
 const worker = new Worker(URL.createObjectURL(new Blob([part("program").textContent], { type: "text/javascript" })));
 
 /** Show what the needle is now. */
@@ -42,8 +43,10 @@ function update() {
   refreshFields();
   refreshMethods();
   askBand();
-  clearTimeout(described);
-  described = setTimeout(refreshDescription, RESTS);
+  described ||= setTimeout(() => {
+    described = 0;
+    refreshDescription();
+  }, steps > 1 ? DESCRIBED_EVERY : 0);
 }
 
 function redraw() {
@@ -67,28 +70,35 @@ worker.onmessage = ({ data: { id, band } }) => {
   if (id !== order) return;
   take({ kind: "band", step: steps, ...(band ?? { x: [], failed: 0 }) });
   if (begun) fit(view.fit); // of a needle that has just been chosen, the band is in the picture too
+  else follow();
   begun = false;
+  redraw();
 };
 
-/** Carry out a change; what the model does not take is stated, and the needle stays. */
-function change(changes) {
+/** Carry out a change; what the model does not take is stated below its field or above all, and the needle stays. */
+function change(changes, below = part("flip").parentElement) {
   if (replay) play(false);
   try {
     steer(steered, changes);
-    write("refusal", "");
   } catch (error) {
     if (!error.what) throw error;
-    write("refusal", `${error.what}. Expected: ${error.expected}.`);
+    below.after(refusal);
+    write(refusal, `${error.what}. Expected: ${error.expected}.`);
+    return refreshFields();
   }
+  write(refusal, "");
+  if (replay) replay.changed = true;
   part("back").disabled = false;
   update();
 }
 
 /** Show a needle as the file has it: of a recording its end, else the fit at the depth of the measured needle. */
 async function choose(number) {
-  needle = data.needles[number];
+  const found = await begin(data.kernel, data.needles[number]);
+  if (Number(part("needle-choice").value) !== number) return; // another one has been chosen meanwhile
+  [needle, steered] = [data.needles[number], found];
   const { scene } = needle;
-  replay = needle.recording ? new Replay(data.kernel, needle) : null;
+  replay = needle.recording ? new Replay(steered, needle.recording) : null;
   unsent = { kernel: data.kernel, draws: scene.draws };
   begun = true;
   take({ slice: false, ...scene, band: Boolean(scene.draws), kind: "scene" });
@@ -98,13 +108,13 @@ async function choose(number) {
   const draws = counted(scene.draws?.sets ?? 0, "posterior draw");
   write("band-note", scene.draws ? `Band: 95 % of the needles of ${draws}${specimen}, without noise and model error.` : "");
   part("synthetic")?.toggleAttribute("hidden", !scene.synthetic);
-  await goBack();
+  goBack();
 }
 
-async function goBack() {
-  write("refusal", "");
+function goBack() {
+  write(refusal, "");
   if (replay) return showStep(replay.steps.length);
-  steered = await begin(data.kernel, needle);
+  steered.rewind();
   insert(steered);
   part("back").disabled = true;
   update();
@@ -158,14 +168,15 @@ further.push((context) => {
 
 // ---- a recording
 
-let playing = null; // {clock, last}: s of the recording, ms
+let playing = null; // {clock, last, n}: s of the recording, ms, steps carried out
 const timeOf = (n) => (n ? replay.steps[n - 1][0] : 0);
 
-async function showStep(n) {
-  steered = await replay.to(n);
-  part("scrub").value = n;
-  part("scrub").ariaValueText = `${timeOf(n).toFixed(1)} s`;
-  write("time", `${timeOf(n).toFixed(1)} s of ${timeOf(replay.steps.length).toFixed(1)} s`);
+function showStep(n, clock = timeOf(n)) {
+  replay.to(n);
+  write(refusal, "");
+  part("scrub").value = n === replay.steps.length ? part("scrub").max : clock;
+  part("scrub").ariaValueText = `${clock.toFixed(1)} s`;
+  write("time", `${clock.toFixed(1)} s of ${timeOf(replay.steps.length).toFixed(1)} s`);
   part("back").disabled = true;
   update();
 }
@@ -173,21 +184,19 @@ async function showStep(n) {
 function play(on) {
   part("play").textContent = on ? "Pause" : "Play";
   if (!on) return void (playing = null);
-  const begun = replay.at === replay.steps.length || !part("back").disabled ? 0 : replay.at;
-  if (begun === 0) replay.steered = null; // what a reader has changed is no state of the recording
-  playing = { clock: timeOf(begun), last: performance.now() };
+  const n = replay.at === replay.steps.length || replay.changed ? 0 : replay.at;
+  playing = { clock: timeOf(n), last: performance.now(), n };
   requestAnimationFrame(advance);
 }
 
-async function advance(t) {
+function advance(t) {
   if (!playing) return;
   const ends = Math.max(timeOf(replay.steps.length), 1e-9);
   playing.clock += ((t - playing.last) / 1000) * (ends / Math.min(Math.max(ends, SHORTEST), LONGEST));
   playing.last = t;
-  let n = replay.steered ? replay.at : 0;
-  while (n < replay.steps.length && timeOf(n + 1) <= playing.clock) n += 1;
-  await showStep(n);
-  if (n === replay.steps.length) return play(false);
+  while (playing.n < replay.steps.length && timeOf(playing.n + 1) <= playing.clock) playing.n += 1;
+  showStep(playing.n, Math.min(playing.clock, ends));
+  if (playing.n === replay.steps.length) return play(false);
   requestAnimationFrame(advance);
 }
 
@@ -195,11 +204,11 @@ function buildRecording() {
   const { recording } = data.needles[0];
   part("transport").hidden = !recording;
   if (!recording) return;
-  part("scrub").max = recording.length;
+  part("scrub").max = Math.ceil(10 * recording.at(-1)[0]) / 10; // the step is 0.1
   part("scrub").addEventListener("input", ({ target }) => {
     play(false);
-    if (!part("back").disabled) replay.steered = null;
-    showStep(Number(target.value));
+    const clock = Number(target.value);
+    showStep(recording.filter(([time]) => time <= clock).length, clock);
   });
   press("play", () => play(!playing));
 }
@@ -226,13 +235,11 @@ async function start() {
   part("choosing").hidden = data.needles.length < 2;
   choice.addEventListener("change", () => choose(Number(choice.value)));
   press("flip", () => change([["bevel_side", null, -now.state.bevel.side]]));
-  press("back", () => {
-    if (replay) replay.steered = null;
-    goBack();
-  });
+  press("back", goBack);
   listen("redraw", redraw);
   listenToPicture(change);
   buildRecording();
+  if (!data.needles[0].recording) ["load", "points", "path", "errors"].forEach(toggle); // measured and fit come first
   await choose(0);
   fit("tissue");
   await stateAgreement();

@@ -43,19 +43,21 @@ export function insert(steered) {
 /** Carry out a change of the reader. */
 export const steer = (steered, changes) => steered.apply(changes, always);
 
-/** Replays a recording: `to(n)` carries out its first n steps, from the beginning if it is beyond. */
+/** Replays a recording: `to(n)` carries out its first n steps, from the beginning if it is beyond, or `changed` by the reader. */
 export class Replay {
-  constructor(kernel, needle) {
-    Object.assign(this, { kernel, needle, steps: needle.recording, at: 0, steered: null, last: new Map() });
+  constructor(steered, steps) {
+    Object.assign(this, { steered, steps, at: 0, changed: false, last: new Map() });
     this.steps.forEach(([, changes], i) => {
       for (const [name, , value] of changes) if (name === "return_to") this.last.set(value, i + 1);
     });
   }
 
-  async to(n) {
-    if (!this.steered || n < this.at) Object.assign(this, { steered: await begin(this.kernel, this.needle), at: 0 });
+  to(n) {
+    if (this.changed || n < this.at) {
+      this.steered.rewind();
+      Object.assign(this, { at: 0, changed: false });
+    }
     while (this.at < n) this.#next();
-    return this.steered;
   }
 
   #next() {
@@ -102,15 +104,15 @@ export async function prove({ needles, kernel }) {
       largest = Math.max(largest, distance);
     };
     try {
+      const steered = await begin(kernel, needle);
       if (needle.recording) {
-        const replay = new Replay(kernel, needle);
+        const replay = new Replay(steered, needle.recording);
         for (let n = 1; n <= needle.recording.length; n += 1) {
-          const { tipLateral } = await replay.to(n);
-          compare(Math.abs(tipLateral - needle.recording[n - 1][2]));
+          replay.to(n);
+          compare(Math.abs(steered.tipLateral - needle.recording[n - 1][2]));
           await rest();
         }
       } else {
-        const steered = await begin(kernel, needle);
         insert(steered);
         compare(compareStored(steered));
       }

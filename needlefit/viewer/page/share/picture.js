@@ -1,4 +1,4 @@
-/** Mouse, pen and keys on the picture of a file; the wheel and a finger scroll the page. */
+/** Pointers and keys on the picture of a file; the wheel scrolls the page, and so does a finger up or down beside handles. */
 
 import { part } from "../dom.js";
 import { handleAt } from "../handles.js";
@@ -9,7 +9,8 @@ import { pressed } from "../toolbar.js";
 
 const canvas = part("canvas");
 const BASE = { y: 0.1, angle: 0.1 }; // mm, degrees a key
-let drag = null; // {handle, from} or {last}
+const SIDEWAYS = 12; // px, from which a finger beside handles shifts the picture
+let drag = null; // {handle, from, last}
 
 const place = (event) => {
   const { left, top } = canvas.getBoundingClientRect();
@@ -18,8 +19,11 @@ const place = (event) => {
 
 /** Let the picture be steered: `steer(changes)` carries a change out. */
 export function listenToPicture(steer) {
+  canvas.addEventListener("touchstart", (event) => {
+    if (handleAt(...place(event.touches[0]), "touch")) event.preventDefault(); // the page does not scroll
+  }, { passive: false });
   canvas.addEventListener("pointerdown", (event) => {
-    if (event.button > 0 || event.pointerType === "touch") return;
+    if (event.button > 0 || !event.isPrimary) return;
     canvas.setPointerCapture(event.pointerId);
     const at = place(event),
       handle = handleAt(...at, event.pointerType);
@@ -29,11 +33,13 @@ export function listenToPicture(steer) {
   });
   canvas.addEventListener("pointermove", (event) => {
     const at = place(event);
+    if (!event.isPrimary) return;
     if (!drag) return void (canvas.style.cursor = handleAt(...at)?.cursor ?? "");
     if (drag.handle) {
       const set = drag.handle.drag(drag.from, at);
       if (set.length) steer(set);
-    } else pan(at[0] - drag.last[0], at[1] - drag.last[1]);
+    } else if (event.pointerType !== "touch") pan(at[0] - drag.last[0], at[1] - drag.last[1]);
+    else if (Math.abs(at[0] - drag.from[0]) > SIDEWAYS) pan(at[0] - drag.last[0], 0);
     drag.last = at;
     pressed();
   });
