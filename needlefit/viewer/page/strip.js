@@ -12,7 +12,7 @@ const PAD = { left: 46, right: 12, top: 18, bottom: 16 }; // px
 const CHANGED = 1e-3; // mm that a cut has moved by when the insertion was simulated again
 const canvas = part("strip-canvas");
 const context = canvas.getContext("2d");
-let before = null; // the tip path of the state before
+let [before, tissue] = [null, ""]; // the tip path and the layers of the state before
 let size = [1, 1]; // px
 let drawn = null; // the state that was drawn last
 
@@ -25,14 +25,16 @@ function current() {
   return { x, y, tip, path: { x: [...along, tip.x], y: [...across, tip.y] }, forces: now.forces };
 }
 
-/** Forces of an earlier insertion are none of this one: of the same inputs with other parameters, or undone. */
-function remember({ tip, tip_path: [, path], forces: { tip_n: force } }) {
+/** Forces of an earlier insertion are none of this one: of other parameters, or undone; nor those before a jump. */
+function remember({ tip, tip_path: [, path], forces: { tip_n: force }, layers }) {
   const middle = Math.min(path.length, before?.length ?? 0) >> 1;
-  const again = before !== null && Math.abs((before[middle] ?? 0) - (path[middle] ?? 0)) > CHANGED;
-  before = path;
+  const moved = before !== null && Math.abs((before[middle] ?? 0) - (path[middle] ?? 0)) > CHANGED;
+  const again = moved || tissue !== JSON.stringify(layers);
+  [before, tissue] = [path, JSON.stringify(layers)];
   const { x, y } = now.forces;
   let { length } = again ? [] : x;
   while (length && x[length - 1] >= tip.x - 1e-9) length -= 1;
+  if (tip.x - x[length - 1] > 2 * now.scene.spacing_mm) length = 0; // what lies between is not known
   now.forces = { x: [...x.slice(0, length), tip.x], y: [...y.slice(0, length), force] };
 }
 
@@ -142,7 +144,7 @@ export function pin() {
 
 press("pin", () => now.state && pin());
 listen("scene", () => {
-  [now.forces, before, now.marked] = [{ x: [], y: [] }, null, null];
+  [now.forces, before, tissue, now.marked] = [{ x: [], y: [] }, null, "", null];
 });
 listen("state", remember);
 listen("drawn", () => now.state !== drawn && draw());
