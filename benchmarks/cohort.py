@@ -5,11 +5,10 @@
 
 Writes datasets of shapes with a known pose: one needle, one layer of gel, 40 to 60 mm deep, five insertions
 of each specimen; modulus and bevel offset differ by specimen. `needlefit validate cohort.toml` fits them as
-a process of its own, whose resident set, with that of its workers, is read every second. Memory is flat if
-the second half of the time needs no more than the first. Errors of ln mu and ln b are divided by the
-standard deviations that the fits state; their root mean square is 1 where these are right. The kernel's
-rates are of the same insertions, simulated by `simulate_batches` and differentiated one by one by
-`linearize`, on as many threads.
+a process of its own, whose resident set, with that of its workers, is read every second. Errors of ln mu
+and ln b are divided by the standard deviations that the fits state; their root mean square is 1 where these
+are right. The kernel's rates are of the same insertions, simulated by `simulate_batches` and differentiated
+one by one by `linearize`, on as many threads.
 
 `--tables` measures the tables alone, of so many specimens, 50 in each dataset: rows of random numbers take
 the place of fits. The greatest resident set is that of this process: before, after the run and its report.
@@ -215,7 +214,7 @@ def measure_kernel(jobs: int) -> tuple[float, float]:
 
 def find_errors(folder: Path, truth: pd.DataFrame) -> dict[str, float]:
     """Return the root mean square errors of ln mu and ln b, in stated standard deviations."""
-    fits = pd.read_parquet(folder / "reports" / "cohort" / "fits.parquet")
+    fits = pd.read_csv(folder / "reports" / "cohort" / "fits.csv")
     found = {}
     for name in ("mu1_pa", "bevel_mm"):
         both = fits[fits["parameter"] == name].merge(truth, on="specimen")

@@ -88,7 +88,7 @@ AREAS = {
         ("studies", "planning"),
         (
             *("validation_run", "validation_heldout", "validation_forecast", "validation_calibration"),
-            *("validation_analyses", "validation_differences", "fit_warnings", "columnar", "planning"),
+            *("validation_analyses", "validation_differences", "fit_warnings", "planning"),
             *("credibility", "reference", "reporting_tables", "reporting_files", "reporting_slicer"),
             *(
                 "analysis_cohort",

@@ -15,7 +15,6 @@ from needlefit.datasets.sources import digest_folders
 from needlefit.errors import ConfigError, DataError
 from needlefit.metrics import list_metrics
 from needlefit.project.locate import find_file
-from needlefit.studies import columnar
 from needlefit.studies.combined_report import rebuild
 from needlefit.studies.held_out_predictions import find_fit
 from needlefit.studies.job import Fold, Settings, prepare
@@ -28,8 +27,6 @@ from needlefit.studies.run import Run
 from needlefit.studies.run_differences import compare_runs
 from needlefit.studies.store import restore_run
 from needlefit.studies.study_files import check_study
-
-parquet = pytest.importorskip("pyarrow.parquet")
 
 CHOSEN = ["chicken-01", "chicken-04", "chicken-05"]
 COHORT = {"schema": 2, "kind": "cohort", "medium": "chicken", "recipe": "few", "tune": {"insertions": CHOSEN}}
@@ -70,7 +67,6 @@ def test_a_cohort_has_the_fits_of_its_specimens_and_what_could_not_be_fitted(pro
     found = fits[fits["specimen"] == "chicken-piece2"].set_index("parameter")["value"]
     assert found.to_dict() == {name: alone.values[name] for name in found.index}
     folder = write_run(result, project / "out")
-    assert pd.read_parquet(folder / "fits.parquet").equals(fits)
     assert pd.read_csv(folder / "failures.csv")["origin"].tolist() == ["none"]
 
 
@@ -129,21 +125,16 @@ def test_an_interrupted_cohort_resumes_to_the_same_bytes(project, monkeypatch):
     for name in ("d", "e"):
         shutil.copytree("specimens/a", f"specimens/{name}")
     monkeypatch.setattr(cohort_run, "_fit_specimen", _fit_at_once)
-    monkeypatch.setattr(columnar, "MIN_GROUP_ROWS", 1)
     study, kept = cohort("specimens/*"), project / "cohort.partial"
     whole = run("cohort", study, Settings())
-    groups = {
-        name: parquet.read_metadata(file.path).num_row_groups for name, file in whole.frames.files.items()
-    }
-    assert groups == {"fits": 3, "errors": 3, "failures": 1}  # of a, d and e; of b
+    assert whole.frames["failures"]["dataset"].tolist() == ["specimens/b"]
     first = run("cohort", study, Settings(checkpoint=kept, stop=lambda: len(list(kept.glob("*.jsonl"))) >= 2))
     assert first.interrupted and first.frames["fits"]["dataset"].unique().tolist() == ["specimens/a"]
-    assert list(project.rglob("*.parquet")) == []
     again = run("cohort", study, Settings(checkpoint=kept, resume=True))
     assert not again.interrupted
     written = [write_run(one, project / name) for name, one in (("one", whole), ("two", again))]
     one, two = map(_read_bytes, written)
-    assert {"fits.parquet", "errors.parquet", "fits.csv", "errors.csv", "failures.csv"} <= one.keys()
+    assert {"fits.csv", "errors.csv", "failures.csv"} <= one.keys()
     assert one == two
     rebuild(written[0], project / "three")
     rebuild(project / "three", project / "three")
@@ -152,9 +143,6 @@ def test_an_interrupted_cohort_resumes_to_the_same_bytes(project, monkeypatch):
     stored = restore_run(written[0])
     pd.testing.assert_frame_equal(stored.frames["fits"], whole.frames["fits"], check_exact=True)
     assert stored.verdicts == whole.verdicts and stored.verdicts[0].numbers == {"failures": 1}
-    (written[0] / "errors.parquet").write_bytes(one["fits.parquet"])
-    with pytest.raises(DataError, match=r"errors\.parquet"):
-        restore_run(written[0])
 
 
 def test_a_dataset_that_is_listed_twice_by_its_content_is_a_warning(project):

@@ -6,7 +6,7 @@ Equal tables give equal bytes.
 import json
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,14 +20,7 @@ from needlefit.project.json_values import to_json_values
 
 def write_csv(frame: pd.DataFrame, path: Path, digits: str | None = "%.8g") -> None:
     """Write a table as CSV, tidy; `digits` None writes all digits."""
-    write_csv_pieces([frame], path, digits)
-
-
-def write_csv_pieces(pieces: Iterable[pd.DataFrame], path: Path, digits: str | None = "%.8g") -> None:
-    """Write a table as `write_csv`, whose rows come in pieces."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        for n, piece in enumerate(pieces):
-            to_tidy(piece).to_csv(file, index=False, header=n == 0, float_format=digits, lineterminator="\n")
+    to_tidy(frame).to_csv(path, index=False, float_format=digits, lineterminator="\n", encoding="utf-8")
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:

@@ -136,4 +136,3 @@ class StoredRunTable(_StoredTable):
     run: RunTable
     frames: dict[FileName, FrameTable]
     posteriors: list[str]
-    columnar: list[FileName] = []

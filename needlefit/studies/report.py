@@ -22,9 +22,8 @@ from needlefit.reporting.needle_page import PageData
 from needlefit.reporting.number_format import join_words
 from needlefit.reporting.paper_example import EXAMPLE_FILE, format_example
 from needlefit.reporting.table import Table, TableLayout
-from needlefit.reporting.table_files import to_records, to_tidy, write_csv, write_csv_pieces, write_json
+from needlefit.reporting.table_files import to_records, to_tidy, write_csv, write_json
 from needlefit.reporting.text import KindText
-from needlefit.studies.columnar import iterate_pieces
 from needlefit.studies.fit_warnings import QUALIFYING_WARNINGS
 from needlefit.studies.kind import find_kind
 from needlefit.studies.run import (
@@ -204,14 +203,12 @@ def write_files(result: Run, folder: Path, all_figures: bool = False) -> None:
         figures, left = page.draw(result, folder, all_figures)
         begin_drawing()
         frames = page.tabulate(result)
-        for name in frames:
+        for name, frame in frames.items():
             if name in (*figures, *left):  # of a frame that a figure shows, the figure's is the file
                 continue
-            pieces = (
-                piece if result.origin == "none" or "origin" in piece else piece.assign(origin=result.origin)
-                for piece in iterate_pieces(frames, name)
-            )
-            write_csv_pieces(pieces, folder / f"{name}.csv")
+            has_origin = result.origin == "none" or "origin" in frame
+            rows = frame if has_origin else frame.assign(origin=result.origin)
+            write_csv(rows, folder / f"{name}.csv")
         tables = page.lay_out(result)
         for table in tables:
             path = folder / f"{table.name}.tex"

@@ -196,7 +196,7 @@ class Run:
     dataset_title : str
         The data, in words.
     frames : mapping of DataFrame
-        One row a fact, the unit in every column's name. Those of `ColumnarFrames` are in files.
+        One row a fact, the unit in every column's name.
     run : dict
         All that decides the result (versions, data, configuration, rules); no time and no path.
     timing : dict

@@ -1,12 +1,9 @@
 """Run an analysis of any kind: checkpointed tasks, then a conclusion; the result has its provenance."""
 
 import json
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Generic, TypeVar
 
 import pandas as pd
@@ -52,39 +49,26 @@ def run_tasks(
     settings: Settings,
     checkpoint: Checkpoint,
     shared: Sequence[Callable[[], object]] = (),
-) -> Iterator[FrameRows]:
-    """Yield the rows of each task, in the order of the tasks, once it and all before it are done.
+) -> list[FrameRows]:
+    """Return the rows of each task that is done, in the order of the tasks; each has its checkpoint.
 
-    Each task has a file of the checkpoint, or a temporary one: memory does not grow with their number. A stop
-    leaves tasks undone; those that are done are yielded all the same. Where several tasks are left, `shared`
-    is called before them.
-
-    A task that a stop interrupts is discarded: its rows would be incomplete.
+    Where several tasks are left, `shared` is called before them. A stop leaves tasks undone; one that it
+    interrupts is discarded, because its rows would be incomplete.
     """
-    with TemporaryDirectory(prefix="needlefit-") as spare:
-        kept = replace(checkpoint, folder=checkpoint.folder or Path(spare))
-
-        def read(key: str) -> list[FrameRows]:
-            return [row["rows"] for row in kept.rows(f"task {key}", ("rows",))]
-
-        finished = {key for key in tasks if read(key)}
-        left, due = [key for key in tasks if key not in finished], deque(tasks)
-        settings.progress(label, len(finished), len(tasks))
-        for compute in shared if len(left) > 1 else ():
-            compute()
-        while due and due[0] in finished:
-            yield read(due.popleft())[0]
-        for n, text in settings.task_pool().run(_compute_rows, [tasks[key] for key in left], settings.stop):
-            if settings.stop():
-                break
-            kept.keep_row(f"task {left[n]}", {"rows": json.loads(text)})
-            finished.add(left[n])
-            settings.progress(f"{label}: {left[n]}", len(finished), len(tasks))
-            while due and due[0] in finished:
-                yield read(due.popleft())[0]
-        for key in due:
-            if key in finished:
-                yield read(key)[0]
+    kept = {key: checkpoint.rows(f"task {key}", ("rows",)) for key in tasks}
+    finished: dict[str, FrameRows] = {key: rows[0]["rows"] for key, rows in kept.items() if rows}
+    left = [key for key in tasks if key not in finished]
+    settings.progress(label, len(finished), len(tasks))
+    for compute in shared if len(left) > 1 else ():
+        compute()
+    for n, text in settings.task_pool().run(_compute_rows, [tasks[key] for key in left], settings.stop):
+        if settings.stop():
+            break
+        key, rows = left[n], json.loads(text)
+        checkpoint.keep_row(f"task {key}", {"rows": rows})
+        finished[key] = rows
+        settings.progress(f"{label}: {key}", len(finished), len(tasks))
+    return [finished[key] for key in tasks if key in finished]
 
 
 def _compute_rows(task: AnalysisTask) -> str:
@@ -99,12 +83,6 @@ def join_rows(parts: Iterable[FrameRows]) -> FrameRows:
         for frame, rows in part.items():
             every.setdefault(frame, []).extend(rows)
     return every
-
-
-def _make_frames(parts: Iterable[FrameRows], columns: Mapping[str, Sequence[str]]) -> Frames:
-    """Return the rows of all tasks as frames in memory."""
-    rows = join_rows(parts)
-    return {name: pd.DataFrame(rows.get(name, []), columns=list(names)) for name, names in columns.items()}
 
 
 def list_faults(counts: Mapping[str, int]) -> tuple[str, ...]:
@@ -129,8 +107,6 @@ class AnalysisPlan:
     #: compute what several tasks need and keep, before the tasks are sent to other processes
     shared: Sequence[Callable[[], object]] = ()
     warnings: Sequence[ResultWarning] = ()  #: about the data, besides those of the jobs
-    #: rows of each task, and `columns` -> the frames
-    collect: Callable[[Iterable[FrameRows], Mapping[str, Sequence[str]]], Frames] = _make_frames
 
 
 def run_analysis(name: str, record: AnalysisRecord, settings: Settings, plan: AnalysisPlan) -> Run:
@@ -140,16 +116,11 @@ def run_analysis(name: str, record: AnalysisRecord, settings: Settings, plan: An
     """
     work = _describe_configuration(name, record, plan)
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work, settings.note)
-    done = 0
-
-    def count_parts() -> Iterator[FrameRows]:
-        nonlocal done
-        for part in run_tasks(plan.tasks, name, settings, checkpoint, plan.shared):
-            done += 1
-            yield part
-
-    frames = plan.collect(count_parts(), plan.columns)
-    interrupted = done < len(plan.tasks)
+    parts = run_tasks(plan.tasks, name, settings, checkpoint, plan.shared)
+    rows, interrupted = join_rows(parts), len(parts) < len(plan.tasks)
+    frames: Frames = {
+        frame: pd.DataFrame(rows.get(frame, []), columns=list(names)) for frame, names in plan.columns.items()
+    }
     faults = () if interrupted else plan.conclude(frames)
     at_bounds = analysis_bound_warnings(frames["fits"], plan.parameters) if plan.parameters else ()
     datasets = {job.dataset.name: job.dataset for job in plan.jobs}.values()

@@ -1,6 +1,6 @@
 """Store a result in a folder, exact to the last digit, and read it again; equal results give equal bytes.
 
-`results.json.gz` holds the record and the tables as JSON; Parquet files and posteriors lie beside it.
+`results.json.gz` holds the record and the tables as JSON; posteriors lie beside it.
 What is read must agree with the manifest of the folder (`project.folders`).
 """
 
@@ -31,7 +31,6 @@ from needlefit.project.json_values import to_json_values
 from needlefit.project.locate import PAPER_FITS, PAPER_STUDIES
 from needlefit.schemas.names import EXPECTED_FILE_NAME, file_name_fault
 from needlefit.schemas.result_files import RunTable, StoredRunTable, TimingTable
-from needlefit.studies.columnar import ColumnarFrames, damage_error, list_columns, open_files, store_files
 from needlefit.studies.kind import KINDS, find_kind
 from needlefit.studies.run import UNVERIFIED_KEY, Frames, Run
 
@@ -52,13 +51,11 @@ def store_run(result: Run, folder: Path) -> Path:
     files = posterior_file_names(len(result.posteriors))
     for posterior, file in zip(result.posteriors.values(), files, strict=True):
         save(posterior, folder / file)
-    columnar = store_files(result.frames, folder)
     table = {
         "posteriors": list(result.posteriors),
         "record": result.record.model_dump(mode="json", by_alias=True),
         **{key: to_json_values(getattr(result, key)) for key in _PLAIN},
-        "frames": {name: _pack_frame(result.frames[name]) for name in result.frames if name not in columnar},
-        **({"columnar": columnar} if columnar else {}),
+        "frames": {name: _pack_frame(frame) for name, frame in result.frames.items()},
     }
     return pack(table, folder)
 
@@ -88,10 +85,8 @@ def restore_run(folder: Path, unverified: bool = False) -> Run:
             about["run"] = {**about["run"], UNVERIFIED_KEY: list(changes)}
             about["faults"] = [*about["faults"], f"does not agree with its manifest: {', '.join(changes)}"]
         frames: Frames = {name: _unpack_frame(frame) for name, frame in table["frames"].items()}
-        if columnar := open_files(folder, table.get("columnar", ())):
-            frames = ColumnarFrames({**frames, **columnar})
         for name, wanted in kind.frames.items():
-            columns = list_columns(frames, name) if name in frames else []
+            columns = frames.get(name, ())
             if missing := [column for column in wanted if column not in columns]:
                 raise ValueError(f"the table {name} lacks {', '.join(missing)}")
         names = table["posteriors"]
@@ -242,6 +237,16 @@ def _unzip(path: Path) -> bytes:
     if len(data) > MAX_UNPACKED_BYTES:
         raise damage_error(path, f"it unpacks to more than {MAX_UNPACKED_BYTES / 2**20:.0f} MiB")
     return data
+
+
+def damage_error(path: Path, why: str) -> DataError:
+    """Return the error for a file of a result that does not hold what it should."""
+    return DataError(
+        f"is damaged: {why}",
+        where=str(path),
+        expected="the file as needlefit wrote it",
+        fix="run it again, or take the file from a copy",
+    )
 
 
 def _pack_frame(frame: pd.DataFrame) -> dict[str, Any]:

@@ -162,13 +162,6 @@ def _difference(folder: Path) -> object:
     return differences.summarize_differences(found), differences.differences_to_json(found)
 
 
-def _parquet(path: Path) -> object:
-    """Read a table with a right digest, as somebody can make it."""
-    columnar = import_module("needlefit.studies.columnar")
-    frames = columnar.ColumnarFrames(columnar.open_files(path.parent, [path.stem]))
-    return [len(piece) for piece in columnar.iterate_pieces(frames, path.stem)]
-
-
 # ---- texts
 
 
@@ -288,7 +281,6 @@ READERS: dict[str, Reader] = {
     "run": Reader(partial(_call, "studies.store.read_run"), seeds.run_files),
     "diff": Reader(_difference, seeds.runs, 20),
     "manifest": Reader(partial(_call, "project.folders.require_replaceable"), seeds.manifests),
-    "parquet": Reader(_parquet, seeds.parquet_tables, NATIVE),
     "tracker": Reader(_tracker, seeds.trackers),
     "conversation": Reader(_conversation, seeds.conversations, 20),
     "set": Reader(_assignments, seeds.assignments, 40),

@@ -491,18 +491,6 @@ def trackers() -> list[Seed]:
     return [one_file("tracker.toml", f"schema = 1\n{text}") for text in (matrix + devices, markers)]
 
 
-def parquet_tables() -> list[Seed]:
-    from needlefit.studies.columnar import store_files, write_frames
-
-    types = {"insertions": "int64", "value": "float64", "at_bound": "bool"}
-    rows = [
-        {"dataset": f"specimen{n % 3}", "insertions": n, "value": n / 7, "at_bound": n % 2 == 0}
-        for n in range(40)
-    ]
-    frames = write_frames(types, [{"fits": rows}], {"fits": tuple(rows[0])})
-    return [written(lambda folder: store_files(frames, folder), "fits.parquet")]
-
-
 def commands() -> list[Seed]:
     lines = (
         *("check twin", "check ./twin --json", "paper", "--help", "simulate figure1 --set depth_mm=12"),

@@ -1,12 +1,11 @@
 """Fit a tissue model to each specimen of many datasets; a dataset that cannot be fitted is a row of its own.
 
-Each dataset is one task, which reads it, fits its specimens and forgets it; its rows are appended to Parquet
-files: memory does not grow with the cohort. To another machine a dataset is sent as it was read here, with
-the tissue model and the recipe: no file is looked up there.
+Each dataset is one task, which reads it, fits its specimens and forgets it. To another machine a dataset is
+sent as it was read here, with the tissue model and the recipe: no file is looked up there.
 """
 
 import glob
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -45,7 +44,6 @@ from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord, LayerCountRule, SelectionRecord
-from needlefit.studies.columnar import iterate_pieces, read_columns, require_pyarrow, write_frames
 from needlefit.studies.held_out_predictions import find_fit
 from needlefit.studies.job import Fold, Job, Settings, find_named, group_insertions, prepare
 from needlefit.studies.kind import StudyKind
@@ -87,16 +85,9 @@ FRAMES: Mapping[str, tuple[str, ...]] = {
 """`specimen` is that of the insertions fitted together, or the insertion; errors are means over these, in
 sample."""
 
-_TYPES = {
-    "insertions": "int64",
-    **dict.fromkeys(("value", "sd"), "float64"),
-    **dict.fromkeys(("at_bound", "converged"), "bool"),
-}
-
 
 def run(name: str, record: CohortRecord, settings: Settings) -> Run:
     """Fit each specimen of a cohort."""
-    require_pyarrow()
     with add_study_context(name, "datasets"):
         files = find_datasets(record)
     medium_file = find_named("medium", record.medium)
@@ -115,7 +106,6 @@ def run(name: str, record: CohortRecord, settings: Settings) -> Run:
         "errors": (*FRAMES["errors"], *metrics),
         "failures": (*FRAMES["failures"], "origin"),
     }
-    collect = partial(write_frames, _TYPES | dict.fromkeys(metrics, "float64"))
     digests = {str(file.parent): digest_folders(file) for file in files}
     warnings = list(medium_warnings(medium, medium_file))
     first: dict[str, str] = {}
@@ -133,9 +123,9 @@ def run(name: str, record: CohortRecord, settings: Settings) -> Run:
         "versions": package_versions(PACKAGES) | plugin_versions((LAWS, medium.law), *every),
         "parts": [stored],
     }
-    plan = AnalysisPlan((), tasks, columns, _conclude, also, warnings=warnings, collect=collect)
+    plan = AnalysisPlan((), tasks, columns, _conclude, also, warnings=warnings)
     found = run_analysis(name, record, settings, plan)
-    made = (read_columns(found.frames, "errors", ("origin",))["origin"] == "synthetic").any()
+    made = (found.frames["errors"]["origin"] == "synthetic").any()
     title = f"{len(files)} dataset{'s' * (len(files) > 1)}"
     return replace(found, origin="synthetic" if made else "measured", dataset_title=title)
 
@@ -240,10 +230,10 @@ def _fit_specimen(
 
 
 def _conclude(frames: Frames) -> tuple[str, ...]:
-    converged = read_columns(frames, "errors", ("converged",))["converged"].astype(bool)
+    converged = frames["errors"]["converged"].astype(bool)
     if converged.empty:
-        first = next(iterate_pieces(frames, "failures"))
-        raise ConfigError("nothing in the cohort could be fitted", expected=str(first["note"].iloc[0]))
+        first = str(frames["failures"]["note"].iloc[0])
+        raise ConfigError("nothing in the cohort could be fitted", expected=first)
     open_fits = int((~converged).sum())
     return (f"the searches of {open_fits} specimens did not converge",) if open_fits else ()
 
@@ -259,8 +249,7 @@ MAX_BINS = 40  #: bins of a histogram
 def describe(result: Run) -> dict[str, Any]:
     """Return what the text prints."""
     metrics = [metric.name for metric in headline_metrics()]
-    errors = read_columns(result.frames, "errors", ("dataset", "insertions", *metrics))
-    failures = read_columns(result.frames, "failures", ("dataset", "specimen"))
+    errors, failures = result.frames["errors"], result.frames["failures"]
     pairs = failures[["dataset", "specimen"]].itertuples(index=False)
     names = [f"{dataset} ({specimen})" if specimen else str(dataset) for dataset, specimen in pairs]
     return {
@@ -281,23 +270,22 @@ def describe(result: Run) -> dict[str, Any]:
 def judge(result: Run) -> list[Verdict]:
     """Return the first sentence; failures and open searches make it a warning."""
     facts = describe(result)
-    converged = read_columns(result.frames, "errors", ("converged",))["converged"].all()
+    converged = result.frames["errors"]["converged"].all()
     sentence = TEXT.sentence("verdict", facts).rstrip(".")
     whole = not facts["failures"] and bool(converged)
     return [Verdict(sentence, "pass" if whole else "warn", numbers={"failures": facts["failures"]})]
 
 
-def _by_parameter(result: Run, columns: Sequence[str] = ("value",)) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Yield some columns of the fits, parameter by parameter."""
-    fits = read_columns(result.frames, "fits", ("parameter", *columns))
-    for name in fits["parameter"].unique():  # a `groupby` would take three times the memory
-        yield str(name), fits.loc[fits["parameter"] == name, list(columns)]
+def _by_parameter(result: Run) -> Iterator[tuple[str, pd.DataFrame]]:
+    """Yield the fits, parameter by parameter."""
+    for name, rows in result.frames["fits"].groupby("parameter", sort=False):
+        yield str(name), rows
 
 
 def tabulate(result: Run) -> list[Table]:
     """Return the parameters over specimens, and what could not be fitted."""
     rows = []
-    for name, found in _by_parameter(result, ("value", "sd", "at_bound")):
+    for name, found in _by_parameter(result):
         low, high = np.quantile(found["value"], [0.05, 0.95]).tolist()
         rows.append(
             {
@@ -310,7 +298,7 @@ def tabulate(result: Run) -> list[Table]:
             }
         )
     columns = ("parameter", "specimens", "specimen_median", "specimen_range", "sd", "specimens_at_bound")
-    failures = read_columns(result.frames, "failures", FRAMES["failures"]).head(MAX_LISTED)
+    failures = result.frames["failures"][list(FRAMES["failures"])].head(MAX_LISTED)
     failed = [Table("failures", "", to_records(failures), FRAMES["failures"])] if len(failures) else []
     return [Table("parameters", "", rows, columns), *failed]
 
