@@ -60,7 +60,7 @@ class RunOptions(TypedDict, total=False):
     jobs : int
         Threads; by default as many as there are cores.
     pool : TaskPool
-        Where tasks of analyses and long parts of a fit run; by default in this process. `LocalPool(N)` starts
+        Where tasks of analyses run; by default in this process. `LocalPool(N)` starts
         N processes: the script then needs `if __name__ == "__main__"`.
     progress : bool or callable
         True prints to stderr; a callable is given what is being done, how much is done, and of how much.

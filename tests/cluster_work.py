@@ -6,7 +6,6 @@ import time
 from pathlib import Path
 
 from needlefit.errors import ConfigError
-from needlefit.project.progress import Stop
 from needlefit.project.tasks import stop_requested
 
 
@@ -41,20 +40,7 @@ def calculate(seconds: float) -> float:
     return seconds
 
 
-def find_process(seconds: float) -> int:
-    time.sleep(seconds)
-    return os.getpid()
-
-
 def wait_for_stop(seconds: float) -> None:
     end = time.monotonic() + seconds
     while time.monotonic() < end and not stop_requested():
         time.sleep(0.01)
-
-
-def nap_until(stop: Stop, seconds: float) -> float:
-    """Return the seconds slept, fewer where a stop comes."""
-    begun = time.monotonic()
-    while time.monotonic() < begun + seconds and not stop():
-        time.sleep(0.01)
-    return time.monotonic() - begun

@@ -11,7 +11,7 @@ from needlefit.errors import ModelError
 from needlefit.inference import side_by_side
 from needlefit.inference.side_by_side import MAX_SEARCHES, evaluate, map_side_by_side, run_side_by_side
 from needlefit.project.progress import never_stop
-from needlefit.project.tasks import THIS_PROCESS, TaskStop
+from needlefit.project.tasks import TaskStop
 
 LIMIT_S = 20.0
 
@@ -38,7 +38,7 @@ def run(work, items, stop=None) -> dict:
 
     def collect() -> None:
         try:
-            found.update(run_side_by_side(work, items, THIS_PROCESS, 1, stop or TaskStop(never_stop)))
+            found.update(run_side_by_side(work, items, 1, stop or TaskStop(never_stop)))
         except Exception as error:
             found["error"] = error
 

@@ -1,6 +1,5 @@
-"""Tasks in processes, copied or begun anew, and parts of one fit: the same bytes everywhere."""
+"""Tasks in processes, copied or begun anew, and on a cluster: the same bytes everywhere."""
 
-import math
 import multiprocessing
 import os
 import signal
@@ -11,30 +10,18 @@ import time
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 import pytest
-from inference_cases import squares_recipe, two_layers
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from needlefit.errors import ConfigError
-from needlefit.inference.fit import Callbacks, Start
-from needlefit.inference.identifiability.identify import profile_parameters
-from needlefit.inference.identifiability.profile import minimize_squares
-from needlefit.inference.optimize import minimize
-from needlefit.inference.sampling.importance import trace_profiles
 from needlefit.project import cluster, tasks
 from needlefit.project.cluster import connect, require_secured
 from needlefit.project.processes import THREAD_VARIABLES, one_thread
-from needlefit.project.progress import never_stop
-from needlefit.project.random_streams import random_stream
-from needlefit.project.tasks import THIS_PROCESS, LocalPool, TaskStop, compute_beside, run_in_order, run_parts
+from needlefit.project.tasks import LocalPool, compute_beside, run_in_order
 from tests.cluster_processes import start_scheduler, start_worker
-from tests.cluster_work import fail, find_process, kill_once, nap, nap_until, square, wait_for_stop
+from tests.cluster_work import fail, kill_once, nap, square, wait_for_stop
 
 on_linux = pytest.mark.skipif(sys.platform != "linux", reason="processes are copied on Linux only")
-REMOTE = LocalPool(2, remote=True)
-"""Processes of this machine, as if they were on another one."""
-
 COPIES = """
 import os, signal, sys, threading, time
 from needlefit.errors import ConfigError
@@ -81,7 +68,6 @@ if __name__ == "__main__":
 @pytest.fixture(params=[False, pytest.param(True, marks=on_linux)], ids=["spawned", "copied"])
 def processes(request, monkeypatch):
     monkeypatch.setattr(tasks, "can_fork", lambda: request.param)
-    monkeypatch.setattr(tasks, "MIN_SHARED_S", 0.0)
 
 
 @on_linux
@@ -121,74 +107,6 @@ def test_a_stop_and_an_error_end_the_processes(processes):
         list(pool.run(os._exit, [1, 1]))
     assert list(run_in_order(square, [1.0, 2.0, 3.0], pool)) == [1.0, 4.0, 9.0]
     assert time.monotonic() < begun + 60
-
-
-def test_short_parts_stay_in_this_process():
-    found = dict(run_parts(find_process, [0.0] * 4, REMOTE, 1, TaskStop(never_stop)))
-    assert found == dict.fromkeys(range(4), os.getpid())
-
-
-@pytest.mark.sweep
-def test_long_parts_go_to_a_remote_pool_after_the_first(processes):
-    found = dict(run_parts(find_process, [0.3] * 5, REMOTE, 1, TaskStop(never_stop)))
-    assert sorted(found) == [0, 1, 2, 3, 4] and found.pop(0) == os.getpid()
-    assert os.getpid() not in found.values() and len(set(found.values())) == 2
-
-
-@pytest.mark.sweep
-def test_a_part_that_is_stopped_returns_what_it_has(processes):
-    begun = time.monotonic()
-    stop = TaskStop(lambda: time.monotonic() > begun + 0.5)
-    found = list(LocalPool(2).run(partial(nap_until, stop), [60.0, 60.0, 60.0], stop))
-    assert len(found) == 2 and all(slept < 60 for _, slept in found)
-
-
-# --- parts of one fit -----------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def problem():
-    return two_layers(count=2)
-
-
-@pytest.fixture(scope="module")
-def fit(problem):
-    return minimize(problem, squares_recipe(starts=2), random_stream(1, "starts"))
-
-
-@pytest.mark.sweep
-@pytest.mark.parametrize(
-    "changed", [{}, {"algorithm": "praxis"}, {"minimize": "metric", "algorithm": "slsqp"}]
-)
-def test_a_search_has_the_same_bytes(problem, processes, changed):
-    search = squares_recipe(starts=4, evaluations=60, **changed)
-    fits = [
-        minimize(problem, search, random_stream(1, "starts"), Callbacks(pool=where, jobs=2))
-        for where in (THIS_PROCESS, REMOTE)
-    ]
-    assert fits[0] == fits[1]
-
-
-def test_a_search_that_is_stopped_in_processes_keeps_its_best_point(problem, processes):
-    search = squares_recipe(starts=50, algorithm="praxis", evaluations=20_000)
-    ended: list[Start] = []
-    # once the first start has ended, the others are in the processes
-    callbacks = Callbacks(report=ended.append, stop=lambda: bool(ended), pool=REMOTE)
-    part = minimize(problem, search, random_stream(1, "starts"), callbacks)
-    assert part.interrupted and math.isfinite(part.objective)
-
-
-@pytest.mark.sweep
-def test_profiles_have_the_same_bytes(problem, fit, processes):
-    found = [profile_parameters(problem, fit, pool=where) for where in (THIS_PROCESS, REMOTE)]
-    assert len(found[0].parameters) >= 3 and repr(found[0]) == repr(found[1])
-    mode = minimize_squares(problem, np.array(fit.theta))
-    alone, apart = (trace_profiles(problem, mode, 2, where) for where in (THIS_PROCESS, REMOTE))
-    assert len(alone) > 3
-    for part in ("theta", "information"):
-        assert [getattr(one, part).tobytes() for one in alone] == [
-            getattr(one, part).tobytes() for one in apart
-        ]
 
 
 # --- work beside this process ---------------------------------------------------------------------------

@@ -1,7 +1,6 @@
 """Predictions of held-out needles: parts of the width; the measured shape is only compared."""
 
 import math
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -25,9 +24,7 @@ from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import with_bevel_spread, without_prior
 from needlefit.inference.planned_layers import with_planned_layers
 from needlefit.inference.predict import Draws
-from needlefit.project import tasks
 from needlefit.project.locate import find_file
-from needlefit.project.tasks import THIS_PROCESS, LocalPool
 from needlefit.project.toml import load
 from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord
 from needlefit.schemas.study import StudyRecord
@@ -178,15 +175,11 @@ def test_the_measured_shape_is_only_compared(job, known):
     assert moved["tip_crps_mm"] > as_is["tip_crps_mm"] + 3.0
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="processes are copied on Linux only")
-def test_a_remote_pool_predicts_the_same(job, few_draws, monkeypatch):
-    monkeypatch.setattr(tasks, "can_fork", lambda: True)
-    monkeypatch.setattr(tasks, "MIN_SHARED_S", 0.0)
+def test_threads_predict_the_same(job, few_draws):
     few = of(job, *(replace(one, specimen="another") for one in job.folds[0].validate[:3]))
-    new = [Specimens(job, few, few_draws) for _ in range(2)]
-    pairs = (new[0], THIS_PROCESS), (new[1], LocalPool(2, remote=True))
-    alone, copied = (list(predict_held_out(job, few, few_draws, one, 2, pool)) for one, pool in pairs)
-    assert len(alone) == 3 and repr(alone) == repr(copied)  # repr: NaN equals itself
+    new = [Specimens(job, few, few_draws, jobs=jobs) for jobs in (1, 2)]
+    alone, two = (list(predict_held_out(job, few, few_draws, one, one.jobs)) for one in new)
+    assert len(alone) == 3 and repr(alone) == repr(two)  # repr: NaN equals itself
     assert np.array_equal(new[0].population.new, new[1].population.new)
 
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 @takes(
-    "sample seed jobs scheduler insecure out resume strict explain json quiet verbose",
+    "sample seed jobs out resume strict explain json quiet verbose",
     design=flag("Which parameters the design determines, before any measurement.", "--design"),
 )
 def tune(context: typer.Context, target: str, design: bool = False) -> None:
@@ -57,12 +57,11 @@ def tune(context: typer.Context, target: str, design: bool = False) -> None:
         if design:
             name = f"{name.removesuffix('-tune')}-design"
             execution.prepare([name])
-            with execution.in_pool() as pooled:
-                execution.show(pooled.run_kind("identification", name, target=target))
+            execution.show(execution.run_kind("identification", name, target=target))
             return
         execution.prepare([name])
-        with add_file_context(file), execution.in_pool() as pooled:
-            results = pooled.run(name, record)
+        with add_file_context(file):
+            results = execution.run(name, record)
         if results.interrupted and "fitted" not in set(results.frames["errors"]["method"]):
             raise execution.interrupted()  # nothing found yet: an earlier result stays
         execution.write(results)

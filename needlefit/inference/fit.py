@@ -17,7 +17,6 @@ from needlefit.arrays import Floats
 from needlefit.errors import FitError, NeedlefitError
 from needlefit.project.checkpoint import Checkpoint
 from needlefit.project.progress import never_stop
-from needlefit.project.tasks import THIS_PROCESS, TaskPool
 from needlefit.schemas.recipe import ObjectiveName
 
 INTERRUPTED = "interrupted"
@@ -108,8 +107,6 @@ class Callbacks:
     #: and all
     step: Callable[[int, int], None] = lambda done, total: None
     jobs: int = 1  #: threads; the result does not depend on their number
-    #: where the starts of a search run, if they take long; nor does it depend on that
-    pool: TaskPool = THIS_PROCESS
 
 
 def read_starts(checkpoint: Checkpoint, search: str) -> dict[int, Start]:

@@ -588,9 +588,6 @@ class _SearchTask:
     recipe: RecipeRecord
     of_approach: bool = False
 
-    def __reduce__(self) -> tuple[type["_SearchTask"], tuple[object, ...]]:
-        return _SearchTask, (self.problem, self.recipe, self.of_approach)  # functions cannot travel
-
     @cached_property
     def objective_function(self) -> ObjectiveFunction:
         """What is minimised."""
@@ -612,7 +609,7 @@ class _SearchTask:
         )
         # searches with random numbers take turns, so that none of them may wait for another
         run = run_parts if any(one.stochastic for one in plan) else run_side_by_side
-        for _, start in run(partial(self.run, stop), start_points, callbacks.pool, callbacks.jobs, stop):
+        for _, start in run(partial(self.run, stop), start_points, callbacks.jobs, stop):
             yield start
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.inference.fit import EVALUATION_ERRORS
-from needlefit.project.tasks import TaskPool, TaskStop, as_they_end, run_parts
+from needlefit.project.tasks import TaskStop, as_they_end
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -36,16 +36,13 @@ def evaluate(function: "_Function[Value]", theta: Floats) -> Value:
 
 
 def run_side_by_side(
-    search: Callable[[Item], Result], items: Sequence[Item], pool: TaskPool, jobs: int, stop: TaskStop
+    search: Callable[[Item], Result], items: Sequence[Item], jobs: int, stop: TaskStop
 ) -> Iterator[tuple[int, Result]]:
-    """Yield the number of each item and what its search gives, as they end; a remote pool runs each alone.
+    """Yield the number of each item and what its search gives, as they end.
 
     `jobs` are the threads of an evaluation. Once `stop` is requested, no further search begins; it is
     requested in the end.
     """
-    if pool.remote:
-        yield from run_parts(search, items, pool, jobs, stop)
-        return
     group = _Group(len(items), jobs)
 
     def run(item: Item) -> tuple[Result, ...]:

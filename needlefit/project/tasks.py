@@ -15,7 +15,6 @@ import pickle
 import signal
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -35,7 +34,6 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 STOP_POLL_S = 0.2  # seconds between two questions whether to stop, while tasks run elsewhere
-MIN_SHARED_S = 8.0  # seconds of work that are worth sending to other machines
 
 _ENDING_SIGNALS = (
     {signal.SIGTERM, signal.SIGHUP, signal.SIGINT} if sys.platform == "linux" else set[signal.Signals]()
@@ -150,10 +148,7 @@ def run_in_order(
 
 
 class TaskStop:
-    """A request to stop that travels with a task, which then ends early with what it has.
-
-    In another process it is that of the pool.
-    """
+    """A request to stop that parts of one task share: each then ends early with what it has."""
 
     def __init__(self, stop: Stop) -> None:
         self._stop, self._left = stop, False
@@ -162,53 +157,29 @@ class TaskStop:
         """Whether to end."""
         return self._left or self._stop()
 
-    def __reduce__(self) -> tuple[Callable[..., Stop], tuple[()]]:
-        return _find_stop_of_task, ()
-
     def leave(self) -> None:
         """Request a stop."""
         self._left = True
 
 
-def _find_stop_of_task() -> Stop:
-    return _is_stop_set
-
-
 def run_parts(
-    work: Callable[[Item], Result],
-    items: Sequence[Item],
-    pool: TaskPool,
-    threads: int,
-    stop: TaskStop,
+    work: Callable[[Item], Result], items: Sequence[Item], threads: int, stop: TaskStop
 ) -> Iterator[tuple[int, Result]]:
-    """Yield results as `TaskPool.run` does, of parts that may be short.
+    """Yield results as `TaskPool.run` does, of parts that threads of this process compute.
 
-    Of a remote pool the first one shows how long they take: if the others take long they go to the pool. Else
-    they stay in this process, on so many threads. `stop` is requested in the end.
+    `stop` is requested in the end.
     """
-    begun, left = time.perf_counter(), list(range(len(items)))
-    try:
-        if pool.remote and len(items) > 1 and not stop():
-            yield left.pop(0), work(items[0])
-            if (time.perf_counter() - begun) * len(left) > MIN_SHARED_S:
-                for n, result in pool.run(work, [items[n] for n in left], stop):
-                    yield left[n], result
-                return
-        if threads > 1:
 
-            def run(n: int) -> tuple[Result, ...]:
-                return () if stop() else (work(items[n]),)
+    def run(n: int) -> tuple[Result, ...]:
+        return () if stop() else (work(items[n]),)
 
-            with ThreadPoolExecutor(threads) as side_by_side:
-                futures = {side_by_side.submit(run, n): n for n in left}
-                yield from as_they_end(futures, stop)
-            return
-        for n in left:
-            if stop():
-                return
-            yield n, work(items[n])
-    finally:
-        stop.leave()
+    if threads > 1:
+        with ThreadPoolExecutor(threads) as side_by_side:
+            yield from as_they_end({side_by_side.submit(run, n): n for n in range(len(items))}, stop)
+        return
+    for n in range(len(items)):
+        for result in run(n):
+            yield n, result
 
 
 def as_they_end(

@@ -133,7 +133,7 @@ def weigh_posterior(job: Job, into: Insertion | None, settings: Settings) -> Wei
     learned = fit_posterior(job, problem, ("now",), settings)
     if settings.stop():
         return None
-    specimens = Specimens(job, fold, learned.draws, settings.jobs, settings.part_pool)
+    specimens = Specimens(job, fold, learned.draws, settings.jobs)
     rng = random_stream(job.recipe.seed, job.name, "now", "more")
     thetas, k = learned.draws.thetas, learned.k  # certified, or marked
     weights = np.full(len(thetas), 1 / len(thetas))

@@ -50,7 +50,7 @@ from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import sample_from_fit
 from needlefit.project.progress import never_stop
 from needlefit.project.random_streams import random_stream
-from needlefit.project.tasks import THIS_PROCESS, TaskPool, TaskStop, run_parts
+from needlefit.project.tasks import TaskStop, run_parts
 from needlefit.project.toml import describe_key
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.studies.coverage import estimate_width_after_one
@@ -111,7 +111,7 @@ def weigh_or_sample(
 
     That is None too after a stop before there is any.
     """
-    found = sample_about_fit(problem, fit, rng, settings.jobs, pool=settings.part_pool)
+    found = sample_about_fit(problem, fit, rng, settings.jobs)
     if found.certified or settings.stop():
         return found, None
     return found, sample_posterior(job, problem, fit, key, settings)
@@ -119,7 +119,7 @@ def weigh_or_sample(
 
 def find_fit(job: Job, problem: Problem, key: tuple[str, ...], settings: Settings) -> Fit:
     """Return the fit alone, by the recipe of the job; arguments and errors as of `fit_posterior`."""
-    callbacks = Callbacks(stop=settings.stop, jobs=settings.jobs, pool=settings.part_pool)
+    callbacks = Callbacks(stop=settings.stop, jobs=settings.jobs)
     return minimize(problem, job.recipe, random_stream(job.recipe.seed, job.name, *key, "starts"), callbacks)
 
 
@@ -146,7 +146,6 @@ class Specimens:
     fold: Fold
     draws: Draws = field(default_factory=partial(Draws, np.empty((0, 0)), "importance"))
     jobs: int = 1  #: threads
-    pool: TaskPool = THIS_PROCESS
     #: draws of the posterior of each specimen by itself, by its insertions; folds may share them
     posteriors: dict[tuple[str, ...], Draws] = field(default_factory=dict)
 
@@ -172,9 +171,6 @@ class Specimens:
         """Return whether an insertion goes into a specimen that was not tuned on, and may differ."""
         return self.job.record.specimens == "others" and insertion.specimen not in self.tuned
 
-    def __getstate__(self) -> dict[str, object]:
-        return {**self.__dict__, "pool": THIS_PROCESS}  # a pool stays in its process
-
     @property
     def faults(self) -> tuple[str, ...]:
         """Why the draws by which insertions are predicted are not certified; empty if they are."""
@@ -189,9 +185,7 @@ class Specimens:
         if self.separate:
             wanted = {name: tuple(one.id for one in group) for name, group in self.tuned.items()}
             missing = [name for name, ids in wanted.items() if ids not in self.posteriors]
-            found = dict(
-                run_parts(self._sample_specimen, missing, self.pool, self.jobs, TaskStop(never_stop))
-            )
+            found = dict(run_parts(self._sample_specimen, missing, self.jobs, TaskStop(never_stop)))
             self.posteriors |= {wanted[name]: found[n] for n, name in enumerate(missing)}
             known = {name: self.posteriors[ids] for name, ids in wanted.items()}
             posteriors = {name: one.thetas for name, one in known.items()}
@@ -377,7 +371,6 @@ def predict_held_out(
     draws: Draws,
     known: Specimens | None = None,
     jobs: int = 1,
-    pool: TaskPool = THIS_PROCESS,
     *,
     bands: bool = False,
     step: Callable[[int, int], None] = lambda done, total: None,
@@ -407,7 +400,7 @@ def predict_held_out(
         bands,
         _choose_representatives(job, new) if bands else frozenset(),
     )
-    parts = run_parts(predict.predict, given, pool, side_by_side, TaskStop(never_stop))
+    parts = run_parts(predict.predict, given, side_by_side, TaskStop(never_stop))
     found: dict[int, HeldOutPrediction | None] = {}
     for n, one in parts:
         found[n] = one

@@ -27,7 +27,7 @@ from needlefit.project.locate import FileKind, find_file, join_names
 from needlefit.project.progress import Note, Progress, Stop, never_stop, no_note, no_progress
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.tasks import THIS_PROCESS, LocalPool, TaskPool, stop_requested, threads_of_task
+from needlefit.project.tasks import LocalPool, TaskPool, stop_requested, threads_of_task
 from needlefit.project.toml import add_file_context, add_key_context, load, locate_key
 from needlefit.project.unit_warnings import medium_warnings
 from needlefit.schemas.limits import MAX_EVALUATION_ELEMENT_SOLVES
@@ -160,7 +160,7 @@ class Settings:
     """
 
     seed: int | None = None  #: replaces the recipe's
-    jobs: int = 1  #: threads, or processes where the work falls into tasks
+    jobs: int = 1  #: threads of a fit, or processes where the work falls into tasks
     pool: TaskPool | None = None  #: where tasks run; None: in processes of this machine
     checkpoint: Path | None = None  #: folder that keeps finished starts
     resume: bool = False  #: go on from the checkpoint
@@ -179,11 +179,6 @@ class Settings:
     def task_pool(self) -> TaskPool:
         """Return where tasks run."""
         return self.pool or LocalPool(self.jobs)
-
-    @property
-    def part_pool(self) -> TaskPool:
-        """Where parts of one fit run: within a task, in its process."""
-        return self.pool or THIS_PROCESS
 
     def __reduce__(self) -> tuple[Callable[..., "Settings"], tuple[object, ...]]:
         return _settings_of_task, (self.seed, self.sample, self.file, self.inputs)

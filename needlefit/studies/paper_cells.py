@@ -111,7 +111,7 @@ def run_search(job: Job, search: str, settings: Settings) -> Fit:
     """Return the fit of one search of a job with a single fold, as `validate` and `tune` compute it."""
     fold = job.folds[0]
     rng = random_stream(job.recipe.seed, fold.name, search, "starts")
-    callbacks = Callbacks(stop=settings.stop, jobs=settings.jobs, pool=settings.part_pool)
+    callbacks = Callbacks(stop=settings.stop, jobs=settings.jobs)
     return minimize(job.problem(fold, search), job.recipe_of(search), rng, callbacks)
 
 

@@ -63,7 +63,7 @@ from needlefit.inference.quantity_text import format_quantity, format_quantity_r
 from needlefit.inference.side_by_side import run_side_by_side
 from needlefit.mechanics.laws import LAWS
 from needlefit.project.progress import Stop, never_stop
-from needlefit.project.tasks import THIS_PROCESS, TaskPool, TaskStop
+from needlefit.project.tasks import TaskStop
 
 #: largest range among equal starts, in these standard deviations, of a parameter called determined
 MAX_RANGE_SD = 4.0
@@ -277,10 +277,9 @@ def profile_parameters(
     fit: Fit,
     jobs: int = 1,
     stop: Stop = never_stop,
-    pool: TaskPool = THIS_PROCESS,
     step: Callable[[int, int], None] = lambda done, total: None,
 ) -> FitProfiles:
-    """Compute the profiles about a fit; the result depends neither on the number of threads nor on the pool.
+    """Compute the profiles about a fit; the result does not depend on the number of threads.
 
     Where the dataset states no noise, the fit's residuals stand for it. `stop` leaves out what has not begun.
     `step` is called with the number of profiles that are finished, and of all.
@@ -294,7 +293,7 @@ def profile_parameters(
             ends.append(theta)
     ends = ends[: 1 + MAX_OTHER_STARTS]
     descend, never = partial(minimize_squares, noisy), TaskStop(never_stop)
-    minima = [one for _, one in sorted(run_side_by_side(descend, ends, THIS_PROCESS, jobs, never))]
+    minima = [one for _, one in sorted(run_side_by_side(descend, ends, jobs, never))]
     optimum = min(minima, key=lambda one: one.value)
     elsewhere = [*ends[1:], 0.5 * (noisy.lower + noisy.upper)]
     scale = max(1.0, linearize(noisy, optimum.theta)[2])
@@ -302,7 +301,7 @@ def profile_parameters(
     parts: list[str | int] = [*range(len(noisy.names)), *find_fixed_shape(noisy)]
     work = partial(_profile_one, noisy, optimum, elsewhere, scale)
     every: dict[int, ParameterProfile] = {}
-    for n, one in run_side_by_side(work, parts, pool, jobs, TaskStop(stop)):
+    for n, one in run_side_by_side(work, parts, jobs, TaskStop(stop)):
         every[n] = one
         step(len(every), len(parts))
     found = tuple(every[n] for n in sorted(every))

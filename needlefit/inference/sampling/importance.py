@@ -54,7 +54,7 @@ from needlefit.inference.sampling.log_density import (
 )
 from needlefit.inference.side_by_side import run_side_by_side
 from needlefit.project.progress import never_stop
-from needlefit.project.tasks import THIS_PROCESS, TaskPool, TaskStop
+from needlefit.project.tasks import TaskStop
 
 MAX_PARETO_K = 0.7  #: largest k of weights whose means come to rest at any practical number of draws
 MIN_TAIL_WEIGHTS = 5  #: fewer weights make no tail
@@ -381,10 +381,9 @@ def sample_about_modes(
     rng: np.random.Generator,
     jobs: int = 1,
     efforts: Sequence[Effort] = EFFORTS,
-    pool: TaskPool = THIS_PROCESS,
 ) -> WeightedDraws:
     """Return weighted draws of a posterior whose modes, the best first, a search by Gauss-Newton has met."""
-    traced = trace_profiles(problem, modes[0], jobs, pool) if efforts[0].profiles else []
+    traced = trace_profiles(problem, modes[0], jobs) if efforts[0].profiles else []
     points = [*modes, *traced]
     bounds = (problem.lower, problem.upper)
     # each with the information of its search: that costs no density
@@ -392,9 +391,7 @@ def sample_about_modes(
     return sample_by_importance(Evaluator(problem, jobs), approximations, bounds, rng, efforts)
 
 
-def trace_profiles(
-    problem: Problem, mode: LocalMinimum, jobs: int = 1, pool: TaskPool = THIS_PROCESS
-) -> list[LocalMinimum]:
+def trace_profiles(problem: Problem, mode: LocalMinimum, jobs: int = 1) -> list[LocalMinimum]:
     """Return points along the profiles, about a mode, of parameters neither tied nor a spread.
 
     A plateau beside the peak, where the data no longer tell a layer from none, may hold a tenth of the
@@ -404,7 +401,7 @@ def trace_profiles(
     stated = {tie.name for tie in problem.parameters.prior.ties} | set(problem.parameters.half_normal)
     traced = [k for k, name in enumerate(problem.names) if name not in stated]
     work = partial(trace_profile, problem, optimum=mode, steps=PROFILE_STEPS)
-    found = dict(run_side_by_side(work, traced, pool, jobs, TaskStop(never_stop)))
+    found = dict(run_side_by_side(work, traced, jobs, TaskStop(never_stop)))
     # without the optimum, which comes first
     points = [one for n in range(len(traced)) for one in found[n].points[1:]]
     return [one for one in points if one.value - mode.value <= 2 * MAX_LOG_DENSITY_GAP]
@@ -416,7 +413,6 @@ def sample_about_fit(
     rng: np.random.Generator,
     jobs: int = 1,
     efforts: Sequence[Effort] = EFFORTS,
-    pool: TaskPool = THIS_PROCESS,
 ) -> WeightedDraws:
     """Return weighted draws of the posterior about a fit with at least one free parameter.
 
@@ -429,7 +425,7 @@ def sample_about_fit(
     of_posterior = fit.minimized == "posterior"
     ends = find_modes(fit, problem.upper - problem.lower) if of_posterior else theta[None]
     modes = [minimize_squares(known, end) for end in ends]
-    return sample_about_modes(known, modes, rng, jobs, efforts, pool)
+    return sample_about_modes(known, modes, rng, jobs, efforts)
 
 
 def resample_draws(found: WeightedDraws, count: int, rng: np.random.Generator) -> Draws:

@@ -92,7 +92,7 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
     theta = problem.parameters.theta(values)
     here = Fit(tuple(theta.tolist()), problem.values(theta), 0.0, (), 0, 0, False)
     sds = dict(zip(expectation.names, expectation.sds[0].tolist(), strict=True))
-    profiles = profile_parameters(problem, here, settings.jobs, settings.stop, settings.part_pool)
+    profiles = profile_parameters(problem, here, settings.jobs, settings.stop)
     found = identify_parameters(problem, profiles, sds, loosened=precision.loosen(problem, theta))
     near = dict(zip(expectation.names, expectation.sds.T, strict=True))  # over all places
     rows = []

@@ -121,7 +121,7 @@ def _run_task(job: Job, fold: Fold, where: tuple[str, str], settings: Settings) 
         for insertion in fold.validate
         for row in scorer.score({"fold": fold.name, "method": method}, insertion, predictor)[0]
     ]
-    known = Specimens(job, fold, learned.draws, settings.jobs, settings.part_pool)
+    known = Specimens(job, fold, learned.draws, settings.jobs)
     predicts = where[1] != "nothing"
     certified = not (known.faults if predicts else learned.draws.faults)
     rows = tabulate_held_out(job, fold, learned.draws, known) if predicts and certified else ()

@@ -357,7 +357,6 @@ def draw_parameters(
         partial(keep_start, checkpoint, "fitted"),
         settings.stop,
         jobs=settings.jobs,
-        pool=settings.part_pool,
     )
     fit = minimize(job.problem(fold), job.recipe, rng, callbacks)
     if fit.interrupted:
@@ -412,7 +411,7 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     scene = make_scene(record.scene, record.scene_name, job.medium)
     scene_name = record.scene_name.rpartition("/")[2]
     title = record.scene.title or scene_name
-    known = Specimens(job, job.folds[0], jobs=settings.jobs, pool=settings.part_pool)
+    known = Specimens(job, job.folds[0], jobs=settings.jobs)
     where = record.specimen or ("new" if job.record.specimens == "others" else "training only")
     if record.specimen is None and job.record.same_specimen and not known.separate:
         where = "same"

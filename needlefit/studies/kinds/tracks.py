@@ -289,14 +289,14 @@ def _draw_posterior(
         settings.progress(f"{name}: posterior of {task.name}", done, total)
 
     stream = partial(random_stream, task.recipe.seed, name, task.name)
-    callbacks = Callbacks(stop=settings.stop, step=step, jobs=settings.jobs, pool=settings.part_pool)
+    callbacks = Callbacks(stop=settings.stop, step=step, jobs=settings.jobs)
     fit = minimize(task.problem, task.recipe, stream("starts"), callbacks)
     if fit.interrupted or settings.stop():
         return None
     pareto_k = math.nan
     if not settings.sample:
         rng = stream("weighed")
-        found = sample_about_fit(task.problem, fit, rng, settings.jobs, pool=settings.part_pool)
+        found = sample_about_fit(task.problem, fit, rng, settings.jobs)
         if found.certified:
             return fit, resample_draws(found, PREDICTION_DRAWS, rng), None
         pareto_k = found.k

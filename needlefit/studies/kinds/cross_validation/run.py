@@ -229,8 +229,7 @@ class _StudyRun:
             lambda: pickle.dumps(self._go_on()._search(number, fold, others)),
             lambda: pickle.dumps(self._go_on()._examine(number, fold, fits)),
         ]
-        alone = settings.jobs == 1 or settings.part_pool.remote
-        with compute_beside(() if alone else rest, settings.stop) as finish:
+        with compute_beside(() if settings.jobs == 1 else rest, settings.stop) as finish:
             if not settings.sample:
                 drawn = self._draw(number, fold, fits)
             if not settings.stop():
@@ -341,7 +340,7 @@ class _StudyRun:
 
         report(0)
         rng = random_stream(job.recipe.seed, fold.name, search, "starts")
-        callbacks = Callbacks(kept, keep, settings.stop, approach, settings.jobs, settings.part_pool)
+        callbacks = Callbacks(kept, keep, settings.stop, approach, settings.jobs)
         return minimize(job.problem(fold, search), job.recipe_of(search), rng, callbacks)
 
     def _examine(self, number: int, fold: Fold, fits: Mapping[str, Fit]) -> FitProfiles | None:
@@ -355,7 +354,7 @@ class _StudyRun:
             self._report(number, "profiles", done / total)
 
         step(0, 1)
-        return profile_parameters(problem, fit, settings.jobs, settings.stop, settings.part_pool, step)
+        return profile_parameters(problem, fit, settings.jobs, settings.stop, step)
 
     def _sample(self, fold: Fold, fit: Fit) -> bool:
         """Sample the posterior of one fold; return whether it was interrupted."""
@@ -385,19 +384,19 @@ class _StudyRun:
         self._report(number, "posterior draws")
         draws, shown = draw_fold_parameters(job, fold, fit, self.posteriors.get(fold.name), settings)
         self._report(number, "posterior draws", 1)
-        jobs, pool = settings.jobs, settings.part_pool
-        specimens = Specimens(job, fold, draws, jobs, pool, self.specimens)
+        jobs = settings.jobs
+        specimens = Specimens(job, fold, draws, jobs, self.specimens)
 
         def step(done: int, total: int) -> None:
             self._report(number, "predictions", done / total)
 
         step(0, 1)
         given = replace(fold, validate=() if specimens.faults else fold.validate)
-        predicted = predict_held_out(job, given, draws, specimens, jobs, pool, bands=True, step=step)
+        predicted = predict_held_out(job, given, draws, specimens, jobs, bands=True, step=step)
         known = () if draws.faults else fold.validate
         others = replace(fold, validate=tuple(filter(specimens.differs, known)))
         # only their coverage, mean width and score are shown: the draws of figures will do
-        plain = predict_held_out(job, others, shown, None, jobs, pool)
+        plain = predict_held_out(job, others, shown, None, jobs)
         return _Drawn(draws, shown, specimens, tuple(predicted), tuple(plain))
 
     def _tabulate_draws(self, fold: Fold, drawn: "_Drawn") -> None:
