@@ -165,7 +165,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--targets", nargs="+", default=["study1", "study2"])
-    parser.add_argument("--moves", nargs="+", default=[DEFAULT, "0.6*de + 0.2*snooker + 0.2*stretch"])
+    parser.add_argument("--moves", nargs="+", default=[DEFAULT, "0.8*de + 0.2*stretch"])
     parser.add_argument("--seeds", nargs="+", type=int, default=[1])
     parser.add_argument("--depths", choices=["fixed", "linear", "quadrature"], default="linear")
     parser.add_argument("--jobs", type=int, default=2)

@@ -29,8 +29,6 @@ from needlefit.schemas.study import FitRecord
 SEARCHES = (
     "leastsquares",
     "slsqp",
-    "lbfgs",
-    "var2",
     "bobyqa+neldermead",
     "crs2+leastsquares",
 )

@@ -89,8 +89,6 @@ def test_a_report_loads_nothing_that_only_computing_needs():
     ("words", "code", "expected"),
     [
         (("nothing",), 2, "Usage: needlefit"),
-        (("identify", "study2"), 2, "tune --design"),
-        (("init", "mine"), 2, "new project"),
         (("tune", "study2", "--design", "--sample"), 2, "--sample"),
         (("simulate",), 2, "Usage: needlefit"),
         (("simulate", "phantom1", "--depth", "deep"), 2, "Usage: needlefit"),

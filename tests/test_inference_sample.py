@@ -19,9 +19,7 @@ from needlefit.inference.sampling.log_density import Evaluator, approximate_by_l
 from needlefit.inference.sampling.posterior import load, save
 from needlefit.inference.sampling.sample import (
     INDEPENDENT,
-    SNOOKER_LENGTH,
     Snapshots,
-    _propose_snooker,
     parse_moves,
     sample,
 )
@@ -137,20 +135,6 @@ def test_the_laplace_approximation_of_a_gaussian_is_the_gaussian_within_its_boun
     assert at_bound.centre == pytest.approx(upper - 1e-3 * (upper - lower), abs=1e-12)
 
 
-def test_a_snooker_step_goes_along_the_line_through_another_walker():
-    """Its length comes from two more, projected; the correction is the stretch to the power P - 1."""
-    own, others = np.array([[1.0, 2.0, 2.0]]), np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 6.0, 0.0]])
-    moved, factor = _propose_snooker(own, [others], np.random.RandomState(1))
-    steps = []
-    for z, a, b in ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0)):
-        away = own[0] - others[z]
-        unit = away / np.linalg.norm(away)
-        there = own[0] + SNOOKER_LENGTH * unit * (unit @ (others[a] - others[b]))
-        stretch = np.linalg.norm(there - others[z]) / np.linalg.norm(away)
-        steps.append([*there, 2 * np.log(stretch)])
-    assert min(np.abs(np.array(steps) - [*moved[0], factor[0]]).max(axis=1)) < 1e-12
-
-
 def test_bugs_bounds_and_moves():
     def bug(theta):
         raise KeyError("mu7_pa")
@@ -162,7 +146,7 @@ def test_bugs_bounds_and_moves():
     for moves in ("hop", "de+de", "0*de", "de*snooker", ""):
         refusal(ConfigError, r"sample\.moves", draw, moves=moves)
     assert parse_moves("stretch") == {"stretch": 1.0}
-    assert parse_moves("de+snooker") == pytest.approx({"de": 0.8, "snooker": 0.2})
+    assert parse_moves("de+stretch") == {"de": 0.5, "stretch": 0.5}
     assert parse_moves("3 * de + 1*stretch") == {"de": 0.75, "stretch": 0.25}
 
 

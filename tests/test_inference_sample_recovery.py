@@ -13,7 +13,7 @@ from needlefit.schemas.recipe import SampleRecord
 
 pytestmark = pytest.mark.sweep
 
-MOVES = ["stretch", "de", "snooker", "independent", SampleRecord().moves]
+MOVES = ["stretch", "de", "independent", SampleRecord().moves]
 
 
 @pytest.mark.parametrize("moves", MOVES)

@@ -53,9 +53,6 @@ _GROUPS = {
 }
 """First words of commands that form a group, with its help."""
 
-_RENAMED = {"init": "new project", "identify": "tune (before any measurement: tune --design)"}
-"""Former commands, with what took their place."""
-
 _DATA = ("new project", "new dataset", "new workbook", "check", "twin build", "twin ct")
 _STUDIES = ("tune", "calibrate", "validate", "predict", "material", "verify", "credibility")
 
@@ -132,12 +129,6 @@ class _Guarded(_Group):
         with formatter.section("More (needlefit COMMAND --help)"):
             names = {head: dict.fromkeys(one.split()[0] for one in members) for head, members in more}
             formatter.write_dl([(head, ", ".join(words)) for head, words in names.items()])
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:  # noqa: ANN401 - as the base class takes it
-        """Name what took the place of a former command."""
-        if args[0] in _RENAMED:
-            ctx.fail(f"'{args[0]}' is now: needlefit {_RENAMED[args[0]]}")
-        return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: typer.Context) -> object:  # type: ignore[override]
         try:

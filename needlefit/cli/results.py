@@ -26,14 +26,12 @@ if TYPE_CHECKING:
         "Also write figures 3.5 and 7.16 in wide, LaTeX files and an example to a new folder.", "DIR"
     ),
     figures=option("main: those that the report needs; all: the optional ones too."),
-    latex=option("Also compile the example, a paper of all tables and figures. Needs LaTeX.", "PDF"),
 )
 def report(
     context: typer.Context,
     run: str,
     out: Path | None = None,
     paper: Path | None = None,
-    latex: Path | None = None,
     figures: Literal["main", "all"] = "main",
     unverified: bool = False,
 ) -> None:
@@ -59,11 +57,6 @@ def report(
             stored, to = (folder.parent / one.name, paper / one.name) if several else (written, paper)
             write_paper_folder(one, stored, to)
         screen.print_line(f"written: {paper}")
-    if latex is not None:
-        from needlefit.reporting.paper_example import compile_example
-
-        compile_example(written if paper is None else paper, latex)
-        screen.print_line(f"written: {latex}")
 
 
 @takes(

@@ -1,20 +1,15 @@
-"""Write an IEEEtran document that inputs the LaTeX files of a run, and compile it."""
+"""Write an IEEEtran document that inputs the LaTeX files of a run."""
 
-import shutil
-import subprocess
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from needlefit.errors import ConfigError
 from needlefit.reporting.document import Block, Document, is_half_width
 from needlefit.reporting.latex import escape_latex
 
 EXAMPLE_FILE = "example.tex"
-MAX_COMPILE_S = 300
 
 _HEAD = r"""% An example of a paper that uses the files of this folder. Written by needlefit.
-% Compile: needlefit report RUN --latex example.pdf, or latexmk -pdf example.tex
+% Compile: latexmk -pdf example.tex
 \documentclass[journal]{IEEEtran}
 \usepackage[T1]{fontenc}
 \usepackage{textcomp,booktabs,graphicx,siunitx,url}
@@ -45,39 +40,3 @@ def _format_figure(block: Block, origin: str) -> str:
         f"\\caption{{{escape_latex(origin + block['caption'])}}}\n"
         f"\\label{{fig:{name}}}\n\\end{{{environment}}}\n"
     )
-
-
-def compile_example(folder: Path, target: Path) -> None:
-    """Compile the example document of a result folder to the PDF `target`.
-
-    ConfigError if LaTeX is not installed, the folder has no example, or LaTeX reports an error.
-    """
-    if shutil.which("pdflatex") is None or shutil.which("bibtex") is None:
-        raise ConfigError(
-            "LaTeX is not installed", expected="pdflatex and bibtex on PATH", fix="install TeX Live"
-        )
-    if not (folder / EXAMPLE_FILE).is_file():
-        raise ConfigError(
-            f"holds no {EXAMPLE_FILE}", where=str(folder), fix=f"write it: needlefit report {folder.name}"
-        )
-    with tempfile.TemporaryDirectory(prefix="needlefit-") as name:
-        for path in folder.iterdir():
-            if path.suffix in (".tex", ".bib", ".pdf"):
-                shutil.copyfile(path, Path(name) / path.name)
-        stem = Path(EXAMPLE_FILE).stem
-        _run_latex(["pdflatex", "-interaction=nonstopmode", "-halt-on-error", EXAMPLE_FILE], name)
-        if (folder / "references.bib").is_file():
-            _run_latex(["bibtex", stem], name)
-        for _ in range(2):  # citations, then references to them
-            _run_latex(["pdflatex", "-interaction=nonstopmode", "-halt-on-error", EXAMPLE_FILE], name)
-        shutil.copyfile(Path(name) / f"{stem}.pdf", target)
-
-
-def _run_latex(command: list[str], folder: str) -> None:
-    done = subprocess.run(command, cwd=folder, capture_output=True, timeout=MAX_COMPILE_S, check=False)
-    if done.returncode:
-        lines = done.stdout.decode("utf-8", "replace").splitlines()
-        first = next((line for line in lines if line.startswith("!")), "no message")
-        raise ConfigError(
-            f"{command[0]} failed: {first}", where=EXAMPLE_FILE, fix="read its log, correct the file"
-        )

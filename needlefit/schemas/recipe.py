@@ -85,7 +85,7 @@ class SampleRecord(Record):
     walkers: int = Field(default=16, ge=8, le=MAX_WALKERS)
     """Walkers of one ensemble."""
     moves: str = "0.6*independent + 0.3*de + 0.1*stretch"
-    """Proposals and their shares: independent, stretch, de, snooker."""
+    """Proposals and their shares: independent, stretch, de."""
     steps: int = Field(default=20000, ge=2)
     """Largest number of steps of each ensemble; it stops earlier once it has converged."""
     check_interval: int = Field(default=50, ge=2)

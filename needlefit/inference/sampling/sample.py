@@ -130,31 +130,28 @@ Proposal = Callable[[Floats, Sequence[Floats], RandomState], tuple[Floats, Float
 
 INDEPENDENT = "independent"
 
-#: parts of the steps that moves get without a factor, in relation: emcee's authors advise 0.8 and 0.2
-MOVE_WEIGHTS = {"stretch": 1.0, "de": 0.8, "snooker": 0.2, INDEPENDENT: 1.0}
-#: length of a snooker step in differences of two others; ter Braak & Vrugt, Stat. Comput. 18 (2008) 435.
-SNOOKER_LENGTH = 1.7
+MOVES = ("stretch", "de", INDEPENDENT)
 ENSEMBLE_PARTS = 2  #: parts of an ensemble that move in turn, each looking at the other
 
 _MOVE = re.compile(r"\s*(?:(?P<factor>[^*\s]+)\s*\*\s*)?(?P<name>[a-z]+)\s*")
 
 
 def parse_moves(moves: str) -> dict[str, float]:
-    """Return the share of the steps of each move in `moves`: `"stretch"`, `"0.9*de+0.1*snooker"`.
+    """Return the share of the steps of each move in `moves`: `"stretch"`, `"0.9*de+0.1*stretch"`.
 
     Raises ConfigError if a move is not known or its factor is not above 0.
     """
     found: dict[str, float] = {}
     for term in moves.split("+"):
         match, factor = _MOVE.fullmatch(term), math.nan
-        if match is not None and match["name"] in MOVE_WEIGHTS and match["name"] not in found:
+        if match is not None and match["name"] in MOVES and match["name"] not in found:
             with suppress(ValueError):
-                factor = float(match["factor"] or MOVE_WEIGHTS[match["name"]])
+                factor = float(match["factor"] or 1.0)
         if match is None or not 0 < factor < np.inf:
             raise ConfigError(
                 f"cannot move by `{moves}`",
                 where="recipe, key `sample.moves`",
-                expected=f"{', '.join(MOVE_WEIGHTS)}, or several: de+snooker, 0.9*de + 0.1*snooker",
+                expected=f"{', '.join(MOVES)}, or several: de+stretch, 0.9*de + 0.1*stretch",
             )
         found[match["name"]] = factor
     return {name: factor / sum(found.values()) for name, factor in found.items()}
@@ -259,8 +256,6 @@ class _EnsembleMove:
 def _make_proposal(name: str, proposal_density: ProposalDensity) -> Proposal:
     from emcee import moves
 
-    if name == "snooker":
-        return _propose_snooker
     if name == INDEPENDENT:  # wherever the walkers are
 
         def propose(own: Floats, _: Sequence[Floats], random: RandomState) -> tuple[Floats, Floats]:
@@ -272,27 +267,6 @@ def _make_proposal(name: str, proposal_density: ProposalDensity) -> Proposal:
     move = {"stretch": moves.StretchMove, "de": moves.DEMove}[name]()
     move.setup(np.empty((0, proposal_density.dimensions)))  # differential evolution scales with the dimension
     return move.get_proposal
-
-
-def _propose_snooker(own: Floats, others: Sequence[Floats], random: RandomState) -> tuple[Floats, Floats]:
-    """Propose a step along the line through one other walker, by the projected difference of two more.
-
-    emcee 3.1.6 has this move too, but not with the target as its stationary distribution: it multiplies the
-    step by the distance from the other walker, and corrects by half the exponent. Of a Gaussian in five
-    dimensions it finds 0.7 of the variances.
-    """
-    pool = np.concatenate(list(others))
-    # random keys, sorted: three different others for every walker
-    three = np.argsort(random.uniform(size=(len(own), len(pool))), axis=1)[:, :3]
-    at = pool[three]  # (N, 3, P)
-    away = own - at[:, 0]
-    distance = np.linalg.norm(away, axis=1)  # (N,)
-    unit = away / distance[:, None]
-    moved = own + SNOOKER_LENGTH * unit * np.sum(unit * (at[:, 1] - at[:, 2]), axis=1)[:, None]
-    stretched = np.linalg.norm(moved - at[:, 0], axis=1) / distance
-    # Jacobian of a move along a line through a fixed point: the volume grows by the stretch to the power P -
-    # 1
-    return moved, (own.shape[1] - 1) * np.log(stretched)
 
 
 Failed = tuple[tuple[tuple[float, ...], ...], ...]
