@@ -22,8 +22,9 @@ from queue import Queue
 PROJECT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(PROJECT / "tests"), str(PROJECT), str(PROJECT / "benchmarks")]
 
-from fuzzing.campaign import Verdict, Workers  # noqa: E402
+from fuzzing.campaign import Workers  # noqa: E402
 from fuzzing.readers import READERS  # noqa: E402
+from fuzzing.worker import Verdict  # noqa: E402
 
 SHARE = 40
 """Mutants that a process reads of one reader before it turns to the next."""

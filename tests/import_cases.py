@@ -7,6 +7,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from needlefit.datasets.importing.files import read_content
+from needlefit.datasets.importing.understanding import understand
+
 TURN = np.array([[0.0, -1.0, 0.0, 12.0], [1.0, 0.0, 0.0, -30.0], [0.0, 0.0, 1.0, 5.0], [0.0, 0.0, 0.0, 1.0]])
 """A quarter turn and a shift, LPS, from a node to its parent."""
 
@@ -198,3 +201,8 @@ def write_bundle(path: Path, folder: Path, extra=(), packed=True):
         for name, data in extra:
             archive.writestr(zipfile.ZipInfo(name), data, zipfile.ZIP_DEFLATED)
     return path
+
+
+def plan_import(paths, decisions):
+    content = read_content(paths)
+    return content, understand(content, decisions)

@@ -6,12 +6,13 @@ import zipfile
 import import_cases
 import numpy as np
 import pytest
+from import_cases import plan_import
 from refusals import refusal
 from scipy.io import savemat
 
 from needlefit.cli import main
 from needlefit.datasets.importing import files
-from needlefit.datasets.importing.conversion import plan_import, write_plan
+from needlefit.datasets.importing.conversion import write_plan
 from needlefit.datasets.importing.decisions import Decisions
 from needlefit.datasets.importing.files import read_content
 from needlefit.datasets.importing.tables import parse_number, read_sheets, read_text_cells

@@ -146,7 +146,6 @@ class _Guarded(_Group):
 
 
 def build() -> typer.Typer:
-    """Return the application."""
     app = typer.Typer(cls=_Guarded, pretty_exceptions_enable=False, epilog=_EPILOG, **_STYLE)
     app.callback()(_needlefit)
     return app

@@ -120,7 +120,6 @@ class Execution:
         return result
 
     def write(self, result: "Run") -> Path:
-        """Write a run; return its folder."""
         from needlefit.studies.report import write_run
 
         with show_progress(self.invocation.quiet) as report:

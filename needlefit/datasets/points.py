@@ -28,7 +28,6 @@ class Points:
     stated: Mapping[str, str] = field(default_factory=dict)  # fields of the file beside it, as text
 
     def part(self, rows: NDArray[np.int64]) -> "Points":
-        """Return some of the points."""
         lines = None if self.lines is None else self.lines[rows]
         sd = None if self.sd is None else self.sd[rows]
         return replace(self, values=self.values[rows], lines=lines, sd=sd)

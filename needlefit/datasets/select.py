@@ -124,12 +124,8 @@ def group_independent(holes: Sequence[str], specimens: Sequence[str]) -> tuple[s
 
 
 def group_rows(table: pd.DataFrame) -> tuple[str, ...]:
-    """Return the independent group of each row of a table of results.
-
-    In tables of earlier versions, which have no column `hole`, every insertion is a hole.
-    """
-    holes = table["hole" if "hole" in table else "insertion"]
-    return group_independent(list(holes), list(table["specimen"]))
+    """Return the independent group of each row of a table of results."""
+    return group_independent(list(table["hole"]), list(table["specimen"]))
 
 
 HoleSource = Literal["stated", "entry", "assumed", "separate"]

@@ -111,7 +111,6 @@ def _format_rows(rows: Sequence[InsertionRow]) -> str:
 
 
 def format_cells(row: InsertionRow) -> dict[str, str]:
-    """Return the cells of a row, by column."""
     alternative = row.layers if row.layers_alternative is None else row.layers_alternative
     turn = shift = None
     if row.patient is not None:

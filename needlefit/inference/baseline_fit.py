@@ -70,7 +70,6 @@ def fit_baseline(name: str, pose: Pose, drop: float, insertions: Sequence[Insert
 
 
 def fit_baselines(pose: Pose, drop: float, insertions: Sequence[Insertion]) -> Mapping[str, FittedBaseline]:
-    """Return every baseline, fitted, by name."""
     return {one.name: fit_baseline(one.name, pose, drop, insertions) for one in list_baselines()}
 
 
@@ -104,7 +103,6 @@ class CurveDensity:
 
     @property
     def baseline(self) -> Baseline:
-        """The baseline."""
         return BASELINES[self.name]
 
     @property

@@ -430,7 +430,6 @@ class ParameterDraws:
         return cls(tissue.mu[None], tissue.shape[None], np.array([strength]))
 
     def only(self, rows: Ints) -> Self:
-        """Return some of the draws."""
         return replace(self, mu=self.mu[rows], shape=self.shape[rows], bevel=self.bevel[rows])
 
     def make_batch(

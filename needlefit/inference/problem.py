@@ -214,7 +214,6 @@ class PosteriorDensity:
 
     @cached_property
     def _nodes(self) -> "_ModelledNodes":
-        """The nodes of all insertions."""
         return self._prepare([one.nodes for one in self.observations])
 
     @cached_property

@@ -295,7 +295,6 @@ class _Search:
 
     @cached_property
     def base_stations(self) -> tuple[float, ...]:
-        """The stations at which the base moves."""
         count = int((self.end - self.insertion.now.depth) / BASE_STEP_MM)
         return _spread(self.stations, count)
 

@@ -181,7 +181,6 @@ def write_manifest(folder: Path) -> None:
 
 
 def format_manifest(table: Mapping[str, Any]) -> str:
-    """Return the text of a manifest."""
     head = {"program": "needlefit", "format": FORMAT}
     return json.dumps({**head, **table}, indent=2, ensure_ascii=True) + "\n"
 

@@ -50,7 +50,6 @@ class Topic:
 
 @cache
 def read_sections() -> dict[str, Topic]:
-    """Return the sections of the page by key."""
     page = read_text(shipped_folder() / TROUBLESHOOTING_PAGE)
 
     def name_page(link: re.Match[str]) -> str:  # in place of a link
@@ -79,7 +78,6 @@ _TERM = re.compile(
 
 @cache
 def read_terms() -> list[Topic]:
-    """Return the terms in the order of the page."""
     found = []
     for match in _TERM.finditer(read_text(shipped_folder() / GLOSSARY_PAGE)):
         name, symbol, unit, meaning = (

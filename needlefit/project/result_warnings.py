@@ -46,5 +46,4 @@ def warnings_entry(warnings: Iterable[ResultWarning]) -> dict[str, list[dict[str
 
 
 def read_warnings(run: Mapping[str, Any]) -> tuple[ResultWarning, ...]:
-    """Return the warnings that a run keeps."""
     return tuple(ResultWarning(**row) for row in run.get(WARNINGS_KEY, ()))

@@ -154,11 +154,9 @@ class TaskStop:
         self._stop, self._left = stop, False
 
     def __call__(self) -> bool:
-        """Whether to end."""
         return self._left or self._stop()
 
     def leave(self) -> None:
-        """Request a stop."""
         self._left = True
 
 

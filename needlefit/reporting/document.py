@@ -45,7 +45,6 @@ class Document:
 
 
 def heading(words: str) -> Block:
-    """Return a section's heading."""
     return {"kind": "heading", "text": words}
 
 
@@ -60,7 +59,6 @@ def verdict(words: Words, status: Literal["none", "pass", "warn", "fail"]) -> Bl
 
 
 def text(words: Words) -> Block:
-    """Return a paragraph of text."""
     return {"kind": "text", "text": _prose_block(words)}
 
 
@@ -70,7 +68,6 @@ def note(words: Words) -> Block:
 
 
 def bullets(items: Sequence[Words]) -> Block:
-    """Return a bulleted list."""
     return {"kind": "list", "items": [_prose_block(words) for words in items]}
 
 
@@ -90,7 +87,6 @@ def _prose_block(words: Words) -> Words:
 
 
 def table(display: TableLayout) -> Block:
-    """Return a table."""
     return {"kind": "table", **asdict(display)}
 
 
@@ -110,7 +106,6 @@ def is_half_width(figure: Path) -> bool:
 
 
 def compile_pdf(document: Document) -> bytes:
-    """Return the PDF of a report."""
     blocks, pictures = list(_number_blocks(document)), dict[str, Path]()
     for block in blocks:
         if "path" in block:

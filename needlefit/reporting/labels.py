@@ -91,7 +91,6 @@ def group_name(medium: str, layers: int) -> str:
 
 
 def entry_name(entry: str, angle_deg: float) -> str:
-    """Return the printed name of an entry and an angle."""
     return entry if angle_deg == 0 else f"{entry}, {angle_deg:g}°".replace("-", "−")
 
 
@@ -101,7 +100,6 @@ def method_colour(method: str) -> str:
 
 
 def method_marker(method: str) -> str:
-    """Return the marker of a method in figures."""
     names = [baseline.name for baseline in list_baselines()]
     if method in names:
         return _BASELINE_MARKERS[names.index(method) % len(_BASELINE_MARKERS)]

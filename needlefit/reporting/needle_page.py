@@ -50,7 +50,6 @@ _EXPORT_LIST = re.compile(r"^export\s+\{\s*(\w+(?:,\s*\w+)*),?\s*\};", re.MULTIL
 
 
 def read_package_file(name: str) -> str:
-    """Return the text of a file of the package."""
     return (files("needlefit") / name).read_text("utf-8")
 
 
@@ -182,7 +181,6 @@ class PageData:
         return {"$": self._lists.setdefault(json.dumps(numbers.ravel().tolist()), len(self._lists))}
 
     def pack(self) -> str:
-        """Return all of it, compressed."""
         lists = [json.loads(text) for text in self._lists]
         content = to_json_values({"lists": lists, **self.values, "needles": self.needles})
         return compress(json.dumps(content, separators=(",", ":"), allow_nan=False).encode())

@@ -30,7 +30,6 @@ def write_json(path: Path, value: Mapping[str, Any]) -> None:
 
 
 def all_files(folder: Path) -> list[Path]:
-    """Return all files in a folder and its subfolders."""
     return sorted(path for path in folder.rglob("*") if path.is_file())
 
 

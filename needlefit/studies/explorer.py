@@ -60,7 +60,6 @@ class StoredInsertion:
 
     @classmethod
     def read(cls, run: Mapping[str, Any], name: str) -> Self:
-        """Return an insertion as `run.json` stores it."""
         layers = run["layers"][name]
         sequence, tops = tuple(layer for layer, _ in layers), np.array([top for _, top in layers[1:]])
         return cls(**run[INSERTIONS_KEY][name], sequence=sequence, boundaries=tops)

@@ -55,7 +55,6 @@ def add_warnings(results: Run, job: "Job") -> Run:
 
 
 def apply_rule(rule: WarningRule, results: Run) -> Iterator[ResultWarning]:
-    """Yield the warnings of one rule about a run."""
     if not (rule.complete and results.interrupted):
         for values in rule.find(results):
             yield write_warning(rule.kind, values, rule.text)

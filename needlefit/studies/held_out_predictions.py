@@ -151,7 +151,6 @@ class Specimens:
 
     @cached_property
     def tuned(self) -> dict[str, tuple[Insertion, ...]]:
-        """The insertions tuned on, by specimen."""
         return group_insertions(self.fold.tune, "specimen")
 
     @cached_property

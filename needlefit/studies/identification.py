@@ -173,7 +173,6 @@ class ParameterInterval:
         return self.width(name) < 2 * NORMAL_95_HALF_WIDTH_SD * sd
 
     def columns(self) -> Row:
-        """Return the columns of a table of parameters."""
         return {"interval_low": self.low, "interval_high": self.high, "draw_source": self.source}
 
 

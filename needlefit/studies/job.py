@@ -177,7 +177,6 @@ class Settings:
         return "" if self.file is None else locate_key(self.file, key)
 
     def task_pool(self) -> TaskPool:
-        """Return where tasks run."""
         return self.pool or LocalPool(self.jobs)
 
     def __reduce__(self) -> tuple[Callable[..., "Settings"], tuple[object, ...]]:
@@ -238,7 +237,6 @@ class Job:
         return tuple(found.values())
 
     def floor(self, insertion: Insertion) -> NoiseFloor:
-        """Return the noise floor of an insertion."""
         return estimate_noise_floor(
             self.dataset, insertion, random_stream(self.recipe.seed, "noise floor", insertion.id)
         )

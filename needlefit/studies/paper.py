@@ -100,7 +100,6 @@ class Claim:
 
     @property
     def sentence(self) -> str:
-        """The claim in one line."""
         verdict = "which agrees with" if self.agrees else "but"
         line = f"{self.topic}: {self.place}: {self.statement}, "
         line += f"{verdict} {self.other_place}: {self.other_statement}"

@@ -86,7 +86,6 @@ def without_surfaces(job: Job) -> Job:
 
 
 def with_insertions(job: Job, changed: Callable[[Insertion], Insertion]) -> Job:
-    """Return the job with every insertion of its folds changed."""
     folds = tuple(
         Fold(fold.name, tuple(map(changed, fold.tune)), tuple(map(changed, fold.validate)))
         for fold in job.folds

@@ -346,7 +346,6 @@ class _Interpolation:
         return np.ascontiguousarray(self.steps).reshape(count, nodes, 2 * points)
 
     def take(self, points: slice) -> "_Interpolation":
-        """Return some of the points."""
         return replace(self, points=self.points[:, points], steps=self.steps[:, :, points])
 
     def at(self, shifts: Floats, deep: Floats) -> Floats:

@@ -74,7 +74,6 @@ def probability_inside(replicates: int, low: Counts, high: Counts) -> float:
 
 
 def _poisson(counts: Counts, mean: float) -> Floats:
-    """Return the Poisson probabilities of counts."""
     return np.asarray(np.exp(scipy.special.xlogy(counts, mean) - scipy.special.gammaln(counts + 1) - mean))
 
 
@@ -108,7 +107,6 @@ _QUANTITY_NAMES = {
 
 
 def name_quantity(name: str) -> str:
-    """Return the printed name of a ranked quantity."""
     return _QUANTITY_NAMES.get(name, format_bare_symbol(name))
 
 

@@ -169,7 +169,6 @@ def worst_status(verdicts: Sequence[Verdict]) -> Status:
 
 
 def verdicts_to_json(verdicts: Sequence[Verdict]) -> list[dict[str, object]]:
-    """Return verdicts as JSON values."""
     return [asdict(one) for one in verdicts]
 
 
@@ -234,7 +233,6 @@ class Run:
 
     @property
     def title(self) -> str:
-        """The title of the report."""
         return str(getattr(self.record, "title", "") or self.name)
 
     @property
@@ -249,7 +247,6 @@ class Run:
 
     @property
     def synthetic(self) -> bool:
-        """Whether anything in it is synthetic."""
         return self.origin == "synthetic"
 
     @property

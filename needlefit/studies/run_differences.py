@@ -332,7 +332,6 @@ def lay_out_differences(found: Sequence[Difference], everything: bool = False) -
 
 
 def differences_to_json(found: Sequence[Difference]) -> list[object]:
-    """Return the differences as JSON values."""
     return [to_json_values(asdict(one)) for one in found]
 
 

@@ -35,7 +35,6 @@ class Shared(Generic[Value]):
         self._compute = compute
 
     def __call__(self) -> Value:
-        """Return the value."""
         return self._value
 
     @cached_property

@@ -282,7 +282,6 @@ def list_groups(table: pd.DataFrame) -> list[ScoredGroup]:
 
 
 def list_held_out_groups(*results: Run, with_alternate: bool = False) -> list[ScoredGroup]:
-    """Return the groups of held-out insertions."""
     return [group for one in results for group in _held_out_groups(one, with_alternate)]
 
 
@@ -370,7 +369,6 @@ def _list_rows(results: Run, grouping: str, with_alternate: bool) -> list[Row]:
 
 
 def _group_rows(results: Run, role: str, grouping: str) -> Iterator[Row]:
-    """Yield the rows of every group in which the fit is scored."""
     keys = ("medium",) if grouping == BY_MEDIA else ("medium", "layers")
     errors, shapes = results.frames["errors"], results.frames["shapes"]
     here = results.with_frames(errors=errors[errors["role"] == role], shapes=shapes[shapes["role"] == role])

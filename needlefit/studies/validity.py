@@ -29,7 +29,6 @@ class ValidityCount:
     outside: int = 0
 
     def add(self, simulations: int, outside: int) -> None:
-        """Add a number of simulations."""
         self.simulations += simulations
         self.outside += outside
 
@@ -48,7 +47,6 @@ class ValidityCounts:
     scored: list[dict[str, Any]] = field(default_factory=list)
 
     def score(self, place: Mapping[str, Any], validity: Validity) -> None:
-        """Count one scored simulation."""
         self.scored.append({**place, "faults": list(validity.faults)})
 
     def table(self) -> dict[str, Any]:

@@ -42,7 +42,6 @@ class Phantom:
 
     @property
     def boundaries(self) -> int:
-        """Number of boundaries."""
         return len(self.interfaces) + (self.cylinder is not None)
 
 
@@ -76,7 +75,6 @@ def make_surfaces(phantom: Phantom) -> tuple[Surface, ...]:
 
 
 def surface_file_name(medium: str, surface: Surface) -> str:
-    """Return the file name of a surface of a medium."""
     return f"layers/{medium}_{surface.name}.stl"
 
 
@@ -379,7 +377,6 @@ def draw_medium(seed: int, name: str, population: Population | None = None) -> M
 
 
 def draw_specimen(seed: int, medium: str, name: str, population: Population | None = None) -> TrueSpecimen:
-    """Draw a specimen of a medium."""
     truth, rng = draw_medium(seed, medium, population), random_stream(seed, "twin", "specimen", name)
     factors = np.exp(truth.layer_sd * rng.normal(size=len(truth.mu_pa)))
     shifts = LAYER_SD_MM * rng.normal(size=PHANTOMS[medium].boundaries)
@@ -415,7 +412,6 @@ def draw_deviations(seed: int, planned: PlannedInsertion) -> PlanDeviations:
 
 
 def bevel_offset(specimen: TrueSpecimen, planned: PlannedInsertion, deviations: PlanDeviations) -> float:
-    """Return the bevel offset (mm) of an insertion."""
     along = 2 * np.cos(np.radians(planned.fibre_angle)) ** 2
     by_fibres = 1 - specimen.fibre_dependence + specimen.fibre_dependence * along
     return float(specimen.bevel * by_fibres * np.exp(specimen.insertion_bevel_sd * deviations.bevel))

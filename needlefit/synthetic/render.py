@@ -127,7 +127,6 @@ def voxelize_needle(needle: Needle3D, grid: VoxelGrid) -> MetalVoxels:
 
 
 def voxelize_balls(markers: SceneMarkers, grid: VoxelGrid) -> MetalVoxels:
-    """Return the metal voxels of the marker balls."""
     reach = markers.radius + float(np.linalg.norm(grid.spacing)) / 2
     voxels = _voxels_near(markers.centers, reach, grid)
     centers = (voxels * grid.spacing) @ grid.direction.T + grid.origin

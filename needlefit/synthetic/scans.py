@@ -86,7 +86,6 @@ SAMPLE_SETUP = ScanSetup(
 
 
 def choose_setup(planned: PlannedInsertion) -> ScanSetup:
-    """Return the scan setup of an insertion."""
     return SAMPLE_SETUP if planned.id == design.SAMPLE_INSERTION.id else WHOLE_BOX_SETUP
 
 

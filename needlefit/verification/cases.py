@@ -56,7 +56,6 @@ class ReferenceLaw:
 
     @classmethod
     def of(cls, tissue: Tissue) -> Self:
-        """Return the parameters of a tissue."""
         return cls(tissue.mu, tissue.shape, tissue.thickness, tissue.friction, tissue.law)
 
     def reaction(self, layer: Ints, e: Numbers, slope: Numbers) -> Numbers:

@@ -85,7 +85,6 @@ def worst(values: ArrayLike) -> float:
 
 
 def at_most(high: float) -> AcceptanceBound:
-    """Return the acceptance bound of an error."""
     return AcceptanceBound(high=high)
 
 
@@ -176,7 +175,6 @@ class Verification:
 
     @property
     def failed(self) -> tuple[CheckRow, ...]:
-        """The rows that fail."""
         return tuple(row for row in self.rows if row.verdict == "FAILS")
 
 

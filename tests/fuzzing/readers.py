@@ -99,11 +99,10 @@ def _dataset(path: Path) -> object:
 
 
 def _import(path: Path) -> object:
-    conversion = import_module("needlefit.datasets.importing.conversion")
     decisions = _late("datasets.importing.decisions.Decisions")()
-    content, plan = conversion.plan_import([path], decisions)
+    content, plan = import_module("import_cases").plan_import([path], decisions)
     with _late("project.folders.create_folder")(path.parent / "made") as fresh:
-        conversion.write_plan(fresh, content, plan, decisions)
+        _late("datasets.importing.conversion.write_plan")(fresh, content, plan, decisions)
     return _late("datasets.read.read")(path.parent / "made")
 
 

@@ -1,28 +1,31 @@
-"""A process that reads mutants, one after the other, and says what came of each.
+"""What a process does that reads mutants, one after the other, and returns what came of each.
 
-It is asked on stdin, a line of JSON a mutant, and answers on the descriptor that it was given. Asked for no
-number it builds the valid inputs, which may take a while. Whatever a reader prints goes to a file. The
-process may end at any mutant, by a crash of native code: its input then lies in `FOLDER/case`.
+Whatever a reader prints goes to a file. The process may end at any mutant, by a crash of native code or by a
+limit: its input then lies in `FOLDER/case`.
 """
 
-import json
 import os
 import re
 import resource
 import shutil
+import signal
 import sys
 import traceback
 import warnings
 import zlib
-from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
-CASE = "case"
+CASE, PRINTED = "case", "printed"
 
 MAX_SECONDS, MAX_MIB = 10.0, 1024.0
 """What reading one file may take: processor time, and memory beyond what the process had before."""
+
+PATIENCE_S = 60.0
+"""Wall time after which a reader hangs, on a machine that others use too."""
 
 MAX_MESSAGE = 20_000
 """Characters of an error: an input of any length makes no message of any length."""
@@ -60,42 +63,80 @@ def write_case(reader: str, number: int, seed: int, folder: Path) -> Path:
     return folder / one.opened
 
 
-def read_case(reader: str, path: Path, printed: Path) -> dict[str, object]:
-    """Read one input; return the outcome ("accepted", "refused", "violation"), why, seconds and MiB."""
+@dataclass(frozen=True)
+class Verdict:
+    """What came of one mutant; `detail` is the error's text, or what is wrong with it."""
+
+    reader: str
+    number: int
+    outcome: Literal["accepted", "refused", "violation"]
+    detail: str = ""
+    seconds: float = 0.0
+    mib: float = 0.0
+
+
+def begin_process(folder: Path) -> None:
+    resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE_MIB * 2**20, resource.RLIM_INFINITY))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    warnings.simplefilter("ignore")
+    (folder / "home").mkdir(exist_ok=True)
+    os.chdir(folder / "home")
+    out = os.open(folder / PRINTED, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND)
+    os.dup2(out, 1)
+    os.dup2(out, 2)
+
+
+def count_inputs(folder: Path, reader: str) -> int:
+    from fuzzing.readers import inputs
+
+    return len(inputs(reader, folder / "inputs"))
+
+
+def read_mutant(folder: Path, reader: str, number: int, seed: int, max_seconds: float) -> Verdict:
+    """Read one mutant; the system ends the process at the limits of processor and wall time."""
+    path = write_case(reader, number, seed, folder / CASE)
+    unlimited = resource.getrlimit(resource.RLIMIT_CPU)
+    resource.setrlimit(resource.RLIMIT_CPU, (int(_seconds() + max_seconds) + 1, unlimited[1]))
+    signal.setitimer(signal.ITIMER_REAL, PATIENCE_S)
+    try:
+        return _read(Verdict(reader, number, "accepted"), path, folder / PRINTED)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        resource.setrlimit(resource.RLIMIT_CPU, unlimited)
+
+
+def _read(verdict: Verdict, path: Path, printed: Path) -> Verdict:
     from fuzzing.readers import reader as find
     from needlefit.errors import NeedlefitError
 
     os.ftruncate(1, 0)
     began, before = _seconds(), _reset_memory()
     try:
-        find(reader).read(path)
-        outcome, detail = "accepted", ""
+        find(verdict.reader).read(path)
     except NeedlefitError as error:
-        outcome, detail = "refused", str(error)
+        verdict = replace(verdict, outcome="refused", detail=str(error))
     except BaseException as error:  # a reader that raises SystemExit or KeyboardInterrupt is wrong as well
-        outcome, detail = "violation", f"{type(error).__name__} at {_place(error)}: {error}"[:400]
-    seconds, mib = _seconds() - began, _memory() - before
+        what = f"{type(error).__name__} at {_place(error)}: {error}"[:400]
+        verdict = replace(verdict, outcome="violation", detail=what)
+    verdict = replace(verdict, seconds=_seconds() - began, mib=_memory() - before)
     sys.stdout.flush()
     sys.stderr.flush()
-    used: dict[str, object] = {"seconds": seconds, "mib": mib}
-    if seconds > MAX_SECONDS or mib > MAX_MIB:
-        detail = f"took {seconds:.1f} s of processor time and {mib:.0f} MiB"
-        return {"outcome": "violation", "detail": detail} | used
-    return _judged(outcome, detail, printed.read_bytes().decode("utf-8", "replace")) | used
+    wrong = _find_wrong(verdict, printed.read_bytes().decode("utf-8", "replace"))
+    return replace(verdict, outcome="violation", detail=wrong) if wrong else verdict
 
 
-def _judged(outcome: str, detail: str, text: str) -> dict[str, object]:
-    """Turn a refusal whose message, or anything printed, a terminal would act on, into a violation."""
-    if outcome != "violation":
-        if CONTROL.search(detail) or CONTROL.search(text):
-            where = "the message" if CONTROL.search(detail) else "what it printed"
-            return {
-                "outcome": "violation",
-                "detail": f"control characters in {where}: {detail or text!r:.300}",
-            }
-        if len(detail) > MAX_MESSAGE:
-            return {"outcome": "violation", "detail": f"a message of {len(detail)} characters: {detail:.200}"}
-    return {"outcome": outcome, "detail": detail}
+def _find_wrong(verdict: Verdict, text: str) -> str:
+    """Return what of a reading that took too much, or whose message a terminal would act on, is wrong."""
+    if verdict.seconds > MAX_SECONDS or verdict.mib > MAX_MIB:
+        return f"took {verdict.seconds:.1f} s of processor time and {verdict.mib:.0f} MiB"
+    if verdict.outcome == "violation":
+        return ""
+    for where, shown in (("the message", verdict.detail), ("what it printed", text)):
+        if CONTROL.search(shown):
+            return f"control characters in {where}: {shown!r:.300}"
+    if len(verdict.detail) > MAX_MESSAGE:
+        return f"a message of {len(verdict.detail)} characters: {verdict.detail:.200}"
+    return ""
 
 
 def _place(error: BaseException) -> str:
@@ -132,30 +173,3 @@ def _own_peak() -> float:
     except OSError:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return int(re.search(r"VmHWM:\s+(\d+)", status)[1]) / 1024
-
-
-def _answer(asked: Mapping[str, object], folder: Path, printed: Path) -> dict[str, object]:
-    from fuzzing.readers import inputs
-
-    reader, number = str(asked["reader"]), asked["number"]
-    if number is None:
-        return {"inputs": len(inputs(reader, folder / "inputs"))}
-    path = write_case(reader, int(number), int(asked["seed"]), folder / CASE)
-    return read_case(reader, path, printed)
-
-
-def main(folder: Path, descriptor: int) -> None:
-    resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE_MIB * 2**20, resource.RLIM_INFINITY))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    warnings.simplefilter("ignore")
-    printed = folder / "printed"
-    out = os.open(printed, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND)
-    os.dup2(out, 1)
-    os.dup2(out, 2)
-    with os.fdopen(descriptor, "w", buffering=1) as answers:
-        for line in sys.stdin:
-            answers.write(json.dumps(_answer(json.loads(line), folder, printed)) + "\n")
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]), int(sys.argv[2]))

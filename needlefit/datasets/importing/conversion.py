@@ -1,14 +1,13 @@
 """Write an import as a dataset with a first study; its faults are those of the imported files."""
 
 import re
-from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 from needlefit.datasets.faults import as_error
 from needlefit.datasets.importing.decisions import DESCRIPTIONS, Decisions
-from needlefit.datasets.importing.files import ImportContent, read_content
-from needlefit.datasets.importing.understanding import ImportPlan, understand
+from needlefit.datasets.importing.files import ImportContent
+from needlefit.datasets.importing.understanding import ImportPlan
 from needlefit.datasets.insertion import Dataset
 from needlefit.datasets.points import trace_fault
 from needlefit.datasets.read import check
@@ -32,14 +31,6 @@ _NOTE = """\
 # Made by `needlefit import`. [import] lists every decision and where it comes from; correct what is wrong.
 """
 _START_NOTE = "# A start, made by `needlefit import`: {what} `needlefit explain {kind}` lists every key.\n"
-
-
-def plan_import(
-    paths: Sequence[Path], decisions: Decisions, columns: Sequence[str] = ()
-) -> tuple[ImportContent, ImportPlan]:
-    """Read files and decide what they mean; else as `read_content` and `understand`."""
-    content = read_content(paths, columns)
-    return content, understand(content, decisions)
 
 
 def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, decisions: Decisions) -> Path:

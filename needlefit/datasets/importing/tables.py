@@ -559,7 +559,6 @@ class _Part:
 
     @cached_property
     def columns(self) -> list[list[str]]:
-        """The cells of each column."""
         width = max((len(self.cells.rows[n]) for n in self.body), default=0)
         return [self.cells.column(self.body, column) for column in range(width)]
 

@@ -257,7 +257,6 @@ class ParameterProfile:
 
     @property
     def name(self) -> str:
-        """Name of the parameter."""
         return self.profile.name
 
 

@@ -197,7 +197,6 @@ class Observation:
 
     @property
     def insertion(self) -> Insertion:
-        """The insertion as measured."""
         return self.nodes.insertions[0]
 
     def covariance(self, scale: float = 1.0) -> Floats:
@@ -319,7 +318,6 @@ def _name_group(track: TipTrack) -> str:
 
 
 def make_group_slope(track: TipTrack) -> ErrorAxis:
-    """Return the axis of the slope of a run's group."""
     return ErrorAxis(0.0, 1.0, (track.specimen, GROUP_SLOPE, _name_group(track)))
 
 

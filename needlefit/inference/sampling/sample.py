@@ -285,7 +285,6 @@ class Block:
 
     @property
     def steps(self) -> int:
-        """Number of steps."""
         return int(self.log_density.shape[1])
 
     @property
@@ -313,7 +312,6 @@ class Snapshots:
                 number += 1
 
     def keep(self, number: int, block: Block) -> None:
-        """Store a block."""
         # NumPy's legacy state: name, 624 words, position, has_gauss, cached_gaussian; only the words are an
         # array
         kind, key, *rest = block.random

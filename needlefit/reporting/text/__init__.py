@@ -124,7 +124,6 @@ class KindText:
         return _environment(self.package).get_template(f"{self.name}.md.j2")
 
     def has(self, block: str) -> bool:
-        """Return whether the text has a block of this name."""
         return block in self._template.blocks
 
     def render(self, block: str, values: Mapping[str, Any]) -> str:

@@ -226,7 +226,6 @@ def draw_orders(names: tuple[str, ...], count: int, rng: np.random.Generator) ->
 
 
 def run(name: str, record: AdaptationRecord, settings: Settings) -> Run:
-    """Run an adaptation study."""
     return run_analysis(name, record, settings, plan(make_task(name, record, settings)))
 
 

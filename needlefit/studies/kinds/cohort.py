@@ -277,7 +277,6 @@ def judge(result: Run) -> list[Verdict]:
 
 
 def _by_parameter(result: Run) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Yield the fits, parameter by parameter."""
     for name, rows in result.frames["fits"].groupby("parameter", sort=False):
         yield str(name), rows
 

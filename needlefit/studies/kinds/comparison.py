@@ -281,7 +281,6 @@ def _fit_curve(name: str, job: Job, fold: Fold) -> ModelCandidate:
 
 
 def run(name: str, record: ComparisonRecord, settings: Settings) -> Run:
-    """Run a comparison study."""
     return run_analysis(name, record, settings, plan(record, _prepare_job(name, record, settings), settings))
 
 

@@ -113,7 +113,6 @@ class CredibilityEvidence:
 
     @property
     def name(self) -> str:
-        """The name of its folder."""
         return self.folder.name
 
     @property
@@ -123,7 +122,6 @@ class CredibilityEvidence:
 
     @property
     def command(self) -> str:
-        """The command that made it."""
         study, name, control = self.run.get("study", {}), str(self.run["name"]), self.run.get("control")
         verb = {
             "verification": "verify",
@@ -381,7 +379,6 @@ def find_target(results: Run) -> str:
 
 
 def make_finding(source: Run | CredibilityEvidence, file: str, words: str) -> Finding:
-    """Return a finding from a file of a run or of evidence."""
     place = f"{source.name}/{file}"
     if isinstance(source, CredibilityEvidence):
         return Finding(words, place, source.command, source.target)
@@ -999,7 +996,6 @@ def _group_words(pairs: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
 
 
 def bundle_to_json(found: Run) -> dict[str, Any]:
-    """Return the bundle as JSON values."""
     return {
         **{"name": found.run["study"]["run"], "disclaimer": TEXT.sentence("disclaimer", {})},
         "damaged": found.run["damaged"],

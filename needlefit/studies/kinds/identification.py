@@ -219,7 +219,6 @@ def lay_out_tables(found: Run) -> list[Table | TableLayout]:
 
 
 def draw(found: Run) -> dict[str, Drawing]:
-    """Return the profiles."""
     return {"profiles": draw_profiles(found.frames["identify"], found.frames["profiles"], found.origin)}
 
 

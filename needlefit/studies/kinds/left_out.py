@@ -232,7 +232,6 @@ def _summary_rows(fit: str, what: str, job: Job, frames: Frames) -> Iterator[Row
 def _select_scores(
     errors: pd.DataFrame, what: str, method: str, boundaries: str = "measured"
 ) -> pd.DataFrame:
-    """Return the errors of one method by insertion."""
     wanted = (errors["left_out"] == what) & (errors["method"] == method)
     return errors[wanted & (errors["boundaries"] == boundaries)].set_index("insertion")
 

@@ -222,7 +222,6 @@ _COLUMNS = (
 
 
 def tabulate(found: Run) -> list[Table]:
-    """Return the table of specimens."""
     rows, stress = [], found.frames["curves"].groupby("specimen")["measured_pa"]
     size = stress.agg(lambda values: np.max(np.abs(values)))
     for row in list_specimens(found):

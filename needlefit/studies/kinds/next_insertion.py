@@ -437,7 +437,6 @@ def find_candidates(result: Run) -> tuple[pd.DataFrame, Row | None, Row | None]:
 
 
 def _select(result: Run, frame: str, where: Row) -> list[Row]:
-    """Return the rows of one candidate."""
     rows = result.frames[frame]
     return to_records(rows[np.all([rows[key] == where[key] for key in _WHERE], axis=0)])
 

@@ -160,7 +160,6 @@ def run(name: str, record: PlanRecord, settings: Settings) -> Run:
 
 
 def make_site(job: Job, record: PlanRecord) -> TargetSite:
-    """Return target, plane and tissue of a plan."""
     goal = Goal(record.target_mm, obstacles=record.obstacles)
     like = find_template(job, record.template_insertion)
     return TargetSite(job.medium, job.dataset.needle, like, record.entry_plane, goal)

@@ -123,7 +123,6 @@ _MEDIUM_KEYS = (
 
 
 def apply_variation(job: Job, variation: VariationRecord) -> Job:
-    """Return the job under one variation."""
     changes = {key: getattr(variation, key) for key in _MEDIUM_KEYS}
     medium = job.medium.model_copy(update={key: new for key, new in changes.items() if new is not None})
     needle, factor = job.dataset.needle, variation.rigidity_factor or 1.0

@@ -148,7 +148,6 @@ def draw(found: Run) -> dict[str, Drawing]:
 
 
 def verification_to_json(found: Run) -> dict[str, Any]:
-    """Return the verification as JSON values."""
     rows, refinements = (to_records(found.frames[name]) for name in ("verification", "convergence"))
     summary = TEXT.sentence("verdict", describe(found))
     return {"seed": found.run["study"]["seed"], "summary": summary, "rows": rows, "refinements": refinements}
