@@ -136,8 +136,8 @@ def nudge(page: Page, seconds: float) -> None:
 
 def reach(page: Page, depth: float) -> None:
     """Insert to a depth, mm, with a b that keeps the needle within the model's validity."""
-    page.fill("#bevel-fields [aria-label*=throughout].number", "0.02")
-    page.press("#bevel-fields [aria-label*=throughout].number", "Enter")
+    page.fill("#bevel-fields [aria-label*=whole].number", "0.02")
+    page.press("#bevel-fields [aria-label*=whole].number", "Enter")
     page.fill("#speed", "1000")
     page.fill("#goto-depth", str(depth))
     page.press("#goto-depth", "Enter")

@@ -398,7 +398,7 @@ def test_the_errors_are_those_of_the_study_at_the_measured_depth(page) -> None:
     assert state["errors"]["te_mm"] == pytest.approx(np.linalg.norm(tip), abs=1e-3)
     shown(page, f"{state['errors']['te_mm']:.2f}")
     after = do(
-        page, ("enter", "#bevel-fields [aria-label*=throughout].number", "0.01", "s.bevel.offset_mm === 0.01")
+        page, ("enter", "#bevel-fields [aria-label*=whole].number", "0.01", "s.bevel.offset_mm === 0.01")
     )
     assert after["errors"]["te_mm"] != state["errors"]["te_mm"] and after["depth_mm"] == state["depth_mm"]
 
@@ -846,6 +846,11 @@ def test_a_pinned_needle_stays_and_the_strip_reads_both(page) -> None:
     text = page.inner_text("#strip-note")
     values = [float(one.replace("−", "-")) for one in re.findall(r"tip y ([−+]?[\d.]+)", text)]
     assert len(values) == 2 and values[1] == pytest.approx(y, abs=0.006)
+    until(page, "n.forces.step === s.step && n.pinned.forces.x.length >= 30")
+    assert len(re.findall(r"tip force [−+]?[\d.]+ N", page.inner_text("#strip-note"))) == 2
+    assert get(page, "n.forces.y.slice(0, 30)") == pytest.approx(
+        get(page, "n.pinned.forces.y.slice(0, 30)"), abs=1e-6
+    )  # the flip came after them
     depth = 20 + state["depth_mm"] - state["tip"]["x"]
     do(page, ("key", "Enter", f"Math.abs(s.depth_mm - {depth}) < 1e-6 && !s.moving"))
     page.click("#pin")
@@ -860,12 +865,11 @@ def test_presets_change_tissue_and_needle_and_a_pinned_needle_stays(chromium, tm
             first = go_to(page, 30)
             page.click("#pin")
             page.select_option("#preset-needle", "20 gauge")
-            until(page, "n.scene.needle_name === '20 gauge' && s.depth_mm === 0")
+            thin = until(page, "n.scene.needle_name === '20 gauge' && s.depth_mm === 30 && !s.moving")
             assert get(page, "n.scene.diameter_mm") == 0.908 and get(page, "n.pinned.y") == first["y"]
-            thin = go_to(page, 30)
             assert abs(thin["tip"]["y"]) > 1.1 * abs(first["tip"]["y"])  # a thinner one bends more
             page.select_option("#preset-scene", "chicken")
-            state = until(page, "n.scene.target === 'chicken'")
+            state = until(page, "n.scene.target === 'chicken' && s.depth_mm === 30 && !s.moving")
             assert len(state["layers"]) == 1 and get(page, "n.scene.needle_name") != "20 gauge"
             assert find_violations(page) == []
     finally:

@@ -3,6 +3,7 @@
 import json
 import shutil
 import subprocess
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,9 @@ from needlefit.inference.forward_model import ParameterDraws
 from needlefit.mechanics import native
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.shape import compute_validity
+from needlefit.mechanics.session import Session
+from needlefit.mechanics.shape import compute_positions, compute_validity
+from needlefit.mechanics.simulate import compute_loads
 from needlefit.schemas.scene import SceneRecord
 from needlefit.viewer.export import PAGE
 from needlefit.viewer.messages import encode_draws, encode_scene
@@ -33,15 +36,16 @@ PROGRAM = """
 import {readFileSync} from 'node:fs'
 import {compile} from KERNEL
 const load = (name) => import(PAGE + name)
-const [{SteeredNeedle}, {describeState}, {Band}, {findChanges, toInputs}] = await Promise.all(
-  ['steered.js', 'state.js', 'band.js', 'inputs.js'].map(load))
+const [{SteeredNeedle}, {describeState}, {Band}, {TipForces}, {findChanges, toInputs}] = await Promise.all(
+  ['steered.js', 'state.js', 'band.js', 'tip_forces.js', 'inputs.js'].map(load))
 const {scene, orders, draws} = JSON.parse(readFileSync(0, 'utf8'))
 const kernel = await compile(readFileSync(WASM))
 const hex = array => Buffer.from(array.buffer, array.byteOffset, array.byteLength).toString('hex')
 const steered = await SteeredNeedle.begin(kernel, scene)
 const found = []
 const bands = draws && new Band(kernel, steered.model, draws)
-let band = null
+const tip = new TipForces(kernel)
+let [band, forces] = [null, null]
 for (const {changes, keep, forget} of orders) {
   if (keep) steered.keep()
   let fault = null
@@ -55,10 +59,12 @@ for (const {changes, keep, forget} of orders) {
   found.push({fault, tip: steered.tipLateral, shape: [x, u, slope, constraints].map(hex),
     path: steered.path(), state: describeState(steered), validity: steered.validity, reach: steered.reach(),
     back: findChanges(scene.simulation.steps[0], steered.step, scene.guide_names)})
-  if (bands) band = await bands.compute(steered.path().map(one => (
-    {depth: one.depth, inputs: toInputs(one, steered.model.pathAngle)})), () => false, () => null)
+  const {pathAngle} = steered.model
+  const steps = steered.path().map(one => ({depth: one.depth, inputs: toInputs(one, pathAngle)}))
+  if (bands) band = await bands.compute(steps, () => false, () => null)
+  forces = await tip.compute(steered.model, steps, () => false, () => null)
 }
-console.log(JSON.stringify({found, band}))
+console.log(JSON.stringify({found, band, forces}))
 """
 
 
@@ -193,6 +199,24 @@ def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> No
                 done["band"][key], getattr(band, key), atol=1e-7
             )  # each step ends within 1e-7 mm
         assert done["band"]["failed"] == band.failed
+    x, y = done["forces"]["x"], done["forces"]["y"]
+    depths = steering.now.shape.constraints[:, 0]  # where the tip stands is the last, also within a cell
+    assert len(depths) - len(y) in {0, 1}
+    for depth, *found in list(zip(depths, x, y, strict=False))[1:-1:7]:
+        assert found == pytest.approx(find_tip_force(steering, depth), abs=1e-5)
+
+
+def find_tip_force(steering: SteeredNeedle, depth: float) -> list[float]:
+    """Return where the tip of a needle stood at a depth, x in mm, and the force on it there, N."""
+    scene, path = steering.scene, steering.input_path()
+    tissue, (first, *_) = steering.now.tissue, path
+    session = Session(scene.needle, tissue, first.bevel, steering.first_cell, first.controls, scene.rules)
+    for step in path:
+        shape = session.go(replace(step, depth=min(step.depth, depth)))
+        if step.depth >= depth - 1e-9:
+            break
+    load = compute_loads(shape, tissue, scene.needle, step.controls, scene.rules)
+    return [float(compute_positions(shape, np.array([shape.depth]))[0, 0]), load.tip_force]
 
 
 def assert_same(found: Any, expected: Any, atol: float) -> None:

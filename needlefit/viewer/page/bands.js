@@ -1,5 +1,6 @@
-/** The band of the scene's draws about the needle that is shown; it is computed in a thread of its own. */
+/** The band of the scene's draws about the needle that is shown, and forces on its way; a thread of its own computes them. */
 
+import { part } from "./dom.js";
 import { toInputs } from "./model/inputs.js";
 import { listen, now, take } from "./store.js";
 import { kernel, trial } from "./trial.js";
@@ -9,16 +10,23 @@ const worker = new Worker("/page/model/band_worker.js", { type: "module" });
 let ordered = ""; // what the newest order is about
 kernel.then((compiled) => worker.postMessage({ kernel: compiled }));
 
-/** Order the band of the needle as it stands, unless it is on its way. */
-function order() {
+/** The needle as it stands, as the thread is given it. */
+function describeNeedle() {
   const { scene, steered } = trial;
-  if (!scene.draws) return;
-  const id = { needle: scene.needle, step: steered.number };
-  if (ordered === JSON.stringify(id)) return;
-  ordered = JSON.stringify(id);
   const { model } = steered;
   const steps = steered.path().map((one) => ({ depth: one.depth, inputs: toInputs(one, model.pathAngle) }));
-  worker.postMessage({ id, model, steps });
+  return { id: { needle: scene.needle, step: steered.number }, model, steps };
+}
+
+/** Order what is shown of the needle as it stands, unless it is on its way. */
+function order() {
+  const { scene, steered } = trial;
+  const traced = !part("strip").hidden;
+  if (!scene.draws && !traced) return;
+  const about = JSON.stringify([scene.needle, steered.number, traced]);
+  if (ordered === about) return;
+  ordered = about;
+  worker.postMessage({ ...describeNeedle(), traced });
 }
 
 function send() {
@@ -27,9 +35,14 @@ function send() {
   if (now.state) order();
 }
 
-worker.onmessage = ({ data: { id, band } }) => {
-  if (id.needle === trial.scene.needle) take(band ? { kind: "band", step: id.step, ...band } : NONE);
+worker.onmessage = ({ data: { id, band, forces, pinned } }) => {
+  if (pinned) return take({ kind: "pinned forces", ...id, ...pinned });
+  if (id.needle !== trial.scene.needle) return;
+  if (forces) take({ kind: "forces", step: id.step, ...forces });
+  else take(band ? { kind: "band", step: id.step, ...band } : NONE);
 };
 listen("scene", send);
 listen("draws", send);
 listen("state", order);
+listen("strip", () => now.state && order());
+listen("pinned", () => worker.postMessage({ pinned: now.pinned && describeNeedle() }));

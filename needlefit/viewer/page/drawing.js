@@ -96,6 +96,7 @@ function paintForeground(before, state) {
     needle.paintGuides(before, state);
     needle.paintBase(before, state);
     overlay.paintTrackedTip(before);
+    if (shown.band && now.band) overlay.nameBand(before, now.band);
     if (now.marked != null) needle.paintMark(before, state, now.marked);
     needle.paintHint(before, state);
     if (!seesTip()) overlay.paintArrow(before, state);

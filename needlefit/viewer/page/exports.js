@@ -113,10 +113,12 @@ listen("state", (state) => {
   frames.push({ at, state, band: now.band, forces: now.forces });
   if (frames.length > FRAMES.kept) frames = frames.filter((_, i) => i % 2 === 0 || i === FRAMES.kept);
 });
-listen("band", (band) => {
-  const [last] = frames.slice(-1);
-  if (last?.state.step === band.step) last.band = now.band;
-});
+for (const kind of ["band", "forces"]) {
+  listen(kind, ({ step }) => {
+    const [last] = frames.slice(-1);
+    if (last?.state.step === step) last[kind] = now[kind];
+  });
+}
 
 /** What was seen, in the present view: the insertion at its own speed, without longer pauses. */
 async function takeAnimation() {

@@ -35,7 +35,7 @@ listen("scene", (scene) => {
 function buildBevel({ limits, fitted }) {
   const { key, symbol, unit, digits: count, step, here, throughout, value } = strengthOf(fitted);
   const about = { unit, write: digits(count), limits: limits[key], step, symbol };
-  for (const [name, input] of [[`${symbol} from here on`, here], [`${symbol} throughout`, throughout]]) {
+  for (const [name, input] of [[`${symbol}, ahead of the tip`, here], [`${symbol}, whole insertion`, throughout]]) {
     setHome(inputField("bevel-fields", [input, null], { ...about, name }, () => now.state.bevel[key]), value);
   }
 }
@@ -48,12 +48,12 @@ function buildTissue({ layer_names: names, boundaries_mm: tops, limits, fitted, 
       const field = inputField("tissue-fields", [name, i + 1], about, () => now.state.layers[i][name]);
       setHome(field, fitted.layers[i][name]);
     };
-    add("mu_pa", { ...modulus, name: `${called} μ`, symbol: "μ" });
+    add("mu_pa", { ...modulus, name: `μ ${called}`, symbol: "μ" });
     for (const { name, symbol, unit, explanation } of shapes) {
       DEFINITIONS[symbol] ??= `${explanation}.`;
       const [low, high] = limits[name];
       const step = Math.min(0.1, (high - low) / 100);
-      add(name, { name: `${called} ${symbol}`, symbol, unit, write: digits(2), limits: limits[name], step });
+      add(name, { name: `${symbol} ${called}`, symbol, unit, write: digits(2), limits: limits[name], step });
     }
   }
 }

@@ -127,6 +127,7 @@ function challenge() {
   }
   part("challenge").textContent = aim.challenge.hidden ? "Compare with the planner" : "Beat the planner";
   refresh();
+  part("game").scrollIntoView({ block: "nearest" });
 }
 
 /** Wait for a click on the picture; a key puts it ahead of the tip at once, where its numbers can be changed. */

@@ -1,6 +1,6 @@
 /** The last message of each kind, and the listeners to each. */
 
-/** The page's knowledge (`forces`: on the tip, N, where it stood, mm); also `window.needlefit`, for whoever measures the page. */
+/** The page's knowledge (`forces`: on the tip, N, at constraint points, mm); also `window.needlefit`, for whoever measures the page. */
 export const now = { scene: null, state: null, band: null, connected: false, pinned: null, marked: null, frames: [], forces: { x: [], y: [] } };
 window.needlefit = now;
 
@@ -23,6 +23,7 @@ export function take(message) {
     now.band = null;
   } else if (message.kind === "state") now.state = message;
   else if (message.kind === "band") now.band = message.x.length ? message : null; // empty: there is none
+  else if (message.kind === "forces") now.forces = message;
   else if (message.kind === "draws") now.scene.draws = message.draws;
   publish(message.kind, message);
 }

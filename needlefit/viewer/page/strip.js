@@ -3,39 +3,26 @@
 import { goTo } from "./actions.js";
 import { onScheme, part, press, write } from "./dom.js";
 import { invalidate } from "./drawing.js";
-import { smooth } from "./painters/needle.js";
 import { palette, ring, segments, setFont, stroke, trace } from "./painters/strokes.js";
 import { brief, heightAt, signed } from "./quantities.js";
 import { listen, now, publish } from "./store.js";
 
 const PAD = { left: 46, right: 12, top: 18, bottom: 16 }; // px
-const CHANGED = 1e-3; // mm that a cut has moved by when the insertion was simulated again
 const canvas = part("strip-canvas");
 const context = canvas.getContext("2d");
-let [before, tissue] = [null, ""]; // the tip path and the layers of the state before
 let size = [1, 1]; // px
 let drawn = null; // the state that was drawn last
 
-/** What is drawn against depth: a name, decimals, and the curve of a needle; of forces, which rise and fall in each cell, the mean over two. */
-const PANELS = [["tip y, mm", 2, ({ path }) => path], ["tip force, N", 2, ({ forces: { x, y } }) => ({ x, y: smooth(x, y, now.scene.spacing_mm) })]];
+/** What is drawn against depth: its name, a shorter one, unit, decimals, and the curve of a needle. */
+const PANELS = [
+  ["tip y", "tip y", "mm", 2, ({ path }) => path],
+  ["tip force at constraint points", "tip force", "N", 2, ({ forces }) => forces], // between them it rises and falls in each cell
+];
 
-/** The needle as it stands: its shape, the path of its tip, the forces on the tip on the way. */
+/** The needle as it stands: its shape, the path of its tip, and the forces on the tip as it came to each constraint point. */
 function current() {
-  const { x, y, tip, tip_path: [along, across] } = now.state;
-  return { x, y, tip, path: { x: [...along, tip.x], y: [...across, tip.y] }, forces: now.forces };
-}
-
-/** Forces of an earlier insertion are none of this one: of other parameters, or undone; nor those before a jump. */
-function remember({ tip, tip_path: [, path], forces: { tip_n: force }, layers }) {
-  const middle = Math.min(path.length, before?.length ?? 0) >> 1;
-  const moved = before !== null && Math.abs((before[middle] ?? 0) - (path[middle] ?? 0)) > CHANGED;
-  const again = moved || tissue !== JSON.stringify(layers);
-  [before, tissue] = [path, JSON.stringify(layers)];
-  const { x, y } = now.forces;
-  let { length } = again ? [] : x;
-  while (length && x[length - 1] >= tip.x - 1e-9) length -= 1;
-  if (tip.x - x[length - 1] > 2 * now.scene.spacing_mm) length = 0; // what lies between is not known
-  now.forces = { x: [...x.slice(0, length), tip.x], y: [...y.slice(0, length), force] };
+  const { step, x, y, tip, tip_path: [along, across] } = now.state;
+  return { step, x, y, tip, path: { x: [...along, tip.x], y: [...across, tip.y] }, forces: now.forces };
 }
 
 const needles = () => [[now.pinned, palette.ghost], [current(), palette.needle]].filter(([one]) => one);
@@ -49,39 +36,52 @@ function draw() {
   if (canvas.height !== Math.round(height * devicePixelRatio)) canvas.height = Math.round(height * devicePixelRatio);
   context.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
   context.clearRect(0, 0, width, height);
-  describe(...paintStrip(context, width, 0, height));
+  describe(paintStrip(context, width, 0, height));
 }
 
-/** Draw both panels between two heights, px; return their curves and the greatest depth, mm. */
+/** Draw in the next frame though no state has come. */
+function drawAgain() {
+  drawn = null;
+  publish("redraw");
+}
+
+/** Draw both panels between two heights, px; return the greatest depth, mm. */
 export function paintStrip(context, width, top, bottom) {
   const deep = greatest();
-  const curves = PANELS.map(([, , curve]) => needles().map(([one, colour]) => [curve(one), colour]));
-  PANELS.forEach(([name, digits], n) => {
+  PANELS.forEach((panel, n) => {
     const [left, right] = [(n * width) / 2 + PAD.left, ((n + 1) * width) / 2 - PAD.right];
-    drawPanel(context, name, digits, curves[n], deep, { left, right, top: top + PAD.top, bottom: bottom - PAD.bottom });
+    drawPanel(context, panel, deep, { left, right, top: top + PAD.top, bottom: bottom - PAD.bottom });
   });
-  return [curves, deep];
+  return deep;
 }
 
 /** The greatest depth that the strip shows, mm. */
 const greatest = () => Math.max(now.scene.depth_mm, ...needles().map(([{ tip }]) => tip.x), 1);
 
-function drawPanel(context, name, digits, curves, deep, { left, right, top, bottom }) {
-  const values = curves.flatMap(([{ y }]) => y);
+/** The value of a curve at x, mm, or at its end nearby; NaN where the needle has not been. */
+const valueAt = ([one, curve], x) => (x <= one.tip.x + now.scene.spacing_mm && curve.x.length ? heightAt(curve, x) : NaN);
+
+function drawPanel(context, [long, short, unit, digits, curveOf], deep, { left, right, top, bottom }) {
+  const curves = needles().map(([one, colour]) => [one, curveOf(one), colour]);
+  const values = curves.flatMap(([, { y }]) => y);
   const [low, high] = [Math.min(0, ...values), Math.max(0, ...values)];
   const px = (x) => left + (x / deep) * (right - left);
   const py = (y) => bottom - ((y - low) / (high - low || 1)) * (bottom - top);
   segments(context, [[[left, py(0)], [right, py(0)]], [[left, top], [left, bottom]]], palette.quiet, 1);
-  for (const [{ x, y }, colour] of curves) {
+  for (const [, { x, y }, colour] of curves) {
     trace(context, x.map((one, i) => [px(one), py(y[i])]));
     stroke(context, colour, 2);
   }
   const at = now.marked ?? now.state.tip.x;
   segments(context, [[[px(at), top], [px(at), bottom]]], now.marked === null ? palette.quiet : palette.accent, 1);
-  for (const [{ x, y }, colour] of curves) if (at <= x.at(-1)) ring(context, px(at), py(heightAt({ x, y }, at)), 3, colour, palette.air);
+  for (const [one, curve, colour] of curves) {
+    const value = valueAt([one, curve], at);
+    if (!Number.isNaN(value)) ring(context, px(Math.min(at, curve.x.at(-1))), py(value), 3, colour, palette.air);
+  }
   context.fillStyle = palette.label;
   setFont(context, "small", "left");
-  context.fillText(name, left, top - 10);
+  const fits = context.measureText(`${long}, ${unit}`).width < right - left;
+  context.fillText(`${fits ? long : short}, ${unit}`, left, top - 10);
   setFont(context, "small", "right");
   const ends = high - low < 10 ** -digits ? [[0, py(0)]] : [[low, bottom], [high, top]];
   for (const [value, place] of ends) context.fillText(String(Number(value.toFixed(digits)) || 0).replace("-", "−"), left - 4, place);
@@ -92,13 +92,13 @@ function drawPanel(context, name, digits, curves, deep, { left, right, top, bott
 }
 
 /** The values at the depth that is marked, or at the tip, in words. */
-function describe(curves, deep) {
+function describe(deep) {
   const at = now.marked ?? now.state.tip.x;
-  const read = (number) => PANELS.map(([name, digits], n) => {
-    const [{ x, y }] = curves[n][number];
-    return at > x.at(-1) + 1e-6 || at < x[0] ? `${name.split(",")[0]} –` : `${name.replace(/, .*/, "")} ${signed(heightAt({ x, y }, at), digits)}${name.replace(/.*,/, "")}`;
+  const read = (one) => PANELS.map(([, name, unit, digits, curve]) => {
+    const value = valueAt([one, curve(one)], at);
+    return `${name} ${Number.isNaN(value) ? "–" : `${signed(value, digits)} ${unit}`}`;
   }).join(", ");
-  const words = needles().map(([one], number) => `${one === now.pinned ? "pinned: " : ""}${read(number)}`).reverse().join("; ");
+  const words = needles().map(([one]) => `${one === now.pinned ? "pinned: " : ""}${read(one)}`).reverse().join("; ");
   const text = `At ${depthAt(at).toFixed(1)} mm: ${words}`;
   write("strip-note", text);
   Object.assign(canvas, { ariaValueNow: at.toFixed(1), ariaValueMax: deep.toFixed(1), ariaValueText: text });
@@ -143,10 +143,12 @@ export function pin() {
 }
 
 press("pin", () => now.state && pin());
-listen("scene", () => {
-  [now.forces, before, tissue, now.marked] = [{ x: [], y: [] }, null, "", null];
+listen("scene", () => [now.forces, now.marked] = [{ x: [], y: [] }, null]);
+listen("forces", drawAgain);
+listen("pinned forces", ({ step, ...forces }) => {
+  if (now.pinned?.step === step) Object.assign(now.pinned, { forces });
+  drawAgain();
 });
-listen("state", remember);
 listen("drawn", () => now.state !== drawn && draw());
 new ResizeObserver(() => {
   size = [canvas.clientWidth, canvas.clientHeight];

@@ -1,10 +1,12 @@
-/** What a new page begins with: an insertion that moves, then three things to try. */
+/** What happens by itself: a new needle is inserted, and a new reader is shown three things to try. */
 
 import { part, press, say } from "./dom.js";
 import * as act from "./actions.js";
 import { invalidate } from "./drawing.js";
 import { listen, now } from "./store.js";
+import { move } from "./steering.js";
 import { pressed } from "./toolbar.js";
+import { trial } from "./trial.js";
 import { fit, view } from "./view.js";
 
 const SEEN = "needlefit.tour";
@@ -26,14 +28,14 @@ const STEPS = [
   },
 ];
 let step = -1;
-let [from, before] = [null, null]; // the state as the step began, the view before the tour
+let [from, before, scene] = [null, null, null]; // the state as the step began, the view before the tour, the scene of both
 
 function show(next) {
   if (step < 0) before = view.fit;
   part(STEPS[step]?.button ?? "flip").classList.remove("hint");
   step = next < STEPS.length ? next : -1;
   const { words, hint = null, button, shows = before } = STEPS[step] ?? {};
-  [from, now.hint] = [now.state, hint];
+  [from, scene, now.hint] = [now.state, now.scene, hint];
   part("tour").hidden = step < 0;
   fit(shows);
   pressed();
@@ -43,18 +45,16 @@ function show(next) {
   part("tour-text").textContent = `${step + 1} of ${STEPS.length}: ${words}`;
   if (button) part(button).classList.add("hint");
   say(words);
-  uncover();
+  part("tour").scrollIntoView({ block: "nearest" });
 }
 
-/** In a low window the picture goes to the top, where nothing covers it. */
-function uncover() {
-  const [picture, tour] = ["picture", "tour"].map((id) => part(id).getBoundingClientRect());
-  if (picture.bottom > tour.top && picture.top < tour.top) scrollBy(0, picture.top);
-}
-
-/** Go on once a step is done; not while something is dragged, since the view may change. */
+/** Go on once a step is done, by the user and this needle; not while something is dragged, since the view may change. */
 function goOn() {
-  if (step < 0 || part("canvas").classList.contains("dragging")) return;
+  const alone = movesAlone();
+  if (step < 0) return;
+  if (scene !== now.scene) [scene, from] = [now.scene, now.state];
+  if (alone) from = { ...from, depth_mm: now.state.depth_mm };
+  if (part("canvas").classList.contains("dragging")) return;
   if (STEPS[step].done(from, now.state)) show(step + 1);
 }
 
@@ -72,19 +72,41 @@ export function offer() {
   if (!localStorage.getItem(SEEN)) show(0);
 }
 
+const FAST = 200; // mm/s, of a needle that was inserted before
 let begun = false;
-let moving = false; // until the first insertion has come to its end
+let again = null; // {scene, depth}: a needle shown instead of that scene's is inserted to the depth, mm
+let own = null; // the gesture of an insertion that nobody asked for by hand
 
-/** A needle that nobody has moved yet is inserted, unless the user wants less motion, or a tracker moves it. */
-listen("state", ({ depth_mm: depth, undo, moving: speed }) => {
-  if (moving && depth > 0 && !speed) {
-    moving = false;
-    offer();
+/** Insert to a depth, mm, by itself. */
+function insertAlone(speed, depth) {
+  move(speed, depth);
+  own = trial.motion?.gesture ?? null;
+}
+
+/** Whether the needle has moved by itself up to this state. */
+function movesAlone() {
+  const gesture = trial.motion?.gesture ?? null;
+  const alone = own !== null && (gesture === own || gesture === null);
+  if (gesture !== own) own = null; // it has come to its end, or a hand is on the needle
+  return alone;
+}
+
+/** Insert the needle that is shown next to this depth, mm, if it is a new one. */
+export function insertAgain(depth) {
+  again = { scene: now.scene, depth };
+}
+
+/** A new needle is inserted: the first one, unless the user wants less motion; none that a tracker moves. */
+listen("state", ({ depth_mm: depth, undo }) => {
+  const fresh = depth === 0 && !now.scene.tracked;
+  if (again && again.scene !== now.scene) {
+    if (fresh && again.depth > 0) insertAlone(FAST, again.depth);
+    again = null;
   }
   if (begun) return;
   begun = true;
-  const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
-  if (still || now.scene.tracked || depth !== 0 || undo) return;
-  act.goTo(act.ownDepth());
-  moving = true;
+  if (!fresh || undo || matchMedia("(prefers-reduced-motion: reduce)").matches) return;
+  insertAlone(act.speed(), act.ownDepth());
+  offer();
 });
+listen("refused", () => (again = null));

@@ -6,6 +6,7 @@ import { canRedoGoal, canUndoGoal } from "./aim.js";
 import { brief } from "./quantities.js";
 import { command, halt, letGo, replayRecording } from "./steering.js";
 import { listen, now } from "./store.js";
+import { insertAgain } from "./tour.js";
 
 const STEP = 1; // mm; what a mere click does, as assistive technology gives it
 
@@ -63,8 +64,9 @@ part("goto").addEventListener("submit", (event) => {
   event.preventDefault();
   if (now.state) act.goTo(Number(part("goto-depth").value));
 });
-part("preset-scene").addEventListener("change", ({ target }) => command({ do: "show", insertion: target.value }));
-part("preset-needle").addEventListener("change", ({ target }) => command({ do: "show", with_needle: target.value }));
+const again = (wanted) => command({ do: "show", ...wanted }) && insertAgain(now.state.depth_mm);
+part("preset-scene").addEventListener("change", ({ target }) => again({ insertion: target.value }));
+part("preset-needle").addEventListener("change", ({ target }) => again({ with_needle: target.value }));
 part("choices").addEventListener("change", () => command({ do: "show", insertion: part("choices").value }));
 
 listen("aimed", () => now.state && refresh());

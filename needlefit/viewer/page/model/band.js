@@ -87,7 +87,7 @@ function mark(steps) {
 const same = (depth, other) => Math.abs(depth - other) <= SAME;
 
 /** The steps that lead from the end of one path to the end of another; null: first contact has to come first. */
-function findWay(past, path) {
+export function findWay(past, path) {
   let shared = 0;
   const alike = (n) => past[n]?.text === path[n]?.text;
   while (shared < past.length && shared < path.length && alike(shared) && same(past[shared].depth, path[shared].depth)) shared += 1;

@@ -1,12 +1,13 @@
-/** The thread that computes bands: the newest order alone counts. */
+/** The thread that computes bands, and forces on the way of the tip: the newest order alone counts. */
 
 import { Band } from "./band.js";
+import { TipForces } from "./tip_forces.js";
 
-const STALE = 100; // ms; while orders come without a pause, a band that old is completed
+const STALE = 100; // ms; while orders come without a pause, what is that old is completed
 let newest = {};
-let band = null;
+let [band, tipForces] = [null, null];
 let busy = false;
-let done = 0; // ms, when the last band was completed
+let done = 0; // ms, when the last order was completed
 const channel = new MessageChannel();
 const waiting = [];
 channel.port1.onmessage = () => waiting.shift()();
@@ -20,15 +21,26 @@ const pause = () => new Promise((resume) => {
 async function work() {
   busy = true;
   let order = null;
-  while (order !== newest && newest.steps && newest.draws) {
+  while (order !== newest && newest.steps) {
     order = newest;
-    const { kernel, model, draws, steps, id } = order;
-    if (band?.draws !== draws) band = new Band(kernel, model, draws);
+    const { kernel, model, draws, steps, id, traced, pinned } = order;
     const isOld = () => newest !== order && (newest.draws !== draws || performance.now() - done < STALE);
-    const found = await band.compute(steps, isOld, pause);
+    if (draws) {
+      if (band?.draws !== draws) band = new Band(kernel, model, draws);
+      const found = await band.compute(steps, isOld, pause);
+      if (isOld()) continue;
+      postMessage({ id, band: found });
+    }
+    tipForces ??= new TipForces(kernel);
+    const forces = traced && (await tipForces.compute(model, steps, isOld, pause));
     if (isOld()) continue;
+    if (traced) postMessage({ id, forces });
     done = performance.now();
-    postMessage({ id, band: found });
+    if (!pinned || newest.pinned !== pinned) continue;
+    const kept = await new TipForces(kernel).compute(pinned.model, pinned.steps, isOld, pause);
+    if (!kept) continue;
+    postMessage({ id: pinned.id, pinned: kept });
+    newest.pinned = null;
   }
   busy = false;
 }

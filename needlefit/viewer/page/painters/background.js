@@ -5,7 +5,9 @@ import { now } from "../store.js";
 import { fromPx, fromPy, toPx, toPy, view } from "../view.js";
 import { faintly, palette, segments, setFont, shades, turned } from "./strokes.js";
 
-const NAME_PAD = 14; // px between a name and its layer's edges
+const APART = 8; // px between the texts of two layers
+const ROWS = [-34, -20, -6]; // px from the window's top to the middles of rows, where texts need three
+const TWO_ROWS = [-27, -11];
 const TICK = 5; // px
 const TICKS_APART = 48; // px between ticks, at least, where there is room for so few
 const QUARTER = Math.PI / 2;
@@ -48,24 +50,38 @@ function listLayers() {
   return layers.filter(({ from, to }) => to > from);
 }
 
-/** Write above the window what the layers are: all by their names if these fit, or by their numbers. */
+/** Write above the window the name of each layer and its modulus: numbers for names, and the unit in a row of its own, where texts would meet. */
 function paintNames(context) {
   const { left, top } = view.box;
-  const layers = listLayers();
-  setFont(context, "plain", "center", "alphabetic");
-  const fits = (text, layer) => context.measureText(text).width + NAME_PAD < layer.to - layer.from;
-  const named = layers.every((layer) => fits(layer.name, layer));
-  for (const layer of layers) {
-    const middle = (layer.from + layer.to) / 2;
-    const called = named ? layer.name : String(layer.number);
-    if (context.measureText(called).width < layer.to - layer.from) context.fillText(called, middle, top - 23);
-    const mu = `μ ${modulus(layer.mu)}`;
-    if (fits(mu, layer)) context.fillText(mu, middle, top - 7);
-  }
+  const layers = listLayers().map((layer) => ({ ...layer, middle: (layer.from + layer.to) / 2, modulus: modulus(layer.mu) }));
+  const row = (write) => layers.map((layer) => ({ px: layer.middle, text: write(layer) }));
+  const fits = (texts) => texts.every(({ px, text }, i) => {
+    const half = context.measureText(text).width / 2;
+    const [before, after] = [texts[i - 1], texts[i + 1]].map((other) => (other ? context.measureText(other.text).width / 2 + APART : 0));
+    return (!i || px - half >= texts[i - 1].px + before) && (!texts[i + 1] || px + half <= texts[i + 1].px - after);
+  });
+  setFont(context, "plain");
+  const whole = row((one) => `μ ${one.modulus}`);
+  const numbers = row((one) => String(one.number));
+  const names = row((one) => one.name);
+  const called = fits(names) ? names : numbers;
+  const part = (n, before = "") => row((one) => before + one.modulus.split(" ")[n]);
+  const values = fits(part(0, "μ ")) ? part(0, "μ ") : part(0);
+  const rows = fits(whole) ? [called, whole] : [called, values, part(1)];
+  if (rows.length > 2) setFont(context, "small");
+  rows.forEach((texts, n) => {
+    let end = -Infinity;
+    for (const { px, text } of texts) {
+      const half = context.measureText(text).width / 2;
+      if (px - half < end + 2) continue; // layers too thin even for this
+      context.fillText(text, px, top + (rows.length > 2 ? ROWS : TWO_ROWS)[n]);
+      end = px + half;
+    }
+  });
   const skin = toPx(0);
   if (skin <= left + 40 || skin > left + view.box.width) return;
   context.textAlign = "right";
-  context.fillText("skin", skin - 4, top - 7);
+  context.fillText("skin", skin - 4, top - 11);
 }
 
 /** Draw ticks and names outside the box. */

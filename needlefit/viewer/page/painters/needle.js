@@ -71,12 +71,14 @@ export function paintNeedle(context, { x, y, bevel, faults }) {
   segments(context, [[back, point]], palette.tip, 2);
 }
 
-/** Keep labels off the needle, the bevel's knob and the arrow of the tip force. */
+/** Keep labels off the needle, the crosses, the bevel's knob and the arrow of the tip force. */
 export function reserveNeedle(state) {
   const { tip: [px, py], turn } = bevelPlace(state);
   reserve(turn[0] - 9, turn[1] - 9, 18, 18);
   const arrow = Array.from({ length: 5 }, (_, i) => [px, py - (i / 6) * arrowLength(state)]); // its force is written at its end
-  avoid([...state.x.map((x, i) => [toPx(x), toPy(state.y[i])]), ...arrow]);
+  const { constraints: [along, across] } = state;
+  const places = (x, y) => x.map((one, i) => [toPx(one), toPy(y[i])]);
+  avoid([...places(state.x, state.y), ...places(along, across), ...arrow]);
 }
 
 /** Length of the arrow of the tip force, px, up if positive. */
@@ -102,8 +104,9 @@ export function paintTipForce(context, state) {
   const [px, py] = [toPx(tip.x), toPy(tip.y)];
   arrow(context, [px, py], length, palette.load);
   setFont(context, "small");
-  const at = py - length - 9 * Math.sign(length);
-  labelFree(context, `${brief(Math.abs(force), 2)} N`, [[px, at], [px - 34, at], [px + 30, at]], palette.load);
+  const [end, half] = [py - length - 9 * Math.sign(length), py - length / 2];
+  const places = [[px, end], [px - 34, end], [px + 30, end], [px + 30, half], [px - 34, half], [px, end - 14 * Math.sign(length)]];
+  labelFree(context, `${brief(Math.abs(force), 2)} N`, places, palette.load);
 }
 
 export const paintPath = (context, { tip_path: [x, y] }) => line(context, x, y, palette.path, 1.5);

@@ -2,7 +2,7 @@
 
 import { aim, nameOf } from "../aim.js";
 import { points } from "../handles.js";
-import { heightAt } from "../quantities.js";
+import { heightAt, strengthOf } from "../quantities.js";
 import { listen, now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
 import { thickness } from "./needle.js";
@@ -39,6 +39,26 @@ export function paintPinned(context, { x, y, tip }) {
 export function paintMeasuredPoints(context) {
   if (!points.shown) return;
   for (const [x, y] of points.places()) ring(context, toPx(x), toPy(y), 6, palette.measured, palette.air);
+}
+
+const near = (one, other) => Math.abs(one - other) <= 1e-9 * Math.abs(other);
+
+/** Whether the needle's parameters are others than those about which the band's draws lie. */
+function isChanged({ bevel, layers }, { fitted }) {
+  const { key, value } = strengthOf(fitted);
+  return !near(bevel[key], value) || layers.some((layer, i) => Object.entries(fitted.layers[i]).some(([name, one]) => !near(layer[name], one)));
+}
+
+/** State that the band is not that of the parameters shown. */
+export function nameBand(context, { x, low, high }) {
+  if (now.scene.tracked || !isChanged(now.state, now.scene)) return;
+  setFont(context, "strong");
+  const text = "band of the fit";
+  const half = context.measureText(text).width / 2;
+  const at = [1, 0.8, 0.6, 0.4].map((share) => Math.round(share * (x.length - 1)));
+  const places = at.flatMap((i) => [[high, -14], [low, 14]].flatMap(([edge, away]) =>
+    [0, -half, half].map((aside) => [toPx(x[i]) + aside, toPy(edge[i]) + away])));
+  labelFree(context, text, places, palette.band);
 }
 
 /** Draw the band; pale as long as it belongs to an earlier step. */
