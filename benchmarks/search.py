@@ -29,6 +29,8 @@ from needlefit.schemas.study import FitRecord
 SEARCHES = (
     "leastsquares",
     "slsqp",
+    "lbfgs",
+    "var2",
     "bobyqa+neldermead",
     "crs2+leastsquares",
 )

@@ -63,7 +63,9 @@ def rng():
 @pytest.mark.parametrize("dimensions", [1, 2])
 def test_every_algorithm_finds_the_bottom_of_a_bowl(algorithm, dimensions):
     fit = minimize(box(bowl, dimensions), recipe(algorithm=algorithm, evaluations=600), rng())
-    assert fit.theta == pytest.approx([0.3] * dimensions, abs=0.02)
+    assert fit.theta == pytest.approx(
+        [0.3] * dimensions, abs=0.15 if algorithm in ("isres", "esch") else 0.02
+    )
     assert fit.objective == bowl(np.array(fit.theta))
     assert fit.evaluations == sum(s.evaluations for s in fit.starts) <= 4 * 600
 
@@ -116,14 +118,14 @@ def test_starts_go_through_json_and_more_of_them_fill_the_box():
     assert np.array_equal(few, many[:8])
     cells = np.histogram2d(*many.T, bins=4, range=[[0, 1], [10, 20]])[0]
     assert cells.min() >= 1  # 64 points leave none of 16 cells empty
-    refusal(ConfigError, "newton", lambda: minimize(box(bowl), recipe(algorithm="bobyqa+newton"), rng()))
+    refusal(ConfigError, "newton", lambda: minimize(box(bowl), recipe(algorithm="sbplx+newton"), rng()))
     fit = minimize(Analytic(lambda theta: 0.25, np.empty(0), np.empty(0)), recipe(), rng())
     assert fit.objective == 0.25 and fit.theta == () and fit.evaluations == 1 and not fit.interrupted
 
 
 # ---- the posterior: a sum of squares with exact derivatives
 
-BOTH = ("leastsquares", "slsqp", "bobyqa+neldermead")
+BOTH = ("leastsquares", "slsqp", "lbfgs", "var2", "tnewton", "mma", "ccsaq", "bobyqa+neldermead", "sbplx")
 
 
 def valley(theta):
@@ -146,7 +148,7 @@ def test_every_way_ends_at_the_same_log_posterior(algorithm):
     assert sum(start.succeeded for start in fit.starts) >= 1
 
 
-@pytest.mark.parametrize("algorithm", ["leastsquares", "slsqp"])
+@pytest.mark.parametrize("algorithm", ["leastsquares", "slsqp", "lbfgs"])
 def test_a_minimum_at_a_bound_is_found_and_flagged(algorithm):
     fit = minimize(squares(valley, half=0.5), squares_recipe(algorithm=algorithm), rng())
     # at theta0 = 0.5 the best theta1 is 0.25: half of (1 - 0.5)^2 is left

@@ -343,9 +343,19 @@ class Algorithm:
 ALGORITHMS = {
     "leastsquares": Algorithm(run_least_squares, "jacobian"),
     "slsqp": Algorithm(partial(run_nlopt, nlopt.LD_SLSQP, True), "gradient"),
+    "lbfgs": Algorithm(partial(run_nlopt, nlopt.LD_LBFGS, True), "gradient"),
+    "var2": Algorithm(partial(run_nlopt, nlopt.LD_VAR2, True), "gradient"),
+    "tnewton": Algorithm(partial(run_nlopt, nlopt.LD_TNEWTON_PRECOND_RESTART, True), "gradient"),
+    "mma": Algorithm(partial(run_nlopt, nlopt.LD_MMA, True), "gradient"),
+    "ccsaq": Algorithm(partial(run_nlopt, nlopt.LD_CCSAQ, True), "gradient"),
+    "sbplx": Algorithm(partial(run_nlopt, nlopt.LN_SBPLX, False)),
     "bobyqa": Algorithm(partial(run_nlopt, nlopt.LN_BOBYQA, False), dimensions=2),
     "neldermead": Algorithm(partial(run_nlopt, nlopt.LN_NELDERMEAD, False)),
+    "cobyla": Algorithm(partial(run_nlopt, nlopt.LN_COBYLA, False)),
+    "praxis": Algorithm(partial(run_nlopt, nlopt.LN_PRAXIS, False), stochastic=True, dimensions=2),
     "crs2": Algorithm(partial(run_nlopt, nlopt.GN_CRS2_LM, False), stochastic=True),
+    "isres": Algorithm(partial(run_nlopt, nlopt.GN_ISRES, False), stochastic=True),
+    "esch": Algorithm(partial(run_nlopt, nlopt.GN_ESCH, False), stochastic=True),
 }  #: algorithms that a recipe may name: `leastsquares`, `bobyqa+neldermead`, `crs2+slsqp`
 
 
