@@ -12,9 +12,9 @@ from needlefit.mechanics.simulate import compute_loads
 from needlefit.metrics import compute_metrics
 from needlefit.reporting.needle_page import encode_layers, encode_strength
 from needlefit.viewer.messages import LENGTH_DIGITS, round_lengths
-from needlefit.viewer.opening import ViewedScene
 from needlefit.viewer.overlays import MeasuredOverlay
 from needlefit.viewer.steering import SteeredNeedle, guide_number
+from needlefit.viewer.viewed_scene import ViewedScene
 
 POINTS_BEFORE_TISSUE = 25  # points of the needle drawn before the tissue
 

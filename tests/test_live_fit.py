@@ -20,7 +20,8 @@ from needlefit.viewer.live_fit import (
     select_insertions,
     show_moved,
 )
-from needlefit.viewer.opening import ShownInsertion, open_target
+from needlefit.viewer.opening import open_target
+from needlefit.viewer.viewed_scene import ShownInsertion
 
 
 def shown() -> ShownInsertion:

@@ -22,10 +22,11 @@ from needlefit.mechanics.simulate import compute_loads
 from needlefit.schemas.scene import SceneRecord
 from needlefit.viewer.export import PAGE
 from needlefit.viewer.messages import encode_draws, encode_scene
-from needlefit.viewer.opening import ViewedScene, open_target
+from needlefit.viewer.opening import open_target
 from needlefit.viewer.overlays import compute_band
 from needlefit.viewer.plans import continue_insertion
 from needlefit.viewer.steering import Change, SteeredNeedle, find_changes
+from needlefit.viewer.viewed_scene import ViewedScene
 
 pytestmark = pytest.mark.skipif(
     shutil.which("node") is None or not (native.FOLDER / "kernel.wasm").is_file(),

@@ -7,8 +7,8 @@ from page_state import encode_state
 from needlefit.mechanics.scene import Scene
 from needlefit.schemas.scene import SceneRecord
 from needlefit.viewer.messages import encode_scene
-from needlefit.viewer.opening import ViewedScene
 from needlefit.viewer.steering import Change, SteeredNeedle
+from needlefit.viewer.viewed_scene import ViewedScene
 
 LENGTH, K = 150.0, 0.3  # mm; N/mm per mm
 STIFF, NEEDLE = 1e10, 1e4  # N mm^2

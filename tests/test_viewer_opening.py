@@ -36,7 +36,8 @@ from needlefit.studies.job import Settings
 from needlefit.studies.kinds.cross_validation.run import run
 from needlefit.studies.store import pack, restore_run
 from needlefit.viewer.live_fit import find_mode, tabulate_draws
-from needlefit.viewer.opening import choose_start_parameters, open_target
+from needlefit.viewer.measured import choose_start_parameters
+from needlefit.viewer.opening import open_target
 from needlefit.viewer.overlays import compute_band
 
 VALUES = {"mu1_pa": 3e5, "alpha1": 1.2, "mu2_pa": 2e7, "alpha2": -1.0, "bevel_mm": 0.08}

@@ -16,7 +16,7 @@ from needlefit.project.folders import require_output_files
 if TYPE_CHECKING:
     from needlefit.planning.goals import PlaneGoal
     from needlefit.planning.steering import SteeringPlan
-    from needlefit.viewer.opening import ViewedScene
+    from needlefit.viewer.viewed_scene import ViewedScene
 
 
 @takes(

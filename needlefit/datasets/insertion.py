@@ -4,10 +4,9 @@ import math
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
-from typing import Literal, NamedTuple, Self, cast
+from typing import TYPE_CHECKING, Literal, NamedTuple, Self, cast
 
 import numpy as np
-import pandas as pd
 
 from needlefit.arrays import Floats
 from needlefit.errors import DataError
@@ -18,6 +17,9 @@ from needlefit.geometry.surfaces import Surface
 from needlefit.mechanics.needle import Needle
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.schemas.dataset import MeasurementRecord
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Pose = Literal["known", "free", "tracker"]
 
@@ -204,8 +206,10 @@ class Dataset:
     remarks: tuple[str, ...] = field(default=(), repr=False)
     assumed: tuple[str, ...] = field(default=(), repr=False)
 
-    def to_frame(self) -> pd.DataFrame:
+    def to_frame(self) -> "pd.DataFrame":
         """Return one row per insertion: what it went into, its depth and measured tip deflection (mm)."""
+        import pandas as pd  # late: simulations need none
+
         rows = [
             {
                 "insertion": one.id,

@@ -440,7 +440,9 @@ class ParameterDraws:
         return Batch(needle, tissue, steps, rules, mu=self.mu, shape=self.shape, **{name: self.bevel})
 
 
-def select_layer_draws(draws: "pd.DataFrame", layers: Sequence[int], law: str) -> ParameterDraws:
+def select_layer_draws(
+    draws: "Mapping[str, Floats] | pd.DataFrame", layers: Sequence[int], law: str
+) -> ParameterDraws:
     """Return draws (one column per parameter; Pa, mm) of a law, arranged by the layers that a needle meets.
 
     `layers` are their numbers, from 1, in the order in which they are met.
@@ -448,7 +450,7 @@ def select_layer_draws(draws: "pd.DataFrame", layers: Sequence[int], law: str) -
     return ParameterDraws(
         mu=np.column_stack([draws[f"mu{layer}_pa"] * 1e-6 for layer in layers]),
         shape=stack_shape({str(name): column for name, column in draws.items()}, law, layers),
-        bevel=np.radians(draws["cut_angle_deg"].to_numpy(dtype=np.float64))
+        bevel=np.radians(np.asarray(draws["cut_angle_deg"], dtype=np.float64))
         if "cut_angle_deg" in draws
-        else draws["bevel_mm"].to_numpy(dtype=np.float64),
+        else np.asarray(draws["bevel_mm"], dtype=np.float64),
     )

@@ -55,7 +55,7 @@ _ANGLE: dict[str, Any] = {
     "below": MAX_CUT_ANGLE_DEG,
 }
 _MODULUS: dict[str, Any] = {
-    "expected": f"above 0 MPa, up to {MAX_MU_PA / 1e6:g} MPa",
+    "expected": f"above 0, up to {MAX_MU_PA / 1e6:g} MPa",
     "above": 0.0,
     "upto": MAX_MU_PA,
 }

@@ -8,6 +8,8 @@ from needlefit.errors import ModelError
 from needlefit.schemas.limits import MAX_NEEDLE_DIAMETER_MM, MAX_NEEDLE_LENGTH_MM, MAX_NUMBER
 from needlefit.schemas.scene import NeedleRecord
 
+DEFAULT_DIAMETER_MM = 1.27  #: with which a needle is drawn where none is stated: 18 gauge
+
 
 def is_bounded(*values: float) -> bool:
     """Return whether all values are numbers of at most `MAX_NUMBER`; False for anything else."""

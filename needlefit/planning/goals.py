@@ -10,7 +10,6 @@ from itertools import count
 from pathlib import Path
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from needlefit.arrays import Bools, Floats
 from needlefit.datasets.formats.fcsv import read_fcsv
@@ -100,6 +99,8 @@ def minimize_miss(
 
     def here(at: Floats) -> Floats:
         return residuals([at])[0]
+
+    from scipy.optimize import least_squares  # late: it takes 0.3 s to load
 
     found = least_squares(
         here,

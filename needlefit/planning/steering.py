@@ -16,7 +16,6 @@ from itertools import combinations, product
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
 
 from needlefit.arrays import Bools, Floats
 from needlefit.errors import ModelError
@@ -443,6 +442,8 @@ class _Search:
             return self.risks([replace(choice, at=np.clip(at, low, high))])[0]
 
         simplex = np.vstack([choice.at, choice.at + np.diag(np.where(choice.at + size > high, -size, size))])
+        from scipy.optimize import minimize  # late: it takes 0.3 s to load
+
         found = minimize(
             risk,
             choice.at,

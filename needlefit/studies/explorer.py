@@ -16,7 +16,7 @@ from needlefit.geometry.curves import COMPARISON_POINTS
 from needlefit.geometry.frames import align_rigid
 from needlefit.inference.parameters import BEVEL_PARAMETERS, BEVEL_SPREAD, Parameters, find_bevel_factors
 from needlefit.mechanics.laws import LAWS, PowerLaw
-from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM, Needle
 from needlefit.mechanics.packing import compile_law
 from needlefit.mechanics.plan import Lattice, make_lattice
 from needlefit.mechanics.scene import Scene
@@ -30,7 +30,6 @@ from needlefit.reporting.needle_page import PageData, encode_scene, kernel_exist
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.schemas.medium import MediumRecord
 from needlefit.studies.fit_frames import NEW_SPECIMEN, TUNED_SPECIMENS, list_methods, select_draws
-from needlefit.studies.needles_in_scan import DEFAULT_DIAMETER_MM
 from needlefit.studies.run import Run
 
 if TYPE_CHECKING:

@@ -27,8 +27,9 @@ from needlefit.inference.predict import thin_posterior
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
+from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
 from needlefit.studies.job import Fold
-from needlefit.studies.needles_in_scan import DEFAULT_DIAMETER_MM, Band, NeedleInScan
+from needlefit.studies.needles_in_scan import Band, NeedleInScan
 
 NEEDLE_POINTS = 51  # points of a fitted needle and of its band
 BAND_DRAWS = 400  # most draws of a posterior of which needles are simulated for a band

@@ -10,9 +10,6 @@ import pandas as pd
 from needlefit.arrays import Floats
 from needlefit.studies.fit_frames import COLUMNS
 
-# Diameter with which a needle is drawn where the dataset states none, mm: 18 gauge.
-DEFAULT_DIAMETER_MM = 1.27
-
 
 @dataclass(frozen=True)
 class Band:

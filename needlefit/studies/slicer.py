@@ -14,10 +14,11 @@ from needlefit.errors import ConfigError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import Placement
 from needlefit.geometry.meshes import make_tube, write_ply
+from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.project.folders import require_folder
 from needlefit.reporting.labels import GREEN, GREY, METHOD_COLOURS, PAPER_COLOUR, SKY_BLUE, rgb
-from needlefit.studies.needles_in_scan import DEFAULT_DIAMETER_MM, NeedleInScan, read_needles
+from needlefit.studies.needles_in_scan import NeedleInScan, read_needles
 
 if TYPE_CHECKING:
     from needlefit.imaging.reconstruction import Reconstruction

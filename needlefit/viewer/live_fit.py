@@ -31,8 +31,9 @@ from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
 from needlefit.schemas.recipe import WeightsRecord
-from needlefit.viewer.opening import ShownInsertion, ViewedScene, open_target
+from needlefit.viewer.opening import open_target
 from needlefit.viewer.overlays import make_measured_overlay
+from needlefit.viewer.viewed_scene import ShownInsertion, ViewedScene
 
 FitScope = Literal["insertion", "specimen", "dataset"]
 

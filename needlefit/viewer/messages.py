@@ -3,13 +3,12 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from needlefit.arrays import Floats, are_bounded
 from needlefit.errors import ModelError, NeedlefitError
-from needlefit.inference.forward_model import ParameterDraws
 from needlefit.mechanics.laws import LAWS, PowerLaw
 from needlefit.mechanics.packing import compile_law
 from needlefit.mechanics.tissue import Tissue
@@ -17,13 +16,14 @@ from needlefit.metrics import list_metrics
 from needlefit.project.json_values import parse_json
 from needlefit.reporting import needle_page
 from needlefit.schemas.limits import MAX_NUMBER
-from needlefit.viewer.opening import NEEDLES, ViewedScene
-from needlefit.viewer.overlays import (
-    MeasuredOverlay,
-    choose_band_draws,
-)
+from needlefit.viewer.opening import NEEDLES
+from needlefit.viewer.overlays import MeasuredOverlay, choose_band_draws
 from needlefit.viewer.recording import RecordedStep
 from needlefit.viewer.steering import Change, SteeredNeedle
+from needlefit.viewer.viewed_scene import ViewedScene
+
+if TYPE_CHECKING:
+    from needlefit.inference.forward_model import ParameterDraws
 
 LENGTH_DIGITS = 4  #: decimals of drawn lengths in mm
 
@@ -112,7 +112,7 @@ def encode_tables(tissue: Tissue, steps: Sequence[RecordedStep]) -> list[Any]:
     return list(found.values())
 
 
-def encode_draws(spread: ParameterDraws, law: str) -> dict[str, Any]:
+def encode_draws(spread: "ParameterDraws", law: str) -> dict[str, Any]:
     """Return the draws of a band: of each, mu and law of every layer, and the strength of the bevel."""
     drawn = spread.only(choose_band_draws(spread))
     return {

@@ -2,24 +2,25 @@
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from needlefit.arrays import Floats, Ints
-from needlefit.datasets.insertion import Dataset, Insertion
-from needlefit.datasets.sources import ScanVolume, find_volume
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import align_rigid
-from needlefit.imaging.reconstruction import ENTRY_MARGIN_MM, render_bending_plane
-from needlefit.imaging.volume_files import ct_packages_installed, read_volume
-from needlefit.inference.compared_points import ComparedPoints, select_points
-from needlefit.inference.forward_model import ParameterDraws
-from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
+from needlefit.imaging.volume_files import ct_packages_installed
 from needlefit.mechanics.shape import NeedleShape, compute_positions
-from needlefit.planning.steering import StartedInsertion
 from needlefit.project.input_files import path_exists
-from needlefit.studies.needle_placement import BAND_PERCENTILES, NEEDLE_POINTS
 
+if TYPE_CHECKING:
+    from needlefit.datasets.insertion import Dataset, Insertion
+    from needlefit.datasets.sources import ScanVolume
+    from needlefit.inference.compared_points import ComparedPoints
+    from needlefit.inference.forward_model import ParameterDraws
+    from needlefit.planning.steering import StartedInsertion
+
+# What takes long to import, or only measured insertions need, is imported where it is used.
 #: needles of a band, evenly chosen from all draws: it is computed again whenever the needle moves
 MAX_BAND_DRAWS = 100
 SLICE_HALF_WIDTH_MM = 25.0  #: how far the slice reaches to both sides of the needle, mm
@@ -35,7 +36,7 @@ class NeedleBand:
     failed: int  #: draws whose needle was not found; they are left out
 
 
-def compute_band(insertion: StartedInsertion) -> NeedleBand | None:
+def compute_band(insertion: "StartedInsertion") -> NeedleBand | None:
     """Return the band of a needle where it stands: the central 95 % of the needles of posterior draws.
 
     Every draw replaces moduli and shape parameters of all layers and the strength of the bevel of all steps;
@@ -43,6 +44,9 @@ def compute_band(insertion: StartedInsertion) -> NeedleBand | None:
     of measured points, nor errors of the layers' depths, nor model error. Runs on one core, and lets the
     interpreter go. None without draws, before the tip is in, and where no draw can be solved.
     """
+    from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
+    from needlefit.studies.needle_placement import BAND_PERCENTILES, NEEDLE_POINTS
+
     spread, path = insertion.draws, insertion.path
     if spread is None or not path[-1].depth > 0:
         return None
@@ -58,7 +62,7 @@ def compute_band(insertion: StartedInsertion) -> NeedleBand | None:
     return NeedleBand(np.median(found[:, :, 0], axis=0), low, high, len(shapes) - len(found))
 
 
-def choose_band_draws(spread: ParameterDraws) -> Ints:
+def choose_band_draws(spread: "ParameterDraws") -> Ints:
     """Return the numbers of the draws of a band, evenly chosen."""
     return np.linspace(0, len(spread) - 1, min(MAX_BAND_DRAWS, len(spread))).astype(np.intp)
 
@@ -73,20 +77,22 @@ class MeasuredOverlay:
     points: Floats
     #: (N,) Where on a needle of the same depth each of the points belongs, at equal fractions of length, mm
     s: Floats
-    target: ComparedPoints  #: the points that a study compares with a needle of the measured depth
+    target: "ComparedPoints"  #: the points that a study compares with a needle of the measured depth
     depth: float  #: inserted arc length, mm
     side: int  #: the side of C's x axis that the bevel faces, +1 or -1
     floor: float | None  #: TE that the true parameters would still show, mm; None where no noise is stated
 
 
 def make_measured_overlay(
-    dataset: Dataset, insertion: Insertion, floor: float, shape: NeedleShape
+    dataset: "Dataset", insertion: "Insertion", floor: float, shape: NeedleShape
 ) -> MeasuredOverlay:
     """Return the overlay of a measured insertion.
 
     `floor` is the TE of its noise floor, mm; NaN where there is none. A shape of unknown pose is laid on
     `shape`.
     """
+    from needlefit.inference.compared_points import select_points
+
     aim = select_points(dataset.pose, dataset.drop_proximal, insertion)
     points, s = insertion.planar, arc_length(insertion.planar)
     s = s * (insertion.depth / s[-1])
@@ -102,15 +108,17 @@ def make_measured_overlay(
 class InsertionScan:
     """A measured needle, and the scan in which it was measured."""
 
-    volume: ScanVolume
-    insertion: Insertion
+    volume: "ScanVolume"
+    insertion: "Insertion"
 
 
-def find_scan(dataset: Dataset, insertion: Insertion) -> tuple[InsertionScan | None, str]:
+def find_scan(dataset: "Dataset", insertion: "Insertion") -> tuple[InsertionScan | None, str]:
     """Return the scan of an insertion, or None with the reason if one was expected.
 
     DataError if the table of the dataset's scans has a fault.
     """
+    from needlefit.datasets.sources import find_volume
+
     volume = find_volume(dataset, insertion.id)
     if volume is None:
         return None, ""
@@ -128,7 +136,8 @@ def read_slice(scan: InsertionScan) -> tuple[bytes, tuple[float, float, float, f
     the entry it follows the entry axis. Returned are a PNG, and its edges in C: left, right, bottom, top, mm.
     DataError if the scan cannot be read.
     """
-    # Imported late: the page is there before a slice is asked for.
+    from needlefit.imaging.reconstruction import ENTRY_MARGIN_MM, render_bending_plane
+    from needlefit.imaging.volume_files import read_volume
     from needlefit.reporting.figures.scan_views import encode_png
 
     insertion = scan.insertion

@@ -19,9 +19,9 @@ from needlefit.planning.steering import StartedInsertion, SteeringPlan, draw_tar
 from needlefit.reporting.needle_page import encode_step
 from needlefit.schemas.planning import ObstacleRecord
 from needlefit.viewer.messages import Message, round_lengths
-from needlefit.viewer.opening import ViewedScene
 from needlefit.viewer.recording import RecordedStep, RecordingWriter
 from needlefit.viewer.steering import Change, SteeredNeedle, find_changes
+from needlefit.viewer.viewed_scene import ViewedScene
 
 DEFAULT_RADIUS_MM = 2.0  #: a tip that ends within it has reached the target
 MAX_OBSTACLES = 16

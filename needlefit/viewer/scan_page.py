@@ -11,7 +11,7 @@ from needlefit.viewer.scan_session import ScanSession
 class ScanPage:
     """The page of one scan; what takes long runs in a thread, one examination at a time."""
 
-    index = "scan.html"
+    index, preloads = "scan.html", ""
 
     def __init__(self, session: ScanSession) -> None:
         self.session = session

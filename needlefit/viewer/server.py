@@ -156,7 +156,7 @@ def _make_application(access: AccessControl, page: "LoadingPage | ScanPage") -> 
         return await handler(request)
 
     async def send_index(_: web.Request) -> web.FileResponse:
-        return web.FileResponse(PAGE / page.index)
+        return web.FileResponse(PAGE / page.index, headers={"Link": page.preloads})
 
     async def answer(request: web.Request) -> web.Response:
         """Return what the page asks for; a fault is one that it shows."""
@@ -198,10 +198,20 @@ async def _send_kernel(request: web.Request) -> web.FileResponse:
     return web.FileResponse(KERNEL / name)
 
 
+def _list_preloads() -> str:
+    """Return the header by which a browser loads the modules of the page and the kernel at once."""
+    others = ("scan", "share")
+    modules = [one for one in sorted(PAGE.rglob("*.js")) if one.parent.name not in others]
+    names = [f"/page/{one.relative_to(PAGE).as_posix()}" for one in modules]
+    links = [f"<{name}>; rel=modulepreload" for name in names]
+    return ", ".join((*links, "</mechanics/native/kernel.wasm>; rel=preload; as=fetch; crossorigin"))
+
+
 class LoadingPage:
     """The page of a needle that a thread makes while the page is already there, and shows the stage."""
 
     index = "index.html"
+    preloads = _list_preloads()  #: what the page needs, which a browser would find one import after the other
 
     def __init__(self, load: "Callable[[Callable[[str], None]], SteeringPage]") -> None:
         """`load` is given what takes the words of each stage."""

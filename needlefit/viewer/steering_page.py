@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from needlefit.viewer.export import EXPORT_TYPES, export
 from needlefit.viewer.messages import compile_asked_law, read_message
-from needlefit.viewer.overlays import read_slice
-from needlefit.viewer.tracking import TrackedTrial
 from needlefit.viewer.trials import InteractiveTrial, Reply, StepOrderError, TrialRegistry, Window
 
 if TYPE_CHECKING:
     from needlefit.viewer.openigtlink import OpenIGTLinkServer
+    from needlefit.viewer.tracking import TrackedTrial
 
 #: pause before the next look for steps of a tracked needle, and between two reports of it, s
 TRACKING_INTERVAL_S, STATUS_INTERVAL_S = 0.03, 0.25
@@ -58,9 +56,13 @@ class SteeringPage:
                 await asyncio.to_thread(compile_asked_law, trial.scene.tissue, content.get("shape"))
             )
         if name == "slice" and scanned is not None:
+            from needlefit.viewer.overlays import read_slice
+
             png, edges = await asyncio.to_thread(read_slice, scanned)
             extent = ",".join(f"{edge:.4f}" for edge in edges)
             return web.Response(body=png, content_type="image/png", headers={"X-Extent-Mm": extent})
+        from needlefit.viewer.export import EXPORT_TYPES, export
+
         if kind not in EXPORT_TYPES:
             raise web.HTTPNotFound(text=f"there is no {name} of this needle")
         trial.recorder.begin()
@@ -157,7 +159,7 @@ async def _carry_out(window: Window, kind: str, socket: web.WebSocketResponse) -
             await _send(socket, reply)
 
 
-async def _send_tracking(window: Window, socket: web.WebSocketResponse, tracked: TrackedTrial) -> None:
+async def _send_tracking(window: Window, socket: web.WebSocketResponse, tracked: "TrackedTrial") -> None:
     """Send the steps of a needle that a tracker moves, and what is known of tracker and estimate."""
     spread = window.trial.viewed_scene.spread
     number, reported = -1, 0.0

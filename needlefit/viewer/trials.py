@@ -12,7 +12,7 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path, PurePath
 from time import monotonic
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from needlefit.errors import ModelError, NeedlefitError
 from needlefit.mechanics.control import Step
@@ -25,15 +25,6 @@ from needlefit.planning.steering import (
     find_reachable_region,
     plan_steering,
 )
-from needlefit.viewer.live_fit import (
-    KNOTS,
-    FitScope,
-    draw_about,
-    find_mode,
-    move_points,
-    select_insertions,
-    show_moved,
-)
 from needlefit.viewer.messages import (
     MAX_REPLAY_SPEED,
     Message,
@@ -45,7 +36,7 @@ from needlefit.viewer.messages import (
     encode_tables,
     round_lengths,
 )
-from needlefit.viewer.opening import NEEDLES, ViewedScene, replace_needle
+from needlefit.viewer.opening import NEEDLES, replace_needle
 from needlefit.viewer.plans import (
     BEYOND_TARGET_MM,
     MAX_ENTRY_MM,
@@ -60,6 +51,10 @@ from needlefit.viewer.plans import (
 )
 from needlefit.viewer.recording import RecordedStep, Recording, RecordingWriter, replay
 from needlefit.viewer.steering import Change, SteeredNeedle, find_tissue_changes
+from needlefit.viewer.viewed_scene import ViewedScene
+
+if TYPE_CHECKING:  # where it is used it is imported: it takes half a second to load
+    from needlefit.viewer.live_fit import FitScope
 
 MAX_KEPT = 400  #: states to which an undo may return that are kept; others are simulated again
 #: number of trials that are kept. Beyond it, those whose windows closed first are dropped; their recordings
@@ -424,6 +419,8 @@ class Window:
             case "fit":
                 self.orders["fit"] = self._fit(trial, _read_scope(trial, message))
             case "points":
+                from needlefit.viewer.live_fit import KNOTS
+
                 rows = message.content.get("offsets")
                 if not isinstance(rows, list) or len(rows) != KNOTS:
                     raise ModelError("these are no offsets of points", expected=f"{KNOTS} numbers, mm")
@@ -466,9 +463,17 @@ class Window:
         yield {"kind": "replay", "times": times, **self.trial.describe_steps(source.steps)}
 
     def _fit(
-        self, trial: InteractiveTrial, scope: FitScope, offsets: Sequence[float] = ()
+        self, trial: InteractiveTrial, scope: "FitScope", offsets: Sequence[float] = ()
     ) -> Iterator[Reply]:
         """Move measured points, fit and draw; the page takes the fitted values as its input."""
+        from needlefit.viewer.live_fit import (
+            draw_about,
+            find_mode,
+            move_points,
+            select_insertions,
+            show_moved,
+        )
+
         yield {}
         if trial.measured is not None and offsets:
             trial.viewed_scene = show_moved(trial.viewed_scene, move_points(trial.measured, offsets))
@@ -524,8 +529,10 @@ class Window:
         yield {"kind": "reach", "step": step, "x": round_lengths(region.x), **rows}
 
 
-def _read_scope(trial: InteractiveTrial, message: Message) -> FitScope:
+def _read_scope(trial: InteractiveTrial, message: Message) -> "FitScope":
     """Return what a page wants to fit to; ModelError if nothing is measured, or there is no such choice."""
+    from needlefit.viewer.live_fit import FitScope
+
     scopes: dict[str, FitScope] = {scope: scope for scope in get_args(FitScope)}
     scope = message.text("scope")
     if trial.viewed_scene.shown is None or scope not in scopes:

@@ -22,7 +22,6 @@ from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.special import logsumexp
 
 from needlefit.arrays import Floats
@@ -220,6 +219,8 @@ def make_spline_weights(places: Sequence[float], t: Floats) -> Floats:
     """
     order = np.argsort((0.0, *places))
     inner = np.array((0.0, *places))[order]
+    from scipy.interpolate import CubicSpline  # late: it takes 0.3 s to load
+
     spline = CubicSpline(inner, np.eye(len(inner))[order], bc_type="natural")
     # beyond the outer nodes the spline goes on as a line: its cubic would run away
     held = np.clip(t, inner[0], inner[-1])

@@ -1,0 +1,70 @@
+"""What the viewer shows of one name of the command line: a scene, a recording, or a measured insertion."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
+from needlefit.project.result_warnings import ResultWarning
+from needlefit.schemas.scene import SceneRecord
+from needlefit.schemas.tracker import PlacementRecord, RecordingRecord
+from needlefit.viewer.recording import make_head
+
+if TYPE_CHECKING:
+    from needlefit.datasets.insertion import Dataset, Insertion
+    from needlefit.inference.forward_model import ParameterDraws
+    from needlefit.schemas.medium import MediumRecord
+    from needlefit.viewer.overlays import InsertionScan, MeasuredOverlay
+
+
+@dataclass(frozen=True)
+class ShownInsertion:
+    """A measured insertion, and the parameters (Pa, mm) of the needle shown with it.
+
+    `seed` is that of the draws of its noise floor, so that it is the one of studies.
+    """
+
+    dataset: "Dataset"
+    insertion: "Insertion"
+    medium: "MediumRecord"
+    values: Mapping[str, float]
+    seed: int
+
+
+@dataclass(frozen=True)
+class ViewedScene:
+    """Everything the viewer needs to show one name of the command line."""
+
+    name: str  #: opens it again
+    title: str
+    note: str  #: where the parameters come from, and what cannot be shown and why; sentences
+    record: SceneRecord  #: the scene: needle, tissue and inputs
+    #: depth of the first constraint point, mm, with which a `Session` ends as `simulate` and `predict` do
+    first_cell: float
+    #: the position of a measured needle; None for a scene, which contains its own
+    placement: PlacementRecord | None = None
+    synthetic: bool = False  #: whether it is about synthetic data
+    measured: "MeasuredOverlay | None" = None
+    spread: "ParameterDraws | None" = None  #: draws of the parameters, for the band of a fit and for plans
+    #: what they are for: a specimen that was not fitted, with the spread between specimens, or one that was
+    specimen: Literal["new", "same", ""] = ""
+    scanned: "InsertionScan | None" = None  #: the scan in which the needle was measured
+    choices: tuple[
+        str, ...
+    ] = ()  #: insertions that can be shown instead; of a shipped scene, all such scenes
+    warnings: tuple[ResultWarning, ...] = ()  #: what is suspicious in the dataset or the run that it is from
+    shown: ShownInsertion | None = None  #: the measured insertion with its dataset, to be fitted to
+    faults: tuple[str, ...] = ()  #: why the run that it shows is not to be trusted
+
+    @property
+    def is_preset(self) -> bool:
+        """Whether it is a shipped scene: the page then offers others, and other needles."""
+        return self.name in self.choices
+
+    @property
+    def diameter(self) -> float:
+        """Diameter at which the needle is drawn, mm."""
+        return self.record.needle.outer_diameter_mm or DEFAULT_DIAMETER_MM
+
+    def make_head(self) -> RecordingRecord:
+        return make_head(self.name, self.first_cell, self.record, self.placement)
