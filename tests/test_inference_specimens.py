@@ -12,7 +12,6 @@ from scipy.stats import multivariate_normal, norm, truncnorm
 
 from needlefit.inference.parameters import Parameters, make_gaussian_prior
 from needlefit.inference.specimens import (
-    KERNELS_PER_SPECIMEN,
     Population,
     Specimen,
     SpreadModel,
@@ -246,4 +245,3 @@ def test_layers_of_specimens_that_are_tied_keep_their_ratio_in_the_mean():
     found = draw_population(known, model, posteriors, 500, np.random.default_rng(2))
     ratios = found.mean[:, known.free.index("mu3_pa")] - found.mean[:, known.free.index("mu1_pa")]
     assert set(ratios.round(9)) == {0.1, 0.3} and np.mean(ratios) == pytest.approx(0.2, abs=0.02)
-    assert KERNELS_PER_SPECIMEN < 500

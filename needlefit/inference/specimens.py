@@ -168,8 +168,8 @@ class Specimen:
     def log_densities(self, means: Floats, covariances: Floats) -> Floats:
         """Return ln N( c_k; m, H + T ) (W, K) of means (W, Q) and covariances T (W, Q, Q)."""
         factor = np.linalg.cholesky(self.kernel + covariances)
-        away = self.centres[None] - means[:, None]  # (W, K, Q)
-        white = np.linalg.solve(factor, away.transpose(0, 2, 1))  # (W, Q, K)
+        whiten = np.linalg.inv(factor)
+        white = whiten @ self.centres.T - whiten @ means[..., None]  # (W, Q, K)
         volume = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)), axis=1)
         logs: Floats = -0.5 * np.sum(white**2, axis=1) - volume[:, None]
         return logs
@@ -185,7 +185,9 @@ def make_specimen(draws: Floats) -> Specimen:
     return Specimen(mean + np.sqrt(1 - part) * (draws - mean), part * covariance)
 
 
-KERNELS_PER_SPECIMEN = 100  #: draws that stand for the posterior of a specimen
+#: draws that stand for the posterior of a specimen. With 100, the SD of the mean of ln mu1 was 0.24 to 0.26
+#: for the example of docs/start.md, with one insertion in each specimen; with 400 and more, 0.29 to 0.33.
+KERNELS_PER_SPECIMEN = 1000
 
 #: efforts of importance sampling of a population, tried in turn
 SPREAD_EFFORTS = (Effort(draws=1000, min_ess=2000.0), Effort(draws=3000, min_ess=1000.0))
@@ -261,7 +263,8 @@ class Population:
         rest = np.zeros(len(model.lower) - len(taus))
         if model.correlated and len(means) > 2:
             common = means[:, : model.moduli].mean(axis=1)
-            rest[0] = np.arctanh(0.9 * np.corrcoef(common, means[:, model.moduli])[0, 1])
+            with np.errstate(invalid="ignore"):  # equal means have no correlation
+                rest[0] = np.arctanh(0.9 * np.corrcoef(common, means[:, model.moduli])[0, 1])
         start = np.concatenate([means.mean(axis=0), np.log(taus), np.nan_to_num(rest)])
         return np.clip(start, self.lower, self.upper)
 

@@ -41,6 +41,8 @@ from needlefit.inference.predict import (
 )
 from needlefit.inference.problem import Problem, find_new_bevel_sd
 from needlefit.inference.sampling.importance import (
+    LARGER_EFFORT,
+    Effort,
     WeightedDraws,
     resample_draws,
     sample_about_fit,
@@ -66,6 +68,8 @@ from needlefit.studies.planned_draws import (
 from needlefit.studies.score import Row
 
 PREDICTION_DRAWS = 1000  #: parameter sets of which a needle is predicted
+#: of one specimen by itself: where its posterior overlaps with the others', few of its draws lie
+SPECIMEN_EFFORTS = (Effort(draws=500, min_ess=1000.0), LARGER_EFFORT)
 
 
 @dataclass(frozen=True)
@@ -253,7 +257,9 @@ class Specimens:
         rng = random_stream(job.recipe.seed, *key)
         if minimum.converged:
             known = add_estimated_noise(problem, minimum.theta)
-            found = sample_about_modes(known, [minimize_squares(known, minimum.theta)], rng)
+            found = sample_about_modes(
+                known, [minimize_squares(known, minimum.theta)], rng, efforts=SPECIMEN_EFFORTS
+            )
             if found.certified:
                 return resample_draws(found, PREDICTION_DRAWS, rng)
         return fit_posterior(job, problem, key, Settings()).draws
