@@ -9,7 +9,7 @@ Depths are arc lengths, as the needle is inserted; target and obstacles are in t
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, product
@@ -211,15 +211,19 @@ class SteeringPlan:
 
 
 def plan_steering(
-    insertion: StartedInsertion, goal: Goal, limits: PlanLimits | None = None, threads: int | None = None
+    insertion: StartedInsertion,
+    goal: Goal,
+    limits: PlanLimits | None = None,
+    threads: int | None = None,
+    cancelled: Callable[[], bool] = lambda: False,
 ) -> SteeringPlan:
     """Return the plan of least risk from where the needle stands.
 
     The radius of `goal` is finite; the entry is shifted within its limits only from first contact on.
     `threads` are by default as many as there are cores. Raises ModelError if the target is not ahead of the
-    tip, out of the needle's reach, or no needle is found on the way.
+    tip, out of the needle's reach, no needle is found on the way, or `cancelled()` while it is sought.
     """
-    search = _Search(insertion, goal, limits or PlanLimits(), threads)
+    search = _Search(insertion, goal, limits or PlanLimits(), threads, cancelled)
     x, nearest = goal.target[0], insertion.now.depth + NEAREST_TARGET_MM
     if x <= nearest or search.end > insertion.reach:
         raise ModelError(
@@ -262,6 +266,7 @@ class _Search:
     goal: Goal
     limits: PlanLimits
     threads: int | None
+    cancelled: Callable[[], bool] = lambda: False
 
     @cached_property
     def end(self) -> float:
@@ -320,6 +325,8 @@ class _Search:
 
     def needles(self, draws: ParameterDraws, choices: Sequence[_Choice]) -> list[Floats]:
         """Return the needles (B, K, 2) of all draws under each choice, NaN where none is within validity."""
+        if self.cancelled():
+            raise ModelError("the search was cancelled", expected="a plan that is still wanted")
         found = self.insertion.simulate(draws, [self.way(one) for one in choices], self.threads)
         placed = []
         for shapes, (entry, depth, *_) in zip(found, (one.at for one in choices), strict=True):

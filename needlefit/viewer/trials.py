@@ -510,9 +510,10 @@ class Window:
         step, insertion, limits = len(trial.steps), trial.planned_insertion, PlanLimits(trial.aim.entry_mm)
         yield {}
         try:
-            plan = plan_steering(insertion, goal, limits, threads=1)
+            plan = plan_steering(insertion, goal, limits, threads=1, cancelled=lambda: "plan" in self.orders)
         except NeedlefitError as error:
-            yield {"kind": "plan", "fault": encode_fault(error)}
+            if "plan" not in self.orders:  # else another one is asked for, and this one was cancelled
+                yield {"kind": "plan", "fault": encode_fault(error)}
             return
         if trial.aim.goal is goal:
             trial.aim.plan, trial.aim.plan_step = plan, step

@@ -9,13 +9,13 @@ import * as frames from "./frames.js";
 import "./keyboard.js";
 import "./live_fit.js";
 import "./notices.js";
-import "./strip.js";
 import * as panel from "./panel.js";
 import * as planning from "./planning.js";
 import "./pointers.js";
 import { grouped } from "./quantities.js";
 import * as readouts from "./readouts.js";
 import { advance, moves } from "./steering.js";
+import * as strip from "./strip.js";
 import { listen, now, publish } from "./store.js";
 import "./toolbar.js";
 import "./tour.js";
@@ -25,6 +25,7 @@ import * as transport from "./transport.js";
 const READOUTS = [ // beside the picture, and how often they are refreshed, ms
   { every: 100, refresh: readouts.refresh },
   { every: 100, refresh: transport.refresh },
+  { every: 150, refresh: strip.draw }, // sooner once the forces have come
   { every: 200, refresh: panel.refresh },
   { every: 200, refresh: planning.refresh },
   { every: 1000, refresh: readouts.refreshDescription },

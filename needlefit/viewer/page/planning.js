@@ -14,6 +14,7 @@ const asMm = (value) => value.toFixed(2);
 const percent = (share) => (100 * share).toFixed(0);
 let fields = []; // [field, () => value]
 let rows = null; // what has fields
+let counting = 0; // the timer that counts how long the planner searches
 
 /** Fields of a circle's x, y and radius; `get` returns them, `set` is given all three. */
 function circleFields(into, symbol, of, get, set) {
@@ -66,6 +67,9 @@ export function refresh() {
   write("game-note", describeGame());
   part("game").hidden = !aim.challenge;
   part("game-compare").hidden = !aim.challenge?.hidden;
+  part("game-again").hidden = !aim.challenge || aim.challenge.hidden;
+  clearTimeout(counting);
+  if (aim.challenge?.planner === undefined && aim.challenge) counting = setTimeout(refresh, 1000);
 }
 
 /** The plan in sentences, its outcome first. */
@@ -100,8 +104,10 @@ function describeGame() {
   const game = aim.challenge;
   if (!game) return "";
   if (!aim.target) return "Choosing a target …";
-  if (game.hidden) return "Steer the tip into the target past the obstacle, then compare.";
-  if (game.planner === undefined) return `You ${game.hand.toFixed(2)} mm. The planner is still searching …`;
+  const searched = Math.round((performance.now() - game.began) / 1000);
+  const searches = game.planner === undefined ? `Planner: searching, ${searched} s.` : "Planner: done.";
+  if (game.hidden) return `Steer the tip into the target past the obstacle, then compare. ${searches}`;
+  if (game.planner === undefined) return `You ${game.hand.toFixed(2)} mm. ${searches}`;
   const planner = game.planner === null ? "the planner found no way" : `the planner ${game.planner.toFixed(2)} mm`;
   if (game.touched) return `You touch the obstacle, ${planner}: ${game.planner === null ? "nobody wins" : "the planner wins"}.`;
   const won = game.planner === null || game.hand < game.planner;
@@ -123,7 +129,7 @@ function challenge() {
     reset();
     command({ do: "challenge", radius: aim.radius });
     Object.assign(aim, { target: null, obstacles: [], plan: null, reach: null });
-    aim.challenge = { hidden: true, hand: null, touched: false }; // and, once the planner is done, its distance
+    aim.challenge = { hidden: true, hand: null, touched: false, began: performance.now() }; // and, once the planner is done, its distance
   }
   part("challenge").textContent = aim.challenge.hidden ? "Compare with the planner" : "Beat the planner";
   refresh();
@@ -155,6 +161,7 @@ const PRESSED = {
   "open-markups": () => part("markups").click(),
   challenge,
   "game-compare": challenge,
+  "game-again": challenge,
   "game-end": () => {
     aim.challenge = null;
     part("challenge").textContent = "Beat the planner";

@@ -11,7 +11,6 @@ const PAD = { left: 46, right: 12, top: 18, bottom: 16 }; // px
 const canvas = part("strip-canvas");
 const context = canvas.getContext("2d");
 let size = [1, 1]; // px
-let drawn = null; // the state that was drawn last
 
 /** What is drawn against depth: its name, a shorter one, unit, decimals, and the curve of a needle. */
 const PANELS = [
@@ -28,8 +27,8 @@ function current() {
 const needles = () => [[now.pinned, palette.ghost], [current(), palette.needle]].filter(([one]) => one);
 const depthAt = (x) => now.state.depth_mm + x - now.state.tip.x;
 
-function draw() {
-  drawn = now.state;
+/** Draw both needles as they are now. */
+export function draw() {
   if (part("strip").hidden || !now.state) return;
   const [width, height] = size;
   if (canvas.width !== Math.round(width * devicePixelRatio)) canvas.width = Math.round(width * devicePixelRatio);
@@ -39,11 +38,6 @@ function draw() {
   describe(paintStrip(context, width, 0, height));
 }
 
-/** Draw in the next frame though no state has come. */
-function drawAgain() {
-  drawn = null;
-  publish("redraw");
-}
 
 /** Draw both panels between two heights, px; return the greatest depth, mm. */
 export function paintStrip(context, width, top, bottom) {
@@ -144,12 +138,11 @@ export function pin() {
 
 press("pin", () => now.state && pin());
 listen("scene", () => [now.forces, now.marked] = [{ x: [], y: [] }, null]);
-listen("forces", drawAgain);
+listen("forces", draw);
 listen("pinned forces", ({ step, ...forces }) => {
   if (now.pinned?.step === step) Object.assign(now.pinned, { forces });
-  drawAgain();
+  draw();
 });
-listen("drawn", () => now.state !== drawn && draw());
 new ResizeObserver(() => {
   size = [canvas.clientWidth, canvas.clientHeight];
   draw();

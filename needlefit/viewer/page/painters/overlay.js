@@ -6,7 +6,7 @@ import { heightAt, strengthOf } from "../quantities.js";
 import { listen, now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
 import { thickness } from "./needle.js";
-import { cross, faintly, fillBetween, isFree, label, labelFree, line, palette, polygon, reserve, ring, segments, setFont, stroke, turned } from "./strokes.js";
+import { avoid, cross, faintly, fillBetween, isFree, label, labelFree, line, palette, polygon, reserve, ring, segments, setFont, stroke, turned } from "./strokes.js";
 
 const GAPS = 12; // parts of the shaft between which gaps are drawn
 const FAN = 0.3; // opacity of the plan's draws
@@ -32,6 +32,7 @@ export function paintPinned(context, { x, y, tip }) {
   line(context, x, y, palette.halo, 5);
   line(context, x, y, palette.ghost, 2.5, [2, 3]);
   setFont(context, "strong");
+  avoid(x.map((one, i) => [toPx(one), toPy(y[i])]));
   labelFree(context, "pinned", [[toPx(tip.x), toPy(tip.y) - 20], [toPx(tip.x), toPy(tip.y) + 20], [toPx(tip.x) - 60, toPy(tip.y)], [toPx(tip.x) + 40, toPy(tip.y)]], palette.ghost);
 }
 
@@ -56,6 +57,7 @@ export function nameBand(context, { x, low, high }) {
   const text = "band of the fit";
   const half = context.measureText(text).width / 2;
   const at = [1, 0.8, 0.6, 0.4].map((share) => Math.round(share * (x.length - 1)));
+  avoid([low, high].flatMap((edge) => x.map((one, i) => [toPx(one), toPy(edge[i])])));
   const places = at.flatMap((i) => [[high, -14], [low, 14]].flatMap(([edge, away]) =>
     [0, -half, half].map((aside) => [toPx(x[i]) + aside, toPy(edge[i]) + away])));
   labelFree(context, text, places, palette.band);
