@@ -13,9 +13,7 @@ import pytest
 
 from needlefit.datasets.sources import digest_folders
 from needlefit.errors import ConfigError, DataError
-from needlefit.metrics import list_metrics
 from needlefit.project.locate import find_file
-from needlefit.studies.combined_report import rebuild
 from needlefit.studies.held_out_predictions import find_fit
 from needlefit.studies.job import Fold, Settings, prepare
 from needlefit.studies.kinds import cohort as cohort_run
@@ -24,8 +22,6 @@ from needlefit.studies.kinds.specimens import REPORT, SpecimensRecord
 from needlefit.studies.kinds.specimens import run as run_specimens
 from needlefit.studies.report import write_run
 from needlefit.studies.run import Run
-from needlefit.studies.run_differences import compare_runs
-from needlefit.studies.store import restore_run
 from needlefit.studies.study_files import check_study
 
 CHOSEN = ["chicken-01", "chicken-04", "chicken-05"]
@@ -105,44 +101,6 @@ def test_datasets_are_read_one_by_one_as_they_are_sent(project, monkeypatch):
     with pytest.raises(ConfigError) as caught:
         run("cohort", cohort("specimens/[bde]"), Settings(pool=SendingPool()))
     assert "specimens/b" in caught.value.expected and len(read_files) == 3
-
-
-def _fit_at_once(job, specimen, insertions, settings):
-    """Return rows as a fit does, without one."""
-    value = float(sum(insertion.depth for insertion in insertions))
-    rows = [
-        {"parameter": name, "value": value, "sd": 0.1, "at_bound": name == "b_mm", "converged": True}
-        for name in ("mu1_pa", "bevel_mm")
-    ]
-    return rows, {"converged": True, **{metric.name: value / 3 for metric in list_metrics()}}
-
-
-def _read_bytes(folder):
-    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "timing.json"}
-
-
-def test_an_interrupted_cohort_resumes_to_the_same_bytes(project, monkeypatch):
-    for name in ("d", "e"):
-        shutil.copytree("specimens/a", f"specimens/{name}")
-    monkeypatch.setattr(cohort_run, "_fit_specimen", _fit_at_once)
-    study, kept = cohort("specimens/*"), project / "cohort.partial"
-    whole = run("cohort", study, Settings())
-    assert whole.frames["failures"]["dataset"].tolist() == ["specimens/b"]
-    first = run("cohort", study, Settings(checkpoint=kept, stop=lambda: len(list(kept.glob("*.jsonl"))) >= 2))
-    assert first.interrupted and first.frames["fits"]["dataset"].unique().tolist() == ["specimens/a"]
-    again = run("cohort", study, Settings(checkpoint=kept, resume=True))
-    assert not again.interrupted
-    written = [write_run(one, project / name) for name, one in (("one", whole), ("two", again))]
-    one, two = map(_read_bytes, written)
-    assert {"fits.csv", "errors.csv", "failures.csv"} <= one.keys()
-    assert one == two
-    rebuild(written[0], project / "three")
-    rebuild(project / "three", project / "three")
-    assert _read_bytes(project / "three") == one
-    assert list(compare_runs(*written)) == []
-    stored = restore_run(written[0])
-    pd.testing.assert_frame_equal(stored.frames["fits"], whole.frames["fits"], check_exact=True)
-    assert stored.verdicts == whole.verdicts and stored.verdicts[0].numbers == {"failures": 1}
 
 
 def test_a_dataset_that_is_listed_twice_by_its_content_is_a_warning(project):
