@@ -1,59 +1,45 @@
-"""Commands run in forks of a process that has imported everything: a second less each.
-
-    python -m faults.server
-
-Asked on stdin, a line of JSON a command (`words`, `folder`, `fault`: kind and number of the step, or null);
-answers with the exit code (negative: the signal), the number of steps, and what was printed.
-"""
+"""Commands run in forks of a process that has imported everything: a second less each."""
 
 import importlib
-import json
+import multiprocessing
 import os
 import pkgutil
-import shutil
-import subprocess
 import sys
 import tempfile
 import traceback
-from functools import partial
+from concurrent.futures import ProcessPoolExecutor
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
-STARTS_WITH = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-TESTS = Path(__file__).resolve().parents[1]
+ENVIRONMENT = {
+    **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"),
+    "PYTHONHASHSEED": "0",
+    "MPLBACKEND": "agg",
+}
 
 
 class Server:
     """The warm process, seen from the one that asks."""
 
-    def __init__(self) -> None:
-        path = os.pathsep.join([str(TESTS), str(TESTS.parent), os.environ.get("PYTHONPATH", "")])
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "faults.server"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            env=os.environ | STARTS_WITH | {"PYTHONPATH": path, "PYTHONHASHSEED": "0", "MPLBACKEND": "agg"},
-            text=True,
-        )
-
     def __enter__(self) -> "Server":
+        self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
+        with patch.dict(os.environ, ENVIRONMENT):
+            self._pool.submit(warm).result()
         return self
 
     def __exit__(self, *_: object) -> None:
-        assert self._process.stdin is not None and self._process.stdout is not None
-        self._process.stdin.close()
-        self._process.wait()
-        self._process.stdout.close()
+        self._pool.shutdown()
 
     def run(
         self, words: tuple[str, ...], folder: Path, fault: tuple[str, int] | None = None
     ) -> dict[str, Any]:
-        """Run `needlefit WORDS` in a folder; return `code`, `steps` (a list), `out` and `err`."""
-        assert self._process.stdin is not None and self._process.stdout is not None
-        asked = {"words": words, "folder": str(folder), "fault": fault}
-        self._process.stdin.write(json.dumps(asked) + "\n")
-        self._process.stdin.flush()
-        return json.loads(self._process.stdout.readline())
+        """Run `needlefit WORDS` in a folder, with a fault: its kind and the number of the step.
+
+        Returns `code` (negative: the signal), `steps` (a list), `out` and `err`.
+        """
+        return self._pool.submit(_answer, words, folder, fault).result()
 
 
 def warm() -> None:
@@ -102,6 +88,7 @@ def _draw_nothing() -> None:
 _SVG = b'<svg width="10pt"><image xlink:href="data:image/svg+xml;base64,PHN2Zy8+"/></svg>'
 
 
+@cache
 def _reconstruct_once() -> None:
     """Let `reconstruct` find what it found the first time: it writes nothing while it looks."""
     from faults.commands import SCANS
@@ -120,21 +107,23 @@ def _reconstruct_once() -> None:
     batch.examine = lambda volume, scan, recipe, search: found[scan.id]
 
 
-def _child(asked: dict[str, Any], printed: Path, answer: int) -> None:
+def _child(
+    words: tuple[str, ...], folder: Path, fault: tuple[str, int] | None, printed: Path, answer: int
+) -> None:
     from faults.injection import Injector, install
     from needlefit.cli import main
 
     for number, name in ((1, "out"), (2, "err")):
         os.dup2(os.open(printed / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
-    os.chdir(asked["folder"])
-    kind, at = asked["fault"] or ("kill", 0)
-    injector = Injector(Path(asked["folder"]).resolve(), at, kind)
+    os.chdir(folder)
+    kind, at = fault or ("kill", 0)
+    injector = Injector(folder.resolve(), at, kind)
     injector.steps = _ReportedSteps(answer)
     install(injector)
     _count_exchanges(injector)
     code = 0
     try:
-        main(asked["words"])
+        main(words)
     except SystemExit as ending:
         code = ending.code if isinstance(ending.code, int) else 1
     except BaseException:
@@ -170,34 +159,18 @@ class _ReportedSteps(list):
         self._write(self._descriptor, (step.replace("\n", " ") + "\n").encode())
 
 
-def _answer(asked: dict[str, Any], printed: Path) -> dict[str, Any]:
-    with tempfile.TemporaryFile() as steps:
+def _answer(words: tuple[str, ...], folder: Path, fault: tuple[str, int] | None) -> dict[str, Any]:
+    if words[0] == "reconstruct":
+        _reconstruct_once()
+    with tempfile.TemporaryFile() as steps, tempfile.TemporaryDirectory() as printed:
         process = os.fork()
         if process == 0:
-            _child(asked, printed, steps.fileno())
-        _, status, used = os.wait4(process, 0)
+            try:
+                _child(words, folder, fault, Path(printed), steps.fileno())
+            finally:
+                os._exit(1)
+        _, status = os.waitpid(process, 0)
         steps.seek(0)
         listed = steps.read().decode().splitlines()
-    texts = {name: (printed / name).read_text(errors="replace") for name in ("out", "err")}
-    seconds = used.ru_utime + used.ru_stime
-    return {"code": os.waitstatus_to_exitcode(status), "steps": listed, "seconds": seconds, **texts}
-
-
-def main() -> None:
-    answers = os.fdopen(os.dup(1), "w", buffering=1)
-    os.dup2(2, 1)
-    warm()
-    printed, reconstructed = Path(tempfile.mkdtemp(prefix="needlefit-faults-")), False
-    try:
-        for line in sys.stdin:
-            asked = json.loads(line)
-            if asked["words"][0] == "reconstruct" and not reconstructed:
-                _reconstruct_once()
-                reconstructed = True
-            answers.write(json.dumps(_answer(asked, printed)) + "\n")
-    finally:
-        shutil.rmtree(printed, ignore_errors=True)
-
-
-if __name__ == "__main__":
-    main()
+        texts = {name: Path(printed, name).read_text(errors="replace") for name in ("out", "err")}
+    return {"code": os.waitstatus_to_exitcode(status), "steps": listed, **texts}
