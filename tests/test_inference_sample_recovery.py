@@ -18,7 +18,6 @@ MOVES = ["stretch", "de", "independent", SampleRecord().moves]
 
 @pytest.mark.parametrize("moves", MOVES)
 def test_a_gaussian_of_five_dimensions_by_every_move(moves):
-    """emcee's own snooker move finds 0.7 of these variances."""
     got = draw(Known(gaussian(np.eye(5)), 5), moves=moves, steps=2000)
     assert flat(got).mean(axis=0) == pytest.approx(np.zeros(5), abs=4 * standard_errors(got).max())
     squares = np.sqrt(2 / got.convergence.ess_bulk.sum(axis=0)[:5])

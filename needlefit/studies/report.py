@@ -336,7 +336,7 @@ _OMITTED_DATA_KEYS = ("notes", "origin")  #: of a dataset: they stand elsewhere 
 
 
 def _describe_moves(moves: str) -> str:
-    """Return the moves of the sampler in words: "0.9*de+0.1*snooker" is 90 % differential evolution, ..."""
+    """Return the moves of the sampler in words: "0.9*de+0.1*stretch" is 90 % differential evolution, ..."""
     parts = [term.strip().rpartition("*") for term in moves.split("+")]
     names = {"de": "differential evolution"}
     shares = (f"{100 * float(share):.0f} % " if share else "" for share, _, _ in parts)
