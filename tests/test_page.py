@@ -796,7 +796,7 @@ def test_what_is_saved_is_what_is_seen_with_its_band(chromium, tmp_path) -> None
                 saved[name] = download.value.path().read_bytes()
             svg = saved["picture, SVG"].decode()
             assert shown_now.partition("\n")[2].removesuffix("</svg>\n") in svg
-            for words in (">95 % band<", ">tip path<", ">tip force at constraint points, N<", get(page, "n.scene.title")):
+            for words in (">95 % band<", ">tip path<", ">tip y, mm<", get(page, "n.scene.title")):
                 assert words in svg
             colours = call(page, "painters/strokes", "{ ...m.palette }")
             edges = call(
