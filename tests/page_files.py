@@ -4,10 +4,12 @@ import base64
 import json
 import re
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+from needlefit.reporting.needle_page import compress
 
 #: states that a page has computed again, and the largest distance from what is stored, mm
 ALL_STATES = "[Number(proof.dataset.count), Number(proof.dataset.largest)]"
@@ -26,6 +28,14 @@ def read_page_data(text: str) -> dict[str, Any]:
         return [resolve(one) for one in value] if isinstance(value, list) else value
 
     return dict(resolve(data))
+
+
+def change_page_data(text: str, change: Callable[[Any], None]) -> str:
+    """Return the text of a file after a change of its data."""
+    (packed,) = re.findall(r'id="data">([^<]*)</script>', text)
+    data = json.loads(zlib.decompress(base64.b64decode(packed), -15))
+    change(data)
+    return text.replace(packed, compress(json.dumps(data).encode()))
 
 
 @contextmanager

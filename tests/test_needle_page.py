@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from page_files import ALL_STATES, open_offline, read_page_data
+from page_files import ALL_STATES, change_page_data, open_offline, read_page_data
 from test_page import NO_BROWSER, chromium  # noqa: F401 - a fixture
 
 from needlefit.reporting import needle_page
@@ -55,6 +55,8 @@ def test_the_page_holds_every_scored_insertion(page, result) -> None:
         assert measured["stored"]["y"] == rows["simulated_y_mm"].tolist()
         assert measured["target"]["y"] == rows["measured_y_mm"].tolist()
         assert {"key", "name", "colour", "errors", "x", "y"} == set(one["methods"][1])
+        colours = [method["colour"] for method in one["methods"]]
+        assert len(set(colours)) == len(colours)
         draws = one["scene"]["draws"]
         layers = len(one["scene"]["layer_names"])
         assert len(draws["mu"]) == layers * draws["sets"] and len(draws["strength"]) == draws["sets"] <= 200
@@ -112,6 +114,25 @@ def test_the_needles_of_a_report_are_computed_again(page, result, chromium) -> N
 
 @pytest.mark.sweep
 @NO_BROWSER
+@pytest.mark.parametrize("kind", ["place", "error"])
+def test_a_stored_number_that_was_changed_fails_the_self_check(page, chromium, tmp_path, kind) -> None:  # noqa: F811
+    def change(data) -> None:
+        needle = data["needles"][0]
+        values, key = {
+            "place": (needle["scene"]["measured"]["stored"]["y"], 50),
+            "error": (needle["methods"][0]["errors"], "te_mm"),
+        }[kind]
+        values[key] += 0.001  # mm
+
+    copy = tmp_path / "copy.html"
+    copy.write_text(change_page_data(page.read_text("utf-8"), change), "utf-8")
+    with open_offline(chromium, copy) as window:
+        assert window.evaluate(ALL_STATES)[1] == pytest.approx(0.001)
+        assert "bad" in window.get_attribute("#proof", "class") and window.is_visible("#proof")
+
+
+@pytest.mark.sweep
+@NO_BROWSER
 @pytest.mark.parametrize("size", [(1440, 900), (390, 844)])
 def test_the_page_is_accessible(page, chromium, size) -> None:  # noqa: F811
     from axe_playwright_python.sync_playwright import Axe
@@ -122,3 +143,7 @@ def test_the_page_is_accessible(page, chromium, size) -> None:  # noqa: F811
         found = Axe().run(window)
         assert found.violations_count == 0, found.generate_report()
         assert window.evaluate("document.documentElement.scrollWidth") <= width
+        if width > height:  # heading, picture, methods and panel are in one window
+            window.evaluate("document.getElementById('explorer-heading').scrollIntoView()")
+            for part in ("methods", "panel"):
+                assert window.evaluate(f"{part}.getBoundingClientRect().bottom") <= height

@@ -44,7 +44,9 @@ class Change:
         finite = abs(self.value) <= most
         whole = self.name != "return_to" or float(self.value).is_integer()
         if not finite or not known.allows(self.value) or not whole:
-            expected = known.expected if finite else f"a finite number, at most {most:g}"
+            lengths = most == MAX_NEEDLE_LENGTH_MM  # of others, the range says more than the largest number
+            largest = f"a finite number, at most {most:g}{' mm' if lengths else ''}"
+            expected = known.expected if finite or (known.expected and not lengths) else largest
             named = re.sub("_(mm|deg|pa)$", "", self.name).replace("_", " ")
             named += "" if self.item is None else f" of {known.item} {self.item}"
             if self.name == "mu_pa":  # in the unit of the page's fields

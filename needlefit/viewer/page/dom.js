@@ -33,11 +33,14 @@ export function say(words) {
   requestAnimationFrame(() => (part("announced").textContent = words));
 }
 
+const dark = matchMedia("(prefers-color-scheme: dark)");
+export const isDark = () => dark.matches;
+
 /** Call `act` once the reader's colour scheme has changed. */
-export const onScheme = (act) => matchMedia("(prefers-color-scheme: dark)").addEventListener("change", act);
+export const onScheme = (act) => dark.addEventListener("change", act);
 
 /** A colour of the style sheet: light-dark(one, other), or one for both. */
 export function colour(name) {
   const both = getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).match(/#\w+/g) ?? [""];
-  return both[matchMedia("(prefers-color-scheme: dark)").matches ? both.length - 1 : 0];
+  return both[isDark() ? both.length - 1 : 0];
 }

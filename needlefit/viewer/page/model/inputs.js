@@ -18,13 +18,15 @@ export function checkChange([name, item, value], rules) {
   if (!known) throw new ModelError(`there is no input ${name}`, `one of ${Object.keys(rules.inputs).join(", ")}`);
   const counted = Number.isInteger(item) && item >= 1 && item <= (known.item === "guide" ? rules.max_guide : Infinity);
   if (known.item ? !counted : item !== null) throw new ModelError(`${name} has item ${item}`, `the number of a ${known.item}`);
-  const most = name.endsWith("_mm") ? rules.max_mm : rules.max;
+  const lengths = name.endsWith("_mm"); // of others, the range says more than the largest number
+  const most = lengths ? rules.max_mm : rules.max;
   const finite = Math.abs(value) <= most;
   const { least, above, upto, below, values } = known;
   const allowed = finite && !(value < least || value <= above || value > upto || value >= below)
     && (!values || values.includes(value));
   if (!allowed) {
-    const expected = finite ? known.expected : `a finite number, at most ${most}`;
+    const range = finite || (known.expected && !lengths);
+    const expected = range ? known.expected : `a finite number, at most ${most}${lengths ? " mm" : ""}`;
     throw new ModelError(`${nameOf(name)}${item === null ? "" : ` of ${known.item} ${item}`} is ${written(name, value)}`, expected);
   }
 }

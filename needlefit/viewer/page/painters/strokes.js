@@ -24,7 +24,8 @@ export function shades(layers) {
   return stiffness.map((one) => between(palette.soft, palette.stiff, (one - least) / decades));
 }
 
-function between(one, other, share) {
+/** A colour between two, given as #rrggbb. */
+export function between(one, other, share) {
   const parts = [1, 3, 5].map((at) => {
     const [low, high] = [one, other].map((colour) => parseInt(colour.slice(at, at + 2), 16));
     return Math.round(low + share * (high - low));

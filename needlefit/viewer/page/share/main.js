@@ -1,10 +1,10 @@
 /** A file that computes: the needles of a report, or one recorded insertion, steered by who reads it. */
 
-import { element, part, press, write } from "../dom.js";
+import { element, isDark, part, press, write } from "../dom.js";
 import { further, invalidate, paint } from "../drawing.js";
 import { toInputs } from "../model/inputs.js";
 import { describeState } from "../model/state.js";
-import { line, palette } from "../painters/strokes.js";
+import { between, line, palette } from "../painters/strokes.js";
 import { counted } from "../quantities.js";
 import { refresh, refreshDescription } from "../readouts.js";
 import { listen, now, take } from "../store.js";
@@ -128,6 +128,9 @@ const errorsOf = (values) => ["ipe_mean_mm", "te_mm", "edp_percent"].map((name) 
 });
 let present = []; // the cells of the needle's own errors
 
+/** A colour of a line on paper, as it is on a dark page. */
+const lighten = (colour) => between(colour, "#ffffff", 0.4);
+
 function listMethods() {
   const { methods } = needle;
   part("methods").hidden = !methods;
@@ -138,7 +141,7 @@ function listMethods() {
   const rows = methods.map((method) => {
     if (!method.x) return row(method.name, errorsOf(method.errors));
     const swatch = element("i", { className: "swatch line", ariaHidden: "true" });
-    swatch.style.background = method.colour;
+    swatch.style.background = `light-dark(${method.colour}, ${lighten(method.colour)})`;
     const toggle = element("button", { type: "button", ariaPressed: String(shownMethods.has(method.key)) }, swatch, method.name);
     press(toggle, () => {
       const on = shownMethods.has(method.key);
@@ -162,7 +165,7 @@ further.push((context) => {
   for (const { key, x, y, colour } of needle?.methods ?? []) {
     if (!x || !shownMethods.has(key)) continue;
     line(context, x, y, palette.halo, 4);
-    line(context, x, y, colour, 2);
+    line(context, x, y, isDark() ? lighten(colour) : colour, 2);
   }
 });
 
@@ -217,14 +220,15 @@ function buildRecording() {
 
 /** State how what the file holds agrees with what this browser computes. */
 async function stateAgreement() {
-  const { count, largest } = await prove(data);
-  const what = counted(count, data.needles[0].recording ? "recorded state" : "stored needle");
-  const agrees = largest === 0 ? "the same bytes" : `the largest difference is ${largest.toExponential(1)} mm`;
-  const place = part("proof");
-  place.classList.toggle("bad", !(largest < SAME));
+  const { count, largest } = await prove(data, SAME);
+  const [what, of] = data.needles[0].recording ? ["recorded state", "recording"] : ["needle", "report"];
+  const [agrees, place] = [largest < SAME, part("proof")];
+  const found = largest === 0 ? `the same bytes as in the ${of}` : `up to ${largest.toExponential(1)} mm from the ${of}`;
+  place.className = `quiet ${agrees ? "good" : "bad"}`;
   place.dataset.count = count;
   place.dataset.largest = largest;
-  write("proof", `This page computed ${what} of needlefit ${data.needlefit} again: ${Number.isNaN(largest) ? "one has failed" : agrees}.`);
+  const checked = `Self-check ${agrees ? "passed" : "failed"}: ${counted(count, what)} computed here`;
+  write("proof", `${checked}, ${Number.isNaN(largest) ? "one without a result" : found} (needlefit ${data.needlefit}).`);
 }
 
 async function start() {

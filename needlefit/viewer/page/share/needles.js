@@ -2,7 +2,7 @@
 
 import { compile } from "../../../mechanics/native/needle.js";
 import { part } from "../dom.js";
-import { alignRigid } from "../model/errors.js";
+import { alignRigid, computeErrors } from "../model/errors.js";
 import { findChanges } from "../model/inputs.js";
 import { SteeredNeedle } from "../model/steered.js";
 
@@ -78,20 +78,26 @@ function readCurve({ session }, s) {
   return s.map((_, i) => [points[2 * i], points[2 * i + 1]]);
 }
 
-/** The largest distance, mm, of a needle of a report from the one that its run stored; 0: the same bytes. */
-function compareStored(steered) {
+/** The largest distance, mm, of a needle of a report from the one that its run stored, or difference of an error above `same`; 0: the same bytes. */
+function compareStored(steered, [fit], same) {
   const { target, stored } = steered.scene.measured;
   let points = readCurve(steered, target.s);
   if (target.pose === "free") points = alignRigid(points, target.x.map((x, i) => [x, target.y[i]]));
-  return Math.max(...points.map(([x, y], i) => Math.max(Math.abs(x - stored.x[i]), Math.abs(y - stored.y[i]))));
+  const found = computeErrors(steered.session, steered.scene.measured);
+  const errors = Object.keys(fit.errors).map((name) => Math.abs(fit.errors[name] - found[name]));
+  return Math.max(
+    ...points.flatMap(([x, y], i) => [Math.abs(x - stored.x[i]), Math.abs(y - stored.y[i])]),
+    ...errors.filter((one) => one > same),
+  );
 }
 
 /**
  * Compute again all that the file holds, a slice at a time.
  *
- * Resolves to {count, largest}: states that were compared, and the largest distance, mm; NaN where one failed.
+ * Resolves to {count, largest}: states that were compared, and the largest distance, mm, or difference of an error above `same`;
+ * 0: the same bytes. NaN where one failed.
  */
-export async function prove({ needles, kernel }) {
+export async function prove({ needles, kernel }, same) {
   let [count, largest, since] = [0, 0, performance.now()];
   const rest = async () => {
     if (performance.now() - since < SLICE) return;
@@ -114,7 +120,7 @@ export async function prove({ needles, kernel }) {
         }
       } else {
         insert(steered);
-        compare(compareStored(steered));
+        compare(compareStored(steered, needle.methods, same));
       }
     } catch (error) {
       if (!error.what) throw error;
