@@ -295,7 +295,7 @@ def prepare(
         hand = (
             None
             if record.paper_parameters is None
-            else hand_tuned_set(record.paper_parameters, stated, record.medium)
+            else paper.hand_tuned_set(record.paper_parameters, stated, record.medium)
         )
     parameters = adapt_parameters(stated, recipe)
     divided = make_folds(record, dataset)
@@ -406,15 +406,3 @@ def _check_algorithms(job: Job) -> None:
     for search in job.searches if fold.tune else ():
         recipe = job.recipe_of(search)
         select_algorithms(recipe.algorithm, make_objective(job.problem(fold, search), recipe.minimize))
-
-
-def hand_tuned_set(name: str, parameters: Parameters, medium: str) -> dict[str, float]:
-    """Return the paper's set, completed by what the medium fixes; ConfigError if its layers differ."""
-    published = {**parameters.fixed, **paper.read_hand_tuned(name)}
-    missing = [p for p in parameters.names if p not in published]
-    if missing:
-        raise ConfigError(
-            f"the paper's set `{name}` has no {', '.join(missing)}, which medium `{medium}` needs",
-            fix="name a set of the same layers, or leave paper_parameters out",
-        )
-    return {p: published[p] for p in parameters.names}

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import pandas as pd
 
 from needlefit.errors import ConfigError
+from needlefit.inference.parameters import Parameters
 from needlefit.project import locate
 from needlefit.project.input_files import convert_stored_errors
 from needlefit.reporting.text import KindText
@@ -62,6 +63,18 @@ def read_hand_tuned(name: str) -> dict[str, float]:
         raise ConfigError(f"the paper has no parameter set called `{name}`", expected=f"one of {known}")
     numbers = {key: value for key, value in found[0].items() if isinstance(value, int | float)}
     return {key: float(value) for key, value in numbers.items() if not math.isnan(value)}
+
+
+def hand_tuned_set(name: str, parameters: Parameters, medium: str) -> dict[str, float]:
+    """Return the paper's set, completed by what the medium fixes; ConfigError if its layers differ."""
+    published = {**parameters.fixed, **read_hand_tuned(name)}
+    missing = [p for p in parameters.names if p not in published]
+    if missing:
+        raise ConfigError(
+            f"the paper's set `{name}` has no {', '.join(missing)}, which medium `{medium}` needs",
+            fix="name a set of the same layers, or leave paper_parameters out",
+        )
+    return {p: published[p] for p in parameters.names}
 
 
 def read_hand_tuned_names() -> tuple[str, ...]:

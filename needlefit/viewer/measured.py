@@ -73,10 +73,9 @@ def choose_start_parameters(insertion: Insertion) -> StartParameters:
         return StartParameters(medium, values, f"Parameters: invented, because {described}.")
     parameters = Parameters.from_record(medium)
     from needlefit.studies import paper
-    from needlefit.studies.job import hand_tuned_set
 
     if name in paper.read_hand_tuned_names():
-        values = hand_tuned_set(name, parameters, name)
+        values = paper.hand_tuned_set(name, parameters, name)
         return StartParameters(medium, values, f"Parameters: the paper's parameters, set {name}.")
     description = f"Parameters: no fit, the middle of the priors and bounds of medium {name}."
     return StartParameters(medium, parameters.values(parameters.expected), description)

@@ -200,9 +200,9 @@ async def _send_kernel(request: web.Request) -> web.FileResponse:
 
 def _list_preloads() -> str:
     """Return the header by which a browser loads the modules of the page and the kernel at once."""
-    others = ("scan", "share")
-    modules = [one for one in sorted(PAGE.rglob("*.js")) if one.parent.name not in others]
-    names = [f"/page/{one.relative_to(PAGE).as_posix()}" for one in modules]
+    modules = [one.relative_to(PAGE) for one in sorted(PAGE.rglob("*.js"))]
+    names = [f"/page/{one.as_posix()}" for one in modules if one.parts[0] not in ("scan", "share")]
+    names += [f"/mechanics/native/{name}" for name in KERNEL_FILES if name.endswith(".js")]
     links = [f"<{name}>; rel=modulepreload" for name in names]
     return ", ".join((*links, "</mechanics/native/kernel.wasm>; rel=preload; as=fetch; crossorigin"))
 
