@@ -1080,7 +1080,7 @@ def test_a_fit_on_the_page_lowers_the_error_and_its_ridge_is_drawn(page) -> None
 
 
 def test_all_shape_parameters_of_a_law_have_a_field(chromium, tmp_path) -> None:
-    scene, field = tmp_path / "gent.toml", '#tissue-fields input[aria-label="gel Jm"]'
+    scene, field = tmp_path / "gent.toml", '#tissue-fields input[aria-label="Jm gel"]'
     scene.write_text(
         'schema = 1\ndepth_mm = 20.0\nlaw = "gent"\n[needle]\nlength_mm = 150.0\nouter_diameter_mm = 1.27\n'
         'youngs_modulus_gpa = 80.0\n[bevel]\noffset_mm = 0.085\n[[layers]]\nname = "gel"\ntop_mm = 0.0\n'

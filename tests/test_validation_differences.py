@@ -170,8 +170,9 @@ def tabulate_predictive(treatments, covered=1, width=2.0, crps=0.1):
     frames = [
         pd.DataFrame(
             {
-                "fold": "all", "insertion": list("abcdefghij"), "specimen": "p", "medium": "m", "layers": 1,
-                "specimen_treatment": treatment, "quantity": "tip", "level": 0.95, "low_mm": -width / 2,
+                "fold": "all", "insertion": list("abcdefghij"), "hole": list("abcdefghij"),
+                "specimen": "p", "medium": "m", "layers": 1, "specimen_treatment": treatment,
+                "quantity": "tip", "level": 0.95, "low_mm": -width / 2,
                 "high_mm": width / 2, "covered": [covered] * 3 + [1] * 7, "crps_mm": crps,
             }
         )
