@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 from real_scanner_scenes import Row, make_case, read_design, render_cached
 from real_scanners import make_recipe, write_scan
 
-from needlefit.imaging.batch import ReconstructionFailure, try_reconstruct
+from needlefit.imaging.batch import ReconstructionFailure, reconstruct_needles
 
 BASES = ("t18", "t04")
 PLATES_MM = {"flush": 8.0, "gap": 8.0}
@@ -42,7 +42,7 @@ def describe(row: Row, thickness: float | None, cache: Path) -> str:
     volume = render_cached(case, cache)
     recipe = recipe.model_copy(update={"guide": recipe.guide.model_copy(update={"thickness_mm": thickness})})
     with TemporaryDirectory() as temporary:
-        found = try_reconstruct(write_scan(case, volume, Path(temporary)), recipe)
+        (found,) = reconstruct_needles(write_scan(case, volume, Path(temporary)), recipe)
     stated = "not stated" if thickness is None else f"stated as {thickness:g} mm"
     if isinstance(found, ReconstructionFailure):
         return f"{row.name}, guide {stated}: refused: {found.error.what}"

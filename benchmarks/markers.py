@@ -27,7 +27,7 @@ from scipy.spatial.distance import cdist
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.markers import find_markers
-from needlefit.imaging.needle.segmentation import segment_needle
+from needlefit.imaging.needle.segmentation import select_needle
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.synthetic.render import SceneMarkers, VoxelGrid, densify, render_scan
 
@@ -111,7 +111,7 @@ def one(task: tuple[int, str, bool]) -> list[dict[str, object]]:
 def needle_of(volume: Volume) -> NDArray[np.int64] | None:
     """Return the needle's voxels, None where its segmentation fails."""
     try:
-        return segment_needle(volume, RECIPE).voxels
+        return select_needle(volume, RECIPE).needle.voxels
     except DataError:
         return None
 

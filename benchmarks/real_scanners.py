@@ -55,9 +55,9 @@ from needlefit.errors import NeedlefitError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.surfaces import make_sheet, write_surface
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
-from needlefit.imaging.batch import ReconstructionFailure, try_reconstruct
+from needlefit.imaging.batch import ReconstructionFailure, reconstruct_needles
 from needlefit.imaging.needle.centerline import trace_needle
-from needlefit.imaging.needle.segmentation import segment_needle
+from needlefit.imaging.needle.segmentation import select_needle
 from needlefit.imaging.reconstruct import list_tip_warnings
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import LayerSource, Scan
@@ -141,7 +141,7 @@ def trace_narrow(row: Row, cache: Path) -> dict[str, object]:
     line: dict[str, object] = {"id": row.name, **row.levels}
     line |= {"crossed": float(np.ptp(height)) / case.grid.spacing[2], "where": ""}
     try:
-        found = trace_needle(volume, segment_needle(volume, recipe), recipe)
+        found = trace_needle(volume, select_needle(volume, recipe).needle, recipe)
     except NeedlefitError as error:
         return line | {"written": False, "what": error.what}
     beside = _beside(case.world.to_local(found.points), axis, case)
@@ -206,7 +206,7 @@ def _measure_spacing(case: Case) -> float:
 def _reconstruct_checked(
     scan: Scan, recipe: ReconstructionRecord, folder: Path
 ) -> Reconstruction | NeedlefitError:
-    found = try_reconstruct(scan, recipe)
+    (found,) = reconstruct_needles(scan, recipe)
     if isinstance(found, ReconstructionFailure):
         return found.error
     _, refused = assemble_checked(folder / "dataset", [found], recipe, DatasetDescription("benchmark"))
@@ -307,7 +307,7 @@ def time_large(row: Row, volume: Path, folder: Path) -> tuple[float, float]:
     The seconds include the process that reads the file, the memory is this process's.
     """
     start = _processor_seconds()
-    found = try_reconstruct(write_scan(make_case(row), volume, folder), make_recipe(row))
+    (found,) = reconstruct_needles(write_scan(make_case(row), volume, folder), make_recipe(row))
     seconds = _processor_seconds() - start
     if isinstance(found, ReconstructionFailure):
         raise found.error

@@ -30,7 +30,7 @@ from skimage.morphology import skeletonize
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.needle.centerline import Centerline, trace_needle
-from needlefit.imaging.needle.segmentation import Component, principal_axes, segment_needle
+from needlefit.imaging.needle.segmentation import Component, principal_axes, select_needle
 from needlefit.imaging.volume import Volume, VoxelGrid, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic.design import PHANTOMS
@@ -184,7 +184,7 @@ def one(task: tuple[int, str]) -> list[dict[str, float | str]]:
     case = draw_case(kind, rng)
     volume = render_scan(case.scene, case.scanner, rng)
     try:
-        needle = segment_needle(volume, RECIPE)
+        needle = select_needle(volume, RECIPE).needle
         start = time.process_time()
         found = trace_needle(volume, needle, RECIPE)
         seconds = time.process_time() - start
@@ -224,7 +224,7 @@ def large(rng: np.random.Generator) -> dict[str, float]:
     volume = render_scan(case.scene, case.scanner, rng)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     start = time.perf_counter()
-    needle = segment_needle(volume, RECIPE)
+    needle = select_needle(volume, RECIPE).needle
     middle = time.perf_counter()
     found = trace_needle(volume, needle, RECIPE)
     end = time.perf_counter()

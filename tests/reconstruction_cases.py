@@ -13,7 +13,7 @@ from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame, n
 from needlefit.geometry.surfaces import make_sheet, transform_surface
 from needlefit.imaging.materials import find_tissue_edge, sample_profile
 from needlefit.imaging.needle.centerline import trace_needle
-from needlefit.imaging.needle.segmentation import segment_needle
+from needlefit.imaging.needle.segmentation import select_needle
 from needlefit.imaging.reconstruction import EntryPose, Layers, MarkerResult, Reconstruction, render_views
 from needlefit.imaging.registration.register import predict_mean_target_error, register, scan_frame
 from needlefit.imaging.scans import Scan
@@ -49,7 +49,7 @@ def small(markers=True, layers=True):
 
 def reconstruct(scan, volume, markers, surfaces, seed=5):
     """A reconstruction of a needle; `markers` (LPS, the last is not found) and `surfaces` lie in the scan."""
-    needle_axis = trace_needle(volume, segment_needle(volume, ct_cases.RECIPE), ct_cases.RECIPE)
+    needle_axis = trace_needle(volume, select_needle(volume, ct_cases.RECIPE).needle, ct_cases.RECIPE)
     found, registration, patient = None, None, IDENTITY_FRAME
     if markers is not None:
         rng = np.random.default_rng(seed)

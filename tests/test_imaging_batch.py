@@ -35,7 +35,7 @@ def sample():
 @pytest.fixture(scope="module")
 def reconstructed(sample):
     """The sample, reconstructed alone."""
-    (one,) = reconstruct_all([sample], RECIPE, ReconstructionBatch())
+    ((one,),) = reconstruct_all([sample], RECIPE, ReconstructionBatch())
     assert not isinstance(one, ReconstructionFailure)
     return one
 
@@ -71,9 +71,10 @@ def test_a_failed_scan_is_reported_and_the_others_are_reconstructed(sample, tmp_
     ]
     steps = []
     found = reconstruct_all(scans, RECIPE, ReconstructionBatch(progress=lambda *step: steps.append(step)))
-    assert [type(one) is ReconstructionFailure for one in found] == [True, False, True]
-    assert found[0].scan.id == "truncated" and str(truncated) in str(found[0].error)
-    assert found[1].depth == pytest.approx(25.0, abs=0.3)
+    assert [type(one) is ReconstructionFailure for (one,) in found] == [True, False, True]
+    (first,), (second,), _ = found
+    assert first.scan.id == "truncated" and str(truncated) in str(first.error)
+    assert second.depth == pytest.approx(25.0, abs=0.3)
     assert steps[-1][1:] == (3, 3)
 
 
@@ -92,10 +93,11 @@ def test_another_machine_gets_the_files_and_gives_the_same_reconstruction(sample
     here = reconstruct_all([sample, gone], RECIPE, ReconstructionBatch())
     there = reconstruct_all([sample, gone], RECIPE, ReconstructionBatch(RemotePool(remote=True)))
     arrays = {}, {}
-    assert encode(there[0], batch._HOOKS, arrays[0]) == encode(here[0], batch._HOOKS, arrays[1])
+    assert encode(there[0][0], batch._HOOKS, arrays[0]) == encode(here[0][0], batch._HOOKS, arrays[1])
     for name, one in arrays[1].items():
         np.testing.assert_array_equal(arrays[0][name], one)
-    assert there[1].scan == gone and str(gone.volume) in str(there[1].error)
+    (missed,) = there[1]
+    assert missed.scan == gone and str(gone.volume) in str(missed.error)
 
 
 @pytest.mark.sweep
@@ -112,10 +114,10 @@ def test_a_scan_whose_reader_crashes_costs_the_others_nothing(sample, tmp_path, 
     monkeypatch.setattr("needlefit.imaging.image_headers.check_nrrd", passes)
     monkeypatch.setattr("needlefit.project.tasks.can_fork", lambda: False)
     scans = [replace(sample, id="crashing", volume=crashing), sample]
-    found = reconstruct_all(scans, RECIPE, ReconstructionBatch(LocalPool(jobs)))
-    assert isinstance(found[0], ReconstructionFailure) and str(crashing) in str(found[0].error)
-    assert jobs > 1 or "SIG" in str(found[0].error)  # another process may have its own check
-    assert found[1].depth == pytest.approx(25.0, abs=0.3)
+    (first,), (second,) = reconstruct_all(scans, RECIPE, ReconstructionBatch(LocalPool(jobs)))
+    assert isinstance(first, ReconstructionFailure) and str(crashing) in str(first.error)
+    assert jobs > 1 or "SIG" in str(first.error)  # another process may have its own check
+    assert second.depth == pytest.approx(25.0, abs=0.3)
 
 
 def test_errors_name_packed_files_and_unexpected_ones_are_failures(sample, monkeypatch):
@@ -129,7 +131,7 @@ def test_errors_name_packed_files_and_unexpected_ones_are_failures(sample, monke
         raise ZeroDivisionError("by nought")
 
     monkeypatch.setattr(batch, "examine", breaks)
-    (one,) = reconstruct_all([sample], RECIPE, ReconstructionBatch())
+    ((one,),) = reconstruct_all([sample], RECIPE, ReconstructionBatch())
     assert "ZeroDivisionError: by nought" in str(one.error)
 
 
@@ -149,10 +151,10 @@ def test_finished_scans_are_kept_and_reused(sample, tmp_path, worked):
             progress=lambda _, done, __: stopped.extend([0] * done),
         ),
     )
-    assert [one.scan.id for one in first] == worked.done == ["sample"]
+    assert [one.scan.id for (one,) in first] == worked.done == ["sample"]
     resumed = reconstruct_all([sample, other], RECIPE, ReconstructionBatch(checkpoint=kept(tmp_path)))
     assert worked.done == ["sample", "again"]
-    assert np.array_equal(resumed[0].points, first[0].points)
+    assert np.array_equal(resumed[0][0].points, first[0][0].points)
 
 
 @pytest.mark.parametrize("change", ["nothing", "file", "scan", "recipe", "truncated"])

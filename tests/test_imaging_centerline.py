@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter
 
 from needlefit.errors import DataError
 from needlefit.imaging.needle import centerline, follow, tip
-from needlefit.imaging.needle.segmentation import measure_component, segment_needle
+from needlefit.imaging.needle.segmentation import measure_component, select_needle
 from needlefit.imaging.reconstruct import MAX_DEPTH_SD_MM, collect_warnings, examine, list_tip_warnings
 from needlefit.imaging.scans import Scan
 from needlefit.imaging.volume import Volume
@@ -33,7 +33,7 @@ SHAPES = {
 
 
 def found(volume, recipe=cases.RECIPE):
-    return centerline.trace_needle(volume, segment_needle(volume, recipe), recipe)
+    return centerline.trace_needle(volume, select_needle(volume, recipe).needle, recipe)
 
 
 @pytest.mark.parametrize("name", SHAPES)
@@ -98,13 +98,13 @@ def test_pieces_of_one_needle_are_joined():
 
 
 def test_what_is_no_needle_is_refused():
-    refusal(DataError, "tissue", lambda: segment_needle(cases.scan(cases.axis() + FAR), cases.RECIPE))
+    refusal(DataError, "tissue", lambda: select_needle(cases.scan(cases.axis() + FAR), cases.RECIPE).needle)
     balls = SceneMarkers(cases.ENTRY + np.array([[6.0, 3, 4], [-5, -6, 12], [4, -6, 20], [-7, 5, 30]]))
     volume = cases.scan(cases.axis() + FAR, scene={"markers": balls})
-    refusal(DataError, "is a tube", segment_needle, volume, cases.RECIPE)
+    refusal(DataError, "is a tube", select_needle, volume, cases.RECIPE)
     refusal(DataError, r"volume.* tip", lambda: found(cases.scan(cases.axis(tip=(0.0, 0.0, 60.0)))))
     recipe = cases.recipe(segmentation={"threshold_low_hu": 2000, "threshold_high_hu": 9000})
-    refusal(DataError, "9000 HU", lambda: segment_needle(cases.scan(cases.axis()), recipe))
+    refusal(DataError, "9000 HU", lambda: select_needle(cases.scan(cases.axis()), recipe).needle)
     recipe = cases.recipe(centerline={"entry_direction": [0, 0, -1]})
     refusal(DataError, r"volume.* tip", lambda: found(cases.scan(cases.axis()), recipe))
 
@@ -153,7 +153,7 @@ TRUTH = cases.axis(tip=(1.0, 2.0, 28.0))
 
 
 def trace(volume, needle=cases.RECIPE):
-    return centerline.trace_needle(volume, segment_needle(volume, needle), needle)
+    return centerline.trace_needle(volume, select_needle(volume, needle).needle, needle)
 
 
 @pytest.mark.sweep

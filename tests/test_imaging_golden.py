@@ -33,7 +33,7 @@ def assert_same(name: str, one: Reconstruction) -> None:
 def test_the_shipped_sample(pose):
     (scan,) = read_scans(shipped_folder() / "data" / "sample_scan" / "scans.csv")
     scan = scan if pose == "stage" else replace(scan, stage=None, bevel=None)
-    (one,) = reconstruct_all([scan], ReconstructionRecord(schema=1), ReconstructionBatch())
+    ((one,),) = reconstruct_all([scan], ReconstructionRecord(schema=1), ReconstructionBatch())
     assert isinstance(one, Reconstruction), one
     assert_same(f"sample_{pose}", one)
 

@@ -72,7 +72,7 @@ def cropped(mask):
 
 @pytest.mark.sweep
 def test_a_mask_replaces_the_thresholds(volume, mask, tmp_path):
-    refusal(DataError, "2 needles", segmentation.segment_needle, volume, cases.RECIPE)
+    refusal(DataError, "2 needles", segmentation.select_needle, volume, cases.RECIPE)
     line = trace_needle(
         volume, segmentation.read_mask_component(volume, saved(tmp_path, mask), cases.RECIPE), cases.RECIPE
     )
@@ -172,20 +172,23 @@ def spans(part, volume):
 @pytest.mark.parametrize("radius", [2.5, 4.0])
 def test_a_hub_on_the_shaft_is_cut_off(radius):
     volume = painted(rod((11.0, 11.0), 0.0, 5.0, radius))
-    part = segmentation.segment_needle(volume, cases.RECIPE)
+    part = segmentation.select_needle(volume, cases.RECIPE).needle
     low, high = spans(part, volume)
     assert 5.0 < low < 9.0
-    assert_allclose(high, spans(segmentation.segment_needle(scan(), cases.RECIPE), scan())[1], atol=0.5)
+    assert_allclose(high, spans(segmentation.select_needle(scan(), cases.RECIPE).needle, scan())[1], atol=0.5)
     line = trace_needle(volume, part, cases.RECIPE)
     assert line.tip[2] > 38  # the hub's end is no tip
 
 
-def test_a_holder_in_the_middle_leaves_one_needle_and_what_is_thin_is_not_cut():
-    volume = painted(rod((11.0, 11.0), 17.0, 23.0, 4.0))
-    low, high = spans(segmentation.segment_needle(volume, cases.RECIPE), volume)
+@pytest.mark.parametrize(("begin", "end", "box"), [(17.0, 23.0, None), (17.0, 23.0, 5000), (8.0, 24.0, None)])
+def test_a_holder_in_the_middle_leaves_one_needle_and_what_is_thin_is_not_cut(begin, end, box, monkeypatch):
+    if box:  # the plate is looked for on fewer voxels
+        monkeypatch.setattr(segmentation, "MAX_BOX_VOXELS", box)
+    volume = painted(rod((11.0, 11.0), begin, end, 4.0))
+    low, high = spans(segmentation.select_needle(volume, cases.RECIPE).needle, volume)
     assert low < 1.0
     assert high > 38.0
-    part = segmentation.segment_needle(scan(), cases.RECIPE)
+    part = segmentation.select_needle(scan(), cases.RECIPE).needle
     (same,) = segmentation.cut_wide_parts(scan(), part.voxels, 3.2)
     assert same is part.voxels
 
@@ -234,5 +237,5 @@ def test_a_plastic_hub_is_no_tissue():
     values = volume.values.copy()
     origin = np.array([0.0, 0.0, 0.46])
     shorter = Volume(values[1:], origin, volume.spacing, volume.direction)
-    line = trace_needle(shorter, segmentation.segment_needle(shorter, cases.RECIPE), cases.RECIPE)
+    line = trace_needle(shorter, segmentation.select_needle(shorter, cases.RECIPE).needle, cases.RECIPE)
     assert line.tip[2] > 38

@@ -83,7 +83,6 @@ def reconstruct(
             ReconstructionBatch,
             ReconstructionFailure,
             add_findings,
-            divide_scan,
             reconstruct_all,
         )
         from needlefit.project.checkpoint import (
@@ -112,17 +111,15 @@ def reconstruct(
         record = load(find_file("reconstruction", recipe), ReconstructionRecord)
         checkpoint = open_checkpoint(keep, invocation.resume, CHECKPOINT_WORK, print_remark)
         with show_progress(invocation.quiet) as report:
-            if every:
-                report("looking for needles", 0, len(wanted))
-                wanted = tuple(one for scan in wanted for one in divide_scan(scan, record))
             with open_pool(
                 jobs or min(MAX_DEFAULT_JOBS, count_cores()), invocation.scheduler, invocation.insecure
             ) as pool:
-                batch = ReconstructionBatch(pool, checkpoint, report, stop)
-                found = reconstruct_all(wanted, record, batch)
-            if len(found) < len(wanted):
+                batch = ReconstructionBatch(pool, checkpoint, report, stop, every)
+                scanned = reconstruct_all(wanted, record, batch)
+            if len(scanned) < len(wanted):
                 screen.print_note(invocation.interrupt_message())
                 raise typer.Exit(exit_codes.INTERRUPTED)
+            found = [one for needles in scanned for one in needles]
             failed = [one for one in found if isinstance(one, ReconstructionFailure)]
             ones = [one for one in found if not isinstance(one, ReconstructionFailure)]
             written = None

@@ -225,61 +225,86 @@ class ReconstructionBatch:
     checkpoint: Checkpoint = NO_CHECKPOINT  # what it has of the same scans and versions is taken as it is
     progress: Progress = no_progress  # called with the scan that was finished, how many are, and of how many
     stop: Stop = never_stop  # whether to begin no further scan
+    every: bool = False  # whether each needle of a scan is reconstructed
 
 
-def divide_scan(scan: Scan, recipe: ReconstructionRecord) -> tuple[Scan, ...]:
+def divide_scan(search: VolumeSearch, scan: Scan, recipe: ReconstructionRecord) -> tuple[Scan, ...]:
     """Return one scan for each needle that a scan holds, `ID-1`, `ID-2`, ... along L; itself if there is one.
 
-    So is one of which something is stated that only one needle has, or that cannot be read.
+    So is one of which something is stated that only one needle has, or in which nothing is found.
     """
     own = (scan.needle_at, scan.contact, scan.tip, scan.stage)
     if any(stated is not None for stated in own):
         return (scan,)
-    with suppress(NeedlefitError):  # its reconstruction says why
-        volume = read_volume(scan.volume, scan.series)
-        points = segmentation.locate_needles(volume, recipe, scan.mask)
+    with suppress(Exception):  # its reconstruction says why
+        if scan.mask is None:
+            tubes = search.find_tubes(recipe)
+            parts = segmentation.list_needles(search.volume, tubes, recipe.needle.diameter_mm)
+        else:
+            parts = segmentation.list_mask_needles(search.volume, scan.mask, recipe)
+        points = segmentation.locate_needles(search.volume, parts)
         if len(points) > 1:
             ones = enumerate(points, start=1)
             return tuple(replace(scan, id=f"{scan.id}-{n}", needle_at=at, divided=True) for n, at in ones)
     return (scan,)
 
 
+Result = Reconstruction | ReconstructionFailure
+
+
 def reconstruct_all(
     scans: Sequence[Scan], recipe: ReconstructionRecord, batch: ReconstructionBatch
-) -> tuple[Reconstruction | ReconstructionFailure, ...]:
-    """Return the reconstruction or the failure of every scan, in their order; of fewer after a stop."""
-    found: dict[int, Reconstruction | ReconstructionFailure] = {}
+) -> tuple[tuple[Result, ...], ...]:
+    """Return for every scan, in their order, the reconstruction or failure of its needle, or of each needle.
+
+    Of fewer scans after a stop.
+    """
+    found: dict[int, tuple[Result, ...]] = {}
     for n, scan in enumerate(scans):
-        finished = _read_checkpoint(scan, recipe, batch.checkpoint)
+        finished = _read_checkpoint(scan, recipe, batch)
         if finished is not None:
             found[n] = finished
     left = [n for n in range(len(scans)) if n not in found]
     batch.progress("reconstructing", len(found), len(scans))
     remaining = [scans[n] for n in left]
     items = PackedScans(remaining) if batch.pool.remote else remaining
-    work = partial(try_reconstruct, recipe=recipe, collect=True)
-    for at, one in batch.pool.run(work, items, batch.stop):
-        one = replace(one, scan=remaining[at])  # a packed one has other paths
-        found[left[at]] = one
-        if isinstance(one, Reconstruction):
+    work = partial(reconstruct_needles, recipe=recipe, collect=True, every=batch.every)
+    for at, results in batch.pool.run(work, items, batch.stop):
+        scan = remaining[at]
+        ones = tuple(_move_to(one, scan) for one in results)  # those of a packed one have other paths
+        found[left[at]] = ones
+        if all(isinstance(one, Reconstruction) for one in ones):
             arrays: Arrays = {}
-            kept = {"inputs": _digest_inputs(one.scan, recipe), "reconstruction": encode(one, _HOOKS, arrays)}
-            batch.checkpoint.keep_row(_work_of(one.scan), kept, arrays)
-        batch.progress(scans[left[at]].id, len(found), len(scans))
+            plain = [encode(one, _HOOKS, arrays) for one in ones]
+            kept = {"inputs": _digest_inputs(scan, recipe, batch.every), "reconstructions": plain}
+            batch.checkpoint.keep_row(_work_of(scan), kept, arrays)
+        batch.progress(scan.id, len(found), len(scans))
     return tuple(found[n] for n in sorted(found))
 
 
-def try_reconstruct(
-    scan: Scan | PackedScan, recipe: ReconstructionRecord, collect: bool = False
-) -> Reconstruction | ReconstructionFailure:
-    """Return the reconstruction of a scan, or its failure; `collect`: with what was found in the scan."""
+def _move_to(one: Result, scan: Scan) -> Result:
+    """Return a result of one needle of `scan` with the files of that scan."""
+    own = {name: getattr(one.scan, name) for name in ("id", "needle_at", "divided")}
+    return replace(one, scan=replace(scan, **own))
+
+
+def reconstruct_needles(
+    scan: Scan | PackedScan, recipe: ReconstructionRecord, collect: bool = False, every: bool = False
+) -> tuple[Result, ...]:
+    """Return the reconstruction or failure of the needle of a scan, or of `every` one that it holds.
+
+    `collect`: a failure comes with what was found in the scan.
+    """
     if isinstance(scan, Scan):
-        return _try_reconstruct(scan, recipe, collect)
+        return _reconstruct_needles(scan, recipe, collect, every)
     with unpack_scan(scan) as (unpacked, folder):
-        found = _try_reconstruct(unpacked, recipe, collect)
-    if isinstance(found, ReconstructionFailure):
-        return replace(found, error=scan.original(found.error, folder))
-    return found
+        found = _reconstruct_needles(unpacked, recipe, collect, every)
+    return tuple(
+        replace(one, error=scan.original(one.error, folder))
+        if isinstance(one, ReconstructionFailure)
+        else one
+        for one in found
+    )
 
 
 def add_findings(
@@ -296,18 +321,31 @@ def add_findings(
 
 
 @one_thread
-def _try_reconstruct(
-    scan: Scan, recipe: ReconstructionRecord, collect: bool
-) -> Reconstruction | ReconstructionFailure:
+def _reconstruct_needles(
+    scan: Scan, recipe: ReconstructionRecord, collect: bool, every: bool
+) -> tuple[Result, ...]:
+    search = _try_step(scan, lambda: VolumeSearch(read_volume(scan.volume, scan.series)))
+    if isinstance(search, ReconstructionFailure):
+        return (search,)
+    needles = divide_scan(search, scan, recipe) if every else (scan,)
+    return tuple(
+        _try_step(one, partial(_reconstruct_needle, search, one, recipe, collect)) for one in needles
+    )
+
+
+def _reconstruct_needle(
+    search: VolumeSearch, scan: Scan, recipe: ReconstructionRecord, collect: bool
+) -> Result:
+    found = examine(search.volume, scan, recipe, search)
+    if found.error is None and found.reconstruction is not None:
+        return add_views(found.reconstruction, search.volume)
+    failed = found.error or NeedlefitError("nothing was found", where=str(scan.volume))
+    return ReconstructionFailure(scan, failed, collect_findings(search, found, recipe) if collect else None)
+
+
+def _try_step(scan: Scan, work: Callable[[], T]) -> T | ReconstructionFailure:
     try:
-        volume = read_volume(scan.volume, scan.series)
-        search = VolumeSearch(volume)
-        found = examine(volume, scan, recipe, search)
-        if found.error is None and found.reconstruction is not None:
-            return add_views(found.reconstruction, volume)
-        failed = found.error or NeedlefitError("nothing was found", where=str(scan.volume))
-        findings = collect_findings(search, found, recipe) if collect else None
-        return ReconstructionFailure(scan, failed, findings)
+        return work()
     except NeedlefitError as error:
         return ReconstructionFailure(scan, error)
     except Exception as error:  # an unexpected error in one scan must not lose the others' results
@@ -316,39 +354,44 @@ def _try_reconstruct(
 
 
 def _read_checkpoint(
-    scan: Scan, recipe: ReconstructionRecord, checkpoint: Checkpoint
-) -> Reconstruction | None:
+    scan: Scan, recipe: ReconstructionRecord, batch: ReconstructionBatch
+) -> tuple[Result, ...] | None:
     """Return what is kept of a scan; None if nothing, of another scan or recipe, or damaged."""
-    for row in checkpoint.rows(_work_of(scan), ("inputs", "reconstruction", ARRAYS_KEY))[::-1]:
-        if row["inputs"] == _digest_inputs(scan, recipe):
+    for row in batch.checkpoint.rows(_work_of(scan), ("inputs", "reconstructions", ARRAYS_KEY))[::-1]:
+        if row["inputs"] == _digest_inputs(scan, recipe, batch.every):
             try:
-                return replace(_decode_checkpoint(row), scan=scan)
+                return tuple(_move_to(one, scan) for one in _decode_checkpoint(row))
             except DataError:
-                checkpoint.set_aside(_work_of(scan))
+                batch.checkpoint.set_aside(_work_of(scan))
                 break
     return None
 
 
-def _decode_checkpoint(row: Mapping[str, Any]) -> Reconstruction:
-    """Return the reconstruction that a row keeps; DataError if it keeps none."""
+def _decode_checkpoint(row: Mapping[str, Any]) -> list[Reconstruction]:
+    """Return the reconstructions that a row keeps; DataError if it keeps none."""
     try:
-        one = decode(Reconstruction, row["reconstruction"], _HOOKS, row[ARRAYS_KEY])
+        ones = [decode(Reconstruction, one, _HOOKS, row[ARRAYS_KEY]) for one in row["reconstructions"]]
     except (ValueError, TypeError, IndexError, OverflowError) as error:
         raise DataError(f"holds no reconstruction: {error}") from None
-    if not isinstance(one, Reconstruction):
+    if not all(isinstance(one, Reconstruction) for one in ones):
         raise DataError("holds no reconstruction")
-    return one
+    return ones
 
 
 def _work_of(scan: Scan) -> str:
     return f"scan {scan.id}"
 
 
-def _digest_inputs(scan: Scan, recipe: ReconstructionRecord) -> str:
+def _digest_inputs(scan: Scan, recipe: ReconstructionRecord, every: bool) -> str:
     """Return a digest of all that decides a reconstruction; of files their size and time."""
     arrays: Arrays = {}
     plain = json.dumps([encode(scan, _HOOKS, arrays), [[name, one.tolist()] for name, one in arrays.items()]])
-    parts = [plain, recipe.model_dump_json(), *(version(name) for name in ("needlefit", *VERSIONED_PACKAGES))]
+    parts = [
+        plain,
+        f"{every}",
+        recipe.model_dump_json(),
+        *(version(name) for name in ("needlefit", *VERSIONED_PACKAGES)),
+    ]
     for path in sorted(set(list_scan_files(scan))):
         status = path.stat()
         parts.append(f"{path} {status.st_size} {status.st_mtime_ns}")

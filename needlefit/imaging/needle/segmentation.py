@@ -18,7 +18,8 @@ from needlefit.imaging.volume import Volume, require_same_frame, to_index, to_pa
 from needlefit.imaging.volume_files import read_mask
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
-# A component whose box holds more is not cut: the distances would take several times the volume's memory.
+# Of a component whose box holds more, wide parts are looked for on every second, third, ... voxel: distances
+# would take several times the volume's memory.
 MAX_BOX_VOXELS = 2**24
 
 
@@ -32,16 +33,17 @@ def cut_wide_parts(volume: Volume, voxels: Ints, max_width: float) -> list[Ints]
     """
     low = voxels.min(axis=0) - 1
     size = voxels.max(axis=0) - low + 2
-    if int(np.prod(size)) > MAX_BOX_VOXELS:
-        return [voxels]
+    every = int(np.ceil((np.prod(size, dtype=np.float64) / MAX_BOX_VOXELS) ** (1 / 3)))
     mask = np.zeros(size, dtype=np.bool_)
     mask[tuple((voxels - low).T)] = True
-    radius, step = max_width / 2, float(volume.spacing.min())
-    core = _distance(mask, volume.spacing) > radius + step / 2  # from a voxel's centre to one outside
+    radius, step, spacing = max_width / 2, float(volume.spacing.min()), every * volume.spacing
+    # from a voxel's centre to one outside
+    core = _distance(mask[::every, ::every, ::every], spacing) > radius + every * step / 2
     if not core.any():
         return [voxels]
-    thin = mask & (_distance(~core, volume.spacing) > 1.5 * radius + step)
-    return [part + low for part in _list_parts(thin)]
+    away = _distance(~core, spacing)[tuple(((voxels - low) // every).T)]
+    mask[tuple((voxels - low)[away <= 1.5 * radius + every * step].T)] = False
+    return [part + low for part in _list_parts(mask)]
 
 
 def _list_parts(mask: NDArray[np.bool_]) -> Iterator[Ints]:
@@ -68,6 +70,8 @@ MIN_DISTINCT_CHECK = 100  # points of a component of which three must differ alo
 NEAR_END_MM = 5.0  # length of the end of a piece that must lie on the curve which it goes on, mm
 # A needle is followed to levels that lie above the tissue by more than so many deviations of its noise.
 MIN_GROWTH_NOISE_SD = 4.0
+# Pieces are joined beyond a wider gap where metal, as a plate, fills it but for `join_gap_mm`, mm.
+MAX_HIDDEN_MM = 40.0
 MIN_GROWTH_MM = 3.0  # at a lower threshold a tube must become longer by so much to be taken from there, mm
 # Distance beyond the ends of a tube, and beside it, in which it is looked for at lower thresholds, mm.
 GROWTH_REACH_MM, GROWTH_MARGIN_MM = 60.0, 5.0
@@ -304,7 +308,7 @@ def _continues(volume: Volume, needle: Component, part: Component, recipe: Recon
     local = (points - center) @ axes.T
     piece = (to_patient(volume, part.voxels) - center) @ axes.T
     gap = max(local[:, 0].min() - piece[:, 0].max(), piece[:, 0].min() - local[:, 0].max())
-    if gap > recipe.segmentation.join_gap_mm or np.ptp(piece[:, 0]) < 2 * part.width:
+    if gap > MAX_HIDDEN_MM or np.ptp(piece[:, 0]) < 2 * part.width:
         return False
     curve = fit_parabola(local[:, 0], local[:, 1:])
     far = np.abs(piece[:, 0] - np.clip(piece[:, 0], local[:, 0].min(), local[:, 0].max()))
@@ -312,9 +316,19 @@ def _continues(volume: Volume, needle: Component, part: Component, recipe: Recon
     off = near[:, 1:] - np.stack([np.polyval(c, near[:, 0]) for c in curve.T], axis=1)
     # a needle that crosses slices stands one beside the other
     thick = recipe.needle.diameter_mm + float(volume.spacing.max()) / 2
-    allowed = thick * (1 + max(gap, 0.0) / recipe.segmentation.min_length_mm)
+    join_gap = recipe.segmentation.join_gap_mm
+    allowed = thick * (1 + min(max(gap, 0.0), join_gap) / recipe.segmentation.min_length_mm)
     if np.linalg.norm(off, axis=1).mean() > allowed:
         return False
+    if gap > join_gap:
+        own = local[local[:, 0] <= local[:, 0].min() + NEAR_END_MM]
+        if piece[:, 0].min() > local[:, 0].max():
+            own = local[local[:, 0] >= local[:, 0].max() - NEAR_END_MM]
+        line = np.linspace(own.mean(axis=0), near.mean(axis=0), 100) @ axes + center
+        level = min(_mean_hu(volume, needle), _mean_hu(volume, part)) / 2
+        i, j, k = np.rint(to_index(volume, line)).astype(np.int64).T
+        if gap * np.mean(volume.values[k, j, i] < level) > join_gap:
+            return False
     both = measure_component(volume, np.concatenate([needle.voxels, part.voxels]))
     return both.bend <= max(needle.bend, recipe.segmentation.max_widening * recipe.needle.diameter_mm / 2)
 
@@ -334,11 +348,6 @@ class NeedleSelection:
     others: tuple[Component, ...] = ()
     warnings: tuple[str, ...] = ()
     axis: AxisSpline | None = None  # rough, where a person placed points on the needle
-
-
-def segment_needle(volume: Volume, recipe: ReconstructionRecord) -> Component:
-    """Return the component that is the needle; see `select_needle`."""
-    return select_needle(volume, recipe).needle
 
 
 def select_needle(
@@ -411,18 +420,16 @@ def list_needles(volume: Volume, tubes: Sequence[Component], diameter: float) ->
     return [part for part, miss in zip(alike, misses, strict=True) if miss < clear]
 
 
-def locate_needles(volume: Volume, recipe: ReconstructionRecord, mask: Path | None = None) -> list[Floats]:
-    """Return a point (3,) on each needle of a scan, or on each part of a mask, LPS, mm; along L.
+def list_mask_needles(volume: Volume, mask: Path, recipe: ReconstructionRecord) -> list[Component]:
+    """Return the parts of a mask that are as long as a needle; DataError as `read_mask_component`."""
+    large = [one for one in _list_mask_parts(volume, mask) if len(one) >= MIN_COMPONENT_VOXELS]
+    parts = [measure_component(volume, one) for one in large]
+    return [part for part in parts if part.length >= recipe.segmentation.min_length_mm]
 
-    DataError as `select_needle` and `read_mask_component`.
-    """
-    if mask is None:
-        parts = list_needles(volume, find_tubes(volume, recipe), recipe.needle.diameter_mm)
-    else:
-        large = [one for one in _list_mask_parts(volume, mask) if len(one) >= MIN_COMPONENT_VOXELS]
-        parts = [measure_component(volume, one) for one in large]
-        parts = [part for part in parts if part.length >= recipe.segmentation.min_length_mm]
-    points = [to_patient(volume, part.voxels) for part in parts]
+
+def locate_needles(volume: Volume, needles: Sequence[Component]) -> list[Floats]:
+    """Return a point (3,) on each of some needles, LPS, mm; along L."""
+    points = [to_patient(volume, part.voxels) for part in needles]
     middles = [some[np.argmin(np.linalg.norm(some - some.mean(axis=0), axis=1))] for some in points]
     return sorted(middles, key=lambda middle: float(middle[0]))
 
