@@ -257,6 +257,7 @@ def find_soft_steps(profile: IntensityProfile, run: MaterialRun) -> tuple[tuple[
     noise = max(MIN_STEP_NOISE_HU, 1.05 * float(np.median(np.abs(np.diff(values)))))
     least = int(np.ceil(MIN_STEP_LENGTH_MM / float(np.median(np.diff(s)))))
     parts = merge_levels(values, partition(values, noise, least), MIN_STEP_HU)
+    parts = _drop_drifts(s, values, parts)
     if not parts:
         return ()
     at = (s[parts] + s[np.array(parts) - 1]) / 2
@@ -266,6 +267,23 @@ def find_soft_steps(profile: IntensityProfile, run: MaterialRun) -> tuple[tuple[
     factor = correlation_factor(best.fun[:, None], len(best.x))
     variances = np.diag(np.linalg.pinv(jacobian.T @ jacobian))[: len(at)] * factor
     return tuple(zip(best.x[: len(at)].tolist(), np.sqrt(variances).tolist(), strict=True))
+
+
+def _drop_drifts(s: Floats, values: Floats, changes: list[int]) -> list[int]:
+    """Return the changes at which the values (n,) jump; a hardened beam lets them drift, which is no change.
+
+    Between its neighbours each is fitted as a step on a parabola.
+    """
+    ends = [0, *changes, len(s)]
+    found = []
+    for before, at, after in zip(ends[:-2], changes, ends[2:], strict=True):
+        x = s[before:after] - s[at]
+        clear = np.abs(x) > BLUR_MM
+        design = np.column_stack([x >= 0, np.ones_like(x), x, x**2])[clear]
+        step = np.linalg.lstsq(design, values[before:after][clear])[0][0]
+        if abs(step) >= MIN_STEP_HU:
+            found.append(at)
+    return found
 
 
 def partition(values: Floats, noise: float, least: int) -> list[int]:
