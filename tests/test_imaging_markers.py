@@ -20,7 +20,7 @@ from needlefit.imaging.markers import (
     read_markers,
     refine_fiducials,
 )
-from needlefit.imaging.needle.segmentation import segment_needle
+from needlefit.imaging.needle.segmentation import select_needle
 from needlefit.imaging.reconstruction import MarkerResult
 from needlefit.imaging.registration.register import register
 from needlefit.imaging.volume import Volume
@@ -36,7 +36,7 @@ def with_balls(places=PLACES, radius=1.5, hu=5000.0, table=None, seed=1, **scann
 
 
 def needle_of(volume):
-    return segment_needle(volume, RECIPE).voxels
+    return select_needle(volume, RECIPE).needle.voxels
 
 
 def off(found, places=PLACES):
@@ -54,7 +54,7 @@ def plain():
 
 @pytest.mark.parametrize(
     ("stated", "warned"),
-    [(3.0, False), *(pytest.param(stated, True, marks=pytest.mark.sweep) for stated in (3.3, 3.7))],
+    [(3.0, False), *(pytest.param(*one, marks=pytest.mark.sweep) for one in ((2.6, True), (3.3, False)))],
 )
 def test_a_diameter_that_the_image_contradicts_is_a_warning_with_both(plain, stated, warned):
     found = find_markers(plain, recipe(markers={"diameter_mm": stated}), needle_of(plain))
@@ -130,6 +130,10 @@ def test_a_needle_alone_and_nothing_bright_hold_no_marker():
 def test_what_is_no_ball_is_listed_with_its_misfit(plain):
     assert len(find_markers(plain, recipe(markers={"diameter_mm": 6.0})).centers) == 0
     assert len(find_markers(with_balls(radius=0.8), RECIPE).centers) == 0
+    works = find_markers(plain, recipe(markers={"diameter_mm": 5.0})).working_diameters
+    assert works[0] <= 3.0 <= works[-1]
+    for size in works:
+        assert len(find_markers(plain, recipe(markers={"diameter_mm": size})).centers) == 4
     larger = recipe(markers={"diameter_mm": 4.0})
     none = find_markers(plain, larger, needle_of(plain))
     assert len(none.centers) == 0

@@ -6,7 +6,7 @@ higher level is a part of that list, so that no second array of the volume's siz
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -21,6 +21,7 @@ from needlefit.datasets.formats import find_format, list_suffixes
 from needlefit.imaging.needle.segmentation import MIN_METAL_CONTRAST_HU, median_tissue_hu
 from needlefit.imaging.reconstruction import MarkerResult, RejectedMarker
 from needlefit.imaging.refusals import refusal
+from needlefit.imaging.registration.pairing import MIN_MARKERS
 from needlefit.imaging.registration.register import check_axis_signs
 from needlefit.imaging.spheres import MAX_BLUR_MM, Blob, PointSpread, SphereFit, fit_sphere
 from needlefit.imaging.volume import Volume, to_index, to_patient
@@ -37,76 +38,76 @@ MAX_ELONGATION = 1.7  # longest over shortest extent of what may be a ball, a vo
 BLOOM_EXTENT_MM = 0.25
 
 
-@dataclass(frozen=True)
+@dataclass
 class BrightVoxels:
-    """All bright voxels: flat index `flat` (N,), ascending, `values` (N,), and `pairs` (E, 2) that touch."""
+    """The bright voxels of a volume, whichever balls are looked for: flat indices (N,), ascending."""
 
     flat: Ints
-    values: NDArray[np.float32]
-    pairs: Ints
+    values: NDArray[np.float32]  # (N,)
+    pairs: Ints  # (E, 2); which of them touch
+    levels: Sequence[float]  # HU, from that which all exceed on
+    _labels: dict[float, NDArray[np.int32]] = field(default_factory=dict)
+
+    def label(self, level: float) -> NDArray[np.int32]:
+        """Return what hangs together above a level: a number for each voxel (N,)."""
+        if level not in self._labels:
+            pairs = self.pairs[(self.values > level)[self.pairs].all(axis=1)]
+            shape = (len(self.flat), len(self.flat))
+            links = coo_array((np.ones(len(pairs), dtype=np.int8), pairs.T), shape=shape)
+            self._labels[level] = connected_components(links, directed=False)[1]
+        return self._labels[level]
 
 
-def find_blobs(volume: Volume, diameter: float, threshold: float | None, exclude: Ints | None) -> list[Blob]:
+def find_blobs(volume: Volume, bright: BrightVoxels, diameter: float, exclude: Ints | None) -> list[Blob]:
     """Return the components that may be a ball, the most similar in size first.
 
     `diameter`: of the ball, mm.
-    `threshold`: the one level to look at, HU; None: levels from the volume.
     `exclude`: (N, 3) or None; voxels of the needle: what holds one of them is left out.
-
-    DataError if nothing is bright enough.
     """
-    bright, higher = _list_bright_voxels(volume, diameter, threshold)
     needle = np.empty((0, 3), dtype=np.int64) if exclude is None else exclude
     forbidden = np.isin(bright.flat, np.ravel_multi_index(tuple(needle.T[::-1]), volume.values.shape))
     found = [
         blob
-        for level in higher
+        for level in bright.levels
         for blob in _find_blobs_at(volume, bright, level, diameter, forbidden)
         if _is_round(volume, blob)
     ]
     return sorted(found, key=lambda blob: abs(np.log(blob.diameter / diameter)))
 
 
-def _list_bright_voxels(
-    volume: Volume, diameter: float, threshold: float | None
-) -> tuple[BrightVoxels, Sequence[float]]:
-    """Return the voxels above the lowest level that shows separate things, and the levels from there on."""
+def list_bright_voxels(volume: Volume, threshold: float | None) -> BrightVoxels:
+    """Return the voxels above the lowest level that shows separate things.
+
+    `threshold`: the one level to look at, HU; None: levels from the volume.
+    """
     start, top = median_tissue_hu(volume), float(volume.values.max())
     count = int(np.log(max((top - start) / MIN_METAL_CONTRAST_HU, 1.0)) / np.log(LEVEL_RATIO)) + 1
     levels = [start + MIN_METAL_CONTRAST_HU * LEVEL_RATIO**n for n in range(count)]  # to the brightest voxel
     levels = levels if threshold is None else [threshold]
-    wanted = _voxel_count(volume, MIN_DIAMETER_RATIO * diameter)
-    for n, level in enumerate(levels):
-        flat = np.concatenate([np.flatnonzero(s > level) + k * s.size for k, s in enumerate(volume.values)])
-        if len(flat) < wanted:
-            break
+    while True:
+        above = [np.flatnonzero(s > levels[0]) + k * s.size for k, s in enumerate(volume.values)]
+        flat = np.concatenate(above)
         if len(flat) <= MAX_BRIGHT_VOXELS:
-            values = volume.values.reshape(-1)[flat]
-            _, rows, columns = volume.values.shape
-            pairs = []
-            for stride, size in ((1, columns), (columns, rows), (rows * columns, None)):
-                at = np.minimum(np.searchsorted(flat, flat + stride), len(flat) - 1)
-                touch = flat[at] == flat + stride
-                if size is not None:  # the last of a row and the first of the next do not touch
-                    touch &= flat // stride % size < size - 1
-                pairs.append(np.stack([np.flatnonzero(touch), at[touch]], axis=1))
-            return BrightVoxels(flat, values, np.concatenate(pairs)), levels[n:]
-    raise refusal(f"""{len(flat)} voxels exceed {level:.0f} HU
-        expected: the {wanted:.0f} voxels or more of a ball of {diameter:g} mm, and no more than
-            {MAX_BRIGHT_VOXELS:.0g} in all
-        fix: check that the scan holds the markers and is in HU; set markers.threshold_hu in the recipe, or
-            place the fiducials by hand
-        where: markers in the volume""")
+            break
+        if len(levels) == 1:
+            return BrightVoxels(flat, np.empty(0, np.float32), np.empty((0, 2), np.int64), levels)
+        levels = levels[1:]
+    _, rows, columns = volume.values.shape
+    pairs = []
+    for stride, size in ((1, columns), (columns, rows), (rows * columns, None)):
+        at = np.minimum(np.searchsorted(flat, flat + stride), len(flat) - 1)
+        touch = flat[at] == flat + stride
+        if size is not None:  # the last of a row and the first of the next do not touch
+            touch &= flat // stride % size < size - 1
+        pairs.append(np.stack([np.flatnonzero(touch), at[touch]], axis=1))
+    return BrightVoxels(flat, volume.values.reshape(-1)[flat], np.concatenate(pairs), levels)
 
 
 def _find_blobs_at(
     volume: Volume, bright: BrightVoxels, level: float, diameter: float, forbidden: NDArray[np.bool_]
 ) -> Iterator[Blob]:
     """Yield what hangs together above `level`, has a ball's size and holds no forbidden voxel."""
-    above = bright.values > level
-    pairs = bright.pairs[above[bright.pairs].all(axis=1)]
-    links = coo_array((np.ones(len(pairs), dtype=np.int8), pairs.T), shape=(len(above), len(above)))
-    labels = connected_components(links, directed=False)[1]
+    above, labels = bright.values > level, bright.label(level)
     size = np.bincount(labels[above], minlength=labels.max() + 1)
     low, high = (
         _voxel_count(volume, MIN_DIAMETER_RATIO * diameter),
@@ -140,40 +141,47 @@ def _voxel_count(volume: Volume, diameter: float) -> float:
 
 
 # Diameters that are tried, in those stated: the others if one of the first explains the balls better.
-FIRST_FACTORS, DIAMETER_FACTORS = (0.85, 1.18), (0.8, 0.9, 1.12, 1.25, 1.4)
+FIRST_FACTORS, DIAMETER_FACTORS = (0.85, 1.18), (0.5, 0.6, 0.7, 0.8, 0.9, 1.12, 1.25, 1.4)
 MAX_FITTED_BALLS = 2  # balls that are fitted with other diameters: those that the stated one explains best
 MIN_MISFIT = 0.02  # balls whose misfit is smaller, in parts of their brightness, leave nothing to explain
 # Another diameter must leave less than this part of the misfit: less is won by chance on clean scans.
 MAX_MISFIT_RATIO = 0.6
+FitSphere = Callable[[Volume, Blob, float], SphereFit]
+
+
+def _compare_diameters(
+    volume: Volume, blobs: Sequence[Blob], diameter: float, factors: Sequence[float], fit: FitSphere
+) -> dict[float, float]:
+    """Return the median misfit of a few balls for `factors` times a diameter, mm; inf where none shows."""
+    found = {}
+    for factor in factors:
+        fits = [fit(volume, blob, factor * diameter / 2) for blob in blobs]
+        # a blur at its bound explains anything
+        left = [one.misfit if one.spread.blur < 0.99 * MAX_BLUR_MM else np.inf for one in fits]
+        found[factor] = float(np.median(left))
+    return found
 
 
 def _check_diameter(
-    volume: Volume,
-    balls: Sequence[tuple[Blob, SphereFit]],
-    diameter: float,
-    fit: Callable[[Volume, Blob, float], SphereFit],
+    volume: Volume, balls: Sequence[tuple[Blob, SphereFit]], diameter: float, fit: FitSphere
 ) -> tuple[str, ...]:
     """Return a warning if the balls found are of another diameter than stated, mm.
 
     A few balls are fitted with other diameters: one that explains the image much better is the measured one.
+    Balls that are cut at the scanner's largest number show their flanks only, which a smaller ball with more
+    blur always explains: of these a larger one is reported, no smaller one.
     """
     used = sorted(balls, key=lambda one: one[1].misfit)[:MAX_FITTED_BALLS]
-    own = np.array([ball.misfit for _, ball in used])
-    if not len(own) or np.median(own) < MIN_MISFIT:
+    blobs, own = [blob for blob, _ in used], [ball.misfit for _, ball in used]
+    if not used or np.median(own) < MIN_MISFIT:
         return ()
-
-    def remain(factor: float) -> float:
-        """Return the misfit that is left, the median part of the balls' own."""
-        fits = [fit(volume, blob, factor * diameter / 2) for blob, _ in used]
-        # a blur at its bound explains anything
-        left = [one.misfit if one.spread.blur < 0.99 * MAX_BLUR_MM else np.inf for one in fits]
-        return float(np.median(left / own))
-
-    if min(remain(factor) for factor in FIRST_FACTORS) >= 1:
+    tried = {1.0: float(np.median(own))} | _compare_diameters(volume, blobs, diameter, FIRST_FACTORS, fit)
+    if min(tried, key=lambda factor: tried[factor]) == 1.0:
         return ()
-    tried = {1.0: 1.0} | {factor: remain(factor) for factor in DIAMETER_FACTORS}
+    tried |= _compare_diameters(volume, blobs, diameter, DIAMETER_FACTORS, fit)
     best = min(tried, key=lambda factor: tried[factor])
-    if tried[best] >= MAX_MISFIT_RATIO:
+    hidden = any(ball.saturated for _, ball in balls) and best < 1
+    if hidden or tried[best] >= MAX_MISFIT_RATIO * tried[1.0]:
         return ()
     seen = f"the balls in the scan are about {best * diameter:.1f} mm wide, but {diameter:g} mm are stated"
     return (f"{seen}: check markers.diameter_mm",)
@@ -188,23 +196,66 @@ def find_markers(
     volume: Volume,
     recipe: ReconstructionRecord,
     exclude: Ints | None = None,
-    fit: Callable[[Volume, Blob, float], SphereFit] = fit_sphere,
+    fit: FitSphere = fit_sphere,
+    bright: BrightVoxels | None = None,
 ) -> MarkerResult:
     """Return the balls of `recipe.markers.diameter_mm` in a scan: as many as there are, be it none.
 
     A ball is left out that hangs together with the needle however high the threshold, or that a face of the
-    volume cuts: its centre would be pulled aside.
+    volume cuts: its centre would be pulled aside. Where too few are found, other diameters are tried.
 
     `exclude`: (N, 3); voxels i, j, k of the needle, never a marker.
     `fit`: `fit_sphere`, or what keeps its results.
+    `bright`: the bright voxels, where they were listed already.
 
     DataError if nothing in the volume is bright enough.
     """
-    rules, radius = recipe.markers, recipe.markers.diameter_mm / 2
+    rules = recipe.markers
+    diameter, listed = rules.diameter_mm, bright or list_bright_voxels(volume, rules.threshold_hu)
+    wanted, count = _voxel_count(volume, MIN_DIAMETER_RATIO * diameter), len(listed.flat)
+    if not wanted <= count <= MAX_BRIGHT_VOXELS:
+        raise refusal(f"""{count} voxels exceed {listed.levels[0]:.0f} HU
+            expected: the {wanted:.0f} voxels or more of a ball of {diameter:g} mm, and no more than
+                {MAX_BRIGHT_VOXELS:.0g} in all
+            fix: check that the scan holds the markers and is in HU; set markers.threshold_hu in the recipe,
+                or place the fiducials by hand
+            where: markers in the volume""")
+
+    def search(size: float) -> tuple[list[tuple[Blob, SphereFit]], list[tuple[Blob, RejectedMarker]]]:
+        return _fit_balls(volume, find_blobs(volume, listed, size, exclude), size, rules.max_misfit, fit)
+
+    fitted, failed = search(diameter)
+    balls, rejected = [ball for _, ball in fitted], [one for _, one in failed]
+    centers = [ball.center for ball in balls]
+    spreads = [(one.spread.blur, one.spread.boost, one.spread.slice_blur) for one in balls]
+    works: list[float] = []
+    if len(balls) < MIN_MARKERS <= len(balls) + len(failed):
+        similar = sorted(failed, key=lambda one: one[1].misfit / one[1].max_misfit)
+        blobs = [blob for blob, _ in (*fitted, *similar)][:MAX_FITTED_BALLS]
+        tried = _compare_diameters(volume, blobs, diameter, DIAMETER_FACTORS, fit)
+        near = [factor * diameter for factor in tried if tried[factor] <= rules.max_misfit]
+        works = [size for size in sorted({*near[:1], *near[-1:]}) if len(search(size)[0]) >= MIN_MARKERS]
+    return MarkerResult(
+        centers=np.array(centers).reshape(-1, 3),
+        sd=np.array([ball.sd for ball in balls]),
+        source="volume",
+        misfits=np.array([ball.misfit for ball in balls]),
+        rejected=tuple(one for one in rejected if not _is_near(one.center, centers, diameter / 2)),
+        spread=PointSpread(*np.median(spreads, axis=0).tolist()) if balls else None,
+        warnings=_check_diameter(volume, fitted, diameter, fit),
+        working_diameters=tuple(works),
+    )
+
+
+def _fit_balls(
+    volume: Volume, blobs: Sequence[Blob], diameter: float, max_misfit: float, fit: FitSphere
+) -> tuple[list[tuple[Blob, SphereFit]], list[tuple[Blob, RejectedMarker]]]:
+    """Return the balls of a diameter, mm, and the candidates that are none."""
+    radius = diameter / 2
     tried: list[Floats] = []
     fitted: list[tuple[Blob, SphereFit]] = []
-    rejected: list[RejectedMarker] = []
-    for blob in find_blobs(volume, rules.diameter_mm, rules.threshold_hu, exclude):
+    failed: list[tuple[Blob, RejectedMarker]] = []
+    for blob in blobs:
         middle = to_patient(volume, blob.voxels.mean(axis=0)[None])[0]
         # the same ball appears at several levels: it is fitted once
         if _is_near(middle, tried, radius):
@@ -212,25 +263,14 @@ def find_markers(
         tried.append(middle)
         ball = fit(volume, blob, radius)
         # what the recipe allows, and what the noise around it leaves
-        limit = float(np.hypot(rules.max_misfit, MAX_MISFIT_NOISE * ball.noise))
+        limit = float(np.hypot(max_misfit, MAX_MISFIT_NOISE * ball.noise))
         reason = _find_fault(volume, ball, middle, (radius, limit))
         if reason is None:
             tried.append(ball.center)
             fitted.append((blob, ball))
         else:
-            rejected.append(RejectedMarker(middle, blob.diameter, ball.misfit, limit, reason))
-    balls = [ball for _, ball in fitted]
-    centers = [ball.center for ball in balls]
-    spreads = [(one.spread.blur, one.spread.boost, one.spread.slice_blur) for one in balls]
-    return MarkerResult(
-        centers=np.array(centers).reshape(-1, 3),
-        sd=np.array([ball.sd for ball in balls]),
-        source="volume",
-        misfits=np.array([ball.misfit for ball in balls]),
-        rejected=tuple(one for one in rejected if not _is_near(one.center, centers, radius)),
-        spread=PointSpread(*np.median(spreads, axis=0).tolist()) if balls else None,
-        warnings=_check_diameter(volume, fitted, rules.diameter_mm, fit),
-    )
+            failed.append((blob, RejectedMarker(middle, blob.diameter, ball.misfit, limit, reason)))
+    return fitted, failed
 
 
 def describe_candidates(found: MarkerResult, recipe: ReconstructionRecord) -> str:
@@ -245,11 +285,15 @@ def describe_candidates(found: MarkerResult, recipe: ReconstructionRecord) -> st
     if not found.rejected:
         return f"{what}, nothing else of about that size"
     others = "; ".join(
-        f"{one.diameter:.1f} mm wide at L, P, S = {', '.join(f'{x:.0f}' for x in one.center)}: "
+        f"{one.diameter:.1f} mm wide with its blur at L, P, S = {', '.join(f'{x:.0f}' for x in one.center)}: "
         f"{REASONS[one.reason].format(misfit=one.misfit, limit=one.max_misfit)}"
         for one in nearest
     )
-    return f"{what}; {len(found.rejected)} other candidates, the most similar {others}"
+    listed = f"{what}; {len(found.rejected)} other candidates, the most similar {others}"
+    if not found.working_diameters:
+        return listed
+    sizes = " to ".join(f"{size:.1f}" for size in found.working_diameters)
+    return f"{listed}; balls of {sizes} mm explain enough of them"
 
 
 REASONS = {

@@ -43,6 +43,7 @@ from needlefit.imaging.markers import (
     describe_candidates,
     find_markers,
     is_list_of_points,
+    list_bright_voxels,
     read_fiducials,
     read_markers,
     refine_fiducials,
@@ -416,7 +417,10 @@ class VolumeSearch:
         """Return the balls beside the needle (N, 3); DataError if nothing is bright enough."""
         own = b"" if needle is None else needle.tobytes()
         rules = recipe.markers.model_dump_json()
-        work = partial(find_markers, self.volume, recipe, needle, self._fit_sphere)
+        threshold = recipe.markers.threshold_hu
+        listing = partial(list_bright_voxels, self.volume, threshold)
+        bright = self._once("bright", f"{threshold}", b"", listing)
+        work = partial(find_markers, self.volume, recipe, needle, self._fit_sphere, bright)
         return self._once("markers", rules, own, work)
 
     def _fit_sphere(self, volume: Volume, blob: Blob, radius: float) -> SphereFit:

@@ -197,6 +197,9 @@ FIT_MARGIN_MM = 1.5
 GUARD_DISTANCE_MM = 1.0  # voxels this near to another bright thing are left out, mm
 MAX_VOXELS = 4000  # of more voxels, every second, third ... is taken: neighbours in fine voxels say the same.
 SOFT_LOSS_SD = 2.0  # residuals beyond so many deviations of the noise count less
+# Relative change of the cost at which the first fit ends, for the noise, and the second. With 1e-8 centres of
+# 58 rendered balls were no nearer to the truth (0.014 mm), and took 2.6 times as long.
+FIRST_TOLERANCE, FINAL_TOLERANCE = 1e-3, 1e-4
 FIRST_NOISE_PART = 0.05  # noise before it is known, in parts of the ball's brightness
 # Deviation of the blur in the slices, mm; a fit that ends at the latter shows no ball.
 MIN_BLUR_MM, MAX_BLUR_MM = 0.15, 1.2
@@ -241,6 +244,7 @@ class SphereFit:
     # parts of the ball's height as shown.
     misfit: float
     noise: float
+    saturated: bool  # whether it is cut where the scanner's numbers end
 
 
 def fit_sphere(volume: Volume, blob: Blob, radius: float) -> SphereFit:
@@ -278,6 +282,7 @@ def fit_sphere(volume: Volume, blob: Blob, radius: float) -> SphereFit:
         spread=PointSpread(blur, float(theta[BOOST]), float(np.exp(theta[SLICE]))),
         misfit=misfit,
         noise=_spread(residuals[~inside] if np.count_nonzero(~inside) > 20 else residuals) / height,
+        saturated=bool(np.isfinite(near.ceiling)),
     )
 
 
@@ -369,6 +374,7 @@ def _minimize(
         loss="soft_l1" if robust else "linear",
         f_scale=SOFT_LOSS_SD,
         x_scale=PARAMETER_SCALES,
+        ftol=FINAL_TOLERANCE if robust else FIRST_TOLERANCE,
         max_nfev=40,
     )
     return best
