@@ -175,13 +175,13 @@ def _check_diameter(
     blobs, own = [blob for blob, _ in used], [ball.misfit for _, ball in used]
     if not used or np.median(own) < MIN_MISFIT:
         return ()
-    tried = {1.0: float(np.median(own))} | _compare_diameters(volume, blobs, diameter, FIRST_FACTORS, fit)
-    if min(tried, key=lambda factor: tried[factor]) == 1.0:
+    stated = float(np.median(own))
+    if min(_compare_diameters(volume, blobs, diameter, FIRST_FACTORS, fit).values()) >= stated:
         return ()
-    tried |= _compare_diameters(volume, blobs, diameter, DIAMETER_FACTORS, fit)
+    tried = {1.0: stated} | _compare_diameters(volume, blobs, diameter, DIAMETER_FACTORS, fit)
     best = min(tried, key=lambda factor: tried[factor])
     hidden = any(ball.saturated for _, ball in balls) and best < 1
-    if hidden or tried[best] >= MAX_MISFIT_RATIO * tried[1.0]:
+    if hidden or tried[best] >= MAX_MISFIT_RATIO * stated:
         return ()
     seen = f"the balls in the scan are about {best * diameter:.1f} mm wide, but {diameter:g} mm are stated"
     return (f"{seen}: check markers.diameter_mm",)
