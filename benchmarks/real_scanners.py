@@ -16,7 +16,8 @@ and `tip_across`; `entry` along the needle; `length` inserted; `tre` of true ent
 `crossing` the largest distance of a point at which a layer is crossed. `bevel_deg` is the error of the
 bevel's side; `bevel_stated`: whether one is stated. With `--seeds`, `side` and `normal` are the parts of
 `axis` in the slices and along their normal, `tip_side` and `tip_normal` those of the tip; `crossed` is how
-many slices the needle crosses. `--large` times one row's volume, padded with air to
+many slices the needle crosses, and `in_68`, `in_95` which part lies within 1 and 1.96 stated deviations.
+`--large` times one row's volume, padded with air to
 512 x 512 x 400 voxels, and measures the memory of the process that reconstructs it.
 """
 
@@ -159,13 +160,19 @@ def trace_narrow(row: Row, cache: Path) -> dict[str, object]:
             "side": np.abs(beside[:-1, 0]).mean(),
             "normal": np.abs(beside[:-1, 1]).mean(),
             "tip_across": np.hypot(*beside[-1, :2]),
-            "in_1sd_tip_along": abs(beside[-1, 2]) <= found.tip_sd[0],
-            "in_1sd_tip_across": np.mean(np.abs(beside[-1, :2]) <= found.tip_sd[1]),
-            "in_1sd_tip_normal": abs(beside[-1, 1]) <= normal_sd,
-            "in_1sd_axis": np.mean(np.abs(beside[:-1, :2]) <= found.sd[:, None]),
             "normal_sd": normal_sd,
         }
+        | _count_inside("tip_along", beside[-1:, 2], found.tip_sd[:1])
+        | _count_inside("tip_side", beside[-1:, 0], found.tip_sd[1:])
+        | _count_inside("tip_normal", beside[-1:, 1], np.array([normal_sd]))
+        | _count_inside("axis_side", beside[:-1, 0], found.sd)
+        | _count_inside("axis_normal", beside[:-1, 1], found.sd)
     )
+
+
+def _count_inside(name: str, errors: Floats, sd: Floats) -> dict[str, object]:
+    """Return which part of `errors` lies within 1 and 1.96 stated deviations: 68 and 95 % of a Gaussian."""
+    return {f"in_{q}_{name}": float(np.mean(np.abs(errors) <= k * sd)) for q, k in ((68, 1.0), (95, 1.96))}
 
 
 def _beside(points: Floats, axis: Floats, case: Case, at: int | None = None) -> Floats:
@@ -192,8 +199,7 @@ def summarize_narrow(rows: pd.DataFrame) -> pd.DataFrame:
     for name, part in groups:
         done = part[part["written"]]
         means = done.drop(columns=["id", "crossed", *FACTORS]).select_dtypes("number").abs().mean()
-        inside = done.filter(like="in_1sd").astype(float).mean()
-        lines.append({"volumes": name, "n": len(part), "refused": len(part) - len(done), **means, **inside})
+        lines.append({"volumes": name, "n": len(part), "refused": len(part) - len(done), **means})
     return pd.DataFrame(lines)
 
 

@@ -134,9 +134,8 @@ def list_tip_warnings(one: Reconstruction) -> list[str]:
         notes.append(f"the tip is known to {sd} only along the needle")
     if needle.normal_sd > MAX_NORMAL_SD_MM:
         notes.append(
-            "the needle stays within a slice, which does not show where in it the tip lies: "
-            f"+- {needle.normal_sd:.2f} mm along the slices' normal; scan it across the slices, or with "
-            "thinner ones"
+            "the slices do not show well where along their normal the needle lies: tip "
+            f"+- {needle.normal_sd:.2f} mm; scan it across the slices, or with thinner ones"
         )
     if (further := _find_metal_beyond(one)) is not None:
         notes.append(

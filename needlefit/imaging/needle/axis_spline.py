@@ -127,7 +127,7 @@ def axis_sd(axis: AxisSpline, s: Floats) -> Floats:
     matrix = design_matrix(s, axis.spline.t)
     variance = np.einsum("nc,cd,nd->n", matrix, axis.covariance, matrix) + axis.shared_sd**2
     if axis.normal_sd is not None:  # one of the two directions across
-        variance += np.interp(s, axis.s[: len(axis.normal_sd)], axis.normal_sd) ** 2 / 2
+        variance = (variance + np.interp(s, axis.s[: len(axis.normal_sd)], axis.normal_sd) ** 2) / 2
     return np.asarray(np.sqrt(variance))
 
 

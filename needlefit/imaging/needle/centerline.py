@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import erf
 
 from needlefit.arrays import Floats
 from needlefit.errors import DataError
@@ -28,8 +29,15 @@ from needlefit.imaging.needle.axis_spline import (
 )
 from needlefit.imaging.needle.follow import MIN_RELATIVE_AMPLITUDE, retrace_end, tip_beside_error
 from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, principal_axes
-from needlefit.imaging.needle.slice_fit import fit_slices, runs_in_slices, slice_frames
-from needlefit.imaging.needle.tip import MAX_DISAGREEMENT_MM, TipFit, TipSource, bevel_length, fit_tip
+from needlefit.imaging.needle.slice_fit import fit_slices, runs_in_slices
+from needlefit.imaging.needle.tip import (
+    MAX_DISAGREEMENT_MM,
+    MIN_BEVEL_PROBABILITY,
+    TipFit,
+    TipSource,
+    bevel_length,
+    fit_tip,
+)
 from needlefit.imaging.refusals import refusal
 from needlefit.imaging.spheres import PointSpread
 from needlefit.imaging.volume import Volume, to_index, to_patient
@@ -38,7 +46,7 @@ from needlefit.schemas.reconstruction import ReconstructionRecord
 BIN_LENGTH_MM = 2.0  # length of the pieces whose centroids are the first axis, mm
 BEVEL_MARGIN_MM = 1.2  # length at its end by which a needle may look shorter than it is, mm
 AXIS_FIT_ROUNDS = 3  # rounds of fits across the axis, each on the axis of the one before
-SLICE_FIT_ROUNDS = 2  # of fits along the slices' normal, each on the axis of the one before
+MIN_END_MM = 0.5  # length of the axis beyond its last cross-section, at least, mm
 MIN_SECTIONS = 8  # fewer do not make an axis
 MAX_EDGE_DISTANCE_MM = 3.0  # an end this near to the volume's face (mm) has left it
 # A tip placed by hand so far beside the needle's surface shows that the axis is wrong there, mm; a nearer one
@@ -104,11 +112,14 @@ def trace_needle(
         axis = refine_axis(volume, orient_axis(volume, axis, recipe), recipe, heel)
         end = _find_tip(volume, axis, recipe, axis.length + heel, spread)
         axis = refine_axis(volume, axis, recipe, heel, end.at)
-        end = fit_tip(volume, axis, recipe.needle, end.at, spread)
+        placed = _place_in_slices(volume, axis, recipe, end.at)
+        axis, end = placed or (axis, fit_tip(volume, axis, recipe.needle, end.at, spread))
     else:
         base, last = np.linalg.norm(axis.spline(np.array([0.0, axis.length])) - tip, axis=1)
         axis = axis if last <= base else reverse_axis(axis)
         axis = refine_axis(volume, axis, recipe, heel, _project_tip(axis, tip)[0])
+        if (placed := _place_in_slices(volume, axis, recipe, _project_tip(axis, tip)[0])) is not None:
+            axis = placed[0]
         place, beside = _project_tip(axis, tip)
         limit = MAX_PLACED_TIP_DISTANCE_MM + recipe.needle.diameter_mm / 2
         if beside > limit or place > axis.length + heel + MAX_UNSEEN_MM:
@@ -197,8 +208,6 @@ def refine_axis(
         weights = 1 / (1 + (noise / np.median(noise)) ** 2)
         weights /= weights.mean()
         axis = fit_axis(s, points, weights, rules.knot_spacing_mm, s[-1] + heel)
-        if round_ == AXIS_FIT_ROUNDS - 1 and runs_in_slices(volume, axis):
-            axis = _place_along_normal(volume, axis, recipe, heel)
         stop = axis.length + 1e-6
     good = _find_usable_sections(found, reach)
     return replace(
@@ -209,22 +218,33 @@ def refine_axis(
     )
 
 
-def _place_along_normal(
-    volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord, heel: float
-) -> AxisSpline:
-    """Return the axis with its place along the slices' normal fitted to every slice on its own."""
-    rules = recipe.centerline
-    for _ in range(SLICE_FIT_ROUNDS):
-        found = fit_slices(volume, axis, recipe.needle.diameter_mm, rules.knot_spacing_mm)
-        if found is None:
-            return axis
-        where = slice_frames(volume, axis, axis.s)
-        beside = np.einsum("sd,sd->s", axis.points - where.origins, where.v)
-        points = axis.points + (found.shift(axis.s) - beside)[:, None] * where.v
-        s = arc_length(points)
-        sd = found.sd(axis.s)
-        axis = replace(fit_axis(s, points, axis.weights, rules.knot_spacing_mm, s[-1] + heel), normal_sd=sd)
-    return axis
+def _place_in_slices(
+    volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord, tip: float
+) -> tuple[AxisSpline, TipFit] | None:
+    """Return axis and tip as thick slices show them as a whole; `tip`: about where it is, mm along `axis`.
+
+    None where the needle does not run near thick slices, or too little of it shows.
+    """
+    knot = recipe.centerline.knot_spacing_mm
+    if not runs_in_slices(volume, axis, knot):
+        return None
+    found = fit_slices(volume, axis, recipe.needle, knot, tip)
+    if found is None:
+        return None
+    points = found.place(axis.points)
+    s = arc_length(points)
+    length = float(s[-1] + np.linalg.norm(found.tip - points[-1]))
+    side, normal = found.sds(np.vstack([axis.points[:-1], found.tip]))
+    placed = fit_axis(s, points, axis.weights, knot, max(length, s[-1] + MIN_END_MM))
+    # its points are the fit's and do not scatter: its deviation in the slices is the fit's, too
+    wider = np.mean(side**2) / np.mean(axis_sd(placed, s) ** 2)
+    variance, covariance = placed.variance * wider, placed.covariance * wider
+    placed = replace(placed, variance=variance, covariance=covariance, normal_sd=normal)
+    across = float(np.hypot(side[-1], normal[-1]) / np.sqrt(2))
+    probability = float(erf(np.pi / 2 / np.sqrt(2) / found.end_sd[1]))
+    bevel = found.bevel if probability >= MIN_BEVEL_PROBABILITY else np.full(3, np.nan)
+    sd = np.array([found.end_sd[0], across])
+    return placed, TipFit(length, found.tip, sd, bevel, probability, 0.0, "model")
 
 
 def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> AxisSpline:

@@ -1,300 +1,523 @@
-"""Fit a needle that runs in or near thick slices to their voxels, as a whole.
+"""Fit a needle that runs in or near thick slices to their voxels, as a whole, through its projections.
 
-A thick slice shows such a needle at its own middle: centroids of slices follow a staircase. Every slice is
-read on its own instead, along lines across the needle. How bright the needle is in a slice depends on its
-distance from the slice alone, the same way on both sides and everywhere along the needle; so does the image
-across it. Both profiles and a smooth axis are fitted together, so that partial volume, overlapping slices,
-blur and hardening need not be known; what exceeds the scanner's numbers is cut in the model too.
+Rays that run along such a needle pass centimetres of metal in a part of a slice's thickness. The detector
+averages intensities, not attenuations, and sees scatter where no ray gets through: the slice is too dark
+there, along the whole needle and beyond its end, by as much as the needle is bright. What a slice shows
+depends on the whole needle, therefore. Its axis, what the beam loses in it, the slices' sensitivity profile
+and the kernel are fitted together, by projecting a rod and reconstructing the slices from its projections;
+what exceeds the scanner's numbers is cut in the model too.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.interpolate import BSpline
 from scipy.ndimage import map_coordinates
 
-from needlefit.arrays import Bools, Floats
-from needlefit.geometry.smoothing_spline import DEGREE, design_matrix, make_knots
-from needlefit.imaging.needle.axis_spline import AxisFrames, AxisSpline, correlation_factor
+from needlefit.arrays import Bools, Floats, Ints
+from needlefit.geometry.smoothing_spline import DEGREE, make_knots
+from needlefit.imaging.needle.axis_spline import AxisSpline, correlation_factor
 from needlefit.imaging.volume import Volume, to_index
+from needlefit.schemas.reconstruction import ScannedNeedleRecord
 
 MIN_SLICE_MM = 0.6 + 1e-9  # slices up to this thickness show the needle in several at once
-MAX_STEEPNESS = 0.5  # sine of the angle to the slices up to which a needle runs near them
-SLICES_AROUND = 2  # slices looked at on either side of the one that holds the axis
-REACH_SLICES = 2.0  # distance, in slices beyond the radius, out to which a slice may show the needle
-# The line across the needle on which a slice is sampled, and the distance of such lines, mm.
-LINE_REACH_MM, LINE_STEP_MM, STATION_MM = 2.4, 0.4, 1.0
-CORE_MARGIN_MM, RIM_MM = 0.35, 1.7  # the needle shows up to the radius plus this, its surroundings from here
-PROFILE_PIECES = 8  # pieces of the splines by which the profiles depart from a rod's
+MAX_CROSSED = 2.0  # a spline averages over the slices if more are crossed between two of its knots
+# Lines across the needle on which slices are sampled, their distance, and where its surroundings begin, mm.
+LINE_REACH_MM, LINE_STEP_MM, STATION_MM, RIM_MM = 2.4, 0.4, 1.0, 1.7
+BEYOND_MM = 5.0  # length beyond the end that is looked at, mm
+REACH_SLICES = 1.5  # distance, in slices beyond the radius, out to which slices are looked at
+# Pieces of the rod along it, and cells of the detector, mm; planes to a slice.
+COLUMN_MM, CELL_MM, PLANES = 0.75, 0.25, 6
+# Angle between views along the needle, and how much it grows with the angle to the needle, rad.
+VIEW_STEP, VIEW_GROWTH = 0.013, 0.13
+WATER_PER_MM = 0.02  # attenuation of water, 1/mm
+KNOT_FACTOR = 1.6  # distance of the knots over that of the axis
 # A needle between supports is a beam: the third derivative of its axis is the shear force over its stiffness.
-SHEAR_SD_N, STEEL_MPA = 5.0, 200e3
+SHEAR_SD_N, STEEL_MPA = 8.0, 200e3
 END_MOMENT_MM = 5.0  # lever of that force at the end of what is fitted: the tip itself carries no moment, mm
-# Deviations: of the logarithms of the slices' thickness over their distance, of the profile's exponent, of
-# the brightness, of its change along the needle; and of the departures of both profiles.
-SHAPE_SD, CHANGE_SD, DEPARTURE_SD, ACROSS_SD = np.array([0.25, 0.3, 1.0]), 0.15, 0.05, 0.2
-SHAPE_MEANS = np.array([0.1, np.log(1.3), 0.1])  # rays average before the logarithm: the exponent exceeds 1
-MEAN_BLUR_MM = 0.45  # blur in the slices from which the profile across the needle departs, mm
-CHANGE_LENGTH_MM = 20.0  # length over which brightness may change, mm
-STRONG_SMOOTHING = 2.5  # deviation of a slice's number over that of the first, smooth course
+# Of what the beam and the scanner do: logarithms of the attenuation, 1/mm, of its relative variance over the
+# spectrum, of the scatter in parts of the open beam, of a factor by which the slices are more linear than
+# a scanner's, and of the kernel's cutoff, 1/mm; the kernel's boost; and logarithms of the sensitivity of the
+# planes of a slice over that of its middle. Means and deviations.
+SCAN_MEANS = np.array([np.log(0.75), np.log(0.3), np.log(0.012), 0, np.log(0.6), 0.5, 0, 0, -0.7, -2.5, -4.0])
+SCAN_SDS = np.array([0.25, 0.35, 0.6, 0.3, 0.25, 1.5, 1.5, 1.0, 1.5, 1.5, 1.5])
+WEAK_START = -1.5  # change of the attenuation's logarithm from which other metal is fitted
+TIP_SDS = np.array([2.0, 10.0])  # of where the needle ends, mm, and of its bevel's roll, rad, before
+# Tilts and bows, in slices, from which starts are searched for, and steps of the search; a fit with a smaller
+# error needs no other start.
+STARTS, START_STEPS, GOOD_ERROR = ((0.0, 0.0), (0.8, 0.0)), (0.5, 0.25, 0.12), 0.3
+START_ENDS_MM = (-3.0, -1.5, -0.75, 0.0, 0.75, 1.5, 3.0)  # ends that are tried, from the one stated, mm
+ROLLS = 6  # rolls of the bevel that are tried with each
+AGAIN_ENDS_MM = (-2.0, 0.0, 2.0)  # the same after the first fit
+ROBUST_SD = (20.0, 4.0)  # residuals beyond so many deviations count less, in the first and second fit
+STEPS, CONVERGED = 8, 0.5  # of each fit; change of what is minimized
+# The model's error, in water and in parts of the image, before it is known; samples that count as one.
+FIRST_NOISE, FIRST_ERROR, CORRELATED = 0.15, 0.25, 10.0
+# Factors of the fit's deviations in the slices, along their normal and of the end; and what no residual shows
+# along the normal, in slices, with and without cut numbers: it falls with the slices that are crossed. Set
+# on volumes of `benchmarks/real_scanners.py --seeds` from 4000 to 4030.
+SIDE_FACTOR, NORMAL_FACTOR, END_FACTOR = 0.85, 3.0, 1.3
+SLICE_ERROR, CUT_SLICE_ERROR, CROSSED_SLICES = 0.03, 0.08, 2.0
+# What a fit adds to the deviation along the normal, in slices, by which the model's error exceeds this.
+MISSED_FACTOR, MAX_GOOD_ERROR = 1.3, 0.4
 BRIGHT = 0.3  # what counts as bright, in parts of the needle's
-STEP = 1e-4  # step of derivatives, mm
-ROUNDS, STEPS, CONVERGED = 3, 10, 0.01  # fits, each with the scatter the one before left; steps; change
-ROBUST_SD = 2.0  # residuals beyond so many deviations count less: rays along the needle hide stretches of it
-# What no residual shows, in slices, of a needle that stays in one; it falls with the slices that the needle
-# crosses between two knots. Set on volumes of `benchmarks/real_scanners.py --seeds` below 2000.
-SLICE_ERROR, CROSSED_SLICES = 0.15, 0.35
 
 
 @dataclass(frozen=True)
 class SliceFit:
-    """Shift of the axis along the direction `v` of its frames, and its deviation, as functions of s, mm."""
+    """Axis of a needle near the slices, over its place `x` along `frame`'s first direction, mm."""
 
-    shift: BSpline
-    covariance: Floats  # (C, C) of the shift's coefficients
-    systematic: float  # deviation that no residual shows, mm
+    frame: Floats  # (3, 3); rows: along the needle in the slices, across it, the slices' normal
+    origin: Floats  # (3,)
+    course: BSpline  # (2 C -> 2); across and along the normal
+    covariance: Floats  # (2, C, C)
+    end: float  # where it ends, x
+    systematic: float  # deviation along the normal that no residual shows, mm
+    bevel: Floats  # (3,); toward the bevel's point
+    end_sd: Floats  # (2,); deviations of the end, mm, and of the bevel's roll, rad
+    error: float  # the model's error in parts of the needle's brightness
 
-    def sd(self, s: Floats) -> Floats:
-        """Return the standard deviation (N,) along the slices' normal at `s` (N,), mm."""
-        matrix = design_matrix(s, self.shift.t)
-        own = np.einsum("nc,cd,nd->n", matrix, self.covariance, matrix)
-        return np.asarray(np.sqrt(own + self.systematic**2))
+    @property
+    def tip(self) -> Floats:
+        """Where the axis ends (3,)."""
+        return self.place((self.origin + self.end * self.frame[0])[None])[0]
+
+    def place(self, points: Floats) -> Floats:
+        """Return the axis (N, 3) at the places along it of `points` (N, 3)."""
+        x = (points - self.origin) @ self.frame[0]
+        return np.asarray(self.origin + np.column_stack([x, _extend(self.course, x)]) @ self.frame)
+
+    def sds(self, points: Floats) -> Floats:
+        """Return deviations (2, N) in the slices and along their normal at `points` (N, 3), mm."""
+        x = (points - self.origin) @ self.frame[0]
+        basis = _extend(_basis(self.course.t), x)
+        side, normal = np.sqrt(np.einsum("nc,kcd,nd->kn", basis, self.covariance, basis))
+        return np.stack([SIDE_FACTOR * side, np.hypot(NORMAL_FACTOR * normal, self.systematic)])
 
 
-def runs_in_slices(volume: Volume, axis: AxisSpline) -> bool:
-    """Return whether slices are thick and the needle, on the whole, runs near them."""
-    return float(volume.spacing[2]) > MIN_SLICE_MM and _steepness(volume, axis) < MAX_STEEPNESS
-
-
-def _steepness(volume: Volume, axis: AxisSpline) -> float:
+def runs_in_slices(volume: Volume, axis: AxisSpline, knot: float) -> bool:
+    """Return whether slices are thick and the needle crosses few of them between knots `knot` mm apart."""
+    thick = float(volume.spacing[2])
     first, last = axis.spline(np.array([0.0, axis.length]))
-    return abs(float((last - first) @ volume.direction[:, 2])) / float(np.linalg.norm(last - first))
+    steepness = abs(float((last - first) @ volume.direction[:, 2])) / float(np.linalg.norm(last - first))
+    return thick > MIN_SLICE_MM and steepness * knot / thick < MAX_CROSSED
 
 
-def slice_frames(volume: Volume, axis: AxisSpline, s: Floats) -> AxisFrames:
-    """Return frames (S,) whose u lies in the slices, and whose v is nearest to their normal."""
-    normal = volume.direction[:, 2]
-    tangents = axis.spline.derivative()(s)
-    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-    u = np.cross(normal, tangents)
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    return AxisFrames(axis.spline(s), tangents, u, np.cross(tangents, u))
-
-
-def fit_slices(volume: Volume, axis: AxisSpline, diameter: float, knot: float) -> SliceFit | None:
-    """Fit where along the slices' normal the needle of `diameter` lies, with knots every `knot` mm.
+def fit_slices(
+    volume: Volume, axis: AxisSpline, needle: ScannedNeedleRecord, knot: float, tip: float
+) -> SliceFit | None:
+    """Fit the axis of the needle, with knots every `knot` mm; `tip` is about where it ends, mm along `axis`.
 
     None where too little of the needle shows.
     """
-    s = np.arange(0.0, axis.length, STATION_MM)
-    where = slice_frames(volume, axis, s)
-    thick, radius = float(volume.spacing[2]), diameter / 2
-    line = np.arange(-LINE_REACH_MM, LINE_REACH_MM + 1e-6, LINE_STEP_MM)
-    away, shown, limit, seen = _read_slices(volume, where, line)
-    knots = make_knots(0.0, axis.length, knot)
-    matrix = design_matrix(s, knots)
-    count = matrix.shape[1]
-    if np.count_nonzero(seen.any(axis=1)) < 2 * count:
+    s = np.arange(0.0, tip, STATION_MM)
+    points, normal = axis.spline(s), volume.direction[:, 2]
+    way = points[-1] - points[0] - (points[-1] - points[0]) @ normal * normal
+    way /= np.linalg.norm(way)
+    frame = np.stack([way, np.cross(normal, way), normal])
+    # the middle of the whole needle: projections reach as far on both sides
+    origin = points[-1] - way * needle.length_mm / 2
+    origin = origin + normal * ((volume.origin - origin) @ normal)  # heights count from the first slice
+    x, y, z = ((points - origin) @ frame.T).T
+    problem = _make_problem(volume, needle, frame, origin, x, y, z, knot)
+    if problem is None:
         return None
-    near = np.abs(line) < radius + CORE_MARGIN_MM
-    core = np.where(seen, shown[..., near].mean(axis=-1), 0.0)
-    height = float(np.median(core.max(axis=1)))
-    core, shown, limit = core / height, shown / height, limit / height
-    unique = np.unique(knots)
-    stiffness = STEEL_MPA * np.pi * diameter**4 / 64
-    basis = BSpline(knots, np.eye(count), DEGREE)
-    third = basis.derivative(3)((unique[1:] + unique[:-1]) / 2)
-    bent = np.vstack([third, basis.derivative(2)(unique[-1:]) / END_MOMENT_MM]) * stiffness / SHEAR_SD_N
-    # what the axis has to be smooth: its shift alone would keep the staircase that it follows now
-    course = np.linalg.lstsq(matrix, (where.origins - where.origins[0]) @ where.v.mean(axis=0))[0]
-    bright = np.clip(core - 0.1, 0, None)
-    some = bright.sum(axis=1) > BRIGHT
-    centroid = (bright * away).sum(axis=1)[some] / bright.sum(axis=1)[some] + (matrix @ course)[some]
-    smooth = bent.T @ bent * (STRONG_SMOOTHING * thick) ** 2
-    start = np.linalg.solve(matrix[some].T @ matrix[some] + smooth, matrix[some].T @ centroid) - course
-    nodes = np.linspace(0.0, axis.length, max(2, round(axis.length / CHANGE_LENGTH_MM) + 1))
-    change = np.stack([np.interp(s, nodes, one) for one in np.eye(len(nodes))], axis=1)
-    problem = _SliceProblem(
-        away, line, shown, limit, seen, matrix, change, bent, bent @ course, thick, radius
-    )
-    shift, covariance = problem.fit(start)
-    crossed = knot * _steepness(volume, axis) / thick
-    systematic = SLICE_ERROR * thick / (1 + (crossed / CROSSED_SLICES) ** 2)
-    return SliceFit(BSpline(knots, shift, DEGREE), covariance, systematic)
-
-
-def _read_slices(volume: Volume, where: AxisFrames, line: Floats) -> tuple[Floats, Floats, Floats, Bools]:
-    """Return how far slices (S, K) lie from the axis along v, mm; what they show over their surroundings on
-    a `line` (U,) along u, (S, K, U), HU; where the scanner's numbers end (S, K), HU; and which count.
-    """
+    theta, covariance, error = problem.solve()
+    across, along, end, _ = problem.split(theta)
+    count = len(across)
+    course = BSpline(problem.knots, np.stack([across, along], axis=1), DEGREE)
+    axis_covariance = np.stack([covariance[:count, :count], covariance[count : 2 * count, count : 2 * count]])
+    end_sd = np.sqrt(np.diag(covariance)[2 * count : 2 * count + 2])
+    bevel = np.cos(end[1]) * frame[1] + np.sin(end[1]) * normal
     thick = float(volume.spacing[2])
-    height = to_index(volume, where.origins)[:, 2]
-    slices = np.rint(height)[:, None] + np.arange(-SLICES_AROUND, SLICES_AROUND + 1)
-    away = (slices - height[:, None]) * thick / (where.v @ volume.direction[:, 2])[:, None]
-    points = (
-        where.origins[:, None, None]
-        + away[..., None, None] * where.v[:, None, None]
-        + line[:, None] * where.u[:, None, None]
+    crossed = float(np.ptp(problem.at @ along)) / thick
+    hidden = (CUT_SLICE_ERROR if np.isfinite(problem.cut[1]) else SLICE_ERROR) * thick
+    missed = MISSED_FACTOR * thick * max(0.0, error - MAX_GOOD_ERROR)
+    systematic = float(np.hypot(hidden / (1 + (crossed / CROSSED_SLICES) ** 2), missed))
+    end_sd[0] = np.hypot(END_FACTOR * end_sd[0], 2 * missed)
+    return SliceFit(
+        frame, origin, course, axis_covariance, float(x[-1] + end[0]), systematic, bevel, end_sd, error
     )
-    index = to_index(volume, points.reshape(-1, 3))[:, ::-1].T
-    index[0] = np.rint(index[0])  # each slice on its own
-    values = map_coordinates(volume.values, index, order=1, cval=np.nan, output=np.float64)
-    values = values.reshape(*away.shape, len(line))
-    top = float(np.nanmax(values)) - 0.5
-    ceiling = top if np.count_nonzero(values > top) > 3 else np.inf
-    level = np.median(values[..., np.abs(line) > RIM_MM], axis=-1)
-    seen = np.isfinite(values).all(axis=-1) & (np.abs(away) < (REACH_SLICES + 0.5) * thick)
-    shown = np.where(seen[..., None], values - level[..., None], 0.0)
-    return away, shown, np.where(seen, ceiling - level, np.inf), seen
+
+
+def _make_problem(
+    volume: Volume,
+    needle: ScannedNeedleRecord,
+    frame: Floats,
+    origin: Floats,
+    x: Floats,
+    y: Floats,
+    z: Floats,
+    knot: float,
+) -> "_SliceProblem | None":
+    thick, radius = float(volume.spacing[2]), needle.diameter_mm / 2
+    knots = make_knots(x[0], x[-1], KNOT_FACTOR * knot)
+    basis = _basis(knots)
+    stations = np.arange(x[0], x[-1] + BEYOND_MM, STATION_MM)
+    at = _extend(basis, stations)
+    # where the axis follows a staircase from slice to slice, its parabola does not
+    smooth = np.polynomial.Polynomial.fit(x, z, 2)(x)
+    start: Floats = np.asarray(np.linalg.lstsq(_extend(basis, x), np.column_stack([y, smooth]))[0], float)
+    line = np.arange(-LINE_REACH_MM, LINE_REACH_MM + 1e-6, LINE_STEP_MM)
+    height = at @ start[:, 1] / thick
+    last = volume.values.shape[0] - 1
+    slices = np.arange(max(0, int(height.min()) - 1), min(last, int(height.max()) + 2) + 1)
+    side = (at @ start[:, 0])[:, None] + line
+    flat = origin + stations[:, None, None] * frame[0] + side[..., None] * frame[1]
+    index = to_index(volume, flat.reshape(-1, 3))[:, 1::-1].T
+    shown = np.stack(
+        [map_coordinates(volume.values[k].astype(float), index, order=1, cval=np.nan) for k in slices]
+    ).reshape(len(slices), *side.shape)
+    shown /= 1000
+    seen = np.isfinite(shown).all(axis=-1)
+    seen &= np.abs(slices[:, None] - height) < REACH_SLICES + radius / thick
+    if np.count_nonzero(seen.any(axis=0)) < 2 * len(start):
+        return None
+    low, top = np.nanmin(shown), np.nanmax(shown) - 5e-4
+    cut = np.array([low, top if np.count_nonzero(shown > top) > 3 else np.inf])
+    shown = np.where(seen[..., None], shown, 0.0)
+    unique = np.unique(knots)
+    stiffness = STEEL_MPA * np.pi * needle.diameter_mm**4 / 64
+    bent = np.vstack(
+        [
+            basis.derivative(3)((unique[1:] + unique[:-1]) / 2),
+            basis.derivative(2)(unique[-1:]) / END_MOMENT_MM,
+        ]
+    )
+    columns = np.arange(x[-1] + BEYOND_MM, x[-1] - needle.length_mm, -COLUMN_MM)
+    steep = min(np.tan(np.radians(needle.bevel_deg)), needle.diameter_mm / COLUMN_MM)  # a blunt end, too
+    rod = _Rod(columns, radius, steep, thick, slices * thick, stations, side)
+    return _SliceProblem(
+        rod,
+        knots,
+        at,
+        _extend(basis, columns),
+        bent * stiffness / SHEAR_SD_N,
+        start,
+        x[-1],
+        shown,
+        seen,
+        np.abs(line) > RIM_MM,
+        cut,
+    )
+
+
+def _basis(knots: Floats) -> BSpline:
+    return BSpline(knots, np.eye(len(knots) - DEGREE - 1), DEGREE)
+
+
+def _extend(spline: BSpline, x: Floats) -> Floats:
+    """Return a spline at `x` (N,), straight beyond its ends."""
+    inside = np.clip(x, spline.t[0], spline.t[-1])
+    return np.asarray(spline(inside) + spline.derivative()(inside) * (x - inside)[:, None])
+
+
+@dataclass(frozen=True)
+class _Rod:
+    """Projects a rod in the planes of slices, and reconstructs these where they are sampled."""
+
+    columns: Floats  # (C,); pieces of the rod along the needle, mm
+    radius: float
+    steep: float  # tangent of the bevel's angle to the axis
+    thick: float
+    heights: Floats  # (K,); of the slices, mm
+    stations: Floats  # (S,); where slices are sampled: along the needle
+    side: Floats  # (S, U); and across it
+
+    @cached_property
+    def views(self) -> tuple[Floats, Floats]:
+        """Angles of the rays to the needle (V,) and their weights; dense where rays run along it."""
+        half = [0.0]
+        while half[-1] < np.pi / 2:
+            half.append(half[-1] * (1 + VIEW_GROWTH) + VIEW_STEP)
+        turned = np.array(half) * (np.pi / 2 / half[-1])
+        angles = np.concatenate([-turned[:0:-1], turned])
+        weights = np.gradient(angles)
+        return angles, weights * np.pi / weights.sum()
+
+    @property
+    def planes(self) -> Floats:
+        """Heights of the planes (P,), mm."""
+        count = PLANES * (len(self.heights) + 1) - 1
+        return np.asarray(self.heights[0] + self.thick / PLANES * (np.arange(count) - PLANES + 1))
+
+    @cached_property
+    def half(self) -> int:
+        """Cells on either side of the middle."""
+        reach = max(np.abs(self.columns).max(), np.abs(self.stations).max(), np.abs(self.side).max())
+        return int(np.hypot(reach, np.abs(self.side).max()) / CELL_MM) + 8
+
+    @cached_property
+    def _ramp(self) -> tuple[Floats, Floats]:
+        """Frequencies, 1/mm, and the ramp, sampled in space: in frequency that would shift the mean."""
+        length = next_fast_len(4 * self.half, real=True)
+        n = np.concatenate([np.arange(length // 2 + 1), np.arange(length // 2 + 1 - length, 0)])
+        ramp = np.where(n % 2, -1 / (np.pi * np.where(n == 0, 1, n) * CELL_MM) ** 2, 0.0)
+        ramp[0] = 1 / (2 * CELL_MM) ** 2
+        return rfftfreq(length, CELL_MM), rfft(ramp).real * CELL_MM
+
+    def _cells(self, aside: float) -> tuple[Ints, Floats]:
+        """Return the cells (S, U, V) that see the samples moved by `aside` mm, and their distance beyond."""
+        angles, _ = self.views
+        across = (self.side[..., None] + aside) * np.cos(angles)
+        place = (across - self.stations[:, None, None] * np.sin(angles)) / CELL_MM + self.half
+        first = np.floor(place).astype(np.int64)
+        return first + 2 * self.half * np.arange(len(angles)), (place - first).astype(np.float32)
+
+    @cached_property
+    def cells(self) -> tuple[Ints, Floats]:
+        """Cells of the samples."""
+        return self._cells(0.0)
+
+    def lengths(self, across: Floats, along: Floats, end: float, roll: float) -> tuple[Ints, Floats]:
+        """Return the planes (A,) that meet a rod, and the metal (A, V, T) on their rays, mm.
+
+        `across`, `along`: (C,); where the axis lies. `end`: where the bevel's point is; `roll`: its side,
+        from the direction across.
+        """
+        rise, drift = np.gradient(along, self.columns), np.gradient(across, self.columns)
+        away = (self.planes[:, None] - along) / np.sqrt(1 + rise**2)
+        left = self.radius**2 - away**2
+        # of the chord the part beyond the bevel's face is missing
+        chord = np.sqrt(np.clip(left, 0, None))
+        lean = chord * max(abs(np.cos(roll)), 0.05)
+        face = self.radius - away * np.sin(roll) - (end - self.columns) * self.steep
+        part = np.clip((lean - face) / np.maximum(2 * lean, 1e-9), 0, 1)
+        inside = (left > 0) & (part > 0)
+        active = np.flatnonzero(inside.any(axis=1))
+        plane, c = np.nonzero(inside[active])
+        chord, part, slant = chord[active[plane], c], part[active[plane], c], np.sqrt(1 + drift[c] ** 2)
+        width = (2 * chord * part * slant)[:, None]
+        place = across[c] + np.sign(np.cos(roll)) * chord * (1 - part) * slant
+        angles, _ = self.views
+        sine, cosine, cells = np.sin(angles), np.cos(angles), 2 * self.half
+        # every piece is a parallelogram, whose image is a trapezoid: the sum of four ramps
+        long = np.maximum(width * np.abs(cosine) / CELL_MM, 0.5)
+        wide = np.maximum(np.abs(drift[c][:, None] * cosine - sine) * COLUMN_MM / CELL_MM, 0.5)
+        middle = (place[:, None] * cosine - self.columns[c][:, None] * sine) / CELL_MM + self.half
+        row = (plane[:, None] * len(angles) + np.arange(len(angles))) * cells
+        height = width * COLUMN_MM / CELL_MM / (long * wide)
+        where, what = [], []
+        for sign, shift in ((1, -long - wide), (-1, wide - long), (-1, long - wide), (1, long + wide)):
+            at = middle + shift / 2
+            first = np.floor(at)
+            beyond = at - first
+            # one cell later: of the two sums below each begins with its own cell
+            cell = row + np.clip(first.astype(np.int64) + 1, 0, cells - 2)
+            where += [cell.ravel(), cell.ravel() + 1]
+            what += [(sign * height * (1 - beyond)).ravel(), (sign * height * beyond).ravel()]
+        shape = (len(active), len(angles), cells)
+        ramps = np.bincount(np.concatenate(where), np.concatenate(what), minlength=int(np.prod(shape)))
+        metal = ramps.reshape(shape)
+        for _ in range(2):
+            np.cumsum(metal, axis=-1, out=metal)
+        return active, np.clip(metal, 0, None).astype(np.float32)
+
+    def show(self, metal: tuple[Ints, Floats], scan: Floats, aside: float = 0.0) -> Floats:
+        """Return the slices (K, S, U), water 1, over their surroundings, where `metal` is on their rays."""
+        attenuation, variance, scatter, linear, cutoff = np.exp(scan[:5])
+        profile = np.exp(np.concatenate([scan[:5:-1], [0.0], scan[6:]]))
+        active, lengths = metal
+        mix = np.zeros((len(self.heights), len(self.planes)))
+        for k, row in enumerate(mix):
+            row[k * PLANES : k * PLANES + len(profile)] = profile / profile.sum()
+        mix = mix[:, active]
+        rows = np.flatnonzero(mix.any(axis=1))
+        # an attenuation that is gamma distributed over the spectrum: the beam hardens
+        passed = np.log1p(lengths * np.float32(attenuation * variance / linear))
+        passed = np.exp(passed * np.float32(-1 / variance))
+        signal = np.tensordot(mix[rows].astype(np.float32), passed, 1)
+        signal += (1 - mix[rows].sum(axis=1)).astype(np.float32)[:, None, None]
+        # a cell's aperture
+        signal[..., 1:-1] = signal[..., 1:-1] / 2 + (signal[..., 2:] + signal[..., :-2]) / 4
+        logs = -np.log((signal + np.float32(scatter)) / np.float32(1 + scatter))
+        frequencies, ramp = self._ramp
+        x2 = (frequencies / cutoff) ** 2
+        window = (ramp * (1 + scan[5] * x2) * np.exp(-x2)).astype(np.float32)
+        _, weights = self.views
+        length = 2 * (len(frequencies) - 1)
+        filtered = irfft(rfft(logs, length) * window, length)[..., : 2 * self.half]
+        filtered = filtered * (weights * linear / WATER_PER_MM).astype(np.float32)[:, None]
+        first, beyond = self.cells if aside == 0 else self._cells(aside)
+        image = np.zeros((len(self.heights), *self.side.shape))
+        for slice_, flat in zip(rows, filtered.reshape(len(rows), -1), strict=True):
+            low = flat[first]
+            image[slice_] = (low + (flat[first + 1] - low) * beyond).sum(axis=-1)
+        return image
 
 
 @dataclass(frozen=True)
 class _SliceProblem:
-    """What slices (S, K) show of the needle over their distance `away` from the axis, mm, on a `line` (U,).
+    """What slices (K,) show on lines (U,) across the needle at stations (S,), and what a rod would show.
 
-    Parameters are the shift's coefficients, the profile's shape (3,), changes of the brightness along the
-    needle, the profile's departure from a rod's in a slice, and the profile across the needle.
+    Parameters are coefficients of the axis across and along the slices' normal, the end and the bevel's roll,
+    and the scan's.
     """
 
-    away: Floats
-    line: Floats
-    shown: Floats  # (S, K, U)
-    limit: Floats  # (S, K); the largest that the scanner shows
-    seen: Bools
-    matrix: Floats  # (S, C) from the shift's coefficients to the shift
-    change: Floats  # (S, H) from changes of the logarithm of the brightness to that
+    rod: _Rod
+    knots: Floats
+    at: Floats  # (S, C) from coefficients to the axis at stations
+    to_columns: Floats  # (columns, C)
     bent: Floats  # (J, C) from coefficients to shear forces, in deviations
-    before: Floats  # (J,); those of the axis as it is
-    thick: float
-    radius: float
-
-    @property
-    def counts(self) -> list[int]:
-        """How many parameters of each kind there are."""
-        departures = even_basis(np.zeros(1), 1.0).shape[-1]
-        return [self.matrix.shape[1], len(SHAPE_SD), self.change.shape[1], departures, departures]
-
-    @property
-    def reach(self) -> float:
-        """Distance beyond which a slice does not show the needle, mm."""
-        return (REACH_SLICES + 0.5) * self.thick + self.radius
+    start: Floats  # (C, 2)
+    end: float  # about where the needle ends, mm
+    shown: Floats  # (K, S, U); water 1
+    seen: Bools  # (K, S)
+    rim: Bools  # (U,); what shows the surroundings
+    cut: Floats  # (2,); smallest and largest that the scanner shows
 
     def split(self, theta: Floats) -> list[Floats]:
         """Return the parameters of each kind."""
-        return np.split(theta, np.cumsum(self.counts)[:-1])
-
-    def mean_across(self) -> Floats:
-        """Return the coefficients of the image of a rod across it, 1 in the middle."""
-        x = np.linspace(0, LINE_REACH_MM, 60)
-        image = np.exp(-(x**2) / (2 * (MEAN_BLUR_MM**2 + self.radius**2 / 4)))
-        return np.asarray(np.linalg.lstsq(even_basis(x, LINE_REACH_MM), image)[0])
+        count = self.at.shape[1]
+        return np.split(theta, [count, 2 * count, 2 * count + 2])
 
     def known(self, theta: Floats) -> Floats:
         """Return what is known before, in its deviations; linear in the parameters."""
-        shift, shape, change, departure, across = self.split(theta)
+        across, along, end, scan = self.split(theta)
         return np.concatenate(
-            [
-                self.bent @ shift + self.before,
-                (shape - SHAPE_MEANS) / SHAPE_SD,
-                change / CHANGE_SD,
-                departure / DEPARTURE_SD,
-                np.diff(departure) / DEPARTURE_SD,
-                (across - self.mean_across()) / ACROSS_SD,
-            ]
+            [self.bent @ across, self.bent @ along, end / TIP_SDS, (scan - SCAN_MEANS) / SCAN_SDS]
         )
 
-    def profile(self, distance: Floats, shape: Floats) -> Floats:
-        """Return the part of a rod's section in a slice at a distance, to a power, times the height."""
-        width, exponent, height = np.exp(shape)
-        half = width * self.thick / 2
-        inside = _disc_part((distance + half) / self.radius) - _disc_part((distance - half) / self.radius)
-        whole = 2 * _disc_part(np.array(half / self.radius)) - 1
-        return np.asarray(height * np.clip(inside / whole, 1e-9, None) ** exponent)
+    def project(self, theta: Floats) -> tuple[Ints, Floats]:
+        """Return the metal on the rays."""
+        across, along, end, _ = self.split(theta)
+        return self.rod.lengths(
+            self.to_columns @ across, self.to_columns @ along, self.end + float(end[0]), float(end[1])
+        )
 
-    def whole(self, distance: Floats, theta: Floats) -> Floats:
-        """Return how bright slices (S, K) at a `distance` from the axis show its middle."""
-        _, shape, change, departure, _ = self.split(theta)
-        bright = self.profile(distance, shape) + even_basis(distance, self.reach) @ departure
-        return np.asarray(np.exp(self.change @ change)[:, None] * bright)
+    @cached_property
+    def level(self) -> Floats:
+        """Brightness of the surroundings (K, S, 1)."""
+        return np.asarray(self.shown[..., self.rim].mean(axis=-1, keepdims=True))
 
-    def place(self, theta: Floats) -> Floats:
-        """Return how far slices (S, K) lie from the shifted axis, mm."""
-        return np.asarray(self.away - (self.matrix @ self.split(theta)[0])[:, None])
+    def image(self, metal: tuple[Ints, Floats], theta: Floats, aside: float = 0.0) -> Floats:
+        """Return what slices show (K, S, U) where `metal` is on the rays."""
+        over = self.rod.show(metal, self.split(theta)[-1], aside)
+        over = over - over[..., self.rim].mean(axis=-1, keepdims=True)
+        return np.clip(over + self.level, *self.cut)
 
-    def show(self, theta: Floats) -> Floats:
-        """Return what the slices show (S, K, U)."""
-        beside = even_basis(self.line, LINE_REACH_MM) @ self.split(theta)[-1]
-        return np.minimum(self.whole(self.place(theta), theta)[..., None] * beside, self.limit[..., None])
+    def slopes(self, theta: Floats, metal: tuple[Ints, Floats], here: Floats) -> Floats:
+        """Return the derivatives of what slices show (K, S, U, P)."""
+        count = self.at.shape[1]
+        shift = (self.image(metal, theta, 0.05) - here) / 0.05
+        slopes = [-shift[..., None] * self.at[:, None]]  # what moves across moves its image
+        for n, step in enumerate(np.eye(len(theta))[count:] * 0.05):
+            moved = self.project(theta + step) if n < count + 2 else metal
+            slopes.append(((self.image(moved, theta + step) - here) / 0.05)[..., None])
+        return np.concatenate(slopes, axis=-1)
 
-    def slopes(self, theta: Floats) -> Floats:
-        """Return the derivatives of what the slices show (S, K, U, P)."""
-        shift, shape, change, _, across = self.split(theta)
-        distance, factor = self.place(theta), np.exp(self.change @ change)[:, None]
-        here, basis = self.whole(distance, theta), even_basis(self.line, LINE_REACH_MM)
-        ahead, behind = self.whole(distance + STEP, theta), self.whole(distance - STEP, theta)
-        lean = np.eye(len(theta))[len(shift) : len(shift) + len(shape)] * STEP
-        parts = [
-            -((ahead - behind) / (2 * STEP))[..., None] * self.matrix[:, None],
-            np.stack([(self.whole(distance, theta + one) - here) / STEP for one in lean], axis=-1),
-            here[..., None] * self.change[:, None],
-            factor[..., None] * even_basis(distance, self.reach),
-        ]
-        in_slice, beside = np.concatenate(parts, axis=-1), basis @ across
-        slopes = [in_slice[:, :, None] * beside[:, None], here[..., None, None] * basis]
-        cut = here[..., None] * beside > self.limit[..., None]
-        return np.where(cut[..., None], 0.0, np.concatenate(slopes, axis=-1))
+    def solve(self) -> tuple[Floats, Floats, float]:
+        """Return parameters, their covariance and the model's relative error, from the best of few starts."""
+        found = []
+        for tilt, bow in STARTS:
+            found.append(self.fit(self.find_start(tilt, bow)))
+            if found[-1][2] < GOOD_ERROR:
+                break
+        scale, robust = self.first_scale, ROBUST_SD[1]
+        costs = [self.misfit(self.image(self.project(t), t), t, scale, robust) for t, *_ in found]
+        return found[int(np.argmin(costs))]
 
-    def fit(self, shift: Floats) -> tuple[Floats, Floats]:
-        """Return the shift's coefficients (C,) and their covariance (C, C), from a first `shift` (C,) on."""
-        count, *_, changes, departures, _ = self.counts
-        theta = np.concatenate([shift, SHAPE_MEANS, np.zeros(changes + departures), self.mean_across()])
-        known = np.stack([self.known(one) - self.known(0 * one) for one in np.eye(len(theta))], axis=1)
-        scale, factor = np.full(self.shown.shape, 0.1), 1.0
-        seen = np.broadcast_to(self.seen[..., None], self.shown.shape)
+    def find_start(self, tilt: float, bow: float) -> Floats:
+        """Return a start, its course along the normal shifted, tilted and bent as far as that helps."""
+        scale, count = self.first_scale, len(self.start)
+        x = np.linspace(-1, 1, count)
+        modes = np.stack([np.ones(count), x, x**2 - 0.5, x**3 - 0.6 * x]) * self.rod.thick
 
         def misfit(theta: Floats) -> float:
-            left = ((self.show(theta) - self.shown) / scale)[seen]
-            cost = ROBUST_SD**2 * np.sum(np.log1p((left / ROBUST_SD) ** 2)) / factor
-            return float(cost + np.sum(self.known(theta) ** 2))
+            return self.misfit(self.image(self.project(theta), theta), theta, scale, ROBUST_SD[1])
 
-        for _ in range(ROUNDS):
-            cost, damping = misfit(theta), 1e-3
+        best = np.concatenate([*self.start.T, [0.0, 0.0], SCAN_MEANS])
+        best[count : 2 * count] += tilt * modes[1] + bow * modes[2]
+        weak = best.copy()
+        weak[2 * count + 2] += WEAK_START
+        best = min(best, weak, key=misfit)
+        lowest = misfit(best)
+        for step in START_STEPS:
+            improved = True
+            while improved:
+                improved = False
+                for move in (*modes * step, *modes * -step):
+                    theta = best.copy()
+                    theta[count : 2 * count] += move
+                    if (cost := misfit(theta)) < lowest:
+                        best, lowest, improved = theta, cost, True
+        return self.turn(best, self.first_scale, START_ENDS_MM)
+
+    def turn(self, theta: Floats, scale: Floats, ends: tuple[float, ...]) -> Floats:
+        """Return the parameters with the best of several rolls of the bevel, its end moved by `ends`, mm."""
+        count, tried = len(self.start), []
+        for move in ends:
+            for roll in np.arange(ROLLS) * 2 * np.pi / ROLLS:
+                one = theta.copy()
+                one[2 * count : 2 * count + 2] += [move, roll]
+                tried.append(one)
+        costs = [self.misfit(self.image(self.project(one), one), one, scale, ROBUST_SD[1]) for one in tried]
+        return tried[int(np.argmin(costs))]
+
+    @cached_property
+    def first_scale(self) -> Floats:
+        """Deviations of what slices show before the model's error is known (K, S, U)."""
+        return np.hypot(FIRST_NOISE, FIRST_ERROR * (self.shown - self.level))
+
+    def misfit(self, image: Floats, theta: Floats, scale: Floats, robust: float) -> float:
+        """Return what is minimized."""
+        left = ((image - self.shown) / scale)[self.seen]
+        cost = robust**2 * np.sum(np.log1p((left / robust) ** 2)) / CORRELATED
+        return float(cost + np.sum(self.known(theta) ** 2))
+
+    def fit(self, theta: Floats) -> tuple[Floats, Floats, float]:
+        """Return parameters, their covariance, and the model's relative error."""
+        seen = self.seen[..., None]
+        known = np.stack([self.known(one) - self.known(0 * one) for one in np.eye(len(theta))], axis=1)
+        scale = self.first_scale
+        metal = self.project(theta)
+        image = self.image(metal, theta)
+        for robust in ROBUST_SD:
+            if robust != ROBUST_SD[0]:
+                theta = self.turn(theta, scale, AGAIN_ENDS_MM)
+                metal = self.project(theta)
+                image = self.image(metal, theta)
+            cost, damping, slopes = self.misfit(image, theta, scale, robust), 1e-3, None
             for _ in range(STEPS):
-                left = np.where(seen, (self.shown - self.show(theta)) / scale, 0.0)
-                weights = np.where(seen, 1 / (1 + (left / ROBUST_SD) ** 2) / factor, 0.0)
-                jacobian = (self.slopes(theta) / scale[..., None]).reshape(-1, len(theta))
+                fresh = slopes is None
+                if slopes is None:
+                    slopes = self.slopes(theta, metal, image)
+                left = np.where(seen, (self.shown - image) / scale, 0.0)
+                weights = np.where(seen, 1 / (1 + (left / robust) ** 2) / CORRELATED, 0.0)
+                jacobian = (slopes / scale[..., None]).reshape(-1, len(theta))
                 weighted = jacobian * weights.reshape(-1, 1)
                 normal = weighted.T @ jacobian + known.T @ known
                 pull = weighted.T @ left.ravel() - known.T @ self.known(theta)
                 before = cost
-                while damping < 1e6:
+                while damping < 1e4:
                     step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), pull)
-                    if (after := misfit(theta + step)) < cost:
-                        theta, cost, damping = theta + step, after, damping / 10
+                    there = self.project(theta + step)
+                    moved = self.image(there, theta + step)
+                    after = self.misfit(moved, theta + step, scale, robust)
+                    if after < cost:
+                        # a step's slopes serve the next one, corrected by what it showed
+                        missed = moved - image - slopes @ step
+                        weight = step * np.diag(normal)
+                        slopes = slopes + missed[..., None] * (weight / (weight @ step)) if fresh else None
+                        theta, metal, image, cost, damping = theta + step, there, moved, after, damping / 10
                         break
                     damping *= 10
-                if before - cost < CONVERGED:
+                    if not fresh:
+                        break
+                if after >= before and not fresh:
+                    slopes, damping = None, 1e-3
+                elif fresh and before - cost < CONVERGED:
                     break
-            image = self.show(theta)
-            left, bright = np.where(seen, image - self.shown, 0.0), seen & (image > BRIGHT)
+            left, over = np.where(seen, image - self.shown, 0.0), np.abs(image - self.level)
+            bright = seen & (over > BRIGHT * np.percentile(over[self.seen], 97))
             noise = 1.48 * float(np.median(np.abs(left[seen & ~bright])))
-            error = 1.48 * float(np.median(np.abs(left[bright]) / image[bright]))
-            scale = np.hypot(max(noise, 0.005), np.clip(error, 0.01, 0.5) * np.clip(image, 0, None))
-            left = left / scale / np.sqrt(1 + (left / scale / ROBUST_SD) ** 2)
-            factor = correlation_factor(left.reshape(len(left), -1), count + departures)
-            factor *= correlation_factor(np.moveaxis(left, 2, 0).reshape(len(self.line), -1), 3)
-        return theta[:count], np.linalg.inv(normal)[:count, :count]
-
-
-def _disc_part(x: Floats) -> Floats:
-    """Return the part of a disc's area below `x` radii."""
-    x = np.clip(x, -1, 1)
-    return np.asarray(0.5 + (x * np.sqrt(1 - x * x) + np.arcsin(x)) / np.pi)
-
-
-def even_basis(x: Floats, reach: float) -> Floats:
-    """Return even cubic splines (..., E) of `x` out to `reach`."""
-    knots = make_knots(-reach, reach, reach / PROFILE_PIECES)
-    places = np.clip(x, -reach, reach)
-    both = design_matrix(places.ravel(), knots)
-    both = (both + both[:, ::-1])[:, : (both.shape[1] + 1) // 2]
-    return both.reshape(*x.shape, -1)
+            error = 1.48 * float(np.median(np.abs(left[bright]) / over[bright]))
+            scale = np.hypot(max(noise, 0.005), np.clip(error, 0.02, 0.5) * over)
+        left = left / scale / np.sqrt(1 + (left / scale / robust) ** 2)
+        factor = correlation_factor(np.moveaxis(left, 1, 0).reshape(left.shape[1], -1), len(theta))
+        factor *= correlation_factor(np.moveaxis(left, 2, 0).reshape(left.shape[2], -1), 3)
+        covariance: Floats = np.asarray(np.linalg.inv(normal) * factor / CORRELATED, dtype=np.float64)
+        missed = (image - self.shown)[self.seen]
+        return theta, covariance, float(np.linalg.norm(missed) / np.linalg.norm(over[self.seen]))

@@ -174,7 +174,6 @@ MEAN_BLUR_MM, BLUR_SD, MEAN_BOOST, BOOST_SD, SLICE_BLUR_SD = 0.45, 0.3, 0.5, 1.0
 BALL_BLUR_SD, BALL_BOOST_SD, BALL_SLICE_BLUR_SD = 0.04, 0.15, 0.08
 # Deviation by which a needle leaves, within the length of its bevel, the course of its shaft, mm.
 SWING_SD_MM = 0.1
-PLACED_SWING_SD_MM = 0.03  # the same of a needle that was placed along the normal of thick slices
 # Deviations of the streak, and of the darkening: by the length of the needle that rays pass.
 STREAK_SD_HU, DARK_SD_PER_MM, MIN_DARK_SD, MAX_DARK_SD = 2000.0, 0.02, 0.05, 0.5
 # From so much of the needle on that rays pass, its image shows them rather than the bevel's angle, mm. Set,
@@ -248,8 +247,6 @@ class TipProblem:
         self.level = float(np.median(near.values[np.hypot(near.u, near.v) > 0.8 * RADIAL_REACH_MM]))
         self.swing = np.clip((self.near.s - axis.length) / max(guess - axis.length, 0.25), 0, None)
         swing_sd = float(np.hypot(SWING_SD_MM, axis_sd(axis, np.array([axis.length]))[0]))
-        if axis.normal_sd is not None:  # thick slices would pull the end to their middle
-            swing_sd = PLACED_SWING_SD_MM
         self.ray = measure_ray(volume, axis, needle)
         course = swing_sd, min(MAX_RAY_MM, self.ray)
         self.means, self.sds = _prior(volume, needle, spread, course)
@@ -491,8 +488,6 @@ def fit_tip(
     variance = np.diag(covariance)
     away = problem.threshold_disagreement(best.x)
     hidden = HIDDEN_END_SD_PER_MM * min(MAX_RAY_MM, problem.ray)
-    if axis.normal_sd is not None:
-        hidden = min(MAX_PLACED_END_SD_MM, PLACED_END_SD_PER_MM * problem.ray)
     parts = [np.sqrt(variance[TIP]), EDGE_SD_MM, DISAGREEMENT_SD * away, hidden]
     along = float(np.linalg.norm(parts))
     heel = float(axis_sd(axis, np.array([axis.length]))[0])  # from where the rod swings
@@ -500,12 +495,8 @@ def fit_tip(
     at = float(best.x[TIP])
     source: TipSource = "model"
     believed = along <= MAX_MODEL_SD_MM and abs(away) <= MAX_DISAGREEMENT_MM
-    if axis.normal_sd is not None:  # rays along a needle hide metal and show none: only a later end counts
-        believed = away <= MAX_DISAGREEMENT_MM
     if not rough and not believed:
         at, along, source = _end_by_threshold(at, away, volume)
-    elif not rough and axis.normal_sd is not None:
-        at += max(away, 0.0)
     there = axis_frames(axis, np.array([at]))
     u, v, roll = there.u[0], there.v[0], best.x[ROLL]
     probability = problem.bevel_probability(best, covariance) if problem.rolled and not rough else np.nan
@@ -533,9 +524,6 @@ def _end_by_threshold(at: float, away: float, volume: Volume) -> tuple[float, fl
 # Deviation of the place along, in parts of the length of the needle that rays pass: they harden, and hide its
 # end. Set as `BEVEL_RAY_MM`.
 HIDDEN_END_SD_PER_MM = 0.02
-# The same of a needle that was placed along the normal of thick slices, and the most of it, mm. Set on
-# volumes of `benchmarks/real_scanners.py --seeds` below 2000.
-PLACED_END_SD_PER_MM, MAX_PLACED_END_SD_MM = 0.005, 0.9
 DISAGREEMENT_SD = 0.5  # deviation of the place along, in parts of the disagreement with a threshold
 # Deviation along, and disagreement with a threshold, up to which the model's tip is taken, mm.
 MAX_MODEL_SD_MM, MAX_DISAGREEMENT_MM = 1.0, 1.5

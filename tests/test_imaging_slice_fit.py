@@ -1,0 +1,51 @@
+"""A rod in thick slices, through its projections: lengths and brightnesses of known rods."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from needlefit.imaging.needle import slice_fit
+
+COLUMNS = np.arange(30.0, -30.1, -slice_fit.COLUMN_MM)
+
+
+def make_rod(radius, thick=1.0):
+    """A rod along the first direction in the middle of the second of three slices."""
+    stations, side = np.array([0.0, 10.0, 34.0]), np.zeros((3, 1))
+    return slice_fit._Rod(COLUMNS, radius, 2.0, thick, np.arange(3) * thick, stations, side)
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.05])
+def test_rays_across_and_along_a_rod_pass_its_chord_and_its_length(drift):
+    rod, radius = make_rod(0.635), 0.635
+    planes, metal = rod.lengths(drift * COLUMNS, np.full(len(COLUMNS), 1.0), 30.0, 0.0)
+    away = rod.planes[planes] - 1.0
+    assert np.abs(away).max() < radius
+    chords = 2 * np.sqrt(radius**2 - away**2) * np.sqrt(1 + drift**2)
+    across = metal[:, 0, rod.half]  # at the origin, at right angles to the first direction
+    assert_allclose(across, chords, rtol=0.01)
+    if drift == 0:
+        along = len(rod.views[0]) // 2
+        middle = metal[np.argmin(np.abs(away)), along, rod.half]
+        assert_allclose(middle, np.ptp(COLUMNS), atol=1.5)  # less half a bevel of 0.6 mm, and half a column
+        # what all rays of a view meet is the plane's area; one view looks along edges, between two cells
+        area = np.delete(metal.sum(axis=-1), along, axis=1) * slice_fit.CELL_MM
+        assert_allclose(area, np.broadcast_to(area[:, :1], area.shape), rtol=0.01)
+
+
+def test_a_thick_rod_that_weakens_little_is_as_bright_as_its_material():
+    rod = make_rod(5.0)
+    metal = rod.lengths(0 * COLUMNS, np.full(len(COLUMNS), 1.0), 30.0, 0.0)
+    scan = np.array([np.log(1e-4), np.log(0.01), np.log(1e-9), 0, np.log(1.5), 0, 0, 0, -0.7, -9, -9])
+    shown = rod.show(metal, scan)[1, :, 0]
+    assert_allclose(shown[:2], 1e-4 / slice_fit.WATER_PER_MM, rtol=0.07)  # few views along its sides
+    assert abs(shown[2]) < 0.03 * shown[0]  # beyond its end
+
+
+def test_a_rod_that_fills_a_part_of_a_slice_darkens_it_beyond_its_end():
+    rod = make_rod(0.3)
+    metal = rod.lengths(0 * COLUMNS, np.full(len(COLUMNS), 1.6), 30.0, 0.0)
+    shown = rod.show(metal, slice_fit.SCAN_MEANS)[..., 0]
+    whole = rod.show(rod.lengths(0 * COLUMNS, np.full(len(COLUMNS), 1.0), 30.0, 0.0), slice_fit.SCAN_MEANS)
+    assert shown[1, 2] < -0.2  # water 1
+    assert np.abs(shown[:, 1]).max() < whole[1, 1, 0]
