@@ -11,7 +11,7 @@ frames      late: further from the one before than 1.5 of 1/60 s, each counted a
 latency     from the time stamp of the input event to when the browser had drawn the first frame that shows
             its effect (a message posted in that frame and heard after it); of the wheel apart, which
             the browser holds back before the page hears of it; of keys and of mu at a depth of 140 mm, there
-            also on a processor that is slowed down by PHONE_SLOWER.
+            also on a window of PHONE, with a processor that is slowed down by PHONE_SLOWER.
             Half a FRAME of it, on average, is waiting for the next one; `own` is what comes after that.
 band        from the frame that shows a needle to the one with the band of its draws, at 55 and 140 mm.
 gif         from the press of the button to the saved animation of what was seen, s; at most GIF_LIMIT_S.
@@ -46,7 +46,7 @@ FRAME = 1000 / 60
 LATE = 1.5
 DEEP_MM = 140.0
 """Depth at which a modulus is changed: the whole insertion is simulated again."""
-PHONE_SLOWER = 5
+PHONE_SLOWER, PHONE = 5, {"width": 390, "height": 844}
 GIF_LIMIT_S = 10.0
 SIZE = {"width": 1280, "height": 800}
 FLAGS = ["--no-sandbox", "--disable-gpu"]
@@ -235,6 +235,7 @@ def real_time(subject: str, seconds: float) -> dict:
             f"{name}_latency_ms": waits(measure_frames(page, steer, seconds / 4))
             for name, steer in (("deep_keys", nudge), ("deep_wheel", turn), ("modulus", slide))
         }
+        page.set_viewport_size(PHONE)
         devtools = page.context.new_cdp_session(page)
         devtools.send("Emulation.setCPUThrottlingRate", {"rate": PHONE_SLOWER})
         for name, steer in (("phone_keys", nudge), ("phone_modulus", slide)):
