@@ -571,6 +571,22 @@ def test_boundaries_are_stated_as_depths(tmp_path):
     refusal(ConfigError, "--boundaries", understood, [tmp_path], boundaries="15")
 
 
+def test_boundaries_of_a_column_are_those_of_each_needle(tmp_path):
+    write_plain(tmp_path, NEEDLES)
+    rows = ["id;Boundary [cm];bevel"]
+    (tmp_path / "info.csv").write_text("\n".join([*rows, "1;1,83;1", "2;2,1;1", "3;1,94;1"]))
+    assert run("import", tmp_path, "--out", tmp_path / "gel", "--pose", "1,0,0", "--yes") == 0
+    for one, depth in zip(read(tmp_path / "gel").insertions, (18.3, 21.0, 19.4), strict=True):
+        assert one.boundaries == pytest.approx([depth], abs=1e-3) and one.sequence == (1, 2)
+    assert understood([tmp_path], boundaries="15")[0].layers.depths_mm == (15.0,)
+    assert understood([tmp_path], boundaries="none")[0].insertions[0].row.layers == 1
+    (tmp_path / "info.csv").write_text("\n".join([*rows, "1;1,83;1", "2;1,83;1", "3;1,83;1"]))
+    plan, made = understood([tmp_path])
+    assert plan.layers.depths_mm == (18.3,) and made["boundaries"] == ("18.3", "file")
+    (tmp_path / "info.csv").write_text("\n".join([*rows, "1;1,83;1", "2;2,1;1", "3;;1"]))
+    refusal(ConfigError, "--boundaries", understood, [tmp_path])
+
+
 def test_bevel_sides_of_a_table_need_a_direction(tmp_path):
     turned = [NEEDLES[0], NEEDLES[0] * [1, -1, 1]]
     rows = [
@@ -728,6 +744,120 @@ def test_in_a_terminal_the_picture_comes_before_the_questions_and_writing(tmp_pa
         assert "bevel = bend" in read(out).assumed
 
 
+INFO = [["Insertion", "Needle", "Bevel", "Depth (mm)", "Date"]]
+
+
+def sheets_of_needles(needles, points=()):
+    """Return an information sheet and a sheet of points for each needle; `points` replace those of some."""
+    info = [
+        [f"Ins{n}", text, "up" if n % 2 else "down", 60 - 5 * n, "today"] for n, text in enumerate(needles)
+    ]
+    sheets = {f"Ins{n}": [["X (mm)", "Y (mm)", "Z (mm)"], *CURVES[n].tolist()] for n in range(len(needles))}
+    return {"Info": INFO + info, **sheets, **dict(points)}
+
+
+@pytest.mark.parametrize(
+    ("needle", "taken", "unused"),
+    [
+        ("22G nitinol", ("22G", "nitinol"), {"column Date"}),
+        ("Cook, 18 gauge x 150 mm (stainless steel)", ("18G", "steel"), {"column Date"}),
+        ("1,27 mm", ("1.27", None), {"column Date"}),
+        ("type A", (None, None), {"column Date", "column Needle"}),
+    ],
+)
+def test_a_column_describes_the_needle_or_is_named_as_not_used(tmp_path, needle, taken, unused):
+    file = write_sheets(tmp_path / "a.xlsx", **sheets_of_needles([needle] * 3))
+    assert {what for what, _ in read_content([file]).unused} == unused
+    _, made = understood([file])
+    for what, value, default in zip(("diameter", "modulus"), taken, ("18G", "steel"), strict=True):
+        assert made[what] == ((value, "file") if value else (default, "assumption"))
+    if "150 mm" in needle:
+        assert made["needle length"] == ("150", "file")
+
+
+def test_several_needles_are_no_dataset_and_a_needle_that_is_not_stated_is_an_assumption(tmp_path):
+    file = write_sheets(tmp_path / "a.xlsx", **sheets_of_needles(["18G", "22G", "18G"]))
+    assert "Ins1" in refusal(ConfigError, "--diameter", understood, [file]).what
+    assert understood([file], diameter="20G")[0].needle.outer_diameter_mm == 0.908
+    file = write_sheets(tmp_path / "a.xlsx", **sheets_of_needles(["22G", "22G", None]))
+    assert understood([file])[1]["diameter"] == ("22G", "assumption")
+
+
+def test_a_bad_cell_of_a_sheet_stops_the_import_at_its_cell(tmp_path):
+    head = [["X (mm)", "Y (mm)", "Z (mm)"]]
+    bad = [[None, *row] for row in head + CURVES[1].tolist()]
+    bad[2][2] = None
+    points = {"Ins1": [[], *bad], "Ins2": [*head, ["#REF!", 1.0, 2.0], *CURVES[2].tolist()], "Ins3": []}
+    file = write_sheets(tmp_path / "a.xlsx", **sheets_of_needles(["22G"] * 3, points))
+    error = refusal(DataError, "2 faults", read_content, [file])
+    assert "sheet 'Ins1', cell C4" in str(error) and "sheet 'Ins2', cell A2" in str(error)
+    file = write_sheets(tmp_path / "a.xlsx", **sheets_of_needles(["22G"] * 3, {"Ins3": []}))
+    assert ("sheet Ins3", "it is empty") in read_content([file]).unused
+
+
+def test_a_needle_that_is_listed_twice_is_named_with_its_rows(tmp_path):
+    import_cases.write_european_csv(tmp_path / "points.csv", CURVES)
+    rows = ["Nadel;Tiefe;Schliff", *(f"Nadel {n};60;1" for n in (1, 2, 3, 2)), ";9;"]
+    (tmp_path / "info.csv").write_text("\n".join(rows))
+    error = refusal(DataError, "'Nadel 2' is listed 2 times, in rows 3 and 5", read_content, [tmp_path])
+    assert error.where == f"{tmp_path / 'info.csv'}:5"
+    (tmp_path / "info.csv").write_text("\n".join(rows[:4] + rows[5:]))
+    assert "row 9" in {what for what, _ in read_content([tmp_path]).unused}
+
+
+def test_subfolders_are_named(tmp_path):
+    (tmp_path / "a").mkdir()
+    assert "folder a" in refusal(DataError, "", read_content, [tmp_path]).what
+    write_plain(tmp_path, NEEDLES)
+    assert [what for what, _ in read_content([tmp_path]).unused] == ["folder a"]
+
+
+def test_a_stated_unit_that_no_needle_has_is_refused_and_an_option_corrects_it(tmp_path):
+    rows = [f"{n},{x},{y},{z}" for n, one in enumerate(NEEDLES) for x, y, z in one]
+    (tmp_path / "a.csv").write_text("\n".join(["id,X_m,Y_m,Z_m", *rows]))
+    assert "60 m" in refusal(DataError, "--units", understood, [tmp_path]).what
+    plan, made = understood([tmp_path], units="mm")
+    assert made["units"] == ("mm", "option") and plan.insertions[0].row.depth == pytest.approx(60.02, abs=0.1)
+
+
+def test_a_depth_without_unit_may_have_that_of_the_points(tmp_path):
+    array = np.empty(3, dtype=[(name, object) for name in ("name", "points", "depth")])
+    array[:] = [(f"n{n}", one / 1e3, one[-1, 0] / 1e3) for n, one in enumerate(NEEDLES)]
+    savemat(tmp_path / "a.mat", {"trials": array})
+    assert understood([tmp_path])[1]["depth"] == ("lengths of the curves", "file")
+
+
+def test_a_specimen_that_is_not_stated_of_one_needle_is_named(tmp_path):
+    blocks = dict(zip(SIDES, ("A", "A", None), strict=True))
+    rows = [
+        ["id", "specimen", "x [mm]", "y [mm]", "z [mm]"],
+        *point_rows(lambda name, _: [name, blocks[name]]),
+    ]
+    decisions = Decisions()
+    _, plan = plan_import([write_sheets(tmp_path / "a.xlsx", a=rows)], decisions)
+    assert [one.row.specimen for one in plan.insertions] == ["A", "A", "N3"]
+    assert next(one.reason for one in decisions.made if one.what == "specimen").endswith(
+        "N3: taken as its own"
+    )
+
+
+@pytest.mark.parametrize(("angle", "bevel"), [(0.0, [0, 1, 0]), (4.0, [0, 1, 0]), (30.0, None)])
+def test_a_bevel_direction_is_an_axis_within_its_error(tmp_path, angle, bevel):
+    c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    turned = [
+        one @ np.array([[1, 0, 0], [0, c, s], [0, -s, c]]) for one in (NEEDLES[0], NEEDLES[0] * [1, -1, 1])
+    ]
+    rows = [f"{n},{1 - 2 * n},{x},{y},{z}" for n, one in enumerate(turned) for x, y, z in one]
+    (tmp_path / "a.csv").write_text("\n".join(["id,bevel,x [mm],y [mm],z [mm]", *rows]))
+    decisions = Decisions({"pose": "1,0,0", "point sd": "0.1"})
+    _, plan = plan_import([tmp_path], decisions)
+    np.testing.assert_allclose(plan.insertions[0].row.bevel, bevel or [0, c, s], atol=1e-3)
+    # 0.1 mm at the entry and the tip of two needles that deflect by 1.44 mm
+    sd = np.degrees(0.1 / 1.44)
+    reason = next(one.reason for one in decisions.made if one.what == "bevel")
+    assert f"standard deviation {sd:.2g} degrees" in reason
+
+
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
@@ -754,7 +884,8 @@ def test_questions_are_asked_with_the_guess_and_faults_named_at_their_place(tmp_
     _, plan = plan_import([write_plain(tmp_path, NEEDLES)], decisions)
     assert asked["modulus"] == "steel" and "diameter" not in asked
     assert plan.needle.youngs_modulus_gpa == 60.0 and plan.needle.outer_diameter_mm == 0.908
-    assert {one.what: one.source for one in decisions.made}["medium"] == "answer"
+    sources = {one.what: one.source for one in decisions.made}
+    assert (sources["medium"], sources["point sd"]) == ("answer", "confirmed")
     folded = NEEDLES[0].copy()
     folded[[6, 9]] = folded[[9, 6]]
     file = write_plain(tmp_path, [folded])

@@ -127,7 +127,7 @@ def _require_unused(folder: Path) -> None:
         ".ply .obj .vtk), Slicer scenes (.mrml .mrb).",
     ),
     out=option("Folder of the dataset; it must not exist yet.", "DIR"),
-    units=option("Unit of coordinates that state none: mm, cm, m, um, in."),
+    units=option("Unit of coordinates that state none, or a wrong one: mm, cm, m, um, in."),
     columns=option("Headers or numbers of the columns of tables.", "X,Y,Z"),
     frame=option("LPS or RAS, for curves that state neither."),
     surfaces_frame=option("LPS or RAS, for surfaces that state neither."),
@@ -215,7 +215,7 @@ def import_data(
         screen.show_frame(tabulate_decisions(decisions), "Decisions")
         for note in content.notes:
             screen.print_note(note)
-        if unused := [one.value for one in decisions.made if one.what == "not used"]:
+        if unused := [f"{one.value} ({one.reason})" for one in decisions.made if one.what == "not used"]:
             screen.print_note(f"not used: {'; '.join(unused)}")
     screen.print_warnings(invocation, warnings)
     path = str(out) if out.is_absolute() else f"./{out}"
@@ -343,7 +343,7 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
         for fault in faults:
             error = DataError(fault.what, where=fault.where, expected=fault.expected, fix=fault.fix)
             screen.print_line(str(error))
-    screen.print_warnings(invocation, warnings)
+    screen.print_warnings(invocation, warnings, in_full=True)
     if found.dataset is not None and not faults and not invocation.json:
         _show(found.dataset, measured, holes)
     if faults:

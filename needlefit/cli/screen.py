@@ -191,11 +191,21 @@ def _cell(value: object) -> tuple[str, bool]:
     return (f"{value:z.4g}" if isinstance(value, float) else str(value)), True
 
 
-def print_warnings(invocation: Invocation, warnings: Iterable[ResultWarning]) -> None:
+# What stays open in a dataset: `needlefit check` prints these warnings in full, other commands in one line.
+OPEN_POINTS = {"placeholder": "texts to fill in", "assumed": "assumptions of the import"}
+
+
+def print_warnings(invocation: Invocation, warnings: Iterable[ResultWarning], in_full: bool = False) -> None:
     """Print warnings to stderr, each with the command that explains it.
 
-    With `--strict` the command then ends with exit code 5.
+    `in_full`: also each of `OPEN_POINTS`. With `--strict` the command then ends with exit code 5.
     """
+    left: dict[str, None] = {}
     for one in warnings:
         invocation.warned = True
-        print_note(f"needlefit: warning: {one} ({one.help_command})")
+        if one.kind in OPEN_POINTS and not in_full:
+            left[OPEN_POINTS[one.kind]] = None
+        else:
+            print_note(f"needlefit: warning: {one} ({one.help_command})")
+    if left:
+        print_note(f"needlefit: warning: the dataset has {' and '.join(left)} (listed by needlefit check)")

@@ -4,6 +4,7 @@ import re
 from dataclasses import asdict
 from pathlib import Path
 
+from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.faults import as_error
 from needlefit.datasets.importing.decisions import DESCRIPTIONS, Decisions
 from needlefit.datasets.importing.files import ImportContent
@@ -13,6 +14,7 @@ from needlefit.datasets.points import trace_fault
 from needlefit.datasets.read import check
 from needlefit.datasets.template import draft_record
 from needlefit.datasets.write import write_dataset
+from needlefit.geometry.surfaces import Surface, make_sheet
 from needlefit.project.folders import sha256
 from needlefit.project.toml import check as check_record
 from needlefit.project.toml import dumps, load
@@ -22,6 +24,7 @@ from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import StudyRecord
 
 SURFACE_FOLDER = "layers"
+PLANE_MM = 100.0  # length and width of the boundary of one needle that is stated as a depth
 TISSUE_FILE = "tissue.toml"
 SCENE_FILE = "scene.toml"
 MODULUS_BOUNDS_PA, BEVEL_BOUNDS_MM = [1e3, 1e9], [1e-3, 1.0]
@@ -48,6 +51,18 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, decisions
         medium = {"surfaces": listed}
     elif layers.depths_mm:
         medium = {"boundaries_mm": list(layers.depths_mm)}
+    elif layers.own_depths_mm:
+        count = len(next(iter(layers.own_depths_mm.values())))
+        patterns = [f"{SURFACE_FOLDER}/{n}_{{id}}.stl" for n in range(1, count + 1)]
+        listed = [{"file": file, "kind": "sheet", "into": into} for into, file in enumerate(patterns, 2)]
+        medium = {"surfaces": listed, "note": "planes across the entry directions, at the stated depths"}
+        for one in plan.insertions:
+            surfaces |= {
+                file.replace("{id}", one.row.id): _make_plane(one.row, depth, into)
+                for into, (file, depth) in enumerate(
+                    zip(patterns, layers.own_depths_mm[one.row.id], strict=True), 2
+                )
+            }
     files = {path.name: sha256(path) for path in content.files}
     rows = [one.row for one in plan.insertions]
     texts = {key: text for key in DESCRIPTIONS if (text := decisions.stated.get(key))}
@@ -69,6 +84,13 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, decisions
     if faults:
         raise as_error([trace_fault(fault, points, folder) for fault in faults], content.files[0])
     return file
+
+
+def _make_plane(row: InsertionRow, depth: float, into: int) -> Surface:
+    """Return the plane across the entry direction of an insertion at a depth, mm."""
+    if row.entry is None or row.direction is None:
+        raise ValueError(f"{row.id} has no entry pose")
+    return make_sheet("boundary", row.entry + depth * row.direction, row.direction, PLANE_MM, into)
 
 
 # ---- a first study

@@ -29,7 +29,9 @@ _SIDES_IN_NAMES = (
     re.compile(r"[\s_.(]([-+\u2212]?1)\W*$"),
 )
 
-Source = Literal["file", "option", "answer", "guess", "assumption"]
+MODULI_GPA = {"steel": 200.0, "nitinol": 60.0, "titanium": 110.0, "peek": 3.6}  # young's moduli by material
+
+Source = Literal["file", "option", "answer", "guess", "assumption", "confirmed"]
 
 MAX_ANSWER_CHARS = 500
 MAX_NUMBER = 1e6
@@ -92,7 +94,7 @@ class Decisions:
 
     # Values that the user states beforehand, by the names of questions.
     options: Mapping[str, str] = field(default_factory=dict)
-    # (question, guess, reason) -> answer of the user, "" for the guess; None: nobody is asked.
+    # (question, guess, reason) -> answer of the user, "" confirms the guess; None: nobody is asked.
     prompt: Callable[[Question, str, str], str] | None = None
     made: list[ImportDecisionRecord] = field(default_factory=list)  # in their order
     # Values that the files state, by the names of questions; options win.
@@ -128,8 +130,8 @@ class Decisions:
             source, reason = ("option", "") if what in self.options else ("file", "sheet setup")
         elif self.prompt is not None and source in ("guess", "assumption"):
             answer = self.prompt(question, guess, reason).strip()[:MAX_ANSWER_CHARS]
-            if answer:
-                value, source, reason = answer, "answer", ""
+            value, source = answer or guess, "answer" if answer else "confirmed"
+            reason = "" if answer else reason
         if not value and not is_clear:
             expected = f"one of {', '.join(choices)}" if choices else question.text
             fix = f"state it with {option_name(what)}"

@@ -29,13 +29,13 @@ from needlefit.datasets.importing.decisions import (
     find_sides_in_names,
 )
 from needlefit.datasets.importing.tables import (
-    ATTRIBUTES,
     SHEET_SUFFIXES,
     TEXT_SUFFIXES,
     CellTable,
     ImportedCurve,
     TableContent,
-    add_unit,
+    UnclearColumnsError,
+    collect_stated,
     find_curves,
     find_role,
     read_sheets,
@@ -406,6 +406,8 @@ def read_content(paths: Sequence[Path], columns: Sequence[str] = ()) -> ImportCo
     surfaces = [surface for one in read for surface in one.surfaces]
     if not faults and not curves:
         what = "holds surfaces, but no curve" if surfaces else "holds no file that can be read"
+        folders = [what for what, _ in unused if what.startswith("folder ")]
+        what += f"; subfolders are not searched ({', '.join(folders)})" if folders else ""
         expected = f"curves of needles in files that end in {', '.join(list_import_suffixes())}"
         faults.append(Fault(str(paths[0]), what, expected, "name their files or folder"))
     faults += [fault for one in curves for fault in one.points.find_faults(one.name)]
@@ -485,8 +487,10 @@ def _list_files(paths: Sequence[Path], unused: list[tuple[str, str]]) -> list[tu
         if not is_dir(path):
             listed.append((path, True))
             continue
-        files = (one for one in sorted(path.iterdir()) if one.is_file())
-        there = [one for one in files if not one.name.startswith((".", "~$"))]
+        shown = [one for one in sorted(path.iterdir()) if not one.name.startswith((".", "~$"))]
+        folders = [one.name for one in shown if one.is_dir()][:MAX_SHOWN_FILES]
+        unused += [(f"folder {name}", "subfolders are not searched: name them") for name in folders]
+        there = [one for one in shown if one.is_file()]
         known = [one for one in there if one.name.lower().endswith(list_import_suffixes())]
         known = [one for one in known if one.suffix.lower() in SCENE_SUFFIXES] or known
         other = [one.name for one in there if one not in known]
@@ -539,21 +543,19 @@ def _read_file(path: Path, columns: Sequence[str]) -> ImportContent:
 
 def _read_fields(curves: Sequence[ImportedCurve]) -> tuple[list[ImportedCurve], list[str]]:
     """Return curves with their names and attributes of the fields beside their points; and unused fields."""
-    found, unused = [], dict[str, None]()
-    for one in curves:
-        fields = {key: text for key, text in one.points.stated.items() if text}
-        roles = {key: find_role(key) for key in fields}
-        by_role = {role: add_unit(fields[key], key) for key, role in reversed(roles.items())}
-        attributes = {role: text for role, text in by_role.items() if role in ATTRIBUTES}
-        unused |= dict.fromkeys(
-            f"field {key}" for key, role in roles.items() if role not in ("name", *ATTRIBUTES)
-        )
-        found.append(replace(one, name=by_role.get("name", ""), attributes=attributes))
-    if len({one.name for one in found}) < len(found):  # one name of all is that of the experiment
-        found = [replace(one, name=old.name) for one, old in zip(found, curves, strict=True)]
-    else:
-        found = [replace(one, name=one.name or old.name) for one, old in zip(found, curves, strict=True)]
-    return found, list(unused)
+    names = [{k: v for k, v in one.points.stated.items() if v and find_role(k) == "name"} for one in curves]
+    # one name of all is that of the experiment
+    distinct = (key for key in names[0] if len({one.get(key) for one in names} - {None}) == len(curves))
+    key = next(distinct, "")
+    found, unused, all_used = [], dict[str, None](), set[str]()
+    for one, own in zip(curves, names, strict=True):
+        fields = {k: text for k, text in one.points.stated.items() if text and k != key}
+        cells = ((n, find_role(k), k, text, "") for n, (k, text) in enumerate(fields.items()))
+        attributes, used = collect_stated(cells)
+        all_used |= {k for n, k in enumerate(fields) if n in used}
+        unused |= dict.fromkeys(fields)
+        found.append(replace(one, name=own.get(key, one.name), attributes=attributes))
+    return found, [f"field {k}" for k in unused if k not in all_used]
 
 
 def _with_stem(curves: Sequence[ImportedCurve], path: Path) -> tuple[ImportedCurve, ...]:
@@ -574,26 +576,34 @@ def _read_sheets(path: Path, columns: Sequence[str]) -> ImportContent:
     """
     by_sheet: dict[str, TableContent] = {}
     unused: list[tuple[str, str]] = []
-    faults: list[DataError] = []
+    unclear: list[Fault] = []
+    faults: list[Fault] = []
     for cells in read_sheets(path):
         plain = cells.sheet.lower()
         if plain.removeprefix(EXAMPLE_SHEET).strip() == SETUP_SHEET:
             by_sheet[cells.sheet] = _read_setup(cells)
             continue
-        if plain == GUIDE_SHEET or (plain in EMPTY_SHEETS and sum(map(any, cells.rows)) < 2):
+        filled = sum(map(any, cells.rows))
+        if plain == GUIDE_SHEET or (plain in EMPTY_SHEETS and filled < 2):
+            continue
+        if not filled:
+            unused.append((f"sheet {cells.sheet}", "it is empty"))
             continue
         try:
             by_sheet[cells.sheet] = find_curves(cells, columns)
-        except DataError as error:
-            faults.append(error)
+        except UnclearColumnsError as error:
+            unclear.append(from_error(error))
             unused.append((f"sheet {cells.sheet}", error.what))
+        except DataError as error:
+            faults.append(from_error(error))
     own = {name: one for name, one in by_sheet.items() if not name.lower().startswith(EXAMPLE_SHEET)}
     examples = {name: one for name, one in by_sheet.items() if name not in own}
     is_own = any(one.curves for one in own.values())
     by_sheet = own if is_own else examples | own
     with_curves = {name: one.curves for name, one in by_sheet.items() if one.curves}
-    if faults and (not with_curves or columns):
-        raise faults[0]
+    faults += unclear if columns or not with_curves else []
+    if faults:
+        raise as_error(faults, path)
     for name, one in by_sheet.items():
         is_used = bool(one.curves or one.needles) or name.lower().endswith(SETUP_SHEET)
         unused += one.unused if is_used else [(f"sheet {name}", "it holds no coordinates")]

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
 from needlefit.datasets.formats.csv import MAX_COLUMNS
+from needlefit.datasets.importing.decisions import MODULI_GPA
 from needlefit.datasets.points import MAX_COORDINATE, MIN_POINTS, Points, find_counters
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PatientSystem, to_lps
@@ -54,9 +55,16 @@ UNITS_MM = MappingProxyType(
 # What a header, a field of a struct or the first cell of a pair stands for beside coordinates: the first that
 # fits its letters, without accents, unit, blanks and signs.
 _NUMBERED = r"(id|nr|no|num|number|nummer|numero|s)?"
+_NEEDLE = "(?:needle|nadel|aiguille|aguja|ago)"
 _ROLES = {
     role: re.compile(pattern)
     for role, pattern in {
+        "boundaries": r"(?!.*(sd|std|sigma)$).*(boundary|boundaries|interface|grenze|frontiere|frontera).*",
+        "inner diameter": r"(inner|innen|inside)(diameter|durchmesser)",
+        "diameter": rf"(outer|aussen|{_NEEDLE})?(diameter|durchmesser|diametre|diametro|gauge|od)",
+        "needle length": rf"{_NEEDLE}(length|lange)",
+        "modulus": rf"(young|youngs|elastic)?modulus(gpa)?|emodul(gpa)?|{_NEEDLE}material",
+        "needle": rf"{_NEEDLE}(type|typ|model|modell|kind|art|spec|tipo)",
         "bevel_side": r".*(bevel|schliff|biseau|bisel|smusso).*|(needle|tip)?(side|seite|cote|lado|lato)",
         "depth": r".*(depth|tiefe|profond|profund).*",
         "layers": r"(nr|no|n|num|number|anzahl|nombre|numero)?(of|de|der)?"
@@ -71,8 +79,14 @@ _ROLES = {
         "index": rf"index|nr|no|n|i|num|row|zeile|(mess)?(point|pt|punkt|punto){_NUMBERED}",
     }.items()
 }
-# Of these, what an insertion has once.
-ATTRIBUTES = ("bevel_side", "depth", "layers", "medium", "specimen", "hole")
+# Of these, what all insertions of an import share: answers to questions of the same names.
+NEEDLE_ATTRIBUTES = ("needle length", "diameter", "inner diameter", "modulus")
+# What an insertion has once.
+ATTRIBUTES = (
+    *("bevel_side", "depth", "layers", "medium", "specimen", "hole", "boundaries", "needle"),
+    *NEEDLE_ATTRIBUTES,
+)
+MAX_DIAMETER_MM, MIN_LENGTH_MM = 5.0, 20.0  # of a needle, by which lengths in its description are told apart
 
 # Separators and decimal signs, in the order in which equally good ones are taken.
 _LAYOUTS = (
@@ -91,6 +105,8 @@ _FILLERS = frozenset(
 _PAIR = re.compile(r"([^:=]{1,60})[:=]\s*(\S.*)")
 _NUMBER = re.compile(r"[-+\u2212]?\d+([.,]\d*)?")
 _NUMBERS = re.compile(r"[-+\d., ]+")
+_GAUGE = re.compile(r"\b(\d{1,2})\s*(?:g|ga|gauge)\b", re.IGNORECASE)
+_LENGTH_MM = re.compile(r"(\d+(?:[.,]\d+)?)\s*mm\b", re.IGNORECASE)
 _DEGREES = re.compile(r"deg|°|angle|winkel|angolo|[aá]ngulo|grad", re.IGNORECASE)
 _SYSTEMS: tuple[tuple[str, PatientSystem | None], ...] = (("xyz", None), ("ras", "RAS"), ("lps", "LPS"))
 
@@ -102,6 +118,7 @@ class CellTable:
     path: Path
     rows: Sequence[Sequence[str]]  # blank rows are among them; rows may differ in length
     first: int = 1  # line or row in its file of the first one, from 1
+    left: int = 0  # empty columns of its sheet that were left out before the first one
     sheet: str = ""  # name of the sheet; empty for a text table
     # "." or ","; in a sheet, where numbers are stored as such, "." and commas are read too.
     decimal: str = "."
@@ -109,9 +126,13 @@ class CellTable:
     layout: str = ""  # how the file was read, for people
     transposed: bool = False  # its rows are the columns of the file
 
-    def where(self, row: int) -> str:
-        """Return the place of a row for a message."""
+    def where(self, row: int, column: int | None = None) -> str:
+        """Return the place of a row, or of its cell in a column, for a message."""
         line = "column" if self.transposed else "row"
+        if self.sheet and column is not None:
+            across, down = self.left + column + 1, self.first + row
+            across, down = (down, across) if self.transposed else (across, down)
+            return f"{self.path}, sheet {self.sheet!r}, cell {_name_column(across)}{down}"
         sheet = f", sheet {self.sheet!r}, {line} " if self.sheet else f", {line} " if self.transposed else ":"
         return f"{self.path}{sheet}{self.first + row}"
 
@@ -146,7 +167,20 @@ class CellTable:
             return self
         for n in range(heads[0] if heads else 0):  # numbers of needles above their axes are no points
             turned[n] = (f"#{turned[n][0]}", *turned[n][1:])
-        return replace(self, rows=turned, first=1, transposed=True)
+        return replace(self, rows=turned, first=1 + self.left, left=self.first - 1, transposed=True)
+
+
+def _name_column(number: int) -> str:
+    """Return the letters of a column of a sheet, from 1: A to Z, AA."""
+    letters = ""
+    while number:
+        number, rest = divmod(number - 1, 26)
+        letters = chr(ord("A") + rest) + letters
+    return letters
+
+
+class UnclearColumnsError(DataError):
+    """No columns of a table are known to be coordinates: it may hold something else."""
 
 
 def parse_number(text: str, decimal: str) -> float | None:
@@ -253,7 +287,7 @@ def _require_extent(rows: int, columns: int, path: Path) -> None:
 
 
 def read_sheets(path: Path) -> tuple[CellTable, ...]:
-    """Read every sheet of an Excel or OpenDocument workbook that is not empty.
+    """Read every sheet of an Excel or OpenDocument workbook.
 
     DataError if the file is missing, too large, no workbook, protected by a password, or holds no cells.
     """
@@ -271,8 +305,8 @@ def read_sheets(path: Path) -> tuple[CellTable, ...]:
         raise _workbook_error(path, f"unpacks to {unpacked / 2**20:.0f} MiB")
     allowed = limits_for(READER_BYTES, READER_BYTES, size / SHEET_BYTES_PER_SECOND)
     found, _ = read_in_sandbox(f"{__name__}:read_workbook", path, allowed, {"path": str(path)})
-    sheets = [CellTable(path, rows, 1 + above, name) for name, above, rows in found if any(map(any, rows))]
-    if not sheets:
+    sheets = [CellTable(path, rows, 1 + above, left, name) for name, (above, left), rows in found]
+    if not any(any(map(any, one.rows)) for one in sheets):
         raise DataError(
             "holds no cells", where=str(path), expected="a sheet with coordinates", fix="name the right file"
         )
@@ -285,8 +319,10 @@ def _workbook_error(path: Path, what: str) -> DataError:
     return DataError(what, where=str(path), expected=expected, fix=fix)
 
 
-def read_workbook(_results: SandboxArrays, path: str) -> list[tuple[str, int, list[list[str]]]]:
-    """Return name, number of rows left out above, and rows of each sheet; in the child process."""
+def read_workbook(_results: SandboxArrays, path: str) -> list[tuple[str, tuple[int, int], list[list[str]]]]:
+    """Return name, rows left out above and columns left out before, and rows of each sheet; in the child
+    process.
+    """
     from python_calamine import CalamineWorkbook
 
     file, sheets, count = Path(path), [], 0
@@ -300,7 +336,7 @@ def read_workbook(_results: SandboxArrays, path: str) -> list[tuple[str, int, li
             if count > MAX_SHEET_CELLS or sheet.width > MAX_COLUMNS:
                 raise _workbook_error(file, f"is too large: sheet {name[:60]!r} has {count:,} cells")
             rows = [[_sheet_text(cell) for cell in row] for row in sheet.to_python(skip_empty_area=True)]
-            sheets.append((name[:MAX_CELL_CHARS], sheet.start[0] if sheet.start else 0, rows))
+            sheets.append((name[:MAX_CELL_CHARS], sheet.start or (0, 0), rows))
     except (MemoryError, DataError):
         raise
     except BaseException as fault:  # its reader raises, and its panics are no Exception
@@ -371,6 +407,47 @@ def add_unit(text: str, header: str, unit: str = "") -> str:
     if _DEGREES.search(header):
         return f"{text} deg"
     return f"{text} {_split_unit(header)[1] or unit}".strip()
+
+
+def collect_stated(cells: Iterable[tuple[int, str, str, str, str]]) -> tuple[dict[str, str], set[int]]:
+    """Return what cells state of one insertion, by `ATTRIBUTES`, and the places of the cells used.
+
+    A cell: its place, role, header, text and unit. The first one of a role counts. A column that is called
+    after needles and does not name the curves describes the needle itself: `22G nitinol`.
+    """
+    found: dict[str, str] = {}
+    used: set[int] = set()
+    for place, role, header, text, unit in cells:
+        stated: dict[str, str] = {}
+        if role in ("name", "needle"):
+            stated = _parse_needle(text)
+        elif role == "diameter" and "gauge" in header.lower() and text.isdecimal():
+            stated = {role: f"{text}G"}
+        elif role in ATTRIBUTES and text:
+            stated = {role: add_unit(text, header, unit)}
+        new = {key: value for key, value in stated.items() if key not in found}
+        if role == "boundaries" and stated and not new:  # a column for each of several boundaries
+            new = {role: f"{found[role]}; {stated[role]}"}
+        found |= new
+        used |= {place} if new else set()
+    return found, used
+
+
+def _parse_needle(text: str) -> dict[str, str]:
+    """Return the gauge or diameter, length and material in a text such as `22G nitinol`."""
+    found: dict[str, str] = {}
+    for number in _LENGTH_MM.findall(text):
+        value = float(number.replace(",", "."))
+        if value < MAX_DIAMETER_MM:
+            found.setdefault("diameter", f"{value:g}")
+        elif value >= MIN_LENGTH_MM:
+            found.setdefault("needle length", f"{value:g}")
+    if gauge := _GAUGE.search(text):
+        found["diameter"] = f"{gauge[1]}G"
+    words = [word.lower() for word in _WORD.findall(text)]
+    if material := next((word for word in words if word in MODULI_GPA), ""):
+        found["modulus"] = material
+    return found
 
 
 def find_curves(cells: CellTable, columns: Sequence[str] = ()) -> TableContent:
@@ -445,30 +522,58 @@ def _find_needles(cells: CellTable) -> TableContent | None:
         roles = [find_role(text) for text in row]
         if any(cells.names_axes((m,)) for m in range(n, min(n + 3, len(cells.rows))) if cells.rows[m]):
             return None
-        if "name" not in roles or not set(roles) & set(ATTRIBUTES):
+        keys = [column for column, role in enumerate(roles) if role == "name"]
+        below = [m for m in range(n + 1, len(cells.rows)) if any(cells.rows[m])]
+        if not keys or not below:
             continue
-        key = roles.index("name")
-        rows = [one for one in cells.rows[n + 1 :] if len(one) > key and one[key]]
-        names = [one[key] for one in rows]
-        if not names or len(set(names)) < len(names):
-            return None
+        # of several columns that may name the curves, the one with most names
+        key = max(keys, key=lambda column: len({*cells.column(below, column)}))
         units = _find_unit_row(cells.rows[n + 1 : n + 2])
-        needles = {
-            one[key]: {
-                role: add_unit(text, row[column], units.get(column, ""))
-                for column, (role, text) in enumerate(zip(roles, one, strict=False))
-                if role in ATTRIBUTES and text
-            }
-            for one in rows
-        }
-        where = cells.where(n)
-        unused = [
-            (f"column {text}", Path(where).name)
-            for text, role in zip(row, roles, strict=True)
-            if text and role not in ("name", *ATTRIBUTES)
-        ]
-        return TableContent((), needles, tuple(unused))
+        names = dict(zip(below, cells.column(below, key), strict=True))
+        needles: dict[str, Mapping[str, str]] = {}
+        used = {key}
+        for m, name in names.items():
+            others = zip(count(), roles, row, cells.rows[m], strict=False)
+            stated, ours = collect_stated(
+                (*cell, units.get(cell[0], "")) for cell in others if cell[0] != key
+            )
+            if name:
+                needles[name] = stated
+                used |= ours
+        if not any(needles.values()):
+            continue
+        if _lists_needles(cells, names):
+            where = Path(cells.where(n)).name
+            columns = {m: text for m, text in enumerate(row) if text and m not in used}
+            unused = [(f"column {text}", where) for text in columns.values()]
+            unused += [
+                (f"row {', '.join(filter(None, cells.rows[m]))}"[:MAX_CELL_CHARS], Path(cells.where(m)).name)
+                for m, name in names.items()
+                if not name and not (units and m == n + 1)
+            ]
+            return TableContent((), needles, tuple(unused))
+        return None
     return None
+
+
+def _lists_needles(cells: CellTable, names: Mapping[int, str]) -> bool:
+    """Whether rows with these names list needles; not where each name has the rows of its points.
+
+    DataError if a needle is listed more than once.
+    """
+    places: dict[str, list[int]] = {}
+    for row, name in names.items():
+        places.setdefault(name, []).append(cells.first + row)
+    places.pop("", None)
+    if sum(map(len, places.values())) >= MIN_POINTS * len(places):
+        return False
+    for name, rows in places.items():
+        if len(rows) > 1:
+            what = f"needle {name!r} is listed {len(rows)} times, in rows {' and '.join(map(str, rows))}"
+            fix = "remove the rows that repeat a needle, or correct their names"
+            where = cells.where(rows[1] - cells.first)
+            raise DataError(what, where=where, expected="one row for each needle", fix=fix)
+    return True
 
 
 def _divide(cells: CellTable) -> Iterator[tuple[Sequence[int], Sequence[int]]]:
@@ -653,7 +758,8 @@ class _Part:
                     where = self.cells.where(self.header[-1]) if self.header else str(self.cells.path)
                     expected = f"one of {', '.join(names) or 'the numbers of the columns'}"
                     fix = "name the columns of x, y and z with --columns, by their headers or numbers"
-                    raise DataError(f"there is no column {name!r}", where=where, expected=expected, fix=fix)
+                    what = f"there is no column {name!r}"
+                    raise UnclearColumnsError(what, where=where, expected=expected, fix=fix)
                 places.append(place)
             return [_Axes("", tuple(places), self._find_unit(places[0]), None, "--columns")]
         named = next((n for n in reversed(self.header) if self.cells.names_axes((n,))), None)
@@ -699,7 +805,7 @@ class _Part:
             return [_Axes("", tuple(full), self.units.get(full[0], ""), None, "two columns of numbers")]
         if not full or len(full) % 3:
             shown = ", ".join(text for row in self.heads for text in row if text)[:300]
-            raise DataError(
+            raise UnclearColumnsError(
                 "the columns of the coordinates are not clear: "
                 f"{shown or f'{len(self.columns)} columns without names'}",
                 where=self.cells.where(self.body[0]),
@@ -754,7 +860,9 @@ class _Part:
             for n, part in enumerate(parts, 1):
                 points = whole.part(part)
                 lines = () if points.lines is None else points.lines.tolist()
-                stated = above | self._find_attributes([line - self.cells.first for line in lines], axes)
+                stated = above | self._find_attributes(
+                    [line - self.cells.first for line in lines], axes, keys
+                )
                 own = f"{full}-{n}" if full and len(parts) > 1 else full
                 yield ImportedCurve(own, points, axes.unit, system, stated, tuple(more))
 
@@ -830,10 +938,13 @@ class _Part:
             numbers = [cells.number(text) for text in coordinates]
             if None in numbers:
                 bad = coordinates[numbers.index(None)]
-                what = f"a coordinate is {bad[:40]!r}" if bad else "a coordinate is empty"
+                # errors such as #REF! are read as empty cells
+                empty = "empty, or an error such as #REF!" if cells.sheet else "empty"
+                what = f"a coordinate is {repr(bad[:40]) if bad else empty}"
                 expected = f"numbers with a decimal {'comma' if cells.decimal == ',' else 'point'}"
                 fix = "correct the cell, or empty the whole row"
-                raise DataError(what, where=cells.where(row), expected=expected, fix=fix)
+                where = cells.where(row, axes.columns[numbers.index(None)])
+                raise DataError(what, where=where, expected=expected, fix=fix)
             values[n, : len(numbers)] = numbers
         if not filled:
             return None
@@ -853,15 +964,20 @@ class _Part:
         unit = UNITS_MM.get(self._find_unit(column) or axes.unit, 1.0) / UNITS_MM.get(axes.unit, 1.0)
         return unit * np.array(numbers, dtype=np.float64)
 
-    def _find_attributes(self, rows: Sequence[int], axes: _Axes) -> dict[str, str]:
-        """Return what the table states once for a curve, in columns whose cells are the same all through."""
-        found: dict[str, str] = {}
+    def _find_attributes(self, rows: Sequence[int], axes: _Axes, keys: Sequence[int]) -> dict[str, str]:
+        """Return what the table states once for a curve, in columns whose cells are the same all through.
+
+        `keys`: the columns that name the curves.
+        """
+        cells = []
         for column, (role, name) in enumerate(zip(self.roles, self.names, strict=True)):
             texts = set(self.cells.column(rows, column)) - {""}
             is_near = column in axes.span or column < axes.common
-            if role in ATTRIBUTES and role not in found and is_near and len(texts) == 1:
-                found[role] = add_unit(texts.pop(), name, self.units.get(column, ""))
-                self.used.add(column)
+            is_taken = column in axes.columns or (role == "name" and column in keys)
+            if is_near and not is_taken and len(texts) == 1:
+                cells.append((column, role, name, texts.pop(), self.units.get(column, "")))
+        found, used = collect_stated(cells)
+        self.used.update(used)
         return found
 
     def find_unused(self) -> Iterator[tuple[str, str]]:

@@ -1,8 +1,9 @@
 """Decide what imported curves and surfaces mean: unit, frame, entry, tissue, layers, pose, bevel, needle."""
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from needlefit.datasets.columns import InsertionRow, PoseSource
 from needlefit.datasets.faults import as_error
 from needlefit.datasets.importing.decisions import (
     MAX_ANSWER_CHARS,
+    MODULI_GPA,
     QUESTIONS,
     Decisions,
     Source,
@@ -29,10 +31,13 @@ from needlefit.geometry.crossings import find_crossings, find_surface_hits
 from needlefit.geometry.curves import arc_length, fit_free_frame, interpolate_at_arc
 from needlefit.geometry.frames import RAS_TO_LPS, normalize, to_lps
 from needlefit.geometry.surfaces import Surface, transform_surface
+from needlefit.project.locate import join_names
 from needlefit.project.unit_warnings import GAUGES_MM
 
 # Length of the longest needle of a dataset, least and most, by which a unit is guessed.
 LENGTHS_MM = (20.0, 1000.0)
+# Length of the longest needle, least and most, that a stated unit may give.
+MIN_NEEDLE_MM, MAX_NEEDLE_MM = 1.0, 2000.0
 # Lengths in the file, from and to, at which more than one unit is plausible.
 UNCLEAR_UNITS = ((2.0, 20.0), (1000.0, 20_000.0))
 # Scatter of one end along the needles, as a part of that of the other end, below which it is the entry.
@@ -43,12 +48,13 @@ POINT_SD_MM, SURFACE_SD_MM, DEPTH_SD_MM = 0.1, 0.2, 0.5
 MIN_SHAFT_MM, MIN_SHAFT_POINTS = 10.0, 3  # of a needle outside the tissue, from which its direction is taken
 # Standard deviations that are assumed of an entry direction: taken from the inserted shape, or stated.
 TANGENT_SD_DEG, STATED_SD_DEG = 2.0, 0.5
-MODULI_GPA = {"steel": 200.0, "nitinol": 60.0, "titanium": 110.0, "peek": 3.6}  # young's moduli by material
 # Length assumed of a needle: at least this, and so much more than the greatest depth.
 MIN_DEFAULT_LENGTH_MM, SHAFT_MM = 150.0, 50.0
 MIN_SAME_SIDE = (
     0.9  # mean of the unit deflections, each toward its bevel, from which a direction is read of them
 )
+MAX_AXIS_SD = 2.0  # standard deviations of a bevel direction within which a world axis is taken for it
+MIN_AXIS_DEG = 0.1  # from which their difference is shown
 MAX_CUT_DEG = 90.0  # a bevel angle below it, the same of all needles, is that of the cut
 MAX_DEPTH_DIFFERENCE = 0.05  # between a stated depth and the length of its curve, as a part of it
 MIN_SIBLINGS, SAME_WAY, SAME_END = (
@@ -56,6 +62,7 @@ MIN_SIBLINGS, SAME_WAY, SAME_END = (
     0.9,
     0.3,
 )  # curves, cosine to their axis, and part of a curve, for `turn_tip_first`
+MAX_LISTED_NEEDLES = 5
 _TISSUE_NAME = re.compile(r"skin|tissue|surface|outer|phantom|block|haut|entry", re.IGNORECASE)
 
 
@@ -74,6 +81,8 @@ class ImportedLayers:
     surfaces: tuple[Surface, ...] = ()
     depths_mm: tuple[float, ...] = ()
     sd_mm: float = 0.0
+    # Depths that differ between needles, by their names; as many of each.
+    own_depths_mm: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -138,6 +147,7 @@ class _Understanding:
         self.tissue: Surface | None = None
         self.layers = ImportedLayers()
         self.point_sd = POINT_SD_MM
+        self.factors = [1.0 for _ in self.curves]  # their units in the files, mm
         self.turns = [0.0 for _ in self.curves]  # of bevels about their needles, rad
 
     def make_plan(self) -> ImportPlan:
@@ -203,11 +213,24 @@ class _Understanding:
             guess = guess or "mm"
             reason = f"the longest curve is {longest:.4g} long, {longest * UNITS_MM[guess]:.4g} mm in {guess}"
             unit = self.settle("units", guess, "guess", reason, tuple(UNITS_MM), is_clear)
+        elif "units" in self.decisions.stated:  # it corrects what the files state
+            unit = self.settle("units", "", "option", "", tuple(UNITS_MM))
+            self.curves = [replace(one, unit="") for one in self.curves]
         else:
-            stated = sorted({one.unit for one in self.curves})
-            self.decisions.keep("units", ", ".join(stated), "file", "header or format")
+            stated = ", ".join(sorted({one.unit for one in self.curves}))
+            longest = max(
+                float(arc_length(one.points.values)[-1]) * UNITS_MM[one.unit] for one in self.curves
+            )
+            if not MIN_NEEDLE_MM <= longest <= MAX_NEEDLE_MM:
+                length = f"{1e-3 * longest:.3g} m" if longest > MAX_NEEDLE_MM else f"{longest:.3g} mm"
+                what = f"the files state {stated} as unit, so the longest needle would be {length} long"
+                fix = "correct the headers, or state the unit with --units, such as --units mm"
+                where = str(self.curves[0].points.path)
+                raise DataError(what, where=where, expected="the unit of the coordinates", fix=fix)
+            self.decisions.keep("units", stated, "file", "header or format")
+        self.factors = [UNITS_MM[one.unit or unit] for one in self.curves]
         for n, one in enumerate(self.curves):
-            factor, points = UNITS_MM[one.unit or unit], one.points
+            factor, points = self.factors[n], one.points
             sd = None if points.sd is None else factor * points.sd
             points = replace(points, values=factor * points.values, sd=sd)
             self.curves[n] = replace(one, points=points, unit="mm")
@@ -372,11 +395,13 @@ class _Understanding:
             fix = "leave the depths (--boundaries) out, or the files of the surfaces"
             raise ConfigError(what, expected="one of the two", fix=fix)
         if not self.surfaces:
-            text = self.settle("boundaries", *self.guess_boundaries())
+            guess, own = self.guess_boundaries(), self.read_boundaries()
+            text = self.settle("boundaries", *guess, is_clear=guess[0] != "")
             if text != "none":
-                depths = parse_depths("boundaries", text)
+                own = own if text == guess[0] and len({*own.values()}) > 1 else {}
+                depths = () if own else parse_depths("boundaries", text)
                 sd = self.decisions.settle_number("boundary sd", DEPTH_SD_MM, "assumption", "that of a ruler")
-                self.layers = ImportedLayers((), depths, sd)
+                self.layers = ImportedLayers((), depths, sd, own)
             return
         lines, others = self.lines, []
         for one in self.surfaces:
@@ -395,8 +420,41 @@ class _Understanding:
         sd = self.decisions.settle_number("boundary sd", SURFACE_SD_MM, "assumption", reason)
         self.layers = ImportedLayers(numbered, sd_mm=sd)
 
+    def read_boundaries(self) -> dict[str, tuple[float, ...]]:
+        """Return the depths of boundaries that are stated of needles, mm, by name; DataError if bad."""
+        found = {}
+        for one in self.curves:
+            if text := one.attributes.get("boundaries", ""):
+                depths = [_to_length(part) for part in re.split(r";|,\s", text)]
+                known = tuple(depth for depth in depths if depth is not None)
+                if len(known) < len(depths) or any(b <= a for a, b in pairwise((0.0, *known))):
+                    what, fix = (
+                        f"the boundaries of {one.name!r} are {text[:60]!r}",
+                        "correct the cell, or empty it",
+                    )
+                    raise DataError(what, where=one.points.where(), expected="depths that increase", fix=fix)
+                found[one.name] = known
+        return found
+
     def guess_boundaries(self) -> tuple[str, Source, str]:
-        """Return the depths of boundaries that every file states, or none; where that comes from, and why."""
+        """Return the depths of boundaries that files state, or none; where that comes from, and why.
+
+        Depths of each needle are named together; an empty text: they are stated of some needles alone.
+        """
+        if depths := self.read_boundaries():
+            missing = [one.name for one in self.curves if one.name not in depths]
+            if missing or len({len(one) for one in depths.values()}) > 1:
+                why = (
+                    f"not stated of {join_names(missing, MAX_LISTED_NEEDLES)}"
+                    if missing
+                    else "not as many of each"
+                )
+                return "", "guess", f"boundaries are stated of needles, and {why}"
+            if len({*depths.values()}) == 1:
+                text = ";".join(f"{one:g}" for one in depths[self.curves[0].name])
+                return text, "file", "a column of the table"
+            text = ", ".join(f"{'; '.join(map(str, one))} of {name}" for name, one in depths.items())
+            return text[:MAX_ANSWER_CHARS], "file", "a column of the table: a surface for each needle"
         stated = [one.attributes.get("layers", "") for one in self.curves]
         if "," in stated[0] and len(set(stated)) == 1:
             return stated[0].replace(" ", ""), "file", "field of layers, taken as depths in mm"
@@ -429,20 +487,22 @@ class _Understanding:
 
     def settle_pose(self) -> str:
         """Return "free", "tangent", "shaft", or a direction as text."""
-        surfaces = self.layers.surfaces
+        surfaces = self.layers.surfaces or self.layers.own_depths_mm
         shafts = all(
             len(shaft) >= MIN_SHAFT_POINTS and arc_length(shaft)[-1] >= MIN_SHAFT_MM for shaft in self.shafts
         )
         guess: tuple[str, Source, str]
-        guess = ("free", "assumption", "no entry pose is stated: shapes are compared up to a rigid motion")
+        reason = "none is stated: deflections are from the tangent at the first point; state --pose 0,0,1 if "
+        reason += "a stage pushed the needles along z"
+        guess = ("free", "assumption", reason)
         if shafts:
             guess = ("shaft", "guess", "every needle has a straight part outside the tissue")
         elif surfaces:
             guess = ("tangent", "assumption", "no shaft outside the tissue")
         pose = self.settle("pose", *guess)
         if pose == "free" and surfaces:
-            what = "pose is free, and there are surfaces of layers"
-            fix = "state --pose tangent or --pose X,Y,Z, or leave the surfaces out"
+            what = "pose is free, and layers have surfaces, or boundaries that differ between needles"
+            fix = "state --pose tangent or --pose X,Y,Z, or leave the surfaces out (--boundaries none)"
             raise ConfigError(what, expected="an entry pose: surfaces stand in the world", fix=fix)
         if pose == "shaft" and not shafts:
             what = "pose is shaft, and not every curve begins outside the tissue"
@@ -512,11 +572,14 @@ class _Understanding:
         )
         along = np.array([row.direction for row in rows], dtype=np.float64)
         bends -= np.sum(bends * along, axis=1)[:, None] * along
-        toward = [
-            row.side * _turn(normalize(bend), way, -turn) if bend.any() else bend
-            for row, bend, way, turn in zip(rows, bends, along, self.turns, strict=True)
-        ]
-        mean = np.mean(toward, axis=0)
+        toward = np.array(
+            [
+                row.side * _turn(bend, way, -turn)
+                for row, bend, way, turn in zip(rows, bends, along, self.turns, strict=True)
+            ],
+            dtype=np.float64,
+        )
+        mean = np.mean([normalize(one) if one.any() else one for one in toward], axis=0)
         guess: tuple[str, Source, str] = (
             "bend",
             "assumption",
@@ -524,9 +587,7 @@ class _Understanding:
         )
         differ = len({row.side for row in rows}) > 1 or len({*self.turns}) > 1
         if differ and np.linalg.norm(mean) > MIN_SAME_SIDE:
-            agree = sum(bool(one @ mean > 0) for one in toward)
-            direction = ",".join(f"{value:z.3g}" for value in normalize(mean).round(3))
-            guess = (direction, "guess", f"{agree} of {len(rows)} needles bend to it from their sides")
+            guess = self.guess_bevel(toward, normalize(along.mean(axis=0)))
         text = self.settle("bevel", *guess)
         if text == "bend":
             turned = [row.id for row in rows if row.side < 0]
@@ -544,6 +605,29 @@ class _Understanding:
             replace(row, bevel=_turn(bevel, way, turn))
             for row, way, turn in zip(rows, along, self.turns, strict=True)
         ]
+
+    def guess_bevel(self, toward: Floats, way: Floats) -> tuple[str, Source, str]:
+        """Return the direction to which needles deflect, each turned to side 1 (N, 3), mm, and its error.
+
+        A world axis within twice that error is taken instead. `way`: the mean entry direction.
+        """
+        direction = normalize(toward.sum(axis=0))
+        count, agree = len(toward), int((toward @ direction > 0).sum())
+        aside = toward @ np.cross(way, direction)
+        scatter = max(float(np.sqrt((aside**2).sum() / (count - 1))), np.sqrt(2.0) * self.point_sd)
+        sd = np.degrees(scatter / np.sqrt(count) / (toward @ direction).mean())
+        axis = np.zeros(3)
+        nearest = np.argmax(np.abs(direction))
+        axis[nearest] = np.sign(direction[nearest])
+        off = np.degrees(np.arccos(np.clip(axis @ direction, -1.0, 1.0)))
+        given = ",".join(f"{value:z.3g}" for value in direction.round(3))
+        reason = (
+            f"{agree} of {count} needles bend to it from their sides; standard deviation {sd:.2g} degrees"
+        )
+        if off > MAX_AXIS_SD * sd:
+            return given, "guess", reason
+        reason += f", and the curves alone give {given}" if off > MIN_AXIS_DEG else ""
+        return ",".join(f"{value:z.3g}" for value in axis), "guess", reason
 
     def decide_sides(
         self, rows: Sequence[InsertionRow], stated: Sequence[str], seen: str = ""
@@ -576,6 +660,7 @@ class _Understanding:
         guess = ", ".join(f"{text}={_name_angle(angle or 0.0, halves)}" for text, angle in known.items())
         guess = guess if any(stated) else "1"
         answer = self.settle("bevel side", guess[:MAX_ANSWER_CHARS], source, reason)  # type: ignore[arg-type]
+        own: dict[str, float | None] = {}
         if answer != guess[:MAX_ANSWER_CHARS] or not any(stated):
             one = parse_angle(answer)
             pairs = [part.rpartition("=") for part in answer.split(",")]
@@ -583,8 +668,9 @@ class _Understanding:
             known = (
                 dict.fromkeys(texts, one) if one is not None else {text: given.get(text) for text in texts}
             )
-            known |= {} if one is not None else {row.id: given[row.id] for row in rows if row.id in given}
-        found = [known.get(row.id, known[text]) for row, text in zip(rows, texts, strict=True)]
+            # a needle may be called as the side of another one
+            own = {} if one is not None else {row.id: given[row.id] for row in rows if row.id in given}
+        found = [own.get(row.id, known[text]) for row, text in zip(rows, texts, strict=True)]
         if None in found:
             what = f"bevel side is {answer[:60]!r}, which has none of {rows[found.index(None)].id!r}"
             raise ConfigError(what, expected="1, -1, or NAME=1,NAME=-1", fix="state it with --bevel-side")
@@ -603,7 +689,8 @@ class _Understanding:
 
     def make_row(self, curve: ImportedCurve, shaft: Floats, pose: _Pose) -> InsertionRow:
         """Return the row of one insertion; medium and specimen are empty where its file states none."""
-        values, depths = curve.points.values, np.array(self.layers.depths_mm)
+        layers, values = self.layers, curve.points.values
+        depths = np.array(layers.own_depths_mm.get(curve.name, layers.depths_mm))
         row = InsertionRow(
             id=curve.name,
             medium=curve.attributes.get("medium", ""),
@@ -642,8 +729,13 @@ class _Understanding:
 
     def compare_depths(self, rows: Sequence[InsertionRow]) -> None:
         """Keep whether the depths that files state are the lengths of the curves."""
-        stated = [_to_length(one.attributes.get("depth", "")) for one in self.curves]
-        both = [(depth, row) for depth, row in zip(stated, rows, strict=True) if depth is not None]
+        both = []
+        for one, row, factor in zip(self.curves, rows, self.factors, strict=True):
+            text = one.attributes.get("depth", "")
+            if (depth := _to_length(text)) is not None:
+                # without a unit of its own it may have that of the points
+                values = (depth,) if text.split()[-1] in UNITS_MM else (factor * depth, depth)
+                both.append((min(values, key=lambda value: abs(value - row.depth)), row))
         if not both:
             return
         depth, row = max(both, key=lambda pair: abs(pair[0] - pair[1].depth) / pair[1].depth)
@@ -655,18 +747,23 @@ class _Understanding:
 
     def name_tissue(self, rows: Sequence[InsertionRow]) -> list[InsertionRow]:
         """Return the rows with medium and specimen; what a file states for a needle is kept."""
-        reason = "curves of one specimen are never divided between fit and validation"
+        reason = "predictions are then wide; --specimen NAME if all needles went into one block"
         guesses: dict[str, tuple[str, Source, str]] = {
             "medium": ("medium1", "guess", "a name of your choice"),
             "specimen": ("each", "assumption", reason),
         }
         named = {}
-        for what, guess in guesses.items():
+        for what, (guess, source, why) in guesses.items():
             stated = [getattr(row, what) for row in rows]
-            if all(stated):
+            missing = [row.id for row, text in zip(rows, stated, strict=True) if not text]
+            if not missing:
                 listed = ", ".join(dict.fromkeys(stated))
                 self.decisions.keep(what, listed[:MAX_ANSWER_CHARS], "file", "a column of the table")
-            named[what] = "" if all(stated) else re.sub(r'[,"]', " ", self.settle(what, *guess))
+            elif len(missing) < len(rows):
+                why = f"not stated of {join_names(missing, MAX_LISTED_NEEDLES)}"
+                why += ": taken as its own" if what == "specimen" else ""
+            answer = self.settle(what, guess, source, why) if missing else ""
+            named[what] = re.sub(r'[,"]', " ", answer)
         each = named["specimen"] == "each"
         return [
             replace(
@@ -681,7 +778,7 @@ class _Understanding:
         """Return the needle; `deepest` is the greatest depth, mm."""
         least = f"{max(MIN_DEFAULT_LENGTH_MM, float(np.ceil(deepest + SHAFT_MM))):g}"
         length, outer, inside, material = (
-            self.settle(what, guess, "assumption", reason)
+            self.settle_stated(what, guess, reason)
             for what, guess, reason in (
                 ("needle length", least, "at least 50 mm more than the depth"),
                 ("diameter", "18G", "a common gauge"),
@@ -705,6 +802,33 @@ class _Understanding:
             )
         modulus = MODULI_GPA.get(material.strip().lower()) or parse_number("modulus", material, above=True)
         return NeedleChoice(parse_number("needle length", length, above=True), diameter, inner, modulus)
+
+    def settle_stated(self, what: str, guess: str, reason: str) -> str:
+        """Return the answer that files state, the same of all needles; else that of the guess.
+
+        ConfigError if they state several, and nobody says which one holds.
+        """
+        stated = {one.name: one.attributes.get(what, "") for one in self.curves}
+        values = list(dict.fromkeys(filter(None, stated.values())))
+        if not values:
+            return self.settle(what, guess, "assumption", reason)
+        if len(values) > 1:
+            first = {value: name for name, value in reversed(stated.items()) if value}
+            reason = ", ".join(f"{value} of {name}" for value, name in list(first.items())[::-1])
+            return self.settle(
+                what, values[0], "guess", f"a dataset has one needle, and files state {reason}", (), False
+            )
+        missing = [name for name, value in stated.items() if not value]
+        if missing:
+            reason = f"not stated of {join_names(missing, MAX_LISTED_NEEDLES)}"
+            return self.settle(what, _to_plain(values[0]), "assumption", reason)
+        return self.settle(what, _to_plain(values[0]), "file", "stated of the needles")
+
+
+def _to_plain(text: str) -> str:
+    """Return a length in mm where its unit follows it; other texts as they are."""
+    length = _to_length(text) if text.split()[-1] in UNITS_MM else None
+    return text if length is None else f"{length:g}"
 
 
 def _is_inside(point: Floats, solids: Sequence[Surface]) -> bool:
