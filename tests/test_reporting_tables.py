@@ -27,7 +27,7 @@ from needlefit.reporting.number_format import (
     typeset,
     typeset_interval,
 )
-from needlefit.reporting.table import Table, part, pivot
+from needlefit.reporting.table import Table, TableColumn, TableLayout, drop_repeated, part, pivot
 from needlefit.reporting.table_files import to_records
 from needlefit.studies import paper
 from needlefit.studies.kinds.cross_validation.report import Facts, list_sentences
@@ -398,3 +398,15 @@ def test_the_unit_of_a_metric_stands_where_all_rows_share_it():
     both = [row, {"metric": "edp_percent", "value": 2.0}]
     units = [Table("t", "", rows, ("value",)).lay_out().columns[0].unit for rows in ([row], both)]
     assert units == ["mm", ""]
+
+
+def test_tables_below_each_other_repeat_neither_cells_nor_sentences():
+    columns = tuple(TableColumn(label) for label in ("Tissue", "Layers", "TE"))
+    one, other = (("gel", "1", "0.08"),), (("gel", "all", "0.08"),)
+    notes = ("Mean over insertions. Floor: noise.", "Floor: noise. After alignment.")
+    tables = [
+        TableLayout("t", "", columns, rows, notes=notes) for rows in (one, other, (("gel", "1", "0.09"),))
+    ]
+    shown = list(drop_repeated(tables))
+    assert [table.rows[0][2] for table in shown] == ["0.08", "0.09"]
+    assert [len(table.notes) for table in shown] == [2, 0]

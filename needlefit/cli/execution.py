@@ -1,6 +1,5 @@
 """Run studies as the options say: progress, folders of results and checkpoints, what is printed of them."""
 
-import re
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
@@ -304,14 +303,12 @@ def _run_one(execution: Execution, work: StudyTask) -> "Run":
     return result
 
 
-_SENTENCE_END = re.compile(r"(?<=\.) ")
-
-
 def show_run(invocation: Invocation, result: "Run", folder: Path, named: bool = False) -> None:
     """Print the result of a study: verdicts, warnings, one table, files; with `--explain` all tables.
 
     `named`: before each verdict stands the name of the run.
     """
+    from needlefit.reporting.table import drop_repeated
     from needlefit.studies.kind import find_kind
     from needlefit.studies.run import judge_run
 
@@ -325,11 +322,7 @@ def show_run(invocation: Invocation, result: "Run", folder: Path, named: bool = 
     screen.print_text(f"{title}{data}")
     report = find_kind(result.kind).report
     tables, sentences = report.explain(result) if invocation.explain else (report.lay_out_first(result), [])
-    shown: set[str] = set()  # sentences of the notes: each is printed once
-    for table in tables:
-        notes = [[one for one in _SENTENCE_END.split(note) if one not in shown] for note in table.notes]
-        shown |= {sentence for note in notes for sentence in note}
-        table = replace(table, notes=tuple(" ".join(note) for note in notes if note))
+    for table in drop_repeated(tables):
         screen.show_display(table, notes=invocation.explain)
     for sentence in sentences:
         screen.print_text(sentence)

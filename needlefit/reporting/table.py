@@ -1,7 +1,8 @@
 """Tables of reports: declared by rows and keys of columns, whose registry has heads and units; as text."""
 
-from collections.abc import Callable, Hashable, Iterable, Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from needlefit.metrics import METRICS
@@ -35,6 +36,27 @@ class TableLayout:
     breaks: tuple[int, ...] = ()  # rows before which a thin rule stands
     strong: tuple[int, ...] = ()  # rows that hold our answer; the others stand beside it
     notes: tuple[str, ...] = ()  # sentences under the table
+
+
+_SENTENCE_END = re.compile(r"(?<=\.) ")
+
+
+def drop_repeated(tables: Iterable[TableLayout]) -> Iterator[TableLayout]:
+    """Yield tables that are printed below each other, each sentence of their notes once.
+
+    Not those that differ from one before in their layers alone: by medium, if each has one number of layers.
+    """
+    seen, sentences = set[tuple[tuple[str, ...], ...]](), set[str]()
+    for table in tables:
+        kept = [n for n, column in enumerate(table.columns) if column.label != "Layers"]
+        cells = tuple(tuple(row[n] for n in kept) for row in table.rows)
+        if cells in seen:
+            continue
+        seen.add(cells)
+        split = [_SENTENCE_END.split(note) for note in table.notes]
+        notes = [" ".join(one for one in note if one not in sentences) for note in split]
+        sentences.update(one for note in split for one in note)
+        yield replace(table, notes=tuple(filter(None, notes)))
 
 
 @dataclass(frozen=True)

@@ -885,7 +885,7 @@ def collect_page_data(results: Run) -> PageData | None:
 def explain(results: Run) -> tuple[list[TableLayout], list[str]]:
     """Return all tables, and sentences on the search, on what failed and on what the data determine."""
     shown = [
-        *_drop_repeated(lay_out_tables(results)),
+        *lay_out_tables(results),
         tables.lay_out_baselines(results, find_scored_role(results)),
     ]
     shown += [tables.lay_out_coverage(results)] if len(results.frames["predictive"]) else []
@@ -903,17 +903,6 @@ def explain(results: Run) -> tuple[list[TableLayout], list[str]]:
         *list_sentences(results, "failures", "validity", "unconverged", "outside_fits"),
     ]
     return shown, sentences
-
-
-def _drop_repeated(layouts: Sequence[TableLayout]) -> Iterator[TableLayout]:
-    """Yield the tables without those by medium that repeat those by layers: each medium has one number."""
-    seen = set()
-    for one in layouts:
-        kept = [n for n, column in enumerate(one.columns) if column.label != "Layers"]
-        cells = tuple(tuple(row[n] for n in kept) for row in one.rows)
-        if cells not in seen:
-            yield one
-        seen.add(cells)
 
 
 def _name_folds(found: Mapping[str, Sequence[str]]) -> Iterator[str]:
