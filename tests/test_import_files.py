@@ -797,12 +797,16 @@ def test_a_bad_cell_of_a_sheet_stops_the_import_at_its_cell(tmp_path):
 
 def test_a_needle_that_is_listed_twice_is_named_with_its_rows(tmp_path):
     import_cases.write_european_csv(tmp_path / "points.csv", CURVES)
-    rows = ["Nadel;Tiefe;Schliff", *(f"Nadel {n};60;1" for n in (1, 2, 3, 2)), ";9;"]
+    rows = ["Nadel;Tiefe", *(f"Nadel {n};60" for n in (1, 2, 3, 2)), ";9"]
     (tmp_path / "info.csv").write_text("\n".join(rows))
     error = refusal(DataError, "'Nadel 2' is listed 2 times, in rows 3 and 5", read_content, [tmp_path])
     assert error.where == f"{tmp_path / 'info.csv'}:5"
     (tmp_path / "info.csv").write_text("\n".join(rows[:4] + rows[5:]))
     assert "row 9" in {what for what, _ in read_content([tmp_path]).unused}
+    (tmp_path / "more.csv").write_text("Nadel;Schliff;Tiefe\nNadel 1;-1;60")
+    assert read_content([tmp_path]).curves[0].attributes == {"depth": "60", "bevel_side": "-1"}
+    (tmp_path / "more.csv").write_text("Nadel;Schliff;Tiefe\nNadel 1;-1;61")
+    refusal(DataError, "'61' as depth of needle 'Nadel 1'", read_content, [tmp_path])
 
 
 def test_subfolders_are_named(tmp_path):

@@ -424,7 +424,7 @@ def read_content(paths: Sequence[Path], columns: Sequence[str] = ()) -> ImportCo
         plain = "".join(letter for letter in one.surface.name if letter.isprintable())[:MAX_NAME_CHARS]
         name = _make_unique(plain or "surface", names)
         names[name] = replace(one, surface=replace(one.surface, name=name))
-    needles = {name: stated for one in read for name, stated in one.needles.items()}
+    needles = _merge_stated((str(one.files[0]), one.needles) for one in read if one.needles)
     named, missed = _add_stated(_name_curves([_doubt_axes(one) for one in curves]), needles)
     return ImportContent(
         files=tuple(file for one in read for file in one.files),
@@ -467,6 +467,23 @@ def _add_stated(
         (f"row of needle {name}", "no curve has its name") for name in needles if name not in found.values()
     ]
     return tuple(merged), missed
+
+
+def _merge_stated(
+    tables: Iterable[tuple[str, Mapping[str, Mapping[str, str]]]],
+) -> dict[str, dict[str, str]]:
+    """Return what tables, each with its place, state of needles; DataError if two contradict each other."""
+    merged: dict[str, dict[str, str]] = {}
+    for where, needles in tables:
+        for name, stated in needles.items():
+            known = merged.setdefault(name, {})
+            for what, value in stated.items():
+                if known.setdefault(what, value) != value:
+                    fault = (
+                        f"states {value!r} as {what} of needle {name!r}, and another table {known[what]!r}"
+                    )
+                    raise DataError(fault, where=where, expected="one value", fix="correct one of the tables")
+    return merged
 
 
 def _find_number(name: str) -> str:
@@ -618,7 +635,7 @@ def _read_sheets(path: Path, columns: Sequence[str]) -> ImportContent:
     return ImportContent(
         (path,),
         _with_stem(found, path),
-        needles={name: stated for one in by_sheet.values() for name, stated in one.needles.items()},
+        needles=_merge_stated((f"{path}, sheet {name!r}", one.needles) for name, one in by_sheet.items()),
         notes=(f"{path.name}: examples ({', '.join(examples)}) are {why}",) if examples else (),
         unused=tuple(unused),
         setup={what: value for one in by_sheet.values() for what, value in one.setup.items()},

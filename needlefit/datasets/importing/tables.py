@@ -222,8 +222,9 @@ def read_text_cells(path: Path) -> CellTable:
     lines = text.splitlines()
     _require_extent(len(lines), 1, path)
     sample = [line for line in lines if line.strip()][: 2 * SAMPLE_ROWS]
-    separator, decimal = max(_LAYOUTS, key=lambda layout: _score(sample, *layout))
-    if _score(sample, separator, decimal) <= 0:
+    scores = {layout: _score(sample, *layout) or _names_needles(sample, layout[0]) for layout in _LAYOUTS}
+    separator, decimal = max(scores, key=lambda layout: scores[layout])
+    if scores[separator, decimal] <= 0:
         expected = "rows of coordinates: two or three numbers between separators"
         fix = "export the points of the needles as a table, one point a row"
         raise DataError("holds no table of numbers", where=str(path), expected=expected, fix=fix)
@@ -273,6 +274,12 @@ def _score(lines: Sequence[str], separator: str, decimal: str) -> int:
         numbers = sum(parse_number(cell, decimal) is not None for cell in cells)
         total += 5 * numbers - 2 * len(cells) if numbers > 1 else 0
     return total
+
+
+def _names_needles(lines: Sequence[str], separator: str) -> bool:
+    """Whether a header states something of needles, as in a table of their names and sides alone."""
+    roles = [{find_role(cell) for cell in _split(line, separator)} for line in lines[:MAX_HEADER_ROWS]]
+    return separator != " " and any("name" in one and not one.isdisjoint(ATTRIBUTES) for one in roles)
 
 
 def _require_extent(rows: int, columns: int, path: Path) -> None:
