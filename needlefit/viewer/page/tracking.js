@@ -26,7 +26,7 @@ function showEstimate(message) {
   const { key, symbol, unit, digits } = strengthOf(fitted);
   const rows = message.mu_pa.map((values, i) => {
     const { unit: of, write: written } = modulusLike(values[1]);
-    return [`${names[i] || `layer ${i + 1}`} μ`, values.map((one) => written(one, 3)), of];
+    return [`μ ${names[i] || `layer ${i + 1}`}`, values.map((one) => written(one, 3)), of];
   });
   rows.push([symbol, message[key].map((one) => one.toFixed(digits)), unit]);
   const entries = rows.map(([name, [low, median, high], of]) => entry(name, `${median} (${low} to ${high}) ${of}`));

@@ -38,14 +38,14 @@ export function buildFields(scene, isRecording, steer) {
   fitted.layers.forEach((_, i) => {
     const called = scene.layer_names[i] || `layer ${i + 1}`;
     add("tissue-fields", ["mu_pa", i + 1],
-      { name: `${called} μ`, symbol: "μ", ...modulusLike(fitted.layers[i].mu_pa), logarithmic: true, step: 1.05, limits: limits.mu_pa },
+      { name: `μ ${called}`, symbol: "μ", ...modulusLike(fitted.layers[i].mu_pa), logarithmic: true, step: 1.05, limits: limits.mu_pa },
       (of) => of.layers[i].mu_pa);
     if (!simulation.law.terms) return; // a law that is a table has been computed for these parameters alone
     for (const { name, symbol: sign, unit: of, explanation } of scene.shape_parameters) {
       DEFINITIONS[sign] ??= `${explanation}.`;
       const step = Math.min(0.1, (limits[name][1] - limits[name][0]) / 100);
       add("tissue-fields", [name, i + 1],
-        { name: `${called} ${sign}`, symbol: sign, unit: of, step, write: digits(2), limits: limits[name] },
+        { name: `${sign} ${called}`, symbol: sign, unit: of, step, write: digits(2), limits: limits[name] },
         (from) => from.layers[i][name]);
     }
   });
