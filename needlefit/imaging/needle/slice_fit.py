@@ -29,7 +29,9 @@ LINE_REACH_MM, LINE_STEP_MM, STATION_MM, RIM_MM = 2.4, 0.4, 1.0, 1.7
 BEYOND_MM = 5.0  # length beyond the end that is looked at, mm
 REACH_SLICES = 1.5  # distance, in slices beyond the radius, out to which slices are looked at
 # Pieces of the rod along it, and cells of the detector, mm; planes to a slice.
-COLUMN_MM, CELL_MM, PLANES = 0.75, 0.25, 6
+COLUMN_MM, CELL_MM, PLANES = 0.75, 0.25, 12
+# Distances from a slice's middle, in slices, between which the logarithm of its sensitivity is linear.
+SENSITIVITY_AT = np.arange(6) / 6
 # Angle between views along the needle, and how much it grows with the angle to the needle, rad.
 VIEW_STEP, VIEW_GROWTH = 0.013, 0.13
 WATER_PER_MM = 0.02  # attenuation of water, 1/mm
@@ -318,7 +320,8 @@ class _Rod:
     def show(self, metal: tuple[Ints, Floats], scan: Floats, aside: float = 0.0) -> Floats:
         """Return the slices (K, S, U), water 1, over their surroundings, where `metal` is on their rays."""
         attenuation, variance, scatter, linear, cutoff = np.exp(scan[:5])
-        profile = np.exp(np.concatenate([scan[:5:-1], [0.0], scan[6:]]))
+        away = np.abs(np.arange(1 - PLANES, PLANES)) / PLANES
+        profile = np.exp(np.interp(away, SENSITIVITY_AT, [0.0, *scan[6:]]))
         active, lengths = metal
         mix = np.zeros((len(self.heights), len(self.planes)))
         for k, row in enumerate(mix):
