@@ -71,13 +71,15 @@ function paintBackground(behind) {
 }
 
 function paintForeground(before, state) {
+  // while a needle moves faster than draws are computed, their band is of a place that it has left
+  const band = shown.band && now.band && overlay.isBandNear(now.band, state) ? now.band : null;
   clearBoxes();
   needle.reserveNeedle(state);
   before.lineJoin = "round"; // of curves and labels, on a new context too
   within(before, () => {
     if (shown.reach) overlay.paintReach(before);
     if (shown.load) needle.paintLoad(before, state, shown.raw);
-    if (shown.band && now.band) overlay.paintBand(before, now.band, now.band.step !== state.step);
+    if (band) overlay.paintBand(before, band, band.step !== state.step);
     if (shown.plan) overlay.paintPlan(before);
     if (shown.pinned && now.pinned) overlay.paintPinned(before, now.pinned);
     needle.paintNeedle(before, state);
@@ -96,7 +98,7 @@ function paintForeground(before, state) {
     needle.paintGuides(before, state);
     needle.paintBase(before, state);
     overlay.paintTrackedTip(before);
-    if (shown.band && now.band) overlay.nameBand(before, now.band);
+    if (band) overlay.nameBand(before, band);
     if (now.marked != null) needle.paintMark(before, state, now.marked);
     needle.paintHint(before, state);
     if (!seesTip()) overlay.paintArrow(before, state);

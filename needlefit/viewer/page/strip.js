@@ -93,7 +93,7 @@ function describe(deep) {
     return `${name} ${Number.isNaN(value) ? "–" : `${signed(value, digits)} ${unit}`}`;
   }).join(", ");
   const words = needles().map(([one]) => `${one === now.pinned ? "pinned: " : ""}${read(one)}`).reverse().join("; ");
-  const text = `At ${depthAt(at).toFixed(1)} mm: ${words}`;
+  const text = `At ${depthAt(at).toFixed(1)} mm (forces: at the last constraint point): ${words}`;
   write("strip-note", text);
   Object.assign(canvas, { ariaValueNow: at.toFixed(1), ariaValueMax: deep.toFixed(1), ariaValueText: text });
 }

@@ -63,6 +63,11 @@ export function nameBand(context, { x, low, high }) {
   labelFree(context, text, places, palette.band);
 }
 
+const BAND_REACH = 2; // mm
+
+/** Whether the band ends about where the needle does. */
+export const isBandNear = ({ x }, state) => x.length > 0 && Math.abs(x.at(-1) - state.x.at(-1)) <= BAND_REACH;
+
 /** Draw the band; pale as long as it belongs to an earlier step. */
 export function paintBand(context, { x, low, high }, pale) {
   faintly(context, pale ? 0.16 : 0.4, () => fillBetween(context, x, low, high, palette.band));
