@@ -406,7 +406,7 @@ def kept() -> list[Seed]:
 
     def write(folder: Path) -> None:
         arrays: dict = {}
-        values = {"reconstruction": encode(small(), _HOOKS, arrays)}
+        values = {"reconstructions": [encode(small(), _HOOKS, arrays)]}
         open_checkpoint(folder / "run.partial", False, WORK).keep_row("scan", values, arrays)
         (folder / "values.json").write_text(json.dumps(values))
 
