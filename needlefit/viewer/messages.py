@@ -16,7 +16,7 @@ from needlefit.metrics import list_metrics
 from needlefit.project.json_values import parse_json
 from needlefit.reporting import needle_page
 from needlefit.schemas.limits import MAX_NUMBER
-from needlefit.viewer.opening import NEEDLES
+from needlefit.viewer.opening import list_needles
 from needlefit.viewer.overlays import MeasuredOverlay, choose_band_draws
 from needlefit.viewer.recording import RecordedStep
 from needlefit.viewer.steering import Change, SteeredNeedle
@@ -54,7 +54,7 @@ def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         "fit": counts,
         "slice": viewed_scene.scanned is not None,
         "choices": list(viewed_scene.choices),
-        "needles": list(NEEDLES) if viewed_scene.is_preset else [],
+        "needles": list(list_needles(viewed_scene)),
         "needle_name": viewed_scene.record.needle.name,
     }  # fmt: skip
 

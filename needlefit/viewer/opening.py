@@ -68,18 +68,30 @@ def reopen(viewed_scene: ViewedScene, choice: str, specimen: SpecimenChoice = "s
     return open_target(viewed_scene.name, choice, specimen)
 
 
+def list_needles(viewed_scene: ViewedScene) -> tuple[str, ...]:
+    """Return the needles that the page offers: of a shipped scene its own, and `NEEDLES`."""
+    if not viewed_scene.is_preset:
+        return ()
+    own = viewed_scene.own_needle or viewed_scene.record.needle
+    return tuple(dict.fromkeys((own.name, *NEEDLES)))
+
+
 def replace_needle(viewed_scene: ViewedScene, name: str) -> ViewedScene:
-    """Return a scene with one of `NEEDLES` of the same length; the draws of the tissue stay."""
-    own = viewed_scene.record.needle
-    values = {
-        "name": name,
-        "outer_diameter_mm": NEEDLES[name],
-        "inner_diameter_mm": 0.0,
-        "youngs_modulus_gpa": own.youngs_modulus_gpa or DEFAULT_MODULUS_GPA,
-        "flexural_rigidity_nmm2": None,
-    }
+    """Return a scene with its own needle or one of `NEEDLES` of its length; the draws of the tissue stay."""
+    own = viewed_scene.own_needle or viewed_scene.record.needle
+    values = (
+        {}
+        if name == own.name
+        else {
+            "name": name,
+            "outer_diameter_mm": NEEDLES[name],
+            "inner_diameter_mm": 0.0,
+            "youngs_modulus_gpa": own.youngs_modulus_gpa or DEFAULT_MODULUS_GPA,
+            "flexural_rigidity_nmm2": None,
+        }
+    )
     record = viewed_scene.record.model_copy(update={"needle": own.model_copy(update=values)})
-    return replace(viewed_scene, record=record)
+    return replace(viewed_scene, record=record, own_needle=own)
 
 
 def read_scene_draws(path: Path, record: SceneRecord) -> "ParameterDraws | None":

@@ -36,7 +36,7 @@ from needlefit.viewer.messages import (
     encode_tables,
     round_lengths,
 )
-from needlefit.viewer.opening import NEEDLES, replace_needle
+from needlefit.viewer.opening import list_needles, replace_needle
 from needlefit.viewer.plans import (
     BEYOND_TARGET_MM,
     MAX_ENTRY_MM,
@@ -260,11 +260,11 @@ class TrialRegistry:
         return self._instead(trial, there or self._begin(self._viewed_scenes[insertion], None))
 
     def with_needle(self, trial: InteractiveTrial, name: str) -> InteractiveTrial:
-        """Return a new trial with one of `NEEDLES`, in the tissue as it is now.
+        """Return a new trial with one of the needles that are offered, in the tissue as it is now.
 
         ModelError if there is none of that name, or a measured needle is shown, which was another one.
         """
-        if not trial.viewed_scene.is_preset or name not in NEEDLES:
+        if name not in list_needles(trial.viewed_scene):
             raise ModelError(f"there is no needle `{name:.40}` for this scene", expected="one of the list")
         other = self._begin(replace_needle(trial.viewed_scene, name), None)
         changes = find_tissue_changes(trial.steering.now.tissue, other.scene.tissue)

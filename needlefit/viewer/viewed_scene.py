@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.schemas.scene import SceneRecord
+from needlefit.schemas.scene import NeedleRecord, SceneRecord
 from needlefit.schemas.tracker import PlacementRecord, RecordingRecord
 from needlefit.viewer.recording import make_head
 
@@ -55,6 +55,7 @@ class ViewedScene:
     warnings: tuple[ResultWarning, ...] = ()  #: what is suspicious in the dataset or the run that it is from
     shown: ShownInsertion | None = None  #: the measured insertion with its dataset, to be fitted to
     faults: tuple[str, ...] = ()  #: why the run that it shows is not to be trusted
+    own_needle: NeedleRecord | None = None  #: the scene's, where another one is shown
 
     @property
     def is_preset(self) -> bool:

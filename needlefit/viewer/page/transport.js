@@ -78,8 +78,7 @@ listen("scene", (scene) => {
   const preset = scene.needles.length > 0;
   part("presets").hidden = !preset;
   part("preset-scene").replaceChildren(...(preset ? scene.choices : []).map((one) => new Option(one, one, false, one === scene.target)));
-  const needles = scene.needles.includes(scene.needle_name) ? scene.needles : [scene.needle_name, ...scene.needles];
-  part("preset-needle").replaceChildren(...needles.map((one) => new Option(one, one, false, one === scene.needle_name)));
+  part("preset-needle").replaceChildren(...scene.needles.map((one) => new Option(one, one, false, one === scene.needle_name)));
   part("choice").hidden = preset || scene.choices.length < 2;
   part("choices").replaceChildren(...scene.choices.map((one) => new Option(one, one)));
   if (!scene.measured) part("choices").prepend(new Option("none", ""));
