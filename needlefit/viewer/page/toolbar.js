@@ -28,7 +28,10 @@ part("chips").append(...Object.values(chips));
 
 /** Let the buttons say which view is seen. */
 export function pressed() {
-  if (refitButton) refitButton.hidden = view.fit !== null;
+  if (refitButton) {
+    refitButton.hidden = view.fit !== null;
+    refitButton.style.top = `${view.box.top + 6}px`; // above the picture are the names of layers
+  }
   for (const one of fits) one.ariaPressed = String(one.dataset.fit === view.fit);
 }
 

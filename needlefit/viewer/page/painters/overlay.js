@@ -33,7 +33,12 @@ export function paintPinned(context, { x, y, tip }) {
   line(context, x, y, palette.ghost, 2.5, [2, 3]);
   setFont(context, "strong");
   avoid(x.map((one, i) => [toPx(one), toPy(y[i])]));
-  labelFree(context, "pinned", [[toPx(tip.x), toPy(tip.y) - 20], [toPx(tip.x), toPy(tip.y) + 20], [toPx(tip.x) - 60, toPy(tip.y)], [toPx(tip.x) + 40, toPy(tip.y)]], palette.ghost);
+  const atTip = [[0, -20], [0, 20], [-60, 0], [40, 0]].map(([right, down]) => [toPx(tip.x) + right, toPy(tip.y) + down]);
+  const beside = [0.85, 0.7, 0.5].flatMap((share) => {
+    const i = Math.round(share * (x.length - 1));
+    return [-18, 18].map((away) => [toPx(x[i]), toPy(y[i]) + away]);
+  });
+  labelFree(context, "pinned", [...atTip, ...beside], palette.ghost);
 }
 
 /** Draw the points of the measured needle that can be dragged. */
