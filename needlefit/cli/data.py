@@ -215,7 +215,7 @@ def import_data(
         screen.show_frame(tabulate_decisions(decisions), "Decisions")
         for note in content.notes:
             screen.print_note(note)
-        if unused := [f"{one.value} ({one.reason})" for one in decisions.made if one.what == "not used"]:
+        if unused := _list_unused(decisions):
             screen.print_note(f"not used: {'; '.join(unused)}")
     screen.print_warnings(invocation, warnings)
     path = str(out) if out.is_absolute() else f"./{out}"
@@ -228,6 +228,10 @@ def import_data(
         screen.print_note(f"then a prediction: {shlex.join(predict)}")
 
 
+def _list_unused(decisions: "Decisions") -> list[str]:
+    return [f"{one.value} ({one.reason})" for one in decisions.made if one.what == "not used"]
+
+
 def _show_draft(
     folder: Path, content: "ImportContent", decisions: "Decisions", plan: "ImportPlan | None" = None
 ) -> None:
@@ -237,9 +241,8 @@ def _show_draft(
 
     dataset = write_import(folder, content, plan or understand(content, decisions), decisions)
     screen.show_frame(tabulate_needles(dataset), "Needles")
-    for one in decisions.made:
-        if one.what == "not used":
-            screen.print_note(f"not used: {one.value} ({one.reason})")
+    for one in _list_unused(decisions):
+        screen.print_note(f"not used: {one}")
     screen.print_note(f"look at {folder / PICTURE_FILE}")
 
 

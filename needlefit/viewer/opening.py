@@ -78,19 +78,17 @@ def list_needles(viewed_scene: ViewedScene) -> tuple[str, ...]:
 
 def replace_needle(viewed_scene: ViewedScene, name: str) -> ViewedScene:
     """Return a scene with its own needle or one of `NEEDLES` of its length; the draws of the tissue stay."""
-    own = viewed_scene.own_needle or viewed_scene.record.needle
-    values = (
-        {}
-        if name == own.name
-        else {
+    needle = own = viewed_scene.own_needle or viewed_scene.record.needle
+    if name != own.name:
+        values = {
             "name": name,
             "outer_diameter_mm": NEEDLES[name],
             "inner_diameter_mm": 0.0,
             "youngs_modulus_gpa": own.youngs_modulus_gpa or DEFAULT_MODULUS_GPA,
             "flexural_rigidity_nmm2": None,
         }
-    )
-    record = viewed_scene.record.model_copy(update={"needle": own.model_copy(update=values)})
+        needle = own.model_copy(update=values)
+    record = viewed_scene.record.model_copy(update={"needle": needle})
     return replace(viewed_scene, record=record, own_needle=own)
 
 

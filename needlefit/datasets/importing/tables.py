@@ -86,7 +86,8 @@ ATTRIBUTES = (
     *("bevel_side", "depth", "layers", "medium", "specimen", "hole", "boundaries", "needle"),
     *NEEDLE_ATTRIBUTES,
 )
-MAX_DIAMETER_MM, MIN_LENGTH_MM = 5.0, 20.0  # of a needle, by which lengths in its description are told apart
+# A length in the description of a needle is its diameter below the first, mm, and its length from the second.
+MAX_DIAMETER_MM, MIN_LENGTH_MM = 5.0, 20.0
 
 # Separators and decimal signs, in the order in which equally good ones are taken.
 _LAYOUTS = (

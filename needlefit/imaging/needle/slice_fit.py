@@ -79,7 +79,6 @@ class SliceFit:
     systematic: float  # deviation along the normal that no residual shows, mm
     bevel: Floats  # (3,); toward the bevel's point
     end_sd: Floats  # (2,); deviations of the end, mm, and of the bevel's roll, rad
-    error: float  # the model's error in parts of the needle's brightness
 
     @property
     def tip(self) -> Floats:
@@ -139,9 +138,7 @@ def fit_slices(
     missed = MISSED_FACTOR * thick * max(0.0, error - MAX_GOOD_ERROR)
     systematic = float(np.hypot(hidden / (1 + (crossed / CROSSED_SLICES) ** 2), missed))
     end_sd[0] = np.hypot(END_FACTOR * end_sd[0], 2 * missed)
-    return SliceFit(
-        frame, origin, course, axis_covariance, float(x[-1] + end[0]), systematic, bevel, end_sd, error
-    )
+    return SliceFit(frame, origin, course, axis_covariance, float(x[-1] + end[0]), systematic, bevel, end_sd)
 
 
 def _make_problem(
