@@ -26,6 +26,8 @@ MIN_SLICE_MM = 0.6 + 1e-9  # slices up to this thickness show the needle in seve
 MAX_CROSSED = 2.0  # a spline averages over the slices if more are crossed between two of its knots
 # Lines across the needle on which slices are sampled, their distance, and where its surroundings begin, mm.
 LINE_REACH_MM, LINE_STEP_MM, STATION_MM, RIM_MM = 2.4, 0.4, 1.0, 1.7
+# Stations whose trend leads on to the end, that far ahead; slices on either side; and a dark gap that ends it.
+END_STATIONS, AHEAD_STATIONS, END_SLICES, MAX_DARK_STATIONS = 12, 25, 1, 6
 BEYOND_MM = 5.0  # length beyond the end that is looked at, mm
 REACH_SLICES = 1.5  # distance, in slices beyond the radius, out to which slices are looked at
 # Pieces of the rod along it, and cells of the detector, mm; planes to a slice.
@@ -46,13 +48,13 @@ END_MOMENT_MM = 5.0  # lever of that force at the end of what is fitted: the tip
 SCAN_MEANS = np.array([np.log(0.75), np.log(0.3), np.log(0.012), 0, np.log(0.6), 0.5, 0, 0, -0.7, -2.5, -4.0])
 SCAN_SDS = np.array([0.25, 0.35, 0.6, 0.3, 0.25, 1.5, 1.5, 1.0, 1.5, 1.5, 1.5])
 WEAK_START = -1.5  # change of the attenuation's logarithm from which other metal is fitted
-TIP_SDS = np.array([2.0, 10.0])  # of where the needle ends, mm, and of its bevel's roll, rad, before
+TIP_SDS = np.array([1.0, 10.0])  # of where the needle ends, mm, and of its bevel's roll, rad, before
 # Tilts and bows, in slices, from which starts are searched for, and steps of the search; a fit with a smaller
 # error needs no other start.
 STARTS, START_STEPS, GOOD_ERROR = ((0.0, 0.0), (0.8, 0.0)), (0.5, 0.25, 0.12), 0.3
-START_ENDS_MM = (-3.0, -1.5, -0.75, 0.0, 0.75, 1.5, 3.0)  # ends that are tried, from the one stated, mm
+START_ENDS_MM = (-1.0, -0.5, 0.0, 0.5, 1.0)  # ends that are tried, from the one stated, mm
 ROLLS = 6  # rolls of the bevel that are tried with each
-AGAIN_ENDS_MM = (-2.0, 0.0, 2.0)  # the same after the first fit
+AGAIN_ENDS_MM = (-1.0, 0.0, 1.0)  # the same after the first fit
 ROBUST_SD = (20.0, 4.0)  # residuals beyond so many deviations count less, in the first and second fit
 STEPS, CONVERGED = 8, 0.5  # of each fit; change of what is minimized
 # The model's error, in water and in parts of the image, before it is known; samples that count as one.
@@ -113,8 +115,8 @@ def fit_slices(
 
     None where too little of the needle shows.
     """
-    s = np.arange(0.0, tip, STATION_MM)
-    points, normal = axis.spline(s), volume.direction[:, 2]
+    points, normal = axis.spline(np.arange(0.0, tip, STATION_MM)), volume.direction[:, 2]
+    points = _find_end(volume, points)
     way = points[-1] - points[0] - (points[-1] - points[0]) @ normal * normal
     way /= np.linalg.norm(way)
     frame = np.stack([way, np.cross(normal, way), normal])
@@ -139,6 +141,34 @@ def fit_slices(
     systematic = float(np.hypot(hidden / (1 + (crossed / CROSSED_SLICES) ** 2), missed))
     end_sd[0] = np.hypot(END_FACTOR * end_sd[0], 2 * missed)
     return SliceFit(frame, origin, course, axis_covariance, float(x[-1] + end[0]), systematic, bevel, end_sd)
+
+
+def _find_end(volume: Volume, points: Floats) -> Floats:
+    """Return points (N, 3) every `STATION_MM` along a needle, cut or led straight on to where a slice shows its end.
+
+    A threshold may see it end where it passes from one slice to the next, which other metal darkens there.
+    """
+    count = len(points)
+    s = np.arange(-count, AHEAD_STATIONS) * STATION_MM
+    recent = slice(max(0, count - END_STATIONS), count)
+    trend = np.polynomial.polynomial.polyfit(s[recent], points[recent], 1)
+    points = np.vstack([points, trend[0] + trend[1] * s[count:, None]])
+    side = np.cross(volume.direction[:, 2], trend[1])
+    line = np.arange(-LINE_REACH_MM, LINE_REACH_MM + 1e-6, LINE_STEP_MM)
+    across = points[:, None] + line[:, None] * side / np.linalg.norm(side)
+    i, j, k = to_index(volume, across.reshape(-1, 3)).T
+    shown = np.stack(
+        [
+            map_coordinates(volume.values, [np.rint(k) + n, j, i], output=float, order=1, mode="nearest")
+            for n in range(-END_SLICES, END_SLICES + 1)
+        ]
+    ).reshape(-1, len(points), len(line))
+    rim = np.abs(line) > RIM_MM
+    over = (shown[..., ~rim].max(axis=-1) - np.median(shown[..., rim], axis=-1)).max(axis=0)
+    bright = np.flatnonzero(over > BRIGHT * np.median(over[:count]))
+    gaps = np.flatnonzero((np.diff(bright) > MAX_DARK_STATIONS) & (bright[1:] >= count))
+    last = int(bright[gaps[0]] if len(gaps) else bright[-1])
+    return np.asarray(points[: last + 2])
 
 
 def _make_problem(
