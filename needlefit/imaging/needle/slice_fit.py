@@ -26,7 +26,7 @@ MIN_SLICE_MM = 0.6 + 1e-9  # slices up to this thickness show the needle in seve
 MAX_CROSSED = 2.0  # a spline averages over the slices if more are crossed between two of its knots
 # Lines across the needle on which slices are sampled, their distance, and where its surroundings begin, mm.
 LINE_REACH_MM, LINE_STEP_MM, STATION_MM, RIM_MM = 2.4, 0.4, 1.0, 1.7
-# Stations whose trend leads on to the end, that far ahead; slices on either side; and a dark gap that ends it.
+# Stations whose trend leads on to the end, that far ahead; slices on either side; a dark gap that ends it.
 END_STATIONS, AHEAD_STATIONS, END_SLICES, MAX_DARK_STATIONS = 12, 25, 1, 6
 BEYOND_MM = 5.0  # length beyond the end that is looked at, mm
 REACH_SLICES = 1.5  # distance, in slices beyond the radius, out to which slices are looked at
@@ -144,7 +144,7 @@ def fit_slices(
 
 
 def _find_end(volume: Volume, points: Floats) -> Floats:
-    """Return points (N, 3) every `STATION_MM` along a needle, cut or led straight on to where a slice shows its end.
+    """Return points (N, 3) every `STATION_MM` along a needle, cut or led on to where a slice shows its end.
 
     A threshold may see it end where it passes from one slice to the next, which other metal darkens there.
     """
