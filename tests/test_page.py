@@ -852,8 +852,7 @@ def test_a_pinned_needle_stays_and_the_strip_reads_both(page) -> None:
     assert get(page, "n.forces.y.slice(0, 30)") == pytest.approx(
         get(page, "n.pinned.forces.y.slice(0, 30)"), abs=1e-6
     )  # the flip came after them
-    depth = 20 + state["depth_mm"] - state["tip"]["x"]
-    do(page, ("key", "Enter", f"Math.abs(s.depth_mm - {depth}) < 1e-6 && !s.moving"))
+    do(page, ("key", "Enter", "Math.abs(s.tip.x - 20) < 0.02 && !s.moving"))
     page.click("#pin")
     assert get(page, "n.pinned") is None
 

@@ -89,6 +89,10 @@ def test_it_computes_every_recorded_state_and_can_be_steered(shared, chromium) -
         assert page.evaluate(ALL_STATES) == [len(states) - 1, largest]
         assert page.evaluate("needlefit.state.tip.lateral_mm") == states[-1].state.shape.tip_lateral
         page.locator("#scrub").fill("2.5")  # s
+        page.locator("#scrub").fill(page.locator("#scrub").get_attribute("max"))  # rounded up to 0.1 s
+        clock, last = map(float, re.findall(r"[\d.]+", page.locator("#time").inner_text()))
+        assert clock == last
+        page.locator("#scrub").fill("2.5")
         at = sum(step.time <= 2.5 for step in read_recording(RECORDING).steps)
         assert page.evaluate("needlefit.state.tip.lateral_mm") == states[at].state.shape.tip_lateral
         shown = page.locator("#insertion-fields .number").first
@@ -110,6 +114,37 @@ def test_it_computes_every_recorded_state_and_can_be_steered(shared, chromium) -
         page.get_by_role("button", name="Play").click()
         page.wait_for_timeout(1500)
         assert float(page.locator("#scrub").input_value()) > 0
+
+
+@pytest.mark.sweep
+@NO_BROWSER
+def test_a_pinned_needle_is_compared_in_the_strip_of_the_file(shared, chromium) -> None:  # noqa: F811
+    last = list(replay(read_recording(RECORDING)))[-1].state.shape
+    with open_offline(chromium, shared) as page:
+        page.focus("#canvas")
+        for key in ("k", "f", "ArrowRight"):
+            page.keyboard.press(key)
+        page.focus("#strip-canvas")
+        page.keyboard.press("Home")
+        page.keyboard.press("ArrowRight")
+        page.keyboard.press("Enter")
+        page.wait_for_timeout(1000)
+        known = "[pinned.y.at(-1), pinned.forces.y.length, forces.y.length, state.tip.x]"
+        pinned, *counts, x = page.evaluate(f"(({{ pinned, forces, state }}) => {known})(needlefit)")
+        assert pinned == last.tip_lateral
+        assert counts == [106, 2]  # first contact, and each mm up to 105 and to 1 mm
+        assert x == pytest.approx(1, abs=0.2)  # the shaft before the skin is less bent there
+        page.click("#pin")
+        assert page.evaluate("needlefit.pinned") is None
+
+
+@NO_BROWSER
+def test_the_printed_file_has_the_values_of_its_inputs(shared, chromium) -> None:  # noqa: F811
+    with open_offline(chromium, shared) as page:
+        page.emulate_media(media="print")
+        fields = page.locator(".field")
+        assert fields.count() == fields.locator(".number:visible").count() == 12
+        assert page.locator(".slider:visible, button:not(.term):visible").count() == 0
 
 
 @pytest.mark.sweep

@@ -3,7 +3,7 @@
 import { open } from "./connection.js";
 import { part, write } from "./dom.js";
 import { paint } from "./drawing.js";
-import "./bands.js";
+import { computeBands } from "./bands.js";
 import "./exports.js";
 import * as frames from "./frames.js";
 import "./keyboard.js";
@@ -21,6 +21,7 @@ import "./toolbar.js";
 import "./tour.js";
 import "./tracking.js";
 import * as transport from "./transport.js";
+import { kernel, trial } from "./trial.js";
 
 const READOUTS = [ // beside the picture, and how often they are refreshed, ms
   { every: 100, refresh: readouts.refresh },
@@ -69,6 +70,10 @@ listen("stage", ({ what }) => write("waiting", `${what} …`));
 listen("refused", () => { // fields go back to what is
   READOUTS.forEach((one) => (one.step = null));
   refreshReadouts();
+});
+kernel.then((compiled) => {
+  const worker = new Worker("/page/model/band_worker.js", { type: "module" });
+  computeBands(worker, compiled, () => ({ name: trial.scene.needle, steered: trial.steered }));
 });
 frames.start(advance, paint, moves, () => {
   refreshReadouts();

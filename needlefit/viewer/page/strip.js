@@ -1,14 +1,17 @@
 /** A pinned needle, and the strip below the picture: deflection and force of the tip against depth, of both needles. */
 
-import { goTo } from "./actions.js";
-import { onScheme, part, press, write } from "./dom.js";
+import { element, onScheme, part, press, write } from "./dom.js";
 import { invalidate } from "./drawing.js";
 import { palette, ring, segments, setFont, stroke, trace } from "./painters/strokes.js";
 import { brief, heightAt, signed } from "./quantities.js";
 import { listen, now, publish } from "./store.js";
 
 const PAD = { left: 46, right: 12, top: 18, bottom: 16 }; // px
-const canvas = part("strip-canvas");
+const canvas = element("canvas", {
+  id: "strip-canvas", tabIndex: 0, role: "slider", ariaLabel: "Depth to read at", ariaValueMin: "0", ariaValueMax: "1", ariaValueNow: "0",
+  title: "Tip against depth. Arrow keys or pointer mark a depth, Enter or a click goes there.",
+});
+part("strip").append(canvas, element("p", { id: "strip-note" }));
 const context = canvas.getContext("2d");
 let size = [1, 1]; // px
 
@@ -25,7 +28,15 @@ function current() {
 }
 
 const needles = () => [[now.pinned, palette.ghost], [current(), palette.needle]].filter(([one]) => one);
-const depthAt = (x) => now.state.depth_mm + x - now.state.tip.x;
+
+/** The depth that brings the tip to x, mm: less by the length of the needle beyond. */
+function depthAt(x) {
+  const { state } = now;
+  const beyond = state.x.flatMap((one, i) => (one > x ? [[one, state.y[i]]] : []));
+  const places = [[x, heightAt(state, x)], ...beyond];
+  const length = beyond.reduce((sum, [px, py], i) => sum + Math.hypot(px - places[i][0], py - places[i][1]), 0);
+  return state.depth_mm - length + Math.max(x - state.tip.x, 0);
+}
 
 /** Draw both needles as they are now. */
 export function draw() {
@@ -37,7 +48,6 @@ export function draw() {
   context.clearRect(0, 0, width, height);
   describe(paintStrip(context, width, 0, height));
 }
-
 
 /** Draw both panels between two heights, px; return the greatest depth, mm. */
 export function paintStrip(context, width, top, bottom) {
@@ -111,7 +121,7 @@ function under({ clientX }) {
   return ((within - PAD.left) / (width / 2 - PAD.left - PAD.right)) * greatest();
 }
 
-const go = () => now.marked !== null && goTo(Math.max(depthAt(now.marked), 0));
+const go = () => now.marked !== null && publish("go to", Math.max(depthAt(now.marked), 0));
 const KEYS = {
   ArrowRight: () => mark((now.marked ?? now.state.tip.x) + 1), ArrowLeft: () => mark((now.marked ?? now.state.tip.x) - 1),
   Home: () => mark(0), End: () => mark(greatest()), Enter: go, Escape: () => mark(null),

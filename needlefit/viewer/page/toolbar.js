@@ -35,8 +35,7 @@ export function pressed() {
   for (const one of fits) one.ariaPressed = String(one.dataset.fit === view.fit);
 }
 
-export function toggle(name) {
-  const on = chips[name].ariaPressed !== "true";
+export function toggle(name, on = chips[name].ariaPressed !== "true") {
   chips[name].ariaPressed = String(on);
   if (name === "true") return drawTrue(on);
   if (name === "strip") {
@@ -53,8 +52,8 @@ export const listShown = () => CHIPS.filter(([name, , , marked = true]) => marke
 /** Offer what there is, by name; a fit or an estimate on the page has a band, too. */
 const offer = (there) => Object.entries(there).forEach(([name, is]) => (chips[name].hidden = !is));
 
-offer({ measured: false, errors: false, band: false, plan: false, reach: false, slice: false, pinned: false, strip: part("strip") });
-if (part("strip") && innerHeight < TALL) toggle("strip"); // the picture needs the room
+offer({ measured: false, errors: false, band: false, plan: false, reach: false, slice: false, pinned: false });
+if (innerHeight < TALL) toggle("strip"); // the picture needs the room
 for (const one of fits) press(one, () => (fit(one.dataset.fit), pressed()));
 if (refitButton) press(refitButton, () => (refit(), pressed()));
 for (const one of document.querySelectorAll("[data-zoom]")) {

@@ -70,6 +70,7 @@ part("preset-needle").addEventListener("change", ({ target }) => again({ with_ne
 part("choices").addEventListener("change", () => command({ do: "show", insertion: part("choices").value }));
 
 listen("aimed", () => now.state && refresh());
+listen("go to", act.goTo);
 listen("scene", (scene) => {
   part("title").textContent = scene.title;
   part("note").textContent = scene.note;

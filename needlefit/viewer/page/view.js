@@ -169,3 +169,4 @@ const limited = (scale) => Math.min(Math.max(scale, SCALES[0]), SCALES[1]);
 
 /** A goal that is put or comes from a file is seen; while it is dragged the picture stands. */
 listen("aim", () => view.fit && view.fit !== "tip" && fit(view.fit));
+listen("band", follow);

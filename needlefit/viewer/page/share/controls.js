@@ -54,5 +54,5 @@ export function buildFields(scene, isRecording, steer) {
 /** Let every field say what is. */
 export function refreshFields() {
   for (const [field, current] of fields) show(field, current());
-  part("side").textContent = now.state.bevel.side > 0 ? "▲ to +y" : "▼ to −y";
+  part("side").textContent = now.state.bevel.side > 0 ? "+y" : "−y";
 }

@@ -1,15 +1,16 @@
 /** A file that computes: the needles of a report, or one recorded insertion, steered by who reads it. */
 
+import { computeBands } from "../bands.js";
 import { element, isDark, part, press, write } from "../dom.js";
 import { further, invalidate, paint } from "../drawing.js";
-import { toInputs } from "../model/inputs.js";
 import { describeState } from "../model/state.js";
 import { between, line, palette } from "../painters/strokes.js";
 import { counted } from "../quantities.js";
 import { refresh, refreshDescription } from "../readouts.js";
 import { listen, now, take } from "../store.js";
+import { draw as drawStrip } from "../strip.js";
 import { toggle } from "../toolbar.js";
-import { fit, follow, view } from "../view.js";
+import { fit } from "../view.js";
 import { buildFields, refreshFields } from "./controls.js";
 import { begin, insert, load, prove, Replay, steer } from "./needles.js";
 import { listenToPicture } from "./picture.js";
@@ -26,12 +27,8 @@ let steps = 0; // of all needles together
 let described = 0;
 let frame = 0;
 let fresh = false;
-let order = 0; // of the newest band
-let begun = false; // whether a needle was chosen whose band has not come yet
-let unsent = {}; // kernel and draws, which the worker is sent once
 const shownMethods = new Set();
 const refusal = part("refusal");
-const worker = new Worker(URL.createObjectURL(new Blob([part("program").textContent], { type: "text/javascript" })));
 
 /** Show what the needle is now. */
 function update() {
@@ -42,7 +39,7 @@ function update() {
   refresh();
   refreshFields();
   refreshMethods();
-  askBand();
+  drawStrip();
   described ||= setTimeout(() => {
     described = 0;
     refreshDescription();
@@ -56,24 +53,6 @@ function redraw() {
     fresh = false;
   });
 }
-
-/** Order the band of the draws where the needle stands; a newer order takes the place of one that is under way. */
-function askBand() {
-  if (!needle.scene.draws) return;
-  order += 1;
-  const path = steered.path().map((one) => ({ depth: one.depth, inputs: toInputs(one, steered.model.pathAngle) }));
-  worker.postMessage({ id: order, model: steered.model, steps: path, ...unsent });
-  unsent = {};
-}
-
-worker.onmessage = ({ data: { id, band } }) => {
-  if (id !== order) return;
-  take({ kind: "band", step: steps, ...(band ?? { x: [], failed: 0 }) });
-  if (begun) fit(view.fit); // of a needle that has just been chosen, the band is in the picture too
-  else follow();
-  begun = false;
-  redraw();
-};
 
 /** Carry out a change; what the model does not take is stated below its field or above all, and the needle stays. */
 function change(changes, below = part("flip").parentElement) {
@@ -99,9 +78,7 @@ async function choose(number) {
   [needle, steered] = [data.needles[number], found];
   const { scene } = needle;
   replay = needle.recording ? new Replay(steered, needle.recording) : null;
-  unsent = { kernel: data.kernel, draws: scene.draws };
-  begun = true;
-  take({ slice: false, ...scene, band: Boolean(scene.draws), kind: "scene" });
+  take({ slice: false, ...scene, kind: "scene" });
   buildFields(scene, Boolean(needle.recording), change);
   listMethods();
   const specimen = needle.new_specimen ? " of a specimen that was not fitted" : "";
@@ -210,7 +187,7 @@ function buildRecording() {
   part("scrub").max = Math.ceil(10 * recording.at(-1)[0]) / 10; // the step is 0.1
   part("scrub").addEventListener("input", ({ target }) => {
     play(false);
-    const clock = Number(target.value);
+    const clock = Math.min(Number(target.value), recording.at(-1)[0]);
     showStep(recording.filter(([time]) => time <= clock).length, clock);
   });
   press("play", () => play(!playing));
@@ -233,6 +210,8 @@ async function stateAgreement() {
 
 async function start() {
   data = await load();
+  const script = new Blob([part("program").textContent], { type: "text/javascript" });
+  computeBands(new Worker(URL.createObjectURL(script)), data.kernel, () => ({ name: data.needles.indexOf(needle), steered }));
   const choice = part("needle-choice");
   choice.append(...data.needles.map(({ scene, group }, i) =>
     element("option", { value: String(i) }, [scene.measured?.id ?? scene.title, group].filter(Boolean).join(", "))));
@@ -241,9 +220,10 @@ async function start() {
   press("flip", () => change([["bevel_side", null, -now.state.bevel.side]]));
   press("back", goBack);
   listen("redraw", redraw);
+  listen("go to", (depth) => change([["depth_mm", null, depth]]));
   listenToPicture(change);
   buildRecording();
-  if (!data.needles[0].recording) ["load", "points", "path", "errors"].forEach(toggle); // measured and fit come first
+  if (!data.needles[0].recording) ["load", "points", "path", "errors", "strip"].forEach((name) => toggle(name, false)); // measured and fit come first
   await choose(0);
   fit("tissue");
   await stateAgreement();

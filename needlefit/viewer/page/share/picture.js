@@ -5,6 +5,7 @@ import { handleAt } from "../handles.js";
 import { slope, degrees } from "../quantities.js";
 import { now } from "../store.js";
 import { fit, hold, pan, zoom } from "../view.js";
+import { pin } from "../strip.js";
 import { pressed } from "../toolbar.js";
 
 const canvas = part("canvas");
@@ -65,6 +66,7 @@ export function listenToPicture(steer) {
     ArrowUp: ({ shiftKey }) => (shiftKey ? turn(BASE.angle) : base(BASE.y)),
     ArrowDown: ({ shiftKey }) => (shiftKey ? turn(-BASE.angle) : base(-BASE.y)),
     f: () => steer([["bevel_side", null, -now.state.bevel.side]]),
+    k: pin,
     1: () => fit("whole"),
     2: () => fit("tissue"),
     3: () => fit("tip"),
