@@ -653,6 +653,20 @@ def test_inputs_join_a_stroke_which_is_undone_whole(page) -> None:
     until(page, "s.depth_mm === 0 && s.undo")
 
 
+def test_a_hold_ends_where_the_model_ends_however_slow_the_frames_are(page) -> None:
+    """At 1000 mm/s a frame of 0.1 s is 100 mm."""
+    hold = """(frame) => {
+      m.trial.reset(gesture += 1);
+      m.trial.act([["bevel_offset_mm", null, 0.4]], (gesture += 1));
+      const frames = m.stroke(m.trial, 1000, (gesture += 1));
+      frames.next();
+      try { while (!frames.next(frame).done); } catch ({ what }) { return [what, m.trial.steered.step.depth]; }
+    }"""
+    ends = call(page, "trial", f"((gesture) => [0.1, 0.02, 0.001].map({hold}))(1e6)")
+    depths = [depth for what, depth in ends if "slope 0.3" in what]
+    assert depths == pytest.approx([27.5, 27.5, 27.5], abs=0.1)
+
+
 @sweep
 def test_a_replay_keeps_time_can_be_halted_and_goes_on(page) -> None:
     for insert in (5, 2):
@@ -949,8 +963,14 @@ def test_a_plan_that_shifts_the_entry_begins_there(page) -> None:
 @sweep
 def test_a_hand_is_compared_with_the_planner(page) -> None:
     page.fill("#speed", "1000")
+    page.click("[data-fit=tip]")
     page.click("#challenge")
-    until(page, "aim.target && aim.plan", 60)
+    until(page, "aim.target", 60)
+    assert page.is_disabled("#game-compare") and page.is_disabled("#challenge")  # nothing is inserted
+    left, top, width, height = call(page, "view", "Object.values(m.view.box)")
+    px, py = call(page, "view", "needlefit.aim.target.map((one, i) => [m.toPx, m.toPy][i](one))")
+    assert left < px < left + width and top < py < top + height
+    until(page, "aim.plan", 60)
     depth = get(page, "aim.target[0]")
     go_to(page, round(depth, 2))
     page.click("#challenge")

@@ -145,6 +145,7 @@ def test_a_scene_is_shown_as_it_is_simulated(monkeypatch, tmp_path):
     viewed_scene = open_target("study3")
     assert viewed_scene.measured is viewed_scene.spread is viewed_scene.scanned is None
     assert {"study3", "phantom2_fitted"} < set(viewed_scene.choices)  # presets of the page
+    assert viewed_scene.choices["study3"] == viewed_scene.title
     assert not viewed_scene.synthetic and viewed_scene.diameter == 1.27
     scene = Scene.from_record(viewed_scene.record)
     first = scene.steps[0]
@@ -200,7 +201,7 @@ def test_a_dataset_shows_its_first_insertion_or_the_one_that_is_named(project):
     viewed_scene = open_target("needles", "needle-2")
     assert viewed_scene.name == "needles/needle-2" and viewed_scene.synthetic
     assert open_target(viewed_scene.name).record == viewed_scene.record
-    assert viewed_scene.choices == ("needle-1", "needle-2", "needle-3", "needle-4")
+    assert tuple(viewed_scene.choices) == ("needle-1", "needle-2", "needle-3", "needle-4")
     assert (viewed_scene.record.depth_mm, viewed_scene.record.bevel.side) == (needles.DEPTHS[1], -1)
     assert [layer.top_mm for layer in viewed_scene.record.layers] == pytest.approx([0.0, needles.INTERFACE])
     assert viewed_scene.first_cell == pytest.approx(0.5)  # of 30.5 mm
@@ -231,7 +232,7 @@ def test_an_undescribed_medium_starts_with_invented_numbers_and_a_note(name):
 def test_a_run_shows_its_fit_starting_with_a_held_out_insertion(project):
     results = restore_run(project / "reports/small")
     viewed_scene = open_target("small")
-    assert viewed_scene.choices == ("needle-3", "needle-4", "needle-1", "needle-2")
+    assert tuple(viewed_scene.choices) == ("needle-3", "needle-4", "needle-1", "needle-2")
     assert viewed_scene.name == "small/needle-3"
     assert viewed_scene.note != open_target("reports/small", "needle-1").note  # held out, and fitted to
     rows = results.frames["parameters"].query("method == 'fitted'").set_index("parameter")["value"]

@@ -4,6 +4,7 @@ import asyncio
 import json
 import math
 import threading
+import time
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -491,6 +492,27 @@ async def test_goals_plans_and_their_faults_reach_the_page(server, page) -> None
     page.kept.clear()
     await page.say("aim", target=None)
     assert (await page.hear("aim"))["target"] is None
+
+
+@visit
+async def test_a_search_for_a_plan_ends_with_its_window(server, page) -> None:
+    begun, ended = threading.Event(), threading.Event()
+
+    def search(*_, cancelled, **__):
+        begun.set()
+        for _ in range(1000):
+            if cancelled():
+                ended.set()
+                break
+            time.sleep(0.01)
+        raise ModelError("the search was cancelled", expected="a window")
+
+    server.patch.setattr("needlefit.viewer.trials.plan_steering", search)
+    await page.say("aim", target=[35.0, 0.5])
+    await page.say("plan")
+    assert await asyncio.to_thread(begun.wait, 20) and not ended.is_set()
+    await page.socket.close()
+    assert await asyncio.to_thread(ended.wait, 2)
 
 
 @pytest.mark.sweep

@@ -43,7 +43,7 @@ def open_dataset(view_target: ViewTarget) -> ViewedScene:
     begun = choose_start_parameters(one)
     seed = load(find_file("recipe", "default"), RecipeRecord).seed
     shown = ShownInsertion(dataset, one, begun.medium, begun.values, seed)
-    choices = tuple(other.id for other in dataset.insertions)
+    choices = {other.id: other.id for other in dataset.insertions}
     return _show_insertion(shown, view_target.name, begun.description, choices)
 
 
@@ -92,7 +92,7 @@ def _choose_insertion(insertions: tuple[Insertion, ...], view_target: ViewTarget
 
 
 def _show_insertion(
-    shown: ShownInsertion, name: str, description: str, choices: tuple[str, ...]
+    shown: ShownInsertion, name: str, description: str, choices: Mapping[str, str]
 ) -> ViewedScene:
     """Return the scene that shows an insertion; `name` is that of its dataset or run."""
     dataset, insertion = shown.dataset, shown.insertion

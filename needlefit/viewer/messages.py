@@ -53,7 +53,7 @@ def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         "draws": None if viewed_scene.spread is None else encode_draws(viewed_scene.spread, scene.tissue.law),
         "fit": counts,
         "slice": viewed_scene.scanned is not None,
-        "choices": list(viewed_scene.choices),
+        "choices": list(viewed_scene.choices.items()),
         "needles": list(list_needles(viewed_scene)),
         "needle_name": viewed_scene.record.needle.name,
     }  # fmt: skip

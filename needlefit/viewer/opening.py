@@ -4,6 +4,7 @@ It imports little, so that a scene is there at once; `measured` opens datasets a
 """
 
 import csv
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +15,7 @@ from needlefit.errors import DataError, NeedlefitError
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.scene import Scene
 from needlefit.project.input_files import convert_stored_errors, is_file, read_text
-from needlefit.project.locate import SpecimenChoice, file_label, find_view_target, list_names
+from needlefit.project.locate import SpecimenChoice, file_label, find_file, find_view_target, list_names
 from needlefit.project.toml import load
 from needlefit.schemas.scene import SceneRecord
 from needlefit.viewer.recording import Recording
@@ -47,8 +48,8 @@ def open_target(
         title = record.title or view_target.path.stem
         note = f"Parameters: those of the scene {view_target.name}. {record.note}".rstrip()
         draws = read_scene_draws(view_target.path.with_suffix(DRAWS_SUFFIX), record)
-        names = tuple(list_names("scene"))
-        choices = names if view_target.name in names else ()
+        presets = list_presets()
+        choices = presets if view_target.name in presets else {}
         return ViewedScene(
             view_target.name, title, note, record, scene.lattice.first_cell, spread=draws, choices=choices
         )
@@ -66,6 +67,15 @@ def reopen(viewed_scene: ViewedScene, choice: str, specimen: SpecimenChoice = "s
     if viewed_scene.is_preset:
         return open_target(choice)
     return open_target(viewed_scene.name, choice, specimen)
+
+
+def list_presets() -> dict[str, str]:
+    """Return the names of all shipped scenes with their titles; of one with a fault, with its name."""
+    titles = {name: name for name in list_names("scene")}
+    for name in titles:
+        with suppress(NeedlefitError):
+            titles[name] = load(find_file("scene", name), SceneRecord).title or name
+    return titles
 
 
 def list_needles(viewed_scene: ViewedScene) -> tuple[str, ...]:

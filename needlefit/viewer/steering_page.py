@@ -89,6 +89,7 @@ class SteeringPage:
             await _send(socket, *replies)
             await self._listen(window, socket, work)
         finally:
+            window.closed = True
             for task in work.values():
                 task.cancel()
             self._let_go(window.trial, socket)

@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path, PurePath
 from time import monotonic
 from typing import TYPE_CHECKING, Any, get_args
@@ -347,6 +348,7 @@ class Window:
         #: what takes long, by kind: the newest order counts. It first yields an empty reply, once it has read
         #: the needle, then those for the page.
         self.orders: dict[str, Iterator[Reply]] = {}
+        self.closed = False  #: nobody waits any more for what takes long
 
     def answer(self, message: Message) -> Iterator[Reply]:
         """Carry out a message; yield the replies. StepOrderError if its steps do not follow the recorded."""
@@ -484,7 +486,7 @@ class Window:
         try:
             mode = find_mode(shown, select_insertions(shown, scope))
             yield mode.to_message(shown.insertion)
-            if "fit" in self.orders:  # these draws would be of no use
+            if self._is_dropped("fit"):  # these draws would be of no use
                 return
             draws = draw_about(mode, shown.insertion, shown.seed)
         except NeedlefitError as error:
@@ -493,6 +495,10 @@ class Window:
         trial.viewed_scene = replace(trial.viewed_scene, spread=draws.spread)
         yield trial.describe_draws()
         yield draws.to_message()
+
+    def _is_dropped(self, kind: str) -> bool:
+        """Return whether nobody waits for what is carried out: another one is ordered, or the window closed."""
+        return self.closed or kind in self.orders
 
     def _challenge(self, trial: InteractiveTrial) -> Iterator[Reply]:
         """Choose a random target, and plan to it."""
@@ -510,9 +516,10 @@ class Window:
         step, insertion, limits = len(trial.steps), trial.planned_insertion, PlanLimits(trial.aim.entry_mm)
         yield {}
         try:
-            plan = plan_steering(insertion, goal, limits, threads=1, cancelled=lambda: "plan" in self.orders)
+            dropped = partial(self._is_dropped, "plan")
+            plan = plan_steering(insertion, goal, limits, threads=1, cancelled=dropped)
         except NeedlefitError as error:
-            if "plan" not in self.orders:  # else another one is asked for, and this one was cancelled
+            if not dropped():
                 yield {"kind": "plan", "fault": encode_fault(error)}
             return
         if trial.aim.goal is goal:

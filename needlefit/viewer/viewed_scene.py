@@ -1,7 +1,7 @@
 """What the viewer shows of one name of the command line: a scene, a recording, or a measured insertion."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
@@ -49,9 +49,8 @@ class ViewedScene:
     #: what they are for: a specimen that was not fitted, with the spread between specimens, or one that was
     specimen: Literal["new", "same", ""] = ""
     scanned: "InsertionScan | None" = None  #: the scan in which the needle was measured
-    choices: tuple[
-        str, ...
-    ] = ()  #: insertions that can be shown instead; of a shipped scene, all such scenes
+    #: insertions that can be shown instead, of a shipped scene all such scenes: by name, with their titles
+    choices: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[ResultWarning, ...] = ()  #: what is suspicious in the dataset or the run that it is from
     shown: ShownInsertion | None = None  #: the measured insertion with its dataset, to be fitted to
     faults: tuple[str, ...] = ()  #: why the run that it shows is not to be trusted

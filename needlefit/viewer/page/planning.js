@@ -67,6 +67,7 @@ export function refresh() {
   write("game-note", describeGame());
   part("game").hidden = !aim.challenge;
   part("game-compare").hidden = !aim.challenge?.hidden;
+  part("game-compare").disabled = part("challenge").disabled = Boolean(aim.challenge?.hidden) && !now.state.depth_mm;
   part("game-again").hidden = !aim.challenge || aim.challenge.hidden;
   clearTimeout(counting);
   if (aim.challenge?.planner === undefined && aim.challenge) counting = setTimeout(refresh, 1000);

@@ -78,10 +78,10 @@ listen("scene", (scene) => {
   part("synthetic").hidden = !scene.synthetic;
   const preset = scene.needles.length > 0;
   part("presets").hidden = !preset;
-  part("preset-scene").replaceChildren(...(preset ? scene.choices : []).map((one) => new Option(one, one, false, one === scene.target)));
+  part("preset-scene").replaceChildren(...(preset ? scene.choices : []).map(([name, title]) => new Option(title, name, false, name === scene.target)));
   part("preset-needle").replaceChildren(...scene.needles.map((one) => new Option(one, one, false, one === scene.needle_name)));
   part("choice").hidden = preset || scene.choices.length < 2;
-  part("choices").replaceChildren(...scene.choices.map((one) => new Option(one, one)));
+  part("choices").replaceChildren(...scene.choices.map(([name, title]) => new Option(title, name)));
   if (!scene.measured) part("choices").prepend(new Option("none", ""));
   part("choices").value = scene.measured?.id ?? "";
   const { first_cell_mm: first, spacing_mm: spacing } = scene;

@@ -14,6 +14,7 @@ const MAX_UNDO = 200; // gestures that can be undone
 const LONGEST = 0.1; // s that a motion goes on in one frame: after a pause the needle does not jump
 const UNDO_PAUSE = 0.4; // s; steps of a recording that are farther apart are undone one by one
 const SAME = 1e-9; // mm; depths that differ by less are one
+const SHORTEST = 0.1; // mm; a shorter move is not divided
 
 /** The kernel, compiled once. */
 export const kernel = fetch("/mechanics/native/kernel.wasm").then((answer) => answer.arrayBuffer()).then(compile);
@@ -248,7 +249,19 @@ export function* stroke(trial, speed, gesture, to = null) {
     const [low, high] = to === null ? [0, reach] : [Math.min(now, end), Math.max(now, end)];
     const depth = Math.min(Math.max(now + speed * dt, low), high);
     left = Math.abs((speed > 0 ? high : low) - depth);
-    if (Math.abs(depth - now) > SAME) trial.act([["depth_mm", null, depth]], gesture);
+    if (Math.abs(depth - now) > SAME) moveTip(trial, depth, gesture);
+  }
+}
+
+/** Move the tip to a depth, mm. A move that is refused is divided: the needle comes as near as the model takes it. */
+function moveTip(trial, depth, gesture) {
+  const { depth: from } = trial.steered.step;
+  try {
+    trial.act([["depth_mm", null, depth]], gesture);
+  } catch (error) {
+    if (!error.expected || Math.abs(depth - from) < SHORTEST) throw error;
+    moveTip(trial, (from + depth) / 2, gesture);
+    moveTip(trial, depth, gesture);
   }
 }
 

@@ -94,11 +94,14 @@ function heights(which) {
   return [Math.min(...all), Math.max(...all)];
 }
 
-export function seesTip() {
+/** Whether a place, mm, is in the window. */
+function sees(x, y) {
   const { left, top, width, height } = view.box;
-  const [px, py] = [toPx(now.state.tip.x) - left, toPy(now.state.tip.y) - top];
+  const [px, py] = [toPx(x) - left, toPy(y) - top];
   return px >= 0 && px <= width && py >= 0 && py <= height;
 }
+
+export const seesTip = () => sees(now.state.tip.x, now.state.tip.y);
 
 /**
  * Keep the needle in sight: fit again once it leaves the room it has, or is small in it.
@@ -168,5 +171,8 @@ export function hold(on) {
 const limited = (scale) => Math.min(Math.max(scale, SCALES[0]), SCALES[1]);
 
 /** A goal that is put or comes from a file is seen; while it is dragged the picture stands. */
-listen("aim", () => view.fit && view.fit !== "tip" && fit(view.fit));
+listen("aim", () => {
+  if (view.fit !== "tip") fit(view.fit);
+  if (aim.target && !sees(...aim.target)) fit("tissue");
+});
 listen("band", follow);
