@@ -180,7 +180,7 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     draws = select_draws(results.frames["draws"], fold, specimen)
     crossed = "Its layers lie where it was measured to cross them. " if len(insertion.boundaries) else ""
     description = f"Parameters: fitted by {results.name}, {role}. {crossed}{_describe_band(draws, specimen)}"
-    viewed_scene = _show_insertion(shown, view_target.name, description, tuple(roles))
+    viewed_scene = _show_insertion(shown, view_target.name, description, {one: one for one in roles})
     known = {(one.kind, one.what) for one in viewed_scene.warnings}  # of the dataset, with the paths of files
     warnings = [one for one in list_run_warnings(results) if (one.kind, one.what) not in known]
     viewed_scene = replace(viewed_scene, faults=results.faults, warnings=(*warnings, *viewed_scene.warnings))

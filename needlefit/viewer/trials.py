@@ -497,7 +497,7 @@ class Window:
         yield draws.to_message()
 
     def _is_dropped(self, kind: str) -> bool:
-        """Return whether nobody waits for what is carried out: another one is ordered, or the window closed."""
+        """Return whether nobody waits for it: another one is ordered, or the window was closed."""
         return self.closed or kind in self.orders
 
     def _challenge(self, trial: InteractiveTrial) -> Iterator[Reply]:

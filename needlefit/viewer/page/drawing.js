@@ -77,6 +77,7 @@ function paintForeground(before, state) {
   needle.reserveNeedle(state);
   before.lineJoin = "round"; // of curves and labels, on a new context too
   within(before, () => {
+    needle.paintBody(before, state);
     if (shown.reach) overlay.paintReach(before);
     if (shown.load) needle.paintLoad(before, state, shown.raw);
     if (band) overlay.paintBand(before, band, band.step !== state.step);

@@ -4,6 +4,8 @@ import { aim } from "./aim.js";
 import { listen, now, publish } from "./store.js";
 
 const GUTTER = { left: 56, right: 10, top: 42, bottom: 40 }; // px, for the axes, the names of layers and the load's key
+const LOW_PICTURE = 260; // px; below it the name of the x axis stands in the row of its ticks
+const LOW_BOTTOM = 24; // px, for ticks alone
 const MAGNIFICATIONS = [1, 1.5, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 30, 50]; // of y against x
 const ROOM = 56; // px above and below the needle: load, handles, labels; at most 0.2 of the height
 const LEAST_SPAN = { moving: 0.05, still: 0.01 }; // of the depth: smaller deflections are not magnified further
@@ -12,9 +14,9 @@ const SCALES = [0.5, 400]; // px per mm
 const [EDGE, AHEAD] = [0.3, 0.2]; // from the middle, parts of the window: when it follows the tip, and how far
 const TIP_WINDOW = 45; // mm seen across while the tip is followed
 
-/** The window: its centre (mm), its scale (px per mm), its box on the canvas (px). */
+/** The window: its centre (mm), its scale (px per mm), its box on the canvas (px), and whether that is low. */
 export const view = {
-  x: 0, y: 0, scale: 5, magnified: 1, true: false, held: false, fit: null, box: { left: 0, top: 0, width: 1, height: 1 },
+  x: 0, y: 0, scale: 5, magnified: 1, true: false, held: false, fit: null, low: false, box: { left: 0, top: 0, width: 1, height: 1 },
 };
 
 let changed = true;
@@ -39,10 +41,11 @@ export const fromPy = (py) => view.y - (py - view.box.top - view.box.height / 2)
 
 /** Give the window a canvas of so many px. */
 export function resize(width, height) {
+  view.low = height < LOW_PICTURE;
   view.box = {
     left: GUTTER.left, top: GUTTER.top,
     width: Math.max(width - GUTTER.left - GUTTER.right, 10),
-    height: Math.max(height - GUTTER.top - GUTTER.bottom, 10),
+    height: Math.max(height - GUTTER.top - (view.low ? LOW_BOTTOM : GUTTER.bottom), 10),
   };
   fit(view.fit);
 }

@@ -3,14 +3,16 @@
 import { brief, modulus, roundStep } from "../quantities.js";
 import { now } from "../store.js";
 import { fromPx, fromPy, toPx, toPy, view } from "../view.js";
-import { faintly, palette, segments, setFont, shades, turned } from "./strokes.js";
+import { faintly, label, palette, segments, setFont, shades, turned } from "./strokes.js";
 
 const APART = 8; // px between the texts of two layers
 const ROWS = [-34, -20, -6]; // px from the window's top to the middles of rows, where texts need three
 const TWO_ROWS = [-27, -11];
+const LINE = 14; // px between names that stand along layers
 const TICK = 5; // px
 const TICKS_APART = 48; // px between ticks, at least, where there is room for so few
 const QUARTER = Math.PI / 2;
+const IN_ROW = "x (mm)"; // where the window is low, after the ticks
 
 /** Draw the layers, over the slice where there is one. */
 export function paintTissue(context, slice) {
@@ -50,7 +52,10 @@ function listLayers() {
   return layers.filter(({ from, to }) => to > from);
 }
 
-/** Write above the window the name of each layer and its modulus: numbers for names, and the unit in a row of its own, where texts would meet. */
+/**
+ * Write above the window the name of each layer and its modulus. Where texts would meet, the unit has a row of its own, and
+ * names stand along the layers; of layers that are only numbered, the numbers.
+ */
 function paintNames(context) {
   const { left, top } = view.box;
   const layers = listLayers().map((layer) => ({ ...layer, middle: (layer.from + layer.to) / 2, modulus: modulus(layer.mu) }));
@@ -62,9 +67,10 @@ function paintNames(context) {
   });
   setFont(context, "plain");
   const whole = row((one) => `μ ${one.modulus}`);
-  const numbers = row((one) => String(one.number));
   const names = row((one) => one.name);
-  const called = fits(names) ? names : numbers;
+  const numbered = layers.every(({ name, number }) => name === `layer ${number}`);
+  const called = fits(names) ? names : row((one) => (numbered ? String(one.number) : ""));
+  if (called !== names && !numbered) paintNamesAlong(context, names);
   const part = (n, before = "") => row((one) => before + one.modulus.split(" ")[n]);
   const values = fits(part(0, "μ ")) ? part(0, "μ ") : part(0);
   const rows = fits(whole) ? [called, whole] : [called, values, part(1)];
@@ -84,6 +90,18 @@ function paintNames(context) {
   context.fillText("skin", skin - 4, top - 11);
 }
 
+/** Write names from the top of the window down; of two that would overlap, the first. */
+function paintNamesAlong(context, names) {
+  context.textAlign = "right";
+  let end = -Infinity;
+  for (const { px, text } of names) {
+    if (px - LINE / 2 < end) continue;
+    turned(context, px, view.box.top + 6, QUARTER, () => label(context, text, 0, 0));
+    end = px + LINE / 2;
+  }
+  context.textAlign = "center";
+}
+
 /** Draw ticks and names outside the box. */
 export function paintAxes(context) {
   const { left, top, width, height } = view.box;
@@ -97,9 +115,10 @@ export function paintAxes(context) {
   setFont(context, "small", "center", "top");
   const along = ticks(fromPx(left), fromPx(left + width), view.scale, width).map((x) => [x, Math.round(toPx(x)) + 0.5]);
   segments(context, along.map(([, px]) => [[px, bottom], [px, bottom + TICK]]), palette.quiet, 1);
-  for (const [x, px] of along) context.fillText(written(x), px, bottom + TICK + 2);
-  context.textBaseline = "bottom";
-  context.fillText("x along the entry (mm)", left + width / 2, bottom + 37);
+  const end = left + width - (view.low ? context.measureText(IN_ROW).width + APART : 0);
+  for (const [x, px] of along) if (px < end - APART || !view.low) context.fillText(written(x), px, bottom + TICK + 2);
+  if (view.low) context.fillText(IN_ROW, (end + APART + left + width) / 2, bottom + TICK + 2);
+  else context.fillText("x along the entry (mm)", left + width / 2, bottom + 26);
 
   setFont(context, "small", "right");
   const scale = view.scale * view.magnified;

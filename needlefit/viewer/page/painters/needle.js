@@ -4,15 +4,15 @@ import { basePlace, bevelPlace, guidePlace } from "../handles.js";
 import { brief, heightAt, roundStep, shortName } from "../quantities.js";
 import { now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
-import { arrow, avoid, cross, faintly, label, labelFree, line, palette, polygon, reserve, ring, segments, setFont, stroke, trace, turned } from "./strokes.js";
+import { arrow, avoid, between, cross, faintly, label, labelFree, line, palette, placesOf, polygon, reserve, ring, segments, setFont, stroke, trace, turned } from "./strokes.js";
 
 const THINNEST = 2; // px
 const THICKEST = 5; // px, where y is magnified: there the body has no thickness that could be read off
 const CROSS = { of: 0.28, least: 1, most: 3.2 }; // half a cross: part of the spacing, px
 const LONGEST_BEVEL = 2.5; // diameters
-const WIDE = 7; // px; from here on the body is drawn faint
-const FAINT = 0.24; // opacity; its edges are drawn as lines
-const AXIS = 2; // px
+const WIDE = 7; // px; from here on the body is drawn behind all else, and its axis over it
+const STEEL = 0.5; // of the needle's colour, of a wide body
+const AXIS = { width: 1.5, dash: [14, 3, 2, 3] }; // px; a centreline, as drawings have it
 const HANDLE = 7; // px
 const [TALLEST, LOWEST] = [48, 16]; // px, of the load's curve and the force's arrow
 const SHORTEST = 5; // px, of the arrow of a force; a shorter one is not drawn
@@ -31,38 +31,40 @@ export function thickness() {
   return Math.max(view.magnified > 1 ? Math.min(px, THICKEST) : px, THINNEST);
 }
 
-/**
- * Draw the shaft and the bevel, whose point lies where it turns the cut to.
- *
- * The shaft is its centreline with its body faint behind: what it is compared with is thinner than the body.
- */
-export function paintNeedle(context, { x, y, bevel, faults }) {
-  const outside = faults?.length > 0; // of the model: it looks different
-  const shown = outside ? palette.bad : palette.needle;
-  const width = thickness();
-  // The shaft ends before the tip, where the bevel begins.
-  const [px, py, length] = [x.map(toPx), y.map(toPy), LONGEST_BEVEL * Math.max(width, 3)];
-  const tip = [px.at(-1), py.at(-1)];
-  const points = px.map((one, i) => [one, py[i]]).filter((one) => distance(one, tip) > length);
-  const last = points.at(-1) ?? tip;
+/** The shaft on the canvas (px), which ends before the tip, where the bevel begins; its colour: outside the model it looks different. */
+function describeShaft({ x, y, faults }) {
+  const outside = faults?.length > 0;
+  const [points, length] = [placesOf(x, y), LONGEST_BEVEL * Math.max(thickness(), 3)];
+  const tip = points.at(-1);
+  const shaft = points.filter((one) => distance(one, tip) > length);
+  const last = shaft.at(-1) ?? tip;
   const share = 1 - length / (distance(last, tip) || 1);
-  points.push(last.map((from, i) => from + share * (tip[i] - from)));
-  trace(context, points);
+  shaft.push(last.map((from, i) => from + share * (tip[i] - from)));
+  return { shaft, tip, outside, shown: outside ? palette.bad : palette.needle };
+}
+
+/** Draw the body where it is wide, behind what is compared with the needle, which is thinner. */
+export function paintBody(context, state) {
+  const width = thickness();
+  if (width < WIDE) return;
+  const { shaft, shown } = describeShaft(state);
+  trace(context, shaft);
   context.lineCap = "butt";
-  if (width >= WIDE) faintly(context, FAINT, () => stroke(context, shown, width));
-  context.setLineDash(outside ? [9, 5] : []);
-  stroke(context, shown, width < WIDE ? width : AXIS);
-  if (width >= WIDE) {
-    trace(context, ...[-width / 2, width / 2].map((to) => points.map(([px, py], i) => {
-      const [one, other] = [points[Math.max(i - 1, 0)], points[Math.min(i + 1, points.length - 1)]];
-      const size = distance(one, other) || 1;
-      return [px - (to * (other[1] - one[1])) / size, py + (to * (other[0] - one[0])) / size];
-    })));
-    stroke(context, shown, 1);
-  }
+  stroke(context, shown, width);
+  stroke(context, between(palette.air, shown, STEEL), width - 2);
+}
+
+/** Draw the shaft, of a wide one the axis, and the bevel, whose point lies where it turns the cut to. */
+export function paintNeedle(context, state) {
+  const { shaft, tip, outside, shown } = describeShaft(state);
+  const width = thickness();
+  trace(context, shaft);
+  context.lineCap = "butt";
+  context.setLineDash(outside ? [9, 5] : width < WIDE ? [] : AXIS.dash);
+  stroke(context, shown, width < WIDE ? width : AXIS.width);
   context.setLineDash([]);
   // The cut face is drawn as a line of its own: it looks away from the side of the point.
-  const [end, half, { side }] = [points.at(-1), Math.max(width, 3) / 2, bevel];
+  const [end, half, { side }] = [shaft.at(-1), Math.max(width, 3) / 2, state.bevel];
   const size = distance(end, tip) || 1;
   const [dx, dy] = tip.map((to, i) => (to - end[i]) / size);
   const at = ([px, py], to) => [px + to * dy * half, py - to * dx * half]; // canvas y runs downwards
@@ -77,8 +79,7 @@ export function reserveNeedle(state) {
   reserve(turn[0] - 9, turn[1] - 9, 18, 18);
   const arrow = Array.from({ length: 5 }, (_, i) => [px, py - (i / 6) * arrowLength(state)]); // its force is written at its end
   const { constraints: [along, across] } = state;
-  const places = (x, y) => x.map((one, i) => [toPx(one), toPy(y[i])]);
-  avoid([...places(state.x, state.y), ...places(along, across), ...arrow]);
+  avoid([...placesOf(state.x, state.y), ...placesOf(along, across), ...arrow]);
 }
 
 /** Length of the arrow of the tip force, px, up if positive. */
@@ -121,7 +122,7 @@ export function paintMark(context, { tip, tip_path: [x, y] }, at) {
 /** Draw the points that hold the needle in the tissue, as crosses. */
 export function paintPoints(context, { constraints: [x, y] }) {
   const half = Math.min(Math.max(CROSS.of * now.scene.spacing_mm * view.scale, CROSS.least), CROSS.most);
-  const crosses = x.flatMap((one, i) => cross(toPx(one), toPy(y[i]), half, true));
+  const crosses = placesOf(x, y).flatMap((place) => cross(...place, half, true));
   segments(context, crosses, palette.points, half > 2 ? 1.4 : 1);
 }
 

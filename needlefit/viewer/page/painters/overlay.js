@@ -6,7 +6,7 @@ import { heightAt, strengthOf } from "../quantities.js";
 import { listen, now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
 import { thickness } from "./needle.js";
-import { avoid, cross, faintly, fillBetween, isFree, label, labelFree, line, palette, polygon, reserve, ring, segments, setFont, stroke, turned } from "./strokes.js";
+import { cross, faintly, fillBetween, isFree, label, labelBeside, labelFree, line, palette, placesOf, polygon, reserve, ring, segments, setFont, stroke, turned } from "./strokes.js";
 
 const GAPS = 12; // parts of the shaft between which gaps are drawn
 const FAN = 0.3; // opacity of the plan's draws
@@ -28,17 +28,10 @@ export function paintMeasured(context, { x, y }) {
 }
 
 /** Draw the pinned needle: what the needle is compared with. */
-export function paintPinned(context, { x, y, tip }) {
+export function paintPinned(context, { x, y }) {
   line(context, x, y, palette.halo, 5);
   line(context, x, y, palette.ghost, 2.5, [2, 3]);
-  setFont(context, "strong");
-  avoid(x.map((one, i) => [toPx(one), toPy(y[i])]));
-  const atTip = [[0, -20], [0, 20], [-60, 0], [40, 0]].map(([right, down]) => [toPx(tip.x) + right, toPy(tip.y) + down]);
-  const beside = [0.85, 0.7, 0.5].flatMap((share) => {
-    const i = Math.round(share * (x.length - 1));
-    return [-18, 18].map((away) => [toPx(x[i]), toPy(y[i]) + away]);
-  });
-  labelFree(context, "pinned", [...atTip, ...beside], palette.ghost);
+  labelBeside(context, "pinned", [[[x, y], -18], [[x, y], 18]], palette.ghost);
 }
 
 /** Draw the points of the measured needle that can be dragged. */
@@ -58,14 +51,7 @@ function isChanged({ bevel, layers }, { fitted }) {
 /** State that the band is not that of the parameters shown. */
 export function nameBand(context, { x, low, high }) {
   if (now.scene.tracked || !isChanged(now.state, now.scene)) return;
-  setFont(context, "strong");
-  const text = "band of the fit";
-  const half = context.measureText(text).width / 2;
-  const at = [1, 0.8, 0.6, 0.4].map((share) => Math.round(share * (x.length - 1)));
-  avoid([low, high].flatMap((edge) => x.map((one, i) => [toPx(one), toPy(edge[i])])));
-  const places = at.flatMap((i) => [[high, -14], [low, 14]].flatMap(([edge, away]) =>
-    [0, -half, half].map((aside) => [toPx(x[i]) + aside, toPy(edge[i]) + away])));
-  labelFree(context, text, places, palette.band);
+  labelBeside(context, "band of the fit", [[[x, high], -14], [[x, low], 14]], palette.band);
 }
 
 const BAND_REACH = 2; // mm
@@ -157,7 +143,7 @@ export function paintInset(context, { x, y, tip }) {
   if (tip.x <= 0) return;
   const { left, top, width, height } = view.box;
   const curves = [{ x, y }, now.scene.measured, now.band && { x: now.band.x, y: now.band.low }, now.band && { x: now.band.x, y: now.band.high }];
-  const places = curves.flatMap((one) => (one ? one.x.map((at, i) => [toPx(at), toPy(one.y[i])]) : []));
+  const places = curves.flatMap((one) => (one ? placesOf(one.x, one.y) : []));
   const wide = Math.min(INSET.width, 0.36 * width);
   const empty = ([px, py]) => isFree([px, py, wide, INSET.height]) && places.every(([cx, cy]) =>
     cx < px - CLEAR || cx > px + wide + CLEAR || cy < py - CLEAR || cy > py + INSET.height + CLEAR);

@@ -59,20 +59,20 @@ export function arrow(context, [px, py], length, colour) {
   polygon(context, [[px - 5, end + head], [px, end], [px + 5, end + head]], colour);
 }
 
+/** The places (px) of points (mm). */
+export const placesOf = (x, y) => x.map((one, i) => [toPx(one), toPy(y[i])]);
+
 /** Draw a line along points (mm). */
 export function line(context, x, y, colour, width, dash = []) {
   context.setLineDash(dash);
-  context.beginPath();
-  for (let i = 0; i < x.length; i += 1) context.lineTo(toPx(x[i]), toPy(y[i]));
+  trace(context, placesOf(x, y));
   stroke(context, colour, width);
   context.setLineDash([]);
 }
 
 /** Fill what lies between two curves over the same x (mm). */
 export function fillBetween(context, x, low, high, colour) {
-  context.beginPath();
-  x.forEach((one, i) => context.lineTo(toPx(one), toPy(low[i])));
-  for (let i = x.length - 1; i >= 0; i -= 1) context.lineTo(toPx(x[i]), toPy(high[i]));
+  trace(context, [...placesOf(x, low), ...placesOf(x, high).reverse()]);
   context.closePath();
   context.fillStyle = colour;
   context.fill();
@@ -163,4 +163,19 @@ export function labelFree(context, text, places, colour) {
   context.textAlign = "center";
   context.textBaseline = "middle";
   label(context, text, box[0] + wide / 2, box[1] + LINE / 2, colour);
+}
+
+const SHARES = [1, 0.8, 0.6, 0.4]; // of a curve, where its label may stand
+
+/** Write a label beside curves: pairs of points [x, y] (mm), and how far below them (px), above if negative. */
+export function labelBeside(context, text, sides, colour) {
+  setFont(context, "strong");
+  const half = context.measureText(text).width / 2;
+  const curves = sides.map(([points, away]) => [placesOf(...points), away]);
+  for (const [places] of curves) avoid(places);
+  const beside = SHARES.flatMap((share) => curves.flatMap(([places, away]) => {
+    const [px, py] = places[Math.round(share * (places.length - 1))];
+    return [0, -half, half].map((aside) => [px + aside, py + away]);
+  }));
+  labelFree(context, text, beside, colour);
 }
