@@ -914,6 +914,7 @@ def test_readouts_and_fields_are_defined_on_hover_and_focus_inside_the_window(pa
     page.focus("#errors .term >> nth=0")
     assert page.inner_text("#definition") == get(page, "n.scene.measured.metrics[0][3]")
     assert terms.count() >= 14  # b twice, mu and alpha of four layers, base, tip
+    assert get(page, "Object.keys(n.scene.definitions)") == ["b", "θ", "μ"]
     for n in (0, 2, 3):
         terms.nth(n).hover()
         definition.wait_for(state="visible")

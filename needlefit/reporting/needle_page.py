@@ -29,6 +29,7 @@ from needlefit.mechanics.laws import LAWS, PowerLaw
 from needlefit.mechanics.packing import pack_layers
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.tissue import Tissue
+from needlefit.project.help_pages import read_terms
 from needlefit.project.json_values import to_json_values
 
 SHARE_MODULE = "viewer/page/share/main.js"
@@ -269,6 +270,10 @@ def encode_limits(scene: Scene) -> dict[str, Any]:
     return limits | {"base_y_mm": [-30.0, 30.0], "depth_mm": scene.needle.length}
 
 
+#: symbols of the model's parameters that the page explains by the glossary; a law explains its own
+DEFINED = ("b", "θ", "μ")
+
+
 def encode_scene(scene: Scene, first_cell: float, names: Sequence[str] = ()) -> dict[str, Any]:
     """Return what a page draws of a scene, and what it needs to simulate it; `names` are those of guides."""
     tissue = scene.tissue
@@ -285,6 +290,11 @@ def encode_scene(scene: Scene, first_cell: float, names: Sequence[str] = ()) -> 
             {key: getattr(one, key) for key in ("name", "symbol", "unit", "explanation")}
             for one in LAWS[tissue.law].parameters
         ],
+        "definitions": {
+            one.symbol: f"{one.key.capitalize()}: {one.paragraphs[0]}"
+            for one in read_terms()
+            if one.symbol in DEFINED
+        },
         "fitted": encode_layers(tissue) | encode_strength(scene.steps[0].bevel, scene.rules),
         "limits": encode_limits(scene),
         "simulation": encode_model(scene, first_cell),

@@ -1,8 +1,12 @@
 /** What the words of the page mean, shown on hover, focus and tap. */
 
 import { element, part } from "./dom.js";
+import { listen } from "./store.js";
 
-/** One or two sentences each, which `docs/_site/columns_page.py` copies; those of error metrics come with the scene. */
+/**
+ * One or two sentences each, which `docs/_site/columns_page.py` copies. Those of the model's parameters, from the
+ * glossary, and of error metrics come with the scene.
+ */
 export const DEFINITIONS = {
   "depth": "Inserted arc length: how much of the needle is beyond the entry.",
   "tip y": "Distance of the tip from the entry axis, y; positive to the left of the entry.",
@@ -15,15 +19,16 @@ export const DEFINITIONS = {
   "base y": "Lateral displacement of the base of the needle, as it is set; positive to the left.",
   "base slope": "Angle of the base of the needle against the entry axis, as it is set.",
   "guides": "Guides that hold the needle.",
-  "b": "Bevel offset: how far the bevel shifts the cut that the needle follows, per constraint spacing.",
-  "θ": "Cut angle: angle of the cut to the needle's tangent, under the advance by the path angle.",
-  "μ": "Foundation modulus: stiffness of the tissue as the model sees it, for each layer; no material constant.",
-  "α": "Exponent of the tissue law: how the tissue stiffens with strain (Ogden).",
   "target": "Where the tip is to end; within the radius it counts as reached. x along the entry, y to its left.",
   "obstacle": "What the needle must not touch: a circle in its plane. Distances are those of its axis.",
   "guide": "Where a guide holds the needle: x along the entry, y to its left, slope dy/dx as an angle.",
   "noise floor": "The mean error that perfect parameters would still show if measurements err as stated.",
 };
+
+listen("scene", ({ definitions, shape_parameters: shapes }) => {
+  Object.assign(DEFINITIONS, definitions);
+  for (const { symbol, explanation } of shapes) DEFINITIONS[symbol] = `${explanation[0].toUpperCase()}${explanation.slice(1)}.`;
+});
 
 const ROOM = 110; // px, of the highest definition
 

@@ -1,7 +1,6 @@
 /** The fields of bevel, tissue, base, tip and guides, and what they ask for. */
 
 import * as act from "./actions.js";
-import { DEFINITIONS } from "./definitions.js";
 import { part, press, write } from "./dom.js";
 import { makeField, setHome, show } from "./fields.js";
 import { counted, degrees, modulusLike, numbered, slope, strengthOf } from "./quantities.js";
@@ -49,8 +48,7 @@ function buildTissue({ layer_names: names, boundaries_mm: tops, limits, fitted, 
       setHome(field, fitted.layers[i][name]);
     };
     add("mu_pa", { ...modulus, name: `μ ${called}`, symbol: "μ" });
-    for (const { name, symbol, unit, explanation } of shapes) {
-      DEFINITIONS[symbol] ??= `${explanation}.`;
+    for (const { name, symbol, unit } of shapes) {
       const [low, high] = limits[name];
       const step = Math.min(0.1, (high - low) / 100);
       add(name, { name: `${symbol} ${called}`, symbol, unit, write: digits(2), limits: limits[name], step });

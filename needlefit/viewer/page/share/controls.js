@@ -1,6 +1,5 @@
 /** The inputs of a file's needle: its depth, bevel and base, and the parameters of the model. */
 
-import { DEFINITIONS } from "../definitions.js";
 import { part } from "../dom.js";
 import { makeField, setHome, show } from "../fields.js";
 import { degrees, modulusLike, slope, strengthOf } from "../quantities.js";
@@ -41,8 +40,7 @@ export function buildFields(scene, isRecording, steer) {
       { name: `μ ${called}`, symbol: "μ", ...modulusLike(fitted.layers[i].mu_pa), logarithmic: true, step: 1.05, limits: limits.mu_pa },
       (of) => of.layers[i].mu_pa);
     if (!simulation.law.terms) return; // a law that is a table has been computed for these parameters alone
-    for (const { name, symbol: sign, unit: of, explanation } of scene.shape_parameters) {
-      DEFINITIONS[sign] ??= `${explanation}.`;
+    for (const { name, symbol: sign, unit: of } of scene.shape_parameters) {
       const step = Math.min(0.1, (limits[name][1] - limits[name][0]) / 100);
       add("tissue-fields", [name, i + 1],
         { name: `${sign} ${called}`, symbol: sign, unit: of, step, write: digits(2), limits: limits[name] },
