@@ -21,6 +21,7 @@ export function computeBands(worker, kernel, current) {
 
   /** Order what is shown of the needle as it stands, unless it is on its way. */
   function order() {
+    if (!now.state) return;
     const traced = !part("strip").hidden;
     if (!now.scene.draws && !traced) return;
     const about = JSON.stringify([current().name, now.state.step, traced]);
@@ -32,7 +33,7 @@ export function computeBands(worker, kernel, current) {
   function send() {
     ordered = "";
     worker.postMessage({ draws: now.scene.draws, steps: null });
-    if (now.state) order();
+    order();
   }
 
   worker.onmessage = ({ data: { id, band, forces, pinned } }) => {
@@ -43,7 +44,7 @@ export function computeBands(worker, kernel, current) {
   };
   listen("scene", send);
   listen("draws", send);
-  listen("state", order);
-  listen("strip", () => now.state && order());
+  listen("drawn", order); // not before: the thread that wakes would hold up the frame
+  listen("strip", order);
   listen("pinned", () => worker.postMessage({ pinned: now.pinned && describeNeedle() }));
 }

@@ -7,7 +7,7 @@ import { describeState } from "../model/state.js";
 import { between, line, palette } from "../painters/strokes.js";
 import { counted } from "../quantities.js";
 import { refresh, refreshDescription } from "../readouts.js";
-import { listen, now, take } from "../store.js";
+import { listen, now, publish, take } from "../store.js";
 import { draw as drawStrip } from "../strip.js";
 import { toggle } from "../toolbar.js";
 import { fit } from "../view.js";
@@ -51,6 +51,7 @@ function redraw() {
     frame = 0;
     paint(fresh);
     fresh = false;
+    publish("drawn");
   });
 }
 
