@@ -230,8 +230,9 @@ def make_case(row: Row) -> Case:
     return Case(row, scene, gantry, grid, world, axis, bevel, balls, known, interfaces, middle)
 
 
-AROUND_MM, SLICES_AROUND = 9.0, 4
-"""What a narrow volume shows around the needle: in the slices, mm, and along their normal, slices or mm."""
+AROUND_MM, SLICES_AROUND, SLICE_RAYS = 9.0, 4, 8
+"""What a narrow volume shows around the needle: in the slices, mm, and along their normal, slices or mm. And
+rays across its slices."""
 
 
 def narrow_case(case: Case) -> Case:
@@ -245,12 +246,15 @@ def narrow_case(case: Case) -> Case:
     low = np.floor((points.min(axis=0) - pad - grid.origin) / grid.spacing).clip(0).astype(int)
     high = np.ceil((points.max(axis=0) + pad - grid.origin) / grid.spacing).astype(int) + 1
     size = tuple(int(n) for n in np.minimum(high, grid.size) - low)
-    return replace(case, grid=VoxelGrid(size, grid.origin + low * grid.spacing, grid.spacing, grid.direction))
+    part = VoxelGrid(size, grid.origin + low * grid.spacing, grid.spacing, grid.direction)
+    return replace(case, grid=part, gantry=replace(case.gantry, slice_rays=SLICE_RAYS))
 
 
 def render_cached(case: Case, folder: Path) -> Path:
     """Return the volume of a case in `folder`; it is rendered if it is not there yet."""
-    key = hashlib.sha256(repr((SEED, case.row, case.grid.size)).encode()).hexdigest()[:8]
+    key = hashlib.sha256(repr((SEED, case.row, case.grid.size, case.gantry.slice_rays)).encode()).hexdigest()[
+        :8
+    ]
     path = folder / f"{case.row.name}-{key}.nrrd"
     if path.exists():
         return path

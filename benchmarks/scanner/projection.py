@@ -341,6 +341,9 @@ class Gantry:
         the rotation's axis.
     slice_mm : float
         Thickness of a slice.
+    slice_rays : int
+        Rays across it, the same everywhere: otherwise a face of the tissue would be a step beside metal. Few
+        make a profile that no scanner has: a needle along the slices is seen where one meets it.
     source_mm : float or None
         Distance of the tube from the axis; None: parallel beams.
     tube_kv : float
@@ -358,6 +361,7 @@ class Gantry:
     cell_mm: float = 0.35
     aperture_mm: float = 0.5
     slice_mm: float = 0.6
+    slice_rays: int = 3
     source_mm: float | None = None
     tube_kv: float = 120.0
     photons: float = 4e5
@@ -395,9 +399,8 @@ MIN_COUNT = 0.5
 SCATTER_WIDTH_MM = 30.0
 """Deviation of the Gaussian that spreads scattered photons over the detector, mm."""
 
-CELL_RAYS, SLICE_RAYS = 4, 3
-"""Rays across a cell where metal is in the way, elsewhere one; and across a slice. Those across a slice are
-the same everywhere: otherwise a face of the tissue would be a step beside the metal."""
+CELL_RAYS = 4
+"""Rays across a cell where metal is in the way, elsewhere one."""
 
 MAX_WATER_MM = 1200.0
 """Range of the table that corrects the hardening of the beam in water, mm."""
@@ -530,7 +533,7 @@ def _measure_fan(
 def _transmit_scene(scene: ProjectionScene, gantry: Gantry, beam: _Beam, rays: Rays, bowtie: Reals) -> Reals:
     """Return the signal (V, T) behind the scene; means within cell and slice are means of the signal."""
     shape = np.broadcast_shapes(rays.cos.shape, rays.t.shape)
-    heights = rays.z + _offsets(SLICE_RAYS, gantry.slice_mm)
+    heights = rays.z + _offsets(gantry.slice_rays, gantry.slice_mm)
     metal = [one for one in beam.metal if one.low <= heights.max() and one.high >= heights.min()]
     touched = np.zeros(shape, dtype=bool)
     for one in metal:
@@ -539,12 +542,12 @@ def _transmit_scene(scene: ProjectionScene, gantry: Gantry, beam: _Beam, rays: R
     cos, sin, t, water = (array.astype(np.float32) for array in (rays.cos, rays.sin, rays.t, bowtie))
     for z in heights.tolist():
         plane = Rays(rays.frame, cos, sin, t, np.array(z, dtype=np.float32))
-        signal += _transmit_rays(scene, (), beam, plane, water) / SLICE_RAYS
+        signal += _transmit_rays(scene, (), beam, plane, water) / gantry.slice_rays
     if touched.any():
         cos, sin, t, water = (
             np.broadcast_to(array, shape)[touched][:, None] for array in (rays.cos, rays.sin, rays.t, bowtie)
         )
-        places = t + np.tile(_offsets(CELL_RAYS, gantry.aperture_mm), SLICE_RAYS)
+        places = t + np.tile(_offsets(CELL_RAYS, gantry.aperture_mm), gantry.slice_rays)
         inside = Rays(rays.frame, cos, sin, places, np.repeat(heights, CELL_RAYS))
         signal[touched] = _transmit_rays(scene, tuple(metal), beam, inside, water).mean(axis=1)
     return signal

@@ -8,17 +8,17 @@ and the kernel are fitted together, by projecting a rod and reconstructing the s
 what exceeds the scanner's numbers is cut in the model too.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.interpolate import BSpline
 from scipy.ndimage import map_coordinates
 
 from needlefit.arrays import Bools, Floats, Ints
 from needlefit.geometry.smoothing_spline import DEGREE, make_knots
 from needlefit.imaging.needle.axis_spline import AxisSpline, correlation_factor
+from needlefit.imaging.needle.rod_projection import COLUMN_MM, Rod
 from needlefit.imaging.volume import Volume, to_index
 from needlefit.schemas.reconstruction import ScannedNeedleRecord
 
@@ -30,13 +30,7 @@ LINE_REACH_MM, LINE_STEP_MM, STATION_MM, RIM_MM = 2.4, 0.4, 1.0, 1.7
 END_STATIONS, AHEAD_STATIONS, END_SLICES, MAX_DARK_STATIONS = 12, 25, 1, 6
 BEYOND_MM = 5.0  # length beyond the end that is looked at, mm
 REACH_SLICES = 1.5  # distance, in slices beyond the radius, out to which slices are looked at
-# Pieces of the rod along it, and cells of the detector, mm; planes to a slice.
-COLUMN_MM, CELL_MM, PLANES = 0.75, 0.25, 12
-# Distances from a slice's middle, in slices, between which the logarithm of its sensitivity is linear.
-SENSITIVITY_AT = np.arange(6) / 6
-# Angle between views along the needle, and how much it grows with the angle to the needle, rad.
-VIEW_STEP, VIEW_GROWTH = 0.013, 0.13
-WATER_PER_MM = 0.02  # attenuation of water, 1/mm
+SWAY_MM = 5.0  # how much farther across than the first axis rods are projected, mm
 KNOT_FACTOR = 1.6  # distance of the knots over that of the axis
 # A needle between supports is a beam: the third derivative of its axis is the shear force over its stiffness.
 SHEAR_SD_N, STEEL_MPA = 8.0, 200e3
@@ -46,12 +40,16 @@ END_MOMENT_MM = 5.0  # lever of that force at the end of what is fitted: the tip
 # a scanner's, and of the kernel's cutoff, 1/mm; the kernel's boost; and logarithms of the sensitivity of the
 # planes of a slice over that of its middle. Means and deviations.
 SCAN_MEANS = np.array([np.log(0.75), np.log(0.3), np.log(0.012), 0, np.log(0.6), 0.5, 0, 0, -0.7, -2.5, -4.0])
-SCAN_SDS = np.array([0.25, 0.35, 0.6, 0.3, 0.25, 1.5, 1.5, 1.0, 1.5, 1.5, 1.5])
+SCAN_SDS = np.array([0.25, 0.35, 0.6, 0.3, 0.25, 1.5, 0.4, 0.4, 0.5, 1.0, 1.5])
 WEAK_START = -1.5  # change of the attenuation's logarithm from which other metal is fitted
 TIP_SDS = np.array([1.0, 10.0])  # of where the needle ends, mm, and of its bevel's roll, rad, before
-# Tilts and bows, in slices, from which starts are searched for, and steps of the search; a fit with a smaller
-# error needs no other start.
-STARTS, START_STEPS, GOOD_ERROR = ((0.0, 0.0), (0.8, 0.0)), (0.5, 0.25, 0.12), 0.3
+# Expected parameters of a scanner that averages over the slice and, where the error of the first fit is not
+# smaller than this, of a simulated one with few rays in a slice.
+FEW_RAYS = np.append(SCAN_MEANS[:6], [-5.0, 0.0, -5.0, -5.0, -5.0])
+STARTS, GOOD_ERROR = (SCAN_MEANS, FEW_RAYS), 0.3
+# Moves out of a minimum: of the course, slices, and of the roll; how many of them are tried, and how often.
+HOPS, ROLL_HOPS, TRIED_HOPS, MAX_HOPS = (0.3, 0.6), (np.pi / 2, np.pi, 3 * np.pi / 2), 4, 4
+START_STEPS = (0.5, 0.25, 0.12)  # of shift, tilt and bow along the normal, slices
 START_ENDS_MM = (-1.0, -0.5, 0.0, 0.5, 1.0)  # ends that are tried, from the one stated, mm
 ROLLS = 6  # rolls of the bevel that are tried with each
 AGAIN_ENDS_MM = (-1.0, 0.0, 1.0)  # the same after the first fit
@@ -217,7 +215,8 @@ def _make_problem(
     )
     columns = np.arange(x[-1] + BEYOND_MM, x[-1] - needle.length_mm, -COLUMN_MM)
     steep = min(np.tan(np.radians(needle.bevel_deg)), needle.diameter_mm / COLUMN_MM)  # a blunt end, too
-    rod = _Rod(columns, radius, steep, thick, slices * thick, stations, side)
+    sway = np.abs(_extend(basis, columns) @ start[:, 0]) + SWAY_MM
+    rod = Rod(columns, radius, steep, thick, slices * thick, stations, side, sway)
     return _SliceProblem(
         rod,
         knots,
@@ -244,141 +243,6 @@ def _extend(spline: BSpline, x: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class _Rod:
-    """Projects a rod in the planes of slices, and reconstructs these where they are sampled."""
-
-    columns: Floats  # (C,); pieces of the rod along the needle, mm
-    radius: float
-    steep: float  # tangent of the bevel's angle to the axis
-    thick: float
-    heights: Floats  # (K,); of the slices, mm
-    stations: Floats  # (S,); where slices are sampled: along the needle
-    side: Floats  # (S, U); and across it
-
-    @cached_property
-    def views(self) -> tuple[Floats, Floats]:
-        """Angles of the rays to the needle (V,) and their weights; dense where rays run along it."""
-        half = [0.0]
-        while half[-1] < np.pi / 2:
-            half.append(half[-1] * (1 + VIEW_GROWTH) + VIEW_STEP)
-        turned = np.array(half) * (np.pi / 2 / half[-1])
-        angles = np.concatenate([-turned[:0:-1], turned])
-        weights = np.gradient(angles)
-        return angles, weights * np.pi / weights.sum()
-
-    @property
-    def planes(self) -> Floats:
-        """Heights of the planes (P,), mm."""
-        count = PLANES * (len(self.heights) + 1) - 1
-        return np.asarray(self.heights[0] + self.thick / PLANES * (np.arange(count) - PLANES + 1))
-
-    @cached_property
-    def half(self) -> int:
-        """Cells on either side of the middle."""
-        reach = max(np.abs(self.columns).max(), np.abs(self.stations).max(), np.abs(self.side).max())
-        return int(np.hypot(reach, np.abs(self.side).max()) / CELL_MM) + 8
-
-    @cached_property
-    def _ramp(self) -> tuple[Floats, Floats]:
-        """Frequencies, 1/mm, and the ramp, sampled in space: in frequency that would shift the mean."""
-        length = next_fast_len(4 * self.half, real=True)
-        n = np.concatenate([np.arange(length // 2 + 1), np.arange(length // 2 + 1 - length, 0)])
-        ramp = np.where(n % 2, -1 / (np.pi * np.where(n == 0, 1, n) * CELL_MM) ** 2, 0.0)
-        ramp[0] = 1 / (2 * CELL_MM) ** 2
-        return rfftfreq(length, CELL_MM), rfft(ramp).real * CELL_MM
-
-    def _cells(self, aside: float) -> tuple[Ints, Floats]:
-        """Return the cells (S, U, V) that see the samples moved by `aside` mm, and their distance beyond."""
-        angles, _ = self.views
-        across = (self.side[..., None] + aside) * np.cos(angles)
-        place = (across - self.stations[:, None, None] * np.sin(angles)) / CELL_MM + self.half
-        first = np.floor(place).astype(np.int64)
-        return first + 2 * self.half * np.arange(len(angles)), (place - first).astype(np.float32)
-
-    @cached_property
-    def cells(self) -> tuple[Ints, Floats]:
-        """Cells of the samples."""
-        return self._cells(0.0)
-
-    def lengths(self, across: Floats, along: Floats, end: float, roll: float) -> tuple[Ints, Floats]:
-        """Return the planes (A,) that meet a rod, and the metal (A, V, T) on their rays, mm.
-
-        `across`, `along`: (C,); where the axis lies. `end`: where the bevel's point is; `roll`: its side,
-        from the direction across.
-        """
-        rise, drift = np.gradient(along, self.columns), np.gradient(across, self.columns)
-        away = (self.planes[:, None] - along) / np.sqrt(1 + rise**2)
-        left = self.radius**2 - away**2
-        # of the chord the part beyond the bevel's face is missing
-        chord = np.sqrt(np.clip(left, 0, None))
-        lean = chord * max(abs(np.cos(roll)), 0.05)
-        face = self.radius - away * np.sin(roll) - (end - self.columns) * self.steep
-        part = np.clip((lean - face) / np.maximum(2 * lean, 1e-9), 0, 1)
-        inside = (left > 0) & (part > 0)
-        active = np.flatnonzero(inside.any(axis=1))
-        plane, c = np.nonzero(inside[active])
-        chord, part, slant = chord[active[plane], c], part[active[plane], c], np.sqrt(1 + drift[c] ** 2)
-        width = (2 * chord * part * slant)[:, None]
-        place = across[c] + np.sign(np.cos(roll)) * chord * (1 - part) * slant
-        angles, _ = self.views
-        sine, cosine, cells = np.sin(angles), np.cos(angles), 2 * self.half
-        # every piece is a parallelogram, whose image is a trapezoid: the sum of four ramps
-        long = np.maximum(width * np.abs(cosine) / CELL_MM, 0.5)
-        wide = np.maximum(np.abs(drift[c][:, None] * cosine - sine) * COLUMN_MM / CELL_MM, 0.5)
-        middle = (place[:, None] * cosine - self.columns[c][:, None] * sine) / CELL_MM + self.half
-        row = (plane[:, None] * len(angles) + np.arange(len(angles))) * cells
-        height = width * COLUMN_MM / CELL_MM / (long * wide)
-        where, what = [], []
-        for sign, shift in ((1, -long - wide), (-1, wide - long), (-1, long - wide), (1, long + wide)):
-            at = middle + shift / 2
-            first = np.floor(at)
-            beyond = at - first
-            # one cell later: of the two sums below each begins with its own cell
-            cell = row + np.clip(first.astype(np.int64) + 1, 0, cells - 2)
-            where += [cell.ravel(), cell.ravel() + 1]
-            what += [(sign * height * (1 - beyond)).ravel(), (sign * height * beyond).ravel()]
-        shape = (len(active), len(angles), cells)
-        ramps = np.bincount(np.concatenate(where), np.concatenate(what), minlength=int(np.prod(shape)))
-        metal = ramps.reshape(shape)
-        for _ in range(2):
-            np.cumsum(metal, axis=-1, out=metal)
-        return active, np.clip(metal, 0, None).astype(np.float32)
-
-    def show(self, metal: tuple[Ints, Floats], scan: Floats, aside: float = 0.0) -> Floats:
-        """Return the slices (K, S, U), water 1, over their surroundings, where `metal` is on their rays."""
-        attenuation, variance, scatter, linear, cutoff = np.exp(scan[:5])
-        away = np.abs(np.arange(1 - PLANES, PLANES)) / PLANES
-        profile = np.exp(np.interp(away, SENSITIVITY_AT, [0.0, *scan[6:]]))
-        active, lengths = metal
-        mix = np.zeros((len(self.heights), len(self.planes)))
-        for k, row in enumerate(mix):
-            row[k * PLANES : k * PLANES + len(profile)] = profile / profile.sum()
-        mix = mix[:, active]
-        rows = np.flatnonzero(mix.any(axis=1))
-        # an attenuation that is gamma distributed over the spectrum: the beam hardens
-        passed = np.log1p(lengths * np.float32(attenuation * variance / linear))
-        passed = np.exp(passed * np.float32(-1 / variance))
-        signal = np.tensordot(mix[rows].astype(np.float32), passed, 1)
-        signal += (1 - mix[rows].sum(axis=1)).astype(np.float32)[:, None, None]
-        # a cell's aperture
-        signal[..., 1:-1] = signal[..., 1:-1] / 2 + (signal[..., 2:] + signal[..., :-2]) / 4
-        logs = -np.log((signal + np.float32(scatter)) / np.float32(1 + scatter))
-        frequencies, ramp = self._ramp
-        x2 = (frequencies / cutoff) ** 2
-        window = (ramp * (1 + scan[5] * x2) * np.exp(-x2)).astype(np.float32)
-        _, weights = self.views
-        length = 2 * (len(frequencies) - 1)
-        filtered = irfft(rfft(logs, length) * window, length)[..., : 2 * self.half]
-        filtered = filtered * (weights * linear / WATER_PER_MM).astype(np.float32)[:, None]
-        first, beyond = self.cells if aside == 0 else self._cells(aside)
-        image = np.zeros((len(self.heights), *self.side.shape))
-        for slice_, flat in zip(rows, filtered.reshape(len(rows), -1), strict=True):
-            low = flat[first]
-            image[slice_] = (low + (flat[first + 1] - low) * beyond).sum(axis=-1)
-        return image
-
-
-@dataclass(frozen=True)
 class _SliceProblem:
     """What slices (K,) show on lines (U,) across the needle at stations (S,), and what a rod would show.
 
@@ -386,7 +250,7 @@ class _SliceProblem:
     and the scan's.
     """
 
-    rod: _Rod
+    rod: Rod
     knots: Floats
     at: Floats  # (S, C) from coefficients to the axis at stations
     to_columns: Floats  # (columns, C)
@@ -397,6 +261,7 @@ class _SliceProblem:
     seen: Bools  # (K, S)
     rim: Bools  # (U,); what shows the surroundings
     cut: Floats  # (2,); smallest and largest that the scanner shows
+    means: Floats = field(default_factory=SCAN_MEANS.copy)  # expected parameters of the scan
 
     def split(self, theta: Floats) -> list[Floats]:
         """Return the parameters of each kind."""
@@ -407,7 +272,7 @@ class _SliceProblem:
         """Return what is known before, in its deviations; linear in the parameters."""
         across, along, end, scan = self.split(theta)
         return np.concatenate(
-            [self.bent @ across, self.bent @ along, end / TIP_SDS, (scan - SCAN_MEANS) / SCAN_SDS]
+            [self.bent @ across, self.bent @ along, end / TIP_SDS, (scan - self.means) / SCAN_SDS]
         )
 
     def project(self, theta: Floats) -> tuple[Ints, Floats]:
@@ -439,43 +304,70 @@ class _SliceProblem:
         return np.concatenate(slopes, axis=-1)
 
     def solve(self) -> tuple[Floats, Floats, float]:
-        """Return parameters, their covariance and the model's relative error, from the best of few starts."""
+        """Return parameters, their covariance and the model's relative error."""
         found = []
-        for tilt, bow in STARTS:
-            found.append(self.fit(self.find_start(tilt, bow)))
-            if found[-1][2] < GOOD_ERROR:
+        for means in STARTS:
+            problem = replace(self, means=means)
+            theta, image, _ = problem.descend(problem.find_start(), self.first_scale, ROBUST_SD[0])
+            found.append((problem.first_misfit(theta), problem, theta))
+            if self.error(image) < GOOD_ERROR:
                 break
-        scale, robust = self.first_scale, ROBUST_SD[1]
-        costs = [self.misfit(self.image(self.project(t), t), t, scale, robust) for t, *_ in found]
-        return found[int(np.argmin(costs))]
+        _, problem, theta = min(found, key=lambda one: one[0])
+        return problem.fit(theta)
 
-    def find_start(self, tilt: float, bow: float) -> Floats:
-        """Return a start, its course along the normal shifted, tilted and bent as far as that helps."""
-        scale, count = self.first_scale, len(self.start)
-        x = np.linspace(-1, 1, count)
-        modes = np.stack([np.ones(count), x, x**2 - 0.5, x**3 - 0.6 * x]) * self.rod.thick
-
-        def misfit(theta: Floats) -> float:
-            return self.misfit(self.image(self.project(theta), theta), theta, scale, ROBUST_SD[1])
-
-        best = np.concatenate([*self.start.T, [0.0, 0.0], SCAN_MEANS])
-        best[count : 2 * count] += tilt * modes[1] + bow * modes[2]
-        weak = best.copy()
-        weak[2 * count + 2] += WEAK_START
-        best = min(best, weak, key=misfit)
-        lowest = misfit(best)
+    def find_start(self) -> Floats:
+        """Return a start with the scan as expected, or less metal, its course along the normal moved."""
+        start = np.concatenate([*self.start.T, [0.0, 0.0], self.means])
+        weak = start.copy()
+        weak[2 * len(self.start) + 2] += WEAK_START
+        best = min(start, weak, key=self.first_misfit)
+        lowest = self.first_misfit(best)
         for step in START_STEPS:
             improved = True
             while improved:
                 improved = False
-                for move in (*modes * step, *modes * -step):
-                    theta = best.copy()
-                    theta[count : 2 * count] += move
-                    if (cost := misfit(theta)) < lowest:
+                for theta in self.move(best, step):
+                    if (cost := self.first_misfit(theta)) < lowest:
                         best, lowest, improved = theta, cost, True
-        return self.turn(best, self.first_scale, START_ENDS_MM)
+        return self.turn(best, START_ENDS_MM)
 
-    def turn(self, theta: Floats, scale: Floats, ends: tuple[float, ...]) -> Floats:
+    def move(self, theta: Floats, step: float) -> list[Floats]:
+        """Return the parameters with the course shifted, tilted or bent along the normal by `step` slices."""
+        count = len(self.start)
+        x = np.linspace(-1, 1, count)
+        modes = [np.ones(count), x, x**2 - 0.5, x**3 - 0.6 * x, (x**2 - x) / 2, 1 - x**2, (x**2 + x) / 2]
+        moved = []
+        for mode in modes:
+            for size in (step, -step):
+                one = theta.copy()
+                one[count : 2 * count] += size * self.rod.thick * mode
+                moved.append(one)
+        return moved
+
+    def hop(self, theta: Floats) -> Floats:
+        """Return the parameters of the smallest of the minima next to `theta`."""
+        theta, *_ = self.descend(theta, self.first_scale, ROBUST_SD[1])
+        lowest = self.first_misfit(theta)
+        for _ in range(MAX_HOPS):
+            near = [one for step in HOPS for one in self.move(theta, step)]
+            for turn in ROLL_HOPS:
+                near.append(theta.copy())
+                near[-1][2 * len(self.start) + 1] += turn
+            near.sort(key=self.first_misfit)
+            for one in near[:TRIED_HOPS]:
+                there, *_ = self.descend(one, self.first_scale, ROBUST_SD[1])
+                if (cost := self.first_misfit(there)) < lowest - CONVERGED:
+                    theta, lowest = there, cost
+                    break
+            else:
+                break
+        return theta
+
+    def first_misfit(self, theta: Floats) -> float:
+        """Return what is minimized before the model's error is known."""
+        return self.misfit(self.image(self.project(theta), theta), theta, self.first_scale, ROBUST_SD[1])
+
+    def turn(self, theta: Floats, ends: tuple[float, ...]) -> Floats:
         """Return the parameters with the best of several rolls of the bevel, its end moved by `ends`, mm."""
         count, tried = len(self.start), []
         for move in ends:
@@ -483,8 +375,7 @@ class _SliceProblem:
                 one = theta.copy()
                 one[2 * count : 2 * count + 2] += [move, roll]
                 tried.append(one)
-        costs = [self.misfit(self.image(self.project(one), one), one, scale, ROBUST_SD[1]) for one in tried]
-        return tried[int(np.argmin(costs))]
+        return min(tried, key=self.first_misfit)
 
     @cached_property
     def first_scale(self) -> Floats:
@@ -497,57 +388,70 @@ class _SliceProblem:
         cost = robust**2 * np.sum(np.log1p((left / robust) ** 2)) / CORRELATED
         return float(cost + np.sum(self.known(theta) ** 2))
 
-    def fit(self, theta: Floats) -> tuple[Floats, Floats, float]:
-        """Return parameters, their covariance, and the model's relative error."""
+    def descend(self, theta: Floats, scale: Floats, robust: float) -> tuple[Floats, Floats, Floats]:
+        """Return parameters where what is minimized is small, what slices show there, and its curvature."""
         seen = self.seen[..., None]
         known = np.stack([self.known(one) - self.known(0 * one) for one in np.eye(len(theta))], axis=1)
-        scale = self.first_scale
         metal = self.project(theta)
         image = self.image(metal, theta)
-        for robust in ROBUST_SD:
-            if robust != ROBUST_SD[0]:
-                theta = self.turn(theta, scale, AGAIN_ENDS_MM)
-                metal = self.project(theta)
-                image = self.image(metal, theta)
-            cost, damping, slopes = self.misfit(image, theta, scale, robust), 1e-3, None
-            for _ in range(STEPS):
-                fresh = slopes is None
-                if slopes is None:
-                    slopes = self.slopes(theta, metal, image)
-                left = np.where(seen, (self.shown - image) / scale, 0.0)
-                weights = np.where(seen, 1 / (1 + (left / robust) ** 2) / CORRELATED, 0.0)
-                jacobian = (slopes / scale[..., None]).reshape(-1, len(theta))
-                weighted = jacobian * weights.reshape(-1, 1)
-                normal = weighted.T @ jacobian + known.T @ known
-                pull = weighted.T @ left.ravel() - known.T @ self.known(theta)
-                before = cost
-                while damping < 1e4:
-                    step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), pull)
-                    there = self.project(theta + step)
-                    moved = self.image(there, theta + step)
-                    after = self.misfit(moved, theta + step, scale, robust)
-                    if after < cost:
-                        # a step's slopes serve the next one, corrected by what it showed
-                        missed = moved - image - slopes @ step
-                        weight = step * np.diag(normal)
-                        slopes = slopes + missed[..., None] * (weight / (weight @ step)) if fresh else None
-                        theta, metal, image, cost, damping = theta + step, there, moved, after, damping / 10
-                        break
-                    damping *= 10
-                    if not fresh:
-                        break
-                if after >= before and not fresh:
-                    slopes, damping = None, 1e-3
-                elif fresh and before - cost < CONVERGED:
+        cost, damping, slopes = self.misfit(image, theta, scale, robust), 1e-3, None
+        for _ in range(STEPS):
+            fresh = slopes is None
+            if slopes is None:
+                slopes = self.slopes(theta, metal, image)
+            left = np.where(seen, (self.shown - image) / scale, 0.0)
+            weights = np.where(seen, 1 / (1 + (left / robust) ** 2) / CORRELATED, 0.0)
+            jacobian = (slopes / scale[..., None]).reshape(-1, len(theta))
+            weighted = jacobian * weights.reshape(-1, 1)
+            normal = weighted.T @ jacobian + known.T @ known
+            pull = weighted.T @ left.ravel() - known.T @ self.known(theta)
+            before = cost
+            while damping < 1e4:
+                step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), pull)
+                moved = theta + step
+                there = self.project(moved)
+                shown = self.image(there, moved)
+                after = self.misfit(shown, moved, scale, robust)
+                if after < cost:
+                    # a step's slopes serve the next one, corrected by what it showed
+                    missed = shown - image - slopes @ step
+                    weight = step * np.diag(normal)
+                    slopes = slopes + missed[..., None] * (weight / (weight @ step)) if fresh else None
+                    theta, metal, image, cost, damping = moved, there, shown, after, damping / 10
                     break
-            left, over = np.where(seen, image - self.shown, 0.0), np.abs(image - self.level)
-            bright = seen & (over > BRIGHT * np.percentile(over[self.seen], 97))
-            noise = 1.48 * float(np.median(np.abs(left[seen & ~bright])))
-            error = 1.48 * float(np.median(np.abs(left[bright]) / over[bright]))
-            scale = np.hypot(max(noise, 0.005), np.clip(error, 0.02, 0.5) * over)
-        left = left / scale / np.sqrt(1 + (left / scale / robust) ** 2)
+                damping *= 10
+                if not fresh:
+                    break
+            if after >= before and not fresh:
+                slopes, damping = None, 1e-3
+            elif fresh and before - cost < CONVERGED:
+                break
+        return theta, image, normal
+
+    def fit(self, theta: Floats) -> tuple[Floats, Floats, float]:
+        """Return parameters, their covariance, and the model's relative error."""
+        theta = self.turn(self.hop(self.turn(theta, AGAIN_ENDS_MM)), AGAIN_ENDS_MM)
+        scale = self.scale(self.image(self.project(theta), theta))
+        robust = ROBUST_SD[1]
+        theta, image, normal = self.descend(theta, scale, robust)
+        scale = self.scale(image)
+        left = np.where(self.seen[..., None], image - self.shown, 0.0) / scale
+        left /= np.sqrt(1 + (left / robust) ** 2)
         factor = correlation_factor(np.moveaxis(left, 1, 0).reshape(left.shape[1], -1), len(theta))
         factor *= correlation_factor(np.moveaxis(left, 2, 0).reshape(left.shape[2], -1), 3)
         covariance: Floats = np.asarray(np.linalg.inv(normal) * factor / CORRELATED, dtype=np.float64)
-        missed = (image - self.shown)[self.seen]
-        return theta, covariance, float(np.linalg.norm(missed) / np.linalg.norm(over[self.seen]))
+        return theta, covariance, self.error(image)
+
+    def scale(self, image: Floats) -> Floats:
+        """Return the deviations of what slices show (K, S, U) that residuals of `image` show."""
+        seen, over = self.seen[..., None], np.abs(image - self.level)
+        bright = seen & (over > BRIGHT * np.percentile(over[self.seen], 97))
+        left = np.abs(image - self.shown)
+        noise = 1.48 * float(np.median(left[seen & ~bright]))
+        error = 1.48 * float(np.median(left[bright] / over[bright]))
+        return np.hypot(max(noise, 0.005), np.clip(error, 0.02, 0.5) * over)
+
+    def error(self, image: Floats) -> float:
+        """Return the relative error of what slices show."""
+        left, over = (image - self.shown)[self.seen], (image - self.level)[self.seen]
+        return float(np.linalg.norm(left) / np.linalg.norm(over))

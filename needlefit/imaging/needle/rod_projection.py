@@ -1,0 +1,180 @@
+"""Project a rod in the planes of slices, and reconstruct these from the projections, as a scanner does."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+
+from needlefit.arrays import Floats, Ints
+
+COLUMN_MM, CELL_MM = 0.75, 0.25  # pieces of the rod along it, and cells of the detector, mm
+PLANE_MM, PLANE_STEP = 0.17, 6  # distance of planes at most, mm; a slice has a multiple of so many
+# Distances from a slice's middle, in slices, between which the logarithm of its sensitivity is linear.
+SENSITIVITY_AT = np.arange(6) / 6
+# Angle between views along the needle, and how much it grows with the angle to the needle, rad.
+VIEW_STEP, VIEW_GROWTH = 0.013, 0.13
+WATER_PER_MM = 0.02  # attenuation of water, 1/mm
+
+
+@dataclass(frozen=True)
+class Rod:
+    """Projects a rod in the planes of slices, and reconstructs these where they are sampled."""
+
+    columns: Floats  # (C,); pieces of the rod along the needle, mm
+    radius: float
+    steep: float  # tangent of the bevel's angle to the axis
+    thick: float
+    heights: Floats  # (K,); of the slices, mm
+    stations: Floats  # (S,); where slices are sampled: along the needle
+    side: Floats  # (S, U); and across it
+    sway: Floats  # (C,); largest distance across that is projected, mm
+
+    @cached_property
+    def views(self) -> tuple[Floats, Floats]:
+        """Angles of the rays to the needle (V,) and their weights; dense where rays run along it."""
+        half = [0.0]
+        while half[-1] < np.pi / 2:
+            half.append(half[-1] * (1 + VIEW_GROWTH) + VIEW_STEP)
+        turned = np.array(half) * (np.pi / 2 / half[-1])
+        angles = np.concatenate([-turned[:0:-1], turned])
+        weights = np.gradient(angles)
+        return angles, weights * np.pi / weights.sum()
+
+    @property
+    def planes(self) -> Floats:
+        """Heights of the planes (P,), mm."""
+        n = self.in_slice
+        count = n * (len(self.heights) + 1) - 1
+        return np.asarray(self.heights[0] + self.thick / n * (np.arange(count) - n + 1))
+
+    @property
+    def in_slice(self) -> int:
+        """Number of planes in a slice."""
+        return PLANE_STEP * int(np.ceil(self.thick / (PLANE_STEP * PLANE_MM)))
+
+    @cached_property
+    def half(self) -> int:
+        """Cells on either side of the middle."""
+        reach = max(np.abs(self.columns).max(), np.abs(self.stations).max(), np.abs(self.side).max())
+        return int(np.hypot(reach, np.abs(self.side).max()) / CELL_MM) + 8
+
+    @cached_property
+    def seen(self) -> Ints:
+        """First cells (V,) of the part of each view that metal may cover, and how many (V,)."""
+        angles, _ = self.views
+        away = np.outer(np.abs(np.sin(angles)), np.abs(self.columns)) + np.outer(np.cos(angles), self.sway)
+        reach = np.minimum(np.ceil(away.max(axis=1) / CELL_MM).astype(np.int64) + 8, self.half)
+        return np.stack([self.half - reach, 2 * reach])
+
+    @cached_property
+    def _ramp(self) -> tuple[Floats, Floats]:
+        """Frequencies, 1/mm, and the ramp, sampled in space: in frequency that would shift the mean."""
+        length = next_fast_len(4 * self.half, real=True)
+        n = np.concatenate([np.arange(length // 2 + 1), np.arange(length // 2 + 1 - length, 0)])
+        ramp = np.where(n % 2, -1 / (np.pi * np.where(n == 0, 1, n) * CELL_MM) ** 2, 0.0)
+        ramp[0] = 1 / (2 * CELL_MM) ** 2
+        return rfftfreq(length, CELL_MM), rfft(ramp).real * CELL_MM
+
+    def _half_area(self, height: Floats) -> Floats:
+        """Return half the area of the rod's section below `height` from its middle, mm2."""
+        u = np.clip(height / self.radius, -1, 1)
+        return np.asarray(self.radius**2 / 2 * (u * np.sqrt(1 - u**2) + np.arcsin(u)))
+
+    def _cells(self, aside: float) -> tuple[Ints, Floats]:
+        """Return the cells (S, U, V) that see the samples moved by `aside` mm, and their distance beyond."""
+        angles, _ = self.views
+        across = (self.side[..., None] + aside) * np.cos(angles)
+        place = (across - self.stations[:, None, None] * np.sin(angles)) / CELL_MM + self.half
+        first = np.floor(place).astype(np.int64)
+        return first + 2 * self.half * np.arange(len(angles)), (place - first).astype(np.float32)
+
+    @cached_property
+    def cells(self) -> tuple[Ints, Floats]:
+        """Cells of the samples."""
+        return self._cells(0.0)
+
+    def lengths(self, across: Floats, along: Floats, end: float, roll: float) -> tuple[Ints, Floats]:
+        """Return the planes (A,) that meet a rod, and the metal (A, N) on the rays of all views' parts, mm.
+
+        `across`, `along`: (C,); where the axis lies. `end`: where the bevel's point is; `roll`: its side,
+        from the direction across.
+        """
+        rise, drift = np.gradient(along, self.columns), np.gradient(across, self.columns)
+        steepness = np.sqrt(1 + rise**2)
+        away = (self.planes[:, None] - along) / steepness
+        # half the mean chord in the thickness of a plane: smooth as the rod moves through the planes
+        reach = self.thick / self.in_slice / 2 / steepness
+        chord = self._half_area(away + reach) - self._half_area(away - reach)
+        chord /= 2 * reach
+        # of the chord the part beyond the bevel's face is missing
+        lean = chord * max(abs(np.cos(roll)), 0.05)
+        face = self.radius - away * np.sin(roll) - (end - self.columns) * self.steep
+        part = np.clip((lean - face) / np.maximum(2 * lean, 1e-9), 0, 1)
+        inside = (chord > 0) & (part > 0)
+        active = np.flatnonzero(inside.any(axis=1))
+        plane, c = np.nonzero(inside[active])
+        chord, part, slant = chord[active[plane], c], part[active[plane], c], np.sqrt(1 + drift[c] ** 2)
+        width = (2 * chord * part * slant)[:, None]
+        place = across[c] + np.sign(np.cos(roll)) * chord * (1 - part) * slant
+        angles, _ = self.views
+        sine, cosine = np.sin(angles), np.cos(angles)
+        low, count = self.seen
+        # every piece is a parallelogram, whose image is a trapezoid: the sum of four ramps
+        long = np.maximum(width * np.abs(cosine) / CELL_MM, 0.5)
+        wide = np.maximum(np.abs(drift[c][:, None] * cosine - sine) * COLUMN_MM / CELL_MM, 0.5)
+        middle = (place[:, None] * cosine - self.columns[c][:, None] * sine) / CELL_MM + self.half - low
+        row = plane[:, None] * count.sum() + np.cumsum(count) - count
+        height = width * COLUMN_MM / CELL_MM / (long * wide)
+        where, what = [], []
+        for sign, shift in ((1, -long - wide), (-1, wide - long), (-1, long - wide), (1, long + wide)):
+            at = middle + shift / 2
+            first = np.floor(at)
+            beyond = at - first
+            # one cell later: of the two sums below each begins with its own cell
+            cell = row + np.clip(first.astype(np.int64) + 1, 0, count - 2)
+            where += [cell.ravel(), cell.ravel() + 1]
+            what += [(sign * height * (1 - beyond)).ravel(), (sign * height * beyond).ravel()]
+        shape = (len(active), int(count.sum()))
+        ramps = np.bincount(np.concatenate(where), np.concatenate(what), minlength=int(np.prod(shape)))
+        metal = ramps.reshape(shape)
+        for _ in range(2):
+            np.cumsum(metal, axis=-1, out=metal)
+        return active, np.clip(metal, 0, None).astype(np.float32)
+
+    def show(self, metal: tuple[Ints, Floats], scan: Floats, aside: float = 0.0) -> Floats:
+        """Return the slices (K, S, U), water 1, over their surroundings, where `metal` is on their rays."""
+        attenuation, variance, scatter, linear, cutoff = np.exp(scan[:5])
+        away = np.abs(np.arange(1 - self.in_slice, self.in_slice)) / self.in_slice
+        profile = np.exp(np.interp(away, SENSITIVITY_AT, [0.0, *scan[6:]]))
+        active, lengths = metal
+        mix = np.zeros((len(self.heights), len(self.planes)))
+        for k, row in enumerate(mix):
+            row[k * self.in_slice : k * self.in_slice + len(profile)] = profile / profile.sum()
+        mix = mix[:, active]
+        rows = np.flatnonzero(mix.any(axis=1))
+        # an attenuation that is gamma distributed over the spectrum: the beam hardens
+        passed = np.log1p(lengths * np.float32(attenuation * variance / linear))
+        passed = np.exp(passed * np.float32(-1 / variance))
+        parts = np.tensordot(mix[rows].astype(np.float32), passed, 1)
+        parts += (1 - mix[rows].sum(axis=1)).astype(np.float32)[:, None]
+        low, count = self.seen
+        signal = np.ones((len(rows), len(low), 2 * self.half), dtype=np.float32)
+        for view, part in enumerate(np.split(parts, np.cumsum(count)[:-1], axis=1)):
+            signal[:, view, low[view] : low[view] + count[view]] = part
+        # a cell's aperture
+        signal[..., 1:-1] = signal[..., 1:-1] / 2 + (signal[..., 2:] + signal[..., :-2]) / 4
+        logs = -np.log((signal + np.float32(scatter)) / np.float32(1 + scatter))
+        frequencies, ramp = self._ramp
+        x2 = (frequencies / cutoff) ** 2
+        window = (ramp * (1 + scan[5] * x2) * np.exp(-x2)).astype(np.float32)
+        _, weights = self.views
+        length = 2 * (len(frequencies) - 1)
+        filtered = irfft(rfft(logs, length) * window, length)[..., : 2 * self.half]
+        filtered = filtered * (weights * linear / WATER_PER_MM).astype(np.float32)[:, None]
+        first, beyond = self.cells if aside == 0 else self._cells(aside)
+        image = np.zeros((len(self.heights), *self.side.shape))
+        for slice_, flat in zip(rows, filtered.reshape(len(rows), -1), strict=True):
+            low = flat[first]
+            image[slice_] = (low + (flat[first + 1] - low) * beyond).sum(axis=-1)
+        return image
