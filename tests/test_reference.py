@@ -13,7 +13,7 @@ from needlefit.schemas.study import SelectionRecord, StudyRecord
 from needlefit.studies import paper
 from needlefit.studies.job import prepare
 from needlefit.studies.kinds.cross_validation.run import Settings, run
-from needlefit.studies.paper import Claim, ClaimBound
+from needlefit.studies.paper import Claim
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.reference import round_frame
 from needlefit.studies.store import read_run
@@ -145,8 +145,13 @@ def test_claims_that_the_tables_bear_out_are_no_contradictions(topic):
     assert topic not in [claim.topic for claim in paper.find_contradictions()]
 
 
-def test_a_corrected_table_ends_a_contradiction():
-    bound = ClaimBound("Tip", "text", "below 0.36 mm", "tuning_by_media", ("te_mm",), 0.36)
-    table = pd.DataFrame({"medium": ["phantom1", "phantom2"], "te_mm": [0.29, 0.35]})
-    assert bound.check({"tuning_by_media": table}).agrees
-    assert not bound.check({"tuning_by_media": table.assign(te_mm=[0.29, 0.36])}).agrees
+@pytest.mark.parametrize(
+    ("te_mm", "inclusive", "agrees"), [(0.35, "no", 1), (0.36, "no", 0), (0.36, "yes", 1)]
+)
+def test_a_corrected_table_ends_a_contradiction(te_mm, inclusive, agrees, tmp_path, monkeypatch):
+    (tmp_path / "data" / "paper").mkdir(parents=True)
+    table = pd.DataFrame({"medium": ["phantom1", "phantom2"], "te_mm": [0.29, te_mm]})
+    table.to_csv(tmp_path / "data/paper/tuning_by_media.csv", index=False)
+    monkeypatch.chdir(tmp_path)
+    (bound,) = [one for one in paper.list_bounds() if one["topic"] == "Average TE by media"]
+    assert paper.check_bound(bound | {"inclusive": inclusive}).agrees == (te_mm < 0.36 or inclusive == "yes")

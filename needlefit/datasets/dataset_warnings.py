@@ -32,10 +32,11 @@ from needlefit.project.unit_warnings import (
     ANGLE_SD_DEG,
     ANGLE_UNITS,
     FormatPlace,
+    doubt_layers,
+    doubt_range,
     format_place,
-    layer_warnings,
     needle_warnings,
-    range_warnings,
+    warn,
 )
 from needlefit.schemas.dataset import DatasetRecord, TrackDatasetRecord
 
@@ -108,7 +109,7 @@ def find_record_warnings(record: DatasetRecord | TrackDatasetRecord, file: Path)
     noise = record.noise
     for name in ("heading_sd_deg", "slope_sd_deg"):
         if sd := getattr(noise, name, 0.0):
-            yield from range_warnings(sd, ANGLE_SD_DEG, ANGLE_UNITS, where, f"noise.{name}", "degrees")
+            yield from warn(doubt_range(sd, ANGLE_SD_DEG, ANGLE_UNITS, f"noise.{name}", "degrees"), where)
     point, shift = max(noise.point_sd_mm, noise.correlated_sd_mm), noise.registration_mean_mm
     length, needle = noise.correlation_length_mm, record.needle.length_mm
     metres = "mm, less than any needle is measured to: this looks like metres"
@@ -349,7 +350,7 @@ def find_boundary_warnings(
         depths = [one.depth for one in insertions if one.medium == name]
         if medium.boundaries_mm and depths:
             key = f"media.{name}.boundaries_mm"
-            yield from layer_warnings(medium.boundaries_mm, max(depths), where, key)
+            yield from warn(doubt_layers(medium.boundaries_mm, max(depths), key), where)
 
 
 def find_spacing_warnings(

@@ -73,19 +73,20 @@ def format_place(file: Path | str) -> FormatPlace:
     return lambda key: locate_key(path, key) if path.is_file() else str(file)
 
 
-def _warn(doubts: Iterable[Doubt], where: FormatPlace, kind: str = WARNING_KIND) -> Iterator[ResultWarning]:
+def warn(doubts: Iterable[Doubt], where: FormatPlace, kind: str = WARNING_KIND) -> Iterator[ResultWarning]:
+    """Yield doubts as warnings that name the places of their keys."""
     return starmap(lambda key, what, fix: ResultWarning(kind, what, where(key), fix), doubts)
 
 
-def needle_warnings(needle: NeedleRecord, where: FormatPlace, key: str = "needle") -> Iterator[ResultWarning]:
+def needle_warnings(needle: NeedleRecord, where: FormatPlace) -> Iterator[ResultWarning]:
     """Yield a warning for each value of a needle that is hard to believe."""
-    return _warn([*_doubt_diameters(needle, key), *_doubt_stiffness(needle, key)], where)
+    return warn([*_doubt_diameters(needle), *_doubt_stiffness(needle)], where)
 
 
 def scene_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[ResultWarning]:
     """Yield a warning for each value of a scene that is hard to believe; `file` is named as its place."""
     where = format_place(file)
-    return chain(needle_warnings(scene.needle, where), _warn(_doubt_scene(scene), where))
+    return chain(needle_warnings(scene.needle, where), warn(_doubt_scene(scene), where))
 
 
 def coarse_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[ResultWarning]:
@@ -99,42 +100,23 @@ def coarse_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[Resul
         key = "rules.constraint_spacing_mm"
         what = f"`{key}` is {spacing:g}: an insertion of {deepest:g} mm has only {cells} constraint cells"
         fix = f"take {MIN_CELLS} or more, and the bevel offset for that spacing"
-        yield from _warn([(key, what, fix)], format_place(file), "coarse")
+        yield from warn([(key, what, fix)], format_place(file), "coarse")
 
 
 def medium_warnings(medium: MediumRecord, file: Path | str) -> Iterator[ResultWarning]:
     """Yield a warning for each parameter of a medium that is fixed at, or bounded by, what no tissue has."""
-    return _warn(_doubt_medium(medium), format_place(file))
-
-
-def range_warnings(
-    value: float,
-    plausible: tuple[float, float],
-    units: Mapping[str, float],
-    where: FormatPlace,
-    key: str,
-    unit: str,
-) -> Iterator[ResultWarning]:
-    """Yield a warning if a value is out of a range, with the first of other `units` in which it is not."""
-    return _warn(_doubt_range(value, plausible, units, key, unit), where)
-
-
-def layer_warnings(
-    boundaries: Sequence[float], deepest: float, where: FormatPlace, key: str
-) -> Iterator[ResultWarning]:
-    """Yield a warning for each doubt about the boundaries, mm, of insertions down to `deepest`, mm."""
-    return _warn(_doubt_layers(boundaries, deepest, key), where)
+    return warn(_doubt_medium(medium), format_place(file))
 
 
 # ---- needles
 
 
-def _doubt_diameters(needle: NeedleRecord, table: str) -> Iterator[Doubt]:
+def _doubt_diameters(needle: NeedleRecord) -> Iterator[Doubt]:
     """Yield what is wrong with a diameter, or a length beside it; both may be in another unit."""
     outer, inner, length = needle.outer_diameter_mm, needle.inner_diameter_mm, needle.length_mm
     if outer is None:
         return
-    key, ratio = f"{table}.outer_diameter_mm", outer / length
+    key, ratio = "needle.outer_diameter_mm", outer / length
     what = f"`{key}` is {outer:g} on a needle of {length:g} mm"
     if length < 1.0:
         pass  # a length in metres is a fault
@@ -143,8 +125,8 @@ def _doubt_diameters(needle: NeedleRecord, table: str) -> Iterator[Doubt]:
         yield key, what + looks, fix
     elif not _is_within(ratio, DIAMETER_TO_LENGTH):
         thick = ", very thick" if ratio > DIAMETER_TO_LENGTH[1] else ""
-        yield _doubt_length(length, outer, what + thick, f"{table}.length_mm")
-    key = f"{table}.inner_diameter_mm"
+        yield _doubt_length(length, outer, what + thick, "needle.length_mm")
+    key = "needle.inner_diameter_mm"
     what = f"`{key}` is {inner:g} in a tube of {outer:g} mm"
     if 0 < inner < min(MIN_INNER_DIAMETER_MM, outer):
         yield key, f"{what}, less than any tube has", "check it, in mm; 0 if solid"
@@ -153,19 +135,19 @@ def _doubt_diameters(needle: NeedleRecord, table: str) -> Iterator[Doubt]:
         yield key, f"{what}, which leaves a wall of {wall:.2g} mm", "check both diameters, in mm; 0 if solid"
 
 
-def _doubt_stiffness(needle: NeedleRecord, table: str) -> Iterator[Doubt]:
+def _doubt_stiffness(needle: NeedleRecord) -> Iterator[Doubt]:
     diameter, modulus, rigidity = (
         needle.outer_diameter_mm, needle.youngs_modulus_gpa, needle.flexural_rigidity_nmm2
     )  # fmt: skip
     if modulus is not None and not _is_within(modulus, MODULUS_GPA):
-        key, (low, high) = f"{table}.youngs_modulus_gpa", MODULUS_GPA
+        key, (low, high) = "needle.youngs_modulus_gpa", MODULUS_GPA
         what = f"`{key}` is {modulus:g}, and needles have {low:g} to {high:g}"
         unit, in_gpa = likely_modulus(modulus)
         looks = (f"{what}: this looks like {unit}", f"write {in_gpa:.3g}")
         yield key, *(looks if unit else (what, "write it in GPa: about 200 for steel"))
     if rigidity is None:
         return
-    key, (low, high) = f"{table}.flexural_rigidity_nmm2", RIGIDITY_NMM2
+    key, (low, high) = "needle.flexural_rigidity_nmm2", RIGIDITY_NMM2
     if not low <= rigidity <= high:
         what = f"`{key}` is {rigidity:g}, and needles have {low:g} to {high:g}"
         in_nm2 = _is_within(rigidity * 1e6, RIGIDITY_NMM2)
@@ -179,7 +161,7 @@ def _doubt_stiffness(needle: NeedleRecord, table: str) -> Iterator[Doubt]:
     short = 1.0 <= needle.length_mm < rod_mm / DIAMETER_TO_LENGTH[1]  # a length in metres is a fault
     if diameter is None and short and rigidity <= high:
         what = f"short for a flexural rigidity of {rigidity:g}, which a steel rod of {rod_mm:.2g} mm has"
-        yield _doubt_length(needle.length_mm, rod_mm, what, f"{table}.length_mm")
+        yield _doubt_length(needle.length_mm, rod_mm, what, "needle.length_mm")
 
 
 def _doubt_length(length: float, diameter: float, what: str, key: str) -> Doubt:
@@ -239,7 +221,7 @@ def _deepest(scene: SceneRecord) -> float:
 
 def _doubt_scene(scene: SceneRecord) -> Iterator[Doubt]:
     for n, layer in enumerate(scene.layers, start=1):
-        yield from _doubt_range(layer.mu_pa, MU_PA, MU_UNITS, f"layers.{n}.mu_pa", "Pa")
+        yield from doubt_range(layer.mu_pa, MU_PA, MU_UNITS, f"layers.{n}.mu_pa", "Pa")
         if layer.alpha is not None:
             yield from _doubt_alpha(layer.alpha, scene.law, f"layers.{n}.alpha")
     tops = [layer.top_mm for layer in scene.layers[1:]]
@@ -250,7 +232,7 @@ def _doubt_scene(scene: SceneRecord) -> Iterator[Doubt]:
     for key, offset, angle in bevels:
         yield from _doubt_offset(offset, scene.rules.constraint_spacing_mm, f"{key}.offset_mm")
         if angle:
-            yield from _doubt_range(angle, *CUT_ANGLES, f"{key}.cut_angle_deg", "degrees")
+            yield from doubt_range(angle, *CUT_ANGLES, f"{key}.cut_angle_deg", "degrees")
 
 
 def _doubt_medium(medium: MediumRecord) -> Iterator[Doubt]:
@@ -259,18 +241,18 @@ def _doubt_medium(medium: MediumRecord) -> Iterator[Doubt]:
         high = bounds[1] if bounds else None
         if name.startswith("mu"):
             if fixed is not None:
-                yield from _doubt_range(fixed, MU_PA, MU_UNITS, key, "Pa")
+                yield from doubt_range(fixed, MU_PA, MU_UNITS, key, "Pa")
             elif high is not None:  # wide ones are no sign of another unit
-                yield from _doubt_range(high, (MU_PA[0], math.inf), MU_UNITS, key, "Pa")
+                yield from doubt_range(high, (MU_PA[0], math.inf), MU_UNITS, key, "Pa")
         elif name.startswith("alpha") and fixed is not None:
             yield from _doubt_alpha(fixed, medium.law, key)
         elif name == "bevel_mm":
             yield from _doubt_offset(fixed or high, medium.constraint_spacing_mm, key)
         elif name == "cut_angle_deg" and (angle := fixed or high):
-            yield from _doubt_range(angle, *CUT_ANGLES, key, "degrees")
+            yield from doubt_range(angle, *CUT_ANGLES, key, "degrees")
 
 
-def _doubt_range(
+def doubt_range(
     value: float, plausible: tuple[float, float], units: Mapping[str, float], key: str, unit: str
 ) -> Iterator[Doubt]:
     """Yield a doubt if a value is out of a range, with the first of other `units` in which it is not."""
@@ -296,7 +278,7 @@ def _doubt_offset(offset: float | None, spacing: float, key: str) -> Iterator[Do
     """Yield a doubt about a bevel's offset, mm per constraint spacing; 0 is a needle without a bevel."""
     if offset:
         low, high = (spacing * each for each in OFFSET_TO_SPACING)
-        yield from _doubt_range(offset, (low, high), {"metres": 1e3}, key, f"mm per {spacing:g} mm of depth")
+        yield from doubt_range(offset, (low, high), {"metres": 1e3}, key, f"mm per {spacing:g} mm of depth")
 
 
 def _doubt_boundary(first: float, depth: float, key: str) -> Iterator[Doubt]:
@@ -308,7 +290,8 @@ def _doubt_boundary(first: float, depth: float, key: str) -> Iterator[Doubt]:
         yield key, what, f"write {1e3 * first:g}" if metres else "check it, in mm"
 
 
-def _doubt_layers(boundaries: Sequence[float], deepest: float, key: str) -> Iterator[Doubt]:
+def doubt_layers(boundaries: Sequence[float], deepest: float, key: str) -> Iterator[Doubt]:
+    """Yield each doubt about the boundaries, mm, of insertions down to `deepest`, mm."""
     if not boundaries:
         return
     first, last = boundaries[0], boundaries[-1]

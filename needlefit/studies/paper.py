@@ -1,10 +1,11 @@
 """Read the published tables and parameter sets, and find where the paper contradicts itself."""
 
-import math
-from collections.abc import Iterator, Mapping
+import csv
+from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import pandas as pd
 
@@ -12,6 +13,7 @@ from needlefit.errors import ConfigError
 from needlefit.inference.parameters import Parameters
 from needlefit.project import locate
 from needlefit.project.input_files import convert_stored_errors
+from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText
 from needlefit.studies.csv_tables import ANY_COLUMNS, TableSchema, read_table
 
@@ -55,14 +57,12 @@ def read_hand_tuned(name: str) -> dict[str, float]:
 
     Raises ConfigError if there is no such row.
     """
-    published = {"parameters": read_published_table("parameters")}
     with convert_stored_errors(_find_file("parameters")):
-        found = select_rows(published, "parameters", set=name)
+        found = select_rows("parameters", set=name)
     if not found:
         known = ", ".join(read_hand_tuned_names())
         raise ConfigError(f"the paper has no parameter set called `{name}`", expected=f"one of {known}")
-    numbers = {key: value for key, value in found[0].items() if isinstance(value, int | float)}
-    return {key: float(value) for key, value in numbers.items() if not math.isnan(value)}
+    return {key: float(value) for key, value in found[0].items() if isinstance(value, int | float)}
 
 
 def hand_tuned_set(name: str, parameters: Parameters, medium: str) -> dict[str, float]:
@@ -94,9 +94,7 @@ def _find_file(name: str) -> Path:
     )
 
 
-Row = dict[str, Any]
 TEXT = KindText("paper")
-PublishedTables = Mapping[str, pd.DataFrame]
 
 
 @dataclass(frozen=True)
@@ -119,45 +117,38 @@ class Claim:
         return f"{line}. {self.note}".rstrip()
 
 
-def select_rows(tables: PublishedTables, name: str, **match: object) -> list[Row]:
-    """Return the rows of one published table whose cells equal `match`."""
-    records = [{str(k): v for k, v in row.items()} for row in tables[name].to_dict("records")]
-    return [row for row in records if all(row[k] == v for k, v in match.items())]
+def select_rows(name: TableName, **match: object) -> list[Row]:
+    """Return the rows of one published table whose cells equal `match`; errors as `read_published_table`."""
+    rows = to_records(read_published_table(name))
+    return [row for row in rows if all(row[key] == value for key, value in match.items())]
 
 
-@dataclass(frozen=True)
-class ClaimBound:
-    """A claim of the text that a column of a table stays below a limit.
-
-    `columns` are searched in `table` among the rows whose study is one of `studies` (all if empty);
-    `inclusive` lets the largest cell equal the limit.
-    """
-
-    topic: str
-    place: str
-    statement: str
-    table: str
-    columns: tuple[str, ...]
-    limit: float
-    inclusive: bool = False
-    studies: tuple[int, ...] = ()
-    note: str = ""
-
-    def check(self, tables: PublishedTables) -> Claim:
-        """Return the claim with the largest cell that it covers."""
-        covered = [
-            r for r in select_rows(tables, self.table) if not self.studies or r["study"] in self.studies
-        ]
-        row, column = max(((r, c) for r in covered for c in self.columns), key=lambda rc: rc[0][rc[1]])
-        value = float(row[column])
-        agrees = value <= self.limit if self.inclusive else value < self.limit
-        cell = f"{value:.2f} mm ({_describe_row(row)})"
-        return Claim(
-            self.topic, self.place, self.statement, _TABLE_NUMBERS[self.table], cell, agrees, self.note
-        )
-
+# ---- claims that cells of a table stay below a limit
 
 _TABLE_NUMBERS = {"tuning_by_layers": "Table III", "tuning_by_media": "Table III", "validation": "Table IV"}
+
+
+def list_bounds() -> list[Row]:
+    """Return the claims of the text that columns of a table stay below a limit.
+
+    `columns` are searched in `table` among the rows whose study is one of `studies` (all if empty); where
+    `inclusive` is "yes" the largest cell may equal the limit.
+    """
+    text = files("needlefit.studies").joinpath("claim_bounds.csv").read_text(encoding="utf-8")
+    return list(csv.DictReader(text.splitlines()))
+
+
+def check_bound(bound: Row) -> Claim:
+    """Return a claim of `list_bounds` with the largest cell that it covers."""
+    studies = [int(study) for study in bound["studies"].split()]
+    covered = [row for row in select_rows(bound["table"]) if not studies or row["study"] in studies]
+    cells = ((row, column) for row in covered for column in bound["columns"].split())
+    row, column = max(cells, key=lambda cell: cell[0][cell[1]])
+    value, limit = float(row[column]), float(bound["limit"])
+    agrees = value <= limit if bound["inclusive"] == "yes" else value < limit
+    found = f"{value:.2f} mm ({_describe_row(row)})"
+    stated = (bound[key] for key in ("topic", "place", "statement"))
+    return Claim(*stated, _TABLE_NUMBERS[bound["table"]], found, agrees, bound["note"])
 
 
 def _describe_row(row: Row) -> str:
@@ -168,59 +159,30 @@ def _describe_row(row: Row) -> str:
     return ", ".join(part for part in (study, medium, depth) if part)
 
 
-_SHAPE_METRICS = ("median_err_mm", "ipe_mean_mm")
-
-_LAYERS, _MEDIA, _VALIDATION = "tuning_by_layers", "tuning_by_media", "validation"
-CLAIM_BOUNDS = tuple(
-    ClaimBound(topic, place, statement, table, columns, limit, inclusive, studies, note)
-    for (topic, place, statement), table, columns, limit, inclusive, studies, note in (
-        (("In-plane errors in cross-validation", "the abstract",
-          "less than 1 mm for insertions down to 61 mm"),
-         _VALIDATION, ("ipe_mean_mm",), 1.0, False, (), "It is true of studies 1, 2 and 5."),
-        (("Median and average errors by layers", "Section V.A", "within 0.37 mm"),
-         _LAYERS, _SHAPE_METRICS, 0.37, True, (), ""),
-        (("Largest average TE by layers", "Section V.A", "0.57 mm"),
-         _LAYERS, ("te_mm",), 0.57, True, (), ""),
-        (("Median and average errors by media", "Section V.A", "not above 0.27 mm"),
-         _MEDIA, _SHAPE_METRICS, 0.27, True, (), ""),
-        (("Average TE by media", "Section V.A", "smaller than 0.36 mm"),
-         _MEDIA, ("te_mm",), 0.36, False, (), ""),
-        (("Largest median and average IPE of studies 1 and 2", "Section V.B", "below 0.39 mm"),
-         _VALIDATION, _SHAPE_METRICS, 0.39, False, (1, 2), ""),
-        (("Largest average maximum IPE of studies 1 and 2", "Section V.B", "0.77 mm"),
-         _VALIDATION, ("ipe_max_mm",), 0.77, True, (1, 2), ""),
-        (("Largest average tip error of studies 1 and 2", "Section V.B", "0.59 mm"),
-         _VALIDATION, ("te_mm",), 0.59, True, (1, 2), ""),
-        (("Errors of study 5", "Section V.B", "submillimetre"),
-         _VALIDATION, (*_SHAPE_METRICS, "ipe_max_mm", "te_mm"), 1.0, False, (5,), ""),
-    )
-)  # fmt: skip
-
-
 # ---- counts of insertions, averages, and explanations of a large EDP: key, whether they agree, the numbers
 
 Finding = tuple[str, bool, Row]
 
 
-def _check_counts(t: PublishedTables) -> Iterator[Finding]:
+def _check_counts() -> Iterator[Finding]:
     """Yield the claims on counts of insertions and on averages."""
-    design = {int(row["study"]): row for row in select_rows(t, "study_design")}
+    design = {int(row["study"]): row for row in select_rows("study_design")}
     tuned = {study: int(row["tune_insertions"]) for study, row in design.items()}
-    counts = {int(r["layers"]): int(r["insertions"]) for r in select_rows(t, "insertions", medium="phantom2")}
+    counts = {int(r["layers"]): int(r["insertions"]) for r in select_rows("insertions", medium="phantom2")}
     validated = {
-        row["validate_layers"]: row["validate_insertions"] for row in select_rows(t, "study_design", study=2)
+        row["validate_layers"]: row["validate_insertions"] for row in select_rows("study_design", study=2)
     }
     known: Row = {"listed": [counts[4], counts[3]], "validated": [validated[4], validated[3]]}
     yield "four_and_three_layers", known["listed"] == known["validated"], known
-    one, four = ({**select_rows(t, "parameters", set=name)[0], "set": ""} for name in ("study1", "study4"))
+    one, four = ({**select_rows("parameters", set=name)[0], "set": ""} for name in ("study1", "study4"))
     known = {"first": tuned[1], "fourth": tuned[4], "same_parameters": one == four}
     yield "tuning_count", tuned[1] == tuned[4], known
-    total = int(select_rows(t, "insertions", medium="chicken")[0]["insertions"])
+    total = int(select_rows("insertions", medium="chicken")[0]["insertions"])
     known = {"total": total, "tuned": tuned[5], "rest": int(design[5]["validate_insertions"])}
     yield "chicken_counts", 3 * tuned[5] == total, known
     known = {"second": tuned[2], "third": tuned[3], "three_layers": counts[3]}
     yield "tuning_insertions", tuned[2] > 1 and tuned[3] > 1, known
-    layers, media = select_rows(t, "tuning_by_layers"), select_rows(t, "tuning_by_media")
+    layers, media = select_rows("tuning_by_layers"), select_rows("tuning_by_media")
     mean, peak = (
         f"{max(r[column] for r in layers):.2f} mm and {max(r[column] for r in media):.2f} mm"
         for column in ("ipe_mean_mm", "ipe_max_mm")
@@ -231,34 +193,34 @@ def _check_counts(t: PublishedTables) -> Iterator[Finding]:
         sum(counts[r["layers"]] * r[column] for r in layers) / sum(counts.values())
         for column in ("ipe_mean_mm", "te_mm")
     )
-    printed = select_rows(t, "tuning_by_media", medium="phantom2")[0]
+    printed = select_rows("tuning_by_media", medium="phantom2")[0]
     # half a digit in the cells averaged, half in their mean
     agrees = abs(ipe - printed["ipe_mean_mm"]) <= 0.01
     yield "table_halves", agrees, {"counts": list(counts.values()), "ipe": ipe, "te": te, "printed": printed}
 
 
-def _check_explanations(t: PublishedTables) -> Iterator[Finding]:
+def _check_explanations() -> Iterator[Finding]:
     """Yield the claims that explain a large EDP."""
-    media = select_rows(t, "insertions")
-    edp = {r["layers"]: r["edp_percent"] for r in select_rows(t, "tuning_by_layers")}
-    depth = {r["layers"]: r for r in select_rows(t, "insertions", medium="phantom2")}
+    media = select_rows("insertions")
+    edp = {r["layers"]: r["edp_percent"] for r in select_rows("tuning_by_layers")}
+    depth = {r["layers"]: r for r in select_rows("insertions", medium="phantom2")}
     layers = [
         {"name": name, "edp": edp[n], "low": depth[n]["depth_min_mm"], "high": depth[n]["depth_max_mm"]}
         for n, name in ((4, "four"), (3, "three"))
     ]
     yield "edp_falls_with_depth", edp[4] < edp[3], {"layers": layers}
-    chicken = select_rows(t, "insertions", medium="chicken")[0]["depth_max_mm"]
+    chicken = select_rows("insertions", medium="chicken")[0]["depth_max_mm"]
     phantoms = max(r["depth_max_mm"] for r in media if r["medium"] != "chicken")
     yield "chicken_depth", chicken < phantoms, {"chicken": chicken, "phantoms": phantoms}
     largest: dict[int, float] = {}
-    for row in select_rows(t, "validation"):
+    for row in select_rows("validation"):
         largest[int(row["study"])] = max(row["edp_percent"], largest.get(row["study"], 0.0))
     below = [(study, edp) for study, edp in largest.items() if edp <= 100]
     yield "edp_everywhere", not below, {"below": below}
-    of_two = select_rows(t, "validation", study=1, validate_layers=2)[0]["edp_percent"]
+    of_two = select_rows("validation", study=1, validate_layers=2)[0]["edp_percent"]
     yield "edp_two_layers", of_two > 100, {"edp": of_two}
-    row = select_rows(t, "validation", study=3)[0]
-    group = select_rows(t, "insertions", medium=row["validate_medium"])[0]
+    row = select_rows("validation", study=3)[0]
+    group = select_rows("insertions", medium=row["validate_medium"])[0]
     others = max(r["depth_min_mm"] for r in media if r["medium"] != group["medium"])
     known = {"edp": row["edp_percent"], "low": group["depth_min_mm"], "high": group["depth_max_mm"]}
     known |= {"others": others, "implied": 100 * row["te_mm"] / row["edp_percent"]}
@@ -272,13 +234,11 @@ def _write_claim(key: str, agrees: bool, values: Row) -> Claim:
 
 def check_claims() -> list[Claim]:
     """Return every claim of the paper that was checked against its tables, in the order of their places."""
-    tables: PublishedTables = {name: read_published_table(name) for name in TABLE_TITLES}
     with convert_stored_errors(_find_file("parameters").parent):
         before, after = (
-            [_write_claim(*found) for found in check(tables)]
-            for check in (_check_counts, _check_explanations)
+            [_write_claim(*found) for found in check()] for check in (_check_counts, _check_explanations)
         )
-        bounds = [bound.check(tables) for bound in CLAIM_BOUNDS]
+        bounds = list(map(check_bound, list_bounds()))
         return [*before, *bounds, *after, _write_claim("table_numbers", False, {})]
 
 

@@ -181,7 +181,7 @@ def _published_cells(studies: Iterable[str], numbers: Mapping[str, int]) -> dict
     found: dict[tuple[Any, ...], float] = {}
     for study in studies:
         for name, keys in _PUBLISHED_KEYS.items():
-            for row in paper.read_published_table(name).to_dict("records"):
+            for row in paper.select_rows(name):
                 if name != "validation" or row["study"] == numbers.get(study):
                     medium, layers = (row.get(key, ALL_LAYERS) for key in keys)
                     found |= {

@@ -392,22 +392,18 @@ def _group_rows(results: Run, role: str, grouping: str) -> Iterator[Row]:
 def _find_paper_row(results: Run, head: Row, insertions: int) -> tuple[Row, Row]:
     """Return the paper's row of a group, and what its number of insertions says of comparability."""
     name, columns = _PUBLISHED[head["grouping"]]
+    held_out = head["grouping"] == HELD_OUT
     match = {theirs: head[ours] for theirs, ours in columns.items()}
-    if head["grouping"] == HELD_OUT:
-        match["study"] = head["study"]
-        design = _find_published("study_design", match)
+    match |= {"study": head["study"]} if held_out else {}
+    printed = paper.select_rows(name, **match)
+    if held_out:
+        design = paper.select_rows("study_design", **match)
         count, where = design[0]["validate_insertions"] if design else None, ""
     else:
-        listed = [row["insertions"] for row in _find_published("insertions", match)]
-        count, where = sum(listed) if _find_published(name, match) else None, "in-sample"
-    printed = _find_published(name, match)
+        listed = [row["insertions"] for row in paper.select_rows("insertions", **match)]
+        count, where = sum(listed) if printed else None, "in-sample"
     sentence = compare_with_paper(results, insertions, count, where)
     return printed[0] if printed else {}, {"paper_insertions": count, "comparable": sentence}
-
-
-def _find_published(name: paper.TableName, match: Mapping[str, Any]) -> list[Row]:
-    rows = to_records(paper.read_published_table(name))
-    return [row for row in rows if all(row[key] == value for key, value in match.items())]
 
 
 # ---- comparable with the paper's rows, or not; and by the other reading of a needle that ends at a boundary
