@@ -78,7 +78,7 @@ def small_job(count: int = 2, scale: float | str = 1.0, **changed: object) -> Jo
 
 def run(job: Job, count: int, **kind: object) -> dict[str, np.ndarray]:
     experiment = Experiment(job, {"mu1_pa": 0.3, "bevel_mm": 0.95}, **kind)
-    rows = [replicate(number, experiment) for number in range(count)]
+    rows = [row for number in range(count) for row in replicate(number, experiment)["replicates"]]
     names = [name for name in rows[0] if name.startswith("rank_")]
     return {name.removeprefix("rank_"): np.array([row[name] for row in rows]) for name in names}
 
@@ -180,19 +180,17 @@ def test_a_replicate_is_its_number_s_and_a_control_s_needles_are_the_same():
     job = small_job()
     thetas = [simulate_experiment(job, np.random.default_rng(4)).theta for _ in range(2)]
     assert np.array_equal(*thetas)
-    plain, wrong = (
-        replicate(3, Experiment(job, {"mu1_pa": 0.3, "bevel_mm": 0.95}, control=c)) for c in (None, "pose")
-    )
+    experiment = Experiment(job, {"mu1_pa": 0.3, "bevel_mm": 0.95})
+    plain, wrong = (replicate(3, replace(experiment, control=c))["replicates"][0] for c in (None, "pose"))
     assert plain["mu1_pa"] == wrong["mu1_pa"] and plain["bevel_mm"] == wrong["bevel_mm"]
-    assert plain == replicate(3, Experiment(job, {"mu1_pa": 0.3, "bevel_mm": 0.95}))
+    assert [plain] == replicate(3, experiment)["replicates"]
 
 
 def test_the_sampler_is_used_on_request_and_flags_missing_convergence():
     job = small_job(1)
     hurried = job.recipe.model_copy(update={"sample": job.recipe.sample.model_copy(update={"steps": 30})})
-    row = replicate(
-        1, Experiment(replace(job, recipe=hurried), {"mu1_pa": 0.3, "bevel_mm": 0.95}, sampled=True)
-    )
+    experiment = Experiment(replace(job, recipe=hurried), {"mu1_pa": 0.3, "bevel_mm": 0.95}, sampled=True)
+    (row,) = replicate(1, experiment)["replicates"]
     assert row["draw_source"] == "sampler" and not row["certified"] and row["pareto_k"] is None
     assert 0 <= row["rank_bevel_mm"] <= RANK_DRAWS
 
@@ -334,9 +332,8 @@ def test_two_replicates_have_their_own_truths(small):
 @pytest.mark.sweep
 def test_truths_measured_through_ct_carry_cross_sections(small):
     job = prepare("small", load_study(find_file("study", "small")), Settings())
-    row = replicate_synthetic(0, prepare_synthetic(job, ct=True))
-    plain = replicate_synthetic(0, prepare_synthetic(job, ct=False))
-    assert row["seed"] == plain["seed"] and len(row["predictions"]) == 2
-    for one, other in zip(row["predictions"], plain["predictions"], strict=True):
+    found, plain = (replicate_synthetic(0, prepare_synthetic(job, ct=ct)) for ct in (True, False))
+    assert found["replicates"][0]["seed"] == plain["replicates"][0]["seed"] and len(found["predictions"]) == 2
+    for one, other in zip(found["predictions"], plain["predictions"], strict=True):
         assert one["tip_measured_mm"] == pytest.approx(other["tip_measured_mm"], abs=0.3)
         assert one["tip_measured_mm"] != other["tip_measured_mm"]

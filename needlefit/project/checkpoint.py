@@ -44,8 +44,9 @@ MAX_CHECKPOINT_BYTES = 2**31  # size of a file of rows
 ARRAYS_KEY = "arrays"  # of a row: its arrays by name
 _DIGEST_CHARACTERS = 16
 _ARRAY_TYPES = ("<f8", "<f4", "<i8", "|b1")
+_NEW_MANIFEST = f"{MANIFEST}.new"  # takes the place of the manifest once it is written
 _OWN_FILE = re.compile(
-    rf"({LOCK_NAME}|{re.escape(MANIFEST)}|[0-9a-f]{{16}}\.jsonl(\.whole)?)(\.damaged-\d+)?"
+    rf"({LOCK_NAME}|{re.escape(MANIFEST)}(\.new)?|[0-9a-f]{{16}}\.jsonl(\.whole)?)(\.damaged-\d+)?"
 )
 _THIS_PROCESS = f"{os.getpid()} {secrets.token_hex(8)}"
 """In the lock file: processes of two containers may have one number."""
@@ -53,7 +54,6 @@ _THIS_PROCESS = f"{os.getpid()} {secrets.token_hex(8)}"
 _LOCK_TEXT, _MAX_LOCK_BYTES = re.compile(rb"\d* ?[0-9a-f]{0,16}\n?"), 100
 """What the lock holds: nothing at first, then the process that has it, perhaps cut short."""
 
-_MAX_MANIFEST_BYTES = 2**20  # size of the manifest of a checkpoint, which has a hundred bytes
 _held: dict[Path, int] = {}
 """Open lock files of this process: a complete run has its lock until its results stand."""
 
@@ -195,7 +195,7 @@ def open_checkpoint(
     require_own_checkpoint(folder)
     locked = _lock(folder)
     try:
-        if not _is_begun(folder) and _work_of(folder) is None:
+        if _work_of(folder) is None and not {*list_all_files(folder)} <= {LOCK_NAME, _NEW_MANIFEST}:
             damaged = _held.pop(folder.resolve(), None)
             note(f"{folder} is damaged: it is now {set_aside(folder).name}, and its run starts afresh")
             locked = _lock(folder)
@@ -229,7 +229,9 @@ def _prepare(folder: Path, work: str, resume: bool) -> None:
             fix="to start afresh instead, remove this folder",
         )
     remove_contents(folder, (MANIFEST,), keep=(LOCK_NAME,))
-    (folder / MANIFEST).write_text(format_manifest({"holds": "checkpoint", "work": work}), encoding="ascii")
+    new = folder / _NEW_MANIFEST
+    new.write_text(format_manifest({"holds": "checkpoint", "work": work}), encoding="ascii")
+    new.replace(folder / MANIFEST)  # a kill leaves a whole one, or none
 
 
 def remove_checkpoint(folder: Path, note: Note) -> None:
@@ -270,46 +272,21 @@ def require_own_checkpoint(folder: Path) -> None:
 
 
 def find_foreign_in_checkpoint(folder: Path) -> list[str]:
-    """Return what a run does not keep in a checkpoint: all of it where there is no manifest, however damaged.
+    """Return what a run does not keep in a checkpoint: all of it where neither lock nor manifest is a run's.
 
     A run that ended before its manifest was written leaves its lock.
     """
     names = [name for name in list_all_files(folder) if Path(name).name not in FILE_MANAGER_FILES]
-    if _is_begun(folder):
-        return find_empty_folders(folder, names, ())
-    own = _is_manifest_of_checkpoint(folder)
+    own = _is_lock(folder / LOCK_NAME) or _work_of(folder) is not None
     foreign = [n for n in names if not (own and _OWN_FILE.fullmatch(n) and is_regular(folder / n))]
     return [*foreign, *find_empty_folders(folder, names, ())]
 
 
-def _is_begun(folder: Path) -> bool:
-    """Whether a process ended when it had no more than the lock, and perhaps half the manifest."""
-    names = set(list_all_files(folder))
+def _is_lock(path: Path) -> bool:
     try:
-        lock = read_bytes(folder / LOCK_NAME, _MAX_LOCK_BYTES) if is_regular(folder / LOCK_NAME) else None
+        return is_regular(path) and bool(_LOCK_TEXT.fullmatch(read_bytes(path, _MAX_LOCK_BYTES)))
     except DataError:
-        lock = None
-    if not names <= {LOCK_NAME, MANIFEST} or lock is None or not _LOCK_TEXT.fullmatch(lock):
         return False
-    return MANIFEST not in names or (_work_of(folder) is None and _is_manifest_of_checkpoint(folder))
-
-
-def _is_manifest_of_checkpoint(folder: Path) -> bool:
-    """Return whether a folder has the manifest of a checkpoint, or what a failing disk left of one.
-
-    That is its beginning, perhaps with zeros behind: any other text is somebody's.
-    """
-    if not is_regular(folder / MANIFEST):
-        return False
-    try:
-        return bool(read_manifest(folder).get("holds", "checkpoint") == "checkpoint")
-    except DataError:
-        begin = format_manifest({"holds": "checkpoint"}).partition("\n}")[0].encode("ascii")
-        try:
-            text = read_bytes(folder / MANIFEST, _MAX_MANIFEST_BYTES).rstrip(b"\0\n")
-        except DataError:
-            return False
-        return begin.startswith(text[: len(begin)])
 
 
 def _work_of(folder: Path) -> str | None:

@@ -147,8 +147,8 @@ def check_bound(bound: Row) -> Claim:
     value, limit = float(row[column]), float(bound["limit"])
     agrees = value <= limit if bound["inclusive"] == "yes" else value < limit
     found = f"{value:.2f} mm ({_describe_row(row)})"
-    stated = (bound[key] for key in ("topic", "place", "statement"))
-    return Claim(*stated, _TABLE_NUMBERS[bound["table"]], found, agrees, bound["note"])
+    topic, place, statement = (bound[key] for key in ("topic", "place", "statement"))
+    return Claim(topic, place, statement, _TABLE_NUMBERS[bound["table"]], found, agrees, bound["note"])
 
 
 def _describe_row(row: Row) -> str:

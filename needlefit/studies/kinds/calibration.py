@@ -11,7 +11,7 @@ of the study, has them measured and reconstructed, fits as the study does, and r
 tips in what was inferred.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -36,7 +36,6 @@ from needlefit.inference.problem import Problem
 from needlefit.inference.sampling import importance
 from needlefit.inference.sampling.sample import sample
 from needlefit.project.checkpoint import open_checkpoint
-from needlefit.project.json_values import to_json_values
 from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import locate_key
 from needlefit.reporting.figures import Drawing
@@ -56,6 +55,7 @@ from needlefit.studies.rank_statistics import HELD_OUT_TIP, RANK_DRAWS, Control,
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Run, Status, Verdict, headline_fault
 from needlefit.studies.run_differences import Difference, TableComparison
+from needlefit.studies.runner import FrameRows, join_rows, run_tasks
 from needlefit.studies.score import Row
 from needlefit.studies.simulated_data import (
     choose_reference_values,
@@ -75,6 +75,8 @@ from needlefit.synthetic.design import (
 )
 
 CONTROLS: tuple[Control, ...] = get_args(Control)
+RANK_PREFIX = "rank_"  #: of the columns of ranks in the frame `replicates`
+SYNTHETIC_FRAMES = ("parameters", "predictions")  #: frames that only synthetic truths have
 
 DEFAULT_REPLICATES, DEFAULT_SAMPLED_REPLICATES, DEFAULT_SYNTHETIC_REPLICATES = 500, 100, 50
 """By importance sampling, by MCMC, and of synthetic truths: about 20 minutes each on two cores."""
@@ -265,8 +267,8 @@ def _require_free(job: Job) -> None:
         raise ConfigError(f"nothing of medium `{job.record.medium}` is free: there is nothing to infer")
 
 
-def replicate(number: int, experiment: Experiment) -> Row:
-    """Return one row: the truth, its ranks among draws of its posterior, and how these were computed."""
+def replicate(number: int, experiment: Experiment) -> FrameRows:
+    """Return a row of `replicates`: the truth, its ranks in its posterior, and how that was computed."""
     recipe, name, control = experiment.job.recipe, experiment.job.name, experiment.control
     stream = (recipe.seed, name, "calibrate", number)
     simulated = simulate_experiment(experiment.job, random_stream(*stream, "data"))
@@ -294,13 +296,14 @@ def replicate(number: int, experiment: Experiment) -> Row:
     placed = rank_statistics.rank_truth(
         np.concatenate([*true.values()]), np.column_stack([*drawn.values()]), rng
     )
-    return {
+    row = {
         "replicate": number,
         **{name: truth[name] for name in simulated.problem.names},
         "redrawn": simulated.redrawn,
         **found.describe(),
-        **{f"rank_{name}": int(rank) for name, rank in zip(true, placed, strict=True)},
+        **{f"{RANK_PREFIX}{name}": int(rank) for name, rank in zip(true, placed, strict=True)},
     }
+    return {"replicates": [row]}
 
 
 def simulate_experiment(job: Job, rng: np.random.Generator) -> SimulatedExperiment:
@@ -428,8 +431,8 @@ def prepare_synthetic(job: Job, ct: bool) -> SyntheticExperiment:
     return SyntheticExperiment(job, chosen, ct, POPULATION)
 
 
-def replicate_synthetic(number: int, experiment: SyntheticExperiment) -> Row:
-    """Return one row: ranks of true values and of held-out tips, and their PIT values as nested rows."""
+def replicate_synthetic(number: int, experiment: SyntheticExperiment) -> FrameRows:
+    """Return a row of `replicates` with the ranks of true values and of held-out tips, and rows of these."""
     job, seed, redrawn = _draw_study(number, experiment)
     (fold,) = job.folds
     rng = random_stream(job.recipe.seed, job.name, "inference")
@@ -458,16 +461,16 @@ def replicate_synthetic(number: int, experiment: SyntheticExperiment) -> Row:
     for one in fold.validate:
         pit = pits.get(one.id)  # of less toward +y; the truth of what cannot be predicted lies outside
         tips[one.id] = rank_statistics.place_pit(0.0 if pit is None else pit if one.side > 0 else 1 - pit)
-    return {
+    row = {
         "replicate": number,
         "seed": seed,
         "redrawn": redrawn,
         **found.describe(),
-        **{f"rank_{HELD_OUT_TIP}:{name}": rank for name, rank in tips.items()},
-        **{f"rank_{one['parameter']}": rank_statistics.place_pit(one["pit"]) for one in parameters},
-        "parameters": to_json_values(parameters),
-        "predictions": to_json_values(predictions),
+        **{f"{RANK_PREFIX}{HELD_OUT_TIP}:{name}": rank for name, rank in tips.items()},
+        **{f"{RANK_PREFIX}{one['parameter']}": rank_statistics.place_pit(one["pit"]) for one in parameters},
     }
+    every = {"replicates": [row], "parameters": parameters, "predictions": predictions}
+    return {name: [{"replicate": number, **one} for one in rows] for name, rows in every.items()}
 
 
 def _draw_study(number: int, experiment: SyntheticExperiment) -> tuple[Job, int, int]:
@@ -507,11 +510,6 @@ def is_inside_bounds(seed: int, experiment: SyntheticExperiment) -> bool:
 
 # ---- the run
 
-CHECKPOINT_ROWS, RANK_PREFIX = "replicates", "rank_"
-
-NESTED_FRAMES = ("parameters", "predictions")
-"""Frames of synthetic truths: each replicate's rows, which its checkpoint keeps with it."""
-
 
 def run(name: str, record: CalibrationRecord, settings: Settings) -> Run:
     """Rank the truth in its posterior for `record.replicates` random insertions."""
@@ -529,35 +527,25 @@ def run(name: str, record: CalibrationRecord, settings: Settings) -> Run:
     about = begin_run(name, record, job, f"Calibration: {job.record.title or target}")
     work = {**about.run, **work}
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work, settings.note)
-    stored = checkpoint.rows(CHECKPOINT_ROWS, ("replicate",))
-    known = {row["replicate"]: row for row in stored if row["replicate"] < record.replicates}
-    left = [number for number in range(record.replicates) if number not in known]
-    label = f"{job.name}: replicates"
-    settings.progress(label, len(known), record.replicates)
-    for _, row in settings.task_pool().run(task, left, settings.stop):
-        known[row["replicate"]] = row
-        checkpoint.keep_row(CHECKPOINT_ROWS, row)
-        settings.progress(label, len(known), record.replicates)
+    tasks = {f"replicate {number}": partial(task, number) for number in range(record.replicates)}
+    parts = run_tasks(tasks, job.name, settings, checkpoint)
     (fold,) = job.folds
     design = pd.DataFrame({"insertion": [i.id for i in fold.tune], "depth_mm": [i.depth for i in fold.tune]})
-    frames = {"design": design, **_make_frames([known[number] for number in sorted(known)], synthetic)}
-    outcome = judge_ranks(frames, record.control) if known else {}
+    frames = {"design": design, **_make_frames(join_rows(parts), synthetic)}
+    outcome = judge_ranks(frames, record.control) if parts else {}
     return replace(
         about,
         frames=frames,
         origin="synthetic" if synthetic else about.origin,
         run={**work, **outcome},
-        interrupted=len(known) < record.replicates,
-        faults=tuple(find_calibration_faults(outcome)) if known else (),
+        interrupted=len(parts) < record.replicates,
+        faults=tuple(find_calibration_faults(outcome)) if parts else (),
     )
 
 
-def _make_frames(rows: Sequence[Row], synthetic: bool) -> dict[str, pd.DataFrame]:
-    """Return the frames of replicates: a row per replicate, coverage, and ECDFs of the ranks.
-
-    The nested rows of synthetic truths are frames of their own.
-    """
-    replicates = pd.DataFrame([{k: v for k, v in row.items() if k not in NESTED_FRAMES} for row in rows])
+def _make_frames(rows: FrameRows, synthetic: bool) -> dict[str, pd.DataFrame]:
+    """Return the frames of replicates: a row per replicate, coverage, and ECDFs of the ranks."""
+    replicates = pd.DataFrame(rows.get("replicates", []))
     columns: dict[str, list[str]] = {}
     for column in (one for one in replicates.columns if one.startswith(RANK_PREFIX)):
         quantity, _, _ = column.removeprefix(RANK_PREFIX).partition(":")  # of several, `<quantity>:<which>`
@@ -573,9 +561,7 @@ def _make_frames(rows: Sequence[Row], synthetic: bool) -> dict[str, pd.DataFrame
     frames = {"replicates": replicates, "coverage": coverage, "ranks": ecdfs}
     if synthetic and rows:
         frames["coverage"] = add_intervals(coverage)
-        for name in NESTED_FRAMES:
-            nested = [{"replicate": row["replicate"], **one} for row in rows for one in row[name]]
-            frames[name] = pd.DataFrame(nested)
+        frames |= {name: pd.DataFrame(rows[name]) for name in SYNTHETIC_FRAMES}
         if len(frames["predictions"]):
             frames["tips"] = average_tips(frames["predictions"])
     return frames
@@ -739,7 +725,7 @@ def calibration_to_json(found: Run) -> dict[str, Any]:
         "sentences": REPORT.summarize(found),
         **{
             name: to_records(found.frames[name])
-            for name in ("coverage", *NESTED_FRAMES)
+            for name in ("coverage", *SYNTHETIC_FRAMES)
             if name in found.frames
         },
     }
