@@ -84,16 +84,19 @@ class ImportedSurface:
 
 
 @dataclass(frozen=True)
-class SceneContent:
-    """What a scene holds for a dataset, what was moved, and what is not used and why."""
+class ImportContent:
+    """What the files of an import hold."""
 
-    curves: tuple[ImportedCurve, ...]
-    surfaces: tuple[ImportedSurface, ...]
-    notes: tuple[str, ...]
-    unused: tuple[tuple[str, str], ...]
+    files: tuple[Path, ...]  # those that curves, surfaces or what is stated of needles were read from
+    curves: tuple[ImportedCurve, ...] = ()  # by different names, which can name files
+    surfaces: tuple[ImportedSurface, ...] = ()
+    needles: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  # what tables state, by names
+    notes: tuple[str, ...] = ()  # how files were read, where that may surprise
+    unused: tuple[tuple[str, str], ...] = ()  # what is not used, and where it stands or why
+    setup: Mapping[str, str] = field(default_factory=dict)  # answers by the names of questions
 
 
-def read_scene(path: Path) -> SceneContent:
+def read_scene(path: Path) -> ImportContent:
     """Return the curves, models and applied transforms of a `.mrml`, or of the one in a `.mrb`.
 
     DataError if the file is missing or damaged, expands or names files outside itself, names a file that is
@@ -111,7 +114,7 @@ def read_scene(path: Path) -> SceneContent:
         content = read_scene(Path(folder) / scenes[0])
     curves = tuple(replace(one, points=replace(one.points, path=path)) for one in content.curves)
     surfaces = tuple(replace(one, path=path) for one in content.surfaces)
-    return replace(content, curves=curves, surfaces=surfaces)
+    return replace(content, files=(path,) if content.files else (), curves=curves, surfaces=surfaces)
 
 
 def _parse_scene(path: Path) -> dict[str, Node]:
@@ -177,7 +180,7 @@ class _Scene:
     matrices: dict[str, Floats] = field(default_factory=dict)
     sizes: list[int] = field(default_factory=list)
 
-    def read_content(self) -> SceneContent:
+    def read_content(self) -> ImportContent:
         """Return the curves and models of the scene."""
         lists: list[tuple[Node, Markups]] = []
         surfaces = []
@@ -210,7 +213,9 @@ class _Scene:
                 curves.append(ImportedCurve(one.name, replace(one.as_curve(), values=values), "mm", "LPS"))
             else:
                 self.unused.append((f"list {one.name} ({one.kind}, {len(one.points)} points)", "no needle"))
-        return SceneContent(tuple(curves), tuple(surfaces), tuple(self.notes), tuple(self.unused))
+        used = (self.path,) if curves or surfaces else ()
+        notes, unused = tuple(self.notes), tuple(self.unused)
+        return ImportContent(used, tuple(curves), tuple(surfaces), notes=notes, unused=unused)
 
     def find_file(self, node: Node) -> Path | None:
         """Return the file of a node; None where it has none. Files outside the scene's folder are refused."""
@@ -371,19 +376,6 @@ MAX_SHOWN_FILES = 8
 MAX_NAME_CHARS = 60
 
 
-@dataclass(frozen=True)
-class ImportContent:
-    """What the files of an import hold."""
-
-    files: tuple[Path, ...]  # those that curves, surfaces or what is stated of needles were read from
-    curves: tuple[ImportedCurve, ...] = ()  # by different names, which can name files
-    surfaces: tuple[ImportedSurface, ...] = ()
-    needles: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  # what tables state, by names
-    notes: tuple[str, ...] = ()  # how files were read, where that may surprise
-    unused: tuple[tuple[str, str], ...] = ()  # what is not used, and where it stands or why
-    setup: Mapping[str, str] = field(default_factory=dict)  # answers by the names of questions
-
-
 def read_content(paths: Sequence[Path], columns: Sequence[str] = ()) -> ImportContent:
     """Read every file that is named, and the readable files of every folder that is named.
 
@@ -527,9 +519,7 @@ def _read_file(path: Path, columns: Sequence[str]) -> ImportContent:
     suffix = path.suffix.lower()
     if suffix in SCENE_SUFFIXES:
         scene = read_scene(path)
-        used = (path,) if scene.curves or scene.surfaces else ()
-        notes = tuple(f"{path.name}: {note}" for note in scene.notes)
-        return ImportContent(used, scene.curves, scene.surfaces, notes=notes, unused=scene.unused)
+        return replace(scene, notes=tuple(f"{path.name}: {note}" for note in scene.notes))
     if suffix in TEXT_SUFFIXES:
         cells = read_text_cells(path)
         table = find_curves(cells, columns)

@@ -17,7 +17,6 @@ from needlefit.arrays import Floats
 from needlefit.geometry.curves import interpolate_hermite
 from needlefit.inference.baselines import list_baselines
 from needlefit.inference.parameters import is_logarithmic
-from needlefit.metrics import headline_metrics
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures.forms import lighten
 from needlefit.reporting.figures.style import (
@@ -31,12 +30,10 @@ from needlefit.reporting.figures.style import (
     fit_height,
 )
 from needlefit.reporting.labels import (
-    GREEN,
     GREY,
     INK,
     METHOD_COLOURS,
     PAPER_COLOUR,
-    medium_name,
     method_colour,
     method_name,
 )
@@ -557,45 +554,6 @@ def _format_pair(axes: Axes, names: tuple[str, str], frame: pd.DataFrame, outer:
     if alone:
         label, _ = choose_printed_unit(names[0], [_find_axis_limits(frame, names[0])[0]])
         axes.set_title(label, loc="left", pad=2)
-
-
-# ---- in sample and left out
-
-
-def left_out_beside_in_sample(frame: pd.DataFrame) -> Figure:
-    """Draw each metric's mean in sample and left out, joined, with the noise floor and the baseline.
-
-    `frame` has a row per `fit`, `left_out` and `metric`; those with a `note` are left out.
-    """
-    metrics = [one for one in headline_metrics() if (frame["metric"] == one.name).any()]
-    shown = frame[frame["note"].fillna("") == ""]
-    figure = Figure(figsize=(TEXT_WIDTH_IN, 1.0 + 0.36 * len(shown) / len(metrics)))
-    panels = np.atleast_1d(figure.subplots(1, len(metrics), sharey=True))
-    for axes, metric in zip(panels, metrics, strict=True):
-        rows = to_records(shown[shown["metric"] == metric.name])
-        for y, row in enumerate(rows):
-            sample, left = row["in_sample"], row["value"]
-            axes.plot([sample, left], [y, y], color=_OURS, lw=1.0, zorder=2)
-            axes.plot(sample, y, "o", ms=5, mfc="white", mec=_OURS, zorder=3)
-            axes.plot(left, y, "o", ms=5, color=_OURS, zorder=4)
-            axes.plot(row["baseline_value"], y, "^", ms=4.5, color=GREEN, zorder=3)
-            if row["floor"] is not None:
-                axes.vlines(row["floor"], y - 0.35, y + 0.35, color=INK, lw=0.9, ls=_DASHED)
-        axes.set_xlabel(f"{metric.label}, mean over insertions ({metric.unit})")
-        axes.set_xlim(0, None)
-        draw_grid(axes, "x")
-        axes.tick_params(axis="y", length=0)
-    names = [f"{medium_name(row['fit'])}, {row['left_out']}s ({row['groups']})" for row in rows]
-    panels[0].set_yticks(range(len(rows)), names)
-    panels[0].set_ylim(len(rows) - 0.5, -0.5)
-    handles = [
-        _line("in sample", marker="o", ms=5, mfc="white", mec=_OURS, lw=0),
-        _line("left out", marker="o", ms=5, color=_OURS, lw=0),
-        _line("constant curvature", marker="^", ms=4.5, color=GREEN, lw=0),
-        _line("noise floor", color=INK, lw=0.9, ls=_DASHED),
-    ]
-    _add_legend(figure, handles, 4)
-    return figure
 
 
 # ---- profile likelihoods

@@ -20,8 +20,8 @@ from needlefit.inference.baselines import BASELINES
 from needlefit.metrics import METRICS, headline_metrics
 from needlefit.project.locate import find_file
 from needlefit.project.toml import add_file_context, add_study_context, load
-from needlefit.reporting.figures import Drawing
-from needlefit.reporting.labels import medium_name, method_name
+from needlefit.reporting.figures import Drawing, Look
+from needlefit.reporting.labels import GREEN, INK, METHOD_COLOURS, medium_name, method_name
 from needlefit.reporting.number_format import join_metrics, join_words
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import Row, to_records
@@ -39,7 +39,7 @@ from needlefit.studies.job import Fold, Job, Settings, group_insertions, leave_o
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import BestBaseline, Frames, Run, Verdict, judge_errors
-from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, run_analysis
+from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, list_faults, run_analysis
 from needlefit.studies.score import Scorer, curve_predictor, model_predictor
 
 
@@ -183,7 +183,7 @@ def _conclude(record: LeftOutRecord, jobs: list[Job], frames: Frames) -> tuple[s
     fits = frames["fits"]
     doubtful = fits["fold"][~fits["certified"].astype(bool) & (fits["left_out"] != "nothing")].nunique()
     return (
-        *((f"{failed} simulations of insertions left out did not converge",) if failed else ()),
+        *list_faults({"simulations of insertions left out did not converge": failed}),
         *((f"the draws of {doubtful} fits are not certified: they predict nothing",) if doubtful else ()),
     )
 
@@ -349,12 +349,34 @@ def tabulate(result: Run) -> list[Table]:
     ]
 
 
+_LOOKS = {
+    "in_sample": Look("in sample", METHOD_COLOURS["fitted"], filled=False, size=5),
+    "value": Look("left out", METHOD_COLOURS["fitted"], size=5),
+    "baseline_value": Look("constant curvature", GREEN, "^", size=4.5),
+    "floor": Look("noise floor", INK, "|", dashes=(0, (2, 1.5)), width=0.9),
+}
+
+
 def draw(result: Run) -> dict[str, Drawing]:
-    """Return the errors in sample and left out, unless nothing could be left out."""
+    """Return the errors in sample and left out, joined, unless nothing could be left out."""
     summary = result.frames["summary"].assign(origin=result.origin)
     if (summary["note"] != "").all():
         return {}
-    return {"summary": Drawing("left_out_beside_in_sample", summary)}
+    titles = {one.name: f"{one.label}, mean over insertions ({one.unit})" for one in headline_metrics()}
+    options = {
+        **{"rows": ["fit", "left_out", "groups"], "value": "mean", "by": "look", "looks": _LOOKS},
+        **{"name_row": lambda row: f"{medium_name(row[0])}, {row[1]}s ({row[2]})", "row_height": 0.36},
+        **{"intervals": [("low", "high")], "panel": "metric", "panels": titles},
+        "scale": dict.fromkeys(titles, "from 0"),
+    }
+
+    def join_ends(every: pd.DataFrame) -> pd.DataFrame:
+        shown = every[every["note"] == ""]
+        ends = {"value": {"low": shown["in_sample"], "high": shown["value"]}}
+        parts = [shown.assign(look=look, mean=shown[look], **ends.get(look, {})) for look in _LOOKS]
+        return pd.concat(parts, ignore_index=True)
+
+    return {"summary": Drawing("dots_with_intervals", summary, options, join_ends)}
 
 
 REPORT = StudyReport(TEXT, describe, tabulate, draw, judge=judge)

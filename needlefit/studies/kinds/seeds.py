@@ -49,7 +49,7 @@ from needlefit.studies.job import Settings
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Frames, Run, Status
-from needlefit.studies.runner import AnalysisPlan, FrameRows, run_analysis
+from needlefit.studies.runner import AnalysisPlan, FrameRows, list_faults, run_analysis
 from needlefit.studies.simulated_data import find_true_value
 from needlefit.synthetic.build import build_unscanned
 from needlefit.synthetic.design import PlannedInsertion, bevel_offset, draw_needle, list_planned_insertions
@@ -187,7 +187,7 @@ def _conclude(name: str, record: SeedsRecord, numbers: dict[str, int], frames: F
     compared = compare_methods(errors, name, record.resamples)
     frames["comparisons"] = explain_losses(compared, errors, frames["parameters"])
     failed = int((~errors["converged"].astype(bool)).sum())
-    return (f"{failed} simulations did not converge",) if failed else ()
+    return list_faults({"simulations did not converge": failed})
 
 
 def _quantiles(grouped: Any, prefix: str = "") -> dict[str, "pd.Series[float]"]:  # noqa: ANN401 - of pandas
