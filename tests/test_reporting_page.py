@@ -145,7 +145,7 @@ def text(tmp_path_factory):
 
 def compose(text, name="gel"):
     values = {"name": name, "error_mm": 0.123}
-    errors = text.lay_out(Table("errors", "", [{"insertion": "a"}], ("insertion",)), values)
+    errors = text.lay_out(Table("errors", [{"insertion": "a"}], ("insertion",)), values)
     return text.compose("report", values, [errors])
 
 

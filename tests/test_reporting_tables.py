@@ -387,7 +387,7 @@ def test_pivoted_rows_have_a_column_for_each_place():
     rows = pivot([dict(zip(names, one, strict=True)) for one in values], ["study"], ["metric"])
     places = ("te_mm", "edp_percent")
     columns = ("study", *(part(key, metric=name) for key in ("value", "over_floor") for name in places))
-    table = Table("t", "", rows, columns).lay_out()
+    table = Table("t", rows, columns).lay_out()
     assert table.rows == (("a", "1.00", "30.0", "2.0", "4.0"), ("b", "2.00", "–", "–", "–"))
     heads = [(one.label, one.unit) for one in table.columns[1:]]
     assert heads == [("TE", "mm"), ("EDP", "%"), ("TE", "÷ floor"), ("EDP", "÷ floor")]
@@ -396,7 +396,7 @@ def test_pivoted_rows_have_a_column_for_each_place():
 def test_the_unit_of_a_metric_stands_where_all_rows_share_it():
     row = {"metric": "te_mm", "value": 1.0}
     both = [row, {"metric": "edp_percent", "value": 2.0}]
-    units = [Table("t", "", rows, ("value",)).lay_out().columns[0].unit for rows in ([row], both)]
+    units = [Table("t", rows, ("value",)).lay_out().columns[0].unit for rows in ([row], both)]
     assert units == ["mm", ""]
 
 

@@ -368,7 +368,7 @@ def _show(dataset: "Dataset", measured: str, holes: str) -> None:
         **{f"{name}_{end}_mm": (name, end) for name in ("depth", "deflection") for end in ("min", "max")},
     )
     columns = ("medium", "layers", "insertions", "specimen_count", "depth_range_mm", "deflection_range_mm")
-    table = Table("dataset", "Insertions.", to_records(rows), columns).lay_out()
+    table = Table("dataset", to_records(rows), columns, caption="Insertions.").lay_out()
     origin = "SYNTHETIC data" if dataset.origin == "synthetic" else "Measured data"
     screen.print_line()
     screen.print_text(f"{origin}: {dataset.title}")

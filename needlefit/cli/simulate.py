@@ -256,7 +256,7 @@ def _show_summary(title: str, summary: dict[str, Any]) -> None:
     caption = "Steps: tip in the world." if len(rows) > 1 else "Tip in the world."
     screen.print_line()
     screen.print_text(title)
-    screen.show_display(Table("steps", caption, rows, columns).lay_out(), notes=False)
+    screen.show_display(Table("steps", rows, columns, caption=caption).lay_out(), notes=False)
     screen.print_line(f"Layer boundaries: {f'{interfaces} mm' if interfaces else 'none'}")
     state = "" if summary["converged"] else "not converged, "
     slope = f"; largest slope {summary['max_slope']:.3f}" if summary["converged"] else ""

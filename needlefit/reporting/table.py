@@ -106,7 +106,6 @@ class Table:
     """A table of a report."""
 
     name: str  # of its file and label
-    caption: str  # what it shows
     rows: "Iterable[Row]"  # values by key; `to_records` returns those of a DataFrame
     # Keys of the registry, or a `part` of rows that are pivoted
     columns: Sequence[Any]  # str or Cells: a tuple of both is one of objects to mypy
@@ -117,6 +116,7 @@ class Table:
     # Which rows hold our answer: "", "first" of the table, "groups": the first of each, or the column that
     # says so
     strong: str = ""
+    caption: str = ""  # what it shows, where no text of a kind says so
     notes: tuple[str, ...] = ()  # sentences under the table
 
     def lay_out(self, drop_empty: bool = False) -> TableLayout:

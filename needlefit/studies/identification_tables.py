@@ -83,7 +83,7 @@ def lay_out_identification(identification: pd.DataFrame, expected: bool = False)
     columns = ("fold", "parameter", "determined", *known)
     caption = f"Identifiability of each parameter from the {'design' if expected else 'data'}."
     groups, notes = ("fold", "status"), (_SD_NOTE if expected else _INTERVAL_NOTE,)
-    table = Table("identification", caption, rows, columns, groups=groups, notes=notes)
+    table = Table("identification", rows, columns, groups=groups, caption=caption, notes=notes)
     return table.lay_out(drop_empty=True)
 
 

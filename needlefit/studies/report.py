@@ -328,7 +328,7 @@ def _run_blocks(result: Run) -> list[Block]:
     if not rows:
         return []
     caption = f"Settings of {result.name}. The file run.json holds all of them."
-    table = Table("run", caption, rows, ("setting", "setting_value")).lay_out()
+    table = Table("run", rows, ("setting", "setting_value"), caption=caption).lay_out()
     return [*([document.text(result.note)] if result.note else []), document.table(table)]
 
 

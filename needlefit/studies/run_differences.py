@@ -327,7 +327,7 @@ def lay_out_differences(found: Sequence[Difference], everything: bool = False) -
     notes = (*((note,) if everything or any(one.matters for one in rows) else ()), *(hidden if left else ()))
     caption = "Changes from A (first run) to B (second run)."
     return Table(
-        "differences", caption, cells, columns, groups=("rank",), strong="strong", notes=notes
+        "differences", cells, columns, groups=("rank",), strong="strong", caption=caption, notes=notes
     ).lay_out()
 
 

@@ -501,8 +501,8 @@ def tabulate(result: Run) -> list[Table]:
     parts = (part("insertions_needed", method=name) for name in APPROACH_NAMES.values())
     shown = ("metric", "target", "value", "limit_mm", *parts)
     return [
-        Table("adaptation", "", curves, columns, groups=("method",), heads=1),
-        Table("insertions_needed", "", needed, shown, groups=("metric",)),
+        Table("adaptation", curves, columns, groups=("method",), heads=1),
+        Table("insertions_needed", needed, shown, groups=("metric",)),
     ]
 
 

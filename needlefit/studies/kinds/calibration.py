@@ -676,7 +676,7 @@ def tabulate(found: Run) -> list[Table]:
     if found.run["study"].get("truth") == "synthetic":
         levels = (part("covered_share", level=one) for one in PRINTED_LEVELS)
     columns = ("quantity", *levels, "ranks", "calibrated")
-    return [Table("calibration", "", pivot(rows, ["quantity"], ["level"]), columns)]
+    return [Table("calibration", pivot(rows, ["quantity"], ["level"]), columns)]
 
 
 def draw(found: Run) -> dict[str, Drawing]:

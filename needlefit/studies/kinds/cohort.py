@@ -298,8 +298,8 @@ def tabulate(result: Run) -> list[Table]:
         )
     columns = ("parameter", "specimens", "specimen_median", "specimen_range", "sd", "specimens_at_bound")
     failures = result.frames["failures"][list(FRAMES["failures"])].head(MAX_LISTED)
-    failed = [Table("failures", "", to_records(failures), FRAMES["failures"])] if len(failures) else []
-    return [Table("parameters", "", rows, columns), *failed]
+    failed = [Table("failures", to_records(failures), FRAMES["failures"])] if len(failures) else []
+    return [Table("parameters", rows, columns), *failed]
 
 
 def draw(result: Run) -> dict[str, Drawing]:

@@ -552,7 +552,7 @@ def tabulate(result: Run) -> list[Table]:
         }
         for row in to_records(result.frames["comparison"])
     ]
-    return [Table("comparison", "", rows, columns, strong="reference")]
+    return [Table("comparison", rows, columns, strong="reference")]
 
 
 def draw(result: Run) -> dict[str, Drawing]:

@@ -588,7 +588,7 @@ def _tabulate_variations(cells: pd.DataFrame) -> Block:
     ]
     sizes = (part(key, metric=name) for name in names for key in ("change_size", "over_floor"))
     varied = Table(
-        "sensitivity", "", pivot(changes, keys, ["metric"]), (*keys, "cells", *sizes), ("aspect",), heads=1
+        "sensitivity", pivot(changes, keys, ["metric"]), (*keys, "cells", *sizes), ("aspect",), heads=1
     )
     return document.table(TEXT.lay_out(varied, {}))
 
@@ -909,7 +909,7 @@ def tabulate(found: Run) -> list[Table]:
         counts = {"found_in": names or MISSING, "empty_count": str(gaps.sum() or "")}
         rows.append({"part": part_, "factor": factor, **counts})
     columns = ("part", "factor", "found_in", "empty_count")
-    overview = Table("credibility", "", rows, columns, groups=("part",), heads=1)
+    overview = Table("credibility", rows, columns, groups=("part",), heads=1)
     return [overview, *([_tabulate_evidence(found)] if len(found.frames["evidence"]) else [])]
 
 
@@ -924,7 +924,7 @@ def _tabulate_evidence(found: Run) -> Table:
         for key in ("place", "command", "target", "counted", "objections")
         if any(row[key] for row in rows)
     ]
-    return Table("evidence", "", rows, used or ["place"])
+    return Table("evidence", rows, used or ["place"])
 
 
 def list_blocks(found: Run) -> dict[str, list[Block]]:
@@ -950,7 +950,7 @@ def list_blocks(found: Run) -> dict[str, list[Block]]:
         about |= {"sha256": f"{digest[:DIGEST_DIGITS]}…" if digest else "", "recipe": recipe.get("title", "")}
         about |= {"run_seed": recipe.get("seed", ""), "interrupted": "YES" if one.interrupted else ""}
         rows.append({**about, "needlefit": one.run.get("versions", {}).get("needlefit", "")})
-    runs = Table("runs", TEXT.sentence("table_runs", {}), rows, columns)
+    runs = Table("runs", rows, columns, caption=TEXT.sentence("table_runs", {}))
     evidence = TEXT.lay_out(_tabulate_evidence(found), {})
     none = document.gap_box("No evidence of other commands was found beside this run.")
     return {

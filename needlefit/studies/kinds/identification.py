@@ -215,7 +215,7 @@ def lay_out_tables(found: Run) -> list[Table | TableLayout]:
         rows.append({**row, **near, "combination": combination, "known_to": known})
     columns = ("combination", "sd_low", "sd_high", "combination_sd_ratio", "known_to")
     parameters = lay_out_identification(found.frames["identify"], expected=True)
-    return [parameters, Table("directions", "", rows, columns)]
+    return [parameters, Table("directions", rows, columns)]
 
 
 def draw(found: Run) -> dict[str, Drawing]:

@@ -343,9 +343,9 @@ def tabulate(result: Run) -> list[Table]:
     ]
     of_pairs = ("fit", "left_out", "method", "groups", "metric", "error_left_out", "difference_range")
     return [
-        Table("left_out", "", errors, columns, groups=_WHERE, heads=4),
-        Table("paired", "", paired, of_pairs, groups=_WHERE, heads=4),
-        Table("coverage", "", covered, (*_WHERE, *COVERAGE_COLUMNS)),
+        Table("left_out", errors, columns, groups=_WHERE, heads=4),
+        Table("paired", paired, of_pairs, groups=_WHERE, heads=4),
+        Table("coverage", covered, (*_WHERE, *COVERAGE_COLUMNS)),
     ]
 
 

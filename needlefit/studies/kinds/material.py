@@ -236,7 +236,7 @@ def tabulate(found: Run) -> list[Table]:
             "alpha_verdict": "identified" if identified else several,
         }
         rows.append({**row, **cells})
-    return [Table("material", "", rows, _COLUMNS)]
+    return [Table("material", rows, _COLUMNS)]
 
 
 _STRESS_LABEL = "stress (kPa),\npositive in compression"

@@ -529,8 +529,8 @@ def tabulate(result: Run) -> list[Table]:
         words = (_describe_sd(same[0], sd) for sd in sds)
         rows.append({"known_quantity": insert_symbols(label), **dict(zip(keys, words, strict=True))})
     return [
-        Table("next_insertion", "", gains, columns, strong="first"),
-        Table("expected_sds", "", rows, ("known_quantity", *keys)),
+        Table("next_insertion", gains, columns, strong="first"),
+        Table("expected_sds", rows, ("known_quantity", *keys)),
     ]
 
 

@@ -381,7 +381,7 @@ def tabulate(result: Run) -> list[Table]:
         *("plan", *(f"aimed_{name}" for name in _PLAN_COLUMNS), "bevel_side", "half_miss", "miss_95"),
         *("rms_mm", "bias", "miss_spread"),
     )
-    plans = Table("plans", "", rows, columns, strong="first")
+    plans = Table("plans", rows, columns, strong="first")
     if not found["certified"]:
         return [plans]
     events = []
@@ -392,7 +392,7 @@ def tabulate(result: Run) -> list[Table]:
     every = dict.fromkeys(row["event"] for row in events)
     shares = (part("exceedance_share", event=event) for event in every)
     lines = pivot(events, ["plan"], ["event"])
-    return [plans, Table("exceedances", "", lines, ("plan", *shares), strong="first")]
+    return [plans, Table("exceedances", lines, ("plan", *shares), strong="first")]
 
 
 def draw(result: Run) -> dict[str, Drawing]:

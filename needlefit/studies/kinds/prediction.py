@@ -540,8 +540,8 @@ def tabulate(found: Run) -> list[Table]:
         for one in to_records(found.frames["specimens"])
     ]
     return [
-        Table("forecast", "", rows, columns),
-        Table("specimens", "", specimens, ("specimen_treatment", "tip_95_width_mm")),
+        Table("forecast", rows, columns),
+        Table("specimens", specimens, ("specimen_treatment", "tip_95_width_mm")),
     ]
 
 

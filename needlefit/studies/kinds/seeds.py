@@ -369,7 +369,7 @@ def tabulate(result: Run) -> list[Table]:
             for name, write in _ROW_FORMATS.items()
         ]
         whole = pivot(rows, [*_GROUP, "row"], ["metric"])
-        tables.append(Table(grouping, "", whole, columns, groups=_GROUP, heads=4, strong="groups"))
+        tables.append(Table(grouping, whole, columns, groups=_GROUP, heads=4, strong="groups"))
     quantiles = ("q50", "q05", "q95")
     columns = ("study", "parameter", *quantiles, "paper", *(f"ratio_to_true_{key}" for key in quantiles))
     rows = []
@@ -377,7 +377,7 @@ def tabulate(result: Run) -> list[Table]:
         label, unit = choose_printed_unit(str(row["parameter"]), [row["q95"]])
         scaled = {name: None if row[name] is None else row[name] / unit for name in (*quantiles, "paper")}
         rows.append({**row, **scaled, "parameter": label})
-    tables.append(Table("parameter_cells", "", rows, columns, groups=("study",), heads=1))
+    tables.append(Table("parameter_cells", rows, columns, groups=("study",), heads=1))
     frame = result.frames["comparisons"]
     order = frame["method"].map([*list_methods(), TRUTH].index)
     groups = frame.assign(order=order).groupby(list(_GROUP), sort=False)
@@ -391,12 +391,12 @@ def tabulate(result: Run) -> list[Table]:
         *(*_GROUP, "method", "metric", "fit_error", "method_error", "fit_less_method", "difference_range"),
         *("twins_better", "verdict"),
     )
-    tables.append(Table("comparisons", "", rows, columns, groups=_GROUP, heads=3))
+    tables.append(Table("comparisons", rows, columns, groups=_GROUP, heads=3))
     # losses: without a reason first; against the truth, where they are expected, last
     losses = frame.query("verdict == 'loses'")
     losses = losses.assign(last=losses["method"] == TRUTH, known=losses["note"] != UNEXPLAINED)
     rows = _name_rows(losses.sort_values(["last", "known"], kind="stable"))
-    return [*tables, Table("losses", "", rows, (*_GROUP, "method", "metric", "fit_less_method", "note"))]
+    return [*tables, Table("losses", rows, (*_GROUP, "method", "metric", "fit_less_method", "note"))]
 
 
 def _name_rows(frame: pd.DataFrame) -> list[Row]:

@@ -370,7 +370,7 @@ def tabulate(result: Run) -> list[Table]:
             part("marked_change", metric=one.name, study=name) for one in headline_metrics() for name in names
         )
         columns = ("aspect", "variation", *changes, "changed_studies")
-        tables.append(Table(f"studies_{tuned}", "", marked, columns, groups=("aspect",), heads=1))
+        tables.append(Table(f"studies_{tuned}", marked, columns, groups=("aspect",), heads=1))
     cells = _select_varied(result, "cells", tuned="again", unit="mm").replace({"grouping": _GROUPINGS})
     keys = ["aspect", "variation", "grouping"]
     largest = [
@@ -399,8 +399,8 @@ def tabulate(result: Run) -> list[Table]:
     fitted = pivot(ratios, ["study", "parameter"], ["variation_number"])
     return [
         *tables,
-        Table("largest", "", pivoted, (*keys[:2], *sizes), groups=("aspect",), heads=1),
-        Table("parameters", "", fitted, ("study", "parameter", *numbers), groups=("study",), heads=1),
+        Table("largest", pivoted, (*keys[:2], *sizes), groups=("aspect",), heads=1),
+        Table("parameters", fitted, ("study", "parameter", *numbers), groups=("study",), heads=1),
     ]
 
 

@@ -398,7 +398,7 @@ def tabulate(result: Run) -> list[Table]:
     if recovered:
         levels = (part(key, level=level) for level in LEVELS for key in ("held_share", "interval_width"))
         columns = ("true_spread", "population_quantity", "parameter", *levels)
-        return [Table("coverage", "", pivot(rows, ["spread", "quantity", "parameter"], ["level"]), columns)]
+        return [Table("coverage", pivot(rows, ["spread", "quantity", "parameter"], ["level"]), columns)]
     for row, found in zip(rows, to_records(result.frames["population"]), strict=True):
         unitless = row["quantity"] == "spread" or found["parameter"] in COMBINATIONS
         row["specimens_of"] = f"{row['specimens']} {row['groups']}s"
@@ -407,7 +407,7 @@ def tabulate(result: Run) -> list[Table]:
         *("specimens_of", "parameter", "population_quantity", "population_median", "log_range_50"),
         *("log_range_95", "own_units_95"),
     )
-    return [Table("population", "", rows, columns, groups=("groups",))]
+    return [Table("population", rows, columns, groups=("groups",))]
 
 
 def _name_parameter(row: Row) -> str:

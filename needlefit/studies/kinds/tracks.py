@@ -684,32 +684,16 @@ def tabulate(results: Run) -> list[Table]:
         verdict = "determined" if row["determined"] else str(row["condition"] or "not determined")
         parameters.append({**row, **scaled, "parameter": label, "verdict": verdict})
     each = ("medium", "method")
+    placed = ("medium", "run", "guide_state", "depth_mm", "measured_mm", "median_mm", "range_95_mm")
+    of_coverage = ("end_in_50", "end_in_95", "track_in_50", "track_in_95")
+    estimated = ("fit", "parameter", "p2_5", "p50", "p97_5", "sd_ratio", "verdict")
     of_media: dict[str, Any] = {"groups": ("medium",), "strong": "groups"}
     return [
-        Table(
-            "scores", "", pivot(scores, each, ["metric"]), ("medium", "runs", "method", *measures), **of_media
-        ),
-        Table(
-            "positions",
-            "",
-            positions,
-            ("medium", "run", "guide_state", "depth_mm", "measured_mm", "median_mm", "range_95_mm"),
-            groups=("medium",),
-        ),
-        Table("depths", "", pivot(depths, each, ["depth_interval"]), (*each, *errors), **of_media),
-        Table(
-            "coverage",
-            "",
-            list(covered.values()),
-            (*each, "end_in_50", "end_in_95", "track_in_50", "track_in_95"),
-            **of_media,
-        ),
-        Table(
-            "parameters",
-            "",
-            parameters,
-            ("fit", "parameter", "p2_5", "p50", "p97_5", "sd_ratio", "verdict"),
-        ),
+        Table("scores", pivot(scores, each, ["metric"]), (each[0], "runs", each[1], *measures), **of_media),
+        Table("positions", positions, placed, groups=("medium",)),
+        Table("depths", pivot(depths, each, ["depth_interval"]), (*each, *errors), **of_media),
+        Table("coverage", list(covered.values()), (*each, *of_coverage), **of_media),
+        Table("parameters", parameters, estimated),
     ]
 
 

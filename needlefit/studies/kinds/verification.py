@@ -128,7 +128,7 @@ def tabulate(found: Run) -> list[Table]:
         columns = ("check", "quantity", "measured", "bound", "unit", "verdict")
         about: dict[str, Any] = {"groups": ("check",), "heads": 1, "ruled": False, "notes": notes}
         caption = f"{group.title}. {group.explanation}"
-        tables.append(Table(group.name.lower(), caption, rows, columns, **about))
+        tables.append(Table(group.name.lower(), rows, columns, caption=caption, **about))
     return tables
 
 
@@ -138,7 +138,7 @@ def count_by_group(found: Run) -> Table:
         {"group": title, "checks": len(part), "failed_checks": int((part["verdict"] == "FAILS").sum())}
         for title, part in found.frames["verification"].groupby("group", sort=False)
     ]
-    return Table("groups", "Checks by group.", rows, ("group", "checks", "failed_checks"))
+    return Table("groups", rows, ("group", "checks", "failed_checks"), caption="Checks by group.")
 
 
 def draw(found: Run) -> dict[str, Drawing]:

@@ -142,7 +142,7 @@ def _lay_out_groups(
         *(part("over_floor", metric=one.name) for one in headline_metrics() if one.has_floor),
     )
     lines = pivot(rows, ["number", "row"], ["metric"])
-    table = Table(name, "", lines, columns, groups=("number",), heads=len(heads), strong="groups")
+    table = Table(name, lines, columns, groups=("number",), heads=len(heads), strong="groups")
     names = {row["row"] for row in rows}
     values: dict[str, Any] = {
         "compared": compared,
@@ -175,7 +175,7 @@ def lay_out_summary(results: Sequence[Run]) -> TableLayout:
         *(part("over_floor", metric=one.name) for one in headline_metrics() if one.has_floor),
     )
     lines = pivot(rows, ["number", "row"], ["metric"])
-    table = Table("summary", "", lines, columns, groups=("number",), heads=4, strong="groups")
+    table = Table("summary", lines, columns, groups=("number",), heads=4, strong="groups")
     values: dict[str, Any] = {
         "held_out": any(group.head["grouping"] == scores.HELD_OUT for group in groups),
         "metrics": [f"{one.label}: {one.explanation.partition(': ')[2] or one.explanation}" for one in shown],
@@ -241,7 +241,7 @@ def lay_out_matrix(results: Sequence[Run], judge: Callable[[Run], Sequence[Any]]
         *("study", "medium", "layers", "insertions", "te_mm", "floor_te_mm", "floor_ratio"),
         *("baseline_te_mm", "baseline_method", "tip_crps_mm", "tip_in_95", "paper_te_mm", "verdict"),
     )
-    return _lay_out(Table("matrix", "", rows, columns, groups=("study",), heads=1))
+    return _lay_out(Table("matrix", rows, columns, groups=("study",), heads=1))
 
 
 def lay_out_design(results: Sequence[Run]) -> TableLayout:
@@ -260,7 +260,7 @@ def lay_out_design(results: Sequence[Run]) -> TableLayout:
         *("study", "role", "medium", "layers", "insertions", "insertions_other"),
         *("depth_range_mm", "deflection_range_mm"),
     )
-    table = Table("design", "", rows, columns, groups=("study",), heads=1)
+    table = Table("design", rows, columns, groups=("study",), heads=1)
     return _lay_out(table, drop_empty=True, both_counts=any(row["insertions_other"] for row in rows))
 
 
@@ -294,7 +294,7 @@ def lay_out_coverage(*results: Run, named: bool = False) -> TableLayout:
         for (_, medium), group in other.groupby(["study", "medium"], sort=False)
         if other["tip_95_width_after_one_mm"].notna().any()
     ]
-    table = Table("coverage", "", rows, columns, groups=_COVERAGE_GROUPS[:1], heads=named)
+    table = Table("coverage", rows, columns, groups=_COVERAGE_GROUPS[:1], heads=named)
     sources = [str(source) for source in pd.unique(predicted["draw_source"])]
     return _lay_out(table, sources=sources, spread=spread if len(other) else None, gains=gains)
 
@@ -312,7 +312,7 @@ def lay_out_baselines(results: Run, role: str) -> TableLayout:
     ]
     errors = (one.name for one in headline_metrics())
     columns = ("study", "method", "insertions", *errors, "te_difference", "better_of")
-    table = Table("baselines", "", rows, columns, groups=("study",), heads=1, strong="groups")
+    table = Table("baselines", rows, columns, groups=("study",), heads=1, strong="groups")
     return _lay_out(table, role=role)
 
 
@@ -339,7 +339,7 @@ def lay_out_insertions(results: Run, role: str) -> TableLayout:
         }
         for row in to_records(wanted)
     ]
-    return _lay_out(Table("insertions", "", rows, columns))
+    return _lay_out(Table("insertions", rows, columns))
 
 
 def lay_out_contradictions(claims: Sequence[Claim]) -> TableLayout:
@@ -353,7 +353,7 @@ def lay_out_contradictions(claims: Sequence[Claim]) -> TableLayout:
         for number, one in enumerate(claims)
     ]
     columns = ("topic", "statement", "other_statement", "note")
-    return _lay_out(Table("contradictions", "", rows, columns, groups=("number",)))
+    return _lay_out(Table("contradictions", rows, columns, groups=("number",)))
 
 
 # ---- parameters: ours beside the paper's
@@ -468,7 +468,7 @@ def lay_out_parameters(results: Sequence[Run], free_alone: bool = False) -> Tabl
         "truth": any(row["true_value"] for row in rows),
         "comparable": compared,
     }
-    found = Table("parameters", "", rows, columns, groups=("group",), heads=2)
+    found = Table("parameters", rows, columns, groups=("group",), heads=2)
     return _lay_out(found, drop_empty=True, **values)
 
 
@@ -497,7 +497,7 @@ def lay_out_values(results: Run) -> TableLayout:
     fitted = {cell["fitted"] for cell in cells}
     values = {"conditional": CONDITIONAL in fitted, "loose": SEE_INTERVAL in fitted}
     folds = int(results.frames["parameters"]["fold"].nunique())
-    return _lay_out(Table("values", "", cells, columns), drop_empty=True, folds=folds, **values)
+    return _lay_out(Table("values", cells, columns), drop_empty=True, folds=folds, **values)
 
 
 def _describe_parameter(name: str, rows: list[Row]) -> Row:
@@ -530,7 +530,7 @@ def lay_out_directions(results: Run) -> TableLayout:
         {"fold": row["fold"] if folds else "", "known_combination": insert_symbols(str(row["note"]))}
         for row in rows
     ]
-    return _lay_out(Table("directions", "", cells, ("fold", "known_combination")), drop_empty=True)
+    return _lay_out(Table("directions", cells, ("fold", "known_combination")), drop_empty=True)
 
 
 def lay_out_posterior(results: Run) -> TableLayout:
@@ -553,7 +553,7 @@ def lay_out_posterior(results: Run) -> TableLayout:
     columns = ("fold", "parameter", *percentiles, "fit_value", "r_hat", "state")
     unconverged = any(posterior.faults for posterior in results.posteriors.values())
     marked = any(row["mark"] for row in rows)
-    table = Table("posterior", "", rows, columns)
+    table = Table("posterior", rows, columns)
     return _lay_out(table, drop_empty=True, unconverged=unconverged, marked=marked)
 
 

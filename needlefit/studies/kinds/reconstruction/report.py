@@ -254,7 +254,7 @@ def lay_out_reconstructions(found: Run, columns: Sequence[str] = _COLUMNS) -> Ta
         about = {"scan": row["id"], "crossing_depths": depths, "remark_count": len(remarks) or ""}
         unregistered = {"target_error_tip_mm": None} if row["markers_known"] is None else {}
         rows.append({**row, **about, **unregistered})
-    table = Table("reconstruction", "", rows, columns)
+    table = Table("reconstruction", rows, columns)
     return _TEXT.lay_out(table, describe(found), drop_empty=True)
 
 
@@ -264,7 +264,7 @@ def _lay_out_refused(found: Run) -> list[TableLayout]:
     if refused is None:
         return []
     rows = [{**row, "scan": row["id"]} for row in to_records(refused)]
-    return [_TEXT.lay_out(Table("refused", "", rows, ("scan", "note")), {}, drop_empty=True)]
+    return [_TEXT.lay_out(Table("refused", rows, ("scan", "note")), {}, drop_empty=True)]
 
 
 def _list_depths(rows: Sequence[Row]) -> str:

@@ -37,7 +37,7 @@ def describe(result: Run) -> dict[str, object]:
 
 
 def tabulate(result: Run) -> list[Table]:
-    return [Table("depths", "", to_records(result.frames["depths"]), FRAMES["depths"])]
+    return [Table("depths", to_records(result.frames["depths"]), FRAMES["depths"])]
 
 
 REPORT = StudyReport(KindText("depth_study", "needlefit_example.depth_study"), describe, tabulate)
