@@ -29,7 +29,7 @@ from needlefit.imaging.needle.axis_spline import (
 )
 from needlefit.imaging.needle.follow import MIN_RELATIVE_AMPLITUDE, retrace_end, tip_beside_error
 from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, principal_axes
-from needlefit.imaging.needle.slice_fit import fit_slices, runs_in_slices
+from needlefit.imaging.needle.slice_fit import TIP_ERROR_MM, fit_slices, runs_in_slices
 from needlefit.imaging.needle.tip import (
     MAX_DISAGREEMENT_MM,
     MIN_BEVEL_PROBABILITY,
@@ -240,7 +240,7 @@ def _place_in_slices(
     wider = np.mean(side**2) / np.mean(axis_sd(placed, s) ** 2)
     variance, covariance = placed.variance * wider, placed.covariance * wider
     placed = replace(placed, variance=variance, covariance=covariance, normal_sd=normal)
-    across = float(np.hypot(side[-1], normal[-1]) / np.sqrt(2))
+    across = float(np.hypot(np.hypot(side[-1], normal[-1]) / np.sqrt(2), TIP_ERROR_MM))
     probability = float(erf(np.pi / 2 / np.sqrt(2) / found.end_sd[1]))
     bevel = found.bevel if probability >= MIN_BEVEL_PROBABILITY else np.full(3, np.nan)
     sd = np.array([found.end_sd[0], across])

@@ -60,8 +60,9 @@ FIRST_NOISE, FIRST_ERROR, CORRELATED = 0.15, 0.25, 10.0
 # Factors of the fit's deviations in the slices, along their normal and of the end; what no residual shows:
 # mm, along the normal slices; it falls with the slices that are crossed. Set on volumes of
 # `benchmarks/real_scanners.py --seeds 7000:7080`.
-SIDE_FACTOR, NORMAL_FACTOR, END_FACTOR = 0.75, 0.9, 0.8
+SIDE_FACTOR, NORMAL_FACTOR, END_FACTOR = 0.75, 1.0, 0.8
 SIDE_ERROR_MM, END_ERROR_MM, SLICE_ERROR, CROSSED_SLICES = 0.01, 0.04, 0.02, 4.0
+TIP_ERROR_MM = 0.03  # across, where the bevel is
 # What a fit adds to these deviations, in slices, by which the model's error exceeds this; at the end twice.
 MISSED_FACTOR, MAX_GOOD_ERROR = 1.3, 0.4
 BRIGHT = 0.3  # what counts as bright, in parts of the needle's
