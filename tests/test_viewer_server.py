@@ -507,7 +507,7 @@ async def test_a_search_for_a_plan_ends_with_its_window(server, page) -> None:
             time.sleep(0.01)
         raise ModelError("the search was cancelled", expected="a window")
 
-    server.patch.setattr("needlefit.viewer.trials.plan_steering", search)
+    server.patch.setattr("needlefit.viewer.window.plan_steering", search)
     await page.say("aim", target=[35.0, 0.5])
     await page.say("plan")
     assert await asyncio.to_thread(begun.wait, 20) and not ended.is_set()

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from needlefit.viewer.messages import compile_asked_law, read_message
-from needlefit.viewer.trials import InteractiveTrial, Reply, StepOrderError, TrialRegistry, Window
+from needlefit.viewer.trial import InteractiveTrial, StepOrderError
+from needlefit.viewer.trials import TrialRegistry
+from needlefit.viewer.window import Reply, Window
 
 if TYPE_CHECKING:
     from needlefit.viewer.openigtlink import OpenIGTLinkServer

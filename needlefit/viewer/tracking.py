@@ -32,7 +32,8 @@ from needlefit.mechanics.shape import compute_positions
 from needlefit.schemas.tracker import TrackerRecord
 from needlefit.viewer.plans import find_placement
 from needlefit.viewer.steering import Change, guide_number
-from needlefit.viewer.trials import InteractiveTrial, TrialRegistry
+from needlefit.viewer.trial import InteractiveTrial
+from needlefit.viewer.trials import TrialRegistry
 
 #: greatest deviation of a transform's columns from unit length and right angles; OpenIGTLink sends floats
 MAX_ROTATION_ERROR = 1e-3

@@ -177,12 +177,12 @@ def _conversation(path: Path) -> object:
     """Answer messages, a line each, in one window as the page's server does; replies must be JSON."""
     open_target = _late("viewer.opening.open_target")
     registry = _late("viewer.trials.TrialRegistry")(open_target("figure1"), path.parent / "view", open_target)
-    window = _late("viewer.trials.Window")(registry, registry.open(""), tracked=False)
+    window = _late("viewer.window.Window")(registry, registry.open(""), tracked=False)
     read, refused = _late("viewer.messages.read_message"), None
     for text in _text(path).splitlines()[:MAX_LINES]:
         try:
             replies = list(window.answer(read(text)))
-        except _late("viewer.trials.StepOrderError") as error:
+        except _late("viewer.trial.StepOrderError") as error:
             refused = str(error)
             continue
         for reply in replies:
