@@ -55,20 +55,23 @@ def plain():
 @pytest.mark.parametrize(
     ("stated", "hu", "warned"),
     [
-        (3.0, 5000.0, False),
-        pytest.param(3.3, 5000.0, False, marks=pytest.mark.sweep),  # cut at 3071 HU: their flanks alone show
-        pytest.param(3.3, 2500.0, True, marks=pytest.mark.sweep),
+        (3.0, 5000.0, False),  # cut at 3071 HU: their flanks alone show
+        (2.4, 5000.0, True),
+        pytest.param(3.0, 12000.0, False, marks=pytest.mark.sweep),
+        pytest.param(1.8, 12000.0, True, marks=pytest.mark.sweep),
+        pytest.param(3.0, 1500.0, False, marks=pytest.mark.sweep),
+        pytest.param(3.4, 1500.0, True, marks=pytest.mark.sweep),
     ],
 )
 def test_a_diameter_that_the_image_contradicts_is_a_warning_with_both(plain, stated, hu, warned):
-    volume = plain if hu > 3071 else with_balls(hu=hu)
+    volume = plain if hu == 5000 else with_balls(hu=hu)
     found = find_markers(volume, recipe(markers={"diameter_mm": stated}), needle_of(volume))
-    assert found.source == "volume" and off(found).max() < 0.03
+    assert found.source == "volume" and off(found).max() < 0.05
     assert (found.sd > 0.002).all() and (found.sd < 0.05).all()
     assert len(found.warnings) == warned
     for warning in found.warnings:
-        measured, given = (float(x) for x in re.findall(r"(\d\.\d) mm", warning))
-        assert given == stated and abs(measured - 3.0) <= 0.2
+        measured, sd, given = (float(x) for x in re.findall(r"\d+\.\d+", warning))
+        assert given == stated and sd < 0.15 and abs(measured - 3.0) <= 2 * sd
 
 
 def test_ball_on_the_face_of_the_phantom_is_not_pulled_by_it():
@@ -135,10 +138,6 @@ def test_a_needle_alone_and_nothing_bright_hold_no_marker():
 def test_what_is_no_ball_is_listed_with_its_misfit(plain):
     assert len(find_markers(plain, recipe(markers={"diameter_mm": 6.0})).centers) == 0
     assert len(find_markers(with_balls(radius=0.8), RECIPE).centers) == 0
-    works = find_markers(plain, recipe(markers={"diameter_mm": 5.0})).working_diameters
-    assert works[0] <= 3.0 <= works[-1]
-    for size in works:
-        assert len(find_markers(plain, recipe(markers={"diameter_mm": size})).centers) == 4
     larger = recipe(markers={"diameter_mm": 4.0})
     none = find_markers(plain, larger, needle_of(plain))
     assert len(none.centers) == 0
@@ -151,19 +150,45 @@ def test_what_is_no_ball_is_listed_with_its_misfit(plain):
     assert off(find_markers(plain, lenient, needle_of(plain))).max() < 0.05
 
 
+@pytest.mark.parametrize(
+    ("stated", "radius", "hu"),
+    [
+        (5.0, 1.5, 5000.0),  # cut at 3071 HU
+        pytest.param(5.1, 1.5, 1500.0, marks=pytest.mark.sweep),  # no candidate is so large
+        pytest.param(2.7, 0.8, 2500.0, marks=pytest.mark.sweep),
+    ],
+)
+def test_a_diameter_that_works_is_named_where_the_stated_one_does_not(stated, radius, hu):
+    volume, fits = with_balls(radius=radius, hu=hu), []
+
+    def fit(*given):
+        fits.append(spheres.fit_sphere(*given))
+        return fits[-1]
+
+    found = find_markers(volume, recipe(markers={"diameter_mm": stated}), fit=fit)
+    assert len(found.centers) < 3
+    assert found.working_diameter == pytest.approx(2 * radius, rel=0.1)
+    assert len(fits) <= 4 + 3 + 3  # as stated, measured, as named: an answer may take 2 s
+    right = find_markers(volume, recipe(markers={"diameter_mm": found.working_diameter}))
+    assert len(right.centers) == 4 and not right.warnings
+
+
+def test_the_blur_is_not_that_of_balls_of_a_wrong_diameter(plain):
+    assert find_markers(plain, RECIPE).spread is not None
+    assert find_markers(plain, recipe(markers={"diameter_mm": 1.8})).spread is None
+
+
 def test_derivatives_of_the_model_are_those_of_the_model():
     rng = np.random.default_rng(2)
     places, spacing = rng.uniform(-3, 3, (200, 3)), np.array([0.4, 0.5, 0.9])
-    near, tables = (
-        spheres.SphereVoxels(places, np.zeros(200), spacing, -np.inf, np.inf),
-        spheres.SphereTables(1.5, 8, (0.15, 0.1)),
-    )
-    theta = np.array([0.1, -0.2, 0.15, 8.0, -0.2, -0.8, 0.7, -0.9, -900.0, 950.0, 0.5, -0.4, 0.9, 0.3])
+    near = spheres.SphereVoxels(places, np.zeros(200), spacing, -np.inf, np.inf)
+    background = [-900.0, 950.0, 0.5, -0.4, 0.9, 0.3]
+    theta = np.array([0.1, -0.2, 0.15, 8.0, -0.2, -0.8, 0.7, -0.9, *background, np.log(1.5)])
     for n in range(len(theta)):
         h = 1e-4 * max(1.0, abs(theta[n]))
         step = np.eye(len(theta))[n] * h
-        up, down = (spheres.render_sphere(near, tables, theta + sign * step)[0] for sign in (1, -1))
-        mine = spheres.render_sphere(near, tables, theta)[1][:, n]
+        up, down = (spheres.render_sphere(near, theta + sign * step)[0] for sign in (1, -1))
+        mine = spheres.render_sphere(near, theta)[1][:, n]
         assert np.abs((up - down) / (2 * h) - mine).max() <= 0.01 * np.abs(mine).max()
 
 

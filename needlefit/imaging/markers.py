@@ -5,8 +5,9 @@ shows at a low one. The bright voxels of the lowest level are listed once, with 
 higher level is a part of that list, so that no second array of the volume's size is needed.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain, islice
 from pathlib import Path
 from typing import Literal
 
@@ -140,51 +141,33 @@ def _voxel_count(volume: Volume, diameter: float) -> float:
     return max(4.0, np.pi / 6 * diameter**3 / float(np.prod(volume.spacing)))
 
 
-# Diameters that are tried, in those stated: the others if one of the first explains the balls better.
-FIRST_FACTORS, DIAMETER_FACTORS = (0.85, 1.18), (0.5, 0.6, 0.7, 0.8, 0.9, 1.12, 1.25, 1.4)
-MAX_FITTED_BALLS = 2  # balls that are fitted with other diameters: those that the stated one explains best
-MIN_MISFIT = 0.02  # balls whose misfit is smaller, in parts of their brightness, leave nothing to explain
-# Another diameter must leave less than this part of the misfit: less is won by chance on clean scans.
-MAX_MISFIT_RATIO = 0.6
-FitSphere = Callable[[Volume, Blob, float], SphereFit]
+# Balls whose diameter is measured: those that the stated one explains best; and among how many candidates.
+MEASURED_BALLS, MEASURABLE_BALLS = 3, 6
+DIAMETER_ERROR = 0.03  # deviation of a measured diameter by what the model does not explain, in parts of it
+MAX_DIAMETER_SD = 3.0  # deviations of the measured diameter by which the stated one may differ from it
+# Where nothing of about the stated diameter is a ball, candidates of so many times that are measured.
+OTHER_FACTORS = (0.6, 1.6)
+FitSphere = Callable[[Volume, Blob, float | None], SphereFit]
+Candidate = tuple[Blob, SphereFit | RejectedMarker]  # what may be a ball, and what its fit gave
 
 
-def _compare_diameters(
-    volume: Volume, blobs: Sequence[Blob], diameter: float, factors: Sequence[float], fit: FitSphere
-) -> dict[float, float]:
-    """Return the median misfit of a few balls for `factors` times a diameter, mm; inf where none shows."""
-    found = {}
-    for factor in factors:
-        fits = [fit(volume, blob, factor * diameter / 2) for blob in blobs]
-        # a blur at its bound explains anything
-        left = [one.misfit if one.spread.blur < 0.99 * MAX_BLUR_MM else np.inf for one in fits]
-        found[factor] = float(np.median(left))
-    return found
-
-
-def _check_diameter(
-    volume: Volume, balls: Sequence[tuple[Blob, SphereFit]], diameter: float, fit: FitSphere
-) -> tuple[str, ...]:
-    """Return a warning if the balls found are of another diameter than stated, mm.
-
-    A few balls are fitted with other diameters: one that explains the image much better is the measured one.
-    Balls that are cut at the scanner's largest number show their flanks only, which a smaller ball with more
-    blur always explains: of these a larger one is reported, no smaller one.
-    """
-    used = sorted(balls, key=lambda one: one[1].misfit)[:MAX_FITTED_BALLS]
-    blobs, own = [blob for blob, _ in used], [ball.misfit for _, ball in used]
-    if not used or np.median(own) < MIN_MISFIT:
-        return ()
-    stated = float(np.median(own))
-    if min(_compare_diameters(volume, blobs, diameter, FIRST_FACTORS, fit).values()) >= stated:
-        return ()
-    tried = {1.0: stated} | _compare_diameters(volume, blobs, diameter, DIAMETER_FACTORS, fit)
-    best = min(tried, key=lambda factor: tried[factor])
-    hidden = any(ball.saturated for _, ball in balls) and best < 1
-    if hidden or tried[best] >= MAX_MISFIT_RATIO * stated:
-        return ()
-    seen = f"the balls in the scan are about {best * diameter:.1f} mm wide, but {diameter:g} mm are stated"
-    return (f"{seen}: check markers.diameter_mm",)
+def _measure_diameter(
+    volume: Volume, candidates: Iterable[Candidate], max_misfit: float, fit: FitSphere
+) -> tuple[float, float] | None:
+    """Return the diameter of the balls among candidates, and its deviation, mm; None if there are none."""
+    balls: list[SphereFit] = []
+    for blob, _ in sorted(candidates, key=lambda one: one[1].misfit)[:MEASURABLE_BALLS]:
+        ball, middle = fit(volume, blob, None), to_patient(volume, blob.voxels.mean(axis=0)[None])[0]
+        if _find_fault(volume, ball, middle, _limit_misfit(ball, max_misfit)) is None:
+            balls.append(ball)
+        if len(balls) == MEASURED_BALLS:
+            break
+    if not balls:
+        return None
+    # of small balls a few are off by many of their deviations
+    diameter, sd = np.median([(ball.diameter, ball.diameter_sd) for ball in balls], axis=0)
+    # to a hundredth, as it is printed
+    return round(float(diameter), 2), float(np.hypot(sd, DIAMETER_ERROR * diameter))
 
 
 # A ball's misfit may be so many deviations of the noise around it, besides `markers.max_misfit`.
@@ -202,7 +185,8 @@ def find_markers(
     """Return the balls of `recipe.markers.diameter_mm` in a scan: as many as there are, be it none.
 
     A ball is left out that hangs together with the needle however high the threshold, or that a face of the
-    volume cuts: its centre would be pulled aside. Where too few are found, other diameters are tried.
+    volume cuts: its centre would be pulled aside. The diameter of a few is measured: one that contradicts the
+    stated one is a warning, or, where too few have the stated one, is named if enough have it.
 
     `exclude`: (N, 3); voxels i, j, k of the needle, never a marker.
     `fit`: `fit_sphere`, or what keeps its results.
@@ -221,40 +205,51 @@ def find_markers(
                 or place the fiducials by hand
             where: markers in the volume""")
 
-    def search(size: float) -> tuple[list[tuple[Blob, SphereFit]], list[tuple[Blob, RejectedMarker]]]:
+    def search(size: float) -> Iterator[Candidate]:
         return _fit_balls(volume, find_blobs(volume, listed, size, exclude), size, rules.max_misfit, fit)
 
-    fitted, failed = search(diameter)
-    balls, rejected = [ball for _, ball in fitted], [one for _, one in failed]
+    def measure(candidates: Iterable[Candidate]) -> tuple[float, float] | None:
+        return _measure_diameter(volume, candidates, rules.max_misfit, fit)
+
+    found = list(search(diameter))
+    balls = [one for _, one in found if isinstance(one, SphereFit)]
+    rejected = [one for _, one in found if isinstance(one, RejectedMarker)]
     centers = [ball.center for ball in balls]
     spreads = [(one.spread.blur, one.spread.boost, one.spread.slice_blur) for one in balls]
-    works: list[float] = []
-    if len(balls) < MIN_MARKERS <= len(balls) + len(failed):
-        similar = sorted(failed, key=lambda one: one[1].misfit / one[1].max_misfit)
-        blobs = [blob for blob, _ in (*fitted, *similar)][:MAX_FITTED_BALLS]
-        tried = _compare_diameters(volume, blobs, diameter, DIAMETER_FACTORS, fit)
-        near = [factor * diameter for factor in tried if tried[factor] <= rules.max_misfit]
-        works = [size for size in sorted({*near[:1], *near[-1:]}) if len(search(size)[0]) >= MIN_MARKERS]
+    warnings: list[str] = []
+    works: float | None = None
+    if len(balls) >= MIN_MARKERS:
+        measured = measure((blob, one) for blob, one in found if isinstance(one, SphereFit))
+        if measured and abs(measured[0] - diameter) > MAX_DIAMETER_SD * measured[1]:
+            warnings.append(
+                f"the balls in the scan are {measured[0]:.2f} +- {measured[1]:.2f} mm wide, but "
+                f"{diameter:g} mm are stated: check markers.diameter_mm"
+            )
+    else:
+        others = (search(factor * diameter) for factor in OTHER_FACTORS)
+        measured = next(filter(None, map(measure, chain([found], others))), None)
+        if measured:
+            shown = (one for _, one in search(measured[0]) if isinstance(one, SphereFit))
+            works = measured[0] if len(list(islice(shown, MIN_MARKERS))) == MIN_MARKERS else None
     return MarkerResult(
         centers=np.array(centers).reshape(-1, 3),
         sd=np.array([ball.sd for ball in balls]),
         source="volume",
         misfits=np.array([ball.misfit for ball in balls]),
         rejected=tuple(one for one in rejected if not _is_near(one.center, centers, diameter / 2)),
-        spread=PointSpread(*np.median(spreads, axis=0).tolist()) if balls else None,
-        warnings=_check_diameter(volume, fitted, diameter, fit),
-        working_diameters=tuple(works),
+        # with a wrong diameter the blur is wrong
+        spread=PointSpread(*np.median(spreads, axis=0).tolist()) if balls and not warnings else None,
+        warnings=tuple(warnings),
+        working_diameter=works,
     )
 
 
 def _fit_balls(
     volume: Volume, blobs: Sequence[Blob], diameter: float, max_misfit: float, fit: FitSphere
-) -> tuple[list[tuple[Blob, SphereFit]], list[tuple[Blob, RejectedMarker]]]:
-    """Return the balls of a diameter, mm, and the candidates that are none."""
+) -> Iterator[Candidate]:
+    """Yield the balls of a diameter, mm, and the candidates that are none."""
     radius = diameter / 2
     tried: list[Floats] = []
-    fitted: list[tuple[Blob, SphereFit]] = []
-    failed: list[tuple[Blob, RejectedMarker]] = []
     for blob in blobs:
         middle = to_patient(volume, blob.voxels.mean(axis=0)[None])[0]
         # the same ball appears at several levels: it is fitted once
@@ -262,15 +257,13 @@ def _fit_balls(
             continue
         tried.append(middle)
         ball = fit(volume, blob, radius)
-        # what the recipe allows, and what the noise around it leaves
-        limit = float(np.hypot(max_misfit, MAX_MISFIT_NOISE * ball.noise))
-        reason = _find_fault(volume, ball, middle, (radius, limit))
+        limit = _limit_misfit(ball, max_misfit)
+        reason = _find_fault(volume, ball, middle, limit)
         if reason is None:
             tried.append(ball.center)
-            fitted.append((blob, ball))
+            yield blob, ball
         else:
-            failed.append((blob, RejectedMarker(middle, blob.diameter, ball.misfit, limit, reason)))
-    return fitted, failed
+            yield blob, RejectedMarker(middle, blob.diameter, ball.misfit, limit, reason)
 
 
 def describe_candidates(found: MarkerResult, recipe: ReconstructionRecord) -> str:
@@ -290,10 +283,9 @@ def describe_candidates(found: MarkerResult, recipe: ReconstructionRecord) -> st
         for one in nearest
     )
     listed = f"{what}; {len(found.rejected)} other candidates, the most similar {others}"
-    if not found.working_diameters:
+    if found.working_diameter is None:
         return listed
-    sizes = " to ".join(f"{size:.1f}" for size in found.working_diameters)
-    return f"{listed}; balls of {sizes} mm explain enough of them"
+    return f"{listed}; balls of {found.working_diameter:.2f} mm explain enough of them"
 
 
 REASONS = {
@@ -368,22 +360,24 @@ def refine_fiducials(
     return replace(balls, centers=centers, sd=sd, source=given.source, misfits=np.empty(0))
 
 
-def _find_fault(
-    volume: Volume, ball: SphereFit, middle: Floats, limits: tuple[float, float]
-) -> Literal["misfit", "blur", "moved", "edge"] | None:
-    """Return why a fit, begun at `middle`, shows no ball, or not the whole of it; None if it does.
+def _limit_misfit(ball: SphereFit, allowed: float) -> float:
+    """Return the greatest misfit of a ball: what the recipe allows, and what the noise around it leaves."""
+    return float(np.hypot(allowed, MAX_MISFIT_NOISE * ball.noise))
 
-    `limits`: the radius, mm, and the greatest misfit.
-    """
+
+def _find_fault(
+    volume: Volume, ball: SphereFit, middle: Floats, max_misfit: float
+) -> Literal["misfit", "blur", "moved", "edge"] | None:
+    """Return why a fit, begun at `middle`, shows no ball, or not the whole of it; None if it does."""
     index, last = to_index(volume, ball.center[None])[0], np.array(volume.values.shape[::-1]) - 1
-    if float((np.minimum(index, last - index) * volume.spacing).min()) < limits[0]:
+    if float((np.minimum(index, last - index) * volume.spacing).min()) < ball.diameter / 2:
         return "edge"
-    if np.linalg.norm(ball.center - middle) >= limits[0]:
+    if np.linalg.norm(ball.center - middle) >= ball.diameter / 2:
         return "moved"
     # a blur at its upper bound means that the fit did not find a ball
     if ball.spread.blur >= 0.99 * MAX_BLUR_MM:
         return "blur"
-    return "misfit" if ball.misfit > limits[1] else None
+    return "misfit" if ball.misfit > max_misfit else None
 
 
 def _is_near(point: Floats, others: list[Floats], reach: float) -> bool:

@@ -422,7 +422,7 @@ class VolumeSearch:
         work = partial(find_markers, self.volume, recipe, needle, self._fit_sphere, bright)
         return self._once("markers", rules, own, work)
 
-    def _fit_sphere(self, volume: Volume, blob: Blob, radius: float) -> SphereFit:
+    def _fit_sphere(self, volume: Volume, blob: Blob, radius: float | None) -> SphereFit:
         work = partial(fit_sphere, volume, blob, radius)
         return self._once("ball", f"{radius} {blob.level}", blob.voxels.tobytes(), work)
 

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates, spline_filter
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial import cKDTree
-from scipy.special import j0, j1, jv, ndtr, spherical_jn
+from scipy.special import j0, j1, ndtr
 
 from needlefit.arrays import Floats, Ints
 from needlefit.imaging.volume import Volume, to_patient
@@ -30,9 +30,10 @@ TABLE_STEP_MM = 0.1  # spacing of the table, mm; cubic splines join it
 FREQUENCY_STEP_PER_MM = 0.25  # spacing of the angular frequencies, 1/mm: images of a ball repeat every 25 mm
 BOX_PART = 0.8  # part of the variance of a slice's profile that is a box's, the rest is a Gaussian's
 MAX_FREQUENCY_SD = 4.5  # angular frequencies end at so many over the narrowest blur, 1/mm
+MAX_PASSED_SD = 6.5  # in the slices, those beyond so many over the blur are left out: 1e-9 of them passes
 # The tables: ball; shortfall; and the derivatives of ball + `shortfall` x shortfall by the distances across
 # and along, over these distances, 1/mm^2, and by the logarithm of the blur in the slices, b, and the
-# logarithm of the blur across them.
+# logarithms of the blur across them and of the radius.
 BALL, SHORTFALL, ACROSS, ALONG = range(4)
 # Deviation of a slice's profile over the slices' distance, and the least: a box has 0.29, helical scans more.
 SLICE_BLUR_RATIO, MIN_EXPECTED_SLICE_BLUR_MM = 0.33, 0.2
@@ -52,63 +53,71 @@ class PointSpread:
     slice_blur: float
 
 
+def _list_frequencies() -> tuple[Floats, Floats]:
+    """Return the middles of the steps of frequency in the slices, and across them, 1/mm."""
+    ends = [MAX_FREQUENCY_SD / blur for blur in (MIN_BLUR_MM, MIN_SLICE_BLUR_MM)]
+    across, along = (np.arange(0.5, end / FREQUENCY_STEP_PER_MM) * FREQUENCY_STEP_PER_MM for end in ends)
+    return across, along
+
+
+@lru_cache(maxsize=4)
+def _transform_sphere(radius: float) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return the Fourier transforms of a ball (mm) and its shortfall, times the measure of each frequency.
+
+    Then their derivatives by the logarithm of the radius.
+    """
+    across, along = _list_frequencies()
+    x = radius * np.hypot(across[:, None], along)
+    rings = across.copy()
+    rings[0] *= 11 / 12  # the end term of Euler and Maclaurin: the integrand begins with a slope
+    measure = rings[:, None] * FREQUENCY_STEP_PER_MM**2 / (2 * np.pi**2) * radius**3
+    first, sine = j1(x) / x, np.sin(x) / x
+    second = (2 * first - j0(x)) / x**2  # J2(x) / x^2
+    ball, dark = 4 * np.pi * measure, 2 * np.pi**2 * measure
+    return ball * (sine - np.cos(x)) / x**2, dark * second, ball * sine, dark * (first - second)
+
+
 @dataclass(frozen=True)
 class SphereTables:
-    """Tables of balls of `radius` out to `reach`, for blurs in and across slices from `min_blur` on; mm."""
+    """Tables of balls out to `reach`, mm."""
 
-    radius: float
     reach: float
-    min_blur: tuple[float, float]
-
-    @cached_property
-    def _grid(self) -> Floats:
-        return np.arange(0.0, self.reach + 4 * TABLE_STEP_MM, TABLE_STEP_MM)
-
-    @cached_property
-    def _frequencies(self) -> tuple[Floats, Floats]:
-        """Middles of the steps of frequency in the slices, and across them, 1/mm."""
-        ends = [MAX_FREQUENCY_SD / blur for blur in self.min_blur]
-        across, along = (np.arange(0.5, end / FREQUENCY_STEP_PER_MM) * FREQUENCY_STEP_PER_MM for end in ends)
-        return across, along
-
-    @cached_property
-    def _transforms(self) -> tuple[Floats, Floats]:
-        """Fourier transforms of ball and shortfall on the frequencies, times the measure of each."""
-        across, along = self._frequencies
-        x = self.radius * np.hypot(across[:, None], along)
-        rings = across.copy()
-        rings[0] *= 11 / 12  # the end term of Euler and Maclaurin: the integrand begins with a slope
-        measure = rings[:, None] * FREQUENCY_STEP_PER_MM**2 / (2 * np.pi**2) * self.radius**3
-        return 4 * np.pi * spherical_jn(1, x) / x * measure, 2 * np.pi**2 * jv(2, x) / x**2 * measure
 
     @cached_property
     def _waves(self) -> tuple[Floats, Floats, Floats, Floats]:
-        across, along = self._frequencies
-        kr, kz = np.outer(self._grid, across), np.outer(along, self._grid)
+        across, along = _list_frequencies()
+        grid = np.arange(0.0, self.reach + 4 * TABLE_STEP_MM, TABLE_STEP_MM)
+        kr, kz = np.outer(grid, across), np.outer(along, grid)
         # (J1(x) / x) is 1/2 at 0
         sloped = np.divide(j1(kr), kr, out=np.full_like(kr, 0.5), where=kr > 0)
         return j0(kr), -(across**2) * sloped, np.cos(kz), -(along[:, None] ** 2) * np.sinc(kz / np.pi)
 
-    def render(self, shortfall: float, blur: float, boost: float, slice_blur: float) -> list[Floats]:
-        """Return the seven tables (G, G), as splines."""
-        across, along = self._frequencies
-        x2 = (blur * across[:, None]) ** 2 / 2
-        y2 = (1 - BOX_PART) * (slice_blur * along) ** 2 / 2
-        z = np.sqrt(3 * BOX_PART) * slice_blur * along
+    def render(self, radius: float, shortfall: float, spread: PointSpread) -> list[Floats]:
+        """Return the eight tables (G, G) of a ball of `radius`, mm, as splines."""
+        across, along = _list_frequencies()
+        # a wide blur lets only the lowest frequencies pass
+        kept = np.searchsorted(across, MAX_PASSED_SD / spread.blur)
+        x2 = (spread.blur * across[:kept, None]) ** 2 / 2
+        y2 = (1 - BOX_PART) * (spread.slice_blur * along) ** 2 / 2
+        z = np.sqrt(3 * BOX_PART) * spread.slice_blur * along
         box = np.sinc(z / np.pi)
-        fall = np.exp(-x2 - y2) * box
-        pass_ = (1 + boost * x2) * fall
-        ball, dark = self._transforms
+        gauss = np.exp(-x2 - y2)
+        fall = gauss * box
+        pass_ = (1 + spread.boost * x2) * fall
+        ball, dark, ball_growth, dark_growth = (part[:kept] for part in _transform_sphere(radius))
         both = ball + shortfall * dark
         wave, sloped, cosine, sine = self._waves
+        wave, sloped = wave[:, :kept], sloped[:, :kept]
+        shown = both * pass_
         tables = [
             wave @ (ball * pass_) @ cosine,
             wave @ (dark * pass_) @ cosine,
-            sloped @ (both * pass_) @ cosine,
-            wave @ (both * pass_) @ sine,
-            wave @ (both * 2 * x2 * (boost - 1 - boost * x2) * fall) @ cosine,
+            sloped @ shown @ cosine,
+            wave @ shown @ sine,
+            wave @ (both * 2 * x2 * (spread.boost - 1 - spread.boost * x2) * fall) @ cosine,
             wave @ (both * x2 * fall) @ cosine,
-            wave @ (both * ((1 + boost * x2) * np.exp(-x2 - y2) * (np.cos(z) - box - 2 * y2 * box))) @ cosine,
+            wave @ (both * (1 + spread.boost * x2) * gauss * (np.cos(z) - box - 2 * y2 * box)) @ cosine,
+            wave @ ((ball_growth + shortfall * dark_growth) * pass_) @ cosine,
         ]
         return [spline_filter(table, mode="mirror") for table in tables]
 
@@ -119,11 +128,11 @@ def look_up(table: Floats, across: Floats, along: Floats) -> Floats:
     return np.asarray(map_coordinates(table, places, order=3, mode="mirror", prefilter=False))
 
 
-# What the 14 parameters are: centre of the ball, mm; logarithm of its own HU; by which part the hardened beam
+# What the 15 parameters are: centre of the ball, mm; logarithm of its own HU; by which part the hardened beam
 # sees its middle darker, negative; logarithm of the blur in the slices, mm, and the kernel's boost; logarithm
 # of the blur across them; the background's lower level and its step, HU; the step's direction over its width,
-# 1/mm, and its offset.
-CENTER, FACE, OFFSET = slice(0, 3), slice(10, 13), 13
+# 1/mm, and its offset; logarithm of the ball's radius, mm.
+CENTER, FACE, OFFSET, RADIUS = slice(0, 3), slice(10, 13), 13, 14
 HEIGHT, DARK, BLUR, BOOST, SLICE, LEVEL, STEP = range(3, 10)
 
 
@@ -147,19 +156,22 @@ class SphereVoxels:
     floor: float
     ceiling: float
 
+    @cached_property
+    def reach(self) -> float:
+        """A distance, mm, beyond all voxels from a ball whose centre lies near the blob's middle."""
+        return float(np.ceil(1.5 * np.linalg.norm(self.places, axis=1).max()))
 
-def render_sphere(near: SphereVoxels, tables: SphereTables, theta: Floats) -> tuple[Floats, Floats]:
-    """Return the image (N,), HU, of a ball, and its derivatives (N, 14)."""
-    all_tables = tables.render(
-        theta[DARK], float(np.exp(theta[BLUR])), theta[BOOST], float(np.exp(theta[SLICE]))
-    )
+
+def render_sphere(near: SphereVoxels, theta: Floats) -> tuple[Floats, Floats]:
+    """Return the image (N,), HU, of a ball, and its derivatives (N, 15)."""
+    tables = _make_tables(near.reach).render(float(np.exp(theta[RADIUS])), theta[DARK], _read_spread(theta))
     offsets = _pixel_points(near.spacing)
-    total = np.zeros((len(near.places), 2 + 3 + 3))
+    total = np.zeros((len(near.places), 2 + 3 + 4))
     for offset in offsets:
         d = near.places - theta[CENTER] + offset
         across = np.hypot(d[:, 0], d[:, 1])
         along = np.abs(d[:, 2])
-        seen = [look_up(table, across, along) for table in all_tables]
+        seen = [look_up(table, across, along) for table in tables]
         total[:, 0] += seen[BALL]
         total[:, 1] += seen[SHORTFALL]
         total[:, 2:4] -= seen[ACROSS][:, None] * d[:, :2]
@@ -167,7 +179,7 @@ def render_sphere(near: SphereVoxels, tables: SphereTables, theta: Floats) -> tu
         total[:, 5:] += np.column_stack(seen[ALONG + 1 :])
     total /= len(offsets)
     part = total[:, 0] + theta[DARK] * total[:, 1]
-    dark, moved, shaped = total[:, 1], total[:, 2:5], total[:, 5:]
+    dark, moved, shaped, grown = total[:, 1], total[:, 2:5], total[:, 5:8], total[:, 8]
     depth = near.places @ theta[FACE] + theta[OFFSET]
     beyond = ndtr(depth)
     rise = theta[STEP] * np.exp(-(depth**2) / 2) / np.sqrt(2 * np.pi)
@@ -177,10 +189,17 @@ def render_sphere(near: SphereVoxels, tables: SphereTables, theta: Floats) -> tu
     over = (height - around)[:, None]
     shown = around + over[:, 0] * part
     slopes = np.column_stack(
-        [moved * over, height * part, over[:, 0] * dark, shaped * over, void, turned * void[:, None]]
+        [
+            *(moved * over, height * part, over[:, 0] * dark, shaped * over, void),
+            *(turned * void[:, None], over[:, 0] * grown),
+        ]
     )
     slopes[(shown > near.ceiling) | (shown < near.floor)] = 0.0
     return np.clip(shown, near.floor, near.ceiling), slopes
+
+
+def _read_spread(theta: Floats) -> PointSpread:
+    return PointSpread(float(np.exp(theta[BLUR])), float(theta[BOOST]), float(np.exp(theta[SLICE])))
 
 
 def _pixel_points(spacing: Floats) -> Floats:
@@ -216,6 +235,7 @@ _RANGES = (
     (0.0, 3e3, 100.0),
     *3 * [(-3.0, 3.0, 0.3)],
     (-10.0, 10.0, 0.5),
+    (np.log(0.1), np.log(25.0), 0.1),
 )
 LOWER_BOUNDS, UPPER_BOUNDS, PARAMETER_SCALES = np.array(list(zip(*_RANGES, strict=True)))
 PRIOR_COLUMNS = [HEIGHT, DARK, BLUR, BOOST, SLICE]
@@ -244,46 +264,61 @@ class SphereFit:
     # parts of the ball's height as shown.
     misfit: float
     noise: float
-    saturated: bool  # whether it is cut where the scanner's numbers end
+    diameter: float  # mm
+    diameter_sd: float  # its deviation, mm; 0 where the radius was given
 
 
-def fit_sphere(volume: Volume, blob: Blob, radius: float) -> SphereFit:
-    """Fit a ball of `radius` (mm) to the voxels around `blob`."""
-    near = select_voxels(volume, blob, radius)
-    reach = float(np.ceil(np.linalg.norm(near.places, axis=1).max() + radius))
-    tables = _make_tables(radius, reach)
-    first = _guess_parameters(near, radius)
-    noise = FIRST_NOISE_PART * float(min(np.exp(first[HEIGHT]), near.ceiling) - first[LEVEL])
-    best = _minimize(near, tables, first, noise, robust=False)
-    noise = max(1.0, noise * _spread(_residuals(best, near)))
-    best = _minimize(near, tables, best.x, noise, robust=True)
-    theta, residuals = best.x, noise * _residuals(best, near)
-    height = max(1.0, float(min(np.exp(theta[HEIGHT]), near.ceiling) - theta[LEVEL]))
-    inside = np.linalg.norm(near.places - theta[CENTER], axis=1) < radius + near.spacing.max()
-    left = residuals[inside] if inside.any() else residuals
-    misfit, blur = float(np.sqrt(np.mean(left**2))) / height, float(np.exp(theta[BLUR]))
+def fit_sphere(volume: Volume, blob: Blob, radius: float | None) -> SphereFit:
+    """Fit a ball of `radius` (mm) to the voxels around `blob`; None: of any."""
+    start = blob.diameter / 2 if radius is None else radius
+    near = select_voxels(volume, blob, start)
+    fit = _fit_model(near, _guess_parameters(near, start), RADIUS if radius else RADIUS + 1)
+    own, spread = float(np.exp(fit.theta[RADIUS])), _read_spread(fit.theta)
+    height = max(1.0, float(min(np.exp(fit.theta[HEIGHT]), near.ceiling) - fit.theta[LEVEL]))
+    inside = np.linalg.norm(near.places - fit.theta[CENTER], axis=1) < own + near.spacing.max()
+    left = fit.residuals[inside] if inside.any() else fit.residuals
+    misfit = float(np.sqrt(np.mean(left**2))) / height
     # thick slices average rays before the logarithm
-    systematic = np.hypot(SLICE_ERROR * near.spacing[2] ** 2 / radius, MISFIT_ERROR * misfit * blur)
-    slopes = render_sphere(near, tables, theta)[1]
+    systematic = np.hypot(SLICE_ERROR * near.spacing[2] ** 2 / own, MISFIT_ERROR * misfit * spread.blur)
+    formal = FORMAL_SD_FACTOR * float(np.sqrt(np.trace(fit.covariance[CENTER, CENTER]) / 3))
+    return SphereFit(
+        center=to_patient(volume, (blob.voxels.mean(axis=0) + fit.theta[CENTER] / volume.spacing)[None])[0],
+        sd=float(np.linalg.norm([formal, systematic, SYSTEMATIC_SD_MM])),
+        spread=spread,
+        misfit=misfit,
+        noise=_spread(fit.residuals[~inside] if np.count_nonzero(~inside) > 20 else fit.residuals) / height,
+        diameter=2 * own,
+        diameter_sd=0.0 if radius else 2 * own * float(np.sqrt(fit.covariance[RADIUS, RADIUS])),
+    )
+
+
+@dataclass(frozen=True)
+class _ModelFit:
+    """The least squares of the model of a ball's image."""
+
+    theta: Floats  # (15,)
+    residuals: Floats  # (N,); HU
+    covariance: Floats  # (P, P); of the parameters that were fitted
+
+
+def _fit_model(near: SphereVoxels, first: Floats, count: int) -> _ModelFit:
+    """Fit the first `count` parameters, from `first` (15,) on: without noise, then with it and robust."""
+    noise = FIRST_NOISE_PART * float(min(np.exp(first[HEIGHT]), near.ceiling) - first[LEVEL])
+    best = _minimize(near, first, count, noise, robust=False)
+    noise = max(1.0, noise * _spread(_residuals(best, near)))
+    best = _minimize(near, np.append(best.x, first[count:]), count, noise, robust=True)
+    theta, residuals = np.append(best.x, first[count:]), noise * _residuals(best, near)
+    slopes = render_sphere(near, theta)[1][:, :count]
+    known = np.zeros(count)
+    known[PRIOR_COLUMNS] = (noise / PRIOR_SD) ** 2
+    bread = np.linalg.pinv(slopes.T @ slopes + np.diag(known), hermitian=True)
     scores = slopes * residuals[:, None]
-    normal = slopes.T @ slopes
-    normal[PRIOR_COLUMNS, PRIOR_COLUMNS] += (noise / PRIOR_SD) ** 2
-    bread = np.linalg.pinv(normal, hermitian=True)
     length = max(CORRELATION_LENGTH_MM, float(near.spacing.max()))
     tree = cKDTree(near.places)
     apart = tree.sparse_distance_matrix(tree, length, output_type="ndarray")
     weight = (1 - apart["v"] / length)[:, None]
     meat = scores[apart["i"]].T @ (weight * scores[apart["j"]])
-    variance = float(np.trace((bread @ meat @ bread)[CENTER, CENTER])) / 3
-    formal = FORMAL_SD_FACTOR * float(np.sqrt(max(variance, 0.0)))
-    return SphereFit(
-        center=to_patient(volume, (blob.voxels.mean(axis=0) + theta[CENTER] / volume.spacing)[None])[0],
-        sd=float(np.linalg.norm([formal, systematic, SYSTEMATIC_SD_MM])),
-        spread=PointSpread(blur, float(theta[BOOST]), float(np.exp(theta[SLICE]))),
-        misfit=misfit,
-        noise=_spread(residuals[~inside] if np.count_nonzero(~inside) > 20 else residuals) / height,
-        saturated=bool(np.isfinite(near.ceiling)),
-    )
+    return _ModelFit(theta, residuals, bread @ (meat + np.diag(known)) @ bread)
 
 
 def _spread(values: Floats) -> float:
@@ -296,8 +331,8 @@ def _residuals(best: OptimizeResult, near: SphereVoxels) -> Floats:
 
 
 @lru_cache(maxsize=8)
-def _make_tables(radius: float, reach: float) -> SphereTables:
-    return SphereTables(radius, reach, (MIN_BLUR_MM, MIN_SLICE_BLUR_MM))
+def _make_tables(reach: float) -> SphereTables:
+    return SphereTables(reach)
 
 
 def select_voxels(volume: Volume, blob: Blob, radius: float) -> SphereVoxels:
@@ -344,36 +379,39 @@ def _guess_parameters(near: SphereVoxels, radius: float) -> Floats:
         *PRIOR_MEANS[1:],
         np.log(expected_slice_blur(float(near.spacing[2]))),
     ]
-    return np.array([0.0, 0.0, 0.0, *begin, low, step, *(steep * slope / size), -steep * face])
+    face_slope = steep * slope / size
+    return np.array([0.0, 0.0, 0.0, *begin, low, step, *face_slope, -steep * face, np.log(radius)])
 
 
-def _minimize(
-    near: SphereVoxels, tables: SphereTables, first: Floats, noise: float, *, robust: bool
-) -> OptimizeResult:
-    """Return the least squares from `first`, in deviations of the noise (HU); what is known comes last."""
+def _minimize(near: SphereVoxels, first: Floats, count: int, noise: float, *, robust: bool) -> OptimizeResult:
+    """Return the least squares over the first `count` parameters, from `first` (15,) on.
+
+    In deviations of the noise (HU); what is known comes last.
+    """
     means = np.append(PRIOR_MEANS, np.log(expected_slice_blur(float(near.spacing[2]))))
-    held = np.zeros((len(PRIOR_COLUMNS), len(first)))
+    held = np.zeros((len(PRIOR_COLUMNS), count))
     held[np.arange(len(PRIOR_COLUMNS)), PRIOR_COLUMNS] = 1 / PRIOR_SD
+    free = slice(count)
 
     @lru_cache(maxsize=1)  # the derivatives are asked for where the residuals were
     def seen(theta: tuple[float, ...]) -> tuple[Floats, Floats]:
-        return render_sphere(near, tables, np.array(theta))
+        return render_sphere(near, np.append(theta, first[count:]))
 
     def residuals(theta: Floats) -> Floats:
         left = (seen(tuple(theta.tolist()))[0] - near.values) / noise
         return np.append(left, (theta[PRIOR_COLUMNS] - means) / PRIOR_SD)
 
     def slopes(theta: Floats) -> Floats:
-        return np.vstack([seen(tuple(theta.tolist()))[1] / noise, held])
+        return np.vstack([seen(tuple(theta.tolist()))[1][:, free] / noise, held])
 
     best: OptimizeResult = least_squares(
         residuals,
-        np.clip(first, LOWER_BOUNDS + 1e-6, UPPER_BOUNDS - 1e-6),
+        np.clip(first, LOWER_BOUNDS + 1e-6, UPPER_BOUNDS - 1e-6)[free],
         jac=slopes,
-        bounds=(LOWER_BOUNDS, UPPER_BOUNDS),
+        bounds=(LOWER_BOUNDS[free], UPPER_BOUNDS[free]),
         loss="soft_l1" if robust else "linear",
         f_scale=SOFT_LOSS_SD,
-        x_scale=PARAMETER_SCALES,
+        x_scale=PARAMETER_SCALES[free],
         ftol=FINAL_TOLERANCE if robust else FIRST_TOLERANCE,
         max_nfev=40,
     )
