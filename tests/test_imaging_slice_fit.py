@@ -6,6 +6,9 @@ from numpy.testing import assert_allclose
 
 from needlefit.imaging.needle import slice_fit
 from needlefit.imaging.needle.rod_projection import CELL_MM, COLUMN_MM, WATER_PER_MM, Rod
+from needlefit.imaging.needle.segmentation import find_tubes
+from needlefit.imaging.volume import Volume
+from needlefit.schemas.reconstruction import ReconstructionRecord
 
 COLUMNS = np.arange(30.0, -30.1, -COLUMN_MM)
 
@@ -55,3 +58,15 @@ def test_a_rod_that_fills_a_part_of_a_slice_darkens_it_beyond_its_end():
     whole = rod.show(rod.lengths(0 * COLUMNS, np.full(len(COLUMNS), 1.0), 30.0, 0.0), slice_fit.SCAN_MEANS)
     assert shown[1, 2] < -0.2  # water 1
     assert np.abs(shown[:, 1]).max() < whole[1, 1, 0]
+
+
+def test_pieces_of_a_needle_in_successive_slices_are_one_tube():
+    spacing = np.array([0.4, 0.4, 2.0])
+    values = np.random.default_rng(1).normal(0, 20, (8, 40, 200)).astype(np.float32)
+    for n, k in enumerate(range(2, 6)):  # 9 mm of the needle in each slice, and 6 mm that rays hide
+        values[k, 19:22, 20 + 38 * n : 43 + 38 * n] = 3000
+    recipe = ReconstructionRecord.model_validate(
+        {"schema": 2, "needle": {"length_mm": 100, "diameter_mm": 1.27, "bevel_deg": 30}}
+    )
+    (tube,) = find_tubes(Volume(values, np.zeros(3), spacing, np.eye(3)), recipe)
+    assert (tube.voxels[:, 0].min(), tube.voxels[:, 0].max()) == (20, 156)

@@ -75,6 +75,7 @@ MAX_HIDDEN_MM = 40.0
 MIN_GROWTH_MM = 3.0  # at a lower threshold a tube must become longer by so much to be taken from there, mm
 # Distance beyond the ends of a tube, and beside it, in which it is looked for at lower thresholds, mm.
 GROWTH_REACH_MM, GROWTH_MARGIN_MM = 60.0, 5.0
+SEED_PART = 1 / 3  # part of a needle's least length and elongation that a piece has from which one is joined
 # A tube that becomes wider than that at a lower threshold takes in what surrounds it.
 MAX_GROWTH_WIDENING = 1.5
 
@@ -98,15 +99,17 @@ def find_tubes(volume: Volume, recipe: ReconstructionRecord) -> list[Component]:
     levels = list_thresholds(volume, recipe)
     for n, (low, high) in enumerate(levels):
         parts = cut_components(volume, find_components(volume, low, high), recipe)
-        # what a holder cuts in two may be too short on either side
-        seeds = [part for part in parts if is_tube(part, recipe, recipe.segmentation.min_length_mm / 2)]
+        # a holder, or the change from one slice to the next, may leave short pieces only
+        seeds = [part for part in parts if is_tube(part, recipe, SEED_PART)]
         joined = [part for part in _join_tubes(volume, seeds, parts, recipe) if is_tube(part, recipe)]
         if joined:
             _, dense = _sample_dense(volume)
             noise = 1.4826 * float(np.median(np.abs(dense - np.median(dense)))) if dense.size else 0.0
             floor = median_tissue_hu(volume) + MIN_GROWTH_NOISE_SD * noise
             lower = [low for low, _ in levels[n + 1 :] if low > floor]
-            return [_grow_tube(volume, joined[0], lower, recipe), *joined[1:]]
+            grown = _grow_tube(volume, joined[0], lower, recipe)
+            own = {tuple(voxel) for voxel in grown.voxels.tolist()}
+            return [grown, *(part for part in joined[1:] if tuple(part.voxels[0].tolist()) not in own)]
     largest, rules = max(parts, key=lambda part: part.length), recipe.segmentation
     raise refusal(f"""none of {len(parts)} bright components is a tube; the longest is {largest.length:.1f}
             mm long, {largest.width:.1f} mm wide and strays {largest.bend:.1f} mm from a parabola
@@ -141,6 +144,9 @@ def _grow_tube(
     box = tuple(slice(a, b) for a, b in zip(low[::-1], high[::-1], strict=True))
     own = {tuple(voxel) for voxel in tube.voxels[:: max(1, len(tube.voxels) // 1000)].tolist()}
     grown = tube
+    # a needle that runs in a slice fills its thickness
+    filled = recipe.needle.diameter_mm * max(recipe.needle.diameter_mm, float(volume.spacing.max()))
+    expected = max(tube.width, np.sqrt(4 / np.pi * filled))
     for level in levels:
         found = [part[:, ::-1] + low for part in _list_parts(volume.values[box] > level)]
         whole = [measure_component(volume, one) for one in found if len(one) >= MIN_COMPONENT_VOXELS]
@@ -148,7 +154,7 @@ def _grow_tube(
         same = [part for part in parts if own & {tuple(voxel) for voxel in part.voxels.tolist()}]
         longest = max(same, key=lambda part: part.length, default=tube)
         longest = _join_pieces(volume, longest, [part for part in parts if part is not longest], recipe)
-        wide = longest.width > MAX_GROWTH_WIDENING * tube.width
+        wide = longest.width > MAX_GROWTH_WIDENING * expected
         if is_tube(longest, recipe) and not wide and longest.length > grown.length + MIN_GROWTH_MM:
             grown = longest
     return grown
@@ -235,15 +241,12 @@ def find_components(volume: Volume, low: float, high: float) -> list[Component]:
     return parts
 
 
-def is_tube(part: Component, recipe: ReconstructionRecord, min_length: float | None = None) -> bool:
-    """Return whether a component is long, thin and smooth enough to be the needle.
-
-    `min_length`: mm; by default that of the recipe.
-    """
+def is_tube(part: Component, recipe: ReconstructionRecord, share: float = 1.0) -> bool:
+    """Return whether a component is long, thin and smooth enough to be the needle, or a `share` of it."""
     rules, diameter = recipe.segmentation, recipe.needle.diameter_mm
     return (
-        part.length >= (rules.min_length_mm if min_length is None else min_length)
-        and part.length >= rules.min_elongation * part.width
+        part.length >= share * rules.min_length_mm
+        and part.length >= share * rules.min_elongation * part.width
         and part.width <= rules.max_widening * diameter
         and part.bend <= rules.max_widening * diameter / 2
         and part.on_face <= MAX_FACE_FRACTION
