@@ -51,6 +51,7 @@ from needlefit.studies.scored_groups import (
     TE,
     aggregate,
     compare_methods,
+    find_curves,
     list_groups,
     tabulate_tuning,
     tabulate_validation,
@@ -87,23 +88,24 @@ def by_metric(frame: pd.DataFrame, column: str = "value") -> dict:
 
 
 def test_macro_is_the_mean_over_insertions_and_pooled_takes_all_points_together():
-    table = aggregate(two_needles(), BY)
+    two = two_needles()
+    table = aggregate(two.frames["errors"], BY)
     values = by_metric(table)
     assert (values["ipe_mean_mm"], values["te_mm"], values["ipe_std_mm"]) == (2.0, 2.0, 0.0)
     assert values["edp_percent"] == pytest.approx((50 + 300) / 2)
     assert set(table["insertions"]) == {2}
-    pooled = by_metric(aggregate(two_needles(), BY, pooled=True), "pooled")
+    pooled = by_metric(aggregate(two.frames["errors"], BY, find_curves(two.frames["shapes"])), "pooled")
     names = ("ipe_mean_mm", "ipe_std_mm", "ipe_max_mm", "edp_percent")
     assert [pooled[name] for name in names] == pytest.approx([2.0, 1.0, 3.0, 100 * (1 + 3) / (2 + 1)])
 
 
 def test_an_insertion_without_an_answer_is_counted_and_in_no_mean():
-    table = aggregate(two_needles((1.0, math.nan), converged=(True, False)), BY)
+    table = aggregate(two_needles((1.0, math.nan), converged=(True, False)).frames["errors"], BY)
     assert by_metric(table)["te_mm"] == 1.0
     assert set(zip(table["insertions"], table["not_converged"], strict=True)) == {(2, 1)}
     one = two_needles((1.0, math.inf), converged=(True, False))
-    one = one.with_frames(shapes=one.frames["shapes"][one.frames["shapes"]["insertion"] == "needle0"])
-    pooled = by_metric(aggregate(one, BY, pooled=True), "pooled")
+    shapes = one.frames["shapes"].query("insertion == 'needle0'")
+    pooled = by_metric(aggregate(one.frames["errors"], BY, find_curves(shapes)), "pooled")
     assert (pooled["ipe_max_mm"], pooled["edp_percent"]) == pytest.approx((1.0, 50.0))
 
 

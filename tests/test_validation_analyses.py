@@ -457,7 +457,7 @@ def test_the_threshold_lies_in_the_gap_of_the_papers_table():
 
 
 def test_every_cell_is_next_to_the_papers_value():
-    held_out = errors(te_mm=[1.0, 2.0, np.inf], converged=[True, True, False])
+    held_out = errors(insertion=["a", "b", "c"], te_mm=[1.0, 2.0, np.inf], converged=[True, True, False])
     fits = errors(study=["phantom2"] * 2, role=["tune"] * 2, medium=["phantom2"] * 2, layers=[4, 3])
     found = tabulate_cells(pd.concat([held_out, fits]), {"study3": 3}).set_index(
         ["grouping", "layers", "metric"]

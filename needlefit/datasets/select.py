@@ -8,6 +8,7 @@ import pandas as pd
 
 from needlefit.datasets.insertion import Dataset, Insertion, TipTrack
 from needlefit.errors import ConfigError
+from needlefit.grouping import group_values
 from needlefit.project.locate import join_names, sort_by_similarity
 from needlefit.project.toml import add_key_context
 from needlefit.schemas.study import LayerCountRule, SelectionRecord
@@ -86,11 +87,8 @@ def _format_key(key: str, value: object) -> str:
 
 def _describe_choices(insertions: Iterable[Insertion], layer_count_rule: LayerCountRule) -> str:
     """Return what there is to select from: by medium, how many, of how many layers, how deep."""
-    by_medium: dict[str, list[Insertion]] = {}
-    for insertion in insertions:
-        by_medium.setdefault(insertion.medium, []).append(insertion)
     choices = []
-    for medium, group in by_medium.items():
+    for medium, group in group_values((one.medium, one) for one in insertions).items():
         layers = ", ".join(
             str(n) for n in sorted({count_layers(insertion, layer_count_rule) for insertion in group})
         )

@@ -25,6 +25,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from needlefit.arrays import Floats, Ints
+from needlefit.grouping import group_values
 from needlefit.inference.parameters import NOISE_SCALE, Parameters
 from needlefit.inference.sampling.posterior import Posterior
 
@@ -241,9 +242,7 @@ class Proportion:
 
 def estimate_proportion(hits: Sequence[bool], groups: Sequence[str]) -> Proportion:
     """Estimate a proportion from trials; in the interval every group of repeats has the same weight."""
-    by_group: dict[str, list[bool]] = {}
-    for one, group in zip(hits, groups, strict=True):
-        by_group.setdefault(group, []).append(bool(one))
+    by_group = group_values(zip(groups, map(bool, hits), strict=True))
     rate = float(np.mean([np.mean(members) for members in by_group.values()]))
     # as many trials as groups: repeats in one specimen are not independent
     low, high = wilson_interval(rate, len(by_group))

@@ -102,19 +102,16 @@ def read_text(
         ) from None
 
 
-def read_json(
-    path: Path, max_bytes: int = MAX_TEXT_BYTES, error: FileErrorType = DataError, where: str = ""
-) -> Any:  # noqa: ANN401 - whatever the file holds
-    """Return the value in a JSON file.
+def read_json(path: Path, max_bytes: int = MAX_TEXT_BYTES) -> Any:  # noqa: ANN401 - whatever the file holds
+    """Return the value in a JSON file; DataError as `read_text` and `parse_json`."""
+    return parse_json(read_text(path, max_bytes), str(path))
 
-    DataError or ConfigError as `read_text`, or if it is not JSON, nested beyond `MAX_NESTING_LEVELS`, or
-    holds a number too long to read.
+
+def parse_json(text: str, where: str) -> Any:  # noqa: ANN401 - whatever the text holds
+    """Return the value of a JSON text that stands at `where`.
+
+    DataError if it is not JSON, nested beyond `MAX_NESTING_LEVELS`, or holds a number too long to read.
     """
-    return parse_json(read_text(path, max_bytes, error, where), where or str(path), error)
-
-
-def parse_json(text: str, where: str, error: FileErrorType = DataError) -> Any:  # noqa: ANN401 - as `read_json`
-    """Return the value of a JSON text; `where` and else as `read_json`."""
     try:
         value = json.loads(text)
     except json.JSONDecodeError as fault:
@@ -127,7 +124,7 @@ def parse_json(text: str, where: str, error: FileErrorType = DataError) -> Any: 
         reason = _find_excess(value)
         if not reason:
             return value
-    raise error(
+    raise DataError(
         f"is not valid JSON: {reason}",
         where=where,
         expected="JSON",

@@ -134,13 +134,11 @@ def as_finished(
         yield running.pop(future), future
 
 
-def run_in_order(
-    work: Callable[[Item], Result], items: Sequence[Item], pool: TaskPool, stop: Stop = never_stop
-) -> Iterator[Result]:
+def run_in_order(work: Callable[[Item], Result], items: Sequence[Item], pool: TaskPool) -> Iterator[Result]:
     """Yield what `work` makes of each item, in their order; else as `TaskPool.run`."""
     finished: dict[int, Result] = {}
     due = 0
-    for n, result in pool.run(work, items, stop):
+    for n, result in pool.run(work, items, never_stop):
         finished[n] = result
         while due in finished:
             yield finished.pop(due)

@@ -135,6 +135,11 @@ def select_draws(
     return found
 
 
+def select_fitted(frame: pd.DataFrame, role: str = "validate") -> pd.DataFrame:
+    """Return the rows of the fit on the insertions of a role, with layers where they were measured."""
+    return frame.query("role == @role and method == 'fitted' and boundaries == 'measured'")
+
+
 def list_methods() -> tuple[str, ...]:
     """Return the names of all methods in the order of tables: models, then baselines."""
     return (*MODEL_METHODS, *(baseline.name for baseline in list_baselines()))

@@ -18,6 +18,7 @@ from needlefit.reporting.number_format import format_quantity
 from needlefit.reporting.table_files import Row
 from needlefit.reporting.text import KindText
 from needlefit.studies.coverage import FindingKey, find_adaptation, find_miscalibration
+from needlefit.studies.fit_frames import select_fitted
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import (
     HELD_OUT,
@@ -187,9 +188,7 @@ def _find_wrong_noise(results: Run, too_large: bool) -> Iterator[Row]:
     errors would be half-normal, e = f sqrt(pi / 2) |z|, and the sum of 2/pi (e / f)^2 over n insertions
     chi-square with n degrees of freedom. Noise of the points varies less, so that the test is conservative.
     """
-    errors = results.frames["errors"].query(
-        "role == 'tune' and method == 'fitted' and boundaries == 'measured'"
-    )
+    errors = select_fitted(results.frames["errors"], "tune")
     errors = errors[errors["floor_ipe_mean_mm"] > 0]
     squares = (errors["ipe_mean_mm"] / errors["floor_ipe_mean_mm"]) ** 2
     means = errors.assign(square=squares).groupby(["medium", "insertion"])["square"].mean()

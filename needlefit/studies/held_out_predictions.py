@@ -21,6 +21,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.select import count_layers, find_repeats, list_bevels, name_holes
 from needlefit.errors import ConfigError
+from needlefit.grouping import group_values
 from needlefit.inference import specimens
 from needlefit.inference.compared_points import align
 from needlefit.inference.fit import Callbacks, Fit
@@ -508,9 +509,8 @@ class _Predictor:
 
 def _choose_representatives(job: Job, insertions: Iterable[Insertion]) -> frozenset[str]:
     """Return the insertion of median depth of each medium and number of layers, by its id."""
-    groups: dict[tuple[str, int], list[Insertion]] = {}
-    for one in insertions:
-        groups.setdefault((one.medium, count_layers(one, job.record.layer_count_rule)), []).append(one)
+    rule = job.record.layer_count_rule
+    groups = group_values(((one.medium, count_layers(one, rule)), one) for one in insertions)
     ordered = (sorted(some, key=lambda one: (one.depth, one.id)) for some in groups.values())
     return frozenset(some[(len(some) - 1) // 2].id for some in ordered)
 

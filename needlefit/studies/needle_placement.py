@@ -18,6 +18,7 @@ from needlefit.datasets.insertion import Insertion, TipTrack
 from needlefit.errors import ModelError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import Placement, align_rigid
+from needlefit.grouping import group_values
 from needlefit.inference.compared_points import SimulatedCurve, select_points
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import make_batch, predict
@@ -60,10 +61,7 @@ def place_needles(
 
     `predicted` are the rows of the table "bands". Tip tracks were never in a scan: of them there is none.
     """
-    bands: dict[str, list[Mapping[str, Any]]] = {}
-    for row in predicted:
-        if row["fold"] == fold.name:
-            bands.setdefault(row["insertion"], []).append(row)
+    bands = group_values((row["insertion"], row) for row in predicted if row["fold"] == fold.name)
     chosen = [*([("tune", fold.tune)] if fitted else []), ("validate", fold.validate)]
     return {
         insertion.id: _place_needle(

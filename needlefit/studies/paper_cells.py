@@ -26,6 +26,7 @@ from needlefit.studies import paper
 from needlefit.studies.fit_frames import list_score_columns
 from needlefit.studies.job import Fold, Inputs, Job, Settings, find_named, load_medium, prepare
 from needlefit.studies.score import Predictor, Row, Scorer
+from needlefit.studies.scored_groups import PUBLISHED, aggregate
 
 ERROR_COLUMNS = (
     *("study", "role", "insertion", "medium", "specimen", "layers", "method"),
@@ -141,15 +142,17 @@ def tabulate_cells(errors: pd.DataFrame, numbers: Mapping[str, int], by: Sequenc
     """
     held_out = errors[errors["role"] == "validate"]
     fits = errors[~errors["study"].isin(held_out["study"])]
-    layers = ["study", "medium", "layers"]
-    frame = pd.concat(
-        [
-            _average_errors("validation", held_out, [*by, *layers]),
-            _average_errors("tuning_by_layers", fits, [*by, *layers]),
-            _average_errors("tuning_by_media", fits.assign(layers=ALL_LAYERS), [*by, *layers]),
-        ],
-        ignore_index=True,
-    )
+    grouped = [
+        held_out.assign(grouping="validation"),
+        fits.assign(grouping="tuning_by_layers"),
+        fits.assign(grouping="tuning_by_media", layers=ALL_LAYERS),
+    ]
+    every = pd.concat(grouped, ignore_index=True).assign(edp_flagged=False)
+    frame = aggregate(every, ["grouping", *by, "study", "medium", "layers"])
+    units = {metric.name: "percent" if metric.unit == "%" else "mm" for metric in list_metrics()}
+    frame = frame.assign(unit=frame["metric"].map(units))
+    order = {name: place for place, name in enumerate((*dict(PUBLISHED.values()), *units))}
+    frame = frame.sort_values(["grouping", "metric"], key=lambda names: names.map(order), kind="stable")
     printed = _published_cells(frame["study"].unique(), numbers)
     keys = [tuple(row) for row in frame[[*CELL_KEYS, "metric"]].itertuples(index=False)]
     frame["paper"] = [printed.get(key, float("nan")) for key in keys]
@@ -157,46 +160,18 @@ def tabulate_cells(errors: pd.DataFrame, numbers: Mapping[str, int], by: Sequenc
     return frame.loc[ours, [*by, *CELL_COLUMNS]].reset_index(drop=True)
 
 
-def _average_errors(name: str, errors: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
-    """Return the mean over insertions of every metric, long."""
-    scored = [name for name in list_score_columns() if name in errors]
-    finite = errors[scored].astype(float).replace([float("inf")], float("nan"))
-    errors = errors.assign(**finite)
-    grouped = errors.groupby(keys, sort=False)
-    counts = grouped.agg(insertions=("insertion", "size"), converged=("converged", "sum")).reset_index()
-    counts["not_converged"] = counts["insertions"] - counts["converged"].astype(int)
-    means = grouped[scored].mean().reset_index().merge(counts, on=keys)
-    parts = []
-    for metric in list_metrics():
-        floor = means.get(f"floor_{metric.name}", float("nan"))
-        unit = "percent" if metric.unit == "%" else "mm"
-        value = means.get(metric.name, float("nan"))
-        part = means[[*keys, "insertions", "not_converged"]]
-        parts.append(part.assign(grouping=name, metric=metric.name, unit=unit, value=value, floor=floor))
-    return pd.concat(parts, ignore_index=True)
-
-
 def _published_cells(studies: Iterable[str], numbers: Mapping[str, int]) -> dict[tuple[Any, ...], float]:
     """Return the paper's cells by the keys of ours."""
     found: dict[tuple[Any, ...], float] = {}
     for study in studies:
-        for name, keys in _PUBLISHED_KEYS.items():
+        for name, columns in PUBLISHED.values():
             for row in paper.select_rows(name):
                 if name != "validation" or row["study"] == numbers.get(study):
-                    medium, layers = (row.get(key, ALL_LAYERS) for key in keys)
-                    found |= {
-                        (name, study, medium, layers, metric): float(row[metric])
-                        for metric in METRICS.names()
-                        if metric in row
-                    }
+                    group = {ours: row[theirs] for theirs, ours in columns.items()}
+                    place = (name, study, group["medium"], group.get("layers", ALL_LAYERS))
+                    printed = [metric for metric in METRICS.names() if metric in row]
+                    found |= {(*place, metric): float(row[metric]) for metric in printed}
     return found
-
-
-_PUBLISHED_KEYS: Mapping[paper.TableName, tuple[str, str]] = {
-    "validation": ("validate_medium", "validate_layers"),
-    "tuning_by_layers": ("medium", "layers"),
-    "tuning_by_media": ("medium", "none"),
-}
 
 
 def tabulate_generalisation(fitted: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:

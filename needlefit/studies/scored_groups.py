@@ -37,14 +37,16 @@ def count_reasons(failures: pd.DataFrame) -> dict[str, int]:
     return dict(Counter(kinds).most_common())
 
 
-def aggregate(results: Run, by: Sequence[str], pooled: bool = False) -> pd.DataFrame:
-    """Return one row per group of `results.errors` and metric, groups in the order of their first insertion.
+def aggregate(
+    errors: pd.DataFrame, by: Sequence[str], curves: Mapping[Any, ComparedCurves] | None = None
+) -> pd.DataFrame:
+    """Return one row per group of errors and metric, groups in the order of their first insertion.
 
     Insertions whose simulation did not converge have no errors: they are left out of the means and
     counted in `not_converged`.
 
-    `results`: what to aggregate. `by`: columns of `results.errors`; name `method` and `boundaries` unless one
-    of each is present. `pooled`: whether to fill the column `pooled`.
+    `by`: columns of `errors`; name `method` and `boundaries` unless one of each is present. `curves`: those
+    that were compared, by `SCORE_KEYS`, to fill the column `pooled`.
 
     Returns
     -------
@@ -55,17 +57,17 @@ def aggregate(results: Run, by: Sequence[str], pooled: bool = False) -> pd.DataF
         deflect by more than their noise floor. Counts of insertions: `insertions`, `edp_flagged` (the
         others of these) and `not_converged`.
     """
-    metrics, curves = list_metrics(), _find_curves(results) if pooled else {}
-    frame = results.frames["errors"]
+    metrics, curves = list_metrics(), curves or {}
     names = [name for metric in metrics for name in (metric.name, f"floor_{metric.name}")]
-    finite = {name: _finite_column(frame, name).to_numpy() for name in names}
-    flagged, converged = (frame[name].to_numpy(dtype=bool) for name in ("edp_flagged", "converged"))
-    insertions = frame["insertion"].to_numpy()
-    scored, keys = (list(frame[list(of)].itertuples(index=False, name=None)) for of in (SCORE_KEYS, by))
+    finite = {name: _finite_column(errors, name).to_numpy() for name in names}
+    flagged, converged = (errors[name].to_numpy(dtype=bool) for name in ("edp_flagged", "converged"))
+    insertions = errors["insertion"].to_numpy()
+    keys = list(errors[list(by)].itertuples(index=False, name=None))
+    scored = list(errors[list(SCORE_KEYS)].itertuples(index=False, name=None)) if curves else []
     rows = []
-    for at in _group_positions(frame, by):
+    for at in _group_positions(errors, by):
         head, clear = dict(zip(by, keys[at[0]], strict=True)), at[~flagged[at]]
-        members = [curves[scored[n]] for n in at if scored[n] in curves]
+        members = [curves[scored[n]] for n in at if scored[n] in curves] if curves else []
         counts = {
             "insertions": len(set(insertions[at])),
             "edp_flagged": len(set(insertions[at[flagged[at]]])),
@@ -188,9 +190,8 @@ def find_bevel_sides(results: Run) -> dict[str, int]:
     return {str(name): -1 if across[name] * toward[name] < 0 else 1 for name in across.index}
 
 
-def _find_curves(results: Run) -> dict[Any, ComparedCurves]:
-    """Return the compared curves of every row of `errors` that has them, by `SCORE_KEYS`."""
-    shapes = results.frames["shapes"]
+def find_curves(shapes: pd.DataFrame) -> dict[Any, ComparedCurves]:
+    """Return the compared curves of every insertion, role and method that has them, by `SCORE_KEYS`."""
     columns = [f"{which}_{axis}_mm" for which in ("simulated", "measured") for axis in "xy"]
     values = shapes[columns].to_numpy(dtype=np.float64)
     return {
@@ -215,7 +216,7 @@ TE = "te_mm"  #: the metric of verdicts, of warnings about them, and of every co
 #: values of `grouping`: insertions held out, or fitted to, by medium and number of layers or by medium
 HELD_OUT, BY_LAYERS, BY_MEDIA = "held_out", "layers", "media"
 #: the paper's table of each grouping, and which of our columns stand in its columns
-_PUBLISHED: Mapping[str, tuple[paper.TableName, Mapping[str, str]]] = {
+PUBLISHED: Mapping[str, tuple[paper.TableName, Mapping[str, str]]] = {
     HELD_OUT: ("validation", {"validate_medium": "medium", "validate_layers": "layers"}),
     BY_LAYERS: ("tuning_by_layers", {"medium": "medium", "layers": "layers"}),
     BY_MEDIA: ("tuning_by_media", {"medium": "medium"}),
@@ -370,15 +371,15 @@ def _list_rows(results: Run, grouping: str, with_alternate: bool) -> list[Row]:
 
 def _group_rows(results: Run, role: str, grouping: str) -> Iterator[Row]:
     keys = ("medium",) if grouping == BY_MEDIA else ("medium", "layers")
-    errors, shapes = results.frames["errors"], results.frames["shapes"]
-    here = results.with_frames(errors=errors[errors["role"] == role], shapes=shapes[shapes["role"] == role])
-    table = aggregate(here, (*keys, "method", "boundaries"), pooled=True)
+    every = (results.frames["errors"], results.frames["shapes"])
+    errors, shapes = (frame[frame["role"] == role] for frame in every)
+    table = aggregate(errors, (*keys, "method", "boundaries"), find_curves(shapes))
     about = {
         "study": study_label(results),
         "grouping": grouping,
         "layer_count_rule": results.record.layer_count_rule,
         "origin": results.origin,
-        "comparison": str(errors["comparison"].iloc[0]) if len(errors) else "",
+        "comparison": str(results.frames["errors"]["comparison"].iloc[0]) if len(errors) else "",
     }
     for key, group in table.groupby(list(keys), sort=False):
         rows = to_records(group)
@@ -391,7 +392,7 @@ def _group_rows(results: Run, role: str, grouping: str) -> Iterator[Row]:
 
 def _find_paper_row(results: Run, head: Row, insertions: int) -> tuple[Row, Row]:
     """Return the paper's row of a group, and what its number of insertions says of comparability."""
-    name, columns = _PUBLISHED[head["grouping"]]
+    name, columns = PUBLISHED[head["grouping"]]
     held_out = head["grouping"] == HELD_OUT
     match = {theirs: head[ours] for theirs, ours in columns.items()}
     match |= {"study": head["study"]} if held_out else {}

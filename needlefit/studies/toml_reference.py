@@ -17,6 +17,7 @@ from annotated_types import Ge, Gt, Le, Lt, MaxLen, MinLen
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from needlefit.grouping import group_values
 from needlefit.project.locate import shipped_folder
 from needlefit.project.toml import dumps, read_toml
 from needlefit.schemas.base import FileRecord
@@ -68,9 +69,8 @@ WRITTEN_BY_COMMANDS = ("reconstruction",)  #: kinds of study that only a command
 def list_files() -> tuple[FileKind, ...]:
     """Return the kinds of file: those above, then every kind of study."""
     folder, known = shipped_folder(), [record for record, _, _ in SHIPPED.values()]
-    studies: dict[object, list[str]] = {}
-    for path in sorted((folder / "studies").glob("*.toml")):
-        studies.setdefault(read_toml(path).get("kind"), []).append(f"studies/{path.name}")
+    files = sorted((folder / "studies").glob("*.toml"))
+    studies = group_values((read_toml(path).get("kind"), f"studies/{path.name}") for path in files)
     analyses = {
         name: (KINDS[name].record, f"Study of kind `{name}`", tuple(studies.get(name, ())))
         for name in KINDS.names()

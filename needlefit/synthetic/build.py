@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
+from needlefit.grouping import group_values
 from needlefit.imaging.assembly import DatasetDescription, assemble_dataset
 from needlefit.imaging.needle.centerline import Centerline
 from needlefit.imaging.reconstruct import Examination, derive_reconstruction, reconstruct
@@ -196,11 +197,9 @@ def _describe_insertion(built: ReconstructedInsertion) -> dict[str, Any]:
 
 def _group_deflections(built: Sequence[ReconstructedInsertion]) -> dict[str, float]:
     """Return the mean deflection (mm) of each medium and number of layers."""
-    members: dict[str, list[float]] = {}
-    for insertion in (one.insertion for one in built):
-        key = f"{insertion.planned.medium}_layers{insertion.planned.layers}_mean_deflection_mm"
-        members.setdefault(key, []).append(insertion.true_insertion.deflection)
-    return {key: _round(float(np.mean(values))) for key, values in members.items()}
+    pairs = ((one.insertion.planned, one.insertion.true_insertion.deflection) for one in built)
+    members = group_values((f"{plan.medium}_layers{plan.layers}", deflection) for plan, deflection in pairs)
+    return {f"{key}_mean_deflection_mm": _round(float(np.mean(values))) for key, values in members.items()}
 
 
 def _round(value: float) -> float:

@@ -24,6 +24,7 @@ from needlefit.datasets.importing.decisions import MODULI_GPA
 from needlefit.datasets.points import MAX_COORDINATE, MIN_POINTS, Points, find_counters
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PatientSystem, to_lps
+from needlefit.grouping import group_values
 from needlefit.project.input_files import open_regular, read_bytes
 from needlefit.project.sandbox import READER_BYTES, SandboxArrays, limits_for, read_in_sandbox
 
@@ -569,10 +570,7 @@ def _lists_needles(cells: CellTable, names: Mapping[int, str]) -> bool:
 
     DataError if a needle is listed more than once.
     """
-    places: dict[str, list[int]] = {}
-    for row, name in names.items():
-        places.setdefault(name, []).append(cells.first + row)
-    places.pop("", None)
+    places = group_values((name, cells.first + row) for row, name in names.items() if name)
     if sum(map(len, places.values())) >= MIN_POINTS * len(places):
         return False
     for name, rows in places.items():
@@ -843,16 +841,13 @@ class _Part:
             for texts in zip(*(_fill_down(self.columns[key]) for key in keys), strict=True)
         ] or [""] * len(self.body)
         beside = "" if is_only else title or axes.name
-        groups: dict[str, list[int]] = {}
-        for row, name in zip(self.body, names, strict=True):
-            groups.setdefault(name, []).append(row)
         planar = len(axes.columns) == 2
         remarks = [("axes", "x, y; z = 0" if planar else "x, y, z", axes.why)]
         if keys and not known and self.names:
             why = "the column changes from curve to curve alone"
             remarks.append(("curves", f"one for each {self.names[keys[0]]}", why))
         system: PatientSystem | None = "LPS" if axes.system else None
-        for name, rows in groups.items():
+        for name, rows in group_values(zip(names, self.body, strict=True)).items():
             whole = self._read_points(rows, axes)
             if whole is None:
                 continue

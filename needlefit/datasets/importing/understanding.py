@@ -31,6 +31,7 @@ from needlefit.geometry.crossings import find_crossings, find_surface_hits
 from needlefit.geometry.curves import arc_length, fit_free_frame, interpolate_at_arc
 from needlefit.geometry.frames import RAS_TO_LPS, normalize, to_lps
 from needlefit.geometry.surfaces import Surface, transform_surface
+from needlefit.grouping import group_values
 from needlefit.project.locate import join_names
 from needlefit.project.unit_warnings import GAUGES_MM
 
@@ -50,18 +51,14 @@ MIN_SHAFT_MM, MIN_SHAFT_POINTS = 10.0, 3  # of a needle outside the tissue, from
 TANGENT_SD_DEG, STATED_SD_DEG = 2.0, 0.5
 # Length assumed of a needle: at least this, and so much more than the greatest depth.
 MIN_DEFAULT_LENGTH_MM, SHAFT_MM = 150.0, 50.0
-MIN_SAME_SIDE = (
-    0.9  # mean of the unit deflections, each toward its bevel, from which a direction is read of them
-)
+# Length of the mean of the unit deflections, each toward its bevel, from which a direction is read of them.
+MIN_SAME_SIDE = 0.9
 MAX_AXIS_SD = 2.0  # standard deviations of a bevel direction within which a world axis is taken for it
 MIN_AXIS_DEG = 0.1  # from which their difference is shown
 MAX_CUT_DEG = 90.0  # a bevel angle below it, the same of all needles, is that of the cut
 MAX_DEPTH_DIFFERENCE = 0.05  # between a stated depth and the length of its curve, as a part of it
-MIN_SIBLINGS, SAME_WAY, SAME_END = (
-    3,
-    0.9,
-    0.3,
-)  # curves, cosine to their axis, and part of a curve, for `turn_tip_first`
+# Curves, cosine to their axis, and part of a curve, for `turn_tip_first`.
+MIN_SIBLINGS, SAME_WAY, SAME_END = 3, 0.9, 0.3
 MAX_LISTED_NEEDLES = 5
 _TISSUE_NAME = re.compile(r"skin|tissue|surface|outer|phantom|block|haut|entry", re.IGNORECASE)
 
@@ -152,19 +149,13 @@ class _Understanding:
 
     def make_plan(self) -> ImportPlan:
         """Return the plan, question by question."""
-        remarks: dict[tuple[str, str], list[str]] = {}
-        sources: dict[str, Source] = {"axes": "file", "x": "assumption"}
-        for what, value, why in dict.fromkeys(remark for one in self.curves for remark in one.remarks):
-            remarks.setdefault((what, value), []).append(why)
-        for (what, value), whys in remarks.items():
+        remarks = [remark for one in self.curves for remark in one.remarks]
+        remarks += [("not used", what, where) for what, where in self.content.unused]
+        reasons = group_values(((what, value), why) for what, value, why in dict.fromkeys(remarks))
+        sources: dict[str, Source] = {"axes": "file", "x": "assumption", "not used": "file"}
+        for (what, value), whys in reasons.items():
             more = f", and {len(whys) - 1} more" if len(whys) > 1 else ""
             self.decisions.keep(what, value, sources.get(what, "guess"), whys[0] + more)
-        places: dict[str, list[str]] = {}
-        for what, where in dict.fromkeys(self.content.unused):
-            places.setdefault(what, []).append(where)
-        for what, wheres in places.items():
-            more = f", and {len(wheres) - 1} more" if len(wheres) > 1 else ""
-            self.decisions.keep("not used", what, "file", wheres[0] + more)
         self.convert_units()
         self.drop_repeats()
         self.decide_frame()

@@ -26,6 +26,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion, TipTrack
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, FitError, ModelError
+from needlefit.grouping import group_values
 from needlefit.inference.forward_model import simulate_deflections
 from needlefit.inference.identifiability.precision import linearize
 from needlefit.inference.identifiability.profile import minimize_squares
@@ -69,7 +70,6 @@ from needlefit.synthetic.build import build_dataset, build_unscanned
 from needlefit.synthetic.design import (
     POPULATION,
     PlannedInsertion,
-    Population,
     draw_specimen,
     list_planned_insertions,
 )
@@ -404,7 +404,6 @@ class SyntheticExperiment:
     job: Job  #: of one fold, with what it holds out
     plan: tuple[PlannedInsertion, ...]  #: simulated for each replicate: the study's
     ct: bool  #: whether they are rendered as CT volumes and reconstructed
-    population: Population  #: of the media of all truths
 
 
 def prepare_synthetic(job: Job, ct: bool) -> SyntheticExperiment:
@@ -428,7 +427,7 @@ def prepare_synthetic(job: Job, ct: bool) -> SyntheticExperiment:
                 expected="a study or fit on the dataset `twin`: others have no synthetic truth",
             )
     chosen = tuple(one for name, one in planned.items() if name in wanted)
-    return SyntheticExperiment(job, chosen, ct, POPULATION)
+    return SyntheticExperiment(job, chosen, ct)
 
 
 def replicate_synthetic(number: int, experiment: SyntheticExperiment) -> FrameRows:
@@ -441,7 +440,7 @@ def replicate_synthetic(number: int, experiment: SyntheticExperiment) -> FrameRo
     sets, parameters = [job.parameters.values(theta) for theta in found.thetas], list[Row]()
     for name in job.parameters.free:
         truth, values = (
-            find_true_value(problem, name, seed, experiment.population),
+            find_true_value(problem, name, seed, POPULATION),
             np.array([one[name] for one in sets]),
         )
         if np.isfinite(truth):
@@ -483,7 +482,7 @@ def _draw_study(number: int, experiment: SyntheticExperiment) -> tuple[Job, int,
             continue
         try:
             with TemporaryDirectory() as folder:
-                built = build(Path(folder), seed, experiment.plan, population=experiment.population)
+                built = build(Path(folder), seed, experiment.plan, population=POPULATION)
                 dataset = read(built)
         except ModelError:  # a needle that does not settle
             continue
@@ -500,7 +499,7 @@ def is_inside_bounds(seed: int, experiment: SyntheticExperiment) -> bool:
     """Return whether moduli and bevel offsets of all specimens lie inside the bounds of the medium."""
     bounds = experiment.job.parameters.bounds
     for medium, name in {(one.medium, one.specimen) for one in experiment.plan}:
-        specimen = draw_specimen(seed, medium, name, experiment.population)
+        specimen = draw_specimen(seed, medium, name, POPULATION)
         values = {f"mu{n}_pa": 1e6 * mu for n, mu in enumerate(specimen.mu.tolist(), start=1)}
         values["bevel_mm"] = specimen.bevel
         if any(not low <= values.get(one, low) <= high for one, (low, high) in bounds.items()):
@@ -546,10 +545,9 @@ def run(name: str, record: CalibrationRecord, settings: Settings) -> Run:
 def _make_frames(rows: FrameRows, synthetic: bool) -> dict[str, pd.DataFrame]:
     """Return the frames of replicates: a row per replicate, coverage, and ECDFs of the ranks."""
     replicates = pd.DataFrame(rows.get("replicates", []))
-    columns: dict[str, list[str]] = {}
-    for column in (one for one in replicates.columns if one.startswith(RANK_PREFIX)):
-        quantity, _, _ = column.removeprefix(RANK_PREFIX).partition(":")  # of several, `<quantity>:<which>`
-        columns.setdefault(quantity, []).append(column)
+    ranked = [str(one) for one in replicates.columns if one.startswith(RANK_PREFIX)]
+    # of several, `<quantity>:<which>`
+    columns = group_values((one.removeprefix(RANK_PREFIX).partition(":")[0], one) for one in ranked)
     ranks: dict[str, Counts] = {
         name: replicates[each[0] if len(each) == 1 else each].to_numpy(dtype=np.int64)
         for name, each in columns.items()

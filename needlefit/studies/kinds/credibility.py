@@ -6,7 +6,7 @@ does not state itself is not taken for the same. Nothing is computed, and nothin
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from itertools import chain, groupby
@@ -16,6 +16,7 @@ from typing import Any, Literal
 import pandas as pd
 
 from needlefit.errors import DataError
+from needlefit.grouping import group_values
 from needlefit.metrics import headline_metrics, list_metrics
 from needlefit.project.folders import find_changes, sha256
 from needlefit.project.input_files import convert_stored_errors
@@ -34,7 +35,7 @@ from needlefit.schemas.names import spreadsheet_text
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.coverage import count_covered, format_proportion
 from needlefit.studies.csv_tables import read_table
-from needlefit.studies.fit_frames import FIT_KINDS
+from needlefit.studies.fit_frames import FIT_KINDS, select_fitted
 from needlefit.studies.identification_tables import describe_verdicts
 from needlefit.studies.job import Settings
 from needlefit.studies.kind import StudyKind, find_kind
@@ -665,10 +666,8 @@ def _describe_comparison(one: Run) -> Row:
     """Return what the text says of the insertions that a run is compared with."""
     errors, design, data = one.frames["errors"], one.frames["design"], one.run.get("dataset", {})
     fitted = errors[(errors["role"] == "validate") & (errors["method"] == "fitted")]
-    shapes = one.frames["shapes"].query(
-        "role == 'validate' and method == 'fitted' and boundaries == 'measured'"
-    )
-    cells = aggregate(one, ("role", "method", "boundaries"))
+    shapes = select_fitted(one.frames["shapes"])
+    cells = aggregate(errors, ("role", "method", "boundaries"))
     ipe = cells.query("role == 'validate' and method == 'fitted' and metric == 'ipe_mean_mm'")
     roles, groups, found = [], [], dict[str, str]()
     for role, verb, media in (("validate", "held out", "held"), ("tune", "tuned", "tuned")):
@@ -968,9 +967,9 @@ def _compose_factors(case: CredibilityCase) -> Iterator[Block]:
         for entry in group:
             yield document.subheading(entry.factor.name)
             yield document.note(entry.factor.question)
-            if entry.findings:
+            if found := entry.findings:
                 targets, places = (
-                    _group_words((getattr(one, key), getattr(one, value)) for one in entry.findings)
+                    group_values(dict.fromkeys((getattr(one, key), getattr(one, value)) for one in found))
                     for key, value in (("words", "target"), ("command", "place"))
                 )
                 yield document.bullets(
@@ -985,14 +984,6 @@ def _compose_factors(case: CredibilityCase) -> Iterator[Block]:
                 )
                 yield document.note(" ".join(sources))
             yield from (*entry.blocks, *map(document.gap_box, entry.gaps))
-
-
-def _group_words(pairs: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
-    """Return the different second words of pairs by their first ones."""
-    found: dict[str, list[str]] = {}
-    for first, second in dict.fromkeys(pairs):
-        found.setdefault(first, []).append(second)
-    return found
 
 
 def bundle_to_json(found: Run) -> dict[str, Any]:

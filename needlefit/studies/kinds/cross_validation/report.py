@@ -14,9 +14,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.interpolate import make_interp_spline
 
 from needlefit.arrays import Floats
 from needlefit.datasets.select import group_rows
+from needlefit.grouping import group_values
 from needlefit.inference.baselines import BASELINES, list_baselines
 from needlefit.inference.identifiability.directions import UNINFORMED_SD_RATIO
 from needlefit.inference.parameters import BEVEL_SPREAD, find_tie_spread, is_logarithmic, parse_tie
@@ -52,7 +54,7 @@ from needlefit.studies.coverage import (
 )
 from needlefit.studies.explorer import collect_explorer
 from needlefit.studies.fit_frames import COLUMNS as FRAMES
-from needlefit.studies.fit_frames import list_methods, select_draws
+from needlefit.studies.fit_frames import list_methods, select_draws, select_fitted
 from needlefit.studies.identification_tables import (
     describe_verdicts,
     lay_out_identification,
@@ -155,7 +157,7 @@ class Facts:
     def _scores(self) -> dict[str, Row]:
         """The fitted model's errors over everything it is scored on, by metric; empty if it was not."""
         wanted = (self.role, "fitted", "measured")
-        rows = to_records(scores.aggregate(self.results, ("role", "method", "boundaries")))
+        rows = to_records(scores.aggregate(self.frames["errors"], ("role", "method", "boundaries")))
         return {r["metric"]: r for r in rows if (r["role"], r["method"], r["boundaries"]) == wanted}
 
     @cached_property
@@ -561,28 +563,16 @@ def subtract_fit(points: pd.DataFrame) -> pd.DataFrame:
         fit = mine[mine["curve"] == "fitted"].dropna(subset="y_mm")
         others = mine[mine["curve"] != "fitted"]
         if len(fit) > 1:
-            columns = (frame["x_mm"].to_numpy() for frame in (fit, others))
-            height = _extrapolate_height(next(columns), fit["y_mm"].to_numpy(), next(columns))
+            line = make_interp_spline(fit["x_mm"], fit["y_mm"], k=1)  # straight on beyond its ends
+            height = line(others["x_mm"])
             parts.append(others.assign(**{name: others[name] - height for name in forms.HEIGHT_COLUMNS}))
     return pd.concat(parts, ignore_index=True) if parts else points.head(0)
 
 
-def _extrapolate_height(x: Floats, y: Floats, at: Floats) -> Floats:
-    """Return a needle's height at `at` (K,), straight on beyond its ends."""
-    found: Floats = np.interp(at, x, y)
-    for end, neighbour, outside in ((0, 1, at < x[0]), (-1, -2, at > x[-1])):
-        slope = (y[end] - y[neighbour]) / (x[end] - x[neighbour])
-        found = np.where(outside, y[end] + slope * (at - x[end]), found)
-    return found
-
-
 def _title_panels(results: Run, role: str) -> dict[forms.InsertionKey, str]:
     """Return by fold and insertion what stands above its panel: its tip error."""
-    errors = results.frames["errors"].query(
-        "role == @role and boundaries == 'measured' and method == 'fitted'"
-    )
     titles = {}
-    for row in to_records(errors):
+    for row in to_records(select_fitted(results.frames["errors"], role)):
         error = f"{format_mm(row['te_mm'], 3 if row['comparison'] == 'aligned' else 2)} mm"
         titles[row["fold"], row["insertion"]] = error if row["converged"] else "did not converge"
     return titles
@@ -590,9 +580,7 @@ def _title_panels(results: Run, role: str) -> dict[forms.InsertionKey, str]:
 
 def _rank_by_tip_error(results: Run, role: str) -> list[forms.InsertionKey]:
     """Return the insertions of a role by the tip error of the fit, smallest first."""
-    rows = results.frames["errors"].query(
-        "role == @role and boundaries == 'measured' and method == 'fitted' and converged"
-    )
+    rows = select_fitted(results.frames["errors"], role).query("converged")
     rows = rows.sort_values("te_mm", kind="stable")
     return list(rows[forms.INSERTION_KEYS].itertuples(index=False, name=None))
 
@@ -668,8 +656,7 @@ def draw_errors(results: Sequence[Run]) -> dict[str, Drawing]:
 
 def _list_boxes(results: Run) -> Iterator[Row]:
     """Yield what ends, halves and quarters a box, tips, means, floor and the paper's means."""
-    where = "role == 'validate' and method == 'fitted' and boundaries == 'measured'"
-    cloud, errors = scores.tabulate_points(results).query(where), results.frames["errors"].query(where)
+    cloud, errors = map(select_fitted, (scores.tabulate_points(results), results.frames["errors"]))
     for group in scores.list_held_out_groups(results):
         medium, layers = group.head["medium"], group.head["layers"]
         about = {"group": f"{_name_group(group)}, n = {group.head['insertions']}", "origin": results.origin}
@@ -873,9 +860,8 @@ def _tabulate_marks(results: Run) -> pd.DataFrame:
 
 def collect_page_data(results: Run) -> PageData | None:
     """Return the data of the interactive part of the page; None where nothing was scored."""
-    errors = results.frames["errors"]
-    fitted = (errors["method"] == "fitted") & (errors["boundaries"] == "measured")
-    scored = errors[fitted & (errors["role"] == find_scored_role(results)) & errors["converged"].astype(bool)]
+    scored = select_fitted(results.frames["errors"], find_scored_role(results))
+    scored = scored[scored["converged"].astype(bool)]
     return collect_explorer(results, scored, {one.group: one.status for one in judge_run(results)})
 
 
@@ -907,11 +893,8 @@ def explain(results: Run) -> tuple[list[TableLayout], list[str]]:
 
 def _name_folds(found: Mapping[str, Sequence[str]]) -> Iterator[str]:
     """Yield the sentences of folds, each once, with the folds that it holds for unless these are all."""
-    holders: dict[str, list[str]] = {}
-    for fold, sentences in found.items():
-        for sentence in sentences:
-            holders.setdefault(sentence, []).append(fold)
-    for sentence, folds in holders.items():
+    pairs = ((sentence, fold) for fold, sentences in found.items() for sentence in sentences)
+    for sentence, folds in group_values(pairs).items():
         several = "Folds" if len(folds) > 1 else "Fold"
         yield sentence if len(folds) == len(found) else f"{several} {', '.join(folds)}: {sentence}"
 

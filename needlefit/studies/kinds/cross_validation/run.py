@@ -17,6 +17,7 @@ import pandas as pd
 
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.select import count_layers, get_other_rule
+from needlefit.grouping import group_values
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_start, read_starts
 from needlefit.inference.identifiability.identify import (
     LOG_POSTERIOR_TOLERANCE,
@@ -159,10 +160,7 @@ def find_faults(errors: pd.DataFrame, search_faults: Faults, not_converged: Faul
     fitted = errors[errors["method"] == "fitted"]
     failed = int((~fitted["converged"].astype(bool)).sum())
     faults = [f"{failed} of {len(fitted)} simulations of the fit did not converge"] if failed else []
-    folds: dict[str, list[str]] = {}
-    for fold, reasons in search_faults.items():
-        for fault in reasons:
-            folds.setdefault(fault, []).append(fold)
+    folds = group_values((fault, fold) for fold, reasons in search_faults.items() for fault in reasons)
     faults += [
         fault if found == ["all"] else f"{', '.join(found)}: {fault}" for fault, found in folds.items()
     ]

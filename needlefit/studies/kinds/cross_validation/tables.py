@@ -5,7 +5,7 @@ Captions and notes stand in the text.
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -15,6 +15,7 @@ import pandas as pd
 
 from needlefit.arrays import Floats
 from needlefit.datasets.select import group_rows
+from needlefit.grouping import group_values
 from needlefit.inference.identifiability.directions import Direction, principal_directions
 from needlefit.inference.parameters import HYPERPARAMETERS, is_logarithmic
 from needlefit.inference.predict import estimate_proportion
@@ -43,6 +44,7 @@ from needlefit.reporting.text import KindText
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.coverage import COVERAGE_COLUMNS, count_covered, tabulate_coverage
 from needlefit.studies.csv_tables import TableSchema
+from needlefit.studies.fit_frames import MODEL_METHODS, select_fitted
 from needlefit.studies.fit_warnings import describe_gain
 from needlefit.studies.identification_tables import IDENTIFICATION_COMPARISON
 from needlefit.studies.paper import Claim
@@ -125,31 +127,30 @@ def _lay_out_groups(
     With `compared`, notes say what makes each group comparable to the paper's, or not.
     """
     rows: list[Row] = []
-    same: dict[str, list[Row]] = {}
     for number, group in enumerate(groups):
         held_out = group.head["grouping"] == scores.HELD_OUT
         about = {"role": _ROLE_NAMES["validate" if held_out else "tune"], "number": number}
         own = [kind for kind in kinds if held_out or kind in _REGROUPED_KINDS]
         own = [kind for kind in own if not group.head["alternate_count"] or kind in _REGROUPED_KINDS]
         rows += [{**_head(group), **row, **about} for row in _list_rows(group, (*own, _FLOOR, _PAPER))]
-        if group.printed:
-            same.setdefault(str(group.head["comparable"]), []).append(_head(group))
     several = len({row["role"] for row in rows}) > 1
     heads = ("study", *(("role",) if several else ()), "medium", "layers", "insertions")
+    table = _make_table(name, rows, heads, (one for one in list_metrics() if not one.spread_of))
+    same = group_values((str(one.head["comparable"]), _head(one)) for one in groups if one.printed)
+    values: dict[str, Any] = {"compared": compared, "comparisons": list(same.items())}
+    names = {row["row"] for row in rows}
+    return _lay_out(table, rows=names, groups=list(map(_head, groups)), **values)
+
+
+def _make_table(name: str, rows: Sequence[Row], heads: Sequence[str], metrics: Iterable[Metric]) -> Table:
+    """Return a table of errors by group, whose `number` each row has; `heads` name the group."""
     columns = (
         *(*heads, "row"),
-        *(part("metric_value", metric=one.name) for one in list_metrics() if not one.spread_of),
+        *(part("metric_value", metric=one.name) for one in metrics),
         *(part("over_floor", metric=one.name) for one in headline_metrics() if one.has_floor),
     )
     lines = pivot(rows, ["number", "row"], ["metric"])
-    table = Table(name, lines, columns, groups=("number",), heads=len(heads), strong="groups")
-    names = {row["row"] for row in rows}
-    values: dict[str, Any] = {
-        "compared": compared,
-        "comparisons": list(same.items()),
-        "groups": list(map(_head, groups)),
-    }
-    return _lay_out(table, rows=names, **values)
+    return Table(name, lines, columns, groups=("number",), heads=len(heads), strong="groups")
 
 
 def lay_out_summary(results: Sequence[Run]) -> TableLayout:
@@ -169,13 +170,7 @@ def lay_out_summary(results: Sequence[Run]) -> TableLayout:
         kinds = (_FITTED, *([_RowKind(method_name(best), method=best)] if best else []), _FLOOR, _PAPER)
         rows += [{**_head(group), **row, "number": number} for row in _list_rows(group, kinds)]
     shown = [metric for metric in list_metrics() if metric.headline or metric.relative]
-    columns = (
-        *("study", "medium", "layers", "insertions", "row"),
-        *(part("metric_value", metric=one.name) for one in shown),
-        *(part("over_floor", metric=one.name) for one in headline_metrics() if one.has_floor),
-    )
-    lines = pivot(rows, ["number", "row"], ["metric"])
-    table = Table("summary", lines, columns, groups=("number",), heads=4, strong="groups")
+    table = _make_table("summary", rows, ("study", "medium", "layers", "insertions"), shown)
     values: dict[str, Any] = {
         "held_out": any(group.head["grouping"] == scores.HELD_OUT for group in groups),
         "metrics": [f"{one.label}: {one.explanation.partition(': ')[2] or one.explanation}" for one in shown],
@@ -318,9 +313,6 @@ def lay_out_baselines(results: Run, role: str) -> TableLayout:
 
 def lay_out_insertions(results: Run, role: str) -> TableLayout:
     """Return the fitted model's errors on single insertions beside their noise floor."""
-    wanted = results.frames["errors"].query(
-        "role == @role and method == 'fitted' and boundaries == 'measured'"
-    )
     columns = (
         *("insertion", "medium", "layers", "depth_mm", "deflection_mm", "predicted_deflection_mm"),
         *(one.name for one in list_metrics() if not one.spread_of),
@@ -337,7 +329,7 @@ def lay_out_insertions(results: Run, role: str) -> TableLayout:
                 if one.relative and row["edp_flagged"]
             },
         }
-        for row in to_records(wanted)
+        for row in to_records(select_fitted(results.frames["errors"], role))
     ]
     return _lay_out(Table("insertions", rows, columns))
 
@@ -370,8 +362,6 @@ _PARAMETER_COLUMNS = (
     *("sd", "interval_low", "interval_high", "draw_source"),
     *("low", "high", "bound_low", "bound_high", "note", "comparable", "origin"),
 )
-#: the fit, the second fit to IPE, TE and EDP, the paper's set, and that set with b alone re-tuned
-METHODS = ("fitted", "fitted_metric", "hand_tuned", "hand_tuned_b")
 
 
 def tabulate_parameters(*results: Run) -> pd.DataFrame:
@@ -416,7 +406,7 @@ def arrange_parameters(table: pd.DataFrame) -> list[Row]:
     for row in to_records(table):
         key = (row["study"], row["fold"], row["parameter"])
         if row["method"] == "fitted":
-            rows[key] = {**row, **dict.fromkeys(METHODS, "")}
+            rows[key] = {**row, **dict.fromkeys(MODEL_METHODS, "")}
         if key in rows:
             rows[key][row["method"]] = row["value"]
     return list(rows.values())
@@ -453,12 +443,12 @@ def lay_out_parameters(results: Sequence[Run], free_alone: bool = False) -> Tabl
                 "parameter": label,
                 "interval_95": WIDE_INTERVAL if interval == NO_INTERVAL else interval,
                 "true_value": "" if truth is None else typeset(format_number(truth / unit)),
-                **{method: format_in_unit(row[method], unit) for method in METHODS},
+                **{method: format_in_unit(row[method], unit) for method in MODEL_METHODS},
                 "note": "; ".join(filter(None, notes)),
             }
         )
     columns = (
-        *("study", "fold", "parameter", "fitted", "interval_95", "true_value", *METHODS[1:]),
+        *("study", "fold", "parameter", "fitted", "interval_95", "true_value", *MODEL_METHODS[1:]),
         *(() if free_alone else ("note",)),
     )
     compared = list(dict.fromkeys(str(row["comparable"]) for row in table if row["hand_tuned"]))
