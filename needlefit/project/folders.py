@@ -23,6 +23,7 @@ from typing import Any
 
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.input_files import path_exists, read_json
+from needlefit.project.locate import join_names
 from needlefit.project.progress import Note
 
 try:
@@ -223,7 +224,7 @@ def require_unchanged(folder: Path, unverified: bool = False) -> tuple[str, ...]
     changes = [f"{name} {how}" for name, how in find_changes(folder).items()]
     if changes and not unverified:
         raise DataError(
-            f"does not agree with its manifest: {_join(changes)}",
+            f"does not agree with its manifest: {join_names(changes, MAX_LISTED_FILES)}",
             where=str(folder),
             expected=f"files with the digests that {MANIFEST} lists",
             fix="take the files from a copy, or run it again; tables, figures and pages may be removed: "
@@ -289,17 +290,13 @@ def remove_result(folder: Path, note: Note) -> None:
 
 def not_replaced_error(folder: Path, faults: list[str]) -> ConfigError:
     """Return what is raised of a folder that holds what is foreign."""
+    named = join_names(faults, MAX_LISTED_FILES)
     return ConfigError(
-        f"is not replaced: needlefit did not write this in it, or it was changed since: {_join(faults)}",
+        f"is not replaced: needlefit did not write this in it, or it was changed since: {named}",
         where=str(folder),
         expected=f"no such folder, an empty one, or one that holds only what its {MANIFEST} lists, unchanged",
         fix="move those files away, or choose another folder with --out",
     )
-
-
-def _join(faults: list[str]) -> str:
-    more = len(faults) - MAX_LISTED_FILES
-    return ", ".join(faults[:MAX_LISTED_FILES]) + (f" and {more} more" if more > 0 else "")
 
 
 def list_all_files(folder: Path) -> list[str]:

@@ -41,6 +41,11 @@ def to_records(frame: pd.DataFrame) -> list[Row]:
     return [{str(k): _to_plain_value(v) for k, v in row.items()} for row in frame.to_dict("records")]
 
 
+def select_records(frame: pd.DataFrame, **match: object) -> list[Row]:
+    """Return the rows whose cells equal `match`, as `to_records`."""
+    return [row for row in to_records(frame) if all(row[key] == value for key, value in match.items())]
+
+
 def _to_plain_value(value: object) -> object:
     """Return a value that JSON can store: NaN and infinity become None, numpy scalars become Python's."""
     value = value.item() if hasattr(value, "item") else value

@@ -13,7 +13,7 @@ from needlefit.errors import ConfigError
 from needlefit.inference.parameters import Parameters
 from needlefit.project import locate
 from needlefit.project.input_files import convert_stored_errors
-from needlefit.reporting.table_files import Row, to_records
+from needlefit.reporting.table_files import Row, select_records
 from needlefit.reporting.text import KindText
 from needlefit.studies.csv_tables import ANY_COLUMNS, TableSchema, read_table
 
@@ -119,8 +119,7 @@ class Claim:
 
 def select_rows(name: TableName, **match: object) -> list[Row]:
     """Return the rows of one published table whose cells equal `match`; errors as `read_published_table`."""
-    rows = to_records(read_published_table(name))
-    return [row for row in rows if all(row[key] == value for key, value in match.items())]
+    return select_records(read_published_table(name), **match)
 
 
 # ---- claims that cells of a table stay below a limit

@@ -175,7 +175,7 @@ def _read_rows(path: Path) -> list[tuple[int, list[str]]]:
             begin, end = end + 1, reader.line_num
             if any(cell.strip() for cell in cells):
                 rows.append((begin, [cell.strip() for cell in cells]))
-                _check_extent(len(rows), len(rows[0][1]), f"{path}:{begin}")
+                check_extent(len(rows), len(rows[0][1]), f"{path}:{begin}")
     except csv.Error as error:
         what = f"cannot be read: {error}"
         where = f"{path}:{end + 1}"
@@ -183,11 +183,11 @@ def _read_rows(path: Path) -> list[tuple[int, list[str]]]:
     return rows
 
 
-def _check_extent(rows: int, columns: int, where: str) -> None:
-    """See that the cells, empty ones included, fit into memory."""
-    if columns > MAX_COLUMNS or rows * columns > MAX_CELLS:
-        what = f"is too large: row {rows} of {columns} columns"
-        expected = f"at most {MAX_COLUMNS} columns, and {MAX_CELLS:,} cells"
+def check_extent(rows: int, columns: int, where: str, most: int = MAX_CELLS) -> None:
+    """Raise DataError if a table has more than `most` cells, empty ones included, or too many columns."""
+    if columns > MAX_COLUMNS or rows * columns > most:
+        what = f"is too large: {rows} rows of {columns} columns"
+        expected = f"at most {MAX_COLUMNS} columns, and {most:,} cells"
         fix = "check that it is the file that you meant, or divide it"
         raise DataError(what, where=where, expected=expected, fix=fix)
 

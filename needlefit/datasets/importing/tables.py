@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
-from needlefit.datasets.formats.csv import MAX_COLUMNS
+from needlefit.datasets.formats.csv import MAX_COLUMNS, check_extent
 from needlefit.datasets.importing.decisions import MODULI_GPA
 from needlefit.datasets.points import MAX_COORDINATE, MIN_POINTS, Points, find_counters
 from needlefit.errors import DataError
@@ -222,7 +222,7 @@ def read_text_cells(path: Path) -> CellTable:
     """
     text, encoding = _decode(read_bytes(path, MAX_TABLE_BYTES), path)
     lines = text.splitlines()
-    _require_extent(len(lines), 1, path)
+    check_extent(len(lines), 1, str(path), MAX_TABLE_CELLS)
     sample = [line for line in lines if line.strip()][: 2 * SAMPLE_ROWS]
     scores = {layout: _score(sample, *layout) or _names_needles(sample, layout[0]) for layout in _LAYOUTS}
     separator, decimal = max(scores, key=lambda layout: scores[layout])
@@ -231,7 +231,7 @@ def read_text_cells(path: Path) -> CellTable:
         fix = "export the points of the needles as a table, one point a row"
         raise DataError("holds no table of numbers", where=str(path), expected=expected, fix=fix)
     rows = [_split(line, separator) for line in lines]
-    _require_extent(len(rows), max(map(len, rows), default=0), path)
+    check_extent(len(rows), max(map(len, rows), default=0), str(path), MAX_TABLE_CELLS)
     sign = "decimal comma" if decimal == "," else "decimal point"
     layout = f"{SEPARATOR_NAMES[separator]}-separated, {sign}, {encoding}"
     return CellTable(path, rows, decimal=decimal, separator=separator, layout=layout)
@@ -282,14 +282,6 @@ def _names_needles(lines: Sequence[str], separator: str) -> bool:
     """Whether a header states something of needles, as in a table of their names and sides alone."""
     roles = [{find_role(cell) for cell in _split(line, separator)} for line in lines[:MAX_HEADER_ROWS]]
     return separator != " " and any("name" in one and not one.isdisjoint(ATTRIBUTES) for one in roles)
-
-
-def _require_extent(rows: int, columns: int, path: Path) -> None:
-    if columns > MAX_COLUMNS or rows * columns > MAX_TABLE_CELLS:
-        what = f"is too large: {rows} rows of {columns} columns"
-        expected = f"at most {MAX_COLUMNS} columns, and {MAX_TABLE_CELLS:,} cells"
-        fix = "check that it is the file that you meant, or divide it"
-        raise DataError(what, where=str(path), expected=expected, fix=fix)
 
 
 # ---- workbooks

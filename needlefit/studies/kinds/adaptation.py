@@ -31,7 +31,7 @@ from needlefit.reporting.figures import Drawing, Look, Panel
 from needlefit.reporting.labels import APPROACH_COLOURS, APPROACH_NAMES, medium_name
 from needlefit.reporting.number_format import format_mm
 from needlefit.reporting.table import Table, part, pivot
-from needlefit.reporting.table_files import Row, to_records
+from needlefit.reporting.table_files import Row, select_records, to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.schemas.base import Record
@@ -429,11 +429,6 @@ def _gain_rows(task: AdaptationTask, errors: pd.DataFrame, resampling: Resamplin
 _TARGETS = {"all": "error after all of them", "floor": "noise floor"}
 
 
-def _select_rows(result: Run, frame: str, **keys: object) -> list[Row]:
-    rows = to_records(result.frames[frame])
-    return [row for row in rows if all(row[key] == value for key, value in keys.items())]
-
-
 def describe(result: Run) -> dict[str, Any]:
     """Return what the text prints: errors are tip errors, counts those that keep it within the margin."""
     record = result.record
@@ -441,7 +436,7 @@ def describe(result: Run) -> dict[str, Any]:
     new = medium_name(named[0].replace("-", " ") if len(named) == 1 else record.new.medium)
     targets = {}
     for target in _TARGETS:
-        rows = _select_rows(result, "insertions_needed", metric="te_mm", target=target)
+        rows = select_records(result.frames["insertions_needed"], metric="te_mm", target=target)
         targets[target] = {row["method"]: {**row, "count": _format_count(result, row)} for row in rows}
     curves = to_records(result.frames["adaptation"])
     return {
@@ -450,12 +445,12 @@ def describe(result: Run) -> dict[str, Any]:
         "most": int(result.frames["adaptation"]["n"].max()),
         "orders": int(result.frames["orders"]["order"].nunique()),
         "targets": targets,
-        "untouched": _select_rows(result, "adaptation", method="none")[0],
-        "inflated": _select_rows(result, "adaptation", method="inflated"),
+        "untouched": select_records(result.frames["adaptation"], method="none")[0],
+        "inflated": select_records(result.frames["adaptation"], method="inflated"),
         "gains": [
             {key: f"{row[key]:+z.3f}".replace("-", "−") for key in ("difference", "low", "high")}
             | {"n": row["n"]}
-            for row in _select_rows(result, "gains", metric="te_mm", baseline="new")
+            for row in select_records(result.frames["gains"], metric="te_mm", baseline="new")
             if row["n"]
         ][:3],
         "floors": [
@@ -491,7 +486,7 @@ def tabulate(result: Run) -> list[Table]:
     )
     curves = pivot(rows, ["method", "n"], ["metric"])
     for name in ("new", *APPROACH_NAMES):  # the first states value and limit
-        for row in _select_rows(result, "insertions_needed", method=name):
+        for row in select_records(result.frames["insertions_needed"], method=name):
             low, high = ("∞" if row[end] is None else f"{row[end]:.0f}" for end in ("low", "high"))
             count = "not reached" if row["n"] is None else f"{row['n']:.0f}"
             words = count if low == high else f"{count} ({low}–{high})"

@@ -24,7 +24,7 @@ from needlefit.reporting.figures import Drawing, Look
 from needlefit.reporting.labels import GREEN, INK, METHOD_COLOURS, medium_name, method_name
 from needlefit.reporting.number_format import join_metrics, join_words
 from needlefit.reporting.table import Table
-from needlefit.reporting.table_files import Row, to_records
+from needlefit.reporting.table_files import Row, select_records, to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.schemas.study import FitRecord
@@ -290,12 +290,9 @@ def _judge_fit(result: Run, rows: list[Row]) -> Verdict:
 
 def _compare_best(result: Run, row: Row) -> BestBaseline | None:
     """Return the baseline with the smallest error left out, and its paired difference from the fit."""
-    paired = [
-        one
-        for one in to_records(result.frames["paired"])
-        if all(one[key] == row[key] for key in ("fit", "left_out", "metric")) and one["method"] in BASELINES
-    ]
-    best = min(paired, key=lambda one: float(one["value"]), default=None)
+    match = {key: row[key] for key in ("fit", "left_out", "metric")}
+    curves = [one for one in select_records(result.frames["paired"], **match) if one["method"] in BASELINES]
+    best = min(curves, key=lambda one: float(one["value"]), default=None)
     if best is None or best["low"] is None:
         return None
     verdict: Literal["better", "worse", "tie"] = (

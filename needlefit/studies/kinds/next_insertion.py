@@ -46,7 +46,7 @@ from needlefit.reporting.figures import Drawing, Look, Panel
 from needlefit.reporting.labels import INK, SERIES_COLOURS, entry_name
 from needlefit.reporting.number_format import format_bare_symbol, format_symbol, insert_symbols
 from needlefit.reporting.table import Table, part, pivot
-from needlefit.reporting.table_files import to_records
+from needlefit.reporting.table_files import select_records, to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.base import Name, Record
 from needlefit.schemas.limits import MAX_CANDIDATES, MAX_LAYERS, MAX_NEEDLE_LENGTH_MM
@@ -437,8 +437,7 @@ def find_candidates(result: Run) -> tuple[pd.DataFrame, Row | None, Row | None]:
 
 
 def _select(result: Run, frame: str, where: Row) -> list[Row]:
-    rows = result.frames[frame]
-    return to_records(rows[np.all([rows[key] == where[key] for key in _WHERE], axis=0)])
+    return select_records(result.frames[frame], **{key: where[key] for key in _WHERE})
 
 
 def describe(result: Run) -> dict[str, Any]:

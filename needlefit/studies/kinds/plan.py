@@ -33,7 +33,7 @@ from needlefit.project.random_streams import random_stream
 from needlefit.reporting.figures import Drawing, Look
 from needlefit.reporting.labels import PLAN_COLOURS, PLAN_NAMES
 from needlefit.reporting.table import Table, part, pivot
-from needlefit.reporting.table_files import to_records
+from needlefit.reporting.table_files import select_records, to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.planning import EntryPlaneRecord, ObstacleRecord, PlanePoint
 from needlefit.studies.further_insertion import (
@@ -355,13 +355,13 @@ def describe(result: Run) -> dict[str, Any]:
 
 def rate_reach(result: Run) -> bool:
     """Return whether at least half of the plan's needles come within the largest tolerance."""
-    (ours,) = (row for row in to_records(result.frames["plans"]) if row["method"] == EXPECTED)
+    (ours,) = select_records(result.frames["plans"], method=EXPECTED)
     return reaches(ours["median_mm"], max(result.record.tolerances_mm))
 
 
 def rate(result: Run) -> Status:
     """Return "warn" if no plan reaches the target, or the plan lies at a bound of the study."""
-    (ours,) = (row for row in to_records(result.frames["plans"]) if row["method"] == EXPECTED)
+    (ours,) = select_records(result.frames["plans"], method=EXPECTED)
     return "pass" if rate_reach(result) and not at_bounds(result.record.entry_plane, ours) else "warn"
 
 
