@@ -140,6 +140,11 @@ def select_fitted(frame: pd.DataFrame, role: str = "validate") -> pd.DataFrame:
     return frame.query("role == @role and method == 'fitted' and boundaries == 'measured'")
 
 
+def select_free(parameters: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of the parameters that the fit estimated, of all folds."""
+    return parameters.query("method == 'fitted' and status == 'free'")
+
+
 def list_methods() -> tuple[str, ...]:
     """Return the names of all methods in the order of tables: models, then baselines."""
     return (*MODEL_METHODS, *(baseline.name for baseline in list_baselines()))

@@ -18,7 +18,7 @@ from needlefit.reporting.number_format import format_quantity
 from needlefit.reporting.table_files import Row
 from needlefit.reporting.text import KindText
 from needlefit.studies.coverage import FindingKey, find_adaptation, find_miscalibration
-from needlefit.studies.fit_frames import select_fitted
+from needlefit.studies.fit_frames import select_fitted, select_free
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import (
     HELD_OUT,
@@ -72,7 +72,7 @@ def write_warning(kind: str, values: Mapping[str, Any], text: str = "") -> Resul
 
 def _find_bounds(results: Run) -> Iterator[Row]:
     """Yield the parameters that a fit left at a bound, and in how many folds."""
-    free = _free_parameters(results)
+    free = select_free(results.frames["parameters"])
     folds = results.frames["parameters"]["fold"].nunique()
     for name, rows in free.groupby("parameter", sort=False):
         columns = (rows[key].to_numpy(dtype=np.float64) for key in ("value", "bound_low", "bound_high"))
@@ -83,7 +83,7 @@ def _find_bounds(results: Run) -> Iterator[Row]:
 def _find_interval_bounds(results: Run) -> Iterator[Row]:
     """Yield the 95 % intervals of a fit that end at a bound; one whose profile is open reaches it."""
     ends = results.frames["identification"].reindex(columns=["fold", "parameter", "end_low", "end_high"])
-    both = _free_parameters(results).merge(ends, on=["fold", "parameter"], how="left")
+    both = select_free(results.frames["parameters"]).merge(ends, on=["fold", "parameter"], how="left")
     for side in ("low", "high"):
         open_end = both[f"end_{side}"] == "bound"
         both[f"interval_{side}"] = both[f"interval_{side}"].mask(open_end, both[f"bound_{side}"])
@@ -91,12 +91,6 @@ def _find_interval_bounds(results: Run) -> Iterator[Row]:
         bounds = (float(rows["bound_low"].iloc[0]), float(rows["bound_high"].iloc[0]))
         fits = rows[["value", "interval_low", "interval_high"]].astype(float).to_numpy().tolist()
         yield from _find_cut_off(str(name), fits, bounds)
-
-
-def _free_parameters(results: Run) -> pd.DataFrame:
-    table = results.frames["parameters"]
-    rows: pd.DataFrame = table[(table["method"] == "fitted") & (table["status"] == "free")]
-    return rows
 
 
 def analysis_bound_warnings(

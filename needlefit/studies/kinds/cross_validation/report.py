@@ -54,7 +54,7 @@ from needlefit.studies.coverage import (
 )
 from needlefit.studies.explorer import collect_explorer
 from needlefit.studies.fit_frames import COLUMNS as FRAMES
-from needlefit.studies.fit_frames import list_methods, select_draws, select_fitted
+from needlefit.studies.fit_frames import list_methods, select_draws, select_fitted, select_free
 from needlefit.studies.identification_tables import (
     describe_verdicts,
     lay_out_identification,
@@ -814,9 +814,7 @@ def _tabulate_starts(results: Run) -> pd.DataFrame:
     starts = results.frames["starts"].astype({"excess": float, "objective": float})
     finite = starts["excess"].where(np.isfinite(starts["excess"]))
     starts["rank"] = finite.groupby([starts["fold"], starts["fit"]], sort=False).rank(method="first")
-    known = results.frames["parameters"]
-    fitted = known[(known["method"] == "fitted") & (known["status"] == "free")]
-    free = to_records(fitted.drop_duplicates("parameter"))
+    free = to_records(select_free(results.frames["parameters"]).drop_duplicates("parameter"))
     head, rows = ("fold", "fit", "start", "rank", "excess", "within_tolerance"), []
     for start in to_records(starts):
         row = {key: start[key] for key in head} | {"failed": start["objective"] is None}

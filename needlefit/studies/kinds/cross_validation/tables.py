@@ -44,7 +44,7 @@ from needlefit.reporting.text import KindText
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.coverage import COVERAGE_COLUMNS, count_covered, tabulate_coverage
 from needlefit.studies.csv_tables import TableSchema
-from needlefit.studies.fit_frames import MODEL_METHODS, select_fitted
+from needlefit.studies.fit_frames import MODEL_METHODS, select_fitted, select_free
 from needlefit.studies.fit_warnings import describe_gain
 from needlefit.studies.identification_tables import IDENTIFICATION_COMPARISON
 from needlefit.studies.paper import Claim
@@ -593,9 +593,7 @@ RIDGE_REACH_SD = 2.0  #: standard deviations to which the ridge is drawn in both
 
 def list_free_parameters(results: Run) -> list[str]:
     """Return the parameters that were estimated."""
-    known = results.frames["parameters"]
-    rows = known[(known["method"] == "fitted") & (known["status"] == "free")]
-    return list(dict.fromkeys(rows["parameter"]))
+    return list(dict.fromkeys(select_free(results.frames["parameters"])["parameter"]))
 
 
 def principal_axes(draws: pd.DataFrame) -> tuple[Direction, ...]:
