@@ -215,20 +215,14 @@ def lay_out_matrix(results: Sequence[Run], judge: Callable[[Run], Sequence[Any]]
     rows: list[Row] = []
     for one in results:
         for group, verdict in zip(scores.list_held_out_groups(one), judge(one), strict=False):
-            best = scores.find_best_baseline(group)
             predictive = scores.select_group(one.frames["predictive"], group)
             covered = count_covered(predictive, "tip_in_95") if len(predictive) else None
             rows.append(
                 {
-                    **_head(group),
-                    "verdict": verdict.status,
-                    "te_mm": group.get(scores.TE),
-                    "floor_te_mm": group.get(scores.TE, "floor"),
-                    "baseline_te_mm": None if best is None else group.get(scores.TE, method=best),
-                    "baseline_method": best or "",
-                    "paper_te_mm": group.get(scores.TE, "paper"),
-                    "floor_ratio": group.over_floor(scores.TE),
-                    "tip_crps_mm": predictive["tip_crps_mm"].mean() if len(predictive) else None,
+                    **{**_head(group), **verdict.numbers, "verdict": verdict.status},
+                    "baseline_method": verdict.numbers["baseline"] or "",
+                    "floor_ratio": verdict.numbers["te_over_floor"],
+                    "tip_crps_mm": verdict.numbers.get("tip_crps_mm"),
                     "tip_in_95": f"{covered.hits} of {covered.trials}" if covered else None,
                 }
             )
