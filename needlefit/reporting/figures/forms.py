@@ -298,27 +298,25 @@ def intervals(frame: pd.DataFrame, group: str, truth: str = "truth", label: str 
     return figure
 
 
-def densities(
-    frame: pd.DataFrame, by: str, x: str, prior: str = "prior", reach: str = "high_95", name: str = "{}"
-) -> Figure:
+def densities(frame: pd.DataFrame, by: str, x: str, name: str = "{}") -> Figure:
     """Draw the densities of a quantity, a panel for each `panel` (its label), and where known their prior.
 
-    `frame` has the columns `density`, `prior` and `reach`, an upper end that must be seen; `name` names a
+    `frame` has the columns `density`, `prior` and `high_95`, an upper end that must be seen; `name` names a
     series of the column `by`.
     """
     panels = list(frame.groupby("panel", sort=False))
     figure = Figure(figsize=(TEXT_WIDTH_IN, 2.3))
     for axes, (title, rows) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
-        far, first = float(rows[reach].max()), rows[by].iloc[0]
+        far, first = float(rows["high_95"].max()), rows[by].iloc[0]
         for series, look in choose_looks(rows, by).items():
             some, colour = rows[rows[by].astype(str) == series], look.colour
             top = some.sort_values("density", kind="stable").iloc[-1]
             axes.plot(some[x], some["density"], color=colour, lw=1.3)
             words: dict[str, Any] = {"fontsize": 6.5, "va": "bottom"}
             axes.text(top[x] + 0.02 * far, top["density"], name.format(series), color=colour, **words)
-            if series == str(first) and some[prior].notna().all():
-                axes.plot(some[x], some[prior], color=GREY, lw=0.8, ls=(0, (4, 3)))
-                height = np.interp(0.8 * far, some[x], some[prior])
+            if series == str(first) and some["prior"].notna().all():
+                axes.plot(some[x], some["prior"], color=GREY, lw=0.8, ls=(0, (4, 3)))
+                height = np.interp(0.8 * far, some[x], some["prior"])
                 axes.text(0.8 * far, height, "prior", color=GREY, **words)
         axes.set(xlim=(0, 1.15 * far), ylim=(0, 1.15 * float(rows["density"].max())), xlabel=title)
         axes.set_yticks([])
