@@ -57,10 +57,10 @@ ROBUST_SD = (20.0, 4.0)  # residuals beyond so many deviations count less, in th
 STEPS, CONVERGED = 8, 0.5  # of each fit; change of what is minimized
 # The model's error, in water and in parts of the image, before it is known; samples that count as one.
 FIRST_NOISE, FIRST_ERROR, CORRELATED = 0.15, 0.25, 10.0
-# Factors of the fit's deviations in the slices, along their normal and of the end; what no residual shows:
+# Factors of the fit's deviations in the slices, along their normal, of end and roll; what no residual shows:
 # mm, along the normal slices; it falls with the slices that are crossed. Set on volumes of
 # `benchmarks/real_scanners.py --seeds 7000:7080`.
-SIDE_FACTOR, NORMAL_FACTOR, END_FACTOR = 0.75, 1.0, 0.8
+SIDE_FACTOR, NORMAL_FACTOR, END_FACTOR, ROLL_FACTOR = 0.75, 1.0, 0.8, 1.5
 SIDE_ERROR_MM, END_ERROR_MM, SLICE_ERROR, CROSSED_SLICES = 0.01, 0.04, 0.02, 4.0
 TIP_ERROR_MM = 0.03  # across, where the bevel is
 # What a fit adds to these deviations, in slices, by which the model's error exceeds this; at the end twice.
@@ -138,7 +138,9 @@ def fit_slices(
     missed = MISSED_FACTOR * thick * max(0.0, error - MAX_GOOD_ERROR)
     hidden = SLICE_ERROR * thick / (1 + (crossed / CROSSED_SLICES) ** 2)
     systematic = np.hypot([SIDE_ERROR_MM, hidden], missed)
-    end_sd[0] = np.linalg.norm([END_FACTOR * end_sd[0], END_ERROR_MM, 2 * missed])
+    end_sd = np.array(
+        [np.linalg.norm([END_FACTOR * end_sd[0], END_ERROR_MM, 2 * missed]), ROLL_FACTOR * end_sd[1]]
+    )
     return SliceFit(frame, origin, course, axis_covariance, float(x[-1] + end[0]), systematic, bevel, end_sd)
 
 
