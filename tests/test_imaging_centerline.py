@@ -251,7 +251,7 @@ def test_a_needle_that_stays_in_one_slice_says_how_little_that_shows():
     volume, truth = in_slices(0.05, 0.1)
     line = found(volume, cases.recipe(centerline={"entry_direction": [1, 0, 0]}))
     assert np.abs(line.points[:, 2] - truth[0, 2]).max() < 3 * line.normal_sd < 2.0
-    assert line.sd.max() > 0.1
+    assert line.sd.max() > 0.05
     one = small()
     notes = [
         list_tip_warnings(replace(one, needle_axis=replace(one.needle_axis, normal_sd=sd)))

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.interpolate import make_interp_spline
 
 from needlefit.arrays import Floats
 from needlefit.datasets.select import group_rows
@@ -563,8 +562,9 @@ def subtract_fit(points: pd.DataFrame) -> pd.DataFrame:
         fit = mine[mine["curve"] == "fitted"].dropna(subset="y_mm")
         others = mine[mine["curve"] != "fitted"]
         if len(fit) > 1:
-            line = make_interp_spline(fit["x_mm"], fit["y_mm"], k=1)  # straight on beyond its ends
-            height = line(others["x_mm"])
+            x, y, at = fit["x_mm"].to_numpy(), fit["y_mm"].to_numpy(), others["x_mm"].to_numpy()
+            left = np.clip(np.searchsorted(x, at) - 1, 0, len(x) - 2)  # straight on beyond its ends
+            height = y[left] + (np.diff(y) / np.diff(x))[left] * (at - x[left])
             parts.append(others.assign(**{name: others[name] - height for name in forms.HEIGHT_COLUMNS}))
     return pd.concat(parts, ignore_index=True) if parts else points.head(0)
 
