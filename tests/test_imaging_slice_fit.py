@@ -70,3 +70,19 @@ def test_pieces_of_a_needle_in_successive_slices_are_one_tube():
     )
     (tube,) = find_tubes(Volume(values, np.zeros(3), spacing, np.eye(3)), recipe)
     assert (tube.voxels[:, 0].min(), tube.voxels[:, 0].max()) == (20, 156)
+
+
+def test_the_end_of_a_needle_is_where_the_next_slice_shows_it_and_not_other_metal_beyond():
+    values = np.random.default_rng(2).normal(0, 20, (8, 40, 250)).astype(np.float32)
+    for k, first, last in (
+        (3, 20, 120),
+        (4, 126, 170),
+        (4, 192, 200),
+    ):  # voxels of 0.5 mm; the last is a ball
+        values[k, 18:22, first:last] = 3000
+    volume = Volume(values, np.zeros(3), np.array([0.5, 0.5, 2.0]), np.eye(3))
+    seen = np.column_stack([np.arange(10.0, 60.0), np.full(50, 9.75), np.full(50, 6.6)])
+    assert slice_fit._find_end(volume, seen)[-1, 0] == pytest.approx(85.0, abs=1.5)
+    assert slice_fit._find_end(volume, seen[:20])[-1, 0] == pytest.approx(
+        55.0, abs=1.5
+    )  # 25 mm ahead at most

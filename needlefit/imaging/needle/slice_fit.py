@@ -52,8 +52,8 @@ HOPS, ROLL_HOPS, TRIED_HOPS, MAX_HOPS = (0.3, 0.6), (np.pi / 2, np.pi, 3 * np.pi
 START_STEPS = (0.5, 0.25, 0.12)  # of shift, tilt and bow along the normal, slices
 START_ENDS_MM = (-1.0, -0.5, 0.0, 0.5, 1.0)  # ends that are tried, from the one stated, mm
 ROLLS = 6  # rolls of the bevel that are tried with each
-AGAIN_ENDS_MM = (-1.0, 0.0, 1.0)  # the same after the first fit
-ROBUST_SD = (20.0, 4.0)  # residuals beyond so many deviations count less, in the first and second fit
+AGAIN_ENDS_MM = (-1.0, 0.0, 1.0)  # the same after the first fit, mm
+ROBUST_SD = (20.0, 4.0)  # residuals beyond so many deviations count less, in the first fit and later
 STEPS, CONVERGED = 8, 0.5  # of each fit; change of what is minimized
 # The model's error, in water and in parts of the image, before it is known; samples that count as one.
 FIRST_NOISE, FIRST_ERROR, CORRELATED = 0.15, 0.25, 10.0
