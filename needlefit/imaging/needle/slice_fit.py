@@ -168,8 +168,8 @@ def _find_end(volume: Volume, points: Floats) -> Floats:
     over = (shown[..., ~rim].max(axis=-1) - np.median(shown[..., rim], axis=-1)).max(axis=0)
     bright = np.flatnonzero(over > BRIGHT * np.median(over[:count]))
     gaps = np.flatnonzero((np.diff(bright) > MAX_DARK_STATIONS) & (bright[1:] >= count))
-    last = int(bright[gaps[0]] if len(gaps) else bright[-1])
-    return np.asarray(points[: last + 2])
+    last = bright[gaps[0]] if len(gaps) else bright.max(initial=0)
+    return np.asarray(points[: max(int(last) + 2, min(count, END_STATIONS))])
 
 
 def _make_problem(
