@@ -245,6 +245,7 @@ def test_a_needle_near_thick_slices_does_not_follow_their_staircase(tilt, overla
     assert errors.max() < 0.15
     assert np.linalg.norm(line.tip - truth[1]) < 0.5
     assert 0 < line.normal_sd < 0.5
+    assert np.isnan([*line.bevel, line.bevel_probability]).all()  # blunt
 
 
 def test_a_needle_that_stays_in_one_slice_says_how_little_that_shows():

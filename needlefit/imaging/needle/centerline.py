@@ -31,6 +31,7 @@ from needlefit.imaging.needle.follow import MIN_RELATIVE_AMPLITUDE, retrace_end,
 from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, principal_axes
 from needlefit.imaging.needle.slice_fit import TIP_ERROR_MM, fit_slices, runs_in_slices
 from needlefit.imaging.needle.tip import (
+    MAX_BEVEL_DEG,
     MAX_DISAGREEMENT_MM,
     MIN_BEVEL_PROBABILITY,
     TipFit,
@@ -241,7 +242,8 @@ def _place_in_slices(
     variance, covariance = placed.variance * wider, placed.covariance * wider
     placed = replace(placed, variance=variance, covariance=covariance, normal_sd=normal)
     across = float(np.hypot(np.hypot(side[-1], normal[-1]) / np.sqrt(2), TIP_ERROR_MM))
-    probability = float(erf(np.pi / 2 / np.sqrt(2) / found.end_sd[1]))
+    rolled = recipe.needle.bevel_deg < MAX_BEVEL_DEG
+    probability = float(erf(np.pi / 2 / np.sqrt(2) / found.end_sd[1])) if rolled else np.nan
     bevel = found.bevel if probability >= MIN_BEVEL_PROBABILITY else np.full(3, np.nan)
     sd = np.array([found.end_sd[0], across])
     return placed, TipFit(length, found.tip, sd, bevel, probability, 0.0, "model")
