@@ -143,7 +143,8 @@ def _voxel_count(volume: Volume, diameter: float) -> float:
 
 # Balls whose diameter is measured: those that the stated one explains best; and among how many candidates.
 MEASURED_BALLS, MEASURABLE_BALLS = 3, 6
-DIAMETER_ERROR = 0.03  # deviation of a measured diameter by what the model does not explain, in parts of it
+DIAMETER_ERROR = 0.06  # deviation of a measured diameter by what the model does not explain, in parts of it
+MIN_RESOLVED_BLURS = 2.35  # the diameter of a ball that is smaller, in deviations of the blur, does not show
 MAX_DIAMETER_SD = 3.0  # deviations of the measured diameter by which the stated one may differ from it
 # Where nothing of about the stated diameter is a ball, candidates of so many times that are measured.
 OTHER_FACTORS = (0.6, 1.6)
@@ -154,18 +155,19 @@ Candidate = tuple[Blob, SphereFit | RejectedMarker]  # what may be a ball, and w
 def _measure_diameter(
     volume: Volume, candidates: Iterable[Candidate], max_misfit: float, fit: FitSphere
 ) -> tuple[float, float] | None:
-    """Return the diameter of the balls among candidates, and its deviation, mm; None if there are none."""
-    balls: list[SphereFit] = []
+    """Return the diameter of the balls among candidates, and its deviation, mm; None if none shows it."""
+    balls: list[tuple[float, float]] = []
     for blob, _ in sorted(candidates, key=lambda one: one[1].misfit)[:MEASURABLE_BALLS]:
         ball, middle = fit(volume, blob, None), to_patient(volume, blob.voxels.mean(axis=0)[None])[0]
-        if _find_fault(volume, ball, middle, _limit_misfit(ball, max_misfit)) is None:
-            balls.append(ball)
+        resolved = ball.diameter > MIN_RESOLVED_BLURS * ball.spread.blur
+        if resolved and _find_fault(volume, ball, middle, _limit_misfit(ball, max_misfit)) is None:
+            balls.append((ball.diameter, ball.diameter_sd))
         if len(balls) == MEASURED_BALLS:
             break
     if not balls:
         return None
     # of small balls a few are off by many of their deviations
-    diameter, sd = np.median([(ball.diameter, ball.diameter_sd) for ball in balls], axis=0)
+    diameter, sd = np.median(balls, axis=0)
     # to a hundredth, as it is printed
     return round(float(diameter), 2), float(np.hypot(sd, DIAMETER_ERROR * diameter))
 
@@ -227,10 +229,13 @@ def find_markers(
             )
     else:
         others = (search(factor * diameter) for factor in OTHER_FACTORS)
-        measured = next(filter(None, map(measure, chain([found], others))), None)
-        if measured:
+        for candidates in chain([found], others):
+            if (measured := measure(candidates)) is None:
+                continue
             shown = (one for _, one in search(measured[0]) if isinstance(one, SphereFit))
-            works = measured[0] if len(list(islice(shown, MIN_MARKERS))) == MIN_MARKERS else None
+            if len(list(islice(shown, MIN_MARKERS))) == MIN_MARKERS:
+                works = measured[0]
+                break
     return MarkerResult(
         centers=np.array(centers).reshape(-1, 3),
         sd=np.array([ball.sd for ball in balls]),

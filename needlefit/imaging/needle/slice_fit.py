@@ -65,7 +65,7 @@ SIDE_ERROR_MM, END_ERROR_MM, SLICE_ERROR, CROSSED_SLICES = 0.01, 0.04, 0.02, 4.0
 TIP_ERROR_MM = 0.03  # across, where the bevel is
 # What a fit adds to these deviations, in slices, by which the model's error exceeds this; at the end twice.
 MISSED_FACTOR, MAX_GOOD_ERROR = 1.3, 0.4
-BRIGHT = 0.3  # what counts as bright, in parts of the needle's
+BRIGHT, END_BRIGHT = 0.3, 0.5  # what counts as bright, and as the end, in parts of the needle's
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ def _find_end(volume: Volume, points: Floats) -> Floats:
     ).reshape(-1, len(points), len(line))
     rim = np.abs(line) > RIM_MM
     over = (shown[..., ~rim].max(axis=-1) - np.median(shown[..., rim], axis=-1)).max(axis=0)
-    bright = np.flatnonzero(over > BRIGHT * np.median(over[:count]))
+    bright = np.flatnonzero(over > END_BRIGHT * np.median(over[:count]))
     gaps = np.flatnonzero((np.diff(bright) > MAX_DARK_STATIONS) & (bright[1:] >= count))
     last = bright[gaps[0]] if len(gaps) else bright.max(initial=0)
     return np.asarray(points[: max(int(last) + 2, min(count, END_STATIONS))])
