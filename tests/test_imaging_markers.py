@@ -168,6 +168,8 @@ def test_a_diameter_that_works_is_named_where_the_stated_one_does_not(stated, ra
     found = find_markers(volume, recipe(markers={"diameter_mm": stated}), fit=fit)
     assert len(found.centers) < 3
     assert found.working_diameter == pytest.approx(2 * radius, rel=0.1)
+    assert f"{found.working_diameter:.2f} mm" in describe_candidates(found, RECIPE)
+    assert f"{found.working_diameter:.2f} mm" in describe_candidates(replace(found, rejected=()), RECIPE)
     assert len(fits) <= 4 + 3 + 4  # as stated, measured, as named: an answer may take 2 s
     right = find_markers(volume, recipe(markers={"diameter_mm": found.working_diameter}))
     assert len(right.centers) == 4 and not right.warnings

@@ -279,6 +279,8 @@ def describe_candidates(found: MarkerResult, recipe: ReconstructionRecord) -> st
     what = f"{len(found.centers)} balls of {rules.diameter_mm:g} mm were found"
     if len(found.misfits):
         what += f" (misfit {found.misfits.min():.2f} to {found.misfits.max():.2f})"
+    if found.working_diameter is not None:
+        what += f"; balls of {found.working_diameter:.2f} mm are there: state that as markers.diameter_mm"
     nearest = sorted(found.rejected, key=lambda one: one.misfit / one.max_misfit)[:MAX_CANDIDATES_NAMED]
     if not found.rejected:
         return f"{what}, nothing else of about that size"
@@ -287,10 +289,7 @@ def describe_candidates(found: MarkerResult, recipe: ReconstructionRecord) -> st
         f"{REASONS[one.reason].format(misfit=one.misfit, limit=one.max_misfit)}"
         for one in nearest
     )
-    listed = f"{what}; {len(found.rejected)} other candidates, the most similar {others}"
-    if found.working_diameter is None:
-        return listed
-    return f"{listed}; balls of {found.working_diameter:.2f} mm explain enough of them"
+    return f"{what}; {len(found.rejected)} other candidates, the most similar {others}"
 
 
 REASONS = {
