@@ -108,8 +108,7 @@ def find_tubes(volume: Volume, recipe: ReconstructionRecord) -> list[Component]:
             floor = median_tissue_hu(volume) + MIN_GROWTH_NOISE_SD * noise
             lower = [low for low, _ in levels[n + 1 :] if low > floor]
             grown = _grow_tube(volume, joined[0], lower, recipe)
-            own = {tuple(voxel) for voxel in grown.voxels.tolist()}
-            return [grown, *(part for part in joined[1:] if tuple(part.voxels[0].tolist()) not in own)]
+            return [grown, *_drop_pieces(grown, joined[1:])]
     largest, rules = max(parts, key=lambda part: part.length), recipe.segmentation
     raise refusal(f"""none of {len(parts)} bright components is a tube; the longest is {largest.length:.1f}
             mm long, {largest.width:.1f} mm wide and strays {largest.bend:.1f} mm from a parabola
@@ -186,10 +185,15 @@ def _join_tubes(
     found = []
     while left:
         tube = _join_pieces(volume, left[0], [part for part in parts if part is not left[0]], recipe)
-        kept = {tuple(voxel) for voxel in tube.voxels.tolist()}
-        left = [part for part in left[1:] if tuple(part.voxels[0].tolist()) not in kept]
+        left = _drop_pieces(tube, left[1:])
         found.append(tube)
     return sorted(found, key=lambda part: part.length, reverse=True)
+
+
+def _drop_pieces(tube: Component, parts: Sequence[Component]) -> list[Component]:
+    """Return the components that are not pieces of a tube."""
+    own = {tuple(voxel) for voxel in tube.voxels.tolist()}
+    return [part for part in parts if tuple(part.voxels[0].tolist()) not in own]
 
 
 def list_thresholds(volume: Volume, recipe: ReconstructionRecord) -> list[tuple[float, float]]:

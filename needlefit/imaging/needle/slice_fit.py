@@ -51,7 +51,7 @@ STARTS, GOOD_ERROR = (SCAN_MEANS, FEW_RAYS), 0.3
 HOPS, ROLL_HOPS, TRIED_HOPS, MAX_HOPS = (0.3, 0.6), (np.pi / 2, np.pi, 3 * np.pi / 2), 4, 4
 START_STEPS = (0.5, 0.25, 0.12)  # of shift, tilt and bow along the normal, slices
 START_ENDS_MM = (-1.0, -0.5, 0.0, 0.5, 1.0)  # ends that are tried, from the one stated, mm
-ROLLS = 6  # rolls of the bevel that are tried with each
+ROLLS = tuple(np.arange(6) * 2 * np.pi / 6)  # of the bevel, that are tried with each
 AGAIN_ENDS_MM = (-1.0, 0.0, 1.0)  # the same after the first fit, mm
 ROBUST_SD = (20.0, 4.0)  # residuals beyond so many deviations count less, in the first fit and later
 STEPS, CONVERGED = 8, 0.5  # of each fit; change of what is minimized
@@ -59,7 +59,7 @@ STEPS, CONVERGED = 8, 0.5  # of each fit; change of what is minimized
 FIRST_NOISE, FIRST_ERROR, CORRELATED = 0.15, 0.25, 10.0
 # Factors of the fit's deviations in the slices, along their normal, of end and roll; what no residual shows:
 # mm, along the normal slices; it falls with the slices that are crossed. Set on volumes of
-# `benchmarks/real_scanners.py --seeds 7000:7080`.
+# `benchmarks/real_scanners.py --seeds 7000:7080`, that of the roll on 6000:6090.
 SIDE_FACTOR, NORMAL_FACTOR, END_FACTOR, ROLL_FACTOR = 0.75, 1.0, 0.8, 1.5
 SIDE_ERROR_MM, END_ERROR_MM, SLICE_ERROR, CROSSED_SLICES = 0.01, 0.04, 0.02, 4.0
 TIP_ERROR_MM = 0.03  # across, where the bevel is
@@ -353,9 +353,7 @@ class _SliceProblem:
         lowest = self.first_misfit(theta)
         for _ in range(MAX_HOPS):
             near = [one for step in HOPS for one in self.move(theta, step)]
-            for turn in ROLL_HOPS:
-                near.append(theta.copy())
-                near[-1][2 * len(self.start) + 1] += turn
+            near += self.roll(theta, (0.0,), ROLL_HOPS)
             near.sort(key=self.first_misfit)
             for one in near[:TRIED_HOPS]:
                 there, *_ = self.descend(one, self.first_scale, ROBUST_SD[1])
@@ -372,13 +370,17 @@ class _SliceProblem:
 
     def turn(self, theta: Floats, ends: tuple[float, ...]) -> Floats:
         """Return the parameters with the best of several rolls of the bevel, its end moved by `ends`, mm."""
-        count, tried = len(self.start), []
-        for move in ends:
-            for roll in np.arange(ROLLS) * 2 * np.pi / ROLLS:
+        return min(self.roll(theta, ends, ROLLS), key=self.first_misfit)
+
+    def roll(self, theta: Floats, ends: tuple[float, ...], rolls: tuple[float, ...]) -> list[Floats]:
+        """Return the parameters with the end moved by each of `ends`, mm, and the bevel rolled, rad."""
+        rolled = []
+        for end in ends:
+            for roll in rolls:
                 one = theta.copy()
-                one[2 * count : 2 * count + 2] += [move, roll]
-                tried.append(one)
-        return min(tried, key=self.first_misfit)
+                one[2 * len(self.start) : 2 * len(self.start) + 2] += [end, roll]
+                rolled.append(one)
+        return rolled
 
     @cached_property
     def first_scale(self) -> Floats:
