@@ -441,7 +441,7 @@ def with_noise_scale(parameters: Parameters, largest: float = NOISE_SCALE_BOUNDS
 
 
 def with_bevel_spread(parameters: Parameters, sd: float) -> Parameters:
-    """Return the parameters with a free relative bevel SD between insertions, half-normal with `sd`, last."""
+    """Return the parameters with a free bevel CV between insertions, half-normal with `sd`, last."""
     low, high = BEVEL_SPREAD_BOUNDS
     return replace(
         parameters,

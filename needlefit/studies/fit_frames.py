@@ -24,8 +24,13 @@ failures
 
 parameters :
     Values per fold and method; `sd` is of ln for moduli and lengths, of the value for alpha; `low`,
-    `high` is the range among starts within tolerance of the best; `interval_low`,
-    `interval_high` is the one 95 % interval that is printed, `draw_source` what it is from.
+    `high` is the range among starts within tolerance of the best; `interval_low`, `interval_high` is the one
+    95 % interval that is printed, of the error-minimising fit its range within the tolerance of the errors,
+    `draw_source` what it is from. `determined` is "yes", "only together" (with the others held it is), or
+    "no".
+error_fit
+    Per fold the objective of the error-minimising fit: at the reported point, at the least one, and the
+    tolerance within which it is not significantly larger, with its two estimates.
 directions
     Combinations of parameters in words, with the standard deviation to which each is known.
 identification
@@ -100,6 +105,10 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             *("fold", "method", "parameter", "value", "status", "bound_low", "bound_high"),
             *("sd", "low", "high", "interval_low", "interval_high", "draw_source"),
             *("determined", "condition", "note"),
+        ),
+        "error_fit": (
+            *("fold", "objective_mm", "least_objective_mm", "tolerance_mm"),
+            *("tolerance_by_noise_mm", "tolerance_by_insertions_mm", "evaluations"),
         ),
         "directions": ("fold", "sd", "sd_ratio", "note"),
         "identification": (

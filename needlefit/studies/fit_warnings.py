@@ -11,7 +11,7 @@ import pandas as pd
 import scipy
 
 from needlefit.inference.identifiability.directions import BOUND_FRACTION, CUT_OFF_FRACTION, short_name
-from needlefit.inference.parameters import Parameters, is_logarithmic
+from needlefit.inference.parameters import BEVEL_SPREAD, Parameters, is_logarithmic
 from needlefit.project.result_warnings import ResultWarning, read_warnings, warnings_entry
 from needlefit.reporting.labels import group_name, medium_name
 from needlefit.reporting.number_format import format_quantity
@@ -141,7 +141,7 @@ def _describe_bound(name: str, value: float, low: float, high: float, near: floa
     """Return at which bound a value lies, to within the part `near` of the bounds; "" if at none."""
     least, at, most = (math.log(one) if is_logarithmic(name) else one for one in (low, value, high))
     place = (at - least) / (most - least)
-    if place < near:
+    if place < near and name != BEVEL_SPREAD:  # next to 0 it says that bevels do not differ
         return f"lower bound, {format_quantity(name, low)}"
     return f"upper bound, {format_quantity(name, high)}" if place > 1 - near else ""
 

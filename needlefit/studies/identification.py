@@ -12,7 +12,6 @@ import numpy as np
 from needlefit.inference.identifiability import directions, precision
 from needlefit.inference.identifiability.identify import (
     AGREEMENT,
-    NORMAL_95_HALF_WIDTH_SD,
     Assessment,
     FitProfiles,
     Identifiability,
@@ -46,13 +45,16 @@ def identify_parameters(
     sds: Mapping[str, float],
     verdict: Identifiability | None = None,
     loosened: Sequence[precision.Loosened] = (),
+    together: Mapping[str, bool] | None = None,
 ) -> IdentificationRows:
     """Return what profiles and standard deviations together say about every parameter.
 
     `sds`: standard deviations of the posterior as expected from the information, bounds and prior included.
     `verdict`: of the fit; before one, a parameter counts as determined if its sd and its profile say so.
-    `loosened`: with assumptions loosened: it must stay so.
+    `loosened`: with assumptions loosened: it must stay so. `together`: before a fit, which parameters are
+    determined while all others are held.
     """
+    held = verdict.together if verdict is not None else together or {}
     spread = np.linalg.inv(precision.prior_information(problem)) if problem.names else np.zeros((0, 0))
     before = dict(zip(problem.names, np.sqrt(np.diag(spread)).tolist(), strict=True))
     judgements, rows, points = {}, [], []
@@ -70,7 +72,8 @@ def identify_parameters(
             is_determined = verdict.determined.get(one.name, False)
             condition = verdict.conditions.get(one.name, "")
         known = is_determined and not condition and judged.determined and one.fixed_at is None
-        rows.append(_parameter_row(one, judged, prior_sd, sd) | {"determined": known, "note": condition})
+        word = directions.name_determined(known, held.get(one.name, False))
+        rows.append(_parameter_row(one, judged, prior_sd, sd) | {"determined": word, "note": condition})
         points += _profile_rows(problem.parameters, one)
     return IdentificationRows(judgements, tuple(rows), tuple(points))
 
@@ -169,8 +172,7 @@ class ParameterInterval:
 
     def is_narrow(self, name: str) -> bool:
         """Return whether it is no wider than a Gaussian one of the largest SD of a determined parameter."""
-        sd = directions.MAX_LOG_SD if is_logarithmic(name) else directions.MAX_SHAPE_SD
-        return self.width(name) < 2 * NORMAL_95_HALF_WIDTH_SD * sd
+        return self.width(name) < directions.widest_interval(name)
 
     def columns(self) -> Row:
         return {"interval_low": self.low, "interval_high": self.high, "draw_source": self.source}
@@ -199,6 +201,7 @@ def add_intervals(
     identification: Sequence[Row],
     sampled: Mapping[str, ParameterInterval],
     ties: Mapping[str, tuple[float, str]],
+    together: Mapping[str, bool],
 ) -> None:
     """Add the interval to the rows of one fold's fit and of its identifiability, and correct the verdicts.
 
@@ -210,6 +213,8 @@ def add_intervals(
         By parameter, from `intervals_of_draws`.
     ties : mapping
         Exact ties: factor and source.
+    together : mapping
+        Whether a free parameter is determined while all others are held.
     """
     profiles = {row["parameter"]: ParameterInterval(row["low"], row["high"], "profile")
                 for row in identification}  # fmt: skip
@@ -222,8 +227,11 @@ def add_intervals(
             one = sampled.get(source, profiles.get(source))
             found = one and ParameterInterval(factor * one.low, factor * one.high, one.source)
         row |= NO_SOURCE if found is None else found.columns()
-        if found is not None and row["determined"] and not found.is_narrow(name):
-            row |= {"determined": False, "condition": "", "note": "not determined: its 95 % interval is wide"}
+        if found is not None and row["determined"] == "yes" and not found.is_narrow(name):
+            held = together.get(ties.get(name, (1.0, name))[1], False)
+            row |= {"determined": directions.name_determined(False, held), "condition": ""}
+            row["note"] = "its 95 % interval is too wide"
         if name in judged:
             judged[name] |= found.columns() if found else profiles[name].columns()
-            judged[name]["determined"] = bool(judged[name]["determined"] and row["determined"])
+            if row["status"] != "fixed":
+                judged[name]["determined"] = row["determined"]

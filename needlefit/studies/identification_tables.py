@@ -7,11 +7,10 @@ import pandas as pd
 from needlefit.inference.identifiability import directions
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting.number_format import (
-    NO_INTERVAL,
     choose_interval_unit,
     choose_printed_unit,
-    format_interval,
     format_number,
+    format_plain,
     format_quantity_range,
     typeset_interval,
 )
@@ -41,12 +40,16 @@ def _describe_interval(row: Row) -> str:
     """Return the interval of the draws, or what the profile says where there are none."""
     if row.get("draw_source") in (None, "", "profile"):
         return str(row["profile_verdict"])
-    text = format_interval(row)
-    if text == NO_INTERVAL:
-        return "not determined: its 95 % interval spans most of its bounds"
     text = format_quantity_range(str(row["parameter"]), row["interval_low"], row["interval_high"])
-    known = row["determined"] or row.get("note")  # the note says which assumption it needs
-    return f"{'' if known else 'not determined: '}95 % CI {text}"
+    words = {"yes": "", "only together": "determined only together with others: ", "no": "not determined: "}
+    return f"{words[row['determined']]}95 % CI {text}"
+
+
+def describe_evidence(row: Row) -> str:
+    """Return what freeing a fixed parameter does, from its row of "identification"."""
+    ends = (format_plain(row[end]) for end in ("interval_low", "interval_high"))
+    bounds = (format_plain(row[end]) for end in ("bound_low", "bound_high"))
+    return f"{' to '.join(ends)} of {' to '.join(bounds)}"
 
 
 def format_small_mm(value: float) -> str:
@@ -120,13 +123,13 @@ def _compare_identifications(before: pd.DataFrame, after: pd.DataFrame) -> Itera
     several = "fold" in keys and before["fold"].nunique() > 1
     for _, row in before.merge(after, validate="1:1", on=keys, suffixes=("_a", "_b"), sort=False).iterrows():
         name = f"{row['parameter']} ({row['fold']})" if several else str(row["parameter"])
-        first, second = ("determined" if row[f"determined_{run}"] else "not determined" for run in ("a", "b"))
+        first, second = (str(row[f"determined_{run}"]) for run in ("a", "b"))
         if first != second:
-            yield Difference("state", name, first, second, True, "the verdict changed")
+            yield Difference("state", f"{name} determined", first, second, True, "the verdict changed")
         sds = float(row["sd_a"]), float(row["sd_b"])
         yield from compare_sizes("parameter", f"sd of {name}", *sds, "times as large")
 
 
 IDENTIFICATION_COMPARISON = TableComparison(
-    TableSchema(texts=("parameter",), numbers=("sd",), flags=("determined",)), _compare_identifications
+    TableSchema(texts=("parameter", "determined"), numbers=("sd",)), _compare_identifications
 )

@@ -32,6 +32,7 @@ from needlefit.inference.identifiability.directions import (
     MAX_LOG_SD,
     MAX_SD_RATIO,
     MAX_SHAPE_SD,
+    NORMAL_95_HALF_WIDTH_SD,
     UNINFORMED_SD_RATIO,
     Direction,
     describe_precision,
@@ -79,7 +80,8 @@ class Identifiability:
     """Which free parameters the data determine, and how well; mappings are keyed by parameter name."""
 
     sds: Mapping[str, float]  #: posterior standard deviation, of the logarithm (of a shape parameter itself)
-    determined: Mapping[str, bool]  #: whether the data determine it
+    determined: Mapping[str, bool]  #: whether the data determine it by itself
+    together: Mapping[str, bool]  #: whether they determine it while all others are held
     at_bound: Mapping[str, str]  #: "lower" or "upper" where the best point lies at a bound, else ""
     #: spread_low, spread_high: its range among the starts within tolerance of the best (Pa, mm)
     spread_low: Mapping[str, float]
@@ -107,8 +109,9 @@ def identify(
     theta, names = np.array(fit.theta), problem.names
     noisy = add_estimated_noise(problem, theta)
     known, information, chi_square = compute_sds(noisy, theta, draws)
-    sds = dict(zip(names, known.tolist(), strict=True))
-    found = principal_directions(information, names, prior_information(noisy))
+    sds, before = dict(zip(names, known.tolist(), strict=True)), prior_information(noisy)
+    found = principal_directions(information, names, before)
+    together = _find_together(names, information, before)
     ends = [s.theta for s in select_within_tolerance(fit)] or [fit.theta]
     equal = np.array(ends, dtype=np.float64).reshape(len(ends), len(names))
     bounds = dict(zip(names, find_bounds(problem, theta), strict=True))
@@ -155,6 +158,7 @@ def identify(
     return Identifiability(
         sds=sds,
         determined=determined,
+        together=together,
         conditions=conditions,
         loosened=loosened,
         at_bound=bounds,
@@ -166,6 +170,17 @@ def identify(
         chi_square=chi_square,
         noise_estimated=noisy is not problem,
     )
+
+
+def find_together(problem: Problem, theta: Floats) -> dict[str, bool]:
+    """Return which parameters the data determine while all others are held, by the information at `theta`."""
+    return _find_together(problem.names, compute_sds(problem, theta)[1], prior_information(problem))
+
+
+def _find_together(names: Sequence[str], information: Floats, prior: Floats) -> dict[str, bool]:
+    # the diagonal of the information is that on each parameter given all others
+    held = zip(names, *(1 / np.sqrt(np.diag(one)) for one in (information, prior)), strict=True)
+    return {name: is_determined_by_data(name, sd, prior_sd) for name, sd, prior_sd in held}
 
 
 def select_within_tolerance(fit: Fit) -> tuple[Start, ...]:
@@ -331,7 +346,6 @@ def _profile_one(
     )
 
 
-NORMAL_95_HALF_WIDTH_SD = 1.96  #: half width of a Gaussian 95 % interval, in standard deviations
 #: half widths of intervals, and standard deviations, that differ by less than this factor agree
 AGREEMENT_FACTOR = 1.5
 

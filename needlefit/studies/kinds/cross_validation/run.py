@@ -6,7 +6,7 @@ import pickle
 import re
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -18,7 +18,9 @@ import pandas as pd
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.select import count_layers, get_other_rule
 from needlefit.grouping import group_values
+from needlefit.inference.error_fit import ErrorMinimisingFit, ErrorSearch, Target, examine_errors
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_start, read_starts
+from needlefit.inference.identifiability.directions import name_determined
 from needlefit.inference.identifiability.identify import (
     LOG_POSTERIOR_TOLERANCE,
     Assessment,
@@ -31,7 +33,7 @@ from needlefit.inference.identifiability.identify import (
     within_tolerance,
 )
 from needlefit.inference.optimize import minimize
-from needlefit.inference.parameters import Theta
+from needlefit.inference.parameters import HYPERPARAMETERS, Theta, to_value
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem, explain_failure, find_outside_validity
 from needlefit.inference.sampling.posterior import Posterior
@@ -241,6 +243,7 @@ class _StudyRun:
         if settings.sample and not self.interrupted:
             self.interrupted = self._sample(fold, fits["fitted"])
         drawn = drawn or self._draw(number, fold, fits)
+        least = self._examine_errors(number, fold, fits, drawn)
         self.parts |= {(number, phase): 1.0 for phase in self._list_phases(fold)}
         self._report(number, "errors")
         if drawn is not None:
@@ -250,8 +253,10 @@ class _StudyRun:
         known = "fitted" in usable
         if known:
             self._tabulate_fit(fold, usable["fitted"], profiles, drawn)
-        if "fitted_metric" in usable:
-            self.rows["parameters"] += _metric_rows(job, fold, usable["fitted_metric"])
+        if least is None:
+            usable.pop("fitted_metric", None)
+        else:
+            usable["fitted_metric"] = self._tabulate_error_fit(fold, usable["fitted_metric"], least)
         self.rows["parameters"] += _published_rows(job, fold, usable.get("hand_tuned_b"))
         for method, curves in make_predictors(job.problem(fold), usable, job.hand_tuned).items():
             for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
@@ -353,6 +358,48 @@ class _StudyRun:
 
         step(0, 1)
         return profile_parameters(problem, fit, settings.jobs, settings.stop, step)
+
+    def _examine_errors(
+        self, number: int, fold: Fold, fits: Mapping[str, Fit], drawn: "_Drawn | None"
+    ) -> ErrorMinimisingFit | None:
+        """Return what the errors determine about the fit that minimises them; of many folds no ranges."""
+        job, settings, fit = self.job, self.settings, fits.get("fitted_metric")
+        if fit is None or fit.interrupted or not math.isfinite(fit.objective) or settings.stop():
+            return None
+        problem, target = job.problem(fold, "fitted_metric"), None
+        if drawn is not None and len(drawn.draws.thetas):
+            thetas = drawn.specimens.replace_mean(drawn.draws).thetas
+            median = job.parameters.values(np.median(thetas, axis=0))
+            columns = [job.parameters.free.index(name) for name in problem.names]
+            target = Target(problem.parameters.theta(median), np.std(thetas, axis=0)[columns])
+        self._report(number, "errors of the fit")
+        return examine_errors(
+            problem,
+            fit,
+            target,
+            ErrorSearch(job.parameters, job.recipe.metric_algorithm, len(job.folds) == 1),
+            random_stream(job.recipe.seed, fold.name, "error tolerance"),
+            settings.jobs,
+            settings.stop,
+        )
+
+    def _tabulate_error_fit(self, fold: Fold, fit: Fit, found: ErrorMinimisingFit) -> Fit:
+        """Add the parameters that minimise the errors; return the fit at the reported point."""
+        problem, tolerance = self.job.problem(fold, "fitted_metric"), found.tolerance
+        reported = replace(fit, theta=found.theta, values=problem.values(np.array(found.theta)))
+        self.rows["error_fit"].append(
+            {
+                "fold": fold.name,
+                "objective_mm": found.objective,
+                "least_objective_mm": found.least,
+                "tolerance_mm": tolerance.value,
+                "tolerance_by_noise_mm": tolerance.by_noise,
+                "tolerance_by_insertions_mm": tolerance.by_insertions,
+                "evaluations": found.evaluations,
+            }
+        )
+        self.rows["parameters"] += _error_fit_rows(problem, fold, reported, found)
+        return reported
 
     def _sample(self, fold: Fold, fit: Fit) -> bool:
         """Sample the posterior of one fold; return whether it was interrupted."""
@@ -464,7 +511,7 @@ class _StudyRun:
         ]
         fitted = _fitted_rows(job, fold, fit, verdict, judgements)
         sampled = intervals_of_draws(job.parameters, draws, posterior)
-        add_intervals(fitted, judged, sampled, job.parameters.ties)
+        add_intervals(fitted, judged, sampled, job.parameters.ties, verdict.together)
         self.rows["identification"] += judged
         self.rows["parameters"] += fitted
 
@@ -562,7 +609,7 @@ _UNKNOWN: Row = {
     **dict.fromkeys(("bound_low", "bound_high"), math.nan),
     **NO_SOURCE,
     **dict.fromkeys(("sd", "low", "high"), math.nan),
-    **{"determined": False, "condition": ""},
+    **{"determined": "", "condition": ""},
 }
 
 
@@ -577,7 +624,9 @@ def _fitted_rows(
         condition = verdict.conditions.get(name, "")
         row = {"fold": fold.name, "method": "fitted", "parameter": name, "value": value, "status": status}
         row |= {**_UNKNOWN, "bound_low": low, "bound_high": high, "condition": condition}
-        row["determined"] = bool(verdict.determined.get(source, False)) and not condition
+        known, together = (some.get(source, False) for some in (verdict.determined, verdict.together))
+        if status != "fixed":
+            row["determined"] = name_determined(known and not condition, known or together)
         if source in verdict.sds:
             row["low"] = factor * verdict.spread_low[source]
             row["high"] = factor * verdict.spread_high[source]
@@ -594,22 +643,31 @@ def _fitted_rows(
     return rows
 
 
-def _metric_rows(job: Job, fold: Fold, fit: Fit) -> list[Row]:
-    """Return the values that the metric objective prefers; the posterior fit has their uncertainty."""
-    ends = np.array([s.theta for s in select_within_tolerance(fit)] or [fit.theta]).reshape(
-        -1, len(fit.theta)
-    )
-    parameters = job.problem(fold, "fitted_metric").parameters
-    low, high = (parameters.values(end(ends, axis=0)) for end in (np.min, np.max))
-    about = {"fold": fold.name, "method": "fitted_metric"}
-    return [
-        {
-            **{**about, "parameter": name, "value": value, "status": parameters.status[name]},
-            **{**_UNKNOWN, "low": low[name], "high": high[name]},
-            "note": "minimises the metric objective",
-        }
-        for name, value in fit.values.items()
-    ]
+def _error_fit_rows(problem: Problem, fold: Fold, fit: Fit, found: ErrorMinimisingFit) -> Iterator[Row]:
+    """Yield the values that minimise the errors, each with its range within the tolerance.
+
+    A tied one shares its source's; hyperparameters are of the likelihood alone.
+    """
+    parameters = problem.parameters
+    for name, value in fit.values.items():
+        if name in HYPERPARAMETERS:
+            continue
+        factor, source = parameters.ties.get(name, (1.0, name))
+        row = {"fold": fold.name, "method": "fitted_metric", "parameter": name, "value": value, **_UNKNOWN}
+        row["status"], row["note"] = parameters.status[name], ""
+        if source in parameters.bounds:
+            ends = (factor * bound for bound in parameters.bounds[source])
+            row |= dict(zip(("bound_low", "bound_high"), ends, strict=True))
+        if source in found.ranges:
+            one = found.ranges[source]
+            row |= {"interval_low": factor * to_value(source, one.low)}
+            row |= {"interval_high": factor * to_value(source, one.high), "draw_source": "tolerance"}
+            row["determined"] = found.determined(source)
+            at_bound = [
+                side for side, end in zip(("lower", "upper"), one.ends, strict=True) if end == "bound"
+            ]
+            row["note"] = f"its range ends at its {' and its '.join(at_bound)} bound" if at_bound else ""
+        yield row
 
 
 def _published_rows(job: Job, fold: Fold, retuned: Fit | None) -> list[Row]:
@@ -627,7 +685,7 @@ def _published_rows(job: Job, fold: Fold, retuned: Fit | None) -> list[Row]:
             free = method == "hand_tuned_b" and name == "bevel_mm"
             row = {"fold": fold.name, "method": method, "parameter": name, "value": value}
             row |= {"status": "free" if free else "published", **_UNKNOWN}
-            row |= {"determined": free and found.get(name, False)}
+            row |= {"determined": name_determined(found.get(name, False), False) if free else ""}
             rows.append({**row, "note": "re-tuned alone" if free else "tuned by hand"})
     return rows
 
