@@ -270,7 +270,7 @@ def test_a_fit_of_good_data_closes_and_its_fixed_alphas_are_flat():
     assert b.low < math.log(TRUTH["bevel_mm"]) < b.high
     found = identify_parameters(p, examination, {})
     assert {row["parameter"] for row in found.rows} == {*p.names, "alpha1", "alpha2"}
-    assert all(not row["determined"] for row in found.rows if row["status"] == "fixed")
+    assert all(row["determined"] == "no" for row in found.rows if row["status"] == "fixed")
     assert min(row["deviance"] for row in found.points) == 0.0
     p = two_layers(count=1)
     one, two = (identify_parameters(p, profile_parameters(p, fit_at(p, TRUTH), jobs), {}) for jobs in (1, 2))

@@ -26,7 +26,6 @@ from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
 from needlefit.project.locate import find_file
 from needlefit.project.result_warnings import read_warnings
 from needlefit.project.toml import load
-from needlefit.reporting.number_format import format_number
 from needlefit.reporting.table_files import to_records
 from needlefit.schemas.limits import MAX_LAYERS
 from needlefit.schemas.medium import MediumRecord
@@ -157,7 +156,7 @@ def test_the_run_records_its_settings(clean: Run) -> None:
     assert search["negative_log_posterior"] == starts["objective"].min()
     assert search["values"] == fitted(clean)
     assert json.loads(json.dumps(clean.run)) == clean.run
-    assert [name for name, frame in frames(clean).items() if frame.empty] == ["failures"]
+    assert [name for name, frame in frames(clean).items() if frame.empty] == ["failures", "error_fit"]
 
 
 @pytest.mark.sweep
@@ -532,7 +531,10 @@ def test_a_second_fit_stands_in_every_table_if_the_recipe_asks_for_it(several_fi
     second = frames["parameters"].query("method == 'fitted_metric'").set_index("parameter")["value"]
     assert second["mu2_pa"] == 2e7 and abs(second["bevel_mm"] / fitted(several_fits)["bevel_mm"] - 1) < 0.01
     printed = {row["parameter"]: row for row in arrange_parameters(tabulate_parameters(several_fits))}
-    assert printed["bevel_mm"]["fitted_metric"] == format_number(second["bevel_mm"])
+    assert printed["bevel_mm"]["fitted_metric"]["value"] == second["bevel_mm"]
+    (found,) = frames["error_fit"].to_dict("records")
+    assert found["least_objective_mm"] <= found["objective_mm"]
+    assert found["objective_mm"] <= found["least_objective_mm"] + found["tolerance_mm"]
 
 
 @pytest.mark.sweep
@@ -583,7 +585,7 @@ def test_a_tie_shares_its_sources_verdict_times_its_factor(project: Path) -> Non
     assert mu2["status"] == "tied" and mu2["note"].startswith("tied: 50 * mu1_pa")
     for column in ("value", "low", "high", "interval_low", "interval_high"):
         assert mu2[column] == pytest.approx(50 * mu1[column])
-    assert mu1["determined"] and not mu2["determined"]  # only the tie determines it
+    assert (mu1["determined"], mu2["determined"]) == ("yes", "only together")
     assert math.isnan(mu2["sd"]) and mu1["sd"] > 0
     assert [mu1["bound_low"], mu1["bound_high"]] == [3e4, 3e6] and math.isnan(mu2["bound_low"])
-    assert rows.loc["alpha1", "note"].startswith("fixed") and not rows.loc["alpha1", "determined"]
+    assert rows.loc["alpha1", "note"].startswith("fixed") and rows.loc["alpha1", "determined"] == ""

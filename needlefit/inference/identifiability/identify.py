@@ -81,7 +81,6 @@ class Identifiability:
 
     sds: Mapping[str, float]  #: posterior standard deviation, of the logarithm (of a shape parameter itself)
     determined: Mapping[str, bool]  #: whether the data determine it by itself
-    together: Mapping[str, bool]  #: whether they determine it while all others are held
     at_bound: Mapping[str, str]  #: "lower" or "upper" where the best point lies at a bound, else ""
     #: spread_low, spread_high: its range among the starts within tolerance of the best (Pa, mm)
     spread_low: Mapping[str, float]
@@ -93,6 +92,7 @@ class Identifiability:
     chi_square: float
     #: whether the dataset states no noise, so that the fit's residuals had to stand for it
     noise_estimated: bool
+    together: Mapping[str, bool] = field(default_factory=dict)  #: the same while all others are held
     #: under which assumption alone the data determine it, "" otherwise
     conditions: Mapping[str, str] = field(default_factory=dict)
     #: the standard deviations with assumptions loosened; none where nothing is determined anyway

@@ -905,8 +905,10 @@ def _name_folds(found: Mapping[str, Sequence[str]]) -> Iterator[str]:
 
 def tabulate_files(result: Run) -> dict[str, pd.DataFrame]:
     """Return the tables that are written as CSV, by name."""
-    names = ("design", "errors", "shapes", "starts", "failures", "error_fit", "directions")
+    names = ("design", "errors", "shapes", "starts", "failures", "directions")
     frames = {name: result.frames[name] for name in names}
+    if len(result.frames["error_fit"]):
+        frames["error_fit"] = result.frames["error_fit"]
     predictions = [result.frames[name] for name in ("predictive", "predictive_training")]
     if any(map(len, predictions)):
         frames["predictive"] = pd.concat([frame for frame in predictions if len(frame)])

@@ -378,7 +378,7 @@ SEARCHED = ("free", "tied")  #: values of `status` of parameters that are estima
 _PARAMETER_COLUMNS = (
     *("study", "medium", "fold", "parameter", "method", "value", "median"),
     *("determined", "condition", "status"),
-    *("sd", "interval_low", "interval_high", "draw_source", "importance_low", "importance_high"),
+    *("sd", "interval_low", "interval_high", "draw_source"),
     *("low", "high", "bound_low", "bound_high", "note", "comparable", "origin"),
 )
 
