@@ -8,7 +8,7 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import fields, replace
 from pathlib import Path
@@ -111,6 +111,34 @@ def load_dataset(name: Name) -> Dataset:
     ('synthetic', 47)
     """
     return read(find_file("dataset", _spell(name)))
+
+
+def make_twin(folder: Name, seed: int, media: Sequence[str] = ()) -> Dataset:
+    """Write the synthetic dataset of another seed to `folder`, and return it.
+
+    It is measured as a scan would, but not rendered: a second for two insertions.
+
+    Parameters
+    ----------
+    folder : str or Path
+        A new folder for its files.
+    seed : int
+        Of specimens, bevels and errors of measurement; the plan of the 47 insertions is the same.
+    media : sequence of str
+        Insertions into these media only, such as `["chicken"]`.
+
+    Raises
+    ------
+    ConfigError
+        If there is no insertion into such a medium.
+    """
+    from needlefit.synthetic.build import build_unscanned
+    from needlefit.synthetic.design import list_planned_insertions
+
+    plan = [one for one in list_planned_insertions() if not media or one.medium in media]
+    if missing := set(media) - {one.medium for one in plan}:
+        raise ConfigError(f"the twin has no insertions into {', '.join(sorted(missing))}")
+    return read(build_unscanned(Path(folder), seed, plan))
 
 
 def load_run(folder: Name, unverified: bool = False) -> Run:
