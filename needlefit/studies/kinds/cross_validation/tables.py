@@ -501,15 +501,14 @@ def lay_out_parameters(results: Sequence[Run], free_alone: bool = False) -> Tabl
     rows = []
     for number, row in enumerate(table):
         named = not number or row["study"] != table[number - 1]["study"]
-        status = str(row["status"])
-        notes = ("" if status in ("free", "fixed") else status, insert_symbols(str(row["note"] or "")))
+        tied = str(row["note"]) if row["status"] == "tied" else ""  # it names the tie, and its condition
         rows.append(
             {
                 **describe_parameter([row], truths[row["study"]].get(row["parameter"])),
                 "group": (row["study"], row["fold"]),
                 "study": row["study"] if named else "",
                 "fold": row["fold"] if folds else "",
-                "note": "; ".join(dict.fromkeys(filter(None, notes))),
+                "note": insert_symbols(tied or str(row["condition"] or "")),
             }
         )
     columns = (
