@@ -194,7 +194,7 @@ def sample(
     medium: Medium | None = None,
     **options: Unpack[FitChanges],
 ) -> Run:
-    """Fit as `fit`, then sample the posterior.
+    """Fit as `fit`, then sample the posterior by MCMC, as `needlefit tune` does.
 
     Parameters
     ----------
@@ -268,15 +268,13 @@ def predict(
     return _run(record, f"predict-{about}-{stem}", Settings(inputs=inputs), options)
 
 
-def validate(study: Name | FileRecord | Table, sample: bool = False, **options: Unpack[RunOptions]) -> Run:
+def validate(study: Name | FileRecord | Table, **options: Unpack[RunOptions]) -> Run:
     """Run a study of any kind: fit and score held-out insertions, or whatever else its file asks.
 
     Parameters
     ----------
     study : str, Path, record or table
         A name such as `study3`, a path, or the keys of a study file.
-    sample : bool
-        Whether to sample the posteriors too.
 
     Raises
     ------
@@ -301,7 +299,7 @@ def validate(study: Name | FileRecord | Table, sample: bool = False, **options: 
                 fix=f"run them one by one: {', '.join([name, *(other for other, _ in others)])}",
             )
         record = load_study(file)
-    return _run(record, name, Settings(sample=sample, file=file), options)
+    return _run(record, name, Settings(file=file), options)
 
 
 def _fit(target: Name | Dataset | Run, medium: Medium | None, options: FitChanges, sample: bool) -> Run:

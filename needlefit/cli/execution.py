@@ -15,7 +15,6 @@ import typer
 from needlefit.cli import exit_codes, screen
 from needlefit.cli.exit_codes import Invocation, catch_interrupts
 from needlefit.cli.progress import show_progress
-from needlefit.errors import ConfigError
 from needlefit.project.processes import count_cores
 from needlefit.project.progress import never_stop, no_note
 
@@ -55,18 +54,10 @@ class Execution:
         from needlefit.project.checkpoint import require_own_checkpoint
         from needlefit.project.folders import require_replaceable
 
-        asked = self.invocation
-        replacing = dict.fromkeys(names, asked.sample)  # whether a sampled posterior may be replaced
-        replacing |= {f"reference/{name}": True for name in referenced if asked.reference}
-        for name, samples in replacing.items():
+        references = [f"reference/{name}" for name in referenced if self.invocation.reference]
+        for name in (*names, *references):
             require_replaceable(self.folder(name))
             require_own_checkpoint(self.checkpoint(name))
-            if not samples and any(self.folder(name).glob("posterior*.nc")):
-                raise ConfigError(
-                    "holds a sampled posterior, which this run would replace by none",
-                    where=str(self.folder(name)),
-                    fix="sample again with --sample, write elsewhere with --out, or remove it",
-                )
 
     def folder(self, name: str) -> Path:
         """Return where the results of one study or fit go."""
@@ -82,8 +73,11 @@ class Execution:
         with open_pool(self.invocation.jobs, self.invocation.scheduler, self.invocation.insecure) as pool:
             yield replace(self, pool=pool)
 
-    def run(self, name: str, record: "FileRecord") -> "Run":
-        """Run one study or fit; where `stop` says so it stops early and is marked `interrupted`."""
+    def run(self, name: str, record: "FileRecord", sample: bool = False) -> "Run":
+        """Run one study or fit; where `stop` says so it stops early and is marked `interrupted`.
+
+        `sample` says whether the posterior of a fit is sampled by MCMC.
+        """
         from needlefit.studies.job import Settings
         from needlefit.studies.kind import kind_of
 
@@ -96,7 +90,7 @@ class Execution:
                 pool=pool,
                 checkpoint=self.checkpoint(name),
                 resume=asked.resume,
-                sample=asked.sample,
+                sample=sample,
                 progress=report,
                 stop=self.stop,
                 first=no_note if asked.quiet else print_remark,

@@ -32,13 +32,15 @@ if TYPE_CHECKING:
 
 
 @takes(
-    "sample seed jobs out resume strict explain json quiet verbose",
+    "seed jobs out resume strict explain json quiet verbose",
     design=flag("Which parameters the design determines, before any measurement.", "--design"),
+    no_sample=flag("Intervals by importance sampling alone, without MCMC and posterior.nc.", "--no-sample"),
 )
-def tune(context: typer.Context, target: str, design: bool = False) -> None:
+def tune(context: typer.Context, target: str, design: bool = False, no_sample: bool = False) -> None:
     """Fit the parameters of a TARGET (mu, alpha, b).
 
-    Prints each parameter with its 95 % interval, and which ones the data do not determine.
+    Prints each parameter with its 95 % interval, and which ones the data do not determine. The posterior is
+    sampled by MCMC (emcee), from draws by importance sampling.
 
     With --design no measured shape is used: shapes are simulated with the paper's parameters or the middle of
     the bounds. Fisher information, profile likelihoods and posterior SD / prior SD go to OUT/TARGET-design/.
@@ -48,8 +50,6 @@ def tune(context: typer.Context, target: str, design: bool = False) -> None:
     far, marked as interrupted, and prints the command that continues; a second Ctrl-C stops at once.
     """
     with begin(context) as execution:
-        if design and execution.invocation.sample:
-            raise typer.BadParameter("excludes --sample: nothing is fitted", param_hint="--design")
         from needlefit.project.toml import add_file_context
         from needlefit.studies.study_files import load_target
 
@@ -61,7 +61,7 @@ def tune(context: typer.Context, target: str, design: bool = False) -> None:
             return
         execution.prepare([name])
         with add_file_context(file):
-            results = execution.run(name, record)
+            results = execution.run(name, record, sample=not no_sample)
         if results.interrupted and "fitted" not in set(results.frames["errors"]["method"]):
             raise execution.interrupted()  # nothing found yet: an earlier result stays
         execution.write(results)
@@ -175,7 +175,7 @@ def _end_calibration(execution: Execution, found: "list[Run]") -> None:
 
 
 @takes(
-    "sample seed jobs scheduler insecure out reference resume strict explain json quiet verbose",
+    "seed jobs scheduler insecure out reference resume strict explain json quiet verbose",
     study=argument(
         "STUDY", "study1 ... study5, all (those five), everything, another, or a path.", complete_studies
     ),
@@ -231,7 +231,7 @@ def _write_combined_report(execution: Execution, study: str, runs: "list[Run]") 
     scene=option(
         "The planned insertion: a name or a path.", "SCENE", "--scene", autocompletion=complete_scenes
     ),
-    run=option("Result of `tune TARGET --sample` (default: OUT/TARGET-tune).", "DIR"),
+    run=option("Result of `tune TARGET` (default: OUT/TARGET-tune).", "DIR"),
     specimen=option(
         "new: into a specimen that was not fitted to; same: into the one that was, or, of several that "
         "differ, its NAME (default: same if the TARGET states `same_specimen`; else new, with the spread "

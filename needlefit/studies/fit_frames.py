@@ -19,15 +19,16 @@ starts
     `gradients` are the evaluations with derivatives among all; `joined` is the start that it met on its
     approach and went on with, empty if none.
 failures
-    The first evaluations that failed, of every start and of every ensemble of the sampler (`fit` is then
-    "posterior"): the insertion without a solution, the reason, then one column per parameter.
+    The first evaluations that failed, of every start and of the sampler (`fit` is then "posterior"): the
+    insertion without a solution, the reason, then one column per parameter.
 
 parameters :
     Values per fold and method; `sd` is of ln for moduli and lengths, of the value for alpha; `low`,
     `high` is the range among starts within tolerance of the best; `interval_low`, `interval_high` is the one
     95 % interval that is printed, of the error-minimising fit its range within the tolerance of the errors,
-    `draw_source` what it is from. `determined` is "yes", "only together" (with the others held it is), or
-    "no".
+    `draw_source` what it is from, `median` that of the same draws; `importance_low`, `importance_high` is the
+    interval of the draws by importance. `determined` is "yes", "only together" (with the others held it is),
+    or "no".
 error_fit
     Per fold the objective of the error-minimising fit: at the reported point, at the least one, and the
     tolerance within which it is not significantly larger, with its two estimates.
@@ -104,6 +105,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "parameters": (
             *("fold", "method", "parameter", "value", "status", "bound_low", "bound_high"),
             *("sd", "low", "high", "interval_low", "interval_high", "draw_source"),
+            *("median", "importance_low", "importance_high"),
             *("determined", "condition", "note"),
         ),
         "error_fit": (

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from needlefit.arrays import Floats
 from needlefit.inference.identifiability import directions, precision
 from needlefit.inference.identifiability.identify import (
     AGREEMENT,
@@ -154,17 +155,19 @@ def _profile_rows(parameters: Parameters, one: ParameterProfile) -> list[Row]:
 # ---- differences of two runs
 
 
-NO_SOURCE = {"interval_low": math.nan, "interval_high": math.nan, "draw_source": ""}
-_PERCENTILES = (2.5, 97.5)
-
-
 @dataclass(frozen=True)
 class ParameterInterval:
-    """A 95 % interval, Pa or mm; `source` is "posterior" (sampled), "importance" or "profile"."""
+    """A 95 % interval, Pa or mm; `source` is "posterior" (sampled), "importance" or "profile".
+
+    A profile has no median, and no interval of draws by importance beside its own.
+    """
 
     low: float
     high: float
     source: str
+    median: float = math.nan
+    importance_low: float = math.nan
+    importance_high: float = math.nan
 
     def width(self, name: str) -> float:
         """Return the width of the coordinate: of ln for moduli and lengths."""
@@ -174,26 +177,85 @@ class ParameterInterval:
         """Return whether it is no wider than a Gaussian one of the largest SD of a determined parameter."""
         return self.width(name) < directions.widest_interval(name)
 
+    def scale(self, factor: float) -> "ParameterInterval":
+        """Return the interval of a parameter that is exactly so many times as large."""
+        lengths = ("low", "high", "median", "importance_low", "importance_high")
+        return replace(self, **{name: factor * getattr(self, name) for name in lengths})
+
     def columns(self) -> Row:
         return {"interval_low": self.low, "interval_high": self.high, "draw_source": self.source}
 
+    def sampled_columns(self) -> Row:
+        """Return what draws alone know, with the columns of the interval."""
+        own = {name: getattr(self, name) for name in ("median", "importance_low", "importance_high")}
+        return {**self.columns(), **own}
+
+
+NO_SOURCE = ParameterInterval(math.nan, math.nan, "").sampled_columns()
+_PERCENTILES = (2.5, 50, 97.5)
+
 
 def intervals_of_draws(
-    parameters: Parameters, draws: Draws | None, posterior: Posterior | None
+    parameters: Parameters, draws: Draws | None, importance: Draws | None, posterior: Posterior | None
 ) -> dict[str, ParameterInterval]:
-    """Return the intervals of all estimated parameters from the draws, if these are certified."""
-    if posterior is not None:
-        found = posterior.percentiles(_PERCENTILES) if posterior.converged else {}
-        return {name: ParameterInterval(low, high, "posterior") for name, (low, high) in found.items()}
+    """Return the intervals of all estimated parameters, if there are draws that represent the posterior.
+
+    They are of the sampled posterior if it has converged, else of `draws`. Beside each stands that of the
+    draws by `importance`, if these are certified.
+    """
+    before = _take_percentiles(parameters, importance)
+    found, source = _take_percentiles(parameters, draws), "" if draws is None else draws.source
+    if posterior is not None and not posterior.faults:
+        found, source = posterior.percentiles(_PERCENTILES), "posterior"
+    nothing = (math.nan,) * len(_PERCENTILES)
+    intervals = {}
+    for name, (low, median, high) in found.items():
+        importance_low, _, importance_high = before.get(name, nothing)
+        intervals[name] = ParameterInterval(low, high, source, median, importance_low, importance_high)
+    return intervals
+
+
+def _take_percentiles(parameters: Parameters, draws: Draws | None) -> dict[str, tuple[float, ...]]:
+    """Return the percentiles of all estimated parameters over draws; none if these are not certified."""
     if draws is None or draws.certified is None:
         return {}
     sets = [parameters.values(theta) for theta in draws.thetas]
     estimated = [name for name in sets[0] if parameters.status[name] != "fixed"]
     ends = np.percentile([[one[name] for name in estimated] for one in sets], _PERCENTILES, axis=0)
-    return {
-        name: ParameterInterval(low, high, draws.source)
-        for name, (low, high) in zip(estimated, ends.T.tolist(), strict=True)
-    }
+    return dict(zip(estimated, map(tuple, ends.T.tolist()), strict=True))
+
+
+MONTE_CARLO_SD = 3.0  #: standard errors within which the end of an interval is looked for
+
+
+def list_differing_intervals(
+    parameters: Parameters, importance: Draws, posterior: Posterior
+) -> tuple[str, ...]:
+    """Return the parameters whose intervals by both samplers differ by more than their Monte Carlo error.
+
+    Of n independent draws the quantile of p lies between their quantiles of p -+ z sqrt(p (1 - p) / n); of
+    either sampler these two of an end must not all lie on one side of the other's. None where either has not
+    converged, or is not certified.
+    """
+    if importance.certified is None or posterior.faults:
+        return ()
+    sets = [parameters.values(theta) for theta in importance.thetas]
+    differing = []
+    for k, name in enumerate(posterior.names):
+        by_importance = np.array([one[name] for one in sets])
+        for percentile in (_PERCENTILES[0], _PERCENTILES[-1]):
+            first = _find_end(posterior.draws[:, :, k], percentile / 100, posterior.ess[k])
+            second = _find_end(by_importance, percentile / 100, importance.effective_sample_size)
+            if max(first[0], second[0]) > min(first[1], second[1]):
+                differing.append(name)
+    return tuple(dict.fromkeys(differing))
+
+
+def _find_end(draws: Floats, p: float, independent: float) -> tuple[float, float]:
+    """Return between which values the quantile of `p` lies, of so many independent draws."""
+    error = MONTE_CARLO_SD * math.sqrt(p * (1 - p) / independent)
+    low, high = np.quantile(draws, [max(0.0, p - error), min(1.0, p + error)])
+    return float(low), float(high)
 
 
 def add_intervals(
@@ -225,8 +287,8 @@ def add_intervals(
         if found is None and name in ties and row["status"] != "fixed":
             factor, source = ties[name]
             one = sampled.get(source, profiles.get(source))
-            found = one and ParameterInterval(factor * one.low, factor * one.high, one.source)
-        row |= NO_SOURCE if found is None else found.columns()
+            found = one and one.scale(factor)
+        row |= NO_SOURCE if found is None else found.sampled_columns()
         if found is not None and row["determined"] == "yes" and not found.is_narrow(name):
             held = together.get(ties.get(name, (1.0, name))[1], False)
             row |= {"determined": directions.name_determined(False, held), "condition": ""}

@@ -199,6 +199,7 @@ class WeightedDraws:
     min_ess: float  #: independent draws that they had to be worth
     #: logarithm of the density's integral within the bounds: of the mean weight before smoothing
     log_evidence: float
+    proposal: StudentMixture  #: from which the last round was drawn: wide, with what the draws taught
 
     @property
     def effective_sample_size(self) -> float:
@@ -290,15 +291,10 @@ def _make_effort(
         # deterministic mixture: each draw against all proposals together, not only the one that drew it
         heavy = density - logsumexp(proposed, axis=0)
         weights, evidence = smooth_weights(heavy), float(logsumexp(heavy))
-        found = WeightedDraws(thetas, density, *weights, effort.min_ess, log_evidence=evidence)
+        found = WeightedDraws(thetas, density, *weights, effort.min_ess, evidence, proposal)
         if (found.certified and len(proposals) >= MIN_ROUNDS) or len(proposals) == effort.rounds:
             return found
-        fitted = _fit_mixture(found, rng, effort.components)
-        proposal = StudentMixture(
-            0.5 * np.concatenate([first.weights, fitted.weights]),
-            np.concatenate([first.centres, fitted.centres]),
-            np.concatenate([first.factors, fitted.factors]),
-        )
+        proposal = join_mixtures(first, fit_mixture(found, rng, effort.components), 0.5)
 
 
 EM_STEPS = 6  #: steps of expectation and maximisation between rounds
@@ -311,7 +307,16 @@ WIDE_SHARE, WIDE_SCALE = 0.3, 3.0
 MIN_COVARIANCE_FRACTION = 1e-4  #: part of the draws' whole covariance that every component has at least
 
 
-def _fit_mixture(found: WeightedDraws, rng: np.random.Generator, components: int) -> StudentMixture:
+def join_mixtures(one: StudentMixture, other: StudentMixture, share: float) -> StudentMixture:
+    """Return the mixture of two, the second with this `share`."""
+    return StudentMixture(
+        np.concatenate([(1 - share) * one.weights, share * other.weights]),
+        np.concatenate([one.centres, other.centres]),
+        np.concatenate([one.factors, other.factors]),
+    )
+
+
+def fit_mixture(found: WeightedDraws, rng: np.random.Generator, components: int) -> StudentMixture:
     """Return a mixture fitted to the draws as they stand for the density, or a power of it."""
     weights = _flatten_weights(found, MIN_ESS_PER_COMPONENT * components)
     at = found.thetas

@@ -368,7 +368,8 @@ class Facts:
             "is_study": isinstance(self.results.record, StudyRecord),
             "distinct_held_out": len({one for fold in run["folds"] for one in fold["validate"]}),
             "first_draws": int(predicted["draws"].iloc[0]) if len(predicted) else 0,
-            "from_posterior": bool((predicted["draw_source"] == "posterior").all()),
+            "folds": predicted["fold"].nunique(),
+            "sampled_folds": predicted[predicted["draw_source"] == "posterior"]["fold"].nunique(),
             "pareto_k": None if pd.isna(pareto) or pareto == float("inf") else float(pareto),
             "specimens": recipe.get("specimens") if new else None,
             "packages": [

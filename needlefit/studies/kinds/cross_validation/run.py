@@ -9,7 +9,6 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -37,7 +36,6 @@ from needlefit.inference.parameters import HYPERPARAMETERS, Theta, to_value
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem, explain_failure, find_outside_validity
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.inference.sampling.sample import Snapshots, sample_from_fit
 from needlefit.metrics import METRICS
 from needlefit.project.checkpoint import Checkpoint, open_checkpoint
 from needlefit.project.input_files import read_toml
@@ -52,6 +50,7 @@ from needlefit.studies.fit_frames import COLUMNS as FRAMES
 from needlefit.studies.fit_frames import TUNED_SPECIMENS
 from needlefit.studies.fit_warnings import add_warnings
 from needlefit.studies.held_out_predictions import (
+    FoldDraws,
     HeldOutPrediction,
     Specimens,
     draw_fold_parameters,
@@ -62,6 +61,7 @@ from needlefit.studies.identification import (
     add_intervals,
     identify_parameters,
     intervals_of_draws,
+    list_differing_intervals,
     reconcile_verdict,
 )
 from needlefit.studies.job import Fold, Job, Settings, prepare
@@ -172,10 +172,9 @@ def find_faults(errors: pd.DataFrame, search_faults: Faults, not_converged: Faul
 
 @dataclass(frozen=True)
 class _Drawn:
-    """Draws of a fold's parameters, to predict with and for figures, and the predictions by them."""
+    """Draws of a fold's parameters, and the predictions by them."""
 
-    draws: Draws
-    shown: Draws
+    made: FoldDraws
     specimens: Specimens
     predicted: tuple[HeldOutPrediction, ...]
     plain: tuple[HeldOutPrediction, ...]  #: of insertions into new specimens, by what was tuned alone
@@ -196,6 +195,8 @@ class _StudyRun:
     searches: dict[str, dict[str, Fit]] = field(default_factory=dict)
     verdicts: dict[str, Identifiability] = field(default_factory=dict)
     posteriors: dict[str, Posterior] = field(default_factory=dict)
+    #: by fold the parameters whose intervals by both samplers differ
+    differing: dict[str, tuple[str, ...]] = field(default_factory=dict)
     uncertified: dict[str, tuple[str, ...]] = field(default_factory=dict)
     search_faults: dict[str, list[str]] = field(default_factory=dict)
     counts: ValidityCounts = field(default_factory=ValidityCounts)
@@ -230,19 +231,16 @@ class _StudyRun:
             lambda: pickle.dumps(self._go_on()._examine(number, fold, fits)),
         ]
         with compute_beside(() if settings.jobs == 1 else rest, settings.stop) as finish:
-            if not settings.sample:
-                drawn = self._draw(number, fold, fits)
+            drawn = self._draw(number, fold, fits)
             if not settings.stop():
                 more, profiles = map(pickle.loads, finish() or [work() for work in rest])
                 fits |= more
         self.interrupted = any(fit.interrupted for fit in fits.values()) or len(fits) < len(job.searches)
-        self.interrupted = self.interrupted or settings.stop()
         if better := _move_to_better(job.problem(fold), fits, profiles):
             fits["fitted"], drawn = better, None
             profiles = self._examine(number, fold, fits)
-        if settings.sample and not self.interrupted:
-            self.interrupted = self._sample(fold, fits["fitted"])
         drawn = drawn or self._draw(number, fold, fits)
+        self.interrupted = self.interrupted or settings.stop()
         least = self._examine_errors(number, fold, fits, drawn)
         self.parts |= {(number, phase): 1.0 for phase in self._list_phases(fold)}
         self._report(number, "errors")
@@ -367,8 +365,8 @@ class _StudyRun:
         if fit is None or fit.interrupted or not math.isfinite(fit.objective) or settings.stop():
             return None
         problem, target = job.problem(fold, "fitted_metric"), None
-        if drawn is not None and len(drawn.draws.thetas):
-            thetas = drawn.specimens.replace_mean(drawn.draws).thetas
+        if drawn is not None and len(drawn.made.draws.thetas):
+            thetas = drawn.specimens.replace_mean(drawn.made.draws).thetas
             median = job.parameters.values(np.median(thetas, axis=0))
             columns = [job.parameters.free.index(name) for name in problem.names]
             target = Target(problem.parameters.theta(median), np.std(thetas, axis=0)[columns])
@@ -401,22 +399,6 @@ class _StudyRun:
         self.rows["parameters"] += _error_fit_rows(problem, fold, reported, found)
         return reported
 
-    def _sample(self, fold: Fold, fit: Fit) -> bool:
-        """Sample the posterior of one fold; return whether it was interrupted."""
-        job, settings = self.job, self.settings
-        step = partial(settings.progress, f"{job.name}: posterior")
-        rng = random_stream(job.recipe.seed, fold.name, "posterior")
-        callbacks = Callbacks(stop=settings.stop, step=step, jobs=settings.jobs)
-        snapshots = Snapshots(self.checkpoint, fold.name)
-        posterior = sample_from_fit(job.problem(fold), fit, job.recipe.sample, rng, callbacks, snapshots)
-        if posterior is None:  # there is no posterior to write
-            return True
-        self.posteriors[fold.name] = posterior
-        for ensemble, thetas in enumerate(posterior.failed):
-            place = {"fold": fold.name, "fit": "posterior", "start": ensemble}
-            self.rows["failures"] += _failure_rows(place, job.problem(fold), thetas)
-        return posterior.interrupted
-
     def _draw(self, number: int, fold: Fold, fits: Mapping[str, Fit]) -> "_Drawn | None":
         """Return draws of a fold's parameters, and the predictions of the insertions that it holds out.
 
@@ -426,23 +408,28 @@ class _StudyRun:
         job, settings, fit = self.job, self.settings, fits.get("fitted")
         if fit is None or not math.isfinite(fit.objective) or (settings.stop() and not fold.validate):
             return None
-        self._report(number, "posterior draws")
-        draws, shown = draw_fold_parameters(job, fold, fit, self.posteriors.get(fold.name), settings)
-        self._report(number, "posterior draws", 1)
-        jobs = settings.jobs
-        specimens = Specimens(job, fold, draws, jobs, self.specimens)
+
+        def sampled(done: int, total: int) -> None:
+            self._report(number, "posterior draws", done / total)
 
         def step(done: int, total: int) -> None:
             self._report(number, "predictions", done / total)
 
+        sampled(0, 1)
+        made = draw_fold_parameters(job, fold, fit, settings, self.checkpoint, sampled)
+        sampled(1, 1)
+        if settings.sample and made.posterior is not None:
+            self.posteriors[fold.name] = made.posterior
+        draws, jobs = made.draws, settings.jobs
+        specimens = Specimens(job, fold, draws, jobs, self.specimens)
         step(0, 1)
         given = replace(fold, validate=() if specimens.faults else fold.validate)
         predicted = predict_held_out(job, given, draws, specimens, jobs, bands=True, step=step)
         known = () if draws.faults else fold.validate
         others = replace(fold, validate=tuple(filter(specimens.differs, known)))
         # only their coverage, mean width and score are shown: the draws of figures will do
-        plain = predict_held_out(job, others, shown, None, jobs)
-        return _Drawn(draws, shown, specimens, tuple(predicted), tuple(plain))
+        plain = predict_held_out(job, others, made.shown, None, jobs)
+        return _Drawn(made, specimens, tuple(predicted), tuple(plain))
 
     def _tabulate_draws(self, fold: Fold, drawn: "_Drawn") -> None:
         """Add predictions, and draws in Pa and mm: of the specimens' mean, of each and of a new one."""
@@ -451,7 +438,10 @@ class _StudyRun:
             self.rows["bands"] += one.band
             self.counts.predicted.add(one.solved, one.outside)
         self.rows["predictive_training"] += [one.row for one in drawn.plain]
-        job, specimens, draws = self.job, drawn.specimens, drawn.specimens.replace_mean(drawn.shown)
+        if (posterior := self.posteriors.get(fold.name)) is not None:
+            place = {"fold": fold.name, "fit": "posterior", "start": 0}
+            self.rows["failures"] += _failure_rows(place, self.job.problem(fold), posterior.failed)
+        job, specimens, draws = self.job, drawn.specimens, drawn.specimens.replace_mean(drawn.made.shown)
         about = {"fold": fold.name, **draws.describe()}
         if draws.faults:
             self.uncertified[fold.name] = draws.faults
@@ -490,9 +480,11 @@ class _StudyRun:
         They are judged by draws of the posterior; without certified ones, by the information.
         """
         job, problem, posterior = self.job, self.job.problem(fold), self.posteriors.get(fold.name)
-        draws = further = None
+        draws = importance = further = None
         if drawn is not None:
-            draws = drawn.specimens.replace_mean(drawn.draws)
+            draws, importance = drawn.specimens.replace_mean(drawn.made.draws), drawn.made.importance
+            if posterior is not None:
+                self.differing[fold.name] = list_differing_intervals(job.parameters, importance, posterior)
             if drawn.specimens.separate:
                 further = None if draws.faults else drawn.specimens.population.new
                 posterior = None  # the sampler's has one set of parameters, specimens several
@@ -510,7 +502,7 @@ class _StudyRun:
             for one in verdict.directions
         ]
         fitted = _fitted_rows(job, fold, fit, verdict, judgements)
-        sampled = intervals_of_draws(job.parameters, draws, posterior)
+        sampled = intervals_of_draws(job.parameters, draws, importance, posterior)
         add_intervals(fitted, judged, sampled, job.parameters.ties, verdict.together)
         self.rows["identification"] += judged
         self.rows["parameters"] += fitted
@@ -526,6 +518,7 @@ class _StudyRun:
         sampled = {
             "failed_solves_of_sampler": sum(p.failures for p in posteriors.values()),
             "not_converged": {fold: list(p.faults) for fold, p in posteriors.items() if p.faults},
+            "differing_intervals": {fold: list(names) for fold, names in self.differing.items() if names},
         }
         return {
             "searches": searches,

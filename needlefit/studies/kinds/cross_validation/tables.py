@@ -378,7 +378,7 @@ SEARCHED = ("free", "tied")  #: values of `status` of parameters that are estima
 _PARAMETER_COLUMNS = (
     *("study", "medium", "fold", "parameter", "method", "value", "median"),
     *("determined", "condition", "status"),
-    *("sd", "interval_low", "interval_high", "draw_source"),
+    *("sd", "interval_low", "interval_high", "draw_source", "importance_low", "importance_high"),
     *("low", "high", "bound_low", "bound_high", "note", "comparable", "origin"),
 )
 
@@ -596,13 +596,13 @@ def lay_out_posterior(results: Run) -> TableLayout:
     percentiles = [f"p{percentile:g}" for percentile in PERCENTILES]
     for row in to_records(tabulate_percentiles(results)):
         label, unit = choose_printed_unit(str(row["parameter"]), [row[name] for name in percentiles])
-        values = [*percentiles, "fit_value_used"]
+        values = [*percentiles, "fit_value_used", "importance_low", "importance_high"]
         cells = {name: None if row[name] is None else row[name] / unit for name in values}
         cells |= {"mark": "‡" if row["fit_in_central_95"] is False else ""}
         state = "" if row["converged"] else "NOT CONVERGED"
         fold = row["fold"] if several else ""
         rows.append({**row, **cells, "parameter": label, "fold": fold, "state": state})
-    columns = ("fold", "parameter", *percentiles, "fit_value", "r_hat", "state")
+    columns = ("fold", "parameter", *percentiles, "importance_95", "fit_value", "r_hat", "ess", "state")
     unconverged = any(posterior.faults for posterior in results.posteriors.values())
     marked = any(row["mark"] for row in rows)
     table = Table("posterior", rows, columns)
@@ -618,34 +618,33 @@ def tabulate_percentiles(results: Run) -> pd.DataFrame:
 
     `fit_value_used` is what the fit ended with and its predictions used; `fit_in_central_95` is false where
     that lies outside the central 95 % of the draws: a peak need not lie where most of a density is, and a
-    fit of the recipe's error metrics need not agree with a posterior at all. `acceptance` is the fold's;
-    `ess_bulk` and `ess_tail` are the independent draws of the ensemble that has fewest. `converged` is false
-    where the criteria, which concern more than the parameters, are not met: percentiles are then not final.
-    `determined` is as of `tabulate_parameters`; where it is "no" the percentiles depend on the bounds too.
+    fit of the recipe's error metrics need not agree with a posterior at all. `acceptance` is the fold's.
+    `converged` is false where the criteria, which concern more than the parameters, are not met: percentiles
+    are then not final. `determined` is as of `tabulate_parameters`; where it is "no" the percentiles depend
+    on the bounds too.
     """
     known = results.frames["parameters"]
     rows = to_records(known[known["method"] == "fitted"])
-    fits = {(str(row["fold"]), row["parameter"]): row["value"] for row in rows if row["value"] is not None}
-    known_of = {(str(row["fold"]), row["parameter"]): row["determined"] for row in rows}
+    fitted = {(str(row["fold"]), row["parameter"]): row for row in rows if row["value"] is not None}
     names, found = [f"p{percentile:g}" for percentile in PERCENTILES], list[Row]()
     for fold, posterior in results.posteriors.items():
-        about: Row = {"acceptance": float(np.mean(posterior.acceptance)), "converged": posterior.converged}
+        about: Row = {"acceptance": float(np.mean(posterior.acceptance)), "converged": not posterior.faults}
         about |= {"fold": fold, "origin": results.origin}
         for number, (name, values) in enumerate(posterior.percentiles().items()):
-            used = fits.get((str(fold), name))
+            one = fitted.get((str(fold), name), {})
+            used = one.get("value")
             compared = None if used is None else values[0] <= used <= values[-1]
             found.append(
                 {
                     **{"parameter": name, **dict(zip(names, values, strict=True)), **about},
                     **{"fit_value_used": used, "fit_in_central_95": compared},
-                    "determined": None if used is None else known_of[str(fold), name],
-                    "r_hat": float(posterior.convergence.r_hat[number]),
-                    "ess_bulk": float(posterior.convergence.ess_bulk[:, number].min()),
-                    "ess_tail": float(posterior.convergence.ess_tail[:, number].min()),
+                    "determined": one.get("determined"),
+                    **{key: one.get(key) for key in ("importance_low", "importance_high")},
+                    **{"r_hat": float(posterior.r_hat[number]), "ess": float(posterior.ess[number])},
                 }
             )
     heads = ("fold", "parameter", *names, "fit_value_used", "determined", "fit_in_central_95")
-    heads += ("r_hat", "ess_bulk", "ess_tail", "acceptance", "converged", "origin")
+    heads += ("importance_low", "importance_high", "r_hat", "ess", "acceptance", "converged", "origin")
     return pd.DataFrame(found, columns=heads)
 
 
