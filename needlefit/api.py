@@ -19,6 +19,7 @@ import numpy as np
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
+from needlefit.inference.parameter_changes import change_parameters
 from needlefit.project.checkpoint import remove_checkpoint
 from needlefit.project.input_files import is_dir
 from needlefit.project.json_values import to_json_values
@@ -28,11 +29,11 @@ from needlefit.project.progress import Progress, Stop, never_stop, no_progress
 from needlefit.project.tasks import THIS_PROCESS, TaskPool
 from needlefit.project.toml import add_file_context, check, load
 from needlefit.schemas.base import FileRecord
-from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.medium import MediumRecord, spell_parameter
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.studies.job import Inputs, Settings, prepare, set_priors
+from needlefit.studies.job import Inputs, Settings, change_fit, prepare, set_priors
 from needlefit.studies.kind import find_kind, kind_of
 from needlefit.studies.kinds.prediction import require_same_configuration
 from needlefit.studies.run import Run
@@ -87,11 +88,17 @@ class FitChanges(RunOptions, total=False):
         How to search and sample; a table changes keys of the recipe `default`: `{"starts": 4}`.
     priors : mapping
         By number of the layer: the file that `needlefit material` wrote.
+    free : sequence of str
+        Parameters to estimate although the model fixes or ties them: `["alpha1"]`.
+    fix : mapping
+        Parameters to hold at a value, in Pa, mm or degrees: `{"mu1": 4e3, "b": 0.1}`.
     """
 
     tune: Table
     recipe: Name | RecipeRecord | Table
     priors: Mapping[int, Name]
+    free: Sequence[str]
+    fix: Mapping[str, float]
 
 
 def load_dataset(name: Name) -> Dataset:
@@ -344,11 +351,14 @@ def _change_fit(record: FitRecord, inputs: Inputs, options: FitChanges) -> tuple
     if "recipe" in options:
         recipe, changes["recipe"] = _read_recipe(options["recipe"])
         inputs = replace(inputs, recipe=recipe)
-    if not changes:
-        return record, inputs
     record = check(_plain(record, changes), type(record), "needlefit.fit")
-    if "priors" in options and inputs.medium is not None:
-        inputs = replace(inputs, medium=set_priors(inputs.medium, record.priors))
+    free, fix = options.get("free", ()), options.get("fix", {})
+    record = change_fit(record, free, fix, "needlefit.fit")
+    if inputs.medium is not None:
+        medium = set_priors(inputs.medium, record.priors if "priors" in options else {})
+        values = {name: record.fix[name] for name in map(spell_parameter, fix)}
+        medium = change_parameters(medium, [*map(spell_parameter, free)], values)
+        inputs = replace(inputs, medium=medium)
     return record, inputs
 
 

@@ -83,7 +83,7 @@ def test_a_density_at_a_bound_and_two_equal_modes_are_recovered():
 class Plateau(Known):
     """A peak of x0 at 5, SD 0.2, on a plateau e^-2.88 as high; x1 is normal with SD 0.05 about 4 sin x0."""
 
-    parameters = SimpleNamespace(prior=SimpleNamespace(ties=()), half_normal={})
+    parameters = SimpleNamespace(prior=SimpleNamespace(ties=(), names=()), half_normal={})
 
     def __init__(self):
         super().__init__(

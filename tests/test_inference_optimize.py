@@ -27,6 +27,7 @@ from needlefit.inference.fit import (
     EvaluationRecorder,
     ObjectiveFunction,
     Start,
+    StartPoint,
     start_from_dict,
     start_to_dict,
 )
@@ -36,10 +37,11 @@ from needlefit.inference.optimize import (
     certify_minimum,
     group_approaches,
     minimize,
+    search,
     select_leaders,
     starting_points,
 )
-from needlefit.inference.problem import EvaluationFailure, explain_failure
+from needlefit.inference.problem import EvaluationFailure, explain_failure, make_objective
 from needlefit.inference.sampling.posterior import load, save
 from needlefit.inference.sampling.sample import sample
 from needlefit.schemas.recipe import LikelihoodRecord, SampleRecord
@@ -59,19 +61,17 @@ def rng():
     return np.random.default_rng(5)
 
 
-@pytest.mark.parametrize("algorithm", [*SINGLE, "bobyqa+neldermead"])
+@pytest.mark.parametrize("algorithm", [*SINGLE, "sbplx+neldermead"])
 @pytest.mark.parametrize("dimensions", [1, 2])
 def test_every_algorithm_finds_the_bottom_of_a_bowl(algorithm, dimensions):
     fit = minimize(box(bowl, dimensions), recipe(algorithm=algorithm, evaluations=600), rng())
-    assert fit.theta == pytest.approx(
-        [0.3] * dimensions, abs=0.15 if algorithm in ("isres", "esch") else 0.02
-    )
+    assert fit.theta == pytest.approx([0.3] * dimensions, abs=0.02)
     assert fit.objective == bowl(np.array(fit.theta))
     assert fit.evaluations == sum(s.evaluations for s in fit.starts) <= 4 * 600
 
 
 def test_valleys_budgets_stops_and_other_checkpoints():
-    fit = minimize(box(rosenbrock), recipe(algorithm="bobyqa+neldermead", evaluations=400), rng())
+    fit = minimize(box(rosenbrock), recipe(algorithm="sbplx+neldermead", evaluations=400), rng())
     assert fit.theta == pytest.approx([1, 1], abs=1e-2)
     calls = []
     fit = minimize(box(lambda t: calls.append(0) or rosenbrock(t)), recipe(evaluations=17, starts=3), rng())
@@ -125,7 +125,7 @@ def test_starts_go_through_json_and_more_of_them_fill_the_box():
 
 # ---- the posterior: a sum of squares with exact derivatives
 
-BOTH = ("leastsquares", "slsqp", "lbfgs", "var2", "tnewton", "mma", "ccsaq", "bobyqa+neldermead", "sbplx")
+BOTH = (*ALGORITHMS, "sbplx+neldermead")
 
 
 def valley(theta):
@@ -148,7 +148,7 @@ def test_every_way_ends_at_the_same_log_posterior(algorithm):
     assert sum(start.succeeded for start in fit.starts) >= 1
 
 
-@pytest.mark.parametrize("algorithm", ["leastsquares", "slsqp", "lbfgs"])
+@pytest.mark.parametrize("algorithm", ["leastsquares", "slsqp"])
 def test_a_minimum_at_a_bound_is_found_and_flagged(algorithm):
     fit = minimize(squares(valley, half=0.5), squares_recipe(algorithm=algorithm), rng())
     # at theta0 = 0.5 the best theta1 is 0.25: half of (1 - 0.5)^2 is left
@@ -245,10 +245,12 @@ def test_the_first_failures_of_a_start_are_kept_and_all_are_counted():
 
     def noted(theta):
         asked.append(tuple(theta.tolist()))
-        return half(theta)
+        return bowl(theta) if theta[0] >= 0.3 else math.nan
 
-    start = minimize(box(noted), recipe(algorithm="crs2", starts=1, evaluations=200), rng()).starts[0]
-    lost = [theta for theta in asked if theta[0] < 0]
+    # the minimum is at the edge of what can be solved
+    goal = make_objective(box(noted), "metric")
+    start = search(goal, recipe(algorithm="neldermead", tolerance=1e-9), StartPoint(0, (1.0, 1.0)))
+    lost = [theta for theta in asked if theta[0] < 0.3]
     assert start.failures == len(lost) > MAX_FAILED_POINTS
     assert start.failed == tuple(lost[:MAX_FAILED_POINTS])
 
@@ -388,7 +390,7 @@ RESUMED = [
     (lambda: box(half), recipe(algorithm="neldermead", evaluations=60)),
     *[
         (lambda: squares(valley), squares_recipe(algorithm=algorithm, starts=6))
-        for algorithm in ("leastsquares", "slsqp", "crs2+leastsquares")
+        for algorithm in ("leastsquares", "slsqp", "neldermead+leastsquares")
     ],
     (led, squares_recipe(starts=8)),
 ]

@@ -21,6 +21,7 @@ from needlefit.project.progress import never_stop, no_note
 if TYPE_CHECKING:
     from needlefit.project.tasks import TaskPool
     from needlefit.schemas.base import FileRecord
+    from needlefit.studies.job import Inputs
     from needlefit.studies.run import Run
 
 
@@ -38,13 +39,14 @@ class Execution:
     """How runs of a command go; results go to `OUT/<name>/`, checkpoints to `OUT/<name>.partial/`.
 
     `stop` says whether to end early. `file` is the study's, where it is known: warnings name it. `pool` is
-    where tasks run; None: in processes of each run.
+    where tasks run; None: in processes of each run. `inputs` takes the place of files that are named.
     """
 
     invocation: Invocation
     stop: Callable[[], bool] = never_stop
     file: Path | None = None
     pool: "TaskPool | None" = None
+    inputs: "Inputs | None" = None
 
     def prepare(self, names: Iterable[str], referenced: Iterable[str] = ()) -> None:
         """Make sure, before hours of work, that the results can be written, and reference results if wanted.
@@ -78,7 +80,7 @@ class Execution:
 
         `sample` says whether the posterior of a fit is sampled by MCMC.
         """
-        from needlefit.studies.job import Settings
+        from needlefit.studies.job import Inputs, Settings
         from needlefit.studies.kind import kind_of
 
         asked = self.invocation
@@ -96,6 +98,7 @@ class Execution:
                 first=no_note if asked.quiet else print_remark,
                 note=print_remark,
                 file=self.file,
+                inputs=self.inputs or Inputs(),
             )
             return kind_of(record).run(name, record, settings)
 
@@ -289,9 +292,12 @@ def _run_in_process(execution: Execution, work: StudyTask) -> "Run":
 def _run_one(execution: Execution, work: StudyTask) -> "Run":
     """Run one study and, unless it was interrupted, write it."""
     from needlefit.project.toml import add_file_context
+    from needlefit.schemas.study import StudyRecord
 
+    # a fit by itself is sampled as by `tune`; folds of studies are not
+    sample = not isinstance(work.record, StudyRecord)
     with add_file_context(work.file):
-        result = replace(execution, file=work.file).run(work.name, work.record)
+        result = replace(execution, file=work.file).run(work.name, work.record, sample)
         if not result.interrupted:
             execution.write(result)
     return result

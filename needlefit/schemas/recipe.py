@@ -113,7 +113,7 @@ class RecipeRecord(FileRecord):
     """Optimiser of the fit; `+` runs one after the other."""
     metric: bool = False
     """Whether a second fit minimises the weighted errors; it is reported beside the first."""
-    metric_algorithm: str = "bobyqa+neldermead"
+    metric_algorithm: str = "slsqp"
     """Optimiser of the second fit."""
     starts: int = Field(default=16, ge=1, le=MAX_STARTS)
     """Random starting points of the search."""

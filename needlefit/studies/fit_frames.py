@@ -37,7 +37,9 @@ directions
 identification
     Of a fit: per fold and parameter the information (`sd`), the profile likelihood (the 95 % interval, how
     its ends `end_low`, `end_high` came about, how far the deviance rises at most), posterior SD / prior SD,
-    and whether they agree; alphas that were fixed are freed for it.
+    and whether they agree; alphas that were fixed are freed for it. Their `interval_low`, `interval_high` and
+    `sd` are of the density that the profile gives within the bounds, `log_posterior_rise` is from the fit to
+    the profile's best point.
 profiles
     Deviances of the profiles and their derivatives by ln (by alpha itself), then one column per parameter.
 predictive
@@ -117,7 +119,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             *("fold", "parameter", "status", "determined", "note", "value", "prior_sd"),
             *("sd", "sd_low", "sd_high", "fisher_sd", "sd_ratio", "low", "high", "end_low", "end_high"),
             *("interval_low", "interval_high", "draw_source", "bound_low", "bound_high"),
-            *("rise", "minima", "tip_range_mm", "profile_verdict", "agreement"),
+            *("rise", "log_posterior_rise", "minima", "tip_range_mm", "profile_verdict", "agreement"),
         ),
         "profiles": ("fold", "parameter", "value", "deviance", "slope", "fisher_deviance", "threshold"),
         "predictive": _PREDICTIVE_COLUMNS,

@@ -1,6 +1,7 @@
 """Find what is identifiable, and the 95 % interval of every fitted parameter.
 
-Every fitted parameter has one 95 % interval: of certified draws, else of its profile. Verdicts follow it.
+Every fitted parameter has one 95 % interval: of certified draws, else of its profile. Verdicts follow it. A
+fixed shape parameter has that of the posterior that it would have if it were free, by its profile.
 """
 
 import math
@@ -61,7 +62,9 @@ def identify_parameters(
     judgements, rows, points = {}, [], []
     for one in examination.parameters:
         prior_sd = before.get(one.name, (one.bounds[1] - one.bounds[0]) / math.sqrt(12))
-        sd = sds.get(one.name, 1 / math.hypot(1 / one.profile.sd, 1 / prior_sd))
+        density = one.profile.density(one.bounds) if one.fixed_at is not None else None
+        by_profile = 1 / math.hypot(1 / one.profile.sd, 1 / prior_sd) if density is None else density.sd
+        sd = sds.get(one.name, by_profile)
         judged = assess_parameter(one, (sd, prior_sd), _equal_starts_range(one, verdict))
         judgements[one.name] = judged
         condition = ""
@@ -75,6 +78,8 @@ def identify_parameters(
         known = is_determined and not condition and judged.determined and one.fixed_at is None
         word = directions.name_determined(known, held.get(one.name, False))
         rows.append(_parameter_row(one, judged, prior_sd, sd) | {"determined": word, "note": condition})
+        if density is not None:
+            rows[-1] |= {"interval_low": density.low, "interval_high": density.high}
         points += _profile_rows(problem.parameters, one)
     return IdentificationRows(judgements, tuple(rows), tuple(points))
 
@@ -126,6 +131,7 @@ def _parameter_row(one: ParameterProfile, judged: Assessment, prior_sd: float, s
         "bound_low": to_value(one.name, one.bounds[0]),
         "bound_high": to_value(one.name, one.bounds[1]),
         "rise": profile.rise,
+        "log_posterior_rise": nothing if one.log_posterior_rise is None else one.log_posterior_rise,
         "minima": profile.minima,
         "tip_range_mm": nothing if one.tip_range_mm is None else one.tip_range_mm,
         "profile_verdict": judged.profile_verdict,
@@ -278,7 +284,7 @@ def add_intervals(
     together : mapping
         Whether a free parameter is determined while all others are held.
     """
-    profiles = {row["parameter"]: ParameterInterval(row["low"], row["high"], "profile")
+    profiles = {row["parameter"]: ParameterInterval(row["interval_low"], row["interval_high"], "profile")
                 for row in identification}  # fmt: skip
     judged = {row["parameter"]: row for row in identification}
     for row in parameters:

@@ -58,7 +58,8 @@ from needlefit.inference.identifiability.profile import (
     compute_profile,
     minimize_squares,
 )
-from needlefit.inference.parameters import dimension, is_logarithmic, to_value, without_prior
+from needlefit.inference.parameter_changes import find_freed_bounds
+from needlefit.inference.parameters import is_logarithmic, to_value, without_prior
 from needlefit.inference.problem import Problem
 from needlefit.inference.quantity_text import format_quantity, format_quantity_range
 from needlefit.inference.side_by_side import run_side_by_side
@@ -240,14 +241,11 @@ def find_fixed_shape(problem: Problem) -> dict[str, tuple[str, ...]]:
 def free_shape(problem: Problem, name: str) -> Problem:
     """Return the problem with one parameter of `find_fixed_shape` free, the others of its material tied."""
     same, parameters = find_fixed_shape(problem)[name], problem.parameters
-    usual = {one.name: one.usual for one in LAWS[problem.medium.law].parameters}
-    (low, high), at = usual[dimension(name)], parameters.fixed[name]
-    # the value that the fit used must lie within the bounds, whatever it was
-    bounds: Mapping[str, tuple[float, float]] = {name: (min(low, at), max(high, at))}
+    bounds = find_freed_bounds(parameters, name, problem.medium.law)
     return problem.with_parameters(
         replace(
             parameters,
-            bounds={**parameters.bounds, **bounds},
+            bounds={**parameters.bounds, name: bounds},
             fixed={other: value for other, value in parameters.fixed.items() if other not in (name, *same)},
             ties={**parameters.ties, **dict.fromkeys(same, (1.0, name))},
         )
@@ -269,6 +267,8 @@ class ParameterProfile:
     same: tuple[str, ...] = ()  #: other parameters that went with it
     #: how far the tip moves most while it goes through its bounds, the others held, mm
     tip_range_mm: float | None = None
+    #: how much the log posterior rises from the fit to the best point with the parameter free
+    log_posterior_rise: float | None = None
 
     @property
     def name(self) -> str:
@@ -337,12 +337,14 @@ def _profile_one(
     theta = freed.parameters.theta(problem.values(optimum.theta))
     k = freed.names.index(part)
     found = compute_profile(freed, k, minimize_squares(freed, theta), (), scale)
+    best = freed.residuals(found.thetas[int(np.argmin(found.deviance))])
     return ParameterProfile(
         found,
         (float(freed.lower[k]), float(freed.upper[k])),
         fixed_at=problem.parameters.fixed[part],
         same=find_fixed_shape(problem)[part],
         tip_range_mm=tip_range(freed, theta, part),
+        log_posterior_rise=max(0.0, 0.5 * (optimum.value - float(best @ best))),
     )
 
 

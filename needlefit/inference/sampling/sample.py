@@ -49,15 +49,15 @@ def sample(
     # the largest of weights times Gumbel's noise: drawn in turn by weight
     order = np.argsort(-(begin.log_weights + rng.gumbel(size=len(begin.thetas))), kind="stable")[:walkers]
     random = np.random.RandomState(int(rng.integers(2**32))).get_state()  # the kind that emcee takes
-    fitted = importance.fit_mixture(begin, rng, COMPONENTS)
-    mixture = importance.join_mixtures(begin.proposal, fitted, FITTED_SHARE)
+    assert begin.proposal is not None
+    proposal = begin.proposal.add_fitted(begin, rng, COMPONENTS, FITTED_SHARE)
     evaluator, backend, work = Evaluator(problem, callbacks.jobs), None, f"posterior of {name}"
     if checkpoint.folder is not None:
         file, row = checkpoint.open_file(work, ("failures", "failed"))
         backend = emcee.backends.HDFBackend(file)
         evaluator.failures, evaluator.failed = row.get("failures", 0), row.get("failed", [])
     sampler = emcee.EnsembleSampler(
-        walkers, len(problem.names), evaluator, moves=make_moves(mixture), backend=backend, vectorize=True
+        walkers, len(problem.names), evaluator, moves=make_moves(proposal), backend=backend, vectorize=True
     )
     steps, stopped, found = int(sampler.iteration), callbacks.stop(), None
     while True:
@@ -93,13 +93,13 @@ def sample(
             checkpoint.keep_file(work, {"failures": evaluator.failures, "failed": evaluator.failed})
 
 
-def make_moves(mixture: importance.StudentMixture) -> list[tuple[Any, float]]:
+def make_moves(proposal: importance.Proposal) -> list[tuple[Any, float]]:
     """Return emcee's moves, each with its share of the steps."""
     from emcee import moves
 
     def propose(coordinates: Floats, random: Any) -> tuple[Floats, Floats]:  # noqa: ANN401  (emcee's generator)
-        proposed = mixture.draw(len(coordinates), random)
-        return proposed, mixture.log_density(coordinates) - mixture.log_density(proposed)
+        proposed = proposal.draw(len(coordinates), random)
+        return proposed, proposal.log_density(coordinates) - proposal.log_density(proposed)
 
     return [(moves.MHMove(propose), INDEPENDENT_SHARE), (moves.StretchMove(), 1 - INDEPENDENT_SHARE)]
 

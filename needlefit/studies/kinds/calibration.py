@@ -163,6 +163,7 @@ def infer_posterior(
     """
     searched = recipe.model_copy(update={"minimize": "posterior"})
     ends = importance.find_modes(minimize(problem, searched, rng), problem.upper - problem.lower)
+    rng.integers(1, 2**31, size=recipe.starts)  # not used: with it a seed gives the stored replicates
     found = importance.sample_about_modes(problem, [minimize_squares(problem, end) for end in ends], rng)
     posterior = None
     if sampler == "always" or (sampler == "otherwise" and not found.certified):
