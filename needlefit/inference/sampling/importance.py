@@ -212,11 +212,15 @@ class Proposal:
         return self.mixture.log_density(at[:, ~self.uniform])
 
     def add_fitted(
-        self, found: "WeightedDraws", rng: np.random.Generator, components: int, share: float
+        self, found: "WeightedDraws", rng: np.random.Generator, components: int, share: float, fits: int = 1
     ) -> "Proposal":
-        """Return the proposal joined with a mixture that is fitted to draws, which has this `share`."""
-        fitted = _fit_mixture(replace(found, thetas=found.thetas[:, ~self.uniform]), rng, components)
-        return replace(self, mixture=_join_mixtures(self.mixture, fitted, share))
+        """Return the proposal joined with mixtures fitted to draws, each from other beginnings.
+
+        Together the `fits` have this `share`.
+        """
+        some = replace(found, thetas=found.thetas[:, ~self.uniform])
+        mixtures = [self.mixture, *(_fit_mixture(some, rng, components) for _ in range(fits))]
+        return replace(self, mixture=_join_mixtures(mixtures, [1 - share, *[share / fits] * fits]))
 
 
 @dataclass(frozen=True)
@@ -353,12 +357,12 @@ WIDE_SHARE, WIDE_SCALE = 0.3, 3.0
 MIN_COVARIANCE_FRACTION = 1e-4  #: part of the draws' whole covariance that every component has at least
 
 
-def _join_mixtures(one: StudentMixture, other: StudentMixture, share: float) -> StudentMixture:
-    """Return the mixture of two, the second with this `share`."""
+def _join_mixtures(parts: Sequence[StudentMixture], shares: Sequence[float]) -> StudentMixture:
+    """Return the mixture of several, each with its share; these sum to 1."""
     return StudentMixture(
-        np.concatenate([(1 - share) * one.weights, share * other.weights]),
-        np.concatenate([one.centres, other.centres]),
-        np.concatenate([one.factors, other.factors]),
+        np.concatenate([share * part.weights for part, share in zip(parts, shares, strict=True)]),
+        np.concatenate([part.centres for part in parts]),
+        np.concatenate([part.factors for part in parts]),
     )
 
 

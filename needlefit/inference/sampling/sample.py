@@ -21,10 +21,10 @@ from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint
 from needlefit.schemas.recipe import SampleRecord
 
 BLOCK_STEPS = 10  #: between two checks of convergence; the chain is stored at each
-INDEPENDENT_SHARE = 0.8  #: of the steps, by proposals of the mixture
-#: components fitted to the draws by importance, and their share of the mixture; the rest is the wide one that
-#: importance sampling drew from, so that no place is proposed too rarely
-COMPONENTS, FITTED_SHARE = 8, 0.8
+INDEPENDENT_SHARE = 0.9  #: of the steps, by proposals of the mixture
+#: the mixture joins several fits to the draws by importance, each from other beginnings, so that none follows
+#: their noise; the rest is the wide one that these were drawn from, so that no place is proposed too rarely
+FITS, COMPONENTS, FITTED_SHARE = 6, 8, 0.9
 
 
 def sample(
@@ -50,7 +50,7 @@ def sample(
     order = np.argsort(-(begin.log_weights + rng.gumbel(size=len(begin.thetas))), kind="stable")[:walkers]
     random = np.random.RandomState(int(rng.integers(2**32))).get_state()  # the kind that emcee takes
     assert begin.proposal is not None
-    proposal = begin.proposal.add_fitted(begin, rng, COMPONENTS, FITTED_SHARE)
+    proposal = begin.proposal.add_fitted(begin, rng, COMPONENTS, FITTED_SHARE, FITS)
     evaluator, backend, work = Evaluator(problem, callbacks.jobs), None, f"posterior of {name}"
     if checkpoint.folder is not None:
         file, row = checkpoint.open_file(work, ("failures", "failed"))
