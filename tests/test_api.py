@@ -23,7 +23,7 @@ from needlefit.studies.kinds import prediction
 
 TUNE = {"insertions": ["chicken-04"]}
 RECIPE = {"starts": 1, "metric": False, "likelihood": {"depths": "fixed"}}
-SAMPLE = {"ensembles": 2, "walkers": 8, "steps": 20, "check_interval": 10}
+SAMPLE = {"walkers": 8, "densities": 160}
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +105,7 @@ def test_a_posterior_goes_to_xarray_and_arviz(sampled):
     assert set(tree.children) == {"posterior", "sample_stats", "convergence"} == set(data.groups())
     for k, name in enumerate(sampled.posterior.names):
         np.testing.assert_array_equal(data.posterior[name], sampled.posterior.draws[:, :, k])
-    assert data.posterior.sizes == {"chain": 2, "draw": sampled.posterior.draws.shape[1]}
+    assert data.posterior.sizes == {"chain": 8, "draw": sampled.posterior.draws.shape[1]}
 
 
 def test_without_arviz_the_error_names_the_extra(sampled, monkeypatch):

@@ -183,7 +183,7 @@ def test_a_second_run_is_refused_until_the_results_of_the_first_are_in_place(stu
 
 def test_tune_of_a_study_tunes_only(stub, capsys):
     made = stub(study(1))
-    assert run("tune", "mine", "--sample", "--out", "mine out", "--explain") == 0
+    assert run("tune", "mine", "--out", "mine out", "--explain") == 0
     ((name, record, settings),) = made.asked
     assert (name, type(record), settings.sample) == ("mine-tune", FitRecord, True)
     assert record.medium == "phantom2"

@@ -63,7 +63,7 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
             ("cross_validation", "verification", "sensitivity"),  # what it finds about the study
         ),
         "cross_validation": _validate("held_out", 0),
-        "fit": Command(("tune", "gel", "--sample"), "gel", (5,)),
+        "fit": Command(("tune", "gel"), "gel", (0, 5)),
         "identification": Command(("tune", "gel", "--design"), "gel-design", (0,)),
         "left_out": _validate("left_out"),
         "material": Command(("material", "gel.csv"), "material-gel", (0,)),
