@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from sampling_cases import Known, banana, two_hills
+from sampling_cases import Known, banana, gaussian, two_hills, weighted
 from scipy.stats import genpareto, multivariate_normal, multivariate_t, norm
 
 from needlefit.inference.fit import Fit, Start
@@ -21,23 +21,9 @@ from needlefit.inference.sampling.importance import (
     resample,
     resample_draws,
     sample_about_modes,
-    sample_by_importance,
     select_distinct,
     smooth_weights,
 )
-from needlefit.inference.sampling.log_density import Evaluator, approximate_by_laplace
-
-EFFORT = Effort(draws=1000, min_ess=1000)
-
-
-def weighted(known: Known, modes: object = None, effort: Effort = EFFORT, seed: int = 1) -> WeightedDraws:
-    ends = np.atleast_2d(np.zeros(known.dimensions) if modes is None else modes)
-    evaluator = Evaluator(known, 1)
-    about = [approximate_by_laplace(evaluator, end, known.lower, known.upper) for end in ends]
-    return sample_by_importance(
-        evaluator, about, (known.lower, known.upper), np.random.default_rng(seed), (effort,)
-    )
-
 
 def moments(found: WeightedDraws) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mean, covariance, and the mean's Monte Carlo errors."""
@@ -78,6 +64,24 @@ def test_a_density_at_a_bound_and_two_equal_modes_are_recovered():
     found = weighted(Known(two_hills), [[5.0, 0.0], [-5.0, 0.0]])
     assert found.certified
     assert np.exp(found.log_weights)[found.thetas[:, 0] > 0].sum() == pytest.approx(0.5, abs=0.06)
+
+
+def test_parameters_without_information_are_proposed_uniformly():
+    """x2 has no part in the density, and x0 a known mean: the proposal's density leaves out only a constant."""
+    mean, covariance = np.array([1.0, -2.0]), np.array([[0.5, 0.3], [0.3, 0.4]])
+    known = Known(lambda x: gaussian(covariance, mean)(x[:, :2]), 3)
+    found = weighted(known, [1.0, -2.0, 0.0], uniform=[False, False, True])
+    centre, spread, errors = moments(found)
+    assert found.certified and found.k < 0.5
+    assert np.all(np.abs(centre - [*mean, 0.0]) < 4 * errors)
+    assert spread[:2, :2] == pytest.approx(covariance, rel=0.15)
+    assert spread[2, 2] == pytest.approx(20**2 / 12, rel=0.1) and abs(spread[0, 2]) < 0.3
+    exact = np.log(2 * np.pi) + 0.5 * np.log(np.linalg.det(covariance)) + np.log(20.0)
+    assert found.log_evidence == pytest.approx(exact, abs=4 * found.log_evidence_se)
+    drawn = found.proposal.draw(20_000, np.random.RandomState(1))
+    assert np.quantile(drawn[:, 2], [0.05, 0.5, 0.95]) == pytest.approx([-9, 0, 9], abs=0.4)
+    weights = np.exp(known.log_density(drawn) - found.proposal.log_density(drawn))
+    assert weights @ drawn[:, :2] / weights.sum() == pytest.approx(mean, abs=0.03)
 
 
 class Plateau(Known):

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 #: distribution, 0.7 % exceed it. The means of the parts then have an SD of 0.2 of the draws', not of 0.1
 MAX_R_HAT = 1.02
 LOG_POSTERIOR = "log posterior"
-
-
 PERCENTILES = (2.5, 16.0, 50.0, 84.0, 97.5)
 
 

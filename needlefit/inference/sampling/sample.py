@@ -7,6 +7,7 @@ stand where the mixture is too thin.
 """
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -38,16 +39,17 @@ def sample(
 ) -> Posterior | None:
     """Return the posterior by an ensemble of walkers; None after a stop before the first step.
 
-    Walkers start from draws by importance, none twice. Where these are not certified, the first half of the
-    steps is burn-in. The result does not depend on `callbacks.jobs`, nor on where a run was interrupted that
-    goes on from the chain that `checkpoint` keeps under `name`.
+    Walkers start from draws by importance, none twice while these suffice. Where these are not certified, the
+    first half of the steps is burn-in. The result does not depend on `callbacks.jobs`, nor on where a run was
+    interrupted that goes on from the chain that `checkpoint` keeps under `name`.
     """
     import emcee  # takes 0.7 s, which only a sampling run should pay
 
     callbacks, walkers = callbacks or Callbacks(), max(settings.walkers, 2 * len(problem.names))
     most = max(1, settings.densities // walkers)
     # the largest of weights times Gumbel's noise: drawn in turn by weight
-    order = np.argsort(-(begin.log_weights + rng.gumbel(size=len(begin.thetas))), kind="stable")[:walkers]
+    order = np.argsort(-(begin.log_weights + rng.gumbel(size=len(begin.thetas))), kind="stable")
+    order = np.resize(order[np.isfinite(begin.log_weights[order])], walkers)  # repeated where there are fewer
     random = np.random.RandomState(int(rng.integers(2**32))).get_state()  # the kind that emcee takes
     assert begin.proposal is not None
     proposal = begin.proposal.add_fitted(begin, rng, COMPONENTS, FITTED_SHARE, FITS)
@@ -65,11 +67,9 @@ def sample(
             burn_in = 0 if begin.certified else steps // 2
             chain, density = sampler.get_chain(discard=burn_in), sampler.get_log_prob(discard=burn_in)
             quantities = [*np.moveaxis(chain, 2, 0), density]  # each (N, W)
-            sets = map(problem.values, chain.reshape(-1, chain.shape[2]))
-            values = np.array([[one[parameter] for parameter in problem.names] for one in sets])
             found = Posterior(
                 names=problem.names,
-                draws=values.reshape(chain.shape).transpose(1, 0, 2),
+                draws=chain.transpose(1, 0, 2),  # of theta, until the run ends
                 log_posterior=density.T,
                 acceptance=sampler.acceptance_fraction,
                 r_hat=np.array([compute_r_hat(one) for one in quantities]),
@@ -81,7 +81,7 @@ def sample(
                 interrupted=stopped,
             )
         if stopped or steps == most or (found and not found.faults):
-            return found
+            return found and replace(found, draws=_find_values(problem, found.draws))
         first = emcee.State(begin.thetas[order], begin.log_density[order], random_state=random)
         state, count = sampler.get_last_sample() if steps else first, min(BLOCK_STEPS, most - steps)
         for _ in sampler.sample(state, iterations=count, skip_initial_state_check=True):
@@ -91,6 +91,12 @@ def sample(
                 break
         if checkpoint.folder is not None and not stopped:
             checkpoint.keep_file(work, {"failures": evaluator.failures, "failed": evaluator.failed})
+
+
+def _find_values(problem: Problem, thetas: Floats) -> Floats:
+    """Return the values (..., P) of thetas (..., P)."""
+    sets = map(problem.values, thetas.reshape(-1, thetas.shape[-1]))
+    return np.array([[one[name] for name in problem.names] for one in sets]).reshape(thetas.shape)
 
 
 def make_moves(proposal: importance.Proposal) -> list[tuple[Any, float]]:
