@@ -80,6 +80,18 @@ def test_the_design_part_ranks_the_parameters_of_one_short_insertion(designed):
     assert json.loads((folder / "run.json").read_text())["values"]["mu1_pa"] == pytest.approx(5e4)
 
 
+@pytest.mark.usefixtures("blank_figures")
+def test_a_design_frees_and_fixes_parameters(world, monkeypatch, tmp_path):
+    monkeypatch.chdir(world.folder)
+    options = ("--free", "alpha1", "--fix", "b=0.1", "--out", str(tmp_path), "-q")
+    assert run("tune", "gel", "--design", *options) == 0
+    table = pd.read_csv(tmp_path / "gel-design/identify.csv").set_index("parameter")
+    assert table.loc[["mu1_pa", "alpha1", "alpha2"], "status"].tolist() == ["free", "free", "fixed"]
+    assert "bevel_mm" not in table.index
+    about = json.loads((tmp_path / "gel-design/run.json").read_text())
+    assert about["fit"]["free"] == ["alpha1"] and about["fit"]["fix"] == {"bevel_mm": 0.1}
+
+
 @pytest.mark.sweep
 @pytest.mark.usefixtures("blank_figures")
 def test_the_design_part_uses_no_measured_shape(monkeypatch, designed, folder):

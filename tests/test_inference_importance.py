@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from inference_cases import TRUTH, medium, two_layers
 from sampling_cases import Known, banana, gaussian, two_hills, weighted
 from scipy.stats import genpareto, multivariate_normal, multivariate_t, norm
 
@@ -17,6 +18,7 @@ from needlefit.inference.sampling.importance import (
     compute_ess,
     compute_predictive_density,
     find_modes,
+    find_uninformed,
     fit_pareto,
     resample,
     resample_draws,
@@ -24,6 +26,7 @@ from needlefit.inference.sampling.importance import (
     select_distinct,
     smooth_weights,
 )
+
 
 def moments(found: WeightedDraws) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mean, covariance, and the mean's Monte Carlo errors."""
@@ -82,6 +85,13 @@ def test_parameters_without_information_are_proposed_uniformly():
     assert np.quantile(drawn[:, 2], [0.05, 0.5, 0.95]) == pytest.approx([-9, 0, 9], abs=0.4)
     weights = np.exp(known.log_density(drawn) - found.proposal.log_density(drawn))
     assert weights @ drawn[:, :2] / weights.sum() == pytest.approx(mean, abs=0.03)
+
+
+def test_parameters_that_the_data_leave_as_they_were_are_found():
+    p = two_layers(medium(3, alpha1={"bounds": [-3, 5]}))  # no needle meets the third layer
+    mode = minimize_squares(p, p.parameters.theta({**TRUTH, "mu3_pa": 1e6}))
+    found = dict(zip(p.names, find_uninformed(p, mode).tolist(), strict=True))
+    assert found == {"mu1_pa": False, "alpha1": True, "mu2_pa": False, "mu3_pa": True, "bevel_mm": False}
 
 
 class Plateau(Known):

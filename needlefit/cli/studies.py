@@ -119,7 +119,7 @@ def _name_options(free: Collection[str] | None, fix: Collection[str] | None) -> 
         yield
     except ConfigError as error:
         key = error.key.partition(".")[0]
-        if error.where or not {"free": free, "fix": fix}.get(key):
+        if not {"free": free, "fix": fix}.get(key):
             raise
         located = error.at(f"--{key}")
         located.key = ""

@@ -284,7 +284,7 @@ def add_intervals(
     together : mapping
         Whether a free parameter is determined while all others are held.
     """
-    profiles = {row["parameter"]: ParameterInterval(row["interval_low"], row["interval_high"], "profile")
+    profiles = {row["parameter"]: ParameterInterval(row["low"], row["high"], "profile")
                 for row in identification}  # fmt: skip
     judged = {row["parameter"]: row for row in identification}
     for row in parameters:
@@ -299,7 +299,6 @@ def add_intervals(
             held = together.get(ties.get(name, (1.0, name))[1], False)
             row |= {"determined": directions.name_determined(False, held), "condition": ""}
             row["note"] = "its 95 % interval is too wide"
-        if name in judged:
+        if name in judged and row["status"] != "fixed":
             judged[name] |= found.columns() if found else profiles[name].columns()
-            if row["status"] != "fixed":
-                judged[name]["determined"] = row["determined"]
+            judged[name]["determined"] = row["determined"]

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 import pandas as pd
 
 from needlefit.inference.identifiability import directions
-from needlefit.inference.identifiability.identify import LOG_POSTERIOR_TOLERANCE
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting.number_format import (
     choose_interval_unit,
@@ -38,6 +37,9 @@ def describe_verdicts(identification: pd.DataFrame) -> list[str]:
     return summary
 
 
+NEGLIGIBLE_RISE = 0.1  #: rise of the log posterior by which two ends of a search are equally good
+
+
 def describe_evidence(row: Row) -> str:
     """Return what the data say of a shape parameter: its 95 % interval of its prior, and what they add to it.
 
@@ -52,9 +54,9 @@ def describe_evidence(row: Row) -> str:
     adds = row["sd_ratio"] < directions.UNINFORMED_SD_RATIO
     text = f"{interval} of {prior}: the data {'narrow it' if adds else 'add nothing'}"
     rise = row.get("log_posterior_rise")
-    if rise is None or (not adds and rise < LOG_POSTERIOR_TOLERANCE):
+    if rise is None or (not adds and rise < NEGLIGIBLE_RISE):
         return text
-    size = "less than 0.1" if rise < LOG_POSTERIOR_TOLERANCE else format_number(rise)
+    size = f"less than {NEGLIGIBLE_RISE:g}" if rise < NEGLIGIBLE_RISE else format_number(rise)
     return f"{text}; the log posterior rises by {size}"
 
 
