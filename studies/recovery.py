@@ -96,12 +96,12 @@ def draw(rows: pd.DataFrame, path: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", default="1:21", help="FIRST:END of the twins' seeds")
+    parser.add_argument("--seeds", help="FIRST:END of the twins' seeds (default 1:21, with --quick 1:2)")
     parser.add_argument("--quick", action="store_true", help="one twin, one medium, two starts")
     parser.add_argument("--out", type=Path, default=Path("reports/recovery.png"))
     options = parser.parse_args()
     media, recipe = (MEDIA[3:], {"starts": 2}) if options.quick else (MEDIA, {})
-    first, end = (1, 2) if options.quick else map(int, options.seeds.split(":"))
+    first, end = map(int, (options.seeds or ("1:2" if options.quick else "1:21")).split(":"))
     options.out.parent.mkdir(parents=True, exist_ok=True)
     table = options.out.with_suffix(".csv")
     rows = pd.read_csv(table) if table.is_file() else pd.DataFrame(columns=["seed"])

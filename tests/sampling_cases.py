@@ -40,8 +40,8 @@ class Known:
     def log_posteriors(self, thetas: np.ndarray, jobs: int) -> np.ndarray:
         return self.log_density(thetas)
 
-    def values(self, theta: np.ndarray) -> dict[str, float]:
-        return dict(zip(self.names, theta.tolist(), strict=True))
+    def tabulate_values(self, thetas: np.ndarray) -> np.ndarray:
+        return thetas
 
 
 def gaussian(covariance: np.ndarray, mean: np.ndarray | float = 0.0) -> Callable[[np.ndarray], np.ndarray]:

@@ -70,7 +70,7 @@ def test_a_density_at_a_bound_and_two_equal_modes_are_recovered():
 
 
 def test_parameters_without_information_are_proposed_uniformly():
-    """x2 has no part in the density, and x0 a known mean: the proposal's density leaves out only a constant."""
+    """x2 has no part in the density: it is drawn from its flat prior."""
     mean, covariance = np.array([1.0, -2.0]), np.array([[0.5, 0.3], [0.3, 0.4]])
     known = Known(lambda x: gaussian(covariance, mean)(x[:, :2]), 3)
     found = weighted(known, [1.0, -2.0, 0.0], uniform=[False, False, True])

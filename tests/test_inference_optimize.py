@@ -19,6 +19,7 @@ from inference_cases import (
     two_layers,
 )
 from refusals import refusal
+from sampling_cases import Known, draw, weighted
 
 from needlefit.errors import ConfigError, FitError, ModelError
 from needlefit.inference.fit import (
@@ -42,9 +43,9 @@ from needlefit.inference.optimize import (
     starting_points,
 )
 from needlefit.inference.problem import EvaluationFailure, explain_failure, make_objective
+from needlefit.inference.sampling.importance import Effort
 from needlefit.inference.sampling.posterior import load, save
-from needlefit.inference.sampling.sample import sample
-from needlefit.schemas.recipe import LikelihoodRecord, SampleRecord
+from needlefit.schemas.recipe import LikelihoodRecord
 
 SINGLE = sorted(name for name, a in ALGORITHMS.items() if a.needs != "jacobian")
 
@@ -276,26 +277,20 @@ def test_what_is_said_of_a_model_error_and_what_is_no_failure():
     assert found.reason.startswith("ModelError: ") and "\n" not in found.reason
     p = two_layers(count=1)
     assert explain_failure(p, p.parameters.theta(TRUTH)) == EvaluationFailure("", "value not finite")
-    got = sample(
-        box(lambda theta: -math.inf if theta[0] < 0 else 0.0),
-        (0.1, 0.1),
-        SampleRecord(ensembles=1, walkers=8, steps=30),
-        rng(),
-    )
-    assert (got.failures, got.failed) == (0, ((),))
+    known = Known(lambda x: np.where(x[:, 0] < 0, -math.inf, 0.0), half=2.0)
+    got = draw(known, weighted(known, [0.1, 0.1]), walkers=8, densities=240)
+    assert (got.failures, got.failed) == (0, ())
 
 
-def test_the_sampler_counts_failed_solves_and_keeps_the_first_of_each_ensemble(tmp_path):
+def test_the_sampler_counts_failed_solves_and_keeps_the_first(tmp_path):
     p = violent()
-    settings = SampleRecord(ensembles=2, walkers=8, steps=60, moves="stretch")  # steps far out
-    got = sample(p, np.log([2e7, 30.0]), settings, rng())
-    assert got.failures >= sum(len(thetas) for thetas in got.failed) > 0
-    assert len(got.failed) == 2 and max(len(thetas) for thetas in got.failed) <= MAX_FAILED_POINTS
-    for theta in (theta for ensemble in got.failed for theta in ensemble):
-        assert explain_failure(p, theta).reason == "over-compressed"
+    # a start that is not certified reaches far out
+    got = draw(p, weighted(p, np.log([2e7, 30.0]), Effort(rounds=1, min_ess=1e9)), walkers=8, densities=480)
+    assert got.failures >= len(got.failed) > 0 and len(got.failed) <= MAX_FAILED_POINTS
+    assert all(explain_failure(p, theta).reason == "over-compressed" for theta in got.failed)
     assert np.all(np.isfinite(got.log_posterior))
     save(got, tmp_path / "posterior.nc")
-    assert load(tmp_path / "posterior.nc").failed == got.failed
+    assert np.array_equal(load(tmp_path / "posterior.nc").failed, got.failed)
 
 
 # ---- starts are approached by an easier problem, and those that converge merged

@@ -403,6 +403,11 @@ class Problem:
         """Return every parameter's value (Pa, mm)."""
         return self.parameters.values(theta)
 
+    def tabulate_values(self, thetas: Floats) -> Floats:
+        """Return the values (..., P) of the free parameters (Pa, mm) of thetas (..., P)."""
+        sets = map(self.values, thetas.reshape(-1, len(self.names)))
+        return np.array([[one[name] for name in self.names] for one in sets]).reshape(thetas.shape)
+
     def shapes(self, theta: Theta) -> tuple[NeedleShape, ...]:
         """Return the simulated needle of each insertion."""
         values = self.values(theta)

@@ -81,7 +81,7 @@ def sample(
                 interrupted=stopped,
             )
         if stopped or steps == most or (found and not found.faults):
-            return found and replace(found, draws=_find_values(problem, found.draws))
+            return found and replace(found, draws=problem.tabulate_values(found.draws))
         first = emcee.State(begin.thetas[order], begin.log_density[order], random_state=random)
         state, count = sampler.get_last_sample() if steps else first, min(BLOCK_STEPS, most - steps)
         for _ in sampler.sample(state, iterations=count, skip_initial_state_check=True):
@@ -91,12 +91,6 @@ def sample(
                 break
         if checkpoint.folder is not None and not stopped:
             checkpoint.keep_file(work, {"failures": evaluator.failures, "failed": evaluator.failed})
-
-
-def _find_values(problem: Problem, thetas: Floats) -> Floats:
-    """Return the values (..., P) of thetas (..., P)."""
-    sets = map(problem.values, thetas.reshape(-1, thetas.shape[-1]))
-    return np.array([[one[name] for name in problem.names] for one in sets]).reshape(thetas.shape)
 
 
 def make_moves(proposal: importance.Proposal) -> list[tuple[Any, float]]:
