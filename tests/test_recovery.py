@@ -27,7 +27,7 @@ def test_no_shipped_fit_calls_a_parameter_determined_whose_interval_misses_the_t
 
 
 def test_over_many_twins_few_determined_parameters_miss_the_truth():
-    rows = pd.read_csv(REFERENCE / "recovery" / "recovery.csv")
+    rows = pd.read_csv(ROOT / "docs" / "figures" / "recovery.csv")
     assert rows["seed"].nunique() >= 10 and rows["fit"].nunique() == 4
     known = rows[rows["determined"] == "yes"]
     assert len(known) and (~known["covered"].astype(bool)).mean() <= MAX_MISSED_SHARE
