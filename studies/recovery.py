@@ -3,11 +3,10 @@
     python studies/recovery.py [--seeds 1:21] [--quick] [--out reports/recovery.png]
 
 The twin (the synthetic dataset) is made again with other random numbers, and every medium is fitted as the
-shipped fits do: to the posterior, and to the errors (IPE, TE, EDP). The twin has friction, layers and a
-needle that the fitted model does not have. A row has the truth (the geometric mean over what the fit learns
-from), the estimate (of the posterior its median), whether its interval covers the truth, the distance as a
-factor and in standard deviations, and whether the fit calls the parameter determined. Results are in
-docs/fitting.md, "Recovery". Rows are kept beside the figure as CSV; a run that was stopped goes on there.
+shipped fits do: to the posterior, and to the errors (IPE, TE, EDP). A row has the truth
+(the geometric mean over what the fit learns from), the estimate (of the posterior its median), whether its
+interval covers the truth, the distance as a factor and in standard deviations, and whether the fit calls the
+parameter determined. Rows are kept beside the figure as CSV; a run that was stopped goes on there.
 """
 
 import argparse
