@@ -499,7 +499,8 @@ PROFILE = {"parameter": "mu1_pa", "low": 2e5, "high": 3e5, "determined": "yes"}
 
 
 def parameter_row(**changed):
-    return {"parameter": "mu1_pa", "status": "free", "determined": "yes", "note": ""} | changed
+    known = {"value": 2.5e5, "bound_low": 1e3, "bound_high": 1e9}
+    return {"parameter": "mu1_pa", "status": "free", "determined": "yes", "note": ""} | known | changed
 
 
 def test_certified_draws_give_the_interval_and_others_none():
@@ -516,17 +517,33 @@ def test_certified_draws_give_the_interval_and_others_none():
 
 def test_a_wide_interval_of_draws_takes_back_the_verdict_of_information_and_profile():
     row, judged = parameter_row(), dict(PROFILE)
-    add_intervals([row], [judged], {"mu1_pa": ParameterInterval(1e4, 1e7, "posterior")}, {}, {"mu1_pa": True})
+    add_intervals(
+        [row], [judged], {"mu1_pa": ParameterInterval(1e4, 1e7, "posterior")}, {}, {"mu1_pa": True}, {}
+    )
     assert row["determined"] == judged["determined"] == "only together"
     for one in (row, judged):
-        assert (one["interval_low"], one["interval_high"], one["draw_source"]) == (1e4, 1e7, "posterior")
+        assert (one["interval_low"], one["interval_high"]) == pytest.approx((1e4, 1e7))
+        assert one["draw_source"] == "posterior"
 
 
 def test_without_draws_the_profile_gives_it_and_a_tied_parameter_has_its_sources():
-    row, tied = parameter_row(), parameter_row(parameter="mu2_pa", status="tied")
-    add_intervals([row, tied], [dict(PROFILE)], {}, {"mu2_pa": (50.0, "mu1_pa")}, {})
-    assert row["determined"] == "yes" and (row["interval_low"], row["draw_source"]) == (2e5, "profile")
-    assert (tied["interval_low"], tied["interval_high"]) == (1e7, 1.5e7)
+    row = parameter_row()
+    tied = parameter_row(parameter="mu2_pa", status="tied", bound_low=math.nan, bound_high=math.nan)
+    add_intervals([row, tied], [dict(PROFILE)], {}, {"mu2_pa": (50.0, "mu1_pa")}, {}, {})
+    assert row["determined"] == "yes" and row["draw_source"] == "profile"
+    assert (row["interval_low"], row["interval_high"]) == pytest.approx((2e5, 3e5))
+    assert (tied["interval_low"], tied["interval_high"]) == pytest.approx((1e7, 1.5e7))
+
+
+def test_an_interval_allows_for_a_model_error_about_its_median_and_within_the_bounds():
+    sd = 0.3
+    low, high = (2e5 * math.exp(side * 1.96 * sd) for side in (-1, 1))
+    row = parameter_row(bound_high=4e5)
+    found = {"mu1_pa": ParameterInterval(low, high, "posterior", 2e5)}
+    add_intervals([row], [], found, {}, {}, {"mu1_pa": 0.4})  # 0.3 and 0.4 together: 0.5
+    assert row["interval_low"] == pytest.approx(2e5 * math.exp(-1.96 * 0.5))
+    assert row["interval_high"] == 4e5
+    assert row["determined"] == "no"
 
 
 def test_every_interval_is_printed_however_wide():

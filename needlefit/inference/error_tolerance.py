@@ -36,10 +36,8 @@ from needlefit.project.progress import never_stop
 REPLICATES = 200  #: of each bootstrap
 PROBABILITY = 0.95  #: of the quantile of D
 STATIONS = 26  #: compared points of an insertion that a replicate has, of 101
-REPLICATE_EVALUATIONS, REPLICATE_ACCURACY = (
-    100,
-    1e-4,
-)  #: budget and relative tolerance of a replicate's search
+REPLICATE_EVALUATIONS = 100  #: most evaluations of a replicate's search
+REPLICATE_ACCURACY = 1e-4  #: relative tolerance of a replicate's search
 #: smallest tolerance, as a part of the least objective and in mm: what a search leaves open
 MIN_RELATIVE_TOLERANCE, MIN_TOLERANCE_MM = 0.01, 0.002
 

@@ -168,8 +168,8 @@ def _describe_bound(name: str, value: float, low: float, high: float, near: floa
 
 def _find_differing_samplers(results: Run) -> Iterator[Row]:
     """Yield the parameters whose intervals by MCMC and by importance sampling differ."""
-    rows = {(row["fold"], row["parameter"]): row for row in to_records(results.frames["parameters"])
-            if row["method"] == "fitted"}  # fmt: skip
+    free = to_records(select_free(results.frames["parameters"]))
+    rows = {(row["fold"], row["parameter"]): row for row in free}
     for fold, names in results.run.get("differing_intervals", {}).items():
         ends = results.posteriors[fold].percentiles((2.5, 97.5))
         for name in names:

@@ -102,25 +102,13 @@ def fit_posterior(
     if not len(fit.theta) or settings.stop():
         return PosteriorFit(fit, Draws(np.empty((draws, len(fit.theta))), "importance"), float("nan"))
     rng = random_stream(job.recipe.seed, job.name, *key, "weighed")
-    found, posterior = weigh_or_sample(job, problem, fit, rng, key, settings)
+    found = sample_about_fit(problem, fit, rng, settings.jobs)
     if found.certified:
         return PosteriorFit(fit, resample_draws(found, draws, rng), found.k)
+    posterior = None if settings.stop() else sample_posterior(job, problem, fit, found, key, settings)
     nothing = Draws(np.empty((0, len(fit.theta))), "posterior")
     drawn = nothing if posterior is None else thin_posterior(posterior, problem.parameters, draws, found.k)
     return PosteriorFit(fit, drawn, found.k, sampled=True)
-
-
-def weigh_or_sample(
-    job: Job, problem: Problem, fit: Fit, rng: np.random.Generator, key: tuple[str, ...], settings: Settings
-) -> tuple[WeightedDraws, Posterior | None]:
-    """Return weighted draws about a fit, and where they are not certified the posterior by MCMC.
-
-    That is None too after a stop before there is any.
-    """
-    found = sample_about_fit(problem, fit, rng, settings.jobs)
-    if found.certified or settings.stop():
-        return found, None
-    return found, sample_posterior(job, problem, fit, found, key, settings)
 
 
 def find_fit(job: Job, problem: Problem, key: tuple[str, ...], settings: Settings) -> Fit:

@@ -21,7 +21,7 @@ from needlefit.inference.identifiability.identify import (
     assess_parameter,
 )
 from needlefit.inference.identifiability.profile import DEVIANCE_95
-from needlefit.inference.parameters import Parameters, is_logarithmic, to_value
+from needlefit.inference.parameters import Parameters, is_logarithmic, to_coordinate, to_value
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
@@ -188,6 +188,22 @@ class ParameterInterval:
         lengths = ("low", "high", "median", "importance_low", "importance_high")
         return replace(self, **{name: factor * getattr(self, name) for name in lengths})
 
+    def allow_for(self, name: str, sd: float, row: Row) -> "ParameterInterval":
+        """Return the interval as wide as with an independent error of this SD (of ln for moduli and lengths).
+
+        Its median, else the value of `row`, is kept; the bounds of `row` stay the limits.
+        """
+        own = self.width(name) / (2 * directions.NORMAL_95_HALF_WIDTH_SD)
+        wider = math.hypot(own, sd) / own if own > 0 else 1.0
+        centre = to_coordinate(name, row["value"] if math.isnan(self.median) else self.median)
+        low, high = (
+            to_value(name, centre + wider * (to_coordinate(name, end) - centre))
+            for end in (self.low, self.high)
+        )
+        # fmax, fmin: an exactly tied parameter has no bounds of its own
+        low, high = float(np.fmax(low, row["bound_low"])), float(np.fmin(high, row["bound_high"]))
+        return replace(self, low=low, high=high)
+
     def columns(self) -> Row:
         return {"interval_low": self.low, "interval_high": self.high, "draw_source": self.source}
 
@@ -225,10 +241,15 @@ def _take_percentiles(parameters: Parameters, draws: Draws | None) -> dict[str, 
     """Return the percentiles of all estimated parameters over draws; none if these are not certified."""
     if draws is None or draws.certified is None:
         return {}
+    estimated = _tabulate_estimated(parameters, draws)
+    return {name: tuple(np.percentile(values, _PERCENTILES).tolist()) for name, values in estimated.items()}
+
+
+def _tabulate_estimated(parameters: Parameters, draws: Draws) -> dict[str, Floats]:
+    """Return the values (B,) of all estimated parameters over draws, Pa or mm."""
     sets = [parameters.values(theta) for theta in draws.thetas]
     estimated = [name for name in sets[0] if parameters.status[name] != "fixed"]
-    ends = np.percentile([[one[name] for name in estimated] for one in sets], _PERCENTILES, axis=0)
-    return dict(zip(estimated, map(tuple, ends.T.tolist()), strict=True))
+    return {name: np.array([one[name] for one in sets]) for name in estimated}
 
 
 MONTE_CARLO_SD = 3.0  #: standard errors within which the end of an interval is looked for
@@ -245,13 +266,11 @@ def list_differing_intervals(
     """
     if importance.certified is None or posterior.faults:
         return ()
-    sets = [parameters.values(theta) for theta in importance.thetas]
-    differing = []
+    by_importance, differing = _tabulate_estimated(parameters, importance), []
     for k, name in enumerate(posterior.names):
-        by_importance = np.array([one[name] for one in sets])
         for percentile in (_PERCENTILES[0], _PERCENTILES[-1]):
             first = _find_end(posterior.draws[:, :, k], percentile / 100, posterior.ess[k])
-            second = _find_end(by_importance, percentile / 100, importance.effective_sample_size)
+            second = _find_end(by_importance[name], percentile / 100, importance.effective_sample_size)
             if max(first[0], second[0]) > min(first[1], second[1]):
                 differing.append(name)
     return tuple(dict.fromkeys(differing))
@@ -270,6 +289,7 @@ def add_intervals(
     sampled: Mapping[str, ParameterInterval],
     ties: Mapping[str, tuple[float, str]],
     together: Mapping[str, bool],
+    model_error: Mapping[str, float],
 ) -> None:
     """Add the interval to the rows of one fold's fit and of its identifiability, and correct the verdicts.
 
@@ -283,6 +303,8 @@ def add_intervals(
         Exact ties: factor and source.
     together : mapping
         Whether a free parameter is determined while all others are held.
+    model_error : mapping
+        SD that an error of the model adds to each free parameter, of ln for moduli and lengths.
     """
     profiles = {row["parameter"]: ParameterInterval(row["low"], row["high"], "profile")
                 for row in identification}  # fmt: skip
@@ -294,6 +316,8 @@ def add_intervals(
             factor, source = ties[name]
             one = sampled.get(source, profiles.get(source))
             found = one and one.scale(factor)
+        if found is not None:
+            found = found.allow_for(name, model_error.get(ties.get(name, (1.0, name))[1], 0.0), row)
         row |= NO_SOURCE if found is None else found.sampled_columns()
         if found is not None and row["determined"] == "yes" and not found.is_narrow(name):
             held = together.get(ties.get(name, (1.0, name))[1], False)

@@ -1,9 +1,9 @@
 """Principal directions of the information and standard deviations of theta, in words."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -132,12 +132,19 @@ CUT_OFF_FRACTION = 0.01
 
 #: whether data determine a parameter: by itself, only together with others (where these are held), or not
 Determined = Literal["yes", "only together", "no"]
+DETERMINED: tuple[Determined, ...] = get_args(Determined)
 NORMAL_95_HALF_WIDTH_SD = 1.96  #: half width of a Gaussian 95 % interval, in standard deviations
 
 
 def name_determined(alone: bool, together: bool) -> Determined:
     """Return the word for a parameter that data determine alone, or together with others, or not."""
     return "yes" if alone else "only together" if together else "no"
+
+
+def find_least_determined(words: Iterable[str]) -> str:
+    """Return the word of the fold, of several, in which a parameter is determined least; "" for no word."""
+    found = set(words)
+    return next((word for word in reversed(DETERMINED) if word in found), "")
 
 
 def widest_interval(name: str) -> float:

@@ -44,6 +44,7 @@ from needlefit.inference.identifiability.precision import (
     MEAN_OF_SPECIMENS,
     Loosened,
     add_estimated_noise,
+    add_model_error,
     compute_sds,
     find_bounds,
     find_condition,
@@ -98,6 +99,8 @@ class Identifiability:
     conditions: Mapping[str, str] = field(default_factory=dict)
     #: the standard deviations with assumptions loosened; none where nothing is determined anyway
     loosened: tuple[Loosened, ...] = ()
+    #: by how much an error of the model lets each parameter vary beside the posterior: SD, as `sds`
+    model_error: Mapping[str, float] = field(default_factory=dict)
 
 
 def identify(
@@ -111,7 +114,10 @@ def identify(
     noisy = add_estimated_noise(problem, theta)
     known, information, chi_square = compute_sds(noisy, theta, draws)
     sds, before = dict(zip(names, known.tolist(), strict=True)), prior_information(noisy)
-    found = principal_directions(information, names, before)
+    added = add_model_error(noisy, theta)
+    # pinv: a direction without information has no variance to add to
+    wider = np.linalg.pinv(np.linalg.pinv(information, hermitian=True) + added, hermitian=True)
+    found = principal_directions(wider, names, before)
     together = _find_together(names, information, before)
     ends = [s.theta for s in select_within_tolerance(fit)] or [fit.theta]
     equal = np.array(ends, dtype=np.float64).reshape(len(ends), len(names))
@@ -162,6 +168,7 @@ def identify(
         together=together,
         conditions=conditions,
         loosened=loosened,
+        model_error=dict(zip(names, np.sqrt(np.diag(added)).tolist(), strict=True)),
         at_bound=bounds,
         spread_low={n: low[n] for n in names},
         spread_high={n: high[n] for n in names},

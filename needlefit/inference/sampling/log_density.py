@@ -1,8 +1,8 @@
 """Evaluate the density that is sampled, guarded against failures, and its Laplace approximation.
 
-That is the Gaussian with the density's curvature at its peak. Curvatures
-are differences of the log density over adaptive steps: in each parameter the longest of a list over which it
-falls by at most `MAX_LOG_DENSITY_DROP`. Where it is not finite the bounds decide.
+That is the Gaussian with the density's curvature at its peak. Curvatures are differences of the log density
+over adaptive steps: in each parameter the longest of a list over which it falls by at most
+`MAX_LOG_DENSITY_DROP`. Where it is not finite the bounds decide.
 """
 
 import math

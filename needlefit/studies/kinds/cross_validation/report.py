@@ -19,7 +19,11 @@ from needlefit.arrays import Floats
 from needlefit.datasets.select import group_rows
 from needlefit.grouping import group_values
 from needlefit.inference.baselines import BASELINES, list_baselines
-from needlefit.inference.identifiability.directions import UNINFORMED_SD_RATIO
+from needlefit.inference.identifiability.directions import (
+    DETERMINED,
+    UNINFORMED_SD_RATIO,
+    find_least_determined,
+)
 from needlefit.inference.parameters import BEVEL_SPREAD, find_tie_spread, is_logarithmic, parse_tie
 from needlefit.inference.predict import estimate_proportion
 from needlefit.metrics import headline_metrics, list_metrics
@@ -113,19 +117,16 @@ class Facts:
         self.free_values = [row for row in fitted if row["status"] != "fixed"]
         self.fixed = _name(row for row in fitted if row["status"] == "fixed")  # given, not estimated
         # of several folds the one counts in which a parameter is determined least
-        words = ("no", "only together", "yes")
         least = {
-            name: min(
-                (str(row["determined"]) for row in self.free_values if row["parameter"] == name),
-                key=words.index,
+            name: find_least_determined(
+                str(row["determined"]) for row in self.free_values if row["parameter"] == name
             )
             for name in _name(self.free_values)
         }
-        known, together, loose = (
-            [name for name, found in least.items() if found == word] for word in reversed(words)
+        known, self.together, self.loose = (
+            [name for name, found in least.items() if found == word] for word in DETERMINED
         )
-        self.known, self.together, self.loose = known, together, loose
-        parts = {"determined:": known, "only together:": together, "not determined:": loose}
+        parts = {"determined:": known, "only together:": self.together, "not determined:": self.loose}
         self.determined = [(words, names) for words, names in parts.items() if names]
         notes = list(map(str, about.get("notes", ())))
         if results.synthetic:  # that it is stands on every page
@@ -1073,7 +1074,8 @@ def _list_parameters(results: Run) -> Iterator[tuple[str, str]]:
         name = str(row["parameter"]).removesuffix("_pa").removesuffix("_mm").replace("_", "-")
         where = f"-{row['fold']}" if several else ""
         key = f"{results.name}{where}-{name}"
-        estimate = row["value"] if row["median"] is None else row["median"]
+        estimate = tables.choose_estimate(row)
+        assert estimate is not None
         label, scale = choose_interval_unit(row, estimate)
         yield key, typeset(format_number(estimate / scale))
         if unit := label.partition(" (")[2].rstrip(")"):

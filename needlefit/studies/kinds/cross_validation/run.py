@@ -503,7 +503,8 @@ class _StudyRun:
         ]
         fitted = _fitted_rows(job, fold, fit, verdict, judgements)
         sampled = intervals_of_draws(job.parameters, draws, importance, posterior)
-        add_intervals(fitted, judged, sampled, job.parameters.ties, verdict.together)
+        ties, together = job.parameters.ties, verdict.together
+        add_intervals(fitted, judged, sampled, ties, together, verdict.model_error)
         self.rows["identification"] += judged
         self.rows["parameters"] += fitted
 

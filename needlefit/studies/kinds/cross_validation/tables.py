@@ -18,8 +18,8 @@ from needlefit.grouping import group_values
 from needlefit.inference.identifiability.directions import (
     MAX_LOG_SD,
     UNINFORMED_SD_RATIO,
-    Determined,
     Direction,
+    find_least_determined,
     principal_directions,
 )
 from needlefit.inference.parameters import is_logarithmic
@@ -436,18 +436,16 @@ def describe_parameter(rows: Sequence[Row], truth: float | None = None) -> Row:
     name, fixed = str(rows[0]["parameter"]), rows[0]["status"] == "fixed"
     ends = [row[end] for row in rows for end in ("interval_low", "interval_high")]
     label, unit = choose_printed_unit(name, ends if any(map(is_known, ends)) else [rows[0]["value"]])
-    errors = [row["fitted_metric"] for row in rows if row["fitted_metric"]]
-    medians = [row["value"] if row["median"] is None else row["median"] for row in rows]
+    errors = [] if fixed else [row["fitted_metric"] for row in rows if row["fitted_metric"]]
+    estimates = list(map(choose_estimate, rows))
     return {
         "parameter": label,
-        "posterior": f"{_join_range(medians, unit)}, fixed"
+        "posterior": f"{_join_range(estimates, unit)}, fixed"
         if fixed
-        else _format_estimate(rows, medians, unit),
+        else _format_estimate(rows, estimates, unit),
         "determined": "" if fixed else _join_determined(rows),
-        "error_minimising": ""
-        if fixed or not errors
-        else _format_estimate(errors, [row["value"] for row in errors], unit),
-        "errors_determine": "" if fixed or not errors else _join_determined(errors),
+        "error_minimising": _format_estimate(errors, [row["value"] for row in errors], unit),
+        "errors_determine": _join_determined(errors),
         **{
             method: _join_range([row[method]["value"] for row in rows if row[method]], unit)
             for method in ("hand_tuned", "hand_tuned_b")
@@ -456,11 +454,14 @@ def describe_parameter(rows: Sequence[Row], truth: float | None = None) -> Row:
     }
 
 
+def choose_estimate(row: Row) -> float | None:
+    """Return the estimate of a parameter that is printed: the median of its draws, without any the fit's."""
+    estimate: float | None = row["value"] if row["median"] is None else row["median"]
+    return estimate
+
+
 def _join_determined(rows: Sequence[Row]) -> str:
-    """Return the word of the fold in which a parameter is determined least."""
-    words: tuple[Determined, ...] = ("no", "only together", "yes")
-    found = [str(row["determined"]) for row in rows]
-    return next((word for word in words if word in found), "")
+    return find_least_determined(str(row["determined"]) for row in rows)
 
 
 def _join_range(values: Sequence[float | None], unit: float) -> str:
@@ -470,12 +471,10 @@ def _join_range(values: Sequence[float | None], unit: float) -> str:
 
 
 def _format_estimate(rows: Sequence[Row], values: Sequence[float | None], unit: float) -> str:
-    """Return "0.196 (0.12 to 0.28)"; of several folds with the outermost ends of their intervals."""
-    estimate, lows, highs = (
-        _join_range(values, unit),
-        *([row[f"interval_{end}"] for row in rows] for end in ("low", "high")),
-    )
-    if not all(map(is_known, [*lows, *highs])):
+    """Return "0.196 (0.12 to 0.28)"; of several folds with the outermost ends, of none ""."""
+    estimate = _join_range(values, unit)
+    lows, highs = ([row[f"interval_{end}"] for row in rows] for end in ("low", "high"))
+    if not rows or not all(map(is_known, [*lows, *highs])):
         return estimate
     ends = []
     for end, found in (("low", min(lows)), ("high", max(highs))):
