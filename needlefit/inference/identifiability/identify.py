@@ -117,7 +117,7 @@ def identify(
     added = add_model_error(noisy, theta)
     # pinv: a direction without information has no variance to add to
     wider = np.linalg.pinv(np.linalg.pinv(information, hermitian=True) + added, hermitian=True)
-    found = principal_directions(wider, names, before)
+    found = principal_directions(wider.astype(np.float64), names, before)
     together = _find_together(names, information, before)
     ends = [s.theta for s in select_within_tolerance(fit)] or [fit.theta]
     equal = np.array(ends, dtype=np.float64).reshape(len(ends), len(names))

@@ -573,7 +573,7 @@ def find_known_combination(results: Run) -> str:
 
 def describe_freed(identification: pd.DataFrame) -> list[tuple[list[str], str]]:
     """Return what freeing the fixed parameters does, each sentence once, with the parameters it is about."""
-    fixed = identification[identification["status"] == "fixed"]
+    fixed = identification[identification["status"] == "fixed"].sort_values("parameter", kind="stable")
     pairs = ((describe_evidence(row), str(row["parameter"])) for row in to_records(fixed))
     return [(names, words) for words, names in group_values(pairs).items()]
 
