@@ -11,10 +11,10 @@ from matplotlib.tri import Triangulation
 
 from needlefit.arrays import Floats
 from needlefit.datasets.dataset_warnings import find_bend_side
-from needlefit.datasets.importing.conversion import write_plan, write_scene, write_starter_study
-from needlefit.datasets.importing.decisions import Decisions
-from needlefit.datasets.importing.files import ImportContent
-from needlefit.datasets.importing.understanding import ImportPlan
+from needlefit.datasets.importing.answers import Answers
+from needlefit.datasets.importing.curves import ImportContent
+from needlefit.datasets.importing.planning import ImportPlan
+from needlefit.datasets.importing.writing import write_plan, write_scene, write_starter_study
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read
 from needlefit.geometry.curves import make_normal
@@ -39,18 +39,18 @@ _SURFACE_COLOURS = ("#c8b88a", "#a9b7c6", "#c9a3a3", "#a8bfa3")
 _SIDES = {"toward": "toward", "away": "AWAY", "unknown": "too straight"}
 
 
-def write_import(folder: Path, content: ImportContent, plan: ImportPlan, decisions: Decisions) -> Dataset:
+def write_import(folder: Path, content: ImportContent, plan: ImportPlan, answers: Answers) -> Dataset:
     """Write the dataset of a plan, its picture, a scene and a first study into a new folder, or nothing.
 
-    ConfigError if `folder` holds something. DataError: listing the faults of the dataset, at their places in
-    the imported files.
+    Tip tracks get no picture, scene and study. ConfigError if `folder` holds something. DataError: listing
+    the faults of the dataset, at their places in the imported files.
     """
     with create_folder(folder) as fresh:
-        dataset = read(write_plan(fresh, content, plan, decisions))
-        home = str(folder) if folder.is_absolute() else f"./{folder.as_posix()}"
-        write_starter_study(fresh, dataset, home)
-        write_scene(fresh, dataset)
-        draw(fresh / PICTURE_FILE, lambda: paint_import(dataset, plan))
+        dataset = read(write_plan(fresh, content, plan, answers))
+        if not plan.readings:
+            write_starter_study(fresh, dataset)
+            write_scene(fresh, dataset)
+            draw(fresh / PICTURE_FILE, lambda: paint_import(dataset, plan))
     return dataset
 
 
@@ -60,10 +60,11 @@ def tabulate_needles(dataset: Dataset) -> pd.DataFrame:
 
 
 def _describe_needle(dataset: Dataset, one: Insertion) -> dict[str, object]:
-    known = dataset.pose == "known"
+    known, is_track = dataset.pose == "known", dataset.pose == "tracker"
     entry, tip = one.centerline[0], one.centerline[-1]
     depths = ", ".join(f"{depth:.1f}" for depth in one.boundaries)
-    return {
+    side = _SIDES[find_bend_side(one, dataset.noise)] if known else "(free shape)"
+    row: dict[str, object] = {
         "insertion": one.id,
         "points": len(one.centerline),
         "depth (mm)": round(one.depth, 2),
@@ -71,20 +72,21 @@ def _describe_needle(dataset: Dataset, one: Insertion) -> dict[str, object]:
         "entry x, y, z (mm)": _format_point(entry),
         "tip x, y, z (mm)": _format_point(tip),
         "layers": " > ".join(map(str, one.sequence)) + (f" at {depths} mm" if depths else ""),
-        "bends, from its bevel": _SIDES[find_bend_side(one, dataset.noise)] if known else "(free shape)",
+        "bends, from its bevel": side,
     }
+    return dict([*row.items()][:4]) if is_track else row
 
 
 def _format_point(point: Floats) -> str:
     return ", ".join(f"{value:z.1f}" for value in point)
 
 
-def tabulate_decisions(decisions: Decisions) -> pd.DataFrame:
+def tabulate_decisions(answers: Answers) -> pd.DataFrame:
     """Return one row for each decision: what, value, where it comes from, why."""
     return pd.DataFrame(
         [
             {"decision": one.what, "value": one.value, "from": one.source, "why": one.reason}
-            for one in decisions.made
+            for one in answers.made
         ]
     )
 
@@ -97,7 +99,7 @@ def paint_import(dataset: Dataset, plan: ImportPlan) -> Figure:
     figure = Figure(figsize=(6.7, 2.9))
     left, right = figure.subplots(1, 2)
     _draw_world(left, dataset.insertions, [*plan.layers.surfaces, *([plan.tissue] if plan.tissue else [])])
-    _draw_shapes(right, dataset, "bevel" if plan.insertions[0].row.bevel is not None else "bend")
+    _draw_shapes(right, dataset, "bevel" if plan.rows[0].bevel is not None else "bend")
     figure.draw_without_rendering()  # the layout decides the scales
     for axes, words in ((left, "World: all needles from the side"), (right, "Each from its entry")):
         axes.set_title(f"{words}\n(vertical scale × {_find_scale(axes):.2g})")

@@ -39,7 +39,7 @@ class FitRecord(FileRecord):
     note: str = ""
     """Free text for readers of the file; it changes no result."""
     dataset: str
-    """Name of a dataset in `data/`, or the path of its folder."""
+    """Name of a dataset in `data/`, or the path of its folder, relative to this file."""
     medium: str
     """Name of a tissue model in `configs/media/`, or the path of its file."""
     recipe: str = "default"

@@ -55,7 +55,7 @@ class TrackStudyRecord(FileRecord):
     note: str = ""
     """Free text for readers of the file; it changes no result."""
     dataset: str
-    """Name of a dataset in `data/`, or the path of its folder."""
+    """Name of a dataset in `data/`, or the path of its folder, relative to this file."""
     recipe: str = "default"
     """Name of a recipe in `configs/recipes/`, or the path of its file."""
     registration_depth_mm: float = Field(gt=0)

@@ -99,10 +99,10 @@ def _dataset(path: Path) -> object:
 
 
 def _import(path: Path) -> object:
-    decisions = _late("datasets.importing.decisions.Decisions")()
-    content, plan = import_module("import_cases").plan_import([path], decisions)
+    answers = _late("datasets.importing.answers.Answers")({"pose": "1,0,0", "bevel": "0,1,0"})
+    content, plan = import_module("import_cases").plan_import([path], answers)
     with _late("project.folders.create_folder")(path.parent / "made") as fresh:
-        _late("datasets.importing.conversion.write_plan")(fresh, content, plan, decisions)
+        _late("datasets.importing.writing.write_plan")(fresh, content, plan, answers)
     return _late("datasets.read.read")(path.parent / "made")
 
 
@@ -263,6 +263,7 @@ READERS: dict[str, Reader] = {
     "workbook": Reader(_import, seeds.workbooks, SLOWEST),
     "slicer_scene": Reader(_import, seeds.slicer_scenes, 40),
     "bundle": Reader(_import, seeds.bundles, 40),
+    "structure_set": Reader(_import, seeds.structure_sets, SLOWEST),
     "mat": Reader(_import, seeds.matlab, SLOWEST),
     "volume": Reader(READ_VOLUME, seeds.volumes, NATIVE, packed=True),
     "labels": Reader(READ_LABELS, seeds.labels, NATIVE, packed=True),

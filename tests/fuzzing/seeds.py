@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parents[2]
+CASES = Path(__file__).resolve().parent.parent / "imports"
 CORPUS = PROJECT / "tests" / "fuzz" / "corpus"
 """Files that once ended the interpreter, or took gigabytes."""
 
@@ -174,11 +175,18 @@ def import_tables() -> list[Seed]:
         for p in one
     ]
     long = "\n".join(["needle\tmedium\tbevel side\tx [mm]\ty [mm]\tz [mm]", *rows])
+    blocks = "\n\n".join("\n".join(" ".join(map(str, p)) for p in one) for one in curves)
     return [
         saved("t.csv", write_european_csv, curves),
         one_file("t.txt", long.encode("utf-16")),
-        one_file("t.dat", "\n\n".join("\n".join(" ".join(map(str, p)) for p in one) for one in curves)),
+        one_file("t.dat", f"x y z\n{blocks}"),
+        one_file("t.csv", (CASES / "em.csv").read_bytes()),
+        one_file("t.csv", (CASES / "clock.csv").read_bytes()),
     ]
+
+
+def structure_sets() -> list[Seed]:
+    return [one_file("needles.dcm", (CASES / "needles_rs.dcm").read_bytes())]
 
 
 def workbooks() -> list[Seed]:
