@@ -19,9 +19,9 @@ import openpyxl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Rectangle
+from needlefit.datasets.importing.decisions import ANSWER_UNITS, DESCRIPTIONS, QUESTIONS
 
 from needlefit.api import load_run
-from needlefit.datasets.importing.decisions import ANSWER_UNITS, DESCRIPTIONS, QUESTIONS
 from needlefit.datasets.importing.tables import WORKBOOK_FILE
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions

@@ -10,7 +10,6 @@ import numpy as np
 from needlefit.datasets.importing.files import read_content
 from needlefit.datasets.importing.planning import Planner
 
-
 TURN = np.array([[0.0, -1.0, 0.0, 12.0], [1.0, 0.0, 0.0, -30.0], [0.0, 0.0, 1.0, 5.0], [0.0, 0.0, 0.0, 1.0]])
 """A quarter turn and a shift, LPS, from a node to its parent."""
 

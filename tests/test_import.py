@@ -16,7 +16,7 @@ from needlefit.cli import main
 from needlefit.datasets import slicer_scene
 from needlefit.datasets.importing.answers import Answers
 from needlefit.datasets.importing.files import read_content
-from needlefit.datasets.importing.synonyms import Stated, find_meaning, read_angle, read_header
+from needlefit.datasets.importing.synonyms import Stated, read_header
 from needlefit.datasets.importing.tables import (
     UnclearColumnsError,
     parse_number,
@@ -43,7 +43,7 @@ def curves_of(path, columns=""):
 
 
 def stated(curve):
-    return {what: one.text for what, one in curve.attributes.items()}
+    return {what: one.text for what, one in curve.stated.items()}
 
 
 def unused_of(path):
@@ -152,9 +152,9 @@ def test_a_bevel_is_understood_or_refused(text, unit, angle):
     """It is never a default."""
     cell = Stated(text, unit, "a.csv:2")
     if angle is None:
-        assert refusal(DataError, "bevel side", read_angle, cell).where == "a.csv:2"
+        assert refusal(DataError, "bevel side", cell.to_angle).where == "a.csv:2"
     else:
-        assert read_angle(cell) == angle
+        assert cell.to_angle() == angle
 
 
 def test_units_are_stated_or_assumed_to_be_mm_where_needles_then_have_a_needles_length(tmp_path):
@@ -919,7 +919,7 @@ def test_the_workbook_to_fill_in_is_read(tmp_path):
     content = read_content([file])
     assert [one.name for one in content.curves] == [f"n{n}" for n in range(1, 9)]
     known = {"bevel side", "depth", "specimen", "medium"}
-    assert all({*one.attributes} == known for one in content.curves) and content.unused == []
+    assert all({*one.stated} == known for one in content.curves) and content.unused == []
     _, made = planned([file], point_sd="0.2", tissue_surface="none")
     assert (made["point sd"], made["pose angle sd"]) == (("0.2", "option"), ("0.1", "file"))
     assert "assumption" not in {source for _, source in made.values()}

@@ -172,8 +172,8 @@ def import_data(
     from needlefit.datasets.importing.files import read_content
     from needlefit.datasets.importing.planning import Planner
     from needlefit.datasets.importing.tables import UnclearColumnsError
-    from needlefit.datasets.importing.writing import SCENE_FILE, name_study_file
     from needlefit.datasets.read import check_all
+    from needlefit.datasets.template import SCENE_FILE, name_study_file
     from needlefit.project.folders import require_new, require_no_inputs_within
     from needlefit.reporting.dataset_import import (
         PICTURE_FILE,

@@ -1,4 +1,4 @@
-"""Read the curves and models of a scene of 3D Slicer (.mrml, .mrb), moved by its transforms to the world (LPS)."""
+"""Read the curves and models of a scene of 3D Slicer (.mrml, .mrb), moved to the world (LPS)."""
 
 import io
 import tempfile
@@ -134,7 +134,7 @@ class _Scene:
     sizes: list[int] = field(default_factory=list)
 
     def read_content(self) -> SceneContent:
-        """Return the open curves and the models; where no curve is, the lists that are long enough for one."""
+        """Return the open curves, or else the point lists that are long enough, and the models."""
         lists: list[tuple[Node, Markups]] = []
         unused = self.found.unused
         for node in self.nodes.values():

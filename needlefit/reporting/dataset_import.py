@@ -14,9 +14,10 @@ from needlefit.datasets.dataset_warnings import find_bend_side
 from needlefit.datasets.importing.answers import Answers
 from needlefit.datasets.importing.curves import ImportContent
 from needlefit.datasets.importing.planning import ImportPlan
-from needlefit.datasets.importing.writing import write_plan, write_scene, write_starter_study
+from needlefit.datasets.importing.writing import write_plan
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read
+from needlefit.datasets.template import write_scene, write_starter_study
 from needlefit.geometry.curves import make_normal
 from needlefit.geometry.frames import normalize
 from needlefit.geometry.surfaces import Surface

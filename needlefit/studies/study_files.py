@@ -22,7 +22,6 @@ from needlefit.studies.kind import find_kind
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run
 
-
 PATH_KEYS = frozenset(["dataset", "datasets", "medium", "recipe", "priors", "target", "fits", "studies"])
 """Keys of study files whose values may be paths, alone, in a list or a table."""
 
@@ -42,7 +41,9 @@ def _rebase(key: str, value: Any, folder: Path) -> Any:  # noqa: ANN401 - whatev
     if isinstance(value, list):
         return [_rebase(key, one, folder) for one in value]
     if isinstance(value, Mapping) and key not in ("tune", "validate"):  # there `medium` is a name in the data
-        return {inner: _rebase(key if key == "priors" else inner, one, folder) for inner, one in value.items()}
+        return {
+            inner: _rebase(key if key == "priors" else inner, one, folder) for inner, one in value.items()
+        }
     return value
 
 

@@ -39,7 +39,7 @@ def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
 
 
 def read_contours(results: SandboxArrays, path: str) -> tuple[list[str], list[str]]:
-    """Fill an array for every open contour; return their names, and what is left out; in the child process."""
+    """Fill an array for every open contour, in the child process; return their names, and what is left."""
     import pydicom
 
     names: list[str] = []

@@ -26,7 +26,10 @@ from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.frames import PatientSystem, to_lps
 from needlefit.geometry.surfaces import Surface
 
-ATTRIBUTES = ("bevel side", "depth", "medium", "specimen", "hole", "boundaries")  # that an insertion has once
+ATTRIBUTES = (  # what a table may state of an insertion; the last four are those of all insertions
+    *("bevel side", "depth", "medium", "specimen", "hole", "boundaries"),
+    *("needle length", "diameter", "inner diameter", "modulus"),
+)
 _KEYS = ("specimen", "hole", "needle")  # columns that tell curves apart
 _VECTORS = ("entry", "target", "guide", "quaternion")  # columns x, y, z that are no points of a needle
 MAX_LABEL_ROWS = 4  # rows above a header in which the names of its columns are looked for
@@ -55,7 +58,7 @@ class ImportedCurve:
     unit: str = ""  # as the file states it; empty where it does not
     # LPS once points were converted to it, as those of markups are; None where the file states no system.
     system: PatientSystem | None = None
-    attributes: Mapping[str, Stated] = field(default_factory=dict)  # what the file states once for it
+    stated: Mapping[str, Stated] = field(default_factory=dict)  # of `ATTRIBUTES`, once for the curve
     axes: str = ""  # what names its coordinates; empty: nothing
     readings: Readings | None = None
 
@@ -66,7 +69,7 @@ class ImportedSurface:
 
     path: Path
     surface: Surface
-    system: str | None = None
+    system: PatientSystem | None = None
 
 
 @dataclass
@@ -78,7 +81,7 @@ class ImportContent:
     files: list[Path] = field(default_factory=list)
     curves: list[ImportedCurve] = field(default_factory=list)
     surfaces: list[ImportedSurface] = field(default_factory=list)
-    needles: dict[str, dict[str, Stated]] = field(default_factory=dict)  # what tables state, by names
+    needles: list[tuple[str, dict[str, Stated]]] = field(default_factory=list)  # names, and what is stated
     setup: dict[str, Stated] = field(default_factory=dict)  # answers by the names of questions
     notes: list[str] = field(default_factory=list)  # how files were read, where that may surprise
     unused: list[tuple[str, str]] = field(default_factory=list)  # what is not used; where it stands, or why
@@ -89,18 +92,8 @@ class ImportContent:
         self.unused.append((what, error.what))
         self.unclear = self.unclear or error
 
-    def add(self, other: "ImportContent") -> None:
-        """Add what sheets of one file hold; DataError if it contradicts what is known."""
-        self.columns_found |= other.columns_found
-        self.curves += other.curves
-        self.unused += other.unused
-        self.unclear = self.unclear or other.unclear
-        require_same(self.setup, other.setup)
-        for name, stated in other.needles.items():
-            require_same(self.needles.setdefault(name, {}), stated)
 
-
-def require_same(known: dict[str, Stated], stated: Mapping[str, Stated]) -> None:
+def add_stated(known: dict[str, Stated], stated: Mapping[str, Stated]) -> None:
     """Add what is stated to what is known; DataError if the two differ."""
     for what, one in stated.items():
         if known.setdefault(what, one).text != one.text:
@@ -166,13 +159,15 @@ def read_table(cells: CellTable, content: ImportContent) -> None:
     """
     reader = _TableReader(cells, content)
     if not reader.heads:
+        turned = _TableReader(cells.transpose(), content)
+        reader = turned if turned.heads else reader
+    curves = list(reader.read_curves()) if reader.heads else []
+    if not reader.heads:
         reader.read_needles()
     stem = cells.sheet or cells.path.name.split(".")[0] or cells.path.stem
-    curves = list(reader.read_curves()) if any(one.groups for one in reader.heads.values()) else []
-    unnamed = sum(not one.name for one in curves)
+    unnamed, numbers = sum(not one.name for one in curves), count(1)
     if unnamed > 1:
         content.notes.append(f"{stem}: {unnamed} blocks of rows without names are {unnamed} needles")
-    numbers = count(1)
     for one in curves:
         own = f"{stem}-{next(numbers)}" if unnamed > 1 and not one.name else stem
         content.curves.append(replace(one, name=one.name or own))
@@ -189,7 +184,7 @@ class _TableReader:
         for n in range(len(cells.rows)):
             if len(cells.filled(n)) > 1 and not cells.count_numbers(n):
                 self.add_head(n)
-        axes = [content.columns.get(axis, "") for axis in "xyz" if axis in content.columns]
+        axes = [content.columns[axis] for axis in "xyz" if axis in content.columns]
         if not self.heads and axes and all(map(str.isdecimal, axes)):  # above the first row of numbers there
             for n in range(len(cells.rows)):
                 if all(cells.number(cells.cell(n, int(name) - 1)) is not None for name in axes):
@@ -204,90 +199,46 @@ class _TableReader:
 
     def add_head(self, n: int) -> None:
         """Add a row to the headers if it names coordinates, or depth and deflection."""
-        labels, units = self.find_labels(n), self.find_units(n + 1)
-        headers = [
-            read_header(self.cells.cell(n, m).lstrip("#% ") if n >= 0 else "") for m in range(self.width)
-        ]
-        own = [replace(one, unit=one.unit or units.get(m, "")) for m, one in enumerate(headers)]
-        headers = [
-            self.add_label(one, labels[m], m) if labels and not one.meaning else one
-            for m, one in enumerate(own)
-        ]
+        rows = range(n - 1, max(n - 1 - MAX_LABEL_ROWS, -1), -1)
+        above = next((m for m in rows if not self.find_pairs(m, self.cells.filled(m))), n)
+        is_point = self.heads and self.cells.count_numbers(above) > 1
+        is_title = n < 1 or len({*self.cells.rows[above]} - {""}) < 2
+        labels = {} if is_point or is_title or above == n else dict(enumerate(self.cells.rows[above]))
+        units, lent = self.find_units(n + 1), list[int]()
+        headers = []
+        for m in range(self.width):
+            own = self.cells.cell(n, m).lstrip("#% ") if n >= 0 else ""
+            label = labels.get(m, "").lstrip("#% ")
+            one = read_header(own)
+            if label and not one.meaning and not one.axis:
+                one = read_header(f"{label} {own}".strip())
+                lent.append(m)
+            headers.append(replace(one, unit=one.unit or units.get(m, "")))
         headers = self.apply_columns(headers)
-        groups = self.find_groups(headers, n)
-        starts = sorted(min(one.columns) for one in groups)
-        for k, one in enumerate(groups):  # what stands before the first group is common to all
-            end = next((m for m in starts if m > min(one.columns)), self.width)
-            groups[k] = replace(one, span={*range(starts[0]), *range(min(one.columns), end)})
+        groups = []
+        found = self.find_groups(headers, n)
+        starts = sorted(min(group.columns) for group in found)
+        for group in found:
+            # what stands before the first group is common to all
+            end = next((m for m in starts if m > min(group.columns)), self.width)
+            span = {*range(starts[0]), *range(min(group.columns), end)}
+            label = labels.get(group.columns[0], "")
+            text, unit = split_unit(label)
+            beside = read_header(f"{text} x").group if text else ""
+            if beside in _VECTORS:
+                for m in group.columns:
+                    headers[m] = replace(headers[m], text=f"{label} {headers[m].text}")
+            name = group.name or (beside if len(found) > 1 else "")
+            if beside not in _VECTORS:
+                groups.append(replace(group, name=name, unit=group.unit or unit, span=span))
+            lent += [group.columns[0]] if beside in _VECTORS or (name, unit) != (group.name, "") else []
         if groups:
-            self.heads[n] = head = _Head(n, headers, groups)
-            named = {m for one in groups if one.name for m in one.columns}
-            for m, (row, place, _) in enumerate(labels):
-                if headers[m] != own[m] and (
-                    m in named or headers[m].unit != own[m].unit or not headers[m].axis
-                ):
-                    self.use(row, place)
+            self.heads[n] = _Head(n, headers, groups)
             self.use(n, *range(self.width))
             self.use(n + 1, *units)
-            for one in groups:
-                self.require_single(head, one)
-
-    def apply_columns(self, headers: Sequence[Header]) -> list[Header]:
-        """Return headers with the meanings that `--columns` states, which no other column then has."""
-        texts, places = [one.text for one in headers], dict[int, str]()
-        stated = self.content.columns
-        for meaning, name in stated.items():
-            if name in texts:
-                places[texts.index(name)] = meaning
-            elif name.isdecimal() and 0 < int(name) <= len(texts):
-                places[int(name) - 1] = meaning
-        self.content.columns_found |= {*places.values()}
-        found = []
-        for m, one in enumerate(headers):
-            meaning = places.get(m, "" if one.meaning in stated else one.meaning)
-            axis = "" if "x" in places.values() or m in places else one.axis
-            is_axis = meaning in ("x", "y", "z")
-            unit = one.unit or (split_unit(one.text)[1] if m in places else "")
-            found.append(
-                replace(
-                    one,
-                    unit=unit,
-                    meaning="" if is_axis else meaning,
-                    axis=meaning if is_axis else axis,
-                    group="" if m in places else one.group,
-                )
-            )
-        return found
-
-    def find_labels(self, n: int) -> list[tuple[int, int, str]]:
-        """Return row, column and text of the cells that name columns above a header, filled over merged ones."""
-        for above in range(n - 1, max(n - 1 - MAX_LABEL_ROWS, -1), -1):
-            filled = self.cells.filled(above)
-            if filled and self.find_pairs(above, filled):
-                continue
-            is_point = self.cells.count_numbers(above) > 1 and self.heads
-            if len({self.cells.rows[above][m] for m in filled}) < 2 or is_point:
-                break
-            labels, place, text = [], 0, ""
-            for m in range(self.width):
-                own = self.cells.cell(above, m).lstrip("#% ")
-                place, text = (m, own) if own else (place, text if self.cells.cell(n, m) else "")
-                labels.append((above, place, text))
-            return labels
-        return []
-
-    def add_label(self, one: Header, label: tuple[int, int, str], column: int) -> Header:
-        """Return a header with what the cell above it states: group and unit of an axis, or the meaning."""
-        _, place, text = label
-        plain, unit = split_unit(text)
-        full = f"{text} {one.text}".strip()
-        if one.axis:
-            beside = read_header(f"{plain} x").group if plain else ""
-            return replace(one, text=full, group=one.group or beside, unit=one.unit or unit)
-        if place != column or not text:
-            return one
-        below = read_header(f"{plain} {split_unit(one.text)[0]}".strip())
-        return replace(below, text=full, unit=one.unit or unit or below.unit)
+            self.use(above, *lent)
+            for group in groups:
+                self.require_single(self.heads[n], group)
 
     def find_units(self, n: int) -> dict[int, str]:
         """Return the units in a row below a header, by column; none where it holds anything else."""
@@ -296,6 +247,27 @@ class _TableReader:
         texts = {m: self.cells.rows[n][m].strip("[]() ") for m in self.cells.filled(n)}
         units = {m: find_meaning("unit", text) for m, text in texts.items()}
         return {m: unit or texts[m] for m, unit in units.items()} if any(units.values()) else {}
+
+    def apply_columns(self, headers: Sequence[Header]) -> list[Header]:
+        """Return headers with the meanings that `--columns` states, which no other column then has."""
+        texts, places = [one.text for one in headers], dict[int, str]()
+        for meaning, name in self.content.columns.items():
+            if name in texts:
+                places[texts.index(name)] = meaning
+            elif name.isdecimal() and 0 < int(name) <= len(texts):
+                places[int(name) - 1] = meaning
+        self.content.columns_found |= {*places.values()}
+        found = []
+        for m, one in enumerate(headers):
+            meaning, axis = places.get(m, one.meaning), "" if m in places else one.axis
+            if m not in places:  # no others are meant then
+                meaning = "" if meaning in places.values() else meaning
+                axis = "" if "x" in places.values() else axis
+            elif meaning in ("x", "y", "z"):
+                meaning, axis = "", meaning
+            group, unit = "" if m in places else one.group, one.unit or split_unit(one.text)[1]
+            found.append(Header(one.text, meaning, axis, group, unit))
+        return found
 
     def find_groups(self, headers: Sequence[Header], n: int) -> list[_Group]:
         """Return the columns of each curve; a letter that comes again begins another one."""
@@ -308,10 +280,8 @@ class _TableReader:
         if not found and len(tips) == 2:
             found[0, ""] = dict(zip("xy", tips, strict=True))
         merged = {letter: m for places in found.values() for letter, m in places.items()}
-        if len(found) > 1 and len(merged) == sum(
-            map(len, found.values())
-        ):  # each axis beside a word of its own
-            found = {(0, ""): merged}
+        if len(found) > 1 and len(merged) == sum(map(len, found.values())):
+            found = {(0, ""): merged}  # each axis stands beside a word of its own
         groups = []
         for (_, name), places in found.items():
             letters = next((one for one in COORDINATES if {*one} <= {*places}), "xyz")
@@ -324,8 +294,8 @@ class _TableReader:
                     "x, y, z in this order, of one unit",
                 )
                 raise DataError(what, where=where, expected=expected, fix=COLUMNS_FIX)
-            system: PatientSystem | None = {"ras": "RAS", "lps": "LPS"}.get(letters)  # type: ignore[assignment]
-            groups += [_Group(name, columns, units.pop(), system)] if len(columns) > 1 else []
+            systems: dict[str, PatientSystem] = {"ras": "RAS", "lps": "LPS"}
+            groups += [_Group(name, columns, units.pop(), systems.get(letters))] if len(columns) > 1 else []
         return groups
 
     def require_single(self, head: _Head, group: _Group) -> None:
@@ -346,15 +316,17 @@ class _TableReader:
         title = texts[filled[0]] if len(filled) == 1 else ""
         if 1 < len(title.split()) <= MAX_TITLE_WORDS and find_meaning("column", title.split()[0]) == "needle":
             return [(list(filled), Header(title, "needle"), title)]
-        split = [([m], *re.split(r"\s*[:=：]\s*", text, maxsplit=1)) for m, text in texts.items()]
-        if not all(len(parts) == 3 for parts in split):
-            split = [([a, b], texts[a], texts[b]) for a, b in zip(filled[::2], filled[1::2], strict=False)]
-        pairs = [(places, read_header(name.rstrip(":=： ")), value) for places, name, value in split]
-        values = [read_header(split_unit(value)[0]) for *_, value in pairs]
+        split = {m: re.split(r"\s*[:=：]\s*", text, maxsplit=1) for m, text in texts.items()}
+        couples = zip(filled[::2], filled[1::2], strict=False)
+        pairs = [([a, b], texts[a].rstrip(":=： "), texts[b]) for a, b in couples]
+        if all(len(parts) == 2 for parts in split.values()):
+            pairs = [([m], parts[0], parts[1]) for m, parts in split.items()]
+        found = [(places, read_header(name), value) for places, name, value in pairs]
+        values = [read_header(split_unit(value)[0]) for *_, value in found]
         is_name = any(one.meaning or one.axis or find_meaning("filler", one.text) for one in values)
-        is_known = all(one.meaning in ("needle", *ATTRIBUTES) for _, one, _ in pairs)
-        is_whole = sum(len(places) for places, *_ in pairs) == len(filled)
-        return pairs if is_known and is_whole and not is_name else []
+        is_known = all(one.meaning in ("needle", *ATTRIBUTES) for _, one, _ in found)
+        is_whole = sum(len(places) for places, *_ in found) == len(filled)
+        return found if is_known and is_whole and not is_name else []
 
     # ---- curves
 
@@ -362,17 +334,30 @@ class _TableReader:
         """Yield the header, the rows of text above, and the rows of each block of points."""
         head, above, rows = self.heads.get(-1), list[int](), list[int]()
         for n, row in enumerate([*self.cells.rows, []]):
-            is_point = (
-                head is not None and any(row) and n not in self.heads and self.is_point(head, n, bool(rows))
-            )
+            is_head = n in self.heads
+            is_point = head is not None and any(row) and not is_head and self.is_point(head, n, bool(rows))
             if rows and not is_point and head is not None:
                 yield head, above, rows
                 above, rows = [], []
             head = self.heads.get(n, head)
-            if is_point:
+            if is_point and head is not None:
+                self.require_width(head, n)
                 rows.append(n)
-            elif any(row) and n not in self.heads:
+            elif any(row) and not is_head:
                 above.append(n)
+
+    def require_width(self, head: _Head, n: int) -> None:
+        """DataError where the cells of a row of text do not stand under those of its header."""
+        row, width = self.cells.rows[n], len(self.cells.rows[head.row])
+        is_moved = (self.cells.separator == "," and any(row[width:])) or (
+            self.cells.separator == " " and len(row) != width
+        )
+        if head.row >= 0 and is_moved:
+            what, fix = (
+                f"has {len(row)} cells under {width} columns",
+                "save it with semicolons or tabs between",
+            )
+            raise DataError(what, where=self.cells.where(n), expected="as many cells as the header", fix=fix)
 
     def is_point(self, head: _Head, n: int, is_open: bool) -> bool:
         """Whether a row has coordinates, or cells under known headers alone; not one of labels.
@@ -401,13 +386,11 @@ class _TableReader:
                     last |= {(head.row, m): text for m in keys if (text := self.cells.cell(n, m))}
                     names = tuple(last.get((head.row, m), "") for m in keys)
                     key = (group.name, group.columns, names, is_named or block)
-                    one = found.setdefault(key, _Found(head, group, names, labels))
-                    one.rows.append(n)
+                    found.setdefault(key, _Found(head, group, names, labels)).rows.append(n)
         ones = [one for one in found.values() if any(self.list_filled(one))]
         is_unique = len({(one.group.name, *one.names[-1:]) for one in ones}) == len(ones)
         for one in ones:
-            names = one.names[-1:] if is_unique else one.names
-            yield self.read_curve(one, "-".join(filter(None, names)))
+            yield self.read_curve(one, "-".join(filter(None, one.names[-1:] if is_unique else one.names)))
 
     def list_filled(self, one: _Found) -> list[int]:
         """Return the rows of a curve in which not all coordinates are missing."""
@@ -428,30 +411,28 @@ class _TableReader:
         """Return one curve, with what the table states once for it. `own`: its name in a column."""
         cells, group, head = self.cells, found.group, found.head
         rows = self.list_filled(found)
-        values = np.zeros((len(rows), 3))
-        values[:, : len(group.columns)] = self.read_numbers(rows, group.columns)
         for n in {*rows, *found.rows[:1]}:
             self.use(n, *head.find(group, *_KEYS))
+        values = np.zeros((len(rows), 3))
+        values[:, : len(group.columns)] = self.read_numbers(rows, group.columns)
         points = Points(cells.path, to_lps(values, group.system) if group.system else values)
         points = replace(points, lines=np.array([cells.first + n for n in rows], dtype=np.int64))
         for m in head.find(group, "sd"):
             unit = head.headers[m].unit or group.unit
             factor = UNITS_MM.get(unit, 1.0) / UNITS_MM.get(group.unit or unit, 1.0)
             points = replace(points, sd=factor * self.read_numbers(rows, [m])[:, 0])
-        attributes = {**found.above, **self.read_attributes(found)}
-        title = attributes.pop("needle", None)
+        stated = {**found.above, **self.read_attributes(found)}
+        title = stated.pop("needle", None)
         beside = group.name or (title.text if title and not own else "")
-        return ImportedCurve(
-            "-".join(filter(None, (own, beside))),
-            points,
-            group.unit,
-            "LPS" if group.system else None,
-            attributes,
+        axes = (
             "--columns"
             if "x" in self.content.columns
-            else f"header: {Path(cells.where(max(head.row, 0))).name}",
-            self.read_readings(found, rows),
+            else f"header: {Path(cells.where(max(head.row, 0))).name}"
         )
+        axes += ", z = 0" if len(group.columns) == 2 else ""
+        name = "-".join(filter(None, (own, beside)))
+        system: PatientSystem | None = "LPS" if group.system else None
+        return ImportedCurve(name, points, group.unit, system, stated, axes, self.read_readings(found, rows))
 
     def read_numbers(self, rows: Sequence[int], columns: Sequence[int]) -> Floats:
         """Return the numbers in some columns (N, M); DataError at the first cell that is none."""
@@ -460,8 +441,7 @@ class _TableReader:
             for i, m in enumerate(columns):
                 text = self.cells.cell(n, m)
                 number = self.cells.number(text)
-                if number is None:
-                    # errors such as #REF! are read as empty cells
+                if number is None:  # errors such as #REF! are read as empty cells
                     what = f"a number is {repr(text[:40]) if text else 'empty'}"
                     expected = f"numbers with a decimal {'comma' if self.cells.decimal == ',' else 'point'}"
                     fix = "correct the cell, or empty all coordinates of its row"
@@ -473,27 +453,23 @@ class _TableReader:
     def read_attributes(self, found: _Found) -> dict[str, Stated]:
         """Return what columns state once for a curve; DataError if two cells of one contradict each other."""
         stated: dict[str, Stated] = {}
-        head = found.head
         for meaning in ATTRIBUTES:
-            parts: list[Stated] = []
-            for m in head.find(found.group, meaning):
-                rows = {text: n for n in found.rows[::-1] if (text := self.cells.cell(n, m))}
-                rows = dict(sorted(rows.items(), key=lambda pair: pair[1]))  # where each stands first
-                if len(rows) > 1 and meaning == "depth":
+            for m in found.head.find(found.group, meaning):
+                header = found.head.headers[m]
+                cells = [(self.cells.cell(n, m), n) for n in found.rows if self.cells.cell(n, m)]
+                other = next(((text, n) for text, n in cells if text != cells[0][0]), None)
+                if not cells or (other and meaning == "depth"):
                     continue  # that of each reading
-                parts += [
-                    Stated(text, head.headers[m].unit, self.cells.where(n, m)) for text, n in rows.items()
-                ]
-                if len(rows) > 1:
+                if other:
+                    what = f"{header.text} is both {cells[0][0][:40]!r} and {other[0][:40]!r}"
                     expected = f"the same in each row of {'-'.join(found.names) or 'the curve'}"
                     fix = f"correct the cell; if other columns tell the needles apart, {COLUMNS_FIX}"
-                    shown = " and ".join(repr(text[:40]) for text in [*rows][:2])
-                    what = f"{head.headers[m].text} is both {shown}"
-                    raise DataError(what, where=parts[-1].where, expected=expected, fix=fix)
-                for n in found.rows:
+                    raise DataError(what, where=self.cells.where(other[1], m), expected=expected, fix=fix)
+                for _, n in cells:
                     self.use(n, m)
-            if parts:
-                stated[meaning] = replace(parts[0], text="; ".join(one.text for one in parts))
+                text, where = cells[0][0], self.cells.where(cells[0][1], m)
+                before = f"{stated[meaning].text}; " if meaning in stated else ""  # of several boundaries
+                stated[meaning] = Stated(before + text, header.unit, where)
         return stated
 
     def read_readings(self, found: _Found, rows: Sequence[int]) -> Readings | None:
@@ -510,9 +486,9 @@ class _TableReader:
             what, fix = f"{head.headers[guides[0]].text} changes", "name it: --columns guide=HEADER"
             expected = "one column with the lateral position of the guide"
             raise DataError(what, where=self.cells.where(rows[0], guides[0]), expected=expected, fix=fix)
-        depth = self.read_numbers(rows, columns)[:, 0]
+        depth, unit = self.read_numbers(rows, columns)[:, 0], head.headers[columns[0]].unit
         guide = places[:, 0] - places[0, 0] if guides else None
-        return Readings(depth, head.headers[columns[0]].unit or group.unit, guide, is_log, is_deflection)
+        return Readings(depth, unit or group.unit, guide, is_log, is_deflection)
 
     # ---- needles, and what is left
 
@@ -541,7 +517,7 @@ class _TableReader:
                     listed.add(name)
                     self.use(m, keys[0])
                     stated = self.read_attributes(_Found(head, group, (name,), rows=[m]))
-                    require_same(self.content.needles.setdefault(name, {}), stated)
+                    self.content.needles.append((name, stated))
             return
         names = ", ".join(dict.fromkeys(text for row in self.cells.rows[:6] for text in row if text))
         what = f"no header names coordinates: {names[:MAX_LISTED_CHARS]}"
@@ -557,11 +533,11 @@ class _TableReader:
                 if body and not body & cells.used and (header.text or n < 0):
                     cells.used.update(body)
                     yield f"column {header.text or m + 1}", Path(cells.where(max(n, 0))).name
-        left = {
-            n: texts
-            for n, row in enumerate(cells.rows)
-            if (texts := [text for m, text in enumerate(row) if text and (n, m) not in cells.used])
-        }
+        left: dict[int, list[str]] = {}
+        for n, row in enumerate(cells.rows):
+            for m, text in enumerate(row):
+                if text and (n, m) not in cells.used:
+                    left.setdefault(n, []).append(text)
         for n, texts in [*left.items()][:MAX_LISTED]:
             yield f"row {', '.join(texts)}"[:MAX_LISTED_CHARS], Path(cells.where(n)).name
         if len(left) > MAX_LISTED:

@@ -15,9 +15,9 @@ from needlefit.datasets.importing.curves import (
     ImportContent,
     ImportedCurve,
     ImportedSurface,
+    add_stated,
     parse_columns,
     read_table,
-    require_same,
 )
 from needlefit.datasets.importing.synonyms import Stated, find_meaning, make_key, read_header
 from needlefit.datasets.importing.tables import (
@@ -108,16 +108,16 @@ def _add_stated(content: ImportContent) -> None:
     keys = keys if is_own else [one.name.lower() for one in content.curves]  # only words tell them apart
     rows: dict[str, dict[str, Stated]] = {}
     missed = []
-    for name, stated in content.needles.items():
+    for name, stated in content.needles:
         key = make_key(make_id(name, name)) if is_own else make_id(name, name).lower()
-        require_same(rows.setdefault(key, {}), stated)
+        add_stated(rows.setdefault(key, {}), stated)
         missed += [] if key in keys else [name]
     for n, (one, key) in enumerate(zip(content.curves, keys, strict=True)):
-        known = dict(one.attributes)
-        require_same(known, rows.get(key, {}))
-        content.curves[n] = replace(one, attributes=known)
+        known = dict(one.stated)
+        add_stated(known, rows.get(key, {}))
+        content.curves[n] = replace(one, stated=known)
     if missed and len(missed) == len(content.needles):
-        where = next((one.where for stated in content.needles.values() for one in stated.values()), "")
+        where = next((one.where for _, stated in content.needles for one in stated.values()), "")
         what, fix = f"no curve is called {', '.join(missed[:8])}", "give needles and curves the same names"
         expected = f"names of curves: {', '.join(one.name for one in content.curves[:8])}"
         raise DataError(what, where=where, expected=expected, fix=fix)
@@ -131,7 +131,7 @@ def list_import_suffixes() -> tuple[str, ...]:
 
 
 def _list_files(paths: Iterable[Path], content: ImportContent) -> Iterable[Path]:
-    """Yield the files that are named or stand in a folder that is; of a folder with a scene that one alone."""
+    """Yield the files that are named, or stand in a folder that is; beside a scene nothing else."""
     for path in paths:
         if not is_dir(path):
             yield path
@@ -205,9 +205,10 @@ def _read_format(path: Path, content: ImportContent) -> None:
                 unused[f"field {key}"] = None
         unit, system = ("mm", "LPS") if format_.in_scan else ("", None)
         curves.append(ImportedCurve(name, points, unit, system, stated, axes))  # type: ignore[arg-type]
-    own = {one.attributes["needle"].text for one in curves if "needle" in one.attributes}
+    own = {one.stated["needle"].text for one in curves if "needle" in one.stated}
     for one in curves:
-        title = one.attributes.pop("needle", None)
+        title = one.stated.get("needle")
+        one = replace(one, stated={what: cell for what, cell in one.stated.items() if what != "needle"})
         if len(own) == len(curves) and title is not None:
             one = replace(one, name=title.text)
         elif title is not None:  # one name of all is that of the experiment
@@ -221,7 +222,7 @@ def _read_workbook(path: Path, content: ImportContent) -> None:
 
     Sheets called `example` are those of the workbook to fill in: they are used where no other holds curves.
     """
-    own, examples = ImportContent(content.columns), ImportContent(content.columns)
+    own, examples = (ImportContent(content.columns, content.columns_found) for _ in range(2))
     names = []
     for cells in read_sheets(path):
         plain = cells.sheet.lower()
@@ -241,9 +242,13 @@ def _read_workbook(path: Path, content: ImportContent) -> None:
             own.leave_out(f"sheet {cells.sheet}", error)
     why = "not read: other sheets hold points" if own.curves else "read: no other sheet holds points"
     content.notes += [f"{path.name}: examples ({', '.join(names)}) are {why}"] if names else []
-    content.add(own)
-    if not own.curves:
-        content.add(examples)
+    for one in (own,) if own.curves else (own, examples):
+        content.curves += one.curves
+        content.needles += one.needles
+        content.notes += one.notes
+        content.unused += one.unused
+        add_stated(content.setup, one.setup)
+    content.unclear = content.unclear or own.unclear
 
 
 def _read_setup(cells: CellTable, content: ImportContent) -> None:
@@ -264,4 +269,4 @@ def _read_setup(cells: CellTable, content: ImportContent) -> None:
         if unit and find_meaning("unit", unit) != expected:
             text, fix = f"the unit of {what} is {unit[:40]!r}", "convert the value, and restore the unit"
             raise DataError(text, where=cells.where(n, 2), expected=expected or "no unit", fix=fix)
-        require_same(content.setup, {what: Stated(value, unit, cells.where(n, 1))})
+        add_stated(content.setup, {what: Stated(value, unit, cells.where(n, 1))})

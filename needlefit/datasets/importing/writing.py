@@ -1,4 +1,4 @@
-"""Write an import as a dataset with a first study and a scene; its faults are those of the imported files."""
+"""Write an import as a dataset; its faults are those of the imported files."""
 
 import re
 from pathlib import Path
@@ -9,7 +9,6 @@ from needlefit.datasets.faults import as_error
 from needlefit.datasets.importing.answers import QUESTIONS, Answers
 from needlefit.datasets.importing.curves import ImportContent
 from needlefit.datasets.importing.planning import ImportPlan
-from needlefit.datasets.insertion import Dataset
 from needlefit.datasets.points import trace_fault
 from needlefit.datasets.read import check
 from needlefit.datasets.template import draft_record
@@ -17,19 +16,13 @@ from needlefit.datasets.write import write_dataset
 from needlefit.geometry.surfaces import Surface, make_sheet
 from needlefit.project.folders import sha256
 from needlefit.project.toml import check as check_record
-from needlefit.project.toml import dumps, load
+from needlefit.project.toml import dumps
 from needlefit.schemas.dataset import DatasetRecord, ImportRecord, TrackDatasetRecord
-from needlefit.schemas.medium import MediumRecord
-from needlefit.schemas.scene import SceneRecord
-from needlefit.schemas.study import StudyRecord
 
 PLANE_MM = 100.0  # length and width of the boundary of one needle that is stated as a depth
-TISSUE_FILE, SCENE_FILE, TRACKS_FILE = "tissue.toml", "scene.toml", "tracks.csv"
-MODULUS_BOUNDS_PA, BEVEL_BOUNDS_MM = [1e3, 1e9], [1e-3, 1.0]
-SCENE_MU_PA, SCENE_ALPHA, SCENE_BEVEL_MM = 2e5, 1.0, 0.05  # of a scene before any fit
+TRACKS_FILE = "tracks.csv"
 
 _NOTE = "# Made by `needlefit import`. [import] lists every decision and its origin; correct what is wrong.\n"
-_START_NOTE = "# A start, made by `needlefit import`: {what} `needlefit explain {kind}` lists every key.\n"
 
 
 def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, answers: Answers) -> Path:
@@ -118,78 +111,3 @@ def _write_tracks(folder: Path, plan: ImportPlan, draft: dict[str, object]) -> P
         dumps(record.model_dump(mode="json", by_alias=True)).encode("utf-8")
     )
     return folder / "dataset.toml"
-
-
-# ---- a first study
-
-
-def name_study_file(name: str) -> str:
-    """Return the file of a dataset's first study; the folder of its results has this name, too."""
-    return f"{name}_study.toml"
-
-
-def write_scene(folder: Path, dataset: Dataset) -> None:
-    """Write the deepest insertion as a scene into `folder`, to be planned, viewed and predicted."""
-    deepest = max(dataset.insertions, key=lambda one: one.depth)
-    tops = [0.0, *deepest.boundaries.round(3).tolist()]
-    needle = load(folder / "dataset.toml", DatasetRecord).needle
-    scene: dict[str, object] = {
-        "schema": 2,
-        "title": f"A planned insertion as {deepest.id} of {dataset.name}",
-        "note": "Parameters are made up: `needlefit predict` replaces them by fitted ones.",
-        "depth_mm": round(deepest.depth, 3),
-        "needle": needle.model_dump(exclude_defaults=True),
-        "bevel": {"offset_mm": SCENE_BEVEL_MM, "side": deepest.side},
-        "layers": [
-            {"name": f"layer {layer}", "top_mm": top, "mu_pa": SCENE_MU_PA, "alpha": SCENE_ALPHA}
-            for top, layer in zip(tops, deepest.sequence, strict=True)
-        ],
-    }
-    check_record(scene, SceneRecord, SCENE_FILE)
-    _write_start(folder / SCENE_FILE, scene, "scene.toml", "needle, depth, layers and bevel.")
-
-
-def _write_start(file: Path, tables: dict[str, object], kind: str, what: str) -> None:
-    file.write_bytes((_START_NOTE.format(what=what, kind=kind) + dumps(tables)).encode("utf-8"))
-
-
-def write_starter_study(folder: Path, dataset: Dataset) -> bool:
-    """Write a study and its `tissue.toml` into `folder`; return False if there are too few insertions.
-
-    The study leaves out one specimen at a time, or, of a single specimen, one insertion. The tissue model has
-    as many layers as the deepest insertion meets; the exponents alpha are fixed at 1, as shapes hardly depend
-    on them.
-    """
-    if len(dataset.insertions) < 2:
-        return False
-    layers = max(max(one.sequence) for one in dataset.insertions)
-    numbers = range(1, layers + 1)
-    tissue: dict[str, object] = {
-        "schema": 1,
-        "title": f"Tissue of {dataset.name}",
-        "layers": layers,
-        "parameters": {
-            **{f"mu{n}_pa": {"bounds": MODULUS_BOUNDS_PA} for n in numbers},
-            **{f"alpha{n}": {"fixed": 1.0} for n in numbers},
-            "bevel_mm": {"bounds": BEVEL_BOUNDS_MM},
-        },
-    }
-    several = len({one.specimen for one in dataset.insertions}) > 1
-    unit = "specimen" if several else "insertion"
-    where = "those into a new specimen" if several else "another one into the same specimen"
-    study: dict[str, object] = {
-        "schema": 2,
-        "title": f"{dataset.name}: leave one {unit} out",
-        "question": f"Does a model fitted to all other insertions predict {where}?",
-        "dataset": ".",  # paths are relative to the study
-        "medium": f"./{TISSUE_FILE}",
-        "recipe": "default",
-        "leave_out": unit,
-        **({} if several else {"same_specimen": True}),
-    }
-    study_file = name_study_file(dataset.name)
-    check_record(tissue, MediumRecord, TISSUE_FILE)
-    check_record(study, StudyRecord, study_file)
-    _write_start(folder / TISSUE_FILE, tissue, "medium.toml", "the layers, and which parameters are fitted.")
-    _write_start(folder / study_file, study, "study.toml", "what is fitted, and what is predicted.")
-    return True
