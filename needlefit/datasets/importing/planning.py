@@ -34,6 +34,7 @@ from needlefit.geometry.frames import RAS_TO_LPS, normalize, to_lps
 from needlefit.geometry.surfaces import Surface, transform_surface
 from needlefit.project.locate import join_names
 from needlefit.project.unit_warnings import GAUGES_MM
+from needlefit.schemas.dataset import ImportSource
 from needlefit.schemas.scene import NeedleRecord
 
 # Length of the longest needle, from and to, that may be assumed to be in mm, and that a stated unit may give.
@@ -276,7 +277,8 @@ class Planner:
         units = dict(zip(self.names, self.units, strict=True))
         depths = {name: cell.to_mm("depth", units[name]) for name, cell in stated.items()}
         beyond = [name for name, depth in depths.items() if lengths[name] - depth > find_tolerance(depth)]
-        guess, source, reason = "first", "assumption", "the first point of each needle, with its error"
+        source: ImportSource = "assumption"
+        guess, reason = "first", "the first point of each needle, with its error"
         if self.tissue is not None:
             source, reason = "file", "where the curves cross the tissue surface"
         elif beyond:
@@ -288,7 +290,7 @@ class Planner:
             guess, reason = "", "pose is shaft, and nothing states where the tissue begins"
         entry = None
         if pose.text != "free" or guess != "first" or "entry point" in self.stated:
-            answer = self.settle("entry point", guess, reason, source)  # type: ignore[arg-type]
+            answer = self.settle("entry point", guess, reason, source)
             if answer.text == "depth":
                 if missing := [name for name in self.names if name not in depths]:
                     raise answer.error("entry point", f"X,Y,Z, or a depth of {join_names(missing, 5)}, too")
@@ -324,7 +326,8 @@ class Planner:
             )
             self.keep("bevel", "bend", reason, source)  # type: ignore[arg-type]
             return rows
-        shift = self.settle("pose shift sd", f"{point_sd:g}").to_number("pose shift sd", "mm")
+        known: ImportSource = "guess" if entry is None else "assumption"  # the entry is a measured point
+        shift = self.settle("pose shift sd", f"{point_sd:g}", "", known).to_number("pose shift sd", "mm")
         if pose.text == "shaft":
             fits = [fit_shaft(shaft, line[0]) for shaft, line in zip(self.shafts, self.lines, strict=True)]
             ways, sds = [way for way, _ in fits], [point_sd / spread for _, spread in fits]
@@ -436,11 +439,12 @@ class Planner:
         back = Rotation.from_rotvec(-np.array(turns)[:, None] * along)
         toward = np.array(sides)[:, None] * back.apply(bends)
         mean = np.mean([normalize(one) if one.any() else one for one in toward], axis=0)
-        guess, source, reason = "bend", "assumption", "every needle is taken to bend toward its bevel"
+        source: ImportSource = "assumption"
+        guess, reason = "bend", "every needle is taken to bend toward its bevel"
         differ = len({*sides}) > 1 or len({*turns}) > 1
         if differ and np.linalg.norm(mean) > MIN_SAME_SIDE:
             source, (guess, reason) = "guess", name_direction(toward, normalize(along.sum(axis=0)), point_sd)
-        answer = self.settle("bevel", guess, reason, source)  # type: ignore[arg-type]
+        answer = self.settle("bevel", guess, reason, source)
         if answer.text == "bend" and (differ or min(sides) < 0):
             raise answer.error("bevel", "X,Y,Z: bevels differ, and the needles do not all bend accordingly")
         if answer.text == "bend":
@@ -461,7 +465,8 @@ class Planner:
             missing = [name for name in self.names if name not in cells]
             if missing and what != "hole":
                 reason = f"not stated of {join_names(missing, 5)}" if cells else ""
-                cells |= dict.fromkeys(missing, self.settle(what, None, reason).text)
+                source: ImportSource = "guess" if what == "medium" else "assumption"
+                cells |= dict.fromkeys(missing, self.settle(what, None, reason, source).text)
             elif cells:
                 self.keep(what, ", ".join(dict.fromkeys(cells.values())), "a column or a label")
             found[what] = {name: re.sub(r'[,"]', " ", text) for name, text in cells.items()}
