@@ -715,7 +715,7 @@ def test_the_proposed_pose_is_the_direction_in_which_the_needles_run(tmp_path):
 def test_a_stated_direction_leaves_the_entry_and_its_errors_to_be_decided(tmp_path):
     file = write_long(tmp_path, NEEDLES)
     plan, made = planned([file], pose="1,0,0", point_sd="0.03")
-    assert made["entry point"] == ("first", "assumption") and made["pose shift sd"] == ("0.03", "assumption")
+    assert made["entry point"] == ("first", "assumption") and made["pose shift sd"] == ("0.03", "guess")
     assert made["pose angle sd"] == ("0.5", "assumption")
     row = plan.rows[1]
     np.testing.assert_allclose(row.entry, NEEDLES[1][0], atol=1e-6)
@@ -1061,7 +1061,7 @@ def test_assumptions_that_a_verdict_depends_on_are_those_of_the_dataset(tmp_path
     file, out = write_long(tmp_path, NEEDLES), tmp_path / "gel"
     assert run("import", file, "--out", out, *options) == 0
     dataset = read(out)
-    assert dataset.assumed[:3] == ("bevel side = 1", "pose angle sd = 0.5", "pose shift sd = 0.05")
+    assert dataset.assumed[:3] == ("bevel side = 1", "pose angle sd = 0.5", "entry = first")
     assert describe_dataset(dataset)["assumed"] == list(dataset.assumed)
     scene = load(out / "scene.toml", SceneRecord)
     assert (scene.depth_mm, len(scene.layers)) == (pytest.approx(60.02, abs=0.1), 1)

@@ -306,6 +306,8 @@ class Planner:
                     f"the length of {name}, {length:.1f} mm; or --entry-point, if it begins with its shaft"
                 )
                 raise stated[name].error("depth", expected)
+        if depths:
+            self.keep("depth", "as the curves are long", "the stated depths agree with them")
         if pose.text == "shaft" and not self.has_shafts():
             expected = f"{MIN_SHAFT_POINTS} points over {MIN_SHAFT_MM:g} mm before the entry of each curve"
             raise pose.error("pose", expected)
