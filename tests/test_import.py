@@ -230,7 +230,7 @@ def test_a_long_table_with_names_and_attributes(tmp_path):
     assert refusal(DataError, "meat", curves_of, tmp_path / "a.csv").where.endswith("a.csv:6")
 
 
-def test_a_column_that_no_language_knows_is_named_by_an_option(tmp_path):
+def test_a_column_that_no_language_knows_is_named_by_an_option(tmp_path, capsys):
     file = tmp_path / "a.csv"
     rows = [f"{n};{i};{x};{y};{z}" for n, one in enumerate(CURVES[:2]) for i, (x, y, z) in enumerate(one)]
     file.write_text("\n".join(["Serie;t;x;y;z", *rows]))
@@ -238,6 +238,7 @@ def test_a_column_that_no_language_knows_is_named_by_an_option(tmp_path):
     assert_same(curves_of(file, "needle=1,x=3,y=4,z=5"), CURVES[:2])
     assert unused_of(file) == {"column Serie", "column t"}
     assert run("import", file, "--out", tmp_path / "gel", "--yes") == 3  # one curve that goes back
+    assert "--columns needle=" in capsys.readouterr().err
     file.write_text(
         "\n".join(
             ["n,c,a,b,d", *(",".join(map(str, [n, *p[[2, 0, 1]], 7])) for n, p in enumerate(CURVES[0]))]

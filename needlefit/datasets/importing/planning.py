@@ -283,9 +283,8 @@ class Planner:
             source, reason = "file", "where the curves cross the tissue surface"
         elif beyond:
             guess, source = "depth" if pose.text == "shaft" else "", "file"
-            reason = (
-                f"{beyond[0]} is {lengths[beyond[0]]:.1f} mm long, and its depth {depths[beyond[0]]:g} mm"
-            )
+            place = f"its depth {depths[beyond[0]]:g} mm in {stated[beyond[0]].where}"
+            reason = f"{beyond[0]} is {lengths[beyond[0]]:.1f} mm long, and {place}"
         elif pose.text == "shaft":
             guess, reason = "", "pose is shaft, and nothing states where the tissue begins"
         entry = None

@@ -1,6 +1,7 @@
 """Write an import as a dataset; its faults are those of the imported files."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -50,8 +51,13 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, answers: 
         curves = {name: one.to_columns() for name, one in points.items()}
         file = write_dataset(folder, record, plan.rows, curves, surfaces, checksums=False)
     file.write_bytes((_NOTE + file.read_text(encoding="utf-8")).encode("utf-8"))
-    if faults := check(file):
-        raise as_error([trace_fault(fault, points, folder) for fault in faults], content.files[0])
+    faults = [trace_fault(fault, points, folder) for fault in check(file)]
+    for n, fault in enumerate(faults):
+        if " goes back" in fault.what:  # points of several needles may have been taken for one
+            hint = "state the column that tells needles apart with --columns needle=HEADER"
+            faults[n] = replace(fault, fix=f"{fault.fix}; or {hint}")
+    if faults:
+        raise as_error(faults, content.files[0])
     return file
 
 
