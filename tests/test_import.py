@@ -644,14 +644,14 @@ def test_a_needle_is_cut_at_the_tissue_and_its_shaft_gives_the_pose(tmp_path):
     np.testing.assert_allclose(row.entry, [0.0, 3.0, 0.0], atol=0.01)
     np.testing.assert_allclose(row.direction, [1.0, 0.0, 0.0], atol=1e-6)
     assert (row.pose_source, row.layers) == ("shaft", 3)
-    assert [(one.name, one.into) for one in plan.layers.surfaces] == [("fat", 2), ("muscle", 3)]
+    assert [(one.name, one.into) for one in plan.surfaces] == [("fat", 2), ("muscle", 3)]
     x = np.arange(-18.0, -2.0, 3.0)
     assert plan.rows[0].pose_angle_sd == pytest.approx(0.1 / np.linalg.norm(x - x.mean()))
     assert np.degrees(planned([tmp_path], pose_angle_sd="1")[0].rows[0].pose_angle_sd) == pytest.approx(1.0)
     (tmp_path / "1_skin.stl").rename(tmp_path / "a.stl")
     assert "a, fat, muscle" in refusal(DataError, "--tissue-surface", planned, [tmp_path]).what
     assert planned([tmp_path], tissue_surface="a")[0].rows[1].layers == 3
-    assert len(planned([tmp_path], tissue_surface="none", pose="1,0,0")[0].layers.surfaces) == 3
+    assert len(planned([tmp_path], tissue_surface="none", pose="1,0,0")[0].surfaces) == 3
     refusal(DataError, "--pose", planned, [tmp_path], tissue_surface="none")
     refusal(DataError, "--pose", planned, [tmp_path], tissue_surface="none", pose="free")
 
@@ -664,7 +664,7 @@ def test_closed_surfaces_are_solids_and_layers_are_numbered_as_the_needles_meet_
     write_long(tmp_path, [with_shaft(one) for one in NEEDLES])
     plan, made = planned([tmp_path])
     assert made["tissue surface"] == ("skin", "guess")
-    assert [(one.name, one.kind, one.into) for one in plan.layers.surfaces] == [("liver", "solid", 2)]
+    assert [(one.name, one.kind, one.into) for one in plan.surfaces] == [("liver", "solid", 2)]
 
 
 @pytest.mark.parametrize("by", ["entry point", "depth", "label"])
@@ -732,7 +732,7 @@ def test_a_stated_direction_leaves_the_entry_and_its_errors_to_be_decided(tmp_pa
 def test_boundaries_are_stated_as_depths(tmp_path):
     file = write_long(tmp_path, NEEDLES)
     plan, _ = planned([file], pose="1,0,0", boundaries="15,5;52,0", boundary_sd="0.3")
-    assert {*plan.layers.depths_mm.values()} == {(15.5, 52.0)}
+    assert {*plan.depths_mm.values()} == {(15.5, 52.0)}
     assert [row.layers for row in plan.rows] == [3, 3, 2]
     assert {row.boundary_sd for row in plan.rows} == {0.3}
     assert planned([file], boundaries="15,52")[1]["boundary sd"] == ("0.5", "assumption")
@@ -749,12 +749,12 @@ def test_boundaries_of_a_column_are_those_of_each_needle(tmp_path):
     assert run("import", tmp_path, "--out", tmp_path / "gel", *options) == 0
     for one, depth in zip(read(tmp_path / "gel").insertions, (18.3, 21.0, 19.4), strict=True):
         assert one.boundaries == pytest.approx([depth], abs=1e-3) and one.sequence == (1, 2)
-    assert {*planned([tmp_path], boundaries="15")[0].layers.depths_mm.values()} == {(15.0,)}
+    assert {*planned([tmp_path], boundaries="15")[0].depths_mm.values()} == {(15.0,)}
     assert planned([tmp_path], boundaries="none")[0].rows[0].layers == 1
     refusal(DataError, "--pose", planned, [tmp_path])
     (tmp_path / "info.csv").write_text("\n".join([*rows, "n1;1,83;1", "n2;1,83;1", "n3;1,83;1"]))
     plan, made = planned([tmp_path])
-    assert {*plan.layers.depths_mm.values()} == {(18.3,)} and made["boundaries"][1] == "file"
+    assert {*plan.depths_mm.values()} == {(18.3,)} and made["boundaries"][1] == "file"
     (tmp_path / "info.csv").write_text("\n".join([*rows, "n1;1,83;1", "n2;2,1;1", "n3;;1"]))
     refusal(DataError, "--boundaries", planned, [tmp_path])
 

@@ -99,7 +99,7 @@ def paint_import(dataset: Dataset, plan: ImportPlan) -> Figure:
     """Draw the needles with the surfaces as they lie in the world, and each one in its own frame."""
     figure = Figure(figsize=(6.7, 2.9))
     left, right = figure.subplots(1, 2)
-    _draw_world(left, dataset.insertions, [*plan.layers.surfaces, *([plan.tissue] if plan.tissue else [])])
+    _draw_world(left, dataset.insertions, [*plan.surfaces, *([plan.tissue] if plan.tissue else [])])
     _draw_shapes(right, dataset, "bevel" if plan.rows[0].bevel is not None else "bend")
     figure.draw_without_rendering()  # the layout decides the scales
     for axes, words in ((left, "World: all needles from the side"), (right, "Each from its entry")):

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -49,22 +49,15 @@ SAME_AXIS_DEG = 10.0  # within which a proposed direction is a world axis
 
 
 @dataclass(frozen=True)
-class ImportedLayers:
-    """Boundaries between the layers: surfaces in the world, or depths along the needles, mm; their SD, mm."""
-
-    surfaces: tuple[Surface, ...] = ()
-    depths_mm: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # by needle
-    sd_mm: float = 0.0
-
-
-@dataclass(frozen=True)
 class ImportPlan:
     """What an import writes: shapes with a row each, or tip tracks."""
 
     rows: tuple[InsertionRow, ...]
     points: tuple[Points, ...]  # of each row, mm, entry first; of a track x is the deflection toward side 1
     pose: str  # "known", "free", or "tracker" of tip tracks
-    layers: ImportedLayers
+    # Boundaries between the layers: surfaces in the world, or depths along the needles, mm, by needle.
+    surfaces: tuple[Surface, ...]
+    depths_mm: Mapping[str, tuple[float, ...]]
     needle: NeedleRecord
     point_sd_mm: float
     tissue: Surface | None = None  # at which the curves were cut; it is no boundary of layers
@@ -88,7 +81,8 @@ class Planner:
         self.shafts: list[Floats] = [np.empty((0, 3)) for _ in self.curves]
         self.surfaces: list[Surface] = []
         self.tissue: Surface | None = None
-        self.layers = ImportedLayers()
+        self.depths: dict[str, tuple[float, ...]] = {}  # of the boundaries, by needle
+        self.boundary_sd = 0.0
 
     @property
     def lines(self) -> list[Floats]:
@@ -141,8 +135,9 @@ class Planner:
         rows = self.add_names(rows)
         needle = self.settle_needle(max(row.depth for row in rows))
         self.answers.keep_unused()
-        points = tuple(one.points for one in self.curves)
-        return ImportPlan(tuple(rows), points, pose, self.layers, needle, sd, self.tissue, tuple(readings))
+        points, surfaces = tuple(one.points for one in self.curves), tuple(self.surfaces)
+        told = (needle, sd, self.tissue, tuple(readings))
+        return ImportPlan(tuple(rows), points, pose, surfaces, self.depths, *told)
 
     # ---- what the points are
 
@@ -163,13 +158,11 @@ class Planner:
 
     def convert_units(self) -> None:
         """Turn the curves to mm; a unit that no header states must give the length of a needle."""
-        unknown, where = {*self.units} - {*UNITS_MM}, self.curves[0].points.where()
-        is_stated, fix = "units" in self.stated, "correct the header, or state --units"
-        if unknown - {""} and not is_stated:
-            what = f"the unit of coordinates is {max(unknown)[:20]!r}"
-            raise DataError(what, where=where, expected=f"one of {', '.join(UNITS_MM)}", fix=fix)
+        unknown, is_stated = {*self.units} - {*UNITS_MM}, "units" in self.stated
         if unknown or is_stated:  # an option corrects headers, but no file format
-            answer = self.settle("units", choices=tuple(UNITS_MM)).text
+            wrong = max(unknown, default="")
+            reason = f"a header states {wrong[:20]!r}" if wrong else ""
+            answer = self.settle("units", "" if wrong else None, reason, choices=tuple(UNITS_MM)).text
             is_loose = [one.unit in unknown or (is_stated and one.system is None) for one in self.curves]
             self.units = [answer if loose else unit for loose, unit in zip(is_loose, self.units, strict=True)]
         else:
@@ -180,7 +173,11 @@ class Planner:
         longest = max(self.lengths)
         if not low <= longest <= high:
             length = f"{1e-3 * longest:.3g} m" if longest > STATED_MM[1] else f"{longest:.3g} mm"
-            what = f"in {self.units[0]} the longest needle is {length} long"
+            what, where = (
+                f"in {self.units[0]} the longest needle is {length} long",
+                self.curves[0].points.where(),
+            )
+            fix = "correct the header, or state --units"
             raise DataError(what, where=where, expected=f"{low:g} to {high:g} mm", fix=fix)
 
     def settle_frame(self) -> None:
@@ -314,41 +311,39 @@ class Planner:
 
     def make_rows(self, pose: Stated, entry: Floats | None, point_sd: float) -> list[InsertionRow]:
         """Return the rows with entry poses and bevels, without medium and specimen."""
-        angles = self.settle_sides()
-        sides, _ = to_sides(angles or [0.0] * len(self.curves))
-        rows = []
-        for name, length, side in zip(self.names, self.lengths, sides, strict=True):
-            count = len(select_layers(np.array(self.layers.depths_mm.get(name, ())), length)[1])
-            rows.append(InsertionRow(name, "", count, length, side=side, boundary_sd=self.layers.sd_mm))
-        if pose.text == "free":
-            source, reason = (
-                "assumption" if angles is None else "guess",
-                "a free shape bends toward its bevel",
-            )
-            self.keep("bevel", "bend", reason, source)  # type: ignore[arg-type]
-            return rows
-        known: ImportSource = "guess" if entry is None else "assumption"  # the entry is a measured point
-        shift = self.settle("pose shift sd", f"{point_sd:g}", "", known).to_number("pose shift sd", "mm")
-        if pose.text == "shaft":
+        angles, count = self.settle_sides(), len(self.curves)
+        sides, _ = to_sides(angles or [0.0] * count)
+        how: PoseSource = "none" if pose.text == "free" else "shaft" if pose.text == "shaft" else "stage"
+        ways: list[Floats | None] = [None] * count
+        shift, sds = 0.0, [0.0] * count
+        if how != "none":
+            known: ImportSource = "guess" if entry is None else "assumption"  # the entry is a measured point
+            shift = self.settle("pose shift sd", f"{point_sd:g}", "", known).to_number("pose shift sd", "mm")
+        if how == "shaft":
             fits = [fit_shaft(shaft, line[0]) for shaft, line in zip(self.shafts, self.lines, strict=True)]
             ways, sds = [way for way, _ in fits], [point_sd / spread for _, spread in fits]
             reason = f"error of a point over each shaft: at most {np.degrees(max(sds)):.2g} degrees"
             answer = self.settle("pose angle sd", "shaft", reason, "file")
-        else:
-            ways, sds = [normalize(pose.to_vector("pose"))] * len(rows), []
+        elif how == "stage":
+            ways = [normalize(pose.to_vector("pose"))] * count
             answer = self.settle("pose angle sd")
-        if answer.text != "shaft" or not sds:
-            sds = [float(np.radians(answer.to_number("pose angle sd", "deg")))] * len(rows)
-        how: PoseSource = "shaft" if pose.text == "shaft" else "stage"
-        bends = []
-        for n, (row, line, way) in enumerate(zip(rows, self.lines, ways, strict=True)):
-            start = line[0] if entry is None else entry
-            depths = np.array(self.layers.depths_mm.get(row.id, ()))
-            met = select_layers(depths, float((line[-1] - start) @ way))[1]
-            met = find_crossings(line, self.layers.surfaces).sequence if self.layers.surfaces else met
-            rows[n] = replace(row, layers=len(met), entry=start, direction=way, pose_source=how)
-            rows[n] = replace(rows[n], pose_shift_sd=shift, pose_angle_sd=sds[n])
+        if how == "stage" or (how == "shaft" and answer.text != "shaft"):
+            sds = [float(np.radians(answer.to_number("pose angle sd", "deg")))] * count
+        rows, bends = [], []
+        for n, (name, line, way) in enumerate(zip(self.names, self.lines, ways, strict=True)):
+            start, length = line[0] if entry is None else entry, self.lengths[n]
             bends.append(line[-1] - start)
+            reach = length if way is None else float(bends[n] @ way)
+            met = select_layers(np.array(self.depths.get(name, ())), reach)[1]
+            met = find_crossings(line, self.surfaces).sequence if self.surfaces else met
+            row = InsertionRow(name, "", len(met), length, side=sides[n], boundary_sd=self.boundary_sd)
+            if way is not None:
+                row = replace(row, entry=start, direction=way, pose_source=how)
+            rows.append(replace(row, pose_shift_sd=shift, pose_angle_sd=sds[n]))
+        if how == "none":
+            source: ImportSource = "assumption" if angles is None else "guess"
+            self.keep("bevel", "bend", "a free shape bends toward its bevel", source)
+            return rows
         bevels = self.settle_bevel(np.array(bends), np.array(ways), angles, point_sd)
         return [replace(row, bevel=bevel) for row, bevel in zip(rows, bevels, strict=True)]
 
@@ -374,7 +369,7 @@ class Planner:
             raise pose.error(
                 "pose", "X,Y,Z or shaft, and as many boundaries of each needle, where they differ"
             )
-        self.layers = ImportedLayers((), own, self.settle("boundary sd").to_number("boundary sd", "mm"))
+        self.depths, self.boundary_sd = own, self.settle("boundary sd").to_number("boundary sd", "mm")
 
     def number_surfaces(self) -> None:
         """Number the layers in the order in which the needles meet their surfaces."""
@@ -391,9 +386,9 @@ class Planner:
             self.keep(
                 f"layer of {self.surfaces[n].name}", str(layer), f"met {met[n]:.1f} mm behind the entry"
             )
-        numbered = tuple(replace(self.surfaces[n], into=layer) for layer, n in enumerate(order, first))
-        sd = self.settle("boundary sd", "0.2", "that of a surface segmented in a CT scan")
-        self.layers = ImportedLayers(numbered, sd_mm=sd.to_number("boundary sd", "mm"))
+        self.surfaces = [replace(self.surfaces[n], into=layer) for layer, n in enumerate(order, first)]
+        answer = self.settle("boundary sd", "0.2", "that of a surface segmented in a CT scan")
+        self.boundary_sd = answer.to_number("boundary sd", "mm")
 
     # ---- bevel
 

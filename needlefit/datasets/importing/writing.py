@@ -65,9 +65,9 @@ def _make_media(plan: ImportPlan) -> tuple[dict[str, object], dict[str, Surface]
     """Return the media of a plan, and the surfaces of their files."""
     surfaces: dict[str, Surface] = {}
     medium: dict[str, object] = {"note": "no boundaries of layers were imported"}
-    depths = [*dict.fromkeys(plan.layers.depths_mm.values())]
-    if plan.layers.surfaces:
-        for n, surface in enumerate(plan.layers.surfaces, 1):
+    depths = [*dict.fromkeys(plan.depths_mm.values())]
+    if plan.surfaces:
+        for n, surface in enumerate(plan.surfaces, 1):
             plain = re.sub(r"[^A-Za-z0-9_-]+", "_", surface.name).strip("_")[:60]
             surfaces[f"layers/{f'{n}_{plain}' if plain else n}.stl"] = surface
         medium = {
@@ -81,7 +81,7 @@ def _make_media(plan: ImportPlan) -> tuple[dict[str, object], dict[str, Surface]
         for row in plan.rows:
             if row.entry is None or row.direction is None:
                 raise ValueError(f"{row.id} has no entry pose")
-            for (file, into), depth in zip(files, plan.layers.depths_mm[row.id], strict=True):
+            for (file, into), depth in zip(files, plan.depths_mm[row.id], strict=True):
                 place = row.entry + depth * row.direction
                 surfaces[file.replace("{id}", row.id)] = make_sheet(
                     "boundary", place, row.direction, PLANE_MM, into
@@ -94,7 +94,7 @@ def _write_tracks(folder: Path, plan: ImportPlan, draft: dict[str, object]) -> P
     names = {row.id: row.medium for row in plan.rows}
     if len({row.specimen for row in plan.rows}) > 1:
         names = {row.id: f"{row.medium} {row.specimen}" for row in plan.rows}
-    depths = plan.layers.depths_mm
+    depths = plan.depths_mm
     media = {
         names[row.id]: {
             "layers": [*range(1, len(depths.get(row.id, ())) + 2)],
