@@ -36,8 +36,8 @@ def read_study_table(path: Path) -> dict[str, Any]:
 
 def _rebase(key: str, value: Any, folder: Path) -> Any:  # noqa: ANN401 - whatever the file holds
     if isinstance(value, str) and key in PATH_KEYS and is_path(value):
-        moved = Path(os.path.normpath(folder / value))
-        return str(moved) if moved.is_absolute() else f"./{moved.as_posix()}"
+        # never absolute unless the file says so: it is kept with the results
+        return value if Path(value).is_absolute() else f"./{Path(os.path.relpath(folder / value)).as_posix()}"
     if isinstance(value, list):
         return [_rebase(key, one, folder) for one in value]
     if isinstance(value, Mapping) and key not in ("tune", "validate"):  # there `medium` is a name in the data
