@@ -353,11 +353,9 @@ class _TableReader:
             self.cells.separator == " " and len(row) != width
         )
         if head.row >= 0 and is_moved:
-            what, fix = (
-                f"has {len(row)} cells under {width} columns",
-                "save it with semicolons or tabs between",
-            )
-            raise DataError(what, where=self.cells.where(n), expected="as many cells as the header", fix=fix)
+            what = f"has {len(row)} cells under {width} columns"
+            expected, fix = "as many cells as the header", "save it with semicolons or tabs between"
+            raise DataError(what, where=self.cells.where(n), expected=expected, fix=fix)
 
     def is_point(self, head: _Head, n: int, is_open: bool) -> bool:
         """Whether a row has coordinates, or cells under known headers alone; not one of labels.
@@ -411,12 +409,14 @@ class _TableReader:
         """Return one curve, with what the table states once for it. `own`: its name in a column."""
         cells, group, head = self.cells, found.group, found.head
         rows = self.list_filled(found)
+        keys = head.find(group, *_KEYS)
         for n in {*rows, *found.rows[:1]}:
-            self.use(n, *head.find(group, *_KEYS))
+            self.use(n, *keys)
         values = np.zeros((len(rows), 3))
         values[:, : len(group.columns)] = self.read_numbers(rows, group.columns)
         points = Points(cells.path, to_lps(values, group.system) if group.system else values)
-        points = replace(points, lines=np.array([cells.first + n for n in rows], dtype=np.int64))
+        if not cells.is_turned:
+            points = replace(points, lines=np.array([cells.first + n for n in rows], dtype=np.int64))
         for m in head.find(group, "sd"):
             unit = head.headers[m].unit or group.unit
             factor = UNITS_MM.get(unit, 1.0) / UNITS_MM.get(group.unit or unit, 1.0)

@@ -110,12 +110,9 @@ class Planner:
         for what, where in self.content.unused:
             self.keep("not used", what, where)
         for axes in dict.fromkeys(one.axes for one in self.curves):
-            if axes:
-                self.keep("axes", "x, y, z", axes)
-            else:
-                self.keep(
-                    "axes", "columns 1, 2, 3", "nothing names them; --columns 1,2,3 confirms it", "assumption"
-                )
+            value = "x, y, z" if axes else "columns 1, 2, 3"
+            reason = axes or "nothing names them; --columns 1,2,3 confirms it"
+            self.keep("axes", value, reason, "file" if axes else "assumption")
         is_track = self.settle_observable() == "tracks"
         self.convert_units()
         sd = self.settle("point sd").to_number("point sd", "mm", is_above=True)
@@ -173,11 +170,8 @@ class Planner:
         longest = max(self.lengths)
         if not low <= longest <= high:
             length = f"{1e-3 * longest:.3g} m" if longest > STATED_MM[1] else f"{longest:.3g} mm"
-            what, where = (
-                f"in {self.units[0]} the longest needle is {length} long",
-                self.curves[0].points.where(),
-            )
-            fix = "correct the header, or state --units"
+            where, fix = self.curves[0].points.where(), "correct the header, or state --units"
+            what = f"in {self.units[0]} the longest needle is {length} long"
             raise DataError(what, where=where, expected=f"{low:g} to {high:g} mm", fix=fix)
 
     def settle_frame(self) -> None:
@@ -236,19 +230,18 @@ class Planner:
             after = np.flatnonzero(along > arc + 10 * SAME_POINT_MM)
             if len(after) < MIN_POINTS - 1:
                 what = f"curve {one.name!r} has only {len(after)} points behind its entry"
-                fix = (
-                    "state another --tissue-surface or --entry-point, or --entry last if the tip comes first"
-                )
-                raise DataError(
-                    what, where=points.where(), expected="points from the entry to the tip", fix=fix
-                )
+                expected, fix = "points from the entry to the tip", "state another surface, or --entry last"
+                raise DataError(what, where=points.where(), expected=expected, fix=fix)
             if arc > 0:
                 values = np.vstack([interpolate_at_arc(points.values, [arc]), points.values[after]])
                 self.shafts[n] = points.values[along < arc]
                 points = replace(points.part(np.concatenate([after[:1], after])), values=values)
                 self.curves[n] = replace(one, points=points)
         if cut := [arc for arc in arcs if arc > 0]:
-            self.keep("shaft", f"{min(cut):.1f} to {max(cut):.1f} mm of {len(cut)} curves cut off {where}")
+            whole = [name for name, arc in zip(self.names, arcs, strict=True) if arc <= 0]
+            reason = f"{join_names(whole, 5)} begins there" if whole else ""
+            text = f"{min(cut):.1f} to {max(cut):.1f} mm of {len(cut)} curves cut off {where}"
+            self.keep("shaft", text, reason)
 
     def has_shafts(self) -> bool:
         """Whether the points before the entry are enough for a direction of every needle."""
@@ -279,7 +272,7 @@ class Planner:
         if self.tissue is not None:
             source, reason = "file", "where the curves cross the tissue surface"
         elif beyond:
-            guess, source = "depth" if pose.text == "shaft" else "", "file"
+            guess, source = ("depth", "file") if pose.text == "shaft" else ("", "assumption")
             place = f"its depth {depths[beyond[0]]:g} mm in {stated[beyond[0]].where}"
             reason = f"{beyond[0]} is {lengths[beyond[0]]:.1f} mm long, and {place}"
         elif pose.text == "shaft":
@@ -298,9 +291,7 @@ class Planner:
                 self.cut_shafts([arc if arc > MIN_CUT_MM else 0.0 for arc in arcs], "at the entry point")
         for name, length in zip(self.names, self.lengths, strict=True):
             if name in depths and abs(depths[name] - length) > find_tolerance(depths[name]):
-                expected = (
-                    f"the length of {name}, {length:.1f} mm; or --entry-point, if it begins with its shaft"
-                )
+                expected = f"the length of {name}, {length:.1f} mm; or --entry-point, to cut its shaft off"
                 raise stated[name].error("depth", expected)
         if depths:
             self.keep("depth", "as the curves are long", "the stated depths agree with them")
@@ -329,9 +320,9 @@ class Planner:
             answer = self.settle("pose angle sd")
         if how == "stage" or (how == "shaft" and answer.text != "shaft"):
             sds = [float(np.radians(answer.to_number("pose angle sd", "deg")))] * count
-        rows, bends = [], []
+        rows, bends, lengths = [], [], self.lengths
         for n, (name, line, way) in enumerate(zip(self.names, self.lines, ways, strict=True)):
-            start, length = line[0] if entry is None else entry, self.lengths[n]
+            start, length = line[0] if entry is None else entry, lengths[n]
             bends.append(line[-1] - start)
             reach = length if way is None else float(bends[n] @ way)
             met = select_layers(np.array(self.depths.get(name, ())), reach)[1]
