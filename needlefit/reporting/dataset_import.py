@@ -13,7 +13,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.dataset_warnings import find_bend_side
 from needlefit.datasets.importing.answers import Answers
 from needlefit.datasets.importing.curves import ImportContent
-from needlefit.datasets.importing.planning import ImportPlan
+from needlefit.datasets.importing.planning import SAME_AXIS_DEG, ImportPlan, snap_to_axis
 from needlefit.datasets.importing.writing import write_plan
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read
@@ -32,7 +32,6 @@ from needlefit.reporting.labels import GREY, INK
 PICTURE_FILE = "import.png"
 
 MAX_LABELLED_NEEDLES, MAX_NAME_CHARS = 14, 14
-SAME_AXIS_DEG = 10.0  # a view that is so near to a world axis is along that axis
 AWAY_COLOUR = "#b3261e"
 MAX_DRAWN_TRIANGLES = 20_000
 
@@ -145,23 +144,13 @@ def _draw_world(axes: Axes, insertions: Sequence[Insertion], surfaces: Sequence[
 def _find_view(chords: list[Floats], points: Floats) -> tuple[Floats, Floats]:
     """Return the mean direction of the needles, and the direction normal to it of the greatest extent."""
     total = np.sum([normalize(chord) for chord in chords], axis=0)
-    along = _snap(normalize(total) if np.linalg.norm(total) > 1e-6 else normalize(chords[0]))
+    along = snap_to_axis(normalize(total if np.linalg.norm(total) > 1e-6 else chords[0]), SAME_AXIS_DEG)
     centred = points - points.mean(axis=0)
     flat = centred - np.outer(centred @ along, along)
     if np.abs(flat).max() < 1e-6:
         return along, make_normal(along)
-    axis = _snap(np.linalg.svd(flat, full_matrices=False)[2][0])
+    axis = snap_to_axis(np.linalg.svd(flat, full_matrices=False)[2][0], SAME_AXIS_DEG)
     return along, axis if axis[np.argmax(np.abs(axis))] > 0 else -axis
-
-
-def _snap(direction: Floats) -> Floats:
-    """Return a direction, or the world axis that is within 10 degrees of it."""
-    nearest = int(np.argmax(np.abs(direction)))
-    if abs(direction[nearest]) < np.cos(np.radians(SAME_AXIS_DEG)):
-        return direction
-    axis = np.zeros(3)
-    axis[nearest] = np.sign(direction[nearest])
-    return axis
 
 
 def _name_axis(axis: Floats) -> str:

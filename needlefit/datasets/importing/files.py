@@ -68,7 +68,10 @@ def read_content(paths: Sequence[Path], columns: str = "") -> ImportContent:
         expected = f"1 to {MAX_CURVES} needles in files that end in {', '.join(list_import_suffixes())}"
         raise DataError(what, where=str(paths[0]), expected=expected, fix="name their files or folder")
     faults = [fault for one in content.curves for fault in one.points.find_faults(one.name)]
-    faults += [_name_fault(one) for one in content.curves if name_fault(one.name)]
+    for one in content.curves:
+        if why := name_fault(one.name):
+            what = f"the name {one.name[:80]!r} of a curve is refused: {why}"
+            faults.append(Fault(one.points.where(), what, EXPECTED_NAME, "rename it in its file"))
     if faults:
         raise as_error(faults, paths[0])
     for meaning in content.columns.keys() - content.columns_found:
@@ -85,11 +88,6 @@ def read_content(paths: Sequence[Path], columns: str = "") -> ImportContent:
     content.curves, content.surfaces = [*curves.values()], [*surfaces.values()]
     _add_stated(content)
     return content
-
-
-def _name_fault(one: ImportedCurve) -> Fault:
-    what = f"the name {one.name[:80]!r} of a curve is refused: {name_fault(one.name)}"
-    return Fault(one.points.where(), what, EXPECTED_NAME, "rename it in its file")
 
 
 def _make_unique(name: str, taken: Container[str]) -> str:

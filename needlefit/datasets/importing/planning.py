@@ -45,7 +45,7 @@ MIN_NEEDLE_MM, BEYOND_DEPTH_MM = 150.0, 50.0  # length assumed of a needle, and 
 # Length of the mean of the unit deflections, each toward its bevel, from which a direction is read of them.
 MIN_SAME_SIDE = 0.9
 MAX_AXIS_SD, MIN_AXIS_DEG = 2.0, 0.1  # a world axis within these deviations is taken; from there it is shown
-SAME_AXIS_DEG = 10.0  # within which a proposed direction is a world axis
+SAME_AXIS_DEG = 10.0  # within which a proposed direction, or one of a picture, is a world axis
 
 
 @dataclass(frozen=True)
