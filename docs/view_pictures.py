@@ -1,4 +1,4 @@
-"""Take the pictures of the page in docs/figures: start_view.png and view*.png, but that of a scan.
+"""Take the pictures of the page in docs/figures: start_view.png and view*.png.
 
     python docs/view_pictures.py
 

@@ -223,7 +223,7 @@ ERROR = DataError("no markers", where="here", expected="some", fix="add them")
 
 def findings(volume):
     examined = examine(volume, SCAN, ct_cases.RECIPE)
-    return collect_findings(VolumeSearch(volume), examined, ct_cases.RECIPE)
+    return collect_findings(VolumeSearch(volume, ct_cases.RECIPE), examined)
 
 
 @pytest.fixture(scope="module")
@@ -254,7 +254,7 @@ def test_balls_are_those_that_the_examination_found():
     others = tuple(RejectedMarker(np.full(3, x), x, 0.5, 0.2, "misfit") for x in (9.0, 4.0))
     markers = MarkerResult(np.zeros((2, 3)), np.full(2, 0.1), "volume", rejected=others)
     found = collect_findings(
-        VolumeSearch(cases.small_scan()), Examination(SCAN, markers=markers), ct_cases.RECIPE
+        VolumeSearch(cases.small_scan(), ct_cases.RECIPE), Examination(SCAN, markers=markers)
     )
     size = ct_cases.RECIPE.markers.diameter_mm
     assert [(one.diameter, one.marker) for one in found.balls] == [(size, True)] * 2 + [

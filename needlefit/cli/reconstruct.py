@@ -1,6 +1,5 @@
 """`needlefit reconstruct`: scans of inserted needles -> a checked dataset."""
 
-import shlex
 from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
@@ -135,16 +134,13 @@ def reconstruct(
                     faulty = [add_findings(*pair, record) for pair in zip(whole, ones, strict=True)]
                 failed = [*failed, *faulty]
             if failed and not written:
-                write_refused(failed, record, refused)
+                write_refused(failed, refused)
             else:  # pages of an earlier run would be taken for this one's
                 remove_result(refused, print_remark)
     warnings = check_all(out)[1] if written else []
     if written and not invocation.json:
         screen.print_text(f"{judge_run(written)[0].sentence}.")
     _print_failures(written, failed, out if written else refused)
-    for failure in (one for one in failed if one.findings):  # others cannot be read
-        command = _view_command(scans, failure, named, recipe)
-        screen.print_note(f"needlefit: look at it and correct it: {command}")
     print_warnings(invocation, warnings)
     _show(out, written, failed, warnings if invocation.json else None)
     if failed and written:
@@ -217,15 +213,3 @@ def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure
     if failed and found:
         count = len(failed) + len(found.frames["reconstruction"])
         screen.print_note(f"needlefit: {len(failed)} of {count} scans failed; the others are written")
-
-
-def _view_command(
-    scans: list[Path], failure: "ReconstructionFailure", named: dict[str, Any], recipe: str
-) -> str:
-    scan = failure.scan
-    table = scans[0].suffix.lower() == ".csv" or not path_exists(scans[0])  # the latter by its bare name
-    words = ["needlefit", "view", f"{scans[0]}/{scan.id}" if table else str(scan.volume)]
-    for name, value in named.items():
-        for one in value if isinstance(value, list) else [value]:
-            words += [options.scan_option(name), str(one)]
-    return shlex.join([*words, "--recipe", recipe] if recipe != "default" else words)

@@ -23,7 +23,6 @@ from needlefit.imaging.volume_files import read_volume
 from needlefit.project.folders import replace_folder
 from needlefit.project.progress import Progress
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
-from needlefit.project.toml import dumps
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records, write_csv
 from needlefit.reporting.text import KindText
@@ -39,7 +38,7 @@ from needlefit.studies.slicer_scene import write_slicer_scene
 
 ExportKind = Literal["scene", "seg"]
 
-SCANS_FILE, RECIPE_FILE = "scans.csv", "recipe.toml"
+SCANS_FILE = "scans.csv"
 POOR_DEPTH_SD_MM = 0.5  # deviation of the inserted length, mm, that the first line names
 MAX_NAMED_SCANS = 5
 _COLUMNS = (
@@ -370,12 +369,8 @@ def _export_scan(
     return ()
 
 
-def write_refused(
-    failures: Sequence[ReconstructionFailure], recipe: ReconstructionRecord, folder: Path
-) -> None:
+def write_refused(failures: Sequence[ReconstructionFailure], folder: Path) -> None:
     """Write a folder of refused scans alone: `quality/<id>.pdf`, `refused.csv` and `candidates.csv`.
-
-    Their table and their recipe are written beside these, from which the scans are opened again.
 
     ConfigError if `folder` holds anything that needlefit did not write, or that was changed since.
     """
@@ -383,6 +378,3 @@ def write_refused(
         write_refused_pages(failures, fresh / "quality")
         for name, frame in tabulate_failures(failures).items():
             write_csv(frame, fresh / f"{name}.csv")
-        write_scan_table([one.scan for one in failures], fresh / SCANS_FILE, folder)
-        plain = recipe.model_dump(mode="json", by_alias=True)
-        (fresh / RECIPE_FILE).write_text(dumps(plain), encoding="utf-8")
