@@ -24,7 +24,7 @@ from needlefit.datasets.markups import Markups
 from needlefit.datasets.read import check
 from needlefit.datasets.read import read as read_dataset
 from needlefit.datasets.sources import ScanVolume, find_volume
-from needlefit.geometry.surfaces import make_sheet, read_surface, write_surface
+from needlefit.geometry.surfaces import make_sheet, write_surface
 from needlefit.imaging.markers import find_markers
 from needlefit.imaging.needle.centerline import trace_needle
 from needlefit.imaging.volume import Volume
@@ -126,23 +126,6 @@ def test_the_result_folder_has_tables_meshes_and_quality_pages(done):
     assert row["fre_mm"] < 3 * row["expected_fre_mm"]
     text = (done / "run.json").read_text()
     assert str(shipped_folder()) not in text and "/tmp" not in text  # no path of a machine
-
-
-@pytest.mark.sweep
-@pytest.mark.usefixtures("searched_once")
-def test_proposed_layers_stand_beside_the_stated_ones(tmp_path, capsys):
-    out = tmp_path / "out"
-    words = ("reconstruct", VOLUME, "--markers", MARKERS, "--layers", LAYERS[0], "auto", "--out", out)
-    assert run(*words, "-q") == 0
-    proposed = pd.read_csv(out / "proposed_layers.csv").iloc[0]
-    printed = capsys.readouterr().out
-    assert f"{out}/proposed/" in printed and f"{proposed['depth_mm']:.2f} ± " in printed
-    assert proposed["depth_mm"] == pytest.approx(19.0, abs=3 * proposed["depth_sd_mm"] + 0.2)
-    assert (proposed["out_of"], proposed["into"]) == (1, 2)
-    assert read_surface(out / "proposed" / "sample_proposed2.stl", "sheet", 2).mesh.faces.shape[0] > 100
-    assert sorted(path.name for path in (out / "layers").iterdir()) == ["medium_phantom2_interface1.stl"]
-    crossings = pd.read_csv(out / "crossings.csv")
-    assert len(crossings) == 1  # the stated one
 
 
 @pytest.mark.sweep

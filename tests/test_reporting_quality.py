@@ -267,7 +267,7 @@ def test_balls_are_those_that_the_examination_found():
 def test_the_page_is_one_and_the_tables_hold_the_candidates(found, tmp_path, readable):
     failure = ReconstructionFailure(SCAN, ERROR, found if readable else None)
     for name in ("first", "second"):
-        write_refused([failure], ct_cases.RECIPE, tmp_path / name)
+        write_refused([failure], tmp_path / name)
     pages = [(tmp_path / name / "quality" / "one.pdf").read_bytes() for name in ("first", "second")]
     assert pages[0] == pages[1]
     assert pages[0].count(b"/Type /Page\n") or pages[0].count(b"/Type/Page/") == 1

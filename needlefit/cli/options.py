@@ -139,7 +139,7 @@ SCAN_FILES: Mapping[str, Any] = {
     ],
     "layers": Annotated[
         list[str] | None,
-        option("STL, PLY, OBJ from the entry inwards; or a segmentation; auto proposes some.", "FILES..."),
+        option("STL, PLY, OBJ from the entry inwards; or a segmentation.", "FILES..."),
     ],
     "layers_in": Annotated[
         Literal["world", "scan"] | None, option("Frame of the surfaces (default: world).")

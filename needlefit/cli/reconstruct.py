@@ -175,7 +175,7 @@ def _show(
     as_json: "list[ResultWarning] | None",
 ) -> None:
     """Print what was found; with the warnings of the dataset, as JSON."""
-    from needlefit.studies.kinds.reconstruction.report import REPORT, describe_proposals
+    from needlefit.studies.kinds.reconstruction.report import REPORT
 
     if as_json is not None:
         rows = found.frames["reconstruction"].to_dict(orient="records") if found else []
@@ -183,9 +183,6 @@ def _show(
             {"id": one.scan.id, "scan": str(one.scan.volume), "error": str(one.error)} for one in failed
         ]
         about: dict[str, Any] = {"dataset": str(out) if found else None, WARNINGS_KEY: to_rows(as_json)}
-        proposed = found.frames.get("proposed_layers") if found else None
-        if proposed is not None:
-            about["proposed_layers"] = proposed.to_dict(orient="records")
         screen.show_json({**about, "scans": rows, "failed": errors})
     elif found:
         screen.print_line()
@@ -194,8 +191,6 @@ def _show(
         for remark in REPORT.summarize(found)[1:]:
             screen.print_text(remark)
         screen.print_written(out, f" (figures of each scan in {out}/quality/)")
-        for line in describe_proposals(found, out):
-            screen.print_text(line)
 
 
 def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure]", pages: Path) -> None:

@@ -36,7 +36,6 @@ from needlefit.imaging.entry import (
     require_agreement,
     usable_length,
 )
-from needlefit.imaging.layer_proposal import propose_layers
 from needlefit.imaging.layers import estimate_layer_errors, find_crossed_layers, read_layers
 from needlefit.imaging.markers import (
     CANDIDATE_FIX,
@@ -696,10 +695,5 @@ def examine(
         return found
     with found.step(), located(scan.volume):
         one = derive_reconstruction(found, recipe, volume.grid, volume.frame_of_reference)
-        proposals = None
-        if scan.propose_layers:
-            entry = float(arc_length(found.axis.points)[-1]) - one.depth
-            proposals = propose_layers(volume, found.axis.points, entry)
-        warnings = (*volume.warnings, *one.warnings)
-        found.reconstruction = replace(one, warnings=warnings, proposals=proposals)
+        found.reconstruction = replace(one, warnings=(*volume.warnings, *one.warnings))
     return found

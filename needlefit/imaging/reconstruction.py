@@ -94,18 +94,6 @@ class Layers:
 
 
 @dataclass(frozen=True)
-class ProposedInterface:
-    """An interface between soft materials that the scan shows; a proposal, never used by itself."""
-
-    surface: Surface  # a sheet around the needle, LPS of the scan
-    # Where the needle crosses it, mm along the needle from the entry, and its deviation.
-    at: float
-    sd: float
-    step: float  # change of brightness, HU
-    tilt: float  # angle between its normal and the needle, rad
-
-
-@dataclass(frozen=True)
 class Reconstruction:
     """The complete reconstruction of one scan."""
 
@@ -136,8 +124,6 @@ class Reconstruction:
     # What the centreline was drawn through, world, arc lengths from first contact, the shaft outside
     # included; None where no scan was traced.
     sections: SplineSections | None = None
-    # Interfaces that the scan shows; None where nobody asked.
-    proposals: tuple[ProposedInterface, ...] | None = None
 
     @property
     def local(self) -> Floats:

@@ -100,7 +100,6 @@ class Scan:
     # mm; None: they are looked for.
     contact: Floats | None = None
     tip: Floats | None = None
-    propose_layers: bool = False  # whether interfaces that the scan shows are proposed, beside `surfaces`
     origin: Literal["measured", "synthetic"] = "measured"
 
     @property
@@ -135,7 +134,6 @@ SCAN_COLUMNS = (
 SCANS_DOCUMENT = "docs/reconstruction.md"  # where the columns, and the files that they name, are explained
 # What fixes a bevel that fixes no plane.
 BEVEL_FIX = "point bevel_x, bevel_y, bevel_z across the entry direction, or leave the three cells empty"
-PROPOSE_LAYERS = "auto"  # in place of a file of layers: propose those that the scan shows
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
 # Columns of words; the first is that of an empty cell.
 CHOICE_COLUMNS = {"surfaces_in": ("world", "scan"), "origin": ("measured", "synthetic")}
@@ -162,13 +160,8 @@ class ScanRow:
 
     def layers(self) -> list[LayerSource | Fault]:
         """Return the files of the layers, or the fault of each."""
-        files = [part for part in self.surfaces if part != PROPOSE_LAYERS]
+        files = [part.strip() for part in self.text["surfaces"].split(";") if part.strip()]
         return [parse_layer_source(part, self.folder, self.where) for part in files]
-
-    @property
-    def surfaces(self) -> list[str]:
-        """What the cell of the surfaces lists."""
-        return [part.strip() for part in self.text["surfaces"].split(";") if part.strip()]
 
 
 def parse_layer_source(text: str, folder: Path, where: str = "") -> LayerSource | Fault:
@@ -240,7 +233,6 @@ def build_scan(row: ScanRow, id_: str) -> Scan:
         surfaces=tuple(layer for layer in row.layers() if isinstance(layer, LayerSource)),
         surfaces_in="scan" if text["surfaces_in"] == "scan" else "world",
         side=-1 if number["bevel_side"] == -1 else 1,
-        propose_layers=PROPOSE_LAYERS in row.surfaces,
         origin="synthetic" if text["origin"] == "synthetic" else "measured",
         **parts,
     )
@@ -382,7 +374,7 @@ def make_scans(
 ) -> tuple[Scan, ...]:
     """Return a scan for each of some volumes that share markers and layers; file names become ids.
 
-    `layers`: files, each as in a table of scans: `file` or `file=kind:into`; "auto" proposes layers.
+    `layers`: files, each as in a table of scans: `file` or `file=kind:into`.
     `fiducials`, `mask`, `series`: of one scan: no two have them in common.
 
     DataError: listing every file that is missing, every layer that is not understood, names that are alike or
@@ -404,7 +396,7 @@ def make_scans(
     once = fiducials or mask or series
     if len(volumes) > 1 and once:
         found.append(Fault(str(once), f"is given for {len(volumes)} scans", "one scan", SCAN_TABLE_FIX))
-    sources = [parse_layer_source(text, Path()) for text in layers if text != PROPOSE_LAYERS]
+    sources = [parse_layer_source(text, Path()) for text in layers]
     found += [source for source in sources if isinstance(source, Fault)]
     found += name_faults("medium", medium, "medium")
     for volume in volumes:
@@ -423,7 +415,6 @@ def make_scans(
         fiducials=fiducials,
         surfaces=tuple(source for source in sources if not isinstance(source, Fault)),
         surfaces_in=surfaces_in,
-        propose_layers=PROPOSE_LAYERS in layers,
     )
     return tuple(replace(shared, id=id_, volume=volume) for id_, volume in zip(ids, volumes, strict=True))
 
@@ -498,8 +489,7 @@ def _to_row(scan: Scan, folder: Path) -> dict[str, str]:
     row |= {"specimen": scan.specimen, "series": scan.series or "", "surfaces_in": scan.surfaces_in}
     row |= {"bevel_side": str(scan.side), "origin": scan.origin}
     row |= {name: _relative(path, folder) for name in FILES if (path := getattr(scan, name)) is not None}
-    layers = [layer.name_file(_relative(layer.path, folder)) for layer in scan.surfaces]
-    row["surfaces"] = ";".join([*layers, *([PROPOSE_LAYERS] if scan.propose_layers else [])])
+    row["surfaces"] = ";".join(layer.name_file(_relative(layer.path, folder)) for layer in scan.surfaces)
     numbers: dict[tuple[str, ...], Any] = {columns: getattr(scan, name) for name, columns in VECTORS.items()}
     numbers |= {(column,): getattr(scan, name) for name, column in LENGTHS.items()}
     numbers |= {(name,): getattr(scan, name) for name in COUNTS}

@@ -12,8 +12,6 @@ from needlefit.arrays import Floats
 from needlefit.datasets.read import check_all
 from needlefit.datasets.sources import ScanVolume, write_volumes
 from needlefit.errors import ConfigError, DataError
-from needlefit.geometry.curves import interpolate_at_arc
-from needlefit.geometry.surfaces import write_surface
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
 from needlefit.imaging.batch import VERSIONED_PACKAGES, Findings, ReconstructionFailure, add_findings
 from needlefit.imaging.label_export import mark_voxels, write_dicom_segmentation, write_slicer_segmentation
@@ -95,7 +93,6 @@ def tabulate_batch(
             "markers": tabulate_markers(ones),
             "crossings": tabulate_crossings(ones),
             "remarks": pd.DataFrame(remarks, columns=["id", "note"]),
-            **tabulate_proposals(ones),
         },
         run={
             "name": name,
@@ -135,24 +132,6 @@ def tabulate_crossings(reconstructions: Sequence[Reconstruction]) -> pd.DataFram
         for n, (depth, sd) in enumerate(zip(layers.boundaries, layers.sd, strict=True))
     ]
     return pd.DataFrame(rows, columns=list(_CROSSING_COLUMNS))
-
-
-def tabulate_proposals(reconstructions: Sequence[Reconstruction]) -> dict[str, pd.DataFrame]:
-    """Return a table of proposed interfaces, as `tabulate_crossings`; none where nobody asked for any."""
-    asked = [one for one in reconstructions if one.proposals is not None]
-    rows = []
-    for one in asked:
-        for n, found in enumerate(one.proposals or (), start=1):
-            point = interpolate_at_arc(one.points, np.array([found.at]))[0]
-            depth = float(one.frame.to_local(point[None])[0, 0])
-            tilt = f"{found.step:+.0f} HU, tilted by {np.degrees(found.tilt):.0f} degrees"
-            note = f"{tilt}; no layer is stated"
-            if len(own := one.layers.boundaries):
-                away = own[np.argmin(np.abs(own - depth))] - depth
-                note = f"{tilt}; the nearest stated layer is crossed {away:+.2f} mm from it"
-            rows.append((one.scan.id, n, n, n + 1, depth, found.sd, *point, note))
-    columns = [*_CROSSING_COLUMNS, "note"]
-    return {"proposed_layers": pd.DataFrame(rows, columns=columns)} if asked else {}
 
 
 def describe_scan(one: Reconstruction) -> Row:
@@ -270,16 +249,6 @@ def _list_depths(rows: Sequence[Row]) -> str:
     return ", ".join(f"{one['depth_mm']:.2f} ± {one['depth_sd_mm']:.2f}" for one in rows)
 
 
-def describe_proposals(found: Run, folder: Path) -> list[str]:
-    """Return where in each scan layers are proposed; nothing if nobody asked."""
-    if "proposed_layers" not in found.frames:
-        return []
-    rows = to_records(found.frames["proposed_layers"])
-    ids = dict.fromkeys(row["id"] for row in rows)
-    depths = {id_: _list_depths([row for row in rows if row["id"] == id_]) for id_ in ids}
-    return _TEXT.sentences("proposals", {"count": len(rows), "folder": str(folder), "proposals": depths})
-
-
 REPORT = StudyReport(
     _TEXT,
     describe,
@@ -330,10 +299,6 @@ def write_reconstruction(
             notes = _export_scan(one, exports, fresh / "slicer", recipe.needle.diameter_mm)
             written.append(replace(one, warnings=(*one.warnings, *notes)))
             write_quality(written[-1], fresh / "quality" / f"{one.scan.id}.pdf")
-            for found in one.proposals or ():
-                # in the frame of the scan: Slicer reads it from the stated name
-                named = replace(found.surface, name=f"{found.surface.name} SPACE=LPS")
-                write_surface(named, fresh / "proposed" / f"{one.scan.id}_{found.surface.name}.stl")
         title = f"Reconstruction: {description.title or description.name}"
         record = KIND.make_record(title=title, scans=[one.scan.id for one in kept], recipe=recipe)
         assert isinstance(record, ReconstructionBatchRecord)
