@@ -1,9 +1,8 @@
 """`needlefit reconstruct`: scans of inserted needles -> a checked dataset."""
 
 from collections.abc import Sequence
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -32,13 +31,6 @@ CHECKPOINT_WORK = {"reconstruct": "each row states what it is of"}
 """Of the checkpoint: each reconstruction in it has a digest of what decided it."""
 
 
-class Export(StrEnum):
-    """What `--export` takes."""
-
-    SCENE = "scene"
-    SEG = "seg"
-
-
 @takes(
     "scheduler insecure resume strict json quiet verbose",
     scans=options.argument(
@@ -53,7 +45,7 @@ class Export(StrEnum):
         "configs/reconstruction, or a path.", "RECIPE", autocompletion=options.complete_reconstructions
     ),
     title=option("Title of the dataset."),
-    export=option("Write also a scene of 3D Slicer (.mrb), or a DICOM segmentation; repeatable."),
+    scene=flag("Write also a scene of 3D Slicer (.mrb).", "--scene"),
     jobs=option("Scans at once (default: 2); it does not change the result.", min=1),
 )
 def reconstruct(
@@ -63,7 +55,7 @@ def reconstruct(
     every: bool = False,
     recipe: str = "default",
     title: str = "",
-    export: list[Export] | None = None,
+    scene: bool = False,
     jobs: int | None = None,
     **files: Any,  # noqa: ANN401 - those of `SCAN_FILES`
 ) -> None:
@@ -106,7 +98,6 @@ def reconstruct(
         require_replaceable(refused)
         wanted = _scans(scans, named)
         require_no_inputs_within(out, [*scans, *(path for one in wanted for path in one.files)])
-        exports: tuple[Literal["scene", "seg"], ...] = tuple(one.value for one in export or ())
         record = load(find_file("reconstruction", recipe), ReconstructionRecord)
         checkpoint = open_checkpoint(keep, invocation.resume, CHECKPOINT_WORK, print_remark)
         with show_progress(invocation.quiet) as report:
@@ -127,7 +118,7 @@ def reconstruct(
                 faulty: Sequence[ReconstructionFailure]
                 try:
                     written, faulty = write_reconstruction(
-                        out, ones, record, about, report, refused=failed, exports=exports
+                        out, ones, record, about, report, refused=failed, scenes=scene
                     )
                 except DataError as error:  # it belongs to no single scan
                     whole = [ReconstructionFailure(one.scan, error) for one in ones]

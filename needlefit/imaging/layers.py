@@ -77,7 +77,7 @@ class Labels:
 
 
 def read_labels(path: Path, names: Sequence[str] = ()) -> Labels:
-    """Read a segmentation: `.seg.nrrd` of 3D Slicer, any label volume, DICOM-SEG, RTSTRUCT, a .zip of one.
+    """Read a segmentation: `.seg.nrrd` of 3D Slicer, any label volume, RTSTRUCT, a .zip of one.
 
     The layers are the segments that are named, in this order; by default all in the order in which the file
     lists them, or, where it names none, the labels in the order of their values. A label without a name is
@@ -88,7 +88,7 @@ def read_labels(path: Path, names: Sequence[str] = ()) -> Labels:
     """
     with volume_files.open_member(path) as place, located(place):
         if not volume_files.is_image_file(place):
-            volume, found = volume_files.read_segments(place, names)
+            volume, found = volume_files.read_structures(place, names)
             return _check_labels(volume, tuple(Segment(n, name) for n, name in enumerate(found, 1)))
         stated, axes = _read_stated_segments(place) if path_exists(place) else ((), 3)
         if stated and axes > 3:
@@ -317,7 +317,7 @@ def read_layers(
 
     `patient`: the scan's LPS axes and origin in the world.
     `grid`: where the scan's voxels stand: surfaces of its own must not lie elsewhere.
-    `frame_of_reference`: UID of the scan's; a DICOM segmentation must state the same.
+    `frame_of_reference`: UID of the scan's; contours must state the same.
 
     DataError: listing every fault of every file.
     """

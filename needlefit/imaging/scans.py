@@ -42,7 +42,7 @@ class StagePose:
 class LayerSource:
     """A file with a layer's surface (STL, PLY, OBJ), or with a segmentation of all layers.
 
-    Segmentations are NRRD, NIfTI, DICOM-SEG or RTSTRUCT files, or a .zip of one.
+    Segmentations are NRRD, NIfTI, MetaImage or RTSTRUCT files, or a .zip of one.
     """
 
     path: Path
@@ -183,7 +183,7 @@ def parse_layer_source(text: str, folder: Path, where: str = "") -> LayerSource 
     mesh = path.suffix.lower() in MESH_SUFFIXES
     if not mesh and not _may_be_segmentation(path):
         endings = ", ".join((*IMAGE_SUFFIXES, ARCHIVE_SUFFIX))
-        expected = f"{', '.join(MESH_SUFFIXES)}, or a segmentation: {endings}, DICOM-SEG, RTSTRUCT"
+        expected = f"{', '.join(MESH_SUFFIXES)}, or a segmentation: {endings}, RTSTRUCT"
         fix = "save the model as STL, or its segmentation as .seg.nrrd, in 3D Slicer"
         return fault(f"{path} has the ending {path.suffix!r}", expected, fix)
     if chosen and mesh:

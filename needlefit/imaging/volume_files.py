@@ -43,9 +43,8 @@ CT_PACKAGES = ("SimpleITK", "pydicom")
 # A volume that is read more slowly, in processor time, is taken for one that never ends.
 READ_BYTES_PER_SECOND = 8 * 2**20
 SECONDS_PER_DICOM_HEADER = 0.1
-SEGMENTATION_BYTES = 2**30  # memory for the voxels of contours, which are as many as their reader chooses
-# Processor time of a reader of a segmentation: one file unpacks to every segment's voxels.
-SEGMENT_SECONDS = 120
+CONTOUR_BYTES = 2**30  # memory for the voxels of contours, which are as many as their reader chooses
+CONTOUR_SECONDS = 120  # processor time in which they are marked
 MAX_ARCHIVE_LEVELS = 2  # levels of archives inside an archive
 MAX_LISTED = 10
 UNPACKED_BYTES_PER_SECOND = 2**20  # the same for a DICOM header, and for compressed slices
@@ -146,31 +145,31 @@ def read_planes(path: Path) -> tuple[Volume, ...]:
     return tuple(_build_volume(parts, {"values": values[..., n]}, path) for n in range(values.shape[-1]))
 
 
-def read_segments(path: Path, names: Sequence[str] = ()) -> tuple[Volume, tuple[str, ...]]:
-    """Read a DICOM segmentation: labels 1, 2, ..., and the name of each segment.
+def read_structures(path: Path, names: Sequence[str] = ()) -> tuple[Volume, tuple[str, ...]]:
+    """Read a DICOM structure set: labels 1, 2, ..., and the name of each region.
 
-    `path`: a DICOM-SEG or RTSTRUCT file, or a folder with one.
-    `names`: segments that are read, in this order; empty: all.
+    `path`: an RTSTRUCT file, or a folder with one.
+    `names`: regions that are read, in this order; empty: all.
 
-    DataError, ConfigError: as `read_volume`; if a name is missing, segments overlap, or contours are open or
+    DataError, ConfigError: as `read_volume`; if a name is missing, regions overlap, or contours are open or
     uneven.
     """
-    with explain_missing_packages(*CT_PACKAGES, "highdicom"):
+    with explain_missing_packages(*CT_PACKAGES):
         size = sum(file.stat().st_size for file in ([path] if is_file(path) else list_files(path)))
-        seconds = SEGMENT_SECONDS + size / UNPACKED_BYTES_PER_SECOND
-        allowed = limits_for(SEGMENTATION_BYTES + 4 * size, 4 * max_voxels(), seconds)
-        reader = "needlefit.imaging.dicom.segmentation:read_segmentation"
+        seconds = CONTOUR_SECONDS + size / UNPACKED_BYTES_PER_SECOND
+        allowed = limits_for(CONTOUR_BYTES + 4 * size, 4 * max_voxels(), seconds)
+        reader = "needlefit.imaging.dicom.contours:read_structures"
         parts, arrays = read_in_sandbox(reader, path, allowed, {"path": str(path), "names": list(names)})
     return _build_volume(parts, arrays, path), tuple(map(str, parts.get("names", ())))
 
 
 def read_mask(path: Path) -> Volume:
-    """Read a volume that is above 0 in what it marks: an image file, a DICOM segmentation, a .zip of one.
+    """Read a volume that is above 0 in what it marks: an image file, an RTSTRUCT file, a .zip of one.
 
     DataError, ConfigError: as `read_volume`.
     """
     with open_member(path) as place:
-        return read_volume(place) if is_image_file(place) else read_segments(place)[0]
+        return read_volume(place) if is_image_file(place) else read_structures(place)[0]
 
 
 def is_image_file(place: Path) -> bool:

@@ -298,10 +298,10 @@ def archives() -> list[Seed]:
 
 
 def segmentations() -> list[Seed]:
-    from test_imaging_segmentations import boxes, cylinder, write_contours, write_seg
+    from test_imaging_segmentations import cylinder, write_contours
 
     regions = {"Body": cylinder(6.0), "Core": cylinder(2.0, 6.0, 12.0)}
-    return [saved("s.dcm", write_seg, boxes()[:2]), saved("rt.dcm", write_contours, regions)]
+    return [saved("rt.dcm", write_contours, regions)]
 
 
 def meshes() -> list[Seed]:

@@ -1,9 +1,9 @@
 """The report of a batch of reconstructed scans, written into the folder of their dataset."""
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,10 +11,9 @@ import pandas as pd
 from needlefit.arrays import Floats
 from needlefit.datasets.read import check_all
 from needlefit.datasets.sources import ScanVolume, write_volumes
-from needlefit.errors import ConfigError, DataError
+from needlefit.errors import ConfigError
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
 from needlefit.imaging.batch import VERSIONED_PACKAGES, Findings, ReconstructionFailure, add_findings
-from needlefit.imaging.label_export import mark_voxels, write_dicom_segmentation, write_slicer_segmentation
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import write_scan_table
 from needlefit.imaging.volume_files import read_volume
@@ -33,8 +32,6 @@ from needlefit.studies.report import StudyReport, write_files
 from needlefit.studies.run import Run
 from needlefit.studies.slicer import write_scan
 from needlefit.studies.slicer_scene import write_slicer_scene
-
-ExportKind = Literal["scene", "seg"]
 
 SCANS_FILE = "scans.csv"
 POOR_DEPTH_SD_MM = 0.5  # deviation of the inserted length, mm, that the first line names
@@ -268,15 +265,14 @@ def write_reconstruction(
     description: DatasetDescription,
     progress: Progress,
     refused: Sequence[ReconstructionFailure] = (),
-    exports: Collection[ExportKind] = (),
+    scenes: bool = False,
 ) -> tuple[Run | None, tuple[ReconstructionFailure, ...]]:
     """Write `folder`, completely or not at all; return its result, and what a dataset cannot contain.
 
     Where none can be held nothing is written, and what was there stays.
 
     The dataset, and where its scans lie, with a row for each needle of divided ones; `quality/<id>.pdf`, also
-    of the scans that were `refused`; `slicer/`, with what is exported of each scan; and the files of every
-    run.
+    of the scans that were `refused`; `slicer/`, with `scenes` also `<id>.mrb`; and the files of every run.
 
     DataError if the dataset has a fault that belongs to no single scan. ConfigError if `folder` holds
     anything that needlefit did not write, or that was changed since.
@@ -292,46 +288,23 @@ def write_reconstruction(
         write_volumes(fresh, volumes, folder)
         if any(one.scan.divided for one in kept):  # to correct one needle, and for the next run
             write_scan_table([one.scan for one in kept], fresh / SCANS_FILE, folder)
-        written = []
         for done, one in enumerate(kept):
             progress(f"{one.scan.id}: quality page", done, len(kept))
             write_scan(one, fresh / "slicer", recipe.needle.diameter_mm)
-            notes = _export_scan(one, exports, fresh / "slicer", recipe.needle.diameter_mm)
-            written.append(replace(one, warnings=(*one.warnings, *notes)))
-            write_quality(written[-1], fresh / "quality" / f"{one.scan.id}.pdf")
+            if scenes:
+                volume = read_volume(one.scan.volume, one.scan.series)
+                place = fresh / "slicer" / f"{one.scan.id}.mrb"
+                write_slicer_scene(one, volume, recipe.needle.diameter_mm, place)
+            write_quality(one, fresh / "quality" / f"{one.scan.id}.pdf")
         title = f"Reconstruction: {description.title or description.name}"
         record = KIND.make_record(title=title, scans=[one.scan.id for one in kept], recipe=recipe)
         assert isinstance(record, ReconstructionBatchRecord)
-        result = tabulate_batch(description.name, record, written, check_all(fresh)[1])
+        result = tabulate_batch(description.name, record, kept, check_all(fresh)[1])
         if refused:
             result = replace(result, frames={**result.frames, **tabulate_failures(refused)})
             write_refused_pages(refused, fresh / "quality")
         write_files(result, fresh)
     return result, failures
-
-
-def _export_scan(
-    one: Reconstruction, exports: Collection[ExportKind], folder: Path, diameter: float
-) -> tuple[str, ...]:
-    """Write what is exported of a scan; return warnings.
-
-    `<id>.mrb`, a scene of 3D Slicer; `<id>.seg.dcm`, a DICOM segmentation. Where the scan allows none, it is
-    `<id>.seg.nrrd`, a segmentation of 3D Slicer.
-    """
-    if not exports:
-        return ()
-    volume = read_volume(one.scan.volume, one.scan.series)
-    if "scene" in exports:
-        write_slicer_scene(one, volume, diameter, folder / f"{one.scan.id}.mrb")
-    if "seg" in exports:
-        marked = mark_voxels(one, volume.grid, diameter)
-        try:
-            write_dicom_segmentation(one.scan, marked, folder / f"{one.scan.id}.seg.dcm")
-        except DataError as error:
-            instead = folder / f"{one.scan.id}.seg.nrrd"
-            write_slicer_segmentation(marked, volume.grid, instead)
-            return (f"no DICOM segmentation is written, {instead.name} instead: {error.what}",)
-    return ()
 
 
 def write_refused(failures: Sequence[ReconstructionFailure], folder: Path) -> None:

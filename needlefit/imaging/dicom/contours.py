@@ -1,7 +1,4 @@
-"""Read the contours of an RTSTRUCT file, and mark the voxels inside them.
-
-Read DICOM segmentations (SEG by highdicom, RTSTRUCT by pydicom) as label volumes.
-"""
+"""Read the contours of a DICOM structure set (RTSTRUCT), and mark the voxels inside them."""
 
 import sys
 import warnings
@@ -13,7 +10,7 @@ from typing import Any
 import numpy as np
 import pydicom
 from numpy.typing import NDArray
-from pydicom.uid import RTStructureSetStorage, SegmentationStorage
+from pydicom.uid import RTStructureSetStorage
 
 from needlefit.arrays import Floats
 from needlefit.errors import DataError
@@ -21,9 +18,9 @@ from needlefit.geometry.curves import make_normal
 from needlefit.geometry.meshes import fill_outline
 from needlefit.imaging.image_headers import SEGMENTS_FIX, choose_segments
 from needlefit.imaging.refusals import located, refusal
-from needlefit.imaging.volume import VoxelGrid, begins_as_dicom, check_grid, grid_to_json, orthogonalize
+from needlefit.imaging.volume import VoxelGrid, begins_as_dicom, check_grid, grid_to_json
 from needlefit.project.input_files import is_file, list_files, open_regular
-from needlefit.project.sandbox import SandboxArrays, allow_memory
+from needlefit.project.sandbox import SandboxArrays
 
 PIXEL_MM = 0.25  # spacing of the pixels within a plane of contours, mm, unless they would be too many
 MAX_CONTOUR_VOXELS = 2**26
@@ -164,63 +161,21 @@ def _check_shared(shared: NDArray[np.int64], counts: Sequence[int], names: Seque
 def _contour_error(what: str) -> DataError:
     return refusal(f"""{what}
         expected: closed, flat, parallel contours in even steps
-        fix: export the structures again as closed planar contours, or as a segmentation (DICOM-SEG, NRRD)""")
+        fix: export the structures again as closed planar contours, or as a segmentation (NRRD)""")
 
 
-MIN_FRACTION = 0.5  # a voxel of a fractional segment belongs to it from this fraction on
-BYTES_PER_VOXEL = 24  # memory of a voxel while its segments are read, one after another
-
-Answer = dict[str, Any]
-
-
-def read_segmentation(results: SandboxArrays, path: str, names: Sequence[str] = ()) -> Answer:
-    """Read a DICOM segmentation: the array "values" of labels 1, 2, ..., its grid, the segments' names.
-
-    `path`: the file, or a folder with one in it or below.
-    `names`: segments or regions that are read, in this order; empty: all.
-
-    DataError if there is no segmentation or several, a name is not in it, or its segments overlap.
-    """
-    file = _find_segmentation(Path(path))
-    with warnings.catch_warnings(), located(file):
-        warnings.simplefilter("ignore")
-        try:
-            contours = _storage(file) == RTStructureSetStorage
-            return (_read_contours if contours else _read_segments)(results, file, names)
-        except (DataError, MemoryError):
-            raise
-        except Exception as error:  # whatever the bytes provoke
-            raise refusal(f"""cannot be read as a segmentation ({type(error).__name__})
-                expected: a whole DICOM-SEG or RTSTRUCT file
-                fix: copy the file again, or export the segmentation again""") from error
-
-
-def _find_segmentation(path: Path) -> Path:
-    files = [path] if is_file(path) else list_files(path)
-    found = [one for one in files if begins_as_dicom(one) and _storage(one) in _STORAGES]
-    if len(found) == 1:
-        return found[0]
-    listed = ": " + ", ".join(one.name for one in found[:10]) if found else ""
-    raise refusal(f"""holds {len(found) or "no"} DICOM segmentation{"s" * (len(found) > 1)}{listed}
-        expected: one segmentation: a DICOM-SEG or RTSTRUCT file, .seg.nrrd, or a volume of labels
-        fix: {"name the file of the segmentation" if found else "export the segmentation, not the scan"}
-        where: {path}""")
-
-
-_LABEL_MAP_STORAGE = "1.2.840.10008.5.1.4.1.1.66.7"
-_STORAGES = (SegmentationStorage, _LABEL_MAP_STORAGE, RTStructureSetStorage)
-
-
-def _storage(file: Path) -> str:
-    """Return what kind of DICOM object a file holds; empty if it cannot be read."""
+def _holds_structures(file: Path) -> bool:
+    """Return whether a file is a DICOM structure set; one that cannot be read is none."""
+    if not begins_as_dicom(file):
+        return False
     try:
         with open_regular(file, sys.maxsize) as content:
             data = pydicom.dcmread(content, stop_before_pixels=True, specific_tags=["SOPClassUID"])
-        return str(data.get("SOPClassUID", ""))
+        return data.get("SOPClassUID") == RTStructureSetStorage
     except DataError:
         raise
     except Exception:  # whatever the bytes provoke
-        return ""
+        return False
 
 
 def _parse_regions(data: pydicom.Dataset, file: Path) -> list[ContouredRegion]:
@@ -243,7 +198,35 @@ def _parse_regions(data: pydicom.Dataset, file: Path) -> list[ContouredRegion]:
     return regions
 
 
-def _read_contours(results: SandboxArrays, file: Path, names: Sequence[str]) -> Answer:
+def read_structures(results: SandboxArrays, path: str, names: Sequence[str] = ()) -> dict[str, Any]:
+    """Read a structure set: the array "values" of labels 1, 2, ..., its grid, the regions' names.
+
+    `path`: the file, or a folder with one in it or below.
+    `names`: regions that are read, in this order; empty: all.
+
+    DataError if there is no structure set or several, a name is not in it, or regions overlap.
+    """
+    place = Path(path)
+    found = [one for one in ([place] if is_file(place) else list_files(place)) if _holds_structures(one)]
+    if len(found) != 1:
+        listed = ": " + ", ".join(one.name for one in found[:10]) if found else ""
+        raise refusal(f"""holds {len(found) or "no"} DICOM structure set{"s" * (len(found) > 1)}{listed}
+            expected: one segmentation: an RTSTRUCT file, .seg.nrrd, or a volume of labels
+            fix: {"name the file of the segmentation" if found else "export the segmentation as one of these"}
+            where: {path}""")
+    with warnings.catch_warnings(), located(found[0]):
+        warnings.simplefilter("ignore")
+        try:
+            return _read_contours(results, found[0], names)
+        except (DataError, MemoryError):
+            raise
+        except Exception as error:  # whatever the bytes provoke
+            raise refusal(f"""cannot be read as a structure set ({type(error).__name__})
+                expected: a whole RTSTRUCT file
+                fix: copy the file again, or export the structures again""") from error
+
+
+def _read_contours(results: SandboxArrays, file: Path, names: Sequence[str]) -> dict[str, Any]:
     with open_regular(file, sys.maxsize) as content:
         data = pydicom.dcmread(content)
     regions = _parse_regions(data, file)
@@ -268,38 +251,3 @@ def _read_contours(results: SandboxArrays, file: Path, names: Sequence[str]) -> 
     } - {""}
     frame = stated.pop() if len(stated) == 1 else ""
     return {**grid_to_json(grid), "names": chosen, "frame_of_reference": frame}
-
-
-def _read_segments(results: SandboxArrays, file: Path, names: Sequence[str]) -> Answer:
-    import highdicom  # takes its time to load, and contours need none
-
-    with open_regular(file, sys.maxsize) as content:
-        segmentation = highdicom.seg.segread(content)
-    numbers = list(segmentation.segment_numbers)
-    labels = [str(segmentation.get_segment_description(n).segment_label).strip() for n in numbers]
-    chosen = choose_segments(labels, names)
-    geometry = segmentation.get_volume_geometry()
-    if geometry is None:
-        raise refusal("""its frames are no even stack of slices
-            expected: segments on the slices of one volume
-            fix: resample the scan to even steps, and segment it again""")
-    slices, rows, columns = geometry.spatial_shape
-    affine = np.asarray(geometry.affine, dtype=np.float64)  # of slice, row, column
-    steps = affine[:3, 2::-1]
-    spacing = np.linalg.norm(steps, axis=0)
-    grid = VoxelGrid((columns, rows, slices), affine[:3, 3].copy(), spacing, steps / spacing)
-    check_grid(grid)
-    values = results.new("values", grid.size[::-1], "float32")
-    allow_memory(values.size * BYTES_PER_VOXEL)
-    for label, n in enumerate(chosen, 1):
-        volume = segmentation.get_volume(segment_numbers=[numbers[n]], dtype=np.float32)
-        inside = np.asarray(volume.array[..., 0] >= MIN_FRACTION)
-        met = int(values[inside].max(initial=0))
-        if met:
-            raise refusal(f"""its segments overlap: {labels[chosen[met - 1]]}, {labels[n]}
-                expected: every voxel in one layer
-                fix: draw them without overlap, or name those that do not overlap: FILE=segments:NAME,NAME""")
-        values[inside] = label
-    grid_parts = grid_to_json(VoxelGrid(grid.size, grid.origin, grid.spacing, orthogonalize(grid.direction)))
-    frame = str(segmentation.get("FrameOfReferenceUID", ""))
-    return {**grid_parts, "names": [labels[n] for n in chosen], "frame_of_reference": frame}
