@@ -520,15 +520,15 @@ def _locate_tissue(
         at = float(own.min())
         _refuse_distant_surface(at, found)
         return at, recipe.layers.surface_sd_mm, ()
-    crossed = _hit_surfaces(found.world, [surface for surface in surfaces if surface.into > 1])
-    known = EntryKnowledge(scan.expected_depth, recipe.guide.thickness_mm, scan.guide_distance, crossed)
+    known = EntryKnowledge(scan.expected_depth, recipe.guide.thickness_mm, scan.guide_distance)
     choice = choose_entry(found.brightness, float(arc_length(found.world)[-1]), known)
     if choice is None:
         raise refusal("""the scan does not show where the needle enters the tissue
             expected: air before the tissue along the needle, the tissue's surface (into = 1), or the stage
             fix: state the stage (entry_x_mm ... pose_angle_sd_deg), or add the tissue's own surface to the
                 layers, as FILE=sheet:1 or FILE=solid:1""")
-    return choice.chosen.at, choice.chosen.sd, choice.warnings
+    entry, warnings = choice
+    return entry.at, entry.sd, warnings
 
 
 def _hit_surfaces(needle: Floats, surfaces: Sequence[Surface]) -> Floats:

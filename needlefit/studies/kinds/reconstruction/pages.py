@@ -166,8 +166,8 @@ def list_finding_facts(found: Findings) -> list[list[Fact]]:
         words = f"{ball.diameter:.1f} mm; L, P, S {_place(ball.center)}"
         balls.append((f"ball {n}" + " (marker)" * ball.marker, words))
     for n, one in enumerate(found.entries, start=1):
-        level = f"{one.run.level:.0f} HU ({one.change})"
-        entries.append((f"entry {n}", f"{one.depth:.2f} ± {one.sd:.2f} mm before the tip, {level}"))
+        words = f"{one.depth:.2f} ± {one.sd:.2f} mm before the tip, {one.run.level:.0f} HU"
+        entries.append((f"entry {n}", words))
     return [
         [("voxels", f"{size}, {spacing} mm")],
         tubes or [("tubes", "none")],
@@ -509,7 +509,7 @@ def _paint_profile(figure: Figure, found: Findings) -> None:
         axes.plot(profile.s - tip, values, color=INK, lw=0.9)
         axes.axvline(0.0, color=TIP_COLOUR, lw=0.7)
         for number, one in enumerate(found.entries, start=1):
-            axes.axvline(-one.depth, color=ENTRY_COLOUR, lw=0.8, ls="-" if one.change == "rise" else ":")
+            axes.axvline(-one.depth, color=ENTRY_COLOUR, lw=0.8)
             if n:
                 at = (-one.depth, 1.0)
                 axes.annotate(

@@ -196,8 +196,7 @@ def _list_candidates(id_: str, found: Findings) -> list[dict[str, object]]:
     for n, ball in enumerate(found.balls, start=1):
         add("ball", n, ball.center, width_mm=ball.diameter, note="marker" if ball.marker else "")
     for n, (one, at) in enumerate(zip(found.entries, found.entry_points, strict=True), start=1):
-        note = "air before it" if one.change == "rise" else "another soft material before it"
-        add("entry", n, at, depth_mm=one.depth, depth_sd_mm=one.sd, note=note)
+        add("entry", n, at, depth_mm=one.depth, depth_sd_mm=one.sd)
     return rows
 
 
