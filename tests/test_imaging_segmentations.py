@@ -16,8 +16,9 @@ from needlefit.datasets.faults import Fault
 from needlefit.errors import DataError
 from needlefit.geometry.meshes import fill_mesh
 from needlefit.geometry.surfaces import make_cylinder
-from needlefit.imaging.layers import extract_label_surfaces, read_labels
+from needlefit.imaging.layers import extract_label_surfaces
 from needlefit.imaging.scans import LayerSource, parse_layer_source
+from needlefit.imaging.segmentations import read_labels
 from needlefit.imaging.volume_files import read_mask
 
 pytestmark = pytest.mark.usefixtures("read_here")

@@ -244,7 +244,7 @@ def _configs(record: str, folder: str, name: str) -> Reader:
 
 
 READ_VOLUME = partial(_call, "imaging.volume_files.read_volume")
-READ_LABELS = partial(_call, "imaging.layers.read_labels")
+READ_LABELS = partial(_call, "imaging.segmentations.read_labels")
 
 READERS: dict[str, Reader] = {
     "scene": Reader(_scene, partial(project_files, "configs/scenes/*.toml", "scene.toml")),

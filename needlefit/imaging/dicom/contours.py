@@ -16,8 +16,8 @@ from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.geometry.curves import make_normal
 from needlefit.geometry.meshes import fill_outline
-from needlefit.imaging.image_headers import SEGMENTS_FIX, choose_segments
 from needlefit.imaging.refusals import located, refusal
+from needlefit.imaging.segmentations import SEGMENTS_FIX, choose_segments
 from needlefit.imaging.volume import VoxelGrid, begins_as_dicom, check_grid, grid_to_json
 from needlefit.project.input_files import is_file, list_files, open_regular
 from needlefit.project.sandbox import SandboxArrays
