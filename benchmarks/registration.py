@@ -159,7 +159,7 @@ def search_pairs(cases: int, rng: np.random.Generator, left_out: list[int]) -> d
 
 
 def nearly_symmetric(cases: int, rng: np.random.Generator) -> dict[str, object]:
-    """Return what comes of twofold layouts with one marker moved just so far that they count as asymmetric."""
+    """Return what comes of twofold layouts with one marker moved so far that they count as asymmetric."""
     answers = {"wrong and accepted": 0, "refused": 0}
     for _ in range(cases):
         half = rng.uniform(-40, 40, (4, 3))

@@ -44,6 +44,9 @@ CHECKPOINT_WORK = {"reconstruct": "each row states what it is of"}
     recipe=option(
         "configs/reconstruction, or a path.", "RECIPE", autocompletion=options.complete_reconstructions
     ),
+    corrections=option(
+        "Control points moved in 3D Slicer: SCAN's slicer/ID.corrections.mrk.json; repeatable.", "FILE"
+    ),
     title=option("Title of the dataset."),
     scene=flag("Write also a scene of 3D Slicer (.mrb).", "--scene"),
     jobs=option("Scans at once (default: 2); it does not change the result.", min=1),
@@ -54,6 +57,7 @@ def reconstruct(
     out: Path,
     every: bool = False,
     recipe: str = "default",
+    corrections: list[Path] | None = None,
     title: str = "",
     scene: bool = False,
     jobs: int | None = None,
@@ -76,6 +80,7 @@ def reconstruct(
             add_findings,
             reconstruct_all,
         )
+        from needlefit.imaging.corrections import correct_scans
         from needlefit.project.checkpoint import (
             open_checkpoint,
             release_checkpoint,
@@ -96,8 +101,9 @@ def reconstruct(
         require_own_checkpoint(keep)
         refused = out.resolve().with_name(f"{out.resolve().name}.refused")  # pages of scans without a dataset
         require_replaceable(refused)
-        wanted = _scans(scans, named)
-        require_no_inputs_within(out, [*scans, *(path for one in wanted for path in one.files)])
+        moved = corrections or []
+        wanted = correct_scans(_scans(scans, named), moved)
+        require_no_inputs_within(out, [*scans, *moved, *(path for one in wanted for path in one.files)])
         record = load(find_file("reconstruction", recipe), ReconstructionRecord)
         checkpoint = open_checkpoint(keep, invocation.resume, CHECKPOINT_WORK, print_remark)
         with show_progress(invocation.quiet) as report:
@@ -174,6 +180,8 @@ def _show(
             {"id": one.scan.id, "scan": str(one.scan.volume), "error": str(one.error)} for one in failed
         ]
         about: dict[str, Any] = {"dataset": str(out) if found else None, WARNINGS_KEY: to_rows(as_json)}
+        if found and "corrections" in found.frames:
+            about["corrections"] = found.frames["corrections"].to_dict(orient="records")
         screen.show_json({**about, "scans": rows, "failed": errors})
     elif found:
         screen.print_line()
@@ -196,6 +204,8 @@ def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure
         screen.print_note(f"needlefit: {error if named else f'{ids}: {error}'}")
     if failed:
         screen.print_note(f"needlefit: pages of refused scans: {pages}/quality/")
+    if any(one.findings for one in failed):  # others cannot be read
+        screen.print_note(f"needlefit: move what was found in 3D Slicer: {pages}/slicer/, then --corrections")
     if failed and found:
         count = len(failed) + len(found.frames["reconstruction"])
         screen.print_note(f"needlefit: {len(failed)} of {count} scans failed; the others are written")

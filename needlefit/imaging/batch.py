@@ -22,6 +22,7 @@ from needlefit.arrays import Floats
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.surfaces import Surface, Triangles, from_triangles, to_triangles
+from needlefit.imaging.corrections import compare_reconstructions
 from needlefit.imaging.entry import EntryCandidate, list_candidates
 from needlefit.imaging.needle import segmentation
 from needlefit.imaging.reconstruct import Examination, VolumeSearch, add_views, examine
@@ -222,7 +223,7 @@ def divide_scan(search: VolumeSearch, scan: Scan) -> tuple[Scan, ...]:
 
     So is one of which something is stated that only one needle has, or in which nothing is found.
     """
-    own = (scan.needle_at, scan.contact, scan.tip, scan.stage)
+    own = (scan.needle_at, scan.contact, scan.tip, scan.stage, scan.corrections)
     if any(stated is not None for stated in own):
         return (scan,)
     with suppress(Exception):  # its reconstruction says why
@@ -323,7 +324,11 @@ def _reconstruct_needles(
 def _reconstruct_needle(search: VolumeSearch, scan: Scan, collect: bool) -> Result:
     found = examine(search.volume, scan, search.recipe, search)
     if found.error is None and found.reconstruction is not None:
-        return add_views(found.reconstruction, search.volume)
+        one = add_views(found.reconstruction, search.volume)
+        if scan.corrections is None:
+            return one
+        before = examine(search.volume, replace(scan, corrections=None), search.recipe, search)
+        return replace(one, changes=compare_reconstructions(before.reconstruction, one))
     failed = found.error or NeedlefitError("nothing was found", where=str(scan.volume))
     return ReconstructionFailure(scan, failed, collect_findings(search, found) if collect else None)
 

@@ -43,7 +43,7 @@ from needlefit.imaging.markers import (
     find_markers,
     is_list_of_points,
     list_bright_voxels,
-    read_fiducials,
+    make_fiducials,
     read_markers,
     refine_fiducials,
 )
@@ -74,9 +74,9 @@ from needlefit.imaging.registration.register import (
     register,
     scan_frame,
 )
-from needlefit.imaging.scans import BEVEL_FIX, CONTACT_COLUMNS, Scan
+from needlefit.imaging.scans import BEVEL_FIX, CONTACT_COLUMNS, Corrections, Scan
 from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere
-from needlefit.imaging.volume import Volume, VoxelGrid, require_hounsfield
+from needlefit.imaging.volume import Volume, VoxelGrid, find_outside, require_hounsfield
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.processes import one_thread
 from needlefit.schemas.reconstruction import ReconstructionRecord
@@ -162,10 +162,12 @@ def _input_warnings(one: Reconstruction) -> Iterator[str]:
             f"the markers miss their places by {known.fre:.2f} mm, {known.expected_fre:.2f} were expected "
             f"(probability {known.p_value:.1g}): the stated deviations are too small, or a marker has moved"
         )
+    moved = scan.corrections or Corrections()
+    listed = scan.mask if scan.mask and is_list_of_points(scan.mask) else None
     placed = {
         "the needle": None if scan.divided else scan.needle_at,
-        "points on the needle": scan.mask if scan.mask and is_list_of_points(scan.mask) else None,
-        "the markers": scan.fiducials,
+        "points on the needle": listed if moved.axis is None else moved.axis,
+        "the markers": scan.fiducials if moved.balls is None else moved.balls,
         "the first contact": scan.contact,
         "the tip": scan.tip,
     }
@@ -431,20 +433,25 @@ class VolumeSearch:
 
 def choose_needle(search: VolumeSearch, scan: Scan) -> NeedleSelection:
     """Return the needle: by a person's mask or points on it, else among the tubes of the volume."""
-    recipe = search.recipe
-    if scan.mask is None:
-        return select_needle(search.volume, recipe, scan.needle_at, search.find_tubes())
-    if not is_list_of_points(scan.mask):
+    recipe, points = search.recipe, None if scan.corrections is None else scan.corrections.axis
+    if points is None and scan.mask is not None and is_list_of_points(scan.mask):
+        points = read_markers(scan.mask)
+    if points is not None:
+        axis = follow_points(search.volume, points, recipe)
+        return NeedleSelection(select_rod(search.volume, axis, recipe), axis=axis)
+    if scan.mask is not None:
         return NeedleSelection(read_mask_component(search.volume, scan.mask, recipe, scan.needle_at))
-    axis = follow_points(search.volume, read_markers(scan.mask), recipe)
-    return NeedleSelection(select_rod(search.volume, axis, recipe), axis=axis)
+    return select_needle(search.volume, recipe, scan.needle_at, search.find_tubes())
 
 
 def find_scan_markers(search: VolumeSearch, needle: Ints | None, scan: Scan) -> MarkerResult | None:
     """Return the markers, placed by hand or found beside the needle (N, 3); None: none are needed."""
-    if scan.fiducials is None:
-        return None if scan.markers is None else search.find_markers(needle)
-    given = read_fiducials(scan.fiducials, search.recipe)
+    places, where = None if scan.corrections is None else scan.corrections.balls, "balls of the corrections"
+    if places is None:
+        if scan.fiducials is None:
+            return None if scan.markers is None else search.find_markers(needle)
+        places, where = read_markers(scan.fiducials), str(scan.fiducials)
+    given = make_fiducials(places, search.recipe)
     try:
         balls = search.find_markers(needle)
     except DataError:  # landmarks, not metal
@@ -452,7 +459,7 @@ def find_scan_markers(search: VolumeSearch, needle: Ints | None, scan: Scan) -> 
     try:
         return refine_fiducials(given, search.volume, search.recipe, balls)
     except DataError as error:
-        raise error.at(str(scan.fiducials)) from None
+        raise error.at(where) from None
 
 
 def estimate_first_contact(
@@ -663,6 +670,17 @@ def add_views(one: Reconstruction, volume: Volume) -> Reconstruction:
     return replace(one, views=render_views(volume, one.patient, one.frame, one.needle_axis.points))
 
 
+def require_within(volume: Volume, moved: Corrections) -> None:
+    """Refuse control points that were moved out of the volume."""
+    for name, places in vars(moved).items():
+        if places is not None and len(outside := find_outside(volume, np.atleast_2d(places))):
+            at = ", ".join(f"{x:.1f}" for x in np.atleast_2d(places)[outside[0]])
+            raise refusal(f"""a control point was moved out of the volume, to L, P, S = {at} mm
+                expected: places in the scan
+                fix: take the list of this scan, and move the point back in 3D Slicer
+                where: corrections, {name}""")
+
+
 @one_thread
 def examine(
     volume: Volume, scan: Scan, recipe: ReconstructionRecord, search: VolumeSearch | None = None
@@ -671,9 +689,14 @@ def examine(
 
     `search`: of the volume, with what was found in it before.
     """
-    found, search = Examination(scan), search or VolumeSearch(volume, recipe)
+    search, moved = search or VolumeSearch(volume, recipe), scan.corrections or Corrections()
+    tip, contact = (a if b is None else b for a, b in ((scan.tip, moved.tip), (scan.contact, moved.entry)))
+    scan = replace(scan, tip=tip, contact=contact)
+    found = Examination(scan)
     with found.step():
-        if scan.mask is None or is_list_of_points(scan.mask):
+        require_within(volume, moved)
+    with found.step():
+        if scan.mask is None or is_list_of_points(scan.mask) or moved.axis is not None:
             require_hounsfield(volume, str(scan.volume))
     with found.step():
         found.selection = choose_needle(search, scan)

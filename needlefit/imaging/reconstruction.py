@@ -94,6 +94,17 @@ class Layers:
 
 
 @dataclass(frozen=True)
+class Change:
+    """What the corrections of a scan changed of one quantity."""
+
+    quantity: str
+    # Before and after, mm; nan of a place, and of what is not there.
+    before: float
+    after: float
+    change: float  # after less before, or how far a place moved, mm
+
+
+@dataclass(frozen=True)
 class Reconstruction:
     """The complete reconstruction of one scan."""
 
@@ -124,6 +135,7 @@ class Reconstruction:
     # What the centreline was drawn through, world, arc lengths from first contact, the shaft outside
     # included; None where no scan was traced.
     sections: SplineSections | None = None
+    changes: tuple[Change, ...] = ()  # by the corrections of the scan, if there are any
 
     @property
     def local(self) -> Floats:

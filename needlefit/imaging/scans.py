@@ -65,6 +65,17 @@ class LayerSource:
 
 
 @dataclass(frozen=True)
+class Corrections:
+    """Places that a person gave in place of those found, LPS, mm; None: as found."""
+
+    axis: Floats | None = None  # (N, 3); points on the needle, in any order: it is followed along these
+    # (3,); where the needle ends, and where it enters the tissue.
+    tip: Floats | None = None
+    entry: Floats | None = None
+    balls: Floats | None = None  # (M, 3); all markers
+
+
+@dataclass(frozen=True)
 class Scan:
     """One scan, with everything that is known about it."""
 
@@ -101,6 +112,7 @@ class Scan:
     contact: Floats | None = None
     tip: Floats | None = None
     origin: Literal["measured", "synthetic"] = "measured"
+    corrections: Corrections | None = None  # as moved in 3D Slicer; no column of a table states them
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -257,16 +269,12 @@ def unmatched_fiducials_fault(where: str, fix: str) -> Fault:
     return Fault(where, what, "the known places of the markers, too", fix)
 
 
-_PLACED_CONTACT = (
-    "the entry is stated by the stage (entry_x_mm ...) and placed by hand (contact_x_mm ...)",
+# Of a first contact that was placed in a scan whose stage states it: what, expected, fix.
+PLACED_CONTACT = (
+    "the entry is stated by the stage (entry_x_mm ...), and placed by hand, too",
     "one of both",
     "take the placed entry back, or empty entry_x_mm ... pose_angle_sd_deg",
 )
-
-
-def placed_contact_fault(where: str) -> Fault:
-    """Return the fault of a first contact that was placed in a scan whose stage states it."""
-    return Fault(where, *_PLACED_CONTACT)
 
 
 def _word_faults(row: ScanRow) -> Iterator[tuple[str, str, str]]:
@@ -296,7 +304,7 @@ def _number_checks(row: ScanRow) -> Iterator[tuple[bool, str, str, str]]:
         empty = [name for name in names if math.isnan(number[name])]
         what = f"{', '.join(empty)} are empty"
         yield 0 < len(empty) < len(names), what, "all of them, or none", "fill these, or empty the others"
-    yield not np.isnan(row.vector((*STAGE_COLUMNS, *CONTACT_COLUMNS))).any(), *_PLACED_CONTACT
+    yield not np.isnan(row.vector((*STAGE_COLUMNS, *CONTACT_COLUMNS))).any(), *PLACED_CONTACT
     length = float(np.linalg.norm(direction))  # nan, which no check finds wrong, where cells are empty
     what, expected = f"entry direction has length {length:.4g}", "a unit vector (entry_dx, _dy, _dz)"
     fix = "divide the three numbers by their length" if length else "give the direction of insertion"

@@ -198,6 +198,12 @@ def to_index(volume: Volume, points: ArrayLike) -> Floats:
     return np.asarray(steps / volume.spacing)
 
 
+def find_outside(volume: Volume, points: ArrayLike) -> NDArray[np.int64]:
+    """Return which of some LPS points (N, 3), mm, lie more than a voxel outside the volume."""
+    index, last = to_index(volume, points), np.array(volume.grid.size) - 1
+    return np.flatnonzero(((index < -1) | (index > last + 1)).any(axis=1))
+
+
 # Values that run over 12 bits come close to their greatest number, HU, and few voxels have it.
 TOP_12_BIT_HU, MAX_SATURATED = (2900.0, 3100.0), 10
 # In metal they leave single voxels darker than both neighbours by more, HU; fewer are noise.

@@ -1,4 +1,4 @@
-"""Write a reconstruction as a scene of 3D Slicer (`.mrb`): scan, needle, points, layers, all in place."""
+"""Write what 3D Slicer shows of a scan: a scene (`.mrb`), and control points by which it is corrected."""
 
 import zipfile
 from collections.abc import Mapping, Sequence
@@ -12,19 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.columns import make_id
-from needlefit.datasets.formats.mrk_json import write_mrk_json
+from needlefit.datasets.formats.mrk_json import CurveStyle, write_mrk_json
+from needlefit.datasets.markups import Markups
 from needlefit.geometry.meshes import fill_mesh, make_tube, write_ply
 from needlefit.geometry.surfaces import Surface, make_mesh, map_surface
+from needlefit.imaging.corrections import LIST_NAME, make_control_points
 from needlefit.imaging.needle.segmentation import median_tissue_hu
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.volume import Volume, VoxelGrid
 from needlefit.imaging.volume_files import explain_missing_packages, write_volume
 from needlefit.project.folders import replace_file
 from needlefit.reporting.labels import rgb
-from needlefit.studies.slicer import LAYER_COLOUR, make_scan_markups
+from needlefit.studies.slicer import LAYER_COLOUR, POINT_SIZE_MM, make_scan_markups
 
 ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # date of all members, so that the same scene gives the same bytes
 WINDOW_HU = 700.0  # width of the window in which tissue is shown, HU
+CONTROL_POINT_STYLE = CurveStyle(rgb("#D55E00"), POINT_SIZE_MM, locked=False)
 
 
 # By kind of node: tag and class of the node, of what stores it and of what displays it.
@@ -77,11 +80,27 @@ class _SlicerScene:
         return self.add(node, name, references=f"display:{seen};storage:{kept};")
 
 
+def make_scan_control_points(one: Reconstruction) -> Markups | None:
+    """Return the control points by which a reconstruction is corrected, LPS."""
+    (entry,) = one.patient.to_local(one.points[:1])
+    balls = np.empty((0, 3)) if one.markers is None else one.markers.centers
+    return make_control_points(one.scan.id, one.needle_axis.points, entry, balls)
+
+
+def write_control_points(points: Markups | None, folder: Path) -> None:
+    """Write the control points of a scan, if there are any, to `<id>.corrections.mrk.json`."""
+    if points is not None:
+        folder.mkdir(exist_ok=True)
+        path = folder / f"{points.path.name}.{LIST_NAME}.mrk.json"
+        write_mrk_json(path, [(points, CONTROL_POINT_STYLE)])
+
+
 def write_slicer_scene(one: Reconstruction, volume: Volume, diameter: float, path: Path) -> None:
     """Write a Medical Reality Bundle that shows a scan with what was found in it.
 
-    It holds the volume, curves of the needle, entry, tip, layer crossings and markers, open surfaces of
-    layers as models, closed ones and the needle as a segmentation. The same content gives the same bytes.
+    It holds the volume, curves of the needle, entry, tip, layer crossings and markers, the control points
+    of corrections, open surfaces of layers as models, closed ones and the needle as a segmentation. The same
+    content gives the same bytes.
 
     `diameter`: of the needle, mm.
     """
@@ -98,7 +117,10 @@ def write_slicer_scene(one: Reconstruction, volume: Volume, diameter: float, pat
         selected = {"id": "vtkMRMLSelectionNodeSingleton", "name": "Selection", "singletonTag": "Singleton"}
         selected["references"] = f"ActiveVolume:{volume_id};"
         ElementTree.SubElement(scene.root, "Selection", selected)
-        for number, (markups, style) in enumerate(make_scan_markups(one), start=1):
+        lists = list(make_scan_markups(one))
+        if (points := make_scan_control_points(one)) is not None:
+            lists.append((points, CONTROL_POINT_STYLE))
+        for number, (markups, style) in enumerate(lists, start=1):
             file, colour = f"markups{number}.mrk.json", _format_colour(style.colour)
             write_mrk_json(scene.folder / file, [(markups, style)])
             shown = {"color": colour, "selectedColor": colour}

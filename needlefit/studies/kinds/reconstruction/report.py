@@ -14,6 +14,7 @@ from needlefit.datasets.sources import ScanVolume, write_volumes
 from needlefit.errors import ConfigError
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
 from needlefit.imaging.batch import VERSIONED_PACKAGES, Findings, ReconstructionFailure, add_findings
+from needlefit.imaging.corrections import make_control_points
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import write_scan_table
 from needlefit.imaging.volume_files import read_volume
@@ -31,11 +32,16 @@ from needlefit.studies.provenance import package_versions
 from needlefit.studies.report import StudyReport, write_files
 from needlefit.studies.run import Run
 from needlefit.studies.slicer import write_scan
-from needlefit.studies.slicer_scene import write_slicer_scene
+from needlefit.studies.slicer_scene import (
+    make_scan_control_points,
+    write_control_points,
+    write_slicer_scene,
+)
 
 SCANS_FILE = "scans.csv"
 POOR_DEPTH_SD_MM = 0.5  # deviation of the inserted length, mm, that the first line names
 MAX_NAMED_SCANS = 5
+MIN_CHANGE_MM = 0.005  # smaller changes by corrections are not printed, mm
 _COLUMNS = (
     *("scan", "medium", "depth_mm", "depth_sd_mm", "deflection_mm", "out_of_plane_max_mm", "markers"),
     *("fre_mm", "expected_fre_mm", "target_error_tip_mm", "entry_pose_from", "crossing_depths"),
@@ -60,6 +66,7 @@ _MARKER_COLUMNS = (
     *("residual_y_mm", "residual_z_mm", "residual_mm", "left_out_mm", "expected_left_out_mm"),
 )
 _CROSSING_COLUMNS = ("id", "number", "out_of", "into", "depth_mm", "depth_sd_mm", "x_mm", "y_mm", "z_mm")
+_CHANGE_COLUMNS = ("id", "quantity", "before_mm", "after_mm", "change_mm")
 _REFUSED_COLUMNS = ("id", "scan", "note")
 _CANDIDATE_COLUMNS = (
     *("id", "kind", "number", "x_mm", "y_mm", "z_mm", "width_mm", "depth_mm", "depth_sd_mm", "note"),
@@ -90,6 +97,7 @@ def tabulate_batch(
             "markers": tabulate_markers(ones),
             "crossings": tabulate_crossings(ones),
             "remarks": pd.DataFrame(remarks, columns=["id", "note"]),
+            **tabulate_changes(ones),
         },
         run={
             "name": name,
@@ -129,6 +137,12 @@ def tabulate_crossings(reconstructions: Sequence[Reconstruction]) -> pd.DataFram
         for n, (depth, sd) in enumerate(zip(layers.boundaries, layers.sd, strict=True))
     ]
     return pd.DataFrame(rows, columns=list(_CROSSING_COLUMNS))
+
+
+def tabulate_changes(reconstructions: Sequence[Reconstruction]) -> dict[str, pd.DataFrame]:
+    """Return a table of what corrections changed: a row for each scan and quantity; none without any."""
+    rows = [(one.scan.id, *vars(change).values()) for one in reconstructions for change in one.changes]
+    return {"corrections": pd.DataFrame(rows, columns=list(_CHANGE_COLUMNS))} if rows else {}
 
 
 def describe_scan(one: Reconstruction) -> Row:
@@ -210,11 +224,20 @@ def describe(found: Run) -> dict[str, Any]:
     return {
         "scans": len(rows),
         "remarked": len({row["id"] for row in remarks}),
+        "corrected": _group_changes(found),
         "remarks": remarks,
         "poor": [one for one in poor if one["sd_mm"] > POOR_DEPTH_SD_MM],
         "named": MAX_NAMED_SCANS,
         "synthetic": found.synthetic,
     }
+
+
+def _group_changes(found: Run) -> dict[str, list[Row]]:
+    """Return what corrections changed by at least `MIN_CHANGE_MM`, by the id of the scan."""
+    rows = to_records(found.frames.get("corrections", pd.DataFrame()))
+    kept = [row for row in rows if row["change_mm"] is None or abs(row["change_mm"]) >= MIN_CHANGE_MM]
+    ids = dict.fromkeys(row["id"] for row in rows)
+    return {id_: [row for row in kept if row["id"] == id_] for id_ in ids}
 
 
 def lay_out_reconstructions(found: Run, columns: Sequence[str] = _COLUMNS) -> TableLayout:
@@ -290,6 +313,7 @@ def write_reconstruction(
         for done, one in enumerate(kept):
             progress(f"{one.scan.id}: quality page", done, len(kept))
             write_scan(one, fresh / "slicer", recipe.needle.diameter_mm)
+            write_control_points(make_scan_control_points(one), fresh / "slicer")
             if scenes:
                 volume = read_volume(one.scan.volume, one.scan.series)
                 place = fresh / "slicer" / f"{one.scan.id}.mrb"
@@ -302,16 +326,28 @@ def write_reconstruction(
         if refused:
             result = replace(result, frames={**result.frames, **tabulate_failures(refused)})
             write_refused_pages(refused, fresh / "quality")
+            write_refused_points(refused, fresh / "slicer")
         write_files(result, fresh)
     return result, failures
 
 
+def write_refused_points(failures: Sequence[ReconstructionFailure], folder: Path) -> None:
+    """Write the control points of what was found in refused scans to `<id>.corrections.mrk.json`."""
+    for failure in failures:
+        if (found := failure.findings) is None:
+            continue
+        entry = found.entry_points[-1] if found.entries else None
+        balls = np.array([ball.center for ball in found.balls if ball.marker]).reshape(-1, 3)
+        write_control_points(make_control_points(failure.scan.id, found.needle, entry, balls), folder)
+
+
 def write_refused(failures: Sequence[ReconstructionFailure], folder: Path) -> None:
-    """Write a folder of refused scans alone: `quality/<id>.pdf`, `refused.csv` and `candidates.csv`.
+    """Write a folder of refused scans alone: `quality/`, `slicer/`, `refused.csv` and `candidates.csv`.
 
     ConfigError if `folder` holds anything that needlefit did not write, or that was changed since.
     """
     with replace_folder(folder) as fresh:
         write_refused_pages(failures, fresh / "quality")
+        write_refused_points(failures, fresh / "slicer")
         for name, frame in tabulate_failures(failures).items():
             write_csv(frame, fresh / f"{name}.csv")
