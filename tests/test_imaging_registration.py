@@ -231,9 +231,11 @@ def test_a_wrong_spacing_is_refused_and_a_wrong_unit_named():
     assert register(FOUND * 1.004, LAYOUT, 0.1).p_value < 0.1
 
 
-def test_unrelated_markers_and_understated_noise_are_refused():
+def test_unrelated_markers_three_of_many_and_understated_noise_are_refused():
     rng = np.random.default_rng(8)
-    assert "no pairing" in refused(rng.uniform(-40, 40, (7, 3)), LAYOUT, 0.1)
+    others = rng.uniform(-40, 40, (7, 3))
+    assert "no pairing" in refused(others, LAYOUT, 0.1)
+    assert "no pairing" in refused(np.concatenate([FOUND[:3], others[:2]]), LAYOUT[[0, 1, 2, 4]], 0.1)
     rng = np.random.default_rng(9)
     found = FOUND + 0.3 * rng.normal(size=(6, 3))
     text = refused(found, LAYOUT, 0.03)
