@@ -10,12 +10,8 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-import nibabel
 import numpy as np
 import SimpleITK as sitk
-from nibabel.arrayproxy import ArrayProxy
-from nibabel.filebasedimages import ImageFileError
-from nibabel.spatialimages import HeaderDataError
 from numpy.typing import NDArray
 
 from needlefit.errors import DataError
@@ -139,6 +135,11 @@ def _check_nifti(path: Path, grid: VoxelGrid) -> None:
 
     SimpleITK makes up what is not stated, and takes voxels that are missing for zeros.
     """
+    import nibabel  # slow to load, and the other formats need none
+    from nibabel.arrayproxy import ArrayProxy
+    from nibabel.filebasedimages import ImageFileError
+    from nibabel.spatialimages import HeaderDataError
+
     try:
         image = nibabel.load(path)
         assert isinstance(image, nibabel.Nifti1Image)  # NIfTI-2 is one, too
