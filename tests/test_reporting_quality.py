@@ -206,11 +206,7 @@ def test_markers_left_out_miss_by_what_is_expected_of_them():
     rng = random_stream(1, "left out")
     layout = np.array([[5, -40, -31], [22, 40, -18], [41, -40, 24], [58, 21, 40], [80, -33, -38.0]])
     turn = Rotation.random(rng=rng).as_matrix()
-    pairs = [[n, n] for n in range(5)]
-    answers = [
-        register((layout + 0.1 * rng.normal(size=(5, 3))) @ turn, layout, 0.1, pairs=pairs)
-        for _ in range(300)
-    ]
+    answers = [register((layout + 0.1 * rng.normal(size=(5, 3))) @ turn, layout, 0.1) for _ in range(300)]
     missed = np.sqrt(np.mean([one.leave_one_out**2 for one in answers], axis=0))
     expected = np.mean([one.expected_leave_one_out for one in answers], axis=0)
     assert_allclose(missed, expected, rtol=0.12)

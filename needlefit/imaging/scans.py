@@ -271,7 +271,7 @@ def unmatched_fiducials_fault(where: str, fix: str) -> Fault:
 
 # Of a first contact that was placed in a scan whose stage states it: what, expected, fix.
 PLACED_CONTACT = (
-    "the entry is stated by the stage (entry_x_mm ...), and placed by hand, too",
+    "the entry is stated by the stage (entry_x_mm ...) and placed by hand (contact_x_mm ...)",
     "one of both",
     "take the placed entry back, or empty entry_x_mm ... pose_angle_sd_deg",
 )
