@@ -86,7 +86,7 @@ def make_recipe(row: Row) -> ReconstructionRecord:
             "schema": 2,
             "needle": {"length_mm": NEEDLE_LENGTH_MM, "diameter_mm": NEEDLE_MM, "bevel_deg": BEVEL_DEG},
             "markers": {"diameter_mm": float(row.levels["ball_mm"]), "reference_sd_mm": KNOWN_SD_MM},
-            "guide": {"thickness_mm": PLATE_MM if row.levels["accessory"] == "plate" else 0.0},
+            "guide": {"thickness_mm": PLATE_MM} if row.levels["accessory"] == "plate" else {},
         }
     )
 

@@ -327,8 +327,9 @@ def _reconstruct_needle(search: VolumeSearch, scan: Scan, collect: bool) -> Resu
         one = add_views(found.reconstruction, search.volume)
         if scan.corrections is None:
             return one
-        before = examine(search.volume, replace(scan, corrections=None), search.recipe, search)
-        return replace(one, changes=compare_reconstructions(before.reconstruction, one))
+        plain = replace(scan, corrections=None)
+        before = _try(lambda: examine(search.volume, plain, search.recipe, search).reconstruction)
+        return replace(one, changes=compare_reconstructions(before, one))
     failed = found.error or NeedlefitError("nothing was found", where=str(scan.volume))
     return ReconstructionFailure(scan, failed, collect_findings(search, found) if collect else None)
 

@@ -4,7 +4,6 @@ import json
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -147,6 +146,7 @@ def _format_markups(markups: Markups, style: CurveStyle) -> str:
         "labelFormat": "%N-%d",
         "lastUsedControlPointNumber": len(markups.points),
     }
+    descriptions = markups.descriptions or ("",) * len(markups.points)
     points = [
         {
             "id": str(n),
@@ -161,7 +161,7 @@ def _format_markups(markups: Markups, style: CurveStyle) -> str:
             "positionStatus": "defined",
         }
         for n, (label, position, description) in enumerate(
-            zip(markups.labels, markups.points, markups.descriptions or repeat(""), strict=False), start=1
+            zip(markups.labels, markups.points, descriptions, strict=True), start=1
         )
     ]
     listed = ",\n".join(_to_json(point) for point in points)
