@@ -1,7 +1,4 @@
-"""An interactive insertion as the program holds it: its steps, which the page simulates and this records.
-
-Where a tracker moves the needle, it is simulated here, and the page follows.
-"""
+"""An interactive insertion as the program holds it: its steps, which the page simulates and this records."""
 
 import asyncio
 from collections import deque

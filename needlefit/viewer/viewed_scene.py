@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Literal
 
 from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
 from needlefit.project.result_warnings import ResultWarning
+from needlefit.schemas.recording import PlacementRecord, RecordingRecord
 from needlefit.schemas.scene import NeedleRecord, SceneRecord
-from needlefit.schemas.tracker import PlacementRecord, RecordingRecord
 from needlefit.viewer.recording import make_head
 
 if TYPE_CHECKING:

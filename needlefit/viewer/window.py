@@ -26,7 +26,7 @@ from needlefit.viewer.plans import (
 )
 from needlefit.viewer.recording import Recording
 from needlefit.viewer.steering import find_tissue_changes
-from needlefit.viewer.trial import InteractiveTrial, RecordingEndedError, StepOrderError
+from needlefit.viewer.trial import InteractiveTrial, RecordingEndedError
 from needlefit.viewer.trials import TrialRegistry
 
 if TYPE_CHECKING:  # where it is used it is imported: it takes half a second to load
@@ -37,11 +37,10 @@ Reply = dict[str, Any]
 
 
 class Window:
-    """One authenticated page, and the needle that it controls, or that a tracker moves (`tracked`)."""
+    """One authenticated page, and the needle that it controls."""
 
-    def __init__(self, trials: TrialRegistry, trial: InteractiveTrial, *, tracked: bool) -> None:
-        self.trials, self.trial, self._tracked = trials, trial, tracked
-        self.sent = 0  #: steps that the page has, where a tracker moves the needle
+    def __init__(self, trials: TrialRegistry, trial: InteractiveTrial) -> None:
+        self.trials, self.trial = trials, trial
         #: what takes long, by kind: the newest order counts. It first yields an empty reply, once it has read
         #: the needle, then those for the page.
         self.orders: dict[str, Iterator[Reply]] = {}
@@ -64,22 +63,14 @@ class Window:
         if message.do == "hello":
             known = int(message.number("known", 0.0)) if message.text("needle") == trial.name else 0
             yield from self._describe(max(0, min(known, len(trial.steps))))
-        else:
-            yield from self.new_steps()
 
     def _describe(self, known: int = 0) -> Iterator[Reply]:
-        self.sent, aim = len(self.trial.steps), self.trial.aim
-        yield self.trial.describe_scene(known) | {"tracked": self._tracked}
+        aim = self.trial.aim
+        yield self.trial.describe_scene(known)
         if aim.goal is not None or aim.obstacles:
             yield aim.to_message()
         if aim.plan is not None:
             yield plan_message(aim.plan, aim)
-
-    def new_steps(self) -> Iterator[Reply]:
-        """Yield the steps of a tracked needle that the page does not have."""
-        if self._tracked and self.sent < len(self.trial.steps):
-            known, self.sent = self.sent, len(self.trial.steps)
-            yield {"kind": "steps", **self.trial.describe_steps(self.trial.steps, known)}
 
     def _take(self, trial: InteractiveTrial) -> Iterator[Reply]:
         """Change to another needle."""
@@ -90,18 +81,12 @@ class Window:
     def _do(self, message: Message) -> Iterator[Reply]:
         if message.fault:
             raise message.fault
-        trial, tracked = self.trial, self._tracked
+        trial = self.trial
         match message.do:
             case "steps":
-                if tracked:
-                    raise StepOrderError("a tracker moves the needle")
                 for step in message.steps:
                     trial.record(step)
                 yield {"kind": "recorded", "step": len(trial.steps)}
-            case "change":
-                if not tracked:
-                    raise ModelError("the page carries out its inputs", expected="steps")
-                trial.act(message.changes, message.gesture)
             case "replay":
                 yield from self._replay(message)
             case "show" if message.text("with_needle"):
@@ -140,9 +125,8 @@ class Window:
                 entry = message.number("entry_mm", 0.0, MAX_ENTRY_MM, "mm")
                 if trial.aim.goal is None:
                     raise ModelError("there is no target", expected="a target in the tissue", fix="place one")
-                if entry < 0 or (entry and tracked):
-                    expected = "0 mm: a tracker moves the needle" if tracked else "0 mm or above"
-                    raise ModelError(f"the entry may shift by {entry:g} mm", expected=expected)
+                if entry < 0:
+                    raise ModelError(f"the entry may shift by {entry:g} mm", expected="0 mm or above")
                 trial.aim.entry_mm, trial.aim.plan = entry, None
                 self.orders["plan"] = self._plan(trial, trial.aim.goal)
             case "reach" if trial.aim.goal is not None:

@@ -177,7 +177,7 @@ def _conversation(path: Path) -> object:
     """Answer messages, a line each, in one window as the page's server does; replies must be JSON."""
     open_target = _late("viewer.opening.open_target")
     registry = _late("viewer.trials.TrialRegistry")(open_target("figure1"), path.parent / "view", open_target)
-    window = _late("viewer.window.Window")(registry, registry.open(""), tracked=False)
+    window = _late("viewer.window.Window")(registry, registry.open(""))
     read, refused = _late("viewer.messages.read_message"), None
     for text in _text(path).splitlines()[:MAX_LINES]:
         try:
@@ -192,14 +192,6 @@ def _conversation(path: Path) -> object:
     if refused is not None:
         raise _late("errors.ModelError")(refused)
     return window.trial.steering.number
-
-
-def _tracker(path: Path) -> object:
-    record = _load("tracker.TrackerRecord", path)
-    scene = _scene(_late("project.locate.find_file")("scene", "figure1"))
-    tracking = import_module("needlefit.viewer.tracking")
-    frame = tracking.register_tracker(record, scene.entry.placement)
-    return tracking.measure_registration_error(record, frame, scene.entry.placement)
 
 
 def _names(path: Path) -> object:
@@ -280,7 +272,6 @@ READERS: dict[str, Reader] = {
     "run": Reader(partial(_call, "studies.store.read_run"), seeds.run_files),
     "diff": Reader(_difference, seeds.runs, 20),
     "manifest": Reader(partial(_call, "project.folders.require_replaceable"), seeds.manifests),
-    "tracker": Reader(_tracker, seeds.trackers),
     "conversation": Reader(_conversation, seeds.conversations, 20),
     "set": Reader(_assignments, seeds.assignments, 40),
     "command": Reader(_command, seeds.commands, 30),

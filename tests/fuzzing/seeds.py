@@ -458,7 +458,6 @@ STEERING = """\
 {"do": "steps", "id": 6, "steps": [[5, 0.5, 6, [["mu_pa", 1, 3e5], ["alpha", 1, 2.0]], 0.5]]}
 {"do": "steps", "id": 7, "steps": [[6, 0.6, "undo", [["return_to", null, 4]], 0.5]]}
 {"do": "steps", "id": 8, "steps": [[7, 0.7, "redo", [["return_to", null, 5]], 0.5]]}
-{"do": "change", "id": 9, "gesture": 4, "set": [["tip_held", null, 0], ["base_y_mm", null, 1.0]]}
 {"do": "align", "id": 10}
 """
 AIMING = """\
@@ -479,16 +478,6 @@ AIMING = """\
 
 def conversations() -> list[Seed]:
     return [one_file("messages.txt", lines) for lines in (STEERING, AIMING)]
-
-
-def trackers() -> list[Seed]:
-    markers = "".join(
-        f'[[markers]]\nname = "m{n}"\ntracker_mm = [{x}.0, {y}.0, 3.0]\nworld_mm = [{y}.0, {x}.0, {n}.0]\n'
-        for n, (x, y) in enumerate(((0, 0), (60, 0), (0, 45), (30, 50)))
-    )
-    matrix = "tracker_to_ras = [[1, 0, 0, 10.5], [0, 1, 0, -3.0], [0, 0, 1, 0.0], [0, 0, 0, 1]]\n"
-    devices = 'max_speed_mm_s = 50.0\n\n[devices]\ntip = "Tip"\nguides = ["Guide", "Ring"]\n'
-    return [one_file("tracker.toml", f"schema = 1\n{text}") for text in (matrix + devices, markers)]
 
 
 def commands() -> list[Seed]:

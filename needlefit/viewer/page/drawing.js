@@ -98,7 +98,6 @@ function paintForeground(before, state) {
     for (const draw of further) draw(before);
     needle.paintGuides(before, state);
     needle.paintBase(before, state);
-    overlay.paintTrackedTip(before);
     if (band) overlay.nameBand(before, band);
     if (now.marked != null) needle.paintMark(before, state, now.marked);
     needle.paintHint(before, state);
@@ -131,7 +130,7 @@ function measure() {
 new ResizeObserver(measure).observe(picture);
 onScheme(() => (readPalette(), touch()));
 readPalette();
-for (const kind of ["band", "aimed", "tracking"]) listen(kind, invalidate);
+for (const kind of ["band", "aimed"]) listen(kind, invalidate);
 listen("slice", touch);
 let fitted = null;
 listen("state", () => {

@@ -19,7 +19,6 @@ import * as strip from "./strip.js";
 import { listen, now, publish } from "./store.js";
 import "./toolbar.js";
 import "./tour.js";
-import "./tracking.js";
 import * as transport from "./transport.js";
 import { kernel, trial } from "./trial.js";
 

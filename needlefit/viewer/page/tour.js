@@ -96,9 +96,9 @@ export function insertAgain(depth) {
   again = { scene: now.scene, depth };
 }
 
-/** A new needle is inserted: the first one, unless the user wants less motion; none that a tracker moves. */
+/** A new needle is inserted: the first one, unless the user wants less motion. */
 listen("state", ({ depth_mm: depth, undo }) => {
-  const fresh = depth === 0 && !now.scene.tracked;
+  const fresh = depth === 0;
   if (again && again.scene !== now.scene) {
     if (fresh && again.depth > 0) insertAlone(FAST, again.depth);
     again = null;
