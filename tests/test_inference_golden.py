@@ -15,11 +15,10 @@ from test_inference_importance import weighted
 from test_inference_optimize import squares, valley
 from test_inference_predict import measured as bent
 from test_inference_specimens import BOUNDS, MODEL, gaussian
-from test_inference_tracks import make_readings, tracked
 
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import read
-from needlefit.inference import tracking
+from needlefit.inference import track_predictions
 from needlefit.inference.baseline_fit import fit_baselines
 from needlefit.inference.baselines import BASELINES
 from needlefit.inference.identifiability.design_gain import expect_precision, linearized_gain, nested_gain
@@ -130,23 +129,18 @@ def test_tracks():
     seen = [make_observation(tracks.dataset([]), one) for one in runs]
     kinds = ("straight", "constant_curvature", "steered_line", "guide_kernel")
     drawn = {
-        name: tracking.draw_baseline(BASELINES[name], seen[:4], runs[4:], 60, rng())
+        name: track_predictions.draw_baseline(BASELINES[name], seen[:4], runs[4:], 60, rng())
         for name in BASELINES.names()
         if name in kinds
     }
-    slopes = {name: tracking.estimate_slopes(one, seen[:4], runs[4]) for name, one in drawn.items()}
+    slopes = {name: track_predictions.estimate_slopes(one, seen[:4], runs[4]) for name, one in drawn.items()}
     tips = np.repeat(drawn["straight"].held_out[0][:1], 60, axis=0)
-    noise, needle = tracking.TipNoise(0.1, 0.1, 0.05, 0.001), tracked(layers=3)
-    prior = tracking.make_prior_from_factors(needle.tissue.mu, 0.08, (1.8, 1.5), noise)
     found = {
         "draws": {name: [np.mean(one.held_out[0], axis=0), one.scale.mean()] for name, one in drawn.items()},
         "slopes": slopes,
-        "ahead": tracking.predict_readings(seen[4], tips, np.ones(60), slopes["straight"], 5, rng()).mean(
-            axis=0
-        ),
-        "tip": tracking.estimate_parameters(
-            needle, make_readings(needle, prior.theta + 0.1, 2), prior, noise
-        ),
+        "ahead": track_predictions.predict_readings(
+            seen[4], tips, np.ones(60), slopes["straight"], 5, rng()
+        ).mean(axis=0),
     }
     assert_golden("tracks", found, rtol=1e-4)
 

@@ -1,18 +1,7 @@
-"""Estimate the parameters of one needle while a tracker follows its tip, and predict its later readings.
+"""Predict the later readings of a run of tip tracks from its first ones, by the model and by baselines.
 
-    theta = (ln mu_1, ..., ln mu_L, ln b) ~ N(m, P)
-    y_k = y(d_k; theta) + c_0 + c_1 d_k + e_k,    e_k ~ N(0, s^2 + (y'_k s_d)^2)
-
-for readings y_k of the tip at depths d_k: s and s_d are the errors of a reading across and along the needle,
-c_0 ~ N(0, shift^2) and c_1 ~ N(0, slope^2) those of the tracker's registration, which all readings share.
-The state is (theta, c_0, c_1). The estimate is its mode, found by Gauss-Newton with the exact Jacobian, and
-the Gaussian about it. One simulation gives the tip and its derivatives at all depths behind it. Every update
-therefore linearises all readings anew: an iterated extended Kalman filter without process noise (B. M. Bell,
-F. W. Cathey, IEEE Trans. Automat. Contr. 38 (1993) 294), and without the linearisation errors of its past. An
-estimate can be the prior of the next insertion.
-
-Predictions: given the deflections y of one draw of the parameters, the readings of a run are Gaussian. Those
-of the model have the errors of the likelihood, of which the fitted runs determine what all runs share, z:
+Given the deflections y of one draw of the parameters, the readings of a run are Gaussian. Those of the model
+have the errors of the likelihood, of which the fitted runs determine what all runs share, z:
 
     t = y + shift + sum_j x_j (own_j e_j + shared_j . z) + noise,      e, z ~ N(0, 1),   shift free
 
@@ -26,197 +15,16 @@ of freedom, k - 1 where all runs are taken. The scale of the noise is what they 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion, TipTrack
 from needlefit.errors import ConfigError
 from needlefit.inference.baselines import BASELINES, Baseline
-from needlefit.inference.compared_points import extrapolate_tip
 from needlefit.inference.likelihood.nodes import NodeGroup
 from needlefit.inference.likelihood.observation import Observation, whiten
-from needlefit.mechanics.batch import linearize_steps
-from needlefit.mechanics.control import ModelOptions, Step
-from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import Lattice
-from needlefit.mechanics.tissue import Tissue
-
-#: standard deviation that is added to every parameter's prior: draws may tie two parameters exactly
-MIN_PRIOR_SD = 1e-3
-#: of Gauss-Newton: the largest step of a logarithm, and the change, in posterior deviations, that ends it
-MAX_ITERATIONS, MAX_HALVINGS, MAX_STEP, TOLERANCE = 12, 5, 1.0, 1e-2
-
-
-class TrackedNeedle(NamedTuple):
-    """The insertion whose tip is tracked: `steps` lead from first contact to the deepest reading."""
-
-    needle: Needle
-    tissue: Tissue
-    steps: Sequence[Step]
-    rules: ModelOptions
-    first_cell: float
-
-
-class TipNoise(NamedTuple):
-    """Standard deviations: of a reading across and along the needle, mm; of the registration, mm and 1."""
-
-    across: float
-    along: float
-    shift: float
-    slope: float
-
-
-REGISTRATION = 2  #: entries of the state behind theta: c_0, mm, and c_1
-
-
-@dataclass(frozen=True)
-class TrackingEstimate:
-    """A Gaussian of the state: logarithms of the moduli (MPa) and of b (mm) or theta (rad), then c_0, c_1."""
-
-    mean: Floats  #: (P + 2,)
-    covariance: Floats  #: (P + 2, P + 2)
-    readings: int = 0  #: number of readings behind it; 0: what was known before
-
-    @property
-    def theta(self) -> Floats:
-        """Means of the logarithms (P,)."""
-        return self.mean[:-REGISTRATION]
-
-    @property
-    def sd(self) -> Floats:
-        """Standard deviations (P,) of theta."""
-        return np.sqrt(np.diag(self.covariance))[:-REGISTRATION]
-
-    def interval(self) -> Floats:
-        """Return median and 95 % limits (3, P) of the parameters: low, median, high (MPa; mm or rad)."""
-        return np.exp(self.theta + np.array([-1.96, 0.0, 1.96])[:, None] * self.sd)
-
-    def transform(self, normal: Floats) -> Floats:
-        """Return the parameters (B, P) of standard normal draws (B, P)."""
-        spread, axes = np.linalg.eigh(self.covariance[:-REGISTRATION, :-REGISTRATION])
-        return np.exp(self.theta + normal @ (axes * np.sqrt(np.maximum(spread, 0.0))).T)
-
-
-def make_prior_from_draws(mu: Floats, strength: Floats, noise: TipNoise) -> TrackingEstimate:
-    """Return the Gaussian of draws of a posterior: moduli (B, L), MPa, and bevels (B,), mm or rad."""
-    logs = np.log(np.column_stack([mu, strength]))
-    return _make_prior(logs.mean(axis=0), np.atleast_2d(np.cov(logs.T)), noise)
-
-
-def make_prior_from_factors(
-    mu: Floats, strength: float, factors: tuple[float, float], noise: TipNoise
-) -> TrackingEstimate:
-    """Return independent log-normal priors about values; `factors` of mu and b are one standard deviation."""
-    sds = np.log([factors[0]] * len(mu) + [factors[1]])
-    return _make_prior(np.log(np.append(mu, strength)), np.diag(sds**2), noise)
-
-
-def _make_prior(theta: Floats, covariance: Floats, noise: TipNoise) -> TrackingEstimate:
-    least = MIN_PRIOR_SD**2 * np.eye(len(theta))
-    registration = np.diag([noise.shift**2, noise.slope**2])
-    return TrackingEstimate(
-        np.append(theta, [0.0, 0.0]), np.asarray(block_diag(covariance + least, registration))
-    )
-
-
-def discount_estimate(estimate: TrackingEstimate, prior: TrackingEstimate) -> TrackingEstimate:
-    """Return what an estimate leaves for the next insertion: half of the information gained since the prior.
-
-    Insertions share errors that no noise describes, such as those of the base's pose: were all of them added
-    up, the estimate would become certain of a wrong value.
-    """
-    precision = (_invert(estimate.covariance) + _invert(prior.covariance)) / 2
-    return TrackingEstimate(estimate.mean, _invert(precision), estimate.readings)
-
-
-def set_parameters(tracked: TrackedNeedle, theta: Floats) -> TrackedNeedle:
-    """Return the insertion with other moduli and another strength of its bevel throughout."""
-    values = np.exp(theta)
-    strength: dict[str, Any] = {"cut_angle" if tracked.rules.path_angle else "offset": float(values[-1])}
-    steps = [replace(step, bevel=replace(step.bevel, **strength)) for step in tracked.steps]
-    return tracked._replace(tissue=replace(tracked.tissue, mu=values[:-1]), steps=steps)
-
-
-def _invert(matrix: Floats) -> Floats:
-    inverse: Floats = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
-    return (inverse + inverse.T) / 2
-
-
-def estimate_parameters(
-    tracked: TrackedNeedle,
-    readings: Floats,
-    prior: TrackingEstimate,
-    noise: TipNoise,
-    start: TrackingEstimate | None = None,
-    max_iterations: int = MAX_ITERATIONS,
-) -> TrackingEstimate | None:
-    """Return the estimate from all readings of a tip since the prior; None where no needle is found.
-
-    `readings` (n, 2) are depth and deflection of the tip as it was first there, mm, in C. Gauss-Newton begins
-    at `start`, the last estimate, by default at the prior. A few iterations are enough where the next reading
-    goes on from here.
-    """
-    state = (start or prior).mean
-    precision = _invert(prior.covariance)
-    found = _linearize(tracked, state, readings[:, 0])
-    if found is None:
-        return None
-    # The weights stay those of the start: they depend on the slope of the tip's path alone.
-    weights = 1 / (noise.across**2 + (found.by_depth * noise.along) ** 2)
-
-    def objective(state: Floats, tip: Floats) -> float:
-        off, away = readings[:, 1] - tip, state - prior.mean
-        return float(off @ (weights * off) + away @ precision @ away)
-
-    value = objective(state, found.tip)
-    for _ in range(max_iterations):
-        weighted = weights[:, None] * found.by_state
-        downhill = weighted.T @ (readings[:, 1] - found.tip) - precision @ (state - prior.mean)
-        step = np.linalg.solve(precision + weighted.T @ found.by_state, downhill)
-        if float(step @ downhill) < TOLERANCE**2 * len(state):  # its length in posterior deviations, squared
-            break
-        step *= min(1.0, MAX_STEP / max(float(np.abs(step[:-REGISTRATION]).max()), 1e-12))
-        for _ in range(MAX_HALVINGS):
-            tried = _linearize(tracked, state + step, readings[:, 0])
-            if tried is not None and objective(state + step, tried.tip) <= value:
-                break
-            step *= 0.5
-        else:
-            break
-        state, found = state + step, tried
-        value = objective(state, found.tip)
-    covariance = _invert(precision + (weights[:, None] * found.by_state).T @ found.by_state)
-    return TrackingEstimate(state, covariance, prior.readings + len(readings))
-
-
-class _LinearizedTip(NamedTuple):
-    """Predicted readings (n,), their derivatives by the state (n, P + 2) and by depth (n,)."""
-
-    tip: Floats
-    by_state: Floats
-    by_depth: Floats
-
-
-def _linearize(tracked: TrackedNeedle, state: Floats, depths: Floats) -> _LinearizedTip | None:
-    """Return the readings that a state predicts at depths (n,); None where no needle is found."""
-    theta, (shift, slope) = state[:-REGISTRATION], state[-REGISTRATION:]
-    needle, tissue, steps, rules, first_cell = set_parameters(tracked, theta)
-    strength = "cut_angle" if rules.path_angle else "offset"
-    lattice = Lattice(first_cell, rules.spacing)
-    shape, jacobian = linearize_steps(needle, tissue, steps, rules, lattice, wrt=("mu", strength))
-    if not shape.converged:
-        return None
-    passed, track = shape.constraints[:, 0], shape.tip_track[:, 0]
-    tip = extrapolate_tip(passed, track, depths) + shift + slope * depths
-    by_parameter = extrapolate_tip(passed, jacobian.tip_track.T, depths).T  # (n, P)
-    by_state = np.column_stack([by_parameter * np.exp(theta), np.ones(len(depths)), depths])
-    by_depth = np.interp(depths, passed, np.gradient(track, passed)) if len(passed) > 1 else 0.0 * depths
-    return _LinearizedTip(tip, by_state, by_depth)
-
 
 SHIFT_SD_MM = 100.0  #: prior deviation of a shift, mm: no reading lies as far from another
 MIN_TUNED_RUNS = 4  #: runs from whose scatter the slope of a further one is estimated
