@@ -2,9 +2,9 @@
 
     python docs/view_pictures.py
 
-Opens the page of twin/phantom2-05 in the installed Chromium (Playwright): at a depth of 34 mm; fitted to the
-measured needle; and fitted at 15 mm, with a target, an obstacle and the plan. start_view.png is of the run
-that the commands of start.md make.
+Opens pages in the installed Chromium (Playwright): of twin/phantom2-05 at a depth of 34 mm, and of the scene
+phantom2_fitted at 15 mm, with a target, an obstacle and the plan. start_view.png is of the run that the
+commands of start.md make.
 """
 
 import shutil
@@ -37,13 +37,6 @@ def insert(page: Page, depth: float) -> None:
     wait(page, f"state => Math.abs(state.depth_mm - {depth}) < 1e-6 && !state.moving")
     page.fill("#speed", "10")
     page.fill("#goto-depth", "")
-
-
-def fit(page: Page) -> None:
-    """Fit to the measured needle, and wait for the band of the draws."""
-    page.click("#fit-now")
-    page.locator("#ridge").wait_for(state="visible", timeout=60_000)
-    wait(page, "state => window.needlefit.band?.step === state.step")
 
 
 def save(page: Page, name: str, shown: str | None = None) -> None:
@@ -79,13 +72,12 @@ def take(address: str) -> None:
         page = open_page()
         insert(page, 34)
         save(page, "view.png")
-        page = open_page()
-        insert(page, page.evaluate("window.needlefit.scene.measured.depth_mm"))
-        fit(page)
-        save(page, "view_fit.png", "#ridge-note")
+
+
+def take_plan(address: str) -> None:
+    with open_browser(address) as open_page:
         page = open_page()
         insert(page, 15)
-        fit(page)
         page.evaluate(f"import('/page/aim.js').then(({{ setAim }}) => setAim({GOAL}))")
         wait(page, "() => window.needlefit.aim.reach")
         page.click("#make-plan")
@@ -119,6 +111,7 @@ def main() -> None:
         transcripts.run_page(page.read_text(encoding="utf-8"), folder)
         serve("reports/mine_study/n8", then=take_start, cwd=folder)
     serve("twin/phantom2-05", then=take)
+    serve("phantom2_fitted", then=take_plan)
 
 
 if __name__ == "__main__":

@@ -64,8 +64,8 @@ def test_python_loads_a_run(world, kind):
 @pytest.mark.parametrize(("kind", "insertion"), [("cross_validation", "needle-3"), ("fit", "needle-1")])
 def test_a_needle_of_a_run_is_viewed(world, kind, insertion):
     with chdir(world.folder):
-        shown = open_target(str(world.find(kind))).shown
-    assert shown is not None and shown.insertion.id == insertion
+        measured = open_target(str(world.find(kind))).measured
+    assert measured is not None and measured.id == insertion
 
 
 @EVERY

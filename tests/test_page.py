@@ -226,7 +226,7 @@ def test_the_needle_goes_in_and_out_by_button_key_and_wheel(page) -> None:
 MU, GOAL_X, HAND = "#tissue-fields .number", "#target-fields .number", "part('#tissue-fields .hand')"
 BASE_ANGLE, RADIUS = "#base-fields .field >> nth=1 >> .number", "#target-fields .field >> nth=2 >> .number"
 REFUSED, CALM = "part('#refusal strong')", "!part('#refusal strong')"
-FITTED = "s.layers.every(({ mu_pa: mu }, i) => Math.abs(mu / kept.layers[i].mu_pa - 1) < 1e-12)"
+SAME_MU = "s.layers.every(({ mu_pa: mu }, i) => Math.abs(mu / kept.layers[i].mu_pa - 1) < 1e-12)"
 SEQUENCES = {
     "the bevel turns over and the needle with it": [
         ("go to", 25, "true"),
@@ -346,13 +346,13 @@ SEQUENCES = {
         ("click", "#put-obstacle", "aim.placing"),
         ("key", "Escape", "aim.placing === null && aim.obstacles.length === 0"),
     ],
-    "reset and the game keep the fitted parameters": [
-        ("click", "#fit-now", "!part('#ridge').hidden"),
+    "reset and the game keep the parameters": [
+        ("enter", MU, "700", "Math.abs(s.layers[0].mu_pa - 7e5) < 1"),
         ("keep", "true"),
         *(
             step
             for button in ("#reset", "#challenge")
-            for step in (("go to", 10, "true"), ("click", button, f"s.depth_mm === 0 && {FITTED}"))
+            for step in (("go to", 10, "true"), ("click", button, f"s.depth_mm === 0 && {SAME_MU}"))
         ),
     ],
 }
@@ -1081,28 +1081,6 @@ def test_the_smoothed_load_has_the_force_of_the_raw_one(page) -> None:
     )
     assert abs(np.trapezoid(load, x) - np.trapezoid(smooth, x)) < 0.05 * np.trapezoid(np.abs(load), x)
     assert np.abs(np.diff(smooth)).sum() < 0.5 * np.abs(np.diff(load)).sum()
-
-
-@sweep
-def test_a_fit_on_the_page_lowers_the_error_and_its_ridge_is_drawn(page) -> None:
-    page.fill("#speed", "1000")
-    before = do(page, ("click", "#goto-scene", "s.errors?.whole"))["errors"]["ipe_mean_mm"]
-    page.click("#fit-now")
-    page.locator("#fit[aria-busy]").wait_for()
-    page.locator("#ridge").wait_for(state="visible", timeout=60_000)
-    page.locator("#fit:not([aria-busy])").wait_for()
-    assert until(page, f"s.errors?.whole && s.errors.ipe_mean_mm < {before}")["errors"]["te_mm"] < 0.3
-    assert "fitted on this page" in page.inner_text("#note") and page.inner_text("#by-hand") == ""
-    until(page, "n.band?.x.length > 10")
-    page.click("#fit-drag")
-    page.click("[data-fit=tissue]")
-    b = get(page, "s.bevel.offset_mm")
-    pull(page, *on_picture(page, *call(page, "handles", "m.points.places()[3]")), 0, -10)
-    until(page, f"s.bevel.offset_mm !== {b}", 30)
-    assert call(page, "handles", "m.points.offsets[3]") > 0
-    page.locator("#fit-note", has_text="times the stated errors").wait_for()
-    page.click("#fit-back")
-    until(page, f"Math.abs(s.bevel.offset_mm / {b} - 1) < 1e-3", 30)
 
 
 def test_all_layers_of_a_law_have_fields_and_names(chromium, tmp_path) -> None:

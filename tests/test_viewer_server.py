@@ -571,36 +571,6 @@ def test_a_needle_at_the_entry_of_its_plan_keeps_parameters_set_by_hand(tmp_path
     assert other.aim.goal.target == (40.0, 2.0 - trial.aim.plan.entry_mm)
 
 
-@pytest.mark.sweep
-@partial(visit, name="twin/phantom2-05")
-async def test_a_fit_sends_its_mode_and_its_draws(server, page) -> None:
-    assert page.scene["fit"]["insertion"] == 1 < page.scene["fit"]["dataset"]
-    for do, wrong in (
-        ("fit", {}),
-        ("fit", {"scope": "x"}),
-        ("points", {"scope": "insertion", "offsets": [1]}),
-    ):
-        await page.say(do, **wrong)
-        assert page.refused
-    page.kept.clear()
-    await page.say("points", scope="insertion", offsets=[0, 0, 0, 0, 0, 0.1])
-    measured = await page.hear("measured")
-    before = page.scene["measured"]["y"]
-    assert measured["y"][-1] - before[-1] == pytest.approx(0.1, abs=0.01)
-    mode = await page.hear("fit")
-    assert len(mode["layers"]) == 4 and mode["offset_mm"] > 0
-    ridge = await page.hear("ridge")
-    assert len(ridge["mu_pa"]) == len(ridge["offset_mm"]) == 100
-    draws = (await page.hear("draws"))["draws"]
-    assert draws["sets"] == 100 and len(draws["mu"]) == 400 and len(draws["strength"]) == 100
-
-
-@visit
-async def test_without_a_measured_needle_there_is_no_fit(server, page) -> None:
-    await page.say("fit", scope="insertion")
-    assert page.refused and page.scene["fit"] is None
-
-
 @visit
 async def test_aligned_constraint_points_give_the_tip_of_simulate(server, page) -> None:
     scene = Scene.from_record(open_target("study2").record)

@@ -31,12 +31,7 @@ LENGTH_DIGITS = 4  #: decimals of drawn lengths in mm
 def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str, Any]:
     """Return all that stays constant: the needle, the layers, the overlays."""
     scene = steering.scene
-    measured, shown = viewed_scene.measured, viewed_scene.shown
-    counts = None  # how many insertions a live fit can take
-    if shown is not None and viewed_scene.record.rules.advance == "tangent":
-        same = [one for one in shown.dataset.insertions if one.medium == shown.insertion.medium]
-        of_specimen = sum(one.specimen == shown.insertion.specimen for one in same)
-        counts = {"insertion": 1, "specimen": of_specimen, "dataset": len(same)}
+    measured = viewed_scene.measured
     return {
         **needle_page.encode_scene(scene, steering.first_cell, steering.names),
         "title": viewed_scene.title,
@@ -51,7 +46,6 @@ def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
             **encode_measured(measured),
         },
         "draws": None if viewed_scene.spread is None else encode_draws(viewed_scene.spread, scene.tissue.law),
-        "fit": counts,
         "slice": viewed_scene.scanned is not None,
         "choices": list(viewed_scene.choices.items()),
         "needles": list(list_needles(viewed_scene)),
@@ -135,7 +129,7 @@ def round_lengths(values: Floats) -> list[float]:
 
 
 ACTIONS = {
-    *("hello", "steps", "replay", "show", "align", "fit", "points"),
+    *("hello", "steps", "replay", "show", "align"),
     *("aim", "markups", "plan", "reach", "run", "challenge"),
 }
 MAX_CHANGES = 64  #: number of inputs that one step may set

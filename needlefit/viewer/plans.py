@@ -239,6 +239,4 @@ def shift_entry(viewed_scene: ViewedScene, shift: float) -> ViewedScene:
         placement = replace(placed, frame=frame).to_record()
     record = viewed_scene.record.model_copy(update={"entry": moved})
     note = f"{viewed_scene.note} The entry is shifted by {shift:+.2f} mm along y.".strip()
-    return replace(
-        viewed_scene, record=record, placement=placement, note=note, measured=None, scanned=None, shown=None
-    )
+    return replace(viewed_scene, record=record, placement=placement, note=note, measured=None, scanned=None)

@@ -1,21 +1,14 @@
 """A window of the interactive simulation: its messages are carried out, and answered."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any
 
 from needlefit.errors import ModelError, NeedlefitError
 from needlefit.mechanics.plan import SAME_DEPTH_MM
 from needlefit.planning.goals import Goal
 from needlefit.planning.steering import PlanLimits, find_reachable_region, plan_steering
-from needlefit.viewer.messages import (
-    MAX_REPLAY_SPEED,
-    Message,
-    encode_fault,
-    encode_measured,
-    round_lengths,
-)
+from needlefit.viewer.messages import MAX_REPLAY_SPEED, Message, encode_fault, round_lengths
 from needlefit.viewer.plans import (
     BEYOND_TARGET_MM,
     MAX_ENTRY_MM,
@@ -29,10 +22,6 @@ from needlefit.viewer.steering import find_tissue_changes
 from needlefit.viewer.trial import InteractiveTrial, RecordingEndedError
 from needlefit.viewer.trials import TrialRegistry
 
-if TYPE_CHECKING:  # where it is used it is imported: it takes half a second to load
-    from needlefit.viewer.live_fit import FitScope
-
-MAX_OFFSET_MM = 50.0  #: a measured point is moved by at most so much, mm
 Reply = dict[str, Any]
 
 
@@ -100,17 +89,6 @@ class Window:
                     what, fix = "moduli or shape parameters were changed", "set them back first"
                     raise ModelError(what, expected="the initial parameters", fix=fix)
                 yield from self._take(self.trials.aligned(trial))
-            case "fit":
-                self.orders["fit"] = self._fit(trial, _read_scope(trial, message))
-            case "points":
-                from needlefit.viewer.live_fit import KNOTS
-
-                rows = message.content.get("offsets")
-                if not isinstance(rows, list) or len(rows) != KNOTS:
-                    raise ModelError("these are no offsets of points", expected=f"{KNOTS} numbers, mm")
-                moves = [Message("points", content={"offset": row}) for row in rows]
-                offsets = [one.number("offset", None, MAX_OFFSET_MM, "mm") for one in moves]
-                self.orders["fit"] = self._fit(trial, _read_scope(trial, message), offsets)
             case "aim":
                 trial.aim.set(*read_goal(message))
                 yield trial.aim.to_message()
@@ -144,38 +122,6 @@ class Window:
             raise ModelError("nothing has been recorded", expected="a needle that was moved")
         yield from self._take(self.trials.again(trial, source))
         yield {"kind": "replay", "times": times, **self.trial.describe_steps(source.steps)}
-
-    def _fit(
-        self, trial: InteractiveTrial, scope: "FitScope", offsets: Sequence[float] = ()
-    ) -> Iterator[Reply]:
-        """Move measured points, fit and draw; the page takes the fitted values as its input."""
-        from needlefit.viewer.live_fit import (
-            draw_about,
-            find_mode,
-            move_points,
-            select_insertions,
-            show_moved,
-        )
-
-        yield {}
-        if trial.measured is not None and offsets:
-            trial.viewed_scene = show_moved(trial.viewed_scene, move_points(trial.measured, offsets))
-            assert trial.viewed_scene.measured is not None
-            yield {"kind": "measured", "offsets": offsets, **encode_measured(trial.viewed_scene.measured)}
-        shown = trial.viewed_scene.shown
-        assert shown is not None
-        try:
-            mode = find_mode(shown, select_insertions(shown, scope))
-            yield mode.to_message(shown.insertion)
-            if self._is_dropped("fit"):  # these draws would be of no use
-                return
-            draws = draw_about(mode, shown.insertion, shown.seed)
-        except NeedlefitError as error:
-            yield {"kind": "fit", "fault": encode_fault(error, "what", "fix")}
-            return
-        trial.viewed_scene = replace(trial.viewed_scene, spread=draws.spread)
-        yield trial.describe_draws()
-        yield draws.to_message()
 
     def _is_dropped(self, kind: str) -> bool:
         """Return whether nobody waits for it: another one is ordered, or the window was closed."""
@@ -216,17 +162,3 @@ class Window:
         edges = {"low": region.low, "high": region.high}  # from the least share of draws to the greatest
         rows = {name: [round_lengths(one) for one in edge] for name, edge in edges.items()}
         yield {"kind": "reach", "step": step, "x": round_lengths(region.x), **rows}
-
-
-def _read_scope(trial: InteractiveTrial, message: Message) -> "FitScope":
-    """Return what a page wants to fit to; ModelError if nothing is measured, or there is no such choice."""
-    from needlefit.viewer.live_fit import FitScope
-
-    scopes: dict[str, FitScope] = {scope: scope for scope in get_args(FitScope)}
-    scope = message.text("scope")
-    if trial.viewed_scene.shown is None or scope not in scopes:
-        raise ModelError(
-            f"there is nothing measured to fit to (`{scope:.20}`)",
-            expected=f"a measured insertion, and one of {', '.join(scopes)}",
-        )
-    return scopes[scope]

@@ -468,8 +468,6 @@ AIMING = """\
 {"do": "plan", "id": 8, "entry_mm": 2}
 {"do": "run", "id": 9}
 {"do": "replay", "id": 11, "times": 20}
-{"do": "fit", "id": 12, "scope": "insertion"}
-{"do": "points", "id": 13, "offsets": [0, 0, 0]}
 {"do": "challenge", "id": 14, "radius": 1}
 {"do": "show", "id": 15, "insertion": "a", "what": "field"}
 """

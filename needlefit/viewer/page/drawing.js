@@ -92,7 +92,6 @@ function paintForeground(before, state) {
     if (shown.points) needle.paintPoints(before, state);
     if (shown.measured && now.scene.measured) {
       overlay.paintMeasured(before, now.scene.measured);
-      overlay.paintMeasuredPoints(before);
       if (shown.errors) overlay.paintGaps(before, state, now.scene.measured);
     }
     for (const draw of further) draw(before);

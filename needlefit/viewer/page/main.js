@@ -7,7 +7,6 @@ import { computeBands } from "./bands.js";
 import "./exports.js";
 import * as frames from "./frames.js";
 import "./keyboard.js";
-import "./live_fit.js";
 import "./notices.js";
 import * as panel from "./panel.js";
 import * as planning from "./planning.js";

@@ -183,7 +183,6 @@ listen("plan", (plan) => {
   running = null;
   runPlan(plan, how);
 });
-listen("measured", () => publish("moved"));
 listen("line", () => {
   waiting = [];
   [held, oldest] = [null, null];

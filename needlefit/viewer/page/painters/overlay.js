@@ -1,12 +1,11 @@
 /** What the needle is compared with and aimed at, and what the picture itself does not show. */
 
 import { aim, nameOf } from "../aim.js";
-import { points } from "../handles.js";
 import { heightAt, strengthOf } from "../quantities.js";
 import { now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
 import { thickness } from "./needle.js";
-import { cross, faintly, fillBetween, isFree, label, labelBeside, labelFree, line, palette, placesOf, polygon, reserve, ring, segments, setFont, stroke, turned } from "./strokes.js";
+import { cross, faintly, fillBetween, isFree, label, labelBeside, labelFree, line, palette, placesOf, polygon, reserve, segments, setFont, stroke, turned } from "./strokes.js";
 
 const GAPS = 12; // parts of the shaft between which gaps are drawn
 const FAN = 0.3; // opacity of the plan's draws
@@ -29,12 +28,6 @@ export function paintPinned(context, { x, y }) {
   line(context, x, y, palette.halo, 5);
   line(context, x, y, palette.ghost, 2.5, [2, 3]);
   labelBeside(context, "pinned", [[[x, y], -18], [[x, y], 18]], palette.ghost);
-}
-
-/** Draw the points of the measured needle that can be dragged. */
-export function paintMeasuredPoints(context) {
-  if (!points.shown) return;
-  for (const [x, y] of points.places()) ring(context, toPx(x), toPy(y), 6, palette.measured, palette.air);
 }
 
 const near = (one, other) => Math.abs(one - other) <= 1e-9 * Math.abs(other);
