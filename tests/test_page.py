@@ -346,14 +346,11 @@ SEQUENCES = {
         ("click", "#put-obstacle", "aim.placing"),
         ("key", "Escape", "aim.placing === null && aim.obstacles.length === 0"),
     ],
-    "reset and the game keep the parameters": [
+    "reset keeps the parameters": [
         ("enter", MU, "700", "Math.abs(s.layers[0].mu_pa - 7e5) < 1"),
         ("keep", "true"),
-        *(
-            step
-            for button in ("#reset", "#challenge")
-            for step in (("go to", 10, "true"), ("click", button, f"s.depth_mm === 0 && {SAME_MU}"))
-        ),
+        ("go to", 10, "true"),
+        ("click", "#reset", f"s.depth_mm === 0 && {SAME_MU}"),
     ],
 }
 
@@ -961,32 +958,6 @@ def test_a_plan_that_shifts_the_entry_begins_there(page) -> None:
     )
     assert get(page, "n.scene.measured") is None
     assert page.input_value("#plan-entry") == "0"
-
-
-@sweep
-def test_a_hand_is_compared_with_the_planner(page) -> None:
-    page.fill("#speed", "1000")
-    page.click("[data-fit=tip]")
-    page.click("#challenge")
-    until(page, "aim.target", 60)
-    assert page.is_disabled("#game-compare") and page.is_disabled("#challenge")  # nothing is inserted
-    left, top, width, height = call(page, "view", "Object.values(m.view.box)")
-    px, py = call(page, "view", "needlefit.aim.target.map((one, i) => [m.toPx, m.toPy][i](one))")
-    assert left < px < left + width and top < py < top + height
-    until(page, "aim.plan", 60)
-    depth = get(page, "aim.target[0]")
-    go_to(page, round(depth, 2))
-    page.click("#challenge")
-    found = get(page, "aim.challenge")
-    assert found["hand"] >= 0 and (found["planner"] is None or found["planner"] < 3.0)
-    shown(page, "You touch" if found["touched"] else f"You {found['hand']:.2f} mm")
-    ((x, y, radius, _),) = get(page, "aim.obstacles")
-    assert 0.4 * depth - 1e-6 <= x <= 0.6 * depth + 1e-6
-    state, along = get(page, "s"), np.linspace(-5, depth, 20_000)
-    clearance = np.hypot(along - x, np.interp(along, state["x"], state["y"]) - y).min()
-    assert found["touched"] == (clearance < radius)
-    call(page, "aim", f"m.moveTo(0, {x}, {y + 5})")
-    until(page, "aim.challenge === null")  # changed by hand: it is over
 
 
 @sweep

@@ -130,7 +130,7 @@ def round_lengths(values: Floats) -> list[float]:
 
 ACTIONS = {
     *("hello", "steps", "replay", "show", "align"),
-    *("aim", "markups", "plan", "reach", "run", "challenge"),
+    *("aim", "markups", "plan", "reach", "run"),
 }
 MAX_CHANGES = 64  #: number of inputs that one step may set
 MAX_MESSAGE_STEPS = 16  #: number of steps of one message

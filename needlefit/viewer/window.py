@@ -12,7 +12,6 @@ from needlefit.viewer.messages import MAX_REPLAY_SPEED, Message, encode_fault, r
 from needlefit.viewer.plans import (
     BEYOND_TARGET_MM,
     MAX_ENTRY_MM,
-    draw_challenge,
     find_placement,
     plan_message,
     read_goal,
@@ -95,10 +94,6 @@ class Window:
             case "markups":
                 trial.aim.read_markups(message, find_placement(trial.viewed_scene))
                 yield trial.aim.to_message()
-            case "challenge":
-                trial.aim.set(None, read_goal(message)[1], ())
-                trial.aim.entry_mm = 0.0
-                self.orders["plan"] = self._challenge(trial)
             case "plan":
                 entry = message.number("entry_mm", 0.0, MAX_ENTRY_MM, "mm")
                 if trial.aim.goal is None:
@@ -126,17 +121,6 @@ class Window:
     def _is_dropped(self, kind: str) -> bool:
         """Return whether nobody waits for it: another one is ordered, or the window was closed."""
         return self.closed or kind in self.orders
-
-    def _challenge(self, trial: InteractiveTrial) -> Iterator[Reply]:
-        """Choose a random target, and plan to it."""
-        insertion = trial.insertion
-        yield {}
-        parts = draw_challenge(insertion, trial.scene.depth, trial.aim.radius)
-        if trial.aim.goal is None:  # nobody has put another target meanwhile
-            trial.aim.set(*parts)
-            yield trial.aim.to_message()
-        if trial.aim.goal is not None:
-            self.orders["plan"] = self._plan(trial, trial.aim.goal)
 
     def _plan(self, trial: InteractiveTrial, goal: Goal) -> Iterator[Reply]:
         """Plan to a goal from where the needle stands."""

@@ -468,7 +468,6 @@ AIMING = """\
 {"do": "plan", "id": 8, "entry_mm": 2}
 {"do": "run", "id": 9}
 {"do": "replay", "id": 11, "times": 20}
-{"do": "challenge", "id": 14, "radius": 1}
 {"do": "show", "id": 15, "insertion": "a", "what": "field"}
 """
 """Messages in one window, a line each: steering and undo; goals, and what ends it."""

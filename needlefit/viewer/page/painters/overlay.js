@@ -84,9 +84,9 @@ export function paintReach(context) {
   faintly(context, 0.12, () => low.forEach((edge, level) => fillBetween(context, x, edge, high[level], palette.reach)));
 }
 
-/** Draw the needles of the draws, and over them the one of the parameters shown; in a challenge nothing. */
+/** Draw the needles of the draws, and over them the one of the parameters shown. */
 export function paintPlan(context) {
-  if (!aim.plan || aim.challenge?.hidden) return;
+  if (!aim.plan) return;
   const pale = aim.plan.left ? PALE : 1;
   faintly(context, FAN * pale, () => {
     for (const [x, y] of aim.plan.fan) line(context, x, y, palette.plan, 1);
