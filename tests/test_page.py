@@ -984,7 +984,6 @@ def test_markups_are_target_and_obstacles(page, tmp_path) -> None:
 @pytest.mark.parametrize("scheme", ["light", pytest.param("dark", marks=sweep)])
 def test_axe_finds_no_violation(full_page, scheme: str) -> None:
     full_page.emulate_media(color_scheme=scheme)
-    call(full_page, "tour", "m.offer()")
     full_page.wait_for_timeout(400)
     assert find_violations(full_page) == []
     full_page.click("#help")
@@ -992,51 +991,14 @@ def test_axe_finds_no_violation(full_page, scheme: str) -> None:
 
 
 @sweep
-@pytest.mark.parametrize("size", [(390, 844), (844, 390), (1280, 800)])
-def test_the_tour_covers_neither_the_picture_nor_what_it_asks_for(server, chromium, size) -> None:
-    width, height = size
-    with opened(chromium, server, viewport={"width": width, "height": height}, has_touch=True) as page:
-        call(page, "tour", "m.offer()")
-        for _ in range(3):
-            boxes = [page.locator(f"#{name}").bounding_box() for name in ("tour", "canvas", "flip", "insert")]
-            for box in boxes:
-                assert box["x"] >= 0 and box["x"] + box["width"] <= width
-                assert box["y"] >= 0 and box["y"] + box["height"] <= height
-            tour, *others = boxes
-            for box in others:
-                below, above = tour["y"] + tour["height"] <= box["y"], tour["y"] >= box["y"] + box["height"]
-                assert below or above
-            page.click("#tour-skip")
-
-
-@sweep
-def test_the_three_steps_to_try_follow_what_is_done_and_can_be_skipped(page) -> None:
+def test_the_knob_turns_the_bevel_over_and_the_base_moves_across_or_along(page) -> None:
     side = go_to(page, 10)["bevel"]["side"]
-    call(page, "tour", "m.offer()")
-    tour = page.locator("#tour")
-    tour.wait_for(state="visible")
-    assert page.inner_text("#tour-text").startswith("1 of 3")
-    drag(page, "arrow", 0, 70 * side)
-    page.get_by_text("2 of 3").wait_for()
-    assert get(page, "s.bevel.side") == -side
-    drag(page, "base", 0, -20)
-    page.get_by_text("3 of 3").wait_for()
-    state = settle(page)  # the step counts before the last order of the drag is answered
-    drag(page, "base", 60, 3)
-    tour.wait_for(state="hidden")
-    after = get(page, "s")
-    assert after["depth_mm"] > 15 and after["base"]["input_y"] == state["base"]["input_y"]
+    do(page, ("drag", "arrow", 0, 70 * side, f"s.bevel.side === {-side}"))
+    do(page, ("drag", "base", 0, -20, "s.base.input_y > 0.1"))
+    state = settle(page)
+    after = do(page, ("drag", "base", 60, 3, "s.depth_mm > 15"))
+    assert after["base"]["input_y"] == state["base"]["input_y"]
     do(page, ("key", "Control+z", "s.depth_mm === 10"))  # one drag, one undo
-    page.evaluate("localStorage.clear()")
-    call(page, "tour", "m.offer()")
-    page.keyboard.press("f")
-    page.get_by_text("2 of 3").wait_for()
-    page.click("#tour-skip")
-    page.get_by_text("3 of 3").wait_for()
-    page.click("#tour-end")
-    tour.wait_for(state="hidden")
-    call(page, "tour", "m.offer()")  # not a second time by itself
-    assert tour.is_hidden()
 
 
 @sweep

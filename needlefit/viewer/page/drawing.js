@@ -99,7 +99,6 @@ function paintForeground(before, state) {
     needle.paintBase(before, state);
     if (band) overlay.nameBand(before, band);
     if (now.marked != null) needle.paintMark(before, state, now.marked);
-    needle.paintHint(before, state);
     if (!seesTip()) overlay.paintArrow(before, state);
   });
   if (shown.load) needle.paintKey(before);

@@ -17,7 +17,6 @@ import { advance, moves } from "./steering.js";
 import * as strip from "./strip.js";
 import { listen, now, publish } from "./store.js";
 import "./toolbar.js";
-import "./tour.js";
 import * as transport from "./transport.js";
 import { kernel, trial } from "./trial.js";
 
