@@ -50,17 +50,10 @@ let measured = [1, 1];
 /** Width and height of the picture, px. */
 export const size = () => measured;
 
-/** Draw the picture as it is seen on another context, then more; `seen` is another state with its band and forces. */
-export function paintOn(context, { state, band, forces } = now, paintMore = () => {}) {
-  const kept = { state: now.state, band: now.band, forces: now.forces };
-  Object.assign(now, { state, band, forces });
-  try {
-    paintBackground(context);
-    paintForeground(context, state);
-    paintMore();
-  } finally {
-    Object.assign(now, kept);
-  }
+/** Draw the picture as it is seen on another context. */
+export function paintOn(context) {
+  paintBackground(context);
+  paintForeground(context, now.state);
 }
 
 function paintBackground(behind) {
