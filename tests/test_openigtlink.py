@@ -1,0 +1,87 @@
+"""The script that streams a needle by OpenIGTLink, beside a client of the library."""
+
+import json
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyigtl
+import pytest
+
+import needlefit
+
+SCRIPT = Path(__file__).parents[1] / "docs" / "examples" / "openigtlink.py"
+PATIENCE_S = 60.0
+
+
+@pytest.fixture
+def client(world):
+    """A client of the script, with a scene and a fit of its tissue model."""
+    words = (world.folder / "configs/scenes/ahead.toml", "--run", world.find("cross_validation"), "--port", 0)
+    command = [sys.executable, str(SCRIPT), *map(str, words)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            host, port = process.stdout.readline().split(":")
+            client = pyigtl.OpenIGTLinkClient(host, int(port))
+            yield client
+            client.stop()
+        finally:
+            process.kill()
+
+
+def wait(client: pyigtl.OpenIGTLinkClient, device: str, holds):
+    """Return the first message of a device of which a condition holds."""
+    end = time.monotonic() + PATIENCE_S
+    while time.monotonic() < end:
+        message = client.wait_for_message(device, timeout=PATIENCE_S)
+        if message is not None and holds(message):
+            return message
+    raise AssertionError(f"no such {device}")
+
+
+def test_a_needle_is_streamed_and_steered_and_draws_are_weighted_by_tips(client, world) -> None:
+    def say(**inputs) -> None:
+        client.send_message(pyigtl.StringMessage(json.dumps(inputs), device_name="Input"))
+
+    say(speed_mm_s=20, base_y_mm=0.5, bevel_side=-1)
+    wait(client, "NeedlefitTip", lambda tip: tip.matrix[0, 3] > 20)
+    say(speed_mm_s=0)
+    before = wait(client, "NeedlefitTip", lambda tip: True)
+    while (tip := wait(client, "NeedlefitTip", lambda tip: True)).matrix.tolist() != before.matrix.tolist():
+        before = tip
+    points = np.array(wait(client, "NeedlefitNeedle", lambda one: True).positions)
+    scene = needlefit.open_scene(str(world.folder / "configs/scenes/ahead.toml"))
+    session = needlefit.Session(scene.needle, scene.tissue, scene.steps[0].bevel, rules=scene.rules)
+    session.step(bevel=replace(scene.steps[0].bevel, side=-1), base=(0.5, 0.0))
+    shape = session.step(
+        insert=float(points[0, 0]) + scene.needle.length
+    )  # the base is so far before the entry
+    assert points.shape == (51, 3) and points[0, 1] == pytest.approx(0.5, abs=1e-4)
+    assert points[-1] == pytest.approx(tip.matrix[:3, 3]) and tip.matrix[1, 3] < 0
+    assert tip.matrix[1, 3] == pytest.approx(shape.tip_lateral, abs=1e-4)
+    assert tip.matrix[1, 2] == pytest.approx(np.sin(shape.slope[-1]), abs=1e-5)
+    assert np.linalg.det(tip.matrix[:3, :3]) == pytest.approx(1, abs=1e-5)
+
+    draws = needlefit.load_run(world.find("cross_validation")).frames["draws"]
+    new = draws[draws["specimen"] == "(new)"]
+    draws = new if len(new) else draws[draws["specimen"] == "(tuned)"]
+    tips = []
+    for row in draws.to_dict("records"):
+        tissue = replace(scene.tissue, mu=np.array([row["mu1_pa"], row["mu2_pa"]]) * 1e-6)
+        tips.append(session.simulate_again(tissue, row["bevel_mm"]).now.shape.tip_lateral)
+    strongest = int(np.argmin(tips))
+    measured = np.eye(4)
+    measured[:3, 3] = points[-1, 0], tips[strongest], 0.0
+    for _ in range(2):  # at the same depth a second one is not used
+        client.send_message(pyigtl.TransformMessage(measured, device_name="Tip"))
+    said = wait(client, "NeedlefitEstimate", lambda one: True)
+    found = json.loads(
+        wait(client, "NeedlefitEstimate", lambda one: one.timestamp > said.timestamp + 0.2).string
+    )
+    weights = np.exp(-0.5 * ((np.array(tips) - tips[strongest]) / 0.5) ** 2)
+    assert found["count"] == 1 and found["ess"] < 0.98 * len(draws)
+    assert found["ess"] == pytest.approx(weights.sum() ** 2 / (weights**2).sum(), rel=1e-3)
+    assert len(found["mu1_pa"]) == 3 and found["bevel_mm"][1] > draws["bevel_mm"].median()
