@@ -20,7 +20,7 @@ from needlefit.mechanics.simulate import simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
 BASE = Controls(base_y=0.4)
-
+H = 1e-30  # of complex steps
 
 REST = np.zeros(1)
 
@@ -156,6 +156,56 @@ def test_derivatives_equal_complex_steps(law: str, seed: int) -> None:
     assert_derivatives(found, NEEDLE, tissue, STEPS, rules, rtol=1e-6)
 
 
+#: the true stress over mu, lambda dW/dlambda, of the energies that the laws' files state
+STRESSES = {
+    "linear": lambda x: 3 * (x - 1),
+    "neo_hookean": lambda x: x**2 - 1 / x,
+    "ogden": lambda x, alpha: compute_stress(1.0, alpha, x, "true"),
+    "two_term_ogden": lambda x, alpha, beta, share: (
+        (1 - share) * compute_stress(1.0, alpha, x, "true") + share * compute_stress(1.0, beta, x, "true")
+    ),
+    "fung": lambda x, alpha: np.exp(alpha * (x**2 + 2 / x - 3)) * (x**2 - 1 / x),
+    "gent": lambda x, jm: jm / (jm - (x**2 + 2 / x - 3)) * (x**2 - 1 / x),
+}
+SETS, THICKNESS_MM = 12, 10.0
+
+
+def test_every_law_has_a_stress_to_compare_with() -> None:
+    assert {*STRESSES} == {*LAWS.names()}
+
+
+def test_the_kernels_k_and_its_derivatives(law: str) -> None:
+    """Against the derivative of the stress, where it is stated, and against differences of the law's k."""
+    rng = np.random.default_rng(1)
+    shapes = LAWS[law].draw_shape(rng, (SETS,))
+    tissue = Tissue(np.ones(SETS), shapes, np.arange(1.0, SETS), THICKNESS_MM, law=law)
+    table, exponents = compile_law(law, shapes)
+    reach = 0.45 if exponents.shape[1] else min(0.45, table[:, 0].min())  # tables may end before
+    d = rng.uniform(0, reach, 200)  # |e| / t
+    for layer in range(SETS):
+        shape = [np.full(len(d), value) for value in shapes[:, layer]]
+        k, tangent, *_ = evaluated(tissue, layer, d * THICKNESS_MM)
+        true = LAWS[law].k(1 - d, *shape)
+        if law in STRESSES:
+            true = STRESSES[law](1 - d + 1j * H, *shape).imag / H
+        assert np.max(np.abs(k / true - 1)) < 1e-9
+        by_d, *by_shape = (differences(LAWS[law].k, (1 - d, *shape), n) for n in range(1 + len(shape)))
+        assert np.max(np.abs(tangent - k + d * by_d) / k) < 1e-6
+        for number, true in enumerate(by_shape):
+            found = evaluated(tissue, layer, d * THICKNESS_MM, number).by_shape
+            assert np.max(np.abs(found - true) / k) < 1e-6
+
+
+def differences(function, arguments, which: int, step: float = 2e-4) -> np.ndarray:
+    """Return a derivative of a function by central differences of fourth order."""
+
+    def at(h: float) -> np.ndarray:
+        return function(*(one + h * (n == which) for n, one in enumerate(arguments)))
+
+    near, far = (at(h) - at(-h) for h in (step, 2 * step))
+    return (8 * near - far) / (12 * step)
+
+
 def test_a_set_outside_of_the_laws_bounds_is_no_number(law: str) -> None:
     tissue = make_tissue(law, 7)
     shape = np.repeat(tissue.shape[None], 3, axis=0)
@@ -194,7 +244,6 @@ def test_alpha_alone_and_a_law_without_shape_parameters(monkeypatch):
 
 STRETCH = np.linspace(0.35, 1.1, 40)
 ALPHAS = (-20.0, -4.7, -1.0, -1e-3, 0.0, 1e-6, 0.2, 1.0, 2.0, 9.0, 25.0)
-H = 1e-30
 
 
 def energy(mu, alpha, stretch):
