@@ -56,12 +56,6 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
         "calibration": Command(("calibrate", "meat", "--replicates", "2"), "calibrate-meat", (5,)),
         "cohort": _validate("cohort", 0),
         "comparison": _validate("comparison"),
-        "credibility": Command(
-            ("credibility", "held_out"),
-            "credibility-held_out",
-            (0,),
-            ("cross_validation", "verification", "sensitivity"),  # what it finds about the study
-        ),
         "cross_validation": _validate("held_out", 0),
         "fit": Command(("tune", "gel", "--sample"), "gel", (5,)),
         "identification": Command(("tune", "gel", "--design"), "gel-design", (0,)),
@@ -85,7 +79,7 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
 )
 """By kind of study."""
 
-OF_ONE_PROCESS = frozenset({"credibility", "material", "verification"})
+OF_ONE_PROCESS = frozenset({"material", "verification"})
 """Kinds whose commands have no `--jobs`."""
 
 

@@ -37,7 +37,6 @@ _COMMANDS: Mapping[str, Mapping[str, str]] = {
     "evidence": {
         "verify": "",
         "calibrate": "phantom1 --replicates 100",
-        "credibility": "study3",
         "paper": "",
     },
     "results": {
@@ -54,7 +53,7 @@ _GROUPS = {
 """First words of commands that form a group, with its help."""
 
 _DATA = ("new project", "new dataset", "new workbook", "check", "twin build", "twin ct")
-_STUDIES = ("tune", "calibrate", "validate", "predict", "material", "verify", "credibility")
+_STUDIES = ("tune", "calibrate", "validate", "predict", "material", "verify")
 
 _MODULES = {
     "import": "data.import_data",

@@ -1,4 +1,4 @@
-"""Commands that run studies: tune, calibrate, validate, predict, material, verify, credibility."""
+"""Commands that run studies: tune, calibrate, validate, predict, material, verify."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -347,44 +347,3 @@ def verify(context: typer.Context, seed: int = 1) -> None:
         screen.print_note(f"needlefit: {row['check']}: {row['quantity']}: fails{remark}")
     if found.faults:
         raise typer.Exit(exit_codes.VERIFICATION_FAILED)
-
-
-@takes(
-    "out explain json quiet verbose",
-    evidence=option(
-        "A folder of verify, calibrate, tune --design or a sensitivity study (several times), instead of "
-        "those of its kind beside RUN.",
-        "DIR",
-    ),
-    statements=option("TOML with what only people can state: question, context, risk.", "FILE"),
-)
-def credibility(
-    context: typer.Context, run: str, evidence: list[Path] | None = None, statements: Path | None = None
-) -> None:
-    """Collect the credibility evidence of a RUN, in the order of ASME V&V 40-2018.
-
-    Verification, calibration, sensitivity, uncertainty and provenance, from the files of this run and of
-    other runs in the same folder. Missing evidence is listed as missing. Evidence of another version or
-    dataset is not counted. Nothing is graded. Results go to OUT/credibility-RUN/.
-    """
-    from needlefit.project.locate import find_run
-    from needlefit.project.toml import load
-    from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
-    from needlefit.studies.kinds.credibility import list_open_statements
-
-    given: dict[str, object] = {"run": run, "evidence": [str(folder) for folder in evidence or ()]}
-    if statements is not None:
-        given["statements"] = load(statements, CredibilityStatementsRecord)
-        given["statements_file"] = statements.name
-    execution = Execution(context.find_root().obj)
-    name = f"credibility-{find_run(run).resolve().name}"
-    execution.prepare([name])
-    found = execution.run_kind("credibility", name, **given)
-    for fault in found.run["damaged"]:
-        screen.print_note(f"needlefit: damaged and not used: {fault}")
-    execution.show(found)
-    if not execution.invocation.json and (missing := list_open_statements(found)):
-        screen.print_text(
-            "Statements that only people can make are missing. Write them as texts in a TOML file with "
-            f"`schema = 1`, given by --statements FILE: {', '.join(missing)}."
-        )
