@@ -51,8 +51,8 @@ def measure_balance(rng: np.random.Generator) -> float:
     """Return the sum of all forces over the sum of their sizes, in a random schedule."""
     needle, tissue, steps, rules, lattice = random_case(rng)
     shape = simulate_steps(needle, tissue, steps, rules, lattice)
-    loads = compute_loads(shape, tissue, needle, steps[-1].controls, rules).all_loads
-    forces = [one.force for one in loads]
+    loads = compute_loads(shape, tissue, needle, steps[-1].controls, rules)
+    forces = [one.force for one in (loads.tissue, loads.base, *loads.guides, loads.tip)]
     return float(abs(sum(forces)) / np.sum(np.abs(forces)))
 
 

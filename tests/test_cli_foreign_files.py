@@ -12,7 +12,6 @@ import typer
 from light_runs import draw_blank
 from reporting_results import skip_figures, study
 from test_cli import run
-from test_cli_analyses import GOOD
 from test_viewer_recording import recorded
 from world import build_project
 
@@ -31,7 +30,6 @@ from needlefit.project.locate import find_file, shipped_folder
 from needlefit.reporting.table_files import write_json
 from needlefit.studies import study_files as study_files  # bound before a test takes away what it imports
 from needlefit.studies.store import store_run
-from needlefit.verification import check as verification
 from needlefit.viewer.steering import Change
 
 SCANS = str(shipped_folder() / "data" / "sample_scan" / "scans.csv")
@@ -74,7 +72,6 @@ CASES = {
     ),
     "predict": Case("predict held_out --scene ahead --out out -q", "predict-held_out-ahead"),
     "report": Case("report ./out/run --out out/again", "again"),
-    "verify": Case("verify --out out -q", "verification"),
     "material": Case("material gel.csv --out out", "material-gel"),
     "reconstruct": Case(f"reconstruct {SCANS} --out out/rr -q", "rr rr.partial"),
     "import": Case("import curves.csv --out out/found --yes", "found"),
@@ -88,7 +85,7 @@ CASES = {
         "simulate --recording log.csv --plot out/n.pdf --csv out/n.csv --slicer out/n.ply"
     ),
 }
-STUBBED = {name for name in CASES if name.startswith(("twin build", "verify", "view"))}
+STUBBED = {name for name in CASES if name.startswith(("twin build", "view"))}
 """Those that take long, or serve until they are ended."""
 REFUSED = [(name, folder) for name, case in CASES.items() for folder in case.places]
 
@@ -149,7 +146,6 @@ def stubs(monkeypatch: pytest.MonkeyPatch) -> None:
     draw_blank(monkeypatch)
     for name in ("compile_pdf", "compile_html"):
         monkeypatch.setattr(f"needlefit.reporting.document.{name}", lambda _: b"a page")
-    monkeypatch.setattr(verification, "find_checks", lambda: GOOD)
     monkeypatch.setattr("needlefit.cli.view._server", lambda: steer)
     monkeypatch.setattr(
         "needlefit.synthetic.build.build_dataset", lambda folder, *_, **__: (folder / "a").touch()

@@ -94,8 +94,9 @@ def test_tissue_base_guides_and_tracked_tip_balance(seed: int, kind: str) -> Non
     needle, tissue, steps, rules, lattice = random_case(np.random.default_rng(seed), kind)
     rules = replace(rules, tolerance=1e-11)
     shape = simulate_steps(needle, tissue, steps, rules, lattice)
-    loads = compute_loads(shape, tissue, needle, steps[-1].controls, rules).all_loads
-    for parts in ([one.force for one in loads], [one.moment + one.x * one.force for one in loads]):
+    loads = compute_loads(shape, tissue, needle, steps[-1].controls, rules)
+    every = (loads.tissue, loads.base, *loads.guides, loads.tip)
+    for parts in ([one.force for one in every], [one.moment + one.x * one.force for one in every]):
         assert abs(sum(parts)) < 1e-5 * np.sum(np.abs(parts))
 
 

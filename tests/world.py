@@ -74,12 +74,11 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
         "sensitivity": _validate("sensitivity"),
         "specimens": _validate("specimens"),
         "tracks": _validate("tracks"),
-        "verification": Command(("verify",), "verification", (0,)),
     }
 )
 """By kind of study."""
 
-OF_ONE_PROCESS = frozenset({"material", "verification"})
+OF_ONE_PROCESS = frozenset({"material"})
 """Kinds whose commands have no `--jobs`."""
 
 

@@ -35,7 +35,6 @@ _COMMANDS: Mapping[str, Mapping[str, str]] = {
         "twin ct": "phantom2-14 --out twin_ct",
     },
     "evidence": {
-        "verify": "",
         "calibrate": "phantom1 --replicates 100",
         "paper": "",
     },
@@ -53,7 +52,7 @@ _GROUPS = {
 """First words of commands that form a group, with its help."""
 
 _DATA = ("new project", "new dataset", "new workbook", "check", "twin build", "twin ct")
-_STUDIES = ("tune", "calibrate", "validate", "predict", "material", "verify")
+_STUDIES = ("tune", "calibrate", "validate", "predict", "material")
 
 _MODULES = {
     "import": "data.import_data",

@@ -1,4 +1,4 @@
-"""Commands that run studies: tune, calibrate, validate, predict, material, verify."""
+"""Commands that run studies: tune, calibrate, validate, predict, material."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -169,7 +169,7 @@ def _end_calibration(execution: Execution, found: "list[Run]") -> None:
         sentence = find_kind("calibration").report.summarize(run)[0]
         screen.print_note(f"needlefit: {execution.folder(run.name)}: {sentence}")
     if wrong:
-        raise typer.Exit(exit_codes.VERIFICATION_FAILED)
+        raise typer.Exit(exit_codes.CALIBRATION_FAILED)
     if any(run.faults for run in found):
         raise typer.Exit(exit_codes.NOT_CONVERGED)
 
@@ -325,25 +325,3 @@ def material(
     if found.run["prior"] is not None and not execution.invocation.json:
         prior = f"{execution.folder(name)}/prior.toml"
         screen.print_line(f'For layer 1 of a fit: priors = {{ 1 = "{prior}" }}')
-
-
-@takes("out explain json quiet verbose", seed=option("Seed of the random cases.", min=0))
-def verify(context: typer.Context, seed: int = 1) -> None:
-    """Verify the solver: closed forms, observed orders, an independent solution, symmetries.
-
-    All values are measured in this run. Prints the outcome of each group of checks, with --explain every
-    check, and writes CSV, LaTeX, PDF and HTML to OUT/verification/. Exit code 6 if a check fails.
-    """
-    execution, name = Execution(context.find_root().obj), "verification"
-    execution.prepare([name])
-    found = execution.run_kind("verification", name, seed=seed)
-    if execution.invocation.verbose:
-        for trace in found.timing.get("traces", ()):
-            screen.print_note(trace)
-    execution.show(found)
-    rows = found.frames["verification"]
-    for row in rows[rows["verdict"] == "FAILS"].to_dict("records"):
-        remark = f" ({row['note']})" if row["note"] else ""
-        screen.print_note(f"needlefit: {row['check']}: {row['quantity']}: fails{remark}")
-    if found.faults:
-        raise typer.Exit(exit_codes.VERIFICATION_FAILED)

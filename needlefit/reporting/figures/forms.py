@@ -500,44 +500,6 @@ def shares_within(
     return figure
 
 
-_ERROR_PANELS = (("deflection", 4, "error of the deflection (mm)"), ("slope", 3, "error of the slope"))
-
-
-def convergence(errors: pd.DataFrame) -> Figure:
-    """Draw the largest errors of deflection and slope over the mesh size, one line per case.
-
-    `errors` has a row per `case`, `norm` and mesh size `h_mm`, with the `error`.
-    """
-    figure = Figure(figsize=(TEXT_WIDTH_IN, 1.9))
-    *panels, right = figure.subplots(1, 3, width_ratios=(1, 1, 0.9))
-    for axes, (norm, order, words) in zip(panels, _ERROR_PANELS, strict=True):
-        curves = errors[errors["norm"] == norm]
-        sizes = curves["h_mm"].drop_duplicates().to_numpy(dtype=np.float64)
-        for i, (case, curve) in enumerate(curves.groupby("case", sort=False)):
-            colour, label = (*SERIES_COLOURS, INK)[i % 7], str(case).replace(", ", ",\n", 1)
-            style: dict[str, Any] = {"marker": "osD^vPX"[i % 7], "ms": 3.2, "mfc": "none", "mew": 0.7}
-            axes.loglog(curve["h_mm"], curve["error"], color=colour, lw=0.8, label=label, **style)
-        nodes = errors[errors["norm"] == f"{norm} at the nodes"]
-        at_nodes = nodes.groupby("h_mm", sort=False)["error"].max().to_numpy(dtype=np.float64)
-        axes.loglog(sizes, at_nodes, ".-", color=GREY, ms=3, lw=0.8, label="at the nodes, all")
-        finest = float(curves.loc[curves["h_mm"] == sizes[-1], "error"].max())
-        for error, slope in ((2.2 * finest, order), (at_nodes[-1] / 2.2, 4)):
-            line = error * (sizes / sizes[-1]) ** slope
-            axes.loglog(sizes, line, color=INK, lw=0.6, ls=(0, (4, 3)), zorder=1)
-            place: dict[str, Any] = {"xytext": (0, 7 if error > finest else -9), "ha": "center"}
-            place |= {"textcoords": "offset points", "color": INK, "fontsize": 6.5}
-            axes.annotate(f"order {slope}", (sizes[1], line[1]), **place)
-        axes.set_xticks(sizes, [f"{size:g}" for size in sizes])
-        axes.set_xticks([], minor=True)
-        axes.margins(x=0.12)
-        axes.set_title(words, loc="left")
-        axes.set_xlabel("element size h (mm)")
-    handles, labels = panels[0].get_legend_handles_labels()
-    right.axis("off")
-    right.legend(handles, labels, loc="center left", fontsize=6, handlelength=1.6, labelspacing=0.7)
-    return figure
-
-
 def histograms(bins: pd.DataFrame, counts: str) -> Figure:
     """Draw histograms of the column `counts` by `parameter`; `low` and `high` are edges in units of files."""
     groups = list(bins.groupby("parameter", sort=False))
