@@ -48,7 +48,7 @@ def test_every_command_has_help(capsys):
     out = capsys.readouterr().out
     assert all(f"\n  {command} " in out for command in COMMANDS)
     assert {"new", "calibrate", "twin"} <= set(re.findall(r"\w+", out.partition("\nMore")[2]))
-    for command in (*COMMANDS, "calibrate", "material", "paper", "twin ct", "new dataset"):
+    for command in (*COMMANDS, "calibrate", "paper", "twin ct", "new dataset"):
         assert run(*command.split(), "--help") == 0
         assert f"Usage: needlefit {command}" in capsys.readouterr().out
 

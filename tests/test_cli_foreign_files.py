@@ -72,7 +72,6 @@ CASES = {
     ),
     "predict": Case("predict held_out --scene ahead --out out -q", "predict-held_out-ahead"),
     "report": Case("report ./out/run --out out/again", "again"),
-    "material": Case("material gel.csv --out out", "material-gel"),
     "reconstruct": Case(f"reconstruct {SCANS} --out out/rr -q", "rr rr.partial"),
     "import": Case("import curves.csv --out out/found --yes", "found"),
     "new project": Case("new project out/project", "project/data project/configs project/studies"),

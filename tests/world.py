@@ -17,7 +17,6 @@ from types import MappingProxyType
 import needles
 import pytest
 import track_cases
-from compression_cases import gel_file
 
 from needlefit.cli import main
 from needlefit.studies.run import Run
@@ -60,7 +59,6 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
         "fit": Command(("tune", "gel", "--sample"), "gel", (5,)),
         "identification": Command(("tune", "gel", "--design"), "gel-design", (0,)),
         "left_out": _validate("left_out"),
-        "material": Command(("material", "gel.csv"), "material-gel", (0,)),
         "next_insertion": _validate("next_insertion"),
         "plan": _validate("plan"),
         "prediction": Command(
@@ -78,16 +76,12 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
 )
 """By kind of study."""
 
-OF_ONE_PROCESS = frozenset({"material"})
-"""Kinds whose commands have no `--jobs`."""
-
 
 def find_words(kind: str, reports: Path, jobs: int = 1) -> list[str]:
     """Return the command of a kind that leaves its result in a folder of `reports`."""
     command = COMMANDS[kind]
     out = reports / command.folder if kind == "reconstruction" else reports  # which names its own folder
-    options = () if kind in OF_ONE_PROCESS else ("--jobs", str(jobs))
-    return [*command.words, "--out", str(out), *options]
+    return [*command.words, "--out", str(out), "--jobs", str(jobs)]
 
 
 def build_project(folder: Path) -> None:
@@ -100,7 +94,6 @@ def build_project(folder: Path) -> None:
     ]
     moved = track_cases.measured(track_cases.track("moved", track_cases.GUIDE), -1, 0.034, 9)
     track_cases.written(folder / "data/tips", [*rest, moved])
-    gel_file(folder / "gel.csv")
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
-"""Commands that run studies: tune, calibrate, validate, predict, material."""
+"""Commands that run studies: tune, calibrate, validate, predict."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -292,36 +292,3 @@ def predict(
 
         screen.print_note(f"needlefit: {target_name}: {describe_faults(found)}")
         raise typer.Exit(exit_codes.NOT_CONVERGED)
-
-
-@takes(
-    "out strict explain json verbose",
-    file=argument("FILE.csv", "Stretch and stress; data/README.md lists the columns."),
-    stress=option("Stress measure of a column `stress_kpa`, whose name does not state it."),
-    foundation=option(
-        "Write a prior of the model's mu too: FACTOR times the material's shear modulus, known within a "
-        "factor of SPREAD. docs/model.md states the bounds of FACTOR.",
-        "FACTOR SPREAD",
-    ),
-)
-def material(
-    context: typer.Context,
-    file: Path,
-    stress: Literal["nominal", "true"] | None = None,
-    foundation: tuple[float, float] | None = None,
-) -> None:
-    """Fit mu and alpha of the Ogden law to a compression test.
-
-    Needle shapes do not identify alpha; a compression test can. Prints the estimates and the 95 % regions of
-    alpha, and writes the prior for fits, with tables and figures, to OUT/material-<file>/.
-    """
-    from needlefit.schemas.names import require_file_name
-
-    require_file_name(file.stem, str(file))
-    execution, name = Execution(context.find_root().obj), f"material-{file.stem}"
-    execution.prepare([name])
-    found = execution.run_kind("material", name, file=str(file), stress=stress, foundation=foundation)
-    execution.show(found)
-    if found.run["prior"] is not None and not execution.invocation.json:
-        prior = f"{execution.folder(name)}/prior.toml"
-        screen.print_line(f'For layer 1 of a fit: priors = {{ 1 = "{prior}" }}')

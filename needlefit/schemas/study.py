@@ -49,7 +49,7 @@ class FitRecord(FileRecord):
     paper_parameters: str | None = None
     """Row of the paper's parameter table that is reported beside the fit. The search never starts there."""
     priors: dict[str, str] = {}
-    """Measured priors by number of layer: files that `needlefit material` wrote."""
+    """Measured priors by number of layer: files that `needlefit.write_prior` wrote."""
     tune: SelectionRecord = Field(default=SelectionRecord())
     """Insertions that are fitted."""
     specimens: Literal["others", "training only"] = "others"

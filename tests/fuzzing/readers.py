@@ -254,7 +254,6 @@ READERS: dict[str, Reader] = {
     "reconstruction": _configs("reconstruction.ReconstructionRecord", "reconstruction", "reconstruction"),
     "medium": Reader(_medium, partial(project_files, "configs/media/*.toml", "medium.toml")),
     "dataset": Reader(_dataset, seeds.datasets, 40),
-    "compression": Reader(partial(_call, "datasets.compression.read_compression"), seeds.compression),
     "markers": Reader(partial(_call, "imaging.markers.read_markers"), seeds.markers),
     "scans": Reader(partial(_call, "imaging.scans.read_scans"), seeds.scans, 40),
     "markups": Reader(_import, seeds.markups),

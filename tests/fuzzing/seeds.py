@@ -79,15 +79,6 @@ def datasets() -> list[Seed]:
     return [plain, own, checked, surfaces, long, tracks]
 
 
-def compression() -> list[Seed]:
-    from compression_cases import gel_file
-
-    forces = "specimen,displacement_mm,force_n,height_mm,area_mm2\n" + "".join(
-        f"a,{0.1 * k:.1f},{0.02 * k * k:.4f},20,314\n" for k in range(30)
-    )
-    return [saved("test.csv", gel_file), one_file("test.csv", forces)]
-
-
 # ---- files of other programs
 
 SCHEMA = "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema"

@@ -34,7 +34,7 @@ number that is not whole needs a filter: all formats of `columns.FORMATS` (`mm`,
 Links to `cite:KEY,KEY` are citations: `format_latex` makes \\cite of them, reports leave them out.
 
 `needlefit.studies.report.StudyReport` makes a report of a text, its values, tables and figures;
-`needlefit/studies/kinds/material.py` is an example.
+`needlefit/studies/kinds/seeds.py` is an example.
 """
 
 import re
