@@ -89,7 +89,7 @@ def test_a_report_loads_nothing_that_only_computing_needs():
     ("words", "code", "expected"),
     [
         (("nothing",), 2, "Usage: needlefit"),
-        (("tune", "study2", "--design", "--sample"), 2, "--sample"),
+        (("tune", "study2", "--sample"), 2, "--sample"),
         (("simulate",), 2, "Usage: needlefit"),
         (("simulate", "phantom1", "--depth", "deep"), 2, "Usage: needlefit"),
         (("calibrate", "study2", "--control", "nothing"), 2, "Usage: needlefit"),

@@ -56,7 +56,7 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
         "cohort": _validate("cohort", 0),
         "comparison": _validate("comparison"),
         "cross_validation": _validate("held_out", 0),
-        "fit": Command(("tune", "gel", "--sample"), "gel", (5,)),
+        "fit": Command(("tune", "gel"), "gel", (0, 5)),
         "identification": Command(("tune", "gel", "--design"), "gel-design", (0,)),
         "left_out": _validate("left_out"),
         "next_insertion": _validate("next_insertion"),

@@ -30,7 +30,6 @@ class Invocation:
     """
 
     words: tuple[str, ...]
-    sample: bool = False
     seed: int | None = None
     jobs: int | None = None
     scheduler: str | None = None

@@ -1,5 +1,8 @@
 """Commands that run studies: tune, calibrate, validate, predict."""
 
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,6 +27,7 @@ from needlefit.cli.options import (
     option,
     takes,
 )
+from needlefit.errors import ConfigError
 from needlefit.schemas.limits import MAX_REPLICATES
 
 if TYPE_CHECKING:
@@ -32,13 +36,31 @@ if TYPE_CHECKING:
 
 
 @takes(
-    "sample seed jobs out resume strict explain json quiet verbose",
+    "seed jobs out resume strict explain json quiet verbose",
     design=flag("Which parameters the design determines, before any measurement.", "--design"),
+    no_sample=flag("Intervals by importance sampling alone, without MCMC and posterior.nc.", "--no-sample"),
+    free=option(
+        "Estimate a parameter that the tissue model fixes or ties: alpha1. May be repeated.", "NAME", "--free"
+    ),
+    fix=option(
+        "Hold a parameter at a value, in Pa, mm or degrees: b=0.1. May be repeated.", "NAME=VALUE", "--fix"
+    ),
 )
-def tune(context: typer.Context, target: str, design: bool = False) -> None:
+def tune(
+    context: typer.Context,
+    target: str,
+    design: bool = False,
+    no_sample: bool = False,
+    free: list[str] | None = None,
+    fix: list[str] | None = None,
+) -> None:
     """Fit the parameters of a TARGET (mu, alpha, b).
 
-    Prints each parameter with its 95 % interval, and which ones the data do not determine.
+    Prints each parameter with its 95 % interval, and which ones the data do not determine. The posterior is
+    sampled by MCMC (emcee), from draws by importance sampling.
+
+    --free and --fix change what the tissue model says of single parameters. Names are those of tables
+    (alpha1, mu1, b) or keys (mu1_pa). In the file of a fit `free` and `fix` do the same.
 
     With --design no measured shape is used: shapes are simulated with the paper's parameters or the middle of
     the bounds. Fisher information, profile likelihoods and posterior SD / prior SD go to OUT/TARGET-design/.
@@ -48,20 +70,24 @@ def tune(context: typer.Context, target: str, design: bool = False) -> None:
     far, marked as interrupted, and prints the command that continues; a second Ctrl-C stops at once.
     """
     with begin(context) as execution:
-        if design and execution.invocation.sample:
-            raise typer.BadParameter("excludes --sample: nothing is fitted", param_hint="--design")
         from needlefit.project.toml import add_file_context
+        from needlefit.studies.job import Inputs, change_fit
         from needlefit.studies.study_files import load_target
 
         name, record, file = load_target(target)
+        if free or fix:
+            record = change_fit(record, free or (), _parse_values(fix or ()), "--free and --fix")
         if design:
-            name = f"{name.removesuffix('-tune')}-design"
-            execution.prepare([name])
-            execution.show(execution.run_kind("identification", name, target=target))
+            about = f"{name.removesuffix('-tune')}-design"
+            execution.prepare([about])
+            given = replace(execution, inputs=Inputs(target=(name, record)))
+            with add_file_context(file), _name_options(free, fix):
+                found = given.run_kind("identification", about, target=target)
+            execution.show(found)
             return
         execution.prepare([name])
-        with add_file_context(file):
-            results = execution.run(name, record)
+        with add_file_context(file), _name_options(free, fix):
+            results = execution.run(name, record, sample=not no_sample)
         if results.interrupted and "fitted" not in set(results.frames["errors"]["method"]):
             raise execution.interrupted()  # nothing found yet: an earlier result stays
         execution.write(results)
@@ -70,6 +96,34 @@ def tune(context: typer.Context, target: str, design: bool = False) -> None:
             raise execution.interrupted()
         execution.remove_checkpoint(name)
     require_no_faults(f"{results.name}: {fault}" for fault in results.faults)
+
+
+def _parse_values(texts: Iterable[str]) -> dict[str, float]:
+    """Return the values of --fix by parameter."""
+    values = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        try:
+            values[name.strip()] = float(value)
+        except ValueError:
+            raise typer.BadParameter(
+                f"`{text}` is not NAME=VALUE with a number, e.g. b=0.1", param_hint="--fix"
+            ) from None
+    return values
+
+
+@contextmanager
+def _name_options(free: Collection[str] | None, fix: Collection[str] | None) -> Iterator[None]:
+    """Have a ConfigError about parameters that options name state the option, not the file of the fit."""
+    try:
+        yield
+    except ConfigError as error:
+        key = error.key.partition(".")[0]
+        if not {"free": free, "fix": fix}.get(key):
+            raise
+        located = error.at(f"--{key}")
+        located.key = ""
+        raise located from None
 
 
 @takes(
@@ -175,7 +229,7 @@ def _end_calibration(execution: Execution, found: "list[Run]") -> None:
 
 
 @takes(
-    "sample seed jobs scheduler insecure out reference resume strict explain json quiet verbose",
+    "seed jobs scheduler insecure out reference resume strict explain json quiet verbose",
     study=argument(
         "STUDY", "study1 ... study5, all (those five), everything, another, or a path.", complete_studies
     ),
@@ -231,7 +285,7 @@ def _write_combined_report(execution: Execution, study: str, runs: "list[Run]") 
     scene=option(
         "The planned insertion: a name or a path.", "SCENE", "--scene", autocompletion=complete_scenes
     ),
-    run=option("Result of `tune TARGET --sample` (default: OUT/TARGET-tune).", "DIR"),
+    run=option("Result of `tune TARGET` (default: OUT/TARGET-tune).", "DIR"),
     specimen=option(
         "new: into a specimen that was not fitted to; same: into the one that was, or, of several that "
         "differ, its NAME (default: same if the TARGET states `same_specimen`; else new, with the spread "
