@@ -7,7 +7,6 @@ import subprocess
 import sys
 import time
 from contextlib import chdir
-from pathlib import Path
 
 import pytest
 from made_again import assert_made_again, read_files
@@ -21,7 +20,6 @@ from needlefit.viewer.opening import open_target
 
 EVERY = pytest.mark.parametrize("kind", list(COMMANDS))
 WRITTEN = {"needlefit.json", "report.html", "report.pdf", "results.json.gz", "run.json", "timing.json"}
-RESUMED = [kind for kind in COMMANDS if "--jobs" in find_words(kind, Path())]
 
 
 @EVERY
@@ -77,7 +75,7 @@ def test_the_command_prints_its_result(world, kind):
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize("kind", RESUMED)
+@EVERY
 def test_a_run_that_is_killed_resumes_to_the_same_bytes_with_other_jobs(world, kind):
     expected, out = read_files(world.find(kind)), world.folder / f"resumed-{kind}"
     words = [sys.executable, "-m", "needlefit", *find_words(kind, out, jobs=2), "-q"]

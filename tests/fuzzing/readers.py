@@ -131,8 +131,10 @@ def _content(path: Path) -> object:
 
 def _checkpoint(folder: Path) -> object:
     kept = _late("project.checkpoint.open_checkpoint")(folder, True, seeds.WORK)
-    blocks = _late("inference.sampling.sample.Snapshots")(kept, "fold").blocks()
-    return _late("inference.fit.read_starts")(kept, "fit"), kept.rows("rows"), list(blocks)
+    chain, row = kept.open_file("chain", ("failures", "failed"))
+    if row:
+        import_module("emcee").backends.HDFBackend(chain).get_last_sample()
+    return _late("inference.fit.read_starts")(kept, "fit"), kept.rows("rows"), row
 
 
 def _rows(path: Path) -> object:
@@ -246,7 +248,6 @@ READERS: dict[str, Reader] = {
     "reconstruction": _configs("reconstruction.ReconstructionRecord", "reconstruction", "reconstruction"),
     "medium": Reader(_medium, partial(project_files, "configs/media/*.toml", "medium.toml")),
     "dataset": Reader(_dataset, seeds.datasets, 40),
-    "compression": Reader(partial(_call, "datasets.compression.read_compression"), seeds.compression),
     "markers": Reader(partial(_call, "imaging.markers.read_markers"), seeds.markers),
     "scans": Reader(partial(_call, "imaging.scans.read_scans"), seeds.scans, 40),
     "markups": Reader(_import, seeds.markups),

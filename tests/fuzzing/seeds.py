@@ -79,15 +79,6 @@ def datasets() -> list[Seed]:
     return [plain, own, checked, surfaces, long, tracks]
 
 
-def compression() -> list[Seed]:
-    from compression_cases import gel_file
-
-    forces = "specimen,displacement_mm,force_n,height_mm,area_mm2\n" + "".join(
-        f"a,{0.1 * k:.1f},{0.02 * k * k:.4f},20,314\n" for k in range(30)
-    )
-    return [saved("test.csv", gel_file), one_file("test.csv", forces)]
-
-
 # ---- files of other programs
 
 SCHEMA = "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema"
@@ -367,11 +358,11 @@ WORK = {"study": "fuzzed", "seed": 1}
 
 
 def checkpoints() -> list[Seed]:
-    """The checkpoint of a run: starts that have ended, rows, and the sampler's snapshots."""
+    """The checkpoint of a run: starts that have ended, rows, and the sampler's chain."""
+    import emcee
     import numpy as np
 
     from needlefit.inference.fit import Start, keep_start
-    from needlefit.inference.sampling.sample import Block, Snapshots
     from needlefit.project.checkpoint import open_checkpoint
 
     def write(folder: Path) -> None:
@@ -379,11 +370,14 @@ def checkpoints() -> list[Seed]:
         for n in range(3):
             keep_start(kept, "fit", Start(n, (0.1, 0.2), (0.11, 0.21), 3.5, 40, 0, "tolerance"))
             kept.keep_row("rows", {"insertion": f"a-{n}", "te_mm": 0.1 + n})
-        state = np.random.RandomState(1).get_state()
-        counts = np.ones((2, 4), np.int64)
-        block = Block(np.ones((2, 3, 4, 2)), np.ones((2, 3, 4)), counts, state, 0, ((), ()))
-        for n in range(2):
-            Snapshots(kept, "fold").keep(n, block)
+        file, _ = kept.open_file("chain", ())
+        chain = emcee.backends.HDFBackend(file)
+        chain.reset(4, 2)
+        state = emcee.State(np.ones((4, 2)), np.ones(4), random_state=np.random.RandomState(1).get_state())
+        for _ in range(2):
+            chain.grow(1, None)
+            chain.save_step(state, np.ones(4, dtype=bool))
+            kept.keep_file("chain", {"failures": 0, "failed": []})
 
     return [written(write, "run.partial")]
 

@@ -1,82 +1,19 @@
-"""mu and alpha from compression tests, what a test cannot tell, and the prior that fits take from it."""
+"""Priors of a layer's mu and alpha: their density, what is refused, and the layer that takes one."""
 
 import math
 
 import numpy as np
 import pytest
-from compression_cases import MU, specimen
 from inference_cases import TRUTH, insertion, measure, medium, problem
 from refusals import refusal
 from test_inference_identify import FINE, fit_at
 
-from needlefit.errors import ConfigError, FitError
+from needlefit.errors import ConfigError
 from needlefit.inference.identifiability.identify import identify
-from needlefit.inference.material import (
-    MaterialEstimate,
-    MaterialFoundation,
-    fit_specimen,
-    make_material_prior,
-    pool,
-    set_material_prior,
-)
 from needlefit.inference.parameters import Parameters
 from needlefit.project.toml import check
 from needlefit.schemas.medium import MaterialRecord, MediumRecord, PriorRecord
-
-T_2, NORMAL = 4.302653, 1.959964  # Student's and the normal quantile of 97.5 %, two degrees of freedom
-
-
-@pytest.mark.parametrize("alpha", [-20.0, -4.7, -1.0, 0.0, 1.0, 9.0, 25.0])
-@pytest.mark.parametrize("kind", ["nominal", "true"])
-def test_exact_curves_give_back_their_mu_and_alpha(alpha, kind):
-    fit = fit_specimen(specimen(alpha, measure=kind), kind)
-    assert fit.alpha == pytest.approx(alpha, abs=1e-6) and fit.mu == pytest.approx(MU, rel=1e-6)
-    assert fit.identified and fit.sds[1] < 1e-3
-
-
-def test_shallow_tests_mirror_images_and_wrong_signs_determine_nothing():
-    fit = fit_specimen(specimen(3.0, 0.995, 0.02), "nominal")
-    assert not fit.identified
-    ((low, high),) = fit.profile.regions
-    assert low < -10 and high > 15
-    fit = fit_specimen(specimen(-20.0, 0.7, 0.01), "nominal")
-    assert not fit.identified and len(fit.profile.regions) == 2
-    (low, high), (low_too, high_too) = fit.profile.regions
-    assert low < -20 < high < low_too < 40 < high_too
-    assert sorted([fit.alpha, *fit.other_alphas]) == pytest.approx([-20, 40], abs=0.5)
-    wrong = specimen(1.0)
-    with pytest.raises(FitError, match="no positive mu"):
-        fit_specimen(type(wrong)("gel", wrong.stretch, -wrong.stress), "nominal")
-
-
-def test_three_specimens_predict_a_fourth_and_one_does_not_determine_the_spread():
-    estimates = [np.array([0.0, 1.0]), np.array([0.0, 2.0]), np.array([0.3, 3.0])]
-    within = np.diag([0.01, 0.25])
-    mean, between, covariance = pool(estimates, [within] * 3)
-    assert mean == pytest.approx([0.1, 2.0])
-    few = T_2 / NORMAL
-    assert covariance == pytest.approx(few**2 * 4 / 3 * np.array([[0.03, 0.15], [0.15, 1.0]]), rel=1e-5)
-    spread = np.array([[0.02, 0.15], [0.15, 0.75]])  # its determinant is below 0: cut at 0
-    assert np.linalg.eigvalsh(between)[0] == pytest.approx(0.0, abs=1e-12)
-    assert np.linalg.eigvalsh(between)[1] == pytest.approx(np.linalg.eigvalsh(spread)[1])
-    mean, between, covariance = pool([np.array([0.0, 1.0])], [np.eye(2)])
-    assert mean.tolist() == [0, 1] and np.isnan(between).all() and covariance.tolist() == np.eye(2).tolist()
-
-
-def material() -> MaterialEstimate:
-    covariance = np.array([[0.04, -0.05], [-0.05, 0.25]])
-    return MaterialEstimate((), ("a", "b"), np.array([math.log(0.02), 3.0]), np.zeros((2, 2)), covariance)
-
-
-def test_alpha_carries_over_and_mu_only_with_a_stated_factor():
-    alpha, mu = make_material_prior(material(), None)
-    assert (alpha.mean, alpha.sd) == (3.0, 0.5) and mu is None
-    _, mu = make_material_prior(material(), MaterialFoundation(0.2, 5.0))
-    sd = math.hypot(0.2, math.log(5))
-    assert mu.median == pytest.approx(4000.0) and mu.factor == pytest.approx(math.exp(sd), rel=1e-5)
-    assert mu.correlation == pytest.approx(-0.05 / (sd * 0.5), rel=1e-5)
-    refusal(ConfigError, "cannot be", MaterialFoundation, 0.2, 1.0)
-
+from needlefit.studies.job import set_material_prior
 
 ALPHA = {"mean": 3.0, "sd": 0.5}
 MODULUS = {"median": 1e5, "factor": math.e, "correlation": 0.5}
