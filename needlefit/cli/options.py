@@ -74,7 +74,6 @@ def _use_plugins(modules: list[str] | None) -> list[str] | None:
 
 _PLUGINS_HELP = "Installed Python module with further tissue laws, file formats, ...; may be repeated."
 _FLAGS = {
-    "sample": "Also sample the posterior (netCDF): takes minutes.",
     "insecure": "Accept a scheduler on another machine without encryption.",
     "reference": "Also write the tables to OUT/reference/NAME/, NAME the run's, to keep under version "
     "control.",

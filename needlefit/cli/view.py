@@ -19,8 +19,6 @@ from needlefit.project.locate import find_view_target
 
 if TYPE_CHECKING:
     from needlefit.project.locate import SpecimenChoice
-    from needlefit.schemas.tracker import TrackerRecord
-    from needlefit.viewer.openigtlink import OpenIGTLinkServer
     from needlefit.viewer.server import AccessControl, LoadingPage
     from needlefit.viewer.steering_page import SteeringPage
     from needlefit.viewer.trials import TrialRegistry
@@ -41,9 +39,6 @@ if TYPE_CHECKING:
         show_default=False,
     ),
     port=option("Port on 127.0.0.1 (0: any free one).", "N", min=0, max=65535),
-    openigtlink=option("Serve OpenIGTLink too (18944 is usual; 0: any free port).", "PORT", min=0, max=65535),
-    openigtlink_host=option("Address on which OpenIGTLink is served.", "HOST"),
-    tracker=option("OpenIGTLink only: registration and errors of the tracker (TOML).", "FILE"),
     browser=options.flag("Open the page, or only print its address.", "--browser/--no-browser"),
 )
 def view(
@@ -52,9 +47,6 @@ def view(
     recording: Path | None = None,
     specimen: Literal["new", "same"] | None = None,
     port: int = 0,
-    openigtlink: int | None = None,
-    openigtlink_host: str = "127.0.0.1",
-    tracker: Path | None = None,
     browser: bool = True,
 ) -> None:
     """Steer a needle by hand in the browser.
@@ -65,7 +57,6 @@ def view(
     if recording is not None and target is not None:
         raise typer.BadParameter("the recording names its target: leave it out", param_hint="TARGET")
     out = context.find_root().obj.out
-    record = _read_tracker(openigtlink, tracker)
     require_writable(out / "view")
     if target is not None:
         find_view_target(target)  # a wrong name ends it before a page opens
@@ -79,9 +70,7 @@ def view(
         show(f"Reading {recording or target or 'the scene'}")
         trials = _trials(context.find_root().obj, target, recording, out / "view", specimen or "shown")
         begun.append(trials)
-        if record is None:
-            return SteeringPage(trials)
-        return SteeringPage(trials, _openigtlink(record, trials, openigtlink_host, openigtlink or 0))
+        return SteeringPage(trials)
 
     from needlefit.viewer.server import LoadingPage
 
@@ -113,54 +102,11 @@ def _server() -> Callable[..., "Coroutine[None, None, None]"]:
     try:
         from needlefit.viewer.server import serve
     except ModuleNotFoundError as error:
-        raise _explain_missing(error, "aiohttp", "the page", "view") from None
+        if (error.name or "").partition(".")[0] != "aiohttp":
+            raise
+        what = "the page needs aiohttp, which is not installed"
+        raise ConfigError(what, fix="pip install 'needlefit[view]'") from None
     return serve
-
-
-def _explain_missing(error: ModuleNotFoundError, package: str, user: str, extra: str) -> Exception:
-    """Return the error of a package that is not installed; any other stays as it is."""
-    if (error.name or "").partition(".")[0] != package:
-        return error
-    what = f"{user} needs {package}, which is not installed"
-    return ConfigError(what, fix=f"pip install 'needlefit[{extra}]'")
-
-
-def _read_tracker(port: int | None, path: Path | None) -> "TrackerRecord | None":
-    """Return the tracker's file; None without OpenIGTLink."""
-    if port is None:
-        if path is not None:
-            raise typer.BadParameter("it is used with --openigtlink alone", param_hint="--tracker")
-        return None
-    from needlefit.project.toml import load
-    from needlefit.schemas.tracker import TrackerRecord
-
-    if path is None:
-        raise ConfigError(
-            "the tracker is not registered",
-            where="--openigtlink",
-            expected="--tracker FILE with tracker_to_ras, or with markers",
-            fix="where transforms are in RAS already, give the identity as tracker_to_ras",
-        )
-    return load(path, TrackerRecord)
-
-
-def _openigtlink(
-    record: "TrackerRecord", trials: "TrialRegistry", host: str, port: int
-) -> "OpenIGTLinkServer":
-    from needlefit.viewer.tracking import TrackedTrial
-
-    try:
-        from needlefit.viewer.openigtlink import OpenIGTLinkServer
-    except ModuleNotFoundError as error:
-        raise _explain_missing(error, "pyigtl", "OpenIGTLink", "view,openigtlink") from None
-    tracked = TrackedTrial(record, trials)
-    if tracked.registration_error is not None:
-        screen.print_note(
-            f"needlefit: markers registered within {tracked.registration_error:.2f} mm (root mean square)"
-        )
-    if host not in ("127.0.0.1", "localhost", "::1"):
-        screen.print_note(f"needlefit: whoever reaches {host} can move the needle of the page: no password")
-    return OpenIGTLinkServer(tracked, host, port)
 
 
 def _trials(
@@ -193,6 +139,4 @@ async def _until_stopped(page: "LoadingPage") -> None:
     await asyncio.wait((waiting, loading), return_when=asyncio.FIRST_COMPLETED)
     if page.error is not None:
         raise page.error
-    if page.loaded is not None and (server := page.loaded.openigtlink) is not None:
-        screen.print_note("needlefit: OpenIGTLink at {}:{}; research use only".format(*server.address))
     await waiting

@@ -227,9 +227,7 @@ class LoadingPage:
             self._stage = stage
 
         try:
-            loaded = await asyncio.to_thread(self._load, show)
-            await loaded.begin()
-            self.loaded = loaded
+            self.loaded = await asyncio.to_thread(self._load, show)
         except Exception as error:  # the server ends with it
             self.error = error
         self.ended.set()
