@@ -7,7 +7,7 @@ the processor time that it took, goes on with --resume after each, and compares 
 timing.json. After five kills a run is left to end; when it has ended another is begun, with other numbers of
 threads in turn.
 Without TARGET: two insertions into chicken, eight starts with approach and second fit, and a sampler that
-stops after 300 steps, kept every 20. With --out every kill is written to FOLDER/kills.jsonl, with what had
+stops after 300 steps, kept every 10. With --out every kill is written to FOLDER/kills.jsonl, with what had
 been kept by then; the same command goes on counting there.
 """
 
@@ -33,16 +33,13 @@ MOST = 5
 """Kills of one run, after which it is left to end: on a busy machine it might never."""
 
 RECIPE = """
-schema = 1
+schema = 3
 metric = true
-metric_algorithm = "slsqp"
 starts = 8
-approach = true
 
 [sample]
 walkers = 8
-steps = 300
-every = 20
+densities = 2400
 """
 
 FIT = """
@@ -66,7 +63,7 @@ def small(place: Path) -> str:
 def command(target: str, out: Path, *options: str) -> list[str]:
     """Return the command that tunes and samples."""
     needlefit = [sys.executable, "-m", "needlefit"]
-    return [*needlefit, "tune", target, "--sample", "--quiet", "--json", "--out", str(out), *options]
+    return [*needlefit, "tune", target, "--quiet", "--json", "--out", str(out), *options]
 
 
 def spent(process: int) -> float:
@@ -103,7 +100,7 @@ def contents(out: Path) -> dict[str, bytes]:
 
 def kept(out: Path) -> str:
     """Return how far a killed run had come, by what its checkpoint holds."""
-    blocks = list(out.glob("*.partial/*.posterior/*.checkpoint"))
+    blocks = list(out.glob("*.partial/*.h5"))
     starts = sum(path.read_text().count("{") for path in out.glob("*.partial/*.jsonl"))
     return "sampling" if blocks else "starts ended" if starts else "nothing kept yet"
 

@@ -1,6 +1,6 @@
 """NIST's nonlinear regression problems by every search algorithm, through the shells that fit needles.
 
-    python benchmarks/nist.py [--algorithms sbplx bobyqa ...] [--levels lower average] [--evaluations 20000]
+    python benchmarks/nist.py [--algorithms leastsquares slsqp ...] [--levels lower] [--evaluations 20000]
 
 Digits of the worst parameter that agree with the certified ones (11 at most), by set, start and algorithm. A
 bracket marks an end that the search itself calls no success, an exclamation mark a miss that it calls one: an
@@ -18,8 +18,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 from nist_cases import LEVELS, Regression, attained, ended, regressions
 
-VALUES = ("sbplx", "bobyqa", "cobyla", "neldermead", "praxis", "crs2", "bobyqa+neldermead")
-GRADIENTS = ("slsqp", "lbfgs", "var2", "tnewton", "mma", "ccsaq")
+from needlefit.inference.optimize import ALGORITHMS
+
 DIGITS = 6
 
 
@@ -40,7 +40,7 @@ def cell(one: Regression, start: int, algorithm: str, evaluations: int) -> tuple
 def main() -> None:
     """Search, print the table as it grows, then the sums."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--algorithms", nargs="+", default=["leastsquares", *GRADIENTS, *VALUES])
+    parser.add_argument("--algorithms", nargs="+", default=list(ALGORITHMS))
     parser.add_argument("--levels", nargs="+", default=["lower", "average"])
     parser.add_argument("--evaluations", type=int, default=20_000)
     options = parser.parse_args()

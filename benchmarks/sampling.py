@@ -1,38 +1,24 @@
-"""How long a posterior takes by the rule of convergence, by which moves, and where the time goes.
+"""How many independent draws the sampler gets from a density, by its own moves and by emcee's.
 
-    OPENBLAS_NUM_THREADS=1 python benchmarks/sampling.py [--json] [--targets study1 study2] [--moves stretch]
-        [--seeds 1 2] [--depths fixed] [--jobs 2] [--pool]
+    OPENBLAS_NUM_THREADS=1 python benchmarks/sampling.py [--targets study2 phantom1] [--densities 20000]
+        [--moves default stretch de] [--jobs 2]
 
-Each target, a study or a fit, is fitted first, which is not counted. Seconds are those of `sample`, and its
-shares those of the processor time of all threads: of the kernel, of the likelihood around it, of the rule
-(R-hat, autocorrelation), and of emcee with the moves and all else. `--depths fixed` takes depths of layers as
-given, which costs a ninth for four layers: for comparing moves.
-
-`--pool` says besides what the same evaluations of the likelihood would cost in a pool of two processes, with
-the needle simulated by NumPy and `solveh_banded` (`full_needle`): extrapolated from one evaluation in each
-process, to whole millimetres of depth, and without what follows the simulation.
+Each target, a study or a fit (`stereo` needs NEEDLEFIT_REAL_DATA), is fitted and sampled by importance first,
+which is not counted. Every run spends all its densities, whatever has converged. `per_1000` is the number of
+independent draws of the slowest quantity, of all walkers, for 1000 densities; `ms` the processor time of one.
 """
 
 import argparse
-import json
-import multiprocessing
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
 
 import numpy as np
-from full_needle import FullNeedle
+from emcee import moves
 
 from needlefit.errors import ConfigError
 from needlefit.inference.fit import Callbacks
-from needlefit.inference.forward_model import make_batch
 from needlefit.inference.optimize import minimize
-from needlefit.inference.problem import Problem
 from needlefit.inference.sampling import sample as sampler
-from needlefit.mechanics import native
-from needlefit.mechanics.batch import Batch
+from needlefit.inference.sampling.importance import sample_about_fit
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import load
@@ -40,119 +26,16 @@ from needlefit.schemas.recipe import SampleRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.job import Job, Settings, prepare
 
-DEFAULT = SampleRecord().moves
-POOL = 2  # processes
+MOVES = {
+    "default": None,
+    "stretch": [(moves.StretchMove(), 1.0)],
+    "de": [(moves.DEMove(), 1.0)],
+    "de+snooker": [(moves.DEMove(), 0.8), (moves.DESnookerMove(), 0.2)],
+}
 
 
-@dataclass
-class Clock:
-    """Processor seconds spent in what it is wrapped around, and how often that was called."""
-
-    seconds: dict[str, float] = field(default_factory=dict)
-    sets: int = 0
-
-    @contextmanager
-    def around(self, place: object, function: str, name: str, now: Callable[[], float]) -> Iterator[None]:
-        """Time one function of a module."""
-        original = getattr(place, function)
-
-        def timed(*arguments, **named):
-            begin = now()
-            try:
-                return original(*arguments, **named)
-            finally:
-                self.seconds[name] = self.seconds.get(name, 0.0) + now() - begin
-
-        setattr(place, function, timed)
-        try:
-            yield
-        finally:
-            setattr(place, function, original)
-
-
-@dataclass(frozen=True)
-class Timed:
-    """A problem whose densities are timed and counted."""
-
-    problem: Problem
-    clock: Clock
-
-    def log_posteriors(self, thetas, jobs):
-        begin = time.process_time()
-        found = self.problem.log_posteriors(thetas, jobs)
-        self.clock.seconds["density"] = self.clock.seconds.get("density", 0.0) + time.process_time() - begin
-        self.clock.sets += len(thetas)
-        return found
-
-    def __getattr__(self, name: str):
-        return getattr(self.problem, name)
-
-
-def measure(
-    job: Job, problem: Problem, ends, settings: SampleRecord, seed: int, jobs: int
-) -> dict[str, object]:
-    """Return one row: a target sampled by these moves."""
-    clock = Clock()
-    rng = random_stream(seed, job.name, "posterior")
-    begin, begin_processor = time.perf_counter(), time.process_time()
-    with (
-        clock.around(native, "simulate", "kernel", time.thread_time),
-        clock.around(sampler, "convergence", "rule", time.process_time),
-        clock.around(sampler, "autocorrelation_times", "rule", time.process_time),
-    ):
-        got = sampler.sample(Timed(problem, clock), ends, settings, rng, Callbacks(jobs=jobs))
-    seconds, processor = time.perf_counter() - begin, time.process_time() - begin_processor
-    shares = dict(clock.seconds)
-    shares["likelihood"] = shares.pop("density") - shares["kernel"]
-    shares["emcee_and_else"] = processor - sum(shares.values())
-    return {
-        "target": job.name,
-        "insertions": len(problem.insertions),
-        "moves": settings.moves,
-        "seed": seed,
-        "steps": got.burn_in + got.steps,
-        "burn_in": got.burn_in,
-        "longest_tau": round(float(got.convergence.tau.max()), 1),
-        "acceptance": round(float(np.mean(got.acceptance)), 2),
-        "fewest_draws": round(float(min(got.convergence.ess_bulk.min(), got.convergence.ess_tail.min()))),
-        "converged": got.converged,
-        "seconds": round(seconds, 1),
-        "processor_seconds": round(processor, 1),
-        **{name: f"{100 * part / processor:.1f} %" for name, part in sorted(shares.items())},
-        "evaluations": clock.sets,
-    }
-
-
-def measure_pool(problem: Problem, theta, evaluations: int) -> dict[str, object]:
-    """Return what these evaluations would take in processes that simulate with `solveh_banded`, hours."""
-    values = [problem.values(theta)]
-    medium, needle = problem.medium, problem.dataset.needle
-    batches = [
-        make_batch(values, medium, needle, replace(insertion, depth=float(round(insertion.depth))))
-        for known in problem.density.observations
-        for insertion in known.nodes.insertions
-    ]
-    with ProcessPoolExecutor(POOL, mp_context=multiprocessing.get_context("spawn")) as workers:
-        spent = list(workers.map(_simulate, [batches] * POOL))
-    each = float(np.mean(spent))
-    return {
-        "evaluation_s": round(each, 2),
-        "processes": POOL,
-        "hours": round(each * evaluations / POOL / 3600, 1),
-    }
-
-
-def _simulate(batches: list[Batch]) -> float:
-    """Return the processor time of one evaluation; runs in another process."""
-    begin = time.process_time()
-    for batch in batches:
-        needle, tissue, (step,), rules = batch.pick(0)
-        full = FullNeedle(needle, tissue, step, rules.tolerance)
-        full.insertion(lambda *a, full=full: full.banded(*a))
-    return time.process_time() - begin
-
-
-def _job(target: str) -> Job:
+def prepare_target(target: str) -> Job:
+    """Return the fit of a target, or of the study of this name."""
     try:
         record = load(find_file("study", target), StudyRecord).tuning()
     except ConfigError:
@@ -161,38 +44,36 @@ def _job(target: str) -> Job:
 
 
 def main() -> None:
-    """Print the table."""
+    """Print a row for each target and kind of moves."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--json", action="store_true")
-    parser.add_argument("--targets", nargs="+", default=["study1", "study2"])
-    parser.add_argument("--moves", nargs="+", default=[DEFAULT, "0.8*de + 0.2*stretch"])
-    parser.add_argument("--seeds", nargs="+", type=int, default=[1])
-    parser.add_argument("--depths", choices=["fixed", "linear", "quadrature"], default="linear")
+    parser.add_argument("--targets", nargs="+", default=["study2", "phantom1", "stereo"])
+    parser.add_argument("--densities", type=int, default=20_000)
+    parser.add_argument("--moves", nargs="+", choices=MOVES, default=list(MOVES))
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--pool", action="store_true")
     options = parser.parse_args()
-
-    def show(row: dict[str, object]) -> None:
-        print(json.dumps(row) if options.json else "  ".join(f"{k} {v}" for k, v in row.items()), flush=True)
-
+    # more draws than any run gets: none ends before its densities are spent
+    settings = SampleRecord(independent_draws=10**9, densities=options.densities)
+    print(f"{'target':10} {'moves':12} {'steps':>6} {'tau':>7} {'acceptance':>10} {'per_1000':>9} {'ms':>6}")
     for target in options.targets:
-        job = _job(target)
-        (fold,) = job.folds
-        problem = job.problem(fold)
-        problem = replace(
-            problem, likelihood=problem.likelihood.model_copy(update={"depths": options.depths})
-        )
-        fit = minimize(problem, job.recipe, random_stream(1, target, "starts"), Callbacks(jobs=options.jobs))
-        for moves in options.moves:
-            for seed in options.seeds:
-                settings = job.recipe.sample.model_copy(update={"moves": moves})
-                row = measure(job, problem, fit.theta, settings, seed, options.jobs)
-                show(row)
-        if options.pool:
-            show(
-                {"target": target, "method": "solveh_banded"}
-                | measure_pool(problem, fit.theta, row["evaluations"])
-            )
+        job = prepare_target(target)
+        problem = job.problem(job.folds[0])
+        stream = random_stream(job.recipe.seed, target, "starts")
+        fit = minimize(problem, job.recipe, stream, Callbacks(jobs=options.jobs))
+        begin = sample_about_fit(problem, fit, random_stream(1, target, "importance"), options.jobs)
+        for name in options.moves:
+            own = sampler.make_moves
+            if MOVES[name] is not None:
+                sampler.make_moves = lambda _, name=name: MOVES[name]
+            clock = time.process_time()
+            rng = random_stream(1, target, "posterior")
+            found = sampler.sample(problem, begin, settings, rng, Callbacks(jobs=options.jobs))
+            spent = time.process_time() - clock
+            sampler.make_moves = own
+            steps, tau = found.draws.shape[1], float(np.max(found.tau))
+            draws, densities = float(np.min(found.ess)), steps * len(found.draws)
+            accepted, each = float(np.mean(found.acceptance)), 1000 * spent / densities
+            row = f"{target:10} {name:12} {steps:6d} {tau:7.1f} {accepted:10.2f}"
+            print(f"{row} {1000 * draws / densities:9.1f} {each:6.2f}", flush=True)
 
 
 if __name__ == "__main__":

@@ -26,14 +26,7 @@ from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord
 
-SEARCHES = (
-    "leastsquares",
-    "slsqp",
-    "lbfgs",
-    "var2",
-    "bobyqa+neldermead",
-    "crs2+leastsquares",
-)
+SEARCHES = ("leastsquares", "slsqp", "sbplx", "neldermead+leastsquares")
 APPROACH = "leastsquares, approach"
 SUCCESS = 0.1
 

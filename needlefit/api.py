@@ -1,14 +1,15 @@
 """Fit, sample, predict and validate from Python; each returns a `Run`, as the commands write it.
 
 Inputs are names (of what ships, or lies in the working folder), paths, or records, tables and datasets in
-memory. Nothing is written but by `Run.save`, and with `checkpoint`.
+memory. Nothing is written but by `Run.save`, `write_prior`, and with `checkpoint`.
 """
 
+import math
 import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import fields, replace
 from pathlib import Path
@@ -16,9 +17,11 @@ from typing import Any, TypedDict, TypeVar, Unpack
 
 import numpy as np
 
+from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
+from needlefit.inference.parameter_changes import change_parameters
 from needlefit.project.checkpoint import remove_checkpoint
 from needlefit.project.input_files import is_dir
 from needlefit.project.json_values import to_json_values
@@ -26,13 +29,13 @@ from needlefit.project.locate import FileKind, find_file, find_run, find_studies
 from needlefit.project.processes import count_cores
 from needlefit.project.progress import Progress, Stop, never_stop, no_progress
 from needlefit.project.tasks import THIS_PROCESS, TaskPool
-from needlefit.project.toml import add_file_context, check, load
+from needlefit.project.toml import add_file_context, check, dumps, load
 from needlefit.schemas.base import FileRecord
-from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.medium import MaterialRecord, MediumRecord, spell_parameter
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.studies.job import Inputs, Settings, prepare, set_priors
+from needlefit.studies.job import Inputs, Settings, change_fit, prepare, set_priors
 from needlefit.studies.kind import find_kind, kind_of
 from needlefit.studies.kinds.prediction import require_same_configuration
 from needlefit.studies.run import Run
@@ -86,12 +89,18 @@ class FitChanges(RunOptions, total=False):
     recipe : str, Path, RecipeRecord or table
         How to search and sample; a table changes keys of the recipe `default`: `{"starts": 4}`.
     priors : mapping
-        By number of the layer: the file that `needlefit material` wrote.
+        By number of the layer: the file that `write_prior` wrote.
+    free : sequence of str
+        Parameters to estimate although the model fixes or ties them: `["alpha1"]`.
+    fix : mapping
+        Parameters to hold at a value, in Pa, mm or degrees: `{"mu1": 4e3, "b": 0.1}`.
     """
 
     tune: Table
     recipe: Name | RecipeRecord | Table
     priors: Mapping[int, Name]
+    free: Sequence[str]
+    fix: Mapping[str, float]
 
 
 def load_dataset(name: Name) -> Dataset:
@@ -111,6 +120,34 @@ def load_dataset(name: Name) -> Dataset:
     ('synthetic', 47)
     """
     return read(find_file("dataset", _spell(name)))
+
+
+def make_twin(folder: Name, seed: int, media: Sequence[str] = ()) -> Dataset:
+    """Write the synthetic dataset of another seed to `folder`, and return it.
+
+    It is measured as a scan would, but not rendered: a second for two insertions.
+
+    Parameters
+    ----------
+    folder : str or Path
+        A new folder for its files.
+    seed : int
+        Of specimens, bevels and errors of measurement; the plan of the 47 insertions is the same.
+    media : sequence of str
+        Insertions into these media only, such as `["chicken"]`.
+
+    Raises
+    ------
+    ConfigError
+        If there is no insertion into such a medium.
+    """
+    from needlefit.synthetic.build import build_unscanned
+    from needlefit.synthetic.design import list_planned_insertions
+
+    plan = [one for one in list_planned_insertions() if not media or one.medium in media]
+    if missing := set(media) - {one.medium for one in plan}:
+        raise ConfigError(f"the twin has no insertions into {', '.join(sorted(missing))}")
+    return read(build_unscanned(Path(folder), seed, plan))
 
 
 def load_run(folder: Name, unverified: bool = False) -> Run:
@@ -166,7 +203,7 @@ def sample(
     medium: Medium | None = None,
     **options: Unpack[FitChanges],
 ) -> Run:
-    """Fit as `fit`, then sample the posterior.
+    """Fit as `fit`, then sample the posterior by MCMC, as `needlefit tune` does.
 
     Parameters
     ----------
@@ -240,15 +277,13 @@ def predict(
     return _run(record, f"predict-{about}-{stem}", Settings(inputs=inputs), options)
 
 
-def validate(study: Name | FileRecord | Table, sample: bool = False, **options: Unpack[RunOptions]) -> Run:
+def validate(study: Name | FileRecord | Table, **options: Unpack[RunOptions]) -> Run:
     """Run a study of any kind: fit and score held-out insertions, or whatever else its file asks.
 
     Parameters
     ----------
     study : str, Path, record or table
         A name such as `study3`, a path, or the keys of a study file.
-    sample : bool
-        Whether to sample the posteriors too.
 
     Raises
     ------
@@ -273,7 +308,38 @@ def validate(study: Name | FileRecord | Table, sample: bool = False, **options: 
                 fix=f"run them one by one: {', '.join([name, *(other for other, _ in others)])}",
             )
         record = load_study(file)
-    return _run(record, name, Settings(sample=sample, file=file), options)
+    return _run(record, name, Settings(file=file), options)
+
+
+def write_prior(
+    file: Name, mean: Floats, covariance: Floats, foundation: tuple[float, float] | None = None
+) -> Path:
+    """Write the prior of a layer that fits read, and return its path: `priors = { 1 = "prior.toml" }`.
+
+    Parameters
+    ----------
+    file : str or Path
+        The TOML file.
+    mean, covariance : array, (2,) and (2, 2)
+        Of ln mu (mu in Pa) and alpha of the tissue, as from compression tests.
+    foundation : (float, float), optional
+        The model's mu over the shear modulus of the tissue, and the factor within which that is known, at
+        one standard deviation. Without it the prior is of alpha alone.
+    """
+    (log_mu, alpha), covariance = mean, np.asarray(covariance)
+    sd_log_mu, sd = np.sqrt(np.diag(covariance))
+    priors = {"alpha": {"mean": alpha, "sd": sd}}
+    if foundation is not None:
+        factor, wide = foundation[0], math.hypot(sd_log_mu, math.log(foundation[1]))
+        # a correlation of exactly 1 would make the covariance singular
+        correlation = np.clip(covariance[0, 1] / (wide * sd), -0.99, 0.99)
+        median = factor * math.exp(log_mu)
+        priors["mu_pa"] = {"median": median, "factor": math.exp(wide), "correlation": correlation}
+    stated = {name: {key: float(f"{x:.6g}") for key, x in one.items()} for name, one in priors.items()}
+    tables = {"schema": MaterialRecord.SCHEMA, **stated}
+    check(tables, MaterialRecord, str(file))
+    Path(file).write_text(dumps(tables), encoding="utf-8")
+    return Path(file)
 
 
 def _fit(target: Name | Dataset | Run, medium: Medium | None, options: FitChanges, sample: bool) -> Run:
@@ -318,11 +384,14 @@ def _change_fit(record: FitRecord, inputs: Inputs, options: FitChanges) -> tuple
     if "recipe" in options:
         recipe, changes["recipe"] = _read_recipe(options["recipe"])
         inputs = replace(inputs, recipe=recipe)
-    if not changes:
-        return record, inputs
     record = check(_plain(record, changes), type(record), "needlefit.fit")
-    if "priors" in options and inputs.medium is not None:
-        inputs = replace(inputs, medium=set_priors(inputs.medium, record.priors))
+    free, fix = options.get("free", ()), options.get("fix", {})
+    record = change_fit(record, free, fix, "needlefit.fit")
+    if inputs.medium is not None:
+        medium = set_priors(inputs.medium, record.priors if "priors" in options else {})
+        values = {name: record.fix[name] for name in map(spell_parameter, fix)}
+        medium = change_parameters(medium, [*map(spell_parameter, free)], values)
+        inputs = replace(inputs, medium=medium)
     return record, inputs
 
 

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pandas as pd
 
-from needlefit.inference.sampling.posterior import Convergence, Posterior
+from needlefit.inference.sampling.posterior import Posterior
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies import paper
 from needlefit.studies.fit_frames import COLUMNS
@@ -128,7 +128,9 @@ def parameters(layers: int, fold: int, undetermined: bool, methods: tuple[str, .
             scale = value if kind == "mu" else 1.0
             row |= {key: KINDS[kind][key] * scale if free else NO for key in ("low", "high")}
             row |= {"interval_low": value / 1.2 if free else NO, "interval_high": value * 1.2 if free else NO}
-            row |= {"draw_source": "importance" if free else "", "determined": known, "condition": ""}
+            row |= {f"importance_{end}": row[f"interval_{end}"] for end in ("low", "high")}
+            row |= {"median": value if free else NO, "draw_source": "importance" if free else ""}
+            row |= {"determined": ("yes" if known else "no") if free else "", "condition": ""}
             rows.append(row | {"note": note})
     return rows
 
@@ -333,11 +335,9 @@ def with_draws(results: Run, count: int = 200) -> Run:
 def sampled(low: float, high: float, r_hat: float = 1.0) -> Run:
     """Study 5 with b drawn evenly between two bounds; the fit ended at 0.0847 mm."""
     draws = np.tile(np.linspace(low, high, 400), 4).reshape(4, 400, 1)
-    many = np.full((4, 1), 500.0)
-    convergence = Convergence(("bevel_mm",), np.array([r_hat]), np.ones((4, 1)), many, many, 100)
     acceptance, nothing = np.array([0.3, 0.4, 0.3, 0.4]), np.zeros((4, 400))
-    names = ("bevel_mm",)
-    posterior = Posterior(names, draws, nothing, 4, "stretch", acceptance, convergence, 10, 0, False)
+    diagnostics = np.array([r_hat, 1.0]), np.ones(2)
+    posterior = Posterior(("bevel_mm",), draws, nothing, acceptance, *diagnostics, 400, 10, 0)
     one = study(5)
     fold = str(one.frames["parameters"]["fold"].iloc[0])
     return replace(one, posteriors={fold: posterior})

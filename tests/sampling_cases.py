@@ -1,13 +1,20 @@
-"""Densities whose moments are known, evaluated many at a time, and the settings to sample them."""
+"""Densities whose moments are known, evaluated many at a time, and how to weigh and sample them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from needlefit.inference.fit import Callbacks
+from needlefit.inference.sampling.importance import Effort, WeightedDraws, sample_by_importance
+from needlefit.inference.sampling.log_density import Evaluator, approximate_by_laplace
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import sample
+from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint
 from needlefit.schemas.recipe import SampleRecord
+
+EFFORT = Effort(draws=1000, min_ess=1000)
+UNCERTIFIED = Effort(draws=1000, rounds=2, min_ess=1e9)
 
 
 @dataclass(frozen=True)
@@ -33,8 +40,8 @@ class Known:
     def log_posteriors(self, thetas: np.ndarray, jobs: int) -> np.ndarray:
         return self.log_density(thetas)
 
-    def values(self, theta: np.ndarray) -> dict[str, float]:
-        return dict(zip(self.names, theta.tolist(), strict=True))
+    def tabulate_values(self, thetas: np.ndarray) -> np.ndarray:
+        return thetas
 
 
 def gaussian(covariance: np.ndarray, mean: np.ndarray | float = 0.0) -> Callable[[np.ndarray], np.ndarray]:
@@ -55,13 +62,28 @@ def two_hills(x: np.ndarray) -> np.ndarray:
     )
 
 
-def settings(**changed: object) -> SampleRecord:
-    return SampleRecord.model_validate({"steps": 8000, "check_interval": 100, **changed})
+def weighted(
+    known: Known, modes: object = None, effort: Effort = EFFORT, seed: int = 1, uniform: object = None
+) -> WeightedDraws:
+    ends = np.atleast_2d(np.zeros(known.dimensions) if modes is None else modes)
+    evaluator, bounds = Evaluator(known, 1), (known.lower, known.upper)
+    about = [approximate_by_laplace(evaluator, end, *bounds) for end in ends]
+    marked = None if uniform is None else np.asarray(uniform)
+    return sample_by_importance(evaluator, about, bounds, np.random.default_rng(seed), (effort,), marked)
 
 
-def draw(problem: Known, ends: object = None, seed: int = 1, **changed: object) -> Posterior:
-    begin = np.zeros(problem.dimensions) if ends is None else ends
-    return sample(problem, begin, settings(**changed), np.random.default_rng(seed))
+def draw(
+    known: Known,
+    begin: WeightedDraws,
+    callbacks: Callbacks | None = None,
+    checkpoint: Checkpoint = NO_CHECKPOINT,
+    seed: int = 1,
+    **changed: object,
+) -> Posterior:
+    settings = SampleRecord.model_validate(changed)
+    found = sample(known, begin, settings, np.random.default_rng(seed), callbacks, checkpoint, "known")
+    assert found is not None
+    return found
 
 
 def flat(posterior: Posterior) -> np.ndarray:
@@ -70,5 +92,4 @@ def flat(posterior: Posterior) -> np.ndarray:
 
 def standard_errors(posterior: Posterior) -> np.ndarray:
     """Monte Carlo standard errors (P,) of the means, by the independent draws that the posterior claims."""
-    draws = posterior.convergence.ess_bulk.sum(axis=0)[: len(posterior.names)]
-    return flat(posterior).std(axis=0) / np.sqrt(draws)
+    return flat(posterior).std(axis=0) / np.sqrt(posterior.ess[:-1])

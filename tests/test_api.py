@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import needlefit
@@ -23,7 +24,7 @@ from needlefit.studies.kinds import prediction
 
 TUNE = {"insertions": ["chicken-04"]}
 RECIPE = {"starts": 1, "metric": False, "likelihood": {"depths": "fixed"}}
-SAMPLE = {"ensembles": 2, "walkers": 8, "steps": 20, "check_interval": 10}
+SAMPLE = {"walkers": 8, "densities": 160}
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +106,7 @@ def test_a_posterior_goes_to_xarray_and_arviz(sampled):
     assert set(tree.children) == {"posterior", "sample_stats", "convergence"} == set(data.groups())
     for k, name in enumerate(sampled.posterior.names):
         np.testing.assert_array_equal(data.posterior[name], sampled.posterior.draws[:, :, k])
-    assert data.posterior.sizes == {"chain": 2, "draw": sampled.posterior.draws.shape[1]}
+    assert data.posterior.sizes == {"chain": 8, "draw": sampled.posterior.draws.shape[1]}
 
 
 def test_without_arviz_the_error_names_the_extra(sampled, monkeypatch):
@@ -126,6 +127,39 @@ def test_a_notebook_shows_origin_faults_and_tables(fitted, sampled):
     assert "<html" not in html and "<script" not in html
     assert "<table>" in replace(fitted, interrupted=True)._repr_html_()
     assert "&lt;b&gt;" in replace(fitted, dataset_title="<b>")._repr_html_()
+
+
+@pytest.mark.usefixtures("few_draws", "blank_figures")
+def test_a_freed_alpha_is_drawn_and_predicted_with(world, monkeypatch, tmp_path):
+    monkeypatch.chdir(world.folder)
+    monkeypatch.setattr(prediction, "PREDICTION_DRAWS", 100)
+    found = needlefit.fit("gel", free=["alpha1"], fix={"mu2": 1.5e7})
+    assert found.run["study"]["free"] == ["alpha1"] and found.run["study"]["fix"] == {"mu2_pa": 1.5e7}
+    parameters = found.run["medium"]["parameters"]
+    assert parameters["alpha1"]["bounds"] == [-3.0, 5.0] and parameters["mu2_pa"]["fixed"] == 1.5e7
+    row = found.frames["identification"].set_index("parameter").loc["alpha1"]
+    assert row["status"] == "free" and row["sd_ratio"] > 0.9
+    drawn = found.frames["draws"]
+    assert drawn["alpha1"].between(-3, 5).all() and drawn["alpha1"].std() > 1.5
+    assert set(drawn["alpha2"]) == {-1.0} and set(drawn["mu2_pa"]) == {1.5e7}
+    # a bound says nothing of an alpha that may have any value within its bounds
+    assert not [one for one in found.run["warnings"] if "alpha1" in one["what"]]
+    found.save(tmp_path / "run")
+    assert pd.read_csv(tmp_path / "run/corner.csv")["alpha1"].nunique() > 10
+    predicted = needlefit.predict(found, "ahead")
+    assert predicted.kind == "prediction" and len(predicted.frames["forecast"]) > 10
+    with pytest.raises(ConfigError, match="alpha1"):
+        needlefit.fit(found, free=["alpha1"])  # is free there
+
+
+def test_a_fixed_alpha_has_an_interval_by_its_profile(fitted):
+    rows = fitted.frames["identification"].set_index("parameter")
+    one = rows.loc["alpha1"]
+    assert one["status"] == "fixed" and one["value"] == 1.0 and one["sd_ratio"] == pytest.approx(1, abs=0.01)
+    ends = one[["interval_low", "interval_high"]].astype(float).tolist()
+    assert ends == pytest.approx([-2.8, 4.8], abs=0.05)
+    assert 0 <= one["log_posterior_rise"] < 0.1
+    assert rows.loc[["mu1_pa", "bevel_mm"], "log_posterior_rise"].isna().all()
 
 
 @pytest.mark.usefixtures("few_draws")
@@ -154,6 +188,9 @@ def test_a_study_runs_by_name_record_and_table():
         lambda: needlefit.fit("twin", "chicken", tune={"layer": 3}),
         lambda: needlefit.fit("twin", "chicken", recipe={"starts": "many"}),
         lambda: needlefit.fit("twin", {"layers": 1}),
+        lambda: needlefit.fit("twin", "chicken", free=["mu1"]),
+        lambda: needlefit.fit("twin", "chicken", free=["alpha1"], fix={"alpha1": 1.0}),
+        lambda: needlefit.fit("twin", "chicken", fix={"b": "thick"}),
         lambda: needlefit.predict("chicken", "nothing"),
         lambda: needlefit.predict("chicken", {"depth": 1}),
         lambda: needlefit.validate("all"),

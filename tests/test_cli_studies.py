@@ -77,6 +77,33 @@ def test_validate_writes_prints_and_removes_the_checkpoint(stub, capsys):
     assert max(map(len, tables)) <= screen.SCREEN_COLUMNS
 
 
+def test_tune_frees_and_fixes_parameters_of_the_fit(stub, capsys):
+    made = stub(dataclasses.replace(study(1), posteriors={}))
+    assert run("tune", "gel", "--free", "alpha1", "--free", "mu2_pa", "--fix", "b=0.1", "-q") == 0
+    ((_, record, _),) = made.asked
+    assert record.free == ("alpha1", "mu2_pa") and record.fix == {"bevel_mm": 0.1}
+    Path("configs/fits/gel.toml").write_text(FIT + 'free = ["alpha1", "b"]\nfix = { mu1 = 4e3 }\n')
+    assert run("tune", "gel", "--fix", "b=0.1", "-q", "--out", "again") == 0
+    record = made.asked[-1][1]
+    assert record.free == ("alpha1",) and record.fix == {"mu1_pa": 4e3, "bevel_mm": 0.1}
+    assert run("tune", "gel", "--fix", "b") == 2 and "--fix" in capsys.readouterr().err
+    assert run("tune", "gel", "--free", "alpha2", "--fix", "alpha2=1") == 3
+    assert len(made.asked) == 2
+
+
+@pytest.mark.parametrize("more", [(), ("--design",)])
+def test_what_an_option_cannot_free_names_the_option_and_what_a_file_cannot_its_line(tmp_path, capsys, more):
+    assert run("tune", "chicken", "--free", "alpha2", *more, "--out", str(tmp_path)) == 3
+    err = capsys.readouterr().err
+    assert "--free" in err and "alpha1" in err
+    assert run("tune", "chicken", "--fix", "noise_scale=1", *more, "--out", str(tmp_path)) == 3
+    assert "--fix" in capsys.readouterr().err
+    file = tmp_path / "mine.toml"
+    file.write_text(FIT + 'free = ["mu1"]\n')
+    assert run("tune", str(file), "--fix", "b=0.1", *more, "--out", str(tmp_path)) == 3
+    assert "mine.toml:4" in capsys.readouterr().err
+
+
 def test_a_warning_names_its_page_and_with_strict_ends_in_exit_code_5(stub, capsys):
     warned = warnings_entry([ResultWarning("parameter_at_bound", "mu1 lies at its bound")])
     results = study(1)
@@ -183,23 +210,23 @@ def test_a_second_run_is_refused_until_the_results_of_the_first_are_in_place(stu
 
 def test_tune_of_a_study_tunes_only(stub, capsys):
     made = stub(study(1))
-    assert run("tune", "mine", "--sample", "--out", "mine out", "--explain") == 0
+    assert run("tune", "mine", "--out", "mine out", "--explain") == 0
     ((name, record, settings),) = made.asked
     assert (name, type(record), settings.sample) == ("mine-tune", FitRecord, True)
     assert record.medium == "phantom2"
     assert made.written[0][1] == Path("mine out/mine-tune")
     out = capsys.readouterr().out
-    assert re.search(r"^α₁: not determined", out, re.M) and "4 of 8 starts" in out
+    assert "4 of 8 starts" in out
     assert "μ₁ · b^1.9" in out
 
 
-def test_tune_never_prints_what_is_not_determined_as_a_value(stub, capsys):
+def test_tune_gives_every_parameter_a_value_and_says_whether_it_is_determined(stub, capsys):
     stub(study(1))
     assert run("tune", "gel", "--json") == 0
     found = json.loads(capsys.readouterr().out)
     rows = {row["parameter"]: row for row in found["parameters"] if row["method"] == "fitted"}
-    assert rows["alpha1"]["value"] == "not determined" and rows["alpha1"]["determined"] is False
-    assert rows["bevel_mm"]["value"] == "0.0847"
+    assert (rows["alpha1"]["value"], rows["alpha1"]["determined"]) == (1.0, "no")
+    assert (rows["bevel_mm"]["value"], rows["bevel_mm"]["determined"]) == (0.0847, "yes")
     assert found["starts"][0]["objective"] is None  # infinite: every solve of that start failed
     assert (found["origin"], found["interrupted"]) == ("synthetic", False)
 

@@ -23,7 +23,7 @@ from needlefit.inference.predict import Draws
 from needlefit.project.help_pages import TROUBLESHOOTING_PAGE, read_sections
 from needlefit.project.result_warnings import ResultWarning, read_warnings, warnings_entry
 from needlefit.project.unit_warnings import WARNING_KIND
-from needlefit.reporting.number_format import NO_INTERVAL, format_interval
+from needlefit.reporting.number_format import format_interval
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.coverage import find_miscalibration, judge_predictions
 from needlefit.studies.fit_warnings import RULES, analysis_bound_warnings, apply_rule
@@ -495,40 +495,58 @@ def test_an_outcome_that_the_verdict_names_has_no_headline():
     assert headline_calibration(unconverged) == NOT_CONVERGED
 
 
-PROFILE = {"parameter": "mu1_pa", "low": 2e5, "high": 3e5, "determined": True}
+PROFILE = {"parameter": "mu1_pa", "low": 2e5, "high": 3e5, "determined": "yes"}
 
 
 def parameter_row(**changed):
-    return {"parameter": "mu1_pa", "status": "free", "determined": True, "note": ""} | changed
+    known = {"value": 2.5e5, "bound_low": 1e3, "bound_high": 1e9}
+    return {"parameter": "mu1_pa", "status": "free", "determined": "yes", "note": ""} | known | changed
 
 
 def test_certified_draws_give_the_interval_and_others_none():
     parameters = two_layers().parameters
     theta = np.array(parameters.theta(TRUTH))
     thetas = theta + np.linspace(-0.1, 0.1, 201)[:, None]
-    found = intervals_of_draws(parameters, Draws(thetas, "importance"), None)["mu1_pa"]
+    drawn = Draws(thetas, "importance")
+    found = intervals_of_draws(parameters, drawn, drawn, None)["mu1_pa"]
     assert (found.low, found.high) == pytest.approx((3e5 * math.exp(-0.095), 3e5 * math.exp(0.095)))
     assert found.source == "importance"
-    assert intervals_of_draws(parameters, Draws(thetas, "importance", ("k",)), None) == {}
+    faulty = Draws(thetas, "importance", ("k",))
+    assert intervals_of_draws(parameters, faulty, faulty, None) == {}
 
 
 def test_a_wide_interval_of_draws_takes_back_the_verdict_of_information_and_profile():
     row, judged = parameter_row(), dict(PROFILE)
-    add_intervals([row], [judged], {"mu1_pa": ParameterInterval(1e4, 1e7, "posterior")}, {})
-    assert not row["determined"] and not judged["determined"]
+    add_intervals(
+        [row], [judged], {"mu1_pa": ParameterInterval(1e4, 1e7, "posterior")}, {}, {"mu1_pa": True}, {}
+    )
+    assert row["determined"] == judged["determined"] == "only together"
     for one in (row, judged):
-        assert (one["interval_low"], one["interval_high"], one["draw_source"]) == (1e4, 1e7, "posterior")
+        assert (one["interval_low"], one["interval_high"]) == pytest.approx((1e4, 1e7))
+        assert one["draw_source"] == "posterior"
 
 
 def test_without_draws_the_profile_gives_it_and_a_tied_parameter_has_its_sources():
-    row, tied = parameter_row(), parameter_row(parameter="mu2_pa", status="tied")
-    add_intervals([row, tied], [dict(PROFILE)], {}, {"mu2_pa": (50.0, "mu1_pa")})
-    assert row["determined"] and (row["interval_low"], row["draw_source"]) == (2e5, "profile")
-    assert (tied["interval_low"], tied["interval_high"]) == (1e7, 1.5e7)
+    row = parameter_row()
+    tied = parameter_row(parameter="mu2_pa", status="tied", bound_low=math.nan, bound_high=math.nan)
+    add_intervals([row, tied], [dict(PROFILE)], {}, {"mu2_pa": (50.0, "mu1_pa")}, {}, {})
+    assert row["determined"] == "yes" and row["draw_source"] == "profile"
+    assert (row["interval_low"], row["interval_high"]) == pytest.approx((2e5, 3e5))
+    assert (tied["interval_low"], tied["interval_high"]) == pytest.approx((1e7, 1.5e7))
 
 
-def test_an_interval_over_most_of_the_bounds_is_no_interval():
+def test_an_interval_allows_for_a_model_error_about_its_median_and_within_the_bounds():
+    sd = 0.3
+    low, high = (2e5 * math.exp(side * 1.96 * sd) for side in (-1, 1))
+    row = parameter_row(bound_high=4e5)
+    found = {"mu1_pa": ParameterInterval(low, high, "posterior", 2e5)}
+    add_intervals([row], [], found, {}, {}, {"mu1_pa": 0.4})  # 0.3 and 0.4 together: 0.5
+    assert row["interval_low"] == pytest.approx(2e5 * math.exp(-1.96 * 0.5))
+    assert row["interval_high"] == 4e5
+    assert row["determined"] == "no"
+
+
+def test_every_interval_is_printed_however_wide():
     bounds = {"parameter": "mu1_pa", "bound_low": 1e3, "bound_high": 1e9}
-    assert format_interval({**bounds, "interval_low": 1e4, "interval_high": 2e7}) == NO_INTERVAL
-    assert format_interval({**bounds, "interval_low": 1e4, "interval_high": 2e6}) == "1e4 to 2e6"
+    assert format_interval({**bounds, "interval_low": 1e4, "interval_high": 2e7}) == "1e4 to 2e7"
     assert format_interval(bounds) == ""

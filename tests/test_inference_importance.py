@@ -4,11 +4,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from sampling_cases import Known, banana, two_hills
+from inference_cases import TRUTH, medium, two_layers
+from sampling_cases import Known, banana, gaussian, two_hills, weighted
 from scipy.stats import genpareto, multivariate_normal, multivariate_t, norm
 
+from needlefit.datasets.read import read
+from needlefit.datasets.select import select_insertions
 from needlefit.inference.fit import Fit, Start
 from needlefit.inference.identifiability.profile import minimize_squares
+from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
+from needlefit.inference.problem import make_problem
 from needlefit.inference.sampling.importance import (
     ZERO_DENSITY,
     Effort,
@@ -17,6 +22,7 @@ from needlefit.inference.sampling.importance import (
     compute_ess,
     compute_predictive_density,
     find_modes,
+    find_uninformed,
     fit_pareto,
     resample,
     resample_draws,
@@ -26,17 +32,11 @@ from needlefit.inference.sampling.importance import (
     smooth_weights,
 )
 from needlefit.inference.sampling.log_density import Evaluator, approximate_by_laplace
-
-EFFORT = Effort(draws=1000, min_ess=1000)
-
-
-def weighted(known: Known, modes: object = None, effort: Effort = EFFORT, seed: int = 1) -> WeightedDraws:
-    ends = np.atleast_2d(np.zeros(known.dimensions) if modes is None else modes)
-    evaluator = Evaluator(known, 1)
-    about = [approximate_by_laplace(evaluator, end, known.lower, known.upper) for end in ends]
-    return sample_by_importance(
-        evaluator, about, (known.lower, known.upper), np.random.default_rng(seed), (effort,)
-    )
+from needlefit.project.locate import find_file
+from needlefit.project.toml import load
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import WeightsRecord
+from needlefit.schemas.study import SelectionRecord
 
 
 def moments(found: WeightedDraws) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -80,10 +80,35 @@ def test_a_density_at_a_bound_and_two_equal_modes_are_recovered():
     assert np.exp(found.log_weights)[found.thetas[:, 0] > 0].sum() == pytest.approx(0.5, abs=0.06)
 
 
+def test_parameters_without_information_are_proposed_uniformly():
+    """x2 has no part in the density: it is drawn from its flat prior."""
+    mean, covariance = np.array([1.0, -2.0]), np.array([[0.5, 0.3], [0.3, 0.4]])
+    known = Known(lambda x: gaussian(covariance, mean)(x[:, :2]), 3)
+    found = weighted(known, [1.0, -2.0, 0.0], uniform=[False, False, True])
+    centre, spread, errors = moments(found)
+    assert found.certified and found.k < 0.5
+    assert np.all(np.abs(centre - [*mean, 0.0]) < 4 * errors)
+    assert spread[:2, :2] == pytest.approx(covariance, rel=0.15)
+    assert spread[2, 2] == pytest.approx(20**2 / 12, rel=0.1) and abs(spread[0, 2]) < 0.3
+    exact = np.log(2 * np.pi) + 0.5 * np.log(np.linalg.det(covariance)) + np.log(20.0)
+    assert found.log_evidence == pytest.approx(exact, abs=4 * found.log_evidence_se)
+    drawn = found.proposal.draw(20_000, np.random.RandomState(1))
+    assert np.quantile(drawn[:, 2], [0.05, 0.5, 0.95]) == pytest.approx([-9, 0, 9], abs=0.4)
+    weights = np.exp(known.log_density(drawn) - found.proposal.log_density(drawn))
+    assert weights @ drawn[:, :2] / weights.sum() == pytest.approx(mean, abs=0.03)
+
+
+def test_parameters_that_the_data_leave_as_they_were_are_found():
+    p = two_layers(medium(3, alpha1={"bounds": [-3, 5]}))  # no needle meets the third layer
+    mode = minimize_squares(p, p.parameters.theta({**TRUTH, "mu3_pa": 1e6}))
+    found = dict(zip(p.names, find_uninformed(p, mode).tolist(), strict=True))
+    assert found == {"mu1_pa": False, "alpha1": True, "mu2_pa": False, "mu3_pa": True, "bevel_mm": False}
+
+
 class Plateau(Known):
     """A peak of x0 at 5, SD 0.2, on a plateau e^-2.88 as high; x1 is normal with SD 0.05 about 4 sin x0."""
 
-    parameters = SimpleNamespace(prior=SimpleNamespace(ties=()), half_normal={})
+    parameters = SimpleNamespace(prior=SimpleNamespace(ties=(), names=()), half_normal={})
 
     def __init__(self):
         super().__init__(
@@ -245,3 +270,22 @@ def test_the_density_of_further_data_is_the_ratio_of_evidences():
     assert (
         max(one.k for one in densities) < 0.7 and min(one.effective_sample_size for one in densities) >= 250
     )
+
+
+@pytest.mark.sweep
+def test_draws_about_the_information_of_the_search_have_the_evidence_of_others():
+    """Of four needles into one phantom; the others are drawn about the Laplace approximation."""
+    twin, rng = read(find_file("dataset", "twin")), np.random.default_rng
+    chosen = select_insertions(twin, SelectionRecord(medium="phantom2"))[:4]
+    medium = load(find_file("medium", "phantom2"), MediumRecord)
+    problem = make_problem(twin, chosen, medium, WeightsRecord(), PLAIN_LIKELIHOOD)
+    minimum, bounds = minimize_squares(problem, problem.parameters.expected), (problem.lower, problem.upper)
+    effort = Effort(draws=200, rounds=2, min_ess=100.0, profiles=False)
+    fast = sample_about_modes(problem, [minimum], rng(1), efforts=(effort,))
+    density = Evaluator(problem, 1)
+    about = approximate_by_laplace(density, minimum.theta, *bounds)
+    slow = sample_by_importance(density, [about], bounds, rng(1), (effort,))
+    assert fast.certified and slow.certified
+    assert fast.log_evidence == pytest.approx(slow.log_evidence, abs=0.1)
+    means = [np.exp(one.log_weights) @ one.thetas for one in (fast, slow)]
+    assert means[0] == pytest.approx(means[1], abs=0.03)

@@ -19,6 +19,7 @@ from inference_cases import (
     two_layers,
 )
 from refusals import refusal
+from sampling_cases import Known, draw, weighted
 
 from needlefit.errors import ConfigError, FitError, ModelError
 from needlefit.inference.fit import (
@@ -27,6 +28,7 @@ from needlefit.inference.fit import (
     EvaluationRecorder,
     ObjectiveFunction,
     Start,
+    StartPoint,
     start_from_dict,
     start_to_dict,
 )
@@ -36,13 +38,14 @@ from needlefit.inference.optimize import (
     certify_minimum,
     group_approaches,
     minimize,
+    search,
     select_leaders,
     starting_points,
 )
-from needlefit.inference.problem import EvaluationFailure, explain_failure
+from needlefit.inference.problem import EvaluationFailure, explain_failure, make_objective
+from needlefit.inference.sampling.importance import Effort
 from needlefit.inference.sampling.posterior import load, save
-from needlefit.inference.sampling.sample import sample
-from needlefit.schemas.recipe import LikelihoodRecord, SampleRecord
+from needlefit.schemas.recipe import LikelihoodRecord
 
 SINGLE = sorted(name for name, a in ALGORITHMS.items() if a.needs != "jacobian")
 
@@ -59,19 +62,17 @@ def rng():
     return np.random.default_rng(5)
 
 
-@pytest.mark.parametrize("algorithm", [*SINGLE, "bobyqa+neldermead"])
+@pytest.mark.parametrize("algorithm", [*SINGLE, "sbplx+neldermead"])
 @pytest.mark.parametrize("dimensions", [1, 2])
 def test_every_algorithm_finds_the_bottom_of_a_bowl(algorithm, dimensions):
     fit = minimize(box(bowl, dimensions), recipe(algorithm=algorithm, evaluations=600), rng())
-    assert fit.theta == pytest.approx(
-        [0.3] * dimensions, abs=0.15 if algorithm in ("isres", "esch") else 0.02
-    )
+    assert fit.theta == pytest.approx([0.3] * dimensions, abs=0.02)
     assert fit.objective == bowl(np.array(fit.theta))
     assert fit.evaluations == sum(s.evaluations for s in fit.starts) <= 4 * 600
 
 
 def test_valleys_budgets_stops_and_other_checkpoints():
-    fit = minimize(box(rosenbrock), recipe(algorithm="bobyqa+neldermead", evaluations=400), rng())
+    fit = minimize(box(rosenbrock), recipe(algorithm="sbplx+neldermead", evaluations=400), rng())
     assert fit.theta == pytest.approx([1, 1], abs=1e-2)
     calls = []
     fit = minimize(box(lambda t: calls.append(0) or rosenbrock(t)), recipe(evaluations=17, starts=3), rng())
@@ -125,7 +126,7 @@ def test_starts_go_through_json_and_more_of_them_fill_the_box():
 
 # ---- the posterior: a sum of squares with exact derivatives
 
-BOTH = ("leastsquares", "slsqp", "lbfgs", "var2", "tnewton", "mma", "ccsaq", "bobyqa+neldermead", "sbplx")
+BOTH = (*ALGORITHMS, "sbplx+neldermead")
 
 
 def valley(theta):
@@ -148,7 +149,7 @@ def test_every_way_ends_at_the_same_log_posterior(algorithm):
     assert sum(start.succeeded for start in fit.starts) >= 1
 
 
-@pytest.mark.parametrize("algorithm", ["leastsquares", "slsqp", "lbfgs"])
+@pytest.mark.parametrize("algorithm", ["leastsquares", "slsqp"])
 def test_a_minimum_at_a_bound_is_found_and_flagged(algorithm):
     fit = minimize(squares(valley, half=0.5), squares_recipe(algorithm=algorithm), rng())
     # at theta0 = 0.5 the best theta1 is 0.25: half of (1 - 0.5)^2 is left
@@ -245,10 +246,12 @@ def test_the_first_failures_of_a_start_are_kept_and_all_are_counted():
 
     def noted(theta):
         asked.append(tuple(theta.tolist()))
-        return half(theta)
+        return bowl(theta) if theta[0] >= 0.3 else math.nan
 
-    start = minimize(box(noted), recipe(algorithm="crs2", starts=1, evaluations=200), rng()).starts[0]
-    lost = [theta for theta in asked if theta[0] < 0]
+    # the minimum is at the edge of what can be solved
+    goal = make_objective(box(noted), "metric")
+    start = search(goal, recipe(algorithm="neldermead", tolerance=1e-9), StartPoint(0, (1.0, 1.0)))
+    lost = [theta for theta in asked if theta[0] < 0.3]
     assert start.failures == len(lost) > MAX_FAILED_POINTS
     assert start.failed == tuple(lost[:MAX_FAILED_POINTS])
 
@@ -274,26 +277,20 @@ def test_what_is_said_of_a_model_error_and_what_is_no_failure():
     assert found.reason.startswith("ModelError: ") and "\n" not in found.reason
     p = two_layers(count=1)
     assert explain_failure(p, p.parameters.theta(TRUTH)) == EvaluationFailure("", "value not finite")
-    got = sample(
-        box(lambda theta: -math.inf if theta[0] < 0 else 0.0),
-        (0.1, 0.1),
-        SampleRecord(ensembles=1, walkers=8, steps=30),
-        rng(),
-    )
-    assert (got.failures, got.failed) == (0, ((),))
+    known = Known(lambda x: np.where(x[:, 0] < 0, -math.inf, 0.0), half=2.0)
+    got = draw(known, weighted(known, [0.1, 0.1]), walkers=8, densities=240)
+    assert (got.failures, got.failed) == (0, ())
 
 
-def test_the_sampler_counts_failed_solves_and_keeps_the_first_of_each_ensemble(tmp_path):
+def test_the_sampler_counts_failed_solves_and_keeps_the_first(tmp_path):
     p = violent()
-    settings = SampleRecord(ensembles=2, walkers=8, steps=60, moves="stretch")  # steps far out
-    got = sample(p, np.log([2e7, 30.0]), settings, rng())
-    assert got.failures >= sum(len(thetas) for thetas in got.failed) > 0
-    assert len(got.failed) == 2 and max(len(thetas) for thetas in got.failed) <= MAX_FAILED_POINTS
-    for theta in (theta for ensemble in got.failed for theta in ensemble):
-        assert explain_failure(p, theta).reason == "over-compressed"
+    # a start that is not certified reaches far out
+    got = draw(p, weighted(p, np.log([2e7, 30.0]), Effort(rounds=1, min_ess=1e9)), walkers=8, densities=480)
+    assert got.failures >= len(got.failed) > 0 and len(got.failed) <= MAX_FAILED_POINTS
+    assert all(explain_failure(p, theta).reason == "over-compressed" for theta in got.failed)
     assert np.all(np.isfinite(got.log_posterior))
     save(got, tmp_path / "posterior.nc")
-    assert load(tmp_path / "posterior.nc").failed == got.failed
+    assert np.array_equal(load(tmp_path / "posterior.nc").failed, got.failed)
 
 
 # ---- starts are approached by an easier problem, and those that converge merged
@@ -388,7 +385,7 @@ RESUMED = [
     (lambda: box(half), recipe(algorithm="neldermead", evaluations=60)),
     *[
         (lambda: squares(valley), squares_recipe(algorithm=algorithm, starts=6))
-        for algorithm in ("leastsquares", "slsqp", "crs2+leastsquares")
+        for algorithm in ("leastsquares", "slsqp", "neldermead+leastsquares")
     ],
     (led, squares_recipe(starts=8)),
 ]

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from needlefit.inference.identifiability.profile import (
     DEVIANCE_95,
@@ -68,6 +69,32 @@ def test_a_linear_gaussian_has_the_parabola_of_its_information():
     wide = compute_profile(target, 0, minimize_squares(target, np.zeros(2)), scale=4.0)
     assert wide.high - wide.best == pytest.approx(2 * (found(line(), 0).high - 1.5))
     assert wide.sd == pytest.approx(1.0, rel=0.01)
+
+
+def known_profile(deviance, slope, ends, last=2.4) -> LikelihoodProfile:
+    """A profile of a deviance and its derivative, computed from -last to last."""
+    at = np.linspace(-last, last, 9)
+    half = math.sqrt(DEVIANCE_95)
+    return LikelihoodProfile(
+        "alpha1", at, deviance(at), slope(at), at[:, None], 0.0, 1.0, -half, half, ends, 1, 9, 0
+    )
+
+
+def test_the_density_of_a_flat_profile_is_the_prior_and_of_a_parabola_normal():
+    flat = known_profile(np.zeros_like, np.zeros_like, ("bound", "bound"), 4.0).density((-4.0, 4.0))
+    assert (flat.low, flat.high) == pytest.approx((-3.8, 3.8), abs=1e-9)
+    assert flat.sd == pytest.approx(8 / math.sqrt(12), rel=1e-4)
+    # the profile ends where the deviance is 5.8: the tails beyond are continued
+    shape = (lambda x: x**2), (lambda x: 2 * x)
+    normal = known_profile(*shape, ("closed", "closed")).density((-20.0, 20.0))
+    assert (normal.low, normal.high, normal.sd) == pytest.approx((-1.95996, 1.95996, 1.0), abs=2e-4)
+    # a bound within the tail cuts it off; where no solution is found further out the density ends
+    ppf = (0.025 * 0.97585, 0.975 * 0.97585)  # of the normal distribution up to its 0.97585 quantile, 1.975
+    cut = known_profile(*shape, ("closed", "closed"), last=1.97).density((-20.0, 1.975))
+    assert (cut.low, cut.high) == pytest.approx(norm.ppf(ppf), abs=2e-3)
+    lost = known_profile(*shape, ("lost", "closed"), last=1.5).density((-20.0, 20.0))
+    at = norm.cdf(-1.5) + np.array([0.025, 0.975]) * norm.sf(-1.5)
+    assert (lost.low, lost.high) == pytest.approx(norm.ppf(at), abs=2e-3)
 
 
 def test_a_banana_has_the_known_curves():

@@ -1,354 +1,354 @@
-"""How the sampler runs: when it ends, what it refuses, what it keeps and goes on from."""
+"""How the sampler runs: when it ends, what it goes on from, what it keeps, and when draws have converged."""
 
 import math
-import re
-import warnings
-from contextlib import nullcontext
+from dataclasses import replace
 
+import h5py
 import numpy as np
 import pytest
 import xarray
-from inference_cases import Analytic, box
+from inference_cases import TRUTH, insertion, measure, medium, problem
 from refusals import refusal
+from sampling_cases import UNCERTIFIED, Known, draw, flat, gaussian, weighted
 
-from needlefit.errors import ConfigError, DataError, FitError
-from needlefit.inference.fit import Callbacks
-from needlefit.inference.sampling import posterior as convergence
-from needlefit.inference.sampling import sample as sample_module
+from needlefit.errors import DataError
+from needlefit.inference.fit import MAX_FAILED_POINTS, Callbacks
+from needlefit.inference.sampling.importance import Effort
 from needlefit.inference.sampling.log_density import Evaluator, approximate_by_laplace
-from needlefit.inference.sampling.posterior import load, save
-from needlefit.inference.sampling.sample import (
-    INDEPENDENT,
-    Snapshots,
-    parse_moves,
-    sample,
-)
-from needlefit.project.checkpoint import open_checkpoint
+from needlefit.inference.sampling.posterior import MAX_R_HAT, Posterior, load, save
+from needlefit.inference.sampling.sample import compute_autocorrelation_time, compute_r_hat, sample
+from needlefit.project.checkpoint import Checkpoint, open_checkpoint
 from needlefit.schemas.recipe import SampleRecord
 
 MEAN, COV = np.array([0.4, -0.2]), np.array([[0.04, 0.03], [0.03, 0.09]])
-PRECISION = np.linalg.inv(COV)
+GAUSSIAN = Known(gaussian(COV, MEAN), half=2.0)
+BEGIN = weighted(GAUSSIAN, MEAN)
+#: 35 steps of 16 walkers, in blocks of 10, and then 5
+SHORT = {"walkers": 16, "densities": 16 * 35 + 15, "independent_draws": 10**6}
 
 
-def gaussian(theta):
-    r = theta - MEAN
-    return float(-0.5 * r @ PRECISION @ r)
+def assert_equal(one: Posterior, other: Posterior) -> None:
+    assert np.array_equal(one.draws, other.draws) and np.array_equal(one.log_posterior, other.log_posterior)
+    assert np.array_equal(one.acceptance, other.acceptance) and one.faults == other.faults
 
 
-def settings(**changed):
-    return SampleRecord(**{"ensembles": 4, "walkers": 8, "steps": 60, "check_interval": 20, **changed})
+# ---- when a run ends
 
 
-def stored(folder, note=print):
-    return Snapshots(open_checkpoint(folder, True, {"n": 1}, note), "fold")
+def test_a_run_ends_once_it_has_the_draws_that_were_asked_for():
+    got = draw(GAUSSIAN, BEGIN)
+    walkers, steps, _ = got.draws.shape
+    assert got.faults == () and walkers == 64 and steps % 10 == 0 and steps * walkers < 20000
+    assert got.ess.min() >= 400 and got.r_hat.max() < MAX_R_HAT and got.burn_in == 0
+    shorter = draw(GAUSSIAN, BEGIN, densities=(steps - 10) * walkers)
+    assert shorter.faults and np.array_equal(shorter.draws, got.draws[:, :-10])
+    assert got.log_posterior.ravel() == pytest.approx(GAUSSIAN.log_density(flat(got)), abs=1e-12)
+    assert got.percentiles()["x0"] == pytest.approx(
+        np.quantile(flat(got)[:, 0], [0.025, 0.16, 0.5, 0.84, 0.975])
+    )
 
 
-def draw(function=gaussian, callbacks=None, seed=1, kept=None, **changed):
-    rng = np.random.default_rng(seed)
-    return sample(box(function), (0.4, -0.2), settings(**changed), rng, callbacks, stored(kept))
+def test_a_budget_that_is_spent_marks_the_draws():
+    seen = []
+    counted = replace(GAUSSIAN, log_density=lambda x: seen.append(len(x)) or GAUSSIAN.log_density(x))
+    steps = []
+    got = draw(counted, BEGIN, Callbacks(step=lambda done, most: steps.append((done, most))), **SHORT)
+    assert got.draws.shape == (16, 35, 2) and steps == [(n, 35) for n in range(1, 36)]
+    assert sum(seen) <= SHORT["densities"]
+    assert got.wanted == 10**6 and len(got.faults) >= 1 and "1000000" in got.faults[-1]
+    assert not np.array_equal(got.draws, draw(GAUSSIAN, BEGIN, seed=2, **SHORT).draws)
 
 
-@pytest.fixture(scope="module")
-def long():
-    return draw(steps=4000, check_interval=50, walkers=12)
+def test_an_uncertified_start_loses_its_first_half():
+    begin = weighted(GAUSSIAN, MEAN, UNCERTIFIED)
+    got = draw(GAUSSIAN, begin, **SHORT)
+    assert not begin.certified
+    assert (got.burn_in, got.draws.shape) == (17, (16, 18, 2))
+    certified = draw(GAUSSIAN, replace(begin, min_ess=1.0), **SHORT)
+    assert np.array_equal(got.draws, certified.draws[:, 17:])
 
 
-def test_a_run_ends_when_the_rule_is_met_and_recovers_a_gaussian(long):
-    assert long.converged and long.faults == ()
-    found, steps = long.convergence, long.steps + long.burn_in
-    assert steps < 4000 and steps % 50 == 0
-    assert np.all(found.r_hat < 1.01) and long.steps > 50 * found.tau.max()
-    assert min(found.ess_bulk.min(), found.ess_tail.min()) > 400
-    shorter = draw(steps=steps - 50, check_interval=50, walkers=12)
-    assert not shorter.converged  # one block less was not enough
-    assert np.all(long.burn_in <= steps / 2)
-    flat = long.draws.reshape(-1, 2)
-    assert flat.mean(axis=0) == pytest.approx(MEAN, abs=0.02)
-    assert np.cov(flat.T) == pytest.approx(COV, abs=0.01)
-    low, middle, high = (long.percentiles()["x0"][k] for k in (0, 2, 4))
-    assert (low, middle, high) == pytest.approx((0.4 - 0.392, 0.4, 0.4 + 0.392), abs=0.04)
-    assert long.percentiles()["x0"] == pytest.approx(np.quantile(flat[:, 0], [0.025, 0.16, 0.5, 0.84, 0.975]))
-    assert long.log_posterior[0, 0] == gaussian(long.draws[0, 0])
+def test_walkers_start_from_distinct_draws_while_there_are_enough():
+    first = draw(GAUSSIAN, BEGIN, walkers=400, densities=400)
+    assert first.draws.shape == (400, 1, 2)
+    assert len(draw(Known(GAUSSIAN.log_density, half=2.0), BEGIN, walkers=8).draws) == 8
+    few = weighted(GAUSSIAN, MEAN, Effort(draws=50, rounds=2))
+    assert len(few.thetas) == 100 and draw(GAUSSIAN, few, walkers=400, densities=800).draws.shape[0] == 400
+    wide = Known(gaussian(np.eye(6)), 6)
+    assert len(draw(wide, weighted(wide), walkers=8, densities=60).draws) == 12  # twice the parameters
 
 
-def test_runs_of_a_budget_do_not_depend_on_threads_and_begin_apart():
-    short = draw()
-    assert not short.converged and not short.interrupted
-    assert short.steps + short.burn_in == 60 and short.burn_in <= 30
-    assert any("autocorrelation" in fault for fault in short.faults)
-    assert re.findall(r"\d+", draw(ensembles=1).faults[0]) == ["1", "4"]
-    first, second = draw(), draw(callbacks=Callbacks(jobs=2))
-    assert np.array_equal(first.draws, second.draws)
-    assert not np.array_equal(first.draws, draw(seed=2).draws)
-    draws = draw(steps=2).draws
-    centres = draws.mean(axis=1)
-    assert len(np.unique(centres[:, 0])) == 4 and np.ptp(centres[:, 0]) > 0.05
+def test_threads_do_not_change_the_draws():
+    record = medium(1, mu1_pa={"bounds": [1e4, 1e7]}, bevel_mm={"bounds": [0.02, 0.3]})
+    needle = problem(record, [measure(TRUTH, record, insertion(depth)) for depth in (14.0, 18.0)])
+    begin = weighted(needle, needle.parameters.theta(TRUTH), Effort(rounds=3))
+    one, two = (draw(needle, begin, Callbacks(jobs=n), walkers=8, densities=160) for n in (1, 2))
+    assert one.draws.shape == (8, 20, 2)
+    assert_equal(one, two)
 
 
-def test_ensembles_with_equal_starts_differ(monkeypatch):
-    """Their starting points would hide it if all of them drew the same random numbers after that."""
-
-    def same(*arguments):
-        state = whole(*arguments)
-        one, known = state.coordinates[:1], state.log_density[:1]
-        return type(state)(np.repeat(one, 4, axis=0), np.repeat(known, 4, axis=0), state.random)
-
-    whole = sample_module.initialize_walkers
-    monkeypatch.setattr(sample_module, "initialize_walkers", same)
-    draws = draw(steps=40).draws
-    for one in range(4):
-        for other in range(one):
-            assert np.mean(draws[one] == draws[other]) < 0.5
+# ---- failures
 
 
-def test_nan_infinity_and_failed_solves_have_no_density_and_are_counted():
-    def holes(theta):
-        if theta[0] > 0.7:
-            return float("nan")
-        if theta[1] > 0.2:
+def test_failed_evaluations_have_no_density_and_are_counted():
+    def holes(x):
+        if np.any(x[:, 1] > 0.2):
             raise ArithmeticError
-        return float("inf") if theta[1] < -0.7 else gaussian(theta)
+        return np.where(x[:, 0] > 0.7, math.nan, np.where(x[:, 1] < -0.7, math.inf, GAUSSIAN.log_density(x)))
 
-    got = draw(holes)
-    assert got.failures > 0
-    assert got.draws[..., 0].max() <= 0.7 and got.draws[..., 1].max() <= 0.2
-    assert got.draws[..., 1].min() >= -0.7
+    known = replace(GAUSSIAN, log_density=holes)
+    got = draw(known, weighted(known, MEAN), **SHORT)
+    assert got.failures > 0 and 0 < len(got.failed) <= MAX_FAILED_POINTS
+    assert all(x > 0.7 or not -0.7 <= y <= 0.2 for x, y in got.failed)
+    assert flat(got)[:, 0].max() <= 0.7 and flat(got)[:, 1].min() >= -0.7 and flat(got)[:, 1].max() <= 0.2
     values = {0.0: 1.5, 0.5: math.nan, 1.0: math.inf, 1.5: -math.inf}
-    evaluator = Evaluator(box(lambda theta: values[theta[0]]), 1)
+    evaluator = Evaluator(replace(GAUSSIAN, log_density=lambda x: np.array([values[u] for u, _ in x])), 1)
     thetas = np.array([[0.0, 0], [0.5, 0], [1.0, 0], [1.5, 0], [2.5, 0]])
     assert evaluator(thetas).tolist() == [1.5, *[-math.inf] * 4]
-    assert evaluator.failures == 2 and evaluator.failed == [[(0.5, 0.0), (1.0, 0.0)]]
+    assert evaluator.failures == 2 and evaluator.failed == [(0.5, 0.0), (1.0, 0.0)]
+
+
+def test_a_bug_is_raised():
+    def bug(_):
+        raise KeyError("mu7_pa")
+
+    refusal(KeyError, "mu7_pa", draw, replace(GAUSSIAN, log_density=bug), BEGIN)
 
 
 def test_the_laplace_approximation_of_a_gaussian_is_the_gaussian_within_its_bounds():
     """Its precision, and that of a uniform density as wide as the bounds: 12 / width^2."""
     lower, upper = np.array([-1.0, -4.0]), np.array([3.0, 2.0])
-
-    def density(thetas):
-        return np.array([gaussian(theta) for theta in thetas])
-
-    found = approximate_by_laplace(density, MEAN, lower, upper)
-    exact = np.linalg.inv(PRECISION + np.diag(12 / (upper - lower) ** 2))
+    found = approximate_by_laplace(GAUSSIAN.log_density, MEAN, lower, upper)
+    exact = np.linalg.inv(np.linalg.inv(COV) + np.diag(12 / (upper - lower) ** 2))
     assert found.centre == pytest.approx(MEAN, abs=1e-12)
     assert found.axes @ found.axes.T == pytest.approx(exact, rel=1e-6)
-    at_bound = approximate_by_laplace(density, upper, lower, upper)
+    at_bound = approximate_by_laplace(GAUSSIAN.log_density, upper, lower, upper)
     assert at_bound.centre == pytest.approx(upper - 1e-3 * (upper - lower), abs=1e-12)
 
 
-def test_bugs_bounds_and_moves():
-    def bug(theta):
-        raise KeyError("mu7_pa")
-
-    refusal(KeyError, "", draw, bug)
-    got = draw(lambda theta: 0.0)
-    assert np.all(np.abs(got.draws) <= 2)
-    refusal(FitError, "no starting points", draw, lambda theta: -math.inf)
-    for moves in ("hop", "de+de", "0*de", "de*snooker", ""):
-        refusal(ConfigError, r"sample\.moves", draw, moves=moves)
-    assert parse_moves("stretch") == {"stretch": 1.0}
-    assert parse_moves("de+stretch") == {"de": 0.5, "stretch": 0.5}
-    assert parse_moves("3 * de + 1*stretch") == {"de": 0.75, "stretch": 0.25}
+# ---- a run that was stopped goes on to the same draws
 
 
-def stopping_after(count):
-    asked = []
-
-    def stop():
-        asked.append(0)
-        return len(asked) > count
-
-    return stop
+def stop_after(steps: int) -> Callbacks:
+    """Stop after so many steps: it is asked once before the first."""
+    asked: list[int] = []
+    return Callbacks(stop=lambda: asked.append(0) or len(asked) > steps)
 
 
-def test_a_stop_finishes_the_step_and_keeps_equal_lengths():
-    steps = []
-    stop = stopping_after(52)
-    got = draw(callbacks=Callbacks(stop=stop, step=lambda done, total: steps.append((done, total))))
-    assert got.interrupted and got.draws.shape == (4, got.steps * 8, 2)
-    assert steps[-1] == (got.steps + got.burn_in, 60) and 40 < steps[-1][0] < 60
-    assert "interrupted" in got.faults[0]
-
-
-@pytest.mark.parametrize("stopped", [1, 21, 37, 59])
-def test_a_run_resumes_from_its_snapshots_to_the_same_bytes(tmp_path, stopped):
-    save(draw(), tmp_path / "whole.nc")
-    stop = Callbacks(stop=stopping_after(stopped))
-    with pytest.raises(FitError, match="nothing to keep") if stopped == 1 else nullcontext():
-        draw(callbacks=stop, kept=tmp_path / "kept")
-    save(draw(kept=tmp_path / "kept"), tmp_path / "again.nc")
-    assert (tmp_path / "whole.nc").read_bytes() == (tmp_path / "again.nc").read_bytes()
-    assert [
-        row["block"] for row in open_checkpoint(tmp_path / "kept", True, {"n": 1}).rows("posterior of fold")
-    ] == [0, 1, 2]
-
-
-@pytest.mark.parametrize("stopped", [5, 11, 40])
-def test_adaptation_is_restored_from_snapshots(tmp_path, monkeypatch, stopped):
-    monkeypatch.setattr(sample_module, "ADAPTATION_STEPS", (10, 25))
-    save(draw(moves=INDEPENDENT), tmp_path / "whole.nc")
-    draw(moves=INDEPENDENT, callbacks=Callbacks(stop=stopping_after(2 * stopped)), kept=tmp_path / "kept")
-    save(draw(moves=INDEPENDENT, callbacks=Callbacks(jobs=2), kept=tmp_path / "kept"), tmp_path / "again.nc")
-    assert (tmp_path / "whole.nc").read_bytes() == (tmp_path / "again.nc").read_bytes()
-
-
-@pytest.mark.parametrize("damage", ["cut", "flipped", "lost"])
-def test_a_damaged_snapshot_is_set_aside_and_sampled_again(tmp_path, damage):
-    whole, lines = draw(kept=tmp_path), []
-    (file,) = tmp_path.glob("*.jsonl")
-    before = file.read_bytes()
-    first, second, third = (line for line in before.split(b"\n") if line)
-    spoiled = {"cut": second[:200], "flipped": second.replace(b"A", b"B", 1), "lost": b""}[damage]
-    file.write_bytes(b"\n".join((first, spoiled, third, b"")))  # the third is of no use then
-    kept = stored(tmp_path, lines.append)
-    again = sample(box(gaussian), (0.4, -0.2), settings(), np.random.default_rng(1), None, kept)
-    assert np.array_equal(again.draws, whole.draws)
-    asides = list(tmp_path.glob("*.damaged-1"))
-    assert len(lines) == len(asides) == (damage != "lost")
-    assert [line for line in file.read_bytes().split(b"\n") if line] == [first, third, second, third]
-    assert np.array_equal(draw(kept=tmp_path).draws, whole.draws)
-
-
-def test_too_few_walkers_nothing_free_and_a_file_that_is_no_posterior_are_errors(tmp_path):
-    with pytest.raises(ConfigError, match="walkers"):
-        sample(box(gaussian, 5), (0.0,) * 5, settings(walkers=8), np.random.default_rng(1))
-    nothing = Analytic(gaussian, np.empty(0), np.empty(0))
-    refusal(ConfigError, "nothing is free", lambda: sample(nothing, (), settings(), np.random.default_rng(1)))
-    (tmp_path / "no.nc").write_text("no netCDF")
-    refusal(DataError, r"no\.nc", load, tmp_path / "no.nc")
-
-
-def test_the_file_is_inference_data_and_reads_back_equal(tmp_path):
-    posterior = draw()
-    save(posterior, tmp_path / "posterior.nc")
-    back = load(tmp_path / "posterior.nc")
-    assert np.array_equal(back.draws, posterior.draws)
-    assert np.array_equal(back.log_posterior, posterior.log_posterior)
-    assert np.array_equal(back.r_hat, posterior.r_hat) and back.names == posterior.names
-    assert (back.walkers, back.moves, back.faults) == (8, posterior.moves, posterior.faults)
-    length = posterior.steps * 8
-    with xarray.open_dataset(tmp_path / "posterior.nc", group="posterior", engine="h5netcdf") as group:
-        assert group["x0"].dims == ("chain", "draw") and group["x0"].shape == (4, length)
-        assert group.attrs["state"].startswith("NOT CONVERGED: ")
-    with xarray.open_dataset(tmp_path / "posterior.nc", group="sample_stats", engine="h5netcdf") as group:
-        assert group["lp"].shape == (4, length) and group["acceptance_rate"].shape == (4,)
-    with xarray.open_dataset(tmp_path / "posterior.nc", group="convergence", engine="h5netcdf") as group:
-        assert list(group["quantity"].to_numpy()) == [
-            *("x0", "x1", "direction 1", "direction 2", "log posterior")
-        ]
-        assert group["ess_tail"].dims == ("chain", "quantity") and group["r_hat"].dims == ("quantity",)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["posterior.nc"]
-
-
-def test_points_beyond_bounds_come_back_and_ensembles_begin_near_the_best(monkeypatch):
-    lower, upper = np.array([-1.0, 2.0]), np.array([3.0, 5.0])
-    beyond = np.array([[0.5, 3.0], [4.0, 1.5], [-2.0, 6.0], [8.5, 9.0]])
-    found = sample_module._reflect_at_bounds(beyond, lower, upper)
-    assert found == pytest.approx(np.array([[0.5, 3.0], [2.0, 2.5], [0.0, 4.0], [0.5, 3.0]]))
-    densities = np.array(
-        [-20.0, -20.0 - sample_module.MAX_LOG_DENSITY_GAP, -21.0 - sample_module.MAX_LOG_DENSITY_GAP]
-    )
-    ends = np.arange(6.0).reshape(3, 2)
-    assert sample_module._select_plausible(lambda _: densities, ends).tolist() == ends[:2].tolist()
-    monkeypatch.setattr(sample_module, "ADAPTATION_STEPS", (10, 30))
-    assert draw(moves=INDEPENDENT).burn_in == 30
-    assert draw(moves=INDEPENDENT, steps=59).burn_in < 30  # the second would leave less than it takes
-
-
-# ---- convergence: R-hat and independent draws of chains whose values are known
+def reopen(folder, note=print) -> Checkpoint:
+    return open_checkpoint(folder, True, {"n": 1}, note)
 
 
 @pytest.fixture(scope="module")
-def arviz():
-    """Imported here: it takes seconds, and every process of a parallel run imports this file."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FutureWarning)  # arviz announces its next version once a day
-        import arviz
-    return arviz
+def whole() -> Posterior:
+    return draw(GAUSSIAN, BEGIN, **SHORT)
 
 
-def autoregressive(memory, shape, seed=1):
-    """Return series (E, S, W) of unit variance whose autocorrelation is memory^t."""
-    rng = np.random.default_rng(seed)
-    noise = rng.normal(size=shape)
-    series = np.empty(shape)
-    series[:, 0] = noise[:, 0]
-    for t in range(1, shape[1]):
-        series[:, t] = memory * series[:, t - 1] + math.sqrt(1 - memory**2) * noise[:, t]
+def test_a_stop_ends_the_run_after_the_step(whole):
+    got = draw(GAUSSIAN, BEGIN, stop_after(23), **SHORT)
+    assert got.interrupted and len(got.faults) > len(replace(got, interrupted=False).faults)
+    assert np.array_equal(got.draws, whole.draws[:, :23])
+    rng = np.random.default_rng(1)
+    assert sample(GAUSSIAN, BEGIN, SampleRecord(), rng, Callbacks(stop=lambda: True)) is None
+
+
+@pytest.mark.parametrize(("stopped", "left"), [(0, 35), (7, 35), (11, 25), (23, 15), (34, 5)])
+def test_a_stopped_run_goes_on_from_its_last_block(tmp_path, whole, stopped, left):
+    if stopped:
+        draw(GAUSSIAN, BEGIN, stop_after(stopped), reopen(tmp_path), **SHORT)
+    steps = []
+    count = Callbacks(step=lambda done, most: steps.append(done))
+    got = draw(GAUSSIAN, BEGIN, count, reopen(tmp_path), **SHORT)
+    assert_equal(got, whole)
+    assert steps == list(range(36 - left, 36))
+    # a run that has ended makes no further step
+    assert_equal(draw(GAUSSIAN, BEGIN, count, reopen(tmp_path), **SHORT), whole)
+    assert len(steps) == left
+
+
+def test_failures_are_counted_on(tmp_path):
+    holes = replace(
+        GAUSSIAN, log_density=lambda x: np.where(x[:, 0] > 0.6, math.nan, GAUSSIAN.log_density(x))
+    )
+    expected = draw(holes, BEGIN, **SHORT)
+    draw(holes, BEGIN, stop_after(25), reopen(tmp_path), **SHORT)
+    got = draw(holes, BEGIN, None, reopen(tmp_path), **SHORT)
+    assert got.failures == expected.failures > MAX_FAILED_POINTS
+    assert np.array_equal(got.failed, expected.failed)
+
+
+@pytest.mark.parametrize("damage", ["torn", "flipped", "foreign", "empty", "without its row"])
+def test_a_damaged_chain_is_set_aside_and_sampled_again(tmp_path, whole, damage):
+    draw(GAUSSIAN, BEGIN, stop_after(25), reopen(tmp_path), **SHORT)
+    (chain,), (rows,) = tmp_path.glob("*.h5"), tmp_path.glob("*.jsonl")
+    before = chain.read_bytes()
+    if damage == "without its row":
+        rows.unlink()
+    elif damage == "foreign":
+        with h5py.File(chain, "w") as file:
+            file.create_group("mcmc").attrs["iteration"] = 20
+    else:
+        middle = len(before) // 2
+        flipped = before[:middle] + bytes([before[middle] ^ 1]) + before[middle + 1 :]
+        chain.write_bytes({"torn": before[:middle], "flipped": flipped, "empty": b""}[damage])
+    spoiled, notes, steps = chain.read_bytes(), [], []
+    count = Callbacks(step=lambda done, most: steps.append(done))
+    assert_equal(draw(GAUSSIAN, BEGIN, count, reopen(tmp_path, notes.append), **SHORT), whole)
+    assert steps == list(range(1, 36)) and len(notes) == 1
+    assert chain.with_name(f"{chain.name}.damaged-1").read_bytes() == spoiled
+
+
+def test_a_kill_between_the_row_and_its_chain_leaves_the_block_before(tmp_path, whole):
+    draw(GAUSSIAN, BEGIN, stop_after(15), reopen(tmp_path), **SHORT)
+    (chain,) = tmp_path.glob("*.h5")
+    before = chain.read_bytes()
+    draw(GAUSSIAN, BEGIN, stop_after(25), reopen(tmp_path), **SHORT)
+    chain.write_bytes(before)  # the row of the second block is there, its chain is not
+    steps, notes = [], []
+    count = Callbacks(step=lambda done, most: steps.append(done))
+    assert_equal(draw(GAUSSIAN, BEGIN, count, reopen(tmp_path, notes.append), **SHORT), whole)
+    assert steps[0] == 11 and notes == []
+
+
+# ---- convergence of chains whose values are known
+
+
+def autoregressive(memory: float, steps: int = 4000, walkers: int = 16, seed: int = 1) -> np.ndarray:
+    """Return series (N, W) of unit variance whose autocorrelation is memory^t."""
+    noise = np.random.default_rng(seed).normal(size=(steps, walkers))
+    series = noise.copy()
+    for t in range(1, steps):
+        series[t] = memory * series[t - 1] + math.sqrt(1 - memory**2) * noise[t]
     return series
-
-
-def chains(seed=2, drift=0.0):
-    series = autoregressive(0.8, (4, 2000, 1), seed)[..., 0]
-    return series + drift * np.arange(4)[:, None]
-
-
-@pytest.mark.parametrize("drift", [0.0, 0.05, 0.5])
-@pytest.mark.parametrize("form", [lambda x: x, np.exp, lambda x: x**3])
-def test_r_hat_is_that_of_arviz(drift, form, arviz):
-    drawn = form(chains(drift=drift))
-    assert convergence.r_hat(drawn) == pytest.approx(float(arviz.rhat(drawn, method="rank")), rel=1e-12)
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.5, 0.9])
 def test_the_autocorrelation_time_of_a_known_series(memory):
-    """tau = (1 + memory) / (1 - memory)."""
-    times = convergence.autocorrelation_times(autoregressive(memory, (3, 6000, 8)))
-    assert times.mean() == pytest.approx((1 + memory) / (1 - memory), rel=0.1)
+    time = compute_autocorrelation_time(autoregressive(memory))
+    assert time == pytest.approx((1 + memory) / (1 - memory), rel=0.06)
+    assert compute_r_hat(autoregressive(memory)) == pytest.approx(1.0, abs=2e-3)
 
 
-def test_independent_draws_agree_with_those_of_arviz(arviz):
-    # Of one walker an ensemble is a chain; the estimates of both windows differ by a few percent.
-    series = autoregressive(0.8, (4, 20000, 1))
-    found = convergence.assess_convergence(series[..., None], series, ["x"])
-    theirs = {kind: float(arviz.ess(series[..., 0], method=kind)) for kind in ("bulk", "tail")}
-    assert found.ess_bulk.sum(axis=0)[0] == pytest.approx(theirs["bulk"], rel=0.1)
-    assert found.ess_tail.sum(axis=0)[0] == pytest.approx(theirs["tail"], rel=0.15)
-    found = convergence.assess_convergence(
-        autoregressive(0.5, (4, 3000, 16))[..., None], np.zeros((4, 3000, 16)), ["x"]
+def test_anticorrelated_draws_count_as_independent_ones():
+    assert compute_autocorrelation_time(autoregressive(-0.5)) == 1.0
+
+
+def test_r_hat_by_hand():
+    """Four parts of known means and variances."""
+    noise = np.array([-1.0, 1.0, -1.0, 1.0])
+    values = np.column_stack([np.tile(noise, 2), np.tile(noise, 2)])
+    values[4:] += 0.5  # of both walkers: a drift
+    means, n = np.array([0.0, 0.0, 0.5, 0.5]), 4
+    expected = math.sqrt((n - 1) / n + means.var(ddof=1) / (n / (n - 1)))
+    assert compute_r_hat(values) == pytest.approx(expected, rel=1e-12)
+    assert compute_r_hat(np.zeros((3, 8))) == math.inf and compute_r_hat(np.zeros((8, 8))) == math.inf
+
+
+def test_walkers_that_rest_or_stay_in_their_mode_are_seen():
+    assert compute_autocorrelation_time(np.ones((100, 8))) == math.inf
+    noise = autoregressive(0.0, 500)
+    resting = np.tile(np.random.default_rng(3).normal(size=16), (500, 1))
+    apart = noise + 20.0 * np.where(np.arange(16) < 8, -1.0, 1.0)  # each walker alone looks independent
+    for values in (resting, apart):
+        assert noise.size / compute_autocorrelation_time(values) < 2 * 16
+    assert compute_r_hat(noise + 20.0 * np.resize([-1.0, 1.0], 16)) > 10  # odd walkers, even ones
+    assert compute_r_hat(noise + np.linspace(0, 2, 500)[:, None]) > 1.05
+
+
+def met(**changed: object) -> Posterior:
+    """Draws that have converged, but for `changed`."""
+    rng = np.random.default_rng(4)
+    fine = Posterior(
+        names=("x0", "x1"),
+        draws=rng.normal(size=(8, 100, 2)),
+        log_posterior=rng.normal(size=(8, 100)),
+        acceptance=np.full(8, 0.7),
+        r_hat=np.array([1.0, 1.019, 1.01]),
+        tau=np.array([2.0, 1.5, 1.0]),
+        wanted=400,
+        burn_in=3,
+        failures=2,
+        failed=((0.25, -1 / 3), (0.1, 0.7)),
     )
-    assert found.ess_bulk[:, 0] == pytest.approx(np.full(4, 16 * 3000 / 3), rel=0.1)
-    series = autoregressive(0.5, (3, 400, 5), 6) + 0.3 * np.arange(3)[:, None, None]
-    found = convergence.assess_convergence(series[..., None], np.zeros((3, 400, 5)), ["x"])
-    assert found.r_hat[0] == pytest.approx(float(arviz.rhat(series.reshape(3, -1), method="rank")), rel=1e-12)
+    return replace(fine, **changed)
 
 
-def test_convergence_is_checked_along_the_stiff_direction():
-    """Neither parameter shows that the ensembles disagree about the difference of both."""
-    sloppy = autoregressive(0.0, (4, 500, 8), 3)
-    stiff = 0.01 * autoregressive(0.0, (4, 500, 8), 4) + 0.01 * np.arange(4)[:, None, None]
-    thetas = np.stack([sloppy + stiff, sloppy - stiff], axis=3)
-    found = convergence.assess_convergence(thetas, autoregressive(0.0, (4, 500, 8), 5), ["a", "b"])
-    assert found.quantities == ("a", "b", "direction 1", "direction 2", "log posterior")
-    by_name = dict(zip(found.quantities, found.r_hat, strict=True))
-    assert by_name["direction 1"] > 1.2 > 1.01 > max(by_name["a"], by_name["b"])
-    assert any("direction 1" in fault for fault in found.faults)
-
-
-def met(**changed):
-    """A single quantity of four ensembles for which the rule is met, but for `changed`."""
-    fine = {
-        "quantities": ("x",),
-        "r_hat": np.array([1.009]),
-        "tau": np.array([[9.9], [9.0], [9.0], [9.0]]),
-        "ess_bulk": np.array([[401.0], [500.0], [500.0], [500.0]]),
-        "ess_tail": np.array([[401.0], [500.0], [500.0], [500.0]]),
-        "steps": 500,
-    }
-    return convergence.Convergence(**{**fine, **changed})
-
-
-def test_each_clause_of_the_rule_counts():
-    assert met().faults == ()
+def test_each_criterion_counts():
+    assert met().faults == () and met().ess.tolist() == [400.0, 800 / 1.5, 800.0]
     broken = [
-        met(r_hat=np.array([1.01])),
-        met(r_hat=np.array([math.nan])),
-        met(tau=np.array([[10.0], [9.0], [9.0], [9.0]])),
-        met(tau=np.array([[math.inf], [9.0], [9.0], [9.0]])),
-        met(ess_bulk=np.array([[401.0], [400.0]])),
-        met(ess_tail=np.array([[400.0], [500.0]])),
-        met(tau=np.array([[9.9], [9.0], [9.0]])),
+        met(r_hat=np.array([1.0, MAX_R_HAT, 1.0])),
+        met(r_hat=np.array([1.0, 1.0, math.nan])),
+        met(tau=np.array([1.0, 1.0, 2.01])),
+        met(tau=np.array([1.0, math.inf, 1.0])),
+        met(wanted=401),
+        met(interrupted=True),
     ]
     assert [len(one.faults) for one in broken] == [1] * len(broken)
-    same = np.random.default_rng(2).normal(size=(4, 4000))
-    assert math.isnan(convergence.r_hat(same[:1])) and math.isnan(convergence.r_hat(same[:, :3]))
-    assert convergence.r_hat(np.ones((4, 100))) == 1.0
+    named = [("x1", 0), ("log posterior", 1), ("log posterior", 2), ("x1", 3), ("x0", 4)]
+    assert all(name in broken[n].faults[0] for name, n in named)
+
+
+# ---- the file
+
+
+def test_the_file_reads_back_equal_and_has_equal_bytes(tmp_path):
+    for posterior in (met(), draw(GAUSSIAN, BEGIN, **SHORT), met(r_hat=np.array([math.inf, 1.0, math.nan]))):
+        for name in ("one.nc", "two.nc"):
+            save(posterior, tmp_path / name)
+        assert (tmp_path / "one.nc").read_bytes() == (tmp_path / "two.nc").read_bytes()
+        back = load(tmp_path / "one.nc")
+        assert_equal(back, posterior)
+        for name in ("r_hat", "tau", "failed"):
+            assert np.array_equal(getattr(back, name), getattr(posterior, name), equal_nan=True)
+        for name in ("names", "wanted", "burn_in", "failures", "interrupted"):
+            assert getattr(back, name) == getattr(posterior, name)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["one.nc", "two.nc"]
+
+
+def test_the_file_has_the_groups_of_inference_data(tmp_path):
+    posterior, path = met(wanted=900), tmp_path / "posterior.nc"
+    save(posterior, path)
+    with xarray.open_dataset(path, group="posterior", engine="h5netcdf") as group:
+        assert group["x1"].dims == ("chain", "draw")
+        assert np.array_equal(group["x1"], posterior.draws[:, :, 1])
+        assert group.attrs["state"].startswith("NOT CONVERGED; ")
+    with xarray.open_dataset(path, group="sample_stats", engine="h5netcdf") as group:
+        assert group["lp"].shape == (8, 100) and group["acceptance_rate"].dims == ("chain",)
+    with xarray.open_dataset(path, group="convergence", engine="h5netcdf") as group:
+        assert list(group["quantity"].to_numpy()) == ["x0", "x1", "log posterior"]
+        assert np.array_equal(group["ess"], posterior.ess)
+    assert posterior.to_xarray()["posterior"]["x0"].shape == (8, 100)
+
+
+@pytest.mark.filterwarnings(r"ignore:\sArviZ is:FutureWarning")  # once a day
+def test_arviz_reads_the_draws(tmp_path):
+    import arviz  # takes seconds, and every process of a parallel run imports this file
+
+    save(met(), tmp_path / "posterior.nc")
+    for data in (met().to_inference_data(), arviz.from_netcdf(tmp_path / "posterior.nc", engine="h5netcdf")):
+        table = arviz.summary(data, round_to="none")
+        assert table["mean"].to_numpy() == pytest.approx(met().draws.mean(axis=(0, 1)), rel=1e-12)
+        assert dict(data.posterior.sizes) == {"chain": 8, "draw": 100}
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda file: file["posterior/x0"].write_direct(np.zeros(1), dest_sel=np.s_[0, :1]),
+        lambda file: file["convergence"].pop("r_hat"),
+        lambda file: file["convergence/ess"].write_direct(np.zeros(1), dest_sel=np.s_[:1]),
+        lambda file: file["posterior"].attrs.modify("about", file["posterior"].attrs["about"] + " "),
+        lambda file: file["posterior"].attrs.__delitem__("sha256"),
+    ],
+)
+def test_a_file_that_was_changed_is_refused(damage, tmp_path):
+    path = tmp_path / "posterior.nc"
+    save(met(), path)
+    with h5py.File(path, "r+") as file:
+        damage(file)
+    refusal(DataError, r"posterior\.nc", load, path)
+
+
+def test_a_file_that_is_no_posterior_is_refused(tmp_path):
+    (tmp_path / "no.nc").write_text("no netCDF")
+    refusal(DataError, r"no\.nc", load, tmp_path / "no.nc")

@@ -4,58 +4,98 @@ import dynesty
 import numpy as np
 import pytest
 from inference_cases import TRUTH, insertion, measure, medium, problem
-from sampling_cases import Known, draw, flat, gaussian, settings, standard_errors, two_hills
+from sampling_cases import (
+    UNCERTIFIED,
+    Known,
+    banana,
+    draw,
+    flat,
+    gaussian,
+    standard_errors,
+    two_hills,
+    weighted,
+)
 from scipy.stats import truncnorm
 
-from needlefit.inference.sampling.posterior import autocorrelation_times
-from needlefit.inference.sampling.sample import fit_proposal, make_initial_proposal, sample
-from needlefit.schemas.recipe import SampleRecord
+from needlefit.inference.sampling import sample as sample_module
+from needlefit.inference.sampling.importance import Effort
 
 pytestmark = pytest.mark.sweep
 
-MOVES = ["stretch", "de", "independent", SampleRecord().moves]
+#: the draws that are asked for decide the Monte Carlo error
+MANY = {"independent_draws": 4000, "densities": 200_000}
 
 
-@pytest.mark.parametrize("moves", MOVES)
-def test_a_gaussian_of_five_dimensions_by_every_move(moves):
-    got = draw(Known(gaussian(np.eye(5)), 5), moves=moves, steps=2000)
-    assert flat(got).mean(axis=0) == pytest.approx(np.zeros(5), abs=4 * standard_errors(got).max())
-    squares = np.sqrt(2 / got.convergence.ess_bulk.sum(axis=0)[:5])
-    assert np.all(np.abs(flat(got).var(axis=0) - 1) < 5 * squares)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_correlated_gaussian(seed):
+    """Of five parameters whose correlations are 0.9."""
+    sds = np.array([0.1, 0.3, 1.0, 2.0, 0.5])
+    covariance = np.outer(sds, sds) * (0.9 + 0.1 * np.eye(5))
+    mean = np.array([1.0, -2.0, 0.0, 3.0, 0.5])
+    known = Known(gaussian(covariance, mean), 5, half=20.0)
+    got = draw(known, weighted(known, mean, seed=seed), seed=seed, **MANY)
+    assert got.faults == ()
+    assert np.all(np.abs(flat(got).mean(axis=0) - mean) < 4 * standard_errors(got))
+    # the SD of an SD is itself over sqrt(2 n)
+    assert flat(got).std(axis=0) == pytest.approx(sds, rel=5 / np.sqrt(2 * got.ess.min()))
+    assert np.corrcoef(flat(got).T)[0, 1:] == pytest.approx(np.full(4, 0.9), abs=0.02)
 
 
-@pytest.mark.parametrize("moves", ["independent", SampleRecord().moves])
-def test_a_gaussian_that_bounds_cut(moves):
+def test_a_gaussian_that_bounds_cut():
     """Its peak lies in a corner outside; of each coordinate a tail that falls from the bound is left."""
-    got = draw(Known(gaussian(np.eye(3), 1.5), 3, half=1.0), moves=moves, steps=600, check_interval=300)
+    known = Known(gaussian(np.eye(3), 1.5), 3, half=1.0)
+    got = draw(known, weighted(known, np.ones(3)), **MANY)
     x, tail = flat(got), truncnorm(-2.5, -0.5, loc=1.5)
-    assert x.mean(axis=0) == pytest.approx(np.full(3, tail.mean()), abs=4 * standard_errors(got).max())
-    assert x.var(axis=0) == pytest.approx(np.full(3, tail.var()), rel=0.1)
+    assert got.faults == () and np.all(np.abs(x) <= 1)
+    assert np.all(np.abs(x.mean(axis=0) - tail.mean()) < 4 * standard_errors(got))
+    assert x.std(axis=0) == pytest.approx(np.full(3, tail.std()), rel=0.05)
     levels = np.quantile(x, [0.05, 0.5, 0.95], axis=0).T
-    assert levels == pytest.approx(np.tile(tail.ppf([0.05, 0.5, 0.95]), (3, 1)), abs=0.03)
+    assert levels == pytest.approx(np.tile(tail.ppf([0.05, 0.5, 0.95]), (3, 1)), abs=0.06)
 
 
-def test_independent_proposals_follow_their_density():
-    """Weighed by a known density over theirs, they have its moments."""
-    random, seen = np.random.RandomState(1), np.random.default_rng(1).exponential(size=(60, 2))
-    for picture in (fit_proposal(seen), make_initial_proposal(2)):
-        points = picture.draw(20000, random)
-        weights = np.exp(gaussian(0.5 * np.eye(2), 1.0)(points) - picture.log_density(points))
-        mean = weights @ points / weights.sum()
-        assert mean == pytest.approx(np.ones(2), abs=0.03)
-        assert weights @ (points - mean) ** 2 / weights.sum() == pytest.approx(np.full(2, 0.5), rel=0.05)
+@pytest.mark.parametrize("effort", [Effort(draws=1000), UNCERTIFIED])
+def test_a_banana_from_a_certified_start_and_from_another(effort):
+    known = Known(banana, half=40.0)
+    got = draw(known, weighted(known, effort=effort), **MANY)
+    mean, sd = flat(got).mean(axis=0), flat(got).std(axis=0)
+    assert got.faults == () and (got.burn_in > 0) == (effort is UNCERTIFIED)
+    assert np.all(np.abs(mean - [0.0, 1.0]) < 4 * standard_errors(got))
+    assert sd == pytest.approx([1.0, 1.5], rel=0.12)
 
 
-def test_modes_without_exchange_are_reported():
-    got = draw(Known(two_hills), ends=[[5.0, 0.0], [-5.0, 0.0]], steps=1000)
-    assert not got.converged
-    assert got.convergence.r_hat[0] > 1.5
-    assert any(fault.startswith("R-hat of") for fault in got.faults)
+def test_two_modes_that_the_start_covers():
+    """The mixture leads from one to the other."""
+    known, modes = Known(two_hills), [[5.0, 0.0], [-5.0, 0.0]]
+    begin = weighted(known, modes)
+    got = draw(known, begin, **MANY)
+    assert begin.certified and got.faults == ()
+    assert np.mean(flat(got)[:, 0] > 0) == pytest.approx(0.5, abs=4 * 0.5 / np.sqrt(got.ess[0]))
+    assert np.std(np.abs(flat(got)[:, 0])) == pytest.approx(0.2, rel=0.05)
+    crossings = np.diff(got.draws[:, :, 0] > 0, axis=1).sum(axis=1)
+    assert np.all(crossings > 0.1 * got.draws.shape[1])
+
+
+def test_modes_without_exchange_are_flagged(monkeypatch):
+    from emcee import moves
+
+    monkeypatch.setattr(sample_module, "make_moves", lambda _: [(moves.StretchMove(), 1.0)])
+    known = Known(two_hills)
+    got = draw(known, weighted(known, [[5.0, 0.0], [-5.0, 0.0]]), densities=64 * 300)
     assert set(np.sign(got.draws[:, :, 0].mean(axis=1))) == {-1.0, 1.0}
-    # Each walker alone looks independent: about the mean of all of them it is not.
-    rng = np.random.default_rng(2)
-    parted = rng.normal(size=(1, 500, 16)) + np.where(np.arange(16) < 8, -20.0, 20.0)
-    assert autocorrelation_times(parted)[0] > 100
+    assert got.ess[0] < 2 * 64 and got.faults
+
+
+def test_parameters_without_information_are_uniform():
+    """x2 has no part in the density: proposals take it from its bounds."""
+    covariance = np.array([[0.5, 0.3], [0.3, 0.4]])
+    known = Known(lambda x: gaussian(covariance)(x[:, :2]), 3)
+    got = draw(known, weighted(known, uniform=[False, False, True]), **MANY)
+    x = flat(got)
+    assert got.faults == ()
+    assert np.all(np.abs(x.mean(axis=0)) < 4 * standard_errors(got))
+    assert np.quantile(x[:, 2], [0.05, 0.5, 0.95]) == pytest.approx([-9.0, 0.0, 9.0], abs=0.5)
+    assert np.cov(x[:, :2].T) == pytest.approx(covariance, rel=0.1)
+    assert got.tau[2] < 2.5  # nothing of it is remembered
 
 
 def test_another_sampler_finds_the_same_posterior_of_a_needle():
@@ -63,8 +103,8 @@ def test_another_sampler_finds_the_same_posterior_of_a_needle():
     record = medium(1, mu1_pa={"bounds": [1e4, 1e7]}, bevel_mm={"bounds": [0.02, 0.3]})
     made = [measure(TRUTH, record, insertion(depth)) for depth in (14.0, 18.0)]
     needle = problem(record, made)
-    ours = sample(needle, needle.parameters.theta(TRUTH), settings(), np.random.default_rng(3))
-    assert ours.converged
+    ours = draw(needle, weighted(needle, needle.parameters.theta(TRUTH)), independent_draws=2000)
+    assert ours.faults == ()
     width = needle.upper - needle.lower
     nested = dynesty.NestedSampler(
         needle.log_posterior,

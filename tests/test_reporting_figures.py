@@ -147,7 +147,7 @@ def test_the_ridge_is_the_longest_axis_of_the_draws():
     for source in ("importance", "posterior"):
         draws = made.frames["draws"].assign(certified=False, draw_source=source)
         text = say(made.with_frames(draws=draws), "figure_corner")
-        assert ("--sample" in text) == (source == "importance") != ("sample.steps" in text)
+        assert ("sample.densities" in text) == (source == "posterior")
         assert re.search("NOT C(ERTIFI|ONVERG)ED", text) and "1 %" not in text
 
 

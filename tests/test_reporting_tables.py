@@ -32,12 +32,8 @@ from needlefit.reporting.table_files import to_records
 from needlefit.studies import paper
 from needlefit.studies.kinds.cross_validation.report import Facts, list_sentences
 from needlefit.studies.kinds.cross_validation.tables import (
-    CONDITIONAL,
-    NOT_DETERMINED,
-    SEE_INTERVAL,
-    WIDE_INTERVAL,
     arrange_parameters,
-    lay_out_contradictions,
+    describe_parameter,
     lay_out_parameters,
     lay_out_posterior,
     lay_out_validation,
@@ -195,37 +191,41 @@ def test_tuning_rows_stand_beside_the_papers_by_layers_and_by_media():
     assert groups["media"].head["layers"] is None
 
 
-def test_an_undetermined_parameter_is_no_number():
-    table = tabulate_parameters(study(1), study(2))
-    open_ones = table[~table["determined"] & (table["status"] != "fixed")]
-    assert {row["fitted"] for row in arrange_parameters(open_ones)} == {NOT_DETERMINED}
-    assert Facts(study(1)).undetermined == ["alpha1", "alpha2", "alpha3", "alpha4"]
-    printed = {(row[0], row[1]): row for row in lay_out_parameters([study(1)]).rows}
-    assert SEE_INTERVAL in printed[("", "α₁")]
-    assert " α₁, α₂, α₃, α₄" in say(study(1), "undetermined")
-    known = arrange_parameters(table[table["determined"]])
-    assert all(re.fullmatch(r"[\d.e-]+", row["fitted"]) for row in known)
+def test_every_parameter_has_a_number_and_a_word_for_what_the_data_determine():
+    rows = {row["parameter"]: row for row in arrange_parameters(tabulate_parameters(study(1)))}
+    assert all(math.isfinite(row["value"]) for row in rows.values())
+    assert {name: row["determined"] for name, row in rows.items() if name.startswith("alpha")} == {
+        f"alpha{layer}": "no" for layer in (1, 2, 3, 4)
+    }
+    facts = Facts(study(1))
+    assert facts.loose == ["alpha1", "alpha2", "alpha3", "alpha4"] and facts.together == []
+    cells = describe_parameter([rows["mu1_pa"]], truth=2e5)
+    assert cells["parameter"] == "μ₁ (kPa)" and cells["true_value"] == "200"
+    assert re.fullmatch(r"[\d.]+ \([\d.]+ to [\d.]+\)", cells["posterior"])
+    assert cells["error_minimising"] == cells["errors_determine"] == ""
 
 
-def test_an_undetermined_parameter_is_no_number_in_the_second_fit():
+def test_the_error_minimising_fit_has_its_own_range_and_marks_its_bounds():
     one = study(1)
-    parameters = one.frames["parameters"]
-    second = parameters.query("method == 'fitted'").assign(method="fitted_metric", determined=False)
+    second = one.frames["parameters"].query("method == 'fitted'").assign(
+        method="fitted_metric", determined="no", value=2.5e5, interval_low=1e3, interval_high=4e8,
+        bound_low=1e3, bound_high=1e9,
+    )  # fmt: skip
     both = one.with_frames(parameters=pd.concat([one.frames["parameters"], second]))
-    table = tabulate_parameters(both)
-    rows = {row["parameter"]: row for row in arrange_parameters(table)}
-    assert all(row["fitted_metric"] == row["fitted"] for row in rows.values())
-    assert rows["alpha1"]["fitted_metric"] == NOT_DETERMINED
-    assert table.set_index(["parameter", "method"]).loc[("alpha1", "fitted_metric"), "value_used"] == 1
-    assert "Error-minimising fit" in {column.label for column in lay_out_parameters([both]).columns}
-    assert "Error-minimising fit" not in {column.label for column in lay_out_parameters([one]).columns}
+    rows = {row["parameter"]: row for row in arrange_parameters(tabulate_parameters(both))}
+    assert describe_parameter([rows["mu1_pa"]])["error_minimising"] == "250 (1* to 4 × 10⁵)".replace(
+        "4 × 10⁵", "400000"
+    )
+    heads = {column.label for column in lay_out_parameters([both]).columns}
+    assert "Error-minimising (range)" in heads
+    assert "Error-minimising (range)" not in {c.label for c in lay_out_parameters([one]).columns}
 
 
 def test_a_fixed_parameter_is_given_and_marked_as_fixed():
     row = arrange_parameters(tabulate_parameters(study(5)))[1]
-    assert (row["parameter"], row["status"], row["fitted"]) == ("alpha1", "fixed", "1")
-    assert Facts(study(5)).undetermined == ["mu1_pa"]
-    assert "fixed, not fitted: α₁" in say(study(5), "undetermined")
+    assert (row["parameter"], row["status"], row["value"], row["determined"]) == ("alpha1", "fixed", 1.0, "")
+    assert describe_parameter([row])["posterior"] == "1, fixed"
+    assert Facts(study(5)).loose == ["mu1_pa"] and Facts(study(5)).fixed == ["alpha1"]
 
 
 def test_the_papers_value_is_below_the_models_in_the_same_column():
@@ -271,8 +271,6 @@ def test_a_row_has_one_unit_which_fits_its_largest_printed_value():
     row |= {"bound_low": 1e3, "bound_high": 1e12}
     label, unit = choose_interval_unit(row, 2e5)
     assert (label, unit) == ("μ₁ (MPa)", 1e6) and typeset_interval(row, unit) == "0.0712 to 14.4"
-    loose = {**row, "bound_high": 1e7}  # the interval is not printed
-    assert choose_interval_unit(loose, 2e5) == ("μ₁ (kPa)", 1e3)
 
 
 def test_latex_is_booktabs_with_every_sign_escaped():
@@ -297,7 +295,6 @@ def test_latex_escapes():
     )
     assert format_cell("1 × 10⁵ to 3 × 10⁵") == r"\numrange{1e5}{3e5}"
     assert escape_latex("a\\b") == r"a\textbackslash{}b"
-    assert format_latex(lay_out_contradictions(paper.find_contradictions()), synthetic=False).isascii()
 
 
 def test_of_several_folds_values_and_intervals_are_enveloped():
@@ -305,21 +302,12 @@ def test_of_several_folds_values_and_intervals_are_enveloped():
     row = (
         results.frames["parameters"].query("method == 'fitted' and parameter == 'bevel_mm'").iloc[0].to_dict()
     )
-    row |= {"status": "free", "determined": True, "bound_low": 1e-3, "bound_high": 1.0}
-    folds = [
-        {**row, "fold": "one", "value": 0.1, "interval_low": 0.08, "interval_high": 0.12},
-        {**row, "fold": "two", "value": 0.2, "interval_low": 0.15, "interval_high": 0.25},
-    ]
-    table = lay_out_values(results.with_frames(parameters=pd.DataFrame(folds)))
-    (cells,) = table.rows
-    assert "0.1 to 0.2" in cells[1] and "0.08 to 0.25" in cells[2]
-    wide = [{**folds[0], "interval_low": 1.1e-3, "interval_high": 0.9}, folds[1]]
-    (cells,) = lay_out_values(results.with_frames(parameters=pd.DataFrame(wide))).rows
-    assert cells[2] == WIDE_INTERVAL
-    assumed = [{**one, "determined": False, "condition": "an assumption"} for one in folds]
-    conditional = lay_out_values(results.with_frames(parameters=pd.DataFrame(assumed)))
-    assert CONDITIONAL in conditional.rows[0] and CONDITIONAL in conditional.caption
-    assert CONDITIONAL not in table.caption
+    row |= {"status": "free", "bound_low": 1e-3, "bound_high": 1.0}
+    one = {"fold": "one", "median": 0.1, "interval_low": 0.08, "interval_high": 0.12, "determined": "yes"}
+    two = {"fold": "two", "median": 0.2, "interval_low": 0.15, "interval_high": 0.25}
+    folds = [{**row, **one}, {**row, **two, "determined": "only together"}]
+    (cells,) = lay_out_values(results.with_frames(parameters=pd.DataFrame(folds))).rows
+    assert cells[1] == "0.1 to 0.2 (0.08 to 0.25)" and cells[2] == "only together"
 
 
 @pytest.mark.parametrize("value", [-0.0, -0.001])
@@ -349,7 +337,7 @@ def test_an_unconverged_posterior_is_flagged_in_every_output():
     loose = sampled(0.05, 0.15, r_hat=1.2)
     warning = say(loose, "unconverged")
     assert warning.startswith("NOT CONVERGED") and "R-hat of bevel_mm" in warning
-    assert re.findall(r"\d\.\d+", warning)[:2] == ["1.2", "1.01"]  # the value and its limit
+    assert re.findall(r"\d\.\d+", warning)[:2] == ["1.2", "1.02"]  # the value and its limit
     layout = lay_out_posterior(loose)
     assert "NOT CONVERGED" in layout.caption and "NOT CONVERGED" in layout.rows[0]
     assert to_records(tabulate_percentiles(loose))[0]["converged"] is False

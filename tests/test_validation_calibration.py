@@ -188,10 +188,12 @@ def test_a_replicate_is_its_number_s_and_a_control_s_needles_are_the_same():
 
 def test_the_sampler_is_used_on_request_and_flags_missing_convergence():
     job = small_job(1)
-    hurried = job.recipe.model_copy(update={"sample": job.recipe.sample.model_copy(update={"steps": 30})})
+    hurried = job.recipe.model_copy(
+        update={"sample": job.recipe.sample.model_copy(update={"densities": 128})}
+    )
     experiment = Experiment(replace(job, recipe=hurried), {"mu1_pa": 0.3, "bevel_mm": 0.95}, sampled=True)
     (row,) = replicate(1, experiment)["replicates"]
-    assert row["draw_source"] == "sampler" and not row["certified"] and row["pareto_k"] is None
+    assert row["draw_source"] == "sampler" and not row["certified"]
     assert 0 <= row["rank_bevel_mm"] <= RANK_DRAWS
 
 

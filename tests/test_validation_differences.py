@@ -20,8 +20,8 @@ PARAMETERS = pd.DataFrame(
     {
         "fold": "all", "method": "fitted", "parameter": ["mu1_pa", "mu2_pa", "bevel_mm"],
         "status": ["free", "tied", "free"],
-        "value": ["1e+05", "1e+05", "not determined"],
-        "determined": [True, True, False], "value_used": [1e5, 1e5, 0.1], "sd": [0.1, np.nan, 0.5],
+        "value": [1e5, 1e5, 0.1],
+        "determined": ["yes", "yes", "no"], "sd": [0.1, np.nan, 0.5],
     }
 )  # fmt: skip
 RUN = {"kind": "fit", "dataset": {"sha256": "abc"}, "recipe": {"seed": 1, "starts": 8}, "interrupted": False}
@@ -55,22 +55,19 @@ def test_inputs_are_named_by_their_path_and_matter_by_what_follows(first, tmp_pa
 def test_a_parameter_matters_by_its_own_deviation_and_what_is_tied_to_it_does_not_count_twice(
     part, matters, first, tmp_path
 ):
-    moved = PARAMETERS.assign(value_used=[1e5 * np.exp(0.1 * part), 1e5 * np.exp(0.1 * part), 0.1])
+    moved = PARAMETERS.assign(value=[1e5 * np.exp(0.1 * part), 1e5 * np.exp(0.1 * part), 0.1])
     (one,) = compare_runs(first, write(tmp_path / "b", parameters=moved))
     assert (one.what, one.where, one.matters) == ("parameter", "mu1_pa", matters)
     assert one.why.startswith(f"{part:.2g} ") and "standard deviation" in one.why
 
 
 def test_undetermined_parameters_may_move_and_verdicts_may_not(first, tmp_path):
-    moved = PARAMETERS.assign(value_used=[1e5, 1e5, 0.3])
+    moved = PARAMETERS.assign(value=[1e5, 1e5, 0.3])
     (one,) = compare_runs(first, write(tmp_path / "b", parameters=moved))
     assert not one.matters and one.why.endswith("not determined")
-    flipped = PARAMETERS.assign(determined=[True, True, True])
+    flipped = PARAMETERS.assign(determined=["yes", "yes", "only together"])
     (one,) = compare_runs(first, write(tmp_path / "c", parameters=flipped))
-    assert (one.what, one.before, one.after, one.matters) == ("state", "not determined", "determined", True)
-    assumed = PARAMETERS.assign(value=["1e+05", "1e+05", "conditional"])
-    (one,) = compare_runs(first, write(tmp_path / "d", parameters=assumed))
-    assert (one.before, one.after, one.matters) == ("not determined", "conditional", True)
+    assert (one.what, one.before, one.after, one.matters) == ("state", "no", "only together", True)
 
 
 @pytest.mark.parametrize(
@@ -127,14 +124,14 @@ def add(folder, name, frame):
 
 
 def test_a_verdict_and_a_deviation_of_identify_are_compared(tmp_path):
-    row = {"fold": "all", "parameter": "mu1_pa", "determined": True, "sd": 0.1}
+    row = {"fold": "all", "parameter": "mu1_pa", "determined": "yes", "sd": 0.1}
     one = table(tmp_path / "a", "identify", [row])
-    two = table(tmp_path / "b", "identify", [{**row, "determined": False, "sd": 0.2}])
+    two = table(tmp_path / "b", "identify", [{**row, "determined": "no", "sd": 0.2}])
     (two / "run.json").write_text('{"kind": "identification", "dataset": {"name": "other"}}')
     write_manifest(two)
     named, verdict, wider = compare_runs(one, two)
     assert (named.what, named.where, named.after) == ("input", "dataset.name", "other")
-    assert (verdict.before, verdict.after, verdict.matters) == ("determined", "not determined", True)
+    assert (verdict.before, verdict.after, verdict.matters) == ("yes", "no", True)
     assert wider.why.startswith("2 times") and wider.matters
     folds = [table(tmp_path / f"{sd}", "identify", [{**row, "fold": f, "sd": sd} for f in ("one", "two")])
              for sd in (0.1, 0.2)]  # fmt: skip

@@ -22,7 +22,8 @@ from needlefit.inference.predict import (
     thin_posterior,
     wilson_interval,
 )
-from needlefit.inference.sampling.posterior import Convergence, Posterior
+from needlefit.inference.sampling.importance import sample_about_fit
+from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import sample
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import compute_positions
@@ -264,9 +265,8 @@ def test_draws_of_a_posterior_are_spread_over_it(job):
     names = job.parameters.free
     values = np.exp(np.linspace(np.log(1e4), np.log(1e6), 80)).reshape(4, 20, 1) * np.ones(len(names))
     values[:, :, names.index("bevel_mm")] = 0.05
-    many = np.full((4, 3), 500.0)
-    found = Convergence(names, np.ones(3), np.ones((4, 3)), many, many, 4)
-    posterior = Posterior(names, values, np.zeros((4, 20)), 5, "de", np.ones(4), found, 0, 0, False)
+    good = np.ones(len(names) + 1)
+    posterior = Posterior(names, values, np.zeros((4, 20)), np.ones(4), good, good, 81, 0, 0)
     thetas = thin_posterior(posterior, job.parameters, 10).thetas
     assert thin_posterior(posterior, job.parameters, 10).faults == posterior.faults != ()
     assert thetas[[0, -1], 0] == pytest.approx(np.log([1e4, 1e6]))
@@ -325,7 +325,9 @@ def test_importance_draws_match_the_posterior(job):
     problem = job.problem(job.folds[0])
     drawn = draw_parameters(job, None, Settings()).thetas
     fit = minimize(problem, job.recipe, np.random.default_rng(1))
-    walked = sample(problem, fit.theta, SampleRecord(steps=400, check_interval=200), np.random.default_rng(2))
+    begin, rng = sample_about_fit(problem, fit, np.random.default_rng(3)), np.random.default_rng(2)
+    walked = sample(problem, begin, SampleRecord(independent_draws=2000), rng)
+    assert walked is not None
     thetas = thin_posterior(walked, job.parameters, 2000).thetas
     axes = np.linalg.eigh(np.cov(thetas.T))[1]
     for direction in axes.T:

@@ -58,7 +58,7 @@ def job():
 def known(job):
     problem = job.problem(job.folds[0])
     fit = minimize(problem, job.recipe, np.random.default_rng(1))
-    return draw_fold_parameters(job, job.folds[0], fit, None, Settings())[0]
+    return draw_fold_parameters(job, job.folds[0], fit, Settings()).draws
 
 
 @pytest.fixture(scope="module")

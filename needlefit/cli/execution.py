@@ -15,13 +15,13 @@ import typer
 from needlefit.cli import exit_codes, screen
 from needlefit.cli.exit_codes import Invocation, catch_interrupts
 from needlefit.cli.progress import show_progress
-from needlefit.errors import ConfigError
 from needlefit.project.processes import count_cores
 from needlefit.project.progress import never_stop, no_note
 
 if TYPE_CHECKING:
     from needlefit.project.tasks import TaskPool
     from needlefit.schemas.base import FileRecord
+    from needlefit.studies.job import Inputs
     from needlefit.studies.run import Run
 
 
@@ -39,13 +39,14 @@ class Execution:
     """How runs of a command go; results go to `OUT/<name>/`, checkpoints to `OUT/<name>.partial/`.
 
     `stop` says whether to end early. `file` is the study's, where it is known: warnings name it. `pool` is
-    where tasks run; None: in processes of each run.
+    where tasks run; None: in processes of each run. `inputs` takes the place of files that are named.
     """
 
     invocation: Invocation
     stop: Callable[[], bool] = never_stop
     file: Path | None = None
     pool: "TaskPool | None" = None
+    inputs: "Inputs | None" = None
 
     def prepare(self, names: Iterable[str], referenced: Iterable[str] = ()) -> None:
         """Make sure, before hours of work, that the results can be written, and reference results if wanted.
@@ -55,18 +56,10 @@ class Execution:
         from needlefit.project.checkpoint import require_own_checkpoint
         from needlefit.project.folders import require_replaceable
 
-        asked = self.invocation
-        replacing = dict.fromkeys(names, asked.sample)  # whether a sampled posterior may be replaced
-        replacing |= {f"reference/{name}": True for name in referenced if asked.reference}
-        for name, samples in replacing.items():
+        references = [f"reference/{name}" for name in referenced if self.invocation.reference]
+        for name in (*names, *references):
             require_replaceable(self.folder(name))
             require_own_checkpoint(self.checkpoint(name))
-            if not samples and any(self.folder(name).glob("posterior*.nc")):
-                raise ConfigError(
-                    "holds a sampled posterior, which this run would replace by none",
-                    where=str(self.folder(name)),
-                    fix="sample again with --sample, write elsewhere with --out, or remove it",
-                )
 
     def folder(self, name: str) -> Path:
         """Return where the results of one study or fit go."""
@@ -82,9 +75,12 @@ class Execution:
         with open_pool(self.invocation.jobs, self.invocation.scheduler, self.invocation.insecure) as pool:
             yield replace(self, pool=pool)
 
-    def run(self, name: str, record: "FileRecord") -> "Run":
-        """Run one study or fit; where `stop` says so it stops early and is marked `interrupted`."""
-        from needlefit.studies.job import Settings
+    def run(self, name: str, record: "FileRecord", sample: bool = False) -> "Run":
+        """Run one study or fit; where `stop` says so it stops early and is marked `interrupted`.
+
+        `sample` says whether the posterior of a fit is sampled by MCMC.
+        """
+        from needlefit.studies.job import Inputs, Settings
         from needlefit.studies.kind import kind_of
 
         asked = self.invocation
@@ -96,12 +92,13 @@ class Execution:
                 pool=pool,
                 checkpoint=self.checkpoint(name),
                 resume=asked.resume,
-                sample=asked.sample,
+                sample=sample,
                 progress=report,
                 stop=self.stop,
                 first=no_note if asked.quiet else print_remark,
                 note=print_remark,
                 file=self.file,
+                inputs=self.inputs or Inputs(),
             )
             return kind_of(record).run(name, record, settings)
 
@@ -295,9 +292,12 @@ def _run_in_process(execution: Execution, work: StudyTask) -> "Run":
 def _run_one(execution: Execution, work: StudyTask) -> "Run":
     """Run one study and, unless it was interrupted, write it."""
     from needlefit.project.toml import add_file_context
+    from needlefit.schemas.study import StudyRecord
 
+    # a fit by itself is sampled as by `tune`; folds of studies are not
+    sample = not isinstance(work.record, StudyRecord)
     with add_file_context(work.file):
-        result = replace(execution, file=work.file).run(work.name, work.record)
+        result = replace(execution, file=work.file).run(work.name, work.record, sample)
         if not result.interrupted:
             execution.write(result)
     return result
@@ -318,8 +318,7 @@ def show_run(invocation: Invocation, result: "Run", folder: Path, named: bool = 
     screen.print_line()
     title = result.name if result.title in ("", result.name) else f"{result.name}: {result.title}"
     origins = {"synthetic": "SYNTHETIC data", "measured": "Measured data"}  # which a reader cannot miss
-    data = f"\n{origins[result.origin]}: {result.dataset_title}" if result.origin != "none" else ""
-    screen.print_text(f"{title}{data}")
+    screen.print_text(f"{title}\n{origins[result.origin]}: {result.dataset_title}")
     report = find_kind(result.kind).report
     tables, sentences = report.explain(result) if invocation.explain else (report.lay_out_first(result), [])
     for table in drop_repeated(tables):

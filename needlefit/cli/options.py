@@ -51,7 +51,7 @@ complete_runs = _complete(runs=True)
 complete_checked = _complete("dataset", "study", "fit")
 complete_scans = _complete("scans")
 complete_reconstructions = _complete("reconstruction")
-complete_view_targets = _complete("scene", "dataset", "scans", runs=True)
+complete_view_targets = _complete("scene", "dataset", runs=True)
 
 
 def _keep(name: str) -> Callable[[typer.Context, Any], Any]:
@@ -74,7 +74,6 @@ def _use_plugins(modules: list[str] | None) -> list[str] | None:
 
 _PLUGINS_HELP = "Installed Python module with further tissue laws, file formats, ...; may be repeated."
 _FLAGS = {
-    "sample": "Also sample the posterior (netCDF): takes minutes.",
     "insecure": "Accept a scheduler on another machine without encryption.",
     "reference": "Also write the tables to OUT/reference/NAME/, NAME the run's, to keep under version "
     "control.",
@@ -139,7 +138,7 @@ SCAN_FILES: Mapping[str, Any] = {
     ],
     "layers": Annotated[
         list[str] | None,
-        option("STL, PLY, OBJ from the entry inwards; or a segmentation; auto proposes some.", "FILES..."),
+        option("STL, PLY, OBJ from the entry inwards; or a segmentation.", "FILES..."),
     ],
     "layers_in": Annotated[
         Literal["world", "scan"] | None, option("Frame of the surfaces (default: world).")
@@ -148,7 +147,7 @@ SCAN_FILES: Mapping[str, Any] = {
     "series": option("Which DICOM series, where a folder holds several.", "NUMBER|UID"),
     "medium": option("Name of what was punctured (default: medium)."),
 }
-"""Options of commands that read scans, which take them as `**files`."""
+"""Files of a scan, which `reconstruct` takes as `**files`."""
 
 
 def takes(common: str, **own: Declaration) -> Callable[[Callable[..., None]], Callable[..., None]]:

@@ -1,7 +1,10 @@
-"""Commands that run studies: tune, calibrate, validate, predict, material, verify, credibility."""
+"""Commands that run studies: tune, calibrate, validate, predict."""
 
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -24,6 +27,7 @@ from needlefit.cli.options import (
     option,
     takes,
 )
+from needlefit.errors import ConfigError
 from needlefit.schemas.limits import MAX_REPLICATES
 
 if TYPE_CHECKING:
@@ -32,13 +36,31 @@ if TYPE_CHECKING:
 
 
 @takes(
-    "sample seed jobs out resume strict explain json quiet verbose",
+    "seed jobs out resume strict explain json quiet verbose",
     design=flag("Which parameters the design determines, before any measurement.", "--design"),
+    no_sample=flag("Intervals by importance sampling alone, without MCMC and posterior.nc.", "--no-sample"),
+    free=option(
+        "Estimate a parameter that the tissue model fixes or ties: alpha1. May be repeated.", "NAME", "--free"
+    ),
+    fix=option(
+        "Hold a parameter at a value, in Pa, mm or degrees: b=0.1. May be repeated.", "NAME=VALUE", "--fix"
+    ),
 )
-def tune(context: typer.Context, target: str, design: bool = False) -> None:
+def tune(
+    context: typer.Context,
+    target: str,
+    design: bool = False,
+    no_sample: bool = False,
+    free: list[str] | None = None,
+    fix: list[str] | None = None,
+) -> None:
     """Fit the parameters of a TARGET (mu, alpha, b).
 
-    Prints each parameter with its 95 % interval, and which ones the data do not determine.
+    Prints each parameter with its 95 % interval, and which ones the data do not determine. The posterior is
+    sampled by MCMC (emcee), from draws by importance sampling.
+
+    --free and --fix change what the tissue model says of single parameters. Names are those of tables
+    (alpha1, mu1, b) or keys (mu1_pa). In the file of a fit `free` and `fix` do the same.
 
     With --design no measured shape is used: shapes are simulated with the paper's parameters or the middle of
     the bounds. Fisher information, profile likelihoods and posterior SD / prior SD go to OUT/TARGET-design/.
@@ -48,20 +70,24 @@ def tune(context: typer.Context, target: str, design: bool = False) -> None:
     far, marked as interrupted, and prints the command that continues; a second Ctrl-C stops at once.
     """
     with begin(context) as execution:
-        if design and execution.invocation.sample:
-            raise typer.BadParameter("excludes --sample: nothing is fitted", param_hint="--design")
         from needlefit.project.toml import add_file_context
+        from needlefit.studies.job import Inputs, change_fit
         from needlefit.studies.study_files import load_target
 
         name, record, file = load_target(target)
+        if free or fix:
+            record = change_fit(record, free or (), _parse_values(fix or ()), "--free and --fix")
         if design:
-            name = f"{name.removesuffix('-tune')}-design"
-            execution.prepare([name])
-            execution.show(execution.run_kind("identification", name, target=target))
+            about = f"{name.removesuffix('-tune')}-design"
+            execution.prepare([about])
+            given = replace(execution, inputs=Inputs(target=(name, record)))
+            with add_file_context(file), _name_options(free, fix):
+                found = given.run_kind("identification", about, target=target)
+            execution.show(found)
             return
         execution.prepare([name])
-        with add_file_context(file):
-            results = execution.run(name, record)
+        with add_file_context(file), _name_options(free, fix):
+            results = execution.run(name, record, sample=not no_sample)
         if results.interrupted and "fitted" not in set(results.frames["errors"]["method"]):
             raise execution.interrupted()  # nothing found yet: an earlier result stays
         execution.write(results)
@@ -70,6 +96,34 @@ def tune(context: typer.Context, target: str, design: bool = False) -> None:
             raise execution.interrupted()
         execution.remove_checkpoint(name)
     require_no_faults(f"{results.name}: {fault}" for fault in results.faults)
+
+
+def _parse_values(texts: Iterable[str]) -> dict[str, float]:
+    """Return the values of --fix by parameter."""
+    values = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        try:
+            values[name.strip()] = float(value)
+        except ValueError:
+            raise typer.BadParameter(
+                f"`{text}` is not NAME=VALUE with a number, e.g. b=0.1", param_hint="--fix"
+            ) from None
+    return values
+
+
+@contextmanager
+def _name_options(free: Collection[str] | None, fix: Collection[str] | None) -> Iterator[None]:
+    """Have a ConfigError about parameters that options name state the option, not the file of the fit."""
+    try:
+        yield
+    except ConfigError as error:
+        key = error.key.partition(".")[0]
+        if not {"free": free, "fix": fix}.get(key):
+            raise
+        located = error.at(f"--{key}")
+        located.key = ""
+        raise located from None
 
 
 @takes(
@@ -169,13 +223,13 @@ def _end_calibration(execution: Execution, found: "list[Run]") -> None:
         sentence = find_kind("calibration").report.summarize(run)[0]
         screen.print_note(f"needlefit: {execution.folder(run.name)}: {sentence}")
     if wrong:
-        raise typer.Exit(exit_codes.VERIFICATION_FAILED)
+        raise typer.Exit(exit_codes.CALIBRATION_FAILED)
     if any(run.faults for run in found):
         raise typer.Exit(exit_codes.NOT_CONVERGED)
 
 
 @takes(
-    "sample seed jobs scheduler insecure out reference resume strict explain json quiet verbose",
+    "seed jobs scheduler insecure out reference resume strict explain json quiet verbose",
     study=argument(
         "STUDY", "study1 ... study5, all (those five), everything, another, or a path.", complete_studies
     ),
@@ -231,7 +285,7 @@ def _write_combined_report(execution: Execution, study: str, runs: "list[Run]") 
     scene=option(
         "The planned insertion: a name or a path.", "SCENE", "--scene", autocompletion=complete_scenes
     ),
-    run=option("Result of `tune TARGET --sample` (default: OUT/TARGET-tune).", "DIR"),
+    run=option("Result of `tune TARGET` (default: OUT/TARGET-tune).", "DIR"),
     specimen=option(
         "new: into a specimen that was not fitted to; same: into the one that was, or, of several that "
         "differ, its NAME (default: same if the TARGET states `same_specimen`; else new, with the spread "
@@ -292,99 +346,3 @@ def predict(
 
         screen.print_note(f"needlefit: {target_name}: {describe_faults(found)}")
         raise typer.Exit(exit_codes.NOT_CONVERGED)
-
-
-@takes(
-    "out strict explain json verbose",
-    file=argument("FILE.csv", "Stretch and stress; data/README.md lists the columns."),
-    stress=option("Stress measure of a column `stress_kpa`, whose name does not state it."),
-    foundation=option(
-        "Write a prior of the model's mu too: FACTOR times the material's shear modulus, known within a "
-        "factor of SPREAD. docs/model.md states the bounds of FACTOR.",
-        "FACTOR SPREAD",
-    ),
-)
-def material(
-    context: typer.Context,
-    file: Path,
-    stress: Literal["nominal", "true"] | None = None,
-    foundation: tuple[float, float] | None = None,
-) -> None:
-    """Fit mu and alpha of the Ogden law to a compression test.
-
-    Needle shapes do not identify alpha; a compression test can. Prints the estimates and the 95 % regions of
-    alpha, and writes the prior for fits, with tables and figures, to OUT/material-<file>/.
-    """
-    from needlefit.schemas.names import require_file_name
-
-    require_file_name(file.stem, str(file))
-    execution, name = Execution(context.find_root().obj), f"material-{file.stem}"
-    execution.prepare([name])
-    found = execution.run_kind("material", name, file=str(file), stress=stress, foundation=foundation)
-    execution.show(found)
-    if found.run["prior"] is not None and not execution.invocation.json:
-        prior = f"{execution.folder(name)}/prior.toml"
-        screen.print_line(f'For layer 1 of a fit: priors = {{ 1 = "{prior}" }}')
-
-
-@takes("out explain json quiet verbose", seed=option("Seed of the random cases.", min=0))
-def verify(context: typer.Context, seed: int = 1) -> None:
-    """Verify the solver: closed forms, observed orders, an independent solution, symmetries.
-
-    All values are measured in this run. Prints the outcome of each group of checks, with --explain every
-    check, and writes CSV, LaTeX, PDF and HTML to OUT/verification/. Exit code 6 if a check fails.
-    """
-    execution, name = Execution(context.find_root().obj), "verification"
-    execution.prepare([name])
-    found = execution.run_kind("verification", name, seed=seed)
-    if execution.invocation.verbose:
-        for trace in found.timing.get("traces", ()):
-            screen.print_note(trace)
-    execution.show(found)
-    rows = found.frames["verification"]
-    for row in rows[rows["verdict"] == "FAILS"].to_dict("records"):
-        remark = f" ({row['note']})" if row["note"] else ""
-        screen.print_note(f"needlefit: {row['check']}: {row['quantity']}: fails{remark}")
-    if found.faults:
-        raise typer.Exit(exit_codes.VERIFICATION_FAILED)
-
-
-@takes(
-    "out explain json quiet verbose",
-    evidence=option(
-        "A folder of verify, calibrate, tune --design or a sensitivity study (several times), instead of "
-        "those of its kind beside RUN.",
-        "DIR",
-    ),
-    statements=option("TOML with what only people can state: question, context, risk.", "FILE"),
-)
-def credibility(
-    context: typer.Context, run: str, evidence: list[Path] | None = None, statements: Path | None = None
-) -> None:
-    """Collect the credibility evidence of a RUN, in the order of ASME V&V 40-2018.
-
-    Verification, calibration, sensitivity, uncertainty and provenance, from the files of this run and of
-    other runs in the same folder. Missing evidence is listed as missing. Evidence of another version or
-    dataset is not counted. Nothing is graded. Results go to OUT/credibility-RUN/.
-    """
-    from needlefit.project.locate import find_run
-    from needlefit.project.toml import load
-    from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
-    from needlefit.studies.kinds.credibility import list_open_statements
-
-    given: dict[str, object] = {"run": run, "evidence": [str(folder) for folder in evidence or ()]}
-    if statements is not None:
-        given["statements"] = load(statements, CredibilityStatementsRecord)
-        given["statements_file"] = statements.name
-    execution = Execution(context.find_root().obj)
-    name = f"credibility-{find_run(run).resolve().name}"
-    execution.prepare([name])
-    found = execution.run_kind("credibility", name, **given)
-    for fault in found.run["damaged"]:
-        screen.print_note(f"needlefit: damaged and not used: {fault}")
-    execution.show(found)
-    if not execution.invocation.json and (missing := list_open_statements(found)):
-        screen.print_text(
-            "Statements that only people can make are missing. Write them as texts in a TOML file with "
-            f"`schema = 1`, given by --statements FILE: {', '.join(missing)}."
-        )

@@ -31,30 +31,16 @@ def estimate_noise_floor(
 ) -> NoiseFloor:
     """Return the errors of the measured curve against itself, measured again with the stated noise.
 
-    Every draw adds independent and correlated noise to each point and, with a known pose, moves the
-    curve: by an isotropic shift, of which the plane sees two of three components, and by the row's angle.
-    A curve that was cut in the plane of first contact shows no shift along the entry axis.
-    The shift is the larger of the stated registration error and the row's pose deviation, which are
-    often the same error stated twice. Curves are compared as in a study: at equal fractions of arc length or,
-    for free shapes, by arc length from the tip after alignment. Uncertain layer depths are not in it.
+    The errors are those of `draw_measurement_errors`. Curves are compared as in a study: at equal fractions
+    of arc length or, for free shapes, by arc length from the tip after alignment. Uncertain layer depths are
+    not in it.
     """
     metrics = [metric for metric in list_metrics() if metric.has_floor]
-    noise = dataset.noise
-    shift = max(noise.registration_mean / MEAN_NORM_PER_SD, insertion.pose_shift_sd)
-    angle = insertion.pose_angle_sd
-    if dataset.pose != "known":
-        shift = angle = 0.0
-    if not (shift or angle or noise.point_sd or noise.correlated_sd):
+    displaced = draw_measurement_errors(dataset, insertion, rng, draws)
+    if displaced is None:
         return dict.fromkeys((metric.name for metric in metrics), math.nan)
     curve = insertion.planar
-    cut = abs(float(curve[0, 0])) < CUT_TOLERANCE_MM
-    perturbed = (
-        curve
-        + draw_point_noise(curve, noise, rng, draws)
-        + displace_by_pose(
-            curve, np.array([0.0 if cut else shift, shift]), angle, rng.normal(size=(draws, 3))
-        )
-    )
+    perturbed = curve + displaced
     if dataset.pose == "tracker":
         perturbed[..., 0] = curve[:, 0]  # depths are known; the best shift and slope are taken off
         perturbed = align_lateral(perturbed, curve)
@@ -63,6 +49,30 @@ def estimate_noise_floor(
     compare = partial(compare_curves, measured=curve) if tracker else _prepare_comparison(curve, free)
     errors = [compute_metrics(compare(again), metrics) for again in perturbed]
     return {metric.name: float(np.mean([row[metric.name] for row in errors])) for metric in metrics}
+
+
+def draw_measurement_errors(
+    dataset: Dataset, insertion: Insertion, rng: np.random.Generator, draws: int
+) -> Floats | None:
+    """Draw by how much each measured point errs, (draws, N, 2) mm; None where the dataset states no noise.
+
+    Every draw adds independent and correlated noise to each point and, with a known pose, moves the
+    curve: by an isotropic shift, of which the plane sees two of three components, and by the row's angle.
+    A curve that was cut in the plane of first contact shows no shift along the entry axis.
+    The shift is the larger of the stated registration error and the row's pose deviation, which are
+    often the same error stated twice.
+    """
+    noise, curve = dataset.noise, insertion.planar
+    shift = max(noise.registration_mean / MEAN_NORM_PER_SD, insertion.pose_shift_sd)
+    angle = insertion.pose_angle_sd
+    if dataset.pose != "known":
+        shift = angle = 0.0
+    if not (shift or angle or noise.point_sd or noise.correlated_sd):
+        return None
+    cut = abs(float(curve[0, 0])) < CUT_TOLERANCE_MM
+    shifts = np.array([0.0 if cut else shift, shift])
+    points = draw_point_noise(curve, noise, rng, draws)
+    return points + displace_by_pose(curve, shifts, angle, rng.normal(size=(draws, 3)))
 
 
 def draw_point_noise(curve: Floats, noise: Noise, rng: np.random.Generator, draws: int) -> Floats:

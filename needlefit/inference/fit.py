@@ -29,11 +29,10 @@ CONVERGED_REASONS = ("tolerance", "bound", "flat", "roundoff")
 
 @dataclass(frozen=True)
 class StartPoint:
-    """Where one local search begins: its number, theta, and the seed of its random numbers."""
+    """Where one local search begins: its number and theta."""
 
     index: int
     theta: tuple[float, ...]
-    seed: int = 1
 
 
 @dataclass(frozen=True)

@@ -281,11 +281,11 @@ class _Simulation:
 
         `slopes` (B, P) are those of the values.
         """
+        sets, free = next(iter(slopes.values())).shape
         bevels = {
             name: np.multiply.outer(self.factors, slopes[name]) for name in BEVEL_PARAMETERS if name in slopes
         }
         slopes = {**slopes, **bevels}
-        sets, free = next(iter(slopes.values())).shape
         nothing = np.zeros(free)
         rows = {"guide1_y": nothing, "guide1_slope": nothing}
         rows["offset"] = slopes.get("bevel_mm", nothing)

@@ -22,9 +22,8 @@ make a posterior whose modes lie next to those of the whole one, at a fraction o
 """
 
 import math
-import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Literal
@@ -53,7 +52,7 @@ from needlefit.inference.problem import Problem, make_objective
 from needlefit.inference.side_by_side import run_side_by_side
 from needlefit.project.processes import one_thread
 from needlefit.project.progress import Stop, never_stop
-from needlefit.project.tasks import TaskStop, run_parts
+from needlefit.project.tasks import TaskStop
 from needlefit.schemas.recipe import ObjectiveName, RecipeRecord
 
 FIRST_STEP = 0.25  #: initial step of a local search without gradients, as a part of each parameter's range
@@ -336,31 +335,18 @@ class Algorithm:
     #: recorder, theta to start from (P,), tolerance of the recipe -> why it ended
     run: Callable[[EvaluationRecorder, Floats, float], str]
     needs: Literal["value", "gradient", "jacobian"] = "value"  #: what of the objective function it evaluates
-    stochastic: bool = False  #: whether it draws random numbers
-    dimensions: int = 1  #: the fewest free parameters that it can search; below, Nelder-Mead takes its place
 
 
 ALGORITHMS = {
     "leastsquares": Algorithm(run_least_squares, "jacobian"),
     "slsqp": Algorithm(partial(run_nlopt, nlopt.LD_SLSQP, True), "gradient"),
-    "lbfgs": Algorithm(partial(run_nlopt, nlopt.LD_LBFGS, True), "gradient"),
-    "var2": Algorithm(partial(run_nlopt, nlopt.LD_VAR2, True), "gradient"),
-    "tnewton": Algorithm(partial(run_nlopt, nlopt.LD_TNEWTON_PRECOND_RESTART, True), "gradient"),
-    "mma": Algorithm(partial(run_nlopt, nlopt.LD_MMA, True), "gradient"),
-    "ccsaq": Algorithm(partial(run_nlopt, nlopt.LD_CCSAQ, True), "gradient"),
     "sbplx": Algorithm(partial(run_nlopt, nlopt.LN_SBPLX, False)),
-    "bobyqa": Algorithm(partial(run_nlopt, nlopt.LN_BOBYQA, False), dimensions=2),
     "neldermead": Algorithm(partial(run_nlopt, nlopt.LN_NELDERMEAD, False)),
-    "cobyla": Algorithm(partial(run_nlopt, nlopt.LN_COBYLA, False)),
-    "praxis": Algorithm(partial(run_nlopt, nlopt.LN_PRAXIS, False), stochastic=True, dimensions=2),
-    "crs2": Algorithm(partial(run_nlopt, nlopt.GN_CRS2_LM, False), stochastic=True),
-    "isres": Algorithm(partial(run_nlopt, nlopt.GN_ISRES, False), stochastic=True),
-    "esch": Algorithm(partial(run_nlopt, nlopt.GN_ESCH, False), stochastic=True),
-}  #: algorithms that a recipe may name: `leastsquares`, `bobyqa+neldermead`, `crs2+slsqp`
+}  #: algorithms that a recipe may name, alone or joined: `leastsquares`, `neldermead+leastsquares`
 
 
 def select_algorithms(name: str, objective_function: ObjectiveFunction) -> tuple[Algorithm, ...]:
-    """Return the algorithms that a recipe's `algorithm` names, e.g. `crs2+leastsquares`.
+    """Return the algorithms that a recipe's `algorithm` names, e.g. `neldermead+leastsquares`.
 
     Raises ConfigError if one of them is unknown, or needs a derivative that the objective function lacks.
     """
@@ -378,12 +364,9 @@ def select_algorithms(name: str, objective_function: ObjectiveFunction) -> tuple
             raise ConfigError(
                 f"`{part}` needs a {ALGORITHMS[part].needs}, which what is minimised has not",
                 where="recipe, key `algorithm` or `metric_algorithm`",
-                expected="slsqp or bobyqa+neldermead: a metric, or depths by quadrature, are no squares",
+                expected="slsqp or sbplx: a metric, or depths by quadrature, are no squares",
             )
-    named = (ALGORITHMS[part] for part in parts)
-    return tuple(
-        a if len(objective_function.lower) >= a.dimensions else ALGORITHMS["neldermead"] for a in named
-    )
+    return tuple(ALGORITHMS[part] for part in parts)
 
 
 #: largest gain of the value that a further step may promise; in units of the mean square where that is above
@@ -447,10 +430,6 @@ def _classify_minimum(recorder: EvaluationRecorder, residuals: Floats, jacobian:
     return "tolerance" if np.all(free) else "bound"
 
 
-#: a build of nlopt without thread-local storage has one generator for all threads
-_NLOPT_LOCK = threading.Lock()
-
-
 def search(
     objective_function: ObjectiveFunction,
     recipe: RecipeRecord,
@@ -464,11 +443,7 @@ def search(
     plan = select_algorithms(recipe.algorithm, objective_function)
     recorder = EvaluationRecorder(objective_function, recipe.evaluations, stop)
     theta0 = np.array(start_point.theta, dtype=np.float64)
-    stochastic = any(algorithm.stochastic for algorithm in plan)
-    with _NLOPT_LOCK if stochastic else nullcontext():
-        if stochastic:
-            nlopt.srand(start_point.seed)
-        reason = _run_stages(recorder, plan, recipe.tolerance, theta0)
+    reason = _run_stages(recorder, plan, recipe.tolerance, theta0)
     if recorder.theta is None and reason != INTERRUPTED:
         reason = "no finite value"
     return Start(
@@ -560,9 +535,7 @@ def minimize(
     whole = _SearchTask(problem, recipe)
     # an unknown algorithm is an error before anything is computed
     select_algorithms(recipe.algorithm, whole.objective_function)
-    # the order of draws from `rng` is part of the result: first the points, then the seeds
     design = starting_points(problem.lower, problem.upper, recipe.starts, rng)  # (n, P)
-    seeds = rng.integers(1, 2**31, size=len(design))
     done = {index: start for index, start in callbacks.finished.items() if index < len(design)}
     for index, start in done.items():
         if start.theta0 != tuple(design[index].tolist()):
@@ -570,7 +543,7 @@ def minimize(
                 f"start {index} of the checkpoint began elsewhere than this fit's",
                 fix="run again without --resume; seed, bounds or recipe have changed",
             )
-    start_points = [StartPoint(k, tuple(design[k].tolist()), int(seeds[k])) for k in range(len(design))]
+    start_points = [StartPoint(k, tuple(theta0.tolist())) for k, theta0 in enumerate(design)]
     easier = whole.objective_function.approach
     if easier is None or not recipe.approach or len(done) == len(start_points):
         for start in whole.run_each([p for p in start_points if p.index not in done], callbacks):
@@ -603,13 +576,8 @@ class _SearchTask:
 
     def run_each(self, start_points: list[StartPoint], callbacks: Callbacks) -> Iterator[Start]:
         """Yield the search from each place as it ends, in the calling thread."""
-        stop, plan = (
-            TaskStop(callbacks.stop),
-            select_algorithms(self.recipe.algorithm, self.objective_function),
-        )
-        # searches with random numbers take turns, so that none of them may wait for another
-        run = run_parts if any(one.stochastic for one in plan) else run_side_by_side
-        for _, start in run(partial(self.run, stop), start_points, callbacks.jobs, stop):
+        stop = TaskStop(callbacks.stop)
+        for _, start in run_side_by_side(partial(self.run, stop), start_points, callbacks.jobs, stop):
             yield start
 
 

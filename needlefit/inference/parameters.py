@@ -263,7 +263,7 @@ def make_prior(table: Mapping[str, ParameterRecord], ties: Sequence[SoftTie] = (
                 f"peaks at {_peak(one):g}, outside the bounds {bounds[0]:g} to {bounds[1]:g}",
                 fix="widen the bounds, or look whether prior and bounds mean the same unit",
             )
-        if one.correlation and (dimension(name) != "modulus" or _alpha_of(name) not in stated):
+        if one.correlation and (dimension(name) != "modulus" or alpha_of(name) not in stated):
             expected = "a prior of mu whose layer's alpha has a prior too"
             raise refused("states a correlation that has no partner", expected=expected)
     if not stated:
@@ -273,7 +273,7 @@ def make_prior(table: Mapping[str, ParameterRecord], ties: Sequence[SoftTie] = (
     correlations = np.eye(len(names))
     for k, (name, one) in enumerate(stated.items()):
         if one.correlation:
-            j = names.index(_alpha_of(name))
+            j = names.index(alpha_of(name))
             correlations[j, k] = correlations[k, j] = one.correlation
     peaks = np.array([to_coordinate(name, _peak(one)) for name, one in stated.items()])
     return add_ties(make_gaussian_prior(names, peaks, correlations * np.outer(sds, sds)), ties)
@@ -286,7 +286,8 @@ def make_gaussian_prior(names: Sequence[str], mean: Floats, covariance: Floats) 
     return Prior(tuple(names), rows, tuple((whitening @ mean).tolist()))
 
 
-def _alpha_of(mu: str) -> str:
+def alpha_of(mu: str) -> str:
+    """Return the name of alpha in the layer of a modulus."""
     return mu.replace("mu", "alpha").removesuffix("_pa")
 
 
@@ -324,7 +325,7 @@ class Parameters:
         resolve_ties(every, frozenset(names))  # checks those with a spread too
         soft = {name: spread for name in every if (spread := find_tie_spread(name, table[name])) > 1}
         for name in names:
-            _check_values(name, table[name], record.law)
+            check_values(name, table[name], record.law)
         fixed = {name: value for name in names if (value := table[name].fixed) is not None}
         exact = {name: tie for name, tie in every.items() if name not in soft}
         ends = resolve_ties(exact, frozenset(names))
@@ -441,7 +442,7 @@ def with_noise_scale(parameters: Parameters, largest: float = NOISE_SCALE_BOUNDS
 
 
 def with_bevel_spread(parameters: Parameters, sd: float) -> Parameters:
-    """Return the parameters with a free relative bevel SD between insertions, half-normal with `sd`, last."""
+    """Return the parameters with a free bevel CV between insertions, half-normal with `sd`, last."""
     low, high = BEVEL_SPREAD_BOUNDS
     return replace(
         parameters,
@@ -601,7 +602,7 @@ def state_usual_bounds(record: MediumRecord) -> dict[str, ParameterRecord]:
     return {name: ParameterRecord(bounds=one.usual) for one, row in rows for name in row}
 
 
-def _check_values(name: str, parameter: ParameterRecord, law: str) -> None:
+def check_values(name: str, parameter: ParameterRecord, law: str) -> None:
     """Refuse bounds and fixed values without a logarithm, or that the law or a needle cannot have."""
     stated = parameter.bounds or (() if parameter.fixed is None else (parameter.fixed,))
     if not stated:

@@ -143,9 +143,9 @@ class Draws:
     """Draws of theta (B, P) from a posterior, by MCMC or by importance sampling.
 
     `faults` says why it has not converged, or is not certified; it is empty if it is. `pareto_k` is that of
-    importance sampling, also where its weights were not certified and MCMC followed, NaN without it;
-    `effective_sample_size` is of the weights, or the smallest of the parameters of the chains, of which these
-    draws are a part.
+    importance sampling, also where MCMC followed, NaN without it;
+    `effective_sample_size` is of the weights, or the smallest of the parameters and the log posterior of all
+    chains, of which these draws are a part.
     """
 
     thetas: Floats
@@ -174,7 +174,7 @@ def thin_posterior(
 ) -> Draws:
     """Return `count` draws of a sampled posterior, evenly spread over all chains and steps.
 
-    `pareto_k` is that of the importance sampling that failed before.
+    `pareto_k` is that of the importance sampling before.
 
     Raises KeyError if the posterior is of other parameters.
     """
@@ -182,8 +182,7 @@ def thin_posterior(
     chosen = flat[np.linspace(0, len(flat) - 1, min(count, len(flat))).astype(np.int64)]
     sets = (dict(zip(posterior.names, values.tolist(), strict=True)) for values in chosen)
     thetas = np.array([parameters.theta(values) for values in sets])
-    every = posterior.convergence.ess_bulk.sum(axis=0)[: len(posterior.names)]
-    return Draws(thetas, "posterior", posterior.faults, pareto_k, float(every.min()))
+    return Draws(thetas, "posterior", posterior.faults, pareto_k, float(posterior.ess.min()))
 
 
 def rms_noise_scale(draws: Draws, parameters: Parameters, stated: float | str) -> float:

@@ -322,7 +322,7 @@ def metric_misfit(simulated: Floats, measured: Floats, weights: WeightsRecord) -
     """Return the metric misfit of one insertion, mm; points (K, 2) run from the entry to the tip."""
     off = simulated - measured  # (K, 2)
     distances = np.sqrt(np.sum(off**2, axis=1) + SMOOTHING_MM**2) - SMOOTHING_MM  # (K,)
-    return float(_station_weights(measured, weights) @ distances)
+    return float(station_weights(measured, weights) @ distances)
 
 
 def metric_misfit_gradient(
@@ -331,10 +331,10 @@ def metric_misfit_gradient(
     """Return the derivatives (P,) of `metric_misfit`, given those of the simulated points, (K, 2, P)."""
     off = simulated - measured
     along = off / np.sqrt(np.sum(off**2, axis=1) + SMOOTHING_MM**2)[:, None]  # (K, 2)
-    return np.einsum("k,ki,kip->p", _station_weights(measured, weights), along, slopes)
+    return np.einsum("k,ki,kip->p", station_weights(measured, weights), along, slopes)
 
 
-def _station_weights(measured: Floats, weights: WeightsRecord) -> Floats:
+def station_weights(measured: Floats, weights: WeightsRecord) -> Floats:
     """Return the weight (K,) of the distance at each station."""
     deflection = abs(float(measured[-1, 1] - measured[0, 1]))
     station_weights = np.full(len(measured), weights.ipe / len(measured))
@@ -402,6 +402,11 @@ class Problem:
     def values(self, theta: Theta) -> dict[str, float]:
         """Return every parameter's value (Pa, mm)."""
         return self.parameters.values(theta)
+
+    def tabulate_values(self, thetas: Floats) -> Floats:
+        """Return the values (..., P) of the free parameters (Pa, mm) of thetas (..., P)."""
+        sets = map(self.values, thetas.reshape(-1, len(self.names)))
+        return np.array([[one[name] for name in self.names] for one in sets]).reshape(thetas.shape)
 
     def shapes(self, theta: Theta) -> tuple[NeedleShape, ...]:
         """Return the simulated needle of each insertion."""

@@ -2,7 +2,8 @@
 
 Each kind of work has a file of rows there: lines of JSON, each behind a digest of it, with arrays as base64.
 A row is appended at once, so that a kill leaves whole rows, and perhaps the beginning of one, which is then
-set aside. No file holds code. One process at a time may use the folder.
+set aside. Beside its rows a work may keep one file that a library writes (HDF5), as a whole. No file holds
+code. One process at a time may use the folder.
 """
 
 import base64
@@ -12,6 +13,7 @@ import math
 import os
 import re
 import secrets
+import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -42,11 +44,13 @@ from needlefit.project.progress import Note, no_note
 
 MAX_CHECKPOINT_BYTES = 2**31  # size of a file of rows
 ARRAYS_KEY = "arrays"  # of a row: its arrays by name
+FILE_KEY = "file"  # of a row: the digest of the file that was kept with it
 _DIGEST_CHARACTERS = 16
 _ARRAY_TYPES = ("<f8", "<f4", "<i8", "|b1")
 _NEW_MANIFEST = f"{MANIFEST}.new"  # takes the place of the manifest once it is written
 _OWN_FILE = re.compile(
-    rf"({LOCK_NAME}|{re.escape(MANIFEST)}(\.new)?|[0-9a-f]{{16}}\.jsonl(\.whole)?)(\.damaged-\d+)?"
+    rf"({LOCK_NAME}|{re.escape(MANIFEST)}(\.new)?|[0-9a-f]{{16}}\.(jsonl(\.whole)?|h5(\.part)?))"
+    r"(\.damaged-\d+)?"
 )
 _THIS_PROCESS = f"{os.getpid()} {secrets.token_hex(8)}"
 """In the lock file: processes of two containers may have one number."""
@@ -102,9 +106,38 @@ class Checkpoint:
         kept.replace(file)
         self.note(f"{file} was damaged: it is now {aside.name}; {len(whole)} whole rows of it are used")
 
-    def _file(self, work: str) -> Path:
+    def open_file(self, work: str, keys: Sequence[str]) -> tuple[Path, dict[str, Any]]:
+        """Return the file that a work writes to, as it was kept last, and the row kept with it, with `keys`.
+
+        Without a kept file, or with a damaged one, which is set aside, there is neither.
+        """
+        kept = self._file(work, "h5")
+        working = kept.with_name(f"{kept.name}.part")
+        working.unlink(missing_ok=True)
+        if kept.is_file():
+            digest = _digest(read_bytes(kept, MAX_CHECKPOINT_BYTES)).decode("ascii")
+            for row in self.rows(work, (FILE_KEY, *keys)):
+                if row[FILE_KEY] == digest:
+                    shutil.copyfile(kept, working)
+                    return working, row
+            self.note(f"{kept} was damaged: it is now {set_aside(kept).name}, and its work begins again")
+        return working, {}
+
+    def keep_file(self, work: str, row: Mapping[str, Any]) -> None:
+        """Keep the file that a work writes to as it is now, with a row.
+
+        A kill leaves the file that was kept before, or this one, each with its row.
+        """
+        kept = self._file(work, "h5")
+        working = kept.with_name(f"{kept.name}.part")
+        digest = _digest(read_bytes(working, MAX_CHECKPOINT_BYTES)).decode("ascii")
+        self.keep_row(work, {**row, FILE_KEY: digest})
+        working.replace(kept)
+        shutil.copyfile(kept, working)
+
+    def _file(self, work: str, ending: str = "jsonl") -> Path:
         assert self.folder is not None
-        return self.folder / f"{hashlib.sha256(work.encode()).hexdigest()[:16]}.jsonl"
+        return self.folder / f"{hashlib.sha256(work.encode()).hexdigest()[:16]}.{ending}"
 
 
 NO_CHECKPOINT = Checkpoint(None)  # keeps nothing

@@ -94,6 +94,7 @@ _EXPECTED: dict[str, Callable[[ErrorContext], str]] = {
     "greater_than_equal": lambda stated: f"a number of at least {stated['ge']:g}",
     "less_than": lambda stated: f"a number below {stated['lt']:g}",
     "less_than_equal": lambda stated: f"a number of at most {stated['le']:g}",
+    "multiple_of": lambda stated: f"a multiple of {stated['multiple_of']:g}",
     "finite_number": lambda _: "a finite number",
     "literal_error": lambda stated: str(stated["expected"]).replace("'", '"'),
     "too_short": lambda stated: f"a list of at least {stated['min_length']}",

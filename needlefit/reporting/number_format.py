@@ -6,11 +6,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from needlefit.inference.parameters import is_logarithmic
-from needlefit.inference.quantity_text import choose_unit, is_known
+from needlefit.inference.quantity_text import choose_unit
 from needlefit.inference.quantity_text import format_number as format_number
 from needlefit.inference.quantity_text import format_plain as format_plain
 from needlefit.inference.quantity_text import format_quantity as format_quantity
 from needlefit.inference.quantity_text import format_quantity_range as format_quantity_range
+from needlefit.inference.quantity_text import is_known as is_known
 from needlefit.inference.quantity_text import typeset as typeset
 from needlefit.mechanics.laws import list_shape_parameters
 from needlefit.metrics import METRICS, Metric
@@ -79,7 +80,7 @@ def format_symbol(parameter: str) -> str:
         "cut_angle_deg": "θ (°)",
         "guide_distance_mm": "guide to entry (mm)",
         "noise_scale": "noise scale",
-        "bevel_spread": "relative bevel SD",
+        "bevel_spread": "bevel CV",
     }.get(parameter, parameter)
 
 
@@ -110,31 +111,7 @@ def insert_symbols(words: str) -> str:
     return _POWER_PATTERN.sub(lambda found: typeset(found[0]), true).replace(" * ", " · ")
 
 
-def format_measured(value: float | None) -> str:
-    """Return a measured value as text with three digits, including trailing zeros."""
-    if not is_known(value):
-        return MISSING
-    assert value is not None
-    if value == 0.0 or 0.1 <= abs(value) < 100:
-        return f"{value:#.3g}" if value else "0"
-    mantissa, _, exponent = f"{value:.2e}".partition("e")
-    return typeset(f"{mantissa}e{int(exponent)}")
-
-
-def format_bound(low: float | None, high: float | None) -> str:
-    """Return the bounds of a measured value as text."""
-    ends = [typeset(format_number(value)) for value in (low, high)]
-    if all(ends):
-        return " to ".join(ends)
-    return f"≤ {ends[1]}" if ends[1] else f"≥ {ends[0]}" if ends[0] else MISSING
-
-
 # ---- the one 95 % interval of a parameter
-
-MAX_BOUNDS_SHARE = 0.5
-"""Part of the width of its bounds that an interval may have, in ln (alpha: itself), to be printed."""
-
-NO_INTERVAL = "not determined"
 
 
 def interval_width(name: str, low: float, high: float) -> float:
@@ -143,24 +120,26 @@ def interval_width(name: str, low: float, high: float) -> float:
 
 
 def format_interval(row: Mapping[str, Any], unit: float = 1.0) -> str:
-    """Return the printed interval of a row, moduli in `unit` Pa; `NO_INTERVAL` where it spans most bounds."""
+    """Return the printed interval of a row, moduli in `unit` Pa; empty where there is none."""
     low, high = row.get("interval_low"), row.get("interval_high")
-    if low is None or high is None or not math.isfinite(low):
+    if not (is_known(low) and is_known(high)):
         return ""
-    name = str(row["parameter"])
-    bounds = [float(row.get(end) or math.nan) for end in ("bound_low", "bound_high")]
-    if interval_width(name, low, high) > MAX_BOUNDS_SHARE * interval_width(name, *bounds):  # NaN: no bounds
-        return NO_INTERVAL
+    assert low is not None and high is not None
     return f"{format_number(low / unit)} to {format_number(high / unit)}"
 
 
 def choose_interval_unit(row: Mapping[str, Any], *values: float | None) -> tuple[str, float]:
-    """Return symbol and unit as `choose_printed_unit`, for values and, where it is printed, the interval."""
-    printed = format_interval(row) not in ("", NO_INTERVAL)
-    ends = [row[end] for end in ("interval_low", "interval_high")] if printed else []
-    return choose_printed_unit(str(row["parameter"]), [*values, *ends])
+    """Return symbol and unit as `choose_printed_unit`, for values and the interval."""
+    return choose_printed_unit(
+        str(row["parameter"]), [*values, row.get("interval_low"), row.get("interval_high")]
+    )
 
 
 def typeset_interval(row: Mapping[str, Any], unit: float = 1.0) -> str:
     """Return `format_interval` as it is printed in books."""
     return " to ".join(map(typeset, format_interval(row, unit).split(" to ")))
+
+
+def round_significant(value: float, digits: int) -> float:
+    """Return a number rounded to significant digits."""
+    return float(f"{value:.{digits - 1}e}")

@@ -25,11 +25,8 @@ MAX_GUIDES = 50  #: of a scene
 MAX_ITERATIONS = 200  #: of Newton's method in one equilibrium
 MAX_STARTS = 10_000  #: of a search
 MAX_EVALUATIONS = 10_000_000  #: of one start
-MAX_ENSEMBLES = 100  #: of a sampler
-MAX_WALKERS = 2000  #: of an ensemble
-#: ensembles x walkers x steps; a draw of ten parameters takes 80 bytes, and four copies of all are held
-MAX_STORED_DRAWS = 4_000_000
-MAX_STORED_NUMBERS = 50_000_000  #: draws x parameters: 400 MB a copy
+MAX_WALKERS = 2000  #: of a sampler
+MAX_DENSITIES = 1_000_000  #: of a sampler: a draw of ten parameters takes 80 bytes, of which there are copies
 #: repetitions of a whole study: seeds, made-up specimens, orders, truths of a calibration
 MAX_REPLICATES = 10_000
 MAX_RESAMPLES = 100_000  #: of a bootstrap

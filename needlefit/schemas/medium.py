@@ -1,6 +1,7 @@
 """A medium: its layers, which of their parameters are free, their bounds and their priors."""
 
 import math
+import re
 from typing import ClassVar, Self
 
 from pydantic import Field, model_validator
@@ -36,7 +37,7 @@ class PriorRecord(Record):
 
 
 class MaterialRecord(FileRecord):
-    """`reports/material-<name>/prior.toml`: priors of a layer from a compression test."""
+    """Priors of a layer, as from a compression test: `needlefit.write_prior` writes them."""
 
     title: str = ""
     """What was tested."""
@@ -119,6 +120,19 @@ class MediumRecord(FileRecord):
     def bevel_parameter(self) -> str:
         """Name of the parameter that says how strongly the bevel turns the cut."""
         return "cut_angle_deg" if self.advance == "path_angle" else "bevel_mm"
+
+
+_PRINTED_NAMES = {
+    "b": "bevel_mm",
+    "theta": "cut_angle_deg",
+    "θ": "cut_angle_deg",
+    "guide_distance": "guide_distance_mm",
+}
+
+
+def spell_parameter(name: str) -> str:
+    """Return the key of a parameter that is given as tables print it: `mu1_pa` for mu1, `bevel_mm` for b."""
+    return _PRINTED_NAMES.get(name, f"{name}_pa" if re.fullmatch(r"mu\d+", name) else name)
 
 
 MIN_CUT_ANGLE_DEG, MAX_CUT_ANGLE_DEG = 0.01, 44.0  #: widest bounds of an angle that takes the place of b

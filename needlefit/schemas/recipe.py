@@ -6,11 +6,10 @@ from pydantic import Field, model_validator
 
 from needlefit.schemas.base import FileRecord, Record
 from needlefit.schemas.limits import (
-    MAX_ENSEMBLES,
+    MAX_DENSITIES,
     MAX_EVALUATIONS,
     MAX_SEED,
     MAX_STARTS,
-    MAX_STORED_DRAWS,
     MAX_WALKERS,
 )
 
@@ -78,27 +77,14 @@ class LikelihoodRecord(Record):
 
 
 class SampleRecord(Record):
-    """How to sample: independent ensembles of walkers, moved until they agree."""
+    """How `tune` samples: an ensemble of walkers, from draws by importance, until it has enough draws."""
 
-    ensembles: int = Field(default=4, ge=1, le=MAX_ENSEMBLES)
-    """Number of independent ensembles of walkers."""
-    walkers: int = Field(default=16, ge=8, le=MAX_WALKERS)
-    """Walkers of one ensemble."""
-    moves: str = "0.6*independent + 0.3*de + 0.1*stretch"
-    """Proposals and their shares: independent, stretch, de."""
-    steps: int = Field(default=20000, ge=2)
-    """Largest number of steps of each ensemble; it stops earlier once it has converged."""
-    check_interval: int = Field(default=50, ge=2)
-    """Steps between two checks of convergence; the run is stored at each."""
-
-    @model_validator(mode="after")
-    def _fits_in_memory(self) -> Self:
-        draws = self.ensembles * self.walkers * self.steps
-        if draws > MAX_STORED_DRAWS:
-            raise ValueError(
-                f"ensembles x walkers x steps is {draws}: at most {MAX_STORED_DRAWS} draws are kept in memory"
-            )
-        return self
+    walkers: int = Field(default=64, ge=8, le=MAX_WALKERS, multiple_of=2)
+    """Walkers of the ensemble; at least twice the free parameters are taken."""
+    independent_draws: int = Field(default=400, ge=1)
+    """Independent draws of every parameter, of all walkers together, at which sampling ends."""
+    densities: int = Field(default=20000, ge=1, le=MAX_DENSITIES)
+    """Largest number of densities that are evaluated."""
 
 
 class BetweenSpecimensRecord(Record):
@@ -115,7 +101,7 @@ class BetweenSpecimensRecord(Record):
 class RecipeRecord(FileRecord):
     """`configs/recipes/<name>.toml`: how to search, what to minimise, how to sample."""
 
-    SCHEMA: ClassVar[int] = 2
+    SCHEMA: ClassVar[int] = 3
 
     title: str = ""
     """What the recipe is for."""
@@ -127,7 +113,7 @@ class RecipeRecord(FileRecord):
     """Optimiser of the fit; `+` runs one after the other."""
     metric: bool = False
     """Whether a second fit minimises the weighted errors; it is reported beside the first."""
-    metric_algorithm: str = "bobyqa+neldermead"
+    metric_algorithm: str = "slsqp"
     """Optimiser of the second fit."""
     starts: int = Field(default=16, ge=1, le=MAX_STARTS)
     """Random starting points of the search."""

@@ -2,9 +2,10 @@
 
 from typing import ClassVar, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from needlefit.schemas.base import FileRecord, Record
+from needlefit.schemas.medium import spell_parameter
 
 LayerCountRule = Literal["listed", "alternative"]
 
@@ -49,7 +50,12 @@ class FitRecord(FileRecord):
     paper_parameters: str | None = None
     """Row of the paper's parameter table that is reported beside the fit. The search never starts there."""
     priors: dict[str, str] = {}
-    """Measured priors by number of layer: files that `needlefit material` wrote."""
+    """Measured priors by number of layer: files that `needlefit.write_prior` wrote."""
+    free: tuple[str, ...] = ()
+    """Parameters that are estimated although the tissue model fixes or ties them: `["alpha1"]`. Their bounds
+    are in docs/fitting.md."""
+    fix: dict[str, float] = {}
+    """Parameters that are held at a value (Pa, mm, degrees): `{ alpha1 = 2.0 }`."""
     tune: SelectionRecord = Field(default=SelectionRecord())
     """Insertions that are fitted."""
     specimens: Literal["others", "training only"] = "others"
@@ -58,6 +64,23 @@ class FitRecord(FileRecord):
     same_specimen: bool = False
     """Whether predicted insertions go on purpose into specimens that are fitted. Without it, that is a
     warning of a study, and `needlefit predict` predicts a new specimen."""
+
+    @field_validator("free")
+    @classmethod
+    def _spell_free(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(map(spell_parameter, names)))
+
+    @field_validator("fix")
+    @classmethod
+    def _spell_fixed(cls, values: dict[str, float]) -> dict[str, float]:
+        return {spell_parameter(name): value for name, value in values.items()}
+
+    @model_validator(mode="after")
+    def _free_or_fixed(self) -> Self:
+        both = [name for name in self.free if name in self.fix]
+        if both:
+            raise ValueError(f"{', '.join(both)} cannot be in `free` and in `fix`")
+        return self
 
 
 class StudyRecord(FitRecord):

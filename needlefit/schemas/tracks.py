@@ -31,7 +31,7 @@ class TrackFitRecord(Record):
     medium: str
     """Name of a tissue model in `configs/media/`, or the path of its file."""
     priors: dict[str, str] = Field(default={})
-    """Measured priors by number of layer: files that `needlefit material` wrote."""
+    """Measured priors by number of layer: files that `needlefit.write_prior` wrote."""
     tune: TrackSelectionRecord
     """Runs that are fitted."""
     validate_: TrackSelectionRecord = Field(alias="validate")

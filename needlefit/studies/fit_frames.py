@@ -19,19 +19,27 @@ starts
     `gradients` are the evaluations with derivatives among all; `joined` is the start that it met on its
     approach and went on with, empty if none.
 failures
-    The first evaluations that failed, of every start and of every ensemble of the sampler (`fit` is then
-    "posterior"): the insertion without a solution, the reason, then one column per parameter.
+    The first evaluations that failed, of every start and of the sampler (`fit` is then "posterior"): the
+    insertion without a solution, the reason, then one column per parameter.
 
 parameters :
     Values per fold and method; `sd` is of ln for moduli and lengths, of the value for alpha; `low`,
-    `high` is the range among starts within tolerance of the best; `interval_low`,
-    `interval_high` is the one 95 % interval that is printed, `draw_source` what it is from.
+    `high` is the range among starts within tolerance of the best; `interval_low`, `interval_high` is the one
+    95 % interval that is printed, of the error-minimising fit its range within the tolerance of the errors,
+    `draw_source` what it is from, `median` that of the same draws; `importance_low`, `importance_high` is the
+    interval of the draws by importance. `determined` is "yes", "only together" (with the others held it is),
+    or "no".
+error_fit
+    Per fold the objective of the error-minimising fit: at the reported point, at the least one, and the
+    tolerance within which it is not significantly larger, with its two estimates.
 directions
     Combinations of parameters in words, with the standard deviation to which each is known.
 identification
     Of a fit: per fold and parameter the information (`sd`), the profile likelihood (the 95 % interval, how
     its ends `end_low`, `end_high` came about, how far the deviance rises at most), posterior SD / prior SD,
-    and whether they agree; alphas that were fixed are freed for it.
+    and whether they agree; alphas that were fixed are freed for it. Their `interval_low`, `interval_high` and
+    `sd` are of the density that the profile gives within the bounds, `log_posterior_rise` is from the fit to
+    the profile's best point.
 profiles
     Deviances of the profiles and their derivatives by ln (by alpha itself), then one column per parameter.
 predictive
@@ -99,14 +107,19 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "parameters": (
             *("fold", "method", "parameter", "value", "status", "bound_low", "bound_high"),
             *("sd", "low", "high", "interval_low", "interval_high", "draw_source"),
+            *("median", "importance_low", "importance_high"),
             *("determined", "condition", "note"),
+        ),
+        "error_fit": (
+            *("fold", "objective_mm", "least_objective_mm", "tolerance_mm"),
+            *("tolerance_by_noise_mm", "tolerance_by_insertions_mm", "evaluations"),
         ),
         "directions": ("fold", "sd", "sd_ratio", "note"),
         "identification": (
             *("fold", "parameter", "status", "determined", "note", "value", "prior_sd"),
             *("sd", "sd_low", "sd_high", "fisher_sd", "sd_ratio", "low", "high", "end_low", "end_high"),
             *("interval_low", "interval_high", "draw_source", "bound_low", "bound_high"),
-            *("rise", "minima", "tip_range_mm", "profile_verdict", "agreement"),
+            *("rise", "log_posterior_rise", "minima", "tip_range_mm", "profile_verdict", "agreement"),
         ),
         "profiles": ("fold", "parameter", "value", "deviance", "slope", "fisher_deviance", "threshold"),
         "predictive": _PREDICTIVE_COLUMNS,

@@ -10,12 +10,17 @@ import numpy as np
 import pandas as pd
 import scipy
 
-from needlefit.inference.identifiability.directions import BOUND_FRACTION, CUT_OFF_FRACTION, short_name
-from needlefit.inference.parameters import Parameters, is_logarithmic
+from needlefit.inference.identifiability.directions import (
+    BOUND_FRACTION,
+    CUT_OFF_FRACTION,
+    UNINFORMED_SD_RATIO,
+    short_name,
+)
+from needlefit.inference.parameters import BEVEL_SPREAD, Parameters, is_logarithmic, is_shape_parameter
 from needlefit.project.result_warnings import ResultWarning, read_warnings, warnings_entry
 from needlefit.reporting.labels import group_name, medium_name
-from needlefit.reporting.number_format import format_quantity
-from needlefit.reporting.table_files import Row
+from needlefit.reporting.number_format import format_quantity, format_quantity_range
+from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText
 from needlefit.studies.coverage import FindingKey, find_adaptation, find_miscalibration
 from needlefit.studies.fit_frames import select_fitted, select_free
@@ -70,9 +75,21 @@ def write_warning(kind: str, values: Mapping[str, Any], text: str = "") -> Resul
 # ---- parameters at their bounds
 
 
+def _select_bounded(results: Run) -> pd.DataFrame:
+    """Return the rows of free parameters that no bound should limit.
+
+    A shape parameter to which the data add nothing lies anywhere within its bounds, which are its prior.
+    """
+    free, keys = select_free(results.frames["parameters"]), ["fold", "parameter"]
+    ratios = results.frames["identification"].reindex(columns=[*keys, "sd_ratio"])
+    shape = free["parameter"].map(is_shape_parameter).to_numpy(dtype=bool)
+    uninformed = free[keys].merge(ratios, on=keys, how="left")["sd_ratio"] >= UNINFORMED_SD_RATIO
+    return free[~(shape & uninformed.to_numpy())]
+
+
 def _find_bounds(results: Run) -> Iterator[Row]:
     """Yield the parameters that a fit left at a bound, and in how many folds."""
-    free = select_free(results.frames["parameters"])
+    free = _select_bounded(results)
     folds = results.frames["parameters"]["fold"].nunique()
     for name, rows in free.groupby("parameter", sort=False):
         columns = (rows[key].to_numpy(dtype=np.float64) for key in ("value", "bound_low", "bound_high"))
@@ -83,7 +100,7 @@ def _find_bounds(results: Run) -> Iterator[Row]:
 def _find_interval_bounds(results: Run) -> Iterator[Row]:
     """Yield the 95 % intervals of a fit that end at a bound; one whose profile is open reaches it."""
     ends = results.frames["identification"].reindex(columns=["fold", "parameter", "end_low", "end_high"])
-    both = select_free(results.frames["parameters"]).merge(ends, on=["fold", "parameter"], how="left")
+    both = _select_bounded(results).merge(ends, on=["fold", "parameter"], how="left")
     for side in ("low", "high"):
         open_end = both[f"end_{side}"] == "bound"
         both[f"interval_{side}"] = both[f"interval_{side}"].mask(open_end, both[f"bound_{side}"])
@@ -141,9 +158,27 @@ def _describe_bound(name: str, value: float, low: float, high: float, near: floa
     """Return at which bound a value lies, to within the part `near` of the bounds; "" if at none."""
     least, at, most = (math.log(one) if is_logarithmic(name) else one for one in (low, value, high))
     place = (at - least) / (most - least)
-    if place < near:
+    if place < near and name != BEVEL_SPREAD:  # next to 0 it says that bevels do not differ
         return f"lower bound, {format_quantity(name, low)}"
     return f"upper bound, {format_quantity(name, high)}" if place > 1 - near else ""
+
+
+# ---- intervals by both samplers
+
+
+def _find_differing_samplers(results: Run) -> Iterator[Row]:
+    """Yield the parameters whose intervals by MCMC and by importance sampling differ."""
+    free = to_records(select_free(results.frames["parameters"]))
+    rows = {(row["fold"], row["parameter"]): row for row in free}
+    for fold, names in results.run.get("differing_intervals", {}).items():
+        ends = results.posteriors[fold].percentiles((2.5, 97.5))
+        for name in names:
+            row = rows[fold, name]
+            yield {
+                "parameter": short_name(name),
+                "sampled": format_quantity_range(name, *ends[name]),
+                "importance": format_quantity_range(name, row["importance_low"], row["importance_high"]),
+            }
 
 
 # ---- errors beside baselines and noise floor
@@ -246,6 +281,7 @@ RULES: Sequence[WarningRule] = (
     ),
     WarningRule("parameter_at_bound", _find_bounds),
     WarningRule("parameter_at_bound", _find_interval_bounds, "interval_at_bound"),
+    WarningRule("samplers_differ", _find_differing_samplers),
     WarningRule("worse_than_baseline", _find_better_baselines),
     WarningRule("noise_too_large", partial(_find_wrong_noise, too_large=True)),
     WarningRule("noise_too_small", partial(_find_wrong_noise, too_large=False)),

@@ -50,7 +50,8 @@ from needlefit.inference.sampling.importance import (
     sample_about_modes,
 )
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.inference.sampling.sample import sample_from_fit
+from needlefit.inference.sampling.sample import sample
+from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint
 from needlefit.project.progress import never_stop
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import TaskStop, run_parts
@@ -101,25 +102,13 @@ def fit_posterior(
     if not len(fit.theta) or settings.stop():
         return PosteriorFit(fit, Draws(np.empty((draws, len(fit.theta))), "importance"), float("nan"))
     rng = random_stream(job.recipe.seed, job.name, *key, "weighed")
-    found, posterior = weigh_or_sample(job, problem, fit, rng, key, settings)
+    found = sample_about_fit(problem, fit, rng, settings.jobs)
     if found.certified:
         return PosteriorFit(fit, resample_draws(found, draws, rng), found.k)
+    posterior = None if settings.stop() else sample_posterior(job, problem, fit, found, key, settings)
     nothing = Draws(np.empty((0, len(fit.theta))), "posterior")
     drawn = nothing if posterior is None else thin_posterior(posterior, problem.parameters, draws, found.k)
     return PosteriorFit(fit, drawn, found.k, sampled=True)
-
-
-def weigh_or_sample(
-    job: Job, problem: Problem, fit: Fit, rng: np.random.Generator, key: tuple[str, ...], settings: Settings
-) -> tuple[WeightedDraws, Posterior | None]:
-    """Return weighted draws about a fit, and where they are not certified the posterior by MCMC.
-
-    That is None too after a stop before there is any.
-    """
-    found = sample_about_fit(problem, fit, rng, settings.jobs)
-    if found.certified or settings.stop():
-        return found, None
-    return found, sample_posterior(job, problem, fit, key, settings)
 
 
 def find_fit(job: Job, problem: Problem, key: tuple[str, ...], settings: Settings) -> Fit:
@@ -129,13 +118,25 @@ def find_fit(job: Job, problem: Problem, key: tuple[str, ...], settings: Setting
 
 
 def sample_posterior(
-    job: Job, problem: Problem, fit: Fit, key: tuple[str, ...], settings: Settings
+    job: Job,
+    problem: Problem,
+    fit: Fit,
+    begin: WeightedDraws,
+    key: tuple[str, ...],
+    settings: Settings,
+    checkpoint: Checkpoint = NO_CHECKPOINT,
+    step: Callable[[int, int], None] = lambda done, total: None,
 ) -> Posterior | None:
-    """Return the posterior by MCMC from all equally good starts; None after a stop before there is any."""
+    """Return the posterior by MCMC, from weighted draws about a fit; None after a stop before there is any.
+
+    `step` is called with the number of steps made, and of all.
+    """
     known = add_estimated_noise(problem, np.array(fit.theta))
     rng = random_stream(job.recipe.seed, *key, "posterior")
-    callbacks = Callbacks(stop=settings.stop, jobs=settings.jobs)
-    return sample_from_fit(known, fit, job.recipe.sample, rng, callbacks)
+    callbacks = Callbacks(stop=settings.stop, step=step, jobs=settings.jobs)
+    # of another fit with the same key the chain would be another
+    name = f"{'/'.join(key)} about {fit.theta}"
+    return sample(known, begin, job.recipe.sample, rng, callbacks, checkpoint, name)
 
 
 @dataclass
@@ -323,31 +324,46 @@ MIN_SOLVED_DRAWS = 10  #: fewer solved draws make no distribution
 AFTER_ONE_COLUMN = "tip_95_width_after_one_mm"
 
 
-def draw_fold_parameters(
-    job: Job, fold: Fold, fit: Fit, posterior: Posterior | None, settings: Settings
-) -> tuple[Draws, Draws]:
-    """Draw parameters of a fold: `PREDICTION_DRAWS` to predict with, and `FIGURE_DRAWS` for figures.
+@dataclass(frozen=True)
+class FoldDraws:
+    """Draws of the parameters of a fold, to predict with and for figures, and how they came about."""
 
-    They come from the sampled posterior where there is one, else from importance sampling about the fit, with
-    more effort where its weights cannot be trusted, and then from the sampler.
+    draws: Draws  #: `PREDICTION_DRAWS` of them
+    shown: Draws  #: `FIGURE_DRAWS` of them
+    importance: Draws  #: as many as `draws`, by importance sampling
+    posterior: Posterior | None = None  #: where it was sampled
+
+
+def draw_fold_parameters(
+    job: Job,
+    fold: Fold,
+    fit: Fit,
+    settings: Settings,
+    checkpoint: Checkpoint = NO_CHECKPOINT,
+    step: Callable[[int, int], None] = lambda done, total: None,
+) -> FoldDraws:
+    """Draw parameters of a fold by importance sampling about its fit.
+
+    Where the settings ask for it, or the weights are not certified, an ensemble of walkers goes on from these
+    draws. Its draws are used if it has converged, or those by importance are not certified. `checkpoint` and
+    `step` are the ensemble's.
     """
     counts = (PREDICTION_DRAWS, FIGURE_DRAWS)
-    if posterior is None and not len(fit.theta):
+    if not len(fit.theta):
         few, many = (Draws(np.empty((count, 0)), "importance") for count in counts)
-        return few, many
-    pareto_k = math.nan
-    if posterior is None:
-        key = (fold.name, "draws")
-        # not keyed by the job's name: the same fit has the same draws, whichever command runs it
-        rng = random_stream(job.recipe.seed, *key)
-        found, posterior = weigh_or_sample(job, job.problem(fold), fit, rng, key, settings)
-        pareto_k = found.k
-    if posterior is not None:
-        few, many = (thin_posterior(posterior, job.parameters, count, pareto_k) for count in counts)
-        return few, many
+        return FoldDraws(few, many, few)
+    # not keyed by the job's name: the same fit has the same draws, whichever command runs it
+    key, problem = (fold.name, "draws"), job.problem(fold)
+    rng = random_stream(job.recipe.seed, *key)
+    found = sample_about_fit(problem, fit, rng, settings.jobs)
     # both sets come from one generator: their order is part of the result
     few, many = (resample_draws(found, count, rng) for count in counts)
-    return few, many
+    by_importance, posterior = few, None
+    if (settings.sample or not found.certified) and not settings.stop():
+        posterior = sample_posterior(job, problem, fit, found, key, settings, checkpoint, step)
+    if posterior is not None and not (posterior.faults and found.certified):
+        few, many = (thin_posterior(posterior, job.parameters, count, found.k) for count in counts)
+    return FoldDraws(few, many, by_importance, posterior)
 
 
 BAND_POINTS = 41  #: points of a band that are kept, of up to some 200

@@ -1,29 +1,32 @@
 """Find what is identifiable, and the 95 % interval of every fitted parameter.
 
-Every fitted parameter has one 95 % interval: of certified draws, else of its profile. Verdicts follow it.
+Every fitted parameter has one 95 % interval: of certified draws, else of its profile. Verdicts follow it. A
+fixed shape parameter has that of the posterior that it would have if it were free, by its profile.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from needlefit.arrays import Floats
 from needlefit.inference.identifiability import directions, precision
 from needlefit.inference.identifiability.identify import (
     AGREEMENT,
-    NORMAL_95_HALF_WIDTH_SD,
     Assessment,
     FitProfiles,
     Identifiability,
     ParameterProfile,
     assess_parameter,
 )
-from needlefit.inference.identifiability.profile import DEVIANCE_95
-from needlefit.inference.parameters import Parameters, is_logarithmic, to_value
+from needlefit.inference.identifiability.profile import DEVIANCE_95, LikelihoodProfile
+from needlefit.inference.parameter_changes import find_freed_bounds
+from needlefit.inference.parameters import Parameters, is_logarithmic, to_coordinate, to_value
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
+from needlefit.mechanics.laws import LAWS
 from needlefit.reporting.number_format import (
     interval_width,
 )
@@ -46,19 +49,26 @@ def identify_parameters(
     sds: Mapping[str, float],
     verdict: Identifiability | None = None,
     loosened: Sequence[precision.Loosened] = (),
+    together: Mapping[str, bool] | None = None,
 ) -> IdentificationRows:
     """Return what profiles and standard deviations together say about every parameter.
 
     `sds`: standard deviations of the posterior as expected from the information, bounds and prior included.
     `verdict`: of the fit; before one, a parameter counts as determined if its sd and its profile say so.
-    `loosened`: with assumptions loosened: it must stay so.
+    `loosened`: with assumptions loosened: it must stay so. `together`: before a fit, which parameters are
+    determined while all others are held.
     """
+    held = verdict.together if verdict is not None else together or {}
     spread = np.linalg.inv(precision.prior_information(problem)) if problem.names else np.zeros((0, 0))
     before = dict(zip(problem.names, np.sqrt(np.diag(spread)).tolist(), strict=True))
     judgements, rows, points = {}, [], []
-    for one in examination.parameters:
+    found = examination.parameters
+    unmet = _list_unmet(problem, {name for one in found for name in (one.name, *one.same)})
+    for n, one in enumerate((*found, *unmet)):
         prior_sd = before.get(one.name, (one.bounds[1] - one.bounds[0]) / math.sqrt(12))
-        sd = sds.get(one.name, 1 / math.hypot(1 / one.profile.sd, 1 / prior_sd))
+        density = one.profile.density(one.bounds) if one.fixed_at is not None else None
+        by_profile = 1 / math.hypot(1 / one.profile.sd, 1 / prior_sd) if density is None else density.sd
+        sd = sds.get(one.name, by_profile)
         judged = assess_parameter(one, (sd, prior_sd), _equal_starts_range(one, verdict))
         judgements[one.name] = judged
         condition = ""
@@ -70,9 +80,38 @@ def identify_parameters(
             is_determined = verdict.determined.get(one.name, False)
             condition = verdict.conditions.get(one.name, "")
         known = is_determined and not condition and judged.determined and one.fixed_at is None
-        rows.append(_parameter_row(one, judged, prior_sd, sd) | {"determined": known, "note": condition})
-        points += _profile_rows(problem.parameters, one)
+        word = directions.name_determined(known, held.get(one.name, False))
+        rows.append(_parameter_row(one, judged, prior_sd, sd) | {"determined": word, "note": condition})
+        if density is not None:
+            rows[-1] |= {"interval_low": density.low, "interval_high": density.high}
+        rows += [{**rows[-1], "parameter": name, "note": f"freed with {one.name}"} for name in one.same]
+        if n >= len(found):
+            rows[-1] |= {"note": "no insertion reaches its layer"}
+        else:
+            points += _profile_rows(problem.parameters, one)
     return IdentificationRows(judgements, tuple(rows), tuple(points))
+
+
+def _list_unmet(problem: Problem, known: Collection[str]) -> list[ParameterProfile]:
+    """Return the profiles of fixed shape parameters that are not `known`: no insertion meets their layers.
+
+    They are flat whatever is simulated.
+    """
+    law, parameters = problem.medium.law, problem.parameters
+    met = {layer for insertion in problem.insertions for layer in insertion.sequence}
+    layers = [layer for layer in range(1, problem.medium.layers + 1) if layer not in met]
+    profiles = []
+    for name in (name for row in LAWS[law].name_shape(layers) for name in row):
+        if name not in parameters.fixed or name in known:
+            continue
+        low, high = find_freed_bounds(parameters, name, law)
+        ends, value, nothing = np.array([low, high]), parameters.fixed[name], np.zeros(2)
+        flat = LikelihoodProfile(
+            name, ends, nothing, nothing, np.empty((2, 0)), value, math.inf, low, high, ("bound", "bound"),
+            minima=1, evaluations=0, retries=0,
+        )  # fmt: skip
+        profiles.append(ParameterProfile(flat, (low, high), value, tip_range_mm=0.0, log_posterior_rise=0.0))
+    return profiles
 
 
 def reconcile_verdict(verdict: Identifiability, judgements: Mapping[str, Assessment]) -> Identifiability:
@@ -122,6 +161,7 @@ def _parameter_row(one: ParameterProfile, judged: Assessment, prior_sd: float, s
         "bound_low": to_value(one.name, one.bounds[0]),
         "bound_high": to_value(one.name, one.bounds[1]),
         "rise": profile.rise,
+        "log_posterior_rise": nothing if one.log_posterior_rise is None else one.log_posterior_rise,
         "minima": profile.minima,
         "tip_range_mm": nothing if one.tip_range_mm is None else one.tip_range_mm,
         "profile_verdict": judged.profile_verdict,
@@ -151,17 +191,19 @@ def _profile_rows(parameters: Parameters, one: ParameterProfile) -> list[Row]:
 # ---- differences of two runs
 
 
-NO_SOURCE = {"interval_low": math.nan, "interval_high": math.nan, "draw_source": ""}
-_PERCENTILES = (2.5, 97.5)
-
-
 @dataclass(frozen=True)
 class ParameterInterval:
-    """A 95 % interval, Pa or mm; `source` is "posterior" (sampled), "importance" or "profile"."""
+    """A 95 % interval, Pa or mm; `source` is "posterior" (sampled), "importance" or "profile".
+
+    A profile has no median, and no interval of draws by importance beside its own.
+    """
 
     low: float
     high: float
     source: str
+    median: float = math.nan
+    importance_low: float = math.nan
+    importance_high: float = math.nan
 
     def width(self, name: str) -> float:
         """Return the width of the coordinate: of ln for moduli and lengths."""
@@ -169,29 +211,106 @@ class ParameterInterval:
 
     def is_narrow(self, name: str) -> bool:
         """Return whether it is no wider than a Gaussian one of the largest SD of a determined parameter."""
-        sd = directions.MAX_LOG_SD if is_logarithmic(name) else directions.MAX_SHAPE_SD
-        return self.width(name) < 2 * NORMAL_95_HALF_WIDTH_SD * sd
+        return self.width(name) < directions.widest_interval(name)
+
+    def scale(self, factor: float) -> "ParameterInterval":
+        """Return the interval of a parameter that is exactly so many times as large."""
+        lengths = ("low", "high", "median", "importance_low", "importance_high")
+        return replace(self, **{name: factor * getattr(self, name) for name in lengths})
+
+    def allow_for(self, name: str, sd: float, row: Row) -> "ParameterInterval":
+        """Return the interval as wide as with an independent error of this SD (of ln for moduli and lengths).
+
+        Its median, else the value of `row`, is kept; the bounds of `row` stay the limits.
+        """
+        own = self.width(name) / (2 * directions.NORMAL_95_HALF_WIDTH_SD)
+        wider = math.hypot(own, sd) / own if own > 0 else 1.0
+        centre = to_coordinate(name, row["value"] if math.isnan(self.median) else self.median)
+        low, high = (
+            to_value(name, centre + wider * (to_coordinate(name, end) - centre))
+            for end in (self.low, self.high)
+        )
+        # fmax, fmin: an exactly tied parameter has no bounds of its own
+        low, high = float(np.fmax(low, row["bound_low"])), float(np.fmin(high, row["bound_high"]))
+        return replace(self, low=low, high=high)
 
     def columns(self) -> Row:
         return {"interval_low": self.low, "interval_high": self.high, "draw_source": self.source}
 
+    def sampled_columns(self) -> Row:
+        """Return what draws alone know, with the columns of the interval."""
+        own = {name: getattr(self, name) for name in ("median", "importance_low", "importance_high")}
+        return {**self.columns(), **own}
+
+
+NO_SOURCE = ParameterInterval(math.nan, math.nan, "").sampled_columns()
+_PERCENTILES = (2.5, 50, 97.5)
+
 
 def intervals_of_draws(
-    parameters: Parameters, draws: Draws | None, posterior: Posterior | None
+    parameters: Parameters, draws: Draws | None, importance: Draws | None, posterior: Posterior | None
 ) -> dict[str, ParameterInterval]:
-    """Return the intervals of all estimated parameters from the draws, if these are certified."""
-    if posterior is not None:
-        found = posterior.percentiles(_PERCENTILES) if posterior.converged else {}
-        return {name: ParameterInterval(low, high, "posterior") for name, (low, high) in found.items()}
+    """Return the intervals of all estimated parameters, if there are draws that represent the posterior.
+
+    They are of the sampled posterior if it has converged, else of `draws`. Beside each stands that of the
+    draws by `importance`, if these are certified.
+    """
+    before = _take_percentiles(parameters, importance)
+    found, source = _take_percentiles(parameters, draws), "" if draws is None else draws.source
+    if posterior is not None and not posterior.faults:
+        found, source = posterior.percentiles(_PERCENTILES), "posterior"
+    nothing = (math.nan,) * len(_PERCENTILES)
+    intervals = {}
+    for name, (low, median, high) in found.items():
+        importance_low, _, importance_high = before.get(name, nothing)
+        intervals[name] = ParameterInterval(low, high, source, median, importance_low, importance_high)
+    return intervals
+
+
+def _take_percentiles(parameters: Parameters, draws: Draws | None) -> dict[str, tuple[float, ...]]:
+    """Return the percentiles of all estimated parameters over draws; none if these are not certified."""
     if draws is None or draws.certified is None:
         return {}
+    estimated = _tabulate_estimated(parameters, draws)
+    return {name: tuple(np.percentile(values, _PERCENTILES).tolist()) for name, values in estimated.items()}
+
+
+def _tabulate_estimated(parameters: Parameters, draws: Draws) -> dict[str, Floats]:
+    """Return the values (B,) of all estimated parameters over draws, Pa or mm."""
     sets = [parameters.values(theta) for theta in draws.thetas]
     estimated = [name for name in sets[0] if parameters.status[name] != "fixed"]
-    ends = np.percentile([[one[name] for name in estimated] for one in sets], _PERCENTILES, axis=0)
-    return {
-        name: ParameterInterval(low, high, draws.source)
-        for name, (low, high) in zip(estimated, ends.T.tolist(), strict=True)
-    }
+    return {name: np.array([one[name] for one in sets]) for name in estimated}
+
+
+MONTE_CARLO_SD = 3.0  #: standard errors within which the end of an interval is looked for
+
+
+def list_differing_intervals(
+    parameters: Parameters, importance: Draws, posterior: Posterior
+) -> tuple[str, ...]:
+    """Return the parameters whose intervals by both samplers differ by more than their Monte Carlo error.
+
+    Of n independent draws the quantile of p lies between their quantiles of p -+ z sqrt(p (1 - p) / n); of
+    either sampler these two of an end must not all lie on one side of the other's. None where either has not
+    converged, or is not certified.
+    """
+    if importance.certified is None or posterior.faults:
+        return ()
+    by_importance, differing = _tabulate_estimated(parameters, importance), []
+    for k, name in enumerate(posterior.names):
+        for percentile in (_PERCENTILES[0], _PERCENTILES[-1]):
+            first = _find_end(posterior.draws[:, :, k], percentile / 100, posterior.ess[k])
+            second = _find_end(by_importance[name], percentile / 100, importance.effective_sample_size)
+            if max(first[0], second[0]) > min(first[1], second[1]):
+                differing.append(name)
+    return tuple(dict.fromkeys(differing))
+
+
+def _find_end(draws: Floats, p: float, independent: float) -> tuple[float, float]:
+    """Return between which values the quantile of `p` lies, of so many independent draws."""
+    error = MONTE_CARLO_SD * math.sqrt(p * (1 - p) / independent)
+    low, high = np.quantile(draws, [max(0.0, p - error), min(1.0, p + error)])
+    return float(low), float(high)
 
 
 def add_intervals(
@@ -199,6 +318,8 @@ def add_intervals(
     identification: Sequence[Row],
     sampled: Mapping[str, ParameterInterval],
     ties: Mapping[str, tuple[float, str]],
+    together: Mapping[str, bool],
+    model_error: Mapping[str, float],
 ) -> None:
     """Add the interval to the rows of one fold's fit and of its identifiability, and correct the verdicts.
 
@@ -210,6 +331,10 @@ def add_intervals(
         By parameter, from `intervals_of_draws`.
     ties : mapping
         Exact ties: factor and source.
+    together : mapping
+        Whether a free parameter is determined while all others are held.
+    model_error : mapping
+        SD that an error of the model adds to each free parameter, of ln for moduli and lengths.
     """
     profiles = {row["parameter"]: ParameterInterval(row["low"], row["high"], "profile")
                 for row in identification}  # fmt: skip
@@ -220,10 +345,14 @@ def add_intervals(
         if found is None and name in ties and row["status"] != "fixed":
             factor, source = ties[name]
             one = sampled.get(source, profiles.get(source))
-            found = one and ParameterInterval(factor * one.low, factor * one.high, one.source)
-        row |= NO_SOURCE if found is None else found.columns()
-        if found is not None and row["determined"] and not found.is_narrow(name):
-            row |= {"determined": False, "condition": "", "note": "not determined: its 95 % interval is wide"}
-        if name in judged:
+            found = one and one.scale(factor)
+        if found is not None:
+            found = found.allow_for(name, model_error.get(ties.get(name, (1.0, name))[1], 0.0), row)
+        row |= NO_SOURCE if found is None else found.sampled_columns()
+        if found is not None and row["determined"] == "yes" and not found.is_narrow(name):
+            held = together.get(ties.get(name, (1.0, name))[1], False)
+            row |= {"determined": directions.name_determined(False, held), "condition": ""}
+            row["note"] = "its 95 % interval is too wide"
+        if name in judged and row["status"] != "fixed":
             judged[name] |= found.columns() if found else profiles[name].columns()
-            judged[name]["determined"] = bool(judged[name]["determined"] and row["determined"])
+            judged[name]["determined"] = row["determined"]

@@ -1,5 +1,6 @@
 """What is identifiable as tables for print and as sentences, and how two runs differ in it."""
 
+import math
 from collections.abc import Iterator
 
 import pandas as pd
@@ -7,12 +8,11 @@ import pandas as pd
 from needlefit.inference.identifiability import directions
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting.number_format import (
-    NO_INTERVAL,
     choose_interval_unit,
     choose_printed_unit,
-    format_interval,
     format_number,
     format_quantity_range,
+    typeset,
     typeset_interval,
 )
 from needlefit.reporting.table import Table, TableLayout
@@ -29,24 +29,44 @@ def describe_verdicts(identification: pd.DataFrame) -> list[str]:
     """
     summary = []
     for row in to_records(identification):
-        held = f" (fixed at {format_number(row['value'])})" if row["status"] == "fixed" else ""
-        condition = f"; {row['note']}" if row.get("note") else ""
-        summary.append(
-            f"{directions.short_name(str(row['parameter']))}{held}: {_describe_interval(row)}{condition}."
-        )
+        name, condition = directions.short_name(str(row["parameter"])), row.get("note")
+        if row["status"] == "fixed":
+            summary.append(f"{name} (fixed at {format_number(row['value'])}): {describe_evidence(row)}.")
+        else:
+            summary.append(f"{name}: {_describe_interval(row)}{f'; {condition}' if condition else ''}.")
     return summary
+
+
+NEGLIGIBLE_RISE = 0.1  #: rise of the log posterior by which two ends of a search are equally good
+
+
+def describe_evidence(row: Row) -> str:
+    """Return what the data say of a shape parameter: its 95 % interval of its prior, and what they add to it.
+
+    `row` is one of the frame "identification". Of a fixed parameter it says what freeing it does, and how
+    much the log posterior rises by that: "−2.8 to 4.8 of −3 to 5: the data add nothing".
+    """
+    low, high = row["interval_low"], row["interval_high"]
+    # two digits of the width: a limit of 4.785 of 5 says no more than 4.8
+    decimals = max(0, 1 - math.floor(math.log10(high - low))) if high > low else 2
+    interval = " to ".join(typeset(f"{end:.{decimals}f}") for end in (low, high))
+    prior = format_quantity_range(str(row["parameter"]), row["bound_low"], row["bound_high"])
+    adds = row["sd_ratio"] < directions.UNINFORMED_SD_RATIO
+    text = f"{interval} of {prior}: the data {'narrow it' if adds else 'add nothing'}"
+    rise = row.get("log_posterior_rise")
+    if rise is None or (not adds and rise < NEGLIGIBLE_RISE):
+        return text
+    size = f"less than {NEGLIGIBLE_RISE:g}" if rise < NEGLIGIBLE_RISE else format_number(rise)
+    return f"{text}; the log posterior rises by {size}"
 
 
 def _describe_interval(row: Row) -> str:
     """Return the interval of the draws, or what the profile says where there are none."""
     if row.get("draw_source") in (None, "", "profile"):
         return str(row["profile_verdict"])
-    text = format_interval(row)
-    if text == NO_INTERVAL:
-        return "not determined: its 95 % interval spans most of its bounds"
     text = format_quantity_range(str(row["parameter"]), row["interval_low"], row["interval_high"])
-    known = row["determined"] or row.get("note")  # the note says which assumption it needs
-    return f"{'' if known else 'not determined: '}95 % CI {text}"
+    words = {"yes": "", "only together": "determined only together with others: ", "no": "not determined: "}
+    return f"{words[row['determined']]}95 % CI {text}"
 
 
 def format_small_mm(value: float) -> str:
@@ -56,15 +76,16 @@ def format_small_mm(value: float) -> str:
 
 _INTERVAL_NOTE = (
     "The 95 % interval is that of the posterior draws if they are certified, else that of the profile "
-    "likelihood, open at a bound. A fixed α is freed for this table only. All other values are in "
-    "identify.csv."
+    "likelihood, open at a bound. A fixed α is freed for this table only: its interval is that of the "
+    "posterior that it would have, of its bounds. All other values are in identify.csv."
 )
 
 
 _SD_NOTE = (
     "“SD”: by Fisher information and bounds, relative (in % or as a factor) but for α. “SD ratio”: posterior "
     "SD / prior SD (bounds or a stated prior); 1 where the data add nothing. The interval is that of the "
-    "profile likelihood, open at a bound. A fixed α is freed for this table only."
+    "profile likelihood, open at a bound. A fixed α is freed for this table only: the last column has the "
+    "interval of the posterior that it would have, of its bounds."
 )
 
 
@@ -95,13 +116,16 @@ def _identification_cells(row: Row, expected: bool) -> Row:
         if expected
         else choose_interval_unit(row, row["value"])
     )
+    fixed = row["status"] == "fixed"
+    remarks = [row["agreement"], row.get("note") if expected else None]
+    remarks = [describe_evidence(row)] if fixed else remarks
     return {
         **{side: closed[side] / unit if side in closed else "open" for side in ("low", "high")},
         "sd": None if row["sd"] is None else directions.format_sd(row["sd"], is_logarithmic(name)),
-        "parameter": label + (", fixed" if row["status"] == "fixed" else ""),
-        "agreement": "; ".join(filter(None, (row["agreement"], row.get("note") if expected else None))),
+        "parameter": label + (", fixed" if fixed else ""),
+        "agreement": "; ".join(filter(None, remarks)),
         "tip_range_mm": "" if row["tip_range_mm"] is None else format_small_mm(row["tip_range_mm"]),
-        "interval_95": typeset_interval(row, unit),
+        "interval_95": describe_evidence(row) if fixed else typeset_interval(row, unit),
     }
 
 
@@ -120,13 +144,13 @@ def _compare_identifications(before: pd.DataFrame, after: pd.DataFrame) -> Itera
     several = "fold" in keys and before["fold"].nunique() > 1
     for _, row in before.merge(after, validate="1:1", on=keys, suffixes=("_a", "_b"), sort=False).iterrows():
         name = f"{row['parameter']} ({row['fold']})" if several else str(row["parameter"])
-        first, second = ("determined" if row[f"determined_{run}"] else "not determined" for run in ("a", "b"))
+        first, second = (str(row[f"determined_{run}"]) for run in ("a", "b"))
         if first != second:
-            yield Difference("state", name, first, second, True, "the verdict changed")
+            yield Difference("state", f"{name} determined", first, second, True, "the verdict changed")
         sds = float(row["sd_a"]), float(row["sd_b"])
         yield from compare_sizes("parameter", f"sd of {name}", *sds, "times as large")
 
 
 IDENTIFICATION_COMPARISON = TableComparison(
-    TableSchema(texts=("parameter",), numbers=("sd",), flags=("determined",)), _compare_identifications
+    TableSchema(texts=("parameter", "determined"), numbers=("sd",)), _compare_identifications
 )

@@ -93,7 +93,7 @@ def _place_needle(
         heights = _sampled_band(stations, draws, jobs) if draws else _linear_band(stations, known)
         if heights is not None:  # else no needle beside the fitted one can be solved
             low, middle, high = (placement.to_patient(np.column_stack([fitted[:, 0], y])) for y in heights)
-            converged = draws is None or draws.converged
+            converged = draws is None or not draws.faults
             band = Band(low, middle, high, "posterior" if draws else "linear", converged)
     return NeedleInScan(
         insertion=insertion.id,

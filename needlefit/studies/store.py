@@ -36,7 +36,7 @@ from needlefit.studies.run import UNVERIFIED_KEY, Frames, Run
 
 RESULTS_FILE, RUN_FILE = "results.json.gz", "run.json"
 
-FORMAT_VERSION = 6  #: of the file of results
+FORMAT_VERSION = 7  #: of the file of results
 #: largest size of the text in the file; the studies of the paper have some MB
 MAX_UNPACKED_BYTES = 256 * 2**20
 #: Lists and tables in it: each takes more memory than its text. Columns are one list each.

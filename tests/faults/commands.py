@@ -17,8 +17,7 @@ tolerance = 1e-2
 
 [sample]
 walkers = 8
-steps = 60
-check_interval = 20
+densities = 480
 """
 
 FIT = """\
@@ -82,14 +81,14 @@ class Command:
     resumes: bool = True
 
 
-_TUNE = ("tune", "tiny_fit", "--sample", "--jobs", "1", "-q")
+_TUNE = ("tune", "tiny_fit", "--jobs", "1", "-q")
 _VALIDATE = ("validate", "tiny", "--jobs", "1", "-q")
 _ANALYSE = ("validate", "tiny_left_out", "--jobs", "1", "-q")
 _REPORT = ("report", "tiny", "--out", "reports/again", "-q")
 _RECONSTRUCT = ("reconstruct", str(SCANS), "--out", "mydata", "--jobs", "1", "-q")
 
 COMMANDS: Mapping[str, Command] = {
-    "tune --sample": Command(_TUNE, "reports/tiny_fit", ((*_TUNE, "--seed", "3"),)),
+    "tune": Command(_TUNE, "reports/tiny_fit", ((*_TUNE, "--seed", "3"),)),
     "validate": Command(_VALIDATE, "reports/tiny", ((*_VALIDATE, "--seed", "2"),)),
     "analysis": Command(_ANALYSE, "reports/tiny_left_out", ((*_ANALYSE, "--seed", "2"),)),
     "report": Command(

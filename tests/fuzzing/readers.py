@@ -131,8 +131,10 @@ def _content(path: Path) -> object:
 
 def _checkpoint(folder: Path) -> object:
     kept = _late("project.checkpoint.open_checkpoint")(folder, True, seeds.WORK)
-    blocks = _late("inference.sampling.sample.Snapshots")(kept, "fold").blocks()
-    return _late("inference.fit.read_starts")(kept, "fit"), kept.rows("rows"), list(blocks)
+    chain, row = kept.open_file("chain", ("failures", "failed"))
+    if row:
+        import_module("emcee").backends.HDFBackend(chain).get_last_sample()
+    return _late("inference.fit.read_starts")(kept, "fit"), kept.rows("rows"), row
 
 
 def _rows(path: Path) -> object:
@@ -177,7 +179,7 @@ def _conversation(path: Path) -> object:
     """Answer messages, a line each, in one window as the page's server does; replies must be JSON."""
     open_target = _late("viewer.opening.open_target")
     registry = _late("viewer.trials.TrialRegistry")(open_target("figure1"), path.parent / "view", open_target)
-    window = _late("viewer.window.Window")(registry, registry.open(""), tracked=False)
+    window = _late("viewer.window.Window")(registry, registry.open(""))
     read, refused = _late("viewer.messages.read_message"), None
     for text in _text(path).splitlines()[:MAX_LINES]:
         try:
@@ -192,14 +194,6 @@ def _conversation(path: Path) -> object:
     if refused is not None:
         raise _late("errors.ModelError")(refused)
     return window.trial.steering.number
-
-
-def _tracker(path: Path) -> object:
-    record = _load("tracker.TrackerRecord", path)
-    scene = _scene(_late("project.locate.find_file")("scene", "figure1"))
-    tracking = import_module("needlefit.viewer.tracking")
-    frame = tracking.register_tracker(record, scene.entry.placement)
-    return tracking.measure_registration_error(record, frame, scene.entry.placement)
 
 
 def _names(path: Path) -> object:
@@ -244,7 +238,7 @@ def _configs(record: str, folder: str, name: str) -> Reader:
 
 
 READ_VOLUME = partial(_call, "imaging.volume_files.read_volume")
-READ_LABELS = partial(_call, "imaging.layers.read_labels")
+READ_LABELS = partial(_call, "imaging.segmentations.read_labels")
 
 READERS: dict[str, Reader] = {
     "scene": Reader(_scene, partial(project_files, "configs/scenes/*.toml", "scene.toml")),
@@ -254,7 +248,6 @@ READERS: dict[str, Reader] = {
     "reconstruction": _configs("reconstruction.ReconstructionRecord", "reconstruction", "reconstruction"),
     "medium": Reader(_medium, partial(project_files, "configs/media/*.toml", "medium.toml")),
     "dataset": Reader(_dataset, seeds.datasets, 40),
-    "compression": Reader(partial(_call, "datasets.compression.read_compression"), seeds.compression),
     "markers": Reader(partial(_call, "imaging.markers.read_markers"), seeds.markers),
     "scans": Reader(partial(_call, "imaging.scans.read_scans"), seeds.scans, 40),
     "markups": Reader(_import, seeds.markups),
@@ -281,7 +274,6 @@ READERS: dict[str, Reader] = {
     "run": Reader(partial(_call, "studies.store.read_run"), seeds.run_files),
     "diff": Reader(_difference, seeds.runs, 20),
     "manifest": Reader(partial(_call, "project.folders.require_replaceable"), seeds.manifests),
-    "tracker": Reader(_tracker, seeds.trackers),
     "conversation": Reader(_conversation, seeds.conversations, 20),
     "set": Reader(_assignments, seeds.assignments, 40),
     "command": Reader(_command, seeds.commands, 30),

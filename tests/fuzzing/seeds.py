@@ -80,15 +80,6 @@ def datasets() -> list[Seed]:
     return [plain, own, checked, surfaces, long, tracks]
 
 
-def compression() -> list[Seed]:
-    from compression_cases import gel_file
-
-    forces = "specimen,displacement_mm,force_n,height_mm,area_mm2\n" + "".join(
-        f"a,{0.1 * k:.1f},{0.02 * k * k:.4f},20,314\n" for k in range(30)
-    )
-    return [saved("test.csv", gel_file), one_file("test.csv", forces)]
-
-
 # ---- files of other programs
 
 SCHEMA = "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema"
@@ -306,10 +297,10 @@ def archives() -> list[Seed]:
 
 
 def segmentations() -> list[Seed]:
-    from test_imaging_segmentations import boxes, cylinder, write_contours, write_seg
+    from test_imaging_segmentations import cylinder, write_contours
 
     regions = {"Body": cylinder(6.0), "Core": cylinder(2.0, 6.0, 12.0)}
-    return [saved("s.dcm", write_seg, boxes()[:2]), saved("rt.dcm", write_contours, regions)]
+    return [saved("rt.dcm", write_contours, regions)]
 
 
 def meshes() -> list[Seed]:
@@ -375,11 +366,11 @@ WORK = {"study": "fuzzed", "seed": 1}
 
 
 def checkpoints() -> list[Seed]:
-    """The checkpoint of a run: starts that have ended, rows, and the sampler's snapshots."""
+    """The checkpoint of a run: starts that have ended, rows, and the sampler's chain."""
+    import emcee
     import numpy as np
 
     from needlefit.inference.fit import Start, keep_start
-    from needlefit.inference.sampling.sample import Block, Snapshots
     from needlefit.project.checkpoint import open_checkpoint
 
     def write(folder: Path) -> None:
@@ -387,11 +378,14 @@ def checkpoints() -> list[Seed]:
         for n in range(3):
             keep_start(kept, "fit", Start(n, (0.1, 0.2), (0.11, 0.21), 3.5, 40, 0, "tolerance"))
             kept.keep_row("rows", {"insertion": f"a-{n}", "te_mm": 0.1 + n})
-        state = np.random.RandomState(1).get_state()
-        counts = np.ones((2, 4), np.int64)
-        block = Block(np.ones((2, 3, 4, 2)), np.ones((2, 3, 4)), counts, state, 0, ((), ()))
-        for n in range(2):
-            Snapshots(kept, "fold").keep(n, block)
+        file, _ = kept.open_file("chain", ())
+        chain = emcee.backends.HDFBackend(file)
+        chain.reset(4, 2)
+        state = emcee.State(np.ones((4, 2)), np.ones(4), random_state=np.random.RandomState(1).get_state())
+        for _ in range(2):
+            chain.grow(1, None)
+            chain.save_step(state, np.ones(4, dtype=bool))
+            kept.keep_file("chain", {"failures": 0, "failed": []})
 
     return [written(write, "run.partial")]
 
@@ -466,7 +460,6 @@ STEERING = """\
 {"do": "steps", "id": 6, "steps": [[5, 0.5, 6, [["mu_pa", 1, 3e5], ["alpha", 1, 2.0]], 0.5]]}
 {"do": "steps", "id": 7, "steps": [[6, 0.6, "undo", [["return_to", null, 4]], 0.5]]}
 {"do": "steps", "id": 8, "steps": [[7, 0.7, "redo", [["return_to", null, 5]], 0.5]]}
-{"do": "change", "id": 9, "gesture": 4, "set": [["tip_held", null, 0], ["base_y_mm", null, 1.0]]}
 {"do": "align", "id": 10}
 """
 AIMING = """\
@@ -477,9 +470,6 @@ AIMING = """\
 {"do": "plan", "id": 8, "entry_mm": 2}
 {"do": "run", "id": 9}
 {"do": "replay", "id": 11, "times": 20}
-{"do": "fit", "id": 12, "scope": "insertion"}
-{"do": "points", "id": 13, "offsets": [0, 0, 0]}
-{"do": "challenge", "id": 14, "radius": 1}
 {"do": "show", "id": 15, "insertion": "a", "what": "field"}
 """
 """Messages in one window, a line each: steering and undo; goals, and what ends it."""
@@ -487,16 +477,6 @@ AIMING = """\
 
 def conversations() -> list[Seed]:
     return [one_file("messages.txt", lines) for lines in (STEERING, AIMING)]
-
-
-def trackers() -> list[Seed]:
-    markers = "".join(
-        f'[[markers]]\nname = "m{n}"\ntracker_mm = [{x}.0, {y}.0, 3.0]\nworld_mm = [{y}.0, {x}.0, {n}.0]\n'
-        for n, (x, y) in enumerate(((0, 0), (60, 0), (0, 45), (30, 50)))
-    )
-    matrix = "tracker_to_ras = [[1, 0, 0, 10.5], [0, 1, 0, -3.0], [0, 0, 1, 0.0], [0, 0, 0, 1]]\n"
-    devices = 'max_speed_mm_s = 50.0\n\n[devices]\ntip = "Tip"\nguides = ["Guide", "Ring"]\n'
-    return [one_file("tracker.toml", f"schema = 1\n{text}") for text in (matrix + devices, markers)]
 
 
 def commands() -> list[Seed]:

@@ -1,8 +1,9 @@
 """Principal directions of the information and standard deviations of theta, in words."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -84,7 +85,7 @@ def short_name(name: str) -> str:
         "bevel_mm": "b",
         "cut_angle_deg": "θ",  # "theta" is the vector of all parameters
         "guide_distance_mm": "guide_distance",
-        BEVEL_SPREAD: "relative bevel SD",
+        BEVEL_SPREAD: "bevel CV",
     }
     return named.get(name, name.removesuffix("_pa"))
 
@@ -127,6 +128,28 @@ MAX_SD_RATIO = 0.5
 BOUND_FRACTION = 1e-3  #: a parameter closer to a bound than this part of its range lies at it
 #: a 95 % interval that ends closer to a bound than this part of the bounds is cut off there
 CUT_OFF_FRACTION = 0.01
+
+
+#: whether data determine a parameter: by itself, only together with others (where these are held), or not
+Determined = Literal["yes", "only together", "no"]
+DETERMINED: tuple[Determined, ...] = get_args(Determined)
+NORMAL_95_HALF_WIDTH_SD = 1.96  #: half width of a Gaussian 95 % interval, in standard deviations
+
+
+def name_determined(alone: bool, together: bool) -> Determined:
+    """Return the word for a parameter that data determine alone, or together with others, or not."""
+    return "yes" if alone else "only together" if together else "no"
+
+
+def find_least_determined(words: Iterable[str]) -> str:
+    """Return the word of the fold, of several, in which a parameter is determined least; "" for no word."""
+    found = set(words)
+    return next((word for word in reversed(DETERMINED) if word in found), "")
+
+
+def widest_interval(name: str) -> float:
+    """Return the width of theta's coordinate that no 95 % interval of a determined parameter exceeds."""
+    return 2 * NORMAL_95_HALF_WIDTH_SD * (MAX_LOG_SD if is_logarithmic(name) else MAX_SHAPE_SD)
 
 
 def is_determined_by_data(name: str, sd: float, prior_sd: float) -> bool:

@@ -32,6 +32,7 @@ from needlefit.inference.identifiability.directions import (
     MAX_LOG_SD,
     MAX_SD_RATIO,
     MAX_SHAPE_SD,
+    NORMAL_95_HALF_WIDTH_SD,
     UNINFORMED_SD_RATIO,
     Direction,
     describe_precision,
@@ -43,6 +44,7 @@ from needlefit.inference.identifiability.precision import (
     MEAN_OF_SPECIMENS,
     Loosened,
     add_estimated_noise,
+    add_model_error,
     compute_sds,
     find_bounds,
     find_condition,
@@ -57,7 +59,8 @@ from needlefit.inference.identifiability.profile import (
     compute_profile,
     minimize_squares,
 )
-from needlefit.inference.parameters import dimension, is_logarithmic, to_value, without_prior
+from needlefit.inference.parameter_changes import find_freed_bounds
+from needlefit.inference.parameters import is_logarithmic, to_value, without_prior
 from needlefit.inference.problem import Problem
 from needlefit.inference.quantity_text import format_quantity, format_quantity_range
 from needlefit.inference.side_by_side import run_side_by_side
@@ -79,7 +82,7 @@ class Identifiability:
     """Which free parameters the data determine, and how well; mappings are keyed by parameter name."""
 
     sds: Mapping[str, float]  #: posterior standard deviation, of the logarithm (of a shape parameter itself)
-    determined: Mapping[str, bool]  #: whether the data determine it
+    determined: Mapping[str, bool]  #: whether the data determine it by itself
     at_bound: Mapping[str, str]  #: "lower" or "upper" where the best point lies at a bound, else ""
     #: spread_low, spread_high: its range among the starts within tolerance of the best (Pa, mm)
     spread_low: Mapping[str, float]
@@ -91,10 +94,13 @@ class Identifiability:
     chi_square: float
     #: whether the dataset states no noise, so that the fit's residuals had to stand for it
     noise_estimated: bool
+    together: Mapping[str, bool] = field(default_factory=dict)  #: the same while all others are held
     #: under which assumption alone the data determine it, "" otherwise
     conditions: Mapping[str, str] = field(default_factory=dict)
     #: the standard deviations with assumptions loosened; none where nothing is determined anyway
     loosened: tuple[Loosened, ...] = ()
+    #: by how much an error of the model lets each parameter vary beside the posterior: SD, as `sds`
+    model_error: Mapping[str, float] = field(default_factory=dict)
 
 
 def identify(
@@ -107,8 +113,12 @@ def identify(
     theta, names = np.array(fit.theta), problem.names
     noisy = add_estimated_noise(problem, theta)
     known, information, chi_square = compute_sds(noisy, theta, draws)
-    sds = dict(zip(names, known.tolist(), strict=True))
-    found = principal_directions(information, names, prior_information(noisy))
+    sds, before = dict(zip(names, known.tolist(), strict=True)), prior_information(noisy)
+    added = add_model_error(noisy, theta)
+    # pinv: a direction without information has no variance to add to
+    wider = np.linalg.pinv(np.linalg.pinv(information, hermitian=True) + added, hermitian=True)
+    found = principal_directions(wider.astype(np.float64), names, before)
+    together = _find_together(names, information, before)
     ends = [s.theta for s in select_within_tolerance(fit)] or [fit.theta]
     equal = np.array(ends, dtype=np.float64).reshape(len(ends), len(names))
     bounds = dict(zip(names, find_bounds(problem, theta), strict=True))
@@ -155,8 +165,10 @@ def identify(
     return Identifiability(
         sds=sds,
         determined=determined,
+        together=together,
         conditions=conditions,
         loosened=loosened,
+        model_error=dict(zip(names, np.sqrt(np.diag(added)).tolist(), strict=True)),
         at_bound=bounds,
         spread_low={n: low[n] for n in names},
         spread_high={n: high[n] for n in names},
@@ -166,6 +178,17 @@ def identify(
         chi_square=chi_square,
         noise_estimated=noisy is not problem,
     )
+
+
+def find_together(problem: Problem, theta: Floats) -> dict[str, bool]:
+    """Return which parameters the data determine while all others are held, by the information at `theta`."""
+    return _find_together(problem.names, compute_sds(problem, theta)[1], prior_information(problem))
+
+
+def _find_together(names: Sequence[str], information: Floats, prior: Floats) -> dict[str, bool]:
+    # the diagonal of the information is that on each parameter given all others
+    held = zip(names, *(1 / np.sqrt(np.diag(one)) for one in (information, prior)), strict=True)
+    return {name: is_determined_by_data(name, sd, prior_sd) for name, sd, prior_sd in held}
 
 
 def select_within_tolerance(fit: Fit) -> tuple[Start, ...]:
@@ -225,14 +248,11 @@ def find_fixed_shape(problem: Problem) -> dict[str, tuple[str, ...]]:
 def free_shape(problem: Problem, name: str) -> Problem:
     """Return the problem with one parameter of `find_fixed_shape` free, the others of its material tied."""
     same, parameters = find_fixed_shape(problem)[name], problem.parameters
-    usual = {one.name: one.usual for one in LAWS[problem.medium.law].parameters}
-    (low, high), at = usual[dimension(name)], parameters.fixed[name]
-    # the value that the fit used must lie within the bounds, whatever it was
-    bounds: Mapping[str, tuple[float, float]] = {name: (min(low, at), max(high, at))}
+    bounds = find_freed_bounds(parameters, name, problem.medium.law)
     return problem.with_parameters(
         replace(
             parameters,
-            bounds={**parameters.bounds, **bounds},
+            bounds={**parameters.bounds, name: bounds},
             fixed={other: value for other, value in parameters.fixed.items() if other not in (name, *same)},
             ties={**parameters.ties, **dict.fromkeys(same, (1.0, name))},
         )
@@ -254,6 +274,8 @@ class ParameterProfile:
     same: tuple[str, ...] = ()  #: other parameters that went with it
     #: how far the tip moves most while it goes through its bounds, the others held, mm
     tip_range_mm: float | None = None
+    #: how much the log posterior rises from the fit to the best point with the parameter free
+    log_posterior_rise: float | None = None
 
     @property
     def name(self) -> str:
@@ -322,16 +344,17 @@ def _profile_one(
     theta = freed.parameters.theta(problem.values(optimum.theta))
     k = freed.names.index(part)
     found = compute_profile(freed, k, minimize_squares(freed, theta), (), scale)
+    best = freed.residuals(found.thetas[int(np.argmin(found.deviance))])
     return ParameterProfile(
         found,
         (float(freed.lower[k]), float(freed.upper[k])),
         fixed_at=problem.parameters.fixed[part],
         same=find_fixed_shape(problem)[part],
         tip_range_mm=tip_range(freed, theta, part),
+        log_posterior_rise=max(0.0, 0.5 * (optimum.value - float(best @ best))),
     )
 
 
-NORMAL_95_HALF_WIDTH_SD = 1.96  #: half width of a Gaussian 95 % interval, in standard deviations
 #: half widths of intervals, and standard deviations, that differ by less than this factor agree
 AGREEMENT_FACTOR = 1.5
 

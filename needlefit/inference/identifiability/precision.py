@@ -245,6 +245,19 @@ def find_tie_conditions(
     return found
 
 
+def add_model_error(problem: Problem, theta: Floats) -> Floats:
+    """Return the covariance (P, P) that a model error adds to that of theta, by the information there."""
+    allowing = replace(problem, model_error=estimate_model_error(problem, theta))
+    covariances = []
+    for one in (problem, allowing):
+        _, slope, _ = linearize(one, theta)
+        covariances.append(np.linalg.pinv(slope.T @ slope + prior_and_noise_information(one), hermitian=True))
+    # the allowance adds variance in every direction; rounding may say otherwise where it adds none
+    added, vectors = np.linalg.eigh(covariances[1] - covariances[0])
+    covariance: Floats = vectors * np.maximum(added, 0.0) @ vectors.T
+    return covariance
+
+
 def estimate_model_error(problem: Problem, theta: Floats) -> Discrepancy:
     """Return a model error of the size of the residuals beyond the noise, `MIN_MODEL_ERROR` at least.
 

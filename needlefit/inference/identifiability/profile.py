@@ -327,6 +327,20 @@ MIN_POINT_DISTANCE = 1e-6  #: points closer than this part of the range are one
 CURVE_POINTS = 401  #: points on which the curve between the computed ones is searched and drawn
 
 
+#: root of the deviance up to which a profile is continued beyond its last point: the density is 1e-14 there
+MAX_ROOT = 8.0
+
+
+@dataclass(frozen=True)
+class ProfileDensity:
+    """The density proportional to exp(-deviance / 2) within bounds: a posterior under a flat prior."""
+
+    #: low, high: its central 95 % interval, in the parameter's coordinate of theta
+    low: float
+    high: float
+    sd: float  #: its standard deviation
+
+
 @dataclass(frozen=True)
 class LikelihoodProfile:
     """The profile likelihood of one parameter, in its coordinate of theta."""
@@ -375,6 +389,38 @@ class LikelihoodProfile:
     def parabola(self, at: Floats) -> Floats:
         """Return the deviance that the information at the optimum predicts: a parabola."""
         return ((at - self.best) / self.sd) ** 2
+
+    def density(self, bounds: tuple[float, float]) -> ProfileDensity:
+        """Return the density within `bounds` that the profile gives.
+
+        A side that was followed until the deviance was high enough is continued: the root of the deviance is
+        linear there, as that of a parabola is. Where no solution was found further out the density is 0.
+        """
+        inner = np.unique(np.concatenate([np.linspace(self.at[0], self.at[-1], CURVE_POINTS), self.at]))
+        (below, rise_below), (above, rise_above) = (self._continue(side, bounds) for side in (0, -1))
+        at = np.concatenate([below[::-1], inner, above])
+        deviance = np.concatenate([rise_below[::-1], self.curve(inner), rise_above])
+        density = np.exp(-0.5 * (deviance - deviance.min()))
+
+        def integrate(values: Floats) -> Floats:
+            return np.append(0.0, np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(at)))
+
+        below_each = integrate(density)
+        low, high = np.interp([0.025, 0.975], below_each / below_each[-1], at).tolist()
+        mean = float(integrate(at * density)[-1] / below_each[-1])
+        variance = float(integrate((at - mean) ** 2 * density)[-1] / below_each[-1])
+        return ProfileDensity(low, high, math.sqrt(variance))
+
+    def _continue(self, outermost: int, bounds: tuple[float, float]) -> tuple[Floats, Floats]:
+        """Return coordinates beyond the outermost point (0 or -1), nearest first, and deviances there."""
+        last, root = float(self.at[outermost]), math.sqrt(max(float(self.deviance[outermost]), 0.0))
+        side = 1 if outermost else -1
+        slope = side * float(self.slope[outermost]) / (2 * root) if root else 0.0
+        if self.ends[outermost] != "closed" or slope <= 0:
+            return np.empty(0), np.empty(0)
+        room = side * (bounds[1 if outermost else 0] - last)
+        steps = np.linspace(0.0, min(room, max(MAX_ROOT - root, 0.0) / slope), CURVE_POINTS)[1:]
+        return last + side * steps, (root + slope * steps) ** 2
 
 
 def compute_profile(

@@ -5,7 +5,7 @@ where curves are linear.
 pose. All that is needed of them is their
 products G = white white^T, and how a density changes with them is -M white with an (m, m) matrix M: the
 mean of phi phi^T over the conditions that the data leave. `scale` multiplies the deviations of the
-points' noise, not those of pose and depths; `spread` is the relative bevel SD between insertions,
+points' noise, not those of pose and depths; `spread` is the bevel CV between insertions,
 whose effect is taken as linear. The insertions of a `NodeGroup` share errors of depth, or a bevel. A solve
 that failed is NaN, and so is what comes of it.
 """

@@ -7,7 +7,8 @@ half from one that is fitted to all draws so far: they are weighted by the densi
 (Rao-Blackwellised population Monte Carlo; O. Cappe, R. Douc, A. Guillin, J.-M. Marin, C. P. Robert, Stat.
 Comput. 18 (2008) 447). While few draws carry all weight it follows a flatter density, so that it grows along
 a ridge instead of falling on its best draws. The first half keeps what the second might leave. What falls
-outside the bounds has no density, and costs nothing.
+outside the bounds has no density, and costs nothing. Parameters that the data leave as their flat prior has
+them, such as most alphas, are drawn from that prior.
 
 The largest weights follow a generalised Pareto distribution; its shape k says how heavy their tail is and
 whether to trust them, and its quantiles take their places (A. Vehtari, D. Simpson, A. Gelman, Y. Yao,
@@ -27,7 +28,7 @@ integrals are by importance, each about its own peaks (C. P. Robert, D. Wraith, 
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -35,8 +36,9 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import gammaln, logsumexp
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Bools, Floats
 from needlefit.inference.fit import Fit
+from needlefit.inference.identifiability.directions import UNINFORMED_SD_RATIO
 from needlefit.inference.identifiability.precision import add_estimated_noise
 from needlefit.inference.identifiability.profile import (
     LocalMinimum,
@@ -47,6 +49,7 @@ from needlefit.inference.identifiability.profile import (
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.log_density import (
+    UNIFORM_PRECISION,
     Evaluator,
     LaplaceApproximation,
     LogDensityFunction,
@@ -188,6 +191,39 @@ EFFORTS = (EFFORT, LARGER_EFFORT)
 
 
 @dataclass(frozen=True)
+class Proposal:
+    """What draws are proposed from: a mixture, and independently of it uniform parameters within bounds."""
+
+    mixture: StudentMixture  #: of the parameters that are not uniform
+    uniform: Bools  #: (P,)
+    lower: Floats  #: (P,)
+    upper: Floats  #: (P,)
+
+    def draw(self, count: int, rng: np.random.Generator) -> Floats:
+        """Return `count` draws (N, P); those of the mixture may lie outside the bounds."""
+        found = np.empty((count, len(self.uniform)))
+        found[:, ~self.uniform] = self.mixture.draw(count, rng)
+        ends = self.lower[self.uniform], self.upper[self.uniform]
+        found[:, self.uniform] = rng.uniform(*ends, size=(count, len(ends[0])))
+        return found
+
+    def log_density(self, at: Floats) -> Floats:
+        """Return the log density (N,) at points (N, P) within the bounds, but for a constant."""
+        return self.mixture.log_density(at[:, ~self.uniform])
+
+    def add_fitted(
+        self, found: "WeightedDraws", rng: np.random.Generator, components: int, share: float, fits: int = 1
+    ) -> "Proposal":
+        """Return the proposal joined with mixtures fitted to draws, each from other beginnings.
+
+        Together the `fits` have this `share`.
+        """
+        some = replace(found, thetas=found.thetas[:, ~self.uniform])
+        mixtures = [self.mixture, *(_fit_mixture(some, rng, components) for _ in range(fits))]
+        return replace(self, mixture=_join_mixtures(mixtures, [1 - share, *[share / fits] * fits]))
+
+
+@dataclass(frozen=True)
 class WeightedDraws:
     """Weighted draws of a posterior, and how far their weights can be trusted."""
 
@@ -199,6 +235,7 @@ class WeightedDraws:
     min_ess: float  #: independent draws that they had to be worth
     #: logarithm of the density's integral within the bounds: of the mean weight before smoothing
     log_evidence: float
+    proposal: Proposal | None = None  #: from which the last round was drawn: wide, with what the draws taught
 
     @property
     def effective_sample_size(self) -> float:
@@ -247,13 +284,16 @@ def sample_by_importance(
     bounds: tuple[Floats, Floats],
     rng: np.random.Generator,
     efforts: Sequence[Effort] = EFFORTS,
+    uniform: Bools | None = None,
 ) -> WeightedDraws:
     """Return weighted draws of a density within its bounds (P,), (P,), given its modes.
 
-    Efforts are made in turn, until the weights can be trusted.
+    Efforts are made in turn, until the weights can be trusted. Parameters marked `uniform` (P,) are proposed
+    uniformly within their bounds, independently of the others.
     """
+    uniform = np.zeros(len(bounds[0]), dtype=bool) if uniform is None else uniform
     for effort in efforts:
-        found = _make_effort(log_density, approximations, bounds, rng, effort)
+        found = _make_effort(log_density, approximations, bounds, rng, effort, uniform)
         if found.certified:
             break
     return found
@@ -265,40 +305,46 @@ def _make_effort(
     bounds: tuple[Floats, Floats],
     rng: np.random.Generator,
     effort: Effort,
+    uniform: Bools,
 ) -> WeightedDraws:
-    factors = np.array([np.linalg.cholesky(mode.axes @ mode.axes.T) for mode in approximations])
-    centres = np.array([mode.centre for mode in approximations])
+    # the mixture is one of the other parameters alone
+    mixed = np.flatnonzero(~uniform)
+    covariances = [(mode.axes @ mode.axes.T)[np.ix_(mixed, mixed)] for mode in approximations]
+    factors = np.array([np.linalg.cholesky(covariance) for covariance in covariances])
+    centres = np.array([mode.centre[mixed] for mode in approximations])
+    low, high = (ends[mixed] for ends in bounds)
+    log_volume = float(np.sum(np.log((bounds[1] - bounds[0])[uniform])))
     shares = np.repeat(np.array([1 - WIDE_SHARE, WIDE_SHARE]) / len(factors), len(factors))
-    first = proposal = StudentMixture(
+    mixture = StudentMixture(
         shares, np.concatenate([centres, centres]), np.concatenate([factors, WIDE_SCALE * factors])
     )
+    first = proposal = Proposal(mixture, uniform, *bounds)
     thetas, density = np.empty((0, len(bounds[0]))), np.empty(0)
-    proposals: list[tuple[StudentMixture, float]] = []  # with the logarithm of the number of tries
+    proposals: list[tuple[Proposal, float]] = []  # with the logarithm of the number of tries
     proposed = np.empty((0, 0))  # log density and log tries (R, N) of every proposal at every draw
     while True:
         # drawn at once, so that the random numbers do not depend on how many fall outside the bounds
-        drawn = proposal.draw(50 * effort.draws, rng)
-        inside = np.flatnonzero(np.all((drawn >= bounds[0]) & (drawn <= bounds[1]), axis=1))[: effort.draws]
+        drawn = proposal.mixture.draw(50 * effort.draws, rng)
+        inside = np.flatnonzero(np.all((drawn >= low) & (drawn <= high), axis=1))[: effort.draws]
         # tries up to the last accepted draw: the proposal's density within the bounds is normalised by them
         drawn_count = int(inside[-1]) + 1 if len(inside) == effort.draws else len(drawn)
-        new = drawn[inside]
+        new = np.empty((len(inside), len(uniform)))
+        new[:, mixed] = drawn[inside]
+        if uniform.any():
+            ends = bounds[0][uniform], bounds[1][uniform]
+            new[:, uniform] = rng.uniform(*ends, size=(len(inside), len(ends[0])))
         thetas, density = np.concatenate([thetas, new]), np.concatenate([density, log_density(new)])
         earlier = [log_tries + one.log_density(new) for one, log_tries in proposals]
-        proposals.append((proposal, math.log(drawn_count)))
+        proposals.append((proposal, math.log(drawn_count) - log_volume))
         own = proposals[-1][1] + proposal.log_density(thetas)
         proposed = np.vstack([np.hstack([proposed, np.reshape(earlier, (len(earlier), len(new)))]), own])
         # deterministic mixture: each draw against all proposals together, not only the one that drew it
         heavy = density - logsumexp(proposed, axis=0)
         weights, evidence = smooth_weights(heavy), float(logsumexp(heavy))
-        found = WeightedDraws(thetas, density, *weights, effort.min_ess, log_evidence=evidence)
+        found = WeightedDraws(thetas, density, *weights, effort.min_ess, evidence, proposal)
         if (found.certified and len(proposals) >= MIN_ROUNDS) or len(proposals) == effort.rounds:
             return found
-        fitted = _fit_mixture(found, rng, effort.components)
-        proposal = StudentMixture(
-            0.5 * np.concatenate([first.weights, fitted.weights]),
-            np.concatenate([first.centres, fitted.centres]),
-            np.concatenate([first.factors, fitted.factors]),
-        )
+        proposal = first.add_fitted(found, rng, effort.components, 0.5)
 
 
 EM_STEPS = 6  #: steps of expectation and maximisation between rounds
@@ -309,6 +355,15 @@ WIDENING = 1.4  #: factor on the fitted scales, so that tails are reached
 #: part of the first mixture that is so many times wider, for ridges that bend away from where they begin
 WIDE_SHARE, WIDE_SCALE = 0.3, 3.0
 MIN_COVARIANCE_FRACTION = 1e-4  #: part of the draws' whole covariance that every component has at least
+
+
+def _join_mixtures(parts: Sequence[StudentMixture], shares: Sequence[float]) -> StudentMixture:
+    """Return the mixture of several, each with its share; these sum to 1."""
+    return StudentMixture(
+        np.concatenate([share * part.weights for part, share in zip(parts, shares, strict=True)]),
+        np.concatenate([part.centres for part in parts]),
+        np.concatenate([part.factors for part in parts]),
+    )
 
 
 def _fit_mixture(found: WeightedDraws, rng: np.random.Generator, components: int) -> StudentMixture:
@@ -383,23 +438,40 @@ def sample_about_modes(
     efforts: Sequence[Effort] = EFFORTS,
 ) -> WeightedDraws:
     """Return weighted draws of a posterior whose modes, the best first, a search by Gauss-Newton has met."""
-    traced = trace_profiles(problem, modes[0], jobs) if efforts[0].profiles else []
+    uniform = find_uninformed(problem, modes[0])
+    traced = trace_profiles(problem, modes[0], jobs, uniform) if efforts[0].profiles else []
     points = [*modes, *traced]
     bounds = (problem.lower, problem.upper)
     # each with the information of its search: that costs no density
     approximations = [approximate_by_information(one.information, one.theta, *bounds) for one in points]
-    return sample_by_importance(Evaluator(problem, jobs), approximations, bounds, rng, efforts)
+    return sample_by_importance(Evaluator(problem, jobs), approximations, bounds, rng, efforts, uniform)
 
 
-def trace_profiles(problem: Problem, mode: LocalMinimum, jobs: int = 1) -> list[LocalMinimum]:
+def find_uninformed(problem: Problem, mode: LocalMinimum) -> Bools:
+    """Return which parameters (P,) have a flat prior to which the data add nothing, by the information.
+
+    At least one parameter is not among them.
+    """
+    width = problem.upper - problem.lower
+    axes = approximate_by_information(mode.information, mode.theta, problem.lower, problem.upper).axes
+    ratios = np.sqrt(UNIFORM_PRECISION * np.sum(axes**2, axis=1)) / width
+    known = {*problem.parameters.prior.names, *problem.parameters.half_normal}
+    found = np.array([name not in known for name in problem.names]) & (ratios >= UNINFORMED_SD_RATIO)
+    found[int(np.argmin(ratios))] = False
+    return found
+
+
+def trace_profiles(problem: Problem, mode: LocalMinimum, jobs: int, uninformed: Bools) -> list[LocalMinimum]:
     """Return points along the profiles, about a mode, of parameters neither tied nor a spread.
+
+    Nor of those marked `uninformed` (P,), which are drawn without.
 
     A plateau beside the peak, where the data no longer tell a layer from none, may hold a tenth of the
     posterior and end far from the peak. A mixture that grows from the peak alone may never reach it, and the
     weights do not show it.
     """
     stated = {tie.name for tie in problem.parameters.prior.ties} | set(problem.parameters.half_normal)
-    traced = [k for k, name in enumerate(problem.names) if name not in stated]
+    traced = [k for k, name in enumerate(problem.names) if name not in stated and not uninformed[k]]
     work = partial(trace_profile, problem, optimum=mode, steps=PROFILE_STEPS)
     found = dict(run_side_by_side(work, traced, jobs, TaskStop(never_stop)))
     # without the optimum, which comes first

@@ -1,8 +1,8 @@
 """Evaluate the density that is sampled, guarded against failures, and its Laplace approximation.
 
-That is the Gaussian with the density's curvature at its peak; in its coordinates ridges are round. Curvatures
-are differences of the log density over adaptive steps: in each parameter the longest of a list over which it
-falls by at most `MAX_LOG_DENSITY_DROP`. Where it is not finite the bounds decide.
+That is the Gaussian with the density's curvature at its peak. Curvatures are differences of the log density
+over adaptive steps: in each parameter the longest of a list over which it falls by at most
+`MAX_LOG_DENSITY_DROP`. Where it is not finite the bounds decide.
 """
 
 import math
@@ -23,13 +23,8 @@ class Evaluator:
 
     problem: Problem
     jobs: int  #: threads
-    #: what is asked for belongs to as many ensembles, an equal part to each, one after the other
-    ensembles: int = 1
     failures: int = 0  #: evaluations that were no number, or raised
-    failed: list[list[tuple[float, ...]]] = field(default_factory=list)  #: by ensemble the first of these
-
-    def __post_init__(self) -> None:
-        self.failed = [[] for _ in range(self.ensembles)]
+    failed: list[tuple[float, ...]] = field(default_factory=list)  #: the first of these
 
     def __call__(self, thetas: Floats) -> Floats:
         """Return the log densities (W,) of `thetas` (W, P)."""
@@ -40,10 +35,8 @@ class Evaluator:
             failed_rows = np.isnan(found) | (found == math.inf)
             density[inside] = np.where(failed_rows, -math.inf, found)
             self.failures += int(failed_rows.sum())
-            for row in np.flatnonzero(inside)[failed_rows].tolist():
-                failed = self.failed[row * self.ensembles // len(thetas)]
-                if len(failed) < MAX_FAILED_POINTS:
-                    failed.append(tuple(thetas[row].tolist()))
+            failed = [tuple(theta) for theta in thetas[inside][failed_rows].tolist()]
+            self.failed += failed[: MAX_FAILED_POINTS - len(self.failed)]
         return density
 
     def _guarded(self, thetas: Floats) -> Floats:
@@ -71,14 +64,6 @@ class LaplaceApproximation:
 
     centre: Floats  #: (P,)
     axes: Floats  #: (P, P) columns: principal directions times their standard deviations, sloppiest first
-
-    def thetas(self, z: Floats) -> Floats:
-        """Return the thetas (..., P) of whitened coordinates (..., P)."""
-        return self.centre + z @ self.axes.T
-
-    def whitened(self, thetas: Floats) -> Floats:
-        """Return the whitened coordinates (..., P) of thetas (..., P)."""
-        return (thetas - self.centre) @ np.linalg.inv(self.axes).T
 
 
 def approximate_by_laplace(

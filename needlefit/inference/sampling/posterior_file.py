@@ -5,7 +5,6 @@ numbers are therefore read by their names, without dimensions.
 """
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +18,10 @@ READ_BYTES_PER_SECOND = 16 * 2**20
 BASE_SECONDS = 4  #: processor time of the reader of a small file; one of the paper's studies takes 0.3 s
 
 GROUPS = ("posterior", "sample_stats", "convergence")
-QUANTITY = "quantity"  #: variable whose values are texts: what the rule of convergence looks at
 
 
-def read_numbers(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[np.float64]]]:
-    """Return the attributes and the float64 variables of a file, both by `group/name`.
-
-    Among the attributes is `convergence/quantity`, a list of texts.
+def read_numbers(path: Path) -> tuple[dict[str, str], dict[str, NDArray[np.float64]]]:
+    """Return the texts among the attributes and the float64 variables of a file, both by `group/name`.
 
     Raises DataError if the file is missing, is not HDF5, states more than it holds, or its reader crashes or
     does not end.
@@ -39,27 +35,16 @@ def read_numbers(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[np.float
     )
 
 
-def fill_numbers(results: SandboxArrays, path: str) -> dict[str, Any]:
+def fill_numbers(results: SandboxArrays, path: str) -> dict[str, str]:
     """Fill an array for every float64 variable of the file, in the child process; return the attributes."""
     import h5py
 
-    found: dict[str, Any] = {}
+    found: dict[str, str] = {}
     with h5py.File(path, "r") as file:
         for group in GROUPS:
             for name, value in file[group].attrs.items():
-                if not name.startswith("_"):  # the library's own
-                    found[f"{group}/{name}"] = _plain(value)
+                found |= {f"{group}/{name}": value} if isinstance(value, str) else {}
             for name, variable in file[group].items():
-                if name == QUANTITY:
-                    found[f"{group}/{name}"] = [str(text) for text in variable.asstr()[()]]
-                elif isinstance(variable, h5py.Dataset) and variable.dtype == np.float64:
+                if isinstance(variable, h5py.Dataset) and variable.dtype == np.float64:
                     results.new(f"{group}/{name}", variable.shape, "float64")[...] = variable[()]
     return found
-
-
-def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever HDF5 holds
-    """Return an attribute as a text or a number: HDF5 holds numbers as arrays of one."""
-    if isinstance(value, str):
-        return value
-    (one,) = np.ravel(value)
-    return one.item()

@@ -38,7 +38,6 @@ from needlefit.reporting.labels import (
     method_name,
 )
 from needlefit.reporting.number_format import (
-    NO_INTERVAL,
     choose_interval_unit,
     choose_printed_unit,
     format_bare_symbol,
@@ -653,8 +652,7 @@ def _describe_state(row: Row, unit: float) -> tuple[str, bool]:
     """Return the interval of a parameter, or why there is none; and whether it is closed and printed."""
     low, high = row["end_low"] == "closed", row["end_high"] == "closed"
     if _is_of_draws(row) or (low and high):
-        interval = typeset_interval(row, unit)
-        return interval, interval != NO_INTERVAL
+        return typeset_interval(row, unit), True
     if "lost" in (row["end_low"], row["end_high"]):
         return "could not be followed to its end", False
     if not low and not high:

@@ -133,7 +133,7 @@ class InferredPosterior:
     mode: Floats  #: (P,)
     draw_source: Literal["importance", "sampler", "prior"]
     trusted: bool  #: whether the weights were certified, or the sampler converged
-    weights: importance.WeightedDraws | None = None  #: of importance, whoever drew in the end
+    weights: importance.WeightedDraws | None = None  #: of importance, also where the sampler went on
 
     def describe(self) -> Row:
         """Return the cells of a replicate that say how its posterior was computed."""
@@ -158,22 +158,23 @@ def infer_posterior(
 ) -> InferredPosterior:
     """Return the posterior of a problem, from its prior; no start of the search uses the truth.
 
-    The sampler draws always, never, or only where the weights of importance are not certified.
+    The sampler goes on from the draws by importance always, never, or only where their weights are not
+    certified.
     """
     searched = recipe.model_copy(update={"minimize": "posterior"})
     ends = importance.find_modes(minimize(problem, searched, rng), problem.upper - problem.lower)
-    found = None
-    if sampler != "always":
-        modes = [minimize_squares(problem, end) for end in ends]
-        found = importance.sample_about_modes(problem, modes, rng)
-        if found.certified or sampler == "never":
-            chosen = importance.resample(found, draws, rng)
-            thetas, density = found.thetas[chosen], found.log_density[chosen]
-            return InferredPosterior(thetas, density, ends[0], "importance", found.certified, found)
-    posterior = sample(problem, ends, recipe.sample, rng)
+    rng.integers(1, 2**31, size=recipe.starts)  # not used: with it a seed gives the stored replicates
+    found = importance.sample_about_modes(problem, [minimize_squares(problem, end) for end in ends], rng)
+    posterior = None
+    if sampler == "always" or (sampler == "otherwise" and not found.certified):
+        posterior = sample(problem, found, recipe.sample, rng)
+    if posterior is None:
+        chosen = importance.resample(found, draws, rng)
+        thetas, density = found.thetas[chosen], found.log_density[chosen]
+        return InferredPosterior(thetas, density, ends[0], "importance", found.certified, found)
     thetas = thin_posterior(posterior, problem.parameters, draws).thetas
     density = problem.log_posteriors(thetas)
-    return InferredPosterior(thetas, density, ends[0], "sampler", posterior.converged, found)
+    return InferredPosterior(thetas, density, ends[0], "sampler", not posterior.faults, found)
 
 
 def compute_ranked(

@@ -24,6 +24,7 @@ from needlefit.inference.identifiability.identify import (
     AGREEMENT,
     MIN_NAMED_WEIGHT,
     describe_posterior_sd,
+    find_together,
     profile_parameters,
 )
 from needlefit.inference.parameters import is_logarithmic
@@ -93,7 +94,9 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
     here = Fit(tuple(theta.tolist()), problem.values(theta), 0.0, (), 0, 0, False)
     sds = dict(zip(expectation.names, expectation.sds[0].tolist(), strict=True))
     profiles = profile_parameters(problem, here, settings.jobs, settings.stop)
-    found = identify_parameters(problem, profiles, sds, loosened=precision.loosen(problem, theta))
+    together = find_together(problem, theta)
+    loosened = precision.loosen(problem, theta)
+    found = identify_parameters(problem, profiles, sds, loosened=loosened, together=together)
     near = dict(zip(expectation.names, expectation.sds.T, strict=True))  # over all places
     rows = []
     for row in found.rows:
@@ -152,8 +155,9 @@ def describe(found: Run) -> dict[str, Any]:
     thickness = found.run["medium"]["thickness_mm"]
     moved = ((row, row["tip_range_mm"]) for row in design if row["status"] == "fixed")
     return {
-        "known": [row["parameter"] for row in free if row["determined"]],
-        "loose": [row["parameter"] for row in free if not row["determined"]],
+        "known": [row["parameter"] for row in free if row["determined"] == "yes"],
+        "together": [row["parameter"] for row in free if row["determined"] == "only together"],
+        "loose": [row["parameter"] for row in free if row["determined"] == "no"],
         "about": {**found.run, "depths": list(depths), "thickness_mm": thickness},
         "expected": [_describe_expected(row, directions) for row in design if row["sd_low"] is not None],
         "fixed": [
@@ -197,7 +201,7 @@ def _describe_expected(row: Row, directions: list[Row]) -> Row:
 def judge(found: Run) -> list[Verdict]:
     """Return which parameters are identifiable from the design."""
     values = describe(found)
-    count, total = len(values["known"]), len(values["known"]) + len(values["loose"])
+    count, total = len(values["known"]), sum(len(values[name]) for name in ("known", "together", "loose"))
     numbers = {"identifiable": count, "parameters": total}
     status: Literal["pass", "warn"] = "pass" if count == total else "warn"
     return [Verdict(TEXT.sentence("answer", values), status, "", numbers)]

@@ -361,7 +361,7 @@ def draw_parameters(
     fit = minimize(job.problem(fold), job.recipe, rng, callbacks)
     if fit.interrupted:
         return None
-    found, _ = draw_fold_parameters(job, fold, fit, None, settings)
+    found = draw_fold_parameters(job, fold, fit, settings).draws
     if settings.stop():
         return None
     return replace(found, faults=(*((fit.fault,) if fit.fault else ()), *found.faults))
@@ -373,7 +373,7 @@ def _draw_from_run(job: Job, run: Path) -> Draws:
             f"holds no {POSTERIOR_FILE}",
             where=str(run),
             expected="the folder of a run of one fold that was sampled",
-            fix="sample it (`needlefit tune TARGET --sample`), or leave --run out",
+            fix="tune it without --no-sample, or leave --run out",
         )
     require_unchanged(run)
     require_same_configuration(job, read_run(run), str(run))
@@ -394,7 +394,7 @@ def require_same_configuration(job: Job, recorded: Mapping[str, Any], where: str
                 f"its posterior is of another {key}",
                 where=where,
                 expected=f"the {key} that {job.name} names now",
-                fix="sample again (`needlefit tune TARGET --sample`), or name the right one with --run",
+                fix="tune again (`needlefit tune TARGET`), or name the right one with --run",
             )
 
 

@@ -21,6 +21,7 @@ from needlefit.inference.baselines import BASELINES, list_baselines
 from needlefit.inference.fit import Callbacks, Fit
 from needlefit.inference.forward_model import simulate_deflections
 from needlefit.inference.identifiability.identify import identify
+from needlefit.inference.identifiability.precision import add_estimated_noise
 from needlefit.inference.likelihood.observation import Observation, make_observation
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import NOISE_SCALE, is_logarithmic
@@ -28,9 +29,9 @@ from needlefit.inference.predict import estimate_proportion
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import resample_draws, sample_about_fit
 from needlefit.inference.sampling.posterior import PERCENTILES, Posterior
-from needlefit.inference.sampling.sample import Snapshots, sample_from_fit
+from needlefit.inference.sampling.sample import sample
 from needlefit.inference.specimens import SpreadModel, draw_population
-from needlefit.inference.tracking import (
+from needlefit.inference.track_predictions import (
     TrackDraws,
     draw_baseline,
     estimate_slopes,
@@ -196,8 +197,8 @@ def make_tasks(
 def run(name: str, record: TrackStudyRecord, settings: Settings) -> Run:
     """Run a study of tip tracks.
 
-    Runs are predicted by draws of the posterior: by importance sampling, or by MCMC if that is asked for, or
-    where the weights cannot be trusted.
+    Runs are predicted by draws of the posterior: by importance sampling, or by MCMC where its weights are not
+    certified.
     """
     dataset, tasks = read(find_file("dataset", record.dataset)), list[TrackTask]()
     for n, fit_record in enumerate(record.fits, start=1):
@@ -293,18 +294,16 @@ def _draw_posterior(
     fit = minimize(task.problem, task.recipe, stream("starts"), callbacks)
     if fit.interrupted or settings.stop():
         return None
-    pareto_k = math.nan
-    if not settings.sample:
-        rng = stream("weighed")
-        found = sample_about_fit(task.problem, fit, rng, settings.jobs)
-        if found.certified:
-            return fit, resample_draws(found, PREDICTION_DRAWS, rng), None
-        pareto_k = found.k
-    kept = Snapshots(checkpoint, task.name)
-    posterior = sample_from_fit(task.problem, fit, task.recipe.sample, stream("posterior"), callbacks, kept)
+    rng = stream("weighed")
+    found = sample_about_fit(task.problem, fit, rng, settings.jobs)
+    if found.certified:
+        return fit, resample_draws(found, PREDICTION_DRAWS, rng), None
+    known = add_estimated_noise(task.problem, np.array(fit.theta))
+    random = stream("posterior")
+    posterior = sample(known, found, task.recipe.sample, random, callbacks, checkpoint, task.name)
     if posterior is None or posterior.interrupted:
         return None
-    draws = predict.thin_posterior(posterior, task.problem.parameters, PREDICTION_DRAWS, pareto_k)
+    draws = predict.thin_posterior(posterior, task.problem.parameters, PREDICTION_DRAWS, found.k)
     return fit, draws, posterior
 
 

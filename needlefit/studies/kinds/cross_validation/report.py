@@ -19,7 +19,11 @@ from needlefit.arrays import Floats
 from needlefit.datasets.select import group_rows
 from needlefit.grouping import group_values
 from needlefit.inference.baselines import BASELINES, list_baselines
-from needlefit.inference.identifiability.directions import UNINFORMED_SD_RATIO
+from needlefit.inference.identifiability.directions import (
+    DETERMINED,
+    UNINFORMED_SD_RATIO,
+    find_least_determined,
+)
 from needlefit.inference.parameters import BEVEL_SPREAD, find_tie_spread, is_logarithmic, parse_tie
 from needlefit.inference.predict import estimate_proportion
 from needlefit.metrics import headline_metrics, list_metrics
@@ -37,6 +41,7 @@ from needlefit.reporting.number_format import (
     insert_symbols,
     join_metrics,
     join_words,
+    typeset,
     typeset_interval,
 )
 from needlefit.reporting.table import TableLayout
@@ -110,18 +115,18 @@ class Facts:
         fitted = to_records(results.frames["parameters"].query("method == 'fitted'"))
         self.parameter_folds = len({row["fold"] for row in fitted})
         self.free_values = [row for row in fitted if row["status"] != "fixed"]
-        # given, not estimated; estimated, but not determined in some fold; under an assumption in every fold
-        self.fixed = _name(row for row in fitted if row["status"] == "fixed")
-        self.undetermined = _name(row for row in self.free_values if not row["determined"])
-        unconditional = _name(row for row in fitted if not row["determined"] and not row["condition"])
-        self.conditional = [name for name in self.undetermined if name not in unconditional]
-        self.loose = [name for name in self.undetermined if name not in self.conditional]
-        known = [name for name in _name(self.free_values) if name not in self.undetermined]
-        parts = {
-            "identifiable:": known,
-            "identifiable under assumptions:": self.conditional,
-            "not identifiable:": self.loose,
+        self.fixed = _name(row for row in fitted if row["status"] == "fixed")  # given, not estimated
+        # of several folds the one counts in which a parameter is determined least
+        least = {
+            name: find_least_determined(
+                str(row["determined"]) for row in self.free_values if row["parameter"] == name
+            )
+            for name in _name(self.free_values)
         }
+        known, self.together, self.loose = (
+            [name for name, found in least.items() if found == word] for word in DETERMINED
+        )
+        parts = {"determined:": known, "only together:": self.together, "not determined:": self.loose}
         self.determined = [(words, names) for words, names in parts.items() if names]
         notes = list(map(str, about.get("notes", ())))
         if results.synthetic:  # that it is stands on every page
@@ -364,7 +369,8 @@ class Facts:
             "is_study": isinstance(self.results.record, StudyRecord),
             "distinct_held_out": len({one for fold in run["folds"] for one in fold["validate"]}),
             "first_draws": int(predicted["draws"].iloc[0]) if len(predicted) else 0,
-            "from_posterior": bool((predicted["draw_source"] == "posterior").all()),
+            "folds": predicted["fold"].nunique(),
+            "sampled_folds": predicted[predicted["draw_source"] == "posterior"]["fold"].nunique(),
             "pareto_k": None if pd.isna(pareto) or pareto == float("inf") else float(pareto),
             "specimens": recipe.get("specimens") if new else None,
             "packages": [
@@ -481,11 +487,11 @@ def _judge_fit(results: Run, group: scores.ScoredGroup) -> Verdict:
         group.get(scores.TE),
         collect_values(results)["facts"],
     )
-    numbers = {**_collect_numbers(group), "not_determined": ", ".join(facts.undetermined)}
+    numbers = {**_collect_numbers(group), "not_determined": ", ".join([*facts.together, *facts.loose])}
     if error is None:
         return Verdict(f"No fit: no simulation on {name} converged", "fail", name, numbers)
     ratio, kinds = group.over_floor(scores.TE), {one.kind for one in read_warnings(results.run)}
-    opening, status = _open_fit(kinds, bool(facts.undetermined), ratio, results.reliable)
+    opening, status = _open_fit(kinds, bool(facts.together or facts.loose), ratio, results.reliable)
     values = {"facts": facts, "opening": opening, "error_mm": error, "floor_ratio": ratio}
     values |= {"insertions": group.head["insertions"]}
     return Verdict(tables.TEXT.sentence("fitted", values), status, name, numbers)
@@ -881,7 +887,6 @@ def explain(results: Run) -> tuple[list[TableLayout], list[str]]:
     verdicts = {str(fold): describe_verdicts(rows) for fold, rows in groups}
     sentences = [
         *list_sentences(results, *errors, "noise_floor", "prediction_set", "searches"),
-        *map(insert_symbols, _name_folds(_list_undetermined(results))),
         *list_sentences(results, "combinations"),
         *map(insert_symbols, _name_folds(verdicts)),
         *list_sentences(results, "failures", "validity", "unconverged", "outside_fits"),
@@ -897,21 +902,6 @@ def _name_folds(found: Mapping[str, Sequence[str]]) -> Iterator[str]:
         yield sentence if len(folds) == len(found) else f"{several} {', '.join(folds)}: {sentence}"
 
 
-def _list_undetermined(results: Run) -> dict[str, list[str]]:
-    """Return by fold what the data do not determine."""
-    rows = tables.arrange_parameters(tables.tabulate_parameters(results))
-    # `describe_verdicts` names the conditions of these
-    judged = set(results.frames["identification"]["parameter"])
-    found: dict[str, list[str]] = {str(row["fold"]): [] for row in rows}
-    for row in rows:
-        conditional = row["parameter"] in judged and row["condition"]
-        if row["status"] == "free" and not row["determined"] and not conditional:
-            note = str(row["note"] or tables.NOT_DETERMINED)
-            words = note if "determined" in note else f"{tables.NOT_DETERMINED}: {note}"
-            found[str(row["fold"])].append(f"{row['parameter']}: {words}.")
-    return found
-
-
 # ---- tables
 
 
@@ -919,6 +909,8 @@ def tabulate_files(result: Run) -> dict[str, pd.DataFrame]:
     """Return the tables that are written as CSV, by name."""
     names = ("design", "errors", "shapes", "starts", "failures", "directions")
     frames = {name: result.frames[name] for name in names}
+    if len(result.frames["error_fit"]):
+        frames["error_fit"] = result.frames["error_fit"]
     predictions = [result.frames[name] for name in ("predictive", "predictive_training")]
     if any(map(len, predictions)):
         frames["predictive"] = pd.concat([frame for frame in predictions if len(frame)])
@@ -934,7 +926,7 @@ def fit_to_json(result: Run) -> dict[str, Any]:
     """Return the errors beside the paper's; of a fit also its parameters, starts and what they determine."""
     frames = {"validation": scores.tabulate_validation(result)}
     if result.kind == "fit":
-        names = ("errors", "starts", "failures", "directions", "identification", "profiles")
+        names = ("errors", "starts", "failures", "error_fit", "directions", "identification", "profiles")
         frames = {
             "parameters": tables.tabulate_parameters(result),
             **{name: result.frames[name] for name in names},
@@ -994,6 +986,13 @@ def _lay_out_summary(results: Run) -> TableLayout:
     return tables.lay_out_summary([results])
 
 
+def lay_out_first(results: Run) -> list[TableLayout]:
+    """Return the tables of the first page: parameters, then errors; of a study its held-out groups first."""
+    if find_scored_role(results) == "tune":
+        return [tables.lay_out_values(results), tables.lay_out_in_sample(results)]
+    return [_lay_out_summary(results), tables.lay_out_values(results)]
+
+
 # ---- files
 
 
@@ -1036,9 +1035,9 @@ def format_macros(results: Sequence[Run]) -> str:
     """Return a LaTeX file of macros of every printed number, by readable keys.
 
     A key is `<run>-<medium>-<layers>-<error>`, with `floor-` or `paper-` before the error for what stands
-    beside it or `-over-floor` after it for the multiple of its noise floor; `<run>-<parameter>`, with `-low`,
-    `-high` and `-interval` of its 95 % interval (`-interval` alone where that is "not determined"), all in
-    the unit of the tables, `-unit`; or that of a cell of a table (`format_table_macros`).
+    beside it or `-over-floor` after it for the multiple of its noise floor; `<run>-<parameter>`, the median
+    of the posterior, with `-low`, `-high` and `-interval` of its 95 % interval, all in the unit of the
+    tables, `-unit`, and `-determined`; or that of a cell of a table (`format_table_macros`).
     """
     return latex.format_macros(
         number
@@ -1075,14 +1074,18 @@ def _list_parameters(results: Run) -> Iterator[tuple[str, str]]:
         name = str(row["parameter"]).removesuffix("_pa").removesuffix("_mm").replace("_", "-")
         where = f"-{row['fold']}" if several else ""
         key = f"{results.name}{where}-{name}"
-        label, scale = choose_interval_unit(row, row["value_used"])
-        yield key, tables.format_in_unit(row["fitted"], scale)
+        estimate = tables.choose_estimate(row)
+        assert estimate is not None
+        label, scale = choose_interval_unit(row, estimate)
+        yield key, typeset(format_number(estimate / scale))
         if unit := label.partition(" (")[2].rstrip(")"):
             yield f"{key}-unit", unit
+        if row["determined"]:
+            yield f"{key}-determined", str(row["determined"])
         if interval := typeset_interval(row, scale):
             yield f"{key}-interval", interval
-            low, to, high = interval.partition(" to ")
-            yield from ((f"{key}-low", low), (f"{key}-high", high)) if to else ()
+            low, _, high = interval.partition(" to ")
+            yield from ((f"{key}-low", low), (f"{key}-high", high))
 
 
 # ---- the report
@@ -1137,6 +1140,6 @@ REPORT = StudyReport(
     compares_only_these=True,
     judge=judge,
     explore=collect_page_data,
-    lay_out_first=lambda results: [_lay_out_summary(results), tables.lay_out_values(results)],
+    lay_out_first=lay_out_first,
     explain=explain,
 )

@@ -6,10 +6,9 @@ import pickle
 import re
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,9 @@ import pandas as pd
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.select import count_layers, get_other_rule
 from needlefit.grouping import group_values
+from needlefit.inference.error_fit import ErrorMinimisingFit, ErrorSearch, Target, examine_errors
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_start, read_starts
+from needlefit.inference.identifiability.directions import name_determined
 from needlefit.inference.identifiability.identify import (
     LOG_POSTERIOR_TOLERANCE,
     Assessment,
@@ -31,11 +32,10 @@ from needlefit.inference.identifiability.identify import (
     within_tolerance,
 )
 from needlefit.inference.optimize import minimize
-from needlefit.inference.parameters import Theta
+from needlefit.inference.parameters import HYPERPARAMETERS, Theta, to_value
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem, explain_failure, find_outside_validity
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.inference.sampling.sample import Snapshots, sample_from_fit
 from needlefit.metrics import METRICS
 from needlefit.project.checkpoint import Checkpoint, open_checkpoint
 from needlefit.project.input_files import read_toml
@@ -50,6 +50,7 @@ from needlefit.studies.fit_frames import COLUMNS as FRAMES
 from needlefit.studies.fit_frames import TUNED_SPECIMENS
 from needlefit.studies.fit_warnings import add_warnings
 from needlefit.studies.held_out_predictions import (
+    FoldDraws,
     HeldOutPrediction,
     Specimens,
     draw_fold_parameters,
@@ -60,6 +61,7 @@ from needlefit.studies.identification import (
     add_intervals,
     identify_parameters,
     intervals_of_draws,
+    list_differing_intervals,
     reconcile_verdict,
 )
 from needlefit.studies.job import Fold, Job, Settings, prepare
@@ -170,10 +172,9 @@ def find_faults(errors: pd.DataFrame, search_faults: Faults, not_converged: Faul
 
 @dataclass(frozen=True)
 class _Drawn:
-    """Draws of a fold's parameters, to predict with and for figures, and the predictions by them."""
+    """Draws of a fold's parameters, and the predictions by them."""
 
-    draws: Draws
-    shown: Draws
+    made: FoldDraws
     specimens: Specimens
     predicted: tuple[HeldOutPrediction, ...]
     plain: tuple[HeldOutPrediction, ...]  #: of insertions into new specimens, by what was tuned alone
@@ -194,6 +195,8 @@ class _StudyRun:
     searches: dict[str, dict[str, Fit]] = field(default_factory=dict)
     verdicts: dict[str, Identifiability] = field(default_factory=dict)
     posteriors: dict[str, Posterior] = field(default_factory=dict)
+    #: by fold the parameters whose intervals by both samplers differ
+    differing: dict[str, tuple[str, ...]] = field(default_factory=dict)
     uncertified: dict[str, tuple[str, ...]] = field(default_factory=dict)
     search_faults: dict[str, list[str]] = field(default_factory=dict)
     counts: ValidityCounts = field(default_factory=ValidityCounts)
@@ -228,19 +231,17 @@ class _StudyRun:
             lambda: pickle.dumps(self._go_on()._examine(number, fold, fits)),
         ]
         with compute_beside(() if settings.jobs == 1 else rest, settings.stop) as finish:
-            if not settings.sample:
-                drawn = self._draw(number, fold, fits)
+            drawn = self._draw(number, fold, fits)
             if not settings.stop():
                 more, profiles = map(pickle.loads, finish() or [work() for work in rest])
                 fits |= more
         self.interrupted = any(fit.interrupted for fit in fits.values()) or len(fits) < len(job.searches)
-        self.interrupted = self.interrupted or settings.stop()
         if better := _move_to_better(job.problem(fold), fits, profiles):
             fits["fitted"], drawn = better, None
             profiles = self._examine(number, fold, fits)
-        if settings.sample and not self.interrupted:
-            self.interrupted = self._sample(fold, fits["fitted"])
         drawn = drawn or self._draw(number, fold, fits)
+        self.interrupted = self.interrupted or settings.stop()
+        least = self._examine_errors(number, fold, fits, drawn)
         self.parts |= {(number, phase): 1.0 for phase in self._list_phases(fold)}
         self._report(number, "errors")
         if drawn is not None:
@@ -250,8 +251,10 @@ class _StudyRun:
         known = "fitted" in usable
         if known:
             self._tabulate_fit(fold, usable["fitted"], profiles, drawn)
-        if "fitted_metric" in usable:
-            self.rows["parameters"] += _metric_rows(job, fold, usable["fitted_metric"])
+        if least is None:
+            usable.pop("fitted_metric", None)
+        else:
+            usable["fitted_metric"] = self._tabulate_error_fit(fold, usable["fitted_metric"], least)
         self.rows["parameters"] += _published_rows(job, fold, usable.get("hand_tuned_b"))
         for method, curves in make_predictors(job.problem(fold), usable, job.hand_tuned).items():
             for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
@@ -354,21 +357,47 @@ class _StudyRun:
         step(0, 1)
         return profile_parameters(problem, fit, settings.jobs, settings.stop, step)
 
-    def _sample(self, fold: Fold, fit: Fit) -> bool:
-        """Sample the posterior of one fold; return whether it was interrupted."""
-        job, settings = self.job, self.settings
-        step = partial(settings.progress, f"{job.name}: posterior")
-        rng = random_stream(job.recipe.seed, fold.name, "posterior")
-        callbacks = Callbacks(stop=settings.stop, step=step, jobs=settings.jobs)
-        snapshots = Snapshots(self.checkpoint, fold.name)
-        posterior = sample_from_fit(job.problem(fold), fit, job.recipe.sample, rng, callbacks, snapshots)
-        if posterior is None:  # there is no posterior to write
-            return True
-        self.posteriors[fold.name] = posterior
-        for ensemble, thetas in enumerate(posterior.failed):
-            place = {"fold": fold.name, "fit": "posterior", "start": ensemble}
-            self.rows["failures"] += _failure_rows(place, job.problem(fold), thetas)
-        return posterior.interrupted
+    def _examine_errors(
+        self, number: int, fold: Fold, fits: Mapping[str, Fit], drawn: "_Drawn | None"
+    ) -> ErrorMinimisingFit | None:
+        """Return what the errors determine about the fit that minimises them; of many folds no ranges."""
+        job, settings, fit = self.job, self.settings, fits.get("fitted_metric")
+        if fit is None or fit.interrupted or not math.isfinite(fit.objective) or settings.stop():
+            return None
+        problem, target = job.problem(fold, "fitted_metric"), None
+        if drawn is not None and len(drawn.made.draws.thetas):
+            thetas = drawn.specimens.replace_mean(drawn.made.draws).thetas
+            median = job.parameters.values(np.median(thetas, axis=0))
+            columns = [job.parameters.free.index(name) for name in problem.names]
+            target = Target(problem.parameters.theta(median), np.std(thetas, axis=0)[columns])
+        self._report(number, "errors of the fit")
+        return examine_errors(
+            problem,
+            fit,
+            target,
+            ErrorSearch(job.parameters, job.recipe.metric_algorithm, len(job.folds) == 1),
+            random_stream(job.recipe.seed, fold.name, "error tolerance"),
+            settings.jobs,
+            settings.stop,
+        )
+
+    def _tabulate_error_fit(self, fold: Fold, fit: Fit, found: ErrorMinimisingFit) -> Fit:
+        """Add the parameters that minimise the errors; return the fit at the reported point."""
+        problem, tolerance = self.job.problem(fold, "fitted_metric"), found.tolerance
+        reported = replace(fit, theta=found.theta, values=problem.values(np.array(found.theta)))
+        self.rows["error_fit"].append(
+            {
+                "fold": fold.name,
+                "objective_mm": found.objective,
+                "least_objective_mm": found.least,
+                "tolerance_mm": tolerance.value,
+                "tolerance_by_noise_mm": tolerance.by_noise,
+                "tolerance_by_insertions_mm": tolerance.by_insertions,
+                "evaluations": found.evaluations,
+            }
+        )
+        self.rows["parameters"] += _error_fit_rows(problem, fold, reported, found)
+        return reported
 
     def _draw(self, number: int, fold: Fold, fits: Mapping[str, Fit]) -> "_Drawn | None":
         """Return draws of a fold's parameters, and the predictions of the insertions that it holds out.
@@ -379,23 +408,28 @@ class _StudyRun:
         job, settings, fit = self.job, self.settings, fits.get("fitted")
         if fit is None or not math.isfinite(fit.objective) or (settings.stop() and not fold.validate):
             return None
-        self._report(number, "posterior draws")
-        draws, shown = draw_fold_parameters(job, fold, fit, self.posteriors.get(fold.name), settings)
-        self._report(number, "posterior draws", 1)
-        jobs = settings.jobs
-        specimens = Specimens(job, fold, draws, jobs, self.specimens)
+
+        def sampled(done: int, total: int) -> None:
+            self._report(number, "posterior draws", done / total)
 
         def step(done: int, total: int) -> None:
             self._report(number, "predictions", done / total)
 
+        sampled(0, 1)
+        made = draw_fold_parameters(job, fold, fit, settings, self.checkpoint, sampled)
+        sampled(1, 1)
+        if settings.sample and made.posterior is not None:
+            self.posteriors[fold.name] = made.posterior
+        draws, jobs = made.draws, settings.jobs
+        specimens = Specimens(job, fold, draws, jobs, self.specimens)
         step(0, 1)
         given = replace(fold, validate=() if specimens.faults else fold.validate)
         predicted = predict_held_out(job, given, draws, specimens, jobs, bands=True, step=step)
         known = () if draws.faults else fold.validate
         others = replace(fold, validate=tuple(filter(specimens.differs, known)))
         # only their coverage, mean width and score are shown: the draws of figures will do
-        plain = predict_held_out(job, others, shown, None, jobs)
-        return _Drawn(draws, shown, specimens, tuple(predicted), tuple(plain))
+        plain = predict_held_out(job, others, made.shown, None, jobs)
+        return _Drawn(made, specimens, tuple(predicted), tuple(plain))
 
     def _tabulate_draws(self, fold: Fold, drawn: "_Drawn") -> None:
         """Add predictions, and draws in Pa and mm: of the specimens' mean, of each and of a new one."""
@@ -404,7 +438,10 @@ class _StudyRun:
             self.rows["bands"] += one.band
             self.counts.predicted.add(one.solved, one.outside)
         self.rows["predictive_training"] += [one.row for one in drawn.plain]
-        job, specimens, draws = self.job, drawn.specimens, drawn.specimens.replace_mean(drawn.shown)
+        if (posterior := self.posteriors.get(fold.name)) is not None:
+            place = {"fold": fold.name, "fit": "posterior", "start": 0}
+            self.rows["failures"] += _failure_rows(place, self.job.problem(fold), posterior.failed)
+        job, specimens, draws = self.job, drawn.specimens, drawn.specimens.replace_mean(drawn.made.shown)
         about = {"fold": fold.name, **draws.describe()}
         if draws.faults:
             self.uncertified[fold.name] = draws.faults
@@ -443,9 +480,11 @@ class _StudyRun:
         They are judged by draws of the posterior; without certified ones, by the information.
         """
         job, problem, posterior = self.job, self.job.problem(fold), self.posteriors.get(fold.name)
-        draws = further = None
+        draws = importance = further = None
         if drawn is not None:
-            draws = drawn.specimens.replace_mean(drawn.draws)
+            draws, importance = drawn.specimens.replace_mean(drawn.made.draws), drawn.made.importance
+            if posterior is not None:
+                self.differing[fold.name] = list_differing_intervals(job.parameters, importance, posterior)
             if drawn.specimens.separate:
                 further = None if draws.faults else drawn.specimens.population.new
                 posterior = None  # the sampler's has one set of parameters, specimens several
@@ -463,8 +502,9 @@ class _StudyRun:
             for one in verdict.directions
         ]
         fitted = _fitted_rows(job, fold, fit, verdict, judgements)
-        sampled = intervals_of_draws(job.parameters, draws, posterior)
-        add_intervals(fitted, judged, sampled, job.parameters.ties)
+        sampled = intervals_of_draws(job.parameters, draws, importance, posterior)
+        ties, together = job.parameters.ties, verdict.together
+        add_intervals(fitted, judged, sampled, ties, together, verdict.model_error)
         self.rows["identification"] += judged
         self.rows["parameters"] += fitted
 
@@ -479,6 +519,7 @@ class _StudyRun:
         sampled = {
             "failed_solves_of_sampler": sum(p.failures for p in posteriors.values()),
             "not_converged": {fold: list(p.faults) for fold, p in posteriors.items() if p.faults},
+            "differing_intervals": {fold: list(names) for fold, names in self.differing.items() if names},
         }
         return {
             "searches": searches,
@@ -562,7 +603,7 @@ _UNKNOWN: Row = {
     **dict.fromkeys(("bound_low", "bound_high"), math.nan),
     **NO_SOURCE,
     **dict.fromkeys(("sd", "low", "high"), math.nan),
-    **{"determined": False, "condition": ""},
+    **{"determined": "", "condition": ""},
 }
 
 
@@ -577,7 +618,9 @@ def _fitted_rows(
         condition = verdict.conditions.get(name, "")
         row = {"fold": fold.name, "method": "fitted", "parameter": name, "value": value, "status": status}
         row |= {**_UNKNOWN, "bound_low": low, "bound_high": high, "condition": condition}
-        row["determined"] = bool(verdict.determined.get(source, False)) and not condition
+        known, together = (some.get(source, False) for some in (verdict.determined, verdict.together))
+        if status != "fixed":
+            row["determined"] = name_determined(known and not condition, known or together)
         if source in verdict.sds:
             row["low"] = factor * verdict.spread_low[source]
             row["high"] = factor * verdict.spread_high[source]
@@ -594,22 +637,31 @@ def _fitted_rows(
     return rows
 
 
-def _metric_rows(job: Job, fold: Fold, fit: Fit) -> list[Row]:
-    """Return the values that the metric objective prefers; the posterior fit has their uncertainty."""
-    ends = np.array([s.theta for s in select_within_tolerance(fit)] or [fit.theta]).reshape(
-        -1, len(fit.theta)
-    )
-    parameters = job.problem(fold, "fitted_metric").parameters
-    low, high = (parameters.values(end(ends, axis=0)) for end in (np.min, np.max))
-    about = {"fold": fold.name, "method": "fitted_metric"}
-    return [
-        {
-            **{**about, "parameter": name, "value": value, "status": parameters.status[name]},
-            **{**_UNKNOWN, "low": low[name], "high": high[name]},
-            "note": "minimises the metric objective",
-        }
-        for name, value in fit.values.items()
-    ]
+def _error_fit_rows(problem: Problem, fold: Fold, fit: Fit, found: ErrorMinimisingFit) -> Iterator[Row]:
+    """Yield the values that minimise the errors, each with its range within the tolerance.
+
+    A tied one shares its source's; hyperparameters are of the likelihood alone.
+    """
+    parameters = problem.parameters
+    for name, value in fit.values.items():
+        if name in HYPERPARAMETERS:
+            continue
+        factor, source = parameters.ties.get(name, (1.0, name))
+        row = {"fold": fold.name, "method": "fitted_metric", "parameter": name, "value": value, **_UNKNOWN}
+        row["status"], row["note"] = parameters.status[name], ""
+        if source in parameters.bounds:
+            ends = (factor * bound for bound in parameters.bounds[source])
+            row |= dict(zip(("bound_low", "bound_high"), ends, strict=True))
+        if source in found.ranges:
+            one = found.ranges[source]
+            row |= {"interval_low": factor * to_value(source, one.low)}
+            row |= {"interval_high": factor * to_value(source, one.high), "draw_source": "tolerance"}
+            row["determined"] = found.determined(source)
+            at_bound = [
+                side for side, end in zip(("lower", "upper"), one.ends, strict=True) if end == "bound"
+            ]
+            row["note"] = f"its range ends at its {' and its '.join(at_bound)} bound" if at_bound else ""
+        yield row
 
 
 def _published_rows(job: Job, fold: Fold, retuned: Fit | None) -> list[Row]:
@@ -627,7 +679,7 @@ def _published_rows(job: Job, fold: Fold, retuned: Fit | None) -> list[Row]:
             free = method == "hand_tuned_b" and name == "bevel_mm"
             row = {"fold": fold.name, "method": method, "parameter": name, "value": value}
             row |= {"status": "free" if free else "published", **_UNKNOWN}
-            row |= {"determined": free and found.get(name, False)}
+            row |= {"determined": name_determined(found.get(name, False), False) if free else ""}
             rows.append({**row, "note": "re-tuned alone" if free else "tuned by hand"})
     return rows
 

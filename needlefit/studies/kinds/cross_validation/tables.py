@@ -4,7 +4,6 @@ Captions and notes stand in the text.
 """
 
 import math
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -16,8 +15,14 @@ import pandas as pd
 from needlefit.arrays import Floats
 from needlefit.datasets.select import group_rows
 from needlefit.grouping import group_values
-from needlefit.inference.identifiability.directions import Direction, principal_directions
-from needlefit.inference.parameters import HYPERPARAMETERS, is_logarithmic
+from needlefit.inference.identifiability.directions import (
+    MAX_LOG_SD,
+    UNINFORMED_SD_RATIO,
+    Direction,
+    find_least_determined,
+    principal_directions,
+)
+from needlefit.inference.parameters import is_logarithmic
 from needlefit.inference.predict import estimate_proportion
 from needlefit.inference.sampling.posterior import PERCENTILES
 from needlefit.metrics import Metric, headline_metrics, list_metrics
@@ -25,18 +30,14 @@ from needlefit.reporting.columns import DIGITS
 from needlefit.reporting.figures.fit_forms import to_log_coordinates
 from needlefit.reporting.labels import SPECIMEN_NAMES, group_name, method_name, study_name
 from needlefit.reporting.number_format import (
-    NO_INTERVAL,
-    choose_interval_unit,
     choose_printed_unit,
-    format_bare_symbol,
-    format_interval,
     format_metric,
     format_number,
-    format_quantity,
-    format_quantity_range,
+    format_plain,
     insert_symbols,
+    is_known,
+    round_significant,
     typeset,
-    typeset_interval,
 )
 from needlefit.reporting.table import Table, TableLayout, part, pivot
 from needlefit.reporting.table_files import Row, to_records
@@ -46,8 +47,7 @@ from needlefit.studies.coverage import COVERAGE_COLUMNS, count_covered, tabulate
 from needlefit.studies.csv_tables import TableSchema
 from needlefit.studies.fit_frames import MODEL_METHODS, select_fitted, select_free
 from needlefit.studies.fit_warnings import describe_gain
-from needlefit.studies.identification_tables import IDENTIFICATION_COMPARISON
-from needlefit.studies.paper import Claim
+from needlefit.studies.identification_tables import IDENTIFICATION_COMPARISON, describe_evidence
 from needlefit.studies.run import Run
 from needlefit.studies.run_differences import (
     CRPS_NOISE_FRACTION,
@@ -210,6 +210,34 @@ def _head(group: scores.ScoredGroup) -> Row:
     return {**group.head, **about, "unflagged_edp": group.get("edp_percent", "unflagged")}
 
 
+_IN_SAMPLE_METHODS = ("fitted", "fitted_metric", "hand_tuned")
+
+
+def lay_out_in_sample(results: Run) -> TableLayout:
+    """Return the errors of a fit, of the error-minimising one and of the paper's parameters, over all
+    insertions that were fitted to.
+    """
+    shown = [metric for metric in list_metrics() if metric.headline or metric.relative]
+    table = scores.aggregate(results.frames["errors"], ("role", "method", "boundaries"))
+    known = {
+        (row["method"], row["metric"]): row
+        for row in to_records(table)
+        if (row["role"], row["boundaries"]) == ("tune", "measured")
+    }
+    rows: list[Row] = []
+    for method in (*_IN_SAMPLE_METHODS, "floor"):
+        name = "noise floor" if method == "floor" else method_name(method, results.origin)
+        for metric in shown:
+            one = known.get(("fitted" if method == "floor" else method, metric.name), {})
+            value = one.get("floor" if method == "floor" else "value")
+            if one and (value is not None or method != "floor"):
+                rows.append({"row": name, "metric": metric.name, "value": value, "mark": "", "spread": None})
+    lines = pivot(rows, ["row"], ["metric"])
+    columns = ("row", *(part("metric_value", metric=one.name) for one in shown))
+    counts = {int(row["insertions"]) for row in known.values()}
+    return _lay_out(Table("in_sample", lines, columns, strong="first"), insertions=max(counts, default=0))
+
+
 def lay_out_matrix(results: Sequence[Run], judge: Callable[[Run], Sequence[Any]]) -> TableLayout:
     """Return one row per study and held-out group: its verdict, its tip error and what this compares with."""
     rows: list[Row] = []
@@ -328,32 +356,14 @@ def lay_out_insertions(results: Run, role: str) -> TableLayout:
     return _lay_out(Table("insertions", rows, columns))
 
 
-def lay_out_contradictions(claims: Sequence[Claim]) -> TableLayout:
-    """Return the contradictions in the paper, both places side by side."""
-    rows = [
-        {
-            **{"topic": one.topic, "note": one.note, "number": number},
-            "statement": f"{one.place}: {one.statement}",
-            "other_statement": f"{one.other_place}: {one.other_statement}",
-        }
-        for number, one in enumerate(claims)
-    ]
-    columns = ("topic", "statement", "other_statement", "note")
-    return _lay_out(Table("contradictions", rows, columns, groups=("number",)))
+# ---- parameters: posterior and error-minimising fit, beside the paper's
 
-
-# ---- parameters: ours beside the paper's
-
-#: in files in place of a value: the data do not determine it, or only under an assumption
-NOT_DETERMINED, CONDITIONAL = "not determined", "conditional"
-#: printed for these: the data are compatible with the whole interval; it spans most of the bounds
-SEE_INTERVAL, WIDE_INTERVAL = "see interval", "most of the bounds"
 SEARCHED = ("free", "tied")  #: values of `status` of parameters that are estimated
 
 _PARAMETER_COLUMNS = (
-    *("study", "medium", "fold", "parameter", "method", "value", "value_used"),
+    *("study", "medium", "fold", "parameter", "method", "value", "median"),
     *("determined", "condition", "status"),
-    *("sd", "interval_low", "interval_high", "draw_source"),
+    *("sd", "interval_low", "interval_high", "draw_source", "importance_low", "importance_high"),
     *("low", "high", "bound_low", "bound_high", "note", "comparable", "origin"),
 )
 
@@ -361,12 +371,11 @@ _PARAMETER_COLUMNS = (
 def tabulate_parameters(*results: Run) -> pd.DataFrame:
     """Return one row per study, fold, parameter and method.
 
-    `value` is as printed: a parameter that the data cannot determine reads "not determined", one that they
-    determine only under an assumption "conditional", in both fits alike. `value_used` is the number that the
-    predictions were made with; where `determined` is false it is one of many that do as well, and no
-    estimate. `sd` is of ln for moduli and lengths, of the value for alpha; it stands where errors have their
-    noise floor, for of a parameter there is none. `comparable` says what makes ours and the paper's
-    comparable or not.
+    `value` is what errors and curves of the method are simulated with, `median` that of the posterior's
+    draws. `interval_low`, `interval_high` are the 95 % interval of the posterior; of the error-minimising fit
+    the range within the tolerance of the errors. `determined` says whether the data determine the parameter:
+    "yes", "only together" or "no". `sd` is of ln for moduli and lengths, of the value for alpha. `comparable`
+    says what makes ours and the paper's comparable or not.
     """
     rows = [row for one in results for row in _parameter_rows(one)]
     return pd.DataFrame(rows, columns=list(_PARAMETER_COLUMNS))
@@ -374,7 +383,6 @@ def tabulate_parameters(*results: Run) -> pd.DataFrame:
 
 def _parameter_rows(results: Run) -> Iterator[Row]:
     rows = to_records(results.frames["parameters"])
-    fitted = {(row["fold"], row["parameter"]): row for row in rows if row["method"] == "fitted"}
     published = {(r["fold"], r["parameter"]) for r in rows if r["method"] == "hand_tuned"}
     about = {
         "study": scores.study_label(results),
@@ -383,35 +391,90 @@ def _parameter_rows(results: Run) -> Iterator[Row]:
     }
     for row in rows:
         key = (row["fold"], row["parameter"])
-        if row["method"] == "fitted_metric" and row["parameter"] in HYPERPARAMETERS:
-            continue  # of the likelihood: errors do not depend on them
-        judge = fitted[key] if row["method"] in ("fitted", "fitted_metric") else row
-        judged = {**row, "determined": bool(judge["determined"]), "condition": judge["condition"]}
-        loose = row["status"] in SEARCHED and not judged["determined"]
-        word = CONDITIONAL if judged["condition"] else NOT_DETERMINED
-        value = word if loose else format_number(row["value"])
-        comparable = scores.compare_parameter_row(results, key in published)
-        yield {**about, **judged, "value": value, "value_used": row["value"], "comparable": comparable}
+        yield {**about, **row, "comparable": scores.compare_parameter_row(results, key in published)}
 
 
 def arrange_parameters(table: pd.DataFrame) -> list[Row]:
-    """Return one row per study, fold and parameter: the fit's, with the printed value of each method."""
+    """Return one row per study, fold and parameter: the posterior's, with each method's row under its name.
+
+    A method that has no such parameter has an empty row.
+    """
     rows: dict[tuple[object, ...], Row] = {}
     for row in to_records(table):
         key = (row["study"], row["fold"], row["parameter"])
         if row["method"] == "fitted":
-            rows[key] = {**row, **dict.fromkeys(MODEL_METHODS, "")}
+            rows[key] = {**row, **{method: {} for method in MODEL_METHODS}}
         if key in rows:
-            rows[key][row["method"]] = row["value"]
+            rows[key][row["method"]] = row
     return list(rows.values())
 
 
-#: of notes: the column "Fitted" says it
-_NOT_DETERMINED_PREFIX = re.compile(r"^not determined(?:[:;] | \(([^()]*)\)|$)")
+AT_BOUND = "*"  #: marks the end of a range that is a bound
+END_DIGITS = 2  #: significant digits of the ends of an interval
+
+
+def describe_parameter(rows: Sequence[Row], truth: float | None = None) -> Row:
+    """Return the cells of one parameter from its rows of `arrange_parameters`, of several folds their range.
+
+    A value stands with its 95 % interval, of the error-minimising fit with its range within the tolerance.
+    """
+    name, fixed = str(rows[0]["parameter"]), rows[0]["status"] == "fixed"
+    ends = [row[end] for row in rows for end in ("interval_low", "interval_high")]
+    label, unit = choose_printed_unit(name, ends if any(map(is_known, ends)) else [rows[0]["value"]])
+    errors = [] if fixed else [row["fitted_metric"] for row in rows if row["fitted_metric"]]
+    estimates = list(map(choose_estimate, rows))
+    return {
+        "parameter": label,
+        "posterior": f"{_join_range(estimates, unit)}, fixed"
+        if fixed
+        else _format_estimate(rows, estimates, unit),
+        "determined": "" if fixed else _join_determined(rows),
+        "error_minimising": _format_estimate(errors, [row["value"] for row in errors], unit),
+        "errors_determine": _join_determined(errors),
+        **{
+            method: _join_range([row[method]["value"] for row in rows if row[method]], unit)
+            for method in ("hand_tuned", "hand_tuned_b")
+        },
+        "true_value": "" if truth is None else typeset(format_number(truth / unit)),
+    }
+
+
+def choose_estimate(row: Row) -> float | None:
+    """Return the estimate of a parameter that is printed: the median of its draws, without any the fit's."""
+    estimate: float | None = row["value"] if row["median"] is None else row["median"]
+    return estimate
+
+
+def _join_determined(rows: Sequence[Row]) -> str:
+    return find_least_determined(str(row["determined"]) for row in rows)
+
+
+def _join_range(values: Sequence[float | None], unit: float) -> str:
+    """Return "0.196", or "0.19 to 0.21" for several values."""
+    known = [value / unit for value in values if value is not None]
+    return " to ".join(dict.fromkeys(format_plain(end) for end in (min(known), max(known)))) if known else ""
+
+
+def _format_estimate(rows: Sequence[Row], values: Sequence[float | None], unit: float) -> str:
+    """Return "0.196 (0.12 to 0.28)"; of several folds with the outermost ends, of none ""."""
+    estimate = _join_range(values, unit)
+    lows, highs = ([row[f"interval_{end}"] for row in rows] for end in ("low", "high"))
+    if not rows or not all(map(is_known, [*lows, *highs])):
+        return estimate
+    ends = []
+    for end, found in (("low", min(lows)), ("high", max(highs))):
+        bounds = [row[f"bound_{end}"] for row in rows]
+        mark = AT_BOUND if any(map(is_known, bounds)) and _is_at(found, bounds) else ""
+        ends.append(f"{format_plain(round_significant(found / unit, END_DIGITS))}{mark}")
+    return f"{estimate} ({' to '.join(ends)})"
+
+
+def _is_at(end: float, bounds: Sequence[float | None]) -> bool:
+    return any(bound is not None and math.isclose(end, bound, rel_tol=1e-6) for bound in bounds)
 
 
 def lay_out_parameters(results: Sequence[Run], free_alone: bool = False) -> TableLayout:
-    """Return both fits beside the paper's parameters, and beside these with b re-fitted.
+    """Return posterior and error-minimising fit beside the paper's parameters, and these with b re-fitted.
 
     Of several studies in one table wanted are the parameters that are `free_alone`, without notes.
     """
@@ -422,88 +485,82 @@ def lay_out_parameters(results: Sequence[Run], free_alone: bool = False) -> Tabl
     rows = []
     for number, row in enumerate(table):
         named = not number or row["study"] != table[number - 1]["study"]
-        label, unit = choose_interval_unit(row, row["value_used"])
-        interval = typeset_interval(row, unit)
-        truth = truths[row["study"]].get(row["parameter"])
-        note = _NOT_DETERMINED_PREFIX.sub(lambda found: found[1] or "", str(row["note"] or ""))
-        status = str(row["status"])
-        notes = ("" if status == "free" or status in str(row["note"]) else status, insert_symbols(note))
+        tied = str(row["note"]) if row["status"] == "tied" else ""  # it names the tie, and its condition
         rows.append(
             {
-                **row,
+                **describe_parameter([row], truths[row["study"]].get(row["parameter"])),
                 "group": (row["study"], row["fold"]),
                 "study": row["study"] if named else "",
                 "fold": row["fold"] if folds else "",
-                "parameter": label,
-                "interval_95": WIDE_INTERVAL if interval == NO_INTERVAL else interval,
-                "true_value": "" if truth is None else typeset(format_number(truth / unit)),
-                **{method: format_in_unit(row[method], unit) for method in MODEL_METHODS},
-                "note": "; ".join(filter(None, notes)),
+                "note": insert_symbols(tied or str(row["condition"] or "")),
             }
         )
     columns = (
-        *("study", "fold", "parameter", "fitted", "interval_95", "true_value", *MODEL_METHODS[1:]),
+        *("study", "fold", "parameter", "posterior", "determined", "error_minimising", "errors_determine"),
+        *("hand_tuned", "hand_tuned_b", "true_value"),
         *(() if free_alone else ("note",)),
     )
     compared = list(dict.fromkeys(str(row["comparable"]) for row in table if row["hand_tuned"]))
     values = {
-        "printed": any(row["hand_tuned"] for row in table),
-        "metric": any(row["fitted_metric"] for row in table),
+        "printed": any(row["hand_tuned"] for row in rows),
+        "metric": any(row["error_minimising"] for row in rows),
         "truth": any(row["true_value"] for row in rows),
         "comparable": compared,
+        **_describe_search(results),
     }
     found = Table("parameters", rows, columns, groups=("group",), heads=2)
     return _lay_out(found, drop_empty=True, **values)
 
 
-def format_in_unit(text: str, unit: float) -> str:
-    """Return a value of the files in another unit; of what is not determined the interval says more."""
-    if text == NOT_DETERMINED:
-        return SEE_INTERVAL
-    return typeset(text if unit == 1 or text in ("", CONDITIONAL) else format_number(float(text) / unit))
+def _describe_search(results: Sequence[Run]) -> Row:
+    """Return what the captions state: how draws were made, the tolerances of the errors, the algorithm."""
+    tolerances = [value for one in results for value in one.frames["error_fit"]["tolerance_mm"].tolist()]
+    algorithms = [str((one.run.get("recipe") or {}).get("metric_algorithm", "")) for one in results]
+    return {
+        "sampled": all(one.posteriors for one in results),
+        "tolerances": [min(tolerances), max(tolerances)] if tolerances else [],
+        "algorithms": list(dict.fromkeys(filter(None, algorithms))),
+    }
 
 
 def lay_out_values(results: Run) -> TableLayout:
-    """Return the fitted parameters, each with one 95 % interval; of several folds their range."""
-    every = to_records(results.frames["parameters"])
-    rows = [row for row in every if row["method"] == "fitted"]
-    published = {row["parameter"]: row["value"] for row in every if row["method"] == "hand_tuned"}
-    names = list(dict.fromkeys(str(row["parameter"]) for row in rows))
-    cells = [
-        {
-            **_describe_parameter(name, [row for row in rows if row["parameter"] == name]),
-            "true_value": format_quantity(name, results.run.get("truth", {}).get(name)),
-            "hand_tuned": format_quantity(name, published.get(name)),
-        }
-        for name in names
-    ]
-    columns = ("parameter", "fitted", "interval_95", "true_value", "hand_tuned", "note")
-    fitted = {cell["fitted"] for cell in cells}
-    values = {"conditional": CONDITIONAL in fitted, "loose": SEE_INTERVAL in fitted}
-    folds = int(results.frames["parameters"]["fold"].nunique())
-    return _lay_out(Table("values", cells, columns), drop_empty=True, folds=folds, **values)
-
-
-def _describe_parameter(name: str, rows: list[Row]) -> Row:
-    """Return the cells of a parameter; a value that the data do not determine is none."""
-    fixed, values = rows[0]["status"] == "fixed", [row["value"] for row in rows if row["value"] is not None]
-    fitted = format_quantity_range(name, min(values), max(values)) if values else ""
-    loose = [] if fixed else [one for one in rows if not one["determined"]]
-    conditions = {}
-    if loose and all(one["condition"] for one in loose):
-        conditions = dict.fromkeys(str(one["condition"]) for one in loose)
-    interval, texts = "", [] if fixed else [format_interval(one) for one in rows]
-    if NO_INTERVAL in texts:
-        interval = WIDE_INTERVAL
-    elif texts and "" not in texts:
-        lows, highs = ([one[f"interval_{end}"] for one in rows] for end in ("low", "high"))
-        interval = format_quantity_range(name, min(lows), max(highs))
-    return {
-        "parameter": format_bare_symbol(name),
-        "fitted": fitted if not loose else CONDITIONAL if conditions else SEE_INTERVAL,
-        "interval_95": interval,
-        "note": "fixed" if fixed else "; ".join(conditions),
+    """Return the table of parameters of the first page; parameters with the same cells have one row."""
+    truth = results.run.get("truth", {})
+    by_name = group_values(
+        (str(row["parameter"]), row) for row in arrange_parameters(tabulate_parameters(results))
+    )
+    cells: dict[tuple[object, ...], Row] = {}
+    for name, rows in by_name.items():
+        row = describe_parameter(rows, truth.get(name))
+        same = cells.setdefault(tuple(row[key] for key in row if key != "parameter"), {**row, "names": []})
+        same["names"].append(row["parameter"])
+    rows = [{**row, "parameter": ", ".join(row["names"])} for row in cells.values()]
+    columns = (
+        *("parameter", "posterior", "determined", "error_minimising", "errors_determine"),
+        *("hand_tuned", "true_value"),
+    )
+    values = {
+        "folds": int(results.frames["parameters"]["fold"].nunique()),
+        "bounds": any(AT_BOUND in row["error_minimising"] for row in rows),
+        "together": find_known_combination(results),
+        "freed": describe_freed(results.frames["identification"]),
+        **_describe_search([results]),
     }
+    return _lay_out(Table("values", rows, columns), drop_empty=True, **values)
+
+
+def find_known_combination(results: Run) -> str:
+    """Return the best known combination of several parameters, with its precision; "" if none is known."""
+    rows = to_records(results.frames["directions"])
+    known = (row for row in rows if row["sd"] < MAX_LOG_SD and row["sd_ratio"] < UNINFORMED_SD_RATIO)
+    return next((str(row["note"]) for row in known if " * " in str(row["note"])), "")
+
+
+def describe_freed(identification: pd.DataFrame) -> list[tuple[list[str], str]]:
+    """Return what freeing the fixed parameters does, each sentence once, with the parameters it is about."""
+    fixed = identification[identification["status"] == "fixed"].sort_values("parameter", kind="stable")
+    pairs = ((describe_evidence(row), str(row["parameter"])) for row in to_records(fixed))
+    return [(names, words) for words, names in group_values(pairs).items()]
 
 
 def lay_out_directions(results: Run) -> TableLayout:
@@ -519,22 +576,17 @@ def lay_out_directions(results: Run) -> TableLayout:
 
 def lay_out_posterior(results: Run) -> TableLayout:
     """Return the percentiles beside the fitted value."""
-    parameters = to_records(results.frames["parameters"])
-    fitted = {(str(r["fold"]), str(r["parameter"])): r for r in parameters if r["method"] == "fitted"}
     several, rows = len(results.posteriors) > 1, []
     percentiles = [f"p{percentile:g}" for percentile in PERCENTILES]
     for row in to_records(tabulate_percentiles(results)):
         label, unit = choose_printed_unit(str(row["parameter"]), [row[name] for name in percentiles])
-        values = [*percentiles, "fit_value_used"]
+        values = [*percentiles, "fit_value_used", "importance_low", "importance_high"]
         cells = {name: None if row[name] is None else row[name] / unit for name in values}
         cells |= {"mark": "‡" if row["fit_in_central_95"] is False else ""}
-        if row["determined"] is False:
-            conditional = fitted[str(row["fold"]), str(row["parameter"])]["condition"]
-            cells |= {"fit_value_used": CONDITIONAL if conditional else SEE_INTERVAL, "mark": ""}
         state = "" if row["converged"] else "NOT CONVERGED"
         fold = row["fold"] if several else ""
         rows.append({**row, **cells, "parameter": label, "fold": fold, "state": state})
-    columns = ("fold", "parameter", *percentiles, "fit_value", "r_hat", "state")
+    columns = ("fold", "parameter", *percentiles, "importance_95", "fit_value", "r_hat", "ess", "state")
     unconverged = any(posterior.faults for posterior in results.posteriors.values())
     marked = any(row["mark"] for row in rows)
     table = Table("posterior", rows, columns)
@@ -550,34 +602,33 @@ def tabulate_percentiles(results: Run) -> pd.DataFrame:
 
     `fit_value_used` is what the fit ended with and its predictions used; `fit_in_central_95` is false where
     that lies outside the central 95 % of the draws: a peak need not lie where most of a density is, and a
-    fit of the recipe's error metrics need not agree with a posterior at all. `acceptance` is the fold's;
-    `ess_bulk` and `ess_tail` are the independent draws of the ensemble that has fewest. `converged` is false
-    where the criteria, which concern more than the parameters, are not met: percentiles are then not final.
-    `determined` is false where the fit's value is no estimate; the percentiles then depend on the bounds too.
+    fit of the recipe's error metrics need not agree with a posterior at all. `acceptance` is the fold's.
+    `converged` is false where the criteria, which concern more than the parameters, are not met: percentiles
+    are then not final. `determined` is as of `tabulate_parameters`; where it is "no" the percentiles depend
+    on the bounds too.
     """
     known = results.frames["parameters"]
     rows = to_records(known[known["method"] == "fitted"])
-    fits = {(str(row["fold"]), row["parameter"]): row["value"] for row in rows if row["value"] is not None}
-    known_of = {(str(row["fold"]), row["parameter"]): bool(row["determined"]) for row in rows}
+    fitted = {(str(row["fold"]), row["parameter"]): row for row in rows if row["value"] is not None}
     names, found = [f"p{percentile:g}" for percentile in PERCENTILES], list[Row]()
     for fold, posterior in results.posteriors.items():
-        about: Row = {"acceptance": float(np.mean(posterior.acceptance)), "converged": posterior.converged}
+        about: Row = {"acceptance": float(np.mean(posterior.acceptance)), "converged": not posterior.faults}
         about |= {"fold": fold, "origin": results.origin}
         for number, (name, values) in enumerate(posterior.percentiles().items()):
-            used = fits.get((str(fold), name))
+            one = fitted.get((str(fold), name), {})
+            used = one.get("value")
             compared = None if used is None else values[0] <= used <= values[-1]
             found.append(
                 {
                     **{"parameter": name, **dict(zip(names, values, strict=True)), **about},
                     **{"fit_value_used": used, "fit_in_central_95": compared},
-                    "determined": None if used is None else known_of[str(fold), name],
-                    "r_hat": float(posterior.convergence.r_hat[number]),
-                    "ess_bulk": float(posterior.convergence.ess_bulk[:, number].min()),
-                    "ess_tail": float(posterior.convergence.ess_tail[:, number].min()),
+                    "determined": one.get("determined"),
+                    **{key: one.get(key) for key in ("importance_low", "importance_high")},
+                    **{"r_hat": float(posterior.r_hat[number]), "ess": float(posterior.ess[number])},
                 }
             )
     heads = ("fold", "parameter", *names, "fit_value_used", "determined", "fit_in_central_95")
-    heads += ("r_hat", "ess_bulk", "ess_tail", "acceptance", "converged", "origin")
+    heads += ("importance_low", "importance_high", "r_hat", "ess", "acceptance", "converged", "origin")
     return pd.DataFrame(found, columns=heads)
 
 
@@ -630,10 +681,10 @@ _BESIDE = "training only"
 
 _PARAMETERS = TableSchema(
     ("fold", "method", "parameter"),
-    ("status", "value"),
-    ("value_used", "sd"),
-    ("determined",),
-    ("value_used",),
+    ("status", "determined"),
+    ("value", "sd"),
+    (),
+    ("value",),
 )
 _SCORES = TableSchema(
     ("fold", "role", "insertion", "method", "boundaries"),
@@ -656,14 +707,14 @@ def _compare_parameters(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[D
     several = before["fold"].nunique() > 1
     for _, row in both.iterrows():
         name = f"{row['parameter']} ({row['fold']})" if several else str(row["parameter"])
-        one, two = (_name_verdict(row[f"determined_{end}"], row[f"value_{end}"]) for end in "ab")
+        one, two = (words if isinstance(words := row[f"determined_{end}"], str) else "absent" for end in "ab")
         if one != two:
-            yield Difference("state", name, one, two, True, "the verdict changed")
-        yield from _compare_parameter(name, row, one == two == "determined")
+            yield Difference("state", f"{name} determined", one, two, True, "the verdict changed")
+        yield from _compare_parameter(name, row, one == two == "yes")
 
 
 def _compare_parameter(name: str, row: "pd.Series[Any]", determined: bool) -> Iterator[Difference]:
-    one, two = float(row["value_used_a"]), float(row["value_used_b"])
+    one, two = float(row["value_a"]), float(row["value_b"])
     tied = row["status_a"] == row["status_b"] == "tied"  # moves with its source
     if one == two or tied or not (math.isfinite(one) and math.isfinite(two)):
         return
@@ -674,13 +725,6 @@ def _compare_parameter(name: str, row: "pd.Series[Any]", determined: bool) -> It
         yield Difference("parameter", name, one, two, True, "given, not fitted")
         return
     yield compare_estimates("parameter", name, one, two, shift / sd, determined=determined)
-
-
-def _name_verdict(determined: object, printed: object) -> str:
-    """Return what the data say of a parameter; "absent" where a run lacks it."""
-    if not isinstance(determined, bool):
-        return "absent"
-    return CONDITIONAL if printed == CONDITIONAL else "determined" if determined else NOT_DETERMINED
 
 
 def _compare_errors(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:

@@ -1,0 +1,197 @@
+"""How far the errors of a fit may exceed the least ones by chance: a bootstrap tolerance.
+
+Parameters are compared by the objective f of `metric_misfit`, mm. If theta were true, the least value of f on
+other measurements of the same kind would lie below f(theta) by an amount D, because the least follows the
+errors of those measurements. The tolerance is the 95 % quantile of D: parameters whose objective is within it
+of the least one cannot be distinguished from the best by these errors. (For half a sum of squares 2 D would
+be chi-square; f is a sum of distances, so D is drawn.)
+
+Two bootstraps estimate it, and the larger value counts. One draws what the data state: errors of points,
+poses and depths, and the differences between layers that ties with a spread allow. The other draws the
+independent groups of insertions again, with replacement: it contains what no stated error explains, but not
+what all insertions share. In both the needles are linear in theta about the best point. Along a ridge they
+are not, but there f hardly changes, so that D hardly depends on it.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.noise import draw_measurement_errors
+from needlefit.datasets.select import MIN_GROUPS, group_insertions
+from needlefit.geometry.curves import arc_length
+from needlefit.inference.compared_points import ComparedPoints, align, differentiate_align
+from needlefit.inference.fit import EvaluationRecorder, ObjectiveFunction
+from needlefit.inference.forward_model import PreparedModel
+from needlefit.inference.likelihood.nodes import Surface, make_nodes
+from needlefit.inference.optimize import ALGORITHMS
+from needlefit.inference.parameters import Parameters
+from needlefit.inference.problem import SMOOTHING_MM, Problem, Values, station_weights
+from needlefit.project.progress import never_stop
+
+REPLICATES = 200  #: of each bootstrap
+PROBABILITY = 0.95  #: of the quantile of D
+STATIONS = 26  #: compared points of an insertion that a replicate has, of 101
+REPLICATE_EVALUATIONS = 100  #: most evaluations of a replicate's search
+REPLICATE_ACCURACY = 1e-4  #: relative tolerance of a replicate's search
+#: smallest tolerance, as a part of the least objective and in mm: what a search leaves open
+MIN_RELATIVE_TOLERANCE, MIN_TOLERANCE_MM = 0.01, 0.002
+
+
+@dataclass(frozen=True)
+class ErrorTolerance:
+    """The tolerance of the objective and its two estimates, mm; one that could not be made is NaN."""
+
+    by_noise: float
+    by_insertions: float
+    smallest: float  #: the value is not below it
+
+    @property
+    def value(self) -> float:
+        """Largest excess of the objective over its least value that may be due to chance, mm."""
+        return float(np.nanmax([self.smallest, self.by_noise, self.by_insertions]))
+
+    @property
+    def known(self) -> bool:
+        """Whether one of the estimates could be made."""
+        return math.isfinite(self.by_noise) or math.isfinite(self.by_insertions)
+
+
+def estimate_tolerance(
+    problem: Problem, stated: Parameters, theta: Floats, rng: np.random.Generator
+) -> ErrorTolerance:
+    """Return the tolerance of a problem's objective about its best point `theta` (P,).
+
+    `stated` are the parameters with the ties that have a spread; the problem takes these as exact.
+    """
+    parts = _linearize(problem, stated, theta, rng)
+    bounds = problem.lower - theta, problem.upper - theta
+    by_noise = by_insertions = math.nan
+    drawn = [one.drawn for one in parts if one.drawn is not None]
+    if len(drawn) == len(parts):
+        replicates = (_join(parts, off) for off in zip(*drawn, strict=True))
+        by_noise = _find_quantile([one.excess(*bounds) for one in replicates])
+    _, group = np.unique(group_insertions(problem.dataset, problem.insertions), return_inverse=True)
+    count = int(group.max()) + 1
+    if count >= MIN_GROUPS:
+        counts = rng.multinomial(count, np.full(count, 1 / count), size=REPLICATES)  # (B, G)
+        off, repeats = [one.off for one in parts], counts[:, group] * (len(group) / count)
+        by_insertions = _find_quantile([_join(parts, off, row).excess(*bounds) for row in repeats])
+    smallest = max(MIN_RELATIVE_TOLERANCE * problem.objective(theta), MIN_TOLERANCE_MM)
+    return ErrorTolerance(by_noise, by_insertions, smallest)
+
+
+def _find_quantile(excesses: Sequence[float]) -> float:
+    return float(np.quantile(excesses, PROBABILITY))
+
+
+@dataclass(frozen=True)
+class _LinearErrors:
+    """The objective about a point, where needles are linear: sum_r w_r |d_r + J_r step| over R stations."""
+
+    weights: Floats  #: (R,)
+    off: Floats  #: (R, 2) simulated minus measured points, mm
+    jacobian: Floats  #: (R, 2, P) derivatives of the simulated points by theta
+    drawn: Floats | None = None  #: (B, R, 2) replicates of what `off` would be at the true theta, mm
+
+    def excess(self, lower: Floats, upper: Floats) -> float:
+        """Return the objective without a step minus its least value, for steps within bounds (P,)."""
+        function = ObjectiveFunction(lower, upper, lambda step: self._gradient(step)[0], self._gradient)
+        recorder = EvaluationRecorder(function, REPLICATE_EVALUATIONS, never_stop)
+        ALGORITHMS["slsqp"].run(recorder, np.zeros(len(lower)), REPLICATE_ACCURACY)
+        return self._gradient(np.zeros(len(lower)))[0] - recorder.objective
+
+    def _gradient(self, step: Floats) -> tuple[float, Floats]:
+        off = self.off + self.jacobian @ step
+        distances = np.sqrt(np.sum(off**2, axis=1) + SMOOTHING_MM**2)
+        along = (self.weights / distances)[:, None] * off
+        slope: Floats = np.tensordot(along, self.jacobian, axes=2)
+        return float(self.weights @ (distances - SMOOTHING_MM)), slope
+
+
+def _join(
+    parts: Sequence[_LinearErrors], off: Sequence[Floats], repeats: Floats | None = None
+) -> _LinearErrors:
+    """Return the mean objective of insertions, each with other differences, and so many times."""
+    times = np.ones(len(parts)) if repeats is None else repeats
+    weights = [n / len(parts) * one.weights for n, one in zip(times, parts, strict=True)]
+    jacobian = np.concatenate([one.jacobian for one in parts])
+    return _LinearErrors(np.concatenate(weights), np.concatenate(off), jacobian)
+
+
+def _linearize(
+    problem: Problem, stated: Parameters, theta: Floats, rng: np.random.Generator
+) -> list[_LinearErrors]:
+    """Return the objective of each insertion about theta (P,), with replicates of its errors."""
+    values, some = problem.values(theta), []
+    for goal in problem.compared_points:
+        at = np.unique(np.linspace(0, len(goal.s) - 1, STATIONS).round().astype(np.int64))
+        some.append(ComparedPoints(goal.s[at], goal.measured[at], goal.pose))
+    model, s = PreparedModel(problem.medium, problem.dataset.needle, problem.insertions), [g.s for g in some]
+    points, slopes = model.differentiate([values], problem.parameters, s)
+    _, stated_slopes = model.differentiate([values], stated, s)
+    ties = [tie for tie in stated.prior.ties if tie.name in stated.free]
+    columns = [stated.free.index(tie.name) for tie in ties]
+    spreads = rng.standard_normal((REPLICATES, len(ties))) * [math.log(tie.spread) for tie in ties]
+    shared: dict[Surface, Floats] = {}
+    found = []
+    for insertion, goal, simulated, by, by_stated in zip(
+        problem.insertions, some, points, slopes, stated_slopes, strict=True
+    ):
+        place = (goal.pose, simulated[0], goal.measured)
+        drawn = _draw_errors(problem, insertion, goal, values, shared, rng)
+        if drawn is not None:
+            drawn = drawn + np.einsum("bt,kit->bki", spreads, by_stated[0][..., columns])
+            # as the alignment of a free pose changes simulated points, so it changes these
+            drawn = np.moveaxis(differentiate_align(*place, np.moveaxis(drawn, 0, -1)), -1, 0)
+        found.append(
+            _LinearErrors(
+                station_weights(goal.measured, problem.weights),
+                align(*place) - goal.measured,
+                differentiate_align(*place, by[0]),
+                drawn,
+            )
+        )
+    return found
+
+
+def _draw_errors(
+    problem: Problem,
+    insertion: Insertion,
+    goal: ComparedPoints,
+    values: Values,
+    shared: dict[Surface, Floats],
+    rng: np.random.Generator,
+) -> Floats | None:
+    """Draw by how much a simulated needle errs at the stations, (B, K, 2) mm; None without stated noise.
+
+    `shared` has the errors (B,) of surfaces, in standard deviations; what is missing is drawn and added.
+    """
+    measured = draw_measurement_errors(problem.dataset, insertion, rng, REPLICATES)
+    if measured is None:
+        return None
+    along = arc_length(insertion.planar)
+    at = along[-1] - (insertion.depth - goal.s) * (along[-1] / insertion.depth if goal.pose == "known" else 1)
+    drawn = np.stack([_interpolate(at, along, measured[..., axis]) for axis in (0, 1)], axis=-1)
+    nodes = make_nodes(insertion, goal.s, "linear")
+    model = PreparedModel(problem.medium, problem.dataset.needle, nodes.insertions)
+    curves = np.stack([points[0] for points in model.read_points([values], list(nodes.s))])  # (m, K, 2)
+    for axis, effect in zip(nodes.axes, np.tensordot(nodes.linear[1:], curves, axes=1), strict=True):
+        deviation = axis.own * rng.standard_normal(REPLICATES)
+        if axis.surface:
+            if axis.surface not in shared:
+                shared[axis.surface] = rng.standard_normal(REPLICATES)
+            deviation = deviation + axis.shared * shared[axis.surface]
+        drawn = drawn + np.multiply.outer(deviation, effect)
+    return drawn
+
+
+def _interpolate(at: Floats, along: Floats, heights: Floats) -> Floats:
+    """Return the rows of `heights` (B, N), known at `along` (N,), at other places (K,): (B, K)."""
+    left = np.clip(np.searchsorted(along, at) - 1, 0, len(along) - 2)
+    part = (at - along[left]) / (along[left + 1] - along[left])
+    return heights[:, left] * (1 - part) + heights[:, left + 1] * part

@@ -1,0 +1,126 @@
+"""What the errors determine: the tolerance, the ranges within it, and the point nearest to a target."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from inference_cases import NOISE, TRUTH, insertion, measure, medium, problem, two_layers
+
+from needlefit.datasets.insertion import Noise
+from needlefit.inference.error_fit import ErrorRange, ErrorSearch, Target, examine_errors
+from needlefit.inference.error_tolerance import ErrorTolerance, _LinearErrors, estimate_tolerance
+from needlefit.inference.fit import Fit
+from needlefit.inference.parameters import without_prior
+from needlefit.inference.problem import Problem
+
+ONE = {"bevel_mm": {"fixed": 0.08}}  # mu alone is free: it is determined
+
+
+def at_truth(p: Problem) -> Fit:
+    theta = p.parameters.theta(TRUTH)
+    return Fit(tuple(theta.tolist()), p.values(theta), p.objective(theta), (), 0, 0, False, "metric")
+
+
+def examine(p: Problem, target: Target | None = None, jobs: int = 1, algorithm: str = "slsqp"):
+    rng = np.random.default_rng(3)
+    return examine_errors(p, at_truth(p), target, ErrorSearch(p.parameters, algorithm), rng, jobs)
+
+
+@pytest.mark.parametrize(("reach", "excess"), [(10.0, 0.3), (0.1, 0.1)])
+def test_a_step_takes_off_what_it_can(reach, excess):
+    one = _LinearErrors(np.ones(1), np.array([[0.3, 0.0]]), np.array([[[1.0], [0.0]]]))
+    assert one.excess(np.array([-reach]), np.array([reach])) == pytest.approx(excess, abs=1e-3)
+
+
+def test_the_tolerance_grows_with_the_noise_and_not_with_what_a_step_cannot_take_off():
+    def tolerance(factor: float) -> ErrorTolerance:
+        noise = Noise(0.19 * factor, 0.05 * factor, 0.1 * factor, 5.0)
+        p = two_layers()
+        made = [replace(one, pose_angle_sd=0.004 * factor) for one in p.insertions]
+        p = problem(p.medium, made, noise=noise)
+        return estimate_tolerance(
+            p, p.parameters, np.array(p.parameters.theta(TRUTH)), np.random.default_rng(1)
+        )
+
+    one, two = tolerance(1.0), tolerance(2.0)
+    assert two.by_noise == pytest.approx(2 * one.by_noise, rel=0.02)
+    assert math.isnan(one.by_insertions) and one.value == one.by_noise  # three insertions are too few
+
+
+def test_without_noise_and_with_few_insertions_no_tolerance_is_known_and_nothing_determined():
+    p = problem(medium(), two_layers().insertions, noise=Noise())
+    p = replace(p, insertions=tuple(replace(one, pose_angle_sd=0.0) for one in p.insertions))
+    found = examine(p)
+    assert not found.tolerance.known and found.tolerance.value == 0.002
+    assert {found.determined(name) for name in p.names} == {"no"}
+
+
+def test_modulus_and_bevel_are_known_only_together_and_the_truth_is_within():
+    p = two_layers()
+    found = examine(p)
+    assert found.least == pytest.approx(0.0, abs=1e-3) and found.theta == at_truth(p).theta
+    theta = np.array(at_truth(p).theta)
+    for k, name in enumerate(p.names):
+        assert found.ranges[name].low < theta[k] < found.ranges[name].high
+        assert found.ranges[name].low <= found.ranges[name].alone[0]
+        assert found.ranges[name].alone[1] <= found.ranges[name].high
+    assert found.determined("bevel_mm") == "only together"
+
+
+def test_ends_of_a_range_lie_where_the_best_of_the_others_reaches_the_limit():
+    p = problem(medium(1, **ONE), [measure(TRUTH, medium(1, **ONE), insertion(30.0))], noise=NOISE)
+    found, (name,) = examine(p), p.names
+    one = found.ranges[name]
+    assert one.ends == ("closed", "closed") and one.alone == (one.low, one.high)
+    for end in (one.low, one.high):  # nothing else is free
+        inside, outside = sorted((end - 0.06, end + 0.06), key=lambda at: abs(at - found.theta[0]))
+        assert p.objective([inside]) < found.least + found.tolerance.value < p.objective([outside])
+
+
+def test_the_reported_fit_is_the_target_where_its_errors_are_equal_and_else_as_near_as_the_limit_allows():
+    p = two_layers()
+    theta, ones = np.array(at_truth(p).theta), np.ones(len(p.names))
+    near = examine(p, Target(theta + 0.01, ones))
+    assert near.theta == tuple((theta + 0.01).tolist()) and near.objective > near.least
+    far = theta + np.array([2.0, 0.0, 0.0])  # across the ridge
+    found = examine(p, Target(far, ones))
+    limit = found.least + found.tolerance.value
+    assert found.objective <= limit < p.objective(far)
+    assert found.objective > found.least + 0.5 * found.tolerance.value
+    assert np.linalg.norm(np.array(found.theta) - far) < np.linalg.norm(theta - far)
+
+
+@pytest.mark.parametrize("algorithm", ["slsqp", "sbplx"])
+def test_the_result_depends_on_neither_threads_nor_much_on_the_algorithm(algorithm):
+    p = two_layers(count=2)
+    one, two = (examine(p, jobs=jobs, algorithm=algorithm) for jobs in (1, 2))
+    assert one == two
+    slsqp = examine(p)
+    for name in p.names:
+        ends = [(found.ranges[name].low, found.ranges[name].high) for found in (one, slsqp)]
+        assert ends[0] == pytest.approx(ends[1], abs=0.5)
+
+
+def test_a_bound_that_limits_a_range_is_no_end_of_it():
+    wide, narrow = (0.0, 20.0), (9.9, 10.1)
+    for interval, ends, word in (
+        (wide, ("bound", "bound"), "only together"),
+        (narrow, ("closed", "bound"), "only together"),
+        (narrow, ("closed", "closed"), "yes"),
+    ):
+        one = ErrorRange(*interval, ends, narrow, ("closed", "closed"))
+        assert one.determined("mu1_pa") == word
+    assert ErrorRange(*wide, ("bound",) * 2, wide, ("bound",) * 2).determined("mu1_pa") == "no"
+
+
+def test_the_spread_of_a_tie_widens_the_tolerance():
+    tied = {"mu2_pa": {"tie": "60 * mu1_pa", "spread": 1.5}}
+    p = two_layers(medium(**tied))
+    hard = p.with_parameters(without_prior(p.parameters))
+    theta = np.array(hard.parameters.theta(TRUTH))
+    with_spread, without = (
+        estimate_tolerance(hard, stated, theta, np.random.default_rng(1)).by_noise
+        for stated in (p.parameters, hard.parameters)
+    )
+    assert with_spread > without

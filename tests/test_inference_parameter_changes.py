@@ -1,0 +1,124 @@
+"""Parameters of a tissue model that are freed and fixed by name: their bounds, their ties, and refusals."""
+
+import re
+
+import numpy as np
+import pytest
+from inference_cases import BEVEL, MU, TRUTH, insertion, measure, medium, problem
+from pydantic import ValidationError
+from refusals import refusal
+
+from needlefit.errors import ConfigError
+from needlefit.inference.parameter_changes import MODULUS_BOUNDS_PA, change_parameters
+from needlefit.inference.parameters import Parameters
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.study import FitRecord
+from needlefit.studies.job import change_fit
+
+FIT = {"schema": 2, "dataset": "twin", "medium": "phantom1"}
+
+
+def changed(record: MediumRecord, *free: str, **fix: float) -> Parameters:
+    return Parameters.from_record(change_parameters(record, free, fix))
+
+
+def test_a_shape_parameter_gets_the_usual_bounds_widened_to_its_value():
+    assert changed(medium(), "alpha1").bounds["alpha1"] == (-3.0, 5.0)
+    found = changed(medium(alpha1={"fixed": 8.0}), "alpha1")
+    assert found.bounds["alpha1"] == (-3.0, 8.0) and found.fixed == {"alpha2": -1.0}
+    # alpha2 follows alpha1, which becomes free, or is freed itself
+    tied = medium(alpha2={"tie": "-1 * alpha1"})
+    assert changed(tied, "alpha1").ties["alpha2"] == (-1.0, "alpha1")
+    assert changed(tied, "alpha2").bounds["alpha2"] == (-3.0, 5.0)
+    assert change_parameters(tied, (), {}) is tied
+
+
+def test_a_modulus_gets_the_bounds_of_its_tie_or_of_the_others():
+    ten = medium(mu2_pa={"tie": "10 * mu1_pa"})
+    assert changed(ten, "mu2_pa").bounds["mu2_pa"] == (1e4, 1e10)
+    soft = medium(3, mu2_pa={"tie": "mu1_pa"}, mu3_pa={"tie": "mu2_pa"})
+    found = changed(soft, "mu3_pa")
+    assert found.bounds["mu3_pa"] == tuple(MU)
+    assert [(tie.name, tie.source) for tie in found.prior.ties] == [("mu2_pa", "mu1_pa")]
+    others = medium(3, mu1_pa={"bounds": [1e4, 1e6]}, mu2_pa={"bounds": [1e5, 1e7]}, mu3_pa={"fixed": 5e8})
+    assert changed(others, "mu3_pa").bounds["mu3_pa"] == (1e4, 5e8)
+    alone = medium(1, mu1_pa={"fixed": 5e5})
+    assert changed(alone, "mu1_pa").bounds["mu1_pa"] == MODULUS_BOUNDS_PA
+
+
+@pytest.mark.parametrize(
+    ("value", "bounds"), [(0.08, tuple(BEVEL)), (0.8, (BEVEL[0], 0.8)), (0.0, tuple(BEVEL))]
+)
+def test_a_bevel_gets_stated_bounds(value, bounds):
+    assert changed(medium(bevel_mm={"fixed": value}), "bevel_mm").bounds["bevel_mm"] == bounds
+
+
+def test_what_is_fixed_takes_exact_ties_with_it():
+    record = medium(4, mu2_pa={"tie": "10 * mu1_pa"}, mu3_pa={"tie": "mu1_pa", "spread": 1.2})
+    found = changed(record, mu1_pa=2e5, alpha1=3.0)
+    assert (found.fixed["mu1_pa"], found.fixed["mu2_pa"], found.fixed["alpha1"]) == (2e5, 2e6, 3.0)
+    low, high = found.bounds["mu3_pa"]  # a tie with a spread stays a prior about the fixed value
+    assert low < 2e5 < high and found.prior.ties[0].source == "mu1_pa"
+    prior = {"median": 1e5, "factor": 2.0}
+    assert changed(medium(mu1_pa={"bounds": MU, "prior": prior}), mu1_pa=2e5).prior.names == ()
+
+
+@pytest.mark.parametrize(
+    ("free", "fix", "key", "fixed_by"),
+    [
+        (["alpha9"], {}, "free", "write `alpha"),
+        (["mu1_pa"], {}, "free", "bounds"),
+        (["noise_scale"], {}, "free", "likelihood"),
+        ([], {"bevel_spread": 0.1}, "fix", "likelihood"),
+        ([], {"bevel_mm": -0.1}, "fix.bevel_mm", "fixed value"),
+        ([], {"alpha3": 1.0}, "fix", "write `alpha"),
+        (["alpha1"], {"alpha1": 1.0}, "free", "one of them"),
+    ],
+)
+def test_what_cannot_be_freed_or_fixed_is_refused(free, fix, key, fixed_by):
+    error = refusal(ConfigError, "", lambda: change_parameters(medium(), free, fix))
+    assert error.key == key and fixed_by in error.fix
+
+
+def test_a_value_outside_the_law_and_a_correlated_prior_are_refused():
+    table = medium().model_dump(by_alias=True)
+    law = {"parameters": {name: one for name, one in table["parameters"].items() if "alpha" not in name}}
+    gent = MediumRecord.model_validate(table | law | {"law": "gent"})
+    error = refusal(ConfigError, "gent", lambda: change_parameters(gent, (), {"jm1": -1.0}))
+    assert error.key == "fix.jm1"
+    priors = {
+        "mu1_pa": {"bounds": MU, "prior": {"median": 3e5, "factor": 2.0, "correlation": 0.5}},
+        "alpha1": {"bounds": [-3, 5], "prior": {"mean": 1.0, "sd": 0.5}},
+    }
+    correlated = medium(**priors)
+    for name, value in (("alpha1", 1.0), ("mu1_pa", 3e5)):
+        call = lambda fix={name: value}: change_parameters(correlated, (), fix)  # noqa: E731
+        assert refusal(ConfigError, "correlated", call).key == f"fix.{name}"
+    assert changed(correlated, alpha1=1.0, mu1_pa=3e5).prior.names == ()
+
+
+def test_a_fit_states_names_as_they_are_printed_and_later_changes_take_their_place():
+    record = FitRecord.model_validate(FIT | {"free": ("alpha1", "mu4"), "fix": {"b": 0.1, "mu1": 2e5}})
+    assert record.free == ("alpha1", "mu4_pa") and record.fix == {"bevel_mm": 0.1, "mu1_pa": 2e5}
+    found = change_fit(record, ["b", "alpha1"], {"alpha2": np.float64(2.0), "mu4": 3e7}, "here")
+    assert found.free == ("alpha1", "bevel_mm")
+    assert found.fix == {"mu1_pa": 2e5, "alpha2": 2.0, "mu4_pa": 3e7}
+    both = {"free": ("alpha1",), "fix": {"alpha1": 1.0}}
+    with pytest.raises(ValidationError, match="alpha1"):
+        FitRecord.model_validate(FIT | both)
+    error = refusal(ConfigError, "alpha2", lambda: change_fit(record, ["alpha2"], {"alpha2": 1.0}, "here"))
+    assert error.where == "here"
+    error = refusal(ConfigError, "", lambda: change_fit(record, [], {"b": float("nan")}, "here"))
+    assert re.search("fix.bevel_mm", error.what)
+
+
+def test_a_fixed_bevel_and_a_free_alpha_have_exact_derivatives():
+    record = change_parameters(medium(), ["alpha1"], {"bevel_mm": 0.08, "alpha2": -1.0})
+    made = [measure(TRUTH, record, insertion(40.0, (15.0,), (1, 2)))]
+    p = problem(record, made)
+    assert p.names == ("mu1_pa", "alpha1", "mu2_pa")
+    theta = p.parameters.theta(TRUTH)
+    _, slopes = p.jacobian(theta)
+    step = np.array([1e-3, 0.0, 0.0])
+    ahead, behind = p.residuals(theta + step), p.residuals(theta - step)
+    assert slopes[:, 0] == pytest.approx((ahead - behind) / 2e-3, abs=1e-3 * np.abs(slopes[:, 0]).max())

@@ -1,0 +1,52 @@
+"""Fits to synthetic data beside the true parameters: what a fit calls determined must hold."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+REFERENCE = ROOT / "reports" / "reference"
+METHODS = ("fitted", "fitted_metric")
+MAX_MISSED_SHARE = 0.1  #: of the parameters called determined: twice what 95 % intervals miss
+
+
+MISSED = {"phantom2": {"mu1_pa"}}  #: the interval begins 1.3 % above the truth (docs/fitting.md)
+
+
+@pytest.mark.parametrize("name", ["phantom1", "phantom2", "phantom3", "chicken"])
+def test_no_further_shipped_fit_calls_a_parameter_determined_whose_interval_misses_the_truth(name):
+    truth = json.loads((REFERENCE / name / "run.json").read_text())["truth"]
+    rows = pd.read_csv(REFERENCE / name / "parameters.csv")
+    known = rows[rows["method"].isin(METHODS) & rows["parameter"].isin(truth) & (rows["status"] == "free")]
+    assert set(known["method"]) == set(METHODS) and len(known) >= 4
+    assert known[["interval_low", "interval_high", "value"]].notna().all(axis=None)
+    at = known["parameter"].map(truth)
+    covered = (known["interval_low"] <= at) & (at <= known["interval_high"])
+    missed = known["parameter"][(known["determined"] == "yes") & ~covered]
+    assert set(missed) == MISSED.get(name, set())
+
+
+@pytest.mark.xfail(strict=True, reason="intervals are too narrow: docs/fitting.md, Recovery, has the shares")
+def test_over_many_twins_few_determined_parameters_miss_the_truth():
+    rows = pd.read_csv(ROOT / "docs" / "figures" / "recovery.csv")
+    assert rows["seed"].nunique() >= 10 and rows["fit"].nunique() == 4
+    known = rows[rows["determined"] == "yes"]
+    assert len(known) and (~known["covered"].astype(bool)).mean() <= MAX_MISSED_SHARE
+    shares = rows.groupby("method")["covered"].mean()
+    assert shares.min() > 0.85
+
+
+@pytest.mark.sweep
+@pytest.mark.parametrize("seeds", ["31:32", "32:33"])
+def test_twins_of_further_seeds_are_recovered(tmp_path, seeds):
+    out = tmp_path / "recovery.png"
+    script = [sys.executable, str(ROOT / "studies" / "recovery.py"), "--quick", "--out", str(out)]
+    subprocess.run([*script, "--seeds", seeds], check=True, cwd=tmp_path, capture_output=True, timeout=600)
+    rows = pd.read_csv(out.with_suffix(".csv"))
+    assert set(rows["method"]) == {"posterior", "errors"} and out.stat().st_size > 10_000
+    assert rows["covered"].astype(bool).mean() >= 0.75
+    assert rows["covered"].astype(bool)[rows["determined"] == "yes"].all()
