@@ -17,7 +17,7 @@ from needlefit.inference.forward_model import simulate_deflections
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import Parameters, with_noise_scale
 from needlefit.inference.problem import Problem
-from needlefit.inference.tracking import TrackDraws, draw_baseline
+from needlefit.inference.track_predictions import TrackDraws, draw_baseline
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord

@@ -89,7 +89,7 @@ AREAS = {
         (
             *("validation_run", "validation_heldout", "validation_forecast", "validation_calibration"),
             *("validation_analyses", "validation_differences", "fit_warnings", "planning"),
-            *("credibility", "reference", "reporting_tables", "reporting_files", "reporting_slicer"),
+            *("reference", "reporting_tables", "reporting_files", "reporting_slicer"),
             *(
                 "analysis_cohort",
                 "cli_studies",

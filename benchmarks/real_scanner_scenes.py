@@ -110,6 +110,7 @@ MATERIALS = {
 PHOTONS = {"low": 5e4, "high": 4e5}
 
 NEEDLE_MM, NEEDLE_LENGTH_MM, BEVEL_DEG = 1.27, 100.0, 30.0
+PLATE_MM = 8.0  # thickness of the guide, mm
 BALL_PLACES = np.array(
     [
         [0.0, 12, 6],  # these two are glued on the face
@@ -326,15 +327,7 @@ def _list_accessories(name: str, world: Frame, axis: Floats) -> tuple[list[Solid
         case "holder":  # an aluminium block with a hole that the needle fills
             return [Box(world, *block((-24, -8, -6), (-16, 8, 6)), ALUMINIUM)], []
         case "plate":  # a guide of PMMA, and 11 mm of air behind it
-            return [Box(world, *block((-19, -24, -24), (-11, 24, 24)), PMMA)], []
-        case "flush":  # these four are of `guides.py`: a plate that lies on the tissue
-            return [Box(world, *block((-8, -24, -24), (0, 24, 24)), PMMA)], []
-        case "gap":  # 2 mm of air behind it
-            return [Box(world, *block((-10, -24, -24), (-2, 24, 24)), PMMA)], []
-        case "aluminium":  # a guide whose hole the needle fills
-            return [Box(world, *block((-16, -20, -20), (-10, 20, 20)), ALUMINIUM)], []
-        case "plastic":  # a hub of PMMA
-            return [Box(world, *block((-26, -7, -7), (-17, 7, 7)), PMMA)], []
+            return [Box(world, *block((-11 - PLATE_MM, -24, -24), (-11, 24, 24)), PMMA)], []
         case "second":  # half as long as what shows of the first
             points = world.to_world(np.array([[-14.0, -2, 11], [3, -2, 11], [20, -2, 11]]))
             return [], list(make_needle(points, NEEDLE_MM, BEVEL_DEG, world.rotation[:, 1], STEEL))

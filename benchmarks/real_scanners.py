@@ -42,6 +42,7 @@ from real_scanner_scenes import (
     KNOWN_SD_MM,
     NEEDLE_LENGTH_MM,
     NEEDLE_MM,
+    PLATE_MM,
     Case,
     Row,
     draw_row,
@@ -79,12 +80,13 @@ ERRORS = ("tip_along", "tip_across", "entry", "length", "tre", "crossing")
 
 
 def make_recipe(row: Row) -> ReconstructionRecord:
-    """Return the recipe that a careful user would write: needle and balls as they are."""
+    """Return the recipe that a careful user would write: needle, balls and guide as they are."""
     return ReconstructionRecord.model_validate(
         {
             "schema": 2,
             "needle": {"length_mm": NEEDLE_LENGTH_MM, "diameter_mm": NEEDLE_MM, "bevel_deg": BEVEL_DEG},
             "markers": {"diameter_mm": float(row.levels["ball_mm"]), "reference_sd_mm": KNOWN_SD_MM},
+            "guide": {"thickness_mm": PLATE_MM} if row.levels["accessory"] == "plate" else {},
         }
     )
 

@@ -14,7 +14,6 @@ latency     from the time stamp of the input event to when the browser had drawn
             also on a window of PHONE, with a processor that is slowed down by PHONE_SLOWER.
             Half a FRAME of it, on average, is waiting for the next one; `own` is what comes after that.
 band        from the frame that shows a needle to the one with the band of its draws, at 55 and 140 mm.
-gif         from the press of the button to the saved animation of what was seen, s; at most GIF_LIMIT_S.
 first       from the command to the first picture, in a browser that is open already.
 solver      steps a second as the page shows them; and of 60 s without a pause, in this process.
 
@@ -47,7 +46,6 @@ LATE = 1.5
 DEEP_MM = 140.0
 """Depth at which a modulus is changed: the whole insertion is simulated again."""
 PHONE_SLOWER, PHONE = 5, {"width": 390, "height": 844}
-GIF_LIMIT_S = 10.0
 SIZE = {"width": 1280, "height": 800}
 FLAGS = ["--no-sandbox", "--disable-gpu"]
 KINDS = ("drag", "wheel", "insert", "retract", "flip", "b", "mu", "guide", "undo", "redo", "reset", "to")
@@ -163,18 +161,6 @@ def band_waits(page: Page, times: int = 20) -> dict[str, float] | None:
     return {f"p{p}": round(float(np.percentile(found, p)), 1) for p in (0, 50, 95)} | {"bands": len(found)}
 
 
-def save_gif(page: Page) -> float:
-    """Return the time that the animation of what was seen takes, s; it holds as many pictures as one may."""
-    began = time.monotonic()
-    with page.expect_download(timeout=60_000) as download:
-        page.click("[data-file='animation.gif']")
-    download.value.path()
-    spent = time.monotonic() - began
-    if spent > GIF_LIMIT_S:
-        print(f"the animation takes {spent:.1f} s, more than {GIF_LIMIT_S:g} s", file=sys.stderr)
-    return round(spent, 2)
-
-
 def first_picture(subject: str) -> float:
     """Return the time from the command to the first picture, s."""
     with tempfile.TemporaryDirectory() as out, sync_playwright() as play:
@@ -226,7 +212,6 @@ def real_time(subject: str, seconds: float) -> dict:
         frames = measure_frames(page, drive, seconds)
         wheel = measure_frames(page, turn, seconds / 4)
         solver = page.evaluate("window.needlefit.state.solver")
-        gif = save_gif(page)
         reach(page, 55.0)
         bands = {"band_ms_55": band_waits(page)}
         reach(page, DEEP_MM)
@@ -251,7 +236,6 @@ def real_time(subject: str, seconds: float) -> dict:
         "wheel_latency_ms": waits(wheel),
         **deep,
         **bands,
-        "gif_s": gif,
         "shown_steps_per_s": solver["rate_per_s"],
         "steps": solver["steps"],
     }

@@ -21,8 +21,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Rectangle
 
 from needlefit.api import load_run
-from needlefit.datasets.importing.decisions import ANSWER_UNITS, DESCRIPTIONS, QUESTIONS
-from needlefit.datasets.importing.tables import WORKBOOK_FILE
+from needlefit.datasets.importing.answers import QUESTIONS
+from needlefit.datasets.importing.files import WORKBOOK_FILE
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
@@ -264,7 +264,7 @@ def fill_workbook() -> None:
     for name in ("example points", "example needles", "setup", "example setup"):
         book[name].delete_rows(2, book[name].max_row)
     for what, value in SETUP.items():
-        text = ANSWER_UNITS.get(what), {**QUESTIONS, **DESCRIPTIONS}[what]
+        text = QUESTIONS[what].unit or None, QUESTIONS[what].text
         for name, shown in (("setup", None), ("example setup", value)):
             book[name].append([what, shown, *text])
             if what in (

@@ -1,33 +1,25 @@
-"""Take the pictures of the page in docs/figures: start_view.png and view*.png, but that of a scan.
+"""Take the pictures of the page in docs/figures: start_view.png and view*.png.
 
     python docs/view_pictures.py
 
-Opens the page of twin/phantom2-05 in the installed Chromium (Playwright): at a depth of 34 mm; fitted to the
-measured needle; and fitted at 15 mm, with a target, an obstacle and the plan. Last comes phantom2, its needle
-tracked through OpenIGTLink to 40 mm (`benchmarks/openigtlink.py` has the truth). start_view.png is of the run
-that the commands of start.md make.
+Opens pages in the installed Chromium (Playwright): of twin/phantom2-05 at a depth of 34 mm, and of the scene
+phantom2_fitted at 15 mm, with a target, an obstacle and the plan. start_view.png is of the run that the
+commands of start.md make.
 """
 
 import shutil
-import socket
 import subprocess
 import sys
 import tempfile
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
 import transcripts
 from playwright.sync_api import Page, sync_playwright
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-from openigtlink import TRACKER, connect, pack, simulate_tips
-
 FIGURES = Path(__file__).parent / "figures"
 GOAL = "{ target: [46, -1], radius: 0.8, obstacles: [[30, -1.4, 0.4]] }"
-TRACKED_DEPTH_MM = 40
 SIZE = {"width": 1280, "height": 900}
 
 
@@ -45,13 +37,6 @@ def insert(page: Page, depth: float) -> None:
     wait(page, f"state => Math.abs(state.depth_mm - {depth}) < 1e-6 && !state.moving")
     page.fill("#speed", "10")
     page.fill("#goto-depth", "")
-
-
-def fit(page: Page) -> None:
-    """Fit to the measured needle, and wait for the band of the draws."""
-    page.click("#fit-now")
-    page.locator("#ridge").wait_for(state="visible", timeout=60_000)
-    wait(page, "state => window.needlefit.band?.step === state.step")
 
 
 def save(page: Page, name: str, shown: str | None = None) -> None:
@@ -87,13 +72,12 @@ def take(address: str) -> None:
         page = open_page()
         insert(page, 34)
         save(page, "view.png")
-        page = open_page()
-        insert(page, page.evaluate("window.needlefit.scene.measured.depth_mm"))
-        fit(page)
-        save(page, "view_fit.png", "#ridge-note")
+
+
+def take_plan(address: str) -> None:
+    with open_browser(address) as open_page:
         page = open_page()
         insert(page, 15)
-        fit(page)
         page.evaluate(f"import('/page/aim.js').then(({{ setAim }}) => setAim({GOAL}))")
         wait(page, "() => window.needlefit.aim.reach")
         page.click("#make-plan")
@@ -109,46 +93,11 @@ def take_start(address: str) -> None:
         save(page, "start_view.png")
 
 
-def send_tips(port: int, stop: threading.Event) -> None:
-    """Send poses of base and tip, with errors, of a needle that goes in and stays, until `stop` is set."""
-    path, rng, depth = simulate_tips(), np.random.default_rng(3), 0.0
-    with connect(port) as link:
-        while not stop.wait(0.03):
-            depth = min(depth + 0.2, TRACKED_DEPTH_MM)
-            tip = np.array([np.interp(depth, path[:, 0], path[:, k]) for k in (1, 2)])
-            tip += 0.3 * rng.standard_normal(2)
-            link.sendall(pack("Base", np.array([depth - 150.0, 0.0])) + pack("Tip", tip))
-
-
-def take_tracked(address: str, port: int) -> None:
-    stop = threading.Event()
-    sender = threading.Thread(target=send_tips, args=(port, stop))
-    with open_browser(address) as open_page:
-        page = open_page()
-        sender.start()
-        try:
-            wait(page, f"state => state.depth_mm > {TRACKED_DEPTH_MM - 1}")
-            page.wait_for_timeout(2000)
-            save(page, "view_tracked.png")
-        finally:
-            stop.set()
-            sender.join()
-
-
-def serve(target: str, *options: str, then: Callable[[str], None], cwd: str | None = None) -> None:
+def serve(target: str, then: Callable[[str], None], cwd: str | None = None) -> None:
     """Run the page of a target, from the folder `cwd`, while pictures of it are taken."""
     with tempfile.TemporaryDirectory() as folder:
-        command = [
-            sys.executable,
-            "-m",
-            "needlefit",
-            "view",
-            target,
-            "--no-browser",
-            "--out",
-            folder,
-            *options,
-        ]
+        words = "-m", "needlefit", "view", target, "--no-browser", "--out", folder
+        command = [sys.executable, *words]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=cwd) as process:
             try:
                 then(process.stdout.readline().strip())
@@ -162,12 +111,7 @@ def main() -> None:
         transcripts.run_page(page.read_text(encoding="utf-8"), folder)
         serve("reports/mine_study/n8", then=take_start, cwd=folder)
     serve("twin/phantom2-05", then=take)
-    with tempfile.TemporaryDirectory() as folder, socket.create_server(("127.0.0.1", 0)) as free:
-        port, tracker = free.getsockname()[1], Path(folder) / "tracker.toml"
-        free.close()
-        tracker.write_text(TRACKER)
-        options = "--openigtlink", str(port), "--tracker", str(tracker)
-        serve("phantom2", *options, then=lambda address: take_tracked(address, port))
+    serve("phantom2_fitted", then=take_plan)
 
 
 if __name__ == "__main__":

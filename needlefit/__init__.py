@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from needlefit.api import fit, load_dataset, load_run, predict, sample, validate
+    from needlefit.api import fit, load_dataset, load_run, predict, sample, validate, write_prior
     from needlefit.errors import NeedlefitError
     from needlefit.inference.optimize import minimize
     from needlefit.inference.problem import Problem
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         linearize_batches,
         simulate_batches,
     )
+    from needlefit.mechanics.compression import compute_stress
     from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
     from needlefit.mechanics.needle import Needle
     from needlefit.mechanics.scene import Scene
@@ -48,6 +49,7 @@ __all__ = [
     "Step",
     "Tissue",
     "TrackedTip",
+    "compute_stress",
     "fit",
     "linearize",
     "linearize_batches",
@@ -61,14 +63,16 @@ __all__ = [
     "simulate_batches",
     "simulate_steps",
     "validate",
+    "write_prior",
 ]
 
 _HOMES = {
-    "api": "fit load_dataset load_run predict sample validate",
+    "api": "fit load_dataset load_run predict sample validate write_prior",
     "errors": "NeedlefitError",
     "inference.optimize": "minimize",
     "inference.problem": "Problem",
     "mechanics.batch": "Batch Jacobian Jacobians NeedleShapes linearize linearize_batches simulate_batches",
+    "mechanics.compression": "compute_stress",
     "mechanics.control": "Bevel Controls Guide ModelOptions Step TrackedTip",
     "mechanics.needle": "Needle",
     "mechanics.scene": "Scene",

@@ -1,9 +1,10 @@
 """Fit, sample, predict and validate from Python; each returns a `Run`, as the commands write it.
 
 Inputs are names (of what ships, or lies in the working folder), paths, or records, tables and datasets in
-memory. Nothing is written but by `Run.save`, and with `checkpoint`.
+memory. Nothing is written but by `Run.save`, `write_prior`, and with `checkpoint`.
 """
 
+import math
 import signal
 import sys
 import threading
@@ -16,6 +17,7 @@ from typing import Any, TypedDict, TypeVar, Unpack
 
 import numpy as np
 
+from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
@@ -27,9 +29,9 @@ from needlefit.project.locate import FileKind, find_file, find_run, find_studies
 from needlefit.project.processes import count_cores
 from needlefit.project.progress import Progress, Stop, never_stop, no_progress
 from needlefit.project.tasks import THIS_PROCESS, TaskPool
-from needlefit.project.toml import add_file_context, check, load
+from needlefit.project.toml import add_file_context, check, dumps, load
 from needlefit.schemas.base import FileRecord
-from needlefit.schemas.medium import MediumRecord, spell_parameter
+from needlefit.schemas.medium import MaterialRecord, MediumRecord, spell_parameter
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
@@ -87,7 +89,7 @@ class FitChanges(RunOptions, total=False):
     recipe : str, Path, RecipeRecord or table
         How to search and sample; a table changes keys of the recipe `default`: `{"starts": 4}`.
     priors : mapping
-        By number of the layer: the file that `needlefit material` wrote.
+        By number of the layer: the file that `write_prior` wrote.
     free : sequence of str
         Parameters to estimate although the model fixes or ties them: `["alpha1"]`.
     fix : mapping
@@ -307,6 +309,37 @@ def validate(study: Name | FileRecord | Table, **options: Unpack[RunOptions]) ->
             )
         record = load_study(file)
     return _run(record, name, Settings(file=file), options)
+
+
+def write_prior(
+    file: Name, mean: Floats, covariance: Floats, foundation: tuple[float, float] | None = None
+) -> Path:
+    """Write the prior of a layer that fits read, and return its path: `priors = { 1 = "prior.toml" }`.
+
+    Parameters
+    ----------
+    file : str or Path
+        The TOML file.
+    mean, covariance : array, (2,) and (2, 2)
+        Of ln mu (mu in Pa) and alpha of the tissue, as from compression tests.
+    foundation : (float, float), optional
+        The model's mu over the shear modulus of the tissue, and the factor within which that is known, at
+        one standard deviation. Without it the prior is of alpha alone.
+    """
+    (log_mu, alpha), covariance = mean, np.asarray(covariance)
+    sd_log_mu, sd = np.sqrt(np.diag(covariance))
+    priors = {"alpha": {"mean": alpha, "sd": sd}}
+    if foundation is not None:
+        factor, wide = foundation[0], math.hypot(sd_log_mu, math.log(foundation[1]))
+        # a correlation of exactly 1 would make the covariance singular
+        correlation = np.clip(covariance[0, 1] / (wide * sd), -0.99, 0.99)
+        median = factor * math.exp(log_mu)
+        priors["mu_pa"] = {"median": median, "factor": math.exp(wide), "correlation": correlation}
+    stated = {name: {key: float(f"{x:.6g}") for key, x in one.items()} for name, one in priors.items()}
+    tables = {"schema": MaterialRecord.SCHEMA, **stated}
+    check(tables, MaterialRecord, str(file))
+    Path(file).write_text(dumps(tables), encoding="utf-8")
+    return Path(file)
 
 
 def _fit(target: Name | Dataset | Run, medium: Medium | None, options: FitChanges, sample: bool) -> Run:

@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 
 from needlefit.datasets.importing.files import read_content
-from needlefit.datasets.importing.understanding import understand
+from needlefit.datasets.importing.planning import Planner
 
 TURN = np.array([[0.0, -1.0, 0.0, 12.0], [1.0, 0.0, 0.0, -30.0], [0.0, 0.0, 1.0, 5.0], [0.0, 0.0, 0.0, 1.0]])
 """A quarter turn and a shift, LPS, from a node to its parent."""
@@ -203,6 +203,6 @@ def write_bundle(path: Path, folder: Path, extra=(), packed=True):
     return path
 
 
-def plan_import(paths, decisions):
-    content = read_content(paths)
-    return content, understand(content, decisions)
+def plan_import(paths, answers, columns=""):
+    content = read_content(paths, columns)
+    return content, Planner(content, answers).make_plan()

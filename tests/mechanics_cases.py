@@ -8,7 +8,7 @@ import numpy as np
 
 from needlefit.mechanics.batch import Batch, Jacobian
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
-from needlefit.mechanics.laws import LAWS
+from needlefit.mechanics.laws import LAWS, TissueLaw
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.shape import NeedleShape
@@ -109,13 +109,19 @@ def random_needle(rng: Random, rules: ModelOptions) -> Needle:
     return Needle(rng.uniform(90, 200), random_rigidity(rng, rules))
 
 
+def draw_shape(law: TissueLaw, rng: Random, size: tuple[int, ...]) -> np.ndarray:
+    """Return random shape parameters: an array of `size` for each of the law's."""
+    drawn = [rng.uniform(*parameter.tested, size) for parameter in law.parameters]
+    return np.array(drawn).reshape(len(law.parameters), *size)
+
+
 def random_tissue(rng: Random, rules: ModelOptions, friction: float = 0.0) -> Tissue:
     """Return 1 to 4 layers, thin and thick, soft and stiff."""
     layers = int(rng.integers(1, 5))
     law = LAWS[str(rng.choice(LAWS.names()))]
     return Tissue(
         mu=random_mu(rng, rules, layers),
-        shape=law.draw_shape(rng, (layers,)),
+        shape=draw_shape(law, rng, (layers,)),
         boundaries=np.sort(rng.uniform(1, 20, layers - 1)),
         thickness=rng.uniform(5.0, 80.0, layers),
         friction=friction * rng.uniform(size=layers),
@@ -179,7 +185,7 @@ def random_batch(
     size = (sets, tissue.layers)
     given = {
         "mu": random_mu(rng, rules, size),
-        "shape": np.moveaxis(LAWS[tissue.law].draw_shape(rng, size), 0, 1),
+        "shape": np.moveaxis(draw_shape(LAWS[tissue.law], rng, size), 0, 1),
         "offset": rng.uniform(0, 0.3, sets),
         "rigidity": random_rigidity(rng, rules, sets),
         "base_y": rng.uniform(-0.5, 0.5, sets),

@@ -1,12 +1,10 @@
-"""Commands of single analyses: `tune --design`, `material`, `verify`, `view`."""
+"""Commands of single analyses: `tune --design`, `view`."""
 
-import csv
 import json
 import re
 import signal
 import subprocess
 import sys
-import tomllib
 import urllib.request
 from contextlib import redirect_stdout
 from dataclasses import replace
@@ -15,29 +13,11 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from compression_cases import gel_file
 from test_cli import run
 from test_viewer_recording import recorded
 
 from needlefit.inference.identifiability.directions import KNOWN_BY_PRIOR
-from needlefit.project.locate import find_file
-from needlefit.project.toml import load
-from needlefit.schemas.medium import MaterialRecord
-from needlefit.schemas.study import FitRecord
 from needlefit.studies import job
-from needlefit.studies.job import Settings, prepare
-from needlefit.studies.provenance import describe_configuration
-from needlefit.verification import check as running
-from needlefit.verification.check import (
-    AcceptanceBound,
-    Check,
-    CheckOutcome,
-    ConvergenceCurve,
-    Group,
-    Quantity,
-    at_most,
-    within,
-)
 from needlefit.viewer.opening import open_recording
 from needlefit.viewer.recording import read_recording
 
@@ -111,173 +91,6 @@ def test_the_design_part_uses_no_measured_shape(monkeypatch, designed, folder):
     monkeypatch.setattr(job, "read", bent)
     assert run("tune", "study2", "--design", "-q") == 0
     assert (folder / "identify.csv").read_bytes() == (designed[0] / "identify.csv").read_bytes()
-
-
-@pytest.fixture
-def gel(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return gel_file(tmp_path / "gel.csv")
-
-
-def test_estimates_of_the_specimens_are_printed_and_written(world):
-    folder, out = world.find("material"), world.read_printed("material")
-    assert "identified" in out and out.startswith("alpha = -4.") and " kPa ± " in out
-    assert re.search(r'priors = .*"reports/material-gel/prior\.toml"', out.replace(f"{world.folder}/", ""))
-    tested = load(folder / "prior.toml", MaterialRecord)
-    assert tested.alpha.mean == pytest.approx(-4.5, abs=0.2) and tested.mu_pa is None
-    assert "these 3" in tested.note
-    about = json.loads((folder / "run.json").read_text())
-    assert about["measure"] == "nominal" and about["sha256"] == tested.sha256
-
-
-@pytest.mark.sweep
-@pytest.mark.usefixtures("blank_figures")
-def test_the_prior_of_the_foundation_modulus_is_written_on_request_alone(gel, capsys):
-    assert run("material", "gel.csv", "--foundation", "0.2", "5", "--json") == 0
-    found = json.loads(capsys.readouterr().out)
-    mu = found["prior"]["mu_pa"]
-    assert mu["median"] == pytest.approx(0.2 * 12e3, rel=0.05) and mu["factor"] > 5
-    assert found["specimens"][-1]["specimen"] == "(a further one)"
-
-
-@pytest.mark.usefixtures("blank_figures")
-def test_an_unidentified_parameter_writes_no_prior_and_prints_the_flat_range(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    gel_file(tmp_path / "shallow.csv", alphas=(3.0,), low=0.997)
-    assert run("material", "shallow.csv", "--explain") == 0
-    out = capsys.readouterr().out
-    assert "alpha" in out and "0.997 to 1" in out
-    assert not (tmp_path / "reports" / "material-shallow" / "prior.toml").exists()
-
-
-def test_a_faulty_file_ends_in_exit_code_3(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "bad.csv").write_text("strain,stress\n0,0\n")
-    assert run("material", "bad.csv") == 3
-    err = capsys.readouterr().err
-    assert err.count("bad.csv:1") == 2 and "stretch" in err and "stress" in err
-    assert run("material", "none.csv") == 3
-    assert run("material", "bad.csv", "--foundation", "0.2", "0.5") == 3
-
-
-@pytest.mark.sweep
-@pytest.mark.usefixtures("blank_figures")
-def test_a_fit_takes_the_prior_and_its_run_holds_it(gel, capsys):
-    assert run("material", "gel.csv", "--foundation", "0.2", "5") == 0
-    record = load(find_file("fit", "chicken"), FitRecord)
-    with_prior = record.model_copy(update={"priors": {"1": "reports/material-gel/prior.toml"}})
-    job = prepare("chicken", with_prior, Settings())
-    assert job.parameters.prior.names == ("mu1_pa", "alpha1") and "alpha1" in job.parameters.bounds
-    stated = tomllib.loads(Path("reports/material-gel/prior.toml").read_text())
-    work = describe_configuration(job)
-    assert work["medium"]["parameters"]["alpha1"]["prior"]["mean"] == stated["alpha"]["mean"]
-    assert work["study"]["priors"] == {"1": "reports/material-gel/prior.toml"}
-
-
-H = (4.0, 2.0, 1.0)
-NORMS = {"deflection": 4, "slope": 3, "deflection at the nodes": 4, "slope at the nodes": 4}
-
-
-def refined(rng):
-    curve = ConvergenceCurve(
-        "A power law", H, {norm: tuple(1e-6 * h**p for h in H) for norm, p in NORMS.items()}
-    )
-    return CheckOutcome((curve.order("deflection"),), curves=(curve,))
-
-
-def read_csv(path):
-    return list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
-
-
-def crash(rng):
-    raise ZeroDivisionError("no luck")
-
-
-GOOD = (
-    Check(
-        Group.CLOSED_FORMS,
-        "A beam",
-        (Quantity("error", at_most(1e-5), "mm"),),
-        lambda rng: CheckOutcome((2.5e-7,)),
-    ),
-    Check(Group.MANUFACTURED, "A power law", (Quantity("order", within(4, 0.2), ""),), refined),
-    Check(
-        Group.STATED,
-        "A spacing",
-        (Quantity("tip", AcceptanceBound(), "mm"),),
-        lambda rng: CheckOutcome((3.0,), "another model"),
-    ),
-)
-BAD = Check(
-    Group.SYMMETRIES,
-    "A mirror",
-    (Quantity("difference", at_most(0.0), "mm"),),
-    lambda rng: CheckOutcome((0.1,)),
-)
-WORSE = Check(Group.TANGENT, "A step", (Quantity("defect", at_most(1e-8), ""),), crash)
-
-
-@pytest.fixture
-def table(monkeypatch):
-    """Return what decides which checks there are: a few quick ones."""
-
-    def choose(*checks):
-        monkeypatch.setattr(running, "find_checks", lambda: checks)
-
-    return choose
-
-
-@pytest.mark.usefixtures("blank_figures")
-def test_a_good_table_is_printed_and_written(table, tmp_path, capsys):
-    table(*GOOD)
-    assert run("verify", "--out", str(tmp_path), "--explain") == 0
-    out = capsys.readouterr().out
-    assert "Closed forms" in out
-    assert "2.50 × 10⁻⁷" in out and "≤ 10⁻⁵" in out and "3.8 to 4.2" in out and "stated" in out
-    assert re.search(r"(?m)^All 2 .*; 1 ", out)
-    assert f"written: {tmp_path}/verification/" in out
-    folder = tmp_path / "verification"
-    rows = read_csv(folder / "verification.csv")
-    assert [row["verdict"] for row in rows] == ["passes", "passes", "stated"]
-    assert float(rows[0]["measured"]) == 2.5e-7 and float(rows[0]["bound_high"]) == 1e-5
-    assert rows[0]["unit"] == "mm" and rows[2]["note"] == "another model"
-    assert float(rows[1]["measured"]) == pytest.approx(4)
-    orders = [row["order"] for row in read_csv(folder / "convergence.csv")]
-    assert orders[:3] == ["", "4", "4"]
-    about = json.loads((folder / "run.json").read_text())
-    assert about["study"]["seed"] == 1 and about["rules"]["spacing"] == 1.0 and "scipy" in about["versions"]
-
-
-@pytest.mark.usefixtures("blank_figures")
-def test_a_failed_row_ends_in_exit_code_6_with_the_table_written(table, tmp_path, capsys):
-    table(*GOOD, BAD, WORSE)
-    assert run("verify", "--out", str(tmp_path), "--json") == 6
-    captured = capsys.readouterr()
-    found = json.loads(captured.out)
-    assert [row["verdict"] for row in found["rows"]] == ["passes", "passes", "stated", "FAILS", "FAILS"]
-    assert found["rows"][4]["measured"] is None
-    assert found["summary"].startswith("2 of 4 ")
-    lines = [line.split(": ", 3) for line in captured.err.splitlines()]
-    assert ["needlefit", "A mirror", "difference", "fails"] in lines
-    assert lines[-1][1:3] == ["A step", "defect"] and "ZeroDivisionError: no luck" in lines[-1][3]
-    assert "Traceback" not in captured.err
-    assert run("verify", "--out", str(tmp_path), "-v") == 6
-    assert "in crash" in capsys.readouterr().err
-
-
-@pytest.mark.usefixtures("blank_figures")
-def test_a_fault_of_the_solver_ends_in_exit_code_6(monkeypatch, tmp_path, capsys):
-    """Not one of the checks' making: the law's coefficients are wrong by a thousandth."""
-    from needlefit.mechanics import packing
-    from needlefit.verification.checks import beams
-
-    true = packing.compile_law
-    monkeypatch.setattr(
-        packing, "compile_law", lambda law, alpha: (1.001 * true(law, alpha)[0], true(law, alpha)[1])
-    )
-    monkeypatch.setattr(running, "find_checks", lambda: beams.CHECKS)
-    assert run("verify", "--out", str(tmp_path)) == 6
-    assert "FAIL" in capsys.readouterr().out
 
 
 def test_view_serves_its_page_and_ends_on_a_signal(tmp_path):

@@ -9,11 +9,9 @@ from typing import NamedTuple
 
 import pytest
 import typer
-from credibility_cases import leave, results
 from light_runs import draw_blank
 from reporting_results import skip_figures, study
 from test_cli import run
-from test_cli_analyses import GOOD
 from test_viewer_recording import recorded
 from world import build_project
 
@@ -29,8 +27,9 @@ from needlefit.project.folders import (
     write_manifest,
 )
 from needlefit.project.locate import find_file, shipped_folder
+from needlefit.reporting.table_files import write_json
 from needlefit.studies import study_files as study_files  # bound before a test takes away what it imports
-from needlefit.verification import check as verification
+from needlefit.studies.store import store_run
 from needlefit.viewer.steering import Change
 
 SCANS = str(shipped_folder() / "data" / "sample_scan" / "scans.csv")
@@ -73,9 +72,6 @@ CASES = {
     ),
     "predict": Case("predict held_out --scene ahead --out out -q", "predict-held_out-ahead"),
     "report": Case("report ./out/run --out out/again", "again"),
-    "verify": Case("verify --out out -q", "verification"),
-    "credibility": Case("credibility ./out/run --out out -q", "credibility-run"),
-    "material": Case("material gel.csv --out out", "material-gel"),
     "reconstruct": Case(f"reconstruct {SCANS} --out out/rr -q", "rr rr.partial"),
     "import": Case("import curves.csv --out out/found --yes", "found"),
     "new project": Case("new project out/project", "project/data project/configs project/studies"),
@@ -88,7 +84,7 @@ CASES = {
         "simulate --recording log.csv --plot out/n.pdf --csv out/n.csv --slicer out/n.ply"
     ),
 }
-STUBBED = {name for name in CASES if name.startswith(("twin build", "verify", "view"))}
+STUBBED = {name for name in CASES if name.startswith(("twin build", "view"))}
 """Those that take long, or serve until they are ended."""
 REFUSED = [(name, folder) for name, case in CASES.items() for folder in case.places]
 
@@ -149,17 +145,19 @@ def stubs(monkeypatch: pytest.MonkeyPatch) -> None:
     draw_blank(monkeypatch)
     for name in ("compile_pdf", "compile_html"):
         monkeypatch.setattr(f"needlefit.reporting.document.{name}", lambda _: b"a page")
-    monkeypatch.setattr(verification, "find_checks", lambda: GOOD)
     monkeypatch.setattr("needlefit.cli.view._server", lambda: steer)
     monkeypatch.setattr(
         "needlefit.synthetic.build.build_dataset", lambda folder, *_, **__: (folder / "a").touch()
     )
 
 
-def leave_run(folder: Path, command: str) -> None:
+def leave_run(folder: Path) -> None:
     """Leave what the commands read that are about a run."""
-    made = results() if command == "credibility" else study(1)
-    leave(dataclasses.replace(made, name=folder.name), folder.parent)
+    made = dataclasses.replace(study(1), name=folder.name)
+    folder.mkdir(parents=True)
+    store_run(made, folder)
+    write_json(folder / "run.json", made.run_json)
+    write_manifest(folder)
 
 
 @pytest.mark.parametrize(("command", "place"), REFUSED)
@@ -168,7 +166,7 @@ def test_folders_with_foreign_files_are_refused_before_the_run(command, place, w
     """The folder is the user's own, or one that needlefit wrote and the user added to."""
     folder = project / place
     if "./out/run" in CASES[command].words:
-        leave_run(project / "out/run", command)
+        leave_run(project / "out/run")
     plant(folder)
     if whose == "a result":
         shutil.rmtree(folder)
@@ -202,7 +200,7 @@ def test_other_files_in_the_folder_stay(command, project, request):
         request.getfixturevalue("stubs")
     case, planted = CASES[command], beside(project)
     if "./out/run" in case.words:
-        leave_run(project / "out/run", command)
+        leave_run(project / "out/run")
     log = (project / "log.csv").read_bytes()
     # the second time what it wrote is replaced
     for _ in range(1 if command.startswith(("new", "import")) else 2):

@@ -214,9 +214,9 @@ def test_a_compression_test_gives_runs_a_prior(project):
     (project / "prior.toml").write_text(
         "schema = 1\nalpha = { mean = 2.0, sd = 0.5 }\nmu_pa = { median = 3e4, factor = 1.5 }\n"
     )
-    study = STUDY.replace("tune =", 'priors = { 1 = "prior.toml" }\ntune =')
+    study = STUDY.replace("tune =", 'priors = { 1 = "../prior.toml" }\ntune =')
     (project / "studies/mine.toml").write_text(study)
-    (project / "configs/fits/moved.toml").write_text(FIT + 'priors = { 1 = "prior.toml" }\n')
+    (project / "configs/fits/moved.toml").write_text(FIT + 'priors = { 1 = "../../prior.toml" }\n')
     for target in ("mine", "moved"):
         _, fit, _ = load_target(target)
         job = prepare(target, fit, Settings())

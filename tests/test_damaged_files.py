@@ -77,7 +77,6 @@ def test_results_that_do_not_agree_with_the_manifest_are_not_reported_on(written
         ("report", str(written), "--out", str(again)),
         ("diff", str(written), str(written)),
         ("view", str(written), "--no-browser", "--out", str(again)),
-        ("credibility", str(written), "--out", str(again)),
     )
     for command in words:
         assert run(*command) == 3

@@ -7,7 +7,6 @@ import subprocess
 import sys
 import time
 from contextlib import chdir
-from pathlib import Path
 
 import pytest
 from made_again import assert_made_again, read_files
@@ -21,7 +20,6 @@ from needlefit.viewer.opening import open_target
 
 EVERY = pytest.mark.parametrize("kind", list(COMMANDS))
 WRITTEN = {"needlefit.json", "report.html", "report.pdf", "results.json.gz", "run.json", "timing.json"}
-RESUMED = [kind for kind in COMMANDS if "--jobs" in find_words(kind, Path())]
 
 
 @EVERY
@@ -64,8 +62,8 @@ def test_python_loads_a_run(world, kind):
 @pytest.mark.parametrize(("kind", "insertion"), [("cross_validation", "needle-3"), ("fit", "needle-1")])
 def test_a_needle_of_a_run_is_viewed(world, kind, insertion):
     with chdir(world.folder):
-        shown = open_target(str(world.find(kind))).shown
-    assert shown is not None and shown.insertion.id == insertion
+        measured = open_target(str(world.find(kind))).measured
+    assert measured is not None and measured.id == insertion
 
 
 @EVERY
@@ -77,7 +75,7 @@ def test_the_command_prints_its_result(world, kind):
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize("kind", RESUMED)
+@EVERY
 def test_a_run_that_is_killed_resumes_to_the_same_bytes_with_other_jobs(world, kind):
     expected, out = read_files(world.find(kind)), world.folder / f"resumed-{kind}"
     words = [sys.executable, "-m", "needlefit", *find_words(kind, out, jobs=2), "-q"]

@@ -11,7 +11,6 @@ import pytest
 from needlefit.errors import DataError
 from needlefit.imaging import batch
 from needlefit.imaging.batch import ReconstructionBatch, ReconstructionFailure, pack_scan, reconstruct_all
-from needlefit.imaging.image_headers import ImageHeader, check_nrrd
 from needlefit.imaging.reconstruct import Examination
 from needlefit.imaging.scans import read_scans
 from needlefit.imaging.volume_files import read_volume, write_volume
@@ -103,20 +102,14 @@ def test_another_machine_gets_the_files_and_gives_the_same_reconstruction(sample
 @pytest.mark.sweep
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_a_scan_whose_reader_crashes_costs_the_others_nothing(sample, tmp_path, monkeypatch, jobs):
-    """The header passes, and the native reader of both processes crashes on what follows."""
     header = next(path for path in CORPUS if path.name == "crash-labels-1-900.seg.nrrd")
     crashing = tmp_path / "crashing.nrrd"
     crashing.write_bytes(header.read_bytes())
-
-    def passes(path):
-        return ImageHeader((4, 3, 2), 2, 48) if path == crashing else check_nrrd(path)
-
-    monkeypatch.setattr("needlefit.imaging.image_headers.check_nrrd", passes)
     monkeypatch.setattr("needlefit.project.tasks.can_fork", lambda: False)
     scans = [replace(sample, id="crashing", volume=crashing), sample]
     (first,), (second,) = reconstruct_all(scans, RECIPE, ReconstructionBatch(LocalPool(jobs)))
     assert isinstance(first, ReconstructionFailure) and str(crashing) in str(first.error)
-    assert jobs > 1 or "SIG" in str(first.error)  # another process may have its own check
+    assert "SIG" in str(first.error)
     assert second.depth == pytest.approx(25.0, abs=0.3)
 
 

@@ -5,7 +5,6 @@ import zipfile
 import numpy as np
 import pytest
 from dicom_series import COUNT, NUMBERS, STEP, a_slice, save, series
-from highdicom.legacy import LegacyConvertedEnhancedCTImage
 from pydicom import dcmread
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import (
@@ -175,30 +174,6 @@ def test_damaged_encrypted_and_bloated_archives_are_refused(tmp_path, monkeypatc
 
 
 # ---- enhanced multi-frame
-
-
-def whole_slices():
-    """Slices with all entries that a converter asks for."""
-    study = generate_uid(entropy_srcs=["study"])
-    about = {"StudyInstanceUID": study, "PatientID": "a", "PatientName": "a^b", "StudyID": "1"}
-    empty = dict.fromkeys(("StudyDate", "StudyTime", "AccessionNumber", "ReferringPhysicianName"), "")
-    more = dict.fromkeys(("PatientBirthDate", "PatientSex", "Manufacturer"), "")
-    return [
-        a_slice(
-            k, **about, **empty, **more, InstanceNumber=k + 1, ContentDate="20200101", ContentTime="000000"
-        )
-        for k in range(COUNT)
-    ]
-
-
-def test_a_series_converted_to_one_file_by_another_library(tmp_path):
-    uids = [generate_uid(entropy_srcs=[name]) for name in ("new series", "new file")]
-    LegacyConvertedEnhancedCTImage(whole_slices(), uids[0], 7, uids[1], 1).save_as(tmp_path / "all.dcm")
-    for path in (tmp_path / "all.dcm", tmp_path):
-        volume = read_volume(path)
-        assert np.array_equal(volume.values, NUMBERS)
-        assert volume.spacing == pytest.approx([0.4, 0.5, STEP])
-        assert volume.origin.tolist() == [-10.0, 20.0, 30.0]
 
 
 def sequence(**entries):

@@ -17,13 +17,12 @@ from test_imaging_volume import VALUES, metaimage, nifti, nrrd
 
 from needlefit.datasets.formats.mat import read_curves
 from needlefit.errors import DataError, NeedlefitError
-from needlefit.imaging.image_headers import MAX_EXPANSION, check_image_header
-from needlefit.imaging.layers import read_labels
+from needlefit.imaging.segmentations import read_labels
+from needlefit.imaging.volume import MAX_EXPANSION
 from needlefit.imaging.volume_files import read_volume
-from needlefit.project.sandbox import MEMORY_VARIABLE, ReaderLimits, read_in_sandbox
+from needlefit.project.sandbox import MEMORY_VARIABLE
 
 CORPUS = sorted((Path(__file__).parent / "fuzz" / "corpus").iterdir())
-NATIVE = [path for path in CORPUS if path.suffix in (".nrrd", ".mha", ".mhd")]
 MAX_SECONDS, MAX_KIB = 10, 2**20
 
 
@@ -55,12 +54,6 @@ def test_a_file_that_crashed_a_reader_is_a_data_error(path, tmp_path, peak_befor
     assert peak_kib() <= allowed_kib(peak_before)
 
 
-@pytest.mark.parametrize("path", NATIVE[::8], ids=lambda path: path.name)
-def test_without_the_header_check_only_the_child_process_crashes(path):
-    with pytest.raises(DataError, match="SIG"):
-        read_in_sandbox("needlefit.imaging.image_files:read_image", path, ReaderLimits(), {"path": str(path)})
-
-
 @pytest.mark.parametrize("name", ["mem-dicom-2480.dcm", "mem-dicom-3904.dcm"])
 def test_a_slice_whose_element_claims_gigabytes(name, tmp_path, peak_before):
     """Two slices make a series, so that their voxels are read, too: one claims 2 GB in an element."""
@@ -85,7 +78,7 @@ def test_a_dicom_element_longer_than_its_file(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["a.nrrd", "a.mha", "a.nii.gz"])
-def test_a_bomb_that_promises_what_it_unpacks_to(tmp_path, name, monkeypatch):
+def test_a_bomb_that_promises_what_it_unpacks_to(tmp_path, name):
     """1 MiB of deflated zeros stand for 1 GiB of voxels, 3 GiB in memory."""
     sizes, path = (1024, 1024, 512), tmp_path / name
     size = " ".join(map(str, sizes))
@@ -100,8 +93,6 @@ def test_a_bomb_that_promises_what_it_unpacks_to(tmp_path, name, monkeypatch):
         path.write_bytes(path.read_bytes() + packed)
     found = refusal(DataError, "", read_volume, path)
     assert MEMORY_VARIABLE in found.fix and f"{MAX_EXPANSION} times" in found.expected
-    monkeypatch.setenv(MEMORY_VARIABLE, "4")
-    assert check_image_header(path).content_bytes == 2**30  # the user takes the risk
 
 
 def test_a_bomb_that_promises_little(tmp_path, peak_before):
@@ -111,31 +102,6 @@ def test_a_bomb_that_promises_little(tmp_path, peak_before):
     with suppress(DataError):
         assert np.array_equal(read_volume(path).values, VALUES)
     assert peak_kib() <= allowed_kib(peak_before)
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["/etc/passwd", "../v.raw", "sub/v.raw", "v%03d.raw 1 3 1", "LIST", "https://a/v.raw", "..", "C:v.raw"],
-)
-def test_voxels_lie_in_the_same_folder(tmp_path, name):
-    (tmp_path / "sub").mkdir()
-    for place in ("v.raw", "sub/v.raw"):
-        (tmp_path / place).write_bytes(VALUES.tobytes())
-    folder = tmp_path / "sub" if name.startswith("..") else tmp_path
-    for path in (
-        nrrd(folder / "a.nhdr", data=b"", data_file=name),
-        metaimage(folder / "a.mhd", ElementDataFile=name),
-    ):
-        found = refusal(DataError, "", read_volume, path)
-        assert "folder" in found.expected and "passwd" not in found.what
-
-
-def test_voxels_in_a_device_or_folder(tmp_path):
-    (tmp_path / "v.raw").symlink_to("/dev/zero")
-    (tmp_path / "w.raw").mkdir()
-    for name, kind in (("v.raw", "device"), ("w.raw", "folder")):
-        with pytest.raises(DataError, match=kind):
-            read_volume(metaimage(tmp_path / "a.mhd", ElementDataFile=name))
 
 
 @pytest.mark.parametrize("place", ["missing", "folder", "/dev/zero", "/dev/null", "socket.nrrd"])
@@ -178,11 +144,8 @@ def test_encodings_of_nrrd(tmp_path, encoding):
 
 def test_what_common_programs_leave_in_headers_is_read_or_named(tmp_path):
     packed = nrrd(tmp_path / "a.nrrd", encoding="bzip2", data=bz2.compress(VALUES.tobytes()))
-    several = nrrd(tmp_path / "a.nhdr", data=b"", data_file="LIST 2")
-    several.write_bytes(several.read_bytes().rstrip() + b"\nslice1.raw\nslice2.raw\n")
-    for path, word in ((packed, "bzip2"), (several, "several files")):
-        caught = refusal(DataError, "", read_volume, path)
-        assert word in caught.what and caught.fix
+    caught = refusal(DataError, "", read_volume, packed)
+    assert "bzip2" in caught.what and caught.fix
     (tmp_path := tmp_path / "b").mkdir()
     # Comments, texts of any length, line ends of Windows, and what other programs leave in them.
     path = nrrd(tmp_path / "a.nrrd", content="a scan", kinds="domain domain domain")

@@ -36,13 +36,13 @@ from needlefit.imaging.layers import (
     LayerErrors,
     estimate_layer_errors,
     find_crossed_layers,
-    read_labels,
     read_layers,
 )
 from needlefit.imaging.reconstruct import check_layer_count, refuse_tunnels
 from needlefit.imaging.reconstruction import EntryPose
 from needlefit.imaging.registration.register import register
 from needlefit.imaging.scans import LayerSource, StagePose
+from needlefit.imaging.segmentations import read_labels
 from needlefit.imaging.volume import Volume
 from needlefit.schemas.reconstruction import ReconstructionRecord
 

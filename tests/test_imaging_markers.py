@@ -16,7 +16,7 @@ from needlefit.imaging import spheres
 from needlefit.imaging.markers import (
     describe_candidates,
     find_markers,
-    read_fiducials,
+    make_fiducials,
     read_markers,
     refine_fiducials,
 )
@@ -234,7 +234,7 @@ def test_points_from_every_kind_of_file_are_lps(tmp_path):
     refusal(DataError, r"\.txt", read_markers, tmp_path / "c.txt")
     refusal(DataError, "", read_markers, tmp_path / "missing.csv")
     dull = Volume(np.zeros((40, 40, 40), dtype=np.float32), np.zeros(3), np.full(3, 0.5), np.eye(3))
-    given = read_fiducials(table(tmp_path / "f.csv", [[5.0, 6, 7], [9, 8, 7], [3, 9, 12]]), RECIPE)
+    given = make_fiducials(np.array([[5.0, 6, 7], [9, 8, 7], [3, 9, 12]]), RECIPE)
     same = refine_fiducials(given, dull, RECIPE, MarkerResult(np.empty((0, 3)), np.empty(0), "volume"))
     np.testing.assert_array_equal(same.centers, given.centers)
     np.testing.assert_array_equal(same.sd, given.sd)
@@ -245,7 +245,7 @@ def test_fiducials_are_moved_to_the_balls_that_they_mark(plain, tmp_path):
     clicked = PLACES + np.array([[0.5, 0.2, -0.3], [-1.2, 0, 0.9], [0, 0, 0], [0.3, 0.3, 0.3]])
     landmark = np.array([[10.0, 20.0, 45.0]])  # no ball there
     balls = find_markers(plain, RECIPE)
-    given = read_fiducials(table(tmp_path / "clicked.csv", np.vstack([clicked, landmark])), RECIPE)
+    given = make_fiducials(np.vstack([clicked, landmark]), RECIPE)
     assert given.source == "fiducials"
     np.testing.assert_array_equal(given.sd, 0.3)
     moved = refine_fiducials(given, plain, RECIPE, balls)
@@ -255,10 +255,10 @@ def test_fiducials_are_moved_to_the_balls_that_they_mark(plain, tmp_path):
     np.testing.assert_allclose(moved.centers[4:], landmark)
     assert moved.sd[4] == 0.3
     pair = np.array([PLACES[0] + [0.2, 0, 0], PLACES[0] - [0.6, 0, 0]])
-    moved = refine_fiducials(read_fiducials(table(tmp_path / "pair.csv", pair), RECIPE), plain, RECIPE, balls)
+    moved = refine_fiducials(make_fiducials(np.array(pair), RECIPE), plain, RECIPE, balls)
     assert np.linalg.norm(moved.centers[0] - PLACES[0]) < 0.03
     np.testing.assert_allclose(moved.centers[1], pair[1])
-    given = read_fiducials(table(tmp_path / "out.csv", [[10.0, 10.0, 20.0], [80.0, 10.0, 20.0]]), RECIPE)
+    given = make_fiducials(np.array([[10.0, 10.0, 20.0], [80.0, 10.0, 20.0]]), RECIPE)
     refusal(DataError, "1 of 2 fiducials", refine_fiducials, given, plain, RECIPE, balls)
 
 
@@ -268,5 +268,5 @@ def test_ras_read_as_lps_is_noticed(tmp_path):
     around = with_balls(grid=grid(origin=np.zeros(3)))
     middle = (np.array(SHAPE) - 1) / 2 * SPACING * [1, 1, 0]
     volume = replace(around, origin=around.origin - middle)
-    given = read_fiducials(table(tmp_path / "ras.csv", (PLACES - middle) * RAS), RECIPE)
+    given = make_fiducials((PLACES - middle) * RAS, RECIPE)
     refusal(DataError, r"RAS.* LPS", refine_fiducials, given, volume, RECIPE, find_markers(volume, RECIPE))

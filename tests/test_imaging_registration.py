@@ -1,4 +1,4 @@
-"""Laws of marker registration: known poses, invariances, closed forms of the target error, closest points."""
+"""Laws of marker registration: known poses, invariances, closed forms of the target error."""
 
 import re
 
@@ -15,8 +15,6 @@ from needlefit.imaging.registration import pairing
 from needlefit.imaging.registration.register import (
     check_axis_signs,
     register,
-    scan_frame,
-    target_covariance,
     to_world,
 )
 
@@ -26,7 +24,6 @@ LAYOUT = np.array(
     [[5, -40, -31], [22, 40, -18], [41, -40, 24], [58, 21, 40], [76, 40, 27], [80, -33, -38]], dtype=float
 )
 SQUARE = np.array([[20, 20, 0], [-20, 20, 0], [-20, -20, 0], [20, -20, 0]], dtype=float)
-ITSELF = [[n, n] for n in range(4)]
 
 
 def pose_of(rng):
@@ -130,8 +127,10 @@ def test_deviations_are_one_number_or_of_each_marker_and_axis_or_covariances():
 # predicted errors
 
 
-def root_mean_square(registration, point):
-    return np.sqrt(np.trace(target_covariance(registration, [point])[0]))
+def root_mean_square(alignment, point):
+    return np.sqrt(
+        np.trace(pairing.propagate_to_targets([point - alignment.centre], alignment.covariance)[0])
+    )
 
 
 def test_the_error_of_a_square_is_the_closed_form():
@@ -140,39 +139,15 @@ def test_the_error_of_a_square_is_the_closed_form():
     TRE^2 = 3 sigma^2 / 4 (1 + 2 h^2 / (3 a^2)).
     """
     sigma, a = 0.2, 20.0
-    registration = register(SQUARE, SQUARE, sigma, pairs=ITSELF)
+    sets = pairing.make_marker_sets(SQUARE, SQUARE, sigma, 0.0)
+    alignment = pairing.align_pairs(sets, np.array([[n, n] for n in range(4)]))
     for height in (0.0, 20.0, 75.0):
         expected = np.sqrt(3 * sigma**2 / 4 * (1 + 2 * height**2 / (3 * a**2)))
-        assert root_mean_square(registration, [0, 0, height]) == pytest.approx(expected)
+        assert root_mean_square(alignment, [0, 0, height]) == pytest.approx(expected)
     # in the plane, at distance d along x: d_1 = 0, d_2 = d_3 = d
     d = 60.0
     expected = np.sqrt(3 * sigma**2 / 4 * (1 + (d**2 / a**2 + d**2 / (2 * a**2)) / 3))
-    assert root_mean_square(registration, [d, 0, 0]) == pytest.approx(expected)
-
-
-# closest points
-
-
-def test_closest_points_keep_the_pairs_of_a_near_pose_and_drop_the_spurious():
-    rng = np.random.default_rng(2)
-    rough = Frame(np.array([3.0, -2, 1]), Rotation.from_rotvec([0.05, 0.05, -0.05]).as_matrix())
-    found = np.concatenate([LAYOUT[[4, 2, 0, 1, 5]] + 0.1 * rng.normal(size=(5, 3)), [[40, 0, 0]]])
-    pairs = pairing.pair_by_icp(pairing.make_marker_sets(found, LAYOUT, 0.1, 0.0), rough)
-    assert pairs.tolist() == [[0, 4], [1, 2], [2, 0], [3, 1], [4, 5]]
-    pose = pose_of(np.random.default_rng(1))
-    sets = pairing.make_marker_sets(pose.to_local(LAYOUT), LAYOUT, [0.1, 0.1, 0.1, 3.0, 3.0, 3.0], 0.1)
-    turned = Rotation.from_rotvec([0.1, -0.05, 0.1]).as_matrix() @ pose.rotation
-    assert pairing.pair_by_icp(sets, Frame(pose.origin, turned)).tolist() == [[n, n] for n in range(6)]
-
-
-def test_a_rough_pose_settles_what_a_symmetric_layout_leaves_open():
-    rough = Frame(np.array([1.0, 2, -1]), Rotation.from_rotvec([0.1, 0, 0.1]).as_matrix())
-    registration = register(SQUARE, SQUARE, 0.1, rough=rough)
-    assert np.allclose(registration.rotation, np.eye(3), atol=1e-9)
-    half = Frame(np.array([1.0, 2, -1]), np.diag([-1.0, -1.0, 1.0]) @ rough.rotation)
-    assert np.allclose(register(SQUARE, SQUARE, 0.1, rough=half).rotation, np.diag([-1, -1, 1]), atol=1e-9)
-    registration = register(LAYOUT + 3.0, LAYOUT, 0.1)
-    assert scan_frame(registration).to_local(LAYOUT) == pytest.approx(LAYOUT + 3.0)
+    assert root_mean_square(alignment, [d, 0, 0]) == pytest.approx(expected)
 
 
 # ---- what is refused: every fault is named and can be fixed
@@ -221,22 +196,17 @@ def test_markers_on_a_line_are_refused_exactly_and_within_noise():
     assert "lie on a line" in refused(layout[:3], layout, 0.1)
 
 
-def test_mirrored_and_flat_markers_and_ras_read_as_lps_are_reported():
+def test_mirrored_and_flat_markers_are_reported_and_ras_read_as_lps_is_a_turn():
     for axis in [0, 1, 2]:
         signs = np.ones(3)
         signs[axis] = -1
         assert "mirrored" in refused(FOUND * signs, LAYOUT, 0.1)
-        assert "mirrored" in refused(FOUND * signs, LAYOUT, 0.1, pairs=[[n, n] for n in range(6)])
     flat = LAYOUT * [1, 1, 0]
     registration = register(flat * [1, -1, 1], flat, 0.1)
     assert np.linalg.det(registration.rotation) == pytest.approx(1)
     assert any("mirrored scan" in remark for remark in registration.warnings)
     flipped = FOUND * [-1, -1, 1]
     assert register(flipped, LAYOUT, 0.1).fre < 1e-9
-    near = Frame(POSE.origin + 5.0, Rotation.from_rotvec([0.1, 0, 0.1]).as_matrix() @ POSE.rotation)
-    text = refused(flipped, LAYOUT, 0.1, rough=near)
-    assert "RAS" in text and "LPS" in text
-    assert register(FOUND, LAYOUT, 0.1, rough=near).fre < 1e-9
 
 
 def test_fiducials_of_a_file_are_compared_with_what_the_volume_shows():
@@ -251,71 +221,28 @@ def test_fiducials_of_a_file_are_compared_with_what_the_volume_shows():
     assert "sign of x" in caught.what and "RAS" not in caught.what
 
 
-def test_a_wrong_spacing_or_unit_is_measured_and_not_corrected():
-    for factors, word in [
-        ((1.02, 1.02, 1.02), "1.0200 times too long in all"),
-        ((0.5, 0.5, 0.5), "2.0000 times too short in all"),
-        ((1.0, 1.0, 0.46), "2.1739 times too short along z"),
-        ((1.1, 1.1, 1.0), "1.1000 times too long along x and y"),
-    ]:
-        assert word in refused(FOUND * factors, LAYOUT, 0.1)
+def test_a_wrong_spacing_is_refused_and_a_wrong_unit_named():
+    for factors in [(1.02, 1.02, 1.02), (0.5, 0.5, 0.5), (1.0, 1.0, 0.46), (1.1, 1.1, 1.0)]:
+        assert "spacing" in refused(FOUND * factors, LAYOUT, 0.1)
     for unit, mm in [("metres", 1000), ("centimetres", 10), ("inches", 25.4), ("micrometres", 0.001)]:
         for found in (FOUND, FOUND[1:]):
             error = refused(found, LAYOUT / mm, 0.1)
             assert unit in error and f"{mm:g}" in error
-    registration = register(FOUND * 1.004, LAYOUT, 0.1)
-    assert np.abs(np.linalg.svd(registration.rotation, compute_uv=False) - 1).max() < 1e-12
-    assert any("0.9960" in remark and "not done" in remark for remark in registration.warnings)
-    whole = {scale.along: scale for scale in registration.scale}["in all directions"]
-    # sd = sigma / sqrt(sum |x - mean|^2)
-    spread = np.sqrt(np.sum((1.004 * (LAYOUT - LAYOUT.mean(axis=0))) ** 2))
-    assert whole.sd == pytest.approx(0.1 / spread)
-    assert whole.factor == pytest.approx(1 / 1.004, abs=1e-5)
+    assert register(FOUND * 1.004, LAYOUT, 0.1).p_value < 0.1
 
 
-def test_unrelated_markers_few_that_agree_and_understated_noise_are_refused():
+def test_unrelated_markers_three_of_many_and_understated_noise_are_refused():
     rng = np.random.default_rng(8)
-    assert "no pairing" in refused(rng.uniform(-40, 40, (7, 3)), LAYOUT, 0.1)
+    others = rng.uniform(-40, 40, (7, 3))
+    assert "no pairing" in refused(others, LAYOUT, 0.1)
+    assert "no pairing" in refused(np.concatenate([FOUND[:3], others[:2]]), LAYOUT[[0, 1, 2, 4]], 0.1)
     rng = np.random.default_rng(9)
     found = FOUND + 0.3 * rng.normal(size=(6, 3))
     text = refused(found, LAYOUT, 0.03)
     assert re.search(r"\b8 times .*\b6 ", text)
-    rng = np.random.default_rng(4)
-    found = np.concatenate([FOUND[:3], POSE.to_local(rng.uniform(-40, 40, (3, 3)))])
-    assert re.search(r"\b3 of the 6 .*\b6 known", refused(found, LAYOUT, 0.2))
-    sets = pairing.make_marker_sets(found, LAYOUT, 0.2, 0.0)
-    assert pairing.expected_chance_pairings(sets, 3) > 1e-3 > pairing.expected_chance_pairings(sets, 5)
 
 
 # pairings
-
-
-def test_pairs_are_taken_if_they_fit_and_corrected_if_they_do_not():
-    right = [[n, n] for n in range(6)]
-    assert register(FOUND, LAYOUT, 0.1, pairs=right).wrong_pairing_probability < 1e-3
-    assert register(FOUND, LAYOUT, 0.1, pairs=right[:4]).pairs.tolist() == right[:4]
-    text = refused(FOUND, LAYOUT, 0.1, pairs=[[0, 1], [1, 0], *right[2:]])
-    assert "0->1, 1->0" in text
-    assert "expected: 0->0, 1->1" in text
-    for pairs in [
-        [[0, 0], [1, 1]],
-        [[0, 0], [1, 1], [2, 1]],
-        [[0, 0], [1, 1], [2, 6]],
-        [[0, 0], [1, 1], [-1, 2]],
-        [0, 1],
-    ]:
-        assert "no pairing" in refused(FOUND, LAYOUT, 0.1, pairs=pairs)
-
-
-@settings(max_examples=25)
-@given(seeds)
-def test_any_wrong_pair_is_noticed(seed):
-    rng = np.random.default_rng(seed)
-    partner = rng.permutation(6)
-    if (partner == np.arange(6)).all():
-        return
-    found = FOUND + 0.1 * rng.normal(size=(6, 3))
-    assert "do not fit" in refused(found, LAYOUT, 0.1, pairs=np.column_stack([np.arange(6), partner]))
 
 
 def test_the_square_has_eight_turns_and_a_layout_is_asymmetric_above_its_misfit():
@@ -371,7 +298,3 @@ def test_all_pairings_of_a_cube_are_its_turns_and_of_many_markers_the_right_one_
     assert registration.pairs.tolist() == [[n, n + 2] for n in range(10)]
     monkeypatch.setattr(pairing, "MAX_PARTIAL_PAIRINGS", 2)
     assert "partial pairings" in refused(FOUND, LAYOUT, 0.1)
-    registration = register(FOUND, LAYOUT, 0.1, rough=POSE)
-    assert registration.pairs.tolist() == [[n, n] for n in range(6)]
-    assert np.isnan(registration.wrong_pairing_probability)
-    assert any("too many pairings" in remark for remark in registration.warnings)

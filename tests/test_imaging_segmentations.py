@@ -1,15 +1,12 @@
-"""Segmentations in DICOM as layers: DICOM-SEG by highdicom, RTSTRUCT contours, choice by name."""
+"""Contours of RTSTRUCT files as layers and masks, and segments chosen by name."""
 
 from functools import partial
 
-import highdicom
 import numpy as np
 import pytest
 from dicom_series import FRAME, a_slice, save
-from highdicom.seg import Segmentation, SegmentDescription
 from layer_cases import labelled, save_segments
 from pydicom.dataset import Dataset, FileMetaDataset
-from pydicom.sr.codedict import codes
 from pydicom.uid import ExplicitVRLittleEndian, RTStructureSetStorage, generate_uid
 from reading_here import child_process_reader, read_here  # noqa: F401
 from refusals import refusal, refused_file
@@ -17,136 +14,16 @@ from test_imaging_exports import pack
 
 from needlefit.datasets.faults import Fault
 from needlefit.errors import DataError
-from needlefit.geometry.frames import IDENTITY_FRAME
 from needlefit.geometry.meshes import fill_mesh
 from needlefit.geometry.surfaces import make_cylinder
-from needlefit.imaging.layers import extract_label_surfaces, read_labels, read_layers
-from needlefit.imaging.scans import LayerSource, Scan, parse_layer_source
-from needlefit.imaging.volume import to_patient
+from needlefit.imaging.layers import extract_label_surfaces
+from needlefit.imaging.scans import LayerSource, parse_layer_source
+from needlefit.imaging.segmentations import read_labels
 from needlefit.imaging.volume_files import read_mask
 
 pytestmark = pytest.mark.usefixtures("read_here")
 
-COUNT, ROWS, COLUMNS, STEP = 24, 40, 48, 1.0
-ORIGIN = (-12.0, 20.0, 30.0)
-PIXEL = (0.9, 0.8)
-
-
-def slices():
-    about = {"StudyInstanceUID": generate_uid(entropy_srcs=["study"]), "PatientID": "a", "StudyID": "1"}
-    names = ("StudyDate", "StudyTime", "AccessionNumber", "ReferringPhysicianName", "PatientName")
-    empty = dict.fromkeys((*names, "PatientBirthDate", "PatientSex", "Manufacturer"), "")
-    return [
-        a_slice(
-            k,
-            np.zeros((ROWS, COLUMNS), np.int16),
-            ImagePositionPatient=[*ORIGIN[:2], ORIGIN[2] + STEP * k],
-            PixelSpacing=list(PIXEL),
-            SliceThickness=STEP,
-            **about,
-            **empty,
-        )
-        for k in range(COUNT)
-    ]
-
-
-def boxes():
-    """Three neighbours along the columns, inside the volume: (K, J, I) masks."""
-    masks = [np.zeros((COUNT, ROWS, COLUMNS), bool) for _ in range(3)]
-    for n, mask in enumerate(masks):
-        mask[4 + n : 20, 6:34, 6 + 12 * n : 18 + 12 * n] = True
-    return masks
-
-
-def write_seg(path, masks, kind="BINARY", names=("skin", "fat", "muscle")):
-    algorithm = highdicom.AlgorithmIdentificationSequence("a", codes.DCM.ArtificialIntelligence, "1")
-    described = [
-        SegmentDescription(
-            n, name, codes.SCT.Tissue, codes.SCT.Tissue, "AUTOMATIC", algorithm_identification=algorithm
-        )
-        for n, name in enumerate(names[: len(masks)], 1)
-    ]
-    pixels = np.stack(masks, axis=-1)
-    pixels = pixels.astype(np.uint8) if kind == "BINARY" else pixels.astype(np.float64)
-    uids = [generate_uid(entropy_srcs=[name]) for name in ("seg series", "seg")]
-    about = ("a", "b", "c", "d")
-    Segmentation(slices(), pixels, kind, described, uids[0], 9, uids[1], 1, *about).save_as(path)
-    return path
-
-
 refused = partial(refused_file, read_labels)
-
-
-# ---- DICOM-SEG
-
-
-@pytest.mark.sweep
-@pytest.mark.usefixtures("child_process_reader")
-def test_segments_are_labels_where_the_scan_stands(tmp_path):
-    labels = read_labels(write_seg(tmp_path / "tissue", boxes()))  # archives use no endings
-    assert [one.name for one in labels.segments] == ["skin", "fat", "muscle"]
-    for n, mask in enumerate(boxes(), 1):
-        marked = to_patient(labels.volume, np.argwhere(labels.volume.values == n)[:, ::-1])
-        places = np.argwhere(mask)[:, ::-1] * [PIXEL[1], PIXEL[0], STEP] + ORIGIN
-        assert marked[np.lexsort(marked.T)] == pytest.approx(places[np.lexsort(places.T)], abs=1e-9)
-
-
-def test_fractional_segments_count_from_one_half_and_overlaps_are_refused(tmp_path):
-    skin, fat, _ = boxes()
-    path = write_seg(tmp_path / "s.dcm", [np.where(skin, 0.8, 0.2) * (skin | fat)], "FRACTIONAL")
-    assert np.count_nonzero(read_labels(path).volume.values) == np.count_nonzero(skin)
-    path = write_seg(tmp_path / "s.dcm", [skin, fat | skin])
-    assert "overlap: skin, fat" in refused(path).what
-    assert len(read_labels(path, ("fat",)).segments) == 1
-
-
-def test_the_surfaces_of_segments_are_solids_in_place(tmp_path):
-    scan = Scan("a", tmp_path / "a", "m", surfaces=(LayerSource(write_seg(tmp_path / "s.dcm", boxes())),))
-    surfaces = read_layers(scan, IDENTITY_FRAME)
-    assert [(one.kind, one.into) for one in surfaces] == [("solid", 1), ("solid", 2), ("solid", 3)]
-    low = ORIGIN[0] + PIXEL[1] * (np.array([6, 18, 30]) - 0.5)
-    assert [one.mesh.bounds[0, 0] for one in surfaces] == pytest.approx(low, abs=0.05)
-    high = ORIGIN[2] + STEP * 19.5
-    assert [one.mesh.bounds[1, 2] for one in surfaces] == pytest.approx([high] * 3, abs=0.05)
-    path = write_seg(tmp_path / "s.dcm", boxes())
-    own = read_labels(path).volume.frame_of_reference
-    assert own == slices()[0].FrameOfReferenceUID
-    assert len(extract_label_surfaces(path, ("fat",), own)) == 1
-    error = refusal(DataError, "", extract_label_surfaces, path, ("fat",), "1.2.3")
-    assert "1.2.3" in error.what and error.where == str(path)
-    body = {"Body": [circle(20.0, z) for z in HEIGHTS]}
-    assert read_labels(write_contours(tmp_path / "rt.dcm", body)).volume.frame_of_reference == own
-
-
-def test_segments_are_chosen_by_name_in_any_file(tmp_path):
-    path = write_seg(tmp_path / "s.dcm", boxes())
-    labels = read_labels(path, ("muscle", "Fat"))
-    assert [one.name for one in labels.segments] == ["muscle", "fat"]
-    assert "bone" in refused(path, ("bone",)).what and "skin" in refused(path, ("bone",)).expected
-    nrrd = save_segments(
-        tmp_path / "l.seg.nrrd", [labelled(lambda p: 1 + (p[:, 0] > 0))], [(1, "skin"), (2, "fat")]
-    )
-    (fat,) = extract_label_surfaces(nrrd, ("fat",))
-    assert fat.into == 1 and fat.mesh.bounds[0] @ [1, 0, 0] == pytest.approx(0, abs=0.1)
-    source = parse_layer_source("s.dcm=segments:muscle, fat", tmp_path)
-    assert source == LayerSource(path, segments=("muscle", "fat"))
-    assert isinstance(parse_layer_source("s.dcm=solid:2", tmp_path), Fault)
-
-
-def test_a_segmentation_in_an_archive_and_as_a_mask(tmp_path):
-    path = write_seg(tmp_path / "s.dcm", boxes()[:1])
-    save(tmp_path / "scan", slices())
-    files = [("a/seg", path.read_bytes()), ("a/ct", (tmp_path / "scan" / "000.dcm").read_bytes())]
-    archive = pack(tmp_path / "s.zip", files)
-    for one in (path, archive):
-        assert np.count_nonzero(read_mask(one).values) == np.count_nonzero(boxes()[0])
-        assert len(read_labels(one).segments) == 1
-    twice = pack(tmp_path / "t.zip", [*files, ("b/seg", path.read_bytes())])
-    assert "2 DICOM segmentations" in refused(twice).what
-    assert "no DICOM segmentation" in refused(tmp_path / "scan" / "000.dcm").what
-
-
-# ---- RTSTRUCT
 
 
 def circle(radius, z, centre=(0.0, 0.0), count=180):
@@ -229,6 +106,38 @@ def test_of_regions_that_lie_in_one_another_the_inner_one_comes_later(tmp_path):
     assert "overlap" in refused(write_contours(tmp_path / "o.dcm", regions)).what
     thin = {"A": cylinder(10.0), "B": cylinder(10.0, centre=(19.9, 0.0))}  # a sliver
     assert len(read_labels(write_contours(tmp_path / "t.dcm", thin)).segments) == 2
+
+
+def test_contours_stand_in_their_scan_in_an_archive_and_as_a_mask(tmp_path):
+    path = write_contours(tmp_path / "rt", {"Body": cylinder(20.0)})  # archives use no endings
+    assert read_labels(path).volume.frame_of_reference == FRAME
+    assert len(extract_label_surfaces(path, ("Body",), FRAME)) == 1
+    error = refusal(DataError, "", extract_label_surfaces, path, ("Body",), "1.2.3")
+    assert "1.2.3" in error.what and error.where == str(path)
+    slices = save(tmp_path / "scan", [a_slice(k) for k in range(3)])
+    files = [("a/rt", path.read_bytes()), ("a/ct", (slices / "000.dcm").read_bytes())]
+    for one in (path, pack(tmp_path / "s.zip", files)):
+        values = read_mask(one)
+        area = np.count_nonzero(values.values[5]) * np.prod(values.spacing[:2])
+        assert area == pytest.approx(np.pi * 400, rel=0.005)
+    twice = pack(tmp_path / "t.zip", [*files, ("b/rt", path.read_bytes())])
+    assert "2 DICOM structure sets" in refused(twice).what
+    assert "no DICOM structure set" in refused(slices / "000.dcm").what
+
+
+def test_segments_are_chosen_by_name_in_any_file(tmp_path):
+    path = write_contours(tmp_path / "s.dcm", {"Body": cylinder(20.0), "Core": cylinder(8.0)})
+    labels = read_labels(path, ("core",))
+    assert [one.name for one in labels.segments] == ["Core"]
+    assert "bone" in refused(path, ("bone",)).what and "Core" in refused(path, ("bone",)).expected
+    nrrd = save_segments(
+        tmp_path / "l.seg.nrrd", [labelled(lambda p: 1 + (p[:, 0] > 0))], [(1, "skin"), (2, "fat")]
+    )
+    (fat,) = extract_label_surfaces(nrrd, ("fat",))
+    assert fat.into == 1 and fat.mesh.bounds[0] @ [1, 0, 0] == pytest.approx(0, abs=0.1)
+    source = parse_layer_source("s.dcm=segments:Body, Core", tmp_path)
+    assert source == LayerSource(path, segments=("Body", "Core"))
+    assert isinstance(parse_layer_source("s.dcm=solid:2", tmp_path), Fault)
 
 
 def test_points_are_left_out_and_open_or_damaged_contours_refused(tmp_path):

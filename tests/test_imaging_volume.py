@@ -194,9 +194,8 @@ SPACE_STEPS = "(0.4,0,0) (0,0.5,0) (0,0,0.9)"
 
 
 @pytest.mark.parametrize("encoding", ["raw", "gzip"])
-@pytest.mark.parametrize("kind", [None, "time", "list"])
 @pytest.mark.parametrize("last", [True, False])
-def test_nrrd_of_four_axes_that_holds_one_volume(tmp_path, encoding, kind, last):
+def test_nrrd_of_four_axes_that_holds_a_list_of_one_volume(tmp_path, encoding, last, kind="list"):
     place = ("{} {kind}" if last else "{kind} {}").format
     path = nrrd(
         tmp_path / "one volume.nrrd",
@@ -205,7 +204,7 @@ def test_nrrd_of_four_axes_that_holds_one_volume(tmp_path, encoding, kind, last)
             "dimension": 4,
             "sizes": place("4 3 2", kind=1),
             "space directions": place(SPACE_STEPS, kind="none"),
-            "kinds": kind and place("domain domain domain", kind=kind),
+            "kinds": place("domain domain domain", kind=kind),
             "encoding": encoding,
         },
     )
@@ -320,8 +319,9 @@ def test_packed_files_with_a_wrong_byte_or_size(tmp_path):
     content[-40] ^= 0xFF
     path.write_bytes(content)
     assert "damaged" in refused(path).fix
-    # 512 MB claimed, 48 bytes there: counted, not believed.
-    assert "not all there" in refused(nifti(tmp_path / "a.nii.gz", sizes=(1024, 512, 512))).what
+    # 48 bytes there, 512 MB claimed, and fewer: counted, not believed.
+    assert "unpacks" in refused(nifti(tmp_path / "a.nii.gz", sizes=(1024, 512, 512))).what
+    assert "not all there" in refused(nifti(tmp_path / "a.nii.gz", sizes=(64, 64, 64))).what
 
 
 def test_a_header_with_detached_voxels_and_non_finite_values(tmp_path):
@@ -344,7 +344,6 @@ def test_a_header_that_claims_a_petabyte_is_refused_before_anything_is_allocated
     bombs = [
         nrrd(tmp_path / "a.nrrd", sizes=huge),
         nrrd(tmp_path / "b.nrrd", sizes=huge, encoding="gzip"),
-        nrrd(tmp_path / "c.nrrd", sizes="99999999999 99999999999 99999999999"),
         nifti(tmp_path / "d.nii", sizes=(32767, 32767, 32767)),
         nifti(tmp_path / "e.nii.gz", sizes=(32767, 32767, 32767)),
         metaimage(tmp_path / "f.mha", DimSize=huge),

@@ -6,7 +6,6 @@ from itertools import product
 import numpy as np
 import test_inference_document as document
 import track_cases as tracks
-from compression_cases import specimen
 from golden_numbers import assert_golden
 from inference_cases import TRUTH, insertion, measure, medium, problem, squares_recipe, two_layers
 from sampling_cases import Known, banana, two_hills
@@ -15,17 +14,15 @@ from test_inference_importance import weighted
 from test_inference_optimize import squares, valley
 from test_inference_predict import measured as bent
 from test_inference_specimens import BOUNDS, MODEL, gaussian
-from test_inference_tracks import make_readings, tracked
 
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import read
-from needlefit.inference import tracking
+from needlefit.inference import track_predictions
 from needlefit.inference.baseline_fit import fit_baselines
 from needlefit.inference.baselines import BASELINES
 from needlefit.inference.identifiability.design_gain import expect_precision, linearized_gain, nested_gain
 from needlefit.inference.identifiability.identify import identify, profile_parameters
 from needlefit.inference.likelihood.observation import make_observation
-from needlefit.inference.material import fit_specimen, pool
 from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import PredictiveMixture, cdf, crps, draw_from_prior, interval, quantile
 from needlefit.inference.problem import make_problem
@@ -56,20 +53,16 @@ def test_verdicts_profiles_and_designs():
     assert_golden("identifiability", found, rtol=1e-4)
 
 
-def test_gains_specimens_and_materials():
+def test_gains_and_specimens():
     thetas = rng().multivariate_normal([0.0, 0.0], COVARIANCE, size=200)
     of, by_depth = np.arange(60), np.array([0.5, -1.0, 2.0])
     means = rng().multivariate_normal([10.0, -1.6], np.diag([0.16, 0.04]), size=5)
     known = [make_specimen(gaussian(mean, COVARIANCE, n)[::10]) for n, mean in enumerate(means)]
     posterior = Population(tuple(known), BOUNDS, MODEL).posterior(rng())
-    fits = {str(alpha): fit_specimen(specimen(alpha, 0.8, 0.01), "nominal") for alpha in (-5.0, 3.0, 12.0)}
-    estimates = [np.array([np.log(fit.mu), fit.alpha]) for fit in fits.values()]
     found = {
         "gain": nested_gain(predict_data(thetas, by_depth), of, thetas, rng()),
         "linear": linearized_gain(COVARIANCE, np.eye(2)),
         "posterior": [posterior.thetas.mean(axis=0), posterior.thetas.std(axis=0), posterior.k],
-        "fits": fits,
-        "pool": pool(estimates, [np.diag([0.01, 0.25])] * 3),
     }
     assert_golden("gains", found)
 
@@ -130,23 +123,18 @@ def test_tracks():
     seen = [make_observation(tracks.dataset([]), one) for one in runs]
     kinds = ("straight", "constant_curvature", "steered_line", "guide_kernel")
     drawn = {
-        name: tracking.draw_baseline(BASELINES[name], seen[:4], runs[4:], 60, rng())
+        name: track_predictions.draw_baseline(BASELINES[name], seen[:4], runs[4:], 60, rng())
         for name in BASELINES.names()
         if name in kinds
     }
-    slopes = {name: tracking.estimate_slopes(one, seen[:4], runs[4]) for name, one in drawn.items()}
+    slopes = {name: track_predictions.estimate_slopes(one, seen[:4], runs[4]) for name, one in drawn.items()}
     tips = np.repeat(drawn["straight"].held_out[0][:1], 60, axis=0)
-    noise, needle = tracking.TipNoise(0.1, 0.1, 0.05, 0.001), tracked(layers=3)
-    prior = tracking.make_prior_from_factors(needle.tissue.mu, 0.08, (1.8, 1.5), noise)
     found = {
         "draws": {name: [np.mean(one.held_out[0], axis=0), one.scale.mean()] for name, one in drawn.items()},
         "slopes": slopes,
-        "ahead": tracking.predict_readings(seen[4], tips, np.ones(60), slopes["straight"], 5, rng()).mean(
-            axis=0
-        ),
-        "tip": tracking.estimate_parameters(
-            needle, make_readings(needle, prior.theta + 0.1, 2), prior, noise
-        ),
+        "ahead": track_predictions.predict_readings(
+            seen[4], tips, np.ones(60), slopes["straight"], 5, rng()
+        ).mean(axis=0),
     }
     assert_golden("tracks", found, rtol=1e-4)
 

@@ -8,8 +8,12 @@ from inference_cases import TRUTH, medium, two_layers
 from sampling_cases import Known, banana, gaussian, two_hills, weighted
 from scipy.stats import genpareto, multivariate_normal, multivariate_t, norm
 
+from needlefit.datasets.read import read
+from needlefit.datasets.select import select_insertions
 from needlefit.inference.fit import Fit, Start
 from needlefit.inference.identifiability.profile import minimize_squares
+from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
+from needlefit.inference.problem import make_problem
 from needlefit.inference.sampling.importance import (
     ZERO_DENSITY,
     Effort,
@@ -23,9 +27,16 @@ from needlefit.inference.sampling.importance import (
     resample,
     resample_draws,
     sample_about_modes,
+    sample_by_importance,
     select_distinct,
     smooth_weights,
 )
+from needlefit.inference.sampling.log_density import Evaluator, approximate_by_laplace
+from needlefit.project.locate import find_file
+from needlefit.project.toml import load
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import WeightsRecord
+from needlefit.schemas.study import SelectionRecord
 
 
 def moments(found: WeightedDraws) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -259,3 +270,22 @@ def test_the_density_of_further_data_is_the_ratio_of_evidences():
     assert (
         max(one.k for one in densities) < 0.7 and min(one.effective_sample_size for one in densities) >= 250
     )
+
+
+@pytest.mark.sweep
+def test_draws_about_the_information_of_the_search_have_the_evidence_of_others():
+    """Of four needles into one phantom; the others are drawn about the Laplace approximation."""
+    twin, rng = read(find_file("dataset", "twin")), np.random.default_rng
+    chosen = select_insertions(twin, SelectionRecord(medium="phantom2"))[:4]
+    medium = load(find_file("medium", "phantom2"), MediumRecord)
+    problem = make_problem(twin, chosen, medium, WeightsRecord(), PLAIN_LIKELIHOOD)
+    minimum, bounds = minimize_squares(problem, problem.parameters.expected), (problem.lower, problem.upper)
+    effort = Effort(draws=200, rounds=2, min_ess=100.0, profiles=False)
+    fast = sample_about_modes(problem, [minimum], rng(1), efforts=(effort,))
+    density = Evaluator(problem, 1)
+    about = approximate_by_laplace(density, minimum.theta, *bounds)
+    slow = sample_by_importance(density, [about], bounds, rng(1), (effort,))
+    assert fast.certified and slow.certified
+    assert fast.log_evidence == pytest.approx(slow.log_evidence, abs=0.1)
+    means = [np.exp(one.log_weights) @ one.thetas for one in (fast, slow)]
+    assert means[0] == pytest.approx(means[1], abs=0.03)

@@ -23,19 +23,16 @@ from track_cases import (
 )
 
 from needlefit.errors import ConfigError, DataError
-from needlefit.inference import tracking
+from needlefit.inference import track_predictions
 from needlefit.inference.baselines import BASELINES
-from needlefit.inference.compared_points import extrapolate_tip, find_end, share_simulations
+from needlefit.inference.compared_points import find_end, share_simulations
 from needlefit.inference.forward_model import simulate_deflections
 from needlefit.inference.likelihood import observation
 from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
-from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
-from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import Lattice
+from needlefit.mechanics.control import Bevel, Guide, ModelOptions
 from needlefit.mechanics.session import Session
-from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.recipe import RecipeRecord, TrackErrorsRecord
 from needlefit.studies.kinds import tracks
@@ -219,9 +216,9 @@ def test_later_readings_do_not_enter_the_prediction(runs):
     later = runs[0].tip.copy()
     later[5:] += 9.0
     other = replace(known, measured=np.column_stack([DEPTH, later]))
-    slope = tracking.SlopeMoments(np.zeros(8), np.ones(8))
+    slope = track_predictions.SlopeMoments(np.zeros(8), np.ones(8))
     one, two = (
-        tracking.predict_readings(
+        track_predictions.predict_readings(
             at, np.zeros((8, len(DEPTH))), np.ones(8), slope, 5, np.random.default_rng(1)
         )
         for at in (known, other)
@@ -234,14 +231,16 @@ def test_slopes_of_further_runs_are_predicted_from_the_fitted_ones():
     bent = [measured(track(f"run{n}", REST), n, one) for n, one in enumerate(frames)]
     seen = [observation.make_observation(dataset([]), one) for one in bent]
     (y,) = simulate_tips(bent[:1])
-    drawn = tracking.TrackDraws((y,) * 5, (), np.ones(1))
-    found = tracking.estimate_slopes(drawn, seen)
+    drawn = track_predictions.TrackDraws((y,) * 5, (), np.ones(1))
+    found = track_predictions.estimate_slopes(drawn, seen)
     assert found.mean[0] == pytest.approx(0.03)
     assert found.variance[0] == pytest.approx(0.00025 * 1.2 * 4 / 2)  # scatter, one more run, Student
     refusal(
         ConfigError,
         "3 runs",
-        lambda: tracking.estimate_slopes(tracking.TrackDraws((y,) * 3, (), np.ones(1)), seen[:3]),
+        lambda: track_predictions.estimate_slopes(
+            track_predictions.TrackDraws((y,) * 3, (), np.ones(1)), seen[:3]
+        ),
     )
 
 
@@ -250,13 +249,13 @@ def test_a_line_takes_its_slope_from_runs_alike():
     tracks = [with_tip(track(f"run{n}", guide), one * DEPTH) for n, (guide, one) in enumerate(frames)]
     seen = [observation.make_observation(dataset([]), one) for one in tracks]
     rng = np.random.default_rng(1)
-    drawn = tracking.draw_baseline(BASELINES["steered_line"], seen, tracks[-1:], 3, rng)
+    drawn = track_predictions.draw_baseline(BASELINES["steered_line"], seen, tracks[-1:], 3, rng)
     for further, mean in ((tracks[0], 0.02), (tracks[-1], 0.08)):
-        found = tracking.estimate_slopes(drawn, seen, further)
+        found = track_predictions.estimate_slopes(drawn, seen, further)
         assert found.mean == pytest.approx(np.full(3, mean))
         assert found.variance == pytest.approx(np.full(3, 1e-4 * (1 + 1 / 3) * 4 / 2))
-    few = tracking.estimate_slopes(
-        tracking.TrackDraws(drawn.tuned[2:], (), drawn.scale, True), seen[2:], tracks[-1]
+    few = track_predictions.estimate_slopes(
+        track_predictions.TrackDraws(drawn.tuned[2:], (), drawn.scale, True), seen[2:], tracks[-1]
     )
     assert few.mean == pytest.approx(np.full(3, 0.0675))
 
@@ -275,113 +274,6 @@ def test_each_predicted_run_has_a_bevel_of_its_own(monkeypatch, runs):
     ends = [held[:, -1] for held in drawn.held_out]
     assert np.std(ends[1] / bent[0, -1]) == pytest.approx(0.1, rel=0.15)
     assert abs(np.corrcoef(ends)[0, 1]) < 0.2
-
-
-# ---- the running estimate of a tracked needle
-
-TIP_NOISE = tracking.TipNoise(0.1, 0.1, 0.05, 0.001)
-OPTIONS = ModelOptions()
-
-
-def tracked(depth: float = 60.0, layers: int = 1, options: ModelOptions = OPTIONS) -> tracking.TrackedNeedle:
-    mu = np.array([0.05, 2.0, 0.1])[:layers]
-    tissue = Tissue(mu, np.ones(layers), np.array([20.0, 30.0])[: layers - 1])
-    angle = 0.05 if options.path_angle else 0.0
-    bevel = Bevel(0.0 if angle else 0.08, 1, angle)
-    guided = Controls(base_y=0.3, guides=(Guide(-20.0, 0.1),))
-    steps = (Step(depth / 3, bevel, guided), Step(depth, replace(bevel, side=-1), guided))
-    return tracking.TrackedNeedle(Needle(150.0, 10_000.0), tissue, steps, options, 1.0)
-
-
-def read_tips(needle: tracking.TrackedNeedle, theta, depths) -> np.ndarray:
-    changed = tracking.set_parameters(needle, theta)
-    lattice = Lattice(changed.first_cell, changed.rules.spacing)
-    shape = simulate_steps(changed.needle, changed.tissue, changed.steps, changed.rules, lattice)
-    return extrapolate_tip(shape.constraints[:, 0], shape.tip_track[:, 0], depths)
-
-
-def make_readings(needle, theta, seed, noise=TIP_NOISE) -> np.ndarray:
-    rng, depths = np.random.default_rng(seed), np.arange(1.0, needle.steps[-1].depth + 1)
-    off = noise.across * rng.standard_normal(len(depths)) + noise.shift * rng.standard_normal()
-    return np.column_stack([depths, read_tips(needle, theta, depths) + off])
-
-
-@pytest.mark.parametrize("options", [OPTIONS, ModelOptions(advance="path_angle")])
-def test_derivatives_are_those_of_differences(options) -> None:
-    needle = tracked(layers=3, options=options)
-    state = np.append(np.log([0.06, 1.7, 0.09, 0.05]), [0.2, 0.003])
-    depths = np.array([3.0, 19.5, 40.0, 59.7])
-    found = tracking._linearize(needle, state, depths)
-    for n in range(len(state)):
-        ends = [
-            tracking._linearize(needle, state + sign * 1e-4 * np.eye(6)[n], depths).tip for sign in (1, -1)
-        ]
-        assert found.by_state[:, n] == pytest.approx((ends[0] - ends[1]) / 2e-4, abs=2e-6)
-    assert found.by_state[:, 4:] == pytest.approx(np.column_stack([np.ones(4), depths]))
-
-
-def test_the_estimate_is_the_posterior_on_a_grid() -> None:
-    needle = tracked()
-    prior = tracking.make_prior_from_factors(needle.tissue.mu, 0.08, (1.6, 1.3), TIP_NOISE)
-    truth = prior.theta + np.array([0.3, 0.2])
-    readings = make_readings(needle, truth, 1)
-    found = tracking.estimate_parameters(needle, readings, prior, TIP_NOISE)
-    slope = tracking._linearize(needle, found.mean, readings[:, 0]).by_depth
-    covariance = np.diag(TIP_NOISE.across**2 + (slope * TIP_NOISE.along) ** 2) + TIP_NOISE.shift**2
-    covariance += TIP_NOISE.slope**2 * np.outer(readings[:, 0], readings[:, 0])
-    inverse, apart = np.linalg.inv(covariance), np.linspace(-4.5, 4.5, 31)
-    axes = np.linalg.cholesky(found.covariance[:2, :2])
-    grid = found.theta + np.array([axes @ [x, y] for x in apart for y in apart])
-    off = readings[:, 1] - np.array([read_tips(needle, one, readings[:, 0]) for one in grid])
-    away = (grid - prior.theta) / prior.sd
-    logs = -0.5 * (np.einsum("gi,ij,gj->g", off, inverse, off) + np.sum(away**2, axis=1))
-    weights = np.exp(logs - logs.max()) / np.exp(logs - logs.max()).sum()
-    mean = weights @ grid
-    sd = np.sqrt(weights @ (grid - mean) ** 2)
-    assert found.theta == pytest.approx(mean, abs=0.25 * sd.max())
-    assert found.sd == pytest.approx(sd, rel=0.15)
-    assert np.all(np.abs(found.theta - truth) < 3 * found.sd)
-    assert found.readings == len(readings) == 60
-
-
-def test_an_estimate_can_be_the_prior_of_further_readings() -> None:
-    needle = tracked(40.0)
-    prior = tracking.make_prior_from_factors(needle.tissue.mu, 0.08, (1.3, 1.2), TIP_NOISE)
-    readings = make_readings(needle, prior.theta + np.array([0.1, -0.1]), 2)
-    whole = tracking.estimate_parameters(needle, readings, prior, TIP_NOISE)
-    first = tracking.estimate_parameters(needle, readings[:25], prior, TIP_NOISE)
-    second = tracking.estimate_parameters(needle, readings[25:], first, TIP_NOISE)
-    assert second.readings == whole.readings == 40
-    assert second.theta == pytest.approx(whole.theta, abs=0.1 * whole.sd.max())
-    assert second.sd == pytest.approx(whole.sd, rel=0.05)
-    half = tracking.discount_estimate(whole, prior)
-    assert np.all((whole.sd < half.sd) & (half.sd < prior.sd)) and half.mean is whole.mean
-    assert tracking.discount_estimate(prior, prior).covariance == pytest.approx(prior.covariance)
-    again = tracking.estimate_parameters(needle, readings, prior, TIP_NOISE, start=whole)
-    assert again.theta == pytest.approx(whole.theta, abs=1e-3 * whole.sd.max())
-
-
-def test_priors_from_draws_and_from_factors() -> None:
-    rng = np.random.default_rng(0)
-    logs = rng.multivariate_normal([0.0, -3.0], [[0.2, -0.1], [-0.1, 0.1]], 4000)
-    tied = np.exp(np.column_stack([logs[:, 0], logs[:, 0]]))
-    prior = tracking.make_prior_from_draws(tied, np.exp(logs[:, 1]), TIP_NOISE)
-    assert prior.theta == pytest.approx([0.0, 0.0, -3.0], abs=0.03)
-    assert prior.covariance[0, 2] == pytest.approx(-0.1, abs=0.01)
-    assert prior.covariance[3, 3] == TIP_NOISE.shift**2 and np.linalg.eigvalsh(prior.covariance)[0] > 0
-    drawn = np.log(prior.transform(rng.standard_normal((4000, 3))))
-    assert np.cov(drawn.T) == pytest.approx(prior.covariance[:3, :3], abs=0.02)
-    factors = tracking.make_prior_from_factors(np.array([0.1, 3.0]), 0.05, (2.0, 1.5), TIP_NOISE)
-    low, median, high = factors.interval()
-    assert median == pytest.approx([0.1, 3.0, 0.05])
-    assert np.log(high / median) / 1.96 == pytest.approx(np.log([2.0, 2.0, 1.5]), rel=1e-4)
-    assert isinstance(factors, tracking.TrackingEstimate) and np.all(low < median)
-
-
-def test_no_estimate_where_no_needle_is_found() -> None:
-    needle = tracked(options=replace(OPTIONS, max_iterations=1))
-    prior = tracking.make_prior_from_factors(needle.tissue.mu, 0.08, (1.1, 1.1), TIP_NOISE)
-    assert tracking.estimate_parameters(needle, np.array([[10.0, 0.1]]), prior, TIP_NOISE) is None
 
 
 def test_a_run_into_another_specimen_has_other_parameters(runs):
@@ -439,11 +331,11 @@ class Groups:
             nodes = np.stack([self.tips[kind], self.tips[kind] - change, self.tips[kind] + change])
             nodes = np.repeat(nodes[None, : len(one.nodes.insertions)], draws, axis=0)
             curves.append(nodes[:, 0])
-            columns.append(tracking.list_columns(one, nodes))
-        drawn = tracking.TrackDraws(
+            columns.append(track_predictions.list_columns(one, nodes))
+        drawn = track_predictions.TrackDraws(
             tuple(curves[:-1]), (curves[-1],), np.ones(draws), False, tuple(columns[:-1]), (columns[-1],)
         )
-        (found,) = tracking.predict_runs(drawn, seen[:-1], seen[-1:], [observed], self.rng)
+        (found,) = track_predictions.predict_runs(drawn, seen[:-1], seen[-1:], [observed], self.rng)
         return found[:, -1], every[-1].tip[-1]
 
 

@@ -113,6 +113,23 @@ def test_positions_keep_the_length():
     assert -0.01 < points[0, 0] <= 0.0  # the free span lags by a little too
 
 
+def test_a_deflection_of_constant_curvature_is_drawn_as_a_circle() -> None:
+    """It is exact in cubic elements."""
+    x, radius = np.concatenate(([-95.0, -20.0], np.arange(56.0))), 300.0
+    along, still = x + 95.0, np.zeros((1, 2))
+    shape = NeedleShape(x, along**2 / 2 / radius, along / radius, still, still, "converged", 0)
+    place = compute_positions(shape, np.linspace(x[0], x[-1], 301))
+    np.testing.assert_allclose(np.hypot(place[:, 0] + 95.0, place[:, 1] - radius), radius, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_points_in_the_plane_are_those_of_the_reference(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    shape = simulate_steps(*random_case(rng))
+    s = np.union1d(shape.x, rng.uniform(shape.x[0], shape.depth, 100))
+    np.testing.assert_allclose(compute_positions(shape, s), reference.compute_positions(shape, s), atol=1e-6)
+
+
 def test_points_are_drawn_as_far_from_the_needle_as_the_model_knows_them() -> None:
     """A steep needle falls short of its beam coordinate by centimetres, and what belongs to it with it."""
     shape = simulate(NEEDLE, Tissue(mu=[33.0], alpha=[1.0]), Bevel(0.2), 100.0)

@@ -1,8 +1,11 @@
 """What the model must do whatever the numbers: symmetry, continuity, refinement, magnitudes."""
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from mechanics_cases import NEEDLE
+from mechanics_cases import NEEDLE, RULES, assert_close, random_bevel, random_case, random_tissue
 
 from needlefit.mechanics import reference
 from needlefit.mechanics.batch import Batch, simulate_batches
@@ -18,7 +21,6 @@ from needlefit.mechanics.simulate import (
 )
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.scene import RulesRecord
-from needlefit.verification.check import Group, find_checks, verify
 
 
 def phantom(boundaries: tuple[float, ...] = (20.0, 28.0, 45.0)) -> Tissue:
@@ -31,11 +33,71 @@ def tip(depth: float, boundaries: tuple[float, ...] = (20.0, 28.0, 45.0), elemen
     ).tip_lateral
 
 
-@pytest.mark.parametrize("group", [one for one in Group if one not in (Group.SENSITIVITIES, Group.STATED)])
-def test_the_checks_of_verify_pass(group):
-    """Closed forms, manufactured solutions, symmetries, balances, the reference, convergence."""
-    checks = [one for one in find_checks() if one.group is group]
-    assert checks and not verify(1, checks).failed
+@pytest.mark.parametrize("kind", RULES)
+@pytest.mark.parametrize("seed", range(4))
+def test_the_mirror_image_of_all_inputs_gives_the_mirror_image_of_the_needle(seed: int, kind: str) -> None:
+    needle, tissue, steps, rules, lattice = random_case(np.random.default_rng(seed), kind)
+
+    def mirror(step: Step) -> Step:
+        given = step.controls
+        guides = tuple(replace(g, y=-g.y, slope=None if g.slope is None else -g.slope) for g in given.guides)
+        tip = given.tip and replace(
+            given.tip, y=-given.tip.y, slope=None if given.tip.slope is None else -given.tip.slope
+        )
+        held = Controls(-given.base_y, -given.base_slope, -given.stage_slope, guides, tip)
+        return replace(step, bevel=replace(step.bevel, side=-step.bevel.side), controls=held)
+
+    one, other = (
+        simulate_steps(needle, tissue, each, rules, lattice) for each in (steps, [mirror(s) for s in steps])
+    )
+    np.testing.assert_allclose(one.u, -other.u, rtol=0, atol=1e-9)
+
+
+def random_insertion(seed: int) -> tuple[Tissue, Step]:
+    """Return random layers, and one step into them under constant inputs."""
+    rng = np.random.default_rng(seed)
+    base = Controls(rng.uniform(-1, 1), rng.uniform(-0.01, 0.01))
+    return random_tissue(rng, ModelOptions()), Step(rng.uniform(15, 50), random_bevel(rng), base)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_layer_cut_into_two_equal_ones_is_that_layer(seed: int) -> None:
+    """Only the quadrature changes."""
+    tissue, step = random_insertion(seed)
+    edges = np.array([0.0, *tissue.boundaries, step.depth])
+    widest = int(np.argmax(np.diff(edges)))
+    cut = edges[widest] + 0.41 * (edges[widest + 1] - edges[widest])
+    halves = Tissue(
+        *(np.insert(values, widest, values[..., widest], axis=-1) for values in (tissue.mu, tissue.shape)),
+        np.insert(tissue.boundaries, widest, cut),
+        *(np.insert(values, widest, values[widest]) for values in (tissue.thickness, tissue.friction)),
+        tissue.law,
+    )
+    one, other = (simulate_steps(NEEDLE, each, (step,)) for each in (tissue, halves))
+    assert_close(one, other, 1e-4)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_too_far_and_back_and_back_and_in_again_is_the_same_insertion(seed: int) -> None:
+    tissue, step = random_insertion(seed)
+    lattice = Lattice(math.fmod(step.depth, 1.0), 1.0)
+    depths = (step.depth, step.depth + 0.3, step.depth, step.depth - 3.7, step.depth)
+    path = [replace(step, depth=depth) for depth in depths]
+    one, other = (simulate_steps(NEEDLE, tissue, each, lattice=lattice) for each in ((step,), path))
+    assert_close(one, other)
+
+
+@pytest.mark.parametrize("kind", RULES)
+@pytest.mark.parametrize("seed", range(4))
+def test_tissue_base_guides_and_tracked_tip_balance(seed: int, kind: str) -> None:
+    """All forces, and all moments about the entry, relative to their sizes."""
+    needle, tissue, steps, rules, lattice = random_case(np.random.default_rng(seed), kind)
+    rules = replace(rules, tolerance=1e-11)
+    shape = simulate_steps(needle, tissue, steps, rules, lattice)
+    loads = compute_loads(shape, tissue, needle, steps[-1].controls, rules)
+    every = (loads.tissue, loads.base, *loads.guides, loads.tip)
+    for parts in ([one.force for one in every], [one.moment + one.x * one.force for one in every]):
+        assert abs(sum(parts)) < 1e-5 * np.sum(np.abs(parts))
 
 
 def test_without_bevel_a_needle_stays_straight_and_alpha_hardly_moves_it():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from mechanics_cases import NEEDLE, random_case
 from refusals import refusal
+from solver_checks.refinement import ADVANCED, ANGLE, DEPTH_MM, find_advanced_tip, measure_spacing
 
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, ModelError
@@ -86,6 +87,30 @@ def test_the_curvature_of_the_tangent_rule_grows_with_depth(mu: float, spacing: 
         assert curvature / (2 * beta**2 * b / (1 + 2 * beta * spacing)) - 1 == pytest.approx(
             expected, abs=0.001
         )
+
+
+@pytest.mark.parametrize("case", ADVANCED)
+def test_the_tip_converges_with_second_order(case: str) -> None:
+    tissue, allowed = ADVANCED[case]
+    order, error = measure_spacing(tissue)
+    assert order == pytest.approx(2, abs=0.25) and error < allowed
+
+
+def test_deep_in_uniform_tissue_the_needle_is_an_arc() -> None:
+    """Its curvature is the angle over the length 1 / beta."""
+    shape = simulate(NEEDLE, Tissue([32.0], [1.0]), Bevel(cut_angle=ANGLE), 120.0, rules=RULES)
+    beta = (96.0 / 4 / NEEDLE.flexural_rigidity) ** 0.25
+    curvature = (np.diff(shape.slope) / np.diff(shape.x))[-60:-50]
+    np.testing.assert_allclose(curvature, ANGLE * beta, rtol=0.01)
+
+
+@pytest.mark.parametrize("at", [12.0, 12.5, 30.0, DEPTH_MM])
+def test_the_tip_is_continuous_in_depth_and_boundary(at: float) -> None:
+    """At and between constraint points."""
+    uniform, nearly = Tissue([0.22], [1.0]), 1e-6
+    assert abs(find_advanced_tip(uniform, 1.0, at + nearly) - find_advanced_tip(uniform, 1.0, at)) < 1e-5
+    tips = [find_advanced_tip(Tissue([0.22, 2.2], [1.0, 1.0], [x]), 1.0) for x in (at, at + nearly)]
+    assert abs(tips[1] - tips[0]) < 1e-5
 
 
 # ---- of media, scenes and the page ----

@@ -1,5 +1,6 @@
 """A scene in the world: poses seen from C, steps that carry on, and the paper's Fig. 1."""
 
+import cmath
 import math
 from dataclasses import replace
 from typing import Any
@@ -12,7 +13,7 @@ import needlefit
 from needlefit.errors import ConfigError
 from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
 from needlefit.mechanics.scene import Entry, Scene, simulate_scene
-from needlefit.mechanics.shape import NeedleShape, compute_positions
+from needlefit.mechanics.shape import NeedleShape, compute_positions, sample_inserted_points
 from needlefit.project.toml import check
 from needlefit.schemas.scene import SceneRecord
 
@@ -138,3 +139,23 @@ def test_figure_1_satisfies_its_boundary_conditions_and_bends_toward_its_bevel()
     assert np.array_equal(turned[0].u, kept[0].u)
     assert turned[1].slope[-1] < turned[0].slope[-1] < kept[1].slope[-1]
     assert turned[2].slope[-1] < 0 < kept[2].slope[-1]
+
+
+@pytest.mark.parametrize(("origin", "turn"), [(0.0, 2.9), (180 - 130j, -1.3), (-40 + 7j, 0.4)])
+def test_a_scene_moved_as_a_whole_has_the_needle_moved_by_hand(origin: complex, turn: float) -> None:
+    """Entry, template and stage; `origin` is x + i y, mm, `turn` in rad."""
+
+    def place(origin: complex, turn: float) -> tuple[np.ndarray, np.ndarray]:
+        at, angle = origin + (-15 + 0.4j) * cmath.exp(1j * turn), math.degrees(turn)
+        scene = built(
+            entry={"x_mm": origin.real, "y_mm": origin.imag, "angle_deg": angle},
+            controls={"base_y_mm": 1.0, "stage_angle_deg": angle + 1.0},
+            guides=[{"name": "template", "x_mm": at.real, "y_mm": at.imag, "angle_deg": angle - 2.0}],
+            steps=[{"depth_mm": 20.0}, {"depth_mm": 40.0, "side": -1}],
+        )
+        shape = simulate_scene(scene)[-1]
+        return shape.u, scene.entry.to_world(sample_inserted_points(shape)) @ [1, 1j]
+
+    (u, here), (moved, there) = place(0j, 0.0), place(complex(origin), turn)
+    np.testing.assert_allclose(moved, u, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(there, origin + here * cmath.exp(1j * turn), rtol=0, atol=1e-7)

@@ -18,7 +18,14 @@ from pathlib import Path
 import mpmath
 import numpy as np
 import pytest
-from mechanics_cases import random_needle, random_rigidity, random_rules, random_steps, random_tissue
+from mechanics_cases import (
+    draw_shape,
+    random_needle,
+    random_rigidity,
+    random_rules,
+    random_steps,
+    random_tissue,
+)
 from native_cases import read_numbers
 
 from hatch_build import FLAGS, ZIG_FLAGS
@@ -79,7 +86,7 @@ def make_problem(rng: np.random.Generator, tables: list[np.ndarray]) -> native.K
     mu[rng.random(sets) < 0.02] = np.nan  # these fail, as do some of those in the softest tissue
     values = {
         "mu": mu,
-        "shape": np.moveaxis(LAWS[tissue.law].draw_shape(rng, (sets, tissue.layers)), 0, 1),
+        "shape": np.moveaxis(draw_shape(LAWS[tissue.law], rng, (sets, tissue.layers)), 0, 1),
         "rigidity": round_digits(random_rigidity(rng, rules, sets)),
         "base_y": rng.uniform(-0.5, 0.5, sets),
     }

@@ -34,7 +34,6 @@ from needlefit.planning.steering import (
     PlanLimits,
     StartedInsertion,
     SteeringPlan,
-    draw_target,
     find_reachable_region,
     plan_steering,
 )
@@ -270,14 +269,6 @@ def test_the_bevel_of_a_path_angle_scene_is_planned_too() -> None:
     rules = replace(insertion().rules, advance="path_angle")
     start = Step(0.0, Bevel(cut_angle=0.05), insertion().now.controls)
     assert plan((40.0, -1.0), start=replace(insertion(), rules=rules, path=(start,))).nominal_miss < 0.1
-
-
-@pytest.mark.sweep
-def test_a_random_target_is_one_that_a_plan_reaches() -> None:
-    rng = np.random.default_rng(3)
-    targets = [draw_target(insertion(), 35.0, rng) for _ in range(3)]
-    assert len(set(targets)) == 3
-    assert all(abs(x - 35.0) < 2 and plan((x, y)).nominal_miss < 0.2 for x, y in targets)
 
 
 CHICKEN = {

@@ -22,7 +22,6 @@ from needlefit.errors import ConfigError
 from needlefit.mechanics.laws import LAWS
 from needlefit.project.locate import find_file
 from needlefit.registry import PLUGINS_VARIABLE, Registry, plugin_versions, use_plugins
-from needlefit.verification.checks.compiled import measure_law
 
 STUDY = """\
 schema = 2
@@ -197,13 +196,6 @@ def test_curves_of_the_format_become_a_dataset(law_site: Site, law_project: Path
     _, options = law_site
     assert run("import", "data/mine/centerlines/example1.xyz", "--out", "other", "--yes", *options) == 0
     assert check(Path("other")) == []
-
-
-def test_the_law_is_verified(law_site: Site) -> None:
-    _, options = law_site
-    use_plugins(options[1:])
-    found = measure_law("logarithmic", np.random.default_rng(1))
-    assert max(found.values) < 1e-6
 
 
 def test_without_the_plugin_law_and_format_are_unknown(law_project: Path) -> None:

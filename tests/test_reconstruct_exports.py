@@ -1,4 +1,4 @@
-"""What `reconstruct --export` writes for other programs: parsed back by their own rules."""
+"""The scene that `reconstruct --scene` writes for 3D Slicer: parsed back by its rules."""
 
 import json
 import zipfile
@@ -14,18 +14,16 @@ from test_cli import run
 
 from needlefit.datasets.importing.files import read_scene
 from needlefit.datasets.read import read
-from needlefit.imaging.volume_files import read_segments, read_volume
-from needlefit.project.locate import shipped_folder
+from needlefit.imaging.volume_files import read_volume
 
 pytestmark = pytest.mark.sweep
-SAMPLE = shipped_folder() / "data" / "sample_scan"
 BOX_MM = (8, 5, 6)
-BOTH = ("--export", "scene", "--export", "seg", "-q")
+SCENE = ("--scene", "-q")
 
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory) -> Path:
-    """A scan in DICOM, reconstructed with both exports: the folder of scans and dataset.
+    """A scan in DICOM, reconstructed with its scene: the folder of scans and dataset.
 
     The closed layer is a box beside the needle, within the scan.
     """
@@ -33,7 +31,7 @@ def exported(tmp_path_factory) -> Path:
     assert run("twin", "ct", "sample", "--format", "dicom", "--out", str(folder / "scans"), "-q") == 0
     box = trimesh.creation.box(BOX_MM, trimesh.transformations.translation_matrix([10, -8, 5]))
     box.export(folder / "scans/layers/phantom2_cylinder.stl")
-    assert run("reconstruct", str(folder / "scans/scans.csv"), "--out", str(folder / "one"), *BOTH) == 0
+    assert run("reconstruct", str(folder / "scans/scans.csv"), "--out", str(folder / "one"), *SCENE) == 0
     return folder
 
 
@@ -72,7 +70,7 @@ def test_the_scene_s_references_lead_to_nodes_and_files_that_lie_where_they_did(
     assert [one.surface.kind for one in content.surfaces] == ["sheet", "sheet"]
 
 
-def test_both_segmentations_mark_the_needle_and_the_closed_layer(exported, tmp_path):
+def test_the_segmentation_marks_the_needle_and_the_closed_layer(exported, tmp_path):
     with zipfile.ZipFile(exported / "one/slicer/sample.mrb") as archive:
         archive.extract("sample/Data/segmentation.seg.nrrd", tmp_path)
     path = tmp_path / "sample/Data/segmentation.seg.nrrd"
@@ -85,30 +83,10 @@ def test_both_segmentations_mark_the_needle_and_the_closed_layer(exported, tmp_p
     voxel = float(np.prod(read_volume(exported / "scans/volumes/sample").spacing))
     assert counts["needle"] * voxel == pytest.approx(np.pi / 4 * 1.27**2 * shaft, rel=0.08)
     assert counts[names[0]] * voxel == pytest.approx(np.prod(BOX_MM), rel=0.08)
-    labels, segments = read_segments(exported / "one/slicer/sample.seg.dcm", names)
-    assert list(segments) == names
-    for number, name in enumerate(names, start=1):
-        assert int((labels.values == number).sum()) == counts[name]
 
 
 def test_the_same_scan_gives_the_same_bytes(exported):
     again = exported / "two"
-    assert run("reconstruct", str(exported / "scans/scans.csv"), "--out", str(again), *BOTH) == 0
-    for name in ("sample.mrb", "sample.seg.dcm"):
-        assert (again / "slicer" / name).read_bytes() == (exported / "one/slicer" / name).read_bytes()
-
-
-@pytest.mark.parametrize("packed", [False, True])
-def test_a_scan_that_is_not_dicom_gets_a_segmentation_of_slicer(tmp_path, packed):
-    scan = SAMPLE / "volumes/sample.nrrd"
-    if packed:
-        with zipfile.ZipFile(tmp_path / "sample.zip", "w") as archive:
-            archive.write(scan, "sample.nrrd")
-        scan = tmp_path / "sample.zip"
-    assert run("reconstruct", str(scan), "--out", str(tmp_path / "one"), *BOTH) == 0
-    names = {path.name for path in (tmp_path / "one/slicer").iterdir()}
-    assert {"sample.seg.nrrd", "sample.mrb"} < names and "sample.seg.dcm" not in names
-    found = slicerio.read_segmentation(str(tmp_path / "one/slicer/sample.seg.nrrd"))
-    assert [segment["name"] for segment in found["segments"]] == ["needle"]
-    remarks = (tmp_path / "one/remarks.csv").read_text()
-    assert remarks.count("sample.seg.nrrd") == 1
+    assert run("reconstruct", str(exported / "scans/scans.csv"), "--out", str(again), *SCENE) == 0
+    first, second = (folder / "slicer/sample.mrb" for folder in (exported / "one", again))
+    assert first.read_bytes() == second.read_bytes()

@@ -13,7 +13,6 @@ from needlefit.schemas.study import SelectionRecord, StudyRecord
 from needlefit.studies import paper
 from needlefit.studies.job import prepare
 from needlefit.studies.kinds.cross_validation.run import Settings, run
-from needlefit.studies.paper import Claim
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.reference import round_frame
 from needlefit.studies.store import read_run
@@ -60,11 +59,6 @@ def test_study_5_is_of_the_same_data_and_rules():
         assert now[key] == committed[key], f"{key} changed: write the evidence anew, and say why"
 
 
-def by_topic(part: str) -> Claim:
-    (found,) = [claim for claim in paper.check_claims() if part in claim.topic]
-    return found
-
-
 def test_every_table_is_read_with_its_rows():
     assert {name: len(paper.read_published_table(name)) for name in paper.TABLE_TITLES} == {
         "insertions": 7,
@@ -93,65 +87,3 @@ def test_the_local_project_comes_before_the_shipped_one(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert paper.read_published_table("validation")["study"].tolist() == [7]
     assert len(paper.read_published_table("insertions")) == 7
-
-
-@pytest.mark.parametrize(
-    ("topic", "statement", "other"),
-    [
-        ("Four- and three-layer", "9 + 5", "8 + 6"),
-        ("Four-layer insertions that tune", "9", "8"),
-        ("Chicken insertions", "3 × 4 = 12", "3 + 9 = 12"),
-        ("What tunes", "insertions across three layers", "1 insertion and 1 insertion, of 5"),
-        ("In-plane errors in cross-validation", "less than 1 mm", "1.41 mm (study 3, 3 layers)"),
-        ("Average TE by media", "smaller than 0.36 mm", "0.37 mm (phantom 2)"),
-        ("Largest average IPE by layers", "0.62 mm and 0.60 mm", "0.36 mm and 0.27 mm"),
-        ("Mean IPE over the 16", "0.21 mm", "0.221 mm over 9 + 5 + 1 + 1"),
-        ("EDP and depth", "smaller for deeper", "10.3 %"),
-        ("Why chicken has a large EDP", "shallower", "61.22 mm, no phantom deeper than 56.49 mm"),
-        ("Largest median and average IPE of studies 1 and 2", "below 0.39 mm", "0.39 mm (study 1, 1 layer)"),
-        ("Largest average tip error of studies 1 and 2", "0.59 mm", "0.64 mm (study 1, 1 layer)"),
-        ("EDP above 100 %", "across all studies", "study 2 has at most 12 %"),
-        ("EDP above 100 % in study 1", "two- and one-layer", "64.8 %"),
-        ("Why EDP exceeds", "shallower", "50.69 to 54.27 mm"),
-        ("Which tables", "4, 5 and 6", "five tables"),
-    ],
-)
-def test_contradiction_names_both_numbers(topic, statement, other):
-    (claim,) = [
-        c for c in paper.find_contradictions() if c.topic == topic or c.topic.startswith(topic + " ")
-    ][:1]
-    assert statement in claim.statement
-    assert other in claim.other_statement
-
-
-def test_the_list_is_complete_and_each_entry_has_two_places():
-    found = paper.find_contradictions()
-    assert len(found) == 16
-    assert all(claim.place and claim.other_place and claim.place != claim.other_place for claim in found)
-
-
-@pytest.mark.parametrize(
-    "topic",
-    [
-        "Median and average errors by layers",
-        "Largest average TE by layers",
-        "Median and average errors by media",
-        "Largest average maximum IPE of studies 1 and 2",
-        "Errors of study 5",
-    ],
-)
-def test_claims_that_the_tables_bear_out_are_no_contradictions(topic):
-    assert by_topic(topic).agrees
-    assert topic not in [claim.topic for claim in paper.find_contradictions()]
-
-
-@pytest.mark.parametrize(
-    ("te_mm", "inclusive", "agrees"), [(0.35, "no", 1), (0.36, "no", 0), (0.36, "yes", 1)]
-)
-def test_a_corrected_table_ends_a_contradiction(te_mm, inclusive, agrees, tmp_path, monkeypatch):
-    (tmp_path / "data" / "paper").mkdir(parents=True)
-    table = pd.DataFrame({"medium": ["phantom1", "phantom2"], "te_mm": [0.29, te_mm]})
-    table.to_csv(tmp_path / "data/paper/tuning_by_media.csv", index=False)
-    monkeypatch.chdir(tmp_path)
-    (bound,) = [one for one in paper.list_bounds() if one["topic"] == "Average TE by media"]
-    assert paper.check_bound(bound | {"inclusive": inclusive}).agrees == (te_mm < 0.36 or inclusive == "yes")

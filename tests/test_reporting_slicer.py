@@ -22,7 +22,8 @@ from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.meshes import TUBE_FACETS, make_tube, write_ply
 from needlefit.geometry.surfaces import make_mesh
-from needlefit.imaging.layers import extract_label_surfaces, read_labels
+from needlefit.imaging.layers import extract_label_surfaces
+from needlefit.imaging.segmentations import read_labels
 from needlefit.imaging.volume import to_patient
 from needlefit.imaging.volume_files import read_volume
 from needlefit.inference.fit import Callbacks

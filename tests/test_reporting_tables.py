@@ -34,7 +34,6 @@ from needlefit.studies.kinds.cross_validation.report import Facts, list_sentence
 from needlefit.studies.kinds.cross_validation.tables import (
     arrange_parameters,
     describe_parameter,
-    lay_out_contradictions,
     lay_out_parameters,
     lay_out_posterior,
     lay_out_validation,
@@ -296,7 +295,6 @@ def test_latex_escapes():
     )
     assert format_cell("1 × 10⁵ to 3 × 10⁵") == r"\numrange{1e5}{3e5}"
     assert escape_latex("a\\b") == r"a\textbackslash{}b"
-    assert format_latex(lay_out_contradictions(paper.find_contradictions()), synthetic=False).isascii()
 
 
 def test_of_several_folds_values_and_intervals_are_enveloped():

@@ -8,7 +8,7 @@ from test_cli import run
 from needlefit.project.locate import shipped_folder
 from needlefit.project.toml import load
 from needlefit.schemas.base import FileRecord
-from needlefit.schemas.tracker import RecordingRecord
+from needlefit.schemas.recording import RecordingRecord
 from needlefit.studies import toml_reference as reference
 from needlefit.studies.kind import KINDS
 from needlefit.studies.toml_reference import list_files

@@ -8,12 +8,14 @@ from pathlib import Path
 
 import needles
 import numpy as np
+import pandas as pd
 import pytest
 from inference_cases import dataset, insertion, medium
 from light_runs import predict_by_few_draws
 from made_again import store
 from test_cli import run as run_command
 
+from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, DataError
 from needlefit.inference.forward_model import (
     ParameterDraws,
@@ -22,6 +24,10 @@ from needlefit.inference.forward_model import (
     make_simulation_inputs,
     predict,
 )
+from needlefit.inference.identifiability.profile import minimize_squares
+from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
+from needlefit.inference.problem import make_problem
+from needlefit.inference.sampling.importance import Effort, resample_draws, sample_about_modes
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.simulate import simulate_steps
@@ -29,13 +35,13 @@ from needlefit.planning.steering import StartedInsertion
 from needlefit.project.locate import find_file, find_view_target
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import WeightsRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.fit_frames import select_draws
 from needlefit.studies.job import Settings
 from needlefit.studies.kinds.cross_validation.run import run
 from needlefit.studies.store import pack, restore_run
-from needlefit.viewer.live_fit import find_mode, tabulate_draws
 from needlefit.viewer.measured import choose_start_parameters
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.overlays import compute_band
@@ -156,20 +162,29 @@ def test_a_scene_is_shown_as_it_is_simulated(monkeypatch, tmp_path):
 
 
 def test_nothing_named_shows_the_fit_of_an_insertion_with_its_band():
-    """Needle and draws are those that the fit on the page finds for phantom2-05."""
+    """Needle and draws are those of the posterior of phantom2-05 with one b: its mode, and draws about it."""
     viewed_scene, source = open_target(None), open_target("twin/phantom2-05")
     scene = Scene.from_record(viewed_scene.record)
     shape = followed(viewed_scene.record)
     assert viewed_scene.name == "phantom2_fitted" and shape.tip_lateral == pytest.approx(-4.55, abs=0.01)
     assert scene.depth == pytest.approx(source.measured.depth, abs=0.01)
-    fitted = find_mode(source.shown, (source.shown.insertion,)).values
+    twin = read(find_file("dataset", "twin"))
+    (one,) = (one for one in twin.insertions if one.id == "phantom2-05")
+    begun = choose_start_parameters(one)
+    problem = make_problem(twin, [one], begun.medium, WeightsRecord(), PLAIN_LIKELIHOOD)
+    start = problem.values(problem.parameters.expected) | begun.values
+    mode = minimize_squares(problem, problem.parameters.theta(start))
+    fitted, rng = problem.values(mode.theta), np.random.default_rng(1)
+    effort = Effort(draws=200, rounds=2, min_ess=100.0, profiles=False)
+    draws = resample_draws(sample_about_modes(problem, [mode], rng, efforts=(effort,)), 100, rng)
+    table = pd.DataFrame([problem.values(theta) for theta in draws.thetas])
     found = [*(layer.mu_pa for layer in viewed_scene.record.layers), viewed_scene.record.bevel.offset_mm]
     expected = [*(fitted[f"mu{n}_pa"] for n in range(1, 5)), fitted["bevel_mm"]]
     np.testing.assert_allclose(found, expected, rtol=1e-3)
-    spread, table = viewed_scene.spread, tabulate_draws("twin/phantom2-05")
+    spread = viewed_scene.spread
     assert spread.mu.shape == (100, 4) and spread.shape[7].tolist() == [[1.0, -1.0, 1.0, -1.0]]
     shares = (0.025, 0.5, 0.975)
-    for n, name in enumerate(table.columns):
+    for n, name in enumerate((*(f"mu{layer}_pa" for layer in range(1, 5)), "bevel_mm")):
         drawn = spread.bevel if name == "bevel_mm" else spread.mu[:, n] * 1e6
         np.testing.assert_allclose(np.quantile(drawn, shares), np.quantile(table[name], shares), rtol=0.01)
     band = compute_band(StartedInsertion(scene.needle, scene.tissue, scene.rules, scene.steps, spread))

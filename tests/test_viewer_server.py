@@ -254,24 +254,26 @@ def test_only_idle_needles_are_dropped(tmp_path) -> None:
         '{"do": {}, "id": 9}',
         "[1]",
         '{"do": "dance", "id": 9}',
-        '{"do": "change"}',
-        '{"do": "change", "id": 9, "set": [["base_y_mm", null, NaN]]}',
-        '{"do": "change", "id": 9, "set": [["base_y_mm", null, Infinity]]}',
-        '{"do": "change", "id": 9, "set": [["base_y_mm", null, 1e999]]}',
-        '{"do": "change", "id": 9, "set": [["base_y_mm", null, "1"]]}',
-        '{"do": "change", "id": 9, "set": [["base_y_mm", null, true]]}',
-        '{"do": "change", "id": 9, "set": [["base_y_mm", 1, 1]]}',
-        '{"do": "change", "id": 9, "set": [["mu_pa", null, 1]]}',
-        '{"do": "change", "id": 9, "set": [["guide_x_mm", 33, 1]]}',
-        '{"do": "change", "id": 9, "set": [["base_y_mm", null]]}',
-        '{"do": "change", "id": 9, "set": 7}',
-        '{"do": "change", "id": 9, "set": ' + str([["base_y_mm", 0, 1]] * 65).replace("'", '"') + "}",
+        '{"do": "align"}',
+        '{"do": "steps", "id": 9, "steps": [[1, 0.0, 1, [["base_y_mm", null, NaN]], 0.0]]}',
+        '{"do": "steps", "id": 9, "steps": [[1, 0.0, 1, [["base_y_mm", null, Infinity]], 0.0]]}',
+        '{"do": "steps", "id": 9, "steps": [[1, 0.0, 1, [["base_y_mm", null, 1e999]], 0.0]]}',
+        '{"do": "steps", "id": 9, "steps": [[1, 0.0, 1, [["base_y_mm", null, "1"]], 0.0]]}',
+        '{"do": "steps", "id": 9, "steps": [[1, 0.0, 1, [["base_y_mm", null, true]], 0.0]]}',
+        '{"do": "steps", "id": 9, "steps": [[1, 0.0, 1, [["base_y_mm", 1, 1]], 0.0]]}',
+        '{"do": "steps", "id": 9, "steps": [[1, 0.0, 1, [["mu_pa", null, 1]], 0.0]]}',
+        '{"do": "steps", "id": 9, "steps": [[1, 0.0, 1, [["guide_x_mm", 33, 1]], 0.0]]}',
+        '{"do": "steps", "id": 9, "steps": [[1, 0.0, 1, [["base_y_mm", null]], 0.0]]}',
+        '{"do": "steps", "id": 9, "steps": [[1, 0.0, 1, 7, 0.0]]}',
+        '{"do": "steps", "id": 9, "steps": [[1, 0.0, 1, '
+        + str([["base_y_mm", 0, 1]] * 65).replace("'", '"')
+        + ", 0.0]]}",
         "[" * 5000,
         "[" * 15_000,
         '{"do": "markups", "id": 9, "name": "a.fcsv", "text": "\\ud800"}',
-        '{"do": "change", "id": 9, "set": [["tip_held", null, 1], ["tip_y_mm", null, -1e308]]}',
-        '{"do": "change", "id": 9, "set": [["alpha", 1, 1e16]]}',
-        '{"do": "change", "id": 9, "set": [["base_y_mm", null, ' + "9" * 400 + "]]}",
+        '{"do": "steps", "id": 9, "steps": [[1, 0.0, 1, [["tip_y_mm", null, -1e308]], 0.0]]}',
+        '{"do": "steps", "id": 9, "steps": [[1, 0.0, 1, [["alpha", 1, 1e16]], 0.0]]}',
+        '{"do": "steps", "id": 9, "steps": [[1, 0.0, 1, [["base_y_mm", null, ' + "9" * 400 + "]], 0.0]]}",
         '{"do": "steps", "id": 9, "steps": 7}',
         '{"do": "steps", "id": 9, "steps": ' + str(17 * [[1, 0, 1, [["base_y_mm", 1, 1]], 0]]) + "}",
         '{"do": "steps", "id": 9, "steps": [[1, 0.0, 1, [], 0.0]]}',
@@ -291,7 +293,6 @@ async def test_what_is_refused_changes_nothing(server, page) -> None:
     for do, arguments in (
         ("steps", {"steps": [[2, 0.0, None, [["base_y_mm", None, float("inf")]], 0.0]]}),
         ("steps", {"steps": [[2, 0.0, None, [["mu_pa", 1, -3]], 0.0]]}),
-        ("change", {"set": [["base_y_mm", None, 1.0]]}),  # the page's own
         ("replay", {"times": "fast"}),
         ("show", {"insertion": "../../etc"}),
         ("no such thing", {}),
@@ -568,36 +569,6 @@ def test_a_needle_at_the_entry_of_its_plan_keeps_parameters_set_by_hand(tmp_path
     assert other.steering.now.tissue.mu == pytest.approx(trial.steering.now.tissue.mu, rel=1e-14)
     assert other.aim.plan.steps[0].bevel.offset == 0.05
     assert other.aim.goal.target == (40.0, 2.0 - trial.aim.plan.entry_mm)
-
-
-@pytest.mark.sweep
-@partial(visit, name="twin/phantom2-05")
-async def test_a_fit_sends_its_mode_and_its_draws(server, page) -> None:
-    assert page.scene["fit"]["insertion"] == 1 < page.scene["fit"]["dataset"]
-    for do, wrong in (
-        ("fit", {}),
-        ("fit", {"scope": "x"}),
-        ("points", {"scope": "insertion", "offsets": [1]}),
-    ):
-        await page.say(do, **wrong)
-        assert page.refused
-    page.kept.clear()
-    await page.say("points", scope="insertion", offsets=[0, 0, 0, 0, 0, 0.1])
-    measured = await page.hear("measured")
-    before = page.scene["measured"]["y"]
-    assert measured["y"][-1] - before[-1] == pytest.approx(0.1, abs=0.01)
-    mode = await page.hear("fit")
-    assert len(mode["layers"]) == 4 and mode["offset_mm"] > 0
-    ridge = await page.hear("ridge")
-    assert len(ridge["mu_pa"]) == len(ridge["offset_mm"]) == 100
-    draws = (await page.hear("draws"))["draws"]
-    assert draws["sets"] == 100 and len(draws["mu"]) == 400 and len(draws["strength"]) == 100
-
-
-@visit
-async def test_without_a_measured_needle_there_is_no_fit(server, page) -> None:
-    await page.say("fit", scope="insertion")
-    assert page.refused and page.scene["fit"] is None
 
 
 @visit

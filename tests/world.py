@@ -17,7 +17,6 @@ from types import MappingProxyType
 import needles
 import pytest
 import track_cases
-from compression_cases import gel_file
 
 from needlefit.cli import main
 from needlefit.studies.run import Run
@@ -56,17 +55,10 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
         "calibration": Command(("calibrate", "meat", "--replicates", "2"), "calibrate-meat", (5,)),
         "cohort": _validate("cohort", 0),
         "comparison": _validate("comparison"),
-        "credibility": Command(
-            ("credibility", "held_out"),
-            "credibility-held_out",
-            (0,),
-            ("cross_validation", "verification", "sensitivity"),  # what it finds about the study
-        ),
         "cross_validation": _validate("held_out", 0),
         "fit": Command(("tune", "gel"), "gel", (0, 5)),
         "identification": Command(("tune", "gel", "--design"), "gel-design", (0,)),
         "left_out": _validate("left_out"),
-        "material": Command(("material", "gel.csv"), "material-gel", (0,)),
         "next_insertion": _validate("next_insertion"),
         "plan": _validate("plan"),
         "prediction": Command(
@@ -80,21 +72,16 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
         "sensitivity": _validate("sensitivity"),
         "specimens": _validate("specimens"),
         "tracks": _validate("tracks"),
-        "verification": Command(("verify",), "verification", (0,)),
     }
 )
 """By kind of study."""
-
-OF_ONE_PROCESS = frozenset({"credibility", "material", "verification"})
-"""Kinds whose commands have no `--jobs`."""
 
 
 def find_words(kind: str, reports: Path, jobs: int = 1) -> list[str]:
     """Return the command of a kind that leaves its result in a folder of `reports`."""
     command = COMMANDS[kind]
     out = reports / command.folder if kind == "reconstruction" else reports  # which names its own folder
-    options = () if kind in OF_ONE_PROCESS else ("--jobs", str(jobs))
-    return [*command.words, "--out", str(out), *options]
+    return [*command.words, "--out", str(out), "--jobs", str(jobs)]
 
 
 def build_project(folder: Path) -> None:
@@ -107,7 +94,6 @@ def build_project(folder: Path) -> None:
     ]
     moved = track_cases.measured(track_cases.track("moved", track_cases.GUIDE), -1, 0.034, 9)
     track_cases.written(folder / "data/tips", [*rest, moved])
-    gel_file(folder / "gel.csv")
 
 
 @dataclass(frozen=True)

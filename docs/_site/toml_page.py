@@ -28,7 +28,8 @@ The examples are from files that load.
 - Every file begins with `schema`, the version of its layout. Unknown keys are errors.
 - A key's ending is its unit: `_mm`, `_deg`, `_pa`, `_gpa`, `_hu`.
 - Names of datasets, tissue models, recipes and scenes are looked up in your working folder, then in the
-  shipped project. A name with a `/`, or that ends in `.toml`, is a path.
+  shipped project. A name with a `/`, or that ends in `.toml`, is a path; in a study or fit it is relative
+  to its file.
 - `needlefit simulate --set layers.1.mu_pa=3e5` replaces one value of a scene.
 """
 

@@ -30,14 +30,11 @@ _COMMANDS: Mapping[str, Mapping[str, str]] = {
         "new dataset": "data/mine",
         "new workbook": "needles.xlsx",
         "reconstruct": "scans.csv --out data/mine",
-        "material": "compression.csv --foundation 4 1.5",
         "twin build": "--out data/twin2 --seed 2",
         "twin ct": "phantom2-14 --out twin_ct",
     },
     "evidence": {
-        "verify": "",
         "calibrate": "phantom1 --replicates 100",
-        "credibility": "study3",
         "paper": "",
     },
     "results": {
@@ -54,7 +51,7 @@ _GROUPS = {
 """First words of commands that form a group, with its help."""
 
 _DATA = ("new project", "new dataset", "new workbook", "check", "twin build", "twin ct")
-_STUDIES = ("tune", "calibrate", "validate", "predict", "material", "verify", "credibility")
+_STUDIES = ("tune", "calibrate", "validate", "predict")
 
 _MODULES = {
     "import": "data.import_data",

@@ -22,9 +22,7 @@ from needlefit.project.processes import count_cores
 from needlefit.project.result_warnings import WARNINGS_KEY, to_rows
 
 if TYPE_CHECKING:
-    from needlefit.datasets.importing.decisions import Decisions, Question
-    from needlefit.datasets.importing.files import ImportContent
-    from needlefit.datasets.importing.understanding import ImportPlan
+    from needlefit.datasets.importing.answers import Answers
     from needlefit.datasets.insertion import Dataset
 
 
@@ -58,7 +56,7 @@ def new_workbook(file: Path) -> None:
 
     `needlefit import` reads it; while it is not filled in, the examples.
     """
-    from needlefit.datasets.importing.tables import WORKBOOK_FILE
+    from needlefit.datasets.importing.files import WORKBOOK_FILE
     from needlefit.project.folders import replace_file
 
     if file.suffix.lower() != ".xlsx" or file.exists():
@@ -123,18 +121,20 @@ def _require_unused(folder: Path) -> None:
     "strict json verbose",
     files=argument(
         "FILE_OR_FOLDER",
-        "Tables (.csv .tsv .txt .xlsx .xls .ods), .mat, Slicer markups (.mrk.json .fcsv), surfaces (.stl "
-        ".ply .obj .vtk), Slicer scenes (.mrml .mrb).",
+        "Tables (.csv .tsv .txt .xlsx .xls .ods), .mat, RT structure sets (.dcm), Slicer markups (.mrk.json "
+        ".fcsv) and scenes (.mrml .mrb), surfaces (.stl .ply .obj .vtk).",
     ),
     out=option("Folder of the dataset; it must not exist yet.", "DIR"),
+    columns=option("Columns of tables by header or number: X,Y,Z, or MEANING=HEADER,...", "X,Y,Z"),
+    observable=option("What the points are: shapes of needles, or tracks of a tip on its way."),
     units=option("Unit of coordinates that state none, or a wrong one: mm, cm, m, um, in."),
-    columns=option("Headers or numbers of the columns of tables.", "X,Y,Z"),
-    frame=option("LPS or RAS, for curves that state neither."),
-    surfaces_frame=option("LPS or RAS, for surfaces that state neither."),
+    frame=option("LPS or RAS, for files that state neither."),
     entry=option("first or last: which end of the curves is the entry."),
     tissue_surface=option("Surface where needles enter; none: there is none.", "NAME"),
-    pose=option("Entry direction: free, tangent, shaft, or X,Y,Z."),
-    entry_point=option("Where the tips first touched the tissue: first (point), or X,Y,Z."),
+    pose=option("Entry direction: X,Y,Z; shaft: of the points before the entry; free: unknown."),
+    entry_point=option(
+        "Where the tips touched the tissue: first point, stated depth from the tip, or X,Y,Z."
+    ),
     pose_shift_sd=option("Standard deviation of the entry point.", "MM"),
     pose_angle_sd=option("Standard deviation of the entry direction.", "DEG"),
     bevel=option("Direction toward which bevels of side 1 deflect, X,Y,Z; or bend."),
@@ -151,7 +151,7 @@ def _require_unused(folder: Path) -> None:
     title=option("What was inserted into what."),
     source=option("Who measured this, when, how."),
     license=option("Terms of use."),
-    yes=flag("Ask nothing: take guesses and defaults.", "--yes"),
+    yes=flag("Ask nothing: take defaults, and stop where there is none.", "--yes"),
 )
 def import_data(
     context: typer.Context,
@@ -163,63 +163,70 @@ def import_data(
 ) -> None:
     """Make a dataset from files of other programs.
 
-    In a terminal it first shows a picture of what it understood, then asks for whatever the files do not
-    state, one question at a time; options answer beforehand. DIR/dataset.toml lists every decision under
-    [import], with all columns, fields and sheets that are not used. DIR also gets a first study and a scene.
+    Columns are known by their names in five languages; others are named with --columns. In a terminal it asks
+    for whatever the files do not state, one question at a time, and shows a picture before it writes; options
+    answer beforehand. DIR/dataset.toml lists every decision under [import], with all columns, rows, fields
+    and sheets that are not used. DIR also gets a first study and a scene.
     """
-    from needlefit.datasets.importing.conversion import SCENE_FILE, name_study_file
-    from needlefit.datasets.importing.decisions import Decisions
+    from needlefit.datasets.importing.answers import Answers
     from needlefit.datasets.importing.files import read_content
-    from needlefit.datasets.importing.understanding import understand
+    from needlefit.datasets.importing.planning import Planner
+    from needlefit.datasets.importing.tables import UnclearColumnsError
     from needlefit.datasets.read import check_all
+    from needlefit.datasets.template import SCENE_FILE, name_study_file
     from needlefit.project.folders import require_new, require_no_inputs_within
-    from needlefit.reporting.dataset_import import tabulate_decisions, tabulate_needles, write_import
+    from needlefit.reporting.dataset_import import (
+        PICTURE_FILE,
+        tabulate_decisions,
+        tabulate_needles,
+        write_import,
+    )
     from needlefit.schemas.names import require_file_name
 
     require_new(out)
     require_file_name(out.resolve().name, str(out))
     require_no_inputs_within(out, files)
     invocation = context.find_root().obj
-    questions = {name.replace("_", " "): value for name, value in answers.items() if value is not None}
     asks = not yes and not invocation.json and sys.stdin.isatty() and sys.stderr.isatty()
-    content = read_content(files, [name.strip() for name in columns.split(",")] if columns else ())
-    decisions = Decisions(questions, _ask if asks else None)
-    with tempfile.TemporaryDirectory(prefix="needlefit-import-") as drafts:
-        if asks:
-            with suppress(ConfigError, DataError):  # answers may correct it
-                _show_draft(Path(drafts, "guess", out.name), content, Decisions(questions))
-        plan = understand(content, decisions)
-        if asks:
-            if any(one.source == "answer" for one in decisions.made):
-                _show_draft(Path(drafts, "answers", out.name), content, decisions, plan)
+    try:
+        content = read_content(files, columns or "")
+    except UnclearColumnsError as error:
+        if not asks or columns:
+            raise
+        content = read_content(files, _ask("columns", "", f"{error.where}: {error.what}"))
+    options = {name.replace("_", " "): value for name, value in answers.items() if value is not None}
+    settled = Answers(options, _ask if asks else None)
+    plan = Planner(content, settled).make_plan()
+    for line in _list_decisions(settled, "not used", "assumption"):
+        screen.print_note(line)
+    if asks:
+        with tempfile.TemporaryDirectory(prefix="needlefit-import-") as drafts:
+            folder = Path(drafts, out.name)
+            screen.show_frame(tabulate_needles(write_import(folder, content, plan, settled)), "Needles")
+            screen.print_note(f"look at {folder / PICTURE_FILE}")
             if not typer.confirm(f"Write {out}", default=True, err=True):
                 screen.print_note("nothing is written")
                 raise typer.Exit
-    dataset = write_import(out, content, plan, decisions)
+    dataset = write_import(out, content, plan, settled)
     warnings = check_all(out)[1]
-    count, needles = len(dataset.insertions), tabulate_needles(dataset)
+    needles = tabulate_needles(dataset)
     if invocation.json:
-        screen.show_json(
-            {
-                "dataset": str(out / "dataset.toml"),
-                "insertions": needles.to_dict(orient="records"),
-                "decisions": [one.model_dump() for one in decisions.made],
-                "notes": list(content.notes),
-            }
-        )
+        decisions, notes = [one.model_dump() for one in settled.made], list(content.notes)
+        rows = needles.to_dict(orient="records")
+        file = str(out / "dataset.toml")
+        screen.show_json({"dataset": file, "insertions": rows, "decisions": decisions, "notes": notes})
     else:
-        assumed = sum(one.source == "assumption" for one in decisions.made)
+        count, assumed = len(dataset.insertions), len(_list_decisions(settled, "", "assumption"))
         imported = f"{count} insertion{'s' * (count > 1)} imported; {assumed} values are assumptions"
         screen.print_line(f"{out}: {imported}\n")
         screen.show_frame(needles, "Needles")
-        screen.show_frame(tabulate_decisions(decisions), "Decisions")
+        screen.show_frame(tabulate_decisions(settled), "Decisions")
         for note in content.notes:
             screen.print_note(note)
-        if unused := _list_unused(decisions):
-            screen.print_note(f"not used: {'; '.join(unused)}")
     screen.print_warnings(invocation, warnings)
     path = str(out) if out.is_absolute() else f"./{out}"
-    screen.print_note(f"look at {out}/import.png, then: {shlex.join(('needlefit', 'check', path))}")
+    look = f"look at {out / PICTURE_FILE}, then: " if (out / PICTURE_FILE).is_file() else "then: "
+    screen.print_note(look + shlex.join(("needlefit", "check", path)))
     study_file = name_study_file(dataset.name)
     if (out / study_file).is_file():
         study = shlex.join(("needlefit", "validate", f"{path}/{study_file}"))
@@ -228,30 +235,33 @@ def import_data(
         screen.print_note(f"then a prediction: {shlex.join(predict)}")
 
 
-def _list_unused(decisions: "Decisions") -> list[str]:
-    return [f"{one.value} ({one.reason})" for one in decisions.made if one.what == "not used"]
+def _list_decisions(answers: "Answers", what: str, source: str) -> list[str]:
+    """Return the decisions of this name or from this source, as lines."""
+    shown = {"assumption": "assumed", "not used": "not used"}
+    return [
+        f"{shown[source] if one.source == source else shown[what]}: "
+        + (
+            f"{one.value} ({one.reason})"
+            if one.what == "not used"
+            else f"{one.what} = {one.value} ({one.reason})"
+        )
+        for one in answers.made
+        if one.what == what or one.source == source
+    ]
 
 
-def _show_draft(
-    folder: Path, content: "ImportContent", decisions: "Decisions", plan: "ImportPlan | None" = None
-) -> None:
-    """Show needles and picture of an import before anything is written where the user wants it."""
-    from needlefit.datasets.importing.understanding import understand
-    from needlefit.reporting.dataset_import import PICTURE_FILE, tabulate_needles, write_import
-
-    dataset = write_import(folder, content, plan or understand(content, decisions), decisions)
-    screen.show_frame(tabulate_needles(dataset), "Needles")
-    for one in _list_unused(decisions):
-        screen.print_note(f"not used: {one}")
-    screen.print_note(f"look at {folder / PICTURE_FILE}")
-
-
-def _ask(question: "Question", guess: str, reason: str) -> str:
+def _ask(what: str, guess: str, reason: str) -> str:
     """Ask on the terminal; an empty answer takes the guess."""
+    from needlefit.datasets.importing.answers import QUESTIONS
+
     if reason:
         screen.print_note(f"  ({reason})")
-    choices = f" ({', '.join(question.choices)})" if 0 < len(question.choices) <= 6 else ""
-    answer: str = typer.prompt(f"{question.text}{choices}", default=guess, err=True)
+    text = (
+        QUESTIONS[what].text
+        if what in QUESTIONS
+        else "Headers or numbers of x, y and z, or MEANING=HEADER,..."
+    )
+    answer: str = typer.prompt(text, default=guess, err=True)
     return "" if answer == guess else answer
 
 

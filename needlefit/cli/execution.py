@@ -318,8 +318,7 @@ def show_run(invocation: Invocation, result: "Run", folder: Path, named: bool = 
     screen.print_line()
     title = result.name if result.title in ("", result.name) else f"{result.name}: {result.title}"
     origins = {"synthetic": "SYNTHETIC data", "measured": "Measured data"}  # which a reader cannot miss
-    data = f"\n{origins[result.origin]}: {result.dataset_title}" if result.origin != "none" else ""
-    screen.print_text(f"{title}{data}")
+    screen.print_text(f"{title}\n{origins[result.origin]}: {result.dataset_title}")
     report = find_kind(result.kind).report
     tables, sentences = report.explain(result) if invocation.explain else (report.lay_out_first(result), [])
     for table in drop_repeated(tables):

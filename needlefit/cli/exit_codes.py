@@ -54,7 +54,7 @@ class Invocation:
         return f"needlefit: interrupted; to go on: {self.resuming()}"
 
 
-UNEXPECTED, NOT_CONVERGED, VERIFICATION_FAILED, INTERRUPTED = 1, 5, 6, 130
+UNEXPECTED, NOT_CONVERGED, CALIBRATION_FAILED, INTERRUPTED = 1, 5, 6, 130
 
 EXIT_CODES = {
     0: "ok",
@@ -63,7 +63,7 @@ EXIT_CODES = {
     ConfigError.exit_code: "bad data or configuration",
     FitError.exit_code: "the solver failed",
     NOT_CONVERGED: "not converged, or a warning with --strict (result written)",
-    VERIFICATION_FAILED: "a verification failed",
+    CALIBRATION_FAILED: "a calibration failed",
     INTERRUPTED: "interrupted",
 }
 

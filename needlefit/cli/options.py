@@ -51,7 +51,7 @@ complete_runs = _complete(runs=True)
 complete_checked = _complete("dataset", "study", "fit")
 complete_scans = _complete("scans")
 complete_reconstructions = _complete("reconstruction")
-complete_view_targets = _complete("scene", "dataset", "scans", runs=True)
+complete_view_targets = _complete("scene", "dataset", runs=True)
 
 
 def _keep(name: str) -> Callable[[typer.Context, Any], Any]:
@@ -138,7 +138,7 @@ SCAN_FILES: Mapping[str, Any] = {
     ],
     "layers": Annotated[
         list[str] | None,
-        option("STL, PLY, OBJ from the entry inwards; or a segmentation; auto proposes some.", "FILES..."),
+        option("STL, PLY, OBJ from the entry inwards; or a segmentation.", "FILES..."),
     ],
     "layers_in": Annotated[
         Literal["world", "scan"] | None, option("Frame of the surfaces (default: world).")
@@ -147,7 +147,7 @@ SCAN_FILES: Mapping[str, Any] = {
     "series": option("Which DICOM series, where a folder holds several.", "NUMBER|UID"),
     "medium": option("Name of what was punctured (default: medium)."),
 }
-"""Options of commands that read scans, which take them as `**files`."""
+"""Files of a scan, which `reconstruct` takes as `**files`."""
 
 
 def takes(common: str, **own: Declaration) -> Callable[[Callable[..., None]], Callable[..., None]]:

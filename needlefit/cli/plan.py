@@ -207,7 +207,7 @@ def _describe(shown: "ViewedScene", found: "SteeringPlan", summary: dict[str, An
     bound = "".join(f" The {one} is at its limit." for one in found.at_limit)
     if shown.spread is None:
         nominal = f"{found.nominal_miss:.2f} mm from it"
-        scene = shown.shown is None
+        scene = shown.measured is None
         why = "for a probability, plan with a run" if scene else "the run has no certified draws"
         known = f"The parameters of {shown.name} are taken as exact ({why}): the tip"
         reaches = "would reach" if shown.faults else "reaches"

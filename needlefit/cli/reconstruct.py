@@ -1,10 +1,8 @@
 """`needlefit reconstruct`: scans of inserted needles -> a checked dataset."""
 
-import shlex
 from collections.abc import Sequence
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -33,13 +31,6 @@ CHECKPOINT_WORK = {"reconstruct": "each row states what it is of"}
 """Of the checkpoint: each reconstruction in it has a digest of what decided it."""
 
 
-class Export(StrEnum):
-    """What `--export` takes."""
-
-    SCENE = "scene"
-    SEG = "seg"
-
-
 @takes(
     "scheduler insecure resume strict json quiet verbose",
     scans=options.argument(
@@ -53,8 +44,11 @@ class Export(StrEnum):
     recipe=option(
         "configs/reconstruction, or a path.", "RECIPE", autocompletion=options.complete_reconstructions
     ),
+    corrections=option(
+        "Control points moved in 3D Slicer: SCAN's slicer/ID.corrections.mrk.json; repeatable.", "FILE"
+    ),
     title=option("Title of the dataset."),
-    export=option("Write also a scene of 3D Slicer (.mrb), or a DICOM segmentation; repeatable."),
+    scene=flag("Write also a scene of 3D Slicer (.mrb).", "--scene"),
     jobs=option("Scans at once (default: 2); it does not change the result.", min=1),
 )
 def reconstruct(
@@ -63,8 +57,9 @@ def reconstruct(
     out: Path,
     every: bool = False,
     recipe: str = "default",
+    corrections: list[Path] | None = None,
     title: str = "",
-    export: list[Export] | None = None,
+    scene: bool = False,
     jobs: int | None = None,
     **files: Any,  # noqa: ANN401 - those of `SCAN_FILES`
 ) -> None:
@@ -85,6 +80,7 @@ def reconstruct(
             add_findings,
             reconstruct_all,
         )
+        from needlefit.imaging.corrections import correct_scans
         from needlefit.project.checkpoint import (
             open_checkpoint,
             release_checkpoint,
@@ -105,9 +101,9 @@ def reconstruct(
         require_own_checkpoint(keep)
         refused = out.resolve().with_name(f"{out.resolve().name}.refused")  # pages of scans without a dataset
         require_replaceable(refused)
-        wanted = _scans(scans, named)
-        require_no_inputs_within(out, [*scans, *(path for one in wanted for path in one.files)])
-        exports: tuple[Literal["scene", "seg"], ...] = tuple(one.value for one in export or ())
+        moved = corrections or []
+        wanted = correct_scans(_scans(scans, named), moved)
+        require_no_inputs_within(out, [*scans, *moved, *(path for one in wanted for path in one.files)])
         record = load(find_file("reconstruction", recipe), ReconstructionRecord)
         checkpoint = open_checkpoint(keep, invocation.resume, CHECKPOINT_WORK, print_remark)
         with show_progress(invocation.quiet) as report:
@@ -128,23 +124,20 @@ def reconstruct(
                 faulty: Sequence[ReconstructionFailure]
                 try:
                     written, faulty = write_reconstruction(
-                        out, ones, record, about, report, refused=failed, exports=exports
+                        out, ones, record, about, report, refused=failed, scenes=scene
                     )
                 except DataError as error:  # it belongs to no single scan
                     whole = [ReconstructionFailure(one.scan, error) for one in ones]
                     faulty = [add_findings(*pair, record) for pair in zip(whole, ones, strict=True)]
                 failed = [*failed, *faulty]
             if failed and not written:
-                write_refused(failed, record, refused)
+                write_refused(failed, refused)
             else:  # pages of an earlier run would be taken for this one's
                 remove_result(refused, print_remark)
     warnings = check_all(out)[1] if written else []
     if written and not invocation.json:
         screen.print_text(f"{judge_run(written)[0].sentence}.")
     _print_failures(written, failed, out if written else refused)
-    for failure in (one for one in failed if one.findings):  # others cannot be read
-        command = _view_command(scans, failure, named, recipe)
-        screen.print_note(f"needlefit: look at it and correct it: {command}")
     print_warnings(invocation, warnings)
     _show(out, written, failed, warnings if invocation.json else None)
     if failed and written:
@@ -179,7 +172,7 @@ def _show(
     as_json: "list[ResultWarning] | None",
 ) -> None:
     """Print what was found; with the warnings of the dataset, as JSON."""
-    from needlefit.studies.kinds.reconstruction.report import REPORT, describe_proposals
+    from needlefit.studies.kinds.reconstruction.report import REPORT
 
     if as_json is not None:
         rows = found.frames["reconstruction"].to_dict(orient="records") if found else []
@@ -187,9 +180,8 @@ def _show(
             {"id": one.scan.id, "scan": str(one.scan.volume), "error": str(one.error)} for one in failed
         ]
         about: dict[str, Any] = {"dataset": str(out) if found else None, WARNINGS_KEY: to_rows(as_json)}
-        proposed = found.frames.get("proposed_layers") if found else None
-        if proposed is not None:
-            about["proposed_layers"] = proposed.to_dict(orient="records")
+        if found and "corrections" in found.frames:
+            about["corrections"] = found.frames["corrections"].to_dict(orient="records")
         screen.show_json({**about, "scans": rows, "failed": errors})
     elif found:
         screen.print_line()
@@ -198,8 +190,6 @@ def _show(
         for remark in REPORT.summarize(found)[1:]:
             screen.print_text(remark)
         screen.print_written(out, f" (figures of each scan in {out}/quality/)")
-        for line in describe_proposals(found, out):
-            screen.print_text(line)
 
 
 def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure]", pages: Path) -> None:
@@ -214,18 +204,8 @@ def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure
         screen.print_note(f"needlefit: {error if named else f'{ids}: {error}'}")
     if failed:
         screen.print_note(f"needlefit: pages of refused scans: {pages}/quality/")
+    if any(one.findings for one in failed):  # others cannot be read
+        screen.print_note(f"needlefit: move what was found in 3D Slicer: {pages}/slicer/, then --corrections")
     if failed and found:
         count = len(failed) + len(found.frames["reconstruction"])
         screen.print_note(f"needlefit: {len(failed)} of {count} scans failed; the others are written")
-
-
-def _view_command(
-    scans: list[Path], failure: "ReconstructionFailure", named: dict[str, Any], recipe: str
-) -> str:
-    scan = failure.scan
-    table = scans[0].suffix.lower() == ".csv" or not path_exists(scans[0])  # the latter by its bare name
-    words = ["needlefit", "view", f"{scans[0]}/{scan.id}" if table else str(scan.volume)]
-    for name, value in named.items():
-        for one in value if isinstance(value, list) else [value]:
-            words += [options.scan_option(name), str(one)]
-    return shlex.join([*words, "--recipe", recipe] if recipe != "default" else words)

@@ -189,32 +189,23 @@ def _describe(topic: Topic) -> Topic:
 
 @takes("json verbose")
 def paper(context: typer.Context) -> None:
-    """Print the paper's tables and the list of its contradictions."""
+    """Print the paper's tables."""
     from needlefit.reporting.table import TableLayout
     from needlefit.studies import paper as published
 
-    contradictions = published.find_contradictions()
     if context.find_root().obj.json:
         tables = published.TABLE_TITLES
         rows: dict[str, object] = {
             name: published.read_published_table(name).to_dict("records") for name in tables
         }
-        claims = [dataclasses.asdict(claim) for claim in contradictions]
-        screen.show_json({**rows, "contradictions": claims})
+        screen.show_json(rows)
         return
-    screen.print_text(
-        f"The paper contradicts itself in {len(contradictions)} places, listed below its tables."
-    )
-    screen.print_line()
     for name, title in published.TABLE_TITLES.items():
         printed = published.read_printed_table(name)  # numbers as printed, headings as everywhere else
         columns = tuple(_find_head(str(key), printed[key]) for key in printed)
         cells = printed.apply(lambda column: column.str.replace("_", " "))
         table = TableLayout(name, title, columns, tuple(cells.itertuples(index=False, name=None)))
         screen.show_display(table, notes=False)
-    screen.print_line(f"Contradictions ({len(contradictions)})")
-    for number, claim in enumerate(contradictions, start=1):
-        screen.print_text(f"{number:3}. {claim.sentence}")
 
 
 _ROLES = {"tune_": "Fitted: ", "validate_": "Held out: "}

@@ -1,10 +1,10 @@
-"""Commands that run studies: tune, calibrate, validate, predict, material, verify, credibility."""
+"""Commands that run studies: tune, calibrate, validate, predict."""
 
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -223,7 +223,7 @@ def _end_calibration(execution: Execution, found: "list[Run]") -> None:
         sentence = find_kind("calibration").report.summarize(run)[0]
         screen.print_note(f"needlefit: {execution.folder(run.name)}: {sentence}")
     if wrong:
-        raise typer.Exit(exit_codes.VERIFICATION_FAILED)
+        raise typer.Exit(exit_codes.CALIBRATION_FAILED)
     if any(run.faults for run in found):
         raise typer.Exit(exit_codes.NOT_CONVERGED)
 
@@ -346,99 +346,3 @@ def predict(
 
         screen.print_note(f"needlefit: {target_name}: {describe_faults(found)}")
         raise typer.Exit(exit_codes.NOT_CONVERGED)
-
-
-@takes(
-    "out strict explain json verbose",
-    file=argument("FILE.csv", "Stretch and stress; data/README.md lists the columns."),
-    stress=option("Stress measure of a column `stress_kpa`, whose name does not state it."),
-    foundation=option(
-        "Write a prior of the model's mu too: FACTOR times the material's shear modulus, known within a "
-        "factor of SPREAD. docs/model.md states the bounds of FACTOR.",
-        "FACTOR SPREAD",
-    ),
-)
-def material(
-    context: typer.Context,
-    file: Path,
-    stress: Literal["nominal", "true"] | None = None,
-    foundation: tuple[float, float] | None = None,
-) -> None:
-    """Fit mu and alpha of the Ogden law to a compression test.
-
-    Needle shapes do not identify alpha; a compression test can. Prints the estimates and the 95 % regions of
-    alpha, and writes the prior for fits, with tables and figures, to OUT/material-<file>/.
-    """
-    from needlefit.schemas.names import require_file_name
-
-    require_file_name(file.stem, str(file))
-    execution, name = Execution(context.find_root().obj), f"material-{file.stem}"
-    execution.prepare([name])
-    found = execution.run_kind("material", name, file=str(file), stress=stress, foundation=foundation)
-    execution.show(found)
-    if found.run["prior"] is not None and not execution.invocation.json:
-        prior = f"{execution.folder(name)}/prior.toml"
-        screen.print_line(f'For layer 1 of a fit: priors = {{ 1 = "{prior}" }}')
-
-
-@takes("out explain json quiet verbose", seed=option("Seed of the random cases.", min=0))
-def verify(context: typer.Context, seed: int = 1) -> None:
-    """Verify the solver: closed forms, observed orders, an independent solution, symmetries.
-
-    All values are measured in this run. Prints the outcome of each group of checks, with --explain every
-    check, and writes CSV, LaTeX, PDF and HTML to OUT/verification/. Exit code 6 if a check fails.
-    """
-    execution, name = Execution(context.find_root().obj), "verification"
-    execution.prepare([name])
-    found = execution.run_kind("verification", name, seed=seed)
-    if execution.invocation.verbose:
-        for trace in found.timing.get("traces", ()):
-            screen.print_note(trace)
-    execution.show(found)
-    rows = found.frames["verification"]
-    for row in rows[rows["verdict"] == "FAILS"].to_dict("records"):
-        remark = f" ({row['note']})" if row["note"] else ""
-        screen.print_note(f"needlefit: {row['check']}: {row['quantity']}: fails{remark}")
-    if found.faults:
-        raise typer.Exit(exit_codes.VERIFICATION_FAILED)
-
-
-@takes(
-    "out explain json quiet verbose",
-    evidence=option(
-        "A folder of verify, calibrate, tune --design or a sensitivity study (several times), instead of "
-        "those of its kind beside RUN.",
-        "DIR",
-    ),
-    statements=option("TOML with what only people can state: question, context, risk.", "FILE"),
-)
-def credibility(
-    context: typer.Context, run: str, evidence: list[Path] | None = None, statements: Path | None = None
-) -> None:
-    """Collect the credibility evidence of a RUN, in the order of ASME V&V 40-2018.
-
-    Verification, calibration, sensitivity, uncertainty and provenance, from the files of this run and of
-    other runs in the same folder. Missing evidence is listed as missing. Evidence of another version or
-    dataset is not counted. Nothing is graded. Results go to OUT/credibility-RUN/.
-    """
-    from needlefit.project.locate import find_run
-    from needlefit.project.toml import load
-    from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
-    from needlefit.studies.kinds.credibility import list_open_statements
-
-    given: dict[str, object] = {"run": run, "evidence": [str(folder) for folder in evidence or ()]}
-    if statements is not None:
-        given["statements"] = load(statements, CredibilityStatementsRecord)
-        given["statements_file"] = statements.name
-    execution = Execution(context.find_root().obj)
-    name = f"credibility-{find_run(run).resolve().name}"
-    execution.prepare([name])
-    found = execution.run_kind("credibility", name, **given)
-    for fault in found.run["damaged"]:
-        screen.print_note(f"needlefit: damaged and not used: {fault}")
-    execution.show(found)
-    if not execution.invocation.json and (missing := list_open_statements(found)):
-        screen.print_text(
-            "Statements that only people can make are missing. Write them as texts in a TOML file with "
-            f"`schema = 1`, given by --statements FILE: {', '.join(missing)}."
-        )

@@ -80,8 +80,7 @@ def _warn(checks: Iterable[Check], where: FormatPlace) -> Iterator[ResultWarning
 
 def list_assumptions(record: DatasetRecord | TrackDatasetRecord) -> list[tuple[str, str]]:
     """Return what the import assumed without evidence, and the values taken."""
-    import_ = record.import_ if isinstance(record, DatasetRecord) else None
-    decisions = () if import_ is None else import_.decisions
+    decisions = () if record.import_ is None else record.import_.decisions
     return [(one.what, one.value) for one in decisions if one.source == "assumption"]
 
 

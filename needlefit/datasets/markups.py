@@ -38,6 +38,7 @@ class Markups:
     system: PatientSystem = "LPS"  # the coordinate system of the file, from which they were turned
     unset: tuple[str, ...] = ()  # labels of the points that were never placed; `points` leaves them out
     lines: NDArray[np.int64] | None = None  # (N,); line of each point; None where the format has no lines
+    descriptions: tuple[str, ...] = ()  # of the points, N of them; empty where the format has none
 
     def as_curve(self) -> Points:
         """Return the points as a centreline; DataError if the list is not a curve."""

@@ -32,6 +32,10 @@ class Points:
         sd = None if self.sd is None else self.sd[rows]
         return replace(self, values=self.values[rows], lines=lines, sd=sd)
 
+    def scale(self, factor: float) -> "Points":
+        """Return the points with their deviations in another unit."""
+        return replace(self, values=factor * self.values, sd=None if self.sd is None else factor * self.sd)
+
     def to_columns(self) -> NDArray[np.float64]:
         """Return the columns of a centreline's file: (N, 3), or (N, 4) with deviations."""
         return self.values if self.sd is None else np.column_stack([self.values, self.sd])
@@ -58,23 +62,6 @@ class Points:
             return []
         what = f"curve {name} has {len(bad)} points that are NaN, infinite or too far away"
         return [Fault(self.where(int(bad[0])), what, "finite numbers, mm", "remove or fix these points")]
-
-
-def find_counters(values: NDArray[np.float64]) -> list[int]:
-    """Return the columns of a table (N, M) that number rows: of curves first, then of the points of each.
-
-    The number of a curve is whole, and another one in each of several blocks of `MIN_POINTS` rows or more.
-    """
-    begin, found = np.array([], dtype=np.int64), list[int]()
-    for n, column in enumerate(values.T):
-        changes = np.flatnonzero(np.diff(column))
-        sizes = np.diff([-1, *changes, len(column) - 1])
-        is_whole = bool((column == np.round(column)).all())
-        if is_whole and len(changes) and sizes.min() >= MIN_POINTS and len({*column}) == len(sizes):
-            begin, found = changes, [n]
-            break
-    steps = np.delete(np.diff(values, axis=0), begin, axis=0)
-    return [*found, *(n for n, step in enumerate(steps.T) if len(step) and (step == 1).all())]
 
 
 def trace_fault(fault: Fault, curves: Mapping[str, Points], folder: Path) -> Fault:

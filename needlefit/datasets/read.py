@@ -160,7 +160,7 @@ def inspect(path: Path) -> Inspection:
         path=file,
         digest=compute_digest(file, reading.roots, files),
         notes=tuple(head + text.strip() for head, text in parts if text.strip()),
-        assumed=() if of_tracks else list_decisive_assumptions(record),
+        assumed=list_decisive_assumptions(record),
         outer_diameter=record.needle.outer_diameter_mm,
         warnings=tuple(reading.warnings),
         **own,

@@ -1,4 +1,4 @@
-"""Write an example dataset to overwrite."""
+"""Write an example dataset to overwrite, and a first study and scene of a dataset that was imported."""
 
 from pathlib import Path
 
@@ -6,17 +6,27 @@ import numpy as np
 
 from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.dataset_warnings import PLACEHOLDER
+from needlefit.datasets.insertion import Dataset
 from needlefit.datasets.write import write_dataset
 from needlefit.geometry.surfaces import make_sheet
 from needlefit.project.folders import create_folder, require_new
+from needlefit.project.toml import check, dumps, load
 from needlefit.schemas.dataset import DatasetRecord
+from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.names import require_file_name
+from needlefit.schemas.scene import SceneRecord
+from needlefit.schemas.study import StudyRecord
 
 # Standard deviation of a point until the author states one: roughly that of a needle traced in a CT scan.
 PLACEHOLDER_SD_MM = 0.1
 NEEDLE = {"length_mm": 150.0, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 80.0}
 
 NOISE_NOTE = f"{PLACEHOLDER}: {PLACEHOLDER_SD_MM:g} mm stands for how well a point is known, per axis"
+
+TISSUE_FILE, SCENE_FILE = "tissue.toml", "scene.toml"
+MODULUS_BOUNDS_PA, BEVEL_BOUNDS_MM = [1e3, 1e9], [1e-3, 1.0]
+SCENE_MU_PA, SCENE_ALPHA, SCENE_BEVEL_MM = 2e5, 1.0, 0.05  # of a scene before any fit
+_START_NOTE = "# A start, made by `needlefit import`: {what} `needlefit explain {kind}` lists every key.\n"
 
 EXAMPLE_NOTE = """\
 # A template with made-up numbers: two insertions through one layer boundary. Replace every number and text,
@@ -78,3 +88,78 @@ def _write_example(folder: Path) -> Path:
         )
     surfaces = {surface: make_sheet("boundary", (20.0, 0.0, 0.0), (1.0, 0.0, 0.0), 80.0, into=2)}
     return write_dataset(folder, record, rows, curves, surfaces, checksums=False)
+
+
+# ---- a first study
+
+
+def name_study_file(name: str) -> str:
+    """Return the file of a dataset's first study; the folder of its results has this name, too."""
+    return f"{name}_study.toml"
+
+
+def write_scene(folder: Path, dataset: Dataset) -> None:
+    """Write the deepest insertion as a scene into `folder`, to be planned, viewed and predicted."""
+    deepest = max(dataset.insertions, key=lambda one: one.depth)
+    tops = [0.0, *deepest.boundaries.round(3).tolist()]
+    needle = load(folder / "dataset.toml", DatasetRecord).needle
+    scene: dict[str, object] = {
+        "schema": 2,
+        "title": f"A planned insertion as {deepest.id} of {dataset.name}",
+        "note": "Parameters are made up: `needlefit predict` replaces them by fitted ones.",
+        "depth_mm": round(deepest.depth, 3),
+        "needle": needle.model_dump(exclude_defaults=True),
+        "bevel": {"offset_mm": SCENE_BEVEL_MM, "side": deepest.side},
+        "layers": [
+            {"name": f"layer {layer}", "top_mm": top, "mu_pa": SCENE_MU_PA, "alpha": SCENE_ALPHA}
+            for top, layer in zip(tops, deepest.sequence, strict=True)
+        ],
+    }
+    check(scene, SceneRecord, SCENE_FILE)
+    _write_start(folder / SCENE_FILE, scene, "scene.toml", "needle, depth, layers and bevel.")
+
+
+def _write_start(file: Path, tables: dict[str, object], kind: str, what: str) -> None:
+    file.write_bytes((_START_NOTE.format(what=what, kind=kind) + dumps(tables)).encode("utf-8"))
+
+
+def write_starter_study(folder: Path, dataset: Dataset) -> bool:
+    """Write a study and its `tissue.toml` into `folder`; return False if there are too few insertions.
+
+    The study leaves out one specimen at a time, or, of a single specimen, one insertion. The tissue model has
+    as many layers as the deepest insertion meets; the exponents alpha are fixed at 1, as shapes hardly depend
+    on them.
+    """
+    if len(dataset.insertions) < 2:
+        return False
+    layers = max(max(one.sequence) for one in dataset.insertions)
+    numbers = range(1, layers + 1)
+    tissue: dict[str, object] = {
+        "schema": 1,
+        "title": f"Tissue of {dataset.name}",
+        "layers": layers,
+        "parameters": {
+            **{f"mu{n}_pa": {"bounds": MODULUS_BOUNDS_PA} for n in numbers},
+            **{f"alpha{n}": {"fixed": 1.0} for n in numbers},
+            "bevel_mm": {"bounds": BEVEL_BOUNDS_MM},
+        },
+    }
+    several = len({one.specimen for one in dataset.insertions}) > 1
+    unit = "specimen" if several else "insertion"
+    where = "those into a new specimen" if several else "another one into the same specimen"
+    study: dict[str, object] = {
+        "schema": 2,
+        "title": f"{dataset.name}: leave one {unit} out",
+        "question": f"Does a model fitted to all other insertions predict {where}?",
+        "dataset": ".",  # paths are relative to the study
+        "medium": f"./{TISSUE_FILE}",
+        "recipe": "default",
+        "leave_out": unit,
+        **({} if several else {"same_specimen": True}),
+    }
+    study_file = name_study_file(dataset.name)
+    check(tissue, MediumRecord, TISSUE_FILE)
+    check(study, StudyRecord, study_file)
+    _write_start(folder / TISSUE_FILE, tissue, "medium.toml", "the layers, and which parameters are fitted.")
+    _write_start(folder / study_file, study, "study.toml", "what is fitted, and what is predicted.")
+    return True

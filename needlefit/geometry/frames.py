@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from needlefit.arrays import Floats
 from needlefit.errors import DataError
-from needlefit.schemas.tracker import PlacementRecord
+from needlefit.schemas.recording import PlacementRecord
 
 PARALLEL_SINE = 1e-6  # sine of the angle under which two directions count as parallel
 

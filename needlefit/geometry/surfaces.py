@@ -356,15 +356,6 @@ def make_sheet(name: str, center: ArrayLike, normal: ArrayLike, size: float, int
     return Surface(name, make_mesh(vertices, [[0, 1, 2], [0, 2, 3]]), "sheet", into)
 
 
-def make_grid_sheet(name: str, points: ArrayLike, into: int) -> Surface:
-    """Return the sheet through a grid of points (N, M, 3), mm."""
-    grid = np.asarray(points, dtype=np.float64)
-    n = np.arange(grid.shape[0] * grid.shape[1]).reshape(grid.shape[:2])
-    corners = np.stack([n[:-1, :-1], n[1:, :-1], n[1:, 1:], n[:-1, 1:]], axis=-1).reshape(-1, 4)
-    faces = np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
-    return Surface(name, make_mesh(grid.reshape(-1, 3), faces), "sheet", into)
-
-
 def make_cylinder(
     name: str, ends: tuple[ArrayLike, ArrayLike], radius: float, into: int, facets: int = 96
 ) -> Surface:

@@ -22,9 +22,9 @@ from needlefit.arrays import Floats
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.surfaces import Surface, Triangles, from_triangles, to_triangles
+from needlefit.imaging.corrections import compare_reconstructions
 from needlefit.imaging.entry import EntryCandidate, list_candidates
 from needlefit.imaging.needle import segmentation
-from needlefit.imaging.needle.centerline import Centerline
 from needlefit.imaging.reconstruct import Examination, VolumeSearch, add_views, examine
 from needlefit.imaging.reconstruction import IntensityProfile, Reconstruction
 from needlefit.imaging.scans import Scan
@@ -76,41 +76,32 @@ class Findings:
     @property
     def entry_points(self) -> Floats:
         """Where the entries lie (n, 3), LPS, mm."""
-        return place_entries(self.needle, self.entries)
+        if self.needle is None or not self.entries:
+            return np.empty((0, 3))
+        return interpolate_at_arc(self.needle, np.array([one.at for one in self.entries]))
 
 
-def collect_findings(search: VolumeSearch, examined: Examination, recipe: ReconstructionRecord) -> Findings:
+def collect_findings(search: VolumeSearch, examined: Examination) -> Findings:
     """Return what a scan shows, for its page."""
     volume = search.volume
     projections = (volume.values.max(axis=0), volume.values.max(axis=1), volume.values.max(axis=2))
     axis, profile, found = examined.needle_axis, examined.profile, examined.markers
-    size, rejected = recipe.markers.diameter_mm, () if found is None else found.rejected
+    size, rejected = search.recipe.markers.diameter_mm, () if found is None else found.rejected
     balls = [BallFinding(center, size, True) for center in (() if found is None else found.centers)]
     for one in sorted(rejected, key=lambda one: abs(np.log(one.diameter / size))):  # the most alike first
         balls.append(BallFinding(one.center, one.diameter, False))
+    entries: tuple[EntryCandidate, ...] = ()
+    if axis is not None and profile is not None:
+        entries = _try(lambda: list_candidates(profile, float(arc_length(axis.points)[-1]))) or ()
     return Findings(
         volume.grid,
         projections,
-        list_tubes(search, recipe, examined.selection),
+        _list_tubes(search, examined.selection),
         tuple(balls[:MAX_BALLS]),
         None if axis is None else axis.points,
         profile,
-        list_entries(axis, profile),
+        entries,
     )
-
-
-def list_entries(axis: Centerline | None, profile: IntensityProfile | None) -> tuple[EntryCandidate, ...]:
-    """Return the places where soft material begins around a needle; none without one."""
-    if axis is None or profile is None:
-        return ()
-    return _try(lambda: list_candidates(profile, float(arc_length(axis.points)[-1]))) or ()
-
-
-def place_entries(needle: Floats | None, entries: tuple[EntryCandidate, ...]) -> Floats:
-    """Return where along a needle (N, 3) its entries lie (n, 3)."""
-    if needle is None or not entries:
-        return np.empty((0, 3))
-    return interpolate_at_arc(needle, np.array([one.at for one in entries]))
 
 
 def _try(step: Callable[[], T]) -> T | None:
@@ -120,14 +111,13 @@ def _try(step: Callable[[], T]) -> T | None:
     return None
 
 
-def list_tubes(
-    search: VolumeSearch, recipe: ReconstructionRecord, found: segmentation.NeedleSelection | None
-) -> tuple[TubeFinding, ...]:
+def _list_tubes(search: VolumeSearch, found: segmentation.NeedleSelection | None) -> tuple[TubeFinding, ...]:
     """Return the needle and the other tubes, or, where none is one, the longest bright components."""
     if found is not None:
         parts = [found.needle, *found.others]
     else:
-        parts = _try(lambda: search.find_tubes(recipe)) or _try(lambda: search.find_longest(recipe)) or []
+        longest = partial(segmentation.find_longest, search.volume, search.recipe)
+        parts = _try(search.find_tubes) or _try(longest) or []
     chosen = None if found is None else found.needle
     return tuple(
         TubeFinding(segmentation.find_ends(search.volume, part), part.length, part.width, part is chosen)
@@ -228,20 +218,20 @@ class ReconstructionBatch:
     every: bool = False  # whether each needle of a scan is reconstructed
 
 
-def divide_scan(search: VolumeSearch, scan: Scan, recipe: ReconstructionRecord) -> tuple[Scan, ...]:
+def divide_scan(search: VolumeSearch, scan: Scan) -> tuple[Scan, ...]:
     """Return one scan for each needle that a scan holds, `ID-1`, `ID-2`, ... along L; itself if there is one.
 
     So is one of which something is stated that only one needle has, or in which nothing is found.
     """
-    own = (scan.needle_at, scan.contact, scan.tip, scan.stage)
+    own = (scan.needle_at, scan.contact, scan.tip, scan.stage, scan.corrections)
     if any(stated is not None for stated in own):
         return (scan,)
     with suppress(Exception):  # its reconstruction says why
         if scan.mask is None:
-            tubes = search.find_tubes(recipe)
-            parts = segmentation.list_needles(search.volume, tubes, recipe.needle.diameter_mm)
+            tubes = search.find_tubes()
+            parts = segmentation.list_needles(search.volume, tubes, search.recipe.needle.diameter_mm)
         else:
-            parts = segmentation.list_mask_needles(search.volume, scan.mask, recipe)
+            parts = segmentation.list_mask_needles(search.volume, scan.mask, search.recipe)
         points = segmentation.locate_needles(search.volume, parts)
         if len(points) > 1:
             ones = enumerate(points, start=1)
@@ -317,30 +307,31 @@ def add_findings(
         return failure
     profile = replace(one.profile, s=one.profile.s - one.profile.s[0])
     found = Examination(one.scan, None, one.needle_axis, one.markers, one.registration, profile)
-    return replace(failure, findings=collect_findings(VolumeSearch(volume), found, recipe))
+    return replace(failure, findings=collect_findings(VolumeSearch(volume, recipe), found))
 
 
 @one_thread
 def _reconstruct_needles(
     scan: Scan, recipe: ReconstructionRecord, collect: bool, every: bool
 ) -> tuple[Result, ...]:
-    search = _try_step(scan, lambda: VolumeSearch(read_volume(scan.volume, scan.series)))
+    search = _try_step(scan, lambda: VolumeSearch(read_volume(scan.volume, scan.series), recipe))
     if isinstance(search, ReconstructionFailure):
         return (search,)
-    needles = divide_scan(search, scan, recipe) if every else (scan,)
-    return tuple(
-        _try_step(one, partial(_reconstruct_needle, search, one, recipe, collect)) for one in needles
-    )
+    needles = divide_scan(search, scan) if every else (scan,)
+    return tuple(_try_step(one, partial(_reconstruct_needle, search, one, collect)) for one in needles)
 
 
-def _reconstruct_needle(
-    search: VolumeSearch, scan: Scan, recipe: ReconstructionRecord, collect: bool
-) -> Result:
-    found = examine(search.volume, scan, recipe, search)
+def _reconstruct_needle(search: VolumeSearch, scan: Scan, collect: bool) -> Result:
+    found = examine(search.volume, scan, search.recipe, search)
     if found.error is None and found.reconstruction is not None:
-        return add_views(found.reconstruction, search.volume)
+        one = add_views(found.reconstruction, search.volume)
+        if scan.corrections is None:
+            return one
+        plain = replace(scan, corrections=None)
+        before = _try(lambda: examine(search.volume, plain, search.recipe, search).reconstruction)
+        return replace(one, changes=compare_reconstructions(before, one))
     failed = found.error or NeedlefitError("nothing was found", where=str(scan.volume))
-    return ReconstructionFailure(scan, failed, collect_findings(search, found, recipe) if collect else None)
+    return ReconstructionFailure(scan, failed, collect_findings(search, found) if collect else None)
 
 
 def _try_step(scan: Scan, work: Callable[[], T]) -> T | ReconstructionFailure:

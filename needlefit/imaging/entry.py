@@ -10,21 +10,19 @@ s from the entry (s < 0 outside), L the free length, d and g what the entry move
 pose; d and g take priors (`[entry] entry_shift_sd_mm, entry_tilt_sd_deg`), since a short shaft hardly
 separates them from the axis; the deviation of the pose includes this.
 
-Choose where the needle enters the tissue, among all places where soft material begins around it.
+Choose where the needle enters the tissue, among the places where air turns into soft material around it.
 
 A guide plate, a template or the wall of a box is soft material, too. In this order the entry is
 
 1. the candidate nearest to the inserted length that somebody states for the scan (`expected_depth_mm`);
 2. the face behind the guide of stated thickness (`[guide] thickness_mm`; 0: there is none, and the first
-   soft material is the tissue), with or without air between them;
-3. the last change from air to soft material: a guide is left again, the tissue holds the tip.
-
-What contradicts the choice is a warning with all candidates, by the length that they leave inserted.
+   soft material is the tissue); where no air shows behind the guide, `guide_distance_mm` farther on;
+3. the only candidate. Of several, one may be a guide: its thickness is asked for.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from itertools import pairwise
 
 import numpy as np
 
@@ -32,7 +30,7 @@ from needlefit.arrays import Floats
 from needlefit.geometry.crossings import find_surface_hits
 from needlefit.geometry.curves import arc_length, interpolate_at_arc, make_normal
 from needlefit.geometry.surfaces import Surface
-from needlefit.imaging.materials import AIR_HU, MaterialRun, find_rises, find_runs, find_soft_steps
+from needlefit.imaging.materials import MaterialRun, find_rises, find_runs
 from needlefit.imaging.reconstruction import EntryPose, IntensityProfile
 from needlefit.imaging.refusals import refusal
 from needlefit.imaging.registration.register import Registration, target_covariance
@@ -224,16 +222,8 @@ def _variance_across(covariance: Floats, direction: Floats) -> float:
     return float((np.trace(covariance) - direction @ covariance @ direction) / 2)
 
 
-MAX_HIDDEN_GAP_MM = 2.5  # a wider gap of air shows as such, mm
-MIN_GAP_DIP_HU = 150.0  # by so much a hidden gap is darker than guide and tissue, HU
 GUIDE_SD_MM = 0.1  # deviation of the stated thickness of a guide, mm
 MATCH_MM = 1.5  # a soft run whose length misses the guide's thickness by no more is the guide, mm
-MAX_GUIDE_MM = 40.0  # thicker guides are not looked for unless they are stated, mm
-# A first material as bright as that, and brighter than what follows, may be the plastic of a guide, HU.
-PLASTIC_HU = 70.0
-# Deviation of an entry that may lie behind such a guide, in parts of its thickness (a probability of 0.2),
-# and the largest, mm: more would refuse the scan.
-PLASTIC_DOUBT, MAX_DOUBT_MM = 0.4, 1.8
 MAX_DEPTH_MISS_MM = 10.0  # a stated inserted length that misses every candidate by more fits none, mm
 
 
@@ -245,14 +235,7 @@ class EntryCandidate:
     at: float
     sd: float
     depth: float  # length from there to the tip, mm
-    change: Literal["rise", "step"]  # "rise" from air, or "step" from one soft material to another
-    run: MaterialRun  # the soft material that it begins, or, of a step, lies in
-
-    @property
-    def sentence(self) -> str:
-        """The candidate in words."""
-        kind = "from air" if self.change == "rise" else "a change of material"
-        return f"{self.depth:.1f} mm before the tip ({kind})"
+    run: MaterialRun  # the soft material that it begins
 
 
 @dataclass(frozen=True)
@@ -262,204 +245,86 @@ class EntryKnowledge:
     depth: float | None  # about the inserted length, mm
     guide_thickness: float | None  # along the needle, mm; 0: no guide
     guide_distance: float | None  # from the guide to the entry, mm
-    explained: Floats  # (n,); where along the needle stated layers are crossed, mm: a step there is no doubt
-
-
-@dataclass(frozen=True)
-class EntryChoice:
-    """The chosen candidate, all of them in the needle's order, and what a person should know."""
-
-    chosen: EntryCandidate
-    candidates: tuple[EntryCandidate, ...]
-    warnings: tuple[str, ...]
 
 
 def list_candidates(profile: IntensityProfile, tip: float) -> tuple[EntryCandidate, ...]:
     """Return every place where the tissue may begin, from the base on; `tip`: where it is, mm along."""
     runs = find_runs(profile)
-    found = [EntryCandidate(at, sd, tip - at, "rise", runs[n]) for n, at, sd in find_rises(profile)]
-    for run in runs:
-        if run.kind == "soft":
-            found += [
-                EntryCandidate(at, sd, tip - at, "step", run) for at, sd in find_soft_steps(profile, run)
-            ]
-    return tuple(sorted(found, key=lambda one: one.at))
+    return tuple(EntryCandidate(at, sd, tip - at, runs[n]) for n, at, sd in find_rises(profile))
 
 
-def choose_entry(profile: IntensityProfile, tip: float, known: EntryKnowledge) -> EntryChoice | None:
-    """Return where the needle enters the tissue; None if nothing shows it.
+def choose_entry(
+    profile: IntensityProfile, tip: float, known: EntryKnowledge
+) -> tuple[EntryCandidate, tuple[str, ...]] | None:
+    """Return where the needle enters the tissue, and warnings; None if nothing shows it.
 
-    DataError if the stated inserted length fits no candidate.
+    DataError if what is stated does not decide between several candidates, or fits none.
     """
     candidates = list_candidates(profile, tip)
-    rises = [one for one in candidates if one.change == "rise"]
-    if not rises:
+    if not candidates:
         return None
     if known.depth is not None:
         return _choose_by_depth(candidates, known.depth)
-    guide = known.guide_thickness
-    if guide == 0:
-        return EntryChoice(rises[0], candidates, ())
-    if guide is not None:
-        behind = _find_behind_guide(profile, candidates, guide, known)
-        if behind is not None:
-            return behind
-    entry, face = rises[-1], _find_flush_guide(rises[-1], candidates, known)
-    warnings = [*_rise_warnings(profile, rises, guide)]
-    if face is not None and face.depth > 0:
-        warnings.append(
-            f"the first {face.at - entry.at:.1f} mm behind the entry are another material than what follows, "
-            "and no stated layer ends there: if a guide lies on the tissue, the tissue begins "
-            f"{face.depth:.1f} mm before the tip, not {entry.depth:.1f}; state guide.thickness_mm (0: no "
-            "guide) or the layers"
-        )
-        if _is_plastic(profile, entry.at, face.at):
-            doubt = min(PLASTIC_DOUBT * (face.at - entry.at), MAX_DOUBT_MM)
-            entry = replace(entry, sd=float(np.hypot(entry.sd, doubt)))
-    return EntryChoice(entry, candidates, tuple(warnings))
+    if known.guide_thickness is not None and known.guide_thickness > 0:
+        return _find_behind_guide(profile, candidates, known.guide_thickness, known.guide_distance), ()
+    if known.guide_thickness is None and len(candidates) > 1:
+        raise refusal(f"""the needle meets soft material {len(candidates)} times, of which one may be a guide:
+                the tissue may begin {_list_in_words(candidates)}
+            expected: the thickness of the guide along the needle, or about how much of the needle is in the
+                tissue
+            fix: state guide.thickness_mm in the recipe (mm; 0: there is no guide, and the first is the
+                tissue), or expected_depth_mm for this scan
+            where: guide.thickness_mm""")
+    return candidates[0], ()
 
 
-def list_in_words(candidates: Sequence[EntryCandidate]) -> str:
-    """Return the candidates as words."""
-    return ", ".join(one.sentence for one in candidates)
+def _list_in_words(candidates: Sequence[EntryCandidate]) -> str:
+    return " or ".join(f"{one.depth:.1f} mm before the tip" for one in candidates)
 
 
-def _choose_by_depth(candidates: tuple[EntryCandidate, ...], depth: float) -> EntryChoice:
+def _choose_by_depth(
+    candidates: tuple[EntryCandidate, ...], depth: float
+) -> tuple[EntryCandidate, tuple[str, ...]]:
     misses = [abs(one.depth - depth) for one in candidates]
     best = int(np.argmin(misses))
     if misses[best] > MAX_DEPTH_MISS_MM:
-        raise refusal(f"""the tissue may begin {list_in_words(candidates)}, but {depth:g} mm are stated as
+        raise refusal(f"""the tissue may begin {_list_in_words(candidates)}, but {depth:g} mm are stated as
                 inserted
             expected: within {MAX_DEPTH_MISS_MM:g} mm of one of them
             fix: correct expected_depth_mm, or leave it empty
             where: expected_depth_mm""")
-    others = [
-        (one, miss) for one, miss in zip(candidates, misses, strict=True) if one is not candidates[best]
-    ]
-    near = [one for one, miss in others if miss < 2 * misses[best] + 1]
-    notes = [
-        f"expected_depth_mm = {depth:g} fits {list_in_words([candidates[best], *near])} about as well: "
-        "the nearest is taken as the entry"
-    ]
-    return EntryChoice(candidates[best], candidates, tuple(notes[: len(near)]))
+    near = [one for one, miss in zip(candidates, misses, strict=True) if miss < 2 * misses[best] + 1]
+    note = (
+        f"expected_depth_mm = {depth:g} fits {_list_in_words(near)} about as well: the nearest is taken as "
+        "the entry"
+    )
+    return candidates[best], (note,) * (len(near) > 1)
 
 
 def _find_behind_guide(
     profile: IntensityProfile,
     candidates: tuple[EntryCandidate, ...],
     thickness: float,
-    known: EntryKnowledge,
-) -> EntryChoice | None:
-    """Return the face behind a guide of stated thickness; None where no soft run can be the guide.
+    distance: float | None,
+) -> EntryCandidate:
+    """Return the face behind a guide of stated thickness, mm, with or without air between.
 
-    DataError if the guide, or its face on the tissue, does not show, and `guide_distance` does not say which.
+    DataError if no soft run can be the guide.
     """
-    distance = known.guide_distance
-    rises = [one for one in candidates if one.change == "rise"]
-    soft = [run for run in find_runs(profile) if run.kind == "soft"]
-    first = rises[0]
-    begun = soft[0] != first.run  # the guide goes on beyond what is scanned
-    for n, run in enumerate(soft[:-1]):
-        cut = n == 0 and begun and run.length <= thickness + MATCH_MM
-        if abs(run.length - thickness) <= MATCH_MM or cut:
-            entry = next((one for one in rises if one.run == soft[n + 1]), None)
-            if entry is not None:
-                gap = entry.at - run.end
-                note = (
-                    f"{gap:.1f} mm of air lie between the guide and the tissue, but guide_distance_mm is "
-                    f"{distance:g}: one of guide.thickness_mm and guide_distance_mm is not of this scan"
-                    if distance is not None and abs(gap - distance) > MATCH_MM
-                    else ""
-                )
-                return EntryChoice(entry, candidates, (note,) if note else ())
-    lies_apart = distance is not None and distance > MATCH_MM
-    of_metal = any(run.kind == "metal" and run.end <= first.at for run in find_runs(profile))
-    if len(soft) > 1 or begun or first.depth <= thickness or lies_apart or of_metal:
-        return None
-    at, sd = first.at + thickness, float(np.hypot(first.sd, GUIDE_SD_MM))
-    hidden = _find_narrow_gap(profile, at)
-    if hidden is not None:
-        at, sd = hidden
-    steps = [one for one in candidates if one.change == "step" and not _is_explained(one, known)]
-    seen = any(abs(one.at - at) <= MATCH_MM + 3 * one.sd for one in steps)
-    if hidden is None and not seen and distance is None:
-        raise refusal(f"""a guide of {thickness:g} mm is stated, but the scan shows neither air nor another
-                material behind it: the tissue begins {first.depth - thickness:.1f} mm before the tip if the
-                guide lies on it, {first.depth:.1f} mm if the guide is not in the scan
-            expected: which of both
-            fix: state guide_distance_mm = 0 for this scan if the guide lies on the tissue,
-                guide.thickness_mm = 0 if it is not in the scan
+    soft, first = [run for run in find_runs(profile) if run.kind == "soft"], candidates[0]
+    for run, behind in pairwise(soft):
+        # the first one may go on beyond what is scanned
+        cut = run is soft[0] and run != first.run and run.length <= thickness + MATCH_MM
+        entry = next((one for one in candidates if one.run == behind), None)
+        if entry is not None and (cut or abs(run.length - thickness) <= MATCH_MM):
+            return entry
+    if soft[0] != first.run or first.run.length <= thickness:
+        raise refusal(f"""no guide of {thickness:g} mm shows along the needle: the tissue may begin
+                {_list_in_words(candidates)}
+            expected: soft material of that length before the tissue
+            fix: correct guide.thickness_mm (0: the scan shows no guide), or state expected_depth_mm for this
+                scan
             where: guide.thickness_mm""")
-    entry = EntryCandidate(at, sd, first.at + first.depth - at, "step", first.run)
-    return EntryChoice(entry, candidates, ())
-
-
-def _find_narrow_gap(profile: IntensityProfile, face: float) -> tuple[float, float] | None:
-    """Return where tissue begins behind air that blur hides at the `face` of a guide, and its SD, mm.
-
-    The gap's width is the area that is missing from the profile over the step from tissue to air.
-    """
-    near = (np.abs(profile.s - face) < 2 * MATCH_MM + MAX_HIDDEN_GAP_MM) & np.isfinite(profile.around)
-    s, values = profile.s[near], profile.around[near]
-    dip = np.abs(s - face) <= MATCH_MM + MAX_HIDDEN_GAP_MM
-    if dip.sum() < 3 or dip.all():
-        return None
-    before, after = s < face, s > face
-    levels = [float(np.median(values[~dip & side])) for side in (before, after) if (~dip & side).any()]
-    if len(levels) < 2 or values[dip].min() > min(levels) - MIN_GAP_DIP_HU:
-        return None
-    missing = np.where(dip & (values < min(levels) - MIN_GAP_DIP_HU / 3), np.mean(levels) - values, 0.0)
-    step = float(np.median(np.diff(s)))
-    width = float(missing.sum()) * step / float(np.mean(levels) - AIR_HU)
-    middle = float(missing @ s / missing.sum())
-    return middle + width / 2, float(np.hypot(step / 2, GUIDE_SD_MM))
-
-
-def _rise_warnings(
-    profile: IntensityProfile, rises: Sequence[EntryCandidate], guide: float | None
-) -> Iterator[str]:
-    """Say that soft material is left again before the entry."""
-    before = [run for run in find_runs(profile) if run.kind == "soft" and run.end < rises[-1].at]
-    if not before:
-        return
-    parts = ", ".join(f"{run.length:.1f} mm of {run.level:.0f} HU" for run in before)
-    gap = rises[-1].at - before[-1].end
-    stated = "" if guide is None else f", and none is a guide of {guide:g} mm"
-    yield (
-        f"before the entry the needle passes {parts}, then {gap:.1f} mm of air{stated}: taken as a guide. "
-        f"The tissue may begin {list_in_words(rises)}; state expected_depth_mm or guide.thickness_mm "
-        "(0: no guide)"
-    )
-
-
-def _find_flush_guide(
-    entry: EntryCandidate, candidates: Sequence[EntryCandidate], known: EntryKnowledge
-) -> EntryCandidate | None:
-    """Return where the first material ends, if it may be a guide that lies on the tissue.
-
-    Where a stated layer ends there, or it is too thick, it is none.
-    """
-    behind = [
-        one for one in candidates if one.change == "step" and one.run == entry.run and one.at > entry.at
-    ]
-    if not behind or known.guide_thickness is not None or behind[0].at - entry.at > MAX_GUIDE_MM:
-        return None
-    return None if _is_explained(behind[0], known) else behind[0]
-
-
-def _is_explained(step: EntryCandidate, known: EntryKnowledge) -> bool:
-    """Return whether a stated layer ends where a material changes."""
-    return bool((np.abs(known.explained - step.at) <= MATCH_MM + 3 * step.sd).any())
-
-
-def _is_plastic(profile: IntensityProfile, begin: float, end: float) -> bool:
-    """Whether the material between two places along the needle, mm, is bright, and brighter than the next."""
-    length = end - begin
-    inside, after = (
-        profile.around[(profile.s > low) & (profile.s < high)]
-        for low, high in ((begin + length / 4, end - length / 4), (end, end + length / 2))
-    )
-    if not np.isfinite(inside).any() or not np.isfinite(after).any():
-        return False
-    level = float(np.nanmedian(inside))
-    return level >= PLASTIC_HU and level > float(np.nanmedian(after))
+    behind_face = thickness + (distance or 0.0)
+    sd = float(np.hypot(first.sd, GUIDE_SD_MM))
+    return EntryCandidate(first.at + behind_face, sd, first.depth - behind_face, first.run)

@@ -1,40 +1,40 @@
 """Read and write NRRD, NIfTI and MetaImage files by SimpleITK, which converts their coordinates to LPS."""
 
 import gzip
+import math
+import re
 import zlib
 from collections.abc import Mapping
-from contextlib import ExitStack
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import SimpleITK as sitk
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from needlefit.arrays import Floats, Ints
 from needlefit.errors import DataError
-from needlefit.imaging.image_headers import missing_voxels, unreadable_image
 from needlefit.imaging.refusals import located, refusal
 from needlefit.imaging.volume import (
     AXES_COSINE_TOLERANCE,
+    READABLE_VOLUMES,
     Volume,
     VoxelGrid,
+    check_expansion,
     check_grid,
     grid_to_json,
+    not_one_volume,
     orthogonalize,
     sheared_axes,
 )
 from needlefit.project.folders import replace_file
-from needlefit.project.sandbox import SandboxArrays
+from needlefit.project.sandbox import SandboxArrays, allow_memory
 
 IMAGE_IOS = {".nrrd": "NrrdImageIO", ".nhdr": "NrrdImageIO", ".mha": "MetaImageIO", ".mhd": "MetaImageIO"}
 _COMPLEX = (sitk.sitkComplexFloat32, sitk.sitkComplexFloat64)
-# One unit of a NIfTI header by its code (metre, millimetre, micrometre) in mm.
-_MILLIMETRES = {1: 1e3, 2: 1.0, 3: 1e-3}
+# One unit of a NIfTI header in mm.
+_MILLIMETRES = {"meter": 1e3, "mm": 1.0, "micron": 1e-3}
 _BLOCK_BYTES = 2**20
 # zlib's fastest level: on noise, higher ones cost ten times the time for a few per cent.
 _COMPRESSION_LEVEL = 1
@@ -42,42 +42,62 @@ _COMPRESSION_LEVEL = 1
 sitk.ProcessObject.SetGlobalWarningDisplay(False)  # errors are reported once, by our own messages
 
 
-def read_image(results: SandboxArrays, path: str, layers: bool = False, header: str = "") -> dict[str, Any]:
-    """Read an image file whose header was checked: the array "values", and its grid.
+def read_image(results: SandboxArrays, path: str, stored: int, layers: bool = False) -> dict[str, Any]:
+    """Read an image file: the array "values", its grid, and the texts of its header about segments.
 
+    `stored`: bytes of the file, with that of its voxels.
     `layers`: whether a voxel may have several numbers; the values then have a fourth axis for them.
-    `header`: a detached NRRD header that is read in place of the file's own.
 
     DataError if the file is none, is cut short, has not three dimensions, does not say in which coordinate
     system it stands, or claims an absurd size.
     """
     file = Path(path)
-    with ExitStack() as stack:
-        stack.enter_context(located(path))
-        named = file
-        if header:
-            named = Path(stack.enter_context(TemporaryDirectory())) / "volume.nhdr"
-            named.write_text(header, encoding="utf-8")
+    with located(path):
         reader = sitk.ImageFileReader()
         reader.SetImageIO(IMAGE_IOS.get(file.suffix.lower(), "NiftiImageIO"))
-        reader.SetFileName(str(named))
-        grid, parts = _read_grid(reader, layers)
+        reader.SetFileName(path)
+        try:
+            reader.ReadImageInformation()
+        except RuntimeError as error:
+            if "orthonormal" in str(error):
+                raise sheared_axes() from error
+            if "number of domain axes" in str(error):
+                raise not_one_volume("more than three dimensions") from error
+            raise _unreadable_header(_last_line(error)) from error
+        bits = re.search(r"(\d+)-bit", sitk.GetPixelIDValueAsString(reader.GetPixelID()))
+        parts = 2 if reader.GetPixelID() in _COMPLEX else reader.GetNumberOfComponents()
+        if reader.GetDimension() != 3 or bits is None or (parts != 1 and not layers):
+            size = " x ".join(map(str, reader.GetSize()))
+            raise not_one_volume(f"{size} voxels of {parts} number{'s' * (parts > 1)}")
+        columns, rows, slices = reader.GetSize()
+        origin, spacing, direction = map(
+            np.array, (reader.GetOrigin(), reader.GetSpacing(), reader.GetDirection())
+        )
+        grid = VoxelGrid((columns, rows, slices), origin, spacing, direction.reshape(3, 3))
         check_grid(grid)
-        if reader.GetImageIO() == "NiftiImageIO":
-            _check_length(reader, file, grid)  # its reader takes what is missing for zeros
         shape = (*grid.size[::-1], parts) if layers else grid.size[::-1]
+        content, memory = (math.prod(shape) * size for size in (int(bits[1]) // 8, 4))
+        check_expansion(content, memory, stored)
+        texts = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys()}
+        if reader.GetImageIO() == "NiftiImageIO":
+            _check_nifti(file, grid)
+        elif reader.GetImageIO() == "NrrdImageIO":  # MetaImage is LPS by its definition
+            _check_nrrd_space(texts.get("NRRD_space", ""))
+        allow_memory(2 * content + memory + stored)  # a buffer, one to convert into
         values = results.new("values", shape, "float32")
         try:
             image = reader.Execute()
         except RuntimeError as error:
-            raise missing_voxels() from error
+            raise _missing_voxels(f" ({_last_line(error)})") from error
         # SimpleITK's arrays are indexed k, j, i: the reverse of its sizes
         values[...] = sitk.GetArrayViewFromImage(image).reshape(shape)
         if not np.isfinite([values.min(), values.max()]).all():
             raise refusal(f"""holds {np.count_nonzero(~np.isfinite(values))} voxels that are no finite number
                 expected: a number in every voxel
                 fix: give voxels outside the scan the value of air, e.g. -1000""")
-    return grid_to_json(replace(grid, direction=orthogonalize(grid.direction)))
+    grid = replace(grid, direction=orthogonalize(grid.direction))
+    segments = {key: text for key, text in texts.items() if re.fullmatch(r"Segment\d{1,4}_\w+", key)}
+    return {**grid_to_json(grid), "texts": segments}
 
 
 def write_image(volume: Volume, path: Path, description: str) -> None:
@@ -101,88 +121,61 @@ def write_labels(values: NDArray[Any], grid: VoxelGrid, entries: Mapping[str, st
         sitk.WriteImage(image, str(fresh), useCompression=True, compressionLevel=_COMPRESSION_LEVEL)
 
 
-def _read_grid(reader: sitk.ImageFileReader, layers: bool) -> tuple[VoxelGrid, int]:
-    """Return what the header says of the voxels, and how many numbers each has, one unless `layers`.
-
-    No voxel is read, nothing of their size allocated.
-    """
-    try:
-        reader.ReadImageInformation()
-    except RuntimeError as error:
-        raise _unreadable_header(str(error)) from error
-    parts = 2 if reader.GetPixelID() in _COMPLEX else reader.GetNumberOfComponents()
-    if reader.GetDimension() != 3 or (parts != 1 and not layers):
-        size = " x ".join(map(str, reader.GetSize()))
-        raise _not_one_volume(f"{size} voxels of {parts} number{'s' * (parts > 1)}")
-    _check_space(reader)
-    columns, rows, slices = reader.GetSize()
-    origin, spacing, direction = map(
-        np.array, (reader.GetOrigin(), reader.GetSpacing(), reader.GetDirection())
-    )
-    return VoxelGrid((columns, rows, slices), origin, spacing, direction.reshape(3, 3)), parts
-
-
-def _check_space(reader: sitk.ImageFileReader) -> None:
-    """See that the file itself says where the patient's left is, and one spacing: SimpleITK makes one up.
-
-    MetaImage is LPS by its definition.
-    """
-    metadata = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys()}
-    space = metadata.get("NRRD_space")
-    if reader.GetImageIO() == "NrrdImageIO" and space != "left-posterior-superior":
+def _check_nrrd_space(space: str) -> None:
+    """See that the file says where the patient's left is: SimpleITK makes it up."""
+    if space != "left-posterior-superior":
         stated = f"its space is {space}, which does not describe the patient"
         raise refusal(f"""{stated if space else "does not say its space"}
             expected: `space: left-posterior-superior` or another anatomical one in the header
             fix: export it from a program that knows the patient's axes, such as 3D Slicer""")
-    if reader.GetImageIO() != "NiftiImageIO":
-        return
-    if metadata["qform_code"] == metadata["sform_code"] == "0":
+
+
+def _check_nifti(path: Path, grid: VoxelGrid) -> None:
+    """See that a NIfTI file says where the patient's left is, once, and holds all voxels.
+
+    SimpleITK makes up what is not stated, and takes voxels that are missing for zeros.
+    """
+    import nibabel  # slow to load, and the other formats need none
+    from nibabel.arrayproxy import ArrayProxy
+    from nibabel.filebasedimages import ImageFileError
+    from nibabel.spatialimages import HeaderDataError
+
+    try:
+        image = nibabel.load(path)
+        assert isinstance(image, nibabel.Nifti1Image)  # NIfTI-2 is one, too
+        assert isinstance(image.dataobj, ArrayProxy)
+        header = image.header
+        forms = [header.get_qform(coded=True), header.get_sform(coded=True)]
+        unit = _MILLIMETRES.get(header.get_xyzt_units()[0], 1.0)
+    except (ImageFileError, HeaderDataError, ValueError, AssertionError) as error:
+        raise _unreadable_header(str(error)[:200]) from error
+    stated = [matrix[:3] * unit for matrix, code in forms if code]
+    if not stated:
         raise refusal("""does not say where it stands in the patient: qform_code and sform_code are 0
             expected: a NIfTI header with a qform or an sform
             fix: convert the scan from its DICOM series again""")
-    spacing = np.array(reader.GetSpacing())
-    rows = np.array([metadata[f"srow_{axis}"].split()[:3] for axis in "xyz"], dtype=np.float64)
-    steps = np.linalg.norm(rows, axis=0) * _MILLIMETRES.get(int(metadata["xyzt_units"]) % 8, 1.0)
-    alike = np.allclose(steps, spacing, rtol=AXES_COSINE_TOLERANCE, atol=0.0)
-    if metadata["sform_code"] != "0" and not alike:
-        raise refusal(f"""has two spacings: {spacing.tolist()} mm by pixdim, {steps.round(6).tolist()} mm by
-                its sform
+    steps = np.linalg.norm(stated[-1][:, :3], axis=0)
+    if not np.allclose(steps, grid.spacing, rtol=AXES_COSINE_TOLERANCE, atol=0.0):
+        raise refusal(f"""has two spacings: {grid.spacing.tolist()} mm by pixdim, {steps.round(6).tolist()} mm
+                by its sform
             expected: the same spacing in both
             fix: convert the scan from its DICOM series again""")
-    if "0" not in (metadata["qform_code"], metadata["sform_code"]):
-        _check_forms(metadata, spacing, np.array(reader.GetSize()))
-
-
-def _check_forms(metadata: Mapping[str, str], spacing: Floats, size: Ints) -> None:
-    """See that sform and qform of a NIfTI header place the same voxels alike, within one of them."""
-    unit = _MILLIMETRES.get(int(metadata["xyzt_units"]) % 8, 1.0)
-    sform = np.array([metadata[f"srow_{axis}"].split() for axis in "xyz"], dtype=np.float64) * unit
-    turn = np.array([float(metadata[f"quatern_{name}"]) for name in "bcd"])
-    turned = Rotation.from_quat([*turn, np.sqrt(max(0.0, 1 - turn @ turn))]).as_matrix()
-    hand = float(np.sign(np.linalg.det(sform[:, :3])))  # SimpleITK does not tell that of the qform
-    qform = np.column_stack([turned * spacing * [1, 1, hand], [0.0, 0, 0]])
-    qform[:, 3] = [unit * float(metadata[f"qoffset_{axis}"]) for axis in "xyz"]
-    corners = np.array(list(product(*[(0, n - 1) for n in size.tolist()], (1,))))
-    apart = float(np.linalg.norm((sform - qform) @ corners.T, axis=0).max())
-    if apart > spacing.max():
-        between = (sform[:, :3] / spacing).T @ (qform[:, :3] / spacing)
-        angle = np.degrees(np.arccos(np.clip((np.trace(between) - 1) / 2, -1, 1)))
+    corners = np.array(list(product(*[(0, n - 1) for n in grid.size], (1,))))
+    apart = float(np.linalg.norm((stated[0] - stated[-1]) @ corners.T, axis=0).max())
+    if apart > grid.spacing.max():
+        one, other = (matrix[:, :3] / np.linalg.norm(matrix[:, :3], axis=0) for matrix in stated)
+        angle = np.degrees(np.arccos(np.clip((np.trace(one.T @ other) - 1) / 2, -1, 1)))
         raise refusal(f"""its sform and its qform place the voxels up to {apart:.1f} mm apart, turned by
                 {angle:.1f} degrees
             expected: one place of the scan in the patient
             fix: convert the scan from its DICOM series again, or set the code of the wrong one to 0""")
-
-
-def _check_length(reader: sitk.ImageFileReader, path: Path, grid: VoxelGrid) -> None:
-    """Count the bytes of a NIfTI file, unpacked, against what its header promises."""
-    start, bits = (int(float(reader.GetMetaData(key))) for key in ("vox_offset", "bitpix"))
-    needed = start + bits // 8 * int(np.prod(grid.size, dtype=np.int64))
+    needed = image.dataobj.offset + image.dataobj.dtype.itemsize * math.prod(grid.size)
     try:
         found = _unpacked_size(path, needed) if path.suffix.lower() == ".gz" else path.stat().st_size
     except (EOFError, OSError, zlib.error) as error:
-        raise missing_voxels() from error
+        raise _missing_voxels() from error
     if found < needed:
-        raise missing_voxels()
+        raise _missing_voxels()
 
 
 def _unpacked_size(path: Path, enough: int) -> int:
@@ -194,16 +187,18 @@ def _unpacked_size(path: Path, enough: int) -> int:
     return total
 
 
+def _last_line(error: Exception) -> str:
+    """Return the last line of an error of SimpleITK, which names the cause, without addresses of memory."""
+    return re.sub(r"\w+\(0x[0-9a-f]+\): ", "", str(error).strip().splitlines()[-1])[:200]
+
+
 def _unreadable_header(reason: str) -> DataError:
-    """Return the error for a header that SimpleITK cannot read."""
-    if "orthonormal" in reason:
-        return sheared_axes()
-    if "number of domain axes" in reason:
-        return _not_one_volume("more than three dimensions")
-    return unreadable_image("SimpleITK does not take its header")
+    return refusal(f"""cannot be read as a volume: {reason}
+        expected: {READABLE_VOLUMES}
+        fix: check that the file is whole and its name ends as its format wants; export it again""")
 
 
-def _not_one_volume(what: str) -> DataError:
-    return refusal(f"""is no single volume: {what}
-        expected: three dimensions, one number a voxel
-        fix: export one time point, or one segment, as a volume of its own""")
+def _missing_voxels(reason: str = "") -> DataError:
+    return refusal(f"""its header is sound, but its voxels are damaged or not all there{reason}
+        expected: all voxels that the header promises, in this file or the one that it names
+        fix: the file is cut short or damaged: copy it or export it again""")

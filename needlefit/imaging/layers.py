@@ -10,12 +10,10 @@ the normal distribution function of the distance, so that its inverse is that di
 plane stays where it was whatever its tilt. A boundary with radii R1, R2 moves toward its hollow side by
 s^2 / 2 (1 / R1 + 1 / R2), s about 0.7 mm: 0.03 mm at a cylinder of radius 10 mm. Sharp corners are rounded: a
 right-angled edge loses about 0.5 mm along its bisector, the corner of a box about 1 mm.
-
-Segmentations: volumes in which every voxel holds the number of its layer.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -39,147 +37,14 @@ from needlefit.geometry.surfaces import (
     read_surface,
     transform_surface,
 )
-from needlefit.imaging import volume_files
-from needlefit.imaging.image_headers import MAX_SEGMENTS, check_image_header, choose_segments, parse_count
 from needlefit.imaging.reconstruction import EntryPose, Layers
 from needlefit.imaging.refusals import located, refusal
 from needlefit.imaging.registration.register import Registration, scan_frame, target_covariance
 from needlefit.imaging.scans import LayerSource, Scan
-from needlefit.imaging.volume import Volume, VoxelGrid, require_same_frame, to_patient
-from needlefit.project.input_files import path_exists
+from needlefit.imaging.segmentations import Labels, read_labels
+from needlefit.imaging.volume import VoxelGrid, require_same_frame, to_patient
+from needlefit.imaging.volume_files import explain_missing_packages
 from needlefit.schemas.reconstruction import ReconstructionRecord
-
-MAX_NAME_CHARS = 200
-EXPECTED_LABELS = "a whole number of each voxel's layer, 0 outside the tissue, and no more than a few layers"
-SAVE_AGAIN_FIX = "save the segmentation again from 3D Slicer"
-
-
-@dataclass(frozen=True)
-class Segment:
-    """One layer of tissue in a segmentation: the `value` of its voxels, and its name ("" where there is
-    none).
-
-    `plane` is the one of several numbers of each voxel that holds the value, as 3D Slicer keeps segments that
-    were drawn over one another.
-    """
-
-    value: int
-    name: str
-    plane: int = 0
-
-
-@dataclass(frozen=True)
-class Labels:
-    """A segmentation; `segments` are the layers 1, 2, ... in this order."""
-
-    volume: Volume
-    segments: tuple[Segment, ...]
-
-
-def read_labels(path: Path, names: Sequence[str] = ()) -> Labels:
-    """Read a segmentation: `.seg.nrrd` of 3D Slicer, any label volume, DICOM-SEG, RTSTRUCT, a .zip of one.
-
-    The layers are the segments that are named, in this order; by default all in the order in which the file
-    lists them, or, where it names none, the labels in the order of their values. A label without a name is
-    named by its value.
-
-    DataError if it is not a volume, its segments overlap, one is empty or missing, or its values are no
-    labels.
-    """
-    with volume_files.open_member(path) as place, located(place):
-        if not volume_files.is_image_file(place):
-            volume, found = volume_files.read_segments(place, names)
-            return _check_labels(volume, tuple(Segment(n, name) for n, name in enumerate(found, 1)))
-        stated, axes = _read_stated_segments(place) if path_exists(place) else ((), 3)
-        if stated and axes > 3:
-            volume, stated = _merge_planes(volume_files.read_planes(place), stated)
-        else:
-            volume = volume_files.read_volume(place)
-        labels = _check_labels(volume, stated)
-        chosen = choose_segments([one.name or str(one.value) for one in labels.segments], names)
-        return replace(labels, segments=tuple(labels.segments[n] for n in chosen))
-
-
-def _merge_planes(
-    planes: Sequence[Volume], segments: Sequence[Segment]
-) -> tuple[Volume, tuple[Segment, ...]]:
-    """Return one volume of the labels 1, 2, ... of segments in several; DataError if they overlap."""
-    values, labelled = np.zeros_like(planes[0].values), 0
-    for label, segment in enumerate(segments, 1):
-        if segment.plane >= len(planes):
-            raise refusal(f"""segment {segment.name} is in layer {segment.plane}, of {len(planes)} in
-                    the file
-                expected: layers that are there
-                fix: {SAVE_AGAIN_FIX}""")
-        inside = planes[segment.plane].values == segment.value
-        if met := int(values[inside].max(initial=0)):
-            raise _overlap_error([segments[met - 1].name, segment.name])
-        values[inside], labelled = label, labelled + int(np.count_nonzero(inside))
-    if labelled < sum(np.count_nonzero(plane.values) for plane in planes):
-        raise refusal(f"""voxels have labels that no segment has
-            expected: labels of the segments that the header names
-            fix: {SAVE_AGAIN_FIX}""")
-    merged = tuple(Segment(label, segment.name) for label, segment in enumerate(segments, 1))
-    return replace(planes[0], values=values), merged
-
-
-def _check_labels(volume: Volume, stated: tuple[Segment, ...]) -> Labels:
-    """Return the labels of a volume as those of the stated segments, or of nameless ones without any."""
-    low, high = float(volume.values.min()), float(volume.values.max())
-    labels_only = all(np.array_equal(slice_, np.rint(slice_)) for slice_ in volume.values)
-    if low < 0 or high >= 2**16 or not labels_only:
-        raise refusal(f"""its voxels run from {low:g} to {high:g}{", with fractions" * (not labels_only)}:
-                this is a scan
-            expected: {EXPECTED_LABELS}
-            fix: give the segmentation, not the scan that it was made from""")
-    size = int(high) + 1
-    counts = sum(np.bincount(s.ravel().astype(np.int64), minlength=size) for s in volume.values)
-    present: list[int] = [value for value in np.flatnonzero(counts).tolist() if value]
-    if not 1 <= len(present) <= MAX_SEGMENTS:
-        none = "holds no label: all voxels are 0"
-        fix = "give the segmentation of the layers" if present else "segment the layers, and save it again"
-        raise refusal(f"""{f"holds {len(present)} labels: this is a scan" if present else none}
-            expected: {EXPECTED_LABELS}
-            fix: {fix}""")
-    if not stated:
-        return Labels(volume, tuple(Segment(value, "") for value in present))
-    empty = [f"{segment.name} (label {segment.value})" for segment in stated if segment.value not in present]
-    if empty:
-        raise refusal(f"""no voxel belongs to segment {", ".join(empty)}
-            expected: voxels in every segment
-            fix: remove the empty segments, or fill them""")
-    unnamed = sorted(set(present) - {segment.value for segment in stated})
-    if unnamed:
-        raise refusal(f"""voxels have the labels {", ".join(map(str, unnamed))}, which no segment has
-            expected: labels {", ".join(str(segment.value) for segment in stated)}
-            fix: {SAVE_AGAIN_FIX}""")
-    return Labels(volume, stated)
-
-
-def _read_stated_segments(path: Path) -> tuple[tuple[Segment, ...], int]:
-    """Return the segments that a header names, in its order, and its axes; DataError if two are the same."""
-    header = check_image_header(path)
-    texts, count = header.texts, 0
-    while f"Segment{count}_ID" in texts or f"Segment{count}_LabelValue" in texts:
-        count += 1
-    segments = tuple(
-        Segment(
-            parse_count(texts.get(f"Segment{n}_LabelValue", f"{n + 1}"), 0, 2**16),
-            texts.get(f"Segment{n}_Name", "").strip()[:MAX_NAME_CHARS],
-            parse_count(texts.get(f"Segment{n}_Layer", "0"), 0, MAX_SEGMENTS),
-        )
-        for n in range(count)
-    )
-    if len({(segment.plane, segment.value) for segment in segments}) < len(segments):
-        raise _overlap_error([segment.name for segment in segments])
-    return segments, len(header.size)
-
-
-def _overlap_error(names: Sequence[str]) -> DataError:
-    return refusal(f"""its segments overlap: {", ".join(names)}
-        expected: every voxel in one layer
-        fix: in the Segment Editor set "Modify other segments" to "Overwrite all", and save it again""")
-
 
 CELL_MM = 1.25  # edge of the cells that marching cubes goes through, as near as whole voxels come to it, mm
 SMOOTHING_SD_MM = 0.6  # standard deviation of the smoothing, mm; at least as many voxels
@@ -317,7 +182,7 @@ def read_layers(
 
     `patient`: the scan's LPS axes and origin in the world.
     `grid`: where the scan's voxels stand: surfaces of its own must not lie elsewhere.
-    `frame_of_reference`: UID of the scan's; a DICOM segmentation must state the same.
+    `frame_of_reference`: UID of the scan's; contours must state the same.
 
     DataError: listing every fault of every file.
     """
@@ -357,7 +222,7 @@ def _read_segmentation(scan: Scan, frame_of_reference: str, found: list[Fault]) 
         found.append(Fault(str(one.path), what, expected, "list it alone"))
         return []
     try:
-        with volume_files.explain_missing_packages():
+        with explain_missing_packages():
             return list(extract_label_surfaces(one.path, one.segments, frame_of_reference))
     except DataError as error:
         found.append(from_error(error))

@@ -25,7 +25,7 @@ from needlefit.imaging.refusals import refusal
 from needlefit.imaging.registration.pairing import MIN_MARKERS
 from needlefit.imaging.registration.register import check_axis_signs
 from needlefit.imaging.spheres import MAX_BLUR_MM, Blob, PointSpread, SphereFit, fit_sphere
-from needlefit.imaging.volume import Volume, to_index, to_patient
+from needlefit.imaging.volume import Volume, find_outside, to_index, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 LEVEL_RATIO = 1.35  # ratio of one level above tissue to the one before
@@ -325,9 +325,8 @@ def read_markers(path: Path) -> Floats:
     return format_.read_markers(path).values
 
 
-def read_fiducials(path: Path, recipe: ReconstructionRecord) -> MarkerResult:
-    """Read fiducials that were placed by hand in the scan; a CSV holds LPS. DataError as `read_markers`."""
-    points = read_markers(path)
+def make_fiducials(points: Floats, recipe: ReconstructionRecord) -> MarkerResult:
+    """Return markers (M, 3) that were placed by hand in the scan, LPS, mm."""
     return MarkerResult(points, np.full(len(points), recipe.markers.fiducial_sd_mm), "fiducials")
 
 
@@ -344,8 +343,7 @@ def refine_fiducials(
     rules = recipe.markers
     if len(balls.centers):
         check_axis_signs(given.centers, balls.centers, rules.fiducial_sd_mm)
-    index, last = to_index(volume, given.centers), np.array(volume.values.shape[::-1]) - 1
-    outside = np.flatnonzero(((index < -1) | (index > last + 1)).any(axis=1))
+    outside = find_outside(volume, given.centers)
     if len(outside):
         at = ", ".join(f"{x:.1f}" for x in given.centers[outside[0]])
         raise refusal(f"""{len(outside)} of {len(given.centers)} fiducials lie outside the volume, one at

@@ -74,13 +74,7 @@ AIR_HU, AIR_SD_HU = -1000.0, 30.0  # that of air, HU, and its deviation in a nar
 EDGE_REACH_MM = 8.0  # distance to either side of the edge over which the model is fitted, mm
 EDGE_MARGIN_MM = 3.0  # distance within which the blur of an edge shows, mm
 MIN_EDGE_STEP_HU = 300.0  # an edge from air to tissue rises by more than this, HU
-# Two soft materials differ by more: rays and a hardened beam leave less in the median of a ring, HU.
-MIN_STEP_HU = 25.0
-MIN_STEP_LENGTH_MM = 3.0  # a soft material lasts so long along the needle, mm
-BLUR_MM = 1.5  # stations this near to the end of a run show its edge, mm
-# Scatter of the surroundings along a needle in one material, HU: rays leave so much without noise.
-MIN_STEP_NOISE_HU = 5.0
-# The same in parts of the edge's blur: kernels and slices blur both sides of an edge differently.
+# Deviation of an edge in parts of its blur: kernels and slices blur both sides of an edge differently.
 SYSTEMATIC_WIDTH_RATIO = 0.1
 # A weak prior of the width of an edge, within a factor of e: between two stations nothing else fixes it.
 WIDTH_MM = 0.5
@@ -245,81 +239,6 @@ def _fit_edge(
     scatter = min(np.sqrt(variance), between)
     deviation = np.linalg.norm([scatter, SYSTEMATIC_SD_MM, SYSTEMATIC_WIDTH_RATIO * width])
     return float(best.x[this]), float(deviation)
-
-
-def find_soft_steps(profile: IntensityProfile, run: MaterialRun) -> tuple[tuple[float, float], ...]:
-    """Return where in a soft run one material changes to another: mm along the needle, and deviations."""
-    s, values = _known_stations(profile)
-    inside = (s > run.begin + BLUR_MM) & (s < run.end - BLUR_MM)
-    s, values = s[inside], values[inside]
-    if len(s) < 8:
-        return ()
-    noise = max(MIN_STEP_NOISE_HU, 1.05 * float(np.median(np.abs(np.diff(values)))))
-    least = int(np.ceil(MIN_STEP_LENGTH_MM / float(np.median(np.diff(s)))))
-    parts = merge_levels(values, partition(values, noise, least), MIN_STEP_HU)
-    parts = _drop_drifts(s, values, parts)
-    if not parts:
-        return ()
-    at = (s[parts] + s[np.array(parts) - 1]) / 2
-    levels = np.array([np.median(part) for part in np.split(values, parts)])
-    best = _fit_steps(s, values, noise, (at, levels, []))
-    jacobian = np.asarray(best.jac, dtype=np.float64)
-    factor = correlation_factor(best.fun[:, None], len(best.x))
-    variances = np.diag(np.linalg.pinv(jacobian.T @ jacobian))[: len(at)] * factor
-    return tuple(zip(best.x[: len(at)].tolist(), np.sqrt(variances).tolist(), strict=True))
-
-
-def _drop_drifts(s: Floats, values: Floats, changes: list[int]) -> list[int]:
-    """Return the changes at which the values (n,) jump; a hardened beam lets them drift, which is no change.
-
-    Between its neighbours each is fitted as a step on a parabola.
-    """
-    ends = [0, *changes, len(s)]
-    found = []
-    for before, at, after in zip(ends[:-2], changes, ends[2:], strict=True):
-        x = s[before:after] - s[at]
-        clear = np.abs(x) > BLUR_MM
-        design = np.column_stack([x >= 0, np.ones_like(x), x, x**2])[clear]
-        step = np.linalg.lstsq(design, values[before:after][clear])[0][0]
-        if abs(step) >= MIN_STEP_HU:
-            found.append(at)
-    return found
-
-
-def partition(values: Floats, noise: float, least: int) -> list[int]:
-    """Return the indices at which a piecewise constant sequence (n,) changes: optimal partitioning.
-
-    The penalty for a change is 3 ln(n) variances of the noise, and no piece is shorter than `least`.
-    """
-    n = len(values)
-    sums, squares = (np.concatenate([[0.0], np.cumsum(values**power)]) for power in (1, 2))
-    penalty = 3 * np.log(n) * noise**2
-    best, before = np.full(n + 1, np.inf), np.zeros(n + 1, dtype=int)
-    best[0] = -penalty
-    for end in range(least, n + 1):
-        begin = np.arange(end - least + 1)
-        total = sums[end] - sums[begin]
-        cost = best[begin] + squares[end] - squares[begin] - total**2 / (end - begin) + penalty
-        before[end] = int(np.argmin(cost))
-        best[end] = cost[before[end]]
-    changes: list[int] = []
-    end = n
-    while end > 0:
-        end = int(before[end])
-        changes.append(end)
-    return [at for at in reversed(changes) if at > 0]
-
-
-def merge_levels(values: Floats, changes: list[int], least: float) -> list[int]:
-    """Return the changes between pieces whose medians differ by `least`; the smallest are removed first."""
-    changes = list(changes)
-    while changes:
-        heights = np.abs(np.diff([float(np.median(part)) for part in np.split(values, changes)]))
-        smallest = int(np.argmin(heights))
-        if heights[smallest] >= least:
-            break
-        del changes[smallest]
-    return changes
 
 
 def _choose_window(runs: tuple[MaterialRun, ...], guess: float) -> tuple[list[int], float, float]:

@@ -36,7 +36,6 @@ from needlefit.imaging.entry import (
     require_agreement,
     usable_length,
 )
-from needlefit.imaging.layer_proposal import propose_layers
 from needlefit.imaging.layers import estimate_layer_errors, find_crossed_layers, read_layers
 from needlefit.imaging.markers import (
     CANDIDATE_FIX,
@@ -44,18 +43,16 @@ from needlefit.imaging.markers import (
     find_markers,
     is_list_of_points,
     list_bright_voxels,
-    read_fiducials,
+    make_fiducials,
     read_markers,
     refine_fiducials,
 )
 from needlefit.imaging.materials import find_rises, find_tissue_edge, sample_profile
-from needlefit.imaging.needle.axis_spline import AxisSpline
 from needlefit.imaging.needle.centerline import Centerline, trace_needle
 from needlefit.imaging.needle.follow import follow_points, select_rod
 from needlefit.imaging.needle.segmentation import (
     Component,
     NeedleSelection,
-    find_longest,
     find_tubes,
     read_mask_component,
     select_needle,
@@ -77,9 +74,9 @@ from needlefit.imaging.registration.register import (
     register,
     scan_frame,
 )
-from needlefit.imaging.scans import BEVEL_FIX, CONTACT_COLUMNS, Scan
-from needlefit.imaging.spheres import Blob, PointSpread, SphereFit, fit_sphere
-from needlefit.imaging.volume import Volume, VoxelGrid, require_hounsfield
+from needlefit.imaging.scans import BEVEL_FIX, CONTACT_COLUMNS, Corrections, Scan
+from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere
+from needlefit.imaging.volume import Volume, VoxelGrid, find_outside, require_hounsfield
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.processes import one_thread
 from needlefit.schemas.reconstruction import ReconstructionRecord
@@ -165,10 +162,12 @@ def _input_warnings(one: Reconstruction) -> Iterator[str]:
             f"the markers miss their places by {known.fre:.2f} mm, {known.expected_fre:.2f} were expected "
             f"(probability {known.p_value:.1g}): the stated deviations are too small, or a marker has moved"
         )
+    moved = scan.corrections or Corrections()
+    listed = scan.mask if scan.mask and is_list_of_points(scan.mask) else None
     placed = {
         "the needle": None if scan.divided else scan.needle_at,
-        "points on the needle": scan.mask if scan.mask and is_list_of_points(scan.mask) else None,
-        "the markers": scan.fiducials,
+        "points on the needle": listed if moved.axis is None else moved.axis,
+        "the markers": scan.fiducials if moved.balls is None else moved.balls,
         "the first contact": scan.contact,
         "the tip": scan.tip,
     }
@@ -398,50 +397,29 @@ T = TypeVar("T")
 
 
 class VolumeSearch:
-    """What is looked for in a whole volume, which takes long: once for all corrections of a scan."""
+    """What is looked for in a whole volume, which takes long: once for all needles of a scan."""
 
-    def __init__(self, volume: Volume) -> None:
-        self.volume = volume
-        self._found: dict[tuple[str, str, bytes], object] = {}
+    def __init__(self, volume: Volume, recipe: ReconstructionRecord) -> None:
+        self.volume, self.recipe = volume, recipe
+        self._found: dict[tuple[str, float | None, bytes], object] = {}
 
-    def find_tubes(self, recipe: ReconstructionRecord) -> list[Component]:
+    def find_tubes(self) -> list[Component]:
         """Return the components that may be the needle; DataError as `segmentation.find_tubes`."""
-        return self._once("tubes", _digest_needle(recipe), b"", partial(find_tubes, self.volume, recipe))
+        return self._once("tubes", partial(find_tubes, self.volume, self.recipe))
 
-    def find_longest(self, recipe: ReconstructionRecord) -> list[Component]:
-        """Return the bright components, the longest first; DataError if nothing is as bright as metal."""
-        return self._once("longest", _digest_needle(recipe), b"", partial(find_longest, self.volume, recipe))
-
-    def find_markers(self, recipe: ReconstructionRecord, needle: Ints | None) -> MarkerResult:
+    def find_markers(self, needle: Ints | None) -> MarkerResult:
         """Return the balls beside the needle (N, 3); DataError if nothing is bright enough."""
-        own = b"" if needle is None else needle.tobytes()
-        rules = recipe.markers.model_dump_json()
-        threshold = recipe.markers.threshold_hu
-        listing = partial(list_bright_voxels, self.volume, threshold)
-        bright = self._once("bright", f"{threshold}", b"", listing)
-        work = partial(find_markers, self.volume, recipe, needle, self._fit_sphere, bright)
-        return self._once("markers", rules, own, work)
+        bright = self._once(
+            "bright", partial(list_bright_voxels, self.volume, self.recipe.markers.threshold_hu)
+        )
+        return find_markers(self.volume, self.recipe, needle, self._fit_sphere, bright)
 
     def _fit_sphere(self, volume: Volume, blob: Blob, radius: float | None) -> SphereFit:
         work = partial(fit_sphere, volume, blob, radius)
-        return self._once("ball", f"{radius} {blob.level}", blob.voxels.tobytes(), work)
+        return self._once(f"ball above {blob.level}", work, radius, blob.voxels.tobytes())
 
-    def trace_needle(
-        self,
-        selected: NeedleSelection,
-        recipe: ReconstructionRecord,
-        spread: PointSpread | None,
-        tip: Floats | None,
-    ) -> Centerline:
-        """Return the axis of the needle that was selected; see `centerline.trace_needle`."""
-        rough = selected.axis or selected.needle
-        own = rough.points if isinstance(rough, AxisSpline) else rough.voxels
-        rules = f"{_digest_needle(recipe)} {recipe.centerline.model_dump_json()} {spread} {tip}"
-        work = partial(trace_needle, self.volume, rough, recipe, spread, tip)
-        return self._once("axis", rules, own.tobytes(), work)
-
-    def _once(self, name: str, rules: str, own: bytes, work: Callable[[], T]) -> T:
-        key = name, rules, own
+    def _once(self, name: str, work: Callable[[], T], radius: float | None = None, own: bytes = b"") -> T:
+        key = name, radius, own
         if key not in self._found:
             try:
                 self._found[key] = work()
@@ -453,35 +431,35 @@ class VolumeSearch:
         return cast(T, found)
 
 
-def _digest_needle(recipe: ReconstructionRecord) -> str:
-    return recipe.needle.model_dump_json() + recipe.segmentation.model_dump_json()
-
-
-def choose_needle(search: VolumeSearch, scan: Scan, recipe: ReconstructionRecord) -> NeedleSelection:
+def choose_needle(search: VolumeSearch, scan: Scan) -> NeedleSelection:
     """Return the needle: by a person's mask or points on it, else among the tubes of the volume."""
-    if scan.mask is None:
-        return select_needle(search.volume, recipe, scan.needle_at, search.find_tubes(recipe))
-    if not is_list_of_points(scan.mask):
+    recipe, points = search.recipe, None if scan.corrections is None else scan.corrections.axis
+    if points is None and scan.mask is not None and is_list_of_points(scan.mask):
+        points = read_markers(scan.mask)
+    if points is not None:
+        axis = follow_points(search.volume, points, recipe)
+        return NeedleSelection(select_rod(search.volume, axis, recipe), axis=axis)
+    if scan.mask is not None:
         return NeedleSelection(read_mask_component(search.volume, scan.mask, recipe, scan.needle_at))
-    axis = follow_points(search.volume, read_markers(scan.mask), recipe)
-    return NeedleSelection(select_rod(search.volume, axis, recipe), axis=axis)
+    return select_needle(search.volume, recipe, scan.needle_at, search.find_tubes())
 
 
-def find_scan_markers(
-    search: VolumeSearch, needle: Ints | None, scan: Scan, recipe: ReconstructionRecord
-) -> MarkerResult | None:
+def find_scan_markers(search: VolumeSearch, needle: Ints | None, scan: Scan) -> MarkerResult | None:
     """Return the markers, placed by hand or found beside the needle (N, 3); None: none are needed."""
-    if scan.fiducials is None:
-        return None if scan.markers is None else search.find_markers(recipe, needle)
-    given = read_fiducials(scan.fiducials, recipe)
+    places, where = None if scan.corrections is None else scan.corrections.balls, "balls of the corrections"
+    if places is None:
+        if scan.fiducials is None:
+            return None if scan.markers is None else search.find_markers(needle)
+        places, where = read_markers(scan.fiducials), str(scan.fiducials)
+    given = make_fiducials(places, search.recipe)
     try:
-        balls = search.find_markers(recipe, needle)
+        balls = search.find_markers(needle)
     except DataError:  # landmarks, not metal
         balls = MarkerResult(np.empty((0, 3)), np.empty(0), "volume")
     try:
-        return refine_fiducials(given, search.volume, recipe, balls)
+        return refine_fiducials(given, search.volume, search.recipe, balls)
     except DataError as error:
-        raise error.at(str(scan.fiducials)) from None
+        raise error.at(where) from None
 
 
 def estimate_first_contact(
@@ -549,15 +527,15 @@ def _locate_tissue(
         at = float(own.min())
         _refuse_distant_surface(at, found)
         return at, recipe.layers.surface_sd_mm, ()
-    crossed = _hit_surfaces(found.world, [surface for surface in surfaces if surface.into > 1])
-    known = EntryKnowledge(scan.expected_depth, recipe.guide.thickness_mm, scan.guide_distance, crossed)
+    known = EntryKnowledge(scan.expected_depth, recipe.guide.thickness_mm, scan.guide_distance)
     choice = choose_entry(found.brightness, float(arc_length(found.world)[-1]), known)
     if choice is None:
         raise refusal("""the scan does not show where the needle enters the tissue
             expected: air before the tissue along the needle, the tissue's surface (into = 1), or the stage
             fix: state the stage (entry_x_mm ... pose_angle_sd_deg), or add the tissue's own surface to the
                 layers, as FILE=sheet:1 or FILE=solid:1""")
-    return choice.chosen.at, choice.chosen.sd, choice.warnings
+    entry, warnings = choice
+    return entry.at, entry.sd, warnings
 
 
 def _hit_surfaces(needle: Floats, surfaces: Sequence[Surface]) -> Floats:
@@ -640,7 +618,7 @@ def _sample_inserted(found: Examination, begin: float, station: float) -> tuple[
     if along[-1] - begin < MIN_DEPTH_MM:
         raise refusal(f"""the needle enters the tissue {along[-1] - begin:.2f} mm before its tip
             expected: at least {MIN_DEPTH_MM:g} mm of it in the tissue
-            fix: look at entry and tip (needlefit view SCAN), and place the one that is wrong""")
+            fix: look at entry and tip in 3D Slicer, and place the one that is wrong""")
     count = int(np.ceil((along[-1] - begin) / station)) + 1
     s = np.linspace(begin, along[-1], count)
     return interpolate_at_arc(found.world, s), np.interp(s, along, found.axis.sd)
@@ -692,6 +670,17 @@ def add_views(one: Reconstruction, volume: Volume) -> Reconstruction:
     return replace(one, views=render_views(volume, one.patient, one.frame, one.needle_axis.points))
 
 
+def require_within(volume: Volume, moved: Corrections) -> None:
+    """Refuse control points that were moved out of the volume."""
+    for name, places in vars(moved).items():
+        if places is not None and len(outside := find_outside(volume, np.atleast_2d(places))):
+            at = ", ".join(f"{x:.1f}" for x in np.atleast_2d(places)[outside[0]])
+            raise refusal(f"""a control point was moved out of the volume, to L, P, S = {at} mm
+                expected: places in the scan
+                fix: take the list of this scan, and move the point back in 3D Slicer
+                where: corrections, {name}""")
+
+
 @one_thread
 def examine(
     volume: Volume, scan: Scan, recipe: ReconstructionRecord, search: VolumeSearch | None = None
@@ -700,20 +689,26 @@ def examine(
 
     `search`: of the volume, with what was found in it before.
     """
-    found, search = Examination(scan), search or VolumeSearch(volume)
+    search, moved = search or VolumeSearch(volume, recipe), scan.corrections or Corrections()
+    tip, contact = (a if b is None else b for a, b in ((scan.tip, moved.tip), (scan.contact, moved.entry)))
+    scan = replace(scan, tip=tip, contact=contact)
+    found = Examination(scan)
     with found.step():
-        if scan.mask is None or is_list_of_points(scan.mask):
+        require_within(volume, moved)
+    with found.step():
+        if scan.mask is None or is_list_of_points(scan.mask) or moved.axis is not None:
             require_hounsfield(volume, str(scan.volume))
     with found.step():
-        found.selection = choose_needle(search, scan, recipe)
+        found.selection = choose_needle(search, scan)
     selection = found.selection
     with found.step():
         voxels = None if selection is None else selection.needle.voxels
-        found.markers = find_scan_markers(search, voxels, scan, recipe)
+        found.markers = find_scan_markers(search, voxels, scan)
     with found.step():
         if selection is not None:
             spread = None if found.markers is None else found.markers.spread
-            found.needle_axis = search.trace_needle(selection, recipe, spread, scan.tip)
+            rough = selection.axis or selection.needle
+            found.needle_axis = trace_needle(volume, rough, recipe, spread, scan.tip)
     with found.step():
         if found.markers is not None and scan.markers is not None:
             found.registration = register_scan(found.markers, scan.markers, recipe)
@@ -723,10 +718,5 @@ def examine(
         return found
     with found.step(), located(scan.volume):
         one = derive_reconstruction(found, recipe, volume.grid, volume.frame_of_reference)
-        proposals = None
-        if scan.propose_layers:
-            entry = float(arc_length(found.axis.points)[-1]) - one.depth
-            proposals = propose_layers(volume, found.axis.points, entry)
-        warnings = (*volume.warnings, *one.warnings)
-        found.reconstruction = replace(one, warnings=warnings, proposals=proposals)
+        found.reconstruction = replace(one, warnings=(*volume.warnings, *one.warnings))
     return found

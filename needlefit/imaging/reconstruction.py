@@ -94,15 +94,14 @@ class Layers:
 
 
 @dataclass(frozen=True)
-class ProposedInterface:
-    """An interface between soft materials that the scan shows; a proposal, never used by itself."""
+class Change:
+    """What the corrections of a scan changed of one quantity."""
 
-    surface: Surface  # a sheet around the needle, LPS of the scan
-    # Where the needle crosses it, mm along the needle from the entry, and its deviation.
-    at: float
-    sd: float
-    step: float  # change of brightness, HU
-    tilt: float  # angle between its normal and the needle, rad
+    quantity: str
+    # Before and after, mm; nan of a place, and of what is not there.
+    before: float
+    after: float
+    change: float  # after less before, or how far a place moved, mm
 
 
 @dataclass(frozen=True)
@@ -136,8 +135,7 @@ class Reconstruction:
     # What the centreline was drawn through, world, arc lengths from first contact, the shaft outside
     # included; None where no scan was traced.
     sections: SplineSections | None = None
-    # Interfaces that the scan shows; None where nobody asked.
-    proposals: tuple[ProposedInterface, ...] | None = None
+    changes: tuple[Change, ...] = ()  # by the corrections of the scan, if there are any
 
     @property
     def local(self) -> Floats:

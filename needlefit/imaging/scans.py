@@ -42,7 +42,7 @@ class StagePose:
 class LayerSource:
     """A file with a layer's surface (STL, PLY, OBJ), or with a segmentation of all layers.
 
-    Segmentations are NRRD, NIfTI, DICOM-SEG or RTSTRUCT files, or a .zip of one.
+    Segmentations are NRRD, NIfTI, MetaImage or RTSTRUCT files, or a .zip of one.
     """
 
     path: Path
@@ -62,6 +62,17 @@ class LayerSource:
     def is_segmentation(self) -> bool:
         """Whether the file holds a segmentation rather than triangles: anything but a mesh."""
         return self.path.suffix.lower() not in MESH_SUFFIXES
+
+
+@dataclass(frozen=True)
+class Corrections:
+    """Places that a person gave in place of those found, LPS, mm; None: as found."""
+
+    axis: Floats | None = None  # (N, 3); points on the needle, in any order: it is followed along these
+    # (3,); where the needle ends, and where it enters the tissue.
+    tip: Floats | None = None
+    entry: Floats | None = None
+    balls: Floats | None = None  # (M, 3); all markers
 
 
 @dataclass(frozen=True)
@@ -100,8 +111,8 @@ class Scan:
     # mm; None: they are looked for.
     contact: Floats | None = None
     tip: Floats | None = None
-    propose_layers: bool = False  # whether interfaces that the scan shows are proposed, beside `surfaces`
     origin: Literal["measured", "synthetic"] = "measured"
+    corrections: Corrections | None = None  # as moved in 3D Slicer; no column of a table states them
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -135,7 +146,6 @@ SCAN_COLUMNS = (
 SCANS_DOCUMENT = "docs/reconstruction.md"  # where the columns, and the files that they name, are explained
 # What fixes a bevel that fixes no plane.
 BEVEL_FIX = "point bevel_x, bevel_y, bevel_z across the entry direction, or leave the three cells empty"
-PROPOSE_LAYERS = "auto"  # in place of a file of layers: propose those that the scan shows
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
 # Columns of words; the first is that of an empty cell.
 CHOICE_COLUMNS = {"surfaces_in": ("world", "scan"), "origin": ("measured", "synthetic")}
@@ -162,13 +172,8 @@ class ScanRow:
 
     def layers(self) -> list[LayerSource | Fault]:
         """Return the files of the layers, or the fault of each."""
-        files = [part for part in self.surfaces if part != PROPOSE_LAYERS]
+        files = [part.strip() for part in self.text["surfaces"].split(";") if part.strip()]
         return [parse_layer_source(part, self.folder, self.where) for part in files]
-
-    @property
-    def surfaces(self) -> list[str]:
-        """What the cell of the surfaces lists."""
-        return [part.strip() for part in self.text["surfaces"].split(";") if part.strip()]
 
 
 def parse_layer_source(text: str, folder: Path, where: str = "") -> LayerSource | Fault:
@@ -190,7 +195,7 @@ def parse_layer_source(text: str, folder: Path, where: str = "") -> LayerSource 
     mesh = path.suffix.lower() in MESH_SUFFIXES
     if not mesh and not _may_be_segmentation(path):
         endings = ", ".join((*IMAGE_SUFFIXES, ARCHIVE_SUFFIX))
-        expected = f"{', '.join(MESH_SUFFIXES)}, or a segmentation: {endings}, DICOM-SEG, RTSTRUCT"
+        expected = f"{', '.join(MESH_SUFFIXES)}, or a segmentation: {endings}, RTSTRUCT"
         fix = "save the model as STL, or its segmentation as .seg.nrrd, in 3D Slicer"
         return fault(f"{path} has the ending {path.suffix!r}", expected, fix)
     if chosen and mesh:
@@ -240,7 +245,6 @@ def build_scan(row: ScanRow, id_: str) -> Scan:
         surfaces=tuple(layer for layer in row.layers() if isinstance(layer, LayerSource)),
         surfaces_in="scan" if text["surfaces_in"] == "scan" else "world",
         side=-1 if number["bevel_side"] == -1 else 1,
-        propose_layers=PROPOSE_LAYERS in row.surfaces,
         origin="synthetic" if text["origin"] == "synthetic" else "measured",
         **parts,
     )
@@ -265,16 +269,12 @@ def unmatched_fiducials_fault(where: str, fix: str) -> Fault:
     return Fault(where, what, "the known places of the markers, too", fix)
 
 
-_PLACED_CONTACT = (
+# Of a first contact that was placed in a scan whose stage states it: what, expected, fix.
+PLACED_CONTACT = (
     "the entry is stated by the stage (entry_x_mm ...) and placed by hand (contact_x_mm ...)",
     "one of both",
     "take the placed entry back, or empty entry_x_mm ... pose_angle_sd_deg",
 )
-
-
-def placed_contact_fault(where: str) -> Fault:
-    """Return the fault of a first contact that was placed in a scan whose stage states it."""
-    return Fault(where, *_PLACED_CONTACT)
 
 
 def _word_faults(row: ScanRow) -> Iterator[tuple[str, str, str]]:
@@ -304,7 +304,7 @@ def _number_checks(row: ScanRow) -> Iterator[tuple[bool, str, str, str]]:
         empty = [name for name in names if math.isnan(number[name])]
         what = f"{', '.join(empty)} are empty"
         yield 0 < len(empty) < len(names), what, "all of them, or none", "fill these, or empty the others"
-    yield not np.isnan(row.vector((*STAGE_COLUMNS, *CONTACT_COLUMNS))).any(), *_PLACED_CONTACT
+    yield not np.isnan(row.vector((*STAGE_COLUMNS, *CONTACT_COLUMNS))).any(), *PLACED_CONTACT
     length = float(np.linalg.norm(direction))  # nan, which no check finds wrong, where cells are empty
     what, expected = f"entry direction has length {length:.4g}", "a unit vector (entry_dx, _dy, _dz)"
     fix = "divide the three numbers by their length" if length else "give the direction of insertion"
@@ -382,7 +382,7 @@ def make_scans(
 ) -> tuple[Scan, ...]:
     """Return a scan for each of some volumes that share markers and layers; file names become ids.
 
-    `layers`: files, each as in a table of scans: `file` or `file=kind:into`; "auto" proposes layers.
+    `layers`: files, each as in a table of scans: `file` or `file=kind:into`.
     `fiducials`, `mask`, `series`: of one scan: no two have them in common.
 
     DataError: listing every file that is missing, every layer that is not understood, names that are alike or
@@ -404,7 +404,7 @@ def make_scans(
     once = fiducials or mask or series
     if len(volumes) > 1 and once:
         found.append(Fault(str(once), f"is given for {len(volumes)} scans", "one scan", SCAN_TABLE_FIX))
-    sources = [parse_layer_source(text, Path()) for text in layers if text != PROPOSE_LAYERS]
+    sources = [parse_layer_source(text, Path()) for text in layers]
     found += [source for source in sources if isinstance(source, Fault)]
     found += name_faults("medium", medium, "medium")
     for volume in volumes:
@@ -423,7 +423,6 @@ def make_scans(
         fiducials=fiducials,
         surfaces=tuple(source for source in sources if not isinstance(source, Fault)),
         surfaces_in=surfaces_in,
-        propose_layers=PROPOSE_LAYERS in layers,
     )
     return tuple(replace(shared, id=id_, volume=volume) for id_, volume in zip(ids, volumes, strict=True))
 
@@ -498,8 +497,7 @@ def _to_row(scan: Scan, folder: Path) -> dict[str, str]:
     row |= {"specimen": scan.specimen, "series": scan.series or "", "surfaces_in": scan.surfaces_in}
     row |= {"bevel_side": str(scan.side), "origin": scan.origin}
     row |= {name: _relative(path, folder) for name in FILES if (path := getattr(scan, name)) is not None}
-    layers = [layer.name_file(_relative(layer.path, folder)) for layer in scan.surfaces]
-    row["surfaces"] = ";".join([*layers, *([PROPOSE_LAYERS] if scan.propose_layers else [])])
+    row["surfaces"] = ";".join(layer.name_file(_relative(layer.path, folder)) for layer in scan.surfaces)
     numbers: dict[tuple[str, ...], Any] = {columns: getattr(scan, name) for name, columns in VECTORS.items()}
     numbers |= {(column,): getattr(scan, name) for name, column in LENGTHS.items()}
     numbers |= {(name,): getattr(scan, name) for name in COUNTS}

@@ -60,6 +60,13 @@ def sheared_axes(found: str = "") -> DataError:
         fix: a tilted gantry shears a volume: resample it onto a straight grid and export it again""")
 
 
+def not_one_volume(what: str) -> DataError:
+    """Return the error of an image that is no single volume; `what` says why."""
+    return refusal(f"""is no single volume: {what}
+        expected: three dimensions, one number a voxel
+        fix: export one time point, or one segment, as a volume of its own""")
+
+
 def grid_to_json(grid: VoxelGrid) -> dict[str, list[Any]]:
     """Return a grid as JSON values that restore it exactly."""
     parts = {"origin": grid.origin, "spacing": grid.spacing, "direction": grid.direction}
@@ -90,6 +97,23 @@ def check_size(size: tuple[int, int, int]) -> None:
             expected: at most {max_voxels():.3g} voxels
             fix: crop the volume to the needle and its markers, or check where the file comes from; if it is
                 right and memory allows, set {MEMORY_VARIABLE} to the GiB that it may take""")
+
+
+# What unpacks to more than `MAX_EXPANSION` times its file may take `EXEMPT_BYTES` of memory, and no more:
+# scans unpack to 2 to 5 times their file, segmentations to 20 to 200 times, a file made to fill the memory to
+# 1000 times.
+MAX_EXPANSION, EXEMPT_BYTES = 200, 2**30
+
+
+def check_expansion(content: int, memory: int, stored: int) -> None:
+    """Refuse a small file that would fill the memory, unless the user has stated how much it may take.
+
+    `content`, `memory`: bytes of all voxels, unpacked and as they are kept; `stored`: bytes of the file.
+    """
+    if content + memory > EXEMPT_BYTES and content > MAX_EXPANSION * stored and stated_memory_bytes() is None:
+        raise refusal(f"""unpacks from {stored / 2**20:.3g} MiB to {content / 2**30:.3g} GiB
+            expected: at most {MAX_EXPANSION} times its size, or {EXEMPT_BYTES / 2**30:.0f} GiB in memory
+            fix: if you trust the file, set {MEMORY_VARIABLE} to the GiB that it may take""")
 
 
 IMAGE_SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz", ".mha", ".mhd")
@@ -172,6 +196,12 @@ def to_index(volume: Volume, points: ArrayLike) -> Floats:
     """Return the fractional indices i, j, k (N, 3) of LPS points (N, 3), mm; whole at voxel centres."""
     steps = (np.asarray(points, dtype=np.float64) - volume.origin) @ volume.direction
     return np.asarray(steps / volume.spacing)
+
+
+def find_outside(volume: Volume, points: ArrayLike) -> NDArray[np.int64]:
+    """Return which of some LPS points (N, 3), mm, lie more than a voxel outside the volume."""
+    index, last = to_index(volume, points), np.array(volume.grid.size) - 1
+    return np.flatnonzero(((index < -1) | (index > last + 1)).any(axis=1))
 
 
 # Values that run over 12 bits come close to their greatest number, HU, and few voxels have it.

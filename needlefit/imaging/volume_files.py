@@ -13,16 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError, DataError
-from needlefit.imaging.image_headers import (
-    EXEMPT_BYTES,
-    MAX_EXPANSION,
-    check_image_header,
-    single_volume_header,
-)
 from needlefit.imaging.refusals import refusal
 from needlefit.imaging.volume import (
     ARCHIVE_SUFFIX,
+    EXEMPT_BYTES,
     IMAGE_SUFFIXES,
+    MAX_EXPANSION,
     READABLE_VOLUMES,
     Volume,
     begins_as_dicom,
@@ -39,13 +35,12 @@ from needlefit.project.sandbox import (
     stated_memory_bytes,
 )
 
-CT_PACKAGES = ("SimpleITK", "pydicom")
+CT_PACKAGES = ("SimpleITK", "pydicom", "nibabel")
 # A volume that is read more slowly, in processor time, is taken for one that never ends.
 READ_BYTES_PER_SECOND = 8 * 2**20
 SECONDS_PER_DICOM_HEADER = 0.1
-SEGMENTATION_BYTES = 2**30  # memory for the voxels of contours, which are as many as their reader chooses
-# Processor time of a reader of a segmentation: one file unpacks to every segment's voxels.
-SEGMENT_SECONDS = 120
+CONTOUR_BYTES = 2**30  # memory for the voxels of contours, which are as many as their reader chooses
+CONTOUR_SECONDS = 120  # processor time in which they are marked
 MAX_ARCHIVE_LEVELS = 2  # levels of archives inside an archive
 MAX_LISTED = 10
 UNPACKED_BYTES_PER_SECOND = 2**20  # the same for a DICOM header, and for compressed slices
@@ -138,39 +133,43 @@ def _choose_member(folder: Path, series: str | None) -> tuple[Path, str | None]:
     return next(iter(images.values())), None
 
 
-def read_planes(path: Path) -> tuple[Volume, ...]:
-    """Read an image file with several numbers per voxel: one volume for each; see `read_volume`."""
+def read_planes(path: Path) -> tuple[tuple[Volume, ...], dict[str, str]]:
+    """Read an image file whose voxels may have several numbers: one volume for each; see `read_volume`.
+
+    Also the texts of its header about segments, as 3D Slicer writes them.
+    """
     with explain_missing_packages(*CT_PACKAGES):
         parts, arrays = _read_arrays(path, layers=True)
     values = arrays["values"]
-    return tuple(_build_volume(parts, {"values": values[..., n]}, path) for n in range(values.shape[-1]))
+    planes = (_build_volume(parts, {"values": values[..., n]}, path) for n in range(values.shape[-1]))
+    return tuple(planes), {str(key): str(text) for key, text in parts.get("texts", {}).items()}
 
 
-def read_segments(path: Path, names: Sequence[str] = ()) -> tuple[Volume, tuple[str, ...]]:
-    """Read a DICOM segmentation: labels 1, 2, ..., and the name of each segment.
+def read_structures(path: Path, names: Sequence[str] = ()) -> tuple[Volume, tuple[str, ...]]:
+    """Read a DICOM structure set: labels 1, 2, ..., and the name of each region.
 
-    `path`: a DICOM-SEG or RTSTRUCT file, or a folder with one.
-    `names`: segments that are read, in this order; empty: all.
+    `path`: an RTSTRUCT file, or a folder with one.
+    `names`: regions that are read, in this order; empty: all.
 
-    DataError, ConfigError: as `read_volume`; if a name is missing, segments overlap, or contours are open or
+    DataError, ConfigError: as `read_volume`; if a name is missing, regions overlap, or contours are open or
     uneven.
     """
-    with explain_missing_packages(*CT_PACKAGES, "highdicom"):
+    with explain_missing_packages(*CT_PACKAGES):
         size = sum(file.stat().st_size for file in ([path] if is_file(path) else list_files(path)))
-        seconds = SEGMENT_SECONDS + size / UNPACKED_BYTES_PER_SECOND
-        allowed = limits_for(SEGMENTATION_BYTES + 4 * size, 4 * max_voxels(), seconds)
-        reader = "needlefit.imaging.dicom.segmentation:read_segmentation"
+        seconds = CONTOUR_SECONDS + size / UNPACKED_BYTES_PER_SECOND
+        allowed = limits_for(CONTOUR_BYTES + 4 * size, 4 * max_voxels(), seconds)
+        reader = "needlefit.imaging.dicom.contours:read_structures"
         parts, arrays = read_in_sandbox(reader, path, allowed, {"path": str(path), "names": list(names)})
     return _build_volume(parts, arrays, path), tuple(map(str, parts.get("names", ())))
 
 
 def read_mask(path: Path) -> Volume:
-    """Read a volume that is above 0 in what it marks: an image file, a DICOM segmentation, a .zip of one.
+    """Read a volume that is above 0 in what it marks: an image file, an RTSTRUCT file, a .zip of one.
 
     DataError, ConfigError: as `read_volume`.
     """
     with open_member(path) as place:
-        return read_volume(place) if is_image_file(place) else read_segments(place)[0]
+        return read_volume(place) if is_image_file(place) else read_structures(place)[0]
 
 
 def is_image_file(place: Path) -> bool:
@@ -179,15 +178,14 @@ def is_image_file(place: Path) -> bool:
 
 
 def _read_arrays(path: Path, layers: bool) -> tuple[Any, dict[str, NDArray[Any]]]:
-    """Return the grid of an image file, and its voxels as "values"."""
-    header = check_image_header(path)
-    # a buffer, one to convert into
-    native = 2 * header.content_bytes + header.float_bytes + header.packed_bytes
-    seconds = (header.content_bytes + header.packed_bytes) / READ_BYTES_PER_SECOND
-    allowed = limits_for(native, header.float_bytes, seconds)
-    one_volume = len(header.size) > 3 and path.name.lower().endswith((".nrrd", ".nhdr"))
-    instead = single_volume_header(path) if one_volume else ""
-    arguments = {"path": str(path), "layers": layers, "header": instead}
+    """Return what is said of an image file by its header, and its voxels as "values"."""
+    with open_regular(path, sys.maxsize) as file:
+        stored = file.seek(0, os.SEEK_END)
+    if path.suffix.lower() in (".nhdr", ".mhd"):  # its voxels are in another file beside it
+        stored = sum(one.stat().st_size for one in path.parent.iterdir() if is_file(one))
+    seconds = min(4 * max_voxels(), MAX_EXPANSION * stored) / READ_BYTES_PER_SECOND
+    arguments = {"path": str(path), "stored": stored, "layers": layers}
+    allowed = limits_for(0, 4 * max_voxels(), seconds)
     return read_in_sandbox("needlefit.imaging.image_files:read_image", path, allowed, arguments)
 
 

@@ -19,7 +19,7 @@ whose k is positive. Written with h = ln lambda,
 nothing is divided by alpha: at alpha = 0 this is 3 mu h, Hencky's solid.
 """
 
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
@@ -27,8 +27,6 @@ from needlefit.arrays import Floats
 
 #: force over the area before compression (engineering stress), or over the area now (Cauchy's)
 StressMeasure = Literal["nominal", "true"]
-
-STRESS_MEASURES: tuple[StressMeasure, ...] = get_args(StressMeasure)
 
 SERIES_LIMIT = 1e-2  #: |x| below which two terms of a series are more exact than the closed form
 
@@ -40,23 +38,7 @@ def compute_stress(mu: float, alpha: float | Floats, stretch: Floats, measure: S
     return true_stress / stretch if measure == "nominal" else true_stress
 
 
-def compute_log_stress_derivative(alpha: float, stretch: Floats) -> Floats:
-    """Return d ln(stress) / d alpha (N,), the same for nominal and true stress.
-
-    It is h / 4 (1 + 3 (coth x - 1 / x)): in small strain alpha tilts the curve by h / 4, no more.
-    """
-    h = np.log(stretch)
-    return h / 4 * (1 + 3 * _langevin(0.75 * alpha * h))
-
-
 def _sinhc(x: Floats) -> Floats:
     small = np.abs(x) < SERIES_LIMIT
     safe = np.where(small, 1.0, x)
     return np.where(small, 1 + x**2 / 6 * (1 + x**2 / 20), np.sinh(safe) / safe)
-
-
-def _langevin(x: Floats) -> Floats:
-    """Return coth x - 1 / x."""
-    small = np.abs(x) < SERIES_LIMIT
-    safe = np.where(small, 1.0, x)
-    return np.where(small, x / 3 * (1 - x**2 / 15), 1 / np.tanh(safe) - 1 / safe)

@@ -185,7 +185,7 @@ class ModelOptions:
             raise ModelError(
                 f"elements of {min(self.element, self.spacing):g} mm",
                 expected=f"{MIN_ELEMENT_MM:g} mm or more: rounding grows as they shrink",
-                fix="1 mm elements leave less than 0.001 mm at the tip, as `needlefit verify` shows",
+                fix="1 mm elements leave less than 0.001 mm at the tip",
             )
         if self.spacing > MAX_CONSTRAINT_SPACING_MM:
             raise ModelError(

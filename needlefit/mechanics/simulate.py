@@ -161,11 +161,6 @@ class Loads:
         forces = self.weight * self.load
         return SupportReaction(0.0, float(forces.sum()), float(forces @ self.s))
 
-    @property
-    def all_loads(self) -> tuple[SupportReaction, ...]:
-        """The tissue's load and all supports: together they are in balance."""
-        return self.tissue, self.base, *self.guides, self.tip
-
 
 def compute_loads(
     shape: NeedleShape,

@@ -77,7 +77,6 @@ LIMIT_PART = 1e-3  #: a choice this near to the end of its range, as a part of i
 CERTAIN_RISK = 0.99  #: from this risk on a choice counts as one that misses the target in all draws
 REACH_DEPTHS = 6  #: at how many depths the reachable region is computed, besides the tip
 REACH_SHARES = (0.05, 0.5, 0.95)  #: shares of draws for which the reachable region is given
-MAX_TRIES = 20  #: random ways that are tried before a needle counts as one that reaches nothing
 
 DIFFERENCE_STEPS = np.array([0.05, 0.05, 0.05, 1e-3])
 """Of the differences: entry, depth and base (mm), slope of the base."""
@@ -480,26 +479,6 @@ def _smooth_risk(needles: Floats, goal: Goal, rules: _RiskRules) -> float:
     if rules.sloped:
         risk = risk + np.maximum(-margins, 0.0).sum(axis=0) / goal.radius
     return float(np.mean(risk))
-
-
-def draw_target(
-    insertion: StartedInsertion, depth: float, rng: np.random.Generator, limits: PlanLimits | None = None
-) -> tuple[float, float] | None:
-    """Return where a random plan leads the tip, about so deep (mm); None where no needle is found.
-
-    So a target is one that a plan reaches.
-    """
-    search = _Search(insertion, Goal((depth, 0.0), 1.0), limits or PlanLimits(), threads=1)
-    for _ in range(MAX_TRIES):
-        at = search.still.copy()
-        at[2:] += rng.uniform(-0.25, 0.25, 2) * (search.bounds[1] - search.bounds[0])[2:]
-        turns = tuple(rng.choice(search.stations, 1).tolist()) if rng.uniform() < 0.5 else ()
-        choice = _Choice(int(rng.choice((-1, 1))), turns, at)
-        (needle,) = search.needles(insertion.exact, [choice])
-        x, y = needle[0, -1].tolist()
-        if math.isfinite(x):
-            return x, y
-    return None
 
 
 @dataclass(frozen=True)

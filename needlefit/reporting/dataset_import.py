@@ -11,12 +11,13 @@ from matplotlib.tri import Triangulation
 
 from needlefit.arrays import Floats
 from needlefit.datasets.dataset_warnings import find_bend_side
-from needlefit.datasets.importing.conversion import write_plan, write_scene, write_starter_study
-from needlefit.datasets.importing.decisions import Decisions
-from needlefit.datasets.importing.files import ImportContent
-from needlefit.datasets.importing.understanding import ImportPlan
+from needlefit.datasets.importing.answers import Answers
+from needlefit.datasets.importing.curves import ImportContent
+from needlefit.datasets.importing.planning import SAME_AXIS_DEG, ImportPlan, snap_to_axis
+from needlefit.datasets.importing.writing import write_plan
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read
+from needlefit.datasets.template import write_scene, write_starter_study
 from needlefit.geometry.curves import make_normal
 from needlefit.geometry.frames import normalize
 from needlefit.geometry.surfaces import Surface
@@ -31,7 +32,6 @@ from needlefit.reporting.labels import GREY, INK
 PICTURE_FILE = "import.png"
 
 MAX_LABELLED_NEEDLES, MAX_NAME_CHARS = 14, 14
-SAME_AXIS_DEG = 10.0  # a view that is so near to a world axis is along that axis
 AWAY_COLOUR = "#b3261e"
 MAX_DRAWN_TRIANGLES = 20_000
 
@@ -39,18 +39,18 @@ _SURFACE_COLOURS = ("#c8b88a", "#a9b7c6", "#c9a3a3", "#a8bfa3")
 _SIDES = {"toward": "toward", "away": "AWAY", "unknown": "too straight"}
 
 
-def write_import(folder: Path, content: ImportContent, plan: ImportPlan, decisions: Decisions) -> Dataset:
+def write_import(folder: Path, content: ImportContent, plan: ImportPlan, answers: Answers) -> Dataset:
     """Write the dataset of a plan, its picture, a scene and a first study into a new folder, or nothing.
 
-    ConfigError if `folder` holds something. DataError: listing the faults of the dataset, at their places in
-    the imported files.
+    Tip tracks get no picture, scene and study. ConfigError if `folder` holds something. DataError: listing
+    the faults of the dataset, at their places in the imported files.
     """
     with create_folder(folder) as fresh:
-        dataset = read(write_plan(fresh, content, plan, decisions))
-        home = str(folder) if folder.is_absolute() else f"./{folder.as_posix()}"
-        write_starter_study(fresh, dataset, home)
-        write_scene(fresh, dataset)
-        draw(fresh / PICTURE_FILE, lambda: paint_import(dataset, plan))
+        dataset = read(write_plan(fresh, content, plan, answers))
+        if not plan.readings:
+            write_starter_study(fresh, dataset)
+            write_scene(fresh, dataset)
+            draw(fresh / PICTURE_FILE, lambda: paint_import(dataset, plan))
     return dataset
 
 
@@ -60,10 +60,11 @@ def tabulate_needles(dataset: Dataset) -> pd.DataFrame:
 
 
 def _describe_needle(dataset: Dataset, one: Insertion) -> dict[str, object]:
-    known = dataset.pose == "known"
+    known, is_track = dataset.pose == "known", dataset.pose == "tracker"
     entry, tip = one.centerline[0], one.centerline[-1]
     depths = ", ".join(f"{depth:.1f}" for depth in one.boundaries)
-    return {
+    side = _SIDES[find_bend_side(one, dataset.noise)] if known else "(free shape)"
+    row: dict[str, object] = {
         "insertion": one.id,
         "points": len(one.centerline),
         "depth (mm)": round(one.depth, 2),
@@ -71,20 +72,21 @@ def _describe_needle(dataset: Dataset, one: Insertion) -> dict[str, object]:
         "entry x, y, z (mm)": _format_point(entry),
         "tip x, y, z (mm)": _format_point(tip),
         "layers": " > ".join(map(str, one.sequence)) + (f" at {depths} mm" if depths else ""),
-        "bends, from its bevel": _SIDES[find_bend_side(one, dataset.noise)] if known else "(free shape)",
+        "bends, from its bevel": side,
     }
+    return dict([*row.items()][:4]) if is_track else row
 
 
 def _format_point(point: Floats) -> str:
     return ", ".join(f"{value:z.1f}" for value in point)
 
 
-def tabulate_decisions(decisions: Decisions) -> pd.DataFrame:
+def tabulate_decisions(answers: Answers) -> pd.DataFrame:
     """Return one row for each decision: what, value, where it comes from, why."""
     return pd.DataFrame(
         [
             {"decision": one.what, "value": one.value, "from": one.source, "why": one.reason}
-            for one in decisions.made
+            for one in answers.made
         ]
     )
 
@@ -96,8 +98,8 @@ def paint_import(dataset: Dataset, plan: ImportPlan) -> Figure:
     """Draw the needles with the surfaces as they lie in the world, and each one in its own frame."""
     figure = Figure(figsize=(6.7, 2.9))
     left, right = figure.subplots(1, 2)
-    _draw_world(left, dataset.insertions, [*plan.layers.surfaces, *([plan.tissue] if plan.tissue else [])])
-    _draw_shapes(right, dataset, "bevel" if plan.insertions[0].row.bevel is not None else "bend")
+    _draw_world(left, dataset.insertions, [*plan.surfaces, *([plan.tissue] if plan.tissue else [])])
+    _draw_shapes(right, dataset, "bevel" if plan.rows[0].bevel is not None else "bend")
     figure.draw_without_rendering()  # the layout decides the scales
     for axes, words in ((left, "World: all needles from the side"), (right, "Each from its entry")):
         axes.set_title(f"{words}\n(vertical scale × {_find_scale(axes):.2g})")
@@ -142,23 +144,13 @@ def _draw_world(axes: Axes, insertions: Sequence[Insertion], surfaces: Sequence[
 def _find_view(chords: list[Floats], points: Floats) -> tuple[Floats, Floats]:
     """Return the mean direction of the needles, and the direction normal to it of the greatest extent."""
     total = np.sum([normalize(chord) for chord in chords], axis=0)
-    along = _snap(normalize(total) if np.linalg.norm(total) > 1e-6 else normalize(chords[0]))
+    along = snap_to_axis(normalize(total if np.linalg.norm(total) > 1e-6 else chords[0]), SAME_AXIS_DEG)
     centred = points - points.mean(axis=0)
     flat = centred - np.outer(centred @ along, along)
     if np.abs(flat).max() < 1e-6:
         return along, make_normal(along)
-    axis = _snap(np.linalg.svd(flat, full_matrices=False)[2][0])
+    axis = snap_to_axis(np.linalg.svd(flat, full_matrices=False)[2][0], SAME_AXIS_DEG)
     return along, axis if axis[np.argmax(np.abs(axis))] > 0 else -axis
-
-
-def _snap(direction: Floats) -> Floats:
-    """Return a direction, or the world axis that is within 10 degrees of it."""
-    nearest = int(np.argmax(np.abs(direction)))
-    if abs(direction[nearest]) < np.cos(np.radians(SAME_AXIS_DEG)):
-        return direction
-    axis = np.zeros(3)
-    axis[nearest] = np.sign(direction[nearest])
-    return axis
 
 
 def _name_axis(axis: Floats) -> str:

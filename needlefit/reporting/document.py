@@ -35,8 +35,7 @@ class Document:
     title: str
     subtitle: str
     synthetic: bool  # whether the foot of every page says so
-    # Made by `heading`, `subheading`, `verdict`, `text`, `note`, `bullets`, `warning`, `gap_box`, `table` and
-    # `figure`
+    # Made by `heading`, `subheading`, `verdict`, `text`, `note`, `bullets`, `warning`, `table` and `figure`
     blocks: tuple[Block, ...]
     # The needles that the HTML page computes
     explorer: PageData | None = None
@@ -74,11 +73,6 @@ def bullets(items: Sequence[Words]) -> Block:
 def warning(words: Words, link: tuple[str, str] = ("", "")) -> Block:
     """Return a warning: a paragraph in prominent type; `link` is the target and the text of its link."""
     return {"kind": "warning", "text": _prose_block(words), "target": link[0], "link": link[1]}
-
-
-def gap_box(words: Words) -> Block:
-    """Return an empty box with a description of what is missing."""
-    return {"kind": "empty", "text": _prose_block(words)}
 
 
 def _prose_block(words: Words) -> Words:

@@ -118,10 +118,3 @@ def method_name(method: str, origin: str = "measured") -> str:
     name = BASELINES[method].label if method in BASELINES else METHOD_NAMES.get(method, method)
     foreign = method == "hand_tuned" and origin == "synthetic"
     return f"{name} (not tuned on this data)" if foreign else name
-
-
-RANKS_CAPTION = (
-    "Simulation-based calibration: ECDF of the rank of the truth among posterior draws minus that of uniform "
-    "ranks, for each quantity. Grey: simultaneous confidence band of uniform ranks. Above and then below: "
-    "posteriors too narrow; below and then above: too wide."
-)

@@ -111,25 +111,6 @@ def insert_symbols(words: str) -> str:
     return _POWER_PATTERN.sub(lambda found: typeset(found[0]), true).replace(" * ", " · ")
 
 
-def format_measured(value: float | None) -> str:
-    """Return a measured value as text with three digits, including trailing zeros."""
-    if not is_known(value):
-        return MISSING
-    assert value is not None
-    if value == 0.0 or 0.1 <= abs(value) < 100:
-        return f"{value:#.3g}" if value else "0"
-    mantissa, _, exponent = f"{value:.2e}".partition("e")
-    return typeset(f"{mantissa}e{int(exponent)}")
-
-
-def format_bound(low: float | None, high: float | None) -> str:
-    """Return the bounds of a measured value as text."""
-    ends = [typeset(format_number(value)) for value in (low, high)]
-    if all(ends):
-        return " to ".join(ends)
-    return f"≤ {ends[1]}" if ends[1] else f"≥ {ends[0]}" if ends[0] else MISSING
-
-
 # ---- the one 95 % interval of a parameter
 
 

@@ -112,7 +112,6 @@ class Table:
     # Where one of these columns changes, a group begins: a thin rule stands before it
     groups: Sequence[str] = ()
     heads: int = 0  # how many of the first columns name the group, and are blank in its further rows
-    ruled: bool = True  # whether rules stand between groups
     # Which rows hold our answer: "", "first" of the table, "groups": the first of each, or the column that
     # says so
     strong: str = ""
@@ -139,7 +138,7 @@ class Table:
             )
             for k, row in enumerate(rows)
         )
-        breaks = tuple(begins[1:]) if self.groups and self.ruled else ()
+        breaks = tuple(begins[1:]) if self.groups else ()
         heads = tuple(one.head for one in columns)
         strong = {"": (), "first": (0,), "groups": tuple(begins)}.get(self.strong)
         if strong is None:

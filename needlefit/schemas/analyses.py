@@ -32,7 +32,7 @@ class TunedAnalysisRecord(AnalysisRecord):
     """The keys of a fit, in the file of a study."""
 
     dataset: str
-    """Name of a dataset in `data/`, or the path of its folder."""
+    """Name of a dataset in `data/`, or the path of its folder, relative to this file."""
     medium: str
     """Name of a tissue model in `configs/media/`, or the path of its file."""
     recipe: str = "default"

@@ -231,6 +231,9 @@ class DatasetMediumRecord(Record):
         return self
 
 
+ImportSource = Literal["file", "option", "answer", "guess", "assumption", "confirmed"]
+
+
 class ImportDecisionRecord(Record):
     """One decision of an import."""
 
@@ -238,9 +241,10 @@ class ImportDecisionRecord(Record):
     """What was decided: the name of the option of `needlefit import` that states it, or a column."""
     value: str
     """What was taken."""
-    source: Literal["file", "option", "answer", "guess", "assumption", "confirmed"]
-    """Where it comes from: the files, an option, an answer of the user, a guess from the numbers, or an
-    assumption without evidence, of which `check` warns. Write "confirmed" once you have checked it."""
+    source: ImportSource
+    """Where it comes from: the files, an option, an answer of the user, a guess from the bends of needles or
+    from names, or an assumption without evidence, of which `check` warns. Write "confirmed" once you have
+    checked it."""
     reason: str = ""
     """Evidence for it."""
 
@@ -363,5 +367,7 @@ class TrackDatasetRecord(SourceRecord):
     """Table of readings."""
     media: dict[Name, TrackMediumRecord] = Field(min_length=1)
     """Layers of each medium, by the name in column `medium`."""
+    import_: ImportRecord | None = Field(default=None, alias="import")
+    """Decisions of `needlefit import`."""
     checksums: dict[str, str] = {}
     """SHA-256 of files, by path; `needlefit check` compares them."""

@@ -37,7 +37,7 @@ class PriorRecord(Record):
 
 
 class MaterialRecord(FileRecord):
-    """`reports/material-<name>/prior.toml`: priors of a layer from a compression test."""
+    """Priors of a layer, as from a compression test: `needlefit.write_prior` writes them."""
 
     title: str = ""
     """What was tested."""

@@ -46,8 +46,3 @@ def require_file_name(name: str, where: str) -> None:
             expected=EXPECTED_FILE_NAME,
             fix="rename it",
         )
-
-
-def spreadsheet_text(text: str) -> str:
-    """Return free text as a cell that no spreadsheet runs: behind an apostrophe where it would."""
-    return f"'{text}" if unicodedata.normalize("NFKC", text.lstrip())[:1] in FORMULA_STARTS else text

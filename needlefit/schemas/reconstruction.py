@@ -106,7 +106,7 @@ class GuidePlateRecord(Record):
     """A plate, template or wall of soft material through which the needle is guided to the tissue."""
 
     thickness_mm: float | None = Field(default=None, ge=0)
-    """Its thickness along the needle; 0: there is none. Without it one with air behind it is looked for."""
+    """Its thickness along the needle; 0: there is none. Asked for where soft material begins twice."""
 
 
 class LayersRecord(Record):

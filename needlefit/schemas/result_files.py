@@ -129,7 +129,7 @@ class StoredRunTable(_StoredTable):
     kind: str
     name: FileName
     record: dict[str, Any]
-    origin: Literal["measured", "synthetic", "none"]
+    origin: Literal["measured", "synthetic"]
     dataset_title: str
     interrupted: bool
     faults: list[str]

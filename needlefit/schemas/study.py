@@ -40,7 +40,7 @@ class FitRecord(FileRecord):
     note: str = ""
     """Free text for readers of the file; it changes no result."""
     dataset: str
-    """Name of a dataset in `data/`, or the path of its folder."""
+    """Name of a dataset in `data/`, or the path of its folder, relative to this file."""
     medium: str
     """Name of a tissue model in `configs/media/`, or the path of its file."""
     recipe: str = "default"
@@ -50,7 +50,7 @@ class FitRecord(FileRecord):
     paper_parameters: str | None = None
     """Row of the paper's parameter table that is reported beside the fit. The search never starts there."""
     priors: dict[str, str] = {}
-    """Measured priors by number of layer: files that `needlefit material` wrote."""
+    """Measured priors by number of layer: files that `needlefit.write_prior` wrote."""
     free: tuple[str, ...] = ()
     """Parameters that are estimated although the tissue model fixes or ties them: `["alpha1"]`. Their bounds
     are in docs/fitting.md."""

@@ -31,7 +31,7 @@ class TrackFitRecord(Record):
     medium: str
     """Name of a tissue model in `configs/media/`, or the path of its file."""
     priors: dict[str, str] = Field(default={})
-    """Measured priors by number of layer: files that `needlefit material` wrote."""
+    """Measured priors by number of layer: files that `needlefit.write_prior` wrote."""
     tune: TrackSelectionRecord
     """Runs that are fitted."""
     validate_: TrackSelectionRecord = Field(alias="validate")
@@ -55,7 +55,7 @@ class TrackStudyRecord(FileRecord):
     note: str = ""
     """Free text for readers of the file; it changes no result."""
     dataset: str
-    """Name of a dataset in `data/`, or the path of its folder."""
+    """Name of a dataset in `data/`, or the path of its folder, relative to this file."""
     recipe: str = "default"
     """Name of a recipe in `configs/recipes/`, or the path of its file."""
     registration_depth_mm: float = Field(gt=0)

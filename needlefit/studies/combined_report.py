@@ -11,7 +11,6 @@ from needlefit.reporting.document import Block, Document
 from needlefit.reporting.latex import format_latex
 from needlefit.reporting.table_files import all_files, write_csv, write_json
 from needlefit.reporting.text import KindText
-from needlefit.studies import paper
 from needlefit.studies.fit_frames import FIT_KINDS
 from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds.cross_validation import tables as fit_tables
@@ -97,7 +96,6 @@ def compose_overview(
     tables = [
         *(fit_tables.lay_out_matrix(results, judge), fit_tables.lay_out_summary(results)),
         *(fit_tables.lay_out_parameters(fits, free_alone=True), fit_tables.lay_out_design(results)),
-        fit_tables.lay_out_contradictions(paper.find_contradictions()),
         *tuning_tables(tunings),
         *([fit_tables.lay_out_coverage(*predicted, named=True)] if predicted else []),
     ]

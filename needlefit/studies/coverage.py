@@ -131,11 +131,6 @@ def tabulate_coverage(predictions: pd.DataFrame) -> Row:
     }
 
 
-def format_proportion(found: Proportion) -> str:
-    """Return a proportion with its interval as text: "9 of 10 (60–98 %)"."""
-    return f"{found.hits} of {found.trials} ({100 * found.low:.0f}–{100 * found.high:.0f} %)"
-
-
 #: width of the 95 % interval of a tip up to which it serves for aiming, whatever the deflection
 MAX_AIMING_WIDTH_MM = 2.0
 

@@ -13,11 +13,11 @@ from needlefit.datasets.read import read
 from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.forward_model import make_options as mesh
-from needlefit.inference.material import set_material_prior
 from needlefit.inference.optimize import select_algorithms
 from needlefit.inference.parameter_changes import change_parameters
 from needlefit.inference.parameters import (
     Parameters,
+    state_usual_bounds,
     with_hyperparameters,
     without_bevel_spread,
     without_prior,
@@ -34,7 +34,7 @@ from needlefit.project.tasks import LocalPool, TaskPool, stop_requested, threads
 from needlefit.project.toml import add_file_context, add_key_context, check, load, locate_key
 from needlefit.project.unit_warnings import medium_warnings
 from needlefit.schemas.limits import MAX_EVALUATION_ELEMENT_SOLVES
-from needlefit.schemas.medium import MaterialRecord, MediumRecord, spell_parameter
+from needlefit.schemas.medium import MaterialRecord, MediumRecord, ParameterRecord, spell_parameter
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies import paper
@@ -362,6 +362,41 @@ def set_priors(medium: MediumRecord, priors: Mapping[str, str]) -> MediumRecord:
         with add_key_context(f"priors.{layer}"):
             medium = set_material_prior(medium, layer, material)
     return medium
+
+
+#: a fixed alpha that a test identifies becomes free within this many standard deviations
+ALPHA_REACH_SD = 4.0
+TEST_LAW = "ogden"  #: the law that alpha and mu of a compression test belong to
+
+
+def set_material_prior(medium: MediumRecord, layer: str, material: MaterialRecord) -> MediumRecord:
+    """Return the medium with the prior of a compression test on one layer.
+
+    An alpha that the medium fixes becomes free within `ALPHA_REACH_SD` standard deviations of its prior's
+    mean.
+
+    Raises ConfigError if there is no such layer, the medium's law is another one, or the layer's parameter is
+    tied or fixed.
+    """
+    if layer not in {str(number) for number in range(1, medium.layers + 1)}:
+        raise ConfigError(f"there is no layer `{layer}`", expected=f"a number from 1 to {medium.layers}")
+    if medium.law != TEST_LAW:
+        raise ConfigError(
+            f"the medium's law is `{medium.law}`", expected=f"`{TEST_LAW}`: the prior is of its alpha"
+        )
+    table = state_usual_bounds(medium) | medium.parameters
+    for name, stated in ((f"mu{layer}_pa", material.mu_pa), (f"alpha{layer}", material.alpha)):
+        if stated is None or name not in table:
+            continue
+        bounds, tie = table[name].bounds, table[name].tie
+        if bounds is None and tie is None and stated.mean is not None and stated.sd is not None:
+            bounds = (stated.mean - ALPHA_REACH_SD * stated.sd, stated.mean + ALPHA_REACH_SD * stated.sd)
+        if bounds is None:
+            fix = "give it bounds" + (", or the prior to the layer that it is tied to" if tie else "")
+            state = "tied" if tie else "fixed"
+            raise ConfigError(f"a prior is stated for {name}, which is {state}", fix=fix)
+        table[name] = ParameterRecord(bounds=bounds, prior=stated)
+    return medium.model_copy(update={"parameters": table})
 
 
 def _check_layers(job: Job) -> None:

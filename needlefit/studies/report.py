@@ -206,8 +206,7 @@ def write_files(result: Run, folder: Path, all_figures: bool = False) -> None:
         for name, frame in frames.items():
             if name in (*figures, *left):  # of a frame that a figure shows, the figure's is the file
                 continue
-            has_origin = result.origin == "none" or "origin" in frame
-            rows = frame if has_origin else frame.assign(origin=result.origin)
+            rows = frame if "origin" in frame else frame.assign(origin=result.origin)
             write_csv(rows, folder / f"{name}.csv")
         tables = page.lay_out(result)
         for table in tables:

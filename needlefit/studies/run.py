@@ -190,8 +190,8 @@ class Run:
         Of the run.
     record : FileRecord
         The study file, or the options that stand for one.
-    origin : "measured", "synthetic" or "none"
-        Synthetic as soon as anything in it is; none where it has no data.
+    origin : "measured" or "synthetic"
+        Synthetic as soon as anything in it is.
     dataset_title : str
         The data, in words.
     frames : mapping of DataFrame
@@ -211,7 +211,7 @@ class Run:
     kind: str
     name: str
     record: Any = field(repr=False)
-    origin: Literal["measured", "synthetic", "none"]
+    origin: Literal["measured", "synthetic"]
     dataset_title: str
     frames: Mapping[str, pd.DataFrame] = field(repr=False)
     run: dict[str, Any] = field(repr=False)

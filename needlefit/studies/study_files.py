@@ -1,5 +1,6 @@
 """Load and check a study file of any kind, find the data that it needs, and prepare the fit that it names."""
 
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,9 +10,9 @@ from needlefit.datasets.sources import find_dataset_file, is_missing
 from needlefit.errors import ConfigError
 from needlefit.project.input_files import is_file
 from needlefit.project.json_values import to_json_values
-from needlefit.project.locate import FileKind, find_file, find_study_or_fit
+from needlefit.project.locate import FileKind, find_file, find_study_or_fit, is_path
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
-from needlefit.project.toml import add_file_context, add_key_context, check, load, read_toml
+from needlefit.project.toml import add_file_context, add_key_context, check, read_toml
 from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
@@ -21,13 +22,42 @@ from needlefit.studies.kind import find_kind
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run
 
+PATH_KEYS = frozenset(["dataset", "datasets", "medium", "recipe", "priors", "target", "fits", "studies"])
+"""Keys of study files whose values may be paths, alone, in a list or a table."""
+
+
+def read_study_table(path: Path) -> dict[str, Any]:
+    """Return the keys of a study or fit, the paths in them relative to the working folder.
+
+    In the file they are relative to its folder.
+    """
+    return {key: _rebase(key, value, path.parent) for key, value in read_toml(path).items()}
+
+
+def _rebase(key: str, value: Any, folder: Path) -> Any:  # noqa: ANN401 - whatever the file holds
+    if isinstance(value, str) and key in PATH_KEYS and is_path(value):
+        # never absolute unless the file says so: it is kept with the results
+        return value if Path(value).is_absolute() else f"./{Path(os.path.relpath(folder / value)).as_posix()}"
+    if isinstance(value, list):
+        return [_rebase(key, one, folder) for one in value]
+    if isinstance(value, Mapping) and key not in ("tune", "validate"):  # there `medium` is a name in the data
+        return {
+            inner: _rebase(key if key == "priors" else inner, one, folder) for inner, one in value.items()
+        }
+    return value
+
+
+def load_fit(path: Path) -> FitRecord:
+    """Load the file of a fit; ConfigError if it does not hold what a fit wants."""
+    return check(read_study_table(path), FitRecord, path)
+
 
 def load_study(path: Path) -> FileRecord:
     """Load a study file and check it against the record of its kind.
 
     Raises ConfigError if it does not hold what a study of its kind wants.
     """
-    table = read_toml(path)
+    table = read_study_table(path)
     with add_file_context(path):
         record = _record_type(table)
     return check(table, record, path)
@@ -47,7 +77,7 @@ def _record_type(table: Mapping[str, Any]) -> type[FileRecord]:
 
 def find_missing_data(path: Path) -> list[str]:
     """Return the external datasets that a study file names and that are not there."""
-    named = dict.fromkeys(_datasets(read_toml(path)))
+    named = dict.fromkeys(_datasets(read_study_table(path)))
     return [name for name in named if is_missing(find_dataset_file(find_file("dataset", name)))]
 
 
@@ -88,7 +118,7 @@ def check_study_file(kind: Literal["study", "fit"], path: Path) -> StudyCheck:
 
     Raises ConfigError, DataError if anything in it is missing or wrong.
     """
-    record: FileRecord = load(path, FitRecord) if kind == "fit" else load_study(path)
+    record: FileRecord = load_fit(path) if kind == "fit" else load_study(path)
     with add_file_context(path):
         if not isinstance(record, FitRecord):
             _find_files(record.model_dump(mode="json", by_alias=True))
@@ -123,7 +153,7 @@ def load_target(target: str) -> tuple[str, FitRecord, Path]:
     """
     study, _, wanted = ("", "", "") if is_file(Path(target)) else target.rpartition(":")
     kind, path = find_study_or_fit(study or target)
-    record = load(path, FitRecord) if kind == "fit" else load_study(path)
+    record = load_fit(path) if kind == "fit" else load_study(path)
     if isinstance(record, TrackStudyRecord):
         wanted = wanted if study else ""
         for one in record.fits:

@@ -21,14 +21,12 @@ from needlefit.grouping import group_values
 from needlefit.project.locate import shipped_folder
 from needlefit.project.toml import dumps, read_toml
 from needlefit.schemas.base import FileRecord
-from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
 from needlefit.schemas.dataset import DatasetRecord, SectionsRecord, TrackDatasetRecord
 from needlefit.schemas.medium import MaterialRecord, MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.schemas.tracker import TrackerRecord
 from needlefit.schemas.tracks import TrackStudyRecord
 from needlefit.studies.kind import KINDS
 
@@ -56,8 +54,6 @@ SHIPPED: Mapping[str, tuple[type[FileRecord], str, tuple[str, ...]]] = {
     "tracks_dataset": (TrackDatasetRecord, "Dataset of tip tracks", ("data/guided_tips/dataset.toml",)),
     "scene": (SceneRecord, "Scene", ("configs/scenes/phantom1.toml", "configs/scenes/figure1.toml")),
     "reconstruction": (ReconstructionRecord, "Reconstruction", ()),
-    "tracker": (TrackerRecord, "Tracker", ()),
-    "statements": (CredibilityStatementsRecord, "Credibility statements", ()),
     "tracks_study": (TrackStudyRecord, "Study of tip tracks", ("studies/guided_tip.toml",)),
 }
 """Schema, title and shipped examples of every kind of file; `docs/examples/<key>*.toml` are further ones."""

@@ -6,7 +6,7 @@ from typing import Any
 
 import pandas as pd
 
-from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import estimate_noise_floor
 from needlefit.datasets.read import read_shapes
 from needlefit.errors import DataError
@@ -28,12 +28,26 @@ from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.viewer.overlays import find_scan, make_measured_overlay
-from needlefit.viewer.viewed_scene import ShownInsertion, ViewedScene
+from needlefit.viewer.viewed_scene import ViewedScene
 
 SHOWN_METHOD = "fitted"  #: the method of a run whose parameters are shown
 #: parameters of all layers of an undescribed medium: the paper's softer material, and roughly its bevel
 #: offset
 DEFAULT_MU_PA, DEFAULT_ALPHA, DEFAULT_BEVEL_MM = 2e5, 1.0, 0.05
+
+
+@dataclass(frozen=True)
+class ShownInsertion:
+    """A measured insertion, and the parameters (Pa, mm) of the needle shown with it.
+
+    `seed` is that of the draws of its noise floor, so that it is the one of studies.
+    """
+
+    dataset: Dataset
+    insertion: Insertion
+    medium: MediumRecord
+    values: Mapping[str, float]
+    seed: int
 
 
 def open_dataset(view_target: ViewTarget) -> ViewedScene:
@@ -123,7 +137,6 @@ def _show_insertion(
         scanned=scan,
         choices=choices,
         warnings=dataset.warnings,
-        shown=shown,
     )
 
 

@@ -31,12 +31,7 @@ LENGTH_DIGITS = 4  #: decimals of drawn lengths in mm
 def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str, Any]:
     """Return all that stays constant: the needle, the layers, the overlays."""
     scene = steering.scene
-    measured, shown = viewed_scene.measured, viewed_scene.shown
-    counts = None  # how many insertions a live fit can take
-    if shown is not None and viewed_scene.record.rules.advance == "tangent":
-        same = [one for one in shown.dataset.insertions if one.medium == shown.insertion.medium]
-        of_specimen = sum(one.specimen == shown.insertion.specimen for one in same)
-        counts = {"insertion": 1, "specimen": of_specimen, "dataset": len(same)}
+    measured = viewed_scene.measured
     return {
         **needle_page.encode_scene(scene, steering.first_cell, steering.names),
         "title": viewed_scene.title,
@@ -51,7 +46,6 @@ def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
             **encode_measured(measured),
         },
         "draws": None if viewed_scene.spread is None else encode_draws(viewed_scene.spread, scene.tissue.law),
-        "fit": counts,
         "slice": viewed_scene.scanned is not None,
         "choices": list(viewed_scene.choices.items()),
         "needles": list(list_needles(viewed_scene)),
@@ -135,9 +129,8 @@ def round_lengths(values: Floats) -> list[float]:
 
 
 ACTIONS = {
-    *("hello", "steps", "change", "replay", "show", "align", "fit", "points"),
-    *("aim", "markups", "plan", "reach", "run", "challenge"),
-    *("release_tracker", "forget_estimate"),
+    *("hello", "steps", "replay", "show", "align"),
+    *("aim", "markups", "plan", "reach", "run"),
 }
 MAX_CHANGES = 64  #: number of inputs that one step may set
 MAX_MESSAGE_STEPS = 16  #: number of steps of one message
@@ -150,7 +143,6 @@ class Message:
 
     do: str  #: one of `ACTIONS`
     id: int = 0  #: the page's own number of it; answers name it
-    changes: tuple[Change, ...] = ()
     steps: tuple[RecordedStep, ...] = ()  #: that a page has carried out
     content: dict[str, Any] = field(default_factory=dict)  #: all other keys of the message
     fault: ModelError | None = None  #: why it cannot be carried out
@@ -169,10 +161,6 @@ class Message:
         value = self.content.get(key)
         return value if isinstance(value, str) else ""
 
-    @property
-    def gesture(self) -> int | str | None:
-        return _read_gesture(self.content.get("gesture"))
-
 
 def read_message(text: str) -> Message:
     """Return the message that a text contains.
@@ -187,7 +175,7 @@ def read_message(text: str) -> Message:
     if not isinstance(content, dict):
         fault = ModelError("the message is no JSON", expected="an object with `do` and `id`")
         return Message("", fault=fault)
-    number, action, rows = content.get("id"), content.get("do"), content.get("set", [])
+    number, action = content.get("id"), content.get("do")
     known = number if type(number) is int else 0
     try:
         if not isinstance(action, str) or action not in ACTIONS or type(number) is not int:
@@ -196,7 +184,7 @@ def read_message(text: str) -> Message:
         steps = content.get("steps", [])
         if not isinstance(steps, list) or len(steps) > MAX_MESSAGE_STEPS:
             raise ModelError("`steps` holds no steps", expected=f"up to {MAX_MESSAGE_STEPS} of them")
-        return Message(action, known, _read_changes(rows), tuple(map(_read_step, steps)), content)
+        return Message(action, known, tuple(map(_read_step, steps)), content)
     except ModelError as error:
         return Message("", known, fault=error)
 
@@ -218,7 +206,7 @@ def _read_gesture(value: object) -> int | str | None:
 def _read_changes(rows: object) -> tuple[Change, ...]:
     if not isinstance(rows, list) or len(rows) > MAX_CHANGES:
         expected = f"up to {MAX_CHANGES} of [input, item, value]"
-        raise ModelError("`set` holds no inputs", expected=expected)
+        raise ModelError("the step has no inputs", expected=expected)
     return tuple(map(_read_change, rows))
 
 

@@ -15,7 +15,7 @@ from needlefit.inference.forward_model import ParameterDraws
 from needlefit.mechanics.control import Step
 from needlefit.mechanics.scene import Scene
 from needlefit.planning.goals import Goal, cut_plane, name_obstacles, read_goal_points
-from needlefit.planning.steering import StartedInsertion, SteeringPlan, draw_target
+from needlefit.planning.steering import StartedInsertion, SteeringPlan
 from needlefit.reporting.needle_page import encode_step
 from needlefit.schemas.planning import ObstacleRecord
 from needlefit.viewer.messages import Message, round_lengths
@@ -29,9 +29,6 @@ MAX_PLACE_MM = 1000.0  #: greatest coordinate and radius of a target or an obsta
 MAX_ENTRY_MM = 100.0  #: by how much a plan may shift the entry to either side at most, mm
 FAN_NEEDLES = 40  #: needles of a plan that are drawn
 BEYOND_TARGET_MM = 8.0  #: the reachable region is shown so far beyond the target
-CHALLENGE_DEPTHS = (0.6, 1.0)  #: between which parts of the scene's depth a random target lies
-#: between which parts of the way to a random target its obstacle lies, and the obstacle's radius, mm
-OBSTACLE_PLACES, OBSTACLE_RADIUS_MM = (0.4, 0.6), 0.5
 SPEED_MM_S = 10.0  #: speed of insertion in the recording of a plan
 #: the needle goes in by so much in each recorded step; that changes nothing of where it ends
 RECORDED_STEP_MM = 1.0
@@ -124,18 +121,6 @@ def _read_numbers(row: object, count: int) -> list[float]:
         raise ModelError(f"{row!r:.60} is no place", expected=f"{count} numbers, mm")
     place = Message("aim", content=dict(zip(("x", "y", "radius"), row, strict=False)))
     return [place.number(key, None, MAX_PLACE_MM, "mm") for key in place.content]
-
-
-def draw_challenge(insertion: StartedInsertion, depth: float, radius: float) -> GoalParts:
-    """Return a random target that a plan reaches (None where there is none), and an obstacle before it."""
-    rng = np.random.default_rng()
-    target = draw_target(insertion, depth * float(rng.uniform(*CHALLENGE_DEPTHS)), rng)
-    if target is None:
-        return None, radius, ()
-    share = float(rng.uniform(*OBSTACLE_PLACES))  # on the straight way from the entry
-    centre = (share * target[0], share * target[1])
-    obstacle = ObstacleRecord(name="obstacle 1", centre_mm=centre, radius_mm=OBSTACLE_RADIUS_MM)
-    return target, radius, (obstacle,)
 
 
 def begin_insertion(viewed_scene: ViewedScene) -> StartedInsertion:
@@ -239,6 +224,4 @@ def shift_entry(viewed_scene: ViewedScene, shift: float) -> ViewedScene:
         placement = replace(placed, frame=frame).to_record()
     record = viewed_scene.record.model_copy(update={"entry": moved})
     note = f"{viewed_scene.note} The entry is shifted by {shift:+.2f} mm along y.".strip()
-    return replace(
-        viewed_scene, record=record, placement=placement, note=note, measured=None, scanned=None, shown=None
-    )
+    return replace(viewed_scene, record=record, placement=placement, note=note, measured=None, scanned=None)

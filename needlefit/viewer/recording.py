@@ -20,8 +20,8 @@ from needlefit.mechanics.session import NeedleState
 from needlefit.project.input_files import parse_toml, read_text
 from needlefit.project.toml import check, dumps
 from needlefit.schemas.limits import MAX_NUMBER
+from needlefit.schemas.recording import PlacementRecord, RecordingRecord
 from needlefit.schemas.scene import SceneRecord
-from needlefit.schemas.tracker import PlacementRecord, RecordingRecord
 from needlefit.viewer.steering import Change, SteeredNeedle
 
 COLUMNS = ("step", "time_s", "input", "item", "value", "tip_lateral_mm")

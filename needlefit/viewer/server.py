@@ -23,7 +23,6 @@ from needlefit.errors import ConfigError, NeedlefitError
 from needlefit.project.json_values import parse_json
 
 if TYPE_CHECKING:
-    from needlefit.viewer.scan_page import ScanPage
     from needlefit.viewer.steering_page import SteeringPage
 
 PAGE = Path(__file__).parent / "page"
@@ -82,7 +81,7 @@ class AccessControl:
 
 
 async def serve(
-    page: "LoadingPage | ScanPage",
+    page: "LoadingPage",
     port: int,
     ready: Callable[[AccessControl], None],
     stop: Callable[[], Awaitable[None]],
@@ -132,8 +131,8 @@ async def _close_silent(runner: web.AppRunner, app: web.Application) -> None:
                 one.force_close()
 
 
-def _make_application(access: AccessControl, page: "LoadingPage | ScanPage") -> web.Application:
-    """Return the routes of every page, and those of this one."""
+def _make_application(access: AccessControl, page: "LoadingPage") -> web.Application:
+    """Return the routes of the page."""
 
     @web.middleware
     async def guard(request: web.Request, handler: Handler) -> web.StreamResponse:
@@ -182,11 +181,10 @@ def _make_application(access: AccessControl, page: "LoadingPage | ScanPage") -> 
     app.router.add_static("/page", PAGE)
     app.router.add_post("/{name:.+}", answer)
     app.on_response_prepare.append(add_headers)
-    if isinstance(page, LoadingPage):
-        app.router.add_get("/ws", partial(page.attend, access))
-        app.router.add_get("/mechanics/native/{name}", _send_kernel)
-        app.on_startup.append(page.begin)
-        app.on_shutdown.append(page.end)
+    app.router.add_get("/ws", partial(page.attend, access))
+    app.router.add_get("/mechanics/native/{name}", _send_kernel)
+    app.on_startup.append(page.begin)
+    app.on_shutdown.append(page.end)
     return app
 
 
@@ -201,7 +199,7 @@ async def _send_kernel(request: web.Request) -> web.FileResponse:
 def _list_preloads() -> str:
     """Return the header by which a browser loads the modules of the page and the kernel at once."""
     modules = [one.relative_to(PAGE) for one in sorted(PAGE.rglob("*.js"))]
-    names = [f"/page/{one.as_posix()}" for one in modules if one.parts[0] not in ("scan", "share")]
+    names = [f"/page/{one.as_posix()}" for one in modules if one.parts[0] != "share"]
     names += [f"/mechanics/native/{name}" for name in KERNEL_FILES if name.endswith(".js")]
     links = [f"<{name}>; rel=modulepreload" for name in names]
     return ", ".join((*links, "</mechanics/native/kernel.wasm>; rel=preload; as=fetch; crossorigin"))
@@ -229,9 +227,7 @@ class LoadingPage:
             self._stage = stage
 
         try:
-            loaded = await asyncio.to_thread(self._load, show)
-            await loaded.begin()
-            self.loaded = loaded
+            self.loaded = await asyncio.to_thread(self._load, show)
         except Exception as error:  # the server ends with it
             self.error = error
         self.ended.set()

@@ -4,8 +4,7 @@ import asyncio
 import json
 import traceback
 from collections.abc import Coroutine
-from time import monotonic, time
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
@@ -14,38 +13,21 @@ from needlefit.viewer.trial import InteractiveTrial, StepOrderError
 from needlefit.viewer.trials import TrialRegistry
 from needlefit.viewer.window import Reply, Window
 
-if TYPE_CHECKING:
-    from needlefit.viewer.openigtlink import OpenIGTLinkServer
-    from needlefit.viewer.tracking import TrackedTrial
-
-#: pause before the next look for steps of a tracked needle, and between two reports of it, s
-TRACKING_INTERVAL_S, STATUS_INTERVAL_S = 0.03, 0.25
 SLOW = ("show", "align")  #: messages that read a dataset or simulate all steps: other windows go on meanwhile
 
 
 class SteeringPage:
-    """All windows, and the OpenIGTLink server beside them, if there is one.
+    """All windows: each has a WebSocket, and each needle one window, the newest."""
 
-    Each window has a WebSocket, and each needle one window, the newest.
-    """
-
-    def __init__(self, trials: TrialRegistry, openigtlink: "OpenIGTLinkServer | None" = None) -> None:
-        self.trials, self.openigtlink = trials, openigtlink
-        self._tracked = openigtlink.tracked if openigtlink else None
+    def __init__(self, trials: TrialRegistry) -> None:
+        self.trials = trials
         self._sockets: dict[str, web.WebSocketResponse] = {}
-
-    async def begin(self) -> None:
-        """Serve OpenIGTLink; ConfigError if its address cannot be used."""
-        if self.openigtlink is not None:
-            await self.openigtlink.begin()
 
     async def end(self) -> None:
         """Say goodbye to every window."""
         for socket in list(self._sockets.values()):
             await _send(socket, {"kind": "bye", "what": "the server was stopped"})
             await socket.close(code=WSCloseCode.GOING_AWAY)
-        if self.openigtlink is not None:
-            await self.openigtlink.end()
 
     async def answer(self, name: str, content: dict[str, Any]) -> web.Response:
         """Return a file made of a recording, the scan's bending plane, or the law of all layers."""
@@ -74,17 +56,12 @@ class SteeringPage:
     async def converse(self, socket: web.WebSocketResponse, hello: str) -> None:
         """Serve a window that has the token, for as long as it is there; `hello` is its first message."""
         first = read_message(hello)
-        window = Window(
-            self.trials, self.trials.open(first.text("needle")), tracked=self._tracked is not None
-        )
+        window = Window(self.trials, self.trials.open(first.text("needle")))
         before, self._sockets[window.trial.name] = self._sockets.get(window.trial.name), socket
         if before is not None:
             await _send(before, {"kind": "taken"})
             await before.close()
         work: dict[str, asyncio.Task[None]] = {}
-        if self._tracked is not None:
-            tracking = _send_tracking(window, socket, self._tracked)
-            work["tracking"] = asyncio.create_task(_close_if_failed(tracking, socket))
         try:
             async with window.trial.lock:
                 replies = list(window.answer(first))
@@ -104,10 +81,6 @@ class SteeringPage:
                 await socket.close(code=WSCloseCode.UNSUPPORTED_DATA)
                 return
             message, trial = read_message(frame.data), window.trial
-            if self._tracked is not None and message.do == "release_tracker":
-                self._tracked.release()
-            elif self._tracked is not None and message.do == "forget_estimate":
-                self._tracked.forget()
             async with trial.lock:
                 if self._sockets.get(trial.name) is not socket:
                     return  # another window has taken the needle
@@ -160,18 +133,3 @@ async def _carry_out(window: Window, kind: str, socket: web.WebSocketResponse) -
             await asyncio.to_thread(next, replies, None)  # it reads the needle
         while (reply := await asyncio.to_thread(next, replies, None)) and window.trial is trial:
             await _send(socket, reply)
-
-
-async def _send_tracking(window: Window, socket: web.WebSocketResponse, tracked: "TrackedTrial") -> None:
-    """Send the steps of a needle that a tracker moves, and what is known of tracker and estimate."""
-    spread = window.trial.viewed_scene.spread
-    number, reported = -1, 0.0
-    while True:
-        await _send(socket, *window.new_steps())
-        if (now := window.trial.viewed_scene.spread) is not spread:
-            spread = now
-            await _send(socket, *([] if spread is None else [window.trial.describe_draws()]))
-        if tracked.number != number or monotonic() - reported > STATUS_INTERVAL_S:
-            number, reported = tracked.number, monotonic()
-            await _send(socket, tracked.status(time()))
-        await asyncio.sleep(TRACKING_INTERVAL_S)

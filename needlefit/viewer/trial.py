@@ -1,7 +1,4 @@
-"""An interactive insertion as the program holds it: its steps, which the page simulates and this records.
-
-Where a tracker moves the needle, it is simulated here, and the page follows.
-"""
+"""An interactive insertion as the program holds it: its steps, which the page simulates and this records."""
 
 import asyncio
 from collections import deque
@@ -16,7 +13,7 @@ from needlefit.mechanics.control import Step
 from needlefit.mechanics.plan import SAME_DEPTH_MM
 from needlefit.mechanics.scene import Scene
 from needlefit.planning.steering import StartedInsertion
-from needlefit.viewer.messages import encode_draws, encode_recorded, encode_scene, encode_tables
+from needlefit.viewer.messages import encode_recorded, encode_scene, encode_tables
 from needlefit.viewer.plans import TrialAim, continue_insertion
 from needlefit.viewer.recording import RecordedStep, Recording, RecordingWriter, replay
 from needlefit.viewer.steering import Change, SteeredNeedle
@@ -40,7 +37,6 @@ class InteractiveTrial:
         self.steps: list[RecordedStep] = []
         self.recorder = RecordingWriter(path, viewed_scene.make_head())
         self.aim = TrialAim()
-        self.measured = viewed_scene.shown  #: the measured insertion before its points were moved
         self._steering = self._begin()
         self._gesture: int | str | None = None  # of the step before, and the steps whose states are kept
         self._kept = deque[int]()
@@ -75,11 +71,6 @@ class InteractiveTrial:
             "past": [encode_recorded(step) for step in steps[known:]],
             "tables": encode_tables(self.scene.tissue, steps),
         }
-
-    def describe_draws(self) -> dict[str, Any]:
-        """Return the message of the draws of a band."""
-        assert self.viewed_scene.spread is not None
-        return {"kind": "draws", "draws": encode_draws(self.viewed_scene.spread, self.scene.tissue.law)}
 
     @property
     def steering(self) -> SteeredNeedle:

@@ -39,17 +39,10 @@ class TrialRegistry:
         self._viewed_scenes: dict[str, ViewedScene] = {}
         self._paths: list[Path] = []
         self._steered: set[str] = set()
-        self._shared: InteractiveTrial | None = None
-
-    def share(self) -> InteractiveTrial:
-        """Return the one trial of all windows, for a tracker that moves it; from the first call on."""
-        if self._shared is None:
-            self._shared = self._begin(self._viewed_scene, self._source)
-        return self._shared
 
     def open(self, name: str) -> InteractiveTrial:
         """Return the trial of this name, or a new one if there is none."""
-        trial = self._shared or self._all.get(name) or self._begin(self._viewed_scene, self._source)
+        trial = self._all.get(name) or self._begin(self._viewed_scene, self._source)
         self._steered.add(trial.name)
         return trial
 
@@ -132,8 +125,6 @@ class TrialRegistry:
         other.window_trials[other.shown_insertion] = other
         self._all[other.name] = other
         self._steered.add(other.name)
-        if trial is self._shared:
-            self._shared = other
         return other
 
     def _begin(self, viewed_scene: ViewedScene, source: Recording | None) -> InteractiveTrial:
@@ -148,6 +139,5 @@ class TrialRegistry:
         for old in [one for one in self._all if one not in self._steered and one != name]:
             if len(self._all) <= MAX_TRIALS:
                 break
-            if self._all[old] is not self._shared:
-                del self._all[old]
+            del self._all[old]
         return self._all[name]

@@ -6,29 +6,13 @@ from typing import TYPE_CHECKING, Literal
 
 from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
 from needlefit.project.result_warnings import ResultWarning
+from needlefit.schemas.recording import PlacementRecord, RecordingRecord
 from needlefit.schemas.scene import NeedleRecord, SceneRecord
-from needlefit.schemas.tracker import PlacementRecord, RecordingRecord
 from needlefit.viewer.recording import make_head
 
 if TYPE_CHECKING:
-    from needlefit.datasets.insertion import Dataset, Insertion
     from needlefit.inference.forward_model import ParameterDraws
-    from needlefit.schemas.medium import MediumRecord
     from needlefit.viewer.overlays import InsertionScan, MeasuredOverlay
-
-
-@dataclass(frozen=True)
-class ShownInsertion:
-    """A measured insertion, and the parameters (Pa, mm) of the needle shown with it.
-
-    `seed` is that of the draws of its noise floor, so that it is the one of studies.
-    """
-
-    dataset: "Dataset"
-    insertion: "Insertion"
-    medium: "MediumRecord"
-    values: Mapping[str, float]
-    seed: int
 
 
 @dataclass(frozen=True)
@@ -52,7 +36,6 @@ class ViewedScene:
     #: insertions that can be shown instead, of a shipped scene all such scenes: by name, with their titles
     choices: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[ResultWarning, ...] = ()  #: what is suspicious in the dataset or the run that it is from
-    shown: ShownInsertion | None = None  #: the measured insertion with its dataset, to be fitted to
     faults: tuple[str, ...] = ()  #: why the run that it shows is not to be trusted
     own_needle: NeedleRecord | None = None  #: the scene's, where another one is shown
 

@@ -1,47 +1,34 @@
 """A window of the interactive simulation: its messages are carried out, and answered."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any
 
 from needlefit.errors import ModelError, NeedlefitError
 from needlefit.mechanics.plan import SAME_DEPTH_MM
 from needlefit.planning.goals import Goal
 from needlefit.planning.steering import PlanLimits, find_reachable_region, plan_steering
-from needlefit.viewer.messages import (
-    MAX_REPLAY_SPEED,
-    Message,
-    encode_fault,
-    encode_measured,
-    round_lengths,
-)
+from needlefit.viewer.messages import MAX_REPLAY_SPEED, Message, encode_fault, round_lengths
 from needlefit.viewer.plans import (
     BEYOND_TARGET_MM,
     MAX_ENTRY_MM,
-    draw_challenge,
     find_placement,
     plan_message,
     read_goal,
 )
 from needlefit.viewer.recording import Recording
 from needlefit.viewer.steering import find_tissue_changes
-from needlefit.viewer.trial import InteractiveTrial, RecordingEndedError, StepOrderError
+from needlefit.viewer.trial import InteractiveTrial, RecordingEndedError
 from needlefit.viewer.trials import TrialRegistry
 
-if TYPE_CHECKING:  # where it is used it is imported: it takes half a second to load
-    from needlefit.viewer.live_fit import FitScope
-
-MAX_OFFSET_MM = 50.0  #: a measured point is moved by at most so much, mm
 Reply = dict[str, Any]
 
 
 class Window:
-    """One authenticated page, and the needle that it controls, or that a tracker moves (`tracked`)."""
+    """One authenticated page, and the needle that it controls."""
 
-    def __init__(self, trials: TrialRegistry, trial: InteractiveTrial, *, tracked: bool) -> None:
-        self.trials, self.trial, self._tracked = trials, trial, tracked
-        self.sent = 0  #: steps that the page has, where a tracker moves the needle
+    def __init__(self, trials: TrialRegistry, trial: InteractiveTrial) -> None:
+        self.trials, self.trial = trials, trial
         #: what takes long, by kind: the newest order counts. It first yields an empty reply, once it has read
         #: the needle, then those for the page.
         self.orders: dict[str, Iterator[Reply]] = {}
@@ -64,22 +51,14 @@ class Window:
         if message.do == "hello":
             known = int(message.number("known", 0.0)) if message.text("needle") == trial.name else 0
             yield from self._describe(max(0, min(known, len(trial.steps))))
-        else:
-            yield from self.new_steps()
 
     def _describe(self, known: int = 0) -> Iterator[Reply]:
-        self.sent, aim = len(self.trial.steps), self.trial.aim
-        yield self.trial.describe_scene(known) | {"tracked": self._tracked}
+        aim = self.trial.aim
+        yield self.trial.describe_scene(known)
         if aim.goal is not None or aim.obstacles:
             yield aim.to_message()
         if aim.plan is not None:
             yield plan_message(aim.plan, aim)
-
-    def new_steps(self) -> Iterator[Reply]:
-        """Yield the steps of a tracked needle that the page does not have."""
-        if self._tracked and self.sent < len(self.trial.steps):
-            known, self.sent = self.sent, len(self.trial.steps)
-            yield {"kind": "steps", **self.trial.describe_steps(self.trial.steps, known)}
 
     def _take(self, trial: InteractiveTrial) -> Iterator[Reply]:
         """Change to another needle."""
@@ -90,18 +69,12 @@ class Window:
     def _do(self, message: Message) -> Iterator[Reply]:
         if message.fault:
             raise message.fault
-        trial, tracked = self.trial, self._tracked
+        trial = self.trial
         match message.do:
             case "steps":
-                if tracked:
-                    raise StepOrderError("a tracker moves the needle")
                 for step in message.steps:
                     trial.record(step)
                 yield {"kind": "recorded", "step": len(trial.steps)}
-            case "change":
-                if not tracked:
-                    raise ModelError("the page carries out its inputs", expected="steps")
-                trial.act(message.changes, message.gesture)
             case "replay":
                 yield from self._replay(message)
             case "show" if message.text("with_needle"):
@@ -115,34 +88,18 @@ class Window:
                     what, fix = "moduli or shape parameters were changed", "set them back first"
                     raise ModelError(what, expected="the initial parameters", fix=fix)
                 yield from self._take(self.trials.aligned(trial))
-            case "fit":
-                self.orders["fit"] = self._fit(trial, _read_scope(trial, message))
-            case "points":
-                from needlefit.viewer.live_fit import KNOTS
-
-                rows = message.content.get("offsets")
-                if not isinstance(rows, list) or len(rows) != KNOTS:
-                    raise ModelError("these are no offsets of points", expected=f"{KNOTS} numbers, mm")
-                moves = [Message("points", content={"offset": row}) for row in rows]
-                offsets = [one.number("offset", None, MAX_OFFSET_MM, "mm") for one in moves]
-                self.orders["fit"] = self._fit(trial, _read_scope(trial, message), offsets)
             case "aim":
                 trial.aim.set(*read_goal(message))
                 yield trial.aim.to_message()
             case "markups":
                 trial.aim.read_markups(message, find_placement(trial.viewed_scene))
                 yield trial.aim.to_message()
-            case "challenge":
-                trial.aim.set(None, read_goal(message)[1], ())
-                trial.aim.entry_mm = 0.0
-                self.orders["plan"] = self._challenge(trial)
             case "plan":
                 entry = message.number("entry_mm", 0.0, MAX_ENTRY_MM, "mm")
                 if trial.aim.goal is None:
                     raise ModelError("there is no target", expected="a target in the tissue", fix="place one")
-                if entry < 0 or (entry and tracked):
-                    expected = "0 mm: a tracker moves the needle" if tracked else "0 mm or above"
-                    raise ModelError(f"the entry may shift by {entry:g} mm", expected=expected)
+                if entry < 0:
+                    raise ModelError(f"the entry may shift by {entry:g} mm", expected="0 mm or above")
                 trial.aim.entry_mm, trial.aim.plan = entry, None
                 self.orders["plan"] = self._plan(trial, trial.aim.goal)
             case "reach" if trial.aim.goal is not None:
@@ -161,52 +118,9 @@ class Window:
         yield from self._take(self.trials.again(trial, source))
         yield {"kind": "replay", "times": times, **self.trial.describe_steps(source.steps)}
 
-    def _fit(
-        self, trial: InteractiveTrial, scope: "FitScope", offsets: Sequence[float] = ()
-    ) -> Iterator[Reply]:
-        """Move measured points, fit and draw; the page takes the fitted values as its input."""
-        from needlefit.viewer.live_fit import (
-            draw_about,
-            find_mode,
-            move_points,
-            select_insertions,
-            show_moved,
-        )
-
-        yield {}
-        if trial.measured is not None and offsets:
-            trial.viewed_scene = show_moved(trial.viewed_scene, move_points(trial.measured, offsets))
-            assert trial.viewed_scene.measured is not None
-            yield {"kind": "measured", "offsets": offsets, **encode_measured(trial.viewed_scene.measured)}
-        shown = trial.viewed_scene.shown
-        assert shown is not None
-        try:
-            mode = find_mode(shown, select_insertions(shown, scope))
-            yield mode.to_message(shown.insertion)
-            if self._is_dropped("fit"):  # these draws would be of no use
-                return
-            draws = draw_about(mode, shown.insertion, shown.seed)
-        except NeedlefitError as error:
-            yield {"kind": "fit", "fault": encode_fault(error, "what", "fix")}
-            return
-        trial.viewed_scene = replace(trial.viewed_scene, spread=draws.spread)
-        yield trial.describe_draws()
-        yield draws.to_message()
-
     def _is_dropped(self, kind: str) -> bool:
         """Return whether nobody waits for it: another one is ordered, or the window was closed."""
         return self.closed or kind in self.orders
-
-    def _challenge(self, trial: InteractiveTrial) -> Iterator[Reply]:
-        """Choose a random target, and plan to it."""
-        insertion = trial.insertion
-        yield {}
-        parts = draw_challenge(insertion, trial.scene.depth, trial.aim.radius)
-        if trial.aim.goal is None:  # nobody has put another target meanwhile
-            trial.aim.set(*parts)
-            yield trial.aim.to_message()
-        if trial.aim.goal is not None:
-            self.orders["plan"] = self._plan(trial, trial.aim.goal)
 
     def _plan(self, trial: InteractiveTrial, goal: Goal) -> Iterator[Reply]:
         """Plan to a goal from where the needle stands."""
@@ -232,17 +146,3 @@ class Window:
         edges = {"low": region.low, "high": region.high}  # from the least share of draws to the greatest
         rows = {name: [round_lengths(one) for one in edge] for name, edge in edges.items()}
         yield {"kind": "reach", "step": step, "x": round_lengths(region.x), **rows}
-
-
-def _read_scope(trial: InteractiveTrial, message: Message) -> "FitScope":
-    """Return what a page wants to fit to; ModelError if nothing is measured, or there is no such choice."""
-    from needlefit.viewer.live_fit import FitScope
-
-    scopes: dict[str, FitScope] = {scope: scope for scope in get_args(FitScope)}
-    scope = message.text("scope")
-    if trial.viewed_scene.shown is None or scope not in scopes:
-        raise ModelError(
-            f"there is nothing measured to fit to (`{scope:.20}`)",
-            expected=f"a measured insertion, and one of {', '.join(scopes)}",
-        )
-    return scopes[scope]

@@ -99,10 +99,10 @@ def _dataset(path: Path) -> object:
 
 
 def _import(path: Path) -> object:
-    decisions = _late("datasets.importing.decisions.Decisions")()
-    content, plan = import_module("import_cases").plan_import([path], decisions)
+    answers = _late("datasets.importing.answers.Answers")({"pose": "1,0,0", "bevel": "0,1,0"})
+    content, plan = import_module("import_cases").plan_import([path], answers)
     with _late("project.folders.create_folder")(path.parent / "made") as fresh:
-        _late("datasets.importing.conversion.write_plan")(fresh, content, plan, decisions)
+        _late("datasets.importing.writing.write_plan")(fresh, content, plan, answers)
     return _late("datasets.read.read")(path.parent / "made")
 
 
@@ -179,7 +179,7 @@ def _conversation(path: Path) -> object:
     """Answer messages, a line each, in one window as the page's server does; replies must be JSON."""
     open_target = _late("viewer.opening.open_target")
     registry = _late("viewer.trials.TrialRegistry")(open_target("figure1"), path.parent / "view", open_target)
-    window = _late("viewer.window.Window")(registry, registry.open(""), tracked=False)
+    window = _late("viewer.window.Window")(registry, registry.open(""))
     read, refused = _late("viewer.messages.read_message"), None
     for text in _text(path).splitlines()[:MAX_LINES]:
         try:
@@ -194,14 +194,6 @@ def _conversation(path: Path) -> object:
     if refused is not None:
         raise _late("errors.ModelError")(refused)
     return window.trial.steering.number
-
-
-def _tracker(path: Path) -> object:
-    record = _load("tracker.TrackerRecord", path)
-    scene = _scene(_late("project.locate.find_file")("scene", "figure1"))
-    tracking = import_module("needlefit.viewer.tracking")
-    frame = tracking.register_tracker(record, scene.entry.placement)
-    return tracking.measure_registration_error(record, frame, scene.entry.placement)
 
 
 def _names(path: Path) -> object:
@@ -246,7 +238,7 @@ def _configs(record: str, folder: str, name: str) -> Reader:
 
 
 READ_VOLUME = partial(_call, "imaging.volume_files.read_volume")
-READ_LABELS = partial(_call, "imaging.layers.read_labels")
+READ_LABELS = partial(_call, "imaging.segmentations.read_labels")
 
 READERS: dict[str, Reader] = {
     "scene": Reader(_scene, partial(project_files, "configs/scenes/*.toml", "scene.toml")),
@@ -256,7 +248,6 @@ READERS: dict[str, Reader] = {
     "reconstruction": _configs("reconstruction.ReconstructionRecord", "reconstruction", "reconstruction"),
     "medium": Reader(_medium, partial(project_files, "configs/media/*.toml", "medium.toml")),
     "dataset": Reader(_dataset, seeds.datasets, 40),
-    "compression": Reader(partial(_call, "datasets.compression.read_compression"), seeds.compression),
     "markers": Reader(partial(_call, "imaging.markers.read_markers"), seeds.markers),
     "scans": Reader(partial(_call, "imaging.scans.read_scans"), seeds.scans, 40),
     "markups": Reader(_import, seeds.markups),
@@ -265,6 +256,7 @@ READERS: dict[str, Reader] = {
     "workbook": Reader(_import, seeds.workbooks, SLOWEST),
     "slicer_scene": Reader(_import, seeds.slicer_scenes, 40),
     "bundle": Reader(_import, seeds.bundles, 40),
+    "structure_set": Reader(_import, seeds.structure_sets, SLOWEST),
     "mat": Reader(_import, seeds.matlab, SLOWEST),
     "volume": Reader(READ_VOLUME, seeds.volumes, NATIVE, packed=True),
     "labels": Reader(READ_LABELS, seeds.labels, NATIVE, packed=True),
@@ -282,7 +274,6 @@ READERS: dict[str, Reader] = {
     "run": Reader(partial(_call, "studies.store.read_run"), seeds.run_files),
     "diff": Reader(_difference, seeds.runs, 20),
     "manifest": Reader(partial(_call, "project.folders.require_replaceable"), seeds.manifests),
-    "tracker": Reader(_tracker, seeds.trackers),
     "conversation": Reader(_conversation, seeds.conversations, 20),
     "set": Reader(_assignments, seeds.assignments, 40),
     "command": Reader(_command, seeds.commands, 30),

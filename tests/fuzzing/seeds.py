@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parents[2]
+CASES = Path(__file__).resolve().parent.parent / "imports"
 CORPUS = PROJECT / "tests" / "fuzz" / "corpus"
 """Files that once ended the interpreter, or took gigabytes."""
 
@@ -77,15 +78,6 @@ def datasets() -> list[Seed]:
     tracks = written(lambda folder: write_tracks(folder, runs), "dataset.toml")
     surfaces, long = Seed(plain.files, plain.opened, tuple(meshes)), Seed(files, "dataset.toml", tuple(files))
     return [plain, own, checked, surfaces, long, tracks]
-
-
-def compression() -> list[Seed]:
-    from compression_cases import gel_file
-
-    forces = "specimen,displacement_mm,force_n,height_mm,area_mm2\n" + "".join(
-        f"a,{0.1 * k:.1f},{0.02 * k * k:.4f},20,314\n" for k in range(30)
-    )
-    return [saved("test.csv", gel_file), one_file("test.csv", forces)]
 
 
 # ---- files of other programs
@@ -174,11 +166,18 @@ def import_tables() -> list[Seed]:
         for p in one
     ]
     long = "\n".join(["needle\tmedium\tbevel side\tx [mm]\ty [mm]\tz [mm]", *rows])
+    blocks = "\n\n".join("\n".join(" ".join(map(str, p)) for p in one) for one in curves)
     return [
         saved("t.csv", write_european_csv, curves),
         one_file("t.txt", long.encode("utf-16")),
-        one_file("t.dat", "\n\n".join("\n".join(" ".join(map(str, p)) for p in one) for one in curves)),
+        one_file("t.dat", f"x y z\n{blocks}"),
+        one_file("t.csv", (CASES / "em.csv").read_bytes()),
+        one_file("t.csv", (CASES / "clock.csv").read_bytes()),
     ]
+
+
+def structure_sets() -> list[Seed]:
+    return [one_file("needles.dcm", (CASES / "needles_rs.dcm").read_bytes())]
 
 
 def workbooks() -> list[Seed]:
@@ -298,10 +297,10 @@ def archives() -> list[Seed]:
 
 
 def segmentations() -> list[Seed]:
-    from test_imaging_segmentations import boxes, cylinder, write_contours, write_seg
+    from test_imaging_segmentations import cylinder, write_contours
 
     regions = {"Body": cylinder(6.0), "Core": cylinder(2.0, 6.0, 12.0)}
-    return [saved("s.dcm", write_seg, boxes()[:2]), saved("rt.dcm", write_contours, regions)]
+    return [saved("rt.dcm", write_contours, regions)]
 
 
 def meshes() -> list[Seed]:
@@ -461,7 +460,6 @@ STEERING = """\
 {"do": "steps", "id": 6, "steps": [[5, 0.5, 6, [["mu_pa", 1, 3e5], ["alpha", 1, 2.0]], 0.5]]}
 {"do": "steps", "id": 7, "steps": [[6, 0.6, "undo", [["return_to", null, 4]], 0.5]]}
 {"do": "steps", "id": 8, "steps": [[7, 0.7, "redo", [["return_to", null, 5]], 0.5]]}
-{"do": "change", "id": 9, "gesture": 4, "set": [["tip_held", null, 0], ["base_y_mm", null, 1.0]]}
 {"do": "align", "id": 10}
 """
 AIMING = """\
@@ -472,9 +470,6 @@ AIMING = """\
 {"do": "plan", "id": 8, "entry_mm": 2}
 {"do": "run", "id": 9}
 {"do": "replay", "id": 11, "times": 20}
-{"do": "fit", "id": 12, "scope": "insertion"}
-{"do": "points", "id": 13, "offsets": [0, 0, 0]}
-{"do": "challenge", "id": 14, "radius": 1}
 {"do": "show", "id": 15, "insertion": "a", "what": "field"}
 """
 """Messages in one window, a line each: steering and undo; goals, and what ends it."""
@@ -482,16 +477,6 @@ AIMING = """\
 
 def conversations() -> list[Seed]:
     return [one_file("messages.txt", lines) for lines in (STEERING, AIMING)]
-
-
-def trackers() -> list[Seed]:
-    markers = "".join(
-        f'[[markers]]\nname = "m{n}"\ntracker_mm = [{x}.0, {y}.0, 3.0]\nworld_mm = [{y}.0, {x}.0, {n}.0]\n'
-        for n, (x, y) in enumerate(((0, 0), (60, 0), (0, 45), (30, 50)))
-    )
-    matrix = "tracker_to_ras = [[1, 0, 0, 10.5], [0, 1, 0, -3.0], [0, 0, 1, 0.0], [0, 0, 0, 1]]\n"
-    devices = 'max_speed_mm_s = 50.0\n\n[devices]\ntip = "Tip"\nguides = ["Guide", "Ring"]\n'
-    return [one_file("tracker.toml", f"schema = 1\n{text}") for text in (matrix + devices, markers)]
 
 
 def commands() -> list[Seed]:

@@ -1,4 +1,4 @@
-"""Read MATLAB files: N x 3 arrays, also in structs and cells, structs of x, y and z, and numbered tables.
+"""Read MATLAB files: N x 3 arrays, also in structs and cells, and structs of x, y and z.
 
 scipy and h5py read them, in a child process: scipy crashes on some damaged files.
 """
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
 from needlefit.datasets.formats import FileFormat
-from needlefit.datasets.points import Points, find_counters
+from needlefit.datasets.points import Points
 from needlefit.errors import DataError
 from needlefit.project.input_files import read_bytes
 from needlefit.project.sandbox import (
@@ -28,6 +28,7 @@ from needlefit.project.sandbox import (
 # header.
 SIGNATURE, SIGNATURE_OFFSETS = b"\x89HDF\r\n\x1a\n", (0, 512, 1024, 2048)
 MAX_TEXT_CHARS, MAX_STATED_NUMBERS = 200, 20  # of a text, and numbers in a vector, that are stated of a curve
+NAMED_FIELDS = "x, y, z"  # stated, without a text, of a curve whose coordinates are fields of these names
 MAX_SHOWN_VARIABLES = 20  # number of variables that a message lists
 ELEMENT_TYPES = range(1, 19)
 COMPRESSED_TYPE = 15  # types of elements in versions 5 to 7: numbers, matrices, compressed data, text
@@ -46,9 +47,9 @@ def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
     """Return every array of shape (N, 3) or (3, N), N > 3, by name, and the names of what is none.
 
     Names: `a`, `a_1` in a cell or array of structs, `a_b` in a struct; a struct with one such array gives it
-    its name. A struct with vectors x, y and z of one length is a curve, too, and so are the points of each
-    number in an array (N, 4) or (N, 5) with columns that number curves and points. Texts and single numbers
-    beside a curve, or above it, are its `stated`. Reads versions 4 to 7 (scipy), 7.3 (h5py).
+    its name. A struct with vectors x, y and z of one length is a curve, too, with `NAMED_FIELDS` in its
+    `stated`, as are texts and single numbers beside a curve, or above it. Reads versions 4 to 7 (scipy), 7.3
+    (h5py).
 
     DataError if the file is missing, is no MATLAB file, or holds no such array.
     """
@@ -141,7 +142,8 @@ def _iterate_curves(
         texts = {key: text for key, text in texts.items() if key not in shared}
         others = {key: part for key, part in value.items() if key not in (*texts, *shared)}
         is_one = columns is None and sum(_to_points(part) is not None for part in others.values()) == 1
-        here = [] if columns is None else [(name or "curve", columns, stated | texts)]
+        named = stated | texts | {NAMED_FIELDS: ""}
+        here = [] if columns is None else [(name or "curve", columns, named)]
         for key, part in others.items():
             own = name if name and is_one and _to_points(part) is not None else f"{name}_{key}".strip("_")
             if _is_list(part):  # a list beside it of as many texts or numbers states one of each
@@ -160,15 +162,6 @@ def _iterate_curves(
             yield from _iterate_curves(f"{name}_{number}", part, stated, unused)
     elif (points := _to_points(value)) is not None:
         yield name, points, stated
-    elif isinstance(value, np.ndarray) and (counters := _find_counters(value)):
-        numbers, points = value[:, counters[0]], np.delete(value, counters, axis=1).astype(np.float64)
-        is_one = bool((np.diff(numbers) == 1).all())  # curve, of which the points are numbered
-        unused += [f"{name}: column {n + 1}" for n in counters[not is_one :]]
-        if is_one:
-            yield name, points, stated
-        else:
-            ids = dict.fromkeys(numbers.tolist())
-            yield from ((f"{name}_{one:g}", points[numbers == one], stated) for one in ids)
     else:
         unused.append(name)
 
@@ -191,13 +184,6 @@ def _to_points(value: Any) -> Floats | None:  # noqa: ANN401 - whatever MATLAB s
     if 3 not in value.shape or max(value.shape) <= 3:
         return None
     return np.ascontiguousarray(value if value.shape[1] == 3 else value.T, dtype=np.float64)
-
-
-def _find_counters(value: NDArray[Any]) -> list[int]:
-    """Return the columns beside the coordinates of a table (N, 4) or (N, 5), if they number its rows."""
-    more = value.shape[1] - 3 if value.ndim == 2 and _is_real(value) else 0
-    counters = find_counters(value.astype(np.float64))[:more] if more in (1, 2) else []
-    return counters if len(counters) == more else []
 
 
 def _to_text(value: Any) -> str | None:  # noqa: ANN401 - whatever MATLAB saved

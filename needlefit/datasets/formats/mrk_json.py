@@ -35,10 +35,11 @@ _SCHEMA = re.compile(r"markups-schema-v1\.\d+\.\d+\.json#*$", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class CurveStyle:
-    """How 3D Slicer draws a list: colour (red, green, blue; 0 to 1) and thickness of its line, mm."""
+    """How 3D Slicer shows a list: colour (red, green, blue; 0 to 1), thickness of its line, mm."""
 
     colour: tuple[float, float, float]
     thickness: float = 0.5
+    locked: bool = True  # whether its points cannot be moved; their labels are shown where they can
 
 
 def read_mrk_json(path: Path) -> tuple[Markups, ...]:
@@ -70,7 +71,7 @@ def read_mrk_json(path: Path) -> tuple[Markups, ...]:
 
 
 def write_mrk_json(path: Path, lists: Iterable[tuple[Markups, CurveStyle]]) -> None:
-    """Write lists to one file that Slicer opens as one node each: LPS, mm, locked, all digits.
+    """Write lists to one file that Slicer opens as one node each: LPS, mm, all digits.
 
     The same lists give the same bytes.
     """
@@ -94,7 +95,7 @@ def _parse_markups(path: Path, one: dict[str, Any], number: int) -> Markups:
     points = one.get("controlPoints", [])
     if not isinstance(points, list) or not all(isinstance(point, dict) for point in points):
         raise DataError("`controlPoints` is no list of points", where=where, fix=SAVE_AGAIN_FIX)
-    labels, positions, unset = [], [], []
+    labels, descriptions, positions, unset = [], [], [], []
     for n, point in enumerate(points, start=1):
         label = str(point.get("label") or "")
         there = f"{where}, point {n}" + (f" ({label})" if label else "")
@@ -105,12 +106,22 @@ def _parse_markups(path: Path, one: dict[str, Any], number: int) -> Markups:
             raise DataError(what, where=there, expected=expected, fix=SAVE_AGAIN_FIX)
         if status in SET_STATES and point.get("position") not in (None, "", []):
             labels.append(label)
+            descriptions.append(str(point.get("description") or ""))
             positions.append(parse_position(point["position"], there))
         else:
             unset.append(label)
     coordinates = scale * np.array(positions, dtype=np.float64).reshape(-1, 3)
     return require_points(
-        Markups(path, name, kind, tuple(labels), to_lps(coordinates, system), system, tuple(unset))
+        Markups(
+            path,
+            name,
+            kind,
+            tuple(labels),
+            to_lps(coordinates, system),
+            system,
+            tuple(unset),
+            descriptions=tuple(descriptions),
+        )
     )
 
 
@@ -130,25 +141,28 @@ def _format_markups(markups: Markups, style: CurveStyle) -> str:
         "name": markups.name,
         "coordinateSystem": "LPS",
         "coordinateUnits": "mm",
-        "locked": True,
-        "fixedNumberOfControlPoints": True,
+        "locked": style.locked,
+        "fixedNumberOfControlPoints": style.locked,
         "labelFormat": "%N-%d",
         "lastUsedControlPointNumber": len(markups.points),
     }
+    descriptions = markups.descriptions or ("",) * len(markups.points)
     points = [
         {
             "id": str(n),
             "label": label,
-            "description": "",
+            "description": description,
             "associatedNodeID": "",
             "position": (position + 0.0).tolist(),
             "orientation": [-1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0],  # of Slicer's own RAS axes
             "selected": True,
-            "locked": True,
+            "locked": style.locked,
             "visibility": True,
             "positionStatus": "defined",
         }
-        for n, (label, position) in enumerate(zip(markups.labels, markups.points, strict=True), start=1)
+        for n, (label, position, description) in enumerate(
+            zip(markups.labels, markups.points, descriptions, strict=True), start=1
+        )
     ]
     listed = ",\n".join(_to_json(point) for point in points)
     display = ", ".join(f"{_to_json(key)}: {_to_json(value)}" for key, value in _make_display(style).items())
@@ -165,7 +179,7 @@ def _make_display(style: CurveStyle) -> dict[str, object]:
         "selectedColor": colour,  # every point is selected, and this is what shows
         "activeColor": colour,
         "propertiesLabelVisibility": False,
-        "pointLabelsVisibility": False,
+        "pointLabelsVisibility": not style.locked,
         "textScale": 3.0,
         "glyphType": "Sphere3D",
         "glyphScale": 1.0,

@@ -25,9 +25,14 @@ from pydicom.uid import UID, ImplicitVRLittleEndian
 
 from needlefit.arrays import Floats, are_bounded
 from needlefit.errors import DataError
-from needlefit.imaging.image_headers import ImageHeader, check_expansion
 from needlefit.imaging.refusals import located, refusal
-from needlefit.imaging.volume import AXES_COSINE_TOLERANCE, VoxelGrid, check_grid, orthogonalize
+from needlefit.imaging.volume import (
+    AXES_COSINE_TOLERANCE,
+    VoxelGrid,
+    check_expansion,
+    check_grid,
+    orthogonalize,
+)
 from needlefit.project.input_files import open_regular
 
 READ_TAGS = (
@@ -527,5 +532,5 @@ def _check_lengths(slices: Sequence[DicomSlice]) -> None:
                 fix: the file is cut short or damaged: copy it again, or export the series again
                 where: {item.where}""")
     first, packed = slices[0], sum(file.stat().st_size for file in frames)
-    voxel_bytes = max(item.bits for item in slices) // 8
-    check_expansion(ImageHeader((first.columns, first.rows, len(slices)), voxel_bytes, packed))
+    voxels, voxel_bytes = first.columns * first.rows * len(slices), max(item.bits for item in slices) // 8
+    check_expansion(voxels * voxel_bytes, 4 * voxels, packed)

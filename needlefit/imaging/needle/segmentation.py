@@ -456,7 +456,7 @@ MIN_CONTRAST_RATIO = 2.0
 def read_mask_component(
     volume: Volume, path: Path, recipe: ReconstructionRecord, point: Floats | None = None
 ) -> Component:
-    """Read the needle's voxels from a mask: a volume that is above 0 in the needle, or a DICOM segmentation.
+    """Read the needle's voxels from a mask: a volume that is above 0 in the needle, or an RTSTRUCT file.
 
     It may stand on other voxels than the scan's, in any order; each voxel of the scan then asks the nearest
     of the mask. Of several parts that at `point` (LPS, mm) is taken, if it is stated.

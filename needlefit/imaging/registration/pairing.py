@@ -6,8 +6,7 @@ chi-squared however the sets are laid on each other, and pairs added to others n
 variances v bound those of every direction, so nothing within the limit is lost.
 
 Two pairings of as many pairs differ in likelihood by exp(-chi2 / 2); what the likeliest must share with
-pairings that contradict it is the probability that it is wrong. Fewer pairs than markers may be chance: the
-number of pairings of unrelated markers that would fit as well is estimated and bounded.
+pairings that contradict it is the probability that it is wrong.
 
 Whether a layout of markers can be taken for itself the wrong way round, under the noise of its markers.
 
@@ -16,8 +15,6 @@ there is no noise. With noise, the wrong pairing's chi-squared exceeds the right
 mean m^2 and deviation 2 m. A wrong pairing is noticed in 99 % only if that exceeds `MIN_CHI2_GAP` in 99 %,
 which asks for m >= z + sqrt(z^2 + MIN_CHI2_GAP), z = 2.33. Permutations below that are the layout's
 symmetries.
-
-Align paired markers rigidly, with the error at a target; also ICP.
 
 What the markers' noise does to a registration, and that to a target: first-order covariances.
 
@@ -35,23 +32,15 @@ J. M. Fitzpatrick, J. B. West, C. R. Maurer, Predicting error in rigid-body poin
 Trans. Med. Imaging 17 (1998) 694-702, eq. 46. A. Danilchenko, J. M. Fitzpatrick, General approach to
 first-order error prediction in rigid point registration, IEEE Trans. Med. Imaging 30 (2011) 679-693: any
 covariances and weights; derived here anew from the normal equations.
-
-Iterated closest points, from a rough pose: what is near enough to begin with ends in the nearest minimum.
-
-P. J. Besl, N. D. McKay, IEEE Trans. Pattern Anal. 14 (1992) 239. Closest is asked of both sides, so that
-spurious and missing markers find no partner. From a poor beginning it ends in a wrong pairing without a
-word; `register` therefore never trusts it alone.
 """
 
 from dataclasses import dataclass, replace
-from math import comb, factorial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import pinvh
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri, elliprg, ndtri
 
@@ -138,11 +127,6 @@ def make_marker_sets(
 def mirror(sets: MarkerSets) -> MarkerSets:
     """Return the sets with the found markers reflected through the origin; any mirror plane is equivalent."""
     return replace(sets, found=-sets.found)
-
-
-def stretch(sets: MarkerSets, factors: ArrayLike) -> MarkerSets:
-    """Return the sets with the scan stretched by `factors` (3,) along its axes, for diagnosis only."""
-    return replace(sets, found=sets.found * np.asarray(factors))
 
 
 def scale_noise(sets: MarkerSets, factor: float) -> MarkerSets:
@@ -336,47 +320,9 @@ def _residual_covariance(alignment: Alignment, found: Floats) -> Floats:
     return np.asarray(alignment.noise - followed)
 
 
-MAX_ICP_ITERATIONS = 100  # rounds at most; a handful is taken
-MAX_PAIR_DISTANCE_SD = 4.0  # deviations of a length, beyond which a final pair is none
-
-
-def pair_by_icp(sets: MarkerSets, rough: Frame) -> Pairs:
-    """Return the pairs (P, 2) at which closest points converge from the `rough` frame of the scan in the
-    world.
-
-    Pairs that stay further apart than `MAX_PAIR_DISTANCE_SD` deviations are left out, the worst first, as
-    long as three remain.
-    """
-    frame, pairs = rough, np.empty((0, 2), dtype=np.int64)
-    for _ in range(MAX_ICP_ITERATIONS):
-        here = frame.to_world(sets.found)
-        to_known = np.asarray(cKDTree(sets.known).query(here)[1], dtype=np.int64)
-        to_found = np.asarray(cKDTree(here).query(sets.known)[1], dtype=np.int64)
-        both = np.flatnonzero(to_found[to_known] == np.arange(len(here)))
-        closest = np.column_stack([both, to_known[both]])
-        if len(closest) < MIN_MARKERS or np.array_equal(closest, pairs):
-            break
-        pairs = closest
-        frame = _fit_weighted(sets, pairs)
-    while len(pairs) > MIN_MARKERS:
-        away = np.linalg.norm(frame.to_world(sets.found[pairs[:, 0]]) - sets.known[pairs[:, 1]], axis=1)
-        sd = np.sqrt(3 * sets.variance_bound[pairs[:, 0], pairs[:, 1]])
-        worst = int(np.argmax(away / sd))
-        if away[worst] <= MAX_PAIR_DISTANCE_SD * sd[worst]:
-            break
-        pairs = np.delete(pairs, worst, axis=0)
-        frame = _fit_weighted(sets, pairs)
-    return pairs
-
-
-def _fit_weighted(sets: MarkerSets, pairs: Pairs) -> Frame:
-    weights = 1 / sets.variance_bound[pairs[:, 0], pairs[:, 1]]
-    return fit_kabsch(sets.found[pairs[:, 0]], sets.known[pairs[:, 1]], weights)
-
-
 # Probability that the noise as stated makes the right pairing look too bad to be believed.
 FALSE_ALARM_PROBABILITY = 1e-4
-# Probability of another pairing that is tolerated; also the number of chance pairings that is.
+# Probability of another pairing that is tolerated.
 MAX_WRONG_PAIRING_PROBABILITY = 1e-3
 # Chi-squared by which an alternative must be worse to leave no more than that doubt.
 MIN_CHI2_GAP = 2 * np.log(1 / MAX_WRONG_PAIRING_PROBABILITY)
@@ -400,8 +346,7 @@ class Pairing:
 
     best: MarkerPairingCandidate  # the likeliest
     alternatives: tuple[MarkerPairingCandidate, ...]  # those as large that contradict it, likeliest first
-    # Probability that one of them is right instead; nan if not all pairings were tried.
-    wrong_pairing_probability: float
+    wrong_pairing_probability: float  # that one of them is right instead
 
 
 def chi2_limit(count: int) -> float:
@@ -413,12 +358,11 @@ def find_largest_pairings(sets: MarkerSets) -> list[MarkerPairingCandidate]:
     """Return the candidates with the largest number of pairs at which one fits; empty if none does.
 
     Those up to `MIN_CHI2_GAP` beyond the limit come with them, as alternatives. The best is the first. Fewer
-    pairs than `MIN_PAIRED_FRACTION` of the smaller set, or than chance may bring, are not looked for.
+    pairs than `MIN_PAIRED_FRACTION` of the smaller set are not looked for, nor three where both sets have
+    markers left over: among many, unrelated ones agree.
     """
-    least = max(MIN_MARKERS, int(np.ceil(MIN_PAIRED_FRACTION * sets.smaller_count)))
-    for count in range(sets.smaller_count, least - 1, -1):
-        if may_be_chance(sets, count):
-            break
+    least = max(MIN_MARKERS + 1, int(np.ceil(MIN_PAIRED_FRACTION * sets.smaller_count)))
+    for count in (sets.smaller_count, *range(sets.smaller_count - 1, least - 1, -1)):
         candidates = find_pairings(sets, count)
         if candidates and candidates[0].alignment.chi2 <= chi2_limit(count):
             return candidates
@@ -431,14 +375,6 @@ def try_find_largest_pairings(sets: MarkerSets) -> list[MarkerPairingCandidate]:
         return find_largest_pairings(sets)
     except DataError:
         return []
-
-
-def may_be_chance(sets: MarkerSets, count: int) -> bool:
-    """Return whether so many pairs, with markers left over, might fit by chance."""
-    return (
-        count < max(len(sets.found), len(sets.known))
-        and expected_chance_pairings(sets, count) > MAX_WRONG_PAIRING_PROBABILITY
-    )
 
 
 def find_pairings(sets: MarkerSets, count: int) -> list[MarkerPairingCandidate]:
@@ -454,23 +390,8 @@ def find_pairings(sets: MarkerSets, count: int) -> list[MarkerPairingCandidate]:
     return sorted(within, key=lambda candidate: candidate.alignment.chi2)
 
 
-def select_likeliest(
-    candidates: list[MarkerPairingCandidate], near: Frame | None = None, found: Floats | None = None
-) -> Pairing:
-    """Return the likeliest candidate, the alternatives that contradict it, and their probability.
-
-    With the rough pose `near`, candidates that move the found markers (M, 3) more than twice as far from
-    where that has them as the nearest candidate does are no alternatives any more.
-    """
-    if near is not None and found is not None:
-        expected = near.to_world(found)
-        away = [
-            np.sqrt(np.mean(np.sum((one.alignment.frame.to_world(found) - expected) ** 2, axis=1)))
-            for one in candidates
-        ]
-        noise = max(float(np.sqrt(one.alignment.noise.max())) for one in candidates)
-        reach = 2 * min(away) + noise
-        candidates = [one for one, far in zip(candidates, away, strict=True) if far <= reach]
+def select_likeliest(candidates: list[MarkerPairingCandidate]) -> Pairing:
+    """Return the likeliest candidate, the alternatives that contradict it, and their probability."""
     best = candidates[0]
     alternatives = tuple(one for one in candidates[1:] if pairings_contradict(best.pairs, one.pairs))
     share = sum(np.exp((best.alignment.chi2 - one.alignment.chi2) / 2) for one in alternatives)
@@ -484,17 +405,6 @@ def pairings_contradict(one: Pairs, other: Pairs) -> bool:
         for order in ([0, 1], [1, 0])
         for key, value in other[:, order].tolist()
     )
-
-
-def expected_chance_pairings(sets: MarkerSets, count: int) -> float:
-    """Return the expected number of pairings of so many pairs that fit by chance.
-
-    Each of the 3 P - 6 distances or coordinates that are left after the motion meets its counterpart within
-    +- z deviations, among values spread over the layout's extent; z is the limit's root.
-    """
-    hit = min(1.0, 2 * np.sqrt(2 * chi2_limit(count)) * sets.typical_sd / sets.extent)
-    tried = comb(len(sets.found), count) * comb(len(sets.known), count) * factorial(count)
-    return float(tried * hit ** (3 * count - 6))
 
 
 def search_pairings(
@@ -522,7 +432,7 @@ def search_pairings(
             raise refusal(f"""more than {MAX_PARTIAL_PAIRINGS} partial pairings of {len(found)} and
                     {len(known)} markers fit
                 expected: markers whose mutual distances differ by more than their noise
-                fix: give the pairs, or leave out spurious markers, or state smaller deviations if they are
+                fix: leave out spurious markers, or state smaller deviations if they are
                 where: markers""")
     pairing = np.empty_like(rows)
     pairing[:, order] = rows

@@ -2,8 +2,8 @@
 
 A law is any smooth k(lambda; shape) > 0 with any number of named shape parameters. Where it is a sum of
 powers of the stretch (`PowerLaw`), the kernel evaluates exactly that; any other one is interpolated at
-Chebyshev points (`mechanics/packing.py`). Reference, kernel, derivatives, fits and `needlefit verify` know
-every law without naming any.
+Chebyshev points (`mechanics/packing.py`). Reference, kernel, derivatives and fits know every law without
+naming any.
 """
 
 import math
@@ -51,7 +51,7 @@ class ShapeParameter:
 
     @property
     def tested(self) -> tuple[float, float]:
-        """The part of `bounds` from which checks draw values."""
+        """The part of `bounds` between -10 and 10: what a page's sliders reach."""
         return max(self.bounds[0], -10.0), min(self.bounds[1], 10.0)
 
 
@@ -72,13 +72,6 @@ class TissueLaw(ABC):
     def k(self, stretch: Numbers, *shape: Any) -> Numbers:  # noqa: ANN401  -- a law names its parameters
         """Return the tangent modulus over mu."""
 
-    def stress(self, stretch: Numbers, *shape: Any) -> Numbers | None:  # noqa: ANN401
-        """Return the true stress over mu, lambda dW/dlambda, whose derivative k is: `verify` compares.
-
-        None where it is not known; k is then compared with itself alone.
-        """
-        return None
-
     def dk_dstretch(self, stretch: Floats, *shape: Floats) -> Floats:
         """Return dk/dlambda over mu."""
         return self.k(stretch + 1j * COMPLEX_STEP, *shape).imag / COMPLEX_STEP
@@ -97,11 +90,6 @@ class TissueLaw(ABC):
         """Return the shape parameters' names in layers of these numbers, a row for each of `parameters`."""
         numbers = list(layers)
         return [[f"{name}{number}" for number in numbers] for name in self.shape_names]
-
-    def draw_shape(self, rng: np.random.Generator, size: tuple[int, ...]) -> Floats:
-        """Return random values for checks: an array of `size` for each parameter."""
-        drawn = [rng.uniform(*parameter.tested, size) for parameter in self.parameters]
-        return np.array(drawn).reshape(len(self.parameters), *size)
 
 
 class PowerLaw(TissueLaw):

@@ -16,20 +16,12 @@ class Fung(TissueLaw):
     parameters = (ShapeParameter("alpha", "α", "exponent of the Fung law", (0.0, 5.0), 1.0, (0.0, 50.0)),)
 
     def k(self, stretch: Numbers, alpha: Numbers) -> Numbers:
-        """Return d stress / d lambda."""
+        """Return the derivative of the true stress, over mu."""
         inverse = 1 / stretch
         square = inverse * inverse
         difference = stretch - square
         slope = 2 * stretch + square + 2 * alpha * stretch * difference * difference
-        return _exponential(stretch, alpha) * slope
-
-    def stress(self, stretch: Numbers, alpha: Numbers) -> Numbers:
-        """Return lambda dW/dlambda over mu."""
-        return _exponential(stretch, alpha) * (stretch**2 - 1 / stretch)
-
-
-def _exponential(stretch: Numbers, alpha: Numbers) -> Numbers:
-    return np.exp(alpha * (stretch * stretch + 2 / stretch - 3))
+        return np.exp(alpha * (stretch * stretch + 2 * inverse - 3)) * slope
 
 
 FUNG = Fung()

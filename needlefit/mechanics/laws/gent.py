@@ -20,18 +20,10 @@ class Gent(TissueLaw):
     parameters = (LIMIT,)
 
     def k(self, stretch: Numbers, jm: Numbers) -> Numbers:
-        """Return d stress / d lambda; NaN beyond the limit, where the table of the kernel ends."""
-        rest = _find_rest(stretch, jm)
+        """Return the derivative of the true stress over mu; NaN beyond the limit: there the table ends."""
+        rest = jm - (stretch**2 + 2 / stretch - 3)
         slope = 2 * stretch + stretch**-2 + 2 * stretch * (stretch - stretch**-2) ** 2 / rest
         return np.where(rest.real > 0, jm / rest * slope, np.nan)
-
-    def stress(self, stretch: Numbers, jm: Numbers) -> Numbers:
-        """Return lambda dW/dlambda over mu."""
-        return jm / _find_rest(stretch, jm) * (stretch**2 - 1 / stretch)
-
-
-def _find_rest(stretch: Numbers, jm: Numbers) -> Numbers:
-    return jm - (stretch**2 + 2 / stretch - 3)
 
 
 GENT = Gent()

@@ -1,6 +1,6 @@
 """Neo-Hookean solid in the same compression: the Ogden law at alpha = 2."""
 
-from needlefit.mechanics.laws import Numbers, PowerLaw
+from needlefit.mechanics.laws import PowerLaw
 
 
 class NeoHookean(PowerLaw):
@@ -11,10 +11,6 @@ class NeoHookean(PowerLaw):
     def terms(self) -> list[tuple[float, float]]:
         """Return the two powers."""
         return [(2.0, 1.0), (1.0, -2.0)]
-
-    def stress(self, stretch: Numbers) -> Numbers:
-        """W = mu / 2 (lambda^2 + 2 / lambda - 3)."""
-        return stretch**2 - 1 / stretch
 
 
 NEO_HOOKEAN = NeoHookean()

@@ -1,7 +1,9 @@
-"""One-term, incompressible Ogden solid in unconfined uniaxial compression (the paper's Eq. 4)."""
+"""One-term, incompressible Ogden solid in unconfined uniaxial compression (the paper's Eq. 4).
 
-from needlefit.mechanics.compression import compute_stress
-from needlefit.mechanics.laws import Numbers, PowerLaw, ShapeParameter
+W = 2 mu / alpha^2 (lambda^alpha + 2 lambda^(-alpha / 2) - 3).
+"""
+
+from needlefit.mechanics.laws import PowerLaw, ShapeParameter
 
 
 class Ogden(PowerLaw):
@@ -13,10 +15,6 @@ class Ogden(PowerLaw):
     def terms(self, alpha: float) -> list[tuple[float, float]]:
         """Return the two powers."""
         return [(2.0, alpha - 1.0), (1.0, -alpha / 2.0 - 1.0)]
-
-    def stress(self, stretch: Numbers, alpha: Numbers) -> Numbers:
-        """W = 2 mu / alpha^2 (lambda^alpha + 2 lambda^(-alpha / 2) - 3)."""
-        return compute_stress(1.0, alpha, stretch, "true")
 
 
 OGDEN = Ogden()

@@ -3,7 +3,7 @@
 Exchanging alpha with beta and the share with the rest is the same law. So their usual bounds do not overlap.
 """
 
-from needlefit.mechanics.laws import Numbers, PowerLaw, ShapeParameter
+from needlefit.mechanics.laws import PowerLaw, ShapeParameter
 from needlefit.mechanics.laws.ogden import OGDEN
 
 ALPHA = ShapeParameter("alpha", "α", "exponent of the first Ogden term", (0.0, 5.0), 1.0)
@@ -21,11 +21,6 @@ class TwoTermOgden(PowerLaw):
         """Return the four powers."""
         first = [((1 - share) * c, q) for c, q in OGDEN.terms(alpha)]
         return [*first, *((share * c, q) for c, q in OGDEN.terms(beta))]
-
-    def stress(self, stretch: Numbers, alpha: Numbers, beta: Numbers, share: Numbers) -> Numbers:
-        """Return the stresses of the two terms, each by its share."""
-        first, second = (OGDEN.stress(stretch, exponent) for exponent in (alpha, beta))
-        return (1 - share) * first + share * second
 
 
 TWO_TERM_OGDEN = TwoTermOgden()

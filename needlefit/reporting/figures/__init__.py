@@ -52,7 +52,7 @@ class Look:
 
 @dataclass(frozen=True)
 class Panel:
-    """A panel of `curves`: columns as line and as dots, and as a band, times `scale`."""
+    """A panel of `curves`: columns as line and as dots, and as a band."""
 
     label: str  # of the y axis
     # `line`, `dots`, `low`, `high`: columns; empty: not drawn
@@ -60,8 +60,6 @@ class Panel:
     dots: str = ""
     low: str = ""
     high: str = ""
-    scale: float = 1.0  # factor of all of them
-    share: float = 1.0  # of the height
     # `zero`, `log`: whether a line marks 0, and whether the axis is logarithmic
     zero: bool = False
     log: bool = False

@@ -46,16 +46,14 @@ def curves(
     panels: Sequence[Panel],
     x_label: str = "",
     looks: Mapping[str, Look] | None = None,
-    falling: bool = False,
     columns: int = 1,
     size: tuple[float, float] | None = None,
 ) -> Figure:
-    """Draw columns over the column `x`, a series for each value of `by`; `falling`: large x at the left."""
+    """Draw columns over the column `x`, a series for each value of `by`."""
     lines, chosen = math.ceil(len(panels) / columns), choose_looks(frame, by, looks)
     full = (TEXT_WIDTH_IN, 2.2 * lines) if columns > 1 else (0.6 * TEXT_WIDTH_IN, 3.3)
     figure = Figure(figsize=size or full)
-    shares = [one.share for one in panels[::columns]]
-    grid = figure.subplots(lines, columns, height_ratios=shares, sharex=True, squeeze=False)
+    grid = figure.subplots(lines, columns, sharex=True, squeeze=False)
     for axes, panel in zip(grid.flat, panels, strict=False):
         for name, look in chosen.items():
             _draw_curve(axes, frame[frame[by].astype(str) == name].sort_values(x), x, panel, look)
@@ -65,8 +63,6 @@ def curves(
     for axes in list(grid.flat)[max(0, len(panels) - columns) : len(panels)]:
         axes.set_xlabel(x_label or x)
         axes.tick_params(labelbottom=True)
-    if falling:
-        grid[0, 0].invert_xaxis()
     if 1 < len(chosen) <= MAX_NAMED_SERIES:
         add_legend(figure, chosen.values(), width=1.3)
     return figure
@@ -74,17 +70,16 @@ def curves(
 
 def _draw_curve(axes: Axes, rows: pd.DataFrame, x: str, panel: Panel, look: Look) -> None:
     if panel.low:
-        low, high = (panel.scale * rows[end].astype(float) for end in (panel.low, panel.high))
+        low, high = (rows[end].astype(float) for end in (panel.low, panel.high))
         axes.fill_between(rows[x], low, high, color=lighten(look.colour, look.white), lw=0, zorder=1)
     style: dict[str, Any] = {"color": look.colour}
     if panel.line:
-        heights = panel.scale * rows[panel.line]
-        axes.plot(rows[x], heights, lw=look.width, ls=look.dashes, zorder=3, **style)
+        axes.plot(rows[x], rows[panel.line], lw=look.width, ls=look.dashes, zorder=3, **style)
     if panel.dots:
         some = rows.iloc[:: max(1, len(rows) // MAX_DOTS)]
         face = look.colour if look.filled and not panel.line else "none"
         style |= {"ms": 2.4, "mfc": face, "mew": 0.6}
-        axes.plot(some[x], panel.scale * some[panel.dots], look.marker or "o", **style, zorder=2)
+        axes.plot(some[x], some[panel.dots], look.marker or "o", **style, zorder=2)
 
 
 def _format_panel(axes: Axes, panel: Panel) -> None:
@@ -236,39 +231,6 @@ def _format_rows(
         axes.axhline(y - 0.5, color=INK, lw=0.3, alpha=0.4)
     axes.tick_params(axis="y", length=0)
     draw_grid(axes, "x")
-
-
-_FLOOR, _BAR = -8.0, 0.3  # log likelihood at which profiles are cut off; height of a bar below
-
-
-def profiles_by_series(frame: pd.DataFrame, x: str, by: str, label: str, prior: str = "") -> Figure:
-    """Draw the profile log likelihoods of a parameter, one for each value of `by`, with their 95 % regions.
-
-    `frame` has the columns `log_likelihood` (0 at the peak) and `in_95_region`; the rows of the series
-    `prior` are the ends of the prior, ± one SD.
-    """
-    figure = Figure(figsize=(0.6 * TEXT_WIDTH_IN, 3.0))
-    axes = figure.add_subplot()
-    series, ends = frame[frame[by] != prior], frame.loc[frame[by] == prior, x]
-    inside, count = series["in_95_region"].astype(bool), series[by].nunique()
-    for n, (name, look) in enumerate(choose_looks(series, by).items()):
-        rows, colour = series[series[by].astype(str) == name], look.colour
-        shown = rows["log_likelihood"].where(rows["log_likelihood"] >= _FLOOR)
-        axes.plot(rows[x], shown, color=colour, lw=1.1, label=name)
-        bar = np.full(len(rows), _FLOOR - _BAR * (n + 0.5))
-        axes.plot(rows[x].where(inside[rows.index]), bar, color=colour, lw=2, solid_capstyle="butt")
-    axes.set_title(f"profile log likelihood of {label}; bars: 95 % region", loc="left")
-    axes.set_ylim(_FLOOR - _BAR * (count + 0.5), 0.6)
-    region = [*series.loc[inside, x], *ends]
-    margin = 0.5 * (max(region) - min(region)) + 0.1
-    axes.set_xlim(min(region) - margin, max(region) + margin)
-    axes.set_xlabel(label)
-    if len(ends):
-        axes.axvspan(ends.min(), ends.max(), color=GREY, alpha=0.2, lw=0, label="prior, ± one SD")
-    if 1 < count + len(ends) <= MAX_NAMED_SERIES:
-        axes.legend(fontsize=6.5, handlelength=1.2, labelspacing=0.3)
-    draw_grid(axes, "y")
-    return figure
 
 
 def intervals(frame: pd.DataFrame, group: str, truth: str = "truth", label: str = "{}") -> Figure:
@@ -497,44 +459,6 @@ def shares_within(
     axes.set(xlim=(0.8 * low, 1.3 * high), ylim=(0, 1.01), xlabel=x_label, ylabel=y_label)
     set_plain_log_scale(axes.xaxis)
     draw_grid(axes, "y")
-    return figure
-
-
-_ERROR_PANELS = (("deflection", 4, "error of the deflection (mm)"), ("slope", 3, "error of the slope"))
-
-
-def convergence(errors: pd.DataFrame) -> Figure:
-    """Draw the largest errors of deflection and slope over the mesh size, one line per case.
-
-    `errors` has a row per `case`, `norm` and mesh size `h_mm`, with the `error`.
-    """
-    figure = Figure(figsize=(TEXT_WIDTH_IN, 1.9))
-    *panels, right = figure.subplots(1, 3, width_ratios=(1, 1, 0.9))
-    for axes, (norm, order, words) in zip(panels, _ERROR_PANELS, strict=True):
-        curves = errors[errors["norm"] == norm]
-        sizes = curves["h_mm"].drop_duplicates().to_numpy(dtype=np.float64)
-        for i, (case, curve) in enumerate(curves.groupby("case", sort=False)):
-            colour, label = (*SERIES_COLOURS, INK)[i % 7], str(case).replace(", ", ",\n", 1)
-            style: dict[str, Any] = {"marker": "osD^vPX"[i % 7], "ms": 3.2, "mfc": "none", "mew": 0.7}
-            axes.loglog(curve["h_mm"], curve["error"], color=colour, lw=0.8, label=label, **style)
-        nodes = errors[errors["norm"] == f"{norm} at the nodes"]
-        at_nodes = nodes.groupby("h_mm", sort=False)["error"].max().to_numpy(dtype=np.float64)
-        axes.loglog(sizes, at_nodes, ".-", color=GREY, ms=3, lw=0.8, label="at the nodes, all")
-        finest = float(curves.loc[curves["h_mm"] == sizes[-1], "error"].max())
-        for error, slope in ((2.2 * finest, order), (at_nodes[-1] / 2.2, 4)):
-            line = error * (sizes / sizes[-1]) ** slope
-            axes.loglog(sizes, line, color=INK, lw=0.6, ls=(0, (4, 3)), zorder=1)
-            place: dict[str, Any] = {"xytext": (0, 7 if error > finest else -9), "ha": "center"}
-            place |= {"textcoords": "offset points", "color": INK, "fontsize": 6.5}
-            axes.annotate(f"order {slope}", (sizes[1], line[1]), **place)
-        axes.set_xticks(sizes, [f"{size:g}" for size in sizes])
-        axes.set_xticks([], minor=True)
-        axes.margins(x=0.12)
-        axes.set_title(words, loc="left")
-        axes.set_xlabel("element size h (mm)")
-    handles, labels = panels[0].get_legend_handles_labels()
-    right.axis("off")
-    right.legend(handles, labels, loc="center left", fontsize=6, handlelength=1.6, labelspacing=0.7)
     return figure
 
 

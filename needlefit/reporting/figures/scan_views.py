@@ -60,13 +60,6 @@ def encode_png(view: ScanView) -> bytes:
     return file.getvalue()
 
 
-def encode_grey(values: NDArray[np.float32], low: float, high: float) -> bytes:
-    """Return brightnesses (rows, columns), top row first, as PNG: black at `low`, white at `high` HU."""
-    file = BytesIO()
-    imsave(file, np.nan_to_num(values, nan=low), cmap="gray", vmin=low, vmax=high, format="png")
-    return file.getvalue()
-
-
 def join_needle(reconstruction: Reconstruction) -> Floats:
     """Return the whole needle from base to tip in C: (N, 3), mm."""
     placed = reconstruction.patient.to_world(reconstruction.needle_axis.points)

@@ -28,13 +28,13 @@ Markdown is limited to headings (`##`, `###`), paragraphs, bullets, links, empha
 is emphasised as a whole is set in small type. `table`, `figure` and `block` refer by name to what the kind
 hands over; what it did not make is left out. Values are data: their ASCII punctuation signs are escaped. A
 number that is not whole needs a filter: all formats of `columns.FORMATS` (`mm`, `percent`, `number`,
-`medium`, ...), `quantity` (with the parameter's name), `ratio` (two digits), `digits3`,
+`medium`, ...), `quantity` (with the parameter's name), `ratio` (two digits),
 `significant(n)`, `words`; `bare` is the symbol of a parameter, `symbols` inserts all of a sentence.
 
 Links to `cite:KEY,KEY` are citations: `format_latex` makes \\cite of them, reports leave them out.
 
 `needlefit.studies.report.StudyReport` makes a report of a text, its values, tables and figures;
-`needlefit/studies/kinds/material.py` is an example.
+`needlefit/studies/kinds/calibration.py` is an example.
 """
 
 import re
@@ -103,7 +103,6 @@ def _environment(package: str) -> jinja2.Environment:
         **FORMATS,
         "quantity": lambda value, parameter: format_quantity(parameter, value),
         "ratio": lambda value: f"{value:.2g}",
-        "digits3": lambda value: f"{value:.3g}",
         "significant": lambda value, digits: f"{value:.{digits}g}",
         "bare": format_bare_symbol,
         "symbols": insert_symbols,

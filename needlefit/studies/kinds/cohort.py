@@ -146,7 +146,7 @@ def find_datasets(record: CohortRecord) -> list[Path]:
             raise ConfigError(
                 f"the pattern {pattern!r} matches no dataset",
                 key="datasets",
-                expected="folders with a dataset.toml, from the folder in which the command runs",
+                expected="folders with a dataset.toml",
             )
         found |= dict.fromkeys(files)
     return list(found)

@@ -31,7 +31,7 @@ from needlefit.inference.sampling.importance import resample_draws, sample_about
 from needlefit.inference.sampling.posterior import PERCENTILES, Posterior
 from needlefit.inference.sampling.sample import sample
 from needlefit.inference.specimens import SpreadModel, draw_population
-from needlefit.inference.tracking import (
+from needlefit.inference.track_predictions import (
     TrackDraws,
     draw_baseline,
     estimate_slopes,

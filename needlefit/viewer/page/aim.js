@@ -9,7 +9,7 @@ const WITHIN = 1000; // ms; changes that follow so soon are undone together
 const REST = 200; // ms after the last change of needle or goal, when the region that the tip can reach is asked for
 const MAX_OBSTACLES = 16; // the server takes no more
 const EMPTY = { target: null, radius: 2, obstacles: [] };
-const NOTHING = { reach: null, plan: null, planning: false, placing: null, challenge: null };
+const NOTHING = { reach: null, plan: null, planning: false, placing: null };
 let [timer, resting] = [0, 0];
 let sent = null; // id of the goal that was sent last
 let known = EMPTY; // the goal that the server took last
@@ -25,7 +25,7 @@ const goal = () => ({ target: aim.target, radius: aim.radius, obstacles: aim.obs
 /** What an obstacle is called. */
 export const nameOf = (number) => aim.obstacles[number][3] ?? `obstacle ${number + 1}`;
 
-/** Send a goal; what is not given stays. A goal changed by hand ends the game. */
+/** Send a goal; what is not given stays. */
 export function setAim(changes) {
   const at = performance.now();
   if (at - changedAt > WITHIN || past.at(-1)?.step !== now.state.step) past.push({ ...goal(), step: now.state.step });
@@ -35,7 +35,7 @@ export function setAim(changes) {
 }
 
 function take(changes) {
-  Object.assign(aim, changes, { plan: null, challenge: null, planning: false });
+  Object.assign(aim, changes, { plan: null, planning: false });
   if (!aim.target) aim.reach = null;
   timer ||= setTimeout(send, PAUSE);
   publish("aimed");
@@ -105,17 +105,6 @@ export function moveTo(number, x, y) {
   setAim({ obstacles: aim.obstacles.map((one, i) => (i === number ? [x, y, ...one.slice(2)] : one)) });
 }
 
-/** Whether the needle touches an obstacle. */
-export const touches = ({ x, y }) => aim.obstacles.some(([cx, cy, radius]) => x.some((_, i) => i && distance(cx, cy, x, y, i) < radius));
-
-/** Distance of a point from the piece of a line that ends at its point i. */
-function distance(px, py, x, y, i) {
-  const [dx, dy] = [x[i] - x[i - 1], y[i] - y[i - 1]];
-  const share = ((px - x[i - 1]) * dx + (py - y[i - 1]) * dy) / (dx * dx + dy * dy || 1);
-  const at = Math.min(Math.max(share, 0), 1);
-  return Math.hypot(px - x[i - 1] - at * dx, py - y[i - 1] - at * dy);
-}
-
 /** Distance of the tip from the target, mm; null without one. */
 export const tipError = ({ tip }) => aim.target && Math.hypot(tip.x - aim.target[0], tip.y - aim.target[1]);
 
@@ -147,18 +136,14 @@ listen("reach", (region) => {
 
 /** A needle that is moved by hand leaves its plan, whose outcome is then no longer its own. */
 listen("state", ({ step, planned }) => {
-  if (aim.plan && step !== at && !planned && !aim.challenge) aim.plan.left = true;
+  if (aim.plan && step !== at && !planned) aim.plan.left = true;
   if (step !== at) askReach();
   at = step;
 });
 listen("plan", (plan) => {
   if (plan.fault) publish("notice", plan.fault);
   aim.planning = false;
-  aim.plan = plan.fault ? null : { ...plan, left: plan.step !== now.state.step && !aim.challenge && !now.state.planned };
-  if (aim.challenge) {
-    const touched = Object.values(aim.plan?.touched ?? {}).some((share) => share >= 0.5);
-    aim.challenge.planner = touched ? null : (aim.plan?.nominal_miss_mm ?? null);
-  }
+  aim.plan = plan.fault ? null : { ...plan, left: plan.step !== now.state.step && !now.state.planned };
   publish("aimed");
 });
 window.needlefit.aim = aim;

@@ -43,7 +43,6 @@ export function computeBands(worker, kernel, current) {
     else take(band ? { kind: "band", step: id.step, ...band } : NONE);
   };
   listen("scene", send);
-  listen("draws", send);
   listen("drawn", order); // not before: the thread that wakes would hold up the frame
   listen("strip", order);
   listen("pinned", () => worker.postMessage({ pinned: now.pinned && describeNeedle() }));

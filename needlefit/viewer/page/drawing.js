@@ -50,17 +50,10 @@ let measured = [1, 1];
 /** Width and height of the picture, px. */
 export const size = () => measured;
 
-/** Draw the picture as it is seen on another context, then more; `seen` is another state with its band and forces. */
-export function paintOn(context, { state, band, forces } = now, paintMore = () => {}) {
-  const kept = { state: now.state, band: now.band, forces: now.forces };
-  Object.assign(now, { state, band, forces });
-  try {
-    paintBackground(context);
-    paintForeground(context, state);
-    paintMore();
-  } finally {
-    Object.assign(now, kept);
-  }
+/** Draw the picture as it is seen on another context. */
+export function paintOn(context) {
+  paintBackground(context);
+  paintForeground(context, now.state);
 }
 
 function paintBackground(behind) {
@@ -92,16 +85,13 @@ function paintForeground(before, state) {
     if (shown.points) needle.paintPoints(before, state);
     if (shown.measured && now.scene.measured) {
       overlay.paintMeasured(before, now.scene.measured);
-      overlay.paintMeasuredPoints(before);
       if (shown.errors) overlay.paintGaps(before, state, now.scene.measured);
     }
     for (const draw of further) draw(before);
     needle.paintGuides(before, state);
     needle.paintBase(before, state);
-    overlay.paintTrackedTip(before);
     if (band) overlay.nameBand(before, band);
     if (now.marked != null) needle.paintMark(before, state, now.marked);
-    needle.paintHint(before, state);
     if (!seesTip()) overlay.paintArrow(before, state);
   });
   if (shown.load) needle.paintKey(before);
@@ -131,7 +121,7 @@ function measure() {
 new ResizeObserver(measure).observe(picture);
 onScheme(() => (readPalette(), touch()));
 readPalette();
-for (const kind of ["band", "aimed", "tracking"]) listen(kind, invalidate);
+for (const kind of ["band", "aimed"]) listen(kind, invalidate);
 listen("slice", touch);
 let fitted = null;
 listen("state", () => {

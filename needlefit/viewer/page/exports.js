@@ -1,9 +1,8 @@
-/** What can be saved: files of the server, and pictures as they are seen: with legend and strip. */
+/** What can be saved: files of the server; pictures, and a film, as they are seen: with legend and strip. */
 
 import { needle, settle } from "./connection.js";
 import { button, element, part } from "./dom.js";
 import { paintOn, size } from "./drawing.js";
-import { encodeGif } from "./gif.js";
 import { cross, palette, segments, setFont } from "./painters/strokes.js";
 import { post } from "./requests.js";
 import { listen, now } from "./store.js";
@@ -13,8 +12,7 @@ import { listShown } from "./toolbar.js";
 
 const FILES = {
   "inputs.csv": "inputs, CSV", "shape.csv": "shape, CSV", "shape.mrk.json": "shape, Slicer markups",
-  "picture.svg": "picture, SVG", "picture.png": "picture, PNG", "animation.gif": "animation, GIF",
-  "share.html": "share, one HTML file",
+  "picture.svg": "picture, SVG", "picture.png": "picture, PNG", "share.html": "share, one HTML file",
 };
 const [group, note] = [part("exports"), part("export-note")];
 
@@ -24,12 +22,7 @@ async function save(file, pressed) {
   note.classList.remove("bad");
   note.textContent = `Making ${file} …`;
   try {
-    const blob = await (MADE_HERE[file] ?? ask)(file);
-    const name = `${(now.scene?.recording ?? "needle").replace(/\.csv$/, "")}.${file}`;
-    const link = element("a", { href: URL.createObjectURL(blob), download: name });
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
-    note.textContent = `Saved ${name}.`;
+    hand(await (MADE_HERE[file] ?? ask)(file), file);
   } catch ({ what, expected, fix }) {
     note.classList.add("bad");
     note.textContent = `${file} was not made: ${[what, expected && `expected ${expected}`, fix].filter(Boolean).join("; ")}`;
@@ -37,6 +30,15 @@ async function save(file, pressed) {
     pressed.ariaBusy = null;
     pressed.disabled = !now.connected;
   }
+}
+
+/** Give a file to the reader. */
+function hand(blob, file) {
+  const name = `${(now.scene?.recording ?? "needle").replace(/\.csv$/, "")}.${file}`;
+  const link = element("a", { href: URL.createObjectURL(blob), download: name });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+  note.textContent = `Saved ${name}.`;
 }
 
 const LOOKS = { // samples of the legend: a colour, and the dash of a line, an area or a cross
@@ -77,61 +79,32 @@ function paintEntry(context, x, y, look, text) {
 }
 
 /** Draw what is seen on a context that `make(width, height)` returns: the picture, its legend, and the strip unless it is hidden. */
-function draw(make, seen) {
+function draw(make) {
   const [width, height] = size();
   const legend = layOutLegend(part("canvas").getContext("2d"), width);
   const below = height + ROW.height * (legend.at(-1)[1] + 1) + 8;
   const whole = below + (part("strip").hidden ? 0 : STRIP);
   const context = make(width, whole);
-  paintOn(context, seen, () => {
-    context.fillStyle = palette.gutter;
-    context.fillRect(0, height, width, whole - height);
-    for (const [x, row, look, text] of legend) paintEntry(context, x, height + 4 + ROW.height * (row + 0.5), look, text);
-    if (whole > below) paintStrip(context, width, below, whole);
-  });
+  paintOn(context);
+  context.fillStyle = palette.gutter;
+  context.fillRect(0, height, width, whole - height);
+  for (const [x, row, look, text] of legend) paintEntry(context, x, height + 4 + ROW.height * (row + 0.5), look, text);
+  if (whole > below) paintStrip(context, width, below, whole);
   return context;
 }
 
-/** A context of a canvas of its own, with so many of its pixels for one of the picture. */
-const onCanvas = (scale) => (width, height) => {
-  const canvas = element("canvas", { width: Math.round(width * scale), height: Math.round(height * scale) });
-  const context = canvas.getContext("2d", { willReadFrequently: true });
-  context.setTransform(scale, 0, 0, scale, 0, 0);
+/** A context of a canvas of its own, with as many pixels as the screen has. */
+function onCanvas(width, height) {
+  const scale = devicePixelRatio;
+  const context = element("canvas", { width: Math.round(width * scale), height: Math.round(height * scale) }).getContext("2d");
+  context.scale(scale, scale);
   return context;
-};
+}
 
-const takePicture = () => new Promise((done) => draw(onCanvas(devicePixelRatio)).canvas.toBlob(done, "image/png"));
+const takePicture = () => new Promise((done) => draw(onCanvas).canvas.toBlob(done, "image/png"));
 const takeSvg = () => new Blob([draw((...whole) => new SvgContext(...whole)).write()], { type: "image/svg+xml" });
 
-const FRAMES = { kept: 80, apart: 80, longest: 1, last: 1.5 }; // ms between two that are kept; seen at most, and the last one, s
-let frames = []; // what was seen: {at (ms), state, band, forces}
-
-listen("scene", () => (frames = []));
-listen("state", (state) => {
-  const at = performance.now();
-  if (frames.length > 1 && at - frames.at(-2).at < FRAMES.apart) frames.pop();
-  frames.push({ at, state, band: now.band, forces: now.forces });
-  if (frames.length > FRAMES.kept) frames = frames.filter((_, i) => i % 2 === 0 || i === FRAMES.kept);
-});
-for (const kind of ["band", "forces"]) {
-  listen(kind, ({ step }) => {
-    const [last] = frames.slice(-1);
-    if (last?.state.step === step) last[kind] = now[kind];
-  });
-}
-
-/** What was seen, in the present view: the insertion at its own speed, without longer pauses. */
-async function takeAnimation() {
-  if (frames.length < 2) throw { what: "the needle has not moved on this page yet", fix: "move it, or replay the recording" };
-  const pictures = frames.map((one) => {
-    const context = draw(onCanvas(1), one);
-    return context.getImageData(0, 0, context.canvas.width, context.canvas.height);
-  });
-  const seconds = frames.map(({ at }, i) => (i + 1 < frames.length ? Math.min((frames[i + 1].at - at) / 1000, FRAMES.longest) : FRAMES.last));
-  return encodeGif(pictures, seconds);
-}
-
-const MADE_HERE = { "picture.png": takePicture, "picture.svg": takeSvg, "animation.gif": takeAnimation };
+const MADE_HERE = { "picture.png": takePicture, "picture.svg": takeSvg };
 async function ask(file) {
   await settle();
   return (await post(`/export/${file}`, { needle: needle() })).blob();
@@ -142,6 +115,37 @@ for (const [file, called] of Object.entries(FILES)) {
   made.dataset.file = file;
   group.append(made);
 }
+
 listen("line", ({ open }) => {
-  for (const one of group.children) one.disabled = !open || one.hasAttribute("aria-busy");
+  for (const one of group.querySelectorAll("[data-file]")) one.disabled = !open || one.hasAttribute("aria-busy");
 });
+
+const FILMS = [["video/webm;codecs=vp9", "film.webm"], ["video/webm", "film.webm"], ["video/mp4", "film.mp4"]]; // VP8 leaves out pictures
+const AT_END = 100; // ms from the last picture to the end of a film: it lasts until the button is pressed
+const [mimeType, filmed] = FILMS.find(([type]) => globalThis.MediaRecorder?.isTypeSupported(type)) ?? [];
+const filming = button("film", () => now.state && (film ? end() : begin()), { title: "Films the picture from one press to the next", ariaPressed: "false" });
+let film = null; // {recorder, context}, while there is one; it keeps the size with which it begins
+
+function begin() {
+  const context = draw(onCanvas);
+  const recorder = new MediaRecorder(context.canvas.captureStream(), { mimeType });
+  recorder.onstart = show;
+  recorder.ondataavailable = ({ data }) => hand(data, filmed); // once, at the end
+  film = { recorder, context };
+  filming.ariaPressed = "true";
+  note.textContent = "Filming …";
+  recorder.start();
+}
+
+const show = () => film && draw(() => film.context);
+
+function end() {
+  const { recorder } = film;
+  show();
+  film = null;
+  filming.ariaPressed = "false";
+  setTimeout(() => recorder.stop(), AT_END);
+}
+
+if (filmed) group.append(filming);
+listen("drawn", show);

@@ -1,15 +1,9 @@
-/**
- * The clock of the picture, and what each of its frames took.
- *
- * Frames are asked for as long as something moves: while a page asks for every frame, the browser holds a wheel's
- * event back for one frame longer.
- */
+/** The clock of the picture, which asks for frames as long as something changes, and what each of them took. */
 
 import { listen, now } from "./store.js";
 
 const KEPT = 8192;
 const SPAN = 2000; // ms over which rates are averaged
-const RESTED = 25; // ms after a frame; an input that comes later is drawn before the next one begins
 
 let count = 0;
 const channel = new MessageChannel();
@@ -18,8 +12,6 @@ let paint = null;
 let advance = null;
 let rest = null; // what does not have to be in the frame
 let goesOn = null; // whether something moves by itself
-let shown = { fresh: false, input: null }; // what was drawn since the last frame
-let last = -Infinity; // ms, when that began
 let asked = false; // whether the browser was asked for a frame that has not come yet
 let began = null; // ms, when the frames began that have come without a pause since
 
@@ -37,20 +29,13 @@ channel.port1.onmessage = () => {
 };
 for (const kind of ["keydown", "keyup", "pointerdown", "pointerup"]) addEventListener(kind, mark, true);
 
-function draw() {
-  const { fresh, input } = advance();
-  paint(fresh);
-  shown = { fresh: shown.fresh || fresh, input: shown.input ?? input };
-}
-
 function frame(t) {
   asked = false;
   began ??= t;
   mark();
-  draw();
-  const record = { t, step: now.state?.step ?? null, band: now.band?.step ?? null, ...shown, latency_ms: null, painted: null };
-  shown = { fresh: false, input: null };
-  last = t;
+  const { fresh, input } = advance();
+  paint(fresh);
+  const record = { t, step: now.state?.step ?? null, band: now.band?.step ?? null, fresh, input, latency_ms: null, painted: null };
   now.frames[count++ % KEPT] = record;
   drawn = record;
   channel.port2.postMessage(null); // heard once the browser is done with this frame's scripts and layout
@@ -65,12 +50,6 @@ function wake() {
   requestAnimationFrame(frame);
 }
 
-/** An input after a pause is computed while the page waits for the frame that shows it. */
-function wakeMoved() {
-  if (!asked && paint && !goesOn() && performance.now() - last > RESTED) queueMicrotask(draw);
-  wake();
-}
-
 /**
  * In every frame from now on call `move()`, which returns whether there is a new state and when its oldest input
  * happened, ms, then `picture(fresh)`; once that is drawn, `others()`. Frames go on by themselves while `moves()`.
@@ -80,8 +59,7 @@ export function start(move, picture, moves, others) {
   wake();
 }
 
-listen("redraw", wake);
-listen("moved", wakeMoved);
+for (const kind of ["redraw", "moved"]) listen(kind, wake);
 
 /** Frames a second since the last pause, and median latency (ms), of the last two seconds; null where there are none. */
 export function rates() {

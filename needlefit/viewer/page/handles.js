@@ -4,40 +4,6 @@ import { aim, moveTo } from "./aim.js";
 import { now } from "./store.js";
 import { fromPx, fromPy, toPx, toPy, view } from "./view.js";
 
-const KNOTS = 6; // evenly spread from entry to tip
-const PAUSE = 120; // ms between two messages while one is dragged
-let timer = 0;
-
-export const points = {
-  shown: false,
-  offsets: [],
-  send: () => {}, // set by the live fit
-  begin() {
-    points.shown = false;
-    points.offsets = Array(KNOTS).fill(0);
-  },
-  /** Where the points are now. */
-  places() {
-    const { x, y } = now.scene.measured;
-    return points.offsets.map((_, i) => {
-      const at = Math.round((i / (KNOTS - 1)) * (x.length - 1));
-      return [x[at], y[at]];
-    });
-  },
-  /** Move one so that it has been dragged by so many mm in all. */
-  move(number, offset) {
-    points.offsets = points.offsets.with(number, offset);
-    timer ||= setTimeout(() => {
-      timer = 0;
-      points.send();
-    }, PAUSE);
-  },
-  reset() {
-    points.offsets = Array(KNOTS).fill(0);
-    points.send();
-  },
-};
-
 const ARM = { base: 56, guide: 42, bevel: 26 }; // px from a place to what turns it
 const AHEAD = 16; // px, of the bevel's knob before the tip: beside the arrow of the tip force
 const NEAR = { mouse: 16, touch: 28 }; // px
@@ -79,8 +45,6 @@ function all() {
     if (!guide.turns_freely) add(turn, "grab", turnGuide(guide, place));
     add(place, "move", dragGuide(guide));
   }
-  const dragged = points.shown && now.scene.measured ? points.places() : [];
-  dragged.forEach(([x, y], i) => add([toPx(x), toPy(y)], "ns-resize", dragPoint(i)));
   [aim.target, ...aim.obstacles].forEach((one, i) => {
     if (one) add([toPx(one[0]), toPy(one[1])], "move", dragGoal(i ? i - 1 : null, one));
   });
@@ -127,12 +91,7 @@ function turnBevel({ bevel }) {
   };
 }
 
-/** A measured point, a target or an obstacle is no input of the needle: dragging it asks for no change. */
-const dragPoint = (number, begun = points.offsets[number]) => (from, to) => {
-  points.move(number, begun + rise(from, to));
-  return [];
-};
-
+/** A target or an obstacle is no input of the needle: dragging it asks for no change. */
 const dragGoal = (number, [x, y]) => (from, to) => {
   moveTo(number, x + fromPx(to[0]) - fromPx(from[0]), y + rise(from, to));
   return [];

@@ -7,7 +7,6 @@ import { computeBands } from "./bands.js";
 import "./exports.js";
 import * as frames from "./frames.js";
 import "./keyboard.js";
-import "./live_fit.js";
 import "./notices.js";
 import * as panel from "./panel.js";
 import * as planning from "./planning.js";
@@ -18,8 +17,6 @@ import { advance, moves } from "./steering.js";
 import * as strip from "./strip.js";
 import { listen, now, publish } from "./store.js";
 import "./toolbar.js";
-import "./tour.js";
-import "./tracking.js";
 import * as transport from "./transport.js";
 import { kernel, trial } from "./trial.js";
 

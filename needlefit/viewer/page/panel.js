@@ -3,7 +3,7 @@
 import * as act from "./actions.js";
 import { part, press, write } from "./dom.js";
 import { makeField, setHome, show } from "./fields.js";
-import { counted, degrees, modulusLike, numbered, slope, strengthOf } from "./quantities.js";
+import { degrees, modulusLike, numbered, slope, strengthOf } from "./quantities.js";
 import { change, wanted } from "./steering.js";
 import { listen, now } from "./store.js";
 
@@ -66,9 +66,6 @@ function buildHeld(of, yLimits, angleLimits) {
   return inputField(`${of}-fields`, [`${of}_slope`, null], angle, current, ANGLE);
 }
 
-/** The names of the inputs of a layer, in the order of fitted values. */
-export const layerInputs = () => ["mu_pa", ...now.scene.shape_parameters.map(({ name }) => name)];
-
 /** Let every field say what is, or what was asked for last. */
 export function refresh() {
   for (const [field, current] of fields) show(field, current());
@@ -119,20 +116,6 @@ function refreshGuide({ item, name, x, y, slope: along, turns_freely: free }) {
   row.free.ariaPressed = String(free);
 }
 
-/** After a fit on the page its values ([mu, shape parameters] of each layer, strength of the bevel) are the ones to go back to. */
-export function takeFitted(layers, strength, source) {
-  const { fitted } = now.scene;
-  const names = layerInputs();
-  fitted.layers = layers.map((values) => Object.fromEntries(values.map((value, j) => [names[j], value])));
-  fitted[strengthOf(fitted).key] = strength;
-  const homes = [strength, strength, ...layers.flat()];
-  fields.slice(0, homes.length).forEach(([field], i) => setHome(field, homes[i]));
-  part("note").textContent = `Parameters: ${source}.`;
-}
-
-listen("fit", ({ fault, layers, offset_mm: offset, insertions }) => {
-  if (!fault) takeFitted(layers, offset, `fitted on this page to ${counted(insertions, "measured needle")}`);
-});
 press("home-all", ({ timeStamp }) => {
   const { throughout, value } = strengthOf(now.scene.fitted);
   const layers = now.scene.fitted.layers.flatMap((layer, i) => Object.entries(layer).map(([name, one]) => [name, i + 1, one]));

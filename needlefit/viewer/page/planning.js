@@ -1,11 +1,11 @@
-/** The panel of target and plan: places, obstacles, the plan's probability, and a game against the planner. */
+/** The panel of target and plan: places, obstacles, and the plan's probability. */
 
 import { ownDepth, speed } from "./actions.js";
-import { aim, nameOf, place, put, sendAfterGoal, setAim, SMALLEST, tipError, touches } from "./aim.js";
+import { aim, nameOf, place, put, sendAfterGoal, setAim, SMALLEST, tipError } from "./aim.js";
 import { button, element, part, press, say, write } from "./dom.js";
 import { amount, makeField, show } from "./fields.js";
 import { counted, signed } from "./quantities.js";
-import { command, reset, runPlan } from "./steering.js";
+import { command, runPlan } from "./steering.js";
 import { listen, now } from "./store.js";
 
 const entry = amount(part("plan-entry"));
@@ -14,7 +14,6 @@ const asMm = (value) => value.toFixed(2);
 const percent = (share) => (100 * share).toFixed(0);
 let fields = []; // [field, () => value]
 let rows = null; // what has fields
-let counting = 0; // the timer that counts how long the planner searches
 
 /** Fields of a circle's x, y and radius; `get` returns them, `set` is given all three. */
 function circleFields(into, symbol, of, get, set) {
@@ -64,19 +63,12 @@ export function refresh() {
   write("aim-note", aim.placing ? `Click on the picture where the ${aim.placing} is.` : "");
   write("aim-error", aim.target ? `Tip to target: ${tipError(now.state).toFixed(2)} mm.` : "");
   write("plan-note", aim.planning ? "Planning …" : describePlan());
-  write("game-note", describeGame());
-  part("game").hidden = !aim.challenge;
-  part("game-compare").hidden = !aim.challenge?.hidden;
-  part("game-compare").disabled = part("challenge").disabled = Boolean(aim.challenge?.hidden) && !now.state.depth_mm;
-  part("game-again").hidden = !aim.challenge || aim.challenge.hidden;
-  clearTimeout(counting);
-  if (aim.challenge?.planner === undefined && aim.challenge) counting = setTimeout(refresh, 1000);
 }
 
 /** The plan in sentences, its outcome first. */
 function describePlan() {
   const { plan } = aim;
-  if (!plan || aim.challenge?.hidden) return "";
+  if (!plan) return "";
   const turns = `${counted(plan.turns, "turn")} of the bevel, base to ${plan.steps.at(-1)[2].toFixed(1)} mm.`;
   if (plan.left) return "The needle has left its plan. Plan again from where it stands.";
   const begins = plan.anew ? ` Entry shifted by ${signed(plan.entry_mm, 2)} mm along y: Run plan begins there, at first contact.` : "";
@@ -101,40 +93,11 @@ function describeOutcome(plan) {
   return `${plan.hits ? `Reaches ${goal} ` : `${none} `}${chance}${touched}${ends}`;
 }
 
-function describeGame() {
-  const game = aim.challenge;
-  if (!game) return "";
-  if (!aim.target) return "Choosing a target …";
-  const searched = Math.round((performance.now() - game.began) / 1000);
-  const searches = game.planner === undefined ? `Planner: searching, ${searched} s.` : "Planner: done.";
-  if (game.hidden) return `Steer the tip into the target past the obstacle, then compare. ${searches}`;
-  if (game.planner === undefined) return `You ${game.hand.toFixed(2)} mm. ${searches}`;
-  const planner = game.planner === null ? "the planner found no way" : `the planner ${game.planner.toFixed(2)} mm`;
-  if (game.touched) return `You touch the obstacle, ${planner}: ${game.planner === null ? "nobody wins" : "the planner wins"}.`;
-  const won = game.planner === null || game.hand < game.planner;
-  return `You ${game.hand.toFixed(2)} mm, ${planner}: ${won ? "you win" : "the planner wins"}.`;
-}
-
 /** Run the plan; at its entry the next one goes on from where the needle stands. */
 function begin(how) {
   const { plan } = aim;
   if (plan.anew) part("plan-entry").value = "0";
   runPlan(plan, { speed: speed(), ...how });
-}
-
-function challenge() {
-  if (aim.challenge?.hidden && aim.target) { // done: compare
-    Object.assign(aim.challenge, { hidden: false, hand: tipError(now.state), touched: touches(now.state) });
-    say(describeGame());
-  } else {
-    reset();
-    command({ do: "challenge", radius: aim.radius });
-    Object.assign(aim, { target: null, obstacles: [], plan: null, reach: null });
-    aim.challenge = { hidden: true, hand: null, touched: false, began: performance.now() }; // and, once the planner is done, its distance
-  }
-  part("challenge").textContent = aim.challenge.hidden ? "Compare with the planner" : "Beat the planner";
-  refresh();
-  part("game").scrollIntoView({ block: "nearest" });
 }
 
 /** Wait for a click on the picture; a key puts it ahead of the tip at once, where its numbers can be changed. */
@@ -160,14 +123,6 @@ const PRESSED = {
   "run-plan": () => begin({}),
   "step-plan": () => begin({ one: true }),
   "open-markups": () => part("markups").click(),
-  challenge,
-  "game-compare": challenge,
-  "game-again": challenge,
-  "game-end": () => {
-    aim.challenge = null;
-    part("challenge").textContent = "Beat the planner";
-    refresh();
-  },
 };
 for (const [id, act] of Object.entries(PRESSED)) press(id, (event) => now.state && act(event));
 part("markups").addEventListener("change", async ({ target }) => {
@@ -177,10 +132,6 @@ part("markups").addEventListener("change", async ({ target }) => {
 });
 listen("plan", (plan) => {
   refresh();
-  if (aim.challenge?.hidden === false) say(describeGame());
-  else if (!plan.fault && !aim.challenge) say(describePlan());
+  if (!plan.fault) say(describePlan());
 });
-listen("aimed", () => {
-  if (!aim.challenge) part("challenge").textContent = "Beat the planner";
-  refresh();
-});
+listen("aimed", refresh);

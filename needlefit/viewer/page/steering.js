@@ -171,11 +171,7 @@ export function advance() {
 export const moves = () => trial.motion !== null;
 
 listen("moved", () => (fresh = true));
-listen("order", (message) => send(message));
-listen("refused", () => {
-  trial.waiting = false;
-  publish("moved"); // fields go back to what is
-});
+listen("refused", () => publish("moved")); // fields go back to what is
 listen("ended", (fault) => (trial.ended = fault));
 listen("replay", ({ past: steps, tables, times }) => {
   trial.takeTables(tables);
@@ -187,7 +183,6 @@ listen("plan", (plan) => {
   running = null;
   runPlan(plan, how);
 });
-listen("measured", () => publish("moved"));
 listen("line", () => {
   waiting = [];
   [held, oldest] = [null, null];

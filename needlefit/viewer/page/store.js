@@ -24,6 +24,5 @@ export function take(message) {
   } else if (message.kind === "state") now.state = message;
   else if (message.kind === "band") now.band = message.x.length ? message : null; // empty: there is none
   else if (message.kind === "forces") now.forces = message;
-  else if (message.kind === "draws") now.scene.draws = message.draws;
   publish(message.kind, message);
 }

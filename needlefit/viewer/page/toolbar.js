@@ -49,7 +49,7 @@ export function toggle(name, on = chips[name].ariaPressed !== "true") {
 /** What is offered and shown, of what has a swatch: pairs of its name and what it is called. */
 export const listShown = () => CHIPS.filter(([name, , , marked = true]) => marked && !chips[name].hidden && chips[name].ariaPressed === "true");
 
-/** Offer what there is, by name; a fit or an estimate on the page has a band, too. */
+/** Offer what there is, by name. */
 const offer = (there) => Object.entries(there).forEach(([name, is]) => (chips[name].hidden = !is));
 
 offer({ measured: false, errors: false, band: false, plan: false, reach: false, slice: false, pinned: false });
@@ -60,7 +60,6 @@ for (const one of document.querySelectorAll("[data-zoom]")) {
   press(one, () => (zoom(one.dataset.zoom === "in" ? 1.25 : 0.8), pressed()));
 }
 listen("scene", ({ measured, draws, slice }) => offer({ measured, errors: measured, band: draws, slice, plan: false, reach: false }));
-listen("draws", () => offer({ band: true }));
 listen("aimed", () => offer({ plan: aim.plan, reach: aim.reach }));
 listen("pinned", () => offer({ pinned: now.pinned }));
 listen("redraw", pressed);

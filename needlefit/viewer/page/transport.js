@@ -1,12 +1,11 @@
-/** The buttons and fields of the insertion: held to move, or pressed once. */
+/** The buttons and fields of the insertion: held to move, or pressed once; a new needle is inserted by itself. */
 
 import { part, press, write } from "./dom.js";
 import * as act from "./actions.js";
 import { canRedoGoal, canUndoGoal } from "./aim.js";
 import { brief } from "./quantities.js";
-import { command, halt, letGo, replayRecording } from "./steering.js";
+import { command, halt, letGo, move, replayRecording } from "./steering.js";
 import { listen, now } from "./store.js";
-import { insertAgain } from "./tour.js";
 
 const STEP = 1; // mm; what a mere click does, as assistive technology gives it
 
@@ -64,11 +63,27 @@ part("goto").addEventListener("submit", (event) => {
   event.preventDefault();
   if (now.state) act.goTo(Number(part("goto-depth").value));
 });
-const again = (wanted) => command({ do: "show", ...wanted }) && insertAgain(now.state.depth_mm);
-part("preset-scene").addEventListener("change", ({ target }) => again({ insertion: target.value }));
-part("preset-needle").addEventListener("change", ({ target }) => again({ with_needle: target.value }));
+
+const FAST = 200; // mm/s, of a needle that is shown instead of an inserted one
+let begun = false;
+let instead = null; // {scene, depth}: what is shown instead of that scene's needle is inserted to the depth, mm
+
+const showInstead = (wanted) => command({ do: "show", ...wanted }) && (instead = { scene: now.scene, depth: now.state.depth_mm });
+part("preset-scene").addEventListener("change", ({ target }) => showInstead({ insertion: target.value }));
+part("preset-needle").addEventListener("change", ({ target }) => showInstead({ with_needle: target.value }));
 part("choices").addEventListener("change", () => command({ do: "show", insertion: part("choices").value }));
 
+/** The first needle is inserted, too, unless the user wants less motion. */
+listen("state", ({ depth_mm: depth, undo }) => {
+  if (instead && instead.scene !== now.scene) {
+    if (depth === 0 && instead.depth > 0) move(FAST, instead.depth);
+    instead = null;
+  }
+  if (begun) return;
+  begun = true;
+  if (depth === 0 && !undo && !matchMedia("(prefers-reduced-motion: reduce)").matches) move(act.speed(), act.ownDepth());
+});
+listen("refused", () => (instead = null));
 listen("aimed", () => now.state && refresh());
 listen("go to", act.goTo);
 listen("scene", (scene) => {

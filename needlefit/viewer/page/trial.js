@@ -1,8 +1,4 @@
-/**
- * The needle of this window: it is simulated here; its steps are recorded by the program.
- *
- * Where a tracker moves the needle, the program orders the steps: inputs go there, and steps come back.
- */
+/** The needle of this window: it is simulated here; its steps are recorded by the program. */
 
 import { compile } from "../../mechanics/native/needle.js";
 import { findChanges, ModelError } from "./model/inputs.js";
@@ -24,7 +20,6 @@ class Trial {
   steered = null;
   outbox = []; // steps that the program has not confirmed: [number, time (s), gesture, changes, y of the tip (mm)]
   recorded = 0; // steps that it has confirmed
-  waiting = false; // whether an input of a tracked needle is not answered
   ended = null; // why nothing more is recorded
 
   /**
@@ -33,11 +28,9 @@ class Trial {
    * Resolves to whether that could be done: another window may have moved the needle meanwhile.
    */
   async begin(scene) {
-    const { past, needle, tracked } = scene;
+    const { past, needle } = scene;
     this.motion = this.paused = this.ended = null; // what goes on by itself: {kind, speed, gesture, frames}
-    this.waiting = false;
     if (this.scene?.needle === needle) {
-      if (tracked) return this.follow(scene);
       if (!past.every((step) => this.#isOwn(step))) return false;
       this.confirm(scene.known + past.length);
       return true;
@@ -45,15 +38,15 @@ class Trial {
     const steered = await SteeredNeedle.begin(await kernel, scene);
     Object.assign(this, { scene, steered, past: [], future: [], gesture: null, pinned: new Set(), outbox: [], recorded: 0 });
     Object.assign(this, { spent: 0, solved: steered.solved, began: past.length ? performance.now() - 1000 * scene.time_s : null });
-    return this.follow(scene);
+    return this.#follow(scene);
   }
 
   #isOwn([number, , , , tip]) {
     return number <= this.recorded || this.outbox[number - this.recorded - 1]?.[4] === tip;
   }
 
-  /** Carry out steps that the program ordered, or that this needle made before; returns whether that could be done. */
-  follow({ past, tables }) {
+  /** Carry out steps that this needle made before; returns whether that could be done. */
+  #follow({ past, tables }) {
     this.takeTables(tables);
     const returns = findLastReturns(past);
     for (const [number, , gesture, changes] of past) {
@@ -63,7 +56,6 @@ class Trial {
       this.#pinFor(returns, number, changes);
     }
     this.recorded = this.steered.number;
-    this.waiting = false;
     publish("moved");
     return true;
   }
@@ -96,10 +88,6 @@ class Trial {
   act(given, gesture) {
     if (this.ended) throw new ModelError(this.ended.what, this.ended.expected, this.ended.fix);
     const changes = given.map(([name, item, value]) => [name, item, value + 0]); // JSON has no -0
-    if (this.scene.tracked) {
-      this.waiting = true;
-      return publish("order", { do: "change", set: changes, gesture });
-    }
     const time = this.time();
     this.perform(changes, gesture);
     this.outbox.push([this.steered.number, time, gesture, changes, this.steered.tipLateral]);
@@ -156,7 +144,7 @@ class Trial {
   /** Carry out a step of a recording. */
   repeat(returns, [number, , , changes], gesture) {
     this.act(changes, gesture);
-    if (!this.waiting) this.#pinFor(returns, number, changes);
+    this.#pinFor(returns, number, changes);
   }
 
   /** Undo the last gesture, or redo the one that was undone last. */
@@ -207,7 +195,7 @@ class Trial {
 
   /** Move on by the time since the frame before. */
   advance() {
-    if (!this.motion || this.waiting) return;
+    if (!this.motion) return;
     const t = performance.now();
     const dt = Math.min((t - this.at) / 1000, LONGEST);
     this.at = t;

@@ -20,12 +20,5 @@ class Logarithmic(TissueLaw):
         """Return the tangent modulus over mu."""
         return 3 * (1 - alpha * np.log(stretch) + beta * np.log(stretch) ** 2)
 
-    def stress(self, stretch, alpha, beta):
-        """Return the true stress over mu, whose derivative is k."""
-        square = np.log(stretch) ** 2 - 2 * np.log(stretch) + 2
-        return 3 * (
-            (1 + alpha) * (stretch - 1) - alpha * stretch * np.log(stretch) + beta * (stretch * square - 2)
-        )
-
 
 LOGARITHMIC = Logarithmic()

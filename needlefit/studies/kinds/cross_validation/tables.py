@@ -48,7 +48,6 @@ from needlefit.studies.csv_tables import TableSchema
 from needlefit.studies.fit_frames import MODEL_METHODS, select_fitted, select_free
 from needlefit.studies.fit_warnings import describe_gain
 from needlefit.studies.identification_tables import IDENTIFICATION_COMPARISON, describe_evidence
-from needlefit.studies.paper import Claim
 from needlefit.studies.run import Run
 from needlefit.studies.run_differences import (
     CRPS_NOISE_FRACTION,
@@ -355,20 +354,6 @@ def lay_out_insertions(results: Run, role: str) -> TableLayout:
         for row in to_records(select_fitted(results.frames["errors"], role))
     ]
     return _lay_out(Table("insertions", rows, columns))
-
-
-def lay_out_contradictions(claims: Sequence[Claim]) -> TableLayout:
-    """Return the contradictions in the paper, both places side by side."""
-    rows = [
-        {
-            **{"topic": one.topic, "note": one.note, "number": number},
-            "statement": f"{one.place}: {one.statement}",
-            "other_statement": f"{one.other_place}: {one.other_statement}",
-        }
-        for number, one in enumerate(claims)
-    ]
-    columns = ("topic", "statement", "other_statement", "note")
-    return _lay_out(Table("contradictions", rows, columns, groups=("number",)))
 
 
 # ---- parameters: posterior and error-minimising fit, beside the paper's

@@ -116,14 +116,11 @@ def list_facts(one: Reconstruction) -> list[list[Fact]]:
     across = f"± {format_mm(pose.shift_sd)} mm and ± {format_mm(np.degrees(pose.angle_sd))}° across"
     along_sd, across_sd = one.needle_axis.tip_sd
     most = format_mm(float(np.abs(off).max()))
-    layers, proposed = list[Fact](), list[Fact]()
+    layers = list[Fact]()
     for n, (depth, sd) in enumerate(zip(one.layers.boundaries, one.layers.sd, strict=True)):
         before, after = one.layers.sequence[n : n + 2]
         words = f"{before} → {after} at {_with_sd(float(depth), float(sd))}"
         layers.append(("" if n else "layers", words))
-    for n, found in enumerate(one.proposals or (), start=1):
-        words = f"{n} → {n + 1} at {_with_sd(found.at, found.sd)} along the needle, {found.step:+.0f} HU"
-        proposed.append((f"proposed {n}", words))
     registered = [("world", "the patient frame (LPS) of the scan; no markers")]
     if one.markers is not None and (fit := one.registration) is not None:
         paired, count, (entry, tip) = (
@@ -137,7 +134,7 @@ def list_facts(one: Reconstruction) -> list[list[Fact]]:
             ("registration", f"FRE {format_mm(fit.fre)} mm; {format_mm(fit.expected_fre)} expected"),
             ("error it leaves", f"{entry} mm at the entry, {tip} at the tip, predicted"),
         ]
-    groups = [
+    return [
         [("voxels", f"{edges} mm" + (", cubes" if same else ""))],
         registered,
         [
@@ -154,9 +151,6 @@ def list_facts(one: Reconstruction) -> list[list[Fact]]:
         ],
         layers or [("layers", "no boundary crossed")],
     ]
-    if one.proposals is not None:
-        groups.append(proposed or [("proposed", "no interface shows")])
-    return groups
 
 
 def list_finding_facts(found: Findings) -> list[list[Fact]]:
@@ -172,8 +166,8 @@ def list_finding_facts(found: Findings) -> list[list[Fact]]:
         words = f"{ball.diameter:.1f} mm; L, P, S {_place(ball.center)}"
         balls.append((f"ball {n}" + " (marker)" * ball.marker, words))
     for n, one in enumerate(found.entries, start=1):
-        level = f"{one.run.level:.0f} HU ({one.change})"
-        entries.append((f"entry {n}", f"{one.depth:.2f} ± {one.sd:.2f} mm before the tip, {level}"))
+        words = f"{one.depth:.2f} ± {one.sd:.2f} mm before the tip, {one.run.level:.0f} HU"
+        entries.append((f"entry {n}", words))
     return [
         [("voxels", f"{size}, {spacing} mm")],
         tubes or [("tubes", "none")],
@@ -515,7 +509,7 @@ def _paint_profile(figure: Figure, found: Findings) -> None:
         axes.plot(profile.s - tip, values, color=INK, lw=0.9)
         axes.axvline(0.0, color=TIP_COLOUR, lw=0.7)
         for number, one in enumerate(found.entries, start=1):
-            axes.axvline(-one.depth, color=ENTRY_COLOUR, lw=0.8, ls="-" if one.change == "rise" else ":")
+            axes.axvline(-one.depth, color=ENTRY_COLOUR, lw=0.8)
             if n:
                 at = (-one.depth, 1.0)
                 axes.annotate(

@@ -1,9 +1,9 @@
 """The report of a batch of reconstructed scans, written into the folder of their dataset."""
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,19 +11,16 @@ import pandas as pd
 from needlefit.arrays import Floats
 from needlefit.datasets.read import check_all
 from needlefit.datasets.sources import ScanVolume, write_volumes
-from needlefit.errors import ConfigError, DataError
-from needlefit.geometry.curves import interpolate_at_arc
-from needlefit.geometry.surfaces import write_surface
+from needlefit.errors import ConfigError
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
 from needlefit.imaging.batch import VERSIONED_PACKAGES, Findings, ReconstructionFailure, add_findings
-from needlefit.imaging.label_export import mark_voxels, write_dicom_segmentation, write_slicer_segmentation
+from needlefit.imaging.corrections import make_control_points
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import write_scan_table
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.folders import replace_folder
 from needlefit.project.progress import Progress
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
-from needlefit.project.toml import dumps
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records, write_csv
 from needlefit.reporting.text import KindText
@@ -35,13 +32,16 @@ from needlefit.studies.provenance import package_versions
 from needlefit.studies.report import StudyReport, write_files
 from needlefit.studies.run import Run
 from needlefit.studies.slicer import write_scan
-from needlefit.studies.slicer_scene import write_slicer_scene
+from needlefit.studies.slicer_scene import (
+    make_scan_control_points,
+    write_control_points,
+    write_slicer_scene,
+)
 
-ExportKind = Literal["scene", "seg"]
-
-SCANS_FILE, RECIPE_FILE = "scans.csv", "recipe.toml"
+SCANS_FILE = "scans.csv"
 POOR_DEPTH_SD_MM = 0.5  # deviation of the inserted length, mm, that the first line names
 MAX_NAMED_SCANS = 5
+MIN_CHANGE_MM = 0.005  # smaller changes by corrections are not printed, mm
 _COLUMNS = (
     *("scan", "medium", "depth_mm", "depth_sd_mm", "deflection_mm", "out_of_plane_max_mm", "markers"),
     *("fre_mm", "expected_fre_mm", "target_error_tip_mm", "entry_pose_from", "crossing_depths"),
@@ -66,6 +66,7 @@ _MARKER_COLUMNS = (
     *("residual_y_mm", "residual_z_mm", "residual_mm", "left_out_mm", "expected_left_out_mm"),
 )
 _CROSSING_COLUMNS = ("id", "number", "out_of", "into", "depth_mm", "depth_sd_mm", "x_mm", "y_mm", "z_mm")
+_CHANGE_COLUMNS = ("id", "quantity", "before_mm", "after_mm", "change_mm")
 _REFUSED_COLUMNS = ("id", "scan", "note")
 _CANDIDATE_COLUMNS = (
     *("id", "kind", "number", "x_mm", "y_mm", "z_mm", "width_mm", "depth_mm", "depth_sd_mm", "note"),
@@ -96,7 +97,7 @@ def tabulate_batch(
             "markers": tabulate_markers(ones),
             "crossings": tabulate_crossings(ones),
             "remarks": pd.DataFrame(remarks, columns=["id", "note"]),
-            **tabulate_proposals(ones),
+            **tabulate_changes(ones),
         },
         run={
             "name": name,
@@ -138,22 +139,10 @@ def tabulate_crossings(reconstructions: Sequence[Reconstruction]) -> pd.DataFram
     return pd.DataFrame(rows, columns=list(_CROSSING_COLUMNS))
 
 
-def tabulate_proposals(reconstructions: Sequence[Reconstruction]) -> dict[str, pd.DataFrame]:
-    """Return a table of proposed interfaces, as `tabulate_crossings`; none where nobody asked for any."""
-    asked = [one for one in reconstructions if one.proposals is not None]
-    rows = []
-    for one in asked:
-        for n, found in enumerate(one.proposals or (), start=1):
-            point = interpolate_at_arc(one.points, np.array([found.at]))[0]
-            depth = float(one.frame.to_local(point[None])[0, 0])
-            tilt = f"{found.step:+.0f} HU, tilted by {np.degrees(found.tilt):.0f} degrees"
-            note = f"{tilt}; no layer is stated"
-            if len(own := one.layers.boundaries):
-                away = own[np.argmin(np.abs(own - depth))] - depth
-                note = f"{tilt}; the nearest stated layer is crossed {away:+.2f} mm from it"
-            rows.append((one.scan.id, n, n, n + 1, depth, found.sd, *point, note))
-    columns = [*_CROSSING_COLUMNS, "note"]
-    return {"proposed_layers": pd.DataFrame(rows, columns=columns)} if asked else {}
+def tabulate_changes(reconstructions: Sequence[Reconstruction]) -> dict[str, pd.DataFrame]:
+    """Return a table of what corrections changed: a row for each scan and quantity; none without any."""
+    rows = [(one.scan.id, *vars(change).values()) for one in reconstructions for change in one.changes]
+    return {"corrections": pd.DataFrame(rows, columns=list(_CHANGE_COLUMNS))} if rows else {}
 
 
 def describe_scan(one: Reconstruction) -> Row:
@@ -221,8 +210,7 @@ def _list_candidates(id_: str, found: Findings) -> list[dict[str, object]]:
     for n, ball in enumerate(found.balls, start=1):
         add("ball", n, ball.center, width_mm=ball.diameter, note="marker" if ball.marker else "")
     for n, (one, at) in enumerate(zip(found.entries, found.entry_points, strict=True), start=1):
-        note = "air before it" if one.change == "rise" else "another soft material before it"
-        add("entry", n, at, depth_mm=one.depth, depth_sd_mm=one.sd, note=note)
+        add("entry", n, at, depth_mm=one.depth, depth_sd_mm=one.sd)
     return rows
 
 
@@ -236,11 +224,20 @@ def describe(found: Run) -> dict[str, Any]:
     return {
         "scans": len(rows),
         "remarked": len({row["id"] for row in remarks}),
+        "corrected": _group_changes(found),
         "remarks": remarks,
         "poor": [one for one in poor if one["sd_mm"] > POOR_DEPTH_SD_MM],
         "named": MAX_NAMED_SCANS,
         "synthetic": found.synthetic,
     }
+
+
+def _group_changes(found: Run) -> dict[str, list[Row]]:
+    """Return what corrections changed by at least `MIN_CHANGE_MM`, by the id of the scan."""
+    rows = to_records(found.frames.get("corrections", pd.DataFrame()))
+    kept = [row for row in rows if row["change_mm"] is None or abs(row["change_mm"]) >= MIN_CHANGE_MM]
+    ids = dict.fromkeys(row["id"] for row in rows)
+    return {id_: [row for row in kept if row["id"] == id_] for id_ in ids}
 
 
 def lay_out_reconstructions(found: Run, columns: Sequence[str] = _COLUMNS) -> TableLayout:
@@ -271,16 +268,6 @@ def _list_depths(rows: Sequence[Row]) -> str:
     return ", ".join(f"{one['depth_mm']:.2f} ± {one['depth_sd_mm']:.2f}" for one in rows)
 
 
-def describe_proposals(found: Run, folder: Path) -> list[str]:
-    """Return where in each scan layers are proposed; nothing if nobody asked."""
-    if "proposed_layers" not in found.frames:
-        return []
-    rows = to_records(found.frames["proposed_layers"])
-    ids = dict.fromkeys(row["id"] for row in rows)
-    depths = {id_: _list_depths([row for row in rows if row["id"] == id_]) for id_ in ids}
-    return _TEXT.sentences("proposals", {"count": len(rows), "folder": str(folder), "proposals": depths})
-
-
 REPORT = StudyReport(
     _TEXT,
     describe,
@@ -300,15 +287,14 @@ def write_reconstruction(
     description: DatasetDescription,
     progress: Progress,
     refused: Sequence[ReconstructionFailure] = (),
-    exports: Collection[ExportKind] = (),
+    scenes: bool = False,
 ) -> tuple[Run | None, tuple[ReconstructionFailure, ...]]:
     """Write `folder`, completely or not at all; return its result, and what a dataset cannot contain.
 
     Where none can be held nothing is written, and what was there stays.
 
     The dataset, and where its scans lie, with a row for each needle of divided ones; `quality/<id>.pdf`, also
-    of the scans that were `refused`; `slicer/`, with what is exported of each scan; and the files of every
-    run.
+    of the scans that were `refused`; `slicer/`, with `scenes` also `<id>.mrb`; and the files of every run.
 
     DataError if the dataset has a fault that belongs to no single scan. ConfigError if `folder` holds
     anything that needlefit did not write, or that was changed since.
@@ -324,65 +310,44 @@ def write_reconstruction(
         write_volumes(fresh, volumes, folder)
         if any(one.scan.divided for one in kept):  # to correct one needle, and for the next run
             write_scan_table([one.scan for one in kept], fresh / SCANS_FILE, folder)
-        written = []
         for done, one in enumerate(kept):
             progress(f"{one.scan.id}: quality page", done, len(kept))
             write_scan(one, fresh / "slicer", recipe.needle.diameter_mm)
-            notes = _export_scan(one, exports, fresh / "slicer", recipe.needle.diameter_mm)
-            written.append(replace(one, warnings=(*one.warnings, *notes)))
-            write_quality(written[-1], fresh / "quality" / f"{one.scan.id}.pdf")
-            for found in one.proposals or ():
-                # in the frame of the scan: Slicer reads it from the stated name
-                named = replace(found.surface, name=f"{found.surface.name} SPACE=LPS")
-                write_surface(named, fresh / "proposed" / f"{one.scan.id}_{found.surface.name}.stl")
+            write_control_points(make_scan_control_points(one), fresh / "slicer")
+            if scenes:
+                volume = read_volume(one.scan.volume, one.scan.series)
+                place = fresh / "slicer" / f"{one.scan.id}.mrb"
+                write_slicer_scene(one, volume, recipe.needle.diameter_mm, place)
+            write_quality(one, fresh / "quality" / f"{one.scan.id}.pdf")
         title = f"Reconstruction: {description.title or description.name}"
         record = KIND.make_record(title=title, scans=[one.scan.id for one in kept], recipe=recipe)
         assert isinstance(record, ReconstructionBatchRecord)
-        result = tabulate_batch(description.name, record, written, check_all(fresh)[1])
+        result = tabulate_batch(description.name, record, kept, check_all(fresh)[1])
         if refused:
             result = replace(result, frames={**result.frames, **tabulate_failures(refused)})
             write_refused_pages(refused, fresh / "quality")
+            write_refused_points(refused, fresh / "slicer")
         write_files(result, fresh)
     return result, failures
 
 
-def _export_scan(
-    one: Reconstruction, exports: Collection[ExportKind], folder: Path, diameter: float
-) -> tuple[str, ...]:
-    """Write what is exported of a scan; return warnings.
-
-    `<id>.mrb`, a scene of 3D Slicer; `<id>.seg.dcm`, a DICOM segmentation. Where the scan allows none, it is
-    `<id>.seg.nrrd`, a segmentation of 3D Slicer.
-    """
-    if not exports:
-        return ()
-    volume = read_volume(one.scan.volume, one.scan.series)
-    if "scene" in exports:
-        write_slicer_scene(one, volume, diameter, folder / f"{one.scan.id}.mrb")
-    if "seg" in exports:
-        marked = mark_voxels(one, volume.grid, diameter)
-        try:
-            write_dicom_segmentation(one.scan, marked, folder / f"{one.scan.id}.seg.dcm")
-        except DataError as error:
-            instead = folder / f"{one.scan.id}.seg.nrrd"
-            write_slicer_segmentation(marked, volume.grid, instead)
-            return (f"no DICOM segmentation is written, {instead.name} instead: {error.what}",)
-    return ()
+def write_refused_points(failures: Sequence[ReconstructionFailure], folder: Path) -> None:
+    """Write the control points of what was found in refused scans to `<id>.corrections.mrk.json`."""
+    for failure in failures:
+        if (found := failure.findings) is None:
+            continue
+        entry = found.entry_points[-1] if found.entries else None
+        balls = np.array([ball.center for ball in found.balls if ball.marker]).reshape(-1, 3)
+        write_control_points(make_control_points(failure.scan.id, found.needle, entry, balls), folder)
 
 
-def write_refused(
-    failures: Sequence[ReconstructionFailure], recipe: ReconstructionRecord, folder: Path
-) -> None:
-    """Write a folder of refused scans alone: `quality/<id>.pdf`, `refused.csv` and `candidates.csv`.
-
-    Their table and their recipe are written beside these, from which the scans are opened again.
+def write_refused(failures: Sequence[ReconstructionFailure], folder: Path) -> None:
+    """Write a folder of refused scans alone: `quality/`, `slicer/`, `refused.csv` and `candidates.csv`.
 
     ConfigError if `folder` holds anything that needlefit did not write, or that was changed since.
     """
     with replace_folder(folder) as fresh:
         write_refused_pages(failures, fresh / "quality")
+        write_refused_points(failures, fresh / "slicer")
         for name, frame in tabulate_failures(failures).items():
             write_csv(frame, fresh / f"{name}.csv")
-        write_scan_table([one.scan for one in failures], fresh / SCANS_FILE, folder)
-        plain = recipe.model_dump(mode="json", by_alias=True)
-        (fresh / RECIPE_FILE).write_text(dumps(plain), encoding="utf-8")

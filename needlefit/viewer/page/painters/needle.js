@@ -1,4 +1,4 @@
-/** The needle, what holds it, what the tissue puts on its shaft, and a hint at a handle. */
+/** The needle, what holds it, and what the tissue puts on its shaft. */
 
 import { basePlace, bevelPlace, guidePlace } from "../handles.js";
 import { brief, heightAt, roundStep, shortName } from "../quantities.js";
@@ -18,8 +18,6 @@ const [TALLEST, LOWEST] = [48, 16]; // px, of the load's curve and the force's a
 const SHORTEST = 5; // px, of the arrow of a force; a shorter one is not drawn
 const LEAST_FORCE = 0.5; // N, for which an arrow may be the tallest
 const LEAST_LOAD = 1e-6; // N/mm; less is drawn as nothing
-const HINT_RADIUS = 22; // px
-const UP = Math.PI / 2;
 
 let perLoad = null; // px per N/mm
 let greatestForce = { scene: null, newton: 0 }; // on the tip of this scene so far: arrows of its forces have one scale
@@ -235,14 +233,4 @@ export function paintKey(context) {
   segments(context, [[[px, py], [px, py + height]], ...[py, py + height].map((end) => [[px - 3, end], [px + 3, end]])], palette.load, 1.5);
   setFont(context, "small", "left");
   label(context, `${brief(size)} N/mm`, px + 6, py + height / 2);
-}
-
-/** Draw a ring about the handle that `now.hint` names (the bevel's arrow, the base), and the ways it can go. */
-export function paintHint(context, state) {
-  if (!now.hint) return;
-  const place = now.hint === "bevel" ? bevelPlace(state).turn : basePlace(state).place;
-  const ways = { bevel: [-state.bevel.side * UP], across: [UP, -UP], along: [0] }[now.hint];
-  ring(context, ...place, HINT_RADIUS, palette.accent, "transparent");
-  const head = [[HINT_RADIUS + 3, -8], [HINT_RADIUS + 14.2, 0], [HINT_RADIUS + 3, 8]];
-  for (const way of ways) turned(context, ...place, way, () => polygon(context, head, palette.accent));
 }

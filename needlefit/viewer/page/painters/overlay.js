@@ -1,23 +1,19 @@
-/** What the needle is compared with and aimed at, a tracked tip, and what the picture itself does not show. */
+/** What the needle is compared with and aimed at, and what the picture itself does not show. */
 
 import { aim, nameOf } from "../aim.js";
-import { points } from "../handles.js";
 import { heightAt, strengthOf } from "../quantities.js";
-import { listen, now } from "../store.js";
+import { now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
 import { thickness } from "./needle.js";
-import { cross, faintly, fillBetween, isFree, label, labelBeside, labelFree, line, palette, placesOf, polygon, reserve, ring, segments, setFont, stroke, turned } from "./strokes.js";
+import { cross, faintly, fillBetween, isFree, label, labelBeside, labelFree, line, palette, placesOf, polygon, reserve, segments, setFont, stroke, turned } from "./strokes.js";
 
 const GAPS = 12; // parts of the shaft between which gaps are drawn
 const FAN = 0.3; // opacity of the plan's draws
 const PALE = 0.35; // of a plan that the needle has left
-const [CROSS, TRACKED_CROSS] = [5, 9]; // px
+const CROSS = 5; // px
 const INSET = { width: 170, height: 46, edge: 10 }; // px
 const CLEAR = 30; // px between the inset and curves, for load and crosses
 const ARROW = 11; // px
-let tracked = null;
-
-listen("tracking", (message) => (tracked = message));
 
 /** Draw the measured needle, over a halo that sets it off from the needle and from a scan. */
 export function paintMeasured(context, { x, y }) {
@@ -34,12 +30,6 @@ export function paintPinned(context, { x, y }) {
   labelBeside(context, "pinned", [[[x, y], -18], [[x, y], 18]], palette.ghost);
 }
 
-/** Draw the points of the measured needle that can be dragged. */
-export function paintMeasuredPoints(context) {
-  if (!points.shown) return;
-  for (const [x, y] of points.places()) ring(context, toPx(x), toPy(y), 6, palette.measured, palette.air);
-}
-
 const near = (one, other) => Math.abs(one - other) <= 1e-9 * Math.abs(other);
 
 /** Whether the needle's parameters are others than those about which the band's draws lie. */
@@ -50,7 +40,7 @@ function isChanged({ bevel, layers }, { fitted }) {
 
 /** State that the band is not that of the parameters shown. */
 export function nameBand(context, { x, low, high }) {
-  if (now.scene.tracked || !isChanged(now.state, now.scene)) return;
+  if (!isChanged(now.state, now.scene)) return;
   labelBeside(context, "band of the fit", [[[x, high], -14], [[x, low], 14]], palette.band);
 }
 
@@ -94,9 +84,9 @@ export function paintReach(context) {
   faintly(context, 0.12, () => low.forEach((edge, level) => fillBetween(context, x, edge, high[level], palette.reach)));
 }
 
-/** Draw the needles of the draws, and over them the one of the parameters shown; in a challenge nothing. */
+/** Draw the needles of the draws, and over them the one of the parameters shown. */
 export function paintPlan(context) {
-  if (!aim.plan || aim.challenge?.hidden) return;
+  if (!aim.plan) return;
   const pale = aim.plan.left ? PALE : 1;
   faintly(context, FAN * pale, () => {
     for (const [x, y] of aim.plan.fan) line(context, x, y, palette.plan, 1);
@@ -128,14 +118,6 @@ function paintCircle(context, x, y, radius, shown, name, opacity = 0) {
   const sides = [[px, toPy(y + radius) - 12], [px, toPy(y - radius) + 12]];
   if (now.state.bevel.side > 0) sides.reverse(); // the knob of the bevel is on the other one
   labelFree(context, name, sides, shown);
-}
-
-/** Draw where the tracker has the tip: a cross, grey while it is frozen. */
-export function paintTrackedTip(context) {
-  if (!tracked?.tip) return;
-  const lines = cross(toPx(tracked.tip[0]), toPy(tracked.tip[1]), TRACKED_CROSS, true);
-  segments(context, lines, palette.halo, 5);
-  segments(context, lines, tracked.frozen ? palette.quiet : palette.measured, 2);
 }
 
 /** Draw the inserted part of the needle with y as large as x, in a corner where nothing else is; else nowhere. */

@@ -1,0 +1,76 @@
+"""Read the needles of a DICOM RT structure set: its open contours, as centrelines.
+
+pydicom reads it in a child process: a damaged file may provoke anything.
+"""
+
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+
+from needlefit.datasets.formats import FileFormat
+from needlefit.datasets.points import Points
+from needlefit.errors import DataError
+from needlefit.project.input_files import read_bytes
+from needlefit.project.sandbox import READER_BYTES, SandboxArrays, limits_for, read_in_sandbox
+
+MAX_FILE_BYTES = 64 * 2**20
+READ_BYTES_PER_SECOND = 2**20
+STRUCTURE_SET = "1.2.840.10008.5.1.4.1.1.481.3"  # SOP class of RT structure sets
+OPEN_KINDS = ("OPEN_PLANAR", "OPEN_NONPLANAR")
+_EXPECTED, _FIX = (
+    "an RT structure set with open contours",
+    "export the needles as open contours, from entry to tip",
+)
+
+
+def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
+    """Return every open contour by the name of its region, LPS, mm, and what is left out.
+
+    DataError if the file is missing, is no structure set, or holds no open contour.
+    """
+    data = read_bytes(path, MAX_FILE_BYTES)
+    allowed = limits_for(READER_BYTES, READER_BYTES, len(data) / READ_BYTES_PER_SECOND)
+    reader = f"{__name__}:read_contours"
+    (names, left), found = read_in_sandbox(reader, path, allowed, {"path": str(path)})
+    if not found:
+        raise DataError("holds no open contour", where=str(path), expected=_EXPECTED, fix=_FIX)
+    return {name: Points(path, found[str(n)]) for n, name in enumerate(names)}, left
+
+
+def read_contours(results: SandboxArrays, path: str) -> tuple[list[str], list[str]]:
+    """Fill an array for every open contour, in the child process; return their names, and what is left."""
+    import pydicom
+
+    names: list[str] = []
+    left: list[str] = []
+    try:
+        file = pydicom.dcmread(BytesIO(read_bytes(Path(path), MAX_FILE_BYTES)), force=True)
+        if file.get("SOPClassUID") != STRUCTURE_SET:
+            raise DataError("is no RT structure set", where=path, expected=_EXPECTED, fix=_FIX)
+        regions = {int(one.ROINumber): str(one.get("ROIName", "")) for one in file.StructureSetROISequence}
+        for region in file.get("ROIContourSequence") or ():
+            number = int(region.ReferencedROINumber)
+            name = regions.get(number, "").strip() or f"region {number}"
+            for one in region.get("ContourSequence") or ():
+                kind = one.get("ContourGeometricType")
+                if kind not in OPEN_KINDS:
+                    left.append(f"contour of {name} ({kind})")
+                    continue
+                points = np.array([float(value) for value in one.ContourData], dtype=np.float64).reshape(
+                    -1, 3
+                )
+                results.new(str(len(names)), points.shape, "float64")[...] = points
+                names.append(name)
+    except (MemoryError, DataError):
+        raise
+    except Exception as error:  # whatever the bytes provoke
+        what = f"cannot be read ({type(error).__name__})"
+        raise DataError(what, where=path, expected=_EXPECTED, fix=_FIX) from None
+    numbered = [name if names.count(name) == 1 else f"{name} ({n})" for n, name in enumerate(names, 1)]
+    return numbered, left
+
+
+RTSTRUCT = FileFormat(
+    "rtstruct", (".dcm",), "the open contours of an RT structure set (LPS)", read_curves, in_scan=True
+)

@@ -1,0 +1,182 @@
+"""Correct scans by control points that a person moved in 3D Slicer.
+
+Of every scan one list of control points is written: some on the needle's axis, the tip, the entry and the
+balls. The description of a point says where it was found, so that a list alone shows which were moved.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.datasets.formats.mrk_json import read_mrk_json
+from needlefit.datasets.markups import Markups
+from needlefit.errors import DataError
+from needlefit.geometry.curves import arc_length, interpolate_at_arc
+from needlefit.geometry.frames import AXIS_SIGNS
+from needlefit.imaging.needle.follow import MIN_POINTS
+from needlefit.imaging.reconstruction import Change, Reconstruction
+from needlefit.imaging.refusals import located, refusal
+from needlefit.imaging.registration.pairing import MIN_MARKERS
+from needlefit.imaging.scans import PLACED_CONTACT, Corrections, Scan
+
+LIST_NAME = "corrections"  # what a list of control points is called, after the id of its scan
+AXIS_POINTS = 8  # control points on the needle, at even distances
+KINDS = ("axis", "tip", "entry", "ball")
+MIN_MOVE_MM = 0.01  # a control point that lies nearer to where it was found was not moved, mm
+_LABEL = re.compile(rf"({'|'.join(KINDS)})( *\d+)?", re.IGNORECASE)
+_NUMBER = r"(-?\d+\.\d+)"
+_FOUND = re.compile(rf"found at L, P, S = {_NUMBER}, {_NUMBER}, {_NUMBER} mm")
+
+
+def make_control_points(
+    id_: str, needle: Floats | None, entry: Floats | None, balls: Floats
+) -> Markups | None:
+    """Return the control points of a scan, LPS; None if nothing was found in it.
+
+    `needle`: (N, 3) or None; its axis from base to tip, mm.
+    `entry`: (3,) or None; where it enters the tissue.
+    `balls`: (M, 3); the markers.
+    """
+    points: list[tuple[str, Floats]] = []
+    if needle is not None:
+        s = arc_length(needle)
+        middles = s[-1] * (np.arange(AXIS_POINTS) + 0.5) / AXIS_POINTS
+        points += [(f"axis {n}", at) for n, at in enumerate(interpolate_at_arc(needle, middles), 1)]
+        points.append(("tip", needle[-1]))
+    if entry is not None:
+        points.append(("entry", entry))
+    points += [(f"ball {n}", at) for n, at in enumerate(balls, 1)]
+    if not points:
+        return None
+    places = np.array([at for _, at in points]).round(3)
+    found = tuple("found at L, P, S = {:.3f}, {:.3f}, {:.3f} mm".format(*at) for at in places.tolist())
+    labels = tuple(label for label, _ in points)
+    return Markups(Path(id_), f"{id_} {LIST_NAME}", "Fiducial", labels, places, descriptions=found)
+
+
+def read_corrections(path: Path) -> dict[str, Corrections]:
+    """Return the corrections in a `.mrk.json` file, by the id of the scan.
+
+    A point that stands where it was found is none; one that was added is. Moved points of the axis count
+    alone; if one ball was moved or added, all balls of the list are the markers.
+
+    DataError if the file is none of 3D Slicer, a list or a point in it has another name, or none was moved.
+    """
+    found: dict[str, Corrections] = {}
+    for one in read_mrk_json(path):
+        id_, name, _ = one.name.rpartition(f" {LIST_NAME}")
+        if not name or one.kind != "Fiducial":
+            raise refusal(f"""the {one.kind} `{one.name}` is no list of corrections
+                expected: the point list `ID {LIST_NAME}` that `needlefit reconstruct` wrote for the scan ID
+                fix: save that list alone
+                where: {path}""")
+        with located(f"{path}, list `{one.name}`"):
+            found[id_] = _parse_corrections(one)
+    return found
+
+
+def _parse_corrections(markups: Markups) -> Corrections:
+    kinds = [_LABEL.fullmatch(label.strip()) for label in markups.labels]
+    unknown = [label for label, kind in zip(markups.labels, kinds, strict=True) if kind is None]
+    if unknown:
+        raise refusal(f"""the point `{unknown[0]}` has no known label
+            expected: {", ".join(KINDS)}, with or without a number
+            fix: rename the point in 3D Slicer, or remove it""")
+    stated = [_FOUND.search(text) for text in markups.descriptions]
+    before = np.array([[np.nan] * 3 if one is None else [float(x) for x in one.groups()] for one in stated])
+    here, turned = (
+        np.linalg.norm(markups.points * AXIS_SIGNS[system] - before, axis=1) <= MIN_MOVE_MM
+        for system in ("LPS", "RAS")
+    )
+    if turned.any() and not here.any():
+        raise refusal(f"""it states {markups.system}, but its points stand where they were found only with the
+                signs of x and y changed
+            expected: the coordinate system that the file states
+            fix: correct `coordinateSystem` (LPS or RAS), or save the list again in 3D Slicer""")
+    moved = ~here
+    if here.all():
+        raise refusal(f"""none of its {len(moved)} control points was moved
+            expected: {", ".join(KINDS)} somewhere else than where they were found
+            fix: move those that are wrong in 3D Slicer, and save the list again""")
+    own = {name: np.array([kind is not None and kind[1].lower() == name for kind in kinds]) for name in KINDS}
+    axis = markups.points[own["axis"] & moved]
+    if 0 < len(axis) < MIN_POINTS:
+        raise refusal(f"""{len(axis)} points of the axis were moved
+            expected: {MIN_POINTS} or more: the needle is then followed along these alone
+            fix: move more of them onto the needle, or move these back""")
+    ends: dict[str, Floats | None] = {}
+    for name in ("tip", "entry"):
+        placed = markups.points[own[name] & moved]
+        if len(placed) > 1:
+            raise refusal(f"""{len(placed)} points are called {name}
+                expected: one
+                fix: remove the others""")
+        ends[name] = placed[0] if len(placed) else None
+    balls = markups.points[own["ball"]] if (own["ball"] & moved).any() else None
+    return Corrections(axis if len(axis) else None, ends["tip"], ends["entry"], balls)
+
+
+def correct_scans(scans: Sequence[Scan], files: Sequence[Path]) -> tuple[Scan, ...]:
+    """Return the scans with the corrections that files hold for them.
+
+    DataError as `read_corrections`; if a scan has none of that id, corrections in two files, balls but no
+    known places of markers, too few balls, or an entry beside that of the stage.
+    """
+    corrected = {scan.id: scan for scan in scans}
+    for path in files:
+        for id_, found in read_corrections(path).items():
+            with located(path):
+                corrected[id_] = replace(_require_correctable(corrected, id_, found), corrections=found)
+    return tuple(corrected.values())
+
+
+def _require_correctable(scans: dict[str, Scan], id_: str, found: Corrections) -> Scan:
+    if id_ not in scans:
+        raise refusal(f"""it corrects the scan `{id_}`, which is not among those to be reconstructed
+            expected: one of {", ".join(scans)}
+            fix: name that scan, too; of one needle of several (--all), the scans.csv of their dataset""")
+    scan = scans[id_]
+    if scan.corrections is not None:
+        raise refusal(f"""it corrects the scan `{id_}` a second time
+            expected: one list for each scan
+            fix: move all points in one list""")
+    if found.balls is not None and scan.markers is None:
+        raise refusal("""balls were moved, but the scan has no known places to lay them on
+            expected: the markers' known places in the world
+            fix: name them with --markers, or in a table of scans""")
+    if found.balls is not None and len(found.balls) < MIN_MARKERS:
+        raise refusal(f"""{len(found.balls)} of at least {MIN_MARKERS} balls are left
+            expected: {MIN_MARKERS} or more that are not on a line: they register the scan to the world
+            fix: leave the others in the list""")
+    if found.entry is not None and scan.stage is not None:
+        what, expected, fix = PLACED_CONTACT
+        raise DataError(what, expected=expected, fix=fix)
+    return scan
+
+
+def compare_reconstructions(before: Reconstruction | None, after: Reconstruction) -> tuple[Change, ...]:
+    """Return what corrections changed; `before`: without them, None if the scan was refused."""
+
+    def describe(one: Reconstruction) -> dict[str, float]:
+        sizes = {"inserted length": one.depth, "tip deflection": one.deflection}
+        if one.registration is not None:
+            sizes["FRE"] = one.registration.fre
+        depths = enumerate(one.layers.boundaries.tolist(), start=1)
+        return sizes | {f"crossing {n}": depth for n, depth in depths}
+
+    now = describe(after)
+    if before is None:
+        return tuple(Change(name, np.nan, size, np.nan) for name, size in now.items())
+    then = describe(before)
+    tip = after.needle_axis.tip - before.needle_axis.tip
+    entries = [one.patient.to_local(one.points[:1])[0] for one in (before, after)]
+    moves = {"tip": tip, "entry": entries[1] - entries[0]}
+    rows = [Change(name, np.nan, np.nan, float(np.linalg.norm(move))) for name, move in moves.items()]
+    for name in dict.fromkeys((*now, *then)):
+        first, second = then.get(name, np.nan), now.get(name, np.nan)
+        rows.append(Change(name, first, second, second - first))
+    return tuple(rows)

@@ -1,0 +1,176 @@
+"""Read segmentations: volumes in which every voxel holds the number of its layer, and contours of layers."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from needlefit.errors import DataError
+from needlefit.imaging.refusals import located, refusal
+from needlefit.imaging.volume import Volume, not_one_volume
+from needlefit.imaging.volume_files import is_image_file, open_member, read_planes, read_structures
+
+MAX_SEGMENTS = 64  # layers of a segmentation; a volume with more labels is a scan
+SEGMENTS_FIX = "name the layers from the outside inwards: FILE=segments:NAME,NAME"
+MAX_NAME_CHARS = 200
+EXPECTED_LABELS = "a whole number of each voxel's layer, 0 outside the tissue, and no more than a few layers"
+SAVE_AGAIN_FIX = "save the segmentation again from 3D Slicer"
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One layer of tissue in a segmentation: the `value` of its voxels, and its name ("" where there is
+    none).
+
+    `plane` is the one of several numbers of each voxel that holds the value, as 3D Slicer keeps segments that
+    were drawn over one another.
+    """
+
+    value: int
+    name: str
+    plane: int = 0
+
+
+@dataclass(frozen=True)
+class Labels:
+    """A segmentation; `segments` are the layers 1, 2, ... in this order."""
+
+    volume: Volume
+    segments: tuple[Segment, ...]
+
+
+def read_labels(path: Path, names: Sequence[str] = ()) -> Labels:
+    """Read a segmentation: `.seg.nrrd` of 3D Slicer, any label volume, RTSTRUCT, a .zip of one.
+
+    The layers are the segments that are named, in this order; by default all in the order in which the file
+    lists them, or, where it names none, the labels in the order of their values. A label without a name is
+    named by its value.
+
+    DataError if it is not a volume, its segments overlap, one is empty or missing, or its values are no
+    labels.
+    """
+    with open_member(path) as place, located(place):
+        if not is_image_file(place):
+            volume, found = read_structures(place, names)
+            return _check_labels(volume, tuple(Segment(n, name) for n, name in enumerate(found, 1)))
+        planes, texts = read_planes(place)
+        stated = _parse_segments(texts)
+        if len(planes) == 1:
+            volume = planes[0]
+        elif stated:
+            volume, stated = _merge_planes(planes, stated)
+        else:
+            raise not_one_volume(f"{len(planes)} numbers a voxel")
+        labels = _check_labels(volume, stated)
+        chosen = choose_segments([one.name or str(one.value) for one in labels.segments], names)
+        return replace(labels, segments=tuple(labels.segments[n] for n in chosen))
+
+
+def _merge_planes(
+    planes: Sequence[Volume], segments: Sequence[Segment]
+) -> tuple[Volume, tuple[Segment, ...]]:
+    """Return one volume of the labels 1, 2, ... of segments in several; DataError if they overlap."""
+    values, labelled = np.zeros_like(planes[0].values), 0
+    for label, segment in enumerate(segments, 1):
+        if segment.plane >= len(planes):
+            raise refusal(f"""segment {segment.name} is in layer {segment.plane}, of {len(planes)} in
+                    the file
+                expected: layers that are there
+                fix: {SAVE_AGAIN_FIX}""")
+        inside = planes[segment.plane].values == segment.value
+        if met := int(values[inside].max(initial=0)):
+            raise _overlap_error([segments[met - 1].name, segment.name])
+        values[inside], labelled = label, labelled + int(np.count_nonzero(inside))
+    if labelled < sum(np.count_nonzero(plane.values) for plane in planes):
+        raise refusal(f"""voxels have labels that no segment has
+            expected: labels of the segments that the header names
+            fix: {SAVE_AGAIN_FIX}""")
+    merged = tuple(Segment(label, segment.name) for label, segment in enumerate(segments, 1))
+    return replace(planes[0], values=values), merged
+
+
+def _check_labels(volume: Volume, stated: tuple[Segment, ...]) -> Labels:
+    """Return the labels of a volume as those of the stated segments, or of nameless ones without any."""
+    low, high = float(volume.values.min()), float(volume.values.max())
+    labels_only = all(np.array_equal(slice_, np.rint(slice_)) for slice_ in volume.values)
+    if low < 0 or high >= 2**16 or not labels_only:
+        raise refusal(f"""its voxels run from {low:g} to {high:g}{", with fractions" * (not labels_only)}:
+                this is a scan
+            expected: {EXPECTED_LABELS}
+            fix: give the segmentation, not the scan that it was made from""")
+    size = int(high) + 1
+    counts = sum(np.bincount(s.ravel().astype(np.int64), minlength=size) for s in volume.values)
+    present: list[int] = [value for value in np.flatnonzero(counts).tolist() if value]
+    if not 1 <= len(present) <= MAX_SEGMENTS:
+        none = "holds no label: all voxels are 0"
+        fix = "give the segmentation of the layers" if present else "segment the layers, and save it again"
+        raise refusal(f"""{f"holds {len(present)} labels: this is a scan" if present else none}
+            expected: {EXPECTED_LABELS}
+            fix: {fix}""")
+    if not stated:
+        return Labels(volume, tuple(Segment(value, "") for value in present))
+    empty = [f"{segment.name} (label {segment.value})" for segment in stated if segment.value not in present]
+    if empty:
+        raise refusal(f"""no voxel belongs to segment {", ".join(empty)}
+            expected: voxels in every segment
+            fix: remove the empty segments, or fill them""")
+    unnamed = sorted(set(present) - {segment.value for segment in stated})
+    if unnamed:
+        raise refusal(f"""voxels have the labels {", ".join(map(str, unnamed))}, which no segment has
+            expected: labels {", ".join(str(segment.value) for segment in stated)}
+            fix: {SAVE_AGAIN_FIX}""")
+    return Labels(volume, stated)
+
+
+def _parse_segments(texts: Mapping[str, str]) -> tuple[Segment, ...]:
+    """Return the segments that the texts of a header name, in its order; DataError if two are the same."""
+    count = 0
+    while f"Segment{count}_ID" in texts or f"Segment{count}_LabelValue" in texts:
+        count += 1
+    segments = tuple(
+        Segment(
+            _parse_count(texts.get(f"Segment{n}_LabelValue", f"{n + 1}"), 2**16),
+            texts.get(f"Segment{n}_Name", "").strip()[:MAX_NAME_CHARS],
+            _parse_count(texts.get(f"Segment{n}_Layer", "0"), MAX_SEGMENTS),
+        )
+        for n in range(count)
+    )
+    if len({(segment.plane, segment.value) for segment in segments}) < len(segments):
+        raise _overlap_error([segment.name for segment in segments])
+    return segments
+
+
+def _parse_count(text: str, greatest: int) -> int:
+    if re.fullmatch(r"[0-9]{1,9}", text.strip()) and int(text) <= greatest:
+        return int(text)
+    raise refusal(f"""its header states {text[:40]!r} where a segment has a whole number
+        expected: numbers up to {greatest}
+        fix: {SAVE_AGAIN_FIX}""")
+
+
+def _overlap_error(names: Sequence[str]) -> DataError:
+    return refusal(f"""its segments overlap: {", ".join(names)}
+        expected: every voxel in one layer
+        fix: in the Segment Editor set "Modify other segments" to "Overwrite all", and save it again""")
+
+
+def choose_segments(present: Sequence[str], names: Sequence[str]) -> list[int]:
+    """Return the places of the segments that are named, in that order; all where none is.
+
+    DataError if a name is not there or twice, or there are no segments or too many.
+    """
+    chosen = [] if names else list(range(len(present)))
+    for name in names:
+        found = [n for n, one in enumerate(present) if one.casefold() == name.casefold()]
+        if len(found) != 1:
+            raise refusal(f"""holds {len(found) or "no"} segment{"s" * (len(found) > 1)} called {name!r}
+                expected: one of {", ".join(present[:MAX_SEGMENTS])}
+                fix: correct the name""")
+        chosen += found
+    if not 1 <= len(chosen) <= MAX_SEGMENTS:
+        raise refusal(f"""holds {len(chosen)} segments
+            expected: 1 to {MAX_SEGMENTS} layers
+            fix: {SEGMENTS_FIX}""")
+    return chosen

@@ -1,1 +1,0 @@
-"""Verify that the model is solved correctly: checks are measured on request, no result is stored."""

@@ -1,0 +1,173 @@
+"""The kernel's Newton method on a clamped needle: manufactured solutions, and the tangent.
+
+Manufactured solutions. A deflection is chosen: clamped at the base, cubic before the entry, with u to u'''
+continuous everywhere, u'' = u''' = 0 at the tip, and a jump of u'''' at the entry and at every boundary.
+Equilibrium asks for the reaction k e g = -EI u'''', which gives e at every place; with the cut at u - e the
+chosen u is the exact solution. The kernel is given that cut at each quadrature point. Theory gives cubic
+elements order 4 in the deflection and 3 in the slope; at the nodes the slope superconverges, with order 4.
+
+Tangent. At a state u the kernel steps by d = -K_T^-1 R(u). If K_T is the derivative of R, then
+R'(u) d = -R(u), with R put together from the reference and its derivative by a complex step; and near the
+solution each step squares the error.
+"""
+
+# ruff: noqa: N802, N806  EI, K_b, R: the symbols of the equations
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.polynomial import Polynomial
+from scipy.interpolate import CubicHermiteSpline
+
+from needlefit.arrays import Floats, Ints
+from needlefit.mechanics import native, reference
+from needlefit.mechanics.control import Bevel, Controls, ModelOptions
+from needlefit.mechanics.laws import Numbers
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.simulate import equilibrium, pack_equilibrium, simulate
+from needlefit.mechanics.tissue import Tissue
+from solver_checks import NEEDLE, STEP, make_tissue, react, sample_between
+
+
+@dataclass(frozen=True)
+class ClampedNeedle:
+    """A needle clamped at its base, y = u' = 0, and otherwise free."""
+
+    needle: Needle
+    tissue: Tissue
+    rules: ModelOptions
+    constraints: Floats  #: (M + 1, 2) depth and y of the constraint points, mm
+
+    @cached_property
+    def nodes(self) -> Floats:
+        """(N,) from base to tip, mm."""
+        return equilibrium(self.needle, self.tissue, self.constraints, rules=self.rules).x
+
+    def list_points(self) -> Floats:
+        """Return the quadrature points (Q,), mm."""
+        depths = self.constraints[:, 0].copy()
+        problem = pack_equilibrium(self.needle, self.tissue, depths, Controls(), self.rules)
+        return native.list_quadrature(problem, self.nodes[1:].copy(), depths)[0]
+
+    def solve(
+        self, guess: Floats, target: Floats | None = None, tolerance: float = 1e-12, iterations: int = 60
+    ) -> Floats:
+        """Return the state (N, 2) that Newton's method reaches from a guess.
+
+        `target` (Q,) is the y of the cut at each quadrature point, in place of the constraint points'. With
+        an infinite tolerance and one iteration it is the state after one step.
+        """
+        depths, y = np.ascontiguousarray(self.constraints.T)
+        problem = pack_equilibrium(self.needle, self.tissue, depths, Controls(), self.rules)
+        problem.tolerance, problem.max_iterations = tolerance, iterations
+        _, state, status, _ = native.find_equilibrium(problem, depths, y, np.ascontiguousarray(guess), target)
+        assert status == native.CONVERGED
+        return state
+
+
+# ---- manufactured solutions
+
+EI = 1.0e4  # N mm^2
+FREE_MM, DEPTH_MM = 20.0, 40.0  # before and in the tissue
+MESH_SIZES_MM = (4.0, 2.0, 1.0, 0.5)  # below, rounding takes over: 1e-9 mm
+CURVATURE = 6e-4  # 1/mm: deflections of about 1 mm
+BOUNDARY_MM = 17.37  # no mesh has a node there
+
+
+def choose_deflection(x: Floats, order: int, boundaries: Floats) -> Floats:
+    """Return the derivative of the given order of the chosen deflection at x, mm."""
+    xi = Polynomial([0.0, 1.0 / DEPTH_MM])
+    ending = (1 - xi) ** 2  # neither moment nor shear at the tip
+    w = 2 * xi - 1
+    curvature = CURVATURE * ending * (0.5 + 4 * w**3 - 3 * w)
+    before = Polynomial([curvature(0.0), curvature.deriv()(0.0)]).integ(2)
+    at_base, slope = before(-FREE_MM), before.deriv()(-FREE_MM)
+    before = before - Polynomial([at_base + FREE_MM * slope, slope])
+    inside = curvature.integ(2, k=[before.deriv()(0.0), before(0.0)])
+    u = np.where(x < 0, before.deriv(order)(x), inside.deriv(order)(x))
+    for edge in map(float, boundaries):
+        kink = (0.1 * CURVATURE * Polynomial([-edge, 1.0]) ** 2 * ending).integ(2, lbnd=edge)
+        u = u + np.where(x > edge, kink.deriv(order)(x), 0.0)
+    return u
+
+
+def find_compression(tissue: Tissue, layer: Ints, force: Floats, slope: Floats) -> Floats:
+    """Return the deflection e (mm) at which the reaction is `force` (N/mm), by bisection."""
+    low = np.zeros_like(force)
+    high = tissue.thickness[layer] * (1 - 1e-12)  # at the full thickness the Ogden law is infinite
+    for _ in range(100):
+        middle = 0.5 * (low + high)
+        weak = react(tissue, layer, middle, slope) < np.abs(force)
+        low, high = np.where(weak, middle, low), np.where(weak, high, middle)
+    return np.copysign(0.5 * (low + high), force)
+
+
+def measure_orders(tissue: Tissue, first_cell: float = 1.0) -> tuple[float, float, float, float]:
+    """Return the observed orders of deflection and slope, between nodes and at the nodes.
+
+    `first_cell` is in elements. Orders are over the three smallest meshes: on coarser ones terms of higher
+    order still show.
+    """
+    errors = []
+    for h in MESH_SIZES_MM:
+        depths = np.array([0.0, *np.arange(first_cell * h, DEPTH_MM - 1e-9, h), DEPTH_MM])
+        straight = np.column_stack((depths, np.zeros(len(depths))))
+        clamped = ClampedNeedle(Needle(FREE_MM + DEPTH_MM, EI), tissue, ModelOptions(h, h), straight)
+        x, nodes = clamped.list_points(), clamped.nodes
+        u, slope, fourth = (choose_deflection(x, order, tissue.boundaries) for order in (0, 1, 4))
+        e = find_compression(tissue, np.searchsorted(tissue.boundaries, x), -EI * fourth, slope)
+        exact = np.column_stack([choose_deflection(nodes, order, tissue.boundaries) for order in (0, 1)])
+        found = CubicHermiteSpline(nodes, *clamped.solve(0.9 * exact, u - e).T)  # not the answer itself
+        inserted = nodes[nodes >= 0.0]
+        inside = sample_between(np.union1d(inserted, [0.0]))
+        errors.append([
+            np.max(np.abs(found(at, order) - choose_deflection(at, order, tissue.boundaries)))
+            for at in (inside, inserted) for order in (0, 1)
+        ])  # fmt: skip
+    return tuple(np.polyfit(np.log(MESH_SIZES_MM[-3:]), np.log(errors[-3:]), 1)[0])
+
+
+_PAIR, _THIN = ([0.5, 5.0], [1.0, 1.0]), ([0.5, 3.0], [8.0, -6.0], [BOUNDARY_MM])
+_ROUGH = make_tissue(*_THIN, thickness=2.0, friction=50.0)  # so strong that the small slopes show it
+#: tissue, and the first cell in elements
+MANUFACTURED = {
+    "one layer, linear": (make_tissue([1.0], [1.0], law="linear"), 1.0),
+    "interface on a node, linear": (make_tissue(*_PAIR, [16.0], law="linear"), 1.0),
+    "interface inside elements, linear": (make_tissue(*_PAIR, [BOUNDARY_MM], law="linear"), 1.0),
+    "neo-Hookean, thin": (make_tissue([0.5, 3.0], [1.0, 1.0], [BOUNDARY_MM], 2.0, law="neo_hookean"), 1.0),
+    "Ogden, thin": (make_tissue(*_THIN, thickness=2.0), 1.0),
+    "friction": (_ROUGH, 1.0),
+    "friction, first cell too short for a node at the entry": (_ROUGH, 0.4),
+}
+
+# ---- tangent
+
+SHARES = (0.2, 0.1, 0.05, 0.025)  # of a disturbance whose largest deflection is 1 mm
+
+
+def measure_tangent(friction: float) -> tuple[float, float]:
+    """Return the relative defect of one Newton step, and the order of convergence of Newton's method."""
+    tissue = make_tissue([0.5, 3.0], [6.0, -5.0], [13.37], 5.0, friction)
+    constraints = simulate(NEEDLE, tissue, Bevel(0.2), 25.0).constraints
+    clamped = ClampedNeedle(NEEDLE, tissue, ModelOptions(), constraints)
+    nodes = clamped.nodes
+    K_b = reference.bending_stiffness(nodes, NEEDLE.flexural_rigidity)
+    change = reference.change_depths(constraints[:, 0], ModelOptions())
+    x, w = reference.quadrature(nodes, change, tissue.boundaries)
+    N, dN = reference.shape_functions(nodes, x)
+    layer, y = np.searchsorted(tissue.boundaries, x), constraints[np.searchsorted(change, x), 1]
+
+    def R(u: Numbers) -> Numbers:
+        forces = K_b @ u + N.T @ (w * react(tissue, layer, N @ u - y, dN @ u))
+        return forces[2:]  # the first two equations are those of the clamped base
+
+    s = (nodes - nodes[0]) / NEEDLE.length
+    sway = np.column_stack((s**2 * np.cos(9 * s), (2 * s * np.cos(9 * s) - 9 * s**2 * np.sin(9 * s)) / 150))
+    found = clamped.solve(np.zeros_like(sway))
+    start = found + SHARES[0] * sway
+    step = clamped.solve(start, tolerance=np.inf, iterations=1) - start
+    force, along = R(start.ravel()), R(start.ravel() + STEP * 1j * step.ravel()).imag / STEP
+    defect = np.linalg.norm(along + force) / np.linalg.norm(force)
+    after = [clamped.solve(found + a * sway, tolerance=np.inf, iterations=1) for a in SHARES]
+    errors = [np.max(np.abs(state[:, 0] - found[:, 0])) for state in after]
+    return float(defect), float(np.polyfit(np.log(SHARES), np.log(errors), 1)[0])

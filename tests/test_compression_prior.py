@@ -1,0 +1,106 @@
+"""The prior of a layer from a compression test: `studies/compression_prior.py`, and what fits read."""
+
+import math
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import needlefit
+from needlefit.errors import ConfigError
+from needlefit.project.locate import find_file, shipped_folder
+from needlefit.project.toml import load
+from needlefit.schemas.medium import MaterialRecord
+from needlefit.schemas.study import FitRecord
+from needlefit.studies.job import Settings, prepare
+from needlefit.studies.provenance import describe_configuration
+
+SCRIPT = shipped_folder() / "studies" / "compression_prior.py"
+FUNCTIONS = runpy.run_path(str(SCRIPT))
+
+
+def load_specimen(alpha: float, low: float, noise: float, seed: int = 1, kind: str = "nominal"):
+    """Return stretch and stress (kPa, negative) of a loading to `low`; noise: part of the largest stress."""
+    x = np.linspace(1.0, low, 60)
+    y = needlefit.compute_stress(12.0, alpha, x, kind)
+    return x, y + noise * np.max(np.abs(y)) * np.random.default_rng(seed).normal(size=len(x))
+
+
+def write_test(path: Path, low: float = 0.8) -> Path:
+    """Write three specimens, stresses positive in compression, each with an unloading after it."""
+    parts = []
+    for number, alpha in enumerate((-4.0, -5.0, -4.5)):
+        x, y = load_specimen(alpha, low, 0.002, number)
+        rows = pd.DataFrame({"sample": f"gel{number}", "stretch": x, "nominal_stress_kpa": -y})
+        parts += [rows, rows[::-1].assign(nominal_stress_kpa=0.0)[1:]]
+    pd.concat(parts).to_csv(path, index=False)
+    return path
+
+
+@pytest.mark.parametrize("alpha", [-20.0, -4.7, 0.3, 9.0])
+@pytest.mark.parametrize("kind", ["nominal", "true"])
+def test_curves_give_back_their_mu_and_alpha(alpha: float, kind: str) -> None:
+    found = FUNCTIONS["fit_specimen"]("gel", *load_specimen(alpha, 0.75, 1e-4, kind=kind), kind, 401)
+    assert found["identified"] and found["alpha"] == pytest.approx(alpha, abs=4 * found["sd"])
+    assert found["sd"] < 0.05 and found["mu_kpa"] == pytest.approx(12.0, rel=1e-3)
+
+
+def test_shallow_tests_and_mirror_images_identify_nothing() -> None:
+    """At large compression alpha and -2 alpha give the same curve."""
+    assert not FUNCTIONS["fit_specimen"]("a", *load_specimen(3.0, 0.995, 0.02), "nominal", 401)["identified"]
+    found = FUNCTIONS["fit_specimen"]("b", *load_specimen(-20.0, 0.7, 0.01), "nominal", 401)
+    assert not found["identified"] and " or " in found["region_95"]
+
+
+@pytest.mark.parametrize("neighbours", [0.0, 0.9])
+def test_intervals_cover_the_true_alpha_also_where_errors_are_correlated(neighbours: float) -> None:
+    rng, covered = np.random.default_rng(1), 0
+    for _ in range(40):
+        fresh, errors = rng.normal(size=60), []
+        for one in fresh:
+            last = errors[-1] if errors else fresh[0]
+            errors.append(neighbours * last + math.sqrt(1 - neighbours**2) * one)
+        x, y = load_specimen(2.0, 0.75, 0.0)
+        y = y + 0.01 * np.max(np.abs(y)) * np.array(errors)
+        found = FUNCTIONS["fit_specimen"]("gel", x, y, "nominal", 101)
+        ends = [[float(v) for v in region.split(" to ")] for region in found["region_95"].split(" or ")]
+        covered += any(low <= 2.0 <= high for low, high in ends)
+    assert covered >= 34  # 0.5 % of binomial(40, 0.95)
+
+
+def run_script(folder: Path, *words: str) -> str:
+    command = (sys.executable, str(SCRIPT), *words)
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True).stdout
+
+
+def test_a_fit_takes_the_prior_and_its_run_holds_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_test(tmp_path / "gel.csv")
+    monkeypatch.chdir(tmp_path)
+    out = run_script(tmp_path, "gel.csv", "--quick", "--foundation", "0.2", "5")
+    assert "gel2" in out and Path("reports/compression_prior.png").stat().st_size > 1000
+    prior = load(Path("reports/compression_prior.toml"), MaterialRecord)
+    assert prior.alpha.mean == pytest.approx(-4.5, abs=0.05) and prior.alpha.sd == pytest.approx(1.3, abs=0.1)
+    assert prior.mu_pa.median == pytest.approx(0.2 * 12e3, rel=0.01) and prior.mu_pa.factor > 5
+    record = load(find_file("fit", "chicken"), FitRecord)
+    priors = {"1": "reports/compression_prior.toml"}
+    job = prepare("chicken", record.model_copy(update={"priors": priors}), Settings())
+    assert job.parameters.prior.names == ("mu1_pa", "alpha1") and "alpha1" in job.parameters.bounds
+    stated = describe_configuration(job)["medium"]["parameters"]["alpha1"]["prior"]
+    assert stated["mean"] == prior.alpha.mean
+
+
+def test_a_written_prior_is_checked(tmp_path: Path) -> None:
+    file = needlefit.write_prior(tmp_path / "a.toml", [math.log(2e4), 3.0], [[0.04, -0.05], [-0.05, 0.25]])
+    written = load(file, MaterialRecord)
+    assert (written.alpha.mean, written.alpha.sd, written.mu_pa) == (3.0, 0.5, None)
+    covariance = np.array([[0.04, -0.05], [-0.05, 0.25]])
+    mu = load(needlefit.write_prior(file, [math.log(2e4), 3.0], covariance, (0.2, 5.0)), MaterialRecord).mu_pa
+    sd = math.hypot(0.2, math.log(5))
+    assert mu.median == pytest.approx(4000.0) and mu.factor == pytest.approx(math.exp(sd), rel=1e-5)
+    assert mu.correlation == pytest.approx(-0.05 / (sd * 0.5), rel=1e-5)
+    with pytest.raises(ConfigError):
+        needlefit.write_prior(file, [9.0, 3.0], np.diag([0.1, 0.0]))

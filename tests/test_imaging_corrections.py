@@ -1,0 +1,181 @@
+"""Corrections of scans: control points as written, moved as 3D Slicer moves them, and taken back."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from reading_here import child_process_reader, read_here  # noqa: F401
+from refusals import refusal
+from test_cli import run
+from test_cli_reconstruct import MARKERS, VOLUME, two_needles
+
+from needlefit.errors import DataError
+from needlefit.imaging.corrections import AXIS_POINTS, correct_scans, make_control_points, read_corrections
+from needlefit.imaging.scans import make_scans, read_scans
+from needlefit.project.locate import shipped_folder
+from needlefit.studies.slicer_scene import write_control_points
+
+pytestmark = pytest.mark.usefixtures("read_here")
+
+NEEDLE = np.array([-20.0, 30, 5]) + np.stack(
+    [np.zeros(81), np.linspace(0, 2, 81) ** 2, np.arange(81.0)], axis=1
+)
+BALLS = np.array([[10.0, 20, 30], [-12, 8, 5], [40, 3, -9], [7, -31, 22]])
+
+
+@pytest.fixture
+def file(tmp_path):
+    write_control_points(make_control_points("s1", NEEDLE, NEEDLE[30], BALLS), tmp_path)
+    return tmp_path / "s1.corrections.mrk.json"
+
+
+def change(path, edit):
+    """Let `edit` change the list of a file and its control points, by their labels."""
+    whole = json.loads(path.read_text())
+    (one,) = whole["markups"]
+    edit(one, {point["label"]: point for point in one["controlPoints"]})
+    path.write_text(json.dumps(whole))
+    return path
+
+
+def shift(*labels, by=(0.5, 0, 0)):
+    def edit(_, points):
+        for label in labels:
+            points[label]["position"] = (np.array(points[label]["position"]) + by).tolist()
+
+    return edit
+
+
+def test_control_points_can_be_moved_and_say_where_they_were_found(file):
+    (one,) = json.loads(file.read_text())["markups"]
+    points = one["controlPoints"]
+    assert (one["name"], one["type"], one["coordinateSystem"]) == ("s1 corrections", "Fiducial", "LPS")
+    assert not one["locked"] and not any(point["locked"] for point in points)
+    labels = [point["label"] for point in points]
+    axis = [f"axis {n}" for n in range(1, AXIS_POINTS + 1)]
+    assert labels == [*axis, "tip", "entry", *(f"ball {n}" for n in range(1, 5))]
+    assert make_control_points("s1", None, None, np.empty((0, 3))) is None
+    assert "was moved" in refusal(DataError, "", read_corrections, file).what
+
+
+def test_what_was_moved_or_added_is_a_correction_and_nothing_else(file):
+    found = read_corrections(change(file, shift("tip", by=(0, 0, -2))))["s1"]
+    np.testing.assert_allclose(found.tip, NEEDLE[-1] - [0, 0, 2], atol=1e-3)
+    assert found.axis is found.entry is found.balls is None
+    found = read_corrections(change(file, shift("axis 2", "axis 3", "axis 7", "ball 1")))["s1"]
+    assert found.axis.shape == (3, 3) and found.tip is not None
+    np.testing.assert_allclose(found.balls, BALLS + np.eye(4, 1) * [0.5, 0, 0], atol=1e-3)
+
+    def add(one, _):
+        one["controlPoints"] += [
+            {"label": "Entry", "position": [1, 2, 3]},
+            {"label": "ball", "position": [4, 5, 6]},
+        ]
+        one["controlPoints"] = [point for point in one["controlPoints"] if point["label"] != "entry"]
+        one["name"] = "s1 corrections_1"  # as 3D Slicer calls a second list of a name
+
+    found = read_corrections(change(file, add))["s1"]
+    assert found.entry.tolist() == [1, 2, 3] and found.balls.shape == (5, 3)
+
+
+def test_a_file_in_ras_is_turned_and_one_whose_system_is_wrong_refused(file):
+    def turn(one, points):
+        one["coordinateSystem"] = "RAS"
+        for point in points.values():
+            point["position"] = (np.array(point["position"]) * [-1, -1, 1]).tolist()
+
+    found = read_corrections(change(change(file, turn), shift("tip", by=(-1, 0, 0))))["s1"]
+    np.testing.assert_allclose(found.tip, NEEDLE[-1] + [1, 0, 0], atol=1e-3)
+    wrong = change(file, lambda one, _: one.update(coordinateSystem="LPS"))
+    assert "LPS" in refusal(DataError, "", read_corrections, wrong).what
+    change(file, lambda one, _: one.pop("coordinateSystem"))
+    assert "coordinate system" in refusal(DataError, "", read_corrections, file).what
+
+
+@pytest.mark.parametrize(
+    ("edit", "word"),
+    [
+        (lambda one, points: points["ball 1"].update(label="marker"), "marker"),
+        (lambda one, points: one.update(name="F"), "`F`"),
+        (lambda one, points: one.update(type="Curve"), "Curve"),
+        (shift("axis 1", "axis 2"), "2 points"),
+        (
+            lambda one, points: [
+                points[name].update(label="tip", description="") for name in ("ball 1", "ball 2")
+            ],
+            "tip",
+        ),
+    ],
+)
+def test_lists_that_are_no_corrections_are_refused(file, edit, word):
+    error = refusal(DataError, "", read_corrections, change(file, edit))
+    assert word in error.what and error.where.startswith(str(file)) and error.fix
+
+
+def test_corrections_belong_to_a_scan_that_can_take_them(file, tmp_path):
+    (scan,) = make_scans([VOLUME], markers=MARKERS)
+    (stage,) = read_scans(shipped_folder() / "data" / "sample_scan" / "scans.csv")
+    change(file, shift("ball 1"))
+    assert "s1" in refusal(DataError, "", correct_scans, [scan], [file]).what
+    one = replace(scan, id="s1")
+    (corrected,) = correct_scans([one], [file])
+    assert corrected.corrections.balls.shape == (4, 3) and one.corrections is None
+    assert "second time" in refusal(DataError, "", correct_scans, [one], [file, file]).what
+    assert "known places" in refusal(DataError, "", correct_scans, [replace(one, markers=None)], [file]).what
+    change(file, shift("entry"))
+    assert "stage" in refusal(DataError, "", correct_scans, [replace(stage, id="s1")], [file]).what
+    change(file, lambda one, _: one.update(controlPoints=one["controlPoints"][:-2]))
+    assert "2 of at least 3" in refusal(DataError, "", correct_scans, [one], [file]).what
+
+
+@pytest.mark.sweep
+def test_a_moved_tip_and_axis_change_what_is_printed(tmp_path, capsys):
+    words = ["reconstruct", VOLUME, "--markers", MARKERS, "-q", "--json", "--out"]
+    assert run(*map(str, [*words, tmp_path / "before"])) == 0
+    file = tmp_path / "moved.mrk.json"
+    file.write_bytes((tmp_path / "before/slicer/sample.corrections.mrk.json").read_bytes())
+
+    def shorten(_, points):
+        tip, last = (np.array(points[name]["position"]) for name in ("tip", f"axis {AXIS_POINTS}"))
+        points["tip"]["position"] = (tip + (last - tip) / np.linalg.norm(last - tip)).tolist()
+
+    change(change(file, shorten), shift("axis 1", "axis 4", "axis 6", by=(0.3, 0, 0)))
+    capsys.readouterr()
+    assert run(*map(str, [*words, tmp_path / "after", "--corrections", file])) == 0
+    printed = {row["quantity"]: row for row in json.loads(capsys.readouterr().out)["corrections"]}
+    rows = pd.read_csv(tmp_path / "after/corrections.csv").set_index("quantity")
+    assert rows.index.tolist() == [*printed] == ["tip", "entry", "inserted length", "tip deflection", "FRE"]
+    assert rows.loc["tip", "change_mm"] == pytest.approx(1.0, abs=0.05)
+    assert rows.loc["inserted length", "change_mm"] == pytest.approx(-1.0, abs=0.05)
+    assert rows.loc["entry", "change_mm"] < 0.05  # the needle was found again from points beside it
+    before = pd.read_csv(tmp_path / "before/reconstruction.csv")["depth_mm"].iloc[0]
+    assert rows.loc["inserted length", "before_mm"] == pytest.approx(before)
+
+    out = change(file, shift("tip", by=(1000, 0, 0)))
+    assert run(*map(str, [*words, tmp_path / "out", "--corrections", out])) == 3
+    assert "out of the volume" in capsys.readouterr().out
+
+
+@pytest.mark.sweep
+def test_a_refused_scan_is_corrected_by_points_that_are_added(tmp_path, capsys):
+    (path,) = two_needles(tmp_path)
+    words = ["reconstruct", path, "-q", "--out"]
+    assert run(*map(str, [*words, tmp_path / "out"])) == 3
+    refused = pd.read_csv(tmp_path / "out.refused/candidates.csv")
+    ends = refused[refused["number"] == 1][["x_mm", "y_mm", "z_mm"]].to_numpy()
+    points = [
+        {"label": "axis", "position": (ends[0] + t * (ends[1] - ends[0])).tolist()} for t in (0.2, 0.5, 0.8)
+    ]
+    one = {
+        "type": "Fiducial",
+        "name": "spoiled corrections",
+        "coordinateSystem": "LPS",
+        "controlPoints": points,
+    }
+    file = tmp_path / "mine.mrk.json"
+    file.write_text(json.dumps({"markups": [one]}))
+    assert run(*map(str, [*words, tmp_path / "out", "--corrections", file])) == 0
+    rows = pd.read_csv(tmp_path / "out/corrections.csv").set_index("quantity")
+    assert np.isnan(rows.loc["inserted length", "before_mm"]) and rows.loc["inserted length", "after_mm"] > 20

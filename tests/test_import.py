@@ -1,0 +1,1142 @@
+"""Files of other programs become datasets: what is read, named as not used, assumed, asked for or refused."""
+
+import json
+import shutil
+import zipfile
+from pathlib import Path
+
+import import_cases
+import numpy as np
+import pytest
+from import_cases import plan_import
+from refusals import refusal
+from scipy.io import savemat
+
+from needlefit.cli import main
+from needlefit.datasets import slicer_scene
+from needlefit.datasets.importing.answers import Answers
+from needlefit.datasets.importing.files import read_content
+from needlefit.datasets.importing.synonyms import Stated, read_header
+from needlefit.datasets.importing.tables import (
+    UnclearColumnsError,
+    parse_number,
+    read_sheets,
+    read_text_cells,
+)
+from needlefit.datasets.importing.writing import write_plan
+from needlefit.datasets.read import check_all, read
+from needlefit.errors import ConfigError, DataError
+from needlefit.geometry.surfaces import make_cylinder, make_sheet, read_surface, write_surface
+from needlefit.project.toml import load, read_toml
+from needlefit.schemas.dataset import DatasetRecord
+from needlefit.schemas.scene import SceneRecord
+from needlefit.studies.provenance import describe_dataset
+from needlefit.studies.study_files import load_study
+
+CASES = Path(__file__).with_name("imports")
+CURVES = [import_cases.needle(n, 16 - n) for n in range(3)]
+SIDES = {"N1": "1", "N2": "-1", "N3": "1"}
+
+
+def curves_of(path, columns=""):
+    return {one.name: one for one in read_content([path], columns).curves}
+
+
+def stated(curve):
+    return {what: one.text for what, one in curve.stated.items()}
+
+
+def unused_of(path):
+    return {what for what, _ in read_content([path]).unused}
+
+
+def assert_same(found, wanted=CURVES, atol=1e-3):
+    assert len(found) == len(wanted)
+    for one, points in zip(found.values(), wanted, strict=True):
+        np.testing.assert_allclose(one.points.values, points, atol=atol)
+
+
+def planned(paths, columns="", **options):
+    """Return the plan, and the decisions by name: (value, source)."""
+    answers = Answers({key.replace("_", " "): value for key, value in options.items()})
+    _, plan = plan_import(paths, answers, columns)
+    return plan, {one.what: (one.value, one.source) for one in answers.made}
+
+
+def run(*words):
+    ending = refusal(SystemExit, "", lambda: main([str(word) for word in words]))
+    return ending.code
+
+
+# ---- headers, numbers, units
+
+
+@pytest.mark.parametrize(
+    ("text", "decimal", "value"),
+    [
+        *(("1,5", ",", 1.5), ("1.234,5", ",", 1234.5), ("-0,25", ",", -0.25), ("\u22123,0", ",", -3.0)),
+        *(("1.5", ".", 1.5), ("1e-3", ".", 1e-3), ("1.5", ",", None), ("1,5", ".", None), ("nan", ".", None)),
+        *(("1_0", ".", None), ("1e9", ".", None), ("", ".", None), ("12", ",", 12.0)),
+    ],
+)
+def test_numbers_are_read_by_their_decimal_sign(text, decimal, value):
+    assert parse_number(text, decimal) == value
+
+
+@pytest.mark.parametrize(
+    ("text", "meaning"),
+    [
+        *(
+            ("needle No.", "needle"),
+            ("Nadel", "needle"),
+            ("aiguille", "needle"),
+            ("aguja", "needle"),
+            ("针号", "needle"),
+        ),
+        *(
+            ("bevel side", "bevel side"),
+            ("Schliff", "bevel side"),
+            ("biseau", "bevel side"),
+            ("斜面方向", "bevel side"),
+        ),
+        *(("insertion_depth", "depth"), ("Tiefe [cm]", "depth"), ("profondeur", "depth"), ("深度", "depth")),
+        *(("Probe", "specimen"), ("échantillon", "specimen"), ("muestra", "specimen"), ("样本", "specimen")),
+        *(("No.", "point number"), ("Kraft", ""), ("Schliff oben", "")),
+    ],
+)
+def test_headers_are_known_in_five_languages(text, meaning):
+    assert read_header(text).meaning == meaning
+
+
+@pytest.mark.parametrize(
+    ("text", "axis", "group", "unit"),
+    [
+        *(
+            ("x [mm]", "x", "", "mm"),
+            ("X_m", "x", "", "m"),
+            ("x坐标（毫米）", "x", "", "mm"),
+            ("x [px]", "x", "", "px"),
+        ),
+        *(("Einstichtiefe x (cm)", "x", "", "cm"), ("N1 y", "y", "N1", ""), ("z2", "z", "2", "")),
+        *(("Target x", "x", "target", ""), ("base_x", "x", "guide", ""), ("R", "r", "", "")),
+    ],
+)
+def test_headers_name_axes_with_their_needle_and_unit(text, axis, group, unit):
+    found = read_header(text)
+    assert (found.axis, found.group, found.unit) == (axis, group, unit)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "angle"),
+    [
+        *(
+            ("1", "", 0),
+            ("+", "", 0),
+            ("-1", "", 180),
+            ("\u22121", "", 180),
+            ("up", "", 0),
+            ("unten", "", 180),
+        ),
+        *(
+            ("droite", "", 90),
+            ("izquierda", "", 270),
+            ("下", "", 180),
+            ("90 deg", "", 90),
+            ("270", "deg", 270),
+        ),
+        *(("12 o'clock", "", 0), ("6 Uhr", "", 180), ("3h", "", 90), ("9", "clock", 270), ("3点", "", 90)),
+        *(("0", "", None), ("2", "", None), ("180", "", None), ("A", "", None), ("13 o'clock", "", None)),
+    ],
+)
+def test_a_bevel_is_understood_or_refused(text, unit, angle):
+    """It is never a default."""
+    cell = Stated(text, unit, "a.csv:2")
+    if angle is None:
+        assert refusal(DataError, "bevel side", cell.to_angle).where == "a.csv:2"
+    else:
+        assert cell.to_angle() == angle
+
+
+def test_units_are_stated_or_assumed_to_be_mm_where_needles_then_have_a_needles_length(tmp_path):
+    rows = ["needle,x,y,z", *(f"{n},{x},{y},{z}" for n, one in enumerate(CURVES) for x, y, z in one)]
+    (tmp_path / "a.csv").write_text("\n".join(rows))
+    plan, made = planned([tmp_path / "a.csv"])
+    assert made["units"] == ("mm", "assumption") and plan.rows[0].depth == pytest.approx(60.02, abs=0.1)
+    for text, unit, factor in (("x [cm]", "cm", 10.0), ("x [inch]", "in", 25.4)):
+        head = ",".join(["needle", *(text.replace("x", axis) for axis in "xyz")])
+        (tmp_path / "a.csv").write_text("\n".join([head, *rows[1:]]))
+        plan, made = planned([tmp_path / "a.csv"])
+        assert made["units"] == (unit, "file")
+        assert plan.rows[0].depth == pytest.approx(60.02 * factor, abs=0.1 * factor)
+        plan, made = planned([tmp_path / "a.csv"], units="mm")
+        assert made["units"] == ("mm", "option") and plan.rows[0].depth == pytest.approx(60.02, abs=0.1)
+    (tmp_path / "a.csv").write_text("\n".join(["needle,x [m],y [m],z [m]", *rows[1:]]))
+    assert "60 m" in refusal(DataError, "--units", planned, [tmp_path]).what
+    (tmp_path / "a.csv").write_text("\n".join(["needle,x [px],y [px],z [px]", *rows[1:]]))
+    assert "px" in refusal(DataError, "--units", planned, [tmp_path]).what
+    small = [f"{n},{x / 10},{y / 10},{z}" for n, one in enumerate(CURVES) for x, y, z in one]
+    (tmp_path / "a.csv").write_text("\n".join([rows[0], *small]))
+    assert "6" in refusal(DataError, "--units", planned, [tmp_path]).what
+
+
+# ---- tables
+
+
+def test_a_european_table_a_workbook_and_many_markups(tmp_path):
+    import_cases.write_european_csv(tmp_path / "six.csv", CURVES)
+    found = curves_of(tmp_path / "six.csv")
+    assert list(found) == ["Nadel_1", "Nadel_2", "Nadel_3"]
+    assert {one.unit for one in found.values()} == {"mm"}
+    assert_same(found)
+    assert found["Nadel_2"].points.lines[0] == 5
+    assert unused_of(tmp_path / "six.csv") == {"row Messung vom 3. März"}
+    import_cases.write_workbook(tmp_path / "six.xlsx", CURVES)
+    found = curves_of(tmp_path / "six.xlsx")
+    assert list(found) == ["Nadel_1", "Nadel_2", "Nadel_3"]
+    assert_same(found)
+    assert unused_of(tmp_path / "six.xlsx") == {"row Nadelversuch", "sheet Notizen"}
+    folder = tmp_path / "markups"
+    folder.mkdir()
+    for n, curve in enumerate(CURVES):
+        import_cases.write_markups(folder / f"{n}.mrk.json", "C", curve, system="RAS" if n else "LPS")
+    (folder / "readme.txt").write_text("nothing here")
+    content = read_content([folder])
+    assert [one.name for one in content.curves] == ["C", "C-2", "C-3"] and len(content.unused) == 1
+    assert_same({one.name: one for one in content.curves})
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "latin-1"])
+@pytest.mark.parametrize(
+    ("separator", "decimal"), [(";", ","), ("\t", "."), ("|", ","), (",", "."), (" ", ",")]
+)
+def test_separator_decimal_sign_and_encoding_are_found(tmp_path, encoding, separator, decimal):
+    lines = [separator.join(f"{value:.3f}".replace(".", decimal) for value in row) for row in CURVES[0]]
+    (tmp_path / "a.txt").write_bytes("\n".join([separator.join("xyz"), *lines]).encode(encoding))
+    assert read_text_cells(tmp_path / "a.txt").decimal == decimal
+    assert_same(curves_of(tmp_path / "a.txt"), CURVES[:1])
+
+
+def test_a_long_table_with_names_and_attributes(tmp_path):
+    rows = ["needle;medium;bevel side;i;x [cm];y [cm];z [cm]"]
+    for name, curve in zip("ab", CURVES, strict=False):
+        rows += [f"{name};gel;-1;{n};" + ";".join(f"{v / 10:.5f}" for v in p) for n, p in enumerate(curve)]
+    (tmp_path / "a.csv").write_text("\n".join(rows))
+    found = curves_of(tmp_path / "a.csv")
+    assert found["a"].unit == "cm" and stated(found["a"]) == {"medium": "gel", "bevel side": "-1"}
+    assert_same(found, [curve / 10 for curve in CURVES[:2]])
+    assert unused_of(tmp_path / "a.csv") == {"column i"}
+    rows[5] = rows[5].replace("gel", "meat")
+    (tmp_path / "a.csv").write_text("\n".join(rows))
+    assert refusal(DataError, "meat", curves_of, tmp_path / "a.csv").where.endswith("a.csv:6")
+
+
+def test_a_column_that_no_language_knows_is_named_by_an_option(tmp_path, capsys):
+    file = tmp_path / "a.csv"
+    rows = [f"{n};{i};{x};{y};{z}" for n, one in enumerate(CURVES[:2]) for i, (x, y, z) in enumerate(one)]
+    file.write_text("\n".join(["Serie;t;x;y;z", *rows]))
+    assert_same(curves_of(file, "needle=Serie"), CURVES[:2])
+    assert_same(curves_of(file, "needle=1,x=3,y=4,z=5"), CURVES[:2])
+    assert unused_of(file) == {"column Serie", "column t"}
+    assert run("import", file, "--out", tmp_path / "gel", "--yes") == 3  # one curve that goes back
+    assert "--columns needle=" in capsys.readouterr().err
+    file.write_text(
+        "\n".join(
+            ["n,c,a,b,d", *(",".join(map(str, [n, *p[[2, 0, 1]], 7])) for n, p in enumerate(CURVES[0]))]
+        )
+    )
+    for columns in ("a,b,c", "3,4,2", "x=a,y=b,z=c"):
+        assert_same(curves_of(file, columns), CURVES[:1])
+    assert "--columns" in refusal(UnclearColumnsError, "", curves_of, file).fix
+    refusal(DataError, "'q'", curves_of, file, "a,b,q")
+    refusal(ConfigError, "--columns", curves_of, file, "height=a,x=b,y=c")
+    file.write_text("\n".join(",".join(map(str, point)) for point in CURVES[0]))
+    refusal(UnclearColumnsError, "", curves_of, file)
+    assert_same(curves_of(file, "1,2,3"), CURVES[:1])
+    file.write_text("\n".join(["needle,name,x,y,z", *(f"a,b,{x},{y},{z}" for x, y, z in CURVES[0])]))
+    assert "needle=" in refusal(DataError, "'needle' and 'name'", curves_of, file).fix
+    assert list(curves_of(file, "needle=name")) == ["b"]
+
+
+def test_planar_and_patient_coordinates(tmp_path):
+    (tmp_path / "a.csv").write_text("\n".join(["x,y", *(f"{x},{y}" for x, y, _ in CURVES[0])]))
+    assert_same(curves_of(tmp_path / "a.csv"), CURVES[:1])
+    (tmp_path / "b.csv").write_text("\n".join(["R,A,S", *(f"{-x},{-y},{z}" for x, y, z in CURVES[0])]))
+    found = curves_of(tmp_path / "b.csv")
+    assert found["b"].system == "LPS"
+    assert_same(found, CURVES[:1])
+    title, head = "Gel, 18 G;;", "Punkt;Einstichtiefe x (cm);Auslenkung y (cm)"
+    rows = [f"{n};{x / 10:.4f};{y / 10:.4f}".replace(".", ",") for n, (x, y, _) in enumerate(CURVES[0], 1)]
+    (tmp_path / "one.csv").write_text("\n".join([title, head, *rows]))
+    (one,) = curves_of(tmp_path / "one.csv").values()
+    assert one.unit == "cm"
+    np.testing.assert_allclose(10 * one.points.values, CURVES[0], atol=1e-3)
+    assert unused_of(tmp_path / "one.csv") == {"column Punkt", "row Gel, 18 G"}
+
+
+@pytest.mark.parametrize("title", ["needle {}\nx y z\n", "x y z\n"])
+def test_curves_below_each_other(tmp_path, title):
+    parts = [title.format(n) + "\n".join(" ".join(map(str, p)) for p in one) for n, one in enumerate(CURVES)]
+    (tmp_path / "a.dat").write_text("\n\n".join(parts))
+    assert_same(curves_of(tmp_path / "a.dat"))
+
+
+@pytest.mark.parametrize("head", ["{0},{1} mm,", "N{0},{1},", "{1} [mm];"])
+def test_x_y_and_z_may_name_rows(tmp_path, head):
+    curves = CURVES if "{0}" in head else CURVES[:1]
+    separator = ";" if ";" in head else ","
+    rows = [
+        head.format(n, axis) + separator.join(f"{value:.4f}" for value in values)
+        for n, one in enumerate(curves, 1)
+        for axis, values in zip("xyz", one.T, strict=True)
+    ]
+    (tmp_path / "a.csv").write_text("\n".join(rows))
+    assert_same(curves_of(tmp_path / "a.csv"), curves)
+    rows[1] = rows[1].replace("0.00", "?", 1)
+    (tmp_path / "a.csv").write_text("\n".join(rows))
+    assert "column" in refusal(DataError, "", read_content, [tmp_path / "a.csv"]).where
+
+
+def test_deviations_of_points_are_read_in_their_unit(tmp_path):
+    rows = [[n, *(p / 10), 0.2 + n] for n, one in enumerate(CURVES, 1) for p in one]
+    lines = ["id;x [cm];y [cm];z [cm];sd [mm]", *(";".join(map(str, row)) for row in rows)]
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    for n, points in enumerate(planned([tmp_path])[0].points, 1):
+        np.testing.assert_allclose(points.sd, 0.2 + n)
+    (tmp_path / "a.csv").write_text("\n".join([*lines[:8], lines[8].rpartition(";")[0], *lines[9:]]))
+    assert refusal(DataError, "empty", planned, [tmp_path]).where.endswith(":9")
+
+
+TWO_ROWS = [["Versuch", "Schliffseite", "Koordinaten [mm]", None, None, "Kraft"], [None, None, *"xyz", "[N]"]]
+
+
+def write_sheets(path, **sheets):
+    from openpyxl import Workbook
+
+    book = Workbook()
+    book.remove(book.active)
+    for name, rows in sheets.items():
+        sheet = book.create_sheet(name)
+        for row in rows:
+            sheet.append(row)
+    book.save(path)
+    return path
+
+
+def point_rows(head=lambda _name, _n: [], tail=()):
+    """Return the rows of all curves below each other, with cells before and behind the coordinates."""
+    return [
+        [*head(name, n), *map(float, point), *tail]
+        for name, curve in zip(SIDES, CURVES, strict=True)
+        for n, point in enumerate(curve)
+    ]
+
+
+def block_rows():
+    for (name, side), curve in zip(SIDES.items(), CURVES, strict=True):
+        yield from (["Needle", name], ["bevel", int(side)], ["X (mm)", "Y (mm)", "Z (mm)"])
+        yield from (list(map(float, point)) for point in curve)
+        yield []
+
+
+def beside_rows():
+    yield [cell for name in SIDES for cell in (name, None, None, None)]
+    yield [
+        cell for side in SIDES.values() for cell in ("biseau", "haut" if side == "1" else "bas", None, None)
+    ]
+    yield ["x [mm]", "y [mm]", "z [mm]", None] * 3
+    for n in range(len(CURVES[0])):
+        points = [list(map(float, one[n])) if n < len(one) else [None] * 3 for one in CURVES]
+        yield [cell for point in points for cell in (*point, None)]
+
+
+LAYOUTS = {
+    "two rows, first row of each": {
+        "Tabelle1": TWO_ROWS
+        + point_rows(lambda name, n: [None, None] if n else [name, "+" if SIDES[name] == "1" else "-"], [0.5])
+    },
+    "blocks": {"a": [["Protocol", "by me"], *block_rows()]},
+    "side by side": {"a": list(beside_rows())},
+    "a sheet of needles": {
+        "Nadeln": [
+            ["Nadel", "Schliff", "Datum"],
+            *([name, int(side), "today"] for name, side in SIDES.items()),
+        ],
+        "Punkte": [["Nadel", "x [mm]", "y [mm]", "z [mm]"], *point_rows(lambda name, _: [name])],
+    },
+    "a target in every row": {
+        "a": [
+            ["Trial", "Insertion", "Position (mm)", None, None, "Target (mm)", None, None],
+            ["#", "bevel angle (deg)", *"xyz", *"xyz"],
+            *point_rows(lambda name, _: [name, 0 if SIDES[name] == "1" else 180], [60.0, 0.0, 0.0]),
+        ]
+    },
+}
+LEFT_OUT = {
+    "two rows, first row of each": {"column Kraft [N]"},
+    "blocks": {"row Protocol, by me"},
+    "side by side": set(),
+    "a sheet of needles": {"column Datum"},
+    "a target in every row": {"row Insertion", *(f"column Target (mm) {axis}" for axis in "xyz")},
+}
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_layouts_of_sheets_lose_nothing(tmp_path, layout):
+    file = write_sheets(tmp_path / "a.xlsx", **LAYOUTS[layout])
+    content = read_content([file])
+    found = {one.name: one for one in content.curves}
+    assert list(found) == list(SIDES)
+    assert_same(found)
+    assert {what for what, _ in content.unused} == LEFT_OUT[layout]
+    plan, made = planned([file], pose="1,0,0", bevel="0,1,0")
+    assert [row.side for row in plan.rows] == [1, -1, 1]
+    assert made["bevel side"][1] == "file" and made["units"] == ("mm", "file")
+
+
+def test_label_cells_above_the_points_state_what_columns_do(tmp_path):
+    """Also in a Chinese workbook, and for a needle whose name is a number."""
+    rows = [["斜面方向", "下"], ["深度 (毫米)", 60], ["样本", "块1"], ["针号", 7], ["日期", "3-1"], []]
+    rows += [["x坐标 (毫米)", "y坐标 (毫米)", "z坐标 (毫米)"], *CURVES[0].tolist()]
+    file = write_sheets(tmp_path / "a.xlsx", 数据=rows)
+    (one,) = curves_of(file).values()
+    assert one.name == "7"
+    assert stated(one) == {"bevel side": "下", "depth": "60", "specimen": "块1"}
+    assert unused_of(file) == {"row 日期, 3-1"}
+    plan, _ = planned([file], pose="1,0,0", bevel="0,-1,0")
+    assert (plan.rows[0].side, plan.rows[0].specimen) == (-1, "块1")
+
+
+def test_names_that_come_again_in_another_specimen_are_other_curves(tmp_path):
+    rows = [["Probe", "Nadel", "Schliff", *"xyz"]]
+    rows += [[1 + n // 2, 1 + n % 2, 1 - 2 * (n % 2), *point] for n in range(3) for point in CURVES[n]]
+    found = curves_of(write_sheets(tmp_path / "a.xlsx", a=rows))
+    assert_same(found)
+    texts = [(name, stated(one)["specimen"], stated(one)["bevel side"]) for name, one in found.items()]
+    assert texts == [("1-1", "1", "1"), ("1-2", "1", "-1"), ("2-1", "2", "1")]
+
+
+def test_every_cell_is_used_or_named(tmp_path):
+    rows = ["needle,x,y,z,by", *(f"a,{x},{y},{z}," for x, y, z in CURVES[0])]
+    rows[4] = "a,MISSING,,nan,"
+    rows[7] = "a,,,,"
+    rows[9] += "me"
+    rows += ["", "mean of all,3.5", "measured on Monday"]
+    (tmp_path / "a.csv").write_text("\n".join(rows))
+    content = read_content([tmp_path / "a.csv"])
+    assert len(content.curves[0].points.values) == len(CURVES[0]) - 2
+    assert set(content.unused) == {
+        ("column by", "a.csv:1"),
+        ("row a, MISSING, nan", "a.csv:5"),
+        ("row a", "a.csv:8"),
+        ("row mean of all, 3.5", "a.csv:19"),
+        ("row measured on Monday", "a.csv:20"),
+    }
+
+
+@pytest.mark.parametrize(
+    ("variables", "source"),
+    [
+        ({"runs": {"a": CURVES[0], "b": CURVES[1], "c": CURVES[2].T}}, "assumption"),
+        (
+            {"c": np.array([{k: one[:, n] for n, k in enumerate("xyz")} for one in CURVES], dtype=object)},
+            "file",
+        ),
+    ],
+)
+def test_matlab_structs_and_cells(tmp_path, variables, source):
+    """Nothing but fields names the columns of an array; `--columns` confirms them."""
+    savemat(tmp_path / "a.mat", variables)
+    assert_same(curves_of(tmp_path / "a.mat"))
+    assert planned([tmp_path / "a.mat"])[1]["axes"][1] == source
+    if source == "assumption":
+        assert planned([tmp_path / "a.mat"], "1,2,3")[1]["axes"][1] == "file"
+        found = curves_of(tmp_path / "a.mat", "2,3,1")
+        np.testing.assert_allclose(found["runs_a"].points.values, CURVES[0][:, [1, 2, 0]])
+
+
+@pytest.mark.parametrize("version", [5, 7.3])
+def test_fields_of_structs_name_curves_and_state_their_bevels(tmp_path, version):
+    fields = ("name", "bevel", "depth", "layers", "points", "force")
+    rows = [
+        (name, float(side), 60.0, 1.0, curve, np.arange(30.0))
+        for (name, side), curve in zip(SIDES.items(), CURVES, strict=True)
+    ]
+    if version == 5:
+        array = np.empty(len(rows), dtype=[(name, object) for name in fields])
+        array[:] = rows
+        savemat(tmp_path / "a.mat", {"needles": array, "rate": 100.0})
+    else:
+        import_cases.write_struct_array(tmp_path / "a.mat", "needles", fields, rows, rate=100.0)
+    content = read_content([tmp_path / "a.mat"])
+    found = {one.name: one for one in content.curves}
+    assert_same(found)
+    assert {name: stated(one)["bevel side"] for name, one in found.items()} == SIDES
+    forces = {f"variable needles_{n}_force" for n in (1, 2, 3)}
+    assert {what for what, _ in content.unused} == {"field rate", "field layers", *forces}
+
+
+def test_lists_beside_a_list_of_curves_and_structs_beside_a_curve_state_one_of_each(tmp_path):
+    cells, ids = np.empty(3, dtype=object), np.array(list(SIDES), dtype=object)
+    cells[:] = CURVES
+    savemat(tmp_path / "a.mat", {"lines": cells, "bevel": [1.0, -1.0, 1.0], "ids": ids})
+    found = curves_of(tmp_path / "a.mat")
+    assert {name: stated(one)["bevel side"] for name, one in found.items()} == SIDES
+    runs = {f"r{n}": {"xyz": one, "about": {"bevel": "left", "by": "me"}} for n, one in enumerate(CURVES)}
+    savemat(tmp_path / "a.mat", {"runs": runs})
+    content = read_content([tmp_path / "a.mat"])
+    assert [stated(one) for one in content.curves] == [{"bevel side": "left"}] * 3
+    assert [what for what, _ in content.unused] == ["field by"]
+
+
+# ---- scenes of 3D Slicer
+
+
+@pytest.mark.sweep
+@pytest.mark.parametrize("transform", ["tfm", "h5", "inline"])
+def test_a_scene_with_its_transform(tmp_path, transform):
+    scene = import_cases.write_scene(tmp_path / "s", CURVES, transform)
+    for path in (scene, import_cases.write_bundle(tmp_path / "s.mrb", tmp_path / "s")):
+        content = read_content([path])
+        assert [one.name for one in content.curves] == ["Needle_1", "Needle_2", "Needle_3"]
+        assert_same({one.name: one for one in content.curves}, atol=1e-9)
+        (model,) = content.surfaces
+        assert model.surface.name == "fat" and model.path == (path if path.suffix == ".mrb" else model.path)
+        np.testing.assert_allclose(model.surface.mesh.vertices[:, 0], 20.0)
+
+
+def test_transforms_are_chained_from_the_inside_out(tmp_path):
+    import_cases.write_scene(tmp_path / "s", CURVES[:1], "tfm")
+    shift = "1 0 0 100  0 1 0 0  0 0 1 0  0 0 0 1"  # RAS: 100 mm to the right
+    scene = tmp_path / "s" / "scene.mrml"
+    text = scene.read_text().replace('references="storage:ts;"', 'references="storage:ts;transform:u"')
+    node = f' <Transform id="u" name="U" matrixTransformToParent="{shift}"></Transform>\n</MRML>'
+    scene.write_text(text.replace("</MRML>", node))
+    (one,) = read_content([scene]).curves
+    np.testing.assert_allclose(one.points.values, CURVES[0] - [100, 0, 0], atol=1e-9)
+    assert np.linalg.det(import_cases.TURN) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        import_cases.vtk_sheet(20.0),
+        import_cases.vtk_sheet(-20.0, system="RAS"),
+        import_cases.vtk_binary_sheet(-20.0),
+    ],
+)
+def test_vtk_surfaces(tmp_path, data):
+    (tmp_path / "a.vtk").write_bytes(data)
+    mesh = read_surface(tmp_path / "a.vtk", "sheet", 2).mesh
+    assert mesh.faces.tolist() == [[0, 1, 2], [0, 2, 3]]
+    np.testing.assert_allclose(mesh.vertices[:, 0], 20.0)
+
+
+# ---- hostile files
+
+
+def test_a_bundle_that_names_files_outside_or_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
+    import_cases.write_scene(tmp_path / "s", CURVES[:1])
+    for member in ("../x.mrml", "/etc/x.stl", "a/../../x.stl", "C:\\x.stl", "a\\..\\..\\x.stl"):
+        import_cases.write_bundle(tmp_path / "a.mrb", tmp_path / "s", [(member, b"x")])
+        refusal(DataError, "outside", read_content, [tmp_path / "a.mrb"])
+    assert not (tmp_path / "x.mrml").exists()
+    monkeypatch.setattr(slicer_scene, "MAX_UNPACKED_BYTES", 2**20)
+    import_cases.write_bundle(tmp_path / "a.mrb", tmp_path / "s", [("case/big.stl", b"\0" * 2**22)])
+    refusal(DataError, "unpacks", read_content, [tmp_path / "a.mrb"])
+
+
+BOMB = '<!DOCTYPE MRML [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;">]>\n<MRML name="&b;"></MRML>'
+OUTSIDE = [
+    ("MarkupsCurve", {"id": "c", "name": "C", "references": "storage:s;"}),
+    ("MarkupsJsonStorage", {"id": "s", "fileName": "../secret.mrk.json"}),
+]
+LOOP = [
+    ("MarkupsCurve", {"id": "c", "name": "C", "references": "storage:s;transform:t"}),
+    ("MarkupsJsonStorage", {"id": "s", "fileName": "c.mrk.json"}),
+    ("Transform", {"id": "t", "references": "transform:t"}),
+]
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        *((BOMB, "entities"), ("<MRML><a></MRML>", "XML"), ("<html></html>", "no scene"), ("", "XML")),
+        *((import_cases.scene_text(OUTSIDE), "outside"), (import_cases.scene_text(LOOP), "loop")),
+        *((import_cases.scene_text(OUTSIDE).replace("../secret", "/etc/secret"), "outside"),),
+        *((import_cases.scene_text(LOOP).replace("transform:t", "transform:q"), "not in the scene"),),
+    ],
+)
+def test_a_hostile_scene_is_refused(tmp_path, text, reason):
+    folder = tmp_path / "s"
+    folder.mkdir()
+    import_cases.write_markups(tmp_path / "secret.mrk.json", "C", CURVES[0])
+    import_cases.write_markups(folder / "c.mrk.json", "C", CURVES[0])
+    (folder / "scene.mrml").write_text(text)
+    refusal(DataError, reason, read_content, [folder / "scene.mrml"])
+
+
+@pytest.mark.parametrize("kind", ["BSplineTransform_double_3_3", "AffineTransform_double_2_2"])
+def test_a_transform_that_is_not_linear_is_refused(tmp_path, kind):
+    import_cases.write_scene(tmp_path / "s", CURVES[:1])
+    file = tmp_path / "s" / "Data" / "Tisch neu.tfm"
+    file.write_text(file.read_text().replace("AffineTransform_double_3_3", kind))
+    refusal(DataError, "harden", read_content, [tmp_path / "s" / "scene.mrml"])
+
+
+@pytest.mark.sweep
+def test_a_workbook_that_unpacks_to_gigabytes_or_is_huge_is_refused(tmp_path):
+    from openpyxl import Workbook
+
+    with zipfile.ZipFile(tmp_path / "bomb.xlsx", "w", zipfile.ZIP_DEFLATED) as archive:
+        for n in range(40):
+            archive.writestr(f"xl/worksheets/sheet{n}.xml", b"\0" * 2**26)
+    book = Workbook()
+    book.active.cell(900_000, 3, 1.0)
+    book.active.cell(1, 1, 1.0)
+    book.save(tmp_path / "huge.xlsx")
+    (tmp_path / "none.xlsx").write_bytes(b"PK\x03\x04 no archive")
+    (tmp_path / "text.xls").write_text("x;y;z")
+    for name in ("bomb.xlsx", "huge.xlsx", "none.xlsx", "text.xls"):
+        refusal(DataError, "CSV", read_sheets, tmp_path / name)
+
+
+# ---- what imported files are taken to mean
+
+NEEDLES = [import_cases.needle(n, 16) for n in range(3)]
+
+
+def write_long(folder, curves, name="points.csv", head=(), cells=()):
+    """Write curves `n1`, `n2`, ... to a long table, mm, with more columns before the coordinates."""
+    rows = [["needle", *head, "x [mm]", "y [mm]", "z [mm]"]]
+    for n, curve in enumerate(curves):
+        own = cells[n] if cells else ()
+        rows += [[f"n{n + 1}", *own, *(f"{value:.8g}" for value in point)] for point in curve]
+    (folder / name).write_text("\n".join(",".join(map(str, row)) for row in rows))
+    return folder / name
+
+
+def with_shaft(curve, step=3.0):
+    """Return a needle that begins 18 mm before its entry."""
+    x = np.arange(-18.0, -2.0, step)
+    return np.vstack([np.column_stack([x, np.full((len(x), 2), curve[0, 1:])]), curve])
+
+
+def write_surfaces(folder, *names, sign=1.0):
+    for name, x in zip(names, (0.0, 20.0, 35.0), strict=False):
+        sheet = make_sheet(name, (sign * x, 0.0, 0.0), (1.0, 0.0, 0.0), 90.0, 2)
+        write_surface(sheet, folder / f"{name}.stl")
+
+
+def test_the_entry_is_the_first_point_unless_another_is_stated(tmp_path):
+    file = write_long(tmp_path, NEEDLES)
+    assert planned([file])[1]["entry"] == ("first", "assumption")
+    plan, made = planned([write_long(tmp_path, [one[::-1] for one in NEEDLES])], entry="last")
+    assert made["entry"] == ("last", "option")
+    np.testing.assert_allclose(plan.points[1].values, NEEDLES[1], atol=1e-6)
+    file = write_long(tmp_path, [NEEDLES[0][::-1], *NEEDLES[1:]])
+    assert "n1" in refusal(DataError, "--entry", planned, [file]).what
+    assert planned([file], entry="first")[1]["entry"] == ("first", "option")
+
+
+def test_files_that_state_their_system_and_others_that_do_not_need_an_answer(tmp_path):
+    write_surfaces(tmp_path, "skin", "fat", sign=-1.0)
+    import_cases.write_markups(tmp_path / "c.mrk.json", "c", with_shaft(NEEDLES[0]))
+    refusal(DataError, "--frame", planned, [tmp_path])
+    plan, made = planned([tmp_path], frame="RAS", pose="shaft")
+    assert made["frame"] == ("RAS", "option") and plan.rows[0].layers == 2
+    (tmp_path / "c.mrk.json").unlink()
+    write_long(tmp_path, [with_shaft(one) * [-1, -1, 1] for one in NEEDLES])
+    plan, made = planned([tmp_path], pose="shaft")
+    assert made["frame"] == ("as in the files", "assumption") and plan.rows[0].layers == 2
+    np.testing.assert_allclose(plan.rows[0].direction, [-1, 0, 0], atol=1e-6)
+
+
+def test_a_needle_is_cut_at_the_tissue_and_its_shaft_gives_the_pose(tmp_path):
+    write_surfaces(tmp_path, "1_skin", "fat", "muscle")
+    write_long(tmp_path, [with_shaft(one) for one in NEEDLES])
+    plan, made = planned([tmp_path], point_sd="0.1")
+    assert made["tissue surface"] == ("1_skin", "guess") and made["pose"] == ("shaft", "assumption")
+    row = plan.rows[1]
+    np.testing.assert_allclose(row.entry, [0.0, 3.0, 0.0], atol=0.01)
+    np.testing.assert_allclose(row.direction, [1.0, 0.0, 0.0], atol=1e-6)
+    assert (row.pose_source, row.layers) == ("shaft", 3)
+    assert [(one.name, one.into) for one in plan.surfaces] == [("fat", 2), ("muscle", 3)]
+    x = np.arange(-18.0, -2.0, 3.0)
+    assert plan.rows[0].pose_angle_sd == pytest.approx(0.1 / np.linalg.norm(x - x.mean()))
+    assert np.degrees(planned([tmp_path], pose_angle_sd="1")[0].rows[0].pose_angle_sd) == pytest.approx(1.0)
+    (tmp_path / "1_skin.stl").rename(tmp_path / "a.stl")
+    assert "a, fat, muscle" in refusal(DataError, "--tissue-surface", planned, [tmp_path]).what
+    assert planned([tmp_path], tissue_surface="a")[0].rows[1].layers == 3
+    assert len(planned([tmp_path], tissue_surface="none", pose="1,0,0")[0].surfaces) == 3
+    refusal(DataError, "--pose", planned, [tmp_path], tissue_surface="none")
+    refusal(DataError, "--pose", planned, [tmp_path], tissue_surface="none", pose="free")
+
+
+def test_closed_surfaces_are_solids_and_layers_are_numbered_as_the_needles_meet_them(tmp_path):
+    block = make_cylinder("block", ((0.0, 0.0, 0.0), (90.0, 0.0, 0.0)), 40.0, 2)
+    core = make_cylinder("core", ((30.0, 0.0, 0.0), (80.0, 0.0, 0.0)), 30.0, 2)
+    write_surface(block, tmp_path / "skin.stl")
+    write_surface(core, tmp_path / "liver.stl")
+    write_long(tmp_path, [with_shaft(one) for one in NEEDLES])
+    plan, made = planned([tmp_path])
+    assert made["tissue surface"] == ("skin", "guess")
+    assert [(one.name, one.kind, one.into) for one in plan.surfaces] == [("liver", "solid", 2)]
+
+
+@pytest.mark.parametrize("by", ["entry point", "depth", "label"])
+def test_a_straight_shaft_is_cut_at_the_stated_entry_or_depth(tmp_path, by):
+    curves = [with_shaft(NEEDLES[0] + [0, 5.0 * n, 0]) for n in range(3)]
+    # of an arc with its first points on a line; along the needle the depth is that of the part in the tissue
+    depth = float(np.sum(np.linalg.norm(np.diff(NEEDLES[0], axis=0), axis=1)))
+    head, cells = (["depth [cm]"], [[f"{depth / 10:.4f}"]] * 3) if by == "depth" else ((), ())
+    file = write_long(tmp_path, curves, head=head, cells=cells)
+    if by == "label":
+        file.write_text(f"Tiefe,{depth / 10:.4f} cm\n\n" + file.read_text())
+    options = {"entry_point": "0,0,0"} if by == "entry point" else {}
+    if by == "entry point":
+        file = write_long(tmp_path, [with_shaft(one - one[0]) for one in NEEDLES])
+    plan, made = planned([file], pose="shaft", **options)
+    for row, points in zip(plan.rows, plan.points, strict=True):
+        np.testing.assert_allclose(row.direction, [1, 0, 0], atol=1e-6)
+        assert row.pose_source == "shaft" and abs(points.values[0, 0]) < 0.01
+    assert made["entry point"][0] == ("0,0,0" if by == "entry point" else "depth")
+    assert "18.0 mm of 3 curves" in made["shaft"][0]
+
+
+def test_a_shaft_without_an_entry_a_depth_or_enough_points_is_refused(tmp_path):
+    file = write_long(tmp_path, [with_shaft(one) for one in NEEDLES])
+    refusal(DataError, "--entry-point", planned, [file], pose="shaft")
+    refusal(DataError, "--pose", planned, [file], pose="shaft", entry_point="-17,0,0")
+    refusal(DataError, "--entry-point", planned, [file], pose="shaft", entry_point="depth")
+    refusal(DataError, "behind its entry", planned, [file], pose="shaft", entry_point="60,1,0")
+
+
+def test_a_stated_depth_must_be_the_length_of_its_curve(tmp_path):
+    file = write_long(tmp_path, NEEDLES[:1], head=["depth"], cells=[["30"]])
+    error = refusal(DataError, "60.0 mm long", planned, [file])
+    assert "--entry-point" in error.fix
+    plan, _ = planned([file], entry_point="depth")
+    assert plan.rows[0].depth == pytest.approx(30.0)
+    assert planned([write_long(tmp_path, NEEDLES[:1], head=["depth"], cells=[["61"]])])[0].pose == "free"
+    file = write_long(tmp_path, NEEDLES[:1], head=["depth"], cells=[["80"]])
+    assert refusal(DataError, "'80'", planned, [file]).where.endswith("points.csv:2")
+
+
+def test_the_proposed_pose_is_the_direction_in_which_the_needles_run(tmp_path):
+    turned = [one[:, [2, 1, 0]] * [1, 1, -1] for one in NEEDLES]
+    answers = Answers()
+    plan_import([write_long(tmp_path, turned)], answers)
+    assert "--pose 0,0,-1" in next(one.reason for one in answers.made if one.what == "pose")
+
+
+def test_a_stated_direction_leaves_the_entry_and_its_errors_to_be_decided(tmp_path):
+    file = write_long(tmp_path, NEEDLES)
+    plan, made = planned([file], pose="1,0,0", point_sd="0.03")
+    assert made["entry point"] == ("first", "assumption") and made["pose shift sd"] == ("0.03", "guess")
+    assert made["pose angle sd"] == ("0.5", "assumption")
+    row = plan.rows[1]
+    np.testing.assert_allclose(row.entry, NEEDLES[1][0], atol=1e-6)
+    assert (row.pose_shift_sd, np.degrees(row.pose_angle_sd)) == (0.03, pytest.approx(0.5))
+    told = {"entry_point": "0,0,0", "pose_shift_sd": "0", "pose_angle_sd": "0,2"}
+    plan, made = planned([file], pose="2,0,0", **told)
+    row = plan.rows[1]
+    np.testing.assert_array_equal(row.entry, np.zeros(3))
+    assert (row.pose_shift_sd, np.degrees(row.pose_angle_sd)) == (0.0, pytest.approx(0.2))
+    assert {made[name][1] for name in ("entry point", "pose shift sd", "pose angle sd")} == {"option"}
+
+
+def test_boundaries_are_stated_as_depths(tmp_path):
+    file = write_long(tmp_path, NEEDLES)
+    plan, _ = planned([file], pose="1,0,0", boundaries="15,5;52,0", boundary_sd="0.3")
+    assert {*plan.depths_mm.values()} == {(15.5, 52.0)}
+    assert [row.layers for row in plan.rows] == [3, 3, 2]
+    assert {row.boundary_sd for row in plan.rows} == {0.3}
+    assert planned([file], boundaries="15,52")[1]["boundary sd"] == ("0.5", "assumption")
+    assert planned([file])[1]["boundaries"] == ("none", "assumption")
+    write_surfaces(tmp_path, "fat")
+    refusal(DataError, "--boundaries", planned, [tmp_path], boundaries="15", pose="1,0,0")
+
+
+def test_boundaries_of_a_column_are_those_of_each_needle(tmp_path):
+    write_long(tmp_path, NEEDLES)
+    rows = ["Nadel;Grenztiefe [cm];Schliff"]
+    (tmp_path / "info.csv").write_text("\n".join([*rows, "n1;1,83;1", "n2;2,1;1", "n3;1,94;1"]))
+    options = ("--pose", "1,0,0", "--bevel", "0,1,0", "--yes")
+    assert run("import", tmp_path, "--out", tmp_path / "gel", *options) == 0
+    for one, depth in zip(read(tmp_path / "gel").insertions, (18.3, 21.0, 19.4), strict=True):
+        assert one.boundaries == pytest.approx([depth], abs=1e-3) and one.sequence == (1, 2)
+    assert {*planned([tmp_path], boundaries="15")[0].depths_mm.values()} == {(15.0,)}
+    assert planned([tmp_path], boundaries="none")[0].rows[0].layers == 1
+    refusal(DataError, "--pose", planned, [tmp_path])
+    (tmp_path / "info.csv").write_text("\n".join([*rows, "n1;1,83;1", "n2;1,83;1", "n3;1,83;1"]))
+    plan, made = planned([tmp_path])
+    assert {*plan.depths_mm.values()} == {(18.3,)} and made["boundaries"][1] == "file"
+    (tmp_path / "info.csv").write_text("\n".join([*rows, "n1;1,83;1", "n2;2,1;1", "n3;;1"]))
+    refusal(DataError, "--boundaries", planned, [tmp_path])
+
+
+# ---- bevels
+
+
+def test_bevel_sides_of_a_table_need_a_direction(tmp_path):
+    turned = [NEEDLES[0], NEEDLES[0] * [1, -1, 1]]
+    cells = [(side, "gel", f"block{n}") for n, side in enumerate((1, -1))]
+    file = write_long(tmp_path, turned, head=["bevel side", "medium", "specimen"], cells=cells)
+    plan, made = planned([file], pose="1,0,0")
+    assert made["bevel"] == ("0,1,0", "guess") and made["bevel side"] == ("1, -1", "file")
+    assert [row.side for row in plan.rows] == [1, -1]
+    refusal(DataError, "--bevel", planned, [file], pose="1,0,0", bevel_side="1,-1")
+    refusal(DataError, "--bevel", planned, [file], pose="1,0,0", bevel="bend")
+    out = tmp_path / "gel"
+    assert run("import", file, "--out", out, "--pose", "1,0,0", "--bevel", "0,1,0", "--yes") == 0
+    dataset = read(out)
+    assert [one.side for one in dataset.insertions] == [1, -1]
+    assert [one.specimen for one in dataset.insertions] == ["block0", "block1"]
+    assert [one.deflection for one in dataset.insertions] == pytest.approx([1.44, 1.44])
+    decided = {one["what"]: one for one in read_toml(out / "dataset.toml")["import"]["decisions"]}
+    assert decided["medium"]["source"] == decided["specimen"]["source"] == "file"
+
+
+def test_a_bevel_that_is_not_understood_or_missing_is_stated_by_needle_or_cell(tmp_path):
+    told = {"pose": "1,0,0", "bevel": "0,1,0"}
+    file = write_long(tmp_path, NEEDLES, head=["Schliff"], cells=[["A"], ["B"], ["A"]])
+    assert refusal(DataError, "'A'", planned, [file], **told).where.endswith(":2")
+    for sides in ("A=1,B=-1", "n1=1,n2=-1,n3=oben"):
+        plan, made = planned([file], bevel_side=sides, **told)
+        assert [row.side for row in plan.rows] == [1, -1, 1] and made["bevel side"][1] == "option"
+    refusal(DataError, "'B'", planned, [file], bevel_side="A=1", **told)
+    file = write_long(tmp_path, NEEDLES, head=["Schliff"], cells=[["1"], [""], ["-1"]])
+    assert "n2" in refusal(DataError, "--bevel-side", planned, [file], **told).what
+    plan, _ = planned([file], bevel_side="n2=-1", **told)
+    assert [row.side for row in plan.rows] == [1, -1, -1]
+    file = write_long(tmp_path, NEEDLES)
+    assert planned([file], **told)[1]["bevel side"] == ("1", "assumption")
+    assert planned([file])[1]["bevel"] == ("bend", "assumption")
+    file = write_long(tmp_path, NEEDLES, head=["bevel angle"], cells=[[20]] * 3)
+    assert planned([file], **told)[1]["not used"] == ("bevel angle 20 deg", "file")
+
+
+def test_a_clock_position_is_a_side_or_another_plane():
+    told = {"pose": "1,0,0", "bevel": "0,1,0"}
+    plan, made = planned([CASES / "clock.csv"], **told)
+    bevels = {row.id: (row.bevel * row.side).round(6).tolist() for row in plan.rows}
+    assert bevels == {"a": [0, 1, 0], "b": [0, -1, 0], "c": [0, 0, 1]}
+    assert made["bevel side"] == ("12 o'clock, 6 o'clock, 3 o'clock", "file")
+    refusal(DataError, "--bevel", planned, [CASES / "clock.csv"], pose="1,0,0")  # c bends as a does
+
+
+def test_bevels_at_right_angles_turn_the_direction_of_their_side(tmp_path):
+    file = write_long(tmp_path, NEEDLES, head=["bevel [deg]"], cells=[[0], [90], [180]])
+    plan, _ = planned([file], pose="1,0,0", bevel="0,1,0")
+    bevels = [row.bevel for row in plan.rows]
+    np.testing.assert_allclose(bevels, [[0, 1, 0], [0, 0, 1], [0, -1, 0]], atol=1e-9)
+    assert {row.side for row in plan.rows} == {1}
+
+
+@pytest.mark.parametrize(("angle", "bevel"), [(0.0, [0, 1, 0]), (4.0, [0, 1, 0]), (30.0, None)])
+def test_a_bevel_direction_is_an_axis_within_its_error(tmp_path, angle, bevel):
+    c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    turned = [
+        one @ np.array([[1, 0, 0], [0, c, s], [0, -s, c]]) for one in (NEEDLES[0], NEEDLES[0] * [1, -1, 1])
+    ]
+    file = write_long(tmp_path, turned, head=["bevel"], cells=[[1], [-1]])
+    answers = Answers({"pose": "1,0,0", "point sd": "0.1"})
+    _, plan = plan_import([file], answers)
+    np.testing.assert_allclose(plan.rows[0].bevel, bevel or [0, c, s], atol=1e-3)
+    # 0.1 mm at the entry and the tip of two needles that deflect by 1.44 mm
+    sd = np.degrees(0.1 / 1.44)
+    reason = next(one.reason for one in answers.made if one.what == "bevel")
+    assert f"standard deviation {sd:.2g} degrees" in reason
+
+
+def test_needles_that_leave_their_plane_are_imported_as_they_are(tmp_path):
+    out = tmp_path / "gel"
+    assert (
+        run("import", CASES / "two_plane.csv", "--out", out, "--pose", "1,0,0", "--bevel", "0,1,0", "--yes")
+        == 0
+    )
+    dataset = read(out)
+    assert [round(one.out_of_plane[-1], 1) for one in dataset.insertions] == [1.5, 2.2, 2.7, 3.4]
+    assert {one.specimen for one in dataset.insertions} == {"gel"}
+
+
+# ---- tip tracks and structure sets
+
+
+def test_a_log_of_tip_poses_is_a_track_and_not_the_shape_of_one_needle(tmp_path):
+    out = tmp_path / "em"
+    lines = (CASES / "em.csv").read_text().splitlines()
+    lines[4] = lines[4].replace("15.030,0.259,0.016", "MISSING,MISSING,MISSING")
+    (tmp_path / "em.csv").write_text("\n".join(lines))
+    plan, made = planned([tmp_path / "em.csv"])
+    assert made["observable"] == ("tracks", "guess") and plan.pose == "tracker"
+    assert ("row 1700000003.00, 15.0, 0, MISSING, MISSING, MISSING, 1, 0, 0, 0", "em.csv:5") in read_content(
+        [tmp_path / "em.csv"]
+    ).unused or "row 15.0, 0, MISSING, MISSING, MISSING" in unused_of(tmp_path / "em.csv")
+    assert (
+        run("import", tmp_path / "em.csv", "--out", out, "--bevel", "0,1,0", "--medium", "gel", "--yes") == 0
+    )
+    dataset = read(out)
+    (track,) = dataset.insertions
+    assert (dataset.pose, track.id, track.medium) == ("tracker", "em", "gel")
+    assert track.depths.tolist() == [0.0, 5.0, 10.0, *np.arange(20.0, 61.0, 5.0)]
+    assert track.tip[[0, -1]] == pytest.approx([0.086, 2.978]) and not track.guide.any()
+    assert "units = mm" in dataset.assumed
+    assert {path.name for path in out.iterdir()} == {"dataset.toml", "tracks.csv"}
+    shape, _ = planned([tmp_path / "em.csv"], observable="shapes")
+    assert shape.pose == "free" and len(shape.points[0].values) == 12
+
+
+def test_a_log_without_depth_or_a_depth_in_each_row_alone_is_asked_about(tmp_path):
+    rows = [f"{n},{x},{y},{z}" for n, (x, y, z) in enumerate(NEEDLES[0])]
+    for head in ("time", "depth"):
+        (tmp_path / "a.csv").write_text("\n".join([f"{head},x [mm],y [mm],z [mm]", *rows]))
+        refusal(DataError, "--observable", planned, [tmp_path])
+        assert planned([tmp_path], observable="shapes")[0].pose == "free"
+    assert planned([tmp_path], observable="tracks")[0].pose == "tracker"
+    (tmp_path / "a.csv").write_text("\n".join(["time,x [mm],y [mm],z [mm]", *rows]))
+    assert "--columns" in refusal(DataError, "", planned, [tmp_path], observable="tracks").expected
+    assert planned([tmp_path], "depth=x [mm]", observable="tracks")[0].pose == "tracker"
+
+
+def test_a_table_of_depth_and_tip_deflection_is_a_track(tmp_path):
+    rows = [f"{n},{1 - 2 * n},{d},{(1 - 2 * n) * 1e-3 * d * d:.4f}" for n in (0, 1) for d in range(0, 70, 10)]
+    (tmp_path / "t.csv").write_text("\n".join(["needle,bevel side,Depth (mm),Tip deflection (mm)", *rows]))
+    options = ("--boundaries", "20", "--specimen", "block", "--yes")
+    assert run("import", tmp_path / "t.csv", "--out", tmp_path / "gel", *options) == 0
+    dataset = read(tmp_path / "gel")
+    assert [one.id for one in dataset.insertions] == ["0", "1"]
+    assert [one.tip[-1] for one in dataset.insertions] == pytest.approx([3.6, -3.6])
+    assert [one.side for one in dataset.insertions] == [1, -1]
+    assert {one.boundaries.tolist()[0] for one in dataset.insertions} == {20.0}
+    assert {one.specimen for one in dataset.insertions} == {"block"}
+
+
+def test_open_contours_of_a_structure_set_are_centrelines(tmp_path):
+    found = curves_of(CASES / "needles_rs.dcm")
+    assert list(found) == [f"Needle_{n}" for n in range(1, 5)]
+    assert {len(one.points.values) for one in found.values()} == {15}
+    assert {(one.unit, one.system) for one in found.values()} == {("mm", "LPS")}
+    np.testing.assert_allclose(found["Needle_2"].points.values[0], [5, 10, 0])
+    assert planned([CASES / "needles_rs.dcm"], pose="0,0,-1")[0].rows[0].depth == pytest.approx(70.1, abs=0.1)
+    data = (CASES / "needles_rs.dcm").read_bytes()
+    (tmp_path / "closed.dcm").write_bytes(data.replace(b"OPEN_NONPLANAR", b"CLOSED_PLANAR "))
+    refusal(DataError, "open contour", read_content, [tmp_path / "closed.dcm"])
+    (tmp_path / "no.dcm").write_bytes(b"x" * 300)
+    refusal(DataError, "structure set", read_content, [tmp_path / "no.dcm"])
+
+
+# ---- the workbook, answers, questions
+
+
+def test_the_workbook_to_fill_in_is_read(tmp_path):
+    file = tmp_path / "own.xlsx"
+    assert run("new", "workbook", file) == 0
+    assert run("new", "workbook", file) == 3
+    content = read_content([file])
+    assert [one.name for one in content.curves] == [f"n{n}" for n in range(1, 9)]
+    known = {"bevel side", "depth", "specimen", "medium"}
+    assert all({*one.stated} == known for one in content.curves) and content.unused == []
+    _, made = planned([file], point_sd="0.2", tissue_surface="none")
+    assert (made["point sd"], made["pose angle sd"]) == (("0.2", "option"), ("0.1", "file"))
+    assert "assumption" not in {source for _, source in made.values()}
+    assert made["not used"] == ("tissue surface = none", "option")
+
+
+def test_a_sheet_states_answers_in_their_unit_and_an_empty_cell_is_an_assumption(tmp_path):
+    rows = [["name", "value", "unit"], ["Point SD", "0,05", "mm"], ["pose", None], ["Stage", "new"]]
+    rows += [["Nadellänge", 120, "mm"]]
+    sheets = {"a": [["id", *"xyz"], *point_rows(lambda name, _: [name])], "Example points": [[*"xyz"]]}
+    plan, made = planned([write_sheets(tmp_path / "a.xlsx", setup=rows, **sheets)], units="mm")
+    assert plan.point_sd_mm == 0.05 and made["pose"] == ("free", "assumption")
+    assert made["not used"] == ("row Stage = new", "file") and plan.needle.length_mm == 120.0
+    write_sheets(tmp_path / "b.xlsx", setup=[["point sd", 0.1]], **sheets)
+    refusal(DataError, "'0.1'", read_content, [tmp_path])
+    write_sheets(tmp_path / "b.xlsx", setup=[["point sd", 0.1, "cm"]], **sheets)
+    refusal(DataError, "cm", read_content, [tmp_path / "b.xlsx"])
+
+
+@pytest.mark.parametrize("answer", ["y", "n"])
+def test_in_a_terminal_it_asks_and_shows_before_it_writes(tmp_path, monkeypatch, answer):
+    asked, out, drawn = [], tmp_path / "gel", []
+    file = write_long(tmp_path, NEEDLES)
+    file.write_text("\n".join(["a,b,c,d", *file.read_text().splitlines()[1:]]))
+
+    def prompt(text, default, **_):
+        asked.append((text, out.exists()))
+        return default or "needle=a,x=b,y=c,z=d"
+
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    monkeypatch.setattr("typer.prompt", prompt)
+    monkeypatch.setattr("typer.confirm", lambda *_, **__: answer == "y")
+    monkeypatch.setattr("needlefit.reporting.dataset_import.draw", lambda path, _: drawn.append(out.exists()))
+    assert run("import", file, "--out", out) == 0
+    assert len(asked) > 5 and not any(exists for _, exists in asked)
+    assert drawn[0] is False and out.exists() == (answer == "y")
+    if out.exists():
+        sources = {
+            one.what: one.source for one in load(out / "dataset.toml", DatasetRecord).import_.decisions
+        }
+        assert sources["pose"] == sources["point sd"] == "confirmed"
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        *(({"pose": "1,2"}, "--pose"), ({"entry": "middle"}, "--entry"), ({"modulus": "wood"}, "--modulus")),
+        *(({"diameter": "99G"}, "--diameter"), ({"inner_diameter": "2"}, "--inner-diameter")),
+        *(({"boundaries": "30,15"}, "--boundaries"), ({"boundaries": "deep"}, "--boundaries")),
+        *(({"units": "px"}, "--units"), ({"point_sd": "0.1 cm"}, "--point-sd")),
+        ({"pose": "1,0,0", "pose_angle_sd": "-1"}, "--pose-angle-sd"),
+        ({"pose": "1,0,0", "entry_point": "last"}, "--entry-point"),
+    ],
+)
+def test_options_that_mean_nothing_are_refused(tmp_path, options, reason):
+    error = refusal(DataError, "", lambda: planned([write_long(tmp_path, NEEDLES)], **options))
+    assert reason in error.fix
+
+
+def test_questions_are_asked_with_a_guess_and_faults_named_at_their_place(tmp_path):
+    asked = {}
+
+    def prompt(what, guess, _):
+        asked[what] = guess
+        return {"modulus": "acero", "diameter": "20G", "medium": "gel"}.get(what, "")
+
+    answers = Answers({"inner diameter": "0.5"}, prompt)
+    _, plan = plan_import([write_long(tmp_path, NEEDLES)], answers)
+    assert asked["modulus"] == "steel" and not {"inner diameter", "title"} & asked.keys()
+    assert (plan.needle.youngs_modulus_gpa, plan.needle.outer_diameter_mm) == (200.0, 0.908)
+    sources = {one.what: one.source for one in answers.made}
+    assert (sources["medium"], sources["point sd"]) == ("answer", "confirmed")
+    folded = NEEDLES[0].copy()
+    folded[[6, 9]] = folded[[9, 6]]
+    file = write_long(tmp_path, [folded])
+    answers = Answers()
+    content, plan = plan_import([file], answers)
+    (tmp_path / "made").mkdir()
+    error = refusal(DataError, "", write_plan, tmp_path / "made", content, plan, answers)
+    assert error.where == f"{file}:9"
+
+
+# ---- several files
+
+
+def test_a_table_of_needles_belongs_to_curves_of_their_names(tmp_path):
+    import_cases.write_european_csv(tmp_path / "points.csv", CURVES)
+    rows = ["Nadel;Tiefe", *(f"{n};6{n}" for n in ("1", "Nadel 02", "Nadel_3", "4")), ";9"]
+    (tmp_path / "info.csv").write_text("\n".join(rows))
+    content = read_content([tmp_path])
+    assert [stated(one)["depth"] for one in content.curves] == ["61", "6Nadel 02", "6Nadel_3"]
+    assert {("row of needle 4", "no curve has its name"), ("row 9", "info.csv:6")} <= set(content.unused)
+    (tmp_path / "more.csv").write_text("Nadel;Schliff\nNadel 1;-1\n")
+    assert stated(read_content([tmp_path]).curves[0]) == {"depth": "61", "bevel side": "-1"}
+    (tmp_path / "more.csv").write_text("Nadel;Schliff;Tiefe\nNadel 1;-1;99")
+    refusal(DataError, "'61'", read_content, [tmp_path])
+    (tmp_path / "more.csv").write_text("Nadel;Schliff\nNadel 1;-1\nNadel 1;-1\n")
+    assert refusal(DataError, "twice", read_content, [tmp_path]).where.endswith("more.csv:3")
+    (tmp_path / "more.csv").unlink()
+    (tmp_path / "info.csv").write_text("Nadel;Tiefe\nA;60\nB;60")
+    refusal(DataError, "A, B", read_content, [tmp_path])
+
+
+def test_a_bad_cell_of_a_sheet_stops_the_import_at_its_cell(tmp_path):
+    head = [["X (mm)", "Y (mm)", "Z (mm)"]]
+    good, bad = [[[None, *row] for row in head + CURVES[n].tolist()] for n in (0, 1)]
+    bad[2][2] = None
+    sheets = {"Ins0": good, "Ins1": [[], *bad], "Ins2": []}
+    file = write_sheets(tmp_path / "a.xlsx", **sheets)
+    assert refusal(DataError, "empty", read_content, [file]).where.endswith("sheet 'Ins1', cell C4")
+    file = write_sheets(tmp_path / "a.xlsx", **sheets | {"Ins1": good, "Ins3": [["by", "me"]]})
+    content = read_content([file])
+    assert [one.name for one in content.curves] == ["Ins0", "Ins1"]
+    assert {what for what, _ in content.unused} == {"sheet Ins2", "sheet Ins3"}
+
+
+def test_folders_and_files_that_are_not_read_are_named(tmp_path):
+    (tmp_path / "a").mkdir()
+    assert "folder a" in refusal(DataError, "", read_content, [tmp_path]).what
+    write_long(tmp_path, NEEDLES)
+    (tmp_path / "notes.doc").write_text("x")
+    assert unused_of(tmp_path) == {"folder a", "file notes.doc"}
+
+
+def test_a_specimen_that_is_not_stated_of_one_needle_is_named(tmp_path):
+    file = write_long(tmp_path, NEEDLES, head=["specimen"], cells=[["A"], ["A"], [""]])
+    answers = Answers()
+    _, plan = plan_import([file], answers)
+    assert [row.specimen for row in plan.rows] == ["A", "A", "n3"]
+    assert "n3" in next(one.reason for one in answers.made if one.what == "specimen")
+
+
+# ---- the dataset
+
+
+def test_assumptions_that_a_verdict_depends_on_are_those_of_the_dataset(tmp_path):
+    options = ["--pose", "1,0,0", "--bevel", "0,1,0", "--specimen", "each", "--point-sd", "0.05", "--yes"]
+    file, out = write_long(tmp_path, NEEDLES), tmp_path / "gel"
+    assert run("import", file, "--out", out, *options) == 0
+    dataset = read(out)
+    assert dataset.assumed[:3] == ("bevel side = 1", "pose angle sd = 0.5", "entry = first")
+    assert describe_dataset(dataset)["assumed"] == list(dataset.assumed)
+    scene = load(out / "scene.toml", SceneRecord)
+    assert (scene.depth_mm, len(scene.layers)) == (pytest.approx(60.02, abs=0.1), 1)
+    assert scene.needle == load(out / "dataset.toml", DatasetRecord).needle
+
+
+@pytest.mark.sweep
+def test_the_command_writes_a_dataset_that_check_passes(tmp_path, capsys):
+    import_cases.write_european_csv(tmp_path / "six.csv", NEEDLES)
+    assert run("import", tmp_path / "six.csv", "--out", tmp_path / "gel", "--modulus", "steel", "--json") == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert [one["insertion"] for one in shown["insertions"]] == ["Nadel_1", "Nadel_2", "Nadel_3"]
+    faults, warnings = check_all(tmp_path / "gel")
+    assert faults == [] and {one.kind for one in warnings} == {"placeholder", "assumed"}
+    assert (tmp_path / "gel" / "import.png").stat().st_size > 10_000
+    stored = read_toml(tmp_path / "gel" / "dataset.toml")["import"]
+    assert stored["decisions"] == shown["decisions"] and list(stored["files"]) == ["six.csv"]
+    assert run("import", tmp_path / "six.csv", "--out", tmp_path / "again", "--modulus", "steel") == 0
+    one, other = (sorted((tmp_path / name).rglob("*.[cp]*")) for name in ("gel", "again"))
+    assert [path.read_bytes() for path in one] == [path.read_bytes() for path in other]
+
+
+def test_commands_write_studies_that_can_be_moved_with_their_data(tmp_path, capsys, monkeypatch):
+    file, out = write_long(tmp_path, NEEDLES), tmp_path / "gel"
+    assert run("import", file, "--out", out, "--specimen", "block", "--yes") == 0
+    study = load_study(out / "gel_study.toml")
+    assert (study.leave_out, study.same_specimen) == ("insertion", True)
+    assert read_toml(out / "gel_study.toml")["dataset"] == "."
+    warned = []
+    for words in (("check", out / "gel_study.toml"), ("check", out)):
+        capsys.readouterr()
+        assert run(*words) == 0
+        warned.append(capsys.readouterr().err.count("warning"))
+    assert warned == [1, 2]  # what stays open in a dataset is listed by its own check alone
+    (tmp_path / "elsewhere").mkdir()
+    shutil.move(out, tmp_path / "elsewhere" / "moved")
+    for folder, name in ((tmp_path, "elsewhere/moved"), (tmp_path / "elsewhere" / "moved", ".")):
+        monkeypatch.chdir(folder)
+        assert run("check", f"{name}/gel_study.toml") == 0
+        assert load_study(Path(name, "gel_study.toml")).medium == f"./{Path(name, 'tissue.toml').as_posix()}"
+
+
+def test_a_scene_of_slicer_becomes_a_dataset_with_layers(tmp_path):
+    import_cases.write_scene(tmp_path / "s", NEEDLES, "tfm")
+    import_cases.write_bundle(tmp_path / "s.mrb", tmp_path / "s")
+    options = ("--pose", "1,0,0", "--bevel", "0,1,0", "--yes")
+    assert run("import", tmp_path / "s.mrb", "--out", tmp_path / "gel", *options) == 0
+    dataset = read(tmp_path / "gel")
+    assert dataset.pose == "known" and [one.sequence for one in dataset.insertions] == [(1, 2)] * 3
+    assert dataset.insertions[0].boundaries[0] == pytest.approx(20.0, abs=0.01)
+    assert dataset.insertions[0].planar[-1, 1] > 1.0
+
+
+@pytest.mark.parametrize("text", ["", "hello\n", "1,2,3\n", "x,y,z\n1,2,3\n4,a,6\n7,8,9\n1,2,3\n", "x,x,x\n"])
+def test_bad_input_ends_in_exit_code_3_and_writes_nothing(tmp_path, text, capsys):
+    (tmp_path / "a.csv").write_text(text)
+    assert run("import", tmp_path / "a.csv", "--out", tmp_path / "gel") == 3
+    assert run("import", tmp_path / "none.xlsx", "--out", tmp_path / "gel") == 3
+    assert run("import", tmp_path, "--out", tmp_path / "gel") == 3
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.csv"]
+    assert "a.csv" in capsys.readouterr().err

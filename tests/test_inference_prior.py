@@ -1,0 +1,82 @@
+"""Priors of a layer's mu and alpha: their density, what is refused, and the layer that takes one."""
+
+import math
+
+import numpy as np
+import pytest
+from inference_cases import TRUTH, insertion, measure, medium, problem
+from refusals import refusal
+from test_inference_identify import FINE, fit_at
+
+from needlefit.errors import ConfigError
+from needlefit.inference.identifiability.identify import identify
+from needlefit.inference.parameters import Parameters
+from needlefit.project.toml import check
+from needlefit.schemas.medium import MaterialRecord, MediumRecord, PriorRecord
+from needlefit.studies.job import set_material_prior
+
+ALPHA = {"mean": 3.0, "sd": 0.5}
+MODULUS = {"median": 1e5, "factor": math.e, "correlation": 0.5}
+BOUNDED = {"alpha1": {"bounds": [-3, 9], "prior": ALPHA}, "mu1_pa": {"bounds": [1e3, 1e9], "prior": MODULUS}}
+
+
+def test_a_priors_density_is_gaussian_in_ln_mu_and_alpha():
+    prior = Parameters.from_record(medium(1, alpha1=BOUNDED["alpha1"])).prior
+    assert prior.log_density({"alpha1": 4.0}) == pytest.approx(-2.0)  # two deviations
+    joint = Parameters.from_record(medium(1, **BOUNDED)).prior
+    assert joint.log_density({"mu1_pa": 1e5, "alpha1": 3.0}) == 0.0
+    off = joint.log_density({"mu1_pa": 1e5 * math.e, "alpha1": 3.5})
+    assert off == pytest.approx(-0.5 / 0.75)  # (1 - 2 r + 1) / (1 - r^2), r = 1/2
+    precision = joint.information(("mu1_pa", "bevel_mm", "alpha1"))
+    assert precision == pytest.approx(np.array([[1, 0, -1], [0, 0, 0], [-1, 0, 4]]) / 0.75)
+    assert joint.sd("alpha1") == pytest.approx(0.5) and joint.sd("bevel_mm") == math.inf
+
+
+def test_the_log_posterior_is_the_likelihood_and_the_prior():
+    plain = medium(1, alpha1={"bounds": [-3, 9]})
+    made = [measure(TRUTH, plain, insertion(30.0))]
+    flat, stated = problem(plain, made), problem(medium(1, **BOUNDED), made)
+    thetas = np.array([flat.parameters.theta({**TRUTH, "alpha1": a}) for a in (3.0, 4.0)])
+    for theta in thetas:
+        gained = stated.log_posterior(theta) - flat.log_posterior(theta)
+        assert gained == pytest.approx(stated.parameters.prior.log_density(stated.values(theta)), abs=1e-9)
+    many = stated.log_posteriors(thetas) - flat.log_posteriors(thetas)
+    assert many == pytest.approx([stated.parameters.prior.log_density(stated.values(t)) for t in thetas])
+    record = medium(1, alpha1={"bounds": [-3, 9], "prior": {"mean": 1.0, "sd": 0.2}})
+    p = problem(record, [measure(TRUTH, record, insertion(d)) for d in (35.0, 50.0)], noise=FINE)
+    verdict = identify(p, fit_at(p, TRUTH))
+    assert verdict.sds["alpha1"] == pytest.approx(0.2, rel=0.01)
+    assert not verdict.determined["alpha1"] and verdict.determined["bevel_mm"]
+    assert "not determined" in verdict.notes["alpha1"]
+    assert "stated before: 1 +- 0.2" in verdict.notes["alpha1"]
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"alpha1": {"fixed": 1.0, "prior": ALPHA}}, "free"),
+        ({"alpha1": {"bounds": [-3, 9], "prior": {"mean": 1.0}}}, "mean"),
+        ({"alpha1": {"bounds": [-3, 9], "prior": {"mean": 1.0, "sd": 0.0}}}, "sd"),
+        ({"alpha1": {"bounds": [-3, 9], "prior": {"median": 2, "factor": 2}}}, "wrong kind"),
+        ({"mu1_pa": {"bounds": [1e3, 1e9], "prior": ALPHA}}, "wrong kind"),
+        ({"alpha1": {"bounds": [-3, 2], "prior": ALPHA}}, "outside the bounds"),
+        ({"mu1_pa": {"bounds": [1e3, 1e9], "prior": MODULUS}}, "no partner"),
+        ({"alpha1": {"bounds": [-3, 9], "prior": {**ALPHA, "correlation": 0.5}}}, "no partner"),
+    ],
+)
+def test_an_invalid_prior_is_refused(changed, message):
+    free = {"mu1_pa": {"bounds": [1e3, 1e9]}, "alpha1": {"fixed": 1.0}, "bevel_mm": {"bounds": [1e-3, 0.5]}}
+    table = {"schema": 1, "layers": 1, "parameters": free | changed}
+    refusal(ConfigError, message, lambda: Parameters.from_record(check(table, MediumRecord, "medium.toml")))
+
+
+def test_a_test_of_the_material_frees_the_alpha_of_its_layer():
+    tested = MaterialRecord(schema=1, alpha=PriorRecord(**ALPHA), mu_pa=PriorRecord(**MODULUS))
+    parameters = Parameters.from_record(set_material_prior(medium(2), "2", tested))
+    assert parameters.bounds["alpha2"] == (1.0, 5.0)  # four deviations
+    assert parameters.prior.names == ("mu2_pa", "alpha2") and "alpha1" in parameters.fixed
+    refusal(ConfigError, "no layer `3`", lambda: set_material_prior(medium(2), "3", tested))
+    with pytest.raises(ConfigError, match=r"alpha2.* tied"):
+        set_material_prior(medium(2, alpha2={"tie": "alpha1"}), "2", tested)
+    with pytest.raises(ConfigError, match="law is `linear`"):
+        set_material_prior(medium(2).model_copy(update={"law": "linear"}), "2", tested)
