@@ -26,14 +26,13 @@ def test_no_shipped_fit_calls_a_parameter_determined_whose_interval_misses_the_t
     assert covered[known["determined"] == "yes"].all()
 
 
-@pytest.mark.xfail(strict=True, reason="intervals are too narrow: docs/fitting.md, Recovery, has the shares")
 def test_over_many_twins_few_determined_parameters_miss_the_truth():
     rows = pd.read_csv(ROOT / "docs" / "figures" / "recovery.csv")
-    assert rows["seed"].nunique() >= 10 and rows["fit"].nunique() == 4
+    assert rows["seed"].nunique() >= 20 and rows["fit"].nunique() == 4
     known = rows[rows["determined"] == "yes"]
     assert len(known) and (~known["covered"].astype(bool)).mean() <= MAX_MISSED_SHARE
     shares = rows.groupby("method")["covered"].mean()
-    assert shares.min() > 0.85
+    assert shares.min() > 0.9
 
 
 @pytest.mark.sweep
