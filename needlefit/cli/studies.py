@@ -1,5 +1,6 @@
 """Commands that run studies: tune, calibrate, validate, predict."""
 
+import math
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -103,8 +104,12 @@ def _parse_values(texts: Iterable[str]) -> dict[str, float]:
     values = {}
     for text in texts:
         name, _, value = text.partition("=")
+        if name.strip() in values:
+            raise typer.BadParameter(f"`{name.strip()}` has two values", param_hint="--fix")
         try:
             values[name.strip()] = float(value)
+            if not math.isfinite(values[name.strip()]):
+                raise ValueError
         except ValueError:
             raise typer.BadParameter(
                 f"`{text}` is not NAME=VALUE with a number, e.g. b=0.1", param_hint="--fix"

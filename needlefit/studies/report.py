@@ -334,20 +334,11 @@ def _run_blocks(result: Run) -> list[Block]:
 _OMITTED_DATA_KEYS = ("notes", "origin")  #: of a dataset: they stand elsewhere in a report
 
 
-def _describe_moves(moves: str) -> str:
-    """Return the moves of the sampler in words: "0.9*de+0.1*stretch" is 90 % differential evolution, ..."""
-    parts = [term.strip().rpartition("*") for term in moves.split("+")]
-    names = {"de": "differential evolution"}
-    shares = (f"{100 * float(share):.0f} % " if share else "" for share, _, _ in parts)
-    words = (names.get(name, name) for _, _, name in parts)
-    return ", ".join(share + word for share, word in zip(shares, words, strict=True))
-
-
 def _format_value(value: object) -> str:
     """Return a value of run.json on one line; digests are cut, notes stand elsewhere."""
     if isinstance(value, Mapping):
         pairs = (
-            (str(key), _describe_moves(item) if key == "moves" else _format_value(item))
+            (str(key), _format_value(item))
             for key, item in sorted(value.items())
             if key not in _OMITTED_DATA_KEYS
         )

@@ -4,6 +4,7 @@ Captions and notes stand in the text.
 """
 
 import math
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -22,7 +23,7 @@ from needlefit.inference.identifiability.directions import (
     find_least_determined,
     principal_directions,
 )
-from needlefit.inference.parameters import is_logarithmic
+from needlefit.inference.parameters import HYPERPARAMETERS, is_logarithmic
 from needlefit.inference.predict import estimate_proportion
 from needlefit.inference.sampling.posterior import PERCENTILES
 from needlefit.metrics import Metric, headline_metrics, list_metrics
@@ -45,7 +46,13 @@ from needlefit.reporting.text import KindText
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.coverage import COVERAGE_COLUMNS, count_covered, tabulate_coverage
 from needlefit.studies.csv_tables import TableSchema
-from needlefit.studies.fit_frames import MODEL_METHODS, select_fitted, select_free
+from needlefit.studies.fit_frames import (
+    MODEL_METHODS,
+    NEW_SPECIMEN,
+    TUNED_SPECIMENS,
+    select_fitted,
+    select_free,
+)
 from needlefit.studies.fit_warnings import describe_gain
 from needlefit.studies.identification_tables import IDENTIFICATION_COMPARISON, describe_evidence
 from needlefit.studies.run import Run
@@ -512,12 +519,19 @@ def lay_out_parameters(results: Sequence[Run], free_alone: bool = False) -> Tabl
     return _lay_out(found, drop_empty=True, **values)
 
 
+#: what the intervals of parameters are from, by `draw_source`
+SOURCES = {"posterior": "emcee", "importance": "importance sampling", "profile": "profile likelihood"}
+
+
 def _describe_search(results: Sequence[Run]) -> Row:
     """Return what the captions state: how draws were made, the tolerances of the errors, the algorithm."""
     tolerances = [value for one in results for value in one.frames["error_fit"]["tolerance_mm"].tolist()]
     algorithms = [str((one.run.get("recipe") or {}).get("metric_algorithm", "")) for one in results]
+    free = pd.concat([select_free(one.frames["parameters"]) for one in results])
+    specimens = [set(one.frames["draws"]["specimen"]) - {TUNED_SPECIMENS, NEW_SPECIMEN} for one in results]
     return {
-        "sampled": all(one.posteriors for one in results),
+        "sources": [words for source, words in SOURCES.items() if (free["draw_source"] == source).any()],
+        "of_mean": any(len(names) > 1 for names in specimens),
         "tolerances": [min(tolerances), max(tolerances)] if tolerances else [],
         "algorithms": list(dict.fromkeys(filter(None, algorithms))),
     }
@@ -541,7 +555,7 @@ def lay_out_values(results: Run) -> TableLayout:
     )
     values = {
         "folds": int(results.frames["parameters"]["fold"].nunique()),
-        "bounds": any(AT_BOUND in row["error_minimising"] for row in rows),
+        "bounds": any(AT_BOUND in row["posterior"] + row["error_minimising"] for row in rows),
         "together": find_known_combination(results),
         "freed": describe_freed(results.frames["identification"]),
         **_describe_search([results]),
@@ -550,10 +564,17 @@ def lay_out_values(results: Run) -> TableLayout:
 
 
 def find_known_combination(results: Run) -> str:
-    """Return the best known combination of several parameters, with its precision; "" if none is known."""
+    """Return the best known combination of several parameters, with its precision.
+
+    "" if none is known, or if every parameter is determined by itself.
+    """
+    free = select_free(results.frames["parameters"])
+    if (free["determined"][~free["parameter"].isin(HYPERPARAMETERS)] == "yes").all():
+        return ""
     rows = to_records(results.frames["directions"])
     known = (row for row in rows if row["sd"] < MAX_LOG_SD and row["sd_ratio"] < UNINFORMED_SD_RATIO)
-    return next((str(row["note"]) for row in known if " * " in str(row["note"])), "")
+    # a product, or with a shape parameter a sum
+    return next((note for note in (str(row["note"]) for row in known) if re.search(r" [*+-] ", note)), "")
 
 
 def describe_freed(identification: pd.DataFrame) -> list[tuple[list[str], str]]:
