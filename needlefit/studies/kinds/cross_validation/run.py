@@ -495,7 +495,7 @@ class _StudyRun:
         verdict = identify(problem, fit, draws.certified if draws else None, further)
         if fit.minimized != "posterior":  # without stated noise nothing says how far the data can be trusted
             nothing = dict.fromkeys(verdict.determined, False)
-            verdict = replace(verdict, determined=nothing, together=nothing, conditions={}, directions=())
+            verdict = replace(verdict, determined=nothing, together=nothing, conditions={})
         judgements: Mapping[str, Assessment] = {}
         judged: list[Row] = []
         if profiles is not None:
@@ -504,10 +504,11 @@ class _StudyRun:
             self.rows["profiles"] += [{"fold": fold.name, **row} for row in found.points]
             judgements, verdict = found.judgements, reconcile_verdict(verdict, found.judgements)
         self.verdicts[fold.name] = verdict
-        self.rows["directions"] += [
-            {"fold": fold.name, "sd": one.sd, "sd_ratio": one.sd_ratio, "note": one.words}
-            for one in verdict.directions
-        ]
+        if fit.minimized == "posterior":
+            self.rows["directions"] += [
+                {"fold": fold.name, "sd": one.sd, "sd_ratio": one.sd_ratio, "note": one.words}
+                for one in verdict.directions
+            ]
         fitted = _fitted_rows(job, fold, fit, verdict, judgements)
         sampled = intervals_of_draws(job.parameters, draws, importance, posterior)
         ties, together = job.parameters.ties, verdict.together
