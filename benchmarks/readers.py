@@ -35,7 +35,7 @@ if way == "sandboxed":
     if path.suffix == ".mat":
         from needlefit.datasets.formats.mat import read_curves as read
     else:
-        from needlefit.imaging.volume_files import read
+        from needlefit.imaging.volume_files import read_volume as read
     kept = read(path)
 else:
     import numpy as np
@@ -53,7 +53,7 @@ else:
         read_series(kept, str(path), None)
     else:
         from needlefit.imaging.image_files import read_image
-        read_image(kept, str(path))
+        read_image(kept, str(path), path.stat().st_size)
 seconds = time.perf_counter() - begin
 status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
 memory = sum(int(status[name].split()[0]) for name in ("RssAnon", "RssShmem")) / 1024

@@ -3,7 +3,7 @@
 A `Registry` knows one type of entry. Built-in entries are the module-level instances of one package, and its
 modules: a file or folder there defines one instance, whose name is that of the module. Plugins are modules of
 installed packages, named by their entry points in the group `needlefit.plugins` or by `--plugins`; all their
-module-level instances are registered. docs/plugins.md shows one.
+module-level instances are registered. docs/developers/plugins.md shows one.
 
 A plugin is code, which runs with the rights of the user. It is never looked for in the working folder or in
 a folder of data, which may come from somebody else: `python -m needlefit` puts the working folder on
@@ -120,7 +120,7 @@ class Registry(Generic[T]):
             raise ConfigError(
                 f"the {self._noun} `{name}` of the plugin {plugin.name} failed: "
                 f"{type(error).__name__}: {error}",
-                expected="code that works as docs/plugins.md describes",
+                expected="code that works as docs/developers/plugins.md describes",
                 fix="repair the plugin, or leave it out",
             ) from error
 

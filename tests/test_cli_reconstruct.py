@@ -1,7 +1,6 @@
 """`needlefit reconstruct` as its users meet it: the sample scan, whole and spoiled in every way."""
 
 import json
-import pickle
 import re
 import shutil
 from contextlib import redirect_stderr
@@ -173,35 +172,6 @@ def test_one_failure_loses_nothing_and_resumed_results_equal_those_of_one_run(tm
     where = {"volumes.csv", "needlefit.json"}  # scans as seen from the dataset, and the digest of that
     assert {name for name in found if at_once[name] != found[name]} == where
     assert found.keys() == at_once.keys()
-
-
-@pytest.mark.sweep
-@pytest.mark.usefixtures("searched_once")
-def test_damaged_checkpoints_are_set_aside_and_no_pickle_is_opened(tmp_path, capsys, monkeypatch):
-    class Bomb:
-        def __reduce__(self):
-            return (Path.touch, (tmp_path / "was_run",))
-
-    (tmp_path / "truncated.nrrd").write_bytes(VOLUME.read_bytes()[:40_000])
-    shutil.copy(VOLUME, tmp_path / "whole.nrrd")
-    scans = (tmp_path / "truncated.nrrd", tmp_path / "whole.nrrd")
-    words = ("reconstruct", *scans, "--out", tmp_path / "out", "-q", "--jobs", "1")
-    assert run(*words) == 3
-    keep = tmp_path / "out.partial"
-    (kept,) = keep.glob("*.jsonl")
-    kept.write_bytes(pickle.dumps(Bomb()))
-    capsys.readouterr()
-    assert run(*words, "--resume") == 3  # truncated.nrrd still is
-    printed = capsys.readouterr().err
-    assert printed.count("was damaged") == 1 and f"{kept.name}.damaged-1" in printed
-    assert not (tmp_path / "was_run").exists()
-    assert {path.name for path in keep.iterdir()} == {
-        *("lock", "needlefit.json", kept.name, f"{kept.name}.damaged-1")
-    }
-    (keep / "whole.pickle").write_bytes(pickle.dumps(Bomb()))
-    assert run(*words, "--resume") == 3
-    assert "whole.pickle" in capsys.readouterr().err and (keep / "whole.pickle").is_file()
-    assert not (tmp_path / "was_run").exists()
 
 
 def table(folder, **changes):

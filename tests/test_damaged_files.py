@@ -6,7 +6,6 @@ import json
 import os
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pandas as pd
 import pytest
@@ -17,7 +16,6 @@ from test_cli import run
 
 import needlefit
 from needlefit.errors import DataError
-from needlefit.inference.sampling.posterior import load, save
 from needlefit.project.folders import find_changes, write_manifest
 from needlefit.project.input_files import convert_stored_errors
 from needlefit.reporting.table_files import write_json
@@ -203,27 +201,6 @@ def test_a_table_is_read_with_its_empty_cells(tmp_path):
     assert read_table(path, FORM).empty
     path.write_text("id,x_mm,ok\na,inf,False\nb,1,True\n")
     assert read_table(path, FINITE)["x_mm"].tolist() == [np.inf, 1.0]
-
-
-@pytest.mark.sweep
-@pytest.mark.parametrize(
-    "damage",
-    [
-        lambda file: file["convergence"].pop("r_hat"),
-        lambda file: file["posterior/bevel_mm"].write_direct(np.zeros(1), dest_sel=np.s_[0, :1]),
-        lambda file: file.create_dataset("posterior/more", (10**6, 10**6), dtype="f8"),  # never written
-        lambda file: file["posterior"].attrs.modify("about", "{}"),
-    ],
-)
-def test_a_posterior_that_was_changed_is_refused(damage, tmp_path):
-    path = tmp_path / "posterior.nc"
-    (posterior,) = sampled(0.08, 0.09).posteriors.values()
-    save(posterior, path)
-    assert load(path).names == posterior.names
-    with h5py.File(path, "r+") as file:
-        damage(file)
-    caught = refusal(DataError, "", load, path)
-    assert str(path) in caught.where
 
 
 def test_unusable_stored_values_are_an_error_with_its_cause():

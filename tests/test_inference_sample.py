@@ -339,6 +339,7 @@ def test_arviz_reads_the_draws(tmp_path):
         lambda file: file["convergence/ess"].write_direct(np.zeros(1), dest_sel=np.s_[:1]),
         lambda file: file["posterior"].attrs.modify("about", file["posterior"].attrs["about"] + " "),
         lambda file: file["posterior"].attrs.__delitem__("sha256"),
+        lambda file: file.create_dataset("posterior/more", (10**6, 10**6), dtype="f8"),  # never written
     ],
 )
 def test_a_file_that_was_changed_is_refused(damage, tmp_path):

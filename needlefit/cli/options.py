@@ -86,7 +86,7 @@ _FLAGS = {
 }
 _SHORT = {"quiet": ("-q",), "verbose": ("-v",)}
 _JOBS_HELP = "Cores to use (default: all); they do not change the result."
-_SCHEDULER_HELP = "Run tasks on a Dask cluster: tls://HOST:PORT (docs/scale.md)."
+_SCHEDULER_HELP = "Run tasks on a Dask cluster: tls://HOST:PORT (docs/developers/scale.md)."
 _COMMON: dict[str, tuple[Any, object, Declaration]] = {
     **{
         name: (bool, False, flag(text, f"--{name}", *_SHORT.get(name, ()), callback=_keep(name)))

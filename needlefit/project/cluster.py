@@ -167,7 +167,7 @@ def connect(scheduler: str, insecure: bool = False, note: Note = no_note) -> Ite
                 f"no scheduler answers: {error}",
                 where=f"--scheduler {scheduler}",
                 expected="a running Dask scheduler and, for tls://, the certificates in Dask's configuration",
-                fix="start one with `dask scheduler`; see docs/scale.md",
+                fix="start one with `dask scheduler`; see docs/developers/scale.md",
             ) from None
         try:
             yield ClusterPool(client, note)
@@ -188,7 +188,7 @@ def require_secured(scheduler: str, insecure: bool = False) -> None:
             "is no address of a scheduler",
             where=where,
             expected="tls://HOST:PORT",
-            fix="start a scheduler with `dask scheduler`; see docs/scale.md",
+            fix="start a scheduler with `dask scheduler`; see docs/developers/scale.md",
         )
     host = str(parts.hostname)
     try:
