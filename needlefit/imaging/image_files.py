@@ -43,7 +43,7 @@ sitk.ProcessObject.SetGlobalWarningDisplay(False)  # errors are reported once, b
 
 
 def read_image(arrays: Arrays, path: str, stored: int, layers: bool = False) -> dict[str, Any]:
-    """Read an image file: add the array "values", and return its grid and the texts of its header about segments.
+    """Read an image file: add the array "values"; return its grid, and texts about segments.
 
     `stored`: bytes of the file, with that of its voxels.
     `layers`: whether a voxel may have several numbers; the values then have a fourth axis for them.

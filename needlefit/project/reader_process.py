@@ -136,7 +136,7 @@ def _run(request: Mapping[str, Any], file: Path) -> tuple[dict[str, Any], Arrays
         if done.returncode < 0:
             raise _error(file, f"its reader crashed ({signal.Signals(-done.returncode).name})")
         written.seek(0)
-        with open(written.fileno(), "rb", closefd=False) as stored:
+        with os.fdopen(written.fileno(), "rb", closefd=False) as stored:
             try:
                 answer = json.loads(stored.readline(MAX_ANSWER_BYTES))
                 return answer, {name: np.load(stored, allow_pickle=False) for name in answer["arrays"]}
