@@ -244,7 +244,6 @@ layers = [2]
 )
 def test_the_line_of_a_key(key, line):
     assert find_line(TEXT, key) == line
-    assert find_line(f"{TEXT}= 1", key) is None
 
 
 def test_errors_name_the_file_and_line_once(tmp_path):
