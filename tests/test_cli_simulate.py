@@ -9,6 +9,7 @@ import pytest
 from test_cli import run
 from test_viewer_recording import WANDERING, recorded
 
+from needlefit.cli import screen
 from needlefit.project.locate import find_file, list_names
 from needlefit.project.toml import load
 from needlefit.project.unit_warnings import coarse_warnings, scene_warnings
@@ -38,6 +39,15 @@ def test_json_has_the_documented_keys(capsys):
     (step,) = found["steps"]
     assert {key: found[key] for key in step} == step
     assert step["tip_angle_deg"] == pytest.approx(math.degrees(step["tip_slope"]))
+
+
+@pytest.mark.parametrize(("side", "row", "tip"), [(1, 0, "1.33"), (-1, -1, "-1.33")])
+def test_the_sketch_ends_at_the_tip(side, row, tip, capsys):
+    assert run("simulate", "phantom1", "--set", f"bevel.side={side}") == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if re.search("[\u2801-\u28ff]", line)]
+    assert len(lines) == screen.SKETCH_ROWS and all(len(line) <= 8 + screen.SKETCH_COLUMNS for line in lines)
+    assert lines[row].split()[0] == tip and len(lines[row]) == 8 + screen.SKETCH_COLUMNS
+    assert "\u2801" <= lines[row][-1] <= "\u28ff"
 
 
 def test_settings_move_the_tip(capsys):

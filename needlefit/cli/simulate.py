@@ -135,6 +135,7 @@ def simulate(
     screen.print_warnings(invocation, warnings)
     if not invocation.json:
         _show_summary(done.title, summary)
+        _show_sketch(done)
     for path in saved:
         screen.print_note(f"written: {path}")
     if not summary["converged"]:
@@ -278,6 +279,15 @@ def _show_summary(title: str, summary: dict[str, Any]) -> None:
         count, offset = replayed["steps"], replayed["tip_offset_mm"]
         where = f"up to {offset:.1g} mm from the recorded one" if offset else "identical to the recorded one"
         screen.print_line(f"Replayed: {count} step{'' if count == 1 else 's'}, tip {where}")
+
+
+def _show_sketch(done: SimulationOutcome) -> None:
+    """Print a sketch of the inserted needle, if there is one."""
+    from needlefit.mechanics.shape import compute_positions
+
+    shape = done.shapes[-1]
+    if shape.converged and shape.depth > 0:
+        screen.show_needle(compute_positions(shape, shape.x[shape.x >= 0]), done.scene.tissue.boundaries)
 
 
 def _describe_outcome(summary: dict[str, Any]) -> str:
