@@ -30,7 +30,8 @@ def _run(invocation: Invocation) -> int:
     from needlefit.cli.application import build
 
     try:
-        words = list(invocation.words)
+        # an option of all commands, wherever it stands
+        words = sorted(invocation.words, key=lambda word: word not in ("-v", "--verbose"))
         app = build(next((word for word in words if not word.startswith("-")), ""))
         # not standalone: it raises errors, and returns the code of an early exit
         code = app(args=words, prog_name="needlefit", obj=invocation, standalone_mode=False)
