@@ -5,7 +5,7 @@ Two geometries turn the slope u' of the solved beam into points. "rotation": u' 
 and the points are the integrals of cos u' and sin u' (`docs/model.md`). "tangent": u' is dy/dx and the points
 are the integral of cos(atan u') and u; the needle is then longer than its arc length. Every fit is repeated
 with each of them. Intervals are of the posterior alone ("plain"), and with the spread between specimens
-("others"), as in `needlefit validate stereo_holes`.
+("others"), as in `needlefit validate stereo_insertions`.
 
     NEEDLEFIT_REAL_DATA=... python benchmarks/geometry.py [--starts 2] [--errors-only]
         [--geometry tangent] [--fit stereo_tangent] [--correlation matern32]

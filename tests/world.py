@@ -58,7 +58,6 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
         "cross_validation": _validate("held_out", 0),
         "fit": Command(("tune", "gel"), "gel", (0, 5)),
         "identification": Command(("tune", "gel", "--design"), "gel-design", (0,)),
-        "left_out": _validate("left_out"),
         "next_insertion": _validate("next_insertion"),
         "plan": _validate("plan"),
         "prediction": Command(
