@@ -69,7 +69,6 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
         "reconstruction": Command(("reconstruct", "sample_scan"), "scanned", (0,)),
         "seeds": _validate("seeds"),
         "sensitivity": _validate("sensitivity"),
-        "specimens": _validate("specimens"),
         "tracks": _validate("tracks"),
     }
 )

@@ -53,8 +53,6 @@ SPECIMEN_NAMES = {
     "training only": "training only",
 }
 """Printed values of the column `specimen_treatment`."""
-POPULATION_NAMES = {"mean": "mean", "spread": "spread", "new": "further specimen"}
-"""Quantities of a parameter of a population of specimens."""
 
 
 def rgb(colour: str) -> tuple[float, float, float]:

@@ -233,59 +233,6 @@ def _format_rows(
     draw_grid(axes, "x")
 
 
-def intervals(frame: pd.DataFrame, group: str, truth: str = "truth", label: str = "{}") -> Figure:
-    """Draw 50 and 95 % intervals of repetitions, beside each other, and the truth of each group of them.
-
-    `frame` has the columns `panel` (title), `low_95`, `high_95`, `low_50`, `high_50`; `label` names a group.
-    """
-    panels = list(frame.groupby("panel", sort=False))
-    down = -(-len(panels) // 2)
-    figure = Figure(figsize=(TEXT_WIDTH_IN, 0.5 + 1.35 * down))
-    drawn = figure.subplots(down, 2, squeeze=False, sharex=True)
-    for axes, (title, rows) in zip(drawn.flat, panels, strict=False):
-        ticks, at = {}, 0
-        for name, same in rows.groupby(group, sort=False):
-            x = at + np.arange(len(same))
-            for level, width in ((95, 0.9), (50, 2.4)):
-                ends = same[f"low_{level}"], same[f"high_{level}"]
-                axes.vlines(x, *ends, color=SERIES_COLOURS[0], lw=width)
-            known = float(same[truth].iloc[0])
-            axes.plot([x[0] - 0.5, x[-1] + 0.5], [known, known], color=SERIES_COLOURS[4], lw=1.1, zorder=3)
-            ticks[label.format(name)] = float(x.mean())
-            at = int(x[-1]) + 3
-        axes.set_xticks(list(ticks.values()), list(ticks))
-        axes.set_title(title, loc="left")
-        axes.tick_params(axis="x", length=0)
-        draw_grid(axes, "y")
-    return figure
-
-
-def densities(frame: pd.DataFrame, by: str, x: str, name: str = "{}") -> Figure:
-    """Draw the densities of a quantity, a panel for each `panel` (its label), and where known their prior.
-
-    `frame` has the columns `density`, `prior` and `high_95`, an upper end that must be seen; `name` names a
-    series of the column `by`.
-    """
-    panels = list(frame.groupby("panel", sort=False))
-    figure = Figure(figsize=(TEXT_WIDTH_IN, 2.3))
-    for axes, (title, rows) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
-        far, first = float(rows["high_95"].max()), rows[by].iloc[0]
-        for series, look in choose_looks(rows, by).items():
-            some, colour = rows[rows[by].astype(str) == series], look.colour
-            top = some.sort_values("density", kind="stable").iloc[-1]
-            axes.plot(some[x], some["density"], color=colour, lw=1.3)
-            words: dict[str, Any] = {"fontsize": 6.5, "va": "bottom"}
-            axes.text(top[x] + 0.02 * far, top["density"], name.format(series), color=colour, **words)
-            if series == str(first) and some["prior"].notna().all():
-                axes.plot(some[x], some["prior"], color=GREY, lw=0.8, ls=(0, (4, 3)))
-                height = np.interp(0.8 * far, some[x], some["prior"])
-                axes.text(0.8 * far, height, "prior", color=GREY, **words)
-        axes.set(xlim=(0, 1.15 * far), ylim=(0, 1.15 * float(rows["density"].max())), xlabel=title)
-        axes.set_yticks([])
-    figure.axes[0].set_ylabel("posterior density")
-    return figure
-
-
 def steps_in_bands(frame: pd.DataFrame, x_label: str, y_label: str, across: int = 4) -> Figure:
     """Draw a step line about 0 on a band, a panel for each `panel` (its title).
 

@@ -31,6 +31,7 @@ from needlefit.reporting.figures.fit_forms import to_log_coordinates
 from needlefit.reporting.labels import SPECIMEN_NAMES, group_name, method_name, study_name
 from needlefit.reporting.number_format import (
     choose_printed_unit,
+    format_bare_symbol,
     format_metric,
     format_number,
     format_plain,
@@ -572,6 +573,23 @@ def lay_out_directions(results: Run) -> TableLayout:
         for row in rows
     ]
     return _lay_out(Table("directions", cells, ("fold", "known_combination")), drop_empty=True)
+
+
+def lay_out_population(results: Run) -> TableLayout:
+    """Return how much the parameters differ between the specimens that were fitted."""
+    rows = to_records(results.frames["population"])
+    folds = len({row["fold"] for row in rows}) > 1
+    cells = [
+        {
+            **row,
+            "fold": row["fold"] if folds else "",
+            "parameter": format_bare_symbol(str(row["parameter"])),
+            "between_factor": math.exp(row["between_sd"]),
+        }
+        for row in rows
+    ]
+    columns = ("fold", "parameter", "between_sd", "between_factor", "other_specimens")
+    return _lay_out(Table("population", cells, columns), drop_empty=True, rows=rows)
 
 
 def lay_out_posterior(results: Run) -> TableLayout:
