@@ -189,7 +189,7 @@ def test_two_results_differ_in_rows_lengths_and_numbers(tmp_path):
 
 
 def test_results_of_different_analyses_are_not_compared(tmp_path):
-    one, two = (_answer(tmp_path / kind, kind) for kind in ("seeds", "plan"))
+    one, two = (_answer(tmp_path / kind, kind) for kind in ("seeds", "calibration"))
     study = tmp_path / "study"
     study.mkdir()
     (study / "run.json").write_text('{"kind": "fit"}')

@@ -59,7 +59,6 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
         "fit": Command(("tune", "gel"), "gel", (0, 5)),
         "identification": Command(("tune", "gel", "--design"), "gel-design", (0,)),
         "next_insertion": _validate("next_insertion"),
-        "plan": _validate("plan"),
         "prediction": Command(
             ("predict", "held_out", "--scene", "ahead"),
             "predict-held_out-ahead",
