@@ -14,7 +14,7 @@ from scipy.integrate import quad
 from scipy.stats import multivariate_normal
 
 from needlefit.datasets.read import read
-from needlefit.errors import ConfigError, DataError
+from needlefit.errors import ConfigError
 from needlefit.inference.baseline_fit import CurveDensity
 from needlefit.inference.baselines import COEFFICIENT_LENGTH_MM
 from needlefit.inference.forward_model import PreparedModel, make_batch, make_options, predict
@@ -41,7 +41,6 @@ from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.metrics import METRICS, list_metrics
 from needlefit.project.checkpoint import open_checkpoint
-from needlefit.project.folders import write_manifest
 from needlefit.project.locate import find_file
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.study import FitRecord
@@ -77,7 +76,6 @@ from needlefit.studies.paper_cells import (
     tabulate_generalisation,
 )
 from needlefit.studies.reference import round_frame
-from needlefit.studies.run_differences import compare_runs
 from needlefit.studies.runner import run_analysis, run_tasks
 from needlefit.studies.simulated_data import simulate_measurement
 from needlefit.studies.study_files import load_study
@@ -163,42 +161,6 @@ def test_evidence_is_rounded_to_five_decimals_of_a_length_and_five_digits():
     assert got["mu1_pa"].tolist()[:2] == [123460.0, 0.0] and np.isnan(got["mu1_pa"][2])
     assert got["edp_percent"].tolist() == [12.346, 0.0012346, 3.3333e8]
     assert got[["insertions", "note"]].equals(frame[["insertions", "note"]])
-
-
-def _answer(folder: Path, kind: str, **frames: pd.DataFrame) -> Path:
-    folder.mkdir()
-    (folder / "run.json").write_text(json.dumps({"kind": kind, "faults": []}))
-    for name, frame in frames.items():
-        frame.to_csv(folder / f"{name}.csv", index=False)
-    write_manifest(folder)
-    return folder
-
-
-def test_two_results_differ_in_rows_lengths_and_numbers(tmp_path):
-    first = pd.DataFrame({"fit": ["a", "b"], "te_mm": [0.2, 0.4], "pareto_k": [0.5, 0.2]})
-    other = pd.DataFrame({"fit": ["b", "a"], "te_mm": [0.41, 0.2], "pareto_k": [0.4, 0.5]})
-    one, two = (_answer(tmp_path / n, "seeds", summary=f) for n, f in (("1", first), ("2", other)))
-    assert compare_runs(one, one) == []
-    length, number = compare_runs(one, two)  # rows are found by their words, in whatever order
-    assert (length.before, length.after, length.matters) == (0.4, 0.41, True)
-    assert "insertions" not in length.why and "0.01 mm" in length.why
-    assert (number.before, number.after, number.matters) == (0.2, 0.4, True)
-    three = _answer(tmp_path / "3", "seeds", summary=first.assign(fit=["a", "c"]))
-    (rows,) = compare_runs(one, three)
-    assert rows.where == "rows of summary" and rows.why.startswith("2 rows")
-
-
-def test_results_of_different_analyses_are_not_compared(tmp_path):
-    one, two = (_answer(tmp_path / kind, kind) for kind in ("seeds", "calibration"))
-    study = tmp_path / "study"
-    study.mkdir()
-    (study / "run.json").write_text('{"kind": "fit"}')
-    (study / "errors.csv").write_text("fold\n")
-    write_manifest(study)
-    for pair in ((one, two), (one, study), (study, two)):
-        with pytest.raises(DataError, match="different") as fault:
-            compare_runs(*pair)
-        assert fault.value.exit_code == 3
 
 
 NEXT = {

@@ -10,7 +10,7 @@ import typer
 
 from needlefit.cli import screen
 from needlefit.cli.execution import show_run
-from needlefit.cli.options import argument, complete_runs, flag, option, takes
+from needlefit.cli.options import argument, complete_runs, option, takes
 from needlefit.project.help_pages import Topic, read_input_columns, read_sections, read_terms
 
 if TYPE_CHECKING:
@@ -63,15 +63,12 @@ def report(
     "json verbose",
     run_a=argument("RUN_A", "A folder of results, or its bare name in reports/.", complete_runs),
     run_b=argument("RUN_B", "A folder of results, or its bare name in reports/.", complete_runs),
-    everything=flag("Also print the changes that do not matter.", "--all"),
 )
-def diff(
-    context: typer.Context, run_a: str, run_b: str, everything: bool = False, unverified: bool = False
-) -> None:
-    """Compare RUN_B with RUN_A: inputs, parameters, errors on the same insertions, verdicts.
+def diff(context: typer.Context, run_a: str, run_b: str, unverified: bool = False) -> None:
+    """Compare RUN_B with RUN_A: inputs, states, and every number of their tables.
 
-    Prints the changes that matter, each with its size relative to its own uncertainty, and the inputs that
-    differ. `--json` has all changes. Runs with files that do not agree with their manifest are not compared.
+    Prints the greatest change of each column, and how many rows differ. Runs with files that do not agree
+    with their manifest are not compared.
     """
     from needlefit.project.locate import find_run
     from needlefit.studies.run_differences import (
@@ -86,12 +83,9 @@ def diff(
         screen.show_json(differences_to_json(found))
         return
     screen.print_text(summarize_differences(found))
-    table = lay_out_differences(found, everything)
-    if table.rows:
+    if found:
         screen.print_line()
-        screen.show_display(table, notes=everything)
-    if table.notes and not everything:
-        screen.print_text("\n".join(table.notes))
+        screen.show_display(lay_out_differences(found))
 
 
 def _list_topics() -> dict[str, list[Topic]]:
