@@ -297,9 +297,6 @@ def test_a_shipped_study_has_no_faults(name, kind, folds, capsys):
         assert found["ok"] and found["kind"] == kind and folds in (None, found["folds"])
 
 
-LEAVE_ONE_OUT = read_toml(find_file("study", "leave_one_out"))
-
-
 @pytest.mark.parametrize(
     ("changes", "named"),
     [
@@ -310,14 +307,12 @@ LEAVE_ONE_OUT = read_toml(find_file("study", "leave_one_out"))
         ({"tune": {"medium": "phantom1"}, "medium": "phantom1"}, 'leave_out = "insertion"'),
         ({"kind": "adaptation"}, "mine.toml"),
         ({"dataset": None, "medium": None, "leave_out": None}, "mine.toml"),
-        (LEAVE_ONE_OUT | {"fits": ["phantom1", "phantom9"]}, "phantom9"),
         ("schema = 1\nlayers = 1\n", "mine.toml"),  # of a tissue
     ],
 )
 def test_a_fault_of_a_study_is_named_with_its_line(tmp_path, changes, named, capsys):
     if isinstance(changes, dict):
-        table = changes if "fits" in changes else STUDY | changes
-        changes = dumps({key: value for key, value in table.items() if value is not None})
+        changes = dumps({key: value for key, value in (STUDY | changes).items() if value is not None})
     (tmp_path / "mine.toml").write_text(changes)
     assert run("check", str(tmp_path / "mine.toml")) == 3
     assert named in capsys.readouterr().err

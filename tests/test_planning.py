@@ -20,7 +20,6 @@ from needlefit.mechanics.control import Bevel, Step
 from needlefit.mechanics.scene import Scene, begin_session
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
-from needlefit.planning.aiming import Aim, ExecutionDraw, TargetSite, aim_straight, optimize_aim
 from needlefit.planning.goals import (
     Ball,
     Goal,
@@ -48,7 +47,6 @@ from needlefit.studies.further_insertion import (
 from needlefit.studies.held_out_predictions import PosteriorFit, Specimens
 from needlefit.studies.job import Fold, Job, Settings, prepare
 from needlefit.studies.kinds import next_insertion
-from needlefit.studies.kinds import plan as plan_kind
 from needlefit.studies.kinds.next_insertion import REPORT as NEXT_REPORT
 from needlefit.studies.kinds.next_insertion import (
     CandidateEntryRecord,
@@ -56,7 +54,7 @@ from needlefit.studies.kinds.next_insertion import (
     frame_of,
     predict_candidate,
 )
-from needlefit.studies.kinds.plan import REPORT, PlanRecord
+from needlefit.studies.planned_draws import vary_bevels
 from needlefit.studies.report import write_run
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.plans import begin_insertion
@@ -271,66 +269,12 @@ def test_the_bevel_of_a_path_angle_scene_is_planned_too() -> None:
     assert plan((40.0, -1.0), start=replace(insertion(), rules=rules, path=(start,))).nominal_miss < 0.1
 
 
-CHICKEN = {
-    "schema": 1,
-    "kind": "plan",
-    "dataset": "twin",
-    "medium": "chicken",
-    "recipe": "quick",
-    "template_insertion": "chicken-02",
-    "target_mm": [45, 3],
-    "tune": {"insertions": ["chicken-01"]},
-    "entry_plane": {"offset_mm": [-10, 10], "angle_deg": [-10, 10], "depth_mm": [30, 60]},
-}
 SOFT = {"mu1_pa": 2e4, "alpha1": 1.0, "bevel_mm": 0.2}
-AHEAD = {"offset_mm": [-0.1, 0.1], "angle_deg": [-0.1, 0.1], "depth_mm": [30, 60]}
 
 
 @cache
 def job() -> Job:
-    return prepare("test", PlanRecord.model_validate(CHICKEN).tuning(), Settings())
-
-
-def site(**changed: object) -> TargetSite:
-    return plan_kind.make_site(job(), PlanRecord.model_validate({**CHICKEN, **changed}))
-
-
-@pytest.fixture
-def few_draws(monkeypatch) -> None:
-    effort = replace(further_insertion.PLANNING_EFFORT, draws=100, min_ess=100.0)
-    monkeypatch.setattr(further_insertion, "PLANNING_EFFORT", effort)
-    monkeypatch.setattr(plan_kind, "SEARCH_DRAWS", 2)
-    monkeypatch.setattr(plan_kind, "TEST_DRAWS", 6)
-
-
-def optimize(where: TargetSite, values: dict[str, float]) -> Aim:
-    return optimize_aim(where, [ExecutionDraw(values)], values)
-
-
-def test_without_a_bevel_the_best_plan_is_the_straight_aim():
-    found, aimed = (
-        optimize(site(), {**SOFT, "bevel_mm": 0.0}),
-        aim_straight(site().entry_plane, (45.0, 3.0), 0.0, 1),
-    )
-    assert found.rms < 1e-3
-    assert (found.offset, found.angle, found.depth) == pytest.approx((3.0, 0.0, 45.0), abs=1e-3)
-    assert (aimed.offset, aimed.depth) == (3.0, 45.0)
-
-
-def test_a_target_on_the_other_side_turns_the_bevel_over():
-    """Straight ahead, only bending reaches beside the axis."""
-    one, other = (optimize(site(target_mm=[45, y], entry_plane=AHEAD), SOFT) for y in (1.5, -1.5))
-    assert (one.side, other.side) == (1, -1)
-    assert one.rms == pytest.approx(other.rms, abs=1e-4)
-    assert one.depth == pytest.approx(other.depth, abs=1e-2)
-
-
-def test_a_plan_passes_by_an_obstacle_on_the_straight_way():
-    obstacle = ObstacleRecord(name="vessel", centre_mm=(25.0, 2.0), radius_mm=2.0, margin_mm=0.5)
-    where = site(obstacles=[obstacle.model_dump()])
-    (path,) = where.find_paths(optimize(where, SOFT), [ExecutionDraw(SOFT)], SOFT)
-    assert compute_clearances(path[None], obstacle)[0] > 0.49
-    assert np.linalg.norm(path[-1] - (45.0, 3.0)) < 0.02
+    return prepare("test", NextInsertionRecord.model_validate(NEXT_INSERTION).tuning(), Settings())
 
 
 @pytest.mark.parametrize(("centre", "clearance"), [((5, 3), 2.0), ((13, 4), 4.0), ((5, 0.5), -0.5)])
@@ -338,13 +282,6 @@ def test_clearance_is_the_distance_from_the_rim(centre, clearance):
     line = np.array([[[0.0, 0.0], [10.0, 0.0]]])
     obstacle = ObstacleRecord(name="a", centre_mm=centre, radius_mm=1)
     assert compute_clearances(line, obstacle) == pytest.approx(clearance)
-
-
-def test_errors_of_the_entry_move_the_tip_as_a_rigid_body():
-    aim = aim_straight(site().entry_plane, (45.0, 3.0), 5.0, 1)
-    there, shifted = (site().execute(aim, ExecutionDraw(SOFT, across)) for across in (0.0, 0.3))
-    turn = np.radians(5.0)
-    assert shifted - there == pytest.approx(np.tile([-0.3 * np.sin(turn), 0.3 * np.cos(turn)], (41, 1)))
 
 
 def posterior(theta: np.ndarray) -> WeightedPosterior:
@@ -362,10 +299,11 @@ def test_needles_differ_by_bevel_and_in_a_new_specimen_by_its_parameters():
     stated = job().recipe.specimens.model_copy(update={"modulus_factor": 2.0, "bevel_factor": 1.2})
     recipe = job().recipe.model_copy(update={"specimens": stated})
     known, rng = Specimens(replace(job(), recipe=recipe), fold), np.random.default_rng(1)
-    sds = {}
-    for name, into in (("same", site().like), ("new", None)):
+    sds, like = {}, find_template(job(), "chicken-02")
+    for name, into in (("same", like), ("new", None)):
         moved = move_to_specimen(posterior(theta), known, into, rng)
-        sets = [one.values for one in plan_kind.draw_trials(job(), site().like, moved, 4000)]
+        thetas = moved.thetas[moved.drawn(4000, rng)]
+        sets = vary_bevels([moved.problem.values(one) for one in thetas], moved.bevel_sd, rng)
         sds[name] = [np.std(np.log([values[key] for values in sets])) for key in ("bevel_mm", "mu1_pa")]
     # of one insertion: its bevel is the mean of those fitted to
     assert sds["same"][0] == pytest.approx(0.1 * np.sqrt(2), rel=0.05) and sds["same"][1] < 1e-9
@@ -382,58 +320,6 @@ def test_the_template_s_specimen_decides_unless_the_study_does(tuned, stated, di
     specimens = {one.specimen for one in job().folds[0].tune}
     template = next(one for one in job().dataset.insertions if (one.specimen in specimens) == tuned)
     assert (find_specimen(job(), template, stated) is None) == differs
-
-
-def test_the_answer_is_tried_on_fresh_draws_and_written(world):
-    answer = world.restore("plan")
-    plans = answer.frames["plans"].set_index("method")
-    assert plans["rms_mm"]["expected"] < plans["rms_mm"]["straight"]
-    misses = answer.frames["misses"].query("method == 'expected'")["miss_mm"]
-    assert len(misses) == plan_kind.TEST_DRAWS
-    beyond = answer.frames["exceedances"].set_index(["method", "limit_mm"])["share"]
-    assert beyond["expected", 1.0] == pytest.approx((misses > 1.0).mean())
-    written = {path.name for path in world.find("plan").iterdir()}
-    assert {"plane.pdf", "plane.csv", "within.pdf", "within.csv", "report.pdf"} <= written
-
-
-@pytest.mark.sweep
-def test_a_plan_of_draws_that_are_not_certified_has_no_misses(tmp_path, monkeypatch, few_draws):
-    weigh, fault = plan_kind.weigh_posterior, "draws by importance are not certified"
-
-    def weigh_uncertified(*given):
-        known = weigh(*given)
-        draws = replace(known.learned.draws, faults=(fault,))
-        return replace(known, learned=replace(known.learned, draws=draws))
-
-    monkeypatch.setattr(plan_kind, "weigh_posterior", weigh_uncertified)
-    answer = plan_kind.run("aim", PlanRecord.model_validate(CHICKEN), Settings())
-    assert answer.faults == (fault,)
-    assert answer.frames["misses"].empty and answer.frames["plans"]["median_mm"].isna().all()
-    assert answer.frames["exceedances"]["share"].isna().all()
-    (verdict,) = answer.verdicts
-    assert verdict.status == "warn" and verdict.sentence.startswith("NOT CERTIFIED. ")
-    written = {path.name for path in write_run(answer, tmp_path / "out").iterdir()}
-    assert "plane.pdf" in written and "within.pdf" not in written
-
-
-@pytest.mark.parametrize(
-    ("target", "message"), [([500, 400], "depth_mm ends at 60 mm"), ([-3, 0], "before the entrance")]
-)
-def test_a_target_out_of_reach_is_refused(target, message):
-    with pytest.raises(ValueError, match=message):
-        PlanRecord.model_validate({**CHICKEN, "target_mm": target})
-
-
-def test_a_plan_out_of_reach_is_reported_with_its_parameters_at_bounds(few_draws):
-    """Straight ahead and 30 mm deep at most, a place 4 mm to the side is out of reach."""
-    entry_plane = {**AHEAD, "depth_mm": [20, 30]}
-    record = {**CHICKEN, "target_mm": [29, 4], "tolerances_mm": [1.0], "entry_plane": entry_plane}
-    answer = plan_kind.run("aside", PlanRecord.model_validate(record), Settings())
-    (fault,) = (one for one in answer.faults if "no plan" in one)
-    assert "1 mm" in fault
-    assert "(29, 4 mm)" in REPORT.summarize(answer)[0] and "offset, angle" in REPORT.summarize(answer)[0]
-    (table, _) = REPORT.lay_out(answer)
-    assert "0.1*" in table.rows[0] and "(*" in table.caption
 
 
 NEXT_INSERTION = {

@@ -58,9 +58,7 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
         "cross_validation": _validate("held_out", 0),
         "fit": Command(("tune", "gel"), "gel", (0, 5)),
         "identification": Command(("tune", "gel", "--design"), "gel-design", (0,)),
-        "left_out": _validate("left_out"),
         "next_insertion": _validate("next_insertion"),
-        "plan": _validate("plan"),
         "prediction": Command(
             ("predict", "held_out", "--scene", "ahead"),
             "predict-held_out-ahead",
@@ -70,7 +68,6 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
         "reconstruction": Command(("reconstruct", "sample_scan"), "scanned", (0,)),
         "seeds": _validate("seeds"),
         "sensitivity": _validate("sensitivity"),
-        "specimens": _validate("specimens"),
         "tracks": _validate("tracks"),
     }
 )

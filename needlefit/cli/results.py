@@ -76,15 +76,14 @@ def diff(
         str,
         argument("RUN_B", "A folder of results, or its bare name in reports/."),
     ],
-    everything: Annotated[bool, option("Also print the changes that do not matter.", None, "--all")] = False,
     unverified: Unverified = False,
     json: Json = False,
     plugins: Plugins = None,
 ) -> None:
-    """Compare RUN_B with RUN_A: inputs, parameters, errors on the same insertions, verdicts.
+    """Compare RUN_B with RUN_A: inputs, states, and every number of their tables.
 
-    Prints the changes that matter, each with its size relative to its own uncertainty, and the inputs that
-    differ. `--json` has all changes. Runs with files that do not agree with their manifest are not compared.
+    Prints the greatest change of each column, and how many rows differ. Runs with files that do not agree
+    with their manifest are not compared.
     """
     from needlefit.project.locate import find_run
     from needlefit.studies.run_differences import (
@@ -99,12 +98,9 @@ def diff(
         screen.show_json(differences_to_json(found))
         return
     screen.print_text(summarize_differences(found))
-    table = lay_out_differences(found, everything)
-    if table.rows:
+    if found:
         screen.print_line()
-        screen.show_display(table, notes=everything)
-    if table.notes and not everything:
-        screen.print_text("\n".join(table.notes))
+        screen.show_display(lay_out_differences(found))
 
 
 def _list_topics() -> dict[str, list[Topic]]:

@@ -2,7 +2,7 @@
 
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,6 @@ from needlefit.studies.run import (
     judge_run,
     verdicts_to_json,
 )
-from needlefit.studies.run_differences import TableComparison
 from needlefit.studies.store import store_run
 
 
@@ -91,9 +90,6 @@ class StudyReport:
     write_files: Callable[[Run, Path], None] = lambda result, folder: None
     #: whether other files that needlefit wrote to the folder stay when the result is written again
     keeps_files: bool = False
-    #: how `needlefit diff` compares single tables, by name; the others are compared row by row
-    comparisons: Mapping[str, TableComparison] = field(default_factory=dict)
-    compares_only_these: bool = False  #: whether `needlefit diff` leaves the other tables out
     #: result -> what `--json` prints, without verdicts and warnings
     to_json: Callable[[Run], dict[str, Any]] = lambda result: {
         name: to_records(to_tidy(frame)) for name, frame in result.frames.items()

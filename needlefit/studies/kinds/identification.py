@@ -39,7 +39,6 @@ from needlefit.schemas.analyses import TargetRecord
 from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.identification import identify_parameters
 from needlefit.studies.identification_tables import (
-    IDENTIFICATION_COMPARISON,
     format_small_mm,
     lay_out_identification,
 )
@@ -242,5 +241,4 @@ REPORT = StudyReport(
     draw,
     to_json=identification_to_json,
     judge=judge,
-    comparisons={"identify": IDENTIFICATION_COMPARISON},
 )

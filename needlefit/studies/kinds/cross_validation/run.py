@@ -491,6 +491,7 @@ class _StudyRun:
                 self.differing[fold.name] = list_differing_intervals(job.parameters, importance, posterior)
             if drawn.specimens.separate:
                 further = None if draws.faults else drawn.specimens.population.new
+                self.rows["population"] += drawn.specimens.tabulate_population()
                 posterior = None  # the sampler's has one set of parameters, specimens several
         verdict = identify(problem, fit, draws.certified if draws else None, further)
         if fit.minimized != "posterior":  # without stated noise nothing says how far the data can be trusted
