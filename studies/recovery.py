@@ -61,15 +61,13 @@ def score(row: dict, truth: float) -> dict:
 def summarize(rows: pd.DataFrame) -> pd.DataFrame:
     """Return one row for each fit, method and parameter, over all seeds."""
     covered, known = rows["covered"].astype(bool), rows["determined"] == "yes"
-    together = rows["determined"] == "only together"
-    rows = rows.assign(covered=covered, yes=known, missed=known & ~covered, together=together)
+    rows = rows.assign(covered=covered, yes=known, missed=known & ~covered)
     table = rows.groupby(["fit", "method", "parameter"], sort=False).agg(
         seeds=("seed", "nunique"),
         covered=("covered", "sum"),
         median_factor=("factor", "median"),
         largest_deviation=("deviations", lambda values: values.abs().max()),
         determined=("yes", "sum"),
-        only_together=("together", "sum"),
         determined_and_missed=("missed", "sum"),
     )
     return table.reset_index()
