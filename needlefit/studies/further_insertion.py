@@ -101,12 +101,6 @@ class WeightedPosterior:
         """The values (Pa, mm) at the mean of theta."""
         return self.problem.values(self.weights @ self.thetas)
 
-    @property
-    def covariance(self) -> Floats:
-        """Covariance of theta: (P, P)."""
-        away = self.thetas - self.weights @ self.thetas
-        return (away * self.weights[:, None]).T @ away
-
     def only(self, kept: Bools) -> Self:
         """Return only the draws of a mask (B,)."""
         weights = self.weights[kept]
