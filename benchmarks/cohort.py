@@ -1,7 +1,6 @@
 """What a cohort of many synthetic insertions costs: insertions fitted per second, and memory.
 
     python benchmarks/cohort.py [--insertions 10000] [--datasets 100] [--jobs 2] [--out FOLDER] [--json]
-    python benchmarks/cohort.py --tables SPECIMENS
 
 Writes datasets of shapes with a known pose: one needle, one layer of gel, 40 to 60 mm deep, five insertions
 of each specimen; modulus and bevel offset differ by specimen. `needlefit validate cohort.toml` fits them as
@@ -9,9 +8,6 @@ a process of its own, whose resident set, with that of its workers, is read ever
 and ln b are divided by the standard deviations that the fits state; their root mean square is 1 where these
 are right. The kernel's rates are of the same insertions, simulated by `simulate_batches` and differentiated
 one by one by `linearize`, on as many threads.
-
-`--tables` measures the tables alone, of so many specimens, 50 in each dataset: rows of random numbers take
-the place of fits. The greatest resident set is that of this process: before, after the run and its report.
 """
 
 import argparse
@@ -22,10 +18,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from unittest.mock import patch
 
 import numpy as np
 import pandas as pd
@@ -36,16 +30,9 @@ from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
-from needlefit.metrics import list_metrics
-from needlefit.studies.job import Settings
-from needlefit.studies.kinds import cohort
-from needlefit.studies.kinds.cohort import CohortRecord
-from needlefit.studies.report import write_run
-from needlefit.studies.runner import FrameRows
 
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 OF_A_SPECIMEN = 5
-OF_A_DATASET = 50  # specimens, of `--tables`
 POINTS = 21
 SHIFT_SD, ANGLE_SD, POINT_SD = 0.05, 0.1, 0.05  # mm, degrees, mm
 MODULUS, OFFSET, SPREAD = (
@@ -253,55 +240,6 @@ def measure(folder: Path, insertions: int, datasets: int, jobs: int) -> dict[str
     }
 
 
-def measure_tables(folder: Path, specimens: int) -> dict[str, float]:
-    """Return seconds and greatest resident MiB of the tables of a cohort."""
-    files = [folder / f"{n:05d}" / "dataset.toml" for n in range(specimens // OF_A_DATASET)]
-    record = CohortRecord(schema=2, kind="cohort", datasets=("*",), medium="chicken", recipe="quick")
-    found: dict[str, float] = {"specimens": specimens, "mib_before": read_peak()}
-    begin = time.perf_counter()
-    with (
-        patch.object(cohort, "find_datasets", lambda record: files),
-        patch.object(cohort, "digest_folders", lambda file: f"{file.parent.name:0>64}"),
-        patch.object(cohort, "_fit_dataset", make_rows),
-    ):
-        result = cohort.run("cohort", record, Settings(checkpoint=folder / "cohort.partial"))
-    found |= {"run_s": round(time.perf_counter() - begin, 1), "mib_run": read_peak()}
-    begin = time.perf_counter()
-    write_run(result, folder / "cohort")
-    return found | {"report_s": round(time.perf_counter() - begin, 1), "mib_report": read_peak()}
-
-
-def make_rows(
-    name: str, file: Path, source: Callable[[], object], record: CohortRecord, settings: Settings
-) -> FrameRows:
-    """Return the rows of a dataset, of random numbers."""
-    rng = np.random.default_rng(int(file.parent.name))
-    where = [
-        {"dataset": file.parent.name, "specimen": f"{n:04d}", "insertions": 5, "origin": "synthetic"}
-        for n in range(OF_A_DATASET)
-    ]
-    metrics = [metric.name for metric in list_metrics()]
-    errors = [{**one, "converged": True, **dict.fromkeys(metrics, rng.random())} for one in where]
-    fits = [
-        {
-            **one,
-            "parameter": key,
-            "value": 0.1 + rng.random(),
-            "sd": 0.1,
-            "at_bound": False,
-            "converged": True,
-        }
-        for one in where
-        for key in ("mu1_pa", "bevel_mm")
-    ]
-    return {"fits": fits, "errors": errors, "failures": []}
-
-
-def read_peak() -> float:
-    """Return the greatest resident set of this process so far, MiB."""
-    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
-
-
 def main() -> None:
     """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -311,16 +249,11 @@ def main() -> None:
     parser.add_argument(
         "--out", type=Path, help="keep the datasets and results here (default: a temporary folder)"
     )
-    parser.add_argument("--tables", type=int, metavar="SPECIMENS", help="measure tables alone")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         place = options.out or Path(folder)
-        found = (
-            measure_tables(place, options.tables)
-            if options.tables
-            else measure(place, options.insertions, options.datasets, options.jobs)
-        )
+        found = measure(place, options.insertions, options.datasets, options.jobs)
     print(
         json.dumps(found) if options.json else "\n".join(f"{name}  {value}" for name, value in found.items())
     )

@@ -1,8 +1,9 @@
-"""Count the lines of the package's and the tests' sources, and the words of the documents written by hand.
+"""Lines of sources and words of documents beside their budgets, by package and in all.
 
     python benchmarks/count_lines.py
 
-Of Python, code, docstrings, imports, comments and blank lines are stated apart, and the size of functions.
+`now` is the budget of this step, `later` the one of the next. Of Python, code, docstrings, imports, comments
+and blank lines are stated apart, and the size of functions.
 Lines are those of the files as they are; `ruff format` keeps Python's at 110 characters.
 """
 
@@ -17,7 +18,15 @@ import numpy as np
 ROOT = Path(__file__).resolve().parent.parent
 SOURCES = {".py", ".js", ".mjs", ".css", ".html", ".cpp", ".hpp", ".j2", ".typ"}
 TABLES = {"needlefit/reporting/columns.csv"}
-STUDIES = ("needlefit/studies/", "needlefit/planning/")
+PACKAGES = {
+    "cli": 2500, "datasets": 5000, "geometry, metrics": 1400, "imaging": 8300, "inference": 7800,
+    "mechanics": 9000, "planning": 900, "project": 2600, "reporting": 6000, "schemas": 1700, "studies": 9500,
+    "synthetic": 1600, "viewer": 8000,
+}  # fmt: skip
+"""Lines of each package of needlefit, at most; modules beside the packages have no budget of their own."""
+BUDGETS = {"needlefit": (70_000, 65_000), "tests": (30_000, 26_000), "benchmarks": (4500, 4500)}
+WORDS = (25_000, 24_000)
+"""Budgets of lines, and of the documents' words: now and later."""
 
 
 def list_files(*folders):
@@ -73,39 +82,49 @@ def describe_python(name):
     return found, functions
 
 
-def describe(label, names):
-    """Print the lines of files: all, Python's by what they hold, and the size of its functions."""
-    sources = [name for name in names if is_source(name)]
+def describe(names):
+    """Print the lines of Python files by what they hold, and the size of their functions."""
     parts, functions = Counter(), []
-    for name in sources:
+    for name in names:
         if name.endswith(".py"):
             found, lengths = describe_python(name)
             parts += found
             functions += lengths
-    share = ", ".join(
-        f"{kind} {parts[kind]}" for kind in ("code", "docstrings", "imports", "comments", "blank")
-    )
-    median, ninetieth = np.percentile(functions, (50, 90)) if functions else (0, 0)
-    print(f"{label}: {sum(map(count_lines, sources))} lines in {len(sources)} files")
-    print(f"    of Python {parts.total()}: {share}")
+    kinds = ("code", "docstrings", "imports", "comments", "blank")
+    median, ninetieth = np.percentile(functions, (50, 90))
+    print(f"    of Python {parts.total()}: {', '.join(f'{kind} {parts[kind]}' for kind in kinds)}")
     print(f"    {len(functions)} functions, lines: median {median:.0f}, 90th percentile {ninetieth:.0f}")
 
 
+def print_row(label, count, *budgets):
+    """Print what stands, its budgets, and by how much it is over the first of them."""
+    over = max(0, count - budgets[0]) if budgets else 0
+    shown = "".join(f"{number:>9}" for number in (count, *budgets))
+    print(f"{label:20}{shown:36}{over or '':>9}".rstrip())
+
+
 def main():
-    """Print the size of the package, of its parts, of the tests and of the documents."""
-    package, tests = list_files("needlefit"), list_files("tests")
-    describe("needlefit", package)
-    for part in sorted({name.split("/")[1] for name in package if name.count("/") > 1}):
-        count = sum(
-            count_lines(name) for name in package if is_source(name) and name.startswith(f"needlefit/{part}/")
-        )
-        print(f"    {count:6d}  {part}")
-    describe("studies with planning", [name for name in package if name.startswith(STUDIES)])
-    describe("tests", tests)
-    describe("benchmarks", list_files("benchmarks"))
+    """Print the table, by package and in all, and what the lines of Python hold."""
+    sources = {part: list(filter(is_source, list_files(part))) for part in BUDGETS}
+    lines = {name: count_lines(name) for names in sources.values() for name in names}
+    print(f"{'package':20}{'lines':>9}{'at most':>9}{'over':>27}")
+    known = []
+    for label, budget in PACKAGES.items():
+        folders = tuple(f"needlefit/{folder}/" for folder in label.split(", "))
+        known += [name for name in sources["needlefit"] if name.startswith(folders)]
+        print_row(label, sum(lines[name] for name in known if name.startswith(folders)), budget)
+    others = set(sources["needlefit"]) - set(known)
+    print_row("other modules", sum(lines[name] for name in others))
+    print_row("sum of the budgets", sum(lines[name] for name in known), sum(PACKAGES.values()))
+    print(f"\n{'':20}{'lines':>9}{'now':>9}{'later':>9}{'over now':>18}")
+    for part, names in sources.items():
+        print_row(part, sum(lines[name] for name in names), *BUDGETS[part])
     documents = [name for name in list_files() if name.endswith(".md") and not name.startswith("reports/")]
     words = sum(len((ROOT / name).read_text(encoding="utf-8").split()) for name in documents)
-    print(f"documents: {words} words in {len(documents)} files")
+    print_row("documents, words", words, *WORDS)
+    for part, names in sources.items():
+        print(f"\n{part}: {len(names)} files")
+        describe(names)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/lanes.py [--rounds N] [--beside-python PYTHON]
     ... --errors      largest errors against full passes to 1e-11 mm
-    ... --features    lanes beside one needle at a time, for each kind of input
 
 The insertion of `reference_problem`, 512 sets within 30 % of nominal or over broad priors. One thread is
 timed by its processor time, two by the clock. `one full pass a step` linearises all elements once at every
@@ -19,15 +18,14 @@ from in_turns import HERE, make_parser, measure, print_table, time_call
 from reference_problem import BEVEL, DEPTH, batch
 
 from needlefit.mechanics.batch import Batch, linearize_steps, simulate_batches
-from needlefit.mechanics.control import Controls, Guide, ModelOptions, Step, TrackedTip
-from needlefit.mechanics.simulate import simulate_steps
+from needlefit.mechanics.control import Controls, Guide, ModelOptions, Step
 
 try:
     from needlefit.mechanics.batch import linearize_batches
 except ImportError:  # of an earlier commit: one set after the other
     linearize_batches = None
 
-SETS, ERROR_SETS, FEATURE_SETS = 512, 10_000, 128
+SETS, ERROR_SETS = 512, 10_000
 TOLERANCE_MM = 1e-7
 FULL_PASS, JACOBIAN = "one full pass a step, 1 thread", "Jacobian of nine parameters, 1 thread"
 
@@ -38,7 +36,7 @@ def spread_over_priors(sets: Batch) -> Batch:
     return replace(
         sets,
         mu=10 ** rng.uniform(np.log10(0.05), np.log10(60), (count, 4)),
-        alpha=rng.uniform(-3, 3, (count, 4)),
+        shape=rng.uniform(-3, 3, (count, 1, 4)),
         offset=rng.uniform(0, 0.2, count),
     )
 
@@ -94,49 +92,13 @@ def print_errors() -> None:
         )
 
 
-def make_features() -> dict[str, Batch]:
-    """Return the reference insertion with each kind of input."""
-    plain = batch(FEATURE_SETS, TOLERANCE_MM)
-    path = simulate_steps(*plain.pick(0)).tip_track[:, 0]
-    steps = [Step(d, BEVEL, Controls(tip=TrackedTip(path[round(d)]))) for d in np.arange(1.0, DEPTH + 1)]
-    tracked = Step(DEPTH, BEVEL, Controls(tip=TrackedTip(path[-1] + 0.1)))
-    guides = tuple(Guide(x, path[round(x)], None, in_tissue=True) for x in (10.0, 30.0))
-    guided = Step(DEPTH, BEVEL, Controls(guides=guides))
-    moved = [Step(d, BEVEL, Controls(base_y=0.01 * d)) for d in np.arange(1.0, DEPTH + 1)]
-    return {
-        "ordinary": plain,
-        "friction 0.3": replace(plain, tissue=replace(plain.tissue, friction=np.full(4, 0.3))),
-        "two guides in the tissue": replace(plain, steps=(guided,)),
-        "tip tracked at the end": replace(plain, steps=(Step(DEPTH, BEVEL), tracked)),
-        "tip tracked every millimetre": replace(plain, steps=tuple(steps)),
-        "base moved every millimetre": replace(plain, steps=tuple(moved)),
-    }
-
-
-def print_features() -> None:
-    """Print processor time per mm of depth and set, in lanes and one needle at a time."""
-    for name, sets in make_features().items():
-        (shapes,) = simulate_batches([sets], 1)
-        few = [sets.pick(i) for i in range(8)]
-        differ = max(np.abs(shapes.u[i] - simulate_steps(*one).u).max() for i, one in enumerate(few))
-        lanes = 1e6 * time_call(lambda sets=sets: simulate_batches([sets], 1)) / len(sets) / DEPTH
-        alone = 1e6 * time_call(lambda few=few: [simulate_steps(*one) for one in few]) / len(few) / DEPTH
-        print(
-            f"{name:30s} lanes {lanes:5.2f} us, alone {alone:5.1f}, ratio {alone / lanes:4.1f}, "
-            f"passes per mm {shapes.iterations.mean() / DEPTH:.1f}, difference {differ:.1g} mm"
-        )
-
-
 def main() -> None:
     """Print the figures."""
     parser = make_parser(__doc__.splitlines()[0], rounds=20)
     parser.add_argument("--errors", action="store_true")
-    parser.add_argument("--features", action="store_true")
     options = parser.parse_args()
     if options.errors:
         print_errors()
-    elif options.features:
-        print_features()
     else:
         found = measure(list_cases, options)
         print_table(found, "us per step and set")

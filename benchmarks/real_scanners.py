@@ -17,18 +17,12 @@ and `tip_across`; `entry` along the needle; `length` inserted; `tre` of true ent
 bevel's side; `bevel_stated`: whether one is stated. With `--seeds`, `side` and `normal` are the parts of
 `axis` in the slices and along their normal, `tip_side` and `tip_normal` those of the tip; `crossed` is how
 many slices the needle crosses, and `in_68`, `in_95` which part lies within 1 and 1.96 stated deviations.
-`--large` times one row's volume, padded with air to
-512 x 512 x 400 voxels, and measures the memory of the process that reconstructs it.
 """
 
 import argparse
-import os
-import resource
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -63,8 +57,7 @@ from needlefit.imaging.needle.segmentation import select_needle
 from needlefit.imaging.reconstruct import list_tip_warnings
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import LayerSource, Scan
-from needlefit.imaging.volume import Volume
-from needlefit.imaging.volume_files import read_volume, write_volume
+from needlefit.imaging.volume_files import read_volume
 from needlefit.project.tasks import LocalPool
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic.render import densify
@@ -292,51 +285,6 @@ def _summarize_group(factor: str, level: str, part: pd.DataFrame, statistic: str
     return line
 
 
-LARGE_ROW, LARGE_SIZE = "t18", (512, 512, 400)
-AIR_HU, AIR_SD_HU = -1000.0, 20.0
-
-
-def write_large(row: Row, cache: Path, path: Path) -> None:
-    """Write the volume of a row in the middle of `LARGE_SIZE` voxels of noisy air."""
-    small = read_volume(render_cached(make_case(row), cache))
-    rng = np.random.default_rng(1)
-    values = rng.normal(AIR_HU, AIR_SD_HU, LARGE_SIZE[::-1]).astype(np.float32)
-    before = (np.array(LARGE_SIZE) - small.grid.size) // 2
-    part = tuple(slice(n, n + m) for n, m in zip(before[::-1], small.values.shape, strict=True))
-    values[part] = small.values
-    np.clip(np.rint(values, out=values), -1024, None, out=values)
-    origin = small.origin - small.direction @ (before * small.spacing)
-    write_volume(Volume(values, origin, small.spacing, small.direction), path, "Synthetic, padded")
-
-
-def time_large(row: Row, volume: Path, folder: Path) -> tuple[float, float]:
-    """Return the processor's seconds and the peak memory (GB) for reading and reconstructing `volume`.
-
-    The seconds include the process that reads the file, the memory is this process's.
-    """
-    start = _processor_seconds()
-    (found,) = reconstruct_needles(write_scan(make_case(row), volume, folder), make_recipe(row))
-    seconds = _processor_seconds() - start
-    if isinstance(found, ReconstructionFailure):
-        raise found.error
-    return seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-
-
-def _processor_seconds() -> float:
-    return sum(os.times()[:4])
-
-
-def print_large(cache: Path) -> None:
-    """Print time and memory of one large volume, in a process of its own."""
-    row = next(row for row in read_design("all") if row.name == LARGE_ROW)
-    with TemporaryDirectory() as temporary:
-        path = Path(temporary) / "large.nrrd"
-        write_large(row, cache, path)
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            seconds, memory = pool.submit(time_large, row, path, Path(temporary)).result()
-    print(f"{' x '.join(map(str, LARGE_SIZE))} voxels: {seconds:.1f} s of the processor, {memory:.2f} GB")
-
-
 def main() -> None:
     """Run the design's rows and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -346,11 +294,7 @@ def main() -> None:
     parser.add_argument("--volumes", type=int, help="only the first so many")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path, help="write every volume's line to this CSV")
-    parser.add_argument("--large", action="store_true", help="time one large volume")
     arguments = parser.parse_args()
-    if arguments.large:
-        print_large(arguments.cache)
-        return
     design = read_design(arguments.part)
     measure = partial(trace_narrow if arguments.seeds else score, cache=arguments.cache)
     if arguments.seeds:

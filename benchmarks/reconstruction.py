@@ -1,6 +1,6 @@
 """How well a needle's axis and tip are found in synthetic scans, how fast, and how well by simpler ways.
 
-    python benchmarks/reconstruction.py [--volumes 240] [--seed 3001] [--jobs 2] [--large] [--json]
+    python benchmarks/reconstruction.py [--volumes 240] [--seed 3001] [--jobs 2] [--json]
 
 Random scans of 96 x 96 x 160 voxels of 0.46 mm: needle along any of the grid's axes, tilted by up to 15
 degrees, bent in two planes; the grid turned at random in the patient; contrast, noise and sharpness at
@@ -10,11 +10,9 @@ random, the bevel's angle 30 +- 3 degrees. A third each is `clean` (partial volu
 mm; `covered` is the part of errors within one stated standard deviation, in each of two directions across.
 `bevel_deg` is the median angle between the side of the bevel that is found and the true one, `bevel_95_deg`
 what 95 % of scans stay under.
-`--large` times one volume of 512 x 512 x 400.
 """
 
 import argparse
-import resource
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
@@ -64,13 +62,13 @@ class Case:
     axis: Floats
 
 
-def draw_case(kind: str, rng: np.random.Generator, shape: tuple[int, int, int] | None = None) -> Case:
+def draw_case(kind: str, rng: np.random.Generator) -> Case:
     """Draw a scene and a scanner of `kind`."""
     main = int(rng.integers(3))  # the grid's axis near which the needle lies
     axes = np.roll(np.eye(3), main, axis=1) * rng.choice([-1, 1])
     lengths = np.full(3, 96)
     lengths[main] = 160
-    shape = shape or tuple(int(n) for n in lengths)
+    shape = tuple(int(n) for n in lengths)
     turn = Rotation.random(random_state=np.random.RandomState(rng.integers(2**31))).as_matrix()
     middle = rng.uniform(-50, 50, 3)
     origin = middle - turn @ ((np.array(shape) - 1) / 2 * SPACING)
@@ -218,40 +216,15 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(lines)
 
 
-def large(rng: np.random.Generator) -> dict[str, float]:
-    """Return the time and memory of a volume of 512 x 512 x 400 voxels, to the axis."""
-    case = draw_case("artefacts", rng, shape=(512, 512, 400))
-    volume = render_scan(case.scene, case.scanner, rng)
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    start = time.perf_counter()
-    needle = select_needle(volume, RECIPE).needle
-    middle = time.perf_counter()
-    found = trace_needle(volume, needle, RECIPE)
-    end = time.perf_counter()
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    errors = row("needlefit", found.points, found.tip, case)
-    return {
-        "segment_s": middle - start,
-        "trace_s": end - middle,
-        "peak_rendering_gb": before / 1e6,
-        "peak_gb": peak / 1e6,
-        "mean_mm": float(errors["mean"]),
-    }
-
-
 def main() -> None:
     """Run the scans and print the figures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--volumes", type=int, default=240)
     parser.add_argument("--seed", type=int, default=3001)
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--large", action="store_true")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--rows", help="also write every scan's figures to this CSV")
     arguments = parser.parse_args()
-    if arguments.large:
-        print(large(np.random.default_rng(arguments.seed)))
-        return
     tasks = [(arguments.seed + n // 3, KINDS[n % 3]) for n in range(arguments.volumes)]
     with ProcessPoolExecutor(arguments.jobs) as pool:
         rows = pd.DataFrame([r for group in pool.map(one, tasks) for r in group])

@@ -3,8 +3,6 @@
 Parameter sets are drawn within 30 % of the nominal ones, evenly, from a fixed seed.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from needlefit.mechanics.batch import Batch
@@ -35,11 +33,3 @@ def batch(count: int, tolerance: float, depth: float = DEPTH, tissue: Tissue = T
         mu=tissue.mu * spread[:, :n], alpha=tissue.alpha * spread[:, n:-1],
         offset=BEVEL.offset * spread[:, -1],
     )  # fmt: skip
-
-
-def layered(layers: int) -> Tissue:
-    """Return a tissue of as many layers as wanted within the insertion, soft and stiff in turns."""
-    boundaries = DEPTH * np.arange(1, layers) / layers
-    which = np.arange(layers) % 2
-    return replace(TISSUE, mu=TISSUE.mu[which], shape=TISSUE.shape[:, which], boundaries=boundaries,
-                   thickness=np.full(layers, TISSUE.thickness[0]), friction=np.zeros(layers))  # fmt: skip

@@ -1,4 +1,4 @@
-"""How far the solver is from solutions by other means: the table of docs/solver.md.
+"""How far the solver is from solutions by other means: the table of docs/developers/solver.md.
 
     python benchmarks/verification.py [--cases 40] [--seed 1]
 

@@ -1,6 +1,6 @@
 """Whether `needlefit view` is real time: its own page, in a headless browser that draws by software.
 
-    python benchmarks/view.py [SUBJECT] [--seconds 60] [--minutes 0] [--seed 1] [--json]
+    python benchmarks/view.py [SUBJECT] [--seconds 60] [--json]
 
 Serves SUBJECT (default: the measured insertion twin/phantom2-05, elements of 1 mm) and steers its page as a
 hand would, by events that go through the browser: the insertion key is held, then the other one, while the
@@ -15,10 +15,8 @@ latency     from the time stamp of the input event to when the browser had drawn
             Half a FRAME of it, on average, is waiting for the next one; `own` is what comes after that.
 band        from the frame that shows a needle to the one with the band of its draws, at 55 and 140 mm.
 first       from the command to the first picture, in a browser that is open already.
-solver      steps a second as the page shows them; and of 60 s without a pause, in this process.
+solver      steps a second as the page shows them.
 
-With --minutes, random input of every kind for so long: memory of server and page (after collecting garbage),
-errors of the page, and whether the recording, replayed, ends with the very needle that the page shows.
 The browser is the one that is installed (`chromium`), the driver Playwright's.
 """
 
@@ -26,8 +24,6 @@ import argparse
 import json
 import math
 import os
-import random
-import re
 import shutil
 import signal
 import subprocess
@@ -35,11 +31,11 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from playwright.sync_api import Page, TimeoutError, sync_playwright
+from playwright.sync_api import Page, sync_playwright
 
 FRAME = 1000 / 60
 LATE = 1.5
@@ -48,16 +44,15 @@ DEEP_MM = 140.0
 PHONE_SLOWER, PHONE = 5, {"width": 390, "height": 844}
 SIZE = {"width": 1280, "height": 800}
 FLAGS = ["--no-sandbox", "--disable-gpu"]
-KINDS = ("drag", "wheel", "insert", "retract", "flip", "b", "mu", "guide", "undo", "redo", "reset", "to")
 
 
 @contextmanager
-def served(subject: str, out: Path) -> Iterator[tuple[str, int]]:
-    """Yield the address of a server in a process of its own, and that process."""
+def served(subject: str, out: Path) -> Iterator[str]:
+    """Yield the address of a server in a process of its own."""
     command = [sys.executable, "-m", "needlefit", "view", subject, "--no-browser", "--out", str(out)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
-        yield process.stdout.readline().strip(), process.pid
+        yield process.stdout.readline().strip()
     finally:
         process.send_signal(signal.SIGINT)
         process.wait(20)
@@ -69,8 +64,6 @@ def opened(address: str) -> Iterator[Page]:
     with sync_playwright() as play:
         browser = play.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
         page = browser.new_page(viewport=SIZE, reduced_motion="reduce")
-        page.faults = []
-        page.on("pageerror", lambda error: page.faults.append(str(error)))
         page.goto(address)
         while not page.evaluate("window.needlefit?.state"):
             page.wait_for_timeout(50)
@@ -168,7 +161,7 @@ def first_picture(subject: str) -> float:
         page = browser.new_page(viewport=SIZE, reduced_motion="reduce")
         page.goto("about:blank")
         began = time.monotonic()
-        with served(subject, Path(out)) as (address, _):
+        with served(subject, Path(out)) as address:
             page.goto(address)
             page.wait_for_selector("body.begun", state="attached")
             spent = time.monotonic() - began
@@ -205,7 +198,7 @@ def real_time(subject: str, seconds: float) -> dict:
     """Return how many frames were missed, and how long a hand waits."""
     with (
         tempfile.TemporaryDirectory() as out,
-        served(subject, Path(out)) as (address, _),
+        served(subject, Path(out)) as address,
         opened(address) as page,
     ):
         drive(page, 3.0)  # everything is loaded
@@ -241,130 +234,15 @@ def real_time(subject: str, seconds: float) -> dict:
     }
 
 
-def sustained(subject: str, seconds: float = 60.0) -> float:
-    """Return equilibria a second of one core, step by step from Python."""
-    from needlefit.mechanics.scene import Scene
-    from needlefit.viewer.opening import open_target
-    from needlefit.viewer.steering import Change, SteeredNeedle
-
-    shown = open_target(subject)
-    steering = SteeredNeedle(Scene.from_record(shown.record), shown.first_cell)
-    steering.apply([Change("depth_mm", None, 40.0)])
-    began, before, n = time.perf_counter(), steering.solved, 0
-    while time.perf_counter() - began < seconds:
-        n += 1
-        steering.apply(
-            [Change("depth_mm", None, 40 + 8 * math.sin(n / 200)), Change("base_y_mm", None, n % 99)]
-        )
-    return (steering.solved - before) / (time.perf_counter() - began)
-
-
-def wander(page: Page, rng: random.Random) -> None:
-    """Do one thing at random."""
-    page.keyboard.press("Escape")
-    kind = rng.choice(KINDS)
-    if kind == "drag":
-        x, y = place(page, rng.choice(("base", "tip")))
-        page.mouse.move(x, y)
-        page.mouse.down()
-        for _ in range(rng.randrange(30)):
-            page.mouse.move(x + rng.uniform(-5, 5), y + rng.uniform(-30, 30))
-        page.mouse.up()
-    elif kind == "wheel":
-        page.mouse.move(640, 300)
-        page.mouse.wheel(0, rng.choice((-100, 100)) * rng.randrange(1, 8))
-    elif kind in ("insert", "retract"):
-        page.focus("#canvas")
-        key = "ArrowRight" if kind == "insert" else "ArrowLeft"
-        page.keyboard.down(key)
-        page.wait_for_timeout(rng.randrange(1500))
-        page.keyboard.up(key)
-    elif kind in ("b", "mu"):
-        slider = page.locator("#bevel-fields .slider, #tissue-fields .slider")
-        slider.nth(rng.randrange(slider.count())).focus()
-        for _ in range(rng.randrange(20)):
-            page.keyboard.press(rng.choice(("ArrowLeft", "ArrowRight", "PageUp", "PageDown")))
-    elif kind == "guide":
-        remove = page.locator("#guides .remove")
-        (remove.first if remove.count() > 3 else page.locator("#add-guide")).click()
-    elif kind == "to":
-        page.fill("#goto-depth", f"{rng.uniform(0, 90):.2f}")
-        page.press("#goto-depth", "Enter")
-        page.wait_for_timeout(300)
-    else:
-        with suppress(TimeoutError):  # there may be nothing to undo
-            page.locator(f"#{kind}").click(timeout=200)
-
-
-def memory(page: Page, server: int) -> dict:
-    """Return what server and page hold, MB."""
-    devtools = page.context.new_cdp_session(page)
-    devtools.send("HeapProfiler.collectGarbage")
-    heap = devtools.send("Runtime.getHeapUsage")["usedSize"]
-    nodes = devtools.send("Memory.getDOMCounters")
-    devtools.detach()
-    status = Path(f"/proc/{server}/status").read_text()
-    resident = int(re.search(r"VmRSS:\s+(\d+)", status).group(1)) / 1024
-    return {"server_mb": resident, "page_mb": heap / 2**20, "nodes": nodes["nodes"]}
-
-
-def endure(subject: str, minutes: float, seed: int) -> dict:
-    """Return what random input for so long does to memory, and whether the recording holds all of it."""
-    rng, held = random.Random(seed), []
-    with (
-        tempfile.TemporaryDirectory() as out,
-        served(subject, Path(out)) as (address, pid),
-        opened(address) as page,
-    ):
-        began, n = time.monotonic(), 0
-        while (t := time.monotonic() - began) < 60 * minutes:
-            if t >= 60 * minutes * len(held) / 10:
-                held.append({"minutes": t / 60, "actions": n} | memory(page, pid))
-                print(held[-1], file=sys.stderr)
-            wander(page, rng)
-            n += 1
-        page.focus("#canvas")
-        page.keyboard.press("Space")  # what goes on by itself is stopped
-        page.wait_for_timeout(1000)
-        state, scene = page.evaluate("[window.needlefit.state, window.needlefit.scene]")
-        held.append({"minutes": t / 60, "actions": n} | memory(page, pid))
-        ends = replayed(Path(out) / "view" / scene["recording"])
-        return {
-            "actions": n,
-            "steps": state["step"],
-            "memory": held,
-            "faults": page.faults,
-            "recorded_steps": ends[0],
-            "recording_ends_there": ends[1] == state["tip"]["lateral_mm"] and ends[0] == state["step"],
-            "largest_difference_mm": ends[2],
-        }
-
-
-def replayed(path: Path) -> tuple[int, float, float]:
-    """Return the steps of a recording, where it ends, and how far it ever is from what was recorded, mm."""
-    from needlefit.viewer.recording import read_recording, replay
-
-    worst, last = 0.0, None
-    for last in replay(read_recording(path)):
-        worst = max(worst, last.tip_offset_mm)
-    return last.recorded.number if last.recorded else 0, last.state.shape.tip_lateral, worst
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("subject", nargs="?", default="twin/phantom2-05")
     parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--minutes", type=float, default=0.0)
-    parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--json", action="store_true")
     asked = parser.parse_args()
     found = {"cores": os.cpu_count(), "load": os.getloadavg()[0]}
-    if asked.minutes:
-        found |= endure(asked.subject, asked.minutes, asked.seed)
-    else:
-        found["first_picture_s"] = round(min(first_picture(asked.subject) for _ in range(3)), 2)
-        found |= real_time(asked.subject, asked.seconds)
-        found["sustained_steps_per_s"] = sustained(asked.subject, asked.seconds)
+    found["first_picture_s"] = round(min(first_picture(asked.subject) for _ in range(3)), 2)
+    found |= real_time(asked.subject, asked.seconds)
     if asked.json:
         print(json.dumps(found, indent=2))
         return

@@ -36,12 +36,6 @@ COMMANDS = {
 }
 """By name; `report` rewrites the result of `study3`."""
 
-GOALS = {
-    "study3": 1 / 4, "all": 1 / 4, "report": 1 / 3, "tune": 1 / 5, "design": 1 / 5, "predict": 1 / 5,
-    "calibrate": 1 / 3,
-}  # fmt: skip
-"""Of the wall seconds of the interpreter beside, of commit 836fb7db, on two free cores."""
-
 SHOWN_PACKAGES, SHOWN_FUNCTIONS = 8, 10
 
 MAX_SHARE = 0.9
@@ -111,11 +105,9 @@ def profile(words: tuple[str, ...], folder: Path, program: Program) -> dict[str,
 
 
 def _compare(figures: dict[str, Figures], name: str) -> str:
-    """Return the ratio of a command's wall seconds to those of the interpreter beside, and its goal."""
+    """Return the ratio of a command's wall seconds to those of the interpreter beside."""
     beside = figures.get(f"{BESIDE}: {name}")
-    if beside is None or name not in GOALS:
-        return ""
-    return f", ratio {figures[name]['wall_seconds'] / beside['wall_seconds']:.2f} (goal {GOALS[name]:.2f})"
+    return f", ratio {figures[name]['wall_seconds'] / beside['wall_seconds']:.2f}" if beside else ""
 
 
 def _sort(values: Figures, most: int) -> Figures:

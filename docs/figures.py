@@ -1,16 +1,13 @@
-"""Draw the schematics of the documentation, and write the files of its gallery that compute.
+"""Draw the schematics of the documentation, and record the animation of its first page.
 
 python docs/figures.py                 writes docs/figures/{needle,frames,cell,layers}.svg
 python docs/figures.py --animation     writes docs/figures/steering.{csv,gif,html} too (a minute)
-python docs/figures.py --report RUN    writes docs/figures/study3.html too, without static figures
 python docs/figures.py --workbook      fills the example sheets of the workbook that ships
 """
 
 import argparse
-import shutil
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 
 import matplotlib as mpl
@@ -20,7 +17,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Rectangle
 
-from needlefit.api import load_run
 from needlefit.datasets.importing.answers import QUESTIONS
 from needlefit.datasets.importing.files import WORKBOOK_FILE
 from needlefit.mechanics.scene import Scene
@@ -29,7 +25,6 @@ from needlefit.mechanics.simulate import simulate_steps
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.scene import SceneRecord
-from needlefit.studies.report import compose_run_report, write_report
 from needlefit.viewer.recording import RecordedStep, RecordingWriter, make_head
 from needlefit.viewer.steering import Change, SteeredNeedle
 
@@ -42,7 +37,6 @@ def main() -> None:
     """Write the figures."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--animation", action="store_true", help="record and animate the insertion too")
-    parser.add_argument("--report", metavar="RUN", help="folder of a run of study 3")
     parser.add_argument("--workbook", action="store_true", help="fill the workbook that ships")
     options = parser.parse_args()
     if options.workbook:
@@ -58,10 +52,6 @@ def main() -> None:
         replay = [sys.executable, "-m", "needlefit", "simulate", "--recording", str(FOLDER / "steering.csv")]
         outputs = ["--animation", str(FOLDER / "steering.gif"), "--html", str(FOLDER / "steering.html")]
         subprocess.run([*replay, *outputs], check=True)
-    if options.report:
-        with tempfile.TemporaryDirectory() as folder:
-            write_report(compose_run_report(load_run(options.report), {}), Path(folder), "study3")
-            shutil.copy(Path(folder) / "study3.html", FOLDER)
 
 
 # --- the schematics -------------------------------------------------------------------------------------

@@ -532,10 +532,9 @@ def _begin_fit(
     table = {"schema": FitRecord.SCHEMA, "dataset": _IN_MEMORY, "medium": _IN_MEMORY}
     empty = check(table, FitRecord, "needlefit.fit")
     record, inputs = _replace_inputs(empty, {"dataset": target, "medium": medium}, stored)
-    if inputs.dataset is None:
-        inputs = replace(inputs, dataset=load_dataset(record.dataset))
-    name = inputs.dataset.name
-    return name if inputs.medium else f"{name}-{Path(record.medium).stem}", record, inputs
+    dataset = load_dataset(record.dataset) if inputs.dataset is None else inputs.dataset
+    name = dataset.name if inputs.medium else f"{dataset.name}-{Path(record.medium).stem}"
+    return name, record, replace(inputs, dataset=dataset)
 
 
 def _load_study(study: Name | FileRecord | Table) -> tuple[str, FileRecord, Path | None]:

@@ -1,13 +1,12 @@
 """Find everything that can be added without a list to extend: tissue laws, file formats, metrics, ...
 
-A `Registry` knows one type of entry. Built-in entries are the module-level instances of one package, and its
-modules: a file or folder there defines one instance, whose name is that of the module. Plugins are modules of
-installed packages, named by their entry points in the group `needlefit.plugins` or by `--plugins`; all their
-module-level instances are registered. docs/plugins.md shows one.
+A `Registry` knows one type of entry. Built-in entries are the module-level instances of one package, by their
+names, and those of its modules, by the name of the module, which is imported when it is used. Plugins are
+modules of installed packages, named by their entry points in the group `needlefit.plugins` or by `--plugins`;
+all their module-level instances are registered. docs/developers/plugins.md shows one.
 
 A plugin is code, which runs with the rights of the user. It is never looked for in the working folder or in
-a folder of data, which may come from somebody else: `python -m needlefit` puts the working folder on
-`sys.path`.
+a folder of data, which may come from somebody else.
 """
 
 import difflib
@@ -19,21 +18,17 @@ import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from importlib import import_module, metadata
 from pathlib import Path
-from threading import RLock
 from types import ModuleType
 from typing import Any, Generic, Protocol, TypeVar
 
 from needlefit.errors import ConfigError, NeedlefitError
 
-GROUP = "needlefit.plugins"
-"""Entry points of this group name plugin modules."""
-
+GROUP = "needlefit.plugins"  # of entry points that name plugin modules
 PLUGINS_VARIABLE = "NEEDLEFIT_PLUGINS"
-"""Environment variable: further plugin modules, separated by commas; `--plugins` sets it. A process that this
-one starts inherits it.
-"""
+"""Environment variable: further plugin modules, separated by commas; child processes inherit it."""
 
 
 class Named(Protocol):
@@ -48,54 +43,48 @@ T = TypeVar("T", bound=Named)
 
 @dataclass(frozen=True)
 class Plugin:
-    """A module that adds entries; `version` is a digest of its file where it states none."""
+    """A module that adds entries, by name; `version` is a digest of its file where it states none."""
 
     module: ModuleType
+    name: str
     version: str
-
-    @property
-    def name(self) -> str:
-        """The module's name."""
-        return self.module.__name__
 
 
 class Registry(Generic[T]):
-    """All entries of one type, by name.
-
-    Parameters
-    ----------
-    entry_type : type
-        Of the entries; each has a `name`.
-    package : str
-        The package that holds the built-in entries; modules that begin with `_` are none.
-    noun : str
-        What an entry is called in messages, such as `tissue law`.
-    """
+    """All entries of one type, by name; `noun` is what an entry is called in messages."""
 
     def __init__(self, entry_type: type[T], package: str, noun: str) -> None:
         self._type, self._package, self._noun = entry_type, package, noun
         self._builtin: dict[str, T] = {}
-        self._added: dict[str, tuple[T, Plugin]] = {}
-        self._plugins: tuple[Plugin, ...] = ()  # those that `_added` was filled from
+        self._plugins: tuple[Plugin, ...] = ()  # those that `_found` was filled from
+        self._found: dict[str, tuple[T, Plugin]] = {}
 
     def names(self) -> tuple[str, ...]:
         """Return all names, sorted; built-in entries are not imported for it."""
-        return tuple(sorted({*self._builtin_names(), *self._from_plugins()}))
+        return tuple(sorted({*self._builtin_names, *self._added()}))
 
     def values(self) -> tuple[T, ...]:
         """Return all entries, sorted by name."""
         return tuple(self[name] for name in self.names())
 
     def __contains__(self, name: object) -> bool:
-        return name in self._from_plugins() or name in self._builtin_names()
+        return name in self._builtin_names or name in self._added()
 
     def __getitem__(self, name: str) -> T:
-        added = self._from_plugins()
-        if name in added:
+        if name in (added := self._added()):
             return added[name][0]
-        if name not in self._builtin_names():
+        if name not in self._builtin_names:
             raise self.unknown_name_error(name)
         return self._get_builtin(name)
+
+    def _get_builtin(self, name: str) -> T:
+        if name not in self._builtin:
+            module = import_module(f"{self._package}.{name}")
+            if name not in (found := self._instances(module)):
+                what = f"holds no {self._type.__name__} called `{name}`"
+                raise ConfigError(what, where=str(module.__file__), expected="one with the name of the file")
+            self._builtin[name] = found[name]
+        return self._builtin[name]
 
     def get(self, name: str) -> T | None:
         """Return an entry; None if there is none of that name, as in a stored result of a plugin."""
@@ -103,24 +92,21 @@ class Registry(Generic[T]):
 
     def plugin_of(self, name: str) -> Plugin | None:
         """Return the plugin that an entry comes from; None for a built-in entry."""
-        added = self._from_plugins().get(name)
-        return added[1] if added else None
+        return self._added().get(name, (None, None))[1]
 
     @contextmanager
     def plugin_error_context(self, name: str) -> Iterator[None]:
         """Raise ConfigError, which names the plugin, where code of an entry that a plugin adds fails."""
         try:
             yield
-        except NeedlefitError:
-            raise
         except Exception as error:  # a plugin is code of others
             plugin = self.plugin_of(name)
-            if plugin is None:
+            if plugin is None or isinstance(error, NeedlefitError):
                 raise
             raise ConfigError(
                 f"the {self._noun} `{name}` of the plugin {plugin.name} failed: "
                 f"{type(error).__name__}: {error}",
-                expected="code that works as docs/plugins.md describes",
+                expected="code that works as docs/developers/plugins.md describes",
                 fix="repair the plugin, or leave it out",
             ) from error
 
@@ -131,72 +117,47 @@ class Registry(Generic[T]):
         fix = f"write {similar[0]}" if similar else "use one of these, or name the plugin with --plugins"
         return ConfigError(what, expected=f"one of {', '.join(self.names())}", fix=fix, key=key)
 
+    @cached_property
     def _builtin_names(self) -> frozenset[str]:
         package = import_module(self._package)
+        self._builtin |= self._instances(package)
         modules = (one.name for one in pkgutil.iter_modules(package.__path__))
-        self._builtin |= {entry.name: entry for entry in self._instances(package)}
-        names = frozenset([*self._builtin, *(name for name in modules if not name.startswith("_"))])
-        self._builtin_names = lambda: names  # type: ignore[method-assign]  # the folder does not change
-        return names
+        return frozenset([*self._builtin, *(name for name in modules if not name.startswith("_"))])
 
-    def _get_builtin(self, name: str) -> T:
-        if name in self._builtin:
-            return self._builtin[name]
-        module = import_module(f"{self._package}.{name}")
-        found = [entry for entry in self._instances(module) if entry.name == name]
-        if len(found) != 1:
-            what = f"{len(found)} {self._type.__name__} called `{name}` in it"
-            expected = f"one module-level {self._type.__name__} whose name is that of the file"
-            raise ConfigError(what, where=str(module.__file__), expected=expected)
-        self._builtin[name] = found[0]
-        return found[0]
+    def _instances(self, module: ModuleType) -> dict[str, T]:
+        return {one.name: one for one in list(vars(module).values()) if isinstance(one, self._type)}
 
-    def _instances(self, module: ModuleType) -> Iterator[T]:
-        """Yield each instance that a module holds, once."""
-        seen: set[int] = set()
-        for value in list(vars(module).values()):
-            if isinstance(value, self._type) and id(value) not in seen:
-                seen.add(id(value))
-                yield value
-
-    def _from_plugins(self) -> dict[str, tuple[T, Plugin]]:
-        plugins = load_plugins()
-        if plugins is not self._plugins:
-            added: dict[str, tuple[T, Plugin]] = {}
+    def _added(self) -> dict[str, tuple[T, Plugin]]:
+        """Return the entries of plugins; ConfigError if a name exists already."""
+        if (plugins := load_plugins()) is not self._plugins:
+            self._plugins, self._found = plugins, {}
             for plugin in plugins:
-                for entry in self._instances(plugin.module):
-                    if self._is_new(entry, plugin, added):
-                        added[entry.name] = entry, plugin
-            self._added, self._plugins = added, plugins
-        return self._added
+                for name, entry in self._instances(plugin.module).items():
+                    self._add(name, entry, plugin)
+        return self._found
 
-    def _is_new(self, entry: T, plugin: Plugin, added: dict[str, tuple[T, Plugin]]) -> bool:
-        """Raise ConfigError if another entry has this name; a plugin may import one that is known."""
-        if entry.name in added:
-            other, place = added[entry.name][0], added[entry.name][1].name
-        elif entry.name in self._builtin_names():
-            place = f"{self._package}.{entry.name}"
-            other = self._get_builtin(entry.name)
+    def _add(self, name: str, entry: T, plugin: Plugin) -> None:
+        known, place = self._found.get(name, (entry, plugin))[0], f"{self._package}.{name}"
+        if name in self._found:
+            place = self._found[name][1].name
+        elif name in self._builtin_names:
+            known = self._get_builtin(name)
         else:
-            return True
-        if other is not entry:
-            what = f"the {self._noun} `{entry.name}` of the plugin {plugin.name} exists already, in {place}"
-            expected = "every name once"
-            raise ConfigError(what, expected=expected, fix="rename it, or leave one of the two plugins out")
-        return False
+            self._found[name] = entry, plugin
+        if known is not entry:  # a plugin may import one that is known
+            self._plugins = ()
+            what = f"the {self._noun} `{name}` of the plugin {plugin.name} exists already, in {place}"
+            raise ConfigError(what, expected="every name once", fix="rename it, or leave one of the two out")
 
 
-_lock = RLock()
 _loaded: tuple[Plugin, ...] | None = None
-_loading = False
 
 
 def use_plugins(modules: Iterable[str]) -> None:
     """Let this process, and those that it starts, use plugin modules besides those used so far."""
     global _loaded
-    with _lock:
-        os.environ[PLUGINS_VARIABLE] = ",".join(dict.fromkeys((*_stated_modules(), *modules)))
-        _loaded = None
+    os.environ[PLUGINS_VARIABLE] = ",".join(dict.fromkeys((*_stated_modules(), *modules)))
+    _loaded = None
 
 
 def load_plugins() -> tuple[Plugin, ...]:
@@ -204,19 +165,20 @@ def load_plugins() -> tuple[Plugin, ...]:
 
     ConfigError if one cannot be imported, or stands in the working folder or in a folder of data.
     """
-    global _loaded, _loading
-    if _loaded is not None:
-        return _loaded
-    with _lock:
-        if _loaded is None and not _loading:  # a plugin that looks up names while it is imported sees none
-            _loading = True
-            try:
-                with _trusted_search_path() as trusted:
-                    versions = {**dict.fromkeys(_stated_modules(), ""), **_find_entry_points(trusted)}
-                    _loaded = tuple(_load(name, version) for name, version in sorted(versions.items()))
-            finally:
-                _loading = False
-        return _loaded or ()
+    global _loaded
+    if _loaded is None:
+        _loaded = ()  # a plugin that looks up names while it is imported sees none
+        before = sys.path[:]
+        sys.path[:] = trusted = [one for one in before if one and not _is_untrusted(Path(one).resolve())]
+        try:
+            stated = {**dict.fromkeys(_stated_modules(), ""), **_find_entry_points(list(trusted))}
+            _loaded = tuple(_load(name, version) for name, version in sorted(stated.items()))
+        except BaseException:
+            _loaded = None
+            raise
+        finally:
+            sys.path[:] = before + [one for one in sys.path if one not in before]
+    return _loaded
 
 
 def plugin_versions(*used: tuple[Registry[Any], str]) -> dict[str, str]:
@@ -226,44 +188,26 @@ def plugin_versions(*used: tuple[Registry[Any], str]) -> dict[str, str]:
 
 
 def _stated_modules() -> list[str]:
-    words = os.environ.get(PLUGINS_VARIABLE, "").split(",")
-    return [word.strip() for word in words if word.strip()]
-
-
-@contextmanager
-def _trusted_search_path() -> Iterator[list[str]]:
-    """Leave the working folder and folders of data out of `sys.path` for a time."""
-    before = sys.path[:]
-    sys.path[:] = [entry for entry in before if entry and not _is_untrusted(Path(entry).resolve())]
-    trusted = sys.path[:]
-    try:
-        yield trusted
-    finally:
-        sys.path[:] = before + [entry for entry in sys.path if entry not in before]
+    return [word.strip() for word in os.environ.get(PLUGINS_VARIABLE, "").split(",") if word.strip()]
 
 
 def _is_untrusted(folder: Path) -> bool:
     here = Path.cwd()
-    return (
-        folder == here
-        or folder.is_relative_to(here / "data")
-        or any((one / "dataset.toml").is_file() for one in (folder, *folder.parents))
-    )
+    holds_data = any((one / "dataset.toml").is_file() for one in (folder, *folder.parents))
+    return folder == here or folder.is_relative_to(here / "data") or holds_data
 
 
 def _find_entry_points(search_path: list[str]) -> dict[str, str]:
-    return {
-        entry.module: package.version
-        for package in reversed(list(metadata.distributions(path=search_path)))  # the first one found wins
-        for entry in package.entry_points
-        if entry.group == GROUP
-    }
+    packages = reversed(list(metadata.distributions(path=search_path)))  # the first one found wins
+    entries = [(entry, package) for package in packages for entry in package.entry_points]
+    return {entry.module: package.version for entry, package in entries if entry.group == GROUP}
 
 
 def _load(name: str, version: str) -> Plugin:
     try:
         spec = importlib.util.find_spec(name.partition(".")[0])
-        if spec is None or any(_is_untrusted(place) for place in _folders(spec)):
+        places = [] if spec is None else spec.submodule_search_locations or [spec.origin or ""]
+        if not places or any(_is_untrusted(Path(place).resolve().parent) for place in places):
             expected = "an installed module; none in the working folder or in a folder of data is used"
             fix = "install it with pip, or put a folder other than the working folder on PYTHONPATH"
             raise ConfigError(f"there is no installed plugin module `{name}`", expected=expected, fix=fix)
@@ -272,20 +216,10 @@ def _load(name: str, version: str) -> Plugin:
         raise
     except Exception as error:  # a plugin is code of others
         what = f"the plugin module `{name}` cannot be imported: {type(error).__name__}: {error}"
-        expected = "a module that can be imported by its name"
-        raise ConfigError(what, expected=expected, fix="repair, update or uninstall it") from error
-    return Plugin(module, version or _stated_version(module))
-
-
-def _folders(spec: importlib.machinery.ModuleSpec) -> list[Path]:
-    places = spec.submodule_search_locations or [spec.origin or ""]
-    return [Path(place).resolve().parent for place in places]
-
-
-def _stated_version(module: ModuleType) -> str:
-    top = module.__name__.partition(".")[0]
-    stated = getattr(module, "__version__", getattr(sys.modules[top], "__version__", None))
-    if stated:
-        return str(stated)
-    content = Path(module.__file__).read_bytes() if module.__file__ else b""
-    return f"sha256:{hashlib.sha256(content).hexdigest()}"
+        raise ConfigError(
+            what, expected="a module that can be imported", fix="repair or remove it"
+        ) from error
+    if not version:
+        content = Path(module.__file__).read_bytes() if module.__file__ else b""
+        version = str(getattr(module, "__version__", f"sha256:{hashlib.sha256(content).hexdigest()}"))
+    return Plugin(module, name, version)

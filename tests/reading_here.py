@@ -9,7 +9,7 @@ import warnings
 
 import pytest
 
-from needlefit.project import sandbox as cage
+from needlefit.project import reader_process
 
 
 @pytest.fixture
@@ -23,10 +23,11 @@ def read_here(request, monkeypatch):
     if "child_process_reader" in request.fixturenames:
         return
 
-    def answer(asked, file, shared, allowed):
+    def answer(asked, file):
+        arrays = {}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # as the child's are, which nobody sees
-            return json.dumps(cage._attempt(asked)).encode("ascii")
+            return json.loads(json.dumps(reader_process._attempt(asked, arrays))), arrays
 
-    monkeypatch.setattr(cage, "_set_limits", lambda allowed: None)
-    monkeypatch.setattr(cage, "_run", answer)
+    monkeypatch.setattr(reader_process, "_set_limits", lambda *_: None)
+    monkeypatch.setattr(reader_process, "_run", answer)

@@ -185,7 +185,7 @@ def test_folders_with_foreign_files_are_refused_before_the_run(command, place, w
 def beside(project: Path) -> dict[str, bytes]:
     """Plant files everywhere but in the folders that a command replaces."""
     found = plant(project) | plant(project / "out") | plant(project / "out/other")
-    for name in ("held_out.partial.damaged-1", "rr.damaged-1", "view", ".rr.needlefit-mine", "reference"):
+    for name in ("held_out.partial-mine", "view", ".rr.needlefit-mine", "reference"):
         found |= plant(project / "out" / name)
     for name in ("out/n.obj", "out/n.png", "out/run.json", f"out/{MANIFEST}", "out/lock", "out/project.csv"):
         (project / name).write_bytes(b"held_out")

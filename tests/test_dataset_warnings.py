@@ -151,8 +151,7 @@ def test_a_deflection_with_another_possible_cause_gives_no_warning(tmp_path):
     [
         ("outer_diameter", "outer_diameter_mm = 0.00127", "1.27"),
         ("outer_diameter", "outer_diameter_mm = 0.05", "1.27"),
-        ("outer_diameter", "outer_diameter_mm = 0.127", "1.27"),
-        ("outer_diameter", "outer_diameter_mm = 18", "1.27"),
+        ("outer_diameter", "outer_diameter_mm = 18", "mm"),
         ("youngs_modulus", "youngs_modulus_gpa = 0.08", "GPa"),
         ("outer_diameter", "flexural_rigidity_nmm2 = 0.0102", "10200"),
         ("point_sd_mm", "point_sd_mm = 4e-5", "0.04"),
@@ -172,12 +171,11 @@ def test_a_value_in_another_unit_is_named_with_its_line(tmp_path, pattern, line,
 @pytest.mark.parametrize(
     ("changes", "key", "right"),
     [
-        ({"length_mm": 15.0, "outer_diameter_mm": 0.127}, "outer_diameter_mm", ["1.27", "150"]),  # cm
-        ({"length_mm": 5.9, "outer_diameter_mm": 0.05}, "outer_diameter_mm", ["1.27", "149.86"]),  # inches
+        ({"length_mm": 5.9, "outer_diameter_mm": 0.05}, "outer_diameter_mm", ["1.27"]),  # inches
         ({"length_mm": 150.0, "outer_diameter_mm": 1270.0}, "outer_diameter_mm", ["1.27"]),  # micrometres
         ({"length_mm": 150.0, "outer_diameter_mm": 5000.0}, "outer_diameter_mm", ["write 5"]),
         ({"length_mm": 5000.0}, "length_mm", ["check"]),
-        ({"length_mm": 15.0}, "length_mm", ["150 if", "381 if"]),
+        ({"length_mm": 15.0}, "length_mm", ["check"]),
         ({"length_mm": 150.0, "outer_diameter_mm": 7.0}, "outer_diameter_mm", ["check"]),
         *(({"length_mm": length}, "", []) for length in (40.0, 0.15)),
         ({"inner_diameter_mm": 1.2699}, "inner_diameter_mm", ["check"]),
@@ -197,12 +195,6 @@ def test_a_doubtful_length_of_a_needle_is_named_with_what_is_likely(tmp_path, ch
 
 
 def test_values_in_another_unit_have_a_likely_one():
-    for value, unit, right in [
-        *[(2e11, "Pa", 200), (8e4, "MPa", 80), (4e4, "MPa", 40), (2.9e7, "psi", 200), (1.16e7, "psi", 80)],
-        *[(2.9e4, "ksi", 200), (3.6e3, "MPa", 3.6), (1e20, "", np.nan)],
-    ]:
-        found, in_gpa = unit_warnings.likely_modulus(value)
-        assert found == unit and in_gpa == pytest.approx(right, rel=2e-3, nan_ok=True)
     for changed, right in [
         ({"mu1_pa": {"fixed": 220.0}}, ["write 220000"]),
         ({"mu1_pa": {"bounds": [1.0, 250.0]}}, ["write 250000"]),

@@ -27,7 +27,7 @@ README = DOCS.parent / "README.md"
 PAGES = [
     README,
     *sorted(DOCS.glob("*.md")),
-    *sorted(DOCS.glob("guides/*.md")),
+    *sorted(DOCS.glob("*/*.md")),
     *sorted(DOCS.glob("../*/README.md")),
 ]
 TEXT = README.read_text("utf-8") if README.is_file() else ""

@@ -20,7 +20,7 @@ from needlefit.errors import DataError, NeedlefitError
 from needlefit.imaging.segmentations import read_labels
 from needlefit.imaging.volume import MAX_EXPANSION
 from needlefit.imaging.volume_files import read_volume
-from needlefit.project.sandbox import MEMORY_VARIABLE
+from needlefit.project.reader_process import MEMORY_VARIABLE
 
 CORPUS = sorted((Path(__file__).parent / "fuzz" / "corpus").iterdir())
 MAX_SECONDS, MAX_KIB = 10, 2**20

@@ -178,7 +178,7 @@ def test_failures_are_counted_on(tmp_path):
 
 
 @pytest.mark.parametrize("damage", ["torn", "flipped", "foreign", "empty", "without its row"])
-def test_a_damaged_chain_is_set_aside_and_sampled_again(tmp_path, whole, damage):
+def test_a_damaged_chain_is_sampled_again(tmp_path, whole, damage):
     draw(GAUSSIAN, BEGIN, stop_after(25), reopen(tmp_path), **SHORT)
     (chain,), (rows,) = tmp_path.glob("*.h5"), tmp_path.glob("*.jsonl")
     before = chain.read_bytes()
@@ -191,11 +191,10 @@ def test_a_damaged_chain_is_set_aside_and_sampled_again(tmp_path, whole, damage)
         middle = len(before) // 2
         flipped = before[:middle] + bytes([before[middle] ^ 1]) + before[middle + 1 :]
         chain.write_bytes({"torn": before[:middle], "flipped": flipped, "empty": b""}[damage])
-    spoiled, notes, steps = chain.read_bytes(), [], []
+    notes, steps = [], []
     count = Callbacks(step=lambda done, most: steps.append(done))
     assert_equal(draw(GAUSSIAN, BEGIN, count, reopen(tmp_path, notes.append), **SHORT), whole)
     assert steps == list(range(1, 36)) and len(notes) == 1
-    assert chain.with_name(f"{chain.name}.damaged-1").read_bytes() == spoiled
 
 
 def test_a_kill_between_the_row_and_its_chain_leaves_the_block_before(tmp_path, whole):
@@ -339,6 +338,7 @@ def test_arviz_reads_the_draws(tmp_path):
         lambda file: file["convergence/ess"].write_direct(np.zeros(1), dest_sel=np.s_[:1]),
         lambda file: file["posterior"].attrs.modify("about", file["posterior"].attrs["about"] + " "),
         lambda file: file["posterior"].attrs.__delitem__("sha256"),
+        lambda file: file.create_dataset("posterior/more", (10**6, 10**6), dtype="f8"),  # never written
     ],
 )
 def test_a_file_that_was_changed_is_refused(damage, tmp_path):

@@ -38,7 +38,7 @@ from needlefit.mechanics.packing import pack_problem, plan_insertion
 pytestmark = pytest.mark.on_demand
 INSERTIONS = 2000
 INPUTS = "e71c053f525e03e756bb159806dd9f72aea8b92e"
-#: SHA-1 of the problems and of the results; docs/solver.md states the latter
+#: SHA-1 of the problems and of the results; docs/developers/solver.md states the latter
 RESULTS = "3ef61af2ebc88a001ad572c293a12ddb9b352c75"
 
 HERE = Path(__file__).parent / "native"

@@ -211,6 +211,21 @@ def test_one_command_builds_the_wheels_of_all_platforms(checkout):
     assert tags == {"manylinux", "musllinux", "macosx", "win"} and len(list(out.glob("*.whl"))) == 7
 
 
+@pytest.mark.on_demand
+def test_a_study_runs_on_the_lower_bounds_of_the_dependencies(built, tmp_path):
+    """Each dependency in the oldest version that is declared; what they need in turn is the newest."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    oldest = [bound.replace(">=", "==") for bound in project["dependencies"]]
+    call(sys.executable, "-m", "venv", str(tmp_path / "venv"))
+    python = str(tmp_path / "venv" / "bin" / "python")
+    (wheel,) = built.glob("*.whl")
+    call(python, "-m", "pip", "install", "--quiet", str(wheel), *oldest)
+    elsewhere = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    words = ("-m", "needlefit", "validate", "study3", "--quiet", "--out", "reports")
+    call(python, *words, env=elsewhere, cwd=tmp_path)
+    assert (tmp_path / "reports" / "study3" / "report.pdf").is_file()
+
+
 def test_versions_agree():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert project["version"] == needlefit.__version__

@@ -7,7 +7,6 @@ import base64
 import io
 import re
 import shutil
-import signal
 import subprocess
 import sys
 import time
@@ -41,8 +40,8 @@ class Server:
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
         self.address = self.process.stdout.readline().strip()
 
-    def end(self, how: int = signal.SIGTERM) -> None:
-        self.process.send_signal(how)
+    def end(self) -> None:
+        self.process.terminate()
         self.process.wait(20)
         self.process.stdout.close()
 
@@ -432,31 +431,6 @@ def test_a_disconnected_page_shows_it_and_reconnects_to_its_needle(server, chrom
         page.reload()
         assert until(page, "n?.connected && s?.depth_mm === 15")["y"] == state["y"]
         assert page.get_attribute("[data-fit=tissue]", "aria-pressed") == "true"  # beside a measured needle
-
-
-@sweep
-def test_a_killed_server_loses_no_step(tmp_path, chromium) -> None:
-    server = Server(tmp_path, "study2")
-    with opened(chromium, server) as page:
-        go_to(page, 17)
-        do(page, ("drag", "base", 0, -20, "s.base.y > 0.1"))
-        page.wait_for_timeout(200)
-        state = get(page, "s")
-        server.end(signal.SIGKILL)
-        shown(page, "Not connected")
-    (path,) = server.folder.glob("*.csv")
-    *_, last = replay(read_recording(path))
-    assert last.recorded.number == state["step"] and last.tip_offset_mm == 0
-    assert last.state.shape.tip_lateral == state["tip"]["lateral_mm"]
-
-
-@sweep
-def test_two_windows_do_not_touch_each_other(page, server, chromium) -> None:
-    with opened(chromium, server) as other:
-        go_to(page, 10)
-        go_to(other, 25)
-        assert get(page, "s.depth_mm") == 10
-        assert get(page, "n.scene.recording") != get(other, "n.scene.recording")
 
 
 @sweep

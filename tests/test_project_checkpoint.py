@@ -2,17 +2,14 @@
 
 import dataclasses
 import errno
-import hashlib
 import json
 import os
 import pickle
-import random
 import shutil
 import signal
 import subprocess
 import sys
 import threading
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -26,12 +23,10 @@ from needlefit.inference.fit import Start, keep_start, read_starts
 from needlefit.project import folders
 from needlefit.project.checkpoint import (
     ARRAYS_KEY,
-    find_foreign_in_checkpoint,
     open_checkpoint,
     release_checkpoint,
     remove_checkpoint,
     require_own_checkpoint,
-    set_aside,
 )
 from needlefit.project.encode import decode, encode
 from needlefit.project.folders import (
@@ -62,51 +57,38 @@ def resumed(folder: Path) -> tuple[list[int], list[str]]:
     return sorted(read_starts(open_checkpoint(folder, True, {"n": 1}, lines.append), "fold/fit")), lines
 
 
-def test_a_truncated_line_is_no_start(tmp_path):
-    file = kept(tmp_path / "c")
+def test_a_torn_row_is_no_start(tmp_path):
+    file, lines = kept(tmp_path / "c"), []
     with file.open("a") as stream:
         stream.write('{"index": 1, "theta0": [0.')
-    before = file.read_bytes()
-    checkpoint = open_checkpoint(tmp_path / "c", True, {"n": 1})
+    checkpoint = open_checkpoint(tmp_path / "c", True, {"n": 1}, lines.append)
     keep_start(checkpoint, "fold/fit", dataclasses.replace(START, index=5))
-    assert sorted(read_starts(checkpoint, "fold/fit")) == [0, 1, 2, 5]
-    aside = file.with_name(f"{file.name}.damaged-1")
-    assert aside.read_bytes().startswith(before)
-    del checkpoint
-    assert resumed(tmp_path / "c") == ([0, 1, 2, 5], [])  # reported once
+    assert sorted(read_starts(checkpoint, "fold/fit")) == [0, 1, 2, 5] and len(lines) == 1
 
 
-def test_a_changed_byte_never_changes_a_start(tmp_path):
-    file, chance = kept(tmp_path / "c"), random.Random(1)
+def test_a_row_is_whole_or_none(tmp_path):
+    file = kept(tmp_path / "c")
     whole = file.read_bytes()
-    rows = {line for line in whole.split(b"\n") if line}
-    for _ in range(FLIPS):
-        data = bytearray(whole)
-        data[chance.randrange(len(data))] = chance.randrange(256)
-        file.write_bytes(data[: chance.choice([len(data), chance.randrange(len(data))])])
+    for end in range(len(whole)):
+        file.write_bytes(whole[:end])
         found, lines = resumed(tmp_path / "c")
-        left = {line for line in file.read_bytes().split(b"\n") if line}
-        assert left <= rows and len(found) == len(left)  # what was damaged is set aside, what is whole stays
-        assert len(lines) <= 1
-        for aside in file.parent.glob("*.damaged-*"):
-            aside.unlink()
+        assert found == [*range(len(found))] and len(lines) <= 1
+        assert len(found) == whole[:end].count(b"}")
 
 
-def test_rows_of_another_task_are_ignored_and_what_is_no_text_is_set_aside(tmp_path):
+def test_rows_of_another_task_and_what_is_no_text_are_ignored(tmp_path):
     file, row = kept(tmp_path / "c"), b'{"index": "\xff"}'
     assert file.read_bytes() == kept(tmp_path / "same").read_bytes()
     assert json.loads((tmp_path / "c" / MANIFEST).read_text())["holds"] == "checkpoint"
     checkpoint = open_checkpoint(tmp_path / "c", True, {"n": 1})
     checkpoint.keep_row("fold/fit", {"index": "no start"})
-    assert read_starts(checkpoint, "fold/fit") == {}
-    keep_start(checkpoint, "fold/fit", START)
-    assert list(read_starts(checkpoint, "fold/fit")) == [0]
+    assert list(read_starts(checkpoint, "fold/fit")) == [0, 1, 2]
     checkpoint.keep_row("pieces", {"piece": "a", "rows": {}})
     checkpoint.keep_row("pieces", {"piece": "b"})
     assert [row["piece"] for row in checkpoint.rows("pieces", ("piece", "rows"))] == ["a"]
     file = next((tmp_path / "same").glob("*.jsonl"))
-    with file.open("ab") as stream:  # with its right digest
-        stream.write(hashlib.sha256(row).hexdigest()[:16].encode() + b" " + row + b"\n")
+    with file.open("ab") as stream:
+        stream.write(row + b"\n")
     found, lines = resumed(tmp_path / "same")
     assert found == [0, 1, 2] and len(lines) == 1
 
@@ -114,15 +96,13 @@ def test_rows_of_another_task_are_ignored_and_what_is_no_text_is_set_aside(tmp_p
 @pytest.mark.parametrize(
     ("stamp", "resume"), [(b"", True), (b"\0" * 100, False), (b'{"program": "needlefit", "format": 1}', True)]
 )
-def test_a_checkpoint_with_a_damaged_stamp_is_set_aside_whole(tmp_path, stamp, resume):
+def test_a_checkpoint_with_a_damaged_stamp_is_begun_afresh(tmp_path, stamp, resume):
     file = kept(tmp_path / "c")
     (tmp_path / "c" / MANIFEST).write_bytes(stamp)
-    (tmp_path / "c.damaged-1").mkdir()
-    (tmp_path / "c.damaged-1" / "mine").touch()
     lines: list[str] = []
     checkpoint = open_checkpoint(tmp_path / "c", resume, {"n": 1}, lines.append)
     assert read_starts(checkpoint, "fold/fit") == {} and len(lines) == 1
-    assert (tmp_path / "c.damaged-2" / file.name).is_file() and (tmp_path / "c.damaged-1" / "mine").is_file()
+    assert not file.exists()
 
 
 @pytest.mark.parametrize(
@@ -180,13 +160,12 @@ sys.stdin.read()
 
 
 def test_one_process_at_a_time(tmp_path):
-    pytest.importorskip("fcntl")
     words = [sys.executable, "-c", HOLDS, str(tmp_path / "c")]
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdout.readline() == b"holds\n"
         before = (tmp_path / "c" / MANIFEST).read_bytes()
         for resume in (True, False):
-            with pytest.raises(ConfigError, match=str(process.pid)):
+            with pytest.raises(ConfigError, match="another run"):
                 open_checkpoint(tmp_path / "c", resume, {"n": 1})
         lines: list[str] = []
         remove_checkpoint(tmp_path / "c", lines.append)
@@ -206,20 +185,18 @@ def test_a_full_disk_is_the_reason_why_a_checkpoint_cannot_be_opened(tmp_path, m
 
 
 def test_a_lock_is_free_again_once_it_is_released(tmp_path):
-    pytest.importorskip("fcntl")
     words = [sys.executable, "-c", HOLDS, str(tmp_path / "c")]
     open_checkpoint(tmp_path / "c", False, {"n": 1})
     open_checkpoint(tmp_path / "c", True, {"n": 1})  # the same process has it
     refused = subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
-    assert refused.returncode and f"process {os.getpid()}" in refused.stderr
+    assert refused.returncode and "another run" in refused.stderr
     release_checkpoint(tmp_path / "c")
     subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, check=True)
 
 
-@pytest.mark.parametrize("begun", ["", "123 0123456789abcdef\n", "12"])
-@pytest.mark.parametrize("name", ["lock", f"{MANIFEST}.new"])
+@pytest.mark.parametrize(("name", "begun"), [("lock", ""), (f"{MANIFEST}.new", '{"program"')])
 def test_a_checkpoint_that_ended_before_its_manifest_is_begun_again(begun, name, tmp_path):
-    (tmp_path / "lock").write_text(begun)
+    (tmp_path / "lock").touch()
     (tmp_path / name).write_text(begun)
     require_own_checkpoint(tmp_path)
     lines: list[str] = []
@@ -247,19 +224,12 @@ def test_arrays_are_read_back(tmp_path):
     for name, array in ARRAYS.items():
         np.testing.assert_array_equal(row[ARRAYS_KEY][name], array)
         assert row[ARRAYS_KEY][name].dtype == array.dtype
-    with pytest.raises(TypeError):
-        checkpoint.keep_row("a", ROW, {"a": np.array(["text"])})
+    with pytest.raises(ValueError):
+        checkpoint.keep_row("a", ROW, {"a": np.array([{}])})
 
 
-@pytest.mark.parametrize(
-    "stored",
-    [
-        *(["|O", [1], "MTIzNA=="], ["<U8", [1], "MTIzNA=="], ["<f8", [-1], ""], ["<f8", [2**39], ""]),
-        *(["<f8", [2], "MTIzNA=="], ["|b1", [3], "MTIzNA=="], ["<f8", [0], "MTIzNA=="], ["<f8", ["1"], ""]),
-        *(["<f8", [True], ""], ["<f8", [], ""], ["<f8", 1, ""], ["<f8"], "a", None, ["|b1", [3], "MTI$"]),
-    ],
-)
-def test_forged_arrays_with_the_right_digest_are_set_aside(tmp_path, stored):
+@pytest.mark.parametrize("stored", [1, None, "a", "MTIzNA==", "UEsDBA==", ["a"], {}])
+def test_what_is_no_array_is_no_row(tmp_path, stored):
     lines: list[str] = []
     checkpoint = open_checkpoint(tmp_path, False, {"n": 1}, lines.append)
     checkpoint.keep_row("a", {ARRAYS_KEY: {"a": stored}})
@@ -277,29 +247,6 @@ def test_a_pickle_is_not_run(tmp_path, monkeypatch, data):
     file = kept(tmp_path / "c")
     file.write_bytes(data)
     assert resumed(tmp_path / "c")[0] == [] and not (tmp_path / "was_run").exists()
-
-
-@pytest.mark.parametrize("links", ["plain", "taken meanwhile", "none on this disk"])
-def test_setting_aside_overwrites_nothing(links, tmp_path, monkeypatch):
-    names, link = ("a", "a.damaged-1", "a.damaged-3"), os.link
-    for name in names:
-        (tmp_path / name).write_text(name)
-
-    def link_later(path, aside):
-        if aside.name.endswith("-2"):
-            aside.write_text("theirs")
-        link(path, aside)
-
-    def no_link(*_):
-        raise OSError(1, "Operation not permitted")
-
-    if links != "plain":
-        monkeypatch.setattr(os, "link", link_later if links.startswith("taken") else no_link)
-    aside = set_aside(tmp_path / "a")
-    assert aside.name == ("a.damaged-4" if links.startswith("taken") else "a.damaged-2")
-    expected = {name: name for name in names[1:]} | {aside.name: "a"}
-    expected |= {"a.damaged-2": "theirs"} if links.startswith("taken") else {}
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == expected
 
 
 @dataclass(frozen=True)
@@ -406,19 +353,6 @@ def test_added_or_changed_files_are_kept_and_named(file, tmp_path):
     assert everything(tmp_path) == before
 
 
-def test_empty_folders_alone_are_kept_and_a_result_has_neither_these_nor_scratch(tmp_path):
-    (tmp_path / "mine" / "raw" / "day1").mkdir(parents=True)
-    for find in (find_foreign, find_foreign_in_checkpoint):
-        assert find(tmp_path / "mine") == ["raw/ (an empty folder)"]
-    with replace_folder(tmp_path / "out") as fresh:
-        (fresh / "slicer" / "deep").mkdir(parents=True)
-        (fresh / ".b.csv.needlefit-xyz" / "new").mkdir(parents=True)
-        (fresh / "a.csv").write_text("one")
-        write(tmp_path / "out", "two")  # another one writes first
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"a.csv", MANIFEST}
-    assert not find_foreign(tmp_path / "out")
-
-
 def test_links_are_kept_and_not_followed(tmp_path):
     mine, folder = tmp_path / "mine", tmp_path / "out"
     mine.mkdir()
@@ -455,27 +389,44 @@ def test_a_manifest_without_a_digest_owns_nothing(files, tmp_path):
     assert any(one.startswith("thesis.docx") for one in find_foreign(tmp_path))
 
 
-def test_a_file_put_there_meanwhile_is_kept(tmp_path, monkeypatch):
-    for exchanges in (True, False):
-        if not exchanges:  # as on a system that cannot exchange two folders at once
-            monkeypatch.setattr(folders, "_try_exchange", lambda *_: False)
-        folder = tmp_path / f"out{exchanges}"
-        write(folder)
-        with pytest.raises(ConfigError, match=r"notes\.txt"), replace_folder(folder) as fresh:
-            (fresh / "new.csv").write_text("new")
-            (folder / "notes.txt").write_text("mine")
-        assert {path.name for path in folder.iterdir()} == {"part", "timing.json", MANIFEST, "notes.txt"}
-        (folder / "notes.txt").unlink()
+@pytest.mark.parametrize("exchanges", [True, False])
+def test_a_file_put_there_meanwhile_is_kept(tmp_path, monkeypatch, exchanges):
+    if not exchanges:  # as on a system that cannot exchange two folders at once
+        monkeypatch.setattr(folders, "_exchange", lambda *_: False)
+    folder = tmp_path / "out"
+    write(folder)
+    with pytest.raises(ConfigError, match=r"notes\.txt"), replace_folder(folder) as fresh:
+        (fresh / "new.csv").write_text("new")
+        (folder / "notes.txt").write_text("mine")
+    assert {path.name for path in folder.iterdir()} == {"part", "timing.json", MANIFEST, "notes.txt"}
+    (folder / "notes.txt").unlink()
+    write(folder, "two")
+    assert (folder / "part" / "a.csv").read_text() == "two"
+    assert {path.name for path in tmp_path.iterdir()} == {"out"}
+
+
+def test_what_cannot_be_put_in_place_leaves_the_result_before(tmp_path, monkeypatch):
+    folder, real = tmp_path / "out", Path.rename
+
+    def rename(path, target):
+        if path.parent.name == "new":
+            raise OSError(5, "Input/output error", str(path))
+        return real(path, target)
+
+    write(folder)
+    with monkeypatch.context() as patch, pytest.raises(OSError):
+        patch.setattr(Path, "rename", rename)
+        patch.setattr(folders, "_exchange", lambda *_: False)
         write(folder, "two")
-        assert (folder / "part" / "a.csv").read_text() == "two"
-    assert {path.name for path in tmp_path.iterdir()} == {"outTrue", "outFalse"}
+    assert (folder / "part" / "a.csv").read_text() == "one"
+    assert {path.name for path in tmp_path.iterdir()} == {"out"}
 
 
 def test_there_is_a_result_at_every_moment(tmp_path):
     """Where the system can exchange two folders at once."""
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
-    if not folders._try_exchange(tmp_path / "one", tmp_path / "two"):
+    if not folders._exchange(tmp_path / "one", tmp_path / "two"):
         pytest.skip("two folders cannot be exchanged at once here")
     folder, ended, missed = tmp_path / "out", threading.Event(), []
     write(folder)
@@ -486,7 +437,7 @@ def test_there_is_a_result_at_every_moment(tmp_path):
 
     looking = threading.Thread(target=look)
     looking.start()
-    for number in range(50):
+    for number in range(20):
         write(folder, str(number))
     ended.set()
     looking.join()
@@ -526,29 +477,8 @@ def test_a_new_folder_gets_no_manifest_and_replaces_nothing(tmp_path):
     assert [path.name for path in (tmp_path / "late").iterdir()] == ["mine"]
 
 
-@pytest.mark.parametrize("count", range(1, 5))
-def test_a_removal_that_was_cut_short_is_finished_by_the_next_run(count, tmp_path, monkeypatch):
-    folder, removed = tmp_path / "out", []
-    write(folder)
-
-    def unlink(path, *args, **kwargs):
-        removed.append(path)
-        if len(removed) == count:
-            raise OSError(5, "Input/output error", str(path))
-        return real(path, *args, **kwargs)
-
-    with monkeypatch.context() as patch, suppress(OSError):
-        real = os.unlink
-        patch.setattr(os, "unlink", unlink)
-        write(folder, "two")
-    assert (folder / "part" / "a.csv").read_text() in ("one", "two")
-    write(folder, "three")
-    assert {path.name for path in tmp_path.iterdir()} == {"out"}
-
-
 # --- a process that is killed while it writes --------------------------------------------------------
 
-locks = pytest.mark.skipif(sys.platform == "win32", reason="nothing there says that a process has ended")
 WRITES = """
 import sys
 from pathlib import Path
@@ -583,7 +513,6 @@ def write_empty(place: Path, verb: str) -> None:
             fresh.write_text("whole")
 
 
-@locks
 @pytest.mark.parametrize("verb", ["replace_folder", "replace_file"])
 def test_leftovers_of_a_killed_process_are_removed_and_those_of_a_running_one_kept(verb, tmp_path):
     killed, living = writing(tmp_path / "out", verb), writing(tmp_path / "out", verb)
@@ -601,7 +530,6 @@ def test_leftovers_of_a_killed_process_are_removed_and_those_of_a_running_one_ke
     assert set(tmp_path.iterdir()) == {tmp_path / "out", *mine}
 
 
-@locks
 def test_the_only_copy_is_restored(tmp_path):
     """Killed between two renamings: the earlier folder stands in the scratch folder alone."""
     process = writing(tmp_path / "out", "replace_folder")
@@ -613,19 +541,3 @@ def test_the_only_copy_is_restored(tmp_path):
         (fresh / "whole").touch()
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
     assert (tmp_path / "out" / "notes.txt").read_text() == "mine"
-
-
-@locks
-def test_an_exchanged_result_with_foreign_files_is_never_removed(tmp_path):
-    """Killed after the exchange, before anybody looked at what was replaced."""
-    write_empty(tmp_path / "out", "replace_folder")
-    process = writing(tmp_path / "out", "replace_folder")
-    (scratch,) = tmp_path.glob(".out.*")
-    (scratch / "old").mkdir()
-    (scratch / "old" / "notes.txt").write_text("mine")
-    end(process, signal.SIGKILL)
-    write_empty(tmp_path / "out", "replace_folder")
-    assert (scratch / "old" / "notes.txt").read_text() == "mine"
-    (scratch / "old" / "notes.txt").unlink()
-    write_empty(tmp_path / "out", "replace_folder")
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]

@@ -1,6 +1,8 @@
 """The twin as scans: what is true stands in the volumes at its stated position."""
 
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 import ct_cases as cases
@@ -9,10 +11,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from refusals import refusal
 from scipy.ndimage import map_coordinates
-from typer.testing import CliRunner
 
-from needlefit.cli.application import build as application
-from needlefit.cli.exit_codes import Invocation
+from needlefit.cli import main
 from needlefit.errors import ConfigError
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.registration.pairing import find_symmetries
@@ -166,20 +166,24 @@ def test_the_layout_of_the_markers_has_no_symmetry_and_keeps_off_every_needle():
 
 
 def needlefit(*words):
-    return CliRunner().invoke(application(), ["twin", "ct", *map(str, words)], obj=Invocation(words))
+    out, err = StringIO(), StringIO()
+    with redirect_stdout(out), redirect_stderr(err), pytest.raises(SystemExit) as leaving:
+        main(["twin", "ct", *map(str, words)])
+    return int(leaving.value.code or 0), out.getvalue(), err.getvalue()
 
 
 @pytest.mark.sweep
 def test_scans_replace_scans_and_nothing_else(tmp_path):
     out = tmp_path / "scans"
-    assert needlefit("sample", "--out", out, "-q", "--jobs", 1).stdout.startswith(f"{out}: 1 synthetic scan")
-    assert needlefit("sample", "--out", out, "-q", "--format", "dicom").exit_code == 0
+    code, printed, _ = needlefit("sample", "--out", out, "-q", "--jobs", 1)
+    assert code == 0 and printed.startswith(f"{out}: 1 synthetic scan")
+    assert needlefit("sample", "--out", out, "-q", "--format", "dicom")[0] == 0
     assert len(files(out / "volumes" / "sample")) > 50 and not (out / "volumes" / "sample.nrrd").exists()
     (out / "volumes" / "sample" / "mine.txt").touch()
     before = files(out)
-    refused = needlefit("sample", "--out", out, "-q")
-    assert refused.exit_code == 3 and files(out) == before
-    assert "volumes/sample/mine.txt" in refused.stderr
+    code, _, printed = needlefit("sample", "--out", out, "-q")
+    assert code == 3 and files(out) == before
+    assert "volumes/sample/mine.txt" in printed
 
 
 # ---- processes

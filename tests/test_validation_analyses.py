@@ -9,10 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.stats import multivariate_normal
-from test_cli import run as run_cli
 
 from needlefit.datasets.read import read
-from needlefit.errors import ConfigError, DataError
 from needlefit.inference.forward_model import PreparedModel, make_batch, predict
 from needlefit.inference.likelihood.observation import points_covariance
 from needlefit.inference.parameters import (
@@ -27,14 +25,11 @@ from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.checkpoint import open_checkpoint
-from needlefit.project.folders import write_manifest
 from needlefit.project.locate import find_file
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.job import Fold, Job, Settings
-from needlefit.studies.kind import find_kind
 from needlefit.studies.reference import round_frame
-from needlefit.studies.run_differences import compare_runs
 from needlefit.studies.runner import run_tasks
 from needlefit.synthetic.build import build_unscanned
 from needlefit.synthetic.design import select_planned_insertions
@@ -118,94 +113,6 @@ def test_evidence_is_rounded_to_five_decimals_of_a_length_and_five_digits():
     assert got["mu1_pa"].tolist()[:2] == [123460.0, 0.0] and np.isnan(got["mu1_pa"][2])
     assert got["edp_percent"].tolist() == [12.346, 0.0012346, 3.3333e8]
     assert got[["insertions", "note"]].equals(frame[["insertions", "note"]])
-
-
-@pytest.fixture
-def project(tmp_path, monkeypatch):
-    for folder in ("studies", "configs/fits", "configs/recipes"):
-        (tmp_path / folder).mkdir(parents=True)
-    (tmp_path / "configs/recipes/few.toml").write_text(RECIPE.replace("starts = 4", "starts = 2"))
-    for name, insertions in (("pieces", ["chicken-01", "chicken-04", "chicken-05"]), ("one", ["chicken-04"])):
-        chosen = f"[tune]\ninsertions = {json.dumps(insertions)}\n"
-        fit = f'schema = 1\ndataset = "twin"\nmedium = "chicken"\nrecipe = "few"\n{chosen}'
-        (tmp_path / f"configs/fits/{name}.toml").write_text(fit)
-    (tmp_path / "studies/left.toml").write_text(
-        'schema = 1\nkind = "left_out"\nfits = ["pieces", "one"]\ngroups = ["specimen"]\n'
-    )
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-@pytest.mark.sweep
-def test_specimens_are_left_out_in_turn_and_one_alone_is_not_applicable(project, capsys):
-    assert run_cli("validate", "left", "--reference", "-q") == 0
-    out = capsys.readouterr().out
-    assert "One" in out and "not applicable" in out
-    summary = pd.read_csv("reports/left/summary.csv").query("metric == 'te_mm'").set_index("fit")
-    assert summary.loc["one", "note"].startswith("not applicable")
-    assert np.isnan(summary.loc["one", "value"])
-    errors = pd.read_csv("reports/left/errors.csv")
-    errors = errors[(errors["fit"] == "pieces") & (errors["method"] == "fitted")]
-    left, sample = (
-        errors[errors["left_out"] == how].set_index("insertion") for how in ("specimen", "nothing")
-    )
-    assert left["fold"].to_dict() == {
-        "chicken-01": "without chicken-piece1",
-        "chicken-04": "without chicken-piece2",
-        "chicken-05": "without chicken-piece2",
-    }
-    gap = (left["te_mm"] - sample["te_mm"]).mean()
-    assert summary.loc["pieces", "difference"] == pytest.approx(gap, abs=1e-7)
-    predicted = pd.read_csv("reports/left/predictive.csv")
-    assert predicted["insertion"].drop_duplicates().tolist() == ["chicken-01", "chicken-04", "chicken-05"]
-    evidence = pd.read_csv("reports/reference/left/summary.csv").query("metric == 'te_mm'").set_index("fit")
-    assert evidence.loc["pieces", "value"] == pytest.approx(summary.loc["pieces", "value"], rel=5e-3)
-
-
-def _answer(folder: Path, kind: str, **frames: pd.DataFrame) -> Path:
-    folder.mkdir()
-    (folder / "run.json").write_text(json.dumps({"kind": kind, "faults": []}))
-    for name, frame in frames.items():
-        frame.to_csv(folder / f"{name}.csv", index=False)
-    write_manifest(folder)
-    return folder
-
-
-def test_two_results_differ_in_rows_lengths_and_numbers(tmp_path):
-    first = pd.DataFrame({"fit": ["a", "b"], "te_mm": [0.2, 0.4], "pareto_k": [0.5, 0.2]})
-    other = pd.DataFrame({"fit": ["b", "a"], "te_mm": [0.41, 0.2], "pareto_k": [0.4, 0.5]})
-    one, two = (_answer(tmp_path / n, "left_out", summary=f) for n, f in (("1", first), ("2", other)))
-    assert compare_runs(one, one) == []
-    length, number = compare_runs(one, two)  # rows are found by their words, in whatever order
-    assert (length.before, length.after, length.matters) == (0.4, 0.41, True)
-    assert "insertions" not in length.why and "0.01 mm" in length.why
-    assert (number.before, number.after, number.matters) == (0.2, 0.4, True)
-    three = _answer(tmp_path / "3", "left_out", summary=first.assign(fit=["a", "c"]))
-    (rows,) = compare_runs(one, three)
-    assert rows.where == "rows of summary" and rows.why.startswith("2 rows")
-
-
-def test_results_of_different_analyses_are_not_compared(tmp_path):
-    one, two = (_answer(tmp_path / kind, kind) for kind in ("left_out", "plan"))
-    study = tmp_path / "study"
-    study.mkdir()
-    (study / "run.json").write_text('{"kind": "fit"}')
-    (study / "errors.csv").write_text("fold\n")
-    write_manifest(study)
-    for pair in ((one, two), (one, study), (study, two)):
-        with pytest.raises(DataError, match="different") as fault:
-            compare_runs(*pair)
-        assert fault.value.exit_code == 3
-
-
-LEFT = {"schema": 1, "kind": "left_out", "fits": ["chicken"]}
-
-
-def test_a_faulty_study_is_reported_with_its_name_and_key():
-    kind = find_kind("left_out")
-    with pytest.raises(ConfigError, match=r"fit .*`no`") as error:
-        kind.run("mine", kind.record.model_validate(LEFT | {"fits": ["no"]}), Settings())
-    assert (error.value.where, error.value.key) == ("study mine", "fits")
 
 
 def test_a_twin_that_is_not_scanned_is_nearly_the_one_that_was(tmp_path):

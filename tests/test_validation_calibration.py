@@ -273,7 +273,7 @@ def test_options_that_exclude_each_other_are_usage_errors(options, tmp_path, mon
 
 def test_what_has_no_synthetic_truth_is_refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for name in ("leave_one_out", "guided_tip:rest", "stereo_holes"):
+    for name in ("sensitivity", "guided_tip:rest", "stereo_insertions"):
         assert run_command("calibrate", name, "--truth", "synthetic", "-q") == 3
 
 

@@ -20,7 +20,6 @@ from needlefit.inference.predict import (
     interval,
     simulate_shape_pit,
     thin_posterior,
-    wilson_interval,
 )
 from needlefit.inference.sampling.importance import sample_about_fit
 from needlefit.inference.sampling.posterior import Posterior
@@ -334,12 +333,6 @@ def test_importance_draws_match_the_posterior(job):
         one, two = drawn @ direction, thetas @ direction
         assert np.median(one) == pytest.approx(np.median(two), abs=0.35 * np.std(two))
         assert np.std(one) == pytest.approx(np.std(two), rel=0.3)
-
-
-def test_wilson_gives_the_textbook_interval():
-    low, high = wilson_interval(0.5, 10)  # scipy.stats.binomtest(5, 10).proportion_ci(method="wilson")
-    assert (low, high) == pytest.approx((0.236593, 0.763407), abs=1e-6)
-    assert wilson_interval(1.0, 6)[1] == 1.0
 
 
 def test_repeats_of_one_specimen_do_not_narrow_the_interval():

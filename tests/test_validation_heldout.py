@@ -6,7 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from inference_cases import TRUTH, assert_one_density, dataset, insertion, measure, medium, problem
+from inference_cases import (
+    TRUTH,
+    assert_one_density,
+    dataset,
+    insertion,
+    measure,
+    medium,
+    problem,
+    with_one_bevel,
+)
 
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.select import (
@@ -38,7 +47,7 @@ from needlefit.studies.held_out_predictions import (
     predict_held_out,
     tabulate_held_out,
 )
-from needlefit.studies.job import Fold, Job, Settings, prepare, with_one_bevel
+from needlefit.studies.job import Fold, Job, Settings, prepare
 from needlefit.studies.planned_draws import draw_conditions, simulate_planned
 
 POINTS = LikelihoodRecord(depths="fixed", bevel_spread=0.0, measurement="points")

@@ -56,8 +56,6 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
         "cross_validation": _validate("held_out", 0),
         "fit": Command(("tune", "gel"), "gel", (0, 5)),
         "identification": Command(("tune", "gel", "--design"), "gel-design", (0,)),
-        "left_out": _validate("left_out"),
-        "plan": _validate("plan"),
         "prediction": Command(
             ("predict", "held_out", "--scene", "ahead"),
             "predict-held_out-ahead",
@@ -65,7 +63,6 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
             ("cross_validation",),
         ),
         "reconstruction": Command(("reconstruct", "sample_scan"), "scanned", (0,)),
-        "specimens": _validate("specimens"),
         "tracks": _validate("tracks"),
     }
 )

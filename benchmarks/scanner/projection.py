@@ -24,7 +24,6 @@ MASS_ATTENUATION_CM2_PER_G = {
     "Al": (1.128, 0.5685, 0.3681, 0.2778, 0.2018, 0.1704, 0.1378),
     "Si": (1.436, 0.7012, 0.4385, 0.3207, 0.2228, 0.1835, 0.1448),
     "Ca": (4.080, 1.830, 1.019, 0.6578, 0.3656, 0.2571, 0.1674),
-    "Ti": (4.972, 2.214, 1.213, 0.7661, 0.4052, 0.2721, 0.1649),
     "Cr": (6.434, 2.856, 1.550, 0.9639, 0.4905, 0.3166, 0.1788),
     "Fe": (8.176, 3.629, 1.958, 1.205, 0.5952, 0.3717, 0.1964),
     "Ni": (10.34, 4.600, 2.474, 1.512, 0.7306, 0.4440, 0.2208),
@@ -54,7 +53,6 @@ PMMA = Material(1.19, {"PMMA": 1.0})
 GLASS = Material(2.5, {"O": 0.46, "Na": 0.10, "Si": 0.34, "Ca": 0.10})
 CERAMIC = Material(3.9, {"Al": 0.53, "O": 0.47})
 ALUMINIUM = Material(2.70, {"Al": 1.0})
-TITANIUM = Material(4.51, {"Ti": 1.0})
 STEEL = Material(7.9, {"Fe": 0.71, "Cr": 0.19, "Ni": 0.10})
 BRASS = Material(8.5, {"Cu": 0.63, "Zn": 0.37})
 
@@ -260,12 +258,11 @@ def make_needle(
     bevel_deg: float,
     bevel_toward: Floats,
     material: Material,
-    bore: float = 0.0,
 ) -> list[Rod]:
     """Return the rods of a needle along `points` (N, 3) from base to tip, mm.
 
     Its point lies at the last of `points`, on the side `bevel_toward` (3,); `bevel_deg` is the angle of the
-    face to the axis. `bore` is the diameter of the hole.
+    face to the axis.
     """
     pieces = np.diff(points, axis=0)
     ways = pieces / np.linalg.norm(pieces, axis=1, keepdims=True)
@@ -280,7 +277,7 @@ def make_needle(
         cuts = [(planes[n][0], -planes[n][1]), *planes[n + 1 : n + 2]]
         if left[n] <= 2 * diameter / np.tan(angle):  # the face reaches back over several pieces
             cuts.append(face)
-        rods.append(Rod(start, end, diameter / 2, material, bore / 2, tuple(cuts)))
+        rods.append(Rod(start, end, diameter / 2, material, cuts=tuple(cuts)))
     return rods
 
 

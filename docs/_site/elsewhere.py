@@ -10,7 +10,7 @@ from sphinx.application import Sphinx
 
 PAGES = {
     "../data/README.md": "datasets.md",
-    "../benchmarks/README.md": "benchmarks.md",
+    "../benchmarks/README.md": "developers/benchmarks.md",
     "../needlefit/cli/application.py": "reference/commands.md",
     "../needlefit/api.py": "reference/api/index.md",
     "../studies": "reference/shipped.md",

@@ -7,7 +7,6 @@ import sys
 from collections.abc import Sequence
 
 from needlefit.cli import exit_codes, standard_streams
-from needlefit.cli.application import build
 from needlefit.cli.exit_codes import Invocation
 from needlefit.project.processes import limit_to_one_thread
 
@@ -20,12 +19,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
     standard_streams.install_streams()
     limit_to_one_thread()
     os.environ.setdefault("MPLBACKEND", "agg")  # else matplotlib loads pyplot to look for a display
-    words = tuple(sys.argv[1:] if arguments is None else arguments)
+    invocation = Invocation(tuple(sys.argv[1:] if arguments is None else arguments))
+    code = _run(invocation)
+    if (fault := standard_streams.find_stdout_fault()) is not None:
+        code = code or exit_codes.report_error(fault, invocation)
+    raise SystemExit(code)
+
+
+def _run(invocation: Invocation) -> int:
+    from needlefit.cli.application import build
+
     try:
-        build()(args=list(words), prog_name="needlefit", obj=Invocation(words))
-    except SystemExit as leaving:
-        fault = standard_streams.find_stdout_fault()
-        if fault is None:
-            raise
-        code = exit_codes.report_error(fault, Invocation(words))
-        raise SystemExit(leaving.code or code) from None
+        # an option of all commands, wherever it stands
+        words = sorted(invocation.words, key=lambda word: word not in ("-v", "--verbose"))
+        app = build(next((word for word in words if not word.startswith("-")), ""))
+        # not standalone: it raises errors, and returns the code of an early exit
+        code = app(args=words, prog_name="needlefit", obj=invocation, standalone_mode=False)
+    except Exception as error:
+        return exit_codes.report_error(error, invocation)
+    return code or (exit_codes.NOT_CONVERGED if invocation.strict and invocation.warned else 0)

@@ -7,14 +7,24 @@ import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from needlefit.cli import screen
 from needlefit.cli.execution import open_pool
 from needlefit.cli.exit_codes import Invocation
-from needlefit.cli.options import argument, complete_checked, flag, option, takes
+from needlefit.cli.options import (
+    Insecure,
+    Jobs,
+    Json,
+    Plugins,
+    Quiet,
+    Scheduler,
+    Strict,
+    argument,
+    option,
+)
 from needlefit.cli.progress import show_progress
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import PROJECT_FOLDERS, join_names, shipped_folder
@@ -26,8 +36,9 @@ if TYPE_CHECKING:
     from needlefit.datasets.insertion import Dataset
 
 
-@takes("verbose", folder=argument("DIR", "A folder; it is made if it is missing."))
-def new_project(folder: Path) -> None:
+def new_project(
+    folder: Annotated[Path, argument("DIR", "A folder; it is made if it is missing.")],
+) -> None:
     """Write an editable copy of the project to DIR.
 
     That is data/, configs/ and studies/; in DIR the program then uses those.
@@ -37,8 +48,7 @@ def new_project(folder: Path) -> None:
     screen.print_note(f"edit them, then: {shlex.join(('cd', str(folder)))} && needlefit validate study3")
 
 
-@takes("verbose", folder=argument("DIR", "A folder that does not exist yet."))
-def new_dataset(folder: Path) -> None:
+def new_dataset(folder: Annotated[Path, argument("DIR", "A folder that does not exist yet.")]) -> None:
     """Write an example dataset to DIR, to be filled with your own measurements.
 
     It passes `needlefit check`; what you must fill in is marked TO FILL IN.
@@ -50,8 +60,9 @@ def new_dataset(folder: Path) -> None:
     screen.print_note(f"fill it in, then: {shlex.join(('needlefit', 'check', path))}")
 
 
-@takes("verbose", file=argument("FILE", "A workbook (.xlsx) that does not exist yet."))
-def new_workbook(file: Path) -> None:
+def new_workbook(
+    file: Annotated[Path, argument("FILE", "A workbook (.xlsx) that does not exist yet.")],
+) -> None:
     """Write a workbook to fill in with your needles, beside filled examples.
 
     `needlefit import` reads it; while it is not filled in, the examples.
@@ -117,49 +128,73 @@ def _require_unused(folder: Path) -> None:
 # ---- import
 
 
-@takes(
-    "strict json verbose",
-    files=argument(
-        "FILE_OR_FOLDER",
-        "Tables (.csv .tsv .txt .xlsx .xls .ods), .mat, RT structure sets (.dcm), Slicer markups (.mrk.json "
-        ".fcsv) and scenes (.mrml .mrb), surfaces (.stl .ply .obj .vtk).",
-    ),
-    out=option("Folder of the dataset; it must not exist yet.", "DIR"),
-    columns=option("Columns of tables by header or number: X,Y,Z, or MEANING=HEADER,...", "X,Y,Z"),
-    observable=option("What the points are: shapes of needles, or tracks of a tip on its way."),
-    units=option("Unit of coordinates that state none, or a wrong one: mm, cm, m, um, in."),
-    frame=option("LPS or RAS, for files that state neither."),
-    entry=option("first or last: which end of the curves is the entry."),
-    tissue_surface=option("Surface where needles enter; none: there is none.", "NAME"),
-    pose=option("Entry direction: X,Y,Z; shaft: of the points before the entry; free: unknown."),
-    entry_point=option(
-        "Where the tips touched the tissue: first point, stated depth from the tip, or X,Y,Z."
-    ),
-    pose_shift_sd=option("Standard deviation of the entry point.", "MM"),
-    pose_angle_sd=option("Standard deviation of the entry direction.", "DEG"),
-    bevel=option("Direction toward which bevels of side 1 deflect, X,Y,Z; or bend."),
-    bevel_side=option("Sides that bevels face: 1 or -1 of all, or NAME=1,NAME=-1."),
-    boundaries=option("Depths of the boundaries between layers along the needle.", "MM,MM"),
-    boundary_sd=option("Standard deviation of the depths of the boundaries.", "MM"),
-    medium=option("Name of what was punctured."),
-    specimen=option("Name of one specimen for all insertions; each: every insertion into its own."),
-    needle_length=option("Length of the needle.", "MM"),
-    diameter=option("Outer diameter, mm or gauge (18G).", "MM"),
-    inner_diameter=option("Inner diameter; 0: solid.", "MM"),
-    modulus=option("Young's modulus, or steel, nitinol, titanium, peek.", "GPA"),
-    point_sd=option("Standard deviation of a point across the needle.", "MM"),
-    title=option("What was inserted into what."),
-    source=option("Who measured this, when, how."),
-    license=option("Terms of use."),
-    yes=flag("Ask nothing: take defaults, and stop where there is none.", "--yes"),
-)
 def import_data(
     context: typer.Context,
-    files: list[Path],
-    out: Path,
-    columns: str | None = None,
-    yes: bool = False,
-    **answers: str | None,
+    files: Annotated[
+        list[Path],
+        argument(
+            "FILE_OR_FOLDER",
+            "Tables (.csv .tsv .txt .xlsx .xls .ods), .mat, RT structure sets (.dcm), Slicer markups "
+            "(.mrk.json .fcsv) and scenes (.mrml .mrb), surfaces (.stl .ply .obj .vtk).",
+        ),
+    ],
+    out: Annotated[Path, option("Folder of the dataset; it must not exist yet.", "DIR")],
+    columns: Annotated[
+        str | None,
+        option("Columns of tables by header or number: X,Y,Z, or MEANING=HEADER,...", "X,Y,Z"),
+    ] = None,
+    observable: Annotated[
+        str | None, option("What the points are: shapes of needles, or tracks of a tip on its way.")
+    ] = None,
+    units: Annotated[
+        str | None, option("Unit of coordinates that state none, or a wrong one: mm, cm, m, um, in.")
+    ] = None,
+    frame: Annotated[str | None, option("LPS or RAS, for files that state neither.")] = None,
+    entry: Annotated[str | None, option("first or last: which end of the curves is the entry.")] = None,
+    tissue_surface: Annotated[
+        str | None, option("Surface where needles enter; none: there is none.", "NAME")
+    ] = None,
+    pose: Annotated[
+        str | None, option("Entry direction: X,Y,Z; shaft: of the points before the entry; free: unknown.")
+    ] = None,
+    entry_point: Annotated[
+        str | None,
+        option("Where the tips touched the tissue: first point, stated depth from the tip, or X,Y,Z."),
+    ] = None,
+    pose_shift_sd: Annotated[str | None, option("Standard deviation of the entry point.", "MM")] = None,
+    pose_angle_sd: Annotated[str | None, option("Standard deviation of the entry direction.", "DEG")] = None,
+    bevel: Annotated[
+        str | None, option("Direction toward which bevels of side 1 deflect, X,Y,Z; or bend.")
+    ] = None,
+    bevel_side: Annotated[
+        str | None, option("Sides that bevels face: 1 or -1 of all, or NAME=1,NAME=-1.")
+    ] = None,
+    boundaries: Annotated[
+        str | None, option("Depths of the boundaries between layers along the needle.", "MM,MM")
+    ] = None,
+    boundary_sd: Annotated[
+        str | None, option("Standard deviation of the depths of the boundaries.", "MM")
+    ] = None,
+    medium: Annotated[str | None, option("Name of what was punctured.")] = None,
+    specimen: Annotated[
+        str | None, option("Name of one specimen for all insertions; each: every insertion into its own.")
+    ] = None,
+    needle_length: Annotated[str | None, option("Length of the needle.", "MM")] = None,
+    diameter: Annotated[str | None, option("Outer diameter, mm or gauge (18G).", "MM")] = None,
+    inner_diameter: Annotated[str | None, option("Inner diameter; 0: solid.", "MM")] = None,
+    modulus: Annotated[
+        str | None, option("Young's modulus, or steel, nitinol, titanium, peek.", "GPA")
+    ] = None,
+    point_sd: Annotated[str | None, option("Standard deviation of a point across the needle.", "MM")] = None,
+    title: Annotated[str | None, option("What was inserted into what.")] = None,
+    source: Annotated[str | None, option("Who measured this, when, how.")] = None,
+    license: Annotated[str | None, option("Terms of use.")] = None,
+    yes: Annotated[
+        bool, option("Ask nothing: take defaults, and stop where there is none.", None, "--yes")
+    ] = False,
+    strict: Strict = False,
+    json: Json = False,
+    plugins: Plugins = None,
 ) -> None:
     """Make a dataset from files of other programs.
 
@@ -168,7 +203,7 @@ def import_data(
     answer beforehand. DIR/dataset.toml lists every decision under [import], with all columns, rows, fields
     and sheets that are not used. DIR also gets a first study and a scene.
     """
-    from needlefit.datasets.importing.answers import Answers
+    from needlefit.datasets.importing.answers import QUESTIONS, Answers
     from needlefit.datasets.importing.files import read_content
     from needlefit.datasets.importing.planning import Planner
     from needlefit.datasets.importing.tables import UnclearColumnsError
@@ -194,8 +229,8 @@ def import_data(
         if not asks or columns:
             raise
         content = read_content(files, _ask("columns", "", f"{error.where}: {error.what}"))
-    options = {name.replace("_", " "): value for name, value in answers.items() if value is not None}
-    settled = Answers(options, _ask if asks else None)
+    named = {name.replace("_", " "): value for name, value in context.params.items() if value is not None}
+    settled = Answers({what: named[what] for what in QUESTIONS if what in named}, _ask if asks else None)
     plan = Planner(content, settled).make_plan()
     for line in _list_decisions(settled, "not used", "assumption"):
         screen.print_note(line)
@@ -268,15 +303,19 @@ def _ask(what: str, guess: str, reason: str) -> str:
 # ---- check
 
 
-@takes(
-    "strict json verbose",
-    name=argument(
-        "DATASET|STUDY",
-        "data/<name>/dataset.toml, studies/<name>.toml, configs/fits/<name>.toml, or a path.",
-        complete_checked,
-    ),
-)
-def check(context: typer.Context, name: str) -> None:
+def check(
+    context: typer.Context,
+    name: Annotated[
+        str,
+        argument(
+            "DATASET|STUDY",
+            "data/<name>/dataset.toml, studies/<name>.toml, configs/fits/<name>.toml, or a path.",
+        ),
+    ],
+    strict: Strict = False,
+    json: Json = False,
+    plugins: Plugins = None,
+) -> None:
     """Check a dataset or study: list faults, fixes and warnings.
 
     For a dataset it checks files, ids, units, centrelines, surfaces, bevel sides and checksums; for a study
@@ -390,23 +429,20 @@ def _show(dataset: "Dataset", measured: str, holes: str) -> None:
 
 # ---- twin
 
-_SEED = option("Seed (default: the shipped twin's).", min=0)
-_JOBS = option("Processes (default: all cores); they do not change the result.", min=1)
+TwinSeed = Annotated[int | None, option("Seed (default: the shipped twin's).", min=0)]
 
 
-@takes(
-    "scheduler insecure quiet verbose",
-    seed=_SEED,
-    population=option("Draw moduli, bevel offsets and friction as `calibrate --truth synthetic` does."),
-    out=option("Folder of the dataset.", "DIR"),
-    jobs=_JOBS,
-)
 def twin_build(
     context: typer.Context,
-    seed: int | None = None,
-    population: bool = False,
-    out: Path = Path("data/twin"),
-    jobs: int | None = None,
+    seed: TwinSeed = None,
+    population: Annotated[
+        bool, option("Draw moduli, bevel offsets and friction as `calibrate --truth synthetic` does.")
+    ] = False,
+    out: Annotated[Path, option("Folder of the dataset.", "DIR")] = Path("data/twin"),
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
+    insecure: Insecure = False,
+    quiet: Quiet = False,
 ) -> None:
     """Build the synthetic dataset.
 
@@ -424,28 +460,21 @@ def twin_build(
     with (
         replace_folder(out) as fresh,
         show_progress(invocation.quiet) as report,
-        open_pool(jobs, invocation.scheduler, invocation.insecure) as pool,
+        open_pool(invocation.jobs, invocation.scheduler, invocation.insecure) as pool,
     ):
         drawn = POPULATION if population else None
         build_dataset(fresh, seed, pool=pool, progress=report, population=drawn)
     screen.print_line(f"{out}: synthetic dataset, seed {seed}")
 
 
-@takes(
-    "quiet verbose",
-    ids=argument("ID", "Insertions, or `sample` (default: all 47)."),
-    seed=_SEED,
-    form=option("A file, or a series.", None, "--format"),
-    out=option("Folder of the scans.", "DIR"),
-    jobs=_JOBS,
-)
 def twin_ct(
     context: typer.Context,
-    ids: list[str] | None = None,
-    seed: int | None = None,
-    form: Literal["nrrd", "dicom"] = "nrrd",
-    out: Path = Path("twin_ct"),
-    jobs: int | None = None,
+    ids: Annotated[list[str] | None, argument("ID", "Insertions, or `sample` (default: all 47).")] = None,
+    seed: TwinSeed = None,
+    form: Annotated[Literal["nrrd", "dicom"], option("A file, or a series.", None, "--format")] = "nrrd",
+    out: Annotated[Path, option("Folder of the scans.", "DIR")] = Path("twin_ct"),
+    jobs: Jobs = None,
+    quiet: Quiet = False,
 ) -> None:
     """Render insertions of the synthetic dataset as CT volumes.
 

@@ -68,13 +68,15 @@ EXIT_CODES = {
 }
 
 
-def report_error(error: BaseException, invocation: Invocation) -> int | None:
-    """Say what went wrong and return the exit code; None leaves the error to typer."""
-    if isinstance(error, KeyboardInterrupt):
+def report_error(error: BaseException, invocation: Invocation) -> int:
+    """Say what went wrong and return the exit code."""
+    if isinstance(error, KeyboardInterrupt) or type(error).__name__ == "Abort":
         print("needlefit: interrupted", file=sys.stderr)
         return INTERRUPTED
-    if _is_usage_error(error):
-        return None
+    if hasattr(error, "show"):  # of the words that were typed, which it repeats
+        error.message = printable(str(error.message))  # type: ignore[attr-defined]
+        error.show()
+        return int(error.exit_code)  # type: ignore[attr-defined]
     if invocation.verbose:
         traceback.print_exception(error)
     error = _to_user_error(error)
@@ -83,16 +85,9 @@ def report_error(error: BaseException, invocation: Invocation) -> int | None:
         if isinstance(error, UnfinishedWorkError):
             print(f"needlefit: to go on with it: {without_controls(invocation.resuming())}", file=sys.stderr)
         return error.exit_code
-    hint = "" if invocation.verbose else " (-v shows where)"
+    hint = "" if invocation.verbose else " (needlefit -v ... shows where)"
     print(f"needlefit: unexpected {type(error).__name__}: {error}{hint}", file=sys.stderr)
     return UNEXPECTED
-
-
-def make_printable(error: BaseException) -> None:
-    """Escape control characters in the message of a usage error, which repeats the words that were typed."""
-    message = getattr(error, "message", None)
-    if hasattr(error, "show") and isinstance(message, str):
-        error.message = printable(message)  # type: ignore[attr-defined]
 
 
 def _to_user_error(error: BaseException) -> BaseException:
@@ -122,15 +117,6 @@ def _to_user_error(error: BaseException) -> BaseException:
             fix="rename it",
         )
     return error
-
-
-def _is_usage_error(error: BaseException) -> bool:
-    """Whether typer itself says how this ends: an exit code, or a usage error that can show itself."""
-    return (
-        not isinstance(error, Exception)
-        or hasattr(error, "show")
-        or type(error).__name__ in ("Exit", "Abort")
-    )
 
 
 _FIRST_INTERRUPT_MESSAGE = b"\nneedlefit: stopping after this step; Ctrl-C again leaves at once\n"

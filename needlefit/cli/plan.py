@@ -4,13 +4,20 @@ import math
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from needlefit.cli import exit_codes, screen
 from needlefit.cli.execution import require_no_faults
-from needlefit.cli.options import argument, complete_view_targets, option, takes
+from needlefit.cli.options import (
+    Jobs,
+    Json,
+    Plugins,
+    Quiet,
+    argument,
+    option,
+)
 from needlefit.project.folders import require_output_files
 
 if TYPE_CHECKING:
@@ -19,46 +26,50 @@ if TYPE_CHECKING:
     from needlefit.viewer.viewed_scene import ViewedScene
 
 
-@takes(
-    "jobs json quiet verbose",
-    name=argument(
-        "SCENE | RUN[/ID] | DATASET/ID",
-        "The needle to steer: a scene, a run's fitted insertion with its posterior draws, or a measured "
-        "insertion.",
-        complete_view_targets,
-    ),
-    target=option("Target in the constraint frame, mm: x along the entry.", "X,Y[,Z]"),
-    radius=option("A tip within it reaches the target.", "MM", min=0.01),
-    obstacle=option("A sphere to pass by: centre and radius, mm; repeatable.", "X,Y[,Z],R"),
-    markups=option(
-        "Points of 3D Slicer (.mrk.json, .fcsv): the one labelled target..., all others obstacles.", "FILE"
-    ),
-    obstacle_radius=option("Radius of the obstacles of --markups.", "MM", min=0.01),
-    entry=option("The entry may shift by so much to either side.", "MM", min=0.0),
-    base=option("The base may move by so much to either side.", "MM", min=0.0),
-    base_angle=option("And turn by so much.", "DEGREES", min=0.0, max=40.0),
-    turns=option("The bevel may turn over so often on the way.", "N", min=0, max=2),
-    specimen=option(
-        "Draws of a run: for a new specimen, or for the specimens fitted (default: new, or as the run's "
-        "study states).",
-        show_default=False,
-    ),
-    recording=option("Write the plan as a recording for `view` and `simulate`: .csv.", "FILE"),
-)
 def plan(
     context: typer.Context,
-    name: str,
-    target: str | None = None,
-    radius: float = 2.0,
-    obstacle: list[str] | None = None,
-    markups: Path | None = None,
-    obstacle_radius: float = 2.0,
-    entry: float = 0.0,
-    base: float = 10.0,
-    base_angle: float = 5.0,
-    turns: int = 2,
-    specimen: Literal["new", "same"] | None = None,
-    recording: Path | None = None,
+    name: Annotated[
+        str,
+        argument(
+            "SCENE | RUN[/ID] | DATASET/ID",
+            "The needle to steer: a scene, a run's fitted insertion with its posterior draws, or a measured "
+            "insertion.",
+        ),
+    ],
+    target: Annotated[
+        str | None, option("Target in the constraint frame, mm: x along the entry.", "X,Y[,Z]")
+    ] = None,
+    radius: Annotated[float, option("A tip within it reaches the target.", "MM", min=0.01)] = 2.0,
+    obstacle: Annotated[
+        list[str] | None,
+        option("A sphere to pass by: centre and radius, mm; repeatable.", "X,Y[,Z],R"),
+    ] = None,
+    markups: Annotated[
+        Path | None,
+        option(
+            "Points of 3D Slicer (.mrk.json, .fcsv): the one labelled target..., all others obstacles.",
+            "FILE",
+        ),
+    ] = None,
+    obstacle_radius: Annotated[float, option("Radius of the obstacles of --markups.", "MM", min=0.01)] = 2.0,
+    entry: Annotated[float, option("The entry may shift by so much to either side.", "MM", min=0.0)] = 0.0,
+    base: Annotated[float, option("The base may move by so much to either side.", "MM", min=0.0)] = 10.0,
+    base_angle: Annotated[float, option("And turn by so much.", "DEGREES", min=0.0, max=40.0)] = 5.0,
+    turns: Annotated[int, option("The bevel may turn over so often on the way.", "N", min=0, max=2)] = 2,
+    specimen: Annotated[
+        Literal["new", "same"] | None,
+        option(
+            "Draws of a run: for a new specimen, or for the specimens fitted (default: new, or as the run's "
+            "study states)."
+        ),
+    ] = None,
+    recording: Annotated[
+        Path | None, option("Write the plan as a recording for `view` and `simulate`: .csv.", "FILE")
+    ] = None,
+    jobs: Jobs = None,
+    json: Json = False,
+    quiet: Quiet = False,
+    plugins: Plugins = None,
 ) -> None:
     """Plan how to steer a needle to a target: entry, base, turns.
 

@@ -2,14 +2,25 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from needlefit.cli import exit_codes, options, screen
+from needlefit.cli import exit_codes, screen
 from needlefit.cli.execution import open_pool, print_remark
 from needlefit.cli.exit_codes import catch_interrupts
-from needlefit.cli.options import flag, option, takes
+from needlefit.cli.options import (
+    Insecure,
+    Jobs,
+    Json,
+    Plugins,
+    Quiet,
+    Resume,
+    Scheduler,
+    Strict,
+    argument,
+    option,
+)
 from needlefit.cli.progress import show_progress
 from needlefit.cli.screen import print_warnings
 from needlefit.errors import DataError
@@ -31,37 +42,57 @@ CHECKPOINT_WORK = {"reconstruct": "each row states what it is of"}
 """Of the checkpoint: each reconstruction in it has a digest of what decided it."""
 
 
-@takes(
-    "scheduler insecure resume strict json quiet verbose",
-    scans=options.argument(
-        "SCAN",
-        "DICOM folders, NRRD, NIfTI; or a table, a row a scan: scans.csv, or its bare name.",
-        options.complete_scans,
-    ),
-    out=option("Folder of the dataset.", "DATASET", "--out"),
-    **options.SCAN_FILES,
-    every=flag("Every needle of a scan is an insertion: ID-1, ID-2, ... along L.", "--all"),
-    recipe=option(
-        "configs/reconstruction, or a path.", "RECIPE", autocompletion=options.complete_reconstructions
-    ),
-    corrections=option(
-        "Control points moved in 3D Slicer: SCAN's slicer/ID.corrections.mrk.json; repeatable.", "FILE"
-    ),
-    title=option("Title of the dataset."),
-    scene=flag("Write also a scene of 3D Slicer (.mrb).", "--scene"),
-    jobs=option("Scans at once (default: 2); it does not change the result.", min=1),
-)
 def reconstruct(
     context: typer.Context,
-    scans: list[Path],
-    out: Path,
-    every: bool = False,
-    recipe: str = "default",
-    corrections: list[Path] | None = None,
-    title: str = "",
-    scene: bool = False,
-    jobs: int | None = None,
-    **files: Any,  # noqa: ANN401 - those of `SCAN_FILES`
+    scans: Annotated[
+        list[Path],
+        argument(
+            "SCAN",
+            "DICOM folders, NRRD, NIfTI; or a table, a row a scan: scans.csv, or its bare name.",
+        ),
+    ],
+    out: Annotated[Path, option("Folder of the dataset.", "DATASET")],
+    markers: Annotated[
+        Path | None, option("Known places of the markers in the world: .csv, .fcsv, .mrk.json.", "FILE")
+    ] = None,
+    fiducials: Annotated[
+        Path | None, option("The markers as placed in the scan by hand (.fcsv, .mrk.json).", "FILE")
+    ] = None,
+    layers: Annotated[
+        list[str] | None,
+        option("STL, PLY, OBJ from the entry inwards, each with --layers; or a segmentation.", "FILE"),
+    ] = None,
+    layers_in: Annotated[
+        Literal["world", "scan"] | None, option("Frame of the surfaces (default: world).")
+    ] = None,
+    mask: Annotated[Path | None, option("The needle's voxels, segmented elsewhere.", "FILE")] = None,
+    series: Annotated[
+        str | None, option("Which DICOM series, where a folder holds several.", "NUMBER|UID")
+    ] = None,
+    medium: Annotated[str | None, option("Name of what was punctured (default: medium).")] = None,
+    every: Annotated[
+        bool, option("Every needle of a scan is an insertion: ID-1, ID-2, ... along L.", None, "--all")
+    ] = False,
+    recipe: Annotated[
+        str,
+        option("configs/reconstruction, or a path.", "RECIPE"),
+    ] = "default",
+    corrections: Annotated[
+        list[Path] | None,
+        option(
+            "Control points moved in 3D Slicer: SCAN's slicer/ID.corrections.mrk.json; repeatable.", "FILE"
+        ),
+    ] = None,
+    title: Annotated[str, option("Title of the dataset.")] = "",
+    scene: Annotated[bool, option("Write also a scene of 3D Slicer (.mrb).", None, "--scene")] = False,
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
+    insecure: Insecure = False,
+    resume: Resume = False,
+    strict: Strict = False,
+    json: Json = False,
+    quiet: Quiet = False,
+    plugins: Plugins = None,
 ) -> None:
     """Reconstruct the needles in SCANs into a dataset.
 
@@ -69,7 +100,14 @@ def reconstruct(
     DATASET takes the dataset, its tables, and for every scan a quality page (quality/) and files for 3D
     Slicer (slicer/). A scan that fails is reported with its fix (exit code 3); the others are written.
     """
-    named = options.name_scan_files(files)
+    stated: dict[str, Any] = {
+        "markers": markers,
+        "fiducials": fiducials,
+        "layers": layers,
+        "surfaces_in": layers_in,
+    }
+    stated |= {"mask": mask, "series": series, "medium": medium}
+    named = {key: value for key, value in stated.items() if value}
     invocation = context.find_root().obj
     with catch_interrupts(invocation) as stop:  # from here on, so that Ctrl-C never cuts an import in two
         from needlefit.datasets.read import check_all
@@ -108,7 +146,9 @@ def reconstruct(
         checkpoint = open_checkpoint(keep, invocation.resume, CHECKPOINT_WORK, print_remark)
         with show_progress(invocation.quiet) as report:
             with open_pool(
-                jobs or min(MAX_DEFAULT_JOBS, count_cores()), invocation.scheduler, invocation.insecure
+                invocation.jobs or min(MAX_DEFAULT_JOBS, count_cores()),
+                invocation.scheduler,
+                invocation.insecure,
             ) as pool:
                 batch = ReconstructionBatch(pool, checkpoint, report, stop, every)
                 scanned = reconstruct_all(wanted, record, batch)

@@ -4,36 +4,46 @@ import dataclasses
 import difflib
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from needlefit.cli import screen
 from needlefit.cli.execution import show_run
-from needlefit.cli.options import argument, complete_runs, flag, option, takes
+from needlefit.cli.options import (
+    Explain,
+    Json,
+    Plugins,
+    Quiet,
+    RunName,
+    Strict,
+    Unverified,
+    argument,
+    option,
+)
 from needlefit.project.help_pages import Topic, read_input_columns, read_sections, read_terms
 
 if TYPE_CHECKING:
-    import pandas as pd
-
-    from needlefit.reporting.table import TableColumn
+    pass
 
 
-@takes(
-    "explain strict quiet verbose",
-    out=option("Write to this folder; the run's own by default.", "DIR"),
-    paper=option(
-        "Also write figures 3.5 and 7.16 in wide, LaTeX files and an example to a new folder.", "DIR"
-    ),
-    figures=option("main: those that the report needs; all: the optional ones too."),
-)
 def report(
     context: typer.Context,
-    run: str,
-    out: Path | None = None,
-    paper: Path | None = None,
-    figures: Literal["main", "all"] = "main",
-    unverified: bool = False,
+    run: RunName,
+    out: Annotated[Path | None, option("Write to this folder; the run's own by default.", "DIR")] = None,
+    paper: Annotated[
+        Path | None,
+        option("Also write figures 3.5 and 7.16 in wide, LaTeX files and an example to a new folder.", "DIR"),
+    ] = None,
+    figures: Annotated[
+        Literal["main", "all"],
+        option("main: those that the report needs; all: the optional ones too."),
+    ] = "main",
+    unverified: Unverified = False,
+    explain: Explain = False,
+    strict: Strict = False,
+    quiet: Quiet = False,
+    plugins: Plugins = None,
 ) -> None:
     """Write tables, figures and report of a RUN again, and print it, without fitting anything.
 
@@ -59,19 +69,21 @@ def report(
         screen.print_line(f"written: {paper}")
 
 
-@takes(
-    "json verbose",
-    run_a=argument("RUN_A", "A folder of results, or its bare name in reports/.", complete_runs),
-    run_b=argument("RUN_B", "A folder of results, or its bare name in reports/.", complete_runs),
-    everything=flag("Also print the changes that do not matter.", "--all"),
-)
 def diff(
-    context: typer.Context, run_a: str, run_b: str, everything: bool = False, unverified: bool = False
+    context: typer.Context,
+    run_a: Annotated[str, argument("RUN_A", "What RUN_B is compared with.")],
+    run_b: Annotated[
+        str,
+        argument("RUN_B", "A folder of results, or its bare name in reports/."),
+    ],
+    unverified: Unverified = False,
+    json: Json = False,
+    plugins: Plugins = None,
 ) -> None:
-    """Compare RUN_B with RUN_A: inputs, parameters, errors on the same insertions, verdicts.
+    """Compare RUN_B with RUN_A: inputs, states, and every number of their tables.
 
-    Prints the changes that matter, each with its size relative to its own uncertainty, and the inputs that
-    differ. `--json` has all changes. Runs with files that do not agree with their manifest are not compared.
+    Prints the greatest change of each column, and how many rows differ. Runs with files that do not agree
+    with their manifest are not compared.
     """
     from needlefit.project.locate import find_run
     from needlefit.studies.run_differences import (
@@ -86,12 +98,9 @@ def diff(
         screen.show_json(differences_to_json(found))
         return
     screen.print_text(summarize_differences(found))
-    table = lay_out_differences(found, everything)
-    if table.rows:
+    if found:
         screen.print_line()
-        screen.show_display(table, notes=everything)
-    if table.notes and not everything:
-        screen.print_text("\n".join(table.notes))
+        screen.show_display(lay_out_differences(found))
 
 
 def _list_topics() -> dict[str, list[Topic]]:
@@ -127,19 +136,18 @@ def _list_topics() -> dict[str, list[Topic]]:
     }
 
 
-def _complete_keys(start: str) -> list[str]:
-    return [one.key for group in _list_topics().values() for one in group if one.key.startswith(start)]
-
-
-@takes(
-    "json",
-    key=argument(
-        "NAME",
-        "A warning as printed (coverage), a file (study.toml), a term, a law, or a column (te_mm).",
-        _complete_keys,
-    ),
-)
-def explain(context: typer.Context, key: str = "") -> None:
+def explain(
+    context: typer.Context,
+    key: Annotated[
+        str,
+        argument(
+            "NAME",
+            "A warning as printed (coverage), a term, a law, or a column (te_mm).",
+        ),
+    ] = "",
+    json: Json = False,
+    plugins: Plugins = None,
+) -> None:
     """Explain a warning, file, term, law or column (none: list all)."""
     from needlefit.reporting.columns import find_column
 
@@ -187,10 +195,8 @@ def _describe(topic: Topic) -> Topic:
     return dataclasses.replace(topic, paragraphs=tuple(lines))
 
 
-@takes("json verbose")
-def paper(context: typer.Context) -> None:
+def paper(context: typer.Context, json: Json = False) -> None:
     """Print the paper's tables."""
-    from needlefit.reporting.table import TableLayout
     from needlefit.studies import paper as published
 
     if context.find_root().obj.json:
@@ -201,24 +207,4 @@ def paper(context: typer.Context) -> None:
         screen.show_json(rows)
         return
     for name, title in published.TABLE_TITLES.items():
-        printed = published.read_printed_table(name)  # numbers as printed, headings as everywhere else
-        columns = tuple(_find_head(str(key), printed[key]) for key in printed)
-        cells = printed.apply(lambda column: column.str.replace("_", " "))
-        table = TableLayout(name, title, columns, tuple(cells.itertuples(index=False, name=None)))
-        screen.show_display(table, notes=False)
-
-
-_ROLES = {"tune_": "Fitted: ", "validate_": "Held out: "}
-
-
-def _find_head(key: str, cells: "pd.Series[str]") -> "TableColumn":
-    import pandas as pd
-
-    from needlefit.reporting.columns import find_column
-    from needlefit.reporting.table import TableColumn
-
-    role = next((prefix for prefix in _ROLES if key.startswith(prefix)), "")
-    column = find_column(key.removeprefix(role))
-    label = f"{_ROLES[role]}{column.label.lower()}" if role else column.label
-    is_number = pd.to_numeric(cells.replace("", "0"), errors="coerce").notna().all()
-    return TableColumn(label, column.unit, "right" if is_number else "left")
+        screen.show_frame(published.read_printed_table(name), title)

@@ -6,12 +6,21 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from needlefit.cli import exit_codes, screen
-from needlefit.cli.options import argument, complete_scenes, option, scene_record, takes
+from needlefit.cli.options import (
+    Changes,
+    Depth,
+    Json,
+    Plugins,
+    Strict,
+    argument,
+    option,
+    scene_record,
+)
 from needlefit.errors import NeedlefitError
 from needlefit.project.folders import require_output_files
 from needlefit.project.locate import find_file, find_view_target
@@ -42,39 +51,44 @@ class SimulationOutcome:
     placement: "Placement | None" = None
 
 
-@takes(
-    "strict json verbose",
-    scene=argument(
-        "SCENE",
-        "configs/scenes/<name>.toml or a path; none with --recording.",
-        complete_scenes,
-        show_default=False,
-    ),
-    recording=option("Replay what `needlefit view` recorded: a CSV; no SCENE.", "LOG"),
-    step=option("With --recording: stop after this step.", "N", min=0),
-    plot=option("Draw the needle: .png, .pdf or .svg.", "FILE"),
-    csv=option("Write the final shape: position (mm), slope, load (N/mm).", "FILE"),
-    slicer=option(
-        "Write the needle for 3D Slicer: .mrk.json, a curve for every step, or .ply, a tube of the last. "
-        "Scene coordinates are taken as LPS, in the plane z = 0; a recording of a measured insertion lies in "
-        "its scan; mm.",
-        "FILE",
-    ),
-    animation=option("Animate the insertion: .gif, or .mp4 (needs ffmpeg); a SCENE at 10 mm/s.", "FILE"),
-    html=option("Of a recording: one HTML file that computes it offline.", "FILE"),
-)
 def simulate(
     context: typer.Context,
-    scene: str | None = None,
-    depth: float | None = None,
-    set_: list[str] | None = None,
-    recording: Path | None = None,
-    step: int | None = None,
-    plot: Path | None = None,
-    csv: Path | None = None,
-    slicer: Path | None = None,
-    animation: Path | None = None,
-    html: Path | None = None,
+    scene: Annotated[
+        str | None,
+        argument(
+            "SCENE",
+            "configs/scenes/<name>.toml or a path; none with --recording.",
+        ),
+    ] = None,
+    depth: Depth = None,
+    set_: Changes = None,
+    recording: Annotated[
+        Path | None, option("Replay what `needlefit view` recorded: a CSV; no SCENE.", "LOG")
+    ] = None,
+    step: Annotated[int | None, option("With --recording: stop after this step.", "N", min=0)] = None,
+    plot: Annotated[Path | None, option("Draw the needle: .png, .pdf or .svg.", "FILE")] = None,
+    csv: Annotated[
+        Path | None, option("Write the final shape: position (mm), slope, load (N/mm).", "FILE")
+    ] = None,
+    slicer: Annotated[
+        Path | None,
+        option(
+            "Write the needle for 3D Slicer: .mrk.json, a curve for every step, or .ply, a tube of the last. "
+            "Scene coordinates are taken as LPS, in the plane z = 0; a recording of a measured insertion "
+            "lies in its scan; mm.",
+            "FILE",
+        ),
+    ] = None,
+    animation: Annotated[
+        Path | None,
+        option("Animate the insertion: .gif, or .mp4 (needs ffmpeg); a SCENE at 10 mm/s.", "FILE"),
+    ] = None,
+    html: Annotated[
+        Path | None, option("Of a recording: one HTML file that computes it offline.", "FILE")
+    ] = None,
+    strict: Strict = False,
+    json: Json = False,
+    plugins: Plugins = None,
 ) -> None:
     """Simulate a SCENE, or replay a recording of one.
 

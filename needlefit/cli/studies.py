@@ -1,14 +1,15 @@
 """Commands that run studies: tune, calibrate, validate, predict."""
 
+import math
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from needlefit.cli import exit_codes, options, screen
+from needlefit.cli import exit_codes, screen
 from needlefit.cli.execution import (
     Execution,
     begin,
@@ -19,13 +20,26 @@ from needlefit.cli.execution import (
     show_warnings,
 )
 from needlefit.cli.options import (
+    REPORTS,
+    Changes,
+    Depth,
+    Explain,
+    Insecure,
+    Jobs,
+    Json,
+    Out,
+    Plugins,
+    Quiet,
+    Reference,
+    Resume,
+    Scheduler,
+    Seed,
+    Strict,
+    Target,
     argument,
-    complete_scenes,
-    complete_studies,
-    complete_targets,
-    flag,
     option,
-    takes,
+    scene_record,
+    split_pair,
 )
 from needlefit.errors import ConfigError
 from needlefit.schemas.limits import MAX_REPLICATES
@@ -35,24 +49,34 @@ if TYPE_CHECKING:
     from needlefit.studies.run import Run
 
 
-@takes(
-    "seed jobs out resume strict explain json quiet verbose",
-    design=flag("Which parameters the design determines, before any measurement.", "--design"),
-    no_sample=flag("Intervals by importance sampling alone, without MCMC and posterior.nc.", "--no-sample"),
-    free=option(
-        "Estimate a parameter that the tissue model fixes or ties: alpha1. May be repeated.", "NAME", "--free"
-    ),
-    fix=option(
-        "Hold a parameter at a value, in Pa, mm or degrees: b=0.1. May be repeated.", "NAME=VALUE", "--fix"
-    ),
-)
 def tune(
     context: typer.Context,
-    target: str,
-    design: bool = False,
-    no_sample: bool = False,
-    free: list[str] | None = None,
-    fix: list[str] | None = None,
+    target: Target,
+    design: Annotated[
+        bool,
+        option("Which parameters the design determines, before any measurement.", None, "--design"),
+    ] = False,
+    no_sample: Annotated[
+        bool,
+        option("Intervals by importance sampling alone, without MCMC and posterior.nc.", None, "--no-sample"),
+    ] = False,
+    free: Annotated[
+        list[str] | None,
+        option("Estimate a parameter that the tissue model fixes or ties: alpha1. May be repeated.", "NAME"),
+    ] = None,
+    fix: Annotated[
+        list[str] | None,
+        option("Hold a parameter at a value, in Pa, mm or degrees: b=0.1. May be repeated.", "NAME=VALUE"),
+    ] = None,
+    seed: Seed = None,
+    jobs: Jobs = None,
+    out: Out = REPORTS,
+    resume: Resume = False,
+    strict: Strict = False,
+    explain: Explain = False,
+    json: Json = False,
+    quiet: Quiet = False,
+    plugins: Plugins = None,
 ) -> None:
     """Fit the parameters of a TARGET (mu, alpha, b).
 
@@ -103,8 +127,12 @@ def _parse_values(texts: Iterable[str]) -> dict[str, float]:
     values = {}
     for text in texts:
         name, _, value = text.partition("=")
+        if name.strip() in values:
+            raise typer.BadParameter(f"`{name.strip()}` has two values", param_hint="--fix")
         try:
             values[name.strip()] = float(value)
+            if not math.isfinite(values[name.strip()]):
+                raise ValueError
         except ValueError:
             raise typer.BadParameter(
                 f"`{text}` is not NAME=VALUE with a number, e.g. b=0.1", param_hint="--fix"
@@ -126,32 +154,51 @@ def _name_options(free: Collection[str] | None, fix: Collection[str] | None) -> 
         raise located from None
 
 
-@takes(
-    "seed jobs scheduler insecure out reference resume strict explain json quiet verbose",
-    replicates=option(
-        "Number of simulated datasets (default: 500; with --sample 100; with --truth synthetic 50).",
-        min=1,
-        max=MAX_REPLICATES,
-    ),
-    sample=flag("Sample every posterior by MCMC; uses at most three insertions.", "--sample"),
-    control=option(
-        "Use a wrong likelihood, which the test must detect: sigma, prior, pose, shuffled, or all.", "NAME"
-    ),
-    truth=option(
-        "True parameters: drawn from the prior, or synthetic (simulated by another model than the fitted "
-        "one).",
-        "SOURCE",
-    ),
-    ct=flag("With --truth synthetic: measure through CT volumes (4 s per insertion).", "--ct"),
-)
 def calibrate(
     context: typer.Context,
-    target: str,
-    replicates: int | None = None,
-    sample: bool = False,
-    control: str | None = None,
-    truth: str = "prior",
-    ct: bool = False,
+    target: Target,
+    replicates: Annotated[
+        int | None,
+        option(
+            "Number of simulated datasets (default: 500; with --sample 100; with --truth synthetic 50).",
+            min=1,
+            max=MAX_REPLICATES,
+        ),
+    ] = None,
+    sample: Annotated[
+        bool,
+        option("Sample every posterior by MCMC; uses at most three insertions.", None, "--sample"),
+    ] = False,
+    control: Annotated[
+        str | None,
+        option(
+            "Use a wrong likelihood, which the test must detect: sigma, prior, pose, shuffled, or all.",
+            "NAME",
+        ),
+    ] = None,
+    truth: Annotated[
+        Literal["prior", "synthetic"],
+        option(
+            "True parameters: drawn from the prior, or synthetic (simulated by another model than the "
+            "fitted one)."
+        ),
+    ] = "prior",
+    ct: Annotated[
+        bool,
+        option("With --truth synthetic: measure through CT volumes (4 s per insertion).", None, "--ct"),
+    ] = False,
+    seed: Seed = None,
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
+    insecure: Insecure = False,
+    out: Out = REPORTS,
+    reference: Reference = False,
+    resume: Resume = False,
+    strict: Strict = False,
+    explain: Explain = False,
+    json: Json = False,
+    quiet: Quiet = False,
+    plugins: Plugins = None,
 ) -> None:
     """Test whether the intervals of a TARGET are right (simulation-based calibration).
 
@@ -167,8 +214,6 @@ def calibrate(
     replicates for a verdict.
     """
     synthetic = truth == "synthetic"
-    if truth not in ("prior", "synthetic"):
-        raise typer.BadParameter(f"'{truth}' is none of prior, synthetic.", param_hint="--truth")
     if ct and not synthetic:
         raise typer.BadParameter("needs --truth synthetic.", param_hint="--ct")
     if synthetic and (sample or control is not None):
@@ -228,13 +273,28 @@ def _end_calibration(execution: Execution, found: "list[Run]") -> None:
         raise typer.Exit(exit_codes.NOT_CONVERGED)
 
 
-@takes(
-    "seed jobs scheduler insecure out reference resume strict explain json quiet verbose",
-    study=argument(
-        "STUDY", "study1 ... study5, all (those five), everything, another, or a path.", complete_studies
-    ),
-)
-def validate(context: typer.Context, study: str) -> None:
+def validate(
+    context: typer.Context,
+    study: Annotated[
+        str,
+        argument(
+            "STUDY",
+            "study1 ... study5, all (those five), everything, another, or a path.",
+        ),
+    ],
+    seed: Seed = None,
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
+    insecure: Insecure = False,
+    out: Out = REPORTS,
+    reference: Reference = False,
+    resume: Resume = False,
+    strict: Strict = False,
+    explain: Explain = False,
+    json: Json = False,
+    quiet: Quiet = False,
+    plugins: Plugins = None,
+) -> None:
     """Run a STUDY, such as: fit some insertions, predict others.
 
     `all` runs the paper's five studies and the fits of its tuning tables; `everything` runs all studies whose
@@ -279,28 +339,34 @@ def _write_combined_report(execution: Execution, study: str, runs: "list[Run]") 
         screen.print_written(folder)
 
 
-@takes(
-    "seed jobs out resume strict explain json quiet verbose",
-    target=argument("TARGET", "What was tuned: a study, a fit, or a path.", complete_targets),
-    scene=option(
-        "The planned insertion: a name or a path.", "SCENE", "--scene", autocompletion=complete_scenes
-    ),
-    run=option("Result of `tune TARGET` (default: OUT/TARGET-tune).", "DIR"),
-    specimen=option(
-        "new: into a specimen that was not fitted to; same: into the one that was, or, of several that "
-        "differ, its NAME (default: same if the TARGET states `same_specimen`; else new, with the spread "
-        "between specimens unless its `specimens` leaves it out).",
-        "new|same|NAME",
-    ),
-)
 def predict(
     context: typer.Context,
-    target: str,
-    scene: str,
-    run: Path | None = None,
-    specimen: str | None = None,
-    depth: float | None = None,
-    set_: list[str] | None = None,
+    target: Target,
+    scene: Annotated[
+        str,
+        option("The planned insertion: a name or a path.", "SCENE"),
+    ],
+    run: Annotated[Path | None, option("Result of `tune TARGET` (default: OUT/TARGET-tune).", "DIR")] = None,
+    specimen: Annotated[
+        str | None,
+        option(
+            "new: into a specimen that was not fitted to; same: into the one that was, or, of several that "
+            "differ, its NAME (default: same if the TARGET states `same_specimen`; else new, with the spread "
+            "between specimens unless its `specimens` leaves it out).",
+            "new|same|NAME",
+        ),
+    ] = None,
+    depth: Depth = None,
+    set_: Changes = None,
+    seed: Seed = None,
+    jobs: Jobs = None,
+    out: Out = REPORTS,
+    resume: Resume = False,
+    strict: Strict = False,
+    explain: Explain = False,
+    json: Json = False,
+    quiet: Quiet = False,
+    plugins: Plugins = None,
 ) -> None:
     """Predict a planned insertion with what was fitted to a TARGET.
 
@@ -318,13 +384,11 @@ def predict(
         from needlefit.studies.kinds.prediction import POSTERIOR_FILE, make_scene
         from needlefit.studies.study_files import load_target
 
-        scene_name, planned = options.scene_record(scene, depth, set_ or [])
+        scene_name, planned = scene_record(scene, depth, set_ or [])
         target_name, fitted, file = load_target(target)
         with add_file_context(file):
             medium, _ = load_medium(fitted)
-        make_scene(
-            planned, scene_name, medium, [key for key, value in map(options.split_pair, set_ or []) if value]
-        )
+        make_scene(planned, scene_name, medium, [key for key, value in map(split_pair, set_ or []) if value])
         require_file_name(Path(scene).stem, scene)
         name = f"predict-{target_name.removesuffix('-tune')}-{Path(scene).stem}"
         execution.prepare([name])

@@ -6,13 +6,20 @@ import threading
 from collections.abc import Callable, Coroutine
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from needlefit.cli import options, screen
+from needlefit.cli import screen
 from needlefit.cli.exit_codes import Invocation
-from needlefit.cli.options import complete_view_targets, option, takes
+from needlefit.cli.options import (
+    REPORTS,
+    Out,
+    Plugins,
+    Quiet,
+    argument,
+    option,
+)
 from needlefit.errors import ConfigError
 from needlefit.project.folders import require_writable
 from needlefit.project.locate import find_view_target
@@ -24,30 +31,33 @@ if TYPE_CHECKING:
     from needlefit.viewer.trials import TrialRegistry
 
 
-@takes(
-    "out quiet verbose",
-    target=options.argument(
-        "SCENE | RUN[/ID] | DATASET/ID",
-        "What to steer: a scene, a run's fitted insertion with its predictive band, or a measured insertion.",
-        complete_view_targets,
-        show_default=False,
-    ),
-    recording=option("Replay this recording, and continue from its end; it replaces SCENE.", "LOG"),
-    specimen=option(
-        "Predictive band of a run: for a new specimen, or for the specimens fitted (default: as the run "
-        "predicted the insertion).",
-        show_default=False,
-    ),
-    port=option("Port on 127.0.0.1 (0: any free one).", "N", min=0, max=65535),
-    browser=options.flag("Open the page, or only print its address.", "--browser/--no-browser"),
-)
 def view(
     context: typer.Context,
-    target: str | None = None,
-    recording: Path | None = None,
-    specimen: Literal["new", "same"] | None = None,
-    port: int = 0,
-    browser: bool = True,
+    target: Annotated[
+        str | None,
+        argument(
+            "SCENE | RUN[/ID] | DATASET/ID",
+            "What to steer: a scene, a run's fitted insertion with its predictive band, or a measured "
+            "insertion.",
+        ),
+    ] = None,
+    recording: Annotated[
+        Path | None, option("Replay this recording, and continue from its end; it replaces SCENE.", "LOG")
+    ] = None,
+    specimen: Annotated[
+        Literal["new", "same"] | None,
+        option(
+            "Predictive band of a run: for a new specimen, or for the specimens fitted (default: as the run "
+            "predicted the insertion)."
+        ),
+    ] = None,
+    port: Annotated[int, option("Port on 127.0.0.1 (0: any free one).", "N", min=0, max=65535)] = 0,
+    browser: Annotated[
+        bool, option("Open the page, or only print its address.", None, "--browser/--no-browser")
+    ] = True,
+    out: Out = REPORTS,
+    quiet: Quiet = False,
+    plugins: Plugins = None,
 ) -> None:
     """Steer a needle by hand in the browser.
 
@@ -56,7 +66,6 @@ def view(
     """
     if recording is not None and target is not None:
         raise typer.BadParameter("the recording names its target: leave it out", param_hint="TARGET")
-    out = context.find_root().obj.out
     require_writable(out / "view")
     if target is not None:
         find_view_target(target)  # a wrong name ends it before a page opens

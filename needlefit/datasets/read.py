@@ -70,7 +70,7 @@ from needlefit.mechanics.needle import Needle
 from needlefit.project.input_files import is_file
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load, locate_key, read_toml
-from needlefit.project.unit_warnings import format_place, likely_modulus
+from needlefit.project.unit_warnings import format_place
 from needlefit.schemas.dataset import (
     MIN_SD_MM,
     DatasetRecord,
@@ -184,15 +184,14 @@ def make_noise(record: NoiseRecord) -> Noise:
 def find_record_faults(record: DatasetRecord | TrackDatasetRecord, file: Path) -> Iterator[Fault]:
     """Yield what is wrong with a `dataset.toml` by itself."""
     modulus, shapes = record.needle.youngs_modulus_gpa or 0.0, isinstance(record, DatasetRecord)
-    unit, in_gpa = likely_modulus(modulus) if modulus > MAX_MODULUS_GPA else ("", math.nan)
     key, sd = "needle.youngs_modulus_gpa", "noise.point_sd_mm"
     checks = [
         (
             modulus > MAX_MODULUS_GPA,
             key,
-            f"{key} is {modulus:g}{f': this looks like {unit}' if unit else ''}",
+            f"{key} is {modulus:g}",
             "GPa: about 200 for steel, 40 to 80 for nitinol",
-            f"write {in_gpa:.3g}" if unit else "write it in GPa",
+            "write it in GPa",
         ),
         (
             not shapes and record.noise.point_sd_mm <= 0,  # every fit of tip tracks samples a posterior

@@ -27,7 +27,7 @@ from needlefit.geometry.surfaces import (
 )
 from needlefit.project.archives import ArchiveLimits, name_archive, unpack_archive
 from needlefit.project.input_files import is_file, open_regular, read_bytes, read_text
-from needlefit.project.sandbox import ReaderLimits, SandboxArrays, read_in_sandbox
+from needlefit.project.reader_process import Arrays, read_in_process
 
 SCENE_SUFFIXES = (".mrml", ".mrb")
 MAX_SCENE_BYTES = 64 * 2**20
@@ -257,7 +257,7 @@ def _read_itk_transform(path: Path) -> Floats:
         with open_regular(path, MAX_TRANSFORM_BYTES):
             pass
         reader = f"{__name__}:read_hdf_transform"
-        (kind, *texts), _ = read_in_sandbox(reader, path, ReaderLimits(), {"path": str(path)})
+        (kind, *texts), _ = read_in_process(reader, path, {"path": str(path)})
     else:
         found: dict[str, list[str]] = {}
         for line in read_text(path, MAX_TRANSFORM_BYTES).splitlines():
@@ -278,7 +278,7 @@ def _read_itk_transform(path: Path) -> Floats:
 _PARAMETERS = ("Parameters", "FixedParameters")
 
 
-def read_hdf_transform(_results: SandboxArrays, path: str) -> tuple[str, list[float], list[float]]:
+def read_hdf_transform(_arrays: Arrays, path: str) -> tuple[str, list[float], list[float]]:
     """Return type, parameters and fixed parameters of the only transform of a file; in the child process."""
     import h5py
 

@@ -350,11 +350,8 @@ def _read_checkpoint(
     """Return what is kept of a scan; None if nothing, of another scan or recipe, or damaged."""
     for row in batch.checkpoint.rows(_work_of(scan), ("inputs", "reconstructions", ARRAYS_KEY))[::-1]:
         if row["inputs"] == _digest_inputs(scan, recipe, batch.every):
-            try:
+            with suppress(DataError):
                 return tuple(_move_to(one, scan) for one in _decode_checkpoint(row))
-            except DataError:
-                batch.checkpoint.set_aside(_work_of(scan))
-                break
     return None
 
 

@@ -29,7 +29,7 @@ from needlefit.imaging.volume import (
     sheared_axes,
 )
 from needlefit.project.folders import replace_file
-from needlefit.project.sandbox import SandboxArrays, allow_memory
+from needlefit.project.reader_process import Arrays, allow_memory
 
 IMAGE_IOS = {".nrrd": "NrrdImageIO", ".nhdr": "NrrdImageIO", ".mha": "MetaImageIO", ".mhd": "MetaImageIO"}
 _COMPLEX = (sitk.sitkComplexFloat32, sitk.sitkComplexFloat64)
@@ -42,8 +42,8 @@ _COMPRESSION_LEVEL = 1
 sitk.ProcessObject.SetGlobalWarningDisplay(False)  # errors are reported once, by our own messages
 
 
-def read_image(results: SandboxArrays, path: str, stored: int, layers: bool = False) -> dict[str, Any]:
-    """Read an image file: the array "values", its grid, and the texts of its header about segments.
+def read_image(arrays: Arrays, path: str, stored: int, layers: bool = False) -> dict[str, Any]:
+    """Read an image file: add the array "values"; return its grid, and texts about segments.
 
     `stored`: bytes of the file, with that of its voxels.
     `layers`: whether a voxel may have several numbers; the values then have a fourth axis for them.
@@ -83,18 +83,18 @@ def read_image(results: SandboxArrays, path: str, stored: int, layers: bool = Fa
             _check_nifti(file, grid)
         elif reader.GetImageIO() == "NrrdImageIO":  # MetaImage is LPS by its definition
             _check_nrrd_space(texts.get("NRRD_space", ""))
-        allow_memory(2 * content + memory + stored)  # a buffer, one to convert into
-        values = results.new("values", shape, "float32")
+        allow_memory(2 * (content + memory) + stored)  # a buffer, one to convert into
         try:
             image = reader.Execute()
         except RuntimeError as error:
             raise _missing_voxels(f" ({_last_line(error)})") from error
         # SimpleITK's arrays are indexed k, j, i: the reverse of its sizes
-        values[...] = sitk.GetArrayViewFromImage(image).reshape(shape)
+        values = sitk.GetArrayViewFromImage(image).reshape(shape).astype(np.float32)
         if not np.isfinite([values.min(), values.max()]).all():
             raise refusal(f"""holds {np.count_nonzero(~np.isfinite(values))} voxels that are no finite number
                 expected: a number in every voxel
                 fix: give voxels outside the scan the value of air, e.g. -1000""")
+    arrays["values"] = values
     grid = replace(grid, direction=orthogonalize(grid.direction))
     segments = {key: text for key, text in texts.items() if re.fullmatch(r"Segment\d{1,4}_\w+", key)}
     return {**grid_to_json(grid), "texts": segments}

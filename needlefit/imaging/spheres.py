@@ -244,8 +244,7 @@ PRIOR_MEANS = np.array([np.log(1e4), -0.1, np.log(0.45), 0.5])
 # is that of `expected_slice_blur`.
 PRIOR_SD = np.array([1.0, 0.2, 0.3, 1.0, 0.3])
 CORRELATION_LENGTH_MM = 1.0  # errors of voxels farther apart than this are unrelated, mm
-# What the formal deviation is multiplied by, and what no scatter shows, mm. Set on other scans than those of
-# `benchmarks/markers.py`.
+# What the formal deviation is multiplied by, and what no scatter shows, mm.
 FORMAL_SD_FACTOR, SYSTEMATIC_SD_MM = 0.9, 0.003
 SLICE_ERROR = 0.02  # deviation by thick slices, in squares of their distance over the ball's radius
 # Deviation by what the model does not explain, in misfits times the blur. Both set on the part `tuning` of

@@ -13,7 +13,7 @@ from needlefit.arrays import Floats, are_bounded
 from needlefit.errors import DataError
 from needlefit.imaging.refusals import refusal
 from needlefit.project.input_files import is_dir, is_file, list_files, open_regular
-from needlefit.project.sandbox import MEMORY_VARIABLE, stated_memory_bytes
+from needlefit.project.reader_process import MEMORY_VARIABLE, stated_memory_bytes
 
 # Largest volume that is read, 1024^3: 4 GB in memory, unless the user states another size.
 DEFAULT_MAX_VOXELS = 2**30

@@ -27,11 +27,10 @@ from needlefit.imaging.volume import (
 )
 from needlefit.project.archives import MAX_ARCHIVE_BYTES, ArchiveLimits, name_archive, unpack_archive
 from needlefit.project.input_files import is_file, list_files, open_regular, path_exists, unreadable_error
-from needlefit.project.sandbox import (
+from needlefit.project.reader_process import (
     MEMORY_VARIABLE,
-    SandboxArrays,
-    limits_for,
-    read_in_sandbox,
+    Arrays,
+    read_in_process,
     stated_memory_bytes,
 )
 
@@ -91,10 +90,10 @@ def unpacked(path: Path) -> Iterator[Path]:
             size = file.seek(0, os.SEEK_END)
         stated = stated_memory_bytes()
         most = min(4 * max_voxels(), max(EXEMPT_BYTES, MAX_EXPANSION * size)) if stated is None else stated
-        allowed = limits_for(0, most, most / READ_BYTES_PER_SECOND)
         arguments = {"path": str(path), "folder": name, "total_bytes": most}
+        seconds = most / READ_BYTES_PER_SECOND
         with name_archive(path, folder):
-            read_in_sandbox(f"{__name__}:unpack_scan", path, allowed, arguments)
+            read_in_process(f"{__name__}:unpack_scan", path, arguments, seconds=seconds)
             yield folder
 
 
@@ -105,7 +104,7 @@ def open_member(path: Path) -> Iterator[Path]:
         yield place if place == path else _choose_member(place, None)[0]
 
 
-def unpack_scan(_results: SandboxArrays, path: str, folder: str, total_bytes: int) -> None:
+def unpack_scan(_arrays: Arrays, path: str, folder: str, total_bytes: int) -> None:
     """Unpack the archive of a scan; in the child process."""
     expected = "a ZIP archive of one scan, as an image archive (PACS) exports it"
     fix = f"pack it again, or unpack it and name the folder; {MEMORY_VARIABLE} grants more than the default"
@@ -157,9 +156,10 @@ def read_structures(path: Path, names: Sequence[str] = ()) -> tuple[Volume, tupl
     with explain_missing_packages(*CT_PACKAGES):
         size = sum(file.stat().st_size for file in ([path] if is_file(path) else list_files(path)))
         seconds = CONTOUR_SECONDS + size / UNPACKED_BYTES_PER_SECOND
-        allowed = limits_for(CONTOUR_BYTES + 4 * size, 4 * max_voxels(), seconds)
+        memory = CONTOUR_BYTES + 4 * size + 4 * max_voxels()
         reader = "needlefit.imaging.dicom.contours:read_structures"
-        parts, arrays = read_in_sandbox(reader, path, allowed, {"path": str(path), "names": list(names)})
+        arguments = {"path": str(path), "names": list(names)}
+        parts, arrays = read_in_process(reader, path, arguments, memory, seconds)
     return _build_volume(parts, arrays, path), tuple(map(str, parts.get("names", ())))
 
 
@@ -185,8 +185,7 @@ def _read_arrays(path: Path, layers: bool) -> tuple[Any, dict[str, NDArray[Any]]
         stored = sum(one.stat().st_size for one in path.parent.iterdir() if is_file(one))
     seconds = min(4 * max_voxels(), MAX_EXPANSION * stored) / READ_BYTES_PER_SECOND
     arguments = {"path": str(path), "stored": stored, "layers": layers}
-    allowed = limits_for(0, 4 * max_voxels(), seconds)
-    return read_in_sandbox("needlefit.imaging.image_files:read_image", path, allowed, arguments)
+    return read_in_process("needlefit.imaging.image_files:read_image", path, arguments, seconds=seconds)
 
 
 def _read_series(path: Path, series: str | None) -> tuple[Any, dict[str, NDArray[Any]]]:
@@ -199,9 +198,8 @@ def _read_series(path: Path, series: str | None) -> tuple[Any, dict[str, NDArray
     except OSError as fault:
         raise unreadable_error(fault, DataError, str(path if path.is_dir() else path.parent)) from None
     seconds = len(sizes) * SECONDS_PER_DICOM_HEADER + sum(sizes) / UNPACKED_BYTES_PER_SECOND
-    allowed = limits_for(max(sizes, default=0), 4 * max_voxels(), seconds)
-    arguments = {"path": str(path), "series": series}
-    return read_in_sandbox("needlefit.imaging.dicom.series:read_series", path, allowed, arguments)
+    arguments, reader = {"path": str(path), "series": series}, "needlefit.imaging.dicom.series:read_series"
+    return read_in_process(reader, path, arguments, max(sizes, default=0), seconds)
 
 
 def _build_volume(parts: Any, arrays: Mapping[str, NDArray[Any]], path: Path) -> Volume:  # noqa: ANN401 - JSON

@@ -33,7 +33,7 @@ from needlefit.inference.side_by_side import run_side_by_side
 from needlefit.project.progress import Stop, never_stop
 from needlefit.project.tasks import TaskStop
 
-End = Literal["closed", "bound"]
+End = Literal["closed", "bound", "lost"]
 
 FIRST_STEP = 0.2  #: of a profile, in theta; steps are doubled until the limit or a bound
 #: to which the end of a range is found, in theta (10 % of a modulus) and as a part of its distance
@@ -55,7 +55,8 @@ class ErrorRange:
 
     low: float
     high: float
-    ends: tuple[End, End]  #: "closed" where the errors limit it, "bound" where its bound does
+    #: "closed" where the errors limit it, "bound" where its bound does, "lost" where no solution is beyond
+    ends: tuple[End, End]
     alone: tuple[float, float]  #: its range about the reported point while all others are held
     alone_ends: tuple[End, End]
 
@@ -120,13 +121,14 @@ def examine_errors(
         problem, search, found, fit.objective, estimate_tolerance(problem, how.stated, found, rng)
     )
     parts, spent = [(k, side) for k in range(len(names)) for side in (-1, 1)] if how.ranges else [], 0
-    for _ in range(MAX_RESTARTS):
+    for restart in range(MAX_RESTARTS + 1):
         sides: dict[int, _Side] = dict(run_side_by_side(region.trace, parts, jobs, TaskStop(stop)))
         spent += sum(one.evaluations for one in sides.values())
         if len(sides) < len(parts):
             return None
         best = min((one.best for one in sides.values()), key=lambda one: one.value, default=None)
-        if best is None or best.value >= region.least - MIN_GAIN * region.tolerance.value:
+        gained = best is not None and best.value < region.least - MIN_GAIN * region.tolerance.value
+        if best is None or not gained or restart == MAX_RESTARTS:
             break
         lower = region.search(best.theta)
         spent += lower.evaluations
@@ -190,18 +192,19 @@ class _Region:
     def _find_end(self, k: int, side: int, compute: Callable[[Floats], _Point]) -> _Side:
         bound = float((self.problem.upper if side > 0 else self.problem.lower)[k])
         points, outside, step = [_Point(self.least, self.theta)], math.inf, FIRST_STEP
+        end: End = "closed"
         best, spent, inside = points[0], 0, float(self.theta[k])
         while True:
             resolution = max(RESOLUTION, RELATIVE_RESOLUTION * abs(inside - self.theta[k]))
             if abs(outside - inside) <= resolution:
-                return _Side(0.5 * (inside + outside), "closed", best, spent)
+                return _Side(0.5 * (inside + outside), end, best, spent)
             at = inside + side * step if math.isinf(outside) else 0.5 * (inside + outside)
             at = bound if (bound - at) * side <= 0 else at
             found = compute(_extrapolate(points, k, at, self.problem.lower, self.problem.upper))
             spent, step = spent + found.evaluations, 2 * step
             best = min(best, found, key=lambda one: one.value)
             if not found.value <= self.limit:
-                outside = at
+                outside, end = at, "closed" if math.isfinite(found.value) else "lost"
             elif at == bound:
                 return _Side(bound, "bound", best, spent)
             else:

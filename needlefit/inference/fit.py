@@ -7,6 +7,7 @@ exact Jacobian.
 
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from types import MappingProxyType
 from typing import Any, TypeVar
@@ -110,12 +111,12 @@ class Callbacks:
 
 def read_starts(checkpoint: Checkpoint, search: str) -> dict[int, Start]:
     """Return the finished starts of one search that a checkpoint keeps, by their index."""
-    try:
-        starts = [start_from_dict(row) for row in checkpoint.rows(search)]
-    except FitError:  # rows of something else, however whole
-        checkpoint.set_aside(search)
-        return {}
-    return {start.index: start for start in starts}
+    starts = {}
+    for row in checkpoint.rows(search):
+        with suppress(FitError):  # a row of something else, however whole
+            start = start_from_dict(row)
+            starts[start.index] = start
+    return starts
 
 
 def keep_start(checkpoint: Checkpoint, search: str, start: Start) -> None:

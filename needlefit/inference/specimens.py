@@ -9,8 +9,7 @@ for the specimens i of one population. The moduli of a specimen share a factor a
 (w = 1 with one modulus). tau_mu and tau_b have half-normal priors, rho is uniform from -1 to 1 (the LKJ prior
 with shape 1; D. Lewandowski, D. Kurowicka, H. Joe, J. Multivar. Anal. 100 (2009) 1989), w is uniform from 0
 to 1, m is flat within the bounds. Of moduli that are tied with a spread the source counts; the others deviate
-from it as the tie states, in every specimen anew. Other parameters that vary have a tau of their own and no
-correlation.
+from it as the tie states, in every specimen anew.
 
 Two stages estimate it (D. Lunn, J. Barrett, M. Sweeting, S. Thompson, J. R. Stat. Soc. C 62 (2013) 551).
 Stage one draws from the posterior of every specimen by itself. Stage two has the population,
@@ -58,28 +57,25 @@ MAX_REDRAWS = 100  #: times that a specimen outside the bounds is drawn again; t
 class SpreadModel:
     """Which parameters differ between specimens, and the prior of their covariance T.
 
-    T has hyperparameters (S,): ln tau of the moduli, of the bevel parameter and of each other parameter that
-    varies, then atanh rho and logit w where there are any.
+    T has hyperparameters (S,): ln tau of the moduli and of the bevel parameter, then atanh rho and logit w
+    where there are any.
     """
 
-    names: tuple[str, ...]  #: Q parameters, in the order of T: moduli, the bevel parameter, others
+    names: tuple[str, ...]  #: Q parameters, in the order of T: moduli, the bevel parameter
     moduli: int  #: how many of them are moduli
     correlated: bool  #: whether there are moduli and a bevel parameter
     sds: Floats  #: standard deviations of the half-normal priors of the taus
 
     @classmethod
-    def of(
-        cls, parameters: Parameters, modulus_sd: float, bevel_sd: float, others: Sequence[str] = ()
-    ) -> Self:
-        """Return the model of some parameters; `others` vary too, by as much as the moduli."""
+    def of(cls, parameters: Parameters, modulus_sd: float, bevel_sd: float) -> Self:
+        """Return the model of the moduli and the bevel parameter; an SD of 0: they do not vary."""
         # what is tied to a fixed parameter varies as the others do
         tied = {tie.name for tie in parameters.prior.ties if tie.source in parameters.free}
         moduli = [one for one in parameters.free if dimension(one) == "modulus" and one not in tied]
         bevels = [one for one in parameters.free if one in BEVEL_PARAMETERS]
-        # an SD of 0: they do not vary
         moduli, bevels = moduli if modulus_sd else [], bevels if bevel_sd else []
-        sds = [*[modulus_sd] * bool(moduli), *[bevel_sd] * len(bevels), *[modulus_sd] * len(others)]
-        return cls((*moduli, *bevels, *others), len(moduli), bool(moduli and bevels), np.array(sds))
+        sds = [*[modulus_sd] * bool(moduli), *[bevel_sd] * len(bevels)]
+        return cls((*moduli, *bevels), len(moduli), bool(moduli and bevels), np.array(sds))
 
     @property
     def upper(self) -> Floats:
@@ -367,43 +363,6 @@ def draw_specimens(
         if not len(left):
             break
     return np.clip(drawn, parameters.lower, parameters.upper)
-
-
-DENSITY_POINTS = 400  #: places at which a marginal density is looked at
-
-
-def determined_directions(specimens: Sequence[Specimen]) -> Floats:
-    """Return the combinations (Q, Q) that specimens determine on average, unit rows, the best first."""
-    information = np.mean([np.linalg.inv(one.covariance) for one in specimens], axis=0)
-    vectors: Floats = np.linalg.eigh(information)[1][:, ::-1].T
-    largest = np.argmax(np.abs(vectors), axis=1)
-    return vectors * np.sign(vectors[np.arange(len(vectors)), largest])[:, None]
-
-
-def marginal_density(values: Floats, weights: Floats, lowest: float) -> tuple[Floats, Floats]:
-    """Return points (DENSITY_POINTS,) and the density there of weighted draws (N,) that end at `lowest`.
-
-    Smoothed by kernels, mirrored where the values end.
-    """
-    from scipy.stats import gaussian_kde  # late: it takes 0.2 s to load
-
-    kernel = gaussian_kde(values, weights=weights)
-    wide = 3 * float(np.sqrt(kernel.covariance[0, 0]))
-    grid = np.linspace(lowest, float(values.max()) + wide, DENSITY_POINTS)
-    # reflection at `lowest`: a kernel estimate would lose the mass beyond the end
-    density: Floats = kernel(grid) + kernel(2 * lowest - grid)
-    return grid, density
-
-
-def highest_density_interval(
-    values: Floats, weights: Floats, level: float, lowest: float
-) -> tuple[float, float]:
-    """Return the interval of highest density of weighted draws (N,); it may begin at `lowest` exactly."""
-    grid, density = marginal_density(values, weights, lowest)
-    order = np.argsort(-density, kind="stable")
-    filled = np.cumsum(density[order]) / density.sum()
-    kept = grid[order[: int(np.searchsorted(filled, level)) + 1]]
-    return float(kept.min()), float(kept.max())
 
 
 def _correlate(names: Sequence[str], share: Floats, rho: Floats) -> Floats:

@@ -1,7 +1,7 @@
 """The result of a simulation, the needle's shape in the constraint frame C, and whether to trust it.
 
 A solution may converge and still break the model's assumptions. Each quantity of `Validity` is the worst of
-the whole needle, and each has a limit; docs/solver.md, "Validity of a solution", says where they come from.
+the whole needle, and each has a limit; docs/developers/solver.md, "Validity of a solution", states why.
 """
 
 import math

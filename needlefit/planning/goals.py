@@ -70,11 +70,11 @@ def find_hits(needles: Floats, goal: Goal) -> Bools:
 
 
 def compute_residuals(needles: Floats, goal: Goal) -> Floats:
-    """Return what is squared and summed: misses, and how far needles come too near to obstacles."""
+    """Return what is squared and summed: misses, and how far needles go into obstacles."""
     solved = np.isfinite(needles[:, -1, 0])
     parts = [np.where(solved[:, None], needles[:, -1] - goal.target, UNSOLVED_MISS_MM)]
     for one in goal.obstacles:
-        near = np.maximum(0.0, one.margin_mm - compute_clearances(needles, one))
+        near = np.maximum(0.0, -compute_clearances(needles, one))
         parts.append(OBSTACLE_PENALTY * np.where(solved, near, 0.0)[:, None])
     return np.hstack(parts).ravel() / math.sqrt(len(needles))
 

@@ -1,26 +1,25 @@
 """Run tasks on the workers of a Dask cluster (https://distributed.dask.org): the pool `ClusterPool`.
 
-A task reaches the scheduler as bytes under a key that is their digest, so the same work with the same data is
-computed once. Whoever may connect to a scheduler runs code on its workers and on this machine: away from this
-machine both sides show TLS certificates, which Dask reads from its own configuration.
+Work, items and results travel as Dask sends them. Whoever may connect to a scheduler runs code on its workers
+and on this machine: away from this machine both sides show TLS certificates, which Dask reads from its own
+configuration.
 """
 
 import hashlib
 import logging
 import math
-import pickle
 import platform
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
-from functools import cache, lru_cache
+from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import version
 from importlib.util import find_spec
 from ipaddress import ip_address
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 from urllib.parse import urlsplit
 
 from needlefit.errors import ConfigError
@@ -48,12 +47,11 @@ _ONE_AT_A_TIME = threading.Lock()
 
 @dataclass(frozen=True)
 class ClusterPool:
-    """The workers of a scheduler; `note` is given a line where none is connected, or processors differ."""
+    """The workers of a scheduler; `note` is given a line where none is connected."""
 
     client: "Client"
     note: Note = no_note
     remote: bool = True
-    _noted: set[str] = field(default_factory=set)
 
     def run(
         self, work: Callable[[Item], Result], items: Sequence[Item], stop: Stop = never_stop
@@ -62,38 +60,35 @@ class ClusterPool:
 
         ConfigError if the scheduler is lost, a worker has other versions, or a task ended several workers.
         """
-        # versions travel outside of the work: a worker with other code could not read that
-        shared = self._submit("work", _keep, pickle.dumps((describe_code(), pickle.dumps(work))))
-        running: set[Future[tuple[Result, str]]] = set()
+        code = describe_code()
+        running: set[Future[Result]] = set()
+        # as a task, so that it is sent again to a worker that comes later
+        shared = self.client.submit(_keep, work, pure=False)
         wanted, count_at = 0, -math.inf
 
-        def submit(n: int) -> "Future[tuple[Result, str]]":
-            future = self._submit("task", _run_task, pickle.dumps(items[n]), shared)
+        def submit(n: int) -> "Future[Result]":
+            future = self.client.submit(_run_task, shared, items[n], code, pure=False)
             running.add(future)
             return future
 
         def count_wanted() -> int:
             nonlocal wanted, count_at
             if time.monotonic() >= count_at:
-                wanted = TASKS_PER_WORKER * max(1, self._count_workers())
+                before, count = wanted, self._count_workers()
+                if not (count or before):
+                    self.note("no worker is connected to the scheduler; waiting for one")
+                wanted = TASKS_PER_WORKER * max(1, count)
                 count_at = time.monotonic() + COUNT_WORKERS_S
             return wanted
 
         try:
             for n, future in as_finished(submit, len(items), count_wanted, stop, drop=True):
                 running.remove(future)
-                yield n, self._result(future)
+                yield n, _result_of(future)
         finally:
             if self.client.status == "running":
                 with suppress(OSError):  # lost just now: nothing is left to cancel
                     self.client.cancel([*running, shared], force=True)
-
-    def _submit(
-        self, kind: str, function: Callable[..., object], data: bytes, *work: "Future[Any]"
-    ) -> "Future[Any]":
-        """Submit a function of bytes, under the digest of these and of the work that it is part of."""
-        digest = hashlib.sha256(data + b"".join(str(one.key).encode() for one in work)).hexdigest()
-        return self.client.submit(function, data, *work, key=f"needlefit-{kind}-{digest}", pure=True)
 
     def _count_workers(self) -> int:
         """Return how many workers are connected; ConfigError if the scheduler is lost."""
@@ -101,39 +96,27 @@ class ClusterPool:
             raise _lost_scheduler()
         try:
             # `scheduler_info` of some releases lists five workers only
-            count = len(self.client.nthreads())
+            return len(self.client.nthreads())
         except OSError:
             raise _lost_scheduler() from None
-        if not count:
-            self._note_once("no worker is connected to the scheduler; waiting for one")
-        return count
 
-    def _note_once(self, line: str) -> None:
-        if line not in self._noted:
-            self._noted.add(line)
-            self.note(line)
 
-    def _result(self, future: "Future[tuple[Result, str]]") -> Result:
-        from concurrent.futures import CancelledError
+def _result_of(future: "Future[Result]") -> Result:
+    from concurrent.futures import CancelledError
 
-        from distributed.scheduler import KilledWorker
+    from distributed.scheduler import KilledWorker
 
-        try:
-            result, processor = future.result()
-        except KilledWorker as error:
-            raise ConfigError(
-                f"a task ended {error.last_worker.address if error.last_worker else 'its worker'} and others",
-                where="a worker of the cluster",
-                expected="workers with memory for a task",
-                fix="give each worker more memory, then go on with --resume",
-            ) from None
-        except (CancelledError, OSError):
-            raise _lost_scheduler() from None
-        if processor != describe_processor():
-            self._note_once(
-                f"a worker has another processor ({processor}): intervals may differ by Monte Carlo error"
-            )
-        return result
+    try:
+        return future.result()
+    except KilledWorker as error:
+        raise ConfigError(
+            f"a task ended {error.last_worker.address if error.last_worker else 'its worker'} and others",
+            where="a worker of the cluster",
+            expected="workers with memory for a task",
+            fix="give each worker more memory, then go on with --resume",
+        ) from None
+    except (CancelledError, OSError):
+        raise _lost_scheduler() from None
 
 
 def _lost_scheduler() -> ConfigError:
@@ -167,7 +150,7 @@ def connect(scheduler: str, insecure: bool = False, note: Note = no_note) -> Ite
                 f"no scheduler answers: {error}",
                 where=f"--scheduler {scheduler}",
                 expected="a running Dask scheduler and, for tls://, the certificates in Dask's configuration",
-                fix="start one with `dask scheduler`; see docs/scale.md",
+                fix="start one with `dask scheduler`; see docs/developers/scale.md",
             ) from None
         try:
             yield ClusterPool(client, note)
@@ -188,7 +171,7 @@ def require_secured(scheduler: str, insecure: bool = False) -> None:
             "is no address of a scheduler",
             where=where,
             expected="tls://HOST:PORT",
-            fix="start a scheduler with `dask scheduler`; see docs/scale.md",
+            fix="start a scheduler with `dask scheduler`; see docs/developers/scale.md",
         )
     host = str(parts.hostname)
     try:
@@ -205,24 +188,12 @@ def require_secured(scheduler: str, insecure: bool = False) -> None:
     )
 
 
-def _keep(data: bytes) -> bytes:
-    """Return what was sent: as a task, so that it is sent again to a worker that comes later."""
-    return data
+def _keep(work: Callable[[Item], Result]) -> Callable[[Item], Result]:
+    return work
 
 
-def _run_task(data: bytes, shared: bytes) -> tuple[object, str]:
-    """Return on a worker what the work makes of an item, and the type of the processor."""
-    with _ONE_AT_A_TIME:
-        _limit_worker()
-        work = _read_work(shared)  # first: it checks the versions
-        item = pickle.loads(data)  # noqa: S301  members of a cluster run each other's code
-        return work(item), describe_processor()
-
-
-@lru_cache(maxsize=4)
-def _read_work(shared: bytes) -> Callable[[object], object]:
-    """Return the work; ConfigError if the machine that sends it has other versions than this worker."""
-    code, data = pickle.loads(shared)  # noqa: S301
+def _run_task(work: Callable[[Item], Result], item: Item, code: dict[str, str]) -> Result:
+    """Return on a worker what the work makes of an item; ConfigError if it has other versions than `code`."""
     here = describe_code()
     other = [f"{name} {here[name]} instead of {value}" for name, value in code.items() if here[name] != value]
     if other:
@@ -232,8 +203,9 @@ def _read_work(shared: bytes) -> Callable[[object], object]:
             expected="the same versions as on the machine that sends the work",
             fix="install the same versions on all workers",
         )
-    work: Callable[[object], object] = pickle.loads(data)  # noqa: S301
-    return work
+    with _ONE_AT_A_TIME:
+        _limit_worker()
+        return work(item)
 
 
 @cache
@@ -252,14 +224,3 @@ def describe_code() -> dict[str, str]:
         digest.update(file.relative_to(package).as_posix().encode() + b"\0" + file.read_bytes())
     versions = {name: version(name) for name in ("needlefit", *CHECKED_PACKAGES)}
     return {"Python": platform.python_version(), **versions, "code": digest.hexdigest()[:16]}
-
-
-@cache
-def describe_processor() -> str:
-    """Return the type of this machine's processor."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace").splitlines()
-    except OSError:
-        lines = []
-    named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return named[0] if named else platform.processor() or platform.machine()

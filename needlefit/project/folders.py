@@ -2,46 +2,41 @@
 
 The manifest of a folder, `needlefit.json`, lists its files and the SHA-256 of each. It says whose a folder
 is: only what it lists, unchanged, may be replaced or removed. Any other file, a listed one that was changed
-since (but `timing.json`), every link and every other empty folder are foreign: they are somebody's work. It
-also says whether a result is the one that was written: what does not agree with it is not reported on. It
-detects accidents and partial edits, not somebody who makes a new manifest.
+since (but `timing.json`) and every link are foreign: they are somebody's work. It also says whether a result
+is the one that was written: what does not agree with it is not reported on. It detects accidents and partial
+edits, not somebody who makes a new manifest.
 """
 
 import ctypes
-import errno
 import hashlib
 import json
 import os
 import shutil
 import stat
 import tempfile
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from itertools import combinations
-from pathlib import Path, PurePosixPath
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.input_files import path_exists, read_json
 from needlefit.project.locate import join_names
 from needlefit.project.progress import Note
 
-try:
-    import fcntl
-except ImportError:  # Windows: two runs may meet in one folder, and what a killed one left stays
-    fcntl = None  # type: ignore[assignment]
+if TYPE_CHECKING:
+    from filelock import BaseFileLock
 
-SCRATCH_NAME_BYTES = 24
-"""What the name of a scratch folder, a checkpoint or a damaged one adds to that of a result."""
 
-INNER_PATH_BYTES = 300  # length of the longest path that a result holds, from its own folder on
-_MAX_NAME_BYTES, _MAX_PATH_BYTES = 255, 4096  # of a system that states neither
+MAX_NAME_BYTES = 231  # of a result: a scratch folder beside it has a longer name, which systems limit to 255
+MAX_PATH_BYTES = 3500  # of a result: what lies in it has longer paths, which systems limit to 4096
 
 
 def require_writable(place: Path) -> None:
     """Raise ConfigError unless a file or folder can be made at `place`, with what is written beside it.
 
-    Nothing is made: the nearest folder above that exists must be writable, and take the names.
+    Nothing is made: the nearest folder above that exists must be writable.
     """
     if "\0" in str(place):
         raise not_writable_error(Path(repr(place.name)), "its name holds a zero byte")
@@ -54,7 +49,9 @@ def require_writable(place: Path) -> None:
     effective = os.access in os.supports_effective_ids
     if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK, effective_ids=effective):
         raise not_writable_error(folder, "you may not write there" if folder.is_dir() else "it is a file")
-    _require_names(place, folder)
+    longest = max(len(os.fsencode(part)) for part in place.parts)
+    if longest > MAX_NAME_BYTES or len(os.fsencode(place)) > MAX_PATH_BYTES:
+        raise not_writable_error(folder, f"a name has {longest} bytes, of at most {MAX_NAME_BYTES}")
 
 
 def require_output_files(outputs: Mapping[str, Path], inputs: Iterable[Path]) -> None:
@@ -123,33 +120,6 @@ def not_writable_error(place: Path, reason: str) -> ConfigError:
         expected="a folder in which you may write",
         fix="choose another one with --out, or check its permissions",
     )
-
-
-def _require_names(place: Path, folder: Path) -> None:
-    """See that the file system of `folder` takes the names from there to `place`, and what is beside it."""
-
-    def limit(name: str, otherwise: int) -> int:
-        try:
-            stated = os.pathconf(folder, name)
-        except (AttributeError, OSError, ValueError):  # Windows; a file system that does not say
-            return otherwise
-        return stated if stated > 0 else otherwise
-
-    lengths = [len(os.fsencode(part)) for part in place.relative_to(folder).parts]
-    name_bytes, whole = max(*lengths, lengths[-1] + SCRATCH_NAME_BYTES), len(os.fsencode(place))
-    beside = SCRATCH_NAME_BYTES + lengths[-1] + INNER_PATH_BYTES
-    most, longest = limit("PC_NAME_MAX", _MAX_NAME_BYTES), limit("PC_PATH_MAX", _MAX_PATH_BYTES)
-    for what, is_too_long, room in (
-        (f"a name of {max(lengths)} bytes", name_bytes > most, most - SCRATCH_NAME_BYTES),
-        (f"a path of {whole} bytes", whole + beside > longest, longest - beside),
-    ):
-        if is_too_long:
-            raise ConfigError(
-                f"{what} is too long to write results under it",
-                where=str(folder),
-                expected=f"at most {room} bytes",
-                fix="choose a shorter name",
-            )
 
 
 # ---- the manifest
@@ -244,9 +214,7 @@ def find_foreign(folder: Path) -> list[str]:
     names = [name for name in list_all_files(folder) if Path(name).name not in FILE_MANAGER_FILES]
     listed = listed_files(folder)
     written = [name for name in names if name != MANIFEST] if listed else names
-    faults = [fault for name in written if (fault := _find_fault(folder, name, listed))]
-    parents = {str(parent) for name in listed for parent in PurePosixPath(name).parents}
-    return [*faults, *find_empty_folders(folder, names, parents)]
+    return [fault for name in written if (fault := _find_fault(folder, name, listed))]
 
 
 def _find_fault(folder: Path, name: str, listed: Mapping[str, Any]) -> str:
@@ -284,8 +252,8 @@ def remove_result(folder: Path, note: Note) -> None:
     if faults:
         note(f"{folder} of an earlier run is not removed: it holds {', '.join(faults[:MAX_LISTED_FILES])}")
         return
-    with suppress(OSError):  # what stays has its manifest still: the next run removes it
-        remove_folder(folder, (MANIFEST,))
+    with suppress(OSError, ConfigError), _scratch_folder(folder.resolve()) as fresh:
+        folder.rename(fresh)  # it goes with the scratch folder
 
 
 def not_replaced_error(folder: Path, faults: list[str]) -> ConfigError:
@@ -318,22 +286,6 @@ def list_all_files(folder: Path) -> list[str]:
     return sorted(path.relative_to(folder).as_posix() for path in found)
 
 
-def find_empty_folders(folder: Path, names: Iterable[str], own: Container[str]) -> list[str]:
-    """Return the outermost folders below one that hold no file, and that are not among needlefit's `own`.
-
-    They vanish when their folder is replaced, and may be meant to be filled.
-    """
-    filled = {parent for name in names for parent in PurePosixPath(name).parents}
-    found: list[PurePosixPath] = []
-    for place, folders, _ in os.walk(folder):
-        for name in sorted(folders):
-            path = PurePosixPath(Path(place, name).relative_to(folder).as_posix())
-            empty = path not in filled and not Path(place, name).is_symlink() and str(path) not in own
-            if empty and not any(above in found for above in path.parents):
-                found.append(path)
-    return sorted(f"{path}/ (an empty folder)" for path in found)
-
-
 def is_regular(path: Path) -> bool:
     """Return whether there is a regular file, and no link to one."""
     try:
@@ -342,41 +294,25 @@ def is_regular(path: Path) -> bool:
         return False
 
 
-def remove_folder(folder: Path, last: Container[str]) -> None:
-    """Remove a folder with all in it, the files called as `last` says at the end.
-
-    These say whose it is: a removal that a kill or the disk cuts short can then be finished by the next run.
-    Links are removed and not followed; OSError where something cannot be.
-    """
-    remove_contents(folder, last)
-    folder.rmdir()
-
-
-def remove_contents(folder: Path, last: Container[str], keep: Container[str] = ()) -> None:
-    """Remove what lies in a folder but for the names `keep`; else as `remove_folder`."""
-    for path in sorted(folder.iterdir(), key=lambda path: (path.name in last, path.name)):
-        if path.is_dir() and not path.is_symlink():
-            shutil.rmtree(path)
-        elif path.name not in keep:
-            path.unlink()
-
-
 # ---- writing beside, and putting in place
 
-NEW_NAME, OLD_NAME = "new", "old"
-"""In a scratch folder: where something is written; and the result that waits to be put in its place, or was
-replaced. What lies in `OLD_NAME` is removed only when it is known to be needlefit's own."""
-
 LOCK_NAME = "lock"
-"""A file in it that its process holds locked; the lock goes with the process, however that ends."""
+"""A file that the process which writes to a folder holds locked, until it ends."""
 
 _SCRATCH = ".needlefit-"  # in the name of a scratch folder, behind that of its place
-_SCRATCH_NAMES = {LOCK_NAME, f"{LOCK_NAME}.new", NEW_NAME, OLD_NAME, f"{OLD_NAME}.aside"}
-_MARK = "a scratch folder of needlefit\n"
-REMOVED_LAST = ("dataset.toml", MANIFEST)
-"""What is removed last of a result: by them it is known, also half removed."""
+_NEW_NAME, _OLD_NAME = "new", "old"  # in it: what is written; and the result that is being replaced
 
-_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
+
+def take_lock(folder: Path) -> "BaseFileLock | None":
+    """Return the lock of a folder, taken; None where it is taken already."""
+    from filelock import FileLock, Timeout
+
+    lock = FileLock(folder / LOCK_NAME, blocking=False, thread_local=False)
+    try:
+        lock.acquire()
+    except Timeout:
+        return None
+    return lock
 
 
 @contextmanager
@@ -392,18 +328,32 @@ def replace_folder(folder: Path) -> Iterator[Path]:
     """
     folder = folder.resolve()
     require_replaceable(folder)
-    with _scratch_folder(folder) as (beside, fresh):
+    with _scratch_folder(folder) as fresh:
         fresh.mkdir()
         yield fresh
         if any(fresh.iterdir()):
-            for left in sorted(fresh.rglob(f".*{_SCRATCH}*")):  # scratch that a failing disk left
-                if any((left / name).exists() for name in (NEW_NAME, LOCK_NAME, f"{LOCK_NAME}.new")):
-                    shutil.rmtree(left)
-            for place, _, _ in os.walk(fresh, topdown=False):  # empty folders would be the user's
-                if Path(place) != fresh and not any(Path(place).iterdir()):
-                    Path(place).rmdir()
             write_manifest(fresh)
-            _swap_in(fresh, folder, beside / OLD_NAME)
+            require_replaceable(folder)  # something may have been put there meanwhile
+            if not folder.exists():
+                fresh.rename(folder)
+            elif not _exchange(fresh, folder):
+                old = fresh.parent.with_name(_OLD_NAME)
+                folder.rename(old)
+                try:
+                    fresh.rename(folder)
+                except BaseException:
+                    old.rename(folder)
+                    raise
+
+
+def _exchange(one: Path, other: Path) -> bool:
+    """Exchange two folders at once, so that there is never none; False where the system cannot."""
+    try:
+        rename = ctypes.CDLL(None, use_errno=True).renameat2
+    except (AttributeError, OSError, TypeError):
+        return False
+    here, exchange = -100, 2  # AT_FDCWD, RENAME_EXCHANGE
+    return bool(rename(here, os.fsencode(one), here, os.fsencode(other), exchange) == 0)
 
 
 @contextmanager
@@ -415,7 +365,7 @@ def create_folder(folder: Path) -> Iterator[Path]:
     """
     folder = folder.resolve()
     require_new(folder)
-    with _scratch_folder(folder) as (_, fresh):
+    with _scratch_folder(folder) as fresh:
         fresh.mkdir()
         yield fresh
         require_new(folder)
@@ -444,120 +394,41 @@ def replace_file(file: Path) -> Iterator[Path]:
     ConfigError if nothing can be written there.
     """
     file = file.resolve()
-    with _scratch_folder(file) as (_, fresh):
+    with _scratch_folder(file) as fresh:
         yield fresh
         fresh.replace(file)
 
 
 @contextmanager
-def _scratch_folder(place: Path) -> Iterator[tuple[Path, Path]]:
-    """Yield a folder beside `place`, on the same disk, which goes when it is left, and the new place in it.
+def _scratch_folder(place: Path) -> Iterator[Path]:
+    """Yield a path of the name of `place`, in a folder beside it, on the same disk, which goes in the end.
 
     ConfigError if nothing can be written there.
     """
     prefix = f".{place.name}{_SCRATCH}"
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
-        with suppress(OSError, ConfigError):
-            _remove_leftovers(place, prefix)
+        _remove_leftovers(place, prefix)
         made = Path(tempfile.mkdtemp(prefix=prefix, dir=place.parent))
+        lock = take_lock(made)
+        (made / _NEW_NAME).mkdir()
     except OSError as error:
         raise not_writable_error(place, error.strerror or type(error).__name__) from None
     try:
-        with _hold_lock(made):
-            (made / NEW_NAME).mkdir()
-            yield made, made / NEW_NAME / place.name
+        yield made / _NEW_NAME / place.name
     finally:
-        if not (made / OLD_NAME).exists():  # else it holds what was not seen to be needlefit's own
-            with suppress(OSError):
-                remove_folder(made, (LOCK_NAME,))
-
-
-def _swap_in(fresh: Path, folder: Path, old: Path) -> None:
-    """Put `fresh` in the place of `folder`, which is looked at again once nobody can add to it."""
-    try:
-        fresh.rename(folder)  # where there is none, or an empty one
-        return
-    except OSError as fault:
-        if fault.errno not in (errno.ENOTEMPTY, errno.EEXIST):
-            raise
-    fresh.rename(old)
-    _exchange(old, folder)
-    faults = find_foreign(old)
-    if faults:  # put there while this was computed
-        _exchange(old, folder)
-        old.rename(fresh)
-        raise not_replaced_error(folder, faults)
-    remove_folder(old, REMOVED_LAST)
-
-
-def _exchange(one: Path, other: Path) -> None:
-    """Exchange two folders; where the system can do it, at once: there is never none."""
-    if _try_exchange(one, other):
-        return
-    aside = one.with_name(f"{one.name}.aside")
-    one.rename(aside)
-    other.rename(one)
-    try:
-        aside.rename(other)
-    except BaseException:
-        one.rename(other)
-        aside.rename(one)
-        raise
-
-
-def _try_exchange(one: Path, other: Path) -> bool:
-    """Exchange two folders at once; False where the system or the disk cannot."""
-    try:
-        rename = ctypes.CDLL(None, use_errno=True).renameat2
-    except (AttributeError, OSError, TypeError):
-        return False
-    done = rename(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE)
-    return bool(done == 0)
-
-
-def try_lock(descriptor: int) -> bool | None:
-    """Lock an open file for this process; False where another one has it, None where there are no locks."""
-    if fcntl is None:
-        return None
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as fault:
-        return False if fault.errno in (errno.EWOULDBLOCK, errno.EACCES) else None
-    return True
-
-
-@contextmanager
-def _hold_lock(folder: Path) -> Iterator[None]:
-    """Hold the lock of a scratch folder; it gets its name when it is held, lest another process takes it."""
-    with (folder / f"{LOCK_NAME}.new").open("w", encoding="ascii") as file:
-        file.write(_MARK)
-        file.flush()
-        if try_lock(file.fileno()):  # on a disk without locks nobody else removes the folder
-            with suppress(OSError):
-                Path(file.name).rename(folder / LOCK_NAME)
-        yield
+        if lock is not None:
+            lock.release()
+        shutil.rmtree(made, ignore_errors=True)
 
 
 def _remove_leftovers(place: Path, prefix: str) -> None:
     """Remove the scratch folders of `place` whose process has ended; the only copy of a result goes back."""
     for folder in place.parent.iterdir():
-        lock = folder / LOCK_NAME
-        if not folder.name.startswith(prefix) or folder.is_symlink() or not lock.is_file():
-            continue
-        with suppress(OSError), lock.open("r+", encoding="ascii") as file:
-            names = {path.name for path in folder.iterdir()}
-            if file.read(len(_MARK)) == _MARK and try_lock(file.fileno()) and names <= _SCRATCH_NAMES:
-                _remove_one(folder, place)
-
-
-def _remove_one(folder: Path, place: Path) -> None:
-    """Remove a scratch folder; what waits in it to be replaced only if it is needlefit's own."""
-    for leftover in (folder / OLD_NAME, folder / f"{OLD_NAME}.aside"):
-        if leftover.exists() and not place.exists():
-            leftover.rename(place)  # killed between two renamings
-        if leftover.exists() and find_foreign(leftover):
-            return
-        if leftover.exists():
-            remove_folder(leftover, REMOVED_LAST)
-    remove_folder(folder, (LOCK_NAME,))
+        is_scratch = folder.name.startswith(prefix) and (folder / LOCK_NAME).is_file()
+        lock = take_lock(folder) if is_scratch and not folder.is_symlink() else None
+        if lock is not None:
+            if (folder / _OLD_NAME).exists() and not place.exists():
+                (folder / _OLD_NAME).rename(place)  # killed between two renamings
+            lock.release()
+            shutil.rmtree(folder, ignore_errors=True)

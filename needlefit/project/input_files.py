@@ -197,7 +197,7 @@ def convert_stored_errors(where: Path | str) -> Iterator[None]:
             where=str(where),
             expected="files as needlefit wrote them",
             fix="run it again, or take them from a copy; if nobody changed them, this is an error of "
-            "needlefit: -v shows where",
+            "needlefit: needlefit -v shows where",
         ) from fault
 
 

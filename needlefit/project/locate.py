@@ -223,7 +223,7 @@ def _missing_error(kind: str, name: str) -> ConfigError:
         f"there is no such {kind}",
         where=name,
         expected=f"a TOML file: {there}",
-        fix=_suggest_ending(name) or "check the path",
+        fix="check the path",
     )
 
 
@@ -233,18 +233,17 @@ def unknown_name_error(kind: str, name: str, known: list[str], otherwise: str = 
     return ConfigError(
         f"there is no {kind} called `{name}`",
         expected=f"one of {join_names(sort_by_similarity(name, known)) or '(none found)'}",
-        fix=fix or _suggest_ending(name) or f"use one of these names{otherwise}",
+        fix=fix or f"use one of these names{otherwise}",
     )
 
 
 def sort_by_similarity(name: str, known: Iterable[str]) -> list[str]:
     """Return names, each once, those most like `name` first, equally like ones by the alphabet."""
-    wanted = name.removesuffix(Path(name).suffix) if _suggest_ending(name) else name
-    matcher = difflib.SequenceMatcher(b=wanted.lower(), autojunk=False)
+    wanted = difflib.SequenceMatcher(b=name.lower(), autojunk=False)
 
     def likeness(one: str) -> float:
-        matcher.set_seq1(one.lower())
-        return matcher.ratio()
+        wanted.set_seq1(one.lower())
+        return wanted.ratio()
 
     return sorted(sorted(set(known)), key=likeness, reverse=True)
 
@@ -253,21 +252,6 @@ def join_names(names: Sequence[str], most: int = MAX_LISTED_NAMES) -> str:
     """Return names as a message lists them, no more than `most`."""
     more = len(names) - most
     return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
-
-
-def _suggest_ending(name: str) -> str:
-    """Return what to do about an ending that is nearly `.toml`, "" about any other."""
-    ending = Path(name).suffix
-    if (
-        not ending
-        or ending == ".toml"
-        or not difflib.get_close_matches(ending.lower(), [".toml"], cutoff=0.7)
-    ):
-        return ""
-    right = name.removesuffix(ending) + ".toml"
-    path = right if "/" in right else f"./{right}"
-    found = "the file exists" if is_file(Path(path)) else "a path ends in .toml"
-    return f"write {path} ({found})"
 
 
 # --- what a name of the viewer means ---------------------------------------------------------------------

@@ -11,6 +11,7 @@ import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
@@ -238,8 +239,9 @@ def _records(annotation: object) -> Iterator[type[BaseModel]]:
 
 # ---- on which line a key stands: tomllib does not say
 
-MAX_CANDIDATE_LINES = 100  # lines that are tried; a key that is repeated more often gets no line
-MAX_STATEMENT_LINES = 400  # lines of one key and its value
+_HEADER = re.compile(r"\s*(\[\[?)\s*([^\[\]]+?)\s*\]")
+_QUOTES = re.compile("[\"'\\s]")
+_ASSIGNMENT = re.compile(r"""\s*((?:[\w.-]|"[^"\n]*"|'[^'\n]*')+)\s*=""")
 
 
 def find_line(text: str, key: str) -> int | None:
@@ -248,67 +250,30 @@ def find_line(text: str, key: str) -> int | None:
     `key` is dotted, members of lists are numbered from 1: `tune.medium`, `validate.2.layers`. None where
     the text does not hold even the key's first part.
     """
-    try:
-        parts = _known_parts(tomllib.loads(text), key.split("."))
-    except (ValueError, RecursionError):
-        return None
-    named = [part for part in parts if isinstance(part, str)]
-    if not named:
-        return None
-    lines = text.splitlines()
-    candidates = [number for number, line in enumerate(lines) if named[-1] in line]
-    tried = set()
-    for candidate in candidates[:MAX_CANDIDATE_LINES]:
-        first = max(0, candidate - MAX_STATEMENT_LINES)  # of the statement that the line belongs to
-        begins = (n for n in range(candidate, first, -1) if _contains_key(lines[:n], ()) is not None)
-        number = next(begins, first)
-        if number not in tried and _statement_sets(lines, number, parts):
-            return number + 1
-        tried.add(number)
-    return None
-
-
-def _known_parts(tables: object, parts: Sequence[str]) -> list[str | int]:
-    """Return the parts of a key as far as the tables hold them, places in lists from 0."""
-    known: list[str | int] = []
-    while parts:
-        part: str | int = parts[0]
-        if isinstance(tables, list) and parts[0].isdigit() and 0 < int(parts[0]) <= len(tables):
-            part = int(parts[0]) - 1
-            tables, parts = tables[part], parts[1:]
-        elif isinstance(tables, dict):  # a name may hold points itself
-            names = (".".join(parts[:count]) for count in range(1, len(parts) + 1))
-            found = next((name for name in names if name in tables), None)
-            if found is None:
-                break
-            part, tables, parts = found, tables[found], parts[found.count(".") + 1 :]
+    counts: dict[str, int] = {}  # of the members of lists of tables so far
+    table, found, length, in_text = "", None, 0, False
+    for number, line in enumerate(text.splitlines(), start=1):
+        begun, in_text = in_text, in_text ^ ((line.count('"""') + line.count("'''")) % 2 == 1)
+        if begun:  # of a text of several lines
+            continue
+        if header := _HEADER.match(line):
+            table = _QUOTES.sub("", header[2])
+            if header[1] == "[[":
+                counts[table] = counts.get(table, 0) + 1
+            for name, count in counts.items():
+                if f"{table}.".startswith(f"{name}."):
+                    table = f"{name}.{count}{table.removeprefix(name)}"
+                    break
+            path = table
+        elif assignment := _ASSIGNMENT.match(line):
+            path = f"{table}.{_QUOTES.sub('', assignment[1])}".removeprefix(".")
         else:
-            break
-        known.append(part)
-    return known
-
-
-def _statement_sets(lines: Sequence[str], number: int, parts: Sequence[str | int]) -> bool:
-    """Whether the statement that begins on a line gives the key its value."""
-    for end in range(number + 1, min(len(lines), number + MAX_STATEMENT_LINES) + 1):
-        held = _contains_key(lines[:end], parts)
-        if held is not None:
-            return held
-    return False
-
-
-def _contains_key(lines: Sequence[str], parts: Sequence[str | int]) -> bool | None:
-    """Whether the first lines of a file hold a key; None where they end within a statement."""
-    try:
-        value: object = tomllib.loads("\n".join(lines))
-    except ValueError:
-        return None
-    for part in parts:
-        try:
-            value = value[part]  # type: ignore[index]
-        except (KeyError, IndexError, TypeError):
-            return False
-    return True
+            continue
+        equal = takewhile(lambda pair: pair[0] == pair[1], zip(key.split("."), path.split("."), strict=False))
+        parts = len(list(equal))
+        if parts > length:
+            found, length = number, parts
+    return found
 
 
 def locate_key(path: Path, key: str) -> str:

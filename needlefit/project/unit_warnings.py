@@ -39,15 +39,8 @@ BOUNDARIES_TO_DEPTH = 0.1  # depth of the last of several boundaries over that o
 LENGTH_UNITS = {"metres": 1e3, "inches": 25.4, "centimetres": 10.0, "micrometres": 1e-3}
 """Millimetres in each."""
 
-MODULUS_UNITS = {"Pa": 1e-9, "MPa": 1e-3, "kPa": 1e-6, "psi": 6.894757e-6, "ksi": 6.894757e-3}
+MODULUS_UNITS = {"Pa": 1e-9, "MPa": 1e-3, "kPa": 1e-6, "psi": 6.894757e-6}
 """Gigapascals in each."""
-
-METAL_GPA = (25.0, 700.0)
-"""Young's modulus of a metal needle: martensitic nitinol has 28, tungsten carbide 700."""
-
-STEEL_GPA = 200.0
-TYPICAL_GPA = (3.0, 40.0, 75.0, 110.0, STEEL_GPA)
-"""Young's moduli of a polymer, nitinol (martensite, austenite), titanium, steel."""
 
 DIAMETER_MM = (0.15, 5.0)  # outer diameter of a needle, least and most: 34 gauge has 0.18, 10 gauge 3.4
 MIN_INNER_DIAMETER_MM = 0.05  # inner diameter of a tube: 34 gauge has 0.08
@@ -80,7 +73,7 @@ def warn(doubts: Iterable[Doubt], where: FormatPlace, kind: str = WARNING_KIND) 
 
 def needle_warnings(needle: NeedleRecord, where: FormatPlace) -> Iterator[ResultWarning]:
     """Yield a warning for each value of a needle that is hard to believe."""
-    return warn([*_doubt_diameters(needle), *_doubt_stiffness(needle)], where)
+    return warn(_doubt_needle(needle), where)
 
 
 def scene_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[ResultWarning]:
@@ -111,101 +104,23 @@ def medium_warnings(medium: MediumRecord, file: Path | str) -> Iterator[ResultWa
 # ---- needles
 
 
-def _doubt_diameters(needle: NeedleRecord) -> Iterator[Doubt]:
-    """Yield what is wrong with a diameter, or a length beside it; both may be in another unit."""
+def _doubt_needle(needle: NeedleRecord) -> Iterator[Doubt]:
     outer, inner, length = needle.outer_diameter_mm, needle.inner_diameter_mm, needle.length_mm
-    if outer is None:
-        return
-    key, ratio = "needle.outer_diameter_mm", outer / length
-    what = f"`{key}` is {outer:g} on a needle of {length:g} mm"
-    if length < 1.0:
-        pass  # a length in metres is a fault
-    elif not _is_within(outer, DIAMETER_MM):
-        looks, fix = _likely_diameter(outer, length)
-        yield key, what + looks, fix
-    elif not _is_within(ratio, DIAMETER_TO_LENGTH):
-        thick = ", very thick" if ratio > DIAMETER_TO_LENGTH[1] else ""
-        yield _doubt_length(length, outer, what + thick, "needle.length_mm")
-    key = "needle.inner_diameter_mm"
-    what = f"`{key}` is {inner:g} in a tube of {outer:g} mm"
-    if 0 < inner < min(MIN_INNER_DIAMETER_MM, outer):
-        yield key, f"{what}, less than any tube has", "check it, in mm; 0 if solid"
-    wall = 0.5 * (outer - inner)
-    if wall < MIN_WALL_TO_DIAMETER * outer:
-        yield key, f"{what}, which leaves a wall of {wall:.2g} mm", "check both diameters, in mm; 0 if solid"
-
-
-def _doubt_stiffness(needle: NeedleRecord) -> Iterator[Doubt]:
-    diameter, modulus, rigidity = (
-        needle.outer_diameter_mm, needle.youngs_modulus_gpa, needle.flexural_rigidity_nmm2
-    )  # fmt: skip
-    if modulus is not None and not _is_within(modulus, MODULUS_GPA):
-        key, (low, high) = "needle.youngs_modulus_gpa", MODULUS_GPA
-        what = f"`{key}` is {modulus:g}, and needles have {low:g} to {high:g}"
-        unit, in_gpa = likely_modulus(modulus)
-        looks = (f"{what}: this looks like {unit}", f"write {in_gpa:.3g}")
-        yield key, *(looks if unit else (what, "write it in GPa: about 200 for steel"))
-    if rigidity is None:
-        return
-    key, (low, high) = "needle.flexural_rigidity_nmm2", RIGIDITY_NMM2
-    if not low <= rigidity <= high:
-        what = f"`{key}` is {rigidity:g}, and needles have {low:g} to {high:g}"
-        in_nm2 = _is_within(rigidity * 1e6, RIGIDITY_NMM2)
-        yield key, what, f"if it is in N m^2, write {1e6 * rigidity:g}" if in_nm2 else "write it in N mm^2"
-    elif diameter is not None:
-        modulus = 1e-3 * rigidity / (math.pi * diameter**4 / 64)  # of a solid rod, the least there can be
-        if not modulus <= MODULUS_GPA[1]:
-            rod = f"a rod of {diameter:g} mm then has a modulus of {modulus:.3g} GPa"
-            yield key, f"`{key}` is {rigidity:g}: {rod}", "check rigidity and diameter"
-    rod_mm = (64e-3 * rigidity / (math.pi * STEEL_GPA)) ** 0.25  # no steel needle is thinner
-    short = 1.0 <= needle.length_mm < rod_mm / DIAMETER_TO_LENGTH[1]  # a length in metres is a fault
-    if diameter is None and short and rigidity <= high:
-        what = f"short for a flexural rigidity of {rigidity:g}, which a steel rod of {rod_mm:.2g} mm has"
-        yield _doubt_length(needle.length_mm, rod_mm, what, "needle.length_mm")
-
-
-def _doubt_length(length: float, diameter: float, what: str, key: str) -> Doubt:
-    """Return that a needle of such a diameter, mm, has no such length."""
-    likely = [
-        f"{factor * length:g} if it is in {unit}"
-        for unit, factor in LENGTH_UNITS.items()
-        if unit != "metres" and _is_within(diameter / (factor * length), DIAMETER_TO_LENGTH)
-    ]
-    fix = f"write {', '.join(likely)}" if likely else "check both, in mm"
-    return key, f"`{key}` is {length:g}: {what}", fix
-
-
-def _likely_diameter(diameter: float, length: float) -> tuple[str, str]:
-    """Return the likely unit of a diameter that no needle has, in words, and what to write instead."""
-    if diameter in GAUGES_MM:
-        gauge = GAUGES_MM[int(diameter)]
-        return f": this looks like a gauge, and {diameter:g} gauge is {gauge:g} mm", f"write {gauge:g}"
-    unit = _likely_unit(diameter, LENGTH_UNITS, DIAMETER_MM, GAUGES_MM.values())
-    if not unit:
-        return "", "check it, in mm"
-    factor = LENGTH_UNITS[unit]
-    fix = f"write {factor * diameter:g}"
-    # where its ratio to the length is a needle's, the length is in the same unit
-    same, alone = (_is_within(one / length, DIAMETER_TO_LENGTH) for one in (diameter, factor * diameter))
-    if same and not alone:
-        fix += f", {factor * length:g} for the length, and check every other length"
-    return f": this looks like {unit}", fix
-
-
-def likely_modulus(modulus: float) -> tuple[str, float]:
-    """Return the likely unit of a modulus that no needle has in GPa, and its value in GPa; "" if none is."""
-    for plausible in (METAL_GPA, MODULUS_GPA):
-        if unit := _likely_unit(modulus, MODULUS_UNITS, plausible, TYPICAL_GPA):
-            return unit, modulus * MODULUS_UNITS[unit]
-    return "", math.nan
-
-
-def _likely_unit(
-    value: float, units: Mapping[str, float], plausible: tuple[float, float], typical: Iterable[float]
-) -> str:
-    """Return the unit in which a value is plausible and, by ratio, nearest to a typical one; "" if none."""
-    likely = {unit: factor * value for unit, factor in units.items() if _is_within(factor * value, plausible)}
-    return min(likely, key=lambda unit: min(abs(math.log(likely[unit] / one)) for one in typical), default="")
+    if outer is not None and length >= 1.0:  # a length in metres is a fault
+        yield from doubt_range(outer, DIAMETER_MM, LENGTH_UNITS, "needle.outer_diameter_mm", "mm")
+        if _is_within(outer, DIAMETER_MM) and not _is_within(outer / length, DIAMETER_TO_LENGTH):
+            what = f"`needle.length_mm` is {length:g} beside a diameter of {outer:g} mm"
+            yield "needle.length_mm", what, "check both, in mm"
+    if outer is not None:
+        thin = 0.5 * (outer - inner) < MIN_WALL_TO_DIAMETER * outer
+        if thin or 0 < inner < min(MIN_INNER_DIAMETER_MM, outer):
+            what = f"`needle.inner_diameter_mm` is {inner:g} in a tube of {outer:g} mm"
+            yield "needle.inner_diameter_mm", what, "check both diameters, in mm; 0 if solid"
+    if (modulus := needle.youngs_modulus_gpa) is not None:
+        yield from doubt_range(modulus, MODULUS_GPA, MODULUS_UNITS, "needle.youngs_modulus_gpa", "GPa")
+    if (rigidity := needle.flexural_rigidity_nmm2) is not None:
+        key = "needle.flexural_rigidity_nmm2"
+        yield from doubt_range(rigidity, RIGIDITY_NMM2, {"N m^2": 1e6}, key, "N mm^2")
 
 
 def _is_within(value: float, plausible: tuple[float, float]) -> bool:

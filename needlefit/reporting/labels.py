@@ -26,18 +26,6 @@ _BASELINE_MARKERS = "v^D<>phX*"
 SERIES_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9")
 """Of series without a colour of their own (Okabe and Ito)."""
 
-PLAN_NAMES = {
-    "expected": "least expected squared miss",
-    "best_fit": "posterior mode, no uncertainty",
-    "hand_tuned": METHOD_NAMES["hand_tuned"],
-    "straight": "straight line to the target",
-}
-PLAN_COLOURS = {
-    "expected": METHOD_COLOURS["fitted"],
-    "best_fit": "#CC79A7",
-    "hand_tuned": METHOD_COLOURS["hand_tuned"],
-    "straight": GREY,
-}
 SPECIMEN_NAMES = {
     "others": "new specimen",
     "one insertion": "new specimen, after one insertion",
@@ -45,8 +33,6 @@ SPECIMEN_NAMES = {
     "training only": "training only",
 }
 """Printed values of the column `specimen_treatment`."""
-POPULATION_NAMES = {"mean": "mean", "spread": "spread", "new": "further specimen"}
-"""Quantities of a parameter of a population of specimens."""
 
 
 def rgb(colour: str) -> tuple[float, float, float]:

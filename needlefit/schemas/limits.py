@@ -1,7 +1,4 @@
-"""How large an input may be: far above real use, and small enough for a minute and 2 GB of memory.
-
-`benchmarks/bounds.py` measures the worst inputs that are still accepted.
-"""
+"""How large an input may be: far above real use, and small enough for the memory of one machine."""
 
 MAX_NUMBER = 1e15  #: of every number in a file or message: products of up to twenty of them stay finite
 MAX_NEEDLE_LENGTH_MM = 5000.0  #: needles, catheters and guide wires have up to about 2 m

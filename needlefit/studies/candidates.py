@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion, TipTrack
@@ -89,7 +90,7 @@ def rank_candidates(
         (made,) = planned.insertions
         alone = replace(planned, centred_bevels=False)
         (white,) = alone.density.whitened_residuals(sets, settings.jobs)
-        solved = np.isfinite(white).all(axis=(1, 2))
+        solved: NDArray[np.bool_] = np.all(np.isfinite(white), axis=(1, 2))
         places = np.cumsum(solved) - 1  # new numbers of the draws that have a solution
         kept = [values for values, has in zip(sets, solved, strict=True) if has]
         data = PredictedData(

@@ -55,6 +55,9 @@ draws
     Draws of each fold's parameters: from its sampled posterior, or by importance about the modes of its fit,
     then with Pareto's k of the weights; `specimen` is "(tuned)" (of several that differ, their mean), one of
     several that differ, or "(new)", not in the dataset; then one column per parameter.
+population
+    How much parameters differ between the specimens that were fitted, by the logarithm: SD, and correlation
+    of mu with the bevel parameter. Empty where one set of parameters is for all.
 needles
     Every insertion held out, or, of a single fold, any, point by point in its scan
     (`studies/needles_in_scan.py`); the single point of the curve "toward" is a direction.
@@ -129,6 +132,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             *("low_50_mm", "high_50_mm", "low_95_mm", "high_95_mm"),
         ),
         "draws": DRAW_COLUMNS,
+        "population": ("fold", "parameter", "between_sd", "between_correlation", "other_specimens"),
         "needles": (
             *("fold", "role", "insertion", "diameter_mm", "band_source", "converged"),
             *("curve", "j", "x_mm", "y_mm", "z_mm"),

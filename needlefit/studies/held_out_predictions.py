@@ -202,6 +202,18 @@ class Specimens:
             return specimens.PopulationDraws({}, nothing, nothing, empty, tuple(faults))
         return specimens.draw_population(self.job.parameters, self.model, posteriors, count, rng)
 
+    def tabulate_population(self) -> list[Row]:
+        """Return how much each parameter differs between several specimens; nothing if that is uncertain."""
+        found = self.population
+        if found.faults:
+            return []
+        correlation = found.correlation if self.model.correlated else np.nan
+        about = {"between_correlation": correlation, "other_specimens": len(self.tuned)}
+        return [
+            {"fold": self.fold.name, "parameter": name, "between_sd": sd, **about}
+            for name, sd in zip(self.model.names, found.rms.tolist(), strict=True)
+        ]
+
     def draws_in(self, insertion: Insertion | None) -> Draws:
         """Return draws in the specimen of an insertion; of None in one that is not in the dataset."""
         if insertion is None or self.differs(insertion):

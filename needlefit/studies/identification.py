@@ -349,10 +349,10 @@ def add_intervals(
         if found is not None:
             found = found.allow_for(name, model_error.get(ties.get(name, (1.0, name))[1], 0.0), row)
         row |= NO_SOURCE if found is None else found.sampled_columns()
-        if found is not None and row["determined"] == "yes" and not found.is_narrow(name):
+        if row["determined"] == "yes" and not (found and found.is_narrow(name)):
             held = together.get(ties.get(name, (1.0, name))[1], False)
             row |= {"determined": directions.name_determined(False, held), "condition": ""}
-            row["note"] = "its 95 % interval is too wide"
+            row["note"] = f"its 95 % interval is {'too wide' if found else 'not known'}"
         if name in judged and row["status"] != "fixed":
             judged[name] |= found.columns() if found else profiles[name].columns()
             judged[name]["determined"] = row["determined"]

@@ -1,7 +1,6 @@
 """What is identifiable as tables for print and as sentences, and how two runs differ in it."""
 
 import math
-from collections.abc import Iterator
 
 import pandas as pd
 
@@ -17,9 +16,7 @@ from needlefit.reporting.number_format import (
 )
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records
-from needlefit.studies.csv_tables import TableSchema
 from needlefit.studies.fit_frames import COLUMNS
-from needlefit.studies.run_differences import Difference, TableComparison, compare_sizes
 
 
 def describe_verdicts(identification: pd.DataFrame) -> list[str]:
@@ -136,21 +133,3 @@ def tabulate_identification(identification: pd.DataFrame, origin: str) -> pd.Dat
     estimate.
     """
     return identification.assign(origin=origin).reindex(columns=[*COLUMNS["identification"], "origin"])
-
-
-def _compare_identifications(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
-    """Yield changed verdicts and deviations, by fold and parameter."""
-    keys = [name for name in ("fold", "parameter") if name in before and name in after]
-    several = "fold" in keys and before["fold"].nunique() > 1
-    for _, row in before.merge(after, validate="1:1", on=keys, suffixes=("_a", "_b"), sort=False).iterrows():
-        name = f"{row['parameter']} ({row['fold']})" if several else str(row["parameter"])
-        first, second = (str(row[f"determined_{run}"]) for run in ("a", "b"))
-        if first != second:
-            yield Difference("state", f"{name} determined", first, second, True, "the verdict changed")
-        sds = float(row["sd_a"]), float(row["sd_b"])
-        yield from compare_sizes("parameter", f"sd of {name}", *sds, "times as large")
-
-
-IDENTIFICATION_COMPARISON = TableComparison(
-    TableSchema(texts=("parameter", "determined"), numbers=("sd",)), _compare_identifications
-)

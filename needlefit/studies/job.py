@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -260,16 +260,6 @@ class Job:
         if self.recipe_of(search).minimize == "metric":
             return everything.with_parameters(without_prior(self.parameters))
         return everything
-
-
-def with_one_bevel(job: Job) -> Job:
-    """Return the job with a bevel offset that is the same in all insertions."""
-    likelihood = job.recipe.likelihood.model_copy(update={"bevel_spread": 0.0})
-    return replace(
-        job,
-        recipe=job.recipe.model_copy(update={"likelihood": likelihood}),
-        parameters=without_bevel_spread(job.parameters),
-    )
 
 
 def metric_recipe(recipe: RecipeRecord) -> RecipeRecord:

@@ -10,7 +10,7 @@ from needlefit.inference.parameters import Parameters
 from needlefit.project import locate
 from needlefit.project.input_files import convert_stored_errors
 from needlefit.reporting.table_files import Row, select_records
-from needlefit.studies.csv_tables import ANY_COLUMNS, TableSchema, read_table
+from needlefit.studies.csv_tables import read_table
 
 TableName = Literal[
     "insertions", "study_design", "tuning_by_layers", "tuning_by_media", "validation", "parameters"
@@ -25,9 +25,6 @@ TABLE_TITLES: dict[TableName, str] = {
 }
 
 
-_SCHEMAS: dict[TableName, TableSchema] = {"parameters": TableSchema(keys=("set",))}
-
-
 def read_published_table(name: TableName) -> pd.DataFrame:
     """Read one published table from `data/paper/<name>.csv`.
 
@@ -35,7 +32,7 @@ def read_published_table(name: TableName) -> pd.DataFrame:
     column.
     """
     path = _find_file(name)
-    return read_table(path, _SCHEMAS.get(name, ANY_COLUMNS))
+    return read_table(path, ("set",) if name == "parameters" else ())
 
 
 def read_printed_table(name: TableName) -> pd.DataFrame:
@@ -44,7 +41,7 @@ def read_printed_table(name: TableName) -> pd.DataFrame:
     Raises ConfigError, DataError as `read_published_table`.
     """
     names = tuple(map(str, read_published_table(name)))
-    return read_table(_find_file(name), TableSchema(texts=names)).fillna("")
+    return read_table(_find_file(name), texts=names).fillna("")
 
 
 def read_hand_tuned(name: str) -> dict[str, float]:

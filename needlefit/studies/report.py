@@ -2,7 +2,7 @@
 
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,6 @@ from needlefit.studies.run import (
     judge_run,
     verdicts_to_json,
 )
-from needlefit.studies.run_differences import TableComparison
 from needlefit.studies.store import store_run
 
 
@@ -91,9 +90,6 @@ class StudyReport:
     write_files: Callable[[Run, Path], None] = lambda result, folder: None
     #: whether other files that needlefit wrote to the folder stay when the result is written again
     keeps_files: bool = False
-    #: how `needlefit diff` compares single tables, by name; the others are compared row by row
-    comparisons: Mapping[str, TableComparison] = field(default_factory=dict)
-    compares_only_these: bool = False  #: whether `needlefit diff` leaves the other tables out
     #: result -> what `--json` prints, without verdicts and warnings
     to_json: Callable[[Run], dict[str, Any]] = lambda result: {
         name: to_records(to_tidy(frame)) for name, frame in result.frames.items()
@@ -334,20 +330,11 @@ def _run_blocks(result: Run) -> list[Block]:
 _OMITTED_DATA_KEYS = ("notes", "origin")  #: of a dataset: they stand elsewhere in a report
 
 
-def _describe_moves(moves: str) -> str:
-    """Return the moves of the sampler in words: "0.9*de+0.1*stretch" is 90 % differential evolution, ..."""
-    parts = [term.strip().rpartition("*") for term in moves.split("+")]
-    names = {"de": "differential evolution"}
-    shares = (f"{100 * float(share):.0f} % " if share else "" for share, _, _ in parts)
-    words = (names.get(name, name) for _, _, name in parts)
-    return ", ".join(share + word for share, word in zip(shares, words, strict=True))
-
-
 def _format_value(value: object) -> str:
     """Return a value of run.json on one line; digests are cut, notes stand elsewhere."""
     if isinstance(value, Mapping):
         pairs = (
-            (str(key), _describe_moves(item) if key == "moves" else _format_value(item))
+            (str(key), _format_value(item))
             for key, item in sorted(value.items())
             if key not in _OMITTED_DATA_KEYS
         )

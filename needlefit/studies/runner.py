@@ -14,7 +14,7 @@ from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.fit_warnings import analysis_bound_warnings
-from needlefit.studies.job import Fold, Job, Settings, warn_shared_specimens
+from needlefit.studies.job import Job, Settings, warn_shared_specimens
 from needlefit.studies.provenance import PACKAGES, describe_configuration, package_versions
 from needlefit.studies.run import Frames, Run
 from needlefit.studies.score import Row
@@ -100,7 +100,6 @@ class AnalysisPlan:
     #: returns the faults. It must be quick: it is not kept.
     conclude: Callable[[Frames], tuple[str, ...]] = lambda frames: ()
     also: Mapping[str, Any] | None = None  #: whatever else decides the result, as JSON values
-    folds: Sequence[Fold] = ()  #: what is held out besides the jobs' own folds
     #: those of the fits in the frame `fits`, by its first column, if values at bounds are to be named
     parameters: Mapping[str, Parameters] = field(default_factory=dict)
     #: compute what several tasks need and keep, before the tasks are sent to other processes
@@ -125,9 +124,8 @@ def run_analysis(name: str, record: AnalysisRecord, settings: Settings, plan: An
     datasets = {job.dataset.name: job.dataset for job in plan.jobs}.values()
     found = [*(one for job in plan.jobs for one in job.warnings), *plan.warnings]
     if not record.same_specimen:  # a job that is a study has warnings of its own
-        fits = (job for job in plan.jobs if not isinstance(job.record, StudyRecord))
-        divided = [*(fold for job in fits for fold in job.folds), *plan.folds]
-        found += warn_shared_specimens(name, divided, settings.place("same_specimen"))
+        folds = (f for job in plan.jobs if not isinstance(job.record, StudyRecord) for f in job.folds)
+        found += warn_shared_specimens(name, folds, settings.place("same_specimen"))
     return Run(
         kind=str(record.kind),
         name=name,

@@ -282,7 +282,7 @@ def _build_insertion(
 
 
 # Deviations, mm, in any one direction: of the axis across the needle; of the tip along and across it; of a
-# ball's centre. As scans of the twin leave them (docs/reconstruction.md, benchmarks/README.md).
+# ball's centre. As scans of the twin leave them.
 AXIS_SD_MM, TIP_SD_MM, BALL_SD_MM = 0.013, (0.04, 0.05), 0.007
 TIP_REACH_MM = 3.0  # length over which the tip's error across fades along the needle, mm
 UNSCANNED_NOTE = (

@@ -2,5 +2,5 @@
 
 `injection` counts the steps below a folder and does the harm at the n-th, `server` runs commands in forks of
 a warm process, `commands` are the commands with small inputs, `outcome` says what must hold afterwards.
-`tests/test_faults.py` takes some of the steps, `benchmarks/faults.py` all of them.
+`tests/test_fuzz.py` takes some of the steps.
 """

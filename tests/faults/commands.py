@@ -44,18 +44,20 @@ validate = [{ insertions = ["phantom2-15"] }]
 
 ANALYSIS = """\
 schema = 1
-kind = "left_out"
+kind = "cohort"
 title = "Tiny"
-question = "Does a run that was spoiled resume?"
-fits = ["tiny_fit"]
-groups = ["insertion"]
+datasets = ["twin"]
+medium = "chicken"
+recipe = "tiny"
+groups = "insertion"
+tune = { insertions = ["chicken-04", "chicken-10"] }
 """
 
 INPUTS: Mapping[str, str] = {
     "configs/recipes/tiny.toml": RECIPE,
     "configs/fits/tiny_fit.toml": FIT,
     "studies/tiny.toml": STUDY,
-    "studies/tiny_left_out.toml": ANALYSIS,
+    "studies/tiny_cohort.toml": ANALYSIS,
 }
 
 FOREIGN: Mapping[str, str] = {
@@ -83,14 +85,14 @@ class Command:
 
 _TUNE = ("tune", "tiny_fit", "--jobs", "1", "-q")
 _VALIDATE = ("validate", "tiny", "--jobs", "1", "-q")
-_ANALYSE = ("validate", "tiny_left_out", "--jobs", "1", "-q")
+_ANALYSE = ("validate", "tiny_cohort", "--jobs", "1", "-q")
 _REPORT = ("report", "tiny", "--out", "reports/again", "-q")
 _RECONSTRUCT = ("reconstruct", str(SCANS), "--out", "mydata", "--jobs", "1", "-q")
 
 COMMANDS: Mapping[str, Command] = {
     "tune": Command(_TUNE, "reports/tiny_fit", ((*_TUNE, "--seed", "3"),)),
     "validate": Command(_VALIDATE, "reports/tiny", ((*_VALIDATE, "--seed", "2"),)),
-    "analysis": Command(_ANALYSE, "reports/tiny_left_out", ((*_ANALYSE, "--seed", "2"),)),
+    "analysis": Command(_ANALYSE, "reports/tiny_cohort", ((*_ANALYSE, "--seed", "2"),)),
     "report": Command(
         _REPORT,
         "reports/again",

@@ -8,7 +8,7 @@ import sys
 import tempfile
 import traceback
 from concurrent.futures import ProcessPoolExecutor
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -60,9 +60,7 @@ def _predict_by_few_draws() -> None:
     """Predict by few draws: it takes a third of a run, and writes nothing while it draws."""
     from needlefit.inference import predict
     from needlefit.studies import held_out_predictions
-    from needlefit.studies.kinds import left_out
 
-    left_out.fit_posterior = partial(left_out.fit_posterior, draws=50)
     held_out_predictions.PREDICTION_DRAWS = 50
     predict.CURVES = 100
 

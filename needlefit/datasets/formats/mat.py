@@ -16,13 +16,7 @@ from needlefit.datasets.formats import FileFormat
 from needlefit.datasets.points import Points
 from needlefit.errors import DataError
 from needlefit.project.input_files import read_bytes
-from needlefit.project.sandbox import (
-    READER_BYTES,
-    SandboxArrays,
-    limits_for,
-    read_in_sandbox,
-    stated_memory_bytes,
-)
+from needlefit.project.reader_process import Arrays, read_in_process, stated_memory_bytes
 
 # Signature of HDF5, which MATLAB uses from version 7.3 on, and its possible positions behind MATLAB's own
 # header.
@@ -57,9 +51,9 @@ def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
     if not _is_hdf(data):
         _check_elements(data, path)
     memory = stated_memory_bytes() or MAX_EXPANSION * len(data)
-    allowed = limits_for(memory, READER_BYTES + memory, len(data) / READ_BYTES_PER_SECOND)
-    (variables, stated, unused), found = read_in_sandbox(
-        "needlefit.datasets.formats.mat:read_variables", path, allowed, {"path": str(path)}
+    reader, seconds = f"{__name__}:read_variables", len(data) / READ_BYTES_PER_SECOND
+    (variables, stated, unused), found = read_in_process(
+        reader, path, {"path": str(path)}, 2 * memory, seconds
     )
     if not found:
         raise DataError(
@@ -73,10 +67,8 @@ def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
     return curves, [f"variable {name} ignored" for name in unused]
 
 
-def read_variables(
-    results: SandboxArrays, path: str
-) -> tuple[list[str], dict[str, dict[str, str]], list[str]]:
-    """Fill an array for every curve in a file, in the child process.
+def read_variables(arrays: Arrays, path: str) -> tuple[list[str], dict[str, dict[str, str]], list[str]]:
+    """Add an array for every curve in a file, in the child process.
 
     Return the names of all variables, what is stated of each curve, and what is not used.
     """
@@ -90,7 +82,7 @@ def read_variables(
     stated: dict[str, dict[str, str]] = {}
     unused: list[str] = []
     for name, array, texts in _iterate_curves("", variables, {}, unused):
-        results.new(name, array.shape, "float64")[...] = array
+        arrays[name] = np.asarray(array, np.float64)
         stated[name] = texts
     return list(variables), stated, unused
 

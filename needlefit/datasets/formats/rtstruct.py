@@ -12,7 +12,7 @@ from needlefit.datasets.formats import FileFormat
 from needlefit.datasets.points import Points
 from needlefit.errors import DataError
 from needlefit.project.input_files import read_bytes
-from needlefit.project.sandbox import READER_BYTES, SandboxArrays, limits_for, read_in_sandbox
+from needlefit.project.reader_process import READER_BYTES, Arrays, read_in_process
 
 MAX_FILE_BYTES = 64 * 2**20
 READ_BYTES_PER_SECOND = 2**20
@@ -30,16 +30,15 @@ def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
     DataError if the file is missing, is no structure set, or holds no open contour.
     """
     data = read_bytes(path, MAX_FILE_BYTES)
-    allowed = limits_for(READER_BYTES, READER_BYTES, len(data) / READ_BYTES_PER_SECOND)
-    reader = f"{__name__}:read_contours"
-    (names, left), found = read_in_sandbox(reader, path, allowed, {"path": str(path)})
+    reader, seconds = f"{__name__}:read_contours", len(data) / READ_BYTES_PER_SECOND
+    (names, left), found = read_in_process(reader, path, {"path": str(path)}, READER_BYTES, seconds)
     if not found:
         raise DataError("holds no open contour", where=str(path), expected=_EXPECTED, fix=_FIX)
     return {name: Points(path, found[str(n)]) for n, name in enumerate(names)}, left
 
 
-def read_contours(results: SandboxArrays, path: str) -> tuple[list[str], list[str]]:
-    """Fill an array for every open contour, in the child process; return their names, and what is left."""
+def read_contours(arrays: Arrays, path: str) -> tuple[list[str], list[str]]:
+    """Add an array for every open contour, in the child process; return their names, and what is left."""
     import pydicom
 
     names: list[str] = []
@@ -60,7 +59,7 @@ def read_contours(results: SandboxArrays, path: str) -> tuple[list[str], list[st
                 points = np.array([float(value) for value in one.ContourData], dtype=np.float64).reshape(
                     -1, 3
                 )
-                results.new(str(len(names)), points.shape, "float64")[...] = points
+                arrays[str(len(names))] = points
                 names.append(name)
     except (MemoryError, DataError):
         raise

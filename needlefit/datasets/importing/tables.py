@@ -15,7 +15,7 @@ from needlefit.datasets.importing.synonyms import read_header
 from needlefit.datasets.points import MAX_COORDINATE
 from needlefit.errors import DataError
 from needlefit.project.input_files import open_regular, read_bytes
-from needlefit.project.sandbox import READER_BYTES, SandboxArrays, limits_for, read_in_sandbox
+from needlefit.project.reader_process import READER_BYTES, Arrays, read_in_process
 
 TEXT_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc")
 SHEET_SUFFIXES = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
@@ -202,8 +202,8 @@ def read_sheets(path: Path) -> tuple[CellTable, ...]:
     """
     with open_regular(path, MAX_SHEET_BYTES) as file:
         size = file.seek(0, io.SEEK_END)
-    allowed = limits_for(READER_BYTES, READER_BYTES, size / SHEET_BYTES_PER_SECOND)
-    found, _ = read_in_sandbox(f"{__name__}:read_workbook", path, allowed, {"path": str(path)})
+    reader, seconds = f"{__name__}:read_workbook", size / SHEET_BYTES_PER_SECOND
+    found, _ = read_in_process(reader, path, {"path": str(path)}, READER_BYTES, seconds)
     sheets = [CellTable(path, rows, 1 + above, left, name) for name, (above, left), rows in found]
     if not any(any(map(any, one.rows)) for one in sheets):
         raise _workbook_error(path, "holds no cells")
@@ -216,7 +216,7 @@ def _workbook_error(path: Path, what: str) -> DataError:
     return DataError(what, where=str(path), expected=expected, fix=fix)
 
 
-def read_workbook(_results: SandboxArrays, path: str) -> list[tuple[str, tuple[int, int], list[list[str]]]]:
+def read_workbook(_arrays: Arrays, path: str) -> list[tuple[str, tuple[int, int], list[list[str]]]]:
     """Return name, rows left out above and columns left out before, and rows of each sheet; in the child
     process.
     """

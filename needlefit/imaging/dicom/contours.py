@@ -20,7 +20,7 @@ from needlefit.imaging.refusals import located, refusal
 from needlefit.imaging.segmentations import SEGMENTS_FIX, choose_segments
 from needlefit.imaging.volume import VoxelGrid, begins_as_dicom, check_grid, grid_to_json
 from needlefit.project.input_files import is_file, list_files, open_regular
-from needlefit.project.sandbox import SandboxArrays
+from needlefit.project.reader_process import Arrays
 
 PIXEL_MM = 0.25  # spacing of the pixels within a plane of contours, mm, unless they would be too many
 MAX_CONTOUR_VOXELS = 2**26
@@ -198,8 +198,8 @@ def _parse_regions(data: pydicom.Dataset, file: Path) -> list[ContouredRegion]:
     return regions
 
 
-def read_structures(results: SandboxArrays, path: str, names: Sequence[str] = ()) -> dict[str, Any]:
-    """Read a structure set: the array "values" of labels 1, 2, ..., its grid, the regions' names.
+def read_structures(arrays: Arrays, path: str, names: Sequence[str] = ()) -> dict[str, Any]:
+    """Read a structure set: add the array "values" of labels 1, 2, ...; return its grid, the regions' names.
 
     `path`: the file, or a folder with one in it or below.
     `names`: regions that are read, in this order; empty: all.
@@ -217,7 +217,7 @@ def read_structures(results: SandboxArrays, path: str, names: Sequence[str] = ()
     with warnings.catch_warnings(), located(found[0]):
         warnings.simplefilter("ignore")
         try:
-            return _read_contours(results, found[0], names)
+            return _read_contours(arrays, found[0], names)
         except (DataError, MemoryError):
             raise
         except Exception as error:  # whatever the bytes provoke
@@ -226,7 +226,7 @@ def read_structures(results: SandboxArrays, path: str, names: Sequence[str] = ()
                 fix: copy the file again, or export the structures again""") from error
 
 
-def _read_contours(results: SandboxArrays, file: Path, names: Sequence[str]) -> dict[str, Any]:
+def _read_contours(arrays: Arrays, file: Path, names: Sequence[str]) -> dict[str, Any]:
     with open_regular(file, sys.maxsize) as content:
         data = pydicom.dcmread(content)
     regions = _parse_regions(data, file)
@@ -239,7 +239,7 @@ def _read_contours(results: SandboxArrays, file: Path, names: Sequence[str]) -> 
             expected: closed planar contours
             fix: leave it out, or export it again as closed contours""")
     grid, values = mark_regions(regions)
-    results.new("values", values.shape, "float32")[...] = values
+    arrays["values"] = values.astype(np.float32)
     chosen = [one.name for one in regions]
     stated = {
         str(one.get(name, ""))

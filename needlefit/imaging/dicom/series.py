@@ -1,6 +1,7 @@
 """Find, read and write DICOM series."""
 
 import hashlib
+import math
 import re
 import uuid
 from collections.abc import Iterator, Sequence
@@ -38,7 +39,7 @@ from needlefit.imaging.volume import (
 )
 from needlefit.project.folders import create_folder, require_new
 from needlefit.project.input_files import is_file
-from needlefit.project.sandbox import SandboxArrays, allow_memory
+from needlefit.project.reader_process import Arrays, allow_memory
 
 _MAX_LISTED = 10
 
@@ -144,8 +145,8 @@ SLICE_BYTES_PER_PIXEL = 32  # a slice stands in memory packed, unpacked, and in 
 sitk.ProcessObject.SetGlobalWarningDisplay(False)  # errors are reported once, by our own messages
 
 
-def read_series(results: SandboxArrays, path: str, series: str | None) -> dict[str, Any]:
-    """Read the one series that `path` refers to: the array "values", its grid, and warnings.
+def read_series(arrays: Arrays, path: str, series: str | None) -> dict[str, Any]:
+    """Read the one series that `path` refers to: add the array "values"; return its grid, and warnings.
 
     Values are rescaled slice by slice; voxels that were not measured (padding) get the least value that
     was, so that no threshold and no edge finds them.
@@ -155,8 +156,8 @@ def read_series(results: SandboxArrays, path: str, series: str | None) -> dict[s
     slices, grid = stack_slices(find_series(Path(path), series))
     notes = (*describe_headers(slices), *describe_missing_files(Path(path), slices))
     allow_memory(max(item.rows * item.columns for item in slices) * SLICE_BYTES_PER_PIXEL)
-    columns, rows, count = grid.size
-    values = results.new("values", (count, rows, columns), "float32")
+    allow_memory(4 * math.prod(grid.size))
+    values = arrays["values"] = np.empty(grid.size[::-1], np.float32)
     reader = sitk.ImageFileReader()
     reader.SetImageIO("GDCMImageIO")
     frames = _read_frames([item for item in slices if item.frame is not None])

@@ -1,4 +1,4 @@
-"""Read the netCDF file of a posterior in a sandboxed child process.
+"""Read the netCDF file of a posterior in a child process of limited memory and time.
 
 netCDF files are HDF5 files. The library's reader of their dimensions does not end on some damaged ones; the
 numbers are therefore read by their names, without dimensions.
@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.project.input_files import open_regular
-from needlefit.project.sandbox import READER_BYTES, ReaderLimits, SandboxArrays, read_in_sandbox
+from needlefit.project.reader_process import Arrays, read_in_process
 
 MAX_POSTERIOR_BYTES = 4 * 2**30  #: size of a file of draws; those of the paper's studies have some MB
 
 READ_BYTES_PER_SECOND = 16 * 2**20
-BASE_SECONDS = 4  #: processor time of the reader of a small file; one of the paper's studies takes 0.3 s
 
 GROUPS = ("posterior", "sample_stats", "convergence")
 
@@ -28,15 +27,13 @@ def read_numbers(path: Path) -> tuple[dict[str, str], dict[str, NDArray[np.float
     """
     with open_regular(path, MAX_POSTERIOR_BYTES):
         size = path.stat().st_size
-    seconds = BASE_SECONDS + size // READ_BYTES_PER_SECOND
-    allowed = ReaderLimits(READER_BYTES + size, size + 2**20, seconds)
-    return read_in_sandbox(
-        "needlefit.inference.sampling.posterior_file:fill_numbers", path, allowed, {"path": str(path)}
-    )
+    seconds = size / READ_BYTES_PER_SECOND
+    reader = "needlefit.inference.sampling.posterior_file:fill_numbers"
+    return read_in_process(reader, path, {"path": str(path)}, 3 * size, seconds)
 
 
-def fill_numbers(results: SandboxArrays, path: str) -> dict[str, str]:
-    """Fill an array for every float64 variable of the file, in the child process; return the attributes."""
+def fill_numbers(arrays: Arrays, path: str) -> dict[str, str]:
+    """Add an array for every float64 variable of the file, in the child process; return the attributes."""
     import h5py
 
     found: dict[str, str] = {}
@@ -46,5 +43,5 @@ def fill_numbers(results: SandboxArrays, path: str) -> dict[str, str]:
                 found |= {f"{group}/{name}": value} if isinstance(value, str) else {}
             for name, variable in file[group].items():
                 if isinstance(variable, h5py.Dataset) and variable.dtype == np.float64:
-                    results.new(f"{group}/{name}", variable.shape, "float64")[...] = variable[()]
+                    arrays[f"{group}/{name}"] = np.asarray(variable[()])
     return found

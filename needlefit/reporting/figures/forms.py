@@ -11,7 +11,6 @@ from matplotlib.axis import Axis
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle
 
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting.figures import Look, Panel
@@ -20,7 +19,6 @@ from needlefit.reporting.figures.style import (
     choose_width,
     count_legend_columns,
     draw_grid,
-    separate_positions,
 )
 from needlefit.reporting.labels import GREY, INK, SERIES_COLOURS, SYNTHETIC_COLOUR, medium_name, method_colour
 from needlefit.reporting.number_format import choose_printed_unit
@@ -172,59 +170,6 @@ def _format_rows(axes: Axes, order: Sequence[tuple[Any, ...]], scale: str) -> No
     draw_grid(axes, "x")
 
 
-def intervals(frame: pd.DataFrame, group: str, truth: str = "truth", label: str = "{}") -> Figure:
-    """Draw 50 and 95 % intervals of repetitions, beside each other, and the truth of each group of them.
-
-    `frame` has the columns `panel` (title), `low_95`, `high_95`, `low_50`, `high_50`; `label` names a group.
-    """
-    panels = list(frame.groupby("panel", sort=False))
-    down = -(-len(panels) // 2)
-    figure = Figure(figsize=(TEXT_WIDTH_IN, 0.5 + 1.35 * down))
-    drawn = figure.subplots(down, 2, squeeze=False, sharex=True)
-    for axes, (title, rows) in zip(drawn.flat, panels, strict=False):
-        ticks, at = {}, 0
-        for name, same in rows.groupby(group, sort=False):
-            x = at + np.arange(len(same))
-            for level, width in ((95, 0.9), (50, 2.4)):
-                ends = same[f"low_{level}"], same[f"high_{level}"]
-                axes.vlines(x, *ends, color=SERIES_COLOURS[0], lw=width)
-            known = float(same[truth].iloc[0])
-            axes.plot([x[0] - 0.5, x[-1] + 0.5], [known, known], color=SERIES_COLOURS[4], lw=1.1, zorder=3)
-            ticks[label.format(name)] = float(x.mean())
-            at = int(x[-1]) + 3
-        axes.set_xticks(list(ticks.values()), list(ticks))
-        axes.set_title(title, loc="left")
-        axes.tick_params(axis="x", length=0)
-        draw_grid(axes, "y")
-    return figure
-
-
-def densities(frame: pd.DataFrame, by: str, x: str, name: str = "{}") -> Figure:
-    """Draw the densities of a quantity, a panel for each `panel` (its label), and where known their prior.
-
-    `frame` has the columns `density`, `prior` and `high_95`, an upper end that must be seen; `name` names a
-    series of the column `by`.
-    """
-    panels = list(frame.groupby("panel", sort=False))
-    figure = Figure(figsize=(TEXT_WIDTH_IN, 2.3))
-    for axes, (title, rows) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
-        far, first = float(rows["high_95"].max()), rows[by].iloc[0]
-        for series, look in choose_looks(rows, by).items():
-            some, colour = rows[rows[by].astype(str) == series], look.colour
-            top = some.sort_values("density", kind="stable").iloc[-1]
-            axes.plot(some[x], some["density"], color=colour, lw=1.3)
-            words: dict[str, Any] = {"fontsize": 6.5, "va": "bottom"}
-            axes.text(top[x] + 0.02 * far, top["density"], name.format(series), color=colour, **words)
-            if series == str(first) and some["prior"].notna().all():
-                axes.plot(some[x], some["prior"], color=GREY, lw=0.8, ls=(0, (4, 3)))
-                height = np.interp(0.8 * far, some[x], some["prior"])
-                axes.text(0.8 * far, height, "prior", color=GREY, **words)
-        axes.set(xlim=(0, 1.15 * far), ylim=(0, 1.15 * float(rows["density"].max())), xlabel=title)
-        axes.set_yticks([])
-    figure.axes[0].set_ylabel("posterior density")
-    return figure
-
-
 def steps_in_bands(frame: pd.DataFrame, x_label: str, y_label: str, across: int = 4) -> Figure:
     """Draw a step line about 0 on a band, a panel for each `panel` (its title).
 
@@ -302,103 +247,6 @@ def _draw_readings(axes: Axes, run: pd.DataFrame) -> None:
     for scored, face in ((True, INK), (False, "none")):
         some = measured[measured["scored"] == scored]
         axes.plot(some["depth_mm"], some["measured_mm"], "o", ms=2, mfc=face, mec=INK, mew=0.5)
-
-
-LAYER_COLOURS = ("#f7f4ee", "#e2d9c6", "#efeadd", "#d3c7ae", "#e9e2d2")
-
-
-def plan_in_plane(frame: pd.DataFrame, by: str, looks: Mapping[str, Look], main: str) -> Figure:
-    """Draw needles through layers to a target past obstacles, and beside them where those of `main` end.
-
-    `frame` has the columns `mark` ("needle", "tip", "layer", "tolerance" or "obstacle"), `trial` (-1: the
-    needle of the mean parameters), `x_mm`, `y_mm`; circles have `radius_mm` and a name in `object`, layers
-    `interval`, `layer`, `low_mm` and `high_mm` along x at a height y.
-    """
-    marks = ("needle", "tip", "layer", "tolerance", "obstacle")
-    needles, tips, layers, tolerances, obstacles = (frame[frame["mark"] == one] for one in marks)
-    target = to_records(tolerances.nlargest(1, "radius_mm"))[0]
-    rims = [target["y_mm"], *needles["y_mm"]]
-    rims += [y for sign in (-1, 1) for y in obstacles["y_mm"] + sign * obstacles["radius_mm"]]
-    low, high = min(rims) - 4, max(rims) + 4
-    right = max(float(needles["x_mm"].max()), target["x_mm"]) + 6
-    figure = Figure(figsize=(TEXT_WIDTH_IN, 0.8 + 0.68 * TEXT_WIDTH_IN * (high - low) / (right + 30)))
-    axes, near = figure.subplots(1, 2, width_ratios=(3.2, 1))
-    _shade_layers(axes, layers, right)
-    for (name, trial), rows in needles.groupby([by, "trial"], sort=False):
-        look = looks[str(name)]
-        style: dict[str, Any] = {"lw": 1.0, "ls": look.dashes, "zorder": 3}
-        style = style if trial == -1 else {"lw": 0.35, "alpha": 0.3}
-        axes.plot(rows["x_mm"], rows["y_mm"], color=look.colour, **style)
-    entries = needles[needles["trial"] == -1].groupby(by, sort=False)["y_mm"].first().sort_values()
-    places = separate_positions(entries.to_numpy(np.float64), 1.9 * np.arange(len(entries), dtype=np.float64))
-    for (name, entry), place in zip(entries.items(), places.tolist(), strict=True):
-        colour = looks[str(name)].colour
-        axes.plot([-1.5, 0], [place, entry], color=colour, lw=0.5)
-        axes.text(-2, place, looks[str(name)].label, ha="right", va="center", fontsize=6.5, color=colour)
-    _add_circle(axes, target, fill=False, ec=INK, lw=0.7, zorder=4)
-    for row in to_records(obstacles):
-        _add_circle(axes, row, fc=SYNTHETIC_COLOUR, ec="none", alpha=0.35)
-        _name_circle(axes, row, 0.5, row["object"], color=SYNTHETIC_COLOUR, fontsize=6.5)
-    axes.set(xlim=(-30, right), ylim=(low, high), xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
-    axes.set_xticks([tick for tick in axes.get_xticks() if 0 <= tick <= right])
-    near.plot(tips["x_mm"], tips["y_mm"], ".", color=looks[main].colour, ms=2.2, alpha=0.5, mew=0)
-    for row in to_records(tolerances):
-        _add_circle(near, row, fill=False, ec=INK, lw=0.6)
-        _name_circle(near, row, 0.0, f"{row['radius_mm']:g} mm", color=INK, fontsize=6)
-    x, y, half = target["x_mm"], target["y_mm"], 1.2 * target["radius_mm"]
-    near.plot(x, y, "+", color=INK, ms=6, mew=0.8)
-    near.set(xlim=(x - half, x + half), ylim=(y - half, y + half), xlabel="x (mm)", aspect="equal")
-    near.set_title("tips at the target", loc="left")
-    return figure
-
-
-def _add_circle(axes: Axes, row: Row, **style: Any) -> None:  # noqa: ANN401
-    axes.add_patch(Circle((row["x_mm"], row["y_mm"]), row["radius_mm"], **style))
-
-
-def _name_circle(axes: Axes, row: Row, above: float, name: str, **style: Any) -> None:  # noqa: ANN401
-    axes.text(row["x_mm"], row["y_mm"] + row["radius_mm"] + above, name, ha="center", va="bottom", **style)
-
-
-def _shade_layers(axes: Axes, layers: pd.DataFrame, right: float) -> None:
-    """Shade the layers, and number them along the lower edge."""
-    step = float(np.diff(np.sort(layers["y_mm"].unique())).min()) if len(layers) else 0.0
-    for _, rows in layers.sort_values("y_mm").groupby(["interval", "layer"]):
-        layer = int(rows["layer"].iloc[0])
-        y, starts, ends = (rows[name].to_numpy(np.float64) for name in ("y_mm", "low_mm", "high_mm"))
-        starts, ends = np.minimum(starts, right), np.minimum(ends, right)
-        shade = LAYER_COLOURS[(layer - 1) % len(LAYER_COLOURS)]
-        for run in np.split(np.arange(len(y)), np.flatnonzero(np.diff(y) > 1.5 * step) + 1):
-            axes.fill_betweenx(y[run], starts[run], ends[run], color=shade, lw=0, zorder=0)
-        place = 0.5 * float(np.median(starts) + np.median(ends)), 0.01
-        low = axes.get_xaxis_transform()
-        axes.text(*place, f"{layer}", transform=low, ha="center", va="bottom", color=GREY)
-
-
-def shares_within(
-    frame: pd.DataFrame, by: str, looks: Mapping[str, Look], main: str, value: str, x_label: str, y_label: str
-) -> Figure:
-    """Draw the share of each series up to a value, on a logarithmic scale, and limits as dashed lines.
-
-    `frame` has the columns `mark` ("tolerance": a limit), `share`, and `value`; the series `main` is thick.
-    """
-    figure = Figure(figsize=(TEXT_WIDTH_IN, 2.5))
-    axes = figure.add_subplot()
-    series, limits = frame[frame["mark"] != "tolerance"], frame[frame["mark"] == "tolerance"]
-    for place, (name, rows) in enumerate(series.groupby(by, sort=False)):
-        look, ours = looks[str(name)], name == main
-        axes.step(rows[value], rows["share"], where="post", color=look.colour, lw=1.6 if ours else 1.1)
-        level = 0.55 if ours else 0.15 + 0.12 * place
-        at = (0.95 if ours else 1.06) * float(rows[value].quantile(level))
-        style: dict[str, Any] = {"color": look.colour, "fontsize": 6.5, "va": "center"}
-        axes.text(at, level, look.label, ha="right" if ours else "left", **style)
-    for limit in limits[value]:
-        axes.axvline(limit, color=INK, lw=0.5, ls=(0, (2, 2)), zorder=0)
-    low, high = series[value].quantile([0.005, 1.0])
-    axes.set(xlim=(0.8 * low, 1.3 * high), ylim=(0, 1.01), xlabel=x_label, ylabel=y_label)
-    set_plain_log_scale(axes.xaxis)
-    draw_grid(axes, "y")
-    return figure
 
 
 def histograms(bins: pd.DataFrame, counts: str) -> Figure:

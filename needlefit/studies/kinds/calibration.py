@@ -48,14 +48,12 @@ from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.limits import MAX_REPLICATES
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.studies import rank_statistics
-from needlefit.studies.csv_tables import ANY_COLUMNS
 from needlefit.studies.held_out_predictions import Specimens, predict_held_out
 from needlefit.studies.job import Fold, Inputs, Job, Settings, prepare
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.rank_statistics import HELD_OUT_TIP, RANK_DRAWS, Control, Counts, name_quantity
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Run, Status, Verdict, headline_fault
-from needlefit.studies.run_differences import Difference, TableComparison
 from needlefit.studies.runner import FrameRows, join_rows, run_tasks
 from needlefit.studies.score import Row
 from needlefit.studies.simulated_data import (
@@ -730,18 +728,6 @@ def calibration_to_json(found: Run) -> dict[str, Any]:
     }
 
 
-def _compare_coverages(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
-    """Yield counts of a calibration that changed; it matters where one is now within chance, or out of it."""
-    both = before.merge(after, validate="1:1", on=["quantity", "level"], suffixes=("_a", "_b"), sort=False)
-    for row in both.to_dict("records"):
-        counts = int(row["covered_a"]), int(row["covered_b"])
-        matters = bool(row["passes_a"]) != bool(row["passes_b"])
-        if counts[0] != counts[1] or matters:
-            where = f"{row['quantity']}, {100 * row['level']:.0f} % interval"
-            why = "the verdict changed" if matters else "both as chance allows, or both not"
-            yield Difference("state", where, *counts, matters, why)
-
-
 TEXT = KindText("calibration")
 REPORT = StudyReport(
     TEXT,
@@ -751,5 +737,4 @@ REPORT = StudyReport(
     to_json=calibration_to_json,
     judge=judge,
     headline=headline_calibration,
-    comparisons={"coverage": TableComparison(ANY_COLUMNS, _compare_coverages)},
 )

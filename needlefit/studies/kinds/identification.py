@@ -40,7 +40,6 @@ from needlefit.studies.candidates import CANDIDATE_COLUMNS, lay_out_candidates, 
 from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.identification import identify_parameters
 from needlefit.studies.identification_tables import (
-    IDENTIFICATION_COMPARISON,
     format_small_mm,
     lay_out_identification,
 )
@@ -250,5 +249,4 @@ REPORT = StudyReport(
     draw,
     to_json=identification_to_json,
     judge=judge,
-    comparisons={"identify": IDENTIFICATION_COMPARISON},
 )

@@ -58,7 +58,6 @@ from needlefit.studies.coverage import (
     measure_width,
     warn_if_too_wide,
 )
-from needlefit.studies.csv_tables import TableSchema
 from needlefit.studies.held_out_predictions import (
     PREDICTION_DRAWS,
     Specimens,
@@ -77,12 +76,6 @@ from needlefit.studies.run import (
     Status,
     Verdict,
     headline_fault,
-)
-from needlefit.studies.run_differences import (
-    Difference,
-    TableComparison,
-    compare_estimates,
-    compare_sizes,
 )
 from needlefit.studies.score import Row
 from needlefit.studies.store import posterior_file_names, read_run
@@ -591,25 +584,6 @@ def forecast_to_json(found: Run) -> dict[str, Any]:
     return {**named, "tip": find_tip(found), "specimens": specimens, **basis}
 
 
-#: width of the central 95 % of a normal distribution, in standard deviations
-NORMAL_95_WIDTH_SD = 2 * 1.959963984540054
-
-
-def _compare_forecasts(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
-    """Yield how the tip predicted moved, in standard deviations of where the needle is, and its band."""
-    bands = (frame[(frame["quantity"] == "needle") & (frame["level"] == 0.95)] for frame in (before, after))
-    tips = [band.iloc[-1] for band in bands]
-    medians = [float(one["median_mm"]) for one in tips]
-    widths = [float(one["high_mm"] - one["low_mm"]) for one in tips]
-    sd = max(widths) / NORMAL_95_WIDTH_SD
-    if medians[0] != medians[1] and sd > 0:
-        one, two = medians
-        yield compare_estimates("error", "tip, median (mm)", one, two, abs(two - one) / sd)
-    one, two = widths
-    yield from compare_sizes("error", "tip, width of 95 % (mm)", one, two, "times as wide")
-
-
-_FORECAST = TableSchema(texts=("quantity",), numbers=("level", "median_mm", "low_mm", "high_mm"))
 REPORT: StudyReport = StudyReport(
     TEXT,
     describe,
@@ -618,5 +592,4 @@ REPORT: StudyReport = StudyReport(
     to_json=forecast_to_json,
     judge=judge,
     explain=lambda found: (REPORT.lay_out(found), []),  # the verdict and the notes hold the summary
-    comparisons={"forecast": TableComparison(_FORECAST, _compare_forecasts)},
 )

@@ -54,7 +54,6 @@ from needlefit.reporting.text import KindText
 from needlefit.schemas.recipe import RecipeRecord, TrackErrorsRecord
 from needlefit.schemas.tracks import TrackFitRecord, TrackStudyRecord
 from needlefit.studies.coverage import warn_if_too_wide
-from needlefit.studies.csv_tables import TableSchema
 from needlefit.studies.fit_warnings import analysis_bound_warnings
 from needlefit.studies.held_out_predictions import PREDICTION_DRAWS
 from needlefit.studies.job import Fold, Settings, farthest_guide, prepare, specimen_warning
@@ -69,7 +68,6 @@ from needlefit.studies.provenance import (
 )
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Run, Status, Verdict
-from needlefit.studies.run_differences import Difference, TableComparison, compare_means
 from needlefit.studies.score import Row
 
 KIND = StudyKind("tracks", TrackStudyRecord, __name__)
@@ -701,19 +699,6 @@ def draw(results: Run) -> dict[str, Drawing]:
     return {"readings": Drawing("tracks", results.frames["readings"].assign(origin=results.origin))}
 
 
-def _compare_tracks(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
-    """Yield how errors of runs predicted changed, by role and method."""
-    keys = ["fit", "role", "run", "method"]
-    one, two = (frame.drop_duplicates(keys) for frame in (before, after))
-    both = one.merge(two, validate="1:1", on=keys, suffixes=("_a", "_b"), sort=False)
-    for (role, method), rows in both.groupby(["role", "method"], sort=False):
-        for column, words in (("rms_mm", "error"), ("crps_mm", "CRPS"), ("aligned_rms_mm", "shape")):
-            yield from compare_means(f"{words} of runs, {method}, {role}", rows, column)
-
-
-_RUNS = TableSchema(
-    ("fit", "role", "run", "method", "quantity", "level"), numbers=("rms_mm", "crps_mm", "aligned_rms_mm")
-)
 REPORT: StudyReport = StudyReport(
     TEXT,
     describe,
@@ -723,5 +708,4 @@ REPORT: StudyReport = StudyReport(
     to_json=lambda results: {"paired": to_records(results.frames["paired"])},
     judge=judge,
     lay_out_first=lambda results: REPORT.lay_out(results)[:2],
-    comparisons={"runs": TableComparison(_RUNS, _compare_tracks)},
 )

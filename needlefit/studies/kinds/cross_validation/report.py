@@ -909,8 +909,7 @@ def tabulate_files(result: Run) -> dict[str, pd.DataFrame]:
     """Return the tables that are written as CSV, by name."""
     names = ("design", "errors", "shapes", "starts", "failures", "directions")
     frames = {name: result.frames[name] for name in names}
-    if len(result.frames["error_fit"]):
-        frames["error_fit"] = result.frames["error_fit"]
+    frames |= {name: result.frames[name] for name in ("error_fit", "population") if len(result.frames[name])}
     predictions = [result.frames[name] for name in ("predictive", "predictive_training")]
     if any(map(len, predictions)):
         frames["predictive"] = pd.concat([frame for frame in predictions if len(frame)])
@@ -971,6 +970,7 @@ def _list_tables(results: Run) -> list[TableLayout]:
         *([baselines] if len(baselines.rows) > 1 else []),
         parameters,
         tables.lay_out_directions(results),
+        *([tables.lay_out_population(results)] if len(results.frames["population"]) else []),
         *(
             [lay_out_identification(results.frames["identification"])]
             if len(results.frames["identification"])
@@ -1136,8 +1136,6 @@ REPORT = StudyReport(
     tabulate=tabulate_files,
     write_files=write_files,
     to_json=fit_to_json,
-    comparisons=tables.COMPARISONS,
-    compares_only_these=True,
     judge=judge,
     explore=collect_page_data,
     lay_out_first=lay_out_first,

@@ -345,9 +345,11 @@ class _StudyRun:
         return minimize(job.problem(fold, search), job.recipe_of(search), rng, callbacks)
 
     def _examine(self, number: int, fold: Fold, fits: Mapping[str, Fit]) -> FitProfiles | None:
-        """Return the profiles of the fit; many folds are scored, not examined."""
+        """Return the profiles of the posterior about the fit; many folds are scored, not examined."""
         fit = fits.get("fitted")
         if len(self.job.folds) > 1 or fit is None or fit.interrupted or not math.isfinite(fit.objective):
+            return None
+        if fit.minimized != "posterior":
             return None
         settings, problem = self.settings, self.job.problem(fold)
 
@@ -407,6 +409,8 @@ class _StudyRun:
         """
         job, settings, fit = self.job, self.settings, fits.get("fitted")
         if fit is None or not math.isfinite(fit.objective) or (settings.stop() and not fold.validate):
+            return None
+        if fit.minimized != "posterior":  # no noise is stated: there is no posterior
             return None
 
         def sampled(done: int, total: int) -> None:
@@ -487,8 +491,12 @@ class _StudyRun:
                 self.differing[fold.name] = list_differing_intervals(job.parameters, importance, posterior)
             if drawn.specimens.separate:
                 further = None if draws.faults else drawn.specimens.population.new
+                self.rows["population"] += drawn.specimens.tabulate_population()
                 posterior = None  # the sampler's has one set of parameters, specimens several
         verdict = identify(problem, fit, draws.certified if draws else None, further)
+        if fit.minimized != "posterior":  # without stated noise nothing says how far the data can be trusted
+            nothing = dict.fromkeys(verdict.determined, False)
+            verdict = replace(verdict, determined=nothing, together=nothing, conditions={})
         judgements: Mapping[str, Assessment] = {}
         judged: list[Row] = []
         if profiles is not None:
@@ -497,10 +505,11 @@ class _StudyRun:
             self.rows["profiles"] += [{"fold": fold.name, **row} for row in found.points]
             judgements, verdict = found.judgements, reconcile_verdict(verdict, found.judgements)
         self.verdicts[fold.name] = verdict
-        self.rows["directions"] += [
-            {"fold": fold.name, "sd": one.sd, "sd_ratio": one.sd_ratio, "note": one.words}
-            for one in verdict.directions
-        ]
+        if fit.minimized == "posterior":
+            self.rows["directions"] += [
+                {"fold": fold.name, "sd": one.sd, "sd_ratio": one.sd_ratio, "note": one.words}
+                for one in verdict.directions
+            ]
         fitted = _fitted_rows(job, fold, fit, verdict, judgements)
         sampled = intervals_of_draws(job.parameters, draws, importance, posterior)
         ties, together = job.parameters.ties, verdict.together
@@ -620,7 +629,7 @@ def _fitted_rows(
         row |= {**_UNKNOWN, "bound_low": low, "bound_high": high, "condition": condition}
         known, together = (some.get(source, False) for some in (verdict.determined, verdict.together))
         if status != "fixed":
-            row["determined"] = name_determined(known and not condition, known or together)
+            row["determined"] = name_determined(known and not condition, bool(condition) or known or together)
         if source in verdict.sds:
             row["low"] = factor * verdict.spread_low[source]
             row["high"] = factor * verdict.spread_high[source]
@@ -657,10 +666,12 @@ def _error_fit_rows(problem: Problem, fold: Fold, fit: Fit, found: ErrorMinimisi
             row |= {"interval_low": factor * to_value(source, one.low)}
             row |= {"interval_high": factor * to_value(source, one.high), "draw_source": "tolerance"}
             row["determined"] = found.determined(source)
-            at_bound = [
-                side for side, end in zip(("lower", "upper"), one.ends, strict=True) if end == "bound"
-            ]
-            row["note"] = f"its range ends at its {' and its '.join(at_bound)} bound" if at_bound else ""
+            sides = tuple(zip(("lower", "upper"), one.ends, strict=True))
+            at_bound = [side for side, end in sides if end == "bound"]
+            notes = [f"its range ends at its {' and its '.join(at_bound)} bound"] if at_bound else []
+            if lost := [side for side, end in sides if end == "lost"]:
+                notes.append(f"no solution was found beyond its {' and its '.join(lost)} end")
+            row["note"] = "; ".join(notes)
         yield row
 
 

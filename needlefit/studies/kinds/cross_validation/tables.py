@@ -4,16 +4,15 @@ Captions and notes stand in the text.
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
-from needlefit.datasets.select import group_rows
 from needlefit.grouping import group_values
 from needlefit.inference.identifiability.directions import (
     MAX_LOG_SD,
@@ -22,15 +21,15 @@ from needlefit.inference.identifiability.directions import (
     find_least_determined,
     principal_directions,
 )
-from needlefit.inference.parameters import is_logarithmic
-from needlefit.inference.predict import estimate_proportion
+from needlefit.inference.parameters import HYPERPARAMETERS, is_logarithmic
 from needlefit.inference.sampling.posterior import PERCENTILES
 from needlefit.metrics import Metric, headline_metrics, list_metrics
 from needlefit.reporting.columns import DIGITS
 from needlefit.reporting.figures.fit_forms import to_log_coordinates
-from needlefit.reporting.labels import SPECIMEN_NAMES, group_name, method_name, study_name
+from needlefit.reporting.labels import SPECIMEN_NAMES, method_name, study_name
 from needlefit.reporting.number_format import (
     choose_printed_unit,
+    format_bare_symbol,
     format_metric,
     format_number,
     format_plain,
@@ -44,20 +43,16 @@ from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.coverage import COVERAGE_COLUMNS, count_covered, tabulate_coverage
-from needlefit.studies.csv_tables import TableSchema
-from needlefit.studies.fit_frames import MODEL_METHODS, select_fitted, select_free
-from needlefit.studies.fit_warnings import describe_gain
-from needlefit.studies.identification_tables import IDENTIFICATION_COMPARISON, describe_evidence
-from needlefit.studies.run import Run
-from needlefit.studies.run_differences import (
-    CRPS_NOISE_FRACTION,
-    Difference,
-    TableComparison,
-    compare_estimates,
-    compare_means,
-    compare_sizes,
-    is_number,
+from needlefit.studies.fit_frames import (
+    MODEL_METHODS,
+    NEW_SPECIMEN,
+    TUNED_SPECIMENS,
+    select_fitted,
+    select_free,
 )
+from needlefit.studies.fit_warnings import describe_gain
+from needlefit.studies.identification_tables import describe_evidence
+from needlefit.studies.run import Run
 
 TEXT = KindText("cross_validation")
 
@@ -512,12 +507,19 @@ def lay_out_parameters(results: Sequence[Run], free_alone: bool = False) -> Tabl
     return _lay_out(found, drop_empty=True, **values)
 
 
+#: what the intervals of parameters are from, by `draw_source`
+SOURCES = {"posterior": "emcee", "importance": "importance sampling", "profile": "profile likelihood"}
+
+
 def _describe_search(results: Sequence[Run]) -> Row:
     """Return what the captions state: how draws were made, the tolerances of the errors, the algorithm."""
     tolerances = [value for one in results for value in one.frames["error_fit"]["tolerance_mm"].tolist()]
     algorithms = [str((one.run.get("recipe") or {}).get("metric_algorithm", "")) for one in results]
+    free = pd.concat([select_free(one.frames["parameters"]) for one in results])
+    specimens = [set(one.frames["draws"]["specimen"]) - {TUNED_SPECIMENS, NEW_SPECIMEN} for one in results]
     return {
-        "sampled": all(one.posteriors for one in results),
+        "sources": [words for source, words in SOURCES.items() if (free["draw_source"] == source).any()],
+        "of_mean": any(len(names) > 1 for names in specimens),
         "tolerances": [min(tolerances), max(tolerances)] if tolerances else [],
         "algorithms": list(dict.fromkeys(filter(None, algorithms))),
     }
@@ -541,7 +543,7 @@ def lay_out_values(results: Run) -> TableLayout:
     )
     values = {
         "folds": int(results.frames["parameters"]["fold"].nunique()),
-        "bounds": any(AT_BOUND in row["error_minimising"] for row in rows),
+        "bounds": any(AT_BOUND in row["posterior"] + row["error_minimising"] for row in rows),
         "together": find_known_combination(results),
         "freed": describe_freed(results.frames["identification"]),
         **_describe_search([results]),
@@ -550,10 +552,17 @@ def lay_out_values(results: Run) -> TableLayout:
 
 
 def find_known_combination(results: Run) -> str:
-    """Return the best known combination of several parameters, with its precision; "" if none is known."""
+    """Return the best known combination of several parameters, with its precision.
+
+    "" if none is known, or if every parameter is determined by itself.
+    """
+    free = select_free(results.frames["parameters"])
+    if (free["determined"][~free["parameter"].isin(HYPERPARAMETERS)] == "yes").all():
+        return ""
     rows = to_records(results.frames["directions"])
     known = (row for row in rows if row["sd"] < MAX_LOG_SD and row["sd_ratio"] < UNINFORMED_SD_RATIO)
-    return next((str(row["note"]) for row in known if " * " in str(row["note"])), "")
+    # a product, or with a shape parameter a sum
+    return next((note for note in (str(row["note"]) for row in known) if re.search(r" [*+-] ", note)), "")
 
 
 def describe_freed(identification: pd.DataFrame) -> list[tuple[list[str], str]]:
@@ -572,6 +581,23 @@ def lay_out_directions(results: Run) -> TableLayout:
         for row in rows
     ]
     return _lay_out(Table("directions", cells, ("fold", "known_combination")), drop_empty=True)
+
+
+def lay_out_population(results: Run) -> TableLayout:
+    """Return how much the parameters differ between the specimens that were fitted."""
+    rows = to_records(results.frames["population"])
+    folds = len({row["fold"] for row in rows}) > 1
+    cells = [
+        {
+            **row,
+            "fold": row["fold"] if folds else "",
+            "parameter": format_bare_symbol(str(row["parameter"])),
+            "between_factor": math.exp(row["between_sd"]),
+        }
+        for row in rows
+    ]
+    columns = ("fold", "parameter", "between_sd", "between_factor", "other_specimens")
+    return _lay_out(Table("population", cells, columns), drop_empty=True, rows=rows)
 
 
 def lay_out_posterior(results: Run) -> TableLayout:
@@ -671,130 +697,3 @@ def find_ridge_ends(draws: pd.DataFrame) -> list[dict[str, float]]:
         }
         for end in (middle - step, middle + step)
     ]
-
-
-# ---- differences of two runs
-
-_PREDICTED_QUANTITIES = {"tip": "CRPS of the tip predicted", "shape": "CRPS of the shape predicted"}
-_BESIDE = "training only"
-
-
-_PARAMETERS = TableSchema(
-    ("fold", "method", "parameter"),
-    ("status", "determined"),
-    ("value", "sd"),
-    (),
-    ("value",),
-)
-_SCORES = TableSchema(
-    ("fold", "role", "insertion", "method", "boundaries"),
-    numbers=("ipe_mean_mm", "te_mm"),
-    finite=("ipe_mean_mm", "te_mm"),
-    finite_where="converged",
-)
-_PREDICTIVE = TableSchema(
-    ("fold", "insertion", "specimen_treatment", "quantity", "level"),
-    ("specimen", "medium", "layers"),
-    ("crps_mm", "low_mm", "high_mm", "covered"),
-)
-
-
-def _compare_parameters(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
-    if before.empty or after.empty:
-        return
-    fits = [frame[frame["method"] == "fitted"] for frame in (before, after)]
-    both = fits[0].merge(fits[1], on=["fold", "parameter"], how="outer", suffixes=("_a", "_b"), sort=False)
-    several = before["fold"].nunique() > 1
-    for _, row in both.iterrows():
-        name = f"{row['parameter']} ({row['fold']})" if several else str(row["parameter"])
-        one, two = (words if isinstance(words := row[f"determined_{end}"], str) else "absent" for end in "ab")
-        if one != two:
-            yield Difference("state", f"{name} determined", one, two, True, "the verdict changed")
-        yield from _compare_parameter(name, row, one == two == "yes")
-
-
-def _compare_parameter(name: str, row: "pd.Series[Any]", determined: bool) -> Iterator[Difference]:
-    one, two = float(row["value_a"]), float(row["value_b"])
-    tied = row["status_a"] == row["status_b"] == "tied"  # moves with its source
-    if one == two or tied or not (math.isfinite(one) and math.isfinite(two)):
-        return
-    logarithm = is_logarithmic(str(row["parameter"])) and one > 0 and two > 0
-    shift = abs(math.log(two / one)) if logarithm else abs(two - one)
-    sd = np.nanmax([row["sd_a"], row["sd_b"], 0.0])
-    if not sd > 0:
-        yield Difference("parameter", name, one, two, True, "given, not fitted")
-        return
-    yield compare_estimates("parameter", name, one, two, shift / sd, determined=determined)
-
-
-def _compare_errors(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
-    """Yield how mean errors changed on the insertions that both scored, by role and method."""
-    if before.empty or after.empty:
-        return
-    both = before.merge(after, on=list(_SCORES.keys), suffixes=("_a", "_b"), sort=False)
-    for (role, method, boundaries), rows in both.groupby(["role", "method", "boundaries"], sort=False):
-        for metric in list_metrics():
-            if is_number(before, metric.name) and is_number(after, metric.name):
-                where = f"mean {metric.label}, {method}, {role}, {boundaries} boundaries"
-                yield from compare_means(where, rows, metric.name, unit=metric.unit)
-    lost = len(before) + len(after) - 2 * len(both)
-    if lost:
-        counts = (len(before), len(after))
-        yield Difference("state", "scored rows", *counts, True, f"{lost} rows are in one run only")
-
-
-def _compare_predictions(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
-    """Yield how predictions changed: those that the run makes by default, and those beside them."""
-    if before.empty or after.empty:
-        return
-    keys = ["fold", "insertion", "beside", "quantity", "level"]
-    marked = []
-    for predicted in (before, after):  # by default a run predicts the others: only these rows stand for it
-        spread = predicted["specimen_treatment"] != _BESIDE
-        insertions = [predicted["fold"], predicted["insertion"]]
-        marked.append(predicted.assign(beside=~spread & spread.groupby(insertions).transform("any")))
-    both = marked[0].merge(marked[1], on=keys, suffixes=("_a", "_b"), sort=False)
-    for beside, which in ((False, ""), (True, f", {_BESIDE}")):
-        for quantity, words in _PREDICTED_QUANTITIES.items():
-            some = both[(both["beside"] == beside) & (both["quantity"] == quantity)]
-            some = some.drop_duplicates(["fold", "insertion"])
-            visible = CRPS_NOISE_FRACTION * float(some["crps_mm_a"].mean())
-            yield from compare_means(words + which, some, "crps_mm", visible)
-    default = both[~both["beside"]]
-    several = len(default[["medium_a", "layers_a"]].drop_duplicates()) > 1
-    for (medium, layers), rows in default.groupby(["medium_a", "layers_a"], sort=False):
-        where = f", {group_name(str(medium), int(str(layers)))}" if several else ""
-        yield from _compare_coverage(rows, where)
-        tips = rows[(rows["quantity"] == "tip") & (rows["level"] == "0.95")]
-        one, two = (float((tips[f"high_mm_{run}"] - tips[f"low_mm_{run}"]).median()) for run in "ab")
-        name = f"tip, median width of 95 % (mm){where}"
-        yield from compare_sizes("error", name, one, two, "times as wide")
-
-
-def _compare_coverage(rows: pd.DataFrame, where: str) -> Iterator[Difference]:
-    """Yield which intervals cover another number of insertions; it matters where the verdict changes."""
-    for (quantity, level), some in rows.groupby(["quantity", "level"], sort=False):
-        known = some.dropna(subset=["covered_a", "covered_b"])
-        if quantity not in _PREDICTED_QUANTITIES or (known["covered_a"] == known["covered_b"]).all():
-            continue
-        groups = group_rows(known.rename(columns={"hole_a": "hole", "specimen_a": "specimen"}))
-        before, after = (estimate_proportion(list(known[f"covered_{run}"]), groups) for run in "ab")
-        nominal = float(str(level))
-        one, two = (
-            "too few" if share.high < nominal else "too many" if share.low > nominal else "as expected"
-            for share in (before, after)
-        )
-        verdict = f"{two} in both runs" if one == two else f"{two}, before {one}"
-        name = f"{quantity}s in their {100 * nominal:.0f} % interval{where}"
-        why = f"of {len(known)} insertions; {verdict}"
-        yield Difference("error", name, before.hits, after.hits, one != two, why)
-
-
-COMPARISONS: Mapping[str, TableComparison] = MappingProxyType(
-    {
-        "parameters": TableComparison(_PARAMETERS, _compare_parameters),
-        "errors": TableComparison(_SCORES, _compare_errors),
-        "predictive": TableComparison(_PREDICTIVE, _compare_predictions),
-        "identify": IDENTIFICATION_COMPARISON,
-    }
-)

@@ -1,0 +1,212 @@
+"""Read a file of another program in a child process of limited memory and time.
+
+Readers written in C and C++ may crash on a damaged file, or fill the memory with one made to do so. In a
+child process that is an error which names the file. The child answers with a line of JSON and arrays in
+numpy's format: nothing is unpickled.
+
+Linux limits memory and processor time; macOS limits the processor time, Windows the time alone.
+"""
+
+import errno
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from contextlib import suppress
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit import errors
+from needlefit.errors import ConfigError, DataError, NeedlefitError
+from needlefit.project.processes import THREAD_VARIABLES, end_with
+
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None  # type: ignore[assignment]
+
+MEMORY_VARIABLE = "NEEDLEFIT_READ_GIB"
+"""Environment variable: the memory that one file may take, GiB, in place of the defaults."""
+
+READER_BYTES = 512 * 2**20
+"""Memory of a reader beside what the content of its file warrants: tables, a compressed block, one slice."""
+
+READER_SECONDS = 8  # processor time of a reader beside what the size of the content warrants
+WALL_SECONDS = 60  # time in which a reader must be done, beside four times its processor time
+MAX_ANSWER_BYTES = 16 * 2**20  # size of the JSON
+
+_CHILD = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from needlefit.project import reader_process; "
+    "reader_process.serve(json.loads(sys.argv[2]))"
+)
+_ENVIRONMENT = {
+    **dict.fromkeys((*THREAD_VARIABLES, "ITK_GLOBAL_DEFAULT_NUMBER_OF_THREADS"), "1"),
+    "MALLOC_ARENA_MAX": "1",  # each thread's arena would reserve address space
+}
+
+Arrays = dict[str, NDArray[Any]]
+
+
+def stated_memory_bytes() -> int | None:
+    """Return the memory that the user grants one file; None if the environment variable is not set.
+
+    ConfigError if it is not a number of GiB.
+    """
+    text = os.environ.get(MEMORY_VARIABLE, "")
+    if not text:
+        return None
+    with suppress(ValueError, OverflowError):
+        if (stated := int(float(text) * 2**30)) > 0:
+            return stated
+    raise ConfigError(
+        f"is {text[:40]!r}",
+        where=MEMORY_VARIABLE,
+        expected="GiB, such as 16",
+        fix="set a number, or unset it",
+    )
+
+
+def read_in_process(
+    reader: str, file: Path, arguments: Mapping[str, Any], memory_bytes: int = 0, seconds: float = 0.0
+) -> tuple[Any, Arrays]:
+    """Run a reader in a limited child process; return its value and its arrays.
+
+    `reader` is "module:function". It is called with a dictionary, to which it adds arrays, and with the
+    `arguments`; these and its value are JSON. Its module is imported before the limits are set: memory of
+    `READER_BYTES` and `memory_bytes`, processor time of `READER_SECONDS` and `seconds`. Messages name `file`.
+
+    Raised is what the reader raised, a NeedlefitError; DataError if it crashed, or needed more memory or
+    time; ModuleNotFoundError if the child lacks a package.
+    """
+    memory, cpu = READER_BYTES + memory_bytes, READER_SECONDS + math.ceil(seconds)
+    request = {"reader": reader, "arguments": arguments, "memory": memory, "seconds": cpu}
+    answer, arrays = _run(request, file)
+    kind = answer["kind"]
+    if kind == "value":
+        return answer["value"], arrays
+    if kind == "missing":
+        raise ModuleNotFoundError(f"No module named {answer['name']!r}", name=answer["name"])
+    if kind == "memory":
+        raise _error(
+            file,
+            f"its reader needs more memory than {memory / 2**30:.3g} GiB",
+            "a file that takes no more memory than its header promises",
+            f"{_DAMAGED}; if you trust it and have the memory, set {MEMORY_VARIABLE} to more GiB",
+        )
+    if kind == "raised":
+        raise _error(file, f"cannot be read ({answer['name']})")
+    raise (ConfigError if kind == "ConfigError" else DataError)(**answer["error"])
+
+
+def _run(request: Mapping[str, Any], file: Path) -> tuple[dict[str, Any], Arrays]:
+    """Return what the child answers, and its arrays; DataError if it ended without an answer."""
+    here, cpu = str(Path(errors.__file__).parents[1]), request["seconds"]
+    # the child finds modules where this process does, but not in the working folder
+    search_path = [here] * (here not in sys.path) + [entry for entry in sys.path if entry]
+    python = [sys.executable, "-I", "-X", f"utf8={sys.flags.utf8_mode}", "-c", _CHILD]
+    what = f"its reader was ended: {cpu} s of processor time, or {WALL_SECONDS + 4 * cpu:g} s"
+    slow = _error(file, what, "a file that is read in the time that its size warrants")
+    with tempfile.TemporaryFile(buffering=0) as written:
+        try:
+            done = subprocess.run(
+                [*python, json.dumps(search_path), json.dumps({**request, "parent": os.getpid()})],
+                stdin=subprocess.DEVNULL,
+                stdout=written,
+                stderr=subprocess.DEVNULL,
+                env={**os.environ, **_ENVIRONMENT},
+                timeout=WALL_SECONDS + 4 * cpu,
+                check=False,
+                start_new_session=True,  # Ctrl-C is for the parent, which ends the child
+            )
+        except subprocess.TimeoutExpired:
+            raise slow from None
+        if done.returncode == -getattr(signal, "SIGXCPU", 0):
+            raise slow
+        if done.returncode == -getattr(signal, "SIGKILL", 0):
+            what = "its reader was ended from outside, as the system does when memory runs out"
+            raise _error(file, what, fix="free memory, or run fewer at once with --jobs")
+        if done.returncode < 0:
+            raise _error(file, f"its reader crashed ({signal.Signals(-done.returncode).name})")
+        written.seek(0)
+        with os.fdopen(written.fileno(), "rb", closefd=False) as stored:
+            try:
+                answer = json.loads(stored.readline(MAX_ANSWER_BYTES))
+                return answer, {name: np.load(stored, allow_pickle=False) for name in answer["arrays"]}
+            except (KeyError, TypeError, ValueError, EOFError):
+                raise _error(file, "its reader ended without an answer") from None
+
+
+_DAMAGED = "the file may be damaged: copy it or export it again"
+_FREE_MEMORY = "free memory, or run fewer at once with --jobs"
+
+
+def _error(file: Path, what: str, expected: str = "", fix: str = "") -> DataError:
+    expected = expected or "a whole file, as its program wrote it"
+    return DataError(what, where=str(file), expected=expected, fix=fix or _DAMAGED)
+
+
+# ---- in the child
+
+
+def serve(request: Mapping[str, Any]) -> None:
+    """Run the reader of a request under its limits, answer, and end."""
+    end_with(request["parent"])
+    arrays: Arrays = {}
+    with os.fdopen(os.dup(1), "wb") as answers:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # a native library may write there
+        answer = {**_attempt(request, arrays), "arrays": list(arrays)}
+        answers.write(json.dumps(answer).encode("ascii") + b"\n")
+        for array in arrays.values():
+            np.save(answers, array, allow_pickle=False)
+    os._exit(0)  # what native libraries do at the end takes time, and may crash
+
+
+def _attempt(request: Mapping[str, Any], arrays: Arrays) -> dict[str, Any]:
+    try:
+        module, _, name = request["reader"].partition(":")
+        reader = getattr(import_module(module), name)
+        _set_limits(request["memory"], request["seconds"])
+        return {"kind": "value", "value": reader(arrays, **request["arguments"])}
+    except NeedlefitError as error:
+        parts = {key: getattr(error, key) for key in ("what", "where", "expected", "fix")}
+        return {"kind": type(error).__name__, "error": parts}
+    except ModuleNotFoundError as error:
+        return {"kind": "missing", "name": error.name}
+    except Exception as error:  # whatever the bytes provoke; its text may quote them
+        if isinstance(error, MemoryError) or getattr(error, "errno", 0) == errno.ENOMEM:
+            arrays.clear()
+            return {"kind": "memory"}
+        return {"kind": "raised", "name": type(error).__name__}
+
+
+def _set_limits(memory: int, seconds: int) -> None:
+    if resource is None:
+        return
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    _limit(resource.RLIMIT_CPU, math.ceil(used.ru_utime + used.ru_stime) + seconds)
+    _limit(resource.RLIMIT_CORE, 0)
+    pages = Path("/proc/self/statm")
+    if pages.exists():  # elsewhere address space cannot be measured
+        taken = int(pages.read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+        _limit(resource.RLIMIT_AS, taken + memory)
+
+
+def allow_memory(size: int) -> None:
+    """Grant the reader so many more bytes, once the header that promises them is checked."""
+    if resource is not None:
+        soft = resource.getrlimit(resource.RLIMIT_AS)[0]
+        if soft != resource.RLIM_INFINITY:
+            _limit(resource.RLIMIT_AS, soft + size)
+
+
+def _limit(kind: int, wanted: int) -> None:
+    hard = resource.getrlimit(kind)[1]
+    resource.setrlimit(kind, (wanted if hard == resource.RLIM_INFINITY else min(wanted, hard), hard))
