@@ -11,7 +11,6 @@ A full run is still to be made: docs/studies.md has no result yet.
 """
 
 import argparse
-import math
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -30,7 +29,6 @@ RULES = {
     "tie: cells belong to the point behind": {"constraint_switch": 1.0},
     "advance: along half of the slope": {"tangent_part": 0.5},
     "advance: a shift in x": {"tangent_part": 0.0},
-    "advance: path angle": {"advance": "path_angle"},
     "constraint spacing 0.5 mm": {"constraint_spacing_mm": 0.5},
     "constraint spacing 2 mm": {"constraint_spacing_mm": 2.0},
     "first cell always whole": {"first_cell_mm": 1.0},
@@ -42,20 +40,9 @@ RULES = {
 }
 
 
-def change_rules(medium: dict, rules: dict) -> dict:
-    """Return a tissue model under other rules; under "path_angle" an angle (degrees) stands in place of b."""
-    parameters = dict(medium["parameters"])
-    if rules.get("advance") == "path_angle":
-        ends = [
-            math.degrees(b / medium["constraint_spacing_mm"]) for b in parameters.pop("bevel_mm")["bounds"]
-        ]
-        parameters["cut_angle_deg"] = {"bounds": [ends[0], min(ends[1], 44.0)]}
-    return medium | rules | {"parameters": parameters}
-
-
 def score(study: str, name: str, starts: int) -> dict:
     """Return the mean errors of held-out insertions, and their noise floors, mm."""
-    medium = change_rules(load_medium(STUDIES[study]), RULES[name])
+    medium = load_medium(STUDIES[study]) | RULES[name]
     found = score_study(study, medium=medium, recipe={"starts": starts, "metric": False})
     held_out = found.query("role == 'validate' and method == 'fitted'")
     columns = [column for metric in METRICS for column in (metric, f"floor_{metric}")]

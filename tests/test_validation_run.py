@@ -154,7 +154,8 @@ def test_the_run_records_its_settings(clean: Run) -> None:
     assert search["negative_log_posterior"] == starts["objective"].min()
     assert search["values"] == fitted(clean)
     assert json.loads(json.dumps(clean.run)) == clean.run
-    assert [name for name, frame in frames(clean).items() if frame.empty] == ["failures", "error_fit"]
+    empty = [name for name, frame in frames(clean).items() if frame.empty]
+    assert empty == ["failures", "error_fit", "population"]
 
 
 @pytest.mark.sweep
