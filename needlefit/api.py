@@ -1,7 +1,7 @@
 """Fit, sample, predict and validate from Python; each returns a `Run`, as the commands write it.
 
 Inputs are names (of what ships, or lies in the working folder), paths, or records, tables and datasets in
-memory. Nothing is written but by `Run.save`, `write_prior`, and with `checkpoint`.
+memory. Nothing is written but by `Run.save`, `make_twin`, `write_prior`, and with `checkpoint`.
 """
 
 import math
@@ -12,24 +12,31 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import fields, replace
+from itertools import product
 from pathlib import Path
 from typing import Any, TypedDict, TypeVar, Unpack
 
 import numpy as np
+import pandas as pd
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
+from needlefit.inference.fit import Callbacks
+from needlefit.inference.optimize import minimize
 from needlefit.inference.parameter_changes import change_parameters
+from needlefit.inference.sampling.importance import sample_about_fit
 from needlefit.project.checkpoint import remove_checkpoint
 from needlefit.project.input_files import is_dir
 from needlefit.project.json_values import to_json_values
 from needlefit.project.locate import FileKind, find_file, find_run, find_studies, is_path
 from needlefit.project.processes import count_cores
 from needlefit.project.progress import Progress, Stop, never_stop, no_progress
+from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import THIS_PROCESS, TaskPool
 from needlefit.project.toml import add_file_context, check, dumps, load
+from needlefit.schemas.analyses import SyntheticDataRecord
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.medium import MaterialRecord, MediumRecord, spell_parameter
 from needlefit.schemas.recipe import RecipeRecord
@@ -39,6 +46,7 @@ from needlefit.studies.job import Inputs, Settings, change_fit, prepare, set_pri
 from needlefit.studies.kind import find_kind, kind_of
 from needlefit.studies.kinds.prediction import require_same_configuration
 from needlefit.studies.run import Run
+from needlefit.studies.score import Scorer, make_predictors
 from needlefit.studies.store import restore_run
 from needlefit.studies.study_files import check_study, load_study, load_target
 
@@ -77,6 +85,24 @@ class RunOptions(TypedDict, total=False):
     pool: TaskPool
     progress: bool | Progress
     checkpoint: Name
+
+
+class StudyChanges(RunOptions, total=False):
+    """What a study is run with, in place of what its file names, and how it is executed.
+
+    Attributes
+    ----------
+    dataset : str, Path or Dataset
+        Another dataset, with insertions of the same names: `make_twin(folder, 2)`.
+    medium : str, Path, MediumRecord or table
+        Another tissue model: `load_medium("phantom2") | {"tangent_part": 0.5}`.
+    recipe : str, Path, RecipeRecord or table
+        How to search and sample, as of `FitChanges`.
+    """
+
+    dataset: Name | Dataset
+    medium: Medium
+    recipe: Name | RecipeRecord | Table
 
 
 class FitChanges(RunOptions, total=False):
@@ -122,6 +148,26 @@ def load_dataset(name: Name) -> Dataset:
     return read(find_file("dataset", _spell(name)))
 
 
+def load_medium(name: Name) -> dict[str, Any]:
+    """Return the keys of a tissue model, to be changed and given as `medium`.
+
+    Lengths are in mm, bounds and fixed values of `parameters` in Pa, mm and degrees.
+
+    Raises
+    ------
+    ConfigError
+        If there is none of that name, or it holds a wrong, missing or unknown key.
+
+    Examples
+    --------
+    >>> chicken = load_medium("chicken")
+    >>> chicken["parameters"]["bevel_mm"]
+    {'bounds': [0.001, 0.5]}
+    """
+    record, _ = _read_record("medium", name, MediumRecord)
+    return record.model_dump(mode="json", by_alias=True, exclude_none=True)
+
+
 def make_twin(folder: Name, seed: int, media: Sequence[str] = ()) -> Dataset:
     """Write the synthetic dataset of another seed to `folder`, and return it.
 
@@ -148,6 +194,33 @@ def make_twin(folder: Name, seed: int, media: Sequence[str] = ()) -> Dataset:
     if missing := set(media) - {one.medium for one in plan}:
         raise ConfigError(f"the twin has no insertions into {', '.join(sorted(missing))}")
     return read(build_unscanned(Path(folder), seed, plan))
+
+
+def simulate_dataset(data: Table, medium: Medium, seed: int) -> Dataset:
+    """Return a dataset of simulated insertions into one layer, for `score_study` and `estimate_evidence`.
+
+    It has no files.
+
+    Parameters
+    ----------
+    data : table
+        `title`; the true `values` (Pa, mm); the `needle`, as in a scene; `noise`, as in a dataset;
+        optionally `pose_angle_sd_deg` and `depth_sd_mm`; and `insertions`: a list of tables with
+        `depth_mm`, `side` (1 or -1) and `base_moved_mm`, how far the base moves across afterwards.
+    medium : str, Path, MediumRecord or table
+        The tissue model that generates the shapes.
+    seed : int
+        Of the errors of measurement.
+
+    Raises
+    ------
+    ConfigError
+        If a key is wrong, or an insertion has no solution.
+    """
+    from needlefit.studies.simulated_data import simulate_dataset
+
+    record = check(_plain(None, data), SyntheticDataRecord, "needlefit.api.simulate_dataset")
+    return simulate_dataset("simulated", record, _read_record("medium", medium, MediumRecord)[0], seed)
 
 
 def load_run(folder: Name, unverified: bool = False) -> Run:
@@ -277,13 +350,15 @@ def predict(
     return _run(record, f"predict-{about}-{stem}", Settings(inputs=inputs), options)
 
 
-def validate(study: Name | FileRecord | Table, **options: Unpack[RunOptions]) -> Run:
+def validate(study: Name | FileRecord | Table, **options: Unpack[StudyChanges]) -> Run:
     """Run a study of any kind: fit and score held-out insertions, or whatever else its file asks.
 
     Parameters
     ----------
     study : str, Path, record or table
         A name such as `study3`, a path, or the keys of a study file.
+    **options
+        See `StudyChanges`: of a study that fits and scores, other data and another model.
 
     Raises
     ------
@@ -294,21 +369,111 @@ def validate(study: Name | FileRecord | Table, **options: Unpack[RunOptions]) ->
     KeyboardInterrupt
         With Ctrl-C.
     """
-    file, name = None, "study"
-    if isinstance(study, FileRecord):
-        record = study
-    elif isinstance(study, Mapping):
-        record = check_study(study, "needlefit.validate")
-    else:
-        (name, file), *others = find_studies(_spell(study))
-        if others:
-            raise ConfigError(
-                f"`{study}` means several studies",
-                expected="a single one",
-                fix=f"run them one by one: {', '.join([name, *(other for other, _ in others)])}",
+    name, record, file = _load_study(study)
+    inputs = Inputs()
+    if options.keys() & {"dataset", "medium", "recipe"}:
+        record, inputs = _replace_inputs(record, options)
+    return _run(record, name, Settings(inputs=inputs, file=file), options)
+
+
+def score_study(study: Name | FileRecord | Table, **options: Unpack[StudyChanges]) -> pd.DataFrame:
+    """Fit a study, and return the errors of every method on every insertion.
+
+    Intervals, predictions and the error-minimising fit of `validate` are left out: seconds instead of a
+    minute. Layers are where the needle was measured to cross them, as in the paper's tables.
+
+    Parameters
+    ----------
+    study : str, Path, record or table
+        A study that fits and scores, or a fit, as of `validate`.
+    **options
+        See `StudyChanges`; the dataset may be changed in memory.
+
+    Returns
+    -------
+    DataFrame
+        One row per insertion and method: `fold`, `role` ("tune" or "validate"), `insertion`, `medium`,
+        `specimen`, `layers`, `depth_mm`, `method`, `converged`, and a column for each metric, mm or percent,
+        and for its noise floor, `floor_<metric>`.
+
+    Raises
+    ------
+    ConfigError, DataError, FitError
+        As of `validate`.
+    """
+    name, record, file = _load_study(study)
+    record, inputs = _replace_inputs(record, options, stored=False)
+    settings = Settings(seed=options.get("seed"), jobs=options.get("jobs", count_cores()), inputs=inputs)
+    with nullcontext() if file is None else add_file_context(file):
+        job = prepare(name, record, settings)
+    scorer = Scorer(job.dataset, record.layer_count_rule, {one.id: job.floor(one) for one in job.insertions})
+    rows = []
+    for fold in job.folds:
+        problem = job.problem(fold)
+        fits = {
+            search: minimize(
+                job.problem(fold, search),
+                job.recipe_of(search),
+                random_stream(job.recipe.seed, fold.name, search, "starts"),
+                Callbacks(jobs=settings.jobs),
             )
-        record = load_study(file)
-    return _run(record, name, Settings(file=file), options)
+            for search in job.searches
+            if search != "fitted_metric"
+        }
+        methods = make_predictors(problem, fits, job.hand_tuned)
+        for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
+            for insertion, (method, curves) in product(insertions, methods.items()):
+                place = {"fold": fold.name, "role": role, "method": method}
+                rows += scorer.score(place, replace(insertion, surfaces=()), curves)[0]
+    return pd.DataFrame(rows).drop(columns=["boundaries", "comparison"])
+
+
+def estimate_evidence(
+    target: Name | Dataset, medium: Medium | None = None, **options: Unpack[FitChanges]
+) -> "pd.Series[float]":
+    """Return the evidence of a tissue model: the probability density of the data, over all its parameters.
+
+    The log density of insertions B predicted from insertions A is the evidence of both, less that of A. The
+    integral is by importance sampling about the modes of the fit.
+
+    Parameters
+    ----------
+    target, medium, **options
+        As of `fit`; the dataset may have no files. Recipes to be compared need one likelihood.
+
+    Returns
+    -------
+    Series
+        `log_evidence` (of lengths in mm), its Monte Carlo error `se`, Pareto's `k` of the weights (above
+        0.7 the estimate is not reliable) and their effective sample size `ess`.
+
+    Raises
+    ------
+    ConfigError, DataError, FitError
+        As of `fit`; ConfigError also if no noise of the points is stated.
+    """
+    if medium is None:
+        if isinstance(target, Dataset):
+            raise ConfigError("a dataset alone has no evidence", fix='name the model: "phantom1"')
+        name, record, file = load_target(_spell(target))
+        inputs = Inputs()
+    else:
+        name, record, inputs = _begin_fit(target, medium, stored=False)
+        file = None
+    record, inputs = _change_fit(record, inputs, options)
+    settings = Settings(seed=options.get("seed"), jobs=options.get("jobs", count_cores()), inputs=inputs)
+    with nullcontext() if file is None else add_file_context(file):
+        job = prepare(name, record, settings)
+    if job.recipe.minimize != "posterior":
+        raise ConfigError(
+            "an evidence needs the errors of the points", expected="a dataset that states its noise"
+        )
+    problem = job.problem(job.folds[0])
+    rng = random_stream(job.recipe.seed, "evidence")
+    fit = minimize(problem, job.recipe, rng, Callbacks(jobs=settings.jobs))
+    found = sample_about_fit(problem, fit, rng, settings.jobs)
+    values = (found.log_evidence, found.log_evidence_se, found.k, found.effective_sample_size)
+    return pd.Series(values, index=["log_evidence", "se", "k", "ess"])
 
 
 def write_prior(
@@ -359,19 +524,67 @@ def _fit(target: Name | Dataset | Run, medium: Medium | None, options: FitChange
     return _run(record, name, Settings(sample=sample, inputs=inputs, file=file), options)
 
 
-def _begin_fit(target: Name | Dataset | Run, medium: Medium) -> tuple[str, FitRecord, Inputs]:
+def _begin_fit(
+    target: Name | Dataset | Run, medium: Medium, stored: bool = True
+) -> tuple[str, FitRecord, Inputs]:
     if isinstance(target, Run):
         raise ConfigError("a run has a medium already", fix="leave `medium` out, or give the dataset")
-    if isinstance(target, Dataset):
-        dataset, data = _require_unchanged(target), _name_dataset(target)
-    else:
-        dataset, data = load_dataset(target), _spell(target)
-    given, label = (
-        (None, _spell(medium)) if isinstance(medium, Name) else _read_record("medium", medium, MediumRecord)
-    )
-    table = {"schema": FitRecord.SCHEMA, "dataset": data, "medium": label}
-    name = f"{dataset.name}-{Path(label).stem}" if given is None else dataset.name
-    return name, check(table, FitRecord, "needlefit.fit"), Inputs(dataset=dataset, medium=given)
+    table = {"schema": FitRecord.SCHEMA, "dataset": _IN_MEMORY, "medium": _IN_MEMORY}
+    empty = check(table, FitRecord, "needlefit.fit")
+    record, inputs = _replace_inputs(empty, {"dataset": target, "medium": medium}, stored)
+    dataset = load_dataset(record.dataset) if inputs.dataset is None else inputs.dataset
+    name = dataset.name if inputs.medium else f"{dataset.name}-{Path(record.medium).stem}"
+    return name, record, replace(inputs, dataset=dataset)
+
+
+def _load_study(study: Name | FileRecord | Table) -> tuple[str, FileRecord, Path | None]:
+    """Return the name of a study, its record, and its file, which one in memory has not."""
+    if isinstance(study, FileRecord):
+        return "study", study, None
+    if isinstance(study, Mapping):
+        return "study", check_study(study, "needlefit.validate"), None
+    (name, file), *others = find_studies(_spell(study))
+    if others:
+        raise ConfigError(
+            f"`{study}` means several studies",
+            expected="a single one",
+            fix=f"run them one by one: {', '.join([name, *(other for other, _ in others)])}",
+        )
+    return name, load_study(file), file
+
+
+def _replace_inputs(
+    record: FileRecord, options: StudyChanges, stored: bool = True
+) -> tuple[FitRecord, Inputs]:
+    """Return a study, and what is in memory for it, with the files that were replaced.
+
+    Of a run that may be `stored`, the dataset must be what its files hold.
+    """
+    if not isinstance(record, FitRecord):
+        raise ConfigError(
+            "only a study that fits and scores takes another dataset, tissue model or recipe",
+            expected="a study file without `kind`",
+        )
+    changes: dict[str, Any] = {}
+    inputs = Inputs()
+    if "dataset" in options:
+        dataset = options["dataset"]
+        if isinstance(dataset, Dataset):
+            inputs = replace(inputs, dataset=_require_unchanged(dataset) if stored else dataset)
+            changes["dataset"] = _name_dataset(dataset)
+        else:
+            changes["dataset"] = _spell(dataset)
+    if "medium" in options:
+        medium = options["medium"]
+        if isinstance(medium, Name):
+            changes["medium"] = _spell(medium)
+        else:
+            given, changes["medium"] = _read_record("medium", medium, MediumRecord)
+            inputs = replace(inputs, medium=given)
+    if "recipe" in options:
+        recipe, changes["recipe"] = _read_recipe(options["recipe"])
+        inputs = replace(inputs, recipe=recipe)
+    return check(_plain(record, changes), type(record), "needlefit.validate"), inputs
 
 
 def _change_fit(record: FitRecord, inputs: Inputs, options: FitChanges) -> tuple[FitRecord, Inputs]:

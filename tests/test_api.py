@@ -240,3 +240,53 @@ def test_importing_the_package_loads_nothing_else():
     code = "import sys, needlefit; print([m for m in sys.modules if m.startswith(('numpy', 'needlefit.'))])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_errors_of_a_study_are_those_of_validate_and_change_with_the_tissue_model(world, monkeypatch):
+    monkeypatch.chdir(world.folder)
+    found = api.score_study("held_out")
+    keys, metrics = ["role", "insertion", "method"], ["ipe_mean_mm", "te_mm", "floor_te_mm"]
+    scored = found.set_index(keys)[metrics].sort_index()
+    run = world.restore("cross_validation").frames["errors"]
+    stored = run[run["boundaries"] == "measured"].set_index(keys)[metrics].sort_index()
+    pd.testing.assert_frame_equal(scored, stored.loc[scored.index], check_exact=False, rtol=1e-9)
+    stiffer = api.load_medium("gel") | {"constraint_spacing_mm": 2.0}
+    changed = api.score_study("held_out", medium=stiffer).set_index(keys)["te_mm"].sort_index()
+    fitted = ("validate", "needle-3", "fitted")
+    assert changed.loc[fitted] != pytest.approx(scored.loc[fitted, "te_mm"], rel=1e-3)
+    with pytest.raises(ConfigError):
+        api.score_study("cohort")
+    with pytest.raises(ConfigError):
+        needlefit.validate("plan", medium=stiffer)
+
+
+def test_an_evidence_of_one_parameter_is_the_integral_over_it(world, monkeypatch):
+    monkeypatch.chdir(world.folder)
+    fixed = {"tune": {"insertions": ["needle-1"]}, "recipe": "tiny", "fix": {"b": 0.09}}
+    found = api.estimate_evidence("needles", "gel", **fixed)
+    record, inputs = api._change_fit(*api._begin_fit("needles", "gel")[1:], fixed)
+    job = api.prepare("x", record, api.Settings(inputs=inputs))
+    problem = job.problem(job.folds[0])
+    assert problem.names == ("mu1_pa",)
+    at = np.linspace(problem.lower[0], problem.upper[0], 2001)
+    heights = problem.log_posteriors(at[:, None])
+    exact = np.log(np.trapezoid(np.exp(heights - heights.max()), at)) + heights.max()
+    assert found["log_evidence"] == pytest.approx(exact, abs=4 * found["se"])
+    assert found["se"] < 0.1 and found["k"] < 0.7
+
+
+def test_a_simulated_dataset_has_its_insertions_and_no_files():
+    noise = {"registration_mean_mm": 0.1, "point_sd_mm": 0.01}
+    table = {
+        "title": "two",
+        "values": {"mu1_pa": 3e3, "alpha1": 8.0, "bevel_mm": 0.03},
+        "needle": {"length_mm": 150.0, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 80.0},
+        "noise": noise,
+        "insertions": [{"depth_mm": 30.0}, {"depth_mm": 40.0, "side": -1, "base_moved_mm": 5.0}],
+    }
+    one, same, other = (api.simulate_dataset(table, "thin_gel", seed) for seed in (1, 1, 2))
+    assert [insertion.depth for insertion in one.insertions] == [30.0, 40.0] and one.origin == "synthetic"
+    assert np.array_equal(one.insertions[1].planar, same.insertions[1].planar)
+    assert not np.array_equal(one.insertions[1].planar, other.insertions[1].planar)
+    with pytest.raises(ConfigError):
+        api.simulate_dataset(table | {"noise": {"point_sd": 1.0}}, "thin_gel", 1)

@@ -284,9 +284,6 @@ STUDY |= {"tune": {"medium": "chicken"}}
     [
         ("study3", "cross-validation", [{"tune": 1, "validate": 10}]),
         ("phantom1", "fit", [{"tune": 10, "validate": 0}]),
-        ("adaptation3", "adaptation", []),
-        ("comparison_twin", "comparison", None),
-        ("sensitivity", "sensitivity", None),
     ],
 )
 def test_a_shipped_study_has_no_faults(name, kind, folds, capsys):
@@ -305,7 +302,7 @@ def test_a_shipped_study_has_no_faults(name, kind, folds, capsys):
         ({"recipe": "none"}, "mine.toml"),
         ({"tune": {"medium": "pork"}}, "mine.toml"),
         ({"tune": {"medium": "phantom1"}, "medium": "phantom1"}, 'leave_out = "insertion"'),
-        ({"kind": "adaptation"}, "mine.toml"),
+        ({"kind": "cohort"}, "mine.toml"),
         ({"dataset": None, "medium": None, "leave_out": None}, "mine.toml"),
         ("schema = 1\nlayers = 1\n", "mine.toml"),  # of a tissue
     ],

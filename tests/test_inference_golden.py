@@ -20,7 +20,7 @@ from needlefit.datasets.read import read
 from needlefit.inference import track_predictions
 from needlefit.inference.baseline_fit import fit_baselines
 from needlefit.inference.baselines import BASELINES
-from needlefit.inference.identifiability.design_gain import expect_precision, linearized_gain, nested_gain
+from needlefit.inference.identifiability.design_gain import expect_precision, nested_gain
 from needlefit.inference.identifiability.identify import identify, profile_parameters
 from needlefit.inference.likelihood.observation import make_observation
 from needlefit.inference.optimize import minimize
@@ -61,7 +61,6 @@ def test_gains_and_specimens():
     posterior = Population(tuple(known), BOUNDS, MODEL).posterior(rng())
     found = {
         "gain": nested_gain(predict_data(thetas, by_depth), of, thetas, rng()),
-        "linear": linearized_gain(COVARIANCE, np.eye(2)),
         "posterior": [posterior.thetas.mean(axis=0), posterior.thetas.std(axis=0), posterior.k],
     }
     assert_golden("gains", found)

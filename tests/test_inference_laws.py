@@ -18,7 +18,6 @@ from needlefit.inference.identifiability.identify import (
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.scene import Scene, simulate_scene
 from needlefit.schemas.medium import MediumRecord
-from needlefit.studies.kinds.comparison import _with_law
 
 SHAPE = {
     "linear": {},
@@ -89,11 +88,3 @@ def test_fixed_shape_parameters_are_freed_for_their_profiles(law):
     assert set(found) == set(truth)
     for name, value in SHAPE[law].items():
         assert found[name].fixed_at == value and found[name].tip_range_mm > 0
-
-
-def test_a_medium_of_another_law_keeps_what_that_law_has():
-    record = make_case("two_term_ogden", alpha1={"bounds": [-2.0, 70.0]}, share1={"fixed": 0.2})[0].medium
-    assert set(_with_law(record, "fung").parameters) == {"mu1_pa", "mu2_pa", "bevel_mm", "alpha1"}
-    assert _with_law(record, "fung").parameters["alpha1"].bounds == (0.0, 50.0)
-    assert set(_with_law(record, "gent").parameters) == {"mu1_pa", "mu2_pa", "bevel_mm"}
-    assert _with_law(record, "linear").parameters["alpha1"].fixed == 1.0

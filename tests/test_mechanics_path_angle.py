@@ -22,7 +22,7 @@ from needlefit.mechanics.simulate import simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
-from needlefit.schemas.medium import MediumRecord, ParameterRecord, use_path_angle
+from needlefit.schemas.medium import MediumRecord, ParameterRecord
 from needlefit.viewer.steering import Change, apply_changes, find_changes
 
 PHANTOM = Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=[7, 13, 18])
@@ -118,7 +118,11 @@ def test_the_tip_is_continuous_in_depth_and_boundary(at: float) -> None:
 
 @pytest.fixture(scope="module")
 def medium() -> MediumRecord:
-    return use_path_angle(load(find_file("medium", "phantom2"), MediumRecord))
+    """Phantom 2 with an angle in the place of b: bounds of the same order, (turn of a cell) / (1 mm)."""
+    tangent = load(find_file("medium", "phantom2"), MediumRecord)
+    parameters = {name: one for name, one in tangent.parameters.items() if name != "bevel_mm"}
+    parameters["cut_angle_deg"] = ParameterRecord(bounds=(math.degrees(1e-3), math.degrees(0.5)))
+    return tangent.model_copy(update={"advance": "path_angle", "parameters": parameters})
 
 
 def test_a_medium_has_the_angle_in_the_place_of_b(medium: MediumRecord) -> None:

@@ -1,7 +1,6 @@
 """Plans of steering: they reach what can be reached, past obstacles, and say how probable that is."""
 
 import json
-import math
 from dataclasses import replace
 from functools import cache
 
@@ -10,12 +9,9 @@ import pytest
 from test_cli import run
 from test_datasets_markups import markup, point, save
 
-from needlefit.errors import ConfigError, DataError, ModelError
+from needlefit.errors import DataError, ModelError
 from needlefit.geometry.frames import Frame, Placement
-from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import ParameterDraws
-from needlefit.inference.predict import Draws
-from needlefit.inference.sampling.importance import Effort
 from needlefit.mechanics.control import Bevel, Step
 from needlefit.mechanics.scene import Scene, begin_session
 from needlefit.mechanics.shape import compute_positions
@@ -37,25 +33,6 @@ from needlefit.planning.steering import (
     plan_steering,
 )
 from needlefit.schemas.planning import ObstacleRecord
-from needlefit.studies import further_insertion
-from needlefit.studies.further_insertion import (
-    WeightedPosterior,
-    find_specimen,
-    find_template,
-    move_to_specimen,
-)
-from needlefit.studies.held_out_predictions import PosteriorFit, Specimens
-from needlefit.studies.job import Fold, Job, Settings, prepare
-from needlefit.studies.kinds import next_insertion
-from needlefit.studies.kinds.next_insertion import REPORT as NEXT_REPORT
-from needlefit.studies.kinds.next_insertion import (
-    CandidateEntryRecord,
-    NextInsertionRecord,
-    frame_of,
-    predict_candidate,
-)
-from needlefit.studies.planned_draws import vary_bevels
-from needlefit.studies.report import write_run
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.plans import begin_insertion
 from needlefit.viewer.recording import read_recording, replay
@@ -269,206 +246,8 @@ def test_the_bevel_of_a_path_angle_scene_is_planned_too() -> None:
     assert plan((40.0, -1.0), start=replace(insertion(), rules=rules, path=(start,))).nominal_miss < 0.1
 
 
-SOFT = {"mu1_pa": 2e4, "alpha1": 1.0, "bevel_mm": 0.2}
-
-
-@cache
-def job() -> Job:
-    return prepare("test", NextInsertionRecord.model_validate(NEXT_INSERTION).tuning(), Settings())
-
-
 @pytest.mark.parametrize(("centre", "clearance"), [((5, 3), 2.0), ((13, 4), 4.0), ((5, 0.5), -0.5)])
 def test_clearance_is_the_distance_from_the_rim(centre, clearance):
     line = np.array([[[0.0, 0.0], [10.0, 0.0]]])
     obstacle = ObstacleRecord(name="a", centre_mm=centre, radius_mm=1)
     assert compute_clearances(line, obstacle) == pytest.approx(clearance)
-
-
-def posterior(theta: np.ndarray) -> WeightedPosterior:
-    """Return one certain draw as the posterior."""
-    fit = Fit(tuple(theta), {}, 0.0, (), 1, 0, interrupted=False)
-    learned = PosteriorFit(fit, Draws(theta[None], "importance"), 0.0)
-    problem = job().problem(job().folds[0])
-    return WeightedPosterior(problem, learned, theta[None], np.ones(1), 0.1, problem.new_bevel_sd)
-
-
-def test_needles_differ_by_bevel_and_in_a_new_specimen_by_its_parameters():
-    (fold,) = job().folds
-    theta = job().parameters.theta({**SOFT, "bevel_spread": 0.1})
-    # so small that no draw meets a bound
-    stated = job().recipe.specimens.model_copy(update={"modulus_factor": 2.0, "bevel_factor": 1.2})
-    recipe = job().recipe.model_copy(update={"specimens": stated})
-    known, rng = Specimens(replace(job(), recipe=recipe), fold), np.random.default_rng(1)
-    sds, like = {}, find_template(job(), "chicken-02")
-    for name, into in (("same", like), ("new", None)):
-        moved = move_to_specimen(posterior(theta), known, into, rng)
-        thetas = moved.thetas[moved.drawn(4000, rng)]
-        sets = vary_bevels([moved.problem.values(one) for one in thetas], moved.bevel_sd, rng)
-        sds[name] = [np.std(np.log([values[key] for values in sets])) for key in ("bevel_mm", "mu1_pa")]
-    # of one insertion: its bevel is the mean of those fitted to
-    assert sds["same"][0] == pytest.approx(0.1 * np.sqrt(2), rel=0.05) and sds["same"][1] < 1e-9
-    # of the new specimen, and of the one tuned on
-    bevel = np.hypot(0.1 * np.sqrt(2), np.sqrt(2) * np.log(1.2))
-    assert sds["new"] == pytest.approx([bevel, np.sqrt(2) * np.log(2)], rel=0.05)
-
-
-@pytest.mark.parametrize(
-    ("tuned", "stated", "differs"),
-    [(True, None, False), (True, "new", True), (False, None, True), (False, "same", False)],
-)
-def test_the_template_s_specimen_decides_unless_the_study_does(tuned, stated, differs):
-    specimens = {one.specimen for one in job().folds[0].tune}
-    template = next(one for one in job().dataset.insertions if (one.specimen in specimens) == tuned)
-    assert (find_specimen(job(), template, stated) is None) == differs
-
-
-NEXT_INSERTION = {
-    "schema": 1,
-    "kind": "next_insertion",
-    "dataset": "twin",
-    "medium": "chicken",
-    "recipe": "quick",
-    "template_insertion": "chicken-02",
-    "depths_mm": [10, 80],
-    "tune": {"insertions": ["chicken-01"]},
-    "entries": [{"name": "anywhere", "layers": [1]}],
-    "quantities": [{"name": "tip at 60 mm", "entry": "anywhere", "depth_mm": 60}],
-}
-PHANTOM = {
-    **NEXT_INSERTION,
-    "medium": "phantom2",
-    "tune": {"medium": "phantom2", "layers": [2]},
-    "quantities": [],
-}
-
-
-def test_an_angle_turns_the_needle_toward_its_bevel():
-    entry = CandidateEntryRecord(
-        name="top", position_mm=(0, 1, 2), direction=(2, 0, 0), bending_direction=(0, 1, 0)
-    )
-    frame = frame_of(entry, 30.0)
-    half = math.sqrt(3) / 2
-    assert frame.origin == pytest.approx([0, 1, 2])
-    assert frame.rotation[:, 0] == pytest.approx([half, 0.5, 0])
-    assert frame.rotation[:, 1] == pytest.approx([-0.5, half, 0])
-
-
-def test_layers_are_those_listed_or_those_of_the_surfaces_on_the_planned_path():
-    record = NextInsertionRecord.model_validate(PHANTOM)
-    job = prepare("test", record.tuning(), Settings())
-    like = find_template(job, "phantom2-06")
-    values = {"mu1_pa": 2e5, "mu2_pa": 3e7, "bevel_mm": 1e-3, "alpha1": 1.0, "alpha2": -1.0}
-    values |= {"mu3_pa": 2e5, "mu4_pa": 3e7, "alpha3": 1.0, "alpha4": -1.0}
-    listed = CandidateEntryRecord(name="side", layers=(2, 3), boundaries_mm=(15.0,))
-    assert predict_candidate(job, like, (listed, 0.0, 12.0), values).sequence == (2,)
-    assert predict_candidate(job, like, (listed, 0.0, 20.0), values).sequence == (2, 3)
-    # the interfaces lie at x = 19 and 27 mm: at 60 degrees a straight needle meets them twice as deep
-    tilted = predict_candidate(
-        job, like, (CandidateEntryRecord(name="top", position_mm=(0, -39, 30)), 60.0, 60.0), values
-    )
-    assert tilted.sequence == (1, 2, 3)
-    assert tilted.boundaries == pytest.approx([38.0, 54.0], abs=0.1)
-
-
-@pytest.mark.parametrize(
-    ("entry", "fault"),
-    [
-        ({"name": "a", "boundaries_mm": [3.0]}, "there are none"),
-        ({"name": "a", "layers": [1, 2]}, "n - 1"),
-        ({"name": "a", "layers": [1], "angles_deg": [0, 10]}, "angles need surfaces"),
-    ],
-)
-def test_an_entry_lists_all_of_its_layers(entry, fault):
-    with pytest.raises(ValueError, match=fault):
-        CandidateEntryRecord.model_validate(entry)
-
-
-@pytest.mark.parametrize("ids", [["chicken-01"], ["chicken-01", "chicken-02", "chicken-03", "chicken-04"]])
-def test_the_mean_bevel_of_all_needles_is_less_known_than_that_of_some(ids):
-    record = NextInsertionRecord.model_validate({**NEXT_INSERTION, "tune": {"insertions": ids}})
-    job = prepare("deeper", record.tuning(), Settings())
-    problem = job.problem(job.folds[0])
-    theta = problem.parameters.theta({"mu1_pa": 2e3, "bevel_mm": 0.3, "bevel_spread": 0.1})
-    known = WeightedPosterior(
-        problem, None, np.tile(theta, (4000, 1)), np.full(4000, 1 / 4000), 0.1, problem.new_bevel_sd
-    )
-    factors = np.exp(next_insertion.refer_to_all_needles(known, np.random.default_rng(1)).thetas - theta)
-    sds = dict(zip(problem.names, factors.std(axis=0), strict=True))
-    assert sds["bevel_mm"] == pytest.approx(0.1 / np.sqrt(len(ids)), rel=0.05)
-    assert sds["mu1_pa"] == sds["bevel_spread"] == 0
-
-
-def test_deep_insertions_into_one_layer_determine_mu_better_and_alpha_not_at_all(tmp_path, monkeypatch):
-    monkeypatch.setattr(next_insertion, "OUTER_DRAWS", 40)
-    monkeypatch.setattr(further_insertion, "PLANNING_EFFORT", Effort(draws=100, min_ess=150.0))
-    answer = next_insertion.run("deeper", NextInsertionRecord.model_validate(NEXT_INSERTION), Settings())
-    found = answer.frames["candidates"].set_index("depth_mm")
-    assert found["nats"][80] > found["nats"][10] + 5 * found["nats_se"][10]
-    tips = answer.frames["tips"].set_index("depth_mm")
-    assert tips["sd_after_mm"][80] < tips["sd_after_mm"][10] < tips["sd_now_mm"][10]
-    alphas = answer.frames["alphas"]
-    assert np.all(alphas["sd_after"] > 0.99 * alphas["sd_now"])
-    assert "80 mm deep" in NEXT_REPORT.summarize(answer)[0]
-    written = {path.name for path in write_run(answer, tmp_path / "out").iterdir()}
-    assert {"gains.csv", "gains.pdf", "report.pdf", "report.html"} <= written
-
-
-def test_a_candidate_has_the_parameters_of_its_specimen_and_only_their_draws_count(monkeypatch):
-    """Specimen 2 is twice as stiff; the draws of all insertions together are not certified."""
-    ids = ["chicken-01", "chicken-02", "chicken-03", "chicken-04"]
-    table = {**NEXT_INSERTION, "tune": {"insertions": ids}, "depths_mm": [40]}
-    tuned = prepare("two", NextInsertionRecord.model_validate(table).tuning(), Settings())
-    first, second = dict.fromkeys(one.specimen for one in tuned.folds[0].tune)
-    last = [one for one in tuned.folds[0].tune if one.specimen == second]
-    theta = tuned.parameters.theta({"mu1_pa": 1e4, "bevel_mm": 0.2, "bevel_spread": 0.01})
-    noise = np.array([0.1, 0.02, 0.02])[: len(theta)] * np.random.default_rng(1).standard_normal((1000, 3))
-    stiffer = math.log(2.0) * (np.arange(len(theta)) == tuned.parameters.free.index("mu1_pa"))
-    drawn = {first: theta + noise, second: theta + stiffer + noise}
-    monkeypatch.setattr(Specimens, "_sample_specimen", lambda self, name: Draws(drawn[name], "importance"))
-    pooled = PosteriorFit(
-        Fit(tuple(theta), {}, 0.0, (), 1, 0, interrupted=False),
-        Draws(theta + noise, "importance", ("not certified",)),
-        0.9,
-        sampled=True,
-    )
-    monkeypatch.setattr(further_insertion, "fit_posterior", lambda *_: pooled)
-    monkeypatch.setattr(next_insertion, "OUTER_DRAWS", 40)
-    found, deflections = {}, {}
-    for specimen, template in ((first, "chicken-01"), (second, last[0].id)):
-        record = NextInsertionRecord.model_validate({**table, "template_insertion": template})
-        answer = next_insertion.run("two", record, Settings())
-        assert answer.faults == () and answer.frames["posterior"]["insertions"].tolist() == [len(ids)]
-        found[specimen] = answer.frames["candidates"].set_index("role")
-        parameters = answer.frames["parameters"].set_index(["role", "parameter"])
-        assert parameters["sd_now"]["candidate", "mu1_pa"] == pytest.approx(0.1, rel=0.1)
-        like, values = find_template(tuned, template), tuned.parameters.values(drawn[specimen].mean(axis=0))
-        place = (record.entries[0], 0.0, 40.0)
-        deflections[specimen] = predict_candidate(tuned, like, place, values).deflection
-        assert found[specimen]["deflection_mm"]["candidate"] == pytest.approx(deflections[specimen], rel=0.01)
-    assert deflections[second] > 1.1 * deflections[first]
-    deepest = max(last, key=lambda one: one.depth)
-    assert found[second]["entry"]["repeat"] == deepest.id
-    # of neither
-    moved = move_to_specimen(
-        WeightedPosterior(
-            tuned.problem(tuned.folds[0]), pooled, pooled.draws.thetas, np.full(1000, 1e-3), 0, 1
-        ),
-        Specimens(tuned, tuned.folds[0], pooled.draws),
-        None,
-        np.random.default_rng(1),
-    )
-    # one insertion into each: the spread between specimens contains the deviation of its bevel
-    alone = Fold("all", tuned.folds[0].tune[2:], ())
-    assert Specimens(replace(tuned, folds=(alone,)), alone).bevel_sd_in(None) == 0.0
-    other = {**table, "tune": {"insertions": ids[2:]}, "specimen": "new"}
-    answer = next_insertion.run("two", NextInsertionRecord.model_validate(other), Settings())
-    # data of a specimen that may be anything determine more than those of one that is known
-    gain = answer.frames["candidates"].set_index("role")["nats"]["candidate"]
-    assert found[second]["nats"]["candidate"] + 0.5 < gain < math.log(2000)
-    mu = tuned.parameters.free.index("mu1_pa")
-    middle, sd = np.mean(moved.thetas[:, mu]), np.std(moved.thetas[:, mu])
-    assert middle - theta[mu] == pytest.approx(0.5 * math.log(2.0), abs=0.1) and sd > 0.4
-    stated = {**table, "template_insertion": "phantom2-06", "specimen": "same"}
-    with pytest.raises(ConfigError) as caught:
-        next_insertion.run("two", NextInsertionRecord.model_validate(stated), Settings())
-    assert caught.value.key == "specimen" and all(one in caught.value.expected for one in (first, second))

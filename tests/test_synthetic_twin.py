@@ -33,7 +33,7 @@ from needlefit.synthetic.scans import WHOLE_BOX_SETUP, expose
 
 TWIN = shipped_folder() / "data" / "twin"
 PACKAGE = Path(needlefit.__file__).parent
-MAKE_TWINS = {"calibration", "seeds", "specimens", "simulated_data"}
+MAKE_TWINS = {"api", "calibration", "specimens", "simulated_data"}
 
 FEW = ("phantom2-16", "chicken-04")
 """The shortest needles."""

@@ -51,14 +51,11 @@ def _validate(name: str, *codes: int) -> Command:
 
 COMMANDS: Mapping[str, Command] = MappingProxyType(
     {
-        "adaptation": _validate("adaptation"),
         "calibration": Command(("calibrate", "meat", "--replicates", "2"), "calibrate-meat", (5,)),
         "cohort": _validate("cohort", 0),
-        "comparison": _validate("comparison"),
         "cross_validation": _validate("held_out", 0),
         "fit": Command(("tune", "gel"), "gel", (0, 5)),
         "identification": Command(("tune", "gel", "--design"), "gel-design", (0,)),
-        "next_insertion": _validate("next_insertion"),
         "prediction": Command(
             ("predict", "held_out", "--scene", "ahead"),
             "predict-held_out-ahead",
@@ -66,8 +63,6 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
             ("cross_validation",),
         ),
         "reconstruction": Command(("reconstruct", "sample_scan"), "scanned", (0,)),
-        "seeds": _validate("seeds"),
-        "sensitivity": _validate("sensitivity"),
         "tracks": _validate("tracks"),
     }
 )

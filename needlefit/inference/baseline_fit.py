@@ -5,28 +5,16 @@ and the logarithm of the noise scale. Of the uncertain depths only the tip's mov
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import Bounds, least_squares, minimize
+from scipy.optimize import least_squares
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Dataset, Insertion, Pose
+from needlefit.datasets.insertion import Insertion, Pose
 from needlefit.errors import ConfigError
-from needlefit.inference.baselines import BASELINES, Baseline, list_baselines, make_curvature_curve
+from needlefit.inference.baselines import BASELINES, Baseline, list_baselines
 from needlefit.inference.compared_points import ComparedPoints, Curve, align_points, select_points
-from needlefit.inference.likelihood.marginal import log_marginals
-from needlefit.inference.likelihood.nodes import make_group
-from needlefit.inference.likelihood.observation import (
-    Observation,
-    append_pose_curves,
-    make_observation,
-    whiten_residuals,
-)
-from needlefit.inference.parameters import NOISE_SCALE_BOUNDS
-from needlefit.schemas.recipe import LikelihoodRecord
 
 
 @dataclass(frozen=True)
@@ -82,105 +70,3 @@ def _residuals(
         simulated, measured = align_points(goal, baseline.curve(coefficients.tolist(), insertion))
         differences.append((simulated - measured).ravel())
     return np.concatenate(differences)
-
-
-#: bound of theta's coefficients: a curve that turns by this many rad over 100 mm is none of a needle
-MAX_COEFFICIENT = 10.0
-PEAK_STEP = 1e-5  #: of central differences by theta
-#: relative change of the density, and slope by theta, at which a search for its peak ends
-PEAK_TOLERANCE, PEAK_SLOPE = 1e-12, 1e-5
-
-
-@dataclass(frozen=True)
-class CurveDensity:
-    """The posterior of the coefficients of one empirical curve, given some insertions."""
-
-    name: str  #: of the baseline
-    dataset: Dataset
-    insertions: tuple[Insertion, ...]
-    likelihood: LikelihoodRecord
-    max_scale: float  #: largest noise scale
-
-    @property
-    def baseline(self) -> Baseline:
-        return BASELINES[self.name]
-
-    @property
-    def upper(self) -> Floats:
-        """Upper bounds of theta: (P,)."""
-        return np.array([*[MAX_COEFFICIENT] * len(self.baseline.scales), np.log(self.max_scale)])
-
-    @property
-    def lower(self) -> Floats:
-        """Lower bounds of theta: (P,)."""
-        return np.array([*[-MAX_COEFFICIENT] * len(self.baseline.scales), np.log(NOISE_SCALE_BOUNDS[0])])
-
-    def __call__(self, thetas: Floats) -> Floats:
-        """Return the log densities (W,) of thetas (W, P), -inf outside the bounds."""
-        inside = np.all((thetas >= self.lower) & (thetas <= self.upper), axis=1)
-        density = np.full(len(thetas), -np.inf)
-        if inside.any():
-            density[inside] = sum(
-                log_likelihoods(self, observation, thetas[inside]) for observation in self.observations
-            )
-        return density
-
-    @cached_property
-    def observations(self) -> tuple[Observation, ...]:
-        """The observations that curves are compared with; computed once."""
-        return tuple(self.of(insertion) for insertion in self.insertions)
-
-    def of(self, insertion: Insertion) -> Observation:
-        """Return the observation of an insertion; boundaries get no error, since they do not move a curve."""
-        # a curve has no layers and no bevel; theta holds the scale of the noise
-        plain = self.likelihood.model_copy(update={"bevel_spread": 0.0, "noise_scale": "estimated"})
-        return make_observation(self.dataset, replace(insertion, boundary_sd=0.0), likelihood=plain)
-
-    def curve(self, theta: Floats) -> FittedBaseline:
-        """Return the curve with the coefficients in theta."""
-        found = theta[:-1] * np.array(self.baseline.scales)
-        return FittedBaseline(self.baseline, tuple(found.tolist()), float("nan"))
-
-    def draw_curves(self, thetas: Floats, insertion: Insertion, s: Floats) -> Floats:
-        """Return the points (W, K, 2), or (K, 2) of all, of an insertion at `s` (K,) for thetas (W, P)."""
-        if self.baseline.curve is make_curvature_curve:  # it takes all sets at once
-            rows = thetas[:, :-1].T * np.array(self.baseline.scales)[:, None]
-            return make_curvature_curve(rows, insertion)(s)
-        return np.array([self.curve(theta).curve(insertion)(s) for theta in thetas])
-
-    @cached_property
-    def peak(self) -> Floats:
-        """Theta (P,) of the greatest density, found by a search from the least-squares curve."""
-        pose, drop = self.dataset.pose, self.dataset.drop_proximal
-        closest = fit_baseline(self.name, pose, drop, self.insertions).coefficients
-        scaled = np.array(closest) * (1 / np.array(self.baseline.scales))
-        return self.find_peak(*(np.array([*scaled, np.log(scale)]) for scale in (1.0, 10.0)))
-
-    def find_peak(self, *starts: Floats) -> Floats:
-        """Return theta (P,) of the greatest density that a search from some starts (P,) finds."""
-        moves = PEAK_STEP * np.eye(len(self.lower))
-        bounds = Bounds(self.lower + PEAK_STEP, self.upper - PEAK_STEP)
-        ending: Any = {"ftol": PEAK_TOLERANCE, "gtol": PEAK_SLOPE}
-
-        def descend(theta: Floats) -> tuple[float, Floats]:
-            here, *ahead = -self(theta + np.concatenate([0 * moves[:1], moves, -moves]))
-            before, after = np.array(ahead[len(theta) :]), np.array(ahead[: len(theta)])
-            return here, (after - before) / (2 * PEAK_STEP)
-
-        ends = [
-            minimize(descend, start, jac=True, method="L-BFGS-B", bounds=bounds, options=ending)
-            for start in starts
-        ]
-        return min(ends, key=lambda end: float(end.fun)).x
-
-
-def log_likelihoods(density: CurveDensity, observation: Observation, thetas: Floats) -> Floats:
-    """Return the log likelihoods (W,) of one insertion, given thetas (W, P)."""
-    nodes, size = observation.nodes, (len(thetas), len(observation.measured), 2)
-    points = [
-        np.broadcast_to(density.draw_curves(thetas, insertion, s), size)
-        for insertion, s in zip(nodes.insertions, nodes.s, strict=True)
-    ]
-    white = append_pose_curves(observation, whiten_residuals(observation, np.stack(points, axis=1)))
-    scale = np.exp(thetas[:, -1])
-    return observation.log_norm + log_marginals([white], make_group(nodes), scale, np.zeros(len(scale)))

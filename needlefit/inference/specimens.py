@@ -22,28 +22,11 @@ draws alone fail where T is narrower than the distance between them. What the me
 a prior of m: draws are chosen by its inverse, so that it counts once. One specimen does not determine T:
 then T is drawn from its prior, and as m = theta_1 + N( 0, T ), a new specimen lies about theta_1 with
 covariance 2 T.
-
-`TransferredPrior` makes the prior of a new medium: the posterior of an old one, widened by the spread between
-media. Both media are taken for draws of one population of which only the spread is known: a standard
-deviation of each coordinate of theta, with the correlations above. Then the new medium lies about the old one
-with covariance 2 T, and with draws theta_i of the old posterior the prior is the mixture
-
-    theta_new ~ 1/B sum_i N( theta_i, 2 T_i ),
-
-where w and rho of T_i are spread evenly over their uniform priors,
-
-by which draws are made and weighted. Searches need a sum of squares. They use a Gaussian in its place
-
-    theta_new ~ N( theta_fit,  E[ (theta - theta_fit) (theta - theta_fit)^T  +  2 T ] )
-
-with E the mean over the old posterior. It peaks at the old fit, not at the posterior's mean, so that without
-new data the optimum is what it was. Where draws lie on a plateau beside the peak it is too wide. Layers that
-the old medium ties together may differ in the new.
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -51,17 +34,11 @@ from scipy.optimize import minimize
 from scipy.special import expit, logsumexp
 
 from needlefit.arrays import Floats
-from needlefit.errors import ConfigError
 from needlefit.inference.parameters import (
     BEVEL_PARAMETERS,
     Parameters,
-    Prior,
     dimension,
-    make_gaussian_prior,
-    to_coordinate,
 )
-from needlefit.inference.predict import draw_from_prior
-from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import (
     Effort,
     WeightedDraws,
@@ -388,138 +365,6 @@ def draw_specimens(
     return np.clip(drawn, parameters.lower, parameters.upper)
 
 
-#: spread that is always added, so that what the old medium fixes or ties keeps a density in the new one
-MIN_SPREAD = 1e-3
-
-BOUND_TOLERANCE = 1e-9  #: part of a bound by which a fit at it may miss it
-
-
-def widen_posterior(
-    old: Parameters, fit: Mapping[str, float], thetas: Floats, new: Parameters, spread: Mapping[str, float]
-) -> Prior:
-    """Return the prior of the free parameters of `new` that the old medium also has; the others stay flat.
-
-    `fit` has every parameter of the old medium at its best fit (Pa, mm), `thetas` (B, P) are draws of its
-    posterior, `spread` is the standard deviation between media of each parameter's coordinate, by name.
-
-    Raises ConfigError if no parameter is common to both, or the old fit lies outside the new bounds.
-    """
-    names = tuple(name for name in new.free if name in old.names)
-    if not names:
-        raise ConfigError("old and new medium have no parameter in common", fix="name media that resemble")
-    for name in names:
-        low, high = new.bounds[name]
-        if not low - BOUND_TOLERANCE * abs(low) <= fit[name] <= high + BOUND_TOLERANCE * abs(high):
-            raise ConfigError(
-                f"{name} of the old medium is {fit[name]:.3g}, outside the new medium's bounds",
-                expected=f"{low:g} to {high:g}",
-                fix="widen the bounds of the new medium",
-            )
-    centre = np.array([to_coordinate(name, fit[name]) for name in names])
-    off = _find_coordinates(old, thetas, names) - centre
-    (between,) = _find_covariances(names, spread, np.array([0.5]), np.zeros(1))  # the means of w and rho
-    covariance = off.T @ off / len(off) + between + MIN_SPREAD**2 * np.eye(len(names))
-    return make_gaussian_prior(names, centre, covariance)
-
-
-@dataclass(frozen=True)
-class TransferredPrior:
-    """The mixture of Gaussians about the draws of an old posterior: the prior of some new parameters."""
-
-    parameters: Parameters  #: of the new medium, with the Gaussian of `widen_posterior` as their prior
-    names: tuple[str, ...]  #: q of them: those of the mixture
-    centres: Floats  #: (B, Q) draws of the old posterior, in theta's coordinates
-    covariances: Floats  #: (B, Q, Q) of each Gaussian
-
-    @classmethod
-    def from_draws(
-        cls,
-        old: Parameters,
-        fit: Mapping[str, float],
-        thetas: Floats,
-        new: Parameters,
-        spread: Mapping[str, float],
-    ) -> Self:
-        """Return the mixture about draws (B, P) of the old posterior; arguments as of `widen_posterior`."""
-        prior = widen_posterior(old, fit, thetas, new, spread)
-        # the old posterior contains a half-normal prior that both share: it must not count twice
-        half_normal = {name: sd for name, sd in new.half_normal.items() if name not in prior.names}
-        parameters = replace(new, prior=prior, half_normal=half_normal)
-        covariances = _draw_covariances(prior.names, spread, len(thetas))
-        return cls(parameters, prior.names, _find_coordinates(old, thetas, prior.names), covariances)
-
-    def correct(self, thetas: Floats) -> Floats:
-        """Return the log density (W,) of the mixture at thetas (W, P), less that of the Gaussian prior.
-
-        Both but for a constant. Parameters that do not differ between media have no spread: there the
-        mixture is smoothed, by the rule of Silverman.
-        """
-        at = thetas[:, [self.parameters.free.index(name) for name in self.names]]
-        fixed = np.diagonal(self.covariances[0]) == 0
-        count, known = len(self.centres), int(np.sum(fixed))
-        smoothing = (4 / ((known + 2) * count)) ** (1 / (known + 4))
-        smoothed = np.maximum(smoothing * self.centres.std(axis=0), MIN_SPREAD)
-        factors = np.linalg.cholesky(self.covariances + np.diag(np.where(fixed, smoothed**2, 0.0)))
-        away = at[:, None] - self.centres  # (W, B, Q)
-        white = np.linalg.solve(factors, away.transpose(1, 2, 0))  # (B, Q, W)
-        volume = np.sum(np.log(np.diagonal(factors, axis1=1, axis2=2)), axis=1)
-        mixture: Floats = logsumexp(-0.5 * np.sum(white**2, axis=1) - volume[:, None], axis=0)
-        prior = self.parameters.prior
-        gaussian = np.array([prior.log_density(self.parameters.values(theta)) for theta in thetas])
-        return mixture - gaussian
-
-    def draw(self, count: int, rng: np.random.Generator) -> Floats:
-        """Return draws (`count`, P) of the prior within the bounds; what is not in the mixture is flat."""
-        thetas = draw_from_prior(self.parameters, count, rng)
-        columns = [self.parameters.free.index(name) for name in self.names]
-        lower, upper = self.parameters.lower[columns], self.parameters.upper[columns]
-        found, roots = np.empty((0, len(columns))), _find_roots(self.covariances)
-        while len(found) < count:
-            normal = rng.standard_normal(self.centres.shape)
-            drawn = self.centres + np.einsum("bpq,bq->bp", roots, normal)
-            inside = np.all((drawn >= lower - BOUND_TOLERANCE) & (drawn <= upper + BOUND_TOLERANCE), axis=1)
-            found = np.concatenate([found, drawn[inside]])
-        thetas[:, columns] = np.clip(found[:count], lower, upper)
-        return thetas
-
-
-@dataclass(frozen=True)
-class TransferProblem(Problem):
-    """A problem of a new medium: draws are weighted by the mixture, searches use the Gaussian."""
-
-    transferred: TransferredPrior | None = None
-
-    @classmethod
-    def of(cls, problem: Problem, transferred: TransferredPrior) -> Self:
-        """Return a problem with the mixture as its prior."""
-        kept = {field.name: getattr(problem, field.name) for field in fields(problem)}
-        return cls(**{**kept, "parameters": transferred.parameters}, transferred=transferred)
-
-    def log_posteriors(self, thetas: Floats, jobs: int = 1) -> Floats:
-        """Return the log of the posterior density (W,) of many thetas (W, P) at once, on `jobs` threads."""
-        density = super().log_posteriors(thetas, jobs)
-        return density if self.transferred is None else density + self.transferred.correct(thetas)
-
-
-#: the golden ratio in two dimensions: multiples of its powers, modulo 1, are spread evenly over a square
-PLASTIC_NUMBER = 1.324717957244746
-
-
-def _draw_covariances(names: Sequence[str], spread: Mapping[str, float], count: int) -> Floats:
-    """Return 2 T (B, Q, Q) of parameters whose standard deviations between media are given, by name."""
-    turns = np.arange(1, count + 1)[:, None] / PLASTIC_NUMBER ** np.array([1, 2]) % 1.0
-    return _find_covariances(names, spread, turns[:, 0], 2 * turns[:, 1] - 1)
-
-
-def _find_covariances(
-    names: Sequence[str], spread: Mapping[str, float], share: Floats, rho: Floats
-) -> Floats:
-    """Return 2 T (B, Q, Q) with w and rho (B,)."""
-    sds = np.array([spread.get(name, 0.0) for name in names])
-    covariances: Floats = 2 * _correlate(names, share, rho) * np.outer(sds, sds)
-    return covariances
-
-
 def _correlate(names: Sequence[str], share: Floats, rho: Floats) -> Floats:
     """Return the correlations (B, Q, Q) of T with w and rho (B,); a single modulus has w = 1."""
     moduli = np.array([dimension(name) == "modulus" for name in names], dtype=np.bool_)
@@ -537,9 +382,3 @@ def _find_roots(covariances: Floats) -> Floats:
     sizes, axes = np.linalg.eigh(covariances)
     roots: Floats = axes * np.sqrt(np.maximum(sizes, 0.0))[:, None, :]
     return roots
-
-
-def _find_coordinates(old: Parameters, thetas: Floats, names: tuple[str, ...]) -> Floats:
-    """Return the coordinates (B, Q) of some parameters of draws (B, P)."""
-    sets = [old.values(theta) for theta in thetas]
-    return np.array([[to_coordinate(name, values[name]) for name in names] for values in sets])

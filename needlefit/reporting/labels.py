@@ -1,7 +1,6 @@
 """Printed names and colours of methods, media and groups, and the captions of figures."""
 
 from needlefit.inference.baselines import BASELINES, list_baselines
-from needlefit.mechanics.laws import LAWS
 
 INK, GREY, PAPER_COLOUR, SYNTHETIC_COLOUR = "#1a1a1a", "#8a8a8a", "#D55E00", "#B23A00"
 GREEN, SKY_BLUE = "#009E73", "#56B4E9"
@@ -24,16 +23,9 @@ METHOD_COLOURS = {  # Okabe and Ito's palette, distinguishable for colour-blind 
 """Colours of methods that are no baseline; `method_colour` knows those too."""
 _MODEL_MARKERS = {"fitted": "o", "fitted_metric": "o", "hand_tuned": "s", "hand_tuned_b": "s"}
 _BASELINE_MARKERS = "v^D<>phX*"
-APPROACH_NAMES = {
-    "inflated": "old posterior, widened",
-    "new": "new insertions alone",
-    "none": "no update",
-}
-"""Printed names of the ways to fit a new medium in an adaptation."""
 SERIES_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9")
 """Of series without a colour of their own (Okabe and Ito)."""
 
-APPROACH_COLOURS = {"inflated": "#0072B2", "new": "#009E73", "none": "#8a8a8a"}
 SPECIMEN_NAMES = {
     "others": "new specimen",
     "one insertion": "new specimen, after one insertion",
@@ -76,10 +68,6 @@ def group_name(medium: str, layers: int) -> str:
     return f"{medium_name(medium)} ({layers_name(layers)})"
 
 
-def entry_name(entry: str, angle_deg: float) -> str:
-    return entry if angle_deg == 0 else f"{entry}, {angle_deg:g}°".replace("-", "−")
-
-
 def method_colour(method: str) -> str:
     """Return the colour of a method's lines and marks; grey for one that is not registered here."""
     return BASELINES[method].colour if method in BASELINES else METHOD_COLOURS.get(method, GREY)
@@ -90,11 +78,6 @@ def method_marker(method: str) -> str:
     if method in names:
         return _BASELINE_MARKERS[names.index(method) % len(_BASELINE_MARKERS)]
     return _MODEL_MARKERS.get(method, "o")
-
-
-def candidate_name(name: str) -> str:
-    """Return the printed name of a candidate of a comparison, a tissue law or a baseline."""
-    return LAWS[name].label if name in LAWS else method_name(name)
 
 
 def method_name(method: str, origin: str = "measured") -> str:

@@ -26,6 +26,4 @@ MAX_WALKERS = 2000  #: of a sampler
 MAX_DENSITIES = 1_000_000  #: of a sampler: a draw of ten parameters takes 80 bytes, of which there are copies
 #: repetitions of a whole study: seeds, made-up specimens, orders, truths of a calibration
 MAX_REPLICATES = 10_000
-MAX_RESAMPLES = 100_000  #: of a bootstrap
-MAX_CANDIDATES = 1000  #: members of a list of depths, angles or entries that are all tried
 MAX_SEED = 2**63 - 1  #: of all randomness: the largest whole number of a TOML file

@@ -1,6 +1,5 @@
 """A medium: its layers, which of their parameters are free, their bounds and their priors."""
 
-import math
 import re
 from typing import ClassVar, Self
 
@@ -136,21 +135,3 @@ def spell_parameter(name: str) -> str:
 
 
 MIN_CUT_ANGLE_DEG, MAX_CUT_ANGLE_DEG = 0.01, 44.0  #: widest bounds of an angle that takes the place of b
-
-
-def use_path_angle(medium: MediumRecord) -> MediumRecord:
-    """Return a medium that advances by the path angle; its bounds are the turns b / C_int of the bounds of b.
-
-    There is no conversion of b to the angle: these are but bounds of the same order. A prior of b is dropped.
-    """
-    if medium.advance == "path_angle":
-        return medium
-    b = medium.parameters["bevel_mm"]
-    angles = [math.degrees(turn / medium.constraint_spacing_mm) for turn in b.bounds or (0.0, math.inf)]
-    angle = ParameterRecord(bounds=(max(angles[0], MIN_CUT_ANGLE_DEG), min(angles[1], MAX_CUT_ANGLE_DEG)))
-    parameters = {
-        "cut_angle_deg" if name == "bevel_mm" else name: angle if name == "bevel_mm" else parameter
-        for name, parameter in medium.parameters.items()
-    }
-    changes = {"advance": "path_angle", "constraint_switch": 0.5, "tangent_part": 1.0}
-    return medium.model_copy(update={**changes, "parameters": parameters})

@@ -11,8 +11,6 @@ import pandas as pd
 from needlefit.arrays import Floats
 from needlefit.datasets.select import group_rows
 from needlefit.inference.predict import Proportion, estimate_proportion
-from needlefit.project.input_files import read_toml
-from needlefit.project.locate import find_file, list_names
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.reporting.table_files import Row
 from needlefit.reporting.text import KindText
@@ -171,17 +169,3 @@ def warn_if_too_wide(
 def is_too_wide(width_mm: float, deflection_mm: float) -> bool:
     """Return whether an interval is wider than the tip is deflected, and than `MAX_AIMING_WIDTH_MM`."""
     return width_mm > max(MAX_AIMING_WIDTH_MM, deflection_mm)
-
-
-def find_adaptation(dataset: str, fitted: str, new: str) -> str:
-    """Return the name of a study that adds insertions of another medium to a fit on a dataset; "" if none.
-
-    `fitted` and `new` are the media.
-    """
-    for name in list_names("study"):
-        found = read_toml(find_file("study", name))
-        if found.get("kind") == "adaptation" and found.get("dataset") == dataset:
-            media = found.get("old", {}).get("medium"), found.get("new", {}).get("medium")
-            if media == (fitted, new):
-                return name
-    return ""

@@ -69,7 +69,7 @@ from types import MappingProxyType
 import pandas as pd
 
 from needlefit.inference.baselines import list_baselines
-from needlefit.metrics import Metric, headline_metrics, list_metrics
+from needlefit.metrics import Metric, list_metrics
 
 FIT_KINDS = ("cross_validation", "fit")  #: kinds of study whose runs have the tables of this module
 
@@ -172,8 +172,3 @@ def list_score_columns(metrics: Iterable[Metric] | None = None) -> tuple[str, ..
     chosen = list_metrics() if metrics is None else tuple(metrics)
     floors = (f"floor_{metric.name}" for metric in chosen if metric.has_floor)
     return (*(metric.name for metric in chosen), *floors)
-
-
-def list_length_metrics() -> tuple[Metric, ...]:
-    """Return the headline metrics in mm with a noise floor: those that analyses compare."""
-    return tuple(metric for metric in headline_metrics() if metric.unit == "mm" and metric.has_floor)

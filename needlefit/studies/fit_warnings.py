@@ -22,7 +22,7 @@ from needlefit.reporting.labels import group_name, medium_name
 from needlefit.reporting.number_format import format_quantity, format_quantity_range
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText
-from needlefit.studies.coverage import FindingKey, find_adaptation, find_miscalibration
+from needlefit.studies.coverage import FindingKey, find_miscalibration
 from needlefit.studies.fit_frames import select_fitted, select_free
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import (
@@ -246,21 +246,14 @@ def _find_miscalibration(results: Run, key: FindingKey) -> Iterator[Row]:
                 medium = group.head["medium"]
                 about["group"] = medium_name(medium)
                 if (rows["specimen_treatment"] == "others").any():
-                    fitted = getattr(results.record, "medium", "")
-                    about["gain"] = describe_gain(
-                        rows, find_adaptation(results.record.dataset, fitted, medium)
-                    )
+                    about["gain"] = describe_gain(rows)
             yield about
 
 
-def describe_gain(predictive: pd.DataFrame, adaptation: str | None = None) -> str:
-    """Return how wide intervals of tips would be after one insertion into the new specimen.
-
-    `adaptation` is the study that measures it, "" if there is none; None: the warning does not mention one.
-    """
+def describe_gain(predictive: pd.DataFrame) -> str:
+    """Return how wide intervals of tips would be after one insertion into the new specimen."""
     width = float(predictive["tip_95_width_after_one_mm"].median())
-    values = {"after_one_mm": None if math.isnan(width) else width, "adaptation": adaptation or ""}
-    return TEXT.sentence("gain", {**values, "asked": adaptation is not None})
+    return TEXT.sentence("gain", {"after_one_mm": None if math.isnan(width) else width})
 
 
 #: kinds of warnings about predictions, and the findings that they are about

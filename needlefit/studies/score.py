@@ -24,7 +24,6 @@ from needlefit.metrics import METRICS, compute_metrics
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.study import LayerCountRule
 from needlefit.studies.fit_frames import MODEL_METHODS
-from needlefit.studies.job import Job
 from needlefit.studies.validity import ValidityCounts
 
 Row = dict[str, Any]
@@ -132,12 +131,6 @@ class Scorer:
             "edp_flagged": bool(abs(curves.deflection) < floor),  # never where no floor is stated (NaN)
             "converged": True,
         }
-
-
-def score_planned(job: Job, insertion: Insertion, method: Predictor) -> Row:
-    """Return the errors of a method on one insertion, through the layers of its planned path."""
-    scorer = Scorer(job.dataset, job.record.layer_count_rule, {insertion.id: job.floor(insertion)})
-    return scorer.score({}, insertion, method)[0][-1]  # the planned path comes last
 
 
 _FAILED = {

@@ -417,7 +417,7 @@ def kept() -> list[Seed]:
 
 def runs() -> list[Seed]:
     found = []
-    for name in ("study3", "chicken", "adaptation3"):
+    for name in ("study3", "chicken", "phantom1"):
         folder = PROJECT / "reports" / "reference" / name
         files = {f"{run}/{path.name}": path.read_bytes() for run in "ab" for path in sorted(folder.iterdir())}
         found.append(Seed(files, ".", tuple(file for file in files if file.startswith("b/"))))

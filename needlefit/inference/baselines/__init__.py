@@ -46,11 +46,6 @@ class Baseline:
     tracks_only: bool = False  #: whether it predicts no shapes
     order: int = 100  #: its place in tables, from the top
 
-    @property
-    def has_posterior(self) -> bool:
-        """Whether `inference.baseline_fit` can give it one: its coefficients are searched."""
-        return self.fit is None
-
 
 BASELINES = Registry(Baseline, __name__, "baseline")
 

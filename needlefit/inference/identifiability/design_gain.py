@@ -8,13 +8,12 @@ sum to 1, are reweighted by them,
 
     gain = mean_o [ log p(y_o | theta_o) - log sum_b w_b p(y_o | theta_b) ],      y_o ~ p(y | theta_o).
 
-The new weights are the posterior after y_o, so deviations and gains of single quantities come with it. As
+The new weights are the posterior after y_o, so deviations of single quantities come with it. As
 theta_o is among the b, what B draws can show is about log B at most.
 
-Linearised at a draw the gain is 0.5 log det( I + Sigma J^T J ), with Sigma the covariance of all draws and J
-the whitened Jacobian: exact where data depend linearly on Gaussian parameters, too large on a bent ridge. It
-changes along the ridge on which parameters lie, so it is taken at more places than the one asked for, drawn
-from what the design would leave of the parameters there.
+The precision that a whole design is expected to give is by the Fisher information. It changes along the ridge
+on which parameters lie, so it is taken at more places than the one asked for, drawn from what the design
+would leave of the parameters there.
 """
 
 from collections.abc import Callable, Mapping
@@ -42,15 +41,12 @@ MIN_RELATIVE_VARIANCE = 1e-12
 
 @dataclass(frozen=True)
 class ExpectedGain:
-    """The expected information gain of one insertion, about all parameters and about single quantities."""
+    """The expected information gain of one insertion, and what it would leave of single quantities."""
 
     nats: float  #: about all parameters together
     nats_se: float  #: its standard error, of the outer draws
     #: (Q,) expected standard deviation of each quantity afterwards: the root of the mean variance
     sds: Floats
-    #: (Q,) about each quantity: the mean fall of the logarithm of its standard deviation, which for a
-    #: Gaussian quantity is the fall of its entropy
-    quantity_nats: Floats
     #: median over the data of the effective number of draws of the posterior afterwards
     effective_sample_size: float
 
@@ -99,12 +95,10 @@ def nested_gain(
     gains = likelihoods[np.arange(len(outer_draws)), outer_draws] - evidence
     after = np.exp(joint - evidence[:, None])  # (O, B)
     variances = _variances(after, quantities)  # (O, Q)
-    before = _variances(np.exp(predicted.log_weights)[None], quantities)
     return ExpectedGain(
         nats=float(gains.mean()),
         nats_se=float(gains.std(ddof=1) / np.sqrt(len(outer_draws))),
         sds=np.sqrt(variances.mean(axis=0)),
-        quantity_nats=-0.5 * np.log(variances / before).mean(axis=0),
         effective_sample_size=float(np.median(1 / np.sum(after**2, axis=1))),
     )
 
@@ -114,14 +108,6 @@ def _variances(weights: Floats, quantities: Floats) -> Floats:
     centred = quantities - quantities.mean(axis=0)
     spread = weights @ centred**2 - (weights @ centred) ** 2
     return np.maximum(spread, MIN_RELATIVE_VARIANCE * centred.var(axis=0))
-
-
-def linearized_gain(covariance: Floats, slopes: Floats) -> float:
-    """Return 0.5 log det(I + Sigma J^T J), the gain of a linear model: Sigma (P, P), whitened J (R, P)."""
-    root = np.linalg.cholesky(covariance + MIN_RELATIVE_VARIANCE * np.diag(np.diag(covariance)))
-    # det(I + Sigma J^T J) = det(I + L^T J^T J L) with Sigma = L L^T: symmetric, so slogdet is stable
-    whole = np.eye(len(covariance)) + root.T @ slopes.T @ slopes @ root
-    return 0.5 * float(np.linalg.slogdet(whole)[1])
 
 
 #: values (Pa, mm) -> the problem of insertions as these would shape them; None where one has no solution

@@ -1,4 +1,4 @@
-"""Sample the posterior about a fit by adaptive importance sampling; compute the density of further data.
+"""Sample the posterior about a fit by adaptive importance sampling; compute the evidence.
 
 Half of each round's draws come from a mixture of Student's t about the modes and points along the profiles,
 half from one that is fitted to all draws so far: they are weighted by the density of all rounds together
@@ -16,9 +16,10 @@ J. Gabry, J. Mach. Learn. Res. 25 (2024) 72). k is estimated as by J. Zhang & M.
 (2009) 316: a mean over a grid of the profile likelihood, drawn to 1/2 by as much as ten further weights
 would. It cannot see what no draw has come near, which is why half of the draws stay wide.
 
-How probable further data y are, after data D, is the evidence of both over that of the first:
+The evidence Z is the integral of likelihood and prior over theta, the mean of the weights. How probable
+further data y are, after data D, is the evidence of both over that of the first:
 
-    log p(y | D) = log Z(D, y) - log Z(D),      Z = integral of likelihood and prior over theta
+    log p(y | D) = log Z(D, y) - log Z(D)
 
 The mean of p(y | theta) over draws of the posterior of D is the same, but where y has many exact points it is
 decided by the one draw that comes nearest: too low at most times, and its own scatter does not tell. The two
@@ -509,33 +510,3 @@ def resample_draws(found: WeightedDraws, count: int, rng: np.random.Generator) -
     thetas = found.thetas[resample(found, count, rng)]
     faults = () if found.certified else (warning,)
     return Draws(thetas, "importance", faults, found.k, found.effective_sample_size)
-
-
-@dataclass(frozen=True)
-class PredictiveDensity:
-    """The predictive density of further data, with its Monte Carlo error."""
-
-    log_density: float  #: log p(y | D)
-    se: float  #: its Monte Carlo error
-    #: the part of it that comes from Z(D), and is the same error for all that is asked after D
-    shared_se: float
-    k: float  #: Pareto's: the larger of the two integrals'
-    effective_sample_size: float  #: effective number of independent draws: the fewer of the two integrals'
-
-
-#: density of data that cannot be predicted
-ZERO_DENSITY = PredictiveDensity(-math.inf, math.inf, math.inf, math.nan, 0.0)
-
-
-def compute_predictive_density(both: WeightedDraws, first: WeightedDraws) -> PredictiveDensity:
-    """Return the predictive density of further data, from weighted draws given all data and given the first.
-
-    The two densities must be normalised alike: what the further data add is their likelihood, in full.
-    """
-    return PredictiveDensity(
-        both.log_evidence - first.log_evidence,
-        math.hypot(both.log_evidence_se, first.log_evidence_se),
-        first.log_evidence_se,
-        max(both.k, first.k),
-        min(both.effective_sample_size, first.effective_sample_size),
-    )

@@ -52,16 +52,11 @@ class Look:
 
 @dataclass(frozen=True)
 class Panel:
-    """A panel of `curves`: columns as line and as dots, and as a band."""
+    """A panel of `curves`: columns as a line, and as a band."""
 
     label: str  # of the y axis
-    # `line`, `dots`, `low`, `high`: columns; empty: not drawn
+    # `line`, `low`, `high`: columns; empty: not drawn
     line: str = ""
-    dots: str = ""
     low: str = ""
     high: str = ""
-    # `zero`, `log`: whether a line marks 0, and whether the axis is logarithmic
-    zero: bool = False
-    log: bool = False
-    limits: tuple[float, float] | None = None
-    reference: tuple[float, str] | None = None  # a dashed line at a height, and its name
+    zero: bool = False  # whether a line marks 0

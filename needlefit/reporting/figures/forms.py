@@ -25,7 +25,6 @@ from needlefit.reporting.number_format import choose_printed_unit
 from needlefit.reporting.table_files import Row, to_records
 
 MAX_NAMED_SERIES = 8  # more series than these are not named one by one
-MAX_DOTS = 60  # dots of a series that are drawn, about
 
 
 def choose_looks(frame: pd.DataFrame, by: str, looks: Mapping[str, Look] | None = None) -> dict[str, Look]:
@@ -44,23 +43,20 @@ def curves(
     panels: Sequence[Panel],
     x_label: str = "",
     looks: Mapping[str, Look] | None = None,
-    columns: int = 1,
     size: tuple[float, float] | None = None,
 ) -> Figure:
     """Draw columns over the column `x`, a series for each value of `by`."""
-    lines, chosen = math.ceil(len(panels) / columns), choose_looks(frame, by, looks)
-    full = (TEXT_WIDTH_IN, 2.2 * lines) if columns > 1 else (0.6 * TEXT_WIDTH_IN, 3.3)
-    figure = Figure(figsize=size or full)
-    grid = figure.subplots(lines, columns, sharex=True, squeeze=False)
-    for axes, panel in zip(grid.flat, panels, strict=False):
+    chosen = choose_looks(frame, by, looks)
+    figure = Figure(figsize=size or (0.6 * TEXT_WIDTH_IN, 3.3))
+    grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False)
+    for axes, panel in zip(grid.flat, panels, strict=True):
         for name, look in chosen.items():
             _draw_curve(axes, frame[frame[by].astype(str) == name].sort_values(x), x, panel, look)
-        _format_panel(axes, panel)
-    for axes in list(grid.flat)[len(panels) :]:
-        axes.set_visible(False)
-    for axes in list(grid.flat)[max(0, len(panels) - columns) : len(panels)]:
-        axes.set_xlabel(x_label or x)
-        axes.tick_params(labelbottom=True)
+        axes.set_ylabel(panel.label)
+        draw_grid(axes, "y")
+        if panel.zero:
+            axes.axhline(0.0, color=INK, lw=0.5)
+    grid[-1, 0].set_xlabel(x_label or x)
     if 1 < len(chosen) <= MAX_NAMED_SERIES:
         add_legend(figure, chosen.values(), width=1.3)
     return figure
@@ -70,35 +66,8 @@ def _draw_curve(axes: Axes, rows: pd.DataFrame, x: str, panel: Panel, look: Look
     if panel.low:
         low, high = (rows[end].astype(float) for end in (panel.low, panel.high))
         axes.fill_between(rows[x], low, high, color=lighten(look.colour, look.white), lw=0, zorder=1)
-    style: dict[str, Any] = {"color": look.colour}
     if panel.line:
-        axes.plot(rows[x], rows[panel.line], lw=look.width, ls=look.dashes, zorder=3, **style)
-    if panel.dots:
-        some = rows.iloc[:: max(1, len(rows) // MAX_DOTS)]
-        face = look.colour if look.filled and not panel.line else "none"
-        style |= {"ms": 2.4, "mfc": face, "mew": 0.6}
-        axes.plot(some[x], some[panel.dots], look.marker or "o", **style, zorder=2)
-
-
-def _format_panel(axes: Axes, panel: Panel) -> None:
-    axes.set_ylabel(panel.label)
-    draw_grid(axes, "y")
-    if panel.zero:
-        axes.axhline(0.0, color=INK, lw=0.5)
-    if panel.log:
-        set_plain_log_scale(axes.yaxis)
-    if panel.limits:
-        axes.set_ylim(*panel.limits)
-    if panel.reference:
-        height, words = panel.reference
-        axes.axhline(height, color=INK, lw=0.9, ls=(0, (2, 1.5)))
-        place: dict[str, Any] = {
-            "xytext": (-1, 2),
-            "textcoords": "offset points",
-            "fontsize": 6.5,
-            "ha": "right",
-        }
-        axes.annotate(words, (axes.get_xlim()[1], height), **place)
+        axes.plot(rows[x], rows[panel.line], lw=look.width, ls=look.dashes, zorder=3, color=look.colour)
 
 
 def set_plain_log_scale(axis: Axis) -> None:
@@ -148,37 +117,25 @@ def dots_with_intervals(
     panel: str = "",  # a column; empty: one panel
     panels: Mapping[Any, str] | None = None,  # value of `panel` -> title
     x_label: str = "",
-    # "linear", "from 0", "log", or a number: logarithmic beyond it on both sides of 0; or a mapping of these,
-    # by value of `panel`, with axes of their own
-    scale: str | float | Mapping[Any, str | float] = "linear",
-    limits: tuple[float | None, float | None] | None = None,
-    zero: bool = False,  # whether a line marks 0
-    line: float | None = None,  # where a dashed line stands
-    columns: int = 0,  # panels side by side; 0: all
-    ringed: str = "",  # a column of flags: which dots have a ring
+    # "linear", "from 0" or "log"; or a mapping of these, by value of `panel`, with axes of their own
+    scale: str | Mapping[Any, str] = "linear",
     row_height: float = 0.22,  # inches
 ) -> Figure:
     """Draw values with their intervals in rows, a panel for each value of the column `panel`."""
     chosen = choose_looks(frame, by, looks)
     order = list(frame[list(rows)].drop_duplicates().itertuples(index=False, name=None))
     titles = panels or ({name: str(name) for name in dict.fromkeys(frame[panel])} if panel else {"": ""})
-    across = columns or len(titles)
-    down = math.ceil(len(titles) / across)
-    figure = Figure(figsize=(choose_width(), 0.6 + down * (0.3 + row_height * len(order))))
+    figure = Figure(figsize=(choose_width(), 0.9 + row_height * len(order)))
     own_axes = isinstance(scale, Mapping)
-    grid = figure.subplots(down, across, sharex=not own_axes, sharey=True, squeeze=False).ravel()
-    for axes, (which, title) in zip(grid, titles.items(), strict=False):
+    grid = figure.subplots(1, len(titles), sharex=not own_axes, sharey=True, squeeze=False)[0]
+    for axes, (which, title) in zip(grid, titles.items(), strict=True):
         for row in to_records(frame[frame[panel] == which] if panel else frame):
             look = chosen.get(str(row[by]))
             if look is not None and row[value] is not None:
                 place = order.index(tuple(row[name] for name in rows)) + look.shift
-                _draw_dot(axes, row, place, value, intervals, look, bool(ringed and row[ringed]))
+                _draw_dot(axes, row, place, value, intervals, look)
         axes.set_title(title, loc="left", fontsize=7)
-        if line is not None:
-            axes.axvline(line, color=INK, lw=0.8, ls=(0, (3, 2)))
-        _format_rows(axes, order, scale[which] if isinstance(scale, Mapping) else scale, limits, zero)
-    for axes in grid[len(titles) :]:
-        axes.set_visible(False)
+        _format_rows(axes, order, scale[which] if isinstance(scale, Mapping) else scale)
     grid[0].set_yticks(range(len(order)), [name_row(row) for row in order])
     grid[0].set_ylim(len(order) - 0.4, -0.6)
     if len(chosen) > 1:
@@ -190,7 +147,7 @@ def dots_with_intervals(
 
 
 def _draw_dot(
-    axes: Axes, row: Row, y: float, value: str, intervals: Sequence[tuple[str, str]], look: Look, ring: bool
+    axes: Axes, row: Row, y: float, value: str, intervals: Sequence[tuple[str, str]], look: Look
 ) -> None:
     for width, (low, high) in zip((0.9, 2.4), intervals, strict=False):
         if row[low] is not None and row[high] is not None:
@@ -198,33 +155,15 @@ def _draw_dot(
     if look.marker == "|":
         axes.vlines(row[value], y - 0.35, y + 0.35, color=look.colour, lw=look.width, ls=look.dashes)
         return
-    edge: dict[str, Any] = {"mec": INK, "mew": 1.0} if ring else {"mec": look.colour, "mew": 0.8}
     face = look.colour if look.filled else "white"
-    axes.plot(row[value], y, look.marker, ms=look.size, mfc=face, zorder=4, **edge)
+    axes.plot(row[value], y, look.marker, ms=look.size, mfc=face, mec=look.colour, mew=0.8, zorder=4)
 
 
-def _format_rows(
-    axes: Axes,
-    order: Sequence[tuple[Any, ...]],
-    scale: str | float,
-    limits: tuple[float | None, float | None] | None,
-    zero: bool,
-) -> None:
-    if zero:
-        axes.axvline(0, color=INK, lw=0.6)
+def _format_rows(axes: Axes, order: Sequence[tuple[Any, ...]], scale: str) -> None:
     if scale == "log":
         set_plain_log_scale(axes.xaxis)
     elif scale == "from 0":
         axes.set_xlim(0, None)
-    elif not isinstance(scale, str):
-        axes.set_xscale("symlog", linthresh=scale, linscale=0.8)
-        ticks = [sign * scale * 10.0**power for sign in (-1, 1) for power in (0, 1, 2)] + [0.0]
-        low, high = limits or axes.get_xlim()
-        kept = sorted(t for t in ticks if (low is None or t >= low) and (high is None or t <= high))
-        axes.set_xticks(kept, [f"{tick:g}".replace("-", "−") for tick in kept])
-        axes.minorticks_off()
-    if limits:
-        axes.set_xlim(*limits)
     for y in (k for k in range(1, len(order)) if len(order[0]) > 1 and order[k][0] != order[k - 1][0]):
         axes.axhline(y - 0.5, color=INK, lw=0.3, alpha=0.4)
     axes.tick_params(axis="y", length=0)

@@ -1,4 +1,4 @@
-"""Find which parameters the insertions of a design determine, before any measured shape."""
+"""Find what the insertions of a design determine, before any measured shape, and what one more would add."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -36,6 +36,7 @@ from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import TargetRecord
+from needlefit.studies.candidates import CANDIDATE_COLUMNS, lay_out_candidates, rank_candidates
 from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.identification import identify_parameters
 from needlefit.studies.identification_tables import (
@@ -59,7 +60,10 @@ class IdentificationRecord(TargetRecord):
 #: what `needlefit tune --design` runs, or a study file
 KIND = StudyKind("identification", IdentificationRecord, __name__)
 
-FRAMES: Mapping[str, tuple[str, ...]] = {"identify": COLUMNS["identification"]}
+FRAMES: Mapping[str, tuple[str, ...]] = {
+    "identify": COLUMNS["identification"],
+    "candidates": CANDIDATE_COLUMNS,
+}
 
 
 def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
@@ -119,6 +123,7 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
             [{"fold": fold.name, **row} for row in found.points], columns=[*COLUMNS["profiles"], *parameters]
         ),
         "directions": _tabulate_directions(expectation),
+        "candidates": rank_candidates(job, fold, problem, theta, settings),
     }
     return replace(about, frames=frames, run=stated | about.run, interrupted=settings.stop())
 
@@ -157,6 +162,9 @@ def describe(found: Run) -> dict[str, Any]:
         "known": [row["parameter"] for row in free if row["determined"] == "yes"],
         "together": [row["parameter"] for row in free if row["determined"] == "only together"],
         "loose": [row["parameter"] for row in free if row["determined"] == "no"],
+        "worst_now": None
+        if found.frames["candidates"].empty
+        else found.frames["candidates"]["sd_now"].iloc[0],
         "about": {**found.run, "depths": list(depths), "thickness_mm": thickness},
         "expected": [_describe_expected(row, directions) for row in design if row["sd_low"] is not None],
         "fixed": [
@@ -207,7 +215,7 @@ def judge(found: Run) -> list[Verdict]:
 
 
 def lay_out_tables(found: Run) -> list[Table | TableLayout]:
-    """Return the parameters, then their combinations."""
+    """Return the parameters, their combinations, and the candidates for a further insertion."""
     rows = []
     for row in to_records(found.frames["directions"]):
         weights = {key.removeprefix("weight_"): one for key, one in row.items() if key.startswith("weight_")}
@@ -218,7 +226,7 @@ def lay_out_tables(found: Run) -> list[Table | TableLayout]:
         rows.append({**row, **near, "combination": combination, "known_to": known})
     columns = ("combination", "sd_low", "sd_high", "combination_sd_ratio", "known_to")
     parameters = lay_out_identification(found.frames["identify"], expected=True)
-    return [parameters, Table("directions", rows, columns)]
+    return [parameters, Table("directions", rows, columns), *lay_out_candidates(found.frames["candidates"])]
 
 
 def draw(found: Run) -> dict[str, Drawing]:
@@ -230,7 +238,7 @@ def identification_to_json(found: Run) -> dict[str, Any]:
     return {
         **{"name": found.name, "origin": found.origin, "dataset": found.dataset_title},
         **{"place": found.run["place"], "sentences": TEXT.sentences("design", describe(found))},
-        **{name: to_records(found.frames[name]) for name in ("identify", "directions")},
+        **{name: to_records(found.frames[name]) for name in ("identify", "directions", "candidates")},
     }
 
 

@@ -1,0 +1,54 @@
+"""Candidates for a further insertion: which there are, and that a deeper one adds more."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from needlefit.inference.sampling.importance import Effort
+from needlefit.schemas.study import FitRecord
+from needlefit.studies import candidates
+from needlefit.studies.candidates import CANDIDATE_COLUMNS, list_candidates, rank_candidates
+from needlefit.studies.job import Job, Settings, prepare
+from needlefit.studies.simulated_data import choose_reference_values, simulate_design
+
+
+def prepare_chicken(*ids: str) -> Job:
+    table = {"schema": 1, "dataset": "twin", "medium": "chicken", "recipe": "quick"}
+    return prepare("x", FitRecord.model_validate({**table, "tune": {"insertions": ids}}), Settings())
+
+
+def test_candidates_are_the_other_insertions_into_the_medium_and_a_repeat(monkeypatch) -> None:
+    job = prepare_chicken("chicken-01", "chicken-04")
+    *others, (role, repeated) = list_candidates(job, job.folds[0])
+    assert (role, repeated.id) == ("repeat", "chicken-01")  # the deeper of the two
+    assert len(others) == 10 and {one.medium for _, one in others} == {"chicken"}
+    depths = [one.depth for _, one in others]
+    assert depths == sorted(depths)
+    monkeypatch.setattr(candidates, "MAX_CANDIDATES", 3)
+    fewer = [one.depth for role, one in list_candidates(job, job.folds[0]) if role == "candidate"]
+    assert len(fewer) == 3 and (fewer[0], fewer[-1]) == (depths[0], depths[-1])
+
+
+def test_a_deep_insertion_adds_more_than_a_shallow_one(monkeypatch) -> None:
+    monkeypatch.setattr(candidates, "OUTER_DRAWS", 40)
+    monkeypatch.setattr(candidates, "EFFORT", Effort(draws=100, min_ess=150.0))
+    job = prepare_chicken("chicken-01")
+    few = tuple(one for one in job.dataset.insertions if one.id in ("chicken-01", "chicken-04", "chicken-06"))
+    job = replace(job, dataset=replace(job.dataset, insertions=few))
+    values, _ = choose_reference_values(job)
+    problem = simulate_design(job, job.folds[0], values)
+    found = rank_candidates(job, job.folds[0], problem, problem.parameters.theta(values), Settings())
+    assert tuple(found.columns) == CANDIDATE_COLUMNS
+    assert found["nats"].is_monotonic_decreasing and np.isfinite(found["nats"]).all()
+    rows = found.set_index("insertion")
+    deep, shallow = rows.loc["chicken-06"], rows.loc["chicken-04"]
+    assert deep["nats"] > shallow["nats"] + 3 * shallow["nats_se"]
+    assert deep["sd_after"] < shallow["sd_after"] < deep["sd_now"]
+    assert rows["role"].to_dict() == {"chicken-01": "repeat"} | dict.fromkeys(
+        ("chicken-04", "chicken-06"), "candidate"
+    )
+
+
+def test_a_design_has_the_table(world) -> None:
+    found = world.restore("identification").frames["candidates"]
+    assert set(found["insertion"]) == {"needle-2", "needle-3"}
