@@ -145,7 +145,6 @@ def _run(request: Mapping[str, Any], file: Path) -> tuple[dict[str, Any], Arrays
 
 
 _DAMAGED = "the file may be damaged: copy it or export it again"
-_FREE_MEMORY = "free memory, or run fewer at once with --jobs"
 
 
 def _error(file: Path, what: str, expected: str = "", fix: str = "") -> DataError:

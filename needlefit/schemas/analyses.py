@@ -7,7 +7,6 @@ from pydantic import Field
 from needlefit.schemas.base import FileRecord, Record
 from needlefit.schemas.dataset import NoiseRecord
 from needlefit.schemas.scene import NeedleRecord
-from needlefit.schemas.study import FitRecord, LayerCountRule, SelectionRecord
 
 
 class AnalysisRecord(FileRecord):
@@ -26,28 +25,6 @@ class AnalysisRecord(FileRecord):
     same_specimen: bool = False
     """Whether held-out insertions go on purpose into specimens that are fitted. Without it, that is a
     warning."""
-
-
-class TunedAnalysisRecord(AnalysisRecord):
-    """The keys of a fit, in the file of a study."""
-
-    dataset: str
-    """Name of a dataset in `data/`, or the path of its folder, relative to this file."""
-    medium: str
-    """Name of a tissue model in `configs/media/`, or the path of its file."""
-    recipe: str = "default"
-    """Name of a recipe in `configs/recipes/`, or the path of its file."""
-    layer_count_rule: LayerCountRule = "listed"
-    """Number of layers of an insertion that ends at a boundary: as its row lists it, or the other count."""
-    paper_parameters: str | None = None
-    """Row of the paper's parameter table that is reported beside the fit. The search never starts there."""
-    tune: SelectionRecord = Field(default=SelectionRecord())
-    """Insertions that are fitted."""
-
-    def tuning(self) -> FitRecord:
-        """Return the fit that this analysis begins with."""
-        keys = self.model_dump(by_alias=True, include=set(FitRecord.model_fields))
-        return FitRecord.model_validate(keys)
 
 
 class TargetRecord(AnalysisRecord):

@@ -25,8 +25,9 @@ from needlefit.inference.identifiability.precision import find_bounds, posterior
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.mechanics.laws import LAWS
 from needlefit.metrics import METRICS, compute_metrics, headline_metrics, list_metrics
+from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.locate import find_file, join_names
-from needlefit.project.result_warnings import ResultWarning
+from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.project.toml import add_study_context, load
 from needlefit.project.unit_warnings import medium_warnings
 from needlefit.registry import plugin_versions
@@ -50,7 +51,7 @@ from needlefit.studies.kind import StudyKind
 from needlefit.studies.provenance import PACKAGES, describe_model_options, package_versions
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Frames, Run, Verdict
-from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, run_analysis
+from needlefit.studies.runner import AnalysisTask, FrameRows, join_rows, run_tasks
 from needlefit.studies.score import Row
 
 
@@ -118,16 +119,32 @@ def run(name: str, record: CohortRecord, settings: Settings) -> Run:
     records = {"medium": medium, "recipe": recipe}
     stored = {key: one.model_dump(mode="json", by_alias=True) for key, one in records.items()}
     stored["rules"] = describe_model_options(medium)
-    also = {  # of plugins all that may read a dataset
-        "datasets_sha256": digests,
+    work = {
+        "name": name,
+        # of plugins all that may read a dataset
         "versions": package_versions(PACKAGES) | plugin_versions((LAWS, medium.law), *every),
+        "study": record.model_dump(mode="json", by_alias=True),
         "parts": [stored],
+        "datasets_sha256": digests,
     }
-    plan = AnalysisPlan((), tasks, columns, _conclude, also, warnings=warnings)
-    found = run_analysis(name, record, settings, plan)
-    made = (found.frames["errors"]["origin"] == "synthetic").any()
-    title = f"{len(files)} dataset{'s' * (len(files) > 1)}"
-    return replace(found, origin="synthetic" if made else "measured", dataset_title=title)
+    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work, settings.note)
+    parts = run_tasks(tasks, name, settings, checkpoint)
+    rows, interrupted = join_rows(parts), len(parts) < len(tasks)
+    frames: Frames = {
+        frame: pd.DataFrame(rows.get(frame, []), columns=list(names)) for frame, names in columns.items()
+    }
+    return Run(
+        kind=str(record.kind),
+        name=name,
+        record=record,
+        origin="synthetic" if (frames["errors"]["origin"] == "synthetic").any() else "measured",
+        dataset_title=f"{len(files)} dataset{'s' * (len(files) > 1)}",
+        frames=frames,
+        run={**work, **warnings_entry(warnings)},
+        timing={},
+        interrupted=interrupted,
+        faults=() if interrupted else _conclude(frames),
+    )
 
 
 def find_datasets(record: CohortRecord) -> list[Path]:

@@ -353,8 +353,6 @@ def lay_out_insertions(results: Run, role: str) -> TableLayout:
 
 # ---- parameters: posterior and error-minimising fit, beside the paper's
 
-SEARCHED = ("free", "tied")  #: values of `status` of parameters that are estimated
-
 _PARAMETER_COLUMNS = (
     *("study", "medium", "fold", "parameter", "method", "value", "median"),
     *("determined", "condition", "status"),
