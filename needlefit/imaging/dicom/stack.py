@@ -274,30 +274,6 @@ def _unclear_entry_error(name: str, value: object) -> DataError:
         fix: export the series from the scanner or the archive again""")
 
 
-def list_directory_files(file: Path, series: str) -> list[Path]:
-    """Return the files that a DICOMDIR lists for a series; none where it cannot be read: it only confirms.
-
-    Its records stand in the order of patients, studies, series and images, as programs write them.
-    """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with open_regular(file, sys.maxsize) as content:
-                records = list(pydicom.dcmread(_BoundedFile(content)).DirectoryRecordSequence)
-            found, current = list[Path](), ""
-            for record in records:
-                if record.get("DirectoryRecordType") == "SERIES":
-                    current = str(record.get("SeriesInstanceUID"))
-                elif current == series and "ReferencedFileID" in record:
-                    parts = record.ReferencedFileID
-                    found.append(file.parent.joinpath(*([parts] if isinstance(parts, str) else parts)))
-            return found
-    except MemoryError:
-        raise
-    except Exception:  # whatever the bytes provoke
-        return []
-
-
 def damaged_file_error(file: Path) -> DataError:
     """Return the error for a file of a series that is not DICOM, or is truncated."""
     empty = file.stat().st_size <= _PREAMBLE_BYTES
