@@ -122,7 +122,7 @@ def _require_unused(folder: Path) -> None:
     files=argument(
         "FILE_OR_FOLDER",
         "Tables (.csv .tsv .txt .xlsx .xls .ods), .mat, RT structure sets (.dcm), Slicer markups (.mrk.json "
-        ".fcsv) and scenes (.mrml .mrb), surfaces (.stl .ply .obj .vtk).",
+        ".fcsv), surfaces (.stl .ply .obj .vtk).",
     ),
     out=option("Folder of the dataset; it must not exist yet.", "DIR"),
     columns=option("Columns of tables by header or number: X,Y,Z, or MEANING=HEADER,...", "X,Y,Z"),

@@ -230,11 +230,11 @@ def _read_hdf(data: bytes) -> dict[str, Any]:
 
     with h5py.File(BytesIO(data), "r") as file:
         return {
-            key: _read_hdf_value(file, get_local_member(file, key)) for key in file if not key.startswith("#")
+            key: _read_hdf_value(file, _get_local_member(file, key)) for key in file if not key.startswith("#")
         }
 
 
-def get_local_member(group: Any, key: str) -> Any:  # noqa: ANN401 - h5py has no stubs
+def _get_local_member(group: Any, key: str) -> Any:  # noqa: ANN401 - h5py has no stubs
     """Return a member of a group; ValueError if it lies in another file, which links may name."""
     import h5py
 
@@ -249,7 +249,7 @@ def _read_hdf_value(file: Any, item: Any) -> Any:  # noqa: ANN401 - h5py has no 
     shows it (the file turns it).
     """
     if hasattr(item, "keys"):
-        members = {key: get_local_member(item, key) for key in item}
+        members = {key: _get_local_member(item, key) for key in item}
         fields = {key: _read_hdf_value(file, member) for key, member in members.items()}
         # In an array of structs every field is an array of references, without the class of a cell array.
         is_array = fields and all(
