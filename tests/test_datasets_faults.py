@@ -183,7 +183,7 @@ FAULTS = [
     (ROWS, "", "UTF-8", content(ROWS, "gr\xfcn".encode("latin-1"))),
     # surfaces
     (CORE, "does not close", "", mesh(CORE, lambda one: one.update_faces(np.arange(len(one.faces)) > 3))),
-    (CORE, "looks like metres", "", mesh(CORE, shrink)),
+    (CORE, "mm across", "mm", mesh(CORE, shrink)),
     (CORE, "", "", content(CORE, b"solid core\nendsolid core\n")),
     # keys
     *((None, words, "", text(TOML, old, new)) for old, new, words in (

@@ -279,22 +279,6 @@ def test_curves_below_each_other(tmp_path, title):
     assert_same(curves_of(tmp_path / "a.dat"))
 
 
-@pytest.mark.parametrize("head", ["{0},{1} mm,", "N{0},{1},", "{1} [mm];"])
-def test_x_y_and_z_may_name_rows(tmp_path, head):
-    curves = CURVES if "{0}" in head else CURVES[:1]
-    separator = ";" if ";" in head else ","
-    rows = [
-        head.format(n, axis) + separator.join(f"{value:.4f}" for value in values)
-        for n, one in enumerate(curves, 1)
-        for axis, values in zip("xyz", one.T, strict=True)
-    ]
-    (tmp_path / "a.csv").write_text("\n".join(rows))
-    assert_same(curves_of(tmp_path / "a.csv"), curves)
-    rows[1] = rows[1].replace("0.00", "?", 1)
-    (tmp_path / "a.csv").write_text("\n".join(rows))
-    assert "column" in refusal(DataError, "", read_content, [tmp_path / "a.csv"]).where
-
-
 def test_deviations_of_points_are_read_in_their_unit(tmp_path):
     rows = [[n, *(p / 10), 0.2 + n] for n, one in enumerate(CURVES, 1) for p in one]
     lines = ["id;x [cm];y [cm];z [cm];sd [mm]", *(";".join(map(str, row)) for row in rows)]
@@ -472,19 +456,6 @@ def test_fields_of_structs_name_curves_and_state_their_bevels(tmp_path, version)
     assert {name: stated(one)["bevel side"] for name, one in found.items()} == SIDES
     forces = {f"variable needles_{n}_force" for n in (1, 2, 3)}
     assert {what for what, _ in content.unused} == {"field rate", "field layers", *forces}
-
-
-def test_lists_beside_a_list_of_curves_and_structs_beside_a_curve_state_one_of_each(tmp_path):
-    cells, ids = np.empty(3, dtype=object), np.array(list(SIDES), dtype=object)
-    cells[:] = CURVES
-    savemat(tmp_path / "a.mat", {"lines": cells, "bevel": [1.0, -1.0, 1.0], "ids": ids})
-    found = curves_of(tmp_path / "a.mat")
-    assert {name: stated(one)["bevel side"] for name, one in found.items()} == SIDES
-    runs = {f"r{n}": {"xyz": one, "about": {"bevel": "left", "by": "me"}} for n, one in enumerate(CURVES)}
-    savemat(tmp_path / "a.mat", {"runs": runs})
-    content = read_content([tmp_path / "a.mat"])
-    assert [stated(one) for one in content.curves] == [{"bevel side": "left"}] * 3
-    assert [what for what, _ in content.unused] == ["field by"]
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from needlefit.project.input_files import is_file
 from needlefit.project.toml import locate_key
 from needlefit.schemas.dataset import DatasetRecord, SurfaceRecord
 
-# A surface whose greatest extent is less or more than this, mm, was written in metres or micrometres.
+# A surface whose greatest extent is less or more than this, mm, was written in another unit.
 MIN_SURFACE_MM, MAX_SURFACE_MM = 1.0, 2000.0
 RESTORE_FIX = "check its name, or restore it"
 EXPORT_FIX = "export the surface again as triangles, e.g. as STL"
@@ -88,16 +88,9 @@ def find_surface_faults(surface: Surface, path: Path) -> Iterator[Fault]:
     for what in find_mesh_faults(surface.mesh, surface.kind):
         yield Fault(str(path), f"the {surface.kind} {what}", expected, "fix the mesh (e.g. MeshLab, Slicer)")
     extent = float(np.ptp(surface.mesh.vertices, axis=0).max())
-    if extent < MIN_SURFACE_MM:
-        fix = "multiply its coordinates by 1000"
-        yield Fault(str(path), f"is {extent:.3g} across: this looks like metres", "millimetres", fix)
-    if extent > MAX_SURFACE_MM:
-        yield Fault(
-            str(path),
-            f"is {extent:.4g} mm across: this looks like micrometres, or like millimetres multiplied by 1000",
-            f"millimetres, at most {MAX_SURFACE_MM:g} across",
-            "divide its coordinates by 1000",
-        )
+    if not MIN_SURFACE_MM <= extent <= MAX_SURFACE_MM:
+        what, expected = f"is {extent:.3g} mm across", f"{MIN_SURFACE_MM:g} to {MAX_SURFACE_MM:g} mm"
+        yield Fault(str(path), what, expected, "convert its coordinates to mm")
 
 
 def find_layers(

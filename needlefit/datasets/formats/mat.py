@@ -127,35 +127,16 @@ def _iterate_curves(
     """Yield name, points and what is stated of every curve in a value; add what is none to `unused`."""
     if isinstance(value, dict):
         columns, value = _take_columns(value)
-        for key in [key for key, part in value.items() if isinstance(part, dict)]:
-            inner = {name: _to_text(part) for name, part in value[key].items()}
-            if None not in inner.values():  # a struct of texts and numbers beside the curve
-                value = {**value, **inner}
-                del value[key]
-        counts = {key: len(part) for key, part in value.items() if _is_list(part)}
-        shared = {
-            key: part
-            for key, part in value.items()
-            if np.size(part) > 1 and np.size(part) in counts.values() and _list_texts(part) is not None
-        }
         texts = {key: text for key, part in value.items() if (text := _to_text(part)) is not None}
-        texts = {key: text for key, text in texts.items() if key not in shared}
-        others = {key: part for key, part in value.items() if key not in (*texts, *shared)}
+        others = {key: part for key, part in value.items() if key not in texts}
         is_one = columns is None and sum(_to_points(part) is not None for part in others.values()) == 1
         named = stated | texts | {NAMED_FIELDS: ""}
         here = [] if columns is None else [(name or "curve", columns, named)]
         for key, part in others.items():
             own = name if name and is_one and _to_points(part) is not None else f"{name}_{key}".strip("_")
-            if _is_list(part):  # a list beside it of as many texts or numbers states one of each
-                lists = {one: _list_texts(of) or () for one, of in shared.items() if np.size(of) == len(part)}
-                for number, inner_part in enumerate(part, 1):
-                    each = {one: of[number - 1] for one, of in lists.items()}
-                    more = stated | texts | each
-                    here += _iterate_curves(f"{own}_{number}", inner_part, more, unused)
-            else:
-                here += _iterate_curves(own, part, stated | texts, unused)
+            here += _iterate_curves(own, part, stated | texts, unused)
         if not here:  # nothing that the texts could be stated of
-            unused += [f"{name}.{key}".strip(".") for key in (*texts, *shared)]
+            unused += [f"{name}.{key}".strip(".") for key in texts]
         yield from here
     elif _is_list(value):
         for number, part in enumerate(value if isinstance(value, list) else value.ravel(), 1):
@@ -168,13 +149,6 @@ def _iterate_curves(
 
 def _is_list(value: Any) -> bool:  # noqa: ANN401 - whatever MATLAB saved
     return isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object)
-
-
-def _list_texts(value: Any) -> list[str] | None:  # noqa: ANN401 - whatever MATLAB saved
-    """Return the texts or numbers of a list or vector; None for anything else."""
-    parts = [_to_text(part) for part in (value if isinstance(value, list) else np.ravel(value))]
-    texts = [part for part in parts if part is not None]
-    return texts if len(texts) == len(parts) and np.size(value) == max(np.shape(value), default=0) else None
 
 
 def _to_points(value: Any) -> Floats | None:  # noqa: ANN401 - whatever MATLAB saved

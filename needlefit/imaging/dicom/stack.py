@@ -290,16 +290,6 @@ MIN_STEP_MM = 1e-3  # slices closer than this are one, mm
 MAX_STEP_RATIO = 1.5  # a step longer than this many usual ones lacks slices
 # Modalities whose values are attenuations; converters leave the entry out, or write OT (other).
 XRAY_MODALITIES = frozenset({"", "CT", "XA", "RF", "DX", "PX", "IO", "OT"})
-OTHER_MODALITIES = {
-    "MR": "magnetic resonance, in which a needle is a void without a sharp edge",
-    "US": "ultrasound",
-    "PT": "positron emission tomography",
-    "NM": "nuclear medicine",
-    "MG": "mammography",
-    "OCT": "optical coherence tomography",
-    "OPT": "optical coherence tomography",
-}
-
 # What RescaleType says of values in HU; US is "unspecified", as cone-beam scanners write.
 HU_UNITS = ("", "HU", "HU_MOD", "US")
 HU_FIX = (
@@ -385,9 +375,8 @@ def _kind_fault(item: DicomSlice) -> tuple[str, str, str] | None:
         fix = "move localizers (scouts, topograms) to a folder of their own"
         return "is a localizer among the slices of a volume", "slices of the volume only", fix
     if item.modality not in XRAY_MODALITIES:
-        meaning = OTHER_MODALITIES.get(item.modality, "")
         fix = "give the CT; if this is one and its header is wrong, save it as NRRD, e.g. with 3D Slicer"
-        what = f"is no CT: its Modality is {item.modality}" + f", {meaning}" * bool(meaning)
+        what = f"is no CT: its Modality is {item.modality}"
         return what, "attenuation of X-rays, in HU: its thresholds separate needle, tissue and air", fix
     places = {"ImagePositionPatient": item.position, "ImageOrientationPatient": item.axes}
     missing = [name for name, value in (places | {"PixelSpacing": item.pixel}).items() if value is None]

@@ -18,7 +18,7 @@ from scipy.special import chdtrc
 
 from needlefit.arrays import Floats
 from needlefit.errors import DataError
-from needlefit.geometry.frames import Frame
+from needlefit.geometry.frames import AXIS_SIGNS, Frame
 from needlefit.imaging.refusals import refusal
 from needlefit.imaging.registration.pairing import (
     MAX_WRONG_PAIRING_PROBABILITY,
@@ -43,15 +43,7 @@ from needlefit.imaging.registration.pairing import (
     worst_turn_sd,
 )
 
-# Signs that readers confuse.
-SIGN_CHANGES = {
-    "x and y": np.array([-1.0, -1.0, 1.0]),
-    "x": np.array([-1.0, 1.0, 1.0]),
-    "y": np.array([1.0, -1.0, 1.0]),
-    "z": np.array([1.0, 1.0, -1.0]),
-}
-
-# By how much nearer everything must lie with a sign changed before the sign counts as wrong.
+# By how much nearer everything must lie with the signs of x and y changed before they count as wrong.
 MIN_DISTANCE_RATIO = 4.0
 
 
@@ -80,24 +72,20 @@ def no_fit_error(sets: MarkerSets) -> DataError:
 
 
 def check_axis_signs(given: ArrayLike, detected: ArrayLike, sd: float) -> None:
-    """Raise DataError if markers `given` (P, 3) fit those `detected` (M, 3) only with signs changed.
+    """Raise DataError if markers `given` (P, 3) fit those `detected` (M, 3) only with RAS and LPS exchanged.
 
     Both are stated in the frame of the scan: fiducials of a file, and markers or metal in the volume.
     `sd` is the deviation of a distance between the two, mm. Sets that fit neither way pass: they may be of
     different things.
     """
     points, tree = np.asarray(given, dtype=np.float64), cKDTree(np.asarray(detected, dtype=np.float64))
-    as_is = float(np.median(tree.query(points)[0]))
-    off = {name: float(np.median(tree.query(points * signs)[0])) for name, signs in SIGN_CHANGES.items()}
-    name = min(off, key=lambda one: off[one])
-    if as_is <= MIN_DISTANCE_RATIO * max(off[name], sd) or off[name] > MIN_DISTANCE_RATIO * sd:
-        return
-    what = "RAS was read as LPS" if name == "x and y" else f"the sign of {name} is wrong"
-    raise refusal(f"""{what}: the markers given lie {as_is:.1f} mm from those in the volume, with the sign of
-            {name} changed {off[name]:.1f} mm
-        expected: the coordinate system that the file states, turned to LPS at the reader
-        fix: state the coordinate system of the file (RAS or LPS)
-        where: markers given in the frame of the scan""")
+    as_is, turned = (float(np.median(tree.query(points * AXIS_SIGNS[one])[0])) for one in ("LPS", "RAS"))
+    if as_is > MIN_DISTANCE_RATIO * max(turned, sd) and turned <= MIN_DISTANCE_RATIO * sd:
+        raise refusal(f"""RAS was read as LPS: the markers given lie {as_is:.1f} mm from those in the volume,
+                with the signs of x and y changed {turned:.1f} mm
+            expected: the coordinate system that the file states, turned to LPS at the reader
+            fix: state the coordinate system of the file (RAS or LPS)
+            where: markers given in the frame of the scan""")
 
 
 def format_pairs(pairs: ArrayLike) -> str:
