@@ -1,4 +1,4 @@
-"""Files of other programs, written by hand: tables, workbooks, MATLAB files, scenes of 3D Slicer."""
+"""Files of other programs, written by hand: tables, workbooks, MATLAB files, markups and surfaces."""
 
 import json
 import zipfile
@@ -9,11 +9,6 @@ import numpy as np
 
 from needlefit.datasets.importing.files import read_content
 from needlefit.datasets.importing.planning import Planner
-
-TURN = np.array([[0.0, -1.0, 0.0, 12.0], [1.0, 0.0, 0.0, -30.0], [0.0, 0.0, 1.0, 5.0], [0.0, 0.0, 0.0, 1.0]])
-"""A quarter turn and a shift, LPS, from a node to its parent."""
-
-FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
 def needle(n=0, points=16, depth=60.0):
@@ -127,80 +122,6 @@ def vtk_binary_sheet(x, size=60.0):
             b"\nCONNECTIVITY vtktypeint64\n" + np.array([0, 1, 2, 0, 2, 3], ">i8").tobytes() + b"\n",
         )
     )
-
-
-def write_tfm(path: Path, matrix):
-    """What Slicer writes: the way from the parent, LPS."""
-    inverse = np.linalg.inv(matrix)
-    numbers = " ".join(map(repr, [*inverse[:3, :3].ravel().tolist(), *inverse[:3, 3].tolist()]))
-    path.write_text(
-        "#Insight Transform File V1.0\n#Transform 0\nTransform: AffineTransform_double_3_3\n"
-        f"Parameters: {numbers}\nFixedParameters: 0 0 0\n"
-    )
-
-
-def write_h5(path: Path, matrix):
-    inverse = np.linalg.inv(matrix)
-    with h5py.File(path, "w") as file:
-        group = file.create_group("TransformGroup/0")
-        group["TransformType"] = np.array([b"AffineTransform_double_3_3"])
-        group["TransformParameters"] = np.concatenate([inverse[:3, :3].ravel(), inverse[:3, 3]])
-        group["TransformFixedParameters"] = np.zeros(3)
-
-
-def scene_text(nodes):
-    lines = [
-        " ".join([f" <{tag}", *(f'{key}="{value}"' for key, value in keys.items()), f"></{tag}>"])
-        for tag, keys in nodes
-    ]
-    return (
-        '<?xml version="1.0" encoding="UTF-8"?>\n<MRML version="Slicer5.6.2">\n'
-        + "\n".join(lines)
-        + "\n</MRML>\n"
-    )
-
-
-def write_scene(folder: Path, curves, transform="tfm"):
-    """A scene with curves (RAS) below a transform, a model in the world, and what an import leaves out."""
-    data = folder / "Data"
-    data.mkdir(parents=True)
-    matrix = FLIP @ TURN @ FLIP
-    inline = " ".join(f"{value:g}" for value in matrix.ravel())
-    own = {"matrixTransformToParent": inline} if transform == "inline" else {"references": "storage:ts;"}
-    nodes = [("LinearTransform", {"id": "t", "name": "Tisch", **own})]
-    if transform != "inline":
-        nodes.append(("TransformStorage", {"id": "ts", "fileName": f"Data/Tisch%20neu.{transform}"}))
-        (write_tfm if transform == "tfm" else write_h5)(data / f"Tisch neu.{transform}", TURN)
-    inverse = np.linalg.inv(TURN)
-    for n, points in enumerate(curves, 1):
-        local = points @ inverse[:3, :3].T + inverse[:3, 3]
-        write_markups(data / f"C{n}.mrk.json", "x", local, system="RAS")
-        refs = f"display:d{n};storage:s{n};transform:t;"
-        nodes.append(("MarkupsCurve", {"id": f"c{n}", "name": f"Needle {n}", "references": refs}))
-        nodes.append(("MarkupsJsonStorage", {"id": f"s{n}", "fileName": f"Data/C{n}.mrk.json"}))
-    write_markups(data / "F.mrk.json", "F", curves[0][:3], "Fiducial")
-    nodes.append(("MarkupsFiducial", {"id": "f", "name": "F", "references": "storage:fs;"}))
-    nodes.append(("MarkupsFiducialStorage", {"id": "fs", "fileName": "Data/F.mrk.json"}))
-    (data / "fat.vtk").write_bytes(vtk_binary_sheet(20.0))
-    nodes.append(("Model", {"id": "m", "name": "fat", "references": "storage:ms;"}))
-    nodes.append(("ModelStorage", {"id": "ms", "fileName": "Data/fat.vtk", "coordinateSystem": "RAS"}))
-    nodes.append(("Model", {"id": "red", "name": "Red Volume Slice"}))
-    (folder / "scene.mrml").write_text(scene_text(nodes))
-    return folder / "scene.mrml"
-
-
-def write_bundle(path: Path, folder: Path, extra=(), packed=True):
-    """A .mrb of a scene's folder; `extra` are members besides."""
-    with zipfile.ZipFile(path, "w") as archive:
-        for file in sorted(folder.rglob("*")):
-            if file.is_file():
-                info = zipfile.ZipInfo(f"case/{file.relative_to(folder).as_posix()}")
-                archive.writestr(
-                    info, file.read_bytes(), zipfile.ZIP_DEFLATED if packed else zipfile.ZIP_STORED
-                )
-        for name, data in extra:
-            archive.writestr(zipfile.ZipInfo(name), data, zipfile.ZIP_DEFLATED)
-    return path
 
 
 def plan_import(paths, answers, columns=""):

@@ -151,19 +151,19 @@ def test_the_picture_shows_needle_entry_and_tip_where_they_are():
 
 
 @pytest.mark.parametrize(
-    ("convert", "words"),
+    "convert",
     [
-        (lambda hu: np.clip(hu + 1024, 0, 4095), "stored"),
-        (lambda hu: np.clip(hu + 1000, 0, None) * 2e-4, "micro-CT"),
-        (lambda hu: (np.clip(hu + 1000, 0, None) * 2e-4) - 0.01, "micro-CT"),  # noise below 0
-        (lambda hu: np.abs(hu + 1000) / 3, "MR"),
+        lambda hu: np.clip(hu + 1024, 0, 4095),
+        lambda hu: np.clip(hu + 1000, 0, None) * 2e-4,
+        lambda hu: (np.clip(hu + 1000, 0, None) * 2e-4) - 0.01,  # noise below 0
+        lambda hu: np.abs(hu + 1000) / 3,
     ],
 )
-def test_values_that_are_no_hu_are_refused(convert, words):
+def test_values_that_are_no_hu_are_refused(convert):
     volume = cases.scan(cases.axis())
     require_hounsfield(volume, "scan.nrrd")
     other = replace(volume, values=convert(volume.values.astype(np.float64)).astype(np.float32))
-    refused = refusal(DataError, words, require_hounsfield, other, "scan.nrrd")
+    refused = refusal(DataError, "Hounsfield", require_hounsfield, other, "scan.nrrd")
     assert refused.where == "scan.nrrd" and refused.fix
 
 

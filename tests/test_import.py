@@ -13,7 +13,6 @@ from refusals import refusal
 from scipy.io import savemat
 
 from needlefit.cli import main
-from needlefit.datasets import slicer_scene
 from needlefit.datasets.importing.answers import Answers
 from needlefit.datasets.importing.files import read_content
 from needlefit.datasets.importing.synonyms import Stated, read_header
@@ -280,22 +279,6 @@ def test_curves_below_each_other(tmp_path, title):
     assert_same(curves_of(tmp_path / "a.dat"))
 
 
-@pytest.mark.parametrize("head", ["{0},{1} mm,", "N{0},{1},", "{1} [mm];"])
-def test_x_y_and_z_may_name_rows(tmp_path, head):
-    curves = CURVES if "{0}" in head else CURVES[:1]
-    separator = ";" if ";" in head else ","
-    rows = [
-        head.format(n, axis) + separator.join(f"{value:.4f}" for value in values)
-        for n, one in enumerate(curves, 1)
-        for axis, values in zip("xyz", one.T, strict=True)
-    ]
-    (tmp_path / "a.csv").write_text("\n".join(rows))
-    assert_same(curves_of(tmp_path / "a.csv"), curves)
-    rows[1] = rows[1].replace("0.00", "?", 1)
-    (tmp_path / "a.csv").write_text("\n".join(rows))
-    assert "column" in refusal(DataError, "", read_content, [tmp_path / "a.csv"]).where
-
-
 def test_deviations_of_points_are_read_in_their_unit(tmp_path):
     rows = [[n, *(p / 10), 0.2 + n] for n, one in enumerate(CURVES, 1) for p in one]
     lines = ["id;x [cm];y [cm];z [cm];sd [mm]", *(";".join(map(str, row)) for row in rows)]
@@ -475,47 +458,6 @@ def test_fields_of_structs_name_curves_and_state_their_bevels(tmp_path, version)
     assert {what for what, _ in content.unused} == {"field rate", "field layers", *forces}
 
 
-def test_lists_beside_a_list_of_curves_and_structs_beside_a_curve_state_one_of_each(tmp_path):
-    cells, ids = np.empty(3, dtype=object), np.array(list(SIDES), dtype=object)
-    cells[:] = CURVES
-    savemat(tmp_path / "a.mat", {"lines": cells, "bevel": [1.0, -1.0, 1.0], "ids": ids})
-    found = curves_of(tmp_path / "a.mat")
-    assert {name: stated(one)["bevel side"] for name, one in found.items()} == SIDES
-    runs = {f"r{n}": {"xyz": one, "about": {"bevel": "left", "by": "me"}} for n, one in enumerate(CURVES)}
-    savemat(tmp_path / "a.mat", {"runs": runs})
-    content = read_content([tmp_path / "a.mat"])
-    assert [stated(one) for one in content.curves] == [{"bevel side": "left"}] * 3
-    assert [what for what, _ in content.unused] == ["field by"]
-
-
-# ---- scenes of 3D Slicer
-
-
-@pytest.mark.sweep
-@pytest.mark.parametrize("transform", ["tfm", "h5", "inline"])
-def test_a_scene_with_its_transform(tmp_path, transform):
-    scene = import_cases.write_scene(tmp_path / "s", CURVES, transform)
-    for path in (scene, import_cases.write_bundle(tmp_path / "s.mrb", tmp_path / "s")):
-        content = read_content([path])
-        assert [one.name for one in content.curves] == ["Needle_1", "Needle_2", "Needle_3"]
-        assert_same({one.name: one for one in content.curves}, atol=1e-9)
-        (model,) = content.surfaces
-        assert model.surface.name == "fat" and model.path == (path if path.suffix == ".mrb" else model.path)
-        np.testing.assert_allclose(model.surface.mesh.vertices[:, 0], 20.0)
-
-
-def test_transforms_are_chained_from_the_inside_out(tmp_path):
-    import_cases.write_scene(tmp_path / "s", CURVES[:1], "tfm")
-    shift = "1 0 0 100  0 1 0 0  0 0 1 0  0 0 0 1"  # RAS: 100 mm to the right
-    scene = tmp_path / "s" / "scene.mrml"
-    text = scene.read_text().replace('references="storage:ts;"', 'references="storage:ts;transform:u"')
-    node = f' <Transform id="u" name="U" matrixTransformToParent="{shift}"></Transform>\n</MRML>'
-    scene.write_text(text.replace("</MRML>", node))
-    (one,) = read_content([scene]).curves
-    np.testing.assert_allclose(one.points.values, CURVES[0] - [100, 0, 0], atol=1e-9)
-    assert np.linalg.det(import_cases.TURN) == pytest.approx(1.0)
-
-
 @pytest.mark.parametrize(
     "data",
     [
@@ -532,55 +474,6 @@ def test_vtk_surfaces(tmp_path, data):
 
 
 # ---- hostile files
-
-
-def test_a_bundle_that_names_files_outside_or_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
-    import_cases.write_scene(tmp_path / "s", CURVES[:1])
-    for member in ("../x.mrml", "/etc/x.stl", "a/../../x.stl", "C:\\x.stl", "a\\..\\..\\x.stl"):
-        import_cases.write_bundle(tmp_path / "a.mrb", tmp_path / "s", [(member, b"x")])
-        refusal(DataError, "outside", read_content, [tmp_path / "a.mrb"])
-    assert not (tmp_path / "x.mrml").exists()
-    monkeypatch.setattr(slicer_scene, "MAX_UNPACKED_BYTES", 2**20)
-    import_cases.write_bundle(tmp_path / "a.mrb", tmp_path / "s", [("case/big.stl", b"\0" * 2**22)])
-    refusal(DataError, "unpacks", read_content, [tmp_path / "a.mrb"])
-
-
-BOMB = '<!DOCTYPE MRML [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;">]>\n<MRML name="&b;"></MRML>'
-OUTSIDE = [
-    ("MarkupsCurve", {"id": "c", "name": "C", "references": "storage:s;"}),
-    ("MarkupsJsonStorage", {"id": "s", "fileName": "../secret.mrk.json"}),
-]
-LOOP = [
-    ("MarkupsCurve", {"id": "c", "name": "C", "references": "storage:s;transform:t"}),
-    ("MarkupsJsonStorage", {"id": "s", "fileName": "c.mrk.json"}),
-    ("Transform", {"id": "t", "references": "transform:t"}),
-]
-
-
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [
-        *((BOMB, "entities"), ("<MRML><a></MRML>", "XML"), ("<html></html>", "no scene"), ("", "XML")),
-        *((import_cases.scene_text(OUTSIDE), "outside"), (import_cases.scene_text(LOOP), "loop")),
-        *((import_cases.scene_text(OUTSIDE).replace("../secret", "/etc/secret"), "outside"),),
-        *((import_cases.scene_text(LOOP).replace("transform:t", "transform:q"), "not in the scene"),),
-    ],
-)
-def test_a_hostile_scene_is_refused(tmp_path, text, reason):
-    folder = tmp_path / "s"
-    folder.mkdir()
-    import_cases.write_markups(tmp_path / "secret.mrk.json", "C", CURVES[0])
-    import_cases.write_markups(folder / "c.mrk.json", "C", CURVES[0])
-    (folder / "scene.mrml").write_text(text)
-    refusal(DataError, reason, read_content, [folder / "scene.mrml"])
-
-
-@pytest.mark.parametrize("kind", ["BSplineTransform_double_3_3", "AffineTransform_double_2_2"])
-def test_a_transform_that_is_not_linear_is_refused(tmp_path, kind):
-    import_cases.write_scene(tmp_path / "s", CURVES[:1])
-    file = tmp_path / "s" / "Data" / "Tisch neu.tfm"
-    file.write_text(file.read_text().replace("AffineTransform_double_3_3", kind))
-    refusal(DataError, "harden", read_content, [tmp_path / "s" / "scene.mrml"])
 
 
 @pytest.mark.sweep
@@ -1119,17 +1012,6 @@ def test_commands_write_studies_that_can_be_moved_with_their_data(tmp_path, caps
         monkeypatch.chdir(folder)
         assert run("check", f"{name}/gel_study.toml") == 0
         assert load_study(Path(name, "gel_study.toml")).medium == f"./{Path(name, 'tissue.toml').as_posix()}"
-
-
-def test_a_scene_of_slicer_becomes_a_dataset_with_layers(tmp_path):
-    import_cases.write_scene(tmp_path / "s", NEEDLES, "tfm")
-    import_cases.write_bundle(tmp_path / "s.mrb", tmp_path / "s")
-    options = ("--pose", "1,0,0", "--bevel", "0,1,0", "--yes")
-    assert run("import", tmp_path / "s.mrb", "--out", tmp_path / "gel", *options) == 0
-    dataset = read(tmp_path / "gel")
-    assert dataset.pose == "known" and [one.sequence for one in dataset.insertions] == [(1, 2)] * 3
-    assert dataset.insertions[0].boundaries[0] == pytest.approx(20.0, abs=0.01)
-    assert dataset.insertions[0].planar[-1, 1] > 1.0
 
 
 @pytest.mark.parametrize("text", ["", "hello\n", "1,2,3\n", "x,y,z\n1,2,3\n4,a,6\n7,8,9\n1,2,3\n", "x,x,x\n"])

@@ -308,13 +308,10 @@ SEQUENCES = {
         ("pull", 400, 300, 80, 40, "!part('#refit').hidden"),
         ("click", "#refit", "part('#refit').hidden && part('[data-fit=tissue]').ariaPressed === 'true'"),
     ],
-    "a goal can be undone, and one that is refused is taken back": [
+    "a goal that is refused is taken back": [
         ("go to", 5, "true"),
         ("aim", "{ target: [35, 0.5] }", "aim.reach"),
-        ("wait_for_timeout", 1100, "true"),  # changes that follow sooner are undone together
         ("enter", RADIUS, "1.5", "aim.radius === 1.5"),
-        ("key", "Control+z", "aim.radius === 2 && s.depth_mm === 5"),
-        ("key", "Control+y", "aim.radius === 1.5"),
         ("enter", GOAL_X, "1e300", REFUSED),
         ("focus", "#canvas", f"aim.target[0] === 35 && Number(part('{GOAL_X}').value) === 35"),
     ],
@@ -853,28 +850,6 @@ def test_a_pinned_needle_stays_and_the_strip_reads_both(page) -> None:
     do(page, ("key", "Enter", "Math.abs(s.tip.x - 20) < 0.02 && !s.moving"))
     page.click("#pin")
     assert get(page, "n.pinned") is None
-
-
-@sweep
-def test_presets_change_tissue_and_needle_and_a_pinned_needle_stays(chromium, tmp_path) -> None:
-    running = Server(tmp_path, "phantom2_fitted")
-    try:
-        with opened(chromium, running) as page:
-            first = go_to(page, 30)
-            page.click("#pin")
-            page.select_option("#preset-needle", "20 gauge")
-            thin = until(page, "n.scene.needle_name === '20 gauge' && s.depth_mm === 30 && !s.moving")
-            assert get(page, "n.scene.diameter_mm") == 0.908 and get(page, "n.pinned.y") == first["y"]
-            assert abs(thin["tip"]["y"]) > 1.1 * abs(first["tip"]["y"])  # a thinner one bends more
-            page.select_option("#preset-needle", index=0)  # the scene's own
-            again = until(page, "n.scene.diameter_mm > 1.2 && s.depth_mm === 30 && !s.moving")
-            assert again["y"] == pytest.approx(first["y"], abs=1e-6)
-            page.select_option("#preset-scene", "chicken")
-            state = until(page, "n.scene.target === 'chicken' && s.depth_mm === 30 && !s.moving")
-            assert len(state["layers"]) == 1 and get(page, "n.scene.needle_name") != "20 gauge"
-            assert find_violations(page) == []
-    finally:
-        running.end()
 
 
 @sweep

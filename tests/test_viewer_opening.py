@@ -150,8 +150,6 @@ def test_a_scene_is_shown_as_it_is_simulated(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)  # nothing here: the shipped ones
     viewed_scene = open_target("study3")
     assert viewed_scene.measured is viewed_scene.spread is viewed_scene.scanned is None
-    assert {"study3", "phantom2_fitted"} < set(viewed_scene.choices)  # presets of the page
-    assert viewed_scene.choices["study3"] == viewed_scene.title
     assert not viewed_scene.synthetic and viewed_scene.diameter == 1.27
     scene = Scene.from_record(viewed_scene.record)
     first = scene.steps[0]

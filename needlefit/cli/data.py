@@ -135,7 +135,7 @@ def import_data(
         argument(
             "FILE_OR_FOLDER",
             "Tables (.csv .tsv .txt .xlsx .xls .ods), .mat, RT structure sets (.dcm), Slicer markups "
-            "(.mrk.json .fcsv) and scenes (.mrml .mrb), surfaces (.stl .ply .obj .vtk).",
+            "(.mrk.json .fcsv), surfaces (.stl .ply .obj .vtk).",
         ),
     ],
     out: Annotated[Path, option("Folder of the dataset; it must not exist yet.", "DIR")],

@@ -18,10 +18,10 @@ import numpy as np
 from needlefit.arrays import Floats, Ints
 from needlefit.datasets.insertion_table import MIN_DEPTH_MM
 from needlefit.errors import DataError, NeedlefitError
-from needlefit.geometry.crossings import find_crossings, find_surface_hits, measure_enclosed_length
+from needlefit.geometry.crossings import find_surface_hits, measure_enclosed_length
 from needlefit.geometry.curves import arc_length, find_bending_direction, interpolate_at_arc
-from needlefit.geometry.frames import AXIS_SIGNS, IDENTITY_FRAME, Frame, make_entry_frame, normalize
-from needlefit.geometry.surfaces import Surface, find_nearest, transform_surface
+from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame, normalize
+from needlefit.geometry.surfaces import Surface, find_nearest
 from needlefit.imaging.entry import (
     MAX_ENTRY_DISTANCE_MM,
     MIN_SHAFT_LENGTH_MM,
@@ -187,21 +187,17 @@ def _entry_warnings(one: Reconstruction) -> Iterator[str]:
         apart = compare_poses(one.pose, one.shaft)
         if apart.worst > MAX_DISAGREEMENT_SD:
             yield apart.sentence
-    edge, source = find_tissue_edge(one.profile), _describe_entry_source(one)
-    if edge is None or source is None:
+    # nothing else says where the tissue begins where that is the brightness of the scan itself
+    own = any(surface.into == 1 for surface in one.layers.surfaces)
+    source = "its own surface (into = 1)" if own else ""
+    source = "the stage's entry" if one.pose.source == "stage" else source
+    edge = find_tissue_edge(one.profile)
+    if edge is None or not source:
         return
     off, sd = edge[0], float(np.hypot(edge[1], one.pose.along_sd))
     if abs(off) > MAX_DISAGREEMENT_SD * sd:
         side = "after" if off > 0 else "before"
         yield f"in the scan the tissue begins {abs(off):.2f} +- {sd:.2f} mm {side} {source}"
-
-
-def _describe_entry_source(one: Reconstruction) -> str | None:
-    """Return what says where the tissue begins; None if that is the brightness of the scan itself."""
-    if one.pose.source == "stage":
-        return "the stage's entry"
-    own = any(surface.into == 1 for surface in one.layers.surfaces)
-    return "its own surface (into = 1)" if own else None
 
 
 def _plane_warnings(one: Reconstruction) -> Iterator[str]:
@@ -263,19 +259,21 @@ def refuse_tunnels(surfaces: Sequence[Surface], needle: Floats) -> None:
                 Smoothing, Closing (fill holes), with a kernel wider than the needle, for each layer""")
 
 
-def check_layer_count(scan: Scan, layers: Layers, points: Floats, patient: Frame) -> tuple[str, ...]:
+def check_layer_count(scan: Scan, layers: Layers, points: Floats) -> tuple[str, ...]:
     """Return warnings about the number of layers that a needle (N, 3), world, crosses.
 
     Nothing, where there are as many as somebody counted.
-
-    `patient`: the scan's LPS axes and origin in the world.
 
     DataError if somebody counted the layers and these are not as many.
     """
     counted = {number for number in (scan.layers, scan.layers_alternative) if number is not None}
     if len(layers.sequence) in counted:
         return ()
-    notes = tuple(_crossing_warnings(layers, points, patient))
+    notes: tuple[str, ...] = ()
+    beyond = [surface for surface in layers.surfaces if surface.into > 1]
+    if beyond and not len(layers.boundaries):
+        away = find_nearest(points, beyond).distances.min()
+        notes = (f"the needle crosses no layer; the nearest surface stays {away:.1f} mm away (LPS, RAS?)",)
     if not counted:
         return notes
     depths = ", ".join(f"{depth:.2f}" for depth in layers.boundaries)
@@ -286,38 +284,6 @@ def check_layer_count(scan: Scan, layers: Layers, points: Floats, patient: Frame
             {expected} were counted{"".join(f"; {one}" for one in notes)}
         expected: {expected} layers
         fix: correct the count or the surfaces; look at both together in 3D Slicer""")
-
-
-def _crossing_warnings(layers: Layers, points: Floats, patient: Frame) -> Iterator[str]:
-    for surface in layers.surfaces:
-        if surface.kind == "sheet" and not len(find_surface_hits(points, surface)):
-            beside = _distance_beside(points, surface)
-            if beside is not None:
-                yield f"the needle passes {beside:.1f} mm beside the sheet {surface.name}: it is too small"
-    beyond = [surface for surface in layers.surfaces if surface.into > 1]
-    if beyond and not len(layers.boundaries):
-        away = find_nearest(points, beyond).distances
-        yield f"the needle crosses no layer; the nearest surface stays {away.min():.1f} mm away"
-        turn = patient.rotation @ np.diag(AXIS_SIGNS["RAS"]) @ patient.rotation.T
-        turned = Frame(patient.origin - turn @ patient.origin, turn)
-        flipped = [transform_surface(surface, turned) for surface in layers.surfaces]
-        if len(find_crossings(points, flipped).sequence) > 1:
-            yield "the needle would cross layers if their files were in RAS: save them in LPS"
-
-
-def _distance_beside(points: Floats, surface: Surface) -> float | None:
-    """Return how far from a sheet a needle goes through its mean plane, mm; None if it does not."""
-    vertices = np.asarray(surface.mesh.vertices, dtype=np.float64)
-    centre = vertices.mean(axis=0)
-    normal = np.linalg.svd(vertices - centre, full_matrices=False)[2][2]
-    heights = (points - centre) @ normal
-    passes = np.flatnonzero(np.signbit(heights[1:]) != np.signbit(heights[:-1]))
-    if len(passes) == 0:
-        return None
-    n = int(passes[0])
-    part = heights[n] / (heights[n] - heights[n + 1])
-    place = points[n] + part * (points[n + 1] - points[n])
-    return float(find_nearest(place, [surface]).distances[0])
 
 
 # Length beyond the tip over which the brightness is sampled, mm: the report shows where the needle ends.
@@ -522,7 +488,8 @@ def _locate_tissue(
                 fix: place it on the needle; RAS has x and y of the other sign
                 where: {", ".join(CONTACT_COLUMNS)}""")
         return float(fine[np.argmin(away)]), recipe.entry.placed_contact_sd_mm, ()
-    own = _hit_surfaces(found.world, [surface for surface in surfaces if surface.into == 1])
+    hits = [find_surface_hits(found.world, surface) for surface in surfaces if surface.into == 1]
+    own = np.concatenate([np.empty(0), *hits])
     if len(own):
         at = float(own.min())
         _refuse_distant_surface(at, found)
@@ -536,11 +503,6 @@ def _locate_tissue(
                 layers, as FILE=sheet:1 or FILE=solid:1""")
     entry, warnings = choice
     return entry.at, entry.sd, warnings
-
-
-def _hit_surfaces(needle: Floats, surfaces: Sequence[Surface]) -> Floats:
-    """Return where along a needle (N, 3) it meets surfaces (n,), mm."""
-    return np.concatenate([np.empty(0), *(find_surface_hits(needle, surface) for surface in surfaces)])
 
 
 def _refuse_distant_surface(at: float, found: Examination) -> None:
@@ -585,7 +547,7 @@ def derive_reconstruction(
     if registration is not None:
         ends = found.patient.to_local(points[[0, -1]])
         target_error = predict_mean_target_error(registration, ends)
-    notes = check_layer_count(scan, layers, points, found.patient)
+    notes = check_layer_count(scan, layers, points)
     one = Reconstruction(
         scan=scan,
         spacing=grid.spacing,

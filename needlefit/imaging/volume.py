@@ -209,7 +209,6 @@ TOP_12_BIT_HU, MAX_SATURATED = (2900.0, 3100.0), 10
 # In metal they leave single voxels darker than both neighbours by more, HU; fewer are noise.
 MIN_HOLE_HU, MIN_HOLES = 800.0, 30
 MIN_RANGE_HU = 100.0  # air, tissue and metal differ by more, HU; attenuation per length never does
-STORED_WATER = 1024.0  # what water reads where a CT was saved without its rescale
 
 
 def require_hounsfield(volume: Volume, where: str) -> None:
@@ -221,15 +220,7 @@ def require_hounsfield(volume: Volume, where: str) -> None:
     if low < 0 and high - low >= MIN_RANGE_HU:
         _refuse_wrapped_metal(volume, high, where)
         return
-    some = volume.values[::3, ::3, ::3]
-    dense = some[some > STORED_WATER / 2]
-    water = float(np.median(dense)) if dense.size else 0.0
-    guess = "as those of MR, ultrasound or unscaled micro-CT do"
-    if high < MIN_RANGE_HU:
-        guess = "as attenuation per length does (micro-CT)"
-    elif abs(water - STORED_WATER) < STORED_WATER / 4:
-        guess = f"with {water:.0f} as the commonest above air: stored values, perhaps, without their rescale"
-    raise refusal(f"""its values are no Hounsfield units: they lie between {low:.4g} and {high:.4g}, {guess}
+    raise refusal(f"""its values are no Hounsfield units: they lie between {low:.4g} and {high:.4g}
         expected: a CT volume in HU
         fix: export the scan in HU (water 0, air -1000), e.g. as DICOM with its rescale, or convert the
             values: HU = 1000 (mu / mu of water - 1)

@@ -16,7 +16,6 @@ from needlefit.metrics import list_metrics
 from needlefit.project.json_values import parse_json
 from needlefit.reporting import needle_page
 from needlefit.schemas.limits import MAX_NUMBER
-from needlefit.viewer.opening import list_needles
 from needlefit.viewer.overlays import MeasuredOverlay, choose_band_draws
 from needlefit.viewer.recording import RecordedStep
 from needlefit.viewer.steering import Change, SteeredNeedle
@@ -48,8 +47,6 @@ def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         "draws": None if viewed_scene.spread is None else encode_draws(viewed_scene.spread, scene.tissue.law),
         "slice": viewed_scene.scanned is not None,
         "choices": list(viewed_scene.choices.items()),
-        "needles": list(list_needles(viewed_scene)),
-        "needle_name": viewed_scene.record.needle.name,
     }  # fmt: skip
 
 

@@ -4,7 +4,6 @@ It imports little, so that a scene is there at once; `measured` opens datasets a
 """
 
 import csv
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,7 +14,7 @@ from needlefit.errors import DataError, NeedlefitError
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.scene import Scene
 from needlefit.project.input_files import convert_stored_errors, is_file, read_text
-from needlefit.project.locate import SpecimenChoice, file_label, find_file, find_view_target, list_names
+from needlefit.project.locate import SpecimenChoice, file_label, find_view_target
 from needlefit.project.toml import load
 from needlefit.schemas.scene import SceneRecord
 from needlefit.viewer.recording import Recording
@@ -26,9 +25,6 @@ if TYPE_CHECKING:
 
 DEFAULT_SCENE = "phantom2_fitted"  #: the scene that is shown where nothing is named
 DRAWS_SUFFIX = ".draws.csv"  #: ending of the table of parameter draws beside a scene, in place of `.toml`
-#: outer diameters of the needles that the page offers instead of a scene's own, mm; solid, as with a stylet
-NEEDLES = {"16 gauge": 1.651, "18 gauge": 1.27, "19 gauge": 1.067, "20 gauge": 0.908}
-DEFAULT_MODULUS_GPA = 80.0  #: their Young's modulus where the scene states none: the paper's
 
 
 def open_target(
@@ -48,11 +44,7 @@ def open_target(
         title = record.title or view_target.path.stem
         note = f"Parameters: those of the scene {view_target.name}. {record.note}".rstrip()
         draws = read_scene_draws(view_target.path.with_suffix(DRAWS_SUFFIX), record)
-        presets = list_presets()
-        choices = presets if view_target.name in presets else {}
-        return ViewedScene(
-            view_target.name, title, note, record, scene.lattice.first_cell, spread=draws, choices=choices
-        )
+        return ViewedScene(view_target.name, title, note, record, scene.lattice.first_cell, spread=draws)
     view_target = replace(view_target, insertion=view_target.insertion if insertion is None else insertion)
     from needlefit.viewer import measured
 
@@ -64,42 +56,7 @@ def open_target(
 
 def reopen(viewed_scene: ViewedScene, choice: str, specimen: SpecimenChoice = "shown") -> ViewedScene:
     """Return one of the `choices` of a scene; errors as of `open_target`."""
-    if viewed_scene.is_preset:
-        return open_target(choice)
     return open_target(viewed_scene.name, choice, specimen)
-
-
-def list_presets() -> dict[str, str]:
-    """Return the names of all shipped scenes with their titles; of one with a fault, with its name."""
-    titles = {name: name for name in list_names("scene")}
-    for name in titles:
-        with suppress(NeedlefitError):
-            titles[name] = load(find_file("scene", name), SceneRecord).title or name
-    return titles
-
-
-def list_needles(viewed_scene: ViewedScene) -> tuple[str, ...]:
-    """Return the needles that the page offers: of a shipped scene its own, and `NEEDLES`."""
-    if not viewed_scene.is_preset:
-        return ()
-    own = viewed_scene.own_needle or viewed_scene.record.needle
-    return tuple(dict.fromkeys((own.name, *NEEDLES)))
-
-
-def replace_needle(viewed_scene: ViewedScene, name: str) -> ViewedScene:
-    """Return a scene with its own needle or one of `NEEDLES` of its length; the draws of the tissue stay."""
-    needle = own = viewed_scene.own_needle or viewed_scene.record.needle
-    if name != own.name:
-        values = {
-            "name": name,
-            "outer_diameter_mm": NEEDLES[name],
-            "inner_diameter_mm": 0.0,
-            "youngs_modulus_gpa": own.youngs_modulus_gpa or DEFAULT_MODULUS_GPA,
-            "flexural_rigidity_nmm2": None,
-        }
-        needle = own.model_copy(update=values)
-    record = viewed_scene.record.model_copy(update={"needle": needle})
-    return replace(viewed_scene, record=record, own_needle=own)
 
 
 def read_scene_draws(path: Path, record: SceneRecord) -> "ParameterDraws | None":

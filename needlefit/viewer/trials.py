@@ -8,7 +8,6 @@ from pathlib import Path, PurePath
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.plan import Lattice
-from needlefit.viewer.opening import list_needles, replace_needle
 from needlefit.viewer.plans import list_changes, shift_entry
 from needlefit.viewer.recording import Recording
 from needlefit.viewer.steering import find_tissue_changes
@@ -66,19 +65,6 @@ class TrialRegistry:
         if there is None and insertion not in self._viewed_scenes:
             self._viewed_scenes[insertion] = self._reopen(insertion)
         return self._instead(trial, there or self._begin(self._viewed_scenes[insertion], None))
-
-    def with_needle(self, trial: InteractiveTrial, name: str) -> InteractiveTrial:
-        """Return a new trial with one of the needles that are offered, in the tissue as it is now.
-
-        ModelError if there is none of that name, or a measured needle is shown, which was another one.
-        """
-        if name not in list_needles(trial.viewed_scene):
-            raise ModelError(f"there is no needle `{name:.40}` for this scene", expected="one of the list")
-        other = self._begin(replace_needle(trial.viewed_scene, name), None)
-        changes = find_tissue_changes(trial.steering.now.tissue, other.scene.tissue)
-        if changes:
-            other.act(changes, gesture=0)
-        return self._instead(trial, other)
 
     def aligned(self, trial: InteractiveTrial) -> InteractiveTrial:
         """Return a new trial whose constraint points end where the needle stands, taken there by its inputs.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.schemas.recording import PlacementRecord, RecordingRecord
-from needlefit.schemas.scene import NeedleRecord, SceneRecord
+from needlefit.schemas.scene import SceneRecord
 from needlefit.viewer.recording import make_head
 
 if TYPE_CHECKING:
@@ -33,16 +33,10 @@ class ViewedScene:
     #: what they are for: a specimen that was not fitted, with the spread between specimens, or one that was
     specimen: Literal["new", "same", ""] = ""
     scanned: "InsertionScan | None" = None  #: the scan in which the needle was measured
-    #: insertions that can be shown instead, of a shipped scene all such scenes: by name, with their titles
+    #: insertions that can be shown instead: by name, with their titles
     choices: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[ResultWarning, ...] = ()  #: what is suspicious in the dataset or the run that it is from
     faults: tuple[str, ...] = ()  #: why the run that it shows is not to be trusted
-    own_needle: NeedleRecord | None = None  #: the scene's, where another one is shown
-
-    @property
-    def is_preset(self) -> bool:
-        """Whether it is a shipped scene: the page then offers others, and other needles."""
-        return self.name in self.choices
 
     @property
     def diameter(self) -> float:

@@ -77,8 +77,6 @@ class Window:
                 yield {"kind": "recorded", "step": len(trial.steps)}
             case "replay":
                 yield from self._replay(message)
-            case "show" if message.text("with_needle"):
-                yield from self._take(self.trials.with_needle(trial, message.text("with_needle")))
             case "show":
                 yield from self._take(self.trials.another(trial, message.text("insertion")))
             case "align":

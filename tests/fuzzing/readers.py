@@ -254,8 +254,6 @@ READERS: dict[str, Reader] = {
     "source": Reader(_import, seeds.sources),
     "table": Reader(_import, seeds.import_tables, 30),
     "workbook": Reader(_import, seeds.workbooks, SLOWEST),
-    "slicer_scene": Reader(_import, seeds.slicer_scenes, 40),
-    "bundle": Reader(_import, seeds.bundles, 40),
     "structure_set": Reader(_import, seeds.structure_sets, SLOWEST),
     "mat": Reader(_import, seeds.matlab, SLOWEST),
     "volume": Reader(READ_VOLUME, seeds.volumes, NATIVE, packed=True),

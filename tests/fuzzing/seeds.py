@@ -186,27 +186,6 @@ def workbooks() -> list[Seed]:
     return [saved("t.xlsx", write_workbook, [needle(n, 9 - n) for n in range(2)])]
 
 
-def slicer_scenes() -> list[Seed]:
-    from import_cases import needle, write_scene
-
-    curves = [needle(n, 9) for n in range(2)]
-    return [
-        written(lambda folder, how=how: write_scene(folder, curves, how), "scene.mrml")
-        for how in ("inline", "tfm")
-    ]
-
-
-def bundles() -> list[Seed]:
-    from import_cases import needle, write_bundle, write_scene
-
-    def write(path: Path, packed: bool) -> None:
-        with tempfile.TemporaryDirectory() as scene:
-            write_scene(Path(scene), [needle(n, 9) for n in range(2)], "inline")
-            write_bundle(path, Path(scene), packed=packed)
-
-    return [saved("t.mrb", write, packed) for packed in (False, True)]
-
-
 def volumes() -> list[Seed]:
     """NRRD, NIfTI and MetaImage, packed and not, with the voxels inside or beside, and the crashing ones."""
     import test_imaging_volume as cases

@@ -119,35 +119,16 @@ def _iterate_curves(
     """Yield name, points and what is stated of every curve in a value; add what is none to `unused`."""
     if isinstance(value, dict):
         columns, value = _take_columns(value)
-        for key in [key for key, part in value.items() if isinstance(part, dict)]:
-            inner = {name: _to_text(part) for name, part in value[key].items()}
-            if None not in inner.values():  # a struct of texts and numbers beside the curve
-                value = {**value, **inner}
-                del value[key]
-        counts = {key: len(part) for key, part in value.items() if _is_list(part)}
-        shared = {
-            key: part
-            for key, part in value.items()
-            if np.size(part) > 1 and np.size(part) in counts.values() and _list_texts(part) is not None
-        }
         texts = {key: text for key, part in value.items() if (text := _to_text(part)) is not None}
-        texts = {key: text for key, text in texts.items() if key not in shared}
-        others = {key: part for key, part in value.items() if key not in (*texts, *shared)}
+        others = {key: part for key, part in value.items() if key not in texts}
         is_one = columns is None and sum(_to_points(part) is not None for part in others.values()) == 1
         named = stated | texts | {NAMED_FIELDS: ""}
         here = [] if columns is None else [(name or "curve", columns, named)]
         for key, part in others.items():
             own = name if name and is_one and _to_points(part) is not None else f"{name}_{key}".strip("_")
-            if _is_list(part):  # a list beside it of as many texts or numbers states one of each
-                lists = {one: _list_texts(of) or () for one, of in shared.items() if np.size(of) == len(part)}
-                for number, inner_part in enumerate(part, 1):
-                    each = {one: of[number - 1] for one, of in lists.items()}
-                    more = stated | texts | each
-                    here += _iterate_curves(f"{own}_{number}", inner_part, more, unused)
-            else:
-                here += _iterate_curves(own, part, stated | texts, unused)
+            here += _iterate_curves(own, part, stated | texts, unused)
         if not here:  # nothing that the texts could be stated of
-            unused += [f"{name}.{key}".strip(".") for key in (*texts, *shared)]
+            unused += [f"{name}.{key}".strip(".") for key in texts]
         yield from here
     elif _is_list(value):
         for number, part in enumerate(value if isinstance(value, list) else value.ravel(), 1):
@@ -160,13 +141,6 @@ def _iterate_curves(
 
 def _is_list(value: Any) -> bool:  # noqa: ANN401 - whatever MATLAB saved
     return isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object)
-
-
-def _list_texts(value: Any) -> list[str] | None:  # noqa: ANN401 - whatever MATLAB saved
-    """Return the texts or numbers of a list or vector; None for anything else."""
-    parts = [_to_text(part) for part in (value if isinstance(value, list) else np.ravel(value))]
-    texts = [part for part in parts if part is not None]
-    return texts if len(texts) == len(parts) and np.size(value) == max(np.shape(value), default=0) else None
 
 
 def _to_points(value: Any) -> Floats | None:  # noqa: ANN401 - whatever MATLAB saved
@@ -222,11 +196,13 @@ def _read_hdf(data: bytes) -> dict[str, Any]:
 
     with h5py.File(BytesIO(data), "r") as file:
         return {
-            key: _read_hdf_value(file, get_local_member(file, key)) for key in file if not key.startswith("#")
+            key: _read_hdf_value(file, _get_local_member(file, key))
+            for key in file
+            if not key.startswith("#")
         }
 
 
-def get_local_member(group: Any, key: str) -> Any:  # noqa: ANN401 - h5py has no stubs
+def _get_local_member(group: Any, key: str) -> Any:  # noqa: ANN401 - h5py has no stubs
     """Return a member of a group; ValueError if it lies in another file, which links may name."""
     import h5py
 
@@ -241,7 +217,7 @@ def _read_hdf_value(file: Any, item: Any) -> Any:  # noqa: ANN401 - h5py has no 
     shows it (the file turns it).
     """
     if hasattr(item, "keys"):
-        members = {key: get_local_member(item, key) for key in item}
+        members = {key: _get_local_member(item, key) for key in item}
         fields = {key: _read_hdf_value(file, member) for key, member in members.items()}
         # In an array of structs every field is an array of references, without the class of a cell array.
         is_array = fields and all(

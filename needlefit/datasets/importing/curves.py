@@ -158,9 +158,6 @@ def read_table(cells: CellTable, content: ImportContent) -> None:
     is not understood.
     """
     reader = _TableReader(cells, content)
-    if not reader.heads:
-        turned = _TableReader(cells.transpose(), content)
-        reader = turned if turned.heads else reader
     curves = list(reader.read_curves()) if reader.heads else []
     if not reader.heads:
         reader.read_needles()
@@ -414,9 +411,8 @@ class _TableReader:
             self.use(n, *keys)
         values = np.zeros((len(rows), 3))
         values[:, : len(group.columns)] = self.read_numbers(rows, group.columns)
-        points = Points(cells.path, to_lps(values, group.system) if group.system else values)
-        if not cells.is_turned:
-            points = replace(points, lines=np.array([cells.first + n for n in rows], dtype=np.int64))
+        lines = np.array([cells.first + n for n in rows], dtype=np.int64)
+        points = Points(cells.path, to_lps(values, group.system) if group.system else values, lines)
         for m in head.find(group, "sd"):
             unit = head.headers[m].unit or group.unit
             factor = UNITS_MM.get(unit, 1.0) / UNITS_MM.get(group.unit or unit, 1.0)

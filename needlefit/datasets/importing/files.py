@@ -28,7 +28,6 @@ from needlefit.datasets.importing.tables import (
     read_sheets,
     read_text_cells,
 )
-from needlefit.datasets.slicer_scene import SCENE_SUFFIXES, read_scene
 from needlefit.errors import DataError
 from needlefit.geometry.frames import RAS_TO_LPS
 from needlefit.geometry.surfaces import (
@@ -125,18 +124,17 @@ def _add_stated(content: ImportContent) -> None:
 def list_import_suffixes() -> tuple[str, ...]:
     """Return the endings of all files that an import reads."""
     plugins = {end for one in FORMATS.values() for end in one.suffixes}
-    return tuple(sorted({*TEXT_SUFFIXES, *SHEET_SUFFIXES, *SCENE_SUFFIXES, *READ_SUFFIXES, *plugins}))
+    return tuple(sorted({*TEXT_SUFFIXES, *SHEET_SUFFIXES, *READ_SUFFIXES, *plugins}))
 
 
 def _list_files(paths: Iterable[Path], content: ImportContent) -> Iterable[Path]:
-    """Yield the files that are named, or stand in a folder that is; beside a scene nothing else."""
+    """Yield the files that are named, or stand in a folder that is."""
     for path in paths:
         if not is_dir(path):
             yield path
             continue
         shown = [one for one in sorted(path.iterdir()) if not one.name.startswith((".", "~$"))]
         known = [one for one in shown if one.is_file() and one.name.lower().endswith(list_import_suffixes())]
-        known = [one for one in known if one.suffix.lower() in SCENE_SUFFIXES] or known
         left = [one for one in shown if one not in known]
         content.unused += [
             (f"folder {one.name}", "it is not searched: name it")
@@ -151,15 +149,7 @@ def _read_file(path: Path, content: ImportContent) -> None:
     """Add what one file holds."""
     suffix = path.suffix.lower()
     content.files.append(path)
-    if suffix in SCENE_SUFFIXES:
-        scene = read_scene(path)
-        content.curves += [
-            ImportedCurve(name, points, "mm", "LPS", axes="Slicer") for name, points in scene.curves
-        ]
-        content.surfaces += [ImportedSurface(file, surface, "LPS") for file, surface in scene.surfaces]
-        content.notes += [f"{path.name}: {note}" for note in scene.notes]
-        content.unused += scene.unused
-    elif suffix in TEXT_SUFFIXES:
+    if suffix in TEXT_SUFFIXES:
         try:
             cells = read_text_cells(path)
             content.notes.append(f"{path.name}: {cells.layout}")

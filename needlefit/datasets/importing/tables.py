@@ -4,9 +4,8 @@ import codecs
 import csv
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import date, time, timedelta
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -53,27 +52,15 @@ class CellTable:
     decimal: str = "."  # in a sheet, where numbers are stored as such, a comma in a text is read, too
     separator: str = ""  # between the cells; empty for a sheet
     layout: str = ""  # how the file was read, for people
-    is_turned: bool = False  # its rows are the columns of the file
     used: set[tuple[int, int]] = field(default_factory=set)  # rows and columns of the cells that were used
 
     def where(self, row: int, column: int | None = None) -> str:
         """Return the place of a row, or of its cell in a column, for a message."""
         if self.sheet and column is not None:
             across, down = self.left + column + 1, self.first + row
-            across, down = (down, across) if self.is_turned else (across, down)
             return f"{self.path}, sheet {self.sheet!r}, cell {_name_column(across)}{down}"
-        line = "column" if self.is_turned else "row"
-        sheet = f", sheet {self.sheet!r}" if self.sheet else ""
-        is_line = not sheet and not self.is_turned
-        return (
-            f"{self.path}:{self.first + row}" if is_line else f"{self.path}{sheet}, {line} {self.first + row}"
-        )
-
-    def transpose(self) -> "CellTable":
-        """Return the table with its columns as rows: x, y and z may name rows."""
-        rows = [tuple(column) for column in zip_longest(*self.rows, fillvalue="")]
-        first, left = 1 + self.left, self.first - 1
-        return replace(self, rows=rows, first=first, left=left, is_turned=True, used=set())
+        line = self.first + row
+        return f"{self.path}, sheet {self.sheet!r}, row {line}" if self.sheet else f"{self.path}:{line}"
 
     def cell(self, row: int, column: int) -> str:
         """Return a cell; empty where its row ends before it."""

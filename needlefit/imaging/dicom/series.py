@@ -24,7 +24,6 @@ from needlefit.imaging.dicom.stack import (
     DicomSlice,
     damaged_file_error,
     describe_headers,
-    list_directory_files,
     read_headers,
     stack_slices,
 )
@@ -154,7 +153,7 @@ def read_series(arrays: Arrays, path: str, series: str | None) -> dict[str, Any]
     DataError if the series is not one sound stack, or a voxel cannot be read.
     """
     slices, grid = stack_slices(find_series(Path(path), series))
-    notes = (*describe_headers(slices), *describe_missing_files(Path(path), slices))
+    notes = describe_headers(slices)
     allow_memory(max(item.rows * item.columns for item in slices) * SLICE_BYTES_PER_PIXEL)
     allow_memory(4 * math.prod(grid.size))
     values = arrays["values"] = np.empty(grid.size[::-1], np.float32)
@@ -181,20 +180,6 @@ def read_series(arrays: Arrays, path: str, series: str | None) -> dict[str, Any]
             plane[np.isnan(plane)] = least
     frame = slices[0].frame_of_reference
     return {**grid_to_json(grid), "warnings": notes, "frame_of_reference": frame}
-
-
-def describe_missing_files(path: Path, slices: Sequence[DicomSlice]) -> tuple[str, ...]:
-    """Return a warning about images of a series that a DICOMDIR lists and that are not there."""
-    if is_file(path) and not is_dicomdir(path):
-        return ()
-    files = list_series_files(path)
-    here = {str(file).lower() for file in files}
-    listed: list[Path] = []
-    for file in filter(is_dicomdir, files):
-        listed += list_directory_files(file, slices[0].series)
-    missing = [one for one in listed if not {str(one).lower(), f"{one}.dcm".lower()} & here]
-    note = "DICOMDIR lists {} images of this series that are not there, such as {}: the scan may be cut short"
-    return (note.format(len(missing), missing[0]),) if missing else ()
 
 
 def _read_voxels(reader: sitk.ImageFileReader, item: DicomSlice) -> NDArray[np.float64]:

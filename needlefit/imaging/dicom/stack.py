@@ -274,30 +274,6 @@ def _unclear_entry_error(name: str, value: object) -> DataError:
         fix: export the series from the scanner or the archive again""")
 
 
-def list_directory_files(file: Path, series: str) -> list[Path]:
-    """Return the files that a DICOMDIR lists for a series; none where it cannot be read: it only confirms.
-
-    Its records stand in the order of patients, studies, series and images, as programs write them.
-    """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with open_regular(file, sys.maxsize) as content:
-                records = list(pydicom.dcmread(_BoundedFile(content)).DirectoryRecordSequence)
-            found, current = list[Path](), ""
-            for record in records:
-                if record.get("DirectoryRecordType") == "SERIES":
-                    current = str(record.get("SeriesInstanceUID"))
-                elif current == series and "ReferencedFileID" in record:
-                    parts = record.ReferencedFileID
-                    found.append(file.parent.joinpath(*([parts] if isinstance(parts, str) else parts)))
-            return found
-    except MemoryError:
-        raise
-    except Exception:  # whatever the bytes provoke
-        return []
-
-
 def damaged_file_error(file: Path) -> DataError:
     """Return the error for a file of a series that is not DICOM, or is truncated."""
     empty = file.stat().st_size <= _PREAMBLE_BYTES
@@ -314,16 +290,6 @@ MIN_STEP_MM = 1e-3  # slices closer than this are one, mm
 MAX_STEP_RATIO = 1.5  # a step longer than this many usual ones lacks slices
 # Modalities whose values are attenuations; converters leave the entry out, or write OT (other).
 XRAY_MODALITIES = frozenset({"", "CT", "XA", "RF", "DX", "PX", "IO", "OT"})
-OTHER_MODALITIES = {
-    "MR": "magnetic resonance, in which a needle is a void without a sharp edge",
-    "US": "ultrasound",
-    "PT": "positron emission tomography",
-    "NM": "nuclear medicine",
-    "MG": "mammography",
-    "OCT": "optical coherence tomography",
-    "OPT": "optical coherence tomography",
-}
-
 # What RescaleType says of values in HU; US is "unspecified", as cone-beam scanners write.
 HU_UNITS = ("", "HU", "HU_MOD", "US")
 HU_FIX = (
@@ -409,9 +375,8 @@ def _kind_fault(item: DicomSlice) -> tuple[str, str, str] | None:
         fix = "move localizers (scouts, topograms) to a folder of their own"
         return "is a localizer among the slices of a volume", "slices of the volume only", fix
     if item.modality not in XRAY_MODALITIES:
-        meaning = OTHER_MODALITIES.get(item.modality, "")
         fix = "give the CT; if this is one and its header is wrong, save it as NRRD, e.g. with 3D Slicer"
-        what = f"is no CT: its Modality is {item.modality}" + f", {meaning}" * bool(meaning)
+        what = f"is no CT: its Modality is {item.modality}"
         return what, "attenuation of X-rays, in HU: its thresholds separate needle, tissue and air", fix
     places = {"ImagePositionPatient": item.position, "ImageOrientationPatient": item.axes}
     missing = [name for name, value in (places | {"PixelSpacing": item.pixel}).items() if value is None]

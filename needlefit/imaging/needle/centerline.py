@@ -1,6 +1,5 @@
 """Trace the needle's axis from base to tip, with a standard deviation for every point."""
 
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +26,7 @@ from needlefit.imaging.needle.axis_spline import (
     sample_planes,
     select_sections,
 )
-from needlefit.imaging.needle.follow import MIN_RELATIVE_AMPLITUDE, retrace_end, tip_beside_error
+from needlefit.imaging.needle.follow import MIN_RELATIVE_AMPLITUDE
 from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, principal_axes
 from needlefit.imaging.needle.slice_fit import TIP_ERROR_MM, fit_slices, runs_in_slices
 from needlefit.imaging.needle.tip import (
@@ -53,8 +52,6 @@ MAX_EDGE_DISTANCE_MM = 3.0  # an end this near to the volume's face (mm) has lef
 # A tip placed by hand so far beside the needle's surface shows that the axis is wrong there, mm; a nearer one
 # is moved onto the axis.
 MAX_PLACED_TIP_DISTANCE_MM = 0.7
-# So far beyond the last cross-section and the bevel, mm, the axis is not known, either.
-MAX_UNSEEN_MM = 2.0
 MAX_TIPS = 4  # how often a tip is looked for: rays may hide a stretch of the shaft before it
 END_REACH_MM = 4.0  # distance beyond an end of the needle from which on its surroundings are looked at, mm
 MAX_SOFT_HU = 1000.0  # brighter surroundings are metal, HU
@@ -103,7 +100,7 @@ def trace_needle(
 
     `component`: its voxels, or its rough axis.
     `tip`: (3,); where a person placed the tip, LPS, mm: it says which end is the tip, and how far the needle
-    goes; where the axis misses it, its end is traced again.
+    goes.
 
     DataError if the needle's tip lies outside the volume or beside the needle, or its two ends look alike.
     """
@@ -123,13 +120,11 @@ def trace_needle(
             axis = placed[0]
         place, beside = _project_tip(axis, tip)
         limit = MAX_PLACED_TIP_DISTANCE_MM + recipe.needle.diameter_mm / 2
-        if beside > limit or place > axis.length + heel + MAX_UNSEEN_MM:
-            with suppress(DataError):  # where its end does not show, a tip on the axis stays
-                again = retrace_end(volume, axis, tip, recipe)
-                axis = refine_axis(volume, again, recipe, heel, again.length)
-                place, beside = _project_tip(axis, tip)
-            if beside > limit:
-                raise tip_beside_error(beside)
+        if beside > limit:
+            raise refusal(f"""the tip that was placed lies {beside:.1f} mm beside the needle
+                expected: a point on the needle, LPS, mm
+                fix: place it on the needle, or place points along the needle; RAS turns the signs of x, y
+                where: tip_x_mm, tip_y_mm, tip_z_mm""")
         at = np.array([place])
         sd = np.array([recipe.centerline.placed_tip_sd_mm, float(axis_sd(axis, at)[0])])
         point, unknown = axis_frames(axis, at).origins[0], np.full(3, np.nan)

@@ -6,7 +6,6 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from needlefit.arrays import Floats, Ints
-from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length, make_normal
 from needlefit.imaging.needle.axis_spline import (
     AxisFrames,
@@ -35,10 +34,6 @@ MIN_RELATIVE_AMPLITUDE = 0.3
 MAX_FAINT_MM = 3.0
 END_LENGTH_MM = 12.0  # length at an end by whose line the next place is predicted, mm
 MIN_SHOWN_FRACTION = 0.5  # part of the way between the points on which the needle must show
-# Lengths before a placed tip from which on the axis may be wrong, mm.
-LEFT_BEFORE_MM = (6.0, 10.0, 15.0, 22.0, 30.0, 40.0, 55.0)
-# Needle that must show more, mm, for each mm of the axis that is replaced.
-LENGTH_COST = 0.02
 
 
 def follow_points(volume: Volume, points: Floats, recipe: ReconstructionRecord) -> AxisSpline:
@@ -67,43 +62,6 @@ def follow_points(volume: Volume, points: Floats, recipe: ReconstructionRecord) 
     whole = np.array([*before[::-1], *places, *_extend(volume, places, level, recipe)])
     s = arc_length(whole)
     return fit_axis(s, whole, np.ones(len(whole)), 2 * recipe.centerline.knot_spacing_mm)
-
-
-def retrace_end(volume: Volume, axis: AxisSpline, tip: Floats, recipe: ReconstructionRecord) -> AxisSpline:
-    """Return the rough axis with its end led to a `tip` (3,), LPS, mm, that lies beside it.
-
-    The axis is left where on the way from there to the tip the least of the needle is missing.
-
-    DataError if no way to the tip is as bright as the needle.
-    """
-    s = np.arange(0.0, axis.length, STEP_MM)
-    points = axis.spline(s)
-    nearest = float(s[np.argmin(np.linalg.norm(points - tip, axis=1))])
-    usual = float(np.median(_center_places(volume, points, recipe)[1]))
-    least, found = np.inf, points
-    for length in LEFT_BEFORE_MM:
-        kept = points[s <= nearest - length]
-        if len(kept) < END_LENGTH_MM / STEP_MM:
-            break
-        way = _join(np.vstack([kept[:: -round(END_LENGTH_MM / STEP_MM / 2)][::-1], tip]))
-        places, amplitude = _center_places(volume, way, recipe, keep_end=True)
-        missing = STEP_MM * float(np.sum(np.clip(1 - amplitude / usual, 0, None))) + LENGTH_COST * length
-        after, faint = arc_length(way) > s[len(kept) - 1], MIN_RELATIVE_AMPLITUDE * usual
-        if missing < least and np.mean(amplitude[after] > faint) >= MIN_SHOWN_FRACTION:
-            least, found = missing, places[amplitude > faint]
-    if not np.isfinite(least):
-        raise tip_beside_error(float(np.linalg.norm(points - tip, axis=1).min()))
-    s = arc_length(found)
-    return fit_axis(s, found, np.ones(len(found)), 2 * recipe.centerline.knot_spacing_mm)
-
-
-def tip_beside_error(away: float) -> DataError:
-    """Return the error of a placed tip that lies `away` mm from the needle."""
-    return refusal(f"""the tip that was placed lies {away:.1f} mm beside the needle, and nothing as bright as
-            the needle leads there
-        expected: a point on the needle, LPS, mm
-        fix: place it on the needle, or place points along the needle; RAS has x and y of the other sign
-        where: tip_x_mm, tip_y_mm, tip_z_mm""")
 
 
 def select_rod(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> Component:
@@ -147,15 +105,11 @@ def _look_across(volume: Volume, places: Floats, recipe: ReconstructionRecord) -
     return np.where(inside[:, None], shifts, 0.0), np.where(inside, found.amplitude, 0.0)
 
 
-def _center_places(
-    volume: Volume, places: Floats, recipe: ReconstructionRecord, keep_end: bool = False
-) -> tuple[Floats, Floats]:
+def _center_places(volume: Volume, places: Floats, recipe: ReconstructionRecord) -> tuple[Floats, Floats]:
     """Return places (N, 3) moved to the needle's middle, and its amplitude there (N,); faint ones stay."""
     for _ in range(ROUNDS):
         shifts, amplitude = _look_across(volume, places, recipe)
         shown = amplitude > MIN_RELATIVE_AMPLITUDE * np.median(amplitude)
-        if keep_end:
-            shown[-1] = False
         places = places + np.where(shown[:, None], shifts, 0.0)
     return places, amplitude
 

@@ -39,8 +39,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import pinvh
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri, elliprg, ndtri
 
@@ -127,15 +125,6 @@ def make_marker_sets(
 def mirror(sets: MarkerSets) -> MarkerSets:
     """Return the sets with the found markers reflected through the origin; any mirror plane is equivalent."""
     return replace(sets, found=-sets.found)
-
-
-def scale_noise(sets: MarkerSets, factor: float) -> MarkerSets:
-    """Return the sets with all deviations multiplied."""
-    return replace(
-        sets,
-        found_covariance=sets.found_covariance * factor**2,
-        known_covariance=sets.known_covariance * factor**2,
-    )
 
 
 def _check_points(given: ArrayLike, name: str) -> Floats:
@@ -499,22 +488,3 @@ def find_symmetries(known: ArrayLike, sd: ArrayLike) -> NDArray[np.int64]:
     rows = search_pairings(points, points, pair, len(points), MIN_SQUARED_MISFIT)
     moved = np.count_nonzero(rows != np.arange(len(points)), axis=1)
     return np.asarray(rows[np.argsort(moved, kind="stable")])
-
-
-def group_interchangeable(permutations: NDArray[np.int64]) -> tuple[tuple[int, ...], ...]:
-    """Return the groups of markers that the permutations (S, N) interchange; without single markers."""
-    count = permutations.shape[1]
-    mapped = np.zeros((count, count))
-    mapped[np.tile(np.arange(count), len(permutations)), permutations.ravel()] = 1
-    groups, group = connected_components(csr_array(mapped), directed=False)
-    names = [tuple(np.flatnonzero(group == g).tolist()) for g in range(groups)]
-    return tuple(name for name in names if len(name) > 1)
-
-
-def find_turn(known: Floats, permutation: NDArray[np.int64]) -> tuple[float, Floats]:
-    """Return angle (degrees) and axis (3,) of the rotation that maps each marker to its permuted one."""
-    rotation = fit_kabsch(known, known[permutation], np.ones(len(known))).rotation
-    angle = float(np.degrees(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1))))
-    values, vectors = np.linalg.eigh((rotation + rotation.T) / 2)
-    axis: Floats = vectors[:, np.argmax(values)]
-    return angle, axis * np.sign(axis[np.argmax(np.abs(axis))])

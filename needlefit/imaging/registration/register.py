@@ -9,20 +9,18 @@ same frame can (`check_axis_signs`).
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
-from scipy.spatial.distance import pdist
 from scipy.special import chdtrc
 
 from needlefit.arrays import Floats
 from needlefit.errors import DataError
-from needlefit.geometry.frames import Frame
+from needlefit.geometry.frames import AXIS_SIGNS, Frame
 from needlefit.imaging.refusals import refusal
 from needlefit.imaging.registration.pairing import (
-    KNOWN_SET,
     MAX_WRONG_PAIRING_PROBABILITY,
     MIN_CHI2_GAP,
     MIN_MARKERS,
@@ -35,31 +33,18 @@ from needlefit.imaging.registration.pairing import (
     expected_left_out,
     find_largest_pairings,
     find_symmetries,
-    find_turn,
     fit_kabsch,
-    group_interchangeable,
     make_marker_sets,
     mean_error_length,
     mirror,
     propagate_to_targets,
-    scale_noise,
     select_likeliest,
     try_find_largest_pairings,
     worst_turn_sd,
 )
-from needlefit.project.unit_warnings import LENGTH_UNITS
 
-# Signs that readers confuse.
-SIGN_CHANGES = {
-    "x and y": np.array([-1.0, -1.0, 1.0]),
-    "x": np.array([-1.0, 1.0, 1.0]),
-    "y": np.array([1.0, -1.0, 1.0]),
-    "z": np.array([1.0, 1.0, -1.0]),
-}
-
-# By how much nearer everything must lie with a sign changed before the sign counts as wrong.
+# By how much nearer everything must lie with the signs of x and y changed before they count as wrong.
 MIN_DISTANCE_RATIO = 4.0
-NOISE_FACTORS = (2.0, 4.0, 8.0, 16.0)  # factors of the stated noise that are tried where nothing fits
 
 
 def mirror_error(sets: MarkerSets, reached: int) -> DataError | None:
@@ -75,65 +60,32 @@ def mirror_error(sets: MarkerSets, reached: int) -> DataError | None:
     return None
 
 
-# The extents of two sets of markers differ by no larger factor, some missing and others spurious.
-MAX_EXTENT_RATIO = 2.5
-
-
-def unit_error(sets: MarkerSets) -> DataError | None:
-    """Return the error of known places in another unit than mm; None if they fit in none."""
-    for unit, factor in LENGTH_UNITS.items():
-        scaled = replace(sets, known=factor * sets.known)
-        alike = 1 / MAX_EXTENT_RATIO < scaled.extent / pdist(sets.found).max() < MAX_EXTENT_RATIO
-        fitting = try_find_largest_pairings(scaled) if alike else []
-        if fitting and len(fitting[0].pairs) == sets.smaller_count:
-            return refusal(f"""multiplied by {factor:g}, {len(fitting[0].pairs)} of the {len(sets.known)}
-                    known markers fit: this looks like {unit}
-                expected: places in mm
-                fix: multiply the known places by {factor:g}
-                where: {KNOWN_SET}""")
-    return None
-
-
 def no_fit_error(sets: MarkerSets) -> DataError:
     """Return the error for sets that no pairing within the stated noise fits."""
     return refusal(f"""no pairing of the {len(sets.found)} found with the {len(sets.known)} known markers fits
-            within {sets.typical_sd:.2f} mm{_describe_noisier_fit(sets)}
+            within {sets.typical_sd:.2f} mm
         expected: three or more markers at distances as in the world, more if some are missing and others
             spurious
-        fix: look at the markers found in the scan; measure the known ones again; check the spacing of the
-            voxels; state larger deviations
+        fix: look at the markers found in the scan; check the known ones and their unit, mm, and the spacing
+            of the voxels; state larger deviations
         where: markers""")
 
 
-def _describe_noisier_fit(sets: MarkerSets) -> str:
-    """Return what fits after all, if more noise is granted."""
-    for factor in NOISE_FACTORS:
-        noisier = try_find_largest_pairings(scale_noise(sets, factor))
-        if noisier and len(noisier[0].pairs) == sets.smaller_count:
-            pairs = f"(found -> known, from 0: {format_pairs(noisier[0].pairs)})"
-            return f"; with {factor:g} times that, {sets.smaller_count} would {pairs}"
-    return ""
-
-
 def check_axis_signs(given: ArrayLike, detected: ArrayLike, sd: float) -> None:
-    """Raise DataError if markers `given` (P, 3) fit those `detected` (M, 3) only with signs changed.
+    """Raise DataError if markers `given` (P, 3) fit those `detected` (M, 3) only with RAS and LPS exchanged.
 
     Both are stated in the frame of the scan: fiducials of a file, and markers or metal in the volume.
     `sd` is the deviation of a distance between the two, mm. Sets that fit neither way pass: they may be of
     different things.
     """
     points, tree = np.asarray(given, dtype=np.float64), cKDTree(np.asarray(detected, dtype=np.float64))
-    as_is = float(np.median(tree.query(points)[0]))
-    off = {name: float(np.median(tree.query(points * signs)[0])) for name, signs in SIGN_CHANGES.items()}
-    name = min(off, key=lambda one: off[one])
-    if as_is <= MIN_DISTANCE_RATIO * max(off[name], sd) or off[name] > MIN_DISTANCE_RATIO * sd:
-        return
-    what = "RAS was read as LPS" if name == "x and y" else f"the sign of {name} is wrong"
-    raise refusal(f"""{what}: the markers given lie {as_is:.1f} mm from those in the volume, with the sign of
-            {name} changed {off[name]:.1f} mm
-        expected: the coordinate system that the file states, turned to LPS at the reader
-        fix: state the coordinate system of the file (RAS or LPS)
-        where: markers given in the frame of the scan""")
+    as_is, turned = (float(np.median(tree.query(points * AXIS_SIGNS[one])[0])) for one in ("LPS", "RAS"))
+    if as_is > MIN_DISTANCE_RATIO * max(turned, sd) and turned <= MIN_DISTANCE_RATIO * sd:
+        raise refusal(f"""RAS was read as LPS: the markers given lie {as_is:.1f} mm from those in the volume,
+                with the signs of x and y changed {turned:.1f} mm
+            expected: the coordinate system that the file states, turned to LPS at the reader
+            fix: state the coordinate system of the file (RAS or LPS)
+            where: markers given in the frame of the scan""")
 
 
 def format_pairs(pairs: ArrayLike) -> str:
@@ -163,12 +115,10 @@ def select_pairing(sets: MarkerSets) -> Pairing:
 def _ambiguous_error(sets: MarkerSets, chosen: Pairing) -> DataError:
     whole = find_symmetries(sets.known, sets.typical_sd)
     if len(whole) > 1:
-        groups = "; ".join(", ".join(map(str, group)) for group in group_interchangeable(whole))
-        angle, axis = find_turn(sets.known, whole[1])
+        moved = ", ".join(map(str, np.flatnonzero((whole != whole[0]).any(axis=0)).tolist()))
         what = (
-            f"the layout of the known markers is symmetric within the noise: {len(whole)} turns lay it on "
-            f"itself, such as one by {angle:.0f} degrees about ({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f})"
-            f"; interchangeable are (counted from 0) {groups}"
+            f"the layout of the known markers is symmetric within the noise: {len(whole) - 1} turns move it "
+            f"onto itself and exchange markers, of which there are (counted from 0) {moved}"
         )
     else:
         two = (chosen.best, chosen.alternatives[0])
@@ -252,14 +202,11 @@ def register(
     (or covariances, mm^2), along the axes of the scan and of the world.
 
     DataError: fewer than three markers; markers on a line; no pairing within the noise (and whether they are
-    mirrored, or in another unit); several pairings as likely (and which markers are interchangeable).
+    mirrored); several pairings as likely.
     """
     sets = make_marker_sets(found, known, found_sd, known_sd)
-    try:
-        _refuse_collinear(sets.known, sets.typical_sd)  # before pairing, which would try them all
-        chosen = select_pairing(sets)
-    except DataError as refused:
-        raise unit_error(sets) or refused from None
+    _refuse_collinear(sets.known, sets.typical_sd)  # before pairing, which would try them all
+    chosen = select_pairing(sets)
     alignment, paired = chosen.best.alignment, chosen.best.pairs
     # the residuals of markers on a line say nothing of the turn about it
     _refuse_collinear(sets.known[paired[:, 1]], float(np.sqrt(alignment.noise.max())))

@@ -1,7 +1,6 @@
 /** What buttons, keys and gestures ask for in the same words. */
 
 import { part } from "./dom.js";
-import { redoGoal, undoGoal } from "./aim.js";
 import { amount } from "./fields.js";
 import { degrees, heightAt, slope, strengthOf } from "./quantities.js";
 import * as steering from "./steering.js";
@@ -63,9 +62,7 @@ export function addGuide(x = freePlace(), at = performance.now()) {
 /** Hold the tip where it is, or let go of it. */
 export const toggleTip = (at) => change([["tip_held", null, now.state.tip.held ? 0 : 1]], { at });
 
-export const undo = () => undoGoal() || steering.undo();
-export const redo = () => redoGoal() || steering.redo();
-export const { reset } = steering;
+export const { undo, redo, reset } = steering;
 export const play = () => steering.playScene(speed());
 
 /** The first number that no guide has; the scene's own guides keep theirs. */

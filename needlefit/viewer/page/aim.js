@@ -5,7 +5,6 @@ import { listen, now, publish } from "./store.js";
 
 export const SMALLEST = 0.05; // mm, of a radius
 const PAUSE = 80; // ms between two goals while one is dragged
-const WITHIN = 1000; // ms; changes that follow so soon are undone together
 const REST = 200; // ms after the last change of needle or goal, when the region that the tip can reach is asked for
 const MAX_OBSTACLES = 16; // the server takes no more
 const EMPTY = { target: null, radius: 2, obstacles: [] };
@@ -13,9 +12,7 @@ const NOTHING = { reach: null, plan: null, planning: false, placing: null };
 let [timer, resting] = [0, 0];
 let sent = null; // id of the goal that was sent last
 let known = EMPTY; // the goal that the server took last
-let changedAt = -Infinity; // ms
 let at = null; // step of the needle
-let [past, future] = [[], []]; // goals to go back to, and forth, each with the step of the needle at which it was left
 
 /** What is aimed at (an obstacle: x, y, radius, name), the reachable region and the plan, as the server sent them last. */
 export const aim = { ...EMPTY, ...NOTHING };
@@ -27,14 +24,6 @@ export const nameOf = (number) => aim.obstacles[number][3] ?? `obstacle ${number
 
 /** Send a goal; what is not given stays. */
 export function setAim(changes) {
-  const at = performance.now();
-  if (at - changedAt > WITHIN || past.at(-1)?.step !== now.state.step) past.push({ ...goal(), step: now.state.step });
-  changedAt = at;
-  future = [];
-  take(changes);
-}
-
-function take(changes) {
   Object.assign(aim, changes, { plan: null, planning: false });
   if (!aim.target) aim.reach = null;
   timer ||= setTimeout(send, PAUSE);
@@ -45,23 +34,6 @@ function send() {
   timer = 0;
   sent = command({ do: "aim", ...goal() });
 }
-
-/** Go back (or forth) to the goal before, if it was changed after the last step of the needle; returns whether it was. */
-function go(from, to) {
-  if (!now.state || from.at(-1)?.step !== now.state.step) return false;
-  const { step, ...before } = from.pop();
-  to.push({ ...goal(), step });
-  changedAt = -Infinity;
-  take(before);
-  return true;
-}
-
-export const undoGoal = () => go(past, future);
-export const redoGoal = () => go(future, past);
-
-/** Whether the last change is one of the goal, or the last one undone. */
-export const canUndoGoal = () => past.at(-1)?.step === now.state.step;
-export const canRedoGoal = () => future.at(-1)?.step === now.state.step;
 
 /** Ask for the region that the tip can reach, once needle and goal rest. */
 function askReach() {
@@ -89,7 +61,6 @@ export function put(x, y) {
   const what = aim.placing;
   if (!what) return false;
   aim.placing = null;
-  changedAt = -Infinity; // it is undone alone
   if (what === "target") setAim({ target: [x, y] });
   else if (aim.obstacles.length < MAX_OBSTACLES) setAim({ obstacles: [...aim.obstacles, [x, y, Math.max(aim.radius, SMALLEST)]] });
   else {
@@ -110,7 +81,6 @@ export const tipError = ({ tip }) => aim.target && Math.hypot(tip.x - aim.target
 
 listen("scene", () => {
   known = EMPTY;
-  [past, future] = [[], []];
   Object.assign(aim, { target: null, obstacles: [], ...NOTHING });
   publish("aimed");
 });

@@ -49,13 +49,10 @@ function refreshReadouts() {
   if (next < Infinity) later = setTimeout(refreshReadouts, next);
 }
 
-/** Write whether the page is connected, how fast it draws, how fast the solver is. */
+/** Write whether the page is connected, and what the solver has done and can do. */
 function refreshStatus() {
-  const { perSecond, latency } = frames.rates();
   write("line", now.connected ? "connected" : now.state ? "not connected" : "connecting …");
   part("line").classList.toggle("up", now.connected);
-  write("frame-rate", perSecond === null ? "" : `${perSecond.toFixed(0)} frames/s`);
-  write("latency", latency === null ? "" : `input to picture ${latency.toFixed(0)} ms`);
   if (!now.state) return;
   const { steps, rate_per_s: rate, failed } = now.state.solver;
   write("solver", `${grouped(steps)} solver steps${failed ? `, ${failed} failed` : ""}`);

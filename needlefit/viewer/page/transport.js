@@ -2,7 +2,6 @@
 
 import { part, press, write } from "./dom.js";
 import * as act from "./actions.js";
-import { canRedoGoal, canUndoGoal } from "./aim.js";
 import { brief } from "./quantities.js";
 import { command, halt, letGo, move, replayRecording } from "./steering.js";
 import { listen, now } from "./store.js";
@@ -39,8 +38,8 @@ function holdButton(button, direction) {
 /** Let the buttons say what can be done, and the bevel's which side it turns to. */
 export function refresh() {
   const { undo, redo, moving, playing, paused, bevel } = now.state;
-  part("undo").disabled = !undo && !canUndoGoal();
-  part("redo").disabled = !redo && !canRedoGoal();
+  part("undo").disabled = !undo;
+  part("redo").disabled = !redo;
   part("halt").disabled = !moving && !playing;
   part("insert").classList.toggle("on", moving > 0);
   part("retract").classList.toggle("on", moving < 0);
@@ -64,38 +63,23 @@ part("goto").addEventListener("submit", (event) => {
   if (now.state) act.goTo(Number(part("goto-depth").value));
 });
 
-const FAST = 200; // mm/s, of a needle that is shown instead of an inserted one
 let begun = false;
-let instead = null; // {scene, depth}: what is shown instead of that scene's needle is inserted to the depth, mm
 
-const showInstead = (wanted) => command({ do: "show", ...wanted }) && (instead = { scene: now.scene, depth: now.state.depth_mm });
-part("preset-scene").addEventListener("change", ({ target }) => showInstead({ insertion: target.value }));
-part("preset-needle").addEventListener("change", ({ target }) => showInstead({ with_needle: target.value }));
 part("choices").addEventListener("change", () => command({ do: "show", insertion: part("choices").value }));
 
 /** The first needle is inserted, too, unless the user wants less motion. */
 listen("state", ({ depth_mm: depth, undo }) => {
-  if (instead && instead.scene !== now.scene) {
-    if (depth === 0 && instead.depth > 0) move(FAST, instead.depth);
-    instead = null;
-  }
   if (begun) return;
   begun = true;
   if (depth === 0 && !undo && !matchMedia("(prefers-reduced-motion: reduce)").matches) move(act.speed(), act.ownDepth());
 });
-listen("refused", () => (instead = null));
-listen("aimed", () => now.state && refresh());
 listen("go to", act.goTo);
 listen("scene", (scene) => {
   part("title").textContent = scene.title;
   part("note").textContent = scene.note;
   document.title = `${scene.title} · needlefit view`;
   part("synthetic").hidden = !scene.synthetic;
-  const preset = scene.needles.length > 0;
-  part("presets").hidden = !preset;
-  part("preset-scene").replaceChildren(...(preset ? scene.choices : []).map(([name, title]) => new Option(title, name, false, name === scene.target)));
-  part("preset-needle").replaceChildren(...scene.needles.map((one) => new Option(one, one, false, one === scene.needle_name)));
-  part("choice").hidden = preset || scene.choices.length < 2;
+  part("choice").hidden = scene.choices.length < 2;
   part("choices").replaceChildren(...scene.choices.map(([name, title]) => new Option(title, name)));
   if (!scene.measured) part("choices").prepend(new Option("none", ""));
   part("choices").value = scene.measured?.id ?? "";
