@@ -296,7 +296,7 @@ def test_deviations_may_be_empty_or_of_another_name(folder):
 def test_faults_of_an_insertion_s_own_layers_name_its_file(tmp_path):
     for name, words, change in (
         ("layers/a_sheet.stl", "no such file", delete("layers/a_sheet.stl")),
-        ("layers/b_sheet.stl", "mm across", mesh("layers/b_sheet.stl", shrink)),
+        ("layers/b_sheet.stl", "metres", mesh("layers/b_sheet.stl", shrink)),
     ):
         without_checksums(own_layers(tmp_path))
         change(tmp_path)
