@@ -221,6 +221,17 @@ def test_what_is_no_fault_and_many_bad_cells(folder):
     assert len(faults) == 6 and "96 more" in faults[-1].what
 
 
+@pytest.mark.parametrize(("boundary", "layers"), [(-0.3, "1"), (0.3, "2")])
+@pytest.mark.parametrize(("sd", "near"), [("0.2", True), ("0.1", False)])
+def test_a_tip_near_a_boundary_has_a_proposed_alternative(folder, boundary, layers, sd, near):
+    (tip,) = (one.planar[-1, 0] for one in read(folder).insertions if one.id == "a")
+    toml = (folder / TOML).read_text()
+    (folder / TOML).write_text(f"{toml}\n[media.cut]\nboundaries_mm = [{tip + boundary:.4f}]\n")
+    row(medium="cut", layers=layers, layers_alternative=layers, boundary_sd_mm=sd)(folder)
+    fault = the_fault(folder)
+    assert ("layers_alternative" in fault.fix) == near and ("2" if boundary < 0 else "1") in fault.fix
+
+
 FOLDED = np.vstack([CURVE[:60], CURVE[40:]])
 SWAPPED = CURVE[[*range(50), 51, 50, *range(52, 101)]]
 ACROSS = CURVE * [1, -1, -1] @ np.array([[0, 1, 0], [1, 0, 0], [0, 0, 1.0]])
@@ -234,7 +245,8 @@ ACROSS = CURVE * [1, -1, -1] @ np.array([[0, 1, 0], [1, 0, 0], [0, 0, 1.0]])
         (CURVE[np.random.default_rng(0).permutation(101)], None, "goes back", "sort"),
         (CURVE[[*range(50), 49, *range(50, 101)]], 52, "repeats the point before", "remove"),
         (CURVE[::-1], 2, "from tip to entry", "reverse"),
-        (CURVE / 10, 2, "is 5.0", "mm"),
+        (CURVE / 1000, 2, "looks like metres", "1000"),
+        (CURVE / 10, 2, "looks like centimetres", "10"),
         (CURVE[:80], 2, "is 39.5", "tip"),
         (CURVE[[0, 50, 100]], 2, "only 3 points", ""),
         (CURVE + np.array([0, 8, 0]), 2, "8.00 mm from the entry", "LPS"),

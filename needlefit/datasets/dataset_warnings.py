@@ -55,6 +55,9 @@ CHECK_UNIT = "check its unit, mm"
 SIGNIFICANT_SD = 3.0  # standard deviations beyond which a bend is not a measurement error
 # Least bend over depth that counts: entry directions are hardly known better than 0.3 degrees.
 MIN_BEND_SLOPE = 0.005
+# Standard deviations of a medium's insertions together beyond which bevels count as reversed; the weight of a
+# single one is limited to this.
+REVERSED_SD = 4.0
 MAX_NAMED_INSERTIONS = 8  # number of insertions that a warning names
 COPY_TOLERANCE_MM = 1e-6  # largest distance, per axis, of two points that count as the same
 MIN_SIMILARITY = 0.8  # ratio of `difflib` above which a name counts as a mistyped version of another
@@ -162,11 +165,34 @@ BendSide = Literal["toward", "away", "unknown"]
 class BendResult:
     """One insertion or run with its table row and its bending side: toward or away from the bevel, or
     "unknown" within noise.
+
+    `z` is its deflection toward the bevel in standard deviations; NaN where it cannot be judged.
     """
 
     id: str
     where: str
     bend: BendSide
+    medium: str = ""
+    z: float = math.nan
+
+
+def classify_insertion(insertion: Insertion, where: str, noise: Noise) -> BendResult:
+    """Return the bend result of an insertion; `where` is its position in the files, for messages.
+
+    The deviation of `z` allows for noise of points and pose, and for entry directions off by a third of
+    `MIN_BEND_SLOPE`.
+    """
+    z = math.nan
+    if insertion.pose_source != "none" and not insertion.base_moved:
+        slope = MIN_BEND_SLOPE * insertion.depth / SIGNIFICANT_SD
+        z = insertion.deflection / math.hypot(_compute_deflection_sd(insertion, noise), slope)
+    return BendResult(insertion.id, where, find_bend_side(insertion, noise), insertion.medium, z)
+
+
+def _compute_deflection_sd(insertion: Insertion, noise: Noise) -> float:
+    shift = max(noise.registration_mean / MEAN_NORM_PER_SD, insertion.pose_shift_sd)
+    pose = math.hypot(shift, insertion.pose_angle_sd * insertion.depth)
+    return math.hypot(pose, noise.point_sd, noise.correlated_sd)
 
 
 def find_bend_side(insertion: Insertion, noise: Noise) -> BendSide:
@@ -187,9 +213,7 @@ def find_bend_side(insertion: Insertion, noise: Noise) -> BendSide:
     least = MIN_BEND_SLOPE * insertion.depth
     measures = [(bend, max(least if track else 0.5 * least, noise_sd))]
     if track is None:
-        shift = max(noise.registration_mean / MEAN_NORM_PER_SD, insertion.pose_shift_sd)
-        pose = math.hypot(shift, insertion.pose_angle_sd * insertion.depth)
-        limit = max(least, SIGNIFICANT_SD * math.hypot(pose, noise.point_sd, noise.correlated_sd))
+        limit = max(least, SIGNIFICANT_SD * _compute_deflection_sd(insertion, noise))
         measures.append((insertion.deflection, limit))
     if all(value > limit for value, limit in measures):
         return "toward"
@@ -213,6 +237,37 @@ def find_side_warnings(results: Sequence[BendResult], column: str, what: str) ->
     yield ResultWarning("bevel_side", message, away[0].where, fix)
 
 
+def pool_z(results: Sequence[BendResult]) -> float:
+    """Return the pooled z value: the sum of the defined values over the root of their number; NaN without
+    any.
+
+    Each is limited to `REVERSED_SD`, so that a single wrong row does not speak for its medium.
+    """
+    z = [min(max(one.z, -REVERSED_SD), REVERSED_SD) for one in results if not math.isnan(one.z)]
+    return sum(z) / math.sqrt(len(z)) if z else math.nan
+
+
+def find_pooled_side_warnings(results: Sequence[BendResult], column: str) -> Iterator[ResultWarning]:
+    """Yield a warning for each medium whose insertions, taken together, bend away from their bevels.
+
+    None where every insertion that bends clearly bends away: `find_side_warnings` names those already.
+    """
+    clear = [one.bend for one in results if one.bend != "unknown"]
+    if len(clear) > 1 and set(clear) == {"away"}:
+        return
+    for medium in dict.fromkeys(one.medium for one in results):
+        group = [one for one in results if one.medium == medium and not math.isnan(one.z)]
+        z = pool_z(group)
+        if len(group) > 1 and z < -REVERSED_SD:
+            worst = sorted((one for one in group if one.z < 0), key=lambda one: one.z)
+            what = (
+                f"the bevel sides of medium {medium} are probably all reversed: its {len(group)} insertions "
+                f"together bend away from their bevels by {-z:.1f} standard deviations, most of all "
+                f"{join_names([one.id for one in worst], MAX_NAMED_INSERTIONS)}"
+            )
+            yield ResultWarning("bevel_side", what, worst[0].where, f"change the sign of `{column}` there")
+
+
 # ---- insertions
 
 
@@ -231,8 +286,9 @@ def find_insertion_warnings(
     """Yield the warnings about insertions that have no fault."""
     where, insertions = format_place(file), [one.insertion for one in listed]
     column = record.insertions.columns.get("bevel_side", "bevel_side")
-    sides = [BendResult(one.insertion.id, one.where, find_bend_side(one.insertion, noise)) for one in listed]
-    yield from find_side_warnings(sides, column, "insertions")
+    results = [classify_insertion(one.insertion, one.where, noise) for one in listed]
+    yield from find_side_warnings(results, column, "insertions")
+    yield from find_pooled_side_warnings(results, column)
     for n, later in enumerate(listed):
         first = next((one for one in listed[:n] if is_copy(one.insertion, later.insertion)), None)
         if first is not None:

@@ -271,7 +271,7 @@ def _iterate_insertions(reading: _Reading, root: Path, shared: SharedSurfaces) -
             if points.columns not in headers:  # of files with the same header the first is named
                 reading.warnings += find_column_warnings(record, points.columns, points.path, True)
             headers.add(points.columns)
-            faults += find_curve_faults(points, row, record)
+            faults += find_curve_faults(points, row, record, where)
         sections, more = find_sections(row, root, record)
         faults += more
         if sections is not None and points is not None and not faults:

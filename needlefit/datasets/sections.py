@@ -97,21 +97,8 @@ def find_operator_faults(
 ) -> Iterator[Fault]:
     """Yield a fault if the points of insertions do not suit the stated knots, or the width of a Gaussian."""
     stated = record.measurement
-    if stated is not None and (spacing := stated.knot_spacing_mm) is not None:
-        least = {
-            one.insertion.id: find_least_spacing(_select_arc_lengths(record, one), spacing) or math.inf
-            for one in listed
-        }
-        sparsest = max(least, key=lambda name: least[name])
-        if (more := least[sparsest]) > spacing:
-            key = "measurement.knot_spacing_mm"
-            what = f"{key} is {spacing:g}: the points of {sparsest} are too sparse for it"
-            expected, fix = "at least 4 points compared", 'state the operator "none" or "unknown"'
-            if more < math.inf:
-                more = math.ceil(100 * more) / 100
-                expected = f"a point between any two knots: at least {more:g}"
-                fix = f"write {more:g} or more, or store the points more densely"
-            yield Fault(locate_key(file, key), what, expected, fix)
+    if stated is not None and stated.knot_spacing_mm is not None:
+        yield from _find_knot_faults(record, listed, file, stated.knot_spacing_mm)
     if stated is not None and stated.width_mm is not None:
         compared = {one.insertion.id: np.ptp(_select_arc_lengths(record, one)) for one in listed}
         shortest = min(compared, key=lambda name: compared[name])
@@ -126,6 +113,35 @@ def find_operator_faults(
 
 # Largest SD of a Gaussian, as part of the length compared: four SDs then reach over the whole needle.
 MAX_WIDTH_FRACTION = 0.25
+
+
+def _find_knot_faults(
+    record: DatasetRecord, listed: Sequence[ListedInsertion], file: Path, stated: float
+) -> Iterator[Fault]:
+    where, key = locate_key(file, "measurement.knot_spacing_mm"), "measurement.knot_spacing_mm"
+    least, sparsest = stated, ""
+    while (found := _find_sparse(record, listed, least)) is not None:
+        sparsest, more = found
+        if more is None:
+            what = f"{sparsest} has too few points for any spline of {key} = {stated:g}"
+            yield Fault(where, what, "at least 4 points compared", 'state the operator "none" or "unknown"')
+            return
+        least = math.ceil(100 * more) / 100
+    if sparsest:
+        what = f"{key} is {stated:g}: the points of {sparsest} are too sparse for it"
+        expected = f"a point between any two knots: at least {least:g}"
+        yield Fault(where, what, expected, f"write {least:g} or more, or store the points more densely")
+
+
+def _find_sparse(
+    record: DatasetRecord, listed: Sequence[ListedInsertion], spacing: float
+) -> tuple[str, float | None] | None:
+    """Return the first insertion whose points are too sparse, and its least spacing; None if all will do."""
+    for one in listed:
+        least = find_least_spacing(_select_arc_lengths(record, one), spacing)
+        if least is None or least > spacing:
+            return one.insertion.id, least
+    return None
 
 
 def _select_arc_lengths(record: DatasetRecord, listed: ListedInsertion) -> Floats:
