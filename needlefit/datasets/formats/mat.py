@@ -196,7 +196,9 @@ def _read_hdf(data: bytes) -> dict[str, Any]:
 
     with h5py.File(BytesIO(data), "r") as file:
         return {
-            key: _read_hdf_value(file, _get_local_member(file, key)) for key in file if not key.startswith("#")
+            key: _read_hdf_value(file, _get_local_member(file, key))
+            for key in file
+            if not key.startswith("#")
         }
 
 
