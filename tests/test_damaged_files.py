@@ -3,21 +3,18 @@
 import dataclasses
 import gzip
 import json
-import os
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 from made_again import store
 from refusals import refusal
-from reporting_results import sampled, skip_figures, stereo, study
+from reporting_results import skip_figures, stereo, study
 from test_cli import run
 
 import needlefit
 from needlefit.errors import DataError
 from needlefit.project.folders import find_changes, write_manifest
-from needlefit.project.input_files import convert_stored_errors
 from needlefit.reporting.table_files import write_json
 from needlefit.studies import store as stored_files
 from needlefit.studies.combined_report import rebuild, write_combined
@@ -192,25 +189,6 @@ def test_a_damaged_table_names_its_file_and_column(text, where, form, tmp_path):
     assert form is FORM or "row" in caught.what
 
 
-def test_a_table_is_read_with_its_empty_cells(tmp_path):
-    path = tmp_path / "t.csv"
-    path.write_text("id,x_mm,fits,other\n1,1,True,\n2,,,x\n")
-    frame = read_table(path, FORM)
-    assert list(frame["id"]) == ["1", "2"] and np.isnan(frame["x_mm"][1]) and pd.isna(frame["fits"][1])
-    path.write_text("\n")
-    assert read_table(path, FORM).empty
-    path.write_text("id,x_mm,ok\na,inf,False\nb,1,True\n")
-    assert read_table(path, FINITE)["x_mm"].tolist() == [np.inf, 1.0]
-
-
-def test_unusable_stored_values_are_an_error_with_its_cause():
-    with pytest.raises(DataError) as caught, convert_stored_errors("run"):
-        raise ZeroDivisionError
-    assert isinstance(caught.value.__cause__, ZeroDivisionError) and caught.value.where == "run"
-    with pytest.raises(OSError), convert_stored_errors("run"):
-        raise OSError(28, os.strerror(28))
-
-
 @pytest.mark.parametrize("results", [study(1), study(5), stereo()], ids=["study1", "study5", "stereo"])
 def test_stored_values_round_trip_to_the_last_digit(results, tmp_path):
     store(results, tmp_path)
@@ -221,28 +199,6 @@ def test_stored_values_round_trip_to_the_last_digit(results, tmp_path):
     again = tmp_path / "again"
     again.mkdir()
     assert store(found, again).read_bytes() == (tmp_path / RESULTS_FILE).read_bytes()
-
-
-def test_floats_that_are_no_numbers_and_cells_that_are_empty_survive(tmp_path):
-    one = study(1)
-    starts = one.frames["starts"].copy()
-    starts.loc[0, "objective"] = np.inf
-    starts.loc[1, "objective"] = np.nan
-    starts["joined"] = [None, *range(len(starts) - 1)]
-    store(one.with_frames(starts=starts), tmp_path)
-    found = restore_run(tmp_path).frames["starts"]
-    pd.testing.assert_frame_equal(found, starts, check_exact=True)
-    assert found["joined"].dtype == starts["joined"].dtype
-
-
-def test_a_posterior_is_read_from_the_file_beside(tmp_path):
-    one = sampled(0.08, 0.09)
-    (posterior,) = one.posteriors.values()
-    store(one, tmp_path)
-    (fold,) = restore_run(tmp_path).posteriors
-    found = restore_run(tmp_path).posteriors[fold]
-    assert fold in one.posteriors and found.names == posterior.names
-    assert np.array_equal(found.draws, posterior.draws)
 
 
 @pytest.mark.sweep

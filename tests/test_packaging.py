@@ -81,20 +81,6 @@ def test_the_wheel_is_used_from_an_empty_folder(built, installed, tmp_path):
     assert {p.relative_to(mine) for p in (mine / "configs").rglob("*.toml")} == wanted
 
 
-def test_it_finds_everything_that_ships(installed, tmp_path):
-    code = (
-        "from needlefit.project.locate import find_file, find_studies, list_names\n"
-        "assert [name for name, _ in find_studies('all')] == [f'study{n}' for n in (1, 2, 3, 4, 5)]\n"
-        "assert find_file('dataset', 'twin').is_file()\n"
-        "from needlefit.project.locate import _PATTERNS\n"
-        "print(*(f'{kind}/{name}' for kind in _PATTERNS for name in list_names(kind)))"
-    )
-    from needlefit.project import locate
-
-    here = [f"{kind}/{name}" for kind in locate._PATTERNS for name in locate.list_names(kind)]
-    assert set(call(sys.executable, "-c", code, env=installed, cwd=tmp_path).split()) == set(here)
-
-
 def test_the_source_archive_holds_the_project_and_no_results(built):
     (archive,) = built.glob("*.tar.gz")
     with tarfile.open(archive) as tar:

@@ -4,7 +4,6 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
-from test_cli import run
 
 from needlefit.project.folders import write_manifest
 from needlefit.studies.run_differences import compare_runs, lay_out_differences, summarize_differences
@@ -88,21 +87,6 @@ def test_errors_are_compared_insertion_by_insertion(gap, matters, slight, first,
     assert len(lay_out_differences([one], everything=True).rows) == 1
 
 
-def test_insertions_of_one_run_only_are_listed(first, tmp_path):
-    (one,) = compare_runs(first, write(tmp_path / "b", errors=ERRORS.iloc[:3]))
-    assert (one.where, one.before, one.after, one.matters) == ("scored rows", 4, 3, True)
-
-
-def test_the_command_prints_what_matters_first(first, tmp_path, capsys):
-    changed = ERRORS.assign(te_mm=ERRORS["te_mm"] + 0.1)
-    second = write(tmp_path / "b", errors=changed, recipe={"seed": 2, "starts": 8})
-    assert run("diff", str(first), str(second)) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert re.findall(r"\d+ \w+", lines[0]) == ["1 relevant", "1 input"]
-    assert run("diff", str(first), str(second), "--json") == 0
-    assert [row["matters"] for row in json.loads(capsys.readouterr().out)] == [None, True]
-
-
 KINDS_BY_TABLE = {
     "identify": "identification",
     "forecast": "prediction",
@@ -176,18 +160,6 @@ def tabulate_predictive(treatments, covered=1, width=2.0, crps=0.1):
         for treatment in treatments
     ]  # fmt: skip
     return pd.concat(frames, ignore_index=True)
-
-
-def test_predictions_of_one_insertion_in_two_ways_are_compared_each_with_its_own(first, tmp_path):
-    predictive = tabulate_predictive(["others", "training only"])
-    second = write(tmp_path / "b")
-    for folder in (first, second):
-        add(folder, "predictive", predictive)
-    assert compare_runs(first, second) == []
-    worse = predictive["crps_mm"].where(predictive["specimen_treatment"] == "others", 0.5)
-    add(second, "predictive", predictive.assign(crps_mm=worse + 0.001 * np.arange(20) * (worse > 0.1)))
-    (found,) = compare_runs(first, second)
-    assert found.matters and found.after > found.before and "training only" in found.where
 
 
 def test_what_runs_predict_by_default_is_compared_by_coverage_and_width(first, tmp_path):
