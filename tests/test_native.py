@@ -73,12 +73,6 @@ def test_functions_at_the_ends_of_their_range() -> None:
     np.testing.assert_array_equal(evaluate(1, x), [np.nan, -np.inf, 0.0, np.inf, np.nan])
 
 
-def test_lanes_have_the_sine_and_cosine_of_one_number() -> None:
-    x = np.concatenate((spread(-1, 1), spread(-1e5, 1e5)))
-    for one, lane in ((3, 5), (4, 6)):
-        assert evaluate(one, x).tobytes() == evaluate(lane, x).tobytes()
-
-
 # ---- the same bytes
 
 
@@ -103,14 +97,6 @@ def test_failed_sets_have_canonical_nans() -> None:
     assert set(np.flatnonzero(arrays["status"])) >= {1, 3, 5}
     assert np.isnan(arrays["u"][1]).all() or np.isnan(arrays["u"][1, : int(arrays["nodes"][0])]).all()
     assert set(list_nans(arrays)) == {CANONICAL_NAN}
-
-
-def test_what_is_computed_of_nans_is_canonical() -> None:
-    x = np.linspace(-10.0, 10.0, 5)
-    u, slope, s = (np.array([v] * 5) for v in (-np.nan, np.inf, 3.0))
-    positions = native.compute_positions(x[None], u[None], slope[None], s)
-    deflections = native.compute_deflections(x, u, slope, s)
-    assert set(list_nans({"p": positions, "d": deflections})) == {CANONICAL_NAN}
 
 
 STATE = """
@@ -241,13 +227,6 @@ def test_damaged_problems_are_errors(part: int) -> None:
     assert 10 < sum(accepted) < 90
 
 
-@pytest.mark.parametrize("first_cell", [1e-320, 1e-10])
-def test_a_first_cell_that_no_depth_tells_apart_is_an_error(first_cell: float) -> None:
-    problem = make_problem(np.random.default_rng(0))
-    with pytest.raises(TypeError):
-        native.KernelProblem.make({**read_numbers(problem), "first_cell": first_cell}, dict(problem.arrays))
-
-
 @pytest.mark.parametrize("seed", range(40))
 def test_damaged_arguments_of_the_other_functions_are_errors(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -287,41 +266,3 @@ def test_damaged_arguments_of_the_other_functions_are_errors(seed: int) -> None:
             except TypeError:
                 refused += 1
     assert refused > 50
-
-
-def test_a_session_refuses_what_it_has_no_room_for() -> None:
-    def pack(depth: float) -> native.KernelProblem:
-        steps = (Step(depth, Bevel(0.1)),)
-        lattice, packed = plan_insertion(steps, NEEDLE.length, ModelOptions())
-        return pack_problem(NEEDLE, TISSUE, steps, lattice, ModelOptions(), packed)
-
-    small, large = pack(10.0), pack(20.0)
-    session = native.SessionMemory(small)
-    for problem, depth in ((large, 5.0), (small, 10.1), (small, -1.0), (small, np.nan)):
-        with pytest.raises(TypeError):
-            session.advance(problem, depth, 0, 0)
-    assert session.advance(small, 10.0, 0, 0) == (11, 11)
-    session.accept()
-    with pytest.raises(native.RayRoomError, match="11"):  # the problem has room for ten
-        session.advance(small, 9.5, 1, 0)
-        session.accept()
-        session.advance(small, 10.0, 1, 0)
-
-
-def test_simulate_refuses_sets_shapes_and_memory_that_are_none() -> None:
-    problem = make_problem(np.random.default_rng(0))
-    shapes, lanes = native.make_shapes(problem, 1), native.count_lanes()
-    memory = native.make_memory(native.measure_memory(problem, lanes))
-    wrong = [
-        (shapes, problem.sets, lanes, memory),
-        (shapes, -1, lanes, memory),
-        (shapes, 0, 3, memory),
-        (shapes, 0, lanes, memory[16:]),
-        (shapes, 0, lanes, memory[1:]),
-        (native.Shapes.make(problem.sets, problem.nodes - 1, 1, problem.columns), 0, lanes, memory),
-        (native.Shapes.make(problem.sets, problem.room, 1, problem.columns + 1), 0, lanes, memory),
-        (native.Shapes.make(0, problem.room, 1, problem.columns), 0, lanes, memory),
-    ]
-    for arguments in wrong:
-        with pytest.raises(TypeError):
-            native.simulate(problem, *arguments)
