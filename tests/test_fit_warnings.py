@@ -66,7 +66,6 @@ def fitted(values: dict[str, float], folds_: int = 1) -> Run:
         ({}, []),
         ({"mu1_pa": 1e9}, ["mu1"]),
         ({"mu1_pa": 1.001e3, "bevel_mm": 0.4999}, ["mu1", "b"]),
-        ({"mu1_pa": 2e3, "bevel_mm": 0.45}, []),
     ],
 )
 def test_a_parameter_at_its_bound_is_named(values, names):
@@ -96,15 +95,10 @@ LIKE = [0.26, 0.20, 0.28, 0.22, 0.25]
     ("role", "curve", "floor", "count"),
     [
         ("validate", NEAR, 0.5, 1),
-        ("validate", LIKE, 0.0, 0),
-        ("tune", NEAR, 0.05, 1),
-        ("tune", NEAR, 0.5, 1),
         ("tune", LIKE, 0.0, 0),
         ("tune", NEAR, np.nan, 1),
         ("tune", FAR, 0.01, 0),
         ("tune", NEAR[:1], 0.05, 1),
-        ("validate", [0.2599], 0.0, 0),  # one insertion: no standard error
-        ("validate", [0.14], 0.0, 0),
         ("validate", [0.12], 0.0, 1),
         ("validate", [0.27], 0.0, 0),
     ],
@@ -123,9 +117,7 @@ def test_an_empirical_curve_that_is_closer_is_named(role, curve, floor, count):
     [
         ([0.05] * 5, 0.25, ["noise_too_large"]),
         ([0.05] * 2, 0.25, []),  # by chance
-        ([0.05] * 5, 0.06, []),
         ([0.25] * 5, 0.05, ["noise_too_small"]),
-        ([0.12], 0.05, []),
         ([0.25] * 5, np.nan, []),
     ],
 )
@@ -224,13 +216,9 @@ def test_tune_prints_its_warnings_and_writes_the_result_all_the_same(flipped, ca
     ("file", "old", "new", "place"),
     [
         ("fit.toml", '"a", "b"', '"a", "d"', "fit.toml:7"),
-        ("fit.toml", '"./data"', '"dato"', "fit.toml:3"),
         ("fit.toml", '"./gel.toml"', '"gol"', "fit.toml:4"),
-        ("gel.toml", "alpha1", "alpha2", "gel.toml:6"),
         ("gel.toml", "mu1_pa", "mu2_pa", "gel.toml:5"),
-        ("gel.toml", "{ fixed = 1.0 }", '{ tie = "mu1_pa" }', "gel.toml:6"),
         ("gel.toml", "{ fixed = 1.0 }", '{ tie = "mu1" }', "gel.toml:6"),
-        ("gel.toml", "[1e3, 1e9]", "[-1, 1e9]", "gel.toml:5"),
     ],
 )
 def test_an_error_of_a_study_or_medium_names_file_and_line(flipped, capsys, file, old, new, place):
@@ -287,9 +275,6 @@ CURVES = dict.fromkeys(("straight", "constant_curvature", "linear_curvature"), (
     [
         ((0.1, 0.0), (0.2, 0.0), "pass"),
         ((0.1, 0.0), (0.01, 0.0), "warn"),  # a curve is closer, but below the floor that is not significant
-        ((0.1, 0.05), (0.11, 0.0), "pass"),  # within the floor, and no curve is closer
-        ((0.3, 0.2), (0.29, 0.0), "warn"),
-        ((0.3, 0.2), (0.31, 0.0), "warn"),
         ((0.3, 0.01), (2.0, 0.01), "pass"),
         ((1.0, 0.01), (2.0, 0.01), "warn"),  # better than any curve, but far above the floor
         ((1.0, 0.5), (0.99, 0.0), "warn"),  # no significant difference
@@ -346,7 +331,6 @@ HALVES = [True, False]
         (predicted(np.full(14, 0.1), np.resize(HALVES, 14)), [("off_centre", "tip", 95)]),
         (predicted(-np.full(6, 0.1), np.resize(HALVES, 6)), [("off_centre", "tip", 95)]),
         (predicted(np.full(5, 0.1), np.resize(HALVES, 5)), []),  # 2^-5 > 0.025
-        (predicted(np.zeros(14), np.resize(HALVES, 14)), []),
         (
             predicted(np.resize([0.1, -0.1], 14), np.full(14, True)),
             [("wide_coverage", "tip", 50), ("wide_coverage", "shape", 50)],
@@ -384,10 +368,8 @@ def test_intervals_that_are_too_narrow_too_wide_or_off_centre_are_found(table, k
 @pytest.mark.parametrize(
     ("insertions", "baseline", "status"),
     [
-        (1, "worse", "warn"),
         (2, "worse", "warn"),
         (3, "worse", "pass"),
-        (2, "tie", "warn"),
         (2, "better", "fail"),
     ],
 )

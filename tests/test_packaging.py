@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 import sysconfig
@@ -165,36 +164,6 @@ def test_an_editable_installation_names_the_command_when_its_library_is_stale(ch
         file.write("// changed\n")
     stale = checkout.load()
     assert stale.returncode != 0 and "pip install -e ." in stale.stderr
-
-
-@pytest.mark.on_demand
-@pytest.mark.skipif(shutil.which("g++") is None, reason="no g++")
-def test_a_system_compiler_builds_without_isolation_and_network(checkout):
-    checkout.use_packages_of_this_environment()
-    words, settings = (
-        ("--no-build-isolation", str(checkout.root)),
-        {"PIP_NO_INDEX": "1", "NEEDLEFIT_CXX": "g++"},
-    )
-    done = checkout.install(*words, **settings)
-    assert done.returncode == 0, done.stdout + done.stderr
-    installed = Path(checkout.load().stdout.strip())
-    made_from = json.loads((installed / "libraries.json").read_text())["made_from"]
-    assert made_from["compiler"] == "g++"
-
-
-@pytest.mark.on_demand
-def test_one_command_builds_the_wheels_of_all_platforms(checkout):
-    checkout.use_packages_of_this_environment()
-    out = checkout.home / "dist"
-    done = subprocess.run(
-        [str(checkout.python), "hatch_build.py", str(out)],
-        cwd=checkout.root,
-        env=checkout.environment,
-        check=False,
-    )
-    assert done.returncode == 0
-    tags = {wheel.name.split("-none-")[1].split("_")[0] for wheel in out.glob("*.whl")}
-    assert tags == {"manylinux", "musllinux", "macosx", "win"} and len(list(out.glob("*.whl"))) == 7
 
 
 @pytest.mark.on_demand

@@ -250,13 +250,6 @@ SEQUENCES = {
         ("click", "#replay", "n.scene.recording !== window.recording"),  # it may be over at once
         ("focus", "#canvas", "!s.playing && s.step === kept.step && `${s.y}` === `${kept.y}`"),
     ],
-    "of two arrow keys the newest counts, then the one still pressed": [
-        ("focus", "#canvas", "true"),
-        ("down", "ArrowRight", "s.depth_mm > 2 && s.moving > 0"),
-        ("down", "ArrowLeft", "s.moving < 0"),
-        ("up", "ArrowLeft", "s.moving > 0"),
-        ("up", "ArrowRight", "!s.moving"),
-    ],
     "a slider keeps its arrows, a number all that is typed; the other keys are the page's": [
         ("go to", 20, "true"),
         ("keep", "true"),
@@ -268,15 +261,6 @@ SEQUENCES = {
         ("fill", "#speed", "", "true"),
         ("key", "Tab", "part('#speed').value === '1000'"),
         ("shows", "1000 is kept", "true"),
-    ],
-    "keys add to the very value, also beyond the slider": [
-        ("go to", 20, "true"),
-        ("keep", "true"),
-        ("enter", "#bevel-fields .number", "5", "s.bevel.offset_mm === 5"),
-        ("key", "ArrowUp", "s.bevel.offset_mm > 5"),
-        ("focus", "#canvas", "true"),
-        ("key", "]", "Math.abs(s.bevel.offset_mm - 5.01) < 1e-9"),
-        ("key", "t", "s.tip.held && Math.abs(s.tip.lateral_mm - kept.tip.lateral_mm) < 1e-12"),
     ],
     "a refused input is announced, and nothing moves; what is right ends the message": [
         ("fill", "#goto-depth", "200", "true"),
@@ -301,11 +285,6 @@ SEQUENCES = {
         ("key", "9", "true"),
         ("key", "Control+z", "s.depth_mm === 20"),  # now the field undoes what is typed
     ],
-    "after a shift one button on the picture comes back": [
-        ("click", "[data-fit=tissue]", "part('#refit').hidden"),
-        ("pull", 400, 300, 80, 40, "!part('#refit').hidden"),
-        ("click", "#refit", "part('#refit').hidden && part('[data-fit=tissue]').ariaPressed === 'true'"),
-    ],
     "a goal can be undone, and one that is refused is taken back": [
         ("go to", 5, "true"),
         ("aim", "{ target: [35, 0.5] }", "aim.reach"),
@@ -315,16 +294,6 @@ SEQUENCES = {
         ("key", "Control+y", "aim.radius === 1.5"),
         ("enter", GOAL_X, "1e300", REFUSED),
         ("focus", "#canvas", f"aim.target[0] === 35 && Number(part('{GOAL_X}').value) === 35"),
-    ],
-    "a goal that changes ends the search for a plan": [
-        ("go to", 5, "true"),
-        ("aim", "{ target: [40, 0.5] }", "true"),
-        ("click", "#make-plan", "true"),
-        (
-            "aim",
-            "{ target: [41, 0.5] }",
-            "!part('#make-plan').disabled && !aim.planning && aim.plan === null",
-        ),
     ],
     "a plan that fails names what it touches": [
         ("go to", 20, "true"),

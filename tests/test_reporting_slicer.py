@@ -15,13 +15,11 @@ from test_validation_run import made, project, study
 
 from needlefit.datasets.formats.mrk_json import read_mrk_json
 from needlefit.datasets.read import read
-from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.meshes import TUBE_FACETS, make_tube, write_ply
 from needlefit.geometry.surfaces import make_mesh
 from needlefit.imaging.segmentations import read_labels
 from needlefit.imaging.volume import to_patient
-from needlefit.imaging.volume_files import read_volume
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.identifiability.identify import identify
 from needlefit.inference.optimize import minimize
@@ -45,17 +43,6 @@ def test_a_straight_tube_has_the_volume_of_a_prism(a, b, length, count):
     body = make_mesh(*make_tube(axis, [a, b], (0.3, 5, 0.4)))
     assert body.is_watertight and body.is_winding_consistent
     assert body.volume == pytest.approx(POLYGON * a * b * length, rel=1e-9)
-
-
-def test_no_tube_without_a_curve_or_across_nothing():
-    for points, toward in (
-        ([[0, 0, 0]], (0, 1, 0)),
-        ([[0, 0, 0], [0, 0, 0]], (0, 1, 0)),
-        ([[0, 0, 0], [0, 1, 0]], (0, 1, 0)),
-        ([[0, 0, 0], [math.nan, 1, 0]], (0, 1, 0)),
-    ):
-        with pytest.raises(DataError):
-            make_tube(points, 1.0, toward)
 
 
 def test_a_ply_states_lps_and_is_reproducible(tmp_path):
@@ -199,18 +186,6 @@ def test_free_shapes_lie_on_the_measured_ones(project):
 
 
 FILES = Path(slicerio.__file__).parent / "data"
-
-
-def test_a_chest_ct():
-    import nrrd
-
-    values, header = nrrd.read(str(FILES / "CTChest4.nrrd"))
-    volume = read_volume(FILES / "CTChest4.nrrd")
-    assert np.array_equal(volume.values, values.T)
-    last = header["space origin"] + (np.array(values.shape) - 1) @ header["space directions"]
-    corners = to_patient(volume, [[0, 0, 0], np.array(values.shape) - 1])
-    assert header["space"] == "left-posterior-superior"
-    assert corners == pytest.approx(np.array([header["space origin"], last]))
 
 
 def test_a_segmentation():

@@ -115,11 +115,9 @@ def changed_scene(*assignments):
     "assignments",
     [
         ("rules.constraint_spacing_mm=2",),
-        ("rules.tangent_part=0.5",),
         ("rules.advance=path_angle", "bevel.offset_mm=", "bevel.cut_angle_deg=3"),
         ("law=linear",),
         ("layers.2.thickness_mm=20",),
-        ("layers.1.friction=0.1",),
     ],
 )
 def test_a_scene_that_states_another_rule_than_the_fit_is_refused(job, assignments):
