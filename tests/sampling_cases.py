@@ -14,7 +14,6 @@ from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint
 from needlefit.schemas.recipe import SampleRecord
 
 EFFORT = Effort(draws=1000, min_ess=1000)
-UNCERTIFIED = Effort(draws=1000, rounds=2, min_ess=1e9)
 
 
 @dataclass(frozen=True)

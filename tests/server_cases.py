@@ -1,8 +1,7 @@
-"""A page of the viewer served beside its test, and a client; asynchronous tests."""
+"""A page of the viewer served beside its test, and a client."""
 
 import asyncio
 from contextlib import asynccontextmanager
-from functools import wraps
 
 import aiohttp
 
@@ -18,13 +17,3 @@ async def served(page):
         yield await opened, client
     end.set()
     await server
-
-
-def asynchronous(test):
-    """Run an asynchronous test."""
-
-    @wraps(test)
-    def run(*args, **kwargs):
-        asyncio.run(asyncio.wait_for(test(*args, **kwargs), 90))
-
-    return run

@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -17,8 +16,6 @@ import needlefit
 from needlefit import api
 from needlefit.errors import ConfigError
 from needlefit.project.locate import find_file, shipped_folder
-from needlefit.project.toml import load
-from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.kinds import prediction
 
@@ -61,31 +58,6 @@ def test_the_docstrings_print_what_they_show():
     assert found.attempted > 3 and found.failed == 0
 
 
-def values(run):
-    found = run.frames["parameters"].query("method == 'fitted'")
-    return dict(zip(found["parameter"], found["value"], strict=True))
-
-
-def test_a_dataset_is_a_table(dataset):
-    table = dataset.to_frame()
-    assert len(table) == len(dataset.insertions) and not table["insertion"].duplicated().any()
-    row, one = table.iloc[-1], dataset.insertions[-1]
-    assert (row["insertion"], row["depth_mm"], row["deflection_mm"]) == (one.id, one.depth, one.deflection)
-    html = replace(dataset, notes=("<b>",))._repr_html_()
-    assert "SYNTHETIC" in html and "&lt;b&gt;" in html and "<b>" not in html
-
-
-@pytest.mark.sweep
-def test_a_fit_is_the_same_from_names_and_from_objects(fitted):
-    medium = load(find_file("medium", "chicken"), MediumRecord)
-    again = needlefit.fit(Path("data/twin"), medium, tune=TUNE, recipe=RECIPE, name="twin-chicken", jobs=1)
-    assert (
-        fitted.kind == "fit" and fitted.run["dataset"]["name"] == "twin" and values(again) == values(fitted)
-    )
-    other = needlefit.fit("twin", "chicken", tune=TUNE, recipe=RECIPE, name="twin-chicken", seed=2)
-    assert other.run["recipe"]["seed"] == 2 and other.frames["starts"]["start"].tolist() == [0]
-
-
 @pytest.mark.sweep
 @pytest.mark.usefixtures("blank_figures")
 def test_a_run_is_saved_loaded_and_predicted_from(sampled, tmp_path, monkeypatch):
@@ -114,19 +86,6 @@ def test_without_arviz_the_error_names_the_extra(sampled, monkeypatch):
     with pytest.raises(ConfigError) as error:
         sampled.posterior.to_inference_data()
     assert "needlefit[arviz]" in error.value.fix
-
-
-def test_a_run_without_a_posterior_has_none(fitted):
-    with pytest.raises(ConfigError):
-        _ = fitted.posterior
-
-
-def test_a_notebook_shows_origin_faults_and_tables(fitted, sampled):
-    html = sampled._repr_html_()
-    assert "Synthetic data" in html and "NOT CONVERGED" in html and html.count("<table>") >= 3
-    assert "<html" not in html and "<script" not in html
-    assert "<table>" in replace(fitted, interrupted=True)._repr_html_()
-    assert "&lt;b&gt;" in replace(fitted, dataset_title="<b>")._repr_html_()
 
 
 @pytest.mark.usefixtures("few_draws", "blank_figures")

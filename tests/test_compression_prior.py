@@ -11,7 +11,6 @@ import pandas as pd
 import pytest
 
 import needlefit
-from needlefit.errors import ConfigError
 from needlefit.project.locate import find_file, shipped_folder
 from needlefit.project.toml import load
 from needlefit.schemas.medium import MaterialRecord
@@ -91,16 +90,3 @@ def test_a_fit_takes_the_prior_and_its_run_holds_it(tmp_path: Path, monkeypatch:
     assert job.parameters.prior.names == ("mu1_pa", "alpha1") and "alpha1" in job.parameters.bounds
     stated = describe_configuration(job)["medium"]["parameters"]["alpha1"]["prior"]
     assert stated["mean"] == prior.alpha.mean
-
-
-def test_a_written_prior_is_checked(tmp_path: Path) -> None:
-    file = needlefit.write_prior(tmp_path / "a.toml", [math.log(2e4), 3.0], [[0.04, -0.05], [-0.05, 0.25]])
-    written = load(file, MaterialRecord)
-    assert (written.alpha.mean, written.alpha.sd, written.mu_pa) == (3.0, 0.5, None)
-    covariance = np.array([[0.04, -0.05], [-0.05, 0.25]])
-    mu = load(needlefit.write_prior(file, [math.log(2e4), 3.0], covariance, (0.2, 5.0)), MaterialRecord).mu_pa
-    sd = math.hypot(0.2, math.log(5))
-    assert mu.median == pytest.approx(4000.0) and mu.factor == pytest.approx(math.exp(sd), rel=1e-5)
-    assert mu.correlation == pytest.approx(-0.05 / (sd * 0.5), rel=1e-5)
-    with pytest.raises(ConfigError):
-        needlefit.write_prior(file, [9.0, 3.0], np.diag([0.1, 0.0]))

@@ -3,21 +3,18 @@
 import dataclasses
 import gzip
 import json
-import os
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 from made_again import store
 from refusals import refusal
-from reporting_results import sampled, skip_figures, stereo, study
+from reporting_results import skip_figures, stereo, study
 from test_cli import run
 
 import needlefit
 from needlefit.errors import DataError
 from needlefit.project.folders import find_changes, write_manifest
-from needlefit.project.input_files import convert_stored_errors
 from needlefit.reporting.table_files import write_json
 from needlefit.studies import store as stored_files
 from needlefit.studies.combined_report import rebuild, write_combined
@@ -118,18 +115,11 @@ def test_results_that_cannot_be_read_are_refused(content, tmp_path):
     [
         ("format", 99),
         ("kind", "nonsense"),
-        ("kind", []),
         ("name", "../elsewhere"),
-        ("origin", None),
         ("record", {"schema": 1}),
-        ("frames", {}),
         ("frames.errors.types.te_mm", "U999999999"),
-        ("frames.errors.types.te_mm", "int64"),
         ("frames.errors.columns.te_mm", [1.0]),
-        ("frames.errors.columns.converged", None),
         ("run.folds", [{"name": "all"}]),
-        ("run.dataset", {"needle": [1]}),
-        ("run.warnings", [{"kind": 1}]),
         ("posteriors", ["all"]),
     ],
 )
@@ -148,11 +138,8 @@ def test_a_run_file_of_other_types_names_the_file(tmp_path):
     for values in [
         [],
         {"name": 1},
-        {"name": "a", "folds": {}},
-        {"name": "a", "versions": {"numpy": 2}},
         {"name": "a", "study": {"kind": ["plan"]}},
         {"a": {"name": 1}},
-        {"study1": {"recipe": 3}},
         {"k" * 300: {"name": "a"}},
         {"../elsewhere": {"name": "a"}},
         {"name": "a", "versions": {"k" * 300: 1}},
@@ -184,25 +171,6 @@ def test_a_damaged_table_names_its_file_and_column(text, where, columns, tmp_pat
     assert columns is KEYED or "row" in caught.what
 
 
-def test_a_table_is_read_with_its_empty_cells(tmp_path):
-    path = tmp_path / "t.csv"
-    path.write_text("id,x_mm,fits,other\n1,1,True,\n2,,,x\n")
-    frame = read_table(path, *KEYED)
-    assert list(frame["id"]) == ["1", "2"] and np.isnan(frame["x_mm"][1]) and pd.isna(frame["fits"][1])
-    path.write_text("\n")
-    assert read_table(path, *KEYED).empty
-    path.write_text("id,x_mm,ok\na,inf,False\nb,1,True\n")
-    assert read_table(path)["x_mm"].tolist() == [np.inf, 1.0]
-
-
-def test_unusable_stored_values_are_an_error_with_its_cause():
-    with pytest.raises(DataError) as caught, convert_stored_errors("run"):
-        raise ZeroDivisionError
-    assert isinstance(caught.value.__cause__, ZeroDivisionError) and caught.value.where == "run"
-    with pytest.raises(OSError), convert_stored_errors("run"):
-        raise OSError(28, os.strerror(28))
-
-
 @pytest.mark.parametrize("results", [study(1), study(5), stereo()], ids=["study1", "study5", "stereo"])
 def test_stored_values_round_trip_to_the_last_digit(results, tmp_path):
     store(results, tmp_path)
@@ -213,28 +181,6 @@ def test_stored_values_round_trip_to_the_last_digit(results, tmp_path):
     again = tmp_path / "again"
     again.mkdir()
     assert store(found, again).read_bytes() == (tmp_path / RESULTS_FILE).read_bytes()
-
-
-def test_floats_that_are_no_numbers_and_cells_that_are_empty_survive(tmp_path):
-    one = study(1)
-    starts = one.frames["starts"].copy()
-    starts.loc[0, "objective"] = np.inf
-    starts.loc[1, "objective"] = np.nan
-    starts["joined"] = [None, *range(len(starts) - 1)]
-    store(one.with_frames(starts=starts), tmp_path)
-    found = restore_run(tmp_path).frames["starts"]
-    pd.testing.assert_frame_equal(found, starts, check_exact=True)
-    assert found["joined"].dtype == starts["joined"].dtype
-
-
-def test_a_posterior_is_read_from_the_file_beside(tmp_path):
-    one = sampled(0.08, 0.09)
-    (posterior,) = one.posteriors.values()
-    store(one, tmp_path)
-    (fold,) = restore_run(tmp_path).posteriors
-    found = restore_run(tmp_path).posteriors[fold]
-    assert fold in one.posteriors and found.names == posterior.names
-    assert np.array_equal(found.draws, posterior.draws)
 
 
 @pytest.mark.sweep

@@ -1,32 +1,25 @@
 """What is suspicious in a dataset: mistakes that a user may make in own data, by kind, file and line."""
 
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from inference_cases import medium
-from test_cli import run
-from test_datasets import CURVE, X, block, record, row, without_checksums
+from test_datasets import CURVE, X, record, row
 
 from needlefit.datasets.dataset_warnings import (
-    PLACEHOLDER,
     BendResult,
     classify_insertion,
     find_pooled_side_warnings,
     pool_z,
 )
 from needlefit.datasets.read import check, check_all, read
-from needlefit.datasets.template import write_template
 from needlefit.datasets.write import write_dataset as write_curves
 from needlefit.geometry.surfaces import make_sheet
-from needlefit.project import unit_warnings
 from needlefit.project.locate import find_file
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load
-from needlefit.schemas.scene import NeedleRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.job import Settings, prepare
 
@@ -135,17 +128,6 @@ def test_the_bevel_sides_of_a_medium_that_bends_weakly_are_judged_together():
     assert one.where == "chicken-09" and "chicken-09, chicken-03" in one.what and "`bevel_side`" in one.fix
 
 
-def test_a_deflection_with_another_possible_cause_gives_no_warning(tmp_path):
-    for change in [{"base_moved": 2.0}, {"pose_shift_sd": 0.5}, {"pose_angle_sd": 0.02}]:
-        assert kinds(write_rows(tmp_path, into_gel(side=-1, **change))) == []
-    assert kinds(write_rows(tmp_path, *(into_gel(name, side=-1, base_moved=2.0) for name in "abcd"))) == []
-    assert kinds(write_rows(tmp_path / "free", into_gel(side=-1, **FREE), frame={"pose": "free"})) == []
-    straight = np.column_stack([X, 0.02 * np.random.default_rng(1).normal(size=(len(X), 2))])
-    noise = {"point_sd_mm": 0.02}
-    file = write_rows(tmp_path / "straight", into_gel(side=-1), curves={"a": straight}, noise=noise)
-    assert "bevel_side" not in kinds(file)
-
-
 @pytest.mark.parametrize(
     ("pattern", "line", "right"),
     [
@@ -166,55 +148,6 @@ def test_a_value_in_another_unit_is_named_with_its_line(tmp_path, pattern, line,
     _, (one,) = check_all(file)
     assert one.where == f"{file}:{number}" and right in one.fix and f"`{line.split()[0]}`" not in one.what
     assert line.split()[0] in one.what + one.fix or one.kind == "noise"
-
-
-@pytest.mark.parametrize(
-    ("changes", "key", "right"),
-    [
-        ({"length_mm": 5.9, "outer_diameter_mm": 0.05}, "outer_diameter_mm", ["1.27"]),  # inches
-        ({"length_mm": 150.0, "outer_diameter_mm": 1270.0}, "outer_diameter_mm", ["1.27"]),  # micrometres
-        ({"length_mm": 150.0, "outer_diameter_mm": 5000.0}, "outer_diameter_mm", ["write 5"]),
-        ({"length_mm": 5000.0}, "length_mm", ["check"]),
-        ({"length_mm": 15.0}, "length_mm", ["check"]),
-        ({"length_mm": 150.0, "outer_diameter_mm": 7.0}, "outer_diameter_mm", ["check"]),
-        *(({"length_mm": length}, "", []) for length in (40.0, 0.15)),
-        ({"inner_diameter_mm": 1.2699}, "inner_diameter_mm", ["check"]),
-        ({"inner_diameter_mm": 0.042}, "inner_diameter_mm", ["check"]),
-        ({"inner_diameter_mm": 0.838}, "", []),
-        ({"inner_diameter_mm": 1.1}, "", []),
-    ],
-)
-def test_a_doubtful_length_of_a_needle_is_named_with_what_is_likely(tmp_path, changes, key, right):
-    file = tmp_path / "scene.toml"
-    needle = NeedleRecord.model_validate(record().needle.model_dump() | changes)
-    file.write_text("[needle]\n" + "\n".join(f"{name} = 1" for name in needle.model_dump()))
-    found = list(unit_warnings.needle_warnings(needle, unit_warnings.format_place(file)))
-    lines = [n for n, name in enumerate(needle.model_dump(), start=2) if name == key]
-    assert [one.where for one in found] == [f"{file}:{n}" for n in lines]
-    assert all(f"`needle.{key}`" in one.what and all(text in one.fix for text in right) for one in found)
-
-
-def test_values_in_another_unit_have_a_likely_one():
-    for changed, right in [
-        ({"mu1_pa": {"fixed": 220.0}}, ["write 220000"]),
-        ({"mu1_pa": {"bounds": [1.0, 250.0]}}, ["write 250000"]),
-        ({"bevel_mm": {"fixed": 1e-4}}, ["write 0.1"]),
-        ({"bevel_mm": {"bounds": [1e-6, 5e-4]}}, ["write 0.5"]),
-        ({"alpha1": {"fixed": 0.0}}, ["write a fitted exponent, or 1 if it is not known"]),
-        ({"alpha1": {"bounds": [-3.0, 5.0]}}, []),
-        ({"mu1_pa": {"bounds": [1.0, 1e12]}}, []),
-    ]:
-        found = list(unit_warnings.medium_warnings(medium(1, **changed), "medium"))
-        assert [one.fix for one in found] == right
-        assert all(f"`parameters.{next(iter(changed))}`" in one.what for one in found)
-
-
-@pytest.mark.parametrize(("length", "unit"), [(15.0, "centimetres"), (5.906, "inches")])
-def test_a_needle_shorter_than_its_depths_is_named(tmp_path, length, unit):
-    file = gel(tmp_path)
-    edit(file, "^length_mm", f"length_mm = {length}")
-    faults = check(file)
-    assert len(faults) == 3 and all(unit in one.what and "needle.length_mm" in one.fix for one in faults)
 
 
 def test_a_depth_in_another_unit_than_its_curve_is_named_with_the_line_of_its_row(tmp_path):
@@ -253,23 +186,6 @@ def test_a_stated_error_that_cannot_be_right_is_named_with_its_line(tmp_path, ke
 
 
 @pytest.mark.parametrize(
-    ("column", "value", "count"),
-    [
-        *[("pose_shift_sd", 138.0, 1), ("pose_shift_sd", 1.38e-4, 1), ("pose_shift_sd", 1.2, 1)],
-        *[("pose_shift_sd", 0.138, 0), ("pose_angle_sd", np.radians(45), 1), ("pose_angle_sd", 0.02, 0)],
-        ("pose_angle_sd", np.radians(0.0024), 1),  # 0.14 degrees, written in radians
-        *[("boundary_sd", 118.0, 1), ("depth_sd", 120.9, 1), ("depth_sd", 0.1209, 0)],
-    ],
-)
-def test_a_deviation_of_a_row_that_cannot_be_right_is_named_with_line_and_column(
-    tmp_path, column, value, count
-):
-    _, warnings = check_all(write_rows(tmp_path, into_gel(), into_gel("b", **{column: value})))
-    assert [one.where for one in warnings] == [f"{tmp_path}/insertions.csv:3"] * count
-    assert all(f"`{column}_" in one.what for one in warnings)
-
-
-@pytest.mark.parametrize(
     ("old", "new", "count"),
     [
         *[("bevel_side", "bevel_sid", 1), ("bevel_side", "BevelSide", 1), ("depth_sd_mm", "dept_sd_mm", 1)],
@@ -300,49 +216,6 @@ def test_boundaries_that_no_tissue_has_are_named_with_their_line(tmp_path, bound
     places = [("units", place_of(file, "boundaries_mm"))] * count
     assert [(one.kind, one.where) for one in warnings] == places
     assert all(f"{boundaries[-1]:g}" in one.what for one in warnings)
-
-
-@pytest.mark.parametrize(
-    ("mm", "unit"), [(10, "centimetres"), (25, "inches"), (1e-3, "micrometres"), (1e3, "metres")]
-)
-def test_boundaries_in_a_unit_that_alone_gives_the_layers_listed(tmp_path, mm, unit):
-    """Needles of 50 and 70 mm through boundaries at 20 and 60 mm meet two layers and three."""
-    deep = np.column_stack([X * 1.4, 4e-4 * X**2, 0 * X])
-    rows = into_gel(layers=2), into_gel("b", layers=3, depth=70.0)
-    curves = {"a": CURVE, "b": deep}
-    file = write_rows(tmp_path, *rows, curves=curves, gel={"boundaries_mm": [20.0 / mm, 60.0 / mm]})
-    (fault,) = check(file)
-    assert fault.where == place_of(file, "boundaries_mm") and fault.what.endswith(f" {unit}")
-
-
-def test_open_values_of_a_template_are_warnings_and_can_be_fitted(tmp_path):
-    file = write_template(tmp_path / "mine")
-    faults, (one,) = check_all(file)
-    assert faults == [] and one.kind == "placeholder" and "`noise.note`" in one.what
-    lines = file.read_text().split("\n")
-    assert PLACEHOLDER in lines[int(one.where.rpartition(":")[2]) - 1]
-    assert read(file).noise.stated
-
-
-def test_open_values_are_found_and_mapped_columns_and_usual_diameters_are_not(tmp_path):
-    file = gel(tmp_path, title="To fill in: what was inserted")
-    table = tmp_path / "insertions.csv"
-    head, *rows = table.read_text().splitlines()
-    cells = ["", "to_fill_in", "TO FILL IN"]
-    lines = [f"{head},remark", *(f"{one},{cell}" for one, cell in zip(rows, cells, strict=True))]
-    table.write_text("\n".join(lines))
-    _, warnings = check_all(file)
-    assert [one.kind for one in warnings] == ["placeholder"] * 2
-    assert [one.where for one in warnings] == [place_of(file, "title"), f"{table}:3"]
-    assert "`remark`" in warnings[1].what and " 2 " in warnings[1].what
-    file = gel(tmp_path)
-    edit(file, "insertions.csv", 'file = "insertions.csv"\ncolumns = { bevel_side = "bevel_sid" }')
-    table = file.parent / "insertions.csv"
-    table.write_text(table.read_text().replace("bevel_side", "bevel_sid", 1))
-    assert kinds(file) == []
-    for gauge in [18, 22, 25]:
-        needle = record().needle.model_dump() | {"outer_diameter_mm": unit_warnings.GAUGES_MM[gauge]}
-        assert kinds(gel(tmp_path, needle=needle)) == []
 
 
 def test_data_without_any_error_or_point_are_a_fault(tmp_path):
@@ -389,15 +262,3 @@ def test_surfaces_listed_twice_turned_or_missed_are_faults(tmp_path):
     missed = check(layered(tmp_path / "missed", {"layers/a.stl": plane(70)}))
     assert len(missed) == 2 and not any("RAS" in one.what for one in missed)
     assert kinds(layered(tmp_path / "one", {"layers/a.stl": plane(70)}, layers=1)) == ["surfaces_missed"]
-
-
-def test_check_prints_warnings_and_strict_ends_with_5(tmp_path, capsys):
-    gel(tmp_path, (-1, -1, 1))
-    assert run("check", str(tmp_path) + "/dataset.toml") == 0
-    out, err = capsys.readouterr()
-    assert "No faults" in out and err.count("needlefit: warning") == 1
-    assert run("check", f"{tmp_path}/", "--strict", "--json") == 5
-    output = json.loads(capsys.readouterr().out)
-    assert output["ok"] is True and [one["kind"] for one in output["warnings"]] == ["bevel_side"]
-    without_checksums(block(tmp_path / "block"))
-    assert run("check", f"{tmp_path}/block/", "--strict") == 5  # it states no noise of its points

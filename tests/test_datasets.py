@@ -149,19 +149,6 @@ def test_the_same_data_gives_the_same_digest_and_additions_of_spreadsheets_are_i
     np.testing.assert_array_equal(read(file).insertions[0].planar, before.insertions[0].planar)
 
 
-def test_writing_needs_every_centreline_and_surface(tmp_path):
-    with pytest.raises(DataError, match=r"b, layers/core\.stl, layers/sheet\.stl"):
-        write_dataset(tmp_path, record(), [row("a"), row("b")], {"a": CURVE})
-    own_layers(tmp_path / "one")
-    media = {
-        "block": {"surfaces": [{"file": "layers/{id}.stl", "kind": "sheet", "into": 2}]},
-        "given": {"boundaries_mm": [20.0]},
-    }
-    rows = [row("a"), row("b", "given")]
-    with pytest.raises(DataError, match=r" layers/a\.stl\n"):
-        write_dataset(tmp_path / "two", record(media=media), rows, dict.fromkeys("ab", CURVE), {})
-
-
 def without_checksums(file: Path):
     file.write_text(file.read_text().split("[checksums]")[0])
 
@@ -345,15 +332,6 @@ def test_missing_data_is_reported_with_its_acquisition(long, monkeypatch):
     refusal(DataError, r"elsewhere[\s\S]*ask the tests", read, long)
     monkeypatch.delenv("NEEDLEFIT_TEST_DATA")
     refusal(DataError, r"NEEDLEFIT_TEST_DATA[\s\S]*ask the tests", read, long)
-
-
-def test_free_shapes_have_a_noise_floor_after_alignment(long):
-    """A correlated length much longer than the shape moves it as a whole, which alignment undoes."""
-    for length, low, high in ((1e6, 0.0, 0.005), (5.0, 0.05, 0.15)):
-        long.write_text(LONG + f"[noise]\ncorrelated_sd_mm = 0.1\ncorrelation_length_mm = {length}\n")
-        dataset = read(long)
-        floor = estimate_noise_floor(dataset, dataset.insertions[0], np.random.default_rng(2))
-        assert low < floor["ipe_mean_mm"] < high
 
 
 def test_matlab_centrelines_structs_and_cells_are_read(tmp_path):

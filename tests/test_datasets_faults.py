@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 from refusals import refusal
-from test_datasets import CURVE, block, own_layers, without_checksums
+from test_datasets import CURVE, block, without_checksums
 
 from needlefit.datasets.columns import SCAN_COLUMNS
 from needlefit.datasets.read import check, read
@@ -221,17 +221,6 @@ def test_what_is_no_fault_and_many_bad_cells(folder):
     assert len(faults) == 6 and "96 more" in faults[-1].what
 
 
-@pytest.mark.parametrize(("boundary", "layers"), [(-0.3, "1"), (0.3, "2")])
-@pytest.mark.parametrize(("sd", "near"), [("0.2", True), ("0.1", False)])
-def test_a_tip_near_a_boundary_has_a_proposed_alternative(folder, boundary, layers, sd, near):
-    (tip,) = (one.planar[-1, 0] for one in read(folder).insertions if one.id == "a")
-    toml = (folder / TOML).read_text()
-    (folder / TOML).write_text(f"{toml}\n[media.cut]\nboundaries_mm = [{tip + boundary:.4f}]\n")
-    row(medium="cut", layers=layers, layers_alternative=layers, boundary_sd_mm=sd)(folder)
-    fault = the_fault(folder)
-    assert ("layers_alternative" in fault.fix) == near and ("2" if boundary < 0 else "1") in fault.fix
-
-
 FOLDED = np.vstack([CURVE[:60], CURVE[40:]])
 SWAPPED = CURVE[[*range(50), 51, 50, *range(52, 101)]]
 ACROSS = CURVE * [1, -1, -1] @ np.array([[0, 1, 0], [1, 0, 0], [0, 0, 1.0]])
@@ -281,17 +270,6 @@ def test_a_layer_number_that_is_skipped(folder):
     assert all(part in fault.what for part in ("medium block", "layer 3", "2, 9"))
 
 
-def test_every_fault_is_found_at_once(folder):
-    row(medium="jelly")(folder)
-    cell(B, 7, x_mm="nan")(folder)
-    delete("centerlines/c.csv")(folder)
-    content(CORE, b"")(folder)
-    assert len(check(folder)) == 4
-    error = refusal(DataError, "has 4 faults", read, folder)
-    for words in ("insertions.csv:2", "b.csv:7", "c.csv", "core.stl", "fix: "):
-        assert words in str(error)
-
-
 def test_deviations_may_be_empty_or_of_another_name(folder):
     add_columns(B, sd_mm="")(folder)
     assert read(folder).insertions[1].sd is None
@@ -303,14 +281,3 @@ def test_deviations_may_be_empty_or_of_another_name(folder):
     assert [insertion.sd[0] for insertion in read(folder).insertions] == [0.2, 0.1, 0.2]
     add_columns(ROWS, **SCAN)(folder)
     assert check(folder) == []
-
-
-def test_faults_of_an_insertion_s_own_layers_name_its_file(tmp_path):
-    for name, words, change in (
-        ("layers/a_sheet.stl", "no such file", delete("layers/a_sheet.stl")),
-        ("layers/b_sheet.stl", "metres", mesh("layers/b_sheet.stl", shrink)),
-    ):
-        without_checksums(own_layers(tmp_path))
-        change(tmp_path)
-        fault = the_fault(tmp_path)
-        assert place(fault, tmp_path) == name and words in fault.what

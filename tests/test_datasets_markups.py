@@ -5,7 +5,6 @@ import re
 
 import numpy as np
 import pytest
-from golden_numbers import GOLDEN
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from refusals import refusal, refused_file
@@ -16,7 +15,7 @@ from needlefit.datasets.formats import find_format
 from needlefit.datasets.formats.fcsv import read_fcsv
 from needlefit.datasets.formats.mrk_json import CurveStyle, read_mrk_json, write_mrk_json
 from needlefit.datasets.markups import Markups, pick_list
-from needlefit.datasets.read import check, read
+from needlefit.datasets.read import read
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import ConfigError, DataError
 
@@ -139,17 +138,6 @@ def test_fcsv_of_every_version(tmp_path, version, system, sign):
     assert found.lines.tolist() == [4, 6]
 
 
-def test_fcsv_columns_follow_the_header(tmp_path):
-    path = tmp_path / "F.fcsv"
-    body = "tip,7,8,9,1,1\n"
-    path.write_text("# Fiducial List file F\n# CoordinateSystem = RAS\n" + body)  # Slicer 3, line added
-    assert read_markups(path).points.tolist() == [[-7, -8, 9]]
-    path.write_text(HEADER.format("4.11", "LPS") + "# columns = label,z,y,x\n" + body)
-    assert (read_markups(path).points.tolist(), read_markups(path).labels) == ([[9, 8, 7]], ("tip",))
-    path.write_text(HEADER.format("4.11", "LPS") + "0,1,2,3\n")  # no columns named, labels left out
-    assert read_markups(path).labels == ("",)
-
-
 @pytest.mark.parametrize(
     ("content", "words"),
     [
@@ -193,14 +181,6 @@ def test_what_is_written_is_read_back(tmp_path, points, label):
     assert path.read_bytes() == before
 
 
-def test_written_markups_have_the_structure_of_the_schema(tmp_path):
-    """The stored file has only keys and kinds of values of the published schema 1.0.3."""
-    path, points = tmp_path / "curve.mrk.json", np.array([[1.0, 2.0, 3.0], [4.5, 5.0, 6.0]])
-    fit = Markups(path, "fit", "Curve", ("a", "b"), points)
-    write_mrk_json(path, [(fit, CurveStyle((0.0, 0.5, 1.0)))])
-    assert json.loads(path.read_text()) == json.loads((GOLDEN / "curve.mrk.json").read_text())
-
-
 def dataset(folder, pattern, **frame):
     data = record(frame={"name": "world", **frame}) if frame else record()
     rows = [row("a", "given", layers=2)]
@@ -218,17 +198,6 @@ def test_a_centreline_may_be_a_curve_of_slicer(tmp_path):
     file, folder = dataset(tmp_path / "d", "{id}}{0}.mrk.json")
     save(folder / "a}{0}.mrk.json", markup("Curve", points=CURVE.tolist()))
     assert [i.id for i in read(file).insertions] == ["a"]
-
-
-def test_a_centreline_may_be_an_fcsv_and_its_faults_name_lines(tmp_path):
-    file, folder = dataset(tmp_path / "d", "{id}.fcsv")
-    lines = [f"{n},{-x},{-y},{z},0,0,0,1,1,1,0,F-{n},," for n, (x, y, z) in enumerate(CURVE.tolist())]
-    (folder / "a.fcsv").write_text(HEADER.format("4.11", "0") + COLUMNS + "\n".join(lines))
-    np.testing.assert_allclose(read(file).insertions[0].centerline, CURVE, atol=1e-12)
-    lines[7] = lines[6]
-    (folder / "a.fcsv").write_text(HEADER.format("4.11", "0") + COLUMNS + "\n".join(lines))
-    [fault] = check(file)
-    assert fault.where == f"{folder / 'a.fcsv'}:11" and "repeats the point" in fault.what
 
 
 def test_the_scan_is_placed_by_the_dataset_or_a_row(tmp_path):

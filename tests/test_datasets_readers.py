@@ -4,38 +4,16 @@ import os
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from refusals import refusal
 from test_datasets import block, without_checksums
 from track_cases import DEPTH, GUIDE, TOML, measured, track, written
 
-from needlefit.datasets.formats.csv import parse_numbers, read_table
+from needlefit.datasets.formats.csv import read_table
 from needlefit.datasets.read import check, read, read_shapes
 from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import shipped_folder
 from needlefit.schemas.study import SelectionRecord
-
-anything = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
-finite = st.floats(-1e6, 1e6)
-
-
-@given(st.lists(st.tuples(finite, finite, st.integers(0, 3)), min_size=1, max_size=20))
-@anything
-def test_numbers_and_lines_survive_whatever_blank_lines_stand_between(tmp_path, rows):
-    path = tmp_path / "t.csv"
-    text, lines = "a,b\n", []
-    for a, b, blanks in rows:
-        text += "\n" * blanks
-        lines.append(text.count("\n") + 1)
-        text += f"{a!r},{b!r}\n"
-    path.write_text(text)
-    table, found = read_table(path), []
-    values = np.column_stack([parse_numbers(table, column, found) for column in "ab"])
-    assert not found and table.lines.tolist() == lines
-    np.testing.assert_allclose(values, [row[:2] for row in rows], rtol=1e-14)
-
 
 SECRET = [
     "root:x:0:0:root:/root:/bin/bash\nuser:x:1:1:,,,:/home:/bin/sh\n",

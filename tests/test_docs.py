@@ -1,6 +1,5 @@
 """The documentation's links lead somewhere, its commands exist, and what it shows is held against them."""
 
-import itertools
 import re
 import subprocess
 import sys
@@ -9,16 +8,6 @@ import pytest
 from docs_scripts import load_script
 
 from needlefit.cli.application import build
-from needlefit.datasets.columns import (
-    BASE_SHIFT_COLUMN,
-    HOLE_COLUMN,
-    INSERTION_COLUMNS,
-    SCAN_COLUMNS,
-    SHARED_COLUMN,
-)
-from needlefit.imaging.scans import SCAN_COLUMNS as TABLE_COLUMNS
-from needlefit.imaging.scans import STAGE_COLUMNS
-from needlefit.project.help_pages import read_input_columns
 from needlefit.project.locate import shipped_folder
 
 DOCS = shipped_folder() / "docs"
@@ -86,16 +75,6 @@ def known():
     return found
 
 
-def test_a_transcript_is_compared_with_its_commands(tmp_path, transcripts, capsys):
-    page = tmp_path / "page.md"
-    page.write_text("```console\n$ echo 1.234\n1.235\n$ cat <<'END'\n> a\n> b\n> END\n...\nb\n```\n", "utf-8")
-    assert transcripts.check(page)
-    page.write_text(page.read_text("utf-8").replace("1.235", "1.335"), "utf-8")
-    assert not transcripts.check(page, write=True)
-    assert "+1.234\n" in capsys.readouterr().out
-    assert page.read_text("utf-8").startswith("```console\n$ echo 1.234\n1.234\n")
-
-
 def test_the_commands_of_a_guide_print_what_it_shows(transcripts):
     assert transcripts.check(DOCS / "guides/slicer.md")
 
@@ -115,14 +94,3 @@ def test_the_examples_of_the_readme_print_the_output_below_them(capsys):
 
 def test_the_results_of_the_readme_are_the_stored_ones():
     assert load_script(DOCS / "readme_results.py").write_page() == TEXT, "run `python docs/readme_results.py`"
-
-
-def test_every_column_that_is_read_is_explained():
-    explained = {
-        table: {name for one in columns for name in re.split(r", | or ", one.column)}
-        for table, columns in itertools.groupby(read_input_columns(), lambda one: one.table)
-    }
-    further = {SHARED_COLUMN, HOLE_COLUMN, BASE_SHIFT_COLUMN}
-    assert {*INSERTION_COLUMNS, *further, *SCAN_COLUMNS} == explained["insertions.csv"]
-    stated = explained["scans.csv"] | set(STAGE_COLUMNS) | explained["insertions.csv"]
-    assert set(TABLE_COLUMNS) <= stated

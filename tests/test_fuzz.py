@@ -4,13 +4,7 @@ The readers and their valid inputs stand in `fuzzing/readers.py`; `benchmarks/fu
 long as it is asked to.
 """
 
-import random
-
 import pytest
-from faults.commands import COMMANDS
-from faults.injection import KINDS
-from faults.outcome import prepare, spoil
-from faults.server import Server
 from fuzzing.campaign import Workers
 from fuzzing.readers import BROKEN, READERS
 from fuzzing.worker import MAX_MIB, MAX_SECONDS, write_case
@@ -60,24 +54,3 @@ def test_the_same_number_is_the_same_mutant(tmp_path):
         write_case("scene", number, SEED, folder)
     one, two, other = ((folder / "scene.toml").read_bytes() for folder in folders)
     assert one == two != other
-
-
-@pytest.fixture(scope="module")
-def server():
-    with Server() as found:
-        yield found
-
-
-def find_broken_promises(name, count, seed, server, folder):
-    """Return what went against the promises at some faults, by the fault."""
-    prepared = prepare(name, folder, server)
-    faults = list(prepared.faults(KINDS))
-    chosen = random.Random(seed).sample(faults, min(count, len(faults)))
-    found = {fault: spoil(prepared, fault, server) for fault in chosen}
-    return {(*fault, prepared.steps[fault[1] - 1]): why for fault, why in found.items() if why}
-
-
-@pytest.mark.sweep
-@pytest.mark.parametrize("name", COMMANDS)
-def test_faults_at_many_steps_lose_nothing(name, server, tmp_path):
-    assert find_broken_promises(name, 8, 2, server, tmp_path / "f") == {}

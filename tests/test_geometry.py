@@ -18,7 +18,6 @@ from needlefit.geometry.curves import (
     fit_free_frame,
     interpolate_at_arc,
     make_normal,
-    resample_curve,
 )
 from needlefit.geometry.frames import (
     Frame,
@@ -28,10 +27,9 @@ from needlefit.geometry.frames import (
     differentiate_align_rigid,
     make_entry_frame,
 )
-from needlefit.metrics import METRICS, compute_metrics, headline_metrics, list_metrics, pool_metric
+from needlefit.metrics import METRICS, compute_metrics, pool_metric
 
 seeds = st.integers(0, 2**32 - 1)
-shifts = st.floats(-100, 100)
 
 
 def arc(radius, length, points=101):
@@ -106,26 +104,6 @@ def test_alignment_is_the_least_squares_motion(seed):
         assert np.sum((other - fixed) ** 2) >= best - 1e-9
 
 
-@given(seeds, st.integers(2, 30))
-def test_resampling_a_straight_line_is_exact(seed, count):
-    rng = np.random.default_rng(seed)
-    start, end = rng.normal(size=(2, 3)) * 60
-    inner = np.sort(rng.uniform(0, 1, count))[:, None]
-    line = start + np.vstack([[[0.0]], inner, [[1.0]]]) * (end - start)
-    fractions = np.linspace(0, 1, 17)
-    np.testing.assert_allclose(
-        resample_curve(line, fractions), start + fractions[:, None] * (end - start), atol=1e-9
-    )
-
-
-@given(seeds)
-def test_bending_plane_follows_the_curve_into_any_frame(seed):
-    rng = np.random.default_rng(seed)
-    rotation = Rotation.random(rng=rng).as_matrix()
-    curve = np.pad(arc(200, 55), ((0, 0), (0, 1))) @ rotation.T + rng.normal(size=3) * 50
-    np.testing.assert_allclose(find_bending_direction(curve, rotation[:, 0]), rotation[:, 1], atol=1e-9)
-
-
 @given(seeds)
 def test_free_frame_is_the_same_from_everywhere(seed):
     """A parabola y = x^2 / 500 keeps its coordinates in the frame made from it, however it lies."""
@@ -187,16 +165,6 @@ def test_errors_of_several_insertions_by_hand():
     edp = dataclasses.replace(METRICS["edp_percent"], pool=None)
     assert pool_metric(edp, [curves_with([0, 1], 0), curves_with([0, 1], 4), curves_with([0, 1], 2)]) == 37.5
     assert np.isnan(pool_metric(edp, [curves_with([0, 1], 0)]))
-
-
-def test_the_metrics_of_tables_sentences_and_macros():
-    orders = [one.order for one in list_metrics()]
-    assert orders == sorted(orders) and {*METRICS.names()} == {one.name for one in list_metrics()}
-    assert [one.name for one in headline_metrics()] == ["ipe_mean_mm", "te_mm"]
-    macros = {"ipe_mean_mm": "ipe", "ipe_std_mm": "ipe-sd", "te_mm": "te", "edp_percent": "edp"}
-    assert {name: METRICS[name].macro_name for name in macros} == macros
-    assert [METRICS[name].has_floor for name in macros] == [True, False, True, False]
-    assert [METRICS[name].relative for name in macros] == [False, False, False, True]
 
 
 @pytest.mark.parametrize(

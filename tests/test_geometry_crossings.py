@@ -13,16 +13,12 @@ from refusals import refusal, refused_file
 from needlefit.errors import DataError
 from needlefit.geometry import surfaces
 from needlefit.geometry.crossings import find_crossings
-from needlefit.geometry.frames import Frame
 from needlefit.geometry.meshes import extract_solid
 from needlefit.geometry.surfaces import (
-    Surface,
     find_mesh_faults,
-    find_nearest,
     make_cylinder,
     make_sheet,
     read_surface,
-    transform_surface,
     write_surface,
 )
 
@@ -96,21 +92,6 @@ def test_sheets_lead_inward_and_a_solid_wins():
     assert below.sequence == (4, 1)  # no sheet was crossed on the way
 
 
-def test_fine_surfaces_are_met_like_coarse_ones_and_builders_give_valid_ones():
-    mesh = TOP.mesh
-    for _ in range(6):
-        mesh = mesh.subdivide()
-    fine = Surface("fine", mesh, "sheet", 2)
-    curve = line((1, -7, -10), (4, 5, 30), 240)
-    np.testing.assert_allclose(find_crossings(curve, [fine]).arc, find_crossings(curve, [TOP]).arc, atol=1e-9)
-    core = make_cylinder("core", ((1, 2, 3), (1, 2, 23)), 5.0, into=4, facets=192)
-    assert find_mesh_faults(core.mesh, "solid") == []
-    assert find_mesh_faults(TOP.mesh, "sheet") == []
-    assert TOP.mesh.area == pytest.approx(6400)
-    prism = 192 / 2 * np.sin(2 * np.pi / 192) * 25 * 20
-    assert core.mesh.volume == pytest.approx(prism)  # positive: its triangles face outward
-
-
 def without_triangles(mesh, keep):
     return trimesh.Trimesh(mesh.vertices, mesh.faces[keep], process=False)
 
@@ -152,23 +133,6 @@ def test_a_surface_survives_its_file_in_every_format(tmp_path):
         core = make_cylinder("core", ((0, 0, 0), (0, 0, 20)), 5.0, into=4)
         core.mesh.export(tmp_path / f"core.{ending}")
         assert find_mesh_faults(read_surface(tmp_path / f"core.{ending}", "solid", 4).mesh, "solid") == []
-
-
-def test_the_nearest_place_of_surfaces_and_their_frames():
-    # Between a sheet at x = 0 and one at y = 5; beside the first, its rim is the nearest.
-    surfaces = [
-        make_sheet("a", (0, 0, 0), (1, 0, 0), 10, into=2),
-        make_sheet("b", (0, 5, 0), (0, 1, 0), 10, into=3),
-    ]
-    found = find_nearest([[2, 0, 1], [3, 4, 0], [0, -9, 0], [3, -9, 0]], surfaces)
-    np.testing.assert_allclose(found.distances, [2, 1, 4, 5])
-    np.testing.assert_allclose(
-        np.abs(found.normals), [[1, 0, 0], [0, 1, 0], [1, 0, 0], [1, 0, 0]], atol=1e-12
-    )
-    quarter = Frame(np.array([1.0, 2, 3]), np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))
-    there = transform_surface(make_sheet("a", (5, 0, 0), (1, 0, 0), 10, into=2), quarter)
-    np.testing.assert_allclose(there.mesh.vertices.mean(axis=0), [1, 7, 3])
-    np.testing.assert_allclose(np.abs(there.mesh.face_normals), [[0, 1, 0]] * 2, atol=1e-12)
 
 
 def test_the_largest_piece_of_a_mesh_is_closed_and_solids_are_alike_in_another_process():
@@ -239,26 +203,14 @@ def test_a_triangle(tmp_path, name, content):
 
 REFUSED = [
     ("beyond.obj", f"{OBJ}f 4000000000 1 2\n"),
-    ("before.obj", f"{OBJ}f -9 1 2\n"),
-    ("flat.obj", "v 1\nf 1 1 1\n"),
     ("beyond.ply", ply(CORNERS + "3 0 1 7\n")),
-    ("before.ply", ply(CORNERS + "3 0 1 -1\n")),
     ("beyond2.ply", binary(20_000)),
     ("vertices.ply", ply(vertices=4_000_000_000)),
-    ("vertices2.ply", binary(2, vertices=4_000_000_000)),
     ("faces.ply", ply(faces=4_000_000_000)),
-    ("digits.ply", ply(faces="9" * 5000)),
-    ("list.ply", ply(FLOATS + b"\xff" * 4 + bytes(12), form="binary_little_endian", count="uint")),
     ("edges.ply", ply(more=EDGES)),
-    (
-        "edges2.ply",
-        ply(FLOATS, more=EDGES.replace("1\n", "4000000000\n", 1), form="binary_little_endian"),
-    ),
     ("archive.ply", b"PK\3\4" + bytes(100)),
-    ("count.stl", bytes(80) + b"\xff\xff\xff\xff" + bytes(50)),
     ("empty.stl", b""),
     ("text.stl", b"root:x:0:0\n"),
-    ("a.zip", b"PK\3\4" + bytes(100)),
     ("a.glb", b"glTF" + bytes(100)),
     ("words.stl", b"solid x\nendsolid x\n"),
     ("count.stl", bytes(80) + struct.pack("<I", 5) + bytes(50), "134", "334"),
@@ -285,12 +237,3 @@ def test_a_mesh_is_a_regular_file_of_bounded_size(tmp_path, monkeypatch):
     monkeypatch.setattr(surfaces, "MAX_MESH_BYTES", 99)
     for name in ("device.stl", "folder.stl", "large.stl", "gone.stl"):
         refusal(DataError, name, read_surface, tmp_path / name, "sheet", 2)
-
-
-@pytest.mark.parametrize("far", ["1e300", "nan", "-inf"])
-def test_invalid_coordinates_are_left_to_the_surface_check(tmp_path, far):
-    path = tmp_path / "a.obj"
-    path.write_text(f"{OBJ}v {far} 0 1\nf 1 2 3\nf 1 3 4\n")
-    mesh = read_surface(path, "sheet", 2).mesh
-    assert len(mesh.faces) == 2
-    assert bool(find_mesh_faults(mesh, "sheet")) or np.isfinite(mesh.vertices).all()

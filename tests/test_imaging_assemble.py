@@ -87,22 +87,6 @@ def test_any_surface_name_gives_a_valid_file_and_media_share_none(tmp_path):
     assert error.value.fix
 
 
-@pytest.mark.parametrize("names", [("x", "x", "x_1"), ("x", "X", "x_1"), ("é", "e", "e_1")])
-def test_surfaces_of_one_name_are_numbered(names, tmp_path):
-    assemble_dataset(tmp_path, [with_surfaces("a", "gel", *names)], RECIPE, ABOUT)
-    found = {file.name.lower() for file in (tmp_path / "layers").iterdir()}
-    assert len(found) == 3 and all(name.endswith(("_1.stl", "_2.stl", "_3.stl")) for name in found)
-    assert check(tmp_path) == []
-
-
-@pytest.mark.sweep
-def test_scans_of_one_medium_have_the_same_layers(tmp_path):
-    without = replace(small(layers=False), scan=replace(small().scan, id="b"))
-    with pytest.raises(DataError, match="not those of a") as error:
-        assemble_dataset(tmp_path, [named("a"), without], RECIPE, ABOUT)
-    assert "media" in error.value.fix
-
-
 def test_an_insertion_with_a_fault_is_left_out_and_reported(tmp_path):
     backwards = named("b", points=small().points[::-1])
     kept, failed = assemble_checked(tmp_path / "out", [named("a"), backwards, named("c")], RECIPE, ABOUT)
@@ -118,17 +102,6 @@ def test_an_insertion_with_a_fault_is_left_out_and_reported(tmp_path):
     message = str(failed[0].error)
     assert message.startswith("scans/phantom1-03.nrrd: ") and "20 mm" in message
     assert "needle.length_mm" in message and "recipe" in message and "dataset.toml" not in message
-
-
-def test_a_pose_and_a_bevel_of_another_direction_give_warnings():
-    one = small()
-    markers = one.registration.warnings
-    (warning,) = (note for note in collect_warnings(one) if note not in markers and "bevel" not in note)
-    assert "shaft" in warning
-    one = replace(changed_pose(), plane="stated")
-    away = -(one.patient.rotation.T @ one.frame.rotation[:, 1])
-    warnings = collect_warnings(replace(one, needle_axis=replace(one.needle_axis, bevel=away)))
-    assert any("180 degrees away" in text for text in warnings)
 
 
 def changed_pose(**changes):

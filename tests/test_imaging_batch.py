@@ -8,12 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from needlefit.errors import DataError
 from needlefit.imaging import batch
-from needlefit.imaging.batch import ReconstructionBatch, ReconstructionFailure, pack_scan, reconstruct_all
+from needlefit.imaging.batch import ReconstructionBatch, ReconstructionFailure, reconstruct_all
 from needlefit.imaging.reconstruct import Examination
 from needlefit.imaging.scans import read_scans
-from needlefit.imaging.volume_files import read_volume, write_volume
 from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.encode import encode
 from needlefit.project.locate import shipped_folder
@@ -113,21 +111,6 @@ def test_a_scan_whose_reader_crashes_costs_the_others_nothing(sample, tmp_path, 
     assert second.depth == pytest.approx(25.0, abs=0.3)
 
 
-def test_errors_name_packed_files_and_unexpected_ones_are_failures(sample, monkeypatch):
-    packed, folder = pack_scan(sample), Path("/elsewhere/unpacked")
-    parts = {name: f"{name} of {folder}/a.nrrd" for name in ("what", "where", "expected", "fix", "key")}
-    named = packed.original(DataError(**parts), folder)
-    assert isinstance(named, DataError)
-    assert vars(named) == {name: f"{name} of {packed.root}/a.nrrd" for name in parts}
-
-    def breaks(*_):
-        raise ZeroDivisionError("by nought")
-
-    monkeypatch.setattr(batch, "examine", breaks)
-    ((one,),) = reconstruct_all([sample], RECIPE, ReconstructionBatch())
-    assert "ZeroDivisionError: by nought" in str(one.error)
-
-
 def kept(folder):
     return open_checkpoint(folder, True, {"reconstruct": 1})
 
@@ -168,22 +151,3 @@ def test_checkpoints_of_other_input_are_recomputed(change, sample, tmp_path, wor
         file.write_bytes(file.read_bytes()[:1000])
     reconstruct_all([scan], recipe, ReconstructionBatch(checkpoint=kept(folder)))
     assert worked.done == ["sample"] * (1 if change == "nothing" else 2)
-
-
-@pytest.mark.sweep
-def test_any_change_of_a_series_or_a_last_digit_is_detected(sample, tmp_path, worked):
-    # A series is named by any of its files; a change of another one is a change of the scan.
-    write_volume(read_volume(sample.volume), tmp_path / "series")
-    first, *_, last = sorted((tmp_path / "series").iterdir())
-    scan, folder = replace(sample, volume=first), tmp_path / "kept"
-    reconstruct_all([scan], RECIPE, ReconstructionBatch(checkpoint=kept(folder)))
-    with last.open("ab") as file:
-        file.write(b" ")
-    reconstruct_all([scan], RECIPE, ReconstructionBatch(checkpoint=kept(folder)))
-    assert worked.done == ["sample"] * 2
-    (tmp_path := tmp_path / "b").mkdir()
-    worked.done.clear()
-    reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint=kept(tmp_path)))
-    moved = replace(sample, stage=replace(sample.stage, entry=sample.stage.entry + 1e-12))
-    reconstruct_all([moved], RECIPE, ReconstructionBatch(checkpoint=kept(tmp_path)))
-    assert worked.done == ["sample"] * 2

@@ -1,7 +1,6 @@
 """The needle's axis and tip from scans of needles of known equation."""
 
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import ct_cases as cases
@@ -9,14 +8,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from pydantic import ValidationError
-from reconstruction_cases import small
 from refusals import refusal
 from scipy.ndimage import gaussian_filter
 
 from needlefit.errors import DataError
 from needlefit.imaging.needle import centerline, follow, tip
 from needlefit.imaging.needle.segmentation import select_needle
-from needlefit.imaging.reconstruct import MAX_DEPTH_SD_MM, collect_warnings, examine, list_tip_warnings
+from needlefit.imaging.reconstruct import examine
 from needlefit.imaging.scans import Scan
 from needlefit.imaging.volume import Volume
 from needlefit.project.toml import load
@@ -168,45 +166,6 @@ def test_a_model_that_is_not_to_be_trusted_gives_way_to_the_threshold(monkeypatc
     assert by_threshold.tip_sd[0] >= cases.SPACING / 2
 
 
-def test_ends_that_nothing_shows_are_refused_and_unsure_ones_are_warnings():
-    with pytest.raises(DataError, match="does not show") as caught:
-        tip._end_by_threshold(60.0, np.inf, cases.scan(TRUTH))
-    assert caught.value.fix
-    one = small()
-    with pytest.raises(DataError, match="inserted length"):
-        collect_warnings(replace(one, depth_sd=1.01 * MAX_DEPTH_SD_MM))
-    unsure = replace(one, needle_axis=replace(one.needle_axis, tip_sd=np.array([0.8, 0.1])))
-    assert "0.80 mm" in collect_warnings(unsure)[0]
-    fallen = replace(one, needle_axis=replace(one.needle_axis, tip_source="threshold"))
-    assert "threshold" in collect_warnings(fallen)[0]
-    # The needle's last 6 mm begin behind a gap of 3 mm.
-    one = small()
-    assert not any("beyond the tip" in note for note in list_tip_warnings(one))
-    s, core = one.profile.s, one.profile.core.copy()
-    core[(s > one.depth + 3.0) & (s < one.depth + 6.0)] = 2500.0
-    notes = list_tip_warnings(replace(one, profile=replace(one.profile, core=core)))
-    (distance,) = re.findall(r"(\d\.\d) mm beyond", notes[-1])
-    assert_allclose(float(distance), 3.0, atol=0.6)
-
-
-@pytest.mark.sweep
-def test_the_bevel_s_side_is_left_open_where_noise_hides_it():
-    clear = trace(cases.scan(TRUTH, psf_mm=0.3))
-    assert clear.bevel_probability > tip.MIN_BEVEL_PROBABILITY
-    assert clear.bevel[1] > np.cos(np.radians(25))
-    hidden = trace(cases.scan(TRUTH, psf_mm=0.8, noise_hu=150.0))
-    assert hidden.bevel_probability < tip.MIN_BEVEL_PROBABILITY
-    assert np.isnan(hidden.bevel).all()
-
-
-@pytest.mark.sweep
-def test_what_rays_hide_grows_with_the_needle_that_they_pass(monkeypatch):
-    volume = cases.scan(TRUTH)
-    seen = trace(volume)  # along the slices' normal: rays pass no more than its width and a slice
-    monkeypatch.setattr(tip, "measure_ray", lambda *known: 30.0)
-    assert trace(volume).tip_sd[0] >= 30.0 * tip.HIDDEN_END_SD_PER_MM > seen.tip_sd[0]
-
-
 # ---- a needle near thick slices
 
 SLICES_MM = 1.5
@@ -244,16 +203,3 @@ def test_a_needle_near_thick_slices_does_not_follow_their_staircase(tilt, overla
     assert np.linalg.norm(line.tip - truth[1]) < 0.5
     assert 0 < line.normal_sd < 0.5
     assert np.isnan([*line.bevel, line.bevel_probability]).all()  # blunt
-
-
-def test_a_needle_that_stays_in_one_slice_says_how_little_that_shows():
-    volume, truth = in_slices(0.05, 0.1)
-    line = found(volume, cases.recipe(centerline={"entry_direction": [1, 0, 0]}))
-    assert np.abs(line.points[:, 2] - truth[0, 2]).max() < 3 * line.normal_sd < 2.0
-    assert line.sd.max() > 0.05
-    one = small()
-    notes = [
-        list_tip_warnings(replace(one, needle_axis=replace(one.needle_axis, normal_sd=sd)))
-        for sd in (0.1, 0.4)
-    ]
-    assert len(notes[1]) == len(notes[0]) + 1 and "0.40 mm" in notes[1][-1]

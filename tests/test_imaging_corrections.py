@@ -131,34 +131,6 @@ def test_corrections_belong_to_a_scan_that_can_take_them(file, tmp_path):
 
 
 @pytest.mark.sweep
-def test_a_moved_tip_and_axis_change_what_is_printed(tmp_path, capsys):
-    words = ["reconstruct", VOLUME, "--markers", MARKERS, "-q", "--json", "--out"]
-    assert run(*map(str, [*words, tmp_path / "before"])) == 0
-    file = tmp_path / "moved.mrk.json"
-    file.write_bytes((tmp_path / "before/slicer/sample.corrections.mrk.json").read_bytes())
-
-    def shorten(_, points):
-        tip, last = (np.array(points[name]["position"]) for name in ("tip", f"axis {AXIS_POINTS}"))
-        points["tip"]["position"] = (tip + (last - tip) / np.linalg.norm(last - tip)).tolist()
-
-    change(change(file, shorten), shift("axis 1", "axis 4", "axis 6", by=(0.3, 0, 0)))
-    capsys.readouterr()
-    assert run(*map(str, [*words, tmp_path / "after", "--corrections", file])) == 0
-    printed = {row["quantity"]: row for row in json.loads(capsys.readouterr().out)["corrections"]}
-    rows = pd.read_csv(tmp_path / "after/corrections.csv").set_index("quantity")
-    assert rows.index.tolist() == [*printed] == ["tip", "entry", "inserted length", "tip deflection", "FRE"]
-    assert rows.loc["tip", "change_mm"] == pytest.approx(1.0, abs=0.05)
-    assert rows.loc["inserted length", "change_mm"] == pytest.approx(-1.0, abs=0.05)
-    assert rows.loc["entry", "change_mm"] < 0.05  # the needle was found again from points beside it
-    before = pd.read_csv(tmp_path / "before/reconstruction.csv")["depth_mm"].iloc[0]
-    assert rows.loc["inserted length", "before_mm"] == pytest.approx(before)
-
-    out = change(file, shift("tip", by=(1000, 0, 0)))
-    assert run(*map(str, [*words, tmp_path / "out", "--corrections", out])) == 3
-    assert "out of the volume" in capsys.readouterr().out
-
-
-@pytest.mark.sweep
 def test_a_refused_scan_is_corrected_by_points_that_are_added(tmp_path, capsys):
     (path,) = two_needles(tmp_path)
     words = ["reconstruct", path, "-q", "--out"]

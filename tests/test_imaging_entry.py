@@ -21,16 +21,12 @@ from needlefit.imaging.entry import (
     compare_poses,
     find_entry_arc_length,
     list_candidates,
-    move_to_surface,
     pose_from_shaft,
-    pose_from_stage,
     require_agreement,
 )
-from needlefit.imaging.materials import find_rises, find_runs
 from needlefit.imaging.reconstruct import examine, reconstruct
 from needlefit.imaging.reconstruction import EntryPose, IntensityProfile
-from needlefit.imaging.registration.register import register, to_world
-from needlefit.imaging.scans import LayerSource, Scan, StagePose
+from needlefit.imaging.scans import LayerSource, Scan
 from needlefit.imaging.volume_files import write_volume
 
 FREE = 95.0
@@ -72,31 +68,6 @@ def test_an_unbent_shaft_is_its_own_axis_and_the_final_tangent_is_not():
     with pytest.raises(DataError, match=r"\b7\.\d mm .*shaft") as error:
         pose_from_shaft(shaft([0.0, 0, 0], axis([1.0, 0, 0]), shown=9.0), along_sd=0.0)
     assert "state the stage" in error.value.fix
-
-
-MARKERS = np.array([[0.0, 0, 0], [60, 0, 5], [5, 50, 0], [0, 10, 40], [45, 45, 30], [20, 5, 55]])
-
-
-def test_the_stage_keeps_its_pose_and_meets_the_tissue_at_its_surface():
-    stage = StagePose(np.array([10.0, 0, 0]), axis([1.0, 0, 0]), shift_sd=0.05, angle_sd=0.001)
-    alone = pose_from_stage(stage, None, np.zeros(3))
-    assert (alone.shift_sd, alone.angle_sd, alone.source) == (0.05, 0.001, "stage")
-    registration = register(MARKERS + np.array([3.0, 2, 1]), MARKERS, 0.2)
-    entry = np.array([13.0, 2, 1])  # where the stage's entry lies in the scan
-    assert to_world(registration, entry[None])[0] == pytest.approx(stage.entry)
-    pose = pose_from_stage(stage, registration, entry)
-    # the shift of six markers of deviation 0.2 mm, and what their turn adds at 30 mm
-    assert 0.2 / np.sqrt(6) < pose.shift_sd < 0.2
-    assert pose.angle_sd > 0.001
-    assert pose.origin is stage.entry
-    pose = EntryPose(np.array([0.5, 0, 0]), axis([1.0, 1.0, 0.0]), "shaft", 0.1, 0.01, 0.1)
-    skin = make_sheet("skin", (2.0, 0, 0), (1, 0, 0), 50.0, into=1)
-    inner = make_sheet("inner", (1.0, 0, 0), (1, 0, 0), 50.0, into=2)
-    assert move_to_surface(pose, (inner, skin)).origin == pytest.approx([2.0, 1.5, 0.0])
-    assert move_to_surface(pose, (inner,)) == pose
-    pose = EntryPose(np.array([0.0, 0.3, 0]), axis([1.0, 0, 0]), "stage", 0.1, 0.01, 0.1)
-    needle = np.column_stack([np.arange(-20.25, 30.0), np.zeros(51), np.zeros(51)])
-    assert find_entry_arc_length(needle, pose) == pytest.approx(20.25)
 
 
 @pytest.mark.parametrize(
@@ -175,29 +146,6 @@ def test_a_plate_on_the_tissue_ends_after_its_thickness_and_what_is_stated_of_th
     assert_allclose(choose(flush)[0].at, -8.0, atol=0.1)
     assert_allclose(choose(profile(*FACE), thickness=8.0, distance=0.7)[0].at, 8.7, atol=0.1)
     assert refusal(DataError, "", choose, profile(*FACE), thickness=60.0).where == "guide.thickness_mm"
-
-
-def test_the_stated_length_names_the_candidate():
-    shown = profile(*PLATE, *FACE)
-    for depth, at in [(37.0, 0.0), (62.0, -19.0)]:
-        entry, warnings = choose(shown, depth=depth)
-        assert_allclose(entry.at, at, atol=0.1)
-        assert warnings == ()
-    assert len(choose(shown, depth=48.0)[1]) == 1
-    refused = refusal(DataError, "", choose, shown, depth=20.0)
-    assert refused.where == "expected_depth_mm"
-
-
-def test_candidates_are_rises_before_the_tip_and_no_metal():
-    shown = profile((-55.0, 110.0, -1000.0), *FACE)  # a plate that goes on beyond the scan
-    for thickness in (None, 8.0):
-        assert abs(choose(shown, thickness=thickness)[0].at) < 0.1
-    shown = profile((-24.0, -1000.0, 2500.0), (-16.0, 2500.0, -1000.0), *FACE)
-    assert [run.kind for run in find_runs(shown)] == ["air", "metal", "air", "soft"]
-    assert_allclose([at for _, at, _ in find_rises(shown)], [0.0], atol=0.1)
-    shown = profile((0.0, -1000.0, 35.0), (30.0, 35.0, -1000.0), (44.0, -1000.0, 35.0))
-    assert_allclose([one.at for one in list_candidates(shown, TIP)], [0.0], atol=0.1)
-    assert choose(profile((0.0, 35.0, 35.0))) is None
 
 
 # ---- by the tissue's own surface, unless the scan itself shows another place

@@ -5,7 +5,6 @@ import zipfile
 import numpy as np
 import pytest
 from dicom_series import COUNT, NUMBERS, STEP, a_slice, save, series
-from pydicom import dcmread
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import (
     EnhancedCTImageStorage,
@@ -18,7 +17,6 @@ from reading_here import child_process_reader, read_here  # noqa: F401
 from test_imaging_volume_dicom import refused
 
 from needlefit.imaging import volume_files
-from needlefit.imaging.scans import scan_id
 from needlefit.imaging.volume import Volume
 from needlefit.imaging.volume_files import read_volume, write_volume
 
@@ -95,22 +93,7 @@ def test_a_directory_names_its_folder(tmp_path):
     assert np.array_equal(read_volume(path).values, NUMBERS)
 
 
-def test_folders_too_deep_are_refused(tmp_path):
-    folder = tmp_path.joinpath(*["a"] * 40)
-    save(folder, series())
-    assert "nested" in refused(tmp_path).what
-
-
 # ---- archives
-
-
-@pytest.mark.sweep
-@pytest.mark.usefixtures("child_process_reader")
-def test_an_archive_of_an_export(tmp_path):
-    path = pack(tmp_path / "scan.zip", export(tmp_path / "export"))
-    assert np.array_equal(read_volume(path, "3").values, NUMBERS)
-    assert scan_id(path) == "scan"
-    assert "export.zip" not in refused(path).what and "SE2/" in refused(path).what
 
 
 def test_archives_in_archives_and_of_image_files(tmp_path):
@@ -212,23 +195,3 @@ def test_frames_in_any_order_with_their_own_rescaling(tmp_path, packed):
         data.compress(RLELossless)
     k = np.arange(COUNT)[:, None, None]
     assert np.array_equal(read_volume(save(tmp_path / "a", [data])).values, NUMBERS * (1 + k) - k)
-
-
-def test_padding_of_frames_and_faults_of_one_frame(tmp_path):
-    volume = read_volume(save(tmp_path, [enhanced(PixelPaddingValue=5)]))
-    assert volume.values[0, 0, 5] == volume.values.min() == 0
-    (tmp_path := tmp_path / "b").mkdir()
-    data = enhanced()
-    data.PerFrameFunctionalGroupsSequence[2].PlanePositionSequence[0].ImagePositionPatient = [-10, 20, 30]
-    assert "frame" in refused(save(tmp_path / "twice", [data])).what
-    data = enhanced()
-    del data.PerFrameFunctionalGroupsSequence[4].PixelValueTransformationSequence
-    fault = refused(save(tmp_path / "unit", [data]))
-    assert "no HU" in fault.what and fault.where.endswith("frame 5")
-    assert "MR" in refused(save(tmp_path / "mr", [enhanced(Modality="MR")])).what
-    assert "damaged" in refused(save(tmp_path / "count", [enhanced(NumberOfFrames=COUNT + 1)])).what
-    save(tmp_path / "short", [enhanced()])
-    file = tmp_path / "short" / "000.dcm"
-    file.write_bytes(file.read_bytes()[:-2000])
-    assert refused(tmp_path / "short").where.startswith(str(file))
-    assert dcmread(file).NumberOfFrames == COUNT

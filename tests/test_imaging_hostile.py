@@ -4,14 +4,11 @@ import bz2
 import gzip
 import resource
 import shutil
-import struct
 import time
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
-import SimpleITK as sitk
 from refusals import refusal
 from test_imaging_volume import VALUES, metaimage, nifti, nrrd
 
@@ -69,14 +66,6 @@ def test_a_slice_whose_element_claims_gigabytes(name, tmp_path, peak_before):
     assert peak_kib() <= allowed_kib(peak_before)
 
 
-def test_a_dicom_element_longer_than_its_file(tmp_path):
-    content = next(path for path in CORPUS if path.name == "mem-dicom-2480.dcm").read_bytes()
-    at = content.index(b"\x20\x00\x0e\x00UI")  # SeriesInstanceUID, explicit length
-    (tmp_path / "1.dcm").write_bytes(content[: at + 4] + b"OB\0\0" + struct.pack("<I", 2**31 - 2))
-    found = refusal(DataError, "", read_volume, tmp_path / "1.dcm")
-    assert found.where.endswith("1.dcm")
-
-
 @pytest.mark.parametrize("name", ["a.nrrd", "a.mha", "a.nii.gz"])
 def test_a_bomb_that_promises_what_it_unpacks_to(tmp_path, name):
     """1 MiB of deflated zeros stand for 1 GiB of voxels, 3 GiB in memory."""
@@ -95,15 +84,6 @@ def test_a_bomb_that_promises_what_it_unpacks_to(tmp_path, name):
     assert MEMORY_VARIABLE in found.fix and f"{MAX_EXPANSION} times" in found.expected
 
 
-def test_a_bomb_that_promises_little(tmp_path, peak_before):
-    """The reader takes what its header promises, whatever more the content unpacks to."""
-    packed = gzip.compress(VALUES.tobytes() + bytes(2**20), 9) + gzip.compress(bytes(2**20), 9) * 1024
-    path = nrrd(tmp_path / "a.nrrd", encoding="gzip", data=packed)
-    with suppress(DataError):
-        assert np.array_equal(read_volume(path).values, VALUES)
-    assert peak_kib() <= allowed_kib(peak_before)
-
-
 @pytest.mark.parametrize("place", ["missing", "folder", "/dev/zero", "/dev/null", "socket.nrrd"])
 def test_non_regular_files_are_refused(tmp_path, place):
     (tmp_path / "folder").mkdir()
@@ -120,26 +100,6 @@ def test_non_regular_files_are_refused(tmp_path, place):
 
 def plain(path):
     assert np.array_equal(read_volume(path).values, VALUES)
-
-
-@pytest.mark.parametrize("encoding", ["raw", "gzip", "gz", "hex", "ascii", "txt"])
-def test_encodings_of_nrrd(tmp_path, encoding):
-    data = {
-        "gzip": gzip.compress(VALUES.tobytes()),
-        "gz": gzip.compress(VALUES.tobytes()),
-        "hex": VALUES.tobytes().hex().encode(),
-        "ascii": " ".join(map(str, VALUES.ravel())).encode(),
-        "txt": "\n".join(map(str, VALUES.ravel())).encode(),
-    }.get(encoding, VALUES.tobytes())
-    path = nrrd(tmp_path / "a.nrrd", encoding=encoding, data=data)
-    image = sitk.ImageFileReader()
-    image.SetFileName(str(path))
-    try:
-        image.Execute()
-    except RuntimeError:  # this build of SimpleITK lacks the encoding
-        refusal(DataError, "", read_volume, path)
-    else:
-        plain(path)
 
 
 def test_what_common_programs_leave_in_headers_is_read_or_named(tmp_path):
@@ -166,14 +126,3 @@ def test_what_common_programs_leave_in_headers_is_read_or_named(tmp_path):
     )
     assert path.stat().st_size < 5000
     assert read_volume(path).values.sum() == values.size
-
-
-@pytest.mark.sweep
-def test_headers_that_lie_beside_their_voxels(tmp_path):
-    (tmp_path / "my scan.raw").write_bytes(bytes(16) + VALUES.tobytes())
-    plain(nrrd(tmp_path / "a.nhdr", data=b"", data_file="my scan.raw", byte_skip=16))
-    plain(nrrd(tmp_path / "b.nhdr", data=b"", data_file="my scan.raw", byte_skip=-1))
-    for skip in (16, -1):
-        path = metaimage(tmp_path / "a.mhd", ElementDataFile="my scan.raw")
-        path.write_bytes(b"HeaderSize = %d\n" % skip + path.read_bytes())
-        plain(path)

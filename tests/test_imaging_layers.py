@@ -27,10 +27,7 @@ from refusals import refusal
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import (
-    Surface,
-    make_cylinder,
     make_sheet,
-    transform_surface,
 )
 from needlefit.imaging.layers import (
     LayerErrors,
@@ -43,7 +40,6 @@ from needlefit.imaging.reconstruction import EntryPose
 from needlefit.imaging.registration.register import register
 from needlefit.imaging.scans import LayerSource, StagePose
 from needlefit.imaging.segmentations import read_labels
-from needlefit.imaging.volume import Volume
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 pytestmark = pytest.mark.usefixtures("read_here")
@@ -111,21 +107,6 @@ def test_the_last_solid_that_holds_a_point_is_its_layer_and_a_needle_meets_them_
     assert layers.boundaries == pytest.approx([7, 12], abs=0.1)
     np.testing.assert_allclose(layers.points, np.outer([-2, 3], NORMAL), atol=0.1)
     np.testing.assert_allclose(layers.sd, 0.1, rtol=0.02)
-
-
-def test_segmentations_lie_in_their_scan_and_stand_alone(slabs_file, tmp_path):
-    lps = read_layers(scan(slabs_file), HOME)
-    world = read_layers(scan(slabs_file, surfaces_in="world"), PATIENT)
-    for one, other in zip(lps, world, strict=True):
-        np.testing.assert_allclose(PATIENT.to_world(one.mesh.vertices), other.mesh.vertices, atol=1e-9)
-        assert other.mesh.volume > 0
-    scanned = Volume(np.zeros((20, 20, 20), np.float32), np.array([60.0, 0, 0]), np.ones(3), np.eye(3))
-    with pytest.raises(DataError, match=rf"(?m)^{slabs_file}: .*\blayer_1 .*outside the scan"):
-        read_layers(scan(slabs_file), HOME, scanned.grid)
-    here = dataclasses.replace(scanned, origin=np.array([-5.0, 0, 0]))
-    assert len(read_layers(scan(slabs_file), PATIENT, here.grid)) == 3
-    message = refused(slabs_file, save_mesh(tmp_path / "core.stl", CORE))
-    assert ": slabs.nii.gz, core.stl" in message and "segmentation" in message
 
 
 def test_layers_are_closed_at_the_volume_s_face_keep_planes_and_round_edges(tmp_path):
@@ -196,19 +177,6 @@ def test_files_without_a_segmentation_are_refused(tmp_path, values, words):
     assert words in refused(save(tmp_path / "v.nrrd", labelled(values)))
 
 
-def test_layers_in_pieces_are_refused_and_specks_are_not(tmp_path):
-    def two(radius):
-        def label(points):
-            return 1 + sum(np.linalg.norm(points - [x, 0, 0], axis=1) < r for x, r in ((-6, 5), (6, radius)))
-
-        return save(tmp_path / f"{radius}.nrrd", labelled(label))
-
-    share = re.search(r"layer 2 .*\b(\d+) % of", refused(two(4.0)))[1]
-    assert float(share) == pytest.approx(100 * (4 / 5) ** 3, abs=4)
-    _, core = read_layers(scan(two(1.0)), HOME)
-    assert core.mesh.bounds[1, 0] < 0
-
-
 # ---- meshes
 
 
@@ -250,21 +218,6 @@ def without_lid():
     mesh = BOX.copy()
     mesh.update_faces(mesh.face_normals[:, 2] < 0.5)
     return mesh
-
-
-def test_a_sheet_may_be_bent_and_faults_of_all_files_are_reported_at_once(tmp_path):
-    mesh = trimesh.creation.icosphere(subdivisions=3, radius=15)
-    mesh.update_faces(mesh.triangles_center[:, 2] > 0)
-    [skin] = read_layers(scan(save_mesh(tmp_path / "skin.stl", mesh)), HOME)
-    assert skin.kind == "sheet"
-    [lid] = read_layers(scan(LayerSource(save_mesh(tmp_path / "lid.stl", without_lid()), "sheet", 2)), HOME)
-    assert lid.kind == "sheet"  # as stated
-    broken = tmp_path / "broken.stl"
-    broken.write_bytes(b"solid nothing")
-    message = refused(tmp_path / "none.ply", broken, save_mesh(tmp_path / "m.stl", holed(1)))
-    assert "has 3 faults" in message
-    for words in ("none.ply: there is no such file", "broken.stl", "m.stl"):
-        assert words in message
 
 
 @pytest.mark.parametrize(
@@ -391,13 +344,3 @@ def test_layers_drawn_around_the_needle_are_refused(end, tmp_path):
     with pytest.raises(DataError, match=r"around the needle.*layer_1 \(along (19|20) mm\), layer_2") as error:
         refuse_tunnels(read_layers(source, HOME), AXIS)
     assert "voxels" in error.value.fix
-
-
-def test_layers_that_the_needle_crosses_are_no_tunnel(tmp_path):
-    """Whole layers; a vessel across; a ball of 3 mm; the edge of a box, 1 mm beside the needle."""
-    whole = read_layers(scan(save(tmp_path / "whole.nrrd", labelled(without(lambda p: p[:, 0] > 99)))), HOME)
-    vessel = make_cylinder("vessel", ((0, -10, 0), (0, 10, 0)), 1.5, into=3)
-    ball = Surface("ball", trimesh.creation.icosphere(3, 3.0), "solid", 3)
-    box = Surface("box", trimesh.creation.box((60, 20, 20), np.eye(4)), "solid", 3)
-    beside = transform_surface(box, Frame(np.array([0.0, 11.0, 11.0]), np.eye(3)))
-    refuse_tunnels((*whole, vessel, ball, beside), AXIS)

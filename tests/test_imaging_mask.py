@@ -95,18 +95,6 @@ def test_the_order_in_which_a_mask_is_stored_changes_nothing(stored, volume, mas
     assert np.array_equal(other.voxels, plain.voxels)
 
 
-def test_a_mask_of_other_voxels_is_asked_at_those_of_the_scan(volume, mask, tmp_path):
-    """Half the spacing: eight voxels for each of the scan's, about the same centre."""
-    fine = mask.values.repeat(2, 0).repeat(2, 1).repeat(2, 2)
-    half = mask.spacing / 2
-    origin = mask.origin - mask.direction @ (half / 2)
-    plain = segmentation.read_mask_component(volume, saved(tmp_path, mask), cases.RECIPE)
-    other = segmentation.read_mask_component(
-        volume, saved(tmp_path, Volume(fine, origin, half, mask.direction)), cases.RECIPE
-    )
-    assert np.array_equal(other.voxels, plain.voxels)
-
-
 @pytest.mark.parametrize(
     ("moved", "words"),
     [
@@ -180,35 +168,6 @@ def test_a_hub_on_the_shaft_is_cut_off(radius):
     assert line.tip[2] > 38  # the hub's end is no tip
 
 
-@pytest.mark.parametrize(("begin", "end", "box"), [(17.0, 23.0, None), (17.0, 23.0, 5000), (8.0, 24.0, None)])
-def test_a_holder_in_the_middle_leaves_one_needle_and_what_is_thin_is_not_cut(begin, end, box, monkeypatch):
-    if box:  # the plate is looked for on fewer voxels
-        monkeypatch.setattr(segmentation, "MAX_BOX_VOXELS", box)
-    volume = painted(rod((11.0, 11.0), begin, end, 4.0))
-    low, high = spans(segmentation.select_needle(volume, cases.RECIPE).needle, volume)
-    assert low < 1.0
-    assert high > 38.0
-    part = segmentation.select_needle(scan(), cases.RECIPE).needle
-    (same,) = segmentation.cut_wide_parts(scan(), part.voxels, 3.2)
-    assert same is part.voxels
-
-
-def test_a_ball_in_a_rod_is_cut_out_by_its_width():
-    shape = (40, 40, 100)
-    i, j, k = np.indices(shape)
-    rod_ = np.hypot(i - 20, j - 20) <= 1.6
-    ball = (i - 20) ** 2 + (j - 20) ** 2 + (k - 50) ** 2 <= 10**2
-    volume = Volume(np.zeros(shape[::-1], np.float32), np.zeros(3), np.full(3, 0.5), np.eye(3))
-    pieces = segmentation.cut_wide_parts(volume, np.argwhere(rod_ | ball), 2.5)
-    long = sorted(pieces, key=len)[-2:]
-    ends = sorted((one[:, 2].min(), one[:, 2].max()) for one in long)
-    assert ends[0][0] == 0
-    assert 34 <= ends[0][1] <= 40
-    assert 60 <= ends[1][0] <= 66
-    assert ends[1][1] == 99
-    assert segmentation.measure_component(volume, long[0]).width < 2.5
-
-
 def test_a_shorter_tube_is_named_and_of_two_long_ones_the_stated_diameter_taken():
     volume = painted(rod((16.0, 8.0), 6.0, 28.0, 0.7))
     found = segmentation.select_needle(volume, cases.RECIPE)
@@ -228,14 +187,3 @@ def test_a_shorter_tube_is_named_and_of_two_long_ones_the_stated_diameter_taken(
     found = segmentation.select_needle(thick, wide)
     assert_allclose(found.needle.width, 1.6, atol=0.4)
     assert len(found.warnings) == 1
-
-
-@pytest.mark.sweep
-def test_a_plastic_hub_is_no_tissue():
-    """Soft material at both ends: the tip is where it lasts longer."""
-    volume = painted(rod((11.0, 11.0), 0.0, 2.6, 7.0) & ~rod((11.0, 11.0), 0.0, 9.0, 1.2), hu=80.0)
-    values = volume.values.copy()
-    origin = np.array([0.0, 0.0, 0.46])
-    shorter = Volume(values[1:], origin, volume.spacing, volume.direction)
-    line = trace_needle(shorter, segmentation.select_needle(shorter, cases.RECIPE).needle, cases.RECIPE)
-    assert line.tip[2] > 38

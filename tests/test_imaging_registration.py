@@ -92,38 +92,6 @@ def test_missing_spurious_and_moved_markers_are_left_out_and_named():
     assert np.isnan(register(LAYOUT[:3], LAYOUT[:3], 0.1).leave_one_out).all()
 
 
-def test_kabsch_never_reflects_and_meets_a_marker_that_alone_has_weight():
-    frame = pairing.fit_kabsch(LAYOUT * [1, 1, -1], LAYOUT, np.ones(6))
-    assert proper(frame.rotation)
-    left = np.sum((LAYOUT - frame.to_world(LAYOUT * [1, 1, -1])) ** 2)
-    assert pairing.sum_squared_residuals((LAYOUT * [1, 1, -1])[None], LAYOUT[None], np.ones((1, 6)))[
-        0
-    ] == pytest.approx(left)
-    assert left > 100
-    moving = np.array([[0, 0, 0], [10, 0, 0], [0, 10, 0]], dtype=float)
-    weights = np.array([2.0, 1e-12, 1e-12])
-    fixed = moving + np.array([[3, 0, 0], [0, 0, 0], [0, 0, 0]])
-    assert pairing.fit_kabsch(moving, fixed, weights).to_world(moving[:1])[0] == pytest.approx(
-        [3, 0, 0], abs=1e-6
-    )
-
-
-def test_deviations_are_one_number_or_of_each_marker_and_axis_or_covariances():
-    variances = np.array([[1.0, 4, 9], [1, 4, 9], [4, 4, 4]])
-    covariances = variances[:, :, None] * np.eye(3)
-    for sd, expected in (
-        (2.0, np.full((3, 3), 4.0)),
-        ([1.0, 2, 3], np.array([[1.0] * 3, [4.0] * 3, [9.0] * 3])),
-        (np.sqrt(variances), variances),
-        (covariances, variances),
-    ):
-        sets = pairing.make_marker_sets(LAYOUT[:3], LAYOUT[:3], sd, 0.0)
-        assert sets.found_covariance == pytest.approx(expected[:, :, None] * np.eye(3))
-    assert sets.variance_bound == pytest.approx(np.array([[9.0] * 3, [9.0] * 3, [4.0] * 3]))
-    assert sets.typical_sd == pytest.approx(np.sqrt(14 / 3))
-    assert sets.extent == pytest.approx(np.sqrt(19**2 + 80**2 + 42**2))
-
-
 # predicted errors
 
 
@@ -236,24 +204,6 @@ def test_unrelated_markers_three_of_many_and_understated_noise_are_refused():
 # pairings
 
 
-def test_the_square_has_eight_turns_and_a_layout_is_asymmetric_above_its_misfit():
-    assert (
-        len(pairing.find_symmetries(SQUARE, 0.1)) == 8
-    )  # four about its normal, four half turns in its plane
-    text = refused(SQUARE, SQUARE, 0.1)
-    assert "symmetric" in text and " 0, 1, 2, 3" in text
-    # An isosceles triangle, half base a, height h, one foot drawn out by e, its feet swapped by a half turn.
-    # That leaves (e, e, 0) along the base. The best shift takes 2 e / 3, the best turn, of moment 2 e h / 3
-    # against the inertia 2 a^2 + 2 h^2 / 3, its share:
-    # m^2 sigma^2 = e^2 (2 / 3 - (2 h / 3)^2 / (2 a^2 + 2 h^2 / 3)).
-    a, h, sigma = 30.0, 60.0, 0.1
-    misfit = 2 / 3 - (2 * h / 3) ** 2 / (2 * a**2 + 2 * h**2 / 3)
-    e = sigma * np.sqrt(pairing.MIN_SQUARED_MISFIT / misfit)
-    for share, turns in ((0.0, 2), (0.97, 2), (1.03, 1)):
-        triangle = [[-a, 0, 0], [a + share * e, 0, 0], [0, h, 0]]
-        assert len(pairing.find_symmetries(triangle, sigma)) == turns
-
-
 @pytest.mark.parametrize(
     ("layout", "turns"),
     [
@@ -272,17 +222,3 @@ def test_the_symmetry_group_of_a_layout(layout, turns):
     found = pairing.find_symmetries(layout, 0.1)
     assert len(found) == turns
     assert found[0].tolist() == list(range(len(layout)))
-
-
-def test_all_pairings_of_a_cube_are_its_turns_and_of_many_markers_the_right_one_is_found(monkeypatch):
-    sets = pairing.make_marker_sets(CUBE, CUBE, 0.1, 0.0)
-    candidates = pairing.find_pairings(sets, 8)
-    assert len(candidates) == 24
-    assert all(np.linalg.det(one.alignment.frame.rotation) == pytest.approx(1) for one in candidates)
-    rng = np.random.default_rng(6)
-    layout = rng.uniform(-40, 40, (12, 3))
-    found = np.concatenate([layout[2:], rng.uniform(-40, 40, (2, 3))]) + 0.1 * rng.normal(size=(12, 3))
-    registration = register(POSE.to_local(found), layout, 0.1)
-    assert registration.pairs.tolist() == [[n, n + 2] for n in range(10)]
-    monkeypatch.setattr(pairing, "MAX_PARTIAL_PAIRINGS", 2)
-    assert "partial pairings" in refused(FOUND, LAYOUT, 0.1)

@@ -1,7 +1,5 @@
 """Tables of scans, and volumes named one by one: what they ask for, and every fault with its line."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from refusals import refusal
@@ -14,7 +12,6 @@ from needlefit.imaging.scans import (
     Scan,
     make_scans,
     read_scans,
-    scan_id,
 )
 
 STAGE = "entry_x_mm,entry_y_mm,entry_z_mm,entry_dx,entry_dy,entry_dz,pose_shift_sd_mm,pose_angle_sd_deg"
@@ -135,25 +132,6 @@ def test_faults_of_a_table_are_named_with_line_and_column(folder):
     assert "scans.csv:3" in message and "one world" in message
 
 
-def test_the_id_of_a_volume_is_its_name(tmp_path):
-    for path, id_ in [
-        ("scans/a b (2).nii.gz", "a_b_2_"),
-        ("layers.seg.nrrd", "layers"),
-        ("x/../series7", "series7"),
-        ("IM0001.DCM", "IM0001"),
-        ("Müller.nrrd", "Muller"),
-        ("Mu\u0308ller.nrrd", "Muller"),
-        ("患者 7.nrrd", "7"),
-        ("患者.nrrd", "scan"),
-        ("v1.2", "v1.2"),
-    ]:
-        assert scan_id(Path(path)) == id_
-    (tmp_path / "store").mkdir()
-    (tmp_path / "needle7").symlink_to(tmp_path / "store")
-    assert scan_id(tmp_path / "needle7") == "needle7"
-    assert scan_id(tmp_path / "store" / "..") == tmp_path.name
-
-
 def test_options_of_volumes_named_one_by_one_are_checked(folder):
     for medium in ("../gel", "gel{id}", "pork loin"):
         with pytest.raises(DataError, match="medium is") as error:
@@ -170,14 +148,3 @@ def test_options_of_volumes_named_one_by_one_are_checked(folder):
         make_scans([folder / "none"], markers=folder / "none.csv", layers=[str(folder / "none.stl")])
     for words in ("none: ", "none.csv: ", "none.stl"):
         assert words in str(error.value)
-
-
-def test_volumes_named_one_by_one_share_what_is_known(folder):
-    markers = folder / "markers.csv"
-    layers = (f"{folder / 'skin.stl'}=sheet:2", str(folder / "core.stl"))
-    volumes = [folder / "one.nrrd", folder / "series"]
-    one, two = make_scans(volumes, medium="gel", markers=markers, layers=layers, surfaces_in="scan")
-    surfaces = (LayerSource(folder / "skin.stl", "sheet", 2), LayerSource(folder / "core.stl"))
-    common = {"markers": markers, "surfaces": surfaces, "surfaces_in": "scan"}
-    assert one == Scan("one", folder / "one.nrrd", "gel", **common)
-    assert two == Scan("series", folder / "series", "gel", **common)

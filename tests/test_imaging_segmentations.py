@@ -4,22 +4,17 @@ from functools import partial
 
 import numpy as np
 import pytest
-from dicom_series import FRAME, a_slice, save
+from dicom_series import FRAME
 from layer_cases import labelled, save_segments
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import ExplicitVRLittleEndian, RTStructureSetStorage, generate_uid
 from reading_here import child_process_reader, read_here  # noqa: F401
-from refusals import refusal, refused_file
-from test_imaging_exports import pack
+from refusals import refused_file
 
 from needlefit.datasets.faults import Fault
-from needlefit.errors import DataError
-from needlefit.geometry.meshes import fill_mesh
-from needlefit.geometry.surfaces import make_cylinder
 from needlefit.imaging.layers import extract_label_surfaces
 from needlefit.imaging.scans import LayerSource, parse_layer_source
 from needlefit.imaging.segmentations import read_labels
-from needlefit.imaging.volume_files import read_mask
 
 pytestmark = pytest.mark.usefixtures("read_here")
 
@@ -108,23 +103,6 @@ def test_of_regions_that_lie_in_one_another_the_inner_one_comes_later(tmp_path):
     assert len(read_labels(write_contours(tmp_path / "t.dcm", thin)).segments) == 2
 
 
-def test_contours_stand_in_their_scan_in_an_archive_and_as_a_mask(tmp_path):
-    path = write_contours(tmp_path / "rt", {"Body": cylinder(20.0)})  # archives use no endings
-    assert read_labels(path).volume.frame_of_reference == FRAME
-    assert len(extract_label_surfaces(path, ("Body",), FRAME)) == 1
-    error = refusal(DataError, "", extract_label_surfaces, path, ("Body",), "1.2.3")
-    assert "1.2.3" in error.what and error.where == str(path)
-    slices = save(tmp_path / "scan", [a_slice(k) for k in range(3)])
-    files = [("a/rt", path.read_bytes()), ("a/ct", (slices / "000.dcm").read_bytes())]
-    for one in (path, pack(tmp_path / "s.zip", files)):
-        values = read_mask(one)
-        area = np.count_nonzero(values.values[5]) * np.prod(values.spacing[:2])
-        assert area == pytest.approx(np.pi * 400, rel=0.005)
-    twice = pack(tmp_path / "t.zip", [*files, ("b/rt", path.read_bytes())])
-    assert "2 DICOM structure sets" in refused(twice).what
-    assert "no DICOM structure set" in refused(slices / "000.dcm").what
-
-
 def test_segments_are_chosen_by_name_in_any_file(tmp_path):
     path = write_contours(tmp_path / "s.dcm", {"Body": cylinder(20.0), "Core": cylinder(8.0)})
     labels = read_labels(path, ("core",))
@@ -164,11 +142,3 @@ def test_points_are_left_out_and_open_or_damaged_contours_refused(tmp_path):
 )
 def test_contours_that_bound_nothing_are_refused(tmp_path, contours, word):
     assert word in refused(write_contours(tmp_path / "rt.dcm", {"Body": contours})).what
-
-
-def test_voxels_inside_a_closed_surface():
-    mesh = make_cylinder("c", ((20, 20, 5.2), (20, 20, 30.2)), 8.3, into=2, facets=360).mesh
-    inside = fill_mesh(mesh, (45, 40, 28))
-    assert inside.shape == (28, 40, 45) and not inside[:6].any() and inside[6:].any(axis=(1, 2)).all()
-    assert inside[10].sum() == pytest.approx(np.pi * 8.3**2, rel=0.03)
-    assert inside[10, 20, 13:28].all() and not inside[10, 20, :12].any() and not inside[10, 20, 29:].any()

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from needlefit.imaging.needle import slice_fit
-from needlefit.imaging.needle.rod_projection import CELL_MM, COLUMN_MM, WATER_PER_MM, Rod
+from needlefit.imaging.needle.rod_projection import CELL_MM, COLUMN_MM, Rod
 from needlefit.imaging.needle.segmentation import find_tubes
 from needlefit.imaging.volume import Volume
 from needlefit.schemas.reconstruction import ReconstructionRecord
@@ -42,24 +41,6 @@ def test_rays_across_and_along_a_rod_pass_its_chord_and_its_length(drift):
         assert_allclose(area, np.broadcast_to(area[:, :1], area.shape), rtol=0.01)
 
 
-def test_a_thick_rod_that_weakens_little_is_as_bright_as_its_material():
-    rod = make_rod(5.0)
-    metal = rod.lengths(0 * COLUMNS, np.full(len(COLUMNS), 1.0), 30.0, 0.0)
-    scan = np.array([np.log(1e-4), np.log(0.01), np.log(1e-9), 0, np.log(1.5), 0, 0, 0, -0.7, -9, -9])
-    shown = rod.show(metal, scan)[1, :, 0]
-    assert_allclose(shown[:2], 1e-4 / WATER_PER_MM, rtol=0.07)  # few views along its sides
-    assert abs(shown[2]) < 0.03 * shown[0]  # beyond its end
-
-
-def test_a_rod_that_fills_a_part_of_a_slice_darkens_it_beyond_its_end():
-    rod = make_rod(0.3)
-    metal = rod.lengths(0 * COLUMNS, np.full(len(COLUMNS), 1.6), 30.0, 0.0)
-    shown = rod.show(metal, slice_fit.SCAN_MEANS)[..., 0]
-    whole = rod.show(rod.lengths(0 * COLUMNS, np.full(len(COLUMNS), 1.0), 30.0, 0.0), slice_fit.SCAN_MEANS)
-    assert shown[1, 2] < -0.2  # water 1
-    assert np.abs(shown[:, 1]).max() < whole[1, 1, 0]
-
-
 def test_pieces_of_a_needle_in_successive_slices_are_one_tube():
     spacing = np.array([0.4, 0.4, 2.0])
     values = np.random.default_rng(1).normal(0, 20, (8, 40, 200)).astype(np.float32)
@@ -70,19 +51,3 @@ def test_pieces_of_a_needle_in_successive_slices_are_one_tube():
     )
     (tube,) = find_tubes(Volume(values, np.zeros(3), spacing, np.eye(3)), recipe)
     assert (tube.voxels[:, 0].min(), tube.voxels[:, 0].max()) == (20, 156)
-
-
-def test_the_end_of_a_needle_is_where_the_next_slice_shows_it_and_not_other_metal_beyond():
-    values = np.random.default_rng(2).normal(0, 20, (8, 40, 250)).astype(np.float32)
-    for k, first, last in (
-        (3, 20, 120),
-        (4, 126, 170),
-        (4, 192, 200),
-    ):  # voxels of 0.5 mm; the last is a ball
-        values[k, 18:22, first:last] = 3000
-    volume = Volume(values, np.zeros(3), np.array([0.5, 0.5, 2.0]), np.eye(3))
-    seen = np.column_stack([np.arange(10.0, 60.0), np.full(50, 9.75), np.full(50, 6.6)])
-    assert slice_fit._find_end(volume, seen)[-1, 0] == pytest.approx(85.0, abs=1.5)
-    assert slice_fit._find_end(volume, seen[:20])[-1, 0] == pytest.approx(
-        55.0, abs=1.5
-    )  # 25 mm ahead at most

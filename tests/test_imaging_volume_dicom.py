@@ -8,9 +8,8 @@ import pytest
 from dicom_series import COLUMNS, COUNT, NUMBERS, ORIGIN, ROWS, STEP, a_slice, packed_as, save, series
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydicom import dcmread, dcmwrite
+from pydicom import dcmread
 from pydicom.uid import (
-    MPEG2MPML,
     BasicTextSRStorage,
     DeflatedExplicitVRLittleEndian,
     ExplicitVRBigEndian,
@@ -144,15 +143,6 @@ def test_lossless_jpeg(tmp_path, compressor):
     assert np.array_equal(read_volume(save(tmp_path / "scan", slices)).values, NUMBERS)
 
 
-def test_other_modalities_are_read_and_a_stated_tilt_gives_a_warning(tmp_path):
-    for modality in ["CT", "XA", None]:
-        assert np.array_equal(read_volume(save(tmp_path, series(Modality=modality))).values, NUMBERS)
-    for degrees, warnings in [(10.0, 1), (-3.5, 1), (0.0, 0), (None, 0)]:
-        volume = read_volume(save(tmp_path, series(GantryDetectorTilt=degrees)))
-        assert len(volume.warnings) == warnings
-        assert all(f"tilted by {abs(degrees):g} degrees" in remark for remark in volume.warnings)
-
-
 # Which files and which series
 
 
@@ -227,43 +217,31 @@ TILTED = [np.radians(degrees) for degrees in (0.5, -15.0)]
     [
         (PADDED, "nothing but padding", "", ""),
         ([*series()[:2], *series()[4:]], "2 slice(s) missing between 001.dcm and 002.dcm", "", ""),
-        ([*series()[:2], *series()[4:]], "2.7 mm where others are 0.9 mm", "", ""),
         ([*series(), a_slice(2)], "the same place as 002.dcm", "006.dcm", ""),
         ([*series(), *series(RescaleIntercept=5)], "", "", "several phases"),
         ([*series(), a_slice(0, **OVERVIEW)], "is a localizer", "006.dcm", ""),
         (turned_slices(TILTED[0], [0, 0, 5]), " 0.5 degrees: the gantry", "", "resample"),
-        (turned_slices(TILTED[1], [0, 0, 5]), " 15 degrees: the gantry", "", "resample"),
         (spoilt(2, ImagePositionPatient=[-9.0, 20.0, 31.8]), " 1 mm beside ", "002.dcm", ""),
         (spoilt(4, ImageOrientationPatient=[1, 0, 0, 0, 0.9998, 0.02]), "orientation is", "004.dcm", ""),
         (spoilt(4, PixelSpacing=[0.6, 0.4]), "[0.6, 0.4], that of 000.dcm is [0.5, 0.4]", "004.dcm", ""),
         (spoilt(4, FrameOfReferenceUID=generate_uid()), "frame of reference", "004.dcm", ""),
         (spoilt(4, plane=np.zeros((ROWS, 9), np.int16)), "size is (64, 9)", "004.dcm", ""),
         (series(ImageOrientationPatient=[1, 0, 0, 0.1, 1, 0]), "ImageOrientationPatient", "", ""),
-        (series(ImageOrientationPatient=[2, 0, 0, 0, 1, 0]), "ImageOrientationPatient", "", ""),
-        (series(ImageOrientationPatient=[0, 0, 0, 0, 0, 0]), "ImageOrientationPatient", "", ""),
         (series(PixelSpacing=[0.0005, 0.0004]), "spacing of the voxels is 0.0004 x 0.0005", "", "unit"),
         (series()[:1], "holds one slice", "", ""),
         # enhanced CT keeps its positions inside; it is named for what it is, not for what it lacks
         ([a_slice(0, NumberOfFrames=9, ImagePositionPatient=None)], "9 frames", "", "NRRD"),
         (undecoded(HTJ2KLossless), f"{HTJ2KLossless.name}, for which there is no decoder", "", "decompress"),
-        (undecoded(MPEG2MPML), f"{MPEG2MPML.name}, for which there is no decoder", "", "decompress"),
         *(
             (spoilt(4, **entries), words, "004.dcm", "")
             for entries, words in (
                 ({"ImagePositionPatient": None}, "has no ImagePositionPatient"),
-                (
-                    dict.fromkeys(("ImageOrientationPatient", "PixelSpacing")),
-                    "has no ImageOrientationPatient, PixelSpacing",
-                ),
                 ({"ImagePositionPatient": [1.0, 2.0]}, "ImagePositionPatient is [[1.0, 2.0]]"),
-                ({"RescaleSlope": None}, "RescaleSlope and RescaleIntercept is"),
                 ({"RescaleSlope": 0}, "RescaleSlope is 0"),
                 ({"PhotometricInterpretation": "MONOCHROME1"}, "MONOCHROME1"),
                 ({"RescaleSlope": None, "RescaleIntercept": None}, "its values are no HU"),
-                ({"Modality": "MR"}, "is no CT: its Modality is MR"),
-                ({"GantryDetectorTilt": [1.0, 2.0]}, "GantryDetectorTilt is"),
-                ({"NumberOfFrames": 40}, "holds 40 frames"),
                 ({"SamplesPerPixel": 3}, "holds 3 colours"),
+                ({"Modality": "MR"}, "is no CT: its Modality is MR"),
                 ({"ModalityLUTSequence": []}, "rescales its values by a table"),
                 ({"Rows": None}, "damaged or cut short"),
             )
@@ -279,20 +257,6 @@ TILTED = [np.radians(degrees) for degrees in (0.5, -15.0)]
 def test_slices_that_are_no_stack(tmp_path, slices, what, where, fix):
     fault = refused(save(tmp_path, slices))
     assert what in fault.what and fault.where.endswith(where) and fix in fault.fix
-
-
-def test_steps_that_are_hardly_uneven(tmp_path):
-    save(tmp_path, spoilt(2, ImagePositionPatient=[*ORIGIN[:2], ORIGIN[2] + 2 * STEP + 0.04]))
-    assert read_volume(tmp_path).spacing[2] == pytest.approx(STEP)
-
-
-def test_an_invalid_number_and_a_file_without_a_series_are_refused(tmp_path):
-    save(tmp_path, series())
-    dcmwrite(tmp_path / "x.dcm", a_slice(0, SeriesInstanceUID=None), enforce_file_format=True)
-    assert refused(tmp_path).where.endswith("x.dcm")
-    file = tmp_path / "001.dcm"
-    file.write_bytes(file.read_bytes().replace(b"-10.0\\20.0\\30.9", b"-10.0\\abcd\\30.9"))
-    assert "ImagePositionPatient" in refused(tmp_path).what
 
 
 @pytest.mark.parametrize("suffix", ["", ".dcm"])
@@ -312,17 +276,6 @@ def test_a_slice_that_is_cut_short_is_named_wherever_it_is_cut(suffix, tmp_path)
             file.write_bytes(whole[:size])
             assert refused(folder).where == str(file)
         file.write_bytes(whole)
-
-
-@pytest.mark.sweep
-def test_compressed_voxels_cut_short(tmp_path):
-    slices = series()
-    for data in slices:
-        data.compress(RLELossless)
-    save(tmp_path, slices)
-    file = tmp_path / "003.dcm"
-    file.write_bytes(file.read_bytes()[:-60])
-    assert "RLE" in refused(tmp_path).what
 
 
 @pytest.mark.sweep
@@ -367,22 +320,6 @@ def test_written_and_read_every_voxel_keeps_its_position(tmp_path_factory, seed,
     there = to_index(again, to_patient(volume, here))
     assert again.values[tuple(np.rint(there[:, ::-1]).astype(int).T)] == pytest.approx(volume.values.ravel())
     assert np.abs(to_patient(again, np.rint(there)) - to_patient(volume, here)).max() < 1e-6
-
-
-@pytest.mark.parametrize(
-    "values",
-    [
-        np.round(np.random.default_rng(3).normal(size=(4, 5, 6))) + 0.123,
-        np.full((2, 2, 2), 0.25),
-        [[[0, 1e6], [5e5, 65535]], [[-1e5, 3.0], [1, 2]]],
-    ],
-    ids=["fractions", "one fraction", "beyond 16 bits"],
-)
-def test_other_values_are_kept_to_one_quantisation_step(tmp_path, values):
-    volume = Volume(np.asarray(values, np.float32), np.zeros(3), np.ones(3), np.eye(3))
-    write_volume(volume, tmp_path / "scan")
-    span = float(np.ptp(volume.values))
-    assert np.abs(read_volume(tmp_path / "scan").values - volume.values).max() <= 0.51 * span / 65535
 
 
 def test_the_same_volume_gives_the_same_bytes(tmp_path):

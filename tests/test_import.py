@@ -1,7 +1,6 @@
 """Files of other programs become datasets: what is read, named as not used, assumed, asked for or refused."""
 
 import json
-import shutil
 import zipfile
 from pathlib import Path
 
@@ -25,12 +24,8 @@ from needlefit.datasets.importing.tables import (
 from needlefit.datasets.importing.writing import write_plan
 from needlefit.datasets.read import check_all, read
 from needlefit.errors import ConfigError, DataError
-from needlefit.geometry.surfaces import make_cylinder, make_sheet, read_surface, write_surface
-from needlefit.project.toml import load, read_toml
-from needlefit.schemas.dataset import DatasetRecord
-from needlefit.schemas.scene import SceneRecord
-from needlefit.studies.provenance import describe_dataset
-from needlefit.studies.study_files import load_study
+from needlefit.geometry.surfaces import make_sheet, read_surface, write_surface
+from needlefit.project.toml import read_toml
 
 CASES = Path(__file__).with_name("imports")
 CURVES = [import_cases.needle(n, 16 - n) for n in range(3)]
@@ -105,24 +100,6 @@ def test_numbers_are_read_by_their_decimal_sign(text, decimal, value):
 )
 def test_headers_are_known_in_five_languages(text, meaning):
     assert read_header(text).meaning == meaning
-
-
-@pytest.mark.parametrize(
-    ("text", "axis", "group", "unit"),
-    [
-        *(
-            ("x [mm]", "x", "", "mm"),
-            ("X_m", "x", "", "m"),
-            ("x坐标（毫米）", "x", "", "mm"),
-            ("x [px]", "x", "", "px"),
-        ),
-        *(("Einstichtiefe x (cm)", "x", "", "cm"), ("N1 y", "y", "N1", ""), ("z2", "z", "2", "")),
-        *(("Target x", "x", "target", ""), ("base_x", "x", "guide", ""), ("R", "r", "", "")),
-    ],
-)
-def test_headers_name_axes_with_their_needle_and_unit(text, axis, group, unit):
-    found = read_header(text)
-    assert (found.axis, found.group, found.unit) == (axis, group, unit)
 
 
 @pytest.mark.parametrize(
@@ -256,22 +233,6 @@ def test_a_column_that_no_language_knows_is_named_by_an_option(tmp_path, capsys)
     assert list(curves_of(file, "needle=name")) == ["b"]
 
 
-def test_planar_and_patient_coordinates(tmp_path):
-    (tmp_path / "a.csv").write_text("\n".join(["x,y", *(f"{x},{y}" for x, y, _ in CURVES[0])]))
-    assert_same(curves_of(tmp_path / "a.csv"), CURVES[:1])
-    (tmp_path / "b.csv").write_text("\n".join(["R,A,S", *(f"{-x},{-y},{z}" for x, y, z in CURVES[0])]))
-    found = curves_of(tmp_path / "b.csv")
-    assert found["b"].system == "LPS"
-    assert_same(found, CURVES[:1])
-    title, head = "Gel, 18 G;;", "Punkt;Einstichtiefe x (cm);Auslenkung y (cm)"
-    rows = [f"{n};{x / 10:.4f};{y / 10:.4f}".replace(".", ",") for n, (x, y, _) in enumerate(CURVES[0], 1)]
-    (tmp_path / "one.csv").write_text("\n".join([title, head, *rows]))
-    (one,) = curves_of(tmp_path / "one.csv").values()
-    assert one.unit == "cm"
-    np.testing.assert_allclose(10 * one.points.values, CURVES[0], atol=1e-3)
-    assert unused_of(tmp_path / "one.csv") == {"column Punkt", "row Gel, 18 G"}
-
-
 @pytest.mark.parametrize("title", ["needle {}\nx y z\n", "x y z\n"])
 def test_curves_below_each_other(tmp_path, title):
     parts = [title.format(n) + "\n".join(" ".join(map(str, p)) for p in one) for n, one in enumerate(CURVES)]
@@ -376,28 +337,6 @@ def test_layouts_of_sheets_lose_nothing(tmp_path, layout):
     assert made["bevel side"][1] == "file" and made["units"] == ("mm", "file")
 
 
-def test_label_cells_above_the_points_state_what_columns_do(tmp_path):
-    """Also in a Chinese workbook, and for a needle whose name is a number."""
-    rows = [["斜面方向", "下"], ["深度 (毫米)", 60], ["样本", "块1"], ["针号", 7], ["日期", "3-1"], []]
-    rows += [["x坐标 (毫米)", "y坐标 (毫米)", "z坐标 (毫米)"], *CURVES[0].tolist()]
-    file = write_sheets(tmp_path / "a.xlsx", 数据=rows)
-    (one,) = curves_of(file).values()
-    assert one.name == "7"
-    assert stated(one) == {"bevel side": "下", "depth": "60", "specimen": "块1"}
-    assert unused_of(file) == {"row 日期, 3-1"}
-    plan, _ = planned([file], pose="1,0,0", bevel="0,-1,0")
-    assert (plan.rows[0].side, plan.rows[0].specimen) == (-1, "块1")
-
-
-def test_names_that_come_again_in_another_specimen_are_other_curves(tmp_path):
-    rows = [["Probe", "Nadel", "Schliff", *"xyz"]]
-    rows += [[1 + n // 2, 1 + n % 2, 1 - 2 * (n % 2), *point] for n in range(3) for point in CURVES[n]]
-    found = curves_of(write_sheets(tmp_path / "a.xlsx", a=rows))
-    assert_same(found)
-    texts = [(name, stated(one)["specimen"], stated(one)["bevel side"]) for name, one in found.items()]
-    assert texts == [("1-1", "1", "1"), ("1-2", "1", "-1"), ("2-1", "2", "1")]
-
-
 def test_every_cell_is_used_or_named(tmp_path):
     rows = ["needle,x,y,z,by", *(f"a,{x},{y},{z}," for x, y, z in CURVES[0])]
     rows[4] = "a,MISSING,,nan,"
@@ -414,27 +353,6 @@ def test_every_cell_is_used_or_named(tmp_path):
         ("row mean of all, 3.5", "a.csv:19"),
         ("row measured on Monday", "a.csv:20"),
     }
-
-
-@pytest.mark.parametrize(
-    ("variables", "source"),
-    [
-        ({"runs": {"a": CURVES[0], "b": CURVES[1], "c": CURVES[2].T}}, "assumption"),
-        (
-            {"c": np.array([{k: one[:, n] for n, k in enumerate("xyz")} for one in CURVES], dtype=object)},
-            "file",
-        ),
-    ],
-)
-def test_matlab_structs_and_cells(tmp_path, variables, source):
-    """Nothing but fields names the columns of an array; `--columns` confirms them."""
-    savemat(tmp_path / "a.mat", variables)
-    assert_same(curves_of(tmp_path / "a.mat"))
-    assert planned([tmp_path / "a.mat"])[1]["axes"][1] == source
-    if source == "assumption":
-        assert planned([tmp_path / "a.mat"], "1,2,3")[1]["axes"][1] == "file"
-        found = curves_of(tmp_path / "a.mat", "2,3,1")
-        np.testing.assert_allclose(found["runs_a"].points.values, CURVES[0][:, [1, 2, 0]])
 
 
 @pytest.mark.parametrize("version", [5, 7.3])
@@ -565,17 +483,6 @@ def test_a_needle_is_cut_at_the_tissue_and_its_shaft_gives_the_pose(tmp_path):
     refusal(DataError, "--pose", planned, [tmp_path], tissue_surface="none", pose="free")
 
 
-def test_closed_surfaces_are_solids_and_layers_are_numbered_as_the_needles_meet_them(tmp_path):
-    block = make_cylinder("block", ((0.0, 0.0, 0.0), (90.0, 0.0, 0.0)), 40.0, 2)
-    core = make_cylinder("core", ((30.0, 0.0, 0.0), (80.0, 0.0, 0.0)), 30.0, 2)
-    write_surface(block, tmp_path / "skin.stl")
-    write_surface(core, tmp_path / "liver.stl")
-    write_long(tmp_path, [with_shaft(one) for one in NEEDLES])
-    plan, made = planned([tmp_path])
-    assert made["tissue surface"] == ("skin", "guess")
-    assert [(one.name, one.kind, one.into) for one in plan.surfaces] == [("liver", "solid", 2)]
-
-
 @pytest.mark.parametrize("by", ["entry point", "depth", "label"])
 def test_a_straight_shaft_is_cut_at_the_stated_entry_or_depth(tmp_path, by):
     curves = [with_shaft(NEEDLES[0] + [0, 5.0 * n, 0]) for n in range(3)]
@@ -615,13 +522,6 @@ def test_a_stated_depth_must_be_the_length_of_its_curve(tmp_path):
     assert refusal(DataError, "'80'", planned, [file]).where.endswith("points.csv:2")
 
 
-def test_the_proposed_pose_is_the_direction_in_which_the_needles_run(tmp_path):
-    turned = [one[:, [2, 1, 0]] * [1, 1, -1] for one in NEEDLES]
-    answers = Answers()
-    plan_import([write_long(tmp_path, turned)], answers)
-    assert "--pose 0,0,-1" in next(one.reason for one in answers.made if one.what == "pose")
-
-
 def test_a_stated_direction_leaves_the_entry_and_its_errors_to_be_decided(tmp_path):
     file = write_long(tmp_path, NEEDLES)
     plan, made = planned([file], pose="1,0,0", point_sd="0.03")
@@ -650,44 +550,7 @@ def test_boundaries_are_stated_as_depths(tmp_path):
     refusal(DataError, "--boundaries", planned, [tmp_path], boundaries="15", pose="1,0,0")
 
 
-def test_boundaries_of_a_column_are_those_of_each_needle(tmp_path):
-    write_long(tmp_path, NEEDLES)
-    rows = ["Nadel;Grenztiefe [cm];Schliff"]
-    (tmp_path / "info.csv").write_text("\n".join([*rows, "n1;1,83;1", "n2;2,1;1", "n3;1,94;1"]))
-    options = ("--pose", "1,0,0", "--bevel", "0,1,0", "--yes")
-    assert run("import", tmp_path, "--out", tmp_path / "gel", *options) == 0
-    for one, depth in zip(read(tmp_path / "gel").insertions, (18.3, 21.0, 19.4), strict=True):
-        assert one.boundaries == pytest.approx([depth], abs=1e-3) and one.sequence == (1, 2)
-    assert {*planned([tmp_path], boundaries="15")[0].depths_mm.values()} == {(15.0,)}
-    assert planned([tmp_path], boundaries="none")[0].rows[0].layers == 1
-    refusal(DataError, "--pose", planned, [tmp_path])
-    (tmp_path / "info.csv").write_text("\n".join([*rows, "n1;1,83;1", "n2;1,83;1", "n3;1,83;1"]))
-    plan, made = planned([tmp_path])
-    assert {*plan.depths_mm.values()} == {(18.3,)} and made["boundaries"][1] == "file"
-    (tmp_path / "info.csv").write_text("\n".join([*rows, "n1;1,83;1", "n2;2,1;1", "n3;;1"]))
-    refusal(DataError, "--boundaries", planned, [tmp_path])
-
-
 # ---- bevels
-
-
-def test_bevel_sides_of_a_table_need_a_direction(tmp_path):
-    turned = [NEEDLES[0], NEEDLES[0] * [1, -1, 1]]
-    cells = [(side, "gel", f"block{n}") for n, side in enumerate((1, -1))]
-    file = write_long(tmp_path, turned, head=["bevel side", "medium", "specimen"], cells=cells)
-    plan, made = planned([file], pose="1,0,0")
-    assert made["bevel"] == ("0,1,0", "guess") and made["bevel side"] == ("1, -1", "file")
-    assert [row.side for row in plan.rows] == [1, -1]
-    refusal(DataError, "--bevel", planned, [file], pose="1,0,0", bevel_side="1,-1")
-    refusal(DataError, "--bevel", planned, [file], pose="1,0,0", bevel="bend")
-    out = tmp_path / "gel"
-    assert run("import", file, "--out", out, "--pose", "1,0,0", "--bevel", "0,1,0", "--yes") == 0
-    dataset = read(out)
-    assert [one.side for one in dataset.insertions] == [1, -1]
-    assert [one.specimen for one in dataset.insertions] == ["block0", "block1"]
-    assert [one.deflection for one in dataset.insertions] == pytest.approx([1.44, 1.44])
-    decided = {one["what"]: one for one in read_toml(out / "dataset.toml")["import"]["decisions"]}
-    assert decided["medium"]["source"] == decided["specimen"]["source"] == "file"
 
 
 def test_a_bevel_that_is_not_understood_or_missing_is_stated_by_needle_or_cell(tmp_path):
@@ -716,41 +579,6 @@ def test_a_clock_position_is_a_side_or_another_plane():
     assert bevels == {"a": [0, 1, 0], "b": [0, -1, 0], "c": [0, 0, 1]}
     assert made["bevel side"] == ("12 o'clock, 6 o'clock, 3 o'clock", "file")
     refusal(DataError, "--bevel", planned, [CASES / "clock.csv"], pose="1,0,0")  # c bends as a does
-
-
-def test_bevels_at_right_angles_turn_the_direction_of_their_side(tmp_path):
-    file = write_long(tmp_path, NEEDLES, head=["bevel [deg]"], cells=[[0], [90], [180]])
-    plan, _ = planned([file], pose="1,0,0", bevel="0,1,0")
-    bevels = [row.bevel for row in plan.rows]
-    np.testing.assert_allclose(bevels, [[0, 1, 0], [0, 0, 1], [0, -1, 0]], atol=1e-9)
-    assert {row.side for row in plan.rows} == {1}
-
-
-@pytest.mark.parametrize(("angle", "bevel"), [(0.0, [0, 1, 0]), (4.0, [0, 1, 0]), (30.0, None)])
-def test_a_bevel_direction_is_an_axis_within_its_error(tmp_path, angle, bevel):
-    c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
-    turned = [
-        one @ np.array([[1, 0, 0], [0, c, s], [0, -s, c]]) for one in (NEEDLES[0], NEEDLES[0] * [1, -1, 1])
-    ]
-    file = write_long(tmp_path, turned, head=["bevel"], cells=[[1], [-1]])
-    answers = Answers({"pose": "1,0,0", "point sd": "0.1"})
-    _, plan = plan_import([file], answers)
-    np.testing.assert_allclose(plan.rows[0].bevel, bevel or [0, c, s], atol=1e-3)
-    # 0.1 mm at the entry and the tip of two needles that deflect by 1.44 mm
-    sd = np.degrees(0.1 / 1.44)
-    reason = next(one.reason for one in answers.made if one.what == "bevel")
-    assert f"standard deviation {sd:.2g} degrees" in reason
-
-
-def test_needles_that_leave_their_plane_are_imported_as_they_are(tmp_path):
-    out = tmp_path / "gel"
-    assert (
-        run("import", CASES / "two_plane.csv", "--out", out, "--pose", "1,0,0", "--bevel", "0,1,0", "--yes")
-        == 0
-    )
-    dataset = read(out)
-    assert [round(one.out_of_plane[-1], 1) for one in dataset.insertions] == [1.5, 2.2, 2.7, 3.4]
-    assert {one.specimen for one in dataset.insertions} == {"gel"}
 
 
 # ---- tip tracks and structure sets
@@ -792,19 +620,6 @@ def test_a_log_without_depth_or_a_depth_in_each_row_alone_is_asked_about(tmp_pat
     assert planned([tmp_path], "depth=x [mm]", observable="tracks")[0].pose == "tracker"
 
 
-def test_a_table_of_depth_and_tip_deflection_is_a_track(tmp_path):
-    rows = [f"{n},{1 - 2 * n},{d},{(1 - 2 * n) * 1e-3 * d * d:.4f}" for n in (0, 1) for d in range(0, 70, 10)]
-    (tmp_path / "t.csv").write_text("\n".join(["needle,bevel side,Depth (mm),Tip deflection (mm)", *rows]))
-    options = ("--boundaries", "20", "--specimen", "block", "--yes")
-    assert run("import", tmp_path / "t.csv", "--out", tmp_path / "gel", *options) == 0
-    dataset = read(tmp_path / "gel")
-    assert [one.id for one in dataset.insertions] == ["0", "1"]
-    assert [one.tip[-1] for one in dataset.insertions] == pytest.approx([3.6, -3.6])
-    assert [one.side for one in dataset.insertions] == [1, -1]
-    assert {one.boundaries.tolist()[0] for one in dataset.insertions} == {20.0}
-    assert {one.specimen for one in dataset.insertions} == {"block"}
-
-
 def test_open_contours_of_a_structure_set_are_centrelines(tmp_path):
     found = curves_of(CASES / "needles_rs.dcm")
     assert list(found) == [f"Needle_{n}" for n in range(1, 5)]
@@ -834,44 +649,6 @@ def test_the_workbook_to_fill_in_is_read(tmp_path):
     assert (made["point sd"], made["pose angle sd"]) == (("0.2", "option"), ("0.1", "file"))
     assert "assumption" not in {source for _, source in made.values()}
     assert made["not used"] == ("tissue surface = none", "option")
-
-
-def test_a_sheet_states_answers_in_their_unit_and_an_empty_cell_is_an_assumption(tmp_path):
-    rows = [["name", "value", "unit"], ["Point SD", "0,05", "mm"], ["pose", None], ["Stage", "new"]]
-    rows += [["Nadellänge", 120, "mm"]]
-    sheets = {"a": [["id", *"xyz"], *point_rows(lambda name, _: [name])], "Example points": [[*"xyz"]]}
-    plan, made = planned([write_sheets(tmp_path / "a.xlsx", setup=rows, **sheets)], units="mm")
-    assert plan.point_sd_mm == 0.05 and made["pose"] == ("free", "assumption")
-    assert made["not used"] == ("row Stage = new", "file") and plan.needle.length_mm == 120.0
-    write_sheets(tmp_path / "b.xlsx", setup=[["point sd", 0.1]], **sheets)
-    refusal(DataError, "'0.1'", read_content, [tmp_path])
-    write_sheets(tmp_path / "b.xlsx", setup=[["point sd", 0.1, "cm"]], **sheets)
-    refusal(DataError, "cm", read_content, [tmp_path / "b.xlsx"])
-
-
-@pytest.mark.parametrize("answer", ["y", "n"])
-def test_in_a_terminal_it_asks_and_shows_before_it_writes(tmp_path, monkeypatch, answer):
-    asked, out, drawn = [], tmp_path / "gel", []
-    file = write_long(tmp_path, NEEDLES)
-    file.write_text("\n".join(["a,b,c,d", *file.read_text().splitlines()[1:]]))
-
-    def prompt(text, default, **_):
-        asked.append((text, out.exists()))
-        return default or "needle=a,x=b,y=c,z=d"
-
-    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    monkeypatch.setattr("typer.prompt", prompt)
-    monkeypatch.setattr("typer.confirm", lambda *_, **__: answer == "y")
-    monkeypatch.setattr("needlefit.reporting.dataset_import.draw", lambda path, _: drawn.append(out.exists()))
-    assert run("import", file, "--out", out) == 0
-    assert len(asked) > 5 and not any(exists for _, exists in asked)
-    assert drawn[0] is False and out.exists() == (answer == "y")
-    if out.exists():
-        sources = {
-            one.what: one.source for one in load(out / "dataset.toml", DatasetRecord).import_.decisions
-        }
-        assert sources["pose"] == sources["point sd"] == "confirmed"
 
 
 @pytest.mark.parametrize(
@@ -947,35 +724,7 @@ def test_a_bad_cell_of_a_sheet_stops_the_import_at_its_cell(tmp_path):
     assert {what for what, _ in content.unused} == {"sheet Ins2", "sheet Ins3"}
 
 
-def test_folders_and_files_that_are_not_read_are_named(tmp_path):
-    (tmp_path / "a").mkdir()
-    assert "folder a" in refusal(DataError, "", read_content, [tmp_path]).what
-    write_long(tmp_path, NEEDLES)
-    (tmp_path / "notes.doc").write_text("x")
-    assert unused_of(tmp_path) == {"folder a", "file notes.doc"}
-
-
-def test_a_specimen_that_is_not_stated_of_one_needle_is_named(tmp_path):
-    file = write_long(tmp_path, NEEDLES, head=["specimen"], cells=[["A"], ["A"], [""]])
-    answers = Answers()
-    _, plan = plan_import([file], answers)
-    assert [row.specimen for row in plan.rows] == ["A", "A", "n3"]
-    assert "n3" in next(one.reason for one in answers.made if one.what == "specimen")
-
-
 # ---- the dataset
-
-
-def test_assumptions_that_a_verdict_depends_on_are_those_of_the_dataset(tmp_path):
-    options = ["--pose", "1,0,0", "--bevel", "0,1,0", "--specimen", "each", "--point-sd", "0.05", "--yes"]
-    file, out = write_long(tmp_path, NEEDLES), tmp_path / "gel"
-    assert run("import", file, "--out", out, *options) == 0
-    dataset = read(out)
-    assert dataset.assumed[:3] == ("bevel side = 1", "pose angle sd = 0.5", "entry = first")
-    assert describe_dataset(dataset)["assumed"] == list(dataset.assumed)
-    scene = load(out / "scene.toml", SceneRecord)
-    assert (scene.depth_mm, len(scene.layers)) == (pytest.approx(60.02, abs=0.1), 1)
-    assert scene.needle == load(out / "dataset.toml", DatasetRecord).needle
 
 
 @pytest.mark.sweep
@@ -992,26 +741,6 @@ def test_the_command_writes_a_dataset_that_check_passes(tmp_path, capsys):
     assert run("import", tmp_path / "six.csv", "--out", tmp_path / "again", "--modulus", "steel") == 0
     one, other = (sorted((tmp_path / name).rglob("*.[cp]*")) for name in ("gel", "again"))
     assert [path.read_bytes() for path in one] == [path.read_bytes() for path in other]
-
-
-def test_commands_write_studies_that_can_be_moved_with_their_data(tmp_path, capsys, monkeypatch):
-    file, out = write_long(tmp_path, NEEDLES), tmp_path / "gel"
-    assert run("import", file, "--out", out, "--specimen", "block", "--yes") == 0
-    study = load_study(out / "gel_study.toml")
-    assert (study.leave_out, study.same_specimen) == ("insertion", True)
-    assert read_toml(out / "gel_study.toml")["dataset"] == "."
-    warned = []
-    for words in (("check", out / "gel_study.toml"), ("check", out)):
-        capsys.readouterr()
-        assert run(*words) == 0
-        warned.append(capsys.readouterr().err.count("warning"))
-    assert warned == [1, 2]  # what stays open in a dataset is listed by its own check alone
-    (tmp_path / "elsewhere").mkdir()
-    shutil.move(out, tmp_path / "elsewhere" / "moved")
-    for folder, name in ((tmp_path, "elsewhere/moved"), (tmp_path / "elsewhere" / "moved", ".")):
-        monkeypatch.chdir(folder)
-        assert run("check", f"{name}/gel_study.toml") == 0
-        assert load_study(Path(name, "gel_study.toml")).medium == f"./{Path(name, 'tissue.toml').as_posix()}"
 
 
 @pytest.mark.parametrize("text", ["", "hello\n", "1,2,3\n", "x,y,z\n1,2,3\n4,a,6\n7,8,9\n1,2,3\n", "x,x,x\n"])

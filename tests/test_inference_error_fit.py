@@ -8,10 +8,9 @@ import pytest
 from inference_cases import NOISE, TRUTH, insertion, measure, medium, problem, two_layers
 
 from needlefit.datasets.insertion import Noise
-from needlefit.inference.error_fit import ErrorRange, ErrorSearch, Target, examine_errors
-from needlefit.inference.error_tolerance import ErrorTolerance, _LinearErrors, estimate_tolerance
+from needlefit.inference.error_fit import ErrorSearch, Target, examine_errors
+from needlefit.inference.error_tolerance import ErrorTolerance, estimate_tolerance
 from needlefit.inference.fit import Fit
-from needlefit.inference.parameters import without_prior
 from needlefit.inference.problem import Problem
 
 ONE = {"bevel_mm": {"fixed": 0.08}}  # mu alone is free: it is determined
@@ -25,12 +24,6 @@ def at_truth(p: Problem) -> Fit:
 def examine(p: Problem, target: Target | None = None, jobs: int = 1, algorithm: str = "slsqp"):
     rng = np.random.default_rng(3)
     return examine_errors(p, at_truth(p), target, ErrorSearch(p.parameters, algorithm), rng, jobs)
-
-
-@pytest.mark.parametrize(("reach", "excess"), [(10.0, 0.3), (0.1, 0.1)])
-def test_a_step_takes_off_what_it_can(reach, excess):
-    one = _LinearErrors(np.ones(1), np.array([[0.3, 0.0]]), np.array([[[1.0], [0.0]]]))
-    assert one.excess(np.array([-reach]), np.array([reach])) == pytest.approx(excess, abs=1e-3)
 
 
 def test_the_tolerance_grows_with_the_noise_and_not_with_what_a_step_cannot_take_off():
@@ -100,27 +93,3 @@ def test_the_result_depends_on_neither_threads_nor_much_on_the_algorithm(algorit
     for name in p.names:
         ends = [(found.ranges[name].low, found.ranges[name].high) for found in (one, slsqp)]
         assert ends[0] == pytest.approx(ends[1], abs=0.5)
-
-
-def test_a_bound_that_limits_a_range_is_no_end_of_it():
-    wide, narrow = (0.0, 20.0), (9.9, 10.1)
-    for interval, ends, word in (
-        (wide, ("bound", "bound"), "only together"),
-        (narrow, ("closed", "bound"), "only together"),
-        (narrow, ("closed", "closed"), "yes"),
-    ):
-        one = ErrorRange(*interval, ends, narrow, ("closed", "closed"))
-        assert one.determined("mu1_pa") == word
-    assert ErrorRange(*wide, ("bound",) * 2, wide, ("bound",) * 2).determined("mu1_pa") == "no"
-
-
-def test_the_spread_of_a_tie_widens_the_tolerance():
-    tied = {"mu2_pa": {"tie": "60 * mu1_pa", "spread": 1.5}}
-    p = two_layers(medium(**tied))
-    hard = p.with_parameters(without_prior(p.parameters))
-    theta = np.array(hard.parameters.theta(TRUTH))
-    with_spread, without = (
-        estimate_tolerance(hard, stated, theta, np.random.default_rng(1)).by_noise
-        for stated in (p.parameters, hard.parameters)
-    )
-    assert with_spread > without

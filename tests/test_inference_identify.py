@@ -7,7 +7,6 @@ import pytest
 from inference_cases import TRUTH, insertion, measure, medium, problem, two_layers
 
 from needlefit.datasets.insertion import Noise
-from needlefit.datasets.select import group_independent
 from needlefit.inference.fit import Fit, Start
 from needlefit.inference.identifiability import design_gain
 from needlefit.inference.identifiability.directions import (
@@ -15,26 +14,16 @@ from needlefit.inference.identifiability.directions import (
     principal_directions,
 )
 from needlefit.inference.identifiability.identify import (
-    AGREEMENT,
-    Identifiability,
-    ParameterProfile,
-    assess_parameter,
-    find_fixed_shape,
-    free_shape,
     identify,
     profile_parameters,
     tip_range,
 )
 from needlefit.inference.identifiability.precision import (
     STATED_TIES,
-    cramer_rao,
-    difference_jacobian,
-    difference_steps,
 )
-from needlefit.inference.identifiability.profile import DEVIANCE_95, LikelihoodProfile
 from needlefit.inference.likelihood.nodes import ErrorAxis, Nodes, make_group, make_nodes
 from needlefit.inference.parameters import loosen_ties
-from needlefit.studies.identification import identify_parameters, reconcile_verdict
+from needlefit.studies.identification import identify_parameters
 
 FINE = Noise(point_sd=0.02)
 
@@ -123,25 +112,6 @@ def test_residuals_stand_for_the_noise_or_widen_the_deviations():
     assert first.sds["bevel_mm"] == pytest.approx(second.sds["bevel_mm"], rel=0.1)
 
 
-def test_information_of_a_linear_model_by_hand():
-    def linear(theta):
-        return np.array([2 * theta[0] + theta[1], 3 * theta[1], 1.0])
-
-    slope = difference_jacobian(linear, np.array([0.3, 0.7]), np.array([1e-3, 1e-3]))
-    assert slope == pytest.approx(np.array([[2, 1], [0, 3], [0, 0]]), abs=1e-9)
-    information = slope.T @ slope  # [[4, 2], [2, 10]], inverse [[10, -2], [-2, 4]] / 36
-    assert cramer_rao(information) == pytest.approx([math.sqrt(10) / 6, 2 / 6])
-
-    def one_sided(theta):
-        return np.array([np.nan]) if theta[0] > 1 else np.array([5 * theta[0]])
-
-    assert difference_jacobian(one_sided, np.array([1.0]), np.array([1e-3])).tolist() == [
-        [pytest.approx(5.0)]
-    ]
-    assert cramer_rao(np.diag([4.0, 0.0])).tolist() == [0.5, math.inf]
-    assert difference_steps(("mu1_pa", "alpha1"))[1] > difference_steps(("mu1_pa", "alpha1"))[0] > 0
-
-
 def test_a_direction_that_a_tie_alone_knows_is_marked():
     names, tie = ("mu1_pa", "mu3_pa"), math.log(1.2)
     prior = np.eye(2) / 4**2 + np.outer([1, -1], [1, -1]) / tie**2
@@ -165,16 +135,6 @@ def test_needles_that_differ_widen_the_deviations_and_repeats_of_one_do_not_coun
     twice = [replace(i, id=f"{i.id}-{n}") for i in made for n in "ab"]
     again = identify(problem(record, twice, noise=FINE), fit_at(problem(record, twice, noise=FINE), TRUTH))
     assert again.sds["bevel_mm"] == pytest.approx(verdict.sds["bevel_mm"], rel=0.01)
-
-
-def test_few_pieces_and_no_free_parameters():
-    assert group_independent(["a", "a", "c"], ["piece", "piece", "piece"]) == ("a", "a", "c")
-    holes = [f"hole{n // 2}" for n in range(10)]
-    assert group_independent([str(n) for n in range(10)], holes) == tuple(holes)
-    record = medium(1, mu1_pa={"fixed": 3e5}, bevel_mm={"fixed": 0.08})
-    p = problem(record, [measure(TRUTH, record, insertion(30.0))])
-    verdict = identify(p, fit_at(p, TRUTH))
-    assert verdict.sds == {} and verdict.directions == () and verdict.notes == {}
 
 
 # ---- under which assumptions alone a parameter is determined: ties, and a model without error
@@ -208,56 +168,6 @@ def test_ties_are_loosened_and_what_only_a_tie_determines_is_not_determined():
 
 
 # ---- words of profiles, designs, and what one more insertion tells
-
-MIDDLE = math.log(0.1)
-
-
-def parabola(name="bevel_mm", best=MIDDLE, sd=0.1, ends=("closed", "closed"), **changed):
-    """The profile of a Gaussian."""
-    at = best + sd * np.linspace(-2.5, 2.5, 9)
-    half = math.sqrt(DEVIANCE_95) * sd
-    made = LikelihoodProfile(
-        name, at, ((at - best) / sd) ** 2, 2 * (at - best) / sd**2, at[:, None], best, sd,
-        best - half, best + half, ends, 1, 9, 0,
-    )  # fmt: skip
-    return replace(made, **changed)
-
-
-BOUNDS = (math.log(1e-3), math.log(0.5))
-PRIOR_SD = (BOUNDS[1] - BOUNDS[0]) / math.sqrt(12)
-
-
-@pytest.mark.parametrize(
-    ("profile", "sd", "draws", "determined", "numbers"),
-    [
-        (parabola(), 0.1, None, True, []),
-        (parabola(low=MIDDLE - 10 * 0.196), 0.1, None, False, ["10"]),  # times as wide, below
-        (parabola(ends=("bound", "closed"), low=BOUNDS[0]), 0.1, None, False, None),
-        (parabola(), 0.25, None, True, ["2.5"]),
-        (parabola(), 0.1, (math.log(0.05), math.log(0.1)), True, ["0.05", "0.1"]),
-    ],
-)
-def test_a_profile_is_compared_with_information_and_draws(profile, sd, draws, determined, numbers):
-    judged = assess_parameter(ParameterProfile(profile, BOUNDS), (sd, PRIOR_SD), draws)
-    assert judged.determined == determined and (judged.agreement == AGREEMENT) == (numbers == [])
-    if numbers is None:  # the limit, and the bound that leaves the interval open
-        assert re.findall(r"\d+\.\d+", judged.profile_verdict) == ["0.122", "0.001"]
-    elif numbers:
-        assert re.findall(r"\d[\d.]*", judged.agreement)[-len(numbers) :] == numbers
-
-
-def test_layers_of_one_material_share_the_alpha_that_is_freed():
-    record = medium(
-        4, mu3_pa={"tie": "mu1_pa", "spread": 1}, mu4_pa={"tie": "10 * mu2_pa"}, alpha3={"fixed": 1.0}
-    )
-    made = [measure({**TRUTH, "mu3_pa": 3e5, "alpha3": 1.0, "mu4_pa": 2e8, "alpha4": 1.0}, record,
-                    insertion(40.0, (12.0, 25.0), (1, 2, 3)))]  # fmt: skip
-    p = problem(record, made)
-    assert find_fixed_shape(p) == {"alpha1": ("alpha3",), "alpha2": ()}  # layer 4 is not met
-    opened = free_shape(p, "alpha1").parameters
-    assert opened.bounds["alpha1"] == (-3.0, 5.0) and opened.ties["alpha3"] == (1.0, "alpha1")
-    theta = opened.theta({**TRUTH, "alpha1": 2.5})
-    assert opened.values(theta)["alpha3"] == 2.5
 
 
 def test_every_fixed_alpha_has_a_row():
@@ -302,20 +212,6 @@ def test_a_point_better_than_the_fit_is_reported_with_its_gain():
         p.log_posterior(p.parameters.theta(worse)) + found.gain, abs=0.01
     )
     assert abs(profile_parameters(p, fit_at(p, TRUTH)).gain) < 0.01
-
-
-def test_a_profile_overrules_a_verdict_that_the_information_gave():
-    names = {"bevel_mm": True}
-    verdict = Identifiability(
-        {"bevel_mm": 0.1}, names, {"bevel_mm": ""}, {}, {}, 1, (), {"bevel_mm": "known"}, 1.0, False
-    )
-    kept = reconcile_verdict(
-        verdict, {"bevel_mm": assess_parameter(ParameterProfile(parabola(), BOUNDS), (0.1, PRIOR_SD))}
-    )
-    assert kept.determined["bevel_mm"] and kept.notes["bevel_mm"] == "known"
-    cut = assess_parameter(ParameterProfile(parabola(ends=("closed", "bound")), BOUNDS), (0.1, PRIOR_SD))
-    lost = reconcile_verdict(verdict, {"bevel_mm": cut})
-    assert not lost.determined["bevel_mm"] and "profile" in lost.notes["bevel_mm"]
 
 
 def test_four_equal_insertions_halve_the_deviations():

@@ -4,37 +4,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from inference_cases import TRUTH, medium, two_layers
 from sampling_cases import Known, banana, gaussian, two_hills, weighted
-from scipy.stats import genpareto, multivariate_normal, multivariate_t, norm
+from scipy.stats import genpareto, multivariate_normal, norm
 
-from needlefit.datasets.read import read
-from needlefit.datasets.select import select_insertions
-from needlefit.inference.fit import Fit, Start
 from needlefit.inference.identifiability.profile import minimize_squares
-from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
-from needlefit.inference.problem import make_problem
 from needlefit.inference.sampling.importance import (
     Effort,
-    StudentMixture,
     WeightedDraws,
     compute_ess,
-    find_modes,
-    find_uninformed,
     fit_pareto,
     resample,
-    resample_draws,
     sample_about_modes,
-    sample_by_importance,
-    select_distinct,
     smooth_weights,
 )
-from needlefit.inference.sampling.log_density import Evaluator, approximate_by_laplace
-from needlefit.project.locate import find_file
-from needlefit.project.toml import load
-from needlefit.schemas.medium import MediumRecord
-from needlefit.schemas.recipe import WeightsRecord
-from needlefit.schemas.study import SelectionRecord
 
 
 def moments(found: WeightedDraws) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -94,13 +76,6 @@ def test_parameters_without_information_are_proposed_uniformly():
     assert np.quantile(drawn[:, 2], [0.05, 0.5, 0.95]) == pytest.approx([-9, 0, 9], abs=0.4)
     weights = np.exp(known.log_density(drawn) - found.proposal.log_density(drawn))
     assert weights @ drawn[:, :2] / weights.sum() == pytest.approx(mean, abs=0.03)
-
-
-def test_parameters_that_the_data_leave_as_they_were_are_found():
-    p = two_layers(medium(3, alpha1={"bounds": [-3, 5]}))  # no needle meets the third layer
-    mode = minimize_squares(p, p.parameters.theta({**TRUTH, "mu3_pa": 1e6}))
-    found = dict(zip(p.names, find_uninformed(p, mode).tolist(), strict=True))
-    assert found == {"mu1_pa": False, "alpha1": True, "mu2_pa": False, "mu3_pa": True, "bevel_mm": False}
 
 
 class Plateau(Known):
@@ -176,50 +151,9 @@ def test_resampled_draws_stand_once_and_by_their_weight():
     assert np.std(wide[resample(found, 1000, rng)]) == pytest.approx(exact, rel=0.02)
 
 
-def test_a_mixture_has_the_density_of_student_s_t_and_is_fitted_to_its_draws():
-    roots = np.array([[[1.0, 0.0], [0.5, 2.0]], [[0.3, 0.0], [0.0, 0.1]]])
-    mixture = StudentMixture(np.array([0.7, 0.3]), np.array([[0.0, 0.0], [6.0, 1.0]]), roots)
-    at = np.array([[0.0, 0.0], [5.9, 1.1], [-3.0, 40.0]])
-    parts = [multivariate_t(mixture.centres[k], roots[k] @ roots[k].T, df=5) for k in range(2)]
-    exact = np.log(0.7 * parts[0].pdf(at) + 0.3 * parts[1].pdf(at))
-    assert mixture.log_density(at) == pytest.approx(exact, abs=1e-12)
-    mixture = StudentMixture(
-        np.array([0.25, 0.75]), np.array([[-100.0], [3.0]]), np.array([[[1.0]], [[2.0]]])
-    )
-    draws = mixture.draw(20_000, np.random.default_rng(1))[:, 0]
-    upper = draws[draws > -50]
-    assert len(upper) / 20_000 == pytest.approx(0.75, abs=0.015)
-    assert np.quantile(upper, [0.05, 0.5, 0.95]) == pytest.approx([3 - 2 * 2.015, 3, 3 + 2 * 2.015], abs=0.15)
-
-
-def made(theta: float, objective: float, index: int) -> Start:
-    return Start(index, (0.0,), (theta,), objective, 1, 0, "tolerance")
-
-
-def test_modes_are_distinct_ends_within_ten_nats_of_the_best():
-    starts = (
-        made(4.0, 11.9, 0),
-        made(1.0, 2.0, 1),
-        made(1.005, 2.0, 2),
-        made(7.0, 12.1, 3),
-        made(2.0, 5.0, 4),
-    )
-    fit = Fit((1.0,), {}, 2.0, starts, 5, 0, interrupted=False)
-    assert find_modes(fit, np.array([10.0])).tolist() == [[1.0], [2.0], [4.0]]
-    ends = np.array([[1.0, 1.0], [1.0009, 1.09], [1.0011, 1.0], [1.0, 1.11]])
-    assert select_distinct(ends, np.array([1.0, 100.0])).tolist() == [[1.0, 1.0], [1.0011, 1.0], [1.0, 1.11]]
-
-
 def draws_of(weights: list[float], k: float, least: float, log_evidence: float = 0.0) -> WeightedDraws:
     count, logs = len(weights), np.log(np.array(weights))
     return WeightedDraws(np.arange(count)[:, None] * 1.0, np.zeros(count), logs, k, least, log_evidence)
-
-
-@pytest.mark.parametrize(("k", "least", "faults"), [(0.7, 2.0, 0), (0.71, 2.0, 1), (0.7, 2.01, 1)])
-def test_draws_are_certified_up_to_a_k_and_from_a_number_of_independent_draws(k, least, faults):
-    drawn = resample_draws(draws_of([0.5, 0.5], k, least), 2, np.random.default_rng(1))
-    assert len(drawn.faults) == faults and drawn.pareto_k == k
-    assert sorted(drawn.thetas[:, 0]) == [0.0, 1.0]
 
 
 def test_the_error_of_an_evidence_follows_from_the_effective_sample_size():
@@ -259,22 +193,3 @@ def test_the_density_of_further_data_is_the_ratio_of_evidences():
     assert np.all(np.abs(errors) < 0.1)
     assert np.sqrt(np.mean(errors**2)) < 1.5 * se < 0.2  # the stated error is the error
     assert all(one.certified for pair in pairs for one in pair)
-
-
-@pytest.mark.sweep
-def test_draws_about_the_information_of_the_search_have_the_evidence_of_others():
-    """Of four needles into one phantom; the others are drawn about the Laplace approximation."""
-    twin, rng = read(find_file("dataset", "twin")), np.random.default_rng
-    chosen = select_insertions(twin, SelectionRecord(medium="phantom2"))[:4]
-    medium = load(find_file("medium", "phantom2"), MediumRecord)
-    problem = make_problem(twin, chosen, medium, WeightsRecord(), PLAIN_LIKELIHOOD)
-    minimum, bounds = minimize_squares(problem, problem.parameters.expected), (problem.lower, problem.upper)
-    effort = Effort(draws=200, rounds=2, min_ess=100.0, profiles=False)
-    fast = sample_about_modes(problem, [minimum], rng(1), efforts=(effort,))
-    density = Evaluator(problem, 1)
-    about = approximate_by_laplace(density, minimum.theta, *bounds)
-    slow = sample_by_importance(density, [about], bounds, rng(1), (effort,))
-    assert fast.certified and slow.certified
-    assert fast.log_evidence == pytest.approx(slow.log_evidence, abs=0.1)
-    means = [np.exp(one.log_weights) @ one.thetas for one in (fast, slow)]
-    assert means[0] == pytest.approx(means[1], abs=0.03)

@@ -49,15 +49,6 @@ def test_a_free_pose_costs_nothing():
     assert p.log_posterior(theta) == pytest.approx(q.log_posterior(theta), abs=1e-3)
 
 
-def test_a_centreline_of_many_points_is_thinned_and_keeps_its_tip():
-    dense = measure(TRUTH, medium(1), insertion(50.0), 2001)
-    known = make_observation(dataset([], Noise(point_sd=0.1)), dense)
-    assert 100 < len(known.measured) <= 200
-    assert known.measured[-1] == pytest.approx(dense.planar[-1]) and known.nodes.s[0, -1] == pytest.approx(
-        50.0
-    )
-
-
 def test_densities_outside_the_bounds_and_of_many_thetas():
     record = medium(1)
     p = problem(record, [measure(TRUTH, record, insertion(50.0))])
@@ -104,16 +95,6 @@ def case(name, **options):
 @pytest.mark.parametrize("name", CASES)
 def test_values_and_derivatives_are_of_one_density(name, pose):
     assert_one_density(*case(name, pose=pose, drop=3.0 if pose == "free" else 0.0))
-
-
-def test_a_solve_that_fails_has_no_derivatives():
-    p, _ = case("fixed bevel")
-    broken = replace(p, parameters=replace(p.parameters, fixed={**p.parameters.fixed, "bevel_mm": 30.0}))
-    theta = np.log([1e9, 1e9])
-    residuals, slopes = broken.jacobian(theta)
-    assert np.isnan(residuals).any() and np.isnan(slopes).any()
-    value, gradient = broken.gradient(theta)
-    assert math.isnan(value) and np.isnan(gradient).all()
 
 
 # ---- what a set of values gives depends neither on the sets beside it nor on threads: to the bit
@@ -167,14 +148,6 @@ def test_neighbours_and_threads_change_no_bit(batch_case, count: int, threads: i
     for (value, slope), other, theta in zip(density.gradients(sets, threads), values, thetas, strict=False):
         assert value == other == one.log_posterior(theta)
         np.testing.assert_array_equal(slope, one.gradient(theta)[1])
-
-
-def test_values_and_derivatives_are_of_one_state(batch_case) -> None:
-    one, thetas = batch_case
-    for theta in thetas[:2]:
-        assert one.gradient(theta)[0] == one.log_posterior(theta) == one.log_posteriors(theta[None])[0]
-        np.testing.assert_allclose(one.jacobian(theta)[0], one.residuals(theta), rtol=0, atol=1e-12)
-        assert one.objective_gradient(theta)[0] == one.objective(theta)
 
 
 def test_a_set_that_fails_affects_no_other(batch_case) -> None:

@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 from functools import cache
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,6 @@ from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.marginal import (
     linear_residuals,
     log_marginals,
-    solve_shared,
 )
 from needlefit.inference.likelihood.nodes import (
     BEVEL,
@@ -63,17 +61,6 @@ def integral(products, axes):
     return log_means([products], [rule], [make_table_axes(rule, np.ones(axes), np.zeros((axes, 0)))])
 
 
-@pytest.mark.parametrize("depths", ["linear", "quadrature"])
-@pytest.mark.parametrize("scale", [1.0, 1.7])
-def test_a_linear_dependence_gives_the_gaussian_of_the_summed_covariances(depths, scale):
-    rng = np.random.default_rng(1)
-    first, slopes = rng.normal(size=8), 0.4 * rng.normal(size=(8, 3))
-    made = make_nodes(LAYERED, LINE, depths)
-    got = one(white_of(lambda t: first + slopes @ t, depths), made, scale)
-    exact = multivariate_normal(cov=scale**2 * np.eye(8) + slopes @ slopes.T).logpdf(first)
-    assert got - 4 * math.log(2 * math.pi) == pytest.approx(exact, abs=1e-9 if depths == "linear" else 2e-3)
-
-
 def test_quadrature_follows_what_is_not_linear():
     """One residual that saturates, against the integral by a fine sum; the spline errs by 0.02."""
     made = make_nodes(replace(FLAT, sequence=(1, 2), boundaries=np.array([12.0])), LINE, "quadrature")
@@ -105,24 +92,6 @@ def test_nothing_uncertain_is_the_density_as_measured_and_a_failed_node_fails_it
     assert integral(products, 4).tolist() == alone
 
 
-def test_nodes_move_one_boundary_or_the_entry_and_thin_layers_stay_in_order():
-    made = make_nodes(LAYERED, LINE, "linear")
-    moved = [(i.boundaries.tolist(), i.depth) for i in made.insertions]
-    assert moved == [
-        ([12.0, 20.0], 40.0),
-        (pytest.approx([11.9, 19.9]), pytest.approx(39.9)),
-        (pytest.approx([12.1, 20.1]), pytest.approx(40.1)),
-        (pytest.approx([11.85, 20.0]), 40.0),
-        (pytest.approx([12.15, 20.0]), 40.0),
-        (pytest.approx([12.0, 19.85]), 40.0),
-        (pytest.approx([12.0, 20.15]), 40.0),
-    ]
-    assert made.s[2] == pytest.approx(LINE + 0.1) and made.s[3] == pytest.approx(LINE)
-    thin = replace(LAYERED, boundaries=np.array([0.1, 0.2]), boundary_sd=0.5)
-    for moved in make_nodes(thin, LINE, "quadrature").insertions:
-        assert moved.boundaries[0] > 0 and np.all(np.diff(moved.boundaries) > 0)
-
-
 def test_quadrature_over_too_many_depths_or_shared_bevels_is_refused():
     count = MAX_AXES + 1
     depths, layers = np.linspace(4.0, 36.0, count), tuple(range(1, count + 2))
@@ -144,22 +113,6 @@ def test_quadrature_over_too_many_depths_or_shared_bevels_is_refused():
     refusal(ConfigError, "a, b, c, d, e share 6", group_nodes, split)
     raised = refusal(ConfigError, "", shared_case, "aab", centred=False, depths="quadrature")
     assert raised.key == "likelihood.depths"
-
-
-@pytest.mark.parametrize(
-    ("axes", "size"), [*product((1, 2, 4), (0.5, 1.0, 2.0)), (MAX_AXES, 0.5), (MAX_AXES, 1.0)]
-)
-def test_what_acts_linearly_is_integrated_exactly(axes, size):
-    """`size` is the whitened length of what one standard deviation does."""
-    rng = np.random.default_rng(axes)
-    slopes = rng.normal(size=(20, axes))
-    slopes *= size / np.linalg.norm(slopes, axis=0)
-    first = slopes @ rng.normal(size=axes) + rng.normal(size=20)
-    white = white_of(lambda t: first + slopes @ t, "quadrature", axes)
-    got = integral((white @ white.T)[None], axes)[0]
-    stiff = np.eye(20) + slopes @ slopes.T
-    exact = -0.5 * first @ np.linalg.solve(stiff, first) - 0.5 * np.linalg.slogdet(stiff)[1]
-    assert got == pytest.approx(exact, abs=0.01)
 
 
 def layered(depths, noise_scale=1.0, pose="known"):
@@ -262,18 +215,6 @@ def test_bevels_that_are_shared_or_sum_to_zero_have_the_density_of_their_covaria
     exact = multivariate_normal(cov=covariance).logpdf(parts[0].ravel())
     assert got - 9 * math.log(2 * math.pi) == pytest.approx(exact, abs=1e-9)
     assert by_residuals == pytest.approx(got, abs=1e-9)
-
-
-def test_a_shared_bevel_given_its_insertions_is_the_gaussians():
-    made, whites, covariance, (first, _, bevel, _) = shared_case("aab", centred=False)
-    (members, group), _ = group_nodes(made)
-    mean, found = solve_shared([whites[k][None] for k in members], group, *AT)
-    at = [surface[1] for surface in group.surfaces].index(BEVEL)
-    loads = SPREAD * bevel[:2].ravel()
-    gain = np.linalg.solve(covariance[:12, :12], loads)
-    # residuals are simulated minus measured: a needle that bent more has a negative one
-    assert mean[0, at] == pytest.approx(-gain @ first[:2].ravel())
-    assert found[0, at, at] == pytest.approx(1 - gain @ loads)
 
 
 @pytest.mark.parametrize("noise_scale", [1.0, "estimated"])

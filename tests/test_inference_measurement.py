@@ -16,17 +16,13 @@ from needlefit.geometry.curves import arc_length
 from needlefit.geometry.smoothing_spline import (
     SplineSections,
     design_matrix,
-    draw_spline,
-    find_least_spacing,
     fit_matrices,
-    free_end_basis,
     make_knots,
 )
 from needlefit.inference.compared_points import read_points
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observation import make_observation, whiten_deflections
 from needlefit.inference.problem import make_problem
-from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.dataset import MeasurementRecord, SectionsRecord
 from needlefit.schemas.medium import MediumRecord
@@ -71,25 +67,6 @@ def scanned(tmp_path_factory):
     dataset = read(needles.build(tmp_path_factory.mktemp("needles")))
     measured = tuple(with_sections(dataset, one) for one in dataset.insertions)
     return replace(dataset, insertions=measured)
-
-
-def test_splines_have_free_ends_and_reproduce_splines():
-    knots = make_knots(0.0, 40.0, 7.5)
-    coefficients = free_end_basis(knots) @ np.random.default_rng(1).normal(size=len(knots) - 5)
-    near_end = design_matrix(np.array([39.98, 39.99, 40.0]), knots) @ coefficients
-    assert abs(np.diff(near_end, 2)[0]) / 1e-4 < 1e-2
-    knots, q = make_knots(0.0, 60.0, 7.5), np.arange(20.0, 60.1, 0.5)
-    fit = fit_matrices(q, np.ones(len(q)), knots)
-    assert 0 < fit.reached.sum() < len(knots) - 4
-    coefficients = np.random.default_rng(2).normal(size=fit.reached.sum())
-    values = design_matrix(q, knots)[:, fit.reached] @ coefficients
-    assert_allclose(fit.operator @ values, coefficients, atol=1e-9)
-    assert find_least_spacing(np.arange(0.0, 91.0, 18.0), 6.0) == pytest.approx(30.0)
-
-
-@pytest.mark.parametrize("length", [37.4, 37.6, 52.0, 61.21, 5.0])
-def test_dense_points_determine_a_spline_of_the_stated_spacing(length):
-    assert find_least_spacing(np.arange(0.0, length, 0.5), 15.0) == 15.0
 
 
 def test_smoothing_moves_points_but_not_residuals_and_the_gradient_is_exact(scanned):
@@ -172,15 +149,6 @@ def test_sections_off_the_centreline_are_refused(scanned, tmp_path, shift, fault
     pairs[2] = (name, replace(some, points=some.points + np.array(shift)))
     found = check(with_measurement(tmp_path / "n", STORED, pairs))
     assert [f"{name}.toml" in fault.where for fault in found] == [True] * faults
-
-
-def test_the_spline_of_the_shipped_sections_is_their_centreline():
-    twin = read(find_file("dataset", "twin"))
-    for one in twin.insertions:
-        along = arc_length(one.centerline)
-        q = np.interp(along + one.sections.s[-1] - along[-1], one.sections.s, one.sections.q)
-        off = np.linalg.norm(draw_spline(one.sections, q).points - one.centerline, axis=1)
-        assert off.max() < 0.003  # 0.05 mm and more are allowed
 
 
 @pytest.mark.parametrize("spacing", [1, 2])

@@ -1,4 +1,3 @@
-import itertools
 import json
 import math
 from dataclasses import replace
@@ -16,36 +15,24 @@ from inference_cases import (
     problem,
     recipe,
     squares_recipe,
-    two_layers,
 )
 from refusals import refusal
-from sampling_cases import Known, draw, weighted
 
 from needlefit.errors import ConfigError, FitError, ModelError
 from needlefit.inference.fit import (
-    MAX_FAILED_POINTS,
     Callbacks,
-    EvaluationRecorder,
     ObjectiveFunction,
     Start,
-    StartPoint,
     start_from_dict,
     start_to_dict,
 )
-from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
 from needlefit.inference.optimize import (
     ALGORITHMS,
-    certify_minimum,
-    group_approaches,
     minimize,
-    search,
     select_leaders,
     starting_points,
 )
-from needlefit.inference.problem import EvaluationFailure, explain_failure, make_objective
-from needlefit.inference.sampling.importance import Effort
-from needlefit.inference.sampling.posterior import load, save
-from needlefit.schemas.recipe import LikelihoodRecord
+from needlefit.inference.problem import explain_failure
 
 SINGLE = sorted(name for name, a in ALGORITHMS.items() if a.needs != "jacobian")
 
@@ -99,14 +86,6 @@ def test_nan_and_errors_of_the_model_in_half_the_box_are_counted_and_never_win(a
 def test_a_function_that_is_never_finite_is_no_success(algorithm, value):
     with pytest.raises(FitError, match="could be solved"):
         minimize(box(lambda theta: value), recipe(algorithm=algorithm, evaluations=50), rng())
-
-
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_a_bug_is_raised_not_counted(jobs):
-    def bug(theta):
-        raise KeyError("mu7_pa")
-
-    refusal(KeyError, "mu7_pa", lambda: minimize(box(bug), recipe(), rng(), Callbacks(jobs=jobs)))
 
 
 def test_starts_go_through_json_and_more_of_them_fill_the_box():
@@ -185,45 +164,6 @@ def test_why_a_search_of_squares_stopped():
     assert {start.stopped for start in fit.starts} == {"no sum of squares"}
 
 
-@pytest.mark.parametrize(("misfit", "reason"), [(0.1, "stalled"), (100.0, "tolerance")])
-def test_a_remaining_gain_counts_in_units_of_the_misfit(misfit, reason):
-    def jacobian(theta):
-        return np.append(np.full(20, misfit), theta), np.append(np.zeros((20, 1)), [[1.0]], axis=0)
-
-    objective = ObjectiveFunction(
-        np.array([-1.0]), np.array([1.0]), lambda theta: 0.0, jacobian=jacobian, absolute_tolerance=1e-9
-    )
-    recorder = EvaluationRecorder(objective, 10, lambda: False)
-    recorder.theta = np.array([3e-3])  # a further step gains 4.5e-6
-    assert certify_minimum(recorder, "tolerance") == reason
-
-
-def test_least_squares_keeps_the_best_value_and_needs_a_sum_of_squares():
-    whole = minimize(squares(valley), squares_recipe(starts=1), rng()).starts[0]
-    for spent in range(whole.evaluations - 4, whole.evaluations + 1):
-        start = minimize(squares(valley), squares_recipe(starts=1, evaluations=spent), rng()).starts[0]
-        assert start.objective == pytest.approx(whole.objective, abs=1e-3)
-    with pytest.raises(ConfigError, match="leastsquares"):
-        minimize(squares(valley, squares=False), squares_recipe(), rng())
-    refusal(ConfigError, "leastsquares", lambda: minimize(box(bowl), recipe(algorithm="leastsquares"), rng()))
-
-    def half(theta):
-        residuals, slopes = valley(theta)
-        return (residuals, slopes) if theta[0] > -1 else (residuals * np.nan, slopes)
-
-    fit = minimize(squares(half), squares_recipe(starts=8), rng())
-    assert fit.objective == pytest.approx(-7.0, abs=1e-6)
-    assert {s.stopped for s in fit.starts if s.theta0[0] < -1} == {"no finite value"}
-
-
-@pytest.mark.parametrize("algorithm", ["leastsquares", "slsqp"])
-def test_evaluations_with_derivatives_are_counted_among_all_and_within_the_budget(algorithm):
-    fit = minimize(squares(valley), squares_recipe(algorithm=algorithm, evaluations=15, starts=3), rng())
-    assert {start.stopped for start in fit.starts} == {"budget"}
-    assert all(0 < start.gradients < start.evaluations == 15 for start in fit.starts)
-    assert fit.gradients == sum(start.gradients for start in fit.starts)
-
-
 # ---- what could not be solved is counted, and its first points fail again for the same reason
 
 
@@ -241,21 +181,6 @@ def violent():
     return problem(record, made)
 
 
-def test_the_first_failures_of_a_start_are_kept_and_all_are_counted():
-    asked = []
-
-    def noted(theta):
-        asked.append(tuple(theta.tolist()))
-        return bowl(theta) if theta[0] >= 0.3 else math.nan
-
-    # the minimum is at the edge of what can be solved
-    goal = make_objective(box(noted), "metric")
-    start = search(goal, recipe(algorithm="neldermead", tolerance=1e-9), StartPoint(0, (1.0, 1.0)))
-    lost = [theta for theta in asked if theta[0] < 0.3]
-    assert start.failures == len(lost) > MAX_FAILED_POINTS
-    assert start.failed == tuple(lost[:MAX_FAILED_POINTS])
-
-
 def test_recorded_points_fail_again_and_say_where_and_why():
     p = violent()
     fit = minimize(p, recipe(evaluations=60), rng())
@@ -267,30 +192,6 @@ def test_recorded_points_fail_again_and_say_where_and_why():
         at = [i.id for i in p.insertions].index(found.insertion)
         assert found.reason == p.shapes(theta)[at].status != "converged"
         assert all(shape.converged for shape in p.shapes(theta)[:at])
-
-
-def test_what_is_said_of_a_model_error_and_what_is_no_failure():
-    record = medium(1, guide_distance_mm={"bounds": [2.0, 140.0]}, mu1_pa={"fixed": 3e5})
-    p = problem(record, [measure({**TRUTH, "guide_distance_mm": 15.0}, record, insertion(55.0))])
-    found = explain_failure(p, p.parameters.theta({**TRUTH, "guide_distance_mm": 120.0}))
-    assert found.insertion == "at55"
-    assert found.reason.startswith("ModelError: ") and "\n" not in found.reason
-    p = two_layers(count=1)
-    assert explain_failure(p, p.parameters.theta(TRUTH)) == EvaluationFailure("", "value not finite")
-    known = Known(lambda x: np.where(x[:, 0] < 0, -math.inf, 0.0), half=2.0)
-    got = draw(known, weighted(known, [0.1, 0.1]), walkers=8, densities=240)
-    assert (got.failures, got.failed) == (0, ())
-
-
-def test_the_sampler_counts_failed_solves_and_keeps_the_first(tmp_path):
-    p = violent()
-    # a start that is not certified reaches far out
-    got = draw(p, weighted(p, np.log([2e7, 30.0]), Effort(rounds=1, min_ess=1e9)), walkers=8, densities=480)
-    assert got.failures >= len(got.failed) > 0 and len(got.failed) <= MAX_FAILED_POINTS
-    assert all(explain_failure(p, theta).reason == "over-compressed" for theta in got.failed)
-    assert np.all(np.isfinite(got.log_posterior))
-    save(got, tmp_path / "posterior.nc")
-    assert np.array_equal(load(tmp_path / "posterior.nc").failed, got.failed)
 
 
 # ---- starts are approached by an easier problem, and those that converge merged
@@ -364,22 +265,6 @@ def test_starts_far_behind_the_best_are_not_continued():
         assert select_leaders(replace(known, misfits=lambda theta, found=misfits: found), three) == chosen
 
 
-def test_what_is_not_merged():
-    fit = minimize(led(), squares_recipe(approach=False), rng())
-    assert {start.joined for start in fit.starts} == {None}
-    nothing = hill_squares(lambda theta: (np.full(2, np.nan), np.zeros((2, 2))))
-    fit = minimize(hill_squares(easier=nothing), squares_recipe(starts=4), rng())
-    assert fit.objective == pytest.approx(-7.0, abs=1e-6)
-    assert {start.joined for start in fit.starts} == {None} and fit.failures >= 4
-
-    def end(index, theta, value):
-        return Start(index, (0.0,), theta, value, 1, 0, "tolerance")
-
-    ends = [end(0, (1.0, 5.0), 2.0), end(1, (1.0, 3.0), 2.0), end(2, (1.005, 3.0), 2.0 - 1e-4)]
-    ends += [end(3, (1.0, 3.0), 2.1), end(4, (0.0, 0.0), math.inf), end(5, (0.0, 0.0), math.inf)]
-    assert group_approaches(ends) == {0: 0, 1: 2, 2: 2, 3: 3, 4: 4, 5: 5}
-
-
 RESUMED = [
     *[(lambda: box(rosenbrock), recipe(algorithm=algorithm)) for algorithm in SINGLE],
     (lambda: box(half), recipe(algorithm="neldermead", evaluations=60)),
@@ -398,36 +283,3 @@ def test_neither_threads_nor_an_interruption_change_a_fit(build, search):
         finished = {k: start_from_dict(json.loads(json.dumps(start_to_dict(whole.starts[k])))) for k in kept}
         assert finished == {k: whole.starts[k] for k in kept}
         assert minimize(build(), search, rng(), Callbacks(finished=finished, jobs=jobs)) == whole
-
-
-def test_an_interrupted_approach_leaves_its_best_point():
-    count = itertools.count()
-    reported, steps = [], []
-    callbacks = Callbacks(
-        report=reported.append, stop=lambda: next(count) > 40, step=lambda *a: steps.append(a)
-    )
-    fit = minimize(led(), squares_recipe(starts=12), rng(), callbacks)
-    assert fit.interrupted and reported == [] and len(steps) >= 2 and steps[0] == (1, 12)
-    assert [start.stopped for start in fit.starts] == ["interrupted"]
-    assert fit.objective == led().constant * -1 + 0.5 * float(np.sum(hills(np.array(fit.theta))[0] ** 2))
-
-
-def test_uncertain_depths_are_approached_as_stated_and_a_metric_by_plain_squares():
-    made = measure(TRUTH, medium(), insertion(40.0, (15.0,), (1, 2)))
-    plain = PLAIN_LIKELIHOOD
-    certain, uncertain = (
-        problem(medium(), [made], plain.model_copy(update={"depths": d})) for d in ("fixed", "linear")
-    )
-    assert certain.approach("posterior") is None
-    assert uncertain.approach("posterior") is None  # for no deviation of a depth is stated
-    assert problem(medium(), [made], LikelihoodRecord()).approach("posterior") is None  # b is its own bevel
-    bevels = problem(medium(), [made, replace(made, id="other")], LikelihoodRecord())
-    assert bevels.approach("posterior").likelihood.bevel_spread == 0
-    doubtful = problem(medium(), [replace(made, boundary_sd=0.1)], plain)
-    assert doubtful.approach("posterior").likelihood.depths == "fixed"
-    plain = doubtful.approach("metric")
-    theta = plain.parameters.theta(TRUTH) + np.array([0.5, 0.0, 0.2])
-    (simulated, measured), residuals = plain.points(theta)[0], plain.residuals(theta)
-    off = simulated[:, 1] - measured[:, 1]
-    # every point weighs as the next one does, but for what the pose's angle does to it
-    assert np.corrcoef(off[1:], residuals[1:])[0, 1] > 0.95

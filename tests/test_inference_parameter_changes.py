@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from inference_cases import BEVEL, MU, TRUTH, insertion, measure, medium, problem
+from inference_cases import MU, medium
 from pydantic import ValidationError
 from refusals import refusal
 
@@ -46,13 +46,6 @@ def test_a_modulus_gets_the_bounds_of_its_tie_or_of_the_others():
     assert changed(alone, "mu1_pa").bounds["mu1_pa"] == MODULUS_BOUNDS_PA
 
 
-@pytest.mark.parametrize(
-    ("value", "bounds"), [(0.08, tuple(BEVEL)), (0.8, (BEVEL[0], 0.8)), (0.0, tuple(BEVEL))]
-)
-def test_a_bevel_gets_stated_bounds(value, bounds):
-    assert changed(medium(bevel_mm={"fixed": value}), "bevel_mm").bounds["bevel_mm"] == bounds
-
-
 def test_what_is_fixed_takes_exact_ties_with_it():
     record = medium(4, mu2_pa={"tie": "10 * mu1_pa"}, mu3_pa={"tie": "mu1_pa", "spread": 1.2})
     found = changed(record, mu1_pa=2e5, alpha1=3.0)
@@ -80,23 +73,6 @@ def test_what_cannot_be_freed_or_fixed_is_refused(free, fix, key, fixed_by):
     assert error.key == key and fixed_by in error.fix
 
 
-def test_a_value_outside_the_law_and_a_correlated_prior_are_refused():
-    table = medium().model_dump(by_alias=True)
-    law = {"parameters": {name: one for name, one in table["parameters"].items() if "alpha" not in name}}
-    gent = MediumRecord.model_validate(table | law | {"law": "gent"})
-    error = refusal(ConfigError, "gent", lambda: change_parameters(gent, (), {"jm1": -1.0}))
-    assert error.key == "fix.jm1"
-    priors = {
-        "mu1_pa": {"bounds": MU, "prior": {"median": 3e5, "factor": 2.0, "correlation": 0.5}},
-        "alpha1": {"bounds": [-3, 5], "prior": {"mean": 1.0, "sd": 0.5}},
-    }
-    correlated = medium(**priors)
-    for name, value in (("alpha1", 1.0), ("mu1_pa", 3e5)):
-        call = lambda fix={name: value}: change_parameters(correlated, (), fix)  # noqa: E731
-        assert refusal(ConfigError, "correlated", call).key == f"fix.{name}"
-    assert changed(correlated, alpha1=1.0, mu1_pa=3e5).prior.names == ()
-
-
 def test_a_fit_states_names_as_they_are_printed_and_later_changes_take_their_place():
     record = FitRecord.model_validate(FIT | {"free": ("alpha1", "mu4"), "fix": {"b": 0.1, "mu1": 2e5}})
     assert record.free == ("alpha1", "mu4_pa") and record.fix == {"bevel_mm": 0.1, "mu1_pa": 2e5}
@@ -110,15 +86,3 @@ def test_a_fit_states_names_as_they_are_printed_and_later_changes_take_their_pla
     assert error.where == "here"
     error = refusal(ConfigError, "", lambda: change_fit(record, [], {"b": float("nan")}, "here"))
     assert re.search("fix.bevel_mm", error.what)
-
-
-def test_a_fixed_bevel_and_a_free_alpha_have_exact_derivatives():
-    record = change_parameters(medium(), ["alpha1"], {"bevel_mm": 0.08, "alpha2": -1.0})
-    made = [measure(TRUTH, record, insertion(40.0, (15.0,), (1, 2)))]
-    p = problem(record, made)
-    assert p.names == ("mu1_pa", "alpha1", "mu2_pa")
-    theta = p.parameters.theta(TRUTH)
-    _, slopes = p.jacobian(theta)
-    step = np.array([1e-3, 0.0, 0.0])
-    ahead, behind = p.residuals(theta + step), p.residuals(theta - step)
-    assert slopes[:, 0] == pytest.approx((ahead - behind) / 2e-3, abs=1e-3 * np.abs(slopes[:, 0]).max())

@@ -2,8 +2,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from inference_cases import MU, TRUTH, medium
 from pydantic import ValidationError
 from refusals import refusal
@@ -13,9 +11,7 @@ from needlefit.errors import ConfigError
 from needlefit.inference.parameters import Parameters, make_tissue, with_hyperparameters, without_prior
 from needlefit.inference.predict import draw_from_prior
 from needlefit.mechanics.laws import LAWS
-from needlefit.project.locate import find_file
-from needlefit.project.toml import load
-from needlefit.schemas.medium import MediumRecord, ParameterRecord
+from needlefit.schemas.medium import ParameterRecord
 from needlefit.schemas.recipe import LikelihoodRecord
 
 
@@ -129,36 +125,6 @@ def test_a_shape_parameter_beyond_the_bounds_of_its_law_is_named(law, name):
     changed = {"law": law, "parameters": table | {name: ParameterRecord(fixed=-1.0)}}
     error = refusal(ConfigError, "", lambda: Parameters.from_record(record.model_copy(update=changed)))
     assert error.key == f"parameters.{name}"
-
-
-@given(st.floats(1e3, 1e9), st.floats(1e-3, 0.5))
-def test_values_and_theta_are_inverse(mu, b):
-    p = Parameters.from_record(medium(1))
-    values = {"mu1_pa": mu, "alpha1": 1.0, "bevel_mm": b}
-    assert p.values(p.theta(values)) == pytest.approx(values, rel=1e-12)
-
-
-TWO_MATERIALS = {"mu3_pa": "mu1_pa", "mu4_pa": "mu2_pa"}
-
-
-@pytest.mark.parametrize(
-    ("name", "tied", "free"),
-    [
-        ("phantom1", {"mu4_pa": "mu2_pa"}, {"mu1_pa", "mu2_pa", "mu3_pa", "mu4_pa", "bevel_mm"}),
-        ("phantom2", TWO_MATERIALS, {"mu1_pa", "mu2_pa", "mu3_pa", "mu4_pa", "bevel_mm"}),
-        ("phantom3", TWO_MATERIALS, {"mu1_pa", "mu2_pa", "mu3_pa", "mu4_pa", "bevel_mm"}),
-        ("chicken", {}, {"mu1_pa", "bevel_mm"}),
-        ("gel_stereo", {}, {"mu1_pa", "bevel_mm"}),
-    ],
-)
-def test_the_shipped_media_tie_as_the_paper_does_and_fix_every_alpha(name, tied, free):
-    p = Parameters.from_record(load(find_file("medium", name), MediumRecord))
-    assert set(p.free) == free
-    assert {(tie.name, tie.source, tie.factor, tie.spread) for tie in p.prior.ties} == {
-        (name, source, 1.0, 1.2) for name, source in tied.items()
-    }
-    assert {name: source for name, (_, source) in without_prior(p).ties.items()} == tied
-    assert all(status == "fixed" for n, status in p.status.items() if n.startswith("alpha"))
 
 
 def test_draws_of_the_prior_are_flat_where_only_ties_are_stated():

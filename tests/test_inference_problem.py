@@ -12,13 +12,7 @@ from needlefit.inference.compared_points import compare_points, select_points
 from needlefit.inference.forward_model import make_options, predict
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import Parameters
-from needlefit.inference.problem import SMOOTHING_MM, metric_misfit, metric_misfit_gradient
 from needlefit.schemas.recipe import WeightsRecord
-
-
-def rotated(points, degrees, shift):
-    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
-    return points @ np.array([[c, s], [-s, c]]) + shift
 
 
 def test_the_objective_is_the_weighted_sum_that_it_states_and_zero_at_the_truth():
@@ -93,26 +87,8 @@ def test_planned_boundaries_meshes_and_what_cannot_be_compared():
         compare_points("free", 10.0, short, lambda s: np.column_stack([s, 0 * s]))
 
 
-def test_a_free_arc_is_shown_in_the_axes_of_its_entry_side():
-    """A circle of radius R: the tip's distance from its first tangent is R (1 - cos(L / R))."""
-    radius, length = 500.0, 100.0
-    at = np.linspace(0, length, 1001) / radius
-    arc = radius * np.column_stack([np.sin(at), 1 - np.cos(at)])
-    measured = replace(insertion(length), planar=rotated(arc, 80.0, [5.0, 5.0]))
-    simulated, shown = compare_points("free", 0.0, measured, lambda s: np.column_stack([s, 0 * s]), 401)
-    assert shown[0] == pytest.approx([0, 0], abs=1e-12)
-    # The line through the first fifth is the tangent at its middle, a tenth of the way.
-    tangent = radius * (1 - math.cos(0.9 * length / radius)) - radius * (1 - math.cos(0.1 * length / radius))
-    assert shown[-1, 1] == pytest.approx(tangent, rel=0.01)
-    assert np.linalg.norm(simulated[-1] - simulated[0]) == pytest.approx(length, rel=1e-8)
-    assert simulated.mean(axis=0) == pytest.approx(shown.mean(axis=0))
-
-
 def rng():
     return np.random.default_rng(4)
-
-
-RIGHT_ANGLE = np.array([[0.0, 0.0], [60.0, 0.0], [60.0, 20.0]])  # 60 mm along, then 20 mm aside
 
 
 def measured(depth: float, planar: np.ndarray):
@@ -140,22 +116,6 @@ def test_a_free_comparison_reaches_as_far_as_both_curves_less_the_drop(length, d
     )
 
 
-def test_nothing_left_to_compare_names_the_insertion():
-    assert find_free_reach(9.9, measured(10.0, line(30.0))) == pytest.approx(0.1)
-    for planar, depth in ((line(10.0), 30.0), (line(30.0), 10.0)):
-        with pytest.raises(DataError, match=f"at{depth:g}"):
-            find_free_reach(10.0, measured(depth, planar))
-
-
-def test_a_known_comparison_takes_equal_fractions_of_each_curves_own_length():
-    goal = select_points(
-        "known", 10.0, measured(40.0, RIGHT_ANGLE), 9
-    )  # what is dropped is a matter of free shapes
-    np.testing.assert_allclose(goal.s, np.arange(0, 41, 5.0))
-    np.testing.assert_allclose(goal.measured[:7], np.outer(np.arange(0, 61, 10.0), [1, 0]))
-    np.testing.assert_allclose(goal.measured[7:], [[60, 10], [60, 20]])
-
-
 def test_the_simulated_points_are_those_at_the_same_distance_from_the_tip():
     """What is compared is laid on it rigidly: a bent needle, moved and turned, is found without error.
 
@@ -172,22 +132,6 @@ def test_the_simulated_points_are_those_at_the_same_distance_from_the_tip():
     np.testing.assert_allclose(simulated, shown, atol=1e-9)
     simulated, shown = compare_points("free", 5.0, measured(101.0, seen), lambda s: bent(s - 1.0), 56)
     np.testing.assert_allclose(simulated, shown, atol=1e-9)
-
-
-def test_distances_are_smooth_at_zero_and_otherwise_what_they_were():
-    weights, line = WeightsRecord(te=0, edp=0), np.zeros((5, 2))
-    for d in (0.0, SMOOTHING_MM, 1.0):
-        assert metric_misfit(line + np.array([0, d]), line, weights) == pytest.approx(
-            np.hypot(d, SMOOTHING_MM) - SMOOTHING_MM, abs=1e-12
-        )
-    shift = np.broadcast_to(np.array([[0.0], [1.0]]), (5, 2, 1))
-    assert metric_misfit_gradient(line, line, weights, shift) == pytest.approx([0.0])
-    assert metric_misfit_gradient(line + np.array([0, 1.0]), line, weights, shift) == pytest.approx(
-        [1.0], abs=1e-6
-    )
-    assert metric_misfit_gradient(line - np.array([0, 1.0]), line, weights, shift) == pytest.approx(
-        [-1.0], abs=1e-6
-    )
 
 
 @pytest.mark.parametrize("pose", ["known", "free"])

@@ -154,16 +154,6 @@ def test_retries_find_the_lower_branch():
     assert helped.high > alone.high + 0.5 and helped.retries > 0
 
 
-def test_a_better_optimum_met_on_the_way_takes_the_place_of_the_first():
-    """Two wells of x, the deeper one far from where the search ended."""
-    target = Known(
-        lambda x, y: [1.2 * math.sin(x / 2), 0.12 * (x - 2 * math.pi), y],
-        lambda x, y: [[0.6 * math.cos(x / 2), 0], [0.12, 0], [0, 1.0]],
-    )
-    p = found(target, 0, (0.1, 0.0))
-    assert p.best == pytest.approx(2 * math.pi, abs=0.05) and p.minima > 1 and p.deviance.min() == 0.0
-
-
 def test_failures_on_the_way_out_are_flagged_and_leave_each_point_once():
     def residuals(x: float, y: float) -> list[float]:
         return [0.1 * x if x < 3 else math.nan, y]
@@ -180,12 +170,3 @@ def test_failures_on_the_way_out_are_flagged_and_leave_each_point_once():
     assert np.all(np.diff(p.at) > 1e-6) and p.at[-1] == REACH
     # where 0.02 x + (x - 18)^2 = 1.96
     assert p.high == pytest.approx(18 + (-0.02 + math.sqrt(0.0004 + 6.4)) / 2, abs=0.02)
-
-
-def test_a_descent_stops_at_bounds_and_keeps_fixed_parameters():
-    target = line(lower=np.array([2.0, -20.0]))
-    end = minimize_squares(target, np.array([5.0, 5.0]))
-    assert end.converged and end.theta == pytest.approx([2.0, -0.5])
-    held = minimize_squares(target, np.array([5.0, 5.0]), held=0)
-    assert held.theta == pytest.approx([5.0, -2.0]) and held.value == pytest.approx(49.0)
-    assert target.calls < 20

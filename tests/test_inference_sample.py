@@ -9,16 +9,15 @@ import pytest
 import xarray
 from inference_cases import TRUTH, insertion, measure, medium, problem
 from refusals import refusal
-from sampling_cases import UNCERTIFIED, Known, draw, flat, gaussian, weighted
+from sampling_cases import Known, draw, flat, gaussian, weighted
 
 from needlefit.errors import DataError
 from needlefit.inference.fit import MAX_FAILED_POINTS, Callbacks
 from needlefit.inference.sampling.importance import Effort
-from needlefit.inference.sampling.log_density import Evaluator, approximate_by_laplace
+from needlefit.inference.sampling.log_density import Evaluator
 from needlefit.inference.sampling.posterior import MAX_R_HAT, Posterior, load, save
-from needlefit.inference.sampling.sample import compute_autocorrelation_time, compute_r_hat, sample
+from needlefit.inference.sampling.sample import compute_autocorrelation_time, compute_r_hat
 from needlefit.project.checkpoint import Checkpoint, open_checkpoint
-from needlefit.schemas.recipe import SampleRecord
 
 MEAN, COV = np.array([0.4, -0.2]), np.array([[0.04, 0.03], [0.03, 0.09]])
 GAUSSIAN = Known(gaussian(COV, MEAN), half=2.0)
@@ -59,25 +58,6 @@ def test_a_budget_that_is_spent_marks_the_draws():
     assert not np.array_equal(got.draws, draw(GAUSSIAN, BEGIN, seed=2, **SHORT).draws)
 
 
-def test_an_uncertified_start_loses_its_first_half():
-    begin = weighted(GAUSSIAN, MEAN, UNCERTIFIED)
-    got = draw(GAUSSIAN, begin, **SHORT)
-    assert not begin.certified
-    assert (got.burn_in, got.draws.shape) == (17, (16, 18, 2))
-    certified = draw(GAUSSIAN, replace(begin, min_ess=1.0), **SHORT)
-    assert np.array_equal(got.draws, certified.draws[:, 17:])
-
-
-def test_walkers_start_from_distinct_draws_while_there_are_enough():
-    first = draw(GAUSSIAN, BEGIN, walkers=400, densities=400)
-    assert first.draws.shape == (400, 1, 2)
-    assert len(draw(Known(GAUSSIAN.log_density, half=2.0), BEGIN, walkers=8).draws) == 8
-    few = weighted(GAUSSIAN, MEAN, Effort(draws=50, rounds=2))
-    assert len(few.thetas) == 100 and draw(GAUSSIAN, few, walkers=400, densities=800).draws.shape[0] == 400
-    wide = Known(gaussian(np.eye(6)), 6)
-    assert len(draw(wide, weighted(wide), walkers=8, densities=60).draws) == 12  # twice the parameters
-
-
 def test_threads_do_not_change_the_draws():
     record = medium(1, mu1_pa={"bounds": [1e4, 1e7]}, bevel_mm={"bounds": [0.02, 0.3]})
     needle = problem(record, [measure(TRUTH, record, insertion(depth)) for depth in (14.0, 18.0)])
@@ -108,24 +88,6 @@ def test_failed_evaluations_have_no_density_and_are_counted():
     assert evaluator.failures == 2 and evaluator.failed == [(0.5, 0.0), (1.0, 0.0)]
 
 
-def test_a_bug_is_raised():
-    def bug(_):
-        raise KeyError("mu7_pa")
-
-    refusal(KeyError, "mu7_pa", draw, replace(GAUSSIAN, log_density=bug), BEGIN)
-
-
-def test_the_laplace_approximation_of_a_gaussian_is_the_gaussian_within_its_bounds():
-    """Its precision, and that of a uniform density as wide as the bounds: 12 / width^2."""
-    lower, upper = np.array([-1.0, -4.0]), np.array([3.0, 2.0])
-    found = approximate_by_laplace(GAUSSIAN.log_density, MEAN, lower, upper)
-    exact = np.linalg.inv(np.linalg.inv(COV) + np.diag(12 / (upper - lower) ** 2))
-    assert found.centre == pytest.approx(MEAN, abs=1e-12)
-    assert found.axes @ found.axes.T == pytest.approx(exact, rel=1e-6)
-    at_bound = approximate_by_laplace(GAUSSIAN.log_density, upper, lower, upper)
-    assert at_bound.centre == pytest.approx(upper - 1e-3 * (upper - lower), abs=1e-12)
-
-
 # ---- a run that was stopped goes on to the same draws
 
 
@@ -144,14 +106,6 @@ def whole() -> Posterior:
     return draw(GAUSSIAN, BEGIN, **SHORT)
 
 
-def test_a_stop_ends_the_run_after_the_step(whole):
-    got = draw(GAUSSIAN, BEGIN, stop_after(23), **SHORT)
-    assert got.interrupted and len(got.faults) > len(replace(got, interrupted=False).faults)
-    assert np.array_equal(got.draws, whole.draws[:, :23])
-    rng = np.random.default_rng(1)
-    assert sample(GAUSSIAN, BEGIN, SampleRecord(), rng, Callbacks(stop=lambda: True)) is None
-
-
 @pytest.mark.parametrize(("stopped", "left"), [(0, 35), (7, 35), (11, 25), (23, 15), (34, 5)])
 def test_a_stopped_run_goes_on_from_its_last_block(tmp_path, whole, stopped, left):
     if stopped:
@@ -164,17 +118,6 @@ def test_a_stopped_run_goes_on_from_its_last_block(tmp_path, whole, stopped, lef
     # a run that has ended makes no further step
     assert_equal(draw(GAUSSIAN, BEGIN, count, reopen(tmp_path), **SHORT), whole)
     assert len(steps) == left
-
-
-def test_failures_are_counted_on(tmp_path):
-    holes = replace(
-        GAUSSIAN, log_density=lambda x: np.where(x[:, 0] > 0.6, math.nan, GAUSSIAN.log_density(x))
-    )
-    expected = draw(holes, BEGIN, **SHORT)
-    draw(holes, BEGIN, stop_after(25), reopen(tmp_path), **SHORT)
-    got = draw(holes, BEGIN, None, reopen(tmp_path), **SHORT)
-    assert got.failures == expected.failures > MAX_FAILED_POINTS
-    assert np.array_equal(got.failed, expected.failed)
 
 
 @pytest.mark.parametrize("damage", ["torn", "flipped", "foreign", "empty", "without its row"])
@@ -226,10 +169,6 @@ def test_the_autocorrelation_time_of_a_known_series(memory):
     time = compute_autocorrelation_time(autoregressive(memory))
     assert time == pytest.approx((1 + memory) / (1 - memory), rel=0.06)
     assert compute_r_hat(autoregressive(memory)) == pytest.approx(1.0, abs=2e-3)
-
-
-def test_anticorrelated_draws_count_as_independent_ones():
-    assert compute_autocorrelation_time(autoregressive(-0.5)) == 1.0
 
 
 def test_r_hat_by_hand():
@@ -319,17 +258,6 @@ def test_the_file_has_the_groups_of_inference_data(tmp_path):
     assert posterior.to_xarray()["posterior"]["x0"].shape == (8, 100)
 
 
-@pytest.mark.filterwarnings(r"ignore:\sArviZ is:FutureWarning")  # once a day
-def test_arviz_reads_the_draws(tmp_path):
-    import arviz  # takes seconds, and every process of a parallel run imports this file
-
-    save(met(), tmp_path / "posterior.nc")
-    for data in (met().to_inference_data(), arviz.from_netcdf(tmp_path / "posterior.nc", engine="h5netcdf")):
-        table = arviz.summary(data, round_to="none")
-        assert table["mean"].to_numpy() == pytest.approx(met().draws.mean(axis=(0, 1)), rel=1e-12)
-        assert dict(data.posterior.sizes) == {"chain": 8, "draw": 100}
-
-
 @pytest.mark.parametrize(
     "damage",
     [
@@ -347,8 +275,3 @@ def test_a_file_that_was_changed_is_refused(damage, tmp_path):
     with h5py.File(path, "r+") as file:
         damage(file)
     refusal(DataError, r"posterior\.nc", load, path)
-
-
-def test_a_file_that_is_no_posterior_is_refused(tmp_path):
-    (tmp_path / "no.nc").write_text("no netCDF")
-    refusal(DataError, r"no\.nc", load, tmp_path / "no.nc")

@@ -5,9 +5,7 @@ import numpy as np
 import pytest
 from inference_cases import TRUTH, insertion, measure, medium, problem
 from sampling_cases import (
-    UNCERTIFIED,
     Known,
-    banana,
     draw,
     flat,
     gaussian,
@@ -16,9 +14,6 @@ from sampling_cases import (
     weighted,
 )
 from scipy.stats import truncnorm
-
-from needlefit.inference.sampling import sample as sample_module
-from needlefit.inference.sampling.importance import Effort
 
 pytestmark = pytest.mark.sweep
 
@@ -53,16 +48,6 @@ def test_a_gaussian_that_bounds_cut():
     assert levels == pytest.approx(np.tile(tail.ppf([0.05, 0.5, 0.95]), (3, 1)), abs=0.06)
 
 
-@pytest.mark.parametrize("effort", [Effort(draws=1000), UNCERTIFIED])
-def test_a_banana_from_a_certified_start_and_from_another(effort):
-    known = Known(banana, half=40.0)
-    got = draw(known, weighted(known, effort=effort), **MANY)
-    mean, sd = flat(got).mean(axis=0), flat(got).std(axis=0)
-    assert got.faults == () and (got.burn_in > 0) == (effort is UNCERTIFIED)
-    assert np.all(np.abs(mean - [0.0, 1.0]) < 4 * standard_errors(got))
-    assert sd == pytest.approx([1.0, 1.5], rel=0.12)
-
-
 def test_two_modes_that_the_start_covers():
     """The mixture leads from one to the other."""
     known, modes = Known(two_hills), [[5.0, 0.0], [-5.0, 0.0]]
@@ -73,29 +58,6 @@ def test_two_modes_that_the_start_covers():
     assert np.std(np.abs(flat(got)[:, 0])) == pytest.approx(0.2, rel=0.05)
     crossings = np.diff(got.draws[:, :, 0] > 0, axis=1).sum(axis=1)
     assert np.all(crossings > 0.1 * got.draws.shape[1])
-
-
-def test_modes_without_exchange_are_flagged(monkeypatch):
-    from emcee import moves
-
-    monkeypatch.setattr(sample_module, "make_moves", lambda _: [(moves.StretchMove(), 1.0)])
-    known = Known(two_hills)
-    got = draw(known, weighted(known, [[5.0, 0.0], [-5.0, 0.0]]), densities=64 * 300)
-    assert set(np.sign(got.draws[:, :, 0].mean(axis=1))) == {-1.0, 1.0}
-    assert got.ess[0] < 2 * 64 and got.faults
-
-
-def test_parameters_without_information_are_uniform():
-    """x2 has no part in the density: proposals take it from its bounds."""
-    covariance = np.array([[0.5, 0.3], [0.3, 0.4]])
-    known = Known(lambda x: gaussian(covariance)(x[:, :2]), 3)
-    got = draw(known, weighted(known, uniform=[False, False, True]), **MANY)
-    x = flat(got)
-    assert got.faults == ()
-    assert np.all(np.abs(x.mean(axis=0)) < 4 * standard_errors(got))
-    assert np.quantile(x[:, 2], [0.05, 0.5, 0.95]) == pytest.approx([-9.0, 0.0, 9.0], abs=0.5)
-    assert np.cov(x[:, :2].T) == pytest.approx(covariance, rel=0.1)
-    assert got.tau[2] < 2.5  # nothing of it is remembered
 
 
 def test_another_sampler_finds_the_same_posterior_of_a_needle():

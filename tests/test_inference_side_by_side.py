@@ -8,8 +8,7 @@ import pytest
 from refusals import refusal
 
 from needlefit.errors import ModelError
-from needlefit.inference import side_by_side
-from needlefit.inference.side_by_side import MAX_SEARCHES, evaluate, map_side_by_side, run_side_by_side
+from needlefit.inference.side_by_side import MAX_SEARCHES, evaluate, run_side_by_side
 from needlefit.project.progress import never_stop
 from needlefit.project.tasks import TaskStop
 
@@ -88,25 +87,3 @@ def test_errors_bugs_and_stops_end_what_they_concern():
     stop = TaskStop(never_stop)
     stop.leave()
     assert run(partial(search, Recorded()), [3] * 40, stop) == {}
-
-
-def test_parts_of_a_search_evaluate_together_with_the_other_searches():
-    recorded = Recorded()
-
-    def divide(parts: int) -> float:
-        return sum(map_side_by_side(partial(search, recorded), [3] * parts)) + search(recorded, 2)
-
-    assert run(divide, [1, 4, 2]) == {n: 5.0 * parts + 1.0 for n, parts in enumerate([1, 4, 2])}
-    assert recorded.sizes == [7, 7, 7, 3, 3]
-    recorded = Recorded()
-
-    def divide(level: int) -> float:
-        if level == 0:
-            return search(recorded, 3)
-        return sum(map_side_by_side(divide, [level - 1] * 3))
-
-    assert run(divide, [2, 2]) == {0: 45.0, 1: 45.0}
-    assert recorded.sizes == [18, 18, 18]
-    recorded = Recorded()
-    assert map_side_by_side(partial(search, recorded), [2, 3]) == [1.0, 5.0]
-    assert recorded.sizes == [1] * 5 and not hasattr(side_by_side._this_thread, "group")

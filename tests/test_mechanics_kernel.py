@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 from mechanics_cases import NEEDLE, RULES, assert_close, random_case
 from refusals import refusal
-from scipy.interpolate import CubicHermiteSpline
 
 from needlefit.errors import ModelError
-from needlefit.mechanics import native, reference
+from needlefit.mechanics import reference
 from needlefit.mechanics.batch import Batch, simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.plan import Lattice
-from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points, sample_inserted_points
-from needlefit.mechanics.simulate import compute_lateral_load, equilibrium, simulate, simulate_steps
+from needlefit.mechanics.shape import NeedleShape, compute_positions, sample_inserted_points
+from needlefit.mechanics.simulate import equilibrium, simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
 
@@ -25,31 +24,6 @@ def test_kernel_equals_reference(seed: int, kind: str) -> None:
     rng = np.random.default_rng(seed)
     case = random_case(rng, kind, 5, 11.0) if seed % 2 else random_case(rng, kind, 0, 22.0)
     assert_close(simulate_steps(*case), reference.simulate_steps(*case))
-
-
-@pytest.mark.parametrize("solve", [simulate, reference.simulate])
-@pytest.mark.parametrize(
-    ("spacing", "first", "cut"), [(0.5, 0.3, 0.12), (1.0, 0.3, 0.06), (2.0, 1.3, 0.13), (10.0, 7.3, 0.146)]
-)
-def test_the_bevel_turns_the_cut_once_per_constraint_spacing(solve, spacing, first, cut) -> None:
-    """7.3 mm deep, b = 0.2 mm: the first cell is the remainder x_1, and its point lies at x_1 b / C_int."""
-    tissue, rules = Tissue(mu=[0.2], alpha=[1.0]), ModelOptions(spacing, spacing / 2)
-    for side in (1, -1):
-        found = solve(NEEDLE, tissue, Bevel(0.2, side), 7.3, rules=rules).constraints
-        np.testing.assert_allclose(found[:2], [[0.0, 0.0], [first, side * cut]], atol=1e-12)
-        np.testing.assert_allclose(np.diff(found[1:, 0]), spacing)
-        assert found[-1, 0] == 7.3
-
-
-@pytest.mark.parametrize("element", [0.125, 0.0625])
-def test_rounding_on_a_fine_mesh_in_soft_tissue_is_no_failure(element: float) -> None:
-    """Increments there end at 1e-6 mm, which the tolerance does not get below; the tip is the same."""
-    soft = Tissue(mu=[1e-3], alpha=[1.0])
-    fine, default = (
-        simulate(NEEDLE, soft, Bevel(0.1), 50.0, rules=ModelOptions(1.0, h)) for h in (element, 1.0)
-    )
-    assert fine.converged
-    assert fine.tip_lateral == pytest.approx(default.tip_lateral, abs=2e-4)
 
 
 def test_large_compression_few_iterations_and_short_needles():
@@ -75,22 +49,6 @@ def test_large_compression_few_iterations_and_short_needles():
     assert shape.status == "not converged"
     with pytest.raises(ModelError, match="149"):
         simulate(NEEDLE, Tissue(mu=[0.2], alpha=[1.0]), Bevel(0.1), 149.0, Controls(guides=(Guide(-2.0),)))
-
-
-@pytest.mark.parametrize(("offset", "thickness"), [(0.2, 0.05), (0.1, 0.1), (0.5, 0.5), (30.0, 1.0)])
-def test_over_compression_is_reported_at_any_newton_iteration(offset: float, thickness: float) -> None:
-    """Also where the first guess was bearable; what was never found is NaN, not 0."""
-    tissue = Tissue(mu=[5.0], alpha=[1.0], thickness=[thickness])
-    shape = simulate(NEEDLE, tissue, Bevel(offset), 20.0)
-    assert shape.status == "over-compressed"
-    assert np.isnan(shape.tip_lateral) and np.isnan(shape.u).all()
-
-
-@pytest.mark.parametrize("depth", [1e-12, 1e-10, 1e-9, 1e-6])
-def test_a_tiny_depth_is_a_depth(depth: float) -> None:
-    shape = simulate(NEEDLE, Tissue(mu=[5.0], alpha=[1.0]), Bevel(0.1), depth)
-    assert shape.converged and shape.depth == pytest.approx(depth, abs=1e-9)
-    assert abs(shape.tip_lateral) <= 0.2 * depth
 
 
 def test_positions_keep_the_length():
@@ -130,36 +88,6 @@ def test_points_in_the_plane_are_those_of_the_reference(seed: int) -> None:
     np.testing.assert_allclose(compute_positions(shape, s), reference.compute_positions(shape, s), atol=1e-6)
 
 
-def test_points_are_drawn_as_far_from_the_needle_as_the_model_knows_them() -> None:
-    """A steep needle falls short of its beam coordinate by centimetres, and what belongs to it with it."""
-    shape = simulate(NEEDLE, Tissue(mu=[33.0], alpha=[1.0]), Bevel(0.2), 100.0)
-    needle = compute_positions(shape, shape.x)
-    np.testing.assert_array_equal(map_beam_points(shape, np.column_stack((shape.x, shape.u))), needle)
-    assert shape.x[-1] - needle[-1, 0] > 10.0 and shape.u[-1] - needle[-1, 1] > 5.0
-    offsets = np.array([0.3, -0.2])
-    beside = map_beam_points(shape, np.column_stack((shape.x[-2:], shape.u[-2:] + offsets)))
-    np.testing.assert_allclose(beside - needle[-2:], np.column_stack(([0.0, 0.0], offsets)), atol=1e-12)
-
-
-def test_an_over_compressed_guess_is_not_the_solution() -> None:
-    """The base moves by more than t before the first cell; the needle finds its place, and stays there."""
-    tissue = Tissue(mu=[33.0], alpha=[1.0], thickness=[5.0])
-    found = simulate_steps(NEEDLE, tissue, (Step(3.0, Bevel(0.05), Controls(base_y=5.1)),))
-    assert found.converged and 3.0 < found.tip_lateral < 5.0
-    state = np.column_stack((found.u, found.slope)).ravel()
-    again, used = reference.equilibrium(
-        NEEDLE,
-        tissue,
-        found.x,
-        found.constraints,
-        state,
-        np.arange(len(state)) < 2,
-        ModelOptions(tolerance=np.inf),
-    )
-    assert used == 1
-    np.testing.assert_allclose(again, state, atol=1e-7)
-
-
 # ---- numbers of the kernel that no comparison of shapes determines
 
 DEPTH = 55.0
@@ -176,33 +104,6 @@ def test_a_step_takes_little_more_than_one_pass(tolerance: float, most: float) -
     assert alone.converged and together.converged.all()
     assert 1.0 <= alone.iterations / DEPTH <= most
     assert 1.0 <= together.iterations.mean() / DEPTH <= most
-
-
-def test_deflections_between_nodes_are_cubic() -> None:
-    """Also beyond the ends, where the cubic of the nearest element goes on."""
-    shape = simulate(NEEDLE, TISSUE, Bevel(0.085), 20.3)
-    s = np.random.default_rng(1).uniform(shape.x[0] - 1.0, shape.depth + 1.0, 200)  # in no order
-    exact = CubicHermiteSpline(shape.x, shape.u, shape.slope)(s)
-    found = native.compute_deflections(shape.x, shape.u, shape.slope, s)
-    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-12)
-
-
-def test_the_load_at_a_point_does_not_depend_on_the_others() -> None:
-    shape = simulate(NEEDLE, TISSUE, Bevel(0.085), 30.0)
-    s = np.random.default_rng(2).uniform(-20.0, 30.0, 60)
-    found = compute_lateral_load(shape, TISSUE, s)
-    np.testing.assert_array_equal(
-        found, [compute_lateral_load(shape, TISSUE, s[i : i + 1])[0] for i in range(60)]
-    )
-    np.testing.assert_array_equal(found == 0.0, s < 0.0)
-
-
-def test_the_mesh_of_an_equilibrium_starts_from_the_depth_of_point_1() -> None:
-    for first, inside in ((0.3, [0.0, 0.3, 0.8, 1.3, 1.8, 2.3]), (0.7, [0.2, 0.7, 1.2, 1.7, 2.2, 2.7])):
-        depths = first + np.arange(3.0)
-        points = np.column_stack((np.concatenate(([0.0], depths)), np.zeros(4)))
-        found = equilibrium(NEEDLE, TISSUE, points, rules=ModelOptions(1.0, 0.5))
-        np.testing.assert_allclose(found.x, [depths[-1] - 150.0, *inside], atol=1e-12)
 
 
 @pytest.mark.parametrize("guided", [False, True])
@@ -256,37 +157,6 @@ def test_a_guide_in_tissue_holds_once_the_tip_is_past_it_whatever_the_mesh(eleme
         assert shape.u[node] == pytest.approx(0.2, abs=1e-13)
         if slope is not None:
             assert shape.slope[node] == pytest.approx(slope, abs=1e-13)
-
-
-@pytest.mark.parametrize("guides", [
-    (Guide(3.0, 0.1, None, True),), (Guide(3.0, 0.1, 0.01, True),), (Guide(0.0, 0.05, 0.02, True),),
-    (Guide(4.5, 0.1, None, True), Guide(2.0, 0.05, 0.01, True)), (Guide(2.25, 0.1, 0.0, True), Guide(-3.0)),
-])  # fmt: skip
-@pytest.mark.parametrize("depths", [(2.0, 3.0, 3.1, 4.5, 6.0), (6.0, 3.0, 3.25, 2.0, 2.25, 2.5, 4.5, 4.4)])
-@pytest.mark.parametrize("element", [1.0, 0.25])
-def test_a_tip_may_halt_on_a_guide(guides: tuple[Guide, ...], depths: tuple, element: float) -> None:
-    """At its depth to the bit, a quarter of a millimetre before or behind it, coming from either side."""
-    rules, lattice = ModelOptions(1.0, element), Lattice(1.0, 1.0)
-    steps = tuple(Step(depth, BEVEL, Controls(guides=guides)) for depth in depths)
-    for n in range(1, len(steps) + 1):
-        fast = simulate_steps(NEEDLE, TWO_LAYERS, steps[:n], rules, lattice)
-        assert fast.converged
-    slow = reference.simulate_steps(NEEDLE, TWO_LAYERS, steps, rules, lattice)
-    np.testing.assert_array_equal(fast.x, slow.x)
-    np.testing.assert_allclose(fast.u, slow.u, atol=1e-7)
-    np.testing.assert_allclose(fast.constraints, slow.constraints, atol=1e-7)
-
-
-@pytest.mark.parametrize("depth", [0.4, 5.0, 23.1])
-def test_the_stage_carries_the_base_along_its_axis(depth: float) -> None:
-    steps = (Step(26.0, BEVEL, Controls(0.3, 0.01, 0.02)), Step(depth, BEVEL, Controls(0.3, 0.01, 0.02)))
-    for shape in (
-        simulate_steps(NEEDLE, TWO_LAYERS, steps),
-        simulate(NEEDLE, TWO_LAYERS, BEVEL, depth, steps[0].controls),
-    ):
-        assert shape.x[0] == depth - 150
-        assert shape.u[0] == 0.3 + 0.02 * depth
-        assert shape.slope[0] == 0.01
 
 
 @pytest.mark.parametrize("depth", [0.4, 1.0, 7.3, 9.0])

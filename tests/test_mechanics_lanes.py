@@ -91,32 +91,6 @@ def test_what_is_hard_to_solve_is_what_newtons_method_gives(batch: Batch) -> Non
         assert_close(shapes[i], simulate_steps(*exact.pick(i)))
 
 
-@pytest.mark.parametrize("first", [1e-4, 0.2, 0.55, 0.7, 1.0])
-@pytest.mark.parametrize("slope", [None, 0.003])
-def test_each_set_may_have_its_guide_elsewhere_wherever_the_first_nodes_lie(first, slope) -> None:
-    """Half-millimetre elements: at 0.2 and 0.55 mm the first node stands too near the entry for another."""
-    guided = Controls(base_y=0.2, guides=(Guide(-9.0, 0.1, slope),))
-    steps, x = (Step(9 + first, Bevel(0.1), guided),), np.array([-3.0, -9.0, -30.0, -101.0])
-    batch = Batch(NEEDLE, TISSUE, steps, ModelOptions(1.0, 0.5), guide_x=x)
-    shapes = one(batch)
-    for i in range(4):
-        assert_close(shapes[i], simulate_steps(*batch.pick(i)))
-        assert shapes[i].x[1] == x[i] and shapes[i].u[1] == pytest.approx(0.1, abs=1e-14)
-
-
-@pytest.mark.parametrize("controls", HELD)
-def test_held_nodes_are_where_they_are_held(controls: Controls) -> None:
-    held = [(guide.x, guide.y, guide.slope) for guide in controls.within]
-    if controls.tip:
-        held.append((17.2, controls.tip.y, controls.tip.slope))
-    shapes = one(Batch(NEEDLE, TISSUE, (WIDE, replace(TURN, controls=controls)), offset=[0.05, 0.1]))
-    for x, y, slope in held:
-        node = shapes.x[0] == x
-        np.testing.assert_array_equal(shapes.u[:, node], y)
-        if slope is not None:
-            np.testing.assert_array_equal(shapes.slope[:, node], slope)
-
-
 @pytest.mark.parametrize("sets", [1, 31, 33, 64])
 @pytest.mark.parametrize("controls", [TURN.controls, *HELD])
 @pytest.mark.parametrize("tissue", [TISSUE, RUBBING])
@@ -149,16 +123,6 @@ def test_invalid_numbers_affect_no_other_set(steps: tuple[Step, ...]) -> None:
     np.testing.assert_array_equal(shapes.x[lost], np.tile(shapes.x[lost[0] + 2], (4, 1)))
 
 
-@pytest.mark.parametrize("name", ["rigidity", "base_y", "base_slope", "offset", "guide_x"])
-def test_any_parameter_may_be_nan(name: str) -> None:
-    value = {"rigidity": 1e4, "guide_x": -7.0}.get(name, 0.01)
-    steps = (Step(8.0, Bevel(0.1), Controls(guides=(Guide(-5.0),))),)
-    shapes = one(Batch(NEEDLE, TISSUE, steps, **{name: [np.nan, value, value, np.inf]}))
-    assert shapes.status.tolist() == [3, 0, 0, 3]
-    assert_same_bits(shapes[1], one(Batch(NEEDLE, TISSUE, steps, **{name: [value]}))[0])
-    assert one(Batch(NEEDLE, TISSUE, steps, **{name: [np.nan]})).failures == Counter({"non-finite": 1})
-
-
 def thin(offset: list[float], thickness: float, friction: float = 0.0) -> Batch:
     tissue = Tissue(mu=[0.2], alpha=[1.0], thickness=[thickness], friction=[friction])
     return Batch(NEEDLE, tissue, (Step(10.0, Bevel(0.1)),), offset=offset)
@@ -172,18 +136,6 @@ def test_an_over_compressed_set_is_reported_and_affects_no_other(friction: float
     assert shapes.failures == Counter({"over-compressed": 2})
     assert np.isnan(shapes.u[[0, 2]]).all()
     assert_same_bits(part(shapes, np.array([1, 3])), one(thin([0.001, 0.002], 0.05, friction)))
-
-
-def test_a_set_that_leaves_the_series_is_solved_alone_and_exactly() -> None:
-    """Tissue of 1 mm: at b = 0.05 mm its compression is beyond the series; small ones stay together."""
-    batch = thin([0.05, 0.001, 0.05, 0.002], 1.0)
-    shapes = one(batch)
-    for i in (0, 2):
-        alone = simulate_steps(*batch.pick(i))
-        assert np.max(np.abs(np.interp(alone.x, *alone.constraints.T) - alone.u)[1:]) > 0.05
-        assert_same_bits(shapes[i], alone)
-    assert_same_bits(part(shapes, np.array([1, 3])), one(thin([0.001, 0.002], 1.0)))
-    assert_same_bits(one(thin([0.05, 0.05], 1.0))[1], shapes[0])  # also where everybody leaves
 
 
 def test_different_insertions_come_back_in_their_order() -> None:

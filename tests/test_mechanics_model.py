@@ -1,17 +1,14 @@
 """What the model must do whatever the numbers: symmetry, continuity, refinement, magnitudes."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from mechanics_cases import NEEDLE, RULES, assert_close, random_bevel, random_case, random_tissue
+from mechanics_cases import NEEDLE, RULES, random_case
 
 from needlefit.mechanics import reference
-from needlefit.mechanics.batch import Batch, simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.simulate import (
     compute_lateral_load,
     compute_loads,
@@ -20,7 +17,6 @@ from needlefit.mechanics.simulate import (
     simulate_steps,
 )
 from needlefit.mechanics.tissue import Tissue
-from needlefit.schemas.scene import RulesRecord
 
 
 def phantom(boundaries: tuple[float, ...] = (20.0, 28.0, 45.0)) -> Tissue:
@@ -51,40 +47,6 @@ def test_the_mirror_image_of_all_inputs_gives_the_mirror_image_of_the_needle(see
         simulate_steps(needle, tissue, each, rules, lattice) for each in (steps, [mirror(s) for s in steps])
     )
     np.testing.assert_allclose(one.u, -other.u, rtol=0, atol=1e-9)
-
-
-def random_insertion(seed: int) -> tuple[Tissue, Step]:
-    """Return random layers, and one step into them under constant inputs."""
-    rng = np.random.default_rng(seed)
-    base = Controls(rng.uniform(-1, 1), rng.uniform(-0.01, 0.01))
-    return random_tissue(rng, ModelOptions()), Step(rng.uniform(15, 50), random_bevel(rng), base)
-
-
-@pytest.mark.parametrize("seed", range(10))
-def test_a_layer_cut_into_two_equal_ones_is_that_layer(seed: int) -> None:
-    """Only the quadrature changes."""
-    tissue, step = random_insertion(seed)
-    edges = np.array([0.0, *tissue.boundaries, step.depth])
-    widest = int(np.argmax(np.diff(edges)))
-    cut = edges[widest] + 0.41 * (edges[widest + 1] - edges[widest])
-    halves = Tissue(
-        *(np.insert(values, widest, values[..., widest], axis=-1) for values in (tissue.mu, tissue.shape)),
-        np.insert(tissue.boundaries, widest, cut),
-        *(np.insert(values, widest, values[widest]) for values in (tissue.thickness, tissue.friction)),
-        tissue.law,
-    )
-    one, other = (simulate_steps(NEEDLE, each, (step,)) for each in (tissue, halves))
-    assert_close(one, other, 1e-4)
-
-
-@pytest.mark.parametrize("seed", range(10))
-def test_too_far_and_back_and_back_and_in_again_is_the_same_insertion(seed: int) -> None:
-    tissue, step = random_insertion(seed)
-    lattice = Lattice(math.fmod(step.depth, 1.0), 1.0)
-    depths = (step.depth, step.depth + 0.3, step.depth, step.depth - 3.7, step.depth)
-    path = [replace(step, depth=depth) for depth in depths]
-    one, other = (simulate_steps(NEEDLE, tissue, each, lattice=lattice) for each in ((step,), path))
-    assert_close(one, other)
 
 
 @pytest.mark.parametrize("kind", RULES)
@@ -135,27 +97,10 @@ def test_tip_is_continuous_in_boundary_position(third: float) -> None:
     assert step < 8.0 * 2e-5 + 1e-7
 
 
-def test_the_default_mesh_is_converged():
-    assert abs(tip(55.0) - tip(55.0, element=0.125)) < 1e-4
-    odd = (20.3, 28.7, 45.1)
-    assert abs(tip(52.37, odd) - tip(52.37, odd, element=0.125)) < 1e-4
-
-
 @pytest.mark.parametrize(("depth", "expected"), [(52.79, 3.3), (44.19, 2.2), (23.79, 0.69), (19.63, 0.42)])
 def test_magnitudes_with_the_papers_parameters(depth: float, expected: float) -> None:
     """Parameters read as Pa and mm, boundaries invented: the tables imply 4.3, 3.4, 0.9, 0.4 mm."""
     assert tip(depth) == pytest.approx(expected, rel=0.06)
-
-
-@pytest.mark.parametrize(
-    ("spacing", "element"), [(1.0, 1.0), (0.5, 0.5), (0.3, 0.3), (1.5, 0.75), (2.0, 1.0), (2.5, 2.5 / 3)]
-)
-def test_a_record_s_mesh_divides_its_spacing_into_elements_of_up_to_1_mm(spacing, element):
-    assert ModelOptions.from_record(RulesRecord(constraint_spacing_mm=spacing)).element == pytest.approx(
-        element
-    )
-    given = RulesRecord(constraint_spacing_mm=spacing, element_mm=spacing / 4)
-    assert ModelOptions.from_record(given).element == pytest.approx(spacing / 4)
 
 
 # ---- variants of the decided rules
@@ -183,18 +128,6 @@ def test_without_the_tangent_the_cut_leaves_the_tip_by_the_bevel_alone() -> None
     assert 0 < shape.u[-1] < along.u[-1]
 
 
-def test_a_first_cell_in_the_rules_is_a_lattice() -> None:
-    steps = (Step(7.3, BEVEL),)
-    chosen = simulate_steps(NEEDLE, TISSUE, steps, ModelOptions(first_cell=0.4))
-    given = simulate_steps(NEEDLE, TISSUE, steps, ModelOptions(), Lattice(0.4, 1.0))
-    np.testing.assert_array_equal(chosen.u, given.u)
-    np.testing.assert_allclose(chosen.constraints[:3, 0], [0.0, 0.4, 1.4])
-    (lanes,) = simulate_batches(
-        [Batch(NEEDLE, TISSUE, steps, ModelOptions(first_cell=0.4), offset=np.array([0.1]))]
-    )
-    np.testing.assert_allclose(lanes[0].u, chosen.u, atol=1e-7)
-
-
 # ---- friction: a shaft that slides askew is held back less, by the factor 1 - gamma sin^2 of its angle
 
 
@@ -208,16 +141,6 @@ def test_a_tilted_cantilever_carries_the_load_less_friction(gamma: float, factor
     for slope in (0.5, -0.5):
         shape = equilibrium(NEEDLE, tissue, points, Controls(base_slope=slope))
         assert shape.u[-1] - slope * length == pytest.approx(factor * whole, rel=1e-3)
-
-
-@pytest.mark.parametrize("solve", [simulate, reference.simulate])
-def test_newton_stays_quadratic_with_friction(solve) -> None:
-    """Its slope is part of Newton's matrix: it costs at most one iteration in each of the twelve cells."""
-    without, strong = (
-        solve(NEEDLE, Tissue([0.5], [2.0], friction=[gamma]), BEVEL, 12.0, Controls(base_slope=0.2))
-        for gamma in (0.0, 3.0)
-    )
-    assert strong.converged and strong.iterations <= without.iterations + 12
 
 
 # ---- what acts on the needle: closed forms, and the reference
@@ -248,29 +171,6 @@ def test_a_guide_before_the_tissue_loads_the_needle_as_a_propped_or_clamped_cant
     found = compute_loads(shape, SOFT_LAYERS, BEAM, controls)
     assert found.guides[0].force == pytest.approx(12 * EI * y / a**3)
     assert found.guides[0].moment == pytest.approx(found.base.moment) == pytest.approx(-6 * EI * y / a**2)
-
-
-def test_where_there_is_a_load_and_its_sign():
-    # The bevel lays the cut aside, toward its side; there the tissue pulls the tip.
-    for side in (1, -1):
-        shape = simulate(BEAM, SOFT_LAYERS, Bevel(0.2, side), 30.0)
-        assert side * compute_loads(shape, SOFT_LAYERS, BEAM, Controls()).tip_force > 0
-    controls = Controls(guides=(Guide(-20.0), Guide(25.0, 0.3, 0.0, in_tissue=True)))
-    shape = simulate(BEAM, SOFT_LAYERS, Bevel(0.2), 20.0, controls)
-    found = compute_loads(shape, SOFT_LAYERS, BEAM, controls)
-    assert [held.x for held in found.guides] == [-20.0, 25.0]
-    assert (found.guides[1].force, found.guides[1].moment) == (0.0, 0.0)
-    assert compute_lateral_load(shape, SOFT_LAYERS, np.array([-100.0, -20.0, -1e-6])).tolist() == [
-        0.0,
-        0.0,
-        0.0,
-    ]
-    tissue = Tissue(mu=[1.0], alpha=[3.0], thickness=[0.5])
-    controls = Controls(base_y=30.0, guides=(Guide(-0.5, 30.0),))
-    shape = simulate(BEAM, tissue, Bevel(0.1), 20.0, controls)
-    assert not shape.converged
-    found = compute_loads(shape, tissue, BEAM, controls)
-    assert np.isnan([found.base.force, found.guides[0].force, found.tip_force]).all()
 
 
 @pytest.mark.parametrize("switch", [0.0, 0.5, 0.7])

@@ -1,16 +1,14 @@
 """The advance by the path angle: its rule, in a session and in media; it converges."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from mechanics_cases import NEEDLE, random_case
-from refusals import refusal
-from solver_checks.refinement import ADVANCED, ANGLE, DEPTH_MM, find_advanced_tip, measure_spacing
+from mechanics_cases import NEEDLE
+from solver_checks.refinement import ADVANCED, ANGLE, measure_spacing
 
 from needlefit.datasets.read import read
-from needlefit.errors import ConfigError, ModelError
+from needlefit.errors import ConfigError
 from needlefit.inference.forward_model import PreparedModel, make_batch, make_scene_record
 from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.batch import simulate_batches
@@ -23,26 +21,9 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
-from needlefit.viewer.steering import Change, apply_changes, find_changes
 
 PHANTOM = Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=[7, 13, 18])
 RULES = ModelOptions(advance="path_angle")
-
-
-@pytest.mark.parametrize("seed", range(20, 26))
-def test_a_session_is_the_batch_however_its_steps_are_divided(seed: int) -> None:
-    needle, tissue, steps, rules, lattice = random_case(np.random.default_rng(seed), "path_angle")
-    whole = simulate_steps(needle, tissue, steps, rules, lattice)
-    session = Session(needle, tissue, steps[0].bevel, lattice.first_cell, steps[0].controls, rules)
-    for step in steps:
-        begin = session.depth
-        for part in (0.37, 0.71):
-            session.go(replace(step, depth=begin + part * (step.depth - begin)))
-        session.go(step)
-    assert not session.failures
-    again = simulate_steps(needle, tissue, session.input_path(), rules, lattice)
-    for other in (session.now.shape, session.simulate_again().now.shape, again):
-        np.testing.assert_allclose(other.u, whole.u, atol=1e-7)
 
 
 def test_points_lie_on_the_rays_of_the_rule_and_too_far_and_back_changes_nothing():
@@ -104,15 +85,6 @@ def test_deep_in_uniform_tissue_the_needle_is_an_arc() -> None:
     np.testing.assert_allclose(curvature, ANGLE * beta, rtol=0.01)
 
 
-@pytest.mark.parametrize("at", [12.0, 12.5, 30.0, DEPTH_MM])
-def test_the_tip_is_continuous_in_depth_and_boundary(at: float) -> None:
-    """At and between constraint points."""
-    uniform, nearly = Tissue([0.22], [1.0]), 1e-6
-    assert abs(find_advanced_tip(uniform, 1.0, at + nearly) - find_advanced_tip(uniform, 1.0, at)) < 1e-5
-    tips = [find_advanced_tip(Tissue([0.22, 2.2], [1.0, 1.0], [x]), 1.0) for x in (at, at + nearly)]
-    assert abs(tips[1] - tips[0]) < 1e-5
-
-
 # ---- of media, scenes and the page ----
 
 
@@ -123,14 +95,6 @@ def medium() -> MediumRecord:
     parameters = {name: one for name, one in tangent.parameters.items() if name != "bevel_mm"}
     parameters["cut_angle_deg"] = ParameterRecord(bounds=(math.degrees(1e-3), math.degrees(0.5)))
     return tangent.model_copy(update={"advance": "path_angle", "parameters": parameters})
-
-
-def test_a_medium_has_the_angle_in_the_place_of_b(medium: MediumRecord) -> None:
-    parameters = Parameters.from_record(medium)
-    assert "cut_angle_deg" in parameters.free and "bevel_mm" not in parameters.names
-    assert parameters.bounds["cut_angle_deg"] == pytest.approx((math.degrees(1e-3), math.degrees(0.5)))
-    with pytest.raises(ConfigError, match="cut_angle_deg"):
-        Parameters.from_record(medium.model_copy(update={"advance": "tangent"}))
 
 
 @pytest.mark.parametrize("stated", [{"bounds": (1.0, 89.0)}, {"fixed": 45.0}])
@@ -167,12 +131,3 @@ def test_gradient_and_batch_of_a_fitted_model(medium: MediumRecord) -> None:
     scene = Scene.from_record(make_scene_record(values, medium, twin, insertion))
     assert scene.rules.path_angle
     np.testing.assert_allclose(simulate_scene(scene)[-1].u, shapes.u[1], atol=1e-6)
-
-
-def test_inputs_of_the_page_change_the_angle() -> None:
-    step = Step(5.0, Bevel(cut_angle=0.1))
-    wanted = apply_changes(step, [Change("cut_angle_deg", None, 4.0)], (), 0.0)
-    assert wanted.bevel.cut_angle == pytest.approx(math.radians(4.0)) and wanted.bevel.offset == 0
-    (change,) = find_changes(wanted, step, ())
-    assert change.value == pytest.approx(4.0)
-    refusal(ModelError, "", Change, "cut_angle_throughout_deg", None, 50.0)

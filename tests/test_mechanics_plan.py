@@ -2,30 +2,19 @@
 
 import pytest
 
-from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
+from needlefit.mechanics.control import Bevel, ModelOptions, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import (
     Lattice,
     Move,
-    Position,
-    Ray,
     make_lattice,
     make_stops,
-    plan_move,
     plan_stops,
 )
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 
 HALF = Lattice(0.5, 1.0)  # points at 0, 0.5, 1.5, 2.5 ...
-
-
-def list_rays(position):
-    """Return the rays that led to a position, from the entry to the tip."""
-    found, ray = [], position.ray
-    while ray:
-        found, ray = [ray, *found], ray.before
-    return found
 
 
 def stops(*moves: tuple[float, int, int], lattice: Lattice = HALF) -> list[tuple]:
@@ -129,28 +118,6 @@ def test_the_stops_of_moves(name: str) -> None:
     moves, expected = CASES[name]
     found = stops(*moves)
     assert (found if expected[0] is ENTRY else found[-len(expected) :]) == expected
-
-
-def test_a_position_keeps_the_rays_from_the_entry_on() -> None:
-    position, found = plan_move(Position(), Move(0.9, 7, 3), HALF)
-    assert found[-1] == position.last and len(found) == 3
-    assert list_rays(position) == [Ray(0.0, 7, 3, 0), Ray(0.5, 7, 3, 1)] and not position.inputs_changed
-    turned, none = plan_move(position, Move(0.9, 8, 3), HALF)
-    assert none == [] and turned.inputs_changed and turned.last == position.last
-    onward, _ = plan_move(turned, Move(1.2, 8, 3), HALF)
-    assert list_rays(onward) == [*list_rays(position), Ray(0.9, 8, 3, 2)] and not onward.inputs_changed
-
-
-def test_steps_with_equal_inputs_are_held_by_the_same() -> None:
-    """Bevel and controls are distinguished by value, and named after the first step that has them."""
-    moved = Controls(base_y=1.0)
-    steps = (Step(0.5, Bevel(0.1)), Step(1.5, Bevel(0.1), moved), Step(2.5, Bevel(0.1, -1)),
-             Step(3.5, Bevel(0.1), moved))  # fmt: skip
-    found = [(s.tip, s.bevel_id, s.controls_id) for s in plan_stops(steps, HALF, 150.0)]
-    assert found == [
-        (0.0, 0, 0), (0.5, 0, 0), (0.5, 0, 1), (1.5, 0, 1),
-        (1.5, 0, 0), (2.5, 2, 0), (2.5, 2, 1), (3.5, 0, 1),
-    ]  # fmt: skip
 
 
 def test_the_lattice_of_an_insertion_ends_with_its_last_step():

@@ -55,21 +55,6 @@ def test_entries_carry_points_there_and_back_and_guides_stand_on_their_axis():
         assert step.controls.guides[0].x == 0.0
 
 
-@pytest.mark.parametrize(
-    ("entry_deg", "axis_deg", "slope"),
-    [
-        (0, 0, 0),
-        (0, 30, math.tan(math.pi / 6)),
-        (90, 90, 0),
-        (90, 270, 0),
-        (170, -175, math.tan(math.radians(15))),
-    ],
-)  # an axis has no front, and angles go round
-def test_an_axis_in_the_world_has_a_slope_in_c(entry_deg, axis_deg, slope):
-    found = Entry(angle=math.radians(entry_deg)).slope_of(math.radians(axis_deg))
-    assert found == pytest.approx(slope, abs=1e-12)
-
-
 def test_world_coordinates_of_a_file_are_transformed_to_c():
     entry = {"x_mm": 1, "y_mm": 2, "angle_deg": 90}  # C's x points up, its y to the left
     guides = [

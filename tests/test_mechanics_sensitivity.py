@@ -20,9 +20,7 @@ from needlefit.mechanics.batch import (
     simulate_batches,
 )
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
-from needlefit.mechanics.native import compute_positions as compute_position_blocks
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.packing import PreparedInsertion
 from needlefit.mechanics.plan import Lattice, make_lattice
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate
@@ -56,14 +54,6 @@ def test_jacobian_equals_complex_steps(seed: int, kind: str) -> None:
     check(needle, tissue, steps, rules, lattice)
 
 
-def test_jacobian_beyond_the_series_of_the_law() -> None:
-    """A base moved sideways compresses thin tissue by a third; the law is evaluated, not its series."""
-    tissue = Tissue(mu=[0.05, 0.1], alpha=[8.0, -3.0], boundaries=[5.3], thickness=[3.0], friction=[0.2])
-    shape = simulate(NEEDLE, tissue, Bevel(0.02), 12.0, Controls(base_y=1.0))
-    assert np.max(np.abs(shape.u[1:])) / 3.0 > 0.1
-    check(NEEDLE, tissue, [Step(12.0, Bevel(0.02), Controls(base_y=1.0))], ModelOptions(tolerance=SHARP))
-
-
 def test_the_tips_derivatives_on_the_way_are_those_of_an_insertion_that_stops_there() -> None:
     """A guide moves on the way; within each step and at the end the tip's derivatives are known otherwise."""
     moves = zip((10.0, 20.0, 30.0), (0.0, 1.5, -1.0), strict=True)
@@ -75,15 +65,6 @@ def test_the_tips_derivatives_on_the_way_are_those_of_an_insertion_that_stops_th
         some = [*steps[:n], replace(steps[n], depth=depth)]
         _, stopped = linearize_steps(NEEDLE, PHANTOM, some, lattice=lattice, wrt=kinds)
         np.testing.assert_allclose(whole.tip_track[int(depth)], stopped.u[-1], rtol=1e-10, atol=1e-13)
-
-
-@pytest.mark.parametrize("depth", [19.63, 55.0])
-def test_the_shape_is_that_of_the_forward_run(depth: float) -> None:
-    shape, _ = linearize(NEEDLE, PHANTOM, Bevel(0.085), depth)
-    plain = simulate(NEEDLE, PHANTOM, Bevel(0.085), depth, rules=ModelOptions(tolerance=1e-9))
-    for name in ("u", "slope", "constraints"):
-        np.testing.assert_allclose(getattr(shape, name), getattr(plain, name), rtol=0, atol=1e-9)
-    assert shape.iterations == plain.iterations
 
 
 @pytest.mark.parametrize("boundary", [6.5, 7.0])
@@ -100,32 +81,6 @@ def test_on_a_change_of_constraint_or_a_node_the_derivative_is_that_of_going_dee
         2 * step
     )
     np.testing.assert_allclose(found.u[:, 0], ahead, rtol=0, atol=1e-4 * np.abs(ahead).max())
-
-
-def test_an_inactive_guide_moves_no_node() -> None:
-    """It stood at a depth where the mesh has a node of its own; then at the tip, which no guide holds."""
-    guided = Controls(guides=(Guide(3.0, 0.1, in_tissue=True),))
-    free_again = [Step(6.0, Bevel(0.1), guided), Step(8.0, Bevel(0.1))]
-    back_to_it = [Step(6.0, Bevel(0.1), guided), Step(3.0, Bevel(0.1), guided)]
-    for steps in (free_again, back_to_it):
-        shape, found = linearize_steps(NEEDLE, PHANTOM, steps, wrt=("guides",))
-        assert 3.0 in shape.x
-        assert not np.any(found.x)
-
-
-@pytest.mark.parametrize("lower", [False, True])
-def test_a_boundary_of_a_layer_without_extent_moves_as_a_finite_difference(lower: bool) -> None:
-    """Toward where the layer has an extent."""
-    rules, step = ModelOptions(tolerance=1e-11), 1e-4 if lower else -1e-4
-
-    def make_tissue(move: float) -> Tissue:
-        boundaries = [9.37, 9.37 + move] if lower else [9.37 + move, 9.37]
-        return Tissue(mu=[0.2, 33, 1], alpha=[1, -1, 2], boundaries=boundaries)
-
-    at = [simulate(NEEDLE, make_tissue(n * step), Bevel(0.085), 20.0, rules=rules).u for n in range(3)]
-    slope = (-3 * at[0] + 4 * at[1] - at[2]) / (2 * step)
-    _, found = linearize(NEEDLE, make_tissue(0.0), Bevel(0.085), 20.0, rules=rules, wrt=("boundaries",))
-    np.testing.assert_allclose(found.u[:, int(lower)], slope, rtol=0, atol=2e-5 * np.abs(slope).max())
 
 
 def test_points_in_the_plane_move_as_finite_differences() -> None:
@@ -204,48 +159,3 @@ def test_what_is_prepared_serves_other_sets() -> None:
         for i in range(3):
             assert_same_bits(one[i], expected[i])
     refusal(ModelError, "mu", first.with_sets, mu=other.mu)
-
-
-def test_sets_that_the_prepared_problem_cannot_take_are_type_errors() -> None:
-    insertion = PreparedInsertion(NEEDLE, RUBBING, STEPS, ModelOptions())
-    problem = insertion.pack(2, {})
-    arrays = {
-        name: problem.arrays[name]
-        for name in ("rigidity", "mu", "thickness", "friction", "law", "turn", "base")
-    }
-    assert problem.with_sets(2, arrays).sets == 2
-    for wrong in (
-        {name: arrays[name] for name in arrays if name != "mu"},
-        arrays | {"guide_x": np.zeros(2)},
-        arrays | {"mu": arrays["mu"][:1]},
-        arrays | {"turn": arrays["turn"][:, :1]},
-        arrays | {"base": arrays["base"].astype(np.float32)},
-    ):
-        refusal(TypeError, "", problem.with_sets, 2, wrong)
-    refusal(TypeError, "", problem.with_sets, 3, arrays)
-
-
-def make_needles(count):
-    rng = np.random.default_rng(5)
-    x = np.tile(np.concatenate([[-90.0, -40.0], np.linspace(0.0, 20.0, 21)]), (count, 1))
-    u, slope = (np.cumsum(part * rng.normal(size=x.shape), axis=1) for part in (0.02, 0.002))
-    return x, u, slope, np.sort(rng.uniform(-60.0, 20.0, 30))
-
-
-def compare(x, u, slope, s):
-    single = [
-        compute_position_blocks(*(part[i : i + 1] for part in (x, u, slope)), s)[0] for i in range(len(x))
-    ]
-    assert np.array_equal(compute_position_blocks(x, u, slope, s), single, equal_nan=True)
-
-
-def test_points_of_a_block_of_needles_that_bend_far_failed_or_have_other_nodes():
-    for count in (1, 32, 45):
-        compare(*make_needles(count))
-    x, u, slope, s = make_needles(40)
-    slope[3] = 1.5
-    u[35], slope[35] = np.nan, np.nan
-    compare(x, u, slope, s)
-    x, u, slope, s = make_needles(40)
-    x[2, 1] = -30.0
-    compare(x, u, slope, s)

@@ -6,8 +6,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from mechanics_cases import (
     NEEDLE,
     assert_close,
@@ -21,7 +19,7 @@ from mechanics_cases import (
 from refusals import refusal
 
 from needlefit.errors import ModelError
-from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
+from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.shape import NeedleShape
@@ -48,39 +46,6 @@ def test_a_session_gives_the_bits_of_the_whole_insertion(seed: int, kind: str) -
         assert_same_steps(under_way.go(step), expected)
         if not expected.converged:
             break  # the session stays where it was
-
-
-def test_named_inputs_are_the_inputs_of_a_step() -> None:
-    under_way, guides, tip = session(), (Guide(-5.0), Guide(2.0, 0.1, None, True)), TrackedTip(0.3)
-    calls = [
-        {"insert": 3.3},
-        {"base": (0.2, 0.01), "bevel": RIGHT},
-        {"insert": 2.0, "guides": guides},
-        {"tip": tip},
-        {"insert": -1.0, "tip": None, "guides": ()},
-    ]
-    based = Controls(base_y=0.2, base_slope=0.01)
-    steps = (
-        Step(0.0, LEFT), Step(3.3, LEFT), Step(3.3, RIGHT, based),
-        Step(5.3, RIGHT, replace(based, guides=guides)),
-        Step(5.3, RIGHT, replace(based, guides=guides, tip=tip)), Step(4.3, RIGHT, based),
-    )  # fmt: skip
-    for n, call in enumerate(calls, start=2):
-        assert_same_steps(
-            under_way.step(**call),
-            simulate_steps(NEEDLE, TISSUE, steps[:n], ModelOptions(), Lattice(1.0, 1.0)),
-        )
-    assert under_way.last == steps[-1] and under_way.depth == 4.3
-
-
-@settings(deadline=None, max_examples=30)
-@given(st.lists(st.floats(0.01, 17.3), max_size=12), st.floats(0.1, 1.0))
-def test_sub_steps_change_nothing(halts: list[float], first: float) -> None:
-    whole = session(first).step(17.31)
-    under_way = session(first)
-    for depth in sorted(halts):
-        under_way.step(depth - under_way.depth)
-    assert_close(under_way.step(17.31 - under_way.depth), whole)
 
 
 def test_equal_inputs_change_nothing_and_out_of_the_tissue_base_and_guide_alone_move_the_tip():
@@ -148,13 +113,6 @@ def test_a_failed_step_changes_nothing(step: dict) -> None:
     assert under_way.failures == Counter({"over-compressed": 2})
     for after in ({"insert": 0.3}, {"insert": 4.0, "bevel": RIGHT}, {"insert": -2.0}, {"base": (0.1, 0)}):
         assert_same_steps(under_way.step(**after), untouched.step(**after))
-
-
-def test_a_needle_that_fails_at_once_stays_at_the_entry() -> None:
-    tissue = Tissue(mu=[1.0], alpha=[1e15])
-    under_way = Session(NEEDLE, tissue, LEFT)
-    assert under_way.step(3.0).status == "non-finite"
-    assert under_way.depth == 0.0 and under_way.step().converged
 
 
 @pytest.mark.parametrize(
@@ -230,15 +188,6 @@ def test_the_path_reproduces_the_needle_and_can_be_continued(seed: int) -> None:
         assert_near(retold.go(step), under_way.go(step))
 
 
-def test_the_path_omits_what_was_undone() -> None:
-    under_way = Session(NEEDLE, SOFT, MILD)
-    under_way.step(insert=20)
-    for _ in range(50):
-        under_way.step(insert=10, bevel=MILD_TURNED, base=(0.5, 0.0))
-        under_way.step(insert=-10, bevel=MILD, base=(0.0, 0.0))
-    assert under_way.input_path() == (Step(20.0, MILD),)
-
-
 def test_inputs_changed_and_changed_back_within_a_cell_cut_anew() -> None:
     """The ray is anchored again at the tip, though the course has the same inputs on both sides."""
     under_way = Session(NEEDLE, SOFT, MILD, 0.7)
@@ -249,17 +198,6 @@ def test_inputs_changed_and_changed_back_within_a_cell_cut_anew() -> None:
     straight = simulate_steps(NEEDLE, SOFT, (Step(15.5, MILD),), lattice=Lattice(0.7, 1.0))
     assert_near(again, under_way.now.shape)
     assert abs(straight.tip_lateral - again.tip_lateral) > 1e-4
-
-
-def test_inputs_changed_and_changed_back_at_the_tip_cut_anew_from_there() -> None:
-    under_way = Session(NEEDLE, SOFT, MILD, 0.7)
-    under_way.step(insert=10.2)
-    under_way.step(bevel=MILD_TURNED)
-    under_way.step(bevel=MILD)
-    retold, untouched = under_way.simulate_again(), Session(NEEDLE, SOFT, MILD, 0.7)
-    untouched.step(insert=10.2)
-    assert_near(retold.step(insert=5.3), under_way.step(insert=5.3))
-    assert abs(untouched.step(insert=5.3).tip_lateral - under_way.now.shape.tip_lateral) > 1e-4
 
 
 def test_a_path_is_simulated_in_another_tissue() -> None:
@@ -276,13 +214,3 @@ def test_a_path_is_simulated_in_another_tissue() -> None:
     retold = under_way.simulate_again(offset=0.01)
     assert_near(retold.now.shape, simulate_steps(NEEDLE, SOFT, blunt, lattice=Lattice(1.0, 1.0)))
     assert retold.last == blunt[-1]
-
-
-def test_a_failed_path_is_located_and_the_original_is_unchanged() -> None:
-    thin = Tissue(mu=[0.5], alpha=[8.0], thickness=[1.0])
-    under_way = Session(NEEDLE, replace(thin, thickness=[60.0]), MILD)
-    under_way.step(insert=5.4)
-    before = under_way.step(tip=TrackedTip(-3.0))
-    retold = under_way.simulate_again(thin)
-    assert before.converged and retold.failures
-    assert under_way.now.shape is before and retold.depth == 5.4

@@ -14,7 +14,6 @@ from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import pack_problem, plan_insertion
-from needlefit.mechanics.simulate import pack_equilibrium
 from needlefit.mechanics.tissue import Tissue
 
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
@@ -73,12 +72,6 @@ def test_functions_at_the_ends_of_their_range() -> None:
     np.testing.assert_array_equal(evaluate(1, x), [np.nan, -np.inf, 0.0, np.inf, np.nan])
 
 
-def test_lanes_have_the_sine_and_cosine_of_one_number() -> None:
-    x = np.concatenate((spread(-1, 1), spread(-1e5, 1e5)))
-    for one, lane in ((3, 5), (4, 6)):
-        assert evaluate(one, x).tobytes() == evaluate(lane, x).tobytes()
-
-
 # ---- the same bytes
 
 
@@ -103,14 +96,6 @@ def test_failed_sets_have_canonical_nans() -> None:
     assert set(np.flatnonzero(arrays["status"])) >= {1, 3, 5}
     assert np.isnan(arrays["u"][1]).all() or np.isnan(arrays["u"][1, : int(arrays["nodes"][0])]).all()
     assert set(list_nans(arrays)) == {CANONICAL_NAN}
-
-
-def test_what_is_computed_of_nans_is_canonical() -> None:
-    x = np.linspace(-10.0, 10.0, 5)
-    u, slope, s = (np.array([v] * 5) for v in (-np.nan, np.inf, 3.0))
-    positions = native.compute_positions(x[None], u[None], slope[None], s)
-    deflections = native.compute_deflections(x, u, slope, s)
-    assert set(list_nans({"p": positions, "d": deflections})) == {CANONICAL_NAN}
 
 
 STATE = """
@@ -239,89 +224,3 @@ def run_fuzz(seed: int) -> bool:
 def test_damaged_problems_are_errors(part: int) -> None:
     accepted = [run_fuzz(seed) for seed in range(100 * part, 100 * part + 100)]
     assert 10 < sum(accepted) < 90
-
-
-@pytest.mark.parametrize("first_cell", [1e-320, 1e-10])
-def test_a_first_cell_that_no_depth_tells_apart_is_an_error(first_cell: float) -> None:
-    problem = make_problem(np.random.default_rng(0))
-    with pytest.raises(TypeError):
-        native.KernelProblem.make({**read_numbers(problem), "first_cell": first_cell}, dict(problem.arrays))
-
-
-@pytest.mark.parametrize("seed", range(40))
-def test_damaged_arguments_of_the_other_functions_are_errors(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    depths = np.arange(12.0)
-    problem = pack_equilibrium(NEEDLE, TISSUE, depths, Controls(), ModelOptions())
-    x, nodes = np.concatenate(([-138.0], depths)), depths.copy()
-    points, *_ = native.list_quadrature(problem, nodes, depths)
-    calls: list[tuple[Callable[..., object], list[np.ndarray]]] = [
-        (lambda d, y: native.find_equilibrium(problem, d, y), [depths, 0.1 * depths]),
-        (lambda d, y, s: native.find_equilibrium(problem, d, y, s), [depths, depths, np.zeros((13, 2))]),
-        (lambda d, y, c: native.find_equilibrium(problem, d, y, None, c), [depths, depths, 0 * points]),
-        (lambda n, d: native.list_quadrature(problem, n, d), [nodes, depths]),
-        (lambda a, u, t, p, s: native.compute_load(problem, (a, u, t, p), s),
-         [x, 0 * x, 0 * x, np.zeros((12, 2)), depths]),
-        (lambda a, u, t, p, q: native.balance_nodes(problem, (a, u, t, p), int(rng.integers(-2, 16)), q),
-         [x, 0 * x, 0 * x, np.column_stack((depths, depths)), 0 * points]),
-        (native.compute_positions, [x[None], x[None], x[None], depths]),
-        (native.compute_deflections, [x, x, x, depths]),
-        (native.compute_position_derivatives,
-         [x[None], x[None], x[None], depths, np.zeros((13, 2)), *np.zeros((2, 1, 13, 2))]),
-        (lambda n, e: native.evaluate_law(n, int(rng.integers(-1, 4)), 1.0, 9.0, e), [np.ones(4), depths]),
-        (native.measure_table_range, [np.ones(2 + native.TABLE_PIECES * native.TABLE_TERMS)]),
-    ]  # fmt: skip
-    refused = 0
-    for function, arguments in calls:
-        for _ in range(12):
-            changed = [one.copy() for one in arguments]
-            at = rng.integers(len(changed))
-            one = changed[at]
-            kind = rng.integers(4)
-            if kind == 0:
-                one.flat[rng.integers(one.size)] = rng.choice(NUMBERS)
-            else:
-                changed[at] = [one[:-1], np.concatenate((one, one)), one[:0]][kind - 1].copy()
-            try:
-                function(*changed)
-            except TypeError:
-                refused += 1
-    assert refused > 50
-
-
-def test_a_session_refuses_what_it_has_no_room_for() -> None:
-    def pack(depth: float) -> native.KernelProblem:
-        steps = (Step(depth, Bevel(0.1)),)
-        lattice, packed = plan_insertion(steps, NEEDLE.length, ModelOptions())
-        return pack_problem(NEEDLE, TISSUE, steps, lattice, ModelOptions(), packed)
-
-    small, large = pack(10.0), pack(20.0)
-    session = native.SessionMemory(small)
-    for problem, depth in ((large, 5.0), (small, 10.1), (small, -1.0), (small, np.nan)):
-        with pytest.raises(TypeError):
-            session.advance(problem, depth, 0, 0)
-    assert session.advance(small, 10.0, 0, 0) == (11, 11)
-    session.accept()
-    with pytest.raises(native.RayRoomError, match="11"):  # the problem has room for ten
-        session.advance(small, 9.5, 1, 0)
-        session.accept()
-        session.advance(small, 10.0, 1, 0)
-
-
-def test_simulate_refuses_sets_shapes_and_memory_that_are_none() -> None:
-    problem = make_problem(np.random.default_rng(0))
-    shapes, lanes = native.make_shapes(problem, 1), native.count_lanes()
-    memory = native.make_memory(native.measure_memory(problem, lanes))
-    wrong = [
-        (shapes, problem.sets, lanes, memory),
-        (shapes, -1, lanes, memory),
-        (shapes, 0, 3, memory),
-        (shapes, 0, lanes, memory[16:]),
-        (shapes, 0, lanes, memory[1:]),
-        (native.Shapes.make(problem.sets, problem.nodes - 1, 1, problem.columns), 0, lanes, memory),
-        (native.Shapes.make(problem.sets, problem.room, 1, problem.columns + 1), 0, lanes, memory),
-        (native.Shapes.make(0, problem.room, 1, problem.columns), 0, lanes, memory),
-    ]
-    for arguments in wrong:
-        with pytest.raises(TypeError):
-            native.simulate(problem, *arguments)

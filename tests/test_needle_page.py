@@ -64,25 +64,6 @@ def test_the_page_holds_every_scored_insertion(page, result) -> None:
     assert not re.search(r"(src|href)=\"https?:", re.sub(r"<script.*?</script>", "", text, flags=re.DOTALL))
 
 
-def test_a_run_of_an_earlier_version_has_no_page_that_computes(result) -> None:
-    run = {key: value for key, value in result.run.items() if key != INSERTIONS_KEY}
-    assert compose_run_report(replace(result, run=run), {}).explorer is None
-
-
-@pytest.mark.parametrize("text", ["export let a = 1;\n", 'import a from "./b.js";\n', "export default 1;\n"])
-def test_what_the_bundle_would_change_is_refused(text, monkeypatch) -> None:
-    monkeypatch.setattr(needle_page, "read_package_file", lambda name: text)
-    with pytest.raises(ValueError, match="cannot bundle"):
-        needle_page.bundle_modules(["a.js"])
-
-
-def test_modules_that_import_each_other_are_refused(monkeypatch) -> None:
-    modules = {"a/a.js": 'import { b as c } from "../b.js";\n', "b.js": 'import * as a from "./a/a.js";\n'}
-    monkeypatch.setattr(needle_page, "read_package_file", modules.__getitem__)
-    with pytest.raises(ValueError, match=r"a/a\.js -> b\.js -> a/a\.js"):
-        needle_page.bundle_modules(["a/a.js"])
-
-
 @pytest.mark.sweep
 @NO_BROWSER
 def test_the_needles_of_a_report_are_computed_again(page, result, chromium) -> None:  # noqa: F811

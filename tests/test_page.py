@@ -4,7 +4,6 @@ Conditions are JavaScript of `s`, the state of the needle, `n`, what the page kn
 """
 
 import base64
-import io
 import re
 import shutil
 import subprocess
@@ -13,7 +12,6 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
-import matplotlib.image
 import numpy as np
 import pytest
 from test_datasets_markups import markup, point, save
@@ -252,13 +250,6 @@ SEQUENCES = {
         ("click", "#replay", "n.scene.recording !== window.recording"),  # it may be over at once
         ("focus", "#canvas", "!s.playing && s.step === kept.step && `${s.y}` === `${kept.y}`"),
     ],
-    "of two arrow keys the newest counts, then the one still pressed": [
-        ("focus", "#canvas", "true"),
-        ("down", "ArrowRight", "s.depth_mm > 2 && s.moving > 0"),
-        ("down", "ArrowLeft", "s.moving < 0"),
-        ("up", "ArrowLeft", "s.moving > 0"),
-        ("up", "ArrowRight", "!s.moving"),
-    ],
     "a slider keeps its arrows, a number all that is typed; the other keys are the page's": [
         ("go to", 20, "true"),
         ("keep", "true"),
@@ -270,15 +261,6 @@ SEQUENCES = {
         ("fill", "#speed", "", "true"),
         ("key", "Tab", "part('#speed').value === '1000'"),
         ("shows", "1000 is kept", "true"),
-    ],
-    "keys add to the very value, also beyond the slider": [
-        ("go to", 20, "true"),
-        ("keep", "true"),
-        ("enter", "#bevel-fields .number", "5", "s.bevel.offset_mm === 5"),
-        ("key", "ArrowUp", "s.bevel.offset_mm > 5"),
-        ("focus", "#canvas", "true"),
-        ("key", "]", "Math.abs(s.bevel.offset_mm - 5.01) < 1e-9"),
-        ("key", "t", "s.tip.held && Math.abs(s.tip.lateral_mm - kept.tip.lateral_mm) < 1e-12"),
     ],
     "a refused input is announced, and nothing moves; what is right ends the message": [
         ("fill", "#goto-depth", "200", "true"),
@@ -303,27 +285,12 @@ SEQUENCES = {
         ("key", "9", "true"),
         ("key", "Control+z", "s.depth_mm === 20"),  # now the field undoes what is typed
     ],
-    "after a shift one button on the picture comes back": [
-        ("click", "[data-fit=tissue]", "part('#refit').hidden"),
-        ("pull", 400, 300, 80, 40, "!part('#refit').hidden"),
-        ("click", "#refit", "part('#refit').hidden && part('[data-fit=tissue]').ariaPressed === 'true'"),
-    ],
     "a goal that is refused is taken back": [
         ("go to", 5, "true"),
         ("aim", "{ target: [35, 0.5] }", "aim.reach"),
         ("enter", RADIUS, "1.5", "aim.radius === 1.5"),
         ("enter", GOAL_X, "1e300", REFUSED),
         ("focus", "#canvas", f"aim.target[0] === 35 && Number(part('{GOAL_X}').value) === 35"),
-    ],
-    "a goal that changes ends the search for a plan": [
-        ("go to", 5, "true"),
-        ("aim", "{ target: [40, 0.5] }", "true"),
-        ("click", "#make-plan", "true"),
-        (
-            "aim",
-            "{ target: [41, 0.5] }",
-            "!part('#make-plan').disabled && !aim.planning && aim.plan === null",
-        ),
     ],
     "a plan that fails names what it touches": [
         ("go to", 20, "true"),
@@ -394,23 +361,6 @@ def test_the_errors_are_those_of_the_study_at_the_measured_depth(page) -> None:
         page, ("enter", "#bevel-fields [aria-label*=whole].number", "0.01", "s.bevel.offset_mm === 0.01")
     )
     assert after["errors"]["te_mm"] != state["errors"]["te_mm"] and after["depth_mm"] == state["depth_mm"]
-
-
-@sweep
-def test_band_validity_and_pause_messages_are_shown(page) -> None:
-    go_to(page, 20)
-    for edge in ([0.0, 1.0], []):  # and of no band none is left
-        call(page, "store", f"m.take({{ kind: 'band', step: 1, x: {edge}, low: {edge}, high: {edge} }})")
-        assert get(page, "n.band !== null") is bool(edge)
-    call(
-        page,
-        "store",
-        "m.take({ ...m.now.state, max_slope: 0.4, faults: ['slope 0.4 (limit 0.3)'], paused: true }), "
-        "m.publish('redraw')",
-    )
-    shown(page, "slope 0.4 (limit 0.3)")
-    shown(page, "Go on")
-    assert "slope 0.4" in page.locator("#announced").text_content()
 
 
 @sweep
@@ -595,48 +545,6 @@ def test_a_drive_is_recorded_and_replayed_to_the_same_bits(page, server) -> None
     do(page, ("click", "#undo", "Math.abs(s.depth_mm - 23) < 1e-6"), ("click", "#redo", "s.depth_mm > 26"))
 
 
-def test_inputs_join_a_stroke_which_is_undone_whole(page) -> None:
-    """b, the bevel's side and the base; an insertion by hand takes over."""
-    begun = get(page, "s.bevel")
-    call(page, "steering", "m.move(5, 20)")
-    for change in (
-        "['bevel_offset_mm', null, 0.02]",
-        f"['bevel_side', null, {-begun['side']}]",
-        "['base_y_mm', null, 0.3]",
-    ):
-        until(page, "s.depth_mm > 0.2 && s.moving === 5")
-        call(page, "steering", f"m.change([{change}])")
-    state = until(page, "!s.moving && s.base.input_y === 0.3")
-    assert state["depth_mm"] == 20 and state["bevel"] == {"side": -begun["side"], "offset_mm": 0.02}
-    call(page, "steering", "m.undo()")
-    assert until(page, "s.depth_mm === 0 && s.redo")["bevel"] == begun
-    call(page, "steering", "m.move(5)")
-    until(page, "s.moving && s.depth_mm > 0.1")
-    call(page, "steering", "m.change([], { insert: 1 })")
-    do(page, ("focus", "#canvas", "!s.moving && s.depth_mm > 1"))
-    call(page, "steering", "m.change([['guide_x_mm', 1, -110], ['guide_y_mm', 1, 0]])")
-    until(page, "s.guides.length")
-    call(page, "steering", "m.change([], { insert: 500 })")
-    assert until(page, "s.depth_mm > 30")["depth_mm"] == pytest.approx(35, abs=1e-5)  # the base at the guide
-    call(page, "steering", "m.reset()")
-    until(page, "s.depth_mm === 0 && s.undo")
-
-
-def test_a_hold_ends_where_the_model_ends_however_slow_the_frames_are(page) -> None:
-    """At 1000 mm/s a frame of 0.1 s is 100 mm."""
-    hold = """(frame) => {
-      m.trial.reset(gesture += 1);
-      m.trial.act([["bevel_offset_mm", null, 0.4]], (gesture += 1));
-      const frames = m.stroke(m.trial, 1000, (gesture += 1));
-      frames.next();
-      const { steered } = m.trial;
-      try { while (!frames.next(frame).done); } catch ({ what }) { return [what, steered.step.depth]; }
-    }"""
-    ends = call(page, "trial", f"((gesture) => [0.1, 0.02, 0.001].map({hold}))(1e6)")
-    depths = [depth for what, depth in ends if "slope 0.3" in what]
-    assert depths == pytest.approx([27.5, 27.5, 27.5], abs=0.1)
-
-
 @sweep
 def test_a_replay_keeps_time_can_be_halted_and_goes_on(page) -> None:
     for insert in (5, 2):
@@ -656,29 +564,6 @@ def test_a_replay_keeps_time_can_be_halted_and_goes_on(page) -> None:
     do(
         page, ("click", "#undo", "s.depth_mm === 7"), ("click", "#undo", "s.depth_mm === 5")
     )  # the pauses part gestures
-
-
-@sweep
-def test_an_export_is_a_file_and_the_saved_picture_the_one_shown(page) -> None:
-    go_to(page, 10)
-    settle(page)
-    saved = []
-    for name in ("inputs, CSV", "picture, PNG"):
-        with page.expect_download() as download:
-            page.get_by_role("button", name=name).click()
-        saved.append(download.value.path())
-    *_, last = replay(read_recording(saved[0]))
-    assert last.state.step.depth == 10
-    picture = matplotlib.image.imread(saved[1])
-    data = page.evaluate("['background', 'canvas'].map((id) => document.getElementById(id).toDataURL())")
-    behind, before = (
-        matplotlib.image.imread(io.BytesIO(base64.b64decode(one.partition(",")[2]))) for one in data
-    )
-    height, width = behind.shape[:2]
-    share = before[..., 3:]
-    drawn = before[..., :3] * share + behind[..., :3] * (1 - share)
-    np.testing.assert_allclose(picture[:height, :, :3], drawn, atol=0.02)
-    assert picture.shape[1] == width and np.ptp(picture[height:]) > 0.5  # its legend, and the strip
 
 
 @sweep
@@ -732,18 +617,6 @@ def test_nothing_is_cut_off_or_covered_at_any_size(server, chromium, size) -> No
         for button in ("#insert", "#retract", "#flip", "#halt", "#pin", "#help"):
             box = page.locator(button).bounding_box()
             assert box["x"] >= 0 and box["x"] + box["width"] <= size[0], button
-
-
-@sweep
-def test_forces_are_drawn_along_y_and_arrows_are_forces_alone(page) -> None:
-    state = go_to(page, 53)
-    page.click("[data-show=points]")
-    page.wait_for_timeout(300)
-    arrow = page.evaluate(DRAWN)["arrow"]
-    tip = call(page, "view", "[m.toPx(needlefit.state.tip.x), m.toPy(needlefit.state.tip.y)]")
-    (x, y), (x2, y2) = arrow
-    assert [x, y] == pytest.approx(tip, abs=0.02) and x2 == x
-    assert (y - y2) * state["forces"]["tip_n"] > 0  # up where the force is positive
 
 
 DRAWN = """async () => {
@@ -853,15 +726,6 @@ def test_a_pinned_needle_stays_and_the_strip_reads_both(page) -> None:
 
 
 @sweep
-def test_until_it_is_drawn_the_picture_is_not_black(server, chromium) -> None:
-    page = chromium.new_page()
-    page.route("**/page/main.js", lambda route: route.abort())  # nothing is ever drawn
-    page.goto(server.address)
-    assert page.locator("#waiting").is_visible() and not page.locator("#background").is_visible()
-    page.close()
-
-
-@sweep
 def test_readouts_and_fields_are_defined_on_hover_and_focus_inside_the_window(page) -> None:
     definition, terms = page.locator("#definition"), page.locator(".field .term")
     page.hover("#readouts .term >> nth=1")
@@ -904,23 +768,6 @@ def test_a_target_is_put_by_a_click_planned_for_and_reached(page) -> None:
 
 
 @sweep
-def test_a_plan_that_shifts_the_entry_begins_there(page) -> None:
-    go_to(page, 20)
-    aim_at(page, "{ target: [35, 5], radius: 1 }")
-    page.fill("#plan-entry", "6")
-    found = plan(page)
-    assert found["anew"] and 1 < found["entry_mm"] <= 6.001 and found["nominal_miss_mm"] < 0.1
-    page.click("#run-plan")
-    until(page, "s.depth_mm > 30 && !s.playing && aim.target", 30)
-    assert get(page, "aim.target[1]") == pytest.approx(5 - found["entry_mm"])
-    assert call(page, "aim", "m.tipError(needlefit.state)") == pytest.approx(
-        found["nominal_miss_mm"], abs=1e-3
-    )
-    assert get(page, "n.scene.measured") is None
-    assert page.input_value("#plan-entry") == "0"
-
-
-@sweep
 def test_markups_are_target_and_obstacles(page, tmp_path) -> None:
     """They lie in the scan's coordinates: of this needle its placement says where."""
     from needlefit.geometry.frames import Placement
@@ -948,32 +795,6 @@ def test_axe_finds_no_violation(full_page, scheme: str) -> None:
     assert find_violations(full_page) == []
     full_page.click("#help")
     assert find_violations(full_page, "'dialog'") == []
-
-
-@sweep
-def test_the_knob_turns_the_bevel_over_and_the_base_moves_across_or_along(page) -> None:
-    side = go_to(page, 10)["bevel"]["side"]
-    do(page, ("drag", "arrow", 0, 70 * side, f"s.bevel.side === {-side}"))
-    do(page, ("drag", "base", 0, -20, "s.base.input_y > 0.1"))
-    state = settle(page)
-    after = do(page, ("drag", "base", 60, 3, "s.depth_mm > 15"))
-    assert after["base"]["input_y"] == state["base"]["input_y"]
-    do(page, ("key", "Control+z", "s.depth_mm === 10"))  # one drag, one undo
-
-
-@sweep
-def test_the_smoothed_load_has_the_force_of_the_raw_one(page) -> None:
-    state = go_to(page, 30)
-    x, load = (np.array(state["load"][name]) for name in ("x", "n_per_mm"))
-    smooth = np.array(
-        call(
-            page,
-            "painters/needle",
-            "m.smooth(needlefit.state.load.x, needlefit.state.load.n_per_mm, needlefit.scene.spacing_mm)",
-        )
-    )
-    assert abs(np.trapezoid(load, x) - np.trapezoid(smooth, x)) < 0.05 * np.trapezoid(np.abs(load), x)
-    assert np.abs(np.diff(smooth)).sum() < 0.5 * np.abs(np.diff(load)).sum()
 
 
 def test_all_layers_of_a_law_have_fields_and_names(chromium, tmp_path) -> None:

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from page_state import encode_state
-from test_native_wasm import to_hex
 
 from needlefit.errors import ModelError
 from needlefit.inference.forward_model import ParameterDraws
@@ -67,6 +66,10 @@ for (const {changes, keep, forget} of orders) {
 }
 console.log(JSON.stringify({found, band, forces}))
 """
+
+
+def to_hex(array: np.ndarray) -> str:
+    return np.ascontiguousarray(array, dtype=np.float64).tobytes().hex()
 
 
 def run_node(scene: dict[str, Any], orders: list[dict[str, Any]], draws: Any = None) -> dict[str, Any]:

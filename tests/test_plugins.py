@@ -1,7 +1,6 @@
 """What an installed plugin adds appears in everything that a study prints and writes."""
 
 import json
-import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,7 +15,6 @@ from reporting_results import skip_figures
 from test_cli import run
 
 from needlefit import registry
-from needlefit.datasets.read import check
 from needlefit.datasets.template import write_template
 from needlefit.errors import ConfigError
 from needlefit.mechanics.laws import LAWS
@@ -95,14 +93,6 @@ def test_a_kind_of_study_is_run_reported_and_compared(
     for name in ("depths.csv", "depths.tex", "numbers.tex", "report.html", "report.pdf", "results.json.gz"):
         assert Path("reports/again", name).read_bytes() == Path("reports/deep", name).read_bytes()
     assert run("diff", "deep", "again") == 0
-
-
-@pytest.mark.sweep
-def test_without_the_plugin_the_stored_result_is_still_shown(project: Path) -> None:
-    words = (sys.executable, "-m", "needlefit", "report", "small", "--out", "reports/plain", "-q")
-    subprocess.run(words, cwd=project, check=True)  # its columns are declared nowhere: no check of tests
-    page = (project / "reports/plain/report.html").read_text(encoding="utf-8")
-    assert "End error" not in page
 
 
 MEDIUM = """schema = 1
@@ -192,17 +182,6 @@ def test_a_study_with_everything_of_a_plugin(
     assert {"logarithmic", "ogden"} < {*LAWS.names()}
 
 
-def test_curves_of_the_format_become_a_dataset(law_site: Site, law_project: Path) -> None:
-    _, options = law_site
-    assert run("import", "data/mine/centerlines/example1.xyz", "--out", "other", "--yes", *options) == 0
-    assert check(Path("other")) == []
-
-
-def test_without_the_plugin_law_and_format_are_unknown(law_project: Path) -> None:
-    assert run("check", "mine") == 3
-    assert run("tune", "mine") == 3
-
-
 def test_a_module_of_the_working_folder_is_refused(
     law_project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -281,15 +260,6 @@ def test_a_name_that_exists_is_refused(fruits: Registry[Fruit], tmp_path: Path, 
     assert ("basket" if name == "apple" else "crate") in refused.value.what
 
 
-@pytest.mark.parametrize("content", ["1 / 0", "import a_module_that_is_missing"])
-def test_a_plugin_that_cannot_be_imported_is_named(
-    fruits: Registry[Fruit], tmp_path: Path, content: str
-) -> None:
-    install(tmp_path / "site", module="broken", source=content)
-    with pytest.raises(ConfigError, match="broken"):
-        fruits.names()
-
-
 @pytest.mark.parametrize("place", ["work", "work/data/twin", "elsewhere/needles"])
 @pytest.mark.parametrize("entry_point", [True, False])
 def test_no_plugin_is_found_in_the_working_folder_or_among_data(
@@ -314,22 +284,3 @@ def test_no_plugin_is_found_in_the_working_folder_or_among_data(
             fruits.names()
     assert not marker.exists()
     assert "" in sys.path
-
-
-def test_a_process_of_its_own_uses_the_same_plugins(
-    fruits: Registry[Fruit], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    install(tmp_path / "site", module="basket", entry_point=False, source="")
-    use_plugins(["basket"])
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "site"), prepend=":")
-    program = "from needlefit.registry import load_plugins; print(*[one.name for one in load_plugins()])"
-    child = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert child.stdout.split() == ["basket"]
-
-
-def test_an_entry_of_a_plugin_that_fails_is_named(fruits: Registry[Fruit], tmp_path: Path) -> None:
-    install(tmp_path / "site", module="basket", source=f"{FRUIT}FIG = Fruit('fig')\n")
-    with pytest.raises(ConfigError, match="basket"), fruits.plugin_error_context("fig"):
-        1 / 0  # noqa: B018
-    with pytest.raises(ZeroDivisionError), fruits.plugin_error_context("apple"):
-        1 / 0  # noqa: B018

@@ -71,19 +71,6 @@ def test_every_table_is_read_with_its_rows():
     assert paper.read_published_table("insertions")["insertions"].sum() == 47
 
 
-def test_hand_tuned_set_leaves_out_the_layers_it_has_not():
-    assert paper.read_hand_tuned("study5") == {"mu1_pa": 4e3, "alpha1": 0.2, "bevel_mm": 0.085}
-    assert paper.read_hand_tuned("phantom1")["mu3_pa"] == 2e6
-
-
 def test_unknown_hand_tuned_set_lists_the_known_ones():
     with pytest.raises(ConfigError, match="study5"):
         paper.read_hand_tuned("study6")
-
-
-def test_the_local_project_comes_before_the_shipped_one(tmp_path, monkeypatch):
-    (tmp_path / "data" / "paper").mkdir(parents=True)
-    (tmp_path / "data" / "paper" / "validation.csv").write_text("study\n7\n")
-    monkeypatch.chdir(tmp_path)
-    assert paper.read_published_table("validation")["study"].tolist() == [7]
-    assert len(paper.read_published_table("insertions")) == 7

@@ -13,10 +13,8 @@ from matplotlib.figure import Figure
 from reporting_results import stereo, study, with_draws, with_predictions
 
 from needlefit.reporting.figures import style
-from needlefit.reporting.figures.fit_forms import choose_log_ticks
 from needlefit.studies.kinds.cross_validation import report, tables
 from needlefit.studies.kinds.cross_validation.report import (
-    collect_curves,
     subtract_fit,
     tabulate_predictive_check,
 )
@@ -34,30 +32,6 @@ def test_residuals_are_heights_above_the_fit_at_the_same_depth():
     assert off["y_mm"].dropna().tolist() == pytest.approx([0.5] * 4)
     assert off["low_mm"].dropna().tolist() == pytest.approx([-1.0] * 4)
     assert off["high_mm"].dropna().tolist() == pytest.approx([2.0] * 4)
-
-
-def test_bands_stay_at_the_needle_they_were_predicted_for():
-    """Tilted by what the frames of score and prediction differ, a band keeps its distances to the needle."""
-    results = with_predictions(with_draws(study(5)))
-    tilted = results.frames["bands"].copy()
-    for name in ("measured_mm", "low_95_mm", "high_95_mm", "low_50_mm", "high_50_mm"):
-        tilted[name] += 0.01 * tilted["x_mm"]
-    drawn, again = (
-        collect_curves(one, "validate", ("fitted",)) for one in (results, results.with_frames(bands=tilted))
-    )
-    assert (drawn["curve"] == "95 %").any()
-    for name in ("low_mm", "high_mm"):
-        assert again[name].dropna().tolist() == pytest.approx(drawn[name].dropna().tolist())
-
-
-def test_all_panels_have_the_stated_vertical_scale(monkeypatch, tmp_path):
-    painted = []
-    monkeypatch.setattr("needlefit.reporting.figures.style.draw", lambda path, paint: painted.append(paint()))
-    for results in (study(5), stereo()):
-        report.draw_insertions(results, "validate")["overlays"].save(tmp_path / "overlays.pdf")
-    shown = [axes for figure in painted for axes in figure.axes if axes.get_visible()]
-    assert shown and {axes.get_aspect() for axes in shown} == {5.0, 20.0}
-    assert [re.findall(r"× (\d+)", one.get_supylabel()) for one in painted] == [["20"], ["5"]]
 
 
 WHAT = {
@@ -166,10 +140,3 @@ def test_levels_are_counted_toward_the_bevel_and_by_needles():
     turned = tabulate_predictive_check([made.with_frames(errors=made.frames["errors"].assign(**mirrored))])
     other = turned[(turned["mark"] == "ECDF") & (turned["quantity"] == "tip")]["probability"]
     assert other.tolist() == pytest.approx([0, 0.03, 0.3, 0.3, 0.6, 0.6, 0.9, 0.9, 1])
-
-
-@pytest.mark.parametrize("factor", [1.01, 1.1, 2.0, 4.9, 5.1, 30.0, 1e3, 1e6])
-def test_every_range_has_two_to_five_round_ticks(factor):
-    for low in (0.0123, 0.97, 3.3e5):
-        ticks = choose_log_ticks(low, factor * low)
-        assert 2 <= len(ticks) <= 5 and low <= min(ticks) and max(ticks) <= factor * low

@@ -12,16 +12,10 @@ import pytest
 from reporting_results import stereo, study
 
 from needlefit.errors import ConfigError
-from needlefit.reporting.document import Document
-from needlefit.reporting.figures.style import choose_vertical_scale
-from needlefit.reporting.latex import format_table_macros
-from needlefit.reporting.paper_example import format_example
-from needlefit.reporting.table import TableColumn, TableLayout
-from needlefit.studies.combined_report import write_combined
 from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.kinds.cross_validation.report import format_macros, format_methods, format_references
 from needlefit.studies.paper_folder import write_paper_folder
-from needlefit.studies.report import compose_run_report, say, write_run
+from needlefit.studies.report import write_run
 
 FIGURES = ("boxplot", "schematic", "overlays", "waterfall")
 EXPECTED = {
@@ -66,52 +60,12 @@ def test_every_table_is_marked_synthetic(folder):
         assert path.read_text().count(r"\caption{SYNTHETIC DATA.") == path.read_text().count(r"\caption{")
 
 
-@pytest.mark.sweep
-def test_the_report_warns_before_any_number():
-    document = compose_run_report(study(1), {})
-    assert document.synthetic
-    assert "consistency" in document.blocks[0]["text"]
-    assert "INTERRUPTED" in compose_run_report(study(2), {}).blocks[1]["text"]
-    assert "NOT CONVERGED" in compose_run_report(study(3), {}).blocks[1]["text"]
-    measured = compose_run_report(stereo(), {})
-    assert not measured.synthetic
-    assert measured.blocks[0]["kind"] == "verdict"
-
-
-@pytest.mark.sweep
-def test_all_studies_together(tmp_path):
-    files = write_combined([study(1), study(5)], tmp_path / "all")
-    assert {"validation.csv", "tuning.csv", "parameters.csv", "boxplot.pdf", "report.pdf"} <= {
-        path.name for path in files
-    }
-    groups = pd.read_csv(tmp_path / "all" / "validation.csv").drop_duplicates(["study", "medium", "layers"])
-    assert groups["study"].tolist() == [1, 1, 1, 5]
-    assert set(json.loads((tmp_path / "all" / "run.json").read_text())) == {"study1", "study5"}
-
-
 def test_a_run_that_was_stopped_before_its_first_start_can_be_written(tmp_path):
     names = ("errors", "shapes", "parameters", "directions", "starts")
     nothing = {name: pd.DataFrame(columns=list(COLUMNS[name])) for name in names}
     files = write_run(study(1).with_frames(**nothing), tmp_path / "stopped")
     assert "report.pdf" in {path.name for path in files.iterdir()}
     assert "validation.csv" not in {path.name for path in files.iterdir()}
-
-
-@pytest.mark.sweep
-@pytest.mark.usefixtures("blank_figures")
-def test_a_fit_has_no_validation_table_but_a_report(tmp_path):
-    whole = study(1)
-    parts = {name: whole.frames[name] for name in ("errors", "shapes", "design")}
-    tuned = whole.with_frames(**{k: v[v["role"] == "tune"] for k, v in parts.items()})
-    names = {path.name for path in write_run(tuned, tmp_path / "fit").iterdir()}
-    assert {"tuning.csv", "overlays.pdf", "waterfall.pdf", "report.pdf"} <= names
-    assert not {"validation.csv", "boxplot.pdf"} & names
-
-
-def test_stretch_is_the_largest_that_fits():
-    assert choose_vertical_scale(60, 4) == 5  # 0.62 * 60 mm is 9.3 times 4 mm
-    assert choose_vertical_scale(60, 0.3) == 100
-    assert choose_vertical_scale(60, 60) == 1
 
 
 RECIPE = {
@@ -134,43 +88,6 @@ def run_of(**changed):
     one, run = study(1), RUN | changed
     starts = one.frames["starts"].assign(minimized=run["recipe"]["minimize"])
     return dataclasses.replace(one.with_frames(starts=starts), run=run)
-
-
-def test_the_methods_paragraph_describes_this_run():
-    text = say(run_of(), "methods")
-    assert re.search(r"μ₁ and b \w+ estimated\b[^.]*\b2 insertions\b", text)
-    assert re.search(r"α₁ was\b[^.]*\bfixed\b", text) and "α₁ were" not in text
-    assert "16 starts" in text and "elements of 0.5 mm" in text and "needlefit 9.8.7" in text
-    assert "3 insertions held out" in text and "R-hat" not in text
-    assert re.search(r"posterior-mode\b[^.]*\b3 insertions", text) and "predicted with" not in text
-    tied = {"mu2_pa": {"bounds": None, "fixed": None, "tie": "mu1_pa", "spread": None}}
-    medium = {"parameters": RUN["medium"]["parameters"] | tied}
-    assert re.search(r"μ₂ to μ₁\b[^.]*\bln 1\.2\b", say(run_of(medium=medium), "methods"))
-    free = say(dataclasses.replace(stereo(), run=RUN), "methods")
-    assert "rotated and shifted" in free and "rotated and shifted" not in text
-    other = RECIPE | {"minimize": "metric", "algorithm": "sbplx+neldermead", "starts": 5}
-    changed = say(run_of(recipe=other), "methods")
-    assert re.search(r"SBPLX\b.*\bNELDERMEAD\b.*\b5 starts", changed) and "posterior" not in changed
-
-
-@pytest.mark.parametrize(
-    ("operator", "likelihood", "words"),
-    [
-        ("spline", {}, "coefficients"),
-        ("spline", {"measurement": "points"}, "as they are"),
-        ("spline", {"noise": "independent"}, "as they are"),
-        ("gaussian", {}, "smoothed"),
-        ("unknown", {}, "bias"),
-    ],
-)
-def test_the_methods_paragraph_names_the_operator_and_what_insertions_share(operator, likelihood, words):
-    data = {"measurement": {"operator": operator, "description": "MEASURED"}, "boundary_shared_sd_mm": [0.07]}
-    recipe = RECIPE | {"likelihood": RECIPE["likelihood"] | likelihood}
-    plain, text = (say(run_of(recipe=recipe, **more), "methods") for more in ({}, {"dataset": data}))
-    assert "MEASURED" in text and words in text and words not in plain
-    assert "0.07 mm" in text
-    fixed = recipe | {"likelihood": recipe["likelihood"] | {"depths": "fixed"}}
-    assert "0.07 mm" not in say(run_of(recipe=fixed, dataset=data), "methods")
 
 
 def test_citations_and_entries_correspond():
@@ -209,21 +126,6 @@ def test_moduli_are_in_the_unit_of_the_tables():
     assert {key: words for key, words in found.items() if key in wanted} == wanted
 
 
-def test_a_length_is_printed_to_a_hundredth_and_missing_cells_are_dashes():
-    text = format_macros([study(5)])
-    assert re.search(r"^\\nfnum\{study5-chicken-1-te\}\{\d+\.\d\d\}$", text, re.M)
-    assert re.search(r"^\\nfnum\{study5-chicken-1-paper-edp\}\{500\}$", text, re.M)
-    assert "nan" not in text and "None" not in text
-
-
-def test_keys_of_parameters_differ_by_their_symbols():
-    columns = (TableColumn("Parameter", align="left"), TableColumn("Coverage", "%"))
-    table = TableLayout("ranks", "", columns, (("μ₁", "94"), ("μ₂", "95"), ("ln b", "–")))
-    macros = format_table_macros("study2", [table])
-    assert r"\nfnum{study2-ranks-mu1-coverage}{94}" in macros
-    assert r"\nfnum{study2-ranks-mu2-coverage}{95}" in macros
-
-
 @pytest.fixture
 def written(tmp_path):
     """The paths of a run's folder and of a paper's folder made from it."""
@@ -253,13 +155,3 @@ def test_a_paper_has_every_figure_in_both_widths_with_letters_of_8_points(writte
     assert sorted(included) == sorted(path.stem for path in paper.glob("*.pdf"))
     with pytest.raises(ConfigError, match="not empty"):
         write_paper_folder(run_of(), run, paper)
-
-
-def test_the_example_inputs_every_table_and_the_methods(tmp_path):
-    (tmp_path / "boxplot.pdf").write_bytes(b"/MediaBox [0 0 252 100]")
-    blocks = ({"kind": "figure", "path": tmp_path / "boxplot.pdf", "caption": "50 %"},)
-    text = format_example(
-        Document("A & B", "", False, ()), blocks, ["validation", "parameters"], methods=True
-    )
-    assert set(re.findall(r"\\input\{(\w+)\}", text)) == {"numbers", "methods", "validation", "parameters"}
-    assert r"\title{A \& B}" in text and r"\begin{figure}" in text and r"\caption{50 \%}" in text

@@ -4,7 +4,6 @@ import html
 import re
 from html.parser import HTMLParser
 
-import jinja2
 import pytest
 from reporting_results import study
 
@@ -77,15 +76,6 @@ def test_every_figure_and_table_can_be_reached_and_is_described(page):
     assert all(head["scope"] == "col" for head in outline.all("th"))
 
 
-def test_the_page_and_the_pdf_have_the_same_text(page):
-    content, one = page
-    words = " ".join("".join(Outline(content).words).split())
-    for block in compose_run_report(one, {}).blocks:
-        if block["kind"] == "text" and "^" not in block["text"]:
-            assert " ".join(block["text"].split()) in words
-    assert "Synthetic data" in words
-
-
 def test_user_text_is_escaped():
     display = TableLayout(
         "t",
@@ -149,14 +139,6 @@ def compose(text, name="gel"):
     return text.compose("report", values, [errors])
 
 
-def test_markdown_becomes_blocks(text):
-    kinds = [one["kind"] for one in compose(text)]
-    assert kinds == ["heading", "text", "note", "list", "table", "text"]
-    assert text.sentences("verdict", {"name": "gel", "error_mm": 0.123}) == ["gel is off by 0.12 mm."]
-    table = compose(text)[4]
-    assert (table["caption"], table["notes"]) == ("Errors of gel.", ("A note.",))
-
-
 def test_a_value_is_printed_literally_wherever_it_stands(text):
     plain, blocks = compose(text), compose(text, HOSTILE)
     assert [one["kind"] for one in blocks] == [one["kind"] for one in plain]
@@ -164,11 +146,3 @@ def test_a_value_is_printed_literally_wherever_it_stands(text):
     page = Document("Title", "", False, tuple(blocks))
     assert b"<b>" not in compile_html(page).partition(b"<main>")[2].replace(b"<figcaption><b>", b"")
     assert compile_pdf(page).startswith(b"%PDF")
-
-
-@pytest.mark.parametrize("value", [0.5, None, True])
-def test_a_number_without_a_format_and_a_missing_value_are_errors(text, value):
-    with pytest.raises(TypeError, match="filter"):
-        text.render("report", {"name": value})
-    with pytest.raises(jinja2.UndefinedError):
-        text.render("verdict", {"name": "gel"})

@@ -1,8 +1,5 @@
 """What a reconstruction leaves behind: its page, its curves and bodies in Slicer, its tables."""
 
-import dataclasses
-import json
-from dataclasses import replace
 from pathlib import Path
 
 import ct_cases
@@ -17,38 +14,24 @@ from scipy.spatial.transform import Rotation
 from needlefit.datasets.formats.mrk_json import read_mrk_json
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
-from needlefit.imaging.assembly import DatasetDescription
 from needlefit.imaging.batch import ReconstructionFailure, collect_findings
-from needlefit.imaging.reconstruct import Examination, VolumeSearch, examine
-from needlefit.imaging.reconstruction import MarkerResult, RejectedMarker
+from needlefit.imaging.reconstruct import VolumeSearch, examine
 from needlefit.imaging.registration.register import register
 from needlefit.imaging.scans import Scan
-from needlefit.project.progress import no_progress
 from needlefit.project.random_streams import random_stream
-from needlefit.reporting.figures.scan_views import outline_surface
-from needlefit.reporting.figures.style import LETTER_WIDTH_MM, MIN_LABEL_GAP_MM, spread_labels
 from needlefit.studies.kinds.reconstruction import KIND
 from needlefit.studies.kinds.reconstruction.pages import (
-    choose_spans,
     list_facts,
     list_finding_facts,
-    write_quality,
 )
 from needlefit.studies.kinds.reconstruction.report import (
-    lay_out_reconstructions,
     tabulate_batch,
-    write_reconstruction,
     write_refused,
 )
 from needlefit.studies.report import write_files
 from needlefit.studies.slicer import write_scan
 
 ENTRY, TIP = np.array([11.0, 11.0, 12.0]), np.array([11.0, 14.0, 40.0])  # LPS of the rendered needle
-LONG = tuple(f"remark {n}: the surface and the scan disagree by more than they should" for n in range(40))
-
-
-def pages(path):
-    return path.read_bytes().count(b"/Type /Page\n") or path.read_bytes().count(b"/Type/Page/")
 
 
 def facts(reconstruction):
@@ -56,13 +39,6 @@ def facts(reconstruction):
 
 
 # the page
-
-
-@pytest.mark.sweep
-@pytest.mark.parametrize("warnings", [(), LONG, ("[brackets] *stars* #hash $dollar$ <angle>",)])
-def test_the_report_stays_one_page(tmp_path, warnings):
-    bare = dataclasses.replace(cases.small(markers=False, layers=False), warnings=warnings)
-    assert pages(write_quality(bare, tmp_path / "bare.pdf")) == 1
 
 
 def test_the_facts_are_those_of_the_rendered_needle():
@@ -74,32 +50,6 @@ def test_the_facts_are_those_of_the_rendered_needle():
     assert words["layers"].startswith("1 → 2 at ")
     assert float(words["layers"].split()[4]) == pytest.approx(14.0, abs=0.05)
     assert words["voxels"] == "0.46 mm, cubes"
-
-
-def test_pictures_share_the_space_and_centre_the_needle():
-    one = cases.small()
-    along = one.views[:2]
-    needle = one.frame.to_local(one.patient.to_world(one.needle_axis.points))
-    (low, high), (_, _) = first, second = choose_spans(along, needle, 20.0)
-    assert sum(top - bottom for bottom, top in (first, second)) == pytest.approx(20.0)
-    assert (low + high) / 2 == pytest.approx(needle[:, 1].min() / 2 + needle[:, 1].max() / 2)
-
-
-def test_labels_are_centred_until_they_would_overlap():
-    far = [0.0, 20.0, 40.0]
-    assert spread_labels(far, ["entry", "1 → 2", "tip"], 1.7) == pytest.approx(far)
-    entry, layer, tip = spread_labels([0.0, 49.6, 50.0], ["entry", "3 → 4", "tip"], 1.7)
-    assert entry == 0.0 and (layer + tip) / 2 == pytest.approx(49.8)
-    assert (tip - layer) * 1.7 == pytest.approx(
-        4 * LETTER_WIDTH_MM + MIN_LABEL_GAP_MM
-    )  # half of five letters and half of three
-
-
-def test_a_layer_is_outlined_where_the_picture_cuts_it():
-    one = cases.small()
-    dots = outline_surface(one.views[0], one, one.layers.surfaces[0], (-5.0, 5.0))
-    assert len(dots) > 10
-    assert_allclose(dots[:, 0], 14.0, atol=0.15)
 
 
 # Slicer
@@ -145,14 +95,6 @@ def test_the_bodies_lie_in_the_scan_and_the_band_is_wider_than_the_needle(tmp_pa
     assert hull.volume > body.volume * one.depth / length
 
 
-def test_without_markers_and_layers_their_lists_are_left_out(tmp_path):
-    bare = cases.small(markers=False, layers=False)
-    bare = dataclasses.replace(bare, scan=dataclasses.replace(bare.scan, origin="measured"))
-    names = [one["name"] for one in json.loads(write_scan(bare, tmp_path, 1.27)[0].read_text())["markups"]]
-    assert len(names) == 5
-    assert not any("synthetic" in name or "marker" in name or "layer" in name for name in names)
-
-
 # tables
 
 
@@ -180,25 +122,7 @@ def test_tables_hold_every_scan_pair_and_crossing(tmp_path):
     assert (scans["origin"] == "synthetic").all()
 
 
-def test_the_summary_lists_the_results():
-    full = lay_out_reconstructions(tabulate(cases.small()))
-    row = dict(zip((column.label for column in full.columns), full.rows[0], strict=True))
-    assert row["Markers"] == "5/6" and row["Layers at"].endswith(" ± 0.12")
-    assert float(row["Layers at"].split()[0]) == pytest.approx(14.0, abs=0.05)
-    assert "synthetic" in full.caption
-    bare = lay_out_reconstructions(tabulate(cases.small(markers=False, layers=False)))
-    assert not {"Markers", "FRE", "Layers at"} & {column.label for column in bare.columns}
-
-
 # what the nouns tell
-
-
-def test_cross_sections_lie_across_the_axis_and_scatter_as_little_as_it_does():
-    needle_axis = cases.small().needle_axis
-    assert needle_axis.residuals.shape == (len(needle_axis.sections_s), 3)
-    assert needle_axis.sections_s[0] >= 0 and needle_axis.sections_s[-1] < arc_length(needle_axis.points)[-1]
-    assert np.linalg.norm(needle_axis.residuals, axis=1).max() < 0.1
-    assert np.abs(needle_axis.residuals[:, 2]).max() < 0.01  # the needle runs along S, but for its bend
 
 
 @pytest.mark.sweep
@@ -237,28 +161,6 @@ def test_a_scan_that_is_refused_shows_what_is_in_it(found):
     assert len(list_finding_facts(found)) == 4
 
 
-def test_steps_that_fail_leave_the_others():
-    plain = cases.small_scan()
-    values = np.where(plain.values > 300, 40, plain.values).astype(np.float32)
-    nothing = findings(replace(plain, values=values))
-    assert nothing.tubes == ()
-    assert nothing.needle is None and nothing.profile is None
-    assert nothing.projections[0].shape == plain.values.shape[1:]
-
-
-def test_balls_are_those_that_the_examination_found():
-    others = tuple(RejectedMarker(np.full(3, x), x, 0.5, 0.2, "misfit") for x in (9.0, 4.0))
-    markers = MarkerResult(np.zeros((2, 3)), np.full(2, 0.1), "volume", rejected=others)
-    found = collect_findings(
-        VolumeSearch(cases.small_scan(), ct_cases.RECIPE), Examination(SCAN, markers=markers)
-    )
-    size = ct_cases.RECIPE.markers.diameter_mm
-    assert [(one.diameter, one.marker) for one in found.balls] == [(size, True)] * 2 + [
-        (4, False),
-        (9, False),
-    ]
-
-
 @pytest.mark.parametrize("readable", [True, False])
 def test_the_page_is_one_and_the_tables_hold_the_candidates(found, tmp_path, readable):
     failure = ReconstructionFailure(SCAN, ERROR, found if readable else None)
@@ -272,17 +174,3 @@ def test_the_page_is_one_and_the_tables_hold_the_candidates(found, tmp_path, rea
     candidates = pd.read_csv(tmp_path / "first" / "candidates.csv")
     kinds = candidates["kind"].value_counts().to_dict()
     assert kinds == ({"tube": 2, "entry": 1} if readable else {})
-
-
-@pytest.mark.sweep
-def test_a_dataset_holds_the_pages_of_its_refused_scans_too(found, tmp_path):
-    one = cases.small()
-    about = DatasetDescription("data")
-    failure = ReconstructionFailure(SCAN, ERROR, found)
-    out = tmp_path / "data"
-    written, faulty = write_reconstruction(out, [one], ct_cases.RECIPE, about, no_progress, [failure])
-    assert written is not None and faulty == ()
-    assert {path.name for path in (out / "quality").iterdir()} == {"one.pdf", f"{one.scan.id}.pdf"}
-    assert pd.read_csv(out / "refused.csv")["id"].tolist() == ["one"]
-    assert set(pd.read_csv(out / "candidates.csv")["kind"]) == {"tube", "entry"}
-    assert (out / "refused.csv").read_text() != "" and "no markers" in (out / "report.html").read_text()

@@ -1,7 +1,6 @@
 """What 3D Slicer gets: curves and bodies of needles where they stand, with the band of the fit."""
 
 import dataclasses
-import json
 import math
 from pathlib import Path
 
@@ -12,20 +11,15 @@ import slicerio
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
-from test_cli import run as command
 from test_validation_run import made, project, study
 
-from needlefit.datasets.formats.fcsv import read_fcsv
 from needlefit.datasets.formats.mrk_json import read_mrk_json
 from needlefit.datasets.read import read
-from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.meshes import TUBE_FACETS, make_tube, write_ply
 from needlefit.geometry.surfaces import make_mesh
-from needlefit.imaging.layers import extract_label_surfaces
 from needlefit.imaging.segmentations import read_labels
 from needlefit.imaging.volume import to_patient
-from needlefit.imaging.volume_files import read_volume
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.identifiability.identify import identify
 from needlefit.inference.optimize import minimize
@@ -49,30 +43,6 @@ def test_a_straight_tube_has_the_volume_of_a_prism(a, b, length, count):
     body = make_mesh(*make_tube(axis, [a, b], (0.3, 5, 0.4)))
     assert body.is_watertight and body.is_winding_consistent
     assert body.volume == pytest.approx(POLYGON * a * b * length, rel=1e-9)
-
-
-def test_the_first_half_width_lies_along_the_direction_given():
-    body = make_mesh(*make_tube([[0, 0, 0], [10, 0, 0]], [[3, 1], [2, 1]], (1, 1, 0)))
-    np.testing.assert_allclose(np.ptp(body.vertices, axis=0), [10, 6, 2], atol=1e-9)
-    assert np.ptp(body.vertices[body.vertices[:, 0] == 10], axis=0)[1] == pytest.approx(4)
-
-
-def test_a_bent_tube_has_the_volume_of_pappus():
-    angle = np.linspace(0, math.pi / 2, 400)
-    arc = 30 * np.column_stack([np.sin(angle), 1 - np.cos(angle), 0 * angle])
-    body = make_mesh(*make_tube(arc, 0.6, (0, 0, 1)))
-    assert body.volume == pytest.approx(POLYGON * 0.36 * 30 * math.pi / 2, rel=1e-4)
-
-
-def test_no_tube_without_a_curve_or_across_nothing():
-    for points, toward in (
-        ([[0, 0, 0]], (0, 1, 0)),
-        ([[0, 0, 0], [0, 0, 0]], (0, 1, 0)),
-        ([[0, 0, 0], [0, 1, 0]], (0, 1, 0)),
-        ([[0, 0, 0], [math.nan, 1, 0]], (0, 1, 0)),
-    ):
-        with pytest.raises(DataError):
-            make_tube(points, 1.0, toward)
 
 
 def test_a_ply_states_lps_and_is_reproducible(tmp_path):
@@ -121,19 +91,6 @@ def test_every_needle_is_in_the_world_of_its_dataset(fitted):
         np.testing.assert_allclose(one.fitted[-1], insertion.centerline[-1], atol=0.02)  # the truth is known
         np.testing.assert_allclose(one.toward, [0, 1, 0], atol=1e-12)
         assert one.diameter == 1.27
-
-
-def test_the_linear_band_lies_about_the_fit_and_follows_the_noise(fitted):
-    job, fold, known = fitted
-    band = place_needles(job.problem(fold), fold, known)["needle-2"].band
-    assert band.source == "linear"
-    width = np.linalg.norm(band.high - band.low, axis=1)
-    np.testing.assert_allclose((band.low + band.high) / 2, band.middle, atol=1e-9)
-    assert 0.01 < width[-1] < 5
-    wider = tuple(dataclasses.replace(d, sd=2 * d.sd) for d in known.verdict.directions)
-    known = dataclasses.replace(known, verdict=dataclasses.replace(known.verdict, directions=wider))
-    doubled = place_needles(job.problem(fold), fold, known)["needle-2"].band
-    np.testing.assert_allclose(doubled.high - doubled.low, 2 * (band.high - band.low), atol=1e-9)
 
 
 def test_the_band_of_a_posterior_is_that_of_the_needles_of_its_draws(fitted):
@@ -228,54 +185,7 @@ def test_free_shapes_lie_on_the_measured_ones(project):
         assert one.band is not None
 
 
-@pytest.fixture
-def scene(capsys, tmp_path):
-    def written(ending, *words):
-        path = tmp_path / f"needle{ending}"
-        code = command("simulate", *words, "--json", "--slicer", str(path))
-        return code, path, capsys.readouterr()
-
-    return written
-
-
-def test_simulate_writes_the_needle_in_its_world(scene):
-    code, path, output = scene(".mrk.json", "figure1")
-    answer = json.loads(output.out)
-    lists = read_mrk_json(path)
-    assert code == 0 and len(lists) == len(answer["steps"]) == 3
-    for curve, step in zip(lists, answer["steps"], strict=True):
-        np.testing.assert_allclose(curve.points[-1], [*step["tip_mm"], 0], atol=1e-9)
-        assert curve.labels[-1] == "tip" and "entry" in curve.labels
-    length = arc_length(lists[0].points)[-1]
-    assert all(arc_length(curve.points)[-1] == pytest.approx(length, rel=1e-3) for curve in lists)
-
-
-def test_simulate_writes_a_body_too(scene):
-    code, path, output = scene(".ply", "phantom1")
-    body = trimesh.load_mesh(path)
-    assert code == 0 and body.is_watertight
-    tip = json.loads(output.out)["tip_mm"]
-    assert np.linalg.norm(body.vertices - [*tip, 0], axis=1).min() < 1e-4
-
-
-def test_simulate_refuses_another_ending(scene):
-    code, path, output = scene(".stl", "phantom1")
-    assert code == 3 and ".mrk.json" in output.err and not path.exists()
-
-
 FILES = Path(slicerio.__file__).parent / "data"
-
-
-def test_a_chest_ct():
-    import nrrd
-
-    values, header = nrrd.read(str(FILES / "CTChest4.nrrd"))
-    volume = read_volume(FILES / "CTChest4.nrrd")
-    assert np.array_equal(volume.values, values.T)
-    last = header["space origin"] + (np.array(values.shape) - 1) @ header["space directions"]
-    corners = to_patient(volume, [[0, 0, 0], np.array(values.shape) - 1])
-    assert header["space"] == "left-posterior-superior"
-    assert corners == pytest.approx(np.array([header["space origin"], last]))
 
 
 def test_a_segmentation():
@@ -289,25 +199,3 @@ def test_a_segmentation():
     matrix = np.asarray(expected["ijkToLPS"])
     ijk = [[0, 0, 0], [3, 5, 7]]
     assert to_patient(labels.volume, ijk) == pytest.approx(ijk @ matrix[:3, :3].T + matrix[:3, 3])
-
-
-@pytest.mark.sweep
-def test_segments_of_it_as_layers():
-    path = FILES / "Segmentation.seg.nrrd"
-    names = [one.name for one in read_labels(path).segments]
-    (one,) = extract_label_surfaces(path, names[-1:])
-    assert one.into == 1 and one.mesh.is_watertight
-
-
-def test_overlapping_segments_are_refused():
-    with pytest.raises(DataError) as error:
-        read_labels(FILES / "SegmentationOverlapping.seg.nrrd")
-    assert "overlap" in error.value.what and "Segment Editor" in error.value.fix
-
-
-def test_points():
-    (expected,) = slicerio.read_markups_fcsv(str(FILES / "F_1.fcsv"))["markups"]
-    found = read_fcsv(FILES / "F_1.fcsv")
-    assert expected["coordinateSystem"] == found.system == "LPS"
-    assert list(found.labels) == [one["label"] for one in expected["controlPoints"]]
-    assert found.points == pytest.approx(np.array([one["position"] for one in expected["controlPoints"]]))

@@ -102,28 +102,3 @@ def test_scans_and_what_is_reconstructed_of_them_are_the_same(new_project):
         second = begin(COMMAND, [*words, "--jobs", "1"], alone, one_core(), **ELSEWHERE)
         outputs(first, second)
         assert_same(alone / words[-1], once / words[-1])
-
-
-SEVERAL = (
-    ON_CORES
-    + """
-from needlefit.cli.execution import Execution, plan_studies, run_studies
-from needlefit.cli.exit_codes import Invocation
-from needlefit.project.tasks import LocalPool
-jobs = int(sys.argv[2])
-todo = [*plan_studies("held_out"), *plan_studies("meat")]
-pool = LocalPool(jobs)
-execution = Execution(Invocation((), jobs=jobs, json=True), pool=pool)
-print([one.name for one in run_studies(execution, todo)])
-"""
-)
-
-
-@pytest.mark.sweep
-def test_studies_side_by_side_are_the_same_as_one_after_the_other(world, new_project):
-    places = new_project("one"), new_project("two")
-    running = [begin(SEVERAL, [str(jobs)], place) for jobs, place in enumerate(places, start=1)]
-    assert outputs(*running) == 2 * ["['held_out', 'meat']\n"]
-    for study in ("held_out", "meat"):
-        assert_same(places[0] / "reports" / study, places[1] / "reports" / study)
-    assert_same(places[0] / "reports/held_out", world.find("cross_validation"))

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 from page_files import ALL_STATES, open_offline, read_page_data
-from test_cli import run
 from test_page import NO_BROWSER, chromium  # noqa: F401 - a fixture
 
 from needlefit.mechanics.scene import Scene
@@ -76,10 +75,6 @@ def test_laws_that_are_tables_come_along(tabulated) -> None:
     assert [shape for shape, _ in law["tables"]] == [[[2, 5, 5, 5]], [[2, 0.9, 5, 5]], [[5, 0.9, 5, 5]]]
 
 
-def test_a_scene_is_not_shared(tmp_path) -> None:
-    assert run("simulate", "phantom2", "--html", str(tmp_path / "a.html")) == 2
-
-
 @pytest.mark.sweep
 @NO_BROWSER
 def test_it_computes_every_recorded_state_and_can_be_steered(shared, chromium) -> None:  # noqa: F811
@@ -114,28 +109,6 @@ def test_it_computes_every_recorded_state_and_can_be_steered(shared, chromium) -
         page.get_by_role("button", name="Play").click()
         page.wait_for_timeout(1500)
         assert float(page.locator("#scrub").input_value()) > 0
-
-
-@pytest.mark.sweep
-@NO_BROWSER
-def test_a_pinned_needle_is_compared_in_the_strip_of_the_file(shared, chromium) -> None:  # noqa: F811
-    last = list(replay(read_recording(RECORDING)))[-1].state.shape
-    with open_offline(chromium, shared) as page:
-        page.focus("#canvas")
-        for key in ("k", "f", "ArrowRight"):
-            page.keyboard.press(key)
-        page.focus("#strip-canvas")
-        page.keyboard.press("Home")
-        page.keyboard.press("ArrowRight")
-        page.keyboard.press("Enter")
-        page.wait_for_timeout(1000)
-        known = "[pinned.y.at(-1), pinned.forces.y.length, forces.y.length, state.tip.x]"
-        pinned, *counts, x = page.evaluate(f"(({{ pinned, forces, state }}) => {known})(needlefit)")
-        assert pinned == last.tip_lateral
-        assert counts == [106, 2]  # first contact, and each mm up to 105 and to 1 mm
-        assert x == pytest.approx(1, abs=0.2)  # the shaft before the skin is less bent there
-        page.click("#pin")
-        assert page.evaluate("needlefit.pinned") is None
 
 
 @NO_BROWSER

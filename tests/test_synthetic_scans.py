@@ -1,8 +1,6 @@
 """The twin as scans: what is true stands in the volumes at its stated position."""
 
-from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
-from io import StringIO
 from pathlib import Path
 
 import ct_cases as cases
@@ -12,9 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from refusals import refusal
 from scipy.ndimage import map_coordinates
 
-from needlefit.cli import main
 from needlefit.errors import ConfigError
-from needlefit.geometry.frames import Frame
 from needlefit.imaging.registration.pairing import find_symmetries
 from needlefit.imaging.volume import to_index, to_patient
 from needlefit.imaging.volume_files import read_volume
@@ -165,27 +161,6 @@ def test_the_layout_of_the_markers_has_no_symmetry_and_keeps_off_every_needle():
 # ---- the command
 
 
-def needlefit(*words):
-    out, err = StringIO(), StringIO()
-    with redirect_stdout(out), redirect_stderr(err), pytest.raises(SystemExit) as leaving:
-        main(["twin", "ct", *map(str, words)])
-    return int(leaving.value.code or 0), out.getvalue(), err.getvalue()
-
-
-@pytest.mark.sweep
-def test_scans_replace_scans_and_nothing_else(tmp_path):
-    out = tmp_path / "scans"
-    code, printed, _ = needlefit("sample", "--out", out, "-q", "--jobs", 1)
-    assert code == 0 and printed.startswith(f"{out}: 1 synthetic scan")
-    assert needlefit("sample", "--out", out, "-q", "--format", "dicom")[0] == 0
-    assert len(files(out / "volumes" / "sample")) > 50 and not (out / "volumes" / "sample.nrrd").exists()
-    (out / "volumes" / "sample" / "mine.txt").touch()
-    before = files(out)
-    code, _, printed = needlefit("sample", "--out", out, "-q")
-    assert code == 3 and files(out) == before
-    assert "volumes/sample/mine.txt" in printed
-
-
 # ---- processes
 
 
@@ -219,13 +194,3 @@ def test_the_voxels_hold_the_volume_of_needle_bevel_and_balls():
     center = (metal.part[end, None] * places[end]).sum(axis=0) / metal.part[end].sum()
     assert render.bevel_side(needle) @ (center - cases.ENTRY) > 0.3
     assert_allclose(render.bevel_side(needle)[:2], toward[:2] / np.hypot(*toward[:2]), atol=1e-6)
-
-
-def test_a_table_lies_under_its_frame():
-    frame = Frame(np.array([11.0, 18.0, 25.0]), np.array([[0.0, 1, 0], [0, 0, -1], [1, 0, 0]]))
-    table = render.ScannerTable(frame, width=14.0, thickness=2.0)
-    values = cases.scan(cases.axis(), noise_hu=0.0, scene={"table": table}).values
-    row = round(19.0 / cases.SPACING)
-    assert values[100, row, round(11.0 / cases.SPACING)] > 1000  # rails 8 mm wide meet in the middle of 14
-    assert values[100, row, round(2.0 / cases.SPACING)] == 90
-    assert values[100, round(15.5 / cases.SPACING), round(16.0 / cases.SPACING)] == 90

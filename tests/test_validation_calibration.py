@@ -7,12 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from inference_cases import NEEDLE, insertion, measure, medium
-from scipy.stats import norm
-from test_cli import run as run_command
 
 from needlefit.datasets.insertion import Dataset, Noise
 from needlefit.inference.parameters import Parameters
-from needlefit.inference.predict import draw_from_prior
 from needlefit.inference.problem import Problem
 from needlefit.project.locate import find_file
 from needlefit.schemas.recipe import RecipeRecord
@@ -21,25 +18,20 @@ from needlefit.studies.job import Fold, Job, Settings, prepare
 from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds.calibration import (
     CONTROLS,
-    PREDICTION_DRAWS,
     CalibrationRecord,
     Experiment,
     add_intervals,
-    average_tips,
     is_inside_bounds,
     prepare_synthetic,
     replicate,
-    replicate_synthetic,
     simulate_experiment,
 )
 from needlefit.studies.rank_statistics import (
     HELD_OUT_TIP,
     RANK_DRAWS,
     count_covered,
-    count_limits,
     ecdf_band,
     find_failing,
-    place_pit,
     probability_inside,
     rank_truth,
     tabulate_coverage,
@@ -87,15 +79,6 @@ def failures(found: dict[str, np.ndarray]) -> list[str]:
     return find_failing(tabulate_coverage(found), tabulate_ecdfs(found))
 
 
-def test_tips_of_a_replicate_are_averaged():
-    ends = {"tip_50_low_mm": -1.0, "tip_50_high_mm": 1.0, "tip_95_low_mm": -3.0, "tip_95_high_mm": 3.0}
-    scores = {"tip_crps_mm": 0.5, "tip_interval_score_mm": 6.0, "tip_in_95": True}
-    rows = [{"replicate": k // 2, "tip_in_50": k == 0, **ends, **scores} for k in range(4)]
-    found = average_tips(pd.DataFrame(rows)).set_index("replicate")
-    assert found.loc[0, ["insertions", "tip_in_50", "tip_in_95"]].tolist() == [2, 0.5, 1]
-    assert found.loc[1, ["tip_in_50", *ends]].to_dict() == {"tip_in_50": 0.0, **ends}
-
-
 @pytest.mark.sweep
 def test_needles_of_the_model_itself_are_calibrated():
     found = run(small_job(), 25)
@@ -107,10 +90,6 @@ def test_needles_of_the_model_itself_are_calibrated():
 @pytest.mark.parametrize("control", CONTROLS)
 def test_every_control_is_noticed(control):
     assert failures(run(small_job(), ENOUGH[control], control=control))
-
-
-def test_one_needle_alone_on_the_wrong_side_is_noticed():
-    assert failures(run(small_job(1), 6, control="shuffled"))
 
 
 def test_exact_posteriors_pass_and_narrow_ones_fail():
@@ -135,20 +114,6 @@ def test_a_simultaneous_band_covers_its_nominal_fraction():
     held = np.mean(np.all((below >= low) & (below <= high), axis=1))
     assert 0.9 <= probability_inside(60, low, high) < 0.92
     assert held == pytest.approx(probability_inside(60, low, high), abs=0.01)
-
-
-def test_limits_of_a_count_are_the_binomial_s():
-    """Of 20 fair coins 0 to 3 heads have probability 0.0013, 0 to 4 have 0.0059."""
-    low, high = count_limits(20, 0.5, 0.01)
-    assert (low, high) == (4, 16)
-
-
-def test_ranks_of_equal_values_take_any_place_and_levels_are_whole_parts():
-    rng = np.random.default_rng(1)
-    placed = np.array([rank_truth(np.zeros(1), np.zeros((RANK_DRAWS, 1)), rng)[0] for _ in range(2000)])
-    assert placed.min() == 0 and placed.max() == RANK_DRAWS
-    every = np.arange(RANK_DRAWS + 1)
-    assert [count_covered(every, level) for level in (0.5, 0.8, 0.9, 0.95)] == [40, 64, 72, 76]
 
 
 @pytest.mark.parametrize("pose", ["known", "free"])
@@ -186,33 +151,6 @@ def test_a_replicate_is_its_number_s_and_a_control_s_needles_are_the_same():
     assert [plain] == replicate(3, experiment)["replicates"]
 
 
-def test_the_sampler_is_used_on_request_and_flags_missing_convergence():
-    job = small_job(1)
-    hurried = job.recipe.model_copy(
-        update={"sample": job.recipe.sample.model_copy(update={"densities": 128})}
-    )
-    experiment = Experiment(replace(job, recipe=hurried), {"mu1_pa": 0.3, "bevel_mm": 0.95}, sampled=True)
-    (row,) = replicate(1, experiment)["replicates"]
-    assert row["draw_source"] == "sampler" and not row["certified"]
-    assert 0 <= row["rank_bevel_mm"] <= RANK_DRAWS
-
-
-def test_the_prior_is_drawn_as_it_is_stated():
-    """alpha is normal about 2 and cut off at 2.5, ln mu normal about ln 1e5 and tied to it, b flat in ln."""
-    record = medium(
-        1,
-        mu1_pa={"bounds": [1e3, 1e9], "prior": {"median": 1e5, "factor": 2.0, "correlation": -0.8}},
-        alpha1={"bounds": [-3.0, 2.5], "prior": {"mean": 2.0, "sd": 0.5}},
-        bevel_mm={"bounds": [0.02, 0.3]},
-    )
-    draws = draw_from_prior(Parameters.from_record(record), 4000, np.random.default_rng(1))
-    mu, alpha, bevel = draws.T
-    assert alpha.max() < 2.5 and np.mean(alpha < 2.0) == pytest.approx(0.5 / norm.cdf(1.0), abs=0.03)
-    slope = np.cov(mu, alpha)[0, 1] / np.var(alpha)
-    assert slope == pytest.approx(-0.8 * np.log(2.0) / 0.5, rel=0.05)  # cutting alpha leaves the regression
-    assert np.mean(bevel < np.log(0.02) + 0.25 * np.log(15)) == pytest.approx(0.25, abs=0.03)
-
-
 STUDY = """
 schema = 2
 dataset = "twin"
@@ -240,12 +178,6 @@ def small(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_every_place_is_as_wide_and_the_draws_divide_evenly_among_them():
-    assert [place_pit(pit) for pit in (0.0, 0.0124, 0.0126, 0.9999, 1.0)] == [0, 0, 1, 79, 79]
-    middles = [place_pit((below + 0.5) / (PREDICTION_DRAWS + 1)) for below in range(PREDICTION_DRAWS + 1)]
-    assert set(np.bincount(middles, minlength=RANK_DRAWS + 1)) == {13}
-
-
 def test_tips_of_one_replicate_count_as_one_trial():
     """Copies of the same ranks change no count; half of each replicate covered is half of the replicates."""
     alone = np.random.default_rng(1).integers(0, RANK_DRAWS + 1, 60)
@@ -261,20 +193,6 @@ def test_the_interval_of_a_share_is_wilson_s():
     """Of 10 trials 8: 0.490 to 0.943 (E. B. Wilson, 1927)."""
     (row,) = add_intervals(pd.DataFrame({"covered": [8], "replicates": [10]})).to_dict("records")
     assert (row["share"], row["low"], row["high"]) == pytest.approx((0.8, 0.4902, 0.9433), abs=1e-4)
-
-
-@pytest.mark.parametrize(
-    "options", [("--ct",), ("--truth", "nothing"), ("--truth", "synthetic", "--control", "pose")]
-)
-def test_options_that_exclude_each_other_are_usage_errors(options, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert run_command("calibrate", "study1", *options) == 2
-
-
-def test_what_has_no_synthetic_truth_is_refused(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for name in ("sensitivity", "guided_tip:rest", "stereo_insertions"):
-        assert run_command("calibrate", name, "--truth", "synthetic", "-q") == 3
 
 
 def test_the_true_value_of_a_tied_modulus_is_that_of_its_own_layers():
@@ -329,13 +247,3 @@ def test_two_replicates_have_their_own_truths(small):
     truths = frames["parameters"].query("parameter == 'mu1_pa'")["truth"]
     drawn = [1e6 * draw_specimen(int(seed), "chicken", "chicken-piece1", POPULATION).mu[0] for seed in seeds]
     assert len(seeds) == 2 and truths.to_numpy() == pytest.approx(drawn, rel=1e-6)
-
-
-@pytest.mark.sweep
-def test_truths_measured_through_ct_carry_cross_sections(small):
-    job = prepare("small", load_study(find_file("study", "small")), Settings())
-    found, plain = (replicate_synthetic(0, prepare_synthetic(job, ct=ct)) for ct in (True, False))
-    assert found["replicates"][0]["seed"] == plain["replicates"][0]["seed"] and len(found["predictions"]) == 2
-    for one, other in zip(found["predictions"], plain["predictions"], strict=True):
-        assert one["tip_measured_mm"] == pytest.approx(other["tip_measured_mm"], abs=0.3)
-        assert one["tip_measured_mm"] != other["tip_measured_mm"]

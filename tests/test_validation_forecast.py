@@ -16,13 +16,11 @@ from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import (
     Draws,
     PredictiveMixture,
-    estimate_proportion,
     interval,
     simulate_shape_pit,
     thin_posterior,
 )
 from needlefit.inference.sampling.importance import sample_about_fit
-from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import sample
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import compute_positions
@@ -46,7 +44,6 @@ from needlefit.studies.kinds.prediction import (
     tabulate_forecast,
 )
 from needlefit.studies.provenance import describe_configuration
-from needlefit.studies.report import list_run_warnings
 from needlefit.studies.store import read_run
 
 SCENE = needlefit.open_scene("study2")
@@ -94,19 +91,6 @@ def test_one_draw_is_the_scene_with_its_parameters(job):
     assert found.measured.sd[-1] > found.measured.sd[0] > 0  # the pose's angle tells on the tip
 
 
-def test_quantiles_between_two_distant_draws_are_interpolated_and_agree_with_the_printed_width(job):
-    """1000 draws: the 97.5 % quantile lies between the draws 975 and 976, which are far apart here."""
-    tips = np.concatenate([np.linspace(0.5, 10.5, 975), np.linspace(12.0, 14.0, 25)])[:, None]
-    found = planned(sure(job), [theta(job)] * 3)
-    mixture = PredictiveMixture(tips, np.zeros(1))
-    wide = PredictiveMixture(tips, np.full(1, 0.2))
-    found = replace(found, s=np.zeros(1), x=np.zeros(1), needle=mixture, measured=wide)
-    row = tabulate_forecast(found).iloc[-1]
-    low, high = np.quantile(tips, [0.025, 0.975])
-    assert (row["needle_95_low_mm"], row["needle_95_high_mm"]) == pytest.approx((low, high), abs=1e-12)
-    assert row["measured_95_low_mm"] <= low and high <= row["measured_95_high_mm"]
-
-
 def test_an_impossible_prediction_is_refused(job):
     other = replace(SCENE, needle=Needle(150.0, 2e4))
     with pytest.raises(ConfigError, match="flexural rigidity"):
@@ -131,11 +115,9 @@ def changed_scene(*assignments):
     "assignments",
     [
         ("rules.constraint_spacing_mm=2",),
-        ("rules.tangent_part=0.5",),
         ("rules.advance=path_angle", "bevel.offset_mm=", "bevel.cut_angle_deg=3"),
         ("law=linear",),
         ("layers.2.thickness_mm=20",),
-        ("layers.1.friction=0.1",),
     ],
 )
 def test_a_scene_that_states_another_rule_than_the_fit_is_refused(job, assignments):
@@ -154,17 +136,6 @@ def test_a_change_that_draws_would_replace_is_refused(job):
     table = changed_scene().model_dump(by_alias=True, exclude_unset=True) | {"depth_mm": None, "steps": steps}
     with pytest.raises(ConfigError, match=r"steps\.2\.offset_mm"):
         make_scene(SceneRecord.model_validate(table), "scene", job.medium)
-
-
-def test_a_scene_has_the_rules_of_the_fit_and_a_lattice_of_its_own(job):
-    assert make_scene(changed_scene(), "scene", job.medium).rules == SCENE.rules
-    angled = job.medium.model_copy(update={"advance": "path_angle"})
-    assert make_scene(changed_scene(), "scene", angled).rules.advance == "path_angle"
-    lattice = changed_scene("rules.element_mm=0.5", "rules.first_cell_mm=0.25")
-    scene = make_scene(lattice, "scene", job.medium)
-    assert (scene.rules.element, scene.rules.first_cell) == (0.5, 0.25)
-    tips = [planned(sure(job), [theta(job)] * 3, one).needle.means[0, -1] for one in (SCENE, scene)]
-    assert 1e-6 < abs(tips[0] - tips[1]) < 0.1
 
 
 def predict_with(job, monkeypatch, draws, **options):
@@ -190,16 +161,6 @@ def test_a_prediction_follows_a_target_without_spread_between_specimens(job, mon
     tables, sentences = find_kind("prediction").report.explain(new)
     notes = [note for table in tables for note in table.notes]
     assert len({*notes, *sentences}) == len([*notes, *sentences])
-
-
-def test_an_interval_that_is_useless_for_aiming_is_a_warning(job, monkeypatch):
-    wide = [theta(job, bevel_mm=b) for b in np.geomspace(0.01, 0.25, 41)]
-    found = predict_with(job, monkeypatch, wide)
-    (one,) = (each for each in list_run_warnings(found) if each.kind == "wide_intervals")
-    once = found.frames["specimens"].set_index("specimen_treatment")["tip_95_width_mm"]["one insertion"]
-    assert f"{once:.2g} mm" in one.fix
-    narrow = predict_with(job, monkeypatch, [theta(job)] * 20, specimen="same")
-    assert not [w for w in list_run_warnings(narrow) if w.kind == "wide_intervals"]
 
 
 def test_bevels_that_differ_widen_the_needle_s_band(job):
@@ -260,18 +221,6 @@ def test_of_several_specimens_a_name_is_needed_and_their_mean_width_is_reported(
     assert same["tip_95_width_mm"] > 1.3 * min(widths)
 
 
-def test_draws_of_a_posterior_are_spread_over_it(job):
-    names = job.parameters.free
-    values = np.exp(np.linspace(np.log(1e4), np.log(1e6), 80)).reshape(4, 20, 1) * np.ones(len(names))
-    values[:, :, names.index("bevel_mm")] = 0.05
-    good = np.ones(len(names) + 1)
-    posterior = Posterior(names, values, np.zeros((4, 20)), np.ones(4), good, good, 81, 0, 0)
-    thetas = thin_posterior(posterior, job.parameters, 10).thetas
-    assert thin_posterior(posterior, job.parameters, 10).faults == posterior.faults != ()
-    assert thetas[[0, -1], 0] == pytest.approx(np.log([1e4, 1e6]))
-    assert np.exp(thetas[:, names.index("bevel_mm")]) == pytest.approx(0.05)
-
-
 @pytest.mark.usefixtures("few_draws")
 def test_a_prediction_from_an_unconverged_posterior_is_flagged(monkeypatch):
     job = prepare_small()
@@ -310,14 +259,6 @@ def test_a_posterior_of_other_data_is_refused(job, tmp_path):
         require_same_configuration(job, read_run(tmp_path), "run")
 
 
-def test_an_interrupted_search_predicts_nothing_and_an_early_end_is_flagged(job, monkeypatch):
-    do_not_escalate(monkeypatch)
-    assert draw_parameters(job, None, Settings(stop=lambda: True)) is None
-    short = replace(job, recipe=job.recipe.model_copy(update={"evaluations": 4}))
-    found = draw_parameters(short, None, Settings())
-    assert "minimum" in found.faults[0] and "(budget)" in found.faults[0]
-
-
 @pytest.mark.sweep
 def test_importance_draws_match_the_posterior(job):
     """Weighed draws and walked ones have the same middle and width, in the stiff and the sloppy direction."""
@@ -335,13 +276,6 @@ def test_importance_draws_match_the_posterior(job):
         assert np.std(one) == pytest.approx(np.std(two), rel=0.3)
 
 
-def test_repeats_of_one_specimen_do_not_narrow_the_interval():
-    alone = estimate_proportion([True, True, False], ["1", "2", "3"])
-    repeated = estimate_proportion([True] * 8 + [False] * 4, [n for n in "123" for _ in range(4)])
-    assert (repeated.hits, repeated.trials, repeated.groups) == (8, 12, 3)
-    assert (repeated.low, repeated.high) == pytest.approx((alone.low, alone.high))
-
-
 @pytest.mark.parametrize("length", [0.01, 5.0, 1e6])
 def test_a_whole_curve_leaves_its_band_at_the_nominal_rate(length):
     """PIT values of curves drawn from the prediction are uniform, whether points are correlated or not."""
@@ -354,8 +288,3 @@ def test_a_whole_curve_leaves_its_band_at_the_nominal_rate(length):
     levels = np.array([simulate_shape_pit(mixture, covariance, one, rng) for one in observed])
     for level in (0.5, 0.95):  # 300 trials: four standard deviations
         assert np.mean(levels <= level) == pytest.approx(level, abs=4 * np.sqrt(level * (1 - level) / 300))
-
-
-def test_a_run_that_is_named_must_hold_a_posterior(job, tmp_path):
-    with pytest.raises(ConfigError, match=r"no posterior\.nc"):
-        draw_parameters(job, tmp_path, Settings())

@@ -8,7 +8,6 @@ import pandas as pd
 import pytest
 from inference_cases import (
     TRUTH,
-    assert_one_density,
     dataset,
     insertion,
     measure,
@@ -41,7 +40,6 @@ from needlefit.studies.coverage import estimate_width_after_one
 from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.fit_warnings import describe_gain
 from needlefit.studies.held_out_predictions import (
-    BAND_POINTS,
     Specimens,
     draw_fold_parameters,
     predict_held_out,
@@ -103,37 +101,6 @@ def test_with_exact_parameters_and_depths_pose_and_point_errors_remain(job, know
     least = 1.959964 * np.hypot(shift, angle * insertion.planar[-1, 0])
     assert least < half < 1.15 * least  # the points' own noise, and a shift along, are small beside it
     assert tuple(row) == COLUMNS["predictive"] and row["draw_source"] == "importance" and row["certified"]
-
-
-def test_the_band_ends_at_the_predicted_tip(job, known):
-    (one,) = predict_held_out(job, of(job, exact(job.folds[0].validate[0])), sure(known), bands=True)
-    assert len(one.band) == BAND_POINTS and all(tuple(point) == COLUMNS["bands"] for point in one.band)
-    last = one.band[-1]
-    for name in ("low_50", "high_50", "low_95", "high_95"):
-        side, level = name.split("_")
-        assert last[f"{name}_mm"] == pytest.approx(one.row[f"tip_{level}_{side}_mm"])
-    tips = one.row["tip_median_mm"], one.row["tip_measured_mm"]
-    assert (last["median_mm"], last["measured_mm"]) == pytest.approx(tips)
-    widths = np.array([point["high_95_mm"] - point["low_95_mm"] for point in one.band])
-    assert widths[-1] > widths[0] > 0  # a turn of the pose tells most at the tip
-
-
-def test_without_a_stated_noise_nothing_is_predicted_but_where_the_points_have_their_own(job, known):
-    dataset = replace(job.dataset, noise=replace(job.dataset.noise, point_sd=0.0, correlated_sd=0.0))
-    silent, insertion = replace(job, dataset=dataset), exact(job.folds[0].validate[0])
-    with_sd = replace(insertion, sd=np.full(len(insertion.planar), 0.05))
-    assert list(tabulate_held_out(silent, of(job, replace(insertion, sd=None)), sure(known))) == []
-    assert len(list(tabulate_held_out(silent, of(job, with_sd), sure(known)))) == 1
-
-
-def test_open_depths_and_parameters_widen_it(job, known):
-    insertion = job.folds[0].validate[0]
-
-    def width(one, what):
-        (row,) = tabulate_held_out(job, of(job, one), what)
-        return row["tip_95_high_mm"] - row["tip_95_low_mm"]
-
-    assert width(exact(insertion), sure(known)) < width(insertion, sure(known)) < width(insertion, known)
 
 
 def test_a_bevel_that_varies_between_insertions_widens_it(job, known):
@@ -271,17 +238,6 @@ def test_repeats_are_depths_of_one_hole():
     assert len(find_repeats(dataset(apart, pose="free"))) == len(made)
 
 
-def test_repeats_have_exact_gradients_and_one_condition_a_hole():
-    p = problem(medium(1), holes(), how=LikelihoodRecord(depths="fixed"), noise=FINE)
-    theta = p.parameters.theta({**TRUTH, "bevel_spread": 0.07}) + 0.05
-    assert_one_density(p, theta, rtol=1e-4)
-    rows = sum(known.rows for known in p.density.observations)
-    # of each depth one condition that is nobody else's (of weight 0), of each hole the bevel
-    assert sum(p.density.residual_counts) == rows + 10 + 5
-    alone = replace(p, dataset=replace(p.dataset, insertions=p.insertions[:1]))
-    assert alone.log_posterior(theta) != pytest.approx(p.log_posterior(theta), abs=0.5)
-
-
 BENT = math.log(1.15)  #: logarithm of the bevel's factor in the last hole
 
 
@@ -316,10 +272,3 @@ def test_a_depth_of_a_known_hole_is_predicted_with_the_bevel_of_that_hole(holes_
     assert width["k"] < 0.5 * width["n"]
     off = [abs(row["tip_median_mm"] - row["tip_measured_mm"]) for row in (known, new)]
     assert off[0] < 0.2 * off[1]
-
-
-def test_the_depths_of_a_hole_left_out_have_one_bevel(holes_job):
-    everything = [one.id for one in holes_job.dataset.insertions]
-    shallow, deep = predict_holes(holes_job, everything[:8], ["E32", "E36"])
-    tips = [row["tip_median_mm"] / row["tip_measured_mm"] for row in (shallow, deep)]
-    assert tips[0] == pytest.approx(tips[1], rel=2e-3)  # 300 independent draws would differ by 1 %

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from inference_cases import NEEDLE, TRUTH, dataset, insertion, medium, two_layers
-from light_runs import do_not_escalate, predict_by_few_draws
+from light_runs import predict_by_few_draws
 from reporting_results import skip_figures
 from scipy.optimize import brentq
 
@@ -24,22 +24,20 @@ from needlefit.inference.forward_model import predict
 from needlefit.inference.problem import find_outside_validity
 from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
 from needlefit.project.locate import find_file
-from needlefit.project.result_warnings import read_warnings
 from needlefit.project.toml import load
 from needlefit.reporting.table_files import to_records
 from needlefit.schemas.limits import MAX_LAYERS
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord, SampleRecord
 from needlefit.schemas.scene import SceneRecord
-from needlefit.schemas.study import FitRecord, StudyRecord
+from needlefit.schemas.study import StudyRecord
 from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.job import make_folds, prepare
 from needlefit.studies.kinds.cross_validation.run import Settings, run, tabulate_design
-from needlefit.studies.kinds.cross_validation.tables import arrange_parameters, tabulate_parameters
 from needlefit.studies.report import say, write_run
 from needlefit.studies.run import Run
 from needlefit.studies.score import Scorer, curve_predictor, model_predictor
-from needlefit.studies.validity import ValidityCounts, describe_outside, list_outside
+from needlefit.studies.validity import describe_outside, list_outside
 
 MEDIUM = """schema = 1
 layers = 2
@@ -86,17 +84,6 @@ def clean(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 EVENTS: list[tuple[str, int, int]] = []  #: what the run above reports
 FIRST: list[str] = []
-
-
-def test_progress_names_every_phase_and_the_fit_is_told_once(clean: Run) -> None:
-    labels, done, totals = zip(*EVENTS, strict=True)
-    phases = list(dict.fromkeys(label.removeprefix("clean: ") for label in labels))
-    assert phases == ["search for the best fit", "posterior draws", "predictions", "profiles", "errors"]
-    # 4 starts, 30 for the draws, 4 for each prediction and the profile of each of 3 parameters
-    held_out = clean.frames["predictive"]["insertion"].nunique()
-    assert set(totals) == {4 + 30 + 4 * (3 + held_out)}
-    assert list(done) == sorted(done) and done[-1] == totals[-1]
-    assert len(FIRST) == 1
 
 
 def study(**changes: object) -> StudyRecord:
@@ -146,18 +133,6 @@ def test_baselines_stand_beside_the_model_and_lose_on_its_own_needles(clean: Run
     assert (mean.drop("fitted") > 10 * mean["fitted"]).all()
 
 
-def test_the_run_records_its_settings(clean: Run) -> None:
-    starts = clean.frames["starts"]
-    assert clean.run["evaluations"] == starts["evaluations"].sum()
-    assert clean.run["folds"][0]["validate"] == ["needle-3", "needle-4"]
-    search = clean.run["searches"]["all"]["fitted"]
-    assert search["negative_log_posterior"] == starts["objective"].min()
-    assert search["values"] == fitted(clean)
-    assert json.loads(json.dumps(clean.run)) == clean.run
-    empty = [name for name, frame in frames(clean).items() if frame.empty]
-    assert empty == ["failures", "error_fit", "population"]
-
-
 @pytest.mark.sweep
 def test_a_row_of_failures_csv_reproduces_its_failure(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Constraints that leave the needle by 30 mm a millimetre and more press the tissue flat."""
@@ -188,15 +163,6 @@ def test_a_row_of_failures_csv_reproduces_its_failure(project: Path, monkeypatch
     pd.testing.assert_frame_equal(again.frames["failures"], results.frames["failures"], check_exact=True)
 
 
-def test_leaving_specimens_out_never_splits_one(project: Path) -> None:
-    record = study(tune={}, validate=[], leave_out="specimen")
-    found = make_folds(record, read(project / "data" / "needles" / "dataset.toml"))
-    assert [fold.name for fold in found] == ["without piece1", "without piece2"]
-    for fold in found:
-        assert not {i.specimen for i in fold.tune} & {i.specimen for i in fold.validate}
-        assert len(fold.tune) + len(fold.validate) == 4
-
-
 def test_an_insertion_on_both_sides_is_refused(project: Path) -> None:
     record = study(tune={"insertions": ["needle-1"]}, validate=[{"specimens": ["piece1"]}])
     with pytest.raises(ConfigError, match=r"needle-1 .*tune and validate"):
@@ -217,25 +183,6 @@ def rewrite(project: Path, kind: str, old: str, new: str) -> None:
     file.write_text(text.replace(old, new))
 
 
-@pytest.mark.usefixtures("few_draws")
-def test_a_fit_with_everything_fixed_only_scores(project: Path) -> None:
-    rewrite(project, "media", "mu1_pa = { bounds = [3e4, 3e6] }", "mu1_pa = { fixed = 3e5 }")
-    rewrite(project, "media", "bevel_mm = { bounds = [0.02, 0.3] }", "bevel_mm = { fixed = 0.09 }")
-    results = run("fixed", study(), Settings())
-    errors = results.frames["errors"][results.frames["errors"]["method"] == "fitted"]
-    assert errors["te_mm"].max() < 1e-3
-    assert set(results.frames["parameters"]["status"]) == {"fixed"}
-
-
-def test_a_fixed_bevel_is_not_tuned_anew_about_the_paper_s_set(project: Path) -> None:
-    rewrite(project, "media", "bevel_mm = { bounds = [0.02, 0.3] }", "bevel_mm = { fixed = 0.09 }")
-    fit = {"schema": 1, "dataset": "needles", "medium": "gel", "recipe": "gel", "paper_parameters": "study2"}
-    found = run("gel", FitRecord.model_validate(fit | {"tune": {"specimens": ["piece1"]}}), Settings())
-    assert "hand_tuned_b" not in set(found.frames["errors"]["method"]) and "hand_tuned" in set(
-        found.frames["errors"]["method"]
-    )
-
-
 def test_a_medium_without_the_layers_met_is_refused_before_the_fit(project: Path) -> None:
     one = [line for line in MEDIUM.splitlines() if "2" not in line.split("=")[0]]
     (project / "configs" / "media" / "gel.toml").write_text(
@@ -249,21 +196,6 @@ def test_a_guide_out_of_the_needle_s_reach_is_refused_before_the_fit(project: Pa
     rewrite(project, "media", "bevel_mm", "guide_distance_mm = { bounds = [1.0, 120.0] }\nbevel_mm")
     with pytest.raises(ConfigError, match="needle of 150 mm"):
         run("guide", study(), Settings())
-
-
-def test_weights_that_are_all_zero_are_refused(project: Path) -> None:
-    rewrite(project, "recipes", "1e-6", "1e-6\n[weights]\nipe = 0\nte = 0\nedp = 0")
-    with pytest.raises(ConfigError, match="nothing to minimise"):
-        run("zero", study(), Settings())
-
-
-def test_a_search_that_ends_early_is_marked(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    do_not_escalate(monkeypatch)
-    rewrite(project, "recipes", "evaluations = 250", "evaluations = 4")
-    fit = {"schema": 1, "dataset": "needles", "medium": "gel", "recipe": "gel"}
-    found = run("gel", FitRecord.model_validate(fit | {"tune": {"specimens": ["piece1"]}}), Settings())
-    (faults,) = found.run["search_faults"].values()
-    assert any("minimum" in fault and "(budget)" in fault for fault in faults)
 
 
 @pytest.mark.parametrize(
@@ -318,19 +250,6 @@ def test_scored_simulations_are_counted_and_named():
     (words,) = list_outside({"validity": table})
     assert words.startswith("1 ")
     assert "2 of 3" in describe_outside({"validity": table})
-
-
-def test_a_run_inside_its_limits_has_no_warning():
-    counts = ValidityCounts()
-    counts.draws.add(400, 0)
-    assert list_outside({"validity": counts.table()}) == []
-    assert describe_outside({"validity": counts.table()}) == ""
-    assert describe_outside({}) == "" and list_outside({}) == []
-    counts.draws.add(400, 3)  # fewer than one in a hundred
-    assert list_outside({"validity": counts.table()}) == []
-    counts.draws.add(400, 30)
-    assert len(list_outside({"validity": counts.table()})) == 1
-    assert read_warnings({}) == ()
 
 
 BASE = {"schema": 1, "layers": 1, "parameters": {}}
@@ -509,37 +428,6 @@ def test_the_papers_set_keeps_everything_but_its_bevel(several_fits: Run) -> Non
     tuned = frames["errors"].query("role == 'tune' and boundaries == 'measured'")
     ipe = tuned.groupby("method")["ipe_mean_mm"].mean()
     assert ipe["fitted"] < min(ipe["hand_tuned"], ipe["hand_tuned_b"])
-
-
-def test_a_second_fit_stands_in_every_table_if_the_recipe_asks_for_it(several_fits: Run) -> None:
-    frames, both = several_fits.frames, {"fitted", "fitted_metric"}
-    assert all(both <= set(frames[name]["method"]) for name in ("parameters", "errors"))
-    minimized = frames["starts"].groupby("fit")["minimized"].unique()
-    assert (minimized["fitted"], minimized["fitted_metric"]) == (["posterior"], ["metric"])
-    second = frames["parameters"].query("method == 'fitted_metric'").set_index("parameter")["value"]
-    assert second["mu2_pa"] == 2e7 and abs(second["bevel_mm"] / fitted(several_fits)["bevel_mm"] - 1) < 0.01
-    printed = {row["parameter"]: row for row in arrange_parameters(tabulate_parameters(several_fits))}
-    assert printed["bevel_mm"]["fitted_metric"]["value"] == second["bevel_mm"]
-    (found,) = frames["error_fit"].to_dict("records")
-    assert found["least_objective_mm"] <= found["objective_mm"]
-    assert found["objective_mm"] <= found["least_objective_mm"] + found["tolerance_mm"]
-
-
-@pytest.mark.sweep
-def test_every_search_of_every_fold_begins_in_places_of_its_own(project: Path) -> None:
-    """With one evaluation a start ends where it began; the bevel alone is free in both searches."""
-    (project / "configs" / "recipes" / "gel.toml").write_text(ONE_EVALUATION)
-    fixed = MEDIUM.replace("mu1_pa = { bounds = [3e4, 3e6] }", "mu1_pa = { fixed = 3e5 }")
-    (project / "configs" / "media" / "gel.toml").write_text(fixed)
-    record = study(tune={}, validate=[], leave_out="specimen", paper_parameters="study1")
-    starts = run("starts", record, Settings()).frames["starts"]
-    assert len(starts) == 2 * 2 * 3
-    assert (starts["evaluations"] == 1).all()
-    assert starts["bevel_mm"].nunique() == len(starts)
-    again = run("starts", record, Settings()).frames["starts"]
-    assert again["bevel_mm"].tolist() == starts["bevel_mm"].tolist()
-    other = run("starts", record, Settings(seed=7)).frames["starts"]
-    assert not set(other["bevel_mm"]) & set(starts["bevel_mm"])
 
 
 @pytest.mark.sweep

@@ -13,27 +13,22 @@ import pytest
 from inference_cases import dataset, insertion, medium
 from light_runs import predict_by_few_draws
 from made_again import store
-from test_cli import run as run_command
 
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, DataError
 from needlefit.inference.forward_model import (
     ParameterDraws,
-    find_layers,
     make_scene_record,
     make_simulation_inputs,
-    predict,
 )
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
 from needlefit.inference.problem import make_problem
 from needlefit.inference.sampling.importance import Effort, resample_draws, sample_about_modes
 from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.session import Session
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.planning.steering import StartedInsertion
 from needlefit.project.locate import find_file, find_view_target
-from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import WeightsRecord
 from needlefit.schemas.scene import SceneRecord
@@ -139,26 +134,6 @@ def test_an_insertion_as_a_scene_is_the_predicted_needle(one, record):
     np.testing.assert_allclose(followed(again).u, expected.u, rtol=0, atol=1e-7)
 
 
-def test_a_layer_of_no_thickness_is_left_out():
-    squeezed = dataclasses.replace(AGAIN, boundaries=np.array([12.0, 12.0]), sequence=(1, 2, 1))
-    assert find_layers(squeezed) == ((0.0, 1), (12.0, 1))
-    at_once = dataclasses.replace(AGAIN, boundaries=np.array([0.0, 12.0]), sequence=(1, 2, 1))
-    assert find_layers(at_once) == ((0.0, 2), (12.0, 1))
-
-
-def test_a_scene_is_shown_as_it_is_simulated(monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)  # nothing here: the shipped ones
-    viewed_scene = open_target("study3")
-    assert viewed_scene.measured is viewed_scene.spread is viewed_scene.scanned is None
-    assert not viewed_scene.synthetic and viewed_scene.diameter == 1.27
-    scene = Scene.from_record(viewed_scene.record)
-    first = scene.steps[0]
-    session = Session(
-        scene.needle, scene.tissue, first.bevel, viewed_scene.first_cell, first.controls, scene.rules
-    )
-    assert np.array_equal(session.go(first).u, followed(viewed_scene.record).u)
-
-
 def test_nothing_named_shows_the_fit_of_an_insertion_with_its_band():
     """Needle and draws are those of the posterior of phantom2-05 with one b: its mode, and draws about it."""
     viewed_scene, source = open_target(None), open_target("twin/phantom2-05")
@@ -206,20 +181,6 @@ def test_draws_beside_a_scene_are_checked(tmp_path):
             open_target(str(path))
 
 
-@pytest.mark.sweep
-def test_a_dataset_shows_its_first_insertion_or_the_one_that_is_named(project):
-    for name in ("needles", "data/needles", "data/needles/dataset.toml", str(project / "data/needles")):
-        assert open_target(name).measured.id == "needle-1"
-        assert open_target(f"{name}/needle-3").measured.id == "needle-3"
-    viewed_scene = open_target("needles", "needle-2")
-    assert viewed_scene.name == "needles/needle-2" and viewed_scene.synthetic
-    assert open_target(viewed_scene.name).record == viewed_scene.record
-    assert tuple(viewed_scene.choices) == ("needle-1", "needle-2", "needle-3", "needle-4")
-    assert (viewed_scene.record.depth_mm, viewed_scene.record.bevel.side) == (needles.DEPTHS[1], -1)
-    assert [layer.top_mm for layer in viewed_scene.record.layers] == pytest.approx([0.0, needles.INTERFACE])
-    assert viewed_scene.first_cell == pytest.approx(0.5)  # of 30.5 mm
-
-
 def test_without_a_fit_the_medium_s_middle_is_where_tuning_by_hand_begins(project):
     viewed_scene = open_target("needles")
     first, second = viewed_scene.record.layers
@@ -227,19 +188,6 @@ def test_without_a_fit_the_medium_s_middle_is_where_tuning_by_hand_begins(projec
     assert second.alpha == pytest.approx(-1.0)  # the prior's peak, not the middle of the bounds
     assert viewed_scene.record.bevel.offset_mm == pytest.approx(0.05)
     assert "medium gel" in viewed_scene.note
-
-
-def test_the_paper_s_hand_tuned_set_stands_in_where_there_is_one():
-    begun = choose_start_parameters(dataclasses.replace(TWO, medium="phantom2"))
-    assert begun.values["mu2_pa"] == 3.3e7 and begun.values["bevel_mm"] == 0.085
-    assert "phantom2" in begun.description
-
-
-@pytest.mark.parametrize("name", ["nobody_s", "chicken"])  # chicken is described, but of one layer
-def test_an_undescribed_medium_starts_with_invented_numbers_and_a_note(name):
-    begun = choose_start_parameters(dataclasses.replace(TWO, medium=name))
-    assert "invented" in begun.description and begun.medium.layers == 2
-    assert predict(begun.values, begun.medium, dataset([TWO]).needle, TWO).converged
 
 
 def test_a_run_shows_its_fit_starting_with_a_held_out_insertion(project):
@@ -276,47 +224,6 @@ def test_the_band_of_a_new_specimen_is_as_wide_as_the_run_predicted_it(project):
     assert set(new.mu[:, 1]) == set(same.mu[:, 1])  # fixed in the medium
 
 
-@pytest.mark.sweep
-def test_a_new_specimen_is_that_also_where_an_insertion_that_was_tuned_on_is_shown(project):
-    opened = [open_target("small", "needle-1", one) for one in ("shown", "planned", "new", "same")]
-    assert [one.specimen for one in opened] == ["same", "new", "new", "same"]
-    shown, planned, new, same = (one.spread for one in opened)
-    assert np.array_equal(shown.mu, same.mu) and np.array_equal(planned.mu, new.mu)
-    assert_new(new, same, np.log(2))  # the prior of the recipe
-
-
-@pytest.mark.sweep
-def test_a_plan_follows_a_study_without_spread_between_specimens(project, tmp_path):
-    results = restore_run(project / "reports/small")
-    plain = results.record.model_copy(update={"specimens": "training only"})
-    frame = results.frames["predictive"].assign(specimen_treatment="training only")
-    put(dataclasses.replace(results, record=plain).with_frames(predictive=frame), tmp_path)
-    shown, planned, new, same = (
-        open_target(str(tmp_path), specimen=one).spread for one in ("shown", "planned", "new", "same")
-    )
-    assert np.array_equal(shown.mu, same.mu) and np.array_equal(planned.mu, same.mu)
-    assert np.log(new.mu[:, 0]).std() > np.log(same.mu[:, 0]).std()
-
-
-@pytest.mark.sweep
-def test_a_plan_states_specimen_draws_and_the_warnings_of_the_run(project, tmp_path, capsys):
-    results = restore_run(project / "reports/small")
-    warned = results.run | warnings_entry([ResultWarning("worse_than_baseline", "a line is closer")])
-    put(dataclasses.replace(results, run=warned), tmp_path)
-    depth = open_target("small").measured.depth
-    found = {}
-    for specimen in ("new", "same"):
-        words = ("--target", f"{depth},0", "--turns", "0", "--specimen", specimen, "--json")
-        assert run_command("plan", str(tmp_path), *words) == 0
-        printed = capsys.readouterr()
-        found[specimen] = json.loads(printed.out)
-        assert "worse-than-baseline" in printed.err
-    total = int((results.frames["draws"]["specimen"] == "(tuned)").sum())
-    for specimen, one in found.items():
-        assert one["specimen"] == specimen and one["warnings"][0]["kind"] == "worse_than_baseline"
-        assert one["draws"] == total - one["search_draws"] and one["search_draws"] == 32
-
-
 def test_a_run_of_data_that_changed_or_of_another_kind_is_refused(project, tmp_path):
     results = restore_run(project / "reports/small")
     put(dataclasses.replace(results, run={**results.run, "dataset": {"sha256": "0"}}), tmp_path)
@@ -335,21 +242,6 @@ def test_a_run_without_draws_has_no_band_and_a_note(project, tmp_path):
     put(results.with_frames(draws=results.frames["draws"].assign(certified=False)), tmp_path)
     viewed_scene = open_target(str(tmp_path))
     assert viewed_scene.spread is None and "certified" in viewed_scene.note
-
-
-@pytest.mark.sweep
-def test_a_plan_with_a_run_that_is_not_certified_is_marked(project, tmp_path, capsys):
-    results = restore_run(project / "reports/small")
-    frames = {"draws": results.frames["draws"].assign(certified=False)}
-    fault = "the posterior has not converged: draws by importance are not certified: Pareto k is 1.40"
-    put(dataclasses.replace(results, faults=(fault,)).with_frames(**frames), tmp_path)
-    words = ("plan", str(tmp_path), "--target", "30,1", "--turns", "0", "-q")
-    assert run_command(*words) == 5
-    printed = capsys.readouterr()
-    assert printed.out.startswith("NOT CERTIFIED. ") and "Pareto k is 1.40" in printed.err
-    assert run_command(*words, "--json") == 5
-    table = json.loads(capsys.readouterr().out)
-    assert table["faults"] == [fault] and table["probability"] is None
 
 
 def test_an_ambiguous_name_lists_each_path(project):

@@ -19,7 +19,6 @@ from needlefit.datasets.sources import ScanVolume, find_volume, write_volumes
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length, compare_curves
 from needlefit.geometry.frames import Frame, align_rigid, make_entry_frame
-from needlefit.imaging import volume_files as scans
 from needlefit.imaging.volume import Volume, to_patient
 from needlefit.imaging.volume_files import write_volume
 from needlefit.inference.compared_points import compare_points
@@ -28,9 +27,7 @@ from needlefit.mechanics.control import Guide
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.shape import NeedleShape, compute_positions
-from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
-from needlefit.metrics import compute_metrics
 from needlefit.planning.steering import StartedInsertion
 from needlefit.viewer.export import PAGE
 from needlefit.viewer.messages import encode_measured
@@ -102,33 +99,6 @@ def test_errors_up_to_the_depth_in_common():
 
 
 @needs_node
-def test_errors_grow_into_those_of_the_whole_needle():
-    """The measured curve is longer than its depth, as one is that does not begin in the plane of entry."""
-    one = of(dataclasses.replace(oblique(0.05), planar=1.03 * oblique(0.05).planar))
-    almost, there = page_errors(one, 40.0 - 1e-5, 40.0)
-    assert (almost["whole"], there["whole"]) == (False, True)
-    assert almost["te_mm"] == pytest.approx(there["te_mm"], abs=1e-4)
-    assert there["te_mm"] > 1.2
-
-
-@needs_node
-def test_at_the_measured_depth_errors_are_those_of_a_study():
-    shape = straight(40.0)
-    curves = compare_curves(*compare_points("known", 0.0, MEASURED, lambda s: compute_positions(shape, s)))
-    (found,) = page_errors(of(MEASURED), 40.0)
-    assert {name: found[name] for name in compute_metrics(curves)} == pytest.approx(compute_metrics(curves))
-
-
-@needs_node
-def test_without_a_measured_shape_there_are_no_errors():
-    one = of(oblique(0.05), floor=math.nan)
-    assert page_errors(one, 0.5) == [None] and one.floor is None
-    shifted = dataclasses.replace(oblique(0.0), planar=np.add(oblique(0.0).planar, [0.0, 0.3]))
-    (found,) = page_errors(of(shifted), 40.0)
-    assert found["te_mm"] == pytest.approx(0.3) and found["edp_percent"] is None  # nothing to divide by
-
-
-@needs_node
 def test_a_shape_of_unknown_pose_lies_on_the_needle_and_is_compared_where_it_is_whole():
     turned = MEASURED.planar @ [[0.0, 1.0], [-1.0, 0.0]] + [30.0, -4.0]
     free = dataclasses.replace(MEASURED, planar=turned)
@@ -187,27 +157,6 @@ def test_the_band_covers_the_needles_of_all_draws_under_the_same_inputs():
     np.testing.assert_allclose(found.high, high, atol=1e-6)
     np.testing.assert_allclose(found.x, np.median(x, axis=0), atol=1e-6)
     assert found.failed == 0 and np.all(np.diff(found.high - found.low)[-10:] > 0)  # widest at the tip
-
-
-def test_draws_that_agree_leave_no_width_and_failed_ones_are_counted():
-    same = spread(5)
-    same = ParameterDraws(*(part[[0] * 5] for part in (same.mu, same.shape, same.bevel)))
-    same.bevel[3] = np.nan
-    found = band(same, SCENE.steps)
-    assert found.failed == 1
-    np.testing.assert_allclose(found.low, found.high, atol=1e-9)
-    tissue = dataclasses.replace(SCENE.tissue, mu=same.mu[0], shape=same.shape[0])
-    bent = dataclasses.replace(SCENE.steps[0].bevel, offset=float(same.bevel[0]))
-    alone = simulate_steps(
-        SCENE.needle, tissue, (dataclasses.replace(SCENE.steps[0], bevel=bent),), SCENE.rules
-    )
-    assert found.low[-1] == pytest.approx(alone.tip_lateral, abs=1e-6)
-    assert band(ParameterDraws(same.mu, same.shape, same.bevel * np.nan), SCENE.steps) is None
-
-
-def test_before_first_contact_there_is_no_band():
-    session = Session(SCENE.needle, SCENE.tissue, SCENE.steps[0].bevel)
-    assert band(spread(5), session.input_path()) is None
 
 
 def bent(s: np.ndarray) -> np.ndarray:
@@ -274,9 +223,3 @@ def test_a_dataset_locates_its_scans_and_missing_ones_are_reported(scan, tmp_pat
     (tmp_path / "volumes.csv").write_text("id,file\na,b\n")
     with pytest.raises(DataError, match="volume"):
         find_volume(whole, "a")
-
-
-def test_missing_packages_that_read_scans_are_named(monkeypatch):
-    assert scans.ct_packages_installed()
-    monkeypatch.setattr(scans, "find_spec", lambda name: None if name == "pydicom" else object())
-    assert not scans.ct_packages_installed()

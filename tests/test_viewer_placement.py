@@ -1,18 +1,14 @@
 """Where a steered needle lies in space: where the files of a run have it, and its log says so alone."""
 
-import json
 from pathlib import Path
 
 import needles
 import numpy as np
-import pandas as pd
 import pytest
-from test_cli import run as command
 from test_viewer_opening import run_study
 
 from needlefit.datasets.read import read as read_dataset
 from needlefit.errors import ConfigError
-from needlefit.geometry.frames import Placement
 from needlefit.inference.compared_points import select_points
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
@@ -63,40 +59,6 @@ def test_a_steered_needle_lies_where_the_files_of_a_run_have_it(pose, tmp_path, 
     s = select_points(pose, 2.0 if pose == "free" else 0.0, one, NEEDLE_POINTS).s
     found = outcome.placement.to_patient(compute_positions(outcome.state.shape, s))
     np.testing.assert_allclose(found, read_needles(results.frames["needles"])[ID].fitted, rtol=0, atol=1e-6)
-
-
-@pytest.mark.sweep
-def test_the_files_of_a_recording_are_in_the_scan_and_in_the_world_of_the_data(
-    tmp_path, monkeypatch, capsys
-) -> None:
-    """Without the data: the log holds where its needle lies."""
-    monkeypatch.chdir(tmp_path)
-    expected = read_needles(fitted(tmp_path, "known").frames["needles"])[ID].fitted
-    steered(tmp_path / "log.csv")
-    (tmp_path / "data").rename(tmp_path / "gone")
-    files = ("--csv", "a.csv", "--slicer", "a.mrk.json", "--plot", "a.svg", "--json")
-    assert command("simulate", "--recording", "log.csv", *files) == 0
-    tip = json.loads(capsys.readouterr().out)["tip_mm"]
-    (curve,) = json.loads(Path("a.mrk.json").read_text())["markups"]
-    points = np.array([point["position"] for point in curve["controlPoints"]])
-    assert curve["coordinateSystem"] == "LPS"
-    np.testing.assert_allclose(points[-NEEDLE_POINTS:], expected, rtol=0, atol=1e-6)
-    table = pd.read_csv("a.csv")
-    x, y, z = expected[-1]
-    world = table[["world_x_mm", "world_y_mm", "world_z_mm"]].to_numpy()
-    np.testing.assert_allclose(world[-1], [10 - y, 20 + x, 30 + z], rtol=0, atol=1e-6)
-    np.testing.assert_allclose(tip, world[-1], atol=1e-6)
-    np.testing.assert_allclose(world[:, 2], 0.0, atol=1e-9)  # the needles were made in the plane z = 0
-
-
-def test_a_placement_is_written_with_all_its_bits(tmp_path) -> None:
-    viewed_scene = open_target("twin/phantom2-05")
-    head = viewed_scene.make_head()
-    RecordingWriter(tmp_path / "log.csv", head).begin()
-    assert read_recording(tmp_path / "log.csv").head == head
-    frame = Placement.from_record(head.placement).frame
-    assert np.array_equal(frame.rows, np.array(viewed_scene.placement.entry_to_world))
-    assert np.linalg.norm(frame.origin) == pytest.approx(np.hypot(13.0, 3.0))
 
 
 def test_a_placement_that_is_no_rigid_motion_is_refused(tmp_path) -> None:

@@ -4,17 +4,14 @@ import numpy as np
 import pytest
 
 from needlefit.errors import ModelError, NeedlefitError
-from needlefit.mechanics.control import Guide, TrackedTip
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
-from needlefit.mechanics.simulate import simulate_steps
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.scene import SceneRecord
 from needlefit.viewer.recording import RecordedStep, RecordingWriter, make_head, read_recording, replay
-from needlefit.viewer.steering import Change, SteeredNeedle, find_changes, find_tissue_changes
+from needlefit.viewer.steering import Change, SteeredNeedle
 
-RECORD = load(find_file("scene", "figure1"), SceneRecord)
 PLAIN = load(find_file("scene", "study2"), SceneRecord)
 
 
@@ -78,33 +75,6 @@ def test_a_replay_finds_the_same_bits_after_every_step(tmp_path) -> None:
     assert again[4].time == 1.0
 
 
-def test_all_shape_parameters_of_a_law_are_steered_recorded_and_replayed(tmp_path) -> None:
-    layers = tuple(
-        one.model_copy(update={"alpha": 2.0, "shape": {"beta": -1.0 - n, "share": 0.4}, "thickness_mm": 5.0})
-        for n, one in enumerate(PLAIN.layers)
-    )
-    record = PLAIN.model_copy(update={"law": "two_term_ogden", "layers": layers})
-    path = tmp_path / "log.csv"
-    steps = (
-        [("depth_mm", 20.0), ("base_y_mm", 0.5)],
-        [("share", 1, 0.9)],
-        [("beta", 2, -4.0), ("alpha", 1, 3.0)],
-    )
-    steering = recorded(path, steps, record)
-    assert len({one[-1] for one in steering.found[1:]}) == 3
-    assert steering.now.tissue.shape[:, :2].T.tolist() == [[3.0, -1.0, 0.9], [2.0, -4.0, 0.4]]
-    again = list(replay(read_recording(path)))
-    assert max(replayed.tip_offset_mm for replayed in again) == 0.0
-    back = find_tissue_changes(Scene.from_record(record).tissue, steering.now.tissue)
-    assert [(one.name, one.item) for one in back] == [
-        (name, layer) for layer in (1, 2) for name in ("mu_pa", "alpha", "beta", "share")
-    ]
-    with pytest.raises(ModelError, match="jm"):
-        act(steering, ("jm", 1, 5.0))
-    with pytest.raises(ModelError, match=r"layer 1.*share"):
-        act(steering, ("share", 1, 1.5))
-
-
 @pytest.mark.parametrize("cut", [1, 20, 45])
 def test_a_recording_cut_off_in_its_last_step_has_all_before(tmp_path, cut: int) -> None:
     """Killed while it wrote: the step of two rows at the end is there whole, or not at all."""
@@ -112,15 +82,6 @@ def test_a_recording_cut_off_in_its_last_step_has_all_before(tmp_path, cut: int)
     recorded(path, [*WANDERING, [("depth_mm", 9.0), ("bevel_side", -1.0)]])
     path.write_bytes(path.read_bytes()[:-cut])
     assert [step.number for step in read_recording(path).steps] == list(range(1, len(WANDERING) + 1))
-
-
-def test_a_recording_is_a_table_for_others(tmp_path) -> None:
-    import pandas as pd
-
-    recorded(tmp_path / "log.csv")
-    frame = pd.read_csv(tmp_path / "log.csv", comment="#")
-    assert list(frame.columns) == ["step", "time_s", "input", "item", "value", "tip_lateral_mm"]
-    assert frame.loc[frame.input == "depth_mm", "value"].iloc[0] == 12.34567
 
 
 @pytest.mark.parametrize(
@@ -167,17 +128,6 @@ def test_a_recording_of_another_version_is_refused_and_left_alone(tmp_path) -> N
         path.write_text(text.replace(other, known))
 
 
-def test_an_insertion_by_hand_is_the_simulated_one() -> None:
-    """In many small strides, as a page sends them."""
-    scene = Scene.from_record(PLAIN)
-    steering = steer(first_cell=0.06)
-    for depth in np.arange(0.37, 38.06, 0.37):
-        act(steering, ("depth_mm", float(depth)))
-    act(steering, ("depth_mm", 38.06))
-    expected = simulate_steps(scene.needle, scene.tissue, scene.steps, scene.rules).tip_lateral
-    assert steering.now.shape.tip_lateral == pytest.approx(expected, abs=1e-7)
-
-
 def test_a_refused_input_changes_nothing() -> None:
     steering = steer()
     act(steering, ("depth_mm", 30.0))
@@ -198,30 +148,3 @@ def test_a_refused_input_changes_nothing() -> None:
             act(steering, *changes)
     assert steering.number == 1
     assert steering.now.shape is before.shape and steering.now.step == before.step
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_every_input_refuses_non_finite_values(value: float) -> None:
-    with pytest.raises(ModelError, match="finite"):
-        Change("base_y_mm", None, value)
-
-
-def test_guides_keep_their_numbers_and_names() -> None:
-    steering = steer()
-    act(steering, ("guide_x_mm", 2, -10.0), ("guide_y_mm", 2, 0.0))
-    act(steering, ("guide_x_mm", 1, -5.0), ("guide_y_mm", 1, 0.0))
-    act(steering, ("guide_x_mm", 2, 4.0))
-    assert steering.now.step.controls.guides == (Guide(-5.0), Guide(4.0, in_tissue=True))
-    act(steering, ("guide_engaged", 1, 0.0))
-    act(steering, ("guide_turns_freely", 2, 1.0), ("tip_y_mm", 0.1))
-    assert steering.now.step.controls.guides == (Guide(4.0, 0.0, None, True),)
-    assert steering.now.step.controls.tip == TrackedTip(0.1)
-
-
-def test_the_steps_of_a_scene_can_be_reproduced_by_hand() -> None:
-    scene = Scene.from_record(RECORD)
-    steering = steer(RECORD)
-    for step in steering.scene.steps:
-        changes = find_changes(step, steering.now.step, steering.names)
-        steering.apply([*changes, Change("depth_mm", None, step.depth)])
-    assert steering.now.step == scene.steps[-1]

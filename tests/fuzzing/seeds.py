@@ -1,7 +1,5 @@
 """Valid inputs of every kind, small, with the same bytes in every run."""
 
-import gzip
-import json
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -318,20 +316,6 @@ def results() -> list[Seed]:
     return [written(lambda folder, of=of: store_run(of, folder), ".", ("results.json.gz",)) for of in runs]
 
 
-def contents() -> list[Seed]:
-    """What stored results hold: somebody can make a right file of anything."""
-    from reporting_results import study
-
-    from needlefit.studies.fit_frames import COLUMNS
-    from needlefit.studies.store import store_run
-
-    whole = study(1)
-    small = whole.with_frames(**{name: whole.frames[name].head(20) for name in COLUMNS})
-
-    with tempfile.TemporaryDirectory() as folder:
-        return [one_file("content.json", gzip.decompress(store_run(small, Path(folder)).read_bytes()))]
-
-
 def posteriors() -> list[Seed]:
     from reporting_results import sampled
 
@@ -369,112 +353,12 @@ def checkpoints() -> list[Seed]:
     return [written(write, "run.partial")]
 
 
-def rows() -> list[Seed]:
-    """Starts as a checkpoint keeps them, before their digests: somebody can make right ones of anything."""
-    from needlefit.inference.fit import Start, start_to_dict
-
-    ended = ((0.1, 0.2), (0.11, 0.21), 3.5, 40, 1, "tolerance", ((0.1, 0.3),))
-    return [one_file("rows.json", json.dumps([start_to_dict(Start(n, *ended)) for n in (0, 1)]))]
-
-
-def kept() -> list[Seed]:
-    """A reconstruction that was kept, and what it says, before the digest."""
-    from reconstruction_cases import small
-
-    from needlefit.imaging.batch import _HOOKS
-    from needlefit.project.checkpoint import open_checkpoint
-    from needlefit.project.encode import encode
-
-    def write(folder: Path) -> None:
-        arrays: dict = {}
-        values = {"reconstructions": [encode(small(), _HOOKS, arrays)]}
-        open_checkpoint(folder / "run.partial", False, WORK).keep_row("scan", values, arrays)
-        (folder / "values.json").write_text(json.dumps(values))
-
-    return [written(write, ".")]
-
-
-def runs() -> list[Seed]:
-    found = []
-    for name in ("study3", "chicken", "phantom1"):
-        folder = PROJECT / "reports" / "reference" / name
-        files = {f"{run}/{path.name}": path.read_bytes() for run in "ab" for path in sorted(folder.iterdir())}
-        found.append(Seed(files, ".", tuple(file for file in files if file.startswith("b/"))))
-    return found
-
-
 def run_files() -> list[Seed]:
     paths = sorted((PROJECT / "reports" / "reference").glob("s*/run.json"))
     return [Seed({"run.json": path.read_bytes()}, ".", ("run.json",)) for path in paths]
 
 
-def manifests() -> list[Seed]:
-    from needlefit.project.folders import write_manifest
-
-    def write(folder: Path) -> None:
-        (folder / "out").mkdir()
-        (folder / "out" / "a.csv").write_text("a,b\n1,2\n")
-        write_manifest(folder / "out")
-
-    return [written(write, "out")]
-
-
 # ---- texts
-
-
-def assignments() -> list[Seed]:
-    lines = (
-        *("bevel.offset_mm=0.1", "layers.1.mu_pa=3e5", 'layers.2.law="ogden"', "depth_mm=80.5"),
-        *("bevel.side=-1", "title=a needle", "layers.1.alpha=[1, 2]", "guides.1.name='template'"),
-    )
-    return [one_file("set.txt", "\n".join(lines) + "\n")]
-
-
-STEERING = """\
-{"do": "hello", "id": 1}
-{"do": "steps", "id": 2, "steps": [[1, 0.1, 4, [["depth_mm", null, 12.5]], 0.1]]}
-{"do": "steps", "id": 3, "steps": [[2, 0.2, 4, [["bevel_side", null, -1]], 0.1]]}
-{"do": "steps", "id": 4, "steps": [[3, 0.3, 5, [["guide_x_mm", 1, -30.0], ["guide_y_mm", 1, 0.1]], 0.2]]}
-{"do": "steps", "id": 5, "steps": [[4, 0.4, null, [["tip_held", null, 1], ["tip_y_mm", null, 0.5]], 0.5]]}
-{"do": "steps", "id": 6, "steps": [[5, 0.5, 6, [["mu_pa", 1, 3e5], ["alpha", 1, 2.0]], 0.5]]}
-{"do": "steps", "id": 7, "steps": [[6, 0.6, "undo", [["return_to", null, 4]], 0.5]]}
-{"do": "steps", "id": 8, "steps": [[7, 0.7, "redo", [["return_to", null, 5]], 0.5]]}
-{"do": "align", "id": 10}
-"""
-AIMING = """\
-{"do": "hello", "id": 1}
-{"do": "steps", "id": 2, "steps": [[1, 0.1, 4, [["depth_mm", null, 2.5]], 0.1]]}
-{"do": "aim", "id": 6, "target": [40, 1.5], "radius": 2, "obstacles": [[20, 0.5, 1, "vessel"]]}
-{"do": "markups", "id": 7, "name": "a.fcsv", "text": "# Markups fiducial file\\n1,2,3,4"}
-{"do": "plan", "id": 8, "entry_mm": 2}
-{"do": "run", "id": 9}
-{"do": "replay", "id": 11, "times": 20}
-{"do": "show", "id": 15, "insertion": "a", "what": "field"}
-"""
-"""Messages in one window, a line each: steering and undo; goals, and what ends it."""
-
-
-def conversations() -> list[Seed]:
-    return [one_file("messages.txt", lines) for lines in (STEERING, AIMING)]
-
-
-def commands() -> list[Seed]:
-    lines = (
-        *("check twin", "check ./twin --json", "paper", "--help", "simulate figure1 --set depth_mm=12"),
-        *("simulate study2 --depth 20 --json", "simulate chicken --set layers.1.mu_pa=3e5", "diff a b"),
-        *("report x --out y", "new dataset ./mine", "validate study9", "tune studyA.tml"),
-    )
-    return [one_file("words.txt", one.replace(" ", "\n")) for one in lines]
-
-
-NAMES = """
-study3 study1 all everything phantom1 twin figure1 chicken default studies/study3.toml ./studies data/twin
-data/twin/chicken-04 reports/reference/study3 reports/reference/study3/run.json twin/phantom2-16 .. . ~/x.toml
-"""
-
-
-def names() -> list[Seed]:
-    return [one_file("name.txt", word) for word in NAMES.split()]
 
 
 def scans() -> list[Seed]:
