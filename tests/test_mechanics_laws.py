@@ -172,7 +172,7 @@ def test_alpha_alone_and_a_law_without_shape_parameters(monkeypatch):
 
     names = frozenset([*LAWS.names(), "exponential"])
     monkeypatch.setitem(LAWS._builtin, "exponential", Exponential())
-    monkeypatch.setattr(LAWS, "_builtin_names", lambda: names)
+    monkeypatch.setattr(LAWS, "_builtin_names", names)
     tissue = Tissue([0.4, 2.0], boundaries=[7.3], thickness=5.0, law="exponential")
     fast, slow = (solve(NEEDLE, tissue, STEPS) for solve in (simulate_steps, reference.simulate_steps))
     np.testing.assert_allclose(fast.u, slow.u, rtol=0, atol=1e-7)
