@@ -135,8 +135,8 @@ def valley(theta):
     return residuals, np.array([[-20 * theta[0], 10.0], [-1.0, 0.0]])
 
 
-def squares(function, half=2.0, **changed):
-    return Squares(function, np.full(2, -half), np.full(2, half), **changed)
+def squares(function, half=2.0):
+    return Squares(function, np.full(2, -half), np.full(2, half))
 
 
 @pytest.mark.parametrize("algorithm", BOTH)
@@ -203,8 +203,6 @@ def test_least_squares_keeps_the_best_value_and_needs_a_sum_of_squares():
     for spent in range(whole.evaluations - 4, whole.evaluations + 1):
         start = minimize(squares(valley), squares_recipe(starts=1, evaluations=spent), rng()).starts[0]
         assert start.objective == pytest.approx(whole.objective, abs=1e-3)
-    with pytest.raises(ConfigError, match="leastsquares"):
-        minimize(squares(valley, squares=False), squares_recipe(), rng())
     refusal(ConfigError, "leastsquares", lambda: minimize(box(bowl), recipe(algorithm="leastsquares"), rng()))
 
     def half(theta):
