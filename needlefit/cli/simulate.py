@@ -60,7 +60,7 @@ class SimulationOutcome:
         "its scan; mm.",
         "FILE",
     ),
-    animation=option("Animate the insertion: .gif, or .mp4 (needs ffmpeg); a SCENE at 10 mm/s.", "FILE"),
+    animation=option("Animate the insertion: .gif; a SCENE at 10 mm/s.", "FILE"),
     html=option("Of a recording: one HTML file that computes it offline.", "FILE"),
 )
 def simulate(
