@@ -32,7 +32,6 @@ HOW = {
     "independent, depths linear": LikelihoodRecord(noise="independent", depths="linear"),
     "correlated, depths fixed": LikelihoodRecord(noise="correlated", depths="fixed"),
     "correlated, depths linear": LikelihoodRecord(noise="correlated", depths="linear"),
-    "correlated, depths by quadrature": LikelihoodRecord(noise="correlated", depths="quadrature"),
 }
 RANGES = {"mu1_pa": (1e5, 1e6), "mu2_pa": (3e6, 5e7), "bevel_mm": (0.05, 0.15)}
 DEPTH_SD = 0.1  # mm

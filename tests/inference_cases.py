@@ -115,8 +115,6 @@ def assert_one_density(p: Problem, theta: np.ndarray, rtol: float = 1e-5, shape_
         assert gradient @ along == pytest.approx(slope, rel=rtol, abs=rtol * np.linalg.norm(gradient))
     residuals, exact = p.jacobian(theta)
     assert residuals == pytest.approx(p.residuals(theta), abs=2e-3)  # Newton to 1e-7 mm, whitened
-    if not p.squares:
-        return
     assert -(residuals @ exact) == pytest.approx(gradient, rel=1e-6, abs=1e-6 * np.linalg.norm(gradient))
     constants = [p.log_posterior(t) + 0.5 * np.sum(p.residuals(t) ** 2) for t in (theta, theta - 0.1)]
     assert constants[0] == pytest.approx(constants[1], rel=1e-9, abs=1e-6)
@@ -169,7 +167,6 @@ class Squares:
     lower: np.ndarray
     upper: np.ndarray
     constant: float = 7.0
-    squares: bool = True
     easier: "Squares | None" = None
 
     def approach(self, minimized: str) -> "Squares | None":

@@ -21,7 +21,7 @@ from needlefit.cli.exit_codes import STOP_SIGNALS, Invocation, catch_interrupts,
 from needlefit.cli.progress import report_lines, show_progress
 from needlefit.errors import ConfigError, DataError, FitError, ModelError
 from needlefit.project.locate import find_file
-from needlefit.project.toml import dumps, read_toml
+from needlefit.project.toml import dumps
 
 COMMANDS = ("simulate", "check", "tune", "import", "predict", "validate", "calibrate", "new", "twin")
 FULL = Path("/dev/full")
@@ -313,13 +313,3 @@ def test_a_fault_of_a_study_is_named_with_its_line(tmp_path, changes, named, cap
     (tmp_path / "mine.toml").write_text(changes)
     assert run("check", str(tmp_path / "mine.toml")) == 3
     assert named in capsys.readouterr().err
-
-
-def test_an_algorithm_that_the_likelihood_has_no_derivatives_for_is_a_fault(tmp_path, monkeypatch, capsys):
-    recipe = tmp_path / "configs" / "recipes" / "default.toml"
-    recipe.parent.mkdir(parents=True)
-    table = read_toml(find_file("recipe", "default"))
-    recipe.write_text(dumps({**table, "likelihood": {**table["likelihood"], "depths": "quadrature"}}))
-    monkeypatch.chdir(tmp_path)
-    assert run("check", "study3") == 3
-    assert "leastsquares" in capsys.readouterr().err

@@ -115,7 +115,7 @@ def test_the_result_folder_has_tables_meshes_and_quality_pages(done):
     found = set(files(done))
     assert {
         *("reconstruction.csv", "markers.csv", "crossings.csv", "run.json", "results.json.gz"),
-        *("report.pdf", "report.html", "reconstruction.tex", "numbers.tex", "remarks.csv"),
+        *("report.pdf", "report.html", "reconstruction.tex", "remarks.csv"),
         *("quality/sample.pdf", "slicer/sample.mrk.json", "slicer/sample.needle.ply"),
     } <= found
     row = pd.read_csv(done / "reconstruction.csv").iloc[0]

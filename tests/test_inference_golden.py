@@ -142,8 +142,7 @@ DENSITIES: dict[str, tuple[dict, dict, dict]] = {  # by changes of the data set,
     "sections": ({}, {}, {}),
     "points": ({}, {}, {"measurement": "points", "noise_scale": 1.7}),
     "independent": ({}, {}, {"noise": "independent", "depths": "fixed"}),
-    "quadrature": ({}, {}, {"depths": "quadrature", "bevel_spread": 0.0}),
-    "estimated": ({}, {}, {"noise_scale": "estimated", "depths": "quadrature", "measurement": "points"}),
+    "estimated": ({}, {}, {"noise_scale": "estimated", "measurement": "points"}),
     "fixed": ({}, {"point_sd": 0.05}, {"depths": "fixed", "bevel_spread": 0.0, "measurement": "points"}),
     "free": ({"pose": "free", "drop_proximal": 5.0}, {}, {}),
     "free, fixed": ({"pose": "free"}, {"correlation": "matern32"}, {"depths": "fixed", "noise_scale": 0.8}),
@@ -169,6 +168,6 @@ def test_densities_of_shipped_insertions():
         values = document.VALUES | {"bevel_spread": 0.07, "noise_scale": 1.3}
         theta = np.log([values[key] for key in one.parameters.free])
         density, slope = one.gradient(theta)
-        residuals = one.residuals(theta) if one.squares else []
+        residuals = one.residuals(theta)
         found[name] = [density, slope, one.objective(theta), len(residuals), np.linalg.norm(residuals)]
     assert_golden("densities", found)

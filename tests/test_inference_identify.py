@@ -255,9 +255,7 @@ def predict_data(thetas: np.ndarray, by_depth: np.ndarray) -> design_gain.Predic
     white = np.stack([first, first + by_depth, first - by_depth], axis=1)  # (B, m, R)
     turns = np.array([[1.0, 0.0, 0.0], [0.0, 0.5, -0.5]])
     one = insertion(30.0)
-    nodes = Nodes(
-        (one,) * 3, np.empty((3, 0)), (ErrorAxis(),), turns, np.zeros((0, 3)), bevel=False, rule=None
-    )
+    nodes = Nodes((one,) * 3, np.empty((3, 0)), (ErrorAxis(),), turns, np.zeros((0, 3)), bevel=False)
     count = len(thetas)
     logs = np.full(count, -np.log(count))
     return design_gain.PredictedData(logs, np.ones(count), np.zeros(count), white, make_group(nodes))

@@ -120,7 +120,6 @@ def tracked() -> Problem:
 PROBLEMS = {
     "linear": lambda: layered("linear"),
     "fixed, free pose": lambda: layered("fixed", "free", 1.0),
-    "quadrature": lambda: layered("quadrature"),
     "tracks": tracked,
 }
 

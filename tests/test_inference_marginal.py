@@ -8,13 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from inference_cases import TRUTH, assert_one_density, insertion, measure, medium, problem
-from refusals import refusal
 from scipy.special import logsumexp, ndtri
-from scipy.stats import multivariate_normal, norm, qmc
+from scipy.stats import multivariate_normal, qmc
 
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import read
-from needlefit.errors import ConfigError
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.marginal import (
     linear_residuals,
@@ -22,16 +20,12 @@ from needlefit.inference.likelihood.marginal import (
 )
 from needlefit.inference.likelihood.nodes import (
     BEVEL,
-    MAX_AXES,
-    NODE_POSITIONS_SD,
+    DEPTH_STEPS_SD,
     ErrorAxis,
     Nodes,
     group_nodes,
-    log_means,
     make_group,
     make_nodes,
-    make_rule,
-    make_table_axes,
 )
 from needlefit.inference.likelihood.observation import make_observation, whiten_residuals
 from needlefit.inference.parameters import make_gaussian_prior
@@ -45,9 +39,9 @@ LINE = np.linspace(0.0, 40.0, 41)
 LAYERED = replace(insertion(40.0, (12.0, 20.0), (1, 2, 1)), boundary_sd=0.15, depth_sd=0.1)
 
 
-def white_of(curve, depths, axes=3):
+def white_of(curve, axes=3):
     """Residuals (m, R) at the nodes of a function of t (d,)."""
-    points = [np.zeros(axes), *(x * np.eye(axes)[j] for j in range(axes) for x in NODE_POSITIONS_SD[depths])]
+    points = [np.zeros(axes), *(x * np.eye(axes)[j] for j in range(axes) for x in DEPTH_STEPS_SD)]
     return np.array([curve(t) for t in points])
 
 
@@ -55,64 +49,19 @@ def one(white, made, scale=1.0, spread=0.0):
     return log_marginals([white[None]], make_group(made), np.array([scale]), np.array([spread]))[0]
 
 
-def integral(products, axes):
-    """The mean over `axes` independent errors."""
-    rule = make_rule(axes)
-    return log_means([products], [rule], [make_table_axes(rule, np.ones(axes), np.zeros((axes, 0)))])
-
-
-def test_quadrature_follows_what_is_not_linear():
-    """One residual that saturates, against the integral by a fine sum; the spline errs by 0.02."""
-    made = make_nodes(replace(FLAT, sequence=(1, 2), boundaries=np.array([12.0])), LINE, "quadrature")
-    got = one(white_of(lambda t: np.array([np.tanh(1.5 * t[0]) - 0.5]), "quadrature", 1), made)
-    t = np.linspace(-8, 8, 4001)
-    exact = np.log(np.sum(norm.pdf(t) * np.exp(-0.5 * (np.tanh(1.5 * t) - 0.5) ** 2)) * (t[1] - t[0]))
-    assert got == pytest.approx(exact, abs=0.03)
-
-
 def test_nothing_uncertain_is_the_density_as_measured_and_a_failed_node_fails_it():
     certain = replace(LAYERED, boundary_sd=0.0, depth_sd=0.0)
-    for made in (make_nodes(certain, LINE, "quadrature"), make_nodes(LAYERED, LINE, "fixed")):
+    for made in (make_nodes(certain, LINE, "linear"), make_nodes(LAYERED, LINE, "fixed")):
         assert made.axes == () and len(made.insertions) == 1
         white = np.arange(5.0)[None]
         assert one(white, made, 2.0) == pytest.approx(-0.5 * 30 / 4 - 5 * math.log(2))
         found = linear_residuals([white[None]], make_group(made), np.array([2.0]), np.zeros(1))[0]
         assert found[0] == pytest.approx(white[0] / 2)
     linear = np.array([[1, 0, 0], [0, -0.5, 0.5]])
-    made = Nodes(
-        (LAYERED,) * 3, np.zeros((3, 1)), (ErrorAxis(),), linear, np.zeros((0, 3)), bevel=False, rule=None
-    )
+    made = Nodes((LAYERED,) * 3, np.zeros((3, 1)), (ErrorAxis(),), linear, np.zeros((0, 3)), bevel=False)
     white = np.ones((3, 4))
     white[2] = np.nan
     assert math.isnan(one(white, made))
-    rng = np.random.default_rng(6)
-    many = rng.normal(size=(90, 1 + 4 * 4, 3))
-    products = many @ many.transpose(0, 2, 1)
-    alone = [integral(one[None], 4)[0] for one in products]
-    assert integral(products, 4).tolist() == alone
-
-
-def test_quadrature_over_too_many_depths_or_shared_bevels_is_refused():
-    count = MAX_AXES + 1
-    depths, layers = np.linspace(4.0, 36.0, count), tuple(range(1, count + 2))
-    many = replace(LAYERED, id="many", boundaries=depths, sequence=layers, depth_sd=0.0)
-    refused = refusal(ConfigError, "many", make_nodes, many, LINE, "quadrature")
-    assert refused.key == "likelihood.depths"
-    assert len(make_nodes(many, LINE, "linear").axes) == count
-    # Each insertion crosses four of the six surfaces, or fewer.
-    crossed = {"a": (1, 2, 3, 4, 5), "b": (3, 4, 5, 6), "c": (5, 6, 7), "d": (7, 6, 5), "e": (1, 2, 3, 4, 5)}
-    flat = replace(FLAT, specimen="one")
-    insertions = [
-        replace(flat, id=name, sequence=layers, boundaries=5.0 * np.arange(1, len(layers)))
-        for name, layers in crossed.items()
-    ]
-    made, split = (
-        tuple(make_nodes(one, LINE, how) for one in insertions) for how in ("linear", "quadrature")
-    )
-    assert [len(group.surfaces) for _, group in group_nodes(made)] == [6]
-    refusal(ConfigError, "a, b, c, d, e share 6", group_nodes, split)
-    raised = refusal(ConfigError, "", shared_case, "aab", centred=False, depths="quadrature")
-    assert raised.key == "likelihood.depths"
 
 
 def layered(depths, noise_scale=1.0, pose="known"):
@@ -133,7 +82,7 @@ def layered(depths, noise_scale=1.0, pose="known"):
 @pytest.mark.parametrize("noise_scale", [0.8, "estimated"])
 @pytest.mark.parametrize(
     ("depths", "pose"),
-    [("fixed", "known"), ("linear", "known"), ("quadrature", "known"), ("fixed", "free"), ("linear", "free")],
+    [("fixed", "known"), ("linear", "known"), ("fixed", "free"), ("linear", "free")],
 )
 def test_values_and_derivatives_are_of_one_density(depths, pose, noise_scale):
     p = layered(depths, noise_scale, pose)
@@ -145,17 +94,17 @@ AT = np.array([1.3]), np.array([SPREAD])  # scale of the noise, and spread
 FLAT = replace(insertion(40.0, (12.0, 20.0), (1, 2, 3)), boundary_sd=0.15)
 
 
-def linear_case(depths, seed, rows=6):
+def linear_case(seed, rows=6):
     """Three insertions, two of one specimen: nodes, residuals at them, and what makes their covariance."""
     rng = np.random.default_rng(seed)
     insertions = [replace(FLAT, id=name, specimen=name[0]) for name in ("a1", "a2", "b1")]
-    made = tuple(make_nodes(one, LINE, depths, bevel=True, constants=1) for one in insertions)
+    made = tuple(make_nodes(one, LINE, "linear", bevel=True, constants=1) for one in insertions)
     first, slopes = rng.normal(size=(3, rows)), 0.4 * rng.normal(size=(3, rows, 2))
     bevel, pose = rng.normal(size=(3, rows)), rng.normal(size=(3, rows))
     whites = [
         np.vstack(
             [
-                white_of(lambda t, k=k: first[k] + slopes[k] @ t, depths, 2),
+                white_of(lambda t, k=k: first[k] + slopes[k] @ t, 2),
                 first[k] + np.outer([-0.1, 0.1], bevel[k]),
                 pose[k],
             ]
@@ -177,19 +126,18 @@ def exact_covariance(parts, scale, rows=6):
     return total.reshape(3 * rows, 3 * rows)
 
 
-@pytest.mark.parametrize("depths", ["linear", "quadrature"])
-def test_what_insertions_share_and_what_each_has_are_the_gaussian_of_their_covariance(depths):
-    made, whites, parts = linear_case(depths, seed=7)
+def test_what_insertions_share_and_what_each_has_are_the_gaussian_of_their_covariance():
+    made, whites, parts = linear_case(seed=7)
     groups = group_nodes(made)
     assert [members for members, _ in groups] == [(0, 1), (2,)]
     got = sum(log_marginals([whites[k][None] for k in members], group, *AT)[0] for members, group in groups)
     exact = multivariate_normal(cov=exact_covariance(parts, 1.3)).logpdf(parts[0].ravel())
-    assert got - 9 * math.log(2 * math.pi) == pytest.approx(exact, abs=1e-9 if depths == "linear" else 5e-3)
+    assert got - 9 * math.log(2 * math.pi) == pytest.approx(exact, abs=1e-9)
 
 
-def shared_case(bevels, centred, seed=7, depths="linear"):
+def shared_case(bevels, centred, seed=7):
     """The three insertions with the named bevels, which may sum to zero, and the exact covariance."""
-    made, whites, parts = linear_case(depths, seed)
+    made, whites, parts = linear_case(seed)
     made = tuple(one.share_bevel((name, 0)) for one, name in zip(made, bevels, strict=True))
     same = np.equal.outer(list(bevels), list(bevels)).astype(float)
     apart = same - centred / len(set(bevels)) - np.eye(3)  # what `exact_covariance` has is independent
@@ -218,16 +166,15 @@ def test_bevels_that_are_shared_or_sum_to_zero_have_the_density_of_their_covaria
 
 
 @pytest.mark.parametrize("noise_scale", [1.0, "estimated"])
-@pytest.mark.parametrize("depths", ["linear", "quadrature"])
-def test_bevels_that_differ_have_exact_gradients_and_residuals(depths, noise_scale):
+def test_bevels_that_differ_have_exact_gradients_and_residuals(noise_scale):
     record = medium()
-    made = [replace(one, specimen="one") for one in layered(depths).insertions]
-    how = LikelihoodRecord(depths=depths, noise_scale=noise_scale)
+    made = [replace(one, specimen="one") for one in layered("linear").insertions]
+    how = LikelihoodRecord(noise_scale=noise_scale)
     p = problem(record, made, how=how, noise=Noise(0.19, 0.02, 0.05, 5.0))
     theta = p.parameters.theta({**TRUTH, "bevel_spread": 0.07}) + 0.05
     assert_one_density(p, theta)
-    if depths == "linear":  # but for the normalising one, the spread's prior
-        assert sum(p.density.residual_counts) == len(p.residuals(theta)) - 2
+    # but for the normalising one, the spread's prior
+    assert sum(p.density.residual_counts) == len(p.residuals(theta)) - 2
 
 
 def test_a_bevel_spread_with_another_prior_or_held_has_exact_gradients_and_residuals():
@@ -251,7 +198,7 @@ def test_a_bevel_spread_with_another_prior_or_held_has_exact_gradients_and_resid
     assert sum(p.density.residual_counts) == len(p.residuals(theta)) - 1
 
 
-# ---- depths by quadrature against brute force, on insertions of the twin near the mode of their fit
+# ---- depths against brute force, on insertions of the twin near the mode of their fit
 
 PHANTOM2 = load(find_file("medium", "phantom2"), MediumRecord)
 MODE = {"mu1_pa": 2.18e5, "mu2_pa": 4.07e7, "mu3_pa": 2.55e5, "mu4_pa": 3.4e7, "bevel_mm": 0.103}
@@ -295,15 +242,7 @@ def marginal(name, depths):
     return float(log_marginals([curves[None]], make_group(known.nodes), np.ones(1), np.zeros(1))[0])
 
 
-@pytest.mark.parametrize(
-    "name", ["phantom2-04", *(pytest.param(f"phantom2-{n}", marks=pytest.mark.sweep) for n in ("07", "09"))]
-)
-def test_quadrature_gives_the_integral_over_all_depths(name):
-    assert marginal(name, "quadrature") == pytest.approx(brute_force(name), abs=0.1)
-
-
 def test_depths_taken_as_stated_where_a_stiff_layer_begins_at_a_constraint_are_far_off():
     exact = brute_force("phantom2-08")
-    assert abs(marginal("phantom2-08", "quadrature") - exact) < 0.1
     assert abs(marginal("phantom2-08", "linear") - exact) < 0.2
     assert abs(marginal("phantom2-08", "fixed") - exact) > 5.0

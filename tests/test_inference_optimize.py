@@ -114,8 +114,8 @@ def valley(theta):
     return residuals, np.array([[-20 * theta[0], 10.0], [-1.0, 0.0]])
 
 
-def squares(function, half=2.0, **changed):
-    return Squares(function, np.full(2, -half), np.full(2, half), **changed)
+def squares(function, half=2.0):
+    return Squares(function, np.full(2, -half), np.full(2, half))
 
 
 @pytest.mark.parametrize("algorithm", BOTH)

@@ -15,24 +15,9 @@ from reporting_results import stereo, study, with_draws, with_predictions
 from needlefit.reporting.figures import style
 from needlefit.studies.kinds.cross_validation import report, tables
 from needlefit.studies.kinds.cross_validation.report import (
-    subtract_fit,
     tabulate_predictive_check,
 )
 from needlefit.studies.report import say
-
-
-def test_residuals_are_heights_above_the_fit_at_the_same_depth():
-    """The fit is y = x / 10 to x = 10; a method lies 0.5 mm above it, at other depths and beyond its tip."""
-    fit = pd.DataFrame({"curve": "fitted", "x_mm": [0.0, 4.0, 10.0], "y_mm": [0.0, 0.4, 1.0]})
-    at = np.array([-1.0, 1.0, 7.0, 12.0])
-    method = pd.DataFrame({"curve": "hand_tuned", "x_mm": at, "y_mm": 0.1 * at + 0.5})
-    band = pd.DataFrame({"curve": "95 %", "x_mm": at, "low_mm": 0.1 * at - 1, "high_mm": 0.1 * at + 2})
-    off = subtract_fit(pd.concat([fit, method, band]).assign(fold="all", insertion="one"))
-    assert set(off["curve"]) == {"hand_tuned", "95 %"}
-    assert off["y_mm"].dropna().tolist() == pytest.approx([0.5] * 4)
-    assert off["low_mm"].dropna().tolist() == pytest.approx([-1.0] * 4)
-    assert off["high_mm"].dropna().tolist() == pytest.approx([2.0] * 4)
-
 
 WHAT = {
     "boxplot": ("y", slice(None)),
@@ -40,7 +25,6 @@ WHAT = {
     "predicted": ("xy", slice(0, None, 2)),
     "schematic": ("y", slice(None)),
     "overlays": ("xy", slice(None)),
-    "residuals": ("xy", slice(None)),
     "baselines": ("x", slice(None)),
     "waterfall": ("xy", slice(0, 1)),
 }
@@ -89,10 +73,7 @@ def test_drawn_values_are_those_of_the_table(results, painted, tmp_path):
     for name, one in report.draw_errors([results, results]).items():
         one.save(tmp_path / f"{name}.pdf")
     pictures = {path.stem for path in tmp_path.glob("*.pdf")}
-    assert (
-        pictures == set(painted)
-        and {"boxplot", "overlays", "residuals", "baselines", "waterfall"} <= pictures
-    )
+    assert pictures == set(painted) and {"boxplot", "overlays", "baselines", "waterfall"} <= pictures
     for name, figure in painted.items():
         table = pd.read_csv(tmp_path / f"{name}.csv")
         assert set(table["origin"]) == {results.origin}

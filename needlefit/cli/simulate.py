@@ -81,7 +81,7 @@ def simulate(
     ] = None,
     animation: Annotated[
         Path | None,
-        option("Animate the insertion: .gif, or .mp4 (needs ffmpeg); a SCENE at 10 mm/s.", "FILE"),
+        option("Animate the insertion: .gif; a SCENE at 10 mm/s.", "FILE"),
     ] = None,
     html: Annotated[
         Path | None, option("Of a recording: one HTML file that computes it offline.", "FILE")

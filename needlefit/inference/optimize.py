@@ -364,7 +364,7 @@ def select_algorithms(name: str, objective_function: ObjectiveFunction) -> tuple
             raise ConfigError(
                 f"`{part}` needs a {ALGORITHMS[part].needs}, which what is minimised has not",
                 where="recipe, key `algorithm` or `metric_algorithm`",
-                expected="slsqp or sbplx: a metric, or depths by quadrature, are no squares",
+                expected="slsqp or sbplx: the metric is no sum of squares",
             )
     return tuple(ALGORITHMS[part] for part in parts)
 

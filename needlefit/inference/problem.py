@@ -40,7 +40,6 @@ from needlefit.inference.likelihood.marginal import (
     linear_residuals,
     linearize_residuals,
     log_marginals,
-    mixing_matrices,
     solve_shared,
 )
 from needlefit.inference.likelihood.nodes import BEVEL, NodeGroup, Nodes, group_nodes
@@ -105,8 +104,11 @@ class PosteriorDensity:
         return total
 
     def whitened_residuals(self, sets: Sequence[Values], jobs: int) -> Iterator[Floats]:
-        """Yield of each insertion the whitened residuals (B, m, R) of many sets of values at its m nodes."""
-        return self._whiten(self._nodes, sets, jobs)
+        """Yield the whitened residuals (B, m + c, R) of each insertion, the c curves of the pose last."""
+        points = iter(self._nodes.model.read_points(sets, self._nodes.places, jobs))
+        for one, some in zip(self.observations, self._nodes.nodes, strict=True):
+            stacked = np.stack([next(points) for _ in some.s], axis=1)  # (B, m, K, 2)
+            yield append_pose_curves(one, whiten_residuals(one, stacked))
 
     def estimate_bevel(
         self, sets: Sequence[Values], insertion: tuple[str, int], jobs: int
@@ -130,38 +132,21 @@ class PosteriorDensity:
 
     def gradients(self, sets: Sequence[Values], jobs: int = 1) -> list[tuple[float, Floats]]:
         """Return `log_densities`, and the derivatives (P,) of each by theta; NaN where a solve fails."""
-        pairs = self._differentiate(self._nodes, sets, jobs)
+        pairs = self._differentiate(sets, jobs)
         totals = self._add_up([white for white, _ in pairs], sets)
+        # the log density is a constant less half the residuals' squares
+        found = self._linearize(pairs, sets)
         return [
-            (float(totals[b]), self._slope(values, [(white[b], by[b]) for white, by in pairs]))
-            for b, values in enumerate(sets)
+            (float(total), -(residuals @ by)) for total, (residuals, by) in zip(totals, found, strict=True)
         ]
-
-    def _slope(self, values: Values, pairs: Sequence[tuple[Floats, Floats]]) -> Floats:
-        """Return the derivatives (P,) of the log density, given those of white (m, R), (m, R, P)."""
-        scale, spread = values.get(NOISE_SCALE, self.scale), values.get(BEVEL_SPREAD, 0.0)
-        stated, names = self.parameters.prior.residuals(values), self.parameters.free
-        slope = -(stated @ self.parameters.prior.slopes(names))
-        slope = slope + self._by_half_normal * (1 - self._spread_in_sd(values) ** 2)
-        for members, group in self._nodes.groups:
-            found, by_spread = mixing_matrices([pairs[k][0] for k in members], group, scale, spread)
-            slope = slope + self._by_spread * by_spread
-            for k, mixed in zip(members, found, strict=True):
-                white, by = pairs[k]
-                slope = slope - (mixed @ white).reshape(-1) @ by.reshape(-1, by.shape[-1])
-                # d/d(ln scale) of the log density: |residual|^2 of the mixture, minus one per row for the
-                # normalising factor
-                more = np.sum(mixed * (white @ white.T)) - self.observations[k].rows
-                slope = slope + self._by_scale * more
-        return slope
 
     def residuals(self, values: Values) -> Floats:
         """Return residuals (R,): of the insertions, of the normalising factor, and of the prior."""
         scale, spread = self._scales([values])
-        white = list(self._whiten(self._linear_nodes, [values], 1))
+        white = list(self.whitened_residuals([values], 1))
         pairs = [
             linear_residuals([white[k] for k in members], group, scale, spread)
-            for members, group in self._linear_nodes.groups
+            for members, group in self._nodes.groups
         ]
         parts = [part[0] for part in self._in_order(part for part, _ in pairs)]
         normal = self._normal(values, sum(float(log_det[0]) for _, log_det in pairs))
@@ -169,11 +154,16 @@ class PosteriorDensity:
 
     def jacobians(self, sets: Sequence[Values], jobs: int = 1) -> list[tuple[Floats, Floats]]:
         """Return of each set `residuals` and their derivatives (R, P) by theta; NaN where a solve fails."""
+        return self._linearize(self._differentiate(sets, jobs), sets)
+
+    def _linearize(
+        self, pairs: Sequence[tuple[Floats, Floats]], sets: Sequence[Values]
+    ) -> list[tuple[Floats, Floats]]:
+        """Return the same, given the whitened residuals of every insertion and their derivatives."""
         at = self._scales(sets)
         log_det, by_det = np.zeros(len(sets)), np.zeros((len(sets), len(self.parameters.free)))
         parts, slopes = [], []
-        pairs = self._differentiate(self._linear_nodes, sets, jobs)
-        for members, group in self._linear_nodes.groups:
+        for members, group in self._nodes.groups:
             white = [pairs[k][0] for k in members]
             # residuals are white / scale: d/d(ln scale) is minus the residual
             by = [pairs[k][1] - pairs[k][0][..., None] * self._by_scale for k in members]
@@ -198,7 +188,7 @@ class PosteriorDensity:
     def residual_counts(self) -> tuple[int, ...]:
         """Number of residuals of each insertion; the normalising one and the prior's come after them."""
         counts = [0] * len(self.observations)
-        for members, group in self._linear_nodes.groups:
+        for members, group in self._nodes.groups:
             rows = [self.observations[k].rows for k in members]
             for k, count in zip(members, count_residuals(group, rows), strict=True):
                 counts[k] = count
@@ -207,24 +197,17 @@ class PosteriorDensity:
     def _in_order(self, parts: Iterable[Floats]) -> list[Floats]:
         """Return the residuals of groups, (B, R) or (B, R, P) each, insertion by insertion."""
         found: dict[int, Floats] = {}
-        for (members, _), part in zip(self._linear_nodes.groups, parts, strict=True):
+        for (members, _), part in zip(self._nodes.groups, parts, strict=True):
             ends = np.cumsum([self.residual_counts[k] for k in members])[:-1]
             found |= dict(zip(members, np.split(part, ends, axis=1), strict=True))
         return [found[k] for k in sorted(found)]
 
     @cached_property
     def _nodes(self) -> "_ModelledNodes":
-        return self._prepare([one.nodes for one in self.observations])
-
-    @cached_property
-    def _linear_nodes(self) -> "_ModelledNodes":
-        """Those that linear effects need."""
-        return self._prepare([one.nodes.linear_only for one in self.observations])
-
-    def _prepare(self, nodes: Sequence[Nodes]) -> "_ModelledNodes":
+        nodes = tuple(one.nodes for one in self.observations)
         every = [insertion for some in nodes for insertion in some.insertions]
         model = PreparedModel(self.medium, self.needle, every)
-        return _ModelledNodes(tuple(nodes), model, group_nodes(tuple(nodes), self.centred_bevels))
+        return _ModelledNodes(nodes, model, group_nodes(nodes, self.centred_bevels))
 
     @property
     def _rows(self) -> int:
@@ -278,18 +261,9 @@ class PosteriorDensity:
         less = 2 * np.log(BEVEL_SPREAD_BOUNDS[1] / spread) if spread else 0.0
         return np.array([np.sqrt(1.0 + grown + less + log_det)])
 
-    def _whiten(self, nodes: "_ModelledNodes", sets: Sequence[Values], jobs: int) -> Iterator[Floats]:
-        """Yield the whitened residuals (B, m + c, R) of each insertion, the c curves of the pose last."""
-        points = iter(nodes.model.read_points(sets, nodes.places, jobs))
-        for one, some in zip(self.observations, nodes.nodes, strict=True):
-            stacked = np.stack([next(points) for _ in some.s], axis=1)  # (B, m, K, 2)
-            yield append_pose_curves(one, whiten_residuals(one, stacked))
-
-    def _differentiate(
-        self, nodes: "_ModelledNodes", sets: Sequence[Values], jobs: int
-    ) -> list[tuple[Floats, Floats]]:
-        """Return of each insertion the same, and the derivatives (B, m + c, R, P) by theta."""
-        found = []
+    def _differentiate(self, sets: Sequence[Values], jobs: int) -> list[tuple[Floats, Floats]]:
+        """Return of each insertion `whitened_residuals`, and the derivatives (B, m + c, R, P) by theta."""
+        found, nodes = [], self._nodes
         points, slopes = map(iter, nodes.model.differentiate(sets, self.parameters, nodes.places, jobs))
         for one, some in zip(self.observations, nodes.nodes, strict=True):
             stacked, by = (np.stack([next(part) for _ in some.s], axis=1) for part in (points, slopes))
@@ -390,11 +364,6 @@ class Problem:
         return self.parameters.upper
 
     @property
-    def squares(self) -> bool:
-        """Whether the log posterior is a constant minus half the residuals' squares."""
-        return self.likelihood.depths != "quadrature"
-
-    @property
     def names(self) -> tuple[str, ...]:
         """Names of the free parameters, in the order of theta."""
         return self.parameters.free
@@ -461,8 +430,7 @@ class Problem:
         """Return the whitened residuals (R,) of all insertions in turn; NaN where a solve fails.
 
         Behind them stand what normalises the density, where that depends on theta, and the prior's residuals.
-        log_posterior = constant - |residuals|^2 / 2 within the bounds; where depths are integrated by
-        quadrature the density is no Gaussian, and the residuals are those of their linear effect.
+        log_posterior = constant - |residuals|^2 / 2 within the bounds.
         """
         return self.density.residuals(self.values(theta))
 
@@ -547,7 +515,7 @@ class Problem:
         """The posterior density of all values; computed once."""
         likelihood, bevels = self.likelihood, list_bevels(self.dataset, self.insertions)
         # of one centred bevel no deviation is left
-        one_bevel = self.linear_bevels and self.centred_bevels and len(set(bevels)) == 1
+        one_bevel = self.bevels_differ and self.centred_bevels and len(set(bevels)) == 1
         if one_bevel or BEVEL_SPREAD not in self.parameters.names:
             likelihood = likelihood.model_copy(update={"bevel_spread": 0.0})
         known = [
@@ -556,7 +524,7 @@ class Problem:
             )
             for insertion in self.insertions
         ]
-        if self.linear_bevels and not one_bevel:
+        if self.bevels_differ and not one_bevel:
             pairs = zip(known, bevels, strict=True)
             known = [replace(one, nodes=one.nodes.share_bevel(bevel)) for one, bevel in pairs]
         scale = 1.0 if likelihood.noise_scale == "estimated" else likelihood.noise_scale
@@ -564,15 +532,14 @@ class Problem:
         return PosteriorDensity(self.parameters, self.medium, needle, tuple(known), scale, centred)
 
     @property
-    def linear_bevels(self) -> bool:
-        """Whether bevels differ between insertions, with a linear effect."""
-        varies = BEVEL_SPREAD in self.parameters.names and self.likelihood.bevel_spread > 0
-        return varies and self.likelihood.depths != "quadrature"
+    def bevels_differ(self) -> bool:
+        """Whether bevels differ between insertions."""
+        return BEVEL_SPREAD in self.parameters.names and self.likelihood.bevel_spread > 0
 
     @property
     def new_bevel_sd(self) -> float:
         """By how many SDs between insertions the bevel of a further one deviates, as an SD."""
-        centred = self.linear_bevels and self.centred_bevels
+        centred = self.bevels_differ and self.centred_bevels
         return find_new_bevel_sd(self.dataset, self.insertions) if centred else 1.0
 
 
@@ -634,10 +601,15 @@ def make_posterior_objective(
         density, slope = problem.gradient(theta)
         return -density, -slope
 
-    residuals, jacobian = (problem.residuals, problem.jacobian) if problem.squares else (None, None)
-    misfits = problem.compute_misfits if problem.squares else None
     return ObjectiveFunction(
-        problem.lower, problem.upper, value, gradient, residuals, jacobian, misfits, absolute_tolerance
+        problem.lower,
+        problem.upper,
+        value,
+        gradient,
+        problem.residuals,
+        problem.jacobian,
+        problem.compute_misfits,
+        absolute_tolerance,
     )
 
 

@@ -1,14 +1,11 @@
 """Write tables as LaTeX (booktabs, no wider than the page), and the numbers of a run as LaTeX macros."""
 
 import re
-import unicodedata
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable
 from importlib.resources import files
 
 from jinja2 import Environment, StrictUndefined
 
-from needlefit.reporting.columns import find_column
-from needlefit.reporting.number_format import MISSING
 from needlefit.reporting.table import TableLayout
 
 _ESCAPES = {
@@ -135,23 +132,6 @@ MACRO_HEAD = r"""% Numbers of a run of needlefit. Needs siunitx; \input this fil
 """
 
 
-def format_table_macros(name: str, tables: Sequence[TableLayout]) -> str:
-    """Return a LaTeX file with every number of some tables of a run, as they are printed.
-
-    A key is `<run>-<table>-<words of the row>-<head of the column>`, in small letters and hyphens; a row that
-    names only what is new in it has the other words of the row above.
-    """
-    return format_macros(list_cells(name, tables))
-
-
-def list_cells(name: str, tables: Sequence[TableLayout]) -> Iterator[tuple[str, str]]:
-    """Yield the key and the text of every number of some tables."""
-    for table in tables:
-        for keys, words in _cells(table):
-            spelled = "".join(map(_spell, unicodedata.normalize("NFKD", " ".join((name, *keys)))))
-            yield re.sub(r"[^a-z0-9]+", "-", spelled.lower()).strip("-"), words
-
-
 def format_macros(numbers: Iterable[tuple[str, str]]) -> str:
     """Return a LaTeX file with these numbers, each under its key."""
     lines = [MACRO_HEAD]
@@ -161,29 +141,3 @@ def format_macros(numbers: Iterable[tuple[str, str]]) -> str:
         command = {r"\num": "nfnum", r"\numrange": "nfrange"}.get(name)
         lines.append(f"\\{command}{{{key}}}{{{arguments}\n" if command else f"\\nftext{{{key}}}{{{cell}}}\n")
     return "".join(lines)
-
-
-def _cells(table: TableLayout) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yield every number, range or cell at the right, with the words that say which it is.
-
-    Notes are no part of these words, nor are ranges: both change with the data.
-    """
-    words = [
-        i
-        for i, column in enumerate(table.columns)
-        if column.align == "left"
-        and column.label != find_column("note").label
-        and not any(_RANGE_PATTERN.fullmatch(row[i]) for row in table.rows)
-    ]
-    above: dict[int, str] = {}
-    for row in table.rows:
-        above = {i: row[i] or above.get(i, "") for i in words}
-        for i, column in enumerate(table.columns):
-            if i not in words and not column.wide and row[i] not in ("", MISSING):
-                yield (table.name, *above.values(), f"{column.label} {column.unit}"), row[i]
-
-
-def _spell(sign: str) -> str:
-    """Return the name of a Greek letter; any other sign as it is."""
-    name = unicodedata.name(sign, "")
-    return name.rpartition(" ")[2] if name.startswith("GREEK SMALL LETTER") else sign

@@ -62,8 +62,8 @@ class LikelihoodRecord(Record):
     noise: Literal["correlated", "independent"] = "correlated"
     """"correlated": neighbouring points share errors, and all points share those of the pose.
     "independent": every point errs by itself."""
-    depths: Literal["fixed", "linear", "quadrature"] = "linear"
-    """Errors of layer depths and insertion depth: ignored, linearised, or integrated by quadrature."""
+    depths: Literal["fixed", "linear"] = "linear"
+    """Errors of layer depths and insertion depth: ignored, or linearised."""
     measurement: Literal["stored", "points"] = "stored"
     """"stored": the smoothing that the dataset states is applied to the simulation too. "points": stored
     points are compared as they are."""

@@ -85,8 +85,6 @@ def _find_bevel_sd(job: "Job", fold: "Fold") -> float:
     """Return by how many SDs the bevel of a further insertion deviates, see `find_new_bevel_sd`."""
     from needlefit.inference.problem import find_new_bevel_sd
 
-    if job.recipe.likelihood.depths == "quadrature":  # of each insertion's bevel
-        return 1.0
     tuned = {one.specimen for one in fold.tune}
     new = job.record.specimens == "others" and any(one.specimen not in tuned for one in fold.validate)
     return find_new_bevel_sd(job.dataset, fold.tune, new_specimen=new and len(tuned) > 1)

@@ -257,7 +257,7 @@ class Specimens:
         everything = self.job.problem(self.fold)
         if insertion is not None and not self.differs(insertion):
             return self.problem_of(insertion).new_bevel_sd
-        if not (self.separate and everything.linear_bevels and everything.centred_bevels):
+        if not (self.separate and everything.bevels_differ and everything.centred_bevels):
             return everything.new_bevel_sd
         return find_new_bevel_sd(everything.dataset, everything.insertions, new_specimen=True)
 

@@ -1,6 +1,4 @@
-"""Write a folder to begin a paper from: every figure in the widths of one and of two columns, and an example
-that inputs all of it.
-"""
+"""Write a folder for a paper: every figure in the widths of one and of two columns, and the LaTeX files."""
 
 import shutil
 from pathlib import Path
@@ -8,7 +6,6 @@ from pathlib import Path
 from needlefit.errors import ConfigError
 from needlefit.reporting.document import is_half_width
 from needlefit.reporting.figures.style import COLUMN_WIDTH_IN, TEXT_WIDTH_IN, draw_together, fix_width
-from needlefit.reporting.paper_example import EXAMPLE_FILE, format_example
 from needlefit.studies.kind import find_kind
 from needlefit.studies.report import compose_run_report, label_figures
 from needlefit.studies.run import Run
@@ -18,7 +15,7 @@ WIDTHS_IN = {"single": COLUMN_WIDTH_IN, "double": TEXT_WIDTH_IN}
 
 
 def write_paper_folder(result: Run, run_folder: Path, folder: Path) -> list[Path]:
-    """Write to a new folder all figures of a run in both widths, its LaTeX files and an example of a paper.
+    """Write to a new folder all figures of a run in both widths, and its LaTeX files.
 
     A figure that cannot be drawn in one column is there in its own width alone.
 
@@ -27,12 +24,9 @@ def write_paper_folder(result: Run, run_folder: Path, folder: Path) -> list[Path
     if folder.exists() and any(folder.iterdir()):
         raise ConfigError("is not empty", where=str(folder), fix="name a new folder")
     folder.mkdir(parents=True, exist_ok=True)
-    copied = [path for path in sorted(run_folder.iterdir()) if path.suffix in (".tex", ".bib")]
-    for path in copied:
-        shutil.copyfile(path, folder / path.name)
-    known = {EXAMPLE_FILE, "numbers.tex", "methods.tex"}
-    tables = [path.stem for path in copied if path.suffix == ".tex" and path.name not in known]
-    blocks = []
+    for path in sorted(run_folder.iterdir()):
+        if path.suffix in (".tex", ".bib"):
+            shutil.copyfile(path, folder / path.name)
     for word, width in WIDTHS_IN.items():
         with fix_width(width), draw_together():
             drawn, _ = find_kind(result.kind).report.draw(result, folder)
@@ -46,7 +40,4 @@ def write_paper_folder(result: Run, run_folder: Path, folder: Path) -> list[Path
         label_figures({str(n): block["path"] for n, block in enumerate(kept)}, result.synthetic)
         for path in set(figures.values()) - {block["path"] for block in kept}:
             path.unlink()
-        blocks += kept
-    example = format_example(report, blocks, tables, "methods.tex" in {p.name for p in copied})
-    (folder / EXAMPLE_FILE).write_text(example, encoding="utf-8")
     return sorted(folder.iterdir())

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import RBFInterpolator
+from scipy.interpolate import CubicSpline, RBFInterpolator
 from scipy.spatial.distance import cdist
 
 from needlefit.arrays import Bools, Floats, Ints
@@ -20,11 +20,7 @@ from needlefit.datasets.insertion import Insertion, split_boundary_sd
 from needlefit.datasets.layers import find_layers
 from needlefit.inference.compared_points import read_batch_points, read_points
 from needlefit.inference.forward_model import PreparedModel, predict, stack_values, tabulate_sets
-from needlefit.inference.likelihood.nodes import (
-    enforce_order,
-    make_spline_weights,
-    shift_depths,
-)
+from needlefit.inference.likelihood.nodes import enforce_order, shift_depths
 from needlefit.inference.parameters import BEVEL_PARAMETERS, BEVEL_SPREAD, find_bevel_factors, make_tissue
 from needlefit.inference.planned_layers import MAX_DRAWN_LAYERS, with_planned_layers
 from needlefit.mechanics.batch import Batch, compute_batch_positions, simulate_batches
@@ -352,8 +348,21 @@ class _Interpolation:
         """Return the points (B, K, 2) with boundaries shifted by (B, n - 1) and the entry by (B,), mm."""
         whole = np.column_stack([shifts, deep])[:, : len(self.reach)] / self.reach  # (B, d)
         nodes = self.steps.shape[1]  # none where no depth is open
-        weights = make_spline_weights(NODE_PLACES, whole.ravel()).reshape(len(whole), 1, nodes)
+        weights = _make_spline_weights(NODE_PLACES, whole.ravel()).reshape(len(whole), 1, nodes)
         return self.points + (weights @ self._rows).reshape(self.points.shape)
+
+
+def _make_spline_weights(places: Sequence[float], t: Floats) -> Floats:
+    """Return the weights (n, q) of curves at q `places` that give the curve at t (n,), all less that at 0.
+
+    A natural cubic spline, straight beyond the outermost places.
+    """
+    order = np.argsort((0.0, *places))
+    inner = np.array((0.0, *places))[order]
+    spline = CubicSpline(inner, np.eye(len(inner))[order], bc_type="natural")
+    # beyond the outer nodes the spline goes on as a line: its cubic would run away
+    held = np.clip(t, inner[0], inner[-1])
+    return (spline(held) + spline(held, 1) * (t - held)[:, None])[:, 1:]
 
 
 def _simulate_each(

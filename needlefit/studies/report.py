@@ -17,10 +17,9 @@ from needlefit.reporting import document
 from needlefit.reporting.document import Block, Document
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.labels import SYNTHETIC_NOTE
-from needlefit.reporting.latex import format_latex, format_table_macros
+from needlefit.reporting.latex import format_latex
 from needlefit.reporting.needle_page import PageData
 from needlefit.reporting.number_format import join_words
-from needlefit.reporting.paper_example import EXAMPLE_FILE, format_example
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import to_records, to_tidy, write_csv, write_json
 from needlefit.reporting.text import KindText
@@ -176,7 +175,7 @@ MODEL_DATA_NOTE = "The needles were simulated: errors on them do not carry over 
 def write_run(result: Run, folder: Path, all_figures: bool = False) -> Path:
     """Write the result of an analysis to `folder`, replacing an earlier result there; return the folder.
 
-    Every frame as CSV, tables and their numbers as LaTeX, figures as PDF (optional ones with `all_figures`),
+    Every frame as CSV, tables as LaTeX, figures as PDF (optional ones with `all_figures`),
     the report as PDF and HTML, `run.json`, `results.json.gz`, from which all of this can be made again, and
     `timing.json`.
 
@@ -204,19 +203,13 @@ def write_files(result: Run, folder: Path, all_figures: bool = False) -> None:
                 continue
             rows = frame if "origin" in frame else frame.assign(origin=result.origin)
             write_csv(rows, folder / f"{name}.csv")
-        tables = page.lay_out(result)
-        for table in tables:
+        for table in page.lay_out(result):
             path = folder / f"{table.name}.tex"
             path.write_text(format_latex(table, result.synthetic), encoding="utf-8")
-        (folder / "numbers.tex").write_text(format_table_macros(result.name, tables), encoding="utf-8")
         page.write_files(result, folder)
         store_run(result, folder)
         report = compose_run_report(result, figures, left)
     write_report(report, folder)
-    methods = (folder / "methods.tex").is_file()
-    pictures = [block for block in report.blocks if block["kind"] == "figure"]
-    example = format_example(report, pictures, [table.name for table in tables], methods)
-    (folder / EXAMPLE_FILE).write_text(example, encoding="utf-8")
     label_figures(figures, result.synthetic)
     write_json(folder / "run.json", result.run_json)
     write_json(folder / "timing.json", result.timing)

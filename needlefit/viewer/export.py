@@ -84,7 +84,7 @@ def write_picture(outcome: RecordingOutcome, path: Path) -> None:
 
 
 def write_animation(outcome: RecordingOutcome, path: Path) -> None:
-    """Draw the whole recording, .gif or .mp4; without the band, which belongs to one state."""
+    """Draw the whole recording, .gif; without the band, which belongs to one state."""
     from needlefit.reporting.figures.animation import animate
 
     recording = outcome.recording

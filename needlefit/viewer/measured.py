@@ -199,10 +199,9 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     viewed_scene = replace(viewed_scene, faults=results.faults, warnings=(*warnings, *viewed_scene.warnings))
     if draws.empty or not draws["certified"].all():
         return viewed_scene
-    independent = results.run["recipe"]["likelihood"]["depths"] == "quadrature"  # of each insertion's bevel
     new = specimen == NEW_SPECIMEN
     separate = new and len({one.specimen for one in fitted}) > 1
-    new_bevel_sd = 1.0 if independent else find_new_bevel_sd(dataset, fitted, new_specimen=separate)
+    new_bevel_sd = find_new_bevel_sd(dataset, fitted, new_specimen=separate)
     return replace(
         viewed_scene,
         spread=_vary_draws(shown, draws, new_bevel_sd),

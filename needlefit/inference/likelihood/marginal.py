@@ -1,13 +1,12 @@
-"""Compute the density of whitened residuals, marginalised over uncertain depths, bevel and pose; closed form
-where curves are linear.
+"""Compute the density of whitened residuals, marginalised over uncertain depths, bevel and pose.
+
+Their effects are taken as linear.
 
 `white` (m, R) are the residuals at the m nodes of one insertion, and behind them the constant curves of its
-pose. All that is needed of them is their
-products G = white white^T, and how a density changes with them is -M white with an (m, m) matrix M: the
-mean of phi phi^T over the conditions that the data leave. `scale` multiplies the deviations of the
-points' noise, not those of pose and depths; `spread` is the bevel CV between insertions,
-whose effect is taken as linear. The insertions of a `NodeGroup` share errors of depth, or a bevel. A solve
-that failed is NaN, and so is what comes of it.
+pose. All that the density needs of them is their products G = white white^T. `scale` multiplies the
+deviations of the points' noise, not those of pose and depths; `spread` is the bevel CV between insertions.
+The insertions of a `NodeGroup` share errors of depth, or a bevel. A solve that failed is NaN, and so is what
+comes of it.
 """
 
 import math
@@ -20,11 +19,6 @@ from needlefit.inference.likelihood.nodes import (
     BEVEL,
     NodeGroup,
     Nodes,
-    QuadratureRule,
-    TableAxis,
-    log_means,
-    make_table_axes,
-    moments,
 )
 
 
@@ -39,9 +33,6 @@ def log_marginals(whites: Sequence[Floats], group: NodeGroup, scale: Floats, spr
         reduced, log_det = _integrate_effects(whole, nodes, spread)
         density = density - white.shape[2] * np.log(scale) - 0.5 * log_det
         products.append(reduced)
-    rules = _list_rules(group)
-    if rules:
-        return density + log_means(_cut(products, rules), rules, _fold_axes(group, rules))
     total, log_det = _sum_over_group(products, group, spread)
     # completing the square in what is shared: its precision is stiff, its mean solve(stiff, -pull)
     stiff, pull = np.eye(len(group.surfaces)) + total[:, 1:, 1:], total[:, 1:, 0]
@@ -49,31 +40,12 @@ def log_marginals(whites: Sequence[Floats], group: NodeGroup, scale: Floats, spr
     return density - 0.5 * (total[:, 0, 0] - gained + log_det + _log_det(stiff))
 
 
-def mixing_matrices(
-    whites: Sequence[Floats], group: NodeGroup, scale: float, spread: float
-) -> tuple[list[Floats], float]:
-    """Return M (m, m) of each insertion's residuals (m, R), and the derivative of the density by ln `spread`.
-
-    The derivatives of the log density by the residuals are -M white.
-    """
-    products = [(white @ white.T / scale**2)[None] for white in whites]
-    at = np.array([spread])
-    reduced = [_integrate_effects(p, nodes, at)[0] for p, nodes in zip(products, group.nodes, strict=True)]
-    found, slope = _find_moments(reduced, group, at)
-    mixed = []
-    for part, whole, nodes in zip(found, products, group.nodes, strict=True):
-        full, more = _restore_effects(part, whole[0], nodes, spread)
-        mixed.append(full / scale**2)
-        slope += more
-    return mixed, slope
-
-
 def solve_shared(
     whites: Sequence[Floats], group: NodeGroup, scale: Floats, spread: Floats
 ) -> tuple[Floats, Floats]:
     """Return mean (B, k) and covariance (B, k, k) of what insertions share, given their residuals (B, m, R).
 
-    In standard deviations; without depths by quadrature. `scale` and `spread` are (B,).
+    In standard deviations; `scale` and `spread` are (B,).
     """
     products = [
         _integrate_effects(white @ white.transpose(0, 2, 1) / scale[:, None, None] ** 2, nodes, spread)[0]
@@ -83,37 +55,6 @@ def solve_shared(
     stiff = np.eye(len(group.surfaces)) + total[:, 1:, 1:]
     covariance = np.asarray(np.linalg.inv(stiff), dtype=np.float64)
     return -(covariance @ total[:, 1:, :1])[..., 0], covariance
-
-
-def _find_moments(products: Sequence[Floats], group: NodeGroup, spread: Floats) -> tuple[list[Floats], float]:
-    """Return of each insertion the mean (m, m) of phi phi^T over depths, without what effects add.
-
-    The second is the derivative of the density by the logarithm of `spread` (1,), by shared bevels.
-    """
-    rules = _list_rules(group)
-    if rules:
-        found = moments(_cut(products, rules), rules, _fold_axes(group, rules))
-        sizes = [nodes.linear.shape[1] for nodes in group.nodes]  # effects are not among what is integrated
-        return [np.pad(one, (0, size - len(one))) for one, size in zip(found, sizes, strict=True)], 0.0
-    total, _ = _sum_over_group(products, group, spread)
-    covariance = np.linalg.inv(np.eye(len(group.surfaces)) + total[0, 1:, 1:])
-    mean = np.concatenate(([1.0], -covariance @ total[0, 1:, 0]))
-    common = np.outer(mean, mean)
-    common[1:, 1:] += covariance
-    found, slope = [], 0.0
-    for part, nodes, own, place in _members(products, group):
-        linear = weigh_linear(nodes, spread)[0]
-        gram = linear @ part[0] @ linear.T
-        # the insertion's own errors, given the others: mean -W gram (1, shared part), covariance W
-        weight = own[:, None] * np.linalg.inv(np.eye(len(own)) + own[:, None] * gram[1:, 1:] * own) * own
-        follow = np.eye(len(gram))
-        follow[1:] -= weight @ gram[1:]
-        restored: Floats = follow @ place.T @ common @ place @ follow.T
-        restored[1:, 1:] += weight
-        found.append(linear.T @ restored @ linear)
-        # d/d(ln spread) is minus the mean of t (f . r)
-        slope -= float(np.sum((restored * gram)[_bevel_axes(nodes)]))
-    return found, slope
 
 
 def weigh_linear(nodes: Nodes, spread: Floats) -> Floats:
@@ -162,48 +103,12 @@ def _integrate_effects(products: Floats, nodes: Nodes, spread: Floats) -> tuple[
     return products - pull.transpose(0, 2, 1) @ np.linalg.solve(stiff, pull), _log_det(stiff)
 
 
-def _restore_effects(mixed: Floats, products: Floats, nodes: Nodes, spread: float) -> tuple[Floats, float]:
-    """Return the mean of phi phi^T with the coefficients c of pose and bevel, and the slope by ln spread.
-
-    c given the rest is Gaussian with covariance A and mean -A pull phi.
-    """
-    if not len(nodes.effects):
-        return mixed, 0.0
-    (loads,) = load_effects(nodes, np.array([spread]))
-    pull = nodes.effects @ products  # (l, m)
-    within = pull @ nodes.effects.T
-    covariance = loads[:, None] * np.linalg.inv(np.eye(len(loads)) + loads[:, None] * within * loads) * loads
-    follow = np.eye(len(products)) - nodes.effects.T @ covariance @ pull
-    full = follow @ mixed @ follow.T + nodes.effects.T @ covariance @ nodes.effects
-    if not nodes.bevel:
-        return full, 0.0
-    # d/d(ln load) of the log density is minus the mean of c (f . r)
-    with_rest = -covariance @ pull @ mixed  # mean of c phi^T without what c adds to phi
-    square = covariance - with_rest @ pull.T @ covariance
-    return full, -float(with_rest[0] @ pull[0] + square[0] @ within[0])
-
-
 def load_effects(nodes: Nodes, spread: Floats) -> Floats:
     """Return the deviations (B, l) of the coefficients: of the bevel `spread`, of the pose 1."""
     loads = np.ones((len(spread), len(nodes.effects)))
     if nodes.bevel:
         loads[:, 0] = spread
     return loads
-
-
-def _list_rules(group: NodeGroup) -> list[QuadratureRule]:
-    return [nodes.rule for nodes in group.nodes if nodes.rule is not None]
-
-
-def _cut(products: Sequence[Floats], rules: Sequence[QuadratureRule]) -> list[Floats]:
-    """Return the products at the nodes of the depths: those of the bevel come behind them."""
-    sizes = [rule.steps.shape[1] for rule in rules]
-    return [part[:, :size, :size] for part, size in zip(products, sizes, strict=True)]
-
-
-def _fold_axes(group: NodeGroup, rules: Sequence[QuadratureRule]) -> list[tuple[TableAxis, ...]]:
-    trios = zip(rules, group.own, group.shared, strict=True)
-    return [make_table_axes(*trio) for trio in trios]
 
 
 def linear_residuals(

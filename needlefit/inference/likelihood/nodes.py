@@ -6,251 +6,21 @@ the tip and all boundaries alike. The effects of two errors add up almost exactl
 
     r(t) = r(0) + sum_j ( r(t_j along axis j) - r(0) ),      t in standard deviations, d of them
 
-and each term is a line or a spline through a few simulated nodes: r(t) = sum_k phi_k(t) r_k.
-
-Depths may be integrated over by a product rule, whose table never forms its curves. With
-r = r_0 + sum_j f_j(t_j), the square |r|^2 consists of products of pairs of f, so that a table over all d axes
-is a sum of tables over one axis and over two. The rule is the trapezoid's, whose error on Gaussian integrands
-vanishes faster than any power of its step. What insertions share, z, is integrated last: the table of each
-insertion, folded along its axes with the distribution of t given z, is its likelihood at every z, and these
-are multiplied.
+and each term is a line through simulated nodes: r(t) = sum_k phi_k(t) r_k.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from scipy.special import logsumexp
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion, TipTrack, split_boundary_sd
-from needlefit.errors import ConfigError
 
-#: where each axis is simulated besides its centre, in standard deviations. Of several spacings tried on
-#: synthetic insertions these came closest to brute force.
-QUADRATURE_NODES = (-0.7, 0.7, -1.6, 1.6)
-RANGE_SD = 3.2  #: standard deviations up to which each axis is integrated: 0.14 % of its prior lies beyond
-#: most points of one axis, and of the whole table: with more than three axes they become fewer on each
-MAX_AXIS_POINTS, MAX_TABLE_POINTS = 17, 30_000
-#: most axes of one table, of 7 points each. Six have 5, which err by 0.08 in the log where a deviation of
-#: each depth moves the curve by one whitened unit; eight err by 1, and by 3 at two units.
-MAX_AXES = 5
+DepthTreatment = Literal["fixed", "linear"]
 
-#: entries of tables that are held at once: thousands of parameter sets must not take gigabytes
-MAX_ENTRIES_AT_ONCE = 1_000_000
-
-
-@dataclass(frozen=True)
-class QuadratureRule:
-    """A product quadrature rule over d axes of n points."""
-
-    points: Floats  #: (n,) of each axis, in standard deviations
-    log_weights: Floats  #: (n,) theirs under the prior
-    #: (1 + d n, m) takes the curves at the m nodes to r_0 and to f_j at the n points of every axis
-    steps: Floats
-    axes: int  #: d
-
-
-@lru_cache
-def make_rule(axes: int) -> QuadratureRule:
-    """Return the rule for d axes; nodes in the order: centre, then `QUADRATURE_NODES` of each axis.
-
-    Along each axis f is a natural cubic spline through its nodes, straight beyond them.
-    """
-    count = _count_points(axes)
-    t = _make_points(count)
-    each = make_spline_weights(QUADRATURE_NODES, t)  # (n, 4)
-    steps = np.zeros((1 + axes * count, 1 + axes * len(QUADRATURE_NODES)))
-    steps[0, 0] = 1.0
-    for j in range(axes):
-        rows = slice(1 + j * count, 1 + (j + 1) * count)
-        steps[rows, 1 + j * len(QUADRATURE_NODES) : 1 + (j + 1) * len(QUADRATURE_NODES)] = each
-        # f_j is a difference from the centre curve, which is node 0
-        steps[rows, 0] = -each.sum(axis=1)
-    log_weights = -0.5 * t**2
-    return QuadratureRule(t, log_weights - logsumexp(log_weights), steps, axes)
-
-
-def _count_points(axes: int) -> int:
-    return min(MAX_AXIS_POINTS, int(MAX_TABLE_POINTS ** (1 / axes)))
-
-
-def _make_points(count: int) -> Floats:
-    return np.linspace(-RANGE_SD, RANGE_SD, count)
-
-
-@dataclass(frozen=True)
-class TableAxis:
-    """How one axis of a table is folded: onto the points of a shared error, or summed."""
-
-    shared: int | None  #: number of the shared error; None where the insertion's error is its own
-    fold: Floats  #: (n_z, n) probability of the axis' points given each z; one row where the axis is summed
-
-
-def make_table_axes(rule: QuadratureRule, own: Floats, shared: Floats) -> tuple[TableAxis, ...]:
-    """Return how the axes of an insertion are folded; `own` is (d,), `shared` (d, k) with one entry a row.
-
-    Where its own part is narrower than the step of the rule, it counts as wide as half a step.
-    """
-    t, z = rule.points, _make_points(_count_points(shared.shape[1])) if shared.shape[1] else np.empty(0)
-    found = []
-    for sd, loads in zip(own, shared, strict=True):
-        if not loads.any():
-            found.append(TableAxis(None, np.exp(rule.log_weights)[None]))
-            continue
-        number = int(np.argmax(loads))
-        width = max(float(sd), 0.5 * float(t[1] - t[0]))
-        logs = -0.5 * ((t - loads[number] * z[:, None]) / width) ** 2
-        found.append(TableAxis(number, np.exp(logs - logsumexp(logs, axis=1, keepdims=True))))
-    return tuple(found)
-
-
-def log_means(
-    products: Sequence[Floats], rules: Sequence[QuadratureRule], axes: Sequence[tuple[TableAxis, ...]]
-) -> Floats:
-    """Return the log of the mean of prod_i exp(-|r_i|^2 / 2) over all depths, (B,).
-
-    `products` (B, m, m) are those of the curves of each insertion at its nodes.
-    """
-    count = _count_shared(axes)
-    largest = max(len(rule.points) ** rule.axes for rule in rules)
-    step = max(1, MAX_ENTRIES_AT_ONCE // largest)
-    found = np.empty(len(products[0]))
-    for start in range(0, len(found), step):
-        some = slice(start, start + step)
-        total = _log_prior(count)[None]
-        for part, rule, folds in zip(products, rules, axes, strict=True):
-            total = total + _fold(_log_table(part[some], rule), folds, count)
-        found[some] = logsumexp(total, axis=tuple(range(1, total.ndim)))
-    return found
-
-
-def moments(
-    products: Sequence[Floats], rules: Sequence[QuadratureRule], axes: Sequence[tuple[TableAxis, ...]]
-) -> list[Floats]:
-    """Return of each insertion the posterior mean (m, m) of phi phi^T over the depths, r = sum_k phi_k r_k.
-
-    `products` are (1, m, m) each.
-    """
-    count = _count_shared(axes)
-    tables = [_log_table(part, rule) for part, rule in zip(products, rules, strict=True)]
-    folded = [_fold(table, folds, count)[0] for table, folds in zip(tables, axes, strict=True)]
-    total = _log_prior(count) + sum(folded)
-    found = []
-    for table, own, rule, folds in zip(tables, folded, rules, axes, strict=True):
-        others = np.broadcast_to(np.exp(total - own - np.max(total - own)), total.shape)
-        weights = np.exp(table[0] - table.max()) * _unfold(others, folds)
-        found.append(_second_moments(weights / weights.sum(), rule))
-    return found
-
-
-def _count_shared(axes: Sequence[tuple[TableAxis, ...]]) -> int:
-    return max((1 + axis.shared for folds in axes for axis in folds if axis.shared is not None), default=0)
-
-
-def _log_prior(count: int) -> Floats:
-    total = np.zeros(())
-    if count:
-        points = _make_points(_count_points(count))
-        single = -0.5 * points**2 - logsumexp(-0.5 * points**2)
-        for _ in range(count):
-            total = total[..., None] + single
-    return total
-
-
-def _fold(table: Floats, axes: Sequence[TableAxis], count: int) -> Floats:
-    """Return the log likelihood (B, n_z or 1, ...) at the points of `count` shared errors."""
-    highest = table.max(axis=tuple(range(1, table.ndim)), keepdims=True)
-    # log-sum-exp: exponentials of large squares would underflow to 0 together
-    likely, count_sets = np.exp(table - highest), len(table)
-    for axis in axes:  # one product a set, so that no set depends on those beside it
-        sizes = likely.shape[2:]
-        folded = axis.fold @ likely.reshape(count_sets, likely.shape[1], -1)
-        likely = np.moveaxis(folded.reshape(count_sets, -1, *sizes), 1, -1)  # what is folded goes to the end
-    order = [axis.shared for axis in axes]
-    places = [1 + order.index(number) for number in sorted(one for one in order if one is not None)]
-    summed = [1 + k for k, number in enumerate(order) if number is None]
-    likely = likely.transpose(0, *places, *summed).reshape(count_sets, *[likely.shape[p] for p in places])
-    with np.errstate(divide="ignore"):
-        found: Floats = np.log(likely) + highest.reshape(len(table), *[1] * len(places))
-    shape = [len(table), *[1] * count]
-    for number, size in zip(sorted(one for one in order if one is not None), found.shape[1:], strict=True):
-        shape[1 + number] = size
-    return found.reshape(shape)
-
-
-def _unfold(weights: Floats, axes: Sequence[TableAxis]) -> Floats:
-    """Return the mean (n, ..., n) of the axes' probabilities over shared errors with `weights` (n_z, ...)."""
-    numbers = [axis.shared for axis in axes if axis.shared is not None]
-    weights = weights.sum(axis=tuple(k for k in range(weights.ndim) if k not in numbers))
-    remaining = sorted(numbers)
-    for axis in axes:
-        if axis.shared is None:
-            weights = weights[..., None] * axis.fold[0]
-        else:
-            place = remaining.index(axis.shared)
-            remaining.pop(place)
-            weights = np.tensordot(weights, axis.fold, axes=(place, 0))
-    return weights
-
-
-def _second_moments(weights: Floats, rule: QuadratureRule) -> Floats:
-    """Return the mean (m, m) of phi phi^T over a table of weights (n, ..., n) that sum to 1."""
-    count, axes = len(rule.points), rule.axes
-    found = np.zeros((len(rule.steps), len(rule.steps)))
-    found[0, 0] = 1.0
-    places = [slice(1 + j * count, 1 + (j + 1) * count) for j in range(axes)]
-    for j, place in enumerate(places):
-        alone = weights.sum(axis=tuple(k for k in range(axes) if k != j))  # (n,)
-        found[place, place] = np.diag(alone)
-        found[0, place] = found[place, 0] = alone
-        for i in range(j):
-            pair = weights.sum(axis=tuple(k for k in range(axes) if k not in (i, j)))  # (n, n)
-            found[places[i], place], found[place, places[i]] = pair, pair.T
-    return rule.steps.T @ found @ rule.steps
-
-
-def make_spline_weights(places: Sequence[float], t: Floats) -> Floats:
-    """Return the weights (n, q) of curves at q `places` that give the curve at t (n,), all less that at 0.
-
-    A natural cubic spline, straight beyond the outermost places.
-    """
-    order = np.argsort((0.0, *places))
-    inner = np.array((0.0, *places))[order]
-    from scipy.interpolate import CubicSpline  # late: it takes 0.3 s to load
-
-    spline = CubicSpline(inner, np.eye(len(inner))[order], bc_type="natural")
-    # beyond the outer nodes the spline goes on as a line: its cubic would run away
-    held = np.clip(t, inner[0], inner[-1])
-    return (spline(held) + spline(held, 1) * (t - held)[:, None])[:, 1:]
-
-
-def _log_table(products: Floats, rule: QuadratureRule) -> Floats:
-    """Return -|r|^2 / 2 at all points of the rule, (B, n, ..., n)."""
-    count = len(rule.points)
-    pairs = rule.steps @ products @ rule.steps.T  # (B, 1 + d n, 1 + d n)
-    own = -pairs[:, 0, 1:] - 0.5 * np.diagonal(pairs, axis1=1, axis2=2)[:, 1:]
-    table = -0.5 * pairs[:, 0, 0]
-    for j in range(rule.axes):  # the table over the axes before grows by one
-        place = slice(1 + j * count, 1 + (j + 1) * count)
-        more = own[:, j * count : (j + 1) * count]  # (B, n)
-        more = more.reshape(-1, *[1] * j, count)
-        for i in range(j):
-            cross = pairs[:, 1 + i * count : 1 + (i + 1) * count, place]  # (B, n, n)
-            more = more - cross.reshape(-1, *[1] * i, count, *[1] * (j - i - 1), count)
-        table = table[..., None] + more
-    return table
-
-
-DepthTreatment = Literal["fixed", "linear", "quadrature"]
-
-NODE_POSITIONS_SD: dict[DepthTreatment, tuple[float, ...]] = {
-    "fixed": (),
-    "linear": (-1.0, 1.0),
-    "quadrature": QUADRATURE_NODES,
-}  #: where each axis is simulated besides its centre, in standard deviations
+DEPTH_STEPS_SD = (-1.0, 1.0)  #: where an uncertain depth is simulated besides as measured, in SDs
 #: stand in place of a layer where what is shared is the tracker's frame, the bevel of one insertion that was
 #: measured at several depths, or slope and response to the guide of a group of runs
 FRAME, BEVEL, GROUP_SLOPE, GROUP_GAIN = -1, -2, -3, -4
@@ -289,37 +59,16 @@ class Nodes:
     #: (1 + d, m + c) takes the curves r_k to r(0) and the slopes by t along the d axes. Behind the curves of
     #: the nodes stand c constant ones, what a unit deviation of the pose does.
     linear: Floats
-    effects: Floats  #: (l, m + c) takes them to what acts linearly whatever `rule` says: the bevel, the pose
+    effects: Floats  #: (l, m + c) takes them to the effects of the bevel and the pose, which are no axes
     bevel: bool  #: whether the first effect is the bevel's
-    #: how the depths are integrated over; None where they act linearly. Of the first nodes alone.
-    rule: QuadratureRule | None
 
     def share_bevel(self, insertion: tuple[str, int]) -> "Nodes":
-        """Return the nodes with the bevel as an axis: that of an insertion, by specimen and number in it.
-
-        Raises ConfigError if the depths are integrated over by quadrature.
-        """
-        if self.rule is not None:
-            raise ConfigError(
-                f"{self.insertions[0].id} is one of several depths of one insertion, which have one bevel",
-                key="likelihood.depths",
-                expected="depths that are not integrated over by quadrature",
-                fix='write depths = "linear" in [likelihood] of the recipe',
-            )
+        """Return the nodes with the bevel as an axis: that of an insertion, by specimen and number in it."""
         specimen, number = insertion
         axis = ErrorAxis(0.0, 1.0, (specimen, BEVEL, number))
         linear = np.vstack([self.linear, self.effects[:1]])
         effects = self.effects[1:]
         return replace(self, axes=(*self.axes, axis), linear=linear, effects=effects, bevel=False)
-
-    @cached_property
-    def linear_only(self) -> "Nodes":
-        """The nodes that a linear dependence on the depths needs."""
-        count = len(self.insertions)
-        used = np.flatnonzero(np.vstack([self.linear, self.effects]).any(axis=0))
-        kept = tuple(self.insertions[k] for k in used if k < count)
-        at = self.s[[k for k in used if k < count]]
-        return Nodes(kept, at, self.axes, self.linear[:, used], self.effects[:, used], self.bevel, None)
 
 
 def make_nodes(
@@ -335,16 +84,13 @@ def make_nodes(
     """Return the nodes of an insertion whose measured points have beam coordinates `s` (K,).
 
     With `bevel` its offset may differ from that of other insertions. `constants` curves stand behind those of
-    the nodes; the last of these lie along the axes `shared` with other insertions (not with depths by
-    quadrature). `gain`: the axis and relative SD of a moved guide's effect (not with quadrature either).
-
-    Raises ConfigError if the insertion has more uncertain depths than quadrature is right for.
+    the nodes; the last of these lie along the axes `shared` with other insertions. `gain`: the axis and
+    relative SD of a moved guide's effect.
     """
-    places = NODE_POSITIONS_SD[depths]
-    moves = _list_depth_errors(insertion) if places else []
+    moves = _list_depth_errors(insertion) if depths == "linear" else []
     found = [(insertion, s)]
     for _, boundaries, depth in moves:
-        found += [shift_depths(insertion, s, t * boundaries, t * depth) for t in places]
+        found += [shift_depths(insertion, s, t * boundaries, t * depth) for t in DEPTH_STEPS_SD]
     axes = [axis for axis, *_ in moves]
     if gain is not None:
         axes.append(gain[0])
@@ -356,11 +102,9 @@ def make_nodes(
     linear = np.zeros((1 + len(axes) + len(shared), len(found) + constants))
     linear[0, 0] = 1.0
     for j in range(len(moves)):
-        first = 1 + j * len(places)
-        # central difference over the first two nodes of the axis, at -places[1] and +places[1]
-        linear[1 + j, first : first + 2] = np.array([-0.5, 0.5]) / places[1]
+        linear[1 + j, 1 + 2 * j : 3 + 2 * j] = [-0.5, 0.5]  # central difference
     if gain is not None:
-        first = 1 + len(moves) * len(places)
+        first = 1 + 2 * len(moves)
         linear[len(axes), first : first + 2] = np.array([-0.5, 0.5]) * gain[1] / GAIN_STEP
     apart = constants - len(shared)
     linear[1 + len(axes) :, len(found) + apart :] = np.eye(len(shared))
@@ -368,10 +112,7 @@ def make_nodes(
     if bevel:
         effects[0, len(found) - 2 : len(found)] = np.array([-0.5, 0.5]) / BEVEL_STEP
     effects[int(bevel) :, len(found) : len(found) + apart] = np.eye(apart)
-    if depths == "quadrature":
-        _check_axes(f"{insertion.id} has {len(moves)} uncertain depths", len(moves))
-    integration = make_rule(len(moves)) if depths == "quadrature" and moves else None
-    return Nodes(insertions, np.array(at), (*axes, *shared), linear, effects, bevel, integration)
+    return Nodes(insertions, np.array(at), (*axes, *shared), linear, effects, bevel)
 
 
 def scale_guide(insertion: Insertion, factor: float) -> Insertion:
@@ -480,8 +221,6 @@ def group_nodes(
     """Return the groups of insertions that share surfaces, each with the places of its members in `nodes`.
 
     With `centred`, the deviations of all bevels sum to zero, so that all that have one are in one group.
-
-    Raises ConfigError if they share more errors than quadrature, where that is asked for, is right for.
     """
     crossed = [{axis.surface for axis in one.axes if axis.surface} for one in nodes]
     bevels = {axis.surface for one in nodes for axis in one.axes if axis.of_bevel and centred}
@@ -496,21 +235,8 @@ def group_nodes(
         counted = [surface for place in members for surface in sorted(crossed[place])]
         common = {surface for surface in counted if counted.count(surface) > 1 or surface in bevels}
         group = NodeGroup(tuple(nodes[place] for place in members), tuple(sorted(common)), centred)
-        if any(one.rule is not None for one in group.nodes):
-            ids = ", ".join(one.insertions[0].id for one in group.nodes)
-            _check_axes(f"{ids} share {len(common)} errors of boundaries", len(common))
         found.append((tuple(members), group))
     return tuple(found)
-
-
-def _check_axes(what: str, axes: int) -> None:
-    if axes > MAX_AXES:
-        raise ConfigError(
-            f"{what}, too many to integrate over by quadrature",
-            key="likelihood.depths",
-            expected=f"at most {MAX_AXES} with depths by quadrature",
-            fix='write depths = "linear" in [likelihood] of the recipe, or state fewer uncertain depths',
-        )
 
 
 def make_group(nodes: Nodes) -> NodeGroup:

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import matplotlib.style
-from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
+from matplotlib.animation import PillowWriter
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from needlefit.errors import ConfigError
@@ -31,14 +31,22 @@ def animate(
     path: Path,
     overlays: SceneOverlays = NO_OVERLAYS,
 ) -> None:
-    """Write states of an insertion as an animation, .gif or .mp4; each is shown from its time to that of the
+    """Write states of an insertion as an animation, .gif; each is shown from its time to that of the
     next.
 
     Times are in s, increasing; `duration` is the last of them. All else is as of `StateFigure`.
-    ConfigError if the ending of `path` is another one, its folder does not exist, or there is no encoder for
-    it.
+    ConfigError if the ending of `path` is another one, or its folder does not exist.
     """
-    writer = _choose_writer(path)
+    require_folder(path)
+    suffix = path.suffix.lower()
+    if suffix != ".gif":
+        raise ConfigError(
+            f"cannot write a `{suffix}` file" if suffix else "the file name has no ending",
+            where=str(path),
+            expected="a name that ends in .gif",
+            fix=f"write to {path.stem or 'needle'}.gif",
+        )
+    writer = PillowWriter(fps=FRAMES_PER_S)
     needed = duration * FRAMES_PER_S / (MAX_FRAMES - FINAL_FRAMES)
     speed = round_up(needed) if needed > 1 else 1.0
     # the last frames are not before the end
@@ -71,25 +79,3 @@ def sample_states(states: Iterable[TimedState], times: Sequence[float]) -> list[
         seen = state
     assert seen is not None
     return found + [seen] * (len(times) - len(found))
-
-
-def _choose_writer(path: Path) -> AbstractMovieWriter:
-    require_folder(path)
-    suffix = path.suffix.lower()
-    if suffix == ".gif":
-        return PillowWriter(fps=FRAMES_PER_S)
-    if suffix != ".mp4":
-        raise ConfigError(
-            f"cannot write a `{suffix}` file" if suffix else "the file name has no ending",
-            where=str(path),
-            expected="a name that ends in .gif or .mp4",
-            fix=f"write to {path.stem or 'needle'}.gif",
-        )
-    if not FFMpegWriter.isAvailable():
-        raise ConfigError(
-            "ffmpeg, which encodes .mp4 files, is not found",
-            where=str(path),
-            expected="the program ffmpeg on the PATH",
-            fix=f"install it (Debian: `apt install ffmpeg`), or write to {path.stem}.gif",
-        )
-    return FFMpegWriter(fps=FRAMES_PER_S)

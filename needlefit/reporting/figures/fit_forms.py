@@ -15,7 +15,6 @@ from matplotlib.ticker import MaxNLocator, NullLocator
 
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import interpolate_hermite
-from needlefit.inference.baselines import list_baselines
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures.forms import lighten
@@ -122,30 +121,6 @@ def insertions(
     return figure
 
 
-def residuals(points: pd.DataFrame, chosen: Sequence[InsertionKey], names: Mapping[str, str]) -> Figure:
-    """Draw heights minus those of the fitted needle, mm, a panel for each insertion; as `insertions`."""
-    width = choose_width()
-    columns = 1 if width <= COLUMN_WIDTH_IN else 3
-    legend = _LEGEND_LINE_IN * math.ceil((len(names) + 3) / columns)
-    figure = Figure(figsize=(width, 1.35 * math.ceil(len(chosen) / columns) + 0.35 + legend))
-    others = [name for name in names if name != "fitted"]
-    for number, (axes, _, mine) in enumerate(_iterate_panels(figure, points, columns, list(chosen))):
-        _draw_bands(axes, mine)
-        axes.axhline(0.0, color=_OURS, lw=1.0)
-        for method in others:
-            curve = mine[mine["curve"] == method]
-            look = {"color": method_colour(method), "lw": 0.8, "ls": _choose_dashes(method)}
-            axes.plot(curve["x_mm"], curve["y_mm"], **look)
-        _draw_dots(axes, mine, 1.8, 0)
-        draw_grid(axes, "y")
-        if number % columns == 0:
-            axes.set_ylabel("deflection\nminus fit (mm)")
-    axes.set_ylim(_find_limits(points, ~points["curve"].isin([*others, "95 %"])))
-    figure.supxlabel("depth (mm)")
-    _name_curves(figure, {"fitted", *points["curve"]}, names)
-    return figure
-
-
 def _iterate_panels(
     figure: Figure, points: pd.DataFrame, columns: int, wanted: list[InsertionKey]
 ) -> Iterator[tuple[Axes, InsertionKey, pd.DataFrame]]:
@@ -174,17 +149,11 @@ def _draw_dots(axes: Axes, points: pd.DataFrame, size: float, edge: float) -> No
     axes.plot(dots["x_mm"], dots["y_mm"], "o", mfc=INK, mec="white", ms=size, mew=edge, zorder=9)
 
 
-def _choose_dashes(method: str) -> Any:  # noqa: ANN401
-    """Return a method's line style: every other baseline is dashed, so that both of two equal lines show."""
-    names = [baseline.name for baseline in list_baselines()]
-    return (0, (4, 2)) if method in names and names.index(method) % 2 else "-"
-
-
 def _name_curves(figure: Figure, present: set[str], names: Mapping[str, str]) -> None:
     handles: list[Artist] = [_line("measured", color=INK, marker="o", ms=2.7, lw=0)]
     for method, name in names.items():
         if method in present:
-            handles.append(_line(name, color=method_colour(method), lw=1.1, ls=_choose_dashes(method)))
+            handles.append(_line(name, color=method_colour(method), lw=1.1))
     for level in reversed(BANDS):
         if level in present:
             handles.append(Patch(color=BANDS[level], lw=0, label=f"{level} predictive band"))

@@ -319,7 +319,7 @@ def simulate_experiment(job: Job, rng: np.random.Generator) -> SimulatedExperime
         if design is None:
             continue
         true = {NOISE_SCALE: everything.density.scale, **values}
-        shared = draw_bevels(job.dataset, design.insertions, rng) if everything.linear_bevels else {}
+        shared = draw_bevels(job.dataset, design.insertions, rng) if everything.bevels_differ else {}
         stated = job.recipe.likelihood
         known = simulate_measurements(job.dataset, design.insertions, true, job.medium, rng, shared, stated)
         if known is None:

@@ -18,7 +18,7 @@ import pandas as pd
 from needlefit.arrays import Floats
 from needlefit.datasets.select import group_rows
 from needlefit.grouping import group_values
-from needlefit.inference.baselines import BASELINES, list_baselines
+from needlefit.inference.baselines import BASELINES
 from needlefit.inference.identifiability.directions import (
     DETERMINED,
     UNINFORMED_SD_RATIO,
@@ -516,7 +516,7 @@ def _open_fit(
 _POINT_COLUMNS = [*forms.INSERTION_KEYS, "curve", "x_mm", *forms.HEIGHT_COLUMNS]
 MAX_LARGE_PANELS = 24  #: insertions at most whose panels are large
 
-_OVERLAY_POINT_STEP, _RESIDUAL_POINT_STEP = 5, 2  # of the points compared, one in so many is drawn
+_OVERLAY_POINT_STEP = 5  # of the points compared, one in so many is drawn
 
 
 def collect_curves(results: Run, role: str, shown: Iterable[str], every: int = 1) -> pd.DataFrame:
@@ -561,20 +561,6 @@ def _align_bands(bands: pd.DataFrame, shapes: pd.DataFrame) -> pd.DataFrame:
     return pd.concat(parts) if parts else bands
 
 
-def subtract_fit(points: pd.DataFrame) -> pd.DataFrame:
-    """Return all curves except the fit, minus the fit's deflection at the same x."""
-    parts = []
-    for _, mine in points.groupby(forms.INSERTION_KEYS, sort=False):
-        fit = mine[mine["curve"] == "fitted"].dropna(subset="y_mm")
-        others = mine[mine["curve"] != "fitted"]
-        if len(fit) > 1:
-            x, y, at = fit["x_mm"].to_numpy(), fit["y_mm"].to_numpy(), others["x_mm"].to_numpy()
-            left = np.clip(np.searchsorted(x, at) - 1, 0, len(x) - 2)  # straight on beyond its ends
-            height = y[left] + (np.diff(y) / np.diff(x))[left] * (at - x[left])
-            parts.append(others.assign(**{name: others[name] - height for name in forms.HEIGHT_COLUMNS}))
-    return pd.concat(parts, ignore_index=True) if parts else points.head(0)
-
-
 def _title_panels(results: Run, role: str) -> dict[forms.InsertionKey, str]:
     """Return by fold and insertion what stands above its panel: its tip error."""
     titles = {}
@@ -598,7 +584,7 @@ def _select(points: pd.DataFrame, chosen: Iterable[forms.InsertionKey]) -> pd.Da
 
 
 def draw_insertions(results: Run, role: str) -> dict[str, Drawing]:
-    """Return all insertions; the best and the worst in their layers; three less the fit."""
+    """Return all insertions; the best and the worst in their layers."""
     titles = _title_panels(results, role)
     names = {method: labels.method_name(method) for method in ("fitted", "hand_tuned")}
     every = _OVERLAY_POINT_STEP if len(titles) <= MAX_LARGE_PANELS else 2 * _OVERLAY_POINT_STEP
@@ -607,11 +593,6 @@ def draw_insertions(results: Run, role: str) -> dict[str, Drawing]:
     heads = {which: f"{word}: TE {titles[which]}" for word, which in ends.items()}
     best = collect_curves(results, role, ("fitted",), _OVERLAY_POINT_STEP)
     best = pd.concat([_select(best, heads), _list_layers(results, heads)], ignore_index=True)
-    # a straight line, without coefficients, would hide all others
-    curves = (one.name for one in reversed(list_baselines()) if one.scales or one.fit)
-    less = {method: labels.method_name(method) for method in ("fitted", "hand_tuned", *curves)}
-    three = list(dict.fromkeys([ranked[0], ranked[len(ranked) // 2], ranked[-1]]))
-    off = subtract_fit(_select(collect_curves(results, role, less, _RESIDUAL_POINT_STEP), three))
     return {
         "schematic": Drawing(
             forms.insertions,
@@ -621,7 +602,6 @@ def draw_insertions(results: Run, role: str) -> dict[str, Drawing]:
         "overlays": Drawing(
             forms.insertions, collect_curves(results, role, names, every), {"heads": titles, "names": names}
         ),
-        "residuals": Drawing(forms.residuals, off, {"chosen": three, "names": less}, optional=True),
     }
 
 
@@ -959,7 +939,7 @@ def lay_out_files(
 
 @once_per_run
 def _list_tables(results: Run) -> list[TableLayout]:
-    """Return every table whose cells are macros of `numbers.tex`."""
+    """Return the tables of a report but its first ones."""
     role = find_scored_role(results)
     *errors, parameters = (table for _, _, layouts in _lay_out_own_files(results) for table in layouts)
     baselines = tables.lay_out_baselines(results, role)
@@ -1032,21 +1012,17 @@ def format_references(cited: Sequence[str]) -> str:
 
 
 def format_macros(results: Sequence[Run]) -> str:
-    """Return a LaTeX file of macros of every printed number, by readable keys.
+    """Return a LaTeX file of macros of errors and parameters, by readable keys.
 
     A key is `<run>-<medium>-<layers>-<error>`, with `floor-` or `paper-` before the error for what stands
     beside it or `-over-floor` after it for the multiple of its noise floor; `<run>-<parameter>`, the median
     of the posterior, with `-low`, `-high` and `-interval` of its 95 % interval, all in the unit of the
-    tables, `-unit`, and `-determined`; or that of a cell of a table (`format_table_macros`).
+    tables, `-unit`, and `-determined`.
     """
     return latex.format_macros(
         number
         for one in results
-        for numbers in (
-            _list_errors(one),
-            _list_parameters(one),
-            latex.list_cells(one.name, _list_tables(one)),
-        )
+        for numbers in (_list_errors(one), _list_parameters(one))
         for number in numbers
     )
 
