@@ -63,7 +63,7 @@ default_role = "name"
 nitpicky = True
 nitpick_ignore_regex = [
     # Types of others, which signatures name: without a network there is nothing to link them to.
-    ("py:.*", r"(numpy|np|scipy|pandas|pd|xarray|matplotlib|pydantic|pydantic_core|typer)\..*"),
+    ("py:.*", r"(numpy|np|scipy|pandas|pd|xarray|arviz|matplotlib|pydantic|pydantic_core|typer)\..*"),
     ("py:.*", r"(trimesh|SimpleITK|pydicom|aiohttp|jinja2|markupsafe)\..*"),
     ("py:.*", r"(collections|concurrent|contextlib|ctypes|dataclasses|pathlib|types|typing)\..*"),
     # Bounds in the types of keys.

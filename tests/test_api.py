@@ -73,12 +73,19 @@ def test_a_run_is_saved_loaded_and_predicted_from(sampled, tmp_path, monkeypatch
 
 
 @pytest.mark.sweep
-def test_a_posterior_goes_to_xarray(sampled):
-    tree = sampled.posterior.to_xarray()
-    assert set(tree.children) == {"posterior", "sample_stats", "convergence"}
+def test_a_posterior_goes_to_xarray_and_arviz(sampled):
+    tree, data = sampled.posterior.to_xarray(), sampled.posterior.to_inference_data()
+    assert set(tree.children) == {"posterior", "sample_stats", "convergence"} == set(data.groups())
     for k, name in enumerate(sampled.posterior.names):
-        np.testing.assert_array_equal(tree["posterior"][name], sampled.posterior.draws[:, :, k])
-    assert dict(tree["posterior"].sizes) == {"chain": 8, "draw": sampled.posterior.draws.shape[1]}
+        np.testing.assert_array_equal(data.posterior[name], sampled.posterior.draws[:, :, k])
+    assert data.posterior.sizes == {"chain": 8, "draw": sampled.posterior.draws.shape[1]}
+
+
+def test_without_arviz_the_error_names_the_extra(sampled, monkeypatch):
+    monkeypatch.setitem(sys.modules, "arviz", None)
+    with pytest.raises(ConfigError) as error:
+        sampled.posterior.to_inference_data()
+    assert "needlefit[arviz]" in error.value.fix
 
 
 @pytest.mark.usefixtures("few_draws", "blank_figures")

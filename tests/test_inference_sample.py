@@ -258,6 +258,17 @@ def test_the_file_has_the_groups_of_inference_data(tmp_path):
     assert posterior.to_xarray()["posterior"]["x0"].shape == (8, 100)
 
 
+@pytest.mark.filterwarnings(r"ignore:\sArviZ is:FutureWarning")  # once a day
+def test_arviz_reads_the_draws(tmp_path):
+    import arviz  # takes seconds, and every process of a parallel run imports this file
+
+    save(met(), tmp_path / "posterior.nc")
+    for data in (met().to_inference_data(), arviz.from_netcdf(tmp_path / "posterior.nc", engine="h5netcdf")):
+        table = arviz.summary(data, round_to="none")
+        assert table["mean"].to_numpy() == pytest.approx(met().draws.mean(axis=(0, 1)), rel=1e-12)
+        assert dict(data.posterior.sizes) == {"chain": 8, "draw": 100}
+
+
 @pytest.mark.parametrize(
     "damage",
     [
