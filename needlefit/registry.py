@@ -1,34 +1,21 @@
 """Find everything that can be added without a list to extend: tissue laws, file formats, metrics, ...
 
 A `Registry` knows one type of entry. Built-in entries are the module-level instances of one package, by their
-names, and those of its modules, by the name of the module, which is imported when it is used. Plugins are
-modules of installed packages, named by their entry points in the group `needlefit.plugins` or by `--plugins`;
-all their module-level instances are registered. docs/developers/plugins.md shows one.
-
-A plugin is code, which runs with the rights of the user. It is never looked for in the working folder or in
-a folder of data, which may come from somebody else.
+names, and those of its modules, by the name of the module, which is imported when it is used. All
+module-level instances of plugins (`needlefit.plugins`) are registered.
 """
 
 import difflib
-import hashlib
-import importlib.util
-import os
 import pkgutil
-import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cached_property
-from importlib import import_module, metadata
-from pathlib import Path
+from importlib import import_module
 from types import ModuleType
 from typing import Any, Generic, Protocol, TypeVar
 
 from needlefit.errors import ConfigError, NeedlefitError
-
-GROUP = "needlefit.plugins"  # of entry points that name plugin modules
-PLUGINS_VARIABLE = "NEEDLEFIT_PLUGINS"
-"""Environment variable: further plugin modules, separated by commas; child processes inherit it."""
+from needlefit.plugins import Plugin, load_plugins
 
 
 class Named(Protocol):
@@ -39,15 +26,6 @@ class Named(Protocol):
 
 
 T = TypeVar("T", bound=Named)
-
-
-@dataclass(frozen=True)
-class Plugin:
-    """A module that adds entries, by name; `version` is a digest of its file where it states none."""
-
-    module: ModuleType
-    name: str
-    version: str
 
 
 class Registry(Generic[T]):
@@ -150,76 +128,7 @@ class Registry(Generic[T]):
             raise ConfigError(what, expected="every name once", fix="rename it, or leave one of the two out")
 
 
-_loaded: tuple[Plugin, ...] | None = None
-
-
-def use_plugins(modules: Iterable[str]) -> None:
-    """Let this process, and those that it starts, use plugin modules besides those used so far."""
-    global _loaded
-    os.environ[PLUGINS_VARIABLE] = ",".join(dict.fromkeys((*_stated_modules(), *modules)))
-    _loaded = None
-
-
-def load_plugins() -> tuple[Plugin, ...]:
-    """Return the plugins of this process; the first call imports them.
-
-    ConfigError if one cannot be imported, or stands in the working folder or in a folder of data.
-    """
-    global _loaded
-    if _loaded is None:
-        _loaded = ()  # a plugin that looks up names while it is imported sees none
-        before = sys.path[:]
-        sys.path[:] = trusted = [one for one in before if one and not _is_untrusted(Path(one).resolve())]
-        try:
-            stated = {**dict.fromkeys(_stated_modules(), ""), **_find_entry_points(list(trusted))}
-            _loaded = tuple(_load(name, version) for name, version in sorted(stated.items()))
-        except BaseException:
-            _loaded = None
-            raise
-        finally:
-            sys.path[:] = before + [one for one in sys.path if one not in before]
-    return _loaded
-
-
 def plugin_versions(*used: tuple[Registry[Any], str]) -> dict[str, str]:
     """Return the versions of the plugins that these entries, (registry, name), come from."""
     plugins = [registry.plugin_of(name) for registry, name in used]
     return {plugin.name: plugin.version for plugin in plugins if plugin}
-
-
-def _stated_modules() -> list[str]:
-    return [word.strip() for word in os.environ.get(PLUGINS_VARIABLE, "").split(",") if word.strip()]
-
-
-def _is_untrusted(folder: Path) -> bool:
-    here = Path.cwd()
-    holds_data = any((one / "dataset.toml").is_file() for one in (folder, *folder.parents))
-    return folder == here or folder.is_relative_to(here / "data") or holds_data
-
-
-def _find_entry_points(search_path: list[str]) -> dict[str, str]:
-    packages = reversed(list(metadata.distributions(path=search_path)))  # the first one found wins
-    entries = [(entry, package) for package in packages for entry in package.entry_points]
-    return {entry.module: package.version for entry, package in entries if entry.group == GROUP}
-
-
-def _load(name: str, version: str) -> Plugin:
-    try:
-        spec = importlib.util.find_spec(name.partition(".")[0])
-        places = [] if spec is None else spec.submodule_search_locations or [spec.origin or ""]
-        if not places or any(_is_untrusted(Path(place).resolve().parent) for place in places):
-            expected = "an installed module; none in the working folder or in a folder of data is used"
-            fix = "install it with pip, or put a folder other than the working folder on PYTHONPATH"
-            raise ConfigError(f"there is no installed plugin module `{name}`", expected=expected, fix=fix)
-        module = import_module(name)
-    except ConfigError:
-        raise
-    except Exception as error:  # a plugin is code of others
-        what = f"the plugin module `{name}` cannot be imported: {type(error).__name__}: {error}"
-        raise ConfigError(
-            what, expected="a module that can be imported", fix="repair or remove it"
-        ) from error
-    if not version:
-        content = Path(module.__file__).read_bytes() if module.__file__ else b""
-        version = str(getattr(module, "__version__", f"sha256:{hashlib.sha256(content).hexdigest()}"))
-    return Plugin(module, name, version)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from needlefit import registry
+from needlefit import plugins
 
 EXAMPLE = "needlefit_example"
 VERSION = "1.2.3"
@@ -36,8 +36,8 @@ def plugin_folder(site: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]
     """Let this process find the plugins of a folder, and forget them afterwards."""
     with monkeypatch.context() as patch:
         patch.syspath_prepend(site)
-        patch.setenv(registry.PLUGINS_VARIABLE, "")
-        patch.setattr(registry, "_loaded", None)
+        patch.setenv(plugins.PLUGINS_VARIABLE, "")
+        patch.setattr(plugins, "_loaded", None)
         before = set(sys.modules)
         yield
     for name in set(sys.modules) - before:

@@ -14,12 +14,13 @@ from plugin_cases import EXAMPLE, VERSION, install, plugin_folder
 from reporting_results import skip_figures
 from test_cli import run
 
-from needlefit import registry
+from needlefit import plugins
 from needlefit.datasets.template import write_template
 from needlefit.errors import ConfigError
 from needlefit.mechanics.laws import LAWS
+from needlefit.plugins import PLUGINS_VARIABLE, use_plugins
 from needlefit.project.locate import find_file
-from needlefit.registry import PLUGINS_VARIABLE, Registry, plugin_versions, use_plugins
+from needlefit.registry import Registry, plugin_versions
 
 STUDY = """\
 schema = 2
@@ -212,7 +213,7 @@ def fruits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Registry
     (package / "pear.py").write_text(f"{FRUIT}PLUM = Fruit('plum')\n")
     monkeypatch.syspath_prepend(tmp_path / "site")
     monkeypatch.setenv(PLUGINS_VARIABLE, "")
-    monkeypatch.setattr(registry, "_loaded", None)
+    monkeypatch.setattr(plugins, "_loaded", None)
     (tmp_path / "work").mkdir()
     monkeypatch.chdir(tmp_path / "work")
     before = set(sys.modules)

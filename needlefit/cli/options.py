@@ -31,7 +31,7 @@ def _keep(context: typer.Context, parameter: typer.CallbackParam, value: Any) ->
 
 def _use_plugins(modules: list[str] | None) -> list[str] | None:
     if modules:
-        from needlefit.registry import use_plugins
+        from needlefit.plugins import use_plugins
 
         use_plugins(modules)
     return modules
