@@ -121,13 +121,8 @@ def test_runs_are_predicted_scored_and_printed(project, capsys):
     shape = held.groupby("method")["aligned_rms_mm"].mean()
     assert shape["fitted"] < 0.7 * shape["straight"]  # the truth is the model's own, and the guide moved
     assert not readings.loc[~readings["scored"], "median_mm"].notna().any()
-    certified, uncertified = (
-        readings[(readings["method"] == "fitted") == of].dropna(subset="median_mm") for of in (False, True)
-    )
-    assert certified["low_mm"].notna().all() and uncertified["low_mm"].isna().all() and len(uncertified)
-    assert "fitted" not in set(pd.read_csv(folder / "coverage.csv")["method"])
+    assert readings.dropna(subset="median_mm")["low_mm"].notna().all()
     results = restore_run(folder)
-    assert not any(" to " in cell for row in REPORT.lay_out(results)[1].rows for cell in row)
     given = results.frames["readings"].assign(low_95_mm=-1.0, high_95_mm=2.0)
     rows = REPORT.lay_out(results.with_frames(readings=given))[1].rows
     assert len(rows) == 2 and all("−1.00 to 2.00" in row and "moved" in row for row in rows)
