@@ -207,7 +207,9 @@ def loosen(problem: Problem, theta: Floats, sds: Mapping[str, float] | None = No
     if parameters != problem.parameters:
         problem, theta = problem.with_parameters(parameters), parameters.theta(values)
         problems.append((STATED_TIES, problem))
-    problems.append((NO_MODEL_ERROR, replace(problem, model_error=estimate_model_error(problem, theta))))
+    residuals, _, chi_square = linearize(problem, theta)
+    error = estimate_model_error(problem, residuals, chi_square)
+    problems.append((NO_MODEL_ERROR, replace(problem, model_error=error)))
     for condition, one in problems:
         loose = posterior_sds(one, one.parameters.theta(values))
         added = {name: math.sqrt(max(0.0, sd**2 - stated.get(name, 0.0) ** 2)) for name, sd in loose.items()}
@@ -247,25 +249,25 @@ def find_tie_conditions(
 
 def add_model_error(problem: Problem, theta: Floats) -> Floats:
     """Return the covariance (P, P) that a model error adds to that of theta, by the information there."""
-    allowing = replace(problem, model_error=estimate_model_error(problem, theta))
-    covariances = []
-    for one in (problem, allowing):
-        _, slope, _ = linearize(one, theta)
-        covariances.append(np.linalg.pinv(slope.T @ slope + prior_and_noise_information(one), hermitian=True))
+    residuals, first, chi_square = linearize(problem, theta)
+    allowing = replace(problem, model_error=estimate_model_error(problem, residuals, chi_square))
+    covariances = [
+        np.linalg.pinv(slope.T @ slope + prior_and_noise_information(one), hermitian=True)
+        for one, slope in ((problem, first), (allowing, linearize(allowing, theta)[1]))
+    ]
     # the allowance adds variance in every direction; rounding may say otherwise where it adds none
     added, vectors = np.linalg.eigh(covariances[1] - covariances[0])
     covariance: Floats = vectors * np.maximum(added, 0.0) @ vectors.T
     return covariance
 
 
-def estimate_model_error(problem: Problem, theta: Floats) -> Discrepancy:
+def estimate_model_error(problem: Problem, residuals: Floats, chi_square: float) -> Discrepancy:
     """Return a model error of the size of the residuals beyond the noise, `MIN_MODEL_ERROR` at least.
 
     By moments: chi^2 exceeds the degrees of freedom by the sum of the variances that the error adds to the
     whitened residuals.
     """
     unit = Discrepancy(1.0, MODEL_ERROR_LENGTH_MM)
-    residuals, _, chi_square = linearize(problem, theta)
     squares = float(residuals @ residuals)
     excess = squares * (1.0 - 1.0 / chi_square) if chi_square > 1 else 0.0
     added = sum(
