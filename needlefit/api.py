@@ -42,7 +42,7 @@ from needlefit.schemas.medium import MaterialRecord, MediumRecord, spell_paramet
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.studies.job import Inputs, Settings, change_fit, prepare, set_priors
+from needlefit.studies.job import Inputs, Job, Settings, change_fit, prepare, set_priors
 from needlefit.studies.kind import find_kind, kind_of
 from needlefit.studies.kinds.prediction import require_same_configuration
 from needlefit.studies.run import Run
@@ -403,9 +403,7 @@ def score_study(study: Name | FileRecord | Table, **options: Unpack[StudyChanges
     """
     name, record, file = _load_study(study)
     record, inputs = _replace_inputs(record, options, stored=False)
-    settings = Settings(seed=options.get("seed"), jobs=options.get("jobs", count_cores()), inputs=inputs)
-    with nullcontext() if file is None else add_file_context(file):
-        job = prepare(name, record, settings)
+    job, jobs = _prepare(name, record, file, inputs, options)
     scorer = Scorer(job.dataset, record.layer_count_rule, {one.id: job.floor(one) for one in job.insertions})
     rows = []
     for fold in job.folds:
@@ -415,7 +413,7 @@ def score_study(study: Name | FileRecord | Table, **options: Unpack[StudyChanges
                 job.problem(fold, search),
                 job.recipe_of(search),
                 random_stream(job.recipe.seed, fold.name, search, "starts"),
-                Callbacks(jobs=settings.jobs),
+                Callbacks(jobs=jobs),
             )
             for search in job.searches
             if search != "fitted_metric"
@@ -461,17 +459,15 @@ def estimate_evidence(
         name, record, inputs = _begin_fit(target, medium, stored=False)
         file = None
     record, inputs = _change_fit(record, inputs, options)
-    settings = Settings(seed=options.get("seed"), jobs=options.get("jobs", count_cores()), inputs=inputs)
-    with nullcontext() if file is None else add_file_context(file):
-        job = prepare(name, record, settings)
+    job, jobs = _prepare(name, record, file, inputs, options)
     if job.recipe.minimize != "posterior":
         raise ConfigError(
             "an evidence needs the errors of the points", expected="a dataset that states its noise"
         )
     problem = job.problem(job.folds[0])
     rng = random_stream(job.recipe.seed, "evidence")
-    fit = minimize(problem, job.recipe, rng, Callbacks(jobs=settings.jobs))
-    found = sample_about_fit(problem, fit, rng, settings.jobs)
+    fit = minimize(problem, job.recipe, rng, Callbacks(jobs=jobs))
+    found = sample_about_fit(problem, fit, rng, jobs)
     values = (found.log_evidence, found.log_evidence_se, found.k, found.effective_sample_size)
     return pd.Series(values, index=["log_evidence", "se", "k", "ess"])
 
@@ -551,6 +547,15 @@ def _load_study(study: Name | FileRecord | Table) -> tuple[str, FileRecord, Path
             fix=f"run them one by one: {', '.join([name, *(other for other, _ in others)])}",
         )
     return name, load_study(file), file
+
+
+def _prepare(
+    name: str, record: FitRecord, file: Path | None, inputs: Inputs, options: RunOptions
+) -> tuple[Job, int]:
+    """Return the job of a study that is computed here, without a run, and the threads to use."""
+    settings = Settings(seed=options.get("seed"), jobs=options.get("jobs", count_cores()), inputs=inputs)
+    with nullcontext() if file is None else add_file_context(file):
+        return prepare(name, record, settings), settings.jobs
 
 
 def _replace_inputs(
