@@ -530,8 +530,8 @@ def test_a_stated_direction_leaves_the_entry_and_its_errors_to_be_decided(tmp_pa
     row = plan.rows[1]
     np.testing.assert_allclose(row.entry, NEEDLES[1][0], atol=1e-6)
     assert (row.pose_shift_sd, np.degrees(row.pose_angle_sd)) == (0.03, pytest.approx(0.5))
-    told = {"entry_point": "0,0,0", "pose_shift_sd": "0", "pose_angle_sd": "0,2"}
-    plan, made = planned([file], pose="2,0,0", **told)
+    answers = {"entry_point": "0,0,0", "pose_shift_sd": "0", "pose_angle_sd": "0,2"}
+    plan, made = planned([file], pose="2,0,0", **answers)
     row = plan.rows[1]
     np.testing.assert_array_equal(row.entry, np.zeros(3))
     assert (row.pose_shift_sd, np.degrees(row.pose_angle_sd)) == (0.0, pytest.approx(0.2))
@@ -554,27 +554,27 @@ def test_boundaries_are_stated_as_depths(tmp_path):
 
 
 def test_a_bevel_that_is_not_understood_or_missing_is_stated_by_needle_or_cell(tmp_path):
-    told = {"pose": "1,0,0", "bevel": "0,1,0"}
+    answers = {"pose": "1,0,0", "bevel": "0,1,0"}
     file = write_long(tmp_path, NEEDLES, head=["Schliff"], cells=[["A"], ["B"], ["A"]])
-    assert refusal(DataError, "'A'", planned, [file], **told).where.endswith(":2")
+    assert refusal(DataError, "'A'", planned, [file], **answers).where.endswith(":2")
     for sides in ("A=1,B=-1", "n1=1,n2=-1,n3=oben"):
-        plan, made = planned([file], bevel_side=sides, **told)
+        plan, made = planned([file], bevel_side=sides, **answers)
         assert [row.side for row in plan.rows] == [1, -1, 1] and made["bevel side"][1] == "option"
-    refusal(DataError, "'B'", planned, [file], bevel_side="A=1", **told)
+    refusal(DataError, "'B'", planned, [file], bevel_side="A=1", **answers)
     file = write_long(tmp_path, NEEDLES, head=["Schliff"], cells=[["1"], [""], ["-1"]])
-    assert "n2" in refusal(DataError, "--bevel-side", planned, [file], **told).what
-    plan, _ = planned([file], bevel_side="n2=-1", **told)
+    assert "n2" in refusal(DataError, "--bevel-side", planned, [file], **answers).what
+    plan, _ = planned([file], bevel_side="n2=-1", **answers)
     assert [row.side for row in plan.rows] == [1, -1, -1]
     file = write_long(tmp_path, NEEDLES)
-    assert planned([file], **told)[1]["bevel side"] == ("1", "assumption")
+    assert planned([file], **answers)[1]["bevel side"] == ("1", "assumption")
     assert planned([file])[1]["bevel"] == ("bend", "assumption")
     file = write_long(tmp_path, NEEDLES, head=["bevel angle"], cells=[[20]] * 3)
-    assert planned([file], **told)[1]["not used"] == ("bevel angle 20 deg", "file")
+    assert planned([file], **answers)[1]["not used"] == ("bevel angle 20 deg", "file")
 
 
 def test_a_clock_position_is_a_side_or_another_plane():
-    told = {"pose": "1,0,0", "bevel": "0,1,0"}
-    plan, made = planned([CASES / "clock.csv"], **told)
+    answers = {"pose": "1,0,0", "bevel": "0,1,0"}
+    plan, made = planned([CASES / "clock.csv"], **answers)
     bevels = {row.id: (row.bevel * row.side).round(6).tolist() for row in plan.rows}
     assert bevels == {"a": [0, 1, 0], "b": [0, -1, 0], "c": [0, 0, 1]}
     assert made["bevel side"] == ("12 o'clock, 6 o'clock, 3 o'clock", "file")

@@ -178,7 +178,7 @@ def is_image_file(place: Path) -> bool:
 
 
 def _read_arrays(path: Path, layers: bool) -> tuple[Any, dict[str, NDArray[Any]]]:
-    """Return what is said of an image file by its header, and its voxels as "values"."""
+    """Return the header of an image file, and its voxels as "values"."""
     with open_regular(path, sys.maxsize) as file:
         stored = file.seek(0, os.SEEK_END)
     if path.suffix.lower() in (".nhdr", ".mhd"):  # its voxels are in another file beside it

@@ -63,13 +63,12 @@ needles
     (`studies/needles_in_scan.py`); the single point of the curve "toward" is a direction.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
 
 import pandas as pd
 
 from needlefit.inference.baselines import list_baselines
-from needlefit.metrics import Metric, list_metrics
 
 FIT_KINDS = ("cross_validation", "fit")  #: kinds of study whose runs have the tables of this module
 
@@ -165,10 +164,3 @@ def select_free(parameters: pd.DataFrame) -> pd.DataFrame:
 def list_methods() -> tuple[str, ...]:
     """Return the names of all methods in the order of tables: models, then baselines."""
     return (*MODEL_METHODS, *(baseline.name for baseline in list_baselines()))
-
-
-def list_score_columns(metrics: Iterable[Metric] | None = None) -> tuple[str, ...]:
-    """Return the columns of a row of errors that hold metrics (all of them by default) and noise floors."""
-    chosen = list_metrics() if metrics is None else tuple(metrics)
-    floors = (f"floor_{metric.name}" for metric in chosen if metric.has_floor)
-    return (*(metric.name for metric in chosen), *floors)

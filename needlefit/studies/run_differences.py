@@ -24,7 +24,7 @@ KEYS = frozenset(
     (
         *("dataset", "study", "fold", "fit", "role", "run", "insertion", "hole", "specimen", "medium"),
         *("method", "boundaries", "comparison", "grouping", "layers", "layer", "specimen_treatment"),
-        *("parameter", "metric", "quantity", "level", "replicate", "seed", "variation", "candidate"),
+        *("parameter", "metric", "quantity", "level", "replicate", "seed"),
         *("start", "curve", "draw", "scan", "marker", "name", "mark"),
     )
 )

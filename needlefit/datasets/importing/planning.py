@@ -133,8 +133,8 @@ class Planner:
         needle = self.settle_needle(max(row.depth for row in rows))
         self.answers.keep_unused()
         points, surfaces = tuple(one.points for one in self.curves), tuple(self.surfaces)
-        told = (needle, sd, self.tissue, tuple(readings))
-        return ImportPlan(tuple(rows), points, pose, surfaces, self.depths, *told)
+        about = (needle, sd, self.tissue, tuple(readings))
+        return ImportPlan(tuple(rows), points, pose, surfaces, self.depths, *about)
 
     # ---- what the points are
 

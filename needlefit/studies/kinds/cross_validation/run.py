@@ -349,7 +349,7 @@ class _StudyRun:
         fit = fits.get("fitted")
         if len(self.job.folds) > 1 or fit is None or fit.interrupted or not math.isfinite(fit.objective):
             return None
-        if fit.minimized != "posterior":
+        if fit.minimized != "posterior":  # no noise is stated: there is no posterior
             return None
         settings, problem = self.settings, self.job.problem(fold)
 
@@ -494,7 +494,12 @@ class _StudyRun:
                 self.rows["population"] += drawn.specimens.tabulate_population()
                 posterior = None  # the sampler's has one set of parameters, specimens several
         verdict = identify(problem, fit, draws.certified if draws else None, further)
-        if fit.minimized != "posterior":  # without stated noise nothing says how far the data can be trusted
+        if fit.minimized == "posterior":
+            self.rows["directions"] += [
+                {"fold": fold.name, "sd": one.sd, "sd_ratio": one.sd_ratio, "note": one.words}
+                for one in verdict.directions
+            ]
+        else:  # without stated noise nothing says how far the data can be trusted
             nothing = dict.fromkeys(verdict.determined, False)
             verdict = replace(verdict, determined=nothing, together=nothing, conditions={})
         judgements: Mapping[str, Assessment] = {}
@@ -505,11 +510,6 @@ class _StudyRun:
             self.rows["profiles"] += [{"fold": fold.name, **row} for row in found.points]
             judgements, verdict = found.judgements, reconcile_verdict(verdict, found.judgements)
         self.verdicts[fold.name] = verdict
-        if fit.minimized == "posterior":
-            self.rows["directions"] += [
-                {"fold": fold.name, "sd": one.sd, "sd_ratio": one.sd_ratio, "note": one.words}
-                for one in verdict.directions
-            ]
         fitted = _fitted_rows(job, fold, fit, verdict, judgements)
         sampled = intervals_of_draws(job.parameters, draws, importance, posterior)
         ties, together = job.parameters.ties, verdict.together
