@@ -87,7 +87,8 @@ def score_all(insertions: list[dict], fold: int, methods: tuple[str, ...], compa
                 about = {k: one[k] for k in ("medium", "specimen", "layers", "depth_mm")}
                 about["hole"] = one["insertion"]
                 about["layers_other"] = one.get("layers_other", one["layers"])
-                errors.append(key | about | {"comparison": comparison} | scores(points, ok))
+                about |= {"estimate": "point", "comparison": comparison}
+                errors.append(key | about | scores(points, ok))
                 if ok:
                     shapes.append(points.assign(**key))
     return errors, shapes
@@ -189,7 +190,7 @@ def frames(errors, shapes, params, begun, insertions) -> dict[str, pd.DataFrame]
         "starts": pd.DataFrame(begun, columns=begun[0].keys()),
         "failures": failed(begun),
         "parameters": pd.DataFrame(params),
-        "directions": pd.DataFrame({"fold": 1, "sd": sds, "sd_ratio": 0.1, "note": words}),
+        "directions": pd.DataFrame({"fold": 1, "parameters": 2, "sd": sds, "sd_ratio": 0.1, "note": words}),
     }
 
 
@@ -228,7 +229,7 @@ def study(number: int, origin: str = "synthetic") -> Run:
         timing={"seconds": 12.5, "out": "somewhere"},
         interrupted=number == 2,
     )
-    unconverged = {name: one.faults for name, one in made.posteriors.items()}
+    unconverged = [fault for one in made.posteriors.values() for fault in one.faults]
     search_faults = made.run.get("search_faults", {})
     return replace(made, faults=find_faults(made.frames["errors"], search_faults, unconverged))
 

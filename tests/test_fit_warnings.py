@@ -4,14 +4,13 @@ import ast
 import json
 import math
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from inference_cases import TRUTH, two_layers
-from reporting_results import study, with_predictions
+from reporting_results import study
 from test_cli import run
 from test_datasets import CURVE, record, row
 
@@ -20,21 +19,13 @@ from needlefit.datasets.read import read
 from needlefit.datasets.write import write_dataset
 from needlefit.inference.predict import Draws
 from needlefit.project.help_pages import TROUBLESHOOTING_PAGE, read_sections
-from needlefit.project.result_warnings import ResultWarning, warnings_entry
+from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.unit_warnings import WARNING_KIND
 from needlefit.schemas.study import StudyRecord
-from needlefit.studies.coverage import find_miscalibration, judge_predictions
 from needlefit.studies.fit_warnings import RULES, apply_rule
 from needlefit.studies.identification import ParameterInterval, add_intervals, intervals_of_draws
 from needlefit.studies.job import DATA_WARNINGS, make_folds, warn_shared_specimens
-from needlefit.studies.run import (
-    BestBaseline,
-    Run,
-    Verdict,
-    judge_errors,
-    judge_run,
-    worst_status,
-)
+from needlefit.studies.run import Run
 
 
 def warn(key: str, results: Run):
@@ -85,31 +76,6 @@ def scored(role: str, errors: dict[str, list[float]], floor: float = 0.01) -> Ru
         for n, error in enumerate(each)
     ]
     return results.with_frames(errors=pd.DataFrame(rows, columns=results.frames["errors"].columns))
-
-
-FAR, NEAR = [0.26, 0.24, 0.25, 0.26, 0.27], [0.04, 0.05, 0.04, 0.03, 0.04]
-LIKE = [0.26, 0.20, 0.28, 0.22, 0.25]
-
-
-@pytest.mark.parametrize(
-    ("role", "curve", "floor", "count"),
-    [
-        ("validate", NEAR, 0.5, 1),
-        ("tune", LIKE, 0.0, 0),
-        ("tune", NEAR, np.nan, 1),
-        ("tune", FAR, 0.01, 0),
-        ("tune", NEAR[:1], 0.05, 1),
-        ("validate", [0.12], 0.0, 1),
-        ("validate", [0.27], 0.0, 0),
-    ],
-)
-def test_an_empirical_curve_that_is_closer_is_named(role, curve, floor, count):
-    errors = {"fitted": FAR[: len(curve)], "straight": LIKE[: len(curve)], "constant_curvature": curve}
-    found = list(warn("worse_than_baseline", scored(role, errors, floor)))
-    assert [one.kind for one in found] == ["worse_than_baseline"] * count
-    assert all("constant curvature" in one.what for one in found)
-    below = floor > FAR[0]
-    assert all(("noise floor" in one.fix) is below for one in found)
 
 
 @pytest.mark.parametrize(
@@ -196,7 +162,7 @@ def flipped(tmp_path, monkeypatch):
     return tmp_path
 
 
-CAUSE_AND_EFFECT = {"bevel_side", "parameter_at_bound", "worse_than_baseline"}
+CAUSE_AND_EFFECT = {"bevel_side", "parameter_at_bound"}
 
 
 @pytest.mark.sweep
@@ -255,131 +221,6 @@ def test_every_kind_of_warning_has_a_section_that_explains_it():
             and one.paragraphs
             and not re.search(r"\]\(|\*\*|^#", "\n".join(one.paragraphs), re.MULTILINE)
         )
-
-
-def with_tip_errors(results: Run, **mm: tuple[float, float]) -> Run:
-    """Replace the tip errors of methods by mean and alternating deviation; the floor is 0.22 mm."""
-    errors = results.frames["errors"].copy()
-    for method, (mean, deviation) in mm.items():
-        rows = errors["method"] == method
-        number = pd.factorize(errors.loc[rows, "insertion"])[0]
-        errors.loc[rows, "te_mm"] = mean + deviation * np.where(number % 2, 1, -1)
-    return results.with_frames(errors=errors)
-
-
-CURVES = dict.fromkeys(("straight", "constant_curvature", "linear_curvature"), (9.0, 0.0))
-
-
-@pytest.mark.parametrize(
-    ("fitted", "straight", "status"),
-    [
-        ((0.1, 0.0), (0.2, 0.0), "pass"),
-        ((0.1, 0.0), (0.01, 0.0), "warn"),  # a curve is closer, but below the floor that is not significant
-        ((0.3, 0.01), (2.0, 0.01), "pass"),
-        ((1.0, 0.01), (2.0, 0.01), "warn"),  # better than any curve, but far above the floor
-        ((1.0, 0.5), (0.99, 0.0), "warn"),  # no significant difference
-        ((2.0, 0.01), (1.0, 0.01), "fail"),
-    ],
-)
-def test_status_follows_floor_and_best_baseline(fitted, straight, status):
-    results = with_tip_errors(study(4), **{**CURVES, "fitted": fitted, "straight": straight})
-    (verdict,) = judge_run(results)
-    assert verdict.status == status
-    assert verdict.numbers["te_mm"] == pytest.approx(fitted[0], abs=fitted[1] / 8)
-    assert verdict.numbers["te_over_floor"] == pytest.approx(verdict.numbers["te_mm"] / 0.22)
-    assert (verdict.numbers["baseline"], verdict.numbers["baseline_te_mm"]) == (
-        "straight",
-        pytest.approx(straight[0], abs=straight[1] / 8),
-    )
-
-
-def test_intervals_that_cover_too_few_insertions_and_noise_that_is_too_large_are_no_pass():
-    good = with_tip_errors(study(4), **{**CURVES, "fitted": (0.1, 0.0)})
-    noisy = {**good.run, **warnings_entry([ResultWarning("noise_too_large", "")])}
-    cases = (
-        (with_predictions(good), "pass"),
-        (with_predictions(good, levels=(0.9999,)), "warn"),
-        (replace(good, run=noisy), "warn"),
-        (replace(good, interrupted=True), "warn"),
-    )
-    assert [[one.status for one in judge_run(run)] for run, _ in cases] == [[status] for _, status in cases]
-    assert worst_status([Verdict(""), Verdict("", "fail"), Verdict("", "warn")]) == "fail"
-
-
-def predicted(off_mm, in_50, holes=None, half_mm=0.5):
-    """Return predictions of tips that deflect by 4 mm to alternate sides, `off_mm` more than predicted."""
-    measured = 4.0 * np.resize([1, -1], len(off_mm))
-    table = pd.DataFrame(
-        {"tip_measured_mm": measured, "tip_median_mm": measured - np.sign(measured) * off_mm}
-    )
-    table["insertion"] = [f"i{n}" for n in range(len(table))]
-    table = table.assign(hole=holes or table["insertion"], specimen="gel", fold="all", shape_in_50=in_50)
-    table = table.assign(tip_in_50=in_50, tip_in_95=True, shape_in_95=True)
-    table["tip_95_low_mm"], table["tip_95_high_mm"] = (
-        table["tip_median_mm"] + d for d in (-half_mm, half_mm)
-    )
-    return table.assign(tip_crps_mm=0.2, tip_interval_score_mm=2 * half_mm)
-
-
-HALVES = [True, False]
-
-
-@pytest.mark.parametrize(
-    ("table", "keys"),
-    [
-        (predicted(np.resize([0.1, -0.1], 14), np.resize(HALVES, 14)), []),
-        (predicted(np.full(14, 0.1), np.resize(HALVES, 14)), [("off_centre", "tip", 95)]),
-        (predicted(-np.full(6, 0.1), np.resize(HALVES, 6)), [("off_centre", "tip", 95)]),
-        (predicted(np.full(5, 0.1), np.resize(HALVES, 5)), []),  # 2^-5 > 0.025
-        (
-            predicted(np.resize([0.1, -0.1], 14), np.full(14, True)),
-            [("wide_coverage", "tip", 50), ("wide_coverage", "shape", 50)],
-        ),
-        (
-            predicted(np.resize([0.1, -0.1], 14), np.full(14, False)),
-            [("coverage", "tip", 50), ("coverage", "shape", 50)],
-        ),
-        # 24 tips of 6 holes are 6 trials; of 5 holes too few
-        (
-            predicted(np.full(24, 0.1), np.full(24, True), list("abcdef") * 4),
-            [("wide_coverage", "tip", 50), ("wide_coverage", "shape", 50), ("off_centre", "tip", 95)],
-        ),
-        (predicted(np.full(20, 0.1), np.full(20, True), list("abcde") * 4), []),
-        (
-            predicted(np.resize([0.1, -0.1], 14), np.resize(HALVES, 14), half_mm=2.1),
-            [("wide_intervals", "tip", 95)],
-        ),
-    ],
-)
-def test_intervals_that_are_too_narrow_too_wide_or_off_centre_are_found(table, keys):
-    assert [(one.key, one.what, one.level) for one in find_miscalibration(table)] == keys
-    best = BestBaseline("an arc", 0.5, "worse")
-    verdict = judge_predictions(Verdict("TE", numbers={"te_mm": 0.1}), table, best)
-    off = (table["tip_median_mm"] - table["tip_measured_mm"]).abs().mean()
-    assert verdict.status == ("warn" if keys else "pass")
-    assert verdict.numbers == {
-        "te_mm": 0.1,
-        "predictive_median_te_mm": pytest.approx(off),
-        "tip_crps_mm": pytest.approx(0.2),
-        "tip_interval_score_mm": pytest.approx(table["tip_interval_score_mm"].mean()),
-    }
-
-
-@pytest.mark.parametrize(
-    ("insertions", "baseline", "status"),
-    [
-        (2, "worse", "warn"),
-        (3, "worse", "pass"),
-        (2, "better", "fail"),
-    ],
-)
-def test_one_or_two_insertions_do_not_pass(insertions, baseline, status):
-    best = BestBaseline("an arc", {"worse": 9.0, "tie": 0.6, "better": 0.1}[baseline], baseline)
-    verdict = judge_errors("gel", 0.5, 1.5, best, insertions)
-    assert verdict.status == status and f"n = {insertions}" in verdict.sentence
-    assert judge_errors("gel", 0.5, 0.5, None, insertions).status == ("pass" if insertions > 2 else "warn")
-    marked = judge_errors("gel", 0.5, 1.5, best, insertions, reliable=False)
-    assert marked.status == ("fail" if baseline == "better" else "warn")
 
 
 PROFILE = {"parameter": "mu1_pa", "low": 2e5, "high": 3e5, "determined": "yes"}

@@ -13,17 +13,15 @@ from matplotlib.figure import Figure
 from reporting_results import stereo, study, with_draws, with_predictions
 
 from needlefit.reporting.figures import style
-from needlefit.studies.kinds.cross_validation import report, tables
-from needlefit.studies.kinds.cross_validation.report import (
-    tabulate_predictive_check,
-)
-from needlefit.studies.report import say
+from needlefit.studies import fit_tables
+from needlefit.studies.fit_figures import draw_errors, tabulate_predictive_check
+from needlefit.studies.kinds.cross_validation import report
 
 WHAT = {
     "boxplot": ("y", slice(None)),
     "corner": ("xy", slice(None)),
     "predicted": ("xy", slice(0, None, 2)),
-    "schematic": ("y", slice(None)),
+    "insertions": ("x", slice(None)),
     "overlays": ("xy", slice(None)),
     "baselines": ("x", slice(None)),
     "waterfall": ("xy", slice(0, 1)),
@@ -70,7 +68,7 @@ def stands_in(table: pd.DataFrame, values: np.ndarray) -> np.ndarray:
 )
 def test_drawn_values_are_those_of_the_table(results, painted, tmp_path):
     report.REPORT.draw(results, tmp_path)
-    for name, one in report.draw_errors([results, results]).items():
+    for name, one in draw_errors([results, results]).items():
         one.save(tmp_path / f"{name}.pdf")
     pictures = {path.stem for path in tmp_path.glob("*.pdf")}
     assert pictures == set(painted) and {"boxplot", "overlays", "baselines", "waterfall"} <= pictures
@@ -89,19 +87,20 @@ def test_the_ridge_is_the_longest_axis_of_the_draws():
     """Across it mu1 * b^2 is known to 2 % (as made), along it mu1 within a factor of 5."""
     made = with_draws(study(5), 4000)
     names = ["mu1_pa", "bevel_mm"]
-    assert tables.list_free_parameters(made) == names
-    shortest, longest = tables.principal_axes(made.frames["draws"][names])
+    assert fit_tables.list_free_parameters(made) == names
+    shortest, longest = fit_tables.principal_axes(made.frames["draws"][names])
     assert shortest.words.startswith("mu1^0.5 * b ") and "1 %" in shortest.words
     assert longest.weights[1] / longest.weights[0] == pytest.approx(-0.5, abs=0.01)
-    first, last = tables.find_ridge_ends(made.frames["draws"][names])
+    first, last = fit_tables.find_ridge_ends(made.frames["draws"][names])
     slope = np.log(last["bevel_mm"] / first["bevel_mm"]) / np.log(last["mu1_pa"] / first["mu1_pa"])
     assert slope == pytest.approx(-0.5, abs=0.01)
-    text = say(made, "figure_corner")
+    text = fit_tables.TEXT.sentence("figure_corner", report.collect_values(made))
     assert "4000 importance draws" in text and "Pareto k 0.31" in text and "NOT CERTIFIED" not in text
     assert re.search(r"μ₁\^0\.5 · b [\w ]*1 %", text)
     for source in ("importance", "posterior"):
         draws = made.frames["draws"].assign(certified=False, draw_source=source)
-        text = say(made.with_frames(draws=draws), "figure_corner")
+        values = report.collect_values(made.with_frames(draws=draws))
+        text = fit_tables.TEXT.sentence("figure_corner", values)
         assert ("sample.densities" in text) == (source == "posterior")
         assert re.search("NOT C(ERTIFI|ONVERG)ED", text) and "1 %" not in text
 

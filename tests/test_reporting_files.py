@@ -13,11 +13,12 @@ from reporting_results import stereo, study
 
 from needlefit.errors import ConfigError
 from needlefit.studies.fit_frames import COLUMNS
-from needlefit.studies.kinds.cross_validation.report import format_macros, format_methods, format_references
+from needlefit.studies.fit_tables import format_macros
+from needlefit.studies.kinds.cross_validation.report import format_methods, format_references
 from needlefit.studies.paper_folder import write_paper_folder
 from needlefit.studies.report import write_run
 
-FIGURES = ("boxplot", "schematic", "overlays", "waterfall")
+FIGURES = ("boxplot", "insertions", "overlays", "waterfall")
 EXPECTED = {
     *(f"{name}.csv" for name in ("design", "directions", "errors", "failures", "shapes", "starts")),
     *(f"{name}.csv" for name in ("validation", "tuning", "parameters")),

@@ -11,7 +11,7 @@ from needlefit.reporting import document
 from needlefit.reporting.document import Document, compile_html, compile_pdf
 from needlefit.reporting.table import Table, TableColumn, TableLayout
 from needlefit.reporting.text import KindText
-from needlefit.studies.kinds.cross_validation.report import draw_starts
+from needlefit.studies.fit_figures import draw_starts
 from needlefit.studies.report import compose_run_report
 
 

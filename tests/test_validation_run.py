@@ -32,9 +32,11 @@ from needlefit.schemas.recipe import RecipeRecord, SampleRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.fit_frames import COLUMNS
+from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.job import make_folds, prepare
+from needlefit.studies.kinds.cross_validation.report import collect_values
 from needlefit.studies.kinds.cross_validation.run import Settings, run, tabulate_design
-from needlefit.studies.report import say, write_run
+from needlefit.studies.report import write_run
 from needlefit.studies.run import Run
 from needlefit.studies.score import Scorer, curve_predictor, model_predictor
 from needlefit.studies.validity import describe_outside, list_outside
@@ -151,7 +153,7 @@ def test_a_row_of_failures_csv_reproduces_its_failure(project: Path, monkeypatch
     counted = results.run["failed_solves"]
     assert sum(results.run["recorded_failures"].values()) == len(rows) == counted
     starts = results.frames["starts"]
-    assert say(results, "failures").startswith(
+    assert TEXT.sentence("failures", collect_values(results)).startswith(
         f"{counted} of {starts['evaluations'].sum()} evaluations failed: {counted} over-compressed;"
     )
     kept, done = project / "violent.partial", []

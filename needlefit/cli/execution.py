@@ -1,6 +1,5 @@
 """Run studies as the options say: progress, folders of results and checkpoints, what is printed of them."""
 
-import shlex
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
@@ -304,41 +303,47 @@ def _run_one(execution: Execution, work: StudyTask) -> "Run":
 
 
 def show_run(invocation: Invocation, result: "Run", folder: Path, named: bool = False) -> None:
-    """Print the result of a study: verdicts, warnings, one table, files; with `--explain` all tables.
+    """Print the result of a study: what its first page has, in that order; with `--explain` all tables.
 
-    `named`: before each verdict stands the name of the run.
+    `named`: before the answer stands the name of the run.
     """
     from needlefit.reporting.table import drop_repeated
     from needlefit.studies.kind import find_kind
-    from needlefit.studies.run import judge_run
+    from needlefit.studies.report import lay_out_checks, subtitle
 
-    for verdict in judge_run(result):
-        screen.print_text(f"{result.name}: {verdict.sentence}." if named else f"{verdict.sentence}.")
+    answer, checks = result.answer, lay_out_checks(result.answer)
+    screen.print_text(f"{f'{result.name}: ' if named else ''}{subtitle(result)}")
+    marked = "SYNTHETIC data. " if result.synthetic else ""  # which a reader cannot miss
+    for verdict in answer.verdicts[:1]:
+        screen.print_text(f"{marked}{verdict.sentence}.")
     show_warnings(invocation, result)
+    shown = [*answer.tables, *([checks] if checks else [])]
     screen.print_line()
-    title = result.name if result.title in ("", result.name) else f"{result.name}: {result.title}"
-    origins = {"synthetic": "SYNTHETIC data", "measured": "Measured data"}  # which a reader cannot miss
-    screen.print_text(f"{title}\n{origins[result.origin]}: {result.dataset_title}")
-    report = find_kind(result.kind).report
-    tables, sentences = report.explain(result) if invocation.explain else (report.lay_out_first(result), [])
-    for table in drop_repeated(tables):
-        screen.show_display(table, notes=invocation.explain)
-    for sentence in sentences:
-        screen.print_text(sentence)
+    for table in shown:
+        screen.show_display(replace(table, breaks=()), notes=False)
+    for head, words in (("What to do.", answer.advice), ("What the fit determined.", answer.determined)):
+        if words:
+            screen.print_text(f"{head} {words}")
+    if invocation.explain:
+        named_tables = {table.name for table in shown}
+        further = [
+            one for one in find_kind(result.kind).report.lay_out(result) if one.name not in named_tables
+        ]
+        for table in drop_repeated(further):
+            screen.print_line()
+            screen.show_display(table)
     documents = [str(folder / name) for name in ("report.pdf", "report.html") if (folder / name).is_file()]
     if documents:
         screen.print_line(f"Report: {', '.join(documents)}")
-    if not invocation.explain:
-        screen.print_line(f"Explained: {shlex.join(('needlefit', 'report', str(folder), '--explain'))}")
     screen.print_written(folder)
 
 
 def show_warnings(invocation: Invocation, result: "Run") -> None:
     """Print the warnings of a run to stderr, with the paths of the files that they are about."""
-    from needlefit.studies.report import list_run_warnings
+    from needlefit.project.result_warnings import read_warnings
 
     data, located = Path(result.timing.get("dataset", "")).parent, []
-    for one in list_run_warnings(result):
+    for one in read_warnings(result.run):
         file = one.where.rpartition(":")[0] or one.where
         is_there = file and (data / file).is_file()
         located.append(replace(one, where=str(data / one.where)) if is_there else one)

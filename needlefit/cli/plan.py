@@ -182,7 +182,7 @@ def _summarize(
         "low": None if exact else found.low,
         "high": None if exact else found.high,
         "reached": bool(found.hits),
-        "faults": list(shown.faults),
+        "faults": list(map(str, shown.faults)),
         "warnings": to_rows(shown.warnings),
     }
 

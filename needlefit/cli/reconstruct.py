@@ -131,7 +131,6 @@ def reconstruct(
         from needlefit.schemas.names import require_file_name
         from needlefit.schemas.reconstruction import ReconstructionRecord
         from needlefit.studies.kinds.reconstruction.report import write_reconstruction, write_refused
-        from needlefit.studies.run import judge_run
 
         require_file_name(out.resolve().name, str(out))
         require_replaceable(out)
@@ -176,7 +175,7 @@ def reconstruct(
                 remove_result(refused, print_remark)
     warnings = check_all(out)[1] if written else []
     if written and not invocation.json:
-        screen.print_text(f"{judge_run(written)[0].sentence}.")
+        screen.print_text(f"{written.verdicts[0].sentence}.")
     _print_failures(written, failed, out if written else refused)
     print_warnings(invocation, warnings)
     _show(out, written, failed, warnings if invocation.json else None)
@@ -225,7 +224,7 @@ def _show(
         screen.show_json({**about, "scans": rows, "failed": errors})
     elif found:
         screen.print_line()
-        for table in REPORT.lay_out_first(found):
+        for table in found.answer.tables:
             screen.show_display(table, notes=False)
         for remark in REPORT.summarize(found)[1:]:
             screen.print_text(remark)

@@ -91,7 +91,8 @@ MAX_MEASURED_COLUMNS = 10_000
 def show_display(table: "TableLayout", notes: bool = True) -> None:
     """Print a table that is ready to be set: its caption, its cells, its notes if wanted."""
     columns = [(f"{column.label} {column.unit}", column.align == "right") for column in table.columns]
-    print_text(table.caption)
+    if table.caption:
+        print_text(table.caption)
     _show(columns, table.rows, table.breaks, table.strong)
     for line in table.notes if notes else ():
         print_text(line)

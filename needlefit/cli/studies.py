@@ -328,15 +328,14 @@ def validate(
 
 def _write_combined_report(execution: Execution, study: str, runs: "list[Run]") -> None:
     from needlefit.studies.combined_report import write_combined
-    from needlefit.studies.kinds.cross_validation.tables import lay_out_tuning
+    from needlefit.studies.fit_tables import lay_out_matrix
 
     folder = execution.folder(study)
     write_combined(runs, folder)
     if not execution.invocation.json:
-        tuned = [run for run in runs if run.kind == "fit"]
-        for by in ("layers", "media"):
-            screen.show_display(lay_out_tuning(tuned, by))
         screen.print_written(folder)
+        screen.print_line()
+        screen.show_display(lay_out_matrix([run for run in runs if run.kind == "cross_validation"]), False)
 
 
 def predict(

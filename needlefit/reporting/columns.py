@@ -13,6 +13,7 @@ from importlib.resources import files
 from types import MappingProxyType
 from typing import Any
 
+from needlefit.inference.baselines import BASELINES
 from needlefit.mechanics.laws import list_shape_parameters
 from needlefit.metrics import METRICS, list_metrics
 from needlefit.reporting.labels import medium_name, method_name
@@ -45,6 +46,7 @@ FORMATS: Mapping[str, Callable[[Any], str]] = {
     "flag": lambda value: value if isinstance(value, str) else "yes" if value else "no",
     "medium": medium_name,
     "method": method_name,
+    "baseline": lambda name: BASELINES[name].description,
     "metric": lambda name: METRICS[name].label if name in METRICS else name,
     "symbol": format_symbol,
 }

@@ -53,8 +53,17 @@ def subheading(words: str, target: str = "") -> Block:
 
 
 def verdict(words: Words, status: Literal["none", "pass", "warn", "fail"]) -> Block:
-    """Return the answer of a run or of one of its groups, with its badge unless its status is "none"."""
-    return {"kind": "verdict", "text": _prose_block(words), "status": status}
+    """Return the answer of a run, its first sentence in bold type, marked by its status."""
+    if isinstance(words, str):
+        head, stop, rest = words.replace("`", "").partition(". ")
+        words = [{"text": f"{head}{stop}", "style": "strong", "target": ""}]
+        words += [{"text": rest, "style": "", "target": ""}] if rest else []
+    return {"kind": "verdict", "text": words, "status": status}
+
+
+def origin(words: str) -> Block:
+    """Return what must be known of the data before any number."""
+    return {"kind": "origin", "text": words}
 
 
 def text(words: Words) -> Block:
@@ -64,6 +73,17 @@ def text(words: Words) -> Block:
 def note(words: Words) -> Block:
     """Return a paragraph in less prominent type."""
     return {"kind": "note", "text": _prose_block(words)}
+
+
+def paragraph(head: str, words: str) -> Block:
+    """Return a paragraph that begins with a few words in bold type."""
+    runs = [{"text": head, "style": "strong", "target": ""}, {"text": f" {words}", "style": "", "target": ""}]
+    return text(runs)
+
+
+def page_break() -> Block:
+    """Return the end of the first page; a page that scrolls has none."""
+    return {"kind": "page_break"}
 
 
 def bullets(items: Sequence[Words]) -> Block:
@@ -119,6 +139,9 @@ def _number_blocks(document: Document) -> Iterator[Block]:
             continue
         if kind not in counts:
             yield {**block}
+            continue
+        if kind == "table" and not block["caption"]:  # it has no number, and no link leads to it
+            yield {**block, "number": 0, "id": block["name"]}
             continue
         counts[kind] += 1
         more = {"half": is_half_width(block["path"])} if kind == "figure" else {}
@@ -195,6 +218,8 @@ def _render_html(template: str, document: Document) -> str:
     for block in blocks:
         if "path" in block:
             block |= _encode_figure(block.pop("path").read_bytes())
+    ends = [number for number, block in enumerate(blocks) if block["kind"] == "page_break"]
+    first, rest = (blocks[: ends[0]], blocks[ends[0] + 1 :]) if ends else ([], blocks)
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("needlefit.reporting"),
         autoescape=True,
@@ -209,11 +234,9 @@ def _render_html(template: str, document: Document) -> str:
         synthetic=document.synthetic,
         unverified=document.unverified,
         version=find_version(),
-        blocks=blocks,
+        first=first,
+        blocks=rest,
         sections=[block for block in blocks if block["kind"] == "heading"],
-        explorer_place=next(
-            k for k, block in enumerate([*blocks, {"kind": "heading"}]) if block["kind"] == "heading"
-        ),
         page=_compose_page(document.explorer),
         open_tables=OPEN_TABLES,
     )

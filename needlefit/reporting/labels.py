@@ -7,6 +7,7 @@ GREEN, SKY_BLUE = "#009E73", "#56B4E9"
 
 METHOD_NAMES = {
     "fitted": "posterior-mode fit",
+    "predictive_median": "predictive median",
     "fitted_metric": "error-minimising fit",
     "hand_tuned": "paper's parameters",
     "hand_tuned_b": "paper's parameters, b re-fitted",
@@ -15,13 +16,20 @@ METHOD_NAMES = {
 }
 METHOD_COLOURS = {  # Okabe and Ito's palette, distinguishable for colour-blind readers
     "fitted": "#0072B2",
+    "predictive_median": "#0072B2",
     "fitted_metric": "#0A2F4A",
     "hand_tuned": "#E69F00",
     "hand_tuned_b": "#CC79A7",
     "truth": "#1a1a1a",
 }
 """Colours of methods that are no baseline; `method_colour` knows those too."""
-_MODEL_MARKERS = {"fitted": "o", "fitted_metric": "o", "hand_tuned": "s", "hand_tuned_b": "s"}
+_MODEL_MARKERS = {
+    "fitted": "o",
+    "predictive_median": "d",
+    "fitted_metric": "o",
+    "hand_tuned": "s",
+    "hand_tuned_b": "s",
+}
 _BASELINE_MARKERS = "v^D<>phX*"
 SERIES_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9")
 """Of series without a colour of their own (Okabe and Ito)."""
@@ -42,8 +50,7 @@ def rgb(colour: str) -> tuple[float, float, float]:
 
 
 SYNTHETIC_NOTE = (
-    "Synthetic data: agreement with the paper shows consistency and is no evidence for the model, because "
-    "the dataset was built from the paper's design, moduli and deflections."
+    "Synthetic data: they show that the program is consistent, and are no evidence for the model."
 )
 
 

@@ -134,3 +134,5 @@ class RecipeRecord(FileRecord):
     """Options of the sampler."""
     specimens: BetweenSpecimensRecord = BetweenSpecimensRecord()
     """Prior of the spread between specimens."""
+    aiming_width_mm: float = Field(default=2.0, gt=0)
+    """Width of the 95 % interval of a tip up to which the checks of a result call it narrow enough."""

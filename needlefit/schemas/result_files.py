@@ -123,6 +123,13 @@ class FrameTable(_StoredTable):
         return self
 
 
+class FaultTable(BaseModel):
+    """A fault of a stored result."""
+
+    kind: Literal["NOT_CONVERGED", "NOT_CERTIFIED", "INCOMPLETE", "UNVERIFIED", "NOT_CALIBRATED"]
+    what: str
+
+
 class StoredRunTable(_StoredTable):
     """Stored results of a study of any kind."""
 
@@ -132,7 +139,7 @@ class StoredRunTable(_StoredTable):
     origin: Literal["measured", "synthetic"]
     dataset_title: str
     interrupted: bool
-    faults: list[str]
+    faults: list[FaultTable]
     run: RunTable
     frames: dict[FileName, FrameTable]
     posteriors: list[str]

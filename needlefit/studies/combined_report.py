@@ -6,33 +6,26 @@ from pathlib import Path
 
 from needlefit.project.folders import replace_folder
 from needlefit.project.input_files import convert_stored_errors
+from needlefit.project.result_warnings import read_warnings
 from needlefit.reporting import document
 from needlefit.reporting.document import Block, Document
 from needlefit.reporting.latex import format_latex
 from needlefit.reporting.table_files import all_files, write_csv, write_json
 from needlefit.reporting.text import KindText
+from needlefit.studies import fit_tables
+from needlefit.studies.fit_figures import draw_errors
 from needlefit.studies.fit_frames import FIT_KINDS
 from needlefit.studies.kind import find_kind
-from needlefit.studies.kinds.cross_validation import tables as fit_tables
-from needlefit.studies.kinds.cross_validation.report import (
-    draw_errors,
-    format_macros,
-    judge,
-    lay_out_files,
-    tuning_tables,
-)
 from needlefit.studies.report import (
     compose_warnings,
     label_figures,
-    list_run_warnings,
     state_blocks,
-    verdict_blocks,
-    warning_blocks,
+    subtitle,
     write_report,
     write_run,
 )
-from needlefit.studies.run import MAX_FLOOR_RATIO, Run, headline_fault
-from needlefit.studies.scored_groups import TE, list_held_out_groups
+from needlefit.studies.run import Run
+from needlefit.studies.scored_groups import list_held_out_groups
 from needlefit.studies.store import is_combined, restore_runs
 
 TEXT = KindText("combined")
@@ -51,7 +44,7 @@ def write_combined(runs: Sequence[Run], folder: Path) -> list[Path]:
     others = [one for one in runs if one.kind not in FIT_KINDS]
     synthetic = any(one.synthetic for one in studies)
     with replace_folder(folder) as new:
-        for name, frame, layouts in lay_out_files(studies, tunings):
+        for name, frame, layouts in fit_tables.lay_out_files(studies, tunings):
             if len(frame):
                 write_csv(frame, new / f"{name}.csv")
                 pages = [format_latex(table, synthetic) for table in layouts if table.rows]
@@ -62,64 +55,63 @@ def write_combined(runs: Sequence[Run], folder: Path) -> list[Path]:
         write_report(replace(report, unverified=any(one.unverified for one in runs)), new)
         label_figures(drawn, synthetic)
         every = [*studies, *(one for one in tunings if one not in studies)]
-        (new / "numbers.tex").write_text(format_macros(every), encoding="utf-8")
+        (new / "numbers.tex").write_text(fit_tables.format_macros(every), encoding="utf-8")
         write_json(new / "run.json", {one.name: one.run_json for one in runs})
         write_json(new / "timing.json", {one.name: one.timing for one in runs})
     return all_files(folder)
 
 
 def _summarize_analysis(result: Run, folder: Path) -> list[Block]:
-    """Return a result in short: question, summary, first figure; its own report has the rest."""
-    page = find_kind(result.kind).report
+    """Return a result in short: what was asked, the answer, first figure; its own report has the rest."""
+    page, values = find_kind(result.kind).report, find_kind(result.kind).report.values(result)
     (folder / result.name).mkdir()
     drawn, _ = page.draw(result, folder / result.name)
-    every_run = [block for block in page.compose(result, drawn) if block["kind"] == "figure"][:1]
+    pictures = [
+        document.figure(path, page.text.sentence(f"figure_{name}", values)) for name, path in drawn.items()
+    ]
     return [
         document.heading(result.title),
-        *warning_blocks(result)[result.synthetic :],  # that data are synthetic stands over the whole report
-        *([document.text(result.question)] if result.question else []),
-        *verdict_blocks(result),
-        document.bullets(page.summarize(result)[1:]),
-        *every_run,
+        document.text(subtitle(result)),
+        *(document.verdict(f"{one.sentence}.", one.status) for one in result.verdicts[:1]),
+        *pictures[:1],
     ]
 
 
 def compose_overview(
     results: Sequence[Run], tunings: Sequence[Run], figures: dict[str, Path], appendix: Sequence[Block] = ()
 ) -> Document:
-    """Return one report over all studies: one line, one table, one figure; then the details.
+    """Return one report over all studies: the table of verdicts, the verdicts, one figure; then the details.
 
     `appendix` has the results of studies of other kinds.
     """
     fits = list({one.name: one for one in (*results, *tunings)}.values())
     predicted = [one for one in results if len(one.frames["predictive"])]
     tables = [
-        *(fit_tables.lay_out_matrix(results, judge), fit_tables.lay_out_summary(results)),
+        *(fit_tables.lay_out_matrix(results), fit_tables.lay_out_summary(*results)),
         *(fit_tables.lay_out_parameters(fits, free_alone=True), fit_tables.lay_out_design(results)),
-        *tuning_tables(tunings),
+        *fit_tables.lay_out_printed_tuning(tunings),
         *([fit_tables.lay_out_coverage(*predicted, named=True)] if predicted else []),
     ]
-    groups, warned = [], list[Block]()
-    for one in results:
-        errors, name = one.frames["errors"], one.title.partition(":")[0]
-        fitted = set(errors.loc[errors["role"] == "tune", "medium"])
-        for group in list_held_out_groups(one):
-            ratio = group.over_floor(TE)
-            close = ratio is not None and ratio <= MAX_FLOOR_RATIO
-            groups.append({"own": group.head["medium"] in fitted, "predicted": close})
-        warned += [document.warning(f"{name}: {headline_fault(fault)}: {fault}.") for fault in one.faults]
-        warned += compose_warnings(list_run_warnings(one), head=f"{name}: ")
+    printed = any(group.printed for group in list_held_out_groups(*results))
     values = {
-        "groups": groups,
         "predicted": bool(predicted),
         "questions": [f"{one.title}: {one.question}".rstrip(": ") for one in results],
     }
-    printed = any(group.printed for group in list_held_out_groups(*results))
-    known = {"facts": {"printed": printed}}
-    captions = {name: fit_tables.TEXT.sentence(f"figure_{name}", known) for name in figures}
+    captions = {name: fit_tables.TEXT.sentence(f"figure_{name}", {"printed": printed}) for name in figures}
+    warned = [
+        block
+        for one in results
+        for block in (
+            *(document.warning(f"{one.name}: {fault.kind}: {fault}.") for fault in one.faults),
+            *compose_warnings(read_warnings(one.run), head=f"{one.name}: "),
+        )
+    ]
     blocks = {
-        "answer": [document.verdict(TEXT.sentence("answer", values), "none")],
-        "verdicts": [block for one in results for block in verdict_blocks(one, named=True)],
+        "verdicts": [
+            document.verdict(f"{one.title.partition(':')[0]}. {verdict.sentence}.", verdict.status)
+            for one in results
+            for verdict in one.verdicts[:1]
+        ],
         "warnings": [document.subheading("Warnings"), *warned] if warned else [],
     }
     body = TEXT.compose("report", values, tables, figures, blocks, captions)

@@ -29,7 +29,14 @@ from needlefit.reporting import labels
 from needlefit.reporting.needle_page import PageData, encode_scene, kernel_exists
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.schemas.medium import MediumRecord
-from needlefit.studies.fit_frames import NEW_SPECIMEN, TUNED_SPECIMENS, list_methods, select_draws
+from needlefit.studies.fit_frames import (
+    FIT_KINDS,
+    NEW_SPECIMEN,
+    TUNED_SPECIMENS,
+    list_methods,
+    select_draws,
+    select_fitted,
+)
 from needlefit.studies.run import Run
 
 if TYPE_CHECKING:
@@ -111,24 +118,27 @@ def vary_draws(draws: pd.DataFrame, medium: MediumRecord, name: str, seed: int, 
     return found.assign(**{one: found[one] * factors for one in BEVEL_PARAMETERS if one in names})
 
 
-def collect_explorer(results: Run, scored: pd.DataFrame, status: Mapping[str, str]) -> PageData | None:
-    """Return the data of the page; None where nothing can be computed.
+def collect_explorer(results: Run) -> PageData | None:
+    """Return the data of the page of a fit or cross-validation; None where nothing can be computed.
 
-    `scored` are the rows of `errors` of the fit that are shown, `status` the verdicts by group. Nothing can
-    be computed in an installation without the kernel in WebAssembly, of tip tracks, and of runs of earlier
-    versions, which did not store how each insertion was made.
+    Nothing can be computed in an installation without the kernel in WebAssembly, of tip tracks, and of runs
+    of earlier versions, which did not store how each insertion was made.
     """
-    stored = results.run.get(INSERTIONS_KEY, {})
-    rows = [row for row in to_records(scored) if row["insertion"] in stored]
-    if not rows or not kernel_exists():
+    if results.kind not in FIT_KINDS or not kernel_exists():
         return None
+    errors = results.frames["errors"]
+    scored = select_fitted(errors, "validate" if (errors["role"] == "validate").any() else "tune")
+    stored = results.run.get(INSERTIONS_KEY, {})
+    rows = [row for row in to_records(scored) if row["converged"] and row["insertion"] in stored]
+    if not rows:
+        return None
+    status = {one.group: one.status for one in results.verdicts}
     data = PageData({"needlefit": results.run["versions"]["needlefit"], "title": results.title})
     shapes = results.frames["shapes"]
     shapes = shapes[shapes["boundaries"] == "measured"]
     points = shapes[[f"{kind}_{axis}_mm" for kind in ("measured", "simulated") for axis in "xy"]].to_numpy()
     places: Any = shapes.groupby(["fold", "role", "insertion", "method"], sort=False).indices
     curves = {key: points[rows].reshape(-1, 2, 2) for key, rows in places.items()}  # stations are in order
-    errors = results.frames["errors"]
     errors = errors[(errors["boundaries"] == "measured") & errors["converged"].astype(bool)]
     scores = dict(iter(errors.groupby(["fold", "role", "insertion"], sort=False)))
     medium = MediumRecord.model_validate(results.run["medium"])
@@ -140,7 +150,7 @@ def collect_explorer(results: Run, scored: pd.DataFrame, status: Mapping[str, st
             for one in _sort_methods(to_records(scores[where]))
         ]
         group = labels.group_name(row["medium"], row["layers"])
-        found = status.get(group, status.get(labels.medium_name(row["medium"]), ""))
+        found = status.get(group, status.get(labels.medium_name(row["medium"]), status.get("", "")))
         data.needles.append(needle | {"group": group, "status": found, "methods": methods})
     return data
 
@@ -246,7 +256,8 @@ def _encode_method(row: Row, curve: Floats | None, origin: str) -> dict[str, Any
         "key": name,
         "name": labels.method_name(name, origin),
         "colour": labels.method_colour(name),
-        "errors": {metric.name: row[metric.name] for metric in list_metrics()},
+        # a metric that was added since the run has no value in it
+        "errors": {metric.name: row.get(metric.name) for metric in list_metrics()},
     }
     if curve is None or name == "fitted":
         return found

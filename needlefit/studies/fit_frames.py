@@ -7,6 +7,8 @@ design
 errors
     One row per fold, role, insertion, method and boundaries ("measured", as in the paper; "planned"), with a
     column per metric (`needlefit.metrics`) and `floor_<metric>` for those that have a noise floor.
+    `estimate` is "median" for the predictive median of insertions held out, else "point": one set of
+    parameters, or a curve.
     `layers` is counted by the study's rule, `layers_other` by the other. `comparison` is "world", or
     "aligned" for shapes known only up to a rigid motion; `edp_flagged` marks a deflection below the noise
     floor.
@@ -33,7 +35,7 @@ error_fit
     Per fold the objective of the error-minimising fit: at the reported point, at the least one, and the
     tolerance within which it is not significantly larger, with its two estimates.
 directions
-    Combinations of parameters in words, with the standard deviation to which each is known.
+    Combinations of parameters in words, how many each names, and the standard deviation to which it is known.
 identification
     Of a fit: per fold and parameter the information (`sd`), the profile likelihood (the 95 % interval, how
     its ends `end_low`, `end_high` came about, how far the deviance rises at most), posterior SD / prior SD,
@@ -76,6 +78,8 @@ FIT_KINDS = ("cross_validation", "fit")  #: kinds of study whose runs have the t
 TUNED_SPECIMENS, NEW_SPECIMEN = "(tuned)", "(new)"
 
 DRAW_COLUMNS = ("fold", "specimen", "draw_source", "pareto_k", "ess", "certified")
+#: the method of predictions: the median of the predictive distribution, point by point
+MEDIAN_METHOD = "predictive_median"
 #: the methods that simulate a needle: both fits, the paper's parameters, and these with b fitted again
 MODEL_METHODS = ("fitted", "fitted_metric", "hand_tuned", "hand_tuned_b")
 SCORE_KEYS = ("fold", "role", "insertion", "method", "boundaries")
@@ -97,7 +101,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "errors": (
             *("fold", "role", "insertion", "medium", "hole", "specimen", "layers", "layers_other"),
             "depth_mm",
-            *("method", "boundaries", "comparison"),
+            *("method", "estimate", "boundaries", "comparison"),
             *("deflection_mm", "predicted_deflection_mm", "edp_flagged", "converged"),
         ),
         "shapes": (*SCORE_KEYS, "j", "measured_x_mm", "measured_y_mm", "simulated_x_mm", "simulated_y_mm"),
@@ -116,7 +120,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             *("fold", "objective_mm", "least_objective_mm", "tolerance_mm"),
             *("tolerance_by_noise_mm", "tolerance_by_insertions_mm", "evaluations"),
         ),
-        "directions": ("fold", "sd", "sd_ratio", "note"),
+        "directions": ("fold", "parameters", "sd", "sd_ratio", "note"),
         "identification": (
             *("fold", "parameter", "status", "determined", "note", "value", "prior_sd"),
             *("sd", "sd_low", "sd_high", "fisher_sd", "sd_ratio", "low", "high", "end_low", "end_high"),
@@ -151,9 +155,9 @@ def select_draws(
     return found
 
 
-def select_fitted(frame: pd.DataFrame, role: str = "validate") -> pd.DataFrame:
-    """Return the rows of the fit on the insertions of a role, with layers where they were measured."""
-    return frame.query("role == @role and method == 'fitted' and boundaries == 'measured'")
+def select_fitted(frame: pd.DataFrame, role: str = "validate", method: str = "fitted") -> pd.DataFrame:
+    """Return the rows of a method on the insertions of a role, with layers where they were measured."""
+    return frame.query("role == @role and method == @method and boundaries == 'measured'")
 
 
 def select_free(parameters: pd.DataFrame) -> pd.DataFrame:
@@ -163,4 +167,5 @@ def select_free(parameters: pd.DataFrame) -> pd.DataFrame:
 
 def list_methods() -> tuple[str, ...]:
     """Return the names of all methods in the order of tables: models, then baselines."""
-    return (*MODEL_METHODS, *(baseline.name for baseline in list_baselines()))
+    fitted, *others = MODEL_METHODS
+    return (fitted, MEDIAN_METHOD, *others, *(baseline.name for baseline in list_baselines()))

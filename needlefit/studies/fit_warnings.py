@@ -18,22 +18,11 @@ from needlefit.inference.identifiability.directions import (
 )
 from needlefit.inference.parameters import BEVEL_SPREAD, Parameters, is_logarithmic, is_shape_parameter
 from needlefit.project.result_warnings import ResultWarning, read_warnings, warnings_entry
-from needlefit.reporting.labels import group_name, medium_name
 from needlefit.reporting.number_format import format_quantity, format_quantity_range
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText
-from needlefit.studies.coverage import FindingKey, find_miscalibration
 from needlefit.studies.fit_frames import select_fitted, select_free
 from needlefit.studies.run import Run
-from needlefit.studies.scored_groups import (
-    HELD_OUT,
-    TE,
-    ScoredGroup,
-    compare_best_baseline,
-    list_held_out_groups,
-    list_judged_groups,
-    select_group,
-)
 from needlefit.studies.validity import list_outside
 
 if TYPE_CHECKING:
@@ -49,7 +38,6 @@ class WarningRule:
     kind: str  #: of the warning, which programs may rely on
     find: Callable[[Run], Iterable[Row]]  #: the condition: run -> the values of the text, for each case found
     text: str = ""  #: key of the blocks of `warnings.md.j2`; the kind if empty
-    qualifies: bool = True  #: whether it changes what one should do with the verdict, and stands beside it
     complete: bool = True  #: whether only a run that was not interrupted is examined
 
 
@@ -181,29 +169,7 @@ def _find_differing_samplers(results: Run) -> Iterator[Row]:
             }
 
 
-# ---- errors beside baselines and noise floor
-
-
-def _find_better_baselines(results: Run) -> Iterator[Row]:
-    """Yield the groups on which the best baseline has a significantly smaller tip error, as verdicts say."""
-    for group in list_judged_groups(results):
-        best, error, ratio = compare_best_baseline(results, group), group.get(TE), group.over_floor(TE)
-        if best is not None and best.verdict == "better":
-            held_out = group.head["grouping"] == HELD_OUT
-            yield {
-                "baseline": best.description,
-                "which": "held-out" if held_out else "fitted",
-                "group": _name_group(group),
-                "baseline_mm": best.error_mm,
-                "error_mm": error,
-                "within_floor": ratio is not None and ratio <= 1,
-            }
-
-
-def _name_group(group: ScoredGroup) -> str:
-    medium, layers = group.head["medium"], group.head["layers"]
-    return group_name(medium, layers) if layers else medium_name(medium)
-
+# ---- errors beside the noise floor
 
 #: factor between in-sample errors and their noise floor, either way, below which no warning is given
 FAR_FROM_FLOOR = 2.0
@@ -228,60 +194,16 @@ def _find_wrong_noise(results: Run, too_large: bool) -> Iterator[Row]:
             yield {"medium": str(medium), "count": count, "rms": rms}
 
 
-# ---- predictions
-
-
-def _find_miscalibration(results: Run, key: FindingKey) -> Iterator[Row]:
-    """Yield the findings of one kind about held-out insertions, by group."""
-    for group in list_held_out_groups(results):
-        rows = select_group(results.frames["predictive"], group)
-        findings = find_miscalibration(rows)
-        narrow = {one.what for one in findings if (one.key, one.level) == ("coverage", 95)}
-        for one in findings:
-            if one.key != key:
-                continue
-            about = {**vars(one), "narrow": one.what in narrow, "alone": rows["specimen"].nunique() == 1}
-            about |= {"group": _name_group(group), "gain": "", "fits": rows["fold"].nunique()}
-            if key == "wide_intervals":
-                medium = group.head["medium"]
-                about["group"] = medium_name(medium)
-                if (rows["specimen_treatment"] == "others").any():
-                    about["gain"] = describe_gain(rows)
-            yield about
-
-
-def describe_gain(predictive: pd.DataFrame) -> str:
-    """Return how wide intervals of tips would be after one insertion into the new specimen."""
-    width = float(predictive["tip_95_width_after_one_mm"].median())
-    return TEXT.sentence("gain", {"after_one_mm": None if math.isnan(width) else width})
-
-
-#: kinds of warnings about predictions, and the findings that they are about
-_FINDING_KINDS: tuple[tuple[str, FindingKey], ...] = (
-    ("coverage", "coverage"),
-    ("off_centre", "off_centre"),
-    ("wide_intervals", "wide_coverage"),
-    ("wide_intervals", "wide_intervals"),
-)
-
 #: of fits and cross-validations, in the order in which their warnings are kept
 RULES: Sequence[WarningRule] = (
     WarningRule(
         "validity",
         lambda run: [{"parts": parts}] if (parts := list_outside(run.run)) else [],
-        qualifies=False,
         complete=False,
     ),
     WarningRule("parameter_at_bound", _find_bounds),
     WarningRule("parameter_at_bound", _find_interval_bounds, "interval_at_bound"),
     WarningRule("samplers_differ", _find_differing_samplers),
-    WarningRule("worse_than_baseline", _find_better_baselines),
     WarningRule("noise_too_large", partial(_find_wrong_noise, too_large=True)),
     WarningRule("noise_too_small", partial(_find_wrong_noise, too_large=False)),
-    *(
-        WarningRule(kind, partial(_find_miscalibration, key=text), text, complete=False)
-        for kind, text in _FINDING_KINDS
-    ),
 )
-#: kinds of warnings that qualify the verdict; they come first
-QUALIFYING_WARNINGS = frozenset(rule.kind for rule in RULES if rule.qualifies)

@@ -390,13 +390,24 @@ class HeldOutPrediction:
 
     row: Row
     band: tuple[Row, ...]
+    median: "PredictiveMedian | None"  #: with bands
     solved: int
     outside: int
 
 
-def tabulate_held_out(job: Job, fold: Fold, draws: Draws, known: Specimens | None = None) -> Iterator[Row]:
-    """Yield one row for every insertion that a fold holds out, y toward +y of C, mm."""
-    return (one.row for one in predict_held_out(job, fold, draws, known))
+@dataclass(frozen=True)
+class PredictiveMedian:
+    """The predictive median of a needle as a curve: beam coordinates (K,) -> points (K, 2) in C, mm.
+
+    x is the median over draws, y that of what will be measured, each at its own beam coordinate `s`.
+    """
+
+    s: Floats
+    points: Floats
+
+    def __call__(self, s: Floats) -> Floats:
+        """Return the points at `s` (K,)."""
+        return np.column_stack([np.interp(s, self.s, along) for along in self.points.T])
 
 
 def predict_held_out(
@@ -479,7 +490,8 @@ class _Predictor:
         solved = found.solved
         if np.sum(solved) < MIN_SOLVED_DRAWS:
             return None
-        heights = align(observation.pose, found.points[solved], observation.measured)[..., 1]
+        aligned = align(observation.pose, found.points[solved], observation.measured)
+        heights = aligned[..., 1]
         factor = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
         covariance, measured = _measurement_covariance(observation, factor), observation.measured[:, 1]
         mixture = PredictiveMixture(heights, np.sqrt(np.diag(covariance)))
@@ -495,6 +507,7 @@ class _Predictor:
         return HeldOutPrediction(
             {name: row[name] for name in COLUMNS["predictive"]},
             tuple(band),
+            _find_median(mixture, aligned[..., 0], observation.nodes.s[0]) if self.bands else None,
             len(heights),
             int(np.sum(~found.valid[solved])),
         )
@@ -603,6 +616,12 @@ def _band_rows(mixture: PredictiveMixture, measured: Floats) -> Iterator[Row]:
         columns |= {f"low_{100 * level:.0f}_mm": low, f"high_{100 * level:.0f}_mm": high}
     for k in range(len(kept)):
         yield {name: float(values[k]) for name, values in columns.items()}
+
+
+def _find_median(mixture: PredictiveMixture, along: Floats, s: Floats) -> PredictiveMedian:
+    """Return the median curve of drawn needles whose x are `along` (B, K), at beam coordinates `s` (K,)."""
+    (heights,) = quantile(mixture, (0.5,))
+    return PredictiveMedian(s, np.column_stack([np.median(along, axis=0), heights]))
 
 
 def _find_intervals(mixture: PredictiveMixture) -> tuple[Floats, dict[float, Floats]]:

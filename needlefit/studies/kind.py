@@ -70,7 +70,7 @@ class StudyKind:
             if settings.checkpoint is not None and not complete:
                 release_checkpoint(settings.checkpoint)
         timing = {"seconds": time.time() - begin, "jobs": settings.jobs, **describe_surroundings(begin)}
-        state = {"interrupted": result.interrupted, "faults": list(result.faults)}
+        state = {"interrupted": result.interrupted, "faults": list(map(str, result.faults))}
         revision = find_source_revision()
         state |= {"source_revision": revision} if revision else {}
         return replace(result, run=result.run | state, timing=timing | result.timing)

@@ -14,6 +14,7 @@ import pandas as pd
 
 from needlefit.project.folders import replace_folder
 from needlefit.reporting.table_files import to_tidy, write_csv, write_json
+from needlefit.studies.answer import tabulate_checks
 from needlefit.studies.fit_frames import FIT_KINDS
 from needlefit.studies.kind import find_kind
 from needlefit.studies.run import Run
@@ -56,14 +57,15 @@ def round_frame(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 REVIEWED_TABLES = {
-    **dict.fromkeys(FIT_KINDS, ("validation", "tuning", "parameters", "errors", "predictive")),
+    **dict.fromkeys(FIT_KINDS, ("checks", "validation", "tuning", "parameters", "errors", "predictive")),
     "calibration": ("parameters", "tips"),
 }
 """Tables that are kept, by kind; of other kinds all are."""
 
 
 def _collect_frames(one: Run) -> Mapping[str, pd.DataFrame]:
-    tables = find_kind(one.kind).report.tabulate(one)
+    files = {"checks": tabulate_checks(one.answer.checks), **find_kind(one.kind).report.files(one)}
+    tables = {name: file for name, file in files.items() if not isinstance(file, str)}
     return {name: tables[name] for name in REVIEWED_TABLES.get(one.kind, tables) if name in tables}
 
 

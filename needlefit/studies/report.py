@@ -18,24 +18,18 @@ from needlefit.reporting.document import Block, Document
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.labels import SYNTHETIC_NOTE
 from needlefit.reporting.latex import format_latex
-from needlefit.reporting.needle_page import PageData
 from needlefit.reporting.number_format import join_words
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import to_records, to_tidy, write_csv, write_json
 from needlefit.reporting.text import KindText
-from needlefit.studies.fit_warnings import QUALIFYING_WARNINGS
+from needlefit.studies.answer import Answer, Status, Verdict, answer_to_json, tabulate_checks
+from needlefit.studies.explorer import collect_explorer
 from needlefit.studies.kind import find_kind
-from needlefit.studies.run import (
-    STATUSES,
-    VERDICTS_KEY,
-    Run,
-    Status,
-    Verdict,
-    headline_fault,
-    judge_run,
-    verdicts_to_json,
-)
+from needlefit.studies.run import Run
+from needlefit.studies.slicer import write_needles
 from needlefit.studies.store import store_run
+
+CHECKS = KindText("checks")
 
 
 def run_to_json(result: Run) -> dict[str, Any]:
@@ -46,25 +40,11 @@ def run_to_json(result: Run) -> dict[str, Any]:
         "origin": result.origin,
         "dataset": result.dataset_title,
         "interrupted": result.interrupted,
-        "faults": list(result.faults),
-        VERDICTS_KEY: verdicts_to_json(judge_run(result)),
-        WARNINGS_KEY: to_rows(list_run_warnings(result)),
+        "faults": list(map(str, result.faults)),
+        **answer_to_json(result.answer),
+        WARNINGS_KEY: to_rows(read_warnings(result.run)),
         **find_kind(result.kind).report.to_json(result),
     }
-
-
-def judge_by_summary(result: Run) -> list[Verdict]:
-    """Return the first sentence of the summary as the verdict; warnings make it "warn" at best."""
-    report = find_kind(result.kind).report
-    warned: Status = "warn" if read_warnings(result.run) else "none"
-    status = max(report.rate(result), warned, key=STATUSES.index)
-    return [Verdict(sentence.rstrip("."), status) for sentence in report.summarize(result)[:1]]
-
-
-def list_run_warnings(result: Run) -> tuple[ResultWarning, ...]:
-    """Return the warnings of a run, those that qualify the verdict first."""
-    found = read_warnings(result.run)
-    return tuple(sorted(found, key=lambda one: one.kind not in QUALIFYING_WARNINGS))
 
 
 @dataclass(frozen=True)
@@ -77,53 +57,28 @@ class StudyReport:
     values: Callable[[Run], Mapping[str, Any]]  #: result -> the numbers and names that the text prints
     #: result -> its tables, which are also written as LaTeX
     tables: Callable[[Run], Sequence[Table | TableLayout]]
-    #: result -> its figures by name: forms with their frames, which are written as CSV beside them
+    #: result -> its figures by name, that of the first page first: forms with their frames, which are
+    #: written as CSV beside them
     figures: Callable[[Run], Mapping[str, Drawing]] = lambda result: {}
-    #: result -> blocks by name, to which the text refers
-    blocks: Callable[[Run], Mapping[str, list[Block]]] = lambda result: {}
-    #: result -> tables that only the report has
-    more_tables: Callable[[Run], Sequence[Table | TableLayout]] = lambda result: ()
-    #: result -> the tables that are written as CSV, by name
-    tabulate: Callable[[Run], Mapping[str, pd.DataFrame]] = lambda result: result.frames
-    #: result and folder: writes what the kind has besides tables, figures and report
-    write_files: Callable[[Run, Path], None] = lambda result, folder: None
-    #: whether other files that needlefit wrote to the folder stay when the result is written again
-    keeps_files: bool = False
-    #: result -> what `--json` prints, without verdicts and warnings
+    #: result -> the parts of its first page; `Run.answer` is what others call
+    answer: Callable[[Run], Answer] = lambda result: answer_in_words(result, "none")
+    #: result -> its files: tables, which are written as CSV, by name; texts by the names of their files
+    files: Callable[[Run], Mapping[str, pd.DataFrame | str]] = lambda result: result.frames
+    #: result -> what `--json` prints besides the answer
     to_json: Callable[[Run], dict[str, Any]] = lambda result: {
         name: to_records(to_tidy(frame)) for name, frame in result.frames.items()
     }
-    #: result -> its verdicts; `judge_run` (`studies/run.py`) is what others call
-    judge: Callable[[Run], list[Verdict]] = judge_by_summary
-    #: result -> the status of its verdict, where that is the first sentence of its summary
-    rate: Callable[[Run], Status] = lambda result: "none"
-    #: result -> the needles that the HTML page computes (`Document.explorer`)
-    explore: Callable[[Run], PageData | None] = lambda result: None
-    #: result -> the tables that terminal and first page show under the verdict, without their notes
-    lay_out_first: Callable[[Run], list[TableLayout]] = lambda result: find_kind(result.kind).report.lay_out(
-        result
-    )[:1]
-    #: result -> the tables and sentences that `--explain` prints: all of them unless a kind has more
-    explain: Callable[[Run], tuple[list[TableLayout], list[str]]] = lambda result: (
-        find_kind(result.kind).report.lay_out(result),
-        find_kind(result.kind).report.summarize(result),
-    )
-    #: a fault of a run -> what stands before its verdicts; empty where a verdict itself names the fault
-    headline: Callable[[str], str] = headline_fault
+    #: whether other files that needlefit wrote to the folder stay when the result is written again
+    keeps_files: bool = False
 
     def summarize(self, result: Run) -> list[str]:
         """Return the sentences about a run, the most important first."""
         values = self.values(result)
         return [*self.text.sentences("verdict", values), *self.text.sentences("summary", values)]
 
-    def say(self, result: Run, block: str) -> str:
-        """Return a block of the text about a run, as one line; "" if there is none."""
-        return self.text.sentence(block, self.values(result))
-
-    def lay_out(self, result: Run, *, more: bool = False) -> list[TableLayout]:
-        """Return the tables of a run, with `more` all those of its report."""
-        values = self.values(result)
-        every = [*self.tables(result), *(self.more_tables(result) if more else ())]
+    def lay_out(self, result: Run) -> list[TableLayout]:
+        """Return the tables of a run."""
+        values, every = self.values(result), self.tables(result)
         return [one if isinstance(one, TableLayout) else self.text.lay_out(one, values) for one in every]
 
     def draw(self, result: Run, folder: Path, all_figures: bool = True) -> tuple[dict[str, Path], list[str]]:
@@ -138,38 +93,67 @@ class StudyReport:
             write_csv(every[name].frame, folder / f"{name}.csv")
         return {name: one.save(folder / f"{name}.pdf") for name, one in drawn.items()}, left
 
-    def compose(self, result: Run, paths: Mapping[str, Path]) -> list[Block]:
-        """Return the body of the report, with figures that were drawn to `paths`."""
-        tables, blocks = self.lay_out(result, more=True), self.blocks(result)
-        return self.text.compose("report", self.values(result), tables, paths, blocks)
-
     def write(self, result: Run, folder: Path) -> Path:
         """Write a result, as `write_run`; called by `Run.save`, which cannot import this module."""
         return write_run(result, folder)
 
     def format_notebook_html(self, result: Run) -> str:
-        """Return what a notebook shows of a run: title, warnings, results in words, tables."""
-        warned = compose_warnings(list_run_warnings(result), linked=False)
-        blocks = state_blocks(result) + _fault_blocks(result)
-        if result.interrupted and result.kind != "fit":
-            blocks += warned
-        else:  # of the others only what is finished is laid out
-            blocks += [document.bullets(self.summarize(result)), *warned]
-            blocks += [document.table(table) for table in self.lay_out(result)]
-        subtitle, marked = f"{result.name} · {result.dataset_title}", bool(result.unverified)
+        """Return what a notebook shows of a run: its first page, then its tables."""
+        shown = [table.name for table in result.answer.tables]
+        blocks = compose_first_page(result)
+        if not result.interrupted:  # of an interrupted one only what is finished is laid out
+            blocks += [document.table(one) for one in self.lay_out(result) if one.name not in shown]
+        marked = bool(result.unverified)
         return document.format_html_part(
-            Document(result.title, subtitle, result.synthetic, tuple(blocks), unverified=marked)
+            Document(result.title, subtitle(result), result.synthetic, tuple(blocks), unverified=marked)
         )
 
 
-def say(result: Run, *blocks: str) -> str:
-    """Return blocks of the text of a run's kind, as one line."""
-    page = find_kind(result.kind).report
-    return " ".join(words for block in blocks if (words := page.say(result, block)))
+def answer_in_words(result: Run, status: Status, **numbers: float | str | None) -> Answer:
+    """Return the answer of a kind without groups: the first sentence of its summary, and its first table."""
+    report = find_kind(result.kind).report
+    sentences = report.summarize(result)[:1]
+    verdicts = [Verdict(one.rstrip("."), status, "", numbers) for one in sentences]
+    return Answer(verdicts, report.lay_out(result)[:1])
 
 
-#: of synthetic data that are not the twin's
-MODEL_DATA_NOTE = "The needles were simulated: errors on them do not carry over to measured ones."
+def lay_out_checks(answer: Answer) -> TableLayout | None:
+    """Return the checks of an answer as a table: the question, the number, yes or no; None without any."""
+    if not answer.checks:
+        return None
+    rows = [
+        {
+            "check": CHECKS.sentence(one.check, vars(one)),
+            "check_found": CHECKS.sentence(f"{one.check}_found", vars(one)),
+            "passed": "–" if one.passed is None else one.passed,
+        }
+        for one in answer.checks
+    ]
+    return CHECKS.lay_out(Table("checks", rows, ("check", "check_found", "passed")), {})
+
+
+def subtitle(result: Run) -> str:
+    """Return what stands under the title: what was fitted and predicted; else the name and the question."""
+    return result.answer.about or f"{result.name}. {result.question or result.dataset_title}"
+
+
+def compose_first_page(result: Run, picture: Block | None = None) -> list[Block]:
+    """Return the first page: the answer, its table, its figure, the checks, what to do, what was determined.
+
+    What must be read before any number stands first.
+    """
+    answer, checks = result.answer, lay_out_checks(result.answer)
+    verdict = [document.verdict(f"{one.sentence}.", one.status) for one in answer.verdicts[:1]]
+    ends = (("What to do.", answer.advice), ("What the fit determined.", answer.determined))
+    return [
+        *state_blocks(result),
+        *verdict,
+        *(document.table(replace(one, notes=())) for one in answer.tables),
+        *([picture] if picture else []),
+        *([document.table(checks)] if checks else []),
+        *(document.paragraph(head, words) for head, words in ends if words),
+        *(document.warning(f"{one.kind}: {one}.") for one in result.faults),
+    ]
 
 
 def write_run(result: Run, folder: Path, all_figures: bool = False) -> Path:
@@ -197,16 +181,18 @@ def write_files(result: Run, folder: Path, all_figures: bool = False) -> None:
     with draw_together() as begin_drawing:
         figures, left = page.draw(result, folder, all_figures)
         begin_drawing()
-        frames = page.tabulate(result)
-        for name, frame in frames.items():
-            if name in (*figures, *left):  # of a frame that a figure shows, the figure's is the file
-                continue
-            rows = frame if "origin" in frame else frame.assign(origin=result.origin)
-            write_csv(rows, folder / f"{name}.csv")
+        for name, file in {"checks": tabulate_checks(result.answer.checks), **page.files(result)}.items():
+            if isinstance(file, str):
+                (folder / name).write_text(file, encoding="utf-8")
+            elif name not in (*figures, *left) and len(file.columns):
+                # of a frame that a figure shows, the figure's is the file
+                rows = file if "origin" in file else file.assign(origin=result.origin)
+                write_csv(rows, folder / f"{name}.csv")
         for table in page.lay_out(result):
             path = folder / f"{table.name}.tex"
             path.write_text(format_latex(table, result.synthetic), encoding="utf-8")
-        page.write_files(result, folder)
+        if "needles" in result.frames and len(result.frames["needles"]):
+            write_needles(result.frames["needles"], result.synthetic, folder / "slicer")
         store_run(result, folder)
         report = compose_run_report(result, figures, left)
     write_report(report, folder)
@@ -230,38 +216,33 @@ def write_report(report: Document, folder: Path, name: str = "report") -> None:
 
 
 def compose_run_report(result: Run, figures: Mapping[str, Path], left: Sequence[str] = ()) -> Document:
-    """Return the report: question, verdicts, results, method, provenance; `left` are figures not drawn."""
-    page = find_kind(result.kind).report
-    warnings = list_run_warnings(result)
-    sentences = page.summarize(result)[1:] if page.judge is judge_by_summary else []
+    """Return the report: the first page, then everything else once; `left` are figures not drawn."""
+    page, values = find_kind(result.kind).report, find_kind(result.kind).report.values(result)
+    first = next(iter(figures), "")
+    shown = {one.name for one in result.answer.tables}
+    picture = (
+        document.figure(figures[first], page.text.sentence(f"figure_{first}", values)) if first else None
+    )
+    tables = [one for one in page.lay_out(result) if one.name not in shown]
+    further = {name: path for name, path in figures.items() if name != first}
     blocks = [
-        *state_blocks(result),
-        *verdict_blocks(result),
-        *([document.bullets(sentences)] if sentences else []),
-        *_fault_blocks(result),
-        *compose_warnings(one for one in warnings if one.kind in QUALIFYING_WARNINGS),
-        *page.compose(result, figures),
-        *compose_warnings(one for one in warnings if one.kind not in QUALIFYING_WARNINGS),
+        *compose_first_page(result, picture),
+        document.page_break(),
+        *page.text.compose("report", values, tables, further),
+        *compose_warnings(read_warnings(result.run)),
         *_run_blocks(result),
     ]
     if left:
         words = f"needlefit report {result.name} --figures all also draws {join_words(left)}."
         blocks.append(document.note(words))
-    data = "" if result.synthetic else f" · {result.dataset_title}"  # the first block names synthetic data
-    subtitle = f"{result.name}{data}. {result.question}".strip()
-    found, marked = page.explore(result), bool(result.unverified)
-    return Document(result.title, subtitle, result.synthetic, tuple(blocks), found, marked)
-
-
-def verdict_blocks(result: Run, named: bool = False) -> list[Block]:
-    """Return the verdict on each group of a run, with the run's name if wanted."""
-    head = f"{result.title.partition(':')[0]}: " if named else ""
-    return [document.verdict(f"{head}{one.sentence}.", one.status) for one in judge_run(result)]
-
-
-def warning_blocks(result: Run) -> list[Block]:
-    """Return what must be read before any number, and the warnings."""
-    return state_blocks(result) + _fault_blocks(result) + compose_warnings(list_run_warnings(result))
+    return Document(
+        result.title,
+        subtitle(result),
+        result.synthetic,
+        tuple(blocks),
+        collect_explorer(result),
+        bool(result.unverified),
+    )
 
 
 def compose_warnings(warnings: Iterable[ResultWarning], linked: bool = True, head: str = "") -> list[Block]:
@@ -290,22 +271,11 @@ def _help_blocks(blocks: Iterable[Block]) -> Iterator[Block]:
 
 def state_blocks(result: Run) -> list[Block]:
     """Return what must be read before any number: synthetic, interrupted."""
-    blocks = []
-    if result.synthetic:
-        names = result.run.get("datasets") or [result.run.get("dataset", {}).get("name")]
-        of_twin = SYNTHETIC_NOTE.removeprefix("Synthetic data: ").capitalize()
-        blocks.append(document.warning(f"Synthetic data. {of_twin if 'twin' in names else MODEL_DATA_NOTE}"))
+    blocks = [document.origin(SYNTHETIC_NOTE)] if result.synthetic else []
     if result.interrupted:
         part = "Some of the work was left undone; what is here is part."
         blocks.append(document.warning(f"INTERRUPTED. {part}"))
     return blocks
-
-
-def _fault_blocks(result: Run) -> list[Block]:
-    headline = find_kind(result.kind).report.headline
-    heads = [f"{head}: " if (head := headline(fault)) else "" for fault in result.faults]
-    pairs = zip(heads, result.faults, strict=True)
-    return [document.warning(f"{head}{result.name}: {fault}.") for head, fault in pairs]
 
 
 def _run_blocks(result: Run) -> list[Block]:
@@ -317,7 +287,8 @@ def _run_blocks(result: Run) -> list[Block]:
         return []
     caption = f"Settings of {result.name}. The file run.json holds all of them."
     table = Table("run", rows, ("setting", "setting_value"), caption=caption).lay_out()
-    return [*([document.text(result.note)] if result.note else []), document.table(table)]
+    words = filter(None, (result.question, result.note))
+    return [*map(document.text, words), document.table(table)]
 
 
 _OMITTED_DATA_KEYS = ("notes", "origin")  #: of a dataset: they stand elsewhere in a report

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,12 +18,11 @@ from numpy.typing import NDArray
 
 from needlefit.datasets.select import get_other_rule, group_rows
 from needlefit.geometry.curves import ComparedCurves, compare_curves
-from needlefit.inference.baselines import BASELINES
 from needlefit.metrics import headline_metrics, list_metrics, pool_metric
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.studies import paper
 from needlefit.studies.fit_frames import SCORE_KEYS, list_methods
-from needlefit.studies.run import BestBaseline, Run, once_per_run
+from needlefit.studies.run import Run, once_per_run
 
 AGGREGATE_COLUMNS = (
     *("metric", "value", "pooled", "floor", "unflagged"),
@@ -148,26 +147,6 @@ def compare_methods(
         )
     columns = ("method", "boundaries", "insertions", *names, "difference_mm", "difference_se_mm", "better")
     return pd.DataFrame(rows, columns=columns)
-
-
-SIGNIFICANT_SE = 2.0  #: standard errors up to which a difference may be chance
-#: error of a method over that of the fit, down to which a difference on one insertion may be chance
-LONE_ERROR_RATIO = 0.5
-
-
-def beats_fit(row: Mapping[str, Any] | pd.Series, metric: str = "ipe_mean_mm") -> bool:
-    """Return whether a row of `compare_methods` has a significantly smaller error than the fit.
-
-    Of two insertions or more: by over two standard errors of the difference. A single one has no standard
-    error: there a method must err by less than `LONE_ERROR_RATIO` of the fit's error.
-    """
-    gap, se, error = (
-        np.nan if row[key] is None else float(row[key])
-        for key in ("difference_mm", "difference_se_mm", metric)
-    )
-    if np.isnan(se):
-        return error < LONE_ERROR_RATIO * (error - gap)
-    return gap < 0 and abs(gap) > SIGNIFICANT_SE * se
 
 
 def tabulate_points(results: Run) -> pd.DataFrame:
@@ -298,7 +277,9 @@ def study_label(results: Run) -> str | int:
 
 
 def select_group(frame: pd.DataFrame, group: ScoredGroup) -> pd.DataFrame:
-    """Return the rows of a frame that are of a group: of its medium and, if it has one, number of layers."""
+    """Return the rows of a frame of a group: of its medium and number of layers, where it has them."""
+    if group.head["medium"] is None:
+        return frame
     inside = frame["medium"] == group.head["medium"]
     if group.head["layers"] is not None:
         inside &= frame["layers"] == group.head["layers"]
@@ -306,46 +287,19 @@ def select_group(frame: pd.DataFrame, group: ScoredGroup) -> pd.DataFrame:
     return members
 
 
-def list_judged_groups(results: Run) -> list[ScoredGroup]:
-    """Return the groups that verdicts are about: those held out, of a fit the media fitted to."""
-    groups = [] if results.kind == "fit" else list_held_out_groups(results)
-    tuning = tabulate_tuning(results) if not groups else None
-    return groups if tuning is None else list_groups(tuning[tuning["grouping"] == BY_MEDIA])
-
-
-def find_best_baseline(group: ScoredGroup) -> str | None:
-    """Return the baseline with the smallest tip error."""
-    errors = {name: group.get(TE, method=name) for name in BASELINES.names()}
-    known = {name: error for name, error in errors.items() if error is not None}
-    return min(known, key=lambda name: known[name], default=None)
-
-
-def compare_best_baseline(results: Run, group: ScoredGroup) -> BestBaseline | None:
-    """Return the best baseline of a group and whether it is significantly better or worse than the fit."""
-    best = find_best_baseline(group)
-    if best is None:
-        return None
-    verdict: Literal["better", "worse", "tie"] = (
-        "better"
-        if _beats(results, group, best, "fitted")
-        else "worse"
-        if _beats(results, group, "fitted", best)
-        else "tie"
-    )
-    return BestBaseline(BASELINES[best].description, group.get(TE, method=best), verdict)
-
-
-def _beats(results: Run, group: ScoredGroup, method: str, other: str) -> bool:
-    """Return whether the tip errors of a method are significantly smaller than those of another."""
-    return any(beats_fit(row, TE) for row in compare_group(results, group, other) if row["method"] == method)
-
-
 @once_per_run
-def compare_group(results: Run, group: ScoredGroup, against: str = "fitted") -> list[Row]:
-    """Return every method's tip error on the insertions of a group beside that of another method."""
-    role = "validate" if group.head["grouping"] == HELD_OUT else "tune"
-    here = results.with_frames(errors=select_group(results.frames["errors"], group))
-    return to_records(compare_methods(here, against=against, role=role, metric=TE))
+def pool_insertions(results: Run, role: str = "validate") -> ScoredGroup | None:
+    """Return all insertions of a role as one group; None without a fit to them."""
+    errors = results.frames["errors"]
+    here = errors[errors["role"] == role]
+    rows = [{**row, "paper": None} for row in to_records(aggregate(here, ("method", "boundaries")))]
+    by_place = {(row["method"], row["boundaries"], row["metric"]): row for row in rows}
+    fitted = next((row for key, row in by_place.items() if key[:2] == ("fitted", "measured")), None)
+    if fitted is None:
+        return None
+    grouping = HELD_OUT if role == "validate" else BY_MEDIA
+    head = {"grouping": grouping, "medium": None, "layers": None, "comparison": here["comparison"].iloc[0]}
+    return ScoredGroup({**fitted, **head}, by_place)
 
 
 def _make_frame(results: Iterable[Run], groupings: tuple[str, ...], with_alternate: bool) -> pd.DataFrame:

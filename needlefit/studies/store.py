@@ -31,19 +31,20 @@ from needlefit.project.json_values import to_json_values
 from needlefit.project.locate import PAPER_FITS, PAPER_STUDIES
 from needlefit.schemas.names import EXPECTED_FILE_NAME, file_name_fault
 from needlefit.schemas.result_files import RunTable, StoredRunTable, TimingTable
+from needlefit.studies.answer import Fault, FaultKind
 from needlefit.studies.kind import KINDS, find_kind
 from needlefit.studies.run import UNVERIFIED_KEY, Frames, Run
 
 RESULTS_FILE, RUN_FILE = "results.json.gz", "run.json"
 
-FORMAT_VERSION = 7  #: of the file of results
+FORMAT_VERSION = 8  #: of the file of results
 #: largest size of the text in the file; the studies of the paper have some MB
 MAX_UNPACKED_BYTES = 256 * 2**20
 #: Lists and tables in it: each takes more memory than its text. Columns are one list each.
 MAX_BRACKETS = 2_000_000
 MAX_RUN_BYTES = 32 * 2**20  #: size of a `run.json`; those of several studies together have some hundred kB
 
-_PLAIN = ("kind", "name", "origin", "dataset_title", "interrupted", "faults", "run")
+_PLAIN = ("kind", "name", "origin", "dataset_title", "interrupted", "run")
 
 
 def store_run(result: Run, folder: Path) -> Path:
@@ -55,6 +56,7 @@ def store_run(result: Run, folder: Path) -> Path:
         "posteriors": list(result.posteriors),
         "record": result.record.model_dump(mode="json", by_alias=True),
         **{key: to_json_values(getattr(result, key)) for key in _PLAIN},
+        "faults": [{"kind": one.kind.name, "what": one.what} for one in result.faults],
         "frames": {name: _pack_frame(frame) for name, frame in result.frames.items()},
     }
     return pack(table, folder)
@@ -81,9 +83,11 @@ def restore_run(folder: Path, unverified: bool = False) -> Run:
             raise damage_error(folder / RESULTS_FILE, f"there is no kind of study called {table['kind']!r}")
         kind = find_kind(table["kind"])
         about: dict[str, Any] = {key: table[key] for key in _PLAIN}
+        faults = [Fault(FaultKind[one["kind"]], one["what"]) for one in table["faults"]]
         if changes:
             about["run"] = {**about["run"], UNVERIFIED_KEY: list(changes)}
-            about["faults"] = [*about["faults"], f"does not agree with its manifest: {', '.join(changes)}"]
+            what = f"does not agree with its manifest: {', '.join(changes)}"
+            faults.append(Fault(FaultKind.UNVERIFIED, what))
         frames: Frames = {name: _unpack_frame(frame) for name, frame in table["frames"].items()}
         for name, wanted in kind.frames.items():
             columns = frames.get(name, ())
@@ -96,7 +100,8 @@ def restore_run(folder: Path, unverified: bool = False) -> Run:
             frames=frames,
             timing=read_timing(folder),
             posteriors={name: load(folder / file) for name, file in zip(names, files, strict=True)},
-            **{**about, "faults": tuple(about["faults"])},
+            faults=tuple(faults),
+            **about,
         )
 
 

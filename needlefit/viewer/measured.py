@@ -143,9 +143,9 @@ def _show_insertion(
 def open_run(view_target: ViewTarget) -> ViewedScene:
     """Return an insertion with the fitted parameters of a run, by default the first held-out one."""
     from needlefit.inference.problem import find_new_bevel_sd
+    from needlefit.project.result_warnings import read_warnings
     from needlefit.studies.explorer import choose_specimen
     from needlefit.studies.fit_frames import FIT_KINDS, NEW_SPECIMEN, select_draws
-    from needlefit.studies.report import list_run_warnings
     from needlefit.studies.store import restore_run, unpack
 
     kind = unpack(view_target.path).get("kind")
@@ -195,7 +195,7 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     description = f"Parameters: fitted by {results.name}, {role}. {crossed}{_describe_band(draws, specimen)}"
     viewed_scene = _show_insertion(shown, view_target.name, description, {one: one for one in roles})
     known = {(one.kind, one.what) for one in viewed_scene.warnings}  # of the dataset, with the paths of files
-    warnings = [one for one in list_run_warnings(results) if (one.kind, one.what) not in known]
+    warnings = [one for one in read_warnings(results.run) if (one.kind, one.what) not in known]
     viewed_scene = replace(viewed_scene, faults=results.faults, warnings=(*warnings, *viewed_scene.warnings))
     if draws.empty or not draws["certified"].all():
         return viewed_scene

@@ -34,6 +34,12 @@ class Direction:
         return self.sd / self.prior_sd
 
     @property
+    def parameters(self) -> int:
+        """How many parameters its words name."""
+        largest = max(map(abs, self.weights))
+        return sum(abs(weight) >= MIN_RELATIVE_WEIGHT * largest for weight in self.weights)
+
+    @property
     def is_informed(self) -> bool:
         """Whether the data, not ties, priors or bounds alone, say something about it."""
         return not self.sd_ratio >= UNINFORMED_SD_RATIO  # NaN: neither is finite

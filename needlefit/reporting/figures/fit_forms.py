@@ -71,9 +71,6 @@ HEIGHT_COLUMNS = ["y_mm", "low_mm", "high_mm"]
 BANDS = {"95 %": lighten(_OURS, 0.8), "50 %": lighten(_OURS, 0.56)}
 """Opaque colours, the narrow band on the wide one: the same over every layer."""
 
-LAYER = "layer"
-_LAYER_COLOURS = ("#f3ecdd", "#e9e0ca")
-_SHAFT_SHARE = 0.16  # of the depth, drawn before the entry
 _ROW_MARGIN_IN, _LEGEND_LINE_IN = 0.32, 0.16  # inches of each row beside its panel, and of a legend's line
 
 
@@ -82,43 +79,87 @@ def insertions(
     heads: Mapping[InsertionKey, str],  # what stands above the panel of each insertion
     names: Mapping[str, str],  # printed names of the methods, the foremost line first
     most_columns: int = 4,  # panels side by side on a page; half as many in a column
-    layers: bool = False,
 ) -> Figure:
     """Draw a panel for each insertion: the measured needle as dots, methods as lines, bands behind.
 
     All panels have the same axes in mm; heights are exaggerated by the factor that stands at the axis.
-    `points` has a row per point: `fold`, `insertion`, `curve` (a method, "measured", the level of a band, or
-    a layer, whose `x_mm` is where it begins), `x_mm`, `y_mm`, `low_mm`, `high_mm`. With `layers` these, the
-    shaft and the gap between both tips are drawn; wide bands then have room too.
+    `points` has a row per point: `fold`, `insertion`, `curve` (a method, "measured", or the level of a band),
+    `x_mm`, `y_mm`, `low_mm`, `high_mm`.
     """
     width = choose_width()
     columns = min(len(heads), most_columns if width > COLUMN_WIDTH_IN else max(1, most_columns // 2))
-    (left, right), every = _find_range(points[["x_mm"]]), points[HEIGHT_COLUMNS]
-    own = points["curve"].isin(["measured", *names])
-    y = _find_range(every) if layers else _find_limits(points, own)
-    left -= _SHAFT_SHARE * (right - left) if layers else 0
+    left, right = _find_range(points[["x_mm"]])
+    y = _find_limits(points, points["curve"].isin(["measured", *names]))
     factor = choose_vertical_scale(right - left, y[1] - y[0])
     high = min(factor * (y[1] - y[0]) / (right - left), 1.0) * ((width - 0.4) / columns - 0.12)
     rows = math.ceil(len(heads) / columns)
     figure = Figure(figsize=(width, rows * (high + _ROW_MARGIN_IN) + 0.75))
     for axes, which, mine in _iterate_panels(figure, points, columns, list(heads)):
-        if layers:
-            _draw_layers(axes, mine, right, y[1])
-            _draw_shaft_and_tips(axes, mine, left)
-        _draw_bands(axes, mine)
-        for order, method in enumerate(reversed(list(names))):
-            curve, ours = mine[mine["curve"] == method], method == "fitted"
-            look: dict[str, Any] = {"color": method_colour(method), "lw": 1.1 if ours else 0.8}
-            axes.plot(curve["x_mm"], curve["y_mm"], zorder=2 + order, **look)
-        _draw_dots(axes, mine, 2.2, 0.3)
+        _draw_panel(axes, mine, list(names))
         axes.set_title(heads[which], loc="right", pad=3, color=_OURS)
         axes.set(xlim=(left, right), ylim=y, aspect=factor)
-        axes.yaxis.set_major_locator(MaxNLocator(4 if layers else 3, steps=[1, 2, 5, 10]))
+        axes.yaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 5, 10]))
     figure.supxlabel("depth (mm)")
     figure.supylabel(f"deflection toward\nthe bevel (mm),\n{describe_scale(factor)}")
     _name_curves(figure, set(points["curve"]), names)
     fit_height(figure)
     return figure
+
+
+def _draw_panel(axes: Axes, points: pd.DataFrame, methods: Sequence[str]) -> None:
+    """Draw one insertion: bands, the methods as lines, the first in front, and the measured points."""
+    _draw_bands(axes, points)
+    for order, method in enumerate(reversed(methods)):
+        curve, first = points[points["curve"] == method], method == methods[0]
+        look: dict[str, Any] = {"color": method_colour(method), "lw": 1.1 if first else 0.8}
+        axes.plot(curve["x_mm"], curve["y_mm"], zorder=2 + order, **look)
+    _draw_dots(axes, points, 2.2, 0.3)
+
+
+TIP_ERROR = "tip error"  #: in place of a curve: the row is a tip error of a method
+
+
+def first_page(points: pd.DataFrame, heads: Mapping[InsertionKey, str], method: str) -> Figure:
+    """Draw some insertions, each in a panel, and beside them the tip errors of all by method.
+
+    `points` as of `insertions`; rows whose `curve` is `TIP_ERROR` have `name`, `method` and `te_mm`: of every
+    insertion, the mean of the paper's, and the measurement noise, which is a grey bar.
+    """
+    tips = points[points["curve"] == TIP_ERROR]
+    width = choose_width()
+    figure = Figure(figsize=(width, 2.0))
+    grid = figure.subplots(1, len(heads) + 1, width_ratios=[*[1.0] * len(heads), 1.15])
+    curves = points[points["curve"] != TIP_ERROR]
+    y = _find_limits(curves, curves["curve"].isin(["measured", method]))
+    for axes, which in zip(grid, heads, strict=False):
+        fold, insertion = which
+        _draw_panel(axes, curves[(curves["fold"] == fold) & (curves["insertion"] == insertion)], [method])
+        axes.set_title(f"{insertion}: {heads[which]}", loc="left", pad=3)
+        axes.set(xlim=_find_range(curves[["x_mm"]]), ylim=y, xlabel="depth (mm)")
+        axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+        axes.tick_params(labelleft=axes is grid[0])
+    grid[0].set_ylabel("deflection (mm)")
+    _draw_tip_errors(grid[-1], tips)
+    return figure
+
+
+def _draw_tip_errors(axes: Axes, tips: pd.DataFrame) -> None:
+    """Draw a line of dots for each method, and the measurement noise as a bar from 0."""
+    noise = tips.loc[tips["method"] == "noise", "te_mm"]
+    if len(noise):
+        axes.axvspan(0, float(noise.iloc[0]), color=lighten(GREY, 0.7), lw=0, zorder=0)
+    shown = tips[tips["method"] != "noise"]
+    names = list(dict.fromkeys(shown["name"]))
+    for place, name in enumerate(names):
+        some = shown[shown["name"] == name]
+        of_paper = some["method"].iloc[0] == "paper"
+        look: dict[str, Any] = {"marker": "D" if of_paper else "o", "ms": 3.2, "lw": 0}
+        colour = PAPER_COLOUR if of_paper else method_colour(some["method"].iloc[0])
+        look |= {"mfc": "white" if of_paper else colour, "mec": colour if of_paper else "white", "mew": 0.5}
+        axes.plot(some["te_mm"], [place] * len(some), zorder=3, **look)
+        axes.annotate(name, (0.02, place - 0.28), xycoords=("axes fraction", "data"), va="bottom", size=6.5)
+    axes.set(ylim=(len(names) - 0.5, -0.75), xlabel="tip error (mm)", yticks=[])
+    axes.set_xlim(left=0)
 
 
 def _iterate_panels(
@@ -158,28 +199,6 @@ def _name_curves(figure: Figure, present: set[str], names: Mapping[str, str]) ->
         if level in present:
             handles.append(Patch(color=BANDS[level], lw=0, label=f"{level} predictive band"))
     _add_legend(figure, handles, 5 if len(handles) <= 5 else 3)
-
-
-def _draw_layers(axes: Axes, points: pd.DataFrame, end: float, top: float) -> None:
-    layers = points[points["curve"].str.startswith(LAYER)]
-    ends = [*layers["x_mm"].iloc[1:], end]
-    for name, begin, stop in zip(layers["curve"], layers["x_mm"], ends, strict=True):
-        number = name.removeprefix(LAYER).strip()
-        axes.axvspan(begin, stop, color=_LAYER_COLOURS[(int(number) - 1) % 2], lw=0, zorder=0)
-        axes.axvline(begin, color=GREY, lw=0.8 if begin == 0 else 0.4, zorder=0.5)
-        axes.text(begin + 0.4, top, number, color=GREY, va="top")
-
-
-def _draw_shaft_and_tips(axes: Axes, points: pd.DataFrame, left: float) -> None:
-    """Draw the needle before the entry, and the tip error as the gap between both tips."""
-    ends = {name: points[points["curve"] == name].dropna(subset="y_mm") for name in ("fitted", "measured")}
-    if any(part.empty for part in ends.values()):
-        return
-    start = ends["fitted"].iloc[0]
-    axes.plot([left, start["x_mm"]], [start["y_mm"]] * 2, color=_OURS, lw=2.6, zorder=2)
-    tips = [part.sort_values("x_mm").iloc[-1] for part in ends.values()]
-    across, up = ([float(tip[name]) for tip in tips] for name in ("x_mm", "y_mm"))
-    axes.plot(across, up, color=PAPER_COLOUR, lw=1.2, zorder=10)
 
 
 def _find_range(values: pd.DataFrame) -> tuple[float, float]:

@@ -48,12 +48,13 @@ from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.limits import MAX_REPLICATES
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.studies import rank_statistics
+from needlefit.studies.answer import Answer, Fault, FaultKind, Status
 from needlefit.studies.held_out_predictions import Specimens, predict_held_out
 from needlefit.studies.job import Fold, Inputs, Job, Settings, prepare
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.rank_statistics import HELD_OUT_TIP, RANK_DRAWS, Control, Counts, name_quantity
-from needlefit.studies.report import StudyReport
-from needlefit.studies.run import Run, Status, Verdict, headline_fault
+from needlefit.studies.report import StudyReport, answer_in_words
+from needlefit.studies.run import Run
 from needlefit.studies.runner import FrameRows, join_rows, run_tasks
 from needlefit.studies.score import Row
 from needlefit.studies.simulated_data import (
@@ -603,18 +604,21 @@ def judge_ranks(frames: Mapping[str, pd.DataFrame], control: str | None) -> dict
     return outcome
 
 
-def find_calibration_faults(outcome: Mapping[str, Any]) -> Iterator[str]:
+def find_calibration_faults(outcome: Mapping[str, Any]) -> Iterator[Fault]:
     """Yield why a calibration is not passed, from its outcome."""
     if not outcome["conclusive"] and (outcome["control"] or not outcome["not_calibrated"]):
-        yield f"{outcome['replicates']} replicates are too few to decide"
+        what = f"{outcome['replicates']} replicates are too few to decide"
+        yield Fault(FaultKind.NOT_CALIBRATED, what)
     elif outcome["not_calibrated"] and not outcome["passes"]:
-        yield f"not calibrated: {', '.join(outcome['not_calibrated'])}"
+        what = f"not calibrated: {', '.join(outcome['not_calibrated'])}"
+        yield Fault(FaultKind.NOT_CALIBRATED, what)
     elif not outcome["passes"]:
-        yield f"the control `{outcome['control']}` is not noticed"
+        yield Fault(FaultKind.NOT_CALIBRATED, f"the control `{outcome['control']}` is not noticed")
     if outcome["untrusted"] and outcome["control"] is None:
-        yield f"{outcome['untrusted']} posteriors have not converged"
+        yield Fault(FaultKind.NOT_CONVERGED, f"{outcome['untrusted']} posteriors have not converged")
     if outcome.get("not_predicted"):
-        yield f"{outcome['not_predicted']} held-out insertions could not be predicted"
+        what = f"{outcome['not_predicted']} held-out insertions could not be predicted"
+        yield Fault(FaultKind.INCOMPLETE, what)
 
 
 # ---- the report
@@ -696,18 +700,11 @@ def draw(found: Run) -> dict[str, Drawing]:
     return {"ranks": Drawing("steps_in_bands", frame, options | {"y_label": "ECDF − uniform"}, center_ecdfs)}
 
 
-def judge(found: Run) -> list[Verdict]:
+def find_answer(found: Run) -> Answer:
     """Return whether the uncertainties are correct; a control passes if it is detected."""
     status: Status = "pass" if found.run["passes"] else "fail"
     numbers = {"replicates": found.run["replicates"], "not_calibrated": len(found.run["not_calibrated"])}
-    sentence = TEXT.sentence("verdict", describe(found)).rstrip(".")
-    return [Verdict(sentence, status if found.run["conclusive"] else "warn", "", numbers)]
-
-
-def headline_calibration(fault: str) -> str:
-    """Return the headline of a fault; of an outcome that is the verdict itself."""
-    missing = fault.endswith(("have not converged", "could not be predicted"))
-    return headline_fault(fault) if missing else ""
+    return answer_in_words(found, status if found.run["conclusive"] else "warn", **numbers)
 
 
 _OUTCOME_KEYS = ("control", "passes", "not_calibrated", "draw_source", "untrusted", "redrawn")
@@ -734,7 +731,6 @@ REPORT = StudyReport(
     describe,
     tabulate,
     draw,
+    find_answer,
     to_json=calibration_to_json,
-    judge=judge,
-    headline=headline_calibration,
 )

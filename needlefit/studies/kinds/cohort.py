@@ -45,12 +45,13 @@ from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord, LayerCountRule, SelectionRecord
+from needlefit.studies.answer import Answer, Fault, FaultKind
 from needlefit.studies.held_out_predictions import find_fit
 from needlefit.studies.job import Fold, Job, Settings, find_named, group_insertions, prepare
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.provenance import PACKAGES, describe_model_options, package_versions
-from needlefit.studies.report import StudyReport
-from needlefit.studies.run import Frames, Run, Verdict
+from needlefit.studies.report import StudyReport, answer_in_words
+from needlefit.studies.run import Frames, Run
 from needlefit.studies.runner import AnalysisTask, FrameRows, join_rows, run_tasks
 from needlefit.studies.score import Row
 
@@ -246,13 +247,14 @@ def _fit_specimen(
     return rows, {"converged": converged, **{str(name): value for name, value in every.mean().items()}}
 
 
-def _conclude(frames: Frames) -> tuple[str, ...]:
+def _conclude(frames: Frames) -> tuple[Fault, ...]:
     converged = frames["errors"]["converged"].astype(bool)
     if converged.empty:
         first = str(frames["failures"]["note"].iloc[0])
         raise ConfigError("nothing in the cohort could be fitted", expected=first)
     open_fits = int((~converged).sum())
-    return (f"the searches of {open_fits} specimens did not converge",) if open_fits else ()
+    what = f"the searches of {open_fits} specimens did not converge"
+    return (Fault(FaultKind.NOT_CONVERGED, what),) if open_fits else ()
 
 
 # ---- the report
@@ -284,13 +286,10 @@ def describe(result: Run) -> dict[str, Any]:
     }
 
 
-def judge(result: Run) -> list[Verdict]:
-    """Return the first sentence; failures and open searches make it a warning."""
-    facts = describe(result)
-    converged = result.frames["errors"]["converged"].all()
-    sentence = TEXT.sentence("verdict", facts).rstrip(".")
-    whole = not facts["failures"] and bool(converged)
-    return [Verdict(sentence, "pass" if whole else "warn", numbers={"failures": facts["failures"]})]
+def find_answer(result: Run) -> Answer:
+    """Return the first sentence and the parameters; failures make it a warning."""
+    failures = len(result.frames["failures"])
+    return answer_in_words(result, "warn" if failures else "pass", failures=failures)
 
 
 def _by_parameter(result: Run) -> Iterator[tuple[str, pd.DataFrame]]:
@@ -333,4 +332,4 @@ def draw(result: Run) -> dict[str, Drawing]:
     return {"distributions": Drawing("histograms", bins, {"counts": "specimens"})}
 
 
-REPORT = StudyReport(TEXT, describe, tabulate, draw, judge=judge)
+REPORT = StudyReport(TEXT, describe, tabulate, draw, find_answer)

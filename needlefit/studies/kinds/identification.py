@@ -36,6 +36,7 @@ from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import TargetRecord
+from needlefit.studies.answer import Answer, Verdict
 from needlefit.studies.candidates import CANDIDATE_COLUMNS, lay_out_candidates, rank_candidates
 from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.identification import identify_parameters
@@ -46,7 +47,7 @@ from needlefit.studies.identification_tables import (
 from needlefit.studies.job import Settings
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.report import StudyReport
-from needlefit.studies.run import Run, Verdict
+from needlefit.studies.run import Run
 from needlefit.studies.simulated_data import choose_reference_values, simulate_design
 from needlefit.studies.study_files import begin_run, prepare_target, target_name
 
@@ -205,13 +206,13 @@ def _describe_expected(row: Row, directions: list[Row]) -> Row:
     }
 
 
-def judge(found: Run) -> list[Verdict]:
+def find_answer(found: Run) -> Answer:
     """Return which parameters are identifiable from the design."""
     values = describe(found)
     count, total = len(values["known"]), sum(len(values[name]) for name in ("known", "together", "loose"))
     numbers = {"identifiable": count, "parameters": total}
     status: Literal["pass", "warn"] = "pass" if count == total else "warn"
-    return [Verdict(TEXT.sentence("answer", values), status, "", numbers)]
+    return Answer([Verdict(TEXT.sentence("answer", values), status, "", numbers)], REPORT.lay_out(found)[:1])
 
 
 def lay_out_tables(found: Run) -> list[Table | TableLayout]:
@@ -247,6 +248,6 @@ REPORT = StudyReport(
     describe,
     lay_out_tables,
     draw,
+    find_answer,
     to_json=identification_to_json,
-    judge=judge,
 )

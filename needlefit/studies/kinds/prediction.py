@@ -53,6 +53,7 @@ from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import SceneRecord
+from needlefit.studies.answer import Answer, Fault, FaultKind, Status, Verdict, find_fault_kind
 from needlefit.studies.coverage import (
     estimate_width_after_one,
     measure_width,
@@ -71,12 +72,7 @@ from needlefit.studies.kind import StudyKind
 from needlefit.studies.planned_draws import PlannedNeedles, simulate_scene, vary_bevels
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.report import StudyReport
-from needlefit.studies.run import (
-    Run,
-    Status,
-    Verdict,
-    headline_fault,
-)
+from needlefit.studies.run import Run
 from needlefit.studies.score import Row
 from needlefit.studies.store import posterior_file_names, read_run
 from needlefit.studies.study_files import begin_run, prepare_target, target_name
@@ -329,20 +325,20 @@ def _check(scene: Scene, medium: MediumRecord, dataset: Dataset) -> None:
 
 def draw_parameters(
     job: Job, run: Path | None, settings: Settings, checkpoint: Checkpoint = NO_CHECKPOINT
-) -> Draws | None:
+) -> tuple[Draws, tuple[Fault, ...]] | None:
     """Return draws of the posterior stored in the folder `run`, or, if there is none, about a new fit.
 
     Raises ConfigError if the posterior is of other data or another configuration, or the folder holds none.
 
     Returns
     -------
-    Draws or None
+    tuple of Draws and its faults, or None
         None after a stop.
     """
     if settings.inputs.posterior is not None:
-        return thin_posterior(settings.inputs.posterior, job.parameters, PREDICTION_DRAWS)
+        return _list_faults(thin_posterior(settings.inputs.posterior, job.parameters, PREDICTION_DRAWS))
     if run is not None:
-        return _draw_from_run(job, run)
+        return _list_faults(_draw_from_run(job, run))
     (fold,) = job.folds
     rng = random_stream(job.recipe.seed, fold.name, "fitted", "starts")
     callbacks = Callbacks(
@@ -357,7 +353,17 @@ def draw_parameters(
     found = draw_fold_parameters(job, fold, fit, settings).draws
     if settings.stop():
         return None
-    return replace(found, faults=(*((fit.fault,) if fit.fault else ()), *found.faults))
+    drawn, faults = _list_faults(found)
+    if not fit.fault:
+        return drawn, faults
+    # without a search that has converged nothing is certified
+    searched = Fault(FaultKind.NOT_CONVERGED, fit.fault)
+    return replace(drawn, faults=(fit.fault, *drawn.faults)), (searched, *faults)
+
+
+def _list_faults(draws: Draws) -> tuple[Draws, tuple[Fault, ...]]:
+    """Return draws with the records of their faults."""
+    return draws, tuple(Fault(find_fault_kind(draws), words) for words in draws.faults)
 
 
 def _draw_from_run(job: Job, run: Path) -> Draws:
@@ -412,9 +418,10 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     about = begin_run(name, record, job, f"Prediction: {title}")
     folder = None if record.posterior is None else Path(record.posterior)
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, about.run, settings.note)
-    fitted = draw_parameters(job, folder, settings, checkpoint)
-    if fitted is None:
+    drawn = draw_parameters(job, folder, settings, checkpoint)
+    if drawn is None:
         return replace(about, interrupted=True)
+    fitted, faults = drawn
     known = replace(known, draws=fitted)
     draws, treatment = known.draws_in(into), "training only" if where == "training only" else "same"
     found = forecast(scene, known, into, treatment)
@@ -444,7 +451,7 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
             "not_converged": list(draws.faults),
             **warnings_entry(warned),
         },
-        faults=draws.faults,
+        faults=faults if draws.faults == fitted.faults else _list_faults(draws)[1],
     )
 
 
@@ -482,12 +489,12 @@ def describe(found: Run) -> dict[str, Any]:
     """Return what the text prints."""
     study, specimens = found.run["study"], to_records(found.frames["specimens"])
     rows = {str(row["specimen_treatment"]): row for row in specimens}
-    faults = ", ".join(dict.fromkeys(map(headline_fault, found.faults)))
+    faults = ", ".join(dict.fromkeys(one.kind for one in found.faults))
     return {
         **{key: found.run[key] for key in ("draws", "draw_source", "failed_solves")},
         **{key: value for key, value in find_tip(found).items() if key in _KNOWN_KEYS},
         "title": study["scene"]["title"] or study["scene_name"],
-        "faults": f"{faults}: {'; '.join(found.faults)}" if faults else "",
+        "faults": f"{faults}: {'; '.join(map(str, found.faults))}" if faults else "",
         "fault_heads": faults,
         "synthetic": found.synthetic,
         "specimen": "others" if "others" in rows else next(iter(rows)),
@@ -507,11 +514,12 @@ def describe_faults(found: Run) -> str:
     return str(describe(found)["faults"])
 
 
-def judge(found: Run) -> list[Verdict]:
+def find_answer(found: Run) -> Answer:
     """Return where the tip will be, with its 95 % interval; it fails without one, and nothing is tested."""
     row, sentence = find_tip(found), TEXT.sentence("answer", describe(found))
     status: Status = "fail" if found.faults else "none"
-    return [Verdict(sentence, status, "", {key: row[key] for key in _KNOWN_KEYS[: 1 if found.faults else 4]})]
+    numbers = {key: row[key] for key in _KNOWN_KEYS[: 1 if found.faults else 4]}
+    return Answer([Verdict(sentence, status, "", numbers)], REPORT.lay_out(found)[:1])
 
 
 def tabulate(found: Run) -> list[Table]:
@@ -589,7 +597,6 @@ REPORT: StudyReport = StudyReport(
     describe,
     tabulate,
     draw,
+    find_answer,
     to_json=forecast_to_json,
-    judge=judge,
-    explain=lambda found: (REPORT.lay_out(found), []),  # the verdict and the notes hold the summary
 )

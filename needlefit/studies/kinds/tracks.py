@@ -44,7 +44,6 @@ from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.project.toml import locate_key, renamed_keys
-from needlefit.reporting.document import bullets
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.labels import medium_name, method_name
 from needlefit.reporting.number_format import choose_printed_unit
@@ -53,6 +52,7 @@ from needlefit.reporting.table_files import to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.recipe import RecipeRecord, TrackErrorsRecord
 from needlefit.schemas.tracks import TrackFitRecord, TrackStudyRecord
+from needlefit.studies.answer import STATUSES, Answer, Fault, Status, Verdict, find_fault_kind
 from needlefit.studies.coverage import warn_if_too_wide
 from needlefit.studies.fit_warnings import analysis_bound_warnings
 from needlefit.studies.held_out_predictions import PREDICTION_DRAWS
@@ -67,7 +67,7 @@ from needlefit.studies.provenance import (
     plugin_versions_of,
 )
 from needlefit.studies.report import StudyReport
-from needlefit.studies.run import Run, Status, Verdict
+from needlefit.studies.run import Run
 from needlefit.studies.score import Row
 
 KIND = StudyKind("tracks", TrackStudyRecord, __name__)
@@ -234,7 +234,9 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> Run:
         "coverage": tabulate_coverage(frames["runs"]),
         "depths": tabulate_by_depth(frames["readings"]),
     }
-    faults = tuple(f"{fit}: {why}" for fit, one in draws.items() for why in one.faults)
+    faults = tuple(
+        Fault(find_fault_kind(one), f"{fit}: {why}") for fit, one in draws.items() for why in one.faults
+    )
     warned = _find_warnings(name, record, tasks, frames, settings.place("fits"))
     return Run(
         kind=KIND.name,
@@ -245,7 +247,7 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> Run:
         frames=frames,
         run={
             **doing,
-            "not_converged": list(faults),
+            "not_converged": list(map(str, faults)),
             "draws": {fit: one.describe() for fit, one in draws.items()},
             **warnings_entry([*dataset.warnings, *warned]),
         },
@@ -604,7 +606,7 @@ def describe(results: Run) -> dict[str, Any]:
             for medium, group in paired.groupby("medium", sort=False)
         ],
         "remarks": data["remarks"],
-        "notes": bool(data["notes"]),
+        "notes": data["notes"],
         "placed_by": results.record.registration_depth_mm,
         "faults": bool(results.faults),
     }
@@ -625,8 +627,8 @@ def _compare(group: pd.DataFrame) -> dict[str, list[str]]:
     return verdicts
 
 
-def judge(results: Run) -> list[Verdict]:
-    """Return for each medium how the predicted tips compare with the baselines."""
+def find_answer(results: Run) -> Answer:
+    """Return for each medium how the predicted tips compare with the baselines; the worst stands first."""
     verdicts = []
     for one in describe(results)["media"]:
         found = one["rms_mm"]
@@ -634,7 +636,9 @@ def judge(results: Run) -> list[Verdict]:
             "fail" if "worse than" in found else "pass" if {*found} == {"better than"} else "warn"
         )
         verdicts.append(Verdict(TEXT.sentence("medium", {"one": one}), status, one["name"]))
-    return verdicts
+    worst = max(verdicts, key=lambda one: STATUSES.index(one.status))
+    joined = replace(worst, sentence="; ".join(one.sentence for one in verdicts), group="")
+    return Answer([joined, *(verdicts if len(verdicts) > 1 else ())], REPORT.lay_out(results)[:1])
 
 
 def tabulate(results: Run) -> list[Table]:
@@ -704,8 +708,6 @@ REPORT: StudyReport = StudyReport(
     describe,
     tabulate,
     draw,
-    lambda results: {"notes": [bullets(results.run["dataset"]["notes"])]},
+    find_answer,
     to_json=lambda results: {"paired": to_records(results.frames["paired"])},
-    judge=judge,
-    lay_out_first=lambda results: REPORT.lay_out(results)[:2],
 )

@@ -45,9 +45,10 @@ from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import compute_beside, stop_requested
 from needlefit.reporting.number_format import format_bare_symbol, format_quantity
 from needlefit.schemas.study import FitRecord, StudyRecord
+from needlefit.studies.answer import Fault, FaultKind, find_fault_kind
 from needlefit.studies.explorer import describe_insertions
 from needlefit.studies.fit_frames import COLUMNS as FRAMES
-from needlefit.studies.fit_frames import TUNED_SPECIMENS
+from needlefit.studies.fit_frames import MEDIAN_METHOD, TUNED_SPECIMENS
 from needlefit.studies.fit_warnings import add_warnings
 from needlefit.studies.held_out_predictions import (
     FoldDraws,
@@ -69,7 +70,7 @@ from needlefit.studies.needle_placement import FoldFit, place_needles
 from needlefit.studies.needles_in_scan import NeedleInScan, tabulate_needles
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run
-from needlefit.studies.score import Row, Scorer, make_predictors
+from needlefit.studies.score import Predictor, Row, Scorer, make_predictors
 from needlefit.studies.scored_groups import count_reasons
 from needlefit.studies.simulated_data import find_true_value
 from needlefit.studies.validity import VALIDITY_KEY, ValidityCounts
@@ -124,9 +125,15 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
         timing={"seconds": time.time() - begin, "jobs": settings.jobs, "dataset": str(job.dataset.path)},
         interrupted=going.interrupted,
     )
-    unconverged = {fold: posterior.faults for fold, posterior in going.posteriors.items()}
-    unconverged |= {fold: faults for fold, faults in going.uncertified.items() if fold not in unconverged}
+    uncertified = [
+        fault
+        for fold, faults in going.uncertified.items()
+        if fold not in going.posteriors
+        for fault in faults
+    ]
+    unconverged = [fault for posterior in going.posteriors.values() for fault in posterior.faults]
     faults = find_faults(found.frames["errors"], going.search_faults, unconverged)
+    faults = (*faults, *uncertified)
     return add_warnings(replace(found, faults=faults), job)
 
 
@@ -154,11 +161,10 @@ def _list_layers(job: Job) -> dict[str, list[list[float]]]:
     }
 
 
-Faults = Mapping[str, Sequence[str]]  #: by fold
-
-
-def find_faults(errors: pd.DataFrame, search_faults: Faults, not_converged: Faults) -> tuple[str, ...]:
-    """Return what did not converge: scored simulations of the fit, its search, a posterior."""
+def find_faults(
+    errors: pd.DataFrame, search_faults: Mapping[str, Sequence[str]], not_converged: Sequence[str]
+) -> tuple[Fault, ...]:
+    """Return what did not converge: scored simulations of the fit, its search (by fold), posteriors."""
     fitted = errors[errors["method"] == "fitted"]
     failed = int((~fitted["converged"].astype(bool)).sum())
     faults = [f"{failed} of {len(fitted)} simulations of the fit did not converge"] if failed else []
@@ -166,8 +172,8 @@ def find_faults(errors: pd.DataFrame, search_faults: Faults, not_converged: Faul
     faults += [
         fault if found == ["all"] else f"{', '.join(found)}: {fault}" for fault, found in folds.items()
     ]
-    faults += [f"the posterior has not converged: {why}" for each in not_converged.values() for why in each]
-    return tuple(faults)
+    faults += [f"the posterior has not converged: {why}" for why in not_converged]
+    return tuple(Fault(FaultKind.NOT_CONVERGED, what) for what in faults)
 
 
 @dataclass(frozen=True)
@@ -197,7 +203,7 @@ class _StudyRun:
     posteriors: dict[str, Posterior] = field(default_factory=dict)
     #: by fold the parameters whose intervals by both samplers differ
     differing: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    uncertified: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    uncertified: dict[str, list[Fault]] = field(default_factory=dict)
     search_faults: dict[str, list[str]] = field(default_factory=dict)
     counts: ValidityCounts = field(default_factory=ValidityCounts)
     needles: dict[str, NeedleInScan] = field(default_factory=dict)
@@ -258,16 +264,27 @@ class _StudyRun:
         self.rows["parameters"] += _published_rows(job, fold, usable.get("hand_tuned_b"))
         for method, curves in make_predictors(job.problem(fold), usable, job.hand_tuned).items():
             for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
-                place = {"fold": fold.name, "role": role, "method": method}
-                for insertion in insertions:
-                    errors, shapes = self.scorer.score(place, insertion, curves)
-                    self.rows["errors"] += errors
-                    self.rows["shapes"] += shapes
+                self._score({"fold": fold.name, "role": role, "method": method}, insertions, curves)
+        medians = {
+            one.row["insertion"]: one.median for one in (drawn.predicted if drawn else ()) if one.median
+        }
+        place = {"fold": fold.name, "role": "validate", "method": MEDIAN_METHOD}
+        predicted = [one for one in fold.validate if one.id in medians]
+        self._score(place, predicted, lambda insertion: {"measured": medians[insertion.id]}, "median")
         if known:
             about = FoldFit(fits["fitted"], self.verdicts[fold.name], self.posteriors.get(fold.name))
             self.needles |= place_needles(
                 job.problem(fold), fold, about, self.rows["bands"], settings.jobs, fitted=len(job.folds) == 1
             )
+
+    def _score(
+        self, place: Row, insertions: Iterable[Insertion], curves: Predictor, estimate: str = "point"
+    ) -> None:
+        """Add the errors and the shapes of a method."""
+        for insertion in insertions:
+            errors, shapes = self.scorer.score(place, insertion, curves)
+            self.rows["errors"] += [{**row, "estimate": estimate} for row in errors]
+            self.rows["shapes"] += shapes
 
     def _go_on(self) -> "_StudyRun":
         """Return this run; in a copy of its process, where nobody sees its progress, with that one's stop."""
@@ -448,7 +465,8 @@ class _StudyRun:
         job, specimens, draws = self.job, drawn.specimens, drawn.specimens.replace_mean(drawn.made.shown)
         about = {"fold": fold.name, **draws.describe()}
         if draws.faults:
-            self.uncertified[fold.name] = draws.faults
+            kind = find_fault_kind(draws)
+            self.uncertified[fold.name] = [Fault(kind, f"the posterior: {why}") for why in draws.faults]
         every = {TUNED_SPECIMENS: draws.thetas} | ({} if draws.faults else specimens.list_draws(draws.thetas))
         for specimen, thetas in every.items():
             where = about | {"specimen": specimen}
@@ -496,7 +514,10 @@ class _StudyRun:
         verdict = identify(problem, fit, draws.certified if draws else None, further)
         if fit.minimized == "posterior":
             self.rows["directions"] += [
-                {"fold": fold.name, "sd": one.sd, "sd_ratio": one.sd_ratio, "note": one.words}
+                {
+                    **{"fold": fold.name, "parameters": one.parameters},
+                    **{"sd": one.sd, "sd_ratio": one.sd_ratio, "note": one.words},
+                }
                 for one in verdict.directions
             ]
         else:  # without stated noise nothing says how far the data can be trusted

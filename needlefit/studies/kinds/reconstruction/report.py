@@ -29,7 +29,7 @@ from needlefit.studies.job import Settings
 from needlefit.studies.kinds.reconstruction import KIND, ReconstructionBatchRecord
 from needlefit.studies.kinds.reconstruction.pages import list_reasons, write_quality, write_refused_pages
 from needlefit.studies.provenance import package_versions
-from needlefit.studies.report import StudyReport, write_files
+from needlefit.studies.report import StudyReport, answer_in_words, write_files
 from needlefit.studies.run import Run
 from needlefit.studies.slicer import write_scan
 from needlefit.studies.slicer_scene import (
@@ -271,12 +271,9 @@ def _list_depths(rows: Sequence[Row]) -> str:
 REPORT = StudyReport(
     _TEXT,
     describe,
-    lambda found: [lay_out_reconstructions(found)],
-    more_tables=_lay_out_refused,
+    lambda found: [lay_out_reconstructions(found), *_lay_out_refused(found)],
+    answer=lambda found: answer_in_words(found, "warn" if len(found.frames["remarks"]) else "pass"),
     keeps_files=True,
-    rate=lambda found: "warn" if len(found.frames["remarks"]) else "pass",
-    # the columns that a terminal has room for
-    lay_out_first=lambda found: [lay_out_reconstructions(found, _SCREEN_COLUMNS)],
 )
 
 

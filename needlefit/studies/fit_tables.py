@@ -1,13 +1,8 @@
-"""The tables of a fit or cross-validation as data, and how those of two runs differ.
-
-Captions and notes stand in the text.
-"""
+"""The tables of fits and cross-validations, of one run or of several; captions stand in the text."""
 
 import math
-import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -24,10 +19,12 @@ from needlefit.inference.identifiability.directions import (
 from needlefit.inference.parameters import HYPERPARAMETERS, is_logarithmic
 from needlefit.inference.sampling.posterior import PERCENTILES
 from needlefit.metrics import Metric, headline_metrics, list_metrics
-from needlefit.reporting.columns import DIGITS
+from needlefit.reporting import latex
+from needlefit.reporting.columns import DIGITS, METRIC_FORMAT, find_column, format_value
 from needlefit.reporting.figures.fit_forms import to_log_coordinates
 from needlefit.reporting.labels import SPECIMEN_NAMES, method_name, study_name
 from needlefit.reporting.number_format import (
+    choose_interval_unit,
     choose_printed_unit,
     format_bare_symbol,
     format_metric,
@@ -37,21 +34,23 @@ from needlefit.reporting.number_format import (
     is_known,
     round_significant,
     typeset,
+    typeset_interval,
 )
 from needlefit.reporting.table import Table, TableLayout, part, pivot
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText
 from needlefit.studies import scored_groups as scores
-from needlefit.studies.coverage import COVERAGE_COLUMNS, count_covered, tabulate_coverage
+from needlefit.studies.coverage import COVERAGE_COLUMNS, tabulate_coverage
 from needlefit.studies.fit_frames import (
+    MEDIAN_METHOD,
     MODEL_METHODS,
     NEW_SPECIMEN,
     TUNED_SPECIMENS,
     select_fitted,
     select_free,
 )
-from needlefit.studies.fit_warnings import describe_gain
 from needlefit.studies.identification_tables import describe_evidence
+from needlefit.studies.judge import choose_method, find_closest_curve, judge
 from needlefit.studies.run import Run
 
 TEXT = KindText("cross_validation")
@@ -78,6 +77,7 @@ _FITTED, _POOLED = _RowKind("posterior-mode fit"), _RowKind("pooled", column="po
 _FLOOR, _PAPER = _RowKind("noise floor", column="floor"), _RowKind("paper", column="paper")
 _HELD_OUT_KINDS = (
     _FITTED,
+    _RowKind("predictive median", method=MEDIAN_METHOD),
     _RowKind("error-minimising fit", method="fitted_metric"),
     _RowKind("planned layer depths", boundaries="planned"),
     _POOLED,
@@ -103,38 +103,23 @@ def lay_out_tuning(results: Sequence[Run], grouping: str) -> TableLayout:
     return _lay_out_groups(f"tuning_by_{grouping}", groups, _REGROUPED_KINDS)
 
 
-def lay_out_all_errors(results: Run) -> TableLayout:
-    """Return all metrics of held-out and tuning insertions; by media where the paper has a cell."""
-    tuned = scores.list_groups(scores.tabulate_tuning(results))
-    printed = any(one.printed for one in tuned if one.head["grouping"] == scores.BY_MEDIA)
-    shown = [group for group in tuned if printed or group.head["grouping"] == scores.BY_LAYERS]
-    kinds = [kind for kind in _HELD_OUT_KINDS if kind is not _POOLED]
-    return _lay_out_groups(
-        "all_errors", [*scores.list_held_out_groups(results), *shown], kinds, compared=False
-    )
-
-
 def _lay_out_groups(
-    name: str, groups: Sequence[scores.ScoredGroup], kinds: Sequence[_RowKind], compared: bool = True
+    name: str, groups: Sequence[scores.ScoredGroup], kinds: Sequence[_RowKind]
 ) -> TableLayout:
     """Return one block of rows per group; only its first row names the group.
 
-    With `compared`, notes say what makes each group comparable to the paper's, or not.
+    Notes say what makes each group comparable to the paper's, or not.
     """
     rows: list[Row] = []
     for number, group in enumerate(groups):
-        held_out = group.head["grouping"] == scores.HELD_OUT
-        about = {"role": _ROLE_NAMES["validate" if held_out else "tune"], "number": number}
-        own = [kind for kind in kinds if held_out or kind in _REGROUPED_KINDS]
-        own = [kind for kind in own if not group.head["alternate_count"] or kind in _REGROUPED_KINDS]
-        rows += [{**_head(group), **row, **about} for row in _list_rows(group, (*own, _FLOOR, _PAPER))]
-    several = len({row["role"] for row in rows}) > 1
-    heads = ("study", *(("role",) if several else ()), "medium", "layers", "insertions")
+        own = [kind for kind in kinds if not group.head["alternate_count"] or kind in _REGROUPED_KINDS]
+        kinds_here = (*own, _FLOOR, _PAPER)
+        rows += [{**_head(group), **row, "number": number} for row in _list_rows(group, kinds_here)]
+    heads = ("study", "medium", "layers", "insertions")
     table = _make_table(name, rows, heads, (one for one in list_metrics() if not one.spread_of))
     same = group_values((str(one.head["comparable"]), _head(one)) for one in groups if one.printed)
-    values: dict[str, Any] = {"compared": compared, "comparisons": list(same.items())}
     names = {row["row"] for row in rows}
-    return _lay_out(table, rows=names, groups=list(map(_head, groups)), **values)
+    return _lay_out(table, rows=names, groups=list(map(_head, groups)), comparisons=list(same.items()))
 
 
 def _make_table(name: str, rows: Sequence[Row], heads: Sequence[str], metrics: Iterable[Metric]) -> Table:
@@ -148,31 +133,52 @@ def _make_table(name: str, rows: Sequence[Row], heads: Sequence[str], metrics: I
     return Table(name, lines, columns, groups=("number",), heads=len(heads), strong="groups")
 
 
-def lay_out_summary(results: Sequence[Run]) -> TableLayout:
-    """Return the table of the first page: our fit, the best baseline, noise floor and paper, by group.
+def lay_out_summary(*results: Run) -> TableLayout:
+    """Return the table of the first page: our errors, the closest curve's and the paper's, by group.
 
-    Groups are those held out, or of runs without any those fitted to.
+    Groups are those held out, or of runs without any those fitted to. The paper's parameters are scored on
+    our data; its result is of its own needles.
     """
-    groups = list[scores.ScoredGroup]()
+    groups = list[tuple[scores.ScoredGroup, str]]()
     for one in results:
-        tuning = scores.tabulate_tuning(one)
-        groups += scores.list_held_out_groups(one) or scores.list_groups(
-            tuning[tuning["grouping"] == scores.BY_LAYERS]
+        held_out = scores.list_held_out_groups(one)
+        tuning = None if held_out else scores.tabulate_tuning(one)
+        found = (
+            held_out if tuning is None else scores.list_groups(tuning[tuning["grouping"] == scores.BY_LAYERS])
         )
+        groups += [(group, choose_method(one)) for group in found]
     rows: list[Row] = []
-    for number, group in enumerate(groups):
-        best = scores.find_best_baseline(group)
-        kinds = (_FITTED, *([_RowKind(method_name(best), method=best)] if best else []), _FLOOR, _PAPER)
-        rows += [{**_head(group), **row, "number": number} for row in _list_rows(group, kinds)]
-    shown = [metric for metric in list_metrics() if metric.headline or metric.relative]
-    table = _make_table("summary", rows, ("study", "medium", "layers", "insertions"), shown)
-    values: dict[str, Any] = {
-        "held_out": any(group.head["grouping"] == scores.HELD_OUT for group in groups),
-        "metrics": [f"{one.label}: {one.explanation.partition(': ')[2] or one.explanation}" for one in shown],
-        "marked": any(row["mark"] for row in rows),
-        "paper": any(group.printed for group in groups),
-    }
-    return _lay_out(table, groups=list(map(_head, groups)), **values)
+    several = len(groups) > 1
+    for number, (group, method) in enumerate(groups):
+        curve = find_closest_curve(group)
+        kinds = (
+            _RowKind("our prediction" if method == MEDIAN_METHOD else "our fit", method=method),
+            *(
+                [_RowKind(f"closest curve{'' if several else f': {method_name(curve)}'}", method=curve)]
+                if curve
+                else []
+            ),
+            _RowKind("paper's parameters, these needles", method="hand_tuned"),
+            _RowKind("paper's result, its own needles", column="paper"),
+        )
+        for row in _list_rows(group, kinds):
+            floor = group.get(scores.TE, "floor") if row["row"] == kinds[0].name else None
+            rows.append({**_head(group), **row, "number": number, "noise_of_te": floor})
+    metrics = sorted(
+        (one for one in list_metrics() if one.headline or one.relative), key=lambda one: one.name != scores.TE
+    )
+    heads = ("study", "medium", "layers", "insertions")[len(results) == 1 :] if several else ()
+    columns = (*heads, "row", *(part("metric_value", metric=one.name) for one in metrics), "noise_of_te")
+    lines = pivot(rows, ["number", "row"], ["metric"])
+    table = Table("summary", lines, columns, groups=("number",), heads=len(heads), strong="groups")
+    found_table = _lay_out(table, drop_empty=True)
+    if several or not groups:
+        return found_table
+    head = groups[0][0].head
+    which = "held-out" if head["grouping"] == scores.HELD_OUT else "fitted"
+    words = f"Mean over {head['insertions']} {which} insertion{'s' * (head['insertions'] != 1)}"
+    first, *others = found_table.columns
+    return replace(found_table, columns=(replace(first, label=words), *others))
 
 
 def _list_rows(group: scores.ScoredGroup, kinds: Sequence[_RowKind]) -> Iterator[Row]:
@@ -233,27 +239,29 @@ def lay_out_in_sample(results: Run) -> TableLayout:
     return _lay_out(Table("in_sample", lines, columns, strong="first"), insertions=max(counts, default=0))
 
 
-def lay_out_matrix(results: Sequence[Run], judge: Callable[[Run], Sequence[Any]]) -> TableLayout:
-    """Return one row per study and held-out group: its verdict, its tip error and what this compares with."""
+def lay_out_matrix(results: Sequence[Run]) -> TableLayout:
+    """Return one row per study and held-out group: our errors, what they compare with, and the verdict."""
     rows: list[Row] = []
     for one in results:
-        for group, verdict in zip(scores.list_held_out_groups(one), judge(one), strict=False):
-            predictive = scores.select_group(one.frames["predictive"], group)
-            covered = count_covered(predictive, "tip_in_95") if len(predictive) else None
+        method = choose_method(one)
+        for group in scores.list_held_out_groups(one):
+            judged, curve = judge(one, group), find_closest_curve(group)
             rows.append(
                 {
-                    **{**_head(group), **verdict.numbers, "verdict": verdict.status},
-                    "baseline_method": verdict.numbers["baseline"] or "",
-                    "floor_ratio": verdict.numbers["te_over_floor"],
-                    "tip_crps_mm": verdict.numbers.get("tip_crps_mm"),
-                    "tip_in_95": f"{covered.hits} of {covered.trials}" if covered else None,
+                    **_head(group),
+                    **{name: group.get(name, method=method) for name in ("ipe_mean_mm", "te_mm")},
+                    "floor_te_mm": group.get("te_mm", "floor"),
+                    "baseline_te_mm": None if curve is None else group.get("te_mm", method=curve),
+                    "baseline_method": curve or "",
+                    **{f"paper_{name}": group.get(name, "paper") for name in ("ipe_mean_mm", "te_mm")},
+                    "verdict": "not scored" if judged is None else judged.outcome,
                 }
             )
     columns = (
-        *("study", "medium", "layers", "insertions", "te_mm", "floor_te_mm", "floor_ratio"),
-        *("baseline_te_mm", "baseline_method", "tip_crps_mm", "tip_in_95", "paper_te_mm", "verdict"),
+        *("study", "medium", "layers", "insertions", "ipe_mean_mm", "te_mm", "floor_te_mm"),
+        *("baseline_te_mm", "baseline_method", "paper_ipe_mean_mm", "paper_te_mm", "verdict"),
     )
-    return _lay_out(Table("matrix", rows, columns, groups=("study",), heads=1))
+    return _lay_out(Table("matrix", rows, columns, groups=("study",), heads=1), drop_empty=True)
 
 
 def lay_out_design(results: Sequence[Run]) -> TableLayout:
@@ -302,7 +310,10 @@ def lay_out_coverage(*results: Run, named: bool = False) -> TableLayout:
         "specimens": int(other["other_specimens"].min()) if len(other) else 0,
     }
     gains = [
-        {"study": study_name(group["study"].iloc[0]), "medium": str(medium), "gain": describe_gain(group)}
+        {
+            **{"study": study_name(group["study"].iloc[0]), "medium": str(medium)},
+            "width_mm": float(group["tip_95_width_after_one_mm"].median()),
+        }
         for (_, medium), group in other.groupby(["study", "medium"], sort=False)
         if other["tip_95_width_after_one_mm"].notna().any()
     ]
@@ -559,8 +570,7 @@ def find_known_combination(results: Run) -> str:
         return ""
     rows = to_records(results.frames["directions"])
     known = (row for row in rows if row["sd"] < MAX_LOG_SD and row["sd_ratio"] < UNINFORMED_SD_RATIO)
-    # a product, or with a shape parameter a sum
-    return next((note for note in (str(row["note"]) for row in known) if re.search(r" [*+-] ", note)), "")
+    return next((str(row["note"]) for row in known if row["parameters"] > 1), "")
 
 
 def describe_freed(identification: pd.DataFrame) -> list[tuple[list[str], str]]:
@@ -695,3 +705,82 @@ def find_ridge_ends(draws: pd.DataFrame) -> list[dict[str, float]]:
         }
         for end in (middle - step, middle + step)
     ]
+
+
+# ---- the files of one run, or of several together
+
+
+def lay_out_files(
+    studies: Sequence[Run], tunings: Sequence[Run]
+) -> Iterator[tuple[str, pd.DataFrame, list[TableLayout]]]:
+    """Yield the paper's tables with our rows beside its rows: name, rows, and the tables to print."""
+    every = list({one.name: one for one in (*studies, *tunings)}.values())
+    validation = scores.tabulate_validation(*studies, with_alternate=True)
+    yield "validation", validation, [lay_out_validation(studies)]
+    by = [lay_out_tuning(tunings, grouping) for grouping in (scores.BY_LAYERS, scores.BY_MEDIA)]
+    yield "tuning", scores.tabulate_tuning(*tunings, with_alternate=True), by
+    yield "parameters", tabulate_parameters(*every), [lay_out_parameters(every)]
+
+
+def lay_out_printed_tuning(results: Sequence[Run]) -> list[TableLayout]:
+    """Return the in-sample tables; by media only where the paper has a cell."""
+    groups = scores.list_groups(scores.tabulate_tuning(*results))
+    printed = any(group.head["grouping"] == scores.BY_MEDIA and group.printed for group in groups)
+    groupings = (scores.BY_LAYERS, scores.BY_MEDIA) if printed else (scores.BY_LAYERS,)
+    return [lay_out_tuning(results, by) for by in groupings if groups]
+
+
+# ---- numbers for a paper
+
+
+def format_macros(results: Sequence[Run]) -> str:
+    """Return a LaTeX file of macros of errors and parameters, by readable keys.
+
+    A key is `<run>-<medium>-<layers>-<error>`, with `floor-` or `paper-` before the error for what stands
+    beside it or `-over-floor` after it for the multiple of its noise floor; `<run>-<parameter>`, the median
+    of the posterior, with `-low`, `-high` and `-interval` of its 95 % interval, all in the unit of the
+    tables, `-unit`, and `-determined`.
+    """
+    return latex.format_macros(
+        number
+        for one in results
+        for numbers in (_list_errors(one), _list_parameters(one))
+        for number in numbers
+    )
+
+
+def _list_errors(results: Run) -> Iterator[tuple[str, str]]:
+    for group in scores.list_held_out_groups(results):
+        head = group.head
+        begin = f"{results.name}-{head['medium']}-{head['layers']}"
+        yield f"{begin}-n", str(head["insertions"])
+        for metric in list_metrics():
+            row = {"metric": metric.name, DIGITS: 3 if head["comparison"] == "aligned" else 2}
+            for key, column in (("", "value"), ("floor-", "floor"), ("paper-", "paper")):
+                value = group.get(metric.name, column)
+                if value is not None or not key:
+                    yield f"{begin}-{key}{metric.macro_name}", format_value(METRIC_FORMAT, value, row)
+            if (times := group.over_floor(metric.name)) is not None:
+                words = find_column("over_floor").format_cell({"over_floor": times})
+                yield f"{begin}-{metric.macro_name}-over-floor", words
+
+
+def _list_parameters(results: Run) -> Iterator[tuple[str, str]]:
+    table = arrange_parameters(tabulate_parameters(results))
+    several = len({row["fold"] for row in table}) > 1
+    for row in table:
+        name = str(row["parameter"]).removesuffix("_pa").removesuffix("_mm").replace("_", "-")
+        where = f"-{row['fold']}" if several else ""
+        key = f"{results.name}{where}-{name}"
+        estimate = choose_estimate(row)
+        assert estimate is not None
+        label, scale = choose_interval_unit(row, estimate)
+        yield key, typeset(format_number(estimate / scale))
+        if unit := label.partition(" (")[2].rstrip(")"):
+            yield f"{key}-unit", unit
+        if row["determined"]:
+            yield f"{key}-determined", str(row["determined"])
+        if interval := typeset_interval(row, scale):
+            yield f"{key}-interval", interval
+            low, _, high = interval.partition(" to ")
+            yield from ((f"{key}-low", low), (f"{key}-high", high))

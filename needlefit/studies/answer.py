@@ -1,0 +1,112 @@
+"""What a run found, as records: verdicts, checks, faults and the parts of its first page.
+
+Words are made from them once, by the text of the kind; nothing reads these words again.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from enum import StrEnum
+from typing import Any, Literal
+
+import pandas as pd
+
+from needlefit.inference.predict import Draws
+from needlefit.reporting.table import TableLayout
+
+Status = Literal["none", "pass", "warn", "fail"]
+#: from the best to the worst; "none" where nothing was tested, as of a prediction: it has no badge
+STATUSES: tuple[Status, ...] = ("none", "pass", "warn", "fail")
+
+VERDICTS_KEY, CHECKS_KEY = "verdicts", "checks"  #: of `--json`
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The answer for a whole run, or for one group of insertions."""
+
+    sentence: str  #: the answer, with its most important numbers
+    #: whether the result can be relied on, only with care, or not; "none" where this was not tested
+    status: Status = "pass"
+    group: str = ""  #: what it is about, such as "phantom 1, 3 layers"; empty: the whole run
+    #: the numbers behind the sentence, by name with unit; None where one is not known
+    numbers: Mapping[str, float | str | None] = field(default_factory=dict)
+
+
+class FaultKind(StrEnum):
+    """Why a result is not to be trusted; the value is the headline."""
+
+    NOT_CONVERGED = "NOT CONVERGED"
+    NOT_CERTIFIED = "NOT CERTIFIED"
+    INCOMPLETE = "INCOMPLETE"
+    UNVERIFIED = "NOT VERIFIED"
+    NOT_CALIBRATED = "NOT CALIBRATED"
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Something in a result that is not to be trusted."""
+
+    kind: FaultKind
+    what: str
+
+    def __str__(self) -> str:
+        return self.what
+
+
+def find_fault_kind(draws: Draws) -> FaultKind:
+    """Return of which kind the faults of draws are: of a sampler, or of weights of importance sampling."""
+    return FaultKind.NOT_CONVERGED if draws.source == "posterior" else FaultKind.NOT_CERTIFIED
+
+
+class Check(StrEnum):
+    """A question to a result that is answered by yes or no."""
+
+    CURVES = "closer_than_curves"
+    NOISE = "within_noise"
+    COVERAGE_95 = "coverage_95"
+    COVERAGE_50 = "coverage_50"
+    WIDTH = "narrow_intervals"
+    DATA = "data_as_stated"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a check found."""
+
+    check: Check
+    passed: bool | None  #: None: cannot be decided
+    value: float | None = None  #: what is compared with the threshold, in the unit of the check
+    threshold: float | None = None
+    named: str = ""  #: the best curve, or the kinds of the warnings about the data, with commas
+    trials: int | None = None  #: tips, of coverages
+    fits: int | None = None  #: by which they were predicted
+    beyond: int | None = None  #: tips that deflect more than their predictive medians
+    deflection_mm: float | None = None  #: median of the tips' deflections
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The parts of the first page of a run, in their order; terminal, report and `--json` have the same."""
+
+    verdicts: Sequence[Verdict]  #: the answer, first that for the whole run
+    tables: Sequence[TableLayout] = ()
+    about: str = ""  #: what was fitted and what was predicted
+    checks: Sequence[Finding] = ()
+    advice: str = ""  #: what to do
+    determined: str = ""  #: what the fit determined
+
+
+def worst_status(verdicts: Sequence[Verdict]) -> Status:
+    """Return the worst status of several verdicts; "pass" of none."""
+    return max((one.status for one in verdicts), key=STATUSES.index, default="pass")
+
+
+def tabulate_checks(findings: Sequence[Finding]) -> pd.DataFrame:
+    """Return one row per check."""
+    return pd.DataFrame([asdict(one) for one in findings], columns=list(Finding.__dataclass_fields__))
+
+
+def answer_to_json(answer: Answer) -> dict[str, Any]:
+    """Return what `--json` has of an answer: its verdicts and checks."""
+    checks = [{**asdict(one), "check": str(one.check)} for one in answer.checks]
+    return {VERDICTS_KEY: [asdict(one) for one in answer.verdicts], CHECKS_KEY: checks}

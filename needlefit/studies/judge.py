@@ -1,0 +1,192 @@
+"""Judge predictions: the checks of the first page, and the verdict, from the stored tables of a run.
+
+One fit is described: "predicts", "predicts in part" or "does not predict" these needles. Several fits are
+judged by paired differences between our tip errors and those of each curve. Insertions that share a fit, a
+specimen or a hole err alike: their mean is one trial. Tip errors are those of the predictive median.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+import scipy
+
+from needlefit.inference.baselines import BASELINES
+from needlefit.project.result_warnings import read_warnings
+from needlefit.studies.answer import Check, Finding, Status
+from needlefit.studies.coverage import count_covered, median_width
+from needlefit.studies.fit_frames import MEDIAN_METHOD
+from needlefit.studies.run import Run, once_per_run
+from needlefit.studies.scored_groups import TE, ScoredGroup, pool_insertions, select_group
+
+#: tip error over the measurement noise, up to which one fit predicts, and beyond which it does not
+MAX_NOISE_RATIO, FAR_NOISE_RATIO = 2.0, 5.0
+#: significance of the comparison of several fits with curves, of each side
+SIGNIFICANCE = 0.025
+MIN_COVERED_95, COVERED_50 = 0.9, (0.25, 0.75)  #: shares of tips in their intervals that pass
+MIN_TIPS_50 = 4  #: tips below which their share in 50 % intervals cannot be judged
+DEFAULT_AIMING_WIDTH_MM = 2.0  #: of runs whose recipe states none
+#: kinds of warnings that are about the computation or about single parameters, not about the data
+_OTHER_WARNINGS = ("validity", "samplers_differ")
+
+Outcome = Literal[
+    "predicts", "in part", "does not predict", "generalises", "not shown", "does not generalise"
+]
+STATUS: Mapping[Outcome, Status] = {
+    **{"predicts": "pass", "in part": "warn", "does not predict": "fail"},
+    **{"generalises": "pass", "not shown": "warn", "does not generalise": "fail"},
+}
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What the verdict on some insertions states."""
+
+    outcome: Outcome
+    error_mm: float  #: mean tip error
+    noise_ratio: float | None  #: over that of the measurement noise; None where none is stated
+    curve: str  #: the curve without mechanics that is closest, by its name; "" without any
+    curve_mm: float | None
+    fits: int
+
+
+def choose_method(results: Run) -> str:
+    """Return the method whose errors are judged: the predictive median, of a run without any the fit."""
+    return MEDIAN_METHOD if (results.frames["errors"]["method"] == MEDIAN_METHOD).any() else "fitted"
+
+
+def judge(results: Run, group: ScoredGroup) -> Judgement | None:
+    """Judge the predictions of a group of insertions; None if no simulation of it converged."""
+    method, fits = choose_method(results), _count_fits(results)
+    error = group.get(TE, method=method)
+    if error is None:
+        return None
+    ratio, curve = group.over_floor(TE, method=method), find_closest_curve(group)
+    nearest = None if curve is None else group.get(TE, method=curve)
+    if fits > 1:
+        outcome = _judge_fits(select_group(results.frames["errors"], group), method)
+    else:
+        outcome = describe_fit(error, ratio, nearest)
+    return Judgement(outcome, error, ratio, curve or "", nearest, fits)
+
+
+def describe_fit(error_mm: float, noise_ratio: float | None, curve_mm: float | None) -> Outcome:
+    """Describe one fit by its mean tip error, as a multiple of the noise, and that of the closest curve."""
+    far = noise_ratio is not None and noise_ratio > FAR_NOISE_RATIO
+    if far or (curve_mm is not None and curve_mm < error_mm):
+        return "does not predict"
+    return "predicts" if noise_ratio is not None and noise_ratio <= MAX_NOISE_RATIO else "in part"
+
+
+def _judge_fits(errors: pd.DataFrame, method: str) -> Outcome:
+    """Return whether several fits generalise: significantly closer than every curve.
+
+    Of many curves one may be closer by chance: that fits do not generalise has Holm's correction.
+    """
+    pairs = [compare_pairs(errors, method, name) for name in BASELINES.names()]
+    known = [pair for pair in pairs if pair is not None]
+    if any(theirs * len(known) <= SIGNIFICANCE for _, theirs in known):
+        return "does not generalise"
+    return "generalises" if known and all(ours <= SIGNIFICANCE for ours, _ in known) else "not shown"
+
+
+def compare_pairs(errors: pd.DataFrame, method: str, other: str) -> tuple[float, float] | None:
+    """Return the p values of paired tip errors: that of a method's being smaller, and that of the other's.
+
+    `errors` are rows of the table "errors", held out with measured boundaries. A trial is the mean over
+    insertions that share a fit, a specimen or a hole; None with fewer than two.
+    """
+    here = errors[(errors["role"] == "validate") & (errors["boundaries"] == "measured")]
+    table = here.pivot_table(
+        index=["fold", "specimen", "hole", "insertion"], columns="method", values=TE, sort=False
+    )
+    if method not in table or other not in table:
+        return None
+    gaps = (table[method] - table[other]).replace([np.inf, -np.inf], np.nan).dropna()
+    trials = gaps.groupby(join_trials(gaps.index.to_frame(index=False))).mean()
+    if len(trials) < 2:
+        return None
+    se = trials.std(ddof=1) / math.sqrt(len(trials))
+    t = trials.mean() / se if se > 0 else math.copysign(math.inf, trials.mean())
+    return float(scipy.special.stdtr(len(trials) - 1, t)), float(scipy.special.stdtr(len(trials) - 1, -t))
+
+
+def join_trials(rows: pd.DataFrame) -> list[int]:
+    """Return the trial of each row: rows of the same fold, specimen or hole are of one trial."""
+    trial = list(range(len(rows)))
+    for key in (rows["fold"], rows["specimen"], rows["specimen"] + "/" + rows["hole"]):
+        first: dict[Any, int] = {}
+        for number, name in enumerate(key):
+            old, new = trial[number], trial[first.setdefault(name, number)]
+            trial = [new if one == old else one for one in trial]
+    return trial
+
+
+def find_closest_curve(group: ScoredGroup) -> str | None:
+    """Return the curve without mechanics with the smallest tip error."""
+    errors = {name: group.get(TE, method=name) for name in BASELINES.names()}
+    known = {name: error for name, error in errors.items() if error is not None}
+    return min(known, key=lambda name: known[name], default=None)
+
+
+# ---- checks
+
+
+@once_per_run
+def list_checks(results: Run, role: str = "validate") -> tuple[Finding, ...]:
+    """Return the checks of all insertions that are scored together; of a fit of those fitted to."""
+    group = pool_insertions(results, role)
+    judged = None if group is None else judge(results, group)
+    found = [] if judged is None else [_check_curves(judged), _check_noise(judged)]
+    predictive = results.frames["predictive"]
+    if len(predictive) and role == "validate":
+        found += _check_intervals(predictive, results.run)
+    return (*found, _check_data(results))
+
+
+def _check_curves(judged: Judgement) -> Finding:
+    passed = None if judged.curve_mm is None else judged.error_mm < judged.curve_mm
+    return Finding(Check.CURVES, passed, judged.error_mm, judged.curve_mm, judged.curve)
+
+
+def _check_noise(judged: Judgement) -> Finding:
+    ratio = judged.noise_ratio
+    return Finding(Check.NOISE, None if ratio is None else ratio <= MAX_NOISE_RATIO, ratio, MAX_NOISE_RATIO)
+
+
+def _check_intervals(predictive: pd.DataFrame, run: Mapping[str, Any]) -> Iterator[Finding]:
+    """Yield how many tips lie in their intervals, and how wide these are."""
+    fits = predictive["fold"].nunique()
+    for check, column in ((Check.COVERAGE_95, "tip_in_95"), (Check.COVERAGE_50, "tip_in_50")):
+        found = count_covered(predictive, column)
+        one = Finding(check, None, found.hits, trials=found.trials, fits=fits)
+        if check is Check.COVERAGE_95:
+            needed = max(1, math.floor(MIN_COVERED_95 * found.trials))
+            yield replace(one, passed=found.hits >= needed, threshold=needed)
+        else:
+            low, high = COVERED_50
+            inside = low <= found.hits / found.trials <= high
+            passed = inside if found.trials >= MIN_TIPS_50 else None
+            yield replace(one, passed=passed, threshold=found.trials / 2, beyond=_count_beyond(predictive))
+    width, deflection = median_width(predictive), float(predictive["tip_measured_mm"].abs().median())
+    limit = float((run.get("recipe") or {}).get("aiming_width_mm", DEFAULT_AIMING_WIDTH_MM))
+    yield Finding(Check.WIDTH, width <= limit, width, limit, deflection_mm=deflection)
+
+
+def _count_beyond(predictive: pd.DataFrame) -> int:
+    """Return how many tips deflect more than their predictive medians."""
+    measured, median = predictive["tip_measured_mm"], predictive["tip_median_mm"]
+    return int(((measured - median) * np.sign(median) > 0).sum())
+
+
+def _check_data(results: Run) -> Finding:
+    kinds: Sequence[str] = list(dict.fromkeys(one.kind for one in read_warnings(results.run)))
+    named = [kind for kind in kinds if kind not in _OTHER_WARNINGS]
+    return Finding(Check.DATA, not named, len(named), 0, ", ".join(named))
+
+
+def _count_fits(results: Run) -> int:
+    return max(1, int(results.frames["errors"]["fold"].nunique()))

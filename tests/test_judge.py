@@ -1,0 +1,165 @@
+"""The judge: checks and verdicts of one fit, and of several by paired differences."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.stats
+from reporting_results import stereo, study, with_predictions
+
+from needlefit.project.result_warnings import ResultWarning, warnings_entry
+from needlefit.studies.answer import Check, Verdict, worst_status
+from needlefit.studies.judge import compare_pairs, describe_fit, join_trials, judge, list_checks
+from needlefit.studies.run import Run
+from needlefit.studies.scored_groups import pool_insertions
+
+
+@pytest.mark.parametrize(
+    ("error", "ratio", "curve", "outcome"),
+    [
+        (0.2, 2.0, 0.3, "predicts"),
+        (0.2, 2.1, 0.3, "in part"),
+        (0.2, 5.0, 0.3, "in part"),
+        (0.2, 5.1, 0.3, "does not predict"),
+        (0.2, 0.5, 0.1, "does not predict"),
+        (0.2, None, 0.3, "in part"),  # no noise is stated
+        (0.2, 1.0, None, "predicts"),  # no curve was scored
+    ],
+)
+def test_one_fit_is_described_by_noise_and_closest_curve(error, ratio, curve, outcome):
+    assert describe_fit(error, ratio, curve) == outcome
+
+
+def with_tip_errors(results: Run, **mm: tuple[float, float]) -> Run:
+    """Replace the tip errors of methods by mean and alternating deviation; the floor is 0.22 mm."""
+    errors = results.frames["errors"].copy()
+    for method, (mean, deviation) in mm.items():
+        rows = errors["method"] == method
+        number = pd.factorize(errors.loc[rows, "insertion"])[0]
+        errors.loc[rows, "te_mm"] = mean + deviation * np.where(number % 2, 1, -1)
+    return results.with_frames(errors=errors)
+
+
+CURVES = dict.fromkeys(("straight", "constant_curvature", "linear_curvature"), (9.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("fitted", "straight", "status"),
+    [((0.1, 0.0), (0.2, 0.0), "pass"), ((1.0, 0.01), (2.0, 0.01), "warn"), ((2.0, 0.0), (1.0, 0.0), "fail")],
+)
+def test_the_verdict_states_what_it_is_made_of(fitted, straight, status):
+    results = with_tip_errors(study(4), **{**CURVES, "fitted": fitted, "straight": straight})
+    (verdict,) = results.verdicts
+    assert verdict.status == status
+    assert verdict.numbers["te_mm"] == pytest.approx(fitted[0], abs=fitted[1] / 8)
+    assert verdict.numbers["te_over_floor"] == pytest.approx(verdict.numbers["te_mm"] / 0.22)
+    assert verdict.numbers["baseline"] == "straight"
+    assert verdict.numbers["baseline_te_mm"] == pytest.approx(straight[0], abs=straight[1] / 8)
+
+
+def test_the_predictive_median_is_judged_where_there_is_one():
+    results = with_tip_errors(study(4), **{**CURVES, "fitted": (0.1, 0.0)})
+    errors = results.frames["errors"]
+    held = errors[(errors["method"] == "fitted") & (errors["boundaries"] == "measured")]
+    median = held[held["role"] == "validate"].assign(method="predictive_median", te_mm=0.7)
+    both = results.with_frames(errors=pd.concat([errors, median]))
+    assert both.verdicts[0].numbers["te_mm"] == pytest.approx(0.7)
+    assert [one.status for one in (results.verdicts[0], both.verdicts[0])] == ["pass", "warn"]
+
+
+def test_several_groups_share_the_first_verdict():
+    first, *groups = study(1).verdicts
+    assert first.group == "" and [one.group for one in groups] == [
+        "phantom 2 (3 layers)",
+        "phantom 2 (2 layers)",
+        "phantom 2 (1 layer)",
+    ]
+    assert first.numbers["insertions"] == sum(one.numbers["insertions"] for one in groups)
+
+
+def test_what_is_not_complete_passes_nowhere():
+    good = with_tip_errors(study(4), **{**CURVES, "fitted": (0.1, 0.0)})
+    assert good.verdicts[0].status == "pass"
+    assert replace(good, interrupted=True).verdicts[0].status == "warn"
+    assert worst_status([Verdict(""), Verdict("", "fail"), Verdict("", "warn")]) == "fail"
+
+
+def find(results: Run, check: Check):
+    return next(one for one in list_checks(results) if one.check is check)
+
+
+@pytest.mark.parametrize(
+    ("levels", "passed"),
+    [
+        ((0.1, 0.4, 0.7, 0.97), {"coverage_95": True, "coverage_50": True}),
+        ((0.9999,), {"coverage_95": False, "coverage_50": False}),
+        ((0.5,), {"coverage_95": True, "coverage_50": False}),  # too many in the 50 % intervals
+    ],
+)
+def test_coverage_is_checked_against_its_shares(levels, passed):
+    results = with_predictions(study(1), levels)
+    found = {one.check: one for one in list_checks(results)}
+    assert {str(key): found[key].passed for key in (Check.COVERAGE_95, Check.COVERAGE_50)} == passed
+    assert found[Check.COVERAGE_95].trials == 7 and found[Check.COVERAGE_95].threshold == 6
+    assert found[Check.WIDTH].value == pytest.approx(0.6) and found[Check.WIDTH].passed
+
+
+def test_few_tips_do_not_decide_the_50_percent_intervals():
+    assert find(with_predictions(stereo()), Check.COVERAGE_50).passed is None
+
+
+def test_the_width_that_serves_for_aiming_is_a_key_of_the_recipe():
+    results = with_predictions(study(1))
+    narrow = replace(results, run={**results.run, "recipe": {"aiming_width_mm": 0.5}})
+    assert [find(one, Check.WIDTH).passed for one in (results, narrow)] == [True, False]
+
+
+def test_warnings_about_the_data_are_one_check():
+    results = study(4)
+    assert find(results, Check.DATA).passed
+    kinds = ("noise_too_large", "validity", "copy")
+    run = {**results.run, **warnings_entry(ResultWarning(kind, "") for kind in kinds)}
+    found = find(replace(results, run=run), Check.DATA)
+    assert (found.passed, found.named) == (False, "noise_too_large, copy")
+
+
+def pairs(gaps: np.ndarray, fold=None, specimen=None, hole=None) -> pd.DataFrame:
+    """Return errors of two methods whose tip errors differ by `gaps`, an insertion each."""
+    names = [f"i{n}" for n in range(len(gaps))]
+    about = {"insertion": names, "role": "validate", "boundaries": "measured"}
+    about |= {"fold": fold or names, "specimen": specimen or names, "hole": hole or names}
+    ours = pd.DataFrame({**about, "method": "fitted", "te_mm": 1.0 + gaps})
+    return pd.concat([ours, pd.DataFrame({**about, "method": "straight", "te_mm": 1.0})])
+
+
+def test_paired_differences_have_students_p_values():
+    gaps = np.array([-0.3, -0.1, -0.25, 0.05, -0.2])
+    ours, theirs = compare_pairs(pairs(gaps), "fitted", "straight")
+    assert ours == pytest.approx(scipy.stats.ttest_1samp(gaps, 0, alternative="less").pvalue)
+    assert theirs == pytest.approx(1 - ours)
+
+
+def test_what_shares_a_fit_a_specimen_or_a_hole_is_one_trial():
+    rows = pd.DataFrame({"fold": list("aabcd"), "specimen": list("ppqqr"), "hole": list("12345")})
+    assert len(set(join_trials(rows))) == 3
+    chained = pd.DataFrame({"fold": list("aab"), "specimen": list("pqq"), "hole": list("123")})
+    assert len(set(join_trials(chained))) == 1
+    gaps = np.array([-0.3, -0.1, -0.25, 0.05])
+    one_fit = pairs(gaps, fold=["all"] * 4)
+    assert compare_pairs(one_fit, "fitted", "straight") is None
+    two = compare_pairs(pairs(gaps, specimen=list("ppqq")), "fitted", "straight")
+    means = np.array([gaps[:2].mean(), gaps[2:].mean()])
+    assert two[0] == pytest.approx(scipy.stats.ttest_1samp(means, 0, alternative="less").pvalue)
+
+
+def test_several_fits_generalise_only_where_they_beat_every_curve():
+    results = stereo()
+    near = {"fitted": (0.1, 0.01), "straight": (2.0, 0.01)}
+    others = {"constant_curvature": (1.0, 0.02), "linear_curvature": (1.5, 0.02)}
+    outcomes = []
+    for changed in ({}, {"constant_curvature": (0.1, 0.0)}, {"straight": (0.01, 0.0), "fitted": (2.0, 0.01)}):
+        one = with_tip_errors(results, **{**near, **others, **changed})
+        group = pool_insertions(one)
+        outcomes.append(judge(one, group).outcome)
+    assert outcomes == ["generalises", "not shown", "does not generalise"]
