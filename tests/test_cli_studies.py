@@ -71,9 +71,8 @@ def test_validate_writes_prints_and_removes_the_checkpoint(stub, capsys):
     assert made.written[0][1] == Path("reports/mine")
     assert not Path("reports/mine.partial").exists()
     out = capsys.readouterr().out
-    assert "SYNTHETIC data" in out and "noise floor" in out and "μ₁" in out
-    tables = [line for line in out.splitlines() if not line.startswith(("Generalises", "Not ", "Does"))]
-    assert max(map(len, tables)) <= screen.SCREEN_COLUMNS
+    assert "SYNTHETIC data" in out and "μ₁" in out
+    assert max(map(len, out.splitlines())) <= screen.SCREEN_COLUMNS
 
 
 def test_tune_frees_and_fixes_parameters_of_the_fit(stub, capsys):
@@ -214,7 +213,6 @@ def test_tune_of_a_study_tunes_only(stub, capsys):
     assert record.medium == "phantom2"
     assert made.written[0][1] == Path("mine out/mine-tune")
     out = capsys.readouterr().out
-    assert "4 of 8 starts" in out
     assert "μ₁ · b^1.9" in out
 
 

@@ -158,9 +158,8 @@ def test_a_prediction_follows_a_target_without_spread_between_specimens(job, mon
     assert stated.frames["specimens"]["specimen_treatment"].tolist() == ["same"]
     widths = [one.frames["specimens"]["tip_95_width_mm"].iloc[0] for one in (found, same, new)]
     assert widths[2] > 2 * widths[0] and widths[0] == widths[1]
-    tables, sentences = find_kind("prediction").report.explain(new)
-    notes = [note for table in tables for note in table.notes]
-    assert len({*notes, *sentences}) == len([*notes, *sentences])
+    notes = [note for table in find_kind("prediction").report.lay_out(new) for note in table.notes]
+    assert notes and len({*notes}) == len(notes)
 
 
 def test_bevels_that_differ_widen_the_needle_s_band(job):

@@ -131,8 +131,9 @@ def test_baselines_stand_beside_the_model_and_lose_on_its_own_needles(clean: Run
     errors = clean.frames["errors"]
     held_out = errors[(errors["role"] == "validate") & (errors["boundaries"] == "measured")]
     mean = held_out.groupby("method")["ipe_mean_mm"].mean()
-    assert set(mean.index) == {"fitted", *(one.name for one in list_baselines())}
-    assert (mean.drop("fitted") > 10 * mean["fitted"]).all()
+    curves = [one.name for one in list_baselines()]
+    assert set(mean.index) == {"fitted", "predictive_median", *curves}
+    assert (mean[curves] > 10 * mean["fitted"]).all()
 
 
 @pytest.mark.sweep
