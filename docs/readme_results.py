@@ -8,12 +8,16 @@ from pathlib import Path
 
 import pandas as pd
 
+from needlefit.inference.baselines import BASELINES
+from needlefit.studies.fit_frames import MEDIAN_METHOD
+from needlefit.studies.judge import describe_fit
+
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "README.md"
 MARKS = re.compile(r"(?<=<!-- result:begin -->\n).*?(?=<!-- result:end -->)", re.DOTALL)
 HEAD = """\
-| study | held out | n | our IPE | our TE | noise floor of TE | paper's IPE | paper's TE |
-|---|---|---|---|---|---|---|---|
+| study | held out | n | our IPE | our TE | noise floor | best curve, TE | verdict | paper's IPE | paper's TE |
+|---|---|---|---|---|---|---|---|---|---|
 """
 
 
@@ -21,18 +25,24 @@ def write_table() -> str:
     """Return the rows of all held-out groups, as the paper counts their layers."""
     frames = [pd.read_csv(ROOT / f"reports/reference/study{n}/validation.csv") for n in range(1, 6)]
     cells = pd.concat(frames)
-    ours = cells[(cells["method"] == "fitted") & (cells["boundaries"] == "measured")]
-    ours = ours[(ours["grouping"] == "held_out") & ~ours["alternate_count"]]
+    cells = cells[(cells["boundaries"] == "measured") & (cells["grouping"] == "held_out")]
+    cells = cells[~cells["alternate_count"]]
     lines = []
-    for (study, medium, layers), group in ours.groupby(["study", "medium", "layers"], sort=False):
-        by = group.set_index("metric")
+    for (study, medium, layers), group in cells.groupby(["study", "medium", "layers"], sort=False):
+        by = group[group["method"] == MEDIAN_METHOD].set_index("metric")
+        curves = group[group["method"].isin(BASELINES.names()) & (group["metric"] == "te_mm")]
+        curve = curves.loc[curves["value"].idxmin()]
         medium = re.sub(r"(?<=phantom)(?=\d)", " ", str(medium))
         numbers = [
             by["value"]["ipe_mean_mm"], by["value"]["te_mm"], by["floor"]["te_mm"],
-            by["paper"]["ipe_mean_mm"], by["paper"]["te_mm"],
         ]  # fmt: skip
+        ours, floor = by["value"]["te_mm"], by["floor"]["te_mm"]
+        outcome = describe_fit(ours, ours / floor, curve["value"])
         held_out = f"{medium}, {layers} layer{'' if layers == 1 else 's'}"
-        row = [study, held_out, by["insertions"]["te_mm"], *(f"{one:.2f}" for one in numbers)]
+        best = f"{curve['value']:.2f} ({BASELINES[curve['method']].label})"
+        papers = (f"{by['paper'][name]:.2f}" for name in ("ipe_mean_mm", "te_mm"))
+        count = by["insertions"]["te_mm"]
+        row = [study, held_out, count, *(f"{one:.2f}" for one in numbers), best, outcome, *papers]
         lines.append(f"| {' | '.join(map(str, row))} |\n")
     return HEAD + "".join(lines)
 

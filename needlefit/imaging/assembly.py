@@ -40,6 +40,7 @@ class DatasetDescription:
     title: str = ""
     license: str = "not stated"
     source: str = "needlefit reconstruct"
+    truth_seed: int | None = None
     notes: str = ""
     media: Mapping[str, str] | None = None
 
@@ -98,6 +99,7 @@ def _dataset_record(
         origin="synthetic" if synthetic else "measured",
         license=description.license,
         source=description.source,
+        truth_seed=description.truth_seed,
         notes=description.notes,
         frame=FrameRecord(name="world" if reconstructions[0].registration else "patient (LPS)", pose="known"),
         needle=NeedleRecord(

@@ -151,6 +151,9 @@ def _evaluate(recorder: EvaluationRecorder, theta: Floats, slope: Floats, span: 
     return value
 
 
+FAILED = "nlopt failed"  #: why a search ended in which nlopt gave up
+
+
 def _run(optimizer: "nlopt.opt", start: Floats) -> str:
     """Return why nlopt ended; its answer is not looked at."""
     try:
@@ -159,8 +162,8 @@ def _run(optimizer: "nlopt.opt", start: Floats) -> str:
         return "stopped"
     except nlopt.RoundoffLimited:
         return "roundoff"
-    except (nlopt.exception, RuntimeError, ValueError, MemoryError) as error:
-        return f"nlopt failed: {error}"
+    except (nlopt.exception, RuntimeError, ValueError, MemoryError):
+        return FAILED
     return "tolerance"
 
 
@@ -385,7 +388,7 @@ def certify_minimum(recorder: EvaluationRecorder, reason: str) -> str:
     "stalled" is no minimum, "flat" one in which some parameter or combination has no effect, "bound" one only
     because the box ends there. A function that is no sum of squares keeps the reason that the algorithm gave.
     """
-    settled = reason in ("tolerance", "roundoff") or reason.startswith("nlopt failed")
+    settled = reason in ("tolerance", "roundoff", FAILED)
     squares, theta = recorder.objective_function.jacobian is not None, recorder.theta
     if not settled or not squares or theta is None or not len(theta):
         return reason

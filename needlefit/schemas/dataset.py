@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from needlefit.schemas.base import FileRecord, Name, Record, RigidRows
-from needlefit.schemas.limits import MAX_LAYERS
+from needlefit.schemas.limits import MAX_LAYERS, MAX_SEED
 from needlefit.schemas.scene import NeedleRecord
 
 Scalar = str | float | int
@@ -271,6 +271,8 @@ class SourceRecord(FileRecord):
     """Terms of use."""
     source: str
     """Who measured, where it is published."""
+    truth_seed: int | None = Field(default=None, ge=0, le=MAX_SEED)
+    """Of synthetic data: seed of `needlefit twin build`, from which the true parameters follow."""
     how_to_get: str = ""
     """How to obtain files that are not shipped."""
     units: Literal["mm"] = "mm"

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib import import_module
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import Any
 
 from needlefit.project.checkpoint import release_checkpoint
 from needlefit.project.processes import one_thread
@@ -17,11 +17,6 @@ from needlefit.project.source_revision import find_source_revision
 from needlefit.project.toml import add_study_context
 from needlefit.registry import Registry
 from needlefit.schemas.base import FileRecord
-
-if TYPE_CHECKING:
-    from needlefit.studies.job import Settings
-    from needlefit.studies.report import StudyReport
-    from needlefit.studies.run import Run
 
 
 @dataclass(frozen=True)
@@ -42,8 +37,8 @@ class StudyKind:
         return next((part.FRAMES for part in parts if hasattr(part, "FRAMES")), {})
 
     @property
-    def report(self) -> "StudyReport":
-        """How its results are reported."""
+    def report(self) -> Any:  # noqa: ANN401 - a module that imports this one has its type
+        """How its results are reported: a `StudyReport`."""
         return self._import("report").REPORT
 
     def _import(self, part: str) -> ModuleType:
@@ -52,8 +47,8 @@ class StudyKind:
         return import_module(f"{self.package}.{part}") if hasattr(found, "__path__") else found
 
     @one_thread
-    def run(self, name: str, record: FileRecord, settings: "Settings") -> "Run":
-        """Run a study of this kind.
+    def run(self, name: str, record: FileRecord, settings: Any) -> Any:  # noqa: ANN401 - see `report`
+        """Run a study of this kind by its `Settings`; return the `Run`.
 
         The same record, data, seed and versions give the same frames for any number of jobs, and after an
         interruption with `resume`. A run that is complete still has the lock of its checkpoint: the caller
@@ -75,7 +70,7 @@ class StudyKind:
         state |= {"source_revision": revision} if revision else {}
         return replace(result, run=result.run | state, timing=timing | result.timing)
 
-    def compute(self, name: str, record: FileRecord, settings: "Settings") -> "Run":
+    def compute(self, name: str, record: FileRecord, settings: Any) -> Any:  # noqa: ANN401 - see `report`
         """Run a study as a part of another one, which has the checkpoint and states the surroundings."""
         return self._import("run").run(name, record, settings)
 

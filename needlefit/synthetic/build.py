@@ -239,6 +239,8 @@ def describe_dataset(seed: int, more: str = "", population: Population | None = 
         title="Synthetic twin of the paper's 47 insertions",
         license="CC0-1.0",
         source=f"needlefit twin build --seed {seed}" + (" --population" if population else ""),
+        # of a population the truth does not follow from the seed alone
+        truth_seed=None if population else seed,
         notes=DATASET_NOTES + more,
         media=_LAYER_NOTES,
     )

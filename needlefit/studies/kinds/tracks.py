@@ -101,19 +101,15 @@ PAIRED_COLUMNS = ("medium", "method", "metric", "runs", "value", "difference", "
 COVERAGE_COLUMNS = ("medium", "method", "quantity", "level", "covered", "runs", "specimens", "low", "high")
 """`low`, `high`: 95 % interval of the share; where `medium` is "all", of phantoms as trials."""
 
-DEPTH_COLUMNS = ("medium", "method", "low_mm", "high_mm", "readings", "error_mm")
-
 FRAMES: Mapping[str, tuple[str, ...]] = {
     "readings": READING_COLUMNS,
     "runs": RUN_COLUMNS,
     "parameters": PARAMETER_COLUMNS,
     "paired": PAIRED_COLUMNS,
     "coverage": COVERAGE_COLUMNS,
-    "depths": DEPTH_COLUMNS,
 }
 
 MIN_SCORED_READINGS = 2  #: fewest readings of a predicted run that are scored
-DEPTH_BIN_MM = 20.0  #: mm of depth that are taken together
 MEASURES = ("rms_mm", "aligned_rms_mm", "crps_mm")  #: of runs, by which methods are compared
 
 
@@ -232,7 +228,6 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> Run:
     frames |= {
         "paired": compare_methods_by_run(frames["runs"]),
         "coverage": tabulate_coverage(frames["runs"]),
-        "depths": tabulate_by_depth(frames["readings"]),
     }
     faults = tuple(
         Fault(find_fault_kind(one), f"{fit}: {why}") for fit, one in draws.items() for why in one.faults
@@ -339,7 +334,7 @@ def _find_warnings(
     frames: Mapping[str, pd.DataFrame],
     where: str,
 ) -> Iterator[ResultWarning]:
-    """Yield the warnings about shared specimens, bounds, closer baselines and wide intervals."""
+    """Yield the warnings about shared specimens, bounds and wide intervals."""
     shared: dict[str, None] = {}
     for one in tasks:
         held = {track.specimen for track in one.held}
@@ -353,18 +348,7 @@ def _find_warnings(
     fits = fits.rename(columns={"fitted": "value"})
     yield from analysis_bound_warnings(fits, bounds)
     yield from analysis_bound_warnings(fits, bounds, intervals=True)
-    # by medium, the closest curve without a model, if it is significantly closer than the fit
-    paired, readings = frames["paired"], frames["readings"]
-    better = paired[(paired["metric"] == "rms_mm") & (paired["high"] < 0)]
-    for medium, rows in better.groupby("medium", sort=False):
-        best = rows.sort_values("value", kind="stable").iloc[0]
-        yield ResultWarning(
-            "worse_than_baseline",
-            f"the {name_track_method(str(best['method']))} is closer to the predicted tips on "
-            f"{medium_name(str(medium))} than the fitted model (mean error {best['value']:.2f} mm against "
-            f"{best['value'] - best['difference']:.2f} mm)",
-            fix="do not rely on this model there; fit to runs with guide moves like those predicted",
-        )
+    readings = frames["readings"]
     last = readings[readings["method"] == "fitted"].groupby(["fit", "run"], sort=False).tail(1)
     for medium, some in last.dropna(subset=["low_95_mm"]).groupby("medium", sort=False):
         width = float((some["high_95_mm"] - some["low_95_mm"]).median())
@@ -577,18 +561,6 @@ def tabulate_coverage(runs: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(COVERAGE_COLUMNS))
 
 
-def tabulate_by_depth(readings: pd.DataFrame) -> pd.DataFrame:
-    """Return the mean absolute error of the predicted medians by depth: columns `DEPTH_COLUMNS`."""
-    scored = readings[readings["scored"].astype(bool)]
-    scored = scored.assign(
-        error_mm=(scored["median_mm"] - scored["measured_mm"]).abs(),
-        low_mm=DEPTH_BIN_MM * np.floor(scored["depth_mm"] / DEPTH_BIN_MM),
-    )
-    grouped = scored.groupby(["medium", "method", "low_mm"], sort=False)["error_mm"]
-    rows = grouped.agg(readings="size", error_mm="mean").reset_index()
-    return rows.assign(high_mm=rows["low_mm"] + DEPTH_BIN_MM)[list(DEPTH_COLUMNS)]
-
-
 # ---- the report
 
 TEXT = KindText("tracks")
@@ -642,10 +614,10 @@ def find_answer(results: Run) -> Answer:
 
 
 def tabulate(results: Run) -> list[Table]:
-    """Return the tables of scores, positions, depths, coverage and parameters.
+    """Return the tables of scores, positions, coverage and parameters.
 
     These are errors of every method on the same runs; where the tip was predicted at the last reading of each
-    run; how errors grow with depth; the coverage of intervals, where a run is a trial; and estimates.
+    run; the coverage of intervals, where a run is a trial; and estimates.
     """
     frames = {name: to_records(frame) for name, frame in results.frames.items()}
     scores = [
@@ -662,16 +634,6 @@ def tabulate(results: Run) -> list[Table]:
         last = to_records(run.tail(1))[0]
         ends = {f"95_{end}_mm": last[f"{end}_95_mm"] for end in ("low", "high")}
         positions.append({**last, **ends, "guide_state": "moved" if moved else "at rest"})
-    media = list(dict.fromkeys(row["medium"] for row in frames["depths"]))
-    order = list(list_track_methods())
-    ranges = {row["low_mm"]: f"{row['low_mm']:g}–{row['high_mm']:g}" for row in frames["depths"]}
-    depths = [
-        {**row, "depth_interval": ranges[row["low_mm"]], "method": name_track_method(row["method"])}
-        for row in sorted(
-            frames["depths"], key=lambda row: (media.index(row["medium"]), order.index(row["method"]))
-        )
-    ]
-    errors = (part("depth_error", depth_interval=ranges[low]) for low in sorted(ranges))
     covered: dict[tuple[str, str], Row] = {}
     for row in frames["coverage"]:
         names = {"medium": row["medium"], "method": name_track_method(row["method"])}
@@ -692,7 +654,6 @@ def tabulate(results: Run) -> list[Table]:
     return [
         Table("scores", pivot(scores, each, ["metric"]), (each[0], "runs", each[1], *measures), **of_media),
         Table("positions", positions, placed, groups=("medium",)),
-        Table("depths", pivot(depths, each, ["depth_interval"]), (*each, *errors), **of_media),
         Table("coverage", list(covered.values()), (*each, *of_coverage), **of_media),
         Table("parameters", parameters, estimated),
     ]

@@ -3,7 +3,6 @@
 import math
 import os
 import pickle
-import re
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -137,19 +136,16 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
     return add_warnings(replace(found, faults=faults), job)
 
 
-_TWIN_SOURCE = re.compile(r"needlefit twin build --seed (\d+)")
-
-
 def _find_truth(job: Job) -> dict[str, dict[str, float]]:
     """Return the true parameters, where the data are our synthetic ones; nothing that fits knows them."""
     path = job.dataset.path / "dataset.toml" if job.dataset.path.is_dir() else job.dataset.path
     if job.dataset.origin != "synthetic" or len(job.folds) > 1 or not path.is_file():
         return {}
-    built = _TWIN_SOURCE.fullmatch(str(read_toml(path).get("source", "")))
-    if built is None:
+    seed = read_toml(path).get("truth_seed")
+    if not isinstance(seed, int):
         return {}
     problem = job.problem(job.folds[0])
-    known = {name: find_true_value(problem, name, int(built[1])) for name in job.parameters.names}
+    known = {name: find_true_value(problem, name, seed) for name in job.parameters.names}
     return {"truth": {name: value for name, value in known.items() if math.isfinite(value)}}
 
 
