@@ -127,7 +127,7 @@ def test_warnings_about_the_data_are_one_check():
 def pairs(gaps: np.ndarray, fold=None, specimen=None, hole=None) -> pd.DataFrame:
     """Return errors of two methods whose tip errors differ by `gaps`, an insertion each."""
     names = [f"i{n}" for n in range(len(gaps))]
-    about = {"insertion": names, "role": "validate", "boundaries": "measured"}
+    about = {"insertion": names}
     about |= {"fold": fold or names, "specimen": specimen or names, "hole": hole or names}
     ours = pd.DataFrame({**about, "method": "fitted", "te_mm": 1.0 + gaps})
     return pd.concat([ours, pd.DataFrame({**about, "method": "straight", "te_mm": 1.0})])

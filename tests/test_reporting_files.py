@@ -12,6 +12,8 @@ import pytest
 from reporting_results import stereo, study
 
 from needlefit.errors import ConfigError
+from needlefit.metrics import METRICS, Metric
+from needlefit.studies.combined_report import rebuild
 from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.fit_tables import format_macros
 from needlefit.studies.kinds.cross_validation.report import format_methods, format_references
@@ -52,6 +54,17 @@ def test_a_result_folder_holds_every_file(folder):
         assert (folder / name).stat().st_size > 0
         if name.endswith(".pdf"):
             assert (folder / name).read_bytes().startswith(b"%PDF")
+
+
+def test_a_metric_that_was_added_since_has_no_value_in_a_stored_result(folder, tmp_path, monkeypatch):
+    added = Metric("new_mm", "New", "mm", "A metric of a later version.", compute=lambda curves: 1.0)
+    monkeypatch.setattr(METRICS, "_builtin_names", (*METRICS.names(), "new_mm"))
+    monkeypatch.setitem(METRICS._builtin, "new_mm", added)
+    shutil.copytree(folder, tmp_path / "study1")
+    (one,) = rebuild(tmp_path / "study1", tmp_path / "again")
+    rows = pd.read_csv(tmp_path / "again/validation.csv")
+    assert rows.loc[rows["metric"] == "new_mm", "value"].isna().all() and len(one.verdicts) == 4
+    assert rows.loc[rows["metric"] == "te_mm", "value"].notna().any()
 
 
 def test_every_table_is_marked_synthetic(folder):

@@ -16,7 +16,7 @@ METHOD_NAMES = {
 }
 METHOD_COLOURS = {  # Okabe and Ito's palette, distinguishable for colour-blind readers
     "fitted": "#0072B2",
-    "predictive_median": "#0072B2",
+    "predictive_median": "#005A8C",
     "fitted_metric": "#0A2F4A",
     "hand_tuned": "#E69F00",
     "hand_tuned_b": "#CC79A7",

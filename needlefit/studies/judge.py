@@ -24,8 +24,8 @@ from needlefit.studies.scored_groups import TE, ScoredGroup, pool_insertions, se
 
 #: tip error over the measurement noise, up to which one fit predicts, and beyond which it does not
 MAX_NOISE_RATIO, FAR_NOISE_RATIO = 2.0, 5.0
-#: significance of the comparison of several fits with curves, of each side
-SIGNIFICANCE = 0.025
+#: probability of each error: to call fits that are as good as a curve better, or worse
+SIGNIFICANCE = 0.05
 MIN_COVERED_95, COVERED_50 = 0.9, (0.25, 0.75)  #: shares of tips in their intervals that pass
 MIN_TIPS_50 = 4  #: tips below which their share in 50 % intervals cannot be judged
 DEFAULT_AIMING_WIDTH_MM = 2.0  #: of runs whose recipe states none
@@ -67,7 +67,9 @@ def judge(results: Run, group: ScoredGroup) -> Judgement | None:
     ratio, curve = group.over_floor(TE, method=method), find_closest_curve(group)
     nearest = None if curve is None else group.get(TE, method=curve)
     if fits > 1:
-        outcome = _judge_fits(select_group(results.frames["errors"], group), method)
+        errors = select_group(results.frames["errors"], group)
+        held = (errors["role"] == "validate") & (errors["boundaries"] == "measured")
+        outcome = judge_fits(errors[held], method)
     else:
         outcome = describe_fit(error, ratio, nearest)
     return Judgement(outcome, error, ratio, curve or "", nearest, fits)
@@ -81,13 +83,15 @@ def describe_fit(error_mm: float, noise_ratio: float | None, curve_mm: float | N
     return "predicts" if noise_ratio is not None and noise_ratio <= MAX_NOISE_RATIO else "in part"
 
 
-def _judge_fits(errors: pd.DataFrame, method: str) -> Outcome:
-    """Return whether several fits generalise: significantly closer than every curve.
+def judge_fits(errors: pd.DataFrame, method: str = MEDIAN_METHOD) -> Outcome:
+    """Return whether several fits generalise: their tip errors are significantly smaller than every curve's.
 
     Of many curves one may be closer by chance: that fits do not generalise has Holm's correction.
+
+    `errors`: rows of the table "errors" of held-out insertions, with `fold`, `specimen`, `hole`, `insertion`,
+    `method` and `te_mm` (mm): those of `method`, and of the curves by their names.
     """
-    pairs = [compare_pairs(errors, method, name) for name in BASELINES.names()]
-    known = [pair for pair in pairs if pair is not None]
+    known = [pair for name in BASELINES.names() if (pair := compare_pairs(errors, method, name)) is not None]
     if any(theirs * len(known) <= SIGNIFICANCE for _, theirs in known):
         return "does not generalise"
     return "generalises" if known and all(ours <= SIGNIFICANCE for ours, _ in known) else "not shown"
@@ -96,16 +100,12 @@ def _judge_fits(errors: pd.DataFrame, method: str) -> Outcome:
 def compare_pairs(errors: pd.DataFrame, method: str, other: str) -> tuple[float, float] | None:
     """Return the p values of paired tip errors: that of a method's being smaller, and that of the other's.
 
-    `errors` are rows of the table "errors", held out with measured boundaries. A trial is the mean over
-    insertions that share a fit, a specimen or a hole; None with fewer than two.
+    `errors` as in `judge_fits`. A trial is the mean over insertions that share a fit, a specimen or a hole;
+    None with fewer than two.
     """
-    here = errors[(errors["role"] == "validate") & (errors["boundaries"] == "measured")]
-    table = here.pivot_table(
-        index=["fold", "specimen", "hole", "insertion"], columns="method", values=TE, sort=False
-    )
-    if method not in table or other not in table:
-        return None
-    gaps = (table[method] - table[other]).replace([np.inf, -np.inf], np.nan).dropna()
+    keys = ["fold", "specimen", "hole", "insertion"]
+    ours, theirs = (errors[errors["method"] == name].set_index(keys)[TE] for name in (method, other))
+    gaps = (ours - theirs).replace([np.inf, -np.inf], np.nan).dropna()
     trials = gaps.groupby(join_trials(gaps.index.to_frame(index=False))).mean()
     if len(trials) < 2:
         return None
@@ -137,10 +137,15 @@ def find_closest_curve(group: ScoredGroup) -> str | None:
 
 @once_per_run
 def list_checks(results: Run, role: str = "validate") -> tuple[Finding, ...]:
-    """Return the checks of all insertions that are scored together; of a fit of those fitted to."""
+    """Return the checks of all insertions that are scored together; of a fit of those fitted to.
+
+    A fit within the noise is not compared with curves: they were fitted to the same needles.
+    """
     group = pool_insertions(results, role)
     judged = None if group is None else judge(results, group)
     found = [] if judged is None else [_check_curves(judged), _check_noise(judged)]
+    if role == "tune" and judged is not None and judged.noise_ratio is not None and judged.noise_ratio <= 1:
+        found = found[1:]
     predictive = results.frames["predictive"]
     if len(predictive) and role == "validate":
         found += _check_intervals(predictive, results.run)

@@ -519,7 +519,10 @@ def find_answer(found: Run) -> Answer:
     row, sentence = find_tip(found), TEXT.sentence("answer", describe(found))
     status: Status = "fail" if found.faults else "none"
     numbers = {key: row[key] for key in _KNOWN_KEYS[: 1 if found.faults else 4]}
-    return Answer([Verdict(sentence, status, "", numbers)], REPORT.lay_out(found)[:1])
+    about = (
+        f"Predicted with the fit of {found.run['name'].removesuffix('-tune')}: {describe(found)['title']}."
+    )
+    return Answer([Verdict(sentence, status, "", numbers)], REPORT.lay_out(found)[:1], about)
 
 
 def tabulate(found: Run) -> list[Table]:

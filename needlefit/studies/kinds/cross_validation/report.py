@@ -222,7 +222,7 @@ def find_answer(results: Run) -> Answer:
     words["determined"] = _list_determined(results)
     numbers = _collect_numbers(group, judged)
     if role == "tune":
-        opening, status = _open_fit(results, judged, [name for name, found in words["determined"] if found])
+        opening, status = _open_fit(results, [name for name, found in words["determined"] if found])
         words |= {"opening": opening, "insertions": group.head["insertions"]}
         numbers["not_determined"] = ", ".join(
             name for word, names in words["determined"] if word != "yes" for name in names
@@ -272,18 +272,15 @@ def _collect_numbers(group: scores.ScoredGroup, judged: Judgement) -> dict[str, 
     }
 
 
-def _open_fit(results: Run, judged: Judgement, determined: Sequence[str]) -> tuple[str, Status]:
+def _open_fit(results: Run, determined: Sequence[str]) -> tuple[str, Status]:
     """Return how the verdict on a fit begins, and its status."""
     checks = {one.check: one for one in list_checks(results, "tune")}
-    curve_closer = checks[Check.CURVES].passed is False
-    if curve_closer and (judged.noise_ratio is None or judged.noise_ratio > 1):
+    if Check.CURVES in checks and checks[Check.CURVES].passed is False:
         return "Does not fit", "fail"
     if "parameter_at_bound" in checks[Check.DATA].named.split(", "):
         return "Fitted, but at a bound", "warn"
     if not results.reliable:
         return "Fitted, but not reliable", "warn"
-    if curve_closer:
-        return "Fitted, but a curve without mechanics is closer", "warn"
     return ("Fitted in part", "warn") if set(determined) - {"yes"} else ("Fitted", "pass")
 
 
