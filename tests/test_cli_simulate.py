@@ -85,7 +85,7 @@ FINE = ("needle.length_mm=2000", "depth_mm=1500", "rules.constraint_spacing_mm=0
 @pytest.mark.parametrize(
     ("scene", "assigned", "expected"),
     [
-        ("phantom1", "bevel.ofset_mm=0.1", ["bevel.offset_mm"]),  # the nearest
+        ("phantom1", "bevel.ofset_mm=0.1", ["`bevel.ofset_mm`", "`offset_mm`"]),  # the nearest
         ("chicken", "layers.0.mu_pa=3e5", ["numbered from 1"]),
         ("phantom1", "bevel.offset_mm=", ["bevel.offset_mm"]),
         ("phantom1", "layers.2.mu_pa=-1", ["`layers.2.mu_pa`"]),
@@ -103,7 +103,7 @@ FINE = ("needle.length_mm=2000", "depth_mm=1500", "rules.constraint_spacing_mm=0
         ("phantom2", "rules.element_mm=1e-6", ["`rules.element_mm`", "expected", "1e-06"]),
         ("phantom2", "rules.constraint_spacing_mm=1e-3", ["spacing_mm`", "expected", "0.001"]),
         ("phantom2", "rules.constraint_spacing_mm=1e9", ["spacing_mm`", "expected", "1000000000.0"]),
-        ("figure1", "steps.2.guides.templat.y_mm=1", ["steps.2.guides.template.y_mm"]),
+        ("figure1", "steps.2.guides.templat.y_mm=1", ["`steps.2.guides.templat`"]),
         ("figure1", "guides.1.x_mm=5", ["key `guides.1`", "x = 5.0 mm"]),
         ("figure1", "steps.2.guides.template.x_mm=5", ["key `steps.2.guides.template`", "x = 5.0 mm"]),
         ("figure1", "steps.3.guides.template.in_tissue=true", ["key `steps.3.guides.template`"]),

@@ -203,7 +203,7 @@ def plan_studies(study: str) -> list[StudyTask]:
 
     ConfigError if there is no such study, or its file does not hold what its kind wants.
     """
-    from needlefit.project.locate import EVERY_STUDY, find_studies, find_tunings
+    from needlefit.project.locate import EVERY_STUDY, PAPER_FITS, STUDY_GROUPS, find_file, find_studies
     from needlefit.project.toml import load
     from needlefit.schemas.study import FitRecord
     from needlefit.studies.study_files import find_missing_data, load_study
@@ -215,7 +215,8 @@ def plan_studies(study: str) -> list[StudyTask]:
             screen.print_note(f"needlefit: {name} is left out: the data of {', '.join(missing)} are not here")
         else:
             found.append(StudyTask(name, load_study(path), path))
-    return [*found, *(StudyTask(name, load(path, FitRecord), path) for name, path in find_tunings(study))]
+    fits = [(name, find_file("fit", name)) for name in PAPER_FITS if study in STUDY_GROUPS]
+    return [*found, *(StudyTask(name, load(path, FitRecord), path) for name, path in fits)]
 
 
 def run_studies(execution: Execution, todo: Sequence[StudyTask]) -> "list[Run]":

@@ -126,7 +126,7 @@ def scene_record(name: str, depth: float | None, assignments: list[str]) -> tupl
     if not pairs:
         return file_label(path), record
     where = f"{file_label(path)}, changed by {', '.join(f'{key}={value}' for key, value in pairs)}"
-    return where, check(override(read_toml(path), pairs, SceneRecord, file_label(path)), SceneRecord, where)
+    return where, check(override(read_toml(path), pairs, file_label(path)), SceneRecord, where)
 
 
 def split_pair(text: str) -> tuple[str, str]:
