@@ -29,7 +29,6 @@ from needlefit.project.folders import (
     format_manifest,
     is_regular,
     list_all_files,
-    not_writable_error,
     read_manifest,
     require_replaceable,
     sha256,
@@ -263,25 +262,10 @@ def _work_of(folder: Path) -> str | None:
 
 
 def _lock(folder: Path) -> bool:
-    """Make the folder, and take its lock; False where this process has it.
-
-    ConfigError if another process has it, or nothing can be written there.
-    """
+    """Take the lock of a folder; False where this process has it. ConfigError as of `take_lock`."""
     if folder.resolve() in _held:
         if (folder / LOCK_NAME).exists():
             return False
         release_checkpoint(folder)  # of a folder that was removed meanwhile
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        lock = take_lock(folder)
-    except OSError as error:
-        raise not_writable_error(folder, error.strerror or type(error).__name__) from None
-    if lock is None:
-        raise ConfigError(
-            "another run of needlefit is writing there",
-            where=str(folder),
-            expected="one run at a time for each folder of results",
-            fix="wait until it has ended, or choose another folder with --out",
-        )
-    _held[folder.resolve()] = lock
+    _held[folder.resolve()] = take_lock(folder)
     return True
