@@ -16,7 +16,6 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
-from importlib.util import find_spec
 from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -132,12 +131,8 @@ def connect(scheduler: str, insecure: bool = False, note: Note = no_note) -> Ite
     """Connect to a scheduler, `tls://HOST:PORT` or on this machine `tcp://HOST:PORT`; disconnect in the end.
 
     `insecure` also accepts an unencrypted scheduler on another machine. ConfigError if the address is wrong
-    or not secured, nobody answers, or Dask is not installed.
+    or not secured, or nobody answers.
     """
-    if find_spec("distributed") is None:
-        raise ConfigError(
-            "a cluster needs Dask, which is not installed", fix="pip install 'needlefit[cluster]'"
-        )
     from distributed import Client
     from distributed.utils import silence_logging_cmgr
 
