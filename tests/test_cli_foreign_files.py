@@ -144,7 +144,7 @@ def stubs(monkeypatch: pytest.MonkeyPatch) -> None:
     draw_blank(monkeypatch)
     for name in ("compile_pdf", "compile_html"):
         monkeypatch.setattr(f"needlefit.reporting.document.{name}", lambda _: b"a page")
-    monkeypatch.setattr("needlefit.cli.view._server", lambda: steer)
+    monkeypatch.setattr("needlefit.viewer.server.serve", steer)
     monkeypatch.setattr(
         "needlefit.synthetic.build.build_dataset", lambda folder, *_, **__: (folder / "a").touch()
     )

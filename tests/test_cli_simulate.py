@@ -128,7 +128,7 @@ def test_a_needle_without_an_answer_is_marked_and_the_exit_code_5(tmp_path, caps
     assert run("simulate", *crushed, "--csv", str(tmp_path / "a.csv")) == 5
     captured = capsys.readouterr()
     assert "NOT CONVERGED" in captured.out and "nan" not in captured.out
-    assert captured.out.splitlines()[-4].split()[2:5] == ["–", "–", "–"]
+    assert any(line.split()[2:5] == ["–", "–", "–"] for line in captured.out.splitlines())
     assert not (tmp_path / "a.csv").exists() and "written" not in captured.err
 
 

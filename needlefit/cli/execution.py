@@ -142,17 +142,8 @@ class Execution:
         return typer.Exit(exit_codes.INTERRUPTED)
 
     def show(self, result: "Run", more: dict[str, object] | None = None) -> None:
-        """Print the result of a command that runs one study: in words, or as JSON that has `more` keys, too.
-
-        With JSON, warnings go to stderr.
-        """
-        if not self.invocation.json:
-            show_run(self.invocation, result, self.folder(result.name))
-            return
-        from needlefit.studies.report import run_to_json
-
-        screen.show_json(run_to_json(result) | (more or {}))
-        show_warnings(self.invocation, result)
+        """Print the result of a command that runs one study; as JSON it has `more` keys, too."""
+        show_runs(self, [result], more)
 
 
 @contextmanager
@@ -332,6 +323,25 @@ def show_run(invocation: Invocation, result: "Run", folder: Path, named: bool = 
     if not invocation.explain:
         screen.print_line(f"Explained: {shlex.join(('needlefit', 'report', str(folder), '--explain'))}")
     screen.print_written(folder)
+
+
+def show_runs(execution: Execution, runs: "Sequence[Run]", more: dict[str, object] | None = None) -> None:
+    """Print results: in words, or as JSON, with warnings on stderr."""
+    if execution.invocation.json:
+        show_json_of(runs, more)
+    for run in runs:
+        if execution.invocation.json:
+            show_warnings(execution.invocation, run)
+        else:
+            show_run(execution.invocation, run, execution.folder(run.name), named=len(runs) > 1)
+
+
+def show_json_of(runs: "Sequence[Run]", more: dict[str, object] | None = None) -> None:
+    """Print one result as JSON, with `more` keys, or several by name."""
+    from needlefit.studies.report import run_to_json
+
+    every = {run.name: run_to_json(run) | (more or {}) for run in runs}
+    screen.show_json(next(iter(every.values())) if len(every) == 1 else every)
 
 
 def show_warnings(invocation: Invocation, result: "Run") -> None:

@@ -8,16 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from needlefit.cli import exit_codes, screen
+from needlefit.cli import exit_codes, options, screen
 from needlefit.cli.execution import require_no_faults
-from needlefit.cli.options import (
-    Jobs,
-    Json,
-    Plugins,
-    Quiet,
-    argument,
-    option,
-)
+from needlefit.cli.options import argument, option
 from needlefit.project.folders import require_output_files
 
 if TYPE_CHECKING:
@@ -66,10 +59,10 @@ def plan(
     recording: Annotated[
         Path | None, option("Write the plan as a recording for `view` and `simulate`: .csv.", "FILE")
     ] = None,
-    jobs: Jobs = None,
-    json: Json = False,
-    quiet: Quiet = False,
-    plugins: Plugins = None,
+    jobs: options.Jobs = None,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    plugins: options.Plugins = None,
 ) -> None:
     """Plan how to steer a needle to a target: entry, base, turns.
 

@@ -6,21 +6,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from needlefit.cli import exit_codes, screen
+from needlefit.cli import exit_codes, options, screen
 from needlefit.cli.execution import open_pool, print_remark
 from needlefit.cli.exit_codes import catch_interrupts
-from needlefit.cli.options import (
-    Insecure,
-    Jobs,
-    Json,
-    Plugins,
-    Quiet,
-    Resume,
-    Scheduler,
-    Strict,
-    argument,
-    option,
-)
+from needlefit.cli.options import argument, option
 from needlefit.cli.progress import show_progress
 from needlefit.cli.screen import print_warnings
 from needlefit.errors import DataError
@@ -85,14 +74,14 @@ def reconstruct(
     ] = None,
     title: Annotated[str, option("Title of the dataset.")] = "",
     scene: Annotated[bool, option("Write also a scene of 3D Slicer (.mrb).", None, "--scene")] = False,
-    jobs: Jobs = None,
-    scheduler: Scheduler = None,
-    insecure: Insecure = False,
-    resume: Resume = False,
-    strict: Strict = False,
-    json: Json = False,
-    quiet: Quiet = False,
-    plugins: Plugins = None,
+    jobs: options.Jobs = None,
+    scheduler: options.Scheduler = None,
+    insecure: options.Insecure = False,
+    resume: options.Resume = False,
+    strict: options.Strict = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    plugins: options.Plugins = None,
 ) -> None:
     """Reconstruct the needles in SCANs into a dataset.
 

@@ -8,19 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from needlefit.cli import screen
+from needlefit.cli import options, screen
 from needlefit.cli.execution import show_run
-from needlefit.cli.options import (
-    Explain,
-    Json,
-    Plugins,
-    Quiet,
-    RunName,
-    Strict,
-    Unverified,
-    argument,
-    option,
-)
+from needlefit.cli.options import argument, option
 from needlefit.project.help_pages import Topic, read_input_columns, read_sections, read_terms
 
 if TYPE_CHECKING:
@@ -29,7 +19,7 @@ if TYPE_CHECKING:
 
 def report(
     context: typer.Context,
-    run: RunName,
+    run: options.RunName,
     out: Annotated[Path | None, option("Write to this folder; the run's own by default.", "DIR")] = None,
     paper: Annotated[
         Path | None,
@@ -39,11 +29,11 @@ def report(
         Literal["main", "all"],
         option("main: those that the report needs; all: the optional ones too."),
     ] = "main",
-    unverified: Unverified = False,
-    explain: Explain = False,
-    strict: Strict = False,
-    quiet: Quiet = False,
-    plugins: Plugins = None,
+    unverified: options.Unverified = False,
+    explain: options.Explain = False,
+    strict: options.Strict = False,
+    quiet: options.Quiet = False,
+    plugins: options.Plugins = None,
 ) -> None:
     """Write tables, figures and report of a RUN again, and print it, without fitting anything.
 
@@ -76,9 +66,9 @@ def diff(
         str,
         argument("RUN_B", "A folder of results, or its bare name in reports/."),
     ],
-    unverified: Unverified = False,
-    json: Json = False,
-    plugins: Plugins = None,
+    unverified: options.Unverified = False,
+    json: options.Json = False,
+    plugins: options.Plugins = None,
 ) -> None:
     """Compare RUN_B with RUN_A: inputs, states, and every number of their tables.
 
@@ -142,8 +132,8 @@ def explain(
         list[str] | None,
         argument("NAME", "A warning as printed (coverage), a term, a law, a file, or a column (te_mm)."),
     ] = None,
-    json: Json = False,
-    plugins: Plugins = None,
+    json: options.Json = False,
+    plugins: options.Plugins = None,
 ) -> None:
     """Explain a warning, file, term, law or column (none: list all)."""
     from needlefit.reporting.columns import find_column
@@ -192,7 +182,7 @@ def _list_keys(file: "FileKind") -> tuple[str, ...]:
     return tuple(lines)
 
 
-def paper(context: typer.Context, json: Json = False) -> None:
+def paper(context: typer.Context, json: options.Json = False) -> None:
     """Print the paper's tables."""
     from needlefit.studies import paper as published
 

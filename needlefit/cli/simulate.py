@@ -10,17 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from needlefit.cli import exit_codes, screen
-from needlefit.cli.options import (
-    Changes,
-    Depth,
-    Json,
-    Plugins,
-    Strict,
-    argument,
-    option,
-    scene_record,
-)
+from needlefit.cli import exit_codes, options, screen
+from needlefit.cli.options import argument, option, scene_record
 from needlefit.errors import NeedlefitError
 from needlefit.project.folders import require_output_files
 from needlefit.project.locate import find_file, find_view_target
@@ -60,8 +51,8 @@ def simulate(
             "configs/scenes/<name>.toml or a path; none with --recording.",
         ),
     ] = None,
-    depth: Depth = None,
-    set_: Changes = None,
+    depth: options.Depth = None,
+    set_: options.Changes = None,
     recording: Annotated[
         Path | None, option("Replay what `needlefit view` recorded: a CSV; no SCENE.", "LOG")
     ] = None,
@@ -85,9 +76,9 @@ def simulate(
     html: Annotated[
         Path | None, option("Of a recording: one HTML file that computes it offline.", "FILE")
     ] = None,
-    strict: Strict = False,
-    json: Json = False,
-    plugins: Plugins = None,
+    strict: options.Strict = False,
+    json: options.Json = False,
+    plugins: options.Plugins = None,
 ) -> None:
     """Simulate a SCENE, or replay a recording of one.
 

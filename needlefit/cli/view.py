@@ -10,16 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from needlefit.cli import screen
+from needlefit.cli import options, screen
 from needlefit.cli.exit_codes import Invocation
-from needlefit.cli.options import (
-    REPORTS,
-    Out,
-    Plugins,
-    Quiet,
-    argument,
-    option,
-)
+from needlefit.cli.options import REPORTS, argument, option
 from needlefit.project.folders import require_writable
 from needlefit.project.locate import find_view_target
 
@@ -54,9 +47,9 @@ def view(
     browser: Annotated[
         bool, option("Open the page, or only print its address.", None, "--browser/--no-browser")
     ] = True,
-    out: Out = REPORTS,
-    quiet: Quiet = False,
-    plugins: Plugins = None,
+    out: options.Out = REPORTS,
+    quiet: options.Quiet = False,
+    plugins: options.Plugins = None,
 ) -> None:
     """Steer a needle by hand in the browser.
 
