@@ -89,12 +89,7 @@ def reconstruct(
     DATASET takes the dataset, its tables, and for every scan a quality page (quality/) and files for 3D
     Slicer (slicer/). A scan that fails is reported with its fix (exit code 3); the others are written.
     """
-    stated: dict[str, Any] = {
-        "markers": markers,
-        "fiducials": fiducials,
-        "layers": layers,
-        "surfaces_in": layers_in,
-    }
+    stated = {"markers": markers, "fiducials": fiducials, "layers": layers, "surfaces_in": layers_in}
     stated |= {"mask": mask, "series": series, "medium": medium}
     named = {key: value for key, value in stated.items() if value}
     invocation = context.find_root().obj
@@ -122,12 +117,13 @@ def reconstruct(
         from needlefit.studies.kinds.reconstruction.report import write_reconstruction, write_refused
         from needlefit.studies.run import judge_run
 
-        require_file_name(out.resolve().name, str(out))
-        require_replaceable(out)
-        keep = out.resolve().with_name(f"{out.resolve().name}.partial")
+        place = out.resolve()
+        require_file_name(place.name, str(out))
+        keep = place.with_name(f"{place.name}.partial")
+        refused = place.with_name(f"{place.name}.refused")  # pages of scans without a dataset
         require_own_checkpoint(keep)
-        refused = out.resolve().with_name(f"{out.resolve().name}.refused")  # pages of scans without a dataset
-        require_replaceable(refused)
+        for folder in (out, refused):
+            require_replaceable(folder)
         moved = corrections or []
         wanted = correct_scans(_scans(scans, named), moved)
         require_no_inputs_within(out, [*scans, *moved, *(path for one in wanted for path in one.files)])
@@ -149,7 +145,7 @@ def reconstruct(
             ones = [one for one in found if not isinstance(one, ReconstructionFailure)]
             written = None
             if ones:
-                about = DatasetDescription(out.resolve().name, title)
+                about = DatasetDescription(place.name, title)
                 faulty: Sequence[ReconstructionFailure]
                 try:
                     written, faulty = write_reconstruction(
@@ -222,15 +218,10 @@ def _show(
 
 
 def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure]", pages: Path) -> None:
-    """Print each error behind the ids of its scans, unless it begins with the volume of that name."""
-    from needlefit.imaging.scans import scan_id
-
-    errors = {id(one.error): one for one in failed}  # a fault of the whole dataset is one of every scan
-    for key, one in errors.items():
-        ids = ", ".join(other.scan.id for other in failed if id(other.error) == key)
-        error, scan = one.error, one.scan
-        named = error.where == str(scan.volume) and scan_id(scan.volume) == scan.id == ids
-        screen.print_note(f"needlefit: {error if named else f'{ids}: {error}'}")
+    """Print the error of each scan, and what to do about it."""
+    for error in dict.fromkeys(one.error for one in failed):  # one of the whole dataset is one of every scan
+        ids = ", ".join(one.scan.id for one in failed if one.error is error)
+        screen.print_note(f"needlefit: {ids}: {error}")
     if failed:
         screen.print_note(f"needlefit: pages of refused scans: {pages}/quality/")
     if any(one.findings for one in failed):  # others cannot be read

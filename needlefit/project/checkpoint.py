@@ -43,8 +43,7 @@ if TYPE_CHECKING:
 MAX_CHECKPOINT_BYTES = 2**31  # size of a file of rows
 ARRAYS_KEY = "arrays"  # of a row: its arrays by name
 FILE_KEY = "file"  # of a row: the digest of the file that was kept with it
-_NEW_MANIFEST = f"{MANIFEST}.new"  # takes the place of the manifest once it is written
-_OWN_FILE = re.compile(rf"{LOCK_NAME}|{re.escape(MANIFEST)}(\.new)?|[0-9a-f]{{16}}\.(jsonl|h5(\.part)?)")
+_OWN_FILE = re.compile(rf"{LOCK_NAME}|{re.escape(MANIFEST)}|[0-9a-f]{{16}}\.(jsonl|h5(\.part)?)")
 
 _held: "dict[Path, BaseFileLock]" = {}
 """Locks of this process: a complete run has its lock until its results stand."""
@@ -191,12 +190,11 @@ def _prepare(folder: Path, work: str, resume: bool, note: Note) -> None:
             expected="--resume (in Python: resume=True), which goes on with it",
             fix="to start afresh instead, remove this folder",
         )
-    if found is None and not {*list_all_files(folder)} <= {LOCK_NAME, _NEW_MANIFEST}:
+    if found is None and {*list_all_files(folder)} > {LOCK_NAME}:
         note(f"{folder} is damaged: its run starts afresh")
     _remove_files(folder, keep=LOCK_NAME)
-    new = folder / _NEW_MANIFEST
-    new.write_text(format_manifest({"holds": "checkpoint", "work": work}), encoding="ascii")
-    new.replace(folder / MANIFEST)  # a kill leaves a whole one, or none
+    text = format_manifest({"holds": "checkpoint", "work": work})
+    (folder / MANIFEST).write_text(text, encoding="ascii")
 
 
 def _remove_files(folder: Path, keep: str = "") -> None:
