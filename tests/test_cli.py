@@ -93,6 +93,7 @@ def test_a_report_loads_nothing_that_only_computing_needs():
         (("report", "--o\u202eut"), 2, r"\\u202e"),
         (("simulate", "x", "y\x1b[2J"), 2, r"\\x1b"),
         (("simulate", "phantm1"), 3, r"phantm1[\s\S]*expected: .*\bphantom1\b"),  # the nearest name
+        (("predict", "study2", "--scene", "study2", "--run", "./nix"), 3, "no run .*nix"),
         (("simulate", "phantom9"), 3, "^(?![\\s\\S]*Traceback)"),
         (("-v", "simulate", "phantom9"), 3, "Traceback"),
     ],

@@ -1,7 +1,7 @@
 """Options and arguments that several commands share: each has one name and one sentence everywhere."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -91,6 +91,16 @@ RunName = Annotated[
 Unverified = Annotated[
     bool,
     option("Also use files that do not agree with the manifest, marked as such.", None, "--unverified"),
+]
+Recording = Annotated[
+    Path | None, option("Replay what `needlefit view` recorded, a CSV; it replaces SCENE.", "LOG")
+]
+Specimen = Annotated[
+    Literal["new", "same"] | None,
+    option(
+        "Draws of a run: for a new specimen, or for the specimens fitted (default: as the run predicted the "
+        "insertion; to plan: new, or as its study states)."
+    ),
 ]
 Depth = Annotated[
     float | None, option("Inserted arc length of a scene without steps (default: the scene's).", "MM")

@@ -89,7 +89,12 @@ def reconstruct(
     DATASET takes the dataset, its tables, and for every scan a quality page (quality/) and files for 3D
     Slicer (slicer/). A scan that fails is reported with its fix (exit code 3); the others are written.
     """
-    stated = {"markers": markers, "fiducials": fiducials, "layers": layers, "surfaces_in": layers_in}
+    stated: dict[str, Any] = {
+        "markers": markers,
+        "fiducials": fiducials,
+        "layers": layers,
+        "surfaces_in": layers_in,
+    }
     stated |= {"mask": mask, "series": series, "medium": medium}
     named = {key: value for key, value in stated.items() if value}
     invocation = context.find_root().obj

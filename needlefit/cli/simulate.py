@@ -46,16 +46,11 @@ def simulate(
     context: typer.Context,
     scene: Annotated[
         str | None,
-        argument(
-            "SCENE",
-            "configs/scenes/<name>.toml or a path; none with --recording.",
-        ),
+        argument("SCENE", "configs/scenes/<name>.toml or a path; none with --recording."),
     ] = None,
     depth: options.Depth = None,
     set_: options.Changes = None,
-    recording: Annotated[
-        Path | None, option("Replay what `needlefit view` recorded: a CSV; no SCENE.", "LOG")
-    ] = None,
+    recording: options.Recording = None,
     plot: Annotated[Path | None, option("Draw the needle: .png, .pdf or .svg.", "FILE")] = None,
     csv: Annotated[
         Path | None, option("Write the final shape: position (mm), slope, load (N/mm).", "FILE")
@@ -70,8 +65,7 @@ def simulate(
         ),
     ] = None,
     animation: Annotated[
-        Path | None,
-        option("Animate the insertion: .gif; a SCENE at 10 mm/s.", "FILE"),
+        Path | None, option("Animate the insertion: .gif; a SCENE at 10 mm/s.", "FILE")
     ] = None,
     html: Annotated[
         Path | None, option("Of a recording: one HTML file that computes it offline.", "FILE")

@@ -310,6 +310,7 @@ def predict(
     """
     with begin(context) as execution:
         from needlefit.project.input_files import is_file
+        from needlefit.project.locate import find_run
         from needlefit.project.toml import add_file_context
         from needlefit.schemas.names import require_file_name
         from needlefit.studies.job import load_medium
@@ -325,7 +326,9 @@ def predict(
         name = f"predict-{target_name.removesuffix('-tune')}-{Path(scene).stem}"
         execution.prepare([name])
         tuned = execution.folder(target_name)
-        if run is None and is_file(tuned / POSTERIOR_FILE):
+        if run is not None:
+            run = find_run(str(run))
+        elif is_file(tuned / POSTERIOR_FILE):
             run = tuned
         found = execution.run_kind(
             "prediction",

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -33,16 +33,8 @@ def view(
             "insertion.",
         ),
     ] = None,
-    recording: Annotated[
-        Path | None, option("Replay this recording, and continue from its end; it replaces SCENE.", "LOG")
-    ] = None,
-    specimen: Annotated[
-        Literal["new", "same"] | None,
-        option(
-            "Predictive band of a run: for a new specimen, or for the specimens fitted (default: as the run "
-            "predicted the insertion)."
-        ),
-    ] = None,
+    recording: options.Recording = None,
+    specimen: options.Specimen = None,
     port: Annotated[int, option("Port on 127.0.0.1 (0: any free one).", "N", min=0, max=65535)] = 0,
     browser: Annotated[
         bool, option("Open the page, or only print its address.", None, "--browser/--no-browser")
