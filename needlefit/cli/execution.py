@@ -6,7 +6,6 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
-from multiprocessing import parent_process
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -141,10 +140,6 @@ class Execution:
         screen.print_note(self.invocation.interrupt_message())
         return typer.Exit(exit_codes.INTERRUPTED)
 
-    def show(self, result: "Run", more: dict[str, object] | None = None) -> None:
-        """Print the result of a command that runs one study; as JSON it has `more` keys, too."""
-        show_runs(self, [result], more)
-
 
 @contextmanager
 def begin(context: typer.Context) -> Iterator[Execution]:
@@ -248,10 +243,11 @@ def _run_each(execution: Execution, todo: Sequence[StudyTask]) -> "Iterator[Run]
 
 def _run_side_by_side(execution: Execution, todo: Sequence[StudyTask]) -> "list[Run]":
     from needlefit.project.checkpoint import hold_checkpoint
+    from needlefit.project.tasks import stop_requested
 
     # a process among several shows no progress of its own
     quiet = replace(execution.invocation, quiet=True)
-    sent = partial(_run_in_process, replace(execution, invocation=quiet, stop=_stop_in_process, pool=None))
+    sent = partial(_run_in_process, replace(execution, invocation=quiet, stop=stop_requested, pool=None))
     finished: dict[int, Run] = {}
     assert execution.pool is not None
     with show_progress(execution.invocation.quiet) as report:
@@ -261,14 +257,6 @@ def _run_side_by_side(execution: Execution, todo: Sequence[StudyTask]) -> "list[
             hold_checkpoint(execution.checkpoint(result.name))
             report(f"studies: {result.name}", len(finished), len(todo))
     return [finished[n] for n in sorted(finished)]
-
-
-def _stop_in_process() -> bool:
-    """Return whether to stop: it was asked for, or the program that began this process has ended."""
-    from needlefit.project.tasks import stop_requested
-
-    program = parent_process()
-    return stop_requested() or not (program is None or program.is_alive())
 
 
 def _run_in_process(execution: Execution, work: StudyTask) -> "Run":

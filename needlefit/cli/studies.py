@@ -83,7 +83,7 @@ def tune(
             given = replace(execution, inputs=Inputs(target=(name, record)))
             with add_file_context(file):
                 found = given.run_kind("identification", about, target=target)
-            execution.show(found)
+            show_runs(execution, [found])
             return
         execution.prepare([name])
         with add_file_context(file):
@@ -91,7 +91,7 @@ def tune(
         if results.interrupted and "fitted" not in set(results.frames["errors"]["method"]):
             raise execution.interrupted()  # nothing found yet: an earlier result stays
         execution.write(results)
-        execution.show(results)
+        show_runs(execution, [results])
         if results.interrupted:
             raise execution.interrupted()
         execution.remove_checkpoint(name)
@@ -339,7 +339,7 @@ def predict(
             posterior=None if run is None else str(run),
             specimen=specimen,
         )
-    execution.show(found, {"scene": scene, "written": str(execution.folder(name))})
+    show_runs(execution, [found], {"scene": scene, "written": str(execution.folder(name))})
     if found.faults:
         from needlefit.studies.kinds.prediction import describe_faults
 
