@@ -14,6 +14,7 @@ from needlefit.cli.progress import show_progress
 from needlefit.cli.screen import print_warnings
 from needlefit.errors import DataError
 from needlefit.project.input_files import path_exists
+from needlefit.project.locate import join_names
 from needlefit.project.processes import count_cores
 from needlefit.project.result_warnings import WARNINGS_KEY, to_rows
 
@@ -225,8 +226,11 @@ def _show(
 def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure]", pages: Path) -> None:
     """Print the error of each scan, and what to do about it."""
     for error in dict.fromkeys(one.error for one in failed):  # one of the whole dataset is one of every scan
-        ids = ", ".join(one.scan.id for one in failed if one.error is error)
-        screen.print_note(f"needlefit: {ids}: {error}")
+        scans = [one.scan for one in failed if one.error is error]
+        named = len(scans) == 1 and error.where == str(scans[0].volume)
+        screen.print_note(
+            f"needlefit: {error if named else f'{join_names([one.id for one in scans])}: {error}'}"
+        )
     if failed:
         screen.print_note(f"needlefit: pages of refused scans: {pages}/quality/")
     if any(one.findings for one in failed):  # others cannot be read

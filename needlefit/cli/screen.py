@@ -126,8 +126,10 @@ def _show(
         style = "bold" if number - 1 in strong else None
         table.add_row(*map(Text, row), style=style, end_section=number in breaks)
     console = Console(width=None if sys.stdout.isatty() else SCREEN_COLUMNS)
+    unlimited = console.options.update(max_width=MAX_MEASURED_COLUMNS)  # else it is the console's width
+    if Measurement.get(console, unlimited, table).maximum > console.width:
+        table.padding = (0, 0, 0, 0)
     if not sys.stdout.isatty():
-        unlimited = console.options.update(max_width=MAX_MEASURED_COLUMNS)  # else it is the console's width
         console.width = max(SCREEN_COLUMNS, Measurement.get(console, unlimited, table).minimum)
     console.print(table)
     print_line()
