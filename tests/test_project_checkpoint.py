@@ -9,7 +9,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -20,7 +19,6 @@ from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError, DataError
 from needlefit.inference.fit import Start, keep_start, read_starts
-from needlefit.project import folders
 from needlefit.project.checkpoint import (
     ARRAYS_KEY,
     open_checkpoint,
@@ -194,10 +192,8 @@ def test_a_lock_is_free_again_once_it_is_released(tmp_path):
     subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, check=True)
 
 
-@pytest.mark.parametrize(("name", "begun"), [("lock", ""), (f"{MANIFEST}.new", '{"program"')])
-def test_a_checkpoint_that_ended_before_its_manifest_is_begun_again(begun, name, tmp_path):
+def test_a_checkpoint_that_ended_before_its_manifest_is_begun_again(tmp_path):
     (tmp_path / "lock").touch()
-    (tmp_path / name).write_text(begun)
     require_own_checkpoint(tmp_path)
     lines: list[str] = []
     open_checkpoint(tmp_path, True, {"n": 1}, lines.append)
@@ -389,10 +385,7 @@ def test_a_manifest_without_a_digest_owns_nothing(files, tmp_path):
     assert any(one.startswith("thesis.docx") for one in find_foreign(tmp_path))
 
 
-@pytest.mark.parametrize("exchanges", [True, False])
-def test_a_file_put_there_meanwhile_is_kept(tmp_path, monkeypatch, exchanges):
-    if not exchanges:  # as on a system that cannot exchange two folders at once
-        monkeypatch.setattr(folders, "_exchange", lambda *_: False)
+def test_a_file_put_there_meanwhile_is_kept(tmp_path):
     folder = tmp_path / "out"
     write(folder)
     with pytest.raises(ConfigError, match=r"notes\.txt"), replace_folder(folder) as fresh:
@@ -416,32 +409,9 @@ def test_what_cannot_be_put_in_place_leaves_the_result_before(tmp_path, monkeypa
     write(folder)
     with monkeypatch.context() as patch, pytest.raises(OSError):
         patch.setattr(Path, "rename", rename)
-        patch.setattr(folders, "_exchange", lambda *_: False)
         write(folder, "two")
     assert (folder / "part" / "a.csv").read_text() == "one"
     assert {path.name for path in tmp_path.iterdir()} == {"out"}
-
-
-def test_there_is_a_result_at_every_moment(tmp_path):
-    """Where the system can exchange two folders at once."""
-    for name in ("one", "two"):
-        (tmp_path / name).mkdir()
-    if not folders._exchange(tmp_path / "one", tmp_path / "two"):
-        pytest.skip("two folders cannot be exchanged at once here")
-    folder, ended, missed = tmp_path / "out", threading.Event(), []
-    write(folder)
-
-    def look() -> None:
-        while not ended.is_set():
-            missed.extend([] if (folder / MANIFEST).exists() else [1])
-
-    looking = threading.Thread(target=look)
-    looking.start()
-    for number in range(20):
-        write(folder, str(number))
-    ended.set()
-    looking.join()
-    assert missed == []
 
 
 def test_files_without_a_place_are_foreign(tmp_path):
@@ -514,20 +484,16 @@ def write_empty(place: Path, verb: str) -> None:
 
 
 @pytest.mark.parametrize("verb", ["replace_folder", "replace_file"])
-def test_leftovers_of_a_killed_process_are_removed_and_those_of_a_running_one_kept(verb, tmp_path):
-    killed, living = writing(tmp_path / "out", verb), writing(tmp_path / "out", verb)
-    end(killed, signal.SIGKILL)
-    mine = [tmp_path / ".out.needlefit-mine", tmp_path / ".out.abcdefgh", tmp_path / ".other.needlefit-a"]
-    for folder in mine:  # none of which a process of needlefit has locked
-        (folder / "notes").mkdir(parents=True)
-    assert len(list(tmp_path.glob(".out.needlefit-*"))) == 3
-    write_empty(tmp_path / "out", verb)
-    left = set(tmp_path.iterdir()) - {tmp_path / "out", *mine}
-    assert len(left) == 1 and (left.pop() / "new").is_dir()
-    assert all((folder / "notes").is_dir() for folder in mine)
-    end(living, signal.SIGKILL)
-    write_empty(tmp_path / "out", verb)
-    assert set(tmp_path.iterdir()) == {tmp_path / "out", *mine}
+def test_leftovers_of_a_killed_process_are_removed_and_a_running_one_is_not_disturbed(verb, tmp_path):
+    place, mine = tmp_path / "out", tmp_path / ".out.abcdefgh"
+    (mine / "notes").mkdir(parents=True)
+    process = writing(place, verb)
+    with pytest.raises(ConfigError, match="another run"):
+        write_empty(place, verb)
+    end(process, signal.SIGKILL)
+    assert len(list(tmp_path.glob(".out.needlefit"))) == 1
+    write_empty(place, verb)
+    assert set(tmp_path.iterdir()) == {place, mine} and (mine / "notes").is_dir()
 
 
 def test_the_only_copy_is_restored(tmp_path):

@@ -1,29 +1,24 @@
-"""Reading what may be no file, no text, endless, or nested without end; messages that quote none of it."""
+"""Reading what may be no file, no text, endless, or nested without end; finding files and runs by name."""
 
 import os
+import re
 import socket
-import threading
-import tomllib
 from contextlib import chdir
 from pathlib import Path
-from time import process_time
 
 import pytest
-from pydantic import ValidationError
 
 from needlefit.cli.data import copy_project
 from needlefit.errors import MAX_MESSAGE_CHARACTERS, ConfigError, DataError, printable
-from needlefit.project import input_files, locate
+from needlefit.project import locate
 from needlefit.project.input_files import (
-    MAX_NESTING_LEVELS,
-    open_regular,
     parse_json,
     parse_toml,
     read_bytes,
     read_json,
     read_text,
 )
-from needlefit.project.toml import add_file_context, add_key_context, find_line, load, schema_faults
+from needlefit.project.toml import add_file_context, add_key_context, check, find_line, load
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord
@@ -35,7 +30,7 @@ def refused(read, *arguments, error=DataError):
     with pytest.raises(error) as found:
         read(*arguments)
     assert found.value.what and found.value.where and found.value.fix
-    assert SECRET not in str(found.value) and len(str(found.value)) < 2000
+    assert len(str(found.value)) < 2000
     return found.value
 
 
@@ -55,25 +50,14 @@ def places(tmp_path):
 @pytest.mark.parametrize("kind", ["folder", "pipe", "device", "socket"])
 @pytest.mark.parametrize("read", [read_bytes, read_text, read_json])
 def test_only_regular_files_are_opened(places, kind, read):
-    assert kind in refused(read, places[kind]).what
-
-
-def test_a_file_replaced_by_a_pipe_does_not_block(tmp_path, monkeypatch):
-    """Opening a pipe that nobody writes to would wait for ever."""
-    path = tmp_path / "a"
-    os.mkfifo(path)
-    monkeypatch.setattr(input_files, "_require_regular", lambda mode, error, where: None)
-    opener = threading.Thread(target=lambda: open_regular(path, 10).__enter__().close(), daemon=True)
-    opener.start()
-    opener.join(5)
-    assert not opener.is_alive()
+    refused(read, places[kind])
 
 
 @pytest.mark.parametrize("name", ["a\0b", "x" * 300, "a/" * 3000, "gone", "\udcff", "a\nb\x1b[31m"])
 def test_impossible_names_are_refused(tmp_path, name):
     error = refused(read_bytes, tmp_path / name)
     assert "\0" not in str(error) and "\x1b" not in str(error)
-    for find in (locate.find_view_target, locate.find_study_or_fit):
+    for find in (locate.find_view_target, locate.find_study_or_fit, locate.find_run):
         with pytest.raises(ConfigError):
             find(f"./{name}")
 
@@ -103,92 +87,36 @@ def test_text_ends_its_lines_as_python_does(tmp_path):
     assert str(len(SECRET)) in refused(read_text, path).what
 
 
-def nested(levels, value="1"):
-    return "[" * levels + value + "]" * levels
+@pytest.mark.parametrize("levels", [10_000, 100_000])
+def test_nesting_without_end_is_refused(levels):
+    refused(parse_json, "[" * levels + "1" + "]" * levels, "f")
+    refused(parse_json, '{"a":' * levels + "1" + "}" * levels, "f")
+    for text in ("[" * levels + "1" + "]" * levels, "{b=" * levels + "1" + "}" * levels):
+        refused(parse_toml, f"a = {text}", "f", error=ConfigError)
 
 
-def test_the_nesting_of_json_is_limited():
-    assert parse_json(nested(MAX_NESTING_LEVELS), "f")
-    assert str(MAX_NESTING_LEVELS) in refused(parse_json, nested(MAX_NESTING_LEVELS + 1), "f").what
-    for levels in (10_000, 100_000):
-        refused(parse_json, nested(levels), "f")
-    refused(parse_json, '{"a":' * 20_000 + "1" + "}" * 20_000, "f")
-
-
-def test_the_nesting_of_toml_is_limited():
-    assert parse_toml(f"a = {nested(MAX_NESTING_LEVELS - 1)}", "f")
-    for text in (
-        f"a = {nested(MAX_NESTING_LEVELS + 1)}",
-        f"a = {nested(20_000)}",
-        "a = " + "{b=" * 20_000 + "1" + "}" * 20_000,
-        ".".join("a" * 20_000) + " = 1",
-        "[" + ".".join("a" * 20_000) + "]",
-    ):
-        refused(parse_toml, text, "f", error=ConfigError)
-
-
-@pytest.mark.parametrize("digits", [20, 5000, 100_000])
+@pytest.mark.parametrize("digits", [5000, 100_000])
 def test_numbers_of_many_digits(digits):
     refused(parse_toml, "a = " + "9" * digits, "f", error=ConfigError)
-    if digits > 4300:
-        refused(parse_json, "[" + "9" * digits + "]", "f")
-
-
-@pytest.mark.parametrize(
-    "text",
-    [SECRET, f"a = {SECRET}", f'a = "{SECRET}', f"[{SECRET}", f"a = 1\na = '{SECRET}'", f"{SECRET} = 1"],
-)
-def test_unparsable_contents_are_not_quoted(text, tmp_path):
-    refused(parse_toml, text, "f", error=ConfigError)
-    assert "line" in refused(parse_json, text, "f").what
-
-
-@pytest.mark.parametrize("key", ["a" + ".a" * 40_000, '"a" . ' * 40_000 + "a"])
-def test_a_toml_key_of_many_parts_takes_no_time(key):
-    """Tomllib alone takes seconds and gigabytes."""
-    began = process_time()
-    refused(parse_toml, f"{key} = 1", "f", error=ConfigError)
-    assert process_time() - began < 1.0
-    assert parse_toml("a" + ".a" * (MAX_NESTING_LEVELS - 2) + " = 1.5", "f")
-
-
-@pytest.mark.parametrize(
-    "text",
-    ("a = 1\nb = [1, 2.5, [-3e-2]]\n", "a = -0", "a = +1\r\nb = 2", "a = [1,]", "a = 1e400", "a-b = [ ]"),
-)
-def test_keys_with_numbers_alone_are_read_as_toml(text):
-    assert repr(parse_toml(text, "here")) == repr(tomllib.loads(text))
-
-
-@pytest.mark.parametrize("text", ("a = 1\na = 2", "a = 01", "a = [1.]", "a = 1\x0bb = 2", "a = 1 2", "a = "))
-def test_keys_with_numbers_that_are_no_toml_are_refused(text):
-    with pytest.raises(ConfigError):
-        parse_toml(text, "here")
+    refused(parse_json, "[" + "9" * digits + "]", "f")
 
 
 def faults(record=RecipeRecord, **table):
-    with pytest.raises(ValidationError) as caught:
-        record.model_validate({"schema": 1, **table})
-    return schema_faults(caught.value, record)
+    with pytest.raises(ConfigError) as caught:
+        check({"schema": 1, **table}, record, "recipe.toml")
+    return caught.value
 
 
-@pytest.mark.parametrize(
-    ("value", "expected"),
-    [
-        (0, "above 0"),
-        ("estimate", "quotes"),
-        (float("inf"), "finite"),
-    ],
-)
+@pytest.mark.parametrize(("value", "expected"), [(0, "greater than 0"), ("estimate", "number")])
 def test_a_wrong_union_value_is_one_fault(value, expected):
-    (fault,) = faults(likelihood={"noise_scale": value})
-    assert fault.key == "likelihood.noise_scale"
+    fault = faults(likelihood={"noise_scale": value})
+    assert re.findall("`(.*?)`", fault.what) == ["likelihood.noise_scale"]
     assert expected in fault.expected and '"estimated"' in fault.expected
 
 
 def test_an_unknown_key_of_a_parameter_names_the_forms_that_it_may_have():
-    (fault,) = faults(MediumRecord, layers=3, parameters={"mu3_pa": {"as": "mu1"}})
-    assert fault.key == "parameters.mu3_pa.as" and 'tie = "mu1_pa", spread = 1.2' in fault.expected
+    fault = faults(MediumRecord, layers=3, parameters={"mu3_pa": {"as": "mu1"}})
+    assert "`parameters.mu3_pa.as`" in fault.what and 'tie = "mu1_pa", spread = 1.2' in fault.expected
 
 
 def test_a_file_of_a_later_schema_is_refused_and_left_alone(tmp_path):
@@ -332,7 +260,7 @@ def test_a_folder_of_that_name_is_pointed_out(project):
 
 def test_a_dataset_may_be_named_by_its_folder(project):
     (project / "gel").mkdir()
-    with pytest.raises(ConfigError, match=r"no dataset\.toml"):
+    with pytest.raises(ConfigError, match=r"no dataset"):
         locate.find_file("dataset", "./gel")
     (project / "gel/dataset.toml").write_text("")
     assert locate.find_file("dataset", "./gel") == Path("gel/dataset.toml")
@@ -349,9 +277,49 @@ def test_a_fit_is_no_study_and_the_command_for_it_is_named(project):
         with pytest.raises(ConfigError, match="is a fit") as fault:
             locate.find_studies(name)
         assert fault.value.fix == f"use: needlefit tune {written}"
-    with pytest.raises(ConfigError, match="`all`") as fault:
-        locate.find_study_or_fit("all")
-    assert "needlefit validate all" in fault.value.fix and "study1" in fault.value.expected
+
+
+@pytest.mark.parametrize("name", ["./study3", "Study3", "study3x", "studies/study3", "studies/study3.toml"])
+def test_a_name_that_is_nearly_right_is_proposed(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for find in (locate.find_studies, locate.find_study_or_fit, locate.find_view_target):
+        with pytest.raises(ConfigError, match="did you mean `study3`") as fault:
+            find(name)
+        assert fault.value.expected.startswith("one of study3, ")
+
+
+@pytest.fixture
+def runs(tmp_path, monkeypatch):
+    """A folder with a run in `reports`, one elsewhere, and a folder of two runs."""
+    for run in ("reports/a", "b", "out/one", "more/one", "more/two"):
+        (tmp_path / run).mkdir(parents=True)
+        (tmp_path / run / "run.json").write_text("{}")
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "folder"),
+    [
+        ("a", "reports/a"), ("a/", "reports/a"), ("reports/a", "reports/a"), ("./reports/a/", "reports/a"),
+        ("b", "b"), ("b/", "b"), ("./b", "b"), ("out", "out/one"), ("./out", "out/one"), ("out/", "out/one"),
+        ("reports", "reports/a"), (".", "b"),
+    ],
+)  # fmt: skip
+def test_a_run_is_found_as_it_is_named(name, folder, runs):
+    assert locate.find_run(name) == Path(folder)
+    target = locate.find_view_target(name)
+    assert (target.kind, target.path) == ("run", Path(folder))
+
+
+def test_an_insertion_of_a_run_is_found_and_several_runs_are_listed(runs):
+    target = locate.find_view_target("./reports/a/needle-1")
+    assert (target.path, target.insertion) == (Path("reports/a"), "needle-1")
+    for find in (locate.find_run, locate.find_view_target):
+        with pytest.raises(ConfigError, match="several") as fault:
+            find("more")
+        assert "more/one" in fault.value.expected and "more/two" in fault.value.expected
+    with pytest.raises(ConfigError, match="`c`"):
+        locate.find_run("c")
 
 
 def test_init_copies_once_into_a_folder_of_its_own_and_never_overwrites(tmp_path, monkeypatch):

@@ -2,12 +2,23 @@
 
 import json
 
+import pytest
+from docs_scripts import load_script
 from test_cli import run
 
 from needlefit.project.locate import shipped_folder
 from needlefit.project.toml import load
 from needlefit.studies import toml_reference as reference
 from needlefit.studies.toml_reference import list_files
+
+
+@pytest.fixture(scope="module")
+def page():
+    """The program that writes the reference of the site."""
+    pytest.importorskip("sphinx")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(shipped_folder() / "docs" / "_site")
+        yield load_script(shipped_folder() / "docs" / "_site" / "toml_page.py")
 
 
 def records_within(record, found):
@@ -19,19 +30,19 @@ def records_within(record, found):
     return found
 
 
-def test_every_key_has_a_meaning_and_an_example():
-    files, records = [one for one in list_files() if one.examples], set()
+def test_every_key_has_a_meaning_and_an_example(page):
+    files, records = [one for one in list_files() if page.list_examples(one)], set()
     for file in files:
         records_within(file.record, records)
     keys = {(reference.find_owner(record, name), name) for record in records for name in record.model_fields}
-    examples = {key for file in files for key in reference.collect_examples(file)}
+    examples = {key for file in files for key in page.collect_examples(file)}
     assert {f"{record.__name__}.{name}" for record, name in keys - examples} == set()
     assert len(keys) > 200
 
 
-def test_every_example_loads():
+def test_every_example_loads(page):
     for file in list_files():
-        for path in file.examples:
+        for path in page.list_examples(file):
             load(shipped_folder() / path, file.record)
 
 

@@ -260,12 +260,12 @@ def test_an_ambiguous_name_lists_each_path(project):
     ("name", "words"),
     [
         ("studi3", "`studi3`.*expected: .*study3"),
-        ("needels/needle-1", "`needels`.*expected: .*needles"),
+        ("needels/needle-1", "`needels/needle-1`.*expected: .*needles"),
         ("needles/needle-9", "needles .*`needle-9`.*needle-"),
         ("small/needle-9", "insertion .*small .*`needle-9`"),
-        ("configs/nix.toml", "configs/nix.toml: .*scene"),
-        ("configs/media", "configs/media: .*dataset"),
-        ("study3/needle-1", "dataset .*`study3`"),
+        ("configs/nix.toml", "scene.*configs/nix.toml"),
+        ("configs/media", "dataset.*configs/media"),
+        ("study3/needle-1", "dataset .*`study3/needle-1`"),
     ],
 )
 def test_an_unknown_name_lists_the_nearest(name, words, project):

@@ -5,8 +5,9 @@ import gc
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 
-from needlefit.cli import exit_codes, standard_streams
+from needlefit.cli import exit_codes
 from needlefit.cli.exit_codes import Invocation
 from needlefit.project.processes import limit_to_one_thread
 
@@ -16,14 +17,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # Python looks through all objects for cycles when it ends, which takes a sixth of `simulate`: memory that
     # the system frees anyway. What must happen at exit is registered, or closed by `with`.
     atexit.register(gc.freeze)
-    standard_streams.install_streams()
+    _prepare_streams()
     limit_to_one_thread()
     os.environ.setdefault("MPLBACKEND", "agg")  # else matplotlib loads pyplot to look for a display
     invocation = Invocation(tuple(sys.argv[1:] if arguments is None else arguments))
     code = _run(invocation)
-    if (fault := standard_streams.find_stdout_fault()) is not None:
-        code = code or exit_codes.report_error(fault, invocation)
+    try:
+        sys.stdout.flush()
+    except OSError as error:  # a full disk
+        code = code or exit_codes.report_error(error, invocation)
+        with suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes it once more
     raise SystemExit(code)
+
+
+def _prepare_streams() -> None:
+    """Replace characters that a stream's encoding has not; use the null device for a closed stream."""
+    for name in ("stdout", "stderr"):
+        if (stream := getattr(sys, name)) is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115
+        elif hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
 
 
 def _run(invocation: Invocation) -> int:

@@ -14,7 +14,7 @@ _COMMANDS: tuple[tuple[str, Callable[..., None], str], ...] = (
     ("tune", studies.tune, "phantom1"),
     ("validate", studies.validate, "study3"),
     ("predict", studies.predict, "study3 --scene study3"),
-    ("simulate", simulate.simulate, "figure1 --depth 60"),
+    ("simulate", simulate.simulate, "phantom1 --depth 60"),
     ("view", view.view, "figure1"),
     ("plan", plan.plan, "phantom2 --target 45,2 --obstacle 25,0.5,1"),
     ("explain", results.explain, "coverage"),

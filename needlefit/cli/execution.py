@@ -5,7 +5,6 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
-from multiprocessing import parent_process
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -140,19 +139,6 @@ class Execution:
         screen.print_note(self.invocation.interrupt_message())
         return typer.Exit(exit_codes.INTERRUPTED)
 
-    def show(self, result: "Run", more: dict[str, object] | None = None) -> None:
-        """Print the result of a command that runs one study: in words, or as JSON that has `more` keys, too.
-
-        With JSON, warnings go to stderr.
-        """
-        if not self.invocation.json:
-            show_run(self.invocation, result, self.folder(result.name))
-            return
-        from needlefit.studies.report import run_to_json
-
-        screen.show_json(run_to_json(result) | (more or {}))
-        show_warnings(self.invocation, result)
-
 
 @contextmanager
 def begin(context: typer.Context) -> Iterator[Execution]:
@@ -202,7 +188,7 @@ def plan_studies(study: str) -> list[StudyTask]:
 
     ConfigError if there is no such study, or its file does not hold what its kind wants.
     """
-    from needlefit.project.locate import EVERY_STUDY, find_studies, find_tunings
+    from needlefit.project.locate import EVERY_STUDY, PAPER_FITS, STUDY_GROUPS, find_file, find_studies
     from needlefit.project.toml import load
     from needlefit.schemas.study import FitRecord
     from needlefit.studies.study_files import find_missing_data, load_study
@@ -214,7 +200,8 @@ def plan_studies(study: str) -> list[StudyTask]:
             screen.print_note(f"needlefit: {name} is left out: the data of {', '.join(missing)} are not here")
         else:
             found.append(StudyTask(name, load_study(path), path))
-    return [*found, *(StudyTask(name, load(path, FitRecord), path) for name, path in find_tunings(study))]
+    fits = [(name, find_file("fit", name)) for name in PAPER_FITS if study in STUDY_GROUPS]
+    return [*found, *(StudyTask(name, load(path, FitRecord), path) for name, path in fits)]
 
 
 def run_studies(execution: Execution, todo: Sequence[StudyTask]) -> "list[Run]":
@@ -255,10 +242,11 @@ def _run_each(execution: Execution, todo: Sequence[StudyTask]) -> "Iterator[Run]
 
 def _run_side_by_side(execution: Execution, todo: Sequence[StudyTask]) -> "list[Run]":
     from needlefit.project.checkpoint import hold_checkpoint
+    from needlefit.project.tasks import stop_requested
 
     # a process among several shows no progress of its own
     quiet = replace(execution.invocation, quiet=True)
-    sent = partial(_run_in_process, replace(execution, invocation=quiet, stop=_stop_in_process, pool=None))
+    sent = partial(_run_in_process, replace(execution, invocation=quiet, stop=stop_requested, pool=None))
     finished: dict[int, Run] = {}
     assert execution.pool is not None
     with show_progress(execution.invocation.quiet) as report:
@@ -268,14 +256,6 @@ def _run_side_by_side(execution: Execution, todo: Sequence[StudyTask]) -> "list[
             hold_checkpoint(execution.checkpoint(result.name))
             report(f"studies: {result.name}", len(finished), len(todo))
     return [finished[n] for n in sorted(finished)]
-
-
-def _stop_in_process() -> bool:
-    """Return whether to stop: it was asked for, or the program that began this process has ended."""
-    from needlefit.project.tasks import stop_requested
-
-    program = parent_process()
-    return stop_requested() or not (program is None or program.is_alive())
 
 
 def _run_in_process(execution: Execution, work: StudyTask) -> "Run":
@@ -336,6 +316,25 @@ def show_run(invocation: Invocation, result: "Run", folder: Path, named: bool = 
     if documents:
         screen.print_line(f"Report: {', '.join(documents)}")
     screen.print_written(folder)
+
+
+def show_runs(execution: Execution, runs: "Sequence[Run]", more: dict[str, object] | None = None) -> None:
+    """Print results: in words, or as JSON, with warnings on stderr."""
+    if execution.invocation.json:
+        show_json_of(runs, more)
+    for run in runs:
+        if execution.invocation.json:
+            show_warnings(execution.invocation, run)
+        else:
+            show_run(execution.invocation, run, execution.folder(run.name), named=len(runs) > 1)
+
+
+def show_json_of(runs: "Sequence[Run]", more: dict[str, object] | None = None) -> None:
+    """Print one result as JSON, with `more` keys, or several by name."""
+    from needlefit.studies.report import run_to_json
+
+    every = {run.name: run_to_json(run) | (more or {}) for run in runs}
+    screen.show_json(next(iter(every.values())) if len(every) == 1 else every)
 
 
 def show_warnings(invocation: Invocation, result: "Run") -> None:

@@ -90,6 +90,9 @@ def report_error(error: BaseException, invocation: Invocation) -> int:
     return UNEXPECTED
 
 
+_EXTRAS = {"aiohttp": "view", "distributed": "cluster"}  # of packages that needlefit works without
+
+
 def _to_user_error(error: BaseException) -> BaseException:
     """Return an error of Python's of which it is known what a user can do, as one that says so."""
     if isinstance(error, OSError):
@@ -109,13 +112,9 @@ def _to_user_error(error: BaseException) -> BaseException:
         return ConfigError(
             "an input is nested too deeply", expected="a few levels", fix="check the files that were named"
         )
-    if isinstance(error, UnicodeEncodeError):
-        return ConfigError(
-            "a name or text holds characters that are not valid Unicode",
-            where=ascii(error.object[max(error.start - 40, 0) : error.end + 40]),
-            expected="names of files, folders and data that can be written as UTF-8",
-            fix="rename it",
-        )
+    extra = _EXTRAS.get((getattr(error, "name", None) or "").partition(".")[0])
+    if isinstance(error, ModuleNotFoundError) and extra:
+        return ConfigError(f"{error.name} is not installed", fix=f"pip install 'needlefit[{extra}]'")
     return error
 
 

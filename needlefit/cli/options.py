@@ -1,7 +1,7 @@
 """Options and arguments that several commands share: each has one name and one sentence everywhere."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -92,6 +92,16 @@ Unverified = Annotated[
     bool,
     option("Also use files that do not agree with the manifest, marked as such.", None, "--unverified"),
 ]
+Recording = Annotated[
+    Path | None, option("Replay what `needlefit view` recorded, a CSV; it replaces SCENE.", "LOG")
+]
+Specimen = Annotated[
+    Literal["new", "same"] | None,
+    option(
+        "Draws of a run: for a new specimen, or for the specimens fitted (default: as the run predicted the "
+        "insertion; to plan: new, or as its study states)."
+    ),
+]
 Depth = Annotated[
     float | None, option("Inserted arc length of a scene without steps (default: the scene's).", "MM")
 ]
@@ -126,7 +136,7 @@ def scene_record(name: str, depth: float | None, assignments: list[str]) -> tupl
     if not pairs:
         return file_label(path), record
     where = f"{file_label(path)}, changed by {', '.join(f'{key}={value}' for key, value in pairs)}"
-    return where, check(override(read_toml(path), pairs, SceneRecord, file_label(path)), SceneRecord, where)
+    return where, check(override(read_toml(path), pairs, file_label(path)), SceneRecord, where)
 
 
 def split_pair(text: str) -> tuple[str, str]:

@@ -4,20 +4,13 @@ import math
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from needlefit.cli import exit_codes, screen
+from needlefit.cli import exit_codes, options, screen
 from needlefit.cli.execution import require_no_faults
-from needlefit.cli.options import (
-    Jobs,
-    Json,
-    Plugins,
-    Quiet,
-    argument,
-    option,
-)
+from needlefit.cli.options import argument, option
 from needlefit.project.folders import require_output_files
 
 if TYPE_CHECKING:
@@ -56,20 +49,14 @@ def plan(
     base: Annotated[float, option("The base may move by so much to either side.", "MM", min=0.0)] = 10.0,
     base_angle: Annotated[float, option("And turn by so much.", "DEGREES", min=0.0, max=40.0)] = 5.0,
     turns: Annotated[int, option("The bevel may turn over so often on the way.", "N", min=0, max=2)] = 2,
-    specimen: Annotated[
-        Literal["new", "same"] | None,
-        option(
-            "Draws of a run: for a new specimen, or for the specimens fitted (default: new, or as the run's "
-            "study states)."
-        ),
-    ] = None,
+    specimen: options.Specimen = None,
     recording: Annotated[
         Path | None, option("Write the plan as a recording for `view` and `simulate`: .csv.", "FILE")
     ] = None,
-    jobs: Jobs = None,
-    json: Json = False,
-    quiet: Quiet = False,
-    plugins: Plugins = None,
+    jobs: options.Jobs = None,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    plugins: options.Plugins = None,
 ) -> None:
     """Plan how to steer a needle to a target: entry, base, turns.
 

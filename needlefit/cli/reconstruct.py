@@ -6,25 +6,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from needlefit.cli import exit_codes, screen
+from needlefit.cli import exit_codes, options, screen
 from needlefit.cli.execution import open_pool, print_remark
 from needlefit.cli.exit_codes import catch_interrupts
-from needlefit.cli.options import (
-    Insecure,
-    Jobs,
-    Json,
-    Plugins,
-    Quiet,
-    Resume,
-    Scheduler,
-    Strict,
-    argument,
-    option,
-)
+from needlefit.cli.options import argument, option
 from needlefit.cli.progress import show_progress
 from needlefit.cli.screen import print_warnings
 from needlefit.errors import DataError
 from needlefit.project.input_files import path_exists
+from needlefit.project.locate import join_names
 from needlefit.project.processes import count_cores
 from needlefit.project.result_warnings import WARNINGS_KEY, to_rows
 
@@ -85,14 +75,14 @@ def reconstruct(
     ] = None,
     title: Annotated[str, option("Title of the dataset.")] = "",
     scene: Annotated[bool, option("Write also a scene of 3D Slicer (.mrb).", None, "--scene")] = False,
-    jobs: Jobs = None,
-    scheduler: Scheduler = None,
-    insecure: Insecure = False,
-    resume: Resume = False,
-    strict: Strict = False,
-    json: Json = False,
-    quiet: Quiet = False,
-    plugins: Plugins = None,
+    jobs: options.Jobs = None,
+    scheduler: options.Scheduler = None,
+    insecure: options.Insecure = False,
+    resume: options.Resume = False,
+    strict: options.Strict = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    plugins: options.Plugins = None,
 ) -> None:
     """Reconstruct the needles in SCANs into a dataset.
 
@@ -132,12 +122,13 @@ def reconstruct(
         from needlefit.schemas.reconstruction import ReconstructionRecord
         from needlefit.studies.kinds.reconstruction.report import write_reconstruction, write_refused
 
-        require_file_name(out.resolve().name, str(out))
-        require_replaceable(out)
-        keep = out.resolve().with_name(f"{out.resolve().name}.partial")
+        place = out.resolve()
+        require_file_name(place.name, str(out))
+        keep = place.with_name(f"{place.name}.partial")
+        refused = place.with_name(f"{place.name}.refused")  # pages of scans without a dataset
         require_own_checkpoint(keep)
-        refused = out.resolve().with_name(f"{out.resolve().name}.refused")  # pages of scans without a dataset
-        require_replaceable(refused)
+        for folder in (out, refused):
+            require_replaceable(folder)
         moved = corrections or []
         wanted = correct_scans(_scans(scans, named), moved)
         require_no_inputs_within(out, [*scans, *moved, *(path for one in wanted for path in one.files)])
@@ -159,7 +150,7 @@ def reconstruct(
             ones = [one for one in found if not isinstance(one, ReconstructionFailure)]
             written = None
             if ones:
-                about = DatasetDescription(out.resolve().name, title)
+                about = DatasetDescription(place.name, title)
                 faulty: Sequence[ReconstructionFailure]
                 try:
                     written, faulty = write_reconstruction(
@@ -232,15 +223,13 @@ def _show(
 
 
 def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure]", pages: Path) -> None:
-    """Print each error behind the ids of its scans, unless it begins with the volume of that name."""
-    from needlefit.imaging.scans import scan_id
-
-    errors = {id(one.error): one for one in failed}  # a fault of the whole dataset is one of every scan
-    for key, one in errors.items():
-        ids = ", ".join(other.scan.id for other in failed if id(other.error) == key)
-        error, scan = one.error, one.scan
-        named = error.where == str(scan.volume) and scan_id(scan.volume) == scan.id == ids
-        screen.print_note(f"needlefit: {error if named else f'{ids}: {error}'}")
+    """Print the error of each scan, and what to do about it."""
+    for error in dict.fromkeys(one.error for one in failed):  # one of the whole dataset is one of every scan
+        scans = [one.scan for one in failed if one.error is error]
+        named = len(scans) == 1 and error.where == str(scans[0].volume)
+        screen.print_note(
+            f"needlefit: {error if named else f'{join_names([one.id for one in scans])}: {error}'}"
+        )
     if failed:
         screen.print_note(f"needlefit: pages of refused scans: {pages}/quality/")
     if any(one.findings for one in failed):  # others cannot be read

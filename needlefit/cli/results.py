@@ -1,35 +1,25 @@
 """Commands about results: report, diff, explain, paper."""
 
-import dataclasses
 import difflib
+from dataclasses import asdict, replace
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from needlefit.cli import screen
+from needlefit.cli import options, screen
 from needlefit.cli.execution import show_run
-from needlefit.cli.options import (
-    Explain,
-    Json,
-    Plugins,
-    Quiet,
-    RunName,
-    Strict,
-    Unverified,
-    argument,
-    option,
-)
+from needlefit.cli.options import argument, option
 from needlefit.project.help_pages import Topic, read_input_columns, read_sections, read_terms
 
 if TYPE_CHECKING:
-    pass
+    from needlefit.studies.toml_reference import FileKind
 
 
 def report(
     context: typer.Context,
-    run: RunName,
+    run: options.RunName,
     out: Annotated[Path | None, option("Write to this folder; the run's own by default.", "DIR")] = None,
     paper: Annotated[
         Path | None,
@@ -39,11 +29,11 @@ def report(
         Literal["main", "all"],
         option("main: those that the report needs; all: the optional ones too."),
     ] = "main",
-    unverified: Unverified = False,
-    explain: Explain = False,
-    strict: Strict = False,
-    quiet: Quiet = False,
-    plugins: Plugins = None,
+    unverified: options.Unverified = False,
+    explain: options.Explain = False,
+    strict: options.Strict = False,
+    quiet: options.Quiet = False,
+    plugins: options.Plugins = None,
 ) -> None:
     """Write tables, figures and report of a RUN again, and print it, without fitting anything.
 
@@ -76,9 +66,9 @@ def diff(
         str,
         argument("RUN_B", "A folder of results, or its bare name in reports/."),
     ],
-    unverified: Unverified = False,
-    json: Json = False,
-    plugins: Plugins = None,
+    unverified: options.Unverified = False,
+    json: options.Json = False,
+    plugins: options.Plugins = None,
 ) -> None:
     """Compare RUN_B with RUN_A: inputs, states, and every number of their tables.
 
@@ -126,7 +116,7 @@ def _list_topics() -> dict[str, list[Topic]]:
     ]
     return {
         "Warnings": [*read_sections().values()],
-        "Files": [*(Topic(one.name, one.title) for one in list_files()), *tables],
+        "Files": [*(Topic(f"{one.name}.toml", one.title) for one in list_files()), *tables],
         "Terms": read_terms(),
         "Tissue laws": laws,
         "Columns of tables": [
@@ -139,63 +129,60 @@ def _list_topics() -> dict[str, list[Topic]]:
 def explain(
     context: typer.Context,
     key: Annotated[
-        str,
-        argument(
-            "NAME",
-            "A warning as printed (coverage), a term, a law, or a column (te_mm).",
-        ),
-    ] = "",
-    json: Json = False,
-    plugins: Plugins = None,
+        list[str] | None,
+        argument("NAME", "A warning as printed (coverage), a term, a law, a file, or a column (te_mm)."),
+    ] = None,
+    json: options.Json = False,
+    plugins: options.Plugins = None,
 ) -> None:
     """Explain a warning, file, term, law or column (none: list all)."""
     from needlefit.reporting.columns import find_column
+    from needlefit.studies.toml_reference import list_files
 
-    groups = _list_topics()
+    groups, name = _list_topics(), " ".join(key or ())
     topics = [one for group in groups.values() for one in group]
-    found = [one for one in topics if key and key in (one.key, one.symbol)]
-    column = find_column(key)
-    if key and not found and column.explanation:  # its name has a number, such as mu3_pa
-        found = [Topic(key, column.label, (column.explanation,))]
-    if key and not found:
-        near = difflib.get_close_matches(key, [one.key for one in topics], n=3)
+    found = [one for one in topics if name in (one.key, one.symbol)] if name else topics
+    if not found and (column := find_column(name)).explanation:  # its name has a number, such as mu3_pa
+        found = [Topic(name, column.label, (column.explanation,))]
+    if not found:
+        near = difflib.get_close_matches(name, [one.key for one in topics], n=3)
         raise typer.BadParameter(
-            f"`{key}` is no warning, file, term, tissue law or column"
+            f"`{name}` is no warning, file, term, tissue law or column"
             + (f"; did you mean {' or '.join(near)}?" if near else "")
         )
-    described = [_describe(one) for one in found]
+    if name:
+        files = {f"{one.name}.toml": one for one in list_files()}
+        found = [
+            replace(one, paragraphs=_list_keys(files[one.key])) if one.key in files else one for one in found
+        ]
     if context.find_root().obj.json:
-        screen.show_json([dataclasses.asdict(one) for one in (described if key else topics)])
-    elif key:
-        for one in described:
+        screen.show_json([asdict(one) for one in found])
+        return
+    if name:
+        for one in found:
             screen.print_text("\n".join([one.title, *one.paragraphs]))
-    else:
-        for name, members in groups.items():
-            screen.print_line(f"\n{name}")
-            width = max(len(one.key) for one in members) + 2
-            for one in members:
-                screen.print_line(f"  {one.key:{width}}{one.title}")
+        return
+    for group, members in groups.items():
+        screen.print_line(f"\n{group}")
+        width = max(len(one.key) for one in members) + 2
+        for one in members:
+            screen.print_line(f"  {one.key:{width}}{one.title}")
 
 
-def _describe(topic: Topic) -> Topic:
-    """Return a topic with its paragraphs; those of a file are its tables."""
-    from needlefit.studies.toml_reference import describe_files, list_files
+def _list_keys(file: "FileKind") -> tuple[str, ...]:
+    """Return the paragraphs about a file: its tables, and their keys."""
+    from needlefit.studies.toml_reference import describe_files
 
-    file = next((one for one in list_files() if one.name == topic.key), None)
-    if file is None:
-        return topic
-    ((_, tables),) = describe_files([file])
     lines: list[str] = []
-    for number, table in enumerate(tables):
+    for number, table in enumerate(describe_files([file])[0][1]):
         lines.append(f"\n{table.title}\n{table.summary}" if number else table.summary)
         for one in table.keys:
-            more = f" Keys: {one.described_in}." if one.described_in else ""
             lines.append(f"\n  {one.key}: {one.value.replace('**', '').replace('`', '')}")
-            lines += [f"      {words}" for words in (f"{one.meaning}{more}", one.example) if words]
-    return dataclasses.replace(topic, paragraphs=tuple(lines))
+            lines.append(f"      {one.meaning}" + (f" Keys: {one.described_in}." if one.described_in else ""))
+    return tuple(lines)
 
 
-def paper(context: typer.Context, json: Json = False) -> None:
+def paper(context: typer.Context, json: options.Json = False) -> None:
     """Print the paper's tables."""
     from needlefit.studies import paper as published
 

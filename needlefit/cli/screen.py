@@ -98,43 +98,6 @@ def show_display(table: "TableLayout", notes: bool = True) -> None:
         print_text(line)
 
 
-SKETCH_ROWS, SKETCH_COLUMNS = 6, 64  # characters; each has 4 x 2 dots
-_FIRST_DOT_PATTERN = 0x2800  # of the characters of Braille, whose low bits are the dots
-_DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
-
-
-def show_needle(points: Any, boundaries: Iterable[float]) -> None:  # noqa: ANN401  an array, not imported here
-    """Print a sketch of the inserted needle, (N, 2) in mm from the entry, between layer boundaries (mm)."""
-    if not (sys.stdout.encoding or "").lower().startswith("utf"):
-        return
-    import numpy as np
-
-    deep, low, high = points[-1, 0], min(points[:, 1].min(), 0.0), max(points[:, 1].max(), 0.0)
-    span, dots = max(high - low, 1e-3), np.zeros((SKETCH_ROWS, SKETCH_COLUMNS), int)
-    along = np.linspace(0, 1, 20 * SKETCH_COLUMNS)  # so close that the line has no gaps
-    across = (high - np.interp(along * deep, *points.T)) / span
-    row, column = (
-        ((4 * SKETCH_ROWS - 1) * across).round().astype(int),
-        (along * (2 * SKETCH_COLUMNS - 1)).astype(int),
-    )
-    np.bitwise_or.at(dots, (row // 4, column // 2), np.array(_DOTS)[row % 4, column % 2])
-    axis, marked = (
-        int((SKETCH_ROWS - 1) * high / span),
-        {int(one / deep * SKETCH_COLUMNS) for one in boundaries},
-    )
-    scale = deep / (2 * SKETCH_COLUMNS) / (span / (4 * SKETCH_ROWS))
-    print_line(f"Inserted needle, mm; deflection stretched {scale:.2g} times:")
-    for n, cells in enumerate(dots.tolist()):
-        edge = {SKETCH_ROWS - 1: low, axis: 0.0, 0: high}.get(n)
-        label = "" if edge is None else f"{edge:z.2f}"
-        signs = ["│" if at in marked else "─" if n == axis else " " for at in range(SKETCH_COLUMNS)]
-        drawn = (
-            chr(_FIRST_DOT_PATTERN + one) if one else sign for one, sign in zip(cells, signs, strict=True)
-        )
-        print_line(f"{label:>7} {''.join(drawn)}".rstrip())
-    print_line(f"{'':8}0{f'{deep:.4g}':>{SKETCH_COLUMNS - 1}}")
-
-
 def _show(
     columns: Sequence[tuple[str, bool]],
     rows: Sequence[Sequence[str]],
@@ -153,29 +116,23 @@ def _show(
     from rich.table import Table
     from rich.text import Text
 
-    def build(gap: int) -> Table:
-        table = Table(box=box.SIMPLE_HEAD, padding=(0, gap, 0, 0), pad_edge=False, show_edge=False)
-        for head, is_right in columns:
-            words = re.sub(r"(\d) %", "\\1\u00a0%", head)  # a number stays with its sign
-            text = "\n".join(re.split("[ \n]+", words.strip(" \n"))) if is_right else head.strip()
-            side: Literal["left", "right"] = "right" if is_right else "left"
-            heading = Align(Text(text, justify=side), side, vertical="bottom")
-            table.add_column(heading, justify=side, no_wrap=is_right, overflow="fold")
-        for number, row in enumerate(rows):
-            style = "bold" if number in strong else None
-            table.add_row(*map(Text, row), style=style, end_section=number + 1 in breaks)
-        return table
-
-    console, spaced, close = (
-        Console(width=None if sys.stdout.isatty() else SCREEN_COLUMNS),
-        build(1),
-        build(0),
-    )
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False)
+    for head, is_right in columns:
+        words = re.sub(r"(\d) %", "\\1\u00a0%", head)  # a number stays with its sign
+        text = "\n".join(re.split("[ \n]+", words.strip(" \n"))) if is_right else head.strip()
+        side: Literal["left", "right"] = "right" if is_right else "left"
+        heading = Align(Text(text, justify=side), side, vertical="bottom")
+        table.add_column(heading, justify=side, no_wrap=is_right, overflow="fold")
+    for number, row in enumerate(rows, start=1):
+        style = "bold" if number - 1 in strong else None
+        table.add_row(*map(Text, row), style=style, end_section=number in breaks)
+    console = Console(width=None if sys.stdout.isatty() else SCREEN_COLUMNS)
     unlimited = console.options.update(max_width=MAX_MEASURED_COLUMNS)  # else it is the console's width
+    if Measurement.get(console, unlimited, table).maximum > console.width:
+        table.padding = (0, 0, 0, 0)
     if not sys.stdout.isatty():
-        console.width = max(SCREEN_COLUMNS, Measurement.get(console, unlimited, close).minimum)
-    fits = Measurement.get(console, unlimited, spaced).maximum <= console.width
-    console.print(spaced if fits else close)
+        console.width = max(SCREEN_COLUMNS, Measurement.get(console, unlimited, table).minimum)
+    console.print(table)
     print_line()
 
 

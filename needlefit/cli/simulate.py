@@ -3,24 +3,15 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from needlefit.cli import exit_codes, screen
-from needlefit.cli.options import (
-    Changes,
-    Depth,
-    Json,
-    Plugins,
-    Strict,
-    argument,
-    option,
-    scene_record,
-)
+from needlefit.cli import exit_codes, options, screen
+from needlefit.cli.options import argument, option, scene_record
 from needlefit.errors import NeedlefitError
 from needlefit.project.folders import require_output_files
 from needlefit.project.locate import find_file, find_view_target
@@ -55,17 +46,11 @@ def simulate(
     context: typer.Context,
     scene: Annotated[
         str | None,
-        argument(
-            "SCENE",
-            "configs/scenes/<name>.toml or a path; none with --recording.",
-        ),
+        argument("SCENE", "configs/scenes/<name>.toml or a path; none with --recording."),
     ] = None,
-    depth: Depth = None,
-    set_: Changes = None,
-    recording: Annotated[
-        Path | None, option("Replay what `needlefit view` recorded: a CSV; no SCENE.", "LOG")
-    ] = None,
-    step: Annotated[int | None, option("With --recording: stop after this step.", "N", min=0)] = None,
+    depth: options.Depth = None,
+    set_: options.Changes = None,
+    recording: options.Recording = None,
     plot: Annotated[Path | None, option("Draw the needle: .png, .pdf or .svg.", "FILE")] = None,
     csv: Annotated[
         Path | None, option("Write the final shape: position (mm), slope, load (N/mm).", "FILE")
@@ -80,15 +65,14 @@ def simulate(
         ),
     ] = None,
     animation: Annotated[
-        Path | None,
-        option("Animate the insertion: .gif; a SCENE at 10 mm/s.", "FILE"),
+        Path | None, option("Animate the insertion: .gif; a SCENE at 10 mm/s.", "FILE")
     ] = None,
     html: Annotated[
         Path | None, option("Of a recording: one HTML file that computes it offline.", "FILE")
     ] = None,
-    strict: Strict = False,
-    json: Json = False,
-    plugins: Plugins = None,
+    strict: options.Strict = False,
+    json: options.Json = False,
+    plugins: options.Plugins = None,
 ) -> None:
     """Simulate a SCENE, or replay a recording of one.
 
@@ -101,10 +85,6 @@ def simulate(
     if recording is None:
         if scene is None:
             raise typer.BadParameter("give a SCENE, or a recording with --recording", param_hint="SCENE")
-        if step is not None:
-            raise typer.BadParameter(
-                "counts the steps of a recording: it needs --recording", param_hint="--step"
-            )
         if html is not None:
             raise typer.BadParameter("is of a recording: it needs --recording", param_hint="--html")
         require_output_files(written, [find_file("scene", scene)])
@@ -116,7 +96,7 @@ def simulate(
                 "the recording contains its scene: leave out SCENE, --depth and --set",
                 param_hint="--recording",
             )
-        done = _replay_recording(recording, step, written)
+        done = _replay_recording(recording, written)
     # before anything is printed: a name may be none of a picture
     saved = [
         path for option, path in written.items() if done.files[option.removeprefix("--")](path) is not False
@@ -135,7 +115,6 @@ def simulate(
     screen.print_warnings(invocation, warnings)
     if not invocation.json:
         _show_summary(done.title, summary)
-        _show_sketch(done)
     for path in saved:
         screen.print_note(f"written: {path}")
     if not summary["converged"]:
@@ -185,8 +164,8 @@ def _simulate_scene(name: str, record: "SceneRecord", where: str) -> SimulationO
     return SimulationOutcome(title, scene, shapes, files, {}, warnings)
 
 
-def _replay_recording(path: Path, upto: int | None, outputs: Mapping[str, Path]) -> SimulationOutcome:
-    """Carry out a recording, or its steps up to number `upto`.
+def _replay_recording(path: Path, outputs: Mapping[str, Path]) -> SimulationOutcome:
+    """Carry out a recording.
 
     ConfigError if one of `outputs`, by option, is a file of what was steered, or cannot be written.
     """
@@ -200,10 +179,6 @@ def _replay_recording(path: Path, upto: int | None, outputs: Mapping[str, Path])
         target = find_view_target(recording.head.target)
         shown.append(target.path.parent if target.kind == "dataset" else target.path)
     require_output_files(outputs, [path, *shown])
-    if upto is not None:
-        if upto > len(recording.steps):
-            raise typer.BadParameter(f"the recording has {len(recording.steps)} steps", param_hint="--step")
-        recording = replace(recording, steps=recording.steps[:upto])
     done = replay_to_end(recording)
     files = {option: partial(write, done) for option, write in WRITERS.items()}
     more = {"replayed": {"steps": len(recording.steps), "tip_offset_mm": done.tip_offset_mm}}
@@ -261,33 +236,26 @@ def _summarize_step(entry: "Entry", shape: "NeedleShape", placement: "Placement 
 
 
 def _show_summary(title: str, summary: dict[str, Any]) -> None:
-    """Print a row for each step, and boundaries, iterations and, of a recording, the difference from it."""
+    """Print a row for each step and, of a recording, the difference from it."""
     from needlefit.reporting.table import Table
 
-    interfaces = ", ".join(f"{depth:g}" for depth in summary["boundaries_mm"])
-    rows = [_describe_step(number, step) for number, step in enumerate(summary["steps"], start=1)]
+    rows: list[Row] = []
+    for number, step in enumerate(summary["steps"], start=1):
+        found, row = step["converged"], {"step": number, "inserted_mm": step["depth_mm"]}
+        state = ("ok" if step["valid"] else "outside the model's limits") if found else step["status"]
+        place = ", ".join(map(_format_length, step["tip_mm"])) if found else None
+        tip = {key: step[key] if found else None for key in ("tip_lateral_mm", "tip_angle_deg")}
+        rows.append(row | tip | {"tip_position": place, "step_state": state})
     columns = ("step", "inserted_mm", "tip_lateral_mm", "tip_position", "tip_angle_deg", "step_state")
-    caption = "Steps: tip in the world." if len(rows) > 1 else "Tip in the world."
     screen.print_line()
     screen.print_text(title)
+    caption = "Steps: tip in the world." if len(rows) > 1 else "Tip in the world."
     screen.show_display(Table("steps", rows, columns, caption=caption).lay_out(), notes=False)
-    screen.print_line(f"Layer boundaries: {f'{interfaces} mm' if interfaces else 'none'}")
-    state = "" if summary["converged"] else "not converged, "
-    slope = f"; largest slope {summary['max_slope']:.3f}" if summary["converged"] else ""
-    screen.print_line(f"Solution: {state}{summary['iterations']} Newton iterations{slope}")
     if replayed := summary.get("replayed"):
-        count, offset = replayed["steps"], replayed["tip_offset_mm"]
-        where = f"up to {offset:.1g} mm from the recorded one" if offset else "identical to the recorded one"
-        screen.print_line(f"Replayed: {count} step{'' if count == 1 else 's'}, tip {where}")
-
-
-def _show_sketch(done: SimulationOutcome) -> None:
-    """Print a sketch of the inserted needle, if there is one."""
-    from needlefit.mechanics.shape import compute_positions
-
-    shape = done.shapes[-1]
-    if shape.converged and shape.depth > 0:
-        screen.show_needle(compute_positions(shape, shape.x[shape.x >= 0]), done.scene.tissue.boundaries)
+        screen.print_line(
+            f"Replayed: {replayed['steps']} steps, tip up to {replayed['tip_offset_mm']:.1g} mm "
+            "from the recorded one"
+        )
 
 
 def _describe_outcome(summary: dict[str, Any]) -> str:
@@ -299,14 +267,6 @@ def _describe_outcome(summary: dict[str, Any]) -> str:
     lateral = summary["tip_lateral_mm"]
     side = f"{_format_length(abs(lateral))} mm to the {'right' if lateral < 0 else 'left'}"
     return f"Tip {side} of the entry axis at {depth}; tip at ({place}) mm in the world{valid}."
-
-
-def _describe_step(number: int, step: Mapping[str, Any]) -> "Row":
-    found = bool(step["converged"])
-    state = ("ok" if step["valid"] else "outside the model's limits") if found else str(step["status"])
-    tip = {key: step[key] if found else None for key in ("tip_lateral_mm", "tip_angle_deg")}
-    tip["tip_position"] = ", ".join(map(_format_length, step["tip_mm"])) if found else None
-    return {"step": number, "inserted_mm": step["depth_mm"], **tip, "step_state": state}
 
 
 def _format_length(value: float) -> str:

@@ -1,57 +1,33 @@
 """Commands that run studies: tune, calibrate, validate, predict."""
 
 import math
-from collections.abc import Collection, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from needlefit.cli import exit_codes, screen
+from needlefit.cli import exit_codes, options, screen
 from needlefit.cli.execution import (
     Execution,
     begin,
     plan_studies,
     require_no_faults,
     run_studies,
-    show_run,
-    show_warnings,
+    show_json_of,
+    show_runs,
 )
-from needlefit.cli.options import (
-    REPORTS,
-    Changes,
-    Depth,
-    Explain,
-    Insecure,
-    Jobs,
-    Json,
-    Out,
-    Plugins,
-    Quiet,
-    Reference,
-    Resume,
-    Scheduler,
-    Seed,
-    Strict,
-    Target,
-    argument,
-    option,
-    scene_record,
-    split_pair,
-)
-from needlefit.errors import ConfigError
+from needlefit.cli.options import REPORTS, argument, option, scene_record, split_pair
 from needlefit.schemas.limits import MAX_REPLICATES
 
 if TYPE_CHECKING:
-    from needlefit.studies.rank_statistics import Control
     from needlefit.studies.run import Run
 
 
 def tune(
     context: typer.Context,
-    target: Target,
+    target: options.Target,
     design: Annotated[
         bool,
         option("Which parameters the design determines, before any measurement.", None, "--design"),
@@ -68,15 +44,15 @@ def tune(
         list[str] | None,
         option("Hold a parameter at a value, in Pa, mm or degrees: b=0.1. May be repeated.", "NAME=VALUE"),
     ] = None,
-    seed: Seed = None,
-    jobs: Jobs = None,
-    out: Out = REPORTS,
-    resume: Resume = False,
-    strict: Strict = False,
-    explain: Explain = False,
-    json: Json = False,
-    quiet: Quiet = False,
-    plugins: Plugins = None,
+    seed: options.Seed = None,
+    jobs: options.Jobs = None,
+    out: options.Out = REPORTS,
+    resume: options.Resume = False,
+    strict: options.Strict = False,
+    explain: options.Explain = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    plugins: options.Plugins = None,
 ) -> None:
     """Fit the parameters of a TARGET (mu, alpha, b).
 
@@ -105,17 +81,17 @@ def tune(
             about = f"{name.removesuffix('-tune')}-design"
             execution.prepare([about])
             given = replace(execution, inputs=Inputs(target=(name, record)))
-            with add_file_context(file), _name_options(free, fix):
+            with add_file_context(file):
                 found = given.run_kind("identification", about, target=target)
-            execution.show(found)
+            show_runs(execution, [found])
             return
         execution.prepare([name])
-        with add_file_context(file), _name_options(free, fix):
+        with add_file_context(file):
             results = execution.run(name, record, sample=not no_sample)
         if results.interrupted and "fitted" not in set(results.frames["errors"]["method"]):
             raise execution.interrupted()  # nothing found yet: an earlier result stays
         execution.write(results)
-        execution.show(results)
+        show_runs(execution, [results])
         if results.interrupted:
             raise execution.interrupted()
         execution.remove_checkpoint(name)
@@ -140,23 +116,9 @@ def _parse_values(texts: Iterable[str]) -> dict[str, float]:
     return values
 
 
-@contextmanager
-def _name_options(free: Collection[str] | None, fix: Collection[str] | None) -> Iterator[None]:
-    """Have a ConfigError about parameters that options name state the option, not the file of the fit."""
-    try:
-        yield
-    except ConfigError as error:
-        key = error.key.partition(".")[0]
-        if not {"free": free, "fix": fix}.get(key):
-            raise
-        located = error.at(f"--{key}")
-        located.key = ""
-        raise located from None
-
-
 def calibrate(
     context: typer.Context,
-    target: Target,
+    target: options.Target,
     replicates: Annotated[
         int | None,
         option(
@@ -170,11 +132,8 @@ def calibrate(
         option("Sample every posterior by MCMC; uses at most three insertions.", None, "--sample"),
     ] = False,
     control: Annotated[
-        str | None,
-        option(
-            "Use a wrong likelihood, which the test must detect: sigma, prior, pose, shuffled, or all.",
-            "NAME",
-        ),
+        Literal["sigma", "prior", "pose", "shuffled", "all"] | None,
+        option("Use a wrong likelihood, which the test must detect, or each of them."),
     ] = None,
     truth: Annotated[
         Literal["prior", "synthetic"],
@@ -187,18 +146,18 @@ def calibrate(
         bool,
         option("With --truth synthetic: measure through CT volumes (4 s per insertion).", None, "--ct"),
     ] = False,
-    seed: Seed = None,
-    jobs: Jobs = None,
-    scheduler: Scheduler = None,
-    insecure: Insecure = False,
-    out: Out = REPORTS,
-    reference: Reference = False,
-    resume: Resume = False,
-    strict: Strict = False,
-    explain: Explain = False,
-    json: Json = False,
-    quiet: Quiet = False,
-    plugins: Plugins = None,
+    seed: options.Seed = None,
+    jobs: options.Jobs = None,
+    scheduler: options.Scheduler = None,
+    insecure: options.Insecure = False,
+    out: options.Out = REPORTS,
+    reference: options.Reference = False,
+    resume: options.Resume = False,
+    strict: options.Strict = False,
+    explain: options.Explain = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    plugins: options.Plugins = None,
 ) -> None:
     """Test whether the intervals of a TARGET are right (simulation-based calibration).
 
@@ -220,11 +179,14 @@ def calibrate(
         raise typer.BadParameter("excludes --sample and --control.", param_hint="--truth synthetic")
     given = {"replicates": replicates} if replicates else {}
     with begin(context) as execution:
+        from needlefit.studies.kind import find_kind
+        from needlefit.studies.kinds.calibration import CONTROLS
         from needlefit.studies.study_files import load_target
 
         ending = ("-sample" if sample else "") + ("-synthetic" if synthetic else "") + ("-ct" if ct else "")
         about = f"calibrate-{load_target(target)[0].removesuffix('-tune')}{ending}"
-        runs = {f"{about}-{one}" if one else about: one for one in _list_controls(control)}
+        wanted = CONTROLS if control == "all" else (control,)
+        runs = {f"{about}-{one}" if one else about: one for one in wanted}
         execution.prepare(runs, runs)
         with execution.in_pool() as pooled:
             found = [
@@ -235,34 +197,7 @@ def calibrate(
                 for name, one in runs.items()
             ]  # fmt: skip
         execution.write_reference(found)
-    _end_calibration(execution, found)
-
-
-def _list_controls(named: str | None) -> "list[Control | None]":
-    from needlefit.studies.kinds.calibration import CONTROLS
-
-    if named is None:
-        return [None]
-    found = [control for control in CONTROLS if named in (control, "all")]
-    if not found:
-        known = ", ".join((*CONTROLS, "all"))
-        raise typer.BadParameter(f"'{named}' is none of {known}.", param_hint="--control")
-    return [*found]
-
-
-def _end_calibration(execution: Execution, found: "list[Run]") -> None:
-    from needlefit.studies.kind import find_kind
-    from needlefit.studies.report import run_to_json
-
-    invocation = execution.invocation
-    if invocation.json:
-        every = [run_to_json(run) for run in found]
-        screen.show_json(every if len(every) > 1 else every[0])
-    for run in found:
-        if invocation.json:
-            show_warnings(invocation, run)
-        else:
-            show_run(invocation, run, execution.folder(run.name), named=len(found) > 1)
+    show_runs(execution, found)
     wrong = [run for run in found if run.run["conclusive"] and not run.run["passes"]]
     for run in wrong:
         sentence = find_kind("calibration").report.summarize(run)[0]
@@ -282,18 +217,18 @@ def validate(
             "study1 ... study5, all (those five), everything, another, or a path.",
         ),
     ],
-    seed: Seed = None,
-    jobs: Jobs = None,
-    scheduler: Scheduler = None,
-    insecure: Insecure = False,
-    out: Out = REPORTS,
-    reference: Reference = False,
-    resume: Resume = False,
-    strict: Strict = False,
-    explain: Explain = False,
-    json: Json = False,
-    quiet: Quiet = False,
-    plugins: Plugins = None,
+    seed: options.Seed = None,
+    jobs: options.Jobs = None,
+    scheduler: options.Scheduler = None,
+    insecure: options.Insecure = False,
+    out: options.Out = REPORTS,
+    reference: options.Reference = False,
+    resume: options.Resume = False,
+    strict: options.Strict = False,
+    explain: options.Explain = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    plugins: options.Plugins = None,
 ) -> None:
     """Run a STUDY, such as: fit some insertions, predict others.
 
@@ -317,10 +252,7 @@ def validate(
             _write_combined_report(execution, study, runs)
         execution.write_reference(runs)
         if execution.invocation.json:
-            from needlefit.studies.report import run_to_json
-
-            every: dict[str, object] = {run.name: run_to_json(run) for run in runs}
-            screen.show_json(next(iter(every.values())) if len(every) == 1 else every)
+            show_json_of(runs)
         for work in todo:  # not before all are done: a group is resumed as a whole
             execution.remove_checkpoint(work.name)
     require_no_faults(f"{run.name}: {fault}" for run in runs for fault in run.faults)
@@ -340,7 +272,7 @@ def _write_combined_report(execution: Execution, study: str, runs: "list[Run]") 
 
 def predict(
     context: typer.Context,
-    target: Target,
+    target: options.Target,
     scene: Annotated[
         str,
         option("The planned insertion: a name or a path.", "SCENE"),
@@ -355,17 +287,17 @@ def predict(
             "new|same|NAME",
         ),
     ] = None,
-    depth: Depth = None,
-    set_: Changes = None,
-    seed: Seed = None,
-    jobs: Jobs = None,
-    out: Out = REPORTS,
-    resume: Resume = False,
-    strict: Strict = False,
-    explain: Explain = False,
-    json: Json = False,
-    quiet: Quiet = False,
-    plugins: Plugins = None,
+    depth: options.Depth = None,
+    set_: options.Changes = None,
+    seed: options.Seed = None,
+    jobs: options.Jobs = None,
+    out: options.Out = REPORTS,
+    resume: options.Resume = False,
+    strict: options.Strict = False,
+    explain: options.Explain = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    plugins: options.Plugins = None,
 ) -> None:
     """Predict a planned insertion with what was fitted to a TARGET.
 
@@ -377,6 +309,7 @@ def predict(
     """
     with begin(context) as execution:
         from needlefit.project.input_files import is_file
+        from needlefit.project.locate import find_run
         from needlefit.project.toml import add_file_context
         from needlefit.schemas.names import require_file_name
         from needlefit.studies.job import load_medium
@@ -392,7 +325,9 @@ def predict(
         name = f"predict-{target_name.removesuffix('-tune')}-{Path(scene).stem}"
         execution.prepare([name])
         tuned = execution.folder(target_name)
-        if run is None and is_file(tuned / POSTERIOR_FILE):
+        if run is not None:
+            run = find_run(str(run))
+        elif is_file(tuned / POSTERIOR_FILE):
             run = tuned
         found = execution.run_kind(
             "prediction",
@@ -403,7 +338,7 @@ def predict(
             posterior=None if run is None else str(run),
             specimen=specimen,
         )
-    execution.show(found, {"scene": scene, "written": str(execution.folder(name))})
+    show_runs(execution, [found], {"scene": scene, "written": str(execution.folder(name))})
     if found.faults:
         from needlefit.studies.kinds.prediction import describe_faults
 

@@ -1,26 +1,18 @@
 """`needlefit view`: interactive simulation in the browser."""
 
 import shlex
-import signal
 import threading
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from needlefit.cli import screen
+from needlefit.cli import options, screen
 from needlefit.cli.exit_codes import Invocation
-from needlefit.cli.options import (
-    REPORTS,
-    Out,
-    Plugins,
-    Quiet,
-    argument,
-    option,
-)
-from needlefit.errors import ConfigError
+from needlefit.cli.options import REPORTS, argument, option
 from needlefit.project.folders import require_writable
 from needlefit.project.locate import find_view_target
 
@@ -41,23 +33,15 @@ def view(
             "insertion.",
         ),
     ] = None,
-    recording: Annotated[
-        Path | None, option("Replay this recording, and continue from its end; it replaces SCENE.", "LOG")
-    ] = None,
-    specimen: Annotated[
-        Literal["new", "same"] | None,
-        option(
-            "Predictive band of a run: for a new specimen, or for the specimens fitted (default: as the run "
-            "predicted the insertion)."
-        ),
-    ] = None,
+    recording: options.Recording = None,
+    specimen: options.Specimen = None,
     port: Annotated[int, option("Port on 127.0.0.1 (0: any free one).", "N", min=0, max=65535)] = 0,
     browser: Annotated[
         bool, option("Open the page, or only print its address.", None, "--browser/--no-browser")
     ] = True,
-    out: Out = REPORTS,
-    quiet: Quiet = False,
-    plugins: Plugins = None,
+    out: options.Out = REPORTS,
+    quiet: options.Quiet = False,
+    plugins: options.Plugins = None,
 ) -> None:
     """Steer a needle by hand in the browser.
 
@@ -69,7 +53,8 @@ def view(
     require_writable(out / "view")
     if target is not None:
         find_view_target(target)  # a wrong name ends it before a page opens
-    serve = _server()
+    from needlefit.viewer.server import LoadingPage
+
     begun: list[TrialRegistry] = []
 
     def load(show: Callable[[str], None]) -> "SteeringPage":
@@ -81,22 +66,17 @@ def view(
         begun.append(trials)
         return SteeringPage(trials)
 
-    from needlefit.viewer.server import LoadingPage
-
-    _serve(serve, LoadingPage(load), port, browser)
+    _serve(LoadingPage(load), port, browser)
     for path in begun[0].written() if begun else ():
         screen.print_line(f"recorded: {path}")
         screen.print_note(f"replay it: {shlex.join(('needlefit', 'simulate', '--recording', str(path)))}")
 
 
-def _serve(
-    serve: Callable[..., "Coroutine[None, None, None]"],
-    page: "LoadingPage",
-    port: int,
-    browser: bool,
-) -> None:
+def _serve(page: "LoadingPage", port: int, browser: bool) -> None:
     import asyncio  # here, since every `--help` would wait for it
     import webbrowser
+
+    from needlefit.viewer.server import serve
 
     def ready(access: "AccessControl") -> None:
         screen.print_line(access.address)
@@ -104,18 +84,8 @@ def _serve(
         if browser:  # some browsers hold up whoever calls them
             threading.Thread(target=webbrowser.open, args=(access.address,), daemon=True).start()
 
-    asyncio.run(serve(page, port, ready, partial(_until_stopped, page)))
-
-
-def _server() -> Callable[..., "Coroutine[None, None, None]"]:
-    try:
-        from needlefit.viewer.server import serve
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] != "aiohttp":
-            raise
-        what = "the page needs aiohttp, which is not installed"
-        raise ConfigError(what, fix="pip install 'needlefit[view]'") from None
-    return serve
+    with suppress(KeyboardInterrupt):
+        asyncio.run(serve(page, port, ready, partial(_until_failed, page)))
 
 
 def _trials(
@@ -136,16 +106,11 @@ def _trials(
     return TrialRegistry(shown, folder, lambda choice: reopen(shown, choice, specimen), source)
 
 
-async def _until_stopped(page: "LoadingPage") -> None:
-    """Wait for Ctrl-C or a signal to end; raise the error of a page that could not be loaded."""
+async def _until_failed(page: "LoadingPage") -> None:
+    """Wait until Ctrl-C ends the program; raise the error of a page that could not be loaded."""
     import asyncio
 
-    stopped, loop = asyncio.Event(), asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, stopped.set)
-    waiting = asyncio.create_task(stopped.wait())
-    loading = asyncio.create_task(page.ended.wait())
-    await asyncio.wait((waiting, loading), return_when=asyncio.FIRST_COMPLETED)
+    await page.ended.wait()
     if page.error is not None:
         raise page.error
-    await waiting
+    await asyncio.Event().wait()

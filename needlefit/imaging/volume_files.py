@@ -25,7 +25,7 @@ from needlefit.imaging.volume import (
     list_series_files,
     max_voxels,
 )
-from needlefit.project.archives import MAX_ARCHIVE_BYTES, ArchiveLimits, name_archive, unpack_archive
+from needlefit.project.archives import MAX_ARCHIVE_BYTES, name_archive, unpack_archive
 from needlefit.project.input_files import is_file, list_files, open_regular, path_exists, unreadable_error
 from needlefit.project.reader_process import (
     MEMORY_VARIABLE,
@@ -106,10 +106,8 @@ def open_member(path: Path) -> Iterator[Path]:
 
 def unpack_scan(_arrays: Arrays, path: str, folder: str, total_bytes: int) -> None:
     """Unpack the archive of a scan; in the child process."""
-    expected = "a ZIP archive of one scan, as an image archive (PACS) exports it"
     fix = f"pack it again, or unpack it and name the folder; {MEMORY_VARIABLE} grants more than the default"
-    limits = ArchiveLimits(total_bytes, levels=MAX_ARCHIVE_LEVELS, expected=expected, fix=fix)
-    unpack_archive(Path(path), Path(folder), limits)
+    unpack_archive(Path(path), Path(folder), total_bytes, MAX_ARCHIVE_LEVELS, fix)
 
 
 def _choose_member(folder: Path, series: str | None) -> tuple[Path, str | None]:

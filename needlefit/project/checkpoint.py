@@ -29,7 +29,6 @@ from needlefit.project.folders import (
     format_manifest,
     is_regular,
     list_all_files,
-    not_writable_error,
     read_manifest,
     require_replaceable,
     sha256,
@@ -44,8 +43,7 @@ if TYPE_CHECKING:
 MAX_CHECKPOINT_BYTES = 2**31  # size of a file of rows
 ARRAYS_KEY = "arrays"  # of a row: its arrays by name
 FILE_KEY = "file"  # of a row: the digest of the file that was kept with it
-_NEW_MANIFEST = f"{MANIFEST}.new"  # takes the place of the manifest once it is written
-_OWN_FILE = re.compile(rf"{LOCK_NAME}|{re.escape(MANIFEST)}(\.new)?|[0-9a-f]{{16}}\.(jsonl|h5(\.part)?)")
+_OWN_FILE = re.compile(rf"{LOCK_NAME}|{re.escape(MANIFEST)}|[0-9a-f]{{16}}\.(jsonl|h5(\.part)?)")
 
 _held: "dict[Path, BaseFileLock]" = {}
 """Locks of this process: a complete run has its lock until its results stand."""
@@ -192,12 +190,11 @@ def _prepare(folder: Path, work: str, resume: bool, note: Note) -> None:
             expected="--resume (in Python: resume=True), which goes on with it",
             fix="to start afresh instead, remove this folder",
         )
-    if found is None and not {*list_all_files(folder)} <= {LOCK_NAME, _NEW_MANIFEST}:
+    if found is None and {*list_all_files(folder)} > {LOCK_NAME}:
         note(f"{folder} is damaged: its run starts afresh")
     _remove_files(folder, keep=LOCK_NAME)
-    new = folder / _NEW_MANIFEST
-    new.write_text(format_manifest({"holds": "checkpoint", "work": work}), encoding="ascii")
-    new.replace(folder / MANIFEST)  # a kill leaves a whole one, or none
+    text = format_manifest({"holds": "checkpoint", "work": work})
+    (folder / MANIFEST).write_text(text, encoding="ascii")
 
 
 def _remove_files(folder: Path, keep: str = "") -> None:
@@ -263,25 +260,10 @@ def _work_of(folder: Path) -> str | None:
 
 
 def _lock(folder: Path) -> bool:
-    """Make the folder, and take its lock; False where this process has it.
-
-    ConfigError if another process has it, or nothing can be written there.
-    """
+    """Take the lock of a folder; False where this process has it. ConfigError as of `take_lock`."""
     if folder.resolve() in _held:
         if (folder / LOCK_NAME).exists():
             return False
         release_checkpoint(folder)  # of a folder that was removed meanwhile
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        lock = take_lock(folder)
-    except OSError as error:
-        raise not_writable_error(folder, error.strerror or type(error).__name__) from None
-    if lock is None:
-        raise ConfigError(
-            "another run of needlefit is writing there",
-            where=str(folder),
-            expected="one run at a time for each folder of results",
-            fix="wait until it has ended, or choose another folder with --out",
-        )
-    _held[folder.resolve()] = lock
+    _held[folder.resolve()] = take_lock(folder)
     return True

@@ -16,11 +16,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
-from importlib.util import find_spec
-from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
-from urllib.parse import urlsplit
 
 from needlefit.errors import ConfigError
 from needlefit.project.progress import Note, Stop, never_stop, no_note
@@ -132,12 +129,8 @@ def connect(scheduler: str, insecure: bool = False, note: Note = no_note) -> Ite
     """Connect to a scheduler, `tls://HOST:PORT` or on this machine `tcp://HOST:PORT`; disconnect in the end.
 
     `insecure` also accepts an unencrypted scheduler on another machine. ConfigError if the address is wrong
-    or not secured, nobody answers, or Dask is not installed.
+    or not secured, or nobody answers.
     """
-    if find_spec("distributed") is None:
-        raise ConfigError(
-            "a cluster needs Dask, which is not installed", fix="pip install 'needlefit[cluster]'"
-        )
     from distributed import Client
     from distributed.utils import silence_logging_cmgr
 
@@ -158,34 +151,19 @@ def connect(scheduler: str, insecure: bool = False, note: Note = no_note) -> Ite
             client.close(timeout=CLOSE_S)
 
 
+_THIS_MACHINE = ("localhost", "127.0.0.1", "[::1]")
+
+
 def require_secured(scheduler: str, insecure: bool = False) -> None:
     """Raise a ConfigError unless an address is encrypted, or of this machine, or `insecure` accepts it."""
-    where = f"--scheduler {scheduler}"
-    try:
-        parts = urlsplit(scheduler)
-        whole = parts.scheme in ("tls", "tcp") and parts.hostname and parts.port
-    except ValueError:
-        whole = False
-    if not whole:
+    host = scheduler.partition("://")[2].rpartition(":")[0]
+    if not (scheduler.startswith("tls://") or insecure or host in _THIS_MACHINE):
         raise ConfigError(
-            "is no address of a scheduler",
-            where=where,
-            expected="tls://HOST:PORT",
-            fix="start a scheduler with `dask scheduler`; see docs/developers/scale.md",
+            "is not encrypted: whoever can reach it could run code on its workers and read the data",
+            where=f"--scheduler {scheduler}",
+            expected="tls://HOST:PORT with certificates, or tcp:// and an address of this machine",
+            fix="use tls://; on a network that nobody else can reach, --insecure accepts tcp://",
         )
-    host = str(parts.hostname)
-    try:
-        is_here = ip_address(host).is_loopback
-    except ValueError:
-        is_here = host == "localhost"
-    if parts.scheme == "tls" or insecure or is_here:
-        return
-    raise ConfigError(
-        "is not encrypted: whoever can reach it could run code on its workers and read the data",
-        where=where,
-        expected="tls:// with certificates, or an address of this machine",
-        fix="use tls://; on a network that nobody else can reach, --insecure accepts tcp://",
-    )
 
 
 def _keep(work: Callable[[Item], Result]) -> Callable[[Item], Result]:

@@ -7,16 +7,13 @@ is the one that was written: what does not agree with it is not reported on. It 
 edits, not somebody who makes a new manifest.
 """
 
-import ctypes
 import hashlib
 import json
 import os
 import shutil
 import stat
-import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
-from itertools import combinations
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,29 +26,16 @@ if TYPE_CHECKING:
     from filelock import BaseFileLock
 
 
-MAX_NAME_BYTES = 231  # of a result: a scratch folder beside it has a longer name, which systems limit to 255
-MAX_PATH_BYTES = 3500  # of a result: what lies in it has longer paths, which systems limit to 4096
-
-
 def require_writable(place: Path) -> None:
-    """Raise ConfigError unless a file or folder can be made at `place`, with what is written beside it.
+    """Raise ConfigError unless a file or folder can be made at `place`.
 
     Nothing is made: the nearest folder above that exists must be writable.
     """
-    if "\0" in str(place):
-        raise not_writable_error(Path(repr(place.name)), "its name holds a zero byte")
-    place = Path(os.path.realpath(place))  # what Path.resolve refuses is judged below
-    if place == place.parent:
-        raise not_writable_error(place, "it is the root of the file system")
-    folder = place.parent
+    folder = Path(os.path.realpath(place)).parent
     while not path_exists(folder) and folder != folder.parent:
         folder = folder.parent
-    effective = os.access in os.supports_effective_ids
-    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK, effective_ids=effective):
+    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
         raise not_writable_error(folder, "you may not write there" if folder.is_dir() else "it is a file")
-    longest = max(len(os.fsencode(part)) for part in place.parts)
-    if longest > MAX_NAME_BYTES or len(os.fsencode(place)) > MAX_PATH_BYTES:
-        raise not_writable_error(folder, f"a name has {longest} bytes, of at most {MAX_NAME_BYTES}")
 
 
 def require_output_files(outputs: Mapping[str, Path], inputs: Iterable[Path]) -> None:
@@ -61,36 +45,23 @@ def require_output_files(outputs: Mapping[str, Path], inputs: Iterable[Path]) ->
     cannot be written to, or a file is a folder, an input (also by another name: a link), or named by two
     options.
     """
-    sources = list(inputs)
+    read = [Path(os.path.realpath(one)) for one in inputs]
     for option, path in outputs.items():
         require_folder(path)
-        if path.is_dir():
+        place = Path(os.path.realpath(path))
+        if place.is_dir():
+            raise ConfigError("is a folder", where=str(path), fix=f"name a file with {option}")
+        others = [os.path.realpath(other) for name, other in outputs.items() if name != option]
+        is_read = place.exists() and any(place.is_relative_to(one) or place.samefile(one) for one in read)
+        if is_read or str(place) in others:
             raise ConfigError(
-                "is a folder",
+                f"is an input of this run, or named twice: {option} would replace it",
                 where=str(path),
-                expected="the name of a file",
-                fix=f"name a file with {option}",
+                expected="a new file, or one that may be lost",
+                fix=f"choose another name with {option}",
             )
-        for source in sources if path_exists(path) else ():
-            within = source.is_dir() and Path(os.path.realpath(path)).is_relative_to(os.path.realpath(source))
-            if within or (path_exists(source) and path.samefile(source)):
-                raise ConfigError(
-                    f"is an input of this run, which {option} would replace",
-                    where=str(path),
-                    expected="a new file, or one that may be lost",
-                    fix=f"choose another name with {option}",
-                )
-        if path_exists(path) and not stat.S_ISREG(path.stat().st_mode):
-            continue  # a pipe or a terminal
-        require_writable(path)
-    for (one, path), (other, same) in combinations(outputs.items(), 2):
-        if os.path.realpath(path) == os.path.realpath(same):
-            raise ConfigError(
-                f"is named by both {one} and {other}",
-                where=str(path),
-                expected="a file of its own for each",
-                fix="choose another name for one of them",
-            )
+        if place.is_file() or not place.exists():  # not a pipe or a terminal
+            require_writable(path)
 
 
 def require_folder(path: Path) -> None:
@@ -183,7 +154,7 @@ def find_changes(folder: Path) -> dict[str, str]:
     if not listed:
         return {MANIFEST: "is missing or damaged"}
     names = [name for name in list_all_files(folder) if name in listed]
-    return {name: CHANGED for name in names if _find_fault(folder, name, listed)}
+    return {name: CHANGED for name in names if not _is_as_written(folder / name, listed[name])}
 
 
 def require_unchanged(folder: Path, unverified: bool = False) -> tuple[str, ...]:
@@ -211,22 +182,22 @@ def find_foreign(folder: Path) -> list[str]:
 
     ConfigError if the folder cannot be looked into.
     """
-    names = [name for name in list_all_files(folder) if Path(name).name not in FILE_MANAGER_FILES]
     listed = listed_files(folder)
-    written = [name for name in names if name != MANIFEST] if listed else names
-    return [fault for name in written if (fault := _find_fault(folder, name, listed))]
+    names = [name for name in list_all_files(folder) if Path(name).name not in FILE_MANAGER_FILES]
+    changes = {
+        name: CHANGED if name in listed else "is not needlefit's"
+        for name in names
+        if not (listed and name == MANIFEST) and not _is_as_written(folder / name, listed.get(name))
+    }
+    return [f"{name} {how}" for name, how in changes.items()]
 
 
-def _find_fault(folder: Path, name: str, listed: Mapping[str, Any]) -> str:
-    """Return what is foreign about a file; empty if it is as it was written."""
-    path = folder / name
-    if name not in listed or not is_regular(path):
-        return name
+def _is_as_written(path: Path, digest: object) -> bool:
+    """Return whether a file is a regular one, with the digest that the manifest lists."""
     try:
-        same = name == TIMING_FILE or sha256(path) == listed[name]
+        return is_regular(path) and (path.name == TIMING_FILE or sha256(path) == digest)
     except OSError:
-        return name
-    return "" if same else f"{name} (changed since it was written)"
+        return False
 
 
 def require_replaceable(folder: Path, find: Callable[[Path], list[str]] | None = None) -> None:
@@ -234,37 +205,26 @@ def require_replaceable(folder: Path, find: Callable[[Path], list[str]] | None =
 
     `find` returns what is foreign in a folder of another kind.
     """
-    require_writable(folder)  # first: it also sees names that the system does not take
+    require_writable(folder)
     if (place := folder.resolve()).exists() or place.is_symlink():
         faults = (find or find_foreign)(place) if place.is_dir() else ["it is a file"]
         if faults:
-            raise not_replaced_error(place, faults)
+            raise ConfigError(
+                f"is not replaced: needlefit did not write all of it: {join_names(faults, MAX_LISTED_FILES)}",
+                where=str(folder),
+                expected=f"a new or empty folder, or one with only what its {MANIFEST} lists, unchanged",
+                fix="move those files away, or choose another folder with --out",
+            )
 
 
 def remove_result(folder: Path, note: Note) -> None:
     """Remove the result of an earlier run, if there is one; where it holds anything foreign it stays."""
     if not folder.is_dir():
         return
-    try:
-        faults = find_foreign(folder)
-    except ConfigError as error:
-        faults = [str(error)]
-    if faults:
-        note(f"{folder} of an earlier run is not removed: it holds {', '.join(faults[:MAX_LISTED_FILES])}")
-        return
-    with suppress(OSError, ConfigError), _scratch_folder(folder.resolve()) as fresh:
-        folder.rename(fresh)  # it goes with the scratch folder
-
-
-def not_replaced_error(folder: Path, faults: list[str]) -> ConfigError:
-    """Return what is raised of a folder that holds what is foreign."""
-    named = join_names(faults, MAX_LISTED_FILES)
-    return ConfigError(
-        f"is not replaced: needlefit did not write this in it, or it was changed since: {named}",
-        where=str(folder),
-        expected=f"no such folder, an empty one, or one that holds only what its {MANIFEST} lists, unchanged",
-        fix="move those files away, or choose another folder with --out",
-    )
+    if faults := find_foreign(folder):
+        note(f"{folder} of an earlier run is not removed: it holds {join_names(faults, MAX_LISTED_FILES)}")
+    else:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def list_all_files(folder: Path) -> list[str]:
@@ -299,19 +259,27 @@ def is_regular(path: Path) -> bool:
 LOCK_NAME = "lock"
 """A file that the process which writes to a folder holds locked, until it ends."""
 
-_SCRATCH = ".needlefit-"  # in the name of a scratch folder, behind that of its place
-_NEW_NAME, _OLD_NAME = "new", "old"  # in it: what is written; and the result that is being replaced
 
+def take_lock(folder: Path) -> "BaseFileLock":
+    """Make a folder, if there is none, and return its lock, taken.
 
-def take_lock(folder: Path) -> "BaseFileLock | None":
-    """Return the lock of a folder, taken; None where it is taken already."""
+    ConfigError if another process has it, or nothing can be written there.
+    """
     from filelock import FileLock, Timeout
 
     lock = FileLock(folder / LOCK_NAME, blocking=False, thread_local=False)
     try:
+        folder.mkdir(parents=True, exist_ok=True)
         lock.acquire()
     except Timeout:
-        return None
+        raise ConfigError(
+            "another run of needlefit is writing there",
+            where=str(folder),
+            expected="one run at a time for each folder of results",
+            fix="wait until it has ended, or choose another folder with --out",
+        ) from None
+    except OSError as error:
+        raise not_writable_error(folder, error.strerror or type(error).__name__) from None
     return lock
 
 
@@ -323,37 +291,26 @@ def replace_folder(folder: Path) -> Iterator[Path]:
     what a killed process left the next one removes. It gets a manifest. A block that writes
     nothing replaces nothing.
 
-    ConfigError if nothing can be written there, or `folder` holds anything foreign, at the begin or at the
-    end.
+    ConfigError if nothing can be written there, another process is writing there, or `folder` holds anything
+    foreign, at the begin or at the end.
     """
     folder = folder.resolve()
     require_replaceable(folder)
-    with _scratch_folder(folder) as fresh:
+    with _scratch_folder(folder) as (fresh, old):
+        require_replaceable(folder)  # a killed process may have left the only copy of a result
         fresh.mkdir()
         yield fresh
         if any(fresh.iterdir()):
             write_manifest(fresh)
             require_replaceable(folder)  # something may have been put there meanwhile
-            if not folder.exists():
-                fresh.rename(folder)
-            elif not _exchange(fresh, folder):
-                old = fresh.parent.with_name(_OLD_NAME)
+            if folder.exists():
                 folder.rename(old)
-                try:
-                    fresh.rename(folder)
-                except BaseException:
+            try:
+                fresh.rename(folder)
+            except BaseException:
+                if old.exists():
                     old.rename(folder)
-                    raise
-
-
-def _exchange(one: Path, other: Path) -> bool:
-    """Exchange two folders at once, so that there is never none; False where the system cannot."""
-    try:
-        rename = ctypes.CDLL(None, use_errno=True).renameat2
-    except (AttributeError, OSError, TypeError):
-        return False
-    here, exchange = -100, 2  # AT_FDCWD, RENAME_EXCHANGE
-    return bool(rename(here, os.fsencode(one), here, os.fsencode(other), exchange) == 0)
+                raise
 
 
 @contextmanager
@@ -365,7 +322,7 @@ def create_folder(folder: Path) -> Iterator[Path]:
     """
     folder = folder.resolve()
     require_new(folder)
-    with _scratch_folder(folder) as fresh:
+    with _scratch_folder(folder) as (fresh, _):
         fresh.mkdir()
         yield fresh
         require_new(folder)
@@ -394,41 +351,28 @@ def replace_file(file: Path) -> Iterator[Path]:
     ConfigError if nothing can be written there.
     """
     file = file.resolve()
-    with _scratch_folder(file) as fresh:
+    with _scratch_folder(file) as (fresh, _):
         yield fresh
         fresh.replace(file)
 
 
 @contextmanager
-def _scratch_folder(place: Path) -> Iterator[Path]:
-    """Yield a path of the name of `place`, in a folder beside it, on the same disk, which goes in the end.
+def _scratch_folder(place: Path) -> Iterator[tuple[Path, Path]]:
+    """Yield where to write what takes the place of `place`, and where to put what it replaces.
 
-    ConfigError if nothing can be written there.
+    Both are in a folder beside it, on the same disk, which goes in the end.
+
+    ConfigError if nothing can be written there, or another process is writing there.
     """
-    prefix = f".{place.name}{_SCRATCH}"
+    scratch = place.with_name(f".{place.name}.needlefit")
+    new, old = scratch / "new", scratch / "old"
+    lock = take_lock(scratch)
     try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        _remove_leftovers(place, prefix)
-        made = Path(tempfile.mkdtemp(prefix=prefix, dir=place.parent))
-        lock = take_lock(made)
-        (made / _NEW_NAME).mkdir()
-    except OSError as error:
-        raise not_writable_error(place, error.strerror or type(error).__name__) from None
-    try:
-        yield made / _NEW_NAME / place.name
+        if old.exists() and not place.exists():
+            old.rename(place)  # its process was killed between two renamings
+        shutil.rmtree(new, ignore_errors=True)
+        new.mkdir()
+        yield new / place.name, old
     finally:
-        if lock is not None:
-            lock.release()
-        shutil.rmtree(made, ignore_errors=True)
-
-
-def _remove_leftovers(place: Path, prefix: str) -> None:
-    """Remove the scratch folders of `place` whose process has ended; the only copy of a result goes back."""
-    for folder in place.parent.iterdir():
-        is_scratch = folder.name.startswith(prefix) and (folder / LOCK_NAME).is_file()
-        lock = take_lock(folder) if is_scratch and not folder.is_symlink() else None
-        if lock is not None:
-            if (folder / _OLD_NAME).exists() and not place.exists():
-                (folder / _OLD_NAME).rename(place)  # killed between two renamings
-            lock.release()
-            shutil.rmtree(folder, ignore_errors=True)
+        shutil.rmtree(scratch, ignore_errors=True)
+        lock.release()

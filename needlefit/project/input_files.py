@@ -1,13 +1,10 @@
 """Read the bytes, text, JSON or TOML of a file that a stranger may have made.
 
 Only regular files are opened, and only up to a stated size: a device may never end.
-A message about a file that cannot be parsed names the line and the column, and prints none of the content.
 """
 
 import json
-import math
 import os
-import re
 import stat
 import tomllib
 from collections.abc import Iterator
@@ -16,28 +13,12 @@ from io import BytesIO, TextIOWrapper
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from needlefit.errors import ConfigError, DataError, NeedlefitError
+from needlefit.errors import ConfigError, DataError
 
 MAX_CONFIG_BYTES = 8 * 2**20  # size of a TOML file
 MAX_TEXT_BYTES = 256 * 2**20  # size of a table, a list of markups or another text file
-MAX_NESTING_LEVELS = 64  # depth to which tables and lists of a TOML or JSON file may be nested
-MAX_FOLDER_FILES = 200_000
-MAX_FOLDER_LEVELS = 32  # files in a folder and its subfolders, and how deep these may be nested
+MAX_FOLDER_FILES = 200_000  # files in a folder and its subfolders
 SAVE_AS_UTF8 = 'save it as UTF-8 (in a spreadsheet: "CSV UTF-8")'
-
-_KINDS = (
-    (stat.S_ISDIR, "a folder"),
-    (stat.S_ISCHR, "a device"),
-    (stat.S_ISBLK, "a device"),
-    (stat.S_ISFIFO, "a named pipe"),
-    (stat.S_ISSOCK, "a socket"),
-)
-_INT64 = 2**63
-_DEEP_KEY = re.compile(
-    r"""(?<![\w-])(?>(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){%d}""" % MAX_NESTING_LEVELS  # noqa: UP031
-)
-_KEY_WITH_NUMBERS = re.compile(r"([A-Za-z0-9_-]+) = ([-+.,eE0-9 \[\]]+)")
-_PLACE = re.compile(r" \(at (line \d+, column \d+|end of document)\)$")
 
 FileErrorType = type[DataError] | type[ConfigError]
 
@@ -52,8 +33,7 @@ def open_regular(
     is no regular file, or is larger.
     """
     where = where or str(path)
-    try:
-        _require_regular(path.stat().st_mode, error, where)  # some devices act on being opened
+    try:  # without waiting for somebody who writes to a pipe
         file = os.fdopen(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)), "rb")
     except FileNotFoundError:
         raise error(
@@ -63,7 +43,8 @@ def open_regular(
         raise unreadable_error(fault, error, where) from None
     with file:
         status = os.fstat(file.fileno())
-        _require_regular(status.st_mode, error, where)  # it may have been exchanged in between
+        if not stat.S_ISREG(status.st_mode):
+            raise error("is no regular file", where=where, expected="a file", fix="name a file")
         if status.st_size > max_bytes:
             raise _too_large(status.st_size, max_bytes, error, where)
         yield file
@@ -108,96 +89,51 @@ def read_json(path: Path, max_bytes: int = MAX_TEXT_BYTES) -> Any:  # noqa: ANN4
 
 
 def parse_json(text: str, where: str) -> Any:  # noqa: ANN401 - whatever the text holds
-    """Return the value of a JSON text that stands at `where`.
-
-    DataError if it is not JSON, nested beyond `MAX_NESTING_LEVELS`, or holds a number too long to read.
-    """
+    """Return the value of a JSON text that stands at `where`; DataError if it is none."""
     try:
-        value = json.loads(text)
-    except json.JSONDecodeError as fault:
-        reason = f"{fault.msg}, line {fault.lineno}, column {fault.colno}"
-    except RecursionError:
-        reason = f"nested deeper than {MAX_NESTING_LEVELS} levels"
-    except ValueError:
-        reason = "it holds a number of too many digits"
-    else:
-        reason = _find_excess(value)
-        if not reason:
-            return value
-    raise DataError(
-        f"is not valid JSON: {reason}",
-        where=where,
-        expected="JSON",
-        fix="restore the file, or save it again from the program that made it",
-    )
+        return json.loads(text)
+    except (RecursionError, ValueError) as fault:
+        raise DataError(
+            f"is not valid JSON: {fault}",
+            where=where,
+            expected="JSON",
+            fix="restore the file, or save it again from the program that made it",
+        ) from None
 
 
 def read_toml(path: Path, error: FileErrorType = ConfigError, where: str = "") -> dict[str, Any]:
-    """Return the tables of a TOML file.
-
-    ConfigError or DataError as `read_text`, or if it is not TOML, nested beyond `MAX_NESTING_LEVELS`, or
-    holds an integer beyond 64 bits.
-    """
+    """Return the tables of a TOML file; ConfigError or DataError as `read_text`, or if it is not TOML."""
     return parse_toml(read_text(path, MAX_CONFIG_BYTES, error, where), where or str(path), error)
 
 
 def parse_toml(text: str, where: str, error: FileErrorType = ConfigError) -> dict[str, Any]:
     """Return the tables of a TOML text; `where` and else as `read_toml`."""
     try:
-        if _DEEP_KEY.search(text):  # tomllib copies a key with many dots once for every part
-            raise RecursionError
-        tables = _loads_numbers(text) or tomllib.loads(text)
-    except tomllib.TOMLDecodeError as fault:
-        reason = _toml_reason(str(fault))
-    except RecursionError:
-        reason = f"nested deeper than {MAX_NESTING_LEVELS} levels"
-    except ValueError:
-        reason = "it holds a number or a date that does not exist"
-    else:
-        reason = _find_excess(tables, _INT64)
-        if not reason:
-            return tables
-    raise error(
-        f"is not valid TOML: {reason}",
-        where=where,
-        expected="TOML: key = value, texts in quotes",
-        fix="correct the line named" if "line" in reason else "correct it",
-    )
-
-
-def _loads_numbers(text: str) -> dict[str, Any]:
-    """Return the values of a text in which every line is a key with numbers; nothing of any other.
-
-    Such lines mean the same to the JSON parser, which reads long lists thirty times as fast as tomllib.
-    """
-    lines = [_KEY_WITH_NUMBERS.fullmatch(line) for line in text.rstrip("\n").split("\n")]
-    try:
-        found = {line[1]: json.loads(line[2]) for line in lines if line}
-    except (ValueError, RecursionError):
-        return {}
-    return found if len(found) == len(lines) else {}
+        return tomllib.loads(text)
+    except (RecursionError, ValueError) as fault:
+        raise error(
+            f"is not valid TOML: {fault}",
+            where=where,
+            expected="TOML: key = value, texts in quotes",
+            fix="correct it",
+        ) from None
 
 
 @contextmanager
 def convert_stored_errors(where: Path | str) -> Iterator[None]:
-    """Turn what is raised where the values of a stored file are used into a DataError that names the file.
+    """Turn what is raised where the values of a stored file are parsed into a DataError that names the file.
 
     A file can hold what its declared form allows and its writer never wrote: an unknown word, a number that
-    overflows. Errors of needlefit, and of the system (a full disk), pass unchanged.
-
-    DataError for everything else; the first exception is its cause.
+    overflows.
     """
     try:
         yield
-    except (NeedlefitError, OSError):
-        raise
-    except Exception as fault:
+    except (OverflowError, TypeError, ValueError) as fault:
         raise DataError(
             f"holds values that needlefit cannot use ({type(fault).__name__})",
             where=str(where),
             expected="files as needlefit wrote them",
-            fix="run it again, or take them from a copy; if nobody changed them, this is an error of "
-            "needlefit: needlefit -v shows where",
+            fix="run it again, or take them from a copy",
         ) from fault
 
 
@@ -222,21 +158,20 @@ def is_dir(path: Path) -> bool:
 def list_files(folder: Path) -> list[Path]:
     """Return the files in a folder and its subfolders, sorted, without hidden ones and linked folders.
 
-    DataError if a folder cannot be read, or there are too many files or levels.
+    DataError if a folder cannot be read, or there are too many files.
     """
+
+    def fail(fault: OSError) -> None:
+        raise unreadable_error(fault, DataError, str(fault.filename))
+
     found: list[Path] = []
-    waiting = [(folder, 0)]
-    while waiting:
-        here, level = waiting.pop()
-        try:
-            entries = [one for one in os.scandir(here) if not one.name.startswith(".")]
-            found += [Path(one.path) for one in entries if one.is_file()]
-            waiting += [(Path(one.path), level + 1) for one in entries if one.is_dir(follow_symlinks=False)]
-        except OSError as fault:
-            raise unreadable_error(fault, DataError, str(here)) from None
-        if len(found) > MAX_FOLDER_FILES or level > MAX_FOLDER_LEVELS:
+    for place, folders, names in os.walk(folder, onerror=fail):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        paths = (Path(place, name) for name in names if not name.startswith("."))
+        found += filter(is_file, paths)
+        if len(found) > MAX_FOLDER_FILES:
             raise DataError(
-                f"holds over {MAX_FOLDER_FILES} files, or folders nested deeper than {MAX_FOLDER_LEVELS}",
+                f"holds over {MAX_FOLDER_FILES} files",
                 where=str(folder),
                 expected="the folder of one export",
                 fix="name the folder in which the files lie",
@@ -259,13 +194,6 @@ def unreadable_error(
     )
 
 
-def _require_regular(mode: int, error: FileErrorType, where: str) -> None:
-    if stat.S_ISREG(mode):
-        return
-    kind = next((name for test, name in _KINDS if test(mode)), "not a regular file")
-    raise error(f"is {kind}", where=where, expected="a regular file", fix="name a file")
-
-
 def _too_large(size: int, max_bytes: int, error: FileErrorType, where: str) -> DataError | ConfigError:
     return error(
         f"is too large: {size / 2**20:.0f} MiB",
@@ -273,25 +201,3 @@ def _too_large(size: int, max_bytes: int, error: FileErrorType, where: str) -> D
         expected=f"at most {max_bytes / 2**20:.0f} MiB",
         fix="check that it is the file that you meant, or divide it",
     )
-
-
-def _toml_reason(message: str) -> str:
-    """Return what tomllib says, without what it quotes of the file.
-
-    Behind "Expected" it quotes its own grammar.
-    """
-    place = _PLACE.search(message)
-    text = message[: place.start()] if place else message
-    kept = text if text.startswith("Expected ") or not {"'", '"'} & set(text) else ""
-    return ", ".join(part for part in (kept, place[1] if place else "") if part) or "no reason given"
-
-
-def _find_excess(value: object, most: float = math.inf) -> str:
-    """Return what is wrong with a value: nested too deeply, or an integer from `most` on, else nothing."""
-    level = [value] if isinstance(value, dict | list) else []
-    for _ in range(MAX_NESTING_LEVELS):
-        inner = [one for outer in level for one in (outer.values() if isinstance(outer, dict) else outer)]
-        if most < math.inf and any(isinstance(one, int) and not -most <= one < most for one in inner):
-            return "it holds an integer beyond 64 bits"  # which tomllib takes
-        level = [one for one in inner if isinstance(one, dict | list)]
-    return f"nested deeper than {MAX_NESTING_LEVELS} levels" if level else ""

@@ -63,24 +63,20 @@ def find_file(kind: FileKind, name: str) -> Path:
 
     ConfigError if there is no such file; the nearest names are listed.
     """
+    found = _look_up(kind, name)
+    if found is None:
+        raise unknown_name_error(kind, name, list_names(kind))
+    return found
+
+
+def _look_up(kind: FileKind, name: str) -> Path | None:
+    """Return the file that `name` means, None if there is none; a dataset may be named by its folder."""
     if is_path(name):
         path = Path(name)
         path = path / "dataset.toml" if kind == "dataset" and is_dir(path) else path
-        if is_file(path):
-            return path
-        if kind == "dataset" and is_dir(Path(name)):
-            raise ConfigError(
-                "this folder holds no dataset.toml",
-                where=name,
-                expected="dataset.toml: what the dataset is, and which files hold what",
-                fix="name the folder that holds it; `needlefit new dataset DIR` writes one to begin with",
-            )
-        raise _missing_error(kind, name)
-    for root in search_roots():
-        path = root / _PATTERNS[kind].format(name=name)
-        if is_file(path):
-            return path
-    raise unknown_name_error(kind, name, list_names(kind))
+        return path if is_file(path) else None
+    paths = (root / _PATTERNS[kind].format(name=name) for root in search_roots())
+    return next(filter(is_file, paths), None)
 
 
 def file_label(path: Path) -> str:
@@ -93,58 +89,49 @@ def file_label(path: Path) -> str:
     return str(path)
 
 
+SourceKind = Literal["dataset", "study", "fit"]
+_KEYS: tuple[tuple[SourceKind, frozenset[str]], ...] = (
+    ("study", frozenset({"validate", "leave_out", "observable", "kind"})),
+    ("dataset", frozenset({"origin", "needle", "insertions", "centerlines", "tip_tracks"})),
+)
+"""Keys by which the kind of a file is known that a path names; one with none of them is a fit."""
+
+
+def _find_sources(name: str, kinds: Sequence[SourceKind]) -> list[tuple[SourceKind, Path]]:
+    """Return what a name means among these kinds of file, in their order; of a path, what its file is."""
+    found = [(kind, path) for kind in kinds if (path := _look_up(kind, name)) is not None]
+    if not found or not is_path(name):
+        return found
+    path = found[0][1]
+    keys = read_toml(path, where=file_label(path)).keys()
+    if path.name != "dataset.toml":
+        require_file_name(path.stem, name)
+        return [(next((kind for kind, some in _KEYS if keys & some), "fit"), path)]
+    return [("dataset", path)]
+
+
 def find_study_or_fit(name: str) -> tuple[Literal["study", "fit"], Path]:
     """Return the study or the fit that `name` means; a name found as both is an error."""
-    if is_path(name):
-        path = Path(name)
-        if not is_file(path):
-            raise _missing_error("study or fit", name)
-        require_file_name(path.stem, name)
-        return ("study" if _is_study(path) else "fit"), path
-    kinds: tuple[Literal["study", "fit"], ...] = ("study", "fit")
-    found = [kind for kind in kinds if name in list_names(kind)]
+    found = _find_sources(name, ("study", "fit"))
+    if not found:
+        raise unknown_name_error("study or fit", name, [*list_names("study"), *list_names("fit")])
     if len(found) == 2:
         raise ConfigError(
             f"`{name}` is both a study and a fit",
             fix=f"say which: studies/{name}.toml or configs/fits/{name}.toml",
         )
-    if not found and name == "all":
-        raise ConfigError(
-            "`all` is no study or fit that can be tuned by itself",
-            expected=f"one of {', '.join([*list_names('study'), *list_names('fit')])}",
-            fix="tune them one by one; `needlefit validate all` runs the paper's studies and their fits",
-        )
-    if not found:
-        raise unknown_name_error("study or fit", name, list_names("study") + list_names("fit"))
-    return found[0], find_file(found[0], name)
+    return ("study" if found[0][0] == "study" else "fit"), found[0][1]
 
 
-_DATASET_KEYS = {"origin", "needle", "insertions", "centerlines", "tip_tracks"}
-
-
-def find_dataset_or_study(name: str) -> tuple[Literal["dataset", "study", "fit"], Path]:
+def find_dataset_or_study(name: str) -> tuple[SourceKind, Path]:
     """Return the dataset, or else the study or fit, that `name` means; ConfigError if there is none."""
-    if is_path(name):
-        path = find_file("dataset", name)
-        keys = read_toml(path, where=file_label(path)).keys()
-        if path.name != "dataset.toml" and _is_study(path):
-            return "study", path
-        if path.name == "dataset.toml" or keys & _DATASET_KEYS:
-            return "dataset", path
-        if {"dataset", "medium"} <= keys:
-            return "fit", path
-        raise ConfigError(
-            "is neither a dataset nor a study",
-            where=name,
-            expected="a dataset, a study or a fit",
-            fix="check the study that names it: its tissue model and its recipe are checked, too",
+    kinds: tuple[SourceKind, ...] = ("dataset", "study", "fit")
+    found = _find_sources(name, kinds)
+    if not found:
+        raise unknown_name_error(
+            "dataset or study", name, [one for kind in kinds for one in list_names(kind)]
         )
-    kinds: tuple[Literal["dataset", "study", "fit"], ...] = ("dataset", "study", "fit")
-    known = {kind: list_names(kind) for kind in kinds}
-    for kind in kinds:
-        if name in known[kind]:
-            return kind, find_file(kind, name)
-    raise unknown_name_error("dataset or study", name, [one for names in known.values() for one in names])
+    return found[0]
 
 
 def find_studies(name: str) -> list[tuple[str, Path]]:
@@ -156,32 +143,54 @@ def find_studies(name: str) -> list[tuple[str, Path]]:
         others = [one for one in list_names("study") if one not in PAPER_STUDIES]
         wanted = (*PAPER_STUDIES, *(others if name == EVERY_STUDY else ()))
         return [(study, find_file("study", study)) for study in wanted]
-    known = list_names("study")
-    if not is_path(name) and name not in known:
-        if name in list_names("fit"):
-            raise _not_a_study_error(name)
-        raise unknown_name_error("study", name, [*known, *STUDY_GROUPS])
-    path = find_file("study", name)
-    if path.parent.name == "fits" and not _is_study(path):
-        raise _not_a_study_error(name)
-    require_file_name(path.stem, name)
+    found = _find_sources(name, ("study", "fit"))
+    if not found:
+        raise unknown_name_error("study", name, [*list_names("study"), *STUDY_GROUPS])
+    kind, path = found[0]
+    if kind == "fit":
+        raise ConfigError(
+            f"`{name}` is a fit, which has nothing to validate on",
+            expected="a study",
+            fix=f"use: {shlex.join(('needlefit', 'tune', name))}",
+        )
     return [(path.stem, path)]
 
 
-def find_tunings(name: str) -> list[tuple[str, Path]]:
-    """Return the names and files of the fits that fill the paper's tuning tables, which belong to a group."""
-    return [(fit, find_file("fit", fit)) for fit in PAPER_FITS] if name in STUDY_GROUPS else []
-
-
 def find_run(name: str) -> Path:
-    """Return the folder of results that `name` means: a path, or bare a folder in `reports/`.
+    """Return the folder of results that `name` means: a path, or bare a folder in `reports/` or here.
 
-    ConfigError if there is no such folder, or it holds no `run.json`.
+    A folder that holds one run means that run.
+
+    ConfigError if there is no such folder, or it holds no run, or several.
     """
-    folder = Path(name) if is_path(name) else Path("reports") / name
-    if is_file(folder / "run.json"):
-        return folder
-    raise unknown_name_error("run", name, list_runs())
+    found = _look_up_run(name)
+    if found is not None:
+        return found
+    inside = _list_runs_in(name)
+    if len(inside) > 1:
+        raise ConfigError(
+            f"`{name}` holds several runs",
+            expected=f"one of {join_names([str(one) for one in inside])}",
+            fix="name one of them",
+        )
+    if not inside:
+        raise unknown_name_error("run", name, list_runs())
+    return inside[0]
+
+
+def _look_up_run(name: str) -> Path | None:
+    return next((place for place in _run_places(name) if is_file(place / "run.json")), None)
+
+
+def _list_runs_in(name: str) -> list[Path]:
+    found = [sorted(place.glob("*/run.json")) for place in _run_places(name) if is_dir(place)]
+    return [file.parent for file in next(filter(None, found), [])]
+
+
+def _run_places(name: str) -> list[Path]:
+    """Return the folders that may be meant, the first before the others; `a/` is a bare name, too."""
+    bare = name.rstrip("/")
+    return [Path(name)] if is_path(bare) or not bare else [Path("reports") / bare, Path(bare)]
 
 
 def list_runs() -> list[str]:
@@ -194,58 +203,33 @@ def is_path(name: str) -> bool:
     return "/" in name or name in (".", "..") or name.endswith(".toml")
 
 
-def _is_study(path: Path) -> bool:
-    return bool(
-        {"validate", "leave_out", "observable", "kind"} & read_toml(path, where=file_label(path)).keys()
-    )
-
-
 def _name(kind: FileKind, path: Path) -> str:
     return path.parent.name if kind in ("dataset", "scans") else path.stem
 
 
-def _not_a_study_error(fit: str) -> ConfigError:
-    return ConfigError(
-        f"`{fit}` is a fit, which has nothing to validate on",
-        expected="a study",
-        fix=f"use: {shlex.join(('needlefit', 'tune', fit))}",
-    )
-
-
-def _missing_error(kind: str, name: str) -> ConfigError:
-    path = Path(name)
-    if not is_dir(path.parent):
-        there = f"the folder {path.parent} does not exist"
-    else:
-        files = [str(file) for file in path.parent.glob("*.toml") if file.is_file()]
-        there = join_names(sort_by_similarity(name, files)) or "no TOML file in this folder"
-    return ConfigError(
-        f"there is no such {kind}",
-        where=name,
-        expected=f"a TOML file: {there}",
-        fix="check the path",
-    )
+LIKE = 0.7  # likeness, 0 to 1, from which a name is proposed
 
 
 def unknown_name_error(kind: str, name: str, known: list[str], otherwise: str = ", or a path") -> ConfigError:
-    """Return what is raised of a bare name that is not known: those that are, the nearest first."""
-    fix = f"write ./{name} if you mean the one in this folder" if path_exists(Path(name)) else ""
-    return ConfigError(
-        f"there is no {kind} called `{name}`",
-        expected=f"one of {join_names(sort_by_similarity(name, known)) or '(none found)'}",
-        fix=fix or f"use one of these names{otherwise}",
-    )
+    """Return what is raised of a name that is not known: those that are, the nearest first."""
+    last = name.rstrip("/").rpartition("/")[2].removesuffix(".toml")
+    nearest = sort_by_similarity(last, known)
+    what = f"there is no {kind} called `{name}`"
+    if nearest and _compare(last, nearest[0]) >= LIKE:
+        what += f"; did you mean `{nearest[0]}`?"
+    fix = f"use one of these names{otherwise}"
+    if path_exists(Path(name)) and not is_path(name):
+        fix = f"write ./{name} if you mean the one in this folder"
+    return ConfigError(what, expected=f"one of {join_names(nearest) or '(none found)'}", fix=fix)
+
+
+def _compare(name: str, other: str) -> float:
+    return difflib.SequenceMatcher(None, name.lower(), other.lower(), autojunk=False).ratio()
 
 
 def sort_by_similarity(name: str, known: Iterable[str]) -> list[str]:
     """Return names, each once, those most like `name` first, equally like ones by the alphabet."""
-    wanted = difflib.SequenceMatcher(b=name.lower(), autojunk=False)
-
-    def likeness(one: str) -> float:
-        wanted.set_seq1(one.lower())
-        return wanted.ratio()
-
-    return sorted(sorted(set(known)), key=likeness, reverse=True)
+    return sorted(sorted(set(known)), key=lambda one: _compare(one, name), reverse=True)
 
 
 def join_names(names: Sequence[str], most: int = MAX_LISTED_NAMES) -> str:
@@ -278,50 +262,34 @@ def find_view_target(name: str) -> ViewTarget:
 
     ConfigError if there is nothing of that name, or things of several kinds.
     """
-    whole = _find_viewed(name)
-    if whole is not None:
-        return whole
-    with_insertions = sorted({*list_names("dataset"), *list_runs()})
-    if "/" not in name:
-        known = sorted({*list_names("scene"), *with_insertions})
-        raise unknown_name_error("scene, run or dataset", name, known)
     front, _, insertion = name.rstrip("/").rpartition("/")
-    found = _find_viewed(front, insertion)
-    if found is not None and found.kind != "scene":
-        return replace(found, insertion=insertion)
-    if front and not is_path(front) and not path_exists(Path(name)):
-        raise unknown_name_error("dataset or run", front, with_insertions)
-    raise ConfigError(
-        "holds no scene, run or dataset",
-        where=name,
-        expected="a scene (.toml), a folder with run.json or dataset.toml, or such a folder and /ID",
-        fix="check the path",
-    )
-
-
-def _find_viewed(name: str, insertion: str | None = None) -> ViewTarget | None:
-    """Return what a path or a bare name means, None if nothing; a name of several kinds is an error."""
-    at, found = Path(name), dict[TargetKind, Path]()
-    if is_path(name):
-        if name.endswith(".toml") and at.name != "dataset.toml":
-            found["scene"] = find_file("scene", name)
-        elif is_dir(at) and is_file(at / "run.json"):
-            found["run"] = at
-        elif at.name == "dataset.toml" or is_file(at / "dataset.toml"):
-            found["dataset"] = find_file("dataset", name)
-    else:
-        if insertion is None and name in list_names("scene"):  # a scene has no insertions
-            found["scene"] = find_file("scene", name)
-        if name in list_runs():
-            found["run"] = find_run(name)
-        if name in list_names("dataset"):
-            found["dataset"] = find_file("dataset", name)
+    found = _list_viewed(name)
+    if not found and front:
+        behind = (one for one in _list_viewed(front) if one.kind != "scene")  # a scene has no insertions
+        found = [replace(one, insertion=insertion) for one in behind]
+    if not found and _list_runs_in(name):
+        found = [ViewTarget("run", name, find_run(name))]
+    if not found:
+        known = {*list_names("scene"), *list_names("dataset"), *list_runs()}
+        raise unknown_name_error("scene, run or dataset", name, list(known))
     if len(found) > 1:
-        here, more = Path.cwd(), "" if insertion is None else f"/{insertion}"
-        paths = [path.parent if kind == "dataset" else path for kind, path in found.items()]
-        shown = [f"{one.relative_to(here) if one.is_relative_to(here) else one}{more}" for one in paths]
+        folders = (one.path.parent if one.kind == "dataset" else one.path for one in found)
+        paths = [f"{path}/{found[0].insertion}" if found[0].insertion else str(path) for path in folders]
         raise ConfigError(
-            f"`{name}` is {' and '.join(f'a {kind}' for kind in found)}",
-            fix=f"say which: {' or '.join(shown)}",
+            f"`{name}` is {' and '.join(f'a {one.kind}' for one in found)}",
+            fix=f"say which: {' or '.join(paths)}",
         )
-    return next((ViewTarget(kind, name, path) for kind, path in found.items()), None)
+    return found[0]
+
+
+def _list_viewed(name: str) -> list[ViewTarget]:
+    """Return the scene, the run and the dataset of a bare name, or the one thing that a path means."""
+    scene, run, dataset = _look_up("scene", name), _look_up_run(name), _look_up("dataset", name)
+    if is_path(name):
+        if run is not None or (scene is not None and scene.name != "dataset.toml"):
+            dataset = None
+        scene = scene if dataset is None else None
+    elif run is not None and run.parent != Path("reports") and (scene or dataset):
+        run = None
+    kinds: tuple[tuple[TargetKind, Path | None], ...] = (("scene", scene), ("run", run), ("dataset", dataset))
+    return [ViewTarget(kind, name, path) for kind, path in kinds if path is not None]

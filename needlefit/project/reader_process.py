@@ -86,24 +86,16 @@ def read_in_process(
     Raised is what the reader raised, a NeedlefitError; DataError if it crashed, or needed more memory or
     time; ModuleNotFoundError if the child lacks a package.
     """
-    memory, cpu = READER_BYTES + memory_bytes, READER_SECONDS + math.ceil(seconds)
-    request = {"reader": reader, "arguments": arguments, "memory": memory, "seconds": cpu}
+    request = {
+        **{"reader": reader, "arguments": arguments, "file": str(file), "parent": os.getpid()},
+        **{"memory": READER_BYTES + memory_bytes, "seconds": READER_SECONDS + math.ceil(seconds)},
+    }
     answer, arrays = _run(request, file)
-    kind = answer["kind"]
-    if kind == "value":
-        return answer["value"], arrays
-    if kind == "missing":
-        raise ModuleNotFoundError(f"No module named {answer['name']!r}", name=answer["name"])
-    if kind == "memory":
-        raise _error(
-            file,
-            f"its reader needs more memory than {memory / 2**30:.3g} GiB",
-            "a file that takes no more memory than its header promises",
-            f"{_DAMAGED}; if you trust it and have the memory, set {MEMORY_VARIABLE} to more GiB",
-        )
-    if kind == "raised":
-        raise _error(file, f"cannot be read ({answer['name']})")
-    raise (ConfigError if kind == "ConfigError" else DataError)(**answer["error"])
+    if "missing" in answer:
+        raise ModuleNotFoundError(f"No module named {answer['missing']!r}", name=answer["missing"])
+    if "error" in answer:
+        raise (ConfigError if answer["is_config"] else DataError)(**answer["error"])
+    return answer["value"], arrays
 
 
 def _run(request: Mapping[str, Any], file: Path) -> tuple[dict[str, Any], Arrays]:
@@ -117,7 +109,7 @@ def _run(request: Mapping[str, Any], file: Path) -> tuple[dict[str, Any], Arrays
     with tempfile.TemporaryFile(buffering=0) as written:
         try:
             done = subprocess.run(
-                [*python, json.dumps(search_path), json.dumps({**request, "parent": os.getpid()})],
+                [*python, json.dumps(search_path), json.dumps(request)],
                 stdin=subprocess.DEVNULL,
                 stdout=written,
                 stderr=subprocess.DEVNULL,
@@ -169,21 +161,28 @@ def serve(request: Mapping[str, Any]) -> None:
 
 
 def _attempt(request: Mapping[str, Any], arrays: Arrays) -> dict[str, Any]:
+    fault: NeedlefitError
     try:
         module, _, name = request["reader"].partition(":")
         reader = getattr(import_module(module), name)
         _set_limits(request["memory"], request["seconds"])
-        return {"kind": "value", "value": reader(arrays, **request["arguments"])}
-    except NeedlefitError as error:
-        parts = {key: getattr(error, key) for key in ("what", "where", "expected", "fix")}
-        return {"kind": type(error).__name__, "error": parts}
+        return {"value": reader(arrays, **request["arguments"])}
     except ModuleNotFoundError as error:
-        return {"kind": "missing", "name": error.name}
+        return {"missing": error.name}
+    except NeedlefitError as error:
+        fault = error
     except Exception as error:  # whatever the bytes provoke; its text may quote them
+        fault = _error(Path(request["file"]), f"cannot be read ({type(error).__name__})")
         if isinstance(error, MemoryError) or getattr(error, "errno", 0) == errno.ENOMEM:
-            arrays.clear()
-            return {"kind": "memory"}
-        return {"kind": "raised", "name": type(error).__name__}
+            fault = _error(
+                Path(request["file"]),
+                f"its reader needs more memory than {request['memory'] / 2**30:.3g} GiB",
+                "a file that takes no more memory than its header promises",
+                f"{_DAMAGED}; if you trust it and have the memory, set {MEMORY_VARIABLE} to more GiB",
+            )
+    arrays.clear()
+    parts = {key: getattr(fault, key) for key in ("what", "where", "expected", "fix")}
+    return {"error": parts, "is_config": isinstance(fault, ConfigError)}
 
 
 def _set_limits(memory: int, seconds: int) -> None:

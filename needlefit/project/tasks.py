@@ -166,16 +166,11 @@ def run_parts(
     `stop` is requested in the end.
     """
 
-    def run(n: int) -> tuple[Result, ...]:
-        return () if stop() else (work(items[n]),)
+    def run(item: Item) -> tuple[Result, ...]:
+        return () if stop() else (work(item),)
 
-    if threads > 1:
-        with ThreadPoolExecutor(threads) as side_by_side:
-            yield from as_they_end({side_by_side.submit(run, n): n for n in range(len(items))}, stop)
-        return
-    for n in range(len(items)):
-        for result in run(n):
-            yield n, result
+    with ThreadPoolExecutor(max(threads, 1)) as side_by_side:
+        yield from as_they_end({side_by_side.submit(run, item): n for n, item in enumerate(items)}, stop)
 
 
 def as_they_end(
@@ -201,32 +196,32 @@ def compute_beside(
     this process, which the copy lacks: those of typst among them. In the copy `stop_requested` says whether
     `stop` was asked for, or nobody wants the rest.
     """
-    futures: list[Future[bytes]] = []
-    events: list[Event] = []
-
-    def end() -> list[bytes]:
-        done = {n: work[n]() for n in range(len(work))[::-1] if not futures or futures[n].cancel()}
-        others = {n: one for n, one in enumerate(futures) if n not in done}
-        while wait(others.values(), STOP_POLL_S).not_done:
-            if stop():
-                events[0].set()
-        done |= {n: work[n]() if one.exception() else one.result() for n, one in others.items()}
-        return [done[n] for n in range(len(work))]
-
     with ExitStack() as stack:
+        futures: list[Future[bytes]] = []
+        event: Event | None = None
         if len(work) > 1 and can_fork():
             _Surroundings.work = work
             with suppress(OSError):  # without a copy all is done here
                 pool, event = stack.enter_context(_open_processes(1))
-                events.append(event)
-                futures += [pool.submit(_run_piece, n) for n in range(len(work))]
+                futures = [pool.submit(_run_piece, n) for n in range(len(work))]
             _Surroundings.work = ()
+
+        def end() -> list[bytes]:
+            here = {n: work[n]() for n in range(len(work))[::-1] if not futures or futures[n].cancel()}
+            while wait([one for one in futures if not one.cancelled()], STOP_POLL_S).not_done:
+                if event is not None and stop():
+                    event.set()
+            return [
+                here[n] if n in here else one() if futures[n].exception() else futures[n].result()
+                for n, one in enumerate(work)
+            ]
+
         try:
             yield end
         finally:
             for future in futures:  # after an error nobody wants the rest
                 future.cancel()
-            for event in events:
+            if event is not None:
                 event.set()
 
 
@@ -245,12 +240,9 @@ class _Surroundings:
 
 def stop_requested() -> bool:
     """Whether the task that asks shall end early; it then has no result."""
-    _Surroundings.stopped = _Surroundings.stopped or _is_stop_set()
+    if _Surroundings.stop is not None and _Surroundings.stop.is_set():
+        _Surroundings.stopped = True
     return _Surroundings.stopped
-
-
-def _is_stop_set() -> bool:
-    return _Surroundings.stop is not None and _Surroundings.stop.is_set()
 
 
 def threads_of_task() -> int:

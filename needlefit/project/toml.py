@@ -7,16 +7,14 @@ import copy
 import difflib
 import json
 import re
-import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args, get_origin
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
-from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from needlefit.errors import ConfigError, NeedlefitError
@@ -55,27 +53,29 @@ def check(tables: dict[str, Any], kind: type[R], where: Path | str) -> R:
             json.dumps(tables, default=lambda date: {"date or time": str(date)}), strict=True
         )
     except ValidationError as error:
-        faults = schema_faults(error, kind)
-        keys = (f"`{fault.key}`: " if len(faults) > 1 else "" for fault in faults)
-        expected = [
-            f"{key}{fault.expected}" for key, fault in zip(keys, faults, strict=True) if fault.expected
-        ]
+        faults = _list_faults(error, kind)
         raise ConfigError(
             "; ".join(fault.what for fault in faults),
             where=where if isinstance(where, str) else locate_key(where, faults[0].key),
-            expected="; ".join(expected),
-            fix="; ".join(fault.fix for fault in faults if fault.fix),
+            expected="; ".join(
+                f"`{fault.key}`: {fault.expected}" if len(faults) > 1 else fault.expected
+                for fault in faults
+                if fault.expected
+            ),
+            fix="; ".join(fault.fix for fault in faults),
         ) from None
 
 
 # ---- faults
 
 Location = tuple[int | str, ...]
-ErrorContext = dict[str, Any]
+
+_UNION_MEMBER = re.compile(r"constrained-|literal\[")  # pydantic's name of the type that was tried
+_INPUT = "Input should be "  # pydantic's words before what it expects
 
 
 @dataclass(frozen=True)
-class SchemaFault:
+class _Fault:
     """One wrong, missing or unknown key of a file."""
 
     key: str
@@ -84,157 +84,69 @@ class SchemaFault:
     fix: str
 
 
-_TYPE_NAMES: dict[type, str] = {
-    float: "a number, without quotes",
-    int: "a whole number, without quotes",
-    str: 'a text, in quotes ("...")',
-    bool: "true or false, without quotes",
-}
-_EXPECTED: dict[str, Callable[[ErrorContext], str]] = {
-    "greater_than": lambda stated: f"a number above {stated['gt']:g}",
-    "greater_than_equal": lambda stated: f"a number of at least {stated['ge']:g}",
-    "less_than": lambda stated: f"a number below {stated['lt']:g}",
-    "less_than_equal": lambda stated: f"a number of at most {stated['le']:g}",
-    "multiple_of": lambda stated: f"a multiple of {stated['multiple_of']:g}",
-    "finite_number": lambda _: "a finite number",
-    "literal_error": lambda stated: str(stated["expected"]).replace("'", '"'),
-    "too_short": lambda stated: f"a list of at least {stated['min_length']}",
-    "too_long": lambda stated: f"a list of at most {stated['max_length']}",
-    "string_pattern_mismatch": lambda _: "a letter, then letters, digits, - or _",
-    "float_type": lambda _: _TYPE_NAMES[float],
-    "float_parsing": lambda _: _TYPE_NAMES[float],
-    "int_type": lambda _: _TYPE_NAMES[int],
-    "int_parsing": lambda _: _TYPE_NAMES[int],
-    "int_from_float": lambda _: _TYPE_NAMES[int],
-    "string_type": lambda _: _TYPE_NAMES[str],
-    "bool_type": lambda _: _TYPE_NAMES[bool],
-    "bool_parsing": lambda _: _TYPE_NAMES[bool],
-    "tuple_type": lambda _: "a list: [..., ...], or a table [[...]] for each member",
-    "dict_type": lambda _: "a table of keys and values",
-    "model_type": lambda _: "a table of keys and values",
-}
-_MEMBER = re.compile(r"constrained-|literal\[")
-_LENGTH_FAULTS = {"too_short": "has too few members", "too_long": "has too many members"}
+def _list_faults(error: ValidationError, kind: type[BaseModel]) -> list[_Fault]:
+    """Return what is wrong with a file that should be a record `kind`, one fault for each key.
 
-
-def schema_faults(error: ValidationError, kind: type[BaseModel]) -> list[SchemaFault]:
-    """Return what is wrong with a file that should be a record `kind`.
-
-    Members of a list are numbered from 1. A list is not called too short for members that are wrong
-    themselves. What could be one thing or another is one fault.
+    A list is not called too short for members that are wrong themselves.
     """
-    found: list[tuple[Location, ErrorDetails]] = []
-    for each in error.errors():
-        if each["type"] == MISSING_KEY:  # of a key which other keys require: as if the record required it
-            each = {**each, "type": "missing", "loc": (*each["loc"], *each["ctx"]["location"])}
-        names_member = (isinstance(part, str) and _MEMBER.match(part) for part in each["loc"])
-        parts = zip(each["loc"], names_member, strict=True)
-        found.append((tuple(part for part, is_member in parts if not is_member), each))
-    kept: dict[str, SchemaFault] = {}
-    for place, each in found:
-        if each["type"] == "too_short" and any(
-            len(other) > len(place) and other[: len(place)] == place for other, _ in found
-        ):
-            continue
-        fault = _to_fault(each["type"], place, each, kind)
-        first = kept.get(fault.key)
-        if first is None:
-            kept[fault.key] = fault
-        elif first.what == fault.what and fault.expected:
-            kept[fault.key] = replace(first, expected=f"{first.expected}, or {fault.expected}")
-        else:
-            kept[f"{fault.key} {len(kept)}"] = fault
-    return list(kept.values())
-
-
-def _to_fault(fault: str, location: Location, error: ErrorDetails, kind: type[BaseModel]) -> SchemaFault:
-    key = ".".join(str(part + 1 if isinstance(part, int) else part) for part in location)
-    if fault == "extra_forbidden":
-        return _unknown(key, location, kind)
-    if fault == "missing":
-        return SchemaFault(key, f"key `{key}` is missing", _missing(location, kind), f"add `{key}`")
-    message = error["msg"].removeprefix("Value error, ")
-    if fault not in _EXPECTED:  # the record's own words, which say what to do
-        what, fix = (f"key `{key}`: {message}", f"`{key}`") if key else (message, "the keys named")
-        return SchemaFault(key, what, _forms(kind, location), f"change {fix} accordingly")
-    value = error.get("input")
-    known = isinstance(value, str | int | float | bool)
-    got = _LENGTH_FAULTS.get(fault) or (f"is {_as_written(value)}" if known else "is of another kind")
-    return SchemaFault(key, f"key `{key}` {got}", _EXPECTED[fault](error.get("ctx", {})), f"correct `{key}`")
-
-
-def _as_written(value: object) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f'"{value}"' if isinstance(value, str) else f"{value!r}"
-
-
-def _unknown(key: str, location: Location, kind: type[BaseModel]) -> SchemaFault:
-    known = list(_fields(kind, location[:-1]))
-    near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
-    forms, table = _forms(kind, location[:-1]), key.rpartition(".")[0]
-    return SchemaFault(
-        key,
-        f"key `{key}` is unknown" + (f"; did you mean `{near[0]}`?" if near else ""),
-        forms or (f"one of {', '.join(known)}" if known else ""),
-        f"write `{near[0]}`, or leave it out"
-        if near
-        else f"write `{table}` in one of these forms"
-        if forms
-        else f"leave `{key}` out",
-    )
-
-
-def _forms(kind: type[BaseModel], location: Location) -> str:
-    """Return the ways to write the table at `location` of a record; empty where it states none."""
-    return str(getattr(_record_at(kind, location), "FORMS", ""))
-
-
-def _missing(location: Location, kind: type[BaseModel]) -> str:
-    """Return what is missing, as the record declares it."""
-    field = _fields(kind, location[:-1]).get(str(location[-1]))
-    if field is None:
-        return ""
-    for limit in field.metadata:
-        for name, fault in (("gt", "greater_than"), ("ge", "greater_than_equal")):
-            if getattr(limit, name, None) is not None:
-                return _EXPECTED[fault]({name: getattr(limit, name)})
-    if get_origin(field.annotation) is Literal:
-        return " or ".join(map(_as_written, get_args(field.annotation)))
-    words = [
-        text
-        for type_, text in _TYPE_NAMES.items()
-        if type_ in (field.annotation, *get_args(field.annotation))
+    found = dict[Location, list[ErrorDetails]]()
+    for one in error.errors():
+        parts = (part for part in one["loc"] if not (isinstance(part, str) and _UNION_MEMBER.match(part)))
+        missing = one["ctx"]["location"] if one["type"] == MISSING_KEY else ()
+        found.setdefault((*parts, *missing), []).append(one)
+    return [
+        _describe_fault(place, errors, kind)
+        for place, errors in found.items()
+        if errors[0]["type"] != "too_short"
+        or not any(len(other) > len(place) and other[: len(place)] == place for other in found)
     ]
-    return words[0] if words else "a table of keys and values"
 
 
-def _fields(kind: type[BaseModel], location: Location) -> dict[str, FieldInfo]:
-    """Return the keys of the table at `location` of a record; none where that is no single record."""
-    holder = _record_at(kind, location)
-    return {} if holder is None else {one.alias or name: one for name, one in holder.model_fields.items()}
+def _describe_fault(place: Location, errors: list[ErrorDetails], kind: type[BaseModel]) -> _Fault:
+    key = ".".join(str(part + 1 if isinstance(part, int) else part) for part in place)
+    if errors[0]["type"] in ("missing", MISSING_KEY):
+        return _Fault(key, f"key `{key}` is missing", "", f"add `{key}`")
+    if errors[0]["type"] == "extra_forbidden":
+        table = _find_record(kind, place[:-1])
+        known = [one.alias or name for name, one in table.model_fields.items()] if table else []
+        near = difflib.get_close_matches(str(place[-1]), known, n=1, cutoff=0.5)
+        what = f"key `{key}` is unknown" + (f"; did you mean `{near[0]}`?" if near else "")
+        expected = _show_forms(table) or (f"one of {', '.join(known)}" if known else "")
+        return _Fault(key, what, expected, f"correct or remove `{key}`")
+    messages = list(
+        dict.fromkeys(one["msg"].removeprefix("Value error, ").replace("Tuple", "List") for one in errors)
+    )
+    value = errors[0].get("input")
+    if all(one.startswith(_INPUT) for one in messages) and isinstance(value, str | int | float | bool):
+        expected = " or ".join(one.removeprefix(_INPUT).replace("'", '"') for one in messages)
+        return _Fault(key, f"key `{key}` is {json.dumps(value)}", expected, f"correct `{key}`")
+    text, fix = "; ".join(messages), f"correct `{key}`" if key else "correct the keys named"
+    return _Fault(key, f"key `{key}`: {text}" if key else text, _show_forms(_find_record(kind, place)), fix)
 
 
-def _record_at(kind: type[BaseModel], location: Location) -> type[BaseModel] | None:
-    """Return the record of the table at `location` of a record; None where that is no single record."""
-    for part in location:
-        if isinstance(part, int):
-            continue  # a list: its members' record was found with its key
-        fields = _fields(kind, ())
+def _show_forms(record: type[BaseModel] | None) -> str:
+    """Return the ways to write the table of a record; empty where it states none."""
+    return str(getattr(record, "FORMS", ""))
+
+
+def _find_record(kind: type[BaseModel], place: Location) -> type[BaseModel] | None:
+    """Return the record of the table at a place of a record; None where that is no single record."""
+    for part in place:
+        fields = {one.alias or name: one for name, one in kind.model_fields.items()}
         if part not in fields:
-            continue  # the name of a table in a mapping, found with the mapping's key
-        inner = list(_records(fields[part].annotation))
+            continue  # the number or the name of a table, whose record was found with the key of all
+        inner = list(_list_records(fields[str(part)].annotation))
         if len(inner) != 1:
             return None
         kind = inner[0]
     return kind
 
 
-def _records(annotation: object) -> Iterator[type[BaseModel]]:
+def _list_records(annotation: object) -> Iterator[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for inner in get_args(annotation):
-        yield from _records(inner)
+        yield from _list_records(inner)
 
 
 # ---- on which line a key stands: tomllib does not say
@@ -345,74 +257,45 @@ def describe_key(study: str, key: str = "") -> str:
 # ---- change single keys: `bevel.offset_mm=0.1`, `layers.1.mu_pa=3e5`
 
 
-def override(
-    tables: Mapping[str, Any], assignments: Sequence[tuple[str, str]], kind: type[BaseModel], where: str
-) -> dict[str, Any]:
+def override(tables: Mapping[str, Any], assignments: Sequence[tuple[str, str]], where: str) -> dict[str, Any]:
     """Return a copy of `tables` in which each dotted key has its new value, or is gone if that is empty.
 
-    Members of a list are numbered from 1: `layers.1` is the first layer, `steps.1` the first step.
+    Members of a list are numbered from 1: `layers.1` is the first layer, `steps.1` the first step. Tables
+    that the file leaves to defaults are made.
 
-    ConfigError if the record `kind` has no such key; the nearest ones are listed.
+    ConfigError if there is no such member of a list, or no such key to remove; that a new key is known is
+    checked with its value.
     """
     changed = copy.deepcopy(dict(tables))
-    known = list(list_keys(kind, tables))
     for key, text in assignments:
-        if key not in known:
-            near = difflib.get_close_matches(key, known, n=3, cutoff=0.5) or known
+        *path, name = key.split(".")
+        table: Any = changed
+        try:
+            for part in path:
+                if isinstance(table, list):
+                    table = dict(enumerate(table, start=1))[int(part)]
+                else:
+                    table = table.setdefault(part, {})
+            if text:
+                table[name] = _parse_value(text, where)
+            else:
+                del table[name]
+        except (AttributeError, IndexError, KeyError, TypeError, ValueError):
             raise ConfigError(
                 f"there is no key `{key}`",
                 where=where,
-                expected=f"one of {', '.join(near)}",
-                fix="use one of these keys; layers, guides and steps are numbered from 1",
-            )
-        *path, name = key.split(".")
-        table: Any = changed
-        for part in path:  # tables that the file leaves to defaults are made
-            table = table[int(part) - 1] if part.isdigit() else table.setdefault(part, {})
-        if text:
-            table[name] = _parse_value(text, f"{where}, --set {key}")
-        else:
-            table.pop(name, None)
+                expected="a key of the file; layers, guides and steps are numbered from 1",
+                fix="correct the name",
+            ) from None
     return changed
 
 
-def list_keys(
-    kind: type[BaseModel], tables: Mapping[str, Any], file: Mapping[str, Any] | None = None
-) -> Iterator[str]:
-    """Yield every dotted key that a file of this kind may hold; lists are as long as in `tables`.
-
-    The tables of a mapping are called like the members of the file's list of the same name: what a step
-    changes of a guide is `steps.2.guides.template.y_mm` where one of `guides` has the name `template`.
-    """
-    file = tables if file is None else file
-    for name, field in kind.model_fields.items():
-        name = field.alias or name
-        inner: Any = field.annotation
-        if _is_record(inner):
-            yield from (f"{name}.{key}" for key in list_keys(inner, tables.get(name, {}), file))
-        elif get_origin(inner) is tuple and _is_record(get_args(inner)[0]):
-            for number, member in enumerate(tables.get(name, []), start=1):
-                yield from (f"{name}.{number}.{key}" for key in list_keys(get_args(inner)[0], member, file))
-        elif get_origin(inner) is dict and _is_record(get_args(inner)[1]):
-            for member in (member["name"] for member in file.get(name, []) if "name" in member):
-                yield from (f"{name}.{member}.{key}" for key in list_keys(get_args(inner)[1], {}, file))
-        elif name != "schema":
-            yield name
-
-
-def _is_record(annotation: object) -> bool:
-    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
-
-
 def _parse_value(text: str, where: str) -> object:
-    """Return a TOML value; what is none (`ogden`) is a string. ConfigError as `parse_toml`."""
+    """Return a TOML value; what is none (`ogden`) is a string."""
     try:
-        tomllib.loads(f"value = {text}")
-    except tomllib.TOMLDecodeError:
+        return parse_toml(f"value = {text}", where)["value"]
+    except ConfigError:
         return text
-    except (RecursionError, ValueError):
-        pass  # `parse_toml` says why
-    return parse_toml(f"value = {text}", where)["value"]
 
 
 # ---- write

@@ -14,7 +14,7 @@ from needlefit.project.toml import locate_key
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import NeedleRecord, SceneRecord
 
-DIAMETER_TO_LENGTH = (1e-3, 0.05)  # of a needle, least and most: 0.2 mm of 200, 3 mm of 60
+LENGTH_TO_DIAMETER = (20.0, 1000.0)  # of a needle, least and most: 60 mm of 3, 200 mm of 0.2
 RIGIDITY_NMM2 = (1.0, 2e6)  # EI, least and most: a nitinol wire of 0.15 mm has 2, a steel rod of 3 mm 800 000
 MODULUS_GPA = (0.5, 1000.0)
 """Young's modulus of a needle: polymers have 1 to 5, nitinol 40 to 80, steel 200, tungsten carbide 700."""
@@ -44,7 +44,7 @@ MODULUS_UNITS = {"Pa": 1e-9, "MPa": 1e-3, "kPa": 1e-6, "psi": 6.894757e-6}
 
 DIAMETER_MM = (0.15, 5.0)  # outer diameter of a needle, least and most: 34 gauge has 0.18, 10 gauge 3.4
 MIN_INNER_DIAMETER_MM = 0.05  # inner diameter of a tube: 34 gauge has 0.08
-MIN_WALL_TO_DIAMETER = 0.03  # wall of a tube over its outer diameter; ultra-thin walls have 0.08
+MAX_INNER_TO_OUTER = 0.94  # diameters of a tube; ultra-thin walls have 0.84
 
 GAUGES_MM = {
     **{10: 3.404, 11: 3.048, 12: 2.769, 13: 2.413, 14: 2.108, 15: 1.829, 16: 1.651, 17: 1.473, 18: 1.270},
@@ -106,16 +106,14 @@ def medium_warnings(medium: MediumRecord, file: Path | str) -> Iterator[ResultWa
 
 def _doubt_needle(needle: NeedleRecord) -> Iterator[Doubt]:
     outer, inner, length = needle.outer_diameter_mm, needle.inner_diameter_mm, needle.length_mm
-    if outer is not None and length >= 1.0:  # a length in metres is a fault
-        yield from doubt_range(outer, DIAMETER_MM, LENGTH_UNITS, "needle.outer_diameter_mm", "mm")
-        if _is_within(outer, DIAMETER_MM) and not _is_within(outer / length, DIAMETER_TO_LENGTH):
-            what = f"`needle.length_mm` is {length:g} beside a diameter of {outer:g} mm"
-            yield "needle.length_mm", what, "check both, in mm"
     if outer is not None:
-        thin = 0.5 * (outer - inner) < MIN_WALL_TO_DIAMETER * outer
-        if thin or 0 < inner < min(MIN_INNER_DIAMETER_MM, outer):
-            what = f"`needle.inner_diameter_mm` is {inner:g} in a tube of {outer:g} mm"
-            yield "needle.inner_diameter_mm", what, "check both diameters, in mm; 0 if solid"
+        yield from doubt_range(outer, DIAMETER_MM, LENGTH_UNITS, "needle.outer_diameter_mm", "mm")
+        if _is_within(outer, DIAMETER_MM):
+            lengths = (LENGTH_TO_DIAMETER[0] * outer, LENGTH_TO_DIAMETER[1] * outer)
+            yield from doubt_range(length, lengths, LENGTH_UNITS, "needle.length_mm", "mm")
+        if inner:
+            bores = (min(MIN_INNER_DIAMETER_MM, outer), MAX_INNER_TO_OUTER * outer)
+            yield from doubt_range(inner, bores, LENGTH_UNITS, "needle.inner_diameter_mm", "mm")
     if (modulus := needle.youngs_modulus_gpa) is not None:
         yield from doubt_range(modulus, MODULUS_GPA, MODULUS_UNITS, "needle.youngs_modulus_gpa", "GPa")
     if (rigidity := needle.flexural_rigidity_nmm2) is not None:
@@ -183,9 +181,7 @@ def doubt_range(
 
 def _doubt_alpha(alpha: float, law: str, key: str) -> Iterator[Doubt]:
     if law == "ogden" and not _is_within(abs(alpha), ALPHA):
-        what = (
-            f"`{key}` is {alpha:g}; Ogden exponents are {ALPHA[0]:g} to {ALPHA[1]:g} in size, of either sign"
-        )
+        what = f"`{key}` is {alpha:g}; exponents are {ALPHA[0]:g} to {ALPHA[1]:g} in size, of either sign"
         yield key, what, "write a fitted exponent, or 1 if it is not known"
 
 

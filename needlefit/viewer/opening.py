@@ -13,7 +13,7 @@ import numpy as np
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.scene import Scene
-from needlefit.project.input_files import convert_stored_errors, is_file, read_text
+from needlefit.project.input_files import is_file, read_text
 from needlefit.project.locate import SpecimenChoice, file_label, find_view_target
 from needlefit.project.toml import load
 from needlefit.schemas.scene import SceneRecord
@@ -49,8 +49,7 @@ def open_target(
     from needlefit.viewer import measured
 
     if view_target.kind == "run":
-        with convert_stored_errors(view_target.path):
-            return measured.open_run(view_target)
+        return measured.open_run(view_target)
     return measured.open_dataset(view_target)
 
 

@@ -1,0 +1,61 @@
+"""The example at the end of each command's help runs."""
+
+import shlex
+import shutil
+from pathlib import Path
+
+import openpyxl
+import pytest
+import typer
+from test_cli import run
+from test_cli_foreign_files import leave_run, stubs  # noqa: F401
+
+from needlefit.cli.application import build
+from needlefit.project.locate import shipped_folder
+
+LESS = {
+    "calibrate": ("--replicates", "2", "--jobs", "1"),
+    "import": ("--yes",),
+    "twin ct": ("--jobs", "1"),
+    "view": ("--no-browser",),
+}
+"""Words that make an example shorter, or ask nothing."""
+CODES = {"calibrate": 5}  # too few replicates for a verdict
+SLOW = {"calibrate", "plan", "predict", "reconstruct", "tune", "twin ct", "validate"}
+
+
+def list_examples():
+    """Yield the words of every command's example, by the command."""
+    for name, command in typer.main.get_command(build()).commands.items():
+        inside = getattr(command, "commands", {"": command})
+        for word, one in inside.items():
+            _, _, example = one.epilog.partition("Example: needlefit ")
+            yield f"{name} {word}".strip(), shlex.split(example)
+
+
+def prepare_folder(folder: Path) -> None:
+    """Write what the examples read: tables, a dataset, scans, and two runs."""
+    book = openpyxl.Workbook()
+    for row in [("x_mm", "y_mm", "z_mm"), *((x, 4e-4 * x**2, 0) for x in range(40))]:
+        book.active.append(row)
+    book.save(folder / "curves.xlsx")
+    shutil.copytree(shipped_folder() / "data/sample_scan", folder, dirs_exist_ok=True)
+    leave_run(folder / "reports/study3")
+    leave_run(folder / "old/study3")
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        pytest.param(command, words, marks=[pytest.mark.sweep] if command in SLOW else [], id=command)
+        for command, words in list_examples()
+    ],
+)
+@pytest.mark.usefixtures("stubs")
+def test_the_example_of_a_command_runs(command, words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    prepare_folder(tmp_path)
+    if command == "check":
+        assert run("new", "dataset", "./mydata") == 0
+    assert words[: len(command.split())] == command.split()
+    assert run(*words, *LESS.get(command, ())) == CODES.get(command, 0), capsys.readouterr().err
