@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "README.md"
 MARKS = re.compile(r"(?<=<!-- result:begin -->\n).*?(?=<!-- result:end -->)", re.DOTALL)
 HEAD = """\
-| study | held out | n | our IPE | our TE | noise floor | best curve, TE | verdict | paper's IPE | paper's TE |
+| study | held out | n | our IPE | our TE | noise floor | curve's TE | verdict | paper's IPE | paper's TE |
 |---|---|---|---|---|---|---|---|---|---|
 """
 

@@ -43,7 +43,7 @@ from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.job import Inputs, Job, Settings, change_fit, prepare, set_priors
-from needlefit.studies.judge import judge_fits
+from needlefit.studies.judge import judge_fits as judge_fits
 from needlefit.studies.kind import find_kind, kind_of
 from needlefit.studies.kinds.prediction import require_same_configuration
 from needlefit.studies.run import Run
