@@ -2,9 +2,10 @@
 
 import asyncio
 import json
+import logging
 import math
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -15,7 +16,6 @@ from server_cases import served
 from needlefit.errors import ConfigError
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
-from needlefit.mechanics.simulate import simulate_steps
 from needlefit.planning.goals import Goal
 from needlefit.planning.steering import PlanLimits, plan_steering
 from needlefit.schemas.planning import ObstacleRecord
@@ -189,13 +189,39 @@ async def test_a_needle_has_one_window_the_newest(server, page) -> None:
     assert server.trials.known(two.scene["needle"]).steering.now.step.depth == 11
 
 
+MALFORMED = {
+    "version": "GET / HTTP/9.9\r\n\r\n",
+    "header": "GET / HTTP/1.1\r\nHost : x\r\n\r\n",
+    "length": "GET / HTTP/1.1\r\nHost: {host}\r\nContent-Length: -3\r\n\r\n",
+    "chunk": "POST /law HTTP/1.1\r\nHost: {host}\r\nTransfer-Encoding: chunked\r\n\r\nzz\r\n\r\n",
+    "encoding": "POST /law HTTP/1.1\r\nHost: {host}\r\nContent-Encoding: gzip\r\nContent-Length: 1\r\n\r\na",
+    "path": "GET /page/" + 7000 * "a" + " HTTP/1.1\r\nHost: {host}\r\n\r\n",
+}
+
+
+@visit
+async def test_malformed_http_is_answered_and_logs_nothing(server, page) -> None:
+    handler, records = logging.Handler(), []
+    handler.emit = records.append
+    logging.getLogger("aiohttp.server").addHandler(handler)
+    for name, text in MALFORMED.items():
+        host = f"127.0.0.1:{server.access.port}"
+        reader, writer = await asyncio.open_connection("127.0.0.1", server.access.port)
+        writer.write(text.replace("{host}", host).encode())
+        status = int((await reader.readline()).split()[1])
+        assert 400 <= status < 500, name
+        writer.close()
+    await asyncio.sleep(0.3)
+    logging.getLogger("aiohttp.server").removeHandler(handler)
+    assert records == []
+
+
 @pytest.mark.parametrize(
     "text",
     [
         "needle",
         '{"do": [], "id": 9}',
         '{"do": "dance", "id": 9}',
-        '{"do": "align"}',
         '{"do": "steps", "id": 9, "steps": [[1, 0.0, 1, [["base_y_mm", null, NaN]], 0.0]]}',
         '{"do": "steps", "id": 9, "steps": [[1, 0.0, 1, [["base_y_mm", null, "1"]], 0.0]]}',
         '{"do": "steps", "id": 9, "steps": [[1, 0.0, 1, [["base_y_mm", 1, 1]], 0.0]]}',
@@ -400,20 +426,3 @@ async def test_a_plan_shifts_the_entry_as_the_command_does_and_begins_there(serv
     assert end.depth == same.end.depth and miss == pytest.approx(same.nominal_miss, abs=1e-3)
     recording = read_recording(server.folder / page.scene["recording"])
     assert recording.head.scene.entry.y_mm == same.entry_mm
-
-
-@visit
-async def test_aligned_constraint_points_give_the_tip_of_simulate(server, page) -> None:
-    scene = Scene.from_record(open_target("study2").record)
-    step = replace(scene.steps[0], depth=40.0)
-    wanted = simulate_steps(scene.needle, scene.tissue, (step,), scene.rules).tip_lateral
-    await page.say("align")
-    assert page.refused  # at the entry
-    await page.insert(40.0)
-    assert abs(page.steering.now.shape.tip_lateral - wanted) > 1e-3
-    await page.say("align")
-    assert page.scene["first_cell_mm"] == pytest.approx(1.0) and page.depth == 40.0
-    assert page.steering.now.shape.tip_lateral == pytest.approx(wanted, abs=1e-9)
-    await page.act(("mu_pa", 1, 3e5))
-    await page.say("align")
-    assert page.refused  # parameters of the scene alone

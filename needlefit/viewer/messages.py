@@ -126,7 +126,7 @@ def round_lengths(values: Floats) -> list[float]:
 
 
 ACTIONS = {
-    *("hello", "steps", "replay", "show", "align"),
+    *("hello", "steps", "replay", "show"),
     *("aim", "markups", "plan", "reach", "run"),
 }
 MAX_CHANGES = 64  #: number of inputs that one step may set

@@ -5,6 +5,7 @@ It imports little, so that the page is there at once.
 
 import asyncio
 import json
+import logging
 import secrets
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
@@ -16,6 +17,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from aiohttp import web
+from aiohttp.http_exceptions import HttpProcessingError
 from aiohttp.typedefs import Handler
 from aiohttp.web_protocol import RequestHandler
 
@@ -80,6 +82,13 @@ class AccessControl:
         )
 
 
+def _is_own_fault(record: logging.LogRecord) -> bool:
+    """Return whether a logged error is one of this program, not a request that is no HTTP."""
+    error = record.exc_info[1] if record.exc_info else None
+    foreign = HttpProcessingError, web.RequestPayloadError, asyncio.InvalidStateError
+    return not isinstance(error, foreign)
+
+
 async def serve(
     page: "LoadingPage",
     port: int,
@@ -102,6 +111,7 @@ async def serve(
         ) from error
     access = AccessControl(listening.getsockname()[1])
     app = _make_application(access, page)
+    logging.getLogger("aiohttp.server").addFilter(_is_own_fault)
     runner = web.AppRunner(app, access_log=None, shutdown_timeout=2.0, keepalive_timeout=REQUEST_TIMEOUT_S)
     closing = None
     try:
@@ -152,7 +162,10 @@ def _make_application(access: AccessControl, page: "LoadingPage") -> web.Applica
                 await request.read()  # kept for the handler
         except TimeoutError:
             raise web.HTTPRequestTimeout(text="the request was not sent to its end") from None
-        return await handler(request)
+        try:
+            return await handler(request)
+        except OSError:  # a path that is no file name
+            raise web.HTTPNotFound from None
 
     async def send_index(_: web.Request) -> web.FileResponse:
         return web.FileResponse(PAGE / page.index, headers={"Link": page.preloads})

@@ -197,8 +197,7 @@ class SteeredNeedle:
             steps.append(replace(step, controls=replace(step.controls, guides=guides)))
         self.names = tuple(dict.fromkeys(guide.name for step in steps for guide in step.controls.guides))
         self.scene = replace(scene, steps=tuple(steps))
-        #: steps so far, equilibria solved in them, and steps that were refused, as no needle was found
-        self.number, self.solved, self.failed = 0, 0, 0
+        self.number = 0  #: steps so far
         self._session = begin_session(self.scene, first_cell)
         self._saved: dict[int, Session] = {}
         self.keep()
@@ -262,10 +261,10 @@ class SteeredNeedle:
 
     def _advance(self, changes: Sequence[Change], valid_only: bool) -> Session:
         """Return the session after a step; the one there is stays as it was if that fails."""
-        session, before = self._session, self._session.solved
+        session = self._session
         parameters = [change for change in changes if change.is_parameter]
         if parameters:
-            given, before = {change.name: change.value for change in parameters}, 0
+            given = {change.name: change.value for change in parameters}
             angle = given.get("cut_angle_throughout_deg")
             session = session.simulate_again(
                 _with_parameters(session.tissue, parameters),
@@ -293,18 +292,15 @@ class SteeredNeedle:
             what = f"the model finds no needle there ({shape.status})"
             self._require_found(shape.converged, what, "move less at a time")
             self._require_valid(shape, valid_only)
-        self.solved += session.solved - before
         return session
 
     def _require_found(self, found: bool, what: str, fix: str) -> None:
         if not found:
-            self.failed += 1
             raise ModelError(what, expected="a load that tissue and needle can bear", fix=fix)
 
     def _require_valid(self, shape: NeedleShape, valid_only: bool) -> None:
         """Raise ModelError where a needle would leave the model's validity, unless it is outside already."""
         if valid_only and not shape.valid and self.now.shape.valid:
-            self.failed += 1
             raise ModelError(
                 f"the needle would be outside the model's validity: {'; '.join(shape.validity.faults)}",
                 expected="a needle within the limits of small deflections",

@@ -2,13 +2,11 @@
 
 import secrets
 from collections.abc import Callable
-from dataclasses import replace
 from datetime import datetime
 from pathlib import Path, PurePath
 
 from needlefit.errors import ModelError
-from needlefit.mechanics.plan import Lattice
-from needlefit.viewer.plans import list_changes, shift_entry
+from needlefit.viewer.plans import shift_entry
 from needlefit.viewer.recording import Recording
 from needlefit.viewer.steering import find_tissue_changes
 from needlefit.viewer.trial import InteractiveTrial
@@ -65,19 +63,6 @@ class TrialRegistry:
         if there is None and insertion not in self._viewed_scenes:
             self._viewed_scenes[insertion] = self._reopen(insertion)
         return self._instead(trial, there or self._begin(self._viewed_scenes[insertion], None))
-
-    def aligned(self, trial: InteractiveTrial) -> InteractiveTrial:
-        """Return a new trial whose constraint points end where the needle stands, taken there by its inputs.
-
-        So `simulate` places them: the last cell is a whole one. ModelError if a step has no needle then.
-        """
-        depth, spacing = trial.steering.now.step.depth, trial.scene.rules.spacing
-        first_cell = Lattice.ending_at(depth, spacing).first_cell
-        other = self._begin(replace(trial.viewed_scene, first_cell=first_cell), None)
-        for changes in list_changes(other.steering, trial.steering.input_path(), depth):
-            other.act(changes, gesture=0)
-        other.aim.take(trial.aim)
-        return self._instead(trial, other)
 
     def entered(self, trial: InteractiveTrial) -> InteractiveTrial:
         """Return a new trial at first contact, at the entry of a trial's plan, with its parameters and plan.

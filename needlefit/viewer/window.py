@@ -5,7 +5,6 @@ from functools import partial
 from typing import Any
 
 from needlefit.errors import ModelError, NeedlefitError
-from needlefit.mechanics.plan import SAME_DEPTH_MM
 from needlefit.planning.goals import Goal
 from needlefit.planning.steering import PlanLimits, find_reachable_region, plan_steering
 from needlefit.viewer.messages import MAX_REPLAY_SPEED, Message, encode_fault, round_lengths
@@ -17,7 +16,6 @@ from needlefit.viewer.plans import (
     read_goal,
 )
 from needlefit.viewer.recording import Recording
-from needlefit.viewer.steering import find_tissue_changes
 from needlefit.viewer.trial import InteractiveTrial, RecordingEndedError
 from needlefit.viewer.trials import TrialRegistry
 
@@ -79,13 +77,6 @@ class Window:
                 yield from self._replay(message)
             case "show":
                 yield from self._take(self.trials.another(trial, message.text("insertion")))
-            case "align":
-                if trial.steering.now.step.depth <= SAME_DEPTH_MM:
-                    raise ModelError("the needle stands at the entry", expected="a needle in the tissue")
-                if find_tissue_changes(trial.steering.now.tissue, trial.scene.tissue):
-                    what, fix = "moduli or shape parameters were changed", "set them back first"
-                    raise ModelError(what, expected="the initial parameters", fix=fix)
-                yield from self._take(self.trials.aligned(trial))
             case "aim":
                 trial.aim.set(*read_goal(message))
                 yield trial.aim.to_message()

@@ -11,7 +11,6 @@ import "./notices.js";
 import * as panel from "./panel.js";
 import * as planning from "./planning.js";
 import "./pointers.js";
-import { grouped } from "./quantities.js";
 import * as readouts from "./readouts.js";
 import { advance, moves } from "./steering.js";
 import * as strip from "./strip.js";
@@ -49,14 +48,10 @@ function refreshReadouts() {
   if (next < Infinity) later = setTimeout(refreshReadouts, next);
 }
 
-/** Write whether the page is connected, and what the solver has done and can do. */
+/** Write whether the page is connected, and where it records. */
 function refreshStatus() {
   write("line", now.connected ? "connected" : now.state ? "not connected" : "connecting …");
   part("line").classList.toggle("up", now.connected);
-  if (!now.state) return;
-  const { steps, rate_per_s: rate, failed } = now.state.solver;
-  write("solver", `${grouped(steps)} solver steps${failed ? `, ${failed} failed` : ""}`);
-  write("solver-rate", rate ? `solver can do ${grouped(rate)} steps/s` : "");
   write("recording", now.scene?.recording ? `recording ${now.scene.recording}` : "");
 }
 

@@ -32,11 +32,11 @@ listen("scene", (scene) => {
 });
 
 function buildBevel({ limits, fitted }) {
-  const { key, symbol, unit, digits: count, step, here, throughout, value } = strengthOf(fitted);
+  const { key, symbol, unit, digits: count, step, here, value } = strengthOf(fitted);
   const about = { unit, write: digits(count), limits: limits[key], step, symbol };
-  for (const [name, input] of [[`${symbol}, ahead of the tip`, here], [`${symbol}, whole insertion`, throughout]]) {
-    setHome(inputField("bevel-fields", [input, null], { ...about, name }, () => now.state.bevel[key]), value);
-  }
+  const name = `${symbol}, ahead of the tip`;
+  setHome(inputField("bevel-fields", [here, null], { ...about, name }, () => now.state.bevel[key]), value);
+  part("throughout").textContent = `Set this ${symbol} in the whole insertion`;
 }
 
 function buildTissue({ layer_names: names, boundaries_mm: tops, limits, fitted, shape_parameters: shapes }) {
@@ -116,6 +116,10 @@ function refreshGuide({ item, name, x, y, slope: along, turns_freely: free }) {
   row.free.ariaPressed = String(free);
 }
 
+press("throughout", ({ timeStamp }) => {
+  const { here, throughout, value } = strengthOf(now.state.bevel);
+  change([[throughout, null, wanted(here, null, value)]], { at: timeStamp });
+});
 press("home-all", ({ timeStamp }) => {
   const { throughout, value } = strengthOf(now.scene.fitted);
   const layers = now.scene.fitted.layers.flatMap((layer, i) => Object.entries(layer).map(([name, one]) => [name, i + 1, one]));

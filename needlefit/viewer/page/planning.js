@@ -1,6 +1,6 @@
 /** The panel of target and plan: places, obstacles, and the plan's probability. */
 
-import { ownDepth, speed } from "./actions.js";
+import { speed } from "./actions.js";
 import { aim, nameOf, place, put, sendAfterGoal, setAim, SMALLEST, tipError } from "./aim.js";
 import { button, element, part, press, say, write } from "./dom.js";
 import { amount, makeField, show } from "./fields.js";
@@ -105,7 +105,7 @@ function placeBy(what, { detail }) {
   place(what);
   if (detail || aim.placing !== what) return;
   const { tip, depth_mm: depth } = now.state;
-  const far = Math.max(ownDepth(), depth + AHEAD);
+  const far = Math.max(now.scene.depth_mm, depth + AHEAD);
   put(what === "target" ? far : (depth + far) / 2, tip.y);
   refresh();
   part(what === "target" ? "target-fields" : "obstacles").querySelector(".number")?.focus();

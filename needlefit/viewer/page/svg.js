@@ -17,6 +17,7 @@ export class SvgContext {
   #parts = [];
   #clips = 0;
   #path = "";
+  #halo = "";
   #kept = [];
   #state = { matrix: [1, 0, 0, 1, 0, 0], clip: "", dash: [] };
   #ruler = document.createElement("canvas").getContext("2d");
@@ -115,10 +116,12 @@ export class SvgContext {
     this.#add("text", `${place} style="font:${this.font}" ${painted}`, escaped(text));
   }
   fillText(text, x, y) {
-    this.#text(text, x, y, paint("fill", this.fillStyle));
+    this.#text(text, x, y, `${paint("fill", this.fillStyle)}${this.#halo}`);
+    this.#halo = "";
   }
-  strokeText(text, x, y) {
-    this.#text(text, x, y, `fill="none" ${this.#line()}`);
+  /** The halo of the text that is filled next at the same place: one element has both. */
+  strokeText() {
+    this.#halo = ` ${this.#line()} paint-order="stroke"`;
   }
   measureText(text) {
     this.#ruler.font = this.font;

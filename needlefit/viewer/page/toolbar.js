@@ -4,15 +4,15 @@ import { aim } from "./aim.js";
 import { button, element, part, press } from "./dom.js";
 import { invalidate, shown } from "./drawing.js";
 import { listen, now, publish } from "./store.js";
-import { drawTrue, fit, refit, touch, view, zoom } from "./view.js";
+import { fit, refit, touch, view, zoom } from "./view.js";
 
 /** What can be shown and hidden: its name, what the button is called and explained, whether it has a swatch. */
 const CHIPS = [
-  ["load", "lateral load"], ["raw", "raw load", "The load between constraint points, not its mean over two spacings", false],
+  ["load", "lateral load"],
   ["points", "constraint points"], ["path", "tip path"], ["measured", "measured"],
   ["errors", "errors", "Gaps at the tip (TE) and along the shaft (IPE)"], ["band", "95 % band"], ["plan", "plan"],
-  ["pinned", "pinned"], ["reach", "reachable"], ["slice", "scan"], ["true", "true scale", "Draws y as large as x", false],
-  ["strip", "tip against depth", "Deflection of the tip, and the force on it at each constraint point, against depth", false],
+  ["pinned", "pinned"], ["reach", "reachable"], ["slice", "scan"],
+  ["strip", "tip against depth", "Deflection of the tip and tip force, against depth", false],
 ];
 const TALL = 800; // px of a window that has room for the strip
 const fits = document.querySelectorAll("[data-fit]");
@@ -37,7 +37,6 @@ export function pressed() {
 
 export function toggle(name, on = chips[name].ariaPressed !== "true") {
   chips[name].ariaPressed = String(on);
-  if (name === "true") return drawTrue(on);
   if (name === "strip") {
     part("strip").hidden = !on;
     return publish("strip");

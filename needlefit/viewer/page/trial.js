@@ -37,7 +37,7 @@ class Trial {
     }
     const steered = await SteeredNeedle.begin(await kernel, scene);
     Object.assign(this, { scene, steered, past: [], future: [], gesture: null, pinned: new Set(), outbox: [], recorded: 0 });
-    Object.assign(this, { spent: 0, solved: steered.solved, began: past.length ? performance.now() - 1000 * scene.time_s : null });
+    Object.assign(this, { began: past.length ? performance.now() - 1000 * scene.time_s : null });
     return this.#follow(scene);
   }
 
@@ -101,7 +101,6 @@ class Trial {
     const { number } = steered;
     const back = gesture === "undo" || gesture === "redo";
     const begins = back || gesture !== this.gesture;
-    const from = performance.now();
     if (begins) steered.keep();
     try {
       steered.apply(changes, how);
@@ -109,7 +108,6 @@ class Trial {
       this.#forget([number]);
       throw error;
     }
-    this.spent += performance.now() - from;
     if (!begins) return;
     this.gesture = back ? null : gesture;
     if (back) {
@@ -209,14 +207,12 @@ class Trial {
 
   /** Publish the state of the needle. */
   show() {
-    const { steered, motion, past, future, spent } = this;
-    const made = steered.solved - this.solved;
+    const { steered, motion, past, future } = this;
     take({
       ...describeState(steered),
       time_s: steered.number ? this.time() : 0,
       undo: past.length > 0,
       redo: future.length > 0,
-      solver: { steps: steered.solved, rate_per_s: made ? (1000 * made) / spent : null, failed: steered.failed },
       moving: this.strokes ? motion.speed : 0,
       playing: motion !== null && !this.strokes,
       planned: motion?.kind === "plan",

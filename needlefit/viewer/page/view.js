@@ -3,7 +3,7 @@
 import { aim } from "./aim.js";
 import { listen, now, publish } from "./store.js";
 
-const GUTTER = { left: 56, right: 10, top: 42, bottom: 40 }; // px, for the axes, the names of layers and the load's key
+const GUTTER = { left: 56, right: 10, top: 50, bottom: 40 }; // px, for the axes, the names of layers and the load's key
 const LOW_PICTURE = 260; // px; below it the name of the x axis stands in the row of its ticks
 const LOW_BOTTOM = 24; // px, for ticks alone
 const MAGNIFICATIONS = [1, 1.5, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 30, 50]; // of y against x
@@ -16,7 +16,7 @@ const TIP_WINDOW = 45; // mm seen across while the tip is followed
 
 /** The window: its centre (mm), its scale (px per mm), its box on the canvas (px), and whether that is low. */
 export const view = {
-  x: 0, y: 0, scale: 5, magnified: 1, true: false, held: false, fit: null, low: false, box: { left: 0, top: 0, width: 1, height: 1 },
+  x: 0, y: 0, scale: 5, magnified: 1, held: false, fit: null, low: false, box: { left: 0, top: 0, width: 1, height: 1 },
 };
 
 let changed = true;
@@ -68,12 +68,14 @@ export function fit(which) {
   const [along, across] = [room / (high - low), roomAcross() / (top - bottom)];
   view.scale = limited(Math.min(along, across));
   // How many times as large as x the y axis is drawn, so that deflections can be seen.
-  const least = LEAST_SPAN[now.state.moving ? "moving" : "still"] * deepest();
+  const least = LEAST_SPAN[isMoving() ? "moving" : "still"] * deepest();
   const times = roomAcross() / view.scale / Math.max(top - bottom, least);
-  view.magnified = view.true ? 1 : MAGNIFICATIONS.filter((one) => one <= times).at(-1) ?? 1;
+  view.magnified = MAGNIFICATIONS.filter((one) => one <= times).at(-1) ?? 1;
   view.x = (low + high) / 2 + (after - before) / (2 * view.scale);
   view.y = (bottom + top) / 2;
 }
+
+const isMoving = () => now.state.moving || now.state.playing;
 
 /** Px that what must be seen may take of the window's height. */
 const roomAcross = () => view.box.height - 2 * Math.min(ROOM, 0.2 * view.box.height);
@@ -117,7 +119,7 @@ export function follow() {
     const [bottom, top] = heights(view.fit);
     const px = view.scale * view.magnified;
     const out = (Math.max(top - view.y, view.y - bottom) * px) > roomAcross() / 2 + 1 || !seesTip();
-    const low = !now.state.moving && !view.true && (top - bottom) * px < LOW * roomAcross();
+    const low = !isMoving() && (top - bottom) * px < LOW * roomAcross();
     if (out || (low && view.magnified < MAGNIFICATIONS.at(-1))) fit(view.fit);
     return;
   }
@@ -154,14 +156,6 @@ export function pan(px, py) {
   view.y += py / (view.scale * view.magnified);
   leave();
   touch();
-}
-
-/** Draw y as large as x, or as large as it takes to see deflections. */
-export function drawTrue(on) {
-  view.true = on;
-  if (on) view.magnified = 1;
-  touch();
-  fit(view.fit);
 }
 
 /** Something is dragged, or no more. */

@@ -1,7 +1,7 @@
 /** What the needle is compared with and aimed at, and what the picture itself does not show. */
 
 import { aim, nameOf } from "../aim.js";
-import { heightAt, strengthOf } from "../quantities.js";
+import { heightAt, isChanged } from "../quantities.js";
 import { now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
 import { thickness } from "./needle.js";
@@ -28,14 +28,6 @@ export function paintPinned(context, { x, y }) {
   line(context, x, y, palette.halo, 5);
   line(context, x, y, palette.ghost, 2.5, [2, 3]);
   labelBeside(context, "pinned", [[[x, y], -18], [[x, y], 18]], palette.ghost);
-}
-
-const near = (one, other) => Math.abs(one - other) <= 1e-9 * Math.abs(other);
-
-/** Whether the needle's parameters are others than those about which the band's draws lie. */
-function isChanged({ bevel, layers }, { fitted }) {
-  const { key, value } = strengthOf(fitted);
-  return !near(bevel[key], value) || layers.some((layer, i) => Object.entries(fitted.layers[i]).some(([name, one]) => !near(layer[name], one)));
 }
 
 /** State that the band is not that of the parameters shown. */

@@ -9,12 +9,12 @@ const digits = (count) => (value) => value.toFixed(count);
 let fields = []; // [field, () => value]
 
 /** Make the fields of a scene; `steer(changes, below)` carries a change out. Depth and base of a recording have no values to go back to. */
-export function buildFields(scene, isRecording, steer) {
+export function buildFields({ scene, recording }, steer) {
   fields = [];
   for (const id of ["insertion-fields", "tissue-fields"]) part(id).replaceChildren();
   const add = (into, [input, item], about, current, { shown = (x) => x, meant = (x) => x } = {}) => {
     const field = makeField(part(into), { ...about, ask: (value) => steer([[input, item, meant(value)]], field.part) });
-    const home = isRecording && into === "insertion-fields" ? undefined : current(scene.fitted);
+    const home = recording && into === "insertion-fields" ? undefined : current(scene.fitted);
     if (home !== undefined) setHome(field, shown(home));
     fields.push([field, () => shown(current(now.state))]);
   };
@@ -30,8 +30,9 @@ export function buildFields(scene, isRecording, steer) {
     { name: "base slope", symbol: "base slope", unit: "°", step: 0.1, write: digits(2), limits: [-5, 5] },
     (of) => (of.base ? of.base.input_slope : simulation.steps[0].controls.baseSlope),
     { shown: degrees, meant: slope });
-  const { key, symbol, unit, digits: count, step, throughout } = strengthOf(fitted);
-  add("tissue-fields", [throughout, null],
+  const { key, symbol, unit, digits: count, step, here, throughout } = strengthOf(fitted);
+  const varies = recording?.some(([, changes]) => changes.some(([name]) => name === here)); // it has no value of the whole insertion
+  if (!varies) add("tissue-fields", [throughout, null],
     { name: symbol, symbol, unit, step, write: digits(count), limits: limits[key] },
     (of) => (of.bevel ?? of)[key]);
   fitted.layers.forEach((_, i) => {

@@ -80,7 +80,7 @@ async function choose(number) {
   const { scene } = needle;
   replay = needle.recording ? new Replay(steered, needle.recording) : null;
   take({ slice: false, ...scene, kind: "scene" });
-  buildFields(scene, Boolean(needle.recording), change);
+  buildFields(needle, change);
   listMethods();
   const specimen = needle.new_specimen ? " of a specimen that was not fitted" : "";
   const draws = counted(scene.draws?.sets ?? 0, "posterior draw");
@@ -231,8 +231,10 @@ async function start() {
   if (replay && !matchMedia("(prefers-reduced-motion: reduce)").matches) play(true);
 }
 
+const NEEDED = ["WebAssembly", "DecompressionStream", "Worker"]; // of a browser
 start().catch((error) => {
-  write("proof", `This browser cannot compute the needle: ${error.message}`);
+  const lacking = NEEDED.filter((name) => !(name in globalThis));
+  write("proof", lacking.length ? `This browser lacks ${lacking.join(", ")}: it cannot compute the needle.` : `The needle was not computed, for a fault in this file: ${error.message}`);
   part("proof").classList.add("bad");
   throw error;
 });
