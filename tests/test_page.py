@@ -70,6 +70,13 @@ def page(server, chromium):
         yield window
 
 
+UNFOLD = """() => {
+    const everything = document.getElementById("everything");
+    if (everything.ariaExpanded !== "true") everything.click();
+    for (const one of document.querySelectorAll("aside details")) one.open = true;
+}"""
+
+
 @contextmanager
 def opened(chromium, server, **settings):
     """Yield a page in a context of its own; a fault of its scripts fails the test."""
@@ -81,6 +88,7 @@ def opened(chromium, server, **settings):
     page.goto(server.address)
     until(page, "s && n.connected")
     page.click("[data-fit=whole]")  # the base too
+    page.evaluate(UNFOLD)
     yield page
     context.close()
     assert faults == []
@@ -242,15 +250,6 @@ SEQUENCES = {
         ("focus", "#canvas", "Math.abs(heightAt(s, s.guides[0].x) - s.guides[0].y) < 0.02"),
         ("click", "#guides .free", "s.guides[0].turns_freely !== kept.guides[0].turns_freely"),
         ("click", "#guides .remove", "s.guides.length === 0"),
-    ],
-    "a replay ends with the same needle": [
-        ("go to", 12, "true"),
-        ("drag", "base", 0, -20, "s.base.y > 0.1"),
-        ("go to", 18, "window.recording = n.scene.recording"),
-        ("keep", "true"),
-        ("select_option", "#times", "5", "true"),
-        ("click", "#replay", "n.scene.recording !== window.recording"),  # it may be over at once
-        ("focus", "#canvas", "!s.playing && s.step === kept.step && `${s.y}` === `${kept.y}`"),
     ],
     "a slider keeps its arrows, a number all that is typed; the other keys are the page's": [
         ("go to", 20, "true"),
@@ -490,7 +489,7 @@ def test_at_200_percent_nothing_is_cut_off(server, chromium) -> None:
     settings = {"viewport": {"width": 640, "height": 400}, "device_scale_factor": 2}
     with opened(chromium, server, **settings) as page:
         assert page.evaluate("document.documentElement.scrollWidth") <= 640
-        for name in ("Insert", "Retract", "Flip bevel", "Undo", "Play scene", "Replay recording"):
+        for name in ("Insert", "Retract", "Flip bevel", "Undo", "Play scene"):
             button = page.get_by_role("button", name=re.compile(name)).first
             button.scroll_into_view_if_needed()
             box = button.bounding_box()
@@ -550,27 +549,6 @@ def test_a_drive_is_recorded_and_replayed_to_the_same_bits(page, server) -> None
 
 
 @sweep
-def test_a_replay_keeps_time_can_be_halted_and_goes_on(page) -> None:
-    for insert in (5, 2):
-        call(page, "steering", f"m.change([], {{ insert: {insert} }})")
-        until(page, f"Math.abs(s.depth_mm - {insert if insert == 5 else 7}) < 1e-9")
-        page.wait_for_timeout(450)
-    call(page, "steering", "m.undo()")
-    last = until(page, "s.depth_mm === 5")
-    name = get(page, "n.scene.recording")
-    call(page, "steering", "m.replayRecording(0.01)")
-    until(page, f"n.scene.recording !== '{name}' && s.playing && s.step === 1")
-    call(page, "steering", "m.halt()")
-    until(page, "s.paused && !s.playing && s.step === 1")
-    call(page, "steering", "m.replayRecording(1000)")
-    state = until(page, "!s.playing && !s.paused && s.step === 3")
-    assert state["tip"] == last["tip"]
-    do(
-        page, ("click", "#undo", "s.depth_mm === 7"), ("click", "#undo", "s.depth_mm === 5")
-    )  # the pauses part gestures
-
-
-@sweep
 def test_a_new_page_shows_an_insertion_and_keeps_its_tip_in_sight(server, chromium) -> None:
     with opened(chromium, server, reduced_motion="no-preference") as page:
         state = until(page, "s.depth_mm > 5 && !s.playing")
@@ -607,6 +585,76 @@ def opens_without_a_refusal(chromium, running: Server) -> None:
             assert page.inner_text("#refusal") == "" and page.is_hidden("#steered")
     finally:
         running.end()
+
+
+def try_scene(page, number: int) -> None:
+    """Choose one of the scenes of one sentence; wait until its needle is pinned and its control is there."""
+    page.locator("#scene-list button").nth(number).click()
+    page.locator("#scene-control > *").first.wait_for()
+    until(page, "n.pinned && !s.playing")
+
+
+@sweep
+@pytest.mark.parametrize("name", SCENES)
+def test_scenes_of_one_sentence_are_refused_in_no_shipped_scene(chromium, tmp_path, name: str) -> None:
+    running = Server(tmp_path, name)
+    try:
+        with opened(chromium, running) as page:
+            for number in range(page.locator("#scene-list button").count()):
+                try_scene(page, number)
+                page.wait_for_timeout(200)
+                assert page.inner_text("#refusal") == "" and page.inner_text("#see")
+                assert get(page, "s.depth_mm === n.scene.depth_mm && n.pinned.depth === s.depth_mm"), number
+    finally:
+        running.end()
+
+
+def test_a_turned_bevel_a_stiffer_layer_and_the_ridge_are_one_control_each(chromium, tmp_path) -> None:
+    running = Server(tmp_path, "phantom2_fitted")
+    try:
+        with opened(chromium, running) as page:
+            page.click("#everything")
+            assert page.is_hidden("#bevel-fields") and page.locator("#scene-list button").count() == 3
+            try_scene(page, 0)
+            side = get(page, "n.scene.simulation.steps[0].bevel.side")
+            assert get(page, "s.bevel.side") == -side
+            slopes = np.diff(get(page, "s.y.filter((_, i) => s.x[i] >= 0)"))
+            first, last = np.diff(slopes[:10]).mean(), np.diff(slopes[-10:]).mean()
+            assert first * last < 0  # an S
+            enter(page.locator("#scene-control .number"), "15")
+            turned = until(page, "s.depth_mm > 53 && Math.abs(s.y.at(-1) - n.pinned.y.at(-1)) > 1")
+            assert turned["depths"] and get(page, "n.pinned.y.at(-1)") != turned["y"][-1]
+            try_scene(page, 1)
+            softest = int(np.argmin(get(page, "n.scene.fitted.layers.map((one) => one.mu_pa)")))
+            until(page, f"s.layers[{softest}].mu_pa > 9 * n.scene.fitted.layers[{softest}].mu_pa")
+            try_scene(page, 2)
+            drag_along_the_ridge(page, lambda: get(page, "s"))
+    finally:
+        running.end()
+
+
+def drag_along_the_ridge(page, read) -> None:
+    """Move the point by keys across the ridge and back, then along it: the tip moves much, then little."""
+    fitted = read()
+    plane = page.locator(".ridge")
+    plane.focus()
+
+    def move(key: str, times: int) -> float:
+        for _ in range(times):
+            page.keyboard.press(key)
+            page.wait_for_timeout(40)
+        page.wait_for_timeout(300)
+        return abs(read()["tip"]["lateral_mm"] - fitted["tip"]["lateral_mm"])
+
+    across = move("ArrowRight", 5)
+    along = move("ArrowDown", 5)  # less of the modulus for more of b
+    state = read()
+    assert state["bevel"]["offset_mm"] > 1.02 * fitted["bevel"]["offset_mm"]
+    assert state["layers"] != fitted["layers"] and along < 0.6 * across
+    box = plane.bounding_box()
+    pull(page, box["x"] + 0.4 * box["width"], box["y"] + 0.4 * box["height"], 30, 20)
+    page.wait_for_timeout(300)
+    assert read()["bevel"]["offset_mm"] != state["bevel"]["offset_mm"]
 
 
 SIZES = [(1440, 900), (1280, 720), (390, 844)]
@@ -770,7 +818,7 @@ def test_readouts_and_fields_are_defined_on_hover_and_focus_inside_the_window(pa
     page.mouse.move(5, 5)
     definition.wait_for(state="hidden")
     page.focus("#errors .term >> nth=0")
-    assert page.inner_text("#definition") == get(page, "n.scene.measured.metrics[0][3]")
+    assert page.inner_text("#definition") == get(page, "n.scene.measured.metrics[1][3]")
     assert terms.count() >= 13  # b, mu and alpha of four layers, base, tip
     assert get(page, "Object.keys(n.scene.definitions)") == ["b", "θ", "μ"]
     for n in (0, 1, 2):

@@ -152,19 +152,11 @@ async def test_what_is_recorded_is_there_at_every_moment_and_replays(server, pag
         steps = list(replay(read_recording(path)))
         assert len(steps) == n + 1 and steps[-1].recorded.time == pytest.approx(0.1 * n)
         assert steps[-1].state.shape.tip_lateral == page.steering.now.shape.tip_lateral
-    done, recording = page.steps, page.scene["recording"]
-    await page.say("replay", times=7)
-    replayed = await page.hear("replay")
-    assert page.scene["recording"] != recording and page.depth == 0
-    assert replayed["times"] == 7 and [one[3] for one in replayed["past"]] == [
-        list(map(list, s)) for s in done
-    ]
-    await page.act(*replayed["past"][0][3])  # left there
-    await page.say("replay")
-    assert len((await page.hear("replay"))["past"]) == 5  # the whole of it once more
-    await page.insert(1.0)
-    await page.say("replay")
-    assert len((await page.hear("replay"))["past"]) == 1  # another needle
+    source = read_recording(path)
+    trials = TrialRegistry(open_target("study2"), server.folder, open_target, source)
+    copy = trials.open("")  # as of `view --recording`
+    assert copy.steering.now.step.depth == page.depth and copy.recorder.path != path
+    assert copy.steering.now.shape.tip_lateral == page.steering.now.shape.tip_lateral
 
 
 @visit
@@ -247,7 +239,6 @@ async def test_what_is_refused_changes_nothing(server, page) -> None:
     for do, arguments in (
         ("steps", {"steps": [[2, 0.0, None, [["base_y_mm", None, float("inf")]], 0.0]]}),
         ("steps", {"steps": [[2, 0.0, None, [["mu_pa", 1, -3]], 0.0]]}),
-        ("replay", {"times": "fast"}),
         ("show", {"insertion": "../../etc"}),
         ("no such thing", {}),
     ):

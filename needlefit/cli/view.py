@@ -42,7 +42,7 @@ def view(
         ),
     ] = None,
     recording: Annotated[
-        Path | None, option("Replay this recording, and continue from its end; it replaces SCENE.", "LOG")
+        Path | None, option("Open this recording at its end, and continue; it replaces SCENE.", "LOG")
     ] = None,
     specimen: Annotated[
         Literal["new", "same"] | None,

@@ -61,11 +61,6 @@ class TrialAim:
         self.radius, self.obstacles, self.roll_deg = radius, obstacles, roll_deg
         self.plan = None
 
-    def take(self, other: "TrialAim") -> None:
-        """Take the goal of another trial of the same tissue."""
-        target = None if other.goal is None else other.goal.target
-        self.set(target, other.radius, other.obstacles, other.roll_deg)
-
     def read_markups(self, message: Message, placement: Placement) -> None:
         """Take target and obstacles from the text of a file of 3D Slicer; NeedlefitError if it is none."""
         suffix = ".fcsv" if message.text("name").endswith(".fcsv") else ".mrk.json"

@@ -26,13 +26,11 @@ class InteractiveTrial:
     """An interactive insertion, from first contact on: recorded to `path` as the needle moves.
 
     A page simulates its needle and sends its steps; the needle here follows them once somebody asks for it.
-    `name` is part of the recording's name; `source` is a recording that can be carried out again.
+    `name` is part of the recording's name.
     """
 
-    def __init__(
-        self, name: str, viewed_scene: ViewedScene, path: Path, source: Recording | None = None
-    ) -> None:
-        self.name, self.viewed_scene, self.source = name, viewed_scene, source
+    def __init__(self, name: str, viewed_scene: ViewedScene, path: Path) -> None:
+        self.name, self.viewed_scene = name, viewed_scene
         self.scene = Scene.from_record(viewed_scene.record, viewed_scene.name)
         self.steps: list[RecordedStep] = []
         self.recorder = RecordingWriter(path, viewed_scene.make_head())
@@ -62,14 +60,8 @@ class InteractiveTrial:
             "recording": self.recorder.path.name,
             "time_s": self.time() if self.steps else 0.0,
             "known": known,
-            **self.describe_steps(self.steps, known),
-        }
-
-    def describe_steps(self, steps: Sequence[RecordedStep], known: int = 0) -> dict[str, Any]:
-        """Return steps, without some that are known, as the page carries them out."""
-        return {
-            "past": [encode_recorded(step) for step in steps[known:]],
-            "tables": encode_tables(self.scene.tissue, steps),
+            "past": [encode_recorded(step) for step in self.steps[known:]],
+            "tables": encode_tables(self.scene.tissue, self.steps),
         }
 
     @property

@@ -2,6 +2,7 @@
 
 import secrets
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path, PurePath
 
@@ -20,8 +21,8 @@ MAX_TRIALS = 32
 class TrialRegistry:
     """All trials of the server; a page that reconnects gets its own trial again.
 
-    A new window shows `viewed_scene` and can replay `source`; recordings are written to `folder`; `reopen`
-    returns the scene that shows the insertion of a name.
+    A new window shows `viewed_scene`, at the end of `source` where there is one. Recordings are written to
+    `folder`. `reopen` returns the scene that shows the insertion of a name.
     """
 
     def __init__(
@@ -62,7 +63,7 @@ class TrialRegistry:
         there = trial.window_trials.get(insertion)
         if there is None and insertion not in self._viewed_scenes:
             self._viewed_scenes[insertion] = self._reopen(insertion)
-        return self._instead(trial, there or self._begin(self._viewed_scenes[insertion], None))
+        return self._instead(trial, there or self._begin(self._viewed_scenes[insertion]))
 
     def entered(self, trial: InteractiveTrial) -> InteractiveTrial:
         """Return a new trial at first contact, at the entry of a trial's plan, with its parameters and plan.
@@ -72,19 +73,13 @@ class TrialRegistry:
         plan = trial.aim.plan
         if plan is None:
             raise ModelError("there is no plan", expected="a plan", fix="plan again")
-        other = self._begin(shift_entry(trial.viewed_scene, plan.entry_mm), None)
+        other = self._begin(shift_entry(trial.viewed_scene, plan.entry_mm))
         changes = find_tissue_changes(trial.steering.now.tissue, other.scene.tissue)
         if changes:
             other.act(changes, gesture=0)
         moved, aim = plan.move_to_entry(), other.aim
         aim.set(moved.goal.target, moved.goal.radius, moved.goal.obstacles, trial.aim.roll_deg)
         aim.plan, aim.plan_step = moved, other.steering.number
-        return self._instead(trial, other)
-
-    def again(self, trial: InteractiveTrial, source: Recording) -> InteractiveTrial:
-        """Return a new trial for the same window, at first contact, for a replay."""
-        other = self._begin(trial.viewed_scene, source)
-        other.aim.take(trial.aim)
         return self._instead(trial, other)
 
     def written(self) -> list[Path]:
@@ -98,17 +93,19 @@ class TrialRegistry:
         self._steered.add(other.name)
         return other
 
-    def _begin(self, viewed_scene: ViewedScene, source: Recording | None) -> InteractiveTrial:
+    def _begin(self, viewed_scene: ViewedScene, source: Recording | None = None) -> InteractiveTrial:
         name = secrets.token_hex(4)
         last = "-".join(
             PurePath(viewed_scene.name.removesuffix(".toml")).parts[-2:]
         )  # of a path the last two
         stem = "".join(c if c.isalnum() or c in "-_" else "-" for c in last).strip("-") or "needle"
         path = self._folder / f"{stem}-{datetime.now():%Y%m%d-%H%M%S}-{name}.csv"
-        self._all[name] = InteractiveTrial(name, viewed_scene, path, source)
+        self._all[name] = trial = InteractiveTrial(name, viewed_scene, path)
+        for step in source.steps if source else ():
+            trial.record(replace(step, gesture=-step.number))  # each is undone by itself
         self._paths.append(path)
         for old in [one for one in self._all if one not in self._steered and one != name]:
             if len(self._all) <= MAX_TRIALS:
                 break
             del self._all[old]
-        return self._all[name]
+        return trial

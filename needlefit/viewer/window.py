@@ -7,7 +7,7 @@ from typing import Any
 from needlefit.errors import ModelError, NeedlefitError
 from needlefit.planning.goals import Goal
 from needlefit.planning.steering import PlanLimits, find_reachable_region, plan_steering
-from needlefit.viewer.messages import MAX_REPLAY_SPEED, Message, encode_fault, round_lengths
+from needlefit.viewer.messages import Message, encode_fault, round_lengths
 from needlefit.viewer.plans import (
     BEYOND_TARGET_MM,
     MAX_ENTRY_MM,
@@ -15,7 +15,6 @@ from needlefit.viewer.plans import (
     plan_message,
     read_goal,
 )
-from needlefit.viewer.recording import Recording
 from needlefit.viewer.trial import InteractiveTrial, RecordingEndedError
 from needlefit.viewer.trials import TrialRegistry
 
@@ -73,8 +72,6 @@ class Window:
                 for step in message.steps:
                     trial.record(step)
                 yield {"kind": "recorded", "step": len(trial.steps)}
-            case "replay":
-                yield from self._replay(message)
             case "show":
                 yield from self._take(self.trials.another(trial, message.text("insertion")))
             case "aim":
@@ -95,17 +92,6 @@ class Window:
                 self.orders["reach"] = self._reach(trial, trial.aim.goal)
             case "run":
                 yield from self._take(self.trials.entered(trial))
-
-    def _replay(self, message: Message) -> Iterator[Reply]:
-        times = abs(message.number("times", 1.0, MAX_REPLAY_SPEED))
-        trial = self.trial  # what it has recorded; while that is a part of what it replays, the whole of that
-        source, done = trial.source, [step.changes for step in trial.steps]
-        if done and (source is None or [step.changes for step in source.steps[: len(done)]] != done):
-            source = Recording(trial.recorder.head, tuple(trial.steps), str(trial.recorder.path))
-        if source is None or not source.steps:
-            raise ModelError("nothing has been recorded", expected="a needle that was moved")
-        yield from self._take(self.trials.again(trial, source))
-        yield {"kind": "replay", "times": times, **self.trial.describe_steps(source.steps)}
 
     def _is_dropped(self, kind: str) -> bool:
         """Return whether nobody waits for it: another one is ordered, or the window was closed."""

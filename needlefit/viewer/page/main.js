@@ -1,7 +1,7 @@
 /** Starts the page: the line to the server, the picture, the readouts beside it, the line at the foot. */
 
 import { open } from "./connection.js";
-import { part, write } from "./dom.js";
+import { part, press, write } from "./dom.js";
 import { paint } from "./drawing.js";
 import { computeBands } from "./bands.js";
 import "./exports.js";
@@ -12,7 +12,8 @@ import * as panel from "./panel.js";
 import * as planning from "./planning.js";
 import "./pointers.js";
 import * as readouts from "./readouts.js";
-import { advance, moves } from "./steering.js";
+import { offerScenes } from "./scenes.js";
+import { advance, moves, rebuild } from "./steering.js";
 import * as strip from "./strip.js";
 import { listen, now, publish } from "./store.js";
 import "./toolbar.js";
@@ -60,6 +61,14 @@ listen("refused", () => { // fields go back to what is
   READOUTS.forEach((one) => (one.step = null));
   refreshReadouts();
 });
+offerScenes(rebuild, kernel);
+const everything = part("everything");
+const unfold = (on) => {
+  everything.ariaExpanded = String(on);
+  part("panel").classList.toggle("everything", on);
+};
+press(everything, () => unfold(everything.ariaExpanded !== "true"));
+listen("scene", ({ past }) => past.length && unfold(true)); // the needle has been steered already
 kernel.then((compiled) => {
   const worker = new Worker("/page/model/band_worker.js", { type: "module" });
   computeBands(worker, compiled, () => ({ name: trial.scene.needle, steered: trial.steered }));

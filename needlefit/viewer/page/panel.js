@@ -21,11 +21,12 @@ function inputField(into, [input, item], about, current, { shown = (x) => x, mea
 }
 
 listen("scene", (scene) => {
-  for (const id of ["bevel-fields", "tissue-fields", "base-fields", "tip-fields", "guides"]) part(id).replaceChildren();
+  for (const id of ["bevel-fields", "tissue-fields", "shape-fields", "base-fields", "tip-fields", "guides"]) part(id).replaceChildren();
   fields = [];
   guides.clear();
   buildBevel(scene);
   buildTissue(scene);
+  part("shape-part").hidden = !scene.shape_parameters.length;
   buildHeld("base", scene.limits.base_y_mm, [-10, 10]);
   const angle = buildHeld("tip");
   angle.ask = (value, how) => change([["tip_held", null, 1], ["tip_slope", null, slope(value)]], how); // held at a place
@@ -43,11 +44,11 @@ function buildTissue({ layer_names: names, boundaries_mm: tops, limits, fitted, 
   for (let i = 0; i <= tops.length; i += 1) {
     const called = names[i] || `layer ${i + 1}`;
     const modulus = { ...modulusLike(fitted.layers[i].mu_pa), logarithmic: true, step: 1.05, limits: limits.mu_pa };
-    const add = (name, about) => {
-      const field = inputField("tissue-fields", [name, i + 1], about, () => now.state.layers[i][name]);
+    const add = (name, about, into = "shape-fields") => {
+      const field = inputField(into, [name, i + 1], about, () => now.state.layers[i][name]);
       setHome(field, fitted.layers[i][name]);
     };
-    add("mu_pa", { ...modulus, name: `μ ${called}`, symbol: "μ" });
+    add("mu_pa", { ...modulus, name: `μ ${called}`, symbol: "μ" }, "tissue-fields");
     for (const { name, symbol, unit } of shapes) {
       const [low, high] = limits[name];
       const step = Math.min(0.1, (high - low) / 100);

@@ -1,6 +1,6 @@
 /** A pinned needle, and the strip below the picture: deflection and force of the tip against depth, of both needles. */
 
-import { element, onScheme, part, press, write } from "./dom.js";
+import { element, onScheme, part, press } from "./dom.js";
 import { invalidate } from "./drawing.js";
 import { palette, ring, segments, setFont, stroke, trace } from "./painters/strokes.js";
 import { brief, heightAt, signed } from "./quantities.js";

@@ -3,7 +3,7 @@
 import { part, press, write } from "./dom.js";
 import * as act from "./actions.js";
 import { brief } from "./quantities.js";
-import { halt, letGo, replayRecording } from "./steering.js";
+import { command, halt, letGo } from "./steering.js";
 import { listen, now } from "./store.js";
 
 const STEP = 1; // mm; what a mere click does, as assistive technology gives it
@@ -37,21 +37,18 @@ function holdButton(button, direction) {
 
 /** Let the buttons say what can be done, and the bevel's which side it turns to. */
 export function refresh() {
-  const { undo, redo, moving, playing, paused, bevel } = now.state;
+  const { undo, redo, moving, playing, bevel } = now.state;
   part("undo").disabled = !undo;
   part("redo").disabled = !redo;
   part("halt").disabled = !moving && !playing;
   part("insert").classList.toggle("on", moving > 0);
   part("retract").classList.toggle("on", moving < 0);
   write("side", bevel.side > 0 ? "(now +y)" : "(now −y)");
-  write("replay", paused ? "Go on with replay" : "Replay recording");
-  part("replay").title = paused ? "From where it was stopped" : "Carry out the recording so far once more";
 }
 
 const PRESSED = {
   undo: act.undo, redo: act.redo, reset: act.reset, play: act.play, halt,
   flip: (event) => act.flip(event.timeStamp),
-  replay: () => replayRecording(Number(part("times").value)),
 };
 for (const [id, act] of Object.entries(PRESSED)) press(id, (event) => now.state && act(event));
 holdButton(part("insert"), 1);

@@ -8,7 +8,6 @@ import { publish, take } from "./store.js";
 
 const MAX_UNDO = 200; // gestures that can be undone
 const LONGEST = 0.1; // s that a motion goes on in one frame: after a pause the needle does not jump
-const UNDO_PAUSE = 0.4; // s; steps of a recording that are farther apart are undone one by one
 const SAME = 1e-9; // mm; depths that differ by less are one
 const SHORTEST = 0.1; // mm; a shorter move is not divided
 
@@ -29,7 +28,7 @@ class Trial {
    */
   async begin(scene) {
     const { past, needle } = scene;
-    this.motion = this.paused = this.ended = null; // what goes on by itself: {kind, speed, gesture, frames}
+    this.motion = this.ended = null; // what goes on by itself: {kind, speed, gesture, frames}
     if (this.scene?.needle === needle) {
       if (!past.every((step) => this.#isOwn(step))) return false;
       this.confirm(scene.known + past.length);
@@ -139,12 +138,6 @@ class Trial {
     }
   }
 
-  /** Carry out a step of a recording. */
-  repeat(returns, [number, , , changes], gesture) {
-    this.act(changes, gesture);
-    this.#pinFor(returns, number, changes);
-  }
-
   /** Undo the last gesture, or redo the one that was undone last. */
   undo(redo = false) {
     const from = redo ? this.future : this.past;
@@ -180,14 +173,7 @@ class Trial {
   }
 
   halt() {
-    if (this.motion?.kind === "replay") this.paused = this.motion;
     this.motion = null;
-    publish("moved");
-  }
-
-  /** Go on with a replay that was halted. */
-  goOn(speed) {
-    [this.motion, this.paused, this.at] = [{ ...this.paused, speed }, null, performance.now()];
     publish("moved");
   }
 
@@ -216,7 +202,6 @@ class Trial {
       moving: this.strokes ? motion.speed : 0,
       playing: motion !== null && !this.strokes,
       planned: motion?.kind === "plan",
-      paused: this.paused !== null,
     });
   }
 }
@@ -270,18 +255,3 @@ function findLastReturns(steps) {
   }
   return returns;
 }
-
-/** Move through the steps of a recording at their own times; steps without a pause between them are one gesture. */
-export const replay = (steps) =>
-  function* go(trial) {
-    const returns = findLastReturns(steps);
-    let [clock, at, gesture] = [steps[0][1], 0, -1]; // gestures of the page are above 0
-    while (at < steps.length) {
-      const dt = yield;
-      clock += trial.motion.speed * dt; // the speed may have been changed meanwhile
-      for (; at < steps.length && steps[at][1] <= clock; at += 1) {
-        trial.repeat(returns, steps[at], gesture);
-        if (steps[at + 1]?.[1] - steps[at][1] > UNDO_PAUSE) gesture -= 1;
-      }
-    }
-  };

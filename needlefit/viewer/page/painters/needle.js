@@ -6,8 +6,7 @@ import { now, tipForce } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
 import { arrow, avoid, between, cross, faintly, label, labelFree, line, palette, placesOf, polygon, reserve, ring, segments, setFont, stroke, trace, turned } from "./strokes.js";
 
-const THINNEST = 2; // px
-const THICKEST = 5; // px, where y is magnified: there the body has no thickness that could be read off
+const LINE = 2.5; // px, of the needle where y is magnified: its width stands in the inset
 const CROSS = { of: 0.28, least: 1, most: 3.2 }; // half a cross: part of the spacing, px
 const LONGEST_BEVEL = 2.5; // diameters
 const WIDE = 7; // px; from here on the body is drawn behind all else, and its axis over it
@@ -26,8 +25,7 @@ const distance = (one, other) => Math.hypot(one[0] - other[0], one[1] - other[1]
 
 /** How thick the needle is drawn, px. */
 export function thickness() {
-  const px = now.scene.diameter_mm * view.scale;
-  return Math.max(view.magnified > 1 ? Math.min(px, THICKEST) : px, THINNEST);
+  return Math.max(view.magnified > 1 ? 0 : now.scene.diameter_mm * view.scale, LINE);
 }
 
 /** The shaft on the canvas (px), which ends before the tip, where the bevel begins; its colour: outside the model it looks different. */

@@ -135,7 +135,7 @@ export function paintInset(context, { x, y, tip }) {
   const scale = (wide - 2 * INSET.edge) / Math.max(now.scene.depth_mm, now.state.depth_mm, 1);
   context.beginPath();
   x.forEach((one, i) => one >= 0 && context.lineTo(px + INSET.edge + one * scale, py + INSET.height / 2 + 6 - y[i] * scale));
-  stroke(context, palette.needle, 1.5);
+  stroke(context, palette.needle, Math.max(now.scene.diameter_mm * scale, 1));
   setFont(context, "small", "left", "top");
   label(context, "true scale", px + 6, py + 4);
 }

@@ -11,7 +11,7 @@ let fields = []; // [field, () => value]
 /** Make the fields of a scene; `steer(changes, below)` carries a change out. Depth and base of a recording have no values to go back to. */
 export function buildFields({ scene, recording }, steer) {
   fields = [];
-  for (const id of ["insertion-fields", "tissue-fields"]) part(id).replaceChildren();
+  for (const id of ["insertion-fields", "tissue-fields", "shape-fields"]) part(id).replaceChildren();
   const add = (into, [input, item], about, current, { shown = (x) => x, meant = (x) => x } = {}) => {
     const field = makeField(part(into), { ...about, ask: (value) => steer([[input, item, meant(value)]], field.part) });
     const home = recording && into === "insertion-fields" ? undefined : current(scene.fitted);
@@ -35,15 +35,16 @@ export function buildFields({ scene, recording }, steer) {
   if (!varies) add("tissue-fields", [throughout, null],
     { name: symbol, symbol, unit, step, write: digits(count), limits: limits[key] },
     (of) => (of.bevel ?? of)[key]);
+  part("shape-part").hidden = !simulation.law.terms; // a law that is a table has been computed for these parameters alone
   fitted.layers.forEach((_, i) => {
     const called = scene.layer_names[i] || `layer ${i + 1}`;
     add("tissue-fields", ["mu_pa", i + 1],
       { name: `μ ${called}`, symbol: "μ", ...modulusLike(fitted.layers[i].mu_pa), logarithmic: true, step: 1.05, limits: limits.mu_pa },
       (of) => of.layers[i].mu_pa);
-    if (!simulation.law.terms) return; // a law that is a table has been computed for these parameters alone
+    if (!simulation.law.terms) return;
     for (const { name, symbol: sign, unit: of } of scene.shape_parameters) {
       const step = Math.min(0.1, (limits[name][1] - limits[name][0]) / 100);
-      add("tissue-fields", [name, i + 1],
+      add("shape-fields", [name, i + 1],
         { name: `${sign} ${called}`, symbol: sign, unit: of, step, write: digits(2), limits: limits[name] },
         (from) => from.layers[i][name]);
     }
