@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_datasets_markups import markup, point, save
 
 from needlefit.viewer.recording import read_recording, replay
 
@@ -295,9 +294,9 @@ SEQUENCES = {
     ],
     "a plan that fails names what it touches": [
         ("go to", 20, "true"),
-        ("aim", "{ target: [40, -1], obstacles: [[30, -0.6, 3, 'bone']] }", "!part('#make-plan').disabled"),
-        ("click", "#make-plan", "aim.plan?.hits === 0 && aim.plan.touched.bone === 1"),
-        ("focus", "#canvas", "part('#plan-note').textContent.includes('bone')"),
+        ("aim", "{ target: [40, -1], obstacles: [[30, -0.6, 3]] }", "!part('#make-plan').disabled"),
+        ("click", "#make-plan", "aim.plan?.hits === 0 && aim.plan.touched['obstacle 1'] === 1"),
+        ("focus", "#canvas", "part('#plan-note').textContent.includes('obstacle 1')"),
     ],
     "by keyboard a target is put ahead of the tip": [
         ("go to", 5, "true"),
@@ -839,8 +838,6 @@ def test_a_target_is_put_by_a_click_planned_for_and_reached(page) -> None:
     until(page, "aim.target && aim.reach")
     assert get(page, "aim.target") == pytest.approx([35, 0.6], abs=0.2)
     found = plan(page)
-    first = do(page, ("click", "#step-plan", "s.depth_mm > 5.5 && !s.playing"))["depth_mm"]
-    assert first == pytest.approx(found["steps"][0][0])
     end = do(page, ("click", "#run-plan", "s.depth_mm > 30 && !s.playing"))
     miss = call(page, "aim", "m.tipError(needlefit.state)")
     assert miss == pytest.approx(found["nominal_miss_mm"], abs=1e-3) and miss < 0.2
@@ -850,27 +847,6 @@ def test_a_target_is_put_by_a_click_planned_for_and_reached(page) -> None:
     shown(page, "the target lies at a depth")
     page.keyboard.press("Control+z")
     do(page, ("key", "Control+z", f"s.depth_mm < {end['depth_mm'] - 1}"))
-
-
-@sweep
-def test_markups_are_target_and_obstacles(page, tmp_path) -> None:
-    """They lie in the scan's coordinates: of this needle its placement says where."""
-    from needlefit.geometry.frames import Placement
-    from needlefit.viewer.opening import open_target
-
-    given = [[35.0, 1.0], [20.0, -2.0]]
-    places = Placement.from_record(open_target("twin/phantom2-05").placement).to_patient(given).tolist()
-    points = [
-        point(n, at, label=name)
-        for n, (at, name) in enumerate(zip(places, ("target", "vessel"), strict=True), 1)
-    ]
-    page.set_input_files("#markups", str(save(tmp_path / "a.mrk.json", markup(points=points))))
-    until(page, "aim.target && aim.obstacles.length === 1")
-    found = get(page, "[aim.target, aim.obstacles[0].slice(0, 2)]")
-    assert np.array(found) == pytest.approx(np.array(given), abs=1e-6)
-    assert get(page, "aim.obstacles[0][3]") == "vessel"
-    page.get_by_role("button", name="Remove vessel").click()
-    until(page, "aim.obstacles.length === 0")
 
 
 @pytest.mark.parametrize("scheme", ["light", pytest.param("dark", marks=sweep)])
@@ -883,8 +859,8 @@ def test_axe_finds_no_violation(full_page, scheme: str) -> None:
 
 
 def test_all_layers_of_a_law_have_fields_and_names(chromium, tmp_path) -> None:
-    """Where a layer is too narrow for its name above it, the name stands along it."""
-    scene, field = tmp_path / "gent.toml", '#tissue-fields input[aria-label="Jm gel"]'
+    """Where a layer is too narrow for its name above it, numbers stand there."""
+    scene, field = tmp_path / "gent.toml", '#shape-fields input[aria-label="Jm gel"]'
     scene.write_text(
         'schema = 1\ndepth_mm = 20.0\nlaw = "gent"\n[needle]\nlength_mm = 150.0\nouter_diameter_mm = 1.27\n'
         'youngs_modulus_gpa = 80.0\n[bevel]\noffset_mm = 0.085\n[[layers]]\nname = "gel"\ntop_mm = 0.0\n'
@@ -898,7 +874,6 @@ def test_all_layers_of_a_law_have_fields_and_names(chromium, tmp_path) -> None:
             assert float(page.input_value(f"{field} >> nth=0")) == 2.0
             painted = "((one) => (m.paintOn(one), one.write()))(new SvgContext(900, 400))"
             svg = call(page, "drawing", f"import('/page/svg.js').then(({{ SvgContext }}) => {painted})")
-            along = re.findall(r"<text [^>]*matrix\(0 -1 1 0[^>]*>([^<]*)<", svg)
-            assert "subcutaneous fat" in along
+            assert {"1", "2"} < set(re.findall(r"<text [^>]*>([^<]*)<", svg))
     finally:
         running.end()

@@ -4,7 +4,6 @@ import shlex
 import signal
 import threading
 from collections.abc import Callable, Coroutine
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -26,7 +25,7 @@ from needlefit.project.locate import find_view_target
 
 if TYPE_CHECKING:
     from needlefit.project.locate import SpecimenChoice
-    from needlefit.viewer.server import AccessControl, LoadingPage
+    from needlefit.viewer.server import AccessControl
     from needlefit.viewer.steering_page import SteeringPage
     from needlefit.viewer.trials import TrialRegistry
 
@@ -70,28 +69,18 @@ def view(
     if target is not None:
         find_view_target(target)  # a wrong name ends it before a page opens
     serve = _server()
-    begun: list[TrialRegistry] = []
+    from needlefit.viewer.steering_page import SteeringPage
 
-    def load(show: Callable[[str], None]) -> "SteeringPage":
-        show("Loading the model")
-        from needlefit.viewer.steering_page import SteeringPage
-
-        show(f"Reading {recording or target or 'the scene'}")
-        trials = _trials(context.find_root().obj, target, recording, out / "view", specimen or "shown")
-        begun.append(trials)
-        return SteeringPage(trials)
-
-    from needlefit.viewer.server import LoadingPage
-
-    _serve(serve, LoadingPage(load), port, browser)
-    for path in begun[0].written() if begun else ():
+    trials = _trials(context.find_root().obj, target, recording, out / "view", specimen or "shown")
+    _serve(serve, SteeringPage(trials), port, browser)
+    for path in trials.written():
         screen.print_line(f"recorded: {path}")
         screen.print_note(f"replay it: {shlex.join(('needlefit', 'simulate', '--recording', str(path)))}")
 
 
 def _serve(
     serve: Callable[..., "Coroutine[None, None, None]"],
-    page: "LoadingPage",
+    page: "SteeringPage",
     port: int,
     browser: bool,
 ) -> None:
@@ -104,7 +93,7 @@ def _serve(
         if browser:  # some browsers hold up whoever calls them
             threading.Thread(target=webbrowser.open, args=(access.address,), daemon=True).start()
 
-    asyncio.run(serve(page, port, ready, partial(_until_stopped, page)))
+    asyncio.run(serve(page, port, ready, _until_stopped))
 
 
 def _server() -> Callable[..., "Coroutine[None, None, None]"]:
@@ -136,16 +125,11 @@ def _trials(
     return TrialRegistry(shown, folder, lambda choice: reopen(shown, choice, specimen), source)
 
 
-async def _until_stopped(page: "LoadingPage") -> None:
-    """Wait for Ctrl-C or a signal to end; raise the error of a page that could not be loaded."""
+async def _until_stopped() -> None:
+    """Wait for Ctrl-C or a signal to end."""
     import asyncio
 
     stopped, loop = asyncio.Event(), asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stopped.set)
-    waiting = asyncio.create_task(stopped.wait())
-    loading = asyncio.create_task(page.ended.wait())
-    await asyncio.wait((waiting, loading), return_when=asyncio.FIRST_COMPLETED)
-    if page.error is not None:
-        raise page.error
-    await waiting
+    await stopped.wait()

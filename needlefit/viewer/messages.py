@@ -126,8 +126,7 @@ def round_lengths(values: Floats) -> list[float]:
 
 
 ACTIONS = {
-    *("hello", "steps", "show"),
-    *("aim", "markups", "plan", "reach", "run"),
+    *("hello", "steps", "show", "plan", "reach"),
 }
 MAX_CHANGES = 64  #: number of inputs that one step may set
 MAX_MESSAGE_STEPS = 16  #: number of steps of one message

@@ -7,9 +7,7 @@ from datetime import datetime
 from pathlib import Path, PurePath
 
 from needlefit.errors import ModelError
-from needlefit.viewer.plans import shift_entry
 from needlefit.viewer.recording import Recording
-from needlefit.viewer.steering import find_tissue_changes
 from needlefit.viewer.trial import InteractiveTrial
 from needlefit.viewer.viewed_scene import ViewedScene
 
@@ -54,44 +52,20 @@ class TrialRegistry:
             self._all[trial.name] = self._all.pop(trial.name)
 
     def another(self, trial: InteractiveTrial, insertion: str) -> InteractiveTrial:
-        """Return the window's trial with another insertion, or a new trial.
+        """Return a new trial with another insertion, for the window of a trial, which the caller closes.
 
         ModelError if the dataset has no such insertion.
         """
         if insertion not in trial.viewed_scene.choices:
             raise ModelError(f"there is no insertion `{insertion:.40}`", expected="one of the list")
-        there = trial.window_trials.get(insertion)
-        if there is None and insertion not in self._viewed_scenes:
+        if insertion not in self._viewed_scenes:
             self._viewed_scenes[insertion] = self._reopen(insertion)
-        return self._instead(trial, there or self._begin(self._viewed_scenes[insertion]))
-
-    def entered(self, trial: InteractiveTrial) -> InteractiveTrial:
-        """Return a new trial at first contact, at the entry of a trial's plan, with its parameters and plan.
-
-        ModelError if the trial has no plan.
-        """
-        plan = trial.aim.plan
-        if plan is None:
-            raise ModelError("there is no plan", expected="a plan", fix="plan again")
-        other = self._begin(shift_entry(trial.viewed_scene, plan.entry_mm))
-        changes = find_tissue_changes(trial.steering.now.tissue, other.scene.tissue)
-        if changes:
-            other.act(changes, gesture=0)
-        moved, aim = plan.move_to_entry(), other.aim
-        aim.set(moved.goal.target, moved.goal.radius, moved.goal.obstacles, trial.aim.roll_deg)
-        aim.plan, aim.plan_step = moved, other.steering.number
-        return self._instead(trial, other)
+        other = self._begin(self._viewed_scenes[insertion])
+        self._steered.add(other.name)
+        return other
 
     def written(self) -> list[Path]:
         return [path for path in self._paths if path.exists()]
-
-    def _instead(self, trial: InteractiveTrial, other: InteractiveTrial) -> InteractiveTrial:
-        """Give a window another needle; the caller closes the first one."""
-        other.window_trials = trial.window_trials
-        other.window_trials[other.shown_insertion] = other
-        self._all[other.name] = other
-        self._steered.add(other.name)
-        return other
 
     def _begin(self, viewed_scene: ViewedScene, source: Recording | None = None) -> InteractiveTrial:
         name = secrets.token_hex(4)

@@ -69,7 +69,6 @@ export async function settle() {
 async function hear(message) {
   if (message.kind === "taken" || message.kind === "bye") return leave(message);
   if (message.kind === "recorded") return trial.confirm(message.step);
-  if (message.kind === "stage") return publish("stage", message);
   if (message.kind !== "scene") return take(message);
   const gone = !greeted && ![null, message.needle].includes(needle());
   sessionStorage.setItem("needlefit.needle", message.needle);

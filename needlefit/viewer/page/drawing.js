@@ -7,7 +7,7 @@ import * as overlay from "./painters/overlay.js";
 import { clearBoxes, palette, readPalette } from "./painters/strokes.js";
 import { slice } from "./slice.js";
 import { listen, now, publish } from "./store.js";
-import { fit, follow, resize, seesTip, takeChange, touch, view } from "./view.js";
+import { fit, follow, resize, takeChange, touch, view } from "./view.js";
 
 const picture = part("picture");
 const background = part("background");
@@ -92,7 +92,6 @@ function paintForeground(before, state) {
     needle.paintBase(before, state);
     if (band) overlay.nameBand(before, band);
     if (now.marked != null) needle.paintMark(before, state, now.marked);
-    if (!seesTip()) overlay.paintArrow(before, state);
   });
   if (shown.load) needle.paintKey(before);
 }

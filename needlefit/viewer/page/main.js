@@ -56,7 +56,6 @@ function refreshStatus() {
   write("recording", now.scene?.recording ? `recording ${now.scene.recording}` : "");
 }
 
-listen("stage", ({ what }) => write("waiting", `${what} …`));
 listen("refused", () => { // fields go back to what is
   READOUTS.forEach((one) => (one.step = null));
   refreshReadouts();

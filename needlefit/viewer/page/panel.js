@@ -3,7 +3,8 @@
 import * as act from "./actions.js";
 import { part, press, write } from "./dom.js";
 import { makeField, setHome, show } from "./fields.js";
-import { degrees, modulusLike, numbered, slope, strengthOf } from "./quantities.js";
+import { listParameters } from "./parameters.js";
+import { degrees, numbered, slope, strengthOf } from "./quantities.js";
 import { change, wanted } from "./steering.js";
 import { listen, now } from "./store.js";
 
@@ -40,20 +41,10 @@ function buildBevel({ limits, fitted }) {
   part("throughout").textContent = `Set this ${symbol} in the whole insertion`;
 }
 
-function buildTissue({ layer_names: names, boundaries_mm: tops, limits, fitted, shape_parameters: shapes }) {
-  for (let i = 0; i <= tops.length; i += 1) {
-    const called = names[i] || `layer ${i + 1}`;
-    const modulus = { ...modulusLike(fitted.layers[i].mu_pa), logarithmic: true, step: 1.05, limits: limits.mu_pa };
-    const add = (name, about, into = "shape-fields") => {
-      const field = inputField(into, [name, i + 1], about, () => now.state.layers[i][name]);
-      setHome(field, fitted.layers[i][name]);
-    };
-    add("mu_pa", { ...modulus, name: `μ ${called}`, symbol: "μ" }, "tissue-fields");
-    for (const { name, symbol, unit } of shapes) {
-      const [low, high] = limits[name];
-      const step = Math.min(0.1, (high - low) / 100);
-      add(name, { name: `${symbol} ${called}`, symbol, unit, write: digits(2), limits: limits[name], step });
-    }
+function buildTissue(scene) {
+  for (const { input, item, into, about } of listParameters(scene)) {
+    const field = inputField(into, [input, item], about, () => now.state.layers[item - 1][input]);
+    setHome(field, scene.fitted.layers[item - 1][input]);
   }
 }
 

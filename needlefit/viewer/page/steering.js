@@ -9,7 +9,6 @@ let waiting = []; // changes that are not carried out yet, one for each gesture
 let held = null; // the gesture of a move that a hand holds
 let fresh = false; // whether the needle has changed since its state was shown
 let oldest = null; // ms, when the oldest input happened that the next state shows
-let running = null; // how a plan goes on once its needle stands at its entry
 let gestures = Date.now() % 1e9; // a page that was loaded again goes on with numbers of its own
 const asked = new Map(); // what was asked for and is not shown yet
 
@@ -137,14 +136,10 @@ export const playScene = (speed) => direct(() => {
   trial.start("play", speed, newGesture(), play(trial.scene.simulation.steps));
 });
 
-/** Carry out a plan from where the needle stands; one that begins at first contact, on a needle at its entry. */
-export function runPlan(plan, { speed, one = false }) {
-  if (plan.anew) {
-    running = { speed, one };
-    return command({ do: "run" });
-  }
+/** Carry out a plan from where the needle stands. */
+export function runPlan(plan, speed) {
   const steps = plan.path.filter(({ depth }) => depth > trial.steered.step.depth + 1e-9);
-  direct(() => trial.start("plan", speed, newGesture(), play(one ? steps.slice(0, 1) : steps)));
+  direct(() => trial.start("plan", speed, newGesture(), play(steps)));
 }
 
 /** What a new frame shows: the needle after what was asked for and what goes on by itself; whether it has changed. */
@@ -170,12 +165,6 @@ export const moves = () => trial.motion !== null;
 listen("moved", () => (fresh = true));
 listen("refused", () => publish("moved")); // fields go back to what is
 listen("ended", (fault) => (trial.ended = fault));
-listen("plan", (plan) => {
-  if (!running || plan.fault) return;
-  const how = running;
-  running = null;
-  runPlan(plan, how);
-});
 listen("line", () => {
   waiting = [];
   [held, oldest] = [null, null];

@@ -4,7 +4,7 @@ import { aim } from "./aim.js";
 import { button, element, part, press } from "./dom.js";
 import { invalidate, shown } from "./drawing.js";
 import { listen, now, publish } from "./store.js";
-import { fit, refit, touch, view, zoom } from "./view.js";
+import { fit, touch, view, zoom } from "./view.js";
 
 /** What can be shown and hidden: its name, what the button is called and explained, whether it has a swatch. */
 const CHIPS = [
@@ -16,7 +16,6 @@ const CHIPS = [
 ];
 const TALL = 800; // px of a window that has room for the strip
 const fits = document.querySelectorAll("[data-fit]");
-const refitButton = part("refit"); // a shared page has none
 const chips = Object.fromEntries(CHIPS.map(([name, called, title = "", marked = true]) => {
   const swatch = marked ? [element("i", { ariaHidden: "true", className: `swatch ${name}` })] : [];
   const pressed = String(shown[name] ?? false);
@@ -28,10 +27,6 @@ part("chips").append(...Object.values(chips));
 
 /** Let the buttons say which view is seen. */
 export function pressed() {
-  if (refitButton) {
-    refitButton.hidden = view.fit !== null;
-    refitButton.style.top = `${view.box.top + 6}px`; // above the picture are the names of layers
-  }
   for (const one of fits) one.ariaPressed = String(one.dataset.fit === view.fit);
 }
 
@@ -54,7 +49,6 @@ const offer = (there) => Object.entries(there).forEach(([name, is]) => (chips[na
 offer({ measured: false, errors: false, band: false, plan: false, reach: false, slice: false, pinned: false });
 if (innerHeight < TALL) toggle("strip"); // the picture needs the room
 for (const one of fits) press(one, () => (fit(one.dataset.fit), pressed()));
-if (refitButton) press(refitButton, () => (refit(), pressed()));
 for (const one of document.querySelectorAll("[data-zoom]")) {
   press(one, () => (zoom(one.dataset.zoom === "in" ? 1.25 : 0.8), pressed()));
 }

@@ -20,7 +20,6 @@ export const view = {
 };
 
 let changed = true;
-let left = "tissue"; // what was shown before the picture was shifted or zoomed
 
 /** Whether the window has changed since this was last asked. */
 export function takeChange() {
@@ -133,28 +132,20 @@ export function follow() {
   touch();
 }
 
-/** Show again what was shown before the picture was shifted or zoomed. */
-export const refit = () => fit(left);
-
-function leave() {
-  left = view.fit ?? left;
-  view.fit = null;
-}
-
 /** Zoom by a factor about a point on the canvas (px), by default the middle. */
 export function zoom(factor, px = toPx(view.x), py = toPy(view.y)) {
   const [x, y] = [fromPx(px), fromPy(py)];
   view.scale = limited(view.scale * factor);
   view.x += x - fromPx(px);
   view.y += y - fromPy(py);
-  if (view.fit !== "tip") leave();
+  if (view.fit !== "tip") view.fit = null;
   touch();
 }
 
 export function pan(px, py) {
   view.x -= px / view.scale;
   view.y += py / (view.scale * view.magnified);
-  leave();
+  view.fit = null;
   touch();
 }
 
@@ -168,7 +159,8 @@ export function hold(on) {
 const limited = (scale) => Math.min(Math.max(scale, SCALES[0]), SCALES[1]);
 
 /** A goal that is put or comes from a file is seen; while it is dragged the picture stands. */
-listen("aim", () => {
+listen("goal", () => {
+  if (!now.state || view.held) return;
   if (view.fit !== "tip") fit(view.fit);
   if (aim.target && !sees(...aim.target)) fit("tissue");
 });

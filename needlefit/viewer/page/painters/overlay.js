@@ -5,7 +5,7 @@ import { heightAt, isChanged } from "../quantities.js";
 import { now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
 import { thickness } from "./needle.js";
-import { cross, faintly, fillBetween, isFree, label, labelBeside, labelFree, line, palette, placesOf, polygon, reserve, segments, setFont, stroke, turned } from "./strokes.js";
+import { cross, faintly, fillBetween, isFree, label, labelBeside, labelFree, line, palette, placesOf, reserve, segments, setFont, stroke } from "./strokes.js";
 
 const GAPS = 12; // parts of the shaft between which gaps are drawn
 const FAN = 0.3; // opacity of the plan's draws
@@ -13,7 +13,6 @@ const PALE = 0.35; // of a plan that the needle has left
 const CROSS = 5; // px
 const INSET = { width: 170, height: 46, edge: 10 }; // px
 const CLEAR = 30; // px between the inset and curves, for load and crosses
-const ARROW = 11; // px
 
 /** Draw the measured needle, over a halo that sets it off from the needle and from a scan. */
 export function paintMeasured(context, { x, y }) {
@@ -138,20 +137,4 @@ export function paintInset(context, { x, y, tip }) {
   stroke(context, palette.needle, Math.max(now.scene.diameter_mm * scale, 1));
   setFont(context, "small", "left", "top");
   label(context, "true scale", px + 6, py + 4);
-}
-
-/** Draw at the edge of the window, by name, where the tip is. */
-export function paintArrow(context, { tip }) {
-  const { left, top, width, height } = view.box;
-  const [middle, centre] = [left + width / 2, top + height / 2];
-  const angle = Math.atan2(toPy(tip.y) - centre, toPx(tip.x) - middle);
-  const reach = Math.min(
-    (width / 2 - 2 * ARROW) / Math.max(Math.abs(Math.cos(angle)), 1e-9),
-    (height / 2 - 2 * ARROW) / Math.max(Math.abs(Math.sin(angle)), 1e-9),
-  );
-  const [px, py] = [middle + reach * Math.cos(angle), centre + reach * Math.sin(angle)];
-  const head = [[ARROW, 0], [-ARROW, ARROW * 0.8], [-ARROW, -ARROW * 0.8]];
-  turned(context, px, py, -angle, () => polygon(context, head, palette.quiet));
-  setFont(context, "small");
-  labelFree(context, "tip", [[px, py + 20], [px, py - 20]], palette.label);
 }

@@ -2,7 +2,8 @@
 
 import { part } from "../dom.js";
 import { makeField, setHome, show } from "../fields.js";
-import { degrees, modulusLike, slope, strengthOf } from "../quantities.js";
+import { listParameters } from "../parameters.js";
+import { degrees, slope, strengthOf } from "../quantities.js";
 import { now } from "../store.js";
 
 const digits = (count) => (value) => value.toFixed(count);
@@ -35,20 +36,10 @@ export function buildFields({ scene, recording }, steer) {
   if (!varies) add("tissue-fields", [throughout, null],
     { name: symbol, symbol, unit, step, write: digits(count), limits: limits[key] },
     (of) => (of.bevel ?? of)[key]);
-  part("shape-part").hidden = !simulation.law.terms; // a law that is a table has been computed for these parameters alone
-  fitted.layers.forEach((_, i) => {
-    const called = scene.layer_names[i] || `layer ${i + 1}`;
-    add("tissue-fields", ["mu_pa", i + 1],
-      { name: `μ ${called}`, symbol: "μ", ...modulusLike(fitted.layers[i].mu_pa), logarithmic: true, step: 1.05, limits: limits.mu_pa },
-      (of) => of.layers[i].mu_pa);
-    if (!simulation.law.terms) return;
-    for (const { name, symbol: sign, unit: of } of scene.shape_parameters) {
-      const step = Math.min(0.1, (limits[name][1] - limits[name][0]) / 100);
-      add("shape-fields", [name, i + 1],
-        { name: `${sign} ${called}`, symbol: sign, unit: of, step, write: digits(2), limits: limits[name] },
-        (from) => from.layers[i][name]);
-    }
-  });
+  part("shape-part").hidden = !simulation.law.terms || !scene.shape_parameters.length; // a law that is a table has been computed for these parameters alone
+  for (const { input, item, into, about } of listParameters(scene)) {
+    if (simulation.law.terms || input === "mu_pa") add(into, [input, item], about, (of) => of.layers[item - 1][input]);
+  }
 }
 
 /** Let every field say what is. */
