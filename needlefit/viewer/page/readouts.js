@@ -35,11 +35,11 @@ let writeErrors = () => {}; // of the comparison with a measured needle: each th
 export function refresh() {
   const { state, scene } = now;
   writeNeedle(state);
-  part("steered")?.toggleAttribute("hidden", !isSteered(state, scene));
+  const title = part("title"); // a report has none
+  if (title) write(title, `${isSteered(state, scene) ? "steered by hand: " : ""}${scene.title}`);
   if (!scene.measured) return;
   writeErrors(state.errors);
-  const steered = isSteered(state, scene);
-  write("against", `${steered ? "the needle steered by hand, " : ""}against ${scene.measured.id}${state.errors ? `, ${comparedUpTo(state.errors)}` : ""}`);
+  write("against", `against ${scene.measured.id}${state.errors ? `, ${comparedUpTo(state.errors)}` : ""}`);
 }
 
 /** Up to where errors compare: whole, or the part of the measured needle that the needle has reached. */

@@ -70,7 +70,6 @@ listen("state", ({ depth_mm: depth, undo }) => {
 });
 listen("go to", act.goTo);
 listen("scene", (scene) => {
-  part("title").textContent = scene.title;
   part("note").textContent = scene.note;
   document.title = `${scene.title} · needlefit view`;
   part("synthetic").hidden = !scene.synthetic;

@@ -46,7 +46,7 @@ export function resize(width, height) {
     width: Math.max(width - GUTTER.left - GUTTER.right, 10),
     height: Math.max(height - GUTTER.top - (view.low ? LOW_BOTTOM : GUTTER.bottom), 10),
   };
-  fit(view.fit);
+  if (!view.held) fit(view.fit);
 }
 
 /** Show the whole needle, the tissue, or follow the tip; null leaves it as it is. */
