@@ -342,12 +342,14 @@ def test_the_base_is_dragged_in_millimetres_and_one_undo_takes_it_back(page) -> 
 def test_a_pasted_address_connects_and_a_missing_needle_is_reported(page) -> None:
     go_to(page, 5)
     address = page.url
-    page.evaluate("location.hash = 'token=another'")
+    with page.expect_event("load"):  # the page is loaded again with it
+        page.evaluate("location.hash = 'token=another'")
     shown(page, "token")
     page.evaluate("sessionStorage.setItem('needlefit.needle', 'gone')")
-    page.goto(address)  # the hash alone differs: nothing is loaded
+    with page.expect_event("load"):
+        page.evaluate(f"location.hash = '{address.partition('#')[2]}'")
     shown(page, "new needle")
-    until(page, "n.connected && s.depth_mm === 0")
+    until(page, "n?.connected && s?.depth_mm === 0")
 
 
 @sweep
@@ -368,19 +370,16 @@ def test_the_errors_are_those_of_the_study_at_the_measured_depth(page) -> None:
 
 
 @sweep
-def test_a_disconnected_page_shows_it_and_reconnects_to_its_needle(server, chromium) -> None:
+def test_a_disconnected_page_says_so_and_has_its_needle_again_once_it_is_loaded(server, chromium) -> None:
     with opened(chromium, server) as page:
-        page.reload()
-        until(page, "n?.connected && s")
         state = go_to(page, 15)
-        page.evaluate("window.lost = 0")
-        call(page, "store", "m.listen('line', ({ open, why }) => open || (window.lost += why === 'lost'))")
+        call(page, "connection", "m.settle()")
         call(page, "connection", "m.send({ do: 'x'.repeat(100000) })")  # too long: the server hangs up
-        until(page, "window.lost === 1")
-        back = until(page, "n.connected && s.depth_mm === 15")
+        until(page, "!n.connected")
+        shown(page, "Not connected")
+        page.click("#banner-act")
+        back = until(page, "n?.connected && s?.depth_mm === 15")
         assert back["y"] == state["y"] and back["undo"]
-        page.reload()
-        assert until(page, "n?.connected && s?.depth_mm === 15")["y"] == state["y"]
         assert page.get_attribute("[data-fit=tissue]", "aria-pressed") == "true"  # beside a measured needle
 
 
@@ -842,7 +841,6 @@ KEEP_TEXTS = """() => {
 
 
 def test_all_layers_of_a_law_have_fields_and_names(chromium, tmp_path) -> None:
-    """Where layers are too narrow for their names, numbers stand there."""
     scene, field = tmp_path / "gent.toml", '#shape-fields input[aria-label="Jm gel"]'
     scene.write_text(
         'schema = 1\ndepth_mm = 20.0\nlaw = "gent"\n[needle]\nlength_mm = 150.0\nouter_diameter_mm = 1.27\n'
@@ -859,8 +857,5 @@ def test_all_layers_of_a_law_have_fields_and_names(chromium, tmp_path) -> None:
             page.click("[data-fit=tissue]")
             page.wait_for_timeout(300)
             assert {"gel", "subcutaneous fat"} < set(page.evaluate("window.texts"))
-            page.set_viewport_size({"width": 390, "height": 844})
-            page.wait_for_timeout(300)
-            assert {"1", "2"} < set(page.evaluate("window.texts"))
     finally:
         running.end()

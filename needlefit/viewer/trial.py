@@ -37,14 +37,13 @@ class InteractiveTrial:
     def _begin(self) -> SteeredNeedle:
         return SteeredNeedle(self.scene, self.viewed_scene.first_cell)
 
-    def describe_scene(self, known: int = 0) -> dict[str, Any]:
-        """Return the message of all that stays constant, and of the steps after those that are known."""
+    def describe_scene(self) -> dict[str, Any]:
+        """Return the message of all that stays constant, and of the steps so far."""
         return encode_scene(self.viewed_scene, self._steering) | {
             "needle": self.name,
             "recording": self.recorder.path.name,
             "time_s": self.time() if self.steps else 0.0,
-            "known": known,
-            "past": [encode_recorded(step) for step in self.steps[known:]],
+            "past": [encode_recorded(step) for step in self.steps],
             "tables": encode_tables(self.scene.tissue, self.steps),
         }
 

@@ -44,8 +44,7 @@ class Window:
         except NeedlefitError as error:
             yield {"kind": "refused", "answers": message.id, **encode_fault(error)}
         if message.do == "hello":
-            known = int(message.number("known", 0.0)) if message.text("needle") == trial.name else 0
-            yield trial.describe_scene(max(0, min(known, len(trial.steps))))
+            yield trial.describe_scene()
 
     def _do(self, message: Message) -> Iterator[Reply]:
         if message.fault:

@@ -21,42 +21,21 @@ class Trial {
   recorded = 0; // steps that it has confirmed
   ended = null; // why nothing more is recorded
 
-  /**
-   * Begin with a scene of the program and the steps that its needle has made; one that is here already goes on.
-   *
-   * Resolves to whether that could be done: another window may have moved the needle meanwhile.
-   */
+  /** Begin with a scene of the program and the steps that its needle has made. */
   async begin(scene) {
-    const { past, needle } = scene;
-    this.motion = this.ended = null; // what goes on by itself: {kind, speed, gesture, frames}
-    if (this.scene?.needle === needle) {
-      if (!past.every((step) => this.#isOwn(step))) return false;
-      this.confirm(scene.known + past.length);
-      return true;
-    }
+    const { past, tables } = scene;
     const steered = await SteeredNeedle.begin(await kernel, scene);
-    Object.assign(this, { scene, steered, past: [], future: [], gesture: null, pinned: new Set(), outbox: [], recorded: 0 });
-    Object.assign(this, { began: past.length ? performance.now() - 1000 * scene.time_s : null });
-    return this.#follow(scene);
-  }
-
-  #isOwn([number, , , , tip]) {
-    return number <= this.recorded || this.outbox[number - this.recorded - 1]?.[4] === tip;
-  }
-
-  /** Carry out steps that this needle made before; returns whether that could be done. */
-  #follow({ past, tables }) {
+    this.motion = this.ended = null; // what goes on by itself: {kind, speed, gesture, frames}
+    Object.assign(this, { scene, steered, past: [], future: [], gesture: null, pinned: new Set(), outbox: [] });
+    this.began = past.length ? performance.now() - 1000 * scene.time_s : null;
     this.takeTables(tables);
     const returns = findLastReturns(past);
     for (const [number, , gesture, changes] of past) {
-      if (number <= this.steered.number) continue;
-      if (changes[0][0] === "return_to" && !this.steered.saved.has(changes[0][2])) return false;
       this.perform(changes, gesture, { validOnly: false });
       this.#pinFor(returns, number, changes);
     }
-    this.recorded = this.steered.number;
+    this.recorded = steered.number;
     publish("moved");
-    return true;
   }
 
   /** The program has recorded so many steps. */
