@@ -3,8 +3,8 @@
     python docs/view_pictures.py
 
 Opens pages in the installed Chromium (Playwright): of twin/phantom2-05 at a depth of 34 mm, and of the scene
-phantom2_fitted at 15 mm, with a target, an obstacle and the plan, and with b and mu on their ridge. start_view.png is of the run that the
-commands of start.md make.
+phantom2_fitted at 15 mm, with a target, an obstacle and the plan, and with b and mu on their ridge.
+start_view.png is of the run that the commands of start.md make.
 """
 
 import shutil
