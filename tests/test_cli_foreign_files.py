@@ -125,7 +125,8 @@ async def steer(page, port, ready, until):
     """Stand for the server: one needle is steered by one step."""
     trial = page.trials.open("a")
     changes = (Change("depth_mm", None, 10.0),)
-    trial.record(RecordedStep(1, 0.0, changes, trial.steering.now.shape.tip_lateral))
+    number, tip = len(trial.steps) + 1, trial.steering.now.shape.tip_lateral
+    trial.record(RecordedStep(number, 0.0, changes, tip))
 
 
 @pytest.fixture
