@@ -66,6 +66,7 @@ def opened(address: str) -> Iterator[Page]:
         page.goto(address)
         while not page.evaluate("window.needlefit?.state"):
             page.wait_for_timeout(50)
+        page.click("#everything")  # all inputs
         page.click("[data-fit=whole]")  # the base, too, is to be seen
         yield page
         browser.close()
