@@ -15,7 +15,6 @@ latency     from the time stamp of the input event to when the browser had drawn
             Half a FRAME of it, on average, is waiting for the next one; `own` is what comes after that.
 band        from the frame that shows a needle to the one with the band of its draws, at 55 and 140 mm.
 first       from the command to the first picture, in a browser that is open already.
-solver      steps a second as the page shows them.
 
 The browser is the one that is installed (`chromium`), the driver Playwright's.
 """
@@ -67,6 +66,7 @@ def opened(address: str) -> Iterator[Page]:
         page.goto(address)
         while not page.evaluate("window.needlefit?.state"):
             page.wait_for_timeout(50)
+        page.click("#everything")  # all inputs
         page.click("[data-fit=whole]")  # the base, too, is to be seen
         yield page
         browser.close()
@@ -127,8 +127,9 @@ def nudge(page: Page, seconds: float) -> None:
 
 def reach(page: Page, depth: float) -> None:
     """Insert to a depth, mm, with a b that keeps the needle within the model's validity."""
-    page.fill("#bevel-fields [aria-label*=whole].number", "0.02")
-    page.press("#bevel-fields [aria-label*=whole].number", "Enter")
+    page.fill("#bevel-fields .number", "0.02")
+    page.press("#bevel-fields .number", "Enter")
+    page.click("#throughout")
     page.fill("#speed", "1000")
     page.fill("#goto-depth", str(depth))
     page.press("#goto-depth", "Enter")
@@ -204,7 +205,6 @@ def real_time(subject: str, seconds: float) -> dict:
         drive(page, 3.0)  # everything is loaded
         frames = measure_frames(page, drive, seconds)
         wheel = measure_frames(page, turn, seconds / 4)
-        solver = page.evaluate("window.needlefit.state.solver")
         reach(page, 55.0)
         bands = {"band_ms_55": band_waits(page)}
         reach(page, DEEP_MM)
@@ -229,8 +229,6 @@ def real_time(subject: str, seconds: float) -> dict:
         "wheel_latency_ms": waits(wheel),
         **deep,
         **bands,
-        "shown_steps_per_s": solver["rate_per_s"],
-        "steps": solver["steps"],
     }
 
 

@@ -3,8 +3,8 @@
     python docs/view_pictures.py
 
 Opens pages in the installed Chromium (Playwright): of twin/phantom2-05 at a depth of 34 mm, and of the scene
-phantom2_fitted at 15 mm, with a target, an obstacle and the plan. start_view.png is of the run that the
-commands of start.md make.
+phantom2_fitted at 15 mm, with a target, an obstacle and the plan, and with b and mu on their ridge.
+start_view.png is of the run that the commands of start.md make.
 """
 
 import shutil
@@ -36,7 +36,6 @@ def insert(page: Page, depth: float) -> None:
     page.press("#goto-depth", "Enter")
     wait(page, f"state => Math.abs(state.depth_mm - {depth}) < 1e-6 && !state.moving")
     page.fill("#speed", "10")
-    page.fill("#goto-depth", "")
 
 
 def save(page: Page, name: str, shown: str | None = None) -> None:
@@ -61,6 +60,7 @@ def open_browser(address: str) -> Iterator[Callable[[], Page]]:
             page = browser.new_context(viewport=SIZE, reduced_motion="reduce").new_page()
             page.goto(address)
             wait(page, "state => state && window.needlefit.connected")
+            page.click("#everything")
             return page
 
         yield open_page
@@ -74,12 +74,25 @@ def take(address: str) -> None:
         save(page, "view.png")
 
 
+def take_ridge(address: str) -> None:
+    with open_browser(address) as open_page:
+        page = open_page()
+        page.click("#everything")
+        page.locator("#scene-list button").last.click()
+        page.locator(".ridge").wait_for()
+        page.wait_for_timeout(5000)  # the line is found
+        box = page.locator(".ridge").bounding_box()
+        page.mouse.click(box["x"] + 0.45 * box["width"], box["y"] + 0.45 * box["height"])
+        save(page, "view_ridge.png")
+
+
 def take_plan(address: str) -> None:
     with open_browser(address) as open_page:
         page = open_page()
         insert(page, 15)
         page.evaluate(f"import('/page/aim.js').then(({{ setAim }}) => setAim({GOAL}))")
         wait(page, "() => window.needlefit.aim.reach")
+        page.locator("details:has(#make-plan) > summary").click()
         page.click("#make-plan")
         wait(page, "() => window.needlefit.aim.plan")
         save(page, "view_plan.png", "#plan-note")
@@ -112,6 +125,7 @@ def main() -> None:
         serve("reports/mine_study/n8", then=take_start, cwd=folder)
     serve("twin/phantom2-05", then=take)
     serve("phantom2_fitted", then=take_plan)
+    serve("phantom2_fitted", then=take_ridge)
 
 
 if __name__ == "__main__":

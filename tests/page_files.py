@@ -39,7 +39,7 @@ def change_page_data(text: str, change: Callable[[Any], None]) -> str:
 
 
 @contextmanager
-def open_offline(chromium, path: Path, **settings) -> Iterator[Any]:
+def open_offline(chromium, path: Path, address: str = "", **settings) -> Iterator[Any]:
     """Yield a page without a network that has computed all it holds; a fault or a request fails the test."""
     begun = {"viewport": {"width": 1280, "height": 800}, "reduced_motion": "reduce", "offline": True}
     context = chromium.new_context(**(begun | settings))
@@ -47,11 +47,13 @@ def open_offline(chromium, path: Path, **settings) -> Iterator[Any]:
     page.on("pageerror", lambda error: faults.append(str(error)))
     page.on("console", lambda message: message.type == "error" and faults.append(message.text))
     page.on("request", lambda request: asked.append(request.url))
-    page.goto(path.as_uri())
+    page.goto(f"{path.as_uri()}#{address}" if address else path.as_uri())
     for _ in range(PATIENCE_MS // PAUSE_MS):  # the policy forbids what playwright itself would wait with
         if page.evaluate("document.getElementById('proof').dataset.count !== undefined") or faults:
             break
         page.wait_for_timeout(PAUSE_MS)
     yield page
     context.close()
-    assert faults == [] and [url for url in asked if not url.startswith("blob:")] == [path.as_uri()]
+    assert faults == [] and [url.split("#")[0] for url in asked if not url.startswith("blob:")] == [
+        path.as_uri()
+    ]

@@ -63,6 +63,7 @@ def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         "depth_mm": step.depth,
         "x": round_lengths(needle[:, 0]),
         "y": round_lengths(needle[:, 1]),
+        "depths": shape.constraints[:, 0].tolist(),
         "constraints": [round_lengths(column) for column in map_beam_points(shape, shape.constraints).T],
         "tip_path": [round_lengths(column) for column in map_beam_points(shape, shape.tip_path).T],
         "load": {
@@ -71,7 +72,6 @@ def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
             "n_per_mm": np.round(load.load, 6).tolist(),
         },
         "forces": {
-            "tip_n": load.tip_force,
             "base_n": load.base.force,
             "base_nmm": load.base.moment,
             "guides_n": {str(n): hold.force for n, hold in zip(items, load.guides, strict=True)},

@@ -29,6 +29,7 @@ from needlefit.project.locate import find_file, shipped_folder
 from needlefit.reporting.table_files import write_json
 from needlefit.studies import study_files as study_files  # bound before a test takes away what it imports
 from needlefit.studies.store import store_run
+from needlefit.viewer.recording import RecordedStep
 from needlefit.viewer.steering import Change
 
 SCANS = str(shipped_folder() / "data" / "sample_scan" / "scans.csv")
@@ -121,8 +122,10 @@ class Stub:
 
 async def steer(page, port, ready, until):
     """Stand for the server: one needle is steered by one step."""
-    trial = page._load(lambda stage: None).trials.open("a")
-    trial.act([Change("depth_mm", None, 10.0)])
+    trial = page.trials.open("a")
+    changes = (Change("depth_mm", None, 10.0),)
+    number, tip = len(trial.steps) + 1, trial.steering.now.shape.tip_lateral
+    trial.record(RecordedStep(number, 0.0, changes, tip))
 
 
 @pytest.fixture

@@ -2,12 +2,14 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from page_files import ALL_STATES, change_page_data, open_offline, read_page_data
 from test_page import NO_BROWSER, chromium  # noqa: F401 - a fixture
+from test_viewer_placement import fitted
 
 from needlefit.reporting import needle_page
 from needlefit.reporting.document import compile_html
@@ -17,6 +19,11 @@ from needlefit.studies.report import compose_run_report
 pytestmark = pytest.mark.skipif(
     not needle_page.kernel_exists(), reason="a system compiler has built no WebAssembly"
 )
+PACKAGE = Path(needle_page.__file__).parents[1]
+MODULES = sorted((PACKAGE / "viewer/page").rglob("*.js"))
+IMPORTS = re.compile(r"""^import (?:([^"]*?) from )?"([^"]+)";$""", re.MULTILINE)
+EXPORTS = re.compile(r"^export (?:async )?(?:function\*?|class|const|let) (\w+)", re.MULTILINE)
+LISTS = re.compile(r"^export (?:const )?\{([^}]*)\}", re.MULTILINE)
 MOST_BYTES = 1_500_000
 HOSTILE = "</script><img src=x onerror=alert(1)>"
 
@@ -40,6 +47,28 @@ def page(result, tmp_path_factory):
     path = tmp_path_factory.mktemp("report") / "report.html"
     path.write_bytes(compile_html(compose_run_report(result, {})))
     return path
+
+
+def list_exports(module: Path) -> set[str]:
+    text = module.read_text("utf-8")
+    lists = [name.strip() for found in LISTS.findall(text) for name in found.split(",")]
+    return {*EXPORTS.findall(text), *lists}
+
+
+@pytest.mark.parametrize("module", MODULES, ids=lambda one: one.name)
+def test_every_name_that_a_module_imports_is_exported(module) -> None:
+    """Also by the module that stands for one in a file without the program."""
+    shared = needle_page.OFFLINE_MODULES
+    of_file = needle_page.bundle_modules([needle_page.SHARE_MODULE])
+    for names, path in IMPORTS.findall(module.read_text("utf-8")):
+        target = (module.parent / path).resolve()
+        exported = [list_exports(target)]
+        name = target.relative_to(PACKAGE).as_posix()
+        if name in shared and f'$of["{module.relative_to(PACKAGE).as_posix()}"]' in of_file:
+            exported.append(list_exports(PACKAGE / shared[name]))
+        wanted = {one.split(" as ")[0].strip() for one in names.strip("{} \n").split(",")} - {"", "*"}
+        for one in exported:
+            assert wanted <= one, (name, wanted - one)
 
 
 def test_the_page_holds_every_scored_insertion(page, result) -> None:
@@ -91,6 +120,21 @@ def test_the_needles_of_a_report_are_computed_again(page, result, chromium) -> N
         assert window.evaluate("needlefit.state.tip.lateral_mm") == tip
         assert window.locator("#method-rows button").count() >= 2
         assert HOSTILE in window.inner_text("#needle-choice") and window.locator("img[src=x]").count() == 0
+
+
+@pytest.mark.sweep
+@NO_BROWSER
+@pytest.mark.usefixtures("few_draws")
+@pytest.mark.parametrize("pose", ["known", "free"])
+def test_a_report_of_every_pose_computes_its_needles(pose, chromium, tmp_path, monkeypatch) -> None:  # noqa: F811
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "report.html"
+    path.write_bytes(compile_html(compose_run_report(fitted(tmp_path, pose), {})))
+    with open_offline(chromium, path) as window:
+        count, largest = window.evaluate(ALL_STATES)
+        assert count == len(read_page_data(path.read_text("utf-8"))["needles"]) > 0 and largest < 1e-12
+        assert window.evaluate("needlefit.scene.measured.target.pose") == pose
+        assert "good" in window.get_attribute("#proof", "class")
 
 
 @pytest.mark.sweep

@@ -16,7 +16,7 @@ from needlefit.mechanics import native
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Session
-from needlefit.mechanics.shape import compute_positions, compute_validity
+from needlefit.mechanics.shape import compute_validity
 from needlefit.mechanics.simulate import compute_loads
 from needlefit.schemas.scene import SceneRecord
 from needlefit.viewer.export import PAGE
@@ -207,11 +207,11 @@ def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> No
     depths = steering.now.shape.constraints[:, 0]  # where the tip stands is the last, also within a cell
     assert len(depths) - len(y) in {0, 1}
     for depth, *found in list(zip(depths, x, y, strict=False))[1:-1:7]:
-        assert found == pytest.approx(find_tip_force(steering, depth), abs=1e-5)
+        assert found == pytest.approx([depth, find_tip_force(steering, depth)], abs=1e-5)
 
 
-def find_tip_force(steering: SteeredNeedle, depth: float) -> list[float]:
-    """Return where the tip of a needle stood at a depth, x in mm, and the force on it there, N."""
+def find_tip_force(steering: SteeredNeedle, depth: float) -> float:
+    """Return the tip force, N, as it was when the tip of a needle stood at a depth."""
     scene, path = steering.scene, steering.input_path()
     tissue, (first, *_) = steering.now.tissue, path
     session = Session(scene.needle, tissue, first.bevel, steering.first_cell, first.controls, scene.rules)
@@ -219,8 +219,7 @@ def find_tip_force(steering: SteeredNeedle, depth: float) -> list[float]:
         shape = session.go(replace(step, depth=min(step.depth, depth)))
         if step.depth >= depth - 1e-9:
             break
-    load = compute_loads(shape, tissue, scene.needle, step.controls, scene.rules)
-    return [float(compute_positions(shape, np.array([shape.depth]))[0, 0]), load.tip_force]
+    return compute_loads(shape, tissue, scene.needle, step.controls, scene.rules).tip_force
 
 
 def assert_same(found: Any, expected: Any, atol: float) -> None:

@@ -111,6 +111,34 @@ def test_it_computes_every_recorded_state_and_can_be_steered(shared, chromium) -
         assert float(page.locator("#scrub").input_value()) > 0
 
 
+@pytest.mark.sweep
+@NO_BROWSER
+def test_a_needle_in_the_address_is_shown_and_written_again(shared, chromium) -> None:  # noqa: F811
+    with open_offline(
+        chromium, shared, address="depth=50&b=0.12&roll=180&turn=20,30&mu2=300&base_y=1"
+    ) as page:
+        state = page.evaluate("needlefit.state")
+        assert [state["depth_mm"], state["bevel"]] == [50, {"side": -1, "offset_mm": 0.12}]
+        assert state["layers"][1]["mu_pa"] == 3e5 and state["base"]["input_y"] == 1
+        page.click("#copy-link")
+        page.wait_for_timeout(200)
+        written = page.evaluate("location.hash")
+        assert written == "#depth=50&roll=180&turn=20,30&b=0.12&mu2=300&base_y=1"
+        page.evaluate("location.hash = 'depth=20'")
+        page.wait_for_timeout(300)
+        assert page.evaluate("needlefit.state.depth_mm") == 20
+        page.evaluate(f"location.hash = '{written}'")
+        page.wait_for_timeout(300)
+        assert page.evaluate("needlefit.state.y") == state["y"]
+        for wrong in ("depth=50&roll=90", "depth=x", "depth=50&mu9=1", "depth=1000"):
+            page.evaluate(f"location.hash = '{wrong}'")
+            page.wait_for_timeout(300)
+            assert page.inner_text("#refusal"), wrong
+        page.locator("#scene-list button").first.click()
+        page.locator("#scene-control .number").wait_for()
+        assert page.evaluate("needlefit.pinned.depth") == page.evaluate("needlefit.scene.depth_mm")
+
+
 @NO_BROWSER
 def test_the_printed_file_has_the_values_of_its_inputs(shared, chromium) -> None:  # noqa: F811
     with open_offline(chromium, shared) as page:

@@ -2,9 +2,7 @@
 
 import shlex
 import threading
-from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,7 +16,7 @@ from needlefit.project.locate import find_view_target
 
 if TYPE_CHECKING:
     from needlefit.project.locate import SpecimenChoice
-    from needlefit.viewer.server import AccessControl, LoadingPage
+    from needlefit.viewer.server import AccessControl
     from needlefit.viewer.steering_page import SteeringPage
     from needlefit.viewer.trials import TrialRegistry
 
@@ -53,26 +51,16 @@ def view(
     require_writable(out / "view")
     if target is not None:
         find_view_target(target)  # a wrong name ends it before a page opens
-    from needlefit.viewer.server import LoadingPage
+    from needlefit.viewer.steering_page import SteeringPage
 
-    begun: list[TrialRegistry] = []
-
-    def load(show: Callable[[str], None]) -> "SteeringPage":
-        show("Loading the model")
-        from needlefit.viewer.steering_page import SteeringPage
-
-        show(f"Reading {recording or target or 'the scene'}")
-        trials = _trials(context.find_root().obj, target, recording, out / "view", specimen or "shown")
-        begun.append(trials)
-        return SteeringPage(trials)
-
-    _serve(LoadingPage(load), port, browser)
-    for path in begun[0].written() if begun else ():
+    trials = _trials(context.find_root().obj, target, recording, out / "view", specimen or "shown")
+    _serve(SteeringPage(trials), port, browser)
+    for path in trials.written():
         screen.print_line(f"recorded: {path}")
         screen.print_note(f"replay it: {shlex.join(('needlefit', 'simulate', '--recording', str(path)))}")
 
 
-def _serve(page: "LoadingPage", port: int, browser: bool) -> None:
+def _serve(page: "SteeringPage", port: int, browser: bool) -> None:
     import asyncio  # here, since every `--help` would wait for it
     import webbrowser
 
@@ -84,8 +72,11 @@ def _serve(page: "LoadingPage", port: int, browser: bool) -> None:
         if browser:  # some browsers hold up whoever calls them
             threading.Thread(target=webbrowser.open, args=(access.address,), daemon=True).start()
 
+    async def stop() -> None:
+        await asyncio.Event().wait()  # for ever: Ctrl-C ends it
+
     with suppress(KeyboardInterrupt):
-        asyncio.run(serve(page, port, ready, partial(_until_failed, page)))
+        asyncio.run(serve(page, port, ready, stop))
 
 
 def _trials(
@@ -104,13 +95,3 @@ def _trials(
     screen.print_warnings(invocation, shown.warnings)
 
     return TrialRegistry(shown, folder, lambda choice: reopen(shown, choice, specimen), source)
-
-
-async def _until_failed(page: "LoadingPage") -> None:
-    """Wait until Ctrl-C ends the program; raise the error of a page that could not be loaded."""
-    import asyncio
-
-    await page.ended.wait()
-    if page.error is not None:
-        raise page.error
-    await asyncio.Event().wait()

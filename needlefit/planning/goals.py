@@ -5,7 +5,7 @@ Needles are arrays (B, K, 2) of B draws, entry to tip in the plane of the plan, 
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 
@@ -37,14 +37,6 @@ class Goal:
     target: tuple[float, float]
     radius: float = math.inf
     obstacles: tuple[ObstacleRecord, ...] = ()
-
-    def move(self, shift: float) -> "Goal":
-        """Return the goal `shift` mm along y."""
-        (x, y), around = self.target, []
-        for one in self.obstacles:
-            along, across = one.centre_mm
-            around.append(one.model_copy(update={"centre_mm": (along, across + shift)}))
-        return replace(self, target=(x, y + shift), obstacles=tuple(around))
 
 
 def compute_clearances(needles: Floats, obstacle: ObstacleRecord) -> Floats:

@@ -185,12 +185,6 @@ class SteeringPlan:
         """Distance of the tips from the target, mm, of the draws that have a needle."""
         return compute_misses(self.needles[self.solved], self.goal)
 
-    def move_to_entry(self) -> "SteeringPlan":
-        """Return the same plan in the frame of its own entry."""
-        shift, goal = np.array([0.0, self.entry_mm]), self.goal.move(-self.entry_mm)
-        needles, nominal = self.needles - shift, self.nominal - shift
-        return replace(self, entry_mm=0.0, goal=goal, needles=needles, nominal=nominal)
-
     @property
     def nominal_miss(self) -> float:
         """Distance from the target of the tip with the exact parameters, mm."""

@@ -111,6 +111,7 @@ WRITERS: dict[str, Write] = {
 _EXPORTS: dict[str, tuple[str, Write | None]] = {
     "shape.csv": ("text/csv", write_table),
     "shape.mrk.json": ("application/json", write_curve),
+    "picture.svg": ("image/svg+xml", write_picture),
     "share.html": ("text/html", write_share),
     "inputs.csv": ("text/csv", None),
 }

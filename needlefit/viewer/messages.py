@@ -126,12 +126,10 @@ def round_lengths(values: Floats) -> list[float]:
 
 
 ACTIONS = {
-    *("hello", "steps", "replay", "show", "align"),
-    *("aim", "markups", "plan", "reach", "run"),
+    *("hello", "steps", "show", "plan", "reach"),
 }
 MAX_CHANGES = 64  #: number of inputs that one step may set
 MAX_MESSAGE_STEPS = 16  #: number of steps of one message
-MAX_REPLAY_SPEED = 1000.0  #: greatest speed of a replay, as a multiple of the recorded speed
 
 
 @dataclass(frozen=True)

@@ -1,23 +1,19 @@
-"""The local server of a page: access control, and the page that is there while its needle is read.
-
-It imports little, so that the page is there at once.
-"""
+"""The local server of a page: access control, and the files of the page."""
 
 import asyncio
 import json
+import logging
 import secrets
 from collections.abc import Awaitable, Callable
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from socket import create_server
-from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from aiohttp import web
+from aiohttp.http_exceptions import HttpProcessingError
 from aiohttp.typedefs import Handler
-from aiohttp.web_protocol import RequestHandler
 
 from needlefit.errors import ConfigError, NeedlefitError
 from needlefit.project.json_values import parse_json
@@ -32,9 +28,6 @@ KERNEL_FILES = ("needle.js", "memory.js", "kernel.wasm")
 LOOPBACK = "127.0.0.1"
 MAX_MESSAGE_BYTES = 64 * 1024  #: size limit of a message; the largest from the page are steps
 TOKEN_TIMEOUT_S = 10.0  #: time in which a window must send its token, s
-#: time in which a request must have come whole, s, and pause between two looks at the connections
-REQUEST_TIMEOUT_S, CHECK_INTERVAL_S = 10.0, 1.0
-STAGE_INTERVAL_S = 0.1  #: pause between two messages of the stage of loading, s
 CLOSE_NO_TOKEN = 4401  #: code for closing a socket of which the token is missing or wrong
 
 #: headers of every answer: the page runs only code of this server, and connects only to it
@@ -49,9 +42,6 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
-
-#: connections that have sent a whole request
-_SPOKEN: web.AppKey[set[RequestHandler]] = web.AppKey("spoken", set)
 
 
 @dataclass(frozen=True)
@@ -80,8 +70,15 @@ class AccessControl:
         )
 
 
+def _is_own_fault(record: logging.LogRecord) -> bool:
+    """Return whether a logged error is one of this program, not a request that is no HTTP."""
+    error = record.exc_info[1] if record.exc_info else None
+    foreign = HttpProcessingError, web.RequestPayloadError, asyncio.InvalidStateError
+    return not isinstance(error, foreign)
+
+
 async def serve(
-    page: "LoadingPage",
+    page: "SteeringPage",
     port: int,
     ready: Callable[[AccessControl], None],
     stop: Callable[[], Awaitable[None]],
@@ -102,42 +99,24 @@ async def serve(
         ) from error
     access = AccessControl(listening.getsockname()[1])
     app = _make_application(access, page)
-    runner = web.AppRunner(app, access_log=None, shutdown_timeout=2.0, keepalive_timeout=REQUEST_TIMEOUT_S)
-    closing = None
+    logging.getLogger("aiohttp.server").addFilter(_is_own_fault)
+    runner = web.AppRunner(app, access_log=None, shutdown_timeout=2.0)
     try:
         await runner.setup()
         await web.SockSite(runner, listening).start()
-        closing = asyncio.create_task(_close_silent(runner, app))
         ready(access)
         await stop()
     finally:
-        if closing is not None:
-            closing.cancel()
         await runner.cleanup()
         listening.close()  # also where the setup failed before anything was served
 
 
-async def _close_silent(runner: web.AppRunner, app: web.Application) -> None:
-    """Close connections that have not sent the headers of a first request in time: they hold a place."""
-    since: dict[RequestHandler, float] = {}
-    while True:
-        await asyncio.sleep(CHECK_INTERVAL_S)
-        assert runner.server is not None
-        here, now = set(runner.server.connections), monotonic()
-        since = {one: since.get(one, now) for one in here}
-        app[_SPOKEN].intersection_update(here)
-        for one, began in since.items():
-            if one not in app[_SPOKEN] and now - began > REQUEST_TIMEOUT_S:
-                one.force_close()
-
-
-def _make_application(access: AccessControl, page: "LoadingPage") -> web.Application:
+def _make_application(access: AccessControl, page: "SteeringPage") -> web.Application:
     """Return the routes of the page."""
 
     @web.middleware
     async def guard(request: web.Request, handler: Handler) -> web.StreamResponse:
         """Keep out who calls this server by another name, and who has no token where one is due."""
-        request.app[_SPOKEN].add(request.protocol)
         if request.headers.get("Host", "") not in access.names:
             raise web.HTTPMisdirectedRequest(text="this server answers to 127.0.0.1 and localhost alone")
         if request.method == "POST":
@@ -148,14 +127,14 @@ def _make_application(access: AccessControl, page: "LoadingPage") -> web.Applica
         if (request.method == "POST" or request.path == "/ws") and request.headers.get("Origin") not in own:
             raise web.HTTPForbidden(text="only the page that this server gave out may ask for that")
         try:
-            async with asyncio.timeout(REQUEST_TIMEOUT_S):
-                await request.read()  # kept for the handler
-        except TimeoutError:
-            raise web.HTTPRequestTimeout(text="the request was not sent to its end") from None
-        return await handler(request)
+            return await handler(request)
+        except OSError:
+            if not request.path.startswith("/page/"):
+                raise
+            raise web.HTTPNotFound from None  # the path is no file name
 
     async def send_index(_: web.Request) -> web.FileResponse:
-        return web.FileResponse(PAGE / page.index, headers={"Link": page.preloads})
+        return web.FileResponse(PAGE / "index.html", headers={"Link": _list_preloads()})
 
     async def answer(request: web.Request) -> web.Response:
         """Return what the page asks for; a fault is one that it shows."""
@@ -163,7 +142,7 @@ def _make_application(access: AccessControl, page: "LoadingPage") -> web.Applica
             content = await request.json(loads=parse_json)
             if not isinstance(content, dict):
                 raise ValueError
-        except (ValueError, LookupError):  # no JSON, or of no known charset
+        except (ValueError, LookupError, web.RequestPayloadError):  # no JSON, or of no known charset
             raise web.HTTPBadRequest(text="the request is no JSON") from None
         try:
             return await page.answer(request.path.strip("/"), content)
@@ -172,19 +151,20 @@ def _make_application(access: AccessControl, page: "LoadingPage") -> web.Applica
             text = json.dumps({name: getattr(fault, name) for name in ("what", "where", "expected", "fix")})
             raise web.HTTPUnprocessableEntity(text=text, content_type="application/json") from error
 
+    async def end(_: web.Application) -> None:
+        await page.end()
+
     async def add_headers(_: web.Request, response: web.StreamResponse) -> None:
         response.headers.update(HEADERS)
 
     app = web.Application(middlewares=[guard], client_max_size=MAX_MESSAGE_BYTES)
-    app[_SPOKEN] = set()
     app.router.add_get("/", send_index)
     app.router.add_static("/page", PAGE)
     app.router.add_post("/{name:.+}", answer)
     app.on_response_prepare.append(add_headers)
-    app.router.add_get("/ws", partial(page.attend, access))
+    app.router.add_get("/ws", partial(_attend, access, page))
     app.router.add_get("/mechanics/native/{name}", _send_kernel)
-    app.on_startup.append(page.begin)
-    app.on_shutdown.append(page.end)
+    app.on_shutdown.append(end)
     return app
 
 
@@ -205,67 +185,19 @@ def _list_preloads() -> str:
     return ", ".join((*links, "</mechanics/native/kernel.wasm>; rel=preload; as=fetch; crossorigin"))
 
 
-class LoadingPage:
-    """The page of a needle that a thread makes while the page is already there, and shows the stage."""
-
-    index = "index.html"
-    preloads = _list_preloads()  #: what the page needs, which a browser would find one import after the other
-
-    def __init__(self, load: "Callable[[Callable[[str], None]], SteeringPage]") -> None:
-        """`load` is given what takes the words of each stage."""
-        self._load, self._stage = load, "Starting"
-        self.loaded: SteeringPage | None = None
-        self.ended = asyncio.Event()  #: set once it is loaded, or has failed
-        self.error: BaseException | None = None
-
-    async def begin(self, _: web.Application) -> None:
-        """Begin to load, for `on_startup`."""
-        self._loading = asyncio.create_task(self._run())
-
-    async def _run(self) -> None:
-        def show(stage: str) -> None:
-            self._stage = stage
-
-        try:
-            self.loaded = await asyncio.to_thread(self._load, show)
-        except Exception as error:  # the server ends with it
-            self.error = error
-        self.ended.set()
-
-    async def end(self, _: web.Application) -> None:
-        """Say goodbye to every window, for `on_shutdown`."""
-        self._loading.cancel()
-        if self.loaded is not None:
-            await self.loaded.end()
-
-    async def answer(self, name: str, content: dict[str, Any]) -> web.Response:
-        """Return what the page asks for by a request."""
-        await self.ended.wait()
-        if self.loaded is None:
-            raise web.HTTPServiceUnavailable(text="the program ends: see its terminal")
-        return await self.loaded.answer(name, content)
-
-    async def attend(self, access: AccessControl, request: web.Request) -> web.WebSocketResponse:
-        """Serve one window that sends the token first; it receives the stage until the needle is there."""
-        socket = web.WebSocketResponse(
-            timeout=2.0, max_msg_size=MAX_MESSAGE_BYTES, heartbeat=20.0, compress=False
-        )
-        await socket.prepare(request)
-        try:
-            hello = await socket.receive_str(timeout=TOKEN_TIMEOUT_S)
-            content = parse_json(hello)
-        except (TypeError, ValueError, TimeoutError):
-            content = None
-        if not isinstance(content, dict) or not access.is_token(content.get("token")):
-            await socket.close(code=CLOSE_NO_TOKEN, message=b"the token is missing or wrong")
-            return socket
-        while not self.ended.is_set() and not socket.closed:
-            with suppress(ConnectionError):
-                await socket.send_str(json.dumps({"kind": "stage", "what": self._stage}))
-            with suppress(TimeoutError):
-                await asyncio.wait_for(self.ended.wait(), STAGE_INTERVAL_S)
-        if self.loaded is None or socket.closed:
-            await socket.close()
-        else:
-            await self.loaded.converse(socket, hello)
-        return socket
+async def _attend(access: AccessControl, page: "SteeringPage", request: web.Request) -> web.WebSocketResponse:
+    """Serve one window that sends the token first."""
+    socket = web.WebSocketResponse(
+        timeout=2.0, max_msg_size=MAX_MESSAGE_BYTES, heartbeat=20.0, compress=False
+    )
+    await socket.prepare(request)
+    try:
+        hello = await socket.receive_str(timeout=TOKEN_TIMEOUT_S)
+        content = parse_json(hello)
+    except (TypeError, ValueError, TimeoutError):
+        content = None
+    if isinstance(content, dict) and access.is_token(content.get("token")):
+        await page.converse(socket, hello)
+    else:
+        await socket.close(code=CLOSE_NO_TOKEN, message=b"the token is missing or wrong")
+    return socket

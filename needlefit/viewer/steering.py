@@ -6,11 +6,8 @@ of the model: with them the insertion so far is simulated again.
 """
 
 import math
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-
-import numpy as np
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
@@ -44,20 +41,10 @@ class Change:
         finite = abs(self.value) <= most
         whole = self.name != "return_to" or float(self.value).is_integer()
         if not finite or not known.allows(self.value) or not whole:
-            lengths = most == MAX_NEEDLE_LENGTH_MM  # of others, the range says more than the largest number
-            largest = f"a finite number, at most {most:g}{' mm' if lengths else ''}"
-            expected = known.expected if finite or (known.expected and not lengths) else largest
-            named = re.sub("_(mm|deg|pa)$", "", self.name).replace("_", " ")
-            named += "" if self.item is None else f" of {known.item} {self.item}"
-            if self.name == "mu_pa":  # in the unit of the page's fields
-                small = abs(self.value) < 1e6
-                value = f"{self.value / 1e3:g} kPa" if small else f"{self.value / 1e6:g} MPa"
-            elif self.name.endswith("slope"):
-                value = f"{math.degrees(math.atan(self.value)):.1f}°"
-            else:
-                unit = " mm" if self.name.endswith("_mm") else "°" if self.name.endswith("_deg") else ""
-                value = f"{self.value:g}{unit}"
-            raise ModelError(f"{named} is {value}", expected=expected)
+            largest = f"a finite number, at most {most:g}"
+            where = "" if self.item is None else f" of {known.item} {self.item}"
+            expected = known.expected if finite and known.expected else largest
+            raise ModelError(f"{self.name}{where} is {self.value:g}", expected=expected)
 
     @property
     def is_parameter(self) -> bool:
@@ -66,21 +53,6 @@ class Change:
 
 
 Values = dict[tuple[str, int | None], float]
-
-
-def find_tissue_changes(tissue: Tissue, before: Tissue) -> tuple[Change, ...]:
-    """Return the changes that lead from the moduli and shape parameters of one tissue to those of another.
-
-    Both have the same law.
-    """
-    names = ["mu_pa", *LAWS[tissue.law].shape_names]
-    rows, earlier = (np.vstack((one.mu * 1e6, one.shape)).T.tolist() for one in (tissue, before))
-    return tuple(
-        Change(name, layer, value)
-        for layer, (row, same) in enumerate(zip(rows, earlier, strict=True), start=1)
-        if row != same
-        for name, value in zip(names, row, strict=True)
-    )
 
 
 def apply_changes(step: Step, changes: Iterable[Change], names: Sequence[str], tip_y: float) -> Step:
@@ -197,8 +169,7 @@ class SteeredNeedle:
             steps.append(replace(step, controls=replace(step.controls, guides=guides)))
         self.names = tuple(dict.fromkeys(guide.name for step in steps for guide in step.controls.guides))
         self.scene = replace(scene, steps=tuple(steps))
-        #: steps so far, equilibria solved in them, and steps that were refused, as no needle was found
-        self.number, self.solved, self.failed = 0, 0, 0
+        self.number = 0  #: steps so far
         self._session = begin_session(self.scene, first_cell)
         self._saved: dict[int, Session] = {}
         self.keep()
@@ -262,10 +233,10 @@ class SteeredNeedle:
 
     def _advance(self, changes: Sequence[Change], valid_only: bool) -> Session:
         """Return the session after a step; the one there is stays as it was if that fails."""
-        session, before = self._session, self._session.solved
+        session = self._session
         parameters = [change for change in changes if change.is_parameter]
         if parameters:
-            given, before = {change.name: change.value for change in parameters}, 0
+            given = {change.name: change.value for change in parameters}
             angle = given.get("cut_angle_throughout_deg")
             session = session.simulate_again(
                 _with_parameters(session.tissue, parameters),
@@ -293,18 +264,15 @@ class SteeredNeedle:
             what = f"the model finds no needle there ({shape.status})"
             self._require_found(shape.converged, what, "move less at a time")
             self._require_valid(shape, valid_only)
-        self.solved += session.solved - before
         return session
 
     def _require_found(self, found: bool, what: str, fix: str) -> None:
         if not found:
-            self.failed += 1
             raise ModelError(what, expected="a load that tissue and needle can bear", fix=fix)
 
     def _require_valid(self, shape: NeedleShape, valid_only: bool) -> None:
         """Raise ModelError where a needle would leave the model's validity, unless it is outside already."""
         if valid_only and not shape.valid and self.now.shape.valid:
-            self.failed += 1
             raise ModelError(
                 f"the needle would be outside the model's validity: {'; '.join(shape.validity.faults)}",
                 expected="a needle within the limits of small deflections",

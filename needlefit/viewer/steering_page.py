@@ -13,7 +13,7 @@ from needlefit.viewer.trial import InteractiveTrial, StepOrderError
 from needlefit.viewer.trials import TrialRegistry
 from needlefit.viewer.window import Reply, Window
 
-SLOW = ("show", "align")  #: messages that read a dataset or simulate all steps: other windows go on meanwhile
+SLOW = ("show",)  #: messages that read a dataset: other windows go on meanwhile
 
 
 class SteeringPage:

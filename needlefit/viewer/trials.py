@@ -7,10 +7,7 @@ from datetime import datetime
 from pathlib import Path, PurePath
 
 from needlefit.errors import ModelError
-from needlefit.mechanics.plan import Lattice
-from needlefit.viewer.plans import list_changes, shift_entry
 from needlefit.viewer.recording import Recording
-from needlefit.viewer.steering import find_tissue_changes
 from needlefit.viewer.trial import InteractiveTrial
 from needlefit.viewer.viewed_scene import ViewedScene
 
@@ -22,8 +19,8 @@ MAX_TRIALS = 32
 class TrialRegistry:
     """All trials of the server; a page that reconnects gets its own trial again.
 
-    A new window shows `viewed_scene` and can replay `source`; recordings are written to `folder`; `reopen`
-    returns the scene that shows the insertion of a name.
+    A new window shows `viewed_scene`, at the end of `source` where there is one. Recordings are written to
+    `folder`. `reopen` returns the scene that shows the insertion of a name.
     """
 
     def __init__(
@@ -55,75 +52,34 @@ class TrialRegistry:
             self._all[trial.name] = self._all.pop(trial.name)
 
     def another(self, trial: InteractiveTrial, insertion: str) -> InteractiveTrial:
-        """Return the window's trial with another insertion, or a new trial.
+        """Return a new trial with another insertion, for the window of a trial, which the caller closes.
 
         ModelError if the dataset has no such insertion.
         """
         if insertion not in trial.viewed_scene.choices:
             raise ModelError(f"there is no insertion `{insertion:.40}`", expected="one of the list")
-        there = trial.window_trials.get(insertion)
-        if there is None and insertion not in self._viewed_scenes:
+        if insertion not in self._viewed_scenes:
             self._viewed_scenes[insertion] = self._reopen(insertion)
-        return self._instead(trial, there or self._begin(self._viewed_scenes[insertion], None))
-
-    def aligned(self, trial: InteractiveTrial) -> InteractiveTrial:
-        """Return a new trial whose constraint points end where the needle stands, taken there by its inputs.
-
-        So `simulate` places them: the last cell is a whole one. ModelError if a step has no needle then.
-        """
-        depth, spacing = trial.steering.now.step.depth, trial.scene.rules.spacing
-        first_cell = Lattice.ending_at(depth, spacing).first_cell
-        other = self._begin(replace(trial.viewed_scene, first_cell=first_cell), None)
-        for changes in list_changes(other.steering, trial.steering.input_path(), depth):
-            other.act(changes, gesture=0)
-        other.aim.take(trial.aim)
-        return self._instead(trial, other)
-
-    def entered(self, trial: InteractiveTrial) -> InteractiveTrial:
-        """Return a new trial at first contact, at the entry of a trial's plan, with its parameters and plan.
-
-        ModelError if the trial has no plan.
-        """
-        plan = trial.aim.plan
-        if plan is None:
-            raise ModelError("there is no plan", expected="a plan", fix="plan again")
-        other = self._begin(shift_entry(trial.viewed_scene, plan.entry_mm), None)
-        changes = find_tissue_changes(trial.steering.now.tissue, other.scene.tissue)
-        if changes:
-            other.act(changes, gesture=0)
-        moved, aim = plan.move_to_entry(), other.aim
-        aim.set(moved.goal.target, moved.goal.radius, moved.goal.obstacles, trial.aim.roll_deg)
-        aim.plan, aim.plan_step = moved, other.steering.number
-        return self._instead(trial, other)
-
-    def again(self, trial: InteractiveTrial, source: Recording) -> InteractiveTrial:
-        """Return a new trial for the same window, at first contact, for a replay."""
-        other = self._begin(trial.viewed_scene, source)
-        other.aim.take(trial.aim)
-        return self._instead(trial, other)
+        other = self._begin(self._viewed_scenes[insertion])
+        self._steered.add(other.name)
+        return other
 
     def written(self) -> list[Path]:
         return [path for path in self._paths if path.exists()]
 
-    def _instead(self, trial: InteractiveTrial, other: InteractiveTrial) -> InteractiveTrial:
-        """Give a window another needle; the caller closes the first one."""
-        other.window_trials = trial.window_trials
-        other.window_trials[other.shown_insertion] = other
-        self._all[other.name] = other
-        self._steered.add(other.name)
-        return other
-
-    def _begin(self, viewed_scene: ViewedScene, source: Recording | None) -> InteractiveTrial:
+    def _begin(self, viewed_scene: ViewedScene, source: Recording | None = None) -> InteractiveTrial:
         name = secrets.token_hex(4)
         last = "-".join(
             PurePath(viewed_scene.name.removesuffix(".toml")).parts[-2:]
         )  # of a path the last two
         stem = "".join(c if c.isalnum() or c in "-_" else "-" for c in last).strip("-") or "needle"
         path = self._folder / f"{stem}-{datetime.now():%Y%m%d-%H%M%S}-{name}.csv"
-        self._all[name] = InteractiveTrial(name, viewed_scene, path, source)
+        self._all[name] = trial = InteractiveTrial(name, viewed_scene, path)
+        for step in source.steps if source else ():
+            trial.record(replace(step, gesture=-step.number))  # each is undone by itself
         self._paths.append(path)
         for old in [one for one in self._all if one not in self._steered and one != name]:
             if len(self._all) <= MAX_TRIALS:
                 break
             del self._all[old]
-        return self._all[name]
+        return trial

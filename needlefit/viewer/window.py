@@ -4,20 +4,15 @@ from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
-from needlefit.errors import ModelError, NeedlefitError
-from needlefit.mechanics.plan import SAME_DEPTH_MM
+from needlefit.errors import NeedlefitError
 from needlefit.planning.goals import Goal
 from needlefit.planning.steering import PlanLimits, find_reachable_region, plan_steering
-from needlefit.viewer.messages import MAX_REPLAY_SPEED, Message, encode_fault, round_lengths
+from needlefit.viewer.messages import Message, encode_fault, round_lengths
 from needlefit.viewer.plans import (
     BEYOND_TARGET_MM,
-    MAX_ENTRY_MM,
-    find_placement,
     plan_message,
     read_goal,
 )
-from needlefit.viewer.recording import Recording
-from needlefit.viewer.steering import find_tissue_changes
 from needlefit.viewer.trial import InteractiveTrial, RecordingEndedError
 from needlefit.viewer.trials import TrialRegistry
 
@@ -49,22 +44,7 @@ class Window:
         except NeedlefitError as error:
             yield {"kind": "refused", "answers": message.id, **encode_fault(error)}
         if message.do == "hello":
-            known = int(message.number("known", 0.0)) if message.text("needle") == trial.name else 0
-            yield from self._describe(max(0, min(known, len(trial.steps))))
-
-    def _describe(self, known: int = 0) -> Iterator[Reply]:
-        aim = self.trial.aim
-        yield self.trial.describe_scene(known)
-        if aim.goal is not None or aim.obstacles:
-            yield aim.to_message()
-        if aim.plan is not None:
-            yield plan_message(aim.plan, aim)
-
-    def _take(self, trial: InteractiveTrial) -> Iterator[Reply]:
-        """Change to another needle."""
-        self.trial = trial
-        self.orders.clear()
-        yield from self._describe()
+            yield trial.describe_scene()
 
     def _do(self, message: Message) -> Iterator[Reply]:
         if message.fault:
@@ -75,72 +55,38 @@ class Window:
                 for step in message.steps:
                     trial.record(step)
                 yield {"kind": "recorded", "step": len(trial.steps)}
-            case "replay":
-                yield from self._replay(message)
             case "show":
-                yield from self._take(self.trials.another(trial, message.text("insertion")))
-            case "align":
-                if trial.steering.now.step.depth <= SAME_DEPTH_MM:
-                    raise ModelError("the needle stands at the entry", expected="a needle in the tissue")
-                if find_tissue_changes(trial.steering.now.tissue, trial.scene.tissue):
-                    what, fix = "moduli or shape parameters were changed", "set them back first"
-                    raise ModelError(what, expected="the initial parameters", fix=fix)
-                yield from self._take(self.trials.aligned(trial))
-            case "aim":
-                trial.aim.set(*read_goal(message))
-                yield trial.aim.to_message()
-            case "markups":
-                trial.aim.read_markups(message, find_placement(trial.viewed_scene))
-                yield trial.aim.to_message()
+                self.trial = self.trials.another(trial, message.text("insertion"))
+                self.orders.clear()
+                yield self.trial.describe_scene()
             case "plan":
-                entry = message.number("entry_mm", 0.0, MAX_ENTRY_MM, "mm")
-                if trial.aim.goal is None:
-                    raise ModelError("there is no target", expected="a target in the tissue", fix="place one")
-                if entry < 0:
-                    raise ModelError(f"the entry may shift by {entry:g} mm", expected="0 mm or above")
-                trial.aim.entry_mm, trial.aim.plan = entry, None
-                self.orders["plan"] = self._plan(trial, trial.aim.goal)
-            case "reach" if trial.aim.goal is not None:
-                self.orders["reach"] = self._reach(trial, trial.aim.goal)
-            case "run":
-                yield from self._take(self.trials.entered(trial))
-
-    def _replay(self, message: Message) -> Iterator[Reply]:
-        times = abs(message.number("times", 1.0, MAX_REPLAY_SPEED))
-        trial = self.trial  # what it has recorded; while that is a part of what it replays, the whole of that
-        source, done = trial.source, [step.changes for step in trial.steps]
-        if done and (source is None or [step.changes for step in source.steps[: len(done)]] != done):
-            source = Recording(trial.recorder.head, tuple(trial.steps), str(trial.recorder.path))
-        if source is None or not source.steps:
-            raise ModelError("nothing has been recorded", expected="a needle that was moved")
-        yield from self._take(self.trials.again(trial, source))
-        yield {"kind": "replay", "times": times, **self.trial.describe_steps(source.steps)}
+                self.orders["plan"] = self._plan(trial, read_goal(message), message.id)
+            case "reach":
+                self.orders["reach"] = self._reach(trial, read_goal(message), message.id)
 
     def _is_dropped(self, kind: str) -> bool:
         """Return whether nobody waits for it: another one is ordered, or the window was closed."""
         return self.closed or kind in self.orders
 
-    def _plan(self, trial: InteractiveTrial, goal: Goal) -> Iterator[Reply]:
+    def _plan(self, trial: InteractiveTrial, goal: Goal, answers: int) -> Iterator[Reply]:
         """Plan to a goal from where the needle stands."""
-        step, insertion, limits = len(trial.steps), trial.planned_insertion, PlanLimits(trial.aim.entry_mm)
+        step, insertion = len(trial.steps), trial.insertion
         yield {}
         try:
             dropped = partial(self._is_dropped, "plan")
-            plan = plan_steering(insertion, goal, limits, threads=1, cancelled=dropped)
+            plan = plan_steering(insertion, goal, PlanLimits(), threads=1, cancelled=dropped)
         except NeedlefitError as error:
             if not dropped():
-                yield {"kind": "plan", "fault": encode_fault(error)}
+                yield {"kind": "plan", "answers": answers, "fault": encode_fault(error)}
             return
-        if trial.aim.goal is goal:
-            trial.aim.plan, trial.aim.plan_step = plan, step
-            yield plan_message(plan, trial.aim)
+        yield plan_message(plan, step, answers)
 
-    def _reach(self, trial: InteractiveTrial, goal: Goal) -> Iterator[Reply]:
+    def _reach(self, trial: InteractiveTrial, goal: Goal, answers: int) -> Iterator[Reply]:
         """Find the region that the tip can reach from where it stands."""
-        step, insertion = len(trial.steps), trial.insertion
+        insertion = trial.insertion
         yield {}
         depth = max(goal.target[0] + BEYOND_TARGET_MM, trial.scene.depth)
         region = find_reachable_region(insertion, depth, threads=1)
         edges = {"low": region.low, "high": region.high}  # from the least share of draws to the greatest
         rows = {name: [round_lengths(one) for one in edge] for name, edge in edges.items()}
-        yield {"kind": "reach", "step": step, "x": round_lengths(region.x), **rows}
+        yield {"kind": "reach", "answers": answers, "x": round_lengths(region.x), **rows}

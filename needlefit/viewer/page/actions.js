@@ -30,9 +30,6 @@ export function goTo(depth) {
   if (way) move(Math.sign(way) * speed(), depth);
 }
 
-/** The depth of the measured insertion, or else of the scene. */
-export const ownDepth = () => now.scene.measured?.depth_mm ?? now.scene.depth_mm;
-
 export const flip = (at) => change([["bevel_side", null, -wanted("bevel_side", null, now.state.bevel.side)]], { at });
 
 export function nudgeBase(steps, at) {

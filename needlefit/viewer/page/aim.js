@@ -4,50 +4,43 @@ import { command } from "./steering.js";
 import { listen, now, publish } from "./store.js";
 
 export const SMALLEST = 0.05; // mm, of a radius
-const PAUSE = 80; // ms between two goals while one is dragged
+const MOST = 1000; // mm, of a coordinate and a radius
 const REST = 200; // ms after the last change of needle or goal, when the region that the tip can reach is asked for
 const MAX_OBSTACLES = 16; // the server takes no more
-const EMPTY = { target: null, radius: 2, obstacles: [] };
-const NOTHING = { reach: null, plan: null, planning: false, placing: null };
-let [timer, resting] = [0, 0];
-let sent = null; // id of the goal that was sent last
-let known = EMPTY; // the goal that the server took last
+const NOTHING = { target: null, obstacles: [], reach: null, plan: null, planning: false, placing: null };
+let resting = 0;
+let asked = { plan: null, reach: null }; // ids of the newest messages
 let at = null; // step of the needle
 
-/** What is aimed at (an obstacle: x, y, radius, name), the reachable region and the plan, as the server sent them last. */
-export const aim = { ...EMPTY, ...NOTHING };
+/** What is aimed at (an obstacle: x, y, radius), the reachable region and the plan, as the server sent them last. */
+export const aim = { radius: 2, ...NOTHING };
 
-const goal = () => ({ target: aim.target, radius: aim.radius, obstacles: aim.obstacles });
+const ask = (what) => (asked[what] = command({ do: what, target: aim.target, radius: aim.radius, obstacles: aim.obstacles }));
 
 /** What an obstacle is called. */
-export const nameOf = (number) => aim.obstacles[number][3] ?? `obstacle ${number + 1}`;
+export const nameOf = (number) => `obstacle ${number + 1}`;
 
-/** Send a goal; what is not given stays. */
+/** Aim at something else; what is not given stays. */
 export function setAim(changes) {
-  Object.assign(aim, changes, { plan: null, planning: false });
-  if (!aim.target) aim.reach = null;
-  timer ||= setTimeout(send, PAUSE);
+  const { target, radius, obstacles } = { ...aim, ...changes };
+  if ([target ?? [], radius, obstacles].flat(2).every((one) => Math.abs(one) <= MOST)) {
+    Object.assign(aim, changes, { plan: null, planning: false, reach: null });
+    asked = { plan: null, reach: null };
+    askReach();
+    publish("goal");
+  } else publish("refused", { what: "the target or an obstacle is out of range", expected: `numbers of at most ${MOST} mm` });
   publish("aimed");
-}
-
-function send() {
-  timer = 0;
-  sent = command({ do: "aim", ...goal() });
 }
 
 /** Ask for the region that the tip can reach, once needle and goal rest. */
 function askReach() {
   clearTimeout(resting);
-  resting = setTimeout(() => aim.target && now.connected && command({ do: "reach" }), REST);
+  resting = setTimeout(() => aim.target && now.connected && ask("reach"), REST);
 }
 
-/** Send a goal that still waits, then a message about it. */
-export function sendAfterGoal(message) {
-  if (timer) {
-    clearTimeout(timer);
-    send();
-  }
-  command(message);
+export function askPlan() {
+  ask("plan");
+  aim.planning = true;
 }
 
 /** Wait for a place on the picture: of the "target" or an "obstacle"; null: no more. */
@@ -80,27 +73,16 @@ export function moveTo(number, x, y) {
 export const tipError = ({ tip }) => aim.target && Math.hypot(tip.x - aim.target[0], tip.y - aim.target[1]);
 
 listen("scene", () => {
-  known = EMPTY;
-  Object.assign(aim, { target: null, obstacles: [], ...NOTHING });
+  Object.assign(aim, NOTHING);
   publish("aimed");
 });
-listen("refused", ({ answers }) => { // what was refused is taken back
+listen("refused", () => {
   aim.planning = false;
-  if (answers !== null && answers === sent && !timer) Object.assign(aim, known);
   publish("aimed");
 });
-listen("aim", ({ target, radius, obstacles, roll_deg: roll }) => {
-  known = { target, radius, obstacles };
-  if (timer) return; // it is older than what waits to be sent
-  publish("accepted");
-  Object.assign(aim, known);
-  if (!target) aim.reach = null;
-  askReach();
-  if (roll) publish("notice", { what: `The needle is rolled by ${roll.toFixed(1)}° about x: its plane holds the target.` });
-  publish("aimed");
-});
-listen("reach", (region) => {
-  aim.reach = aim.target && region.x.length ? region : null;
+listen("reach", ({ answers, ...region }) => {
+  if (answers !== asked.reach) return;
+  aim.reach = region.x.length ? region : null;
   publish("aimed");
 });
 
@@ -111,6 +93,7 @@ listen("state", ({ step, planned }) => {
   at = step;
 });
 listen("plan", (plan) => {
+  if (plan.answers !== asked.plan) return;
   if (plan.fault) publish("notice", plan.fault);
   aim.planning = false;
   aim.plan = plan.fault ? null : { ...plan, left: plan.step !== now.state.step && !now.state.planned };

@@ -1,6 +1,5 @@
 /** The band of the scene's draws about the needle that is shown, and forces on its way; a thread of its own computes them. */
 
-import { part } from "./dom.js";
 import { toInputs } from "./model/inputs.js";
 import { listen, now, take } from "./store.js";
 
@@ -22,12 +21,10 @@ export function computeBands(worker, kernel, current) {
   /** Order what is shown of the needle as it stands, unless it is on its way. */
   function order() {
     if (!now.state) return;
-    const traced = !part("strip").hidden;
-    if (!now.scene.draws && !traced) return;
-    const about = JSON.stringify([current().name, now.state.step, traced]);
+    const about = JSON.stringify([current().name, now.state.step]);
     if (ordered === about) return;
     ordered = about;
-    worker.postMessage({ ...describeNeedle(), traced });
+    worker.postMessage(describeNeedle());
   }
 
   function send() {
@@ -36,14 +33,11 @@ export function computeBands(worker, kernel, current) {
     order();
   }
 
-  worker.onmessage = ({ data: { id, band, forces, pinned } }) => {
-    if (pinned) return take({ kind: "pinned forces", ...id, ...pinned });
+  worker.onmessage = ({ data: { id, band, forces } }) => {
     if (id.needle !== current().name) return;
     if (forces) take({ kind: "forces", step: id.step, ...forces });
     else take(band ? { kind: "band", step: id.step, ...band } : NONE);
   };
   listen("scene", send);
   listen("drawn", order); // not before: the thread that wakes would hold up the frame
-  listen("strip", order);
-  listen("pinned", () => worker.postMessage({ pinned: now.pinned && describeNeedle() }));
 }

@@ -11,7 +11,7 @@ export const DEFINITIONS = {
   "depth": "Inserted arc length: how much of the needle is beyond the entry.",
   "tip y": "Distance of the tip from the entry axis, y; positive to the left of the entry.",
   "tip slope": "Angle of the needle at its tip against the entry axis.",
-  "tip force": "Lateral force of the tissue on the part of the shaft at the last constraint point.",
+  "tip force": "Lateral force of the tissue on the shaft at the tip, as the tip stood at its last constraint point; between these points it rises and falls.",
   "base force": "Lateral force that holds the base.",
   "base moment": "Moment that holds the base.",
   "steepest slope": "Largest slope dy/dx of the needle; the model takes it for small.",
@@ -39,7 +39,8 @@ const shown = element("div", { id: "definition", role: "tooltip", popover: "auto
 export function define(name, called = name) {
   if (!(name in DEFINITIONS)) return called;
   const term = element("button", { type: "button", className: "term" }, called);
-  term.setAttribute("aria-describedby", shown.id);
+  term.setAttribute("aria-description", DEFINITIONS[name]);
+  term.tabIndex = -1; // Help lists all definitions: a stop for each would stand before every input
   const show = () => {
     const { left, top, bottom } = term.getBoundingClientRect();
     shown.textContent = DEFINITIONS[name];

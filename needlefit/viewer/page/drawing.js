@@ -7,7 +7,7 @@ import * as overlay from "./painters/overlay.js";
 import { clearBoxes, palette, readPalette } from "./painters/strokes.js";
 import { slice } from "./slice.js";
 import { listen, now, publish } from "./store.js";
-import { fit, follow, resize, seesTip, takeChange, touch, view } from "./view.js";
+import { fit, follow, resize, takeChange, touch, view } from "./view.js";
 
 const picture = part("picture");
 const background = part("background");
@@ -16,7 +16,7 @@ const behind = background.getContext("2d", { alpha: false });
 const before = foreground.getContext("2d");
 
 /** Which parts are drawn; what there is none of is not, whatever stands here. */
-export const shown = { load: true, points: true, path: true, measured: true, band: true, raw: false, errors: true, slice: true, plan: true, reach: true, pinned: true, strip: true };
+export const shown = { load: true, points: true, path: true, measured: true, band: true, errors: true, slice: true, plan: true, reach: true, pinned: true, strip: true };
 
 /** What else is drawn over the needle: functions of the context. */
 export const further = [];
@@ -72,7 +72,7 @@ function paintForeground(before, state) {
   within(before, () => {
     needle.paintBody(before, state);
     if (shown.reach) overlay.paintReach(before);
-    if (shown.load) needle.paintLoad(before, state, shown.raw);
+    if (shown.load) needle.paintLoad(before, state);
     if (band) overlay.paintBand(before, band, band.step !== state.step);
     if (shown.plan) overlay.paintPlan(before);
     if (shown.pinned && now.pinned) overlay.paintPinned(before, now.pinned);
@@ -92,7 +92,6 @@ function paintForeground(before, state) {
     needle.paintBase(before, state);
     if (band) overlay.nameBand(before, band);
     if (now.marked != null) needle.paintMark(before, state, now.marked);
-    if (!seesTip()) overlay.paintArrow(before, state);
   });
   if (shown.load) needle.paintKey(before);
 }
@@ -121,7 +120,7 @@ function measure() {
 new ResizeObserver(measure).observe(picture);
 onScheme(() => (readPalette(), touch()));
 readPalette();
-for (const kind of ["band", "aimed"]) listen(kind, invalidate);
+for (const kind of ["band", "forces", "aimed"]) listen(kind, invalidate);
 listen("slice", touch);
 let fitted = null;
 listen("state", () => {

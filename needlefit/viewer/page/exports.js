@@ -1,4 +1,4 @@
-/** What can be saved: files of the server; pictures, and a film, as they are seen: with legend and strip. */
+/** What can be saved: files of the program; a picture, and a film, as they are seen: with legend and strip. */
 
 import { needle, settle } from "./connection.js";
 import { button, element, part } from "./dom.js";
@@ -7,12 +7,11 @@ import { cross, palette, segments, setFont } from "./painters/strokes.js";
 import { post } from "./requests.js";
 import { listen, now } from "./store.js";
 import { paintStrip } from "./strip.js";
-import { SvgContext } from "./svg.js";
 import { listShown } from "./toolbar.js";
 
 const FILES = {
   "inputs.csv": "inputs, CSV", "shape.csv": "shape, CSV", "shape.mrk.json": "shape, Slicer markups",
-  "picture.svg": "picture, SVG", "picture.png": "picture, PNG", "share.html": "share, one HTML file",
+  "picture.svg": "figure, SVG", "picture.png": "picture, PNG", "share.html": "share, one HTML file",
 };
 const [group, note] = [part("exports"), part("export-note")];
 
@@ -102,9 +101,8 @@ function onCanvas(width, height) {
 }
 
 const takePicture = () => new Promise((done) => draw(onCanvas).canvas.toBlob(done, "image/png"));
-const takeSvg = () => new Blob([draw((...whole) => new SvgContext(...whole)).write()], { type: "image/svg+xml" });
 
-const MADE_HERE = { "picture.png": takePicture, "picture.svg": takeSvg };
+const MADE_HERE = { "picture.png": takePicture };
 async function ask(file) {
   await settle();
   return (await post(`/export/${file}`, { needle: needle() })).blob();

@@ -55,10 +55,7 @@ export function makeField(into, about) {
   made += 1;
   number.id = `field-${made}`;
   const term = define(symbol, name);
-  if (symbol) {
-    term.tabIndex = -1; // two stops a field would be too many: the number is described instead
-    number.setAttribute("aria-description", DEFINITIONS[symbol]);
-  }
+  if (symbol) number.setAttribute("aria-description", DEFINITIONS[symbol]);
   part.querySelector(".name").append(term);
   part.querySelector(".unit").textContent = unit;
   number.ariaLabel = slider.ariaLabel = [of, name].filter(Boolean).join(" ") + (unit && `, ${unit}`);

@@ -2,6 +2,7 @@
 
 import * as act from "./actions.js";
 import { aim, place } from "./aim.js";
+import { DEFINITIONS } from "./definitions.js";
 import { element, entry, part, press as onPress } from "./dom.js";
 import { describe } from "./readouts.js";
 import { halt, letGo } from "./steering.js";
@@ -76,6 +77,11 @@ function show(which) {
   pressed();
 }
 
+function openHelp() {
+  part("terms").replaceChildren(...Object.entries(DEFINITIONS).map(([name, text]) => entry(name, text)));
+  dialog.showModal();
+}
+
 function press(event) {
   if (dialog.open || !now.state || event.altKey || belongs(event)) return;
   const key = event.key.toLowerCase();
@@ -85,7 +91,7 @@ function press(event) {
     key === "y" || event.shiftKey ? act.redo() : act.undo();
     return;
   }
-  if (key === "?") return dialog.showModal();
+  if (key === "?") return openHelp();
   if (event.key === "Escape" && aim.placing) return place(aim.placing);
   const found = KEYS.find(([keys]) => keys.includes(event.key));
   if (!found) return;
@@ -96,7 +102,7 @@ function press(event) {
 for (const [written, what] of [...KEYS.map(([, key, effect]) => [key, effect]), ...ALWAYS]) {
   part("key-list").append(entry(element("kbd", {}, written), what));
 }
-onPress("help", () => dialog.showModal());
+onPress("help", openHelp);
 addEventListener("input", ({ target }) => typed.add(target), true);
 for (const kind of ["change", "focusout"]) addEventListener(kind, ({ target }) => typed.delete(target), true);
 addEventListener("keydown", press);

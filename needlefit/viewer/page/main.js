@@ -1,7 +1,7 @@
 /** Starts the page: the line to the server, the picture, the readouts beside it, the line at the foot. */
 
 import { open } from "./connection.js";
-import { part, write } from "./dom.js";
+import { part, press, write } from "./dom.js";
 import { paint } from "./drawing.js";
 import { computeBands } from "./bands.js";
 import "./exports.js";
@@ -11,9 +11,9 @@ import "./notices.js";
 import * as panel from "./panel.js";
 import * as planning from "./planning.js";
 import "./pointers.js";
-import { grouped } from "./quantities.js";
 import * as readouts from "./readouts.js";
-import { advance, moves } from "./steering.js";
+import { offerScenes } from "./scenes.js";
+import { advance, moves, rebuild } from "./steering.js";
 import * as strip from "./strip.js";
 import { listen, now, publish } from "./store.js";
 import "./toolbar.js";
@@ -49,22 +49,25 @@ function refreshReadouts() {
   if (next < Infinity) later = setTimeout(refreshReadouts, next);
 }
 
-/** Write whether the page is connected, and what the solver has done and can do. */
+/** Write whether the page is connected, and where it records. */
 function refreshStatus() {
   write("line", now.connected ? "connected" : now.state ? "not connected" : "connecting …");
   part("line").classList.toggle("up", now.connected);
-  if (!now.state) return;
-  const { steps, rate_per_s: rate, failed } = now.state.solver;
-  write("solver", `${grouped(steps)} solver steps${failed ? `, ${failed} failed` : ""}`);
-  write("solver-rate", rate ? `solver can do ${grouped(rate)} steps/s` : "");
   write("recording", now.scene?.recording ? `recording ${now.scene.recording}` : "");
 }
 
-listen("stage", ({ what }) => write("waiting", `${what} …`));
 listen("refused", () => { // fields go back to what is
   READOUTS.forEach((one) => (one.step = null));
   refreshReadouts();
 });
+offerScenes(rebuild, kernel);
+const everything = part("everything");
+const unfold = (on) => {
+  everything.ariaExpanded = String(on);
+  part("panel").classList.toggle("everything", on);
+};
+press(everything, () => unfold(everything.ariaExpanded !== "true"));
+listen("scene", ({ past }) => past.length && unfold(true)); // the needle has been steered already
 kernel.then((compiled) => {
   const worker = new Worker("/page/model/band_worker.js", { type: "module" });
   computeBands(worker, compiled, () => ({ name: trial.scene.needle, steered: trial.steered }));

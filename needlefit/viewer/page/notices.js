@@ -1,8 +1,7 @@
 /** What the reader must know at once: refused inputs, and a line that is down. */
 
 import { element, part, press, write } from "./dom.js";
-import { open } from "./connection.js";
-import { listen, now } from "./store.js";
+import { listen } from "./store.js";
 
 const LASTS = 9000; // ms
 const refusal = part("refusal");
@@ -18,20 +17,11 @@ function refuse({ what, expected, fix }) {
   fading = setTimeout(() => refusal.replaceChildren(), LASTS);
 }
 
-const soon = (wait) => (wait < 1 ? "at once" : `in ${wait.toFixed(0)} s`);
-
-/** The text without a connection, and that of its button. */
+/** The text without a connection, and that of the button that loads the page again. */
 const BANNERS = {
-  lost: ({ wait }) => [
-    `Not connected to the needle. Trying again ${soon(wait)}; until then inputs are not sent.`, "Try now",
-  ],
-  bye: ({ what }) => [
-    `The program has stopped${what ? `: ${what}` : ""}. Its recording is kept. The page looks for it still.`,
-    "Try now",
-  ],
-  stranger: () => [
-    "The program does not know this page's token. Open the address as it was printed when it began.", "Try again",
-  ],
+  lost: () => ["Not connected to the needle: inputs are not recorded. Its recording so far is kept.", "Load again"],
+  bye: ({ what }) => [`The program has stopped${what ? `: ${what}` : ""}. Its recording is kept.`, ""],
+  stranger: () => ["The program does not know this page's token. Open the address as it was printed when it began.", ""],
   taken: () => ["This needle is held by another window. Inputs here are not sent.", "Take it back"],
 };
 
@@ -42,11 +32,11 @@ listen("line", (line) => {
   const [words, button] = BANNERS[line.why](line);
   write("banner-text", words);
   act.textContent = button;
-  act.hidden = false;
+  act.hidden = !button;
 });
 for (const kind of ["refused", "ended", "notice"]) listen(kind, refuse);
 listen("accepted", () => refusal.replaceChildren()); // something later was carried out: an input, a reset
 addEventListener("input", ({ target }) => target.type === "number" && refusal.replaceChildren()); // or is about to be
 listen("unsent", () => refuse({ what: "Not sent: there is no line to the needle." }));
 press(refusal, () => refusal.replaceChildren());
-press(act, () => !now.connected && open());
+press(act, () => location.reload());

@@ -3,7 +3,8 @@
 import * as act from "./actions.js";
 import { part, press, write } from "./dom.js";
 import { makeField, setHome, show } from "./fields.js";
-import { degrees, modulusLike, numbered, slope, strengthOf } from "./quantities.js";
+import { listParameters } from "./parameters.js";
+import { degrees, numbered, slope, strengthOf } from "./quantities.js";
 import { change, wanted } from "./steering.js";
 import { listen, now } from "./store.js";
 
@@ -21,38 +22,29 @@ function inputField(into, [input, item], about, current, { shown = (x) => x, mea
 }
 
 listen("scene", (scene) => {
-  for (const id of ["bevel-fields", "tissue-fields", "base-fields", "tip-fields", "guides"]) part(id).replaceChildren();
+  for (const id of ["bevel-fields", "tissue-fields", "shape-fields", "base-fields", "tip-fields", "guides"]) part(id).replaceChildren();
   fields = [];
   guides.clear();
   buildBevel(scene);
   buildTissue(scene);
+  part("shape-part").hidden = !scene.shape_parameters.length;
   buildHeld("base", scene.limits.base_y_mm, [-10, 10]);
   const angle = buildHeld("tip");
   angle.ask = (value, how) => change([["tip_held", null, 1], ["tip_slope", null, slope(value)]], how); // held at a place
 });
 
 function buildBevel({ limits, fitted }) {
-  const { key, symbol, unit, digits: count, step, here, throughout, value } = strengthOf(fitted);
+  const { key, symbol, unit, digits: count, step, here, value } = strengthOf(fitted);
   const about = { unit, write: digits(count), limits: limits[key], step, symbol };
-  for (const [name, input] of [[`${symbol}, ahead of the tip`, here], [`${symbol}, whole insertion`, throughout]]) {
-    setHome(inputField("bevel-fields", [input, null], { ...about, name }, () => now.state.bevel[key]), value);
-  }
+  const name = `${symbol}, ahead of the tip`;
+  setHome(inputField("bevel-fields", [here, null], { ...about, name }, () => now.state.bevel[key]), value);
+  part("throughout").textContent = `Set this ${symbol} in the whole insertion`;
 }
 
-function buildTissue({ layer_names: names, boundaries_mm: tops, limits, fitted, shape_parameters: shapes }) {
-  for (let i = 0; i <= tops.length; i += 1) {
-    const called = names[i] || `layer ${i + 1}`;
-    const modulus = { ...modulusLike(fitted.layers[i].mu_pa), logarithmic: true, step: 1.05, limits: limits.mu_pa };
-    const add = (name, about) => {
-      const field = inputField("tissue-fields", [name, i + 1], about, () => now.state.layers[i][name]);
-      setHome(field, fitted.layers[i][name]);
-    };
-    add("mu_pa", { ...modulus, name: `μ ${called}`, symbol: "μ" });
-    for (const { name, symbol, unit } of shapes) {
-      const [low, high] = limits[name];
-      const step = Math.min(0.1, (high - low) / 100);
-      add(name, { name: `${symbol} ${called}`, symbol, unit, write: digits(2), limits: limits[name], step });
-    }
+function buildTissue(scene) {
+  for (const { input, item, into, about } of listParameters(scene)) {
+    const field = inputField(into, [input, item], about, () => now.state.layers[item - 1][input]);
+    setHome(field, scene.fitted.layers[item - 1][input]);
   }
 }
 
@@ -116,6 +108,10 @@ function refreshGuide({ item, name, x, y, slope: along, turns_freely: free }) {
   row.free.ariaPressed = String(free);
 }
 
+press("throughout", ({ timeStamp }) => {
+  const { here, throughout, value } = strengthOf(now.state.bevel);
+  change([[throughout, null, wanted(here, null, value)]], { at: timeStamp });
+});
 press("home-all", ({ timeStamp }) => {
   const { throughout, value } = strengthOf(now.scene.fitted);
   const layers = now.scene.fitted.layers.flatMap((layer, i) => Object.entries(layer).map(([name, one]) => [name, i + 1, one]));

@@ -1,14 +1,13 @@
 /** The panel of target and plan: places, obstacles, and the plan's probability. */
 
-import { ownDepth, speed } from "./actions.js";
-import { aim, nameOf, place, put, sendAfterGoal, setAim, SMALLEST, tipError } from "./aim.js";
+import { speed } from "./actions.js";
+import { aim, askPlan, nameOf, place, put, setAim, SMALLEST, tipError } from "./aim.js";
 import { button, element, part, press, say, write } from "./dom.js";
-import { amount, makeField, show } from "./fields.js";
-import { counted, signed } from "./quantities.js";
-import { command, runPlan } from "./steering.js";
+import { makeField, show } from "./fields.js";
+import { counted } from "./quantities.js";
+import { runPlan } from "./steering.js";
 import { listen, now } from "./store.js";
 
-const entry = amount(part("plan-entry"));
 const AHEAD = 10; // mm before the tip
 const asMm = (value) => value.toFixed(2);
 const percent = (share) => (100 * share).toFixed(0);
@@ -56,9 +55,9 @@ export function refresh() {
   for (const [id, what] of [["put-target", "target"], ["put-obstacle", "obstacle"]]) {
     part(id).ariaPressed = String(aim.placing === what);
   }
-  const ahead = aim.plan?.anew || aim.plan?.steps.some(([depth]) => depth > now.state.depth_mm + 1e-6) || false;
+  const ahead = aim.plan?.steps.some(([depth]) => depth > now.state.depth_mm + 1e-6) || false;
   part("make-plan").disabled = !aim.target || aim.planning;
-  part("run-plan").disabled = part("step-plan").disabled = !ahead || aim.planning || aim.plan.left;
+  part("run-plan").disabled = !ahead || aim.planning || aim.plan.left;
   part("aim-clear").disabled = !aim.target && !aim.obstacles.length;
   write("aim-note", aim.placing ? `Click on the picture where the ${aim.placing} is.` : "");
   write("aim-error", aim.target ? `Tip to target: ${tipError(now.state).toFixed(2)} mm.` : "");
@@ -71,9 +70,8 @@ function describePlan() {
   if (!plan) return "";
   const turns = `${counted(plan.turns, "turn")} of the bevel, base to ${plan.steps.at(-1)[2].toFixed(1)} mm.`;
   if (plan.left) return "The needle has left its plan. Plan again from where it stands.";
-  const begins = plan.anew ? ` Entry shifted by ${signed(plan.entry_mm, 2)} mm along y: Run plan begins there, at first contact.` : "";
   const bound = plan.at_limit.map((one) => ` The ${one} is at its limit.`).join("");
-  return `${describeOutcome(plan)} ${turns}${bound}${begins}${plan.draws < 2 ? " Parameters are taken as exact." : ""}`;
+  return `${describeOutcome(plan)} ${turns}${bound}${plan.draws < 2 ? " Parameters are taken as exact." : ""}`;
 }
 
 /** Whether the plan reaches the target past the obstacles, or how the best one fails. */
@@ -93,19 +91,12 @@ function describeOutcome(plan) {
   return `${plan.hits ? `Reaches ${goal} ` : `${none} `}${chance}${touched}${ends}`;
 }
 
-/** Run the plan; at its entry the next one goes on from where the needle stands. */
-function begin(how) {
-  const { plan } = aim;
-  if (plan.anew) part("plan-entry").value = "0";
-  runPlan(plan, { speed: speed(), ...how });
-}
-
 /** Wait for a click on the picture; a key puts it ahead of the tip at once, where its numbers can be changed. */
 function placeBy(what, { detail }) {
   place(what);
   if (detail || aim.placing !== what) return;
   const { tip, depth_mm: depth } = now.state;
-  const far = Math.max(ownDepth(), depth + AHEAD);
+  const far = Math.max(now.scene.depth_mm, depth + AHEAD);
   put(what === "target" ? far : (depth + far) / 2, tip.y);
   refresh();
   part(what === "target" ? "target-fields" : "obstacles").querySelector(".number")?.focus();
@@ -114,22 +105,14 @@ function placeBy(what, { detail }) {
 const PRESSED = {
   "put-target": (event) => placeBy("target", event),
   "put-obstacle": (event) => placeBy("obstacle", event),
-  "aim-clear": () => setAim({ target: null, obstacles: [], reach: null }),
+  "aim-clear": () => setAim({ target: null, obstacles: [] }),
   "make-plan": () => {
-    sendAfterGoal({ do: "plan", entry_mm: entry() });
-    aim.planning = true;
+    askPlan();
     refresh();
   },
-  "run-plan": () => begin({}),
-  "step-plan": () => begin({ one: true }),
-  "open-markups": () => part("markups").click(),
+  "run-plan": () => runPlan(aim.plan, speed()),
 };
 for (const [id, act] of Object.entries(PRESSED)) press(id, (event) => now.state && act(event));
-part("markups").addEventListener("change", async ({ target }) => {
-  const [file] = target.files;
-  if (file) command({ do: "markups", name: file.name, text: await file.text(), obstacle_radius: aim.radius });
-  target.value = "";
-});
 listen("plan", (plan) => {
   refresh();
   if (!plan.fault) say(describePlan());

@@ -3,7 +3,6 @@
 import { part } from "./dom.js";
 import { addGuide, insert } from "./actions.js";
 import { put } from "./aim.js";
-import { amount } from "./fields.js";
 import { handleAt } from "./handles.js";
 import { heightAt } from "./quantities.js";
 import { change, newGesture } from "./steering.js";
@@ -16,7 +15,6 @@ const ON_NEEDLE = 24; // px
 const TWICE = { within: 350, apart: 24 }; // ms and px between the taps of a double one
 
 const canvas = part("canvas");
-const notch = amount(part("notch"));
 const fingers = new Map(); // pointers that are down, and where
 let drag = null; // {handle, from, last, to, gesture, pointer}: where it began, where the pointer is, to where it drags
 let lastTap = { at: -Infinity, px: 0, py: 0 };
@@ -100,8 +98,7 @@ function wheel(event) {
   if (!now.state) return;
   const notches = (event.deltaY || event.deltaX) / NOTCH[event.deltaMode];
   if (event.ctrlKey || event.metaKey) return zoom(Math.exp(-0.2 * notches), ...place(event));
-  const mm = notch() * (event.shiftKey ? FINE : 1);
-  insert(-notches * mm, event.timeStamp);
+  insert(-notches * (event.shiftKey ? FINE : 1), event.timeStamp); // 1 mm a notch
 }
 
 const RAW = "onpointerrawupdate" in canvas;

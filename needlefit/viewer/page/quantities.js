@@ -12,9 +12,6 @@ export const brief = (value, digits = 4) => String(Number(Number(value).toPrecis
 
 export const counted = (count, one) => `${count} ${one}${count === 1 ? "" : "s"}`;
 
-/** Groups of three digits, apart by thin spaces. */
-export const grouped = (value) => Math.round(value).toString().replace(/\B(?=(\d{3})+$)/g, "\u2009");
-
 /** How moduli (Pa) like one are written and read: in kPa, from 1 MPa on in MPa. */
 export function modulusLike(one) {
   const [unit, pascals] = one < 1e6 ? ["kPa", 1e3] : ["MPa", 1e6];
@@ -64,4 +61,22 @@ export function strengthOf(values) {
   const about = "cut_angle_deg" in values ? ANGLE : OFFSET;
   const [here, throughout] = INPUTS[about.key];
   return { ...about, here, throughout, value: values[about.key] };
+}
+
+const near = (one, other) => Math.abs(one - other) <= 1e-9 * Math.abs(other);
+
+/** Whether the needle's parameters are others than those with which it was opened, about which the band's draws lie. */
+export function isChanged({ bevel, layers }, { fitted }) {
+  const { key, value } = strengthOf(fitted);
+  return !near(bevel[key], value) || layers.some((layer, i) => Object.entries(fitted.layers[i]).some(([name, one]) => !near(layer[name], one)));
+}
+
+/** Whether parameters or inputs are others than those of the scene at this depth: the needle is then not the one that was measured. */
+export function isSteered(state, scene) {
+  const { steps } = scene.simulation;
+  const { bevel, controls } = steps.find(({ depth }) => depth >= state.depth_mm - 1e-6) ?? steps.at(-1);
+  const { base, guides, tip } = state;
+  return isChanged(state, scene) || state.bevel.side !== bevel.side || tip.held !== Boolean(controls.tip)
+    || base.input_y !== controls.baseY || base.input_slope !== controls.baseSlope || guides.length !== controls.guides.length
+    || guides.some(({ x, y }, i) => x !== controls.guides[i].x || y !== controls.guides[i].y);
 }

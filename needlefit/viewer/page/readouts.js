@@ -2,8 +2,8 @@
 
 import { define, DEFINITIONS } from "./definitions.js";
 import { element, entry, part, say, write } from "./dom.js";
-import { signed, strengthOf, toDegrees } from "./quantities.js";
-import { listen, now } from "./store.js";
+import { brief, isSteered, signed, strengthOf, toDegrees } from "./quantities.js";
+import { listen, now, tipForce } from "./store.js";
 import { toPy, view } from "./view.js";
 
 /** What is read of the needle: a name, a unit, and how it is written from a state. */
@@ -11,7 +11,7 @@ const NEEDLE = [
   ["depth", "mm", (s) => s.depth_mm.toFixed(2)],
   ["tip y", "mm", (s) => signed(s.tip.lateral_mm, 2)],
   ["tip slope", "°", (s) => signed(toDegrees(s.tip.rotation), 2)],
-  ["tip force", "N", (s) => signed(s.forces.tip_n, 3)],
+  ["tip force", "N", () => tipForce() === null ? "–" : signed(tipForce(), 3)],
   ["base force", "N", (s) => signed(s.forces.base_n, 3)],
   ["base moment", "N mm", (s) => signed(s.forces.base_nmm, 1)],
   ["steepest slope", "", (s) => s.max_slope.toFixed(3)],
@@ -28,11 +28,15 @@ export function fillReadouts(list, readouts) {
 }
 
 const writeNeedle = fillReadouts(part("readouts"), NEEDLE);
-let writeErrors = () => {}; // of the comparison with a measured needle: every metric that the scene names
+const SHOWN_METRICS = ["ipe_mean_mm", "te_mm", "edp_percent"];
+const writeError = (value, unit) => (value === null ? "–" : unit === "%" ? brief(value, 3) : value.toFixed(3));
+let writeErrors = () => {}; // of the comparison with a measured needle: each that is shown
 
 export function refresh() {
   const { state, scene } = now;
   writeNeedle(state);
+  const title = part("title"); // a report has none
+  if (title) write(title, `${isSteered(state, scene) ? "steered by hand: " : ""}${scene.title}`);
   if (!scene.measured) return;
   writeErrors(state.errors);
   write("against", `against ${scene.measured.id}${state.errors ? `, ${comparedUpTo(state.errors)}` : ""}`);
@@ -45,9 +49,9 @@ const comparedUpTo = ({ whole, upto_mm: upto }) =>
 listen("scene", ({ measured }) => {
   part("compared").hidden = measured === null;
   if (!measured) return;
-  const metrics = measured.metrics.map(([name, label, unit, text]) => {
+  const metrics = measured.metrics.filter(([name]) => SHOWN_METRICS.includes(name)).map(([name, label, unit, text]) => {
     DEFINITIONS[label] = text;
-    return [label, unit, (errors) => errors[name]?.toFixed(unit === "%" ? 2 : 3) ?? "–"];
+    return [label, unit, (errors) => writeError(errors[name], unit)];
   });
   part("errors").replaceChildren();
   writeErrors = fillReadouts(part("errors"), [...metrics, ["noise floor", "mm", (e) => e.floor_mm?.toFixed(3) ?? "–"]]);
@@ -59,6 +63,7 @@ let announced = false; // whether a message has stated that this needle exceeds 
 const exceeded = ({ faults }) => (faults?.length ? `outside the model: ${faults.join("; ")}` : "");
 
 listen("scene", () => (announced = false));
+listen("forces", () => now.state && refresh());
 listen("state", (state) => {
   const words = exceeded(state);
   write("beyond", words && `${words[0].toUpperCase()}${words.slice(1)}. Shape and forces cannot be relied on.`);
@@ -82,7 +87,7 @@ function inWords() {
     `Its tip is ${Math.abs(tip.lateral_mm).toFixed(2)} mm to the ${tip.lateral_mm < 0 ? "right" : "left"}${tip.held ? " and held there" : ""}, at ${angle(tip)}.`,
     `The bevel turns the cut toward ${bevel.side > 0 ? "+y" : "−y"}, ${symbol} is ${value.toFixed(digits)} ${unit}.`,
     `The base stands at y ${signed(base.y, 2)} mm, at ${angle(base)}; ${held}.`,
-    `Tip force ${signed(state.forces.tip_n, 2)} N, base force ${signed(state.forces.base_n, 2)} N.`,
+    `Tip force ${signed(tipForce() ?? 0, 2)} N, base force ${signed(state.forces.base_n, 2)} N.`,
   ];
   if (exceeded(state)) sentences.push(`The needle is ${exceeded(state)}.`);
   if (errors) {

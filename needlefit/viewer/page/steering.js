@@ -3,13 +3,12 @@
 import { post } from "./requests.js";
 import { needle, send, sendSteps } from "./connection.js";
 import { listen, now, publish } from "./store.js";
-import { play, replay, stroke, trial } from "./trial.js";
+import { play, stroke, trial } from "./trial.js";
 
 let waiting = []; // changes that are not carried out yet, one for each gesture
 let held = null; // the gesture of a move that a hand holds
 let fresh = false; // whether the needle has changed since its state was shown
 let oldest = null; // ms, when the oldest input happened that the next state shows
-let running = null; // how a plan goes on once its needle stands at its entry
 let gestures = Date.now() % 1e9; // a page that was loaded again goes on with numbers of its own
 const asked = new Map(); // what was asked for and is not shown yet
 
@@ -86,7 +85,7 @@ async function askLaw(shape, one) {
 }
 
 function takeOver() {
-  trial.motion = trial.paused = null;
+  trial.motion = null;
 }
 
 /** Send what is no step, after all changes that were asked for before it. */
@@ -128,26 +127,19 @@ export const undo = () => direct(() => trial.undo());
 export const redo = () => direct(() => trial.undo(true));
 export const reset = () => direct(() => trial.reset(newGesture()));
 
+/** Carry out lists of changes, one after the other, as one gesture. */
+export const rebuild = (lists, gesture = newGesture()) => direct(() => lists.forEach((one) => trial.act(one, gesture)));
+
 /** Play the steps of the scene, from first contact on, at a speed in mm/s. */
 export const playScene = (speed) => direct(() => {
   if (trial.steered.number) trial.reset(newGesture());
   trial.start("play", speed, newGesture(), play(trial.scene.simulation.steps));
 });
 
-/** Carry out a plan from where the needle stands; one that begins at first contact, on a needle at its entry. */
-export function runPlan(plan, { speed, one = false }) {
-  if (plan.anew) {
-    running = { speed, one };
-    return command({ do: "run" });
-  }
+/** Carry out a plan from where the needle stands. */
+export function runPlan(plan, speed) {
   const steps = plan.path.filter(({ depth }) => depth > trial.steered.step.depth + 1e-9);
-  direct(() => trial.start("plan", speed, newGesture(), play(one ? steps.slice(0, 1) : steps)));
-}
-
-/** Carry out the recording so far once more, or go on with a replay, at so many times its speed. */
-export function replayRecording(times) {
-  if (!trial.paused) return command({ do: "replay", times });
-  trial.goOn(times);
+  direct(() => trial.start("plan", speed, newGesture(), play(steps)));
 }
 
 /** What a new frame shows: the needle after what was asked for and what goes on by itself; whether it has changed. */
@@ -173,16 +165,6 @@ export const moves = () => trial.motion !== null;
 listen("moved", () => (fresh = true));
 listen("refused", () => publish("moved")); // fields go back to what is
 listen("ended", (fault) => (trial.ended = fault));
-listen("replay", ({ past: steps, tables, times }) => {
-  trial.takeTables(tables);
-  trial.start("replay", times, -1, replay(steps));
-});
-listen("plan", (plan) => {
-  if (!running || plan.fault) return;
-  const how = running;
-  running = null;
-  runPlan(plan, how);
-});
 listen("line", () => {
   waiting = [];
   [held, oldest] = [null, null];

@@ -1,6 +1,6 @@
 /** The last message of each kind, and the listeners to each. */
 
-/** The page's knowledge (`forces`: on the tip, N, at constraint points, mm); also `window.needlefit`, for whoever measures the page. */
+/** The page's knowledge (`forces`: on the tip, N, as it stood at each constraint point, by depth, mm); also `window.needlefit`, for whoever measures the page. */
 export const now = { scene: null, state: null, band: null, connected: false, pinned: null, marked: null, frames: [], forces: { x: [], y: [] } };
 window.needlefit = now;
 
@@ -15,6 +15,9 @@ export function listen(kind, hear) {
 export function publish(kind, message) {
   for (const hear of listeners.get(kind) ?? []) hear(message);
 }
+
+/** The tip force as it was at the last constraint point, N; null until it has been computed. */
+export const tipForce = () => now.forces.y.at(-1) ?? null;
 
 /** Keep a message, then publish it. */
 export function take(message) {

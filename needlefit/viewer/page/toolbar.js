@@ -4,19 +4,18 @@ import { aim } from "./aim.js";
 import { button, element, part, press } from "./dom.js";
 import { invalidate, shown } from "./drawing.js";
 import { listen, now, publish } from "./store.js";
-import { drawTrue, fit, refit, touch, view, zoom } from "./view.js";
+import { fit, touch, view, zoom } from "./view.js";
 
 /** What can be shown and hidden: its name, what the button is called and explained, whether it has a swatch. */
 const CHIPS = [
-  ["load", "lateral load"], ["raw", "raw load", "The load between constraint points, not its mean over two spacings", false],
+  ["load", "lateral load"],
   ["points", "constraint points"], ["path", "tip path"], ["measured", "measured"],
   ["errors", "errors", "Gaps at the tip (TE) and along the shaft (IPE)"], ["band", "95 % band"], ["plan", "plan"],
-  ["pinned", "pinned"], ["reach", "reachable"], ["slice", "scan"], ["true", "true scale", "Draws y as large as x", false],
-  ["strip", "tip against depth", "Deflection of the tip, and the force on it at each constraint point, against depth", false],
+  ["pinned", "pinned"], ["reach", "reachable"], ["slice", "scan"],
+  ["strip", "tip against depth", "Deflection of the tip and tip force, against depth", false],
 ];
 const TALL = 800; // px of a window that has room for the strip
 const fits = document.querySelectorAll("[data-fit]");
-const refitButton = part("refit"); // a shared page has none
 const chips = Object.fromEntries(CHIPS.map(([name, called, title = "", marked = true]) => {
   const swatch = marked ? [element("i", { ariaHidden: "true", className: `swatch ${name}` })] : [];
   const pressed = String(shown[name] ?? false);
@@ -28,16 +27,11 @@ part("chips").append(...Object.values(chips));
 
 /** Let the buttons say which view is seen. */
 export function pressed() {
-  if (refitButton) {
-    refitButton.hidden = view.fit !== null;
-    refitButton.style.top = `${view.box.top + 6}px`; // above the picture are the names of layers
-  }
   for (const one of fits) one.ariaPressed = String(one.dataset.fit === view.fit);
 }
 
 export function toggle(name, on = chips[name].ariaPressed !== "true") {
   chips[name].ariaPressed = String(on);
-  if (name === "true") return drawTrue(on);
   if (name === "strip") {
     part("strip").hidden = !on;
     return publish("strip");
@@ -55,7 +49,6 @@ const offer = (there) => Object.entries(there).forEach(([name, is]) => (chips[na
 offer({ measured: false, errors: false, band: false, plan: false, reach: false, slice: false, pinned: false });
 if (innerHeight < TALL) toggle("strip"); // the picture needs the room
 for (const one of fits) press(one, () => (fit(one.dataset.fit), pressed()));
-if (refitButton) press(refitButton, () => (refit(), pressed()));
 for (const one of document.querySelectorAll("[data-zoom]")) {
   press(one, () => (zoom(one.dataset.zoom === "in" ? 1.25 : 0.8), pressed()));
 }

@@ -3,7 +3,7 @@
 import { part, press, write } from "./dom.js";
 import * as act from "./actions.js";
 import { brief } from "./quantities.js";
-import { command, halt, letGo, move, replayRecording } from "./steering.js";
+import { command, halt, letGo } from "./steering.js";
 import { listen, now } from "./store.js";
 
 const STEP = 1; // mm; what a mere click does, as assistive technology gives it
@@ -37,23 +37,18 @@ function holdButton(button, direction) {
 
 /** Let the buttons say what can be done, and the bevel's which side it turns to. */
 export function refresh() {
-  const { undo, redo, moving, playing, paused, bevel } = now.state;
+  const { undo, redo, moving, playing, bevel } = now.state;
   part("undo").disabled = !undo;
   part("redo").disabled = !redo;
   part("halt").disabled = !moving && !playing;
   part("insert").classList.toggle("on", moving > 0);
   part("retract").classList.toggle("on", moving < 0);
   write("side", bevel.side > 0 ? "(now +y)" : "(now −y)");
-  write("replay", paused ? "Go on with replay" : "Replay recording");
-  part("replay").title = paused ? "From where it was stopped" : "Carry out the recording so far once more";
 }
 
 const PRESSED = {
   undo: act.undo, redo: act.redo, reset: act.reset, play: act.play, halt,
   flip: (event) => act.flip(event.timeStamp),
-  replay: () => replayRecording(Number(part("times").value)),
-  align: () => command({ do: "align" }),
-  "goto-scene": () => act.goTo(act.ownDepth()),
 };
 for (const [id, act] of Object.entries(PRESSED)) press(id, (event) => now.state && act(event));
 holdButton(part("insert"), 1);
@@ -67,15 +62,14 @@ let begun = false;
 
 part("choices").addEventListener("change", () => command({ do: "show", insertion: part("choices").value }));
 
-/** The first needle is inserted, too, unless the user wants less motion. */
+/** The first needle carries out the steps of its scene, unless the user wants less motion. */
 listen("state", ({ depth_mm: depth, undo }) => {
   if (begun) return;
   begun = true;
-  if (depth === 0 && !undo && !matchMedia("(prefers-reduced-motion: reduce)").matches) move(act.speed(), act.ownDepth());
+  if (depth === 0 && !undo && !matchMedia("(prefers-reduced-motion: reduce)").matches) act.play();
 });
 listen("go to", act.goTo);
 listen("scene", (scene) => {
-  part("title").textContent = scene.title;
   part("note").textContent = scene.note;
   document.title = `${scene.title} · needlefit view`;
   part("synthetic").hidden = !scene.synthetic;
@@ -83,10 +77,6 @@ listen("scene", (scene) => {
   part("choices").replaceChildren(...scene.choices.map(([name, title]) => new Option(title, name)));
   if (!scene.measured) part("choices").prepend(new Option("none", ""));
   part("choices").value = scene.measured?.id ?? "";
-  const { first_cell_mm: first, spacing_mm: spacing } = scene;
-  part("cell-note").textContent = `Constraint points at ${brief(first)} mm, then every ${brief(spacing)} mm.`;
-  const to = act.ownDepth();
-  part("goto-scene").textContent = `To ${brief(to)} mm`;
-  part("goto-scene").title = scene.measured ? "The measured depth" : "The scene's depth";
+  part("goto-depth").value = brief(scene.depth_mm);
   part("goto-depth").max = scene.limits.depth_mm;
 });

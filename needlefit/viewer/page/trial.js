@@ -8,7 +8,6 @@ import { publish, take } from "./store.js";
 
 const MAX_UNDO = 200; // gestures that can be undone
 const LONGEST = 0.1; // s that a motion goes on in one frame: after a pause the needle does not jump
-const UNDO_PAUSE = 0.4; // s; steps of a recording that are farther apart are undone one by one
 const SAME = 1e-9; // mm; depths that differ by less are one
 const SHORTEST = 0.1; // mm; a shorter move is not divided
 
@@ -22,42 +21,21 @@ class Trial {
   recorded = 0; // steps that it has confirmed
   ended = null; // why nothing more is recorded
 
-  /**
-   * Begin with a scene of the program and the steps that its needle has made; one that is here already goes on.
-   *
-   * Resolves to whether that could be done: another window may have moved the needle meanwhile.
-   */
+  /** Begin with a scene of the program and the steps that its needle has made. */
   async begin(scene) {
-    const { past, needle } = scene;
-    this.motion = this.paused = this.ended = null; // what goes on by itself: {kind, speed, gesture, frames}
-    if (this.scene?.needle === needle) {
-      if (!past.every((step) => this.#isOwn(step))) return false;
-      this.confirm(scene.known + past.length);
-      return true;
-    }
+    const { past, tables } = scene;
     const steered = await SteeredNeedle.begin(await kernel, scene);
-    Object.assign(this, { scene, steered, past: [], future: [], gesture: null, pinned: new Set(), outbox: [], recorded: 0 });
-    Object.assign(this, { spent: 0, solved: steered.solved, began: past.length ? performance.now() - 1000 * scene.time_s : null });
-    return this.#follow(scene);
-  }
-
-  #isOwn([number, , , , tip]) {
-    return number <= this.recorded || this.outbox[number - this.recorded - 1]?.[4] === tip;
-  }
-
-  /** Carry out steps that this needle made before; returns whether that could be done. */
-  #follow({ past, tables }) {
+    this.motion = this.ended = null; // what goes on by itself: {kind, speed, gesture, frames}
+    Object.assign(this, { scene, steered, past: [], future: [], gesture: null, pinned: new Set(), outbox: [] });
+    this.began = past.length ? performance.now() - 1000 * scene.time_s : null;
     this.takeTables(tables);
     const returns = findLastReturns(past);
     for (const [number, , gesture, changes] of past) {
-      if (number <= this.steered.number) continue;
-      if (changes[0][0] === "return_to" && !this.steered.saved.has(changes[0][2])) return false;
       this.perform(changes, gesture, { validOnly: false });
       this.#pinFor(returns, number, changes);
     }
-    this.recorded = this.steered.number;
+    this.recorded = steered.number;
     publish("moved");
-    return true;
   }
 
   /** The program has recorded so many steps. */
@@ -101,7 +79,6 @@ class Trial {
     const { number } = steered;
     const back = gesture === "undo" || gesture === "redo";
     const begins = back || gesture !== this.gesture;
-    const from = performance.now();
     if (begins) steered.keep();
     try {
       steered.apply(changes, how);
@@ -109,7 +86,6 @@ class Trial {
       this.#forget([number]);
       throw error;
     }
-    this.spent += performance.now() - from;
     if (!begins) return;
     this.gesture = back ? null : gesture;
     if (back) {
@@ -139,12 +115,6 @@ class Trial {
       this.pinned.delete(value);
       this.#forget([value]);
     }
-  }
-
-  /** Carry out a step of a recording. */
-  repeat(returns, [number, , , changes], gesture) {
-    this.act(changes, gesture);
-    this.#pinFor(returns, number, changes);
   }
 
   /** Undo the last gesture, or redo the one that was undone last. */
@@ -182,14 +152,7 @@ class Trial {
   }
 
   halt() {
-    if (this.motion?.kind === "replay") this.paused = this.motion;
     this.motion = null;
-    publish("moved");
-  }
-
-  /** Go on with a replay that was halted. */
-  goOn(speed) {
-    [this.motion, this.paused, this.at] = [{ ...this.paused, speed }, null, performance.now()];
     publish("moved");
   }
 
@@ -209,18 +172,15 @@ class Trial {
 
   /** Publish the state of the needle. */
   show() {
-    const { steered, motion, past, future, spent } = this;
-    const made = steered.solved - this.solved;
+    const { steered, motion, past, future } = this;
     take({
       ...describeState(steered),
       time_s: steered.number ? this.time() : 0,
       undo: past.length > 0,
       redo: future.length > 0,
-      solver: { steps: steered.solved, rate_per_s: made ? (1000 * made) / spent : null, failed: steered.failed },
       moving: this.strokes ? motion.speed : 0,
       playing: motion !== null && !this.strokes,
       planned: motion?.kind === "plan",
-      paused: this.paused !== null,
     });
   }
 }
@@ -274,18 +234,3 @@ function findLastReturns(steps) {
   }
   return returns;
 }
-
-/** Move through the steps of a recording at their own times; steps without a pause between them are one gesture. */
-export const replay = (steps) =>
-  function* go(trial) {
-    const returns = findLastReturns(steps);
-    let [clock, at, gesture] = [steps[0][1], 0, -1]; // gestures of the page are above 0
-    while (at < steps.length) {
-      const dt = yield;
-      clock += trial.motion.speed * dt; // the speed may have been changed meanwhile
-      for (; at < steps.length && steps[at][1] <= clock; at += 1) {
-        trial.repeat(returns, steps[at], gesture);
-        if (steps[at + 1]?.[1] - steps[at][1] > UNDO_PAUSE) gesture -= 1;
-      }
-    }
-  };

@@ -3,7 +3,7 @@
 import { aim } from "./aim.js";
 import { listen, now, publish } from "./store.js";
 
-const GUTTER = { left: 56, right: 10, top: 42, bottom: 40 }; // px, for the axes, the names of layers and the load's key
+const GUTTER = { left: 56, right: 10, top: 50, bottom: 40 }; // px, for the axes, the names of layers and the load's key
 const LOW_PICTURE = 260; // px; below it the name of the x axis stands in the row of its ticks
 const LOW_BOTTOM = 24; // px, for ticks alone
 const MAGNIFICATIONS = [1, 1.5, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 30, 50]; // of y against x
@@ -16,11 +16,10 @@ const TIP_WINDOW = 45; // mm seen across while the tip is followed
 
 /** The window: its centre (mm), its scale (px per mm), its box on the canvas (px), and whether that is low. */
 export const view = {
-  x: 0, y: 0, scale: 5, magnified: 1, true: false, held: false, fit: null, low: false, box: { left: 0, top: 0, width: 1, height: 1 },
+  x: 0, y: 0, scale: 5, magnified: 1, held: false, fit: null, low: false, box: { left: 0, top: 0, width: 1, height: 1 },
 };
 
 let changed = true;
-let left = "tissue"; // what was shown before the picture was shifted or zoomed
 
 /** Whether the window has changed since this was last asked. */
 export function takeChange() {
@@ -47,7 +46,7 @@ export function resize(width, height) {
     width: Math.max(width - GUTTER.left - GUTTER.right, 10),
     height: Math.max(height - GUTTER.top - (view.low ? LOW_BOTTOM : GUTTER.bottom), 10),
   };
-  fit(view.fit);
+  if (!view.held) fit(view.fit);
 }
 
 /** Show the whole needle, the tissue, or follow the tip; null leaves it as it is. */
@@ -68,12 +67,14 @@ export function fit(which) {
   const [along, across] = [room / (high - low), roomAcross() / (top - bottom)];
   view.scale = limited(Math.min(along, across));
   // How many times as large as x the y axis is drawn, so that deflections can be seen.
-  const least = LEAST_SPAN[now.state.moving ? "moving" : "still"] * deepest();
+  const least = LEAST_SPAN[isMoving() ? "moving" : "still"] * deepest();
   const times = roomAcross() / view.scale / Math.max(top - bottom, least);
-  view.magnified = view.true ? 1 : MAGNIFICATIONS.filter((one) => one <= times).at(-1) ?? 1;
+  view.magnified = MAGNIFICATIONS.filter((one) => one <= times).at(-1) ?? 1;
   view.x = (low + high) / 2 + (after - before) / (2 * view.scale);
   view.y = (bottom + top) / 2;
 }
+
+const isMoving = () => now.state.moving || now.state.playing;
 
 /** Px that what must be seen may take of the window's height. */
 const roomAcross = () => view.box.height - 2 * Math.min(ROOM, 0.2 * view.box.height);
@@ -117,7 +118,7 @@ export function follow() {
     const [bottom, top] = heights(view.fit);
     const px = view.scale * view.magnified;
     const out = (Math.max(top - view.y, view.y - bottom) * px) > roomAcross() / 2 + 1 || !seesTip();
-    const low = !now.state.moving && !view.true && (top - bottom) * px < LOW * roomAcross();
+    const low = !isMoving() && (top - bottom) * px < LOW * roomAcross();
     if (out || (low && view.magnified < MAGNIFICATIONS.at(-1))) fit(view.fit);
     return;
   }
@@ -131,37 +132,21 @@ export function follow() {
   touch();
 }
 
-/** Show again what was shown before the picture was shifted or zoomed. */
-export const refit = () => fit(left);
-
-function leave() {
-  left = view.fit ?? left;
-  view.fit = null;
-}
-
 /** Zoom by a factor about a point on the canvas (px), by default the middle. */
 export function zoom(factor, px = toPx(view.x), py = toPy(view.y)) {
   const [x, y] = [fromPx(px), fromPy(py)];
   view.scale = limited(view.scale * factor);
   view.x += x - fromPx(px);
   view.y += y - fromPy(py);
-  if (view.fit !== "tip") leave();
+  if (view.fit !== "tip") view.fit = null;
   touch();
 }
 
 export function pan(px, py) {
   view.x -= px / view.scale;
   view.y += py / (view.scale * view.magnified);
-  leave();
+  view.fit = null;
   touch();
-}
-
-/** Draw y as large as x, or as large as it takes to see deflections. */
-export function drawTrue(on) {
-  view.true = on;
-  if (on) view.magnified = 1;
-  touch();
-  fit(view.fit);
 }
 
 /** Something is dragged, or no more. */
@@ -174,7 +159,8 @@ export function hold(on) {
 const limited = (scale) => Math.min(Math.max(scale, SCALES[0]), SCALES[1]);
 
 /** A goal that is put or comes from a file is seen; while it is dragged the picture stands. */
-listen("aim", () => {
+listen("goal", () => {
+  if (!now.state || view.held) return;
   if (view.fit !== "tip") fit(view.fit);
   if (aim.target && !sees(...aim.target)) fit("tissue");
 });

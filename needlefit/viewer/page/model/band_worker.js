@@ -23,24 +23,19 @@ async function work() {
   let order = null;
   while (order !== newest && newest.steps) {
     order = newest;
-    const { kernel, model, draws, steps, id, traced, pinned } = order;
+    const { kernel, model, draws, steps, id } = order;
     const isOld = () => newest !== order && (newest.draws !== draws || performance.now() - done < STALE);
+    tipForces ??= new TipForces(kernel);
+    const forces = await tipForces.compute(model, steps, isOld, pause);
+    if (isOld()) continue;
+    postMessage({ id, forces });
     if (draws) {
       if (band?.draws !== draws) band = new Band(kernel, model, draws);
       const found = await band.compute(steps, isOld, pause);
       if (isOld()) continue;
       postMessage({ id, band: found });
     }
-    tipForces ??= new TipForces(kernel);
-    const forces = traced && (await tipForces.compute(model, steps, isOld, pause));
-    if (isOld()) continue;
-    if (traced) postMessage({ id, forces });
     done = performance.now();
-    if (!pinned || newest.pinned !== pinned) continue;
-    const kept = await new TipForces(kernel).compute(pinned.model, pinned.steps, isOld, pause);
-    if (!kept) continue;
-    postMessage({ id: pinned.id, pinned: kept });
-    newest.pinned = null;
   }
   busy = false;
 }

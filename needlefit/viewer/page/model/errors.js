@@ -70,7 +70,7 @@ function interpolate({ s, x, y }, at) {
 }
 
 /** Points after the rotation and shift that bring them closest to others, as `align_rigid` in Python. */
-function alignRigid(moving, fixed) {
+export function alignRigid(moving, fixed) {
   const centre = (points) => [0, 1].map((axis) => mean(points.map((one) => one[axis])));
   const [m, f] = [centre(moving), centre(fixed)];
   let [across, along] = [0, 0];

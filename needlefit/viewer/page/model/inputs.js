@@ -158,3 +158,8 @@ export function toStep({ depth, inputs }, pathAngle) {
     controls: { baseY: base.y, baseSlope: base.slope, stageSlope: base.stageSlope, guides, tip },
   };
 }
+
+/** Lists of changes, one for each step of a scene, that lead its needle from first contact to its end. */
+export function listSteps({ simulation: { steps }, guide_names: names }) {
+  return steps.map((step, i) => [...findChanges(step, steps[i - 1] ?? steps[0], names), ["depth_mm", null, step.depth]]);
+}

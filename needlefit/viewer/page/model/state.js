@@ -29,11 +29,11 @@ export function describeState(steered) {
     depth_mm: step.depth,
     x: column(needle, 0),
     y: column(needle, 1),
+    depths: column(shape.constraints, 0),
     constraints: mapPoints(session, shape.constraints),
     tip_path: mapPoints(session, shape.constraints.map((one, i) => (i % 2 ? shape.track[i - 1] : one))),
     load: { x: column(loaded, 0), y: column(loaded, 1), n_per_mm: [...load.load] },
     forces: {
-      tip_n: load.tipRegionForce + load.tip.force,
       base_n: load.base.force,
       base_nmm: load.base.moment,
       guides_n: Object.fromEntries(items.map((item, i) => [item, load.guides[i].force])),

@@ -25,7 +25,7 @@ export class SteeredNeedle {
   constructor(scene, session) {
     const { shape, steps, rules } = scene.simulation;
     Object.assign(this, { scene, session, rules, shape, names: scene.guide_names });
-    Object.assign(this, { number: 0, failed: 0, solved: session.solved, saved: new Map(), valid: true });
+    Object.assign(this, { number: 0, saved: new Map(), valid: true });
     this.step = { ...steps[0], depth: 0 };
     this.#judge();
     this.keep();
@@ -143,9 +143,7 @@ export class SteeredNeedle {
     const found = this.#guard(() => this.session.again(
       { ...this.model, mu, law }, steps.map((one) => ({ depth: one.depth, inputs: toInputs(one, pathAngle) })),
     ));
-    this.solved += this.session.solved;
     if (!found) {
-      this.failed += 1;
       throw new ModelError(
         `with these parameters the insertion so far fails ${this.session.depth.toFixed(1)} mm deep`,
         "a load that tissue and needle can bear", "change them less, or retract the needle first",
@@ -169,7 +167,6 @@ export class SteeredNeedle {
         "retract the needle, or move the guide toward the tissue",
       );
     }
-    const before = session.solved;
     let refused = null;
     const judge = (shape) => {
       const validity = computeValidity(shape, this.model);
@@ -178,10 +175,8 @@ export class SteeredNeedle {
       return refused === null;
     };
     const shape = this.#guard(() => session.go(step.depth, toInputs(step, this.model.pathAngle), judge));
-    this.solved += session.solved - before;
     if (refused) this.#refuseInvalid(refused);
     if (session.failed) {
-      this.failed += 1;
       throw new ModelError(`the model finds no needle there (${shape.status})`, "a load that tissue and needle can bear", "move less at a time");
     }
     this.step = step;
@@ -204,7 +199,6 @@ export class SteeredNeedle {
   }
 
   #refuseInvalid(validity) {
-    this.failed += 1;
     throw new ModelError(
       `the needle would be outside the model's validity: ${listFaults(validity, this.rules.validity).join("; ")}`,
       "a needle within the limits of small deflections",

@@ -12,7 +12,7 @@ export class TipForces {
     Object.assign(this, { kernel, model: "", path: null, points: [] });
   }
 
-  /** Resolves to {x, y}: places of the tip, mm, and the forces there, N; null where `cancelled()`. Steps and `pause` as of Band. */
+  /** Resolves to {x, y}: depths, mm, and the forces there, N; null where `cancelled()`. Steps and `pause` as of Band. */
   async compute(model, steps, cancelled, pause) {
     const path = steps.map((one) => ({ ...one, text: JSON.stringify(one.inputs) }));
     const same = this.model === JSON.stringify(model);
@@ -56,10 +56,10 @@ export class TipForces {
   #add() {
     const { session } = this;
     const { tipRegionForce, tip } = session.forces();
-    this.points.push({ depth: session.depth, x: session.positions([session.shape.depth])[0], force: tipRegionForce + tip.force });
+    this.points.push({ depth: session.depth, force: tipRegionForce + tip.force });
   }
 
   #read() {
-    return { x: this.points.map(({ x }) => x), y: this.points.map(({ force }) => force) };
+    return { x: this.points.map(({ depth }) => depth), y: this.points.map(({ force }) => force) };
   }
 }

@@ -3,12 +3,11 @@
 import { brief, modulus, roundStep } from "../quantities.js";
 import { now } from "../store.js";
 import { fromPx, fromPy, toPx, toPy, view } from "../view.js";
-import { faintly, label, palette, segments, setFont, shades, turned } from "./strokes.js";
+import { faintly, palette, segments, setFont, shades, turned } from "./strokes.js";
 
 const APART = 8; // px between the texts of two layers
 const ROWS = [-34, -20, -6]; // px from the window's top to the middles of rows, where texts need three
 const TWO_ROWS = [-27, -11];
-const LINE = 14; // px between names that stand along layers
 const TICK = 5; // px
 const TICKS_APART = 48; // px between ticks, at least, where there is room for so few
 const QUARTER = Math.PI / 2;
@@ -54,7 +53,7 @@ function listLayers() {
 
 /**
  * Write above the window the name of each layer and its modulus. Where texts would meet, the unit has a row of its own, and
- * names stand along the layers; of layers that are only numbered, the numbers.
+ * the number of a layer stands for its name.
  */
 function paintNames(context) {
   const { left, top } = view.box;
@@ -68,9 +67,7 @@ function paintNames(context) {
   setFont(context, "plain");
   const whole = row((one) => `μ ${one.modulus}`);
   const names = row((one) => one.name);
-  const numbered = layers.every(({ name, number }) => name === `layer ${number}`);
-  const called = fits(names) ? names : row((one) => (numbered ? String(one.number) : ""));
-  if (called !== names && !numbered) paintNamesAlong(context, names);
+  const called = fits(names) ? names : row((one) => String(one.number));
   const part = (n, before = "") => row((one) => before + one.modulus.split(" ")[n]);
   const values = fits(part(0, "μ ")) ? part(0, "μ ") : part(0);
   const rows = fits(whole) ? [called, whole] : [called, values, part(1)];
@@ -88,18 +85,6 @@ function paintNames(context) {
   if (skin <= left + 40 || skin > left + view.box.width) return;
   context.textAlign = "right";
   context.fillText("skin", skin - 4, top - 11);
-}
-
-/** Write names from the top of the window down; of two that would overlap, the first. */
-function paintNamesAlong(context, names) {
-  context.textAlign = "right";
-  let end = -Infinity;
-  for (const { px, text } of names) {
-    if (px - LINE / 2 < end) continue;
-    turned(context, px, view.box.top + 6, QUARTER, () => label(context, text, 0, 0));
-    end = px + LINE / 2;
-  }
-  context.textAlign = "center";
 }
 
 /** Draw ticks and names outside the box. */

@@ -2,19 +2,19 @@
 
 import { basePlace, bevelPlace, guidePlace } from "../handles.js";
 import { brief, heightAt, roundStep, shortName } from "../quantities.js";
-import { now } from "../store.js";
+import { now, tipForce } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
 import { arrow, avoid, between, cross, faintly, label, labelFree, line, palette, placesOf, polygon, reserve, ring, segments, setFont, stroke, trace, turned } from "./strokes.js";
 
-const THINNEST = 2; // px
-const THICKEST = 5; // px, where y is magnified: there the body has no thickness that could be read off
+const LINE = 2.5; // px, of the needle where y is magnified: its width stands in the inset
 const CROSS = { of: 0.28, least: 1, most: 3.2 }; // half a cross: part of the spacing, px
 const LONGEST_BEVEL = 2.5; // diameters
 const WIDE = 7; // px; from here on the body is drawn behind all else, and its axis over it
 const STEEL = 0.5; // of the needle's colour, of a wide body
 const AXIS = { width: 1.5, dash: [14, 3, 2, 3] }; // px; a centreline, as drawings have it
 const HANDLE = 7; // px
-const [TALLEST, LOWEST] = [48, 16]; // px, of the load's curve and the force's arrow
+const LOWEST = 16; // px, of the load's curve
+const tallest = () => Math.min(48, 0.2 * view.box.height - 10); // px, of that and of the force's arrow: both have room above the needle
 const SHORTEST = 5; // px, of the arrow of a force; a shorter one is not drawn
 const LEAST_FORCE = 0.5; // N, for which an arrow may be the tallest
 const LEAST_LOAD = 1e-6; // N/mm; less is drawn as nothing
@@ -25,8 +25,7 @@ const distance = (one, other) => Math.hypot(one[0] - other[0], one[1] - other[1]
 
 /** How thick the needle is drawn, px. */
 export function thickness() {
-  const px = now.scene.diameter_mm * view.scale;
-  return Math.max(view.magnified > 1 ? Math.min(px, THICKEST) : px, THINNEST);
+  return Math.max(view.magnified > 1 ? 0 : now.scene.diameter_mm * view.scale, LINE);
 }
 
 /** The shaft on the canvas (px), which ends before the tip, where the bevel begins; its colour: outside the model it looks different. */
@@ -75,16 +74,17 @@ export function paintNeedle(context, state) {
 export function reserveNeedle(state) {
   const { tip: [px, py], turn } = bevelPlace(state);
   reserve(turn[0] - 9, turn[1] - 9, 18, 18);
-  const arrow = Array.from({ length: 5 }, (_, i) => [px, py - (i / 6) * arrowLength(state)]); // its force is written at its end
+  const arrow = Array.from({ length: 5 }, (_, i) => [px, py - (i / 6) * arrowLength()]); // its force is written at its end
   const { constraints: [along, across] } = state;
   avoid([...placesOf(state.x, state.y), ...placesOf(along, across), ...arrow]);
 }
 
 /** Length of the arrow of the tip force, px, up if positive. */
-function arrowLength({ forces: { tip_n: force } }) {
+function arrowLength() {
+  const force = tipForce() ?? 0;
   if (greatestForce.scene !== now.scene) greatestForce = { scene: now.scene, newton: LEAST_FORCE };
   greatestForce.newton = Math.max(greatestForce.newton, Math.abs(force));
-  return (TALLEST * force) / greatestForce.newton;
+  return (tallest() * force) / greatestForce.newton;
 }
 
 /** Draw the knob on the side to which the bevel turns the cut, and whether the tip is held. */
@@ -95,10 +95,10 @@ export function paintTip(context, state) {
   if (state.tip.held) ring(context, ...tip, 11, palette.tip, "transparent");
 }
 
-/** Draw the lateral force on the tip as an arrow along y. */
+/** Draw the tip force as an arrow along y. */
 export function paintTipForce(context, state) {
-  const { tip, forces: { tip_n: force } } = state;
-  const length = arrowLength(state);
+  const { tip } = state;
+  const [force, length] = [tipForce(), arrowLength()];
   if (Math.abs(length) < SHORTEST) return;
   const [px, py] = [toPx(tip.x), toPy(tip.y)];
   arrow(context, [px, py], length, palette.load);
@@ -110,11 +110,11 @@ export function paintTipForce(context, state) {
 
 export const paintPath = (context, { tip_path: [x, y] }) => line(context, x, y, palette.path, 1.5);
 
-/** Draw where the tip stood at the x (mm) that is marked in the strip. */
-export function paintMark(context, { tip, tip_path: [x, y] }, at) {
-  if (at > tip.x) return;
-  const py = toPy(heightAt({ x: [...x, tip.x], y: [...y, tip.y] }, at));
-  ring(context, toPx(at), py, 5, palette.accent, palette.air);
+/** Draw where the tip stood at the depth (mm) that is marked in the strip. */
+export function paintMark(context, { depth_mm: depth, depths, tip, tip_path: [x, y] }, at) {
+  if (at > depth) return;
+  const [px, py] = [[toPx, [...x, tip.x]], [toPy, [...y, tip.y]]].map(([to, places]) => to(heightAt({ x: [...depths, depth], y: places }, at)));
+  ring(context, px, py, 5, palette.accent, palette.air);
 }
 
 /** Draw the points that hold the needle in the tissue, as crosses. */
@@ -175,15 +175,15 @@ function writeNames(context, guides) {
  * Draw the lateral load, N/mm, along y, on the side to which it pushes: a filled curve with a scale of its own.
  *
  * Between constraint points the load of the model is a sawtooth; its mean over two spacings is what the
- * tissue means to the shaft. `raw` draws the load itself.
+ * tissue means to the shaft.
  */
-export function paintLoad(context, { load: { x, y, n_per_mm: values } }, raw) {
-  const load = raw ? values : smooth(x, values, now.scene.spacing_mm);
+export function paintLoad(context, { load: { x, y, n_per_mm: values } }) {
+  const load = smooth(x, values, now.scene.spacing_mm);
   const greatest = load.reduce((most, one) => Math.max(most, Math.abs(one)), 0);
   if (greatest < LEAST_LOAD || x.length < 2) return;
   // The scale stays while the curve is neither too tall nor too low: a load that grows shall look so.
   const height = greatest * (perLoad ?? 0);
-  if (height > TALLEST || height < LOWEST) perLoad = (0.75 * TALLEST) / (2 * roundStep(greatest));
+  if (height > tallest() || height < Math.min(LOWEST, tallest() / 3)) perLoad = (0.75 * tallest()) / (2 * roundStep(greatest));
   const [px, py] = [x.map(toPx), y.map(toPy)];
   const surface = beside(px, py, load, 0);
   const ends = beside(px, py, load, perLoad);

@@ -1,11 +1,11 @@
 /** What the needle is compared with and aimed at, and what the picture itself does not show. */
 
 import { aim, nameOf } from "../aim.js";
-import { heightAt, strengthOf } from "../quantities.js";
+import { heightAt, isChanged } from "../quantities.js";
 import { now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
 import { thickness } from "./needle.js";
-import { cross, faintly, fillBetween, isFree, label, labelBeside, labelFree, line, palette, placesOf, polygon, reserve, segments, setFont, stroke, turned } from "./strokes.js";
+import { cross, faintly, fillBetween, isFree, label, labelBeside, labelFree, line, palette, placesOf, reserve, segments, setFont, stroke } from "./strokes.js";
 
 const GAPS = 12; // parts of the shaft between which gaps are drawn
 const FAN = 0.3; // opacity of the plan's draws
@@ -13,7 +13,6 @@ const PALE = 0.35; // of a plan that the needle has left
 const CROSS = 5; // px
 const INSET = { width: 170, height: 46, edge: 10 }; // px
 const CLEAR = 30; // px between the inset and curves, for load and crosses
-const ARROW = 11; // px
 
 /** Draw the measured needle, over a halo that sets it off from the needle and from a scan. */
 export function paintMeasured(context, { x, y }) {
@@ -28,14 +27,6 @@ export function paintPinned(context, { x, y }) {
   line(context, x, y, palette.halo, 5);
   line(context, x, y, palette.ghost, 2.5, [2, 3]);
   labelBeside(context, "pinned", [[[x, y], -18], [[x, y], 18]], palette.ghost);
-}
-
-const near = (one, other) => Math.abs(one - other) <= 1e-9 * Math.abs(other);
-
-/** Whether the needle's parameters are others than those about which the band's draws lie. */
-function isChanged({ bevel, layers }, { fitted }) {
-  const { key, value } = strengthOf(fitted);
-  return !near(bevel[key], value) || layers.some((layer, i) => Object.entries(fitted.layers[i]).some(([name, one]) => !near(layer[name], one)));
 }
 
 /** State that the band is not that of the parameters shown. */
@@ -143,23 +134,7 @@ export function paintInset(context, { x, y, tip }) {
   const scale = (wide - 2 * INSET.edge) / Math.max(now.scene.depth_mm, now.state.depth_mm, 1);
   context.beginPath();
   x.forEach((one, i) => one >= 0 && context.lineTo(px + INSET.edge + one * scale, py + INSET.height / 2 + 6 - y[i] * scale));
-  stroke(context, palette.needle, 1.5);
+  stroke(context, palette.needle, Math.max(now.scene.diameter_mm * scale, 1));
   setFont(context, "small", "left", "top");
   label(context, "true scale", px + 6, py + 4);
-}
-
-/** Draw at the edge of the window, by name, where the tip is. */
-export function paintArrow(context, { tip }) {
-  const { left, top, width, height } = view.box;
-  const [middle, centre] = [left + width / 2, top + height / 2];
-  const angle = Math.atan2(toPy(tip.y) - centre, toPx(tip.x) - middle);
-  const reach = Math.min(
-    (width / 2 - 2 * ARROW) / Math.max(Math.abs(Math.cos(angle)), 1e-9),
-    (height / 2 - 2 * ARROW) / Math.max(Math.abs(Math.sin(angle)), 1e-9),
-  );
-  const [px, py] = [middle + reach * Math.cos(angle), centre + reach * Math.sin(angle)];
-  const head = [[ARROW, 0], [-ARROW, ARROW * 0.8], [-ARROW, -ARROW * 0.8]];
-  turned(context, px, py, -angle, () => polygon(context, head, palette.quiet));
-  setFont(context, "small");
-  labelFree(context, "tip", [[px, py + 20], [px, py - 20]], palette.label);
 }

@@ -2,19 +2,20 @@
 
 import { part } from "../dom.js";
 import { makeField, setHome, show } from "../fields.js";
-import { degrees, modulusLike, slope, strengthOf } from "../quantities.js";
+import { listParameters } from "../parameters.js";
+import { degrees, slope, strengthOf } from "../quantities.js";
 import { now } from "../store.js";
 
 const digits = (count) => (value) => value.toFixed(count);
 let fields = []; // [field, () => value]
 
 /** Make the fields of a scene; `steer(changes, below)` carries a change out. Depth and base of a recording have no values to go back to. */
-export function buildFields(scene, isRecording, steer) {
+export function buildFields({ scene, recording }, steer) {
   fields = [];
-  for (const id of ["insertion-fields", "tissue-fields"]) part(id).replaceChildren();
+  for (const id of ["insertion-fields", "tissue-fields", "shape-fields"]) part(id).replaceChildren();
   const add = (into, [input, item], about, current, { shown = (x) => x, meant = (x) => x } = {}) => {
     const field = makeField(part(into), { ...about, ask: (value) => steer([[input, item, meant(value)]], field.part) });
-    const home = isRecording && into === "insertion-fields" ? undefined : current(scene.fitted);
+    const home = recording && into === "insertion-fields" ? undefined : current(scene.fitted);
     if (home !== undefined) setHome(field, shown(home));
     fields.push([field, () => shown(current(now.state))]);
   };
@@ -30,23 +31,15 @@ export function buildFields(scene, isRecording, steer) {
     { name: "base slope", symbol: "base slope", unit: "°", step: 0.1, write: digits(2), limits: [-5, 5] },
     (of) => (of.base ? of.base.input_slope : simulation.steps[0].controls.baseSlope),
     { shown: degrees, meant: slope });
-  const { key, symbol, unit, digits: count, step, throughout } = strengthOf(fitted);
-  add("tissue-fields", [throughout, null],
+  const { key, symbol, unit, digits: count, step, here, throughout } = strengthOf(fitted);
+  const varies = recording?.some(([, changes]) => changes.some(([name]) => name === here)); // it has no value of the whole insertion
+  if (!varies) add("tissue-fields", [throughout, null],
     { name: symbol, symbol, unit, step, write: digits(count), limits: limits[key] },
     (of) => (of.bevel ?? of)[key]);
-  fitted.layers.forEach((_, i) => {
-    const called = scene.layer_names[i] || `layer ${i + 1}`;
-    add("tissue-fields", ["mu_pa", i + 1],
-      { name: `μ ${called}`, symbol: "μ", ...modulusLike(fitted.layers[i].mu_pa), logarithmic: true, step: 1.05, limits: limits.mu_pa },
-      (of) => of.layers[i].mu_pa);
-    if (!simulation.law.terms) return; // a law that is a table has been computed for these parameters alone
-    for (const { name, symbol: sign, unit: of } of scene.shape_parameters) {
-      const step = Math.min(0.1, (limits[name][1] - limits[name][0]) / 100);
-      add("tissue-fields", [name, i + 1],
-        { name: `${sign} ${called}`, symbol: sign, unit: of, step, write: digits(2), limits: limits[name] },
-        (from) => from.layers[i][name]);
-    }
-  });
+  part("shape-part").hidden = !simulation.law.terms || !scene.shape_parameters.length; // a law that is a table has been computed for these parameters alone
+  for (const { input, item, into, about } of listParameters(scene)) {
+    if (simulation.law.terms || input === "mu_pa") add(into, [input, item], about, (of) => of.layers[item - 1][input]);
+  }
 }
 
 /** Let every field say what is. */

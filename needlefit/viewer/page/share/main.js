@@ -1,16 +1,18 @@
 /** A file that computes: the needles of a report, or one recorded insertion, steered by who reads it. */
 
 import { computeBands } from "../bands.js";
-import { element, isDark, part, press, write } from "../dom.js";
+import { element, isDark, part, press, say, write } from "../dom.js";
 import { further, invalidate, paint } from "../drawing.js";
 import { describeState } from "../model/state.js";
 import { between, line, palette } from "../painters/strokes.js";
 import { counted } from "../quantities.js";
 import { refresh, refreshDescription } from "../readouts.js";
+import { offerScenes } from "../scenes.js";
 import { listen, now, publish, take } from "../store.js";
 import { draw as drawStrip } from "../strip.js";
 import { toggle } from "../toolbar.js";
 import { fit } from "../view.js";
+import { nameIn, readAddress, writeAddress } from "./address.js";
 import { buildFields, refreshFields } from "./controls.js";
 import { begin, insert, load, prove, Replay, steer } from "./needles.js";
 import { listenToPicture } from "./picture.js";
@@ -55,21 +57,56 @@ function redraw() {
   });
 }
 
-/** Carry out a change; what the model does not take is stated below its field or above all, and the needle stays. */
-function change(changes, below = part("flip").parentElement) {
+/** Carry out lists of changes; what the model does not take is stated below its field or above all, and the needle stays there. */
+function rebuild(lists, below = part("flip").parentElement) {
   if (replay) play(false);
-  try {
-    steer(steered, changes);
-  } catch (error) {
-    if (!error.what) throw error;
-    below.after(refusal);
-    write(refusal, `${error.what}. Expected: ${error.expected}.`);
-    return refreshFields();
-  }
   write(refusal, "");
+  const { number } = steered;
+  try {
+    for (const changes of lists) steer(steered, changes);
+  } catch (error) {
+    refuse(error, below);
+    if (steered.number === number) return refreshFields();
+  }
   if (replay) replay.changed = true;
   part("back").disabled = false;
   update();
+}
+
+function refuse(error, below) {
+  if (!error.what) throw error;
+  below.after(refusal);
+  write(refusal, `${error.what}. Expected: ${error.expected}.`);
+}
+
+const change = (changes, below) => rebuild([changes], below);
+
+/** Show the needle of the address; returns whether it has one. */
+async function followAddress() {
+  const address = location.hash.slice(1);
+  const number = data.needles.findIndex(({ scene }) => nameOf(scene) === nameIn(address));
+  if (number >= 0 && data.needles[number] !== needle) {
+    part("needle-choice").value = number;
+    await choose(number);
+  }
+  try {
+    const lists = readAddress(address, needle.scene);
+    if (lists) rebuild(lists);
+    return lists !== null;
+  } catch (error) {
+    refuse(error, part("flip").parentElement);
+    return true;
+  }
+}
+
+const nameOf = ({ measured, title }) => measured?.id ?? title;
+
+/** Copy the address of this file with the needle as it stands. */
+async function copyLink() {
+  const name = data.needles.length > 1 ? nameOf(needle.scene) : null;
+  const address = writeAddress(now.state, needle.scene, steered.path(), name);
+  history.replaceState(null, "", `#${address}`); // no change of the needle
+  await navigator.clipboard?.writeText(location.href).then(() => say("The link is copied."), () => null);
 }
 
 /** Show a needle as the file has it: of a recording its end, else the fit at the depth of the measured needle. */
@@ -80,7 +117,7 @@ async function choose(number) {
   const { scene } = needle;
   replay = needle.recording ? new Replay(steered, needle.recording) : null;
   take({ slice: false, ...scene, kind: "scene" });
-  buildFields(scene, Boolean(needle.recording), change);
+  buildFields(needle, change);
   listMethods();
   const specimen = needle.new_specimen ? " of a specimen that was not fitted" : "";
   const draws = counted(scene.draws?.sets ?? 0, "posterior draw");
@@ -215,24 +252,30 @@ async function start() {
   computeBands(new Worker(URL.createObjectURL(script)), data.kernel, () => ({ name: data.needles.indexOf(needle), steered }));
   const choice = part("needle-choice");
   choice.append(...data.needles.map(({ scene, group }, i) =>
-    element("option", { value: String(i) }, [scene.measured?.id ?? scene.title, group].filter(Boolean).join(", "))));
+    element("option", { value: String(i) }, [nameOf(scene), group].filter(Boolean).join(", "))));
   part("choosing").hidden = data.needles.length < 2;
   choice.addEventListener("change", () => choose(Number(choice.value)));
   press("flip", () => change([["bevel_side", null, -now.state.bevel.side]]));
   press("back", goBack);
+  press("copy-link", copyLink);
+  addEventListener("hashchange", followAddress);
+  offerScenes(rebuild, data.kernel);
   listen("redraw", redraw);
   listen("go to", (depth) => change([["depth_mm", null, depth]]));
   listenToPicture(change);
   buildRecording();
   if (!data.needles[0].recording) ["load", "points", "path", "errors", "strip"].forEach((name) => toggle(name, false)); // measured and fit come first
   await choose(0);
+  const led = await followAddress();
   fit("tissue");
   await stateAgreement();
-  if (replay && !matchMedia("(prefers-reduced-motion: reduce)").matches) play(true);
+  if (!led && replay && !matchMedia("(prefers-reduced-motion: reduce)").matches) play(true);
 }
 
+const NEEDED = ["WebAssembly", "DecompressionStream", "Worker"]; // of a browser
 start().catch((error) => {
-  write("proof", `This browser cannot compute the needle: ${error.message}`);
+  const lacking = NEEDED.filter((name) => !(name in globalThis));
+  write("proof", lacking.length ? `This browser lacks ${lacking.join(", ")}: it cannot compute the needle.` : `The needle was not computed, for a fault in this file: ${error.message}`);
   part("proof").classList.add("bad");
   throw error;
 });

@@ -3,7 +3,7 @@
 import { compile } from "../../../mechanics/native/needle.js";
 import { part } from "../dom.js";
 import { alignRigid, computeErrors } from "../model/errors.js";
-import { findChanges } from "../model/inputs.js";
+import { listSteps } from "../model/inputs.js";
 import { SteeredNeedle } from "../model/steered.js";
 
 const SLICE = 12; // ms that work may take at a time
@@ -34,10 +34,7 @@ const always = { validOnly: false }; // whatever has been stored can be carried 
 
 /** Carry out the steps of the scene. */
 export function insert(steered) {
-  for (const step of steered.scene.simulation.steps) {
-    const inputs = findChanges(step, steered.step, steered.names);
-    steered.apply([...inputs, ["depth_mm", null, step.depth]], always);
-  }
+  for (const changes of listSteps(steered.scene)) steered.apply(changes, always);
 }
 
 /** Carry out a change of the reader. */
