@@ -69,6 +69,9 @@ def reconstruct(
     series: Annotated[
         str | None, option("Which DICOM series, where a folder holds several.", "NUMBER|UID")
     ] = None,
+    acquisition: Annotated[
+        str | None, option("Which acquisition, where a DICOM series holds several.", "NUMBER")
+    ] = None,
     medium: Annotated[str | None, option("Name of what was punctured (default: medium).")] = None,
     every: Annotated[
         bool, option("Every needle of a scan is an insertion: ID-1, ID-2, ... along L.", None, "--all")
@@ -106,7 +109,7 @@ def reconstruct(
         "layers": layers,
         "surfaces_in": layers_in,
     }
-    stated |= {"mask": mask, "series": series, "medium": medium}
+    stated |= {"mask": mask, "series": series, "acquisition": acquisition, "medium": medium}
     named = {key: value for key, value in stated.items() if value}
     invocation = context.find_root().obj
     with catch_interrupts(invocation) as stop:  # from here on, so that Ctrl-C never cuts an import in two
@@ -242,6 +245,8 @@ def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure
         error, scan = one.error, one.scan
         named = error.where == str(scan.volume) and scan_id(scan.volume) == scan.id == ids
         screen.print_note(f"needlefit: {error if named else f'{ids}: {error}'}")
+        for warning in one.findings.warnings if one.findings else ():
+            screen.print_note(f"needlefit: {ids}: {warning}")
     if failed:
         screen.print_note(f"needlefit: pages of refused scans: {pages}/quality/")
     if any(one.findings for one in failed):  # others cannot be read

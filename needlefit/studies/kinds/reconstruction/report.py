@@ -306,7 +306,9 @@ def write_reconstruction(
         if not kept:
             return None, failures
         refused = (*refused, *failures)
-        volumes = {one.scan.id: ScanVolume(one.scan.volume, one.scan.series) for one in kept}
+        volumes = {
+            one.scan.id: ScanVolume(one.scan.volume, one.scan.series, one.scan.acquisition) for one in kept
+        }
         write_volumes(fresh, volumes, folder)
         if any(one.scan.divided for one in kept):  # to correct one needle, and for the next run
             write_scan_table([one.scan for one in kept], fresh / SCANS_FILE, folder)
@@ -315,7 +317,7 @@ def write_reconstruction(
             write_scan(one, fresh / "slicer", recipe.needle.diameter_mm)
             write_control_points(make_scan_control_points(one), fresh / "slicer")
             if scenes:
-                volume = read_volume(one.scan.volume, one.scan.series)
+                volume = read_volume(one.scan.volume, one.scan.series, one.scan.acquisition)
                 place = fresh / "slicer" / f"{one.scan.id}.mrb"
                 write_slicer_scene(one, volume, recipe.needle.diameter_mm, place)
             write_quality(one, fresh / "quality" / f"{one.scan.id}.pdf")
