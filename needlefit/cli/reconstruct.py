@@ -51,7 +51,7 @@ def reconstruct(
             "DICOM folders, NRRD, NIfTI; or a table, a row a scan: scans.csv, or its bare name.",
         ),
     ],
-    out: Annotated[Path, option("Folder of the dataset.", "DATASET")],
+    out: Annotated[Path | None, option("Folder of the dataset (default: ./SCAN-dataset).", "DATASET")] = None,
     markers: Annotated[
         Path | None, option("Known places of the markers in the world: .csv, .fcsv, .mrk.json.", "FILE")
     ] = None,
@@ -122,6 +122,7 @@ def reconstruct(
             reconstruct_all,
         )
         from needlefit.imaging.corrections import correct_scans
+        from needlefit.imaging.scans import scan_id
         from needlefit.project.checkpoint import (
             open_checkpoint,
             release_checkpoint,
@@ -136,14 +137,16 @@ def reconstruct(
         from needlefit.studies.kinds.reconstruction.report import write_reconstruction, write_refused
         from needlefit.studies.run import judge_run
 
+        moved = corrections or []
+        wanted = correct_scans(_scans(scans, named), moved)
+        named_by = scan_id(scans[0]) if len(wanted) == 1 or scans[0].suffix == ".csv" else "scans"
+        out = out or Path(f"{named_by}-dataset")
         require_file_name(out.resolve().name, str(out))
         require_replaceable(out)
         keep = out.resolve().with_name(f"{out.resolve().name}.partial")
         require_own_checkpoint(keep)
         refused = out.resolve().with_name(f"{out.resolve().name}.refused")  # pages of scans without a dataset
         require_replaceable(refused)
-        moved = corrections or []
-        wanted = correct_scans(_scans(scans, named), moved)
         require_no_inputs_within(out, [*scans, *moved, *(path for one in wanted for path in one.files)])
         record = load(find_file("reconstruction", recipe), ReconstructionRecord)
         checkpoint = open_checkpoint(keep, invocation.resume, CHECKPOINT_WORK, print_remark)
@@ -233,6 +236,8 @@ def _show(
         for remark in REPORT.summarize(found)[1:]:
             screen.print_text(remark)
         screen.print_written(out, f" (figures of each scan in {out}/quality/)")
+        if scenes := sorted(path.name for path in out.glob("scenes/*.toml")):
+            screen.print_text(f"next: needlefit predict TARGET --scene ./{out}/scenes/{scenes[0]}")
 
 
 def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure]", pages: Path) -> None:
