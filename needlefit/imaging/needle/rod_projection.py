@@ -29,13 +29,14 @@ class Rod:
     stations: Floats  # (S,); where slices are sampled: along the needle
     side: Floats  # (S, U); and across it
     sway: Floats  # (C,); largest distance across that is projected, mm
+    coarse: int = 1  # by which factor planes and views stand farther apart than they should
 
     @cached_property
     def views(self) -> tuple[Floats, Floats]:
         """Angles of the rays to the needle (V,) and their weights; dense where rays run along it."""
         half = [0.0]
         while half[-1] < np.pi / 2:
-            half.append(half[-1] * (1 + VIEW_GROWTH) + VIEW_STEP)
+            half.append(half[-1] * (1 + self.coarse * VIEW_GROWTH) + self.coarse * VIEW_STEP)
         turned = np.array(half) * (np.pi / 2 / half[-1])
         angles = np.concatenate([-turned[:0:-1], turned])
         weights = np.gradient(angles)
@@ -51,7 +52,7 @@ class Rod:
     @property
     def in_slice(self) -> int:
         """Number of planes in a slice."""
-        return PLANE_STEP * int(np.ceil(self.thick / (PLANE_STEP * PLANE_MM)))
+        return PLANE_STEP * int(np.ceil(self.thick / (PLANE_STEP * PLANE_MM))) // self.coarse
 
     @cached_property
     def half(self) -> int:
