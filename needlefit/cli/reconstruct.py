@@ -237,7 +237,7 @@ def _show(
             screen.print_text(remark)
         screen.print_written(out, f" (figures of each scan in {out}/quality/)")
         if scenes := sorted(path.name for path in out.glob("scenes/*.toml")):
-            screen.print_text(f"next: needlefit predict TARGET --scene ./{out}/scenes/{scenes[0]}")
+            screen.print_text(f"next: needlefit predict TARGET --scene {out}/scenes/{scenes[0]}")
 
 
 def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure]", pages: Path) -> None:

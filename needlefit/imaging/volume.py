@@ -258,7 +258,7 @@ class Volume:
         top = float(self.values.max())
         if not TOP_12_BIT_HU[0] <= top <= TOP_12_BIT_HU[1]:
             return None
-        bright = self.values[self.values > BRIGHTEST_FRACTION * top]
+        bright = np.concatenate([plane[plane > BRIGHTEST_FRACTION * top] for plane in self.values])
         shared = np.count_nonzero(bright == top)
         return top if len(bright) >= MIN_BRIGHTEST and shared < MAX_SHARED_FRACTION * len(bright) else None
 
