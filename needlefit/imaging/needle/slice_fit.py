@@ -444,6 +444,7 @@ class _SliceProblem:
 
     def fit(self, theta: Floats) -> tuple[Floats, Floats, float]:
         """Return parameters, their covariance, and the model's relative error."""
+        theta, *_ = self.descend(self.turn(theta, AGAIN_ENDS_MM), self.first_scale, ROBUST_SD[1])
         theta = self.turn(theta, AGAIN_ENDS_MM)
         scale = self.scale(self.image(self.project(theta), theta))
         robust = ROBUST_SD[1]
