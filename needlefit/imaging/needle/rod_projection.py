@@ -30,7 +30,6 @@ class Rod:
     stations: Floats  # (S,); where slices are sampled: along the needle
     side: Floats  # (S, U); and across it
     sway: Floats  # (C,); largest distance across that is projected, mm
-    coarse: int = 1  # by which factor planes and views stand farther apart than they should
     _back_projections: dict[float, csr_array] = field(default_factory=dict, init=False, compare=False)
 
     @cached_property
@@ -38,7 +37,7 @@ class Rod:
         """Angles of the rays to the needle (V,) and their weights; dense where rays run along it."""
         half = [0.0]
         while half[-1] < np.pi / 2:
-            half.append(half[-1] * (1 + self.coarse * VIEW_GROWTH) + self.coarse * VIEW_STEP)
+            half.append(half[-1] * (1 + VIEW_GROWTH) + VIEW_STEP)
         turned = np.array(half) * (np.pi / 2 / half[-1])
         angles = np.concatenate([-turned[:0:-1], turned])
         weights = np.gradient(angles)
@@ -54,7 +53,7 @@ class Rod:
     @property
     def in_slice(self) -> int:
         """Number of planes in a slice."""
-        return PLANE_STEP * int(np.ceil(self.thick / (PLANE_STEP * PLANE_MM))) // self.coarse
+        return PLANE_STEP * int(np.ceil(self.thick / (PLANE_STEP * PLANE_MM)))
 
     @cached_property
     def half(self) -> int:

@@ -54,7 +54,6 @@ START_ENDS_MM = (-1.0, -0.5, 0.0, 0.5, 1.0)  # ends that are tried, from the one
 ROLLS = tuple(np.arange(6) * 2 * np.pi / 6)  # of the bevel, that are tried with each
 AGAIN_ENDS_MM = (-1.0, 0.0, 1.0)  # the same after the first fit, mm
 ROBUST_SD = (20.0, 4.0)  # residuals beyond so many deviations count less, in the first fit and later
-COARSE = 2  # by which factor planes and views stand farther apart where the minimum is looked for
 STEPS, CONVERGED = 8, 0.5  # of each fit; change of what is minimized
 # The model's error, in water and in parts of the image, before it is known; samples that count as one.
 FIRST_NOISE, FIRST_ERROR, CORRELATED = 0.15, 0.25, 10.0
@@ -312,20 +311,16 @@ class _SliceProblem:
         return np.concatenate(slopes, axis=-1)
 
     def solve(self) -> tuple[Floats, Floats, float]:
-        """Return parameters, their covariance and the model's relative error.
-
-        The minimum is looked for with few planes and views, and taken with all of them.
-        """
-        rough, found = replace(self.rod, coarse=COARSE), []
+        """Return parameters, their covariance and the model's relative error."""
+        found = []
         for means in STARTS:
-            problem = replace(self, means=means, rod=rough)
+            problem = replace(self, means=means)
             theta, image, _ = problem.descend(problem.find_start(), self.first_scale, ROBUST_SD[0])
             found.append((problem.first_misfit(theta), problem, theta))
             if self.error(image) < GOOD_ERROR:
                 break
         _, problem, theta = min(found, key=lambda one: one[0])
-        theta = problem.hop(problem.turn(theta, AGAIN_ENDS_MM))
-        return replace(problem, rod=self.rod).fit(theta)
+        return problem.fit(theta)
 
     def find_start(self) -> Floats:
         """Return a start with the scan as expected, or less metal, its course along the normal moved."""
@@ -444,8 +439,7 @@ class _SliceProblem:
 
     def fit(self, theta: Floats) -> tuple[Floats, Floats, float]:
         """Return parameters, their covariance, and the model's relative error."""
-        theta, *_ = self.descend(self.turn(theta, AGAIN_ENDS_MM), self.first_scale, ROBUST_SD[1])
-        theta = self.turn(theta, AGAIN_ENDS_MM)
+        theta = self.turn(self.hop(self.turn(theta, AGAIN_ENDS_MM)), AGAIN_ENDS_MM)
         scale = self.scale(self.image(self.project(theta), theta))
         robust = ROBUST_SD[1]
         theta, image, normal = self.descend(theta, scale, robust)
