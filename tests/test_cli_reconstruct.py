@@ -27,7 +27,9 @@ from needlefit.imaging.needle.centerline import trace_needle
 from needlefit.imaging.volume import Volume
 from needlefit.imaging.volume_files import read_volume, write_volume
 from needlefit.project.locate import shipped_folder
+from needlefit.project.toml import load
 from needlefit.schemas.reconstruction import ReconstructionRecord
+from needlefit.schemas.scene import SceneRecord
 
 SAMPLE = shipped_folder() / "data" / "sample_scan"
 VOLUME, MARKERS = SAMPLE / "volumes" / "sample.nrrd", SAMPLE / "markers" / "sample.csv"
@@ -123,6 +125,20 @@ def test_the_result_folder_has_tables_meshes_and_quality_pages(done):
     assert row["fre_mm"] < 3 * row["expected_fre_mm"]
     text = (done / "run.json").read_text()
     assert str(shipped_folder()) not in text and "/tmp" not in text  # no path of a machine
+
+
+@pytest.mark.usefixtures("searched_once")
+def test_a_scan_alone_gives_its_tip_and_a_scene(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run("reconstruct", VOLUME, "-q") == 0
+    printed = capsys.readouterr().out
+    row = pd.read_csv("sample-dataset/reconstruction.csv").iloc[0]
+    (insertion,) = read_dataset(Path("sample-dataset")).insertions
+    tip = row[["tip_x_mm", "tip_y_mm", "tip_z_mm"]].to_numpy(dtype=float)
+    assert insertion.centerline[-1] == pytest.approx(tip, abs=1e-3)  # without markers the world is the scan
+    assert all(f"{abs(one):.2f}" in printed for one in (*tip, row["depth_mm"], 1.27))
+    scene = load(Path("sample-dataset/scenes/sample.toml"), SceneRecord)
+    assert scene.depth_mm == pytest.approx(row["depth_mm"], abs=1e-3)
 
 
 @pytest.mark.sweep

@@ -43,7 +43,7 @@ class Worked:
     def __init__(self, monkeypatch, one):
         self.done = []
         self.one = one
-        monkeypatch.setattr(batch, "read_volume", lambda path, series: None)
+        monkeypatch.setattr(batch, "read_volume", lambda path, series, acquisition: None)
         monkeypatch.setattr(batch, "examine", self)
         monkeypatch.setattr(batch, "add_views", lambda one, volume: one)
 
@@ -73,6 +73,15 @@ def test_a_failed_scan_is_reported_and_the_others_are_reconstructed(sample, tmp_
     assert first.scan.id == "truncated" and str(truncated) in str(first.error)
     assert second.depth == pytest.approx(25.0, abs=0.3)
     assert steps[-1][1:] == (3, 3)
+
+
+def test_an_error_of_the_program_is_no_error_of_the_scan(sample, monkeypatch):
+    def broken(*_):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(batch, "examine", broken)
+    with pytest.raises(ZeroDivisionError):
+        reconstruct_all([sample], RECIPE, ReconstructionBatch())
 
 
 class RemotePool(LocalPool):

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from pydantic import ValidationError
 from refusals import refusal
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from needlefit.errors import DataError
 from needlefit.imaging.needle import centerline, follow, tip
@@ -68,6 +68,35 @@ def test_a_needle_is_followed_along_three_points_and_a_tip_beside_it_is_refused(
     refusal(
         DataError, "", centerline.trace_needle, volume, rod, cases.RECIPE, None, truth[-1] + [0.0, 5.0, 0]
     )
+
+
+def test_slices_of_a_tilted_gantry_show_the_same_needle():
+    """The rows of each slice begin 12 degrees further on than those of the slice below."""
+    truth, plain = cases.axis(tip=(4.0, -3.0, 27.0), curve=(1.0, 2.0)), cases.grid()
+    grid = cases.grid(size=(48, 72, 110), origin=np.array([0, -12 * cases.SPACING, 0]))
+    wide = cases.scan(truth, ceiling_hu=1e5, grid=grid)  # interpolation would blur where values are cut
+    lean = np.tan(np.radians(12.0))
+    values = np.empty(plain.size[::-1], np.float32)
+    for k, plane in enumerate(wide.values):
+        rows = np.arange(48) + 12 + lean * (k - 50)
+        values[k] = map_coordinates(plane, np.meshgrid(rows, np.arange(48), indexing="ij"), order=3)
+    step = cases.SPACING * np.array([0, lean, 1.0])
+    spacing = np.array([cases.SPACING, cases.SPACING, np.linalg.norm(step)])
+    direction = np.column_stack([[1.0, 0, 0], [0, 1.0, 0], step / spacing[2]])
+    line = found(Volume(values, -50 * step * [0, 1, 0], spacing, direction))
+    assert cases.off(line.points, truth).mean() < 0.03
+    assert np.linalg.norm(line.tip - truth[-1]) < 0.15
+
+
+def test_a_step_between_slices_and_another_diameter_are_named():
+    volume = cases.scan(cases.axis(curve=(1.0, 2.0)))
+    assert found(volume).warnings == ()
+    values = volume.values.copy()
+    values[60:] = np.roll(values[60:], 2, axis=2)  # by 0.92 mm
+    (warning,) = found(Volume(values, volume.origin, volume.spacing, volume.direction)).warnings
+    assert "slices 59 and 60" in warning
+    (warning,) = found(volume, cases.recipe(needle={"diameter_mm": 2.1})).warnings
+    assert "thinner than the 2.1 mm" in warning
 
 
 @pytest.mark.sweep

@@ -133,7 +133,7 @@ def test_a_diameter_that_works_is_named_where_the_stated_one_does_not(stated, ra
 def test_derivatives_of_the_model_are_those_of_the_model():
     rng = np.random.default_rng(2)
     places, spacing = rng.uniform(-3, 3, (200, 3)), np.array([0.4, 0.5, 0.9])
-    near = spheres.SphereVoxels(places, np.zeros(200), spacing, -np.inf, np.inf)
+    near = spheres.SphereVoxels(places, np.zeros(200), spacing, np.eye(3), -np.inf, np.inf)
     background = [-900.0, 950.0, 0.5, -0.4, 0.9, 0.3]
     theta = np.array([0.1, -0.2, 0.15, 8.0, -0.2, -0.8, 0.7, -0.9, *background, np.log(1.5)])
     for n in range(len(theta)):

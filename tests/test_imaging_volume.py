@@ -267,6 +267,65 @@ def test_a_header_with_detached_voxels_and_non_finite_values(tmp_path):
     assert "holds 2 voxels" in fault.what and "air" in fault.fix
 
 
+@pytest.mark.parametrize(("shift", "filled"), [(-5.0, -1000.0), (0.0, 0.0), (-2000.0, -2000.0)])
+def test_voxels_without_a_value_are_air_where_values_are_hounsfield_units(tmp_path, shift, filled):
+    values = VALUES.astype(np.float32) + np.float32(shift)
+    values[1, 2, 3] = values[0, 0, 1] = np.nan
+    kind = {"type": ("<2h", 70, 16, 32)}
+    for path in (
+        nrrd(tmp_path / "a.nrrd", values, type="float"),
+        nifti(tmp_path / "a.nii", values=values, **kind),
+    ):
+        volume = read_volume(path)
+        unknown = np.isnan(values)
+        assert (volume.values[unknown] == filled).all()
+        assert np.array_equal(volume.values[~unknown], values[~unknown])
+        assert len(volume.warnings) == 1 and "2 voxels" in volume.warnings[0]
+
+
+def test_a_form_that_mirrors_the_other_is_refused_or_named(tmp_path):
+    mirrored = {"sform": ("<12f", 280, 0.4, 0, 0, 1.0, 0, 0.5, 0, 2.0, 0, 0, -0.9, 3.9)}
+    turn = {"quaternion": ("<3f", 256, 0.0, 0.0, 0.0), "offset": ("<3f", 268, 1.0, 2.0, 3.0)}
+    values, sizes = np.zeros(24000, "<i2"), (40, 30, 20)
+    large = {"sizes": sizes, "values": values, **turn, **mirrored}
+    assert "mirrored" in refused(nifti(tmp_path / "a.nii", codes=(1, 1), **large)).what
+    (warning,) = read_volume(nifti(tmp_path / "b.nii", codes=(0, 1), **large)).warnings
+    assert "qform" in warning
+    assert not read_volume(nifti(tmp_path / "c.nii", codes=(0, 1), **mirrored)).warnings  # an empty qform
+    left_handed = {"spacing": ("<4f", 76, -1.0, *STEPS)}
+    (warning,) = read_volume(nifti(tmp_path / "d.nii", codes=(0, 1), **left_handed)).warnings
+    assert "pixdim[0]" in warning
+
+
+TILT = np.radians(12.0)
+
+
+@pytest.mark.parametrize("name", ["a.nii", "a.nrrd", "a.mha"])
+@pytest.mark.parametrize("step", [0.9 / np.cos(TILT), 0.9])
+def test_slices_of_a_tilted_gantry_stand_where_their_affine_says(tmp_path, name, step):
+    """The third axis leans by 12 degrees; NIfTI states the step of the slices, or their distance."""
+    lean = 0.9 * np.tan(TILT)
+    if name == "a.nii":
+        rows = (0.4, 0, 0, 1.0, 0, 0.5, lean, 2.0, 0, 0, 0.9, 3.0)
+        spacing = ("<4f", 76, 1.0, 0.4, 0.5, step)
+        volume = read_volume(nifti(tmp_path / name, sform=("<12f", 280, *rows), spacing=spacing))
+        signs = np.array([-1, -1, 1])
+    elif name == "a.nrrd":
+        volume = read_volume(nrrd(tmp_path / name, space_directions=f"(0.4,0,0) (0,0.5,0) (0,{lean},0.9)"))
+        signs = np.ones(3)
+    else:
+        write_volume(
+            read_volume(nrrd(tmp_path / "b.nrrd", space_directions=f"(0.4,0,0) (0,0.5,0) (0,{lean},0.9)")),
+            tmp_path / name,
+        )
+        volume, signs = read_volume(tmp_path / name), np.ones(3)
+    assert to_patient(volume, [[2, 1, 1]])[0] == pytest.approx(signs * [1.8, 2.5 + lean, 3.9], abs=1e-5)
+    assert to_index(volume, to_patient(volume, [[2.5, 1.25, 0.75]]))[0] == pytest.approx([2.5, 1.25, 0.75])
+    assert volume.slice_distance == pytest.approx(0.9, abs=1e-6)
+    assert volume.normal == pytest.approx([0, 0, 1], abs=1e-6)
+    assert np.array_equal(volume.values, VALUES)
+
+
 @pytest.mark.usefixtures("child_process_reader")
 def test_a_header_that_claims_a_petabyte_is_refused_before_anything_is_allocated(tmp_path):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -321,7 +380,8 @@ TIMES = {"space_directions": "(1,0,0) (0,1,0) (0,0,1) none"}
         ("a.nii", {"codes": (0, 0)}, ("qform_code and sform_code", "")),
         ("a.nrrd", {"space_directions": "(0.4,0,0) (0.1,0.5,0) (0,0,0.9)"}, SHEARED),
         ("a.nrrd", {"space_directions": "(0.4,0,0) (0.5,0,0) (0,0,0.9)"}, SHEARED),
-        ("a.nii", {"sform": ("<12f", 280, 0.4, 0.2, 0, 1.0, 0, 0.5, 0, 2.0, 0, 0, 0.9, 3.0)}, SHEARED),
+        ("a.nii", {"sform": ("<12f", 280, 0.4, 0.3, 0, 1.0, 0, 0.4, 0, 2.0, 0, 0, 0.9, 3.0)}, SHEARED),
+        ("a.nii", {"sform": ("<12f", 280, 0.4, 0, 0, 1.0, 0, 0.5, 0.72, 2.0, 0, 0, 0.54, 3.0)}, SHEARED),
         ("a.mha", {"TransformMatrix": "1 0.1 0 0 1 0 0 0 1"}, SHEARED),
         ("a.nrrd", {"space_directions": "(0.4,0,0) (0,0,0) (0,0,0.9)"}, SPACED),
         ("a.nrrd", {"space_directions": "(0.0004,0,0) (0,0.0005,0) (0,0,0.0009)"}, SPACED),

@@ -197,6 +197,37 @@ def test_folders_without_a_series(tmp_path):
     assert "not a volume" in refused(tmp_path / "notes.txt").what
 
 
+def test_localizers_and_copies_are_left_out_and_named(tmp_path):
+    volume = read_volume(save(tmp_path / "a", [*series(), a_slice(0, **OVERVIEW)]))
+    assert np.array_equal(volume.values, NUMBERS) and len(volume.warnings) == 1
+    volume = read_volume(save(tmp_path / "b", [*series(), *series()]))
+    assert np.array_equal(volume.values, NUMBERS) and f"{COUNT} slice" in volume.warnings[0]
+
+
+def test_several_acquisitions_are_named_and_one_is_chosen(tmp_path):
+    second = [a_slice(k, NUMBERS[k] + 7, AcquisitionNumber=5) for k in range(COUNT)]
+    save(tmp_path, [*series(AcquisitionNumber=4), *second])
+    fault = refused(tmp_path)
+    assert "2 acquisitions" in fault.what and "4 or 5" in fault.fix
+    assert np.array_equal(read_volume(tmp_path, acquisition="5").values, NUMBERS + 7)
+    assert np.array_equal(read_volume(tmp_path, "3", "4").values, NUMBERS)
+    assert "number 5" in refused(tmp_path, acquisition="6").what
+    # slices that were scanned one after the other have numbers of their own, and are one stack
+    single = [a_slice(k, AcquisitionNumber=k) for k in range(COUNT)]
+    assert np.array_equal(read_volume(save(tmp_path / "b", single)).values, NUMBERS)
+
+
+@pytest.mark.parametrize("degrees", [0.5, -15.0])
+def test_a_tilted_gantry_is_read_where_the_slices_stand(tmp_path, degrees):
+    tilt = np.radians(degrees)
+    volume = read_volume(save(tmp_path, turned_slices(tilt, [0, 0, 2])))
+    assert np.array_equal(volume.values, NUMBERS) and not volume.warnings
+    assert volume.slice_distance == pytest.approx(2 * np.cos(tilt), abs=1e-6)
+    expected = [0.8, 0.5 * np.cos(tilt), 0.5 * np.sin(tilt) + 6]
+    assert to_patient(volume, [[2, 1, 3]])[0] == pytest.approx(expected, abs=1e-5)
+    assert to_index(volume, [expected])[0] == pytest.approx([2, 1, 3], abs=1e-5)
+
+
 # What is refused
 
 
@@ -209,7 +240,6 @@ def undecoded(syntax):
 
 
 PADDED = [a_slice(k, np.full((3, 3), -2000, np.int16), PixelPaddingValue=-2000) for k in range(COUNT)]
-TILTED = [np.radians(degrees) for degrees in (0.5, -15.0)]
 
 
 @pytest.mark.parametrize(
@@ -217,10 +247,10 @@ TILTED = [np.radians(degrees) for degrees in (0.5, -15.0)]
     [
         (PADDED, "nothing but padding", "", ""),
         ([*series()[:2], *series()[4:]], "2 slice(s) missing between 001.dcm and 002.dcm", "", ""),
-        ([*series(), a_slice(2)], "the same place as 002.dcm", "006.dcm", ""),
+        ([*series(), a_slice(2, NUMBERS[2] + 1)], "the same place as 002.dcm", "006.dcm", ""),
         ([*series(), *series(RescaleIntercept=5)], "", "", "several phases"),
-        ([*series(), a_slice(0, **OVERVIEW)], "is a localizer", "006.dcm", ""),
-        (turned_slices(TILTED[0], [0, 0, 5]), " 0.5 degrees: the gantry", "", "resample"),
+        (series(**OVERVIEW), "is a localizer", "000.dcm", ""),
+        (turned_slices(np.radians(40.0), [0, 0, 5]), "not perpendicular", "", "resample"),
         (spoilt(2, ImagePositionPatient=[-9.0, 20.0, 31.8]), " 1 mm beside ", "002.dcm", ""),
         (spoilt(4, ImageOrientationPatient=[1, 0, 0, 0, 0.9998, 0.02]), "orientation is", "004.dcm", ""),
         (spoilt(4, PixelSpacing=[0.6, 0.4]), "[0.6, 0.4], that of 000.dcm is [0.5, 0.4]", "004.dcm", ""),

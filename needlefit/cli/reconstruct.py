@@ -41,7 +41,7 @@ def reconstruct(
             "DICOM folders, NRRD, NIfTI; or a table, a row a scan: scans.csv, or its bare name.",
         ),
     ],
-    out: Annotated[Path, option("Folder of the dataset.", "DATASET")],
+    out: Annotated[Path | None, option("Folder of the dataset (default: ./SCAN-dataset).", "DATASET")] = None,
     markers: Annotated[
         Path | None, option("Known places of the markers in the world: .csv, .fcsv, .mrk.json.", "FILE")
     ] = None,
@@ -58,6 +58,9 @@ def reconstruct(
     mask: Annotated[Path | None, option("The needle's voxels, segmented elsewhere.", "FILE")] = None,
     series: Annotated[
         str | None, option("Which DICOM series, where a folder holds several.", "NUMBER|UID")
+    ] = None,
+    acquisition: Annotated[
+        str | None, option("Which acquisition, where a DICOM series holds several.", "NUMBER")
     ] = None,
     medium: Annotated[str | None, option("Name of what was punctured (default: medium).")] = None,
     every: Annotated[
@@ -96,7 +99,7 @@ def reconstruct(
         "layers": layers,
         "surfaces_in": layers_in,
     }
-    stated |= {"mask": mask, "series": series, "medium": medium}
+    stated |= {"mask": mask, "series": series, "acquisition": acquisition, "medium": medium}
     named = {key: value for key, value in stated.items() if value}
     invocation = context.find_root().obj
     with catch_interrupts(invocation) as stop:  # from here on, so that Ctrl-C never cuts an import in two
@@ -109,6 +112,7 @@ def reconstruct(
             reconstruct_all,
         )
         from needlefit.imaging.corrections import correct_scans
+        from needlefit.imaging.scans import scan_id
         from needlefit.project.checkpoint import (
             open_checkpoint,
             release_checkpoint,
@@ -122,6 +126,10 @@ def reconstruct(
         from needlefit.schemas.reconstruction import ReconstructionRecord
         from needlefit.studies.kinds.reconstruction.report import write_reconstruction, write_refused
 
+        moved = corrections or []
+        wanted = correct_scans(_scans(scans, named), moved)
+        named_by = scan_id(scans[0]) if len(wanted) == 1 or scans[0].suffix == ".csv" else "scans"
+        out = out or Path(f"{named_by}-dataset")
         place = out.resolve()
         require_file_name(place.name, str(out))
         keep = place.with_name(f"{place.name}.partial")
@@ -129,8 +137,6 @@ def reconstruct(
         require_own_checkpoint(keep)
         for folder in (out, refused):
             require_replaceable(folder)
-        moved = corrections or []
-        wanted = correct_scans(_scans(scans, named), moved)
         require_no_inputs_within(out, [*scans, *moved, *(path for one in wanted for path in one.files)])
         record = load(find_file("reconstruction", recipe), ReconstructionRecord)
         checkpoint = open_checkpoint(keep, invocation.resume, CHECKPOINT_WORK, print_remark)
@@ -220,16 +226,21 @@ def _show(
         for remark in REPORT.summarize(found)[1:]:
             screen.print_text(remark)
         screen.print_written(out, f" (figures of each scan in {out}/quality/)")
+        if scenes := sorted(path.name for path in out.glob("scenes/*.toml")):
+            screen.print_text(f"next: needlefit predict TARGET --scene {out}/scenes/{scenes[0]}")
 
 
 def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure]", pages: Path) -> None:
     """Print the error of each scan, and what to do about it."""
+    from needlefit.imaging.scans import scan_id
+
     for error in dict.fromkeys(one.error for one in failed):  # one of the whole dataset is one of every scan
-        scans = [one.scan for one in failed if one.error is error]
-        named = len(scans) == 1 and error.where == str(scans[0].volume)
-        screen.print_note(
-            f"needlefit: {error if named else f'{join_names([one.id for one in scans])}: {error}'}"
-        )
+        ones = [one for one in failed if one.error is error]
+        ids, scan = join_names([one.scan.id for one in ones]), ones[0].scan
+        named = error.where == str(scan.volume) and scan_id(scan.volume) == scan.id == ids
+        screen.print_note(f"needlefit: {error if named else f'{ids}: {error}'}")
+        for warning in ones[0].findings.warnings if ones[0].findings else ():
+            screen.print_note(f"needlefit: {ids}: {warning}")
     if failed:
         screen.print_note(f"needlefit: pages of refused scans: {pages}/quality/")
     if any(one.findings for one in failed):  # others cannot be read

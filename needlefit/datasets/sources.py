@@ -112,15 +112,16 @@ def digest_folders(path: Path) -> str:
 
 
 VOLUMES_FILE = "volumes.csv"
-VOLUME_COLUMNS = ("id", "volume", "series")
+VOLUME_COLUMNS = ("id", "volume", "series", "acquisition")
 
 
 @dataclass(frozen=True)
 class ScanVolume:
-    """The scan of an insertion: a file or folder, and the DICOM series if a folder contains several."""
+    """The scan of an insertion: a file or folder, and which of several DICOM series and acquisitions."""
 
     path: Path
     series: str | None = None
+    acquisition: str | None = None
 
 
 def write_volumes(folder: Path, volumes: Mapping[str, ScanVolume], home: Path | None = None) -> Path:
@@ -129,7 +130,10 @@ def write_volumes(folder: Path, volumes: Mapping[str, ScanVolume], home: Path | 
     `home` is that folder where it is not yet in its place; dataset and scans may be moved together.
     """
     base_folder = (home or folder).resolve()
-    rows = [(id_, _relative_path(base_folder, one.path), one.series or "") for id_, one in volumes.items()]
+    rows = [
+        (id_, _relative_path(base_folder, one.path), one.series or "", one.acquisition or "")
+        for id_, one in volumes.items()
+    ]
     path = folder / VOLUMES_FILE
     with path.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows([VOLUME_COLUMNS, *rows])
@@ -157,5 +161,5 @@ def find_volume(dataset: Dataset, id_: str) -> ScanVolume | None:
     cells = table.cells[table.cells["id"] == id_]
     if cells.empty or not cells["volume"].iloc[0]:
         return None
-    series = cells["series"].iloc[0] if "series" in cells else ""
-    return ScanVolume((path.parent.resolve() / cells["volume"].iloc[0]).resolve(), series or None)
+    named = {name: cells[name].iloc[0] or None for name in VOLUME_COLUMNS[2:] if name in cells}
+    return ScanVolume((path.parent.resolve() / cells["volume"].iloc[0]).resolve(), **named)

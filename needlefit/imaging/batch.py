@@ -1,6 +1,6 @@
 """Reconstruct many scans, in one process or several, or on machines that do not have their files.
 
-A scan that fails does not stop the others.
+A scan that is refused does not stop the others; an error of the program does, after which `--resume` goes on.
 """
 
 import hashlib
@@ -72,6 +72,7 @@ class Findings:
     needle: Floats | None = None  # (N, 3) or None; the axis from base to tip, LPS, mm
     profile: IntensityProfile | None = None  # along the needle, from its first point
     entries: tuple[EntryCandidate, ...] = ()  # places where soft material begins around the needle
+    warnings: tuple[str, ...] = ()  # what a person should know of the scan's files
 
     @property
     def entry_points(self) -> Floats:
@@ -101,12 +102,13 @@ def collect_findings(search: VolumeSearch, examined: Examination) -> Findings:
         None if axis is None else axis.points,
         profile,
         entries,
+        volume.warnings,
     )
 
 
 def _try(step: Callable[[], T]) -> T | None:
-    """Return what a step finds; None if it fails, however: another step has raised the scan's error."""
-    with suppress(Exception):
+    """Return what a step finds; None if it refuses the scan: another step has raised its error."""
+    with suppress(NeedlefitError):
         return step()
     return None
 
@@ -226,7 +228,7 @@ def divide_scan(search: VolumeSearch, scan: Scan) -> tuple[Scan, ...]:
     own = (scan.needle_at, scan.contact, scan.tip, scan.stage, scan.corrections)
     if any(stated is not None for stated in own):
         return (scan,)
-    with suppress(Exception):  # its reconstruction says why
+    with suppress(NeedlefitError):  # its reconstruction says why
         if scan.mask is None:
             tubes = search.find_tubes()
             parts = segmentation.list_needles(search.volume, tubes, search.recipe.needle.diameter_mm)
@@ -302,7 +304,7 @@ def add_findings(
 ) -> ReconstructionFailure:
     """Return the failure of a scan that was reconstructed (`one`), with what was found in it."""
     try:
-        volume = read_volume(one.scan.volume, one.scan.series)
+        volume = read_volume(one.scan.volume, one.scan.series, one.scan.acquisition)
     except NeedlefitError:  # the scan was moved: its page says why it is refused, and no more
         return failure
     profile = replace(one.profile, s=one.profile.s - one.profile.s[0])
@@ -314,7 +316,8 @@ def add_findings(
 def _reconstruct_needles(
     scan: Scan, recipe: ReconstructionRecord, collect: bool, every: bool
 ) -> tuple[Result, ...]:
-    search = _try_step(scan, lambda: VolumeSearch(read_volume(scan.volume, scan.series), recipe))
+    read = partial(read_volume, scan.volume, scan.series, scan.acquisition)
+    search = _try_step(scan, lambda: VolumeSearch(read(), recipe))
     if isinstance(search, ReconstructionFailure):
         return (search,)
     needles = divide_scan(search, scan) if every else (scan,)
@@ -339,9 +342,6 @@ def _try_step(scan: Scan, work: Callable[[], T]) -> T | ReconstructionFailure:
         return work()
     except NeedlefitError as error:
         return ReconstructionFailure(scan, error)
-    except Exception as error:  # an unexpected error in one scan must not lose the others' results
-        what = f"unexpected {type(error).__name__}: {error}"
-        return ReconstructionFailure(scan, NeedlefitError(what, where=str(scan.volume)))
 
 
 def _read_checkpoint(

@@ -42,7 +42,7 @@ from needlefit.imaging.refusals import located, refusal
 from needlefit.imaging.registration.register import Registration, scan_frame, target_covariance
 from needlefit.imaging.scans import LayerSource, Scan
 from needlefit.imaging.segmentations import Labels, read_labels
-from needlefit.imaging.volume import VoxelGrid, require_same_frame, to_patient
+from needlefit.imaging.volume import VoxelGrid, require_same_frame, to_index, to_patient
 from needlefit.imaging.volume_files import explain_missing_packages
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -195,7 +195,7 @@ def read_layers(
     world = tuple(transform_surface(one, patient) if within else one for one in surfaces)
     if grid is not None and within:  # those of the world may be larger than what was scanned
         for surface in world:
-            steps = (patient.to_local(surface.mesh.vertices) - grid.origin) @ grid.direction / grid.spacing
+            steps = to_index(grid, patient.to_local(surface.mesh.vertices))
             if (steps.max(axis=0) < -0.5).any() or (steps.min(axis=0) > np.array(grid.size) - 0.5).any():
                 # a mesh is called as its file, all others are of the first
                 own = (source.path for source in scan.surfaces if source.path.stem == surface.name)

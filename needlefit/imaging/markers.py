@@ -128,10 +128,9 @@ def _find_blobs_at(
 
 def _is_round(volume: Volume, blob: Blob) -> bool:
     """Whether a blob is about as long as wide."""
-    steps = blob.voxels * volume.spacing
-    # 1/12 of the squared spacing is the variance within a voxel: a single layer of voxels still has a
-    # thickness
-    moments = np.cov(steps.T, bias=True) + np.diag(volume.spacing**2) / 12
+    steps = volume.direction * volume.spacing
+    # 1/12 is the variance within a voxel: a single layer of voxels still has a thickness
+    moments = steps @ (np.cov(blob.voxels.T, bias=True) + np.eye(3) / 12) @ steps.T
     extents = np.sqrt(np.linalg.eigvalsh(moments))
     return bool(extents[-1] <= MAX_ELONGATION * extents[0] + BLOOM_EXTENT_MM)
 

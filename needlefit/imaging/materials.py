@@ -16,7 +16,7 @@ from needlefit.arrays import Floats
 from needlefit.geometry.curves import make_normal
 from needlefit.imaging.needle.axis_spline import AxisFrames, correlation_factor, disc_points, sample_planes
 from needlefit.imaging.reconstruction import IntensityProfile
-from needlefit.imaging.volume import Volume
+from needlefit.imaging.volume import AIR_HU, Volume
 
 # Radii between which the surroundings are read, mm: beyond bloom, within the nearest marker as a rule.
 RING_RADII_MM = (3.5, 6.0)
@@ -70,7 +70,7 @@ MIN_SIDE_LENGTH_MM = 2.0
 MIN_GAP_LENGTH_MM = 1.0  # air between two soft runs must last so long, mm
 METAL_BLUR_MM = 2.0  # soft values this near to a hub or holder are its blur, mm
 NARROW_GAP_MM = 4.0  # in a narrower gap blur hides the level of the air, mm: it is taken as known
-AIR_HU, AIR_SD_HU = -1000.0, 30.0  # that of air, HU, and its deviation in a narrow gap
+AIR_SD_HU = 30.0  # deviation of the level of air in a narrow gap, HU
 EDGE_REACH_MM = 8.0  # distance to either side of the edge over which the model is fitted, mm
 EDGE_MARGIN_MM = 3.0  # distance within which the blur of an edge shows, mm
 MIN_EDGE_STEP_HU = 300.0  # an edge from air to tissue rises by more than this, HU

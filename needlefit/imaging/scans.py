@@ -81,11 +81,13 @@ class Scan:
 
     # `id`, `medium`, `specimen`: as in `insertions.csv`.
     id: str
-    # A DICOM folder or file, NRRD, NIfTI or MetaImage; `series` names one of several in a folder.
+    # A DICOM folder or file, NRRD, NIfTI or MetaImage; `series` names one of several in a folder,
+    # `acquisition` one of several in a series.
     volume: Path
     medium: str
     specimen: str = ""
     series: str | None = None
+    acquisition: str | None = None
     # The needle's voxels, segmented elsewhere; a volume that stands where the scan does.
     mask: Path | None = None
     # Known places of the markers in the world; None: the world is the patient frame (LPS) of the scan.
@@ -140,7 +142,7 @@ NUMBER_COLUMNS = (
 )
 # Every column of a table of scans; those of `insertions.csv` mean the same here.
 SCAN_COLUMNS = (
-    *("id", "scan", "series", "medium", "specimen", *FILES),
+    *("id", "scan", "series", "acquisition", "medium", "specimen", *FILES),
     *("surfaces", "surfaces_in", *NUMBER_COLUMNS, "origin"),
 )
 SCANS_DOCUMENT = "docs/reconstruction.md"  # where the columns, and the files that they name, are explained
@@ -242,6 +244,7 @@ def build_scan(row: ScanRow, id_: str) -> Scan:
         medium=text["medium"] or "medium",
         specimen=text["specimen"],
         series=text["series"] or None,
+        acquisition=text["acquisition"] or None,
         surfaces=tuple(layer for layer in row.layers() if isinstance(layer, LayerSource)),
         surfaces_in="scan" if text["surfaces_in"] == "scan" else "world",
         side=-1 if number["bevel_side"] == -1 else 1,
@@ -379,11 +382,12 @@ def make_scans(
     fiducials: Path | None = None,
     mask: Path | None = None,
     series: str | None = None,
+    acquisition: str | None = None,
 ) -> tuple[Scan, ...]:
     """Return a scan for each of some volumes that share markers and layers; file names become ids.
 
     `layers`: files, each as in a table of scans: `file` or `file=kind:into`.
-    `fiducials`, `mask`, `series`: of one scan: no two have them in common.
+    `fiducials`, `mask`, `series`, `acquisition`: of one scan: no two have them in common.
 
     DataError: listing every file that is missing, every layer that is not understood, names that are alike or
     name no file, and fiducials without markers.
@@ -401,7 +405,7 @@ def make_scans(
     if fiducials and not markers:
         fix = "name the file of their known places, too: --markers"
         found.append(unmatched_fiducials_fault(str(fiducials), fix))
-    once = fiducials or mask or series
+    once = fiducials or mask or series or acquisition
     if len(volumes) > 1 and once:
         found.append(Fault(str(once), f"is given for {len(volumes)} scans", "one scan", SCAN_TABLE_FIX))
     sources = [parse_layer_source(text, Path()) for text in layers]
@@ -418,6 +422,7 @@ def make_scans(
         Path(),
         medium,
         series=series,
+        acquisition=acquisition,
         mask=mask,
         markers=markers,
         fiducials=fiducials,
@@ -494,8 +499,8 @@ def write_scan_table(scans: Sequence[Scan], path: Path, home: Path | None = None
 
 def _to_row(scan: Scan, folder: Path) -> dict[str, str]:
     row = {"id": scan.id, "scan": _relative(scan.volume, folder), "medium": scan.medium}
-    row |= {"specimen": scan.specimen, "series": scan.series or "", "surfaces_in": scan.surfaces_in}
-    row |= {"bevel_side": str(scan.side), "origin": scan.origin}
+    row |= {"specimen": scan.specimen, "series": scan.series or "", "acquisition": scan.acquisition or ""}
+    row |= {"surfaces_in": scan.surfaces_in, "bevel_side": str(scan.side), "origin": scan.origin}
     row |= {name: _relative(path, folder) for name in FILES if (path := getattr(scan, name)) is not None}
     row["surfaces"] = ";".join(layer.name_file(_relative(layer.path, folder)) for layer in scan.surfaces)
     numbers: dict[tuple[str, ...], Any] = {columns: getattr(scan, name) for name, columns in VECTORS.items()}

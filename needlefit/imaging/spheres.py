@@ -149,9 +149,10 @@ class Blob:
 class SphereVoxels:
     """The voxels around a ball."""
 
-    places: Floats  # (N, 3); from the blob's middle along the grid's axes, mm
+    places: Floats  # (N, 3); from the blob's middle along `axes`, mm
     values: Floats  # (N,); HU
-    spacing: Floats  # (3,); of the grid, mm
+    spacing: Floats  # (3,); of the voxels along `axes`, mm
+    axes: Floats  # (3, 3); its columns are the LPS directions of rows, of columns, and the slices' normal
     # Where the scanner's numbers begin and end, HU; infinite if they do not.
     floor: float
     ceiling: float
@@ -281,7 +282,7 @@ def fit_sphere(volume: Volume, blob: Blob, radius: float | None) -> SphereFit:
     systematic = np.hypot(SLICE_ERROR * near.spacing[2] ** 2 / own, MISFIT_ERROR * misfit * spread.blur)
     formal = FORMAL_SD_FACTOR * float(np.sqrt(np.trace(fit.covariance[CENTER, CENTER]) / 3))
     return SphereFit(
-        center=to_patient(volume, (blob.voxels.mean(axis=0) + fit.theta[CENTER] / volume.spacing)[None])[0],
+        center=to_patient(volume, blob.voxels.mean(axis=0)[None])[0] + near.axes @ fit.theta[CENTER],
         sd=float(np.linalg.norm([formal, systematic, SYSTEMATIC_SD_MM])),
         spread=spread,
         misfit=misfit,
@@ -337,25 +338,29 @@ def _make_tables(reach: float) -> SphereTables:
 def select_voxels(volume: Volume, blob: Blob, radius: float) -> SphereVoxels:
     """Return the voxels around a blob, without those near other bright things."""
     middle, shape = blob.voxels.mean(axis=0), np.array(volume.values.shape[::-1])
-    reach = radius + FIT_MARGIN_MM * max(1.0, float(volume.spacing.max()))
-    low = np.floor(middle - reach / volume.spacing).astype(int)
-    high = np.ceil(middle + reach / volume.spacing).astype(int) + 1
+    axes = np.column_stack([volume.direction[:, :2], volume.normal])
+    steps = axes.T @ volume.direction * volume.spacing  # one step of i, j, k (columns) along the axes
+    spacing = np.diag(steps).copy()
+    reach = radius + FIT_MARGIN_MM * max(1.0, float(spacing.max()))
+    size = reach * np.linalg.norm(np.linalg.inv(steps), axis=1)
+    low = np.floor(middle - size).astype(int)
+    high = np.ceil(middle + size).astype(int) + 1
     low = np.clip(low, 0, blob.voxels.min(axis=0))
     high = np.clip(high, blob.voxels.max(axis=0) + 1, shape)
     values = volume.values[low[2] : high[2], low[1] : high[1], low[0] : high[0]].transpose(2, 1, 0)
     mesh = np.stack(np.meshgrid(*map(np.arange, low, high), indexing="ij"), axis=-1)
-    places = (mesh - middle) * volume.spacing
+    places = (mesh - middle) @ steps.T
     others = values > blob.level
     others[tuple((blob.voxels - low).T)] = False
     use = np.linalg.norm(places, axis=-1) <= reach
     if others.any():
-        use &= distance_transform_edt(~others, sampling=volume.spacing) > GUARD_DISTANCE_MM
+        use &= distance_transform_edt(~others, sampling=spacing) > GUARD_DISTANCE_MM
     top, bottom = float(values.max()), float(values.min())
     ceiling = top if np.count_nonzero(values == top) > 3 else np.inf
     floor = bottom if np.count_nonzero(values == bottom) > 3 else -np.inf
     every = int(np.ceil(np.count_nonzero(use) / MAX_VOXELS))
     return SphereVoxels(
-        places[use][::every], values[use][::every].astype(np.float64), volume.spacing, floor, ceiling
+        places[use][::every], values[use][::every].astype(np.float64), spacing, axes, floor, ceiling
     )
 
 

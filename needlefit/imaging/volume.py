@@ -3,6 +3,7 @@
 import math
 import sys
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ DEFAULT_MAX_VOXELS = 2**30
 MIN_SPACING_MM, MAX_SPACING_MM = 1e-3, 50.0
 # Axes may miss right angles and unit length by this much, as cosines printed with four decimals do.
 AXES_COSINE_TOLERANCE = 2e-4
+MAX_TILT_DEG = 35.0  # a gantry tilts by 30 degrees at most; its slices then lean over one another by as much
 
 
 @dataclass(frozen=True)
@@ -30,14 +32,28 @@ class VoxelGrid:
     size: tuple[int, int, int]  # voxels along i (columns), j (rows), k (slices)
     origin: Floats  # (3,); centre of voxel (0, 0, 0), LPS, mm
     spacing: Floats  # (3,); distance of centres along i, j, k, mm
-    direction: Floats  # (3, 3); its columns are the LPS unit vectors of i, j, k; either handedness
+    # (3, 3); its columns are the LPS unit vectors of i, j, k, of either handedness. i and j are
+    # perpendicular; k stands on both, or leans where the gantry was tilted.
+    direction: Floats
+
+    @property
+    def normal(self) -> Floats:
+        """The unit normal (3,) of the slices, on the side to which k grows."""
+        across = np.cross(self.direction[:, 0], self.direction[:, 1])
+        return np.asarray(across * np.sign(across @ self.direction[:, 2]))
+
+    @property
+    def slice_distance(self) -> float:
+        """The distance of the slices' planes, mm."""
+        return float(self.spacing[2] * (self.normal @ self.direction[:, 2]))
 
 
 def check_grid(grid: VoxelGrid) -> None:
     """Refuse an impossible grid, before any voxel of it is read.
 
     DataError if the size is absurd, the spacing is not that of a scan in mm, a number is not finite, or the
-    axes are not perpendicular.
+    axes are not those of slices: rows and columns at right angles, slices one above the other or leaning as
+    those of a tilted gantry do.
     """
     check_size(grid.size)
     if not all(map(are_bounded, (grid.origin, grid.spacing, grid.direction))):
@@ -48,16 +64,20 @@ def check_grid(grid: VoxelGrid) -> None:
         raise refusal(f"""the spacing of the voxels is {" x ".join(f"{step:g}" for step in grid.spacing)} mm
             expected: {MIN_SPACING_MM:g} to {MAX_SPACING_MM:g} mm
             fix: check in which unit the spacing was written; it must be mm""")
-    if not (np.abs(grid.direction.T @ grid.direction - np.eye(3)) <= AXES_COSINE_TOLERANCE).all():
+    off = np.abs(grid.direction.T @ grid.direction - np.eye(3))
+    allowed = np.full((3, 3), AXES_COSINE_TOLERANCE)
+    if is_tilted(grid.direction):
+        allowed[:2, 2] = allowed[2, :2] = np.sin(np.radians(MAX_TILT_DEG))
+    if not (off <= allowed).all() or np.hypot(*off[:2, 2]) > np.sin(np.radians(MAX_TILT_DEG)):
         rows = [[round(float(value), 4) + 0.0 for value in row] for row in grid.direction.T]
-        raise sheared_axes(f": {rows}")
+        raise refusal(f"""the axes of the voxels are not perpendicular unit vectors: {rows}
+            expected: rows and columns at right angles, slices that lean by at most {MAX_TILT_DEG:g} degrees
+            fix: resample the volume onto a straight grid and export it again""")
 
 
-def sheared_axes(found: str = "") -> DataError:
-    """Return the error of axes that are no grid's; `found` says which."""
-    return refusal(f"""the axes of the voxels are not perpendicular unit vectors{found}
-        expected: three directions at right angles, without shear
-        fix: a tilted gantry shears a volume: resample it onto a straight grid and export it again""")
+def is_tilted(direction: Floats) -> bool:
+    """Return whether the slices of a grid lean over one another, as those of a tilted gantry do."""
+    return bool((np.abs(direction[:, :2].T @ direction[:, 2]) > AXES_COSINE_TOLERANCE).any())
 
 
 def not_one_volume(what: str) -> DataError:
@@ -67,6 +87,46 @@ def not_one_volume(what: str) -> DataError:
         fix: export one time point, or one segment, as a volume of its own""")
 
 
+def unreadable_header(reason: str) -> DataError:
+    """Return the error of a file whose header is no volume's."""
+    return refusal(f"""cannot be read as a volume: {reason}
+        expected: {READABLE_VOLUMES}
+        fix: check that the file is whole and its name ends as its format wants; export it again""")
+
+
+def missing_voxels(reason: str = "") -> DataError:
+    """Return the error of a file with fewer voxels than its header claims."""
+    return refusal(f"""its header is sound, but its voxels are damaged or not all there{reason}
+        expected: all voxels that the header promises, in this file or the one that it names
+        fix: the file is cut short or damaged: copy it or export it again""")
+
+
+AIR_HU = -1000.0
+
+
+def fill_unknown(values: NDArray[np.float32], notes: list[str], *, labels: bool) -> None:
+    """Give voxels without a value (NaN) that of air, or of `labels` 0; note how many they were.
+
+    DataError if no voxel has a value, or one is infinite.
+    """
+    if np.isfinite([values.min(), values.max()]).all():
+        return
+    unknown = np.isnan(values)
+    known = values[~unknown]
+    if not known.size or not np.isfinite([known.min(), known.max()]).all():
+        raise refusal(f"""holds {np.count_nonzero(~np.isfinite(values))} voxels that are no finite number
+            expected: a number in every voxel
+            fix: give voxels outside the scan the value of air, e.g. -1000""")
+    # values that are nowhere below 0 are no HU, nor is then -1000
+    filled = 0.0 if labels else min(AIR_HU if known.min() < 0 else np.inf, float(known.min()))
+    values[unknown] = filled
+    part = 100 * len(values[unknown]) / values.size
+    notes.append(
+        f"{np.count_nonzero(unknown)} voxels of the file ({part:.1f} %) have no value (NaN): they were taken "
+        f"for {'no label' if labels else f'air, {filled:g} HU'}"
+    )
+
+
 def grid_to_json(grid: VoxelGrid) -> dict[str, list[Any]]:
     """Return a grid as JSON values that restore it exactly."""
     parts = {"origin": grid.origin, "spacing": grid.spacing, "direction": grid.direction}
@@ -74,7 +134,11 @@ def grid_to_json(grid: VoxelGrid) -> dict[str, list[Any]]:
 
 
 def orthogonalize(direction: Floats) -> Floats:
-    """Return exactly perpendicular axes (3, 3), the nearest to `direction` (3, 3)."""
+    """Return exactly perpendicular axes (3, 3), the nearest to `direction` (3, 3); k leans on if it leant."""
+    if is_tilted(direction):
+        normal = np.cross(direction[:, 0], direction[:, 1])
+        axes = orthogonalize(np.column_stack([direction[:, :2], normal / np.linalg.norm(normal)]))
+        return np.column_stack([axes[:, :2], direction[:, 2] / np.linalg.norm(direction[:, 2])])
     u, _, vt = np.linalg.svd(direction)
     return np.asarray(u @ vt)
 
@@ -151,14 +215,14 @@ def begins_as_dicom(path: Path) -> bool:
 class Volume:
     """A CT volume; patient coordinates are LPS, mm, whatever its file used.
 
-    DataError if the values are no volume, or the axes are not perpendicular unit vectors.
+    DataError if the values are no volume, or the axes are not those of slices.
     """
 
     # (K, J, I); attenuation [slice, row, column], rescaled as the file says (HU where the scanner gave HU).
     values: NDArray[np.float32]
     origin: Floats  # (3,); centre of voxel (0, 0, 0), mm
     spacing: Floats  # (3,); distance of centres along i, j, k, mm
-    direction: Floats  # (3, 3); its columns are the LPS unit vectors of i, j, k; either handedness
+    direction: Floats  # (3, 3); as that of a grid
     warnings: tuple[str, ...] = ()  # what a person should know of its files
     frame_of_reference: str = ""  # UID of its DICOM frame of reference; empty for files that have none
 
@@ -174,6 +238,29 @@ class Volume:
         """The grid of the voxels."""
         slices, rows, columns = self.values.shape
         return VoxelGrid((columns, rows, slices), self.origin, self.spacing, self.direction)
+
+    @property
+    def normal(self) -> Floats:
+        """The unit normal (3,) of the slices, on the side to which k grows."""
+        return self.grid.normal
+
+    @property
+    def slice_distance(self) -> float:
+        """The distance of the slices' planes, mm."""
+        return self.grid.slice_distance
+
+    @cached_property
+    def resampled_top(self) -> float | None:
+        """At what values were cut before the scan was resampled, HU; None: they were not, or it was not.
+
+        Interpolated values end nowhere in particular: without this the metal seems less bright, and longer.
+        """
+        top = float(self.values.max())
+        if not TOP_12_BIT_HU[0] <= top <= TOP_12_BIT_HU[1]:
+            return None
+        bright = np.concatenate([plane[plane > BRIGHTEST_FRACTION * top] for plane in self.values])
+        shared = np.count_nonzero(bright == top)
+        return top if len(bright) >= MIN_BRIGHTEST and shared < MAX_SHARED_FRACTION * len(bright) else None
 
 
 def require_same_frame(part: Volume, frame_of_reference: str) -> None:
@@ -192,10 +279,11 @@ def to_patient(volume: Volume, ijk: ArrayLike) -> Floats:
     return np.asarray(steps @ volume.direction.T + volume.origin)
 
 
-def to_index(volume: Volume, points: ArrayLike) -> Floats:
+def to_index(volume: Volume | VoxelGrid, points: ArrayLike) -> Floats:
     """Return the fractional indices i, j, k (N, 3) of LPS points (N, 3), mm; whole at voxel centres."""
-    steps = (np.asarray(points, dtype=np.float64) - volume.origin) @ volume.direction
-    return np.asarray(steps / volume.spacing)
+    away = np.asarray(points, dtype=np.float64) - volume.origin
+    inverse = np.linalg.inv(volume.direction) if is_tilted(volume.direction) else volume.direction.T
+    return np.asarray(away @ inverse.T / volume.spacing)
 
 
 def find_outside(volume: Volume, points: ArrayLike) -> NDArray[np.int64]:
@@ -204,8 +292,11 @@ def find_outside(volume: Volume, points: ArrayLike) -> NDArray[np.int64]:
     return np.flatnonzero(((index < -1) | (index > last + 1)).any(axis=1))
 
 
-# Values that run over 12 bits come close to their greatest number, HU, and few voxels have it.
+# The greatest number of 12 bits lies there, HU. Few voxels have it where values run over it.
 TOP_12_BIT_HU, MAX_SATURATED = (2900.0, 3100.0), 10
+# Metal that is cut at it has it in nearly all of its brightest voxels: of those above a part of the top, at
+# least `MIN_BRIGHTEST`, fewer than `MAX_SHARED_FRACTION` have it in a scan that was resampled.
+BRIGHTEST_FRACTION, MIN_BRIGHTEST, MAX_SHARED_FRACTION = 0.97, 20, 0.85
 # In metal they leave single voxels darker than both neighbours by more, HU; fewer are noise.
 MIN_HOLE_HU, MIN_HOLES = 800.0, 30
 MIN_RANGE_HU = 100.0  # air, tissue and metal differ by more, HU; attenuation per length never does

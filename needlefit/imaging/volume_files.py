@@ -45,13 +45,14 @@ MAX_LISTED = 10
 UNPACKED_BYTES_PER_SECOND = 2**20  # the same for a DICOM header, and for compressed slices
 
 
-def read_volume(path: Path, series: str | None = None) -> Volume:
+def read_volume(path: Path, series: str | None = None, acquisition: str | None = None) -> Volume:
     """Read the volume in a file or folder; its geometry is checked first.
 
     `path`: a folder with a DICOM series in it or below, its DICOMDIR, one file of the series (also an
     enhanced multi-frame one), an NRRD, NIfTI or MetaImage file, or a .zip of any of these.
     `series`: number or UID of the DICOM series, where a folder holds several; a file's name, where a .zip
     does.
+    `acquisition`: number of the acquisition, where the series holds several.
 
     DataError if there is no such volume, or its geometry cannot be trusted; nothing is guessed. ConfigError
     if the packages that read scans are not installed.
@@ -70,8 +71,9 @@ def read_volume(path: Path, series: str | None = None) -> Volume:
     with explain_missing_packages(*CT_PACKAGES), unpacked(path) as place:
         if place != path:
             place, series = _choose_member(place, series)
-        found = _read_arrays(place, layers=False) if is_image_file(place) else _read_series(place, series)
-        return _build_volume(*found, place)
+        if is_image_file(place):
+            return _build_volume(*_read_arrays(place, layers=False), place)
+        return _build_volume(*_read_series(place, series, acquisition), place)
 
 
 @contextmanager
@@ -183,10 +185,14 @@ def _read_arrays(path: Path, layers: bool) -> tuple[Any, dict[str, NDArray[Any]]
         stored = sum(one.stat().st_size for one in path.parent.iterdir() if is_file(one))
     seconds = min(4 * max_voxels(), MAX_EXPANSION * stored) / READ_BYTES_PER_SECOND
     arguments = {"path": str(path), "stored": stored, "layers": layers}
-    return read_in_process("needlefit.imaging.image_files:read_image", path, arguments, seconds=seconds)
+    nifti = path.name.lower().endswith((".nii", ".nii.gz"))
+    reader = "nifti_files:read_nifti" if nifti else "image_files:read_image"
+    return read_in_process(f"needlefit.imaging.{reader}", path, arguments, seconds=seconds)
 
 
-def _read_series(path: Path, series: str | None) -> tuple[Any, dict[str, NDArray[Any]]]:
+def _read_series(
+    path: Path, series: str | None, acquisition: str | None
+) -> tuple[Any, dict[str, NDArray[Any]]]:
     """Return the grid of a DICOM series, and its voxels as "values"."""
     if not path.is_dir():
         with open_regular(path, sys.maxsize):  # a regular file
@@ -196,7 +202,8 @@ def _read_series(path: Path, series: str | None) -> tuple[Any, dict[str, NDArray
     except OSError as fault:
         raise unreadable_error(fault, DataError, str(path if path.is_dir() else path.parent)) from None
     seconds = len(sizes) * SECONDS_PER_DICOM_HEADER + sum(sizes) / UNPACKED_BYTES_PER_SECOND
-    arguments, reader = {"path": str(path), "series": series}, "needlefit.imaging.dicom.series:read_series"
+    arguments = {"path": str(path), "series": series, "acquisition": acquisition}
+    reader = "needlefit.imaging.dicom.series:read_series"
     return read_in_process(reader, path, arguments, max(sizes, default=0), seconds)
 
 

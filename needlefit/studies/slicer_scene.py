@@ -19,7 +19,7 @@ from needlefit.geometry.surfaces import Surface, make_mesh, map_surface
 from needlefit.imaging.corrections import LIST_NAME, make_control_points
 from needlefit.imaging.needle.segmentation import median_tissue_hu
 from needlefit.imaging.reconstruction import Reconstruction
-from needlefit.imaging.volume import Volume, VoxelGrid
+from needlefit.imaging.volume import Volume, VoxelGrid, to_index
 from needlefit.imaging.volume_files import explain_missing_packages, write_volume
 from needlefit.project.folders import replace_file
 from needlefit.reporting.labels import rgb
@@ -179,7 +179,7 @@ def _mark_voxels(
     values = np.zeros(grid.size[::-1], dtype=np.uint8)
     for label, mesh in enumerate([*(solid.mesh for solid in solids), tube], 1):
         indices = mesh.copy()
-        indices.vertices = (mesh.vertices - grid.origin) @ grid.direction / grid.spacing
+        indices.vertices = to_index(grid, mesh.vertices)
         values[fill_mesh(indices, grid.size)] = label
     names = [f"layer {solid.into}: {solid.name}" for solid in solids]
     return values, (*names, NEEDLE_SEGMENT)

@@ -143,6 +143,6 @@ def read_slice(scan: InsertionScan) -> tuple[bytes, tuple[float, float, float, f
     insertion = scan.insertion
     shaft = insertion.frame.to_world(np.array([[-ENTRY_MARGIN_MM, 0.0, 0.0]]))
     needle = insertion.patient.to_local(np.concatenate([shaft, insertion.centerline]))
-    volume = read_volume(scan.volume.path, scan.volume.series)
+    volume = read_volume(scan.volume.path, scan.volume.series, scan.volume.acquisition)
     view = render_bending_plane(volume, insertion.patient, insertion.frame, needle, SLICE_HALF_WIDTH_MM)
     return encode_png(view), view.extent

@@ -3,6 +3,7 @@
 import hashlib
 import math
 import re
+import sys
 import uuid
 from collections.abc import Iterator, Sequence
 from itertools import groupby
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 import SimpleITK as sitk
 from numpy.typing import NDArray
+from pydicom import dcmread
 from pydicom.dataset import Dataset, FileDataset, FileMetaDataset
 from pydicom.pixels.utils import iter_pixels
 from pydicom.uid import UID, CTImageStorage, ExplicitVRLittleEndian
@@ -23,6 +25,7 @@ from needlefit.imaging.dicom.stack import (
     XRAY_MODALITIES,
     DicomSlice,
     damaged_file_error,
+    damaged_unless_read,
     describe_headers,
     read_headers,
     stack_slices,
@@ -30,6 +33,7 @@ from needlefit.imaging.dicom.stack import (
 from needlefit.imaging.refusals import refusal
 from needlefit.imaging.volume import (
     Volume,
+    VoxelGrid,
     begins_as_dicom,
     grid_to_json,
     is_dicomdir,
@@ -37,7 +41,7 @@ from needlefit.imaging.volume import (
     to_patient,
 )
 from needlefit.project.folders import create_folder, require_new
-from needlefit.project.input_files import is_file
+from needlefit.project.input_files import is_file, open_regular
 from needlefit.project.reader_process import Arrays, allow_memory
 
 _MAX_LISTED = 10
@@ -144,16 +148,20 @@ SLICE_BYTES_PER_PIXEL = 32  # a slice stands in memory packed, unpacked, and in 
 sitk.ProcessObject.SetGlobalWarningDisplay(False)  # errors are reported once, by our own messages
 
 
-def read_series(arrays: Arrays, path: str, series: str | None) -> dict[str, Any]:
+def read_series(arrays: Arrays, path: str, series: str | None, acquisition: str | None) -> dict[str, Any]:
     """Read the one series that `path` refers to: add the array "values"; return its grid, and warnings.
 
     Values are rescaled slice by slice; voxels that were not measured (padding) get the least value that
-    was, so that no threshold and no edge finds them.
+    was, so that no threshold and no edge finds them. Localizers and copies of slices are left out.
+
+    `acquisition`: number of the acquisition, where the series holds several.
 
     DataError if the series is not one sound stack, or a voxel cannot be read.
     """
-    slices, grid = stack_slices(find_series(Path(path), series))
-    notes = describe_headers(slices)
+    notes: list[str] = []
+    found = _drop_copies(_drop_localizers(find_series(Path(path), series), notes), notes)
+    slices, grid = _stack_acquisition(found, acquisition)
+    notes += describe_headers(slices, grid)
     allow_memory(max(item.rows * item.columns for item in slices) * SLICE_BYTES_PER_PIXEL)
     allow_memory(4 * math.prod(grid.size))
     values = arrays["values"] = np.empty(grid.size[::-1], np.float32)
@@ -180,6 +188,82 @@ def read_series(arrays: Arrays, path: str, series: str | None) -> dict[str, Any]
             plane[np.isnan(plane)] = least
     frame = slices[0].frame_of_reference
     return {**grid_to_json(grid), "warnings": notes, "frame_of_reference": frame}
+
+
+def _drop_localizers(slices: list[DicomSlice], notes: list[str]) -> list[DicomSlice]:
+    """Return the slices of a series without its localizers, unless it holds nothing else."""
+    kept = [item for item in slices if LOCALIZER not in item.kind]
+    if not kept or len(kept) == len(slices):
+        return slices
+    notes.append(f"{len(slices) - len(kept)} localizer(s) in the series were left out: they are no slices")
+    return kept
+
+
+def _drop_copies(slices: list[DicomSlice], notes: list[str]) -> list[DicomSlice]:
+    """Return the slices without those that repeat another one's place, rescaling and stored voxels."""
+    places: dict[tuple[Any, ...], list[DicomSlice]] = {}
+    for item in slices:
+        stated = (item.position, item.axes, item.pixel, item.rescale)
+        places.setdefault(tuple(None if one is None else one.tobytes() for one in stated), []).append(item)
+    kept: list[DicomSlice] = []
+    for same in places.values():
+        digests: set[object] = set()
+        for item in same:
+            # only what stands where another slice does is read for its content
+            digest = _digest_voxels(item) if len(same) > 1 and item.frame is None else object()
+            if digest not in digests:
+                digests.add(digest)
+                kept.append(item)
+    if len(kept) < len(slices):
+        notes.append(f"{len(slices) - len(kept)} slice(s) with the place and voxels of another were left out")
+    return kept
+
+
+def _digest_voxels(item: DicomSlice) -> bytes:
+    """Return a digest of the voxels of a slice as they are stored."""
+    with damaged_unless_read(item.file), open_regular(item.file, sys.maxsize) as content:
+        data = dcmread(content, specific_tags=["PixelData"], force=True)
+        return hashlib.sha256(data.PixelData).digest()
+
+
+def _stack_acquisition(
+    slices: list[DicomSlice], acquisition: str | None
+) -> tuple[list[DicomSlice], VoxelGrid]:
+    """Return the stack of the acquisition of a number, or of all slices where they are one stack.
+
+    DataError if the slices are no stack; of several acquisitions those are named that are one by themselves.
+    """
+    parts: dict[str, list[DicomSlice]] = {}
+    for item in slices:
+        parts.setdefault(item.acquisition, []).append(item)
+    listed = ", ".join(f"number {name or '(none)'} of {len(one)} slices" for name, one in parts.items())
+    where = slices[0].file.parent
+    if acquisition is not None:
+        if (chosen := parts.get(acquisition.strip())) is None:
+            raise refusal(f"""no acquisition of the series has the number {acquisition}; it holds {listed}
+                expected: the number of one of them
+                fix: give one of the numbers listed
+                where: {where}""")
+        return stack_slices(chosen)
+    try:
+        return stack_slices(slices)
+    except DataError as error:
+        sound = [name for name, one in parts.items() if name and _is_stack(one)]
+        if len(parts) == 1 or not sound:
+            raise
+        raise refusal(f"""its slices are no single stack, but those of {len(parts)} acquisitions: {listed}
+            expected: one acquisition
+            fix: name the one that is meant with --acquisition, or under `acquisition` in a table of scans:
+                {" or ".join(sound)}
+            where: {where}""") from error
+
+
+def _is_stack(slices: list[DicomSlice]) -> bool:
+    try:
+        stack_slices(slices)
+    except DataError:
+        return False
+    return True
 
 
 def _read_voxels(reader: sitk.ImageFileReader, item: DicomSlice) -> NDArray[np.float64]:

@@ -2,9 +2,10 @@
 
 Metal, tissue and air are distinguished by their attenuation, air by its -1000 HU. Hence only images made with
 X-rays are taken (cone-beam scanners and C-arms say CT, some XA), and only with a rescaling: what is stored is
-no HU, often these plus 1024, and an offset that is guessed would move the face of the tissue. A stated tilt
-of the gantry is only remarked on where the slices stand straight above each other: a series that was
-straightened keeps the entry, and the standard says that nothing is to be computed from it.
+no HU, often these plus 1024, and an offset that is guessed would move the face of the tissue. Slices of a
+tilted gantry lean; they are read where their positions say. A stated tilt is only remarked on where the
+slices stand straight above each other: a series that was straightened keeps the entry, and the standard says
+that nothing is to be computed from it.
 """
 
 import os
@@ -31,13 +32,14 @@ from needlefit.imaging.volume import (
     VoxelGrid,
     check_expansion,
     check_grid,
+    is_tilted,
     orthogonalize,
 )
 from needlefit.project.input_files import open_regular
 
 READ_TAGS = (
     *("SOPClassUID", "SeriesInstanceUID", "SeriesNumber", "SeriesDescription", "FrameOfReferenceUID"),
-    *("Modality", "GantryDetectorTilt"),
+    *("Modality", "GantryDetectorTilt", "AcquisitionNumber"),
     *("ImageType", "Rows", "Columns", "NumberOfFrames", "SamplesPerPixel", "BitsAllocated"),
     "PhotometricInterpretation",
     *("PixelRepresentation", "ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing"),
@@ -92,6 +94,7 @@ class DicomSlice:
     number: str  # of its series, as its name below; both empty where the file has none
     description: str
     modality: str  # what kind of machine made it, "CT" for most; empty where the file does not say
+    acquisition: str  # number of the acquisition in its series; empty where the file has none
     tilt: float  # stated angle of the gantry, degrees
     syntax: UID  # how the voxels are packed
     frame_of_reference: str  # slices of one volume share it
@@ -200,6 +203,7 @@ def _parse_slice(file: Path, data: pydicom.Dataset) -> DicomSlice:
         number=_to_text(data.get("SeriesNumber")),
         description=_to_text(data.get("SeriesDescription")),
         modality=_to_text(data.get("Modality")).upper(),
+        acquisition=_to_text(data.get("AcquisitionNumber")),
         tilt=0.0 if tilt is None else float(tilt[0]),
         syntax=UID(str(data.file_meta.get("TransferSyntaxUID") or ImplicitVRLittleEndian)),
         frame_of_reference=_to_text(data.get("FrameOfReferenceUID")),
@@ -304,7 +308,7 @@ DECODED_SYNTAXES = frozenset(
     for end in ("", ".1", ".1.99", ".2", ".5", ".4.50", ".4.51", ".4.57", ".4.70", ".4.80", ".4.81")
 ) | {"1.2.840.10008.1.2.4.90", "1.2.840.10008.1.2.4.91"}
 
-EXPECTED_STACK = "every slice straight above the one before"
+EXPECTED_STACK = "every slice straight above the one before, or all of them leaning alike"
 _EXPORT_FIX = "export the series from the scanner or the archive again, as original axial slices"
 
 
@@ -314,7 +318,7 @@ def stack_slices(slices: Sequence[DicomSlice]) -> tuple[list[DicomSlice], VoxelG
     The order is along the normal of the slices (row cross column direction), so that the axes of the
     grid are right-handed; file names and instance numbers do not matter.
 
-    DataError if the slices are not one even, straight, complete stack of plain images.
+    DataError if the slices are not one even, complete stack of plain images, straight or evenly leaning.
     """
     first = slices[0]
     with located(first.file.parent):
@@ -337,22 +341,24 @@ def stack_slices(slices: Sequence[DicomSlice]) -> tuple[list[DicomSlice], VoxelG
         normal = np.cross(axes[0], axes[1])
         order = np.argsort(positions @ normal, kind="stable")
         ordered, positions = [slices[index] for index in order], positions[order]
+        step = _measure_slice_step(ordered, positions, normal)
+        spacing = float(np.linalg.norm(step))
         grid = VoxelGrid(
             size=(first.columns, first.rows, len(ordered)),
             origin=positions[0],
             # PixelSpacing is row spacing (y), then column spacing (x); the grid is x, y, z
-            spacing=np.array([*first.pixel[::-1], _measure_slice_spacing(ordered, positions, normal)]),
-            direction=np.column_stack([axes[0], axes[1], normal]),
+            spacing=np.array([*first.pixel[::-1], spacing]),
+            direction=np.column_stack([axes[0], axes[1], step / spacing]),
         )
         check_grid(grid)
         _check_lengths(ordered)
     return ordered, grid
 
 
-def describe_headers(slices: Sequence[DicomSlice]) -> list[str]:
+def describe_headers(slices: Sequence[DicomSlice], grid: VoxelGrid) -> list[str]:
     """Return warnings about a straight stack whose headers state a tilt, or leave the unit of values open."""
     notes, tilt = [], max((item.tilt for item in slices), key=abs)
-    if abs(tilt) >= MIN_TILT_DEG:
+    if abs(tilt) >= MIN_TILT_DEG and not is_tilted(grid.direction):
         notes.append(
             f"the scan's headers state a gantry tilted by {abs(tilt):g} degrees (GantryDetectorTilt), but "
             "its slices stand straight: right if it was straightened after the scan, else all in it is "
@@ -430,8 +436,8 @@ def _find_difference(one: DicomSlice, other: DicomSlice) -> tuple[str, object, o
     return None
 
 
-def _measure_slice_spacing(ordered: Sequence[DicomSlice], positions: Floats, normal: Floats) -> float:
-    """Return the spacing of slices, mm, whose `positions` (K, 3) stand in their order along `normal`."""
+def _measure_slice_step(ordered: Sequence[DicomSlice], positions: Floats, normal: Floats) -> Floats:
+    """Return the step (3,) from slice to slice, mm; `positions` (K, 3) are in their order along `normal`."""
     if len(ordered) < 2:
         raise refusal("""holds one slice
             expected: a stack of slices
@@ -451,7 +457,7 @@ def _measure_slice_spacing(ordered: Sequence[DicomSlice], positions: Floats, nor
                 expected: a stack without gaps
                 fix: copy the missing files; a series with two spacings must be resampled to one
                 where: {before.file.parent}""")
-    _check_straight(ordered, along, positions - positions[0] - along[:, None] * normal)
+    lean = _measure_lean(ordered, along, positions - positions[0] - along[:, None] * normal)
     # the mean step: rounding of single positions must not add up over the stack
     spacing = float(along[-1]) / (len(ordered) - 1)
     astray = np.abs(along - spacing * np.arange(len(ordered)))
@@ -462,20 +468,20 @@ def _measure_slice_spacing(ordered: Sequence[DicomSlice], positions: Floats, nor
             expected: even steps, to {MAX_OFFSET_MM} mm
             fix: resample the series to even steps, e.g. in 3D Slicer, and save it as NRRD
             where: {ordered[worst].where}""")
-    return spacing
+    return np.asarray(spacing * (normal + lean))
 
 
-def _check_straight(ordered: Sequence[DicomSlice], along: Floats, across: Floats) -> None:
-    """See that the stack does not lean; `across` (K, 3) is how far slices shift in their own plane, mm."""
+def _measure_lean(ordered: Sequence[DicomSlice], along: Floats, across: Floats) -> Floats:
+    """Return by how much slices shift in their own plane (3,), in parts of the height that they rise.
+
+    `along` (K,) and `across` (K, 3): how high slices stand, and how far they have shifted, mm. A tilted
+    gantry shifts all of them alike.
+    """
     if np.linalg.norm(across, axis=1).max() <= MAX_OFFSET_MM:
-        return
-    lean = np.outer(along / along[-1], across[-1])
-    if np.linalg.norm(across - lean, axis=1).max() <= MAX_OFFSET_MM:
-        angle = np.degrees(np.arctan2(np.linalg.norm(across[-1]), along[-1]))
-        raise refusal(f"""the stack leans by {angle:.3g} degrees: the gantry was tilted
-            expected: {EXPECTED_STACK}
-            fix: resample the series onto a straight grid, e.g. with the gantry-tilt correction of dcm2niix or
-                3D Slicer, and save it as NRRD""")
+        return np.zeros(3)
+    lean = across[-1] / along[-1]
+    if np.linalg.norm(across - np.outer(along, lean), axis=1).max() <= MAX_OFFSET_MM:
+        return np.asarray(lean)
     beside = np.linalg.norm(across - np.median(across, axis=0), axis=1)
     worst, count = int(beside.argmax()), int((beside > MAX_OFFSET_MM).sum())
     more = f", as {count - 1} more of {len(ordered)} slices do to some extent" if count > 1 else ""

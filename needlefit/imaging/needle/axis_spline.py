@@ -15,6 +15,7 @@ from needlefit.imaging.volume import Volume, to_index
 AXIS_HUBER_SD = 1.5  # residuals beyond so many deviations count less
 MAX_POINT_WEIGHT = 30.0  # a point counts at most for so many cross-sections
 REWEIGHTING_ROUNDS = 4  # rounds of reweighting
+MIN_SIDE_SECTIONS = 8  # cross-sections on either side of a step, at least
 
 
 @dataclass(frozen=True)
@@ -158,6 +159,34 @@ def reverse_axis(axis: AxisSpline) -> AxisSpline:
         axis.weights[::-1],
         axis.final_weights[::-1],
     )
+
+
+def find_step(volume: Volume, axis: AxisSpline) -> tuple[int, float, float] | None:
+    """Return the most significant step of the axis between two slices; None where none can be tested.
+
+    Where the table or the specimen moves, everything beyond is shifted. No needle is bent so sharply: a
+    spline leaves the step in its residuals. Returned are the number of the slice before it, how far what lies
+    beyond is shifted, and the deviation of that, mm.
+    """
+    root = np.sqrt(axis.weights)[:, None]
+    matrix = design_matrix(axis.s, axis.spline.t)
+    basis, _ = np.linalg.qr(matrix * root)
+    left = axis.points * root
+    left = left - basis @ (basis.T @ left)
+    heights = to_index(volume, axis.points)[:, 2]
+    freedom = 2 * max(1, len(left) - matrix.shape[1] - 1)
+    found: list[tuple[int, float, float]] = []
+    for k in range(int(np.floor(heights.min())), int(np.ceil(heights.max()))):
+        beyond = np.where(heights > k + 0.5, 1.0, 0.0)
+        if not MIN_SIDE_SECTIONS <= np.count_nonzero(beyond) <= len(beyond) - MIN_SIDE_SECTIONS:
+            continue
+        own = beyond[:, None] * root
+        own = own - basis @ (basis.T @ own)  # what no spline follows
+        power = float(np.sum(own**2))
+        step = own.T @ left / power
+        sd = np.sqrt(np.sum((left - own * step) ** 2) / freedom / power)
+        found.append((k, float(np.linalg.norm(step)), float(sd)))
+    return max(found, key=lambda one: one[1] / one[2], default=None)
 
 
 PLANE_SPACING_MM = 0.3  # spacing of the points in a plane, mm

@@ -1,5 +1,6 @@
 """Trace the needle's axis from base to tip, with a standard deviation for every point."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from needlefit.imaging.needle.axis_spline import (
     estimate_shared_sd,
     extend_axis,
     find_centroids,
+    find_step,
     fit_axis,
     fit_sections,
     in_volume,
@@ -57,6 +59,14 @@ END_REACH_MM = 4.0  # distance beyond an end of the needle from which on its sur
 MAX_SOFT_HU = 1000.0  # brighter surroundings are metal, HU
 # With soft material at both ends, as that of a plastic hub, the tip is where it lasts so much longer.
 CLEAR_SOFT_RATIO = 2.0
+# A step between slices is spoken of from this size on, mm, and from so many of its deviations on. In scans of
+# `benchmarks/reconstruction.py` in which nothing moved the largest has 0.06 mm and 8 deviations, one of
+# 0.8 mm in the same scans has 20 to 100.
+MIN_STEP_MM, MIN_STEP_SD = 0.25, 8.0
+# Another diameter is spoken of from this factor on (logarithm), and from so many of its deviations on, beyond
+# what right ones show on the average. Of 24 scans of `benchmarks/reconstruction.py --seed 9001` with the
+# right one none does.
+MEAN_WIDTH_MISFIT, MIN_WIDTH_MISFIT, MIN_WIDTH_MISFIT_SD = 0.05, 0.08, 3.0
 # Systematic deviation that no scatter along the needle shows, mm: the pattern of the voxel grid.
 SYSTEMATIC_SD_MM = 0.002
 
@@ -87,6 +97,7 @@ class Centerline:
     tip_source: TipSource = "model"  # "model", or "threshold" where the model's tip was not to be trusted
     # Deviation of the tip along the slices' normal, mm, of a needle near thick slices; otherwise 0.
     normal_sd: float = 0.0
+    warnings: tuple[str, ...] = ()  # what contradicts the stated diameter, or that nothing moved
 
 
 def trace_needle(
@@ -129,11 +140,32 @@ def trace_needle(
         sd = np.array([recipe.centerline.placed_tip_sd_mm, float(axis_sd(axis, at)[0])])
         point, unknown = axis_frames(axis, at).origins[0], np.full(3, np.nan)
         end = TipFit(float(at[0]), point, sd, unknown, float("nan"), 0.0, "hand")
+    # in thick slices its points are the fit's
+    alone = axis.normal_sd is None
+    notes = _list_warnings(volume, axis, end, recipe.needle.diameter_mm) if alone else ()
     # the spline is extended through the tip, so that the end is interpolated
     # near thick slices both share their error
-    across = SYSTEMATIC_SD_MM if axis.normal_sd is not None else max(float(end.sd[1]), SYSTEMATIC_SD_MM)
+    across = max(float(end.sd[1]), SYSTEMATIC_SD_MM) if alone else SYSTEMATIC_SD_MM
     axis = extend_axis(axis, end.at, end.point, across, recipe.centerline.knot_spacing_mm)
-    return _sample_centerline(volume, axis, end, recipe)
+    return replace(_sample_centerline(volume, axis, end, recipe), warnings=tuple(notes))
+
+
+def _list_warnings(volume: Volume, axis: AxisSpline, end: TipFit, diameter: float) -> Iterator[str]:
+    """Yield what contradicts the stated `diameter` (mm), or that nothing moved during the scan."""
+    if end.width is not None:
+        misfit, sd = end.width[0] - MEAN_WIDTH_MISFIT, end.width[1]
+        if abs(misfit) > max(MIN_WIDTH_MISFIT, MIN_WIDTH_MISFIT_SD * sd):
+            yield (
+                f"the needle looks {'wider' if misfit > 0 else 'thinner'} than the {diameter:g} mm stated "
+                f"({abs(misfit) / sd:.0f} deviations): check needle.diameter_mm; a wrong one moves the tip"
+            )
+    step = find_step(volume, axis)
+    if step is not None and step[1] > MIN_STEP_MM and step[1] > MIN_STEP_SD * step[2]:
+        yield (
+            f"between slices {step[0]} and {step[0] + 1} (counted from 0) the needle jumps by "
+            f"{step[1]:.2f} mm: table or specimen moved during the scan, and what lies beyond is shifted; "
+            "scan again"
+        )
 
 
 def _find_tip(
@@ -291,9 +323,9 @@ def slice_sd(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> 
     The thicker the slice, the less shows where in it the needle lies; one that leaves it between two knots
     shows that.
     """
-    thick, wide = float(volume.spacing[2]), recipe.needle.diameter_mm
+    thick, wide = volume.slice_distance, recipe.needle.diameter_mm
     ends = axis.spline(np.array([0.0, axis.length]))
-    steep = float((ends[1] - ends[0]) @ volume.direction[:, 2]) / float(np.linalg.norm(ends[1] - ends[0]))
+    steep = float((ends[1] - ends[0]) @ volume.normal) / float(np.linalg.norm(ends[1] - ends[0]))
     left = recipe.centerline.knot_spacing_mm * steep / thick
     return float(thick / np.sqrt(24) * thick / (thick + wide) / (1 + left**2))
 

@@ -1,10 +1,11 @@
 """Project a rod in the planes of slices, and reconstruct these from the projections, as a scanner does."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+from scipy.sparse import csr_array
 
 from needlefit.arrays import Floats, Ints
 
@@ -29,6 +30,7 @@ class Rod:
     stations: Floats  # (S,); where slices are sampled: along the needle
     side: Floats  # (S, U); and across it
     sway: Floats  # (C,); largest distance across that is projected, mm
+    _back_projections: dict[float, csr_array] = field(default_factory=dict, init=False, compare=False)
 
     @cached_property
     def views(self) -> tuple[Floats, Floats]:
@@ -81,18 +83,21 @@ class Rod:
         u = np.clip(height / self.radius, -1, 1)
         return np.asarray(self.radius**2 / 2 * (u * np.sqrt(1 - u**2) + np.arcsin(u)))
 
-    def _cells(self, aside: float) -> tuple[Ints, Floats]:
-        """Return the cells (S, U, V) that see the samples moved by `aside` mm, and their distance beyond."""
-        angles, _ = self.views
-        across = (self.side[..., None] + aside) * np.cos(angles)
-        place = (across - self.stations[:, None, None] * np.sin(angles)) / CELL_MM + self.half
-        first = np.floor(place).astype(np.int64)
-        return first + 2 * self.half * np.arange(len(angles)), (place - first).astype(np.float32)
-
-    @cached_property
-    def cells(self) -> tuple[Ints, Floats]:
-        """Cells of the samples."""
-        return self._cells(0.0)
+    def back_projection(self, aside: float) -> csr_array:
+        """Return the sum over the views (S U, V cells) at the samples moved by `aside` mm, interpolated."""
+        if aside not in self._back_projections:
+            angles, _ = self.views
+            across = (self.side[..., None] + aside) * np.cos(angles)
+            place = (across - self.stations[:, None, None] * np.sin(angles)) / CELL_MM + self.half
+            low = np.floor(place).astype(np.int64)
+            beyond = (place - low).reshape(-1, len(angles))
+            first = (low + 2 * self.half * np.arange(len(angles))).reshape(beyond.shape)
+            columns = np.concatenate([first, first + 1], axis=1)
+            parts = np.concatenate([1 - beyond, beyond], axis=1).astype(np.float32)
+            ends = np.arange(len(columns) + 1) * columns.shape[1]
+            shape = (len(columns), 2 * self.half * len(angles))
+            self._back_projections[aside] = csr_array((parts.ravel(), columns.ravel(), ends), shape=shape)
+        return self._back_projections[aside]
 
     def lengths(self, across: Floats, along: Floats, end: float, roll: float) -> tuple[Ints, Floats]:
         """Return the planes (A,) that meet a rod, and the metal (A, N) on the rays of all views' parts, mm.
@@ -115,29 +120,30 @@ class Rod:
         active = np.flatnonzero(inside.any(axis=1))
         plane, c = np.nonzero(inside[active])
         chord, part, slant = chord[active[plane], c], part[active[plane], c], np.sqrt(1 + drift[c] ** 2)
-        width = (2 * chord * part * slant)[:, None]
+        width = 2 * chord * part * slant
         place = across[c] + np.sign(np.cos(roll)) * chord * (1 - part) * slant
-        angles, _ = self.views
-        sine, cosine = np.sin(angles), np.cos(angles)
-        low, count = self.seen
         # every piece is a parallelogram, whose image is a trapezoid: the sum of four ramps
+        sine, cosine = np.sin(self.views[0]), np.cos(self.views[0])
+        low, count = self.seen
+        width = width[:, None]
         long = np.maximum(width * np.abs(cosine) / CELL_MM, 0.5)
         wide = np.maximum(np.abs(drift[c][:, None] * cosine - sine) * COLUMN_MM / CELL_MM, 0.5)
         middle = (place[:, None] * cosine - self.columns[c][:, None] * sine) / CELL_MM + self.half - low
-        row = plane[:, None] * count.sum() + np.cumsum(count) - count
         height = width * COLUMN_MM / CELL_MM / (long * wide)
-        where, what = [], []
-        for sign, shift in ((1, -long - wide), (-1, wide - long), (-1, long - wide), (1, long + wide)):
-            at = middle + shift / 2
-            first = np.floor(at)
-            beyond = at - first
-            # one cell later: of the two sums below each begins with its own cell
-            cell = row + np.clip(first.astype(np.int64) + 1, 0, count - 2)
-            where += [cell.ravel(), cell.ravel() + 1]
-            what += [(sign * height * (1 - beyond)).ravel(), (sign * height * beyond).ravel()]
-        shape = (len(active), int(count.sum()))
-        ramps = np.bincount(np.concatenate(where), np.concatenate(what), minlength=int(np.prod(shape)))
-        metal = ramps.reshape(shape)
+        outer, inner = (long + wide) / 2, (wide - long) / 2
+        ends = np.stack([middle - outer, middle + inner, middle - inner, middle + outer])  # (4, pieces, V)
+        first = np.floor(ends)
+        ends -= first
+        weights = np.stack([height, -height, -height, height])
+        beyond = weights * ends
+        weights -= beyond
+        # one cell later: of the two sums below each begins with its own cell
+        cells = np.clip(first + 1, 0, count - 2).astype(np.int64)
+        cells += plane[:, None] * count.sum() + np.cumsum(count) - count
+        size = len(active) * int(count.sum())
+        ramps = np.bincount(cells.ravel(), weights.ravel(), minlength=size)
+        ramps[1:] += np.bincount(cells.ravel(), beyond.ravel(), minlength=size)[:-1]
+        metal = ramps.reshape(len(active), -1)
         for _ in range(2):
             np.cumsum(metal, axis=-1, out=metal)
         return active, np.clip(metal, 0, None).astype(np.float32)
@@ -172,9 +178,7 @@ class Rod:
         length = 2 * (len(frequencies) - 1)
         filtered = irfft(rfft(logs, length) * window, length)[..., : 2 * self.half]
         filtered = filtered * (weights * linear / WATER_PER_MM).astype(np.float32)[:, None]
-        first, beyond = self.cells if aside == 0 else self._cells(aside)
         image = np.zeros((len(self.heights), *self.side.shape))
-        for slice_, flat in zip(rows, filtered.reshape(len(rows), -1), strict=True):
-            low = flat[first]
-            image[slice_] = (low + (flat[first + 1] - low) * beyond).sum(axis=-1)
+        sums = [self.back_projection(aside) @ one for one in filtered.reshape(len(rows), -1)]
+        image[rows] = np.reshape(sums, (len(rows), *self.side.shape))
         return image

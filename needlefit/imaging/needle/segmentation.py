@@ -3,11 +3,14 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, distance_transform_edt, find_objects, label
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from needlefit.arrays import Floats, Ints
@@ -21,6 +24,7 @@ from needlefit.schemas.reconstruction import ReconstructionRecord
 # Of a component whose box holds more, wide parts are looked for on every second, third, ... voxel: distances
 # would take several times the volume's memory.
 MAX_BOX_VOXELS = 2**24
+MAX_LISTED_VOXELS = 500_000  # bright voxels whose neighbours are looked up one by one, at most
 
 
 def cut_wide_parts(volume: Volume, voxels: Ints, max_width: float) -> list[Ints]:
@@ -51,6 +55,33 @@ def _list_parts(mask: NDArray[np.bool_]) -> Iterator[Ints]:
     labels, _ = label(mask, structure=np.ones((3, 3, 3), dtype=np.bool_))
     for number, box in enumerate(find_objects(labels), start=1):
         yield np.argwhere(labels[box] == number) + np.array([side.start for side in box])
+
+
+def _list_bright_parts(values: NDArray[np.float32], level: float) -> Iterator[Ints]:
+    """Yield the voxels (n, 3), k, j, i, of each part above a level (HU), as `_list_parts` does.
+
+    Only the bright voxels are looked at: to label a whole volume takes seconds.
+    """
+    flat = np.concatenate([np.flatnonzero(s > level) + k * s.size for k, s in enumerate(values)])
+    if len(flat) > MAX_LISTED_VOXELS:
+        yield from _list_parts(values > level)
+        return
+    places = np.stack(np.unravel_index(flat, values.shape), axis=1)
+    pairs = []
+    for step in list(product((-1, 0, 1), repeat=3))[14:]:  # of opposite steps one
+        there = places + step
+        at = np.flatnonzero(((there >= 0) & (there < values.shape)).all(axis=1))
+        wanted = np.ravel_multi_index(tuple(there[at].T), values.shape)
+        found = np.minimum(np.searchsorted(flat, wanted), len(flat) - 1)
+        touch = flat[found] == wanted
+        pairs.append(np.stack([at[touch], found[touch]]))
+    links = np.concatenate(pairs, axis=1)
+    shape = (len(flat), len(flat))
+    labels = connected_components(coo_array((np.ones(links.shape[1], np.int8), links), shape=shape), False)[1]
+    order = np.argsort(labels, kind="stable")
+    for members in np.split(order, np.flatnonzero(np.diff(labels[order])) + 1):
+        if len(members):
+            yield places[members]
 
 
 def _distance(mask: NDArray[np.bool_], spacing: Floats) -> NDArray[np.float32]:
@@ -234,7 +265,7 @@ def find_components(volume: Volume, low: float, high: float) -> list[Component]:
     """
     parts = [
         measure_component(volume, kji[:, ::-1])
-        for kji in _list_parts(volume.values > low)
+        for kji in _list_bright_parts(volume.values, low)
         if len(kji) >= MIN_COMPONENT_VOXELS and np.any(volume.values[tuple(kji.T)] > high)
     ]
     if not parts:

@@ -10,8 +10,9 @@ them open. Where rays run along the shaft, the hardened beam sees it darker than
 beyond: both are fitted.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -161,6 +162,7 @@ BLOCK_LENGTH_MM = 2.0  # length of the blocks of voxels whose residuals go toget
 EDGE_SD_MM = 0.03  # what no voxel determines of the place along, mm: a scanner's edge is not the model's
 BLUNT_COTANGENT_SD = 1e-3  # deviation of the cotangent of a blunt end's angle
 DERIVATIVE_STEP = np.array(1e-3)  # relative step of the derivatives
+WIDTH_STEP = 0.04  # change of the radius' logarithm over which the image's derivative is taken
 MAX_BEVEL_DEG = 85.0  # a bevel steeper than this has no side
 # By which artefacts near the tip weaken what its image shows of the bevel, beyond the blocks' errors. Set on
 # the part `tuning` of `benchmarks/real_scanners.py`: with it none of the sides stated there is wrong.
@@ -210,8 +212,8 @@ def measure_ray(volume: Volume, axis: AxisSpline, needle: ScannedNeedleRecord) -
     Where the needle lies flattest: its direction right at a hidden end is what is least known.
     """
     s = np.linspace(max(0.0, axis.length - END_LENGTH_MM), axis.length, 16)
-    steep = float(np.abs(axis_frames(axis, s).tangents @ volume.direction[:, 2]).min())
-    thick = needle.diameter_mm + float(volume.spacing[2])
+    steep = float(np.abs(axis_frames(axis, s).tangents @ volume.normal).min())
+    thick = needle.diameter_mm + volume.slice_distance
     return thick / max(steep, 1e-6)
 
 
@@ -237,13 +239,19 @@ class TipProblem:
         self.near = AxisVoxels(*(x[::every] for x in (near.s, near.u, near.v, near.values)))
         self.volume, self.axis, self.guess, self.radius = volume, axis, guess, needle.diameter_mm / 2
         self.rolled = needle.bevel_deg < MAX_BEVEL_DEG
-        frame, normal = axis_frames(axis, np.array([guess])), volume.direction[:, 2]
+        frame, normal = axis_frames(axis, np.array([guess])), volume.normal
         # the tip may be found 4 mm from where it is looked for
         back, ahead = bevel_length(needle) + REACH_BEFORE_MM + 4.0, REACH_AFTER_MM + 4.0
         slices = (float(frame.tangents[0] @ normal), float(frame.u[0] @ normal), float(frame.v[0] @ normal))
         self.rod = CachedRod(RodModel(needle.diameter_mm / 2, back, ahead, RADIAL_REACH_MM + 0.5, slices))
         top = float(near.values.max())  # where several voxels share it the scanner's numbers end
         self.ceiling = top if np.count_nonzero(near.values == top) > 3 else np.inf
+        self.offsets = np.zeros((1, 3))
+        if volume.resampled_top is not None:
+            self.ceiling = volume.resampled_top
+            corners = np.array(list(product((-1, 1), repeat=3))) * volume.spacing / np.sqrt(12)
+            axes = np.column_stack([frame.tangents[0], frame.u[0], frame.v[0]])
+            self.offsets = corners @ volume.direction.T @ axes
         self.level = float(np.median(near.values[np.hypot(near.u, near.v) > 0.8 * RADIAL_REACH_MM]))
         self.swing = np.clip((self.near.s - axis.length) / max(guess - axis.length, 0.25), 0, None)
         swing_sd = float(np.hypot(SWING_SD_MM, axis_sd(axis, np.array([axis.length]))[0]))
@@ -261,11 +269,14 @@ class TipProblem:
     def show(self, theta: Floats, s: Floats, u: Floats, v: Floats) -> Floats:
         """Return what the scanner shows (N,), HU, at places from the tip."""
         spread = PointSpread(float(np.exp(theta[BLUR])), float(theta[BOOST]), float(np.exp(theta[SLICE])))
-        image = self.rod.image((float(theta[ROLL]), float(theta[COT])), spread, (s, u, v))
         darker = theta[DARK] * (1 - np.exp(np.minimum(s, 0) / DARKENING_LENGTH_MM))
         streak = np.exp(-np.maximum(s, 0) / STREAK_LENGTH_MM - (u**2 + v**2) / (2 * STREAK_RADIUS_MM**2))
-        shown = theta[LEVEL] + np.exp(theta[HEIGHT] - darker) * image + theta[STREAK] * streak
-        return np.asarray(np.clip(shown, FLOOR_HU, self.ceiling))
+        end, total = (float(theta[ROLL]), float(theta[COT])), np.zeros(len(s))
+        for ds, du, dv in self.offsets:
+            image = self.rod.image(end, spread, (s + ds, u + du, v + dv))
+            shown = theta[LEVEL] + np.exp(theta[HEIGHT] - darker) * image + theta[STREAK] * streak
+            total += np.clip(shown, FLOOR_HU, self.ceiling)
+        return total / len(self.offsets)
 
     def residuals(self, theta: Floats) -> Floats:
         """Return voxels and what is known, both in their deviations."""
@@ -322,19 +333,34 @@ class TipProblem:
         pulls at the parameters in all is one observation, blocks are independent. What was known before pulls
         with the deviation that is stated there, however well it fits.
         """
-        jacobian = np.asarray(best.jac, dtype=np.float64)  # scaled by the loss, (1 + (f / SOFT)^2)^(-3/4)
+        return self._sum_blocks(np.asarray(best.jac, dtype=np.float64), best.fun)[0]
+
+    def width_misfit(self, best: OptimizeResult) -> tuple[float, float]:
+        """Return by which factor's logarithm the needle is wider than stated, to first order; its SD."""
+        rod, loss = self.rod, (1 + (best.fun / SOFT_LOSS_SD) ** 2) ** -0.75
+        self.rod = CachedRod(replace(rod.model, radius=rod.model.radius * float(np.exp(WIDTH_STEP))))
+        wider = loss * (self.residuals(best.x) - best.fun) / WIDTH_STEP
+        self.rod = rod
+        covariance, moved = self._sum_blocks(np.column_stack([best.jac, wider]), best.fun)
+        return float(moved[-1]), float(np.sqrt(covariance[-1, -1]))
+
+    def _sum_blocks(self, jacobian: Floats, residuals: Floats) -> tuple[Floats, Floats]:
+        """Return the covariance (P, P) of parameters, and their step (P,) to the least squares.
+
+        `jacobian` (N, P) of the `residuals` (N,), scaled by the loss, (1 + (f / SOFT)^2)^(-3/4).
+        """
         count = len(self.near.s)
-        pulls = jacobian * (best.fun * (1 + (best.fun / SOFT_LOSS_SD) ** 2) ** 0.25)[:, None]
+        pulls = jacobian * (residuals * (1 + (residuals / SOFT_LOSS_SD) ** 2) ** 0.25)[:, None]
         piece = np.floor((self.near.s - self.near.s.min()) / BLOCK_LENGTH_MM).astype(np.int64)
         quadrant = 2 * (self.near.u > 0) + (self.near.v > 0)
         outer = np.hypot(self.near.u, self.near.v) > RADIAL_REACH_MM / 2
         block = np.asarray(8 * piece + 2 * quadrant + outer)
-        total = np.zeros((block.max() + 1, 12))
+        total = np.zeros((block.max() + 1, jacobian.shape[1]))
         np.add.at(total, block, pulls[:count])
         total = np.vstack([total, jacobian[count:]])
         normal = jacobian.T @ jacobian
         inverse = np.linalg.inv(normal + 1e-9 * np.diag(np.maximum(np.diag(normal), 1e-9)))
-        return np.asarray(inverse @ (total.T @ total) @ inverse)
+        return np.asarray(inverse @ (total.T @ total) @ inverse), np.asarray(-inverse @ total.sum(axis=0))
 
     def bevel_probability(self, best: OptimizeResult, covariance: Floats) -> float:
         """Return the probability that the bevel's point lies on the fitted side, within 90 degrees.
@@ -402,7 +428,7 @@ def _prior(
     cot_sd /= np.hypot(1.0, ray / BEVEL_RAY_MM)
     dark_sd = np.clip(DARK_SD_PER_MM * ray, MIN_DARK_SD, MAX_DARK_SD)
     if spread is None:
-        slice_blur = np.log(expected_slice_blur(float(volume.spacing[2])))
+        slice_blur = np.log(expected_slice_blur(volume.slice_distance))
         seen = [np.log(MEAN_BLUR_MM), MEAN_BOOST, slice_blur]
         seen_sd = [BLUR_SD, BOOST_SD, SLICE_BLUR_SD]
     else:
@@ -462,6 +488,8 @@ class TipFit:
     disagreement: float
     # What the place along comes from: "model", "threshold" where the model is not to be trusted, or "hand".
     source: TipSource
+    # By which factor's logarithm the needle looks wider than stated, and its deviation; None: not tested.
+    width: tuple[float, float] | None = None
 
 
 def fit_tip(
@@ -489,6 +517,8 @@ def fit_tip(
     away = problem.threshold_disagreement(best.x)
     hidden = HIDDEN_END_SD_PER_MM * min(MAX_RAY_MM, problem.ray)
     parts = [np.sqrt(variance[TIP]), EDGE_SD_MM, DISAGREEMENT_SD * away, hidden]
+    if volume.resampled_top is not None:
+        parts.append(RESAMPLED_SD * float(volume.spacing.max()))
     along = float(np.linalg.norm(parts))
     heel = float(axis_sd(axis, np.array([axis.length]))[0])  # from where the rod swings
     across = float(np.hypot(np.sqrt(variance[[U, V]].mean()), heel))
@@ -503,7 +533,8 @@ def fit_tip(
     sided = probability >= MIN_BEVEL_PROBABILITY and source == "model"
     bevel = np.cos(roll) * u + np.sin(roll) * v if sided else np.full(3, np.nan)
     point = there.origins[0] + best.x[U] * u + best.x[V] * v
-    return TipFit(at, point, np.array([along, across]), bevel, float(probability), away, source)
+    width = None if rough else problem.width_misfit(best)
+    return TipFit(at, point, np.array([along, across]), bevel, float(probability), away, source, width)
 
 
 def _end_by_threshold(at: float, away: float, volume: Volume) -> tuple[float, float, TipSource]:
@@ -524,6 +555,9 @@ def _end_by_threshold(at: float, away: float, volume: Volume) -> tuple[float, fl
 # Deviation of the place along, in parts of the length of the needle that rays pass: they harden, and hide its
 # end. Set as `BEVEL_RAY_MM`.
 HIDDEN_END_SD_PER_MM = 0.02
+# Deviation of the place along in a scan that was resampled after its values were cut, in voxels: how it was
+# resampled is not known.
+RESAMPLED_SD = 0.25
 DISAGREEMENT_SD = 0.5  # deviation of the place along, in parts of the disagreement with a threshold
 # Deviation along, and disagreement with a threshold, up to which the model's tip is taken, mm.
 MAX_MODEL_SD_MM, MAX_DISAGREEMENT_MM = 1.0, 1.5

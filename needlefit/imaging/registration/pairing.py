@@ -2,8 +2,7 @@
 
 Every pairing of a given number of pairs is looked at, but a partial one is dropped with all its followers as
 soon as it cannot be fixed: a distance that two pairs change by D costs at least D^2 / (v_1 + v_2) in
-chi-squared however the sets are laid on each other, and pairs added to others never lessen their misfit. The
-variances v bound those of every direction, so nothing within the limit is lost.
+chi-squared however the sets are laid on each other, and pairs added to others never lessen their misfit.
 
 Two pairings of as many pairs differ in likelihood by exp(-chi2 / 2); what the likeliest must share with
 pairings that contradict it is the probability that it is wrong.
@@ -19,19 +18,17 @@ symmetries.
 What the markers' noise does to a registration, and that to a target: first-order covariances.
 
 A small motion (omega, tau) about a centre c moves a world point p by J theta, J = [-[p - c]x, I],
-theta = (omega, tau). Markers with errors e_i of covariance C_i, fitted by least squares with weights W_i,
-give theta = A^-1 sum J_i^T W_i e_i, A = sum J_i^T W_i J_i, hence
+theta = (omega, tau). Markers i with deviations sigma_i in every direction, fitted by least squares with their
+inverse variances, give
 
-    cov(theta) = A^-1 (sum J_i^T W_i C_i W_i J_i) A^-1,        cov(error at p) = J cov(theta) J^T.
+    cov(theta) = (sum J_i^T J_i / sigma_i^2)^-1,        cov(error at p) = J cov(theta) J^T.
 
-With W_i = C_i^-1 the first is A^-1. With equal weights and C_i = sigma^2 I, and p measured from the markers'
-principal axes k, the trace of the second is 3 sigma^2 / N (1 + 1/3 sum_k d_k^2 / f_k^2): d_k is the target's
-distance from axis k, f_k the root mean square of the markers'.
+With equal deviations, and p measured from the markers' principal axes k, the trace of the second is
+3 sigma^2 / N (1 + 1/3 sum_k d_k^2 / f_k^2): d_k is the target's distance from axis k, f_k the root mean
+square of the markers'.
 
 J. M. Fitzpatrick, J. B. West, C. R. Maurer, Predicting error in rigid-body point-based registration, IEEE
-Trans. Med. Imaging 17 (1998) 694-702, eq. 46. A. Danilchenko, J. M. Fitzpatrick, General approach to
-first-order error prediction in rigid point registration, IEEE Trans. Med. Imaging 30 (2011) 679-693: any
-covariances and weights; derived here anew from the normal equations.
+Trans. Med. Imaging 17 (1998) 694-702, eq. 46.
 """
 
 from dataclasses import dataclass, replace
@@ -39,7 +36,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import pinvh
-from scipy.spatial.transform import Rotation
 from scipy.special import chdtri, elliprg, ndtri
 
 from needlefit.arrays import Floats, are_bounded
@@ -63,8 +59,8 @@ class MarkerSets:
 
     found: Floats  # (M, 3); centres in the scan, mm
     known: Floats  # (N, 3); places in the world, mm
-    found_covariance: Floats  # (M, 3, 3); of `found`, along the axes of the scan, mm^2
-    known_covariance: Floats  # (N, 3, 3); of `known`, along the axes of the world, mm^2
+    found_sd: Floats  # (M,); deviation of `found` in any one direction, mm
+    known_sd: Floats  # (N,); of `known`
 
     @property
     def smaller_count(self) -> int:
@@ -72,18 +68,14 @@ class MarkerSets:
         return min(len(self.found), len(self.known))
 
     @property
-    def variance_bound(self) -> Floats:
-        """A variance (M, N), mm^2, that no pair exceeds in any direction, whatever the rotation."""
-        found = np.linalg.eigvalsh(self.found_covariance)[:, -1]
-        known = np.linalg.eigvalsh(self.known_covariance)[:, -1]
-        return np.asarray(found[:, None] + known[None, :])
+    def variance(self) -> Floats:
+        """The variance (M, N) of each pair in any one direction, mm^2."""
+        return np.asarray(self.found_sd[:, None] ** 2 + self.known_sd**2)
 
     @property
     def typical_sd(self) -> float:
-        """The typical deviation of a pair per direction, mm: rms over directions, median over markers."""
-        found = np.median(np.trace(self.found_covariance, axis1=1, axis2=2)) / 3
-        known = np.median(np.trace(self.known_covariance, axis1=1, axis2=2)) / 3
-        return float(np.sqrt(found + known))
+        """The typical deviation of a pair in any one direction, mm: the median over markers."""
+        return float(np.hypot(np.median(self.found_sd), np.median(self.known_sd)))
 
     @property
     def extent(self) -> float:
@@ -96,25 +88,18 @@ def make_marker_sets(
 ) -> MarkerSets:
     """Check and return both sets of markers.
 
-    A deviation is one number, one per marker (M,), one per marker and axis (M, 3), or covariances
-    (M, 3, 3); mm, mm^2; per direction, not of the length of the error.
+    A deviation is one number, or one per marker (M,); mm, in any one direction, not of the length of the
+    error.
 
     DataError if a set has fewer than three markers, a number is not finite, or the deviations are not
     positive.
     """
     places = _check_points(found, FOUND_SET), _check_points(known, KNOWN_SET)
-    covariances = [
-        _to_covariances(sd, len(points)) for sd, points in zip((found_sd, known_sd), places, strict=True)
+    deviations = [
+        _check_deviations(sd, len(points)) for sd, points in zip((found_sd, known_sd), places, strict=True)
     ]
-    sets = MarkerSets(*places, *covariances)
-    if not (
-        all(map(are_bounded, covariances)) and np.linalg.eigvalsh(np.concatenate(covariances)).min() >= -1e-12
-    ):
-        raise refusal("""a deviation of a marker is negative or not finite
-            expected: one number, one per marker, one per marker and axis, or covariances
-            fix: state the deviation of a marker's centre per direction, mm
-            where: deviations of the markers""")
-    if sets.variance_bound.min() <= 0:
+    sets = MarkerSets(*places, *deviations)
+    if sets.variance.min() <= 0:
         raise refusal("""the deviations of the markers are zero
             expected: a positive deviation in the scan or in the world: it decides which pairing is believed
             fix: state what finding a marker's centre leaves, about a tenth to a fifth of a voxel
@@ -144,18 +129,15 @@ def _check_points(given: ArrayLike, name: str) -> Floats:
     return points
 
 
-def _to_covariances(given: ArrayLike, count: int) -> Floats:
+def _check_deviations(given: ArrayLike, count: int) -> Floats:
     sd = np.asarray(given, dtype=np.float64)
-    if sd.shape == (count, 3, 3):
-        return sd
-    if sd.shape not in ((), (count,), (count, 3)) or not (are_bounded(sd) and (sd >= 0).all()):
+    if sd.shape not in ((), (count,)) or not (are_bounded(sd) and (sd >= 0).all()):
         raise refusal(f"""deviations of shape {sd.shape} are not those of {count} markers, or negative or not
                 finite
-            expected: a number, or an array of shape ({count},), ({count}, 3) or ({count}, 3, 3)
+            expected: a number, or an array of shape ({count},)
             fix: state the deviation of a marker's centre per direction, mm
             where: deviations of the markers""")
-    per_axis = np.broadcast_to(sd[..., None] if sd.ndim == 1 else sd, (count, 3))
-    return np.asarray(per_axis[:, :, None] ** 2 * np.eye(3))
+    return np.broadcast_to(sd, (count,))
 
 
 def motion_jacobian(arms: ArrayLike) -> Floats:
@@ -169,10 +151,10 @@ def motion_jacobian(arms: ArrayLike) -> Floats:
     return moved
 
 
-def information_matrix(arms: ArrayLike, weights: Floats) -> Floats:
-    """Return A (6, 6) of markers at `arms` (P, 3) with `weights` (P, 3, 3), 1/mm^2."""
+def information_matrix(arms: ArrayLike, variance: Floats) -> Floats:
+    """Return sum J^T J / variance (6, 6) of markers at `arms` (P, 3); `variance` (P,), mm^2."""
     moved = motion_jacobian(arms)
-    return np.asarray(np.einsum("nia,nij,njb->ab", moved, weights, moved))
+    return np.asarray(np.einsum("nia,n,nib->ab", moved, 1 / variance, moved))
 
 
 def propagate_to_targets(arms: ArrayLike, pose: Floats) -> Floats:
@@ -196,8 +178,7 @@ def worst_turn_sd(points: Floats, sd: float) -> float:
 
     `points`: (N, 3), each known to `sd` in any direction, mm.
     """
-    weights = np.broadcast_to(np.eye(3) / sd**2, (len(points), 3, 3))
-    a = information_matrix(points - points.mean(axis=0), weights)
+    a = information_matrix(points - points.mean(axis=0), np.full(len(points), sd**2))
     turn = a[:3, :3] - a[:3, 3:] @ np.linalg.solve(a[3:, 3:], a[3:, :3])
     least = float(np.linalg.eigvalsh(turn)[0])
     # on a line, what is left is rounding
@@ -205,8 +186,6 @@ def worst_turn_sd(points: Floats, sd: float) -> float:
 
 
 Pairs = NDArray[np.int64]  # (P, 2): number of the found marker, number of the known one
-
-MAX_NEWTON_STEPS = 30  # gauss-Newton steps at most; three to five are taken
 
 
 @dataclass(frozen=True)
@@ -217,8 +196,8 @@ class Alignment:
     centre: Floats  # (3,); mean of the paired markers in the world, mm
     covariance: Floats  # (6, 6); of turn (rad) and shift (mm) about the centre, world axes
     residuals: Floats  # (P, 3); known minus found, in the world, mm
-    noise: Floats  # (P, 3, 3); covariances of the pairs before the fit, world axes, mm^2
-    chi2: float  # sum of squared residuals over their covariances; 3 P - 6 on average
+    variance: Floats  # (P,); of the pairs before the fit, in any one direction, mm^2
+    chi2: float  # sum of squared residuals over their variances; 3 P - 6 on average
 
 
 def fit_kabsch(moving: Floats, fixed: Floats, weights: Floats) -> Frame:
@@ -252,40 +231,21 @@ def sum_squared_residuals(moving: Floats, fixed: Floats, weights: Floats) -> Flo
 
 
 def align_pairs(sets: MarkerSets, pairs: Pairs) -> Alignment:
-    """Return the likeliest motion given the pairs: Kabsch, then Gauss-Newton with the full covariances.
-
-    The covariance of a pair is R C_found R^T + C_known. Where all are multiples of the identity, Kabsch is
-    the answer already and the steps change nothing.
-    """
-    found, known = sets.found[pairs[:, 0]], sets.known[pairs[:, 1]]
-    c_found, c_known = sets.found_covariance[pairs[:, 0]], sets.known_covariance[pairs[:, 1]]
-    trace = np.trace(c_found + c_known, axis1=1, axis2=2)
-    frame = fit_kabsch(found, known, 3 / trace)
-    centre = known.mean(axis=0)
-    for _ in range(MAX_NEWTON_STEPS):
-        noise = frame.rotation @ c_found @ frame.rotation.T + c_known
-        here = frame.to_world(found)
-        weights = np.asarray(np.linalg.inv(noise), dtype=np.float64)
-        pull = np.einsum("nia,nij,nj->a", motion_jacobian(here - centre), weights, known - here)
-        # on a line, one turn is free: the least step leaves it alone
-        step = pinvh(information_matrix(here - centre, weights), rtol=1e-13) @ pull
-        turn = Rotation.from_rotvec(step[:3]).as_matrix()
-        frame = Frame(turn @ (frame.origin - centre) + centre + step[3:], turn @ frame.rotation)
-        if np.abs(step).max() < 1e-11:
-            break
-    noise = frame.rotation @ c_found @ frame.rotation.T + c_known
+    """Return the likeliest motion given the pairs."""
+    found, known, variance = sets.found[pairs[:, 0]], sets.known[pairs[:, 1]], sets.variance[tuple(pairs.T)]
+    frame, centre = fit_kabsch(found, known, 1 / variance), known.mean(axis=0)
     here = frame.to_world(found)
-    residuals, weights = known - here, np.asarray(np.linalg.inv(noise), dtype=np.float64)
-    chi2 = float(np.einsum("ni,nij,nj->", residuals, weights, residuals))
-    # no other weights than the inverse covariances better the fit
-    covariance = np.asarray(pinvh(information_matrix(here - centre, weights)), dtype=np.float64)
-    return Alignment(frame, centre, covariance, residuals, noise, chi2)
+    residuals = known - here
+    chi2 = float(np.sum(np.sum(residuals**2, axis=1) / variance))
+    # on a line, one turn is free: the pseudo-inverse leaves it alone
+    covariance = np.asarray(pinvh(information_matrix(here - centre, variance)), dtype=np.float64)
+    return Alignment(frame, centre, covariance, residuals, variance, chi2)
 
 
 def expected_fre(alignment: Alignment, found: Floats) -> float:
     """Return the root mean square residual, mm, that the noise predicts; `found` (P, 3), scan.
 
-    A residual has the covariance of its pair less what the fit follows of it, C_i - J_i cov(theta) J_i^T.
+    A residual has the covariance of its pair less what the fit follows of it, v_i I - J_i cov(theta) J_i^T.
     """
     left = np.trace(_residual_covariance(alignment, found), axis1=1, axis2=2)
     return float(np.sqrt(np.mean(np.maximum(left, 0.0))))
@@ -294,19 +254,18 @@ def expected_fre(alignment: Alignment, found: Floats) -> float:
 def expected_left_out(alignment: Alignment, found: Floats) -> Floats:
     """Return the root mean square distance (P,), mm, predicted for each marker from a fit to the others.
 
-    To first order that fit misses the marker by C_i Q_i^-1 r_i, where Q_i is the covariance of its residual
-    r_i in the fit to all; so the miss has the covariance C_i Q_i^-1 C_i. `found` (P, 3), scan, mm.
+    To first order that fit misses the marker by v_i Q_i^-1 r_i, where Q_i is the covariance of its residual
+    r_i in the fit to all; so the miss has the covariance v_i^2 Q_i^-1. `found` (P, 3), scan, mm.
     """
     # Markers on a line leave an eigenvalue 0, which rounding may turn negative; the default 1e-15 keeps it.
     left = np.linalg.pinv(_residual_covariance(alignment, found), rcond=1e-12, hermitian=True)
-    missed = alignment.noise @ left @ alignment.noise
-    return np.asarray(np.sqrt(np.trace(missed, axis1=1, axis2=2)))
+    return np.asarray(alignment.variance * np.sqrt(np.trace(left, axis1=1, axis2=2)))
 
 
 def _residual_covariance(alignment: Alignment, found: Floats) -> Floats:
     moved = motion_jacobian(alignment.frame.to_world(found) - alignment.centre)
     followed = moved @ alignment.covariance @ np.swapaxes(moved, -1, -2)
-    return np.asarray(alignment.noise - followed)
+    return np.asarray(alignment.variance[:, None, None] * np.eye(3) - followed)
 
 
 # Probability that the noise as stated makes the right pairing look too bad to be believed.
@@ -369,7 +328,7 @@ def try_find_largest_pairings(sets: MarkerSets) -> list[MarkerPairingCandidate]:
 def find_pairings(sets: MarkerSets, count: int) -> list[MarkerPairingCandidate]:
     """Return all pairings of `count` pairs up to `MIN_CHI2_GAP` beyond the limit, the likeliest first."""
     bound = chi2_limit(count) + MIN_CHI2_GAP
-    rows = search_pairings(sets.found, sets.known, sets.variance_bound, count, bound)
+    rows = search_pairings(sets.found, sets.known, sets.variance, count, bound)
     candidates = []
     for row in rows:
         taken = np.flatnonzero(row >= 0)
@@ -483,7 +442,7 @@ def find_symmetries(known: ArrayLike, sd: ArrayLike) -> NDArray[np.int64]:
     Only turns count: a layout that is merely its own mirror image has the identity alone.
     """
     sets = make_marker_sets(known, known, sd, 0.0)
-    points, variance = sets.known, sets.variance_bound
+    points, variance = sets.known, sets.variance
     pair = np.maximum(variance, variance.T)  # the noisier of the two: no symmetry is missed
     rows = search_pairings(points, points, pair, len(points), MIN_SQUARED_MISFIT)
     moved = np.count_nonzero(rows != np.arange(len(points)), axis=1)

@@ -198,8 +198,7 @@ def register(
 
     `found`: (M, 3); centres found in the scan, LPS, mm; some may be missing, some may be no markers.
     `known`: (N, 3); places in the world, mm, in any order.
-    `found_sd`, `known_sd`: float or (M,), (M, 3), (M, 3, 3) array (of known: N); deviation per direction, mm
-    (or covariances, mm^2), along the axes of the scan and of the world.
+    `found_sd`, `known_sd`: float or (M,) array (of known: N); deviation in any one direction, mm.
 
     DataError: fewer than three markers; markers on a line; no pairing within the noise (and whether they are
     mirrored); several pairings as likely.
@@ -209,7 +208,7 @@ def register(
     chosen = select_pairing(sets)
     alignment, paired = chosen.best.alignment, chosen.best.pairs
     # the residuals of markers on a line say nothing of the turn about it
-    _refuse_collinear(sets.known[paired[:, 1]], float(np.sqrt(alignment.noise.max())))
+    _refuse_collinear(sets.known[paired[:, 1]], float(np.sqrt(alignment.variance.max())))
     return _build_registration(sets, chosen)
 
 
@@ -263,7 +262,7 @@ def _leave_one_out(sets: MarkerSets, pairs: Pairs) -> Floats:
         found, known = sets.found[others[:, 0]], sets.known[others[:, 1]]
         if len(others) < MIN_MARKERS or worst_turn_sd(known, sets.typical_sd) > MAX_TURN_SD_RAD:
             continue
-        frame = fit_kabsch(found, known, 1 / sets.variance_bound[tuple(others.T)])
+        frame = fit_kabsch(found, known, 1 / sets.variance[tuple(others.T)])
         left_out, own = pairs[n]
         away[n] = np.linalg.norm(frame.to_world(sets.found[left_out]) - sets.known[own])
     return away

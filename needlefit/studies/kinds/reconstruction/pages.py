@@ -16,7 +16,7 @@ from needlefit.geometry.curves import arc_length
 from needlefit.imaging.batch import Findings, ReconstructionFailure
 from needlefit.imaging.reconstruction import TIP_SECTION_OFFSET_MM, Reconstruction, ScanView
 from needlefit.imaging.scans import Scan
-from needlefit.imaging.volume import VoxelGrid
+from needlefit.imaging.volume import VoxelGrid, to_index
 from needlefit.project.folders import replace_file
 from needlefit.reporting import document
 from needlefit.reporting.figures.scan_views import (
@@ -496,7 +496,7 @@ def _paint_view(axes: Axes, found: Findings, view: int) -> None:
 
 def _to_voxel_mm(grid: VoxelGrid, points: Floats) -> Floats:
     """Return points (N, 3), LPS, along the voxels' axes, mm from the first voxel's outer corner."""
-    return np.asarray((np.atleast_2d(points) - grid.origin) @ grid.direction + grid.spacing / 2)
+    return np.asarray((to_index(grid, np.atleast_2d(points)) + 0.5) * grid.spacing)
 
 
 def _paint_profile(figure: Figure, found: Findings) -> None:

@@ -16,11 +16,12 @@ from needlefit.imaging.assembly import DatasetDescription, assemble_checked
 from needlefit.imaging.batch import VERSIONED_PACKAGES, Findings, ReconstructionFailure, add_findings
 from needlefit.imaging.corrections import make_control_points
 from needlefit.imaging.reconstruction import Reconstruction
-from needlefit.imaging.scans import write_scan_table
+from needlefit.imaging.scans import VECTORS, write_scan_table
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.folders import replace_folder
 from needlefit.project.progress import Progress
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
+from needlefit.project.toml import dumps
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records, write_csv
 from needlefit.reporting.text import KindText
@@ -39,6 +40,10 @@ from needlefit.studies.slicer_scene import (
 )
 
 SCANS_FILE = "scans.csv"
+TIP_COLUMNS = VECTORS["tip"]
+# Of the scene of a scan: modulus of the tissue, Pa, its thickness beside the needle, and the bevel's offset,
+# mm, as of the paper's soft layers.
+ASSUMED_MU_PA, ASSUMED_TISSUE_MM, ASSUMED_OFFSET_MM = 5e4, 40.0, 0.085
 POOR_DEPTH_SD_MM = 0.5  # deviation of the inserted length, mm, that the first line names
 MAX_NAMED_SCANS = 5
 MIN_CHANGE_MM = 0.005  # smaller changes by corrections are not printed, mm
@@ -58,7 +63,7 @@ _SCAN_COLUMNS = (
     *("fre_p_value", "wrong_pairing_probability", "target_error_entry_mm", "target_error_tip_mm"),
     *("entry_pose_from", "entry_along_sd_mm", "entry_shift_sd_mm", "entry_angle_sd_deg"),
     *("bending_plane_from", "out_of_plane_rms_mm", "out_of_plane_max_mm", "depth_mm", "depth_sd_mm"),
-    *("deflection_mm", "tip_along_sd_mm", "tip_across_sd_mm"),
+    *("deflection_mm", *TIP_COLUMNS, "tip_along_sd_mm", "tip_across_sd_mm"),
     *("bevel_probability", "centerline_sd_rms_mm", "layers", "warnings"),
 )
 _MARKER_COLUMNS = (
@@ -162,6 +167,7 @@ def describe_scan(one: Reconstruction) -> Row:
         "depth_mm": one.depth,
         "depth_sd_mm": one.depth_sd,
         "deflection_mm": one.deflection,
+        **dict(zip(TIP_COLUMNS, one.needle_axis.tip, strict=True)),
         **dict(zip(("tip_along_sd_mm", "tip_across_sd_mm"), one.needle_axis.tip_sd, strict=True)),
         "bevel_probability": one.needle_axis.bevel_probability,
         "centerline_sd_rms_mm": np.sqrt(np.mean(one.sd**2)),
@@ -221,7 +227,10 @@ def describe(found: Run) -> dict[str, Any]:
     """Return what the text prints."""
     rows, remarks = to_records(found.frames["reconstruction"]), to_records(found.frames["remarks"])
     poor = [{"id": row["id"], "sd_mm": row["depth_sd_mm"]} for row in rows]
+    assert isinstance(found.record, ReconstructionBatchRecord)
     return {
+        "unregistered": [row for row in rows if row["markers_known"] is None],
+        "needle": found.record.recipe.needle,
         "scans": len(rows),
         "remarked": len({row["id"] for row in remarks}),
         "corrected": _group_changes(found),
@@ -303,7 +312,9 @@ def write_reconstruction(
         if not kept:
             return None, failures
         refused = (*refused, *failures)
-        volumes = {one.scan.id: ScanVolume(one.scan.volume, one.scan.series) for one in kept}
+        volumes = {
+            one.scan.id: ScanVolume(one.scan.volume, one.scan.series, one.scan.acquisition) for one in kept
+        }
         write_volumes(fresh, volumes, folder)
         if any(one.scan.divided for one in kept):  # to correct one needle, and for the next run
             write_scan_table([one.scan for one in kept], fresh / SCANS_FILE, folder)
@@ -312,10 +323,12 @@ def write_reconstruction(
             write_scan(one, fresh / "slicer", recipe.needle.diameter_mm)
             write_control_points(make_scan_control_points(one), fresh / "slicer")
             if scenes:
-                volume = read_volume(one.scan.volume, one.scan.series)
+                volume = read_volume(one.scan.volume, one.scan.series, one.scan.acquisition)
                 place = fresh / "slicer" / f"{one.scan.id}.mrb"
                 write_slicer_scene(one, volume, recipe.needle.diameter_mm, place)
             write_quality(one, fresh / "quality" / f"{one.scan.id}.pdf")
+            if one.registration is None:
+                write_planned_scene(one, recipe, fresh / "scenes" / f"{one.scan.id}.toml")
         title = f"Reconstruction: {description.title or description.name}"
         record = KIND.make_record(title=title, scans=[one.scan.id for one in kept], recipe=recipe)
         assert isinstance(record, ReconstructionBatchRecord)
@@ -326,6 +339,37 @@ def write_reconstruction(
             write_refused_points(refused, fresh / "slicer")
         write_files(result, fresh)
     return result, failures
+
+
+def write_planned_scene(one: Reconstruction, recipe: ReconstructionRecord, path: Path) -> None:
+    """Write the insertion of a scan as a scene, with which others are simulated and predicted."""
+    needle, tops = recipe.needle, [0.0, *one.layers.boundaries.tolist()]
+    tables = {
+        "schema": 2,
+        "title": f"As in the scan {one.scan.id}",
+        "note": "Moduli are assumed: a prediction takes those of its TARGET.",
+        "depth_mm": round(one.depth, 3),
+        "needle": {
+            "name": needle.name or "as in the recipe of the reconstruction",
+            "length_mm": needle.length_mm,
+            "outer_diameter_mm": needle.diameter_mm,
+            "inner_diameter_mm": needle.inner_diameter_mm,
+            "youngs_modulus_gpa": needle.youngs_modulus_gpa,
+        },
+        "bevel": {"offset_mm": ASSUMED_OFFSET_MM, "side": one.scan.side},
+        "layers": [
+            {
+                "name": f"layer {n}",
+                "top_mm": round(top, 3),
+                "mu_pa": ASSUMED_MU_PA,
+                "alpha": 1.0,
+                "thickness_mm": ASSUMED_TISSUE_MM,
+            }
+            for n, top in enumerate(tops, start=1)
+        ],
+    }
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(dumps(tables), encoding="utf-8")
 
 
 def write_refused_points(failures: Sequence[ReconstructionFailure], folder: Path) -> None:
