@@ -26,6 +26,7 @@ from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records, write_csv
 from needlefit.reporting.text import KindText
 from needlefit.schemas.reconstruction import ReconstructionRecord
+from needlefit.studies.answer import Answer
 from needlefit.studies.job import Settings
 from needlefit.studies.kinds.reconstruction import KIND, ReconstructionBatchRecord
 from needlefit.studies.kinds.reconstruction.pages import list_reasons, write_quality, write_refused_pages
@@ -52,7 +53,7 @@ _COLUMNS = (
     *("fre_mm", "expected_fre_mm", "target_error_tip_mm", "entry_pose_from", "crossing_depths"),
     "remark_count",
 )
-_SCREEN_COLUMNS = (
+_FIRST_COLUMNS = (
     *("scan", "medium", "depth_mm", "deflection_mm", "markers", "fre_mm", "target_error_tip_mm"),
     *("crossing_depths", "remark_count"),
 )
@@ -277,11 +278,17 @@ def _list_depths(rows: Sequence[Row]) -> str:
     return ", ".join(f"{one['depth_mm']:.2f} ± {one['depth_sd_mm']:.2f}" for one in rows)
 
 
+def find_answer(found: Run) -> Answer:
+    """Return how many scans were reconstructed; remarks make it a warning. The table fits a terminal."""
+    answer = answer_in_words(found, "warn" if len(found.frames["remarks"]) else "pass")
+    return replace(answer, tables=[replace(lay_out_reconstructions(found, _FIRST_COLUMNS), name="scans")])
+
+
 REPORT = StudyReport(
     _TEXT,
     describe,
     lambda found: [lay_out_reconstructions(found), *_lay_out_refused(found)],
-    answer=lambda found: answer_in_words(found, "warn" if len(found.frames["remarks"]) else "pass"),
+    answer=find_answer,
     keeps_files=True,
 )
 
