@@ -1,34 +1,26 @@
-"""Commands that make and check data: new, import, check, twin."""
+"""Commands that make and check data: new, import, check."""
 
 import shlex
 import shutil
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from needlefit.cli import screen
-from needlefit.cli.execution import open_pool
 from needlefit.cli.exit_codes import Invocation
 from needlefit.cli.options import (
-    Insecure,
-    Jobs,
     Json,
     Plugins,
-    Quiet,
-    Scheduler,
     Strict,
     argument,
     option,
     split_pair,
 )
-from needlefit.cli.progress import show_progress
 from needlefit.datasets.importing.questions import OPTIONS, QUESTIONS
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import PROJECT_FOLDERS, join_names, shipped_folder
-from needlefit.project.processes import count_cores
 from needlefit.project.result_warnings import WARNINGS_KEY, to_rows
 
 if TYPE_CHECKING:
@@ -262,25 +254,13 @@ def _check_study(invocation: Invocation, kind: Literal["study", "fit"], name: st
             {"study": str(path), "ok": True, "kind": found.kind, "folds": folds, WARNINGS_KEY: rows}
         )
     else:
-        screen.print_text(f"No faults: {file_label(path)}, {found.kind}{_describe_folds(found.folds)}.")
+        sizes = [f"{tune} fitted, {held_out} held out" for tune, held_out in dict.fromkeys(found.folds)]
+        folds_text = f": {'; '.join(sizes)}; {len(found.folds)} folds" if sizes else ""
+        screen.print_text(f"No faults: {file_label(path)}, {found.kind}{folds_text}.")
     screen.print_warnings(invocation, found.warnings)
     if not invocation.json:
         command = "tune" if kind == "fit" else "validate"
         screen.print_note(f"next: {shlex.join(('needlefit', command, name))}")
-
-
-def _describe_folds(folds: Sequence[tuple[int, int]]) -> str:
-    if not folds:
-        return ""
-    tune, held_out = (sorted(set(counts)) for counts in zip(*folds, strict=True))
-    counts = f": n = {_join_range(tune)} fitted"
-    if any(held_out):
-        counts += f", {_join_range(held_out)} held out"
-    return counts if len(folds) == 1 else f"{counts}, in each of {len(folds)} folds"
-
-
-def _join_range(counts: Sequence[int]) -> str:
-    return f"{counts[0]}" if len(counts) == 1 else f"{min(counts)} to {max(counts)}"
 
 
 def _check_dataset(invocation: Invocation, path: Path) -> None:
@@ -343,71 +323,3 @@ def _show(dataset: "Dataset", measured: str, holes: str) -> None:
     screen.print_text(f"Measurement: {measured}.")
     if holes:
         screen.print_text(f"Holes: {holes}.")
-
-
-# ---- twin
-
-TwinSeed = Annotated[int | None, option("Seed (default: the shipped twin's).", min=0)]
-
-
-def twin_build(
-    context: typer.Context,
-    seed: TwinSeed = None,
-    population: Annotated[
-        bool, option("Draw moduli, bevel offsets and friction as `calibrate --truth synthetic` does.")
-    ] = False,
-    out: Annotated[Path, option("Folder of the dataset.", "DIR")] = Path("data/twin"),
-    jobs: Jobs = None,
-    scheduler: Scheduler = None,
-    insecure: Insecure = False,
-    quiet: Quiet = False,
-) -> None:
-    """Build the synthetic dataset.
-
-    It has as many insertions as the paper, 47, to the same depths. Each is simulated, rendered as a CT volume
-    and reconstructed from it. The same seed gives the same bytes.
-
-    DIR is replaced if it holds nothing but a synthetic dataset.
-    """
-    from needlefit.project.folders import replace_folder
-    from needlefit.synthetic.build import build_dataset
-    from needlefit.synthetic.design import POPULATION
-    from needlefit.synthetic.insertion import TWIN_SEED
-
-    seed, invocation = TWIN_SEED if seed is None else seed, context.find_root().obj
-    with (
-        replace_folder(out) as fresh,
-        show_progress(invocation.quiet) as report,
-        open_pool(invocation.jobs, invocation.scheduler, invocation.insecure) as pool,
-    ):
-        drawn = POPULATION if population else None
-        build_dataset(fresh, seed, pool=pool, progress=report, population=drawn)
-    screen.print_line(f"{out}: synthetic dataset, seed {seed}")
-
-
-def twin_ct(
-    context: typer.Context,
-    ids: Annotated[list[str] | None, argument("ID", "Insertions, or `sample` (default: all 47).")] = None,
-    seed: TwinSeed = None,
-    form: Annotated[Literal["nrrd", "dicom"], option("A file, or a series.", None, "--format")] = "nrrd",
-    out: Annotated[Path, option("Folder of the scans.", "DIR")] = Path("twin_ct"),
-    jobs: Jobs = None,
-    quiet: Quiet = False,
-) -> None:
-    """Render insertions of the synthetic dataset as CT volumes.
-
-    Writes volumes/ (20 MB each), markers/, layers/ and scans.csv, the input of `needlefit reconstruct`. The
-    same seed gives the same bytes.
-
-    DIR is replaced if it holds nothing but such scans.
-    """
-    from needlefit.project.folders import replace_folder
-    from needlefit.project.tasks import LocalPool
-    from needlefit.synthetic.design import select_planned_insertions
-    from needlefit.synthetic.insertion import TWIN_SEED
-    from needlefit.synthetic.scans import write_scans
-
-    seed, plan = TWIN_SEED if seed is None else seed, select_planned_insertions(ids or ())
-    with replace_folder(out) as fresh, show_progress(context.find_root().obj.quiet) as report:
-        write_scans(fresh, plan, seed, form, LocalPool(jobs or count_cores()), report)
-    screen.print_line(f"{out}: {len(plan)} synthetic scan{'s' * (len(plan) > 1)}, seed {seed}")
