@@ -361,6 +361,23 @@ def test_every_cell_is_used_or_named(tmp_path):
     }
 
 
+def test_cells_above_the_points_are_used_or_named_and_digits_are_names(tmp_path):
+    """Pairs of cells on Chinese sheets, a needle a sheet, beside a name that no table knows."""
+    sheets = {}
+    for name, side, curve in (("7", "上", CURVES[0]), ("12", "下", -CURVES[1])):
+        sheets[f"Sheet{name}"] = [
+            ["针号", name, "斜面方向", side, "操作者", "王"],
+            ["进针深度 (毫米)", round(abs(float(curve[-1, 0]))), "样本", "块 1"],
+            ["X (毫米)", "Y (毫米)", "Z (毫米)"],
+            *(list(map(float, point)) for point in curve),
+        ]
+    content = read_content([write_sheets(tmp_path / "a.xlsx", **sheets)])
+    known = [(one.name, stated(one)) for one in content.curves]
+    depths = [{"depth": text, "specimen": "块 1"} for text in ("60", "55")]
+    assert known == [("7", {"bevel side": "上"} | depths[0]), ("12", {"bevel side": "下"} | depths[1])]
+    assert [what for what, _ in content.unused] == ["row 操作者, 王"] * 2
+
+
 @pytest.mark.parametrize("version", [5, 7.3])
 def test_fields_of_structs_name_curves_and_state_their_bevels(tmp_path, version):
     fields = ("name", "bevel", "depth", "layers", "points", "force")
@@ -473,7 +490,7 @@ def test_a_needle_is_cut_at_a_surface_and_its_shaft_gives_the_pose(tmp_path):
     np.testing.assert_allclose(row.direction, [1.0, 0.0, 0.0], atol=1e-6)
     assert (row.pose_source, row.layers) == ("shaft", 3)
     assert [(one.name, one.into) for one in plan.surfaces] == [("fat", 2), ("muscle", 3)]
-    x = np.arange(-18.0, -2.0, 3.0)
+    x = np.array([*np.arange(-18.0, -2.0, 3.0), 0.0])
     assert plan.rows[0].pose_angle_sd == pytest.approx(0.1 / np.linalg.norm(x - x.mean()))
     options = {"pose": "shaft", "entry_point": "1_skin", "pose_angle_sd": "1"}
     assert np.degrees(planned([tmp_path], **options)[0].rows[0].pose_angle_sd) == pytest.approx(1.0)
@@ -501,6 +518,25 @@ def test_a_straight_shaft_is_cut_at_the_stated_entry_or_depth(tmp_path, by):
         assert row.pose_source == "shaft" and abs(points.values[0, 0]) < 0.01
     assert made["entry point"][0] == ("0,0,0" if by == "entry point" else "depth")
     assert "18.0 mm" in made["shaft"][0]
+
+
+def test_a_shaft_of_two_points_before_the_entry_gives_the_direction(tmp_path):
+    """Eight points a needle, 10 mm apart, 20 mm of them outside the tissue."""
+    x = np.arange(-20.0, 60.0, 10.0) - 2.0
+    curves = [np.column_stack([0.02 * x, x, s * 8e-4 * np.maximum(x, 0.0) ** 2]) for s in (1, -1)]
+    file = write_long(tmp_path, curves, head=["bevel"], cells=[["1"], ["-1"]])
+    plan, made = planned([file], pose="shaft", entry_point="0,0,0")
+    assert made["bevel"][1] == "guess" and made["shaft"][0].startswith("22.0 to 22.0 mm")
+    for row in plan.rows:
+        np.testing.assert_allclose(
+            row.direction, np.array([0.02, 1.0, 0.0]) / np.hypot(1.0, 0.02), atol=0.003
+        )
+        assert row.depth == pytest.approx(48.0, abs=0.2)
+    _, made = planned([file])
+    assert made["pose"][0] == "free"
+    asked = {}
+    plan_import([file], Answers({}, lambda what, guess, reason: asked.setdefault(what, reason) and ""))
+    assert "--pose 0,1,0 " in asked["pose"]
 
 
 def test_a_shaft_without_an_entry_a_depth_or_enough_points_is_refused(tmp_path):
@@ -612,6 +648,23 @@ def test_a_log_without_depth_or_a_depth_in_each_row_alone_is_asked_about(tmp_pat
     (tmp_path / "a.csv").write_text("\n".join(["time,x [mm],y [mm],z [mm]", *rows]))
     assert "--columns" in refusal(DataError, "", planned, [tmp_path], observable="tracks").expected
     assert planned([tmp_path], "depth=x [mm]", observable="tracks")[0].pose == "tracker"
+
+
+@pytest.mark.parametrize(
+    "names", [("Insertion depth (mm)", "Tip deflection (mm)"), ("Stichtiefe", "Auslenkung")]
+)
+def test_a_table_of_depth_and_deflection_is_a_track(tmp_path, names):
+    depths = np.arange(0.0, 75.0, 15.0)
+    rows = [f"{name};{x};{k * 1e-3 * x**2:.4f}" for k, name in enumerate("pq", 1) for x in depths]
+    (tmp_path / "a.csv").write_text("\n".join([";".join(["run", *names]), *rows]))
+    _, made = planned([tmp_path])
+    assert made["observable"] == ("tracks", "guess")
+    assert run("import", tmp_path, "--out", tmp_path / "t", "--set", "specimen=one") == 0
+    tracks = read(tmp_path / "t").insertions
+    assert [(one.id, one.specimen) for one in tracks] == [("p", "one"), ("q", "one")]
+    for k, one in enumerate(tracks, 1):
+        np.testing.assert_allclose(one.depths, depths)
+        np.testing.assert_allclose(one.tip, k * 1e-3 * depths**2, atol=1e-4)
 
 
 def test_open_contours_of_a_structure_set_are_centrelines(tmp_path):
@@ -737,6 +790,18 @@ def test_the_command_writes_a_dataset_that_check_passes(tmp_path, capsys):
     assert run("import", tmp_path / "six.csv", "--out", tmp_path / "again", "--set", "modulus=steel") == 0
     one, other = (sorted((tmp_path / name).rglob("*.[cp]*")) for name in ("gel", "again"))
     assert [path.read_bytes() for path in one] == [path.read_bytes() for path in other]
+
+
+def test_a_study_of_an_import_works_from_another_folder_and_moves_with_its_data(tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    write_long(Path(), NEEDLES)
+    assert run("import", "points.csv", "--out", "gel", "--pose", "1,0,0", "--bevel", "0,1,0") == 0
+    (tmp_path / "there").mkdir()
+    Path("gel").rename(tmp_path / "there" / "moved")
+    monkeypatch.chdir(tmp_path)
+    for study in ("there/moved/gel_study.toml", tmp_path / "there/moved/gel_study.toml"):
+        assert run("check", f"./{study}" if isinstance(study, str) else study) == 0
 
 
 @pytest.mark.parametrize("text", ["", "hello\n", "1,2,3\n", "x,y,z\n1,2,3\n4,a,6\n7,8,9\n1,2,3\n", "x,x,x\n"])

@@ -58,7 +58,7 @@ class ImportedCurve:
     stated: Mapping[str, Stated] = field(default_factory=dict)  # of `ATTRIBUTES`, once for the curve
     axes: str = ""  # what names its coordinates; empty: nothing
     readings: Readings | None = None
-    shaft: Floats = field(default_factory=lambda: np.empty((0, 3)))  # (K, 3); points before the entry
+    shaft: Floats = field(default_factory=lambda: np.empty((0, 3)))  # (K, 3); points up to the entry
 
     @property
     def line(self) -> Floats:
@@ -266,7 +266,7 @@ class _TableReader:
                 raise DataError(what, where=self.cells.where(max(group.row, 0)), expected="one", fix=fix)
 
     def find_pairs(self, n: int, filled: Sequence[int]) -> list[tuple[list[int], Header, str]]:
-        """Return the pairs of a known name and a value, if some cells of a row are nothing else.
+        """Return the pairs of a known name and a value among some cells of a row, if it is none of headers.
 
         `bevel | 1 | depth | 40`, `bevel: 1` in one cell, or a title such as `Needle 3`.
         """
@@ -282,9 +282,7 @@ class _TableReader:
         found = [(places, read_header(name), value) for places, name, value in pairs]
         values = [read_header(split_unit(value)[0]) for *_, value in found]
         is_name = any(one.meaning or one.axis or find_meaning("filler", one.text) for one in values)
-        is_known = all(one.meaning in ("needle", *ATTRIBUTES) for _, one, _ in found)
-        is_whole = sum(len(places) for places, *_ in found) == len(filled)
-        return found if is_known and is_whole and not is_name else []
+        return [] if is_name else [one for one in found if one[1].meaning in ("needle", *ATTRIBUTES)]
 
     # ---- curves
 

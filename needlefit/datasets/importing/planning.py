@@ -32,7 +32,7 @@ from needlefit.schemas.scene import NeedleRecord
 
 # Length of the longest needle, from and to, that may be assumed to be in mm, and that a stated unit may give.
 ASSUMED_MM, STATED_MM = (20.0, 1000.0), (1.0, 2000.0)
-MIN_SHAFT_MM, MIN_SHAFT_POINTS = 10.0, 3  # of a needle before its entry, from which its direction is taken
+MIN_SHAFT_MM, MIN_SHAFT_POINTS = 10.0, 3  # of a needle up to its entry, from which its direction is taken
 MIN_CUT_MM, STEP_MM = 1.0, 0.01  # of a needle before the stated entry, from which on, and in steps of which
 MIN_NEEDLE_MM, BEYOND_DEPTH_MM = 150.0, 50.0  # length assumed of a needle, and how much more than the depth
 # Length of the mean of the unit deflections, each toward its bevel, from which a direction is read of them.
@@ -304,17 +304,22 @@ class Planner:
         bends = bends - np.sum(bends * along, axis=1)[:, None] * along
         back = Rotation.from_rotvec(-np.array(turns)[:, None] * along)
         toward = np.array(sides)[:, None] * back.apply(bends)
-        mean = np.mean([normalize(one) if one.any() else one for one in toward], axis=0)
+        mean, total = (
+            np.mean([one / (np.linalg.norm(one) or 1.0) for one in toward], axis=0),
+            toward.sum(axis=0),
+        )
         source: ImportSource = "assumption"
         guess, reason = "bend", "every needle is taken to bend toward its bevel"
-        differ = len({*sides}) > 1 or len({*turns}) > 1
-        if differ and np.linalg.norm(mean) > MIN_SAME_SIDE:
-            direction = normalize(toward.sum(axis=0))
-            source, guess = "guess", format_direction(direction)
-            reason = f"{(toward @ direction > 0).sum()} of {len(bends)} needles bend to it from their sides"
+        differ = len({*sides}) > 1 or len({*turns}) > 1 or min(sides) < 0
+        if differ:
+            is_same = np.linalg.norm(mean) > MIN_SAME_SIDE
+            source, guess = "guess", format_direction(normalize(total)) if is_same else ""
+            reason = (
+                f"{(toward @ total > 0).sum()} of {len(bends)} needles bend to one direction from their sides"
+            )
         answer = self.settle("bevel", guess, reason, source)
-        if answer.text == "bend" and (differ or min(sides) < 0):
-            raise answer.error("bevel", "X,Y,Z: bevels differ, and the needles do not all bend accordingly")
+        if answer.text == "bend" and differ:
+            raise answer.error("bevel", "X,Y,Z: bevels differ")
         if answer.text == "bend":
             return [None] * len(bends)
         bevel = answer.to_vector("bevel")
@@ -408,7 +413,7 @@ def cut_shaft(curve: ImportedCurve, arc: float) -> None:
         expected, fix = "points from the entry to the tip", "state another --entry-point, or --entry last"
         raise DataError(what, where=points.where(), expected=expected, fix=fix)
     values = np.vstack([interpolate_at_arc(points.values, [arc]), points.values[after]])
-    curve.shaft = points.values[along < arc]
+    curve.shaft = np.vstack([points.values[along < arc], values[:1]])
     curve.points = replace(points.part(np.concatenate([after[:1], after])), values=values)
 
 
