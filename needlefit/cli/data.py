@@ -149,6 +149,7 @@ def import_data(
     from needlefit.datasets.importing.files import read_content
     from needlefit.datasets.importing.planning import Planner
     from needlefit.datasets.importing.tables import UnclearColumnsError
+    from needlefit.datasets.read import check_all
     from needlefit.datasets.template import SCENE_FILE, name_study_file
     from needlefit.project.folders import require_new, require_no_inputs_within
     from needlefit.reporting.dataset_import import (
@@ -187,7 +188,7 @@ def import_data(
         screen.print_line(f"{out}: {imported}\n")
         screen.show_frame(needles, "Needles")
         screen.show_frame(decisions, "Decisions")
-    screen.print_warnings(invocation, dataset.warnings)
+    screen.print_warnings(invocation, check_all(out)[1])
     path = str(out) if out.is_absolute() else f"./{out}"
     if dataset.pose == "tracker":
         screen.print_note(f"then: {shlex.join(('needlefit', 'check', path))}")
@@ -264,12 +265,14 @@ def _check_study(invocation: Invocation, kind: Literal["study", "fit"], name: st
 
 
 def _check_dataset(invocation: Invocation, path: Path) -> None:
+    from needlefit.datasets.dataset_warnings import measure_out_of_plane
     from needlefit.datasets.read import inspect
     from needlefit.datasets.sections import describe_measurement
     from needlefit.datasets.select import describe_holes
 
     found = inspect(path)
     faults, warnings = found.faults, found.warnings
+    planes = [] if found.dataset is None else measure_out_of_plane(found.dataset)
     measured = "" if found.dataset is None else describe_measurement(found.dataset)
     holes = "" if found.dataset is None else describe_holes(found.dataset)
     if invocation.json:
@@ -281,6 +284,7 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
                 "ok": not faults,
                 "measurement": measured,
                 "holes": holes,
+                "out_of_plane": [{"id": name, "tip_mm": mm, "tip_sds": sds} for name, mm, sds in planes],
                 "faults": rows,
                 WARNINGS_KEY: to_rows(warnings),
             }
@@ -296,6 +300,8 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
     screen.print_warnings(invocation, warnings, in_full=True)
     if found.dataset is not None and not faults and not invocation.json:
         _show(found.dataset, measured, holes)
+        if away := [f"{name} {mm:.2f} ({sds:.1f})" for name, mm, sds in planes]:
+            screen.print_text(f"Out of the bevel's plane at the tip, mm (SD): {join_names(away, 8)}.")
     if faults:
         raise typer.Exit(DataError.exit_code)
 

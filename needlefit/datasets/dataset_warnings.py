@@ -23,9 +23,10 @@ from needlefit.datasets.columns import (
     SHARED_COLUMN,
 )
 from needlefit.datasets.formats.csv import CsvTable
-from needlefit.datasets.insertion import Insertion, Noise, TipTrack
+from needlefit.datasets.insertion import Dataset, Insertion, Noise, TipTrack
 from needlefit.datasets.layers import ListedInsertion
 from needlefit.datasets.noise import MEAN_NORM_PER_SD
+from needlefit.geometry.frames import normalize
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.unit_warnings import (
@@ -58,6 +59,7 @@ MIN_BEND_SLOPE = 0.005
 # Standard deviations of a medium's insertions together beyond which bevels count as reversed; the weight of a
 # single one is limited to this.
 REVERSED_SD = 4.0
+MIN_SAME_DIRECTION = 0.95  # length of the mean of unit vectors from which they are one direction
 MAX_NAMED_INSERTIONS = 8  # number of insertions that a warning names
 COPY_TOLERANCE_MM = 1e-6  # largest distance, per axis, of two points that count as the same
 MIN_SIMILARITY = 0.8  # ratio of `difflib` above which a name counts as a mistyped version of another
@@ -220,6 +222,50 @@ def find_bend_side(insertion: Insertion, noise: Noise) -> BendSide:
     return "away" if all(value < -limit for value, limit in measures) else "unknown"
 
 
+def measure_out_of_plane(dataset: Dataset) -> list[tuple[str, float, float]]:
+    """Return how far each tip is out of the plane of its bevel, mm, and in standard deviations; worst first.
+
+    None of free shapes and tracks: their plane is that of the shape itself.
+    """
+    known = [one for one in dataset.insertions if one.pose_source != "none" and dataset.pose == "known"]
+    sds = [_compute_deflection_sd(one, dataset.noise) or math.nan for one in known]
+    away = [abs(float(one.out_of_plane[-1])) for one in known]
+    found = [(one.id, gap, gap / sd) for one, gap, sd in zip(known, away, sds, strict=True)]
+    return sorted(found, key=lambda one: -one[2])
+
+
+def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
+    """Yield a warning that names the insertions whose tips leave the planes of their bevels.
+
+    It proposes the direction of side 1 that fits their tips; one for each where those of single insertions
+    differ.
+    """
+    tips: dict[str, Floats] = {}  # across the needle, turned to side 1, in the world
+    places, worst = [], 0.0
+    for insertion, where in ((one.insertion, one.where) for one in listed):
+        away = abs(float(insertion.out_of_plane[-1])) if insertion.pose_source != "none" else 0.0
+        errors = SIGNIFICANT_SD * _compute_deflection_sd(insertion, noise)
+        if away > max(errors, MIN_BEND_SLOPE * insertion.depth):
+            across = np.array([0.0, insertion.planar[-1, 1], insertion.out_of_plane[-1]])
+            tips[insertion.id] = insertion.side * insertion.frame.rotation @ across
+            places.append(where)
+            worst = max(worst, away)
+    if tips:
+        units = [normalize(tip) for tip in tips.values()]
+        is_one = float(np.linalg.norm(np.mean(units, axis=0))) > MIN_SAME_DIRECTION
+        found = {"of all": np.sum([*tips.values()], axis=0)} if is_one else tips
+        shown = [
+            f"{', '.join(f'{value:z.2f}' for value in normalize(tip).round(2))} ({name})"
+            for name, tip in found.items()
+        ]
+        what = (
+            f"{join_names([*tips], MAX_NAMED_INSERTIONS)} leave the planes of their bevels, by up to "
+            f"{worst:.1f} mm at the tip, more than {SIGNIFICANT_SD:g} standard deviations of points and pose"
+        )
+        fix = f"check the bevel direction and the frame; what fits: {join_names(shown, MAX_NAMED_INSERTIONS)}"
+        yield ResultWarning("bevel_plane", what, places[0], fix)
+
+
 def find_side_warnings(results: Sequence[BendResult], column: str, what: str) -> Iterator[ResultWarning]:
     """Yield a warning that names the insertions, or runs (`what`), that bend away from their bevel."""
     away = [one for one in results if one.bend == "away"]
@@ -289,6 +335,7 @@ def find_insertion_warnings(
     results = [classify_insertion(one.insertion, one.where, noise) for one in listed]
     yield from find_side_warnings(results, column, "insertions")
     yield from find_pooled_side_warnings(results, column)
+    yield from find_plane_warnings(listed, noise)
     for n, later in enumerate(listed):
         first = next((one for one in listed[:n] if is_copy(one.insertion, later.insertion)), None)
         if first is not None:
@@ -299,7 +346,11 @@ def find_insertion_warnings(
         group = [one for one in insertions if one.medium == name]
         if all(one.surfaces and one.sequence == (1,) for one in group):
             what = f"none of the {len(group)} insertions into {name} meets any of its surfaces"
+            points = np.vstack([one.centerline[:1] for one in group])
+            bounds = [surface.mesh.bounds for surface in group[0].surfaces]
+            within = any(((low <= points) & (points <= high)).all() for low, high in bounds)
             fix = "check that surfaces and centrelines are in one frame (LPS, RAS?), or leave them out"
+            fix = "they begin within its bounds: close the hole where they enter" if within else fix
             yield ResultWarning("surfaces_missed", what, where(f"media.{name}.surfaces"), fix)
     yield from _find_noise_warnings(record, listed, noise, where)
 

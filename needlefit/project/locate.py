@@ -126,6 +126,9 @@ def find_dataset_or_study(name: str) -> tuple[Literal["dataset", "study", "fit"]
     """Return the dataset, or else the study or fit, that `name` means; ConfigError if there is none."""
     if is_path(name):
         path = find_file("dataset", name)
+        if path.suffix == ".csv":
+            fix = f"needlefit check {path.with_name('dataset.toml')}"
+            raise ConfigError("is a table of a dataset", where=name, expected="its dataset.toml", fix=fix)
         keys = read_toml(path, where=file_label(path)).keys()
         if path.name != "dataset.toml" and _is_study(path):
             return "study", path

@@ -195,6 +195,9 @@ class Planner:
             cut.append(max(arc, 0.0))
         if any(cut):
             self.keep("shaft", f"{min(cut):.1f} to {max(cut):.1f} mm cut off", "before the entry point")
+        if answer.text in surfaces and not any(cut):
+            expected = "a surface that needles cross on their way in; is there a hole where they enter?"
+            raise answer.error("entry point", expected)
         self.surfaces = [one for one in self.surfaces if one.name != answer.text]
         for one, cell in stated:
             if abs(depths[one.name] - one.length) > find_length_tolerance(depths[one.name]):
