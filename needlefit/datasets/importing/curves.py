@@ -247,10 +247,7 @@ class _TableReader:
             units = {headers[m].unit for m in columns}
             if len(units) > 1 or (len(found) > 1 and [*columns] != sorted(columns)):
                 what = f"the coordinates are {', '.join(headers[m].text for m in columns)}"
-                where, expected = (
-                    self.cells.where(max(n, 0), columns[0]),
-                    "x, y, z in this order, of one unit",
-                )
+                where, expected = self.cells.where(max(n, 0), columns[0]), "x, y, z in order, of one unit"
                 raise DataError(what, where=where, expected=expected, fix=COLUMNS_FIX)
             if len(columns) > 1:
                 groups.append(_Group(n, headers, (), columns, name, units.pop()))
@@ -353,9 +350,8 @@ class _TableReader:
         """Return what pairs of cells above a block state of a curve in it, and titles name."""
         stated: dict[str, Stated] = {}
         for n in rows:
-            for places, header, text in self.find_pairs(
-                n, [m for m in self.cells.filled(n) if m in group.span]
-            ):
+            filled = [m for m in self.cells.filled(n) if m in group.span]
+            for places, header, text in self.find_pairs(n, filled):
                 stated[header.meaning] = Stated(text, header.unit, self.cells.where(n, places[-1]))
                 self.use(n, *places)
         return stated
@@ -453,16 +449,17 @@ class _TableReader:
             expected = "columns called x, y, z, or depth and deflection"
             raise UnclearColumnsError(what, where=self.cells.where(0), expected=expected, fix=COLUMNS_FIX)
         self.require_single(group)
-        before, units = len(self.content.needles), self.find_units(n + 1)
+        listed, units = set[str](), self.find_units(n + 1)
         self.heads[n] = [group]
         self.use(n, *range(self.width))
         self.use(n + 1, *units)
         for m in range(n + 1 + bool(units), len(self.cells.rows)):
             name, where = self.cells.cell(m, keys[0]), self.cells.where(m, keys[0])
-            if name in dict(self.content.needles[before:]):
+            if name in listed:
                 what, fix = f"needle {name!r} is listed twice", "remove the row, or correct its name"
                 raise DataError(what, where=where, expected="one row for each needle", fix=fix)
             if name:
+                listed.add(name)
                 self.use(m, keys[0])
                 stated = self.read_attributes(_Found(group, (name,), rows=[m]))
                 self.content.needles.append((name, stated))
