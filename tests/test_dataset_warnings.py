@@ -30,9 +30,9 @@ UP = np.array([0.0, 1.0, 0.0])
 
 
 def write_dataset(folder, record, rows, curves, surfaces, **options) -> Path:
-    """Write curves that are no copies of one another: each 0.001 mm beside the one before."""
+    """Write curves that are no copies of one another: each 0.02 mm beside the one before."""
     beside = {
-        id_: curve + np.eye(curve.shape[1])[2] * 1e-3 * n for n, (id_, curve) in enumerate(curves.items())
+        id_: curve + np.eye(curve.shape[1])[2] * 2e-2 * n for n, (id_, curve) in enumerate(curves.items())
     }
     return write_curves(folder, record, rows, beside, surfaces, **options)
 
@@ -293,3 +293,19 @@ def test_surfaces_that_insertions_begin_within_and_never_meet_have_a_hole(tmp_pa
         write_dataset(folder, record(**tables), [into_gel()], {"a": CURVE}, {"skin.stl": surface})
         (found,) = (one for one in find_warnings(folder) if one.kind == "surfaces_missed")
         assert words in found.fix
+
+
+def test_curves_nearer_to_each_other_than_their_noise_allows_are_copies(tmp_path):
+    """Measured once, and exported again with scatter, without a point, or mirrored; and measured twice."""
+    random = np.random.default_rng(11)
+    once, twice = (CURVE + random.normal(0.0, 0.02, CURVE.shape) * [0, 1, 1] for _ in range(2))
+    others = {
+        "scatter": once + random.normal(0.0, 1e-3, CURVE.shape),
+        "dropped": np.delete(once, 40, axis=0),
+        "mirrored": once * [1, -1, 1],
+        "twice": twice,
+    }
+    for name, curve in others.items():
+        rows = [into_gel("a"), into_gel("b", side=-1 if name == "mirrored" else 1)]
+        path = write_rows(tmp_path / name, *rows, curves={"a": once, "b": curve - [0, 0, 2e-2]})
+        assert ("copy" in kinds(path)) == (name != "twice")

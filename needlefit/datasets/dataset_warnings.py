@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import (
@@ -62,6 +63,8 @@ REVERSED_SD = 4.0
 MIN_SAME_DIRECTION = 0.95  # length of the mean of unit vectors from which they are one direction
 MAX_NAMED_INSERTIONS = 8  # number of insertions that a warning names
 COPY_TOLERANCE_MM = 1e-6  # largest distance, per axis, of two points that count as the same
+# Standard deviations of a point by which two measurements differ at least, and the same in mm at most.
+MIN_LIKENESS_SD, MAX_LIKENESS_MM = 0.2, 0.01
 MIN_SIMILARITY = 0.8  # ratio of `difflib` above which a name counts as a mistyped version of another
 _UNIT = re.compile(r"_(mm|deg)$")
 # Decisions of an import that change the scale of mu and b, and hardly the shapes that are predicted.
@@ -326,6 +329,17 @@ def is_copy(one: Insertion, other: Insertion) -> bool:
     return bool(np.abs(a - b).max() <= COPY_TOLERANCE_MM)
 
 
+def measure_likeness(one: Insertion, other: Insertion) -> float:
+    """Return the median distance of points of the shorter curve from the nearest ones of the other, mm.
+
+    Each curve lies in the frame of its own entry; one may be the mirror image of the other.
+    """
+    a, b = (np.column_stack([curve.planar, curve.out_of_plane]) for curve in (one, other))
+    short, tree = (a, KDTree(b)) if len(a) < len(b) else (b, KDTree(a))
+    mirrors = ([1, 1, 1], [1, -1, 1], [1, 1, -1], [1, -1, -1])
+    return min(float(np.median(tree.query(short * mirror)[0])) for mirror in mirrors)
+
+
 def find_insertion_warnings(
     record: DatasetRecord, listed: Sequence[ListedInsertion], noise: Noise, file: Path
 ) -> Iterator[ResultWarning]:
@@ -341,6 +355,16 @@ def find_insertion_warnings(
         if first is not None:
             what = f"{later.insertion.id} has the same centreline as {first.insertion.id}, point by point"
             yield ResultWarning("copy", what, later.where, "remove one of the two, or restore its own file")
+            continue
+        for one in (one.insertion for one in listed[:n]):
+            if abs(one.depth - later.insertion.depth) > noise.point_sd:
+                continue
+            gap = measure_likeness(one, later.insertion)
+            if gap < min(MIN_LIKENESS_SD * noise.point_sd, MAX_LIKENESS_MM):
+                what = f"{later.insertion.id} and {one.id} differ by {gap:.2g} mm, which noise does not allow"
+                fix = "remove one of the two if it was exported twice; else correct `noise.point_sd_mm`"
+                yield ResultWarning("copy", what, later.where, fix)
+                break
     yield from find_boundary_warnings(record, insertions, where)
     for name in dict.fromkeys(one.medium for one in insertions):
         group = [one for one in insertions if one.medium == name]
