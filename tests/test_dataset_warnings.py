@@ -14,6 +14,7 @@ from needlefit.datasets.dataset_warnings import (
     classify_insertion,
     find_pooled_side_warnings,
     measure_out_of_plane,
+    measure_scatter,
     pool_z,
 )
 from needlefit.datasets.read import check, check_all, read
@@ -309,3 +310,13 @@ def test_curves_nearer_to_each_other_than_their_noise_allows_are_copies(tmp_path
         rows = [into_gel("a"), into_gel("b", side=-1 if name == "mirrored" else 1)]
         path = write_rows(tmp_path / name, *rows, curves={"a": once, "b": curve - [0, 0, 2e-2]})
         assert ("copy" in kinds(path)) == (name != "twice")
+
+
+@pytest.mark.parametrize("scatter", [0.02, 0.1])
+def test_points_that_scatter_more_than_their_stated_noise_contradict_it(tmp_path, scatter):
+    random = np.random.default_rng(3)
+    few = CURVE[::5]
+    curves = {name: few + random.normal(0.0, scatter, few.shape) * [0, 1, 1] for name in "ab"}
+    path = write_rows(tmp_path, into_gel("a"), into_gel("b"), curves=curves)
+    assert kinds(path) == (["noise"] if scatter > 0.04 else [])
+    assert measure_scatter(read(path).insertions) == pytest.approx(scatter, rel=0.25)

@@ -65,6 +65,7 @@ MAX_NAMED_INSERTIONS = 8  # number of insertions that a warning names
 COPY_TOLERANCE_MM = 1e-6  # largest distance, per axis, of two points that count as the same
 # Standard deviations of a point by which two measurements differ at least, and the same in mm at most.
 MIN_LIKENESS_SD, MAX_LIKENESS_MM = 0.2, 0.01
+SMOOTH_ORDER, MAX_SCATTER_RATIO = 3, 2.0  # of the polynomial, and scatter about it over the stated one
 MIN_SIMILARITY = 0.8  # ratio of `difflib` above which a name counts as a mistyped version of another
 _UNIT = re.compile(r"_(mm|deg)$")
 # Decisions of an import that change the scale of mu and b, and hardly the shapes that are predicted.
@@ -329,6 +330,25 @@ def is_copy(one: Insertion, other: Insertion) -> bool:
     return bool(np.abs(a - b).max() <= COPY_TOLERANCE_MM)
 
 
+def measure_scatter(insertions: Sequence[Insertion]) -> float:
+    """Return the standard deviation of points about smooth curves across the planes of the needles, mm.
+
+    No needle bends there, so that a cubic takes away all but the errors of single points. 0 of few points,
+    and of free shapes.
+    """
+    squares, count = 0.0, 0
+    for one in insertions:
+        if (
+            one.sd is None
+            and one.pose_source != "none"
+            and (free := len(one.planar) - SMOOTH_ORDER - 1) > SMOOTH_ORDER
+        ):
+            x = one.planar[:, 0] / one.depth
+            fitted = np.polyval(np.polyfit(x, one.out_of_plane, SMOOTH_ORDER), x)
+            squares, count = squares + float(np.sum((one.out_of_plane - fitted) ** 2)), count + free
+    return math.sqrt(squares / count) if count else 0.0
+
+
 def measure_likeness(one: Insertion, other: Insertion) -> float:
     """Return the median distance of points of the shorter curve from the nearest ones of the other, mm.
 
@@ -402,7 +422,15 @@ def _find_noise_warnings(
         f"`{shift_key}` is {shift:g} mm, more than the largest deflection, {largest:.3g} mm",
         CHECK_UNIT,
     )
-    yield from _warn([hides, exceeds], where)
+    scatter = measure_scatter(insertions)
+    contradicts = (
+        scatter > MAX_SCATTER_RATIO * sd > 0,
+        "noise",
+        f"noise.{larger}",
+        f"points scatter by {scatter:.2g} mm about smooth curves, and `noise.{larger}` is {sd:.2g} mm",
+        "state the noise that the points have; too little of it narrows every interval",
+    )
+    yield from _warn([hides, exceeds, contradicts], where)
     yield from find_spacing_warnings(noise, [one.planar[:, 0] for one in insertions], where)
     yield from _find_number_warnings(record, listed, largest, where)
     key = "noise.point_sd_mm"
