@@ -17,8 +17,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Rectangle
 
-from needlefit.datasets.importing.answers import QUESTIONS
 from needlefit.datasets.importing.files import WORKBOOK_FILE
+from needlefit.datasets.importing.questions import QUESTIONS
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
@@ -244,7 +244,7 @@ SETUP: dict[str, str | float] = {
     "needle length": 150, "diameter": "20G", "inner diameter": 0, "modulus": "nitinol",
     "boundaries": "20", "boundary sd": 0.2, "point sd": NOISE_MM,
     "entry": "first", "entry point": "0,0,0", "pose shift sd": 0.05,
-    "pose": "1,0,0", "pose angle sd": DIRECTION_SD_DEG, "bevel": "",  # found by the bends
+    "pose": "1,0,0", "pose angle sd": DIRECTION_SD_DEG, "bevel": "0,1,0",
 }  # fmt: skip
 
 

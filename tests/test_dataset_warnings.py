@@ -6,17 +6,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from test_datasets import CURVE, X, record, row
 
 from needlefit.datasets.dataset_warnings import (
     BendResult,
     classify_insertion,
     find_pooled_side_warnings,
+    measure_out_of_plane,
+    measure_scatter,
     pool_z,
 )
 from needlefit.datasets.read import check, check_all, read
 from needlefit.datasets.write import write_dataset as write_curves
-from needlefit.geometry.surfaces import make_sheet
+from needlefit.geometry.surfaces import Surface, make_mesh, make_sheet
 from needlefit.project.locate import find_file
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load
@@ -28,9 +31,9 @@ UP = np.array([0.0, 1.0, 0.0])
 
 
 def write_dataset(folder, record, rows, curves, surfaces, **options) -> Path:
-    """Write curves that are no copies of one another: each 0.001 mm beside the one before."""
+    """Write curves that are no copies of one another: each 0.02 mm beside the one before."""
     beside = {
-        id_: curve + np.eye(curve.shape[1])[2] * 1e-3 * n for n, (id_, curve) in enumerate(curves.items())
+        id_: curve + np.eye(curve.shape[1])[2] * 2e-2 * n for n, (id_, curve) in enumerate(curves.items())
     }
     return write_curves(folder, record, rows, beside, surfaces, **options)
 
@@ -262,3 +265,58 @@ def test_surfaces_listed_twice_turned_or_missed_are_faults(tmp_path):
     missed = check(layered(tmp_path / "missed", {"layers/a.stl": plane(70)}))
     assert len(missed) == 2 and not any("RAS" in one.what for one in missed)
     assert kinds(layered(tmp_path / "one", {"layers/a.stl": plane(70)}, layers=1)) == ["surfaces_missed"]
+
+
+@pytest.mark.parametrize("turn", [0.0, 35.0])
+def test_tips_out_of_the_planes_of_their_bevels_come_with_the_direction_that_fits(tmp_path, turn):
+    """Three needles bend by 3 mm; the stated bevels are turned away from them about the entry direction."""
+    tilt = np.radians(turn)
+    curve = np.column_stack([X, 12e-4 * X**2 * np.cos(tilt), 12e-4 * X**2 * np.sin(tilt)])
+    rows = [into_gel(name, side=side, bevel=side * UP) for name, side in (("a", 1), ("b", -1), ("c", 1))]
+    path = write_rows(tmp_path, *rows, curves=dict.fromkeys("abc", curve))
+    found = [one for one in find_warnings(path) if one.kind == "bevel_plane"]
+    away = {name: mm for name, mm, _ in measure_out_of_plane(read(path))}
+    assert away["a"] == pytest.approx(3.0 * np.sin(tilt), abs=1e-3)
+    assert ["0.00, 0.82, 0.57" in one.fix for one in found] == [True] * (turn > 0)
+
+
+def test_surfaces_that_insertions_begin_within_and_never_meet_have_a_hole(tmp_path):
+    """A box without the face where the needles enter, and the same box elsewhere."""
+    box = trimesh.creation.box(extents=(80, 60, 60))
+    box.apply_translation((40.0, 0.0, 0.0))
+    box.update_faces(box.face_normals[:, 0] > -0.5)
+    for shift, words in ((0.0, "hole"), (300.0, "frame")):
+        mesh = box.copy().apply_translation((0.0, shift, 0.0))
+        folder = tmp_path / words
+        medium = {"surfaces": [{"file": "skin.stl", "kind": "sheet", "into": 2}]}
+        surface = Surface("skin", make_mesh(mesh.vertices, mesh.faces), "sheet", 2)
+        tables = {"media": {"gel": medium}, "noise": NOISE}
+        write_dataset(folder, record(**tables), [into_gel()], {"a": CURVE}, {"skin.stl": surface})
+        (found,) = (one for one in find_warnings(folder) if one.kind == "surfaces_missed")
+        assert words in found.fix
+
+
+def test_curves_nearer_to_each_other_than_their_noise_allows_are_copies(tmp_path):
+    """Measured once, and exported again with scatter, without a point, or mirrored; and measured twice."""
+    random = np.random.default_rng(11)
+    once, twice = (CURVE + random.normal(0.0, 0.02, CURVE.shape) * [0, 1, 1] for _ in range(2))
+    others = {
+        "scatter": once + random.normal(0.0, 1e-3, CURVE.shape),
+        "dropped": np.delete(once, 40, axis=0),
+        "mirrored": once * [1, -1, 1],
+        "twice": twice,
+    }
+    for name, curve in others.items():
+        rows = [into_gel("a"), into_gel("b", side=-1 if name == "mirrored" else 1)]
+        path = write_rows(tmp_path / name, *rows, curves={"a": once, "b": curve - [0, 0, 2e-2]})
+        assert ("copy" in kinds(path)) == (name != "twice")
+
+
+@pytest.mark.parametrize("scatter", [0.02, 0.1])
+def test_points_that_scatter_more_than_their_stated_noise_contradict_it(tmp_path, scatter):
+    random = np.random.default_rng(3)
+    few = CURVE[::5]
+    curves = {name: few + random.normal(0.0, scatter, few.shape) * [0, 1, 1] for name in "ab"}
+    path = write_rows(tmp_path, into_gel("a"), into_gel("b"), curves=curves)
+    assert kinds(path) == (["noise"] if scatter > 0.04 else [])
+    assert measure_scatter(read(path).insertions) == pytest.approx(scatter, rel=0.25)

@@ -108,6 +108,7 @@ def test_faults_of_surfaces():
     for mesh, kind, words in [
         (without_triangles(core, slice(1, None)), "solid", "does not close"),
         (core, "sheet", "closed"),
+        (trimesh.Trimesh(core.vertices, core.faces[:, ::-1], process=False), "solid", "inside out"),
         (holed, "sheet", "1 hole"),
         (turned, "sheet", "opposite"),
         (two, "sheet", "2 pieces"),

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from needlefit.cli import data, exit_codes, plan, reconstruct, results, simulate, studies, view
+from needlefit.cli import data, exit_codes, plan, reconstruct, results, simulate, studies, twin, view
 from needlefit.cli.options import option
 
 _COMMANDS: tuple[tuple[str, Callable[..., None], str], ...] = (
@@ -24,8 +24,8 @@ _COMMANDS: tuple[tuple[str, Callable[..., None], str], ...] = (
     ("new project", data.new_project, "myproject"),
     ("new dataset", data.new_dataset, "data/mine"),
     ("new workbook", data.new_workbook, "needles.xlsx"),
-    ("twin build", data.twin_build, "--out data/twin2 --seed 2"),
-    ("twin ct", data.twin_ct, "phantom2-14 --out twin_ct"),
+    ("twin build", twin.build, "--out data/twin2 --seed 2"),
+    ("twin ct", twin.render_ct, "phantom2-14 --out twin_ct"),
     ("calibrate", studies.calibrate, "phantom1 --replicates 100"),
     ("paper", results.paper, ""),
 )

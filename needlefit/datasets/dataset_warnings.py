@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import (
@@ -23,9 +24,10 @@ from needlefit.datasets.columns import (
     SHARED_COLUMN,
 )
 from needlefit.datasets.formats.csv import CsvTable
-from needlefit.datasets.insertion import Insertion, Noise, TipTrack
+from needlefit.datasets.insertion import Dataset, Insertion, Noise, TipTrack
 from needlefit.datasets.layers import ListedInsertion
 from needlefit.datasets.noise import MEAN_NORM_PER_SD
+from needlefit.geometry.frames import normalize
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.unit_warnings import (
@@ -58,8 +60,12 @@ MIN_BEND_SLOPE = 0.005
 # Standard deviations of a medium's insertions together beyond which bevels count as reversed; the weight of a
 # single one is limited to this.
 REVERSED_SD = 4.0
+MIN_SAME_DIRECTION = 0.95  # length of the mean of unit vectors from which they are one direction
 MAX_NAMED_INSERTIONS = 8  # number of insertions that a warning names
 COPY_TOLERANCE_MM = 1e-6  # largest distance, per axis, of two points that count as the same
+# Standard deviations of a point by which two measurements differ at least, and the same in mm at most.
+MIN_LIKENESS_SD, MAX_LIKENESS_MM = 0.2, 0.01
+SMOOTH_ORDER, MAX_SCATTER_RATIO = 3, 2.0  # of the polynomial, and scatter about it over the stated one
 MIN_SIMILARITY = 0.8  # ratio of `difflib` above which a name counts as a mistyped version of another
 _UNIT = re.compile(r"_(mm|deg)$")
 # Decisions of an import that change the scale of mu and b, and hardly the shapes that are predicted.
@@ -220,6 +226,50 @@ def find_bend_side(insertion: Insertion, noise: Noise) -> BendSide:
     return "away" if all(value < -limit for value, limit in measures) else "unknown"
 
 
+def measure_out_of_plane(dataset: Dataset) -> list[tuple[str, float, float]]:
+    """Return how far each tip is out of the plane of its bevel, mm, and in standard deviations; worst first.
+
+    None of free shapes and tracks: their plane is that of the shape itself.
+    """
+    known = [one for one in dataset.insertions if one.pose_source != "none" and dataset.pose == "known"]
+    sds = [_compute_deflection_sd(one, dataset.noise) or math.nan for one in known]
+    away = [abs(float(one.out_of_plane[-1])) for one in known]
+    found = [(one.id, gap, gap / sd) for one, gap, sd in zip(known, away, sds, strict=True)]
+    return sorted(found, key=lambda one: -one[2])
+
+
+def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
+    """Yield a warning that names the insertions whose tips leave the planes of their bevels.
+
+    It proposes the direction of side 1 that fits their tips; one for each where those of single insertions
+    differ.
+    """
+    tips: dict[str, Floats] = {}  # across the needle, turned to side 1, in the world
+    places, worst = [], 0.0
+    for insertion, where in ((one.insertion, one.where) for one in listed):
+        away = abs(float(insertion.out_of_plane[-1])) if insertion.pose_source != "none" else 0.0
+        errors = SIGNIFICANT_SD * _compute_deflection_sd(insertion, noise)
+        if away > max(errors, MIN_BEND_SLOPE * insertion.depth):
+            across = np.array([0.0, insertion.planar[-1, 1], insertion.out_of_plane[-1]])
+            tips[insertion.id] = insertion.side * insertion.frame.rotation @ across
+            places.append(where)
+            worst = max(worst, away)
+    if tips:
+        units = [normalize(tip) for tip in tips.values()]
+        is_one = float(np.linalg.norm(np.mean(units, axis=0))) > MIN_SAME_DIRECTION
+        found = {"of all": np.sum([*tips.values()], axis=0)} if is_one else tips
+        shown = [
+            f"{', '.join(f'{value:z.2f}' for value in normalize(tip).round(2))} ({name})"
+            for name, tip in found.items()
+        ]
+        what = (
+            f"{join_names([*tips], MAX_NAMED_INSERTIONS)} leave the planes of their bevels, by up to "
+            f"{worst:.1f} mm at the tip, more than {SIGNIFICANT_SD:g} standard deviations of points and pose"
+        )
+        fix = f"check the bevel direction and the frame; what fits: {join_names(shown, MAX_NAMED_INSERTIONS)}"
+        yield ResultWarning("bevel_plane", what, places[0], fix)
+
+
 def find_side_warnings(results: Sequence[BendResult], column: str, what: str) -> Iterator[ResultWarning]:
     """Yield a warning that names the insertions, or runs (`what`), that bend away from their bevel."""
     away = [one for one in results if one.bend == "away"]
@@ -280,6 +330,36 @@ def is_copy(one: Insertion, other: Insertion) -> bool:
     return bool(np.abs(a - b).max() <= COPY_TOLERANCE_MM)
 
 
+def measure_scatter(insertions: Sequence[Insertion]) -> float:
+    """Return the standard deviation of points about smooth curves across the planes of the needles, mm.
+
+    No needle bends there, so that a cubic takes away all but the errors of single points. 0 of few points,
+    and of free shapes.
+    """
+    squares, count = 0.0, 0
+    for one in insertions:
+        if (
+            one.sd is None
+            and one.pose_source != "none"
+            and (free := len(one.planar) - SMOOTH_ORDER - 1) > SMOOTH_ORDER
+        ):
+            x = one.planar[:, 0] / one.depth
+            fitted = np.polyval(np.polyfit(x, one.out_of_plane, SMOOTH_ORDER), x)
+            squares, count = squares + float(np.sum((one.out_of_plane - fitted) ** 2)), count + free
+    return math.sqrt(squares / count) if count else 0.0
+
+
+def measure_likeness(one: Insertion, other: Insertion) -> float:
+    """Return the median distance of points of the shorter curve from the nearest ones of the other, mm.
+
+    Each curve lies in the frame of its own entry; one may be the mirror image of the other.
+    """
+    a, b = (np.column_stack([curve.planar, curve.out_of_plane]) for curve in (one, other))
+    short, tree = (a, KDTree(b)) if len(a) < len(b) else (b, KDTree(a))
+    mirrors = ([1, 1, 1], [1, -1, 1], [1, 1, -1], [1, -1, -1])
+    return min(float(np.median(tree.query(short * mirror)[0])) for mirror in mirrors)
+
+
 def find_insertion_warnings(
     record: DatasetRecord, listed: Sequence[ListedInsertion], noise: Noise, file: Path
 ) -> Iterator[ResultWarning]:
@@ -289,17 +369,32 @@ def find_insertion_warnings(
     results = [classify_insertion(one.insertion, one.where, noise) for one in listed]
     yield from find_side_warnings(results, column, "insertions")
     yield from find_pooled_side_warnings(results, column)
+    yield from find_plane_warnings(listed, noise)
     for n, later in enumerate(listed):
         first = next((one for one in listed[:n] if is_copy(one.insertion, later.insertion)), None)
         if first is not None:
             what = f"{later.insertion.id} has the same centreline as {first.insertion.id}, point by point"
             yield ResultWarning("copy", what, later.where, "remove one of the two, or restore its own file")
+            continue
+        for one in (one.insertion for one in listed[:n]):
+            if abs(one.depth - later.insertion.depth) > noise.point_sd:
+                continue
+            gap = measure_likeness(one, later.insertion)
+            if gap < min(MIN_LIKENESS_SD * noise.point_sd, MAX_LIKENESS_MM):
+                what = f"{later.insertion.id} and {one.id} differ by {gap:.2g} mm, which noise does not allow"
+                fix = "remove one of the two if it was exported twice; else correct `noise.point_sd_mm`"
+                yield ResultWarning("copy", what, later.where, fix)
+                break
     yield from find_boundary_warnings(record, insertions, where)
     for name in dict.fromkeys(one.medium for one in insertions):
         group = [one for one in insertions if one.medium == name]
         if all(one.surfaces and one.sequence == (1,) for one in group):
             what = f"none of the {len(group)} insertions into {name} meets any of its surfaces"
+            points = np.vstack([one.centerline[:1] for one in group])
+            bounds = [surface.mesh.bounds for surface in group[0].surfaces]
+            within = any(((low <= points) & (points <= high)).all() for low, high in bounds)
             fix = "check that surfaces and centrelines are in one frame (LPS, RAS?), or leave them out"
+            fix = "they begin within its bounds: close the hole where they enter" if within else fix
             yield ResultWarning("surfaces_missed", what, where(f"media.{name}.surfaces"), fix)
     yield from _find_noise_warnings(record, listed, noise, where)
 
@@ -327,7 +422,15 @@ def _find_noise_warnings(
         f"`{shift_key}` is {shift:g} mm, more than the largest deflection, {largest:.3g} mm",
         CHECK_UNIT,
     )
-    yield from _warn([hides, exceeds], where)
+    scatter = measure_scatter(insertions)
+    contradicts = (
+        scatter > MAX_SCATTER_RATIO * sd > 0,
+        "noise",
+        f"noise.{larger}",
+        f"points scatter by {scatter:.2g} mm about smooth curves, and `noise.{larger}` is {sd:.2g} mm",
+        "state the noise that the points have; too little of it narrows every interval",
+    )
+    yield from _warn([hides, exceeds, contradicts], where)
     yield from find_spacing_warnings(noise, [one.planar[:, 0] for one in insertions], where)
     yield from _find_number_warnings(record, listed, largest, where)
     key = "noise.point_sd_mm"

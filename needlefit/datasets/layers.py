@@ -179,6 +179,11 @@ NEAR_BOUNDARY_SD = 2  # standard deviations of a boundary within which a tip may
 UNIT_TOLERANCE = 0.25
 
 
+def find_length_tolerance(depth: float, pose: str = "known") -> float:
+    """Return by how much the length of a curve may differ from its stated depth, mm."""
+    return max(LENGTH_TOLERANCE_MM, LENGTH_TOLERANCE[pose] * depth)
+
+
 def find_curve_faults(
     points: Points, row: InsertionRow, record: DatasetRecord, place: str
 ) -> Iterator[Fault]:
@@ -205,10 +210,10 @@ def find_curve_faults(
         what = f"goes back: the centreline is unsorted or folded here{_describe_more(len(back))}"
         fix = "sort the points along the needle, and remove branches and loops"
         yield Fault(points.where(int(back[0])), what, "points in order from the entry to the tip", fix)
-    length, tolerance = arc_length(curve)[-1], LENGTH_TOLERANCE[record.frame.pose]
-    if abs(length - row.depth) > max(LENGTH_TOLERANCE_MM, tolerance * row.depth):
+    length, tolerance = arc_length(curve)[-1], find_length_tolerance(row.depth, record.frame.pose)
+    if abs(length - row.depth) > tolerance:
         where = points.where()
-        expected = f"the inserted length, within {max(LENGTH_TOLERANCE_MM, tolerance * row.depth):.1f} mm"
+        expected = f"the inserted length, within {tolerance:.1f} mm"
         fix = f"keep exactly the points from the entry to the tip, or correct {depth_mm}"
         yield Fault(where, f"is {length:.2f} mm long, but {depth_mm} is {row.depth:.2f}", expected, fix)
     if row.entry is not None and row.direction is not None:

@@ -402,6 +402,8 @@ def find_mesh_faults(mesh: "trimesh.Trimesh", kind: SurfaceKind) -> list[str]:
         faults.append(
             f"does not close: {rims} hole{'s' if rims > 1 else ''}, {int((counts == 1).sum())} open edges"
         )
+    if kind == "solid" and not faults and mesh.is_winding_consistent and mesh.volume < 0:
+        faults.append("is inside out: its triangles face inward")
     if kind == "sheet" and rims == 0:
         faults.append("is closed, but listed as a sheet")
     if kind == "sheet" and rims > pieces:

@@ -125,6 +125,9 @@ def find_study_or_fit(name: str) -> tuple[Literal["study", "fit"], Path]:
 
 def find_dataset_or_study(name: str) -> tuple[SourceKind, Path]:
     """Return the dataset, or else the study or fit, that `name` means; ConfigError if there is none."""
+    if name.lower().endswith(".csv"):
+        fix = f"needlefit check {Path(name).with_name('dataset.toml')}"
+        raise ConfigError("is a table of a dataset", where=name, expected="its dataset.toml", fix=fix)
     kinds: tuple[SourceKind, ...] = ("dataset", "study", "fit")
     found = _find_sources(name, kinds)
     if not found:

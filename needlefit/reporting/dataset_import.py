@@ -13,7 +13,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.dataset_warnings import find_bend_side
 from needlefit.datasets.importing.answers import Answers
 from needlefit.datasets.importing.curves import ImportContent
-from needlefit.datasets.importing.planning import SAME_AXIS_DEG, ImportPlan, snap_to_axis
+from needlefit.datasets.importing.planning import ImportPlan, snap_to_axis
 from needlefit.datasets.importing.writing import write_plan
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read
@@ -47,7 +47,7 @@ def write_import(folder: Path, content: ImportContent, plan: ImportPlan, answers
     """
     with create_folder(folder) as fresh:
         dataset = read(write_plan(fresh, content, plan, answers))
-        if not plan.readings:
+        if plan.pose != "tracker":
             write_starter_study(fresh, dataset)
             write_scene(fresh, dataset)
             draw(fresh / PICTURE_FILE, lambda: paint_import(dataset, plan))
@@ -98,7 +98,7 @@ def paint_import(dataset: Dataset, plan: ImportPlan) -> Figure:
     """Draw the needles with the surfaces as they lie in the world, and each one in its own frame."""
     figure = Figure(figsize=(6.7, 2.9))
     left, right = figure.subplots(1, 2)
-    _draw_world(left, dataset.insertions, [*plan.surfaces, *([plan.tissue] if plan.tissue else [])])
+    _draw_world(left, dataset.insertions, plan.surfaces)
     _draw_shapes(right, dataset, "bevel" if plan.rows[0].bevel is not None else "bend")
     figure.draw_without_rendering()  # the layout decides the scales
     for axes, words in ((left, "World: all needles from the side"), (right, "Each from its entry")):
@@ -144,12 +144,12 @@ def _draw_world(axes: Axes, insertions: Sequence[Insertion], surfaces: Sequence[
 def _find_view(chords: list[Floats], points: Floats) -> tuple[Floats, Floats]:
     """Return the mean direction of the needles, and the direction normal to it of the greatest extent."""
     total = np.sum([normalize(chord) for chord in chords], axis=0)
-    along = snap_to_axis(normalize(total if np.linalg.norm(total) > 1e-6 else chords[0]), SAME_AXIS_DEG)
+    along = snap_to_axis(normalize(total if np.linalg.norm(total) > 1e-6 else chords[0]))
     centred = points - points.mean(axis=0)
     flat = centred - np.outer(centred @ along, along)
     if np.abs(flat).max() < 1e-6:
         return along, make_normal(along)
-    axis = snap_to_axis(np.linalg.svd(flat, full_matrices=False)[2][0], SAME_AXIS_DEG)
+    axis = snap_to_axis(np.linalg.svd(flat, full_matrices=False)[2][0])
     return along, axis if axis[np.argmax(np.abs(axis))] > 0 else -axis
 
 

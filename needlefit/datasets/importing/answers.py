@@ -1,74 +1,89 @@
-"""Settle what an import needs to know: by an option, a file, an answer, the bends, or an assumption."""
+"""Read what is stated of an import, and settle what it needs to know: stated, asked for, or assumed."""
 
+import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from types import MappingProxyType
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
-from needlefit.datasets.importing.synonyms import Stated, option_name
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.datasets.importing.questions import QUESTIONS, name_option
+from needlefit.datasets.importing.synonyms import UNITS_MM, find_meaning, read_quantity
 from needlefit.errors import DataError
 from needlefit.schemas.dataset import ImportDecisionRecord, ImportSource
 
-MAX_ANSWER_CHARS = 500
+MAX_ANSWER_CHARS, MAX_NUMBER = 500, 1e6
 
 
-class Question(NamedTuple):
-    """What is asked, the unit of the answer, what is assumed where nobody answers, and why."""
+@dataclass(frozen=True)
+class Stated:
+    """What a cell, a field or an option states: its text, the unit of its header, and its place."""
 
     text: str
     unit: str = ""
-    guess: str = ""
-    reason: str = ""
-    is_asked: bool = True  # else it can only be stated
+    where: str = ""
+
+    def to_number(self, what: str, unit: str = "mm", usual: str = "", is_above: bool = False) -> float:
+        """Return the number of at least 0, or above 0, in a unit; `usual`: of lengths without one.
+
+        DataError if it is none.
+        """
+        value, own = read_quantity(self.text) or (-1.0, "")
+        own = own or self.unit or usual or unit
+        factor = UNITS_MM.get(own, 0.0) if unit == "mm" else float(own == unit)
+        if not 0 <= value * factor <= MAX_NUMBER or not factor or (is_above and not value):
+            raise self.error(what, f"a number {'above 0' if is_above else 'of 0 or more'}, {unit}")
+        return value * factor
+
+    def to_vector(self, what: str, is_direction: bool = True) -> Floats:
+        """Return the vector (3,) in a text such as `0,0,1`; DataError if it is none."""
+        try:
+            vector = np.array([float(part) for part in re.split("[,;]", self.text)])
+        except ValueError:
+            vector = np.empty(0)
+        if len(vector) != 3 or not (np.abs(vector) < MAX_NUMBER).all() or (is_direction and not vector.any()):
+            raise self.error(what, "three numbers, such as 0,0,1")
+        return vector
+
+    def to_depths(self, what: str, usual: str = "mm", separator: str = ",") -> tuple[float, ...]:
+        """Return increasing depths, mm, in a text such as `15,30`; with decimal commas `15,5;30`."""
+        parts = re.split(";" if ";" in self.text else separator, self.text)
+        depths = [replace(self, text=part.strip()).to_number(what, "mm", usual) for part in parts]
+        if any(b <= a for a, b in pairwise([0.0, *depths])):
+            raise self.error(what, "depths above 0 that increase, such as 15; 30")
+        return tuple(depths)
+
+    def to_angle(self) -> float:
+        """Return the direction that a bevel faces, degrees: clockwise from up, seen along the needle.
+
+        DataError if the cell is not understood.
+        """
+        text = self.text.replace("\u2212", "-").strip()
+        word = find_meaning("value", {"+": "up", "-": "down"}.get(text, text))
+        value, unit = read_quantity(word if word.endswith(" deg") else text) or (float("nan"), "")
+        unit = unit or self.unit
+        if value in (1.0, -1.0) and not unit:
+            return 90.0 - 90.0 * value
+        if (unit == "deg" and abs(value) <= 360.0) or (unit == "clock" and 0 < value <= 12):
+            return value if unit == "deg" else 30.0 * (value % 12)
+        expected = "1 or -1, up, down, left or right, degrees (90 deg), or a clock position (3 o'clock)"
+        raise self.error("bevel side", expected)
+
+    def error(self, what: str, expected: str) -> DataError:
+        """Return the error of a cell that is not understood."""
+        fix = "correct it" + (f", or state {name_option(what)}" if what != "depth" else "")
+        return DataError(
+            f"{what} is {self.text[:60]!r} {self.unit}".strip(), where=self.where, expected=expected, fix=fix
+        )
 
 
-QUESTIONS = MappingProxyType(
-    {
-        "observable": Question("What the points are: `shapes` of needles, or `tracks` of a tip on its way"),
-        "units": Question(
-            "Unit of coordinates that state none: mm, cm, dm, m, um, in", "", "mm", "not stated"
-        ),
-        "frame": Question("Coordinate system of files that state none: LPS or RAS"),
-        "entry": Question("Which end of the curves is the entry: first or last"),
-        "tissue surface": Question("Name of the surface at which needles enter the tissue, or none"),
-        "boundaries": Question(
-            "Depths of layer boundaries along the needles, mm (such as 15,30), or none", "mm"
-        ),
-        "boundary sd": Question(
-            "Standard deviation of the depths of the boundaries, mm", "mm", "0.5", "a ruler's"
-        ),
-        "point sd": Question(
-            "Standard deviation of a point across the needle, mm", "mm", "0.1", "that of a CT scan"
-        ),
-        "pose": Question("Entry direction: X,Y,Z of all, `shaft` before the entry, or `free`: unknown"),
-        "entry point": Question(
-            "Where tips touched the tissue: `first` point, stated `depth`, or X,Y,Z", "mm"
-        ),
-        "pose shift sd": Question(
-            "Standard deviation of the entry point per axis, mm", "mm", "", "that of a point"
-        ),
-        "pose angle sd": Question(
-            "Standard deviation of the entry direction, degrees", "deg", "0.5", "set by hand"
-        ),
-        "bevel": Question("Direction toward which bevels of side 1 deflect: X,Y,Z, or `bend` of each needle"),
-        "bevel side": Question("Sides of the bevels: 1 or -1 of all, or NAME=1,NAME=-1 by needle or cell"),
-        "medium": Question("Name of what was punctured", "", "medium1", "a name of your choice"),
-        "specimen": Question(
-            "Specimen of all insertions (`each`: every insertion has its own)",
-            guess="each",
-            reason="predictions are then wide; --specimen NAME if all needles went into one block",
-        ),
-        "needle length": Question("Length of the needle, mm", "mm", "", "at least 50 mm more than the depth"),
-        "diameter": Question("Outer diameter, mm or gauge (18G)", "mm", "18G", "a common gauge"),
-        "inner diameter": Question("Inner diameter, mm (0: solid)", "mm", "0", "a solid needle"),
-        "modulus": Question(
-            "Young's modulus, GPa, or steel, nitinol, titanium, peek", "GPa", "steel", "common"
-        ),
-        "title": Question("What was inserted into what", is_asked=False),
-        "source": Question("Who measured this, when, how", is_asked=False),
-        "license": Question("Terms of use", is_asked=False),
-    }
-)
+def add_stated(known: dict[str, Stated], stated: Mapping[str, Stated]) -> None:
+    """Add what is stated to what is known; DataError if the two differ."""
+    for what, one in stated.items():
+        if known.setdefault(what, one).text != one.text:
+            text = f"{what} is {one.text[:60]!r}, and {known[what].text[:60]!r} in {known[what].where}"
+            raise DataError(text, where=one.where, expected="one value", fix="correct one of the two")
 
 
 @dataclass
@@ -84,7 +99,7 @@ class Answers:
     @property
     def stated(self) -> dict[str, Stated]:
         """What options and files state."""
-        return {**self.setup, **{k: Stated(text, "", option_name(k)) for k, text in self.options.items()}}
+        return {**self.setup, **{k: Stated(text, "", name_option(k)) for k, text in self.options.items()}}
 
     def settle(
         self,
@@ -110,7 +125,7 @@ class Answers:
             found = Stated(self.prompt(what, guess, reason).strip()[:MAX_ANSWER_CHARS], "", "the answer")
             source, reason = ("answer", "") if found.text else ("confirmed", reason)
         if not found.text and not guess:
-            fix = f"state it with {option_name(what)}"
+            fix = f"state it with {name_option(what)}"
             raise DataError(f"{what} is not clear: {reason}", expected=expected, fix=fix)
         found = found if found.text else Stated(guess)
         if choices and found.text not in choices:

@@ -6,20 +6,19 @@ from dataclasses import replace
 from pathlib import Path
 
 from needlefit.datasets.columns import make_id
-from needlefit.datasets.faults import Fault, as_error
+from needlefit.datasets.faults import as_error
 from needlefit.datasets.formats import FORMATS, find_format
 from needlefit.datasets.formats.mat import NAMED_FIELDS
-from needlefit.datasets.importing.answers import QUESTIONS
+from needlefit.datasets.importing.answers import Stated, add_stated
 from needlefit.datasets.importing.curves import (
     ATTRIBUTES,
     ImportContent,
     ImportedCurve,
-    ImportedSurface,
-    add_stated,
     parse_columns,
     read_table,
 )
-from needlefit.datasets.importing.synonyms import Stated, find_meaning, make_key, read_header
+from needlefit.datasets.importing.questions import QUESTIONS
+from needlefit.datasets.importing.synonyms import find_meaning, read_header
 from needlefit.datasets.importing.tables import (
     SHEET_SUFFIXES,
     TEXT_SUFFIXES,
@@ -37,7 +36,6 @@ from needlefit.geometry.surfaces import (
     transform_surface,
 )
 from needlefit.project.input_files import is_dir, path_exists
-from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
 # Sheets of the workbook to fill in: of examples (a beginning of names), answers, an explanation, points.
 WORKBOOK_FILE = Path(__file__).with_name("workbook.xlsx")
@@ -53,39 +51,26 @@ def read_content(paths: Sequence[Path], columns: str = "") -> ImportContent:
     UnclearColumnsError if no header names coordinates. DataError if the files hold no curve, or a bad one.
     """
     content = ImportContent(parse_columns(columns))
-    files = list(_list_files(paths, content))
-    if len(files) > MAX_FILES:
-        what, where = f"{len(files)} files are named", str(paths[0])
-        raise DataError(what, where=where, expected=f"at most {MAX_FILES}", fix="import them in parts")
-    for path in files:
+    for path in itertools.islice(_list_files(paths, content), MAX_FILES):
         _read_file(path, content)
     if not content.curves and content.unclear is not None:
         raise content.unclear
-    if not 0 < len(content.curves) <= MAX_CURVES:
+    if not 0 < len(content.curves) <= MAX_CURVES or len(content.files) == MAX_FILES:
         left = ", ".join(what for what, _ in content.unused[:3])
         what = f"holds {len(content.curves)} curves of needles" + (f"; not read: {left}" if left else "")
         expected = f"1 to {MAX_CURVES} needles in files that end in {', '.join(list_import_suffixes())}"
         raise DataError(what, where=str(paths[0]), expected=expected, fix="name their files or folder")
-    faults = [fault for one in content.curves for fault in one.points.find_faults(one.name)]
-    for one in content.curves:
-        if why := name_fault(one.name):
-            what = f"the name {one.name[:80]!r} of a curve is refused: {why}"
-            faults.append(Fault(one.points.where(), what, EXPECTED_NAME, "rename it in its file"))
-    if faults:
+    if faults := [fault for one in content.curves for fault in one.points.find_faults(one.name)]:
         raise as_error(faults, paths[0])
     for meaning in content.columns.keys() - content.columns_found:
         what = f"no table has a column {content.columns[meaning]!r}"
         raise DataError(what, where=str(paths[0]), expected="a header or a number", fix="correct --columns")
-    curves, surfaces = dict[str, ImportedCurve](), dict[str, ImportedSurface]()
+    curves: dict[str, ImportedCurve] = {}
     for one in content.curves:
         name = _make_unique(make_id(one.name, "curve")[:MAX_NAME_CHARS], curves)
         curves[name] = replace(one, name=name)
-    for layer in content.surfaces:
-        plain = "".join(letter for letter in layer.surface.name if letter.isprintable())[:MAX_NAME_CHARS]
-        name = _make_unique(plain or "surface", surfaces)
-        surfaces[name] = replace(layer, surface=replace(layer.surface, name=name))
-    content.curves, content.surfaces = [*curves.values()], [*surfaces.values()]
-    _add_stated(content)
+    content.curves = [*curves.values()]
+    _add_needles(content)
     return content
 
 
@@ -95,30 +80,26 @@ def _make_unique(name: str, taken: Container[str]) -> str:
     return next(one for one in itertools.chain([name], numbered) if one not in taken)
 
 
-def _add_stated(content: ImportContent) -> None:
-    """Add to the curves what tables state of needles by their names.
+def _add_needles(content: ImportContent) -> None:
+    """Add to the curves what tables state of needles, by their names.
 
     DataError if tables state something of needles, and of none that has a curve.
     """
-    keys = [make_key(one.name) for one in content.curves]
-    is_own = len({*keys}) == len(keys)
-    keys = keys if is_own else [one.name.lower() for one in content.curves]  # only words tell them apart
-    rows: dict[str, dict[str, Stated]] = {}
+    places = {one.name.lower(): n for n, one in enumerate(content.curves)}
     missed = []
     for name, stated in content.needles:
-        key = make_key(make_id(name, name)) if is_own else make_id(name, name).lower()
-        add_stated(rows.setdefault(key, {}), stated)
-        missed += [] if key in keys else [name]
-    for n, (one, key) in enumerate(zip(content.curves, keys, strict=True)):
-        known = dict(one.stated)
-        add_stated(known, rows.get(key, {}))
-        content.curves[n] = replace(one, stated=known)
+        n = places.get(make_id(name, name)[:MAX_NAME_CHARS].lower())
+        if n is None:
+            missed.append((f"row of needle {name}", "no curve has its name"))
+        else:
+            known = dict(content.curves[n].stated)
+            add_stated(known, stated)
+            content.curves[n] = replace(content.curves[n], stated=known)
     if missed and len(missed) == len(content.needles):
-        where = next((one.where for _, stated in content.needles for one in stated.values()), "")
-        what, fix = f"no curve is called {', '.join(missed[:8])}", "give needles and curves the same names"
-        expected = f"names of curves: {', '.join(one.name for one in content.curves[:8])}"
-        raise DataError(what, where=where, expected=expected, fix=fix)
-    content.unused += [(f"row of needle {name}", "no curve has its name") for name in missed]
+        what, fix = f"{missed[0][0]}: {missed[0][1]}", "give needles and curves the same names"
+        expected = f"names of curves: {', '.join([*places][:8])}"
+        raise DataError(what, where=str(content.files[0]), expected=expected, fix=fix)
+    content.unused += missed
 
 
 def list_import_suffixes() -> tuple[str, ...]:
@@ -133,16 +114,13 @@ def _list_files(paths: Iterable[Path], content: ImportContent) -> Iterable[Path]
         if not is_dir(path):
             yield path
             continue
-        shown = [one for one in sorted(path.iterdir()) if not one.name.startswith((".", "~$"))]
-        known = [one for one in shown if one.is_file() and one.name.lower().endswith(list_import_suffixes())]
-        left = [one for one in shown if one not in known]
-        content.unused += [
-            (f"folder {one.name}", "it is not searched: name it")
-            if one.is_dir()
-            else (f"file {one.name}", "its ending")
-            for one in left
-        ]
-        yield from known
+        for one in sorted(path.iterdir()):
+            if one.is_dir():
+                content.unused.append((f"folder {one.name}", "it is not searched: name it"))
+            elif not one.name.lower().endswith(list_import_suffixes()) or one.name.startswith((".", "~$")):
+                content.unused.append((f"file {one.name}", "its name"))
+            else:
+                yield one
 
 
 def _read_file(path: Path, content: ImportContent) -> None:
@@ -151,9 +129,7 @@ def _read_file(path: Path, content: ImportContent) -> None:
     content.files.append(path)
     if suffix in TEXT_SUFFIXES:
         try:
-            cells = read_text_cells(path)
-            content.notes.append(f"{path.name}: {cells.layout}")
-            read_table(cells, content)
+            read_table(read_text_cells(path), content)
         except UnclearColumnsError as error:
             content.leave_out(f"file {path.name}", error)
     elif suffix in SHEET_SUFFIXES:
@@ -161,7 +137,9 @@ def _read_file(path: Path, content: ImportContent) -> None:
     elif suffix in READ_SUFFIXES:
         surface, stated = read_surface(path, "sheet", 2), read_coordinate_system(path)
         surface = transform_surface(surface, RAS_TO_LPS) if stated == "RAS" else surface
-        content.surfaces.append(ImportedSurface(path, surface, "LPS" if stated else None))
+        plain = "".join(letter for letter in surface.name if letter.isprintable())[:MAX_NAME_CHARS]
+        name = _make_unique(plain or "surface", [one.name for one, *_ in content.surfaces])
+        content.surfaces.append((replace(surface, name=name), path, "LPS" if stated else None))
     elif not path_exists(path):
         raise DataError("there is no such file", where=str(path), fix="check the name and the path")
     else:
@@ -176,67 +154,55 @@ def _read_format(path: Path, content: ImportContent) -> None:
         raise DataError(what, where=str(path), expected=expected, fix="export the points to one of these")
     found, remarks = format_.read_curves(path)
     unused = dict.fromkeys(remark.removesuffix(" ignored") for remark in remarks)
-    order = [content.columns.get(axis, "") for axis in "xyz"]
-    curves = []
+    titles = [
+        points.stated[key]
+        for points in found.values()
+        for key in points.stated
+        if read_header(key).meaning == "needle"
+    ]
+    is_named = len({*titles}) == len(found)  # one name of all is that of the experiment
     for name, points in found.items():
         axes = "the format" if format_.in_scan else "fields x, y, z" if NAMED_FIELDS in points.stated else ""
-        if not axes and sorted(order) == ["1", "2", "3"]:
-            content.columns_found |= {*"xyz"}
-            axes = "--columns"
-            points = replace(points, values=points.values[:, [int(number) - 1 for number in order]])
         stated: dict[str, Stated] = {}
         for key, text in points.stated.items():
             header = read_header(key)
-            if text and header.meaning in ("needle", *ATTRIBUTES) and header.meaning not in stated:
+            if is_named and header.meaning == "needle":
+                name = text
+            elif text and header.meaning in ATTRIBUTES and header.meaning not in stated:
                 stated[header.meaning] = Stated(text, header.unit, f"{path}, field {key} of {name}")
             elif text:
                 unused[f"field {key}"] = None
         unit, system = ("mm", "LPS") if format_.in_scan else ("", None)
-        curves.append(ImportedCurve(name, points, unit, system, stated, axes))  # type: ignore[arg-type]
-    own = {one.stated["needle"].text for one in curves if "needle" in one.stated}
-    for one in curves:
-        title = one.stated.get("needle")
-        one = replace(one, stated={what: cell for what, cell in one.stated.items() if what != "needle"})
-        if len(own) == len(curves) and title is not None:
-            one = replace(one, name=title.text)
-        elif title is not None:  # one name of all is that of the experiment
-            unused[f"field {title.text}"] = None
-        content.curves.append(one)
+        content.curves.append(ImportedCurve(name, points, unit, system, stated, axes))  # type: ignore[arg-type]
     content.unused += [(what, path.name) for what in unused]
 
 
 def _read_workbook(path: Path, content: ImportContent) -> None:
     """Add what all sheets hold, and the answers of the sheet `setup`.
 
-    Sheets called `example` are those of the workbook to fill in: they are used where no other holds curves.
+    Sheets called `example` are those of the workbook to fill in: they are read where `points` is empty.
     """
-    own, examples = (ImportContent(content.columns, content.columns_found) for _ in range(2))
-    names = []
-    for cells in read_sheets(path):
-        plain = cells.sheet.lower()
-        is_example = plain.startswith(EXAMPLE_SHEET)
-        names += [cells.sheet] if is_example else []
-        filled = sum(map(any, cells.rows))
-        if plain == GUIDE_SHEET or (plain in EMPTY_SHEETS and filled < 2):
-            continue
+    sheets = [one for one in read_sheets(path) if one.sheet.lower() != GUIDE_SHEET]
+    plain = {one.sheet: one.sheet.lower() for one in sheets}
+    filled = {one.sheet: sum(map(any, one.rows)) for one in sheets}
+    if examples := [name for name in plain if plain[name].startswith(EXAMPLE_SHEET)]:
+        own = [name for name in plain if name not in examples and plain[name] != SETUP_SHEET]
+        is_empty = all(filled[name] < 2 for name in own)
+        sheets = [
+            one for one in sheets if (one.sheet in examples) == is_empty or one.sheet not in [*examples, *own]
+        ]
+        why = "read: no other sheet holds points" if is_empty else "not read: other sheets hold points"
+        content.notes.append(f"{path.name}: examples ({', '.join(examples)}) are {why}")
+    for cells in sheets:
         try:
-            if plain.removeprefix(EXAMPLE_SHEET).strip() == SETUP_SHEET:
-                _read_setup(cells, examples if is_example else own)
-            elif filled:
-                read_table(cells, examples if is_example else own)
-            else:
-                own.unused.append((f"sheet {cells.sheet}", "it is empty"))
+            if plain[cells.sheet].removeprefix(EXAMPLE_SHEET).strip() == SETUP_SHEET:
+                _read_setup(cells, content)
+            elif not filled[cells.sheet]:
+                content.unused.append((f"sheet {cells.sheet}", "it is empty"))
+            elif filled[cells.sheet] > 1 or plain[cells.sheet] not in EMPTY_SHEETS:
+                read_table(cells, content)
         except UnclearColumnsError as error:
-            own.leave_out(f"sheet {cells.sheet}", error)
-    why = "not read: other sheets hold points" if own.curves else "read: no other sheet holds points"
-    content.notes += [f"{path.name}: examples ({', '.join(names)}) are {why}"] if names else []
-    for one in (own,) if own.curves else (own, examples):
-        content.curves += one.curves
-        content.needles += one.needles
-        content.notes += one.notes
-        content.unused += one.unused
-        add_stated(content.setup, one.setup)
-    content.unclear = content.unclear or own.unclear
+            content.leave_out(f"sheet {cells.sheet}", error)
 
 
 def _read_setup(cells: CellTable, content: ImportContent) -> None:

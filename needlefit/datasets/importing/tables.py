@@ -3,6 +3,7 @@
 import codecs
 import csv
 import io
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import date, time, timedelta
@@ -27,13 +28,14 @@ MAX_CELL_CHARS = 500  # longer text is no header and no number; the rest of it i
 SAMPLE_ROWS = 300  # rows by which the separator and the decimal sign are found
 MISSING = frozenset(["nan", "na", "n/a", "-", "--", "null", "none", "missing", "#n/a", "inf", "-inf", "+inf"])
 
-# Separators and decimal signs, in the order in which equally good ones are taken.
-_LAYOUTS = (
+_NUMBERS = {
+    ".": re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.IGNORECASE),
+    ",": re.compile(r"[-+]?(\d{1,3}(\.\d{3})+,\d+|\d+,?\d*|,\d+)(e[-+]?\d+)?", re.IGNORECASE),
+}
+_LAYOUTS = (  # separators and decimal signs, in the order in which equally good ones are taken
     *((";", ","), (";", "."), ("\t", ","), ("\t", "."), ("|", ","), ("|", ".")),
     *((",", "."), (" ", ","), (" ", ".")),
 )
-_SEPARATORS = {";": "semicolon", "\t": "tab", "|": "bar", ",": "comma", " ": "blank"}
-_BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 
 
 class UnclearColumnsError(DataError):
@@ -46,21 +48,16 @@ class CellTable:
 
     path: Path
     rows: Sequence[Sequence[str]]  # blank rows are among them; rows may differ in length
-    first: int = 1  # line or row in its file of the first one, from 1
-    left: int = 0  # empty columns of its sheet that were left out before the first one
     sheet: str = ""  # name of the sheet; empty for a text table
     decimal: str = "."  # in a sheet, where numbers are stored as such, a comma in a text is read, too
     separator: str = ""  # between the cells; empty for a sheet
-    layout: str = ""  # how the file was read, for people
     used: set[tuple[int, int]] = field(default_factory=set)  # rows and columns of the cells that were used
 
     def where(self, row: int, column: int | None = None) -> str:
         """Return the place of a row, or of its cell in a column, for a message."""
         if self.sheet and column is not None:
-            across, down = self.left + column + 1, self.first + row
-            return f"{self.path}, sheet {self.sheet!r}, cell {_name_column(across)}{down}"
-        line = self.first + row
-        return f"{self.path}, sheet {self.sheet!r}, row {line}" if self.sheet else f"{self.path}:{line}"
+            return f"{self.path}, sheet {self.sheet!r}, cell {_name_column(column + 1)}{row + 1}"
+        return f"{self.path}, sheet {self.sheet!r}, row {row + 1}" if self.sheet else f"{self.path}:{row + 1}"
 
     def cell(self, row: int, column: int) -> str:
         """Return a cell; empty where its row ends before it."""
@@ -95,19 +92,9 @@ def parse_number(text: str, decimal: str) -> float | None:
     With a decimal comma, points before it separate thousands.
     """
     plain = text.replace("\u00a0", "").replace("\u2212", "-").strip()
-    if decimal == ",":
-        whole, comma, rest = plain.partition(",")
-        groups = whole.lstrip("+-").split(".")
-        thousands = len(groups) > 1 and all(len(group) == 3 for group in groups[1:])
-        if "." in rest or ("." in whole and not (comma and thousands)):
-            return None
-        plain = f"{whole.replace('.', '')}.{rest}" if comma else whole
-    if not plain or plain.lower().strip("+-") in ("nan", "inf", "infinity") or "_" in plain:
+    if not _NUMBERS[decimal].fullmatch(plain):
         return None
-    try:
-        value = float(plain)
-    except ValueError:
-        return None
+    value = float(plain.replace(".", "").replace(",", ".") if decimal == "," else plain)
     return value if abs(value) <= MAX_COORDINATE else None
 
 
@@ -119,8 +106,7 @@ def read_text_cells(path: Path) -> CellTable:
 
     DataError if the file is missing, too large, no text, or holds neither numbers nor known headers.
     """
-    text, encoding = _decode(read_bytes(path, MAX_TABLE_BYTES), path)
-    lines = text.splitlines()
+    lines = _decode(read_bytes(path, MAX_TABLE_BYTES), path).splitlines()
     check_extent(len(lines), 1, str(path), MAX_TABLE_CELLS)
     sample = [line for line in lines if line.strip()][: 2 * SAMPLE_ROWS]
     scores = {layout: _score(sample, *layout) for layout in _LAYOUTS}
@@ -131,26 +117,20 @@ def read_text_cells(path: Path) -> CellTable:
         raise UnclearColumnsError("holds no table of numbers", where=str(path), expected=expected, fix=fix)
     rows = [_split(line, separator) for line in lines]
     check_extent(len(rows), max(map(len, rows), default=0), str(path), MAX_TABLE_CELLS)
-    layout = (
-        f"{_SEPARATORS[separator]}-separated, decimal {'comma' if decimal == ',' else 'point'}, {encoding}"
-    )
-    return CellTable(path, rows, decimal=decimal, separator=separator, layout=layout)
+    return CellTable(path, rows, decimal=decimal, separator=separator)
 
 
-def _decode(data: bytes, path: Path) -> tuple[str, str]:
-    """Return the text of a file and its encoding: by its byte order mark, else UTF-8, else Windows-1252."""
-    encodings = [name for mark, name in _BOMS if data.startswith(mark)]
-    if not encodings and len(data) > 3 and 0 in data[:200]:
-        encodings = ["utf-16-le" if data[1:200:2].count(0) > data[0:200:2].count(0) else "utf-16-be"]
-    for encoding in encodings or ["utf-8", "cp1252", "latin-1"]:
-        try:
-            text = data.decode(encoding)
-        except UnicodeDecodeError:
-            continue
-        if "\0" not in text:
-            return text, encoding.upper().replace("-SIG", "").replace("CP1252", "Windows-1252")
+def _decode(data: bytes, path: Path) -> str:
+    """Return the text of a file: by its byte order mark, else UTF-8, else Windows-1252."""
+    is_wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    try:
+        text = data.decode("utf-16" if is_wide else "utf-8-sig")
+    except UnicodeDecodeError:
+        text = data.decode("cp1252", errors="replace")
+    if "\0" not in text:
+        return text
     fix = "save it again as CSV (UTF-8), or name the right file"
-    expected = "text in UTF-8, UTF-16 or Windows-1252"
+    expected = "text in UTF-8, UTF-16 with a byte order mark, or Windows-1252"
     raise DataError("cannot be read as text", where=str(path), expected=expected, fix=fix)
 
 
@@ -191,7 +171,7 @@ def read_sheets(path: Path) -> tuple[CellTable, ...]:
         size = file.seek(0, io.SEEK_END)
     reader, seconds = f"{__name__}:read_workbook", size / SHEET_BYTES_PER_SECOND
     found, _ = read_in_process(reader, path, {"path": str(path)}, READER_BYTES, seconds)
-    sheets = [CellTable(path, rows, 1 + above, left, name) for name, (above, left), rows in found]
+    sheets = [CellTable(path, rows, name) for name, rows in found]
     if not any(any(map(any, one.rows)) for one in sheets):
         raise _workbook_error(path, "holds no cells")
     return tuple(sheets)
@@ -203,10 +183,8 @@ def _workbook_error(path: Path, what: str) -> DataError:
     return DataError(what, where=str(path), expected=expected, fix=fix)
 
 
-def read_workbook(_arrays: Arrays, path: str) -> list[tuple[str, tuple[int, int], list[list[str]]]]:
-    """Return name, rows left out above and columns left out before, and rows of each sheet; in the child
-    process.
-    """
+def read_workbook(_arrays: Arrays, path: str) -> list[tuple[str, list[list[str]]]]:
+    """Return name and rows of each sheet, from its first cell on; in the child process."""
     from python_calamine import CalamineWorkbook
 
     file, sheets, count = Path(path), [], 0
@@ -216,11 +194,12 @@ def read_workbook(_arrays: Arrays, path: str) -> list[tuple[str, tuple[int, int]
             raise _workbook_error(file, f"has {len(book.sheet_names)} sheets")
         for name in book.sheet_names:
             sheet = book.get_sheet_by_name(name)
-            count += sheet.height * sheet.width
-            if count > MAX_SHEET_CELLS or sheet.width > MAX_COLUMNS:
+            above, left = sheet.start or (0, 0)
+            count += (above + sheet.height) * (left + sheet.width)
+            if count > MAX_SHEET_CELLS or left + sheet.width > MAX_COLUMNS:
                 raise _workbook_error(file, f"is too large: sheet {name[:60]!r} has {count:,} cells")
-            rows = [[_sheet_text(cell) for cell in row] for row in sheet.to_python(skip_empty_area=True)]
-            sheets.append((name[:MAX_CELL_CHARS], sheet.start or (0, 0), rows))
+            rows = [[_sheet_text(cell) for cell in row] for row in sheet.to_python(skip_empty_area=False)]
+            sheets.append((name[:MAX_CELL_CHARS], rows))
     except (MemoryError, DataError):
         raise
     except BaseException as fault:  # its reader raises, and its panics are no Exception

@@ -4,25 +4,21 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from needlefit.datasets.faults import as_error
-from needlefit.datasets.importing.answers import QUESTIONS, Answers
+from needlefit.datasets.importing.answers import Answers
 from needlefit.datasets.importing.curves import ImportContent
 from needlefit.datasets.importing.planning import ImportPlan
+from needlefit.datasets.importing.questions import QUESTIONS
 from needlefit.datasets.points import trace_fault
 from needlefit.datasets.read import check
 from needlefit.datasets.template import draft_record
 from needlefit.datasets.write import write_dataset
-from needlefit.geometry.surfaces import Surface, make_sheet
 from needlefit.project.folders import sha256
 from needlefit.project.toml import check as check_record
 from needlefit.project.toml import dumps
 from needlefit.schemas.dataset import DatasetRecord, ImportRecord, TrackDatasetRecord
 
-PLANE_MM = 100.0  # length and width of the boundary of one needle that is stated as a depth
 TRACKS_FILE = "tracks.csv"
-
 _NOTE = "# Made by `needlefit import`. [import] lists every decision and its origin; correct what is wrong.\n"
 
 
@@ -42,12 +38,15 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, answers: 
         **{"import": imported.model_dump()},
         **{what: one.text for what, one in answers.stated.items() if not QUESTIONS[what].is_asked},
     )
-    points = {row.id: one for row, one in zip(plan.rows, plan.points, strict=True)}
-    if plan.readings:
-        file = _write_tracks(folder, plan, draft)
+    points = {one.name: one.points for one in content.curves}
+    if plan.pose == "tracker":
+        file = _write_tracks(folder, content, plan, draft)
     else:
-        media, surfaces = _make_media(plan)
-        record = check_record(draft | {"media": media}, DatasetRecord, str(content.files[0]))
+        surfaces = {f"layers/{re.sub(r'[^A-Za-z0-9_-]+', '_', one.name)}.stl": one for one in plan.surfaces}
+        parts = [{"file": name, "kind": one.kind, "into": one.into} for name, one in surfaces.items()]
+        medium = {"surfaces": parts} if parts else {"boundaries_mm": [*plan.depths_mm]}
+        draft["media"] = {row.medium: medium for row in plan.rows}
+        record = check_record(draft, DatasetRecord, str(content.files[0]))
         curves = {name: one.to_columns() for name, one in points.items()}
         file = write_dataset(folder, record, plan.rows, curves, surfaces, checksums=False)
     file.write_bytes((_NOTE + file.read_text(encoding="utf-8")).encode("utf-8"))
@@ -61,59 +60,21 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, answers: 
     return file
 
 
-def _make_media(plan: ImportPlan) -> tuple[dict[str, object], dict[str, Surface]]:
-    """Return the media of a plan, and the surfaces of their files."""
-    surfaces: dict[str, Surface] = {}
-    medium: dict[str, object] = {"note": "no boundaries of layers were imported"}
-    depths = [*dict.fromkeys(plan.depths_mm.values())]
-    if plan.surfaces:
-        for n, surface in enumerate(plan.surfaces, 1):
-            plain = re.sub(r"[^A-Za-z0-9_-]+", "_", surface.name).strip("_")[:60]
-            surfaces[f"layers/{f'{n}_{plain}' if plain else n}.stl"] = surface
-        medium = {
-            "surfaces": [{"file": f, "kind": one.kind, "into": one.into} for f, one in surfaces.items()]
-        }
-    elif len(depths) == 1:
-        medium = {"boundaries_mm": [*depths[0]]}
-    elif depths:  # of each needle its own: planes across the entry directions
-        files = [(f"layers/{n}_{{id}}.stl", n + 1) for n in range(1, len(depths[0]) + 1)]
-        medium = {"surfaces": [{"file": file, "kind": "sheet", "into": into} for file, into in files]}
-        for row in plan.rows:
-            if row.entry is None or row.direction is None:
-                raise ValueError(f"{row.id} has no entry pose")
-            for (file, into), depth in zip(files, plan.depths_mm[row.id], strict=True):
-                place = row.entry + depth * row.direction
-                surfaces[file.replace("{id}", row.id)] = make_sheet(
-                    "boundary", place, row.direction, PLANE_MM, into
-                )
-    return dict.fromkeys((row.medium for row in plan.rows), medium), surfaces
-
-
-def _write_tracks(folder: Path, plan: ImportPlan, draft: dict[str, object]) -> Path:
-    """Write a dataset of tip tracks; a medium for each specimen, if there are several."""
-    names = {row.id: row.medium for row in plan.rows}
-    if len({row.specimen for row in plan.rows}) > 1:
-        names = {row.id: f"{row.medium} {row.specimen}" for row in plan.rows}
-    depths = plan.depths_mm
-    media = {
-        names[row.id]: {
-            "layers": [*range(1, len(depths.get(row.id, ())) + 2)],
-            "boundaries_mm": [*depths.get(row.id, ())],
-            "specimen": row.specimen,
-        }
-        for row in plan.rows
-    }
-    lines = ["id,medium,depth_mm,tip_mm,guide_mm,bevel_side\n"]
-    for row, one, points in zip(plan.rows, plan.readings, plan.points, strict=True):
-        guide = np.zeros(len(one.depth)) if one.guide is None else one.guide
-        for depth, tip, place in zip(one.depth, points.values[:, 0], guide, strict=True):
-            lines.append(f"{row.id},{names[row.id]},{depth:.4f},{tip:.4f},{place:.4f},{row.side}\n")
+def _write_tracks(folder: Path, content: ImportContent, plan: ImportPlan, draft: dict[str, object]) -> Path:
+    """Write a dataset of tip tracks."""
+    lines, media = ["id,medium,depth_mm,tip_mm,guide_mm,bevel_side\n"], dict[str, object]()
+    medium = {"layers": [*range(1, len(plan.depths_mm) + 2)], "boundaries_mm": [*plan.depths_mm]}
+    for row, curve in zip(plan.rows, content.curves, strict=True):
+        media[row.medium] = medium | {"specimen": row.specimen}
+        assert curve.readings is not None and curve.readings.guide is not None, "a track has readings"
+        for depth, tip, place in zip(
+            curve.readings.depth, curve.line[:, 0], curve.readings.guide, strict=True
+        ):
+            lines.append(f"{row.id},{row.medium},{depth:.4f},{tip:.4f},{place:.4f},{row.side}\n")
     own = {key: value for key, value in draft.items() if key not in ("frame", "insertions", "centerlines")}
-    record = check_record(
-        own | {"tip_tracks": {"file": TRACKS_FILE}, "media": media}, TrackDatasetRecord, folder
-    )
+    tables = {"tip_tracks": {"file": TRACKS_FILE}, "media": media}
+    record = check_record(own | tables, TrackDatasetRecord, folder)
     (folder / TRACKS_FILE).write_bytes("".join(lines).encode("utf-8"))
-    (folder / "dataset.toml").write_bytes(
-        dumps(record.model_dump(mode="json", by_alias=True)).encode("utf-8")
-    )
-    return folder / "dataset.toml"
+    file = folder / "dataset.toml"
+    file.write_bytes(dumps(record.model_dump(mode="json", by_alias=True)).encode("utf-8"))
+    return file

@@ -1,0 +1,77 @@
+"""Commands that make the synthetic dataset: twin build, twin ct."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from needlefit.cli import screen
+from needlefit.cli.execution import open_pool
+from needlefit.cli.options import Insecure, Jobs, Quiet, Scheduler, argument, option
+from needlefit.cli.progress import show_progress
+from needlefit.project.processes import count_cores
+
+TwinSeed = Annotated[int | None, option("Seed (default: the shipped twin's).", min=0)]
+
+
+def build(
+    context: typer.Context,
+    seed: TwinSeed = None,
+    population: Annotated[
+        bool, option("Draw moduli, bevel offsets and friction as `calibrate --truth synthetic` does.")
+    ] = False,
+    out: Annotated[Path, option("Folder of the dataset.", "DIR")] = Path("data/twin"),
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
+    insecure: Insecure = False,
+    quiet: Quiet = False,
+) -> None:
+    """Build the synthetic dataset.
+
+    It has as many insertions as the paper, 47, to the same depths. Each is simulated, rendered as a CT volume
+    and reconstructed from it. The same seed gives the same bytes.
+
+    DIR is replaced if it holds nothing but a synthetic dataset.
+    """
+    from needlefit.project.folders import replace_folder
+    from needlefit.synthetic.build import build_dataset
+    from needlefit.synthetic.design import POPULATION
+    from needlefit.synthetic.insertion import TWIN_SEED
+
+    seed, invocation = TWIN_SEED if seed is None else seed, context.find_root().obj
+    with (
+        replace_folder(out) as fresh,
+        show_progress(invocation.quiet) as report,
+        open_pool(invocation.jobs, invocation.scheduler, invocation.insecure) as pool,
+    ):
+        drawn = POPULATION if population else None
+        build_dataset(fresh, seed, pool=pool, progress=report, population=drawn)
+    screen.print_line(f"{out}: synthetic dataset, seed {seed}")
+
+
+def render_ct(
+    context: typer.Context,
+    ids: Annotated[list[str] | None, argument("ID", "Insertions, or `sample` (default: all 47).")] = None,
+    seed: TwinSeed = None,
+    form: Annotated[Literal["nrrd", "dicom"], option("A file, or a series.", None, "--format")] = "nrrd",
+    out: Annotated[Path, option("Folder of the scans.", "DIR")] = Path("twin_ct"),
+    jobs: Jobs = None,
+    quiet: Quiet = False,
+) -> None:
+    """Render insertions of the synthetic dataset as CT volumes.
+
+    Writes volumes/ (20 MB each), markers/, layers/ and scans.csv, the input of `needlefit reconstruct`. The
+    same seed gives the same bytes.
+
+    DIR is replaced if it holds nothing but such scans.
+    """
+    from needlefit.project.folders import replace_folder
+    from needlefit.project.tasks import LocalPool
+    from needlefit.synthetic.design import select_planned_insertions
+    from needlefit.synthetic.insertion import TWIN_SEED
+    from needlefit.synthetic.scans import write_scans
+
+    seed, plan = TWIN_SEED if seed is None else seed, select_planned_insertions(ids or ())
+    with replace_folder(out) as fresh, show_progress(context.find_root().obj.quiet) as report:
+        write_scans(fresh, plan, seed, form, LocalPool(jobs or count_cores()), report)
+    screen.print_line(f"{out}: {len(plan)} synthetic scan{'s' * (len(plan) > 1)}, seed {seed}")
