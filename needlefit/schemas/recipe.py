@@ -110,11 +110,9 @@ class RecipeRecord(FileRecord):
     minimize: ObjectiveName = "posterior"
     """Objective: the negative log posterior, or the weighted errors of `[weights]`."""
     algorithm: str = "leastsquares"
-    """Optimiser of the fit; `+` runs one after the other."""
+    """Optimiser of the fit: `leastsquares`, or `slsqp` by gradients."""
     metric: bool = False
-    """Whether a second fit minimises the weighted errors; it is reported beside the first."""
-    metric_algorithm: str = "slsqp"
-    """Optimiser of the second fit."""
+    """Whether a second fit minimises the weighted errors, by `slsqp`; it is reported beside the first."""
     starts: int = Field(default=16, ge=1, le=MAX_STARTS)
     """Random starting points of the search."""
     approach: bool = True
