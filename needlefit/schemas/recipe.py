@@ -88,14 +88,16 @@ class SampleRecord(Record):
 
 
 class BetweenSpecimensRecord(Record):
-    """Prior knowledge of how much parameters differ between specimens: half-normal priors of each
-    spread, beside a uniform one of their correlation.
+    """Prior knowledge of how much specimens differ: half-normal priors of the spread of each parameter,
+    a uniform one of their correlation, and a Gaussian factor of the spread of tips that these imply.
     """
 
     modulus_factor: float = Field(default=2.0, ge=1)
     """Factor by which moduli of two specimens differ, at one standard deviation."""
     bevel_factor: float = Field(default=1.8, ge=1)
     """The same of the bevel parameter (b or theta)."""
+    tip_factor: float = Field(default=2.0, ge=1.01)
+    """The same of the tip deflection: about 1.1 for specimens of one batch, 2 for tissue."""
 
 
 class RecipeRecord(FileRecord):
