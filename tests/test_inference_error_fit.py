@@ -21,9 +21,9 @@ def at_truth(p: Problem) -> Fit:
     return Fit(tuple(theta.tolist()), p.values(theta), p.objective(theta), (), 0, 0, False, "metric")
 
 
-def examine(p: Problem, target: Target | None = None, jobs: int = 1, algorithm: str = "slsqp"):
+def examine(p: Problem, target: Target | None = None, jobs: int = 1):
     rng = np.random.default_rng(3)
-    return examine_errors(p, at_truth(p), target, ErrorSearch(p.parameters, algorithm), rng, jobs)
+    return examine_errors(p, at_truth(p), target, ErrorSearch(p.parameters), rng, jobs)
 
 
 def test_the_tolerance_grows_with_the_noise_and_not_with_what_a_step_cannot_take_off():
@@ -84,12 +84,7 @@ def test_the_reported_fit_is_the_target_where_its_errors_are_equal_and_else_as_n
     assert np.linalg.norm(np.array(found.theta) - far) < np.linalg.norm(theta - far)
 
 
-@pytest.mark.parametrize("algorithm", ["slsqp", "sbplx"])
-def test_the_result_depends_on_neither_threads_nor_much_on_the_algorithm(algorithm):
+def test_the_result_does_not_depend_on_threads():
     p = two_layers(count=2)
-    one, two = (examine(p, jobs=jobs, algorithm=algorithm) for jobs in (1, 2))
+    one, two = (examine(p, jobs=jobs) for jobs in (1, 2))
     assert one == two
-    slsqp = examine(p)
-    for name in p.names:
-        ends = [(found.ranges[name].low, found.ranges[name].high) for found in (one, slsqp)]
-        assert ends[0] == pytest.approx(ends[1], abs=0.5)

@@ -90,7 +90,7 @@ def curved(theta):
 def test_searches_on_their_way():
     """Within bounds and, of a smaller box, at them; what the whole search took counts too."""
     found = {}
-    for algorithm in ("leastsquares", "slsqp", "neldermead+leastsquares"):
+    for algorithm in ("leastsquares", "slsqp"):
         for function, half in product((valley, curved), (2.0, 0.3)):
             for budget in (3, 5, 7, 9, 12, 16, 400):
                 how = squares_recipe(algorithm=algorithm, starts=3, evaluations=budget)
@@ -168,6 +168,6 @@ def test_densities_of_shipped_insertions():
         values = document.VALUES | {"bevel_spread": 0.07, "noise_scale": 1.3}
         theta = np.log([values[key] for key in one.parameters.free])
         density, slope = one.gradient(theta)
-        residuals = one.residuals(theta)
+        residuals = one.jacobian(theta)[0]
         found[name] = [density, slope, one.objective(theta), len(residuals), np.linalg.norm(residuals)]
     assert_golden("densities", found)

@@ -14,10 +14,7 @@ from scipy.stats import multivariate_normal, qmc
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import read
 from needlefit.inference.forward_model import predict
-from needlefit.inference.likelihood.marginal import (
-    linear_residuals,
-    log_marginals,
-)
+from needlefit.inference.likelihood.marginal import linearize_residuals, log_marginals
 from needlefit.inference.likelihood.nodes import (
     BEVEL,
     DEPTH_STEPS_SD,
@@ -49,13 +46,20 @@ def one(white, made, scale=1.0, spread=0.0):
     return log_marginals([white[None]], make_group(made), np.array([scale]), np.array([spread]))[0]
 
 
+def residuals_of(whites, group, at):
+    """Residuals (R + D,) and log det, for residuals that depend on no parameter."""
+    by = [np.zeros((*white.shape, 1)) for white in whites]
+    found = linearize_residuals(whites, by, group, at, np.zeros(1))
+    return found[0][0], found[1][0]
+
+
 def test_nothing_uncertain_is_the_density_as_measured_and_a_failed_node_fails_it():
     certain = replace(LAYERED, boundary_sd=0.0, depth_sd=0.0)
     for made in (make_nodes(certain, LINE, "linear"), make_nodes(LAYERED, LINE, "fixed")):
         assert made.axes == () and len(made.insertions) == 1
         white = np.arange(5.0)[None]
         assert one(white, made, 2.0) == pytest.approx(-0.5 * 30 / 4 - 5 * math.log(2))
-        found = linear_residuals([white[None]], make_group(made), np.array([2.0]), np.zeros(1))[0]
+        found = residuals_of([white[None]], make_group(made), (np.array([2.0]), np.zeros(1)))
         assert found[0] == pytest.approx(white[0] / 2)
     linear = np.array([[1, 0, 0], [0, -0.5, 0.5]])
     made = Nodes((LAYERED,) * 3, np.zeros((3, 1)), (ErrorAxis(),), linear, np.zeros((0, 3)), bevel=False)
@@ -158,7 +162,7 @@ def test_bevels_that_are_shared_or_sum_to_zero_have_the_density_of_their_covaria
     for members, group in groups:
         many = [whites[k][None] for k in members]
         got += log_marginals(many, group, *AT)[0]
-        residuals, log_det = (part[0] for part in linear_residuals(many, group, *AT))
+        residuals, log_det = residuals_of(many, group, AT)
         by_residuals -= 0.5 * (residuals @ residuals + log_det)
     exact = multivariate_normal(cov=covariance).logpdf(parts[0].ravel())
     assert got - 9 * math.log(2 * math.pi) == pytest.approx(exact, abs=1e-9)
@@ -174,7 +178,7 @@ def test_bevels_that_differ_have_exact_gradients_and_residuals(noise_scale):
     theta = p.parameters.theta({**TRUTH, "bevel_spread": 0.07}) + 0.05
     assert_one_density(p, theta)
     # but for the normalising one, the spread's prior
-    assert sum(p.density.residual_counts) == len(p.residuals(theta)) - 2
+    assert sum(p.density.residual_counts) == len(p.jacobian(theta)[0]) - 2
 
 
 def test_a_bevel_spread_with_another_prior_or_held_has_exact_gradients_and_residuals():
@@ -186,7 +190,7 @@ def test_a_bevel_spread_with_another_prior_or_held_has_exact_gradients_and_resid
     theta = p.parameters.theta({**TRUTH, "bevel_spread": 0.07}) + 0.05
     assert_one_density(p, theta)
     # but for the normalising one, the Gaussian prior
-    assert sum(p.density.residual_counts) == len(p.residuals(theta)) - 2
+    assert sum(p.density.residual_counts) == len(p.jacobian(theta)[0]) - 2
     # Depths fixed: the log det then varies with the bevel's effect alone.
     made = [replace(one, boundary_sd=0.0, depth_sd=0.0) for one in layered("fixed").insertions]
     p = problem(medium(), made, how=LikelihoodRecord(depths="fixed"), noise=Noise(0.19, 0.02, 0.05, 5.0))
@@ -195,7 +199,7 @@ def test_a_bevel_spread_with_another_prior_or_held_has_exact_gradients_and_resid
     theta = p.parameters.theta(TRUTH) + 0.05
     assert_one_density(p, theta)
     assert [axis.of_bevel for axis in p.density.observations[0].nodes.axes] == [True]
-    assert sum(p.density.residual_counts) == len(p.residuals(theta)) - 1
+    assert sum(p.density.residual_counts) == len(p.jacobian(theta)[0]) - 1
 
 
 # ---- depths against brute force, on insertions of the twin near the mode of their fit

@@ -34,8 +34,6 @@ from needlefit.inference.optimize import (
 )
 from needlefit.inference.problem import explain_failure
 
-SINGLE = sorted(name for name, a in ALGORITHMS.items() if a.needs != "jacobian")
-
 
 def bowl(theta):
     return float(np.sum((theta - 0.3) ** 2))
@@ -49,21 +47,19 @@ def rng():
     return np.random.default_rng(5)
 
 
-@pytest.mark.parametrize("algorithm", [*SINGLE, "sbplx+neldermead"])
 @pytest.mark.parametrize("dimensions", [1, 2])
-def test_every_algorithm_finds_the_bottom_of_a_bowl(algorithm, dimensions):
-    fit = minimize(box(bowl, dimensions), recipe(algorithm=algorithm, evaluations=600), rng())
+def test_gradients_lead_to_the_bottom_of_a_bowl(dimensions):
+    fit = minimize(box(bowl, dimensions), recipe(evaluations=600), rng())
     assert fit.theta == pytest.approx([0.3] * dimensions, abs=0.02)
     assert fit.objective == bowl(np.array(fit.theta))
     assert fit.evaluations == sum(s.evaluations for s in fit.starts) <= 4 * 600
 
 
 def test_valleys_budgets_stops_and_other_checkpoints():
-    fit = minimize(box(rosenbrock), recipe(algorithm="sbplx+neldermead", evaluations=400), rng())
+    fit = minimize(box(rosenbrock), recipe(evaluations=400), rng())
     assert fit.theta == pytest.approx([1, 1], abs=1e-2)
-    calls = []
-    fit = minimize(box(lambda t: calls.append(0) or rosenbrock(t)), recipe(evaluations=17, starts=3), rng())
-    assert [s.evaluations for s in fit.starts] == [17, 17, 17] and len(calls) == 51
+    fit = minimize(box(rosenbrock), recipe(evaluations=17, starts=3), rng())
+    assert [s.evaluations for s in fit.starts] == [17, 17, 17]
     assert {s.stopped for s in fit.starts} == {"budget"}
     fit = minimize(box(bowl), recipe(), rng(), Callbacks(stop=lambda: True))
     assert fit.interrupted and fit.objective == math.inf and fit.starts == ()
@@ -72,20 +68,18 @@ def test_valleys_budgets_stops_and_other_checkpoints():
         minimize(box(bowl), recipe(), np.random.default_rng(6), Callbacks(finished={0: start}))
 
 
-@pytest.mark.parametrize("algorithm", SINGLE)
-def test_nan_and_errors_of_the_model_in_half_the_box_are_counted_and_never_win(algorithm):
-    fit = minimize(box(half), recipe(algorithm=algorithm), rng())
+def test_nan_and_errors_of_the_model_in_half_the_box_are_counted_and_never_win():
+    fit = minimize(box(half), recipe(), rng())
     assert fit.objective < 0.05 and fit.theta[0] >= 0
     lost = [s for s in fit.starts if s.stopped == "no finite value"]
     assert all(s.objective == math.inf and s.failures == s.evaluations for s in lost)
     assert fit.failures > 0
 
 
-@pytest.mark.parametrize("algorithm", SINGLE)
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
-def test_a_function_that_is_never_finite_is_no_success(algorithm, value):
+def test_a_function_that_is_never_finite_is_no_success(value):
     with pytest.raises(FitError, match="could be solved"):
-        minimize(box(lambda theta: value), recipe(algorithm=algorithm, evaluations=50), rng())
+        minimize(box(lambda theta: value), recipe(evaluations=50), rng())
 
 
 def test_starts_go_through_json_and_more_of_them_fill_the_box():
@@ -98,14 +92,12 @@ def test_starts_go_through_json_and_more_of_them_fill_the_box():
     assert np.array_equal(few, many[:8])
     cells = np.histogram2d(*many.T, bins=4, range=[[0, 1], [10, 20]])[0]
     assert cells.min() >= 1  # 64 points leave none of 16 cells empty
-    refusal(ConfigError, "newton", lambda: minimize(box(bowl), recipe(algorithm="sbplx+newton"), rng()))
+    refusal(ConfigError, "newton", lambda: minimize(box(bowl), recipe(algorithm="newton"), rng()))
     fit = minimize(Analytic(lambda theta: 0.25, np.empty(0), np.empty(0)), recipe(), rng())
     assert fit.objective == 0.25 and fit.theta == () and fit.evaluations == 1 and not fit.interrupted
 
 
 # ---- the posterior: a sum of squares with exact derivatives
-
-BOTH = (*ALGORITHMS, "sbplx+neldermead")
 
 
 def valley(theta):
@@ -118,14 +110,14 @@ def squares(function, half=2.0):
     return Squares(function, np.full(2, -half), np.full(2, half))
 
 
-@pytest.mark.parametrize("algorithm", BOTH)
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_every_way_ends_at_the_same_log_posterior(algorithm):
     fit = minimize(
         squares(valley), squares_recipe(algorithm=algorithm, evaluations=20_000, tolerance=1e-10), rng()
     )
     assert fit.objective == pytest.approx(-7.0, abs=1e-6)
     assert fit.minimized == "posterior"
-    assert sum(start.succeeded for start in fit.starts) >= 1
+    assert sum(start.stopped == "tolerance" for start in fit.starts) >= 1
 
 
 @pytest.mark.parametrize("algorithm", ["leastsquares", "slsqp"])
@@ -134,7 +126,7 @@ def test_a_minimum_at_a_bound_is_found_and_flagged(algorithm):
     # at theta0 = 0.5 the best theta1 is 0.25: half of (1 - 0.5)^2 is left
     assert fit.objective == pytest.approx(0.125 - 7.0, abs=1e-6)
     assert "bound" in {start.stopped for start in fit.starts}
-    assert not any(start.succeeded for start in fit.starts)
+    assert not any(start.stopped == "tolerance" for start in fit.starts)
 
 
 def test_why_a_search_of_squares_stopped():
@@ -144,7 +136,7 @@ def test_why_a_search_of_squares_stopped():
         return np.array([x, y, 0.9 - 0.4 * (x**2 + y**2)]), np.array([[1, 0], [0, 1], [-0.8 * x, -0.8 * y]])
 
     fit = minimize(squares(bent), squares_recipe(), rng())
-    assert all(start.succeeded for start in fit.starts)
+    assert all(start.stopped == "tolerance" for start in fit.starts)
     assert fit.objective == pytest.approx(0.5 * 0.9**2 - 7.0, abs=1e-9)
     assert max(start.evaluations for start in fit.starts) <= 20
     fit = minimize(
@@ -152,9 +144,6 @@ def test_why_a_search_of_squares_stopped():
     )
     assert fit.objective == pytest.approx(0.5 - 7.0)
     assert {start.stopped for start in fit.starts} == {"flat"}
-    loose = squares_recipe(algorithm="neldermead", tolerance=0.2)
-    starts = minimize(squares(valley), loose, rng()).starts
-    assert {start.stopped for start in starts if start.objective > -7 + 1e-4} == {"stalled"}
 
     class Wrong(Squares):
         def log_posterior(self, theta):
@@ -266,11 +255,11 @@ def test_starts_far_behind_the_best_are_not_continued():
 
 
 RESUMED = [
-    *[(lambda: box(rosenbrock), recipe(algorithm=algorithm)) for algorithm in SINGLE],
-    (lambda: box(half), recipe(algorithm="neldermead", evaluations=60)),
+    (lambda: box(rosenbrock), recipe()),
+    (lambda: box(half), recipe(evaluations=60)),
     *[
         (lambda: squares(valley), squares_recipe(algorithm=algorithm, starts=6))
-        for algorithm in ("leastsquares", "slsqp", "neldermead+leastsquares")
+        for algorithm in ("leastsquares", "slsqp")
     ],
     (led, squares_recipe(starts=8)),
 ]

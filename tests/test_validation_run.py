@@ -283,9 +283,7 @@ __all__ = ["project"]  # a fixture
 
 WRONG = {**TRUTH, "bevel_mm": 0.25, "mu1_pa": 1e6}
 FLOOR = {"median_err_mm": 0.1, "ipe_mean_mm": 0.11, "ipe_max_mm": 0.3, "te_mm": 0.25}
-ONE_EVALUATION = (
-    'schema = 1\nalgorithm = "neldermead"\nstarts = 3\nevaluations = 1\n[likelihood]\nbevel_spread = 0.0\n'
-)
+ONE_EVALUATION = "schema = 1\nstarts = 3\nevaluations = 1\n[likelihood]\nbevel_spread = 0.0\n"
 
 
 # ---- measured and planned layers
@@ -401,7 +399,7 @@ def test_a_failed_solve_is_infinitely_wrong_and_not_drawn() -> None:
 PUBLISHED = {"mu1_pa": 2.2e5, "alpha1": 1.0, "mu2_pa": 3.2e7, "alpha2": -1.0}
 
 
-METRIC = 'schema = 1\nstarts = 2\nmetric = true\nmetric_algorithm = "slsqp"\n'
+METRIC = "schema = 1\nstarts = 2\nmetric = true\n"
 
 
 @pytest.fixture(scope="module")

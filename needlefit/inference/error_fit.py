@@ -11,7 +11,7 @@ What the errors determine is the set of all parameters whose objective lies with
 - the range of each parameter about that point while the others are held. It distinguishes a parameter that is
   determined only together with others from one on which the errors do not depend.
 
-All searches are nlopt's, by the recipe's algorithm.
+All searches are by gradients, with SLSQP.
 """
 
 import math
@@ -26,7 +26,7 @@ from needlefit.arrays import Floats
 from needlefit.inference.error_tolerance import ErrorTolerance, estimate_tolerance
 from needlefit.inference.fit import EvaluationRecorder, Fit, ObjectiveFunction
 from needlefit.inference.identifiability.directions import Determined, name_determined, widest_interval
-from needlefit.inference.optimize import Algorithm, select_algorithms
+from needlefit.inference.optimize import run_slsqp
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.problem import Problem, make_objective
 from needlefit.inference.side_by_side import run_side_by_side
@@ -39,8 +39,7 @@ FIRST_STEP = 0.2  #: of a profile, in theta; steps are doubled until the limit o
 #: to which the end of a range is found, in theta (10 % of a modulus) and as a part of its distance
 RESOLUTION, RELATIVE_RESOLUTION = 0.1, 0.05
 MIN_TARGET_SD = 0.05  #: smallest standard deviation of the distance to a target
-#: most evaluations of one search with gradients, and how many times as many without
-SEARCH_EVALUATIONS, WITHOUT_GRADIENTS = 40, 10
+SEARCH_EVALUATIONS = 40  #: most evaluations of one search
 ACCURACY = 1e-4  #: relative tolerance of a search
 #: excess of the objective, in tolerances, at which a search with one parameter held ends
 INSIDE = 0.3
@@ -98,7 +97,6 @@ class ErrorSearch:
     """How the errors are examined."""
 
     stated: Parameters  #: with the ties that have a spread, which the problem takes as exact
-    algorithm: str  #: of the recipe
     ranges: bool = True  #: whether the range of each parameter is found
 
 
@@ -116,10 +114,7 @@ def examine_errors(
     Without a `target` the least point is reported. The result does not depend on `jobs`.
     """
     names, found = problem.names, np.array(fit.theta)
-    *_, search = select_algorithms(how.algorithm, make_objective(problem, "metric"))
-    region = _Region(
-        problem, search, found, fit.objective, estimate_tolerance(problem, how.stated, found, rng)
-    )
+    region = _Region(problem, found, fit.objective, estimate_tolerance(problem, how.stated, found, rng))
     parts, spent = [(k, side) for k in range(len(names)) for side in (-1, 1)] if how.ranges else [], 0
     for restart in range(MAX_RESTARTS + 1):
         sides: dict[int, _Side] = dict(run_side_by_side(region.trace, parts, jobs, TaskStop(stop)))
@@ -133,19 +128,20 @@ def examine_errors(
         lower = region.search(best.theta)
         spent += lower.evaluations
         tolerance = estimate_tolerance(problem, how.stated, lower.theta, rng)
-        region = _Region(problem, search, lower.theta, lower.value, tolerance)
+        region = _Region(problem, lower.theta, lower.value, tolerance)
     nearest = _Point(region.least, region.theta) if target is None else region.find_nearest(target)
     about = replace(region, theta=nearest.theta, least=nearest.value)
-    held = dict(run_side_by_side(about.trace_alone, parts, jobs, TaskStop(never_stop)))
+    alone = partial(about.find_end, compute=about.evaluate)
+    held = dict(run_side_by_side(alone, parts, jobs, TaskStop(never_stop)))
     ranges = {}
     for k, name in enumerate(names if how.ranges else ()):
-        whole, alone = ((some[2 * k], some[2 * k + 1]) for some in (sides, held))
+        whole, single = ((some[2 * k], some[2 * k + 1]) for some in (sides, held))
         ranges[name] = ErrorRange(
             whole[0].at,
             whole[1].at,
             (whole[0].end, whole[1].end),
-            (alone[0].at, alone[1].at),
-            (alone[0].end, alone[1].end),
+            (single[0].at, single[1].at),
+            (single[0].end, single[1].end),
         )
     spent += nearest.evaluations + sum(one.evaluations for one in held.values())
     theta = tuple(nearest.theta.tolist())
@@ -172,7 +168,6 @@ class _Region:
     """All parameters whose objective is within the tolerance of the least one, at `theta`."""
 
     problem: Problem
-    algorithm: Algorithm
     theta: Floats
     least: float
     tolerance: ErrorTolerance
@@ -183,13 +178,11 @@ class _Region:
 
     def trace(self, part: tuple[int, int]) -> _Side:
         """Return the end of the range of parameter k on one side, -1 or 1, the others searched again."""
-        return self._find_end(*part, partial(self._hold, part[0]))
+        return self.find_end(part, partial(self._hold, part[0]))
 
-    def trace_alone(self, part: tuple[int, int]) -> _Side:
-        """Return the same, the others held."""
-        return self._find_end(*part, self._evaluate)
-
-    def _find_end(self, k: int, side: int, compute: Callable[[Floats], _Point]) -> _Side:
+    def find_end(self, part: tuple[int, int], compute: Callable[[Floats], _Point]) -> _Side:
+        """Return the end of the range of parameter k on one side; `compute` searches the others, or none."""
+        k, side = part
         bound = float((self.problem.upper if side > 0 else self.problem.lower)[k])
         points, outside, step = [_Point(self.least, self.theta)], math.inf, FIRST_STEP
         end: End = "closed"
@@ -211,7 +204,7 @@ class _Region:
                 points.append(found)
                 inside = at
 
-    def _evaluate(self, theta: Floats) -> _Point:
+    def evaluate(self, theta: Floats) -> _Point:
         return _Point(self.problem.objective(theta), theta, 1)
 
     def _hold(self, k: int, begin: Floats) -> _Point:
@@ -238,16 +231,15 @@ class _Region:
         return self._minimize(make_objective(self.problem, "metric"), begin)
 
     def _minimize(self, function: ObjectiveFunction, begin: Floats, inside: float = -math.inf) -> _Point:
-        budget = SEARCH_EVALUATIONS * (1 if self.algorithm.needs == "gradient" else WITHOUT_GRADIENTS)
-        recorder = EvaluationRecorder(function, budget, lambda: recorder.objective <= inside)
-        self.algorithm.run(recorder, begin, ACCURACY)
+        recorder = EvaluationRecorder(function, SEARCH_EVALUATIONS, lambda: recorder.objective <= inside)
+        run_slsqp(recorder, begin, ACCURACY)
         theta = begin if recorder.theta is None else recorder.theta
         return _Point(recorder.objective, theta, recorder.evaluations)
 
     def find_nearest(self, target: Target) -> _Point:
         """Return the point within the limit that is nearest to the target."""
         goal = np.clip(target.theta, self.problem.lower, self.problem.upper)
-        found = self._evaluate(goal)
+        found = self.evaluate(goal)
         if found.value <= self.limit or not len(goal):
             return found
         inside, spent, sds = _Point(self.least, self.theta), 1, np.maximum(target.sds, MIN_TARGET_SD)
@@ -256,7 +248,7 @@ class _Region:
         low, middle, high = -math.inf, math.log(2 / distance), math.inf
         for _ in range(NEAREST_STEPS):
             tried = self._minimize(self._add_distance(goal, sds, math.exp(middle)), inside.theta)
-            value = self._evaluate(tried.theta).value
+            value = self.evaluate(tried.theta).value
             spent += tried.evaluations + 1
             if value <= self.limit:
                 inside, low = _Point(value, tried.theta), middle

@@ -28,7 +28,7 @@ from needlefit.inference.compared_points import ComparedPoints, align, different
 from needlefit.inference.fit import EvaluationRecorder, ObjectiveFunction
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.likelihood.nodes import Surface, make_nodes
-from needlefit.inference.optimize import ALGORITHMS
+from needlefit.inference.optimize import run_slsqp
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.problem import SMOOTHING_MM, Problem, Values, station_weights
 from needlefit.project.progress import never_stop
@@ -102,7 +102,7 @@ class _LinearErrors:
         """Return the objective without a step minus its least value, for steps within bounds (P,)."""
         function = ObjectiveFunction(lower, upper, lambda step: self._gradient(step)[0], self._gradient)
         recorder = EvaluationRecorder(function, REPLICATE_EVALUATIONS, never_stop)
-        ALGORITHMS["slsqp"].run(recorder, np.zeros(len(lower)), REPLICATE_ACCURACY)
+        run_slsqp(recorder, np.zeros(len(lower)), REPLICATE_ACCURACY)
         return self._gradient(np.zeros(len(lower)))[0] - recorder.objective
 
     def _gradient(self, step: Floats) -> tuple[float, Floats]:

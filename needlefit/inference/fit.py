@@ -60,11 +60,6 @@ class Start:
     gradients: int = 0  #: evaluations with derivatives among all; one costs about two without
     joined: int | None = None  #: the start that it met on the way, whose end is its own
 
-    @property
-    def succeeded(self) -> bool:
-        """Whether the search ended at a minimum, as far as can be determined."""
-        return self.stopped == "tolerance" and math.isfinite(self.objective)
-
 
 @dataclass(frozen=True)
 class Fit:
@@ -159,9 +154,8 @@ class ObjectiveFunction:
     value: Callable[[Floats], float]  #: theta (P,) -> the value to minimise
     #: theta -> the value and its exact gradient (P,)
     gradient: Callable[[Floats], tuple[float, Floats]] | None = None
-    #: theta -> (R,); the value is half their sum of squares but for a constant
-    residuals: Callable[[Floats], Floats] | None = None
-    #: theta -> the residuals and their exact Jacobian (R, P)
+    #: theta -> residuals (R,), half whose sum of squares is the value but for a constant, and their exact
+    #: Jacobian (R, P)
     jacobian: Callable[[Floats], tuple[Floats, Floats]] | None = None
     #: theta -> those residuals that are of data alone, each of size 1 where the model is right
     misfits: Callable[[Floats], Floats] | None = None
@@ -233,14 +227,6 @@ class EvaluationRecorder:
             return self._record(point, None), np.zeros(len(point))
         value = self._record(point, found[0])
         return value, found[1] if math.isfinite(value) else np.zeros(len(point))
-
-    def residuals(self, theta: Floats) -> Floats:
-        """Return the residuals (R,); a single infinite one where they failed."""
-        assert self.objective_function.residuals is not None
-        point = self._begin_evaluation(theta)
-        found = self._evaluate(self.objective_function.residuals, point)
-        value = self._record(point, None if found is None else self.constant + half_square(found))
-        return found if found is not None and math.isfinite(value) else np.array([math.inf])
 
     def jacobian(self, theta: Floats) -> tuple[Floats, Floats] | None:
         """Return the residuals (R,) and their Jacobian (R, P); None where either failed."""

@@ -311,7 +311,11 @@ def _make_steps(
     Of a tip track they are the way to each reading under the guide's place then, the last one on to a
     constraint point. Without a guide on the insertion axis the needle is held by its base alone.
     """
-    bevel = make_bevel(values, medium, insertion.side, insertion.bevel_factor)
+    strength, bevel = insertion.bevel_factor * values[medium.bevel_parameter], Bevel(side=insertion.side)
+    if medium.advance == "path_angle":
+        bevel = replace(bevel, cut_angle=math.radians(strength))
+    else:
+        bevel = replace(bevel, offset=strength)
     distance = values.get("guide_distance_mm", insertion.guide_distance)
     controls = Controls() if distance is None else Controls(guides=(Guide(-distance),))
     if isinstance(insertion, TipTrack):
@@ -325,16 +329,6 @@ def _make_steps(
     if not insertion.base_moved:
         return (inserted,)
     return inserted, replace(inserted, controls=replace(controls, base_y=insertion.base_moved))
-
-
-def make_bevel(
-    values: Mapping[str, float], medium: MediumRecord, side: int = 1, factor: float = 1.0
-) -> Bevel:
-    """Return the bevel that a medium's parameters describe, `factor` times as strong."""
-    strength = factor * values[medium.bevel_parameter]
-    if medium.advance == "path_angle":
-        return Bevel(side=side, cut_angle=math.radians(strength))
-    return Bevel(strength, side)
 
 
 def make_options(medium: MediumRecord, tolerance: float = ModelOptions.tolerance) -> ModelOptions:

@@ -1,4 +1,4 @@
-"""Search for the best fit: many starts, each by the algorithms of a recipe, then a check of its end.
+"""Search for the best fit: many starts, each by the algorithm of a recipe, then a check of its end.
 
 nlopt reports success on a NaN, forgets the best point when it is stopped, and breaks or crashes on values
 that are not finite. So nothing that it returns is used: every evaluation goes through an
@@ -55,8 +55,7 @@ from needlefit.project.progress import Stop, never_stop
 from needlefit.project.tasks import TaskStop
 from needlefit.schemas.recipe import ObjectiveName, RecipeRecord
 
-FIRST_STEP = 0.25  #: initial step of a local search without gradients, as a part of each parameter's range
-FIRST_GRADIENT_STEP = 0.1  #: first step of a search by gradients, likewise
+FIRST_GRADIENT_STEP = 0.1  #: first step of a search by gradients, as a part of each parameter's range
 #: step, likewise, under which a search by gradients for the peak of a posterior ends
 GRADIENT_STEP_TOLERANCE = 1e-12
 #: relative gain of a restarted gradient search that counts as none, unless the caller states another
@@ -67,21 +66,19 @@ PENALTY = 1e3
 VALUE_TOLERANCE = 0.1
 
 
-def run_nlopt(
-    code: int, with_gradient: bool, recorder: EvaluationRecorder, start: Floats, tolerance: float
-) -> str:
-    """Search with nlopt's algorithm `code` from theta `start` (P,); return why it ended.
+def run_slsqp(recorder: EvaluationRecorder, start: Floats, tolerance: float) -> str:
+    """Search by gradients with nlopt's SLSQP from theta `start` (P,); return why it ended.
 
-    A search by slopes is begun anew where it ended until that gains nothing: some end in a narrow valley.
+    It is begun anew where it ended until that gains nothing: some end in a narrow valley.
     """
     if len(start) == 0:
         with suppress(SearchEnded):
             recorder.value(start)
         return recorder.reason or "tolerance"
-    reason = _run_once(recorder, code, with_gradient, tolerance, start)
-    while with_gradient and not recorder.reason and recorder.theta is not None:
+    reason = _run_once(recorder, tolerance, start)
+    while not recorder.reason and recorder.theta is not None:
         before = recorder.objective
-        reason = _run_once(recorder, code, with_gradient, tolerance, recorder.theta)
+        reason = _run_once(recorder, tolerance, recorder.theta)
         if before - recorder.objective <= (
             recorder.objective_function.absolute_tolerance or MIN_RELATIVE_GAIN * abs(before)
         ):
@@ -89,27 +86,21 @@ def run_nlopt(
     return reason
 
 
-def _run_once(
-    recorder: EvaluationRecorder, code: int, with_gradient: bool, tolerance: float, start: Floats
-) -> str:
+def _run_once(recorder: EvaluationRecorder, tolerance: float, start: Floats) -> str:
     lower, span = recorder.objective_function.lower, recorder.objective_function.span
-    optimizer = nlopt.opt(code, len(start))
-    scale = 1.0
-    if with_gradient:
-        # The first step along the slope is to be `FIRST_GRADIENT_STEP` long. Methods that know no curvature
-        # at first take the slope for the step: from a bad start, where a log posterior falls by 1e5 over the
-        # box, that leads into a corner, from which line searches fail.
-        try:
-            steepness = float(np.linalg.norm(recorder.gradient(start)[1] * span))
-        except SearchEnded:
-            return recorder.reason
-        scale = FIRST_GRADIENT_STEP / steepness if steepness > 0 else 1.0
-    # gradients reach a minimum to rounding, values do not
+    optimizer = nlopt.opt(nlopt.LD_SLSQP, len(start))
+    # The first step along the slope is to be `FIRST_GRADIENT_STEP` long. A method that knows no curvature at
+    # first takes the slope for the step: from a bad start, where a log posterior falls by 1e5 over the box,
+    # that leads into a corner, from which line searches fail.
+    try:
+        steepness = float(np.linalg.norm(recorder.gradient(start)[1] * span))
+    except SearchEnded:
+        return recorder.reason
+    scale = FIRST_GRADIENT_STEP / steepness if steepness > 0 else 1.0
     absolute_tolerance = recorder.objective_function.absolute_tolerance * scale
-    step_tolerance = GRADIENT_STEP_TOLERANCE if with_gradient and absolute_tolerance else tolerance
+    step_tolerance = GRADIENT_STEP_TOLERANCE if absolute_tolerance else tolerance
     optimizer.set_lower_bounds(np.zeros(len(start)))
     optimizer.set_upper_bounds(np.ones(len(start)))
-    optimizer.set_initial_step(np.full(len(start), FIRST_STEP))
     optimizer.set_xtol_abs(np.full(len(start), step_tolerance))
     if absolute_tolerance:
         optimizer.set_ftol_abs(absolute_tolerance)
@@ -337,39 +328,35 @@ class Algorithm:
 
     #: recorder, theta to start from (P,), tolerance of the recipe -> why it ended
     run: Callable[[EvaluationRecorder, Floats, float], str]
-    needs: Literal["value", "gradient", "jacobian"] = "value"  #: what of the objective function it evaluates
+    needs: Literal["gradient", "jacobian"]  #: what of the objective function it evaluates
 
 
+#: algorithms that a recipe may name
 ALGORITHMS = {
     "leastsquares": Algorithm(run_least_squares, "jacobian"),
-    "slsqp": Algorithm(partial(run_nlopt, nlopt.LD_SLSQP, True), "gradient"),
-    "sbplx": Algorithm(partial(run_nlopt, nlopt.LN_SBPLX, False)),
-    "neldermead": Algorithm(partial(run_nlopt, nlopt.LN_NELDERMEAD, False)),
-}  #: algorithms that a recipe may name, alone or joined: `leastsquares`, `neldermead+leastsquares`
+    "slsqp": Algorithm(run_slsqp, "gradient"),
+}
 
 
-def select_algorithms(name: str, objective_function: ObjectiveFunction) -> tuple[Algorithm, ...]:
-    """Return the algorithms that a recipe's `algorithm` names, e.g. `neldermead+leastsquares`.
+def select_algorithm(name: str, objective_function: ObjectiveFunction) -> Algorithm:
+    """Return the algorithm that a recipe's `algorithm` names.
 
-    Raises ConfigError if one of them is unknown, or needs a derivative that the objective function lacks.
+    Raises ConfigError if it is unknown, or needs a derivative that the objective function lacks.
     """
-    parts = [part.strip() for part in name.split("+")]
-    unknown = [part for part in parts if part not in ALGORITHMS]
-    if unknown:
+    if name not in ALGORITHMS:
         raise ConfigError(
-            f"there is no algorithm `{unknown[0]}`",
-            where="recipe, key `algorithm` or `metric_algorithm`",
-            expected=f"one of {', '.join(ALGORITHMS)}, or several joined by +",
+            f"there is no algorithm `{name}`",
+            where="recipe, key `algorithm`",
+            expected=f"one of {', '.join(ALGORITHMS)}",
             fix="correct its name",
         )
-    for part in parts:
-        if getattr(objective_function, ALGORITHMS[part].needs) is None:
-            raise ConfigError(
-                f"`{part}` needs a {ALGORITHMS[part].needs}, which what is minimised has not",
-                where="recipe, key `algorithm` or `metric_algorithm`",
-                expected="slsqp or sbplx: the metric is no sum of squares",
-            )
-    return tuple(ALGORITHMS[part] for part in parts)
+    if getattr(objective_function, ALGORITHMS[name].needs) is None:
+        raise ConfigError(
+            f"`{name}` needs a {ALGORITHMS[name].needs}, which what is minimised has not",
+            where="recipe, key `algorithm`",
+            expected="slsqp: the metric is no sum of squares",
+        )
+    return ALGORITHMS[name]
 
 
 #: largest gain of the value that a further step may promise; in units of the mean square where that is above
@@ -443,10 +430,11 @@ def search(
 
     The start has the best point, and why the search ended: "tolerance" if at a minimum, as far as known.
     """
-    plan = select_algorithms(recipe.algorithm, objective_function)
+    algorithm = select_algorithm(recipe.algorithm, objective_function)
     recorder = EvaluationRecorder(objective_function, recipe.evaluations, stop)
-    theta0 = np.array(start_point.theta, dtype=np.float64)
-    reason = _run_stages(recorder, plan, recipe.tolerance, theta0)
+    reason = algorithm.run(recorder, np.array(start_point.theta, dtype=np.float64), recipe.tolerance)
+    if reason != INTERRUPTED:
+        reason = certify_minimum(recorder, reason)
     if recorder.theta is None and reason != INTERRUPTED:
         reason = "no finite value"
     return Start(
@@ -460,21 +448,6 @@ def search(
         stopped=reason,
         failed=tuple(recorder.failed),
     )
-
-
-def _run_stages(
-    recorder: EvaluationRecorder, plan: tuple[Algorithm, ...], tolerance: float, theta0: Floats
-) -> str:
-    """Run the stages, each with its share of what is left of the budget; return why the last one ended."""
-    total, reason = recorder.budget, ""
-    for k, algorithm in enumerate(plan):
-        remaining = total - recorder.evaluations
-        # -(-a // b) rounds up: the stages share the rest of the budget, the first ones get the odd evaluation
-        recorder.budget, recorder.reason = recorder.evaluations + -(-remaining // (len(plan) - k)), ""
-        reason = algorithm.run(recorder, theta0 if recorder.theta is None else recorder.theta, tolerance)
-        if reason == INTERRUPTED:
-            return reason
-    return certify_minimum(recorder, reason)
 
 
 #: most evaluations of an approach by least squares: one that needs more is left where it is
@@ -537,7 +510,7 @@ def minimize(
     callbacks = Callbacks() if callbacks is None else callbacks
     whole = _SearchTask(problem, recipe)
     # an unknown algorithm is an error before anything is computed
-    select_algorithms(recipe.algorithm, whole.objective_function)
+    select_algorithm(recipe.algorithm, whole.objective_function)
     design = starting_points(problem.lower, problem.upper, recipe.starts, rng)  # (n, P)
     done = {index: start for index, start in callbacks.finished.items() if index < len(design)}
     for index, start in done.items():
@@ -597,8 +570,7 @@ def _search_by_approach(
     """
     half = whole.recipe.model_copy(update={"evaluations": max(1, whole.recipe.evaluations // 2)})
     few = {"algorithm": "leastsquares", "evaluations": min(half.evaluations, APPROACH_EVALUATIONS)}
-    first_recipe = half if easier.jacobian is None else half.model_copy(update=few)
-    approach = _SearchTask(whole.problem, first_recipe, of_approach=True)
+    approach = _SearchTask(whole.problem, half.model_copy(update=few), of_approach=True)
     ends: dict[int, Start] = {}
     for end in approach.run_each(start_points, callbacks):
         ends[end.index] = end

@@ -435,12 +435,6 @@ class Parameters:
         )
 
 
-def with_noise_scale(parameters: Parameters, largest: float = NOISE_SCALE_BOUNDS[1]) -> Parameters:
-    """Return the parameters with a free noise scale, bounded by `largest`, as the last one."""
-    bounds = {**parameters.bounds, NOISE_SCALE: (NOISE_SCALE_BOUNDS[0], largest)}
-    return replace(parameters, names=(*parameters.names, NOISE_SCALE), bounds=bounds)
-
-
 def with_bevel_spread(parameters: Parameters, sd: float) -> Parameters:
     """Return the parameters with a free bevel CV between insertions, half-normal with `sd`, last."""
     low, high = BEVEL_SPREAD_BOUNDS
@@ -460,7 +454,8 @@ def with_hyperparameters(
     No needle's bevel is known to vary where the medium fixes it.
     """
     if likelihood.noise_scale == "estimated":
-        parameters = with_noise_scale(parameters, largest)
+        bounds = {**parameters.bounds, NOISE_SCALE: (NOISE_SCALE_BOUNDS[0], largest)}
+        parameters = replace(parameters, names=(*parameters.names, NOISE_SCALE), bounds=bounds)
     if likelihood.bevel_spread > 0 and any(name in parameters.free for name in BEVEL_PARAMETERS):
         parameters = with_bevel_spread(parameters, likelihood.bevel_spread)
     return parameters

@@ -37,7 +37,6 @@ from needlefit.inference.fit import EVALUATION_ERRORS, ObjectiveFunction
 from needlefit.inference.forward_model import PreparedModel, make_batch, predict
 from needlefit.inference.likelihood.marginal import (
     count_residuals,
-    linear_residuals,
     linearize_residuals,
     log_marginals,
     solve_shared,
@@ -140,20 +139,11 @@ class PosteriorDensity:
             (float(total), -(residuals @ by)) for total, (residuals, by) in zip(totals, found, strict=True)
         ]
 
-    def residuals(self, values: Values) -> Floats:
-        """Return residuals (R,): of the insertions, of the normalising factor, and of the prior."""
-        scale, spread = self._scales([values])
-        white = list(self.whitened_residuals([values], 1))
-        pairs = [
-            linear_residuals([white[k] for k in members], group, scale, spread)
-            for members, group in self._nodes.groups
-        ]
-        parts = [part[0] for part in self._in_order(part for part, _ in pairs)]
-        normal = self._normal(values, sum(float(log_det[0]) for _, log_det in pairs))
-        return np.concatenate([*parts, normal, self._prior_residuals(values)])
-
     def jacobians(self, sets: Sequence[Values], jobs: int = 1) -> list[tuple[Floats, Floats]]:
-        """Return of each set `residuals` and their derivatives (R, P) by theta; NaN where a solve fails."""
+        """Return of each set residuals (R,) and their derivatives (R, P) by theta; NaN where a solve fails.
+
+        The residuals are of the insertions, of the normalising factor, and of the prior.
+        """
         return self._linearize(self._differentiate(sets, jobs), sets)
 
     def _linearize(
@@ -426,20 +416,16 @@ class Problem:
     def _model(self) -> PreparedModel:
         return PreparedModel(self.medium, self.dataset.needle, self.insertions)
 
-    def residuals(self, theta: Theta) -> Floats:
-        """Return the whitened residuals (R,) of all insertions in turn; NaN where a solve fails.
-
-        Behind them stand what normalises the density, where that depends on theta, and the prior's residuals.
-        log_posterior = constant - |residuals|^2 / 2 within the bounds.
-        """
-        return self.density.residuals(self.values(theta))
-
     def compute_misfits(self, theta: Theta) -> Floats:
         """Return those of the residuals (R,) that are of the insertions."""
-        return self.residuals(theta)[: sum(self.density.residual_counts)]
+        return self.jacobian(theta)[0][: sum(self.density.residual_counts)]
 
     def jacobian(self, theta: Theta) -> tuple[Floats, Floats]:
-        """Return the residuals (R,) and their exact derivatives (R, P) by theta; NaN where a solve fails."""
+        """Return residuals (R,) and their exact derivatives (R, P) by theta; NaN where a solve fails.
+
+        First stand the whitened residuals of all insertions in turn, then what normalises the density, where
+        that depends on theta, and the prior's. log_posterior = constant - |residuals|^2 / 2 in the bounds.
+        """
         return evaluate(self._jacobians, np.asarray(theta))
 
     def gradient(self, theta: Theta) -> tuple[float, Floats]:
@@ -606,7 +592,6 @@ def make_posterior_objective(
         problem.upper,
         value,
         gradient,
-        problem.residuals,
         problem.jacobian,
         problem.compute_misfits,
         absolute_tolerance,

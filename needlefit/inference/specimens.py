@@ -8,7 +8,12 @@ for the specimens i of one population. The moduli of a specimen share a factor a
 
 (w = 1 with one modulus). tau_mu and tau_b have half-normal priors, rho is uniform from -1 to 1 (the LKJ prior
 with shape 1; D. Lewandowski, D. Kurowicka, H. Joe, J. Multivar. Anal. 100 (2009) 1989), w is uniform from 0
-to 1, m is flat within the bounds. Of moduli that are tied with a spread the source counts; the others deviate
+to 1, m is flat within the bounds. What is known of specimens is rather how much their tips differ: with g the
+gradient of ln(tip deflection) by these parameters, the prior of T has the factor
+
+    exp( -g' T g / (2 s^2) ),      s the standard deviation of ln(tip deflection) between specimens.
+
+Of moduli that are tied with a spread the source counts; the others deviate
 from it as the tie states, in every specimen anew.
 
 Two stages estimate it (D. Lunn, J. Barrett, M. Sweeting, S. Thompson, J. R. Stat. Soc. C 62 (2013) 551).
@@ -34,11 +39,13 @@ from scipy.optimize import minimize
 from scipy.special import expit, logsumexp
 
 from needlefit.arrays import Floats
+from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.parameters import (
     BEVEL_PARAMETERS,
     Parameters,
     dimension,
 )
+from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import (
     Effort,
     WeightedDraws,
@@ -46,10 +53,12 @@ from needlefit.inference.sampling.importance import (
     sample_by_importance,
 )
 from needlefit.inference.sampling.log_density import approximate_by_laplace
+from needlefit.schemas.recipe import BetweenSpecimensRecord
 
 #: least and largest tau, in standard deviations of its half-normal prior
 TAU_RANGE = (1e-3, 5.0)
 MAX_ATANH_CORRELATION, MAX_LOGIT_SHARE = 6.0, 8.0  #: bounds of atanh rho and of logit w
+PRIOR_DRAWS_AT_ONCE = 20_000  #: draws of the other priors, of which some are kept as the tip's has them
 MAX_REDRAWS = 100  #: times that a specimen outside the bounds is drawn again; then it is put on them
 
 
@@ -65,17 +74,30 @@ class SpreadModel:
     moduli: int  #: how many of them are moduli
     correlated: bool  #: whether there are moduli and a bevel parameter
     sds: Floats  #: standard deviations of the half-normal priors of the taus
+    #: (Q,) derivatives of ln(tip deflection), in standard deviations of it between specimens
+    tip_slopes: Floats
 
     @classmethod
-    def of(cls, parameters: Parameters, modulus_sd: float, bevel_sd: float) -> Self:
-        """Return the model of the moduli and the bevel parameter; an SD of 0: they do not vary."""
+    def of(
+        cls,
+        parameters: Parameters,
+        modulus_sd: float,
+        bevel_sd: float,
+        tip_slopes: Mapping[str, float] | None = None,
+    ) -> Self:
+        """Return the model of the moduli and the bevel parameter; an SD of 0: they do not vary.
+
+        Without `tip_slopes`, by parameter, nothing is stated of tips.
+        """
         # what is tied to a fixed parameter varies as the others do
         tied = {tie.name for tie in parameters.prior.ties if tie.source in parameters.free}
         moduli = [one for one in parameters.free if dimension(one) == "modulus" and one not in tied]
         bevels = [one for one in parameters.free if one in BEVEL_PARAMETERS]
         moduli, bevels = moduli if modulus_sd else [], bevels if bevel_sd else []
         sds = [*[modulus_sd] * bool(moduli), *[bevel_sd] * len(bevels)]
-        return cls((*moduli, *bevels), len(moduli), bool(moduli and bevels), np.array(sds))
+        names, stated = (*moduli, *bevels), tip_slopes or {}
+        slopes = np.array([stated.get(name, 0.0) for name in names])
+        return cls(names, len(moduli), bool(moduli and bevels), np.array(sds), slopes)
 
     @property
     def upper(self) -> Floats:
@@ -88,13 +110,16 @@ class SpreadModel:
         """Lower bounds of the hyperparameters: (S,)."""
         return np.concatenate([np.log(TAU_RANGE[0] * self.sds), -self.upper[len(self.sds) :]])
 
-    @property
-    def prior_rms(self) -> Floats:
-        """Root mean square (Q,) of the standard deviations between specimens by the prior alone."""
-        return np.concatenate([np.repeat(self.sds[:1], self.moduli), self.sds[bool(self.moduli) :]])
-
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
         """Return hyperparameters (B, S) drawn from their prior."""
+        drawn = np.empty((0, len(self.lower)))
+        while len(drawn) < count:
+            some = self._draw_without_tips(max(count, PRIOR_DRAWS_AT_ONCE), rng)
+            kept = np.log(rng.uniform(size=len(some))) < self._log_tip_prior(some)
+            drawn = np.concatenate([drawn, some[kept]])
+        return drawn[:count]
+
+    def _draw_without_tips(self, count: int, rng: np.random.Generator) -> Floats:
         taus = self.sds * np.abs(rng.standard_normal((count, len(self.sds))))
         rho = np.arctanh(rng.uniform(-1, 1, size=(count, int(self.correlated))))
         share = rng.logistic(size=(count, int(self.moduli > 1)))  # the logit of a uniform number
@@ -109,7 +134,10 @@ class SpreadModel:
             found = found - 2 * np.log(np.cosh(rest[:, 0]))
         if self.moduli > 1:  # the derivative of expit
             found = found + np.log(expit(rest[:, -1])) + np.log(expit(-rest[:, -1]))
-        return found
+        return found + self._log_tip_prior(at)
+
+    def _log_tip_prior(self, at: Floats) -> Floats:
+        return -0.5 * np.einsum("p,wpq,q->w", self.tip_slopes, self.covariances(at), self.tip_slopes)
 
     def covariances(self, at: Floats) -> Floats:
         """Return T (W, Q, Q) of hyperparameters (W, S)."""
@@ -119,6 +147,32 @@ class SpreadModel:
         # a row of `each` for each parameter: the tau of the moduli is that of all of them
         each = taus[:, [0] * self.moduli + list(range(bool(self.moduli), taus.shape[1]))]
         return _correlate(self.names, share, rho) * each[:, :, None] * each[:, None, :]
+
+
+def make_spread_model(problem: Problem, stated: BetweenSpecimensRecord, theta: Floats) -> SpreadModel:
+    """Return the model of the specimens of a problem's insertions, tips differentiated at `theta` (P,)."""
+    sds = math.log(stated.modulus_factor), math.log(stated.bevel_factor)
+    slopes = differentiate_log_tip(problem, theta) / math.log(stated.tip_factor)
+    return SpreadModel.of(problem.parameters, *sds, dict(zip(problem.names, slopes.tolist(), strict=True)))
+
+
+def differentiate_log_tip(problem: Problem, theta: Floats) -> Floats:
+    """Return the derivatives (P,) of the logarithm of the rms tip deflection of a problem's insertions.
+
+    Of a parameter to which others are tied they are of all together; 0 where no insertion has a solution.
+    """
+    model = PreparedModel(problem.medium, problem.dataset.needle, problem.insertions)
+    tips = [np.array([one.depth]) for one in problem.insertions]
+    points, moves = model.differentiate([problem.values(theta)], problem.parameters, tips)
+    tip, by_theta = np.array(points)[:, 0, 0, 1], np.array(moves)[:, 0, 0, 1]  # (I,), (I, P)
+    solved = np.isfinite(tip) & np.isfinite(by_theta).all(axis=1)
+    tip, by_theta = tip[solved], by_theta[solved]
+    slopes = tip @ by_theta / max(float(tip @ tip), np.finfo(float).tiny)
+    for tie in reversed(problem.parameters.prior.ties):  # a source comes before what is tied to it
+        if tie.name in problem.names and tie.source in problem.names:
+            own, source = (problem.names.index(name) for name in (tie.name, tie.source))
+            slopes[source] += slopes[own]
+    return slopes
 
 
 @dataclass(frozen=True)

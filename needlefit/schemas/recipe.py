@@ -88,14 +88,16 @@ class SampleRecord(Record):
 
 
 class BetweenSpecimensRecord(Record):
-    """Prior knowledge of how much parameters differ between specimens: half-normal priors of each
-    spread, beside a uniform one of their correlation.
+    """Prior knowledge of how much specimens differ: half-normal priors of the spread of each parameter,
+    a uniform one of their correlation, and a Gaussian factor of the spread of tips that these imply.
     """
 
     modulus_factor: float = Field(default=2.0, ge=1)
     """Factor by which moduli of two specimens differ, at one standard deviation."""
     bevel_factor: float = Field(default=1.8, ge=1)
     """The same of the bevel parameter (b or theta)."""
+    tip_factor: float = Field(default=2.0, ge=1.01)
+    """The same of the tip deflection: about 1.1 for specimens of one batch, 2 for tissue."""
 
 
 class RecipeRecord(FileRecord):
@@ -110,11 +112,9 @@ class RecipeRecord(FileRecord):
     minimize: ObjectiveName = "posterior"
     """Objective: the negative log posterior, or the weighted errors of `[weights]`."""
     algorithm: str = "leastsquares"
-    """Optimiser of the fit; `+` runs one after the other."""
+    """Optimiser of the fit: `leastsquares`, or `slsqp` by gradients."""
     metric: bool = False
-    """Whether a second fit minimises the weighted errors; it is reported beside the first."""
-    metric_algorithm: str = "slsqp"
-    """Optimiser of the second fit."""
+    """Whether a second fit minimises the weighted errors, by `slsqp`; it is reported beside the first."""
     starts: int = Field(default=16, ge=1, le=MAX_STARTS)
     """Random starting points of the search."""
     approach: bool = True

@@ -521,16 +521,14 @@ SOURCES = {"posterior": "emcee", "importance": "importance sampling", "profile":
 
 
 def _describe_search(results: Sequence[Run]) -> Row:
-    """Return what the captions state: how draws were made, the tolerances of the errors, the algorithm."""
+    """Return what the captions state: how draws were made, the tolerances of the errors."""
     tolerances = [value for one in results for value in one.frames["error_fit"]["tolerance_mm"].tolist()]
-    algorithms = [str((one.run.get("recipe") or {}).get("metric_algorithm", "")) for one in results]
     free = pd.concat([select_free(one.frames["parameters"]) for one in results])
     specimens = [set(one.frames["draws"]["specimen"]) - {TUNED_SPECIMENS, NEW_SPECIMEN} for one in results]
     return {
         "sources": [words for source, words in SOURCES.items() if (free["draw_source"] == source).any()],
         "of_mean": any(len(names) > 1 for names in specimens),
         "tolerances": [min(tolerances), max(tolerances)] if tolerances else [],
-        "algorithms": list(dict.fromkeys(filter(None, algorithms))),
     }
 
 

@@ -162,15 +162,15 @@ class Specimens:
     @cached_property
     def model(self) -> specimens.SpreadModel:
         """Which parameters differ between specimens, and the prior of their spread."""
-        stated = self.job.recipe.specimens
-        sds = math.log(stated.modulus_factor), math.log(stated.bevel_factor)
-        return specimens.SpreadModel.of(self.job.parameters, *sds)
+        problem, near = self.job.problem(self.fold), self.draws.thetas
+        begin = problem.parameters.expected
+        theta = near.mean(axis=0) if near.size else minimize_squares(problem, begin).theta
+        return specimens.make_spread_model(problem, self.job.recipe.specimens, theta)
 
     @property
     def separate(self) -> bool:
         """Whether the specimens that were tuned on differ."""
-        varies = self.job.record.specimens == "others" and len(self.model.names) > 0
-        return varies and len(self.tuned) > 1
+        return self.job.record.specimens == "others" and len(self.tuned) > 1 and len(self.model.names) > 0
 
     def differs(self, insertion: Insertion) -> bool:
         """Return whether an insertion goes into a specimen that was not tuned on, and may differ."""
@@ -305,8 +305,7 @@ def describe_specimen(new: Specimens | None, otherwise: str = "same") -> Row:
     if new is not None:
         model, treatment = new.model, "others"
         count = float(len(new.tuned) if new.separate else 0)
-        # of the prior alone its stated size
-        sds = new.population.rms if new.separate else model.prior_rms
+        sds = new.population.rms
         mu = float(sds[0]) if model.moduli else 0.0
         b = float(sds[model.moduli]) if len(sds) > model.moduli else 0.0
         correlation = new.population.correlation if new.separate and model.correlated else np.nan

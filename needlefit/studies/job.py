@@ -13,7 +13,7 @@ from needlefit.datasets.read import read
 from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.forward_model import make_options as mesh
-from needlefit.inference.optimize import select_algorithms
+from needlefit.inference.optimize import select_algorithm
 from needlefit.inference.parameter_changes import change_parameters
 from needlefit.inference.parameters import (
     Parameters,
@@ -264,7 +264,7 @@ class Job:
 
 def metric_recipe(recipe: RecipeRecord) -> RecipeRecord:
     """Return the recipe that minimises the metric objective instead of the posterior."""
-    return recipe.model_copy(update={"minimize": "metric", "algorithm": recipe.metric_algorithm})
+    return recipe.model_copy(update={"minimize": "metric", "algorithm": "slsqp"})
 
 
 def prepare(
@@ -452,4 +452,4 @@ def _check_algorithms(job: Job) -> None:
     fold = job.folds[0]
     for search in job.searches if fold.tune else ():
         recipe = job.recipe_of(search)
-        select_algorithms(recipe.algorithm, make_objective(job.problem(fold, search), recipe.minimize))
+        select_algorithm(recipe.algorithm, make_objective(job.problem(fold, search), recipe.minimize))

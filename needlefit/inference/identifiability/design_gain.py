@@ -94,20 +94,15 @@ def nested_gain(
     evidence = logsumexp(joint, axis=1)
     gains = likelihoods[np.arange(len(outer_draws)), outer_draws] - evidence
     after = np.exp(joint - evidence[:, None])  # (O, B)
-    variances = _variances(after, quantities)  # (O, Q)
+    centred = quantities - quantities.mean(axis=0)
+    variances = after @ centred**2 - (after @ centred) ** 2  # (O, Q)
+    variances = np.maximum(variances, MIN_RELATIVE_VARIANCE * centred.var(axis=0))
     return ExpectedGain(
         nats=float(gains.mean()),
         nats_se=float(gains.std(ddof=1) / np.sqrt(len(outer_draws))),
         sds=np.sqrt(variances.mean(axis=0)),
         effective_sample_size=float(np.median(1 / np.sum(after**2, axis=1))),
     )
-
-
-def _variances(weights: Floats, quantities: Floats) -> Floats:
-    """Return the variances (O, Q) of quantities (B, Q) under weights (O, B)."""
-    centred = quantities - quantities.mean(axis=0)
-    spread = weights @ centred**2 - (weights @ centred) ** 2
-    return np.maximum(spread, MIN_RELATIVE_VARIANCE * centred.var(axis=0))
 
 
 #: values (Pa, mm) -> the problem of insertions as these would shape them; None where one has no solution

@@ -327,7 +327,7 @@ def profile_parameters(
         step(len(every), len(parts))
     found = tuple(every[n] for n in sorted(every))
     spent = sum(one.evaluations for one in minima) + sum(one.profile.evaluations for one in found)
-    at_fit = noisy.residuals(np.array(fit.theta))
+    at_fit = noisy.jacobian(np.array(fit.theta))[0]
     # residuals are those of the posterior: of a metric fit their gain means nothing
     gain = 0.5 * (float(at_fit @ at_fit) - optimum.value) if fit.minimized == "posterior" else 0.0
     return FitProfiles(found, scale, spent, gain, tuple(optimum.theta.tolist()))
@@ -344,7 +344,7 @@ def _profile_one(
     theta = freed.parameters.theta(problem.values(optimum.theta))
     k = freed.names.index(part)
     found = compute_profile(freed, k, minimize_squares(freed, theta), (), scale)
-    best = freed.residuals(found.thetas[int(np.argmin(found.deviance))])
+    best = freed.jacobian(found.thetas[int(np.argmin(found.deviance))])[0]
     return ParameterProfile(
         found,
         (float(freed.lower[k]), float(freed.upper[k])),

@@ -14,12 +14,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from needlefit.arrays import Bools, Floats
-from needlefit.inference.likelihood.nodes import (
-    BEVEL,
-    NodeGroup,
-    Nodes,
-)
+from needlefit.arrays import Floats
+from needlefit.inference.likelihood.nodes import BEVEL, NodeGroup, Nodes
 
 
 def log_marginals(whites: Sequence[Floats], group: NodeGroup, scale: Floats, spread: Floats) -> Floats:
@@ -59,13 +55,9 @@ def solve_shared(
 
 def weigh_linear(nodes: Nodes, spread: Floats) -> Floats:
     """Return `nodes.linear` (B, 1 + d, m), the slope by a bevel's t for each `spread` (B,)."""
-    weights = np.where(_bevel_axes(nodes), spread[:, None], 1.0)
+    of_bevel = np.array([False, *(axis.of_bevel for axis in nodes.axes)])
+    weights = np.where(of_bevel, spread[:, None], 1.0)
     return np.asarray(weights[:, :, None] * nodes.linear)
-
-
-def _bevel_axes(nodes: Nodes) -> Bools:
-    """Return which rows (1 + d,) of `nodes.linear` are the slopes by a bevel."""
-    return np.array([False, *(axis.of_bevel for axis in nodes.axes)])
 
 
 def _sum_over_group(products: Sequence[Floats], group: NodeGroup, spread: Floats) -> tuple[Floats, Floats]:
@@ -111,27 +103,6 @@ def load_effects(nodes: Nodes, spread: Floats) -> Floats:
     return loads
 
 
-def linear_residuals(
-    whites: Sequence[Floats], group: NodeGroup, scale: Floats, spread: Floats
-) -> tuple[Floats, Floats]:
-    """Return residuals (B, R + D) and log det (B,) of the linear density, -(|residuals|^2 + log det) / 2.
-
-    These are the residuals at the conditions that fit best, and these D conditions' own, in standard
-    deviations, insertion by insertion; `count_residuals` says how many belong to each. `whites` are
-    (B, m, R), `scale` and `spread` (B,).
-    """
-    first, slopes = _stack(whites, group, scale, spread)
-    stiff, best = _fit_conditions(first, slopes)
-    found = np.concatenate([first + (best[:, None] @ slopes)[:, 0], best], axis=1)
-    return found[:, _order(group, [white.shape[2] for white in whites])], _log_det(stiff)
-
-
-def _fit_conditions(first: Floats, slopes: Floats) -> tuple[Floats, Floats]:
-    """Return the precision (B, D, D) of the conditions, and those (B, D) that fit residuals (B, R) best."""
-    stiff = np.eye(slopes.shape[1]) + slopes @ slopes.transpose(0, 2, 1)
-    return stiff, np.asarray(-np.linalg.solve(stiff, slopes @ first[..., None])[..., 0])
-
-
 def linearize_residuals(
     whites: Sequence[Floats],
     by: Sequence[Floats],
@@ -139,10 +110,12 @@ def linearize_residuals(
     at: tuple[Floats, Floats],
     by_log_spread: Floats,
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return `linear_residuals` and their derivatives (B, R + D, P) and (B, P), given those of white,
-    (B, m, R, P).
+    """Return residuals (B, R + D) and log det (B,) of the density, -(|residuals|^2 + log det) / 2, and their
+    derivatives (B, R + D, P) and (B, P), given those of white, (B, m, R, P).
 
-    `at` are scale and spread; `by_log_spread` (P,) are the derivatives of the latter's logarithm.
+    The residuals are those at the conditions that fit best, and these D conditions' own, in standard
+    deviations, insertion by insertion; `count_residuals` says how many belong to each. `at` are scale and
+    spread; `by_log_spread` (P,) are the derivatives of the latter's logarithm.
     """
     first, slopes = _stack(whites, group, *at)
     by_first, by_slopes = _stack(by, group, *at)  # (B, R, P), (B, D, R, P)
@@ -152,7 +125,9 @@ def linearize_residuals(
         own += [nodes.bevel and k == 0 for k in range(len(nodes.effects))]
     bevels = np.array([*own, *(surface[1] == BEVEL for surface in group.surfaces)], dtype=np.float64)
     by_slopes = by_slopes + (bevels[:, None] * slopes)[..., None] * by_log_spread
-    stiff, best = _fit_conditions(first, slopes)
+    # the precision of the conditions (B, D, D), and those (B, D) that fit the residuals best
+    stiff = np.eye(slopes.shape[1]) + slopes @ slopes.transpose(0, 2, 1)
+    best = -np.linalg.solve(stiff, slopes @ first[..., None])[..., 0]
     sets, conditions, rows, free = by_slopes.shape
     flat = by_slopes.reshape(sets, conditions, rows * free)
     left = first + (best[:, None] @ slopes)[:, 0]  # (B, R)
@@ -170,7 +145,7 @@ def linearize_residuals(
 
 
 def count_residuals(group: NodeGroup, rows: Sequence[int]) -> list[int]:
-    """Return how many of `linear_residuals` belong to each insertion of `rows` points' residuals.
+    """Return how many of `linearize_residuals` belong to each insertion of `rows` points' residuals.
 
     What insertions share stands behind the first of them.
     """

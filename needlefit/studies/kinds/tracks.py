@@ -30,7 +30,7 @@ from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import resample_draws, sample_about_fit
 from needlefit.inference.sampling.posterior import PERCENTILES, Posterior
 from needlefit.inference.sampling.sample import sample
-from needlefit.inference.specimens import SpreadModel, draw_population
+from needlefit.inference.specimens import draw_population, make_spread_model
 from needlefit.inference.track_predictions import (
     TrackDraws,
     draw_baseline,
@@ -467,12 +467,11 @@ def _move_to_specimen(
     task: TrackTask, draws: predict.Draws, specimen: str, rng: np.random.Generator
 ) -> list[dict[str, float]]:
     """Return the draws' sets of values in a specimen that was not tuned on; none if it was."""
-    problem, stated = task.problem, task.recipe.specimens
+    problem = task.problem
     if specimen in {one.specimen for one in problem.insertions}:
         return []
-    sds = math.log(stated.modulus_factor), math.log(stated.bevel_factor)
-    model, posteriors = SpreadModel.of(problem.parameters, *sds), {"": draws.thetas}
-    moved = draw_population(problem.parameters, model, posteriors, len(draws.thetas), rng)
+    model = make_spread_model(problem, task.recipe.specimens, draws.thetas.mean(axis=0))
+    moved = draw_population(problem.parameters, model, {"": draws.thetas}, len(draws.thetas), rng)
     return [problem.values(theta) for theta in moved.new]
 
 

@@ -390,7 +390,7 @@ class _StudyRun:
             problem,
             fit,
             target,
-            ErrorSearch(job.parameters, job.recipe.metric_algorithm, len(job.folds) == 1),
+            ErrorSearch(job.parameters, len(job.folds) == 1),
             random_stream(job.recipe.seed, fold.name, "error tolerance"),
             settings.jobs,
             settings.stop,
