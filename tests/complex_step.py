@@ -77,7 +77,7 @@ def follow(
         y_c = np.array([c[m] for m in range(stop.cell + 1)])
         controls = steps[stop.controls_id].controls
         real, guess, held = reference.mesh(stop, controls, lattice, needle.length, rules.element)
-        nodes, state = real.astype(complex), guess.astype(complex).reshape(-1, 2)
+        nodes, state = real.astype(complex), guess[:, 0].astype(complex).reshape(-1, 2)
         state[0] += inputs.base_y + inputs.stage_slope * stop.tip, inputs.base_slope
         for guide in controls.guides:
             for node in np.flatnonzero(real == guide.x):

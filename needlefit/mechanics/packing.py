@@ -194,6 +194,16 @@ def pack_plan(stops: Sequence[TipStop]) -> PackedStops:
     return PackedStops(packed, bevels, controls, stops[-1], 1 + max(0, *(stop.ray for stop in stops)))
 
 
+def require_planar(tissue: Tissue, steps: Sequence[Step]) -> None:
+    """Raise ModelError for inputs that the kernel does not know."""
+    if tissue.torsional_friction != 0 or not all(step.planar for step in steps):
+        raise ModelError(
+            "a needle that rolls or leaves the plane z = 0",
+            expected="bevels that face y > 0 or y < 0, no inputs along z and no torsional friction",
+            fix="`needlefit.mechanics.reference` simulates it",
+        )
+
+
 def compute_turn(bevel: Bevel, rules: ModelOptions) -> float:
     """Return the slope that a bevel adds to the cut."""
     strength, length = rules.bevel_strength(bevel)
@@ -273,6 +283,7 @@ def pack_problem(
 
     Raises ModelError if a law cannot be interpolated at its shape parameters.
     """
+    require_planar(tissue, steps)
     values = values or {}
     bevels = [steps[i].bevel for i in packed.bevels]
     controls = [steps[i].controls for i in packed.controls]

@@ -13,7 +13,7 @@ from needlefit.errors import ModelError
 from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.packing import PackedStops, compute_turn, list_tip, pack_problem
+from needlefit.mechanics.packing import PackedStops, compute_turn, list_tip, pack_problem, require_planar
 from needlefit.mechanics.plan import SAME_DEPTH_MM, Lattice, TipStop, check_reach, check_size, find_input_path
 from needlefit.mechanics.shape import NeedleShape, compute_scales
 from needlefit.mechanics.simulate import STATUS_NAMES
@@ -143,6 +143,7 @@ class Session:
         valid_only : bool
             Whether a needle within the model's validity stays as it was where the step leads outside.
         """
+        require_planar(self.tissue, (step,))
         check_reach(self.needle.length, step.depth, step.controls)
         if step.depth > self._deepest:  # a single step is too large if it is too deep, and only then
             check_size((step.depth,), self.rules)

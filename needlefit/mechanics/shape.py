@@ -185,6 +185,10 @@ class NeedleShape:
     iterations: int  #: Newton iterations over all steps
     #: (2,) what validity is measured by: see `compute_scales`; infinite where there is no tissue
     scales: Floats = field(default_factory=lambda: np.full(2, np.inf))
+    #: w, slope_z: (N,) of a needle in space, deflection along z and its slope; None in the plane z = 0.
+    #: `constraints` then are (M + 1, 3), with z, and `tip_track` (M + 1, 4), with both along z.
+    w: Floats | None = None
+    slope_z: Floats | None = None
 
     @cached_property
     def validity(self) -> Validity:
