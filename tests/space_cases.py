@@ -16,13 +16,20 @@ def random_spatial_case(
 ) -> tuple[Any, ...]:
     """Return a case of `random_case` whose bevels roll, and whose base, guides and tip stand anywhere."""
     needle, tissue, steps, rules, lattice = random_case(rng, kind, count, deepest)
-    bevels = {one: replace(one, roll_deg=rng.uniform(-200, 200)) for one in {s.bevel: 0 for s in steps}}
-    held = {one: _leave_plane(rng, one) for one in {s.controls: 0 for s in steps}}
-    turned = tuple(Step(s.depth, bevels[s.bevel], held[s.controls]) for s in steps)
-    return needle, tissue, turned, rules, lattice
+    return needle, tissue, leave_plane(rng, steps), rules, lattice
 
 
-def _leave_plane(rng: Random, controls: Controls) -> Controls:
+def leave_plane(rng: Random, steps: tuple[Step, ...], unit_deg: float = 0.01) -> tuple[Step, ...]:
+    """Return steps whose bevels roll by multiples of `unit_deg`, and whose other inputs leave z = 0."""
+    bevels = {
+        one: replace(one, roll_deg=unit_deg * round(rng.uniform(-200, 200) / unit_deg))
+        for one in {s.bevel: 0 for s in steps}
+    }
+    held = {one: _move_out(rng, one) for one in {s.controls: 0 for s in steps}}
+    return tuple(Step(s.depth, bevels[s.bevel], held[s.controls]) for s in steps)
+
+
+def _move_out(rng: Random, controls: Controls) -> Controls:
     def move(one: Any) -> Any:
         return replace(one, z=rng.uniform(-0.2, 0.2), slope_z=rng.uniform(-0.01, 0.01))
 

@@ -153,8 +153,8 @@ def equilibrium(
         away = e / np.maximum(distance, 1e-300)[:, None]  # the direction of e
         stiffening = -distance / t * dk  # |e| dk/d|e|
         residual = K_b @ u + N.T @ ((w_q * k * g)[:, None] * e)
-        # Derivatives of the force along i: by e along j, w_q g (k + |e| dk/d|e|) along e, w_q g k across it; by
-        # the slope along j.
+        # Derivatives of the force along i by e along j, which are w_q g (k + |e| dk/d|e|) along e and w_q g k
+        # across it, and by the slope along j.
         by_e = [
             [w_q * g * (k * (i == j) + stiffening * away[:, i] * away[:, j]) for j in (0, 1)] for i in (0, 1)
         ]

@@ -1,4 +1,4 @@
-"""The roll of the tip, which stays behind that of the hub (docs/model.md, section 4).
+"""The roll of the tip, which stays behind that of the hub (docs/model.md, section 8).
 
 Friction on the inserted shaft holds a turning needle back, and the needle twists. Within the lag the tip does
 not follow the hub. It depends on depths and inputs alone, so the solvers read the steps as the tip turns.
@@ -24,6 +24,8 @@ def compute_roll_lag(needle: Needle, tissue: Tissue, depth: float) -> float:
 
 def turn_tip(needle: Needle, tissue: Tissue, steps: Sequence[Step]) -> tuple[Step, ...]:
     """Return the steps with the roll of the tip in place of the hub's; at first contact the two are alike."""
+    if tissue.torsional_friction == 0:
+        return tuple(steps)
     turned, roll, depth = list[Step](), 0.0, 0.0
     for step in steps:
         bevel = follow_hub(needle, tissue, step.bevel, roll, min(depth, step.depth))
