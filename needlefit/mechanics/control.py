@@ -46,8 +46,11 @@ class Bevel:
 
     @classmethod
     def from_record(cls, record: BevelRecord) -> Self:
-        """Return the bevel that a validated record describes."""
-        return cls(record.offset_mm or 0.0, record.side, math.radians(record.cut_angle_deg or 0.0))
+        """Return the bevel that a validated record describes; a roll by half a turn is the other side."""
+        side, roll = record.side, record.roll_deg or 0.0
+        if math.fmod(roll, 360.0) in (180.0, -180.0):
+            side, roll = -1, roll - 180.0
+        return cls(record.offset_mm or 0.0, side, math.radians(record.cut_angle_deg or 0.0), roll)
 
 
 @dataclass(frozen=True)

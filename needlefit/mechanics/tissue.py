@@ -82,7 +82,7 @@ class Tissue:
         return len(self.mu)
 
     @classmethod
-    def from_records(cls, layers: Sequence[LayerRecord], law: str) -> Self:
+    def from_records(cls, layers: Sequence[LayerRecord], law: str, torsional_friction: float = 0.0) -> Self:
         """Return the tissue that validated layer records describe (Pa become MPa)."""
         names = LAWS[law].shape_names
         for number, layer in enumerate(layers, start=1):
@@ -96,6 +96,7 @@ class Tissue:
             thickness=np.array([layer.thickness_mm for layer in layers]),
             friction=np.array([layer.friction for layer in layers]),
             law=law,
+            torsional_friction=torsional_friction,
         )
 
 
