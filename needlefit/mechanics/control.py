@@ -39,6 +39,8 @@ class Bevel:
     @property
     def toward(self) -> tuple[float, float]:
         """The unit vector (y, z) toward which the bevel turns the cut; exact at whole quarter turns."""
+        if self.roll_deg == 0:
+            return float(self.side), 0.0
         quarters = round(self.roll_deg / 90)
         rest = math.radians(self.roll_deg - 90 * quarters)
         y, z = self.side * math.cos(rest), self.side * math.sin(rest)
@@ -124,10 +126,12 @@ class Controls:
     stage_slope_z: float = 0.0
 
     def __post_init__(self) -> None:
-        base = [getattr(self, name) for name in BASE_INPUTS]
-        if not is_bounded(*base):
+        along_z = self.base_z, self.base_slope_z, self.stage_slope_z
+        bounded = is_bounded(self.base_y, self.base_slope, self.stage_slope)
+        if not bounded or (any(along_z) and not is_bounded(*along_z)):
             raise ModelError(
-                f"base and stage have {dict(zip(BASE_INPUTS, base, strict=True))}", expected="finite numbers"
+                f"base and stage have {dict(zip(BASE_INPUTS, self.base, strict=True))}",
+                expected="finite numbers",
             )
         if len(self.guides) > MAX_GUIDES:
             raise ModelError(f"{len(self.guides)} guides", expected=f"at most {MAX_GUIDES}")
@@ -154,11 +158,19 @@ class Controls:
         return tuple(guide for guide in self.guides if guide.in_tissue)
 
     @property
+    def base(self) -> tuple[float, ...]:
+        """What is said of base and stage: the values of `BASE_INPUTS`."""
+        return (
+            self.base_y, self.base_slope, self.stage_slope, self.base_z, self.base_slope_z, self.stage_slope_z
+        )  # fmt: skip
+
+    @property
     def planar(self) -> bool:
         """Whether all of them act in the plane z = 0."""
+        if self.base_z != 0 or self.base_slope_z != 0 or self.stage_slope_z != 0:
+            return False
         held: tuple[Guide | TrackedTip, ...] = (*self.guides, self.tip) if self.tip else self.guides
-        base = self.base_z, self.base_slope_z, self.stage_slope_z
-        return not any(base) and all(one.z == 0 and (one.slope is None or one.slope_z == 0) for one in held)
+        return not held or all(one.z == 0 and (one.slope is None or one.slope_z == 0) for one in held)
 
 
 @dataclass(frozen=True)
@@ -181,7 +193,7 @@ class Step:
     @property
     def planar(self) -> bool:
         """Whether bevel and boundary conditions leave the needle in the plane z = 0."""
-        return self.bevel.toward[1] == 0 and self.controls.planar
+        return (self.bevel.roll_deg == 0 or self.bevel.toward[1] == 0) and self.controls.planar
 
 
 @dataclass(frozen=True)

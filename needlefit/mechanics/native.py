@@ -361,6 +361,7 @@ class SessionMemory:
         self._shapes = Shapes.make(1, problem.room, problem.max_points, planes=problem.planes)
         self._done, self._out, a = (c_int64 * 3)(), byref(self._shapes), self._shapes.arrays
         self._nodes, self._cut = self._shapes.nodes_of_sets[:, 0], (a["constraints"][0], a["track"][0])
+        self._status, self._passes, self._count = a["status"], a["passes"], a["nodes"]
         self._at = [_at(part) for part in (self._fixed, self._now, self._next, self._scratch)]
         self._fits, self._problem = problem, byref(problem)
 
@@ -394,9 +395,9 @@ class SessionMemory:
         """Return what the last step left: the nodes' x, u and slope (1 + 2 P, N) in P planes, constraints,
         track (points, ...), status and passes.
         """
-        a, (constraints, track) = self._shapes.arrays, self._cut
-        nodes = self._nodes[:, : a["nodes"][0]].copy()
-        return nodes, constraints[:points].copy(), track[:points].copy(), a["status"][0], a["passes"][0]
+        constraints, track = self._cut
+        nodes, cut = self._nodes[:, : self._count[0]].copy(), constraints[:points].copy()
+        return nodes, cut, track[:points].copy(), self._status[0], self._passes[0]
 
     def accept(self) -> None:
         """Let the needle stand where the last `advance` has brought it."""

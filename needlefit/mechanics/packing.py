@@ -23,7 +23,6 @@ from needlefit.arrays import Bools, Floats, Ints
 from needlefit.errors import ModelError
 from needlefit.mechanics import native
 from needlefit.mechanics.control import (
-    BASE_INPUTS,
     Bevel,
     Controls,
     Guide,
@@ -221,23 +220,15 @@ def list_guides(guides: Sequence[Guide], planes: int) -> Floats:
     return np.array(rows, dtype=np.float64).reshape(-1, 1 + 2 * planes)
 
 
-def list_tip(controls: Controls, planes: int) -> Floats:
-    """Return place and slope of a tracked tip, (P, 2); NaN where it is free."""
-    tip = controls.tip
-    held = (math.nan,) * 2 * planes if tip is None else _list_held(tip, planes)
-    return np.array(held).reshape(planes, 2)
+def list_tip(controls: Controls, planes: int) -> tuple[float, ...]:
+    """Return place and slope of a tracked tip, in each plane; NaN where it is free."""
+    return (math.nan,) * (2 * planes) if controls.tip is None else _list_held(controls.tip, planes)
 
 
 def _list_held(one: Guide | TrackedTip, planes: int) -> tuple[float, ...]:
     free = one.slope is None
     found = one.y, math.nan if one.slope is None else one.slope, one.z, math.nan if free else one.slope_z
     return found[: 2 * planes]
-
-
-def list_base(controls: Controls, planes: int) -> Floats:
-    """Return place and slope of the base, and slope of the stage's axis, (P, 3)."""
-    found = [getattr(controls, name) for name in BASE_INPUTS]
-    return np.array(found[: 3 * planes]).reshape(planes, 3)
 
 
 def pack_layers(
@@ -309,21 +300,25 @@ def pack_problem(
     bevels = [steps[i].bevel for i in packed.bevels]
     controls = [steps[i].controls for i in packed.controls]
     given = values.get("cut_angle" if rules.path_angle else "offset")
-    strengths = [rules.bevel_strength(bevel) for bevel in bevels]
     # derivatives of the slopes that each bevel adds to the cut, by the bevel's strength
-    turn_by = np.array([bevel.toward[:planes] for bevel in bevels])
-    turn_by /= np.array([length for _, length in strengths])[:, None]
-    if given is None:
-        turn = np.array([compute_turn(bevel, rules)[:planes] for bevel in bevels])[:, None]
-    else:
-        turn = turn_by[:, None] * given[:, None]
-    turn = np.array(np.broadcast_to(turn, (len(bevels), sets, planes)))
+    lengths = [rules.bevel_strength(bevel)[1] for bevel in bevels]
+    turn_by = [
+        [part / length for part in bevel.toward[:planes]]
+        for bevel, length in zip(bevels, lengths, strict=True)
+    ]
+    turn = np.empty((len(bevels), sets, planes))
+    for i, bevel in enumerate(bevels):
+        if given is None:
+            turn[i] = compute_turn(bevel, rules)[:planes]
+        else:
+            for plane, per_strength in enumerate(turn_by[i]):
+                turn[i, :, plane] = per_strength * given
     base = np.empty((len(controls), sets, planes, 3))
     for i, one in enumerate(controls):
-        base[i] = list_base(one, planes)
-        for place, name in (((0, 0), "base_y"), ((0, 1), "base_slope")):
+        base[i].reshape(sets, 3 * planes)[:] = one.base[: 3 * planes]
+        for place, name in enumerate(("base_y", "base_slope")):
             if name in values:
-                base[i, :, *place] = values[name]
+                base[i, :, 0, place] = values[name]
     of_layers, of_sets = pack_layers(tissue, sets, values)
     rigidity = values.get("rigidity")
     of_sets |= {
@@ -347,11 +342,11 @@ def pack_problem(
         "within_first": np.cumsum([0, *map(len, within)]),
         "before": list_guides([guide for some in before for guide in some], planes),
         "within": list_guides([guide for some in within for guide in some], planes),
-        "held_tip": np.array([list_tip(one, planes) for one in controls]),
+        "held_tip": np.array([list_tip(one, planes) for one in controls]).reshape(-1, planes, 2),
     }
     if columns is not None and columns.total:
         rows = [columns.guides[guide.x] for one in controls for guide in one.guides]
-        arrays["column_of"], arrays["turn_by"] = columns.first, turn_by
+        arrays["column_of"], arrays["turn_by"] = columns.first, np.array(turn_by)
         arrays["guide_columns"] = np.array(rows, dtype=np.int64).reshape(-1, 1 + 2 * planes)
     numbers = {
         "planes": planes,

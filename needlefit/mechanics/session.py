@@ -9,11 +9,12 @@ from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 
+from needlefit.arrays import Floats
 from needlefit.errors import ModelError
 from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.packing import PackedStops, compute_turn, list_base, list_tip, pack_problem
+from needlefit.mechanics.packing import PackedStops, compute_turn, list_tip, pack_problem
 from needlefit.mechanics.plan import SAME_DEPTH_MM, Lattice, TipStop, check_reach, check_size, find_input_path
 from needlefit.mechanics.shape import NeedleShape, compute_scales
 from needlefit.mechanics.simulate import STATUS_NAMES
@@ -62,6 +63,10 @@ class Session:
     _problem: native.KernelProblem
     _held: Controls
     _cut: Bevel
+    # views of the arrays that a step changes
+    _base: Floats
+    _tip: Floats
+    _turn: Floats
     _memory: native.SessionMemory
 
     def __init__(
@@ -142,7 +147,10 @@ class Session:
         """
         depth, controls = self.last.depth + insert, self.last.controls
         if base is not None:
-            controls = replace(controls, base_y=base[0], base_slope=base[1])
+            c = controls  # twice as fast as `replace`
+            controls = Controls(
+                *base, c.stage_slope, c.guides, c.tip, c.base_z, c.base_slope_z, c.stage_slope_z
+            )
         if guides is not None:
             controls = replace(controls, guides=guides)
         if tip is not _UNCHANGED:
@@ -175,18 +183,24 @@ class Session:
         if stops == 0:  # only the bevel was turned
             shape = replace(self._shape, iterations=0)
         else:
-            (x, *across), constraints, track, status, passes = self._memory.read(points)
-            scales = self._scales[bisect_left(self._boundaries, x[-1])]
-            ended, half = STATUS_NAMES[status], self._planes
-            (u, *w), (slope, *slope_z) = across[:half], across[half:]
-            shape = NeedleShape(x, u, slope, constraints, track, ended, int(passes), scales, *w, *slope_z)
+            nodes, constraints, track, status, passes = self._memory.read(points)
+            along_z: tuple[Floats, ...] = ()
+            if self._planes == 1:
+                x, u, slope = nodes
+            else:
+                x, u, w, slope, slope_z = nodes
+                along_z = w, slope_z
+            scales, ended = self._scales[bisect_left(self._boundaries, x[-1])], STATUS_NAMES[status]
+            shape = NeedleShape(x, u, slope, constraints, track, ended, int(passes), scales, *along_z)
             if not shape.converged:
                 self.failures[shape.status] += 1
                 return shape
             if valid_only and self._shape.valid and not shape.valid:
                 return shape
         self._memory.accept()
-        self.last, self._shape, self._roll = step, shape, find_roll(turned.bevel)
+        self.last, self._shape = step, shape
+        if turned is not step:
+            self._roll = find_roll(turned.bevel)
         if self._bevels.full or self._controls.full:
             rays, _ = self._memory.list_rays()
             self._bevels.drop_unused({bevel, *(ray.bevel_id for ray in rays)})
@@ -265,13 +279,13 @@ class Session:
             if controls.guides != self._held.guides:
                 self._hold(controls)
             else:
-                self._held, arrays = controls, self._problem.arrays
-                arrays["base"][0, 0] = list_base(controls, self._planes)
-                arrays["held_tip"][0] = list_tip(controls, self._planes)
+                self._held, planes = controls, self._planes
+                self._base[:] = controls.base[: 3 * planes]
+                self._tip[:] = list_tip(controls, planes)
         if step.bevel is not self._cut:
             # rays that open now are cut by this bevel; the kernel does not read the turn of the others
             self._cut = step.bevel
-            self._problem.arrays["turn"][0, 0] = compute_turn(step.bevel, self.rules)[: self._planes]
+            self._turn[:] = compute_turn(step.bevel, self.rules)[: self._planes]
 
     def _hold(self, controls: Controls) -> None:
         self._held, self._cut = controls, self.last.bevel
@@ -280,6 +294,10 @@ class Session:
             self.needle, self.tissue, (step,), self.lattice, self.rules, _NO_STOPS,
             planes=self._planes, rays=self._rays, guides=MAX_GUIDES,
         )  # fmt: skip
+        arrays = self._problem.arrays
+        self._base, self._tip, self._turn = (
+            arrays[name].reshape(-1) for name in ("base", "held_tip", "turn")
+        )
 
 
 #: a session's stops are planned by the kernel

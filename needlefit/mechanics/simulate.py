@@ -134,7 +134,7 @@ def read_shape(shapes: native.Shapes, scales: Floats) -> NeedleShape:
     """Return the shape of the first set; NaN where it failed."""
     a = shapes.arrays
     x, points, track = (a[name][0].copy() for name in ("x", "constraints", "track"))
-    (u, *w), (slope, *slope_z) = (list(a[name][:, 0].copy()) for name in ("u", "slope"))
+    (u, *w), (slope, *slope_z) = a["u"][:, 0].copy(), a["slope"][:, 0].copy()
     status = STATUS_NAMES[a["status"][0]]
     return NeedleShape(x, u, slope, points, track, status, int(a["passes"][0]), scales, *w, *slope_z)
 
