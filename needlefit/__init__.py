@@ -84,8 +84,10 @@ _HOMES = {
 """Names by the module in which they are."""
 
 
-def open_scene(name: str) -> "Scene":
+def open_scene(name: str, *, in_space: bool = False) -> "Scene":
     """Return the scene that `name` means: a path to a TOML file, or a bare name such as `phantom1`.
+
+    A needle that leaves the plane z = 0 is refused unless `in_space`.
 
     Raises
     ------
@@ -98,7 +100,7 @@ def open_scene(name: str) -> "Scene":
     from needlefit.schemas.scene import SceneRecord
 
     path = find_file("scene", name)
-    return Scene.from_record(load(path, SceneRecord), file_label(path))
+    return Scene.from_record(load(path, SceneRecord), file_label(path), in_space=in_space)
 
 
 def __getattr__(name: str) -> object:

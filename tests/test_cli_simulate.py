@@ -40,6 +40,25 @@ def test_json_has_the_documented_keys(capsys):
     assert step["tip_angle_deg"] == pytest.approx(math.degrees(step["tip_slope"]))
 
 
+def test_a_needle_in_space_has_three_coordinates(capsys, tmp_path):
+    planar, rolled = (answer(capsys, "phantom1", *settings(f"bevel.roll_deg={roll}")) for roll in (180, 90))
+    assert len(planar["tip_mm"]) == len(planar["constraints_mm"][0]) == 2 and planar["tip_z_mm"] == 0
+    assert (planar["roll_at_tip_deg"], rolled["roll_at_tip_deg"]) == (180, 90)
+    assert len(rolled["tip_mm"]) == len(rolled["constraints_mm"][0]) == 3
+    assert rolled["tip_z_mm"] == pytest.approx(-planar["tip_lateral_mm"], abs=1e-6)
+    assert rolled["tip_lateral_mm"] == pytest.approx(0, abs=1e-9)
+    assert rolled["tip_mm"] == pytest.approx([planar["tip_mm"][0], 0, -planar["tip_mm"][1]], abs=1e-6)
+    assert run("simulate", "phantom1", *settings("bevel.roll_deg=90")) == 0
+    assert "90.00" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("option", ["--plot", "--csv", "--slicer", "--animation"])
+def test_files_that_show_the_plane_refuse_a_needle_that_leaves_it(option, capsys, tmp_path):
+    path = tmp_path / {"--plot": "a.png", "--csv": "a.csv", "--slicer": "a.mrk.json"}.get(option, "a.gif")
+    assert run("simulate", "phantom1", *settings("bevel.roll_deg=90"), option, str(path)) == 2
+    assert not path.exists() and option in capsys.readouterr().err
+
+
 def test_settings_move_the_tip(capsys):
     straight = answer(capsys, "phantom1", *settings("bevel.offset_mm=0"), "--depth", "40")
     assert straight["tip_lateral_mm"] == pytest.approx(0, abs=1e-12)

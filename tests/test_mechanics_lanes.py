@@ -100,7 +100,8 @@ def test_neighbours_and_spare_lanes_change_no_bit(sets: int, controls: Controls,
 
 
 def part(shapes: NeedleShapes, sets: np.ndarray) -> NeedleShapes:
-    return NeedleShapes(*(getattr(shapes, field.name)[sets] for field in fields(shapes)))
+    parts = (getattr(shapes, field.name) for field in fields(shapes))
+    return NeedleShapes(*(None if part is None else part[sets] for part in parts))
 
 
 @pytest.mark.parametrize("steps", [THERE_AND_BACK, (replace(WIDE, depth=16.0),)])

@@ -12,8 +12,10 @@ from refusals import refusal
 import needlefit
 from needlefit.errors import ConfigError
 from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
-from needlefit.mechanics.scene import Entry, Scene, simulate_scene
+from needlefit.mechanics.scene import Entry, Scene, iterate_states, simulate_scene
 from needlefit.mechanics.shape import NeedleShape, compute_positions, sample_inserted_points
+from needlefit.mechanics.simulate import simulate_steps
+from needlefit.mechanics.torsion import find_roll
 from needlefit.project.toml import check
 from needlefit.schemas.scene import SceneRecord
 
@@ -28,8 +30,58 @@ TABLES: dict[str, Any] = {
 }
 
 
-def built(**tables: Any) -> Scene:
-    return Scene.from_record(check(TABLES | tables, SceneRecord, "a.toml"), "a.toml")
+def built(*, in_space: bool = False, **tables: Any) -> Scene:
+    return Scene.from_record(check(TABLES | tables, SceneRecord, "a.toml"), "a.toml", in_space=in_space)
+
+
+def test_a_roll_by_half_turns_is_a_side():
+    rolls = {0: (1, 0), 180: (-1, 0), -180: (-1, -360), 360: (1, 360), 540: (-1, 360), 90: (1, 90)}
+    for degrees, (side, rest) in rolls.items():
+        tables = {"depth_mm": 20, "bevel": {"offset_mm": 0.1, "roll_deg": degrees}}
+        scene = built(in_space=True, **tables)
+        assert scene.steps[0].bevel == Bevel(0.1, side, 0.0, rest)
+        assert scene.spatial == (degrees == 90)
+
+
+def test_inputs_along_z_are_read_and_refused_where_only_the_plane_is_known():
+    guide = {"name": "g", "x_mm": -8, "y_mm": 0.1, "z_mm": 0.4, "angle_deg": 30, "elevation_deg": 10}
+    controls = {
+        "base_z_mm": 0.3, "base_slope_z_deg": 2, "stage_angle_deg": 20, "stage_elevation_deg": -5,
+        "tip_y_mm": 0.1, "tip_z_mm": -0.2, "tip_slope_deg": 1, "tip_slope_z_deg": 3,
+    }  # fmt: skip
+    scene = built(in_space=True, depth_mm=20, guides=[guide], controls=controls, torsional_friction_n=0.2)
+    (step,), tan = scene.steps, lambda degrees: math.tan(math.radians(degrees))
+    held = step.controls
+    assert (held.base_z, held.base_slope_z) == pytest.approx((0.3, tan(2)))
+    # along (cos e cos a, cos e sin a, sin e)
+    assert held.stage_slope_z == pytest.approx(tan(-5) / math.cos(math.radians(20)))
+    assert held.guides[0].z == 0.4
+    assert held.guides[0].slope_z == pytest.approx(tan(10) / math.cos(math.radians(30)))
+    assert held.tip == TrackedTip(0.1, tan(1), -0.2, tan(3))
+    assert scene.tissue.torsional_friction == 0.2 and scene.spatial
+    shapes = simulate_scene(scene)
+    assert shapes[-1].converged and shapes[-1].w is not None and shapes[-1].w[-1] == pytest.approx(-0.2)
+    for tables in ({"controls": {"base_z_mm": 0.3}}, {"bevel": {"offset_mm": 0.1, "roll_deg": 3.0}},
+                   {"torsional_friction_n": 0.2}):  # fmt: skip
+        refusal(ConfigError, "plane z = 0", built, depth_mm=20, **tables)
+
+
+def test_the_steps_of_a_spatial_scene_are_those_of_one_session():
+    steps = [
+        {"depth_mm": 9},
+        {"depth_mm": 20, "roll_deg": 90},
+        {"depth_mm": 4},
+        {"depth_mm": 15.5, "side": -1},
+    ]
+    scene = built(in_space=True, steps=steps, torsional_friction_n=0.4)
+    shapes = simulate_scene(scene)
+    assert [shape.depth for shape in shapes] == [9, 20, 4, 15.5] and shapes[0].w is not None
+    whole = simulate_steps(scene.needle, scene.tissue, scene.steps, lattice=scene.lattice)
+    np.testing.assert_array_equal(shapes[-1].w, whole.w)
+    rolls = [find_roll(step.bevel) for step in scene.tip_steps]
+    assert rolls[0] == 0 and 80 < rolls[1] < rolls[2] < 90 and 150 < rolls[3] < 180
+    states = [state for _, state in iterate_states(scene)]
+    np.testing.assert_allclose(states[-1].shape.w, whole.w, atol=1e-7)
 
 
 def test_entries_carry_points_there_and_back_and_guides_stand_on_their_axis():

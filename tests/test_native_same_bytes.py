@@ -1,4 +1,4 @@
-"""The same bytes of 2 000 random insertions on all processors.
+"""The same bytes of 2 000 random insertions, a quarter of them in space, on all processors.
 
 The problems, with all features and given tables of laws, are written to a file. The kernel as an executable
 (`native/driver.cpp`) computes them on an x86-64 processor without AVX and an aarch64 one, which QEMU emulates
@@ -27,19 +27,20 @@ from mechanics_cases import (
     random_tissue,
 )
 from native_cases import read_numbers
+from space_cases import leave_plane
 
 from hatch_build import FLAGS, ZIG_FLAGS
 from needlefit.mechanics import native
-from needlefit.mechanics.batch import DERIVATIVE_KINDS, find_columns
+from needlefit.mechanics.batch import DERIVATIVE_KINDS, SPATIAL_DERIVATIVE_KINDS, find_columns
 from needlefit.mechanics.control import Bevel, ModelOptions
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.packing import pack_problem, plan_insertion
 
 pytestmark = pytest.mark.on_demand
-INSERTIONS = 2000
-INPUTS = "e71c053f525e03e756bb159806dd9f72aea8b92e"
+INSERTIONS, SPATIAL_EACH = 2000, 4
+INPUTS = "2c650d32d81a69d60470e91de885053f642ed843"
 #: SHA-1 of the problems and of the results; docs/developers/solver.md states the latter
-RESULTS = "3ef61af2ebc88a001ad572c293a12ddb9b352c75"
+RESULTS = "831d96e0a69865d8ac5a18efea8bff19363ba185"
 
 HERE = Path(__file__).parent / "native"
 EMULATED = {
@@ -72,8 +73,8 @@ def round_digits(values: np.ndarray) -> np.ndarray:
     return np.array([float(f"{value:.9g}") for value in np.ravel(values)]).reshape(np.shape(values))
 
 
-def make_problem(rng: np.random.Generator, tables: list[np.ndarray]) -> native.KernelProblem:
-    """Return an insertion with everything that the kernel knows."""
+def make_problem(rng: np.random.Generator, tables: list[np.ndarray], spatial: bool) -> native.KernelProblem:
+    """Return an insertion with everything that the kernel knows, in the plane or in space."""
     rules = random_rules(rng)
     needle, tissue = random_needle(rng, rules), random_tissue(rng, rules, rng.choice([0.0, 0.0, 0.3]))
     needle = replace(needle, flexural_rigidity=float(round_digits(np.array(needle.flexural_rigidity))))
@@ -81,6 +82,8 @@ def make_problem(rng: np.random.Generator, tables: list[np.ndarray]) -> native.K
     if rng.random() < 0.3:
         rules = ModelOptions(rules.spacing, rules.element, advance="path_angle")
         steps = tuple(replace(s, bevel=Bevel(0.0, s.bevel.side, s.bevel.offset / 8)) for s in steps)
+    if spatial:
+        steps = leave_plane(rng, steps, 90.0)  # whose sines are those of any library
     sets = int(rng.choice([1, 2, 5, 9]))
     mu = round_digits(10 ** rng.uniform(-5, 2, (sets, tissue.layers)))
     mu[rng.random(sets) < 0.02] = np.nan  # these fail, as do some of those in the softest tissue
@@ -95,7 +98,8 @@ def make_problem(rng: np.random.Generator, tables: list[np.ndarray]) -> native.K
     )
     if all(len(step.controls.before) == 1 for step in steps):
         values["guide_x"] = rng.uniform(-30, -2, sets)
-    columns = find_columns(DERIVATIVE_KINDS, tissue, steps, rules)
+    kinds = (*DERIVATIVE_KINDS, *SPATIAL_DERIVATIVE_KINDS) if spatial else DERIVATIVE_KINDS
+    columns = find_columns(kinds, tissue, steps, rules)
     columns = columns if rng.random() < 0.3 else None
     lattice, packed = plan_insertion(steps, needle.length, rules)
     problem = pack_problem(
@@ -115,7 +119,7 @@ def list_problems(count: int) -> Iterator[tuple[native.KernelProblem, int, np.nd
     """Return problems, their numbers of constraint points and where positions are wanted."""
     tables = [make_table(stiffening) for stiffening in range(1, 7)]
     for seed in range(count):
-        problem = make_problem(np.random.default_rng(seed), tables)
+        problem = make_problem(np.random.default_rng(seed), tables, seed % SPATIAL_EACH == SPATIAL_EACH - 1)
         last = problem.arrays["stops"][problem.stop_count - 1]
         s = float(last["tip"]) - problem.length * np.array([0.99, 0.5, 0.1, 0.05, 0.0])
         yield problem, int(last["cell"]) + 1, s
@@ -142,7 +146,8 @@ def compute_results(problem: native.KernelProblem, points: int, s: np.ndarray) -
     names = [name for name, _ in native.Shapes._fields_[2:]]
     found = b"".join(shapes.arrays[name].tobytes() for name in names if name in shapes.arrays)
     nodes = int(shapes.arrays["nodes"][0])
-    x, u, slope = (np.ascontiguousarray(shapes.arrays[name][:, :nodes]) for name in ("x", "u", "slope"))
+    x, u, slope = (np.ascontiguousarray(shapes.arrays[name][..., :nodes]) for name in ("x", "u", "slope"))
+    u, slope = (part[0] if len(part) == 1 else part for part in (u, slope))
     return found + native.compute_positions(x, u, slope, s).tobytes()
 
 

@@ -111,6 +111,19 @@ def test_unset_values_of_a_step_carry_over():
     ]  # fmt: skip
 
 
+def test_a_side_and_a_roll_take_each_other_s_place():
+    turns = [{"side": -1}, {"roll_deg": 90}, {"offset_mm": 0.2}, {"side": -1}, {"side": 1}]
+    steps = [{"depth_mm": n + 1} | step for n, step in enumerate(turns)]
+    bevels = [step.bevel for step in resolve_steps(check(BARE | {"steps": steps}, SceneRecord, "a.toml"))]
+    assert [(one.side, one.roll_deg) for one in bevels] == [
+        (-1, None),
+        (1, 90),
+        (1, 90),
+        (-1, None),
+        (1, None),
+    ]
+
+
 @pytest.mark.parametrize(
     ("more", "what", "expected", "fix"),
     [
@@ -120,9 +133,13 @@ def test_unset_values_of_a_step_carry_over():
         *(({"depth_mm": None, "steps": [{"depth_mm": 1} | step]}, what, "", "") for step, what in (
             ({"depth_mm": -1}, "`steps.1.depth_mm`"), ({"sied": 1}, "`steps.1.sied`"),
             ({"guides": {"rang": {}}}, "`steps.1.guides.rang`"), ({"tip_slope_deg": 1}, "`steps.1`: tip_sl"),
-            ({"guides": {"ring": {"z_mm": 1}}}, "`steps.1.guides.ring.z_mm`"),
+            ({"guides": {"ring": {"w_mm": 1}}}, "`steps.1.guides.ring.w_mm`"),
+            ({"side": -1, "roll_deg": 180.0}, "`steps.1`: side and roll_deg"),
+            ({"tip_z_mm": 1}, "`steps.1`: tip_z_mm needs"),
+            ({"tip_y_mm": 1, "tip_slope_z_deg": 1}, "`steps.1`: tip_slope_z_deg needs"),
             ({"tip_y_mm": 1, "tip_free": True}, "`steps.1`: tip_free"))),
         ({"controls": {"tip_slope_deg": 1}}, "`controls`: tip_slope_deg ", "", ""),
+        ({"bevel": {"offset_mm": 0.1, "side": -1, "roll_deg": 90}}, "`bevel`: side and roll_deg", "", ""),
         ({"guides": [RING, RING]}, "`guides.2.name`: `ring`", "", ""),
         ({"depth_mm": -1}, "`depth_mm` is -1", "greater than 0", "`depth_mm`"),
         (

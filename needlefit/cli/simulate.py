@@ -89,7 +89,7 @@ def simulate(
             raise typer.BadParameter("is of a recording: it needs --recording", param_hint="--html")
         require_output_files(written, [find_file("scene", scene)])
         where, record = scene_record(scene, depth, set_ or [])
-        done = _simulate_scene(scene, record, where)
+        done = _simulate_scene(scene, record, where, written)
     else:
         if scene is not None or depth is not None or set_:
             raise typer.BadParameter(
@@ -126,13 +126,23 @@ def simulate(
         raise typer.Exit(exit_codes.NOT_CONVERGED)
 
 
-def _simulate_scene(name: str, record: "SceneRecord", where: str) -> SimulationOutcome:
-    """Carry out a scene's steps; `where` is named in errors."""
+def _simulate_scene(
+    name: str, record: "SceneRecord", where: str, outputs: Mapping[str, Path]
+) -> SimulationOutcome:
+    """Carry out a scene's steps; `where` is named in errors.
+
+    Raises BadParameter if one of `outputs`, by option, shows the plane z = 0 and the needle leaves it.
+    """
     from needlefit.mechanics.scene import Scene, iterate_states, simulate_scene
     from needlefit.mechanics.session import NeedleState
     from needlefit.project.unit_warnings import coarse_warnings, scene_warnings
 
-    title, scene = record.title or name, Scene.from_record(record, where)
+    title, scene = record.title or name, Scene.from_record(record, where, in_space=True)
+    if scene.spatial and outputs:
+        raise typer.BadParameter(
+            "shows the plane z = 0, which this needle leaves: only --json gives it in space",
+            param_hint=next(iter(outputs)),
+        )
     shapes = simulate_scene(scene)
 
     def draw(path: Path) -> None:
@@ -196,10 +206,13 @@ def summarize_simulation(
     `shapes` end with the last step, or with the one that failed; `placement` is where a measured needle lies.
     """
     from needlefit.mechanics.shape import find_worst
+    from needlefit.mechanics.torsion import find_roll
 
-    pairs = zip(scene.steps, shapes, strict=False)
     steps = [
-        {"depth_mm": step.depth} | _summarize_step(scene.entry, shape, placement) for step, shape in pairs
+        {"depth_mm": step.depth}
+        | _summarize_step(scene.entry, shape, placement)
+        | {"roll_at_tip_deg": find_roll(step.bevel)}
+        for step, shape in zip(scene.tip_steps, shapes, strict=False)
     ]
     for step, before in zip(steps[:0:-1], steps[-2::-1], strict=True):
         step["iterations"] -= before["iterations"]  # a shape counts from first contact
@@ -225,6 +238,7 @@ def _summarize_step(entry: "Entry", shape: "NeedleShape", placement: "Placement 
     slope = float(shape.slope[-1])
     return {
         "tip_lateral_mm": shape.tip_lateral,
+        "tip_z_mm": shape.tip_z if shape.converged else math.nan,
         "tip_slope": slope,
         "tip_mm": (placement or entry).to_world(compute_positions(shape, shape.x[-1:]))[0],
         "tip_angle_deg": math.degrees(entry.angle + slope),
@@ -244,9 +258,13 @@ def _show_summary(title: str, summary: dict[str, Any]) -> None:
         found, row = step["converged"], {"step": number, "inserted_mm": step["depth_mm"]}
         state = ("ok" if step["valid"] else "outside the model's limits") if found else step["status"]
         place = ", ".join(map(_format_length, step["tip_mm"])) if found else None
-        tip = {key: step[key] if found else None for key in ("tip_lateral_mm", "tip_angle_deg")}
-        rows.append(row | tip | {"tip_position": place, "step_state": state})
-    columns = ("step", "inserted_mm", "tip_lateral_mm", "tip_position", "tip_angle_deg", "step_state")
+        named = ("tip_lateral_mm", "roll_at_tip_deg", "tip_angle_deg")
+        tip = {key: step[key] if found else None for key in named}
+        tip |= {"tip_z": step["tip_z_mm"] if found else None, "tip_position": place}
+        rows.append(row | tip | {"step_state": state})
+    columns = ["step", "inserted_mm", "tip_lateral_mm", "tip_position", "tip_angle_deg", "step_state"]
+    if any(step["tip_z_mm"] or step["roll_at_tip_deg"] not in (None, 0, 180) for step in summary["steps"]):
+        columns[3:3] = ["tip_z", "roll_at_tip_deg"]
     screen.print_line()
     screen.print_text(title)
     caption = "Steps: tip in the world." if len(rows) > 1 else "Tip in the world."
@@ -264,9 +282,10 @@ def _describe_outcome(summary: dict[str, Any]) -> str:
         return f"NOT CONVERGED at {depth}: {summary['status']}."
     place = ", ".join(map(_format_length, summary["tip_mm"]))
     valid = "" if summary["valid"] else "; outside what the model assumes"
-    lateral = summary["tip_lateral_mm"]
+    lateral, z = summary["tip_lateral_mm"], summary["tip_z_mm"]
     side = f"{_format_length(abs(lateral))} mm to the {'right' if lateral < 0 else 'left'}"
-    return f"Tip {side} of the entry axis at {depth}; tip at ({place}) mm in the world{valid}."
+    beside = f", {_format_length(z)} mm along z," if z else ""
+    return f"Tip {side}{beside} of the entry axis at {depth}; tip at ({place}) mm in the world{valid}."
 
 
 def _format_length(value: float) -> str:

@@ -17,13 +17,36 @@ from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.packing import Columns, Evaluation, PreparedInsertion, run_evaluations
+from needlefit.mechanics.packing import (
+    Columns,
+    Evaluation,
+    PreparedInsertion,
+    count_planes,
+    run_evaluations,
+)
 from needlefit.mechanics.plan import Lattice, count_element_solves
-from needlefit.mechanics.shape import NeedleShape, Status, Validity, compute_scales, compute_validity
+from needlefit.mechanics.shape import (
+    NeedleShape,
+    Status,
+    Validity,
+    compute_scales,
+    compute_validity,
+    list_planes,
+)
 from needlefit.mechanics.simulate import STATUS_NAMES, read_shape, require_depth
 from needlefit.mechanics.tissue import Tissue
+from needlefit.mechanics.torsion import find_roll, turn_tip
 from needlefit.project.processes import count_cores
 from needlefit.schemas.limits import MAX_BATCH_ELEMENT_SOLVES, MAX_BATCH_NODES, MAX_NUMBER
+
+
+def require_roll_of_one_rigidity(tissue: Tissue, steps: Sequence[Step]) -> None:
+    """Raise ModelError where the roll of the tip depends on the needle's rigidity."""
+    if tissue.torsional_friction and len({find_roll(step.bevel) for step in steps}) > 1:
+        raise ModelError(
+            "the rigidity of a needle is varied that is turned against torsional friction",
+            expected="one rigidity, one roll, or no torsional friction",
+        )
 
 
 @dataclass(frozen=True)
@@ -80,6 +103,8 @@ class Batch:
         if self.guide_x is not None and any(len(step.controls.before) != 1 for step in self.steps):
             raise ModelError("guide_x is given", expected="exactly one guide before the tissue in every step")
         object.__setattr__(self, "steps", tuple(self.steps))
+        if self.rigidity is not None:
+            require_roll_of_one_rigidity(self.tissue, self.steps)
         depths, element = tuple(step.depth for step in self.steps), self.rules.element
         solves = len(self) * count_element_solves(depths, self.rules.spacing, element)
         nodes = len(self) * max(depths, default=0.0) / element
@@ -136,8 +161,8 @@ class Batch:
                 (guide,) = step.controls.before
                 shifted_guide = replace(guide, x=float(self.guide_x[i]))
                 controls = replace(controls, guides=(shifted_guide, *step.controls.within))
-            angle = choose("cut_angle", step.bevel.cut_angle)
-            bevel = Bevel(choose("offset", step.bevel.offset), step.bevel.side, angle)
+            offset, angle = choose("offset", step.bevel.offset), choose("cut_angle", step.bevel.cut_angle)
+            bevel = replace(step.bevel, offset=offset, cut_angle=angle)
             steps.append(Step(step.depth, bevel, controls))
         needle = replace(self.needle, flexural_rigidity=choose("rigidity", self.needle.flexural_rigidity))
         return needle, tuple(steps)
@@ -159,6 +184,9 @@ class NeedleShapes:
     status: Ints  #: (B,) into `simulate.STATUS_NAMES`; 0: converged
     iterations: Ints  #: (B,)
     scales: Floats  #: (B, 2)
+    #: w, slope_z: (B, N), or None, as in `NeedleShape`
+    w: Floats | None = None
+    slope_z: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.u)
@@ -167,11 +195,13 @@ class NeedleShapes:
         return NeedleShape(
             self.x[i], self.u[i], self.slope[i], self.constraints[i], self.tip_track[i],
             STATUS_NAMES[self.status[i]], int(self.iterations[i]), self.scales[i],
+            *(None if part is None else part[i] for part in (self.w, self.slope_z)),
         )  # fmt: skip
 
     def take(self, sets: slice) -> "NeedleShapes":
         """Return some of the sets; their arrays are views."""
-        return NeedleShapes(*(getattr(self, one.name)[sets] for one in fields(self)))
+        given = {one.name: getattr(self, one.name) for one in fields(self)}
+        return replace(self, **{name: part[sets] for name, part in given.items() if part is not None})
 
     @property
     def converged(self) -> Bools:
@@ -195,8 +225,10 @@ class NeedleShapes:
 
 
 def compute_batch_positions(shapes: NeedleShapes, s: Floats) -> Floats:
-    """Return the points (B, K, 2) in C of every needle at `s` (K,), mm; see `compute_positions`."""
-    parts = (np.ascontiguousarray(part, dtype=np.float64) for part in (shapes.x, shapes.u, shapes.slope, s))
+    """Return the points (B, K, 2), in space (B, K, 3), in C of every needle at `s` (K,), mm; see
+    `compute_positions`.
+    """
+    parts = (np.ascontiguousarray(part, dtype=np.float64) for part in (shapes.x, *list_planes(shapes), s))
     return native.compute_positions(*parts)
 
 
@@ -205,6 +237,8 @@ DERIVATIVE_KINDS = (
     "mu", "shape", "friction", "boundaries", "rigidity", "offset", "cut_angle", "base_y", "base_slope",
     "stage_slope", "guides",
 )  # fmt: skip
+#: further ones, which move the needle out of its plane; with one of them shape and derivatives are in space
+SPATIAL_DERIVATIVE_KINDS = ("roll", "base_z", "base_slope_z", "stage_slope_z")
 
 _DEFAULT_CONTROLS = Controls()
 _DEFAULT_OPTIONS = ModelOptions()
@@ -217,10 +251,12 @@ class Jacobian:
 
     Bevel and base are shifted alike in all steps; guides of several steps at the same x are one guide,
     numbered by x. Where a node itself moves along the needle, its deflection is followed along with it.
+    In space all but `x` have a leading axis of two, y and z.
     """
 
     #: mu1, ..., the law's shape parameters (alpha1, ...), friction1, ..., boundary1, ..., rigidity, offset,
-    #: cut_angle, base_y, base_slope, stage_slope, guide1_x, guide1_y, guide1_slope, ...
+    #: cut_angle, base_y, base_slope, stage_slope, guide1_x, guide1_y, guide1_slope, ...; in space guide1_z
+    #: and guide1_slope_z too, and roll (rad), base_z, base_slope_z, stage_slope_z at the end
     names: tuple[str, ...]
     x: Floats  #: (N, P) of the nodes' beam coordinates: 1 for a guide's node and its own x, else 0
     #: u, slope: (N, P) of the nodes' deflection and slope
@@ -232,7 +268,10 @@ class Jacobian:
 
 @dataclass(frozen=True)
 class Jacobians:
-    """Derivatives of `NeedleShapes`: the fields of `Jacobian` with a leading axis of B sets, but for `x`."""
+    """Derivatives of `NeedleShapes`: the fields of `Jacobian` with an axis of B sets, but for `x`.
+
+    In space that of y and z comes before it.
+    """
 
     names: tuple[str, ...]
     x: Floats  #: (N, P) the same for all sets
@@ -245,8 +284,9 @@ class Jacobians:
     converged: Bools  #: (B,) all derivatives of other sets are NaN
 
     def __getitem__(self, i: int) -> Jacobian:
-        u, points, track = self.u[i], self.constraints[i], self.tip_track[i]
-        return Jacobian(self.names, self.x if self.converged[i] else u, u, self.slope[i], points, track)
+        parts = (self.u, self.slope, self.constraints, self.tip_track)
+        x = self.x if self.converged[i] else np.full_like(self.x, np.nan)
+        return Jacobian(self.names, x, *(part[..., i, :, :] for part in parts))
 
 
 def linearize(
@@ -289,6 +329,9 @@ def linearize_steps(
     wrt: Sequence[str] = _DEFAULT_WRT,
 ) -> tuple[NeedleShape, Jacobian]:
     """Insert the needle as `simulate_steps` does; return its last shape and the derivatives of that shape."""
+    if "rigidity" in wrt:
+        require_roll_of_one_rigidity(tissue, steps)
+    steps = turn_tip(needle, tissue, steps)
     columns = find_columns(tuple(wrt), tissue, steps, rules)
     insertion = PreparedInsertion(needle, tissue, steps, rules, lattice, columns)
     one = Evaluation(insertion, 1, {}, np.ones(1, dtype=bool))
@@ -312,57 +355,68 @@ def read_jacobians(evaluation: Evaluation, converged: Bools) -> Jacobians:
         if column >= 0:
             by_x[:-1][x[:-1] == place, column] = 1.0  # none holds the tip
     if not insertion.columns.total:
-        nodes, points = (np.empty((evaluation.sets, size, 0)) for size in (len(x), insertion.points))
+        across = () if insertion.columns.planes == 1 else (2,)
+        nodes, points = (np.empty((*across, evaluation.sets, n, 0)) for n in (len(x), insertion.points))
         return Jacobians((), by_x, nodes, nodes, points, points, converged)
     arrays = [evaluation.shapes.arrays[f"{name}_by"] for name in ("u", "slope", "constraints", "track")]
     if not evaluation.valid.all():
         for array in arrays:
-            array[~evaluation.valid] = np.nan
-    u, slope, points, track = arrays
+            array[:, ~evaluation.valid] = np.nan
+    u, slope, points, track = (array[0] if len(array) == 1 else array for array in arrays)
     return Jacobians(insertion.columns.names, by_x, u, slope, points, track, converged)
 
 
 def differentiate_batch_positions(shapes: NeedleShapes, jacobians: Jacobians, s: Floats) -> Floats:
-    """Return the derivatives (B, K, 2, P) of `compute_batch_positions(shapes, s)`."""
+    """Return the derivatives (B, K, 2, P), in space (B, K, 3, P), of `compute_batch_positions(shapes, s)`."""
     by = jacobians.x, jacobians.u, jacobians.slope
-    return native.compute_position_derivatives(shapes.x, shapes.u, shapes.slope, s, *by)
+    return native.compute_position_derivatives(shapes.x, *list_planes(shapes), s, *by)
 
 
 def find_columns(wrt: tuple[str, ...], tissue: Tissue, steps: Sequence[Step], rules: ModelOptions) -> Columns:
-    """Return the columns of the derivatives of an insertion by kinds of parameters, of `DERIVATIVE_KINDS`.
+    """Return the columns of the derivatives of an insertion by kinds of parameters.
+
+    These are of `DERIVATIVE_KINDS` and `SPATIAL_DERIVATIVE_KINDS`; `steps` have the roll of the tip.
 
     Raises ModelError if there is no such kind of parameter.
     """
     guide_depths = sorted({guide.x for step in steps for guide in step.controls.guides})  # from the base on
-    return _make_columns(wrt, tissue.law, tissue.layers, tuple(guide_depths), rules.path_angle)
+    spatial = any(kind in SPATIAL_DERIVATIVE_KINDS for kind in wrt)
+    planes = 2 if spatial else count_planes(steps)
+    return _make_columns(wrt, tissue.law, tissue.layers, tuple(guide_depths), rules.path_angle, planes)
 
 
 @lru_cache(maxsize=512)  # a fit asks for the same columns over and over
 def _make_columns(
-    wrt: tuple[str, ...], law: str, layers: int, guide_depths: tuple[float, ...], path_angle: bool
+    wrt: tuple[str, ...],
+    law: str,
+    layers: int,
+    guide_depths: tuple[float, ...],
+    path_angle: bool,
+    planes: int,
 ) -> Columns:
-    wrong = [kind for kind in wrt if kind not in DERIVATIVE_KINDS]
+    every = (*DERIVATIVE_KINDS, *SPATIAL_DERIVATIVE_KINDS)
+    wrong = [kind for kind in wrt if kind not in every]
     if wrong:
         raise ModelError(
-            f"there is no derivative with respect to `{wrong[0]}`",
-            expected=f"of {', '.join(DERIVATIVE_KINDS)}",
+            f"there is no derivative with respect to `{wrong[0]}`", expected=f"of {', '.join(every)}"
         )
     names: list[str] = []
     first: dict[str, int] = {}
-    for kind in DERIVATIVE_KINDS:
+    for kind in every:
         first[kind] = len(names) if kind in wrt else -1
         if kind in wrt:
-            names += _list_names(kind, law, layers, len(guide_depths))
-    at = first["guides"]
+            names += _list_names(kind, law, layers, len(guide_depths), planes)
+    at, size = first["guides"], 1 + 2 * planes
     guides = {
-        x: (-1, -1, -1) if at < 0 else range(at + 3 * i, at + 3 * i + 3) for i, x in enumerate(guide_depths)
+        x: (-1,) * size if at < 0 else range(at + size * i, at + size * (i + 1))
+        for i, x in enumerate(guide_depths)
     }
     # The bevel's strength has one column in the kernel; that of the rule which is not used stays 0.
-    kinds = [kind for kind in DERIVATIVE_KINDS[:-1] if kind != ("offset" if path_angle else "cut_angle")]
-    return Columns(tuple(names), np.array([first[kind] for kind in kinds]), guides)
+    kinds = [kind for kind in every if kind not in ("guides", "offset" if path_angle else "cut_angle")]
+    return Columns(tuple(names), np.array([first[kind] for kind in kinds]), guides, planes)
 
 
-def _list_names(kind: str, law: str, layers: int, guides: int) -> list[str]:
+def _list_names(kind: str, law: str, layers: int, guides: int, planes: int) -> list[str]:
     if kind == "shape":
         return [name for row in LAWS[law].name_shape(range(1, layers + 1)) for name in row]
     if kind in ("mu", "friction"):
@@ -370,7 +424,8 @@ def _list_names(kind: str, law: str, layers: int, guides: int) -> list[str]:
     if kind == "boundaries":
         return [f"boundary{i + 1}" for i in range(layers - 1)]
     if kind == "guides":
-        return [f"guide{i + 1}_{what}" for i in range(guides) for what in ("x", "y", "slope")]
+        parts = ("x", "y", "slope", "z", "slope_z")[: 1 + 2 * planes]
+        return [f"guide{i + 1}_{what}" for i in range(guides) for what in parts]
     return [kind]
 
 
@@ -443,6 +498,9 @@ def _evaluate(batch: Batch, wrt: tuple[str, ...] | None) -> Evaluation:
     if wrt not in batch.prepared:
         # depths and controls are alike in all valid sets: so one of them is used for all
         steps = batch.vary_inputs(int(np.argmax(valid)))[1] if valid.any() else batch.steps
+        if wrt is not None and "rigidity" in wrt:
+            require_roll_of_one_rigidity(batch.tissue, steps)
+        steps = turn_tip(batch.needle, batch.tissue, steps)
         columns = None if wrt is None else find_columns(wrt, batch.tissue, steps, batch.rules)
         batch.prepared[wrt] = PreparedInsertion(
             batch.needle, batch.tissue, steps, batch.rules, columns=columns
@@ -469,8 +527,10 @@ def _read_shapes(batch: Batch, evaluation: Evaluation) -> NeedleShapes:
     if not valid.all():
         wrong = ~valid
         a["status"][wrong], a["passes"][wrong] = native.NON_FINITE, 0
-        a["u"][wrong] = a["slope"][wrong] = a["track"][wrong] = a["constraints"][wrong, 1:, 1] = np.nan
+        a["u"][:, wrong] = a["slope"][:, wrong] = a["track"][wrong] = a["constraints"][wrong, 1:, 1:] = np.nan
     scales = compute_scales(batch.tissue, evaluation.insertion.depth, batch.rules.spacing)
-    names = ("x", "u", "slope", "constraints", "track", "status", "passes")
-    parts = [*(a[name] for name in names), np.tile(scales, (len(batch), 1))]
-    return NeedleShapes(*parts)
+    shapes = NeedleShapes(
+        a["x"], a["u"][0], a["slope"][0], a["constraints"], a["track"], a["status"], a["passes"],
+        np.tile(scales, (len(batch), 1)),
+    )  # fmt: skip
+    return shapes if len(a["u"]) == 1 else replace(shapes, w=a["u"][1], slope_z=a["slope"][1])

@@ -20,23 +20,39 @@ from needlefit.schemas.scene import Advance, BevelRecord, RulesRecord
 
 @dataclass(frozen=True)
 class Bevel:
-    """The needle's bevel, which turns the cut toward `side` (+1: y > 0)."""
+    """The needle's bevel, which turns the cut toward `side` (+1: y > 0), or about x away from there."""
 
     offset: float = 0.0  #: b of the advance along the tangent, mm per constraint spacing
     side: int = 1
     cut_angle: float = 0.0  #: theta of the advance by the path angle, rad: of the cut to the needle's tangent
+    #: roll about x, right-handed, from the direction of `side`, degrees: 90 turns a bevel from +y to +z
+    roll_deg: float = 0.0
 
     def __post_init__(self) -> None:
-        if not is_bounded(self.offset, self.cut_angle) or self.side not in (1, -1):
+        if not is_bounded(self.offset, self.cut_angle, self.roll_deg) or self.side not in (1, -1):
             raise ModelError(
-                f"bevel has offset {self.offset} mm, angle {self.cut_angle} rad, side {self.side}",
-                expected="offset and angle that are finite numbers, side +1 or -1",
+                f"bevel has offset {self.offset} mm, angle {self.cut_angle} rad, side {self.side}, roll "
+                f"{self.roll_deg} degrees",
+                expected="offset, angle and roll that are finite numbers, side +1 or -1",
             )
+
+    @property
+    def toward(self) -> tuple[float, float]:
+        """The unit vector (y, z) toward which the bevel turns the cut; exact at whole quarter turns."""
+        if self.roll_deg == 0:
+            return float(self.side), 0.0
+        quarters = round(self.roll_deg / 90)
+        rest = math.radians(self.roll_deg - 90 * quarters)
+        y, z = self.side * math.cos(rest), self.side * math.sin(rest)
+        return ((y, z), (-z, y), (-y, -z), (z, -y))[quarters % 4]
 
     @classmethod
     def from_record(cls, record: BevelRecord) -> Self:
-        """Return the bevel that a validated record describes."""
-        return cls(record.offset_mm or 0.0, record.side, math.radians(record.cut_angle_deg or 0.0))
+        """Return the bevel that a validated record describes; a roll by half a turn is the other side."""
+        side, roll = record.side, record.roll_deg or 0.0
+        if math.fmod(roll, 360.0) in (180.0, -180.0):
+            side, roll = -1, roll - 180.0
+        return cls(record.offset_mm or 0.0, side, math.radians(record.cut_angle_deg or 0.0), roll)
 
 
 @dataclass(frozen=True)
@@ -52,11 +68,15 @@ class Guide:
     in_tissue: bool = False
     #: what pictures call it; guides that differ in nothing else are the same
     name: str = field(default="", compare=False)
+    #: z, slope_z: its place across the plane, mm, and slope of its axis there, if `slope` is not None
+    z: float = 0.0
+    slope_z: float = 0.0
 
     def __post_init__(self) -> None:
-        if not is_bounded(self.x, self.y, self.slope or 0.0):
+        if not is_bounded(self.x, self.y, self.slope or 0.0, self.z, self.slope_z):
             raise ModelError(
-                f"guide stands at ({self.x}, {self.y}) mm, slope {self.slope}", expected="finite numbers"
+                f"guide stands at ({self.x}, {self.y}, {self.z}) mm, slopes {self.slope} and {self.slope_z}",
+                expected="finite numbers",
             )
         if self.in_tissue != (self.x >= 0):
             raise ModelError(
@@ -72,10 +92,20 @@ class TrackedTip:
 
     y: float
     slope: float | None = None
+    #: z, slope_z: the same across the plane
+    z: float = 0.0
+    slope_z: float = 0.0
 
     def __post_init__(self) -> None:
-        if not is_bounded(self.y, self.slope or 0.0):
-            raise ModelError(f"tracked tip is at {self.y} mm, slope {self.slope}", expected="finite numbers")
+        if not is_bounded(self.y, self.slope or 0.0, self.z, self.slope_z):
+            raise ModelError(
+                f"tracked tip is at ({self.y}, {self.z}) mm, slopes {self.slope} and {self.slope_z}",
+                expected="finite numbers",
+            )
+
+
+#: what a `Controls` gives of base and stage: first in the plane, then across it
+BASE_INPUTS = ("base_y", "base_slope", "stage_slope", "base_z", "base_slope_z", "stage_slope_z")
 
 
 @dataclass(frozen=True)
@@ -90,12 +120,17 @@ class Controls:
     stage_slope: float = 0.0
     guides: tuple[Guide, ...] = ()
     tip: TrackedTip | None = None
+    #: base_z, base_slope_z, stage_slope_z: the same across the plane
+    base_z: float = 0.0
+    base_slope_z: float = 0.0
+    stage_slope_z: float = 0.0
 
     def __post_init__(self) -> None:
-        if not is_bounded(self.base_y, self.base_slope, self.stage_slope):
+        along_z = self.base_z, self.base_slope_z, self.stage_slope_z
+        bounded = is_bounded(self.base_y, self.base_slope, self.stage_slope)
+        if not bounded or (any(along_z) and not is_bounded(*along_z)):
             raise ModelError(
-                f"base is at {self.base_y} mm, slope {self.base_slope}, on a stage of slope "
-                f"{self.stage_slope}",
+                f"base and stage have {dict(zip(BASE_INPUTS, self.base, strict=True))}",
                 expected="finite numbers",
             )
         if len(self.guides) > MAX_GUIDES:
@@ -122,6 +157,21 @@ class Controls:
         """The guides in the tissue, from the entry inwards."""
         return tuple(guide for guide in self.guides if guide.in_tissue)
 
+    @property
+    def base(self) -> tuple[float, ...]:
+        """What is said of base and stage: the values of `BASE_INPUTS`."""
+        return (
+            self.base_y, self.base_slope, self.stage_slope, self.base_z, self.base_slope_z, self.stage_slope_z
+        )  # fmt: skip
+
+    @property
+    def planar(self) -> bool:
+        """Whether all of them act in the plane z = 0."""
+        if self.base_z != 0 or self.base_slope_z != 0 or self.stage_slope_z != 0:
+            return False
+        held: tuple[Guide | TrackedTip, ...] = (*self.guides, self.tip) if self.tip else self.guides
+        return not held or all(one.z == 0 and (one.slope is None or one.slope_z == 0) for one in held)
+
 
 @dataclass(frozen=True)
 class Step:
@@ -139,6 +189,11 @@ class Step:
             raise ModelError(f"depth is {self.depth} mm", expected="a finite number, not negative")
         if self.depth > MAX_NEEDLE_LENGTH_MM:
             raise ModelError(f"depth is {self.depth:g} mm", expected=f"at most {MAX_NEEDLE_LENGTH_MM:g} mm")
+
+    @property
+    def planar(self) -> bool:
+        """Whether bevel and boundary conditions leave the needle in the plane z = 0."""
+        return (self.bevel.roll_deg == 0 or self.bevel.toward[1] == 0) and self.controls.planar
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from needlefit.arrays import Floats, Ints
 from needlefit.errors import NeedlefitError
 
 FOLDER = Path(__file__).parent / "native"
-ABI_VERSION = 1
+ABI_VERSION = 2
 #: environment variable: a library to use instead of the package's own, such as one with sanitizers
 LIBRARY_VARIABLE = "NEEDLEFIT_LIBRARY"
 
@@ -46,8 +46,8 @@ STOP = np.dtype(
 )  #: a stop of the tip; `flags` is a sum of the three above
 
 _SIZES = [
-    "sets", "layers", "shapes", "terms", "numbers", "stop_count", "bevels", "inputs", "rays", "guides",
-    "columns", "max_iterations",
+    "planes", "sets", "layers", "shapes", "terms", "numbers", "stop_count", "bevels", "inputs", "rays",
+    "guides", "columns", "max_iterations",
 ]  # fmt: skip
 _NUMBERS = ["length", "first_cell", "spacing", "element", "part", "tangent", "tolerance", "deepest"]
 _ARRAYS: dict[str, tuple[Any, tuple[str | int, ...]]] = {
@@ -59,17 +59,17 @@ _ARRAYS: dict[str, tuple[Any, tuple[str | int, ...]]] = {
     "friction": (float, ("sets", "layers")),
     "law": (float, ("sets", "layers", "numbers")),
     "law_by": (float, ("sets", "layers", "shapes", "numbers")),
-    "turn": (float, ("bevels", "sets")),
-    "base": (float, ("inputs", "sets", 3)),
+    "turn": (float, ("bevels", "sets", "planes")),
+    "base": (float, ("inputs", "sets", "planes", 3)),
     "before_first": (np.int64, ("inputs + 1",)),
     "within_first": (np.int64, ("inputs + 1",)),
-    "before": (float, ("any", 3)),
-    "within": (float, ("any", 3)),
-    "held_tip": (float, ("inputs", 2)),
+    "before": (float, ("any", "guide_size")),
+    "within": (float, ("any", "guide_size")),
+    "held_tip": (float, ("inputs", "planes", 2)),
     "guide_x": (float, ("sets",)),
-    "turn_by": (float, ("bevels",)),
-    "column_of": (np.int64, (9,)),
-    "guide_columns": (np.int64, ("any", 3)),
+    "turn_by": (float, ("bevels", "planes")),
+    "column_of": (np.int64, (13,)),
+    "guide_columns": (np.int64, ("any", "guide_size")),
 }  #: type and shape of each array
 _DERIVATIVES = {"law_by", "turn_by", "column_of", "guide_columns"}
 
@@ -132,14 +132,18 @@ class KernelProblem(ctypes.Structure):
         if max(sizes.values()) > 1 << 48 or min(sizes.values()) < 0:  # beyond, a C integer has wrapped around
             raise TypeError(f"the sizes of a problem are {sizes}")
         needed = _ARRAYS.keys() - {"guide_x"} - (set() if problem.columns else _DERIVATIVES)
-        if problem.columns and "column_of" in arrays and arrays["column_of"][SHAPE_COLUMN] < 0:
+        column_of = arrays.get("column_of")
+        if (
+            problem.columns
+            and column_of is not None
+            and np.any(column_of[SHAPE_COLUMN : SHAPE_COLUMN + 1] < 0)
+        ):
             needed -= {"law_by"}
         if missing := needed - arrays.keys():
             raise TypeError(f"a problem without {sorted(missing)}")
         problem.arrays = dict(arrays)
-        problem._point_to(
-            arrays, sizes | {"any": -1, "layers - 1": problem.layers - 1, "inputs + 1": problem.inputs + 1}
-        )
+        others = {"any": -1, "layers - 1": problem.layers - 1, "inputs + 1": problem.inputs + 1}
+        problem._point_to(arrays, sizes | others | {"guide_size": 1 + 2 * problem.planes})
         guides = len(arrays["before"]) + len(arrays["within"])
         if (
             len(arrays["stops"]) < problem.stop_count
@@ -192,30 +196,34 @@ class Shapes(ctypes.Structure):
     )  # fmt: skip
     _fields_ = [("room", c_int64), ("points", c_int64), *((name, c_void_p) for name in _WRITTEN)]
     arrays: dict[str, np.ndarray]
-    nodes_of_sets: Floats  # (3, sets, room) x, u and slope
-    cut_of_sets: Floats  # (2, sets, points, 2) constraints and track
+    nodes_of_sets: Floats  # (1 + 2 planes, sets, room) x, u along each direction and slope along each
     sets: int
     columns: int
+    planes: int
 
     @classmethod
-    def make(cls, sets: int, room: int, points: int, columns: int = 0) -> "Shapes":
+    def make(cls, sets: int, room: int, points: int, columns: int = 0, planes: int = 1) -> "Shapes":
         """Return room for the shapes of so many sets, nodes, constraint points and columns of derivatives."""
-        sizes: dict[str, tuple[int, ...]] = {"nodes": (3, sets, room), "cut": (2, sets, points, 2)}
+        sizes: dict[str, tuple[int, ...]] = {
+            "nodes": (1 + 2 * planes, sets, room),
+            "constraints": (sets, points, 1 + planes),
+            "track": (sets, points, 2 * planes),
+        }
         if columns:
-            sizes |= dict.fromkeys(("u_by", "slope_by"), (sets, room, columns))
-            sizes |= dict.fromkeys(("constraints_by", "track_by"), (sets, points, columns))
+            sizes |= dict.fromkeys(("u_by", "slope_by"), (planes, sets, room, columns))
+            sizes |= dict.fromkeys(("constraints_by", "track_by"), (planes, sets, points, columns))
         # One piece of memory, which the allocator keeps from call to call: new pages take long.
         memory, end, arrays = np.empty(sum(map(math.prod, sizes.values()))), 0, dict[str, np.ndarray]()
         for name, size in sizes.items():
             begin, end = end, end + math.prod(size)
             arrays[name] = memory[begin:end].reshape(size)
-        nodes, cut = arrays["nodes"], arrays.pop("cut")
-        arrays |= dict(zip(("x", "u", "slope", "constraints", "track"), (*nodes, *cut), strict=True))
+        nodes = arrays["nodes"]
+        arrays |= {"x": nodes[0], "u": nodes[1 : 1 + planes], "slope": nodes[1 + planes :]}
         arrays |= {name: np.zeros(sets, np.int64) for name in ("status", "passes")}
         arrays["nodes"] = np.zeros(1, np.int64)
         made = cls(room=room, points=points, **{name: array.ctypes.data for name, array in arrays.items()})
-        made.arrays, made.nodes_of_sets, made.cut_of_sets = arrays, nodes, cut
-        made.sets, made.columns = sets, columns
+        made.arrays, made.nodes_of_sets = arrays, nodes
+        made.sets, made.columns, made.planes = sets, columns, planes
         return made
 
 
@@ -296,7 +304,8 @@ def simulate(
         memory = make_memory(needed)
     check_array("memory", memory, float, (-1,))
     fits = memory.nbytes >= needed and memory.ctypes.data % 64 == 0 and 0 <= first < problem.sets
-    if not fits or shapes.sets < problem.sets or shapes.columns != problem.columns:
+    alike = (shapes.sets, shapes.columns, shapes.planes) == (problem.sets, problem.columns, problem.planes)
+    if not fits or not alike:
         raise TypeError(
             f"set {first} of {problem.sets}, shapes of {shapes.sets}, {memory.nbytes} bytes to work in"
         )
@@ -319,7 +328,7 @@ def make_shapes(problem: KernelProblem, points: int) -> Shapes:
     if problem.nodes == 0:
         x = np.empty(problem.room)
         problem.nodes = int(load_library().nf_nodes(byref(problem), _at(x)))
-    return Shapes.make(problem.sets, problem.nodes, points, problem.columns)
+    return Shapes.make(problem.sets, problem.nodes, points, problem.columns, problem.planes)
 
 
 class CutRay(NamedTuple):
@@ -349,9 +358,10 @@ class SessionMemory:
     def _lay_out(self, problem: KernelProblem) -> None:
         """Make once what a step writes to and the arguments of its call."""
         self._next = make_memory(self._sizes[1])
-        self._shapes, self._done = Shapes.make(1, problem.room, problem.max_points), (c_int64 * 3)()
-        self._out = byref(self._shapes)
-        self._nodes, self._cut = self._shapes.nodes_of_sets[:, 0], self._shapes.cut_of_sets.reshape(2, -1)
+        self._shapes = Shapes.make(1, problem.room, problem.max_points, planes=problem.planes)
+        self._done, self._out, a = (c_int64 * 3)(), byref(self._shapes), self._shapes.arrays
+        self._nodes, self._cut = self._shapes.nodes_of_sets[:, 0], (a["constraints"][0], a["track"][0])
+        self._status, self._passes, self._count = a["status"], a["passes"], a["nodes"]
         self._at = [_at(part) for part in (self._fixed, self._now, self._next, self._scratch)]
         self._fits, self._problem = problem, byref(problem)
 
@@ -382,10 +392,12 @@ class SessionMemory:
         return stops, points
 
     def read(self, points: int) -> tuple[Floats, Floats, Floats, int, int]:
-        """Return x, u, slope (3, N), constraints, track (points, 2), status and passes of the last step."""
-        a = self._shapes.arrays
-        cut = self._cut[:, : 2 * points].copy().reshape(2, points, 2)
-        return self._nodes[:, : a["nodes"][0]].copy(), cut[0], cut[1], a["status"][0], a["passes"][0]
+        """Return what the last step left: the nodes' x, u and slope (1 + 2 P, N) in P planes, constraints,
+        track (points, ...), status and passes.
+        """
+        constraints, track = self._cut
+        nodes, cut = self._nodes[:, : self._count[0]].copy(), constraints[:points].copy()
+        return nodes, cut, track[:points].copy(), self._status[0], self._passes[0]
 
     def accept(self) -> None:
         """Let the needle stand where the last `advance` has brought it."""
@@ -436,23 +448,24 @@ def find_equilibrium(
     state: Floats | None = None,
     target: Floats | None = None,
 ) -> tuple[Floats, Floats, int, int]:
-    """Solve for one equilibrium; return x (N,), deflection and slope (N, 2), status and passes.
+    """Solve for one equilibrium; return x (N,), deflections and slopes (N, 2 P), status and passes.
 
-    `depths` and `y` (M + 1,) are the constraint points, mm, or `target` (Q,) y of the cut at each quadrature
-    point. `state` (N, 2) is a guess; by default straight.
+    `depths` (M + 1,) and `y` (M + 1, P) are the constraint points, mm, or `target` (Q, P) the cut at each
+    quadrature point, in P planes. `state` (N, 2 P) is a guess; by default straight.
 
     Raises TypeError if an array is none that the kernel can read, or depths do not increase.
     """
     library, room = load_library(), problem.room
-    found, x, ended = np.zeros((room, 2)), np.empty(room), np.zeros(2, np.int64)
+    found, x, ended = np.zeros((room, 2 * problem.planes)), np.empty(room), np.zeros(2, np.int64)
     if state is not None:
         if len(state) > room:
             raise TypeError(f"{len(state)} nodes; there is room for {room}")
         found[: len(state)] = state
-    for name, array in (("depths", depths), ("y", y)):
-        check_array(name, array, float, (len(depths),))
+    across = () if problem.planes == 1 else (problem.planes,)
+    check_array("depths", depths, float, (len(depths),))
+    check_array("y", y, float, (len(depths), *across))
     if target is not None:
-        check_array("target", target, float, (-1,))
+        check_array("target", target, float, (-1, *across))
     memory = make_memory(measure_memory(problem, 1))
     targets = (c_int64(0), None) if target is None else (c_int64(len(target)), _at(target))
     count = library.nf_equilibrium(
@@ -489,58 +502,72 @@ class _BentNeedle(ctypes.Structure):
     ]
 
 
-def _bend(shape: tuple[Floats, Floats, Floats, Floats]) -> tuple[_BentNeedle, list[Floats]]:
+BentShape = tuple[Floats, Floats, Floats, Floats]
+"""x (N,), u and slope (N,), in space (2, N), and constraint points (M + 1, 1 + P) of a needle."""
+
+
+def _bend(shape: BentShape, planes: int) -> tuple[_BentNeedle, list[Floats]]:
     kept = [np.ascontiguousarray(part, dtype=np.float64) for part in shape]
-    _check_shape(*kept[:3])
-    check_array("constraint points", kept[3], float, (max(len(kept[3]), 1), 2))
+    across = () if planes == 1 else (planes,)
+    for name, array in zip(("x", "u", "slope"), kept, strict=False):
+        check_array(name, array, float, (*(() if name == "x" else across), max(len(kept[0]), 2)))
+    check_array("constraint points", kept[3], float, (max(len(kept[3]), 1), 1 + planes))
     return _BentNeedle(len(kept[0]), len(kept[3]) - 1, *(part.ctypes.data for part in kept)), kept
 
 
-def _check_shape(x: Floats, u: Floats, slope: Floats) -> None:
-    for name, array in (("x", x), ("u", u), ("slope", slope)):
-        check_array(name, array, float, (max(len(x), 2),))
-
-
-def compute_load(problem: KernelProblem, shape: tuple[Floats, Floats, Floats, Floats], s: Floats) -> Floats:
-    """Return the tissue's load (K,), N/mm, on a needle (x, u, slope, constraint points) at `s` (K,)."""
-    needle, kept = _bend(shape)
-    found, memory = np.empty(len(s)), make_memory(measure_memory(problem, 1))
+def compute_load(problem: KernelProblem, shape: BentShape, s: Floats) -> Floats:
+    """Return the tissue's load (P, K), N/mm, on a needle at `s` (K,)."""
+    needle, kept = _bend(shape, problem.planes)
+    found, memory = np.empty((problem.planes, len(s))), make_memory(measure_memory(problem, 1))
     check_array("s", s, float, (-1,))
     load_library().nf_load(byref(problem), byref(needle), c_int64(len(s)), _at(s), _at(memory), _at(found))
     del kept
     return found
 
 
-def balance_nodes(
-    problem: KernelProblem, shape: tuple[Floats, Floats, Floats, Floats], front: int, load: Floats
-) -> Floats:
-    """Return force and moment (N, 2) at each node that the load at the quadrature points leaves over."""
-    needle, kept = _bend(shape)
-    found, memory = np.empty((len(kept[0]), 2)), make_memory(measure_memory(problem, 1))
-    check_array("load", load, float, (-1,))
+def balance_nodes(problem: KernelProblem, shape: BentShape, front: int, load: Floats) -> Floats:
+    """Return force and moment (P, N, 2) at each node that the load (P, Q) at the quadrature leaves over."""
+    needle, kept = _bend(shape, problem.planes)
+    memory = make_memory(measure_memory(problem, 1))
+    found = np.empty((problem.planes, len(kept[0]), 2))
+    check_array("load", load, float, (problem.planes, -1))
     fault = load_library().nf_balance(
-        byref(problem), byref(needle), c_int64(front), c_int64(len(load)), *map(_at, (load, memory, found))
-    )
+        byref(problem), byref(needle), c_int64(front), c_int64(load.shape[1]),
+        *map(_at, (load, memory, found)),
+    )  # fmt: skip
     check_fault(fault)
     return found
 
 
 def compute_positions(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
-    """Return the points (B, K, 2) of B needles with nodes (B, N) at the same beam coordinates (K,)."""
-    library = load_library()
+    """Return the points (B, K, 2) of B needles with nodes (B, N) at the same beam coordinates (K,).
+
+    In space `u` and `slope` are (2, B, N), and the points (B, K, 3).
+    """
+    library, planes, across = load_library(), *_find_planes(u)
     count, nodes = len(x), max(x.shape[-1], 2)
-    for name, array in (("x", x), ("u", u), ("slope", slope)):
-        check_array(name, array, float, (count, nodes))
+    check_array("x", x, float, (count, nodes))
+    for name, array in (("u", u), ("slope", slope)):
+        check_array(name, array, float, (*across, count, nodes))
     check_array("s", s, float, (-1,))
-    found, memory = np.empty((count, len(s), 2)), make_memory(48 * (nodes + 2) * count_lanes())
-    library.nf_positions(*map(c_int64, (count, nodes, len(s))), *map(_at, (x, u, slope, s, memory, found)))
+    memory = make_memory(8 * (1 + 5 * planes) * (nodes + 2) * count_lanes())
+    found = np.empty((count, len(s), 1 + planes))
+    library.nf_positions(
+        *map(c_int64, (planes, count, nodes, len(s))), *map(_at, (x, u, slope, s, memory, found))
+    )
     return found
+
+
+def _find_planes(u: Floats) -> tuple[int, tuple[int, ...]]:
+    """Return the number of planes of deflections (B, N) or (2, B, N), and their axis of planes."""
+    return (2, (2,)) if u.ndim == 3 else (1, ())
 
 
 def compute_deflections(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
     """Return the deflections u (K,) of the beam, mm, at beam coordinates: not the y of its points."""
     parts = [np.ascontiguousarray(part, dtype=np.float64) for part in (x, u, slope, s)]
-    _check_shape(*parts[:3])
+    for name, array in zip(("x", "u", "slope"), parts, strict=False):
+        check_array(name, array, float, (max(len(x), 2),))
     found = np.empty(len(parts[3]))
     load_library().nf_deflections(c_int64(len(parts[0])), c_int64(len(found)), *map(_at, (*parts, found)))
     return found
@@ -551,18 +578,22 @@ def compute_position_derivatives(
 ) -> Floats:
     """Return the derivatives (B, K, 2, P) of the points of B needles with nodes (B, N) at coordinates (K,).
 
-    `u_by` and `slope_by` (B, N, P) are those of the nodes; `x_by` (N, P) is of all needles.
+    `u_by` and `slope_by` (B, N, P) are those of the nodes; `x_by` (N, P) is of all needles. In space u, slope
+    and their derivatives have an axis of two before all others, and points (B, K, 3).
     """
+    planes, across = _find_planes(u)
     parts = [np.ascontiguousarray(part, dtype=np.float64) for part in (x, u, slope, s, x_by, u_by, slope_by)]
     count, nodes, columns = len(x), max(x.shape[-1], 2), x_by.shape[-1]
-    sizes = [(count, nodes)] * 3 + [(-1,), (nodes, columns)] + [(count, nodes, columns)] * 2
+    sizes: list[tuple[int, ...]] = [(count, nodes), *[(*across, count, nodes)] * 2, (-1,), (nodes, columns)]
+    sizes += [(*across, count, nodes, columns)] * 2
     names = ("x", "u", "slope", "s", "x_by", "u_by", "slope_by")
     for name, array, size in zip(names, parts, sizes, strict=True):
         check_array(name, array, float, size)
-    found = np.empty((count, len(s), 2, columns))
-    memory = make_memory(8 * count_lanes() * (6 * nodes + (4 * nodes + 2) * columns))
+    found = np.empty((count, len(s), 1 + planes, columns))
+    by = (1 + 3 * planes) * nodes + 1 + planes
+    memory = make_memory(8 * count_lanes() * ((1 + 5 * planes) * nodes + by * columns))
     load_library().nf_position_derivatives(
-        *map(c_int64, (count, nodes, len(s), columns)), *map(_at, (*parts, memory, found))
+        *map(c_int64, (planes, count, nodes, len(s), columns)), *map(_at, (*parts, memory, found))
     )
     return found
 

@@ -22,7 +22,14 @@ from numpy.polynomial import chebyshev
 from needlefit.arrays import Bools, Floats, Ints
 from needlefit.errors import ModelError
 from needlefit.mechanics import native
-from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
+from needlefit.mechanics.control import (
+    Bevel,
+    Controls,
+    Guide,
+    ModelOptions,
+    Step,
+    TrackedTip,
+)
 from needlefit.mechanics.laws import LAWS, PowerLaw
 from needlefit.mechanics.native import (
     MAX_SERIES_COMPRESSION,
@@ -142,8 +149,9 @@ class Columns(NamedTuple):
     """Columns of derivatives: their names, the first of each kind (-1: none), those of each guide."""
 
     names: tuple[str, ...]
-    first: Ints  # (9,) of `ColumnKind` in `native/derivatives.hpp`
-    guides: Mapping[float, Sequence[int]]  # by a guide's x: of its x, y and slope
+    first: Ints  # (13,) of `ColumnKind` in `native/derivatives.hpp`
+    guides: Mapping[float, Sequence[int]]  # by a guide's x: of its x, y and slope, then of z and its slope
+    planes: int  # in which the needle and its derivatives lie
 
     @property
     def total(self) -> int:
@@ -194,22 +202,33 @@ def pack_plan(stops: Sequence[TipStop]) -> PackedStops:
     return PackedStops(packed, bevels, controls, stops[-1], 1 + max(0, *(stop.ray for stop in stops)))
 
 
-def compute_turn(bevel: Bevel, rules: ModelOptions) -> float:
-    """Return the slope that a bevel adds to the cut."""
+def count_planes(steps: Sequence[Step]) -> int:
+    """Return the planes in which a needle bends: 1 where all inputs lie in z = 0, else 2."""
+    return 1 if all(step.planar for step in steps) else 2
+
+
+def compute_turn(bevel: Bevel, rules: ModelOptions) -> tuple[float, float]:
+    """Return the slopes along y and z that a bevel adds to the cut."""
     strength, length = rules.bevel_strength(bevel)
-    return bevel.side * strength / length
+    y, z = bevel.toward
+    return y * strength / length, z * strength / length
 
 
-def list_guides(guides: Sequence[Guide]) -> Floats:
-    """Return x, y and slope (NaN: free) of guides, (G, 3)."""
-    rows = [(guide.x, guide.y, math.nan if guide.slope is None else guide.slope) for guide in guides]
-    return np.array(rows, dtype=np.float64).reshape(-1, 3)
+def list_guides(guides: Sequence[Guide], planes: int) -> Floats:
+    """Return x, y and slope of guides, of two planes z and its slope too, (G, 1 + 2 P); NaN: a free slope."""
+    rows = [(guide.x, *_list_held(guide, planes)) for guide in guides]
+    return np.array(rows, dtype=np.float64).reshape(-1, 1 + 2 * planes)
 
 
-def list_tip(controls: Controls) -> tuple[float, float]:
-    """Return y and slope of a tracked tip; NaN where it is free."""
-    tip = controls.tip
-    return (math.nan, math.nan) if tip is None else (tip.y, math.nan if tip.slope is None else tip.slope)
+def list_tip(controls: Controls, planes: int) -> tuple[float, ...]:
+    """Return place and slope of a tracked tip, in each plane; NaN where it is free."""
+    return (math.nan,) * (2 * planes) if controls.tip is None else _list_held(controls.tip, planes)
+
+
+def _list_held(one: Guide | TrackedTip, planes: int) -> tuple[float, ...]:
+    free = one.slope is None
+    found = one.y, math.nan if one.slope is None else one.slope, one.z, math.nan if free else one.slope_z
+    return found[: 2 * planes]
 
 
 def pack_layers(
@@ -259,6 +278,7 @@ def pack_problem(
     rules: ModelOptions,
     packed: PackedStops,
     *,
+    planes: int | None = None,
     sets: int = 1,
     values: Mapping[str, Floats] | None = None,
     columns: Columns | None = None,
@@ -267,33 +287,43 @@ def pack_problem(
 ) -> native.KernelProblem:
     """Return an insertion as the kernel reads it, of which `packed` are the stops on the lattice.
 
-    `values` are what differs between sets, by the names of `batch.Batch`, `columns` those of the derivatives
-    that are asked for. What no set changes is taken from a problem `like` this one. `sizes` are fields of
-    `native.KernelProblem` with other values than the insertion's.
+    `steps` have the roll of the tip. `planes` are by default as many as these need. `values` are what differs
+    between sets, by the names of `batch.Batch`, `columns` those of the derivatives that are asked for. What
+    no set changes is taken from a problem `like` this one. `sizes` are fields of `native.KernelProblem` with
+    other values than the insertion's.
 
     Raises ModelError if a law cannot be interpolated at its shape parameters.
     """
     values = values or {}
+    if planes is None:
+        planes = columns.planes if columns else count_planes(steps)
     bevels = [steps[i].bevel for i in packed.bevels]
     controls = [steps[i].controls for i in packed.controls]
     given = values.get("cut_angle" if rules.path_angle else "offset")
-    strengths = [(bevel.side, *rules.bevel_strength(bevel)) for bevel in bevels]
-    # derivatives of the slope that each bevel adds to the cut, by the bevel's strength
-    turn_by = [side / length for side, _, length in strengths]
-    if given is None:
-        turn = [np.full(sets, side * strength / length) for side, strength, length in strengths]
-    else:
-        turn = [by * given for by in turn_by]
-    base = np.empty((len(controls), sets, 3))
+    # derivatives of the slopes that each bevel adds to the cut, by the bevel's strength
+    lengths = [rules.bevel_strength(bevel)[1] for bevel in bevels]
+    turn_by = [
+        [part / length for part in bevel.toward[:planes]]
+        for bevel, length in zip(bevels, lengths, strict=True)
+    ]
+    turn = np.empty((len(bevels), sets, planes))
+    for i, bevel in enumerate(bevels):
+        if given is None:
+            turn[i] = compute_turn(bevel, rules)[:planes]
+        else:
+            for plane, per_strength in enumerate(turn_by[i]):
+                turn[i, :, plane] = per_strength * given
+    base = np.empty((len(controls), sets, planes, 3))
     for i, one in enumerate(controls):
-        base[i, :, 0] = values.get("base_y", one.base_y)
-        base[i, :, 1] = values.get("base_slope", one.base_slope)
-        base[i, :, 2] = one.stage_slope
+        base[i].reshape(sets, 3 * planes)[:] = one.base[: 3 * planes]
+        for place, name in enumerate(("base_y", "base_slope")):
+            if name in values:
+                base[i, :, 0, place] = values[name]
     of_layers, of_sets = pack_layers(tissue, sets, values)
     rigidity = values.get("rigidity")
     of_sets |= {
         "rigidity": np.full(sets, needle.flexural_rigidity) if rigidity is None else rigidity,
-        "turn": np.ascontiguousarray(turn),
+        "turn": turn,
         "base": base,
     }
     if "guide_x" in values:
@@ -310,15 +340,16 @@ def pack_problem(
         "boundaries": tissue.boundaries,
         "before_first": np.cumsum([0, *map(len, before)]),
         "within_first": np.cumsum([0, *map(len, within)]),
-        "before": list_guides([guide for some in before for guide in some]),
-        "within": list_guides([guide for some in within for guide in some]),
-        "held_tip": np.array([list_tip(one) for one in controls]),
+        "before": list_guides([guide for some in before for guide in some], planes),
+        "within": list_guides([guide for some in within for guide in some], planes),
+        "held_tip": np.array([list_tip(one, planes) for one in controls]).reshape(-1, planes, 2),
     }
     if columns is not None and columns.total:
         rows = [columns.guides[guide.x] for one in controls for guide in one.guides]
         arrays["column_of"], arrays["turn_by"] = columns.first, np.array(turn_by)
-        arrays["guide_columns"] = np.array(rows, dtype=np.int64).reshape(-1, 3)
+        arrays["guide_columns"] = np.array(rows, dtype=np.int64).reshape(-1, 1 + 2 * planes)
     numbers = {
+        "planes": planes,
         "stop_count": len(packed.stops), "rays": packed.rays, "columns": columns.total if columns else 0,
         "bevels": len(packed.bevels), "inputs": len(controls), "sets": sets,
         "guides": max(len(one.guides) for one in controls), "max_iterations": rules.max_iterations,
@@ -336,6 +367,7 @@ MAX_TOLERANCE_MM = 1e-9
 class PreparedInsertion:
     """An insertion in the form that the kernel reads; plan, stops and guides are packed once.
 
+    Its steps have the roll of the tip.
     By default the constraint points of the lattice lie so that the last step ends on one. With columns of
     derivatives it is solved to `MAX_TOLERANCE_MM` at least.
 

@@ -1,7 +1,8 @@
 """The model of docs/model.md, line by line: slow, dense, to be read beside the equations.
 
 Section numbers are those of docs/model.md. `mechanics.simulate` is the same model by the kernel; a test
-compares the two.
+compares the two. Displacements, slopes and the cut have two components, along y and z; those along z are 0
+where all inputs lie in the plane z = 0.
 """
 
 import math
@@ -10,13 +11,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from needlefit.arrays import Bools, Floats, Ints
-from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.native import GUIDE_ENGAGEMENT_MM
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice, TipStop, make_lattice, plan_stops
 from needlefit.mechanics.shape import NeedleShape, compute_scales
 from needlefit.mechanics.tissue import Tissue
+from needlefit.mechanics.torsion import turn_tip
 
 
 def simulate(
@@ -40,11 +42,12 @@ def simulate_steps(
 ) -> NeedleShape:
     """Bring the tip from stop to stop (section 4); arguments as in `mechanics.simulate.simulate_steps`."""
     lattice = lattice or make_lattice(steps, rules)
+    steps = turn_tip(needle, tissue, steps)
     C_int = rules.spacing
-    c: dict[int, float] = {0: 0.0}  # y of the constraint points, by their number
-    rays: dict[int, tuple[float, float, float]] = {}  # where each ray begins: x, y and slope
-    track: dict[int, tuple[float, float]] = {}
-    x_tip = u_tip = slope_tip = c_tip = 0.0
+    c = {0: np.zeros(2)}  # y and z of the constraint points, by their number
+    rays: dict[int, tuple[float, Floats, Floats]] = {}  # where each ray begins: x, (y, z) and slopes
+    track: dict[int, tuple[Floats, Floats]] = {}
+    x_tip, u_tip, slope_tip, c_tip = 0.0, np.zeros(2), np.zeros(2), np.zeros(2)
     iterations = 0
     for stop in plan_stops(steps, lattice, needle.length):
         if stop.starts_ray:
@@ -57,25 +60,29 @@ def simulate_steps(
             else:
                 rays[stop.ray] = x_tip, u_tip, rules.tangent * slope_tip  # tangent: 1, but in variants
         if stop.cell > 0:
-            # c_m = u_tip + (x_m - x_tip) (u'_tip + s b / C_int): along the tangent, turned by the bevel; or
-            # c_m = c_tip + (x_m - x_tip) (phi_m + s theta): at an angle to the path
-            x_0, y_0, slope_0 = rays[stop.ray]
+            # c_m = u_tip + (x_m - x_tip) (u'_tip + (b / C_int) (cos rho, sin rho)): along the tangent, turned
+            # by the bevel; or c_m = c_tip + (x_m - x_tip) (phi_m + theta (cos rho, sin rho)): at an angle to
+            # the path
+            x_0, c_0, slope_0 = rays[stop.ray]
             bevel = steps[stop.bevel_id].bevel
             turn = bevel.cut_angle if rules.path_angle else bevel.offset / C_int
-            c[stop.cell] = y_0 + (stop.tip - x_0) * (slope_0 + bevel.side * turn)
+            c[stop.cell] = c_0 + (stop.tip - x_0) * (slope_0 + turn * np.array(bevel.toward))
         x_c = np.array([lattice.depth(m) for m in range(stop.cell)] + [stop.tip])
-        points = np.column_stack((x_c, [c[m] for m in range(stop.cell + 1)]))
+        points = np.column_stack((x_c, [c[m] for m in range(stop.cell + 1)]))  # (M + 1, 3)
         nodes, u, prescribed = mesh(
             stop, steps[stop.controls_id].controls, lattice, needle.length, rules.element
         )
         u, used = equilibrium(needle, tissue, nodes, points, u, prescribed, rules)
         iterations += used
-        x_tip, u_tip, slope_tip = stop.tip, float(u[-2]), float(u[-1])
+        x_tip, u_tip, slope_tip = stop.tip, u[-2], u[-1]
         c_tip = c[stop.cell] if stop.cell > 0 else u_tip
         track[stop.cell] = u_tip, slope_tip
-    tips = np.array([track[m] for m in range(stop.cell + 1)])
+    tips = np.array([np.column_stack(track[m]).ravel() for m in range(stop.cell + 1)])
     scales = compute_scales(tissue, stop.tip, C_int)
-    return NeedleShape(nodes, u[0::2], u[1::2], points, tips, "converged", iterations, scales)
+    (y, z), (slope_y, slope_z) = u[0::2].T, u[1::2].T
+    if all(step.planar for step in steps):
+        return NeedleShape(nodes, y, slope_y, points[:, :2], tips[:, :2], "converged", iterations, scales)
+    return NeedleShape(nodes, y, slope_y, points, tips, "converged", iterations, scales, z, slope_z)
 
 
 def mesh(
@@ -88,7 +95,8 @@ def mesh(
     than h / 2 to the tip or h / 4 to a guide in the tissue, which holds once the tip is GUIDE_ENGAGEMENT_MM
     past it.
 
-    Deflection and slope of every node (2 N,) are what is prescribed, else 0; which are, says the last array.
+    Deflections and slopes of every node (2 N, 2), along y and z, are what is prescribed, else 0; which are,
+    (2 N,), says the last array.
     """
     tip = stop.tip
     within = [guide for guide in controls.within if guide.x <= tip - GUIDE_ENGAGEMENT_MM]
@@ -99,14 +107,17 @@ def mesh(
     entry = [0.0] if inserted[0] >= h / 2 - 1e-9 * h else []
     nodes = [tip - L, *(guide.x for guide in controls.before), *entry, *inserted]
 
-    u, prescribed = np.zeros((len(nodes), 2)), np.zeros((len(nodes), 2), dtype=bool)
-    base = (0, controls.base_y + controls.stage_slope * tip, controls.base_slope)
-    guides = [(nodes.index(guide.x), guide.y, guide.slope) for guide in (*controls.before, *within)]
-    tracked = [] if controls.tip is None else [(len(nodes) - 1, controls.tip.y, controls.tip.slope)]
-    for node, y, slope in (base, *guides, *tracked):
-        u[node] = y, slope or 0.0
-        prescribed[node] = True, slope is not None
-    return np.array(nodes), u.ravel(), prescribed.ravel()
+    u, prescribed = np.zeros((len(nodes), 2, 2)), np.zeros((len(nodes), 2), dtype=bool)
+    u[0, 0] = controls.base_y + controls.stage_slope * tip, controls.base_z + controls.stage_slope_z * tip
+    u[0, 1] = controls.base_slope, controls.base_slope_z
+    prescribed[0] = True
+    held: list[tuple[int, Guide | TrackedTip]] = [(nodes.index(g.x), g) for g in (*controls.before, *within)]
+    if controls.tip is not None:
+        held.append((len(nodes) - 1, controls.tip))
+    for node, one in held:
+        u[node] = (one.y, one.z), (0.0, 0.0) if one.slope is None else (one.slope, one.slope_z)
+        prescribed[node] = True, one.slope is not None
+    return np.array(nodes), u.reshape(-1, 2), prescribed.ravel()
 
 
 def equilibrium(
@@ -120,7 +131,7 @@ def equilibrium(
 ) -> tuple[Floats, int]:
     """Find u with int EI u'' v'' + sum_i int k_i(lambda) e g v = 0 for all v, by Newton's method (section 3).
 
-    `u` (2 N,) is a guess of deflection and slope of every node, true where they are `prescribed`.
+    `u` (2 N, 2) is a guess of deflections and slopes of every node, true where they are `prescribed` (2 N,).
     """
     K_b = bending_stiffness(nodes, needle.flexural_rigidity)
     change = change_depths(constraints[:, 0], rules)
@@ -130,24 +141,39 @@ def equilibrium(
     c_q = cut(rules, x_q, change, constraints)
     t, gamma = tissue.thickness[layer], tissue.friction[layer]
     u = u.copy()
-    free = ~prescribed
+    free = np.tile(~prescribed, 2)  # of all unknowns along y, then of those along z
     before = math.inf
     for iteration in range(rules.max_iterations):
-        e = N @ u - c_q
-        slope = dN @ u
-        lam = (t - np.abs(e)) / t
+        e, slope = N @ u - c_q, dN @ u  # (Q, 2) each
+        distance, steepness = np.linalg.norm(e, axis=1), np.linalg.norm(slope, axis=1)
+        lam = (t - distance) / t
         k, dk = modulus(tissue, layer, lam)
-        g = 1 - gamma * np.sin(np.arctan(slope)) ** 2
-        dg = -2 * gamma * slope / (1 + slope**2) ** 2
-        kt = k - np.abs(e) / t * dk  # d(k e)/de
-        residual = K_b @ u + N.T @ (w_q * k * e * g)
-        tangent = K_b + N.T @ ((w_q * kt * g)[:, None] * N) + N.T @ ((w_q * k * e * dg)[:, None] * dN)
-        step = np.zeros_like(u)
+        g = 1 - gamma * np.sin(np.arctan(steepness)) ** 2
+        dg = -2 * gamma[:, None] * slope / (1 + steepness**2)[:, None] ** 2  # by both slopes
+        away = e / np.maximum(distance, 1e-300)[:, None]  # the direction of e
+        stiffening = -distance / t * dk  # |e| dk/d|e|
+        residual = K_b @ u + N.T @ ((w_q * k * g)[:, None] * e)
+        # Derivatives of the force along i by e along j, which are w_q g (k + |e| dk/d|e|) along e and w_q g k
+        # across it, and by the slope along j.
+        by_e = [
+            [w_q * g * (k * (i == j) + stiffening * away[:, i] * away[:, j]) for j in (0, 1)] for i in (0, 1)
+        ]
+        by_slope = [[w_q * k * e[:, i] * dg[:, j] for j in (0, 1)] for i in (0, 1)]
+        tangent = np.block(
+            [
+                [
+                    (i == j) * K_b + N.T @ (by_e[i][j][:, None] * N + by_slope[i][j][:, None] * dN)
+                    for j in (0, 1)
+                ]
+                for i in (0, 1)
+            ]
+        )
+        step = np.zeros(u.size)
         # Prescribed values do not change: their rows and columns are left out.
-        step[free] = np.linalg.solve(tangent[np.ix_(free, free)], -residual[free])
-        u += step
+        step[free] = np.linalg.solve(tangent[np.ix_(free, free)], -residual.T.ravel()[free])
+        u += step.reshape(2, -1).T
         change = np.max(np.abs(step))  # of deflections, and of slopes over a millimetre
-        if np.any(np.abs(e) >= t) and change < rules.tolerance:
+        if np.any(distance >= t) and change < rules.tolerance:
             raise ArithmeticError("tissue is compressed to nothing")
         if change < rules.tolerance or (change < 1e-4 and change > 0.5 * before):  # or it is but rounding
             return u, iteration + 1
@@ -156,18 +182,23 @@ def equilibrium(
 
 
 def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
-    """Return the points (K, 2) at beam coordinates: integrals of cos u' and sin u' from the base (section 5).
+    """Return the points (K, 2), in space (K, 3), at beam coordinates: integrals from the base (section 5) of
+    cos u' and sin u', in space of (cos th, v' sin th / th, w' sin th / th) with th^2 = v'^2 + w'^2.
 
     By Simpson's rule on a thousand pieces of every interval between nodes and wanted coordinates.
     """
+    w, slope_z = (np.zeros_like(shape.u) if part is None else part for part in (shape.w, shape.slope_z))
+    u = np.stack((shape.u, shape.slope, w, slope_z), axis=1).reshape(-1, 2, 2)  # node, plane, u and u'
     edges = np.union1d(shape.x, s)
     at = edges[:-1, None] + np.diff(edges)[:, None] * np.linspace(0, 1, 2001)
     _, dN = shape_functions(shape.x, at.ravel())
-    rotation = (dN @ np.column_stack((shape.u, shape.slope)).ravel()).reshape(at.shape)
+    y, z = ((dN @ u[:, plane].ravel()).reshape(at.shape) for plane in (0, 1))
+    angle = np.hypot(y, z)
     simpson = np.array([1, *(4, 2) * 999, 4, 1]) / 6000
-    ahead, aside = (np.diff(edges) * (part @ simpson) for part in (np.cos(rotation), np.sin(rotation)))
-    reached = np.vstack(([shape.x[0], shape.u[0]], np.column_stack((ahead, aside)))).cumsum(axis=0)
-    return reached[np.searchsorted(edges, s)]
+    direction = np.cos(angle), y * np.sinc(angle / np.pi), z * np.sinc(angle / np.pi)
+    pieces = np.column_stack([np.diff(edges) * (part @ simpson) for part in direction])
+    reached = np.vstack(([shape.x[0], shape.u[0], w[0]], pieces)).cumsum(axis=0)
+    return reached[np.searchsorted(edges, s), : 2 if shape.w is None else 3]
 
 
 def modulus(tissue: Tissue, layer: Ints, lam: Floats) -> tuple[Floats, Floats]:
@@ -200,10 +231,10 @@ def change_depths(x_c: Floats, rules: ModelOptions) -> Floats:
 
 
 def cut(rules: ModelOptions, x: Floats, change: Floats, constraints: Floats) -> Floats:
-    """Return c(x): the y of the nearest constraint point (section 3), or linear between them (section 4)."""
+    """Return c(x), (Q, 2): of the nearest constraint point (section 3), or linear between (section 4)."""
     if rules.path_angle:
-        return np.interp(x, constraints[:, 0], constraints[:, 1])
-    return constraints[np.searchsorted(change, x), 1]
+        return np.column_stack([np.interp(x, constraints[:, 0], constraints[:, i]) for i in (1, 2)])
+    return constraints[np.searchsorted(change, x), 1:]
 
 
 def quadrature(nodes: Floats, change: Floats, boundaries: Floats) -> tuple[Floats, Floats]:

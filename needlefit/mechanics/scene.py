@@ -16,11 +16,12 @@ from needlefit.geometry.frames import Frame, Placement
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.packing import compile_law
+from needlefit.mechanics.packing import compile_law, count_planes
 from needlefit.mechanics.plan import SAME_DEPTH_MM, Lattice, check_reach, check_size, make_lattice
 from needlefit.mechanics.session import NeedleState, Session
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.tissue import Tissue
+from needlefit.mechanics.torsion import turn_tip
 from needlefit.schemas.limits import MAX_SHOWN_POSITIONS
 from needlefit.schemas.scene import ResolvedStep, SceneEntryRecord, SceneRecord, resolve_steps
 
@@ -48,10 +49,10 @@ class Entry:
         return Placement(Frame(np.array([self.x, self.y, 0.0]), rotation))
 
     def to_world(self, points: ArrayLike) -> Floats:
-        """Return points (K, 2), given in C, in world coordinates, mm."""
+        """Return points (K, 2) or (K, 3), given in C, in world coordinates, mm; both have the same z."""
         cos, sin = math.cos(self.angle), math.sin(self.angle)
-        x, y = np.asarray(points, dtype=np.float64).T  # (K,)
-        return np.column_stack((self.x + cos * x - sin * y, self.y + sin * x + cos * y))
+        x, y, *z = np.asarray(points, dtype=np.float64).T  # (K,)
+        return np.column_stack((self.x + cos * x - sin * y, self.y + sin * x + cos * y, *z))
 
     def to_frame(self, points: ArrayLike) -> Floats:
         """Return points (K, 2), given in world coordinates, in C, mm."""
@@ -98,9 +99,21 @@ class Scene:
         """The constraint points of the whole insertion."""
         return make_lattice(self.steps, self.rules)
 
+    @property
+    def tip_steps(self) -> tuple[Step, ...]:
+        """The steps with the roll of the tip in place of the hub's."""
+        return turn_tip(self.needle, self.tissue, self.steps)
+
+    @property
+    def spatial(self) -> bool:
+        """Whether the needle leaves the plane z = 0."""
+        return count_planes(self.tip_steps) == 2
+
     @classmethod
-    def from_record(cls, record: SceneRecord, where: str = "") -> Self:
+    def from_record(cls, record: SceneRecord, where: str = "", *, in_space: bool = False) -> Self:
         """Return the scene that a validated record describes; `where` is named in errors.
+
+        `in_space`: whether the caller takes a needle that leaves the plane z = 0.
 
         Raises ConfigError if the model does not take one of its values; the key is named where there is one.
         """
@@ -109,7 +122,7 @@ class Scene:
             law = LAWS[record.law].name
         with _name_keys(where):
             needle = Needle.from_record(record.needle)
-            tissue = Tissue.from_records(record.layers, law)
+            tissue = Tissue.from_records(record.layers, law, record.torsional_friction_n)
             rules = ModelOptions.from_record(record.rules)
         with _name_keys(where, "law"):
             compile_law(tissue.law, tissue.shape)  # refused here, where the key is known
@@ -118,7 +131,15 @@ class Scene:
         with _name_keys(where, deepest, "rules.constraint_spacing_mm", "rules.element_mm"):
             check_size(tuple(step.depth for step in steps), rules)
         names = tuple(layer.name for layer in record.layers)
-        return cls(needle, tissue, steps, rules, entry, names)
+        scene = cls(needle, tissue, steps, rules, entry, names)
+        if not in_space and (scene.spatial or tissue.torsional_friction):
+            raise ConfigError(
+                "the needle leaves the plane z = 0, or its tip lags behind the hub",
+                where=where,
+                expected="bevels with a side or a roll of 0 or 180, no inputs along z, no torsional friction",
+                fix="`needlefit simulate` computes it, and prints its shape with --json",
+            )
+        return scene
 
 
 def simulate_scene(scene: Scene) -> tuple[NeedleShape, ...]:
@@ -145,7 +166,10 @@ def begin_session(scene: Scene, first_cell: float) -> Session:
     `first_cell` (mm) is that of `scene.lattice` for who wants the needle that `simulate_scene` finds.
     """
     first = scene.steps[0]
-    return Session(scene.needle, scene.tissue, first.bevel, first_cell, first.controls, scene.rules)
+    return Session(
+        scene.needle, scene.tissue, first.bevel, first_cell, first.controls, scene.rules,
+        spatial=scene.spatial,
+    )  # fmt: skip
 
 
 def _make_step(whole: ResolvedStep, needle: Needle, entry: Entry, where: str) -> Step:
@@ -155,6 +179,7 @@ def _make_step(whole: ResolvedStep, needle: Needle, entry: Entry, where: str) ->
         stage = (
             0.0 if inputs.stage_angle_deg is None else entry.slope_of(math.radians(inputs.stage_angle_deg))
         )
+        stage_z = _raise_axis(stage, inputs.stage_elevation_deg)
     guides = []
     for key, guide in ((key, guide) for key, guide in whole.guides if guide.engaged):
         with _name_keys(where, key):
@@ -162,19 +187,25 @@ def _make_step(whole: ResolvedStep, needle: Needle, entry: Entry, where: str) ->
             if guide.angle_deg is not None and not guide.turns_freely:
                 slope = entry.slope_of(math.radians(guide.angle_deg))
             at = 0.0 if abs(x) < SAME_DEPTH_MM else float(x)  # rounding must not push it out of the tissue
-            axis = None if guide.turns_freely else slope
-            guides.append((key, Guide(at, float(y), axis, guide.in_tissue, guide.name)))
+            axis, slope_z = None if guide.turns_freely else slope, _raise_axis(slope, guide.elevation_deg)
+            guides.append((key, Guide(at, float(y), axis, guide.in_tissue, guide.name, guide.z_mm, slope_z)))
     if inputs.guide_distance_mm is not None:
         guides.append(("controls.guide_distance_mm", Guide(-inputs.guide_distance_mm)))
     tip = None
     if inputs.tip_y_mm is not None:
         tip = TrackedTip(
-            inputs.tip_y_mm, None if inputs.tip_slope_deg is None else _to_slope(inputs.tip_slope_deg)
+            inputs.tip_y_mm,
+            None if inputs.tip_slope_deg is None else _to_slope(inputs.tip_slope_deg),
+            inputs.tip_z_mm or 0.0,
+            _to_slope(inputs.tip_slope_z_deg or 0.0),
         )
     repeated = [key for key, guide in guides if sum(guide.x == other.x for _, other in guides) > 1]
     with _name_keys(where, *repeated):
         ordered_guides = tuple(guide for _, guide in guides)
-        controls = Controls(inputs.base_y_mm, _to_slope(inputs.base_slope_deg), stage, ordered_guides, tip)
+        controls = Controls(
+            inputs.base_y_mm, _to_slope(inputs.base_slope_deg), stage, ordered_guides, tip,
+            inputs.base_z_mm, _to_slope(inputs.base_slope_z_deg), stage_z,
+        )  # fmt: skip
     # the keys that decide whether the needle is long enough
     key, first = min(guides, key=lambda keyed: keyed[1].x, default=("", None))
     deciding = [whole.key]
@@ -187,6 +218,11 @@ def _make_step(whole: ResolvedStep, needle: Needle, entry: Entry, where: str) ->
 
 def _to_slope(degrees: float) -> float:
     return math.tan(math.radians(degrees))
+
+
+def _raise_axis(slope: float, elevation_deg: float) -> float:
+    """Return dz/dx of an axis whose dy/dx is `slope`, raised by an angle out of the plane z = 0."""
+    return math.hypot(1.0, slope) * _to_slope(elevation_deg)
 
 
 @contextmanager

@@ -9,6 +9,7 @@ from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 
+from needlefit.arrays import Floats
 from needlefit.errors import ModelError
 from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
@@ -18,6 +19,7 @@ from needlefit.mechanics.plan import SAME_DEPTH_MM, Lattice, TipStop, check_reac
 from needlefit.mechanics.shape import NeedleShape, compute_scales
 from needlefit.mechanics.simulate import STATUS_NAMES
 from needlefit.mechanics.tissue import Tissue
+from needlefit.mechanics.torsion import find_roll, follow_hub
 from needlefit.schemas.limits import MAX_ELEMENTS, MAX_GUIDES, MAX_STEPS
 
 _DEFAULT_CONTROLS = Controls()
@@ -52,12 +54,19 @@ class Session:
         one.
     controls : Controls
         As the insertion begins.
+    spatial : bool
+        Whether to compute in two planes from the beginning. Without it a needle that leaves the plane z = 0
+        is simulated again in space, along its `input_path`.
     """
 
     # What the kernel reads, and the controls that it holds; `_hold` makes them.
     _problem: native.KernelProblem
     _held: Controls
     _cut: Bevel
+    # views of the arrays that a step changes
+    _base: Floats
+    _tip: Floats
+    _turn: Floats
     _memory: native.SessionMemory
 
     def __init__(
@@ -68,6 +77,8 @@ class Session:
         first_cell: float = 1.0,
         controls: Controls = _DEFAULT_CONTROLS,
         rules: ModelOptions = _DEFAULT_OPTIONS,
+        *,
+        spatial: bool = False,
     ) -> None:
         self.needle, self.tissue, self.rules = needle, tissue, rules
         self.lattice = Lattice(first_cell, rules.spacing)
@@ -82,9 +93,17 @@ class Session:
         self._bevels, self._controls = _InputIds[Bevel](), _InputIds[Controls]()
         self._deepest = min(needle.length, MAX_ELEMENTS * rules.element)
         self._rays = math.ceil(self._deepest / rules.spacing)
-        self._hold(controls)
+        # a shaft that twists turns the tip to any side
+        spatial = spatial or tissue.torsional_friction > 0 or not self.last.planar
+        self._begin(self.last, 2 if spatial else 1)
+
+    def _begin(self, first: Step, planes: int) -> None:
+        """Bring the needle to first contact under the inputs of a step."""
+        self.last, self._planes = first, planes
+        self._roll = find_roll(first.bevel)  # of the tip, degrees
+        self._hold(first.controls)
         self._memory = native.SessionMemory(self._problem)
-        self._shape = self.go(self.last)
+        self._shape = self.go(first)
 
     @property
     def now(self) -> NeedleState:
@@ -128,7 +147,10 @@ class Session:
         """
         depth, controls = self.last.depth + insert, self.last.controls
         if base is not None:
-            controls = replace(controls, base_y=base[0], base_slope=base[1])
+            c = controls  # twice as fast as `replace`
+            controls = Controls(
+                *base, c.stage_slope, c.guides, c.tip, c.base_z, c.base_slope_z, c.stage_slope_z
+            )
         if guides is not None:
             controls = replace(controls, guides=guides)
         if tip is not _UNCHANGED:
@@ -146,16 +168,30 @@ class Session:
         check_reach(self.needle.length, step.depth, step.controls)
         if step.depth > self._deepest:  # a single step is too large if it is too deep, and only then
             check_size((step.depth,), self.rules)
-        bevel, controls = self._bevels.of(step.bevel), self._controls.of(step.controls)
-        stops, points = self._advance(step, bevel, controls)
+        if self._planes == 1 and not step.planar:
+            path = self.input_path()
+            self._begin(Step(0.0, path[0].bevel, path[0].controls), planes=2)
+            for before in path:
+                self.go(before)
+        hub, turned = step.bevel, step
+        if self.tissue.torsional_friction:
+            depth = min(self.last.depth, step.depth)
+            turned = replace(step, bevel=follow_hub(self.needle, self.tissue, hub, self._roll, depth))
+        bevel, controls = self._bevels.of(turned.bevel), self._controls.of(step.controls)
+        stops, points = self._advance(turned, bevel, controls)
         self.solved += stops
         if stops == 0:  # only the bevel was turned
             shape = replace(self._shape, iterations=0)
         else:
-            (x, u, slope), constraints, track, status, passes = self._memory.read(points)
-            scales = self._scales[bisect_left(self._boundaries, x[-1])]
-            ended = STATUS_NAMES[status]
-            shape = NeedleShape(x, u, slope, constraints, track, ended, int(passes), scales)
+            nodes, constraints, track, status, passes = self._memory.read(points)
+            along_z: tuple[Floats, ...] = ()
+            if self._planes == 1:
+                x, u, slope = nodes
+            else:
+                x, u, w, slope, slope_z = nodes
+                along_z = w, slope_z
+            scales, ended = self._scales[bisect_left(self._boundaries, x[-1])], STATUS_NAMES[status]
+            shape = NeedleShape(x, u, slope, constraints, track, ended, int(passes), scales, *along_z)
             if not shape.converged:
                 self.failures[shape.status] += 1
                 return shape
@@ -163,6 +199,8 @@ class Session:
                 return shape
         self._memory.accept()
         self.last, self._shape = step, shape
+        if turned is not step:
+            self._roll = find_roll(turned.bevel)
         if self._bevels.full or self._controls.full:
             rays, _ = self._memory.list_rays()
             self._bevels.drop_unused({bevel, *(ray.bevel_id for ray in rays)})
@@ -179,7 +217,12 @@ class Session:
         return other
 
     def input_path(self) -> tuple[Step, ...]:
-        """Return the shortest steps that lead from first contact to the present state."""
+        """Return the shortest steps that lead from first contact to the present state.
+
+        Raises ModelError with torsional friction: the tip's roll then depends on all turns of the hub.
+        """
+        if self.tissue.torsional_friction:
+            raise ModelError("no shorter steps lead a twisted needle here", expected="no torsional friction")
         rays, changed = self._memory.list_rays()
         bevels, controls = self._bevels.values(), self._controls.values()
         cut = [(ray.start, bevels[ray.bevel_id], controls[ray.controls_id]) for ray in rays]
@@ -202,7 +245,10 @@ class Session:
         steps = tuple(replace(s, bevel=replace(s.bevel, **given)) for s in self.input_path())
         bevel, controls = steps[0].bevel, steps[0].controls
         tissue = tissue or self.tissue
-        other = Session(self.needle, tissue, bevel, self.lattice.first_cell, controls, self.rules)
+        other = Session(
+            self.needle, tissue, bevel, self.lattice.first_cell, controls, self.rules,
+            spatial=self._planes == 2,
+        )  # fmt: skip
         for step in steps:
             if not other.go(step).converged:
                 break
@@ -233,21 +279,25 @@ class Session:
             if controls.guides != self._held.guides:
                 self._hold(controls)
             else:
-                self._held, arrays = controls, self._problem.arrays
-                arrays["base"][0, 0] = controls.base_y, controls.base_slope, controls.stage_slope
-                arrays["held_tip"][0] = list_tip(controls)
+                self._held, planes = controls, self._planes
+                self._base[:] = controls.base[: 3 * planes]
+                self._tip[:] = list_tip(controls, planes)
         if step.bevel is not self._cut:
             # rays that open now are cut by this bevel; the kernel does not read the turn of the others
             self._cut = step.bevel
-            self._problem.arrays["turn"][0, 0] = compute_turn(step.bevel, self.rules)
+            self._turn[:] = compute_turn(step.bevel, self.rules)[: self._planes]
 
     def _hold(self, controls: Controls) -> None:
         self._held, self._cut = controls, self.last.bevel
         step = Step(self._deepest, self.last.bevel, controls)
         self._problem = pack_problem(
             self.needle, self.tissue, (step,), self.lattice, self.rules, _NO_STOPS,
-            rays=self._rays, guides=MAX_GUIDES,
+            planes=self._planes, rays=self._rays, guides=MAX_GUIDES,
         )  # fmt: skip
+        arrays = self._problem.arrays
+        self._base, self._tip, self._turn = (
+            arrays[name].reshape(-1) for name in ("base", "held_tip", "turn")
+        )
 
 
 #: a session's stops are planned by the kernel

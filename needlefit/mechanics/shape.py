@@ -95,39 +95,73 @@ def find_worst(solutions: Sequence[Validity]) -> Validity:
 
 def compute_validity(solved: "NeedleShape | NeedleShapes") -> Validity:
     """Return the validity of a solution, or of each solution of a batch."""
-    x, u, slope, scales = solved.x, solved.u, solved.slope, solved.scales
+    x, scales, planes = solved.x, solved.scales, _pair_planes(solved)
     length, step = x[..., -1] - x[..., 0], np.diff(x, axis=-1)
     before_entry = x[..., :-1] < ENTRY_TOLERANCE_MM
+    track = solved.tip_track
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        steepest, shortening, misses = _find_slopes(u, slope, step)
+        steepest, shortening, misses = _find_slopes(planes, step)
+        missed = [np.where(before_entry, one.cumsum(axis=-1), 0.0) for one in misses]
         return Validity(
-            np.maximum(steepest, np.abs(solved.tip_track[..., 1]).max(axis=-1)),
-            (u.max(axis=-1) - u.min(axis=-1)) / length,
+            np.maximum(
+                steepest, _find_size([track[..., 2 * i + 1] for i in range(len(planes))]).max(axis=-1)
+            ),
+            _find_size([u.max(axis=-1) - u.min(axis=-1) for u, _ in planes]) / length,
             shortening / scales[..., 0],
-            np.abs(np.where(before_entry, misses.cumsum(axis=-1), 0.0)).max(axis=-1),
+            _find_size(missed).max(axis=-1),
             _find_compression(solved) / scales[..., 1],
         )
+
+
+def _pair_planes(solved: "NeedleShape | NeedleShapes") -> list[tuple[Floats, Floats]]:
+    """Return deflection and slope along y and, of a needle in space, along z."""
+    if solved.w is None or solved.slope_z is None:
+        return [(solved.u, solved.slope)]
+    return [(solved.u, solved.slope), (solved.w, solved.slope_z)]
+
+
+def _find_size(parts: Sequence[Floats]) -> Floats:
+    """Return the length of a vector whose parts along y, and z, are given."""
+    return np.abs(parts[0]) if len(parts) == 1 else np.hypot(*parts)
 
 
 ENTRY_TOLERANCE_MM = -1e-9  #: an element that begins before this depth, mm, lies before the entry
 
 
-def _find_slopes(u: Floats, slope: Floats, step: Floats) -> tuple[Floats, Floats, Floats]:
+def _find_slopes(
+    planes: Sequence[tuple[Floats, Floats]], step: Floats
+) -> tuple[Floats, Floats, list[Floats]]:
     """Return the greatest |u'| of the cubics between nodes, by how much the needle shortens, mm, and the
-    integral of u' - sin u' over each element, (..., N - 1), mm.
+    integrals of u' less the direction's part along y, and z, over each element, (..., N - 1), mm.
     """
-    begin, mean = slope[..., :-1], np.diff(u, axis=-1) / step
-    end = slope[..., 1:]
-    # u' = begin + t bend + t^2 curl
-    bend, curl = 6 * mean - 4 * begin - 2 * end, 3 * (begin + end) - 6 * mean
-    # Extremes of the slope inside an element lie where u'' = 0. A cubic without curl has none.
-    at = np.divide(-0.5 * bend, curl, out=np.zeros_like(curl), where=np.abs(curl) > 1e-12)
-    turning = begin + np.where((at > 0) & (at < 1), at, 0.0) * (bend + at * curl)
-    steepest = np.maximum(np.abs(turning).max(axis=-1), np.abs(slope).max(axis=-1))
-    rotations = [(begin + t * (bend + t * curl), weight) for t, weight in _GAUSS]
-    shortening = sum(weight * 2 * np.sin(rotation / 2) ** 2 for rotation, weight in rotations)
-    misses = sum(weight * (rotation - np.sin(rotation)) for rotation, weight in rotations)
-    return steepest, (shortening * step).sum(axis=-1), misses * step
+    cubics = []
+    for u, slope in planes:
+        begin, end, mean = slope[..., :-1], slope[..., 1:], np.diff(u, axis=-1) / step
+        # u' = begin + t bend + t^2 curl
+        cubics.append((begin, 6 * mean - 4 * begin - 2 * end, 3 * (begin + end) - 6 * mean))
+
+    def evaluate(t: float | Floats) -> list[Floats]:
+        return [begin + t * (bend + t * curl) for begin, bend, curl in cubics]
+
+    if len(planes) == 1:
+        # Extremes of the slope inside an element lie where u'' = 0. A cubic without curl has none.
+        ((_, bend, curl),) = cubics
+        at = np.divide(-0.5 * bend, curl, out=np.zeros_like(curl), where=np.abs(curl) > 1e-12)
+        inside = [evaluate(np.where((at > 0) & (at < 1), at, 0.0))]
+    else:
+        inside = [evaluate(t) for t in (0.25, 0.5, 0.75)]
+    places = [*inside, [slope for _, slope in planes]]
+    steepest = np.max([_find_size(slopes).max(axis=-1) for slopes in places], axis=0)
+    shortening, misses = np.zeros(()), [np.zeros(())] * len(planes)
+    for t, weight in _GAUSS:
+        rotations = evaluate(t)
+        angle = _find_size(rotations)
+        shortening = shortening + weight * 2 * np.sin(angle / 2) ** 2
+        across = [np.sin(one) if len(planes) == 1 else one * np.sinc(angle / np.pi) for one in rotations]
+        misses = [
+            sum_ + weight * (one - part) for sum_, one, part in zip(misses, rotations, across, strict=True)
+        ]
+    return steepest, (shortening * step).sum(axis=-1), [one * step for one in misses]
 
 
 _GAUSS = ((0.5 - math.sqrt(0.15), 5 / 18), (0.5, 4 / 9), (0.5 + math.sqrt(0.15), 5 / 18))
@@ -135,18 +169,19 @@ _GAUSS = ((0.5 - math.sqrt(0.15), 5 / 18), (0.5, 4 / 9), (0.5 + math.sqrt(0.15),
 
 def _find_compression(solved: "NeedleShape | NeedleShapes") -> Floats:
     """Return the greatest distance of the needle from a constraint point, mm."""
-    depths, y = solved.constraints[..., 0], solved.constraints[..., 1]
+    depths = solved.constraints[..., 0]
     nodes = solved.x.reshape(-1, solved.x.shape[-1])[0]  # all have theirs in the same order
     at = depths.reshape(-1, depths.shape[-1])[0]
     before = np.clip(np.searchsorted(nodes, at - 1e-9), 1, len(nodes) - 1) - 1
     start, span = solved.x[..., before], solved.x[..., before + 1] - solved.x[..., before]
     t = np.clip((at - start) / span, 0.0, 1.0)
-    u0, u1 = solved.u[..., before], solved.u[..., before + 1]
-    s0, s1 = solved.slope[..., before], solved.slope[..., before + 1]
-    bend = 3 * (u1 - u0) - span * (2 * s0 + s1)
-    curl = 2 * (u0 - u1) + span * (s0 + s1)
-    needle = u0 + t * (span * s0 + t * (bend + t * curl))
-    return np.abs(needle - y).max(axis=-1)
+    away = []
+    for plane, (u, slope) in enumerate(_pair_planes(solved)):
+        u0, u1, s0, s1 = u[..., before], u[..., before + 1], slope[..., before], slope[..., before + 1]
+        bend = 3 * (u1 - u0) - span * (2 * s0 + s1)
+        curl = 2 * (u0 - u1) + span * (s0 + s1)
+        away.append(u0 + t * (span * s0 + t * (bend + t * curl)) - solved.constraints[..., 1 + plane])
+    return _find_size(away).max(axis=-1)
 
 
 def compute_scales(tissue: Tissue, depth: float, spacing: float) -> Floats:
@@ -185,6 +220,10 @@ class NeedleShape:
     iterations: int  #: Newton iterations over all steps
     #: (2,) what validity is measured by: see `compute_scales`; infinite where there is no tissue
     scales: Floats = field(default_factory=lambda: np.full(2, np.inf))
+    #: w, slope_z: (N,) of a needle in space, deflection along z and its slope; None in the plane z = 0.
+    #: `constraints` then are (M + 1, 3), with z, and `tip_track` (M + 1, 4), with both along z.
+    w: Floats | None = None
+    slope_z: Floats | None = None
 
     @cached_property
     def validity(self) -> Validity:
@@ -216,13 +255,19 @@ class NeedleShape:
         """The y of the tip in C, mm, where `compute_positions` has it."""
         return float(compute_positions(self, self.x[-1:])[0, 1])
 
+    @property
+    def tip_z(self) -> float:
+        """The z of the tip in C, mm; 0 of a needle in its plane."""
+        return 0.0 if self.w is None else float(compute_positions(self, self.x[-1:])[0, 2])
+
 
 def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
-    """Return the points (K, 2) of the needle in C, mm, at given beam coordinates.
+    """Return the points (K, 2), in space (K, 3), of the needle in C, mm, at given beam coordinates.
 
     u' is the rotation of the needle's section: x(s) = integral of cos u', y(s) = integral of sin u', from the
     base, which stands at its own beam coordinate and deflection. The needle keeps its length, and the tip
-    lags a little behind its depth.
+    lags a little behind its depth. In space it goes along (cos th, v' sin th / th, w' sin th / th), with
+    th^2 = v'^2 + w'^2 of the slopes v' and w' along y and z.
 
     The coordinates `s` (K,), mm, are 0 at the entry, `shape.depth` at the tip, negative before the tissue.
 
@@ -236,21 +281,34 @@ def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
             f"beam coordinates {wanted.min():g} ... {wanted.max():g} mm leave the needle",
             expected=f"{shape.x[0]:g} ... {shape.x[-1]:g} mm",
         )
-    x, u, slope = (np.ascontiguousarray(part)[None] for part in (shape.x, shape.u, shape.slope))
-    return native.compute_positions(x, u, slope, wanted)[0]
+    u, slope = (np.ascontiguousarray(part)[..., None, :] for part in list_planes(shape))
+    return native.compute_positions(np.ascontiguousarray(shape.x)[None], u, slope, wanted)[0]
+
+
+def list_planes(solved: "NeedleShape | NeedleShapes") -> tuple[Floats, Floats]:
+    """Return deflections and slopes; in space along y and z on a leading axis of two."""
+    if solved.w is None or solved.slope_z is None:
+        return solved.u, solved.slope
+    return np.stack((solved.u, solved.w)), np.stack((solved.slope, solved.slope_z))
 
 
 def map_beam_points(shape: NeedleShape, points: Floats) -> Floats:
-    """Return points (K, 2), given by beam coordinate and deflection, in those of `compute_positions`.
+    """Return points (K, 2), in space (K, 3), given by beam coordinate and deflections, in those of
+    `compute_positions`.
 
-    Each point moves with the point of the needle at its beam coordinate: its distance from the needle, along
-    y, is then the e of the model.
+    Each point moves with the point of the needle at its beam coordinate: its distance from the needle, across
+    x, is then the e of the model.
     """
     s = np.ascontiguousarray(points[:, 0])
-    beside = points[:, 1] - native.compute_deflections(shape.x, shape.u, shape.slope, s)
-    return compute_positions(shape, s) + np.column_stack((np.zeros(len(s)), beside))
+    beside = [
+        points[:, 1 + plane] - native.compute_deflections(shape.x, u, slope, s)
+        for plane, (u, slope) in enumerate(_pair_planes(shape))
+    ]
+    return compute_positions(shape, s) + np.column_stack((np.zeros(len(s)), *beside))
 
 
 def sample_inserted_points(shape: NeedleShape, stations: int = 101) -> Floats:
-    """Return points (stations, 2) in C at equal fractions of the inserted arc length, from entry to tip."""
+    """Return points (stations, 2), in space (stations, 3), in C at equal fractions of the inserted length,
+    from entry to tip.
+    """
     return compute_positions(shape, np.linspace(0.0, shape.depth, stations))

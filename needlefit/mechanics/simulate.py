@@ -16,8 +16,9 @@ from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import pack_plan, pack_problem, plan_insertion
 from needlefit.mechanics.plan import Lattice, TipStop, check_reach
-from needlefit.mechanics.shape import NeedleShape, Status, compute_scales
+from needlefit.mechanics.shape import NeedleShape, Status, compute_scales, list_planes
 from needlefit.mechanics.tissue import Tissue
+from needlefit.mechanics.torsion import turn_tip
 
 STATUS_NAMES: tuple[Status, ...] = ("converged", "over-compressed", "not converged", "non-finite")
 _DEFAULT_CONTROLS = Controls()
@@ -69,6 +70,7 @@ def simulate_steps(
     lattice : Lattice, optional
         Where constraint points lie; by default so that the last step ends on one.
     """
+    steps = turn_tip(needle, tissue, steps)
     lattice, packed = plan_insertion(steps, needle.length, rules, lattice)
     problem = pack_problem(needle, tissue, steps, lattice, rules, packed)
     shapes = native.make_shapes(problem, packed.last.cell + 1)
@@ -86,25 +88,35 @@ def equilibrium(
 ) -> NeedleShape:
     """Return the needle's equilibrium against given constraint points, without an insertion before it.
 
-    `constraints` (M + 1, 2) are depth (from 0, increasing, the last under the tip) and y of the points, mm;
-    the mesh starts from the depth of point 1.
+    `constraints` (M + 1, 2), in space (M + 1, 3), are depth (from 0, increasing, the last under the tip) and
+    place of the points, mm; the mesh starts from the depth of point 1.
     """
-    depths, y = np.ascontiguousarray(np.asarray(constraints, dtype=np.float64).T)
+    given = np.asarray(constraints, dtype=np.float64)
+    depths, y = given[:, 0].copy(), given[:, 1:].copy()
     depth = float(depths[-1])
     require_depth(depth)
     check_reach(needle.length, depth, controls)
-    problem = pack_equilibrium(needle, tissue, depths, controls, rules)
-    x, state, status, passes = native.find_equilibrium(problem, depths, y)
+    if not controls.planar and y.shape[1] == 1:
+        y = np.column_stack((y, np.zeros(len(y))))
+    planes = y.shape[1]
+    problem = pack_equilibrium(needle, tissue, depths, controls, rules, planes)
+    x, state, status, passes = native.find_equilibrium(problem, depths, y[:, 0].copy() if planes == 1 else y)
     if status != native.CONVERGED:
         state[:] = np.nan
-    points = np.column_stack((depths, y))
-    u, slope = state.T.copy()
+    (u, *w), (slope, *slope_z) = state.T[:planes].copy(), state.T[planes:].copy()
+    tip = state[-1:].reshape(1, 2, planes).swapaxes(1, 2).reshape(1, -1)
     scales = compute_scales(tissue, depth, rules.spacing)
-    return NeedleShape(x, u, slope, points, state[-1:], STATUS_NAMES[status], passes, scales)
+    points = np.column_stack((depths, y))
+    return NeedleShape(x, u, slope, points, tip, STATUS_NAMES[status], passes, scales, *w, *slope_z)
 
 
 def pack_equilibrium(
-    needle: Needle, tissue: Tissue, depths: Floats, controls: Controls, rules: ModelOptions
+    needle: Needle,
+    tissue: Tissue,
+    depths: Floats,
+    controls: Controls,
+    rules: ModelOptions,
+    planes: int = 1,
 ) -> native.KernelProblem:
     """Return the problem of a needle with constraint points at `depths` (M + 1,), mm, the last at the tip."""
     spacing, depth = rules.spacing, float(depths[-1])
@@ -113,16 +125,18 @@ def pack_equilibrium(
     first_cell = float(depths[1]) if len(depths) > 1 else spacing
     return pack_problem(
         needle, tissue, (step,), Lattice(spacing, spacing), rules, pack_plan([stop]),
-        first_cell=first_cell, deepest=max(len(depths) * spacing, depth) + first_cell + 2 * spacing,
+        planes=planes, first_cell=first_cell,
+        deepest=max(len(depths) * spacing, depth) + first_cell + 2 * spacing,
     )  # fmt: skip
 
 
 def read_shape(shapes: native.Shapes, scales: Floats) -> NeedleShape:
     """Return the shape of the first set; NaN where it failed."""
     a = shapes.arrays
-    x, u, slope, points, track = (a[n][0].copy() for n in ("x", "u", "slope", "constraints", "track"))
+    x, points, track = (a[name][0].copy() for name in ("x", "constraints", "track"))
+    (u, *w), (slope, *slope_z) = a["u"][:, 0].copy(), a["slope"][:, 0].copy()
     status = STATUS_NAMES[a["status"][0]]
-    return NeedleShape(x, u, slope, points, track, status, int(a["passes"][0]), scales)
+    return NeedleShape(x, u, slope, points, track, status, int(a["passes"][0]), scales, *w, *slope_z)
 
 
 @dataclass(frozen=True)
@@ -132,6 +146,9 @@ class SupportReaction:
     x: float  #: beam coordinate, mm
     force: float = 0.0  #: N, toward +y
     moment: float = 0.0  #: N mm, turning x toward y; 0 where the needle turns freely
+    #: force_z, moment_z: toward +z, and turning x toward z
+    force_z: float = 0.0
+    moment_z: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -149,6 +166,9 @@ class Loads:
     #: one for each of the controls' guides, in their order; all 0 for one that does not hold yet
     guides: tuple[SupportReaction, ...]
     tip: SupportReaction  #: what holds a tracked tip where it is; all 0 where the tip is free
+    #: load_z, tip_region_force_z: the same as without _z, toward +z; None and 0 of a needle in its plane
+    load_z: Floats | None = None
+    tip_region_force_z: float = 0.0
 
     @property
     def tip_force(self) -> float:
@@ -158,8 +178,10 @@ class Loads:
     @property
     def tissue(self) -> SupportReaction:
         """The tissue's force on the whole shaft, N, and its moment about the entry, N mm."""
-        forces = self.weight * self.load
-        return SupportReaction(0.0, float(forces.sum()), float(forces @ self.s))
+        planes = (self.load,) if self.load_z is None else (self.load, self.load_z)
+        forces = [self.weight * load for load in planes]
+        found = [number for one in forces for number in (float(one.sum()), float(one @ self.s))]
+        return SupportReaction(0.0, *found)
 
 
 def compute_loads(
@@ -174,43 +196,47 @@ def compute_loads(
     `tissue`, `needle` and `rules` are those under which it was found, `controls` those of its last step. NaN
     where the shape is, if it did not converge.
     """
-    depths = np.ascontiguousarray(shape.constraints[:, 0])
-    problem = pack_equilibrium(needle, tissue, depths, controls, rules)
+    depths, planes = np.ascontiguousarray(shape.constraints[:, 0]), 1 if shape.w is None else 2
+    problem = pack_equilibrium(needle, tissue, depths, controls, rules, planes)
     front = int(np.searchsorted(shape.x, 0.0))  # base and guides before the tissue
     s, weight, _, near = native.list_quadrature(problem, shape.x[front:].copy(), depths)
-    bent = shape.x, shape.u, shape.slope, shape.constraints
-    load = native.compute_load(problem, bent, s)
+    bent = shape.x, *list_planes(shape), shape.constraints
+    load = native.compute_load(problem, bent, s)  # (planes, K)
     last = int(np.searchsorted(near, len(depths) - 1))  # the first that belongs to the last constraint point
-    nodal_forces = native.balance_nodes(problem, bent, front, load)
+    nodal_forces = native.balance_nodes(problem, bent, front, load).swapaxes(0, 1)  # (N, planes, 2)
     # Supports have nodes at exactly their x, so a node is found by its coordinate.
     reactions = dict(zip(shape.x.tolist(), nodal_forces.tolist(), strict=True))
 
     def read(x: float, clamped: bool) -> SupportReaction:
-        force, moment = reactions.get(x, (0.0, 0.0))  # a guide without a node holds nothing
-        return SupportReaction(x, force, moment if clamped else 0.0)
+        held = reactions.get(x, [])  # a guide without a node holds nothing
+        return SupportReaction(x, *(n for force, moment in held for n in (force, moment if clamped else 0.0)))
 
+    (load_y, *load_z), (tip_y, *tip_z) = load, (float(weight[last:] @ one[last:]) for one in load)
     return Loads(
         s,
-        load,
+        load_y,
         weight,
-        tip_region_force=float(weight[last:] @ load[last:]),
+        tip_region_force=tip_y,
         base=read(float(shape.x[0]), clamped=True),
         guides=tuple(read(guide.x, guide.slope is not None) for guide in controls.guides),
         tip=SupportReaction(shape.depth)
         if controls.tip is None
         else read(shape.depth, controls.tip.slope is not None),
+        load_z=load_z[0] if load_z else None,
+        tip_region_force_z=sum(tip_z),
     )
 
 
 def compute_lateral_load(
     shape: NeedleShape, tissue: Tissue, s: Floats, rules: ModelOptions = _DEFAULT_OPTIONS
 ) -> Floats:
-    """Return the lateral load (K,) of the tissue, N/mm, at beam coordinates `s` (K,), mm.
+    """Return the lateral load (K,), in space (2, K), of the tissue, N/mm, at beam coordinates `s` (K,), mm.
 
     Where the load jumps, that of the side nearer to the base.
     """
     needle = Needle(shape.x[-1] - shape.x[0], 1.0)
     depths = np.ascontiguousarray(shape.constraints[:, 0])
-    problem = pack_equilibrium(needle, tissue, depths, Controls(), rules)
-    bent = shape.x, shape.u, shape.slope, shape.constraints
-    return native.compute_load(problem, bent, np.ascontiguousarray(s, dtype=np.float64))
+    problem = pack_equilibrium(needle, tissue, depths, Controls(), rules, 1 if shape.w is None else 2)
+    bent = shape.x, *list_planes(shape), shape.constraints
+    load = native.compute_load(problem, bent, np.ascontiguousarray(s, dtype=np.float64))
+    return load[0] if shape.w is None else load

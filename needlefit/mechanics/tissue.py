@@ -30,6 +30,7 @@ class Tissue:
     thickness: Floats  #: (n,) tissue compressed by the deflection, mm
     friction: Floats  #: (n,) friction coefficient gamma between shaft and tissue
     law: str  #: a file of `mechanics/laws`
+    torsional_friction: float  #: tau: torque per length that a turning shaft has to overcome, N mm / mm
 
     def __init__(
         self,
@@ -41,6 +42,7 @@ class Tissue:
         law: str = "ogden",
         *,
         alpha: ArrayLike | None = None,
+        torsional_friction: float = 0.0,
     ) -> None:
         n = np.size(mu)
         if n > MAX_LAYERS:
@@ -49,6 +51,9 @@ class Tissue:
         for name, (value, size) in (given | {"boundaries": (boundaries, n - 1)}).items():
             object.__setattr__(self, name, _to_layer_array(name, value, size))
         object.__setattr__(self, "law", law)
+        object.__setattr__(self, "torsional_friction", torsional_friction)
+        if not (is_bounded(torsional_friction) and torsional_friction >= 0):
+            raise ModelError(f"torsional friction is {torsional_friction} N", expected="0 or above")
         object.__setattr__(
             self, "shape", _to_shape_array(LAWS[law], shape if alpha is None else {"alpha": alpha}, n)
         )
@@ -77,7 +82,7 @@ class Tissue:
         return len(self.mu)
 
     @classmethod
-    def from_records(cls, layers: Sequence[LayerRecord], law: str) -> Self:
+    def from_records(cls, layers: Sequence[LayerRecord], law: str, torsional_friction: float = 0.0) -> Self:
         """Return the tissue that validated layer records describe (Pa become MPa)."""
         names = LAWS[law].shape_names
         for number, layer in enumerate(layers, start=1):
@@ -91,6 +96,7 @@ class Tissue:
             thickness=np.array([layer.thickness_mm for layer in layers]),
             friction=np.array([layer.friction for layer in layers]),
             law=law,
+            torsional_friction=torsional_friction,
         )
 
 

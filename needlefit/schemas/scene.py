@@ -35,8 +35,12 @@ class GuideRecord(Record):
     """Position in the world, along x."""
     y_mm: float
     """Position in the world, along y."""
+    z_mm: float = 0.0
+    """Position in the world, along z."""
     angle_deg: float | None = None
     """Direction of the guide's axis in the world; without it, that of the insertion."""
+    elevation_deg: float = Field(default=0.0, gt=-45, lt=45)
+    """Angle of the guide's axis to the plane z = 0, positive toward z."""
     turns_freely: bool = False
     """Whether the guide fixes only the position and leaves the slope free."""
     in_tissue: bool = False
@@ -52,8 +56,12 @@ class GuideMoveRecord(Record):
     """New position along x."""
     y_mm: float | None = None
     """New position along y."""
+    z_mm: float | None = None
+    """New position along z."""
     angle_deg: float | None = None
     """New direction of the axis."""
+    elevation_deg: float | None = Field(default=None, gt=-45, lt=45)
+    """New angle of the axis to the plane z = 0."""
     turns_freely: bool | None = None
     """Whether the slope is free from now on."""
     in_tissue: bool | None = None
@@ -73,14 +81,24 @@ class StepRecord(Record):
     """Cut angle from this step on."""
     side: Literal[1, -1] | None = None
     """Side of the bevel from this step on: 1 or -1."""
+    roll_deg: float | None = None
+    """Roll of the bevel from this step on, in place of a side."""
     base_y_mm: float | None = None
     """Position of the base across."""
     base_slope_deg: float | None = Field(default=None, gt=-45, lt=45)
     """Slope of the base."""
+    base_z_mm: float | None = None
+    """Position of the base along z."""
+    base_slope_z_deg: float | None = Field(default=None, gt=-45, lt=45)
+    """Slope of the base toward z."""
     tip_y_mm: float | None = None
     """Tracked position of the tip across."""
     tip_slope_deg: float | None = Field(default=None, gt=-45, lt=45)
     """Tracked slope of the tip; without it the slope is free."""
+    tip_z_mm: float | None = None
+    """Tracked position of the tip along z; without it 0."""
+    tip_slope_z_deg: float | None = Field(default=None, gt=-45, lt=45)
+    """Tracked slope of the tip toward z, beside `tip_slope_deg`; without it 0."""
     tip_free: bool = False
     """Whether a tracked tip is released."""
     guides: dict[str, GuideMoveRecord] = {}
@@ -88,16 +106,25 @@ class StepRecord(Record):
 
     @model_validator(mode="after")
     def _one_tip(self) -> Self:
-        check_tip(self.tip_y_mm, self.tip_slope_deg)
+        check_tip(self)
         if self.tip_free and self.tip_y_mm is not None:
             raise ValueError("tip_free = true lets go of the tip that tip_y_mm holds: give one of the two")
         return self
 
+    @model_validator(mode="after")
+    def _one_roll(self) -> Self:
+        if self.side is not None and self.roll_deg is not None:
+            raise ValueError("side and roll_deg both say where the bevel faces: give one of the two")
+        return self
 
-def check_tip(y_mm: float | None, slope_deg: float | None) -> None:
-    """Raise ValueError if a tracked tip has a slope but no place."""
-    if slope_deg is not None and y_mm is None:
+
+def check_tip(record: "StepRecord | ControlsRecord") -> None:
+    """Raise ValueError if a tracked tip has a slope but no place, or a part along z alone."""
+    if record.tip_slope_deg is not None and record.tip_y_mm is None:
         raise ValueError("tip_slope_deg needs tip_y_mm beside it: a tracked tip has a place first")
+    for along_z, beside in (("tip_z_mm", "tip_y_mm"), ("tip_slope_z_deg", "tip_slope_deg")):
+        if getattr(record, along_z) is not None and getattr(record, beside) is None:
+            raise ValueError(f"{along_z} needs {beside} beside it: a tip is tracked in both planes")
 
 
 class NeedleRecord(Record):
@@ -164,7 +191,7 @@ Advance = Literal["tangent", "path_angle"]  #: rules by which the needle advance
 
 
 class BevelRecord(Record):
-    """The bevel: its offset, or with the path-angle rule its cut angle, and its side."""
+    """The bevel: its offset, or with the path-angle rule its cut angle, and its side or roll."""
 
     offset_mm: float | None = Field(default=None, ge=0)
     """Bevel offset b: how far the cut is shifted per constraint spacing."""
@@ -172,6 +199,14 @@ class BevelRecord(Record):
     """Angle of the cut to the needle's tangent, with `rules.advance = "path_angle"`."""
     side: Literal[1, -1] = 1
     """Side that the bevel faces: 1 toward y > 0, -1 toward y < 0."""
+    roll_deg: float | None = None
+    """Roll of the hub in place of a side, right-handed about x: 0 turns the bevel to y > 0, 90 to z > 0."""
+
+    @model_validator(mode="after")
+    def _one_roll(self) -> Self:
+        if self.roll_deg is not None and self.side != 1:
+            raise ValueError("side and roll_deg both say where the bevel faces: give one of the two")
+        return self
 
 
 class RulesRecord(Record):
@@ -227,18 +262,28 @@ class ControlsRecord(Record):
     """Position of the base across, in the constraint frame C."""
     base_slope_deg: float = Field(default=0.0, gt=-45, lt=45)
     """Slope of the base, in C."""
+    base_z_mm: float = 0.0
+    """Position of the base along z."""
+    base_slope_z_deg: float = Field(default=0.0, gt=-45, lt=45)
+    """Slope of the base toward z."""
     stage_angle_deg: float | None = None
     """Direction in the world in which the stage moves the base; without it, that of the entry."""
+    stage_elevation_deg: float = Field(default=0.0, gt=-45, lt=45)
+    """Angle of that direction to the plane z = 0, positive toward z."""
     guide_distance_mm: float | None = Field(default=None, gt=0)
     """Distance before the tissue of a guide that fixes position and slope."""
     tip_y_mm: float | None = None
     """Tracked position of the tip across, in C."""
     tip_slope_deg: float | None = Field(default=None, gt=-45, lt=45)
     """Tracked slope of the tip, in C; without it the slope is free."""
+    tip_z_mm: float | None = None
+    """Tracked position of the tip along z; without it 0."""
+    tip_slope_z_deg: float | None = Field(default=None, gt=-45, lt=45)
+    """Tracked slope of the tip toward z, beside `tip_slope_deg`; without it 0."""
 
     @model_validator(mode="after")
     def _placed(self) -> Self:
-        check_tip(self.tip_y_mm, self.tip_slope_deg)
+        check_tip(self)
         return self
 
 
@@ -266,6 +311,8 @@ class SceneRecord(FileRecord):
     """Insertion depth, where there are no `[[steps]]`."""
     law: str = "ogden"
     """Tissue law: ogden, two_term_ogden, neo_hookean, linear, fung, gent, or one of a plugin."""
+    torsional_friction_n: float = Field(default=0.0, ge=0)
+    """Torque per length (N mm / mm) that a turning shaft overcomes: the tip's roll stays behind the hub's."""
     needle: NeedleRecord
     """The needle."""
     layers: tuple[LayerRecord, ...] = Field(min_length=1, max_length=MAX_LAYERS)
@@ -354,10 +401,13 @@ def resolve_steps(scene: SceneRecord) -> tuple[ResolvedStep, ...]:
     whole = []
     bevel, controls = scene.bevel, scene.controls
     for n, step in enumerate(scene.steps, start=1):
-        bevel = bevel.model_copy(update=_given_values(step, "offset_mm", "cut_angle_deg", "side"))
-        given = _given_values(step, "base_y_mm", "base_slope_deg")
+        turned: dict[str, Any] = {} if step.side is None else {"side": step.side, "roll_deg": None}
+        turned |= {} if step.roll_deg is None else {"side": 1, "roll_deg": step.roll_deg}
+        bevel = bevel.model_copy(update=_given_values(step, "offset_mm", "cut_angle_deg") | turned)
+        given = _given_values(step, "base_y_mm", "base_slope_deg", "base_z_mm", "base_slope_z_deg")
         if step.tip_y_mm is not None or step.tip_free:  # a new place of the tip, or that it is free
-            given |= {"tip_y_mm": step.tip_y_mm, "tip_slope_deg": step.tip_slope_deg}
+            names = ("tip_y_mm", "tip_slope_deg", "tip_z_mm", "tip_slope_z_deg")
+            given |= {name: getattr(step, name) for name in names}
         controls = controls.model_copy(update=given)
         for name, move in step.guides.items():
             moved = guides[name][1].model_copy(update=move.model_dump(exclude_none=True))

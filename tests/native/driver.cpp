@@ -46,8 +46,9 @@ int main(int, char** arguments) {
         double* x = static_cast<double*>(calloc(sizes[0], 8));
         Index room = nf_nodes(&problem, x), sets = problem.sets, columns = problem.columns;
         free(x);
-        Index counts[OUTPUTS] = {room, room, room, 2 * points, 2 * points, 1, 1, 0, room * columns, room * columns,
-                                 points * columns, points * columns};
+        Index planes = problem.planes, by = planes * columns;
+        Index counts[OUTPUTS] = {room, planes * room, planes * room, (1 + planes) * points, 2 * planes * points, 1, 1, 0,
+                                 room * by, room * by, points * by, points * by};
         void* outputs[OUTPUTS];
         for (int i = 0; i < OUTPUTS; i++) counts[i] = i == 7 ? 8 : 8 * sets * counts[i], outputs[i] = calloc(counts[i] + 8, 1);
         Shapes shapes{room, points};
@@ -59,13 +60,20 @@ int main(int, char** arguments) {
         for (int i = 0; i < OUTPUTS; i++) fwrite(outputs[i], 1, counts[i], out);
         // The positions of each needle alone, since lanes must not matter.
         Index nodes = *shapes.nodes;
-        double *room_of_shapes = static_cast<double*>(calloc(6 * (nodes + 2) * LANES + 8, 8));
-        double* positions = static_cast<double*>(calloc(2 * wanted, 8));
+        double *room_of_shapes = static_cast<double*>(calloc((1 + 5 * planes) * (nodes + 2) * LANES + 8, 8));
+        double *positions = static_cast<double*>(calloc((1 + planes) * wanted, 8));
+        double *u = static_cast<double*>(calloc(2 * planes * nodes, 8)), *slope = u + planes * nodes;
         for (Index set = 0; set < sets; set++) {
-            nf_positions(1, nodes, wanted, shapes.x + set * room, shapes.u + set * room, shapes.slope + set * room, s,
+            for (Index plane = 0; plane < planes; plane++)
+                for (Index i = 0; i < nodes; i++) {
+                    u[plane * nodes + i] = shapes.u[(plane * sets + set) * room + i];
+                    slope[plane * nodes + i] = shapes.slope[(plane * sets + set) * room + i];
+                }
+            nf_positions(planes, 1, nodes, wanted, shapes.x + set * room, u, slope, s,
                          reinterpret_cast<char*>(room_of_shapes), positions);
-            fwrite(positions, 16, wanted, out);
+            fwrite(positions, 8 * (1 + planes), wanted, out);
         }
+        free(u);
         for (void* array : arrays) free(array);
         for (void* array : outputs) free(array);
         free(memory), free(s), free(room_of_shapes), free(positions);

@@ -48,23 +48,30 @@ while (at < file.length) {
   for (const [name, count] of Object.entries(shapes.counts)) write(shapes[name], 8 * count);
   const nodes = Number(heap.integers(shapes.nodes, 1)[0]),
     wanted = s.length / 8;
-  const coordinates = heap.put(s),
-    out = heap.take(2 * s.length);
-  const memory = heap.take(48 * (nodes + 2) * Number(heap.call.nf_lanes()));
-  for (let set = 0; set < fields.sets; set++) {
-    const of = (name) => shapes[name] + 8 * set * problem.room;
+  const { planes, sets } = fields,
+    coordinates = heap.put(s),
+    out = heap.take((1 + planes) * s.length);
+  const memory = heap.take(8 * (1 + 5 * planes) * (nodes + 2) * Number(heap.call.nf_lanes()));
+  const gathered = ["u", "slope"].map(() => heap.take(8 * planes * nodes));
+  for (let set = 0; set < sets; set++) {
+    ["u", "slope"].forEach((name, i) => {
+      for (let plane = 0; plane < planes; plane++) {
+        const from = heap.floats(shapes[name] + 8 * (plane * sets + set) * problem.room, nodes);
+        heap.floats(gathered[i] + 8 * plane * nodes, nodes).set(from);
+      }
+    });
     heap.call.nf_positions(
+      BigInt(planes),
       1n,
       BigInt(nodes),
       BigInt(wanted),
-      of("x"),
-      of("u"),
-      of("slope"),
+      shapes.x + 8 * set * problem.room,
+      ...gathered,
       coordinates,
       memory,
       out,
     );
-    write(out, 16 * wanted);
+    write(out, 8 * (1 + planes) * wanted);
   }
 }
 writeFileSync(results, Buffer.concat(parts));

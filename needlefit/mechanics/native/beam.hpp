@@ -14,16 +14,18 @@
 namespace needlefit {
 
 // Deflection and slope of a node.
-template <class Real>
+template <class Vector>
 struct Node {
-    Real u{}, slope{};
+    Vector u{}, slope{};
 };
 
-// The equations of the element from node a to node b: stiffness for (d, b), loads f on (a, b).
-template <class Real>
+// The equations of the element from node a to node b: stiffness for (d, b), loads f on (a, b). In space the stiffness is
+// that of both planes.
+template <class Vector>
 struct Element {
+    using Real = Scalar<Vector>;
     Real k00{}, k01{}, k02{}, k03{}, k11{}, k12{}, k13{}, k22{}, k23{}, k33{};  // symmetric
-    Real f[4]{};
+    Vector f[4]{};
 
     // The bending stiffness int EI N_i'' N_j'' dx of a cubic element.
     INLINE void add_bending(const Real& rigidity, const Real& length) {
@@ -34,7 +36,7 @@ struct Element {
     // What the tissue adds at a point `behind` mm after node b (below 0): `pull` = w d(k e g)/de, `load` = what stands on
     // the right-hand side.
     template <class Shape>
-    INLINE void add_point(const Hermite<Shape>& shape, const Shape& behind, const Real& pull, const Real& load) {
+    INLINE void add_point(const Hermite<Shape>& shape, const Shape& behind, const Real& pull, const Vector& load) {
         const Shape *n = shape.n, moved[4] = {n[0], n[1], Shape() + 1.0, behind};
         Real p0 = pull * moved[0], p1 = pull * moved[1], p3 = pull * moved[3];
         k00 += p0 * moved[0], k01 += p0 * moved[1], k02 += p0, k03 += p0 * moved[3];
@@ -60,15 +62,18 @@ struct Rubbing {
 enum Kind : int { FREE, PINNED, CLAMPED };  // a node: its deflection is prescribed, or its slope too
 
 // What the elimination of a node leaves: a = z - G b with z = S^-1 r, and the load M r that it hands on to node b.
-template <class Real>
+template <class Vector>
 struct Factor {
-    Real g[2][2], z[2], inverse[2][2], onward[2][2];
+    Scalar<Vector> g[2][2];
+    Vector z[2];
+    Scalar<Vector> inverse[2][2], onward[2][2];
 };
 
 // What is handed on to the next node: its stiffness and its load.
-template <class Real>
+template <class Vector>
 struct Carried {
-    Real s[2][2]{}, r[2]{};
+    Scalar<Vector> s[2][2]{};
+    Vector r[2]{};
 };
 
 // Eliminate the first node of an element of length h; what is prescribed there replaces its equation.
@@ -78,11 +83,12 @@ struct Carried {
 //     (dd + s) G = db - dd T,    M (dd + s) = T^T dd - bd,    s_b = bb - bd T - (bd + T^T s) G
 //
 // in which no difference is small beside its terms, whether s is much softer or much stiffer than the element.
-template <class Real>
+template <class Vector>
 INLINE void eliminate(
-    Carried<Real>& carried, const Element<Real>& k, const Rubbing<Real>* rubbing, const Real& h, Kind kind,
-    const Node<Real>& value, Factor<Real>& factor
+    Carried<Vector>& carried, const Element<Vector>& k, const Rubbing<Scalar<Vector>>* rubbing,
+    const Scalar<Vector>& h, Kind kind, const Node<Vector>& value, Factor<Vector>& factor
 ) {
+    using Real = Scalar<Vector>;
     Real dd[2][2] = {{k.k00, k.k01}, {k.k01, k.k11}}, db[2][2] = {{k.k02, k.k03}, {k.k12, k.k13}};
     Real bd[2][2] = {{k.k02, k.k12}, {k.k03, k.k13}}, bb[2][2] = {{k.k22, k.k23}, {k.k23, k.k33}};
     if (rubbing)
@@ -91,7 +97,8 @@ INLINE void eliminate(
                 dd[i][j] += rubbing->k[i][j], db[i][j] += rubbing->k[i][j + 2];
                 bd[i][j] += rubbing->k[i + 2][j], bb[i][j] += rubbing->k[i + 2][j + 2];
             }
-    Real d[2][2], e[2][2], f[2][2], r[2];
+    Real d[2][2], e[2][2], f[2][2];
+    Vector r[2];
     auto& s = carried.s;
     for (int i = 0; i < 2; i++) {
         r[i] = carried.r[i] + k.f[i];
@@ -128,8 +135,8 @@ INLINE void eliminate(
 }
 
 // A node from the one after it.
-template <class Real>
-INLINE Node<Real> substitute(const Factor<Real>& factor, const Node<Real>& next) {
+template <class Vector>
+INLINE Node<Vector> substitute(const Factor<Vector>& factor, const Node<Vector>& next) {
     return {
         factor.z[0] - factor.g[0][0] * next.u - factor.g[0][1] * next.slope,
         factor.z[1] - factor.g[1][0] * next.u - factor.g[1][1] * next.slope

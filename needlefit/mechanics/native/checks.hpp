@@ -35,13 +35,13 @@ inline Fault check_columns(const Problem& problem) {
         if (kind == BOUNDARY) count = layers - 1;
         if (first != -1 && !within(first, 0, problem.columns - count)) return BAD_COLUMN;
     }
-    for (Index i = 0; i < 3 * guides; i++)
+    for (Index i = 0; i < problem.guide_size() * guides; i++)
         if (!within(problem.guide_columns[i], -1, problem.columns - 1)) return BAD_COLUMN;
     return SOUND;
 }
 
 inline Fault check_problem(const Problem& p) {
-    bool sizes = p.sets > 0 && within(p.layers, 1, MAX_COUNT) && within(p.shapes, 0, MAX_SHAPES) &&
+    bool sizes = within(p.planes, 1, 2) && p.sets > 0 && within(p.layers, 1, MAX_COUNT) && within(p.shapes, 0, MAX_SHAPES) &&
                  within(p.terms, 0, MAX_COUNT) && p.numbers == (p.terms > 0 ? 2 * p.terms : TABLE_NUMBERS) &&
                  p.stop_count > 0 && within(p.rays, 1, MAX_COUNT) && within(p.guides, 0, MAX_COUNT) &&
                  within(p.columns, 0, MAX_COUNT) && within(p.max_iterations, 0, MAX_COUNT) && p.bevels > 0 && p.inputs > 0;

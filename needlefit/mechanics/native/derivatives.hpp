@@ -12,12 +12,28 @@
 
 namespace needlefit {
 
-enum ColumnKind { MU, SHAPE, FRICTION, BOUNDARY, RIGIDITY, BEVEL, BASE_Y, BASE_SLOPE, STAGE_SLOPE, COLUMN_KINDS };
+enum ColumnKind {
+    MU, SHAPE, FRICTION, BOUNDARY, RIGIDITY, BEVEL, BASE_Y, BASE_SLOPE, STAGE_SLOPE,
+    ROLL, BASE_Z, BASE_SLOPE_Z, STAGE_SLOPE_Z,  // in space
+    COLUMN_KINDS
+};
 
+// What a pass over all elements keeps of a quadrature point.
+template <class Vector>
+struct Linearized {
+    using Point = Reaction<Vector>;
+};
 template <class Real>
+struct Linearized<Pair<Real>> {
+    using Point = CoupledReaction<Real>;
+};
+
+template <class Vector>
 struct Derivatives {
-    static constexpr int W = Traits<Real>::lanes;
-    Insertion<Real>& needle;
+    static constexpr int W = Traits<Vector>::lanes, P = Traits<Vector>::planes;
+    static constexpr int N = 2 * P;  // unknowns of a node: deflections, then slopes
+    using Real = Scalar<Vector>;
+    Insertion<Vector>& needle;
     const Problem& problem;
     Index columns;
 
@@ -25,51 +41,52 @@ struct Derivatives {
     const double** law_by;   // (layers, shapes, W)
 
     // Derivatives so far, all 0 before first contact: the tip defines the frame there, so no parameter moves it.
-    Real* constraints;  // (cells + 1, columns) of the y of the constraint points
-    Real* rays;         // (rays, 2, columns) of where each begins, and of its slope
-    Real* tip;          // (2, columns) of the tip's deflection and slope now
-    Real* track;        // (cells + 1, 2, columns) of the tip as it last stood in each cell
-    Real* cut;          // (columns) of the cut's y at the tip
-    Real* whole;        // (chain, 2, columns) of every node, at the last stop
+    Vector* constraints;  // (cells + 1, columns) of the constraint points
+    Vector* rays;         // (rays, 2, columns) of where each begins, and of its slope
+    Vector* tip;          // (2, columns) of the tip's deflection and slope now
+    Vector* track;        // (cells + 1, 2, columns) of the tip as it last stood in each cell
+    Vector* cut;          // (columns) of the cut at the tip
+    Vector* whole;        // (chain, 2, columns) of every node, at the last stop
 
     // Room to work in.
-    Reaction<Real>* points;
-    Real* by_constraint;  // (cells + 1, 2) adjoint rows times loads
-    Real* by_layer;       // (layers, 2, shapes + 2): of the force, of friction, of each shape parameter
-    Node<Real> (*rows)[2];        // (chain) the adjoint rows, 0 where prescribed
-    Node<Real> (*held_rows)[2];   // the same where something is prescribed: the answer per unit of that
+    typename Linearized<Vector>::Point* points;
+    Vector* by_constraint;  // (cells + 1, N) adjoint rows times loads
+    Real* by_layer;         // (layers, N, shapes + 2): of the force, of friction, of each shape parameter
+    Node<Vector> (*rows)[N];       // (chain) the adjoint rows, 0 where prescribed
+    Node<Vector> (*held_rows)[N];  // the same where something is prescribed: the answer per unit of that
     struct Entry {
-        Index node, component, column;
+        Index node, unknown, column;
         Real amount;
     };
     Entry* entries;  // right-hand sides that touch few nodes
     Index entry_count;
 
-    explicit Derivatives(Insertion<Real>& given) : needle(given), problem(given.problem), columns(problem.columns) {}
+    explicit Derivatives(Insertion<Vector>& given) : needle(given), problem(given.problem), columns(problem.columns) {}
 
     void lay_out(Arena& arena) {
         Index cells = problem.cells() + 1, chain = needle.chain();
         slope_series = arena.take<Real>(problem.layers * problem.shapes * SERIES_TERMS);
         law_by = arena.take<const double*>(problem.layers * problem.shapes * W);
-        constraints = arena.take<Real>(cells * columns), rays = arena.take<Real>(problem.rays * 2 * columns);
-        tip = arena.take<Real>(2 * columns), track = arena.take<Real>(cells * 2 * columns);
-        cut = arena.take<Real>(columns), whole = arena.take<Real>(chain * 2 * columns);
-        points = arena.take<Reaction<Real>>(problem.points());
-        by_constraint = arena.take<Real>(cells * 2);
-        by_layer = arena.take<Real>(problem.layers * 2 * (problem.shapes + 2));
-        rows = arena.take<Node<Real>[2]>(chain), held_rows = arena.take<Node<Real>[2]>(chain);
-        // The base has 3 entries; a guide 2, and 6 for the three nodes that its x moves; a boundary 4 on two nodes.
-        entries = arena.take<Entry>(3 + 8 * (problem.guides + 1) + 4 * problem.layers);
+        constraints = arena.take<Vector>(cells * columns), rays = arena.take<Vector>(problem.rays * 2 * columns);
+        tip = arena.take<Vector>(2 * columns), track = arena.take<Vector>(cells * 2 * columns);
+        cut = arena.take<Vector>(columns), whole = arena.take<Vector>(chain * 2 * columns);
+        points = arena.take<typename Linearized<Vector>::Point>(problem.points());
+        by_constraint = arena.take<Vector>(cells * N);
+        by_layer = arena.take<Real>(problem.layers * N * (problem.shapes + 2));
+        rows = arena.take<Node<Vector>[N]>(chain), held_rows = arena.take<Node<Vector>[N]>(chain);
+        // In each plane: the base has 3 entries; a guide 2, and 6 for the three nodes that its x moves; a boundary 4 on
+        // two nodes.
+        entries = arena.take<Entry>(P * (3 + 8 * (problem.guides + 1) + 4 * problem.layers));
     }
 
     Index column(ColumnKind kind) const { return problem.column_of[kind]; }
 
     void begin() {
         Index cells = problem.cells() + 1, shapes = problem.shapes;
-        for (Index i = 0; i < cells * columns; i++) constraints[i] = Real{};
-        for (Index i = 0; i < cells * 2 * columns; i++) track[i] = Real{};
-        for (Index i = 0; i < problem.rays * 2 * columns; i++) rays[i] = Real{};
-        for (Index i = 0; i < columns; i++) tip[i] = tip[columns + i] = cut[i] = Real{};
+        for (Index i = 0; i < cells * columns; i++) constraints[i] = Vector{};
+        for (Index i = 0; i < cells * 2 * columns; i++) track[i] = Vector{};
+        for (Index i = 0; i < problem.rays * 2 * columns; i++) rays[i] = Vector{};
+        for (Index i = 0; i < columns; i++) tip[i] = tip[columns + i] = cut[i] = Vector{};
         if (column(SHAPE) < 0) return;
         for (Index i = 0; i < problem.layers; i++)
             for (Index p = 0; p < shapes; p++) {
@@ -82,18 +99,25 @@ struct Derivatives {
             }
     }
 
-    INLINE Node<Real>& node_at(Index i) const {
+    INLINE Node<Vector>& node_at(Index i) const {
         return i < needle.front ? needle.fronts[i] : needle.state()[i - needle.front];
     }
     INLINE Real x_at(Index i) const {
         return i < needle.front ? needle.front_x[i] : all_lanes<Real>(needle.grid->x[i - needle.front]);
     }
     INLINE Index tip_node() const { return needle.front + needle.last; }
+    INLINE const auto& factor_of(Index node) const {
+        if constexpr (P == 2)
+            return needle.coupled[node];
+        else
+            return needle.factors[node];
+    }
+    static INLINE Real& unknown_of(Node<Vector>& node, int i) { return part(i < P ? node.u : node.slope, i % P); }
 
     // Bring the needle to a stop, and all derivatives with it; `final`: fill `whole`.
     void advance(const Stop& stop, bool final) {
         needle.reach(stop);
-        needle.constants->friction ? linearize<true>() : linearize<false>();
+        linearize();
         needle.record(stop);
         place_constraint(stop);
         list_entries(stop);
@@ -110,18 +134,21 @@ struct Derivatives {
         }
     }
 
-    template <bool Friction>
     void linearize() {
         Seen<Real> seen;
-        needle.template sweep<Friction>(needle.state(), 0, seen, [&](Index q, const Reaction<Real>& found) {
-            points[q] = found;
-        });
+        auto keep = [&](Index q, const typename Linearized<Vector>::Point& found) { points[q] = found; };
+        if constexpr (P == 2)
+            needle.sweep_coupled(needle.state(), seen, keep);
+        else if (needle.constants->friction)
+            needle.template sweep<true>(needle.state(), 0, seen, keep);
+        else
+            needle.template sweep<false>(needle.state(), 0, seen, keep);
     }
 
     // c_m = y + (x_m - x)(slope + turn), differentiated.
     void place_constraint(const Stop& stop) {
         bool path_angle = problem.part == LINEAR_CUT;
-        Real* ray = rays + stop.ray * 2 * columns;
+        Vector* ray = rays + stop.ray * 2 * columns;
         if (stop.flags & STARTS_RAY)
             for (Index p = 0; p < columns; p++) {
                 ray[p] = path_angle ? cut[p] : tip[p];
@@ -132,9 +159,14 @@ struct Derivatives {
             }
         if (stop.cell == 0) return;
         double ahead = stop.tip - get_lane(needle.rays[stop.ray].start, 0);
-        Real* found = constraints + stop.cell * columns;
+        Vector* found = constraints + stop.cell * columns;
         for (Index p = 0; p < columns; p++) found[p] = ray[p] + ahead * ray[columns + p];
-        if (column(BEVEL) >= 0) found[column(BEVEL)] += ahead * problem.turn_by[stop.bevel];
+        if (column(BEVEL) >= 0) found[column(BEVEL)] += ahead * needle.read_vector(problem.turn_by + stop.bevel * P, 1);
+        if constexpr (P == 2)
+            if (column(ROLL) >= 0) {
+                const Vector& turn = needle.rays[stop.ray].turn;
+                found[column(ROLL)] += ahead * Vector{-turn.z, turn.y};
+            }
     }
 
     // ---- right-hand sides -------------------------------------------------------------------------------------------
@@ -154,18 +186,19 @@ struct Derivatives {
     // Minus the residual's derivatives at one quadrature point, over its shape functions: by the constraint point it
     // belongs to (`near`, `other`), by the logarithm of mu (`force`), by friction and by the shape parameters.
     struct PointLoads {
-        Real near, other, force, friction;
+        Matrix<Vector> near, other;
+        Vector force, friction;
     };
     template <class Shape>
-    INLINE PointLoads find_loads(Index e, Index q, const Hermite<Shape>& shape, Real* by_shape) const {
+    INLINE PointLoads find_loads(Index e, Index q, const Hermite<Shape>& shape, Vector* by_shape) const {
         const Point& point = needle.grid->points[q];
         const Layer<Real>& layer = needle.layers[point.layer];
-        const Reaction<Real>& at = points[q];
-        PointLoads found{at.pull, point.share * at.pull, at.force, Real{}};
+        const auto& at = points[q];
+        PointLoads found{at.pull, point.share * at.pull, at.force, Vector{}};
         found.near = found.near - found.other;
-        Real slope;
+        Vector slope;
         if (rubs()) {
-            const Node<Real>&a = node_at(needle.front + e - 1), &b = node_at(needle.front + e);
+            const Node<Vector>&a = node_at(needle.front + e - 1), &b = node_at(needle.front + e);
             slope = shape.m[0] * a.u + shape.m[1] * a.slope + shape.m[2] * b.u + shape.m[3] * b.slope;
             found.friction = find_force_by_friction(layer, at.force, slope);
         }
@@ -179,8 +212,8 @@ struct Derivatives {
         return found;
     }
 
-    void add_entry(Index node, Index component, Index where, const Real& amount) {
-        if (where >= 0) entries[entry_count++] = {node, component, where, amount};
+    void add_entry(Index node, Index unknown, Index where, const Real& amount) {
+        if (where >= 0) entries[entry_count++] = {node, unknown, where, amount};
     }
 
     // List the right-hand sides of base, guides and boundaries.
@@ -189,18 +222,25 @@ struct Derivatives {
         Real one = all_lanes<Real>(1.0);
         add_entry(0, 0, column(BASE_Y), one);
         add_entry(0, 0, column(STAGE_SLOPE), all_lanes<Real>(stop.tip));
-        add_entry(0, 1, column(BASE_SLOPE), one);
+        add_entry(0, P, column(BASE_SLOPE), one);
+        if constexpr (P == 2) {
+            add_entry(0, 1, column(BASE_Z), one);
+            add_entry(0, 1, column(STAGE_SLOPE_Z), all_lanes<Real>(stop.tip));
+            add_entry(0, P + 1, column(BASE_SLOPE_Z), one);
+        }
         Index front = needle.front, before = front - 1, count = before + problem.count_within(stop.inputs);
-        const Index* own = problem.guide_columns + 3 * (problem.before_first[stop.inputs] + problem.within_first[stop.inputs]);
-        for (Index g = 0; g < count; g++, own += 3) {
+        Index size = problem.guide_size(), guides = problem.before_first[stop.inputs] + problem.within_first[stop.inputs];
+        const Index* own = problem.guide_columns + size * guides;
+        for (Index g = 0; g < count; g++, own += size) {
             Index node = g + 1;
             if (node >= front) {
-                double x = problem.first_within(stop.inputs)[g - before].x;
+                double x = *problem.guide_within(stop.inputs, g - before);
                 node = front + count_below(needle.grid->x, needle.last + 1, x);
                 if (node >= tip_node() || needle.grid->x[node - front] != x) continue;  // the tip has not passed it yet
             }
             for (Index component = 0; component < (needle.kinds[node] == CLAMPED ? 2 : 1); component++)
-                add_entry(node, component, own[1 + component], one);
+                for (Index plane = 0; plane < P; plane++)
+                    add_entry(node, P * component + plane, own[1 + 2 * plane + component], one);
             if (own[0] >= 0) move_node(node, own[0]);
         }
         if (column(BOUNDARY) >= 0)
@@ -210,22 +250,23 @@ struct Derivatives {
     }
 
     // List a load on the residual, on nodes from `node` on; what is prescribed has no equation that it could enter.
-    void add_loads(const Node<Real>* load, Index count, Index node, Index where) {
-        for (Index i = 0; i < count; i++) {
-            if (needle.kinds[node + i] == FREE) add_entry(node + i, 0, where, -load[i].u);
-            if (needle.kinds[node + i] != CLAMPED) add_entry(node + i, 1, where, -load[i].slope);
-        }
+    void add_loads(const Node<Vector>* load, Index count, Index node, Index where) {
+        for (Index i = 0; i < count; i++)
+            for (int plane = 0; plane < P; plane++) {
+                if (needle.kinds[node + i] == FREE) add_entry(node + i, plane, where, -part(load[i].u, plane));
+                if (needle.kinds[node + i] != CLAMPED) add_entry(node + i, P + plane, where, -part(load[i].slope, plane));
+            }
     }
 
-    // y of the cut and its slope at a quadrature point.
-    INLINE void find_cut(const Point& point, Real& c, Real& slope) const {
-        Real near = needle.y[point.near], rise = needle.y[point.other] - near;
+    // The cut and its slope at a quadrature point.
+    INLINE void find_cut(const Point& point, Vector& c, Vector& slope) const {
+        Vector near = needle.y[point.near], rise = needle.y[point.other] - near;
         c = near + point.share * rise, slope = point.rate * rise;
     }
 
     // d(residual)/dx of a node that moves along the needle: the element that ends there grows, the other one shrinks.
     void move_node(Index i, Index where) {
-        Node<Real> load[3];
+        Node<Vector> load[3];
         const Grid& grid = *needle.grid;
         for (Index side = 0; side < 2; side++) {
             Index a = i - 1 + side, e = a + 1 - needle.front;
@@ -241,7 +282,7 @@ struct Derivatives {
                 else if (i >= needle.front && side == 1 && q < grid.first[e] + 2)
                     drift = 0.5 - (2.0 * second - 1.0) * GAUSS_OFFSET, gain = -0.5;
                 const Point& point = grid.points[q];
-                Real c, slope;
+                Vector c, slope;
                 find_cut(point, c, slope);
                 move_point(
                     load + side, a, point.layer, c, slope * drift, point.x - start, length, point.weight,
@@ -253,11 +294,12 @@ struct Derivatives {
     }
 
     // d(K_b u) of the element from node a on, whose length grows so.
-    void grow_beam(Node<Real>* load, Index a, const Real& length, double grows) const {
-        const Node<Real>&p = node_at(a), &q = node_at(a + 1);
-        Real f = -grows * needle.constants->rigidity / (length * length), away = p.u - q.u;
-        Real shear = f * (36.0 * away / (length * length) + 12.0 * (p.slope + q.slope) / length);
-        Real turn = f * 12.0 * away / length;
+    void grow_beam(Node<Vector>* load, Index a, const Real& length, double grows) const {
+        const Node<Vector>&p = node_at(a), &q = node_at(a + 1);
+        Real f = -grows * needle.constants->rigidity / (length * length);
+        Vector away = p.u - q.u;
+        Vector shear = f * (36.0 * away / (length * length) + 12.0 * (p.slope + q.slope) / length);
+        Vector turn = f * 12.0 * away / length;
         load[0].u += shear, load[1].u -= shear;
         load[0].slope += turn + f * (4.0 * p.slope + 2.0 * q.slope);
         load[1].slope += turn + f * (2.0 * p.slope + 4.0 * q.slope);
@@ -266,17 +308,15 @@ struct Derivatives {
     // d(w k e g N) of a point x mm into the element from node a on. Per unit of what moves, x grows by `drift`, the
     // element's length by `grows`, the weight by `gain`, and the cut's y there, c, by `c_by`.
     void move_point(
-        Node<Real>* load, Index a, int layer, const Real& c, const Real& c_by, const Real& x, const Real& length,
+        Node<Vector>* load, Index a, int layer, const Vector& c, const Vector& c_by, const Real& x, const Real& length,
         double weight, double drift, double grows, double gain
     ) const {
         Hermite<Real> shape(x, length), by = Hermite<Real>::change(x, length, drift, grows);
-        const Node<Real>&p = node_at(a), &q = node_at(a + 1);
-        auto dot = [&](const Real* n) { return n[0] * p.u + n[1] * p.slope + n[2] * q.u + n[3] * q.slope; };
-        Real e = dot(shape.n) - c, slope = dot(shape.m);
-        Seen<Real> ignored;
-        Force<Real> at = find_force(needle.layers[layer], e, &slope, ignored);
-        Real force = at.value, force_by = at.by_e * (dot(by.n) - c_by) + at.by_slope * dot(by.m);
-        Real first = gain * force + weight * force_by, second = weight * force;
+        const Node<Vector>&p = node_at(a), &q = node_at(a + 1);
+        auto sum = [&](const Real* n) { return n[0] * p.u + n[1] * p.slope + n[2] * q.u + n[3] * q.slope; };
+        Vector e = sum(shape.n) - c, slope = sum(shape.m), force;
+        Vector force_by = differentiate_force<Vector>(needle.layers[layer], e, slope, sum(by.n) - c_by, sum(by.m), force);
+        Vector first = gain * force + weight * force_by, second = weight * force;
         load[0].u += first * shape.n[0] + second * by.n[0], load[0].slope += first * shape.n[1] + second * by.n[1];
         load[1].u += first * shape.n[2] + second * by.n[2], load[1].slope += first * shape.n[3] + second * by.n[3];
     }
@@ -284,27 +324,28 @@ struct Derivatives {
     // d(residual)/d(depth) of the boundary between layers b and b + 1. Where it lies on a node or on a change of
     // constraint, the derivative is that toward greater depth.
     void move_boundary(Index b, double depth, Index where) {
-        Node<Real> load[3];
+        Node<Vector> load[3];
         const Grid& grid = *needle.grid;
         Index right = 0, e = 0, points_here = grid.first[needle.last + 1];
         while (right < points_here && grid.points[right].x < depth) right++;  // pieces end at boundaries
         while (grid.first[e + 1] <= right) e++;
         Index a = e - 1 + needle.front, left = right - 2;
-        Real start = x_at(a), length = x_at(a + 1) - start, c, slope;
+        Real start = x_at(a), length = x_at(a + 1) - start;
+        Vector c, slope;
         const Point& beyond = grid.points[right];
         find_cut(beyond, c, slope);
         c = c + slope * (depth - beyond.x);  // at the boundary
         auto move = [&](Index q, Index layer, double side) {
             const Point& point = grid.points[q];
             double drift = 0.5 + side * (2.0 * double((q - right) & 1) - 1.0) * GAUSS_OFFSET;
-            Real here, rate;
+            Vector here, rate;
             find_cut(point, here, rate);
             move_point(
                 load, a, int(layer), here, rate * drift, point.x - start, length, point.weight, drift, 0.0, 0.5 * side
             );
         };
         auto jump = [&](Index layer, double gain) {
-            move_point(load, a, int(layer), c, Real{}, depth - start, length, 0.0, 0.0, 0.0, gain);
+            move_point(load, a, int(layer), c, Vector{}, depth - start, length, 0.0, 0.0, 0.0, gain);
         };
         if (left >= grid.first[e] && grid.points[left].layer == b && grid.points[left].near == beyond.near)
             move(left, b, 1.0), move(left + 1, b, 1.0);
@@ -322,86 +363,93 @@ struct Derivatives {
     // Solve K^T lambda = load from tip to base, for a load on the tip's deflection and one on its slope. At a prescribed
     // value, lambda is the derivative of the tip with respect to that value; it multiplies no load.
     void solve_adjoint() {
-        const auto& inverse = needle.factors[tip_node()].inverse;
-        Node<Real> arriving[2] = {{inverse[0][0], inverse[0][1]}, {inverse[1][0], inverse[1][1]}};
+        const auto& inverse = factor_of(tip_node()).inverse;
+        Node<Vector> arriving[N];
+        for (int r = 0; r < N; r++)
+            for (int j = 0; j < N; j++) unknown_of(arriving[r], j) = inverse[r][j];
         for (Index i = tip_node(); i >= 0; i--)
-            for (int r = 0; r < 2; r++) {
-                Node<Real> row = held_rows[i][r] = arriving[r];
-                if (needle.kinds[i] != FREE) row.u = Real{};
-                if (needle.kinds[i] == CLAMPED) row.slope = Real{};
+            for (int r = 0; r < N; r++) {
+                Node<Vector> row = held_rows[i][r] = arriving[r];
+                if (needle.kinds[i] != FREE) row.u = Vector{};
+                if (needle.kinds[i] == CLAMPED) row.slope = Vector{};
                 rows[i][r] = row;
                 if (i == 0) continue;
-                const auto& m = needle.factors[i - 1].onward;
-                arriving[r] = {m[0][0] * row.u + m[1][0] * row.slope, m[0][1] * row.u + m[1][1] * row.slope};
+                const auto& m = factor_of(i - 1).onward;
+                for (int j = 0; j < N; j++) {
+                    Real sum = m[0][j] * unknown_of(row, 0);
+                    for (int l = 1; l < N; l++) sum = sum + m[l][j] * unknown_of(row, l);
+                    unknown_of(arriving[r], j) = sum;
+                }
             }
     }
 
     // Sum adjoint rows times loads over the quadrature points, by constraint point and by layer.
     void sum_loads(const Stop& stop) {
         Index shapes = problem.shapes, width = shapes + 2;
-        for (Index m = 0; m < 2 * (stop.cell + 1); m++) by_constraint[m] = Real{};
-        for (Index i = 0; i < problem.layers * 2 * width; i++) by_layer[i] = Real{};
-        Real by_shape[MAX_SHAPES];
+        for (Index m = 0; m < N * (stop.cell + 1); m++) by_constraint[m] = Vector{};
+        for (Index i = 0; i < problem.layers * N * width; i++) by_layer[i] = Real{};
+        Vector by_shape[MAX_SHAPES];
         visit_points([&](Index e, Index q, const auto& shape) {
             Index i = e + needle.front - 1;
             const Point& point = needle.grid->points[q];
             PointLoads loads = find_loads(e, q, shape, by_shape);
-            for (int r = 0; r < 2; r++) {
-                const Node<Real>&a = rows[i][r], &b = rows[i + 1][r];
-                Real at = shape.n[0] * a.u + shape.n[1] * a.slope + shape.n[2] * b.u + shape.n[3] * b.slope;
-                by_constraint[2 * point.near + r] += at * loads.near;
-                if (point.share != 0.0) by_constraint[2 * point.other + r] += at * loads.other;
-                Real* sums = by_layer + (2 * point.layer + r) * width;
-                sums[0] += at * loads.force;
-                if (rubs()) sums[1] += at * loads.friction;
+            for (int r = 0; r < N; r++) {
+                const Node<Vector>&a = rows[i][r], &b = rows[i + 1][r];
+                Vector at = shape.n[0] * a.u + shape.n[1] * a.slope + shape.n[2] * b.u + shape.n[3] * b.slope;
+                by_constraint[N * point.near + r] += loads.near * at;
+                if (point.share != 0.0) by_constraint[N * point.other + r] += loads.other * at;
+                Real* sums = by_layer + (N * point.layer + r) * width;
+                sums[0] += dot(at, loads.force);
+                if (rubs()) sums[1] += dot(at, loads.friction);
                 if (column(SHAPE) >= 0)
-                    for (Index p = 0; p < shapes; p++) sums[2 + p] += at * by_shape[p];
+                    for (Index p = 0; p < shapes; p++) sums[2 + p] += dot(at, by_shape[p]);
             }
         });
     }
 
     void differentiate_tip(const Stop& stop) {
         Index shapes = problem.shapes, width = shapes + 2;
-        for (Index p = 0; p < 2 * columns; p++) tip[p] = Real{};
+        auto tip_at = [&](int r, Index p) -> Real& { return part(tip[r / P * columns + p], r % P); };
+        for (Index p = 0; p < 2 * columns; p++) tip[p] = Vector{};
         for (Index m = 0; m <= stop.cell; m++)
-            for (int r = 0; r < 2; r++)
+            for (int r = 0; r < N; r++)
                 for (Index p = 0; p < columns; p++)
-                    tip[r * columns + p] += by_constraint[2 * m + r] * constraints[m * columns + p];
+                    tip_at(r, p) += dot(by_constraint[N * m + r], constraints[m * columns + p]);
         for (Index i = 0; i < problem.layers; i++)
-            for (int r = 0; r < 2; r++) {
-                const Real* sums = by_layer + (2 * i + r) * width;
-                Real* into = tip + r * columns;
-                if (column(MU) >= 0) into[column(MU) + i] -= sums[0] / needle.layers[i].mu;
+            for (int r = 0; r < N; r++) {
+                const Real* sums = by_layer + (N * i + r) * width;
+                if (column(MU) >= 0) tip_at(r, column(MU) + i) -= sums[0] / needle.layers[i].mu;
                 // In equilibrium the beam's own load is minus the tissue's.
-                if (column(RIGIDITY) >= 0) into[column(RIGIDITY)] += sums[0] / needle.constants->rigidity;
-                if (column(FRICTION) >= 0) into[column(FRICTION) + i] -= sums[1];
+                if (column(RIGIDITY) >= 0) tip_at(r, column(RIGIDITY)) += sums[0] / needle.constants->rigidity;
+                if (column(FRICTION) >= 0) tip_at(r, column(FRICTION) + i) -= sums[1];
                 if (column(SHAPE) >= 0)
-                    for (Index p = 0; p < shapes; p++) into[column(SHAPE) + p * problem.layers + i] -= sums[2 + p];
+                    for (Index p = 0; p < shapes; p++) tip_at(r, column(SHAPE) + p * problem.layers + i) -= sums[2 + p];
             }
         for (Index n = 0; n < entry_count; n++) {
             const Entry& entry = entries[n];
-            bool held = needle.kinds[entry.node] > entry.component;
-            for (int r = 0; r < 2; r++) {
-                const Node<Real>& row = (held ? held_rows : rows)[entry.node][r];
-                tip[r * columns + entry.column] += entry.amount * (entry.component == 0 ? row.u : row.slope);
+            bool held = needle.kinds[entry.node] > entry.unknown / P;
+            for (int r = 0; r < N; r++) {
+                Node<Vector>& row = (held ? held_rows : rows)[entry.node][r];
+                tip_at(r, entry.column) += entry.amount * unknown_of(row, int(entry.unknown));
             }
         }
     }
 
     // ---- the whole shape --------------------------------------------------------------------------------------------
 
-    INLINE Real* row_of(Index node, Index component) { return whole + (2 * node + component) * columns; }
+    INLINE Vector* row_of(Index node, Index component) { return whole + (2 * node + component) * columns; }
 
     void differentiate_shape() {
         Index size = tip_node() + 1, shapes = problem.shapes;
-        for (Index i = 0; i < size * 2 * columns; i++) whole[i] = Real{};
-        Real by_shape[MAX_SHAPES];
+        for (Index i = 0; i < size * 2 * columns; i++) whole[i] = Vector{};
+        Vector by_shape[MAX_SHAPES];
         visit_points([&](Index e, Index q, const auto& shape) {
             const Point& point = needle.grid->points[q];
             PointLoads loads = find_loads(e, q, shape, by_shape);
-            const Real *near = constraints + point.near * columns, *other = constraints + point.other * columns;
+            const Vector *near = constraints + point.near * columns, *other = constraints + point.other * columns;
             for (Index j = 0; j < 4; j++) {
-                Real *into = row_of(e + needle.front - 1 + j / 2, j % 2), n = shape.n[j] + Real{};
+                Vector* into = row_of(e + needle.front - 1 + j / 2, j % 2);
+                Real n = shape.n[j] + Real{};
                 for (Index p = 0; p < columns; p++) into[p] += n * loads.near * near[p];
                 if (point.share != 0.0)
                     for (Index p = 0; p < columns; p++) into[p] += n * loads.other * other[p];
@@ -416,38 +464,47 @@ struct Derivatives {
         });
         for (Index i = 0; i < size; i++)  // what is prescribed has no equation that could be loaded
             for (Index component = 0; component < needle.kinds[i]; component++)
-                for (Index p = 0; p < columns; p++) row_of(i, component)[p] = Real{};
-        for (Index n = 0; n < entry_count; n++)
-            row_of(entries[n].node, entries[n].component)[entries[n].column] += entries[n].amount;
+                for (Index p = 0; p < columns; p++) row_of(i, component)[p] = Vector{};
+        for (Index n = 0; n < entry_count; n++) {
+            Vector* into = row_of(entries[n].node, entries[n].unknown / P);
+            part(into[entries[n].column], int(entries[n].unknown % P)) += entries[n].amount;
+        }
         solve_tangents(size);
         for (Index p = 0; p < columns; p++) tip[p] = row_of(size - 1, 0)[p], tip[columns + p] = row_of(size - 1, 1)[p];
     }
 
     // Solve K du = load in place, forward and back.
     void solve_tangents(Index size) {
+        auto at = [&](Index i, int unknown, Index p) -> Real& {
+            return part(row_of(i, unknown / P)[p], unknown % P);
+        };
         for (Index i = 0; i < size; i++) {
-            const Factor<Real>& factor = needle.factors[i];
-            auto onward = [&](int r, int c) {  // the equation of what is prescribed does not know this node
-                return i + 1 < size && needle.kinds[i + 1] > r ? Real{} : factor.onward[r][c];
-            };
-            Real m00 = onward(0, 0), m01 = onward(0, 1), m10 = onward(1, 0), m11 = onward(1, 1);
+            const auto& factor = factor_of(i);
+            Real onward[N][N];  // the equation of what is prescribed does not know this node
+            for (int j = 0; j < N; j++)
+                for (int l = 0; l < N; l++)
+                    onward[j][l] = i + 1 < size && needle.kinds[i + 1] > j / P ? Real{} : factor.onward[j][l];
             for (Index p = 0; p < columns; p++) {
-                Real r0 = row_of(i, 0)[p], r1 = row_of(i, 1)[p];
-                Real z0 = factor.inverse[0][0] * r0 + factor.inverse[0][1] * r1;
-                Real z1 = factor.inverse[1][0] * r0 + factor.inverse[1][1] * r1;
-                row_of(i, 0)[p] = z0, row_of(i, 1)[p] = z1;
+                Real load[N];
+                for (int j = 0; j < N; j++) load[j] = at(i, j, p);
+                auto sum = [&](const Real* row) {
+                    Real found = row[0] * load[0];
+                    for (int l = 1; l < N; l++) found = found + row[l] * load[l];
+                    return found;
+                };
+                for (int j = 0; j < N; j++) at(i, j, p) = sum(factor.inverse[j]);
                 if (i + 1 == size) continue;
-                row_of(i + 1, 0)[p] += m00 * r0 + m01 * r1;
-                row_of(i + 1, 1)[p] += m10 * r0 + m11 * r1;
+                for (int j = 0; j < N; j++) at(i + 1, j, p) += sum(onward[j]);
             }
         }
         for (Index i = size - 2; i >= 0; i--) {
-            const auto& g = needle.factors[i].g;
-            for (Index p = 0; p < columns; p++) {
-                Real u = row_of(i + 1, 0)[p], slope = row_of(i + 1, 1)[p];
-                row_of(i, 0)[p] -= g[0][0] * u + g[0][1] * slope;
-                row_of(i, 1)[p] -= g[1][0] * u + g[1][1] * slope;
-            }
+            const auto& g = factor_of(i).g;
+            for (Index p = 0; p < columns; p++)
+                for (int j = 0; j < N; j++) {
+                    Real sum = g[j][0] * at(i + 1, 0, p);
+                    for (int l = 1; l < N; l++) sum = sum + g[j][l] * at(i + 1, l, p);
+                    at(i, j, p) -= sum;
+                }
         }
     }
 };

@@ -5,29 +5,49 @@
 
 namespace needlefit {
 
-// A needle as it stands: nodes of the chain, and constraint points (depth and y).
+// A needle as it stands: nodes of the chain, and constraint points. P is the number of planes.
 struct BentNeedle {
     Index nodes, cells;
-    const double *x, *u, *slope;
-    const double* constraints;  // (cells + 1, 2)
+    const double *x, *u, *slope;  // (nodes), and (P, nodes) each
+    const double* constraints;    // (cells + 1, 1 + P) depth and place
+};
 
-    double depth(Index m) const { return constraints[2 * m]; }
-    double y(Index m) const { return constraints[2 * m + 1]; }
-    double sum(const double* n, Index e) const {
-        return n[0] * u[e] + n[1] * slope[e] + n[2] * u[e + 1] + n[3] * slope[e + 1];
+// The same, to be read as vectors.
+template <class Vector>
+struct BentVectors {
+    static constexpr int P = Traits<Vector>::planes;
+    const BentNeedle& bent;
+    Index nodes = bent.nodes, cells = bent.cells;
+
+    double depth(Index m) const { return bent.constraints[(1 + P) * m]; }
+    Vector y(Index m) const {
+        Vector found{};
+        for (int plane = 0; plane < P; plane++) part(found, plane) = bent.constraints[(1 + P) * m + 1 + plane];
+        return found;
+    }
+    Vector sum(const double* n, Index e) const {
+        Vector found{};
+        for (int plane = 0; plane < P; plane++) {
+            const double *u = bent.u + plane * nodes, *slope = bent.slope + plane * nodes;
+            part(found, plane) = n[0] * u[e] + n[1] * slope[e] + n[2] * u[e + 1] + n[3] * slope[e + 1];
+        }
+        return found;
     }
 };
 
-// The load -k e g at a point s mm in the element that begins at node e; c is the y of the cut there.
-inline double evaluate_load(const BentNeedle& needle, const Layer<double>& layer, Index e, double s, double c) {
-    Hermite<double> shape(s - needle.x[e], needle.x[e + 1] - needle.x[e]);
-    double away = needle.sum(shape.n, e) - c, slope = needle.sum(shape.m, e);
+// The load -k e g at a point s mm in the element that begins at node e; c is the cut there.
+template <class Vector>
+Vector evaluate_load(const BentVectors<Vector>& needle, const Layer<double>& layer, Index e, double s, Vector c) {
+    const double* x = needle.bent.x;
+    Hermite<double> shape(s - x[e], x[e + 1] - x[e]);
+    Vector away = needle.sum(shape.n, e) - c, slope = needle.sum(shape.m, e);
     Seen<double> ignored;
     return -find_force(layer, away, &slope, ignored).value;
 }
 
-// The y of the cut at a depth: of the constraint point that it belongs to, or linear between two.
-inline double find_cut(const BentNeedle& needle, double s, double part) {
+// The cut at a depth: of the constraint point that it belongs to, or linear between two.
+template <class Vector>
+Vector find_cut(const BentVectors<Vector>& needle, double s, double part) {
     bool linear = part == LINEAR_CUT;
     Index m = 0;
     if (!linear) {
@@ -42,7 +62,7 @@ inline double find_cut(const BentNeedle& needle, double s, double part) {
 }
 
 // Force and moment (nodes, 2) that must act on each node beside the load: what holds it, where something does;
-// elsewhere nothing but rounding. `grid` is that of the nodes in the tissue, `load` of its points.
+// elsewhere nothing but rounding. Of one plane, the first of those of the needle. `grid` is that of the nodes in the tissue, `load` of its points.
 inline void balance_nodes(const BentNeedle& needle, const Grid& grid, double rigidity, const double* load, double* out) {
     for (Index i = 0; i < 2 * needle.nodes; i++) out[i] = 0.0;
     Index front = needle.nodes - grid.nodes;

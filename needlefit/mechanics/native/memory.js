@@ -6,7 +6,7 @@ export const BAD_POINTS = 7;
 
 // As in `native.py`: sizes, numbers and arrays of a Problem in their order.
 export const SIZES =
-  "sets layers shapes terms numbers stop_count bevels inputs rays guides columns max_iterations".split(" ");
+  "planes sets layers shapes terms numbers stop_count bevels inputs rays guides columns max_iterations".split(" ");
 export const NUMBERS = "length first_cell spacing element part tangent tolerance deepest".split(" ");
 export const ARRAYS = (
   "boundaries stops rigidity mu thickness friction law law_by turn base before_first within_first before " +
@@ -100,11 +100,11 @@ export function makeProblem(heap, fields, arrays) {
     thickness: n,
     friction: n,
     law: n * f.numbers,
-    turn: f.bevels * f.sets,
-    base: 3 * f.inputs * f.sets,
+    turn: f.bevels * f.sets * f.planes,
+    base: 3 * f.inputs * f.sets * f.planes,
     before_first: f.inputs + 1,
     within_first: f.inputs + 1,
-    held_tip: 2 * f.inputs,
+    held_tip: 2 * f.inputs * f.planes,
     guide_x: f.sets,
   };
   for (const [name, count] of Object.entries(counts)) {
@@ -135,21 +135,21 @@ export function rewrite(heap, problem, arrays) {
 
 /** Take room for the shapes of all sets; addresses by name, and the `counts` of 64-bit numbers there. */
 export function makeShapes(heap, problem, points) {
-  const { sets, columns } = problem.fields,
+  const { sets, columns, planes } = problem.fields,
     { room } = problem;
   const counts = {
     x: sets * room,
-    u: sets * room,
-    slope: sets * room,
-    constraints: 2 * sets * points,
-    track: 2 * sets * points,
+    u: planes * sets * room,
+    slope: planes * sets * room,
+    constraints: (1 + planes) * sets * points,
+    track: 2 * planes * sets * points,
     status: sets,
     passes: sets,
     nodes: 1,
-    u_by: sets * room * columns,
-    slope_by: sets * room * columns,
-    constraints_by: sets * points * columns,
-    track_by: sets * points * columns,
+    u_by: planes * sets * room * columns,
+    slope_by: planes * sets * room * columns,
+    constraints_by: planes * sets * points * columns,
+    track_by: planes * sets * points * columns,
   };
   const shapes = { points, counts };
   for (const [name, count] of Object.entries(counts))

@@ -16,12 +16,9 @@ struct Stop {
 };
 enum StopFlags : Index { PERMANENT = 1, STARTS_RAY = 2, EXTRAPOLATES = 4 };
 
-struct Guide {
-    double x, y, slope;  // a slope that is left free is NaN
-};
-
 // An insertion and its parameter sets, as Python hands them over. Arrays are in C order; S is `sets`.
 struct Problem {
+    Index planes;  // 1: y alone; 2: y and z, of which all arrays give y first. P is their number.
     Index sets, layers, shapes, terms, numbers, stop_count, bevels, inputs, rays, guides, columns, max_iterations;
     double length, first_cell, spacing, element, part, tangent, tolerance, deepest;
     const double* boundaries;  // (layers - 1) mm
@@ -30,15 +27,15 @@ struct Problem {
     const double *mu, *thickness, *friction;  // (S, layers)
     const double* law;                 // (S, layers, numbers): see `Law`
     const double* law_by;              // (S, layers, shapes, numbers)
-    const double* turn;                // (bevels, S) slope that the bevel adds to the cut
-    const double* base;                // (inputs, S, 3) y, slope, slope of the stage's axis
+    const double* turn;                // (bevels, S, P) slope that the bevel adds to the cut
+    const double* base;                // (inputs, S, P, 3) place, slope, slope of the stage's axis
     const Index *before_first, *within_first;  // (inputs + 1) into the guides before and in the tissue
-    const Guide *before, *within;
-    const double* held_tip;            // (inputs, 2) y and slope of a tracked tip; NaN where it is free
+    const double *before, *within;     // (guides, 1 + 2 P) x, and place and slope; slopes that are left free are NaN
+    const double* held_tip;            // (inputs, P, 2) place and slope of a tracked tip; NaN where it is free
     const double* guide_x;             // (S) where the first guide before the tissue stands instead; may be null
-    const double* turn_by;             // (bevels) derivative of `turn` with respect to the bevel's strength
+    const double* turn_by;             // (bevels, P) derivative of `turn` with respect to the bevel's strength
     const Index* column_of;            // (COLUMN_KINDS) first column of each kind of parameter, -1: not asked for
-    const Index* guide_columns;        // (guides of all inputs, 3) of x, y and slope, those before the tissue first
+    const Index* guide_columns;        // (guides of all inputs, 1 + 2 P), those before the tissue first
 
     Lattice lattice() const { return {first_cell, spacing}; }
     Index cells() const {
@@ -57,8 +54,9 @@ struct Problem {
         return Index(__builtin_ceil((first_cell + (cells() + 1) * spacing) / element)) + guides + 4;
     }
     Index points() const { return Grid::count_points(nodes(), layers, cells()); }
-    const Guide* first_before(Index inputs) const { return before + before_first[inputs]; }
-    const Guide* first_within(Index inputs) const { return within + within_first[inputs]; }
+    Index guide_size() const { return 1 + 2 * planes; }
+    const double* guide_before(Index inputs, Index i) const { return before + (before_first[inputs] + i) * guide_size(); }
+    const double* guide_within(Index inputs, Index i) const { return within + (within_first[inputs] + i) * guide_size(); }
     Index count_before(Index inputs) const { return before_first[inputs + 1] - before_first[inputs]; }
     Index count_within(Index inputs) const { return within_first[inputs + 1] - within_first[inputs]; }
 };
@@ -95,16 +93,26 @@ inline Grid take_grid(Arena& arena, const Problem& problem) {
 }
 
 // The reaction at a quadrature point: e, and with the point's weight d(k e g)/de and k e g.
-template <class Real>
+template <class Vector>
 struct Reaction {
-    Real e, pull, force;
+    Vector e;
+    Scalar<Vector> pull;
+    Vector force;
+};
+
+// The same of both planes together.
+template <class Real>
+struct CoupledReaction {
+    Pair<Real> e;
+    SymmetricMatrix<Real> pull;
+    Pair<Real> force;
 };
 
 // The straight path that the tip cuts, in all lanes.
-template <class Real>
+template <class Vector>
 struct Ray {
-    Real y, slope, turn;
-    Real start;  // depth where it begins, mm
+    Vector y, slope, turn;
+    Scalar<Vector> start;  // depth where it begins, mm
 };
 
 enum Status : int { CONVERGED, OVER_COMPRESSED, NOT_CONVERGED, NON_FINITE };
@@ -115,11 +123,16 @@ constexpr int RENEWED_NODES = 8;   // after so many nodes all lanes renew their 
 constexpr double CHORD_ERROR = 2.0;  // a chord step is off by so many times `curvature`, its increment and the distance
                                      // from where the tangent was taken, since the errors of all stops add up
 constexpr double ROUNDING_MM = 1e-4;  // Newton's last steps square the increment: only rounding keeps one so small alive
+constexpr int SHARED_PASSES = 4;    // of Newton's method in space with one matrix for both planes, before the coupled one
+constexpr double SKEW_ERROR = 4.0;  // in space a step is off by so many times the skew of the tangents and its increment
+constexpr double MAX_SKEW = 0.1;    // with more, slow steps may be more than rounding
 constexpr int MAX_PASSES = 12;        // of the quick scheme; a lane that needs more begins again with Newton's method
 
-template <class Real>
+// Displacements are a `Vector`: a number in the plane, a pair in space.
+template <class Vector>
 struct Insertion {
-    static constexpr int W = Traits<Real>::lanes;
+    static constexpr int W = Traits<Vector>::lanes, P = Traits<Vector>::planes;
+    using Real = Scalar<Vector>;
     using M = Mask<Real>;
 
     const Problem& problem;
@@ -141,26 +154,27 @@ struct Insertion {
     };
     Progress* progress;
     double* nodes;         // of the tissue's nodes now
-    Real* y;               // of the constraint points, mm
-    Node<Real>* track;     // the tip as it stood at each
-    Ray<Real>* rays;
-    Real* cut;             // y of the cut at the tip
-    Node<Real>* states[2];  // of the nodes in the tissue, now and one cell ago
-    Node<Real>* fronts;     // of base and guides before the tissue
+    Vector* y;             // of the constraint points, mm
+    Node<Vector>* track;   // the tip as it stood at each
+    Ray<Vector>* rays;
+    Vector* cut;           // the cut at the tip
+    Node<Vector>* states[2];  // of the nodes in the tissue, now and one cell ago
+    Node<Vector>* fronts;  // of base and guides before the tissue
     Real* front_x;
     Real* status;          // of each lane: a `Status`
     Real* passes;          // Newton passes so far
     Real* stale;           // 1: the past has to be linearised anew
-    PastNode<Real>* past;
+    PastNode<Vector>* past;
     Real* pulls;           // w d(k e)/de of the points of the past
-    Element<Real>* super;
+    Element<Vector>* super;
 
     // Room to work in, for one stop.
     Grid own_grid;
-    Factor<Real>* factors;
-    Node<Real>* good;
+    Factor<Vector>* factors;
+    CoupledFactor<Real>* coupled;  // of a needle in space
+    Node<Vector>* good;
     Kind* kinds;
-    Node<Real>* values;    // prescribed
+    Node<Vector>* values;  // prescribed
 
     // The stop under way.
     const Grid* grid;
@@ -178,19 +192,20 @@ struct Insertion {
     void lay_out_state(Arena& arena) {
         Index count = problem.nodes(), points = problem.cells() + 1;
         progress = arena.take<Progress>(1);
-        cut = arena.take<Real>(1), status = arena.take<Real>(1), passes = arena.take<Real>(1);
-        stale = arena.take<Real>(1), super = arena.take<Element<Real>>(1);
-        fronts = arena.take<Node<Real>>(problem.guides + 1), front_x = arena.take<Real>(problem.guides + 1);
+        cut = arena.take<Vector>(1), status = arena.take<Real>(1), passes = arena.take<Real>(1);
+        stale = arena.take<Real>(1), super = arena.take<Element<Vector>>(1);
+        fronts = arena.take<Node<Vector>>(problem.guides + 1), front_x = arena.take<Real>(problem.guides + 1);
         nodes = arena.take<double>(count);
-        y = arena.take<Real>(points), track = arena.take<Node<Real>>(points);
-        for (auto& state : states) state = arena.take<Node<Real>>(count);
-        past = arena.take<PastNode<Real>>(count), pulls = arena.take<Real>(problem.points());
-        rays = arena.take<Ray<Real>>(problem.rays);
+        y = arena.take<Vector>(points), track = arena.take<Node<Vector>>(points);
+        for (auto& state : states) state = arena.take<Node<Vector>>(count);
+        past = arena.take<PastNode<Vector>>(count), pulls = arena.take<Real>(problem.points());
+        rays = arena.take<Ray<Vector>>(problem.rays);
     }
     void lay_out_scratch(Arena& arena) {
         own_grid = take_grid(arena, problem);
-        factors = arena.take<Factor<Real>>(chain()), good = arena.take<Node<Real>>(chain());
-        kinds = arena.take<Kind>(chain()), values = arena.take<Node<Real>>(chain());
+        factors = arena.take<Factor<Vector>>(chain()), good = arena.take<Node<Vector>>(chain());
+        if (P == 2) coupled = arena.take<CoupledFactor<Real>>(chain());
+        kinds = arena.take<Kind>(chain()), values = arena.take<Node<Vector>>(chain());
     }
 
     // The parameters of lane `lane`; lanes to spare repeat the last set.
@@ -198,6 +213,18 @@ struct Insertion {
     INLINE Real gather(const double* values, Index stride = 1) const {
         Real found{};
         for (int lane = 0; lane < W; lane++) set_lane(found, lane, values[set_of(lane) * stride]);
+        return found;
+    }
+
+    // Of values (S, stride) those along y and, `apart` numbers on, along z.
+    INLINE Vector gather_vector(const double* values, Index stride, Index apart) const {
+        Vector found{};
+        for (int plane = 0; plane < P; plane++) part(found, plane) = gather(values + plane * apart, stride);
+        return found;
+    }
+    static INLINE Vector read_vector(const double* values, Index apart) {
+        Vector found{};
+        for (int plane = 0; plane < P; plane++) part(found, plane) = all_lanes<Real>(values[plane * apart]);
         return found;
     }
 
@@ -227,13 +254,13 @@ struct Insertion {
 
     void begin() {
         *progress = {};
-        *cut = *status = *passes = Real{}, *stale = all_lanes<Real>(1.0);
-        y[0] = Real{};
-        for (Index m = 1; m <= problem.cells(); m++) y[m] = all_lanes<Real>(__builtin_nan(""));
+        *cut = Vector{}, *status = *passes = Real{}, *stale = all_lanes<Real>(1.0);
+        y[0] = Vector{};
+        for (Index m = 1; m <= problem.cells(); m++) y[m] = all_lanes<Vector>(__builtin_nan(""));
         for (Index m = 0; m <= problem.cells(); m++) track[m] = {y[1], y[1]};
     }
 
-    Node<Real>* state() { return states[progress->now]; }
+    Node<Vector>* state() { return states[progress->now]; }
 
     // ---- the cut ------------------------------------------------------------------------------------------------
 
@@ -242,9 +269,9 @@ struct Insertion {
     void place_constraint(const Stop& stop) {
         bool path_angle = problem.part == LINEAR_CUT;
         if (stop.flags & STARTS_RAY) {
-            Ray<Real>& ray = rays[stop.ray];
-            const Node<Real> tip = progress->nodes > 0 ? state()[progress->nodes - 1] : Node<Real>();
-            ray = {tip.u, problem.tangent * tip.slope, gather(problem.turn + stop.bevel * problem.sets),
+            Ray<Vector>& ray = rays[stop.ray];
+            const Node<Vector> tip = progress->nodes > 0 ? state()[progress->nodes - 1] : Node<Vector>();
+            ray = {tip.u, problem.tangent * tip.slope, gather_vector(problem.turn + stop.bevel * problem.sets * P, P, 1),
                    all_lanes<Real>(progress->tip)};
             if (path_angle) {
                 ray.y = *cut;
@@ -254,15 +281,15 @@ struct Insertion {
             }
         }
         if (stop.cell > 0) {
-            const Ray<Real>& ray = rays[stop.ray];
-            Real found = ray.y + (stop.tip - ray.start) * (ray.slope + ray.turn);
-            y[stop.cell] = select<Real>(*status == 0.0, found, y[stop.cell]);  // what is never reached stays NaN
+            const Ray<Vector>& ray = rays[stop.ray];
+            Vector found = ray.y + (stop.tip - ray.start) * (ray.slope + ray.turn);
+            y[stop.cell] = select<Vector>(*status == 0.0, found, y[stop.cell]);  // what is never reached stays NaN
         }
     }
 
-    // y of the cut at a quadrature point.
-    INLINE Real cut_at(const Point& point) const {
-        Real near = y[point.near];
+    // The cut at a quadrature point.
+    INLINE Vector cut_at(const Point& point) const {
+        Vector near = y[point.near];
         return point.share == 0.0 ? near : near + point.share * (y[point.other] - near);
     }
 
@@ -289,74 +316,78 @@ struct Insertion {
     Index place_nodes_at(double tip, Index inputs) {
         Index held = count_held(tip, inputs);
         double* depths = own_grid.x + problem.nodes() - held;  // a place that the nodes do not need yet
-        for (Index i = 0; i < held; i++) depths[i] = problem.first_within(inputs)[i].x;
+        for (Index i = 0; i < held; i++) depths[i] = *problem.guide_within(inputs, i);
         return place_nodes(own_grid.x, tip, problem.lattice(), problem.element, depths, held);
     }
     // How many guides in the tissue the tip has passed.
     Index count_held(double tip, Index inputs) const {
         Index held = 0, guides = problem.count_within(inputs);
-        while (held < guides && problem.first_within(inputs)[held].x <= tip - GUIDE_ENGAGEMENT_MM) held++;
+        while (held < guides && *problem.guide_within(inputs, held) <= tip - GUIDE_ENGAGEMENT_MM) held++;
         return held;
     }
 
     // Prescribe what the inputs hold.
     void hold(Index inputs, double tip) {
-        const Guide *before = problem.first_before(inputs), *within = problem.first_within(inputs);
         front = 1 + problem.count_before(inputs);
         // The base moves with the stage, whose axis may lie at an angle to the insertion axis.
-        const double* base = problem.base + inputs * problem.sets * 3;
+        const double* base = problem.base + inputs * problem.sets * P * 3;
+        auto of_base = [&](Index number) { return gather_vector(base + number, 3 * P, 3); };
         front_x[0] = all_lanes<Real>(tip - problem.length);
-        prescribe(0, gather(base, 3) + gather(base + 2, 3) * tip, gather(base + 1, 3), CLAMPED);
+        prescribe(0, of_base(0) + of_base(2) * tip, of_base(1), CLAMPED);
         for (Index i = 1; i < front; i++) {
-            front_x[i] = i == 1 && problem.guide_x ? gather(problem.guide_x) : all_lanes<Real>(before[i - 1].x);
-            prescribe(i, before[i - 1]);
+            const double* guide = problem.guide_before(inputs, i - 1);
+            front_x[i] = i == 1 && problem.guide_x ? gather(problem.guide_x) : all_lanes<Real>(guide[0]);
+            prescribe(i, guide + 1);
         }
         for (Index i = 0; i <= last; i++) kinds[front + i] = FREE;
         for (Index i = 0; i < count_held(tip, inputs); i++) {
-            Index node = count_below(grid->x, grid->nodes, within[i].x);
-            if (node < last) prescribe(front + node, within[i]);  // none holds the tip itself
+            const double* guide = problem.guide_within(inputs, i);
+            Index node = count_below(grid->x, grid->nodes, guide[0]);
+            if (node < last) prescribe(front + node, guide + 1);  // none holds the tip itself
         }
-        const double* tracked = problem.held_tip + 2 * inputs;
-        if (tracked[0] == tracked[0]) prescribe(front + last, Guide{0.0, tracked[0], tracked[1]});
+        const double* tracked = problem.held_tip + 2 * P * inputs;
+        if (tracked[0] == tracked[0]) prescribe(front + last, tracked);
     }
-    void prescribe(Index node, Real u, Real slope, Kind kind) {
+    void prescribe(Index node, Vector u, Vector slope, Kind kind) {
         values[node] = {u, slope};
         kinds[node] = kind;
     }
-    void prescribe(Index node, const Guide& guide) {
-        bool free = guide.slope != guide.slope;
-        prescribe(
-            node, all_lanes<Real>(guide.y), all_lanes<Real>(free ? 0.0 : guide.slope), free ? PINNED : CLAMPED
-        );
+    // At place and slope along each direction; slopes that are left free are NaN.
+    void prescribe(Index node, const double* held) {
+        bool free = held[1] != held[1];
+        Vector slope = free ? Vector{} : read_vector(held + 1, 2);
+        prescribe(node, read_vector(held, 2), slope, free ? PINNED : CLAMPED);
     }
 
     // Add a quadrature point, linearised about the element's ends `a` and `b`.
     template <class Shape>
-    INLINE Reaction<Real> add_point(
-        Element<Real>& k, Rubbing<Real>* rubbing, const Hermite<Shape>& shape, const Shape& behind, const Point& point,
-        const Node<Real>& a, const Node<Real>& b, Seen<Real>& seen
+    INLINE Reaction<Vector> add_point(
+        Element<Vector>& k, Rubbing<Real>* rubbing, const Hermite<Shape>& shape, const Shape& behind, const Point& point,
+        const Node<Vector>& a, const Node<Vector>& b, Seen<Real>& seen
     ) const {
         const Layer<Real>& layer = layers[point.layer];
-        Real u = shape.n[0] * a.u + shape.n[1] * a.slope + shape.n[2] * b.u + shape.n[3] * b.slope;
-        Real slope = shape.m[0] * a.u + shape.m[1] * a.slope + shape.m[2] * b.u + shape.m[3] * b.slope;
-        Real e = u - cut_at(point);
-        Force<Real> force = find_force(layer, e, rubbing ? &slope : nullptr, seen);
-        Real pull = point.weight * force.by_e, value = point.weight * force.value, load = pull * u - value;
-        if (rubbing) {
-            Real by_slope = point.weight * force.by_slope;
-            rubbing->add_point(shape, behind, by_slope);
-            load = load + by_slope * slope;
-        }
+        Vector u = shape.n[0] * a.u + shape.n[1] * a.slope + shape.n[2] * b.u + shape.n[3] * b.slope;
+        Vector slope = shape.m[0] * a.u + shape.m[1] * a.slope + shape.m[2] * b.u + shape.m[3] * b.slope;
+        Vector e = u - cut_at(point);
+        Force<Vector> force = find_force(layer, e, rubbing ? &slope : nullptr, seen);
+        Real pull = point.weight * force.by_e;
+        Vector value = point.weight * force.value, load = pull * u - value;
+        if constexpr (P == 1)  // in space the two planes would differ
+            if (rubbing) {
+                Real by_slope = point.weight * force.by_slope;
+                rubbing->add_point(shape, behind, by_slope);
+                load = load + by_slope * slope;
+            }
         k.add_point(shape, behind, pull, load);
         return {e, pull, value};
     }
 
     // The equations of element e >= 1; `keep(q, reaction)` receives what its points add.
     template <class Keep>
-    INLINE Element<Real> linearize(
-        Index e, const Node<Real>* state, Rubbing<Real>* rubbing, Seen<Real>& seen, Keep keep
+    INLINE Element<Vector> linearize(
+        Index e, const Node<Vector>* state, Rubbing<Real>* rubbing, Seen<Real>& seen, Keep keep
     ) const {
-        Element<Real> k;
+        Element<Vector> k;
         for (Index q = grid->first[e]; q < grid->first[e + 1]; q++) {
             const Point& point = grid->points[q];
             double behind = point.x - grid->x[e];
@@ -369,14 +400,14 @@ struct Insertion {
     // Eliminate from base to tip; of a condensed past, its super-element stands for the elements up to `condensed`.
     // `keep` receives the reaction at each point.
     template <bool Friction, class Keep>
-    INLINE void sweep(const Node<Real>* state, Index condensed, Seen<Real>& seen, Keep keep) {
-        Carried<Real> carried;
-        auto pass = [&](const Element<Real>& k, const Rubbing<Real>* rubbing, const Real& length, Index node) {
-            eliminate(carried, k, rubbing, length, kinds[node], values[node], factors[node]);
+    INLINE void sweep(const Node<Vector>* state, Index condensed, Seen<Real>& seen, Keep keep) {
+        Carried<Vector> carried;
+        auto pass = [&](const Element<Vector>& k, const Rubbing<Real>* rubbing, const Real& length, Index node) {
+            eliminate(carried, k, P == 1 ? rubbing : nullptr, length, kinds[node], values[node], factors[node]);
         };
         Rubbing<Real> rubbing;
         for (Index i = 0; i < front; i++) {
-            Element<Real> k;
+            Element<Vector> k;
             Real begin = front_x[i], length = (i + 1 < front ? front_x[i + 1] : all_lanes<Real>(grid->x[0])) - begin;
             if constexpr (Friction) rubbing = {};
             if (i + 1 == front)
@@ -392,63 +423,115 @@ struct Insertion {
         if (condensed > 0) pass(*super, nullptr, all_lanes<Real>(grid->x[condensed] - grid->x[0]), front);
         for (Index e = condensed + 1; e <= last; e++) {
             if constexpr (Friction) rubbing = {};
-            Element<Real> k = linearize(e, state, Friction ? &rubbing : nullptr, seen, keep);
+            Element<Vector> k = linearize(e, state, Friction ? &rubbing : nullptr, seen, keep);
             pass(k, Friction ? &rubbing : nullptr, all_lanes<Real>(grid->x[e] - grid->x[e - 1]), front + e - 1);
         }
-        pass(Element<Real>(), nullptr, Real{}, front + last);
+        pass(Element<Vector>(), nullptr, Real{}, front + last);
     }
     template <bool Friction>
-    INLINE void sweep(const Node<Real>* state, Index condensed, Seen<Real>& seen) {
-        sweep<Friction>(state, condensed, seen, [](Index, const Reaction<Real>&) {});
+    INLINE void sweep(const Node<Vector>* state, Index condensed, Seen<Real>& seen) {
+        sweep<Friction>(state, condensed, seen, [](Index, const Reaction<Vector>&) {});
+    }
+
+    // The same of both planes together, all elements linearised.
+    template <class Keep>
+    void sweep_coupled(const Node<Vector>* state, Seen<Real>& seen, Keep keep) {
+        CoupledCarried<Real> carried;
+        for (Index i = 0; i < front + last; i++) {
+            CoupledElement<Real> k;
+            Index e = i + 1 - front;
+            const Node<Vector>&a = i < front ? fronts[i] : state[e - 1], &b = i + 1 < front ? fronts[i + 1] : state[e];
+            Real begin = i < front ? front_x[i] : all_lanes<Real>(grid->x[e - 1]);
+            Real end = i + 1 < front ? front_x[i + 1] : all_lanes<Real>(grid->x[e]), length = end - begin;
+            if (e >= 0)
+                for (Index q = grid->first[e]; q < grid->first[e + 1]; q++) {
+                    const Point& point = grid->points[q];
+                    keep(q, add_coupled_point(k, Hermite<Real>(point.x - begin, length), point.x - end, point, a, b, seen));
+                }
+            k.add_bending(constants->rigidity, length);
+            eliminate(carried, k, length, kinds[i], values[i], coupled[i]);
+        }
+        CoupledElement<Real> nothing;
+        eliminate(carried, nothing, Real{}, kinds[front + last], values[front + last], coupled[front + last]);
+    }
+    CoupledReaction<Real> add_coupled_point(
+        CoupledElement<Real>& k, const Hermite<Real>& shape, const Real& behind, const Point& point, const Node<Vector>& a,
+        const Node<Vector>& b, Seen<Real>& seen
+    ) const {
+        const Real *n = shape.n, *m = shape.m;
+        Vector u = n[0] * a.u + n[1] * a.slope + n[2] * b.u + n[3] * b.slope;
+        Vector slope = m[0] * a.u + m[1] * a.slope + m[2] * b.u + m[3] * b.slope;
+        CoupledReaction<Real> found;
+        found.e = u - cut_at(point);
+        Force<Vector> force = find_force(layers[point.layer], found.e, constants->friction ? &slope : nullptr, seen);
+        found.force = point.weight * force.value;
+        Vector load = -found.force;
+        Real pull[2][2], by_slope[2][2];
+        for (int p = 0; p < 2; p++)
+            for (int q = 0; q < 2; q++) {
+                Real stiffening = (force.along - force.across) * part(force.direction, p) * part(force.direction, q);
+                pull[p][q] = point.weight * (p == q ? force.across + stiffening : stiffening);
+                by_slope[p][q] = point.weight * (part(force.plain, p) * part(force.friction, q));
+                part(load, p) += pull[p][q] * part(u, q) + by_slope[p][q] * part(slope, q);
+            }
+        found.pull = {pull[0][0], pull[0][1], pull[1][1]};
+        k.add_point(shape, behind, pull, by_slope, load);
+        return found;
     }
 
     // Substitute back from tip to base; `put(node, solved)` receives each node of the chain.
     template <class Put>
     INLINE void substitute_back(Index condensed, Put put) {
-        Node<Real> next{};
+        Node<Vector> next{};
         for (Index i = last; i >= condensed; i--) put(front + i, next = substitute(factors[front + i], next));
         if (condensed > 0) {
-            Node<Real> first = substitute(factors[front], next);
+            Node<Vector> first = substitute(factors[front], next);
             for (Index i = condensed - 1; i > 0; i--) put(front + i, next = substitute(past[i], next, first));
             put(front, next = first);
         }
         for (Index i = front - 1; i >= 0; i--) put(i, next = substitute(factors[i], next));
     }
 
+    template <class Put>
+    INLINE void substitute_back_coupled(Put put) {
+        Node<Vector> next{};
+        for (Index i = front + last; i >= 0; i--) put(i, next = substitute(coupled[i], next));
+    }
+
     // ---- the quick scheme -----------------------------------------------------------------------------------------
 
     // Linearise elements `from` to `to` of the past about `state`, in the chosen lanes.
-    void condense(const Node<Real>* state, Index from, Index to, const M& chosen, Seen<Real>& seen) {
+    void condense(const Node<Vector>* state, Index from, Index to, const M& chosen, Seen<Real>& seen) {
         for (Index e = from; e <= to; e++) {
-            auto keep = [&](Index q, const Reaction<Real>& found) {
+            auto keep = [&](Index q, const Reaction<Vector>& found) {
                 pulls[q] = select<Real>(chosen, found.pull, pulls[q]);
             };
-            Element<Real> k = linearize(e, state, nullptr, seen, keep), found = *super;
-            past[e].reference = select<Real>(chosen, state[e].u, past[e].reference);
+            Element<Vector> k = linearize(e, state, nullptr, seen, keep), found = *super;
+            past[e].reference = select<Vector>(chosen, state[e].u, past[e].reference);
             if (e == 1) {
-                past[0].reference = select<Real>(chosen, state[0].u, past[0].reference);
+                past[0].reference = select<Vector>(chosen, state[0].u, past[0].reference);
                 found = k;
             } else {
-                PastNode<Real> node = past[e - 1];
+                PastNode<Vector> node = past[e - 1];
                 append(found, k, grid->x[e - 1] - grid->x[0], grid->x[e] - grid->x[e - 1], node);
-                replace_chosen<PastNode<Real>, Real>(past[e - 1], node, chosen);
+                replace_chosen<PastNode<Vector>, Real>(past[e - 1], node, chosen);
             }
-            replace_chosen<Element<Real>, Real>(*super, found, chosen);
+            replace_chosen<Element<Vector>, Real>(*super, found, chosen);
         }
     }
 
     // Renew the right-hand side of the past at `state`, with the tangents that are kept.
-    INLINE void renew_loads(const Node<Real>* state, Index to, const Chosen<Real>& chosen, Seen<Real>& seen) {
-        Real total[4]{};
+    INLINE void renew_loads(const Node<Vector>* state, Index to, const Chosen<Real>& chosen, Seen<Real>& seen) {
+        Vector total[4]{};
         for (Index e = 1; e <= to; e++) {
-            Real f[4]{};
-            const Node<Real>&a = state[e - 1], &b = state[e];
+            Vector f[4]{};
+            const Node<Vector>&a = state[e - 1], &b = state[e];
             for (Index q = grid->first[e]; q < grid->first[e + 1]; q++) {
                 const Point& point = grid->points[q];
                 const double* n = point.shape.n;
-                Real u = n[0] * a.u + n[1] * a.slope + n[2] * b.u + n[3] * b.slope;
-                Real force = find_force<Real>(layers[point.layer], u - cut_at(point), nullptr, seen).value;
-                Real load = pulls[q] * u - point.weight * force;
+                Vector u = n[0] * a.u + n[1] * a.slope + n[2] * b.u + n[3] * b.slope;
+                Vector force = find_force<Real>(layers[point.layer], u - cut_at(point), nullptr, seen).value;
+                Vector load = pulls[q] * u - point.weight * force;
                 for (int j = 0; j < 4; j++) f[j] += load * n[j];
             }
             if (e == 1)
@@ -462,17 +545,17 @@ struct Insertion {
 
     // Guess node i from the last two stops: it moves on as it, or the node one cell behind it, moved. `older_count` is
     // 0 where there is but one stop; a new node then lies on the tip's tangent.
-    INLINE Node<Real> guess(const Node<Real>* now, const Node<Real>* older, Index i, Index count, Index older_count) {
+    INLINE Node<Vector> guess(const Node<Vector>* now, const Node<Vector>* older, Index i, Index count, Index older_count) {
         Index growth = last + 1 - count;
         if (i < count) {
             if (older_count == 0) return now[i];
             Index j = i < older_count ? i : i - growth;
             return {now[i].u + (now[j].u - older[j].u), now[i].slope + (now[j].slope - older[j].slope)};
         }
-        const Node<Real>& tip = now[count - 1];
-        Node<Real> found{tip.u + (grid->x[i] - nodes[count - 1]) * tip.slope, tip.slope};
+        const Node<Vector>& tip = now[count - 1];
+        Node<Vector> found{tip.u + (grid->x[i] - nodes[count - 1]) * tip.slope, tip.slope};
         if (older_count > 0) {  // as far beside the tangent as one cell ago
-            const Node<Real>& before = older[older_count - 1];
+            const Node<Vector>& before = older[older_count - 1];
             double ahead = grid->x[i - growth] - nodes[older_count - 1];
             found.u += now[i - growth].u - (before.u + ahead * before.slope);
             found.slope += now[i - growth].slope - before.slope;
@@ -482,7 +565,7 @@ struct Insertion {
 
     // Find the equilibrium with the condensed past; return the lanes in which that failed.
     M equilibrate_quickly(const M& alive) {
-        Node<Real>*now = state(), *next = states[1 - progress->now];
+        Node<Vector>*now = state(), *next = states[1 - progress->now];
         Index count = progress->nodes, growth = last + 1 - count, older_count = progress->older_nodes;
         bool extrapolates = growth > 0 && growth == count - older_count && older_count >= growth && older_count > 0;
         if (!extrapolates) older_count = 0;
@@ -504,8 +587,8 @@ struct Insertion {
         for (Index i = condensed; i <= last; i++) impose(next[i], front + i);
         sweep<false>(next, condensed, ignored);
         Chosen<Real> present(alive);
-        substitute_back(condensed, [&](Index i, const Node<Real>& solved) {
-            Node<Real>& node = i < front ? fronts[i] : next[i - front];
+        substitute_back(condensed, [&](Index i, const Node<Vector>& solved) {
+            Node<Vector>& node = i < front ? fronts[i] : next[i - front];
             node = {present(solved.u, node.u), present(solved.slope, node.slope)};
         });
         M busy = alive, failed{};
@@ -520,11 +603,11 @@ struct Insertion {
                 condense(next, 1, condensed, busy, seen);
             sweep<false>(next, condensed, seen);
             Real change{}, product{};
-            substitute_back(condensed, [&](Index i, const Node<Real>& solved) {
-                Node<Real>& node = i < front ? fronts[i] : next[i - front];
-                Real step = absolute(solved.u - node.u), away = step;
+            substitute_back(condensed, [&](Index i, const Node<Vector>& solved) {
+                Node<Vector>& node = i < front ? fronts[i] : next[i - front];
+                Real step = bound_size(solved.u - node.u), away = step;
                 if (condensed > 0 && i >= front && i <= front + condensed)
-                    away = absolute(solved.u - past[i - front].reference);
+                    away = bound_size(solved.u - past[i - front].reference);
                 Index e = i < front ? 0 : i - front + (i - front < last), first = grid->first[e];
                 const Real& bend = first < grid->first[e + 1] ? layers[grid->points[first].layer].curvature : constants->curvature;
                 product = greater_of(bend * step * away, product);
@@ -533,9 +616,13 @@ struct Insertion {
             });
             *passes = select<Real>(busy, *passes + 1.0, *passes);
             Real ahead = chord ? CHORD_ERROR * product : constants->curvature * (change * change);
+            if constexpr (P == 2) ahead += SKEW_ERROR * seen.skew * change;
             ahead = select<Real>(seen.exact, change, ahead);
             M done = (change < problem.tolerance) | (ahead < problem.tolerance);
-            if (n > 1) done = done | ((change < ROUNDING_MM) & (change > 0.5 * before));
+            // Of tangents that differ much from those that are used, more than rounding is left.
+            M stalled = (change < ROUNDING_MM) & (change > 0.5 * before);
+            if constexpr (P == 2) stalled = stalled & (seen.skew < MAX_SKEW);
+            if (n > 1) done = done | stalled;
             M lost = busy & ((seen.crushed) | !(change < 1e300));
             failed = failed | lost;
             busy = busy & !(done | lost);
@@ -544,7 +631,7 @@ struct Insertion {
         return failed | busy;
     }
 
-    INLINE void impose(Node<Real>& node, Index i) {
+    INLINE void impose(Node<Vector>& node, Index i) {
         if (kinds[i] == FREE) return;
         node.u = values[i].u;
         if (kinds[i] == CLAMPED) node.slope = values[i].slope;
@@ -554,8 +641,8 @@ struct Insertion {
 
     // Guess that the shape stays as it is, and goes straight on beyond its ends.
     void extend_straight() {
-        const Node<Real>* now = state();
-        Node<Real>* next = states[1 - progress->now];
+        const Node<Vector>* now = state();
+        Node<Vector>* next = states[1 - progress->now];
         Index count = progress->nodes;
         for (Index i = 0; i <= last; i++) {
             double x = grid->x[i];
@@ -567,7 +654,7 @@ struct Insertion {
             } else {
                 Index e = count_below(nodes, count, x) - 1;
                 Hermite<double> shape(x - nodes[e], nodes[e + 1] - nodes[e]);
-                const Node<Real>&a = now[e], &b = now[e + 1];
+                const Node<Vector>&a = now[e], &b = now[e + 1];
                 const double *n = shape.n, *m = shape.m;
                 next[i] = {
                     n[0] * a.u + n[1] * a.slope + n[2] * b.u + n[3] * b.slope,
@@ -580,42 +667,51 @@ struct Insertion {
     // Find the equilibrium from the guess in `next`, all elements linearised in every pass, in the chosen lanes.
     template <bool Friction>
     void equilibrate(const M& chosen) {
-        Node<Real>* next = states[1 - progress->now];
+        Node<Vector>* next = states[1 - progress->now];
         Index size = front + last + 1;
-        auto node_at = [&](Index i) -> Node<Real>& { return i < front ? fronts[i] : next[i - front]; };
+        auto node_at = [&](Index i) -> Node<Vector>& { return i < front ? fronts[i] : next[i - front]; };
         for (Index i = 0; i < size; i++) {
-            Node<Real>& node = node_at(i);
-            Node<Real> held = node;
+            Node<Vector>& node = node_at(i);
+            Node<Vector> held = node;
             impose(held, i);
-            replace_chosen<Node<Real>, Real>(node, held, chosen);
+            replace_chosen<Node<Vector>, Real>(node, held, chosen);
             good[i] = node;
         }
         M busy = chosen, borne{}, compressed{};
         Real before = all_lanes<Real>(__builtin_inf()), ended = all_lanes<Real>(NOT_CONVERGED);
         for (Index n = 0; n < problem.max_iterations && any(busy); n++) {
             Seen<Real> seen;
-            sweep<Friction>(next, 0, seen);
+            bool coupled_pass = P == 2 && (Friction || n >= SHARED_PASSES);
+            if (!coupled_pass)
+                sweep<Friction>(next, 0, seen);
+            else if constexpr (P == 2)
+                sweep_coupled(next, seen, [](Index, const CoupledReaction<Real>&) {});
             // A guess may lie beyond what the tissue bears, and the answer not: go on. Later, go half the way back to
             // the last state that some tissue bore.
             M back = seen.crushed & borne, onward = busy & !seen.crushed;
             Real change{};
-            substitute_back(0, [&](Index i, const Node<Real>& solved) {
-                Node<Real>&node = node_at(i), &kept = good[i];
-                Real step = absolute(solved.u - node.u), turn = absolute(solved.slope - node.slope);
+            auto put = [&](Index i, const Node<Vector>& solved) {
+                Node<Vector>&node = node_at(i), &kept = good[i];
+                Real step = bound_size(solved.u - node.u), turn = bound_size(solved.slope - node.slope);
                 step = select<Real>(turn <= step, step, turn);
                 change = select<Real>(step <= change, change, step);
-                Node<Real> found{
-                    select<Real>(back, 0.5 * (node.u + kept.u), solved.u),
-                    select<Real>(back, 0.5 * (node.slope + kept.slope), solved.slope)
+                Node<Vector> found{
+                    select<Vector>(back, 0.5 * (node.u + kept.u), solved.u),
+                    select<Vector>(back, 0.5 * (node.slope + kept.slope), solved.slope)
                 };
-                replace_chosen<Node<Real>, Real>(kept, node, onward);
-                replace_chosen<Node<Real>, Real>(node, found, busy);
-            });
+                replace_chosen<Node<Vector>, Real>(kept, node, onward);
+                replace_chosen<Node<Vector>, Real>(node, found, busy);
+            };
+            if (!coupled_pass)
+                substitute_back(0, put);
+            else if constexpr (P == 2)
+                substitute_back_coupled(put);
             *passes = select<Real>(busy, *passes + 1.0, *passes);
             borne = borne | !seen.crushed, compressed = compressed | back;
             Real ahead = Friction ? change : select<Real>(seen.exact, change, constants->curvature * change * change);
+            if (P == 2 && !coupled_pass) ahead += SKEW_ERROR * seen.skew * change;
             M done = (change < problem.tolerance) | (ahead < problem.tolerance);
-            done = done | ((change < ROUNDING_MM) & (change > 0.5 * before));
+            if (P == 1 || coupled_pass) done = done | ((change < ROUNDING_MM) & (change > 0.5 * before));
             M lost = busy & !back & !(change < 1e300);
             done = onward & done & !lost;
             ended = select<Real>(lost, all_lanes<Real>(NON_FINITE), ended);
@@ -647,14 +743,14 @@ struct Insertion {
         if (quick && any(alive)) failed = equilibrate_quickly(alive);
         failed = failed & alive;
         if (any(failed)) {
-            Node<Real>* next = states[1 - progress->now];
+            Node<Vector>* next = states[1 - progress->now];
             if (any(alive & !failed)) {  // the others keep what they have found
                 for (Index i = 0; i <= last; i++) good[i] = next[i];
                 extend_straight();
                 for (Index i = 0; i <= last; i++) {
-                    Node<Real> guess = next[i];
+                    Node<Vector> guess = next[i];
                     next[i] = good[i];
-                    replace_chosen<Node<Real>, Real>(next[i], guess, failed);
+                    replace_chosen<Node<Vector>, Real>(next[i], guess, failed);
                 }
             } else
                 extend_straight();
@@ -669,7 +765,7 @@ struct Insertion {
 
     // Note where the tip stands.
     void record(const Stop& stop) {
-        replace_chosen<Node<Real>, Real>(track[stop.cell], state()[last], *status == 0.0);
+        replace_chosen<Node<Vector>, Real>(track[stop.cell], state()[last], *status == 0.0);
         *cut = stop.cell > 0 ? y[stop.cell] : track[stop.cell].u;
     }
 

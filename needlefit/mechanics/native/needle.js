@@ -117,6 +117,7 @@ function pack(model, inputs, values, more) {
     ...packInputs(inputs, model, values),
   };
   const fields = {
+    planes: 1,
     sets,
     layers,
     shapes: 1,
@@ -451,7 +452,7 @@ function findPositions(heap, nodes, [x, u, slope], s) {
   return heap.borrow(() => {
     const out = heap.take(16 * s.length),
       memory = heap.take(48 * (nodes + 2) * Number(heap.call.nf_lanes()));
-    heap.call.nf_positions(1n, BigInt(nodes), BigInt(s.length), x, u, slope, heap.put(s), memory, out);
+    heap.call.nf_positions(1n, 1n, BigInt(nodes), BigInt(s.length), x, u, slope, heap.put(s), memory, out);
     return heap.floats(out, 2 * s.length).slice();
   });
 }

@@ -6,15 +6,16 @@
 // interface, so base, guides and the cells near the tip may change freely.
 #pragma once
 
-#include "beam.hpp"
+#include "coupled.hpp"
 
 namespace needlefit {
 
 // One node of the past, eliminated: u = z - G u_next - H u_0.
-template <class Real>
+template <class Vector>
 struct PastNode {
-    Real g00, g01, g10, g11, h00, h01, h10, h11, i00, i01, i11, z0, z1;
-    Real reference;  // its deflection when the element that ends there was linearised
+    Scalar<Vector> g00, g01, g10, g11, h00, h01, h10, h11, i00, i01, i11;
+    Vector z0, z1;
+    Vector reference;  // its deflection when the element that ends there was linearised
 };
 
 // `kept` where a lane is not chosen.
@@ -29,8 +30,9 @@ INLINE void replace_chosen(T& kept, const T& found, const Mask<Real>& chosen) {
 // Append an element of length h to the super-element, of length `span` so far, and eliminate its first node, the
 // interface so far. The super-element is written as an element is, for (d, b): node 0 relative to the interface, and the
 // interface. For the new interface, d changes by T d_i, where T belongs to `span` and d_i is the old one's own.
-template <class Real>
-INLINE void append(Element<Real>& super, const Element<Real>& k, double span, double h, PastNode<Real>& node) {
+template <class Vector>
+INLINE void append(Element<Vector>& super, const Element<Vector>& k, double span, double h, PastNode<Vector>& node) {
+    using Real = Scalar<Vector>;
     // W couples node 0 to d_i, V couples d_i to the old interface; s = V - W^T T is the stiffness of d_i.
     Real w00 = super.k02 - super.k00, w01 = super.k03 - (super.k01 - span * super.k00);
     Real w10 = super.k12 - super.k01, w11 = super.k13 - (super.k11 - span * super.k01);
@@ -49,7 +51,7 @@ INLINE void append(Element<Real>& super, const Element<Real>& k, double span, do
     Real e00 = k.k02 - k.k00, e01 = k.k03 - (k.k01 - h * k.k00), e10 = k.k12 - k.k01, e11 = k.k13 - (k.k11 - h * k.k01);
     node.g00 = i00 * e00 + i01 * e10, node.g01 = i00 * e01 + i01 * e11;  // as in `eliminate`, for the nodes themselves
     node.g10 = i01 * e00 + i11 * e10, node.g11 = i01 * e01 + i11 * e11;
-    Real r0 = super.f[2] + k.f[0], r1 = super.f[3] + k.f[1];
+    Vector r0 = super.f[2] + k.f[0], r1 = super.f[3] + k.f[1];
     node.z0 = i00 * r0 + i01 * r1, node.z1 = i01 * r0 + i11 * r1;
     super.f[0] -= h00 * r0 + h10 * r1, super.f[1] -= h01 * r0 + h11 * r1;
     super.f[2] = k.f[2] - (node.g00 * r0 + node.g10 * r1), super.f[3] = k.f[3] - (node.g01 * r0 + node.g11 * r1);
@@ -62,17 +64,19 @@ INLINE void append(Element<Real>& super, const Element<Real>& k, double span, do
 }
 
 // The same of the right-hand side alone: `total` of the super-element so far, `f` of the element.
-template <class Real>
-INLINE void append_load(Real* total, const Real* f, PastNode<Real>& node, const Chosen<Real>& chosen) {
-    Real r0 = total[2] + f[0], r1 = total[3] + f[1];
+template <class Vector>
+INLINE void append_load(
+    Vector* total, const Vector* f, PastNode<Vector>& node, const Chosen<Scalar<Vector>>& chosen
+) {
+    Vector r0 = total[2] + f[0], r1 = total[3] + f[1];
     node.z0 = chosen(node.i00 * r0 + node.i01 * r1, node.z0);
     node.z1 = chosen(node.i01 * r0 + node.i11 * r1, node.z1);
     total[0] -= node.h00 * r0 + node.h10 * r1, total[1] -= node.h01 * r0 + node.h11 * r1;
     total[2] = f[2] - node.g00 * r0 - node.g10 * r1, total[3] = f[3] - node.g01 * r0 - node.g11 * r1;
 }
 
-template <class Real>
-INLINE Node<Real> substitute(const PastNode<Real>& node, const Node<Real>& next, const Node<Real>& first) {
+template <class Vector>
+INLINE Node<Vector> substitute(const PastNode<Vector>& node, const Node<Vector>& next, const Node<Vector>& first) {
     return {
         // grouped so that only one product and two sums wait for the next node
         (node.z0 - (node.h00 * first.u + node.h01 * first.slope)) - (node.g00 * next.u + node.g01 * next.slope),

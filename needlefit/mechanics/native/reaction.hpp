@@ -43,6 +43,7 @@ struct Layer {
 template <class Real>
 struct Seen {
     Mask<Real> crushed{}, exact{};
+    Real skew{};  // of a needle in space: a bound of the share by which tangents differ from those that are used
 };
 
 constexpr double MAX_FACTORED_COMPRESSION = 0.5;  // where tissue is crushed, it resists as at this d, linearly
@@ -96,15 +97,26 @@ INLINE Real evaluate_by_shape(const Layer<Real>& layer, const Real* series, cons
 // ---- the force ------------------------------------------------------------------------------------------------------
 
 // sin^2(atan u').
-template <class Real>
-INLINE Real rise(const Real& slope) {
-    return slope * slope / (1.0 + slope * slope);
+template <class Vector>
+INLINE Scalar<Vector> rise(const Vector& slope) {
+    return dot(slope, slope) / (1.0 + dot(slope, slope));
 }
 
 // k e g, N/mm, and its derivatives by e and by u'.
 template <class Real>
 struct Force {
     Real value, by_e, by_slope;
+};
+
+// The same in space. By e the force has the derivative g d(k e)/de along e, and g k across it. The mean of the two is
+// that along any direction, to within a small share: so one matrix serves both planes.
+template <class Real>
+struct Force<Pair<Real>> {
+    Pair<Real> value;
+    Real by_e, along, across;
+    Pair<Real> direction;  // of e
+    Pair<Real> friction;   // dg / du', along both slopes; to be multiplied by k e, which is `plain`
+    Pair<Real> plain;
 };
 
 // The force at a point of the shaft; without friction `slope` is null.
@@ -119,16 +131,52 @@ INLINE Force<Real> find_force(const Layer<Real>& layer, const Real& e, const Rea
     }
     return found;
 }
-// Its derivative by mu is the force over mu. By gamma and by a shape parameter, whose polynomial is `series`:
 template <class Real>
-INLINE Real find_force_by_friction(const Layer<Real>& layer, const Real& force, const Real& slope) {
+INLINE Force<Pair<Real>> find_force(
+    const Layer<Real>& layer, const Pair<Real>& e, const Pair<Real>* slope, Seen<Real>& seen
+) {
+    Real size = square_root(dot(e, e));
+    Modulus<Real> k = evaluate_modulus(layer, size, seen);
+    Force<Pair<Real>> found{k.value * e, 0.5 * (k.value + k.slope), k.slope, k.value, e, {}, k.value * e};
+    // k' |e| is at most half of |e| times the second derivative of k e.
+    seen.skew = greater_of(0.25 * layer.curvature * size, seen.skew);
+    found.direction = e / select<Real>(size > 0.0, size, all_lanes<Real>(1.0));
+    if (slope) {
+        Real g = 1.0 - layer.friction * rise(*slope), more = 1.0 + dot(*slope, *slope);
+        found.friction = *slope * (-2.0 * layer.friction / (more * more));
+        found.value = found.value * g, found.by_e = found.by_e * g;
+        found.along = found.along * g, found.across = found.across * g;
+    }
+    return found;
+}
+
+// The force, and its derivative by whatever changes e and u' so.
+template <class Vector>
+INLINE Vector differentiate_force(
+    const Layer<Scalar<Vector>>& layer, const Vector& e, const Vector& slope, const Vector& e_by, const Vector& slope_by,
+    Vector& force
+) {
+    Seen<Scalar<Vector>> ignored;
+    Force<Vector> at = find_force(layer, e, &slope, ignored);
+    force = at.value;
+    if constexpr (Traits<Vector>::planes == 2) {
+        Vector along = at.direction * ((at.along - at.across) * dot(at.direction, e_by));
+        return at.across * e_by + along + at.plain * dot(at.friction, slope_by);
+    } else {
+        return at.by_e * e_by + at.by_slope * slope_by;
+    }
+}
+// Its derivative by mu is the force over mu. By gamma and by a shape parameter, whose polynomial is `series`:
+template <class Vector>
+INLINE Vector find_force_by_friction(const Layer<Scalar<Vector>>& layer, const Vector& force, const Vector& slope) {
     return -force * rise(slope) / (1.0 - layer.friction * rise(slope));
 }
-template <class Real>
-INLINE Real find_force_by_shape(
-    const Layer<Real>& layer, const Real* series, const double* const* by, const Real& e, const Real* slope
+template <class Vector>
+INLINE Vector find_force_by_shape(
+    const Layer<Scalar<Vector>>& layer, const Scalar<Vector>* series, const double* const* by, const Vector& e,
+    const Vector* slope
 ) {
-    Real found = evaluate_by_shape(layer, series, by, absolute(e)) * e;
+    Vector found = evaluate_by_shape(layer, series, by, length_of(e)) * e;
     return slope ? found * (1.0 - layer.friction * rise(*slope)) : found;
 }
 

@@ -20,12 +20,30 @@ struct LanesOf<1> {
     typedef double Vector;
 };
 
-// What belongs to a kind of number: how many lanes it has, and the type of a comparison.
+// What a needle in space has along y and along z, and a planar one along y alone. Equations in which the two planes are
+// alike are templates of a `Vector`, a pair or a number.
+template <class Real>
+struct Pair {
+    Real y{}, z{};
+};
+
+// What belongs to a kind of number: how many lanes it has, the type of a comparison, its parts along y and z.
 template <class Real>
 struct Traits {
-    static constexpr int lanes = sizeof(Real) / sizeof(double);
+    static constexpr int lanes = sizeof(Real) / sizeof(double), planes = 1;
     using Mask = decltype(Real() < Real());
+    using Scalar = Real;
 };
+template <class Real>
+struct Traits<Pair<Real>> {
+    static constexpr int lanes = Traits<Real>::lanes, planes = 2;
+    using Mask = typename Traits<Real>::Mask;
+    using Scalar = Real;
+};
+template <class Vector>
+struct Traits<const Vector> : Traits<Vector> {};
+template <class Vector>
+using Scalar = typename Traits<Vector>::Scalar;
 
 template <class Real>
 using Mask = typename Traits<Real>::Mask;
@@ -42,9 +60,12 @@ struct IntegersOf<double> {
 template <class Real>
 using Integers = typename IntegersOf<Real>::Type;
 
-template <class Real>
-INLINE Real all_lanes(double value) {
-    return Real() + value;  // -0.0 becomes 0.0
+template <class Vector>
+INLINE Vector all_lanes(double value) {
+    if constexpr (Traits<Vector>::planes == 2)
+        return {all_lanes<Scalar<Vector>>(value), all_lanes<Scalar<Vector>>(value)};
+    else
+        return Vector() + value;  // -0.0 becomes 0.0
 }
 
 INLINE double get_lane(double value, int) { return value; }
@@ -63,9 +84,14 @@ INLINE void set_lane(Real& number, int lane, double value) {
 
 // `chosen ? yes : no`, lane by lane; both have been computed.
 INLINE double select(bool chosen, double yes, double no) { return chosen ? yes : no; }
-template <class Real>
-INLINE Real select(const Mask<Real>& chosen, const Real& yes, const Real& no) {
-    return chosen ? yes : no;
+template <class Vector>
+INLINE Vector select(const Mask<Vector>& chosen, const Vector& yes, const Vector& no) {
+    if constexpr (Traits<Vector>::planes == 2)
+        return {
+            select<Scalar<Vector>>(chosen, yes.y, no.y), select<Scalar<Vector>>(chosen, yes.z, no.z)
+        };
+    else
+        return chosen ? yes : no;
 }
 
 INLINE bool any(int mask) { return mask != 0; }  // of `bool & bool`
@@ -82,8 +108,9 @@ struct Chosen {
     Mask<Real> lanes;
     bool all;
     INLINE explicit Chosen(const Mask<Real>& given) : lanes(given), all(!any(!given)) {}
-    INLINE Real operator()(const Real& found, const Real& kept) const {
-        return all ? found : select<Real>(lanes, found, kept);
+    template <class Vector>
+    INLINE Vector operator()(const Vector& found, const Vector& kept) const {
+        return all ? found : select<Vector>(lanes, found, kept);
     }
 };
 
@@ -100,6 +127,118 @@ INLINE double absolute(const double& value) {
 template <class Real>
 INLINE Real greater_of(const Real& value, const Real& other) {
     return select<Real>(value > other, value, other);
+}
+
+template <class Real>
+INLINE Real square_root(const Real& value) {
+#if __has_builtin(__builtin_elementwise_sqrt)
+    return __builtin_elementwise_sqrt(value);
+#else
+    Real found{};
+    for (int lane = 0; lane < Traits<Real>::lanes; lane++) set_lane(found, lane, __builtin_sqrt(get_lane(value, lane)));
+    return found;
+#endif
+}
+
+// ---- pairs ------------------------------------------------------------------------------------------------------------
+
+template <class Real>
+INLINE Pair<Real> operator+(const Pair<Real>& a, const Pair<Real>& b) {
+    return {a.y + b.y, a.z + b.z};
+}
+template <class Real>
+INLINE Pair<Real> operator-(const Pair<Real>& a, const Pair<Real>& b) {
+    return {a.y - b.y, a.z - b.z};
+}
+template <class Real>
+INLINE Pair<Real> operator-(const Pair<Real>& a) {
+    return {-a.y, -a.z};
+}
+template <class Real, class Number>
+INLINE auto operator*(const Number& by, const Pair<Real>& a) -> Pair<decltype(by * a.y)> {
+    return {by * a.y, by * a.z};
+}
+template <class Real, class Number>
+INLINE Pair<Real> operator*(const Pair<Real>& a, const Number& by) {
+    return {a.y * by, a.z * by};
+}
+template <class Real, class Number>
+INLINE Pair<Real> operator/(const Pair<Real>& a, const Number& by) {
+    return {a.y / by, a.z / by};
+}
+template <class Real>
+INLINE Pair<Real>& operator+=(Pair<Real>& a, const Pair<Real>& b) {
+    return a = a + b;
+}
+template <class Real>
+INLINE Pair<Real>& operator-=(Pair<Real>& a, const Pair<Real>& b) {
+    return a = a - b;
+}
+
+// The part along y (0) or z (1).
+template <class Vector>
+INLINE Scalar<Vector>& part(Vector& vector, int plane) {
+    if constexpr (Traits<Vector>::planes == 2)
+        return plane == 0 ? vector.y : vector.z;
+    else
+        return vector;
+}
+template <class Vector>
+INLINE const Scalar<Vector>& part(const Vector& vector, int plane) {
+    return part(const_cast<Vector&>(vector), plane);
+}
+
+template <class Vector>
+INLINE Scalar<Vector> dot(const Vector& a, const Vector& b) {
+    if constexpr (Traits<Vector>::planes == 2)
+        return a.y * b.y + a.z * b.z;
+    else
+        return a * b;
+}
+
+template <class Vector>
+INLINE Scalar<Vector> length_of(const Vector& vector) {
+    if constexpr (Traits<Vector>::planes == 2)
+        return square_root(dot(vector, vector));
+    else
+        return absolute(vector);
+}
+
+// A bound of the length of a vector, at most 1.42 times that; the length itself of a number.
+template <class Vector>
+INLINE Scalar<Vector> bound_size(const Vector& vector) {
+    if constexpr (Traits<Vector>::planes == 2)
+        return absolute(vector.y) + absolute(vector.z);
+    else
+        return absolute(vector);
+}
+
+// A symmetric matrix that takes vectors to vectors: in the plane a number.
+template <class Real>
+struct SymmetricMatrix {
+    Real yy, yz, zz;
+};
+template <class Vector>
+struct MatrixOf {
+    using Type = Vector;
+};
+template <class Real>
+struct MatrixOf<Pair<Real>> {
+    using Type = SymmetricMatrix<Real>;
+};
+template <class Vector>
+using Matrix = typename MatrixOf<Vector>::Type;
+template <class Real, class Number>
+INLINE SymmetricMatrix<Real> operator*(const Number& by, const SymmetricMatrix<Real>& a) {
+    return {by * a.yy, by * a.yz, by * a.zz};
+}
+template <class Real>
+INLINE SymmetricMatrix<Real> operator-(const SymmetricMatrix<Real>& a, const SymmetricMatrix<Real>& b) {
+    return {a.yy - b.yy, a.yz - b.yz, a.zz - b.zz};
+}
+template <class Real>
+INLINE Pair<Real> operator*(const SymmetricMatrix<Real>& a, const Pair<Real>& b) {
+    return {a.yy * b.y + a.yz * b.z, a.yz * b.y + a.zz * b.z};
 }
 
 INLINE bool is_finite(double value) { return value - value == 0.0; }

@@ -1,0 +1,370 @@
+"""A needle that leaves its plane: what must hold whatever the numbers, and known answers."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mechanics_cases import NEEDLE, RULES, assert_close, assert_derivatives, assert_same_bits, random_case
+from refusals import refusal
+from space_cases import assert_turned, list_planes, random_spatial_case, turn, turn_step
+
+from needlefit.errors import ModelError
+from needlefit.mechanics import reference
+from needlefit.mechanics.batch import (
+    DERIVATIVE_KINDS,
+    SPATIAL_DERIVATIVE_KINDS,
+    Batch,
+    compute_batch_positions,
+    differentiate_batch_positions,
+    linearize_batches,
+    linearize_steps,
+    simulate_batches,
+)
+from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
+from needlefit.mechanics.plan import Lattice, make_lattice
+from needlefit.mechanics.session import Session
+from needlefit.mechanics.shape import LIMITS, compute_positions
+from needlefit.mechanics.simulate import compute_loads, simulate_steps
+from needlefit.mechanics.tissue import Tissue
+from needlefit.mechanics.torsion import compute_roll_lag, find_roll, turn_tip
+
+FINE = 1e-11
+TISSUE = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[9.3])
+
+
+SOLVERS = pytest.mark.parametrize("solve", [simulate_steps, reference.simulate_steps])
+
+
+@SOLVERS
+@pytest.mark.parametrize("kind", RULES)
+@pytest.mark.parametrize("seed", range(3))
+def test_all_inputs_turned_about_x_give_the_needle_turned(seed: int, kind: str, solve) -> None:
+    needle, tissue, steps, rules, lattice = random_spatial_case(np.random.default_rng(seed), kind)
+    rules = replace(rules, tolerance=FINE)
+    turned = tuple(turn_step(step, 40.0) for step in steps)
+    one, other = (solve(needle, tissue, s, rules, lattice) for s in (steps, turned))
+    assert one.w is not None
+    assert_turned(other, one, 40.0, 2e-8)  # of short, stiff elements, rounding
+
+
+@SOLVERS
+@pytest.mark.parametrize("kind", RULES)
+@pytest.mark.parametrize("roll", [90.0, 180.0, 270.0, 33.0])
+def test_a_planar_insertion_that_is_rolled_is_the_planar_needle_rolled(roll: float, kind: str, solve) -> None:
+    needle, tissue, steps, rules, lattice = random_case(np.random.default_rng(int(roll)), kind)
+    rules = replace(rules, tolerance=FINE)
+    turned = tuple(turn_step(step, roll) for step in steps)
+    one, other = (solve(needle, tissue, s, rules, lattice) for s in (steps, turned))
+    assert one.w is None
+    assert_turned(other, one, roll, 2e-8)
+
+
+@SOLVERS
+def test_rolling_is_exact_in_a_common_needle(solve) -> None:
+    steps = Step(11.3, Bevel(0.085, roll_deg=10.0)), Step(24.3, Bevel(0.085, roll_deg=120.0))
+    one = solve(NEEDLE, TISSUE, steps, ModelOptions(tolerance=FINE))
+    turned = tuple(turn_step(step, 40.0) for step in steps)
+    other = solve(NEEDLE, TISSUE, turned, ModelOptions(tolerance=FINE))
+    assert_turned(other, one, 40.0, 1e-10)
+
+
+@pytest.mark.parametrize("kind", RULES)
+@pytest.mark.parametrize("seed", range(8))
+def test_kernel_equals_reference(seed: int, kind: str) -> None:
+    rng = np.random.default_rng(seed)
+    case = random_spatial_case(rng, kind, 5, 11.0) if seed % 2 else random_spatial_case(rng, kind, 0, 22.0)
+    found, expected = simulate_steps(*case), reference.simulate_steps(*case)
+    assert found.w is not None
+    assert_close(found, expected)
+    s = np.union1d(found.x, rng.uniform(found.x[0], found.depth, 20))
+    points = compute_positions(found, s)
+    atol = 1e-6 if found.validity.max_slope < 0.3 else 1e-4  # five points in each free span
+    np.testing.assert_allclose(points, reference.compute_positions(expected, s), atol=atol)
+    assert (found.tip_lateral, found.tip_z) == pytest.approx(points[-1, 1:], abs=1e-12)
+
+
+@pytest.mark.parametrize("thickness", [0.4, 1.0, 5.0])
+def test_strongly_compressed_tissue_is_the_reference_too(thickness: float) -> None:
+    tissue = Tissue(mu=[0.05], alpha=[8.0], thickness=[thickness])
+    steps = (Step(12.0, Bevel(0.02, roll_deg=70.0), Controls(0.1 * thickness, base_z=-0.2 * thickness)),)
+    fast, slow = (solve(NEEDLE, tissue, steps) for solve in (simulate_steps, reference.simulate_steps))
+    assert_close(fast, slow)
+    assert fast.validity.compression > 0.05
+
+
+def test_a_short_tolerance_leaves_no_more_than_in_the_plane() -> None:
+    tissue = Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=[20, 28, 45])
+    steps = Step(25.0, Bevel(0.085)), Step(55.0, Bevel(0.085, roll_deg=90.0))
+    found, exact = (
+        simulate_steps(NEEDLE, tissue, steps, ModelOptions(tolerance=tolerance))
+        for tolerance in (1e-7, 1e-11)
+    )
+    assert_close(found, exact)
+    assert found.iterations < 1.4 * 55
+
+
+# ---- derivatives, sets side by side, sessions
+
+
+@pytest.mark.parametrize("kind", RULES)
+@pytest.mark.parametrize("seed", range(4))
+def test_derivatives_are_those_of_complex_steps(seed: int, kind: str) -> None:
+    """Of needles in space, and by what moves a planar one out of its plane."""
+    draw = random_spatial_case if seed % 2 else random_case
+    needle, tissue, steps, rules, lattice = draw(np.random.default_rng(seed), kind, 3, 9.0)
+    rules = replace(rules, tolerance=FINE)
+    unused = "offset" if kind == "path_angle" else "cut_angle"
+    wrt = [one for one in (*DERIVATIVE_KINDS, *SPATIAL_DERIVATIVE_KINDS) if one != unused]
+    shape, found = linearize_steps(needle, tissue, steps, rules, lattice, wrt=wrt)
+    assert shape.converged and {"roll", "base_z"} <= set(found.names)
+    assert_derivatives(found, needle, tissue, steps, rules, lattice)
+
+
+def random_spatial_batch(rng: np.random.Generator, kind: str) -> Batch:
+    """Return sets of a needle in space: with guides in the tissue or friction now and then, as lanes have."""
+    needle, tissue, steps, rules, _ = random_spatial_case(rng, kind, int(rng.integers(0, 3)), 11.0)
+    strength = "cut_angle" if rules.path_angle else "offset"
+    values = {strength: rng.uniform(0, 0.2, 11), "base_y": rng.uniform(-0.3, 0.3, 11)}
+    return Batch(needle, tissue, steps, rules, mu=tissue.mu * rng.uniform(0.5, 2.0, (11, 1)), **values)
+
+
+@pytest.mark.parametrize("kind", RULES)
+@pytest.mark.parametrize("seed", range(3))
+def test_a_set_is_the_same_alone_and_in_lanes(seed: int, kind: str) -> None:
+    batch = random_spatial_batch(np.random.default_rng(seed), kind)
+    (shapes,) = simulate_batches([batch], 2)
+    wrt = ("mu", "roll", "base_z", "cut_angle" if kind == "path_angle" else "offset", "guides")
+    ((fine, jacobians),) = linearize_batches([batch], wrt)
+    s = np.array([-5.0, 0.0, 0.1])
+    by = differentiate_batch_positions(fine, jacobians, s)
+    assert by.shape == (11, 3, 3, len(jacobians.names))
+    points = compute_batch_positions(shapes, s)
+    for i in (0, 3, 10):
+        alone = simulate_steps(*batch.pick(i))
+        assert_same_bits(shapes[i], alone)
+        np.testing.assert_array_equal(points[i], compute_positions(alone, s))
+        shape, jacobian = linearize_steps(*batch.pick(i), wrt=wrt)
+        assert_same_bits(fine[i], shape)
+        assert_same_bits(jacobians[i], jacobian)
+
+
+def test_derivatives_of_points_are_those_of_the_points() -> None:
+    steps = Step(8.3, Bevel(0.2)), Step(17.3, Bevel(0.2, roll_deg=80.0))
+    values = 0.2 + 1e-4 * np.array([-1.0, 0.0, 1.0])
+    batch = Batch(NEEDLE, TISSUE, steps, ModelOptions(tolerance=FINE), offset=values)
+    ((shapes, jacobians),) = linearize_batches([batch], ("offset",))
+    s = np.linspace(-3.0, 17.3, 7)
+    points = compute_batch_positions(shapes, s)
+    found = differentiate_batch_positions(shapes, jacobians, s)[1, ..., 0]
+    np.testing.assert_allclose(found, (points[2] - points[0]) / 2e-4, atol=1e-6)
+    assert np.abs(found[-1]).min() > 1e-3
+
+
+@pytest.mark.parametrize("kind", RULES)
+@pytest.mark.parametrize("seed", range(4))
+def test_a_session_finds_the_bits_of_simulate_steps(seed: int, kind: str) -> None:
+    needle, tissue, steps, rules, lattice = random_spatial_case(np.random.default_rng(seed), kind)
+    lattice = lattice or make_lattice(steps, rules)
+    session = Session(needle, tissue, steps[0].bevel, lattice.first_cell, steps[0].controls, rules)
+    for step in steps:
+        shape = session.go(step)
+    expected = simulate_steps(needle, tissue, steps, rules, lattice)
+    assert_same_bits(shape, expected, but=("iterations",))
+    again = session.copy()
+    assert_same_bits(again.step(1.0), session.step(1.0))
+
+
+def test_a_session_that_leaves_its_plane_is_that_in_space() -> None:
+    steps = Step(6.2, Bevel(0.1)), Step(3.1, Bevel(0.1)), Step(12.4, Bevel(0.1, roll_deg=90.0))
+    session = Session(NEEDLE, TISSUE, steps[0].bevel, 1.0)
+    assert session.go(steps[0]).w is None
+    for step in steps[1:]:
+        shape = session.go(step)
+    expected = simulate_steps(NEEDLE, TISSUE, steps, lattice=Lattice(1.0, 1.0))
+    assert_close(shape, expected, 1e-7)
+    path = session.input_path()
+    assert_close(simulate_steps(NEEDLE, TISSUE, path, lattice=session.lattice), expected, 1e-7)
+
+
+def test_sub_steps_and_a_way_back_change_nothing() -> None:
+    turned = Bevel(0.1, roll_deg=75.0)
+    lattice = Lattice(1.0, 1.0)
+    whole = simulate_steps(NEEDLE, TISSUE, [Step(5.0, Bevel(0.1)), Step(12.0, turned)], lattice=lattice)
+    parts = [Step(5.0, Bevel(0.1)), *(Step(5.0 + 0.35 * n, turned) for n in range(1, 20)), Step(12.0, turned)]
+    assert_close(simulate_steps(NEEDLE, TISSUE, parts, lattice=lattice), whole)
+    back = [Step(5.0, Bevel(0.1)), Step(11.0, turned), Step(10.999, turned), Step(12.0, turned)]
+    assert_close(simulate_steps(NEEDLE, TISSUE, back, lattice=lattice), whole)
+    again = [
+        Step(5.0, Bevel(0.1)),
+        Step(9.0, Bevel(0.1, roll_deg=200.0)),
+        Step(5.0, turned),
+        Step(12.0, turned),
+    ]
+    found = simulate_steps(NEEDLE, TISSUE, again, lattice=lattice)
+    assert_close(found, reference.simulate_steps(NEEDLE, TISSUE, again, lattice=lattice))
+
+
+def test_a_twisted_session_follows_the_hub_as_the_steps_do() -> None:
+    steps = (
+        Step(15.0, Bevel(0.1)),
+        Step(25.0, Bevel(0.1, -1)),
+        Step(9.5, Bevel(0.1, -1)),
+        Step(20.0, Bevel(0.1)),
+    )
+    session = Session(NEEDLE, TWISTED, steps[0].bevel, 1.0)
+    for step in steps:
+        shape = session.go(step)
+    expected = simulate_steps(NEEDLE, TWISTED, steps, lattice=Lattice(1.0, 1.0))
+    assert_same_bits(shape, expected, but=("iterations",))
+    assert_close(shape, reference.simulate_steps(NEEDLE, TWISTED, steps, lattice=Lattice(1.0, 1.0)))
+    refusal(ModelError, "torsional friction", session.input_path)
+
+
+def test_sets_of_several_rigidities_are_refused_with_torsional_friction() -> None:
+    steps = Step(15.0, Bevel(0.1)), Step(25.0, Bevel(0.1, -1))
+    refusal(ModelError, "torsional friction", lambda: Batch(NEEDLE, TWISTED, steps, rigidity=np.ones(2)))
+    refusal(
+        ModelError, "torsional friction", lambda: linearize_steps(NEEDLE, TWISTED, steps, wrt=("rigidity",))
+    )
+
+
+# ---- forces, validity, and a helix
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_all_forces_balance_along_z_too(seed: int) -> None:
+    needle, tissue, steps, rules, lattice = random_spatial_case(np.random.default_rng(seed))
+    shape = simulate_steps(needle, tissue, steps, replace(rules, tolerance=FINE), lattice)
+    loads = compute_loads(shape, tissue, needle, steps[-1].controls, rules)
+    every = (loads.tissue, loads.base, *loads.guides, loads.tip)
+    for force, moment in (("force", "moment"), ("force_z", "moment_z")):
+        forces = [getattr(one, force) for one in every]
+        moments = [getattr(one, moment) + one.x * getattr(one, force) for one in every]
+        for parts in (forces, moments):
+            assert abs(sum(parts)) < 1e-5 * np.sum(np.abs(parts)) and np.sum(np.abs(parts)) > 0
+
+
+def test_validity_and_forces_do_not_depend_on_the_roll() -> None:
+    tissue = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[9.3], thickness=[5.0, 5.0])
+    steps = Step(9.0, Bevel(0.3)), Step(21.0, Bevel(0.3, -1))
+    turned = tuple(turn_step(step, 60.0) for step in steps)
+    one, other = (simulate_steps(NEEDLE, tissue, s, ModelOptions(tolerance=FINE)) for s in (steps, turned))
+    for name, _, _ in LIMITS:
+        assert getattr(other.validity, name) == pytest.approx(getattr(one.validity, name), rel=2e-3), name
+    first, second = (compute_loads(s, tissue, NEEDLE, Controls()) for s in (one, other))
+    assert (second.base.force, second.base.force_z) == pytest.approx(
+        turn(first.base.force, 0.0, 60.0), rel=1e-6
+    )
+    assert (second.tip_region_force, second.tip_region_force_z) == pytest.approx(
+        turn(first.tip_region_force, 0.0, 60.0), rel=1e-6
+    )
+
+
+def test_a_needle_that_is_rolled_steadily_becomes_a_helix() -> None:
+    """Rolled by 10 degrees every millimetre: radius and pitch settle, over the last two turns."""
+    tissue = Tissue(mu=[20.0], alpha=[1.0])
+    steps = [Step(float(n), Bevel(0.3, roll_deg=10.0 * n)) for n in range(1, 151)]
+    needle = replace(NEEDLE, length=400.0)
+    shape = simulate_steps(needle, tissue, steps)
+    part = steps[:24]
+    assert_close(simulate_steps(needle, tissue, part), reference.simulate_steps(needle, tissue, part))
+    radii, pitches = [], []
+    for start in (60.0, 96.0):  # turns of 36 mm, around an axis that is not that of the entry
+        s = np.arange(start, start + 37.0)
+        points, angle = compute_positions(shape, s), 2 * np.pi * s / 36
+        basis = np.column_stack((np.ones(37), s, np.cos(angle), np.sin(angle)))
+        fitted, *_ = np.linalg.lstsq(basis, points[:, 1:], rcond=None)
+        radii.append(np.linalg.norm(fitted[2:]) / np.sqrt(2))
+        pitches.append(points[-1, 0] - points[0, 0])
+        np.testing.assert_allclose(points[:, 1:], basis @ fitted, atol=0.05 * radii[0])
+    assert radii[1] == pytest.approx(radii[0], rel=0.02) and radii[0] > 0.05
+    assert pitches[1] == pytest.approx(pitches[0], rel=0.02)
+
+
+def test_a_roll_of_180_degrees_is_the_other_side() -> None:
+    steps = Step(6.0, Bevel(0.1)), Step(12.5, Bevel(0.1, roll_deg=180.0))
+    flipped = Step(6.0, Bevel(0.1)), Step(12.5, Bevel(0.1, -1))
+    one, other = (reference.simulate_steps(NEEDLE, TISSUE, s) for s in (steps, flipped))
+    assert one.w is None and other.w is None
+    np.testing.assert_array_equal(one.u, other.u)
+
+
+@pytest.mark.parametrize("quarters", range(-5, 6))
+def test_quarter_turns_are_exact(quarters: int) -> None:
+    exact = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)][quarters % 4]
+    assert Bevel(0.1, roll_deg=90.0 * quarters).toward == exact
+    assert Bevel(0.1, -1, roll_deg=90.0 * quarters + 180.0).toward == exact
+    y, z = Bevel(0.1, roll_deg=90.0 * quarters + 30.0).toward
+    angle = math.radians(90.0 * quarters + 30.0)
+    assert (y, z) == pytest.approx((math.cos(angle), math.sin(angle)), abs=1e-15)
+
+
+def test_a_needle_turned_by_90_degrees_bends_to_y_and_then_to_z() -> None:
+    steps = Step(10.0, Bevel(0.1)), Step(20.0, Bevel(0.1, roll_deg=90.0))
+    shape = reference.simulate_steps(NEEDLE, TISSUE, steps)
+    before = reference.simulate_steps(NEEDLE, TISSUE, steps[:1])
+    assert shape.w is not None and before.w is None
+    y, z = list_planes(shape)["constraints"]
+    np.testing.assert_allclose(y[:11], before.constraints[:, 1], atol=1e-7)
+    np.testing.assert_array_equal(z[:11], 0.0)  # the cut before the turn stays in the plane
+    assert z[11] == pytest.approx(0.1, abs=1e-12)  # along the tangent, turned toward z
+    assert z[20] > 0.2 and y[20] > 0.2
+
+
+def test_points_in_space_keep_the_length() -> None:
+    steps = Step(20.0, Bevel(0.2)), Step(40.0, Bevel(0.2, roll_deg=90.0))
+    shape = reference.simulate_steps(NEEDLE, TISSUE, steps, ModelOptions(2.0, 2.0))
+    points = reference.compute_positions(shape, np.linspace(0.0, 40.0, 201))
+    assert points.shape == (201, 3)
+    length = np.sum(np.linalg.norm(np.diff(points, axis=0), axis=1))
+    assert length == pytest.approx(40.0, abs=1e-4)
+    assert points[-1, 2] > 0.1
+
+
+# ---- the roll lag
+
+FREE = Tissue(mu=[0.2], alpha=[1.0])
+TWISTED = Tissue(mu=[0.2], alpha=[1.0], torsional_friction=0.5)
+
+
+def test_the_tip_stays_behind_the_hub_by_the_lag() -> None:
+    """tau d / GJ (d / 2 + L - d), and a turn back moves it only beyond twice that."""
+    rigidity = NEEDLE.flexural_rigidity / 1.3
+    lag = math.degrees(0.5 * 20.0 / rigidity * (10.0 + 130.0))
+    assert compute_roll_lag(NEEDLE, TWISTED, 20.0) == pytest.approx(lag)
+    rolls = [0.0, 90.0, 80.0, 90.0 - 2 * lag - 5.0]
+    depths = [20.0, 30.0, 30.0, 40.0]
+    steps = [Step(d, Bevel(0.1, roll_deg=r)) for d, r in zip(depths, rolls, strict=True)]
+    found = [find_roll(step.bevel) for step in turn_tip(NEEDLE, TWISTED, steps)]
+    deeper = compute_roll_lag(NEEDLE, TWISTED, 30.0)
+    assert 5.0 < lag < deeper < 20.0
+    assert found == pytest.approx([0.0, 90.0 - lag, 90.0 - lag, rolls[3] + deeper])
+    untwisted = turn_tip(NEEDLE, TISSUE, steps)
+    assert [find_roll(step.bevel) for step in untwisted] == rolls
+
+
+def test_a_retraction_lets_the_tip_follow_and_sub_steps_change_nothing() -> None:
+    turned = Bevel(0.1, roll_deg=90.0)
+    back = [Step(30.0, Bevel(0.1)), Step(30.0, turned), Step(5.0, turned), Step(12.0, turned)]
+    small = [*back[:2], *(Step(30.0 - n, turned) for n in range(1, 26)), Step(8.5, turned), back[3]]
+    one, other = (turn_tip(NEEDLE, TWISTED, steps)[-1].bevel for steps in (back, small))
+    assert one == other
+    assert find_roll(one) == pytest.approx(90.0 - compute_roll_lag(NEEDLE, TWISTED, 5.0))
+    out = turn_tip(NEEDLE, TWISTED, [*back[:2], Step(0.0, turned)])[-1].bevel
+    assert out == turned
+
+
+def test_a_lagging_needle_leaves_its_plane_when_it_is_turned_over() -> None:
+    steps = Step(15.0, Bevel(0.1)), Step(25.0, Bevel(0.1, -1))
+    shape = reference.simulate_steps(NEEDLE, TWISTED, steps)
+    behind = Bevel(0.1, roll_deg=180.0 - compute_roll_lag(NEEDLE, TWISTED, 15.0))
+    expected = reference.simulate_steps(NEEDLE, FREE, (steps[0], Step(25.0, behind)))
+    assert shape.w is not None and expected.w is not None and abs(shape.w[-1]) > 0.01
+    np.testing.assert_allclose(shape.w, expected.w, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["base_z", "base_slope_z", "stage_slope_z"])
+def test_inputs_along_z_leave_the_plane(name: str) -> None:
+    assert Step(5.0, Bevel(0.1, -1), Controls(0.3, 0.1)).planar
+    assert not Step(5.0, Bevel(0.1, -1), Controls(**{name: 0.1})).planar
