@@ -177,8 +177,9 @@ def test_a_new_specimen_widens_the_band_and_one_insertion_narrows_it(job):
     found = planned(job, [theta(job)] * 400, new=True)
     others, once, same = found.specimens
     assert [one["specimen_treatment"] for one in found.specimens] == ["others", "one insertion", "same"]
-    assert others["between_sd_ln_mu"] == pytest.approx(np.log(2)) and others["other_specimens"] == 0
-    assert others["between_sd_ln_b"] == pytest.approx(np.log(1.8))
+    # the prior of the tip's spread makes those of moduli and bevel narrower
+    assert 0.5 * np.log(2) < others["between_sd_ln_mu"] < np.log(2) and others["other_specimens"] == 0
+    assert 0.5 * np.log(1.8) < others["between_sd_ln_b"] < np.log(1.8)
     widths = [one["tip_95_width_mm"] for one in (same, once, others)]
     assert widths[0] < widths[1] < 0.6 * widths[2]
     assert widths[2] == pytest.approx(np.ptp(interval(found.needle, 0.95), axis=0)[-1], rel=0.05)
@@ -216,8 +217,8 @@ def test_of_several_specimens_a_name_is_needed_and_their_mean_width_is_reported(
     ] == ["same"]
     *_, same = forecast(SCENE, known, None).specimens
     widths = [np.diff(np.quantile(each, [0.025, 0.975]))[0] for each in tips.values()]
-    assert same["tip_95_width_mm"] == pytest.approx(np.mean(widths), rel=0.15)
-    assert same["tip_95_width_mm"] > 1.3 * min(widths)
+    # what specimens share narrows the mean a little
+    assert 1.3 * min(widths) < same["tip_95_width_mm"] < np.mean(widths)
 
 
 @pytest.mark.usefixtures("few_draws")
