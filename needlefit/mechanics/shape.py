@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -17,9 +17,6 @@ from needlefit.arrays import Bools, Floats
 from needlefit.errors import ModelError
 from needlefit.mechanics import native
 from needlefit.mechanics.tissue import Tissue
-
-if TYPE_CHECKING:
-    from needlefit.mechanics.batch import NeedleShapes
 
 #: greatest slope |u'| for the assumption of small slopes: u' and its sine then differ by 1.5 %
 MAX_SLOPE = 0.3
@@ -93,7 +90,28 @@ def find_worst(solutions: Sequence[Validity]) -> Validity:
         return Validity(**{name: np.nanmax(values) for name, values in worst.items()})
 
 
-def compute_validity(solved: "NeedleShape | NeedleShapes") -> Validity:
+class Solution(Protocol):
+    """What the shape of a simulation and the shapes of a batch, with a leading axis, have in common."""
+
+    @property
+    def x(self) -> Floats: ...
+    @property
+    def u(self) -> Floats: ...
+    @property
+    def slope(self) -> Floats: ...
+    @property
+    def w(self) -> Floats | None: ...
+    @property
+    def slope_z(self) -> Floats | None: ...
+    @property
+    def constraints(self) -> Floats: ...
+    @property
+    def tip_track(self) -> Floats: ...
+    @property
+    def scales(self) -> Floats: ...
+
+
+def compute_validity(solved: Solution) -> Validity:
     """Return the validity of a solution, or of each solution of a batch."""
     x, scales, planes = solved.x, solved.scales, _pair_planes(solved)
     length, step = x[..., -1] - x[..., 0], np.diff(x, axis=-1)
@@ -113,7 +131,7 @@ def compute_validity(solved: "NeedleShape | NeedleShapes") -> Validity:
         )
 
 
-def _pair_planes(solved: "NeedleShape | NeedleShapes") -> list[tuple[Floats, Floats]]:
+def _pair_planes(solved: Solution) -> list[tuple[Floats, Floats]]:
     """Return deflection and slope along y and, of a needle in space, along z."""
     if solved.w is None or solved.slope_z is None:
         return [(solved.u, solved.slope)]
@@ -167,7 +185,7 @@ def _find_slopes(
 _GAUSS = ((0.5 - math.sqrt(0.15), 5 / 18), (0.5, 4 / 9), (0.5 + math.sqrt(0.15), 5 / 18))
 
 
-def _find_compression(solved: "NeedleShape | NeedleShapes") -> Floats:
+def _find_compression(solved: Solution) -> Floats:
     """Return the greatest distance of the needle from a constraint point, mm."""
     depths = solved.constraints[..., 0]
     nodes = solved.x.reshape(-1, solved.x.shape[-1])[0]  # all have theirs in the same order
@@ -285,7 +303,7 @@ def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
     return native.compute_positions(np.ascontiguousarray(shape.x)[None], u, slope, wanted)[0]
 
 
-def list_planes(solved: "NeedleShape | NeedleShapes") -> tuple[Floats, Floats]:
+def list_planes(solved: Solution) -> tuple[Floats, Floats]:
     """Return deflections and slopes; in space along y and z on a leading axis of two."""
     if solved.w is None or solved.slope_z is None:
         return solved.u, solved.slope
