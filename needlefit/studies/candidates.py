@@ -3,8 +3,7 @@
 Candidates are the other insertions of the dataset into the media that are tuned on, each as if it went into
 the specimen of the design, and a repeat of the deepest insertion of the design. The gain of a candidate is
 the mutual information of parameters and its data, by nested Monte Carlo over the posterior that the design
-would leave (`inference.identifiability.design_gain`). All candidates predict data for the same draws: their
-differences are better known than their values.
+would leave. All candidates predict data for the same draws: differences are better known than values.
 """
 
 import math

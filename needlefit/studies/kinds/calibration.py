@@ -71,7 +71,7 @@ from needlefit.studies.simulated_data import (
     draw_bevels,
     find_true_value,
     simulate_design,
-    simulate_measurements,
+    simulate_measurement,
 )
 from needlefit.studies.study_files import begin_run, prepare_target, prepare_with_held_out, target_name
 from needlefit.synthetic.build import build_dataset, build_unscanned
@@ -301,8 +301,12 @@ def simulate_experiment(job: Job, rng: np.random.Generator) -> tuple[Floats, Pro
         true = {NOISE_SCALE: everything.density.scale, **values}
         shared = draw_bevels(job.dataset, design.insertions, rng) if everything.bevels_differ else {}
         stated = job.recipe.likelihood
-        known = simulate_measurements(job.dataset, design.insertions, true, job.medium, rng, shared, stated)
-        if known is None:
+        made = [
+            simulate_measurement(job.dataset, one, true, job.medium, rng, shared, stated)
+            for one in design.insertions
+        ]
+        known = tuple(one for one in made if one is not None)
+        if len(known) < len(made):
             continue
         problem = replace(everything, insertions=known)
         if np.isfinite(problem.log_posterior(theta)):
