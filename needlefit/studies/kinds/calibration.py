@@ -85,8 +85,8 @@ from needlefit.synthetic.design import (
 CONTROLS: tuple[Control, ...] = get_args(Control)
 RANK_PREFIX = "rank_"  #: of the columns of ranks in the frame `replicates`
 
+#: by importance sampling, by MCMC, and of synthetic truths: about 20 minutes each on two cores
 DEFAULT_REPLICATES, DEFAULT_SAMPLED_REPLICATES, DEFAULT_SYNTHETIC_REPLICATES = 500, 100, 50
-"""By importance sampling, by MCMC, and of synthetic truths: about 20 minutes each on two cores."""
 
 
 class CalibrationRecord(TargetRecord):
@@ -322,8 +322,7 @@ def corrupt_problem(problem: Problem, control: Control | None, scale: float) -> 
 
     "sigma" understates the noise and does not estimate it, "pose" takes every pose as it was measured,
     "shuffled" confounds the shapes of the shallowest and the deepest insertion (of one alone, and of the
-    deepest tip track, the side of its bevel). "prior" leaves the problem as it is, for there nothing is
-    inferred at all.
+    deepest tip track, the side of its bevel).
     """
     if control == "sigma":
         understated = UNDERSTATED_SD_FACTOR * scale
@@ -507,9 +506,7 @@ def run(name: str, record: CalibrationRecord, settings: Settings) -> Run:
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work, settings.note)
     tasks = {f"replicate {number}": partial(task, number) for number in range(record.replicates)}
     parts = run_tasks(tasks, job.name, settings, checkpoint)
-    (fold,) = job.folds
-    design = pd.DataFrame({"insertion": [i.id for i in fold.tune], "depth_mm": [i.depth for i in fold.tune]})
-    frames = {"design": design, **_make_frames(join_rows(parts), synthetic)}
+    frames = _make_frames(join_rows(parts), synthetic)
     outcome = judge_ranks(frames, record.control) if parts else {}
     return replace(
         about,
@@ -517,7 +514,7 @@ def run(name: str, record: CalibrationRecord, settings: Settings) -> Run:
         origin="synthetic" if synthetic else about.origin,
         run={**work, **outcome},
         interrupted=len(parts) < record.replicates,
-        faults=tuple(find_calibration_faults(outcome)) if parts else (),
+        faults=tuple(list_faults(outcome)) if parts else (),
     )
 
 
@@ -572,7 +569,7 @@ def judge_ranks(frames: Mapping[str, pd.DataFrame], control: str | None) -> dict
     return outcome
 
 
-def find_calibration_faults(outcome: Mapping[str, Any]) -> Iterator[Fault]:
+def list_faults(outcome: Mapping[str, Any]) -> Iterator[Fault]:
     """Yield what makes the outcome doubtful beside what the verdict states."""
     if outcome["untrusted"] and outcome["control"] is None:
         yield Fault(FaultKind.NOT_CONVERGED, f"{outcome['untrusted']} posteriors have not converged")

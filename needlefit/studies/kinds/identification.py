@@ -98,10 +98,8 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
     stated = {
         "place": place,
         "values": dict(problem.values(theta)),
-        "places_near": len(expectation.sds) - 1,
         "insertions": len(depths),
         "depths_mm": [min(depths), max(depths)],
-        "layers": "planned" if all(insertion.surfaces for insertion in fold.tune) else "stated",
     }
     frames = {
         "identify": pd.DataFrame(rows, columns=list(FRAMES["identify"])),

@@ -277,9 +277,9 @@ def _simulate_draws(
 
 
 def _measurement_sd(s: Floats, dataset: Dataset, scale: float) -> Floats:
-    """Return the deviation (K,) of a measured y about the needle's, mm; of a typical insertion.
+    """Return the SD (K,) of a measured y about the needle's, mm, of a typical insertion.
 
-    The scale of the noise is none of the pose.
+    `scale` is that of the noise, not of the pose.
     """
     noise = dataset.noise
     pose = np.array([pose_sds(one, noise) for one in dataset.insertions])  # (N, 3)
