@@ -171,7 +171,8 @@ def test_a_detected_control_exits_0_and_an_undetected_one_does_not(tmp_path, mon
     monkeypatch.chdir(tmp_path)
     assert run("calibrate", "study2", "--control", "prior", "--replicates", "15", "-q", "--json") == 0
     output = json.loads(capsys.readouterr().out)
-    assert output["not_calibrated"] == ["log_likelihood"] and output["draw_source"] == {"prior": 15}
+    assert output["verdicts"][0]["numbers"] == {"replicates": 15, "not_calibrated": "log_likelihood"}
+    assert {row["draw_source"] for row in output["replicates"]} == {"prior"}
     assert run("calibrate", "study2", "--control", "prior", "--replicates", "1", "-q") == 5  # too few
     assert "1 replicate" in capsys.readouterr().out
     assert json.loads(Path("reports/calibrate-study2-prior/run.json").read_text())["passes"] is False

@@ -1,7 +1,6 @@
 """Commands of single analyses: `tune --design`, `view`."""
 
 import json
-import re
 import signal
 import subprocess
 import sys
@@ -41,7 +40,6 @@ def designed(tmp_path_factory):
 def test_the_design_part_ranks_the_parameters_of_one_short_insertion(designed):
     folder, out = designed
     assert "1 insertion, 24 mm deep" in out and "study2" in out
-    assert re.search(r"alpha1 .* 0\.001 mm .* 40 mm", " ".join(out.split()))
     table = pd.read_csv(folder / "identify.csv").set_index("parameter")
     assert "yes" not in set(table["determined"])
     profiles = pd.read_csv(folder / "profiles.csv")
@@ -54,8 +52,6 @@ def test_the_design_part_ranks_the_parameters_of_one_short_insertion(designed):
     assert found.iloc[0]["sd"] < 0.15 and found.iloc[0]["sd_ratio"] < 0.15
     tied = found[found["combination"].str.contains(r"^mu1 \*.* mu3\^-1\b")].iloc[0]
     assert tied["sd"] < 0.15 and tied["sd_ratio"] > 0.9 and KNOWN_BY_PRIOR in tied["note"]
-    sentences = out[out.index("Design alone") :]
-    assert found.iloc[0]["combination"] in sentences and tied["combination"] not in sentences
     assert table.loc["bevel_spread", "sd_ratio"] == pytest.approx(1.0)
     assert json.loads((folder / "run.json").read_text())["values"]["mu1_pa"] == pytest.approx(5e4)
 

@@ -197,11 +197,11 @@ def test_simulated_runs_have_the_stated_noise_in_any_frame(project):
     job = with_one_bevel(prepare("moved", load_target("moved")[1], Settings()))
     squares, slopes = [], []
     for number in range(12):
-        one = simulate_experiment(job, np.random.default_rng(number))
-        values = one.problem.values(one.theta)
-        for white in one.problem.density.whitened_residuals([values], 1):
+        theta, problem = simulate_experiment(job, np.random.default_rng(number))
+        values = problem.values(theta)
+        for white in problem.density.whitened_residuals([values], 1):
             squares.append(np.mean(white**2) / values["noise_scale"] ** 2)
-        slopes += [np.polyfit(run.depths, run.tip, 1)[0] for run in one.problem.insertions]
+        slopes += [np.polyfit(run.depths, run.tip, 1)[0] for run in problem.insertions]
     assert np.mean(squares) == pytest.approx(1.0, abs=4 * np.sqrt(2 / (24 * (len(DEPTH) - 2))))
     assert np.std(slopes) > 0.05
 

@@ -16,7 +16,7 @@ from needlefit.inference.baseline_fit import fit_baseline, fit_baselines
 from needlefit.inference.compared_points import compare_points
 from needlefit.inference.forward_model import predict
 from needlefit.inference.parameters import make_tissue
-from needlefit.inference.predict import PredictiveMixture, cdf, crps, interval, quantile
+from needlefit.inference.predict import PredictiveMixture, cdf, crps, interval, quantile, wilson_interval
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import MAX_TOLERANCE_MM
@@ -164,3 +164,8 @@ def test_the_real_stereo_shapes_give_the_known_baselines():
     assert errors["constant_curvature"] == pytest.approx(0.068, abs=0.005)
     assert errors["linear_curvature"] == pytest.approx(0.036, abs=0.005)
     assert math.isfinite(fits["straight"].rms)
+
+
+def test_the_interval_of_a_share_is_wilson_s():
+    """Of 10 trials 8: 0.490 to 0.943 (E. B. Wilson, 1927)."""
+    assert wilson_interval(0.8, 10) == pytest.approx((0.4902, 0.9433), abs=1e-4)

@@ -4,7 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from inference_cases import NEEDLE, insertion, measure, medium
 
@@ -20,7 +19,6 @@ from needlefit.studies.kinds.calibration import (
     CONTROLS,
     CalibrationRecord,
     Experiment,
-    add_intervals,
     is_inside_bounds,
     prepare_synthetic,
     replicate,
@@ -143,7 +141,7 @@ def test_depths_err_as_stated_and_the_noise_s_scale_is_drawn_too():
 @pytest.mark.sweep
 def test_a_replicate_is_its_number_s_and_a_control_s_needles_are_the_same():
     job = small_job()
-    thetas = [simulate_experiment(job, np.random.default_rng(4)).theta for _ in range(2)]
+    thetas = [simulate_experiment(job, np.random.default_rng(4))[0] for _ in range(2)]
     assert np.array_equal(*thetas)
     experiment = Experiment(job, {"mu1_pa": 0.3, "bevel_mm": 0.95})
     plain, wrong = (replicate(3, replace(experiment, control=c))["replicates"][0] for c in (None, "pose"))
@@ -187,12 +185,6 @@ def test_tips_of_one_replicate_count_as_one_trial():
         for key in [*keys, "count_low", "count_high"]:
             assert one[key].to_numpy(dtype=float) == pytest.approx(other[key].to_numpy(dtype=float))
     assert count_covered(np.array([[40, 0], [0, 40]]), 0.5) == 1.0
-
-
-def test_the_interval_of_a_share_is_wilson_s():
-    """Of 10 trials 8: 0.490 to 0.943 (E. B. Wilson, 1927)."""
-    (row,) = add_intervals(pd.DataFrame({"covered": [8], "replicates": [10]})).to_dict("records")
-    assert (row["share"], row["low"], row["high"]) == pytest.approx((0.8, 0.4902, 0.9433), abs=1e-4)
 
 
 def test_the_true_value_of_a_tied_modulus_is_that_of_its_own_layers():

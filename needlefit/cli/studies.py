@@ -204,7 +204,7 @@ def calibrate(
         screen.print_note(f"needlefit: {execution.folder(run.name)}: {sentence}")
     if wrong:
         raise typer.Exit(exit_codes.CALIBRATION_FAILED)
-    if any(run.faults for run in found):
+    if any(run.faults or not run.run["conclusive"] for run in found):
         raise typer.Exit(exit_codes.NOT_CONVERGED)
 
 
@@ -339,8 +339,4 @@ def predict(
             specimen=specimen,
         )
     show_runs(execution, [found], {"scene": scene, "written": str(execution.folder(name))})
-    if found.faults:
-        from needlefit.studies.kinds.prediction import describe_faults
-
-        screen.print_note(f"needlefit: {target_name}: {describe_faults(found)}")
-        raise typer.Exit(exit_codes.NOT_CONVERGED)
+    require_no_faults(f"{target_name}: {fault}" for fault in found.faults)

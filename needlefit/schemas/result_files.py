@@ -126,7 +126,7 @@ class FrameTable(_StoredTable):
 class FaultTable(BaseModel):
     """A fault of a stored result."""
 
-    kind: Literal["NOT_CONVERGED", "NOT_CERTIFIED", "INCOMPLETE", "UNVERIFIED", "NOT_CALIBRATED"]
+    kind: Literal["NOT_CONVERGED", "NOT_CERTIFIED", "INCOMPLETE", "UNVERIFIED"]
     what: str
 
 

@@ -39,7 +39,6 @@ class FaultKind(StrEnum):
     NOT_CERTIFIED = "NOT CERTIFIED"
     INCOMPLETE = "INCOMPLETE"
     UNVERIFIED = "NOT VERIFIED"
-    NOT_CALIBRATED = "NOT CALIBRATED"
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,7 @@
 Candidates are the other insertions of the dataset into the media that are tuned on, each as if it went into
 the specimen of the design, and a repeat of the deepest insertion of the design. The gain of a candidate is
 the mutual information of parameters and its data, by nested Monte Carlo over the posterior that the design
-would leave (`inference.identifiability.design_gain`). All candidates predict data for the same draws: their
-differences are better known than their values.
+would leave. All candidates predict data for the same draws: differences are better known than values.
 """
 
 import math
@@ -13,9 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Bools, Floats
 from needlefit.datasets.insertion import Insertion, TipTrack
 from needlefit.inference.identifiability.design_gain import PredictedData, nested_gain
 from needlefit.inference.identifiability.profile import minimize_squares
@@ -47,8 +45,7 @@ MIN_ESS = 10.0  #: with fewer draws left, in the median, a gain is rough
 
 def list_candidates(job: Job, fold: Fold) -> Iterator[tuple[str, Insertion]]:
     """Yield role and insertion: those that are not tuned on, by depth, then the deepest of those that are."""
-    tuned = {one.id for one in fold.tune}
-    media = {one.medium for one in fold.tune}
+    tuned, media = {one.id for one in fold.tune}, {one.medium for one in fold.tune}
     others = [one for one in job.dataset.insertions if one.medium in media and one.id not in tuned]
     others = [one for one in others if max(one.sequence) <= job.medium.layers]
     others.sort(key=lambda one: (one.depth, one.id))
@@ -65,8 +62,7 @@ def rank_candidates(
     `problem` has the measured shapes that the parameters `theta` (P,) predict for the design.
     """
     rng = random_stream(job.recipe.seed, job.name, "candidates")
-    mode = minimize_squares(problem, theta)
-    found = sample_about_modes(problem, [mode], rng, settings.jobs, (EFFORT,))
+    found = sample_about_modes(problem, [minimize_squares(problem, theta)], rng, settings.jobs, (EFFORT,))
     weights = np.exp(found.log_weights)
     order = np.argsort(weights, kind="stable")
     heavy = np.sort(order[np.cumsum(weights[order]) > DROPPED_WEIGHT])
@@ -90,7 +86,7 @@ def rank_candidates(
         (made,) = planned.insertions
         alone = replace(planned, centred_bevels=False)
         (white,) = alone.density.whitened_residuals(sets, settings.jobs)
-        solved: NDArray[np.bool_] = np.all(np.isfinite(white), axis=(1, 2))
+        solved: Bools = np.all(np.isfinite(white), axis=(1, 2))
         places = np.cumsum(solved) - 1  # new numbers of the draws that have a solution
         kept = [values for values, has in zip(sets, solved, strict=True) if has]
         data = PredictedData(

@@ -62,7 +62,7 @@ from needlefit.studies.fit_frames import COLUMNS, NEW_SPECIMEN
 from needlefit.studies.job import Fold, Job, Settings, group_insertions
 from needlefit.studies.planned_draws import (
     PlannedNeedles,
-    draw_conditions,
+    draw_depth_errors,
     scale_bevels,
     simulate_planned,
     vary_bevels,
@@ -519,9 +519,9 @@ class _Predictor:
         rng: np.random.Generator,
     ) -> PlannedNeedles:
         """Return the needles of sets of values at the observed points, each with depths of its own."""
-        conditions, s = draw_conditions(insertion, len(sets), rng), observation.nodes.s[0]
+        (deep, wrong), s = draw_depth_errors(insertion, len(sets), rng), observation.nodes.s[0]
         medium, needle = self.job.medium, self.job.dataset.needle
-        return simulate_planned(sets, medium, needle, insertion, s, conditions, self.jobs)
+        return simulate_planned(sets, medium, needle, insertion, s, deep, wrong, self.jobs)
 
     def _estimate_after_one(
         self,

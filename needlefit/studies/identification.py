@@ -22,7 +22,7 @@ from needlefit.inference.identifiability.identify import (
 )
 from needlefit.inference.identifiability.profile import DEVIANCE_95, LikelihoodProfile
 from needlefit.inference.parameter_changes import find_freed_bounds
-from needlefit.inference.parameters import Parameters, is_logarithmic, to_coordinate, to_value
+from needlefit.inference.parameters import Parameters, to_coordinate, to_value
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
@@ -51,12 +51,11 @@ def identify_parameters(
     loosened: Sequence[precision.Loosened] = (),
     together: Mapping[str, bool] | None = None,
 ) -> IdentificationRows:
-    """Return what profiles and standard deviations together say about every parameter.
+    """Judge every parameter by its profile and its posterior SD.
 
-    `sds`: standard deviations of the posterior as expected from the information, bounds and prior included.
-    `verdict`: of the fit; before one, a parameter counts as determined if its sd and its profile say so.
-    `loosened`: with assumptions loosened: it must stay so. `together`: before a fit, which parameters are
-    determined while all others are held.
+    `sds`: posterior SDs by the information, bounds and prior included. `verdict`: of the fit. Before one a
+    parameter is determined if its SD, its profile and `loosened` assumptions agree, and `together` are those
+    that are determined while all others are held.
     """
     held = verdict.together if verdict is not None else together or {}
     spread = np.linalg.inv(precision.prior_information(problem)) if problem.names else np.zeros((0, 0))
@@ -69,7 +68,11 @@ def identify_parameters(
         density = one.profile.density(one.bounds) if one.fixed_at is not None else None
         by_profile = 1 / math.hypot(1 / one.profile.sd, 1 / prior_sd) if density is None else density.sd
         sd = sds.get(one.name, by_profile)
-        judged = assess_parameter(one, (sd, prior_sd), _equal_starts_range(one, verdict))
+        equal = None  # between which coordinates equally good starts ended
+        if verdict is not None and verdict.equal_starts > 1 and one.name in verdict.spread_low:
+            low, high = verdict.spread_low[one.name], verdict.spread_high[one.name]
+            equal = (to_coordinate(one.name, low), to_coordinate(one.name, high))
+        judged = assess_parameter(one, (sd, prior_sd), equal)
         judgements[one.name] = judged
         condition = ""
         if verdict is None:
@@ -93,10 +96,7 @@ def identify_parameters(
 
 
 def _list_unmet(problem: Problem, known: Collection[str]) -> list[ParameterProfile]:
-    """Return the profiles of fixed shape parameters that are not `known`: no insertion meets their layers.
-
-    They are flat whatever is simulated.
-    """
+    """Return the flat profiles of fixed shape parameters in layers that no insertion meets."""
     law, parameters = problem.medium.law, problem.parameters
     met = {layer for insertion in problem.insertions for layer in insertion.sequence}
     layers = [layer for layer in range(1, problem.medium.layers + 1) if layer not in met]
@@ -115,10 +115,7 @@ def _list_unmet(problem: Problem, known: Collection[str]) -> list[ParameterProfi
 
 
 def reconcile_verdict(verdict: Identifiability, judgements: Mapping[str, Assessment]) -> Identifiability:
-    """Return the verdict without the parameters whose profiles contradict it.
-
-    Notes state that, and of determined parameters where profile and standard deviation differ.
-    """
+    """Return the verdict without the parameters whose profiles contradict it; notes state that."""
     denied = {n for n, one in judgements.items() if verdict.determined.get(n) and not one.determined}
     known = {n: found and n not in denied for n, found in verdict.determined.items()}
     notes = dict(verdict.notes)
@@ -129,14 +126,6 @@ def reconcile_verdict(verdict: Identifiability, judgements: Mapping[str, Assessm
         elif known.get(n) and one.agreement != AGREEMENT:
             notes[n] += f"; {one.agreement}"
     return replace(verdict, determined=known, notes=notes)
-
-
-def _equal_starts_range(one: ParameterProfile, verdict: Identifiability | None) -> tuple[float, float] | None:
-    """Return between which coordinates equally good starts ended, where there are several."""
-    if verdict is None or verdict.equal_starts < 2 or one.name not in verdict.spread_low:
-        return None
-    ends = verdict.spread_low[one.name], verdict.spread_high[one.name]
-    return (math.log(ends[0]), math.log(ends[1])) if is_logarithmic(one.name) else ends
 
 
 def _parameter_row(one: ParameterProfile, judged: Assessment, prior_sd: float, sd: float) -> Row:
@@ -188,15 +177,12 @@ def _profile_rows(parameters: Parameters, one: ParameterProfile) -> list[Row]:
     ]
 
 
-# ---- differences of two runs
+# ---- intervals
 
 
 @dataclass(frozen=True)
 class ParameterInterval:
-    """A 95 % interval, Pa or mm; `source` is "posterior" (sampled), "importance" or "profile".
-
-    A profile has no median, and no interval of draws by importance beside its own.
-    """
+    """A 95 % interval, Pa or mm; `source` is "posterior" (sampled), "importance" or "profile"."""
 
     low: float
     high: float
@@ -205,13 +191,9 @@ class ParameterInterval:
     importance_low: float = math.nan
     importance_high: float = math.nan
 
-    def width(self, name: str) -> float:
-        """Return the width of the coordinate: of ln for moduli and lengths."""
-        return interval_width(name, self.low, self.high)
-
     def is_narrow(self, name: str) -> bool:
         """Return whether it is no wider than a Gaussian one of the largest SD of a determined parameter."""
-        return self.width(name) < directions.widest_interval(name)
+        return interval_width(name, self.low, self.high) < directions.widest_interval(name)
 
     def scale(self, factor: float) -> "ParameterInterval":
         """Return the interval of a parameter that is exactly so many times as large."""
@@ -223,7 +205,7 @@ class ParameterInterval:
 
         Its median, else the value of `row`, is kept; the bounds of `row` stay the limits.
         """
-        own = self.width(name) / (2 * directions.NORMAL_95_HALF_WIDTH_SD)
+        own = interval_width(name, self.low, self.high) / (2 * directions.NORMAL_95_HALF_WIDTH_SD)
         wider = math.hypot(own, sd) / own if own > 0 else 1.0
         centre = to_coordinate(name, row["value"] if math.isnan(self.median) else self.median)
         low, high = (
@@ -250,10 +232,9 @@ _PERCENTILES = (2.5, 50, 97.5)
 def intervals_of_draws(
     parameters: Parameters, draws: Draws | None, importance: Draws | None, posterior: Posterior | None
 ) -> dict[str, ParameterInterval]:
-    """Return the intervals of all estimated parameters, if there are draws that represent the posterior.
+    """Return the intervals of all estimated parameters: of the posterior if it has converged, else of draws.
 
-    They are of the sampled posterior if it has converged, else of `draws`. Beside each stands that of the
-    draws by `importance`, if these are certified.
+    Beside each stands that of the draws by `importance`. Draws that are not certified have none.
     """
     before = _take_percentiles(parameters, importance)
     found, source = _take_percentiles(parameters, draws), "" if draws is None else draws.source
@@ -290,9 +271,8 @@ def list_differing_intervals(
 ) -> tuple[str, ...]:
     """Return the parameters whose intervals by both samplers differ by more than their Monte Carlo error.
 
-    Of n independent draws the quantile of p lies between their quantiles of p -+ z sqrt(p (1 - p) / n); of
-    either sampler these two of an end must not all lie on one side of the other's. None where either has not
-    converged, or is not certified.
+    Of n independent draws the quantile of p lies between their quantiles of p -+ z sqrt(p (1 - p) / n). None
+    where either has not converged, or is not certified.
     """
     if importance.certified is None or posterior.faults:
         return ()
@@ -323,18 +303,9 @@ def add_intervals(
 ) -> None:
     """Add the interval to the rows of one fold's fit and of its identifiability, and correct the verdicts.
 
-    Parameters
-    ----------
-    parameters, identification : sequence of rows
-        Of the frames "parameters", the fit's alone, and "identification".
-    sampled : mapping
-        By parameter, from `intervals_of_draws`.
-    ties : mapping
-        Exact ties: factor and source.
-    together : mapping
-        Whether a free parameter is determined while all others are held.
-    model_error : mapping
-        SD that an error of the model adds to each free parameter, of ln for moduli and lengths.
+    `sampled`: from `intervals_of_draws`. `ties`: factor and source. `together`: whether a parameter is
+    determined while all others are held. `model_error`: SD that an error of the model adds to each free
+    parameter, of ln for moduli and lengths.
     """
     profiles = {row["parameter"]: ParameterInterval(row["low"], row["high"], "profile")
                 for row in identification}  # fmt: skip

@@ -9,7 +9,6 @@ other. What cannot be interpolated (a surface that some draws meet and others mi
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import CubicSpline, RBFInterpolator
@@ -44,13 +43,10 @@ SAME_DRAW = 1e-6  #: deviations of parameters (ln of positive ones) below which 
 #: rounds in which the crossings of interpolated needles converge; each changes them by a slope less
 CROSSING_ROUNDS = 6
 
-
-@dataclass(frozen=True)
-class DrawnConditions:
-    """What is drawn for every prediction beside the parameters, B draws of it."""
-
-    deep: Floats  #: (B,) errors of the entry, mm
-    wrong: Floats  #: (B, MAX_DRAWN_LAYERS) errors of the boundaries in the order met, mm
+Sets = Sequence[Mapping[str, float]]  #: values of parameters (Pa, mm), a set for each draw
+#: returns the points (m, B, K, 2) of B sets with boundaries shifted by (n - 1,) and the tip by a number, mm,
+#: for m such moves, and the validity (B,) with the first
+Move = Callable[[Sets, Sequence[tuple[Floats, float]]], tuple[Floats, Bools]]
 
 
 @dataclass(frozen=True)
@@ -69,23 +65,19 @@ class PlannedNeedles:
         return np.asarray(np.isfinite(self.points).all(axis=(1, 2)), dtype=np.bool_)
 
 
-def draw_conditions(insertion: Insertion, count: int, rng: np.random.Generator) -> DrawnConditions:
-    """Draw the errors of depths of an insertion, as they are stated."""
+def draw_depth_errors(insertion: Insertion, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Return errors of the entry (B,), and of the boundaries in the order met (B, MAX_DRAWN_LAYERS), mm."""
     whole = float(np.hypot(*split_boundary_sd(insertion)))
-    return DrawnConditions(
-        insertion.depth_sd * rng.standard_normal(count),
-        whole * rng.standard_normal((count, MAX_DRAWN_LAYERS)),
-    )
+    deep = insertion.depth_sd * rng.standard_normal(count)
+    return deep, whole * rng.standard_normal((count, MAX_DRAWN_LAYERS))
 
 
-def vary_bevels(
-    sets: Sequence[Mapping[str, float]], sd: float, rng: np.random.Generator
-) -> list[dict[str, float]]:
+def vary_bevels(sets: Sets, sd: float, rng: np.random.Generator) -> list[dict[str, float]]:
     """Return sets of values with bevels that deviate with an SD of `sd` SDs between insertions."""
     return scale_bevels(sets, sd * rng.standard_normal(len(sets)))
 
 
-def scale_bevels(sets: Sequence[Mapping[str, float]], deviations: Floats) -> list[dict[str, float]]:
+def scale_bevels(sets: Sets, deviations: Floats) -> list[dict[str, float]]:
     """Return sets of values with bevels that deviate by so many SDs between insertions, (B,)."""
     spreads = np.array([values.get(BEVEL_SPREAD, 0.0) for values in sets])
     factors = find_bevel_factors(spreads, deviations)
@@ -96,26 +88,23 @@ def scale_bevels(sets: Sequence[Mapping[str, float]], deviations: Floats) -> lis
 
 
 def simulate_planned(
-    sets: Sequence[Mapping[str, float]],
+    sets: Sets,
     medium: MediumRecord,
     needle: Needle,
     insertion: Insertion,
     s: Floats,
-    conditions: DrawnConditions,
+    deep: Floats,
+    wrong: Floats,
     jobs: int = 1,
 ) -> PlannedNeedles:
     """Return the needles of B sets of values at beam coordinates `s` (K,), through the layers each meets.
 
-    Nothing of the measured shape is used.
+    `deep`, `wrong`: from `draw_depth_errors`. Nothing of the measured shape is used.
     """
     stations = np.concatenate([np.linspace(0.0, insertion.depth, PATH_POINTS), s])
-    coordinates = _make_coordinates(sets)
-    chosen = _choose_draws(coordinates)
-    some = [sets[n] for n in chosen]
+    some = [sets[n] for n in _choose_draws(_make_coordinates(sets))]
 
-    def simulate(
-        which: Sequence[Mapping[str, float]], nodes: Sequence[tuple[Insertion, Floats]]
-    ) -> tuple[Floats, Bools]:
+    def simulate(which: Sets, nodes: Sequence[tuple[Insertion, Floats]]) -> tuple[Floats, Bools]:
         """Return the points (m, B, K, 2) at some nodes, and the validity (B,) at the first."""
         shapes = PreparedModel(medium, needle, [one for one, _ in nodes]).simulate(which, jobs)
         found = [read_batch_points(one, shape, at) for (one, at), shape in zip(nodes, shapes, strict=True)]
@@ -123,7 +112,7 @@ def simulate_planned(
 
     table = _tabulate_surfaces(insertion, 0.0, 0.0)
     if table is None or max(table.sequence) > medium.layers:
-        return _simulate_each(sets, medium, needle, insertion, s, conditions)
+        return _simulate_each(sets, medium, needle, insertion, s, deep, wrong)
     straight = replace(insertion, boundaries=table.depths[len(table.y) // 2], sequence=table.sequence)
     (paths,), _ = simulate(some, [(straight, stations)])
     if insertion.surfaces:
@@ -132,9 +121,9 @@ def simulate_planned(
         table = _tabulate_surfaces(insertion, float(low), float(high))
         count = 0 if table is None else min(len(table.sequence), len(straight.sequence))
         if table is None or table.sequence[:count] != straight.sequence[:count]:
-            return _simulate_each(sets, medium, needle, insertion, s, conditions)
+            return _simulate_each(sets, medium, needle, insertion, s, deep, wrong)
     crossed = table.find_crossings(paths[:, :PATH_POINTS])  # (C, n - 1) of the chosen draws
-    errors = conditions.wrong[:, : crossed.shape[1]]
+    errors = wrong[:, : crossed.shape[1]]
     met = np.nanmin(crossed, axis=0) + np.min(errors, axis=0) < insertion.depth + TABLE_MARGIN_MM
     table = table.keep(met)
     crossed, errors = (part[:, : len(table.sequence) - 1] for part in (crossed, errors))
@@ -142,24 +131,22 @@ def simulate_planned(
     spread = np.hypot(np.nanstd(crossed, axis=0), np.std(errors, axis=0))
     reach = np.maximum(NODE_SD * spread, MIN_NODE_MM)
 
-    def move(
-        which: Sequence[Mapping[str, float]], moves: Sequence[tuple[Floats, float]]
-    ) -> tuple[Floats, Bools]:
-        return simulate(which, [shift_depths(centre, stations, shifts, deep) for shifts, deep in moves])
+    def move(which: Sets, moves: Sequence[tuple[Floats, float]]) -> tuple[Floats, Bools]:
+        return simulate(which, [shift_depths(centre, stations, *one) for one in moves])
 
-    found = _interpolate_depths(sets, move, coordinates, chosen, reach, insertion.depth_sd)
+    found = _interpolate_depths(sets, move, reach, insertion.depth_sd)
     if found is None:
-        return _simulate_each(sets, medium, needle, insertion, s, conditions)
+        return _simulate_each(sets, medium, needle, insertion, s, deep, wrong)
     whole, valid = found
     shifts, still = np.zeros((len(sets), len(reach))), np.zeros(len(sets))
     path = whole.take(slice(None, PATH_POINTS))
     for _ in range(CROSSING_ROUNDS if insertion.surfaces else 0):
         shifts = table.find_crossings(path.at(shifts, still)) - centre.boundaries
-    return PlannedNeedles(whole.take(slice(PATH_POINTS, None)).at(shifts + errors, conditions.deep), valid)
+    return PlannedNeedles(whole.take(slice(PATH_POINTS, None)).at(shifts + errors, deep), valid)
 
 
 def simulate_scene(
-    sets: Sequence[Mapping[str, float]],
+    sets: Sets,
     medium: MediumRecord,
     scene: Scene,
     s: Floats,
@@ -173,9 +160,7 @@ def simulate_scene(
     """
     layers = range(1, scene.tissue.layers + 1)
 
-    def move(
-        which: Sequence[Mapping[str, float]], moves: Sequence[tuple[Floats, float]]
-    ) -> tuple[Floats, Bools]:
+    def move(which: Sets, moves: Sequence[tuple[Floats, float]]) -> tuple[Floats, Bools]:
         given, batches = stack_values(tabulate_sets(which), medium, layers), []
         for shifts, deeper in moves:
             boundaries = enforce_order(scene.tissue.boundaries + shifts)
@@ -187,10 +172,8 @@ def simulate_scene(
         points = [compute_batch_positions(one, s + deeper) for one, (_, deeper) in pairs]
         return np.array(points), shapes[0].valid
 
-    coordinates = _make_coordinates(sets)
     reach = np.maximum(NODE_SD * np.std(wrong, axis=0), MIN_NODE_MM)
-    chosen = _choose_draws(coordinates)
-    found = _interpolate_depths(sets, move, coordinates, chosen, reach, float(np.std(deep)))
+    found = _interpolate_depths(sets, move, reach, float(np.std(deep)))
     if found is not None:
         whole, valid = found
         return PlannedNeedles(whole.at(wrong, deep), valid)
@@ -201,32 +184,36 @@ def simulate_scene(
 
 
 def _interpolate_depths(
-    sets: Sequence[Mapping[str, float]],
-    move: "Callable[[Sequence[Mapping[str, float]], Sequence[tuple[Floats, float]]], tuple[Floats, Bools]]",
-    coordinates: Floats,
-    chosen: Ints,
-    reach: Floats,
-    depth_sd: float,
+    sets: Sets, move: Move, reach: Floats, depth_sd: float
 ) -> "tuple[_Interpolation, Bools] | None":
     """Return the needles of B sets of values, to be read at any depths, and their validity (B,).
 
-    `move` returns the points (m, B, K, 2) with boundaries shifted by (n - 1,) and the tip by a number, mm,
-    and the validity with the first of these moves. `reach` (n - 1,) are typical shifts. None if too few of
-    the `chosen` sets have a solution.
+    `reach` (n - 1,) are typical shifts, mm. None if too few of the sets that are chosen have a solution.
     """
+    coordinates = _make_coordinates(sets)
+    chosen = _choose_draws(coordinates)
     entry = max(NODE_SD * depth_sd, MIN_NODE_MM) if depth_sd > 0 else 0.0
     moves = [(row, 0.0) for row in np.diag(reach)]
     moves += [(np.full(len(reach), entry), entry)] if entry else []
     nodes = [(at * shifts, at * deep) for shifts, deep in moves for at in NODE_PLACES]
     (points,), valid = move(sets, [(np.zeros(len(reach)), 0.0)])
     some = [sets[n] for n in chosen]
-    some_steps = move(some, nodes)[0] - points[chosen] if nodes else np.empty((0, *points[chosen].shape))
-    steps = _interpolate_steps(coordinates, chosen, some_steps)
+    steps = move(some, nodes)[0] - points[chosen] if nodes else np.empty((0, *points[chosen].shape))
+    shape = (len(sets), len(nodes), *points.shape[1:])
+    known = steps.swapaxes(0, 1).reshape(len(chosen), -1)
+    solved = np.isfinite(known).all(axis=1)
+    if np.sum(solved) <= coordinates.shape[1]:  # not even a plane through them
+        return None
+    if coordinates.shape[1] and nodes:
+        # cubic: with 96 of 1000 draws it errs less than a thin plate, or a quadratic regression
+        found = RBFInterpolator(coordinates[chosen[solved]], known[solved], kernel="cubic")(coordinates)
+    else:
+        found = np.broadcast_to(known[solved][:1], (len(sets), known.shape[1]))
     units = np.append(reach, entry) if entry else reach
-    return None if steps is None else (_Interpolation(points, steps, units), valid)
+    return _Interpolation(points, np.asarray(found, dtype=np.float64).reshape(shape), units), valid
 
 
-def _make_coordinates(sets: Sequence[Mapping[str, float]]) -> Floats:
+def _make_coordinates(sets: Sets) -> Floats:
     """Return what differs between sets of values, (B, P): ln of positive parameters, on principal axes."""
     table = np.array([list(values.values()) for values in sets])
     finite = np.isfinite(table).all(axis=1)
@@ -252,23 +239,6 @@ def _choose_draws(coordinates: Floats) -> Ints:
         chosen.append(np.argmax(nearest))
         nearest = np.minimum(nearest, np.linalg.norm(coordinates - coordinates[chosen[-1]], axis=1))
     return np.sort(chosen)
-
-
-def _interpolate_steps(coordinates: Floats, chosen: Ints, steps: Floats) -> Floats | None:
-    """Return the steps of all draws, (B, m, K, 2), from those (m, C, K, 2) of the chosen ones.
-
-    None if too few of these have a solution.
-    """
-    shape = (len(coordinates), len(steps), *steps.shape[2:])
-    known = steps.swapaxes(0, 1).reshape(len(chosen), -1)
-    solved = np.isfinite(known).all(axis=1)
-    if np.sum(solved) <= coordinates.shape[1]:  # not even a plane through them
-        return None
-    if not (coordinates.shape[1] and len(steps)):
-        return np.broadcast_to(known[solved][:1], (len(coordinates), known.shape[1])).reshape(shape)
-    # cubic: with 96 of 1000 draws it errs less than a thin plate, or a quadratic regression
-    found = RBFInterpolator(coordinates[chosen[solved]], known[solved], kernel="cubic")(coordinates)
-    return np.asarray(found, dtype=np.float64).reshape(shape)
 
 
 @dataclass(frozen=True)
@@ -335,43 +305,34 @@ class _Interpolation:
     steps: Floats
     reach: Floats
 
-    @cached_property
-    def _rows(self) -> Floats:
-        """Return the steps as one block of memory, (B, 2 d, 2 K)."""
-        count, nodes, points, _ = self.steps.shape
-        return np.ascontiguousarray(self.steps).reshape(count, nodes, 2 * points)
-
     def take(self, points: slice) -> "_Interpolation":
-        return replace(self, points=self.points[:, points], steps=self.steps[:, :, points])
+        steps = np.ascontiguousarray(self.steps[:, :, points])
+        return replace(self, points=self.points[:, points], steps=steps)
 
     def at(self, shifts: Floats, deep: Floats) -> Floats:
-        """Return the points (B, K, 2) with boundaries shifted by (B, n - 1) and the entry by (B,), mm."""
-        whole = np.column_stack([shifts, deep])[:, : len(self.reach)] / self.reach  # (B, d)
-        nodes = self.steps.shape[1]  # none where no depth is open
-        weights = _make_spline_weights(NODE_PLACES, whole.ravel()).reshape(len(whole), 1, nodes)
-        return self.points + (weights @ self._rows).reshape(self.points.shape)
+        """Return the points (B, K, 2) with boundaries shifted by (B, n - 1) and the entry by (B,), mm.
 
-
-def _make_spline_weights(places: Sequence[float], t: Floats) -> Floats:
-    """Return the weights (n, q) of curves at q `places` that give the curve at t (n,), all less that at 0.
-
-    A natural cubic spline, straight beyond the outermost places.
-    """
-    order = np.argsort((0.0, *places))
-    inner = np.array((0.0, *places))[order]
-    spline = CubicSpline(inner, np.eye(len(inner))[order], bc_type="natural")
-    # beyond the outer nodes the spline goes on as a line: its cubic would run away
-    held = np.clip(t, inner[0], inner[-1])
-    return (spline(held) + spline(held, 1) * (t - held)[:, None])[:, 1:]
+        Between the nodes of each depth is a natural cubic spline, beyond them a line: its cubic would run
+        away.
+        """
+        t = (np.column_stack([shifts, deep])[:, : len(self.reach)] / self.reach).ravel()  # (B d,)
+        low, high = NODE_PLACES
+        spline = CubicSpline((low, 0.0, high), np.eye(3), bc_type="natural")
+        held = np.clip(t, low, high)
+        weights = (spline(held) + spline(held, 1) * (t - held)[:, None])[:, [0, 2]]  # the middle's step is 0
+        count, nodes = self.steps.shape[:2]  # no nodes where no depth is open
+        steps = weights.reshape(count, 1, nodes) @ self.steps.reshape(count, nodes, self.points[0].size)
+        return self.points + steps.reshape(self.points.shape)
 
 
 def _simulate_each(
-    sets: Sequence[Mapping[str, float]],
+    sets: Sets,
     medium: MediumRecord,
     needle: Needle,
     insertion: Insertion,
     s: Floats,
-    conditions: DrawnConditions,
+    deep: Floats,
+    wrong: Floats,
 ) -> PlannedNeedles:
     """Return the same, draw by draw."""
     points, valid = np.full((len(sets), len(s), 2), np.nan), np.zeros(len(sets), dtype=np.bool_)
@@ -379,9 +340,8 @@ def _simulate_each(
         met = with_planned_layers(insertion, values, medium, needle)
         if met is None:
             continue
-        deep = float(conditions.deep[n])
-        wrong = conditions.wrong[n, : len(met.boundaries)]
-        moved, at = shift_depths(met, s, deep + wrong, deep)
+        entry = float(deep[n])
+        moved, at = shift_depths(met, s, entry + wrong[n, : len(met.boundaries)], entry)
         shape = predict(values, medium, needle, moved)
         points[n], valid[n] = read_points(moved, shape, at), shape.valid
     return PlannedNeedles(points, valid)

@@ -23,20 +23,10 @@ Counts = NDArray[np.int64]
 BISECTIONS = 40  #: bisections of the bracket of the pointwise probability, in its logarithm
 
 
-def count_limits(replicates: int, probability: float | Floats, error: float) -> tuple[Counts, Counts]:
-    """Return the lowest and highest plausible count of `replicates` events of this probability.
-
-    Each end is passed with half the error at most: exact, of the binomial distribution.
-    """
-    return _cut_tails(_tabulate_cdf(replicates, probability), error)
-
-
-def _tabulate_cdf(replicates: int, probability: float | Floats) -> Floats:
+def _tabulate_cdf(replicates: int, probability: Floats) -> Floats:
     """Return the probability (..., N + 1) of at most 0, 1, ..., N events of this probability (...)."""
     counts = np.arange(replicates + 1)
-    return np.asarray(
-        scipy.special.bdtr(counts, replicates, np.asarray(probability)[..., None]), dtype=np.float64
-    )
+    return np.asarray(scipy.special.bdtr(counts, replicates, probability[..., None]), dtype=np.float64)
 
 
 def _cut_tails(cdf: Floats, error: float) -> tuple[Counts, Counts]:
@@ -60,8 +50,7 @@ def ecdf_band(replicates: int, places: int, error: float) -> tuple[Counts, Count
 
 def probability_inside(replicates: int, low: Counts, high: Counts) -> float:
     """Return the probability that uniform ranks stay within limits (K - 1,) at every place."""
-    # counts between neighbouring places are independent Poisson numbers, given that they add up to the
-    # replicates
+    # counts between neighbouring places are independent Poisson numbers, given that they add up to all
     step = _poisson(np.arange(replicates + 1), replicates / (len(low) + 1))
     alive, first = np.ones(1), 0  # probabilities of sums first, first + 1, ...
     for least, most in zip(low.tolist(), high.tolist(), strict=True):
@@ -89,13 +78,11 @@ CONTROL_NAMES: Mapping[str, str] = {
 }
 """What is made wrong on purpose, which the ranks must show."""
 
+HELD_OUT_TIP = "held_out_tip"  #: all held-out tips of a synthetic truth
 DESIGN, FIT, TIP, LIKELIHOOD = "stiff_design", "stiff_fit", "tip_mm", "log_likelihood"
 """Beside the parameters: the combination that the design determines best, the one that the data determine
 best at the fitted values, the tip of the deepest insertion, and the log likelihood, without which the prior
 itself would pass for a posterior."""
-
-HELD_OUT_TIP = "held_out_tip"
-"""The quantity of all held-out tips of a synthetic truth: those of one replicate count as one trial."""
 
 _QUANTITY_NAMES = {
     HELD_OUT_TIP: "held-out tips",
@@ -148,11 +135,6 @@ FAMILY_ERROR = 0.01
 """Probability that a right computation fails anywhere: shared out evenly (Bonferroni) over the ECDFs and the
 coverages at every level of all quantities. As these go together, the true one is smaller."""
 
-COVERAGE_COLUMNS = (
-    *("quantity", "level", "replicates", "covered", "expected"),
-    *("count_low", "count_high", "passes"),
-)
-
 
 def single_check_error(quantities: int) -> float:
     """Return the probability with which each single check may fail by chance."""
@@ -163,12 +145,13 @@ def tabulate_coverage(ranks: Mapping[str, Counts]) -> pd.DataFrame:
     """Return the coverage as one row for every quantity and level."""
     error, rows = single_check_error(len(ranks)), []
     for name, placed in ranks.items():
-        for level in LEVELS:
-            least, most = (int(end) for end in count_limits(len(placed), level, error))
-            found = count_covered(placed, level)
-            counts = (len(placed), found, level * len(placed), least, most, least <= found <= most)
-            rows.append(dict(zip(COVERAGE_COLUMNS, (name, level, *counts), strict=True)))
-    return pd.DataFrame(rows, columns=list(COVERAGE_COLUMNS))
+        limits = _cut_tails(_tabulate_cdf(len(placed), np.array(LEVELS)), error)
+        for level, least, most in zip(LEVELS, *limits, strict=True):
+            covered = count_covered(placed, level)
+            row = {"quantity": name, "level": level, "replicates": len(placed), "covered": covered}
+            row |= {"expected": level * len(placed), "count_low": least, "count_high": most}
+            rows.append(row | {"passes": least <= covered <= most})
+    return pd.DataFrame(rows)
 
 
 def tabulate_ecdfs(ranks: Mapping[str, Counts]) -> pd.DataFrame:

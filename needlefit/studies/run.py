@@ -10,7 +10,7 @@ import pandas as pd
 
 from needlefit.errors import ConfigError
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.studies.answer import Answer, Fault, FaultKind, Verdict, worst_status
+from needlefit.studies.answer import Answer, Fault, Verdict, worst_status
 from needlefit.studies.kind import find_kind
 
 Given = ParamSpec("Given")
@@ -37,11 +37,8 @@ def once_per_run(
 
 
 def mark_faults(faults: Sequence[Fault]) -> str:
-    """Return the headlines of faults, each once, as sentences that stand before a result; "" without any.
-
-    What a verdict itself names has none.
-    """
-    kinds = dict.fromkeys(one.kind for one in faults if one.kind is not FaultKind.NOT_CALIBRATED)
+    """Return the headlines of faults, each once, as sentences that stand before a result; "" without any."""
+    kinds = dict.fromkeys(one.kind for one in faults)
     return "".join(f"{kind}. " for kind in kinds)
 
 

@@ -64,17 +64,16 @@ def simulate_measurement(
     values: Mapping[str, float],
     medium: MediumRecord,
     rng: np.random.Generator,
-    shared: dict[tuple[object, ...], float] | None = None,
+    shared: dict[nodes.Surface, float] | None = None,
     likelihood: LikelihoodRecord = PLAIN_LIKELIHOOD,
 ) -> Insertion | None:
     """Return the insertion as measured if `values` (Pa, mm) were true; None if it cannot be simulated.
 
     The needle is simulated at depths of layers and tip that err as stated about the insertion's, with a bevel
-    of its own. Measured are its deflections at the arc lengths of `insertion.planar`, or its tips at the
-    depths of a tip track, moved by a pose drawn from its prior and by the noise of the points, which is
-    `noise_scale` of `values` times as large as stated. Where cross-sections are stored, they are measured,
-    with their own noise. Where poses are free, the shape or the tracker's frame lies anywhere. There is none
-    where the needle has no solution, or bends as no curve of its length does.
+    of its own. Measured are its deflections at the arc lengths of `insertion.planar`, its tips at the depths
+    of a tip track, or its stored cross-sections: with noise that is `noise_scale` of `values` times as large
+    as stated, in a pose drawn from its prior. Where poses are free, the shape or the tracker's frame lies
+    anywhere. None also where the needle bends as no curve of its length does.
 
     `shared` holds the errors, in standard deviations, of the surfaces of each specimen; it is filled as
     needed, and to be given again for every insertion measured with them. Of `likelihood` the errors of tip
@@ -129,24 +128,6 @@ def simulate_measurement(
         turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         planar = planar @ turn + FREE_POSE_SHIFT_SD_MM * rng.standard_normal(2)
     return insertion.with_planar(planar)
-
-
-def simulate_measurements(
-    dataset: Dataset,
-    insertions: Sequence[Insertion],
-    values: Mapping[str, float],
-    medium: MediumRecord,
-    rng: np.random.Generator,
-    shared: dict[tuple[object, ...], float] | None = None,
-    likelihood: LikelihoodRecord = PLAIN_LIKELIHOOD,
-) -> tuple[Insertion, ...] | None:
-    """Return insertions as measured in the same specimens; None if one of them cannot be simulated."""
-    errors = {} if shared is None else shared
-    found = [
-        simulate_measurement(dataset, one, values, medium, rng, errors, likelihood) for one in insertions
-    ]
-    known = tuple(one for one in found if one is not None)
-    return known if len(known) == len(found) else None
 
 
 def draw_bevels(
@@ -236,12 +217,26 @@ def simulate_dataset(name: str, record: SyntheticDataRecord, medium: MediumRecor
 
     Raises ConfigError if a needle has no solution.
     """
-    planned = [_plan_insertion(number, one, record) for number, one in enumerate(record.insertions, start=1)]
-    empty = _assemble_dataset(name, record, ())
+    text = json.dumps(record.model_dump(mode="json"), sort_keys=True)
+    dataset = Dataset(
+        name=name,
+        title=record.title,
+        origin="synthetic",
+        needle=Needle.from_record(record.needle),
+        insertions=(),
+        media=(DATASET_MEDIUM,),
+        noise=make_noise(record.noise),
+        pose="known",
+        drop_proximal=0.0,
+        path=Path(),
+        digest=hashlib.sha256(text.encode()).hexdigest(),
+        outer_diameter=record.needle.outer_diameter_mm,
+    )
     measurements = []
-    for one in planned:
+    for number, stated in enumerate(record.insertions, start=1):
+        one = _plan_insertion(number, stated, record)
         rng = random_stream(seed, name, "made", one.id)
-        found = simulate_measurement(empty, one, record.values, medium, rng)
+        found = simulate_measurement(dataset, one, record.values, medium, rng)
         if found is None:
             raise ConfigError(
                 f"made insertion {one.id} has no solution",
@@ -250,7 +245,7 @@ def simulate_dataset(name: str, record: SyntheticDataRecord, medium: MediumRecor
                 fix="move the base less",
             )
         measurements.append(found)
-    return _assemble_dataset(name, record, tuple(measurements))
+    return replace(dataset, insertions=tuple(measurements))
 
 
 def _plan_insertion(number: int, one: SyntheticInsertionRecord, record: SyntheticDataRecord) -> Insertion:
@@ -280,24 +275,6 @@ def _plan_insertion(number: int, one: SyntheticInsertionRecord, record: Syntheti
     )
 
 
-def _assemble_dataset(name: str, record: SyntheticDataRecord, insertions: tuple[Insertion, ...]) -> Dataset:
-    text = json.dumps(record.model_dump(mode="json"), sort_keys=True)
-    return Dataset(
-        name=name,
-        title=record.title,
-        origin="synthetic",
-        needle=Needle.from_record(record.needle),
-        insertions=insertions,
-        media=(DATASET_MEDIUM,),
-        noise=make_noise(record.noise),
-        pose="known",
-        drop_proximal=0.0,
-        path=Path(),
-        digest=hashlib.sha256(text.encode()).hexdigest(),
-        outer_diameter=record.needle.outer_diameter_mm,
-    )
-
-
 def find_true_value(problem: Problem, name: str, seed: int, population: Population | None = None) -> float:
     """Return the geometric mean of a parameter over specimens, layers and bevels that a fit learns from.
 
@@ -323,9 +300,18 @@ def simulate_design(job: Job, fold: Fold, values: Mapping[str, float]) -> Proble
     Layers are those that the simulated needle meets, where the dataset has their surfaces; depths, sides,
     poses, noise and the number of points stay. None where a needle has no solution, or leaves the medium.
     """
-    made = [_simulate_insertion(job, insertion, values) for insertion in fold.tune]
-    known = tuple(insertion for insertion in made if insertion is not None)
-    return replace(job.problem(fold), insertions=known) if len(known) == len(made) else None
+    needle, made = job.dataset.needle, list[Insertion]()
+    for one in fold.tune:
+        met = with_planned_layers(one, values, job.medium, needle)
+        shape = None if met is None else predict(values, job.medium, needle, met)
+        if met is None or shape is None or not shape.converged:
+            return None
+        if isinstance(one, TipTrack):
+            planar = read_points(one, shape, one.depths)
+        else:
+            planar = sample_inserted_points(shape, len(one.planar))
+        made.append(replace(one.with_planar(planar), boundaries=met.boundaries, sequence=met.sequence))
+    return replace(job.problem(fold), insertions=tuple(made))
 
 
 def choose_reference_values(job: Job) -> tuple[dict[str, float], str]:
@@ -341,20 +327,3 @@ def choose_reference_values(job: Job) -> tuple[dict[str, float], str]:
         asked, words = middle, "the middle of the bounds"
     theta = parameters.theta({**middle, **asked})
     return parameters.values(np.clip(theta, parameters.lower, parameters.upper)), words
-
-
-def _simulate_insertion(job: Job, insertion: Insertion, values: Mapping[str, float]) -> Insertion | None:
-    """Return one insertion as it would go."""
-    needle = job.dataset.needle
-    met = with_planned_layers(insertion, values, job.medium, needle)
-    if met is None:
-        return None
-    shape = predict(values, job.medium, needle, met)
-    if not shape.converged:
-        return None
-    planar = (
-        read_points(insertion, shape, insertion.depths)
-        if isinstance(insertion, TipTrack)
-        else sample_inserted_points(shape, len(insertion.planar))
-    )
-    return replace(insertion.with_planar(planar), boundaries=met.boundaries, sequence=met.sequence)

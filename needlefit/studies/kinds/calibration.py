@@ -4,11 +4,8 @@ Truths are parameters from the prior, which is simulation-based calibration, or 
 S. Talts, M. Betancourt, D. Simpson, A. Vehtari, A. Gelman, arXiv 1804.06788; the log likelihood among what is
 ranked is from M. Modrak et al., Bayesian Anal. 20 (2025) 461.
 
-The other model is that of the synthetic dataset (`needlefit.synthetic.design`): friction, layers that differ
-between specimens, muscle whose modulus varies from place to place, a needle stiffer or softer than stated,
-and errors of pose and roll. Each replicate draws it anew, with media from a `Population`, for the insertions
-of the study, has them measured and reconstructed, fits as the study does, and ranks true values and measured
-tips in what was inferred.
+The other model is that of the synthetic dataset (`needlefit.synthetic.design`), which each replicate draws
+anew. It fits the insertions of the study, and ranks true values and measured held-out tips.
 """
 
 from collections.abc import Iterator, Mapping
@@ -32,7 +29,7 @@ from needlefit.inference.identifiability.precision import linearize
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import NOISE_SCALE
-from needlefit.inference.predict import Draws, draw_from_prior, thin_posterior, wilson_interval
+from needlefit.inference.predict import Draws, draw_from_prior, thin_posterior
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling import importance
 from needlefit.inference.sampling.sample import sample
@@ -52,7 +49,19 @@ from needlefit.studies.answer import Answer, Fault, FaultKind, Status
 from needlefit.studies.held_out_predictions import Specimens, predict_held_out
 from needlefit.studies.job import Fold, Inputs, Job, Settings, prepare
 from needlefit.studies.kind import StudyKind
-from needlefit.studies.rank_statistics import HELD_OUT_TIP, RANK_DRAWS, Control, Counts, name_quantity
+from needlefit.studies.rank_statistics import (
+    DESIGN,
+    FIT,
+    HELD_OUT_TIP,
+    LIKELIHOOD,
+    RANK_DRAWS,
+    TIP,
+    UNDERSTATED_SD_FACTOR,
+    Control,
+    Counts,
+    name_quantity,
+    place_pit,
+)
 from needlefit.studies.report import StudyReport, answer_in_words
 from needlefit.studies.run import Run
 from needlefit.studies.runner import FrameRows, join_rows, run_tasks
@@ -62,7 +71,7 @@ from needlefit.studies.simulated_data import (
     draw_bevels,
     find_true_value,
     simulate_design,
-    simulate_measurements,
+    simulate_measurement,
 )
 from needlefit.studies.study_files import begin_run, prepare_target, prepare_with_held_out, target_name
 from needlefit.synthetic.build import build_dataset, build_unscanned
@@ -75,16 +84,13 @@ from needlefit.synthetic.design import (
 
 CONTROLS: tuple[Control, ...] = get_args(Control)
 RANK_PREFIX = "rank_"  #: of the columns of ranks in the frame `replicates`
-SYNTHETIC_FRAMES = ("parameters", "predictions")  #: frames that only synthetic truths have
 
+#: by importance sampling, by MCMC, and of synthetic truths: about 20 minutes each on two cores
 DEFAULT_REPLICATES, DEFAULT_SAMPLED_REPLICATES, DEFAULT_SYNTHETIC_REPLICATES = 500, 100, 50
-"""By importance sampling, by MCMC, and of synthetic truths: about 20 minutes each on two cores."""
 
 
 class CalibrationRecord(TargetRecord):
-    """`kind = "calibration"`: are the uncertainties calibrated? Ranks of known true parameters in their
-    posteriors.
-    """
+    """`kind = "calibration"`: are the uncertainties calibrated? Ranks of true parameters in posteriors."""
 
     kind: Literal["calibration"]
     replicates: int = Field(default=DEFAULT_REPLICATES, ge=1, le=MAX_REPLICATES)
@@ -132,17 +138,11 @@ class InferredPosterior:
     mode: Floats  #: (P,)
     draw_source: Literal["importance", "sampler", "prior"]
     trusted: bool  #: whether the weights were certified, or the sampler converged
-    weights: importance.WeightedDraws | None = None  #: of importance, also where the sampler went on
+    pareto_k: float | None = None  #: of the importance weights, also where the sampler went on
 
     def describe(self) -> Row:
-        """Return the cells of a replicate that say how its posterior was computed."""
-        return {
-            "draw_source": self.draw_source,
-            "certified": self.trusted,
-            "pareto_k": None if self.weights is None else self.weights.k,
-            "ess": None if self.weights is None else self.weights.effective_sample_size,
-            "evaluations": None if self.weights is None else len(self.weights.thetas),
-        }
+        """Return the cells of a replicate that state how its posterior was computed."""
+        return {"draw_source": self.draw_source, "certified": self.trusted, "pareto_k": self.pareto_k}
 
 
 Sampler = Literal["always", "otherwise", "never"]
@@ -170,10 +170,10 @@ def infer_posterior(
     if posterior is None:
         chosen = importance.resample(found, draws, rng)
         thetas, density = found.thetas[chosen], found.log_density[chosen]
-        return InferredPosterior(thetas, density, ends[0], "importance", found.certified, found)
+        return InferredPosterior(thetas, density, ends[0], "importance", found.certified, found.k)
     thetas = thin_posterior(posterior, problem.parameters, draws).thetas
     density = problem.log_posteriors(thetas)
-    return InferredPosterior(thetas, density, ends[0], "sampler", not posterior.faults, found)
+    return InferredPosterior(thetas, density, ends[0], "sampler", not posterior.faults, found.k)
 
 
 def compute_ranked(
@@ -187,19 +187,17 @@ def compute_ranked(
     sets = [problem.values(theta) for theta in thetas]
     found = dict(zip(problem.names, thetas.T, strict=True))
     if thetas.shape[1] > 1:
-        found |= dict(
-            zip((rank_statistics.DESIGN, rank_statistics.FIT), (thetas @ directions.T).T, strict=True)
-        )
+        found |= {DESIGN: thetas @ directions[0], FIT: thetas @ directions[1]}
     medium, needle = problem.medium, problem.dataset.needle
     (tips,) = simulate_deflections(sets, medium, needle, [tip], [np.array([tip.depth])])
     prior = [problem.parameters.prior.log_density(values) for values in sets]
-    return {**found, rank_statistics.TIP: tips[:, 0], rank_statistics.LIKELIHOOD: log_posterior - prior}
+    return {**found, TIP: tips[:, 0], LIKELIHOOD: log_posterior - prior}
 
 
 def best_determined_direction(problem: Problem, theta: Floats) -> Floats:
     """Return the combination (P,), of length 1, that the insertions determine best at theta."""
-    if len(theta) == 0:
-        return np.zeros(0)
+    if len(theta) == 0:  # a control fixes the scale of the noise, which may be all that is free
+        return theta
     _, slope, _ = linearize(problem, theta)
     vector: Floats = np.linalg.svd(slope, full_matrices=False)[2][0]
     return vector * np.sign(vector[np.argmax(np.abs(vector))])
@@ -223,20 +221,11 @@ class Experiment:
     control: Control | None = None  #: in what the likelihood is wrong
 
 
-@dataclass(frozen=True)
-class SimulatedExperiment:
-    """True parameters, the problem of inferring them, and how often they were drawn again."""
-
-    theta: Floats
-    problem: Problem
-    redrawn: int
-
-
 def prepare_experiment(job: Job, sampled: bool = False, control: Control | None = None) -> Experiment:
     """Return what is repeated.
 
-    Raises ConfigError if the dataset states no noise, or nothing is free. Raises FitError if the planned
-    insertions have no solution where they are looked at.
+    Raises ConfigError if the dataset states no noise; FitError if the planned insertions have no solution
+    where they are looked at.
     """
     if not job.dataset.noise.stated:
         raise ConfigError(
@@ -244,13 +233,10 @@ def prepare_experiment(job: Job, sampled: bool = False, control: Control | None 
             where=locate_key(job.dataset.path, "noise.point_sd_mm"),
             expected="[noise] with point_sd_mm or correlated_sd_mm above 0",
         )
-    _require_free(job)
     fold = job.folds[0]
-    by_depth = sorted(fold.tune, key=lambda one: one.depth)
-    if sampled:
-        few = len(by_depth) <= MAX_SAMPLED_INSERTIONS
-        chosen = fold.tune if few else tuple(by_depth[k] for k in (0, len(by_depth) // 2, -1))
-        fold = Fold(fold.name, chosen, ())
+    if sampled and len(fold.tune) > MAX_SAMPLED_INSERTIONS:
+        by_depth = sorted(fold.tune, key=lambda one: one.depth)
+        fold = Fold(fold.name, (by_depth[0], by_depth[len(by_depth) // 2], by_depth[-1]), ())
     values, place = choose_reference_values(job)
     design = simulate_design(job, fold, values)
     if design is None:
@@ -262,19 +248,13 @@ def prepare_experiment(job: Job, sampled: bool = False, control: Control | None 
     return Experiment(replace(job, folds=(fold,)), weights, sampled, control)
 
 
-def _require_free(job: Job) -> None:
-    if not job.parameters.free:
-        raise ConfigError(f"nothing of medium `{job.record.medium}` is free: there is nothing to infer")
-
-
 def replicate(number: int, experiment: Experiment) -> FrameRows:
     """Return a row of `replicates`: the truth, its ranks in its posterior, and how that was computed."""
     recipe, name, control = experiment.job.recipe, experiment.job.name, experiment.control
     stream = (recipe.seed, name, "calibrate", number)
-    simulated = simulate_experiment(experiment.job, random_stream(*stream, "data"))
-    truth = simulated.problem.values(simulated.theta)
-    scale = truth.get(NOISE_SCALE, simulated.problem.density.scale)
-    problem = corrupt_problem(simulated.problem, control, scale)
+    drawn, simulated = simulate_experiment(experiment.job, random_stream(*stream, "data"))
+    truth = simulated.values(drawn)
+    problem = corrupt_problem(simulated, control, truth.get(NOISE_SCALE, simulated.density.scale))
     rng = random_stream(*stream, "inference")
     if control == "prior":  # draws of the prior where the model has a solution, in place of the posterior
         thetas = np.empty((0, len(problem.names)))
@@ -287,33 +267,32 @@ def replicate(number: int, experiment: Experiment) -> FrameRows:
     else:  # a wrong likelihood is to be noticed, not to be sampled well
         sampler: Sampler = "always" if experiment.sampled else "otherwise" if control is None else "never"
         found = infer_posterior(problem, recipe, RANK_DRAWS, rng, sampler)
-    tip = max(simulated.problem.insertions, key=lambda one: one.depth)
+    tip = max(simulated.insertions, key=lambda one: one.depth)
     design = np.array([experiment.stiff[name] for name in problem.names])
     directions = np.array([design, best_determined_direction(problem, found.mode)])
     theta = problem.parameters.theta(truth)[None]
     true = compute_ranked(problem, directions, tip, theta, problem.log_posteriors(theta))
-    drawn = compute_ranked(problem, directions, tip, found.thetas, found.log_posterior)
+    inferred = compute_ranked(problem, directions, tip, found.thetas, found.log_posterior)
     placed = rank_statistics.rank_truth(
-        np.concatenate([*true.values()]), np.column_stack([*drawn.values()]), rng
+        np.concatenate([*true.values()]), np.column_stack([*inferred.values()]), rng
     )
     row = {
         "replicate": number,
-        **{name: truth[name] for name in simulated.problem.names},
-        "redrawn": simulated.redrawn,
+        **{name: truth[name] for name in simulated.names},
         **found.describe(),
         **{f"{RANK_PREFIX}{name}": int(rank) for name, rank in zip(true, placed, strict=True)},
     }
     return {"replicates": [row]}
 
 
-def simulate_experiment(job: Job, rng: np.random.Generator) -> SimulatedExperiment:
-    """Draw parameters from the prior, and simulate the measurement of the design with them.
+def simulate_experiment(job: Job, rng: np.random.Generator) -> tuple[Floats, Problem]:
+    """Return parameters (P,) drawn from the prior, and the problem of inferring them from simulated needles.
 
     Raises FitError if the prior hardly holds parameters that the design has a solution for.
     """
     (fold,) = job.folds
     everything = job.problem(fold)
-    for redrawn in range(MAX_PRIOR_DRAWS):
+    for _ in range(MAX_PRIOR_DRAWS):
         theta = draw_from_prior(job.parameters, 1, rng)[0]
         values = everything.values(theta)
         design = simulate_design(job, fold, values)
@@ -322,12 +301,16 @@ def simulate_experiment(job: Job, rng: np.random.Generator) -> SimulatedExperime
         true = {NOISE_SCALE: everything.density.scale, **values}
         shared = draw_bevels(job.dataset, design.insertions, rng) if everything.bevels_differ else {}
         stated = job.recipe.likelihood
-        known = simulate_measurements(job.dataset, design.insertions, true, job.medium, rng, shared, stated)
-        if known is None:
+        made = [
+            simulate_measurement(job.dataset, one, true, job.medium, rng, shared, stated)
+            for one in design.insertions
+        ]
+        known = tuple(one for one in made if one is not None)
+        if len(known) < len(made):
             continue
         problem = replace(everything, insertions=known)
         if np.isfinite(problem.log_posterior(theta)):
-            return SimulatedExperiment(theta, problem, redrawn)
+            return theta, problem
     raise FitError(
         f"of {MAX_PRIOR_DRAWS} parameter sets drawn from the prior the design has a solution for none",
         fix="narrow the bounds of the medium",
@@ -339,17 +322,16 @@ def corrupt_problem(problem: Problem, control: Control | None, scale: float) -> 
 
     "sigma" understates the noise and does not estimate it, "pose" takes every pose as it was measured,
     "shuffled" confounds the shapes of the shallowest and the deepest insertion (of one alone, and of the
-    deepest tip track, the side of its bevel). "prior" leaves the problem as it is, for there nothing is
-    inferred at all.
+    deepest tip track, the side of its bevel).
     """
     if control == "sigma":
-        understated = rank_statistics.UNDERSTATED_SD_FACTOR * scale
+        understated = UNDERSTATED_SD_FACTOR * scale
         parameters = problem.parameters
         if NOISE_SCALE in parameters.names:
             others = [name for name in parameters.free if name != NOISE_SCALE]
             parameters = parameters.with_only(others, {NOISE_SCALE: understated})
         likelihood = problem.likelihood.model_copy(update={"noise_scale": understated})
-        scaled = _scale_pose(problem, rank_statistics.UNDERSTATED_SD_FACTOR)
+        scaled = _scale_pose(problem, UNDERSTATED_SD_FACTOR)
         return replace(scaled, likelihood=likelihood, parameters=parameters)
     if control == "pose":
         sure = _scale_pose(problem, 0.0)
@@ -373,11 +355,9 @@ def _scale_pose(problem: Problem, factor: float) -> Problem:
 
 
 def _swap_shapes(insertions: tuple[Insertion, ...]) -> tuple[Insertion, ...]:
-    by_depth = sorted(insertions, key=lambda one: one.depth)
-    first, last = by_depth[0], by_depth[-1]
+    first, last = (find(insertions, key=lambda one: one.depth) for find in (min, max))
     if len(insertions) == 1 or any(isinstance(one, TipTrack) for one in insertions):
-        deepest = max(insertions, key=lambda one: one.depth)
-        return tuple(replace(one, side=-one.side) if one is deepest else one for one in insertions)
+        return tuple(replace(one, side=-one.side) if one is last else one for one in insertions)
     swapped = []
     for one in insertions:
         other = last if one is first else first if one is last else one
@@ -407,42 +387,34 @@ class SyntheticExperiment:
 
 
 def prepare_synthetic(job: Job, ct: bool) -> SyntheticExperiment:
-    """Return what is repeated.
-
-    Raises ConfigError if the study has several folds, nothing is free, or an insertion is none of the
-    synthetic dataset.
-    """
+    """Return what is repeated; ConfigError for several folds, or insertions that are not synthetic."""
     if len(job.folds) > 1:
         raise ConfigError(
             f"`{job.name}` has {len(job.folds)} folds: a synthetic truth is fitted once",
             expected="a study with [tune] and [[validate]], or a fit",
         )
-    _require_free(job)
-    planned = {one.id: one for one in list_planned_insertions()}
     wanted = {one.id for one in job.insertions}
-    for one in job.insertions:
-        if one.id not in planned:
-            raise ConfigError(
-                f"insertion {one.id} of dataset `{job.dataset.name}` is none of the synthetic dataset",
-                expected="a study or fit on the dataset `twin`: others have no synthetic truth",
-            )
-    chosen = tuple(one for name, one in planned.items() if name in wanted)
+    chosen = tuple(one for one in list_planned_insertions() if one.id in wanted)
+    unknown = sorted(wanted - {one.id for one in chosen})
+    if unknown:
+        raise ConfigError(
+            f"insertion {unknown[0]} of dataset `{job.dataset.name}` is none of the synthetic dataset",
+            expected="a study or fit on the dataset `twin`: others have no synthetic truth",
+        )
     return SyntheticExperiment(job, chosen, ct)
 
 
 def replicate_synthetic(number: int, experiment: SyntheticExperiment) -> FrameRows:
     """Return a row of `replicates` with the ranks of true values and of held-out tips, and rows of these."""
-    job, seed, redrawn = _draw_study(number, experiment)
+    job, seed = _draw_study(number, experiment)
     (fold,) = job.folds
     rng = random_stream(job.recipe.seed, job.name, "inference")
     problem = job.problem(fold)
     found = infer_posterior(problem, job.recipe, PREDICTION_DRAWS, rng)
     sets, parameters = [job.parameters.values(theta) for theta in found.thetas], list[Row]()
     for name in job.parameters.free:
-        truth, values = (
-            find_true_value(problem, name, seed, POPULATION),
-            np.array([one[name] for one in sets]),
-        )
+        truth = find_true_value(problem, name, seed, POPULATION)
+        values = np.array([one[name] for one in sets])
         if np.isfinite(truth):
             low, middle, high = np.percentile(values, [2.5, 50.0, 97.5]).tolist()
             row = {"parameter": name, "truth": truth, "value": middle}
@@ -459,24 +431,23 @@ def replicate_synthetic(number: int, experiment: SyntheticExperiment) -> FrameRo
     tips = {}
     for one in fold.validate:
         pit = pits.get(one.id)  # of less toward +y; the truth of what cannot be predicted lies outside
-        tips[one.id] = rank_statistics.place_pit(0.0 if pit is None else pit if one.side > 0 else 1 - pit)
+        tips[one.id] = place_pit(0.0 if pit is None else pit if one.side > 0 else 1 - pit)
     row = {
         "replicate": number,
         "seed": seed,
-        "redrawn": redrawn,
         **found.describe(),
         **{f"{RANK_PREFIX}{HELD_OUT_TIP}:{name}": rank for name, rank in tips.items()},
-        **{f"{RANK_PREFIX}{one['parameter']}": rank_statistics.place_pit(one["pit"]) for one in parameters},
+        **{f"{RANK_PREFIX}{one['parameter']}": place_pit(one["pit"]) for one in parameters},
     }
     every = {"replicates": [row], "parameters": parameters, "predictions": predictions}
     return {name: [{"replicate": number, **one} for one in rows] for name, rows in every.items()}
 
 
-def _draw_study(number: int, experiment: SyntheticExperiment) -> tuple[Job, int, int]:
-    """Return the study on the data of a replicate, its seed, and how often it was drawn again."""
+def _draw_study(number: int, experiment: SyntheticExperiment) -> tuple[Job, int]:
+    """Return the study on the data of a replicate, and their seed."""
     job, build = experiment.job, build_dataset if experiment.ct else build_unscanned
-    for redrawn in range(MAX_TWIN_SEEDS):
-        rng = random_stream(job.recipe.seed, job.name, "calibrate", number, "twin", redrawn)
+    for attempt in range(MAX_TWIN_SEEDS):
+        rng = random_stream(job.recipe.seed, job.name, "calibrate", number, "twin", attempt)
         seed = int(rng.integers(2**31))
         if not is_inside_bounds(seed, experiment):
             continue
@@ -488,7 +459,7 @@ def _draw_study(number: int, experiment: SyntheticExperiment) -> tuple[Job, int,
             continue
         # the name keys the random numbers of predictions, which no two replicates share
         settings = Settings(seed=job.recipe.seed, inputs=Inputs(medium=job.medium, recipe=job.recipe))
-        return prepare(f"{job.name} {number}", job.record, settings, dataset), seed, redrawn
+        return prepare(f"{job.name} {number}", job.record, settings, dataset), seed
     raise ModelError(
         f"of {MAX_TWIN_SEEDS} synthetic datasets none has a solution for every insertion",
         fix="select other insertions, or widen the bounds of the medium",
@@ -511,16 +482,23 @@ def is_inside_bounds(seed: int, experiment: SyntheticExperiment) -> bool:
 
 
 def run(name: str, record: CalibrationRecord, settings: Settings) -> Run:
-    """Rank the truth in its posterior for `record.replicates` random insertions."""
+    """Rank the truth in its posterior for `record.replicates` random insertions.
+
+    Raises ConfigError if nothing is free, or as `prepare_experiment` and `prepare_synthetic`.
+    """
     target = target_name(record, settings).removesuffix("-tune")
     synthetic = record.truth == "synthetic"
     if synthetic:
         job = prepare_with_held_out(record, target, settings)
+    else:
+        job = prepare_target(record, target, replace(settings, sample=record.sampled))
+    if not job.parameters.free:
+        raise ConfigError(f"nothing of medium `{job.record.medium}` is free: there is nothing to infer")
+    if synthetic:
         task = partial(replicate_synthetic, experiment=prepare_synthetic(job, record.ct))
         work: Row = {"draws": PREDICTION_DRAWS}
     else:
-        prepared = prepare_target(record, target, replace(settings, sample=record.sampled))
-        experiment = prepare_experiment(prepared, record.sampled, record.control)
+        experiment = prepare_experiment(job, record.sampled, record.control)
         job, task = experiment.job, partial(replicate, experiment=experiment)
         work = {"draws": RANK_DRAWS, "stiff_design": dict(experiment.stiff)}
     about = begin_run(name, record, job, f"Calibration: {job.record.title or target}")
@@ -528,9 +506,7 @@ def run(name: str, record: CalibrationRecord, settings: Settings) -> Run:
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work, settings.note)
     tasks = {f"replicate {number}": partial(task, number) for number in range(record.replicates)}
     parts = run_tasks(tasks, job.name, settings, checkpoint)
-    (fold,) = job.folds
-    design = pd.DataFrame({"insertion": [i.id for i in fold.tune], "depth_mm": [i.depth for i in fold.tune]})
-    frames = {"design": design, **_make_frames(join_rows(parts), synthetic)}
+    frames = _make_frames(join_rows(parts), synthetic)
     outcome = judge_ranks(frames, record.control) if parts else {}
     return replace(
         about,
@@ -538,7 +514,7 @@ def run(name: str, record: CalibrationRecord, settings: Settings) -> Run:
         origin="synthetic" if synthetic else about.origin,
         run={**work, **outcome},
         interrupted=len(parts) < record.replicates,
-        faults=tuple(find_calibration_faults(outcome)) if parts else (),
+        faults=tuple(list_faults(outcome)) if parts else (),
     )
 
 
@@ -558,8 +534,7 @@ def _make_frames(rows: FrameRows, synthetic: bool) -> dict[str, pd.DataFrame]:
         ecdfs["calibrated"] = ~ecdfs["quantity"].isin(rank_statistics.find_failing(coverage, ecdfs))
     frames = {"replicates": replicates, "coverage": coverage, "ranks": ecdfs}
     if synthetic and rows:
-        frames["coverage"] = add_intervals(coverage)
-        frames |= {name: pd.DataFrame(rows[name]) for name in SYNTHETIC_FRAMES}
+        frames |= {name: pd.DataFrame(rows[name]) for name in ("parameters", "predictions")}
         if len(frames["predictions"]):
             frames["tips"] = average_tips(frames["predictions"])
     return frames
@@ -575,14 +550,6 @@ def average_tips(predictions: pd.DataFrame) -> pd.DataFrame:
     return means.reset_index().astype({"replicate": int})
 
 
-def add_intervals(coverage: pd.DataFrame) -> pd.DataFrame:
-    """Return the coverage with the share covered and its 95 % binomial interval (Wilson's)."""
-    share = coverage["covered"] / coverage["replicates"]
-    ends = [wilson_interval(*pair) for pair in zip(share, coverage["replicates"], strict=True)]
-    low, high = np.array(ends).reshape(-1, 2).T
-    return coverage.assign(share=share, low=low, high=high)
-
-
 def judge_ranks(frames: Mapping[str, pd.DataFrame], control: str | None) -> dict[str, Any]:
     """Return the outcome. It passes if it is calibrated, or not if the likelihood is wrong on purpose."""
     replicates, coverage = frames["replicates"], frames["coverage"]
@@ -594,9 +561,7 @@ def judge_ranks(frames: Mapping[str, pd.DataFrame], control: str | None) -> dict
         "passes": bool(failing) == (control is not None),
         "conclusive": bool((half["count_low"] > 0).all()),
         "not_calibrated": failing,
-        "draw_source": replicates["draw_source"].value_counts().to_dict(),
         "untrusted": int((~replicates["certified"].astype(bool)).sum()),
-        "redrawn": int(replicates["redrawn"].sum()),
     }
     if "predictions" in frames:  # there is none where too few draws had a solution
         asked = sum(str(name).startswith(f"{RANK_PREFIX}{HELD_OUT_TIP}:") for name in replicates)
@@ -604,16 +569,8 @@ def judge_ranks(frames: Mapping[str, pd.DataFrame], control: str | None) -> dict
     return outcome
 
 
-def find_calibration_faults(outcome: Mapping[str, Any]) -> Iterator[Fault]:
-    """Yield why a calibration is not passed, from its outcome."""
-    if not outcome["conclusive"] and (outcome["control"] or not outcome["not_calibrated"]):
-        what = f"{outcome['replicates']} replicates are too few to decide"
-        yield Fault(FaultKind.NOT_CALIBRATED, what)
-    elif outcome["not_calibrated"] and not outcome["passes"]:
-        what = f"not calibrated: {', '.join(outcome['not_calibrated'])}"
-        yield Fault(FaultKind.NOT_CALIBRATED, what)
-    elif not outcome["passes"]:
-        yield Fault(FaultKind.NOT_CALIBRATED, f"the control `{outcome['control']}` is not noticed")
+def list_faults(outcome: Mapping[str, Any]) -> Iterator[Fault]:
+    """Yield what makes the outcome doubtful beside what the verdict states."""
     if outcome["untrusted"] and outcome["control"] is None:
         yield Fault(FaultKind.NOT_CONVERGED, f"{outcome['untrusted']} posteriors have not converged")
     if outcome.get("not_predicted"):
@@ -623,34 +580,16 @@ def find_calibration_faults(outcome: Mapping[str, Any]) -> Iterator[Fault]:
 
 # ---- the report
 
-PRINTED_LEVELS = (0.50, 0.95)  #: of synthetic truths: the intervals whose coverage is printed
-
-
-_MEANS = ("tip_crps_mm", "tip_interval_score_mm")
-
 
 def describe(found: Run) -> dict[str, Any]:
     """Return what the text prints."""
-    design, coverage, study = found.frames["design"], to_records(found.frames["coverage"]), found.run["study"]
-    tips = [row for row in coverage if row["quantity"] == HELD_OUT_TIP and row["level"] in PRINTED_LEVELS]
-    predictions = found.frames.get("predictions", pd.DataFrame())
-    quantities = len({row["quantity"] for row in coverage})
-    means: Mapping[Any, float] = {} if predictions.empty else predictions[list(_MEANS)].mean().to_dict()
+    quantities = found.frames["coverage"]["quantity"].nunique()
     return {
-        **{key: found.run[key] for key in (*_OUTCOME_KEYS, "replicates", "conclusive")},
-        "interrupted": found.interrupted,
-        "synthetic": study.get("truth") == "synthetic",
+        **{key: found.run[key] for key in ("replicates", "conclusive")},
+        "synthetic": found.run["study"]["truth"] == "synthetic",
         "control": rank_statistics.CONTROL_NAMES.get(found.run["control"], ""),
         "failing": [insert_symbols(name_quantity(name)) for name in found.run["not_calibrated"]],
         "quantities": quantities,
-        "tips": tips if len(predictions) else [],
-        "predictions": len(predictions),
-        **means,
-        "insertions": list(design["insertion"]),
-        "depths": list(dict.fromkeys(f"{depth:.3g}" for depth in design["depth_mm"].agg(["min", "max"]))),
-        "sampled": study["sampled"],
-        "ct": study["ct"],
-        "sources": found.run["draw_source"].items(),
         "draws": RANK_DRAWS,
         "family_error": rank_statistics.FAMILY_ERROR,
         "single_error": f"{rank_statistics.single_check_error(quantities):.1e}",
@@ -664,18 +603,13 @@ def tabulate(found: Run) -> list[Table]:
     rows = [
         {
             **row,
-            "mark": "" if row["passes"] else "!",
-            "ranks": f"{out} of {RANK_DRAWS} outside"
-            if (out := outside.get(row["quantity"], 0))
-            else "inside",
+            "ranks": f"{outside.get(row['quantity'], 0)} of {RANK_DRAWS} outside",
             "calibrated": "NO" if row["quantity"] in found.run["not_calibrated"] else calibrated,
             "quantity": name_quantity(row["quantity"]),
         }
         for row in to_records(found.frames["coverage"])
     ]
     levels = (part("covered_by_chance", level=one) for one in rank_statistics.LEVELS)
-    if found.run["study"].get("truth") == "synthetic":
-        levels = (part("covered_share", level=one) for one in PRINTED_LEVELS)
     columns = ("quantity", *levels, "ranks", "calibrated")
     return [Table("calibration", pivot(rows, ["quantity"], ["level"]), columns)]
 
@@ -685,9 +619,6 @@ def draw(found: Run) -> dict[str, Drawing]:
 
     A curve that is first above and then below: posteriors too narrow; the other way round: too wide.
     """
-    synthetic = found.run["study"].get("truth") == "synthetic"
-    options = {"x_label": "PIT of the truth" if synthetic else "rank of the truth"}
-    frame = found.frames["ranks"].assign(origin=found.origin)
 
     def center_ecdfs(ranks: pd.DataFrame) -> pd.DataFrame:
         x = ranks["rank"] / (RANK_DRAWS + 1)
@@ -697,40 +628,19 @@ def draw(found: Run) -> dict[str, Drawing]:
         about = {"x": x, "y": ranks["below"] / count - x, "inside": ranks["passes"]}
         return ranks.assign(panel=names, **ends, **about, passes=ranks["calibrated"])
 
-    return {"ranks": Drawing("steps_in_bands", frame, options | {"y_label": "ECDF − uniform"}, center_ecdfs)}
+    frame = found.frames["ranks"].assign(origin=found.origin)
+    options = {"x_label": "rank of the truth", "y_label": "ECDF − uniform"}
+    return {"ranks": Drawing("steps_in_bands", frame, options, center_ecdfs)}
 
 
 def find_answer(found: Run) -> Answer:
     """Return whether the uncertainties are correct; a control passes if it is detected."""
     status: Status = "pass" if found.run["passes"] else "fail"
-    numbers = {"replicates": found.run["replicates"], "not_calibrated": len(found.run["not_calibrated"])}
+    numbers = {
+        "replicates": found.run["replicates"],
+        "not_calibrated": ", ".join(found.run["not_calibrated"]),
+    }
     return answer_in_words(found, status if found.run["conclusive"] else "warn", **numbers)
 
 
-_OUTCOME_KEYS = ("control", "passes", "not_calibrated", "draw_source", "untrusted", "redrawn")
-
-
-def calibration_to_json(found: Run) -> dict[str, Any]:
-    """Return the calibration as JSON values, without the warnings."""
-    keys = (*_OUTCOME_KEYS, "interrupted", *(("not_predicted",) if "not_predicted" in found.run else ()))
-    return {
-        **{"name": found.run["name"], "origin": found.origin, "dataset": found.dataset_title},
-        **{key: found.run[key] for key in keys},
-        "sentences": REPORT.summarize(found),
-        **{
-            name: to_records(found.frames[name])
-            for name in ("coverage", *SYNTHETIC_FRAMES)
-            if name in found.frames
-        },
-    }
-
-
-TEXT = KindText("calibration")
-REPORT = StudyReport(
-    TEXT,
-    describe,
-    tabulate,
-    draw,
-    find_answer,
-    to_json=calibration_to_json,
-)
+REPORT = StudyReport(KindText("calibration"), describe, tabulate, draw, find_answer)

@@ -12,38 +12,23 @@ from needlefit.inference.fit import Fit
 from needlefit.inference.identifiability import precision
 from needlefit.inference.identifiability.design_gain import ExpectedPrecision, expect_precision
 from needlefit.inference.identifiability.directions import (
-    MAX_LOG_SD,
-    UNINFORMED_SD_RATIO,
     describe_combination,
     format_combination_sd,
-    format_sd,
-    is_determined_by_data,
-    short_name,
 )
-from needlefit.inference.identifiability.identify import (
-    AGREEMENT,
-    MIN_NAMED_WEIGHT,
-    describe_posterior_sd,
-    find_together,
-    profile_parameters,
-)
-from needlefit.inference.parameters import is_logarithmic
+from needlefit.inference.identifiability.identify import find_together, profile_parameters
 from needlefit.project.random_streams import random_stream
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures.fit_forms import draw_profiles
 from needlefit.reporting.number_format import insert_symbols
 from needlefit.reporting.table import Table, TableLayout
-from needlefit.reporting.table_files import Row, to_records
+from needlefit.reporting.table_files import to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import TargetRecord
 from needlefit.studies.answer import Answer, Verdict
 from needlefit.studies.candidates import CANDIDATE_COLUMNS, lay_out_candidates, rank_candidates
 from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.identification import identify_parameters
-from needlefit.studies.identification_tables import (
-    format_small_mm,
-    lay_out_identification,
-)
+from needlefit.studies.identification_tables import lay_out_identification
 from needlefit.studies.job import Settings
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.report import StudyReport
@@ -113,10 +98,8 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
     stated = {
         "place": place,
         "values": dict(problem.values(theta)),
-        "places_near": len(expectation.sds) - 1,
         "insertions": len(depths),
         "depths_mm": [min(depths), max(depths)],
-        "layers": "planned" if all(insertion.surfaces for insertion in fold.tune) else "stated",
     }
     frames = {
         "identify": pd.DataFrame(rows, columns=list(FRAMES["identify"])),
@@ -153,56 +136,16 @@ TEXT = KindText("identification")
 
 
 def describe(found: Run) -> dict[str, Any]:
-    """Return what the text prints: what the design determines."""
-    design, directions = to_records(found.frames["identify"]), to_records(found.frames["directions"])
-    free = [row for row in design if row["status"] != "fixed"]
-    depths = dict.fromkeys(f"{depth:.3g}" for depth in found.run["depths_mm"])
-    thickness = found.run["medium"]["thickness_mm"]
-    moved = ((row, row["tip_range_mm"]) for row in design if row["status"] == "fixed")
+    """Return what the text prints: the free parameters by what the design determines of them."""
+    design, candidates = found.frames["identify"], found.frames["candidates"]
+    free = design[design["status"] == "free"].groupby("determined")["parameter"].agg(list)
+    words = {"known": "yes", "together": "only together", "loose": "no"}
     return {
-        "known": [row["parameter"] for row in free if row["determined"] == "yes"],
-        "together": [row["parameter"] for row in free if row["determined"] == "only together"],
-        "loose": [row["parameter"] for row in free if row["determined"] == "no"],
-        "worst_now": None
-        if found.frames["candidates"].empty
-        else found.frames["candidates"]["sd_now"].iloc[0],
-        "about": {**found.run, "depths": list(depths), "thickness_mm": thickness},
-        "expected": [_describe_expected(row, directions) for row in design if row["sd_low"] is not None],
-        "fixed": [
-            {
-                "name": short_name(str(row["parameter"])),
-                "moved": "" if tip is None else format_small_mm(tip),
-                "value": row["value"],
-            }
-            for row, tip in moved
-        ],
-    }
-
-
-def _describe_expected(row: Row, directions: list[Row]) -> Row:
-    """Return what a design determines about one free parameter."""
-    name, sd, low, high = str(row["parameter"]), row["sd"], row["sd_low"], row["sd_high"]
-    first, last = (format_sd(one, is_logarithmic(name)) for one in (low, high))
-    last = last.removeprefix("factor ") if first.startswith("factor") else last
-    # the best-determined combination that contains the parameter, if it is determined
-    named = (one for one in directions if abs(one[f"weight_{name}"]) >= MIN_NAMED_WEIGHT)
-    only = next(
-        (
-            f"{one['combination']} ({one['note'].split(' is known ', 1)[-1]})"
-            for one in named
-            if one["sd_ratio"] < UNINFORMED_SD_RATIO and one["sd"] < MAX_LOG_SD
-        ),
-        "",
-    )
-    return {
-        **row,
-        "name": short_name(name),
-        "known": describe_posterior_sd(name, sd),
-        "near": "" if high < 1.3 * low else f"{first} to {last}".replace("factor", "a factor of"),
-        "agrees": row["agreement"] == AGREEMENT,
-        "uninformed": row["sd_ratio"] > UNINFORMED_SD_RATIO,
-        "by_data": is_determined_by_data(name, sd, sd / float(row["sd_ratio"])),
-        "only": only,
+        **{key: free.get(word, []) for key, word in words.items()},
+        "worst_now": None if candidates.empty else candidates["sd_now"].iloc[0],
+        "insertions": found.run["insertions"],
+        "depths": list(dict.fromkeys(f"{depth:.3g}" for depth in found.run["depths_mm"])),
+        "place": found.run["place"],
     }
 
 
@@ -234,20 +177,4 @@ def draw(found: Run) -> dict[str, Drawing]:
     return {"profiles": draw_profiles(found.frames["identify"], found.frames["profiles"], found.origin)}
 
 
-def identification_to_json(found: Run) -> dict[str, Any]:
-    """Return the verdict as JSON values."""
-    return {
-        **{"name": found.name, "origin": found.origin, "dataset": found.dataset_title},
-        **{"place": found.run["place"], "sentences": TEXT.sentences("design", describe(found))},
-        **{name: to_records(found.frames[name]) for name in ("identify", "directions", "candidates")},
-    }
-
-
-REPORT = StudyReport(
-    TEXT,
-    describe,
-    lay_out_tables,
-    draw,
-    find_answer,
-    to_json=identification_to_json,
-)
+REPORT = StudyReport(TEXT, describe, lay_out_tables, draw, find_answer)

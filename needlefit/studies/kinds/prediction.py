@@ -1,18 +1,16 @@
 """Predict a planned insertion from a fit: draws of its posterior, simulated in a scene.
 
 There are two bands. The *needle's* comes from the draws of the parameters, of a bevel for each insertion, and
-of the depths of layers and tip. The *measurement's* adds what a scan of it would err by: the errors that the
-dataset states of its points and of the entry pose. Neither includes model error. Draws that are not certified
-predict nothing: the median stays, marked, and the bands are left out.
+of the depths of layers and tip. The *measurement's* adds the errors of points and entry pose that the dataset
+states. Neither includes model error. Draws that are not certified have no bands.
 
-In a specimen that was not tuned on the parameters differ (`Specimens`). What that adds stands beside the
-width that would be left in a specimen tuned on (the mean over these), and after one insertion into the new
-one.
+In a specimen that was not tuned on the parameters differ (`Specimens`): beside the width of the tip's
+interval stand that in a specimen tuned on (the mean over these), and that after one insertion into it.
 """
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -53,12 +51,8 @@ from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import SceneRecord
-from needlefit.studies.answer import Answer, Fault, FaultKind, Status, Verdict, find_fault_kind
-from needlefit.studies.coverage import (
-    estimate_width_after_one,
-    measure_width,
-    warn_if_too_wide,
-)
+from needlefit.studies.answer import Answer, Fault, Verdict, find_fault_kind
+from needlefit.studies.coverage import estimate_width_after_one, measure_width, warn_if_too_wide
 from needlefit.studies.held_out_predictions import (
     PREDICTION_DRAWS,
     Specimens,
@@ -126,10 +120,10 @@ _FITTED_RULES = ("advance", "constraint_spacing_mm", "constraint_switch", "tange
 def make_scene(record: SceneRecord, where: str, medium: MediumRecord, changed: Sequence[str] = ()) -> Scene:
     """Return a planned insertion under the rules of the fit, with the lattice that the scene states.
 
+    `where`: named in errors. `changed`: dotted keys that the user changed in the scene.
+
     Raises ConfigError if the scene states what the fit does not have, or the user changed what the draws
     replace.
-
-    `where`: named in errors. `changed`: dotted keys that the user changed in the scene.
     """
     _require_fitted_rules(record, where, medium)
     dropped = [key for key in changed if _REPLACED.match(key)]
@@ -153,31 +147,26 @@ def make_scene(record: SceneRecord, where: str, medium: MediumRecord, changed: S
 
 
 def _require_fitted_rules(record: SceneRecord, where: str, medium: MediumRecord) -> None:
-    """Raise ConfigError where a scene states another rule, law or thickness than the fit used."""
-    rules, layers = record.rules, list(enumerate(record.layers, start=1))
-    stated = [(f"rules.{key}", key, getattr(rules, key)) for key in rules.model_fields_set & {*_FITTED_RULES}]
-    stated += [("law", "law", record.law)] if "law" in record.model_fields_set else []
-    stated += [
-        (f"layers.{n}.thickness_mm", "thickness_mm", layer.thickness_mm)
-        for n, layer in layers
-        if "thickness_mm" in layer.model_fields_set
-    ]
-    for key, name, value in sorted(stated):
-        fitted = getattr(medium, name)
+    """Raise ConfigError where a scene states another rule, law, thickness or friction than the fit used."""
+    rules = record.rules
+    stated: dict[str, tuple[object, object]] = {
+        f"rules.{key}": (getattr(rules, key), getattr(medium, key))
+        for key in _FITTED_RULES
+        if key in rules.model_fields_set
+    }
+    if "law" in record.model_fields_set:
+        stated["law"] = record.law, medium.law
+    for n, layer in enumerate(record.layers, start=1):
+        stated[f"layers.{n}.friction"] = layer.friction, 0.0
+        if "thickness_mm" in layer.model_fields_set:
+            stated[f"layers.{n}.thickness_mm"] = layer.thickness_mm, medium.thickness_mm
+    for key, (value, fitted) in stated.items():
         if value != fitted:
             raise ConfigError(
                 f"`{key}` is {json.dumps(value)}, but the parameters were fitted with {json.dumps(fitted)}",
                 where=where,
                 expected=f"{json.dumps(fitted)}: fitted parameters hold for this value alone",
-                fix=f"leave `{key}` out, or fit a tissue model with `{name} = {json.dumps(value)}`",
-            )
-    for n, layer in layers:
-        if layer.friction:
-            raise ConfigError(
-                f"`layers.{n}.friction` is {layer.friction:g}, but the fit was made without friction",
-                where=where,
-                expected="0",
-                fix=f"leave `layers.{n}.friction` out",
+                fix=f"leave `{key}` out, or fit a tissue model with {json.dumps(value)}",
             )
 
 
@@ -223,12 +212,11 @@ def _find_quantile(mixture: PredictiveMixture, p: float) -> Floats:
 def forecast(scene: Scene, known: Specimens, into: Insertion | None, otherwise: str = "same") -> Forecast:
     """Predict the needle of a planned insertion.
 
-    The scene says needle, depth, layers' places, bevel side and controls, under the rules of the fit
-    (`make_scene`); its moduli and bevel offset are replaced by the draws': layer n of the scene is layer n of
-    the medium. With each draw a bevel of this insertion and the depths of layers and tip are drawn too, as
-    they err in a typical insertion of the dataset. The specimen is that of the insertion `into`, called
-    `otherwise`, or, with None, one that is not in the dataset. Where it has no draws of its own, those of all
-    insertions together stand in.
+    The scene is under the rules of the fit (`make_scene`); draws replace its moduli and bevel offset: layer n
+    of the scene is layer n of the medium. With each draw a bevel of this insertion and the depths of layers
+    and tip are drawn too, as they err in a typical insertion of the dataset. The specimen is that of the
+    insertion `into`, called `otherwise`, or, with None, one that is not in the dataset. Where it has no draws
+    of its own, those of all insertions together stand in.
 
     Raises ConfigError if the scene has more layers than the medium, or another needle than the dataset.
     ModelError if no draw can be solved.
@@ -289,9 +277,9 @@ def _simulate_draws(
 
 
 def _measurement_sd(s: Floats, dataset: Dataset, scale: float) -> Floats:
-    """Return the deviation (K,) of a measured y about the needle's, mm; of a typical insertion.
+    """Return the SD (K,) of a measured y about the needle's, mm, of a typical insertion.
 
-    The scale of the noise is none of the pose.
+    `scale` is that of the noise, not of the pose.
     """
     noise = dataset.noise
     pose = np.array([pose_sds(one, noise) for one in dataset.insertions])  # (N, 3)
@@ -325,20 +313,17 @@ def _check(scene: Scene, medium: MediumRecord, dataset: Dataset) -> None:
 
 def draw_parameters(
     job: Job, run: Path | None, settings: Settings, checkpoint: Checkpoint = NO_CHECKPOINT
-) -> tuple[Draws, tuple[Fault, ...]] | None:
+) -> Draws | None:
     """Return draws of the posterior stored in the folder `run`, or, if there is none, about a new fit.
 
-    Raises ConfigError if the posterior is of other data or another configuration, or the folder holds none.
+    None after a stop.
 
-    Returns
-    -------
-    tuple of Draws and its faults, or None
-        None after a stop.
+    Raises ConfigError if the posterior is of other data or another configuration, or the folder holds none.
     """
     if settings.inputs.posterior is not None:
-        return _list_faults(thin_posterior(settings.inputs.posterior, job.parameters, PREDICTION_DRAWS))
+        return thin_posterior(settings.inputs.posterior, job.parameters, PREDICTION_DRAWS)
     if run is not None:
-        return _list_faults(_draw_from_run(job, run))
+        return _draw_from_run(job, run)
     (fold,) = job.folds
     rng = random_stream(job.recipe.seed, fold.name, "fitted", "starts")
     callbacks = Callbacks(
@@ -350,20 +335,10 @@ def draw_parameters(
     fit = minimize(job.problem(fold), job.recipe, rng, callbacks)
     if fit.interrupted:
         return None
-    found = draw_fold_parameters(job, fold, fit, settings).draws
-    if settings.stop():
-        return None
-    drawn, faults = _list_faults(found)
-    if not fit.fault:
-        return drawn, faults
+    draws = draw_fold_parameters(job, fold, fit, settings).draws
     # without a search that has converged nothing is certified
-    searched = Fault(FaultKind.NOT_CONVERGED, fit.fault)
-    return replace(drawn, faults=(fit.fault, *drawn.faults)), (searched, *faults)
-
-
-def _list_faults(draws: Draws) -> tuple[Draws, tuple[Fault, ...]]:
-    """Return draws with the records of their faults."""
-    return draws, tuple(Fault(find_fault_kind(draws), words) for words in draws.faults)
+    found = replace(draws, faults=(fit.fault, *draws.faults)) if fit.fault else draws
+    return None if settings.stop() else found
 
 
 def _draw_from_run(job: Job, run: Path) -> Draws:
@@ -418,27 +393,38 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     about = begin_run(name, record, job, f"Prediction: {title}")
     folder = None if record.posterior is None else Path(record.posterior)
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, about.run, settings.note)
-    drawn = draw_parameters(job, folder, settings, checkpoint)
-    if drawn is None:
+    fitted = draw_parameters(job, folder, settings, checkpoint)
+    if fitted is None:
         return replace(about, interrupted=True)
-    fitted, faults = drawn
     known = replace(known, draws=fitted)
     draws, treatment = known.draws_in(into), "training only" if where == "training only" else "same"
     found = forecast(scene, known, into, treatment)
-    frames = _make_frames(found, title, certified=not draws.faults)
+    needle = tabulate_forecast(found).assign(scene=title, converged=not draws.faults)
+    specimens = pd.DataFrame(found.specimens, columns=list(FRAMES["specimens"]))
     warned = [*job.warnings, *scene_warnings(record.scene, record.scene_name)]
     if found.outside:
         share = f"{found.outside} of {len(found.needle.means)} predicted needles"
         what = f"{share} are outside what the model assumes (slopes, shortening, compression)"
         fix = "read the bands with care; `needlefit simulate` of the scene names what is exceeded"
         warned.append(ResultWarning("validity", what, fix=fix))
-    warned += warn_of_width(frames)
+    if draws.faults:
+        needle.loc[:, needle.columns.str.contains("_low_|_high_")] = np.nan
+        specimens["tip_95_width_mm"] = np.nan
+    else:
+        widths, fix = specimens["tip_95_width_mm"], ""
+        if len(widths) > 1:  # the second: after one insertion into the new specimen
+            fix = (
+                f"one measured insertion into this specimen would narrow it to {widths[1]:.2g} mm "
+                "if the model is right there; state a fitted one with --specimen"
+            )
+        deflection = abs(float(needle["needle_median_mm"].iloc[-1]))
+        warned += warn_if_too_wide(float(widths[0]), deflection, fix=fix)
     stored: Any = about.record
     named = {"scene_name": scene_name, "posterior": folder.name if folder else None}
     return replace(
         about,
         record=stored.model_copy(update=named),
-        frames=frames,
+        frames={"forecast": needle, "specimens": specimens},
         run={
             **about.run,
             "study": about.run["study"] | named,
@@ -451,108 +437,68 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
             "not_converged": list(draws.faults),
             **warnings_entry(warned),
         },
-        faults=faults if draws.faults == fitted.faults else _list_faults(draws)[1],
+        faults=tuple(Fault(find_fault_kind(draws), words) for words in draws.faults),
     )
-
-
-def _make_frames(found: Forecast, title: str, certified: bool) -> dict[str, pd.DataFrame]:
-    """Return the tables of a run; the intervals of draws that are not certified are left out."""
-    needle = tabulate_forecast(found)
-    specimens = pd.DataFrame(found.specimens, columns=list(FRAMES["specimens"]))
-    if not certified:
-        needle.loc[:, needle.columns.str.contains("_low_|_high_")] = np.nan
-        specimens["tip_95_width_mm"] = np.nan
-    return {"forecast": needle.assign(scene=title, converged=certified), "specimens": specimens}
-
-
-def warn_of_width(frames: Mapping[str, pd.DataFrame]) -> Iterator[ResultWarning]:
-    """Yield that the tip's interval is too wide for aiming, with what one insertion would gain."""
-    widths = frames["specimens"].set_index("specimen_treatment")["tip_95_width_mm"].dropna()
-    fix = ""
-    if "one insertion" in widths:
-        fix = (
-            f"one measured insertion into this specimen would narrow it to {widths['one insertion']:.2g} mm "
-            "if the model is right there; state a fitted one with --specimen"
-        )
-    if len(widths):
-        deflection = abs(float(frames["forecast"]["needle_median_mm"].iloc[-1]))
-        yield from warn_if_too_wide(float(widths.iloc[0]), deflection, fix=fix)
 
 
 # ---- the report
 
 TEXT = KindText("prediction")
-_KNOWN_KEYS = ("s_mm", "needle_median_mm", "needle_95_low_mm", "needle_95_high_mm")
 
 
 def describe(found: Run) -> dict[str, Any]:
     """Return what the text prints."""
     study, specimens = found.run["study"], to_records(found.frames["specimens"])
-    rows = {str(row["specimen_treatment"]): row for row in specimens}
-    faults = ", ".join(dict.fromkeys(one.kind for one in found.faults))
     return {
         **{key: found.run[key] for key in ("draws", "draw_source", "failed_solves")},
-        **{key: value for key, value in find_tip(found).items() if key in _KNOWN_KEYS},
+        **find_tip(found),
         "title": study["scene"]["title"] or study["scene_name"],
-        "faults": f"{faults}: {'; '.join(map(str, found.faults))}" if faults else "",
-        "fault_heads": faults,
-        "synthetic": found.synthetic,
-        "specimen": "others" if "others" in rows else next(iter(rows)),
+        "faults": ", ".join(dict.fromkeys(one.kind for one in found.faults)),
+        "specimen": specimens[0]["specimen_treatment"],
         "named": "" if study["specimen"] in (None, "new", "same") else study["specimen"],
-        "spread": describe_spread(rows["others"]) if "others" in rows else "",
-        "widths": {name: row["tip_95_width_mm"] for name, row in rows.items()},
+        "spread": describe_spread(specimens[0]) if len(specimens) > 1 else "",
     }
 
 
 def find_tip(found: Run) -> Row:
     """Return the tip's row, mm; None for the ends of bands that were left out."""
-    return to_records(found.frames["forecast"].drop(columns=["scene", "converged"]))[-1]
-
-
-def describe_faults(found: Run) -> str:
-    """Return why a prediction has no intervals; empty if it has them."""
-    return str(describe(found)["faults"])
+    return to_records(found.frames["forecast"])[-1]
 
 
 def find_answer(found: Run) -> Answer:
     """Return where the tip will be, with its 95 % interval; it fails without one, and nothing is tested."""
-    row, sentence = find_tip(found), TEXT.sentence("answer", describe(found))
-    status: Status = "fail" if found.faults else "none"
-    numbers = {key: row[key] for key in _KNOWN_KEYS[: 1 if found.faults else 4]}
-    about = (
-        f"Predicted with the fit of {found.run['name'].removesuffix('-tune')}: {describe(found)['title']}."
+    values = describe(found)
+    keys = ("s_mm", "needle_median_mm", "needle_95_low_mm", "needle_95_high_mm")
+    verdict = Verdict(
+        TEXT.sentence("answer", values),
+        "fail" if found.faults else "none",
+        numbers={key: values[key] for key in (keys[:1] if found.faults else keys)},
     )
-    return Answer([Verdict(sentence, status, "", numbers)], REPORT.lay_out(found)[:1], about)
+    about = f"Predicted with the fit of {found.run['name'].removesuffix('-tune')}: {values['title']}."
+    return Answer([verdict], REPORT.lay_out(found)[:1], about)
 
 
 def tabulate(found: Run) -> list[Table]:
-    """Return the tip's table, and that of the specimen."""
+    """Return the tip's table, and for a new specimen that of the widths by specimen."""
     row = find_tip(found)
     rows = [
         {"tip_y": words} | {key.removeprefix(f"{name}_"): value for key, value in row.items()}
         for name, words in zip(BANDS, ("needle", "measurement of the needle"), strict=True)
     ]
     columns = ("tip_y", "median_mm", *(f"range_{100 * level:.0f}_mm" for level in INTERVAL_PROBABILITIES))
-    treatments = {
-        "others": SPECIMEN_NAMES["others"],
-        "one insertion": SPECIMEN_NAMES["one insertion"],
-        "same": "tuned specimen",
-        "training only": "new specimen, without the spread between specimens, as the target states",
-    }
-    specimens = [
-        one | {"specimen_treatment": treatments[str(one["specimen_treatment"])]}
+    names = SPECIMEN_NAMES | {"same": "tuned specimen"}
+    widths = [
+        one | {"specimen_treatment": names[str(one["specimen_treatment"])]}
         for one in to_records(found.frames["specimens"])
     ]
-    return [
-        Table("forecast", rows, columns),
-        Table("specimens", specimens, ("specimen_treatment", "tip_95_width_mm")),
-    ]
+    by_specimen = Table("specimens", widths, ("specimen_treatment", "tip_95_width_mm"))
+    return [Table("forecast", rows, columns), *([by_specimen] if len(widths) > 1 else [])]
 
 
 def draw(found: Run) -> dict[str, Drawing]:
     """Return median, 50 and 95 % bands of the needle, and the 95 % band of its measurement, mm."""
     facts = describe(found)
-    title = f"{facts['title']} ({facts['fault_heads']})" if found.faults else facts["title"]
+    title = f"{facts['title']} ({facts['faults']})" if found.faults else facts["title"]
     table = found.frames["forecast"].assign(origin=found.origin, scene=title)
     bands = {
         "measured_95": ("95 % of measurements", "#D5D5D5"),
@@ -581,25 +527,4 @@ def draw(found: Run) -> dict[str, Drawing]:
     return {"forecast": Drawing("curves", table, options, list_bands)}
 
 
-_BASIS_KEYS = (
-    *("draw_source", "pareto_k", "ess", "draws", "failed_solves"),
-    *("outside_validity", "not_converged"),
-)
-
-
-def forecast_to_json(found: Run) -> dict[str, Any]:
-    """Return the tip's row and the basis of the prediction, as JSON values."""
-    named = {"target": found.run["name"], "scene": found.run["study"]["scene_name"]}
-    specimens = to_records(found.frames["specimens"])
-    basis = {key: found.run.get(key) for key in _BASIS_KEYS}
-    return {**named, "tip": find_tip(found), "specimens": specimens, **basis}
-
-
-REPORT: StudyReport = StudyReport(
-    TEXT,
-    describe,
-    tabulate,
-    draw,
-    find_answer,
-    to_json=forecast_to_json,
-)
+REPORT = StudyReport(TEXT, describe, tabulate, draw, find_answer)

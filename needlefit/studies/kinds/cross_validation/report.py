@@ -34,7 +34,7 @@ from needlefit.studies.answer import Answer, Check, Status, Verdict
 from needlefit.studies.fit_frames import COLUMNS as FRAMES
 from needlefit.studies.fit_frames import select_draws, select_free
 from needlefit.studies.fit_tables import TEXT
-from needlefit.studies.identification_tables import lay_out_identification, tabulate_identification
+from needlefit.studies.identification_tables import lay_out_identification
 from needlefit.studies.judge import STATUS, Judgement, judge, list_checks
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Run, once_per_run
@@ -363,7 +363,7 @@ def list_files(result: Run) -> dict[str, pd.DataFrame | str]:
         found["predictive"] = pd.concat([frame for frame in predictions if len(frame)])
     found |= {name: frame for name, frame, _ in _lay_out_own_files(result) if len(frame)}
     if len(result.frames["identification"]):
-        found["identify"] = tabulate_identification(result.frames["identification"], result.origin)
+        found["identify"] = result.frames["identification"]
     if result.posteriors:
         found["posterior"] = fit_tables.tabulate_percentiles(result)
     # with every digit: it is exactly these values that fail again
