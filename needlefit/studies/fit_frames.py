@@ -2,8 +2,7 @@
 
 design
     Insertions, depths and measured deflections of the tip (toward the bevel) per role ("tune", "validate"),
-    medium and layers; `insertions_other` counts the same insertions by the other rule for needles that end at
-    a boundary.
+    medium and layers.
 errors
     One row per fold, role, insertion, method and boundaries ("measured", as in the paper; "planned"), with a
     column per metric (`needlefit.metrics`) and `floor_<metric>` for those that have a noise floor.
@@ -95,7 +94,7 @@ _PREDICTIVE_COLUMNS = (
 COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "design": (
-            *("role", "medium", "layers", "insertions", "insertions_other", "depth_min_mm", "depth_max_mm"),
+            *("role", "medium", "layers", "insertions", "depth_min_mm", "depth_max_mm"),
             *("deflection_min_mm", "deflection_max_mm"),
         ),
         "errors": (

@@ -73,34 +73,28 @@ class _RowKind:
     column: str = "value"
 
 
-_FITTED, _POOLED = _RowKind("posterior-mode fit"), _RowKind("pooled", column="pooled")
+_FITTED = _RowKind("posterior-mode fit")
 _FLOOR, _PAPER = _RowKind("noise floor", column="floor"), _RowKind("paper", column="paper")
 _HELD_OUT_KINDS = (
     _FITTED,
     _RowKind("predictive median", method=MEDIAN_METHOD),
     _RowKind("error-minimising fit", method="fitted_metric"),
     _RowKind("planned layer depths", boundaries="planned"),
-    _POOLED,
 )
-#: the kinds of rows given of groups fitted to, and by the alternative count
-_REGROUPED_KINDS = (_FITTED, _POOLED)
 
-_ALTERNATE_MARK = "‡"
 _ROLE_NAMES = {"tune": "tunes", "validate": "validates"}
 
 
 def lay_out_validation(results: Sequence[Run]) -> TableLayout:
     """Return the validation table by held-out group: ours, with planned depths, noise floor, paper."""
-    return _lay_out_groups(
-        "validation", scores.list_held_out_groups(*results, with_alternate=True), _HELD_OUT_KINDS
-    )
+    return _lay_out_groups("validation", scores.list_held_out_groups(*results), _HELD_OUT_KINDS)
 
 
 def lay_out_tuning(results: Sequence[Run], grouping: str) -> TableLayout:
     """Return the in-sample errors by `grouping` ("layers" or "media"), beside the paper's tuned models."""
-    table = scores.tabulate_tuning(*results, with_alternate=True)
+    table = scores.tabulate_tuning(*results)
     groups = scores.list_groups(table[table["grouping"] == grouping])
-    return _lay_out_groups(f"tuning_by_{grouping}", groups, _REGROUPED_KINDS)
+    return _lay_out_groups(f"tuning_by_{grouping}", groups, (_FITTED,))
 
 
 def _lay_out_groups(
@@ -112,9 +106,8 @@ def _lay_out_groups(
     """
     rows: list[Row] = []
     for number, group in enumerate(groups):
-        own = [kind for kind in kinds if not group.head["alternate_count"] or kind in _REGROUPED_KINDS]
-        kinds_here = (*own, _FLOOR, _PAPER)
-        rows += [{**_head(group), **row, "number": number} for row in _list_rows(group, kinds_here)]
+        found = _list_rows(group, (*kinds, _FLOOR, _PAPER))
+        rows += [{**_head(group), **row, "number": number} for row in found]
     heads = ("study", "medium", "layers", "insertions")
     table = _make_table(name, rows, heads, (one for one in list_metrics() if not one.spread_of))
     same = group_values((str(one.head["comparable"]), _head(one)) for one in groups if one.printed)
@@ -205,9 +198,7 @@ def _describe_score(group: scores.ScoredGroup, kind: _RowKind, metric: Metric) -
 
 
 def _head(group: scores.ScoredGroup) -> Row:
-    count = str(group.head["layers"] or "all")
-    mark = _ALTERNATE_MARK if group.head["alternate_count"] else ""
-    about = {"count": count, "layers": count + mark, "printed": group.printed}
+    about = {"layers": str(group.head["layers"] or "all"), "printed": group.printed}
     return {**group.head, **about, "unflagged_edp": group.get("edp_percent", "unflagged")}
 
 
@@ -266,22 +257,16 @@ def lay_out_matrix(results: Sequence[Run]) -> TableLayout:
 
 def lay_out_design(results: Sequence[Run]) -> TableLayout:
     """Return which insertions tune and validate: counts, ranges of depth and measured deflection."""
-    rows = []
-    for one in results:
-        for row in to_records(one.frames["design"]):
-            other = "" if row["insertions"] == row["insertions_other"] else row["insertions_other"]
-            about = {
-                "study": scores.study_label(one),
-                "role": _ROLE_NAMES[row["role"]],
-                "origin": one.origin,
-            }
-            rows.append({**row, **about, "insertions_other": other})
-    columns = (
-        *("study", "role", "medium", "layers", "insertions", "insertions_other"),
-        *("depth_range_mm", "deflection_range_mm"),
-    )
+    rows = [
+        {**row, "study": scores.study_label(one), "role": _ROLE_NAMES[row["role"]], "origin": one.origin}
+        for one in results
+        for row in to_records(one.frames["design"])
+    ]
+    columns = ("study", "role", "medium", "layers", "insertions", "depth_range_mm", "deflection_range_mm")
+    errors = pd.concat([one.frames["errors"].assign(study=one.name) for one in results])
+    doubtful = errors[errors["layers"] != errors["layers_other"]].drop_duplicates(["study", "insertion"])
     table = Table("design", rows, columns, groups=("study",), heads=1)
-    return _lay_out(table, drop_empty=True, both_counts=any(row["insertions_other"] for row in rows))
+    return _lay_out(table, drop_empty=True, at_boundary=len(doubtful))
 
 
 _COVERAGE_GROUPS = ("study", "medium", "layers", "specimen_treatment")
@@ -715,10 +700,10 @@ def lay_out_files(
 ) -> Iterator[tuple[str, pd.DataFrame, list[TableLayout]]]:
     """Yield the paper's tables with our rows beside its rows: name, rows, and the tables to print."""
     every = list({one.name: one for one in (*studies, *tunings)}.values())
-    validation = scores.tabulate_validation(*studies, with_alternate=True)
+    validation = scores.tabulate_validation(*studies)
     yield "validation", validation, [lay_out_validation(studies)]
     by = [lay_out_tuning(tunings, grouping) for grouping in (scores.BY_LAYERS, scores.BY_MEDIA)]
-    yield "tuning", scores.tabulate_tuning(*tunings, with_alternate=True), by
+    yield "tuning", scores.tabulate_tuning(*tunings), by
     yield "parameters", tabulate_parameters(*every), [lay_out_parameters(every)]
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.select import count_layers, get_other_rule
+from needlefit.datasets.select import count_layers
 from needlefit.grouping import group_values
 from needlefit.inference.error_fit import ErrorMinimisingFit, ErrorSearch, Target, examine_errors
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_start, read_starts
@@ -713,26 +713,17 @@ def _published_rows(job: Job, fold: Fold, retuned: Fit | None) -> list[Row]:
 
 
 def tabulate_design(job: Job) -> pd.DataFrame:
-    """Return one row per role, medium and layers; folds share their insertions.
-
-    `insertions_other` is how many of the same insertions the other reading counts there; a group that only
-    the other reading has is left out of the first count.
-    """
-    rule, counted = job.record.layer_count_rule, []
-    for each in (rule, get_other_rule(rule)):
-        groups: dict[tuple[str, str, int], dict[str, Insertion]] = {}
-        for fold in job.folds:
-            for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
-                for one in insertions:
-                    group = (role, one.medium, count_layers(one, each))
-                    groups.setdefault(group, {})[one.id] = one
-        counted.append(groups)
-    ours, others = counted
+    """Return one row per role, medium and layers; folds share their insertions."""
+    groups: dict[tuple[str, str, int], dict[str, Insertion]] = {}
+    for fold in job.folds:
+        for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
+            for one in insertions:
+                group = (role, one.medium, count_layers(one, job.record.layer_count_rule))
+                groups.setdefault(group, {})[one.id] = one
     rows = []
-    for group in {**ours, **others}:
-        members = ours.get(group) or others[group]
+    for group, members in groups.items():
         row: Row = dict(zip(("role", "medium", "layers"), group, strict=True))
-        row |= {"insertions": len(ours.get(group, {})), "insertions_other": len(others.get(group, {}))}
+        row["insertions"] = len(members)
         for name in ("depth", "deflection"):
             values = [getattr(one, name) for one in members.values()]
             row |= {f"{name}_min_mm": min(values), f"{name}_max_mm": max(values)}
