@@ -14,7 +14,7 @@ from needlefit.reporting.number_format import (
 from needlefit.reporting.table import Table, part, pivot
 from needlefit.reporting.table_files import to_records
 from needlefit.studies import paper
-from needlefit.studies.fit_tables import lay_out_design, lay_out_validation, lay_out_values
+from needlefit.studies.fit_tables import lay_out_design, lay_out_parameters, lay_out_validation
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import (
     TE,
@@ -167,7 +167,7 @@ def test_of_several_folds_values_and_intervals_are_enveloped():
     one = {"fold": "one", "median": 0.1, "interval_low": 0.08, "interval_high": 0.12, "determined": "yes"}
     two = {"fold": "two", "median": 0.2, "interval_low": 0.15, "interval_high": 0.25}
     folds = [{**row, **one}, {**row, **two, "determined": "only together"}]
-    (cells,) = lay_out_values(results.with_frames(parameters=pd.DataFrame(folds))).rows
+    (cells,) = lay_out_parameters(results.with_frames(parameters=pd.DataFrame(folds))).rows
     assert cells[1] == "0.1 to 0.2 (0.08 to 0.25)" and cells[2] == "only together"
 
 

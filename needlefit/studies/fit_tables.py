@@ -202,34 +202,6 @@ def _head(group: scores.ScoredGroup) -> Row:
     return {**group.head, **about, "unflagged_edp": group.get("edp_percent", "unflagged")}
 
 
-_IN_SAMPLE_METHODS = ("fitted", "fitted_metric", "hand_tuned")
-
-
-def lay_out_in_sample(results: Run) -> TableLayout:
-    """Return the errors of a fit, of the error-minimising one and of the paper's parameters, over all
-    insertions that were fitted to.
-    """
-    shown = [metric for metric in list_metrics() if metric.headline or metric.relative]
-    table = scores.aggregate(results.frames["errors"], ("role", "method", "boundaries"))
-    known = {
-        (row["method"], row["metric"]): row
-        for row in to_records(table)
-        if (row["role"], row["boundaries"]) == ("tune", "measured")
-    }
-    rows: list[Row] = []
-    for method in (*_IN_SAMPLE_METHODS, "floor"):
-        name = "noise floor" if method == "floor" else method_name(method, results.origin)
-        for metric in shown:
-            one = known.get(("fitted" if method == "floor" else method, metric.name), {})
-            value = one.get("floor" if method == "floor" else "value")
-            if one and (value is not None or method != "floor"):
-                rows.append({"row": name, "metric": metric.name, "value": value, "mark": "", "spread": None})
-    lines = pivot(rows, ["row"], ["metric"])
-    columns = ("row", *(part("metric_value", metric=one.name) for one in shown))
-    counts = {int(row["insertions"]) for row in known.values()}
-    return _lay_out(Table("in_sample", lines, columns, strong="first"), insertions=max(counts, default=0))
-
-
 def lay_out_matrix(results: Sequence[Run]) -> TableLayout:
     """Return one row per study and held-out group: our errors, what they compare with, and the verdict."""
     rows: list[Row] = []
@@ -353,7 +325,7 @@ _PARAMETER_COLUMNS = (
     *("study", "medium", "fold", "parameter", "method", "value", "median"),
     *("determined", "condition", "status"),
     *("sd", "interval_low", "interval_high", "draw_source", "importance_low", "importance_high"),
-    *("low", "high", "bound_low", "bound_high", "note", "comparable", "origin"),
+    *("low", "high", "bound_low", "bound_high", "note", "origin"),
 )
 
 
@@ -363,24 +335,14 @@ def tabulate_parameters(*results: Run) -> pd.DataFrame:
     `value` is what errors and curves of the method are simulated with, `median` that of the posterior's
     draws. `interval_low`, `interval_high` are the 95 % interval of the posterior; of the error-minimising fit
     the range within the tolerance of the errors. `determined` says whether the data determine the parameter:
-    "yes", "only together" or "no". `sd` is of ln for moduli and lengths, of the value for alpha. `comparable`
-    says what makes ours and the paper's comparable or not.
+    "yes", "only together" or "no". `sd` is of ln for moduli and lengths, of the value for alpha.
     """
-    rows = [row for one in results for row in _parameter_rows(one)]
+    rows = [
+        {"study": scores.study_label(one), "medium": one.record.medium, "origin": one.origin, **row}
+        for one in results
+        for row in to_records(one.frames["parameters"])
+    ]
     return pd.DataFrame(rows, columns=list(_PARAMETER_COLUMNS))
-
-
-def _parameter_rows(results: Run) -> Iterator[Row]:
-    rows = to_records(results.frames["parameters"])
-    published = {(r["fold"], r["parameter"]) for r in rows if r["method"] == "hand_tuned"}
-    about = {
-        "study": scores.study_label(results),
-        "medium": results.record.medium,
-        "origin": results.origin,
-    }
-    for row in rows:
-        key = (row["fold"], row["parameter"])
-        yield {**about, **row, "comparable": scores.compare_parameter_row(results, key in published)}
 
 
 def arrange_parameters(table: pd.DataFrame) -> list[Row]:
@@ -420,10 +382,7 @@ def describe_parameter(rows: Sequence[Row], truth: float | None = None) -> Row:
         "determined": "" if fixed else _join_determined(rows),
         "error_minimising": _format_estimate(errors, [row["value"] for row in errors], unit),
         "errors_determine": _join_determined(errors),
-        **{
-            method: _join_range([row[method]["value"] for row in rows if row[method]], unit)
-            for method in ("hand_tuned", "hand_tuned_b")
-        },
+        "hand_tuned": _join_range([row["hand_tuned"]["value"] for row in rows if row["hand_tuned"]], unit),
         "true_value": "" if truth is None else typeset(format_number(truth / unit)),
     }
 
@@ -462,45 +421,6 @@ def _is_at(end: float, bounds: Sequence[float | None]) -> bool:
     return any(bound is not None and math.isclose(end, bound, rel_tol=1e-6) for bound in bounds)
 
 
-def lay_out_parameters(results: Sequence[Run], free_alone: bool = False) -> TableLayout:
-    """Return posterior and error-minimising fit beside the paper's parameters, and these with b re-fitted.
-
-    Of several studies in one table wanted are the parameters that are `free_alone`, without notes.
-    """
-    table = arrange_parameters(tabulate_parameters(*results))
-    table = [row for row in table if row["status"] == "free" or not free_alone]
-    folds = len({row["fold"] for row in table}) > 1
-    truths = {scores.study_label(one): one.run.get("truth", {}) for one in results}
-    rows = []
-    for number, row in enumerate(table):
-        named = not number or row["study"] != table[number - 1]["study"]
-        tied = str(row["note"]) if row["status"] == "tied" else ""  # it names the tie, and its condition
-        rows.append(
-            {
-                **describe_parameter([row], truths[row["study"]].get(row["parameter"])),
-                "group": (row["study"], row["fold"]),
-                "study": row["study"] if named else "",
-                "fold": row["fold"] if folds else "",
-                "note": insert_symbols(tied or str(row["condition"] or "")),
-            }
-        )
-    columns = (
-        *("study", "fold", "parameter", "posterior", "determined", "error_minimising", "errors_determine"),
-        *("hand_tuned", "hand_tuned_b", "true_value"),
-        *(() if free_alone else ("note",)),
-    )
-    compared = list(dict.fromkeys(str(row["comparable"]) for row in table if row["hand_tuned"]))
-    values = {
-        "printed": any(row["hand_tuned"] for row in rows),
-        "metric": any(row["error_minimising"] for row in rows),
-        "truth": any(row["true_value"] for row in rows),
-        "comparable": compared,
-        **_describe_search(results),
-    }
-    found = Table("parameters", rows, columns, groups=("group",), heads=2)
-    return _lay_out(found, drop_empty=True, **values)
-
-
 #: what the intervals of parameters are from, by `draw_source`
 SOURCES = {"posterior": "emcee", "importance": "importance sampling", "profile": "profile likelihood"}
 
@@ -519,30 +439,41 @@ def _describe_search(results: Sequence[Run]) -> Row:
     }
 
 
-def lay_out_values(results: Run) -> TableLayout:
-    """Return the table of parameters of the first page; parameters with the same cells have one row."""
-    truth = results.run.get("truth", {})
-    by_name = group_values(
-        (str(row["parameter"]), row) for row in arrange_parameters(tabulate_parameters(results))
-    )
-    cells: dict[tuple[object, ...], Row] = {}
-    for name, rows in by_name.items():
-        row = describe_parameter(rows, truth.get(name))
-        same = cells.setdefault(tuple(row[key] for key in row if key != "parameter"), {**row, "names": []})
-        same["names"].append(row["parameter"])
-    rows = [{**row, "parameter": ", ".join(row["names"])} for row in cells.values()]
+def lay_out_parameters(*results: Run) -> TableLayout:
+    """Return posterior and error-minimising fit beside the paper's parameters, of several folds their range.
+
+    Parameters with the same cells have one row. Of several studies only free parameters are there.
+    """
+    rows: list[Row] = []
+    for one in results:
+        table, truth = arrange_parameters(tabulate_parameters(one)), one.run.get("truth", {})
+        pairs = [
+            (str(row["parameter"]), row) for row in table if len(results) == 1 or row["status"] == "free"
+        ]
+        cells: dict[tuple[object, ...], Row] = {}
+        for name, members in group_values(pairs).items():
+            row = describe_parameter(members, truth.get(name))
+            key = tuple(row[key] for key in row if key != "parameter")
+            cells.setdefault(key, {**row, "names": []})["names"].append(row["parameter"])
+        about = {"study": scores.study_label(one)}
+        rows += [{**about, **row, "parameter": ", ".join(row["names"])} for row in cells.values()]
     columns = (
-        *("parameter", "posterior", "determined", "error_minimising", "errors_determine"),
+        *("study", "parameter", "posterior", "determined", "error_minimising", "errors_determine"),
         *("hand_tuned", "true_value"),
-    )
+    )[len(results) == 1 :]
+    single = len(results) == 1
     values = {
-        "folds": int(results.frames["parameters"]["fold"].nunique()),
+        "folds": max(int(one.frames["parameters"]["fold"].nunique()) for one in results),
         "bounds": any(AT_BOUND in row["posterior"] + row["error_minimising"] for row in rows),
-        "together": find_known_combination(results),
-        "freed": describe_freed(results.frames["identification"]),
-        **_describe_search([results]),
+        "together": find_known_combination(results[0]) if single else "",
+        "freed": describe_freed(results[0].frames["identification"]) if single else [],
+        "printed": any(row["hand_tuned"] for row in rows),
+        "metric": any(row["error_minimising"] for row in rows),
+        "truth": any(row["true_value"] for row in rows),
+        **_describe_search(results),
     }
-    return _lay_out(Table("values", rows, columns), drop_empty=True, **values)
+    table = Table("parameters", rows, columns, groups=("study",) if not single else (), heads=int(not single))
+    return _lay_out(table, drop_empty=True, **values)
 
 
 def find_known_combination(results: Run) -> str:
@@ -704,7 +635,7 @@ def lay_out_files(
     yield "validation", validation, [lay_out_validation(studies)]
     by = [lay_out_tuning(tunings, grouping) for grouping in (scores.BY_LAYERS, scores.BY_MEDIA)]
     yield "tuning", scores.tabulate_tuning(*tunings), by
-    yield "parameters", tabulate_parameters(*every), [lay_out_parameters(every)]
+    yield "parameters", tabulate_parameters(*every), [lay_out_parameters(*every)]
 
 
 def lay_out_printed_tuning(results: Sequence[Run]) -> list[TableLayout]:

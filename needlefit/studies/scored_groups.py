@@ -330,14 +330,3 @@ def compare_with_paper(results: Run, insertions: int, paper_insertions: int | No
         data = "ours are of simulated needles, the paper's of real ones"
     conditions = ", ".join(filter(None, (where, "measured boundaries, mean over insertions")))
     return f"{verdict}: {conditions}; {data}{count}; ours are tuned automatically, the paper's by hand."
-
-
-def compare_parameter_row(results: Run, printed: bool) -> str:
-    """Return the sentence on comparability of a parameter; `printed`: the paper has a value."""
-    if not printed:
-        return "The paper has no such value."
-    needles = "to simulated needles" if results.origin == "synthetic" else "to other needles"
-    return (
-        f"Same model, as far as the paper states it: ours fitted {needles}, the paper's tuned by hand on its "
-        "real ones; a parameter has no noise floor."
-    )

@@ -228,7 +228,7 @@ def find_answer(results: Run) -> Answer:
             name for word, names in words["determined"] if word != "yes" for name in names
         )
         verdicts = [Verdict(TEXT.sentence("fitted", words), status, "", numbers)]
-        tables = [fit_tables.lay_out_values(results)]
+        tables = [fit_tables.lay_out_parameters(results)]
     else:
         verdicts = [Verdict(TEXT.sentence("predicted", words), STATUS[judged.outcome], "", numbers)]
         verdicts += _judge_groups(results, words)
@@ -313,9 +313,7 @@ def lay_out_tables(results: Run) -> list[TableLayout]:
         *([fit_tables.lay_out_coverage(results)] if len(frames["predictive"]) else []),
         fit_tables.lay_out_baselines(results, role),
         fit_tables.lay_out_insertions(results, role),
-        fit_tables.lay_out_values(results),
         *parameters,
-        *([fit_tables.lay_out_in_sample(results)] if role == "tune" else []),
         fit_tables.lay_out_directions(results),
         *([fit_tables.lay_out_population(results)] if len(frames["population"]) else []),
         *([lay_out_identification(identification)] if len(identification) else []),
