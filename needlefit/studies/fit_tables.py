@@ -7,21 +7,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from needlefit.arrays import Floats
 from needlefit.grouping import group_values
 from needlefit.inference.identifiability.directions import (
     MAX_LOG_SD,
     UNINFORMED_SD_RATIO,
-    Direction,
     find_least_determined,
-    principal_directions,
 )
-from needlefit.inference.parameters import HYPERPARAMETERS, is_logarithmic
+from needlefit.inference.parameters import HYPERPARAMETERS
 from needlefit.inference.sampling.posterior import PERCENTILES
 from needlefit.metrics import Metric, headline_metrics, list_metrics
 from needlefit.reporting import latex
 from needlefit.reporting.columns import DIGITS, METRIC_FORMAT, find_column, format_value
-from needlefit.reporting.figures.fit_forms import to_log_coordinates
 from needlefit.reporting.labels import SPECIMEN_NAMES, method_name, study_name
 from needlefit.reporting.number_format import (
     choose_interval_unit,
@@ -525,102 +521,34 @@ def lay_out_population(results: Run) -> TableLayout:
 
 
 def lay_out_posterior(results: Run) -> TableLayout:
-    """Return the percentiles beside the fitted value."""
+    """Return the percentiles of a sampled posterior in printed units."""
     several, rows = len(results.posteriors) > 1, []
     percentiles = [f"p{percentile:g}" for percentile in PERCENTILES]
     for row in to_records(tabulate_percentiles(results)):
         label, unit = choose_printed_unit(str(row["parameter"]), [row[name] for name in percentiles])
-        values = [*percentiles, "fit_value_used", "importance_low", "importance_high"]
-        cells = {name: None if row[name] is None else row[name] / unit for name in values}
-        cells |= {"mark": "‡" if row["fit_in_central_95"] is False else ""}
-        state = "" if row["converged"] else "NOT CONVERGED"
-        fold = row["fold"] if several else ""
+        cells = {name: row[name] / unit for name in percentiles}
+        state, fold = "" if row["converged"] else "NOT CONVERGED", row["fold"] if several else ""
         rows.append({**row, **cells, "parameter": label, "fold": fold, "state": state})
-    columns = ("fold", "parameter", *percentiles, "importance_95", "fit_value", "r_hat", "ess", "state")
+    columns = ("fold", "parameter", *percentiles, "r_hat", "ess", "state")
     unconverged = any(posterior.faults for posterior in results.posteriors.values())
-    marked = any(row["mark"] for row in rows)
-    table = Table("posterior", rows, columns)
-    return _lay_out(table, drop_empty=True, unconverged=unconverged, marked=marked)
-
-
-# ---- draws of the posterior, and the ridge on which they lie: there parameters can move together, and the
-# needles stay what they are. It is their longest principal axis; across it lies what the data determine.
+    return _lay_out(Table("posterior", rows, columns), drop_empty=True, unconverged=unconverged)
 
 
 def tabulate_percentiles(results: Run) -> pd.DataFrame:
-    """Return one row per fold and free parameter: percentiles (Pa, mm), the fitted value, R-hat.
+    """Return one row per fold and free parameter: percentiles (Pa, mm), R-hat, effective sample size.
 
-    `fit_value_used` is what the fit ended with and its predictions used; `fit_in_central_95` is false where
-    that lies outside the central 95 % of the draws: a peak need not lie where most of a density is, and a
-    fit of the recipe's error metrics need not agree with a posterior at all. `acceptance` is the fold's.
-    `converged` is false where the criteria, which concern more than the parameters, are not met: percentiles
-    are then not final. `determined` is as of `tabulate_parameters`; where it is "no" the percentiles depend
-    on the bounds too.
+    `acceptance` is the fold's. `converged` is false where the criteria, which concern more than the
+    parameters, are not met: percentiles are then not final.
     """
-    known = results.frames["parameters"]
-    rows = to_records(known[known["method"] == "fitted"])
-    fitted = {(str(row["fold"]), row["parameter"]): row for row in rows if row["value"] is not None}
     names, found = [f"p{percentile:g}" for percentile in PERCENTILES], list[Row]()
     for fold, posterior in results.posteriors.items():
         about: Row = {"acceptance": float(np.mean(posterior.acceptance)), "converged": not posterior.faults}
         about |= {"fold": fold, "origin": results.origin}
         for number, (name, values) in enumerate(posterior.percentiles().items()):
-            one = fitted.get((str(fold), name), {})
-            used = one.get("value")
-            compared = None if used is None else values[0] <= used <= values[-1]
-            found.append(
-                {
-                    **{"parameter": name, **dict(zip(names, values, strict=True)), **about},
-                    **{"fit_value_used": used, "fit_in_central_95": compared},
-                    "determined": one.get("determined"),
-                    **{key: one.get(key) for key in ("importance_low", "importance_high")},
-                    **{"r_hat": float(posterior.r_hat[number]), "ess": float(posterior.ess[number])},
-                }
-            )
-    heads = ("fold", "parameter", *names, "fit_value_used", "determined", "fit_in_central_95")
-    heads += ("importance_low", "importance_high", "r_hat", "ess", "acceptance", "converged", "origin")
-    return pd.DataFrame(found, columns=heads)
-
-
-RIDGE_MIN_AXIS_RATIO = 3.0  #: least ratio of the longest to the shortest axis of the draws of a ridge
-RIDGE_REACH_SD = 2.0  #: standard deviations to which the ridge is drawn in both directions
-
-
-def list_free_parameters(results: Run) -> list[str]:
-    """Return the parameters that were estimated."""
-    return list(dict.fromkeys(select_free(results.frames["parameters"])["parameter"]))
-
-
-def principal_axes(draws: pd.DataFrame) -> tuple[Direction, ...]:
-    """Return the principal axes of draws (Pa, mm), the shortest (best determined) first."""
-    names = [str(name) for name in draws.columns]
-    spread = np.atleast_2d(np.cov(to_log_coordinates(draws), rowvar=False))
-    # The inverse covariance of the draws plays the part of the Fisher information.
-    information: Floats = np.linalg.pinv(spread, hermitian=True).astype(np.float64)
-    return principal_directions(information, names)
-
-
-def is_ridge(axes: tuple[Direction, ...]) -> bool:
-    """Return whether draws with these axes are elongated along the longest one."""
-    return len(axes) > 1 and axes[-1].sd > RIDGE_MIN_AXIS_RATIO * axes[0].sd
-
-
-def find_ridge_ends(draws: pd.DataFrame) -> list[dict[str, float]]:
-    """Return both ends of the ridge, Pa and mm; none if the draws have no longest axis."""
-    axes = principal_axes(draws)
-    if not is_ridge(axes):
-        return []
-    middle, step = (
-        to_log_coordinates(draws).mean(axis=0),
-        RIDGE_REACH_SD * axes[-1].sd * np.array(axes[-1].weights),
-    )
-    return [
-        {
-            str(name): float(np.exp(at) if is_logarithmic(str(name)) else at)
-            for name, at in zip(draws.columns, end, strict=True)
-        }
-        for end in (middle - step, middle + step)
-    ]
+            of_chain = {"r_hat": float(posterior.r_hat[number]), "ess": float(posterior.ess[number])}
+            found.append({"parameter": name, **dict(zip(names, values, strict=True)), **about, **of_chain})
+    columns = ("fold", "parameter", *names, "r_hat", "ess", "acceptance", "converged", "origin")
+    return pd.DataFrame(found, columns=columns)
 
 
 # ---- the files of one run, or of several together

@@ -131,10 +131,8 @@ def _describe_agreement(starts: pd.DataFrame) -> str:
 
 
 def _describe_draws(frames: Mapping[str, pd.DataFrame]) -> Row:
-    """Return source and convergence of the draws of the first fold, and their longest direction."""
+    """Return source and convergence of the draws of the first fold."""
     draws = select_draws(frames["draws"])
-    names = list(dict.fromkeys(select_free(frames["parameters"])["parameter"]))
-    axes = fit_tables.principal_axes(draws[names])
     return {
         "count": len(draws),
         "source": str(draws["draw_source"].iloc[0]),
@@ -144,9 +142,6 @@ def _describe_draws(frames: Mapping[str, pd.DataFrame]) -> Row:
         "fold": str(draws["fold"].iloc[0]),
         # beside the mean and a new specimen each has draws of its own
         "separate": frames["draws"]["specimen"].nunique() > 2,
-        "ridge": fit_tables.is_ridge(axes),
-        "known": axes[0].words,
-        "loose": axes[-1].words,
     }
 
 
@@ -337,7 +332,7 @@ def list_figures(results: Run) -> dict[str, Drawing]:
     if all(((one["role"] == role) & (one["method"] == "fitted")).any() for one in both):
         found["insertions"] = fit_figures.draw_first_page(results, role)
         found["overlays"] = fit_figures.draw_overlays(results, role)
-    if len(frames["draws"]) and fit_tables.list_free_parameters(results):
+    if len(frames["draws"]) and len(select_free(frames["parameters"])):
         names = {"fitted": "the fit", "hand_tuned": labels.method_name("hand_tuned", results.origin)}
         marks = fit_figures.tabulate_marks(results)
         found["corner"] = Drawing(forms.corner, marks, {"names_of_sets": names}, optional=True)
