@@ -114,7 +114,7 @@ def test_truth_is_recovered_and_scored_with_no_error(clean: Run) -> None:
     assert set(errors["role"]) == {"tune", "validate"}
     assert errors["te_mm"].max() < 0.01
     assert (errors["deflection_mm"] > 0).all()  # toward the bevel, whichever side it faces
-    assert results.run["failed_solves"] == 0
+    assert results.frames["starts"]["failed_solves"].sum() == 0
     assert results.origin == "synthetic"
 
 
@@ -151,7 +151,7 @@ def test_a_row_of_failures_csv_reproduces_its_failure(project: Path, monkeypatch
     by_id = {insertion.id: insertion for insertion in dataset.insertions}
     for row in rows.to_dict("records"):
         assert predict(row, medium, dataset.needle, by_id[row["insertion"]]).status == row["note"]
-    counted = results.run["failed_solves"]
+    counted = results.frames["starts"]["failed_solves"].sum()
     assert sum(results.run["recorded_failures"].values()) == len(rows) == counted
     starts = results.frames["starts"]
     assert TEXT.sentence("failures", collect_values(results)).startswith(

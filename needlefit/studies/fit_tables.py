@@ -242,11 +242,7 @@ _COVERAGE_GROUPS = ("study", "medium", "layers", "specimen_treatment")
 
 def lay_out_coverage(*results: Run, named: bool = False) -> TableLayout:
     """Return one row per study (named if wanted), medium, number of layers and specimen, over all folds."""
-    frames = [
-        one.frames[name].assign(study=scores.study_label(one))
-        for one in results
-        for name in ("predictive", "predictive_training")
-    ]
+    frames = [one.frames["predictive"].assign(study=scores.study_label(one)) for one in results]
     predicted = pd.concat([frame for frame in frames if len(frame)])
     rows = [
         {

@@ -26,8 +26,6 @@ MAX_ROWS = 500  #: longest table that is kept: longer ones are intermediate resu
 
 _COUNT_KEYS = (
     "searches",
-    "evaluations",
-    "failed_solves",
     "failed_solves_of_sampler",
     "recorded_failures",
     "source_revision",

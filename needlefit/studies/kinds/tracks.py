@@ -11,11 +11,10 @@ import pandas as pd
 from scipy.special import stdtrit  # scipy.stats takes 0.4 s to load
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import GUIDE_STILL_MM, Dataset, Insertion, TipTrack
+from needlefit.datasets.insertion import Dataset, Insertion, TipTrack
 from needlefit.datasets.read import read
 from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError
-from needlefit.geometry.frames import make_tracker_columns
 from needlefit.inference import predict
 from needlefit.inference.baselines import BASELINES, list_baselines
 from needlefit.inference.fit import Callbacks, Fit
@@ -47,7 +46,7 @@ from needlefit.project.toml import locate_key, renamed_keys
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.labels import medium_name, method_name
 from needlefit.reporting.number_format import choose_printed_unit
-from needlefit.reporting.table import Table, part, pivot
+from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.recipe import RecipeRecord, TrackErrorsRecord
@@ -56,7 +55,7 @@ from needlefit.studies.answer import STATUSES, Answer, Fault, Status, Verdict, f
 from needlefit.studies.coverage import warn_if_too_wide
 from needlefit.studies.fit_warnings import analysis_bound_warnings
 from needlefit.studies.held_out_predictions import PREDICTION_DRAWS
-from needlefit.studies.job import Fold, Settings, farthest_guide, prepare, specimen_warning
+from needlefit.studies.job import Fold, Settings, farthest_guide, prepare, warn_shared_specimens
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.planned_draws import vary_bevels
 from needlefit.studies.provenance import (
@@ -79,13 +78,11 @@ READING_COLUMNS = (
 """A row per reading of a run predicted and method; `measured_mm` counts from the run's first reading."""
 
 RUN_COLUMNS = (
-    *("fit", "role", "run", "medium", "specimen", "method", "readings"),
-    *("aligned_rms_mm", "rms_mm", "end_error_mm", "crps_mm", "end_width_95_mm"),
-    *("end_in_50", "end_in_95", "track_pit", "track_in_50", "track_in_95", "points_in_50", "points_in_95"),
+    *("fit", "run", "medium", "specimen", "method", "readings"),
+    *("rms_mm", "end_error_mm", "crps_mm", "end_width_95_mm"),
+    *("end_in_50", "end_in_95", "track_pit", "track_in_50", "track_in_95"),
 )
-"""A row per run and method. `aligned_rms_mm` is what remains of the scored readings (all of them where the
-run was fitted to) when the best shift and slope are taken from readings and draws, against the draws' median;
-the rest is of what was predicted: error of the median, and at the last reading. `track_pit` is the
+"""A row per run predicted and method: error of the median, also at the last reading. `track_pit` is the
 probability predicted of a track nearer, at its worst reading, than the one seen."""
 
 PARAMETER_COLUMNS = (
@@ -110,7 +107,7 @@ FRAMES: Mapping[str, tuple[str, ...]] = {
 }
 
 MIN_SCORED_READINGS = 2  #: fewest readings of a predicted run that are scored
-MEASURES = ("rms_mm", "aligned_rms_mm", "crps_mm")  #: of runs, by which methods are compared
+MEASURES = ("rms_mm", "crps_mm")  #: of runs, by which methods are compared
 
 
 def list_track_methods() -> tuple[str, ...]:
@@ -335,12 +332,10 @@ def _find_warnings(
     where: str,
 ) -> Iterator[ResultWarning]:
     """Yield the warnings about shared specimens, bounds and wide intervals."""
-    shared: dict[str, None] = {}
-    for one in tasks:
-        held = {track.specimen for track in one.held}
-        shared |= dict.fromkeys(track.specimen for track in one.problem.insertions if track.specimen in held)
-    if shared and not record.same_specimen:
-        yield specimen_warning(name, list(shared), where)
+    if not record.same_specimen:
+        yield from warn_shared_specimens(
+            name, (Fold(one.name, one.problem.insertions, one.held) for one in tasks), where
+        )
     # parameters of which the optimum, or else the interval of the draws, ends at a bound
     bounds = {one.group: one.problem.parameters for one in tasks}
     groups = {one.name: one.group for one in tasks}
@@ -359,7 +354,7 @@ def _find_warnings(
 # ---- predictions and their scores
 
 
-_INTERVAL_KEYS = ("low_", "high_", "crps_", "track_", "end_in_", "end_width_", "points_in_")
+_INTERVAL_KEYS = ("low_", "high_", "crps_", "track_", "end_in_", "end_width_")
 
 
 def _predict_runs(
@@ -390,13 +385,11 @@ def _predict_runs(
             drawn, seen = _draw_model_tips(task, draws, tuned, jobs, rng)
             ahead = predict_runs(drawn, *seen, placed, rng)
         head: Row = {"fit": task.name, "method": method}
-        runs += [{**head, "role": "tune", **row} for row in tabulate_tuned(tuned, drawn)]
-        for track, deflection, count, predicted in zip(task.held, drawn.held_out, placed, ahead, strict=True):
+        for track, count, predicted in zip(task.held, placed, ahead, strict=True):
             mixture = predict.PredictiveMixture(predicted, np.zeros(predicted.shape[1]))
-            row = _describe_track(track, predicted.shape[1]) | _aligned_error(track, deflection, count)
-            row |= _score_prediction(mixture, track.tip[count:], rng)
-            found = [{**head, "role": "validate", **row}]
-            found += [{**head, **one} for one in _reading_rows(track, mixture, count)]
+            row = {"run": track.id, "medium": track.medium, "specimen": track.specimen}
+            row |= {"readings": predicted.shape[1], **_score_prediction(mixture, track.tip[count:], rng)}
+            found = [{**head, **one} for one in (row, *_reading_rows(track, mixture, count))]
             if draws.faults and method not in BASELINES:  # only certified draws predict intervals
                 found = [
                     {key: np.nan if key.startswith(_INTERVAL_KEYS) else x for key, x in one.items()}
@@ -476,28 +469,6 @@ def _move_to_specimen(
     return [problem.values(theta) for theta in moved.new]
 
 
-def tabulate_tuned(tuned: Sequence[Observation], drawn: TrackDraws) -> Iterator[Row]:
-    """Yield the residuals of a method on the runs that it was fitted to."""
-    for track, deflection in zip(_tracks(tuned), drawn.tuned, strict=True):
-        yield {**_describe_track(track, len(track.tip)), **_aligned_error(track, deflection, 0)}
-
-
-def _tracks(observations: Sequence[Observation]) -> list[TipTrack]:
-    return [one.insertion for one in observations if isinstance(one.insertion, TipTrack)]
-
-
-def _describe_track(track: TipTrack, readings: int) -> Row:
-    return {"run": track.id, "medium": track.medium, "specimen": track.specimen, "readings": readings}
-
-
-def _aligned_error(track: TipTrack, deflection: Floats, placed: int) -> Row:
-    """Return what is left between the scored readings and the draws, shift and slope taken from all alike."""
-    off = (track.tip - deflection)[:, placed:]  # (B, m)
-    taken = np.linalg.qr(make_tracker_columns(track.depths[placed:]))[0]
-    left = np.median(off - off @ taken @ taken.T, axis=0)
-    return {"aligned_rms_mm": float(np.sqrt(np.mean(left**2)))}
-
-
 def _score_prediction(mixture: predict.PredictiveMixture, measured: Floats, rng: np.random.Generator) -> Row:
     off = predict.quantile(mixture, 0.5) - measured
     level = predict.simulate_shape_pit(mixture, np.zeros((len(measured), len(measured))), measured, rng)
@@ -507,8 +478,8 @@ def _score_prediction(mixture: predict.PredictiveMixture, measured: Floats, rng:
         name = f"{100 * wanted:.0f}"
         low, high = predict.interval(mixture, wanted)
         within = (low <= measured) & (measured <= high)
-        row |= {f"end_in_{name}": bool(within[-1]), f"points_in_{name}": float(within.mean())}
-        row |= {f"track_in_{name}": level <= wanted, f"end_width_{name}_mm": float(high[-1] - low[-1])}
+        row |= {f"end_in_{name}": bool(within[-1]), f"track_in_{name}": level <= wanted}
+        row |= {f"end_width_{name}_mm": float(high[-1] - low[-1])}
     return row
 
 
@@ -531,8 +502,8 @@ def _reading_rows(track: TipTrack, mixture: predict.PredictiveMixture, placed: i
 
 def compare_methods_by_run(runs: pd.DataFrame) -> pd.DataFrame:
     """Compare every method with the fitted model on the same predicted runs: columns `PAIRED_COLUMNS`."""
-    rows, held = [], runs[runs["role"] == "validate"]
-    for medium, group in held.groupby("medium", sort=False):
+    rows = []
+    for medium, group in runs.groupby("medium", sort=False):
         for measure in MEASURES:
             wide = group.pivot_table(index="run", columns="method", values=measure, sort=False)
             if "fitted" not in wide:  # its draws are not certified: no CRPS
@@ -549,7 +520,7 @@ def compare_methods_by_run(runs: pd.DataFrame) -> pd.DataFrame:
 
 def tabulate_coverage(runs: pd.DataFrame) -> pd.DataFrame:
     """Return the coverage of last-reading intervals and whole-track bands: columns `COVERAGE_COLUMNS`."""
-    rows, held = [], runs[runs["role"] == "validate"].dropna(subset="track_pit")  # uncertified: no interval
+    rows, held = [], runs.dropna(subset="track_pit")  # uncertified: no interval
     for medium, group in [*held.groupby("medium", sort=False), ("all", held)]:
         for method, some in group.groupby("method", sort=False):
             trials = some["specimen" if medium == "all" else "run"].tolist()
@@ -564,8 +535,6 @@ def tabulate_coverage(runs: pd.DataFrame) -> pd.DataFrame:
 # ---- the report
 
 TEXT = KindText("tracks")
-_MEASURE_HEADINGS = {"rms_mm": "Error", "aligned_rms_mm": "Shape"}
-"""The measures that tables and sentences show."""
 
 
 def describe(results: Run) -> dict[str, Any]:
@@ -573,9 +542,8 @@ def describe(results: Run) -> dict[str, Any]:
     paired, data = results.frames["paired"], results.run["dataset"]
     return {
         "media": [
-            {"name": medium_name(str(medium))}
-            | {one: _compare(group[group["metric"] == one]) for one in _MEASURE_HEADINGS}
-            for medium, group in paired.groupby("medium", sort=False)
+            {"name": medium_name(str(medium)), "found": _compare(group)}
+            for medium, group in paired[paired["metric"] == "rms_mm"].groupby("medium", sort=False)
         ],
         "remarks": data["remarks"],
         "notes": data["notes"],
@@ -603,7 +571,7 @@ def find_answer(results: Run) -> Answer:
     """Return for each medium how the predicted tips compare with the baselines; the worst stands first."""
     verdicts = []
     for one in describe(results)["media"]:
-        found = one["rms_mm"]
+        found = one["found"]
         status: Status = (
             "fail" if "worse than" in found else "pass" if {*found} == {"better than"} else "warn"
         )
@@ -614,26 +582,14 @@ def find_answer(results: Run) -> Answer:
 
 
 def tabulate(results: Run) -> list[Table]:
-    """Return the tables of scores, positions, coverage and parameters.
-
-    These are errors of every method on the same runs; where the tip was predicted at the last reading of each
-    run; the coverage of intervals, where a run is a trial; and estimates.
-    """
+    """Return the errors of every method on the same runs, the coverage of intervals, and the estimates."""
     frames = {name: to_records(frame) for name, frame in results.frames.items()}
     scores = [
-        {**row, "method": name_track_method(row["method"]), "metric": _MEASURE_HEADINGS[row["metric"]]}
+        {**row, "method": name_track_method(row["method"])}
         | ({"difference": "", "better": ""} if row["method"] == "fitted" else {})
         for row in frames["paired"]
-        if row["metric"] in _MEASURE_HEADINGS
+        if row["metric"] == "rms_mm"
     ]
-    keys = ("track_error", "track_difference", "better_runs")
-    measures = (part(key, metric=heading) for heading in _MEASURE_HEADINGS.values() for key in keys)
-    readings, positions = results.frames["readings"], []
-    for _, run in readings[readings["method"] == "fitted"].groupby(["fit", "run"], sort=False):
-        moved = run["guide_mm"].max() - run["guide_mm"].min() > GUIDE_STILL_MM
-        last = to_records(run.tail(1))[0]
-        ends = {f"95_{end}_mm": last[f"{end}_95_mm"] for end in ("low", "high")}
-        positions.append({**last, **ends, "guide_state": "moved" if moved else "at rest"})
     covered: dict[tuple[str, str], Row] = {}
     for row in frames["coverage"]:
         names = {"medium": row["medium"], "method": name_track_method(row["method"])}
@@ -646,14 +602,12 @@ def tabulate(results: Run) -> list[Table]:
         scaled = {one: None if row[one] is None else row[one] / unit for one in ("p2_5", "p50", "p97_5")}
         verdict = "determined" if row["determined"] else str(row["condition"] or "not determined")
         parameters.append({**row, **scaled, "parameter": label, "verdict": verdict})
-    each = ("medium", "method")
-    placed = ("medium", "run", "guide_state", "depth_mm", "measured_mm", "median_mm", "range_95_mm")
+    each, compared = ("medium", "method"), ("track_error", "track_difference", "better_runs")
     of_coverage = ("end_in_50", "end_in_95", "track_in_50", "track_in_95")
     estimated = ("fit", "parameter", "p2_5", "p50", "p97_5", "sd_ratio", "verdict")
     of_media: dict[str, Any] = {"groups": ("medium",), "strong": "groups"}
     return [
-        Table("scores", pivot(scores, each, ["metric"]), (each[0], "runs", each[1], *measures), **of_media),
-        Table("positions", positions, placed, groups=("medium",)),
+        Table("scores", scores, ("medium", "runs", "method", *compared), **of_media),
         Table("coverage", list(covered.values()), (*each, *of_coverage), **of_media),
         Table("parameters", parameters, estimated),
     ]

@@ -350,10 +350,11 @@ def list_files(result: Run) -> dict[str, pd.DataFrame | str]:
     """Return the tables that are written as CSV, by name, and the numbers and methods for a paper."""
     names = ("design", "errors", "shapes", "starts", "directions")
     found: dict[str, pd.DataFrame | str] = {name: result.frames[name] for name in names}
-    found |= {name: result.frames[name] for name in ("error_fit", "population") if len(result.frames[name])}
-    predictions = [result.frames[name] for name in ("predictive", "predictive_training")]
-    if any(map(len, predictions)):
-        found["predictive"] = pd.concat([frame for frame in predictions if len(frame)])
+    found |= {
+        name: result.frames[name]
+        for name in ("predictive", "error_fit", "population")
+        if len(result.frames[name])
+    }
     found |= {name: frame for name, frame, _ in _lay_out_own_files(result) if len(frame)}
     if len(result.frames["identification"]):
         found["identify"] = tabulate_identification(result.frames["identification"], result.origin)

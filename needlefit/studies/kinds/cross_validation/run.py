@@ -3,7 +3,6 @@
 import math
 import os
 import pickle
-import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
@@ -65,8 +64,7 @@ from needlefit.studies.identification import (
     reconcile_verdict,
 )
 from needlefit.studies.job import Fold, Job, Settings, prepare
-from needlefit.studies.needle_placement import FoldFit, place_needles
-from needlefit.studies.needles_in_scan import NeedleInScan, tabulate_needles
+from needlefit.studies.needle_placement import NeedleInScan, place_needles, tabulate_needles
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run
 from needlefit.studies.score import Predictor, Row, Scorer, make_predictors
@@ -95,7 +93,6 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
     Raises ConfigError or DataError if anything the record names is missing or wrong. FitError if a search
     finds no point that can be solved.
     """
-    begin = time.time()
     job = prepare(name, record, settings)
     work = describe_configuration(job)
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work, settings.note)
@@ -116,24 +113,23 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
             "needles": tabulate_needles(going.needles.values()),
         },
         posteriors=going.posteriors,
-        run=work
-        | {"layers": _list_layers(job)}
-        | describe_insertions(job)
-        | _find_truth(job)
-        | going.summarize_searches(),
-        timing={"seconds": time.time() - begin, "jobs": settings.jobs, "dataset": str(job.dataset.path)},
+        run={
+            **work,
+            # by insertion the layers that it meets, each with the depth at which it begins, mm
+            "layers": {
+                one.id: list(map(list, zip(one.sequence, (0.0, *one.boundaries.tolist()), strict=True)))
+                for one in job.insertions
+            },
+            **describe_insertions(job),
+            **_find_truth(job),
+            **going.summarize_searches(),
+        },
+        timing={"dataset": str(job.dataset.path)},
         interrupted=going.interrupted,
     )
-    uncertified = [
-        fault
-        for fold, faults in going.uncertified.items()
-        if fold not in going.posteriors
-        for fault in faults
-    ]
     unconverged = [fault for posterior in going.posteriors.values() for fault in posterior.faults]
     faults = find_faults(found.frames["errors"], going.search_faults, unconverged)
-    faults = (*faults, *uncertified)
-    return add_warnings(replace(found, faults=faults), job)
+    return add_warnings(replace(found, faults=(*faults, *going.uncertified)), job)
 
 
 def _find_truth(job: Job) -> dict[str, dict[str, float]]:
@@ -147,14 +143,6 @@ def _find_truth(job: Job) -> dict[str, dict[str, float]]:
     problem = job.problem(job.folds[0])
     known = {name: find_true_value(problem, name, seed) for name in job.parameters.names}
     return {"truth": {name: value for name, value in known.items() if math.isfinite(value)}}
-
-
-def _list_layers(job: Job) -> dict[str, list[list[float]]]:
-    """Return by insertion the layers that it meets, each with the depth at which it begins, mm."""
-    return {
-        one.id: [list(pair) for pair in zip(one.sequence, (0.0, *one.boundaries.tolist()), strict=True)]
-        for one in job.insertions
-    }
 
 
 def find_faults(
@@ -179,7 +167,6 @@ class _Drawn:
     made: FoldDraws
     specimens: Specimens
     predicted: tuple[HeldOutPrediction, ...]
-    plain: tuple[HeldOutPrediction, ...]  #: of insertions into new specimens, by what was tuned alone
 
 
 @dataclass
@@ -199,7 +186,7 @@ class _StudyRun:
     posteriors: dict[str, Posterior] = field(default_factory=dict)
     #: by fold the parameters whose intervals by both samplers differ
     differing: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    uncertified: dict[str, list[Fault]] = field(default_factory=dict)
+    uncertified: list[Fault] = field(default_factory=list)
     search_faults: dict[str, list[str]] = field(default_factory=dict)
     counts: ValidityCounts = field(default_factory=ValidityCounts)
     needles: dict[str, NeedleInScan] = field(default_factory=dict)
@@ -268,10 +255,10 @@ class _StudyRun:
         predicted = [one for one in fold.validate if one.id in medians]
         self._score(place, predicted, lambda insertion: {"measured": medians[insertion.id]}, "median")
         if known:
-            about = FoldFit(fits["fitted"], self.verdicts[fold.name], self.posteriors.get(fold.name))
-            self.needles |= place_needles(
-                job.problem(fold), fold, about, self.rows["bands"], settings.jobs, fitted=len(job.folds) == 1
-            )
+            draws = drawn and drawn.specimens.replace_mean(drawn.made.shown)
+            given = (job.problem(fold), fold, fits["fitted"], draws, self.rows["bands"], settings.jobs)
+            placed = place_needles(*given, fitted=len(job.folds) == 1)
+            self.needles |= {one.insertion: one for one in placed}
 
     def _score(
         self, place: Row, insertions: Iterable[Insertion], curves: Predictor, estimate: str = "point"
@@ -417,8 +404,7 @@ class _StudyRun:
     def _draw(self, number: int, fold: Fold, fits: Mapping[str, Fit]) -> "_Drawn | None":
         """Return draws of a fold's parameters, and the predictions of the insertions that it holds out.
 
-        They are made by draws that are certified. Insertions into new specimens are predicted as the paper
-        does too, by what was tuned alone. None without a fit, and where a fit alone is interrupted.
+        They are made by draws that are certified. None without a fit, and where a fit alone is interrupted.
         """
         job, settings, fit = self.job, self.settings, fits.get("fitted")
         if fit is None or not math.isfinite(fit.objective) or (settings.stop() and not fold.validate):
@@ -437,16 +423,10 @@ class _StudyRun:
         sampled(1, 1)
         if settings.sample and made.posterior is not None:
             self.posteriors[fold.name] = made.posterior
-        draws, jobs = made.draws, settings.jobs
-        specimens = Specimens(job, fold, draws, jobs, self.specimens)
+        specimens = Specimens(job, fold, made.draws, settings.jobs, self.specimens)
         step(0, 1)
-        given = replace(fold, validate=() if specimens.faults else fold.validate)
-        predicted = predict_held_out(job, given, draws, specimens, jobs, bands=True, step=step)
-        known = () if draws.faults else fold.validate
-        others = replace(fold, validate=tuple(filter(specimens.differs, known)))
-        # only their coverage, mean width and score are shown: the draws of figures will do
-        plain = predict_held_out(job, others, made.shown, None, jobs)
-        return _Drawn(made, specimens, tuple(predicted), tuple(plain))
+        predicted = () if specimens.faults else predict_held_out(specimens, bands=True, step=step)
+        return _Drawn(made, specimens, tuple(predicted))
 
     def _tabulate_draws(self, fold: Fold, drawn: "_Drawn") -> None:
         """Add predictions, and draws in Pa and mm: of the specimens' mean, of each and of a new one."""
@@ -454,15 +434,14 @@ class _StudyRun:
             self.rows["predictive"].append(one.row)
             self.rows["bands"] += one.band
             self.counts.predicted.add(one.solved, one.outside)
-        self.rows["predictive_training"] += [one.row for one in drawn.plain]
         if (posterior := self.posteriors.get(fold.name)) is not None:
             place = {"fold": fold.name, "fit": "posterior", "start": 0}
             self.rows["failures"] += _failure_rows(place, self.job.problem(fold), posterior.failed)
         job, specimens, draws = self.job, drawn.specimens, drawn.specimens.replace_mean(drawn.made.shown)
         about = {"fold": fold.name, **draws.describe()}
-        if draws.faults:
+        if fold.name not in self.posteriors:
             kind = find_fault_kind(draws)
-            self.uncertified[fold.name] = [Fault(kind, f"the posterior: {why}") for why in draws.faults]
+            self.uncertified += [Fault(kind, f"the posterior: {why}") for why in draws.faults]
         every = {TUNED_SPECIMENS: draws.thetas} | ({} if draws.faults else specimens.list_draws(draws.thetas))
         for specimen, thetas in every.items():
             where = about | {"specimen": specimen}
@@ -540,7 +519,6 @@ class _StudyRun:
             fold: {name: _search_row(fit) for name, fit in fits.items()}
             for fold, fits in self.searches.items()
         }
-        every = [search for fold in searches.values() for search in fold.values()]
         posteriors, draws = self.posteriors, self.frame("draws").drop_duplicates("fold")
         sampled = {
             "failed_solves_of_sampler": sum(p.failures for p in posteriors.values()),
@@ -549,12 +527,10 @@ class _StudyRun:
         }
         return {
             "searches": searches,
-            "evaluations": sum(search["evaluations"] for search in every),
             "not_determined": {
                 fold: [name for name, known in verdict.determined.items() if not known]
                 for fold, verdict in self.verdicts.items()
             },
-            "failed_solves": sum(search["failed_solves"] for search in every),
             **(sampled if posteriors else {}),
             "sampled": bool(posteriors),
             "draws": {
@@ -568,8 +544,6 @@ class _StudyRun:
             "search_faults": self.search_faults,
             VALIDITY_KEY: self.counts.table(),
             "recorded_failures": count_reasons(self.frame("failures")),
-            "interrupted": self.interrupted,
-            "budget_limited": False,  # every budget is counted in evaluations, none in time
         }
 
 
