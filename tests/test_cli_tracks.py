@@ -15,7 +15,7 @@ from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 from needlefit.studies.job import Settings, prepare
 from needlefit.studies.kinds.calibration import simulate_experiment
-from needlefit.studies.kinds.tracks import RUN_COLUMNS
+from needlefit.studies.kinds.tracks import FRAMES
 from needlefit.studies.study_files import load_target
 
 STUDY = """
@@ -111,7 +111,9 @@ def test_runs_are_predicted_scored_and_printed(project, capsys):
     assert "SYNTHETIC data" in out and "the fit is" in out
     folder = project / "reports/mine"
     runs, readings = (pd.read_csv(folder / f"{name}.csv") for name in ("runs", "readings"))
-    assert {*RUN_COLUMNS} - {*runs} == {name for name in RUN_COLUMNS if name.startswith(("end", "track"))}
+    assert {*FRAMES["runs"]} - {*runs} == {
+        name for name in FRAMES["runs"] if name.startswith(("end", "track"))
+    }
     assert {"level", "low_mm", "high_mm"} <= {*readings}
     assert set(runs["run"]) == {"moved0", "moved2"} and set(runs["readings"]) == {np.sum(DEPTH > 15)}
     assert not readings.loc[~readings["scored"], "median_mm"].notna().any()

@@ -17,7 +17,6 @@ from needlefit.studies import paper
 from needlefit.studies.fit_tables import lay_out_design, lay_out_parameters, lay_out_validation
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import (
-    TE,
     aggregate,
     compare_methods,
     list_groups,
@@ -82,7 +81,7 @@ def test_baselines_are_compared_on_the_same_insertions():
     method = one.frames["errors"].assign(method="constant_curvature", te_mm=[0.5, 2.0])
     alone = one.frames["errors"].iloc[:1].assign(method="straight", te_mm=9.0)
     both = one.with_frames(errors=pd.concat([one.frames["errors"], method, alone]))
-    table = {row["method"]: row for row in to_records(compare_methods(both, metric=TE))}
+    table = {row["method"]: row for row in to_records(compare_methods(both, "validate"))}
     assert table["constant_curvature"]["difference_mm"] == pytest.approx((-0.5 - 1.0) / 2)
     assert table["constant_curvature"]["difference_se_mm"] == pytest.approx(0.25)
     assert table["constant_curvature"]["better"] == 0

@@ -152,7 +152,7 @@ def test_a_row_of_failures_csv_reproduces_its_failure(project: Path, monkeypatch
     for row in rows.to_dict("records"):
         assert predict(row, medium, dataset.needle, by_id[row["insertion"]]).status == row["note"]
     counted = results.frames["starts"]["failed_solves"].sum()
-    assert sum(results.run["recorded_failures"].values()) == len(rows) == counted
+    assert len(rows) == counted
     starts = results.frames["starts"]
     assert TEXT.sentence("failures", collect_values(results)).startswith(
         f"{counted} of {starts['evaluations'].sum()} evaluations failed: {counted} over-compressed;"

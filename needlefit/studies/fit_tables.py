@@ -280,7 +280,7 @@ def lay_out_baselines(results: Run, role: str) -> TableLayout:
             **{**row, **about, "method": method_name(row["method"], results.origin)},
             **({"difference_mm": None, "better": ""} if row["method"] == "fitted" else {}),
         }
-        for row in to_records(scores.compare_methods(results, role=role, metric=scores.TE))
+        for row in to_records(scores.compare_methods(results, role))
     ]
     errors = (one.name for one in headline_metrics())
     columns = ("study", "method", "insertions", *errors, "te_difference", "better_of")
@@ -438,9 +438,9 @@ def lay_out_parameters(*results: Run) -> TableLayout:
     """
     rows: list[Row] = []
     for one in results:
-        table, truth = arrange_parameters(tabulate_parameters(one)), one.run.get("truth", {})
+        every, truth = arrange_parameters(tabulate_parameters(one)), one.run.get("truth", {})
         pairs = [
-            (str(row["parameter"]), row) for row in table if len(results) == 1 or row["status"] == "free"
+            (str(row["parameter"]), row) for row in every if len(results) == 1 or row["status"] == "free"
         ]
         cells: dict[tuple[object, ...], Row] = {}
         for name, members in group_values(pairs).items():

@@ -1,7 +1,6 @@
 """Our errors beside the paper's, one row per group, method and metric: the CSV files, and what is printed."""
 
 import math
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -19,12 +18,6 @@ from needlefit.studies.fit_frames import SCORE_KEYS, list_methods
 from needlefit.studies.run import Run, once_per_run
 
 AGGREGATE_COLUMNS = ("metric", "value", "floor", "unflagged", "insertions", "edp_flagged", "not_converged")
-
-
-def count_reasons(failures: pd.DataFrame) -> dict[str, int]:
-    """Return the number of rows of `Run.failures` per reason, most frequent first."""
-    kinds = (str(reason).partition(":")[0] for reason in failures["note"])
-    return dict(Counter(kinds).most_common())
 
 
 def aggregate(errors: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
@@ -73,11 +66,8 @@ def _mean(values: NDArray[np.floating[Any]]) -> float:
     return float(np.where(there, values, 0.0).sum() / there.sum()) if there.any() else math.nan
 
 
-@once_per_run
-def compare_methods(
-    results: Run, against: str = "fitted", role: str = "validate", metric: str = "ipe_mean_mm"
-) -> pd.DataFrame:
-    """Compare every method with `against` on the same insertions, folds and points.
+def compare_methods(results: Run, role: str) -> pd.DataFrame:
+    """Compare the tip errors of every method with the fit's on the same insertions and folds of a role.
 
     Errors of one group are first averaged (`group_independent`): the four depths of one hole are no four
     needles.
@@ -85,13 +75,12 @@ def compare_methods(
     Returns
     -------
     DataFrame
-        `method`, `boundaries` ("measured"), `insertions` (or groups of repeats), the mean of every headline
-        metric, `difference_mm` (mean over them of the method's `metric` minus that of `against`; positive:
-        the method is worse), `difference_se_mm` (its standard error) and `better` (insertions on which
-        `against` has the smaller one).
+        `method`, `insertions` (or groups of repeats), the mean of every headline metric, `difference_mm`
+        (mean over them of the method's tip error minus the fit's; positive: the method is worse),
+        `difference_se_mm` (its standard error) and `better` (insertions on which the fit's is smaller).
     """
-    errors_frame = results.frames["errors"]
-    errors = errors_frame[(errors_frame["role"] == role) & (errors_frame["boundaries"] == "measured")]
+    errors = results.frames["errors"]
+    errors = errors[(errors["role"] == role) & (errors["boundaries"] == "measured")]
     errors = errors.assign(group=group_rows(errors))
     names = [metric.name for metric in headline_metrics()]
     tables = {
@@ -100,20 +89,18 @@ def compare_methods(
         )
         for name in names
     }
-    compared = tables[metric]
-    rows = []
-    for method in [name for name in list_methods() if name in compared and against in compared]:
-        both = np.isfinite(compared[method]) & np.isfinite(compared[against])
-        gap = (compared[method] - compared[against])[both].to_numpy(dtype=np.float64)
+    compared, rows = tables[TE], []
+    for method in [name for name in list_methods() if name in compared and "fitted" in compared]:
+        gaps = (compared[method] - compared["fitted"]).replace([np.inf, -np.inf], np.nan).dropna()
+        gap = gaps.to_numpy(dtype=np.float64)
         n = len(gap)
         means = {
-            name: float(table[method].reindex(both.index)[both].mean()) if method in table else np.nan
+            name: float(table[method].reindex(gaps.index).mean()) if method in table else np.nan
             for name, table in tables.items()
         }
         rows.append(
             {
                 "method": method,
-                "boundaries": "measured",
                 "insertions": n,
                 **means,
                 "difference_mm": gap.mean() if n else np.nan,
@@ -121,7 +108,7 @@ def compare_methods(
                 "better": int((gap > 0).sum()),
             }
         )
-    columns = ("method", "boundaries", "insertions", *names, "difference_mm", "difference_se_mm", "better")
+    columns = ("method", "insertions", *names, "difference_mm", "difference_se_mm", "better")
     return pd.DataFrame(rows, columns=columns)
 
 

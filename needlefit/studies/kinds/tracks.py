@@ -19,15 +19,14 @@ from needlefit.inference import predict
 from needlefit.inference.baselines import BASELINES, list_baselines
 from needlefit.inference.fit import Callbacks, Fit
 from needlefit.inference.forward_model import simulate_deflections
-from needlefit.inference.identifiability.identify import identify
 from needlefit.inference.identifiability.precision import add_estimated_noise
 from needlefit.inference.likelihood.observation import Observation, make_observation
 from needlefit.inference.optimize import minimize
-from needlefit.inference.parameters import NOISE_SCALE, is_logarithmic
+from needlefit.inference.parameters import NOISE_SCALE
 from needlefit.inference.predict import estimate_proportion
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import resample_draws, sample_about_fit
-from needlefit.inference.sampling.posterior import PERCENTILES, Posterior
+from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import sample
 from needlefit.inference.specimens import SpreadModel, draw_population
 from needlefit.inference.track_predictions import (
@@ -42,7 +41,7 @@ from needlefit.project.checkpoint import Checkpoint, open_checkpoint
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
-from needlefit.project.toml import locate_key, renamed_keys
+from needlefit.project.toml import renamed_keys
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.labels import medium_name, method_name
 from needlefit.reporting.number_format import choose_printed_unit
@@ -55,7 +54,7 @@ from needlefit.studies.answer import STATUSES, Answer, Fault, Status, Verdict, f
 from needlefit.studies.coverage import warn_if_too_wide
 from needlefit.studies.fit_warnings import analysis_bound_warnings
 from needlefit.studies.held_out_predictions import PREDICTION_DRAWS
-from needlefit.studies.job import Fold, Settings, farthest_guide, prepare, warn_shared_specimens
+from needlefit.studies.job import Fold, Settings, check_reach, prepare, warn_shared_specimens
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.planned_draws import vary_bevels
 from needlefit.studies.provenance import (
@@ -71,39 +70,25 @@ from needlefit.studies.score import Row
 
 KIND = StudyKind("tracks", TrackStudyRecord, __name__)
 
-READING_COLUMNS = (
-    *("fit", "run", "medium", "method", "depth_mm", "guide_mm", "scored", "measured_mm"),
-    *("median_mm", "low_50_mm", "high_50_mm", "low_95_mm", "high_95_mm"),
-)
-"""A row per reading of a run predicted and method; `measured_mm` counts from the run's first reading."""
-
-RUN_COLUMNS = (
-    *("fit", "run", "medium", "specimen", "method", "readings"),
-    *("rms_mm", "end_error_mm", "crps_mm", "end_width_95_mm"),
-    *("end_in_50", "end_in_95", "track_pit", "track_in_50", "track_in_95"),
-)
-"""A row per run predicted and method: error of the median, also at the last reading. `track_pit` is the
-probability predicted of a track nearer, at its worst reading, than the one seen."""
-
-PARAMETER_COLUMNS = (
-    *("fit", "parameter", "fitted", "p2_5", "p16", "p50", "p84", "p97_5", "sd_ratio"),
-    *("determined", "condition", "note"),
-)
-"""`fitted`: at the posterior's mode. `sd_ratio`: the draws' deviation over that of prior and bounds, in ln;
-1: nothing was learned. `condition`: the assumption under which alone the data determine a parameter."""
-
-PAIRED_COLUMNS = ("medium", "method", "metric", "runs", "value", "difference", "low", "high", "better")
-"""`difference`: the method's error minus the fitted model's, and its 95 % interval (Student) over runs."""
-
-COVERAGE_COLUMNS = ("medium", "method", "quantity", "level", "covered", "runs", "specimens", "low", "high")
-"""`low`, `high`: 95 % interval of the share; where `medium` is "all", of phantoms as trials."""
-
 FRAMES: Mapping[str, tuple[str, ...]] = {
-    "readings": READING_COLUMNS,
-    "runs": RUN_COLUMNS,
-    "parameters": PARAMETER_COLUMNS,
-    "paired": PAIRED_COLUMNS,
-    "coverage": COVERAGE_COLUMNS,
+    # a row per reading of a run predicted and method; `measured_mm` counts from the run's first reading
+    "readings": (
+        *("fit", "run", "medium", "method", "depth_mm", "guide_mm", "scored", "measured_mm"),
+        *("median_mm", "low_50_mm", "high_50_mm", "low_95_mm", "high_95_mm"),
+    ),
+    # a row per run predicted and method: error of the median, also at the last reading; `track_pit` is the
+    # probability predicted of a track nearer, at its worst reading, than the one seen
+    "runs": (
+        *("fit", "run", "medium", "specimen", "method", "readings"),
+        *("rms_mm", "end_error_mm", "crps_mm", "end_width_95_mm"),
+        *("end_in_50", "end_in_95", "track_pit", "track_in_50", "track_in_95"),
+    ),
+    # `value`: at the posterior's mode
+    "parameters": ("fit", "parameter", "value", "p2_5", "p50", "p97_5"),
+    # the method's error minus the fitted model's, and its 95 % interval (Student) over runs
+    "paired": ("medium", "method", "metric", "runs", "value", "difference", "low", "high", "better"),
+    # `low`, `high`: 95 % interval of the share; where `medium` is "all", of phantoms as trials
+    "coverage": ("medium", "method", "quantity", "level", "covered", "runs", "specimens", "low", "high"),
 }
 
 MIN_SCORED_READINGS = 2  #: fewest readings of a predicted run that are scored
@@ -164,15 +149,7 @@ def make_tasks(
             expected=f"{len(held)} at most",
         )
     job = prepare(name, record.tuning(one), settings, dataset)
-    far = max(farthest_guide(job.parameters, track) for track in (*tuned, *held))
-    deepest = max(track.depth for track in (*tuned, *held))
-    if far + deepest + 1 >= dataset.needle.length:
-        raise ConfigError(
-            f"a needle of {dataset.needle.length:g} mm is too short for {deepest:.0f} mm of depth and a "
-            f"guide {far:g} mm before the skin",
-            where=locate_key(dataset.path, "needle.length_mm"),
-            fix="write its length, or lessen the bound of guide_distance_mm",
-        )
+    check_reach(replace(job, folds=(Fold(one.name, tuned, held),)))
     tracks = tuple(track for track in held if isinstance(track, TipTrack))
     if one.folds is None:
         return [TrackTask(one.name, job.problem(job.folds[0]), tracks, job.recipe, one.name)]
@@ -217,7 +194,11 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> Run:
             break
         fit, draws[one.name], posterior = drawn
         posteriors |= {} if posterior is None else {one.name: posterior}
-        rows["parameters"] += _summarize_parameters(one.name, one.problem, fit, draws[one.name])
+        sets = [one.problem.values(theta) for theta in draws[one.name].thetas]
+        for parameter in one.problem.names:
+            ends = np.percentile([values[parameter] for values in sets], (2.5, 50.0, 97.5)).tolist()
+            row = {"fit": one.name, "parameter": parameter, "value": fit.values[parameter]}
+            rows["parameters"].append(row | dict(zip(("p2_5", "p50", "p97_5"), ends, strict=True)))
         found = _predict_runs(name, one, draws[one.name], placed_by, settings.jobs)
         for frame, more in found.items():
             rows[frame] += more
@@ -299,31 +280,6 @@ def _draw_posterior(
     return fit, draws, posterior
 
 
-def _summarize_parameters(name: str, problem: Problem, fit: Fit, draws: predict.Draws) -> Iterator[Row]:
-    """Yield a row per free parameter: percentiles (Pa, mm), posterior SD / prior SD, and what it needs.
-
-    Of draws that are not certified, no parameter is called determined.
-    """
-    verdict, certified = identify(problem, fit, draws.certified), not draws.faults
-    sets = [problem.values(theta) for theta in draws.thetas]
-    heads = [f"p{at:g}".replace(".", "_") for at in PERCENTILES]
-    for parameter, width in zip(problem.names, problem.upper - problem.lower, strict=True):
-        values = np.array([one[parameter] for one in sets])
-        drawn = np.log(values) if is_logarithmic(parameter) else values
-        stated = problem.parameters.prior.sd(parameter)
-        before = stated if math.isfinite(stated) else float(width) / math.sqrt(12)
-        yield {
-            "fit": name,
-            "parameter": parameter,
-            "fitted": fit.values[parameter],
-            **dict(zip(heads, np.percentile(values, PERCENTILES).tolist(), strict=True)),
-            "sd_ratio": float(np.std(drawn)) / before,
-            "determined": certified and verdict.determined[parameter],
-            "condition": verdict.conditions[parameter] if certified else "",
-            "note": verdict.notes[parameter] if certified else "not determined: no certified draws",
-        }
-
-
 def _find_warnings(
     name: str,
     record: TrackStudyRecord,
@@ -340,7 +296,6 @@ def _find_warnings(
     bounds = {one.group: one.problem.parameters for one in tasks}
     groups = {one.name: one.group for one in tasks}
     fits = frames["parameters"].assign(fit=frames["parameters"]["fit"].map(groups))
-    fits = fits.rename(columns={"fitted": "value"})
     yield from analysis_bound_warnings(fits, bounds)
     yield from analysis_bound_warnings(fits, bounds, intervals=True)
     readings = frames["readings"]
@@ -501,7 +456,7 @@ def _reading_rows(track: TipTrack, mixture: predict.PredictiveMixture, placed: i
 
 
 def compare_methods_by_run(runs: pd.DataFrame) -> pd.DataFrame:
-    """Compare every method with the fitted model on the same predicted runs: columns `PAIRED_COLUMNS`."""
+    """Compare every method with the fitted model on the same predicted runs: the frame "paired"."""
     rows = []
     for medium, group in runs.groupby("medium", sort=False):
         for measure in MEASURES:
@@ -515,11 +470,11 @@ def compare_methods_by_run(runs: pd.DataFrame) -> pd.DataFrame:
                     half = float(stdtrit(n - 1, 0.975) * gap.std(ddof=1) / np.sqrt(n))
                 difference = (gap.mean(), gap.mean() - half, gap.mean() + half, int((gap > 0).sum()))
                 rows.append((medium, method, measure, n, wide[method].mean(), *difference))
-    return pd.DataFrame(rows, columns=list(PAIRED_COLUMNS))
+    return pd.DataFrame(rows, columns=list(FRAMES["paired"]))
 
 
 def tabulate_coverage(runs: pd.DataFrame) -> pd.DataFrame:
-    """Return the coverage of last-reading intervals and whole-track bands: columns `COVERAGE_COLUMNS`."""
+    """Return the coverage of last-reading intervals and whole-track bands: the frame "coverage"."""
     rows, held = [], runs.dropna(subset="track_pit")  # uncertified: no interval
     for medium, group in [*held.groupby("medium", sort=False), ("all", held)]:
         for method, some in group.groupby("method", sort=False):
@@ -529,7 +484,7 @@ def tabulate_coverage(runs: pd.DataFrame) -> pd.DataFrame:
                     found = estimate_proportion(some[f"{what}_in_{level}"].tolist(), trials)
                     counted = (found.hits, found.trials, some["specimen"].nunique(), found.low, found.high)
                     rows.append((medium, method, what, level, *counted))
-    return pd.DataFrame(rows, columns=list(COVERAGE_COLUMNS))
+    return pd.DataFrame(rows, columns=list(FRAMES["coverage"]))
 
 
 # ---- the report
@@ -549,6 +504,7 @@ def describe(results: Run) -> dict[str, Any]:
         "notes": data["notes"],
         "placed_by": results.record.registration_depth_mm,
         "faults": bool(results.faults),
+        "name": results.name,
     }
 
 
@@ -600,11 +556,10 @@ def tabulate(results: Run) -> list[Table]:
     for row in frames["parameters"]:
         label, unit = choose_printed_unit(str(row["parameter"]), [row["p97_5"]])
         scaled = {one: None if row[one] is None else row[one] / unit for one in ("p2_5", "p50", "p97_5")}
-        verdict = "determined" if row["determined"] else str(row["condition"] or "not determined")
-        parameters.append({**row, **scaled, "parameter": label, "verdict": verdict})
+        parameters.append({**row, **scaled, "parameter": label})
     each, compared = ("medium", "method"), ("track_error", "track_difference", "better_runs")
     of_coverage = ("end_in_50", "end_in_95", "track_in_50", "track_in_95")
-    estimated = ("fit", "parameter", "p2_5", "p50", "p97_5", "sd_ratio", "verdict")
+    estimated = ("fit", "parameter", "p2_5", "p50", "p97_5")
     of_media: dict[str, Any] = {"groups": ("medium",), "strong": "groups"}
     return [
         Table("scores", scores, ("medium", "runs", "method", *compared), **of_media),

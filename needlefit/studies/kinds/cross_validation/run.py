@@ -26,7 +26,6 @@ from needlefit.inference.identifiability.identify import (
     identify,
     objective_excess,
     profile_parameters,
-    select_within_tolerance,
     within_tolerance,
 )
 from needlefit.inference.optimize import minimize
@@ -68,7 +67,6 @@ from needlefit.studies.needle_placement import NeedleInScan, place_needles, tabu
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run
 from needlefit.studies.score import Predictor, Row, Scorer, make_predictors
-from needlefit.studies.scored_groups import count_reasons
 from needlefit.studies.simulated_data import find_true_value
 from needlefit.studies.validity import VALIDITY_KEY, ValidityCounts
 
@@ -181,7 +179,6 @@ class _StudyRun:
     checkpoint: Checkpoint
     interrupted: bool = False
     rows: defaultdict[str, list[Row]] = field(default_factory=lambda: defaultdict(list))
-    searches: dict[str, dict[str, Fit]] = field(default_factory=dict)
     verdicts: dict[str, Identifiability] = field(default_factory=dict)
     posteriors: dict[str, Posterior] = field(default_factory=dict)
     #: by fold the parameters whose intervals by both samplers differ
@@ -213,7 +210,7 @@ class _StudyRun:
         """
         job, settings = self.job, self.settings
         (first, *others), profiles, drawn = job.searches, None, None
-        fits = self.searches[fold.name] = self._search(number, fold, [first])
+        fits = self._search(number, fold, [first])
         self._note_fit(fold, fits)
         rest: list[Callable[[], bytes]] = [
             lambda: pickle.dumps(self._go_on()._search(number, fold, others)),
@@ -235,7 +232,7 @@ class _StudyRun:
         self._report(number, "errors")
         if drawn is not None:
             self._tabulate_draws(fold, drawn)
-        self._tabulate_searches(fold, profiles)
+        self._tabulate_searches(fold, fits, profiles)
         usable = {name: fit for name, fit in fits.items() if math.isfinite(fit.objective)}
         known = "fitted" in usable
         if known:
@@ -255,7 +252,7 @@ class _StudyRun:
         predicted = [one for one in fold.validate if one.id in medians]
         self._score(place, predicted, lambda insertion: {"measured": medians[insertion.id]}, "median")
         if known:
-            draws = drawn and drawn.specimens.replace_mean(drawn.made.shown)
+            draws = None if drawn is None else drawn.specimens.replace_mean(drawn.made.shown)
             given = (job.problem(fold), fold, fits["fitted"], draws, self.rows["bands"], settings.jobs)
             placed = place_needles(*given, fitted=len(job.folds) == 1)
             self.needles |= {one.insertion: one for one in placed}
@@ -449,9 +446,8 @@ class _StudyRun:
         outside = find_outside_validity(job.problem(fold), draws.thetas)
         self.counts.draws.add(len(draws.thetas), int(outside.sum()))
 
-    def _tabulate_searches(self, fold: Fold, profiles: FitProfiles | None) -> None:
+    def _tabulate_searches(self, fold: Fold, fits: Mapping[str, Fit], profiles: FitProfiles | None) -> None:
         """Add the starts of a fold, what failed in them, and why the best point may not be the best."""
-        fits = self.searches[fold.name]
         for name, fit in fits.items():
             problem, place = self.job.problem(fold, name), {"fold": fold.name, "fit": name}
             self.rows["starts"] += [{**place, **_start_row(problem, start, fit)} for start in fit.starts]
@@ -514,25 +510,15 @@ class _StudyRun:
         self.rows["parameters"] += fitted
 
     def summarize_searches(self) -> dict[str, Any]:
-        """Return the results of the searches by fold and fit, and the failures in them and in the sampler."""
-        searches = {
-            fold: {name: _search_row(fit) for name, fit in fits.items()}
-            for fold, fits in self.searches.items()
-        }
-        posteriors, draws = self.posteriors, self.frame("draws").drop_duplicates("fold")
-        sampled = {
-            "failed_solves_of_sampler": sum(p.failures for p in posteriors.values()),
-            "not_converged": {fold: list(p.faults) for fold, p in posteriors.items() if p.faults},
-            "differing_intervals": {fold: list(names) for fold, names in self.differing.items() if names},
-        }
+        """Return what `run.json` states of the searches and of the draws, by fold."""
+        draws = self.frame("draws").drop_duplicates("fold")
         return {
-            "searches": searches,
             "not_determined": {
                 fold: [name for name, known in verdict.determined.items() if not known]
                 for fold, verdict in self.verdicts.items()
             },
-            **(sampled if posteriors else {}),
-            "sampled": bool(posteriors),
+            "differing_intervals": {fold: list(names) for fold, names in self.differing.items() if names},
+            "sampled": bool(self.posteriors),
             "draws": {
                 str(row["fold"]): {
                     "draw_source": row["draw_source"],
@@ -543,7 +529,6 @@ class _StudyRun:
             },
             "search_faults": self.search_faults,
             VALIDITY_KEY: self.counts.table(),
-            "recorded_failures": count_reasons(self.frame("failures")),
         }
 
 
@@ -583,19 +568,6 @@ def _failure_rows(place: Row, problem: Problem, thetas: Iterable[Theta]) -> list
     """Return one row per theta that failed, simulated again for the insertion and the reason."""
     found = [(explain_failure(problem, theta), problem.values(theta)) for theta in thetas]
     return [{**place, "insertion": f.insertion, "note": f.reason, **values} for f, values in found]
-
-
-def _search_row(fit: Fit) -> Row:
-    unit = {"posterior": "negative_log_posterior", "metric": "objective_mm"}[fit.minimized]
-    return {
-        unit: fit.objective if math.isfinite(fit.objective) else None,
-        "values": dict(fit.values),
-        "starts": len(fit.starts),
-        "equal_starts": len(select_within_tolerance(fit)),
-        "evaluations": fit.evaluations,
-        "gradients": fit.gradients,
-        "failed_solves": fit.failures,
-    }
 
 
 #: of a row of "parameters": what is known of fitted ones only
