@@ -345,7 +345,7 @@ MIN_SHOWN_EXCESS = 1e-3
 
 def waterfall(marks: pd.DataFrame, title: str) -> Figure:
     """Draw the objective of all starts above the best one."""
-    figure = Figure(figsize=(COLUMN_WIDTH_IN, 1.8))
+    figure = Figure(figsize=(choose_width(COLUMN_WIDTH_IN), 1.8))
     _draw_ranked(figure.subplots(), marks, title)
     return figure
 
