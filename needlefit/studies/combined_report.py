@@ -89,7 +89,7 @@ def compose_overview(
     tables = [
         *(fit_tables.lay_out_matrix(results), fit_tables.lay_out_summary(*results)),
         *(fit_tables.lay_out_parameters(*fits), fit_tables.lay_out_design(results)),
-        *fit_tables.lay_out_printed_tuning(tunings),
+        *fit_tables.lay_out_tuning(tunings),
         *([fit_tables.lay_out_coverage(*predicted, named=True)] if predicted else []),
     ]
     printed = any(group.printed for group in list_held_out_groups(*results))

@@ -86,11 +86,18 @@ def lay_out_validation(results: Sequence[Run]) -> TableLayout:
     return _lay_out_groups("validation", scores.list_held_out_groups(*results), _HELD_OUT_KINDS)
 
 
-def lay_out_tuning(results: Sequence[Run], grouping: str) -> TableLayout:
-    """Return the in-sample errors by `grouping` ("layers" or "media"), beside the paper's tuned models."""
-    table = scores.tabulate_tuning(*results)
-    groups = scores.list_groups(table[table["grouping"] == grouping])
-    return _lay_out_groups(f"tuning_by_{grouping}", groups, (_FITTED,))
+def lay_out_tuning(results: Sequence[Run]) -> list[TableLayout]:
+    """Return the in-sample errors by layers; by media too where the paper has a cell."""
+    groups = scores.list_groups(scores.tabulate_tuning(*results))
+    by = {
+        which: [one for one in groups if one.head["grouping"] == which]
+        for which in (scores.BY_LAYERS, scores.BY_MEDIA)
+    }
+    return [
+        _lay_out_groups(f"tuning_by_{which}", some, (_FITTED,))
+        for which, some in by.items()
+        if some and (which == scores.BY_LAYERS or any(one.printed for one in some))
+    ]
 
 
 def _lay_out_groups(
@@ -557,17 +564,8 @@ def lay_out_files(
     every = list({one.name: one for one in (*studies, *tunings)}.values())
     validation = scores.tabulate_validation(*studies)
     yield "validation", validation, [lay_out_validation(studies)]
-    by = [lay_out_tuning(tunings, grouping) for grouping in (scores.BY_LAYERS, scores.BY_MEDIA)]
-    yield "tuning", scores.tabulate_tuning(*tunings), by
+    yield "tuning", scores.tabulate_tuning(*tunings), lay_out_tuning(tunings)
     yield "parameters", tabulate_parameters(*every), [lay_out_parameters(*every)]
-
-
-def lay_out_printed_tuning(results: Sequence[Run]) -> list[TableLayout]:
-    """Return the in-sample tables; by media only where the paper has a cell."""
-    groups = scores.list_groups(scores.tabulate_tuning(*results))
-    printed = any(group.head["grouping"] == scores.BY_MEDIA and group.printed for group in groups)
-    groupings = (scores.BY_LAYERS, scores.BY_MEDIA) if printed else (scores.BY_LAYERS,)
-    return [lay_out_tuning(results, by) for by in groupings if groups]
 
 
 # ---- numbers for a paper

@@ -83,8 +83,8 @@ FRAMES: Mapping[str, tuple[str, ...]] = {
         *("rms_mm", "end_error_mm", "crps_mm", "end_width_95_mm"),
         *("end_in_50", "end_in_95", "track_pit", "track_in_50", "track_in_95"),
     ),
-    # `value`: at the posterior's mode
-    "parameters": ("fit", "parameter", "value", "p2_5", "p50", "p97_5"),
+    # `fitted`: at the posterior's mode
+    "parameters": ("fit", "parameter", "fitted", "p2_5", "p50", "p97_5"),
     # the method's error minus the fitted model's, and its 95 % interval (Student) over runs
     "paired": ("medium", "method", "metric", "runs", "value", "difference", "low", "high", "better"),
     # `low`, `high`: 95 % interval of the share; where `medium` is "all", of phantoms as trials
@@ -197,7 +197,7 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> Run:
         sets = [one.problem.values(theta) for theta in draws[one.name].thetas]
         for parameter in one.problem.names:
             ends = np.percentile([values[parameter] for values in sets], (2.5, 50.0, 97.5)).tolist()
-            row = {"fit": one.name, "parameter": parameter, "value": fit.values[parameter]}
+            row = {"fit": one.name, "parameter": parameter, "fitted": fit.values[parameter]}
             rows["parameters"].append(row | dict(zip(("p2_5", "p50", "p97_5"), ends, strict=True)))
         found = _predict_runs(name, one, draws[one.name], placed_by, settings.jobs)
         for frame, more in found.items():
@@ -296,6 +296,7 @@ def _find_warnings(
     bounds = {one.group: one.problem.parameters for one in tasks}
     groups = {one.name: one.group for one in tasks}
     fits = frames["parameters"].assign(fit=frames["parameters"]["fit"].map(groups))
+    fits = fits.rename(columns={"fitted": "value"})
     yield from analysis_bound_warnings(fits, bounds)
     yield from analysis_bound_warnings(fits, bounds, intervals=True)
     readings = frames["readings"]
