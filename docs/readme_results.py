@@ -26,7 +26,6 @@ def write_table() -> str:
     frames = [pd.read_csv(ROOT / f"reports/reference/study{n}/validation.csv") for n in range(1, 6)]
     cells = pd.concat(frames)
     cells = cells[(cells["boundaries"] == "measured") & (cells["grouping"] == "held_out")]
-    cells = cells[~cells["alternate_count"]]
     lines = []
     for (study, medium, layers), group in cells.groupby(["study", "medium", "layers"], sort=False):
         by = group[group["method"] == MEDIAN_METHOD].set_index("metric")

@@ -10,7 +10,6 @@ import pytest
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.geometry.frames import Frame
 from needlefit.inference.forward_model import predict
-from needlefit.inference.identifiability.precision import difference_jacobian
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
 from needlefit.inference.parameters import is_shape_parameter, without_bevel_spread
 from needlefit.inference.problem import Problem
@@ -98,6 +97,24 @@ def recipe(**changed: object) -> RecipeRecord:
 def squares_recipe(**changed: object) -> RecipeRecord:
     """The same budget, spent on the posterior."""
     return recipe(**{"minimize": "posterior", "algorithm": "leastsquares", **changed})
+
+
+def difference_jacobian(residuals, theta, steps):
+    """Return d residuals / d theta (R, P): central differences, one-sided where one neighbour fails.
+
+    A column is NaN where neither neighbour can be solved.
+    """
+    centre = residuals(theta)
+    columns = []
+    for k, step in enumerate(steps):
+        move = step * np.eye(len(theta))[k]
+        ahead, behind = residuals(theta + move), residuals(theta - move)
+        column = (ahead - behind) / (2 * step)
+        if not np.all(np.isfinite(column)):
+            forward, backward = (ahead - centre) / step, (centre - behind) / step
+            column = forward if np.all(np.isfinite(forward)) else backward
+        columns.append(column)
+    return np.stack(columns, axis=1) if columns else np.empty((len(centre), 0))
 
 
 def assert_one_density(p: Problem, theta: np.ndarray, rtol: float = 1e-5, shape_step: float = 3.0) -> None:

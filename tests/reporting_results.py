@@ -174,7 +174,6 @@ def frames(errors, shapes, params, begun, insertions) -> dict[str, pd.DataFrame]
         .groupby(["role", "medium", "layers"], sort=False)
         .agg(
             insertions=("depth_mm", "count"),
-            insertions_other=("depth_mm", "count"),
             **{f"depth_{end}_mm": ("depth_mm", end) for end in ("min", "max")},
             **{f"deflection_{end}_mm": ("deflection_mm", end) for end in ("min", "max")},
         )

@@ -135,7 +135,7 @@ def test_validate_reference_writes_evidence(stub):
     assert made.written[1][1] == Path("new/mine")
     evidence = pd.read_csv("new/reference/mine/validation.csv")
     assert all(f"{value:.5g}" == f"{value:.9g}" for value in evidence["value"])
-    assert "searches" not in json.loads(Path("new/reference/mine/run.json").read_text())
+    assert "validity" not in json.loads(Path("new/reference/mine/run.json").read_text())
 
 
 def test_simulations_that_fail_are_marked_by_the_exit_code(stub, capsys):

@@ -1,7 +1,5 @@
 """Laws of frames, curves and comparisons: rigid invariance, known motions, straight lines, shifts."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -27,7 +25,7 @@ from needlefit.geometry.frames import (
     differentiate_align_rigid,
     make_entry_frame,
 )
-from needlefit.metrics import METRICS, compute_metrics, pool_metric
+from needlefit.metrics import compute_metrics
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -141,30 +139,6 @@ def test_errors_by_hand():
     line = np.column_stack([np.arange(5.0), np.zeros(5)])
     assert compute_metrics(compare_curves(line, line))["edp_percent"] == 0
     assert compute_metrics(compare_curves(line + np.array([0, 1]), line))["edp_percent"] == np.inf
-
-
-def curves_with(distances, deflection):
-    """A curve of this measured deflection, simulated across by these distances."""
-    count = len(distances)
-    measured = np.column_stack([np.arange(count), np.linspace(2, 2 + deflection, count)])
-    return compare_curves(measured + np.column_stack([np.zeros(count), distances]), measured)
-
-
-def test_errors_of_several_insertions_by_hand():
-    # All points together: 0, 1, 2, 0, 3 mm. Tip errors 2 and 3 mm, deflections 4 and -1 mm.
-    curves = [curves_with([0, 1, 2], 4), curves_with([0, 3], -1)]
-    expected = {"te_mm": 2.5, "edp_percent": 100, "median_err_mm": 1, "ipe_mean_mm": 1.2, "ipe_max_mm": 3}
-    expected["ipe_std_mm"] = np.sqrt(14 / 5 - 1.2**2)
-    assert {name: pool_metric(METRICS[name], curves) for name in expected} == pytest.approx(expected)
-    assert compute_metrics(curves[1])["edp_percent"] == pytest.approx(300)
-    assert pool_metric(METRICS["edp_percent"], [curves_with([0, 0.1], -0.5)]) == pytest.approx(20)
-    straight = curves_with([0, 1], 0)
-    assert np.isnan(
-        [pool_metric(METRICS["edp_percent"], [straight]), pool_metric(METRICS["te_mm"], [])]
-    ).all()
-    edp = dataclasses.replace(METRICS["edp_percent"], pool=None)
-    assert pool_metric(edp, [curves_with([0, 1], 0), curves_with([0, 1], 4), curves_with([0, 1], 2)]) == 37.5
-    assert np.isnan(pool_metric(edp, [curves_with([0, 1], 0)]))
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,6 @@ WHAT = {
     "predicted": ("xy", slice(0, None, 2)),
     "insertions": ("x", slice(None)),
     "overlays": ("xy", slice(None)),
-    "baselines": ("x", slice(None)),
     "waterfall": ("xy", slice(0, 1)),
 }
 """Which axes of which panels hold data; the others hold places: of groups, baselines, intervals,
@@ -71,7 +70,7 @@ def test_drawn_values_are_those_of_the_table(results, painted, tmp_path):
     for name, one in draw_errors([results, results]).items():
         one.save(tmp_path / f"{name}.pdf")
     pictures = {path.stem for path in tmp_path.glob("*.pdf")}
-    assert pictures == set(painted) and {"boxplot", "overlays", "baselines", "waterfall"} <= pictures
+    assert pictures == set(painted) and {"boxplot", "overlays", "waterfall"} <= pictures
     for name, figure in painted.items():
         table = pd.read_csv(tmp_path / f"{name}.csv")
         assert set(table["origin"]) == {results.origin}
@@ -83,26 +82,16 @@ def test_drawn_values_are_those_of_the_table(results, painted, tmp_path):
                 assert stands_in(table, values).all(), (name, axis)
 
 
-def test_the_ridge_is_the_longest_axis_of_the_draws():
-    """Across it mu1 * b^2 is known to 2 % (as made), along it mu1 within a factor of 5."""
+def test_the_caption_of_draws_says_what_they_are():
     made = with_draws(study(5), 4000)
-    names = ["mu1_pa", "bevel_mm"]
-    assert fit_tables.list_free_parameters(made) == names
-    shortest, longest = fit_tables.principal_axes(made.frames["draws"][names])
-    assert shortest.words.startswith("mu1^0.5 * b ") and "1 %" in shortest.words
-    assert longest.weights[1] / longest.weights[0] == pytest.approx(-0.5, abs=0.01)
-    first, last = fit_tables.find_ridge_ends(made.frames["draws"][names])
-    slope = np.log(last["bevel_mm"] / first["bevel_mm"]) / np.log(last["mu1_pa"] / first["mu1_pa"])
-    assert slope == pytest.approx(-0.5, abs=0.01)
     text = fit_tables.TEXT.sentence("figure_corner", report.collect_values(made))
     assert "4000 importance draws" in text and "Pareto k 0.31" in text and "NOT CERTIFIED" not in text
-    assert re.search(r"μ₁\^0\.5 · b [\w ]*1 %", text)
     for source in ("importance", "posterior"):
         draws = made.frames["draws"].assign(certified=False, draw_source=source)
         values = report.collect_values(made.with_frames(draws=draws))
         text = fit_tables.TEXT.sentence("figure_corner", values)
         assert ("sample.densities" in text) == (source == "posterior")
-        assert re.search("NOT C(ERTIFI|ONVERG)ED", text) and "1 %" not in text
+        assert re.search("NOT C(ERTIFI|ONVERG)ED", text)
 
 
 def test_levels_are_counted_toward_the_bevel_and_by_needles():

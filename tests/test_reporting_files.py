@@ -25,7 +25,7 @@ EXPECTED = {
     *(f"{name}.csv" for name in ("design", "directions", "errors", "failures", "shapes", "starts")),
     *(f"{name}.csv" for name in ("checks", "validation", "tuning", "parameters")),
     *(f"{name}.tex" for name in ("validation", "tuning_by_layers", "tuning_by_media", "parameters")),
-    *(f"{name}.tex" for name in ("summary", "baselines", "insertions", "values", "directions", "design")),
+    *(f"{name}.tex" for name in ("summary", "baselines", "insertions", "directions", "design")),
     *(f"{name}.{kind}" for name in FIGURES for kind in ("pdf", "csv")),
     *(
         "numbers.tex",

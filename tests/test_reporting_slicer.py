@@ -21,14 +21,12 @@ from needlefit.geometry.surfaces import make_mesh
 from needlefit.imaging.segmentations import read_labels
 from needlefit.imaging.volume import to_patient
 from needlefit.inference.fit import Callbacks
-from needlefit.inference.identifiability.identify import identify
 from needlefit.inference.optimize import minimize
-from needlefit.inference.sampling.posterior import Posterior
+from needlefit.inference.predict import Draws
 from needlefit.project.random_streams import random_stream
 from needlefit.studies.job import prepare
 from needlefit.studies.kinds.cross_validation.run import Settings, run
-from needlefit.studies.needle_placement import BAND_DRAWS, FoldFit, place_needles
-from needlefit.studies.needles_in_scan import read_needles
+from needlefit.studies.needle_placement import place_needles, read_needles
 from needlefit.studies.slicer import write_needles
 
 __all__ = ["project"]  # a fixture
@@ -67,20 +65,16 @@ def fitted(tmp_path_factory: pytest.TempPathFactory):
     (fold,) = job.folds
     problem = job.problem(fold)
     fit = minimize(problem, job.recipe, random_stream(1, "test"), Callbacks())
-    return job, fold, FoldFit(fit, identify(problem, fit))
+    return job, fold, fit
 
 
-def posterior(job, rows):
-    draws = np.array(rows, dtype=np.float64)[None]
-    nothing = np.zeros((1, len(rows)))
-    names = job.parameters.free
-    ones = np.ones(len(names) + 1)
-    return Posterior(names, draws, nothing, nothing[0, :1], ones, ones, 1, 0, 0)
+def place(fitted, *args):
+    job, fold, fit = fitted
+    return {one.insertion: one for one in place_needles(job.problem(fold), fold, fit, *args)}
 
 
 def test_every_needle_is_in_the_world_of_its_dataset(fitted):
-    job, fold, known = fitted
-    placed = place_needles(job.problem(fold), fold, known)
+    job, placed = fitted[0], place(fitted)
     assert {name: one.role for name, one in placed.items()} == {
         "needle-1": "tune", "needle-2": "tune", "needle-3": "validate", "needle-4": "validate"
     }  # fmt: skip
@@ -93,28 +87,29 @@ def test_every_needle_is_in_the_world_of_its_dataset(fitted):
         assert one.diameter == 1.27
 
 
-def test_the_band_of_a_posterior_is_that_of_the_needles_of_its_draws(fitted):
+def test_the_band_of_a_fitted_needle_is_that_of_the_needles_of_its_draws(fitted):
     """The tip goes farther with every b: its percentiles are the tips of the percentiles of b."""
-    job, fold, known = fitted
-    values = known.fit.values
-    offsets = values["bevel_mm"] * np.linspace(0.9, 1.1, BAND_DRAWS)
-    draws = posterior(job, [[values["mu1_pa"], b, 0.1] for b in offsets])
-    one = place_needles(job.problem(fold), fold, dataclasses.replace(known, posterior=draws))["needle-1"]
-    assert one.band.source == "posterior" and one.band.converged
-    same = place_needles(
-        job, fold, dataclasses.replace(known, posterior=posterior(job, draws.draws[0, [9, 9]]))
-    )
-    assert np.abs(same["needle-1"].band.high - same["needle-1"].band.low).max() < 1e-12
-    for height, b in ((one.band.low, 0.905), (one.band.middle, 1.0), (one.band.high, 1.095)):
-        at = posterior(job, [[values["mu1_pa"], b * values["bevel_mm"], 0.1]])
-        moved = dataclasses.replace(known, posterior=at)
-        single = place_needles(job.problem(fold), fold, moved)["needle-1"].band
+    job, _, fit = fitted
+    theta, at = np.array(fit.theta), job.parameters.free.index("bevel_mm")
+
+    def draw(factors):
+        thetas = np.tile(theta, (len(factors), 1))
+        thetas[:, at] += np.log(factors)
+        return Draws(thetas, "importance")
+
+    band = place(fitted, draw(np.linspace(0.9, 1.1, 400)))["needle-1"].band
+    assert band.source == "posterior"
+    for height, b in ((band.low, 0.905), (band.middle, 1.0), (band.high, 1.095)):
+        single = place(fitted, draw([b, b]))["needle-1"].band
+        assert np.abs(single.high - single.low).max() < 1e-12
         np.testing.assert_allclose(height[-1], single.middle[-1], atol=2e-3)
-    np.testing.assert_allclose(one.band.middle, one.fitted, atol=2e-3)
+    np.testing.assert_allclose(band.middle, place(fitted)["needle-1"].fitted, atol=2e-3)
+    doubtful = dataclasses.replace(draw([1.0, 1.1]), faults=("not certified",))
+    assert place(fitted, doubtful)["needle-1"].band is None
 
 
 def test_the_band_of_a_held_out_needle_is_the_predicted_one(fitted):
-    job, fold, known = fitted
+    fold = fitted[1]
     insertion = next(one for one in fold.validate if one.id == "needle-3")
     x = np.linspace(0.0, insertion.planar[-1, 0], 5)
     y = np.interp(x, *insertion.planar.T)
@@ -123,12 +118,12 @@ def test_the_band_of_a_held_out_needle_is_the_predicted_one(fitted):
          "low_95_mm": height + 6.0, "median_mm": height + 7.5, "high_95_mm": height + 9.0}
         for at, height in zip(x, y, strict=True)
     ]  # fmt: skip
-    placed = place_needles(job.problem(fold), fold, known, rows)
+    placed = place(fitted, None, rows)
     band = placed["needle-3"].band
-    assert band.source == "predicted" and band.converged
+    assert band.source == "predicted"
     np.testing.assert_allclose(band.high - band.low, np.tile([0.0, 3.0, 0.0], (5, 1)), atol=1e-9)
     np.testing.assert_allclose(band.middle[-1], insertion.centerline[-1] + [0, 0.5, 0], atol=1e-6)
-    assert placed["needle-4"].band is None and placed["needle-1"].band.source == "linear"
+    assert placed["needle-4"].band is None and placed["needle-1"].band is None
 
 
 def turned(folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""Tables: known answers for the two ways of averaging, the paper's cells, and what may not be printed."""
+"""Tables: known answers for means, the paper's cells, and what may not be printed."""
 
 import math
 
@@ -14,13 +14,11 @@ from needlefit.reporting.number_format import (
 from needlefit.reporting.table import Table, part, pivot
 from needlefit.reporting.table_files import to_records
 from needlefit.studies import paper
-from needlefit.studies.fit_tables import lay_out_validation, lay_out_values
+from needlefit.studies.fit_tables import lay_out_design, lay_out_parameters, lay_out_validation
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import (
-    TE,
     aggregate,
     compare_methods,
-    find_curves,
     list_groups,
     tabulate_tuning,
     tabulate_validation,
@@ -56,26 +54,19 @@ def by_metric(frame: pd.DataFrame, column: str = "value") -> dict:
     return {row["metric"]: row[column] for row in to_records(frame)}
 
 
-def test_macro_is_the_mean_over_insertions_and_pooled_takes_all_points_together():
+def test_errors_are_means_over_insertions():
     two = two_needles()
     table = aggregate(two.frames["errors"], BY)
     values = by_metric(table)
     assert (values["ipe_mean_mm"], values["te_mm"], values["ipe_std_mm"]) == (2.0, 2.0, 0.0)
     assert values["edp_percent"] == pytest.approx((50 + 300) / 2)
     assert set(table["insertions"]) == {2}
-    pooled = by_metric(aggregate(two.frames["errors"], BY, find_curves(two.frames["shapes"])), "pooled")
-    names = ("ipe_mean_mm", "ipe_std_mm", "ipe_max_mm", "edp_percent")
-    assert [pooled[name] for name in names] == pytest.approx([2.0, 1.0, 3.0, 100 * (1 + 3) / (2 + 1)])
 
 
 def test_an_insertion_without_an_answer_is_counted_and_in_no_mean():
     table = aggregate(two_needles((1.0, math.nan), converged=(True, False)).frames["errors"], BY)
     assert by_metric(table)["te_mm"] == 1.0
     assert set(zip(table["insertions"], table["not_converged"], strict=True)) == {(2, 1)}
-    one = two_needles((1.0, math.inf), converged=(True, False))
-    shapes = one.frames["shapes"].query("insertion == 'needle0'")
-    pooled = by_metric(aggregate(one.frames["errors"], BY, find_curves(shapes)), "pooled")
-    assert (pooled["ipe_max_mm"], pooled["edp_percent"]) == pytest.approx((1.0, 50.0))
 
 
 def test_a_deflection_under_the_floor_is_flagged_and_the_rest_is_given_without_it():
@@ -90,7 +81,7 @@ def test_baselines_are_compared_on_the_same_insertions():
     method = one.frames["errors"].assign(method="constant_curvature", te_mm=[0.5, 2.0])
     alone = one.frames["errors"].iloc[:1].assign(method="straight", te_mm=9.0)
     both = one.with_frames(errors=pd.concat([one.frames["errors"], method, alone]))
-    table = {row["method"]: row for row in to_records(compare_methods(both, metric=TE))}
+    table = {row["method"]: row for row in to_records(compare_methods(both, "validate"))}
     assert table["constant_curvature"]["difference_mm"] == pytest.approx((-0.5 - 1.0) / 2)
     assert table["constant_curvature"]["difference_se_mm"] == pytest.approx(0.25)
     assert table["constant_curvature"]["better"] == 0
@@ -116,33 +107,22 @@ def test_errors_stand_as_multiples_of_their_floor():
     """Floors are 0.21 mm of IPE and 0.22 mm of TE; both needles are missed by 2 mm on average."""
     (group,) = list_groups(tabulate_validation(two_needles()))
     assert group.over_floor("ipe_mean_mm") == pytest.approx(2 / 0.21)
-    assert group.over_floor("te_mm") == group.over_floor("te_mm", "pooled") == pytest.approx(2 / 0.22)
+    assert group.over_floor("te_mm") == pytest.approx(2 / 0.22)
     table = lay_out_validation([two_needles()])
     columns = [f"{column.label} {column.unit}" for column in table.columns]
     ratios = {
         row[4]: (row[columns.index("IPE ÷ floor")], row[columns.index("TE ÷ floor")]) for row in table.rows
     }
-    assert ratios["posterior-mode fit"] == ratios["pooled"] == ("9.5", "9.1")
+    assert ratios["posterior-mode fit"] == ("9.5", "9.1")
     assert ratios["noise floor"] == ("–", "–")
 
 
-def test_a_needle_that_ends_at_a_boundary_is_counted_both_ways():
-    """Of 4 + 3 layers, 1 + 1 as the study reads them; the other reading has both among those of four."""
-    one = two_needles((1.0, 3.0))
-    errors = one.frames["errors"].assign(layers=[4, 3], layers_other=[4, 4])
-    both = one.with_frames(errors=errors)
-    groups = list_groups(tabulate_validation(both, with_alternate=True))
-    names = ("layers", "insertions", "alternate_count")
-    assert [(*(one.head[name] for name in names), one.get("te_mm")) for one in groups] == [
-        (4, 1, False, 1.0),
-        (3, 1, False, 3.0),
-        (4, 2, True, 2.0),
-    ]
-    assert [one.head["layer_count_rule"] for one in groups] == ["listed", "listed", "alternative"]
-    assert len(list_groups(tabulate_validation(both))) == 2
-    table = lay_out_validation([both])
-    assert "4‡" in {row[2] for row in table.rows}
-    assert any("other way" in note for note in table.notes)
+def test_needles_that_end_at_a_boundary_are_counted_under_the_design():
+    one = study(1)
+    errors = one.frames["errors"].assign(layers_other=one.frames["errors"]["layers"])
+    errors.loc[errors["insertion"] == errors["insertion"].iloc[0], "layers_other"] -= 1
+    notes = [lay_out_design([one.with_frames(errors=some)]).notes for some in (one.frames["errors"], errors)]
+    assert notes[0] != notes[1] and "1 insertion" in " ".join(notes[1])
 
 
 def test_tuning_rows_stand_beside_the_papers_by_layers_and_by_media():
@@ -186,7 +166,7 @@ def test_of_several_folds_values_and_intervals_are_enveloped():
     one = {"fold": "one", "median": 0.1, "interval_low": 0.08, "interval_high": 0.12, "determined": "yes"}
     two = {"fold": "two", "median": 0.2, "interval_low": 0.15, "interval_high": 0.25}
     folds = [{**row, **one}, {**row, **two, "determined": "only together"}]
-    (cells,) = lay_out_values(results.with_frames(parameters=pd.DataFrame(folds))).rows
+    (cells,) = lay_out_parameters(results.with_frames(parameters=pd.DataFrame(folds))).rows
     assert cells[1] == "0.1 to 0.2 (0.08 to 0.25)" and cells[2] == "only together"
 
 

@@ -49,9 +49,11 @@ from needlefit.studies.planned_draws import draw_depth_errors, simulate_planned
 POINTS = LikelihoodRecord(depths="fixed", bevel_spread=0.0, measurement="points")
 
 
-def list_rows(*args):
-    """Return the rows of all predictions."""
-    return [one.row for one in predict_held_out(*args)]
+def list_rows(job, fold, draws):
+    """Return the rows of all predictions, as if specimens did not differ."""
+    record = job.record.model_copy(update={"specimens": "training only"})
+    known = Specimens(replace(job, record=record), fold, draws)
+    return [one.row for one in predict_held_out(known)]
 
 
 COPIES = 200  #: draws that are all the same one
@@ -156,7 +158,7 @@ def test_the_measured_shape_is_only_compared(job, known):
 def test_threads_predict_the_same(job, few_draws):
     few = of(job, *(replace(one, specimen="another") for one in job.folds[0].validate[:3]))
     new = [Specimens(job, few, few_draws, jobs=jobs) for jobs in (1, 2)]
-    alone, two = (list(predict_held_out(job, few, few_draws, one, one.jobs)) for one in new)
+    alone, two = (list(predict_held_out(one)) for one in new)
     assert len(alone) == 3 and repr(alone) == repr(two)  # repr: NaN equals itself
     assert np.array_equal(new[0].population.new, new[1].population.new)
 
@@ -186,7 +188,7 @@ def test_one_insertion_narrows_the_interval_in_a_new_specimen(job, known):
     fold = of(job, *(replace(one, specimen="another") for one in held_out))
     few = replace(known, thetas=known.thetas[:300])
     new = Specimens(job, fold, few)
-    rows = [one.row for one in predict_held_out(job, fold, few, new, bands=True)]
+    rows = [one.row for one in predict_held_out(new, bands=True)]
     table = pd.DataFrame(rows)
     (after,) = table["tip_95_width_after_one_mm"].dropna()
     middle = sorted(held_out, key=lambda one: one.depth)[1]
@@ -196,7 +198,7 @@ def test_one_insertion_narrows_the_interval_in_a_new_specimen(job, known):
     assert exactly["tip_95_high_mm"] - exactly["tip_95_low_mm"] < after
     assert after < 0.7 * (row["tip_95_high_mm"] - row["tip_95_low_mm"])
     # no other number depends on it
-    plain = pd.DataFrame(list_rows(job, fold, few, new))
+    plain = pd.DataFrame([one.row for one in predict_held_out(new)])
     pd.testing.assert_frame_equal(plain, table.assign(tip_95_width_after_one_mm=np.nan))
 
 
@@ -262,8 +264,7 @@ def predict_holes(holes_job, tune, held):
     wanted = [one for one in holes_job.dataset.insertions if one.id in held]
     theta = holes_job.parameters.theta({**TRUTH, "bevel_spread": 0.1})
     draws = Draws(np.repeat(theta[None], 300, axis=0), "importance")
-    rows = predict_held_out(holes_job, Fold("one", tuple(known), tuple(wanted)), draws)
-    return [one.row for one in rows]
+    return list_rows(holes_job, Fold("one", tuple(known), tuple(wanted)), draws)
 
 
 def test_a_depth_of_a_known_hole_is_predicted_with_the_bevel_of_that_hole(holes_job):

@@ -6,7 +6,6 @@ from typing import Literal
 
 import numpy as np
 
-from needlefit.arrays import Floats
 from needlefit.geometry.curves import ComparedCurves
 from needlefit.registry import Registry
 
@@ -22,8 +21,6 @@ class Metric:
     explanation: str  #: one sentence for the glossary
     #: compared curves of one insertion -> the error. Over insertions its mean is taken.
     compute: Callable[[ComparedCurves], float]
-    #: compared curves of several insertions -> one error of all their points together; None: the mean
-    pool: Callable[[Sequence[ComparedCurves]], float] | None = None
     #: whether its noise floor is given: the mean of `compute` over draws of the stated noise
     has_floor: bool = True
     #: whether it stands in sentences and comparisons of methods too, and not in tables of errors alone
@@ -65,32 +62,12 @@ def compute_metrics(curves: ComparedCurves, metrics: "Sequence[Metric] | None" =
     return found
 
 
-def pool_metric(metric: Metric, curves: Sequence[ComparedCurves]) -> float:
-    """Return an error of all points of several insertions together, or the mean over the insertions.
-
-    NaN without insertions.
-    """
-    if not curves:
-        return float("nan")
-    with METRICS.plugin_error_context(metric.name):
-        if metric.pool is not None:
-            return float(metric.pool(curves))
-        values = np.array([metric.compute(one) for one in curves])
-        return float(np.mean(values[np.isfinite(values)])) if np.isfinite(values).any() else float("nan")
-
-
-def pool_distances(curves: Sequence[ComparedCurves]) -> Floats:
-    """Return the in-plane errors of all points of several insertions together, mm."""
-    return np.concatenate([one.distances for one in curves])
-
-
 MEDIAN = Metric(
     "median_err_mm",
     "Median",
     "mm",
     "Median of the in-plane error over the points of a curve.",
     compute=lambda curves: float(np.median(curves.distances)),
-    pool=lambda curves: float(np.median(pool_distances(curves))),
     macro="median",
     order=10,
 )
@@ -102,7 +79,6 @@ IPE = Metric(
     "In-plane error (IPE): mean distance between simulated and measured points at equal fractions of the "
     "length.",
     compute=lambda curves: float(np.mean(curves.distances)),
-    pool=lambda curves: float(np.mean(pool_distances(curves))),
     headline=True,
     macro="ipe",
     order=20,
@@ -114,7 +90,6 @@ IPE_SPREAD = Metric(
     "mm",
     "Standard deviation of the in-plane error over the points of a curve (no correction for their number).",
     compute=lambda curves: float(np.std(curves.distances)),
-    pool=lambda curves: float(np.std(pool_distances(curves))),
     has_floor=False,
     spread_of="ipe_mean_mm",
     macro="ipe-sd",
@@ -127,7 +102,6 @@ MAX_IPE = Metric(
     "mm",
     "Largest in-plane error of the points of a curve.",
     compute=lambda curves: float(np.max(curves.distances)),
-    pool=lambda curves: float(np.max(pool_distances(curves))),
     order=30,
 )
 
@@ -149,19 +123,12 @@ def _relative_tip_error(curves: ComparedCurves) -> float:
     return 100 * curves.tip_error / abs(curves.deflection)
 
 
-def _pooled(curves: Sequence[ComparedCurves]) -> float:
-    """Return the sum of tip errors over the sum of deflections: no small deflection dominates it."""
-    deflected = sum(abs(one.deflection) for one in curves)
-    return 100 * sum(one.tip_error for one in curves) / deflected if deflected > 0 else np.nan
-
-
 EDP = Metric(
     "edp_percent",
     "EDP",
     "%",
     "Error-to-deflection percentage (EDP): tip error as a percentage of the measured deflection of the tip.",
     compute=_relative_tip_error,
-    pool=_pooled,
     has_floor=False,
     relative=True,
     order=50,

@@ -1,6 +1,6 @@
 """Printed names and colours of methods, media and groups, and the captions of figures."""
 
-from needlefit.inference.baselines import BASELINES, list_baselines
+from needlefit.inference.baselines import BASELINES
 
 INK, GREY, PAPER_COLOUR, SYNTHETIC_COLOUR = "#1a1a1a", "#8a8a8a", "#D55E00", "#B23A00"
 GREEN, SKY_BLUE = "#009E73", "#56B4E9"
@@ -23,14 +23,6 @@ METHOD_COLOURS = {  # Okabe and Ito's palette, distinguishable for colour-blind 
     "truth": "#1a1a1a",
 }
 """Colours of methods that are no baseline; `method_colour` knows those too."""
-_MODEL_MARKERS = {
-    "fitted": "o",
-    "predictive_median": "d",
-    "fitted_metric": "o",
-    "hand_tuned": "s",
-    "hand_tuned_b": "s",
-}
-_BASELINE_MARKERS = "v^D<>phX*"
 SERIES_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9")
 """Of series without a colour of their own (Okabe and Ito)."""
 
@@ -78,13 +70,6 @@ def group_name(medium: str, layers: int) -> str:
 def method_colour(method: str) -> str:
     """Return the colour of a method's lines and marks; grey for one that is not registered here."""
     return BASELINES[method].colour if method in BASELINES else METHOD_COLOURS.get(method, GREY)
-
-
-def method_marker(method: str) -> str:
-    names = [baseline.name for baseline in list_baselines()]
-    if method in names:
-        return _BASELINE_MARKERS[names.index(method) % len(_BASELINE_MARKERS)]
-    return _MODEL_MARKERS.get(method, "o")
 
 
 def method_name(method: str, origin: str = "measured") -> str:

@@ -88,8 +88,8 @@ def compose_overview(
     predicted = [one for one in results if len(one.frames["predictive"])]
     tables = [
         *(fit_tables.lay_out_matrix(results), fit_tables.lay_out_summary(*results)),
-        *(fit_tables.lay_out_parameters(fits, free_alone=True), fit_tables.lay_out_design(results)),
-        *fit_tables.lay_out_printed_tuning(tunings),
+        *(fit_tables.lay_out_parameters(*fits), fit_tables.lay_out_design(results)),
+        *fit_tables.lay_out_tuning(tunings),
         *([fit_tables.lay_out_coverage(*predicted, named=True)] if predicted else []),
     ]
     printed = any(group.printed for group in list_held_out_groups(*results))

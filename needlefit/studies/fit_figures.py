@@ -1,24 +1,20 @@
 """The figures of fits and cross-validations as frames: insertions, errors, predictive check, draws."""
 
-import math
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
 from needlefit.datasets.select import group_rows
-from needlefit.inference.parameters import is_logarithmic
 from needlefit.inference.predict import estimate_proportion
 from needlefit.reporting import labels
-from needlefit.reporting.figures import Drawing, Look
+from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures import fit_forms as forms
 from needlefit.reporting.number_format import format_mm
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.studies import scored_groups as scores
-from needlefit.studies.fit_frames import list_methods, select_draws, select_fitted, select_free
-from needlefit.studies.fit_tables import find_ridge_ends, list_free_parameters
+from needlefit.studies.fit_frames import select_draws, select_fitted, select_free
 from needlefit.studies.judge import choose_method, find_closest_curve
 from needlefit.studies.rank_statistics import ecdf_band
 from needlefit.studies.run import Run
@@ -148,16 +144,11 @@ _BOXPLOT_COLUMNS = ("group", "metric", "mark", "insertion", "value", "origin")
 
 
 def draw_errors(results: Sequence[Run]) -> dict[str, Drawing]:
-    """Return the errors on held-out insertions by group, and the predictive check.
-
-    Of several studies also the errors of every method; nothing where none is held out.
-    """
+    """Return the errors on held-out insertions by group, and the predictive check; nothing without any."""
     if scores.tabulate_validation(*results).empty:
         return {}
     marks = pd.DataFrame([row for one in results for row in _list_boxes(one)], columns=_BOXPLOT_COLUMNS)
     drawn = {"boxplot": Drawing(forms.errors_by_group, marks)}
-    if len(results) > 1:  # of one study the table of methods has these numbers
-        drawn["baselines"] = _draw_baselines(results)
     if any(len(one.frames["predictive"]) for one in results):
         drawn["predicted"] = Drawing(forms.predictive_check, tabulate_predictive_check(results))
     return drawn
@@ -198,55 +189,6 @@ def _list_quartiles(values: "pd.Series[float]") -> list[Row]:
         return []
     ends = np.percentile(values.to_numpy(dtype=np.float64), list(forms.QUARTILES.values()))
     return [{"mark": mark, "value": float(end)} for mark, end in zip(forms.QUARTILES, ends, strict=True)]
-
-
-def _draw_baselines(results: Sequence[Run]) -> Drawing:
-    """Return one row per held-out group with a mark per method, the paper's and the noise floor."""
-    rows = [
-        {
-            "group": _name_group(group),
-            "method": method,
-            scores.TE: value,
-            "origin": group.head["origin"],
-        }
-        for group in scores.list_held_out_groups(*results)
-        for method, value in (
-            *((method, group.get(scores.TE, method=method)) for method in list_methods()),
-            *(
-                ("paper", group.get(scores.TE, "paper")),
-                ("noise floor", group.get(scores.TE, "floor")),
-            ),
-        )
-        if value is not None
-    ]
-    frame = pd.DataFrame(rows, columns=["group", "method", scores.TE, "origin"])
-    present = [method for method in list_methods() if (frame["method"] == method).any()]
-    middle, step = (len(present) - 1) / 2, 0.6 / max(len(present) - 1, 1)
-    looks = {
-        method: Look(
-            labels.method_name(method),
-            labels.method_colour(method),
-            labels.method_marker(method),
-            shift=step * (place - middle),
-            size=5.5 if method == "fitted" else 4,
-        )
-        for place, method in enumerate(present)
-    }
-    looks["paper"] = Look("paper, own needles", labels.PAPER_COLOUR, "D", filled=False, size=4)
-    looks["noise floor"] = Look("noise floor", labels.INK, "|", dashes=(0, (2, 1.5)), width=0.9)
-    options: dict[str, Any] = {
-        "rows": ("group",),
-        "value": scores.TE,
-        "by": "method",
-        "looks": looks,
-        "scale": "log",
-    }
-    options |= {
-        "name_row": lambda row: row[0].replace(", ", "\n"),
-        "x_label": "mean tip error (mm)",
-        "row_height": 0.5,
-    }
-    return Drawing("dots_with_intervals", frame, options)
 
 
 # ---- predictive check
@@ -307,11 +249,9 @@ def _orient_pits(results: Run) -> dict[str, Floats]:
 
 # ---- search and draws
 
-_END_COLUMNS = ("parameter", "value", "bound_low", "bound_high", "between_bounds")
-
 
 def draw_starts(results: Run) -> Drawing:
-    """Return the objective of all starts above the best one, and where each parameter ended."""
+    """Return the objective of all starts above the best one."""
     return Drawing(
         forms.waterfall, _tabulate_starts(results), {"title": describe_counts(results.frames["starts"])}
     )
@@ -328,38 +268,19 @@ def describe_counts(starts: pd.DataFrame) -> str:
 
 
 def _tabulate_starts(results: Run) -> pd.DataFrame:
-    """Return one row per start and free parameter: rank, objective minus best, and final value.
-
-    Ranks are within a search, best first; starts without a result have none. Only of the fit itself are the
-    parameters' ends drawn, so those of other searches are left out.
-    """
+    """Return one row per start: objective minus best, and the rank in its search; failed ones have none."""
+    head = ["fold", "fit", "start", "excess", "within_tolerance"]
     starts = results.frames["starts"].astype({"excess": float, "objective": float})
     finite = starts["excess"].where(np.isfinite(starts["excess"]))
-    starts["rank"] = finite.groupby([starts["fold"], starts["fit"]], sort=False).rank(method="first")
-    free = to_records(select_free(results.frames["parameters"]).drop_duplicates("parameter"))
-    head, rows = ("fold", "fit", "start", "rank", "excess", "within_tolerance"), []
-    for start in to_records(starts):
-        row = {key: start[key] for key in head} | {"failed": start["objective"] is None}
-        shown = free if start["fit"] == "fitted" else []
-        rows += [row | _find_end(start, one) for one in shown] or [row]
-    columns = [*head, "failed", *_END_COLUMNS]
-    return pd.DataFrame(rows, columns=columns).assign(origin=results.origin)
-
-
-def _find_end(start: Row, free: Row) -> Row:
-    """Return where a parameter ended, 0 to 1 between its bounds; moduli and lengths in logarithms."""
-    name, ends = free["parameter"], (free["bound_low"], free["bound_high"])
-    value, share = start[name], None
-    if value is not None:
-        at, low, high = (math.log(one) if is_logarithmic(name) else one for one in (value, *ends))
-        share = (at - low) / (high - low)
-    return dict(zip(_END_COLUMNS, (name, value, *ends, share), strict=True))
+    rank = finite.groupby([starts["fold"], starts["fit"]], sort=False).rank(method="first")
+    failed = ~np.isfinite(starts["objective"])
+    return starts[head].assign(rank=rank, failed=failed, origin=results.origin)
 
 
 def tabulate_marks(results: Run) -> pd.DataFrame:
-    """Return what is drawn, Pa and mm: one row per draw, fit, paper's set, bound and end of the ridge."""
+    """Return what is drawn, Pa and mm: one row per draw, fit, paper's set and bound."""
     fold = results.frames["draws"]["fold"].iloc[0]
-    names = list_free_parameters(results)
+    names = list(dict.fromkeys(select_free(results.frames["parameters"])["parameter"]))
     draws = select_draws(results.frames["draws"])[names].assign(mark="draw")
     known = results.frames["parameters"][results.frames["parameters"]["fold"] == fold]
     values = known.pivot_table(index="method", columns="parameter", values="value", sort=False)
@@ -368,7 +289,6 @@ def tabulate_marks(results: Run) -> pd.DataFrame:
     marks = [
         values.loc[sets].reindex(columns=names).assign(mark=sets),
         bounds.reindex(columns=names).assign(mark=["lower bound", "upper bound"]),
-        pd.DataFrame(find_ridge_ends(draws[names])).assign(mark="ridge"),
     ]
     frame = pd.concat([draws, *(part for part in marks if len(part))], ignore_index=True)
     drawn: pd.DataFrame = frame[["mark", *names]]

@@ -2,8 +2,7 @@
 
 design
     Insertions, depths and measured deflections of the tip (toward the bevel) per role ("tune", "validate"),
-    medium and layers; `insertions_other` counts the same insertions by the other rule for needles that end at
-    a boundary.
+    medium and layers.
 errors
     One row per fold, role, insertion, method and boundaries ("measured", as in the paper; "planned"), with a
     column per metric (`needlefit.metrics`) and `floor_<metric>` for those that have a noise floor.
@@ -49,8 +48,6 @@ predictive
     the probability predicted of a tip up to the measured one, `shape_pit` of a shape nearer, at its worst
     point, than the measured one; `shape_in_*` says whether that is within 50 or 95 %, `points_in_*` is the
     part of points within their own interval, which are no independent trials.
-predictive_training
-    The same of insertions into specimens that were not tuned on, as if they were known not to differ.
 bands
     Where each insertion held out was predicted to be measured, point by point, at its measured x.
 draws
@@ -62,7 +59,7 @@ population
     of mu with the bevel parameter. Empty where one set of parameters is for all.
 needles
     Every insertion held out, or, of a single fold, any, point by point in its scan
-    (`studies/needles_in_scan.py`); the single point of the curve "toward" is a direction.
+    (`studies/needle_placement.py`); the single point of the curve "toward" is a direction.
 """
 
 from collections.abc import Mapping
@@ -95,7 +92,7 @@ _PREDICTIVE_COLUMNS = (
 COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "design": (
-            *("role", "medium", "layers", "insertions", "insertions_other", "depth_min_mm", "depth_max_mm"),
+            *("role", "medium", "layers", "insertions", "depth_min_mm", "depth_max_mm"),
             *("deflection_min_mm", "deflection_max_mm"),
         ),
         "errors": (
@@ -129,7 +126,6 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         ),
         "profiles": ("fold", "parameter", "value", "deviance", "slope", "fisher_deviance", "threshold"),
         "predictive": _PREDICTIVE_COLUMNS,
-        "predictive_training": _PREDICTIVE_COLUMNS,
         "bands": (
             *("fold", "insertion", "x_mm", "measured_mm", "median_mm"),
             *("low_50_mm", "high_50_mm", "low_95_mm", "high_95_mm"),
@@ -137,7 +133,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "draws": DRAW_COLUMNS,
         "population": ("fold", "parameter", "between_sd", "between_correlation", "other_specimens"),
         "needles": (
-            *("fold", "role", "insertion", "diameter_mm", "band_source", "converged"),
+            *("fold", "role", "insertion", "diameter_mm", "band_source"),
             *("curve", "j", "x_mm", "y_mm", "z_mm"),
         ),
     }

@@ -7,21 +7,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from needlefit.arrays import Floats
 from needlefit.grouping import group_values
 from needlefit.inference.identifiability.directions import (
     MAX_LOG_SD,
     UNINFORMED_SD_RATIO,
-    Direction,
     find_least_determined,
-    principal_directions,
 )
-from needlefit.inference.parameters import HYPERPARAMETERS, is_logarithmic
+from needlefit.inference.parameters import HYPERPARAMETERS
 from needlefit.inference.sampling.posterior import PERCENTILES
 from needlefit.metrics import Metric, headline_metrics, list_metrics
 from needlefit.reporting import latex
 from needlefit.reporting.columns import DIGITS, METRIC_FORMAT, find_column, format_value
-from needlefit.reporting.figures.fit_forms import to_log_coordinates
 from needlefit.reporting.labels import SPECIMEN_NAMES, method_name, study_name
 from needlefit.reporting.number_format import (
     choose_interval_unit,
@@ -73,34 +69,35 @@ class _RowKind:
     column: str = "value"
 
 
-_FITTED, _POOLED = _RowKind("posterior-mode fit"), _RowKind("pooled", column="pooled")
+_FITTED = _RowKind("posterior-mode fit")
 _FLOOR, _PAPER = _RowKind("noise floor", column="floor"), _RowKind("paper", column="paper")
 _HELD_OUT_KINDS = (
     _FITTED,
     _RowKind("predictive median", method=MEDIAN_METHOD),
     _RowKind("error-minimising fit", method="fitted_metric"),
     _RowKind("planned layer depths", boundaries="planned"),
-    _POOLED,
 )
-#: the kinds of rows given of groups fitted to, and by the alternative count
-_REGROUPED_KINDS = (_FITTED, _POOLED)
 
-_ALTERNATE_MARK = "‡"
 _ROLE_NAMES = {"tune": "tunes", "validate": "validates"}
 
 
 def lay_out_validation(results: Sequence[Run]) -> TableLayout:
     """Return the validation table by held-out group: ours, with planned depths, noise floor, paper."""
-    return _lay_out_groups(
-        "validation", scores.list_held_out_groups(*results, with_alternate=True), _HELD_OUT_KINDS
-    )
+    return _lay_out_groups("validation", scores.list_held_out_groups(*results), _HELD_OUT_KINDS)
 
 
-def lay_out_tuning(results: Sequence[Run], grouping: str) -> TableLayout:
-    """Return the in-sample errors by `grouping` ("layers" or "media"), beside the paper's tuned models."""
-    table = scores.tabulate_tuning(*results, with_alternate=True)
-    groups = scores.list_groups(table[table["grouping"] == grouping])
-    return _lay_out_groups(f"tuning_by_{grouping}", groups, _REGROUPED_KINDS)
+def lay_out_tuning(results: Sequence[Run]) -> list[TableLayout]:
+    """Return the in-sample errors by layers; by media too where the paper has a cell."""
+    groups = scores.list_groups(scores.tabulate_tuning(*results))
+    by = {
+        which: [one for one in groups if one.head["grouping"] == which]
+        for which in (scores.BY_LAYERS, scores.BY_MEDIA)
+    }
+    return [
+        _lay_out_groups(f"tuning_by_{which}", some, (_FITTED,))
+        for which, some in by.items()
+        if some and (which == scores.BY_LAYERS or any(one.printed for one in some))
+    ]
 
 
 def _lay_out_groups(
@@ -112,9 +109,8 @@ def _lay_out_groups(
     """
     rows: list[Row] = []
     for number, group in enumerate(groups):
-        own = [kind for kind in kinds if not group.head["alternate_count"] or kind in _REGROUPED_KINDS]
-        kinds_here = (*own, _FLOOR, _PAPER)
-        rows += [{**_head(group), **row, "number": number} for row in _list_rows(group, kinds_here)]
+        found = _list_rows(group, (*kinds, _FLOOR, _PAPER))
+        rows += [{**_head(group), **row, "number": number} for row in found]
     heads = ("study", "medium", "layers", "insertions")
     table = _make_table(name, rows, heads, (one for one in list_metrics() if not one.spread_of))
     same = group_values((str(one.head["comparable"]), _head(one)) for one in groups if one.printed)
@@ -205,38 +201,8 @@ def _describe_score(group: scores.ScoredGroup, kind: _RowKind, metric: Metric) -
 
 
 def _head(group: scores.ScoredGroup) -> Row:
-    count = str(group.head["layers"] or "all")
-    mark = _ALTERNATE_MARK if group.head["alternate_count"] else ""
-    about = {"count": count, "layers": count + mark, "printed": group.printed}
+    about = {"layers": str(group.head["layers"] or "all"), "printed": group.printed}
     return {**group.head, **about, "unflagged_edp": group.get("edp_percent", "unflagged")}
-
-
-_IN_SAMPLE_METHODS = ("fitted", "fitted_metric", "hand_tuned")
-
-
-def lay_out_in_sample(results: Run) -> TableLayout:
-    """Return the errors of a fit, of the error-minimising one and of the paper's parameters, over all
-    insertions that were fitted to.
-    """
-    shown = [metric for metric in list_metrics() if metric.headline or metric.relative]
-    table = scores.aggregate(results.frames["errors"], ("role", "method", "boundaries"))
-    known = {
-        (row["method"], row["metric"]): row
-        for row in to_records(table)
-        if (row["role"], row["boundaries"]) == ("tune", "measured")
-    }
-    rows: list[Row] = []
-    for method in (*_IN_SAMPLE_METHODS, "floor"):
-        name = "noise floor" if method == "floor" else method_name(method, results.origin)
-        for metric in shown:
-            one = known.get(("fitted" if method == "floor" else method, metric.name), {})
-            value = one.get("floor" if method == "floor" else "value")
-            if one and (value is not None or method != "floor"):
-                rows.append({"row": name, "metric": metric.name, "value": value, "mark": "", "spread": None})
-    lines = pivot(rows, ["row"], ["metric"])
-    columns = ("row", *(part("metric_value", metric=one.name) for one in shown))
-    counts = {int(row["insertions"]) for row in known.values()}
-    return _lay_out(Table("in_sample", lines, columns, strong="first"), insertions=max(counts, default=0))
 
 
 def lay_out_matrix(results: Sequence[Run]) -> TableLayout:
@@ -266,22 +232,16 @@ def lay_out_matrix(results: Sequence[Run]) -> TableLayout:
 
 def lay_out_design(results: Sequence[Run]) -> TableLayout:
     """Return which insertions tune and validate: counts, ranges of depth and measured deflection."""
-    rows = []
-    for one in results:
-        for row in to_records(one.frames["design"]):
-            other = "" if row["insertions"] == row["insertions_other"] else row["insertions_other"]
-            about = {
-                "study": scores.study_label(one),
-                "role": _ROLE_NAMES[row["role"]],
-                "origin": one.origin,
-            }
-            rows.append({**row, **about, "insertions_other": other})
-    columns = (
-        *("study", "role", "medium", "layers", "insertions", "insertions_other"),
-        *("depth_range_mm", "deflection_range_mm"),
-    )
+    rows = [
+        {**row, "study": scores.study_label(one), "role": _ROLE_NAMES[row["role"]], "origin": one.origin}
+        for one in results
+        for row in to_records(one.frames["design"])
+    ]
+    columns = ("study", "role", "medium", "layers", "insertions", "depth_range_mm", "deflection_range_mm")
+    errors = pd.concat([one.frames["errors"].assign(study=one.name) for one in results])
+    doubtful = errors[errors["layers"] != errors["layers_other"]].drop_duplicates(["study", "insertion"])
     table = Table("design", rows, columns, groups=("study",), heads=1)
-    return _lay_out(table, drop_empty=True, both_counts=any(row["insertions_other"] for row in rows))
+    return _lay_out(table, drop_empty=True, at_boundary=len(doubtful))
 
 
 _COVERAGE_GROUPS = ("study", "medium", "layers", "specimen_treatment")
@@ -289,11 +249,7 @@ _COVERAGE_GROUPS = ("study", "medium", "layers", "specimen_treatment")
 
 def lay_out_coverage(*results: Run, named: bool = False) -> TableLayout:
     """Return one row per study (named if wanted), medium, number of layers and specimen, over all folds."""
-    frames = [
-        one.frames[name].assign(study=scores.study_label(one))
-        for one in results
-        for name in ("predictive", "predictive_training")
-    ]
+    frames = [one.frames["predictive"].assign(study=scores.study_label(one)) for one in results]
     predicted = pd.concat([frame for frame in frames if len(frame)])
     rows = [
         {
@@ -331,7 +287,7 @@ def lay_out_baselines(results: Run, role: str) -> TableLayout:
             **{**row, **about, "method": method_name(row["method"], results.origin)},
             **({"difference_mm": None, "better": ""} if row["method"] == "fitted" else {}),
         }
-        for row in to_records(scores.compare_methods(results, role=role, metric=scores.TE))
+        for row in to_records(scores.compare_methods(results, role))
     ]
     errors = (one.name for one in headline_metrics())
     columns = ("study", "method", "insertions", *errors, "te_difference", "better_of")
@@ -368,7 +324,7 @@ _PARAMETER_COLUMNS = (
     *("study", "medium", "fold", "parameter", "method", "value", "median"),
     *("determined", "condition", "status"),
     *("sd", "interval_low", "interval_high", "draw_source", "importance_low", "importance_high"),
-    *("low", "high", "bound_low", "bound_high", "note", "comparable", "origin"),
+    *("low", "high", "bound_low", "bound_high", "note", "origin"),
 )
 
 
@@ -378,24 +334,14 @@ def tabulate_parameters(*results: Run) -> pd.DataFrame:
     `value` is what errors and curves of the method are simulated with, `median` that of the posterior's
     draws. `interval_low`, `interval_high` are the 95 % interval of the posterior; of the error-minimising fit
     the range within the tolerance of the errors. `determined` says whether the data determine the parameter:
-    "yes", "only together" or "no". `sd` is of ln for moduli and lengths, of the value for alpha. `comparable`
-    says what makes ours and the paper's comparable or not.
+    "yes", "only together" or "no". `sd` is of ln for moduli and lengths, of the value for alpha.
     """
-    rows = [row for one in results for row in _parameter_rows(one)]
+    rows = [
+        {"study": scores.study_label(one), "medium": one.record.medium, "origin": one.origin, **row}
+        for one in results
+        for row in to_records(one.frames["parameters"])
+    ]
     return pd.DataFrame(rows, columns=list(_PARAMETER_COLUMNS))
-
-
-def _parameter_rows(results: Run) -> Iterator[Row]:
-    rows = to_records(results.frames["parameters"])
-    published = {(r["fold"], r["parameter"]) for r in rows if r["method"] == "hand_tuned"}
-    about = {
-        "study": scores.study_label(results),
-        "medium": results.record.medium,
-        "origin": results.origin,
-    }
-    for row in rows:
-        key = (row["fold"], row["parameter"])
-        yield {**about, **row, "comparable": scores.compare_parameter_row(results, key in published)}
 
 
 def arrange_parameters(table: pd.DataFrame) -> list[Row]:
@@ -435,10 +381,7 @@ def describe_parameter(rows: Sequence[Row], truth: float | None = None) -> Row:
         "determined": "" if fixed else _join_determined(rows),
         "error_minimising": _format_estimate(errors, [row["value"] for row in errors], unit),
         "errors_determine": _join_determined(errors),
-        **{
-            method: _join_range([row[method]["value"] for row in rows if row[method]], unit)
-            for method in ("hand_tuned", "hand_tuned_b")
-        },
+        "hand_tuned": _join_range([row["hand_tuned"]["value"] for row in rows if row["hand_tuned"]], unit),
         "true_value": "" if truth is None else typeset(format_number(truth / unit)),
     }
 
@@ -477,45 +420,6 @@ def _is_at(end: float, bounds: Sequence[float | None]) -> bool:
     return any(bound is not None and math.isclose(end, bound, rel_tol=1e-6) for bound in bounds)
 
 
-def lay_out_parameters(results: Sequence[Run], free_alone: bool = False) -> TableLayout:
-    """Return posterior and error-minimising fit beside the paper's parameters, and these with b re-fitted.
-
-    Of several studies in one table wanted are the parameters that are `free_alone`, without notes.
-    """
-    table = arrange_parameters(tabulate_parameters(*results))
-    table = [row for row in table if row["status"] == "free" or not free_alone]
-    folds = len({row["fold"] for row in table}) > 1
-    truths = {scores.study_label(one): one.run.get("truth", {}) for one in results}
-    rows = []
-    for number, row in enumerate(table):
-        named = not number or row["study"] != table[number - 1]["study"]
-        tied = str(row["note"]) if row["status"] == "tied" else ""  # it names the tie, and its condition
-        rows.append(
-            {
-                **describe_parameter([row], truths[row["study"]].get(row["parameter"])),
-                "group": (row["study"], row["fold"]),
-                "study": row["study"] if named else "",
-                "fold": row["fold"] if folds else "",
-                "note": insert_symbols(tied or str(row["condition"] or "")),
-            }
-        )
-    columns = (
-        *("study", "fold", "parameter", "posterior", "determined", "error_minimising", "errors_determine"),
-        *("hand_tuned", "hand_tuned_b", "true_value"),
-        *(() if free_alone else ("note",)),
-    )
-    compared = list(dict.fromkeys(str(row["comparable"]) for row in table if row["hand_tuned"]))
-    values = {
-        "printed": any(row["hand_tuned"] for row in rows),
-        "metric": any(row["error_minimising"] for row in rows),
-        "truth": any(row["true_value"] for row in rows),
-        "comparable": compared,
-        **_describe_search(results),
-    }
-    found = Table("parameters", rows, columns, groups=("group",), heads=2)
-    return _lay_out(found, drop_empty=True, **values)
-
-
 #: what the intervals of parameters are from, by `draw_source`
 SOURCES = {"posterior": "emcee", "importance": "importance sampling", "profile": "profile likelihood"}
 
@@ -532,30 +436,41 @@ def _describe_search(results: Sequence[Run]) -> Row:
     }
 
 
-def lay_out_values(results: Run) -> TableLayout:
-    """Return the table of parameters of the first page; parameters with the same cells have one row."""
-    truth = results.run.get("truth", {})
-    by_name = group_values(
-        (str(row["parameter"]), row) for row in arrange_parameters(tabulate_parameters(results))
-    )
-    cells: dict[tuple[object, ...], Row] = {}
-    for name, rows in by_name.items():
-        row = describe_parameter(rows, truth.get(name))
-        same = cells.setdefault(tuple(row[key] for key in row if key != "parameter"), {**row, "names": []})
-        same["names"].append(row["parameter"])
-    rows = [{**row, "parameter": ", ".join(row["names"])} for row in cells.values()]
+def lay_out_parameters(*results: Run) -> TableLayout:
+    """Return posterior and error-minimising fit beside the paper's parameters, of several folds their range.
+
+    Parameters with the same cells have one row. Of several studies only free parameters are there.
+    """
+    rows: list[Row] = []
+    for one in results:
+        every, truth = arrange_parameters(tabulate_parameters(one)), one.run.get("truth", {})
+        pairs = [
+            (str(row["parameter"]), row) for row in every if len(results) == 1 or row["status"] == "free"
+        ]
+        cells: dict[tuple[object, ...], Row] = {}
+        for name, members in group_values(pairs).items():
+            row = describe_parameter(members, truth.get(name))
+            key = tuple(row[key] for key in row if key != "parameter")
+            cells.setdefault(key, {**row, "names": []})["names"].append(row["parameter"])
+        about = {"study": scores.study_label(one)}
+        rows += [{**about, **row, "parameter": ", ".join(row["names"])} for row in cells.values()]
     columns = (
-        *("parameter", "posterior", "determined", "error_minimising", "errors_determine"),
+        *("study", "parameter", "posterior", "determined", "error_minimising", "errors_determine"),
         *("hand_tuned", "true_value"),
-    )
+    )[len(results) == 1 :]
+    single = len(results) == 1
     values = {
-        "folds": int(results.frames["parameters"]["fold"].nunique()),
+        "folds": max(int(one.frames["parameters"]["fold"].nunique()) for one in results),
         "bounds": any(AT_BOUND in row["posterior"] + row["error_minimising"] for row in rows),
-        "together": find_known_combination(results),
-        "freed": describe_freed(results.frames["identification"]),
-        **_describe_search([results]),
+        "together": find_known_combination(results[0]) if single else "",
+        "freed": describe_freed(results[0].frames["identification"]) if single else [],
+        "printed": any(row["hand_tuned"] for row in rows),
+        "metric": any(row["error_minimising"] for row in rows),
+        "truth": any(row["true_value"] for row in rows),
+        **_describe_search(results),
     }
-    return _lay_out(Table("values", rows, columns), drop_empty=True, **values)
+    table = Table("parameters", rows, columns, groups=("study",) if not single else (), heads=int(not single))
+    return _lay_out(table, drop_empty=True, **values)
 
 
 def find_known_combination(results: Run) -> str:
@@ -607,102 +522,34 @@ def lay_out_population(results: Run) -> TableLayout:
 
 
 def lay_out_posterior(results: Run) -> TableLayout:
-    """Return the percentiles beside the fitted value."""
+    """Return the percentiles of a sampled posterior in printed units."""
     several, rows = len(results.posteriors) > 1, []
     percentiles = [f"p{percentile:g}" for percentile in PERCENTILES]
     for row in to_records(tabulate_percentiles(results)):
         label, unit = choose_printed_unit(str(row["parameter"]), [row[name] for name in percentiles])
-        values = [*percentiles, "fit_value_used", "importance_low", "importance_high"]
-        cells = {name: None if row[name] is None else row[name] / unit for name in values}
-        cells |= {"mark": "‡" if row["fit_in_central_95"] is False else ""}
-        state = "" if row["converged"] else "NOT CONVERGED"
-        fold = row["fold"] if several else ""
+        cells = {name: row[name] / unit for name in percentiles}
+        state, fold = "" if row["converged"] else "NOT CONVERGED", row["fold"] if several else ""
         rows.append({**row, **cells, "parameter": label, "fold": fold, "state": state})
-    columns = ("fold", "parameter", *percentiles, "importance_95", "fit_value", "r_hat", "ess", "state")
+    columns = ("fold", "parameter", *percentiles, "r_hat", "ess", "state")
     unconverged = any(posterior.faults for posterior in results.posteriors.values())
-    marked = any(row["mark"] for row in rows)
-    table = Table("posterior", rows, columns)
-    return _lay_out(table, drop_empty=True, unconverged=unconverged, marked=marked)
-
-
-# ---- draws of the posterior, and the ridge on which they lie: there parameters can move together, and the
-# needles stay what they are. It is their longest principal axis; across it lies what the data determine.
+    return _lay_out(Table("posterior", rows, columns), drop_empty=True, unconverged=unconverged)
 
 
 def tabulate_percentiles(results: Run) -> pd.DataFrame:
-    """Return one row per fold and free parameter: percentiles (Pa, mm), the fitted value, R-hat.
+    """Return one row per fold and free parameter: percentiles (Pa, mm), R-hat, effective sample size.
 
-    `fit_value_used` is what the fit ended with and its predictions used; `fit_in_central_95` is false where
-    that lies outside the central 95 % of the draws: a peak need not lie where most of a density is, and a
-    fit of the recipe's error metrics need not agree with a posterior at all. `acceptance` is the fold's.
-    `converged` is false where the criteria, which concern more than the parameters, are not met: percentiles
-    are then not final. `determined` is as of `tabulate_parameters`; where it is "no" the percentiles depend
-    on the bounds too.
+    `acceptance` is the fold's. `converged` is false where the criteria, which concern more than the
+    parameters, are not met: percentiles are then not final.
     """
-    known = results.frames["parameters"]
-    rows = to_records(known[known["method"] == "fitted"])
-    fitted = {(str(row["fold"]), row["parameter"]): row for row in rows if row["value"] is not None}
     names, found = [f"p{percentile:g}" for percentile in PERCENTILES], list[Row]()
     for fold, posterior in results.posteriors.items():
         about: Row = {"acceptance": float(np.mean(posterior.acceptance)), "converged": not posterior.faults}
         about |= {"fold": fold, "origin": results.origin}
         for number, (name, values) in enumerate(posterior.percentiles().items()):
-            one = fitted.get((str(fold), name), {})
-            used = one.get("value")
-            compared = None if used is None else values[0] <= used <= values[-1]
-            found.append(
-                {
-                    **{"parameter": name, **dict(zip(names, values, strict=True)), **about},
-                    **{"fit_value_used": used, "fit_in_central_95": compared},
-                    "determined": one.get("determined"),
-                    **{key: one.get(key) for key in ("importance_low", "importance_high")},
-                    **{"r_hat": float(posterior.r_hat[number]), "ess": float(posterior.ess[number])},
-                }
-            )
-    heads = ("fold", "parameter", *names, "fit_value_used", "determined", "fit_in_central_95")
-    heads += ("importance_low", "importance_high", "r_hat", "ess", "acceptance", "converged", "origin")
-    return pd.DataFrame(found, columns=heads)
-
-
-RIDGE_MIN_AXIS_RATIO = 3.0  #: least ratio of the longest to the shortest axis of the draws of a ridge
-RIDGE_REACH_SD = 2.0  #: standard deviations to which the ridge is drawn in both directions
-
-
-def list_free_parameters(results: Run) -> list[str]:
-    """Return the parameters that were estimated."""
-    return list(dict.fromkeys(select_free(results.frames["parameters"])["parameter"]))
-
-
-def principal_axes(draws: pd.DataFrame) -> tuple[Direction, ...]:
-    """Return the principal axes of draws (Pa, mm), the shortest (best determined) first."""
-    names = [str(name) for name in draws.columns]
-    spread = np.atleast_2d(np.cov(to_log_coordinates(draws), rowvar=False))
-    # The inverse covariance of the draws plays the part of the Fisher information.
-    information: Floats = np.linalg.pinv(spread, hermitian=True).astype(np.float64)
-    return principal_directions(information, names)
-
-
-def is_ridge(axes: tuple[Direction, ...]) -> bool:
-    """Return whether draws with these axes are elongated along the longest one."""
-    return len(axes) > 1 and axes[-1].sd > RIDGE_MIN_AXIS_RATIO * axes[0].sd
-
-
-def find_ridge_ends(draws: pd.DataFrame) -> list[dict[str, float]]:
-    """Return both ends of the ridge, Pa and mm; none if the draws have no longest axis."""
-    axes = principal_axes(draws)
-    if not is_ridge(axes):
-        return []
-    middle, step = (
-        to_log_coordinates(draws).mean(axis=0),
-        RIDGE_REACH_SD * axes[-1].sd * np.array(axes[-1].weights),
-    )
-    return [
-        {
-            str(name): float(np.exp(at) if is_logarithmic(str(name)) else at)
-            for name, at in zip(draws.columns, end, strict=True)
-        }
-        for end in (middle - step, middle + step)
-    ]
+            of_chain = {"r_hat": float(posterior.r_hat[number]), "ess": float(posterior.ess[number])}
+            found.append({"parameter": name, **dict(zip(names, values, strict=True)), **about, **of_chain})
+    columns = ("fold", "parameter", *names, "r_hat", "ess", "acceptance", "converged", "origin")
+    return pd.DataFrame(found, columns=columns)
 
 
 # ---- the files of one run, or of several together
@@ -713,19 +560,10 @@ def lay_out_files(
 ) -> Iterator[tuple[str, pd.DataFrame, list[TableLayout]]]:
     """Yield the paper's tables with our rows beside its rows: name, rows, and the tables to print."""
     every = list({one.name: one for one in (*studies, *tunings)}.values())
-    validation = scores.tabulate_validation(*studies, with_alternate=True)
+    validation = scores.tabulate_validation(*studies)
     yield "validation", validation, [lay_out_validation(studies)]
-    by = [lay_out_tuning(tunings, grouping) for grouping in (scores.BY_LAYERS, scores.BY_MEDIA)]
-    yield "tuning", scores.tabulate_tuning(*tunings, with_alternate=True), by
-    yield "parameters", tabulate_parameters(*every), [lay_out_parameters(every)]
-
-
-def lay_out_printed_tuning(results: Sequence[Run]) -> list[TableLayout]:
-    """Return the in-sample tables; by media only where the paper has a cell."""
-    groups = scores.list_groups(scores.tabulate_tuning(*results))
-    printed = any(group.head["grouping"] == scores.BY_MEDIA and group.printed for group in groups)
-    groupings = (scores.BY_LAYERS, scores.BY_MEDIA) if printed else (scores.BY_LAYERS,)
-    return [lay_out_tuning(results, by) for by in groupings if groups]
+    yield "tuning", scores.tabulate_tuning(*tunings), lay_out_tuning(tunings)
+    yield "parameters", tabulate_parameters(*every), [lay_out_parameters(*every)]
 
 
 # ---- numbers for a paper

@@ -74,45 +74,11 @@ PREDICTION_DRAWS = 1000  #: parameter sets of which a needle is predicted
 SPECIMEN_EFFORTS = (Effort(draws=500, min_ess=1000.0), LARGER_EFFORT)
 
 
-@dataclass(frozen=True)
-class PosteriorFit:
-    """A fit and draws of its posterior; Pareto's k of the weights, NaN where nothing is free, and whether it
-    was sampled.
-    """
-
-    fit: Fit
-    draws: Draws
-    k: float
-    sampled: bool = False
-
-
-def fit_posterior(
-    job: Job, problem: Problem, key: tuple[str, ...], settings: Settings, draws: int = PREDICTION_DRAWS
-) -> PosteriorFit:
-    """Fit the free parameters of a problem, and draw from their posterior, by the recipe of the job.
+def find_fit(job: Job, problem: Problem, key: tuple[str, ...], settings: Settings) -> Fit:
+    """Fit the free parameters of a problem by the recipe of the job; `key` keys the random streams.
 
     Raises FitError if the search finds no point that can be solved.
-
-    `job`: for its recipe, seed and name. `problem`: of the job's kind; other insertions or priors than its
-    folds' are welcome. `key`: what this is, among all that is learned in the job: it keys the random streams.
-    `settings`: for `jobs` and `stop`; after a stop the answer means nothing. `draws`: how many; their
-    `faults` say so if they are not certified, nor the sampler converged.
     """
-    fit = find_fit(job, problem, key, settings)
-    if not len(fit.theta) or settings.stop():
-        return PosteriorFit(fit, Draws(np.empty((draws, len(fit.theta))), "importance"), float("nan"))
-    rng = random_stream(job.recipe.seed, job.name, *key, "weighed")
-    found = sample_about_fit(problem, fit, rng, settings.jobs)
-    if found.certified:
-        return PosteriorFit(fit, resample_draws(found, draws, rng), found.k)
-    posterior = None if settings.stop() else sample_posterior(job, problem, fit, found, key, settings)
-    nothing = Draws(np.empty((0, len(fit.theta))), "posterior")
-    drawn = nothing if posterior is None else thin_posterior(posterior, problem.parameters, draws, found.k)
-    return PosteriorFit(fit, drawn, found.k, sampled=True)
-
-
-def find_fit(job: Job, problem: Problem, key: tuple[str, ...], settings: Settings) -> Fit:
-    """Return the fit alone, by the recipe of the job; arguments and errors as of `fit_posterior`."""
     callbacks = Callbacks(stop=settings.stop, jobs=settings.jobs)
     return minimize(problem, job.recipe, random_stream(job.recipe.seed, job.name, *key, "starts"), callbacks)
 
@@ -276,7 +242,15 @@ class Specimens:
             )
             if found.certified:
                 return resample_draws(found, PREDICTION_DRAWS, rng)
-        return fit_posterior(job, problem, key, Settings()).draws
+        fit = find_fit(job, problem, key, Settings())
+        rng = random_stream(job.recipe.seed, job.name, *key, "weighed")
+        found = sample_about_fit(problem, fit, rng)
+        if found.certified:
+            return resample_draws(found, PREDICTION_DRAWS, rng)
+        posterior = sample_posterior(job, problem, fit, found, key, Settings())
+        if posterior is None:
+            return Draws(np.empty((0, len(fit.theta))), "posterior")
+        return thin_posterior(posterior, job.parameters, PREDICTION_DRAWS, found.k)
 
 
 def choose_specimen(known: Specimens, into: str) -> Insertion | None:
@@ -410,43 +384,35 @@ class PredictiveMedian:
 
 
 def predict_held_out(
-    job: Job,
-    fold: Fold,
-    draws: Draws,
-    known: Specimens | None = None,
-    jobs: int = 1,
+    known: Specimens,
     *,
     bands: bool = False,
     step: Callable[[int, int], None] = lambda done, total: None,
 ) -> Iterator[HeldOutPrediction]:
     """Yield the prediction of every insertion that a fold holds out, y toward +y of C, mm.
 
-    Of an insertion whose points have no stated noise, nothing: its measurement then has no distribution. With
-    `known` parameters differ between specimens; nothing is predicted where their draws are not certified.
-    Without `bands`, those are left out, and what one measured insertion into a new specimen would leave of
-    the width. `step` is called with the number of predictions made, and of all.
+    Of an insertion whose points have no stated noise, nothing: its measurement then has no distribution.
+    Nothing is predicted where specimens differ and their draws are not certified. Without `bands`, those are
+    left out, and what one measured insertion into a new specimen would leave of the width. `step` is called
+    with the number of predictions made, and of all.
     """
-    given = [one for one in fold.validate if job.dataset.noise.stated or one.sd is not None]
-    if known is not None and given and known.separate and known.faults:
+    job, jobs = known.job, known.jobs
+    given = [one for one in known.fold.validate if job.dataset.noise.stated or one.sd is not None]
+    if given and known.separate and known.faults:
         return
     side_by_side = max(1, min(jobs, len(given)))
     # what is predicted are the stored points, as they will be measured
     update = {"depths": "fixed", "bevel_spread": 0.0, "measurement": "points"}
-    new = [one for one in given if known is not None and known.differs(one)]
-    predict = _Predictor(
-        job,
-        fold,
-        draws,
+    predictor = _Predictor(
         known,
         job.recipe.likelihood.model_copy(update=update),
         find_repeats(job.dataset),
         jobs // side_by_side,
         bands,
-        _choose_representatives(job, new) if bands else frozenset(),
+        _choose_representatives(job, filter(known.differs, given)) if bands else frozenset(),
     )
-    parts = run_parts(predict.predict, given, side_by_side, TaskStop(never_stop))
     found: dict[int, HeldOutPrediction | None] = {}
-    for n, one in parts:
+    for n, one in run_parts(predictor.predict, given, side_by_side, TaskStop(never_stop)):
         found[n] = one
         step(len(found), len(given))
     yield from filter(None, (found[n] for n in range(len(given))))
@@ -456,10 +422,7 @@ def predict_held_out(
 class _Predictor:
     """Predicts insertions that a fold holds out, each on `jobs` threads."""
 
-    job: Job
-    fold: Fold
-    draws: Draws
-    known: Specimens | None
+    known: Specimens
     likelihood: LikelihoodRecord
     repeats: Mapping[str, tuple[str, int]]
     jobs: int
@@ -468,22 +431,22 @@ class _Predictor:
 
     def predict(self, insertion: Insertion) -> HeldOutPrediction | None:
         """Return the prediction of an insertion; None where too few draws have a solution."""
-        job, fold, draws, known = self.job, self.fold, self.draws, self.known
+        known, job, fold = self.known, self.known.job, self.known.fold
         rng = random_stream(job.recipe.seed, job.name, fold.name, "foretold", insertion.id)
         observation = make_observation(job.dataset, insertion, likelihood=self.likelihood)
         tuned = any(insertion.specimen == one.specimen for one in fold.tune)
-        differing = known if known is not None and known.differs(insertion) else None
+        differing = known if known.differs(insertion) else None
         about = describe_specimen(differing, "same" if tuned else "training only")
         # the depths of one insertion have one specimen and one bevel
         own = self.repeats.get(insertion.id)
         once = rng if own is None else random_stream(job.recipe.seed, job.name, fold.name, "foretold", *own)
-        draws = draws if known is None else known.draws_in(insertion)
+        draws = known.draws_in(insertion)
         sets = [job.parameters.values(theta) for theta in draws.thetas]
         deviations = once.standard_normal(len(sets))
         if differing is not None and differing.separate:
             deviations = differing.bevel_sd_in(insertion) * deviations
         elif fold.tune and len(sets):
-            problem = job.problem(fold) if known is None else known.problem_of(insertion)
+            problem = known.problem_of(insertion)
             deviations = _condition_bevels(problem, sets, own, deviations, self.jobs)
         found = self._simulate(insertion, observation, scale_bevels(sets, deviations), rng)
         solved = found.solved
@@ -494,22 +457,33 @@ class _Predictor:
         factor = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
         covariance, measured = _measurement_covariance(observation, factor), observation.measured[:, 1]
         mixture = PredictiveMixture(heights, np.sqrt(np.diag(covariance)))
-        row = {"fold": fold.name, **_describe_insertion(job, insertion, draws, int(np.sum(~solved))), **about}
-        row[AFTER_ONE_COLUMN] = math.nan
+        row = {
+            "fold": fold.name,
+            "insertion": insertion.id,
+            "hole": name_holes(job.dataset).get(insertion.id, insertion.id),
+            "specimen": insertion.specimen,
+            "medium": insertion.medium,
+            "layers": count_layers(insertion, job.record.layer_count_rule),
+            "depth_mm": insertion.depth,
+            "draw_source": draws.source,
+            "certified": not draws.faults,
+            "draws": len(draws.thetas),
+            "failed_solves": int(np.sum(~solved)),
+            AFTER_ONE_COLUMN: math.nan,
+            **about,
+        }
         if insertion.id in self.representatives:
             some = [values for values, kept in zip(sets, solved, strict=True) if kept]
             row[AFTER_ONE_COLUMN] = self._estimate_after_one(insertion, observation, some, mixture)
         row |= _score_prediction(mixture, measured, simulate_shape_pit(mixture, covariance, measured, rng))
-        where = {"fold": fold.name, "insertion": insertion.id}
-        points = _band_rows(mixture, observation.measured) if self.bands else ()
-        band = ({**where, **point} for point in points)
-        return HeldOutPrediction(
-            {name: row[name] for name in COLUMNS["predictive"]},
-            tuple(band),
-            _find_median(mixture, aligned[..., 0], observation.nodes.s[0]) if self.bands else None,
-            len(heights),
-            int(np.sum(~found.valid[solved])),
-        )
+        band, median = tuple[Row, ...](), None
+        if self.bands:
+            where = {"fold": fold.name, "insertion": insertion.id}
+            band = tuple({**where, **point} for point in _band_rows(mixture, observation.measured))
+            points = np.column_stack([np.median(aligned[..., 0], axis=0), *quantile(mixture, (0.5,))])
+            median = PredictiveMedian(observation.nodes.s[0], points)
+        row = {name: row[name] for name in COLUMNS["predictive"]}
+        return HeldOutPrediction(row, band, median, len(heights), int(np.sum(~found.valid[solved])))
 
     def _simulate(
         self,
@@ -520,7 +494,7 @@ class _Predictor:
     ) -> PlannedNeedles:
         """Return the needles of sets of values at the observed points, each with depths of its own."""
         (deep, wrong), s = draw_depth_errors(insertion, len(sets), rng), observation.nodes.s[0]
-        medium, needle = self.job.medium, self.job.dataset.needle
+        medium, needle = self.known.job.medium, self.known.job.dataset.needle
         return simulate_planned(sets, medium, needle, insertion, s, deep, wrong, self.jobs)
 
     def _estimate_after_one(
@@ -535,11 +509,11 @@ class _Predictor:
         The second one has the parameters of the `first` (`sets`, before its bevel was drawn), and a bevel,
         depths and errors of measurement of its own.
         """
-        job, fold = self.job, self.fold
+        job, fold = self.known.job, self.known.fold
         # a stream of its own: no other number depends on it
         rng = random_stream(job.recipe.seed, job.name, fold.name, "after one", insertion.id)
-        bevel_sd = 1.0 if self.known is None else self.known.bevel_sd_in(insertion)
-        found = self._simulate(insertion, observation, vary_bevels(sets, bevel_sd, rng), rng)
+        further = vary_bevels(sets, self.known.bevel_sd_in(insertion), rng)
+        found = self._simulate(insertion, observation, further, rng)
         again = np.full(len(sets), np.nan)
         aligned = align(observation.pose, found.points[found.solved], observation.measured)
         again[found.solved] = aligned[:, -1, 1]
@@ -590,21 +564,6 @@ def _measurement_covariance(observation: Observation, factor: float) -> Floats:
     return aligned
 
 
-def _describe_insertion(job: Job, insertion: Insertion, draws: Draws, failed: int) -> Row:
-    return {
-        "insertion": insertion.id,
-        "hole": name_holes(job.dataset).get(insertion.id, insertion.id),
-        "specimen": insertion.specimen,
-        "medium": insertion.medium,
-        "layers": count_layers(insertion, job.record.layer_count_rule),
-        "depth_mm": insertion.depth,
-        "draw_source": draws.source,
-        "certified": not draws.faults,
-        "draws": len(draws.thetas),
-        "failed_solves": failed,
-    }
-
-
 def _band_rows(mixture: PredictiveMixture, measured: Floats) -> Iterator[Row]:
     """Yield median and intervals at some of the measured points (K, 2), the tip the last."""
     kept = np.unique(np.linspace(0, len(measured) - 1, BAND_POINTS).round().astype(np.int64))
@@ -615,12 +574,6 @@ def _band_rows(mixture: PredictiveMixture, measured: Floats) -> Iterator[Row]:
         columns |= {f"low_{100 * level:.0f}_mm": low, f"high_{100 * level:.0f}_mm": high}
     for k in range(len(kept)):
         yield {name: float(values[k]) for name, values in columns.items()}
-
-
-def _find_median(mixture: PredictiveMixture, along: Floats, s: Floats) -> PredictiveMedian:
-    """Return the median curve of drawn needles whose x are `along` (B, K), at beam coordinates `s` (K,)."""
-    (heights,) = quantile(mixture, (0.5,))
-    return PredictiveMedian(s, np.column_stack([np.median(along, axis=0), heights]))
 
 
 def _find_intervals(mixture: PredictiveMixture) -> tuple[Floats, dict[float, Floats]]:

@@ -88,19 +88,12 @@ def warn_shared_specimens(name: str, folds: Iterable[Fold], where: str = "") -> 
         shared |= dict.fromkeys(one.specimen for one in fold.tune if one.specimen in held)
         copies = (one for one in fold.validate if any(is_copy(one, other) for other in fold.tune))
         shared |= dict.fromkeys(f"{one.id}, a copy of one fitted to" for one in copies)
-    return [specimen_warning(name, list(shared), where)] if shared else []
-
-
-def specimen_warning(name: str, specimens: list[str], where: str = "") -> ResultWarning:
-    """Return the warning that a study, `name` at `where`, is fitted to specimens that it is validated on."""
-    named = join_names(specimens, MAX_NAMED_SPECIMENS)
-    return ResultWarning(
-        "same_specimen",
-        f"insertions into a specimen are fitted to and held out ({named}): errors in new specimens may "
-        "be larger",
-        where or f"study {name}",
-        "hold out whole specimens, or write same_specimen = true in the study if it is meant",
-    )
+    if not shared:
+        return []
+    named = join_names(list(shared), MAX_NAMED_SPECIMENS)
+    what = f"insertions into a specimen are fitted to and held out ({named}): errors in new specimens may "
+    fix = "hold out whole specimens, or write same_specimen = true in the study if it is meant"
+    return [ResultWarning("same_specimen", f"{what}be larger", where or f"study {name}", fix)]
 
 
 def leave_out(insertions: tuple[Insertion, ...], what: str) -> tuple[Fold, ...]:
@@ -219,15 +212,8 @@ class Job:
     def searches(self) -> tuple[str, ...]:
         """The searches of one fold; the first is the fit that everything else is about."""
         metric = self.recipe.metric and self.recipe.minimize == "posterior"
-        return (
-            "fitted",
-            *(("fitted_metric",) if metric else ()),
-            *(
-                ("hand_tuned_b",)
-                if self.hand_tuned is not None and "bevel_mm" in self.parameters.free
-                else ()
-            ),
-        )
+        bevel = self.hand_tuned is not None and "bevel_mm" in self.parameters.free
+        return ("fitted", *(["fitted_metric"] * metric), *(["hand_tuned_b"] * bevel))
 
     def recipe_of(self, search: str) -> RecipeRecord:
         """Return the recipe of one search; all minimise the same, except the one named after the metric."""
@@ -290,7 +276,10 @@ def prepare(
             if record.paper_parameters is None
             else paper.hand_tuned_set(record.paper_parameters, stated, record.medium)
         )
-    parameters = adapt_parameters(stated, recipe)
+    if recipe.minimize == "posterior":
+        parameters = with_hyperparameters(stated, recipe.likelihood)
+    else:
+        parameters = without_prior(stated)
     divided = make_folds(record, dataset)
     warnings = [*dataset.warnings, *medium_warnings(medium, medium_file or record.medium)]
     if isinstance(record, StudyRecord) and not record.same_specimen:
@@ -298,20 +287,13 @@ def prepare(
         warnings += warn_shared_specimens(name, divided, settings.place(key))
     job = Job(name, record, dataset, medium, parameters, recipe, hand, divided, tuple(warnings), medium_file)
     _check_layers(job)
-    _check_reach(job)
+    check_reach(job)
     _check_size(job)
     _check_algorithms(job)
     for one in dict.fromkeys(job.warnings):
         if one.kind in DATA_WARNINGS:
             settings.note(f"warning: {one}")
     return job
-
-
-def adapt_parameters(stated: Parameters, recipe: RecipeRecord) -> Parameters:
-    """Return the parameters that a medium states as a recipe searches them: without a prior for a metric."""
-    if recipe.minimize == "posterior":
-        return with_hyperparameters(stated, recipe.likelihood)
-    return without_prior(stated)
 
 
 def find_named(key: FileKind, name: str) -> Path:
@@ -402,17 +384,11 @@ def _check_layers(job: Job) -> None:
             )
 
 
-def farthest_guide(parameters: Parameters, insertion: Insertion) -> float:
-    """Return the largest distance, mm, before the tissue at which a guide can hold; 0 without one."""
-    if _GUIDE_PARAMETER in parameters.bounds:
-        return parameters.bounds[_GUIDE_PARAMETER][1]
-    return parameters.fixed.get(_GUIDE_PARAMETER, insertion.guide_distance or 0.0)
-
-
-def _check_reach(job: Job) -> None:
+def check_reach(job: Job) -> None:
     """Refuse, before hours of work, a needle too short for the deepest insertion and the farthest guide."""
     for insertion in job.insertions:
-        guide = farthest_guide(job.parameters, insertion)
+        stated = job.parameters.fixed.get(_GUIDE_PARAMETER, insertion.guide_distance or 0.0)
+        _, guide = job.parameters.bounds.get(_GUIDE_PARAMETER, (0.0, stated))
         if insertion.depth + guide >= job.dataset.needle.length:
             raise ConfigError(
                 f"insertion {insertion.id} is {insertion.depth:g} mm deep; with a guide {guide:g} mm before "

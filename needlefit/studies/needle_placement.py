@@ -1,110 +1,124 @@
-"""Place measured and fitted needles in the scan's coordinates, with 95 % bands.
+"""Measured and fitted needles in the scan's coordinates, with 95 % bands: as records and as a table.
 
 The band of a held-out needle is where it was predicted to be measured; without a prediction there is none.
-That of a needle that was fitted to says how it would move with the parameters, as far as the data know them:
-neither the noise of the measured points nor what the model misses is in it. From a posterior it is the
-central 95 % of the needles of its draws. Without one it is linear about the fit: 1.96 standard deviations,
-over every direction that `identify` found.
+That of a needle that was fitted to is the central 95 % of the needles of certified draws of the posterior:
+neither the noise of the measured points nor what the model misses is in it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+import pandas as pd
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion, TipTrack
-from needlefit.errors import ModelError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import Placement, align_rigid
 from needlefit.grouping import group_values
 from needlefit.inference.compared_points import SimulatedCurve, select_points
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import make_batch, predict
-from needlefit.inference.identifiability.identify import Identifiability
-from needlefit.inference.identifiability.precision import difference_jacobian, difference_steps
-from needlefit.inference.predict import thin_posterior
+from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
-from needlefit.inference.sampling.posterior import Posterior
 from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
 from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
+from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.job import Fold
-from needlefit.studies.needles_in_scan import Band, NeedleInScan
 
 NEEDLE_POINTS = 51  # points of a fitted needle and of its band
-BAND_DRAWS = 400  # most draws of a posterior of which needles are simulated for a band
 BAND_PERCENTILES = (2.5, 50.0, 97.5)
-# Half width of the central 95 % of a normal distribution, in standard deviations.
-NORMAL_95_HALF_WIDTH_SD = 1.959963984540054
 
 
 @dataclass(frozen=True)
-class FoldFit:
-    """The results of one fold: the fit, its identifiability, and draws where they were requested."""
+class Band:
+    """The central 95 % band across a needle, in its bending plane; (K, 3) each, LPS, mm."""
 
-    fit: Fit
-    verdict: Identifiability
-    posterior: Posterior | None = None
+    low: Floats
+    middle: Floats
+    high: Floats
+    source: Literal["predicted", "posterior"]  #: of a held-out needle what was predicted to be measured
+
+
+@dataclass(frozen=True)
+class NeedleInScan:
+    """One insertion in the patient coordinates of its scan, LPS, mm."""
+
+    insertion: str
+    fold: str
+    role: str  # "validate" where the fit never saw it, else "tune"
+    measured: Floats  # (N, 3); the centreline, entry first
+    toward: Floats  # (3,); unit vector across the entry, in the bending plane
+    diameter: float  # of the needle as it is drawn
+    fitted: Floats | None = None  # (K, 3); in the bending plane; None where the solve failed
+    band: Band | None = None  # None where no draws are certified, or none of them has a solution
 
 
 def place_needles(
     problem: Problem,
     fold: Fold,
-    known: FoldFit,
+    fit: Fit,
+    draws: Draws | None = None,
     predicted: Sequence[Mapping[str, Any]] = (),
     jobs: int = 1,
     *,
     fitted: bool = True,
-) -> dict[str, NeedleInScan]:
-    """Return every insertion that a fold holds out, and, if wanted, those that its problem is `fitted` to.
+) -> Iterator[NeedleInScan]:
+    """Yield every insertion that a fold holds out, before them, if wanted, those that were `fitted` to.
 
     `predicted` are the rows of the table "bands". Tip tracks were never in a scan: of them there is none.
     """
     bands = group_values((row["insertion"], row) for row in predicted if row["fold"] == fold.name)
-    chosen = [*([("tune", fold.tune)] if fitted else []), ("validate", fold.validate)]
-    return {
-        insertion.id: _place_needle(
-            _NeedleCurve(problem, insertion), (fold.name, role), known, bands.get(insertion.id, ()), jobs
-        )
-        for role, insertions in chosen
-        for insertion in insertions
-        if not isinstance(insertion, TipTrack)
-    }
+    dataset = problem.dataset
+    for role, insertions in (("tune", fold.tune if fitted else ()), ("validate", fold.validate)):
+        for insertion in insertions:
+            if isinstance(insertion, TipTrack):
+                continue
+            placement, band = Placement(insertion.frame, insertion.patient), None
+            points = _simulate_needle(problem, insertion, np.array(fit.theta))
+            if role == "validate":
+                band = _place_predicted_band(insertion, placement, bands.get(insertion.id, ()))
+            elif points is not None and draws is not None and draws.certified is not None:
+                band = _place_band_of_draws(problem, insertion, placement, points[:, 0], draws.thetas, jobs)
+            yield NeedleInScan(
+                insertion.id,
+                fold.name,
+                role,
+                measured=insertion.patient.to_local(insertion.centerline),
+                toward=placement.across,
+                diameter=dataset.outer_diameter or DEFAULT_DIAMETER_MM,
+                fitted=None if points is None else placement.to_patient(points),
+                band=band,
+            )
 
 
-def _place_needle(
-    stations: "_NeedleCurve",
-    place: tuple[str, str],
-    known: FoldFit,
-    predicted: Sequence[Mapping[str, Any]],
-    jobs: int,
-) -> NeedleInScan:
-    """Return an insertion that has this place, a fold and a role in it."""
-    insertion, stated = stations.insertion, stations.problem.dataset.outer_diameter
-    placement = Placement(insertion.frame, insertion.patient)
-    points = stations.points(np.array(known.fit.theta))
-    fitted = points if np.isfinite(points).all() else None
-    band = None
-    if place[1] == "validate":
-        band = _place_predicted_band(insertion, placement, predicted)
-    elif fitted is not None:
-        draws = known.posterior
-        heights = _sampled_band(stations, draws, jobs) if draws else _linear_band(stations, known)
-        if heights is not None:  # else no needle beside the fitted one can be solved
-            low, middle, high = (placement.to_patient(np.column_stack([fitted[:, 0], y])) for y in heights)
-            converged = draws is None or not draws.faults
-            band = Band(low, middle, high, "posterior" if draws else "linear", converged)
-    return NeedleInScan(
-        insertion=insertion.id,
-        fold=place[0],
-        role=place[1],
-        measured=insertion.patient.to_local(insertion.centerline),
-        toward=placement.across,
-        diameter=DEFAULT_DIAMETER_MM if stated is None else stated,
-        fitted=None if fitted is None else placement.to_patient(fitted),
-        band=band,
-    )
+def _simulate_needle(problem: Problem, insertion: Insertion, theta: Floats) -> Floats | None:
+    """Return the needle (K, 2) in C, on the measured one where the pose is free; None without a solution."""
+    values = problem.parameters.values(theta)
+    shape = predict(values, problem.medium, problem.dataset.needle, insertion)
+    if not shape.converged:
+        return None
+    s = _choose_places(problem, insertion)
+    return _align(problem, insertion, s, SimulatedCurve(shape)(s))
+
+
+def _choose_places(problem: Problem, insertion: Insertion) -> Floats:
+    """Return the beam coordinates (K,), mm, at which a needle is drawn."""
+    dataset = problem.dataset
+    return select_points(dataset.pose, dataset.drop_proximal, insertion, NEEDLE_POINTS).s
+
+
+def _align(problem: Problem, insertion: Insertion, s: Floats, points: Floats) -> Floats:
+    """Return a simulated needle (K, 2) as it lies in C."""
+    return points if problem.dataset.pose == "known" else align_with_measured(insertion, s, points)
+
+
+def align_with_measured(insertion: Insertion, s: Floats, points: Floats) -> Floats:
+    """Return points (K, 2) of a simulated needle at `s` (K,), mm, aligned with the measured one."""
+    planar = insertion.planar
+    measured = interpolate_at_arc(planar, arc_length(planar)[-1] - (insertion.depth - s))
+    return align_rigid(points, measured)
 
 
 def _place_predicted_band(
@@ -125,80 +139,60 @@ def _place_predicted_band(
     return Band(low, middle, high, "predicted")
 
 
-@dataclass(frozen=True)
-class _NeedleCurve:
-    """The places on one needle at which it is drawn."""
-
-    problem: Problem
-    insertion: Insertion
-
-    @property
-    def s(self) -> Floats:
-        """Beam coordinates (K,), mm."""
-        dataset = self.problem.dataset
-        return select_points(dataset.pose, dataset.drop_proximal, self.insertion, NEEDLE_POINTS).s
-
-    def points(self, theta: Floats) -> Floats:
-        """Return the needle (K, 2) in C, aligned where the pose is free; NaN where the solve fails."""
-        values = self.problem.parameters.values(theta)
-        shape = predict(values, self.problem.medium, self.problem.dataset.needle, self.insertion)
-        if not shape.converged:
-            return np.full((NEEDLE_POINTS, 2), np.nan)
-        return self.align(SimulatedCurve(shape)(self.s))
-
-    def heights(self, theta: Floats) -> Floats:
-        """Return y of the needle (K,)."""
-        return self.points(theta)[:, 1]
-
-    def align(self, points: Floats) -> Floats:
-        """Return a simulated needle (K, 2) as it lies in C: a free shape lies on the measured one."""
-        return (
-            points
-            if self.problem.dataset.pose == "known"
-            else align_with_measured(self.insertion, self.s, points)
-        )
-
-
-def align_with_measured(insertion: Insertion, s: Floats, points: Floats) -> Floats:
-    """Return points (K, 2) of a simulated needle at `s` (K,), mm, aligned with the measured one."""
-    planar = insertion.planar
-    measured = interpolate_at_arc(planar, arc_length(planar)[-1] - (insertion.depth - s))
-    return align_rigid(points, measured)
-
-
-def _linear_band(stations: _NeedleCurve, known: FoldFit) -> tuple[Floats, Floats, Floats] | None:
-    """Return the band (low, middle, high) of y, linear about the fit; None where it cannot be found."""
-    names, theta = stations.problem.parameters.free, np.array(known.fit.theta)
-    fitted = stations.heights(theta)
-    if not names:
-        return None
-    weights = np.array([direction.weights for direction in known.verdict.directions])  # (D, P)
-    sds = np.array([direction.sd for direction in known.verdict.directions])
-
-    def heights(at: Floats) -> Floats:
-        try:
-            return stations.heights(at)
-        except ModelError:  # a step leads out of the bounds of a shape parameter
-            return np.full_like(fitted, np.nan)
-
-    moves = difference_jacobian(heights, theta, difference_steps(names)) @ weights.T * sds  # (K, D)
-    width = NORMAL_95_HALF_WIDTH_SD * np.sqrt(np.sum(moves**2, axis=1))
-    if not np.isfinite(width).all():
-        return None
-    return fitted - width, fitted, fitted + width
-
-
-def _sampled_band(
-    stations: _NeedleCurve, posterior: Posterior, jobs: int
-) -> tuple[Floats, Floats, Floats] | None:
-    """Return the band (low, middle, high) of y over the needles of draws; None where none can be solved."""
-    problem, insertion = stations.problem, stations.insertion
-    draws = thin_posterior(posterior, problem.parameters, BAND_DRAWS)
-    sets = [problem.parameters.values(theta) for theta in draws.thetas]
+def _place_band_of_draws(
+    problem: Problem, insertion: Insertion, placement: Placement, x: Floats, thetas: Floats, jobs: int
+) -> Band | None:
+    """Return the band over the needles of draws, at the fitted needle's x (K,); None where none is solved."""
+    sets = [problem.parameters.values(theta) for theta in thetas]
     (shapes,) = simulate_batches([make_batch(sets, problem.medium, problem.dataset.needle, insertion)], jobs)
-    needles = compute_batch_positions(shapes, stations.s)[shapes.converged]  # (B, K, 2)
+    s = _choose_places(problem, insertion)
+    needles = compute_batch_positions(shapes, s)[shapes.converged]  # (B, K, 2)
     if not len(needles):
         return None
-    heights = np.array([stations.align(needle)[:, 1] for needle in needles])  # (B, K)
-    low, middle, high = np.percentile(heights, BAND_PERCENTILES, axis=0)
-    return low, middle, high
+    heights = [_align(problem, insertion, s, needle)[:, 1] for needle in needles]
+    low, middle, high = (
+        placement.to_patient(np.column_stack([x, y]))
+        for y in np.percentile(heights, BAND_PERCENTILES, axis=0)
+    )
+    return Band(low, middle, high, "posterior")
+
+
+def tabulate_needles(needles: Iterable[NeedleInScan]) -> pd.DataFrame:
+    """Return needles point by point: columns `fit_frames.COLUMNS["needles"]`."""
+    rows = []
+    for one in needles:
+        band = one.band
+        about = (one.fold, one.role, one.insertion, one.diameter, band.source if band else "")
+        curves = {"measured": one.measured, "toward": one.toward[None]}
+        curves |= {} if one.fitted is None else {"fitted": one.fitted}
+        curves |= {} if band is None else {"low": band.low, "middle": band.middle, "high": band.high}
+        rows += [
+            (*about, curve, j, *point)
+            for curve, points in curves.items()
+            for j, point in enumerate(points.tolist())
+        ]
+    return pd.DataFrame(rows, columns=list(COLUMNS["needles"]))
+
+
+def read_needles(frame: pd.DataFrame) -> dict[str, NeedleInScan]:
+    """Return the needles that `tabulate_needles` tabulated, by insertion."""
+    found = {}
+    for name, rows in frame.groupby("insertion", sort=False):
+        curves = {
+            str(curve): points[["x_mm", "y_mm", "z_mm"]].to_numpy(dtype=np.float64)
+            for curve, points in rows.groupby("curve", sort=False)
+        }
+        first, band = rows.iloc[0], None
+        if "middle" in curves:
+            band = Band(curves["low"], curves["middle"], curves["high"], first["band_source"])
+        found[str(name)] = NeedleInScan(
+            str(name),
+            str(first["fold"]),
+            str(first["role"]),
+            measured=curves["measured"],
+            toward=curves["toward"][0],
+            diameter=float(first["diameter_mm"]),
+            fitted=curves.get("fitted"),
+            band=band,
+        )
+    return found

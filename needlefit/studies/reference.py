@@ -1,9 +1,7 @@
 """Write reference results: the numbers of a run, rounded so that only a changed result changes the files.
 
 Lengths are rounded to 0.00001 mm, everything else to five significant digits: what pages print of it, to
-0.01 mm or three digits, is then as if it were rounded once. Machines agree to 0.001 mm. Of
-`run.json` what the answer was computed with and what it could not tell is kept; how many evaluations that
-took is not, for it differs from machine to machine.
+0.01 mm or three digits, is then as if it were rounded once. Machines agree to 0.001 mm.
 """
 
 import math
@@ -24,16 +22,6 @@ LENGTH_DECIMALS = 5  #: decimals of a length in mm
 SIGNIFICANT_DIGITS = 5  #: significant digits of all other numbers
 MAX_ROWS = 500  #: longest table that is kept: longer ones are intermediate results that nobody reviews
 
-_COUNT_KEYS = (
-    "searches",
-    "evaluations",
-    "failed_solves",
-    "failed_solves_of_sampler",
-    "recorded_failures",
-    "source_revision",
-    VALIDITY_KEY,
-)
-
 
 def write_reference(one: Run, folder: Path) -> Path:
     """Write the tables of a run, rounded, and its `run.json` to `folder`; return it.
@@ -45,9 +33,10 @@ def write_reference(one: Run, folder: Path) -> Path:
             frame = to_tidy(wide)
             if 0 < len(frame) <= MAX_ROWS:
                 write_csv(round_frame(frame).assign(origin=one.origin), new / f"{name}.csv")
-        write_json(
-            new / "run.json", {key: value for key, value in one.run_json.items() if key not in _COUNT_KEYS}
-        )
+        table = dict(one.run_json)
+        for name in ("source_revision", VALIDITY_KEY):  # they differ from machine to machine
+            table.pop(name, None)
+        write_json(new / "run.json", table)
     return folder
 
 

@@ -30,9 +30,7 @@ KEYS = frozenset(
 )
 """Columns that name a row, in any table."""
 UNIT_KEYS = ("parameter", "metric", "quantity")  #: keys of which the unit of a number depends
-STATES = (
-    *("interrupted", "budget_limited", "posteriors", "passes", "not_calibrated", "not_converged", "faults"),
-)
+STATES = ("interrupted", "posteriors", "passes", "not_calibrated", "not_converged", "faults")
 INPUTS = (
     *("dataset", "medium", "recipe", "rules", "study", "fit", "folds", "hand_tuned", "versions"),
     *("source_revision", "datasets", "parts", "scene", "fits", "control", "sampled", "replicates"),

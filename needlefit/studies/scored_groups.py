@@ -1,14 +1,8 @@
-"""Our errors beside the paper's, one row per group, method and metric: the CSV files, and what is printed.
-
-The paper counts needles that end at a boundary in one way where it lists them and in another where it divides
-them among its studies. A study states which reading decides what tunes and what validates; with the same fit
-and the same predictions the other one only makes other groups, whose cells stand beside the first.
-"""
+"""Our errors beside the paper's, one row per group, method and metric: the CSV files, and what is printed."""
 
 import math
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import groupby
 from typing import Any
 
@@ -16,57 +10,43 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from needlefit.datasets.select import get_other_rule, group_rows
-from needlefit.geometry.curves import ComparedCurves, compare_curves
-from needlefit.metrics import headline_metrics, list_metrics, pool_metric
+from needlefit.datasets.select import group_rows
+from needlefit.metrics import headline_metrics, list_metrics
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.studies import paper
 from needlefit.studies.fit_frames import SCORE_KEYS, list_methods
 from needlefit.studies.run import Run, once_per_run
 
-AGGREGATE_COLUMNS = (
-    *("metric", "value", "pooled", "floor", "unflagged"),
-    *("insertions", "edp_flagged", "not_converged"),
-)
+AGGREGATE_COLUMNS = ("metric", "value", "floor", "unflagged", "insertions", "edp_flagged", "not_converged")
 
 
-def count_reasons(failures: pd.DataFrame) -> dict[str, int]:
-    """Return the number of rows of `Run.failures` per reason, most frequent first."""
-    kinds = (str(reason).partition(":")[0] for reason in failures["note"])
-    return dict(Counter(kinds).most_common())
-
-
-def aggregate(
-    errors: pd.DataFrame, by: Sequence[str], curves: Mapping[Any, ComparedCurves] | None = None
-) -> pd.DataFrame:
+def aggregate(errors: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
     """Return one row per group of errors and metric, groups in the order of their first insertion.
 
     Insertions whose simulation did not converge have no errors: they are left out of the means and
     counted in `not_converged`.
 
-    `by`: columns of `errors`; name `method` and `boundaries` unless one of each is present. `curves`: those
-    that were compared, by `SCORE_KEYS`, to fill the column `pooled`.
+    `by`: columns of `errors`; name `method` and `boundaries` unless one of each is present.
 
     Returns
     -------
     DataFrame
         The columns `by`, `metric`, and in the metric's unit: `value`, the mean over insertions of each one's
-        own error, as the paper's tables have it; `pooled`, the error of all points of all insertions
-        together (`Metric.pool`); `floor`, the mean noise floor; `unflagged`, the mean over insertions that
-        deflect by more than their noise floor. Counts of insertions: `insertions`, `edp_flagged` (the
-        others of these) and `not_converged`.
+        own error, as the paper's tables have it; `floor`, the mean noise floor; `unflagged`, the mean over
+        insertions that deflect by more than their noise floor. Counts of insertions: `insertions`,
+        `edp_flagged` (the others of these) and `not_converged`.
     """
-    metrics, curves = list_metrics(), curves or {}
+    metrics = list_metrics()
     names = [name for metric in metrics for name in (metric.name, f"floor_{metric.name}")]
     finite = {name: _finite_column(errors, name).to_numpy() for name in names}
     flagged, converged = (errors[name].to_numpy(dtype=bool) for name in ("edp_flagged", "converged"))
     insertions = errors["insertion"].to_numpy()
     keys = list(errors[list(by)].itertuples(index=False, name=None))
-    scored = list(errors[list(SCORE_KEYS)].itertuples(index=False, name=None)) if curves else []
     rows = []
-    for at in _group_positions(errors, by):
+    group = errors.groupby(list(by), sort=False).ngroup().to_numpy()
+    for number in range(int(group.max(initial=-1)) + 1):
+        at = np.flatnonzero(group == number)
         head, clear = dict(zip(by, keys[at[0]], strict=True)), at[~flagged[at]]
-        members = [curves[scored[n]] for n in at if scored[n] in curves] if curves else []
         counts = {
             "insertions": len(set(insertions[at])),
             "edp_flagged": len(set(insertions[at[flagged[at]]])),
@@ -74,20 +54,9 @@ def aggregate(
         }
         for metric in metrics:
             value, floor = finite[metric.name], finite[f"floor_{metric.name}"]
-            found = {
-                "value": _mean(value[at]),
-                "pooled": pool_metric(metric, members),
-                "floor": _mean(floor[at]),
-            }
-            rows.append({**head, "metric": metric.name, **found, "unflagged": _mean(value[clear]), **counts})
+            means = {"value": _mean(value[at]), "floor": _mean(floor[at]), "unflagged": _mean(value[clear])}
+            rows.append({**head, "metric": metric.name, **means, **counts})
     return pd.DataFrame(rows, columns=[*by, *AGGREGATE_COLUMNS])
-
-
-def _group_positions(frame: pd.DataFrame, by: Sequence[str]) -> Iterator[NDArray[np.intp]]:
-    """Yield where the rows of each group stand, groups in the order of their first row."""
-    group = frame.groupby(list(by), sort=False).ngroup().to_numpy()
-    for number in range(int(group.max(initial=-1)) + 1):
-        yield np.flatnonzero(group == number)
 
 
 def _mean(values: NDArray[np.floating[Any]]) -> float:
@@ -97,11 +66,8 @@ def _mean(values: NDArray[np.floating[Any]]) -> float:
     return float(np.where(there, values, 0.0).sum() / there.sum()) if there.any() else math.nan
 
 
-@once_per_run
-def compare_methods(
-    results: Run, against: str = "fitted", role: str = "validate", metric: str = "ipe_mean_mm"
-) -> pd.DataFrame:
-    """Compare every method with `against` on the same insertions, folds and points.
+def compare_methods(results: Run, role: str) -> pd.DataFrame:
+    """Compare the tip errors of every method with the fit's on the same insertions and folds of a role.
 
     Errors of one group are first averaged (`group_independent`): the four depths of one hole are no four
     needles.
@@ -109,13 +75,12 @@ def compare_methods(
     Returns
     -------
     DataFrame
-        `method`, `boundaries` ("measured"), `insertions` (or groups of repeats), the mean of every headline
-        metric, `difference_mm` (mean over them of the method's `metric` minus that of `against`; positive:
-        the method is worse), `difference_se_mm` (its standard error) and `better` (insertions on which
-        `against` has the smaller one).
+        `method`, `insertions` (or groups of repeats), the mean of every headline metric, `difference_mm`
+        (mean over them of the method's tip error minus the fit's; positive: the method is worse),
+        `difference_se_mm` (its standard error) and `better` (insertions on which the fit's is smaller).
     """
-    errors_frame = results.frames["errors"]
-    errors = errors_frame[(errors_frame["role"] == role) & (errors_frame["boundaries"] == "measured")]
+    errors = results.frames["errors"]
+    errors = errors[(errors["role"] == role) & (errors["boundaries"] == "measured")]
     errors = errors.assign(group=group_rows(errors))
     names = [metric.name for metric in headline_metrics()]
     tables = {
@@ -124,20 +89,18 @@ def compare_methods(
         )
         for name in names
     }
-    compared = tables[metric]
-    rows = []
-    for method in [name for name in list_methods() if name in compared and against in compared]:
-        both = np.isfinite(compared[method]) & np.isfinite(compared[against])
-        gap = (compared[method] - compared[against])[both].to_numpy(dtype=np.float64)
+    compared, rows = tables[TE], []
+    for method in [name for name in list_methods() if name in compared and "fitted" in compared]:
+        gaps = (compared[method] - compared["fitted"]).replace([np.inf, -np.inf], np.nan).dropna()
+        gap = gaps.to_numpy(dtype=np.float64)
         n = len(gap)
         means = {
-            name: float(table[method].reindex(both.index)[both].mean()) if method in table else np.nan
+            name: float(table[method].reindex(gaps.index).mean()) if method in table else np.nan
             for name, table in tables.items()
         }
         rows.append(
             {
                 "method": method,
-                "boundaries": "measured",
                 "insertions": n,
                 **means,
                 "difference_mm": gap.mean() if n else np.nan,
@@ -145,7 +108,7 @@ def compare_methods(
                 "better": int((gap > 0).sum()),
             }
         )
-    columns = ("method", "boundaries", "insertions", *names, "difference_mm", "difference_se_mm", "better")
+    columns = ("method", "insertions", *names, "difference_mm", "difference_se_mm", "better")
     return pd.DataFrame(rows, columns=columns)
 
 
@@ -169,16 +132,6 @@ def find_bevel_sides(results: Run) -> dict[str, int]:
     return {str(name): -1 if across[name] * toward[name] < 0 else 1 for name in across.index}
 
 
-def find_curves(shapes: pd.DataFrame) -> dict[Any, ComparedCurves]:
-    """Return the compared curves of every insertion, role and method that has them, by `SCORE_KEYS`."""
-    columns = [f"{which}_{axis}_mm" for which in ("simulated", "measured") for axis in "xy"]
-    values = shapes[columns].to_numpy(dtype=np.float64)
-    return {
-        tuple(shapes[name].iat[at[0]] for name in SCORE_KEYS): compare_curves(values[at, :2], values[at, 2:])
-        for at in _group_positions(shapes, SCORE_KEYS)
-    }
-
-
 def _finite_column(frame: pd.DataFrame, name: str) -> "pd.Series[float]":
     """Return a column with infinities as NaN, so that a failed solve never enters a mean; NaN without it."""
     if name not in frame:
@@ -187,7 +140,7 @@ def _finite_column(frame: pd.DataFrame, name: str) -> "pd.Series[float]":
     return values.where(np.isfinite(values))
 
 
-_GROUP_COLUMNS = ("study", "grouping", "medium", "layers", "alternate_count")
+_GROUP_COLUMNS = ("study", "grouping", "medium", "layers")
 _SCORE_COLUMNS = ("method", "boundaries", *AGGREGATE_COLUMNS, "paper", "paper_insertions")
 _DESCRIPTION_COLUMNS = ("layer_count_rule", "comparable", "comparison", "origin")
 COLUMNS = (*_GROUP_COLUMNS, *_SCORE_COLUMNS, *_DESCRIPTION_COLUMNS)  #: columns of both tables
@@ -227,28 +180,23 @@ class ScoredGroup:
         return any(self.get(metric.name, "paper") is not None for metric in headline_metrics())
 
 
-def tabulate_validation(*results: Run, with_alternate: bool = False) -> pd.DataFrame:
+def tabulate_validation(*results: Run) -> pd.DataFrame:
     """Return the errors on held-out insertions: one row per study, group, method, boundaries and metric.
 
-    `value` is the mean over insertions of each one's own error, as in the paper, `pooled` that of all points
-    together, `floor` what perfect parameters would still show, `paper` the paper's cell of the group, blank
-    where it has none; `comparable` says what makes the two comparable or not. With `boundaries` "planned"
-    layers are those that the predicted needle crosses, because the measured crossings of a held-out
-    insertion leak its outcome.
-
-    With `with_alternate`, groups that the two readings of the number of layers fill differently stand there
-    once more (`alternate_count`), by the other `layer_count_rule`: the same fit and predictions in other
-    groups.
+    `value` is the mean over insertions of each one's own error, as in the paper, `floor` what perfect
+    parameters would still show, `paper` the paper's cell of the group, blank where it has none; `comparable`
+    says what makes the two comparable or not. With `boundaries` "planned" layers are those that the predicted
+    needle crosses, because the measured crossings of a held-out insertion leak its outcome.
     """
-    return _make_frame(results, (HELD_OUT,), with_alternate)
+    return _make_frame(results, (HELD_OUT,))
 
 
-def tabulate_tuning(*results: Run, with_alternate: bool = False) -> pd.DataFrame:
+def tabulate_tuning(*results: Run) -> pd.DataFrame:
     """Return the in-sample errors of every fit by layers and by media (`grouping`), beside the paper's.
 
-    Columns and `with_alternate` as in `tabulate_validation`.
+    Columns as in `tabulate_validation`.
     """
-    return _make_frame(results, (BY_LAYERS, BY_MEDIA), with_alternate)
+    return _make_frame(results, (BY_LAYERS, BY_MEDIA))
 
 
 def list_groups(table: pd.DataFrame) -> list[ScoredGroup]:
@@ -261,13 +209,13 @@ def list_groups(table: pd.DataFrame) -> list[ScoredGroup]:
     return found
 
 
-def list_held_out_groups(*results: Run, with_alternate: bool = False) -> list[ScoredGroup]:
-    return [group for one in results for group in _held_out_groups(one, with_alternate)]
+def list_held_out_groups(*results: Run) -> list[ScoredGroup]:
+    return [group for one in results for group in _held_out_groups(one)]
 
 
 @once_per_run
-def _held_out_groups(results: Run, with_alternate: bool) -> list[ScoredGroup]:
-    return list_groups(tabulate_validation(results, with_alternate=with_alternate))
+def _held_out_groups(results: Run) -> list[ScoredGroup]:
+    return list_groups(tabulate_validation(results))
 
 
 def study_label(results: Run) -> str | int:
@@ -302,32 +250,18 @@ def pool_insertions(results: Run, role: str = "validate") -> ScoredGroup | None:
     return ScoredGroup({**fitted, **head}, by_place)
 
 
-def _make_frame(results: Iterable[Run], groupings: tuple[str, ...], with_alternate: bool) -> pd.DataFrame:
+def _make_frame(results: Iterable[Run], groupings: tuple[str, ...]) -> pd.DataFrame:
     """Return the rows as a frame in which counts stay whole numbers where some are missing."""
-    rows = [
-        row for one in results for grouping in groupings for row in _list_rows(one, grouping, with_alternate)
-    ]
+    rows = [row for one in results for grouping in groupings for row in _list_rows(one, grouping)]
     return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"layers": "Int64", "paper_insertions": "Int64"})
 
 
 @once_per_run
-def _list_rows(results: Run, grouping: str, with_alternate: bool) -> list[Row]:
-    """Return the rows by the study's reading, then those that the other one makes different, if wanted."""
-    role = "validate" if grouping == HELD_OUT else "tune"
-    groups = find_regrouped(results, role) if with_alternate else set()
-    return [
-        {**row, "alternate_count": one is not results}
-        for one in (results, *([use_alternate_count(results)] if groups else []))
-        for row in _group_rows(one, role, grouping)
-        if one is results or (row["medium"], row.get("layers")) in groups
-    ]
-
-
-def _group_rows(results: Run, role: str, grouping: str) -> Iterator[Row]:
+def _list_rows(results: Run, grouping: str) -> list[Row]:
     keys = ("medium",) if grouping == BY_MEDIA else ("medium", "layers")
-    every = (results.frames["errors"], results.frames["shapes"])
-    errors, shapes = (frame[frame["role"] == role] for frame in every)
-    table = aggregate(errors, (*keys, "method", "boundaries"), find_curves(shapes))
+    role = "validate" if grouping == HELD_OUT else "tune"
+    errors = results.frames["errors"][results.frames["errors"]["role"] == role]
+    table, found = aggregate(errors, (*keys, "method", "boundaries")), list[Row]()
     about = {
         "study": study_label(results),
         "grouping": grouping,
@@ -341,7 +275,8 @@ def _group_rows(results: Run, role: str, grouping: str) -> Iterator[Row]:
         if ours is not None:
             head = {**about, **dict(zip(keys, key, strict=True))}
             printed, beside = _find_paper_row(results, head, ours["insertions"])
-            yield from ({**head, **row, "paper": printed.get(row["metric"]), **beside} for row in rows)
+            found += [{**head, **row, "paper": printed.get(row["metric"]), **beside} for row in rows]
+    return found
 
 
 def _find_paper_row(results: Run, head: Row, insertions: int) -> tuple[Row, Row]:
@@ -361,7 +296,7 @@ def _find_paper_row(results: Run, head: Row, insertions: int) -> tuple[Row, Row]
     return printed[0] if printed else {}, {"paper_insertions": count, "comparable": sentence}
 
 
-# ---- comparable with the paper's rows, or not; and by the other reading of a needle that ends at a boundary
+# ---- comparable with the paper's rows, or not
 
 
 def compare_with_paper(results: Run, insertions: int, paper_insertions: int | None, where: str = "") -> str:
@@ -382,30 +317,3 @@ def compare_with_paper(results: Run, insertions: int, paper_insertions: int | No
         data = "ours are of simulated needles, the paper's of real ones"
     conditions = ", ".join(filter(None, (where, "measured boundaries, mean over insertions")))
     return f"{verdict}: {conditions}; {data}{count}; ours are tuned automatically, the paper's by hand."
-
-
-def compare_parameter_row(results: Run, printed: bool) -> str:
-    """Return the sentence on comparability of a parameter; `printed`: the paper has a value."""
-    if not printed:
-        return "The paper has no such value."
-    needles = "to simulated needles" if results.origin == "synthetic" else "to other needles"
-    return (
-        f"Same model, as far as the paper states it: ours fitted {needles}, the paper's tuned by hand on its "
-        "real ones; a parameter has no noise floor."
-    )
-
-
-def use_alternate_count(results: Run) -> Run:
-    """Return the same results with the insertions grouped by the alternative rule of counting layers."""
-    rule, errors = get_other_rule(results.record.layer_count_rule), results.frames["errors"]
-    record = results.record.model_copy(update={"layer_count_rule": rule})
-    errors = errors.assign(layers=errors["layers_other"], layers_other=errors["layers"])
-    return replace(results.with_frames(errors=errors), record=record)
-
-
-def find_regrouped(results: Run, role: str) -> set[tuple[str, int]]:
-    """Return medium and layers of the groups that differ between the two rules of counting layers."""
-    rows = results.frames["errors"][results.frames["errors"]["role"] == role]
-    doubtful = rows[rows["layers"] != rows["layers_other"]]
-    counts = (doubtful["layers"], doubtful["layers_other"])
-    return {(str(m), int(n)) for layers in counts for m, n in zip(doubtful["medium"], layers, strict=True)}

@@ -18,7 +18,7 @@ from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.project.folders import require_folder
 from needlefit.reporting.labels import GREEN, GREY, METHOD_COLOURS, PAPER_COLOUR, SKY_BLUE, rgb
-from needlefit.studies.needles_in_scan import NeedleInScan, read_needles
+from needlefit.studies.needle_placement import NeedleInScan, read_needles
 
 if TYPE_CHECKING:
     from needlefit.imaging.reconstruction import Reconstruction
@@ -32,8 +32,8 @@ _MEASURED_COLOUR, _FITTED_COLOUR, _BAND_COLOUR = (PAPER_COLOUR, METHOD_COLOURS["
 def write_needles(needles: pd.DataFrame, synthetic: bool, folder: Path) -> None:
     """Write every needle of the table "needles" of a run to `folder`, in the patient coordinates of its scan.
 
-    `<id>.mrk.json` holds curves: measured, fitted (predicted where the fit never saw it), and the edges of
-    the 95 % band with, of draws, their median. The band of a held-out needle is the predicted one of its
+    `<id>.mrk.json` holds curves: measured, fitted (predicted where the fit never saw it), the edges of the
+    95 % band and its median. The band of a held-out needle is the predicted one of its
     measurement, that of a fitted needle the one of the parameters. `<id>.needle.ply` is the fitted needle's
     body, `<id>.band.ply` the space that it takes when it goes through the band.
     """
@@ -42,8 +42,7 @@ def write_needles(needles: pd.DataFrame, synthetic: bool, folder: Path) -> None:
     for needle in read_needles(needles).values():
         write_mrk_json(folder / f"{needle.insertion}.mrk.json", _needle_curves(needle, summary))
         for name, points, widths in _needle_bodies(needle):
-            doubt = ", NOT CONVERGED" if name == "band" and needle.band and not needle.band.converged else ""
-            comments = (f"needlefit: {needle.insertion}, {name}{summary}{doubt}, mm",)
+            comments = (f"needlefit: {needle.insertion}, {name}{summary}, mm",)
             body = make_tube(points, widths, needle.toward)
             write_ply(*body, folder / f"{needle.insertion}.{name}.ply", comments)
 
@@ -88,9 +87,8 @@ def _needle_curves(needle: NeedleInScan, summary: str) -> Iterator[tuple[Markups
     if needle.fitted is not None:
         lines.append((found, needle.fitted, _FITTED_COLOUR, LINE_WIDTH_MM))
     if band := needle.band:
-        source = _BAND_SOURCES[band.source] + ("" if band.converged else ", NOT CONVERGED")
-        if band.source != "linear":
-            lines.append((f"median, {source}", band.middle, _BAND_COLOUR, LINE_WIDTH_MM))
+        source = "predicted" if band.source == "predicted" else "parameters"
+        lines.append((f"median, {source}", band.middle, _BAND_COLOUR, LINE_WIDTH_MM))
         lines.append((f"95 % band, low, {source}", band.low, _BAND_COLOUR, THIN_LINE_WIDTH_MM))
         lines.append((f"95 % band, high, {source}", band.high, _BAND_COLOUR, THIN_LINE_WIDTH_MM))
     for name, points, colour, thickness in lines:
@@ -98,9 +96,6 @@ def _needle_curves(needle: NeedleInScan, summary: str) -> Iterator[tuple[Markups
         path = Path(needle.insertion)
         curve = Markups(path, f"{needle.insertion} {name}{summary}", "Curve", labels, points)
         yield curve, CurveStyle(rgb(colour), thickness)
-
-
-_BAND_SOURCES = {"predicted": "predicted", "posterior": "parameters", "linear": "parameters, linear"}
 
 
 def _needle_bodies(needle: NeedleInScan) -> Iterator[tuple[str, Floats, Floats]]:

@@ -6,7 +6,7 @@ Errors that insertions share are in the likelihood already.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,32 +28,6 @@ from needlefit.inference.parameters import (
     loosen_ties,
 )
 from needlefit.inference.problem import Problem
-
-#: steps of the differences: in a logarithm, and in a shape parameter, on which needles hardly depend
-LOG_STEP, SHAPE_STEP = 1e-3, 5e-2
-
-
-def difference_jacobian(residuals: Callable[[Floats], Floats], theta: Floats, steps: Floats) -> Floats:
-    """Return d residuals / d theta (R, P): central differences, one-sided where one neighbour fails.
-
-    A column is NaN where neither neighbour can be solved.
-    """
-    centre = residuals(theta)
-    columns = []
-    for k, step in enumerate(steps):
-        move = step * np.eye(len(theta))[k]
-        ahead, behind = residuals(theta + move), residuals(theta - move)
-        column = (ahead - behind) / (2 * step)
-        if not np.all(np.isfinite(column)):
-            forward, backward = (ahead - centre) / step, (centre - behind) / step
-            column = forward if np.all(np.isfinite(forward)) else backward
-        columns.append(column)
-    return np.stack(columns, axis=1) if columns else np.empty((len(centre), 0))
-
-
-def difference_steps(names: Sequence[str]) -> Floats:
-    """Return the step (P,) of the finite differences for each parameter of theta."""
-    return np.array([LOG_STEP if is_logarithmic(name) else SHAPE_STEP for name in names])
 
 
 def cramer_rao(information: Floats) -> Floats:

@@ -40,10 +40,8 @@ class Look:
 
     label: str
     colour: str
-    marker: str = "o"  # as of matplotlib; "|" is a tick across the row, "" none
-    filled: bool = True
+    marker: str = "o"  # as of matplotlib; "" none
     dashes: Any = "-"  # line style
-    shift: float = 0.0  # of dots in a row: how far below its middle, as a part of its height
     # `size`, `width`: of marks and lines, points
     size: float = 3.4
     width: float = 1.1

@@ -39,10 +39,8 @@ from needlefit.reporting.labels import (
 from needlefit.reporting.number_format import (
     choose_interval_unit,
     choose_printed_unit,
-    format_bare_symbol,
     format_number,
     format_plain,
-    format_quantity,
     typeset,
     typeset_interval,
 )
@@ -346,21 +344,9 @@ MIN_SHOWN_EXCESS = 1e-3
 
 
 def waterfall(marks: pd.DataFrame, title: str) -> Figure:
-    """Draw the objective of all starts above the best one, and where each parameter ended within bounds.
-
-    The data do not determine a parameter whose dots within tolerance of the best objective spread along its
-    axis.
-    """
-    parameters = list(dict.fromkeys(marks["parameter"].dropna()))
-    width, height = choose_width(), max(1.8, 0.7 + 0.24 * len(parameters))
-    if width > COLUMN_WIDTH_IN:
-        figure = Figure(figsize=(width, height))
-        left, right = figure.subplots(1, 2, width_ratios=(1, 1.25))
-    else:
-        figure = Figure(figsize=(width, 2 * height))
-        left, right = figure.subplots(2, 1)
-    _draw_ranked(left, marks.drop_duplicates(["fold", "fit", "start"]), title)
-    _draw_ends(right, marks, parameters)
+    """Draw the objective of all starts above the best one."""
+    figure = Figure(figsize=(choose_width(COLUMN_WIDTH_IN), 1.8))
+    _draw_ranked(figure.subplots(), marks, title)
     return figure
 
 
@@ -384,39 +370,13 @@ def _draw_ranked(axes: Axes, starts: pd.DataFrame, title: str) -> None:
     draw_grid(axes, "y")
 
 
-def _draw_ends(axes: Axes, marks: pd.DataFrame, parameters: list[str]) -> None:
-    """Draw the end of every start of the fit within the bounds: full colour within tolerance of the best."""
-    outside: dict[str, Any] = {"ms": 3.4, "mfc": "none", "mec": GREY, "mew": 0.6}
-    inside: dict[str, Any] = {"ms": 4, "mfc": _OURS, "mec": "white", "mew": 0.4}
-    for y, name in enumerate(parameters):
-        here = marks[(marks["parameter"] == name) & ~marks["failed"].astype(bool)]
-        near = here["within_tolerance"].to_numpy(dtype=np.bool_)
-        axes.hlines(y, 0, 1, color=GREY, lw=0.5, alpha=0.6)
-        for some, look in ((~near, outside), (near, inside)):
-            at = here.loc[some, "between_bounds"]
-            axes.plot(at, np.full(len(at), y), "o", **look)
-        bounds = marks[marks["parameter"] == name].iloc[0]
-        for x, side, bound in ((0, "left", "bound_low"), (1, "right", "bound_high")):
-            words = format_quantity(name, float(bounds[bound]))
-            axes.text(x, y - 0.17, words, ha=side, va="bottom", color=GREY)
-    axes.set_yticks(range(len(parameters)), [format_bare_symbol(name) for name in parameters])
-    axes.set(xlim=(-0.03, 1.03), ylim=(len(parameters) - 0.45, -0.65))
-    axes.set_xticks([])
-    axes.tick_params(axis="y", length=0)
-    for side in ("left", "bottom"):
-        axes.spines[side].set_visible(False)
-    axes.set_title("final value between the bounds", loc="left", color=INK)
-    axes.set_xlabel("filled: within tolerance of the best objective", color=_OURS)
-
-
-# ---- draws: every parameter, every pair, and the ridge
+# ---- draws: every parameter, every pair
 
 _MARGIN_FRACTION = 0.12  # of the range of what is shown, left free at each side
 _MAX_PANEL_IN, _MIN_PANEL_IN = 0.64, 0.8  # inches; in narrower panels numbers are turned
 _MAX_TICK_LETTERS = 2  # signs of a number of which more than two stand along a panel
 _MAX_LABEL_LETTERS = 12
 _MAX_COLUMN_PARAMETERS = 3
-_RIDGE: dict[str, Any] = {"color": "#D55E00", "lw": 1.2, "ls": (0, (4, 1.5))}
 _BOUNDS: dict[str, Any] = {"color": GREY, "lw": 0.8, "ls": (0, (1, 1.5))}
 DRAWN_SETS: Mapping[str, tuple[str, float, str]] = {
     "fitted": ("D", 4.2, INK),
@@ -425,10 +385,10 @@ DRAWN_SETS: Mapping[str, tuple[str, float, str]] = {
 
 
 def corner(frame: pd.DataFrame, names_of_sets: Mapping[str, str]) -> Figure:
-    """Draw draws with the fit, the paper's parameters, the bounds and the ridge: marginals and pairs.
+    """Draw draws with the fit, the paper's parameters and the bounds: marginals and pairs.
 
-    `frame` has a column per parameter (Pa, mm) and `mark`: "draw", "fitted", "hand_tuned", "lower bound",
-    "upper bound" or "ridge".
+    `frame` has a column per parameter (Pa, mm) and `mark`: "draw", "fitted", "hand_tuned", "lower bound" or
+    "upper bound".
     """
     names = [str(name) for name in frame.columns if name not in ("mark", "origin")]
     count = len(names)
@@ -455,7 +415,6 @@ def corner(frame: pd.DataFrame, names_of_sets: Mapping[str, str]) -> Figure:
     for mark, (marker, size, colour) in DRAWN_SETS.items():
         if (frame["mark"] == mark).any():
             handles.append(_line(names_of_sets[mark], marker=marker, ms=size, mfc=colour, mec="white", lw=0))
-    handles += [_line("ridge", **_RIDGE)] if (frame["mark"] == "ridge").any() else []
     handles.append(_line("bounds, flat prior", **_BOUNDS))
     if figure.get_figwidth() > COLUMN_WIDTH_IN:
         figure.legend(handles=handles, loc="upper right", handlelength=1.5, bbox_to_anchor=(1, 0.97))
@@ -493,13 +452,12 @@ def _draw_marginal(axes: Axes, frame: pd.DataFrame, name: str) -> None:
 def _draw_pair(axes: Axes, frame: pd.DataFrame, left: str, below: str) -> None:
     axes.set_xscale("log" if is_logarithmic(left) else "linear")
     axes.set_yscale("log" if is_logarithmic(below) else "linear")
-    draws, ridge = (frame[frame["mark"] == mark] for mark in ("draw", "ridge"))
+    draws = frame[frame["mark"] == "draw"]
     # one path of lines without length and with round ends: a tenth of the bytes of marks
     twice = (np.repeat(draws[name].to_numpy(dtype=np.float64), 3) for name in (left, below))
     across, up = (np.where(np.arange(len(one)) % 3 == 2, np.nan, one) for one in twice)
     (line,) = axes.plot(across, up, color=_OURS, alpha=0.45, lw=1.7, solid_capstyle="round")
     line.get_path().should_simplify = False  # or what has no length would be left out
-    axes.plot(ridge[left], ridge[below], zorder=3, **_RIDGE)
     for mark, (marker, size, colour) in DRAWN_SETS.items():
         some = frame[frame["mark"] == mark]
         axes.plot(some[left], some[below], marker, ms=size, mfc=colour, mec="white", mew=0.5, zorder=4)

@@ -1,13 +1,11 @@
 """The forms of figures: each is a function of a tidy frame, whatever kind of study it comes from."""
 
-import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -16,13 +14,11 @@ from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting.figures import Look, Panel
 from needlefit.reporting.figures.style import (
     TEXT_WIDTH_IN,
-    choose_width,
     count_legend_columns,
     draw_grid,
 )
 from needlefit.reporting.labels import GREY, INK, SERIES_COLOURS, SYNTHETIC_COLOUR, medium_name, method_colour
 from needlefit.reporting.number_format import choose_printed_unit
-from needlefit.reporting.table_files import Row, to_records
 
 MAX_NAMED_SERIES = 8  # more series than these are not named one by one
 
@@ -70,104 +66,22 @@ def _draw_curve(axes: Axes, rows: pd.DataFrame, x: str, panel: Panel, look: Look
         axes.plot(rows[x], rows[panel.line], lw=look.width, ls=look.dashes, zorder=3, color=look.colour)
 
 
-def set_plain_log_scale(axis: Axis) -> None:
-    """Make an axis logarithmic, with plain numbers at as many places as a decade needs to be read."""
-    axes = axis.axes
-    end = "x" if axis is axes.xaxis else "y"
-    getattr(axes, f"set_{end}scale")("log")
-    low, high = getattr(axes, f"get_{end}lim")()
-    steps = (1,) if high > 200 * low else (1, 2, 5) if high > 20 * low else (1, 2, 3, 5, 7)
-    ticks = [t for power in range(-6, 6) for t in (k * 10.0**power for k in steps) if low <= t <= high]
-    axis.set_ticks(ticks, [f"{tick:g}" for tick in ticks])
-    axis.set_ticks([], minor=True)
-
-
 def lighten(colour: str, share: float) -> tuple[float, float, float]:
     """Return a colour with this share of white: opaque, so that it is the same over every background."""
     red, green, blue = (share + (1 - share) * part for part in to_rgb(colour))
     return red, green, blue
 
 
-_LEGEND_LINE_IN = 0.17
-
-
-def add_legend(figure: Figure, looks: Iterable[Look], width: float = 0.0) -> int:
-    """Draw a legend above all panels; return its columns. `width` is that of the lines, 0 of marks alone."""
+def add_legend(figure: Figure, looks: Iterable[Look], width: float) -> None:
+    """Draw a legend above all panels; `width` is that of the lines."""
     handles = [
-        Line2D(
-            [], [], color=one.colour, lw=one.width if width else 0, ls=one.dashes, marker=one.marker,
-            ms=one.size, mfc=one.colour if one.filled else "white", label=one.label, solid_capstyle="butt",
-        )
+        Line2D([], [], color=one.colour, lw=one.width, ls=one.dashes, marker=one.marker, ms=one.size,
+               label=one.label, solid_capstyle="butt")
         for one in looks
     ]  # fmt: skip
     columns = count_legend_columns(figure, [one.label for one in looks], min(len(handles), 5))
-    spacing: dict[str, Any] = {"handlelength": width or 0.8, "handletextpad": 0.4, "columnspacing": 1.3}
+    spacing: dict[str, Any] = {"handlelength": width, "handletextpad": 0.4, "columnspacing": 1.3}
     figure.legend(handles=handles, loc="outside upper left", ncols=columns, **spacing)
-    return columns
-
-
-def dots_with_intervals(
-    frame: pd.DataFrame,
-    rows: Sequence[str],  # columns that make a row; a rule stands where the first of several changes
-    value: str,  # the column that is drawn
-    by: str,  # the column that says in which look
-    looks: Mapping[str, Look] | None = None,  # by value of `by`, in the order of the legend
-    name_row: Callable[[tuple[Any, ...]], str] = lambda row: ", ".join(map(str, row)),
-    intervals: Sequence[tuple[str, str]] = (),  # columns (low, high), the wide interval first
-    panel: str = "",  # a column; empty: one panel
-    panels: Mapping[Any, str] | None = None,  # value of `panel` -> title
-    x_label: str = "",
-    # "linear", "from 0" or "log"; or a mapping of these, by value of `panel`, with axes of their own
-    scale: str | Mapping[Any, str] = "linear",
-    row_height: float = 0.22,  # inches
-) -> Figure:
-    """Draw values with their intervals in rows, a panel for each value of the column `panel`."""
-    chosen = choose_looks(frame, by, looks)
-    order = list(frame[list(rows)].drop_duplicates().itertuples(index=False, name=None))
-    titles = panels or ({name: str(name) for name in dict.fromkeys(frame[panel])} if panel else {"": ""})
-    figure = Figure(figsize=(choose_width(), 0.9 + row_height * len(order)))
-    own_axes = isinstance(scale, Mapping)
-    grid = figure.subplots(1, len(titles), sharex=not own_axes, sharey=True, squeeze=False)[0]
-    for axes, (which, title) in zip(grid, titles.items(), strict=True):
-        for row in to_records(frame[frame[panel] == which] if panel else frame):
-            look = chosen.get(str(row[by]))
-            if look is not None and row[value] is not None:
-                place = order.index(tuple(row[name] for name in rows)) + look.shift
-                _draw_dot(axes, row, place, value, intervals, look)
-        axes.set_title(title, loc="left", fontsize=7)
-        _format_rows(axes, order, scale[which] if isinstance(scale, Mapping) else scale)
-    grid[0].set_yticks(range(len(order)), [name_row(row) for row in order])
-    grid[0].set_ylim(len(order) - 0.4, -0.6)
-    if len(chosen) > 1:
-        columns = add_legend(figure, chosen.values())
-        lines = math.ceil(len(chosen) / columns)
-        figure.set_figheight(figure.get_figheight() + _LEGEND_LINE_IN * (lines - 1))
-    figure.supxlabel(x_label, fontsize=7.5)
-    return figure
-
-
-def _draw_dot(
-    axes: Axes, row: Row, y: float, value: str, intervals: Sequence[tuple[str, str]], look: Look
-) -> None:
-    for width, (low, high) in zip((0.9, 2.4), intervals, strict=False):
-        if row[low] is not None and row[high] is not None:
-            axes.hlines(y, row[low], row[high], color=look.colour, lw=width)
-    if look.marker == "|":
-        axes.vlines(row[value], y - 0.35, y + 0.35, color=look.colour, lw=look.width, ls=look.dashes)
-        return
-    face = look.colour if look.filled else "white"
-    axes.plot(row[value], y, look.marker, ms=look.size, mfc=face, mec=look.colour, mew=0.8, zorder=4)
-
-
-def _format_rows(axes: Axes, order: Sequence[tuple[Any, ...]], scale: str) -> None:
-    if scale == "log":
-        set_plain_log_scale(axes.xaxis)
-    elif scale == "from 0":
-        axes.set_xlim(0, None)
-    for y in (k for k in range(1, len(order)) if len(order[0]) > 1 and order[k][0] != order[k - 1][0]):
-        axes.axhline(y - 0.5, color=INK, lw=0.3, alpha=0.4)
-    axes.tick_params(axis="y", length=0)
-    draw_grid(axes, "x")
 
 
 def steps_in_bands(frame: pd.DataFrame, x_label: str, y_label: str, across: int = 4) -> Figure:

@@ -426,7 +426,7 @@ def replicate_synthetic(number: int, experiment: SyntheticExperiment) -> FrameRo
     )
     draws = Draws(found.thetas, source, () if found.trusted else ("the posterior is not certified",))
     known = Specimens(job, fold, draws)
-    predictions = [one.row for one in predict_held_out(job, fold, draws, known)]
+    predictions = [one.row for one in predict_held_out(known)]
     pits = {one["insertion"]: one["tip_pit"] for one in predictions}
     tips = {}
     for one in fold.validate:

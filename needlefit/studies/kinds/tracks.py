@@ -11,24 +11,22 @@ import pandas as pd
 from scipy.special import stdtrit  # scipy.stats takes 0.4 s to load
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import GUIDE_STILL_MM, Dataset, Insertion, TipTrack
+from needlefit.datasets.insertion import Dataset, Insertion, TipTrack
 from needlefit.datasets.read import read
 from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError
-from needlefit.geometry.frames import make_tracker_columns
 from needlefit.inference import predict
 from needlefit.inference.baselines import BASELINES, list_baselines
 from needlefit.inference.fit import Callbacks, Fit
 from needlefit.inference.forward_model import simulate_deflections
-from needlefit.inference.identifiability.identify import identify
 from needlefit.inference.identifiability.precision import add_estimated_noise
 from needlefit.inference.likelihood.observation import Observation, make_observation
 from needlefit.inference.optimize import minimize
-from needlefit.inference.parameters import NOISE_SCALE, is_logarithmic
+from needlefit.inference.parameters import NOISE_SCALE
 from needlefit.inference.predict import estimate_proportion
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import resample_draws, sample_about_fit
-from needlefit.inference.sampling.posterior import PERCENTILES, Posterior
+from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import sample
 from needlefit.inference.specimens import draw_population, make_spread_model
 from needlefit.inference.track_predictions import (
@@ -43,11 +41,11 @@ from needlefit.project.checkpoint import Checkpoint, open_checkpoint
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
-from needlefit.project.toml import locate_key, renamed_keys
+from needlefit.project.toml import renamed_keys
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.labels import medium_name, method_name
 from needlefit.reporting.number_format import choose_printed_unit
-from needlefit.reporting.table import Table, part, pivot
+from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.recipe import RecipeRecord, TrackErrorsRecord
@@ -56,7 +54,7 @@ from needlefit.studies.answer import STATUSES, Answer, Fault, Status, Verdict, f
 from needlefit.studies.coverage import warn_if_too_wide
 from needlefit.studies.fit_warnings import analysis_bound_warnings
 from needlefit.studies.held_out_predictions import PREDICTION_DRAWS
-from needlefit.studies.job import Fold, Settings, farthest_guide, prepare, specimen_warning
+from needlefit.studies.job import Fold, Settings, check_reach, prepare, warn_shared_specimens
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.planned_draws import vary_bevels
 from needlefit.studies.provenance import (
@@ -72,45 +70,29 @@ from needlefit.studies.score import Row
 
 KIND = StudyKind("tracks", TrackStudyRecord, __name__)
 
-READING_COLUMNS = (
-    *("fit", "run", "medium", "method", "depth_mm", "guide_mm", "scored", "measured_mm"),
-    *("median_mm", "low_50_mm", "high_50_mm", "low_95_mm", "high_95_mm"),
-)
-"""A row per reading of a run predicted and method; `measured_mm` counts from the run's first reading."""
-
-RUN_COLUMNS = (
-    *("fit", "role", "run", "medium", "specimen", "method", "readings"),
-    *("aligned_rms_mm", "rms_mm", "end_error_mm", "crps_mm", "end_width_95_mm"),
-    *("end_in_50", "end_in_95", "track_pit", "track_in_50", "track_in_95", "points_in_50", "points_in_95"),
-)
-"""A row per run and method. `aligned_rms_mm` is what remains of the scored readings (all of them where the
-run was fitted to) when the best shift and slope are taken from readings and draws, against the draws' median;
-the rest is of what was predicted: error of the median, and at the last reading. `track_pit` is the
-probability predicted of a track nearer, at its worst reading, than the one seen."""
-
-PARAMETER_COLUMNS = (
-    *("fit", "parameter", "fitted", "p2_5", "p16", "p50", "p84", "p97_5", "sd_ratio"),
-    *("determined", "condition", "note"),
-)
-"""`fitted`: at the posterior's mode. `sd_ratio`: the draws' deviation over that of prior and bounds, in ln;
-1: nothing was learned. `condition`: the assumption under which alone the data determine a parameter."""
-
-PAIRED_COLUMNS = ("medium", "method", "metric", "runs", "value", "difference", "low", "high", "better")
-"""`difference`: the method's error minus the fitted model's, and its 95 % interval (Student) over runs."""
-
-COVERAGE_COLUMNS = ("medium", "method", "quantity", "level", "covered", "runs", "specimens", "low", "high")
-"""`low`, `high`: 95 % interval of the share; where `medium` is "all", of phantoms as trials."""
-
 FRAMES: Mapping[str, tuple[str, ...]] = {
-    "readings": READING_COLUMNS,
-    "runs": RUN_COLUMNS,
-    "parameters": PARAMETER_COLUMNS,
-    "paired": PAIRED_COLUMNS,
-    "coverage": COVERAGE_COLUMNS,
+    # a row per reading of a run predicted and method; `measured_mm` counts from the run's first reading
+    "readings": (
+        *("fit", "run", "medium", "method", "depth_mm", "guide_mm", "scored", "measured_mm"),
+        *("median_mm", "low_50_mm", "high_50_mm", "low_95_mm", "high_95_mm"),
+    ),
+    # a row per run predicted and method: error of the median, also at the last reading; `track_pit` is the
+    # probability predicted of a track nearer, at its worst reading, than the one seen
+    "runs": (
+        *("fit", "run", "medium", "specimen", "method", "readings"),
+        *("rms_mm", "end_error_mm", "crps_mm", "end_width_95_mm"),
+        *("end_in_50", "end_in_95", "track_pit", "track_in_50", "track_in_95"),
+    ),
+    # `fitted`: at the posterior's mode
+    "parameters": ("fit", "parameter", "fitted", "p2_5", "p50", "p97_5"),
+    # the method's error minus the fitted model's, and its 95 % interval (Student) over runs
+    "paired": ("medium", "method", "metric", "runs", "value", "difference", "low", "high", "better"),
+    # `low`, `high`: 95 % interval of the share; where `medium` is "all", of phantoms as trials
+    "coverage": ("medium", "method", "quantity", "level", "covered", "runs", "specimens", "low", "high"),
 }
 
 MIN_SCORED_READINGS = 2  #: fewest readings of a predicted run that are scored
-MEASURES = ("rms_mm", "aligned_rms_mm", "crps_mm")  #: of runs, by which methods are compared
+MEASURES = ("rms_mm", "crps_mm")  #: of runs, by which methods are compared
 
 
 def list_track_methods() -> tuple[str, ...]:
@@ -167,15 +149,7 @@ def make_tasks(
             expected=f"{len(held)} at most",
         )
     job = prepare(name, record.tuning(one), settings, dataset)
-    far = max(farthest_guide(job.parameters, track) for track in (*tuned, *held))
-    deepest = max(track.depth for track in (*tuned, *held))
-    if far + deepest + 1 >= dataset.needle.length:
-        raise ConfigError(
-            f"a needle of {dataset.needle.length:g} mm is too short for {deepest:.0f} mm of depth and a "
-            f"guide {far:g} mm before the skin",
-            where=locate_key(dataset.path, "needle.length_mm"),
-            fix="write its length, or lessen the bound of guide_distance_mm",
-        )
+    check_reach(replace(job, folds=(Fold(one.name, tuned, held),)))
     tracks = tuple(track for track in held if isinstance(track, TipTrack))
     if one.folds is None:
         return [TrackTask(one.name, job.problem(job.folds[0]), tracks, job.recipe, one.name)]
@@ -220,7 +194,11 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> Run:
             break
         fit, draws[one.name], posterior = drawn
         posteriors |= {} if posterior is None else {one.name: posterior}
-        rows["parameters"] += _summarize_parameters(one.name, one.problem, fit, draws[one.name])
+        sets = [one.problem.values(theta) for theta in draws[one.name].thetas]
+        for parameter in one.problem.names:
+            ends = np.percentile([values[parameter] for values in sets], (2.5, 50.0, 97.5)).tolist()
+            row = {"fit": one.name, "parameter": parameter, "fitted": fit.values[parameter]}
+            rows["parameters"].append(row | dict(zip(("p2_5", "p50", "p97_5"), ends, strict=True)))
         found = _predict_runs(name, one, draws[one.name], placed_by, settings.jobs)
         for frame, more in found.items():
             rows[frame] += more
@@ -302,31 +280,6 @@ def _draw_posterior(
     return fit, draws, posterior
 
 
-def _summarize_parameters(name: str, problem: Problem, fit: Fit, draws: predict.Draws) -> Iterator[Row]:
-    """Yield a row per free parameter: percentiles (Pa, mm), posterior SD / prior SD, and what it needs.
-
-    Of draws that are not certified, no parameter is called determined.
-    """
-    verdict, certified = identify(problem, fit, draws.certified), not draws.faults
-    sets = [problem.values(theta) for theta in draws.thetas]
-    heads = [f"p{at:g}".replace(".", "_") for at in PERCENTILES]
-    for parameter, width in zip(problem.names, problem.upper - problem.lower, strict=True):
-        values = np.array([one[parameter] for one in sets])
-        drawn = np.log(values) if is_logarithmic(parameter) else values
-        stated = problem.parameters.prior.sd(parameter)
-        before = stated if math.isfinite(stated) else float(width) / math.sqrt(12)
-        yield {
-            "fit": name,
-            "parameter": parameter,
-            "fitted": fit.values[parameter],
-            **dict(zip(heads, np.percentile(values, PERCENTILES).tolist(), strict=True)),
-            "sd_ratio": float(np.std(drawn)) / before,
-            "determined": certified and verdict.determined[parameter],
-            "condition": verdict.conditions[parameter] if certified else "",
-            "note": verdict.notes[parameter] if certified else "not determined: no certified draws",
-        }
-
-
 def _find_warnings(
     name: str,
     record: TrackStudyRecord,
@@ -335,12 +288,10 @@ def _find_warnings(
     where: str,
 ) -> Iterator[ResultWarning]:
     """Yield the warnings about shared specimens, bounds and wide intervals."""
-    shared: dict[str, None] = {}
-    for one in tasks:
-        held = {track.specimen for track in one.held}
-        shared |= dict.fromkeys(track.specimen for track in one.problem.insertions if track.specimen in held)
-    if shared and not record.same_specimen:
-        yield specimen_warning(name, list(shared), where)
+    if not record.same_specimen:
+        yield from warn_shared_specimens(
+            name, (Fold(one.name, one.problem.insertions, one.held) for one in tasks), where
+        )
     # parameters of which the optimum, or else the interval of the draws, ends at a bound
     bounds = {one.group: one.problem.parameters for one in tasks}
     groups = {one.name: one.group for one in tasks}
@@ -359,7 +310,7 @@ def _find_warnings(
 # ---- predictions and their scores
 
 
-_INTERVAL_KEYS = ("low_", "high_", "crps_", "track_", "end_in_", "end_width_", "points_in_")
+_INTERVAL_KEYS = ("low_", "high_", "crps_", "track_", "end_in_", "end_width_")
 
 
 def _predict_runs(
@@ -390,13 +341,11 @@ def _predict_runs(
             drawn, seen = _draw_model_tips(task, draws, tuned, jobs, rng)
             ahead = predict_runs(drawn, *seen, placed, rng)
         head: Row = {"fit": task.name, "method": method}
-        runs += [{**head, "role": "tune", **row} for row in tabulate_tuned(tuned, drawn)]
-        for track, deflection, count, predicted in zip(task.held, drawn.held_out, placed, ahead, strict=True):
+        for track, count, predicted in zip(task.held, placed, ahead, strict=True):
             mixture = predict.PredictiveMixture(predicted, np.zeros(predicted.shape[1]))
-            row = _describe_track(track, predicted.shape[1]) | _aligned_error(track, deflection, count)
-            row |= _score_prediction(mixture, track.tip[count:], rng)
-            found = [{**head, "role": "validate", **row}]
-            found += [{**head, **one} for one in _reading_rows(track, mixture, count)]
+            row = {"run": track.id, "medium": track.medium, "specimen": track.specimen}
+            row |= {"readings": predicted.shape[1], **_score_prediction(mixture, track.tip[count:], rng)}
+            found = [{**head, **one} for one in (row, *_reading_rows(track, mixture, count))]
             if draws.faults and method not in BASELINES:  # only certified draws predict intervals
                 found = [
                     {key: np.nan if key.startswith(_INTERVAL_KEYS) else x for key, x in one.items()}
@@ -475,28 +424,6 @@ def _move_to_specimen(
     return [problem.values(theta) for theta in moved.new]
 
 
-def tabulate_tuned(tuned: Sequence[Observation], drawn: TrackDraws) -> Iterator[Row]:
-    """Yield the residuals of a method on the runs that it was fitted to."""
-    for track, deflection in zip(_tracks(tuned), drawn.tuned, strict=True):
-        yield {**_describe_track(track, len(track.tip)), **_aligned_error(track, deflection, 0)}
-
-
-def _tracks(observations: Sequence[Observation]) -> list[TipTrack]:
-    return [one.insertion for one in observations if isinstance(one.insertion, TipTrack)]
-
-
-def _describe_track(track: TipTrack, readings: int) -> Row:
-    return {"run": track.id, "medium": track.medium, "specimen": track.specimen, "readings": readings}
-
-
-def _aligned_error(track: TipTrack, deflection: Floats, placed: int) -> Row:
-    """Return what is left between the scored readings and the draws, shift and slope taken from all alike."""
-    off = (track.tip - deflection)[:, placed:]  # (B, m)
-    taken = np.linalg.qr(make_tracker_columns(track.depths[placed:]))[0]
-    left = np.median(off - off @ taken @ taken.T, axis=0)
-    return {"aligned_rms_mm": float(np.sqrt(np.mean(left**2)))}
-
-
 def _score_prediction(mixture: predict.PredictiveMixture, measured: Floats, rng: np.random.Generator) -> Row:
     off = predict.quantile(mixture, 0.5) - measured
     level = predict.simulate_shape_pit(mixture, np.zeros((len(measured), len(measured))), measured, rng)
@@ -506,8 +433,8 @@ def _score_prediction(mixture: predict.PredictiveMixture, measured: Floats, rng:
         name = f"{100 * wanted:.0f}"
         low, high = predict.interval(mixture, wanted)
         within = (low <= measured) & (measured <= high)
-        row |= {f"end_in_{name}": bool(within[-1]), f"points_in_{name}": float(within.mean())}
-        row |= {f"track_in_{name}": level <= wanted, f"end_width_{name}_mm": float(high[-1] - low[-1])}
+        row |= {f"end_in_{name}": bool(within[-1]), f"track_in_{name}": level <= wanted}
+        row |= {f"end_width_{name}_mm": float(high[-1] - low[-1])}
     return row
 
 
@@ -529,9 +456,9 @@ def _reading_rows(track: TipTrack, mixture: predict.PredictiveMixture, placed: i
 
 
 def compare_methods_by_run(runs: pd.DataFrame) -> pd.DataFrame:
-    """Compare every method with the fitted model on the same predicted runs: columns `PAIRED_COLUMNS`."""
-    rows, held = [], runs[runs["role"] == "validate"]
-    for medium, group in held.groupby("medium", sort=False):
+    """Compare every method with the fitted model on the same predicted runs: the frame "paired"."""
+    rows = []
+    for medium, group in runs.groupby("medium", sort=False):
         for measure in MEASURES:
             wide = group.pivot_table(index="run", columns="method", values=measure, sort=False)
             if "fitted" not in wide:  # its draws are not certified: no CRPS
@@ -543,12 +470,12 @@ def compare_methods_by_run(runs: pd.DataFrame) -> pd.DataFrame:
                     half = float(stdtrit(n - 1, 0.975) * gap.std(ddof=1) / np.sqrt(n))
                 difference = (gap.mean(), gap.mean() - half, gap.mean() + half, int((gap > 0).sum()))
                 rows.append((medium, method, measure, n, wide[method].mean(), *difference))
-    return pd.DataFrame(rows, columns=list(PAIRED_COLUMNS))
+    return pd.DataFrame(rows, columns=list(FRAMES["paired"]))
 
 
 def tabulate_coverage(runs: pd.DataFrame) -> pd.DataFrame:
-    """Return the coverage of last-reading intervals and whole-track bands: columns `COVERAGE_COLUMNS`."""
-    rows, held = [], runs[runs["role"] == "validate"].dropna(subset="track_pit")  # uncertified: no interval
+    """Return the coverage of last-reading intervals and whole-track bands: the frame "coverage"."""
+    rows, held = [], runs.dropna(subset="track_pit")  # uncertified: no interval
     for medium, group in [*held.groupby("medium", sort=False), ("all", held)]:
         for method, some in group.groupby("method", sort=False):
             trials = some["specimen" if medium == "all" else "run"].tolist()
@@ -557,14 +484,12 @@ def tabulate_coverage(runs: pd.DataFrame) -> pd.DataFrame:
                     found = estimate_proportion(some[f"{what}_in_{level}"].tolist(), trials)
                     counted = (found.hits, found.trials, some["specimen"].nunique(), found.low, found.high)
                     rows.append((medium, method, what, level, *counted))
-    return pd.DataFrame(rows, columns=list(COVERAGE_COLUMNS))
+    return pd.DataFrame(rows, columns=list(FRAMES["coverage"]))
 
 
 # ---- the report
 
 TEXT = KindText("tracks")
-_MEASURE_HEADINGS = {"rms_mm": "Error", "aligned_rms_mm": "Shape"}
-"""The measures that tables and sentences show."""
 
 
 def describe(results: Run) -> dict[str, Any]:
@@ -572,14 +497,14 @@ def describe(results: Run) -> dict[str, Any]:
     paired, data = results.frames["paired"], results.run["dataset"]
     return {
         "media": [
-            {"name": medium_name(str(medium))}
-            | {one: _compare(group[group["metric"] == one]) for one in _MEASURE_HEADINGS}
-            for medium, group in paired.groupby("medium", sort=False)
+            {"name": medium_name(str(medium)), "found": _compare(group)}
+            for medium, group in paired[paired["metric"] == "rms_mm"].groupby("medium", sort=False)
         ],
         "remarks": data["remarks"],
         "notes": data["notes"],
         "placed_by": results.record.registration_depth_mm,
         "faults": bool(results.faults),
+        "name": results.name,
     }
 
 
@@ -602,7 +527,7 @@ def find_answer(results: Run) -> Answer:
     """Return for each medium how the predicted tips compare with the baselines; the worst stands first."""
     verdicts = []
     for one in describe(results)["media"]:
-        found = one["rms_mm"]
+        found = one["found"]
         status: Status = (
             "fail" if "worse than" in found else "pass" if {*found} == {"better than"} else "warn"
         )
@@ -613,26 +538,14 @@ def find_answer(results: Run) -> Answer:
 
 
 def tabulate(results: Run) -> list[Table]:
-    """Return the tables of scores, positions, coverage and parameters.
-
-    These are errors of every method on the same runs; where the tip was predicted at the last reading of each
-    run; the coverage of intervals, where a run is a trial; and estimates.
-    """
+    """Return the errors of every method on the same runs, the coverage of intervals, and the estimates."""
     frames = {name: to_records(frame) for name, frame in results.frames.items()}
     scores = [
-        {**row, "method": name_track_method(row["method"]), "metric": _MEASURE_HEADINGS[row["metric"]]}
+        {**row, "method": name_track_method(row["method"])}
         | ({"difference": "", "better": ""} if row["method"] == "fitted" else {})
         for row in frames["paired"]
-        if row["metric"] in _MEASURE_HEADINGS
+        if row["metric"] == "rms_mm"
     ]
-    keys = ("track_error", "track_difference", "better_runs")
-    measures = (part(key, metric=heading) for heading in _MEASURE_HEADINGS.values() for key in keys)
-    readings, positions = results.frames["readings"], []
-    for _, run in readings[readings["method"] == "fitted"].groupby(["fit", "run"], sort=False):
-        moved = run["guide_mm"].max() - run["guide_mm"].min() > GUIDE_STILL_MM
-        last = to_records(run.tail(1))[0]
-        ends = {f"95_{end}_mm": last[f"{end}_95_mm"] for end in ("low", "high")}
-        positions.append({**last, **ends, "guide_state": "moved" if moved else "at rest"})
     covered: dict[tuple[str, str], Row] = {}
     for row in frames["coverage"]:
         names = {"medium": row["medium"], "method": name_track_method(row["method"])}
@@ -643,16 +556,13 @@ def tabulate(results: Run) -> list[Table]:
     for row in frames["parameters"]:
         label, unit = choose_printed_unit(str(row["parameter"]), [row["p97_5"]])
         scaled = {one: None if row[one] is None else row[one] / unit for one in ("p2_5", "p50", "p97_5")}
-        verdict = "determined" if row["determined"] else str(row["condition"] or "not determined")
-        parameters.append({**row, **scaled, "parameter": label, "verdict": verdict})
-    each = ("medium", "method")
-    placed = ("medium", "run", "guide_state", "depth_mm", "measured_mm", "median_mm", "range_95_mm")
+        parameters.append({**row, **scaled, "parameter": label})
+    each, compared = ("medium", "method"), ("track_error", "track_difference", "better_runs")
     of_coverage = ("end_in_50", "end_in_95", "track_in_50", "track_in_95")
-    estimated = ("fit", "parameter", "p2_5", "p50", "p97_5", "sd_ratio", "verdict")
+    estimated = ("fit", "parameter", "p2_5", "p50", "p97_5")
     of_media: dict[str, Any] = {"groups": ("medium",), "strong": "groups"}
     return [
-        Table("scores", pivot(scores, each, ["metric"]), (each[0], "runs", each[1], *measures), **of_media),
-        Table("positions", positions, placed, groups=("medium",)),
+        Table("scores", scores, ("medium", "runs", "method", *compared), **of_media),
         Table("coverage", list(covered.values()), (*each, *of_coverage), **of_media),
         Table("parameters", parameters, estimated),
     ]

@@ -4,7 +4,7 @@ Tables are those of `studies/fit_tables.py`, figures of `studies/fit_figures.py`
 `reporting/text/cross_validation.md.j2`.
 """
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib.resources import files
 from typing import Any
@@ -114,7 +114,7 @@ def _list_floors(results: Run, role: str) -> list[str]:
 
 def _count_failures(results: Run) -> Row:
     starts, failures = results.frames["starts"], results.frames["failures"]
-    reasons = scores.count_reasons(failures).items()
+    reasons = Counter(str(reason).partition(":")[0] for reason in failures["note"]).most_common()
     return {
         "searches": int(starts["failed_solves"].sum()),
         "evaluations": int(starts["evaluations"].sum()),
@@ -131,10 +131,8 @@ def _describe_agreement(starts: pd.DataFrame) -> str:
 
 
 def _describe_draws(frames: Mapping[str, pd.DataFrame]) -> Row:
-    """Return source and convergence of the draws of the first fold, and their longest direction."""
+    """Return source and convergence of the draws of the first fold."""
     draws = select_draws(frames["draws"])
-    names = list(dict.fromkeys(select_free(frames["parameters"])["parameter"]))
-    axes = fit_tables.principal_axes(draws[names])
     return {
         "count": len(draws),
         "source": str(draws["draw_source"].iloc[0]),
@@ -144,9 +142,6 @@ def _describe_draws(frames: Mapping[str, pd.DataFrame]) -> Row:
         "fold": str(draws["fold"].iloc[0]),
         # beside the mean and a new specimen each has draws of its own
         "separate": frames["draws"]["specimen"].nunique() > 2,
-        "ridge": fit_tables.is_ridge(axes),
-        "known": axes[0].words,
-        "loose": axes[-1].words,
     }
 
 
@@ -228,7 +223,7 @@ def find_answer(results: Run) -> Answer:
             name for word, names in words["determined"] if word != "yes" for name in names
         )
         verdicts = [Verdict(TEXT.sentence("fitted", words), status, "", numbers)]
-        tables = [fit_tables.lay_out_values(results)]
+        tables = [fit_tables.lay_out_parameters(results)]
     else:
         verdicts = [Verdict(TEXT.sentence("predicted", words), STATUS[judged.outcome], "", numbers)]
         verdicts += _judge_groups(results, words)
@@ -313,9 +308,7 @@ def lay_out_tables(results: Run) -> list[TableLayout]:
         *([fit_tables.lay_out_coverage(results)] if len(frames["predictive"]) else []),
         fit_tables.lay_out_baselines(results, role),
         fit_tables.lay_out_insertions(results, role),
-        fit_tables.lay_out_values(results),
         *parameters,
-        *([fit_tables.lay_out_in_sample(results)] if role == "tune" else []),
         fit_tables.lay_out_directions(results),
         *([fit_tables.lay_out_population(results)] if len(frames["population"]) else []),
         *([lay_out_identification(identification)] if len(identification) else []),
@@ -339,7 +332,7 @@ def list_figures(results: Run) -> dict[str, Drawing]:
     if all(((one["role"] == role) & (one["method"] == "fitted")).any() for one in both):
         found["insertions"] = fit_figures.draw_first_page(results, role)
         found["overlays"] = fit_figures.draw_overlays(results, role)
-    if len(frames["draws"]) and fit_tables.list_free_parameters(results):
+    if len(frames["draws"]) and len(select_free(frames["parameters"])):
         names = {"fitted": "the fit", "hand_tuned": labels.method_name("hand_tuned", results.origin)}
         marks = fit_figures.tabulate_marks(results)
         found["corner"] = Drawing(forms.corner, marks, {"names_of_sets": names}, optional=True)
@@ -357,10 +350,11 @@ def list_files(result: Run) -> dict[str, pd.DataFrame | str]:
     """Return the tables that are written as CSV, by name, and the numbers and methods for a paper."""
     names = ("design", "errors", "shapes", "starts", "directions")
     found: dict[str, pd.DataFrame | str] = {name: result.frames[name] for name in names}
-    found |= {name: result.frames[name] for name in ("error_fit", "population") if len(result.frames[name])}
-    predictions = [result.frames[name] for name in ("predictive", "predictive_training")]
-    if any(map(len, predictions)):
-        found["predictive"] = pd.concat([frame for frame in predictions if len(frame)])
+    found |= {
+        name: result.frames[name]
+        for name in ("predictive", "error_fit", "population")
+        if len(result.frames[name])
+    }
     found |= {name: frame for name, frame, _ in _lay_out_own_files(result) if len(frame)}
     if len(result.frames["identification"]):
         found["identify"] = result.frames["identification"]

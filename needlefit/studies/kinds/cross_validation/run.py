@@ -3,7 +3,6 @@
 import math
 import os
 import pickle
-import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
@@ -14,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.select import count_layers, get_other_rule
+from needlefit.datasets.select import count_layers
 from needlefit.grouping import group_values
 from needlefit.inference.error_fit import ErrorMinimisingFit, ErrorSearch, Target, examine_errors
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_start, read_starts
@@ -27,7 +26,6 @@ from needlefit.inference.identifiability.identify import (
     identify,
     objective_excess,
     profile_parameters,
-    select_within_tolerance,
     within_tolerance,
 )
 from needlefit.inference.optimize import minimize
@@ -65,12 +63,10 @@ from needlefit.studies.identification import (
     reconcile_verdict,
 )
 from needlefit.studies.job import Fold, Job, Settings, prepare
-from needlefit.studies.needle_placement import FoldFit, place_needles
-from needlefit.studies.needles_in_scan import NeedleInScan, tabulate_needles
+from needlefit.studies.needle_placement import NeedleInScan, place_needles, tabulate_needles
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run
 from needlefit.studies.score import Predictor, Row, Scorer, make_predictors
-from needlefit.studies.scored_groups import count_reasons
 from needlefit.studies.simulated_data import find_true_value
 from needlefit.studies.validity import VALIDITY_KEY, ValidityCounts
 
@@ -95,7 +91,6 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
     Raises ConfigError or DataError if anything the record names is missing or wrong. FitError if a search
     finds no point that can be solved.
     """
-    begin = time.time()
     job = prepare(name, record, settings)
     work = describe_configuration(job)
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work, settings.note)
@@ -116,24 +111,23 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
             "needles": tabulate_needles(going.needles.values()),
         },
         posteriors=going.posteriors,
-        run=work
-        | {"layers": _list_layers(job)}
-        | describe_insertions(job)
-        | _find_truth(job)
-        | going.summarize_searches(),
-        timing={"seconds": time.time() - begin, "jobs": settings.jobs, "dataset": str(job.dataset.path)},
+        run={
+            **work,
+            # by insertion the layers that it meets, each with the depth at which it begins, mm
+            "layers": {
+                one.id: list(map(list, zip(one.sequence, (0.0, *one.boundaries.tolist()), strict=True)))
+                for one in job.insertions
+            },
+            **describe_insertions(job),
+            **_find_truth(job),
+            **going.summarize_searches(),
+        },
+        timing={"dataset": str(job.dataset.path)},
         interrupted=going.interrupted,
     )
-    uncertified = [
-        fault
-        for fold, faults in going.uncertified.items()
-        if fold not in going.posteriors
-        for fault in faults
-    ]
     unconverged = [fault for posterior in going.posteriors.values() for fault in posterior.faults]
     faults = find_faults(found.frames["errors"], going.search_faults, unconverged)
-    faults = (*faults, *uncertified)
-    return add_warnings(replace(found, faults=faults), job)
+    return add_warnings(replace(found, faults=(*faults, *going.uncertified)), job)
 
 
 def _find_truth(job: Job) -> dict[str, dict[str, float]]:
@@ -147,14 +141,6 @@ def _find_truth(job: Job) -> dict[str, dict[str, float]]:
     problem = job.problem(job.folds[0])
     known = {name: find_true_value(problem, name, seed) for name in job.parameters.names}
     return {"truth": {name: value for name, value in known.items() if math.isfinite(value)}}
-
-
-def _list_layers(job: Job) -> dict[str, list[list[float]]]:
-    """Return by insertion the layers that it meets, each with the depth at which it begins, mm."""
-    return {
-        one.id: [list(pair) for pair in zip(one.sequence, (0.0, *one.boundaries.tolist()), strict=True)]
-        for one in job.insertions
-    }
 
 
 def find_faults(
@@ -179,7 +165,6 @@ class _Drawn:
     made: FoldDraws
     specimens: Specimens
     predicted: tuple[HeldOutPrediction, ...]
-    plain: tuple[HeldOutPrediction, ...]  #: of insertions into new specimens, by what was tuned alone
 
 
 @dataclass
@@ -194,12 +179,11 @@ class _StudyRun:
     checkpoint: Checkpoint
     interrupted: bool = False
     rows: defaultdict[str, list[Row]] = field(default_factory=lambda: defaultdict(list))
-    searches: dict[str, dict[str, Fit]] = field(default_factory=dict)
     verdicts: dict[str, Identifiability] = field(default_factory=dict)
     posteriors: dict[str, Posterior] = field(default_factory=dict)
     #: by fold the parameters whose intervals by both samplers differ
     differing: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    uncertified: dict[str, list[Fault]] = field(default_factory=dict)
+    uncertified: list[Fault] = field(default_factory=list)
     search_faults: dict[str, list[str]] = field(default_factory=dict)
     counts: ValidityCounts = field(default_factory=ValidityCounts)
     needles: dict[str, NeedleInScan] = field(default_factory=dict)
@@ -226,7 +210,7 @@ class _StudyRun:
         """
         job, settings = self.job, self.settings
         (first, *others), profiles, drawn = job.searches, None, None
-        fits = self.searches[fold.name] = self._search(number, fold, [first])
+        fits = self._search(number, fold, [first])
         self._note_fit(fold, fits)
         rest: list[Callable[[], bytes]] = [
             lambda: pickle.dumps(self._go_on()._search(number, fold, others)),
@@ -248,7 +232,7 @@ class _StudyRun:
         self._report(number, "errors")
         if drawn is not None:
             self._tabulate_draws(fold, drawn)
-        self._tabulate_searches(fold, profiles)
+        self._tabulate_searches(fold, fits, profiles)
         usable = {name: fit for name, fit in fits.items() if math.isfinite(fit.objective)}
         known = "fitted" in usable
         if known:
@@ -268,10 +252,10 @@ class _StudyRun:
         predicted = [one for one in fold.validate if one.id in medians]
         self._score(place, predicted, lambda insertion: {"measured": medians[insertion.id]}, "median")
         if known:
-            about = FoldFit(fits["fitted"], self.verdicts[fold.name], self.posteriors.get(fold.name))
-            self.needles |= place_needles(
-                job.problem(fold), fold, about, self.rows["bands"], settings.jobs, fitted=len(job.folds) == 1
-            )
+            draws = None if drawn is None else drawn.specimens.replace_mean(drawn.made.shown)
+            given = (job.problem(fold), fold, fits["fitted"], draws, self.rows["bands"], settings.jobs)
+            placed = place_needles(*given, fitted=len(job.folds) == 1)
+            self.needles |= {one.insertion: one for one in placed}
 
     def _score(
         self, place: Row, insertions: Iterable[Insertion], curves: Predictor, estimate: str = "point"
@@ -417,8 +401,7 @@ class _StudyRun:
     def _draw(self, number: int, fold: Fold, fits: Mapping[str, Fit]) -> "_Drawn | None":
         """Return draws of a fold's parameters, and the predictions of the insertions that it holds out.
 
-        They are made by draws that are certified. Insertions into new specimens are predicted as the paper
-        does too, by what was tuned alone. None without a fit, and where a fit alone is interrupted.
+        They are made by draws that are certified. None without a fit, and where a fit alone is interrupted.
         """
         job, settings, fit = self.job, self.settings, fits.get("fitted")
         if fit is None or not math.isfinite(fit.objective) or (settings.stop() and not fold.validate):
@@ -437,16 +420,10 @@ class _StudyRun:
         sampled(1, 1)
         if settings.sample and made.posterior is not None:
             self.posteriors[fold.name] = made.posterior
-        draws, jobs = made.draws, settings.jobs
-        specimens = Specimens(job, fold, draws, jobs, self.specimens)
+        specimens = Specimens(job, fold, made.draws, settings.jobs, self.specimens)
         step(0, 1)
-        given = replace(fold, validate=() if specimens.faults else fold.validate)
-        predicted = predict_held_out(job, given, draws, specimens, jobs, bands=True, step=step)
-        known = () if draws.faults else fold.validate
-        others = replace(fold, validate=tuple(filter(specimens.differs, known)))
-        # only their coverage, mean width and score are shown: the draws of figures will do
-        plain = predict_held_out(job, others, made.shown, None, jobs)
-        return _Drawn(made, specimens, tuple(predicted), tuple(plain))
+        predicted = () if specimens.faults else predict_held_out(specimens, bands=True, step=step)
+        return _Drawn(made, specimens, tuple(predicted))
 
     def _tabulate_draws(self, fold: Fold, drawn: "_Drawn") -> None:
         """Add predictions, and draws in Pa and mm: of the specimens' mean, of each and of a new one."""
@@ -454,15 +431,14 @@ class _StudyRun:
             self.rows["predictive"].append(one.row)
             self.rows["bands"] += one.band
             self.counts.predicted.add(one.solved, one.outside)
-        self.rows["predictive_training"] += [one.row for one in drawn.plain]
         if (posterior := self.posteriors.get(fold.name)) is not None:
             place = {"fold": fold.name, "fit": "posterior", "start": 0}
             self.rows["failures"] += _failure_rows(place, self.job.problem(fold), posterior.failed)
         job, specimens, draws = self.job, drawn.specimens, drawn.specimens.replace_mean(drawn.made.shown)
         about = {"fold": fold.name, **draws.describe()}
-        if draws.faults:
+        if fold.name not in self.posteriors:
             kind = find_fault_kind(draws)
-            self.uncertified[fold.name] = [Fault(kind, f"the posterior: {why}") for why in draws.faults]
+            self.uncertified += [Fault(kind, f"the posterior: {why}") for why in draws.faults]
         every = {TUNED_SPECIMENS: draws.thetas} | ({} if draws.faults else specimens.list_draws(draws.thetas))
         for specimen, thetas in every.items():
             where = about | {"specimen": specimen}
@@ -470,9 +446,8 @@ class _StudyRun:
         outside = find_outside_validity(job.problem(fold), draws.thetas)
         self.counts.draws.add(len(draws.thetas), int(outside.sum()))
 
-    def _tabulate_searches(self, fold: Fold, profiles: FitProfiles | None) -> None:
+    def _tabulate_searches(self, fold: Fold, fits: Mapping[str, Fit], profiles: FitProfiles | None) -> None:
         """Add the starts of a fold, what failed in them, and why the best point may not be the best."""
-        fits = self.searches[fold.name]
         for name, fit in fits.items():
             problem, place = self.job.problem(fold, name), {"fold": fold.name, "fit": name}
             self.rows["starts"] += [{**place, **_start_row(problem, start, fit)} for start in fit.starts]
@@ -535,28 +510,15 @@ class _StudyRun:
         self.rows["parameters"] += fitted
 
     def summarize_searches(self) -> dict[str, Any]:
-        """Return the results of the searches by fold and fit, and the failures in them and in the sampler."""
-        searches = {
-            fold: {name: _search_row(fit) for name, fit in fits.items()}
-            for fold, fits in self.searches.items()
-        }
-        every = [search for fold in searches.values() for search in fold.values()]
-        posteriors, draws = self.posteriors, self.frame("draws").drop_duplicates("fold")
-        sampled = {
-            "failed_solves_of_sampler": sum(p.failures for p in posteriors.values()),
-            "not_converged": {fold: list(p.faults) for fold, p in posteriors.items() if p.faults},
-            "differing_intervals": {fold: list(names) for fold, names in self.differing.items() if names},
-        }
+        """Return what `run.json` states of the searches and of the draws, by fold."""
+        draws = self.frame("draws").drop_duplicates("fold")
         return {
-            "searches": searches,
-            "evaluations": sum(search["evaluations"] for search in every),
             "not_determined": {
                 fold: [name for name, known in verdict.determined.items() if not known]
                 for fold, verdict in self.verdicts.items()
             },
-            "failed_solves": sum(search["failed_solves"] for search in every),
-            **(sampled if posteriors else {}),
-            "sampled": bool(posteriors),
+            "differing_intervals": {fold: list(names) for fold, names in self.differing.items() if names},
+            "sampled": bool(self.posteriors),
             "draws": {
                 str(row["fold"]): {
                     "draw_source": row["draw_source"],
@@ -567,9 +529,6 @@ class _StudyRun:
             },
             "search_faults": self.search_faults,
             VALIDITY_KEY: self.counts.table(),
-            "recorded_failures": count_reasons(self.frame("failures")),
-            "interrupted": self.interrupted,
-            "budget_limited": False,  # every budget is counted in evaluations, none in time
         }
 
 
@@ -609,19 +568,6 @@ def _failure_rows(place: Row, problem: Problem, thetas: Iterable[Theta]) -> list
     """Return one row per theta that failed, simulated again for the insertion and the reason."""
     found = [(explain_failure(problem, theta), problem.values(theta)) for theta in thetas]
     return [{**place, "insertion": f.insertion, "note": f.reason, **values} for f, values in found]
-
-
-def _search_row(fit: Fit) -> Row:
-    unit = {"posterior": "negative_log_posterior", "metric": "objective_mm"}[fit.minimized]
-    return {
-        unit: fit.objective if math.isfinite(fit.objective) else None,
-        "values": dict(fit.values),
-        "starts": len(fit.starts),
-        "equal_starts": len(select_within_tolerance(fit)),
-        "evaluations": fit.evaluations,
-        "gradients": fit.gradients,
-        "failed_solves": fit.failures,
-    }
 
 
 #: of a row of "parameters": what is known of fitted ones only
@@ -713,26 +659,17 @@ def _published_rows(job: Job, fold: Fold, retuned: Fit | None) -> list[Row]:
 
 
 def tabulate_design(job: Job) -> pd.DataFrame:
-    """Return one row per role, medium and layers; folds share their insertions.
-
-    `insertions_other` is how many of the same insertions the other reading counts there; a group that only
-    the other reading has is left out of the first count.
-    """
-    rule, counted = job.record.layer_count_rule, []
-    for each in (rule, get_other_rule(rule)):
-        groups: dict[tuple[str, str, int], dict[str, Insertion]] = {}
-        for fold in job.folds:
-            for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
-                for one in insertions:
-                    group = (role, one.medium, count_layers(one, each))
-                    groups.setdefault(group, {})[one.id] = one
-        counted.append(groups)
-    ours, others = counted
+    """Return one row per role, medium and layers; folds share their insertions."""
+    groups: dict[tuple[str, str, int], dict[str, Insertion]] = {}
+    for fold in job.folds:
+        for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
+            for one in insertions:
+                group = (role, one.medium, count_layers(one, job.record.layer_count_rule))
+                groups.setdefault(group, {})[one.id] = one
     rows = []
-    for group in {**ours, **others}:
-        members = ours.get(group) or others[group]
+    for group, members in groups.items():
         row: Row = dict(zip(("role", "medium", "layers"), group, strict=True))
-        row |= {"insertions": len(ours.get(group, {})), "insertions_other": len(others.get(group, {}))}
+        row["insertions"] = len(members)
         for name in ("depth", "deflection"):
             values = [getattr(one, name) for one in members.values()]
             row |= {f"{name}_min_mm": min(values), f"{name}_max_mm": max(values)}
