@@ -26,7 +26,8 @@ from needlefit.inference.predict import Draws
 from needlefit.project.random_streams import random_stream
 from needlefit.studies.job import prepare
 from needlefit.studies.kinds.cross_validation.run import Settings, run
-from needlefit.studies.needle_placement import place_needles, read_needles
+from needlefit.studies.needle_placement import place_needles
+from needlefit.studies.needles_in_scan import read_needles
 from needlefit.studies.slicer import write_needles
 
 __all__ = ["project"]  # a fixture

@@ -12,7 +12,8 @@ from needlefit.errors import ConfigError
 from needlefit.inference.compared_points import select_points
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
-from needlefit.studies.needle_placement import NEEDLE_POINTS, read_needles
+from needlefit.studies.needle_placement import NEEDLE_POINTS
+from needlefit.studies.needles_in_scan import read_needles
 from needlefit.viewer.export import replay_to_end
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.recording import RecordedStep, RecordingWriter, read_recording

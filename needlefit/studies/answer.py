@@ -42,7 +42,7 @@ class FaultKind(StrEnum):
 
 
 @dataclass(frozen=True)
-class Fault:
+class RunFault:
     """Something in a result that is not to be trusted."""
 
     kind: FaultKind

@@ -1,16 +1,14 @@
-"""Measured and fitted needles in the scan's coordinates, with 95 % bands: as records and as a table.
+"""Place measured and fitted needles in the coordinates of their scan, with 95 % bands.
 
 The band of a held-out needle is where it was predicted to be measured; without a prediction there is none.
 That of a needle that was fitted to is the central 95 % of the needles of certified draws of the posterior:
 neither the noise of the measured points nor what the model misses is in it.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion, TipTrack
@@ -24,35 +22,11 @@ from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
 from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
-from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.job import Fold
+from needlefit.studies.needles_in_scan import Band, NeedleInScan
 
 NEEDLE_POINTS = 51  # points of a fitted needle and of its band
 BAND_PERCENTILES = (2.5, 50.0, 97.5)
-
-
-@dataclass(frozen=True)
-class Band:
-    """The central 95 % band across a needle, in its bending plane; (K, 3) each, LPS, mm."""
-
-    low: Floats
-    middle: Floats
-    high: Floats
-    source: Literal["predicted", "posterior"]  #: of a held-out needle what was predicted to be measured
-
-
-@dataclass(frozen=True)
-class NeedleInScan:
-    """One insertion in the patient coordinates of its scan, LPS, mm."""
-
-    insertion: str
-    fold: str
-    role: str  # "validate" where the fit never saw it, else "tune"
-    measured: Floats  # (N, 3); the centreline, entry first
-    toward: Floats  # (3,); unit vector across the entry, in the bending plane
-    diameter: float  # of the needle as it is drawn
-    fitted: Floats | None = None  # (K, 3); in the bending plane; None where the solve failed
-    band: Band | None = None  # None where no draws are certified, or none of them has a solution
 
 
 def place_needles(
@@ -155,44 +129,3 @@ def _place_band_of_draws(
         for y in np.percentile(heights, BAND_PERCENTILES, axis=0)
     )
     return Band(low, middle, high, "posterior")
-
-
-def tabulate_needles(needles: Iterable[NeedleInScan]) -> pd.DataFrame:
-    """Return needles point by point: columns `fit_frames.COLUMNS["needles"]`."""
-    rows = []
-    for one in needles:
-        band = one.band
-        about = (one.fold, one.role, one.insertion, one.diameter, band.source if band else "")
-        curves = {"measured": one.measured, "toward": one.toward[None]}
-        curves |= {} if one.fitted is None else {"fitted": one.fitted}
-        curves |= {} if band is None else {"low": band.low, "middle": band.middle, "high": band.high}
-        rows += [
-            (*about, curve, j, *point)
-            for curve, points in curves.items()
-            for j, point in enumerate(points.tolist())
-        ]
-    return pd.DataFrame(rows, columns=list(COLUMNS["needles"]))
-
-
-def read_needles(frame: pd.DataFrame) -> dict[str, NeedleInScan]:
-    """Return the needles that `tabulate_needles` tabulated, by insertion."""
-    found = {}
-    for name, rows in frame.groupby("insertion", sort=False):
-        curves = {
-            str(curve): points[["x_mm", "y_mm", "z_mm"]].to_numpy(dtype=np.float64)
-            for curve, points in rows.groupby("curve", sort=False)
-        }
-        first, band = rows.iloc[0], None
-        if "middle" in curves:
-            band = Band(curves["low"], curves["middle"], curves["high"], first["band_source"])
-        found[str(name)] = NeedleInScan(
-            str(name),
-            str(first["fold"]),
-            str(first["role"]),
-            measured=curves["measured"],
-            toward=curves["toward"][0],
-            diameter=float(first["diameter_mm"]),
-            fitted=curves.get("fitted"),
-            band=band,
-        )
-    return found

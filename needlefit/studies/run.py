@@ -10,7 +10,7 @@ import pandas as pd
 
 from needlefit.errors import ConfigError
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.studies.answer import Answer, Fault, Verdict, worst_status
+from needlefit.studies.answer import Answer, RunFault, Verdict, worst_status
 from needlefit.studies.kind import find_kind
 
 Given = ParamSpec("Given")
@@ -36,7 +36,7 @@ def once_per_run(
     return find
 
 
-def mark_faults(faults: Sequence[Fault]) -> str:
+def mark_faults(faults: Sequence[RunFault]) -> str:
     """Return the headlines of faults, each once, as sentences that stand before a result; "" without any."""
     kinds = dict.fromkeys(one.kind for one in faults)
     return "".join(f"{kind}. " for kind in kinds)
@@ -82,7 +82,7 @@ class Run:
         Seconds, jobs, paths.
     interrupted : bool
         Whether some of the work was left undone.
-    faults : tuple of Fault
+    faults : tuple of RunFault
         Why something in it is not to be trusted.
     posteriors : mapping
         Sampled posteriors, by name of the fit or fold.
@@ -97,7 +97,7 @@ class Run:
     run: dict[str, Any] = field(repr=False)
     timing: dict[str, Any] = field(repr=False)
     interrupted: bool = False
-    faults: tuple[Fault, ...] = ()
+    faults: tuple[RunFault, ...] = ()
     posteriors: Mapping[str, Posterior] = field(default_factory=dict, repr=False)
     #: what `once_per_run` keeps
     derived: dict[object, Any] = field(default_factory=dict, init=False, repr=False, compare=False)

@@ -31,7 +31,7 @@ from needlefit.project.json_values import to_json_values
 from needlefit.project.locate import PAPER_FITS, PAPER_STUDIES
 from needlefit.schemas.names import EXPECTED_FILE_NAME, file_name_fault
 from needlefit.schemas.result_files import RunTable, StoredRunTable, TimingTable
-from needlefit.studies.answer import Fault, FaultKind
+from needlefit.studies.answer import FaultKind, RunFault
 from needlefit.studies.kind import KINDS, find_kind
 from needlefit.studies.run import UNVERIFIED_KEY, Frames, Run
 
@@ -83,11 +83,11 @@ def restore_run(folder: Path, unverified: bool = False) -> Run:
             raise damage_error(folder / RESULTS_FILE, f"there is no kind of study called {table['kind']!r}")
         kind = find_kind(table["kind"])
         about: dict[str, Any] = {key: table[key] for key in _PLAIN}
-        faults = [Fault(FaultKind[one["kind"]], one["what"]) for one in table["faults"]]
+        faults = [RunFault(FaultKind[one["kind"]], one["what"]) for one in table["faults"]]
         if changes:
             about["run"] = {**about["run"], UNVERIFIED_KEY: list(changes)}
             what = f"does not agree with its manifest: {', '.join(changes)}"
-            faults.append(Fault(FaultKind.UNVERIFIED, what))
+            faults.append(RunFault(FaultKind.UNVERIFIED, what))
         frames: Frames = {name: _unpack_frame(frame) for name, frame in table["frames"].items()}
         for name, wanted in kind.frames.items():
             columns = frames.get(name, ())

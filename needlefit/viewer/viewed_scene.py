@@ -12,7 +12,7 @@ from needlefit.viewer.recording import make_head
 
 if TYPE_CHECKING:
     from needlefit.inference.forward_model import ParameterDraws
-    from needlefit.studies.answer import Fault
+    from needlefit.studies.answer import RunFault
     from needlefit.viewer.overlays import InsertionScan, MeasuredOverlay
 
 
@@ -37,7 +37,7 @@ class ViewedScene:
     #: insertions that can be shown instead: by name, with their titles
     choices: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[ResultWarning, ...] = ()  #: what is suspicious in the dataset or the run that it is from
-    faults: "tuple[Fault, ...]" = ()  #: why the run that it shows is not to be trusted
+    faults: "tuple[RunFault, ...]" = ()  #: why the run that it shows is not to be trusted
 
     @property
     def diameter(self) -> float:

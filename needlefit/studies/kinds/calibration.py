@@ -45,7 +45,7 @@ from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.limits import MAX_REPLICATES
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.studies import rank_statistics
-from needlefit.studies.answer import Answer, Fault, FaultKind, Status
+from needlefit.studies.answer import Answer, FaultKind, RunFault, Status
 from needlefit.studies.held_out_predictions import Specimens, predict_held_out
 from needlefit.studies.job import Fold, Inputs, Job, Settings, prepare
 from needlefit.studies.kind import StudyKind
@@ -569,13 +569,13 @@ def judge_ranks(frames: Mapping[str, pd.DataFrame], control: str | None) -> dict
     return outcome
 
 
-def list_faults(outcome: Mapping[str, Any]) -> Iterator[Fault]:
+def list_faults(outcome: Mapping[str, Any]) -> Iterator[RunFault]:
     """Yield what makes the outcome doubtful beside what the verdict states."""
     if outcome["untrusted"] and outcome["control"] is None:
-        yield Fault(FaultKind.NOT_CONVERGED, f"{outcome['untrusted']} posteriors have not converged")
+        yield RunFault(FaultKind.NOT_CONVERGED, f"{outcome['untrusted']} posteriors have not converged")
     if outcome.get("not_predicted"):
         what = f"{outcome['not_predicted']} held-out insertions could not be predicted"
-        yield Fault(FaultKind.INCOMPLETE, what)
+        yield RunFault(FaultKind.INCOMPLETE, what)
 
 
 # ---- the report

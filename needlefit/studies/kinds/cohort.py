@@ -45,7 +45,7 @@ from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord, LayerCountRule, SelectionRecord
-from needlefit.studies.answer import Answer, Fault, FaultKind
+from needlefit.studies.answer import Answer, FaultKind, RunFault
 from needlefit.studies.held_out_predictions import find_fit
 from needlefit.studies.job import Fold, Job, Settings, find_named, group_insertions, prepare
 from needlefit.studies.kind import StudyKind
@@ -247,14 +247,14 @@ def _fit_specimen(
     return rows, {"converged": converged, **{str(name): value for name, value in every.mean().items()}}
 
 
-def _conclude(frames: Frames) -> tuple[Fault, ...]:
+def _conclude(frames: Frames) -> tuple[RunFault, ...]:
     converged = frames["errors"]["converged"].astype(bool)
     if converged.empty:
         first = str(frames["failures"]["note"].iloc[0])
         raise ConfigError("nothing in the cohort could be fitted", expected=first)
     open_fits = int((~converged).sum())
     what = f"the searches of {open_fits} specimens did not converge"
-    return (Fault(FaultKind.NOT_CONVERGED, what),) if open_fits else ()
+    return (RunFault(FaultKind.NOT_CONVERGED, what),) if open_fits else ()
 
 
 # ---- the report

@@ -51,7 +51,7 @@ from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import SceneRecord
-from needlefit.studies.answer import Answer, Fault, Verdict, find_fault_kind
+from needlefit.studies.answer import Answer, RunFault, Verdict, find_fault_kind
 from needlefit.studies.coverage import estimate_width_after_one, measure_width, warn_if_too_wide
 from needlefit.studies.held_out_predictions import (
     PREDICTION_DRAWS,
@@ -437,7 +437,7 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
             "not_converged": list(draws.faults),
             **warnings_entry(warned),
         },
-        faults=tuple(Fault(find_fault_kind(draws), words) for words in draws.faults),
+        faults=tuple(RunFault(find_fault_kind(draws), words) for words in draws.faults),
     )
 
 

@@ -50,7 +50,7 @@ from needlefit.reporting.table_files import to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.recipe import RecipeRecord, TrackErrorsRecord
 from needlefit.schemas.tracks import TrackFitRecord, TrackStudyRecord
-from needlefit.studies.answer import STATUSES, Answer, Fault, Status, Verdict, find_fault_kind
+from needlefit.studies.answer import STATUSES, Answer, RunFault, Status, Verdict, find_fault_kind
 from needlefit.studies.coverage import warn_if_too_wide
 from needlefit.studies.fit_warnings import analysis_bound_warnings
 from needlefit.studies.held_out_predictions import PREDICTION_DRAWS
@@ -208,7 +208,7 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> Run:
         "coverage": tabulate_coverage(frames["runs"]),
     }
     faults = tuple(
-        Fault(find_fault_kind(one), f"{fit}: {why}") for fit, one in draws.items() for why in one.faults
+        RunFault(find_fault_kind(one), f"{fit}: {why}") for fit, one in draws.items() for why in one.faults
     )
     warned = _find_warnings(name, record, tasks, frames, settings.place("fits"))
     return Run(

@@ -42,7 +42,7 @@ from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import compute_beside, stop_requested
 from needlefit.reporting.number_format import format_bare_symbol, format_quantity
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.studies.answer import Fault, FaultKind, find_fault_kind
+from needlefit.studies.answer import FaultKind, RunFault, find_fault_kind
 from needlefit.studies.explorer import describe_insertions
 from needlefit.studies.fit_frames import COLUMNS as FRAMES
 from needlefit.studies.fit_frames import MEDIAN_METHOD, TUNED_SPECIMENS
@@ -63,7 +63,8 @@ from needlefit.studies.identification import (
     reconcile_verdict,
 )
 from needlefit.studies.job import Fold, Job, Settings, prepare
-from needlefit.studies.needle_placement import NeedleInScan, place_needles, tabulate_needles
+from needlefit.studies.needle_placement import place_needles
+from needlefit.studies.needles_in_scan import NeedleInScan, tabulate_needles
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run
 from needlefit.studies.score import Predictor, Row, Scorer, make_predictors
@@ -145,7 +146,7 @@ def _find_truth(job: Job) -> dict[str, dict[str, float]]:
 
 def find_faults(
     errors: pd.DataFrame, search_faults: Mapping[str, Sequence[str]], not_converged: Sequence[str]
-) -> tuple[Fault, ...]:
+) -> tuple[RunFault, ...]:
     """Return what did not converge: scored simulations of the fit, its search (by fold), posteriors."""
     fitted = errors[errors["method"] == "fitted"]
     failed = int((~fitted["converged"].astype(bool)).sum())
@@ -155,7 +156,7 @@ def find_faults(
         fault if found == ["all"] else f"{', '.join(found)}: {fault}" for fault, found in folds.items()
     ]
     faults += [f"the posterior has not converged: {why}" for why in not_converged]
-    return tuple(Fault(FaultKind.NOT_CONVERGED, what) for what in faults)
+    return tuple(RunFault(FaultKind.NOT_CONVERGED, what) for what in faults)
 
 
 @dataclass(frozen=True)
@@ -183,7 +184,7 @@ class _StudyRun:
     posteriors: dict[str, Posterior] = field(default_factory=dict)
     #: by fold the parameters whose intervals by both samplers differ
     differing: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    uncertified: list[Fault] = field(default_factory=list)
+    uncertified: list[RunFault] = field(default_factory=list)
     search_faults: dict[str, list[str]] = field(default_factory=dict)
     counts: ValidityCounts = field(default_factory=ValidityCounts)
     needles: dict[str, NeedleInScan] = field(default_factory=dict)
@@ -438,7 +439,7 @@ class _StudyRun:
         about = {"fold": fold.name, **draws.describe()}
         if fold.name not in self.posteriors:
             kind = find_fault_kind(draws)
-            self.uncertified += [Fault(kind, f"the posterior: {why}") for why in draws.faults]
+            self.uncertified += [RunFault(kind, f"the posterior: {why}") for why in draws.faults]
         every = {TUNED_SPECIMENS: draws.thetas} | ({} if draws.faults else specimens.list_draws(draws.thetas))
         for specimen, thetas in every.items():
             where = about | {"specimen": specimen}

@@ -1,0 +1,76 @@
+"""Measured and fitted needles in the scan's coordinates, with 95 % bands: as records and as a table."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+
+from needlefit.arrays import Floats
+from needlefit.studies.fit_frames import COLUMNS
+
+
+@dataclass(frozen=True)
+class Band:
+    """The central 95 % band across a needle, in its bending plane; (K, 3) each, LPS, mm."""
+
+    low: Floats
+    middle: Floats
+    high: Floats
+    source: Literal["predicted", "posterior"]  #: of a held-out needle what was predicted to be measured
+
+
+@dataclass(frozen=True)
+class NeedleInScan:
+    """One insertion in the patient coordinates of its scan, LPS, mm."""
+
+    insertion: str
+    fold: str
+    role: str  # "validate" where the fit never saw it, else "tune"
+    measured: Floats  # (N, 3); the centreline, entry first
+    toward: Floats  # (3,); unit vector across the entry, in the bending plane
+    diameter: float  # of the needle as it is drawn
+    fitted: Floats | None = None  # (K, 3); in the bending plane; None where the solve failed
+    band: Band | None = None  # None where no draws are certified, or none of them has a solution
+
+
+def tabulate_needles(needles: Iterable[NeedleInScan]) -> pd.DataFrame:
+    """Return needles point by point: columns `fit_frames.COLUMNS["needles"]`."""
+    rows = []
+    for one in needles:
+        band = one.band
+        about = (one.fold, one.role, one.insertion, one.diameter, band.source if band else "")
+        curves = {"measured": one.measured, "toward": one.toward[None]}
+        curves |= {} if one.fitted is None else {"fitted": one.fitted}
+        curves |= {} if band is None else {"low": band.low, "middle": band.middle, "high": band.high}
+        rows += [
+            (*about, curve, j, *point)
+            for curve, points in curves.items()
+            for j, point in enumerate(points.tolist())
+        ]
+    return pd.DataFrame(rows, columns=list(COLUMNS["needles"]))
+
+
+def read_needles(frame: pd.DataFrame) -> dict[str, NeedleInScan]:
+    """Return the needles that `tabulate_needles` tabulated, by insertion."""
+    found = {}
+    for name, rows in frame.groupby("insertion", sort=False):
+        curves = {
+            str(curve): points[["x_mm", "y_mm", "z_mm"]].to_numpy(dtype=np.float64)
+            for curve, points in rows.groupby("curve", sort=False)
+        }
+        first, band = rows.iloc[0], None
+        if "middle" in curves:
+            band = Band(curves["low"], curves["middle"], curves["high"], first["band_source"])
+        found[str(name)] = NeedleInScan(
+            str(name),
+            str(first["fold"]),
+            str(first["role"]),
+            measured=curves["measured"],
+            toward=curves["toward"][0],
+            diameter=float(first["diameter_mm"]),
+            fitted=curves.get("fitted"),
+            band=band,
+        )
+    return found
