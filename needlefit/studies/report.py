@@ -134,7 +134,8 @@ def lay_out_checks(answer: Answer) -> TableLayout | None:
 
 def subtitle(result: Run) -> str:
     """Return what stands under the title: what was fitted and predicted; else the name and the question."""
-    return result.answer.about or f"{result.name}. {result.question or result.dataset_title}"
+    named = dict.fromkeys((result.name, result.question or result.dataset_title))
+    return result.answer.about or ". ".join(named)
 
 
 def compose_first_page(result: Run, picture: Block | None = None) -> list[Block]:
