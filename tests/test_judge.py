@@ -54,7 +54,7 @@ def test_the_verdict_states_what_it_is_made_of(fitted, straight, status):
     assert verdict.status == status
     assert verdict.numbers["te_mm"] == pytest.approx(fitted[0], abs=fitted[1] / 8)
     assert verdict.numbers["te_over_floor"] == pytest.approx(verdict.numbers["te_mm"] / 0.22)
-    assert verdict.numbers["baseline"] == "straight"
+    assert verdict.numbers["baseline"] == "straight" and verdict.numbers["paper_te_mm"] == 2.19
     assert verdict.numbers["baseline_te_mm"] == pytest.approx(straight[0], abs=straight[1] / 8)
 
 

@@ -225,6 +225,10 @@ def find_answer(results: Run) -> Answer:
         verdicts = [Verdict(TEXT.sentence("fitted", words), status, "", numbers)]
         tables = [fit_tables.lay_out_parameters(results)]
     else:
+        if (
+            len(groups := scores.list_held_out_groups(results)) == 1
+        ):  # all insertions are those of the paper's row
+            numbers["paper_te_mm"] = groups[0].get(scores.TE, "paper")
         verdicts = [Verdict(TEXT.sentence("predicted", words), STATUS[judged.outcome], "", numbers)]
         verdicts += _judge_groups(results, words)
         tables = [fit_tables.lay_out_summary(results)]
