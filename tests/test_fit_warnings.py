@@ -17,6 +17,7 @@ from test_datasets import CURVE, record, row
 import needlefit
 from needlefit.datasets.read import read
 from needlefit.datasets.write import write_dataset
+from needlefit.errors import ConfigError
 from needlefit.inference.predict import Draws
 from needlefit.project.help_pages import TROUBLESHOOTING_PAGE, read_sections
 from needlefit.project.result_warnings import ResultWarning
@@ -117,10 +118,13 @@ def test_specimens_on_both_sides_are_named_unless_the_study_leaves_specimens_out
     (warning,) = shared(**first, validate=[{"insertions": ["b", "c"]}])
     assert "(x)" in warning
     assert shared(**first, validate=[{"insertions": ["c"]}]) == []
-    (copied,) = shared(**first, validate=[{"insertions": ["c", "d"]}])
-    assert "d, " in copied and "(x)" not in copied
-    assert shared(tune={"insertions": ["a", "b", "c"]}, leave_out="specimen") == []
-    assert len(shared(leave_out="insertion")) == 1
+    kept = {"tune": {"insertions": ["a", "b", "c"]}}
+    assert shared(**kept, leave_out="specimen") == []
+    assert len(shared(**kept, leave_out="insertion")) == 1
+    for copied in ({**first, "validate": [{"insertions": ["c", "d"]}]}, {"leave_out": "insertion"}):
+        with pytest.raises(ConfigError) as caught:
+            shared(**copied)
+        assert all(name in str(caught.value) for name in ("a", "d")) and caught.value.key == "validate"
 
 
 GEL = """

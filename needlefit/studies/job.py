@@ -54,14 +54,14 @@ class Fold:
 def make_folds(record: FitRecord | StudyRecord, dataset: Dataset) -> tuple[Fold, ...]:
     """Return the folds of a study, or the single fold of a fit, which scores nothing.
 
-    Raises ConfigError if a selection matches nothing, an insertion stands on both sides, or there is nothing
-    to leave out.
+    Raises ConfigError if a selection matches nothing, an insertion or a copy of it stands on both sides, or
+    there is nothing to leave out.
     """
     tune = select_insertions(dataset, record.tune, record.layer_count_rule)
     if not isinstance(record, StudyRecord):
         return (Fold("all", tune, ()),)
     if record.leave_out is not None:
-        return leave_out(tune, record.leave_out)
+        return tuple(map(_require_no_copies, leave_out(tune, record.leave_out)))
     validate: dict[str, Insertion] = {}
     for n, selection in enumerate(record.validate_, start=1):
         chosen = select_insertions(dataset, selection, record.layer_count_rule, f"validate.{n}")
@@ -74,7 +74,21 @@ def make_folds(record: FitRecord | StudyRecord, dataset: Dataset) -> tuple[Fold,
             fix="narrow [tune] or [[validate]]",
             key="validate",
         )
-    return (Fold("all", tune, tuple(validate.values())),)
+    return (_require_no_copies(Fold("all", tune, tuple(validate.values()))),)
+
+
+def _require_no_copies(fold: Fold) -> Fold:
+    """Return a fold; ConfigError if it holds out a copy of an insertion fitted to: it tests nothing."""
+    pairs = ((one, other) for one in fold.validate for other in fold.tune if is_copy(one, other))
+    if found := next(pairs, None):
+        one, other = found
+        raise ConfigError(
+            f"{one.id} is held out, and is a copy of {other.id}, which is fitted to",
+            expected="an insertion of its own: errors on a copy are those of the fit",
+            fix=f"remove {one.id} from the dataset, or restore its own file",
+            key="validate",
+        )
+    return fold
 
 
 def warn_shared_specimens(name: str, folds: Iterable[Fold], where: str = "") -> list[ResultWarning]:
@@ -86,8 +100,6 @@ def warn_shared_specimens(name: str, folds: Iterable[Fold], where: str = "") -> 
     for fold in folds:
         held = {one.specimen for one in fold.validate}
         shared |= dict.fromkeys(one.specimen for one in fold.tune if one.specimen in held)
-        copies = (one for one in fold.validate if any(is_copy(one, other) for other in fold.tune))
-        shared |= dict.fromkeys(f"{one.id}, a copy of one fitted to" for one in copies)
     if not shared:
         return []
     named = join_names(list(shared), MAX_NAMED_SPECIMENS)
