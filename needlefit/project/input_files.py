@@ -106,10 +106,23 @@ def read_toml(path: Path, error: FileErrorType = ConfigError, where: str = "") -
     return parse_toml(read_text(path, MAX_CONFIG_BYTES, error, where), where or str(path), error)
 
 
+MAX_NESTING = 50  #: tables and lists within each other; no file of ours has more than eight
+
+
+def _list_members(value: object) -> list[Any]:
+    return [*value.values()] if isinstance(value, dict) else value if isinstance(value, list) else []
+
+
 def parse_toml(text: str, where: str, error: FileErrorType = ConfigError) -> dict[str, Any]:
     """Return the tables of a TOML text; `where` and else as `read_toml`."""
     try:
-        return tomllib.loads(text)
+        tables = tomllib.loads(text)
+        level: list[Any] = [tables]
+        for _ in range(MAX_NESTING):
+            level = [inner for one in level for inner in _list_members(one)]
+        if level:
+            raise ValueError(f"nested more than {MAX_NESTING} deep")
+        return tables
     except (RecursionError, ValueError) as fault:
         raise error(
             f"is not valid TOML: {fault}",
