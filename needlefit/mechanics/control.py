@@ -159,7 +159,7 @@ class Controls:
 
     @property
     def base(self) -> tuple[float, ...]:
-        """What is said of base and stage: the values of `BASE_INPUTS`."""
+        """The state of base and stage: the values of `BASE_INPUTS`."""
         return (
             self.base_y, self.base_slope, self.stage_slope, self.base_z, self.base_slope_z, self.stage_slope_z
         )  # fmt: skip

@@ -17,6 +17,7 @@ from needlefit.studies.fit_figures import draw_errors
 from needlefit.studies.fit_frames import FIT_KINDS
 from needlefit.studies.kind import find_kind
 from needlefit.studies.report import (
+    compose_first_figure,
     compose_warnings,
     label_figures,
     state_blocks,
@@ -63,17 +64,13 @@ def write_combined(runs: Sequence[Run], folder: Path) -> list[Path]:
 
 def _summarize_analysis(result: Run, folder: Path) -> list[Block]:
     """Return a result in short: what was asked, the answer, first figure; its own report has the rest."""
-    page, values = find_kind(result.kind).report, find_kind(result.kind).report.values(result)
     (folder / result.name).mkdir()
-    drawn, _ = page.draw(result, folder / result.name)
-    pictures = [
-        document.figure(path, page.text.sentence(f"figure_{name}", values)) for name, path in drawn.items()
-    ]
+    drawn, _ = find_kind(result.kind).report.draw(result, folder / result.name)
     return [
         document.heading(result.title),
         document.text(subtitle(result)),
         *(document.verdict(f"{one.sentence}.", one.status) for one in result.verdicts[:1]),
-        *pictures[:1],
+        *compose_first_figure(result, drawn),
     ]
 
 

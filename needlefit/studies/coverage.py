@@ -51,7 +51,7 @@ def tabulate_coverage(predictions: pd.DataFrame) -> Row:
     }
 
 
-#: width of the 95 % interval of a tip up to which it serves for aiming, whatever the deflection
+#: width of the 95 % interval of a tip up to which it serves for aiming, unless a recipe states another
 MAX_AIMING_WIDTH_MM = 2.0
 
 

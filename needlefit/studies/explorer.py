@@ -33,6 +33,7 @@ from needlefit.studies.fit_frames import (
     FIT_KINDS,
     NEW_SPECIMEN,
     TUNED_SPECIMENS,
+    find_scored_role,
     list_methods,
     select_draws,
     select_fitted,
@@ -127,7 +128,7 @@ def collect_explorer(results: Run) -> PageData | None:
     if results.kind not in FIT_KINDS or not kernel_exists():
         return None
     errors = results.frames["errors"]
-    scored = select_fitted(errors, "validate" if (errors["role"] == "validate").any() else "tune")
+    scored = select_fitted(errors, find_scored_role(errors))
     stored = results.run.get(INSERTIONS_KEY, {})
     rows = [row for row in to_records(scored) if row["converged"] and row["insertion"] in stored]
     if not rows:

@@ -151,6 +151,11 @@ def select_draws(
     return found
 
 
+def find_scored_role(errors: pd.DataFrame) -> str:
+    """Return the role that is scored: "validate", or "tune" for a fit without held-out insertions."""
+    return "validate" if (errors["role"] == "validate").any() else "tune"
+
+
 def select_fitted(frame: pd.DataFrame, role: str = "validate", method: str = "fitted") -> pd.DataFrame:
     """Return the rows of a method on the insertions of a role, with layers where they were measured."""
     return frame.query("role == @role and method == @method and boundaries == 'measured'")

@@ -17,7 +17,7 @@ import scipy
 from needlefit.inference.baselines import BASELINES
 from needlefit.project.result_warnings import read_warnings
 from needlefit.studies.answer import Check, Finding, Status
-from needlefit.studies.coverage import count_covered, median_width
+from needlefit.studies.coverage import MAX_AIMING_WIDTH_MM, count_covered, median_width
 from needlefit.studies.fit_frames import MEDIAN_METHOD
 from needlefit.studies.run import Run, once_per_run
 from needlefit.studies.scored_groups import TE, ScoredGroup, pool_insertions, select_group
@@ -28,7 +28,6 @@ MAX_NOISE_RATIO, FAR_NOISE_RATIO = 2.0, 5.0
 SIGNIFICANCE = 0.05
 MIN_COVERED_95, COVERED_50 = 0.9, (0.25, 0.75)  #: shares of tips in their intervals that pass
 MIN_TIPS_50 = 4  #: tips below which their share in 50 % intervals cannot be judged
-DEFAULT_AIMING_WIDTH_MM = 2.0  #: of runs whose recipe states none
 #: kinds of warnings that are about the computation or about single parameters, not about the data
 _OTHER_WARNINGS = ("validity", "samplers_differ")
 
@@ -50,7 +49,6 @@ class Judgement:
     noise_ratio: float | None  #: over that of the measurement noise; None where none is stated
     curve: str  #: the curve without mechanics that is closest, by its name; "" without any
     curve_mm: float | None
-    fits: int
 
 
 def choose_method(results: Run) -> str:
@@ -60,19 +58,19 @@ def choose_method(results: Run) -> str:
 
 def judge(results: Run, group: ScoredGroup) -> Judgement | None:
     """Judge the predictions of a group of insertions; None if no simulation of it converged."""
-    method, fits = choose_method(results), _count_fits(results)
+    method = choose_method(results)
     error = group.get(TE, method=method)
     if error is None:
         return None
     ratio, curve = group.over_floor(TE, method=method), find_closest_curve(group)
     nearest = None if curve is None else group.get(TE, method=curve)
-    if fits > 1:
+    if results.frames["errors"]["fold"].nunique() > 1:
         errors = select_group(results.frames["errors"], group)
         held = (errors["role"] == "validate") & (errors["boundaries"] == "measured")
         outcome = judge_fits(errors[held], method)
     else:
         outcome = describe_fit(error, ratio, nearest)
-    return Judgement(outcome, error, ratio, curve or "", nearest, fits)
+    return Judgement(outcome, error, ratio, curve or "", nearest)
 
 
 def describe_fit(error_mm: float, noise_ratio: float | None, curve_mm: float | None) -> Outcome:
@@ -177,7 +175,7 @@ def _check_intervals(predictive: pd.DataFrame, run: Mapping[str, Any]) -> Iterat
             passed = inside if found.trials >= MIN_TIPS_50 else None
             yield replace(one, passed=passed, threshold=found.trials / 2, beyond=_count_beyond(predictive))
     width, deflection = median_width(predictive), float(predictive["tip_measured_mm"].abs().median())
-    limit = float((run.get("recipe") or {}).get("aiming_width_mm", DEFAULT_AIMING_WIDTH_MM))
+    limit = float((run.get("recipe") or {}).get("aiming_width_mm", MAX_AIMING_WIDTH_MM))
     yield Finding(Check.WIDTH, width <= limit, width, limit, deflection_mm=deflection)
 
 
@@ -191,7 +189,3 @@ def _check_data(results: Run) -> Finding:
     kinds: Sequence[str] = list(dict.fromkeys(one.kind for one in read_warnings(results.run)))
     named = [kind for kind in kinds if kind not in _OTHER_WARNINGS]
     return Finding(Check.DATA, not named, len(named), 0, ", ".join(named))
-
-
-def _count_fits(results: Run) -> int:
-    return max(1, int(results.frames["errors"]["fold"].nunique()))

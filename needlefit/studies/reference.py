@@ -12,9 +12,8 @@ import pandas as pd
 
 from needlefit.project.folders import replace_folder
 from needlefit.reporting.table_files import to_tidy, write_csv, write_json
-from needlefit.studies.answer import tabulate_checks
 from needlefit.studies.fit_frames import FIT_KINDS
-from needlefit.studies.kind import find_kind
+from needlefit.studies.report import list_files
 from needlefit.studies.run import Run
 from needlefit.studies.validity import VALIDITY_KEY
 
@@ -53,8 +52,7 @@ REVIEWED_TABLES = {
 
 
 def _collect_frames(one: Run) -> Mapping[str, pd.DataFrame]:
-    files = {"checks": tabulate_checks(one.answer.checks), **find_kind(one.kind).report.files(one)}
-    tables = {name: file for name, file in files.items() if not isinstance(file, str)}
+    tables = {name: file for name, file in list_files(one).items() if not isinstance(file, str)}
     return {name: tables[name] for name in REVIEWED_TABLES.get(one.kind, tables) if name in tables}
 
 

@@ -138,7 +138,16 @@ def subtitle(result: Run) -> str:
     return result.answer.about or ". ".join(named)
 
 
-def compose_first_page(result: Run, picture: Block | None = None) -> list[Block]:
+def compose_first_figure(result: Run, figures: Mapping[str, Path]) -> list[Block]:
+    """Return the first of the figures with its caption; nothing without any."""
+    page = find_kind(result.kind).report
+    return [
+        document.figure(path, page.text.sentence(f"figure_{name}", page.values(result)))
+        for name, path in list(figures.items())[:1]
+    ]
+
+
+def compose_first_page(result: Run, pictures: Sequence[Block] = ()) -> list[Block]:
     """Return the first page: the answer, its table, its figure, the checks, what to do, what was determined.
 
     What must be read before any number stands first.
@@ -150,7 +159,7 @@ def compose_first_page(result: Run, picture: Block | None = None) -> list[Block]
         *state_blocks(result),
         *verdict,
         *(document.table(replace(one, notes=())) for one in answer.tables),
-        *([picture] if picture else []),
+        *pictures,
         *([document.table(checks)] if checks else []),
         *(document.paragraph(head, words) for head, words in ends if words),
         *(document.warning(f"{one.kind}: {one}.") for one in result.faults),
@@ -174,6 +183,11 @@ def write_run(result: Run, folder: Path, all_figures: bool = False) -> Path:
     return folder
 
 
+def list_files(result: Run) -> dict[str, pd.DataFrame | str]:
+    """Return the checks and the files of a result, as `StudyReport.files`."""
+    return {"checks": tabulate_checks(result.answer.checks), **find_kind(result.kind).report.files(result)}
+
+
 def write_files(result: Run, folder: Path, all_figures: bool = False) -> None:
     """Write the files of a result, as `write_run`, into a folder that takes the place of another."""
     from needlefit.reporting.figures.style import draw_together  # late: matplotlib takes its time to load
@@ -182,7 +196,7 @@ def write_files(result: Run, folder: Path, all_figures: bool = False) -> None:
     with draw_together() as begin_drawing:
         figures, left = page.draw(result, folder, all_figures)
         begin_drawing()
-        for name, file in {"checks": tabulate_checks(result.answer.checks), **page.files(result)}.items():
+        for name, file in list_files(result).items():
             if isinstance(file, str):
                 (folder / name).write_text(file, encoding="utf-8")
             elif name not in (*figures, *left) and len(file.columns):
@@ -218,18 +232,14 @@ def write_report(report: Document, folder: Path, name: str = "report") -> None:
 
 def compose_run_report(result: Run, figures: Mapping[str, Path], left: Sequence[str] = ()) -> Document:
     """Return the report: the first page, then everything else once; `left` are figures not drawn."""
-    page, values = find_kind(result.kind).report, find_kind(result.kind).report.values(result)
-    first = next(iter(figures), "")
+    page = find_kind(result.kind).report
     shown = {one.name for one in result.answer.tables}
-    picture = (
-        document.figure(figures[first], page.text.sentence(f"figure_{first}", values)) if first else None
-    )
     tables = [one for one in page.lay_out(result) if one.name not in shown]
-    further = {name: path for name, path in figures.items() if name != first}
+    further = dict(list(figures.items())[1:])
     blocks = [
-        *compose_first_page(result, picture),
+        *compose_first_page(result, compose_first_figure(result, figures)),
         document.page_break(),
-        *page.text.compose("report", values, tables, further),
+        *page.text.compose("report", page.values(result), tables, further),
         *compose_warnings(read_warnings(result.run)),
         *_run_blocks(result),
     ]

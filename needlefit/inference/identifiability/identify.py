@@ -35,7 +35,6 @@ from needlefit.inference.identifiability.directions import (
     NORMAL_95_HALF_WIDTH_SD,
     UNINFORMED_SD_RATIO,
     Direction,
-    describe_precision,
     is_determined_by_data,
     principal_directions,
 )
@@ -397,11 +396,6 @@ def assess_parameter(
         profile_verdict=_describe_profile(parameter, low, high),
         agreement="; ".join(_list_disagreements(parameter, sds, equal, by_profile)) or AGREEMENT,
     )
-
-
-def describe_posterior_sd(name: str, sd: float) -> str:
-    """Return in words how well a parameter is known, given the standard deviation of its coordinate."""
-    return describe_precision(sd, is_logarithmic(name)) if math.isfinite(sd) else "not at all"
 
 
 def _describe_profile(parameter: ParameterProfile, low: float, high: float) -> str:

@@ -11,7 +11,7 @@ const STRANGER = 4401; // closed by the server: it does not know the token
 let socket = null;
 let lastId = 0;
 let greeted = false; // whether the server has named the needle of this window
-let ended = null; // why the server ended the line, if it said so: {kind, what}
+let ended = null; // why the server ended the connection, if it gave a reason: {kind, what}
 let heard = Promise.resolve(); // messages are taken one after the other: a scene takes a while
 let sent = 0; // steps that were sent
 

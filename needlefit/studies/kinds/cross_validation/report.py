@@ -5,7 +5,7 @@ Tables are those of `studies/fit_tables.py`, figures of `studies/fit_figures.py`
 """
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
@@ -32,7 +32,7 @@ from needlefit.studies import fit_figures, fit_tables
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.answer import Answer, Check, Status, Verdict
 from needlefit.studies.fit_frames import COLUMNS as FRAMES
-from needlefit.studies.fit_frames import select_draws, select_free
+from needlefit.studies.fit_frames import find_scored_role, select_draws, select_free
 from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.identification_tables import lay_out_identification
 from needlefit.studies.judge import STATUS, Judgement, judge, list_checks
@@ -45,18 +45,13 @@ _ALGORITHMS = {"leastsquares": "nonlinear least squares with the exact Jacobian"
 _PACKAGES = {"python": "Python", "numpy": "NumPy", "scipy": "SciPy", "nlopt": "NLopt"}
 
 
-def find_scored_role(results: Run) -> str:
-    """Return the role that is scored: "validate", or "tune" for a fit without held-out insertions."""
-    return "validate" if (results.frames["errors"]["role"] == "validate").any() else "tune"
-
-
 # ---- what the text prints
 
 
 @once_per_run
 def collect_values(results: Run) -> dict[str, Any]:
     """Return what the text prints."""
-    run, frames, role = results.run, results.frames, find_scored_role(results)
+    run, frames, role = results.run, results.frames, find_scored_role(results.frames["errors"])
     folds = list(run.get("folds", ()))
     counts = sorted(len(fold["tune"]) for fold in folds)
     certified = frames["draws"]["certified"].astype(bool).all()
@@ -145,11 +140,6 @@ def _describe_draws(frames: Mapping[str, pd.DataFrame]) -> Row:
     }
 
 
-def _name(rows: Iterable[Row]) -> list[str]:
-    """Return the parameters of some rows, each once."""
-    return list(dict.fromkeys(str(row["parameter"]) for row in rows))
-
-
 def _group_ties(
     parameters: Mapping[str, Mapping[str, Any]], exact_alone: bool
 ) -> list[tuple[float | None, list[Row]]]:
@@ -206,7 +196,7 @@ def _describe_methods(results: Run, by_metric: bool) -> Row:
 
 def find_answer(results: Run) -> Answer:
     """Return the parts of the first page; of a study the verdict on each held-out group follows the first."""
-    role, values = find_scored_role(results), collect_values(results)
+    role, values = find_scored_role(results.frames["errors"]), collect_values(results)
     checks, group = list_checks(results, role), scores.pool_insertions(results, role)
     judged = None if group is None else judge(results, group)
     if group is None or judged is None:
@@ -225,9 +215,8 @@ def find_answer(results: Run) -> Answer:
         verdicts = [Verdict(TEXT.sentence("fitted", words), status, "", numbers)]
         tables = [fit_tables.lay_out_parameters(results)]
     else:
-        if (
-            len(groups := scores.list_held_out_groups(results)) == 1
-        ):  # all insertions are those of the paper's row
+        groups = scores.list_held_out_groups(results)
+        if len(groups) == 1:  # all insertions are those of the paper's row
             numbers["paper_te_mm"] = groups[0].get(scores.TE, "paper")
         verdicts = [Verdict(TEXT.sentence("predicted", words), STATUS[judged.outcome], "", numbers)]
         verdicts += _judge_groups(results, words)
@@ -303,7 +292,7 @@ def _list_determined(results: Run) -> list[tuple[str, list[str]]]:
 
 def lay_out_tables(results: Run) -> list[TableLayout]:
     """Return every table of a report, each once."""
-    role, frames = find_scored_role(results), results.frames
+    role, frames = find_scored_role(results.frames["errors"]), results.frames
     (_, _, validation), (_, _, tuning), (_, _, parameters) = _lay_out_own_files(results)
     identification = frames["identification"]
     found = [
@@ -330,7 +319,7 @@ def _lay_out_own_files(result: Run) -> list[tuple[str, pd.DataFrame, list[TableL
 
 def list_figures(results: Run) -> dict[str, Drawing]:
     """Return what the tables allow to be drawn."""
-    role, frames = find_scored_role(results), results.frames
+    role, frames = find_scored_role(results.frames["errors"]), results.frames
     found: dict[str, Drawing] = {}
     both = [frames[name] for name in ("errors", "shapes")]
     if all(((one["role"] == role) & (one["method"] == "fitted")).any() for one in both):
