@@ -98,11 +98,12 @@ class StudyReport:
         return write_run(result, folder)
 
     def format_notebook_html(self, result: Run) -> str:
-        """Return what a notebook shows of a run: its first page, then its tables."""
+        """Return what a notebook shows of a run: its first page, then its tables and warnings."""
         shown = [table.name for table in result.answer.tables]
         blocks = compose_first_page(result)
         if not result.interrupted:  # of an interrupted one only what is finished is laid out
             blocks += [document.table(one) for one in self.lay_out(result) if one.name not in shown]
+        blocks += compose_warnings(read_warnings(result.run), linked=False)
         marked = bool(result.unverified)
         return document.format_html_part(
             Document(result.title, subtitle(result), result.synthetic, tuple(blocks), unverified=marked)
