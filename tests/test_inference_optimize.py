@@ -18,7 +18,7 @@ from inference_cases import (
 )
 from refusals import refusal
 
-from needlefit.errors import ConfigError, FitError, ModelError
+from needlefit.errors import ConfigError, FitError, ModelError, NeedlefitError
 from needlefit.inference.fit import (
     Callbacks,
     ObjectiveFunction,
@@ -33,6 +33,7 @@ from needlefit.inference.optimize import (
     starting_points,
 )
 from needlefit.inference.problem import explain_failure
+from needlefit.mechanics import native
 
 
 def bowl(theta):
@@ -161,6 +162,17 @@ def half(theta):
     if theta[0] < -1:
         raise ModelError("the needle is too short", expected="a longer one")
     return math.nan if theta[0] < 0 else float(np.sum((theta - 0.3) ** 2))
+
+
+def test_a_kernel_that_cannot_be_loaded_ends_a_search(monkeypatch):
+    def load_library():
+        raise NeedlefitError("the sources of the kernel are newer than its library")
+
+    p = violent()
+    monkeypatch.setattr(native, "load_library", load_library)
+    with pytest.raises(NeedlefitError) as raised:
+        minimize(p, recipe(evaluations=60), rng())
+    assert type(raised.value) is NeedlefitError
 
 
 def violent():

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.errors import FitError, NeedlefitError
+from needlefit.errors import FitError, ModelError
 from needlefit.project.checkpoint import Checkpoint
 from needlefit.project.progress import never_stop
 from needlefit.schemas.recipe import ObjectiveName
@@ -173,7 +173,7 @@ class ObjectiveFunction:
 Value = TypeVar("Value")
 
 #: exceptions that count as a failed evaluation; any other one is a bug and ends the search
-EVALUATION_ERRORS = (NeedlefitError, ArithmeticError, np.linalg.LinAlgError)
+EVALUATION_ERRORS = (ModelError, ArithmeticError, np.linalg.LinAlgError)
 #: failed points that one start, or one ensemble of the sampler, keeps; the others are only counted
 MAX_FAILED_POINTS = 20
 
