@@ -402,7 +402,8 @@ struct Insertion {
     template <bool Friction, class Keep>
     INLINE void sweep(const Node<Vector>* state, Index condensed, Seen<Real>& seen, Keep keep) {
         Carried<Vector> carried;
-        auto pass = [&](const Element<Vector>& k, const Rubbing<Real>* rubbing, const Real& length, Index node) {
+        auto pass = [&](const Element<Vector>& k, const Rubbing<Real>* rubbing, const Real& length,
+                        Index node) __attribute__((always_inline)) {
             eliminate(carried, k, P == 1 ? rubbing : nullptr, length, kinds[node], values[node], factors[node]);
         };
         Rubbing<Real> rubbing;
