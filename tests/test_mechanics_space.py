@@ -162,6 +162,24 @@ def test_derivatives_of_points_are_those_of_the_points() -> None:
 
 
 @pytest.mark.parametrize("kind", RULES)
+@pytest.mark.parametrize(("name", "value"), [("roll", 0.3), ("base_z", 0.1), ("base_slope_z", 1e-3)])
+def test_sets_of_one_insertion_differ_by_roll_and_base(name: str, value: float, kind: str) -> None:
+    needle, tissue, steps, rules, _ = random_case(np.random.default_rng(2), kind, 3, 9.0)
+    values = value + 1e-4 * np.array([-1.0, 0.0, 1.0])
+    strength = "cut_angle" if kind == "path_angle" else "offset"
+    of_sets = {name: values, strength: np.full(3, getattr(steps[0].bevel, strength))}
+    batch = Batch(needle, tissue, steps, replace(rules, tolerance=FINE), **of_sets)
+    ((shapes, jacobians),) = linearize_batches([batch], (strength, name))
+    for i in range(len(batch)):
+        one, by = linearize_steps(*batch.pick(i), wrt=(strength, name))
+        assert_close(shapes[i], one, 1e-9)
+        np.testing.assert_allclose(jacobians.u[:, i], by.u, rtol=1e-6, atol=1e-8)
+    differences = (shapes.w[2] - shapes.w[0]) / 2e-4
+    column = jacobians.names.index(name)
+    np.testing.assert_allclose(jacobians.u[1, 1, :, column], differences, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", RULES)
 @pytest.mark.parametrize("seed", range(4))
 def test_a_session_finds_the_bits_of_simulate_steps(seed: int, kind: str) -> None:
     needle, tissue, steps, rules, lattice = random_spatial_case(np.random.default_rng(seed), kind)

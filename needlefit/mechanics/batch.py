@@ -3,8 +3,9 @@
 Vector instructions serve the sets of one insertion, threads different insertions.
 """
 
+import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import InitVar, dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 from typing import Any, Self
@@ -69,6 +70,10 @@ class Batch:
     #: base_y, base_slope: (B,) of the base in every step, mm and 1
     base_y: Floats | None = None
     base_slope: Floats | None = None
+    #: base_z, base_slope_z: (B,) as these, out of the plane; with one of them or `roll` sets are in space
+    base_z: Floats | None = None
+    base_slope_z: Floats | None = None
+    roll: Floats | None = None  #: (B,) rad, added to the roll of every bevel
     guide_x: Floats | None = None  #: (B,) where the one guide before the tissue stands, mm; there must be one
     alpha: InitVar[Floats | None] = None  #: (B, n) in place of `shape`, of a law whose one parameter is alpha
     #: the insertion as the kernel reads it, by kinds of derivatives; filled when it is first used
@@ -138,6 +143,10 @@ class Batch:
     def pick(self, i: int) -> tuple[Needle, Tissue, tuple[Step, ...], ModelOptions]:
         """Return set i as the arguments of `simulate.simulate_steps`."""
         needle, steps = self.vary_inputs(i)
+        if self.roll is not None:
+            roll_deg = math.degrees(float(self.roll[i]))
+            bevels = [replace(one.bevel, roll_deg=one.bevel.roll_deg + roll_deg) for one in steps]
+            steps = tuple(replace(one, bevel=bevel) for one, bevel in zip(steps, bevels, strict=True))
         tissue = replace(
             self.tissue,
             mu=self.tissue.mu if self.mu is None else self.mu[i],
@@ -146,7 +155,7 @@ class Batch:
         return needle, tissue, steps, self.rules
 
     def vary_inputs(self, i: int) -> tuple[Needle, tuple[Step, ...]]:
-        """Return needle and steps with the parameters of set i."""
+        """Return needle and steps with the parameters of set i, but for the roll."""
 
         def choose(name: str, default: float) -> float:
             values = getattr(self, name)
@@ -154,9 +163,9 @@ class Batch:
 
         steps = []
         for step in self.steps:
-            base_y = choose("base_y", step.controls.base_y)
-            base_slope = choose("base_slope", step.controls.base_slope)
-            controls = replace(step.controls, base_y=base_y, base_slope=base_slope)
+            names = "base_y", "base_slope", "base_z", "base_slope_z"
+            base: dict[str, Any] = {name: choose(name, getattr(step.controls, name)) for name in names}
+            controls = replace(step.controls, **base)
             if self.guide_x is not None:
                 (guide,) = step.controls.before
                 shifted_guide = replace(guide, x=float(self.guide_x[i]))
@@ -372,16 +381,23 @@ def differentiate_batch_positions(shapes: NeedleShapes, jacobians: Jacobians, s:
     return native.compute_position_derivatives(shapes.x, *list_planes(shapes), s, *by)
 
 
-def find_columns(wrt: tuple[str, ...], tissue: Tissue, steps: Sequence[Step], rules: ModelOptions) -> Columns:
+def find_columns(
+    wrt: tuple[str, ...],
+    tissue: Tissue,
+    steps: Sequence[Step],
+    rules: ModelOptions,
+    values: Iterable[str] = (),
+) -> Columns:
     """Return the columns of the derivatives of an insertion by kinds of parameters.
 
-    These are of `DERIVATIVE_KINDS` and `SPATIAL_DERIVATIVE_KINDS`; `steps` have the roll of the tip.
+    These are of `DERIVATIVE_KINDS` and `SPATIAL_DERIVATIVE_KINDS`; `steps` have the roll of the tip, and
+    `values` are the names of what differs between sets.
 
     Raises ModelError if there is no such kind of parameter.
     """
     guide_depths = sorted({guide.x for step in steps for guide in step.controls.guides})  # from the base on
     spatial = any(kind in SPATIAL_DERIVATIVE_KINDS for kind in wrt)
-    planes = 2 if spatial else count_planes(steps)
+    planes = 2 if spatial else count_planes(steps, values)
     return _make_columns(wrt, tissue.law, tissue.layers, tuple(guide_depths), rules.path_angle, planes)
 
 
@@ -501,7 +517,7 @@ def _evaluate(batch: Batch, wrt: tuple[str, ...] | None) -> Evaluation:
         if wrt is not None and "rigidity" in wrt:
             require_roll_of_one_rigidity(batch.tissue, steps)
         steps = turn_tip(batch.needle, batch.tissue, steps)
-        columns = None if wrt is None else find_columns(wrt, batch.tissue, steps, batch.rules)
+        columns = None if wrt is None else find_columns(wrt, batch.tissue, steps, batch.rules, values)
         batch.prepared[wrt] = PreparedInsertion(
             batch.needle, batch.tissue, steps, batch.rules, columns=columns
         )
@@ -514,6 +530,9 @@ def _evaluate(batch: Batch, wrt: tuple[str, ...] | None) -> Evaluation:
             "cut_angle": step.bevel.cut_angle,
             "base_y": step.controls.base_y,
             "base_slope": step.controls.base_slope,
+            "base_z": step.controls.base_z,
+            "base_slope_z": step.controls.base_slope_z,
+            "roll": 0.0,
             "guide_x": step.controls.guides[0].x if "guide_x" in values else 0.0,
             "mu": batch.tissue.mu,
             "shape": batch.tissue.shape,

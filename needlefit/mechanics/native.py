@@ -67,7 +67,7 @@ _ARRAYS: dict[str, tuple[Any, tuple[str | int, ...]]] = {
     "within": (float, ("any", "guide_size")),
     "held_tip": (float, ("inputs", "planes", 2)),
     "guide_x": (float, ("sets",)),
-    "turn_by": (float, ("bevels", "planes")),
+    "turn_by": (float, ("bevels", "sets", "planes")),
     "column_of": (np.int64, (13,)),
     "guide_columns": (np.int64, ("any", "guide_size")),
 }  #: type and shape of each array

@@ -10,7 +10,7 @@ is compressed further is over-compressed.
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import lru_cache
@@ -202,9 +202,18 @@ def pack_plan(stops: Sequence[TipStop]) -> PackedStops:
     return PackedStops(packed, bevels, controls, stops[-1], 1 + max(0, *(stop.ray for stop in stops)))
 
 
-def count_planes(steps: Sequence[Step]) -> int:
-    """Return the planes in which a needle bends: 1 where all inputs lie in z = 0, else 2."""
-    return 1 if all(step.planar for step in steps) else 2
+#: what a set of `batch.Batch` may give of the base: its plane, and its place in `Controls.base`
+_BASE_VALUES = ("base_y", 0, 0), ("base_slope", 0, 1), ("base_z", 1, 0), ("base_slope_z", 1, 1)
+#: those values of a set that take a needle out of its plane
+SPATIAL_VALUES = frozenset({"roll", "base_z", "base_slope_z"})
+
+
+def count_planes(steps: Sequence[Step], values: Iterable[str] = ()) -> int:
+    """Return the planes in which a needle bends: 1 where all inputs lie in z = 0, else 2.
+
+    `values` are the names of what differs between sets.
+    """
+    return 1 if SPATIAL_VALUES.isdisjoint(values) and all(step.planar for step in steps) else 2
 
 
 def compute_turn(bevel: Bevel, rules: ModelOptions) -> tuple[float, float]:
@@ -296,29 +305,27 @@ def pack_problem(
     """
     values = values or {}
     if planes is None:
-        planes = columns.planes if columns else count_planes(steps)
+        planes = columns.planes if columns else count_planes(steps, values)
     bevels = [steps[i].bevel for i in packed.bevels]
     controls = [steps[i].controls for i in packed.controls]
     given = values.get("cut_angle" if rules.path_angle else "offset")
-    # derivatives of the slopes that each bevel adds to the cut, by the bevel's strength
-    lengths = [rules.bevel_strength(bevel)[1] for bevel in bevels]
-    turn_by = [
-        [part / length for part in bevel.toward[:planes]]
-        for bevel, length in zip(bevels, lengths, strict=True)
-    ]
-    turn = np.empty((len(bevels), sets, planes))
+    # the slopes that each bevel adds to the cut, and their derivatives by the bevel's strength
+    turn, turn_by = (np.empty((len(bevels), sets, planes)) for _ in range(2))
     for i, bevel in enumerate(bevels):
-        if given is None:
-            turn[i] = compute_turn(bevel, rules)[:planes]
-        else:
-            for plane, per_strength in enumerate(turn_by[i]):
-                turn[i, :, plane] = per_strength * given
+        toward: tuple[float | Floats, float | Floats] = bevel.toward
+        strength, length = rules.bevel_strength(bevel)
+        if "roll" in values:
+            c, s = np.cos(values["roll"]), np.sin(values["roll"])
+            toward = toward[0] * c - toward[1] * s, toward[0] * s + toward[1] * c
+        for plane, part in enumerate(toward[:planes]):
+            turn_by[i, :, plane] = part / length
+            turn[i, :, plane] = part * strength / length if given is None else turn_by[i, :, plane] * given
     base = np.empty((len(controls), sets, planes, 3))
     for i, one in enumerate(controls):
         base[i].reshape(sets, 3 * planes)[:] = one.base[: 3 * planes]
-        for place, name in enumerate(("base_y", "base_slope")):
+        for name, plane, place in _BASE_VALUES:
             if name in values:
-                base[i, :, 0, place] = values[name]
+                base[i, :, plane, place] = values[name]
     of_layers, of_sets = pack_layers(tissue, sets, values)
     rigidity = values.get("rigidity")
     of_sets |= {
@@ -328,6 +335,8 @@ def pack_problem(
     }
     if "guide_x" in values:
         of_sets["guide_x"] = values["guide_x"]
+    if columns is not None and columns.total:
+        of_sets["turn_by"] = turn_by
     if columns is not None and columns.first[native.SHAPE_COLUMN] >= 0:
         by = differentiate_law(tissue.law, values.get("shape", tissue.shape))
         size = sets, tissue.layers, len(tissue.shape), of_layers["numbers"]
@@ -346,7 +355,7 @@ def pack_problem(
     }
     if columns is not None and columns.total:
         rows = [columns.guides[guide.x] for one in controls for guide in one.guides]
-        arrays["column_of"], arrays["turn_by"] = columns.first, np.array(turn_by)
+        arrays["column_of"] = columns.first
         arrays["guide_columns"] = np.array(rows, dtype=np.int64).reshape(-1, 1 + 2 * planes)
     numbers = {
         "planes": planes,

@@ -161,7 +161,8 @@ struct Derivatives {
         double ahead = stop.tip - get_lane(needle.rays[stop.ray].start, 0);
         Vector* found = constraints + stop.cell * columns;
         for (Index p = 0; p < columns; p++) found[p] = ray[p] + ahead * ray[columns + p];
-        if (column(BEVEL) >= 0) found[column(BEVEL)] += ahead * needle.read_vector(problem.turn_by + stop.bevel * P, 1);
+        if (column(BEVEL) >= 0)
+            found[column(BEVEL)] += ahead * needle.gather_vector(problem.turn_by + stop.bevel * problem.sets * P, P, 1);
         if constexpr (P == 2)
             if (column(ROLL) >= 0) {
                 const Vector& turn = needle.rays[stop.ray].turn;

@@ -33,7 +33,7 @@ struct Problem {
     const double *before, *within;     // (guides, 1 + 2 P) x, and place and slope; slopes that are left free are NaN
     const double* held_tip;            // (inputs, P, 2) place and slope of a tracked tip; NaN where it is free
     const double* guide_x;             // (S) where the first guide before the tissue stands instead; may be null
-    const double* turn_by;             // (bevels, P) derivative of `turn` with respect to the bevel's strength
+    const double* turn_by;             // (bevels, S, P) derivative of `turn` with respect to the bevel's strength
     const Index* column_of;            // (COLUMN_KINDS) first column of each kind of parameter, -1: not asked for
     const Index* guide_columns;        // (guides of all inputs, 1 + 2 P), those before the tissue first
 
