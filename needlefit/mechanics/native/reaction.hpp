@@ -64,13 +64,9 @@ __attribute__((noinline)) Modulus<Real> evaluate_exactly(const Layer<Real>& laye
     return {layer.mu * found.value, layer.mu * risen};
 }
 
-// k at |e| = size, and d(k e)/de.
+// What lies beyond the polynomial, from the exact law.
 template <class Real>
-INLINE Modulus<Real> evaluate_modulus(const Layer<Real>& layer, const Real& size, Seen<Real>& seen) {
-    const Real* c = layer.series;
-    Real slope = c[5], k = c[5] * size + c[4];
-    for (int j = 3; j >= 0; j--) slope = slope * size + k, k = k * size + c[j];  // Horner's scheme, for both
-    Modulus<Real> found{k, k + size * slope};
+INLINE Modulus<Real> finish_modulus(const Layer<Real>& layer, const Real& size, Modulus<Real> found, Seen<Real>& seen) {
     Mask<Real> beyond = size > layer.limit;
     if (__builtin_expect(any(beyond), 0)) {
         Modulus<Real> exact = evaluate_exactly(layer, size, seen);
@@ -78,6 +74,26 @@ INLINE Modulus<Real> evaluate_modulus(const Layer<Real>& layer, const Real& size
         found.slope = select<Real>(beyond, exact.slope, found.slope);
     }
     return found;
+}
+
+// k at |e| = size, and d(k e)/de.
+template <class Real>
+INLINE Modulus<Real> evaluate_modulus(const Layer<Real>& layer, const Real& size, Seen<Real>& seen) {
+    const Real* c = layer.series;
+    Real slope = c[5], k = c[5] * size + c[4];
+    for (int j = 3; j >= 0; j--) slope = slope * size + k, k = k * size + c[j];  // Horner's scheme, for both
+    return finish_modulus(layer, size, {k, k + size * slope}, seen);
+}
+
+// The same where the square of |e| is known before its root: even and odd powers apart, of which neither waits for it.
+template <class Real>
+INLINE Modulus<Real> evaluate_modulus(const Layer<Real>& layer, const Real& size, const Real& square, Seen<Real>& seen) {
+    const Real* c = layer.series;
+    Real odd = c[5] * square, even = c[4] * square;
+    Real odd_slope = 4.0 * odd + 2.0 * c[3], even_slope = 4.0 * even + 2.0 * c[2];
+    odd = (odd + c[3]) * square + c[1], even = (even + c[2]) * square + c[0];
+    Real k = even + size * odd;
+    return finish_modulus(layer, size, {k, k + (square * even_slope + size * (square * odd_slope + odd))}, seen);
 }
 
 // dk/dp at |e| = size for a shape parameter p: from the polynomial, beyond its range from the exact law.
@@ -135,8 +151,8 @@ template <class Real>
 INLINE Force<Pair<Real>> find_force(
     const Layer<Real>& layer, const Pair<Real>& e, const Pair<Real>* slope, Seen<Real>& seen
 ) {
-    Real size = square_root(dot(e, e));
-    Modulus<Real> k = evaluate_modulus(layer, size, seen);
+    Real square = dot(e, e), size = square_root(square);
+    Modulus<Real> k = evaluate_modulus(layer, size, square, seen);
     Force<Pair<Real>> found{k.value * e, 0.5 * (k.value + k.slope), k.slope, k.value, e, {}, k.value * e};
     // k' |e| is at most half of |e| times the second derivative of k e.
     seen.skew = greater_of(0.25 * layer.curvature * size, seen.skew);
