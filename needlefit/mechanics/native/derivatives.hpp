@@ -138,7 +138,8 @@ struct Derivatives {
         Seen<Real> seen;
         auto keep = [&](Index q, const typename Linearized<Vector>::Point& found) { points[q] = found; };
         if constexpr (P == 2)
-            needle.sweep_coupled(needle.state(), seen, keep);
+            needle.constants->friction ? needle.template sweep_coupled<true>(needle.state(), seen, keep)
+                                       : needle.template sweep_coupled<false>(needle.state(), seen, keep);
         else if (needle.constants->friction)
             needle.template sweep<true>(needle.state(), 0, seen, keep);
         else

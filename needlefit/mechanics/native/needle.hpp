@@ -435,7 +435,7 @@ struct Insertion {
     }
 
     // The same of both planes together, all elements linearised.
-    template <class Keep>
+    template <bool Friction, class Keep>
     void sweep_coupled(const Node<Vector>* state, Seen<Real>& seen, Keep keep) {
         CoupledCarried<Real> carried;
         for (Index i = 0; i < front + last; i++) {
@@ -444,39 +444,54 @@ struct Insertion {
             const Node<Vector>&a = i < front ? fronts[i] : state[e - 1], &b = i + 1 < front ? fronts[i + 1] : state[e];
             Real begin = i < front ? front_x[i] : all_lanes<Real>(grid->x[e - 1]);
             Real end = i + 1 < front ? front_x[i + 1] : all_lanes<Real>(grid->x[e]), length = end - begin;
-            if (e >= 0)
-                for (Index q = grid->first[e]; q < grid->first[e + 1]; q++) {
-                    const Point& point = grid->points[q];
-                    keep(q, add_coupled_point(k, Hermite<Real>(point.x - begin, length), point.x - end, point, a, b, seen));
-                }
+            for (Index q = e < 0 ? 0 : grid->first[e]; e >= 0 && q < grid->first[e + 1]; q++) {
+                const Point& point = grid->points[q];
+                if (e == 0)
+                    keep(q, add_coupled_point<Friction>(
+                        k, Hermite<Real>(point.x - begin, length), point.x - end, point, a, b, seen
+                    ));
+                else
+                    keep(q, add_coupled_point<Friction>(k, point.shape, point.x - grid->x[e], point, a, b, seen));
+            }
+            if constexpr (!Friction) k.mirror();
             k.add_bending(constants->rigidity, length);
-            eliminate(carried, k, length, kinds[i], values[i], coupled[i]);
+            if (!Friction && kinds[i] == FREE)
+                eliminate_symmetric(carried, k, length, coupled[i]);
+            else
+                eliminate(carried, k, length, kinds[i], values[i], coupled[i]);
         }
         CoupledElement<Real> nothing;
         eliminate(carried, nothing, Real{}, kinds[front + last], values[front + last], coupled[front + last]);
     }
-    CoupledReaction<Real> add_coupled_point(
-        CoupledElement<Real>& k, const Hermite<Real>& shape, const Real& behind, const Point& point, const Node<Vector>& a,
-        const Node<Vector>& b, Seen<Real>& seen
+    template <bool Friction, class Shape>
+    INLINE CoupledReaction<Real> add_coupled_point(
+        CoupledElement<Real>& k, const Hermite<Shape>& shape, const Shape& behind, const Point& point,
+        const Node<Vector>& a, const Node<Vector>& b, Seen<Real>& seen
     ) const {
-        const Real *n = shape.n, *m = shape.m;
+        const Shape *n = shape.n, *m = shape.m;
         Vector u = n[0] * a.u + n[1] * a.slope + n[2] * b.u + n[3] * b.slope;
         Vector slope = m[0] * a.u + m[1] * a.slope + m[2] * b.u + m[3] * b.slope;
         CoupledReaction<Real> found;
         found.e = u - cut_at(point);
-        Force<Vector> force = find_force(layers[point.layer], found.e, constants->friction ? &slope : nullptr, seen);
+        Force<Vector> force = find_force(layers[point.layer], found.e, Friction ? &slope : nullptr, seen);
         found.force = point.weight * force.value;
-        Vector load = -found.force;
-        Real pull[2][2], by_slope[2][2];
-        for (int p = 0; p < 2; p++)
-            for (int q = 0; q < 2; q++) {
-                Real stiffening = (force.along - force.across) * part(force.direction, p) * part(force.direction, q);
-                pull[p][q] = point.weight * (p == q ? force.across + stiffening : stiffening);
-                by_slope[p][q] = point.weight * (part(force.plain, p) * part(force.friction, q));
-                part(load, p) += pull[p][q] * part(u, q) + by_slope[p][q] * part(slope, q);
-            }
-        found.pull = {pull[0][0], pull[0][1], pull[1][1]};
-        k.add_point(shape, behind, pull, by_slope, load);
+        const Vector& along = force.direction;
+        Vector stiffening = (force.along - force.across) * along;
+        found.pull = point.weight * SymmetricMatrix<Real>{
+            force.across + stiffening.y * along.y, stiffening.y * along.z, force.across + stiffening.z * along.z
+        };
+        Vector load = found.pull * u - found.force;
+        if constexpr (Friction) {
+            Real pull[2][2] = {{found.pull.yy, found.pull.yz}, {found.pull.yz, found.pull.zz}}, by_slope[2][2];
+            for (int p = 0; p < 2; p++)
+                for (int q = 0; q < 2; q++) {
+                    by_slope[p][q] = point.weight * (part(force.plain, p) * part(force.friction, q));
+                    part(load, p) += by_slope[p][q] * part(slope, q);
+                }
+            k.add_point(shape, behind, pull, by_slope, load);
+        } else {
+            k.add_point(shape, behind, found.pull, load);
+        }
         return found;
     }
 
@@ -686,7 +701,7 @@ struct Insertion {
             if (!coupled_pass)
                 sweep<Friction>(next, 0, seen);
             else if constexpr (P == 2)
-                sweep_coupled(next, seen, [](Index, const CoupledReaction<Real>&) {});
+                sweep_coupled<Friction>(next, seen, [](Index, const CoupledReaction<Real>&) {});
             // A guess may lie beyond what the tissue bears, and the answer not: go on. Later, go half the way back to
             // the last state that some tissue bore.
             M back = seen.crushed & borne, onward = busy & !seen.crushed;
