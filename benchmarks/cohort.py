@@ -6,8 +6,7 @@ Writes datasets of shapes with a known pose: one needle, one layer of gel, 40 to
 of each specimen; modulus and bevel offset differ by specimen. `needlefit validate cohort.toml` fits them as
 a process of its own, whose resident set, with that of its workers, is read every second. Errors of ln mu
 and ln b are divided by the standard deviations that the fits state; their root mean square is 1 where these
-are right. The kernel's rates are of the same insertions, simulated by `simulate_batches` and differentiated
-one by one by `linearize`, on as many threads.
+are right.
 """
 
 import argparse
@@ -18,14 +17,12 @@ import subprocess
 import sys
 import tempfile
 import time
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from needlefit.mechanics.batch import Batch, linearize, simulate_batches
-from needlefit.mechanics.control import Bevel, ModelOptions, Step
+from needlefit.mechanics.control import Bevel
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.mechanics.simulate import simulate
@@ -35,14 +32,10 @@ NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 OF_A_SPECIMEN = 5
 POINTS = 21
 SHIFT_SD, ANGLE_SD, POINT_SD = 0.05, 0.1, 0.05  # mm, degrees, mm
-MODULUS, OFFSET, SPREAD = (
-    0.02,
-    0.08,
-    0.3,
-)  # medians over specimens, MPa and mm; standard deviation of both logarithms
+MODULUS, OFFSET = 0.02, 0.08  # medians over specimens, MPa and mm
+SPREAD = 0.3  # standard deviation of both logarithms
 ALONG_X = {"entry_x_mm": 0, "entry_y_mm": 0, "entry_z_mm": 0, "entry_dx": 1, "entry_dy": 0, "entry_dz": 0,
            "bevel_x": 0, "bevel_y": 1, "bevel_z": 0, "pose_source": "stage"}  # fmt: skip
-TIMED = 2000  # insertions of which the kernel's rate is taken
 
 DATASET = f"""schema = 1
 name = "{{name}}"
@@ -140,7 +133,7 @@ def run_cohort(folder: Path, jobs: int) -> tuple[float, pd.DataFrame]:
     while process.poll() is None:
         used.append((time.perf_counter() - begin, sum(map(read_resident, list_descendants(process.pid)))))
         time.sleep(1.0)
-    if process.returncode not in (0, 5):  # 5: some searches did not converge, which the table says
+    if process.returncode not in (0, 5):  # 5: some searches did not converge; the table marks them
         raise SystemExit(f"python {line} ended with exit code {process.returncode}")
     after = resource.getrusage(resource.RUSAGE_CHILDREN)  # its workers with it
     spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
@@ -169,36 +162,6 @@ def read_resident(process: int) -> float:
     return pages * os.sysconf("SC_PAGESIZE") / 2**20
 
 
-def measure_kernel(jobs: int) -> tuple[float, float]:
-    """Return insertions simulated in lanes, and differentiated one by one, per second."""
-    rng = np.random.default_rng(2)
-    depths = rng.uniform(40.0, 60.0, TIMED // 32)
-    moduli, offsets = np.exp(SPREAD * rng.standard_normal((2, 32)))
-    batches = [
-        Batch(NEEDLE, make_tissue(MODULUS), (Step(depth, Bevel(OFFSET)),), ModelOptions(),
-              mu=MODULUS * moduli[:, None], offset=OFFSET * offsets)
-        for depth in depths
-    ]  # fmt: skip
-    simulate_batches(batches[:1], jobs)
-    begin = time.perf_counter()
-    simulate_batches(batches, jobs)
-    lanes = 32 * len(depths) / (time.perf_counter() - begin)
-
-    def differentiate(n: int) -> None:
-        linearize(
-            NEEDLE,
-            make_tissue(MODULUS * moduli[n % 32]),
-            Bevel(OFFSET * offsets[n % 32]),
-            depths[n % len(depths)],
-        )
-
-    differentiate(0)
-    with ThreadPoolExecutor(jobs) as pool:
-        begin = time.perf_counter()
-        list(pool.map(differentiate, range(TIMED)))
-        return lanes, TIMED / (time.perf_counter() - begin)
-
-
 def find_errors(folder: Path, truth: pd.DataFrame) -> dict[str, float]:
     """Return the root mean square errors of ln mu and ln b, in stated standard deviations."""
     fits = pd.read_csv(folder / "reports" / "cohort" / "fits.csv")
@@ -223,7 +186,6 @@ def measure(folder: Path, insertions: int, datasets: int, jobs: int) -> dict[str
     spent, memory = run_cohort(folder, jobs)
     seconds = float(memory["seconds"].iloc[-1])
     half = memory["seconds"] < seconds / 2
-    lanes, differentiated = measure_kernel(jobs)
     failures = pd.read_csv(folder / "reports" / "cohort" / "failures.csv")
     return {
         "insertions": insertions,
@@ -232,8 +194,6 @@ def measure(folder: Path, insertions: int, datasets: int, jobs: int) -> dict[str
         "seconds": round(seconds, 1),
         "insertions_per_s": round(insertions / seconds, 2),
         "processor_s_per_insertion": round(spent / insertions, 3),
-        "simulated_per_s": round(lanes),
-        "differentiated_per_s": round(differentiated),
         "mib_first_half": round(float(memory["mib"][half].max())),
         "mib_second_half": round(float(memory["mib"][~half].max())),
         **find_errors(folder, pd.DataFrame(truth)),

@@ -1,12 +1,13 @@
-"""How often the 95 % interval of each likelihood holds the truth, where the fitted model is the true one.
+"""How often the 95 % interval of each likelihood contains the truth, where the fitted model is the true one.
 
     python benchmarks/coverage_rates.py [--json] [--problems 40] [--insertions 5] [--seed 1] [--jobs 2]
 
 Every problem draws mu1, mu2 and b, simulates needles through the four layers of phantom 2 with the model
 itself at depths that err as stated (boundaries as the twin states them, insertion depth by 0.1 mm), moves
-them by a pose drawn from its prior and adds the noise of their points. Each likelihood is then climbed from
-the truth, and its interval taken from the curvature there (Laplace). What is counted is the combination of
-mu1, mu2 and b that such a design tells best (the first direction of its Fisher information), and b alone.
+them by a pose drawn from its prior and adds the noise of their points. Each likelihood is then
+maximised from the truth, and its interval taken from the curvature there (Laplace). Counted are the
+combination of mu1, mu2 and b that such a design determines best (the first direction of its Fisher
+information), and b alone.
 """
 
 import argparse
@@ -39,7 +40,7 @@ NORMAL = 1.96
 
 
 def laplace(task: Problem, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mode (P,) climbed to from the truth, and the curvature (P, P) of the log posterior there."""
+    """Return the mode (P,) found from the truth, and the curvature (P, P) of the log posterior there."""
 
     def down(theta: np.ndarray) -> tuple[float, np.ndarray]:
         value, slope = task.gradient(theta)

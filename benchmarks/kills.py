@@ -29,7 +29,7 @@ from pathlib import Path
 NOT_CONVERGED = 5
 """Exit code of a run whose results are written, but marked."""
 
-MOST = 5
+KILLS_PER_RUN = 5
 """Kills of one run, after which it is left to end: on a busy machine it might never."""
 
 RECIPE = """
@@ -99,7 +99,7 @@ def contents(out: Path) -> dict[str, bytes]:
 
 
 def kept(out: Path) -> str:
-    """Return how far a killed run had come, by what its checkpoint holds."""
+    """Return how far a killed run had come, by its checkpoint."""
     blocks = list(out.glob("*.partial/*.h5"))
     starts = sum(path.read_text().count("{") for path in out.glob("*.partial/*.jsonl"))
     return "sampling" if blocks else "starts ended" if starts else "nothing kept yet"
@@ -146,7 +146,7 @@ def main() -> None:
     rounds = [json.loads(line) for line in log.read_text().splitlines()] if log.is_file() else []
     while (count := sum(len(one["kills"]) for one in rounds)) < options.kills or not rounds:
         chance = random.Random(options.seed + len(rounds))
-        moments = (chance.uniform(0.1, seconds) for _ in range(min(MOST, options.kills - count)))
+        moments = (chance.uniform(0.1, seconds) for _ in range(min(KILLS_PER_RUN, options.kills - count)))
         kills = list(killed(target, place, 1 + len(rounds) % 2, moments))
         again = contents(place / "killed")
         different = sorted(name for name in whole | again if whole.get(name) != again.get(name))

@@ -5,7 +5,7 @@
 Random scans of 96 x 96 x 160 voxels of 0.46 mm: needle along any of the grid's axes, tilted by up to 15
 degrees, bent in two planes; the grid turned at random in the patient; contrast, noise and sharpness at
 random, the bevel's angle 30 +- 3 degrees. A third each is `clean` (partial volume, point spread, noise), has
-`artefacts` (bloom, cupping, markers, rails of a table) or these and `streaks`. Rivals get the same voxels:
+`artefacts` (bloom, cupping, markers, rails of a table) or these and `streaks`. Baselines get the same voxels:
 `skeleton` thins them (skimage), `line` is their principal axis. Errors against the axis that was rendered,
 mm; `covered` is the part of errors within one stated standard deviation, in each of two directions across.
 `bevel_deg` is the median angle between the side of the bevel that is found and the true one, `bevel_95_deg`

@@ -4,13 +4,13 @@
 
 Serves SUBJECT (default: the measured insertion twin/phantom2-05, elements of 1 mm) and steers its page as a
 hand would, by events that go through the browser: the insertion key is held, then the other one, while the
-pointer drags the base up and down. For --seconds every animation frame is told by the page itself:
+pointer drags the base up and down. For --seconds the page records every animation frame:
 
 frames      late: further from the one before than 1.5 of 1/60 s, each counted as the frames that fell out;
             stale: shown while the needle moved, without a state of its own.
 latency     from the time stamp of the input event to when the browser had drawn the first frame that shows
-            its effect (a message posted in that frame and heard after it); of the wheel apart, which
-            the browser holds back before the page hears of it; of keys and of mu at a depth of 140 mm, there
+            its effect (a message posted in that frame and received after it); of the wheel apart, which
+            the browser delays before the page receives it; of keys and of mu at a depth of 140 mm, there
             also on a window of PHONE, with a processor that is slowed down by PHONE_SLOWER.
             Half a FRAME of it, on average, is waiting for the next one; `own` is what comes after that.
 band        from the frame that shows a needle to the one with the band of its draws, at 55 and 140 mm.
@@ -196,7 +196,7 @@ def waits(frames: list[dict]) -> dict[str, float]:
 
 
 def real_time(subject: str, seconds: float) -> dict:
-    """Return how many frames were missed, and how long a hand waits."""
+    """Return how many frames were missed, and how long a user waits."""
     with (
         tempfile.TemporaryDirectory() as out,
         served(subject, Path(out)) as address,

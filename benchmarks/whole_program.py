@@ -39,7 +39,7 @@ COMMANDS = {
 SHOWN_PACKAGES, SHOWN_FUNCTIONS = 8, 10
 
 MAX_SHARE = 0.9
-"""Functions that hold more of a command than this only lead to the others."""
+"""Functions that take more of a command than this only call the others."""
 
 PROFILER = """
 import collections, json, os, signal, sys, time
