@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from needlefit.mechanics.needle import Needle
     from needlefit.mechanics.scene import Scene
     from needlefit.mechanics.session import Session
-    from needlefit.mechanics.shape import NeedleShape
+    from needlefit.mechanics.shape import NeedleShape, compute_positions
     from needlefit.mechanics.simulate import simulate, simulate_steps
     from needlefit.mechanics.tissue import Tissue
 
@@ -49,6 +49,7 @@ __all__ = [
     "Step",
     "Tissue",
     "TrackedTip",
+    "compute_positions",
     "compute_stress",
     "fit",
     "linearize",
@@ -77,7 +78,7 @@ _HOMES = {
     "mechanics.needle": "Needle",
     "mechanics.scene": "Scene",
     "mechanics.session": "Session",
-    "mechanics.shape": "NeedleShape",
+    "mechanics.shape": "NeedleShape compute_positions",
     "mechanics.simulate": "simulate simulate_steps",
     "mechanics.tissue": "Tissue",
 }

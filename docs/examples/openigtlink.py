@@ -32,7 +32,6 @@ import pandas as pd
 import pyigtl
 
 import needlefit
-from needlefit.mechanics.shape import compute_positions
 
 TIP_SD_MM = 0.5  # of a measured tip across the needle
 READING_MM = 1.0  # insertion from one measured tip to the next that is used: errors of near ones are alike
@@ -107,7 +106,7 @@ class StreamedNeedle:
         """Return what is sent of the needle as it stands."""
         shape = self.session.now.shape
         points = np.zeros((POINTS, 3))
-        points[:, :2] = compute_positions(shape, np.linspace(shape.x[0], shape.x[-1], POINTS))
+        points[:, :2] = needlefit.compute_positions(shape, np.linspace(shape.x[0], shape.x[-1], POINTS))
         cos, sin = np.cos(shape.slope[-1]), np.sin(shape.slope[-1])
         tip = np.eye(4)
         tip[:3] = np.column_stack([[-sin, cos, 0.0], [0.0, 0.0, 1.0], [cos, sin, 0.0], points[-1]])
@@ -118,7 +117,7 @@ class StreamedNeedle:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scene")
     parser.add_argument("--run", help="folder of a run, whose draws are weighted")
     parser.add_argument("--port", type=int, default=18944)
