@@ -1,4 +1,4 @@
-"""The scripts for users: short, on the public names alone; those in `studies/` print a table, draw a figure."""
+"""The scripts for users: short, on public names alone; those in `studies/` print a table, draw a figure."""
 
 import ast
 import subprocess
