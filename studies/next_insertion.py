@@ -8,8 +8,9 @@ deepest. They are ranked by the expected information gain, the mutual informatio
 data of one more insertion, as by `needlefit tune TARGET --design`. A gain of 1 nat divides the volume of the
 posterior by 2.7. Model error is not included.
 
-What came out (docs/studies.md): after one insertion of 24 mm into phantom 2, deep ones through three or four
-layers add three times as much as a repeat; after three into a piece of chicken, the best adds twice as much.
+What came out (docs/studies.md): after one insertion of 24 mm into phantom 2, those of more than 50 mm through
+three or four layers add two to three times as much as a repeat; after three into a piece of chicken, the
+best adds 0.66 nats, a repeat 0.36.
 """
 
 import argparse
