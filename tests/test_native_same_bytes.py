@@ -39,7 +39,7 @@ from needlefit.mechanics.packing import pack_problem, plan_insertion
 pytestmark = pytest.mark.on_demand
 INSERTIONS, SPATIAL_EACH = 2000, 4
 INPUTS = "d541d81a49b5cb6caeaa39dfe13a553d4b8b8c55"
-#: SHA-1 of the problems and of the results; docs/developers/solver.md states the latter
+#: SHA-1 of the problems and of the results
 RESULTS = "bb6a42382cb0740d21ca2020f35b82f85022106d"
 
 HERE = Path(__file__).parent / "native"
