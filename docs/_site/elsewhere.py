@@ -14,7 +14,7 @@ PAGES = {
     "../needlefit/cli/application.py": "reference/commands.md",
     "../needlefit/api.py": "reference/api/index.md",
     "../studies": "reference/shipped.md",
-    "../needlefit/studies/toml_reference.py": "reference/toml.md",
+    "_site/toml_page.py": "reference/toml.md",
     "notebooks/1_fit_your_csv.ipynb": "reference/notebooks.md",
     "notebooks/3_simulate.ipynb": "reference/notebooks.md",
 }
