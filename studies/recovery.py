@@ -7,6 +7,8 @@ shipped fits do: to the posterior, and to the errors (IPE, TE, EDP). A row has t
 (the geometric mean over what the fit learns from), the estimate (of the posterior its median), whether its
 interval covers the truth, the distance as a factor and in standard deviations, and whether the fit calls the
 parameter determined. Rows are kept beside the figure as CSV; a run that was stopped goes on there.
+
+What came out of 20 twins (docs/fitting.md): 321 of 340 intervals of the posterior contain the truth.
 """
 
 import argparse
