@@ -2,11 +2,11 @@
 
     python benchmarks/coverage_rates.py [--json] [--problems 40] [--insertions 5] [--seed 1] [--jobs 2]
 
-Every problem draws mu1, mu2 and b, simulates needles through the four layers of phantom 2 with the model
+Every problem draws the moduli and b, simulates needles through the four layers of phantom 2 with the model
 itself at depths that err as stated (boundaries as the twin states them, insertion depth by 0.1 mm), moves
 them by a pose drawn from its prior and adds the noise of their points. Each likelihood is then
 maximised from the truth, and its interval taken from the curvature there (Laplace). Counted are the
-combination of mu1, mu2 and b that such a design determines best (the first direction of its Fisher
+combination of moduli and b that such a design determines best (the first direction of its Fisher
 information), and b alone.
 """
 
@@ -35,6 +35,7 @@ HOW = {
     "correlated, depths linear": LikelihoodRecord(noise="correlated", depths="linear"),
 }
 RANGES = {"mu1_pa": (1e5, 1e6), "mu2_pa": (3e6, 5e7), "bevel_mm": (0.05, 0.15)}
+TIE_SPREAD = 1.2  # as the tissue model states
 DEPTH_SD = 0.1  # mm
 NORMAL = 1.96
 
@@ -59,6 +60,8 @@ def one(number: int, insertions: int, seed: int) -> list[dict[str, object]]:
     dataset = read(find_file("dataset", "twin"))
     medium = load(find_file("medium", "phantom2"), MediumRecord)
     values = {name: float(np.exp(rng.uniform(*np.log(ends)))) for name, ends in RANGES.items()}
+    for layer in (3, 4):  # tied to layers 1 and 2, within a factor
+        values[f"mu{layer}_pa"] = values[f"mu{layer - 2}_pa"] * np.exp(rng.normal(0, np.log(TIE_SPREAD)))
     into = [i for i in dataset.insertions if i.medium == "phantom2"][:insertions]
     planned = [replace(i, depth_sd=DEPTH_SD) for i in into]
     start = make_problem(dataset, planned, medium, WeightsRecord())
