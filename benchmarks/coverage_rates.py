@@ -29,10 +29,10 @@ from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
 from needlefit.studies.simulated_data import simulate_measurement
 
 HOW = {
-    "independent, depths fixed": LikelihoodRecord(noise="independent", depths="fixed"),
-    "independent, depths linear": LikelihoodRecord(noise="independent", depths="linear"),
-    "correlated, depths fixed": LikelihoodRecord(noise="correlated", depths="fixed"),
-    "correlated, depths linear": LikelihoodRecord(noise="correlated", depths="linear"),
+    "independent, depths fixed": LikelihoodRecord(noise="independent", depths="fixed", bevel_spread=0),
+    "independent, depths linear": LikelihoodRecord(noise="independent", depths="linear", bevel_spread=0),
+    "correlated, depths fixed": LikelihoodRecord(noise="correlated", depths="fixed", bevel_spread=0),
+    "correlated, depths linear": LikelihoodRecord(noise="correlated", depths="linear", bevel_spread=0),
 }
 RANGES = {"mu1_pa": (1e5, 1e6), "mu2_pa": (3e6, 5e7), "bevel_mm": (0.05, 0.15)}
 TIE_SPREAD = 1.2  # as the tissue model states
@@ -86,12 +86,12 @@ def one(number: int, insertions: int, seed: int) -> list[dict[str, object]]:
 
 
 def summary(rows: list[dict[str, object]]) -> dict[str, object]:
-    """Return how often the intervals held the truth, and how wide they were."""
+    """Return how often the intervals cover the truth, and how wide they are."""
     errors, sds = (np.array([row[key] for row in rows], dtype=float) for key in ("error", "sd"))
     return {
         "likelihood": rows[0]["likelihood"],
         "of": rows[0]["of"],
-        "held": int(np.sum(np.abs(errors) <= NORMAL * sds)),
+        "covered": int(np.sum(np.abs(errors) <= NORMAL * sds)),
         "problems": len(rows),
         "error_rms": float(np.sqrt(np.mean(errors**2))),
         "sd_median": float(np.median(sds)),
@@ -118,7 +118,7 @@ def main() -> None:
         return
     for row in found:
         print(
-            f"{row['likelihood']:34s} {row['of']:9s} held {row['held']:3d} of {row['problems']}   "
+            f"{row['likelihood']:34s} {row['of']:9s} covered {row['covered']:3d} of {row['problems']}   "
             f"rms error {row['error_rms']:.4f}   median deviation {row['sd_median']:.4f}   "
             f"no mode {row['no_mode']}"
         )
