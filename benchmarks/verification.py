@@ -69,7 +69,7 @@ def measure_jacobian(rng: np.random.Generator) -> tuple[float, float]:
     _, found = linearize_steps(needle, tissue, steps, rules, lattice, wrt=WRT)
     errors = {True: [0.0], False: [0.0]}
     for p, name in enumerate(found.names):
-        _, u, _, _ = follow(needle, tissue, steps, rules, name, lattice)
+        _, (u, _), _, _ = follow(needle, tissue, steps, rules, name, lattice)  # y and z
         unit = tissue.mu[int(name[2:]) - 1] if name.startswith("mu") else 1.0
         unit = needle.flexural_rigidity if name == "rigidity" else unit
         size = max(np.max(np.abs(u)), 1e-3 / unit)
