@@ -37,7 +37,6 @@ TABLES_MODULE = "reporting/templates/tables.js"
 #: modules that talk to the program, and what stands for them in a file
 OFFLINE_MODULES = {
     "viewer/page/steering.js": "viewer/page/share/offline.js",
-    "viewer/page/slice.js": "viewer/page/share/offline.js",
 }
 WORKER_MODULE = "viewer/page/model/band_worker.js"
 SHARE_PAGE = "viewer/page/share/share.html"
@@ -88,13 +87,15 @@ def _add_module(name: str, done: dict[str, str], path: tuple[str, ...]) -> None:
     if name in done:
         return
 
+    source = OFFLINE_MODULES.get(name, name)
+
     def take(found: re.Match[str]) -> str:
-        needed = posixpath.normpath(posixpath.join(posixpath.dirname(name), found[2]))
+        needed = posixpath.normpath(posixpath.join(posixpath.dirname(source), found[2]))
         _add_module(needed, done, (*path, name))
         given = (found[1] or "").removeprefix("* as ").replace(" as ", ": ")
         return f"const {given} = $of[{json.dumps(needed)}];" if given else ""
 
-    text = _IMPORT.sub(take, read_package_file(OFFLINE_MODULES.get(name, name)))
+    text = _IMPORT.sub(take, read_package_file(source))
     exported = [found[2] for found in _EXPORT.finditer(text)]
     exported += [found[1] for found in _EXPORT_LIST.finditer(text)]
     text = _EXPORT_LIST.sub("", _EXPORT.sub(r"\1 \2", text))

@@ -27,7 +27,7 @@ from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
 from needlefit.schemas.recipe import RecipeRecord
-from needlefit.viewer.overlays import find_scan, make_measured_overlay
+from needlefit.viewer.overlays import make_measured_overlay
 from needlefit.viewer.viewed_scene import ViewedScene
 
 SHOWN_METHOD = "fitted"  #: the method of a run whose parameters are shown
@@ -115,7 +115,6 @@ def _show_insertion(
     scene = Scene.from_record(record, f"{name}/{insertion.id}")
     shape = simulate_steps(scene.needle, scene.tissue, scene.steps, scene.rules)
     floor = estimate_noise_floor(dataset, insertion, random_stream(shown.seed, "noise floor", insertion.id))
-    scan, lacking = find_scan(dataset, insertion)
     # As in a run's files for 3D Slicer: where shapes are known only up to a rigid motion, the needle is laid
     # on the measured one, and what is steered from then on lies in the frame in which it came to lie.
     frame, placed = insertion.frame, dataset.pose == "known" or shape.converged
@@ -128,13 +127,12 @@ def _show_insertion(
     return ViewedScene(
         name=f"{name}/{insertion.id}",
         title=title,
-        note=f"{description} {lacking}".rstrip(),
+        note=description,
         record=record,
         first_cell=scene.lattice.first_cell,
         placement=Placement(frame, insertion.patient).to_record() if placed else None,
         synthetic=dataset.origin == "synthetic",
         measured=make_measured_overlay(dataset, insertion, floor["te_mm"], shape),
-        scanned=scan,
         choices=choices,
         warnings=dataset.warnings,
     )

@@ -8,7 +8,6 @@ import { describe } from "./readouts.js";
 import { halt, letGo } from "./steering.js";
 import { now } from "./store.js";
 import { pin } from "./strip.js";
-import { pressed } from "./toolbar.js";
 import { fit, zoom } from "./view.js";
 
 const MOVES = ["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown", "Home", "End", "PageUp", "PageDown"];
@@ -33,9 +32,9 @@ const KEYS = [
   [["d", "D"], "D", "say where the needle stands", () => describe()],
   [["+", "="], "+", "zoom in", () => zoom(1.25)],
   [["-", "_"], "−", "zoom out", () => zoom(0.8)],
-  [["0", "1"], "0, 1", "show the whole needle", () => show("whole")],
-  [["2"], "2", "show the tissue", () => show("tissue")],
-  [["3"], "3", "follow the tip", () => show("tip")],
+  [["0", "1"], "0, 1", "show the whole needle", () => fit("whole")],
+  [["2"], "2", "show the tissue", () => fit("tissue")],
+  [["3"], "3", "follow the tip", () => fit("tip")],
 ];
 const ALWAYS = [["Esc", "no target, no obstacle after all"], ["Ctrl+Z", "undo"], ["Ctrl+Y", "redo; Ctrl+Shift+Z does the same"], ["?", "this list"]];
 
@@ -70,11 +69,6 @@ function release({ key }) {
   if (!newest) return;
   if (holding.length) act.hold(holding.at(-1)[1]);
   else letGo();
-}
-
-function show(which) {
-  fit(which);
-  pressed();
 }
 
 function openHelp() {

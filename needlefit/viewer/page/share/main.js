@@ -14,8 +14,8 @@ import { toggle } from "../toolbar.js";
 import { fit } from "../view.js";
 import { nameIn, readAddress, writeAddress } from "./address.js";
 import { buildFields, refreshFields } from "./controls.js";
+import { listenToKeys } from "./keys.js";
 import { begin, insert, load, prove, Replay, steer } from "./needles.js";
-import { listenToPicture } from "./picture.js";
 
 const SHORTEST = 2, LONGEST = 20; // s that a recording lasts while it is played
 const DESCRIBED_EVERY = 2000; // ms, while it changes
@@ -116,7 +116,7 @@ async function choose(number) {
   [needle, steered] = [data.needles[number], found];
   const { scene } = needle;
   replay = needle.recording ? new Replay(steered, needle.recording) : null;
-  take({ slice: false, ...scene, kind: "scene" });
+  take({ ...scene, kind: "scene" });
   buildFields(needle, change);
   listMethods();
   const specimen = needle.new_specimen ? " of a specimen that was not fitted" : "";
@@ -262,7 +262,9 @@ async function start() {
   offerScenes(rebuild, data.kernel);
   listen("redraw", redraw);
   listen("go to", (depth) => change([["depth_mm", null, depth]]));
-  listenToPicture(change);
+  listenToKeys(change);
+  listen("steered", (set) => change(set));
+  now.connected = true;
   buildRecording();
   if (!data.needles[0].recording) ["load", "points", "path", "errors", "strip"].forEach((name) => toggle(name, false)); // measured and fit come first
   await choose(0);
