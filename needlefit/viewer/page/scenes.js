@@ -56,7 +56,7 @@ const SCENES = [
   },
   {
     sentence: "Which b and μ fit equally well? Drag along the ridge.",
-    see: "Line: pairs with which the tip ends where it does now. Along it the needle hardly moves; across it, it does. Dots: draws of the posterior, whose other parameters differ too.",
+    see: "Line: pairs with which the tip ends where that of the fit does. Along it the needle hardly moves; across it, it does. Dots: draws of the posterior, whose other parameters differ too.",
     fits: isDrawnPlane,
     begin: makeRidge,
   },

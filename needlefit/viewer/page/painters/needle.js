@@ -74,7 +74,7 @@ export function paintTip(context, state) {
   segments(context, [[tip, turn]], palette.tip, 1.5);
   ring(context, ...turn, 6, palette.air, palette.tip);
   setFont(context, "small");
-  labelFree(context, "bevel", [[turn[0] + 29, turn[1]], [turn[0] - 29, turn[1]]], palette.tip);
+  labelFree(context, "bevel", [[turn[0] + 29, turn[1]], [turn[0], turn[1] - 18 * state.bevel.side]], palette.tip);
   if (state.tip.held) ring(context, ...tip, 11, palette.tip, "transparent");
 }
 
