@@ -13,8 +13,7 @@ latency     from the time stamp of the input event to when the browser had drawn
             the browser holds back before the page hears of it; of keys and of mu at a depth of 140 mm, there
             also on a window of PHONE, with a processor that is slowed down by PHONE_SLOWER.
             Half a FRAME of it, on average, is waiting for the next one; `own` is what comes after that.
-band        from the frame that shows a needle to the one with the band of its draws, at 55 and 140 mm, of the
-            scene DRAWN, which has draws.
+band        from the frame that shows a needle to the one with its band, at 55 and 140 mm, of the scene DRAWN.
 first       from the command to the first picture, in a browser that is open already.
 
 The browser is the one that is installed (`chromium`), the driver Playwright's.

@@ -42,6 +42,4 @@ for (const one of document.querySelectorAll("[data-zoom]")) press(one, () => zoo
 listen("scene", ({ measured, draws }) => offer({ measured, errors: measured, band: draws, plan: false }));
 listen("aimed", () => offer({ plan: aim.plan }));
 listen("pinned", () => offer({ pinned: now.pinned }));
-listen("redraw", () => { // of another view
-  for (const one of fits) one.ariaPressed = String(one.dataset.fit === view.fit);
-});
+listen("redraw", () => fits.forEach((one) => (one.ariaPressed = String(one.dataset.fit === view.fit)))); // of another view
