@@ -47,6 +47,7 @@ SHARE_STYLE = "viewer/page/share/share.css"
 _IMPORT = re.compile(r'^import\s+(?:(\*\s+as\s+\w+|\{[^}]*\})\s+from\s+)?"([^"]+)";?', re.MULTILINE)
 _EXPORT = re.compile(r"^export\s+(async\s+function|function|class|const)\s+(\w+)", re.MULTILINE)
 _EXPORT_LIST = re.compile(r"^export\s+\{\s*(\w+(?:,\s*\w+)*),?\s*\};", re.MULTILINE)
+_COMMENT = re.compile(r"^[ \t]*(?:/\*\*(?:[^*]|\*(?!/))*\*/|//.*)\n|^[ \t]+", re.MULTILINE)  # or indent
 
 
 def read_package_file(name: str) -> str:
@@ -106,9 +107,9 @@ def _add_module(name: str, done: dict[str, str], path: tuple[str, ...]) -> None:
 
 @lru_cache(maxsize=2)
 def read_script(computes: bool, tables: bool) -> str:
-    """Return the script of a page that computes needles, or has sortable tables, or both."""
+    """Return the script of a page that computes needles, or has sortable tables; without comments."""
     entries = [name for name, is_there in ((TABLES_MODULE, tables), (SHARE_MODULE, computes)) if is_there]
-    script = bundle_modules(entries, WORKER_MODULE if computes else "")
+    script = _COMMENT.sub("", bundle_modules(entries, WORKER_MODULE if computes else ""))
     if re.search(r"</script|<!--", script, re.IGNORECASE):
         raise ValueError("the script contains what would end its element")
     return script
