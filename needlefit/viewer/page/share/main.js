@@ -15,7 +15,7 @@ import { fit } from "../view.js";
 import { nameIn, readAddress, writeAddress } from "./address.js";
 import { buildFields, refreshFields } from "./controls.js";
 import { listenToKeys } from "./keys.js";
-import { begin, insert, load, prove, Replay, steer } from "./needles.js";
+import { begin, insert, load, prove, Replay } from "./needles.js";
 
 const SHORTEST = 2, LONGEST = 20; // s that a recording lasts while it is played
 const DESCRIBED_EVERY = 2000; // ms, while it changes
@@ -63,7 +63,7 @@ function rebuild(lists, below = part("flip").parentElement) {
   write(refusal, "");
   const { number } = steered;
   try {
-    for (const changes of lists) steer(steered, changes);
+    for (const changes of lists) steered.apply(changes, { validOnly: false });
   } catch (error) {
     refuse(error, below);
     if (steered.number === number) return refreshFields();
