@@ -13,7 +13,7 @@ latency     from the time stamp of the input event to when the browser had drawn
             the browser delays before the page receives it; of keys and of mu at a depth of 140 mm, there
             also on a window of PHONE, with a processor that is slowed down by PHONE_SLOWER.
             Half a FRAME of it, on average, is waiting for the next one; `own` is what comes after that.
-band        from the frame that shows a needle to the one with the band of its draws, at 55 and 140 mm.
+band        from the frame that shows a needle to the one with its band, at 55 and 140 mm, of the scene DRAWN.
 first       from the command to the first picture, in a browser that is open already.
 
 The browser is the one that is installed (`chromium`), the driver Playwright's.
@@ -38,6 +38,7 @@ from playwright.sync_api import Page, sync_playwright
 
 FRAME = 1000 / 60
 LATE = 1.5
+DRAWN = "phantom2_fitted"
 DEEP_MM = 140.0
 """Depth at which a modulus is changed: the whole insertion is simulated again."""
 PHONE_SLOWER, PHONE = 5, {"width": 390, "height": 844}
@@ -137,10 +138,8 @@ def reach(page: Page, depth: float) -> None:
         page.wait_for_timeout(50)
 
 
-def band_waits(page: Page, times: int = 20) -> dict[str, float] | None:
-    """Return percentiles of the time from the picture of a needle to its band, ms; None without draws."""
-    if not page.evaluate("window.needlefit.scene.draws"):
-        return None
+def band_waits(page: Page, times: int = 20) -> dict[str, float]:
+    """Return percentiles of the time from the picture of a needle to its band, ms."""
     page.focus("#canvas")
     start = page.evaluate("performance.now()")
     for n in range(times):
@@ -205,10 +204,7 @@ def real_time(subject: str, seconds: float) -> dict:
         drive(page, 3.0)  # everything is loaded
         frames = measure_frames(page, drive, seconds)
         wheel = measure_frames(page, turn, seconds / 4)
-        reach(page, 55.0)
-        bands = {"band_ms_55": band_waits(page)}
         reach(page, DEEP_MM)
-        bands["band_ms_140"] = band_waits(page)
         deep = {
             f"{name}_latency_ms": waits(measure_frames(page, steer, seconds / 4))
             for name, steer in (("deep_keys", nudge), ("deep_wheel", turn), ("modulus", slide))
@@ -218,6 +214,11 @@ def real_time(subject: str, seconds: float) -> dict:
         devtools.send("Emulation.setCPUThrottlingRate", {"rate": PHONE_SLOWER})
         for name, steer in (("phone_keys", nudge), ("phone_modulus", slide)):
             deep[f"{name}_latency_ms"] = waits(measure_frames(page, steer, seconds / 4))
+    bands = {}
+    with tempfile.TemporaryDirectory() as out, served(DRAWN, Path(out)) as address, opened(address) as page:
+        for depth in (55.0, DEEP_MM):
+            reach(page, depth)
+            bands[f"band_ms_{depth:.0f}"] = band_waits(page)
     t = np.array([frame["t"] for frame in frames])
     fell_out = np.maximum(np.rint(np.diff(t) / FRAME) - 1, 0)[np.diff(t) > LATE * FRAME].sum()
     return {

@@ -91,7 +91,6 @@ def take_plan(address: str) -> None:
         page = open_page()
         insert(page, 15)
         page.evaluate(f"import('/page/aim.js').then(({{ setAim }}) => setAim({GOAL}))")
-        wait(page, "() => window.needlefit.aim.reach")
         page.locator("details:has(#make-plan) > summary").click()
         page.click("#make-plan")
         wait(page, "() => window.needlefit.aim.plan")

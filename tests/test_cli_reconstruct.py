@@ -20,7 +20,6 @@ from needlefit.datasets.formats.mrk_json import CurveStyle, write_mrk_json
 from needlefit.datasets.markups import Markups
 from needlefit.datasets.read import check
 from needlefit.datasets.read import read as read_dataset
-from needlefit.datasets.sources import ScanVolume, find_volume
 from needlefit.geometry.surfaces import make_sheet, write_surface
 from needlefit.imaging.markers import find_markers
 from needlefit.imaging.needle.centerline import trace_needle
@@ -104,7 +103,8 @@ def test_a_scan_becomes_a_checked_dataset(done):
     assert insertion.sd is not None and (insertion.sd > 0).all() and insertion.sd.max() < 0.1
     assert insertion.pose_source == "stage"
     on_scan = insertion.patient.to_local(insertion.centerline)
-    assert find_volume(dataset, "sample") == ScanVolume(VOLUME.resolve())
+    scans = pd.read_csv(dataset.path.parent / "volumes.csv").set_index("id")
+    assert (dataset.path.parent / scans.loc["sample", "volume"]).resolve() == VOLUME.resolve()
     volume = read_volume(VOLUME)
     low, high = (
         volume.origin,

@@ -120,6 +120,11 @@ def test_the_needles_of_a_report_are_computed_again(page, result, chromium) -> N
         assert window.evaluate("needlefit.state.tip.lateral_mm") == tip
         assert window.locator("#method-rows button").count() >= 2
         assert HOSTILE in window.inner_text("#needle-choice") and window.locator("img[src=x]").count() == 0
+        load = window.locator("[data-show=load]")
+        assert load.get_attribute("aria-pressed") == "false"  # until it is what the scene is about
+        window.locator("#scene-list button").nth(1).click()
+        window.locator("#scene-control .number").wait_for()
+        assert load.get_attribute("aria-pressed") == "true"
 
 
 @pytest.mark.sweep
@@ -168,7 +173,11 @@ def test_the_page_is_accessible(page, chromium, size) -> None:  # noqa: F811
         found = Axe().run(window)
         assert found.violations_count == 0, found.generate_report()
         assert window.evaluate("document.documentElement.scrollWidth") <= width
-        if width > height:  # heading, picture, methods and panel are in one window
-            window.evaluate("document.getElementById('explorer-heading').scrollIntoView()")
-            for part in ("methods", "panel"):
-                assert window.evaluate(f"{part}.getBoundingClientRect().bottom") <= height
+        assert window.evaluate("methods.scrollWidth <= methods.clientWidth")
+        window.locator("#scene-list button").last.click()
+        control = window.locator("#scene-control > *").first
+        control.wait_for()
+        window.evaluate("document.getElementById('picture').scrollIntoView()")
+        for part in (control, window.locator("#picture")):  # both are in one window
+            box = part.bounding_box()
+            assert box["y"] >= -1 and box["y"] + box["height"] <= height + 1

@@ -3,17 +3,14 @@
 Conditions are JavaScript of `s`, the state of the needle, `n`, what the page knows, and `aim`.
 """
 
-import base64
 import re
 import shutil
 import subprocess
 import sys
 import time
 from contextlib import contextmanager
-from io import BytesIO
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -289,7 +286,7 @@ SEQUENCES = {
     ],
     "a goal that is refused is taken back": [
         ("go to", 5, "true"),
-        ("aim", "{ target: [35, 0.5] }", "aim.reach"),
+        ("aim", "{ target: [35, 0.5] }", "aim.target"),
         ("enter", RADIUS, "1.5", "aim.radius === 1.5"),
         ("enter", GOAL_X, "1e300", REFUSED),
         ("focus", "#canvas", f"aim.target[0] === 35 && Number(part('{GOAL_X}').value) === 35"),
@@ -696,56 +693,15 @@ def test_nothing_is_cut_off_or_covered_at_any_size(server, chromium, size) -> No
             assert box["x"] >= 0 and box["x"] + box["width"] <= size[0], button
 
 
-LAST_OF_FILM = """async (data) => {
-    const about = { muted: true, playbackRate: 4, src: `data:video/webm;base64,${data}` };
-    const video = Object.assign(document.createElement("video"), about);
-    await video.play();
-    if (!video.ended) await new Promise((done) => (video.onended = done));
-    const { videoWidth: width, videoHeight: height, currentTime: seconds } = video;
-    const context = Object.assign(document.createElement("canvas"), { width, height }).getContext("2d");
-    context.drawImage(video, 0, 0);
-    return { width, height, seconds, pixels: [...context.getImageData(0, 0, width, height).data] };
-}"""
-
-
 @sweep
-def test_what_is_saved_is_what_is_seen_with_its_band(chromium, tmp_path) -> None:
-    """Picture and film have the band where the page draws it; the program draws a figure."""
-    running = Server(tmp_path, "phantom2_fitted")
-    try:
-        with opened(chromium, running) as page:
-            page.get_by_role("button", name="film").click()
-            page.fill("#speed", "50")
-            page.fill("#goto-depth", "53")
-            page.press("#goto-depth", "Enter")
-            until(page, "s.depth_mm > 52.9 && !s.moving && n.band?.step === s.step", 60)
-            page.wait_for_timeout(300)
-            saved = {}
-            for name in ("figure, SVG", "picture, PNG", "film"):
-                with page.expect_download() as download:
-                    page.get_by_role("button", name=name).click()
-                saved[name] = download.value.path().read_bytes()
-            assert b"<svg" in saved["figure, SVG"]
-            colours = call(page, "painters/strokes", "{ ...m.palette }")
-            edges = call(
-                page,
-                "view",
-                "(({ x, ...band }) => ['low', 'high'].map((one) => band[one].map((y, i) => "
-                "[m.toPx(x[i]), m.toPy(y)])))(needlefit.band)",
-            )
-            width, height = call(page, "drawing", "m.size()")
-            other = page.context.new_page()  # without the rules of this one, which shows no films
-            film = other.evaluate(LAST_OF_FILM, base64.b64encode(saved["film"]).decode())
-        assert film["seconds"] > 1.0 and film["width"] == width and film["height"] > height + 100
-        last = np.reshape(film["pixels"], (film["height"], film["width"], 4))[..., :3].astype(int)
-        picture = (255 * plt.imread(BytesIO(saved["picture, PNG"]))[..., :3]).astype(int)
-        blue = [int(part, 16) for part in re.findall("..", colours["band"][1:])]
-        for pixels in (last, picture):
-            for x, y in (edge[len(edge) // 2] for edge in edges):
-                near = pixels[round(y) - 3 : round(y) + 4, round(x) - 3 : round(x) + 4].reshape(-1, 3)
-                assert np.abs(near - blue).sum(axis=1).min() < 60
-    finally:
-        running.end()
+def test_what_is_saved_are_figures_of_the_needle_as_it_stands(page) -> None:
+    go_to(page, 20)
+    saved = {}
+    for name in ("figure, SVG", "figure, PNG"):
+        with page.expect_download() as download:
+            page.get_by_role("button", name=name).click()
+        saved[name] = download.value.path().read_bytes()
+    assert b"<svg" in saved["figure, SVG"] and saved["figure, PNG"][:4] == b"\x89PNG"
 
 
 @sweep
@@ -807,7 +763,7 @@ def test_a_target_is_put_by_a_click_planned_for_and_reached(page) -> None:
     page.click("[data-fit=tissue]")
     page.click("#put-target")
     page.mouse.click(*on_picture(page, 35, 0.6))
-    until(page, "aim.target && aim.reach")
+    until(page, "aim.target")
     assert get(page, "aim.target") == pytest.approx([35, 0.6], abs=0.2)
     found = plan(page)
     end = do(page, ("click", "#run-plan", "s.depth_mm > 30 && !s.playing"))

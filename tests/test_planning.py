@@ -29,7 +29,6 @@ from needlefit.planning.steering import (
     PlanLimits,
     StartedInsertion,
     SteeringPlan,
-    find_reachable_region,
     plan_steering,
 )
 from needlefit.schemas.planning import ObstacleRecord
@@ -171,20 +170,6 @@ def test_a_cancelled_search_ends() -> None:
 def test_a_target_behind_the_tip_or_out_of_reach_is_refused(x) -> None:
     with pytest.raises(ModelError):
         plan((x, 0.0), start=replace(insertion(), path=(replace(insertion().now, depth=20.0),)))
-
-
-@pytest.mark.sweep
-@pytest.mark.parametrize("depth", [0.0, 20.0])
-def test_the_reachable_region_ends_where_plans_end(depth) -> None:
-    there = replace(insertion(), path=(replace(insertion().now, depth=depth),))
-    behind = find_reachable_region(there, there.now.depth - 10.0, threads=1)
-    assert behind.x.shape == (0,) and behind.low.shape == (3, 0)  # the tip is beyond it
-    region = find_reachable_region(there, 45.0, threads=1)
-    assert region.x[0] == depth + 0.5 and abs(region.high[1][0] - region.low[1][0]) < (2.0 if depth else 0.1)
-    for edge, sign in ((region.low[1][-1], -1), (region.high[1][-1], 1)):
-        inside, outside = (plan((45.0, edge + sign * more), 0.3, start=there) for more in (-0.4, 1.0))
-        assert inside.hits == 1 and outside.hits == 0
-        assert outside.nominal_miss < 1.1  # the nearest that a plan gets
 
 
 def test_the_plane_of_the_needle_contains_a_target_in_space() -> None:

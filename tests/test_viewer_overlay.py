@@ -1,26 +1,18 @@
-"""What lies over the needle, against what is known of it: errors, bands, and a scan made for it."""
+"""What lies over the needle, against what is known of it: errors and bands."""
 
 import dataclasses
-import io
 import json
 import math
 import shutil
 import subprocess
-from pathlib import Path
 
-import matplotlib.image
 import numpy as np
 import pandas as pd
 import pytest
 from inference_cases import TRUTH, dataset, insertion, measure, medium
-from scipy.spatial import cKDTree
 
-from needlefit.datasets.sources import ScanVolume, find_volume, write_volumes
-from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length, compare_curves
-from needlefit.geometry.frames import Frame, align_rigid, make_entry_frame
-from needlefit.imaging.volume import Volume, to_patient
-from needlefit.imaging.volume_files import write_volume
+from needlefit.geometry.frames import align_rigid
 from needlefit.inference.compared_points import compare_points
 from needlefit.inference.forward_model import ParameterDraws, make_scene_record, predict, select_layer_draws
 from needlefit.mechanics.control import Guide
@@ -31,13 +23,7 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.planning.steering import StartedInsertion
 from needlefit.viewer.export import PAGE
 from needlefit.viewer.messages import encode_measured
-from needlefit.viewer.overlays import (
-    InsertionScan,
-    compute_band,
-    find_scan,
-    make_measured_overlay,
-    read_slice,
-)
+from needlefit.viewer.overlays import compute_band, make_measured_overlay
 
 PLAN = insertion(40.0, [17.5], (1, 2))
 MEASURED = measure(TRUTH, medium(), PLAN)
@@ -157,69 +143,3 @@ def test_the_band_covers_the_needles_of_all_draws_under_the_same_inputs():
     np.testing.assert_allclose(found.high, high, atol=1e-6)
     np.testing.assert_allclose(found.x, np.median(x, axis=0), atol=1e-6)
     assert found.failed == 0 and np.all(np.diff(found.high - found.low)[-10:] > 0)  # widest at the tip
-
-
-def bent(s: np.ndarray) -> np.ndarray:
-    """The planar needle of the scan."""
-    return np.column_stack([s, 0.004 * s**2])
-
-
-@pytest.fixture(scope="module")
-def scan(tmp_path_factory: pytest.TempPathFactory):
-    """An insertion, and the volume in which it was seen: bright along the needle, turned in the world."""
-    frame = make_entry_frame(np.array([5.0, -3.0, 8.0]), np.array([0.8, 0.6, 0.0]), np.array([0.0, 0.3, 1.0]))
-    turn = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-    patient = Frame(np.array([40.0, -20.0, 11.0]), turn)
-    flat = bent(np.linspace(0.0, 30.0, 61))
-    centerline = frame.to_world(np.column_stack([flat, np.zeros(len(flat))]))
-    one = dataclasses.replace(
-        insertion(30.0), frame=frame, patient=patient, centerline=centerline, planar=flat
-    )
-    around = patient.to_local(centerline)
-    low, high = around.min(axis=0) - 12.0, around.max(axis=0) + 12.0
-    size = np.ceil((high - low) / 0.8).astype(int)
-    volume = Volume(np.zeros(size[::-1], dtype=np.float32), low, np.full(3, 0.8), np.eye(3))
-    dense = bent(np.linspace(-8.0, 30.0, 400))
-    dense[dense[:, 0] < 0, 1] = 0.0  # straight before the entry
-    axis = patient.to_local(frame.to_world(np.column_stack([dense, np.zeros(len(dense))])))
-    voxels = to_patient(volume, np.argwhere(np.ones(size)))
-    near = cKDTree(axis).query(voxels, distance_upper_bound=4.0)[0]
-    bright = 40.0 + 2500.0 * np.exp(-0.5 * (near / 0.7) ** 2)
-    values = np.ascontiguousarray(bright.reshape(size).T.astype(np.float32))
-    volume = dataclasses.replace(volume, values=values)
-    path = tmp_path_factory.mktemp("scan") / "one.nrrd"
-    write_volume(volume, path)
-    return InsertionScan(ScanVolume(path), one)
-
-
-def test_the_needle_lies_on_its_shadow_in_the_slice(scan):
-    png, (left, right, bottom, top) = read_slice(scan)
-    picture = matplotlib.image.imread(io.BytesIO(png))  # the top row first
-    height, width = picture.shape[:2]
-    columns = left + (np.arange(width) + 0.5) * (right - left) / width
-    rows = top - (np.arange(height) + 0.5) * (top - bottom) / height
-    needle = np.where(picture[..., 3] > 0, np.maximum(picture[..., 0] - 0.6, 0.0), 0.0)  # what is bright
-    for x in (2.0, 10.0, 18.0, 27.0):
-        column = needle[:, np.argmin(np.abs(columns - x))]
-        middle = np.sum(rows * column) / np.sum(column)
-        assert middle == pytest.approx(bent(np.array([x]))[0, 1], abs=0.1)
-    assert picture[0, 0, 3] == 0.0  # clear outside of the volume
-    assert top - bottom == pytest.approx(50.0 + 3.6, abs=0.7)
-
-
-def test_a_dataset_locates_its_scans_and_missing_ones_are_reported(scan, tmp_path, monkeypatch):
-    whole = dataclasses.replace(dataset([scan.insertion]), path=tmp_path / "dataset.toml")
-    assert find_scan(whole, scan.insertion) == (None, "")  # nothing was promised
-    write_volumes(tmp_path, {"other": ScanVolume(Path("x")), scan.insertion.id: scan.volume})
-    found, lacking = find_scan(whole, scan.insertion)
-    assert lacking == "" and found.volume == ScanVolume(scan.volume.path.resolve())
-    monkeypatch.setattr("needlefit.viewer.overlays.ct_packages_installed", lambda: False)
-    assert "needlefit[ct]" in find_scan(whole, scan.insertion)[1]
-    monkeypatch.undo()
-    (tmp_path / "volumes.csv").write_text(f"id,volume,series\n{scan.insertion.id},scans/a,2\n")
-    assert find_volume(whole, scan.insertion.id) == ScanVolume(tmp_path / "scans/a", "2")
-    found, lacking = find_scan(whole, scan.insertion)
-    assert found is None and f"not at {tmp_path / 'scans/a'} any more" in lacking
-    (tmp_path / "volumes.csv").write_text("id,file\na,b\n")
-    with pytest.raises(DataError, match="volume"):
-        find_volume(whole, "a")

@@ -7,9 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from needlefit.datasets.faults import Fault, as_error
-from needlefit.datasets.formats.csv import note_missing_columns, read_table
-from needlefit.datasets.insertion import Dataset
+from needlefit.datasets.faults import Fault
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.project.folders import sha256
 from needlefit.project.input_files import is_dir, is_file
@@ -145,21 +143,3 @@ def _relative_path(home: Path, path: Path) -> str:
         return Path(os.path.relpath(path.resolve(), home)).as_posix()
     except ValueError:  # Windows: another drive
         return str(path.resolve())
-
-
-def find_volume(dataset: Dataset, id_: str) -> ScanVolume | None:
-    """Return the scan of an insertion, or None if the dataset states none; the path may not exist any more.
-
-    DataError if the table of scans has a fault.
-    """
-    path = dataset.path.parent / VOLUMES_FILE
-    if not is_file(path):
-        return None
-    table, found = read_table(path), list[Fault]()
-    if note_missing_columns(table, VOLUME_COLUMNS[:2], found):
-        raise as_error(found, path)
-    cells = table.cells[table.cells["id"] == id_]
-    if cells.empty or not cells["volume"].iloc[0]:
-        return None
-    named = {name: cells[name].iloc[0] or None for name in VOLUME_COLUMNS[2:] if name in cells}
-    return ScanVolume((path.parent.resolve() / cells["volume"].iloc[0]).resolve(), **named)

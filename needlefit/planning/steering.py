@@ -75,8 +75,6 @@ NESTED_RANGES = (0.25, 1 / 3, 0.5, 2 / 3, 0.75)
 
 LIMIT_PART = 1e-3  #: a choice this near to the end of its range, as a part of it, is at its limit
 CERTAIN_RISK = 0.99  #: from this risk on a choice counts as one that misses the target in all draws
-REACH_DEPTHS = 6  #: at how many depths the reachable region is computed, besides the tip
-REACH_SHARES = (0.05, 0.5, 0.95)  #: shares of draws for which the reachable region is given
 
 DIFFERENCE_STEPS = np.array([0.05, 0.05, 0.05, 1e-3])
 """Of the differences: entry, depth and base (mm), slope of the base."""
@@ -473,45 +471,3 @@ def _smooth_risk(needles: Floats, goal: Goal, rules: _RiskRules) -> float:
     if rules.sloped:
         risk = risk + np.maximum(-margins, 0.0).sum(axis=0) / goal.radius
     return float(np.mean(risk))
-
-
-@dataclass(frozen=True)
-class ReachableRegion:
-    """Where the tip can come to stand."""
-
-    x: Floats  #: (K,) depths ahead of the tip, mm
-    low: Floats  #: (S, K) least y that a share `REACH_SHARES` of the draws reaches, mm
-    high: Floats  #: (S, K) and the greatest
-
-
-def find_reachable_region(
-    insertion: StartedInsertion, depth: float, limits: PlanLimits | None = None, threads: int | None = None
-) -> ReachableRegion:
-    """Return where the tip can come to stand up to `depth` (mm), by draws of the parameters.
-
-    The bevel stays to one side and the base goes to a corner of its range or stays, in the steps of a plan to
-    that depth: these are the needles that bend most.
-    """
-    limits, end = limits or PlanLimits(), min(depth, insertion.reach)
-    empty = np.empty((len(REACH_SHARES), 0))
-    if end <= insertion.now.depth + SAME_DEPTH_MM:  # nothing is ahead of the tip
-        return ReachableRegion(np.empty(0), empty, empty)
-    begin = min(insertion.now.depth + NEAREST_TARGET_MM, end)
-    depths = np.append(begin, np.linspace(min(begin + 2 * BASE_STEP_MM, end), end, REACH_DEPTHS))
-    ways, side = list[tuple[Step, ...]](), insertion.now.bevel.side
-    for to in depths.tolist():
-        search = _Search(insertion, Goal((to, 0.0)), limits, threads=1)
-        corners = product((-limits.base_mm, limits.base_mm), (-limits.base_slope, limits.base_slope))
-        ends = [search.still, *(np.array([0.0, to, *corner]) for corner in corners)]
-        ways += [search.way(_Choice(one, (), at)) for one, at in product((side, -side), ends)]
-    draws = insertion.samples[0] if insertion.draws is not None else insertion.exact
-    found = insertion.simulate(draws, ways, threads)
-    tips = np.array([np.where(one.valid, one.tip_track[:, -1, 0], np.nan) for one in found])
-    tips = tips.reshape(len(depths), -1, len(draws))  # (K, ways, B)
-    kept = np.isfinite(tips).any(axis=1).all(axis=0)  # draws with a needle at every depth
-    if not kept.any():
-        return ReachableRegion(np.empty(0), empty, empty)
-    least, greatest = np.nanmin(tips[..., kept], axis=1).T, np.nanmax(tips[..., kept], axis=1).T  # (B, K)
-    shares = np.array(REACH_SHARES)
-    low, high = np.quantile(least, shares, axis=0), np.quantile(greatest, 1 - shares, axis=0)
-    return ReachableRegion(depths, low, high)

@@ -37,7 +37,6 @@ TABLES_MODULE = "reporting/templates/tables.js"
 #: modules that talk to the program, and what stands for them in a file
 OFFLINE_MODULES = {
     "viewer/page/steering.js": "viewer/page/share/offline.js",
-    "viewer/page/slice.js": "viewer/page/share/offline.js",
 }
 WORKER_MODULE = "viewer/page/model/band_worker.js"
 SHARE_PAGE = "viewer/page/share/share.html"
@@ -48,6 +47,7 @@ SHARE_STYLE = "viewer/page/share/share.css"
 _IMPORT = re.compile(r'^import\s+(?:(\*\s+as\s+\w+|\{[^}]*\})\s+from\s+)?"([^"]+)";?', re.MULTILINE)
 _EXPORT = re.compile(r"^export\s+(async\s+function|function|class|const)\s+(\w+)", re.MULTILINE)
 _EXPORT_LIST = re.compile(r"^export\s+\{\s*(\w+(?:,\s*\w+)*),?\s*\};", re.MULTILINE)
+_COMMENT = re.compile(r"^[ \t]*(?:/\*\*(?:[^*]|\*(?!/))*\*/|//.*)\n|^[ \t]+", re.MULTILINE)  # or indent
 
 
 def read_package_file(name: str) -> str:
@@ -88,13 +88,15 @@ def _add_module(name: str, done: dict[str, str], path: tuple[str, ...]) -> None:
     if name in done:
         return
 
+    source = OFFLINE_MODULES.get(name, name)
+
     def take(found: re.Match[str]) -> str:
-        needed = posixpath.normpath(posixpath.join(posixpath.dirname(name), found[2]))
+        needed = posixpath.normpath(posixpath.join(posixpath.dirname(source), found[2]))
         _add_module(needed, done, (*path, name))
         given = (found[1] or "").removeprefix("* as ").replace(" as ", ": ")
         return f"const {given} = $of[{json.dumps(needed)}];" if given else ""
 
-    text = _IMPORT.sub(take, read_package_file(OFFLINE_MODULES.get(name, name)))
+    text = _IMPORT.sub(take, read_package_file(source))
     exported = [found[2] for found in _EXPORT.finditer(text)]
     exported += [found[1] for found in _EXPORT_LIST.finditer(text)]
     text = _EXPORT_LIST.sub("", _EXPORT.sub(r"\1 \2", text))
@@ -105,9 +107,9 @@ def _add_module(name: str, done: dict[str, str], path: tuple[str, ...]) -> None:
 
 @lru_cache(maxsize=2)
 def read_script(computes: bool, tables: bool) -> str:
-    """Return the script of a page that computes needles, or has sortable tables, or both."""
+    """Return the script of a page that computes needles, or has sortable tables; without comments."""
     entries = [name for name, is_there in ((TABLES_MODULE, tables), (SHARE_MODULE, computes)) if is_there]
-    script = bundle_modules(entries, WORKER_MODULE if computes else "")
+    script = _COMMENT.sub("", bundle_modules(entries, WORKER_MODULE if computes else ""))
     if re.search(r"</script|<!--", script, re.IGNORECASE):
         raise ValueError("the script contains what would end its element")
     return script

@@ -112,6 +112,7 @@ _EXPORTS: dict[str, tuple[str, Write | None]] = {
     "shape.csv": ("text/csv", write_table),
     "shape.mrk.json": ("application/json", write_curve),
     "picture.svg": ("image/svg+xml", write_picture),
+    "picture.png": ("image/png", write_picture),
     "share.html": ("text/html", write_share),
     "inputs.csv": ("text/csv", None),
 }

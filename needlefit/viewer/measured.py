@@ -27,7 +27,7 @@ from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
 from needlefit.schemas.recipe import RecipeRecord
-from needlefit.viewer.overlays import find_scan, make_measured_overlay
+from needlefit.viewer.overlays import make_measured_overlay
 from needlefit.viewer.viewed_scene import ViewedScene
 
 SHOWN_METHOD = "fitted"  #: the method of a run whose parameters are shown
@@ -115,7 +115,6 @@ def _show_insertion(
     scene = Scene.from_record(record, f"{name}/{insertion.id}")
     shape = simulate_steps(scene.needle, scene.tissue, scene.steps, scene.rules)
     floor = estimate_noise_floor(dataset, insertion, random_stream(shown.seed, "noise floor", insertion.id))
-    scan, lacking = find_scan(dataset, insertion)
     # As in a run's files for 3D Slicer: where shapes are known only up to a rigid motion, the needle is laid
     # on the measured one, and what is steered from then on lies in the frame in which it came to lie.
     frame, placed = insertion.frame, dataset.pose == "known" or shape.converged
@@ -128,13 +127,12 @@ def _show_insertion(
     return ViewedScene(
         name=f"{name}/{insertion.id}",
         title=title,
-        note=f"{description} {lacking}".rstrip(),
+        note=description,
         record=record,
         first_cell=scene.lattice.first_cell,
         placement=Placement(frame, insertion.patient).to_record() if placed else None,
         synthetic=dataset.origin == "synthetic",
         measured=make_measured_overlay(dataset, insertion, floor["te_mm"], shape),
-        scanned=scan,
         choices=choices,
         warnings=dataset.warnings,
     )
@@ -165,9 +163,9 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
             expected=f"{dataset.path} as it was then",
             fix=f"run {results.name} again, or restore the data",
         )
-    folds: list[Mapping[str, Any]] = results.run["folds"]  # those first that a fit never saw
-    held = {id_: (fold["name"], "which never saw it") for fold in folds for id_ in fold["validate"]}
-    tuned = {id_: (fold["name"], "on this needle too") for fold in folds for id_ in fold["tune"]}
+    folds: list[Mapping[str, Any]] = results.run["folds"]  # held-out insertions come first
+    held = {id_: (fold["name"], "without this insertion") for fold in folds for id_ in fold["validate"]}
+    tuned = {id_: (fold["name"], "with this insertion") for fold in folds for id_ in fold["tune"]}
     roles = held | {id_: role for id_, role in tuned.items() if id_ not in held}
     by_id = {insertion.id: insertion for insertion in dataset.insertions}
     members = tuple(by_id[id_] for id_ in roles)
@@ -191,8 +189,8 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
         results, shown.insertion.specimen, {one.specimen for one in fitted}, view_target.specimen
     )
     draws = select_draws(results.frames["draws"], fold, specimen)
-    crossed = "Its layers lie where it was measured to cross them. " if len(insertion.boundaries) else ""
-    description = f"Parameters: fitted by {results.name}, {role}. {crossed}{_describe_band(draws, specimen)}"
+    crossed = "Layer depths: as measured. " if len(insertion.boundaries) else ""
+    description = f"Parameters: fitted by {results.name} {role}. {crossed}{_describe_band(draws, specimen)}"
     viewed_scene = _show_insertion(shown, view_target.name, description, {one: one for one in roles})
     known = {(one.kind, one.what) for one in viewed_scene.warnings}  # of the dataset, with the paths of files
     warnings = [one for one in read_warnings(results.run) if (one.kind, one.what) not in known]
@@ -221,11 +219,11 @@ def _vary_draws(shown: ShownInsertion, draws: pd.DataFrame, new_bevel_sd: float)
 def _describe_band(draws: pd.DataFrame, specimen: str) -> str:
     if draws.empty:
         return "No band: the run stored no draws of its parameters, as it was interrupted."
-    sources = {"posterior": "of its sampled posterior", "importance": "importance-weighted about its fit"}
+    sources = {"posterior": "sampled", "importance": "by importance sampling"}
     from needlefit.studies.fit_frames import NEW_SPECIMEN
 
     how = sources[draws.iloc[0]["draw_source"]]
     if not draws["certified"].all():
-        return f"No band: the draws {how} are not certified."
+        return f"No band: the posterior draws ({how}) are not certified."
     new = ", in a specimen that was not tuned on" if specimen == NEW_SPECIMEN else ""
-    return f"Band: 95 % of the needles of draws {how}{new}."
+    return f"Band: 95 % of the needles of posterior draws ({how}){new}."

@@ -45,7 +45,6 @@ def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
             **encode_measured(measured),
         },
         "draws": None if viewed_scene.spread is None else encode_draws(viewed_scene.spread, scene.tissue.law),
-        "slice": viewed_scene.scanned is not None,
         "choices": list(viewed_scene.choices.items()),
     }  # fmt: skip
 
@@ -125,9 +124,7 @@ def round_lengths(values: Floats) -> list[float]:
     return found
 
 
-ACTIONS = {
-    *("hello", "steps", "show", "plan", "reach"),
-}
+ACTIONS = {"hello", "steps", "show", "plan"}
 MAX_CHANGES = 64  #: number of inputs that one step may set
 MAX_MESSAGE_STEPS = 16  #: number of steps of one message
 

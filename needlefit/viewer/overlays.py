@@ -1,4 +1,4 @@
-"""Overlays of the simulated needle: a measured needle, the band of a fit, a slice of a scan."""
+"""Overlays of the simulated needle: a measured needle, and the band of a fit."""
 
 import math
 from dataclasses import dataclass
@@ -9,13 +9,10 @@ import numpy as np
 from needlefit.arrays import Floats, Ints
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import align_rigid
-from needlefit.imaging.volume_files import ct_packages_installed
 from needlefit.mechanics.shape import NeedleShape, compute_positions
-from needlefit.project.input_files import path_exists
 
 if TYPE_CHECKING:
     from needlefit.datasets.insertion import Dataset, Insertion
-    from needlefit.datasets.sources import ScanVolume
     from needlefit.inference.compared_points import ComparedPoints
     from needlefit.inference.forward_model import ParameterDraws
     from needlefit.planning.steering import StartedInsertion
@@ -23,7 +20,6 @@ if TYPE_CHECKING:
 # What takes long to import, or only measured insertions need, is imported where it is used.
 #: needles of a band, evenly chosen from all draws: it is computed again whenever the needle moves
 MAX_BAND_DRAWS = 100
-SLICE_HALF_WIDTH_MM = 25.0  #: how far the slice reaches to both sides of the needle, mm
 
 
 @dataclass(frozen=True)
@@ -102,47 +98,3 @@ def make_measured_overlay(
             points = align_rigid(points, compute_positions(shape, s))
     stated = None if math.isnan(floor) else floor
     return MeasuredOverlay(insertion.id, points, s, aim, insertion.depth, insertion.side, stated)
-
-
-@dataclass(frozen=True)
-class InsertionScan:
-    """A measured needle, and the scan in which it was measured."""
-
-    volume: "ScanVolume"
-    insertion: "Insertion"
-
-
-def find_scan(dataset: "Dataset", insertion: "Insertion") -> tuple[InsertionScan | None, str]:
-    """Return the scan of an insertion, or None with the reason if one was expected.
-
-    DataError if the table of the dataset's scans has a fault.
-    """
-    from needlefit.datasets.sources import find_volume
-
-    volume = find_volume(dataset, insertion.id)
-    if volume is None:
-        return None, ""
-    if not ct_packages_installed():
-        return None, "No slice of the scan: it takes pip install 'needlefit[ct]'."
-    if not path_exists(volume.path):
-        return None, f"No slice of the scan: it is not at {volume.path} any more, where volumes.csv has it."
-    return InsertionScan(volume, insertion), ""
-
-
-def read_slice(scan: InsertionScan) -> tuple[bytes, tuple[float, float, float, float]]:
-    """Read a scan and return the slice along its needle; this takes seconds for a large scan.
-
-    It follows the needle through the thickness, so that a needle bent out of its plane stays in it; before
-    the entry it follows the entry axis. Returned are a PNG, and its edges in C: left, right, bottom, top, mm.
-    DataError if the scan cannot be read.
-    """
-    from needlefit.imaging.reconstruction import ENTRY_MARGIN_MM, render_bending_plane
-    from needlefit.imaging.volume_files import read_volume
-    from needlefit.reporting.figures.scan_views import encode_png
-
-    insertion = scan.insertion
-    shaft = insertion.frame.to_world(np.array([[-ENTRY_MARGIN_MM, 0.0, 0.0]]))
-    needle = insertion.patient.to_local(np.concatenate([shaft, insertion.centerline]))
-    volume = read_volume(scan.volume.path, scan.volume.series, scan.volume.acquisition)
-    view = render_bending_plane(volume, insertion.patient, insertion.frame, needle, SLICE_HALF_WIDTH_MM)
-    return encode_png(view), view.extent

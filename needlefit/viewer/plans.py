@@ -26,7 +26,6 @@ DEFAULT_RADIUS_MM = 2.0  #: a tip that ends within it has reached the target
 MAX_OBSTACLES = 16
 MAX_PLACE_MM = 1000.0  #: greatest coordinate and radius of a target or an obstacle, mm
 FAN_NEEDLES = 40  #: needles of a plan that are drawn
-BEYOND_TARGET_MM = 8.0  #: the reachable region is shown so far beyond the target
 SPEED_MM_S = 10.0  #: speed of insertion in the recording of a plan
 #: the needle goes in by so much in each recorded step; that changes nothing of where it ends
 RECORDED_STEP_MM = 1.0
@@ -156,4 +155,4 @@ def shift_entry(viewed_scene: ViewedScene, shift: float) -> ViewedScene:
         placement = replace(placed, frame=frame).to_record()
     record = viewed_scene.record.model_copy(update={"entry": moved})
     note = f"{viewed_scene.note} The entry is shifted by {shift:+.2f} mm along y.".strip()
-    return replace(viewed_scene, record=record, placement=placement, note=note, measured=None, scanned=None)
+    return replace(viewed_scene, record=record, placement=placement, note=note, measured=None)

@@ -30,21 +30,15 @@ class SteeringPage:
             await socket.close(code=WSCloseCode.GOING_AWAY)
 
     async def answer(self, name: str, content: dict[str, Any]) -> web.Response:
-        """Return a file made of a recording, the scan's bending plane, or the law of all layers."""
+        """Return a file made of a recording, or the law of all layers."""
         trial = self.trials.known(str(content.get("needle")))
         if trial is None:
             raise web.HTTPNotFound(text="there is no such needle: reload the page")
-        kind, scanned = name.removeprefix("export/"), trial.viewed_scene.scanned
+        kind = name.removeprefix("export/")
         if name == "law":
             return web.json_response(
                 await asyncio.to_thread(compile_asked_law, trial.scene.tissue, content.get("shape"))
             )
-        if name == "slice" and scanned is not None:
-            from needlefit.viewer.overlays import read_slice
-
-            png, edges = await asyncio.to_thread(read_slice, scanned)
-            extent = ",".join(f"{edge:.4f}" for edge in edges)
-            return web.Response(body=png, content_type="image/png", headers={"X-Extent-Mm": extent})
         from needlefit.viewer.export import EXPORT_TYPES, export
 
         if kind not in EXPORT_TYPES:

@@ -13,7 +13,7 @@ from needlefit.viewer.recording import make_head
 if TYPE_CHECKING:
     from needlefit.inference.forward_model import ParameterDraws
     from needlefit.studies.answer import RunFault
-    from needlefit.viewer.overlays import InsertionScan, MeasuredOverlay
+    from needlefit.viewer.overlays import MeasuredOverlay
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,6 @@ class ViewedScene:
     spread: "ParameterDraws | None" = None  #: draws of the parameters, for the band of a fit and for plans
     #: what they are for: a specimen that was not fitted, with the spread between specimens, or one that was
     specimen: Literal["new", "same", ""] = ""
-    scanned: "InsertionScan | None" = None  #: the scan in which the needle was measured
     #: insertions that can be shown instead: by name, with their titles
     choices: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[ResultWarning, ...] = ()  #: what is suspicious in the dataset or the run that it is from

@@ -6,13 +6,9 @@ from typing import Any
 
 from needlefit.errors import NeedlefitError
 from needlefit.planning.goals import Goal
-from needlefit.planning.steering import PlanLimits, find_reachable_region, plan_steering
-from needlefit.viewer.messages import Message, encode_fault, round_lengths
-from needlefit.viewer.plans import (
-    BEYOND_TARGET_MM,
-    plan_message,
-    read_goal,
-)
+from needlefit.planning.steering import PlanLimits, plan_steering
+from needlefit.viewer.messages import Message, encode_fault
+from needlefit.viewer.plans import plan_message, read_goal
 from needlefit.viewer.trial import InteractiveTrial, RecordingEndedError
 from needlefit.viewer.trials import TrialRegistry
 
@@ -61,8 +57,6 @@ class Window:
                 yield self.trial.describe_scene()
             case "plan":
                 self.orders["plan"] = self._plan(trial, read_goal(message), message.id)
-            case "reach":
-                self.orders["reach"] = self._reach(trial, read_goal(message), message.id)
 
     def _is_dropped(self, kind: str) -> bool:
         """Return whether nobody waits for it: another one is ordered, or the window was closed."""
@@ -80,13 +74,3 @@ class Window:
                 yield {"kind": "plan", "answers": answers, "fault": encode_fault(error)}
             return
         yield plan_message(plan, step, answers)
-
-    def _reach(self, trial: InteractiveTrial, goal: Goal, answers: int) -> Iterator[Reply]:
-        """Find the region that the tip can reach from where it stands."""
-        insertion = trial.insertion
-        yield {}
-        depth = max(goal.target[0] + BEYOND_TARGET_MM, trial.scene.depth)
-        region = find_reachable_region(insertion, depth, threads=1)
-        edges = {"low": region.low, "high": region.high}  # from the least share of draws to the greatest
-        rows = {name: [round_lengths(one) for one in edge] for name, edge in edges.items()}
-        yield {"kind": "reach", "answers": answers, "x": round_lengths(region.x), **rows}

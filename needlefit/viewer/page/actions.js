@@ -2,13 +2,13 @@
 
 import { part } from "./dom.js";
 import { amount } from "./fields.js";
-import { degrees, heightAt, slope, strengthOf } from "./quantities.js";
+import { heightAt } from "./quantities.js";
 import * as steering from "./steering.js";
 import { change, move, newGesture, wanted } from "./steering.js";
 import { now } from "./store.js";
 
 const WITHIN = 1000; // ms; a key pressed again so soon goes on with what the one before began
-const STEP = { base_mm: 0.1, turn_deg: 0.1 };
+const STEP_MM = 0.1; // of the base
 const CLEAR = 2; // mm that a new guide keeps from its neighbours
 const BASE_CLEAR = 5; // mm from the base, which stops so far before a guide
 const REACH = 0.6; // of the needle's length: a new guide stands nearer than that, to let the needle go in
@@ -33,20 +33,8 @@ export function goTo(depth) {
 export const flip = (at) => change([["bevel_side", null, -wanted("bevel_side", null, now.state.bevel.side)]], { at });
 
 export function nudgeBase(steps, at) {
-  const y = wanted("base_y_mm", null, now.state.base.input_y) + steps * STEP.base_mm;
+  const y = wanted("base_y_mm", null, now.state.base.input_y) + steps * STEP_MM;
   change([["base_y_mm", null, y]], { gesture: going("base"), at });
-}
-
-export function nudgeTurn(steps, at) {
-  const angle = degrees(wanted("base_slope", null, now.state.base.input_slope)) + steps * STEP.turn_deg;
-  change([["base_slope", null, slope(angle)]], { gesture: going("turn"), at });
-}
-
-/** Change b, or the angle of the cut, from here on by so many steps. */
-export function nudgeOffset(steps, at) {
-  const { here, step, value } = strengthOf(now.state.bevel);
-  const strength = wanted(here, null, value) + steps * step;
-  change([[here, null, Math.max(strength, 0)]], { gesture: going("offset"), at });
 }
 
 /** Put a guide on the needle at x (mm), where it changes next to nothing yet; by default between base and skin. */

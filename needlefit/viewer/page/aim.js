@@ -5,17 +5,13 @@ import { listen, now, publish } from "./store.js";
 
 export const SMALLEST = 0.05; // mm, of a radius
 const MOST = 1000; // mm, of a coordinate and a radius
-const REST = 200; // ms after the last change of needle or goal, when the region that the tip can reach is asked for
 const MAX_OBSTACLES = 16; // the server takes no more
-const NOTHING = { target: null, obstacles: [], reach: null, plan: null, planning: false, placing: null };
-let resting = 0;
-let asked = { plan: null, reach: null }; // ids of the newest messages
+const NOTHING = { target: null, obstacles: [], plan: null, planning: false, placing: null };
+let asked = null; // id of the newest message
 let at = null; // step of the needle
 
-/** What is aimed at (an obstacle: x, y, radius), the reachable region and the plan, as the server sent them last. */
+/** What is aimed at (an obstacle: x, y, radius), and the plan, as the server sent it last. */
 export const aim = { radius: 2, ...NOTHING };
-
-const ask = (what) => (asked[what] = command({ do: what, target: aim.target, radius: aim.radius, obstacles: aim.obstacles }));
 
 /** What an obstacle is called. */
 export const nameOf = (number) => `obstacle ${number + 1}`;
@@ -24,22 +20,15 @@ export const nameOf = (number) => `obstacle ${number + 1}`;
 export function setAim(changes) {
   const { target, radius, obstacles } = { ...aim, ...changes };
   if ([target ?? [], radius, obstacles].flat(2).every((one) => Math.abs(one) <= MOST)) {
-    Object.assign(aim, changes, { plan: null, planning: false, reach: null });
-    asked = { plan: null, reach: null };
-    askReach();
+    Object.assign(aim, changes, { plan: null, planning: false });
+    asked = null;
     publish("goal");
   } else publish("refused", { what: "the target or an obstacle is out of range", expected: `numbers of at most ${MOST} mm` });
   publish("aimed");
 }
 
-/** Ask for the region that the tip can reach, once needle and goal rest. */
-function askReach() {
-  clearTimeout(resting);
-  resting = setTimeout(() => aim.target && now.connected && ask("reach"), REST);
-}
-
 export function askPlan() {
-  ask("plan");
+  asked = command({ do: "plan", target: aim.target, radius: aim.radius, obstacles: aim.obstacles });
   aim.planning = true;
 }
 
@@ -80,20 +69,14 @@ listen("refused", () => {
   aim.planning = false;
   publish("aimed");
 });
-listen("reach", ({ answers, ...region }) => {
-  if (answers !== asked.reach) return;
-  aim.reach = region.x.length ? region : null;
-  publish("aimed");
-});
 
 /** A needle that is moved by hand leaves its plan, whose outcome is then no longer its own. */
 listen("state", ({ step, planned }) => {
   if (aim.plan && step !== at && !planned) aim.plan.left = true;
-  if (step !== at) askReach();
   at = step;
 });
 listen("plan", (plan) => {
-  if (plan.answers !== asked.plan) return;
+  if (plan.answers !== asked) return;
   if (plan.fault) publish("notice", plan.fault);
   aim.planning = false;
   aim.plan = plan.fault ? null : { ...plan, left: plan.step !== now.state.step && !now.state.planned };

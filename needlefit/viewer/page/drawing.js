@@ -5,7 +5,6 @@ import { paintAxes, paintTissue } from "./painters/background.js";
 import * as needle from "./painters/needle.js";
 import * as overlay from "./painters/overlay.js";
 import { clearBoxes, palette, readPalette } from "./painters/strokes.js";
-import { slice } from "./slice.js";
 import { listen, now, publish } from "./store.js";
 import { fit, follow, resize, takeChange, touch, view } from "./view.js";
 
@@ -16,7 +15,7 @@ const behind = background.getContext("2d", { alpha: false });
 const before = foreground.getContext("2d");
 
 /** Which parts are drawn; what there is none of is not, whatever stands here. */
-export const shown = { load: true, points: true, path: true, measured: true, band: true, errors: true, slice: true, plan: true, reach: true, pinned: true, strip: true };
+export const shown = { load: true, points: true, path: true, measured: true, band: true, errors: true, plan: true, pinned: true, strip: true };
 
 /** What else is drawn over the needle: functions of the context. */
 export const further = [];
@@ -35,11 +34,11 @@ export function paint(fresh) {
   if (fresh) follow();
   const moved = takeChange();
   const tissue = JSON.stringify(now.state.layers);
-  if (moved || tissue !== drawnTissue) paintBackground(behind);
+  if (moved || tissue !== drawnTissue) paintBackground();
   drawnTissue = tissue;
   if (moved || fresh || stale) {
     before.clearRect(0, 0, ...size());
-    paintForeground(before, now.state);
+    paintForeground(now.state);
   }
   stale = false;
   document.body.classList.add("begun");
@@ -50,34 +49,26 @@ let measured = [1, 1];
 /** Width and height of the picture, px. */
 export const size = () => measured;
 
-/** Draw the picture as it is seen on another context. */
-export function paintOn(context) {
-  paintBackground(context);
-  paintForeground(context, now.state);
-}
-
-function paintBackground(behind) {
+function paintBackground() {
   behind.fillStyle = palette.gutter;
   behind.fillRect(0, 0, ...size());
-  within(behind, () => paintTissue(behind, shown.slice ? slice() : null));
+  within(behind, () => paintTissue(behind));
   paintAxes(behind);
 }
 
-function paintForeground(before, state) {
+function paintForeground(state) {
   // while a needle moves faster than draws are computed, their band is of a place that it has left
   const band = shown.band && now.band && overlay.isBandNear(now.band, state) ? now.band : null;
   clearBoxes();
   needle.reserveNeedle(state);
-  before.lineJoin = "round"; // of curves and labels, on a new context too
+  before.lineJoin = "round";
   within(before, () => {
-    needle.paintBody(before, state);
-    if (shown.reach) overlay.paintReach(before);
     if (shown.load) needle.paintLoad(before, state);
     if (band) overlay.paintBand(before, band, band.step !== state.step);
     if (shown.plan) overlay.paintPlan(before);
     if (shown.pinned && now.pinned) overlay.paintPinned(before, now.pinned);
     needle.paintNeedle(before, state);
-    if (view.magnified > 1) overlay.paintInset(before, state);
+    overlay.paintInset(before, state);
     needle.paintTip(before, state);
     overlay.paintGoal(before);
     if (shown.load) needle.paintTipForce(before, state);
@@ -121,7 +112,6 @@ new ResizeObserver(measure).observe(picture);
 onScheme(() => (readPalette(), touch()));
 readPalette();
 for (const kind of ["band", "forces", "aimed"]) listen(kind, invalidate);
-listen("slice", touch);
 let fitted = null;
 listen("state", () => {
   if (fitted === now.scene.target) return;

@@ -26,8 +26,7 @@ export function guidePlace({ x, y, slope }) {
 /** Where the tip is drawn, and, ahead of it, the knob on the side to which the bevel turns the cut. */
 export function bevelPlace({ tip, bevel }) {
   const [px, py] = [toPx(tip.x), toPy(tip.y)];
-  const half = view.magnified > 1 ? 0 : (now.scene.diameter_mm * view.scale) / 2;
-  return { tip: [px, py], turn: [px + AHEAD, py - bevel.side * (ARM.bevel + half)] };
+  return { tip: [px, py], turn: [px + AHEAD, py - bevel.side * ARM.bevel] };
 }
 
 /** All handles, the ones drawn last first. */

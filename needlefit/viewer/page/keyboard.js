@@ -8,7 +8,6 @@ import { describe } from "./readouts.js";
 import { halt, letGo } from "./steering.js";
 import { now } from "./store.js";
 import { pin } from "./strip.js";
-import { pressed } from "./toolbar.js";
 import { fit, zoom } from "./view.js";
 
 const MOVES = ["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown", "Home", "End", "PageUp", "PageDown"];
@@ -20,11 +19,7 @@ const KEYS = [
   [["ArrowLeft"], "←", "retract, held; with Shift by 0.1 mm", (e) => along(e, -1)],
   [["ArrowUp"], "↑", "base up by 0.1 mm; with Shift by 1 mm", (e) => act.nudgeBase(steps(e), e.timeStamp)],
   [["ArrowDown"], "↓", "base down, likewise", (e) => act.nudgeBase(-steps(e), e.timeStamp)],
-  [[",", "<", ";"], ",", "turn the base right by 0.1°; with Shift by 1°", (e) => act.nudgeTurn(-steps(e), e.timeStamp)],
-  [[".", ">", ":"], ".", "turn it left, likewise", (e) => act.nudgeTurn(steps(e), e.timeStamp)],
   [["f", "F"], "F", "flip the bevel", (e) => e.repeat || act.flip(e.timeStamp)],
-  [["[", "{"], "[", "b ahead of the tip less by 0.005 mm", (e) => act.nudgeOffset(-1, e.timeStamp)],
-  [["]", "}"], "]", "b ahead of the tip more by 0.005 mm", (e) => act.nudgeOffset(1, e.timeStamp)],
   [["g", "G"], "G", "add a guide", (e) => e.repeat || act.addGuide()],
   [["t", "T"], "T", "hold the tip, let go of it", (e) => e.repeat || act.toggleTip(e.timeStamp)],
   [[" "], "space", "stop", () => ((holding = []), halt())],
@@ -33,9 +28,9 @@ const KEYS = [
   [["d", "D"], "D", "say where the needle stands", () => describe()],
   [["+", "="], "+", "zoom in", () => zoom(1.25)],
   [["-", "_"], "−", "zoom out", () => zoom(0.8)],
-  [["0", "1"], "0, 1", "show the whole needle", () => show("whole")],
-  [["2"], "2", "show the tissue", () => show("tissue")],
-  [["3"], "3", "follow the tip", () => show("tip")],
+  [["0", "1"], "0, 1", "show the whole needle", () => fit("whole")],
+  [["2"], "2", "show the tissue", () => fit("tissue")],
+  [["3"], "3", "follow the tip", () => fit("tip")],
 ];
 const ALWAYS = [["Esc", "no target, no obstacle after all"], ["Ctrl+Z", "undo"], ["Ctrl+Y", "redo; Ctrl+Shift+Z does the same"], ["?", "this list"]];
 
@@ -70,11 +65,6 @@ function release({ key }) {
   if (!newest) return;
   if (holding.length) act.hold(holding.at(-1)[1]);
   else letGo();
-}
-
-function show(which) {
-  fit(which);
-  pressed();
 }
 
 function openHelp() {

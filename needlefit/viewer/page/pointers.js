@@ -1,25 +1,21 @@
-/** Mouse, pen and fingers on the picture: handles, background, wheel, pinch, double click. */
+/** Mouse, pen and fingers on the picture: they drag handles, shift it and zoom. */
 
 import { part } from "./dom.js";
-import { addGuide, insert } from "./actions.js";
 import { put } from "./aim.js";
 import { handleAt } from "./handles.js";
-import { heightAt } from "./quantities.js";
 import { change, newGesture } from "./steering.js";
 import { now } from "./store.js";
-import { fromPx, fromPy, hold, pan, toPy, zoom } from "./view.js";
+import { fromPx, fromPy, hold, pan, zoom } from "./view.js";
 
 const NOTCH = { 0: 100, 1: 3, 2: 1 }; // wheel units a notch, by deltaMode
 const FINE = 0.1;
-const ON_NEEDLE = 24; // px
-const TWICE = { within: 350, apart: 24 }; // ms and px between the taps of a double one
 
 const canvas = part("canvas");
 const fingers = new Map(); // pointers that are down, and where
 let drag = null; // {handle, from, last, to, gesture, pointer}: where it began, where the pointer is, to where it drags
-let lastTap = { at: -Infinity, px: 0, py: 0 };
 
-const place = (event) => {
+/** Where an event is on the picture, px. */
+export const place = (event) => {
   const { left, top } = canvas.getBoundingClientRect();
   return [event.clientX - left, event.clientY - top];
 };
@@ -71,21 +67,9 @@ function up(event) {
     if (event.type === "pointerup") follow(event); // its last place, whether or not a move reported it
     drag = null;
   }
-  const from = fingers.get(event.pointerId);
   fingers.delete(event.pointerId);
   canvas.classList.remove("dragging");
   hold(false);
-  if (from && event.type === "pointerup") tapped(event, place(event));
-}
-
-/** Two taps at one place on the needle put a guide there. */
-function tapped(event, [px, py]) {
-  const near = Math.hypot(px - lastTap.px, py - lastTap.py) < TWICE.apart;
-  const twice = near && event.timeStamp - lastTap.at < TWICE.within;
-  lastTap = twice ? { at: -Infinity, px, py } : { at: event.timeStamp, px, py };
-  if (!twice || !now.state || handleAt(px, py, event.pointerType)) return;
-  const x = fromPx(px);
-  if (Math.abs(toPy(heightAt(now.state, x)) - py) < ON_NEEDLE) addGuide(x, event.timeStamp);
 }
 
 function hover(event) {
@@ -93,12 +77,13 @@ function hover(event) {
   if (canvas.style.cursor !== cursor) canvas.style.cursor = cursor;
 }
 
+/** How far a wheel was turned, notches. */
+export const notches = (event) => ((event.deltaY || event.deltaX) / NOTCH[event.deltaMode]) * (event.shiftKey ? FINE : 1);
+
 function wheel(event) {
+  if (!event.ctrlKey && !event.metaKey) return;
   event.preventDefault();
-  if (!now.state) return;
-  const notches = (event.deltaY || event.deltaX) / NOTCH[event.deltaMode];
-  if (event.ctrlKey || event.metaKey) return zoom(Math.exp(-0.2 * notches), ...place(event));
-  insert(-notches * (event.shiftKey ? FINE : 1), event.timeStamp); // 1 mm a notch
+  zoom(Math.exp(-0.2 * notches(event)), ...place(event));
 }
 
 const RAW = "onpointerrawupdate" in canvas;

@@ -7,6 +7,7 @@ import { modulusLike } from "./quantities.js";
 import { isDrawnPlane, makeRidge } from "./ridge.js";
 import { listen, now } from "./store.js";
 import { pin } from "./strip.js";
+import { toggle } from "./toolbar.js";
 
 const ANEW = [["return_to", null, 0]];
 const TURNS = [0.2, 0.8]; // of the depth, between which the turn is moved
@@ -42,6 +43,7 @@ const SCENES = [
     sentence: "Stiffen one layer: where does the force go?",
     see: "Purple areas are the load across the needle: it grows in the stiff layer and at its edges. Dotted: the needle before.",
     begin(into, steer) {
+      toggle("load", true);
       const { fitted: { layers }, limits: { mu_pa: limits }, layer_names: names } = now.scene;
       const layer = findSoftest(now.scene);
       const { mu_pa: from } = layers[layer - 1];
@@ -56,7 +58,7 @@ const SCENES = [
   },
   {
     sentence: "Which b and μ fit equally well? Drag along the ridge.",
-    see: "Dots: draws of the parameters. Line: pairs that bring the tip to the same place. Along the line the needle hardly moves; across it, it does.",
+    see: "Line: pairs with which the tip ends where that of the fit does. Along it the needle hardly moves; across it, it does. Dots: draws of the posterior, whose other parameters differ too.",
     fits: isDrawnPlane,
     begin: makeRidge,
   },

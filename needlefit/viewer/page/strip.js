@@ -37,17 +37,12 @@ export function draw() {
   if (canvas.height !== Math.round(height * devicePixelRatio)) canvas.height = Math.round(height * devicePixelRatio);
   context.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
   context.clearRect(0, 0, width, height);
-  describe(paintStrip(context, width, 0, height));
-}
-
-/** Draw both panels between two heights, px; return the greatest depth, mm. */
-export function paintStrip(context, width, top, bottom) {
   const deep = greatest();
   PANELS.forEach((panel, n) => {
     const [left, right] = [(n * width) / 2 + PAD.left, ((n + 1) * width) / 2 - PAD.right];
-    drawPanel(context, panel, deep, { left, right, top: top + PAD.top, bottom: bottom - PAD.bottom });
+    drawPanel(panel, deep, { left, right, top: PAD.top, bottom: height - PAD.bottom });
   });
-  return deep;
+  describe(deep);
 }
 
 /** The greatest depth that the strip shows, mm. */
@@ -56,7 +51,7 @@ const greatest = () => Math.max(now.scene.depth_mm, ...needles().map(([{ depth }
 /** The value of a curve at a depth, mm; NaN where the needle has not been. */
 const valueAt = ([one, curve], at) => (at <= one.depth + 1e-9 && curve.x.length ? heightAt(curve, at) : NaN);
 
-function drawPanel(context, [name, unit, digits, curveOf], deep, { left, right, top, bottom }) {
+function drawPanel([name, unit, digits, curveOf], deep, { left, right, top, bottom }) {
   const curves = needles().map(([one, colour]) => [one, curveOf(one), colour]);
   const values = curves.flatMap(([, { y }]) => y);
   const [low, high] = [Math.min(0, ...values), Math.max(0, ...values)];

@@ -3,15 +3,15 @@
 import { aim } from "./aim.js";
 import { button, element, part, press } from "./dom.js";
 import { invalidate, shown } from "./drawing.js";
-import { listen, now, publish } from "./store.js";
-import { fit, touch, view, zoom } from "./view.js";
+import { listen, now } from "./store.js";
+import { fit, view, zoom } from "./view.js";
 
 /** What can be shown and hidden: its name, what the button is called and explained, whether it has a swatch. */
 const CHIPS = [
   ["load", "lateral load"],
   ["points", "constraint points"], ["path", "tip path"], ["measured", "measured"],
   ["errors", "errors", "Gaps at the tip (TE) and along the shaft (IPE)"], ["band", "95 % band"], ["plan", "plan"],
-  ["pinned", "pinned"], ["reach", "reachable"], ["slice", "scan"],
+  ["pinned", "pinned"],
   ["strip", "tip against depth", "Deflection of the tip and tip force, against depth", false],
 ];
 const TALL = 800; // px of a window that has room for the strip
@@ -25,35 +25,21 @@ const chips = Object.fromEntries(CHIPS.map(([name, called, title = "", marked = 
 }));
 part("chips").append(...Object.values(chips));
 
-/** Let the buttons say which view is seen. */
-export function pressed() {
-  for (const one of fits) one.ariaPressed = String(one.dataset.fit === view.fit);
-}
-
 export function toggle(name, on = chips[name].ariaPressed !== "true") {
   chips[name].ariaPressed = String(on);
-  if (name === "strip") {
-    part("strip").hidden = !on;
-    return publish("strip");
-  }
+  if (name === "strip") part("strip").hidden = !on;
   shown[name] = on;
-  name === "slice" ? touch() : invalidate();
+  invalidate();
 }
-
-/** What is offered and shown, of what has a swatch: pairs of its name and what it is called. */
-export const listShown = () => CHIPS.filter(([name, , , marked = true]) => marked && !chips[name].hidden && chips[name].ariaPressed === "true");
 
 /** Offer what there is, by name. */
 const offer = (there) => Object.entries(there).forEach(([name, is]) => (chips[name].hidden = !is));
 
-offer({ measured: false, errors: false, band: false, plan: false, reach: false, slice: false, pinned: false });
+offer({ measured: false, errors: false, band: false, plan: false, pinned: false });
 if (innerHeight < TALL) toggle("strip"); // the picture needs the room
-for (const one of fits) press(one, () => (fit(one.dataset.fit), pressed()));
-for (const one of document.querySelectorAll("[data-zoom]")) {
-  press(one, () => (zoom(one.dataset.zoom === "in" ? 1.25 : 0.8), pressed()));
-}
-listen("scene", ({ measured, draws, slice }) => offer({ measured, errors: measured, band: draws, slice, plan: false, reach: false }));
-listen("aimed", () => offer({ plan: aim.plan, reach: aim.reach }));
+for (const one of fits) press(one, () => fit(one.dataset.fit));
+for (const one of document.querySelectorAll("[data-zoom]")) press(one, () => zoom(one.dataset.zoom === "in" ? 1.25 : 0.8));
+listen("scene", ({ measured, draws }) => offer({ measured, errors: measured, band: draws, plan: false }));
+listen("aimed", () => offer({ plan: aim.plan }));
 listen("pinned", () => offer({ pinned: now.pinned }));
-listen("redraw", pressed);
-listen("state", pressed);
+listen("redraw", () => fits.forEach((one) => (one.ariaPressed = String(one.dataset.fit === view.fit)))); // of another view

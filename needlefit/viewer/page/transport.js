@@ -1,12 +1,16 @@
-/** The buttons and fields of the insertion: held to move, or pressed once; a new needle is inserted by itself. */
+/** What inserts the needle: buttons that are held or pressed, a depth, the wheel; a new needle is inserted by itself. */
 
 import { part, press, write } from "./dom.js";
 import * as act from "./actions.js";
-import { brief } from "./quantities.js";
+import { handleAt } from "./handles.js";
+import { notches, place } from "./pointers.js";
+import { brief, heightAt } from "./quantities.js";
 import { command, halt, letGo } from "./steering.js";
 import { listen, now } from "./store.js";
+import { fromPx, toPy } from "./view.js";
 
-const STEP = 1; // mm; what a mere click does, as assistive technology gives it
+const STEP = 1; // mm; what a mere click does, as assistive technology gives it, and a notch of the wheel
+const ON_NEEDLE = 24; // px
 
 /** A button that moves the needle as long as it is held, by pointer, space or enter. */
 function holdButton(button, direction) {
@@ -56,6 +60,18 @@ holdButton(part("retract"), -1);
 part("goto").addEventListener("submit", (event) => {
   event.preventDefault();
   if (now.state) act.goTo(Number(part("goto-depth").value));
+});
+
+part("canvas").addEventListener("wheel", (event) => {
+  if (event.ctrlKey || event.metaKey) return; // it zooms
+  event.preventDefault();
+  if (now.state) act.insert(-STEP * notches(event), event.timeStamp);
+}, { passive: false });
+part("canvas").addEventListener("dblclick", (event) => { // on the needle: a guide
+  const [px, py] = place(event);
+  const x = fromPx(px);
+  const near = now.state && Math.abs(toPy(heightAt(now.state, x)) - py) < ON_NEEDLE;
+  if (near && !handleAt(px, py)) act.addGuide(x, event.timeStamp);
 });
 
 let begun = false;

@@ -4,7 +4,6 @@ import { Session } from "../../../mechanics/native/needle.js";
 import { applyChanges, checkChange, ModelError, toInputs, toStep } from "./inputs.js";
 import { computeValidity, listFaults } from "./validity.js";
 
-
 /** The law of all layers for shape parameters (rows of layers), or null: only the program can compute it. */
 export function makeLaw({ terms, tables }, shape) {
   if (!terms) return tables.find(([known]) => JSON.stringify(known) === JSON.stringify(shape))?.[1] ?? null;

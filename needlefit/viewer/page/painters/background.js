@@ -1,9 +1,9 @@
-/** What stands still: air, layers and their names, the scan's slice, skin, and axes in mm. */
+/** What stands still: air, layers and their names, skin, and axes in mm. */
 
 import { brief, modulus, roundStep } from "../quantities.js";
 import { now } from "../store.js";
 import { fromPx, fromPy, toPx, toPy, view } from "../view.js";
-import { faintly, palette, segments, setFont, shades, turned } from "./strokes.js";
+import { palette, segments, setFont, shades, turned } from "./strokes.js";
 
 const APART = 8; // px between the texts of two layers
 const ROWS = [-34, -20, -6]; // px from the window's top to the middles of rows, where texts need three
@@ -13,8 +13,8 @@ const TICKS_APART = 48; // px between ticks, at least, where there is room for s
 const QUARTER = Math.PI / 2;
 const IN_ROW = "x (mm)"; // where the window is low, after the ticks
 
-/** Draw the layers, over the slice where there is one. */
-export function paintTissue(context, slice) {
+/** Draw the layers. */
+export function paintTissue(context) {
   const { left, top, width, height } = view.box;
   context.fillStyle = palette.air;
   context.fillRect(left, top, width, height);
@@ -22,11 +22,6 @@ export function paintTissue(context, slice) {
   for (const { from, to, shade } of layers) {
     context.fillStyle = shade;
     context.fillRect(from, top, to - from, height);
-  }
-  if (slice) {
-    const [x0, x1, y0, y1] = slice.extent;
-    const draw = () => context.drawImage(slice.image, toPx(x0), toPy(y1), toPx(x1) - toPx(x0), toPy(y0) - toPy(y1));
-    faintly(context, 0.85, draw);
   }
   for (const { from, number, top: edge } of layers) {
     if (edge < left) continue; // its upper side lies outside

@@ -4,15 +4,13 @@ import { basePlace, bevelPlace, guidePlace } from "../handles.js";
 import { brief, heightAt, roundStep, shortName } from "../quantities.js";
 import { now, tipForce } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
-import { arrow, avoid, between, cross, faintly, label, labelFree, line, palette, placesOf, polygon, reserve, ring, segments, setFont, stroke, trace, turned } from "./strokes.js";
+import { arrow, avoid, cross, faintly, label, labelFree, line, palette, placesOf, polygon, reserve, ring, segments, setFont, stroke, trace, turned } from "./strokes.js";
 
-const LINE = 2.5; // px, of the needle where y is magnified: its width stands in the inset
+const LINE = 2.5; // px, of the needle: its width stands in the inset
 const CROSS = { of: 0.28, least: 1, most: 3.2 }; // half a cross: part of the spacing, px
-const LONGEST_BEVEL = 2.5; // diameters
-const WIDE = 7; // px; from here on the body is drawn behind all else, and its axis over it
-const STEEL = 0.5; // of the needle's colour, of a wide body
-const AXIS = { width: 1.5, dash: [14, 3, 2, 3] }; // px; a centreline, as drawings have it
+const BEVEL = { length: 7.5, half: 1.5 }; // px
 const HANDLE = 7; // px
+const GAP = 3; // px between the axis of the needle and a guide
 const LOWEST = 16; // px, of the load's curve
 const tallest = () => Math.min(48, 0.2 * view.box.height - 10); // px, of that and of the force's arrow: both have room above the needle
 const SHORTEST = 5; // px, of the arrow of a force; a shorter one is not drawn
@@ -23,45 +21,28 @@ let perLoad = null; // px per N/mm
 let greatestForce = { scene: null, newton: 0 }; // on the tip of this scene so far: arrows of its forces have one scale
 const distance = (one, other) => Math.hypot(one[0] - other[0], one[1] - other[1]);
 
-/** How thick the needle is drawn, px. */
-export function thickness() {
-  return Math.max(view.magnified > 1 ? 0 : now.scene.diameter_mm * view.scale, LINE);
-}
-
 /** The shaft on the canvas (px), which ends before the tip, where the bevel begins; its colour: outside the model it looks different. */
 function describeShaft({ x, y, faults }) {
   const outside = faults?.length > 0;
-  const [points, length] = [placesOf(x, y), LONGEST_BEVEL * Math.max(thickness(), 3)];
+  const points = placesOf(x, y);
   const tip = points.at(-1);
-  const shaft = points.filter((one) => distance(one, tip) > length);
+  const shaft = points.filter((one) => distance(one, tip) > BEVEL.length);
   const last = shaft.at(-1) ?? tip;
-  const share = 1 - length / (distance(last, tip) || 1);
+  const share = 1 - BEVEL.length / (distance(last, tip) || 1);
   shaft.push(last.map((from, i) => from + share * (tip[i] - from)));
   return { shaft, tip, outside, shown: outside ? palette.bad : palette.needle };
 }
 
-/** Draw the body where it is wide, behind what is compared with the needle, which is thinner. */
-export function paintBody(context, state) {
-  const width = thickness();
-  if (width < WIDE) return;
-  const { shaft, shown } = describeShaft(state);
-  trace(context, shaft);
-  context.lineCap = "butt";
-  stroke(context, shown, width);
-  stroke(context, between(palette.air, shown, STEEL), width - 2);
-}
-
-/** Draw the shaft, of a wide one the axis, and the bevel, whose point lies where it turns the cut to. */
+/** Draw the shaft, and the bevel, whose point lies where it turns the cut to. */
 export function paintNeedle(context, state) {
   const { shaft, tip, outside, shown } = describeShaft(state);
-  const width = thickness();
   trace(context, shaft);
   context.lineCap = "butt";
-  context.setLineDash(outside ? [9, 5] : width < WIDE ? [] : AXIS.dash);
-  stroke(context, shown, width < WIDE ? width : AXIS.width);
+  context.setLineDash(outside ? [9, 5] : []);
+  stroke(context, shown, LINE);
   context.setLineDash([]);
   // The cut face is drawn as a line of its own: it looks away from the side of the point.
-  const [end, half, { side }] = [shaft.at(-1), Math.max(width, 3) / 2, state.bevel];
+  const [end, { half }, { side }] = [shaft.at(-1), BEVEL, state.bevel];
   const size = distance(end, tip) || 1;
   const [dx, dy] = tip.map((to, i) => (to - end[i]) / size);
   const at = ([px, py], to) => [px + to * dy * half, py - to * dx * half]; // canvas y runs downwards
@@ -92,6 +73,8 @@ export function paintTip(context, state) {
   const { tip, turn } = bevelPlace(state);
   segments(context, [[tip, turn]], palette.tip, 1.5);
   ring(context, ...turn, 6, palette.air, palette.tip);
+  setFont(context, "small");
+  labelFree(context, "bevel", [[turn[0] + 29, turn[1]], [turn[0], turn[1] - 18 * state.bevel.side]], palette.tip);
   if (state.tip.held) ring(context, ...tip, 11, palette.tip, "transparent");
 }
 
@@ -127,11 +110,10 @@ export function paintPoints(context, { constraints: [x, y] }) {
 /** Draw the hub, the rail along which the stage moves it, and the ring that turns it. */
 export function paintBase(context, state) {
   const { place: [px, py], turn, angle } = basePlace(state);
-  const half = Math.max(thickness() / 2 + 4, 7);
   segments(context, [[[px, py - 46], [px, py + 46]]], palette.quiet, 2);
   segments(context, [-46, 46].map((to) => [[px - 5, py + to], [px + 5, py + to]]), palette.quiet, 2);
   segments(context, [[[px, py], turn]], palette.ink, 1.5);
-  turned(context, px, py, angle, () => box(context, -22, -half, 26, 2 * half, 4, palette.ink));
+  turned(context, px, py, angle, () => box(context, -22, -7, 26, 14, 4, palette.ink));
   ring(context, ...turn, HANDLE, palette.ink, palette.air);
 }
 
@@ -144,14 +126,13 @@ function box(context, px, py, width, height, radius, fill) {
 
 /** Draw each guide: two jaws along its direction if it clamps, two points if the needle turns in it. */
 export function paintGuides(context, { guides }) {
-  const gap = thickness() / 2 + 2;
   for (const guide of guides) {
     const { place, turn, angle } = guidePlace(guide);
     const clamps = !guide.turns_freely;
     if (clamps) segments(context, [[place, turn]], palette.guide, 1.5);
     turned(context, ...place, angle, () => {
       for (const to of [-1, 1]) {
-        const from = gap * to;
+        const from = GAP * to;
         if (clamps) box(context, -13, Math.min(from, from + 7 * to), 26, 7, 2, palette.guide);
         else polygon(context, [[0, from], [-7, from + 11 * to], [7, from + 11 * to]], palette.guide);
       }
@@ -165,7 +146,7 @@ export function paintGuides(context, { guides }) {
 function writeNames(context, guides) {
   setFont(context, "strong");
   for (const guide of guides.toSorted((one, other) => one.item - other.item)) {
-    const [px, py] = [toPx(guide.x), toPy(guide.y) + thickness() / 2 + 26];
+    const [px, py] = [toPx(guide.x), toPy(guide.y) + 27];
     if (px < view.box.left || px > view.box.left + view.box.width) continue; // out of the picture
     labelFree(context, shortName(guide), [[px, py]], palette.guide);
   }
@@ -185,8 +166,7 @@ export function paintLoad(context, { load: { x, y, n_per_mm: values } }) {
   const height = greatest * (perLoad ?? 0);
   if (height > tallest() || height < Math.min(LOWEST, tallest() / 3)) perLoad = (0.75 * tallest()) / (2 * roundStep(greatest));
   const [px, py] = [x.map(toPx), y.map(toPy)];
-  const surface = beside(px, py, load, 0);
-  const ends = beside(px, py, load, perLoad);
+  const [surface, ends] = [0, perLoad].map((scale) => px.map((x, i) => [x, py[i] - load[i] * scale]));
   // where the load pushes to one side without a break: first point, and one behind the last
   const starts = load.map((_, i) => i).filter((i) => i === 0 || load[i] * load[i - 1] <= 0);
   const edges = starts.map((from, n) => {
@@ -219,10 +199,6 @@ export function smooth(x, load, reach) {
     return (sumTo(at + half, to) - sumTo(at - half, from)) / (2 * half);
   });
 }
-
-/** Places beside the shaft, px: along y, as far from the surface that is pushed as the load is great. */
-const beside = (px, py, load, scale) =>
-  px.map((x, i) => [x, py[i] - load[i] * scale - (Math.sign(load[i]) * thickness()) / 2]);
 
 /** The length of a round load, at the upper left, outside the window. */
 export function paintKey(context) {

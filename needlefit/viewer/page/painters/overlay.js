@@ -4,13 +4,13 @@ import { aim, nameOf } from "../aim.js";
 import { heightAt, isChanged } from "../quantities.js";
 import { now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
-import { thickness } from "./needle.js";
 import { cross, faintly, fillBetween, isFree, label, labelBeside, labelFree, line, palette, placesOf, reserve, segments, setFont, stroke } from "./strokes.js";
 
 const GAPS = 12; // parts of the shaft between which gaps are drawn
 const FAN = 0.3; // opacity of the plan's draws
 const PALE = 0.35; // of a plan that the needle has left
 const CROSS = 5; // px
+const AWAY = 19; // px, of the tip error from the needle
 const INSET = { width: 170, height: 46, edge: 10 }; // px
 const CLEAR = 30; // px between the inset and curves, for load and crosses
 
@@ -62,17 +62,9 @@ export function paintGaps(context, state, measured) {
   setFont(context, "strong");
   const px = toPx(x);
   const [top, bottom] = [toPy(y), toPy(end[1])].sort((one, other) => one - other);
-  const away = thickness() / 2 + 18;
-  const sides = [[px, top - away], [px, bottom + away]]; // first the one that has no knob of the bevel
+  const sides = [[px, top - AWAY], [px, bottom + AWAY]]; // first the one that has no knob of the bevel
   if (state.bevel.side > 0) sides.reverse();
-  labelFree(context, `TE ${errors.te_mm.toFixed(2)} mm`, [...sides, [px + 60, top - away], [px + 60, bottom + away], [px - 90, top - away], [px - 90, bottom + away]], palette.gap);
-}
-
-/** Shade where the tip can come to stand: the more of the draws, the stronger. */
-export function paintReach(context) {
-  if (!aim.reach) return;
-  const { x, low, high } = aim.reach;
-  faintly(context, 0.12, () => low.forEach((edge, level) => fillBetween(context, x, edge, high[level], palette.reach)));
+  labelFree(context, `tip error (TE) ${errors.te_mm.toFixed(2)} mm`, [...sides, [px + 60, top - AWAY], [px + 60, bottom + AWAY], [px - 90, top - AWAY], [px - 90, bottom + AWAY]], palette.gap);
 }
 
 /** Draw the needles of the draws, and over them the one of the parameters shown. */
@@ -111,7 +103,7 @@ function paintCircle(context, x, y, radius, shown, name, opacity = 0) {
   labelFree(context, name, sides, shown);
 }
 
-/** Draw the inserted part of the needle with y as large as x, in a corner where nothing else is; else nowhere. */
+/** Draw the inserted part of the needle with y as large as x and its width, in a corner where nothing else is; else nowhere. */
 export function paintInset(context, { x, y, tip }) {
   if (tip.x <= 0) return;
   const { left, top, width, height } = view.box;

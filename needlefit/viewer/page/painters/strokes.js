@@ -5,7 +5,7 @@ import { toPx, toPy, view } from "../view.js";
 
 const NAMES = [
   "air", "gutter", "ink", "quiet", "edge", "needle", "points", "path", "tip", "guide", "load",
-  "measured", "band", "ghost", "plan", "reach", "gap", "bad", "halo", "soft", "stiff", "label", "accent",
+  "measured", "band", "ghost", "plan", "gap", "bad", "halo", "soft", "stiff", "label", "accent",
 ];
 const FONTS = { small: "11px system-ui, sans-serif", plain: "12px system-ui, sans-serif", strong: "600 12px system-ui, sans-serif" };
 

@@ -14,8 +14,8 @@ import { toggle } from "../toolbar.js";
 import { fit } from "../view.js";
 import { nameIn, readAddress, writeAddress } from "./address.js";
 import { buildFields, refreshFields } from "./controls.js";
-import { begin, insert, load, prove, Replay, steer } from "./needles.js";
-import { listenToPicture } from "./picture.js";
+import { listenToKeys } from "./keys.js";
+import { begin, insert, load, prove, Replay } from "./needles.js";
 
 const SHORTEST = 2, LONGEST = 20; // s that a recording lasts while it is played
 const DESCRIBED_EVERY = 2000; // ms, while it changes
@@ -63,7 +63,7 @@ function rebuild(lists, below = part("flip").parentElement) {
   write(refusal, "");
   const { number } = steered;
   try {
-    for (const changes of lists) steer(steered, changes);
+    for (const changes of lists) steered.apply(changes, { validOnly: false });
   } catch (error) {
     refuse(error, below);
     if (steered.number === number) return refreshFields();
@@ -116,7 +116,7 @@ async function choose(number) {
   [needle, steered] = [data.needles[number], found];
   const { scene } = needle;
   replay = needle.recording ? new Replay(steered, needle.recording) : null;
-  take({ slice: false, ...scene, kind: "scene" });
+  take({ ...scene, kind: "scene" });
   buildFields(needle, change);
   listMethods();
   const specimen = needle.new_specimen ? " of a specimen that was not fitted" : "";
@@ -262,7 +262,9 @@ async function start() {
   offerScenes(rebuild, data.kernel);
   listen("redraw", redraw);
   listen("go to", (depth) => change([["depth_mm", null, depth]]));
-  listenToPicture(change);
+  listenToKeys(change);
+  listen("steered", (set) => change(set));
+  now.connected = true;
   buildRecording();
   if (!data.needles[0].recording) ["load", "points", "path", "errors", "strip"].forEach((name) => toggle(name, false)); // measured and fit come first
   await choose(0);

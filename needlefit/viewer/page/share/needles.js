@@ -37,9 +37,6 @@ export function insert(steered) {
   for (const changes of listSteps(steered.scene)) steered.apply(changes, always);
 }
 
-/** Carry out a change of the reader. */
-export const steer = (steered, changes) => steered.apply(changes, always);
-
 /** Replays a recording: `to(n)` carries out its first n steps, from the beginning if it is beyond, or `changed` by the reader. */
 export class Replay {
   constructor(steered, steps) {
