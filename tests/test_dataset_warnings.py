@@ -10,12 +10,9 @@ import trimesh
 from test_datasets import CURVE, X, record, row
 
 from needlefit.datasets.dataset_warnings import (
-    BendResult,
-    classify_insertion,
-    find_pooled_side_warnings,
+    find_side_warnings,
     measure_out_of_plane,
     measure_scatter,
-    pool_z,
 )
 from needlefit.datasets.read import check, check_all, read
 from needlefit.datasets.write import write_dataset as write_curves
@@ -31,10 +28,12 @@ UP = np.array([0.0, 1.0, 0.0])
 
 
 def write_dataset(folder, record, rows, curves, surfaces, **options) -> Path:
-    """Write curves that are no copies of one another: each 0.02 mm beside the one before."""
-    beside = {
-        id_: curve + np.eye(curve.shape[1])[2] * 2e-2 * n for n, (id_, curve) in enumerate(curves.items())
-    }
+    """Write curves that are no copies of one another: each with noise but at its ends, beside the last one."""
+    random, beside = np.random.default_rng(1), {}
+    for n, (id_, curve) in enumerate(curves.items()):
+        noise = np.zeros(curve.shape)
+        noise[1:-1, 1:3] = random.normal(0.0, 0.02, (len(curve) - 2, 2))
+        beside[id_] = curve + noise + np.eye(curve.shape[1])[2] * 2e-2 * n
     return write_curves(folder, record, rows, beside, surfaces, **options)
 
 
@@ -117,18 +116,14 @@ def test_insertions_deflected_away_from_their_bevel_and_copies_are_named(tmp_pat
 
 
 def test_the_bevel_sides_of_a_medium_that_bends_weakly_are_judged_together():
-    weak = [BendResult(str(n), f"t:{n}", "unknown", "gel", 0.5) for n in range(8)]
-    wrong = BendResult("wrong", "t:9", "away", "gel", -40.0)
-    assert list(find_pooled_side_warnings([*weak, wrong], "bevel_side")) == []
-    # Of the shipped chicken insertions hardly one bends clearly; together they do, by 6 deviations.
+    """Of the shipped chicken insertions hardly one bends clearly; together they do."""
     dataset = read(find_file("dataset", "twin"))
-    chicken = [one for one in dataset.insertions if one.medium == "chicken"]
-    shipped = [classify_insertion(one, one.id, dataset.noise) for one in chicken]
-    assert pool_z(shipped) > 5 and list(find_pooled_side_warnings(shipped, "bevel_side")) == []
-    flipped = [classify_insertion(replace(one, side=-one.side), one.id, dataset.noise) for one in chicken]
-    assert pool_z(flipped) == pytest.approx(-pool_z(shipped))
-    (one,) = find_pooled_side_warnings(flipped, "bevel_side")
-    assert one.where == "chicken-09" and "chicken-09, chicken-03" in one.what and "`bevel_side`" in one.fix
+    chicken = [(one, one.id) for one in dataset.insertions if one.medium == "chicken"]
+    assert list(find_side_warnings(chicken, dataset.noise, "bevel_side")) == []
+    flipped = [(replace(one, side=-one.side), where) for one, where in chicken]
+    found = list(find_side_warnings(flipped, dataset.noise, "Seite"))
+    assert {one.kind for one in found} == {"bevel_side"} and found[-1].where == "chicken-09"
+    assert "`Seite`" in found[-1].fix and len(list(find_side_warnings(flipped[:1], dataset.noise, ""))) < 2
 
 
 @pytest.mark.parametrize(
@@ -154,7 +149,7 @@ def test_a_value_in_another_unit_is_named_with_its_line(tmp_path, pattern, line,
 
 
 def test_a_depth_in_another_unit_than_its_curve_is_named_with_the_line_of_its_row(tmp_path):
-    for factor, unit in [(0.1, "centimetres"), (1 / 25.4, "inches"), (1e3, "micrometres")]:
+    for factor, unit in [(0.1, "centimetres"), (1 / 25.4, "inches")]:
         file = gel(tmp_path)
         table = file.parent / "insertions.csv"
         table.write_text(table.read_text().replace("50.0000", f"{50 * factor:.6g}"))
@@ -176,7 +171,7 @@ def test_a_depth_in_another_unit_than_its_curve_is_named_with_the_line_of_its_ro
     ("key", "wrong", "right"),
     [
         ("registration_mean_mm", (178, 1.78e-4, 1.2), (0.9,)),  # the needles bend by 1 mm
-        ("correlation_length_mm", (0.005, 151), (0.5, 150)),
+        ("correlation_length_mm", (151,), (0.5, 150)),
     ],
 )
 def test_a_stated_error_that_cannot_be_right_is_named_with_its_line(tmp_path, key, wrong, right):
@@ -261,9 +256,7 @@ def test_surfaces_listed_twice_turned_or_missed_are_faults(tmp_path):
     (copied,) = check(layered(tmp_path / "copy", copies, layers=3))
     assert "as a and as b" in copied.what and copied.where.startswith(str(tmp_path / "copy/dataset.toml:"))
     (turned,) = check(layered(tmp_path / "turned", {"layers/a.stl": plane(-20)}))
-    assert "RAS" in turned.what and "all 2" in turned.what
-    missed = check(layered(tmp_path / "missed", {"layers/a.stl": plane(70)}))
-    assert len(missed) == 2 and not any("RAS" in one.what for one in missed)
+    assert "RAS" in turned.fix and "all 2" in turned.what
     assert kinds(layered(tmp_path / "one", {"layers/a.stl": plane(70)}, layers=1)) == ["surfaces_missed"]
 
 
@@ -308,15 +301,33 @@ def test_curves_nearer_to_each_other_than_their_noise_allows_are_copies(tmp_path
     }
     for name, curve in others.items():
         rows = [into_gel("a"), into_gel("b", side=-1 if name == "mirrored" else 1)]
-        path = write_rows(tmp_path / name, *rows, curves={"a": once, "b": curve - [0, 0, 2e-2]})
+        tables = record(media={"gel": {}}, noise=NOISE)
+        path = write_curves(tmp_path / name, tables, rows, {"a": once, "b": curve}, {})
         assert ("copy" in kinds(path)) == (name != "twice")
 
 
-@pytest.mark.parametrize("scatter", [0.02, 0.1])
-def test_points_that_scatter_more_than_their_stated_noise_contradict_it(tmp_path, scatter):
+@pytest.mark.parametrize(("factor", "count"), [(0.01, 1), (0.05, 1), (0.4, 1), (1, 0), (2.5, 0), (10, 1)])
+@pytest.mark.parametrize("is_flat", [False, True])
+def test_points_that_scatter_more_or_less_than_their_stated_noise_contradict_it(
+    tmp_path, factor, count, is_flat
+):
+    """The noise that is stated is a multiple of what the points have: 0.04 mm."""
     random = np.random.default_rng(3)
-    few = CURVE[::5]
-    curves = {name: few + random.normal(0.0, scatter, few.shape) * [0, 1, 1] for name in "ab"}
-    path = write_rows(tmp_path, into_gel("a"), into_gel("b"), curves=curves)
-    assert kinds(path) == (["noise"] if scatter > 0.04 else [])
-    assert measure_scatter(read(path).insertions) == pytest.approx(scatter, rel=0.25)
+    across = [0, 1, 0] if is_flat else [0, 1, 1]
+    curves = {name: CURVE[::2] + random.normal(0.0, 0.04, (51, 3)) * across for name in "ab"}
+    path = write_curves(
+        tmp_path,
+        record(media={"gel": {}}, noise={"point_sd_mm": 0.04 * factor}),
+        [into_gel("a"), into_gel("b")],
+        curves,
+        {},
+    )
+    assert sum(one.kind in ("noise", "units") for one in find_warnings(path)) == count
+    assert measure_scatter(read(path).insertions[0]) == pytest.approx(0.04, rel=0.25)
+
+
+def test_insertions_in_inches_are_named(tmp_path):
+    tables = record(media={"gel": {}}, noise={"point_sd_mm": 0.02})
+    path = write_curves(tmp_path, tables, [into_gel(depth=50 / 25.4)], {"a": CURVE / 25.4}, {})
+    (found,) = (one for one in find_warnings(path) if one.kind == "units")
+    assert "25.4" in found.fix

@@ -158,7 +158,7 @@ FAULTS = [
     (f"{ROWS}:2", "guide_distance_mm is 110", "", row(guide_distance_mm="110")),
     (f"{ROWS}:2", "id is '../a'", "", row(id="../a")),
     (f"{ROWS}:4", "line 2", "", cell(ROWS, 4, id="a")),
-    *((f"{ROWS}:2", "a meets 4 layers (1 > 2 > 3 > 2", "layers = 4", row(**dict.fromkeys(NO_COUNT, layers)))
+    *((f"{ROWS}:2", "a meets 4 layers (1 > 2 > 3 > 2", "write 4", row(**dict.fromkeys(NO_COUNT, layers)))
       for layers in "35"),
     (f"{ROWS}:1", "`depth_mm`", "columns", text(ROWS, "depth_mm", "depth")),
     (f"{ROWS}:3", "scan_", "", scan("12")),

@@ -3,8 +3,7 @@
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from difflib import SequenceMatcher
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Literal
 
@@ -18,12 +17,10 @@ from needlefit.datasets.columns import (
     INSERTION_COLUMNS,
     NUMBER_COLUMNS,
     POINT_COLUMNS,
-    POSE_COLUMNS,
     SCAN_COLUMNS,
     SD_COLUMN,
     SHARED_COLUMN,
 )
-from needlefit.datasets.formats.csv import CsvTable
 from needlefit.datasets.insertion import Dataset, Insertion, Noise, TipTrack
 from needlefit.datasets.layers import ListedInsertion
 from needlefit.datasets.noise import MEAN_NORM_PER_SD
@@ -52,6 +49,7 @@ MIN_POINT_SD_MM = 5e-4
 # another unit, with a greater one curves cannot be compared.
 MIN_POSE_SD_MM, MAX_POSE_SD_MM = 1e-3, 5.0
 MAX_NOISE_FRACTION = 0.5  # fraction of the largest deflection above which noise hides the deflections
+MIN_DEEPEST_MM = 10.0  # depth of the deepest insertion of a needle; a smaller one was written in another unit
 CHECK_UNIT = "check its unit, mm"
 
 SIGNIFICANT_SD = 3.0  # standard deviations beyond which a bend is not a measurement error
@@ -65,13 +63,10 @@ MAX_NAMED_INSERTIONS = 8  # number of insertions that a warning names
 COPY_TOLERANCE_MM = 1e-6  # largest distance, per axis, of two points that count as the same
 # Standard deviations of a point by which two measurements differ at least, and the same in mm at most.
 MIN_LIKENESS_SD, MAX_LIKENESS_MM = 0.2, 0.01
-SMOOTH_ORDER, MAX_SCATTER_RATIO = 3, 2.0  # of the polynomial, and scatter about it over the stated one
-MIN_SIMILARITY = 0.8  # ratio of `difflib` above which a name counts as a mistyped version of another
-_UNIT = re.compile(r"_(mm|deg)$")
-# Decisions of an import that change the scale of mu and b, and hardly the shapes that are predicted.
-_SCALES = frozenset(["needle length", "diameter", "inner diameter", "modulus"])
-# Those on which a verdict depends most: which way a needle bends, and the errors of which its noise floor is.
-_DECISIVE = ("bevel side", "bevel", "pose angle sd", "pose shift sd", "point sd", "pose")
+SMOOTH_ORDER, BEND_ORDER = 3, 6  # of a polynomial across the plane of a needle, and of one in it
+# Scatter of points about it, over the stated errors of points: least and most that do not contradict them.
+MIN_SCATTER_RATIO, MAX_SCATTER_RATIO = 1 / 3, 2.0
+MIN_SIMILARITY = 0.9  # ratio of `difflib` above which a name counts as a mistyped version of another
 
 # Whether it is so, and the warning then: its kind, the key that it is about, what, and how to fix it.
 Check = tuple[bool, str, str, str, str]
@@ -84,27 +79,12 @@ def _warn(checks: Iterable[Check], where: FormatPlace) -> Iterator[ResultWarning
 # ---- the record
 
 
-def list_assumptions(record: DatasetRecord | TrackDatasetRecord) -> list[tuple[str, str]]:
-    """Return what the import assumed without evidence, and the values taken."""
-    decisions = () if record.import_ is None else record.import_.decisions
-    return [(one.what, one.value) for one in decisions if one.source == "assumption"]
-
-
-def list_decisive_assumptions(record: DatasetRecord | TrackDatasetRecord) -> tuple[str, ...]:
-    """Return the assumptions that a verdict depends on, all but those that only scale the parameters.
-
-    The most decisive come first.
-    """
-    found = [(what, value) for what, value in list_assumptions(record) if what not in _SCALES]
-    found.sort(key=lambda one: _DECISIVE.index(one[0]) if one[0] in _DECISIVE else len(_DECISIVE))
-    return tuple(f"{what} = {value}" for what, value in found)
-
-
 def find_record_warnings(record: DatasetRecord | TrackDatasetRecord, file: Path) -> Iterator[ResultWarning]:
     """Yield the warnings about a `dataset.toml`, without regard to its tables."""
     where = format_place(file)
     keys = list(_iterate_placeholder_keys(record.model_dump(by_alias=True)))
-    assumed = [f"{what} = {value}" for what, value in list_assumptions(record)]
+    decisions = () if record.import_ is None else record.import_.decisions
+    assumed = [f"{one.what} = {one.value}" for one in decisions if one.source == "assumption"]
     left = f'"{PLACEHOLDER}" is left in {", ".join(f"`{key}`" for key in keys)}'
     yield from _warn([(bool(keys), "placeholder", "".join(keys[:1]), left, _PLACEHOLDER_FIX)], where)
     yield from needle_warnings(record.needle, where)
@@ -134,21 +114,6 @@ def find_record_warnings(record: DatasetRecord | TrackDatasetRecord, file: Path)
         yield from _warn([(is_so, "units", key := f"noise.{name}", f"`{key}` is {value}", fix)], where)
 
 
-def find_placeholder_cells(table: CsvTable) -> Iterator[ResultWarning]:
-    """Yield a warning if cells of a table still contain the placeholder."""
-    found = {
-        str(name): rows
-        for name, column in table.cells.items()
-        if _PLACEHOLDER_PATTERN.search("\n".join(column))  # one search a column: a table may be long
-        and (rows := [n for n, cell in enumerate(column) if _PLACEHOLDER_PATTERN.search(cell)])
-    }
-    if found:
-        named = ", ".join(f"`{name}`" for name in found)
-        what = f'"{PLACEHOLDER}" is left in {sum(map(len, found.values()))} cells of {named}'
-        where = table.where(min(rows[0] for rows in found.values()))
-        yield ResultWarning("placeholder", what, where, _PLACEHOLDER_FIX)
-
-
 def _iterate_placeholder_keys(value: object, key: str = "") -> Iterator[str]:
     """Yield the keys of the texts that hold the mark, however deep."""
     if isinstance(value, str) and _PLACEHOLDER_PATTERN.search(value):
@@ -165,34 +130,6 @@ def _iterate_placeholder_keys(value: object, key: str = "") -> Iterator[str]:
 # ---- bevel sides
 
 BendSide = Literal["toward", "away", "unknown"]
-
-
-@dataclass(frozen=True)
-class BendResult:
-    """One insertion or run with its table row and its bending side: toward or away from the bevel, or
-    "unknown" within noise.
-
-    `z` is its deflection toward the bevel in standard deviations; NaN where it cannot be judged.
-    """
-
-    id: str
-    where: str
-    bend: BendSide
-    medium: str = ""
-    z: float = math.nan
-
-
-def classify_insertion(insertion: Insertion, where: str, noise: Noise) -> BendResult:
-    """Return the bend result of an insertion; `where` is its position in the files, for messages.
-
-    The deviation of `z` allows for noise of points and pose, and for entry directions off by a third of
-    `MIN_BEND_SLOPE`.
-    """
-    z = math.nan
-    if insertion.pose_source != "none" and not insertion.base_moved:
-        slope = MIN_BEND_SLOPE * insertion.depth / SIGNIFICANT_SD
-        z = insertion.deflection / math.hypot(_compute_deflection_sd(insertion, noise), slope)
-    return BendResult(insertion.id, where, find_bend_side(insertion, noise), insertion.medium, z)
 
 
 def _compute_deflection_sd(insertion: Insertion, noise: Noise) -> float:
@@ -270,52 +207,44 @@ def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
         yield ResultWarning("bevel_plane", what, places[0], fix)
 
 
-def find_side_warnings(results: Sequence[BendResult], column: str, what: str) -> Iterator[ResultWarning]:
-    """Yield a warning that names the insertions, or runs (`what`), that bend away from their bevel."""
-    away = [one for one in results if one.bend == "away"]
-    clear = sum(one.bend != "unknown" for one in results)
-    if not away:
-        return
+def find_side_warnings(
+    listed: Sequence[tuple[Insertion, str]], noise: Noise, column: str
+) -> Iterator[ResultWarning]:
+    """Yield warnings that name the insertions, with their places, that bend away from their bevels.
+
+    Those of a medium that bend too little to be judged alone are judged together.
+    """
+    sides = [find_bend_side(one, noise) for one, _ in listed]
+    clear = sum(side != "unknown" for side in sides)
+    away = [(one, where) for (one, where), side in zip(listed, sides, strict=True) if side == "away"]
     if len(away) == clear > 1:
-        message = f"all {clear} {what} that bend clearly bend away from their bevel side"
+        what = f"all {clear} insertions that bend clearly bend away from their bevel side"
         fix = f"the side convention is probably flipped: change the sign of `{column}` in every row"
-    else:
-        names = join_names([one.id for one in away], MAX_NAMED_INSERTIONS)
-        message = f"{names} bend{'s' if len(away) == 1 else ''} away from the bevel side"
-        message += f" ({len(away)} of {clear} {what} that bend clearly)"
-        fix = f"check `{column}` and the bevel direction of these rows"
-    yield ResultWarning("bevel_side", message, away[0].where, fix)
-
-
-def pool_z(results: Sequence[BendResult]) -> float:
-    """Return the pooled z value: the sum of the defined values over the root of their number; NaN without
-    any.
-
-    Each is limited to `REVERSED_SD`, so that a single wrong row does not speak for its medium.
-    """
-    z = [min(max(one.z, -REVERSED_SD), REVERSED_SD) for one in results if not math.isnan(one.z)]
-    return sum(z) / math.sqrt(len(z)) if z else math.nan
-
-
-def find_pooled_side_warnings(results: Sequence[BendResult], column: str) -> Iterator[ResultWarning]:
-    """Yield a warning for each medium whose insertions, taken together, bend away from their bevels.
-
-    None where every insertion that bends clearly bends away: `find_side_warnings` names those already.
-    """
-    clear = [one.bend for one in results if one.bend != "unknown"]
-    if len(clear) > 1 and set(clear) == {"away"}:
+        yield ResultWarning("bevel_side", what, away[0][1], fix)
         return
-    for medium in dict.fromkeys(one.medium for one in results):
-        group = [one for one in results if one.medium == medium and not math.isnan(one.z)]
-        z = pool_z(group)
-        if len(group) > 1 and z < -REVERSED_SD:
-            worst = sorted((one for one in group if one.z < 0), key=lambda one: one.z)
-            what = (
-                f"the bevel sides of medium {medium} are probably all reversed: its {len(group)} insertions "
-                f"together bend away from their bevels by {-z:.1f} standard deviations, most of all "
-                f"{join_names([one.id for one in worst], MAX_NAMED_INSERTIONS)}"
-            )
-            yield ResultWarning("bevel_side", what, worst[0].where, f"change the sign of `{column}` there")
+    if away:
+        names = join_names([one.id for one, _ in away], MAX_NAMED_INSERTIONS)
+        what = f"{names} bend away from the bevel side ({len(away)} of {clear} that bend clearly)"
+        fix = f"check `{column}` and the bevel direction of these rows"
+        yield ResultWarning("bevel_side", what, away[0][1], fix)
+    for medium in dict.fromkeys(one.medium for one, _ in listed):
+        group = [(_compute_bend_z(one, noise), where) for one, where in listed if one.medium == medium]
+        group = [(z, where) for z, where in group if not math.isnan(z)]
+        total = sum(max(-REVERSED_SD, min(z, REVERSED_SD)) for z, _ in group)
+        if len(group) > 1 and total < -REVERSED_SD * math.sqrt(len(group)):
+            what = f"the {len(group)} insertions into {medium} together bend away from their bevels"
+            yield ResultWarning("bevel_side", what, min(group)[1], f"change the sign of `{column}` there")
+
+
+def _compute_bend_z(insertion: Insertion, noise: Noise) -> float:
+    """Return the deflection toward the bevel in standard deviations; NaN where it cannot be judged.
+
+    They allow for noise of points and pose, and for entry directions off by a third of `MIN_BEND_SLOPE`.
+    """
+    if insertion.pose_source == "none" or insertion.base_moved:
+        return math.nan
+    slope = MIN_BEND_SLOPE * insertion.depth / SIGNIFICANT_SD
+    return insertion.deflection / math.hypot(_compute_deflection_sd(insertion, noise), slope)
 
 
 # ---- insertions
@@ -324,29 +253,22 @@ def find_pooled_side_warnings(results: Sequence[BendResult], column: str) -> Ite
 def is_copy(one: Insertion, other: Insertion) -> bool:
     """Whether two insertions have the same centreline, point by point."""
     a, b = one.centerline, other.centerline
-    # tips differ in nearly every pair
-    if a.shape != b.shape or np.abs(a[-1] - b[-1]).max() > COPY_TOLERANCE_MM:
-        return False
-    return bool(np.abs(a - b).max() <= COPY_TOLERANCE_MM)
+    return a.shape == b.shape and bool(np.abs(a - b).max() <= COPY_TOLERANCE_MM)
 
 
-def measure_scatter(insertions: Sequence[Insertion]) -> float:
-    """Return the standard deviation of points about smooth curves across the planes of the needles, mm.
+def measure_scatter(one: Insertion) -> float:
+    """Return the standard deviation of points about a smooth curve across the plane of the needle, mm.
 
-    No needle bends there, so that a cubic takes away all but the errors of single points. 0 of few points,
-    and of free shapes.
+    No needle bends there, so that a cubic takes away all but the errors of single points. Points of a plane,
+    and free shapes, are taken to scatter in their plane. NaN of few points.
     """
-    squares, count = 0.0, 0
-    for one in insertions:
-        if (
-            one.sd is None
-            and one.pose_source != "none"
-            and (free := len(one.planar) - SMOOTH_ORDER - 1) > SMOOTH_ORDER
-        ):
-            x = one.planar[:, 0] / one.depth
-            fitted = np.polyval(np.polyfit(x, one.out_of_plane, SMOOTH_ORDER), x)
-            squares, count = squares + float(np.sum((one.out_of_plane - fitted) ** 2)), count + free
-    return math.sqrt(squares / count) if count else 0.0
+    is_flat = one.pose_source == "none" or float(np.ptp(one.out_of_plane)) < COPY_TOLERANCE_MM
+    order, values = (BEND_ORDER, one.planar[:, 1]) if is_flat else (SMOOTH_ORDER, one.out_of_plane)
+    if (free := len(values) - order - 1) <= order:
+        return math.nan
+    x = one.planar[:, 0] / one.depth
+    left = values - np.polynomial.Polynomial.fit(x, values, order)(x)
+    return math.sqrt(float(left @ left) / free)
 
 
 def measure_likeness(one: Insertion, other: Insertion) -> float:
@@ -366,26 +288,25 @@ def find_insertion_warnings(
     """Yield the warnings about insertions that have no fault."""
     where, insertions = format_place(file), [one.insertion for one in listed]
     column = record.insertions.columns.get("bevel_side", "bevel_side")
-    results = [classify_insertion(one.insertion, one.where, noise) for one in listed]
-    yield from find_side_warnings(results, column, "insertions")
-    yield from find_pooled_side_warnings(results, column)
+    yield from find_side_warnings([(one.insertion, one.where) for one in listed], noise, column)
     yield from find_plane_warnings(listed, noise)
+    least = max(COPY_TOLERANCE_MM, min(MIN_LIKENESS_SD * noise.point_sd, MAX_LIKENESS_MM))
     for n, later in enumerate(listed):
-        first = next((one for one in listed[:n] if is_copy(one.insertion, later.insertion)), None)
-        if first is not None:
-            what = f"{later.insertion.id} has the same centreline as {first.insertion.id}, point by point"
-            yield ResultWarning("copy", what, later.where, "remove one of the two, or restore its own file")
-            continue
-        for one in (one.insertion for one in listed[:n]):
-            if abs(one.depth - later.insertion.depth) > noise.point_sd:
+        for one in insertions[:n]:
+            if abs(one.depth - later.insertion.depth) > max(noise.point_sd, COPY_TOLERANCE_MM):
                 continue
-            gap = measure_likeness(one, later.insertion)
-            if gap < min(MIN_LIKENESS_SD * noise.point_sd, MAX_LIKENESS_MM):
+            if (gap := measure_likeness(one, later.insertion)) <= least:
                 what = f"{later.insertion.id} and {one.id} differ by {gap:.2g} mm, which noise does not allow"
                 fix = "remove one of the two if it was exported twice; else correct `noise.point_sd_mm`"
                 yield ResultWarning("copy", what, later.where, fix)
                 break
     yield from find_boundary_warnings(record, insertions, where)
+    deepest = max((one.depth for one in insertions), default=math.inf)
+    for unit, factor in (("inches", 25.4), ("centimetres", 10.0)):
+        if deepest < MIN_DEEPEST_MM <= factor * deepest < record.needle.length_mm:
+            what = f"the deepest insertion is {deepest:.3g} mm deep: this looks like {unit}"
+            yield ResultWarning("units", what, listed[0].where, f"multiply all lengths by {factor:g}")
+            break
     for name in dict.fromkeys(one.medium for one in insertions):
         group = [one for one in insertions if one.medium == name]
         if all(one.surfaces and one.sequence == (1,) for one in group):
@@ -422,26 +343,41 @@ def _find_noise_warnings(
         f"`{shift_key}` is {shift:g} mm, more than the largest deflection, {largest:.3g} mm",
         CHECK_UNIT,
     )
-    scatter = measure_scatter(insertions)
-    contradicts = (
-        scatter > MAX_SCATTER_RATIO * sd > 0,
-        "noise",
-        f"noise.{larger}",
-        f"points scatter by {scatter:.2g} mm about smooth curves, and `noise.{larger}` is {sd:.2g} mm",
-        "state the noise that the points have; too little of it narrows every interval",
-    )
-    yield from _warn([hides, exceeds, contradicts], where)
-    yield from find_spacing_warnings(noise, [one.planar[:, 0] for one in insertions], where)
-    yield from _find_number_warnings(record, listed, largest, where)
-    key = "noise.point_sd_mm"
     missing = (
         not noise.stated and any(one.sd is None for one in insertions),
         "no_noise",
-        key,
+        "noise.point_sd_mm",
         "no noise of the points is stated, so fits have neither noise floor nor predictive intervals",
-        f"write `{key}`, the standard deviation of a point per axis; calibrate and comparisons need it",
+        "write `noise.point_sd_mm`, the standard deviation of a point per axis",
     )
-    yield from _warn([missing], where)
+    is_smoothed = record.measurement is not None and record.measurement.operator != "none"
+    yield from _warn([hides, exceeds, missing], where)
+    if MIN_POINT_SD_MM <= sd <= MAX_NOISE_FRACTION * largest or not sd:  # others are named
+        yield from _warn(_compare_scatter(insertions, noise, f"noise.{larger}", is_smoothed), where)
+    yield from _find_number_warnings(record, listed, where)
+
+
+def _compare_scatter(
+    insertions: Sequence[Insertion], noise: Noise, key: str, is_smoothed: bool
+) -> Iterator[Check]:
+    """Yield whether points scatter about smooth curves by more, or less, than their stated errors."""
+    ratios, found = [], []
+    for one in insertions:
+        own = 0.0 if one.sd is None else float(np.sqrt(np.mean(one.sd**2)))
+        stated = math.hypot(own, noise.point_sd, noise.correlated_sd)
+        if stated and not math.isnan(scatter := measure_scatter(one)):
+            # correlated errors need not scatter; those of a column are not independent either
+            ratios.append((scatter / stated, scatter / max(noise.point_sd, 1e-12)))
+            found.append((scatter, stated))
+    if not ratios:
+        return
+    most, least = np.sqrt(np.mean(np.square(ratios), axis=0))
+    scatter, stated = np.sqrt(np.mean(np.square(found), axis=0))
+    what = f"points scatter by {scatter:.2g} mm about smooth curves, and {stated:.2g} mm are stated"
+    fix = "state the noise that the points have; too little of it narrows every interval"
+    yield most > MAX_SCATTER_RATIO, "noise", key, what, fix
+    fix = "state the noise that the points have, or under [measurement] what smoothed them"
+    yield least < MIN_SCATTER_RATIO and not is_smoothed, "noise", key, what, fix
 
 
 def find_boundary_warnings(
@@ -455,53 +391,26 @@ def find_boundary_warnings(
             yield from warn(doubt_layers(medium.boundaries_mm, max(depths), key), where)
 
 
-def find_spacing_warnings(
-    noise: Noise, depths: Sequence[Floats], where: FormatPlace
-) -> Iterator[ResultWarning]:
-    """Yield a warning if the correlation length is below the distance of points, at `depths` (N,) each."""
-    if noise.correlated_sd <= 0 or not depths:
-        return
-    spacing = min(float(np.median(np.abs(np.diff(one)))) for one in depths)
-    if noise.correlation_length < spacing:
-        key = "noise.correlation_length_mm"
-        what = f"`{key}` is {noise.correlation_length:g}, shorter than points are apart, {spacing:.3g} mm"
-        fix = "check its unit, mm, or state `noise.point_sd_mm`: such noise is independent"
-        yield ResultWarning("units", what, where(key), fix)
-
-
 def _find_number_warnings(
-    record: DatasetRecord, listed: Sequence[ListedInsertion], largest: float, where: FormatPlace
+    record: DatasetRecord, listed: Sequence[ListedInsertion], where: FormatPlace
 ) -> Iterator[ResultWarning]:
-    """Yield a warning for each column of deviations of the table that holds values hard to believe.
-
-    `largest` is the largest deflection, mm.
-    """
-    source, limit = record.insertions, MAX_POSE_SD_MM
-    shift, angle = "pose_shift_sd_mm", "pose_angle_sd_deg"
-    few = "less than any pose is measured to, as if in metres"
-    many = "more than any error of a measured pose"
-    radians = "less than any direction is measured to: this looks like radians"
-    least, most = ANGLE_SD_DEG
-    beyond, deeper = f"more than the largest deflection, {largest:.3g} mm", "more than the insertion is deep"
-    depths = [one.insertion.depth for one in listed]
-    # column, from which (one for all rows, or one each) to which values are hard to believe, why, how to fix
-    for name, above, up_to, why, fix in (
-        (shift, 0.0, MIN_POSE_SD_MM, few, "multiply by 1000"),
-        (shift, largest, limit, beyond, CHECK_UNIT),
-        (shift, limit, np.inf, f"{many}: this looks like um", CHECK_UNIT),
-        (angle, most, np.inf, many, "check it"),
-        (angle, 0.0, least, radians, "multiply by 57.3"),
-        ("boundary_sd_mm", depths, np.inf, deeper, CHECK_UNIT),
-        ("depth_sd_mm", depths, np.inf, deeper, CHECK_UNIT),
-    ):
+    """Yield a warning for each column of deviations of the table that holds values hard to believe."""
+    source, depth = record.insertions, max((one.insertion.depth for one in listed), default=0.0)
+    for name, (least, most) in {
+        "pose_shift_sd_mm": (MIN_POSE_SD_MM, MAX_POSE_SD_MM),
+        "pose_angle_sd_deg": ANGLE_SD_DEG,
+        "boundary_sd_mm": (0.0, depth),
+        "depth_sd_mm": (0.0, depth),
+    }.items():
         values = np.array([getattr(one.insertion, NUMBER_COLUMNS[name][0]) for one in listed])
-        values = np.degrees(values) if name == angle else values
-        bad = np.flatnonzero((above < values) & (values < up_to))
+        values = np.degrees(values) if name.endswith("_deg") else values
+        bad = np.flatnonzero((values > 0) & ((values < least) | (values > most)))
         if len(bad):
             constant = name in source.constants and name not in source.columns
             place = where(f"insertions.constants.{name}") if constant else listed[bad[0]].where
-            what = f"`{source.columns.get(name, name)}` is {values[bad[0]]:g}, {why} "
-            yield ResultWarning("units", f"{what}({len(bad)} of {len(listed)} rows)", place, fix)
+            what = f"`{source.columns.get(name, name)}` is {values[bad[0]]:g}, not {least:g} to {most:g}"
+            fix = "check its unit"
+            yield ResultWarning("units", f"{what} ({len(bad)} of {len(listed)} rows)", place, fix)
 
 
 # ---- columns
@@ -515,34 +424,14 @@ def find_column_warnings(
     `of_points`: they are those of a centreline.
     """
     rows, points = record.insertions, record.centerlines
-    of_curve, one_table = (*POINT_COLUMNS, SD_COLUMN), rows.file is None
-    of_row = (*INSERTION_COLUMNS, SHARED_COLUMN, HOLE_COLUMN, BASE_SHIFT_COLUMN, *SCAN_COLUMNS)
-    if of_points and points.file is not None and one_table:
-        return  # one table, which was looked through with the insertions
-    ours: list[str] = []
-    given: set[str] = set()
-    used: set[str] = set()
-    if not of_points:
-        ours += [name for name in of_row if record.frame.pose != "free" or name not in POSE_COLUMNS]
-        given |= {*rows.columns, *rows.constants, *(("id",) if one_table else ())}
-        used |= {*rows.columns.values()}
-    if of_points or one_table:  # the rows are groups of the centreline table
-        ours += of_curve
-        given |= {*points.columns}
-        used |= {*points.columns.values(), *points.group_by}
-    there = set(names)
-    absent = [name for name in ours if name not in given and name not in there]
-    for name in sorted(there - {*of_row, *of_curve, *used}):
-        closest = max(absent, key=lambda our, name=name: _compute_similarity(name, our), default="")  # type: ignore[misc]
-        if closest and _compute_similarity(name, closest) >= MIN_SIMILARITY:
-            what = f"column `{name[:60]}` is not used; did you mean `{closest}`?"
+    of_row = {*INSERTION_COLUMNS, SHARED_COLUMN, HOLE_COLUMN, BASE_SHIFT_COLUMN, *SCAN_COLUMNS}
+    known = {*POINT_COLUMNS, SD_COLUMN} if of_points else of_row
+    mapped = {*rows.columns.values(), *points.columns.values(), *points.group_by}
+    there = {*names}
+    absent = known - there - {*rows.columns, *points.columns, *rows.constants}
+    plain = {re.sub(r"[\W_]", "", name.lower()): name for name in absent}
+    for name in sorted(there - of_row - {*POINT_COLUMNS, SD_COLUMN} - mapped):
+        if closest := get_close_matches(re.sub(r"[\W_]", "", name.lower()), plain, 1, MIN_SIMILARITY):
+            what = f"column `{name[:60]}` is not used; did you mean `{plain[closest[0]]}`?"
             fix = "rename it, or map it under `columns` in dataset.toml"
             yield ResultWarning("column", what, f"{path}:1", fix)
-
-
-def _compute_similarity(one: str, other: str) -> float:
-    """Return the similarity of two names, 0 to 1; a unit at the end of both does not count."""
-    first, second = (re.sub(r"[\W_]", "", _UNIT.sub("", name.strip().lower())) for name in (one, other))
-    if first == second:
-        return 1.0
-    return SequenceMatcher(None, first, second).ratio() if min(len(first), len(second)) > 2 else 0.0

@@ -181,8 +181,6 @@ class Dataset:
         What is suspicious in it, though it can be fitted.
     remarks : tuple of str
         What was left out of it, and why.
-    assumed : tuple of str
-        What its import assumed without evidence, and errors and noise floor depend on.
     centerline_format : str
         Name of the file format of its centrelines; empty where they stand in a table.
     measurement : MeasurementRecord
@@ -204,7 +202,6 @@ class Dataset:
     outer_diameter: float | None = None
     warnings: tuple[ResultWarning, ...] = field(default=(), repr=False)
     remarks: tuple[str, ...] = field(default=(), repr=False)
-    assumed: tuple[str, ...] = field(default=(), repr=False)
 
     def to_frame(self) -> "pd.DataFrame":
         """Return one row per insertion: what it went into, its depth and measured tip deflection (mm)."""

@@ -26,13 +26,11 @@ from needlefit.datasets.columns import (
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, parse_numbers
 from needlefit.geometry.frames import Frame
-from needlefit.project.unit_warnings import LENGTH_UNITS
 from needlefit.schemas.dataset import DatasetRecord
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
 UNIT_VECTOR_TOLERANCE = 1e-3  # greatest deviation of a direction's length from 1
 MIN_DEPTH_MM = 1.0  # an insertion of less than this, mm, was written in metres
-MIN_NEEDLE_LENGTH_MM = 30.0  # a needle of less than this, mm, may have been measured in centimetres or inches
 
 
 def parse_rows(table: CsvTable, record: DatasetRecord, found: list[Fault]) -> list[InsertionRow]:
@@ -181,9 +179,8 @@ def _find_depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> 
         what = f"{depth_mm} is {row.depth:g}: this looks like metres"
         yield Fault(where, what, "millimetres", "multiply the column by 1000")
     if row.depth >= length:
-        looks = _guess_unit(row.depth, length)
-        what = f"{depth_mm} is {row.depth:g}, but the needle is only {length:g} mm long{looks}"
-        expected = "a depth smaller than the needle's length"
+        what = f"{depth_mm} is {row.depth:g}, but the needle is only {length:g} mm long"
+        expected = "a depth smaller than the needle's length, both in mm"
         yield Fault(where, what, expected, f"correct needle.length_mm in dataset.toml, or {depth_mm}")
     if guide is not None and not 0 < guide <= length - row.depth:
         what = f"guide_distance_mm is {guide:g} at depth {row.depth:g} mm of a {length:g} mm needle"
@@ -195,17 +192,6 @@ def describe_column(record: DatasetRecord, column: str) -> str:
     """Return a column's name for a message: its name in the table, followed by ours where the two differ."""
     theirs = record.insertions.columns.get(column, column)
     return theirs if theirs == column else f"{theirs} ({column})"
-
-
-def _guess_unit(depth: float, length: float) -> str:
-    """Return which of a depth and a shorter needle is probably in which other unit, in words."""
-    if length < MIN_DEPTH_MM:
-        return ": this looks like metres"
-    if length < MIN_NEEDLE_LENGTH_MM and depth < LENGTH_UNITS["inches"] * length:
-        return ": its length looks like centimetres or inches"
-    if MIN_DEPTH_MM <= 1e-3 * depth < length:
-        return f": {depth:g} looks like micrometres"
-    return ""
 
 
 def _find_pose_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:

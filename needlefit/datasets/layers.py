@@ -15,12 +15,12 @@ from needlefit.datasets.points import MIN_POINTS, Points
 from needlefit.errors import DataError
 from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.curves import arc_length, find_bending_direction, fit_free_frame
-from needlefit.geometry.frames import RAS_TO_LPS, Frame, make_entry_frame, normalize
+from needlefit.geometry.frames import Frame, make_entry_frame
 from needlefit.geometry.smoothing_spline import SplineSections
-from needlefit.geometry.surfaces import Surface, find_mesh_faults, read_surface, transform_surface
+from needlefit.geometry.surfaces import Surface, find_mesh_faults, read_surface
 from needlefit.project.input_files import is_file
 from needlefit.project.toml import locate_key
-from needlefit.project.unit_warnings import BOUNDARY_TO_DEPTH, LENGTH_UNITS
+from needlefit.project.unit_warnings import LENGTH_UNITS
 from needlefit.schemas.dataset import DatasetRecord, SurfaceRecord
 
 # A surface whose greatest extent is less or more than this, mm, was written in another unit.
@@ -174,7 +174,6 @@ LENGTH_TOLERANCE = {"known": 0.05, "free": 0.30}
 LENGTH_TOLERANCE_MM = 2.0  # the same in mm, whichever is more
 MAX_START_DISTANCE_MM = 5.0  # greatest distance of a centreline's first point from the entry pose, mm
 MAX_HEADING_DEG = 45.0  # greatest angle between the entry direction and the chord of the centreline
-NEAR_BOUNDARY_SD = 2  # standard deviations of a boundary within which a tip may lie before or behind it
 # Relative difference of a curve's span from the depth at which another unit explains their ratio.
 UNIT_TOLERANCE = 0.25
 
@@ -194,10 +193,18 @@ def find_curve_faults(
         yield Fault(points.where(), what, f"at least {MIN_POINTS}", "sample the needle more densely")
         return
     depth_mm = describe_column(record, "depth_mm")
-    unit = _find_unit_fault(points, row, depth_mm, place)
-    if unit:
-        yield unit
-        return  # in metres every other length is wrong as well
+    # The point farthest from the mean is one end, also of an unsorted curve; the other end is the point
+    # farthest from it.
+    end = curve[np.argmax(np.linalg.norm(curve - curve.mean(axis=0), axis=1))]
+    span = max(float(np.linalg.norm(curve - end, axis=1).max()), SAME_POINT_MM)
+    for name, factor in LENGTH_UNITS.items():
+        of_points = abs(span * factor / row.depth - 1) < UNIT_TOLERANCE
+        if of_points or abs(factor * row.depth / span - 1) < UNIT_TOLERANCE:
+            what = f"{depth_mm} is {row.depth:.4g}, and the centreline spans {span:.4g}: "
+            what += f"{'the centreline' if of_points else depth_mm} looks like {name}"
+            where, fix = points.where() if of_points else place, f"multiply it by {factor:g}"
+            yield Fault(where, what, "millimetres", fix)
+            return  # every other length is wrong as well
     steps = np.diff(points.values, axis=0)
     lengths = np.linalg.norm(steps, axis=1)
     repeated = np.flatnonzero(lengths < SAME_POINT_MM)
@@ -218,27 +225,6 @@ def find_curve_faults(
         yield Fault(where, f"is {length:.2f} mm long, but {depth_mm} is {row.depth:.2f}", expected, fix)
     if row.entry is not None and row.direction is not None:
         yield from _find_entry_faults(points, row.entry, row.direction)
-
-
-def _find_unit_fault(points: Points, row: InsertionRow, depth_mm: str, place: str) -> Fault | None:
-    """Return the fault of a curve, or of the depth beside it, that is in another unit."""
-    # The point farthest from the mean is one end, also of an unsorted curve; the other end is the point
-    # farthest from it.
-    end = points.values[np.argmax(np.linalg.norm(points.values - points.values.mean(axis=0), axis=1))]
-    span = float(np.linalg.norm(points.values - end, axis=1).max())
-    for name, factor in LENGTH_UNITS.items():
-        if abs(span * factor / row.depth - 1) < UNIT_TOLERANCE:
-            what = f"spans {span:.4g} where {depth_mm} is {row.depth:.4g}: this looks like {name}"
-            return Fault(points.where(), what, "millimetres", f"multiply the coordinates by {factor:g}")
-        if factor > 1 and abs(factor * row.depth / max(span, SAME_POINT_MM) - 1) < UNIT_TOLERANCE:
-            return Fault(
-                place,
-                f"{depth_mm} is {row.depth:.4g} where the centreline spans {span:.4g}: "
-                f"this looks like {name}",
-                "millimetres",
-                f"multiply the column by {factor:g}, and check every other length of the dataset",
-            )
-    return None
 
 
 def _find_backward_points(curve: Floats) -> np.ndarray:
@@ -318,56 +304,16 @@ def find_layer_faults(
                 _make_repeat_fault(locate_key(file, f"media.{name}.surfaces"), name, *pair) for pair in copies
             )
             continue
-        unit = _find_boundary_unit(group, record.media[name].boundaries_mm or ())
-        if unit:
-            yield Fault(
-                locate_key(file, f"media.{name}.boundaries_mm"),
-                f"boundaries_mm of medium {name} do not give the layers listed for its insertions, and do so "
-                f"once they are multiplied by {LENGTH_UNITS[unit]:g}: this looks like {unit}",
-                "depths along the needle, mm",
-                f"multiply boundaries_mm by {LENGTH_UNITS[unit]:g}",
-            )
-            continue
-        missed = all(one.insertion.surfaces and one.insertion.sequence == (1,) for one in group)
-        if missed and all(_meets_flipped_surfaces(one.insertion) for one in group):
-            yield Fault(
-                locate_key(file, f"media.{name}.surfaces"),
-                f"all {len(group)} insertions into {name} miss all its surfaces, and meet them once x and y "
-                "change their signs: surfaces and centrelines are one in LPS and one in RAS",
-                "surfaces and centrelines in one frame",
-                "export the surfaces again in the frame of the centrelines (3D Slicer asks: LPS or RAS)",
-            )
+        if all(
+            one.insertion.surfaces and one.insertion.sequence == (1,) and one.insertion.layers > 1
+            for one in group
+        ):
+            what = f"all {len(group)} insertions into {name} miss all its surfaces"
+            fix = "export surfaces and centrelines in one frame (3D Slicer asks: LPS or RAS)"
+            where = locate_key(file, f"media.{name}.surfaces")
+            yield Fault(where, what, "surfaces that needles cross, or one layer", fix)
         else:
-            yield from (fault for one in group for fault in _find_count_fault(one, record))
-
-
-def _find_boundary_unit(group: Sequence[ListedInsertion], boundaries: Sequence[float]) -> str:
-    """Return the unit of given depths with which alone all insertions meet the layers listed, or ""."""
-    if not boundaries or _match_listed_layers(group, boundaries, 1.0):
-        return ""
-    deepest = max(one.insertion.depth for one in group)
-    likely = (
-        unit
-        for unit, mm in LENGTH_UNITS.items()
-        if mm * boundaries[0] > BOUNDARY_TO_DEPTH * deepest and mm * boundaries[-1] < deepest
-    )
-    return next((unit for unit in likely if _match_listed_layers(group, boundaries, LENGTH_UNITS[unit])), "")
-
-
-def _match_listed_layers(
-    group: Sequence[ListedInsertion], boundaries: Sequence[float], factor: float
-) -> bool:
-    scaled = factor * np.array(boundaries)
-    return all(
-        len(select_layers(scaled, _find_reach(one.insertion))[1])
-        in (one.insertion.layers, one.insertion.layers_alternative)
-        for one in group
-    )
-
-
-def _find_reach(insertion: Insertion) -> float:
-    """Return the depth along C's x down to which given boundaries are met, mm."""
-    return insertion.depth if insertion.pose_source == "none" else float(insertion.planar[-1, 0])
+            yield from (fault for one in group for fault in _find_count_fault(one))
 
 
 def _make_repeat_fault(where: str, medium: str, one: str, other: str) -> Fault:
@@ -376,12 +322,7 @@ def _make_repeat_fault(where: str, medium: str, one: str, other: str) -> Fault:
     return Fault(where, f"medium {medium} {listed}", expected, "name the right file, or remove one")
 
 
-def _meets_flipped_surfaces(insertion: Insertion) -> bool:
-    flipped = [transform_surface(surface, RAS_TO_LPS) for surface in insertion.surfaces]
-    return len(find_crossings(insertion.centerline, flipped).sequence) > 1
-
-
-def _find_count_fault(one: ListedInsertion, record: DatasetRecord) -> Iterator[Fault]:
+def _find_count_fault(one: ListedInsertion) -> Iterator[Fault]:
     insertion, met = one.insertion, len(one.insertion.sequence)
     allowed = {insertion.layers, insertion.layers_alternative}
     if met in allowed:
@@ -390,29 +331,6 @@ def _find_count_fault(one: ListedInsertion, record: DatasetRecord) -> Iterator[F
     depths = ", ".join(f"{depth:.2f}" for depth in insertion.boundaries) or "none"
     order = " > ".join(map(str, insertion.sequence))
     what = f"{insertion.id} meets {met} layer{'' if met == 1 else 's'} ({order}; boundaries at {depths} mm)"
-    expected = f"{met} in `layers` or in `layers_alternative`: the layers that the centreline meets"
-    yield Fault(one.where, f"{what}, but {listed}", expected, _propose_count(insertion, record))
-
-
-def _propose_count(insertion: Insertion, record: DatasetRecord) -> str:
-    """Return how to correct a listed number of layers; a tip near to a boundary may have either number."""
-    met, limit = len(insertion.sequence), NEAR_BOUNDARY_SD * insertion.boundary_sd
-    depths = record.media[insertion.medium].boundaries_mm
-    otherwise = f"or correct the boundaries of medium {insertion.medium}"
-    if limit and insertion.layers in {_count_layers_within(insertion, depths, by) for by in (-limit, limit)}:
-        return (
-            f"write layers_alternative = {met}, as the tip lies within {NEAR_BOUNDARY_SD} boundary_sd_mm "
-            f"({limit:.2g} mm) of a boundary; {otherwise}"
-        )
-    return f"write layers = {met}, {otherwise}"
-
-
-def _count_layers_within(insertion: Insertion, depths: Sequence[float] | None, by: float) -> int:
-    """Return the number of layers that the needle would meet if its tip lay deeper by a length, mm."""
-    if depths is not None:
-        return len(select_layers(np.array(depths), _find_reach(insertion) + by)[1])
-    if by < 0:
-        return len(select_layers(insertion.boundaries, _find_reach(insertion) + by)[1])
-    curve = insertion.centerline
-    deeper = curve[-1] + by * normalize(curve[-1] - curve[-2])
-    return len(find_crossings(np.vstack([curve, deeper]), insertion.surfaces).sequence)
+    expected = f"{met} in `layers`, or in `layers_alternative` where the tip lies at a boundary"
+    fix = f"write {met} there, or correct the boundaries of medium {insertion.medium}"
+    yield Fault(one.where, f"{what}, but {listed}", expected, fix)

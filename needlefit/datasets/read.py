@@ -14,16 +14,11 @@ from numpy.typing import NDArray
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.dataset_warnings import (
-    BendResult,
-    find_bend_side,
     find_boundary_warnings,
     find_column_warnings,
     find_insertion_warnings,
-    find_placeholder_cells,
     find_record_warnings,
     find_side_warnings,
-    find_spacing_warnings,
-    list_decisive_assumptions,
 )
 from needlefit.datasets.faults import Fault, as_error, from_error
 from needlefit.datasets.formats import FORMATS, find_format
@@ -112,14 +107,12 @@ class _Reading:
     warnings: list[ResultWarning] = field(default_factory=list)
 
     def read_table(self, path: Path) -> CsvTable | None:
-        """Return a table, with a warning about cells to fill in; None after a fault."""
+        """Return a table; None after a fault."""
         try:
-            table = read_table(path)
+            return read_table(path)
         except DataError as error:
             self.faults.append(from_error(error))
             return None
-        self.warnings += find_placeholder_cells(table)
-        return table
 
     def note_repeated_ids(self, what: str, ids: Iterable[str]) -> None:
         """Note ids that occur in several folders; within one table they were compared before."""
@@ -160,7 +153,6 @@ def inspect(path: Path) -> Inspection:
         path=file,
         digest=compute_digest(file, reading.roots, files),
         notes=tuple(head + text.strip() for head, text in parts if text.strip()),
-        assumed=list_decisive_assumptions(record),
         outer_diameter=record.needle.outer_diameter_mm,
         warnings=tuple(reading.warnings),
         **own,
@@ -258,7 +250,6 @@ def _iterate_insertions(reading: _Reading, root: Path, shared: SharedSurfaces) -
         first = [int(rows[0]) for rows in curves.groups.values()]
         table = _take_rows(table, first)
         table = replace(table, cells=table.cells.assign(id=list(curves.groups)))
-        reading.warnings += find_placeholder_cells(table)
     elif (table := reading.read_table(root / record.insertions.file)) is None:
         return
     reading.warnings += find_column_warnings(record, map(str, table.cells.columns), table.path)
@@ -412,10 +403,8 @@ def _read_tracks(reading: _Reading) -> tuple[list[TipTrack], list[Path], dict[st
         found.append(Fault(str(reading.file), what, "at least one valid run"))
     if not found:
         noise, where = make_noise(record.noise), format_place(reading.file)
-        sides = [BendResult(one.id, str(paths[0]), find_bend_side(one, noise)) for one in tracks]
         column = record.tip_tracks.columns.get("bevel_side", "bevel_side")
-        reading.warnings += find_side_warnings(sides, column, "runs")
-        reading.warnings += find_spacing_warnings(noise, [one.depths for one in tracks], where)
+        reading.warnings += find_side_warnings([(one, str(paths[0])) for one in tracks], noise, column)
         reading.warnings += find_boundary_warnings(record, tracks, where)
     return tracks, paths, {"pose": "tracker", "drop_proximal": 0.0, "remarks": tuple(remarks)}
 

@@ -1,6 +1,5 @@
 """Read and write the cross-sections through which a reconstruction drew a needle: `sections/<id>.toml`."""
 
-import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -29,6 +28,8 @@ MAX_LENGTH_DIFFERENCE_MM = 2.0  # the arc length of the tip may differ by this, 
 # deviations, plus this, mm. Those of the synthetic dataset are 0.001 mm apart at most; a spline sampled
 # coarsely or stored with few digits stays below the second.
 MAX_DISTANCE_SDS, MAX_DISTANCE_MM = 5.0, 0.05
+# Largest SD of a Gaussian, as part of the length compared: four SDs then reach over the whole needle.
+MAX_WIDTH_FRACTION = 0.25
 LENGTH_DIGITS, WEIGHT_DIGITS = 5, 6
 
 
@@ -95,53 +96,26 @@ def find_centerline_faults(sections: SplineSections, centerline: Floats, place: 
 def find_operator_faults(
     record: DatasetRecord, listed: Sequence[ListedInsertion], file: Path
 ) -> Iterator[Fault]:
-    """Yield a fault if the points of insertions do not suit the stated knots, or the width of a Gaussian."""
+    """Yield a fault if the points of an insertion do not suit the knots, or the width of a Gaussian."""
     stated = record.measurement
-    if stated is not None and stated.knot_spacing_mm is not None:
-        yield from _find_knot_faults(record, listed, file, stated.knot_spacing_mm)
-    if stated is not None and stated.width_mm is not None:
-        compared = {one.insertion.id: np.ptp(_select_arc_lengths(record, one)) for one in listed}
-        shortest = min(compared, key=lambda name: compared[name])
-        most = math.floor(100 * MAX_WIDTH_FRACTION * compared[shortest]) / 100
-        if stated.width_mm > most:
-            key = "measurement.width_mm"
-            what = f"{key} is {stated.width_mm:g}: too wide for the {compared[shortest]:.3g} mm compared of "
-            what += shortest
-            fix = "write the standard deviation of the Gaussian, or leave out insertions that are too short"
-            yield Fault(locate_key(file, key), what, f"at most a quarter of that, {most:g}", fix)
-
-
-# Largest SD of a Gaussian, as part of the length compared: four SDs then reach over the whole needle.
-MAX_WIDTH_FRACTION = 0.25
-
-
-def _find_knot_faults(
-    record: DatasetRecord, listed: Sequence[ListedInsertion], file: Path, stated: float
-) -> Iterator[Fault]:
-    where, key = locate_key(file, "measurement.knot_spacing_mm"), "measurement.knot_spacing_mm"
-    least, sparsest = stated, ""
-    while (found := _find_sparse(record, listed, least)) is not None:
-        sparsest, more = found
-        if more is None:
-            what = f"{sparsest} has too few points for any spline of {key} = {stated:g}"
-            yield Fault(where, what, "at least 4 points compared", 'state the operator "none" or "unknown"')
-            return
-        least = math.ceil(100 * more) / 100
-    if sparsest:
-        what = f"{key} is {stated:g}: the points of {sparsest} are too sparse for it"
-        expected = f"a point between any two knots: at least {least:g}"
-        yield Fault(where, what, expected, f"write {least:g} or more, or store the points more densely")
-
-
-def _find_sparse(
-    record: DatasetRecord, listed: Sequence[ListedInsertion], spacing: float
-) -> tuple[str, float | None] | None:
-    """Return the first insertion whose points are too sparse, and its least spacing; None if all will do."""
+    if stated is None:
+        return
     for one in listed:
-        least = find_least_spacing(_select_arc_lengths(record, one), spacing)
-        if least is None or least > spacing:
-            return one.insertion.id, least
-    return None
+        s, id_ = _select_arc_lengths(record, one), one.insertion.id
+        if (spacing := stated.knot_spacing_mm) is not None:
+            key, least = "measurement.knot_spacing_mm", find_least_spacing(s, spacing)
+            if least is None or least > spacing:
+                what = f"{key} is {spacing:g}: the points of {id_} are too sparse for it"
+                expected = "at least 4 points compared" if least is None else f"at least {least + 0.005:.2f}"
+                yield Fault(locate_key(file, key), what, expected, "store the points more densely")
+                return
+        most = MAX_WIDTH_FRACTION * float(np.ptp(s))
+        if stated.width_mm is not None and stated.width_mm > most:
+            key = "measurement.width_mm"
+            what = f"{key} is {stated.width_mm:g}: too wide for the {np.ptp(s):.3g} mm compared of {id_}"
+            fix = "write the standard deviation of the Gaussian, or leave out insertions that are too short"
+            yield Fault(locate_key(file, key), what, f"at most a quarter of that, {most:.2f}", fix)
+            return
 
 
 def _select_arc_lengths(record: DatasetRecord, listed: ListedInsertion) -> Floats:

@@ -213,7 +213,7 @@ def doubt_layers(boundaries: Sequence[float], deepest: float, key: str) -> Itera
         what += f", all at the top of insertions of {deepest:g} mm: this looks like centimetres or inches"
         yield key, what, "if so, multiply by 10 or 25.4"
     elif last >= deepest:
-        micro = first > deepest > 1e-3 * first > BOUNDARY_TO_DEPTH * deepest
+        micro = first > deepest > 1e-3 * last > BOUNDARIES_TO_DEPTH * deepest
         what += f", and no insertion is deeper than {deepest:g} mm{': this looks like micrometres' * micro}"
         fix = "divide by 1000" if micro else "check its unit, mm, or leave out what no insertion reaches"
         yield key, what, fix

@@ -50,7 +50,6 @@ def describe_dataset(dataset: Dataset) -> dict[str, Any]:
         "notes": list(dataset.notes),
         "measurement": stated | {"description": describe_measurement(dataset)},
         "boundary_shared_sd_mm": sorted(shared - {0.0}),
-        **({"assumed": list(dataset.assumed)} if dataset.assumed else {}),
     }
 
 
