@@ -28,7 +28,7 @@ UP = np.array([0.0, 1.0, 0.0])
 
 
 def write_dataset(folder, record, rows, curves, surfaces, **options) -> Path:
-    """Write curves that are no copies of one another: each with noise but at its ends, beside the last one."""
+    """Write curves that are no copies of one another: with noise but at their ends, beside the last."""
     random, beside = np.random.default_rng(1), {}
     for n, (id_, curve) in enumerate(curves.items()):
         noise = np.zeros(curve.shape)

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import count
+from itertools import count, product
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +31,7 @@ _KEYS = ("specimen", "needle")  # columns that tell curves apart
 _VECTORS = ("entry", "target", "guide", "quaternion")  # columns x, y, z that are no points of a needle
 MAX_LABEL_ROWS = 4  # rows above a header in which the names of its columns are looked for
 MAX_TITLE_WORDS = 3  # of a title that names a needle
-MAX_LISTED, MAX_LISTED_CHARS = 20, 200  # rows of a table of which unused cells are listed, and of a text
+MAX_LISTED_CHARS = 200  # of an unused row
 COLUMNS_FIX = "name them with --columns X,Y,Z or --columns needle=NAME,x=NAME,..., by header or number"
 
 
@@ -41,7 +41,6 @@ class Readings:
 
     depth: Floats  # (N,), in the unit of its column; empty: no column of depths changes from row to row
     unit: str  # of the depths, as the file states it
-    guide: Floats | None  # (N,), in the unit of the points, from the first on; None: not stated
     is_log: bool  # time or direction of the tip stand in each row, too
     is_deflection: bool  # the points are (depth, deflection, 0)
 
@@ -55,8 +54,8 @@ class ImportedCurve:
     unit: str = ""  # as the file states it; empty where it does not
     # LPS once points were converted to it, as those of markups are; None where the file states no system.
     system: PatientSystem | None = None
-    stated: Mapping[str, Stated] = field(default_factory=dict)  # of `ATTRIBUTES`, once for the curve
-    axes: str = ""  # what names its coordinates; empty: nothing
+    stated: dict[str, Stated] = field(default_factory=dict)  # of `ATTRIBUTES`, once for the curve
+    axes: str = "x, y, z"  # its coordinates
     readings: Readings | None = None
     shaft: Floats = field(default_factory=lambda: np.empty((0, 3)))  # (K, 3); points up to the entry
 
@@ -83,7 +82,6 @@ class ImportContent:
     surfaces: list[tuple[Surface, Path, PatientSystem | None]] = field(default_factory=list)
     needles: list[tuple[str, dict[str, Stated]]] = field(default_factory=list)  # names, and what is stated
     setup: dict[str, Stated] = field(default_factory=dict)  # answers by the names of questions
-    notes: list[str] = field(default_factory=list)  # how files were read, where that may surprise
     unused: list[tuple[str, str]] = field(default_factory=list)  # what is not used; where it stands, or why
     unclear: UnclearColumnsError | None = None  # of the first table that was left out
 
@@ -114,7 +112,6 @@ class _Group:
     span: Container[int]  # columns that may state something of the curve
     columns: tuple[int, ...] = ()  # of x, y and z; z may be missing
     name: str = ""
-    unit: str = ""
 
     def find(self, *meanings: str) -> list[int]:
         """Return the columns with one of some meanings that state something of the curve."""
@@ -127,7 +124,7 @@ class _Found:
     """A curve that is read: its columns, names in columns, what stands above it, and its rows."""
 
     group: _Group
-    names: tuple[str, ...] = ()
+    names: tuple[str, ...]
     above: Mapping[str, Stated] = field(default_factory=dict)
     rows: list[int] = field(default_factory=list)
 
@@ -139,16 +136,13 @@ def read_table(cells: CellTable, content: ImportContent) -> None:
     is not understood.
     """
     reader = _TableReader(cells, content)
-    curves = list(reader.read_curves()) if reader.heads else []
     if not reader.heads:
         reader.read_needles()
-    stem = cells.sheet or cells.path.name.split(".")[0] or cells.path.stem
-    unnamed, numbers = sum(not one.name for one in curves), count(1)
-    if unnamed > 1:
-        content.notes.append(f"{stem}: {unnamed} blocks of rows without names are {unnamed} needles")
+    curves = [reader.read_curve(one, name) for one, name in reader.find_curves()]
+    stem, unnamed = cells.sheet or cells.path.name.split(".")[0] or cells.path.stem, count(1)
     for one in curves:
-        own = f"{stem}-{next(numbers)}" if unnamed > 1 and not one.name else stem
-        content.curves.append(replace(one, name=one.name or own))
+        one.name = one.name or (f"{stem}-{next(unnamed)}" if len(curves) > 1 else stem)
+    content.curves += curves
     content.unused += reader.list_unused()
 
 
@@ -157,7 +151,6 @@ class _TableReader:
 
     def __init__(self, cells: CellTable, content: ImportContent) -> None:
         self.cells, self.content = cells, content
-        self.width = max(map(len, cells.rows), default=0)
         self.heads: dict[int, list[_Group]] = {}  # the curves below each row of headers
         for n in range(len(cells.rows)):
             if len(cells.filled(n)) > 1 and not cells.count_numbers(n):
@@ -176,12 +169,12 @@ class _TableReader:
 
         A row above may begin the headers, or name curves; the row below may state units.
         """
-        own = [read_header(self.cells.cell(n, m).lstrip("#% ") if n >= 0 else "") for m in range(self.width)]
+        width = max(map(len, self.cells.rows), default=0)
+        own = [read_header(self.cells.cell(n, m).lstrip("#% ") if n >= 0 else "") for m in range(width)]
         rows = range(n - 1, max(n - 1 - MAX_LABEL_ROWS, -1), -1)
         above = next((m for m in rows if not self.find_pairs(m, self.cells.filled(m))), n)
-        filled = self.cells.filled(above) if 0 <= above < n else []
-        is_point = self.heads and self.cells.count_numbers(above) > 1
-        if is_point or len(filled) < 2 or any(own[m].axis in ("y", "z") for m in filled):
+        filled = self.cells.filled(above) if 0 <= above < n and self.cells.count_numbers(above) < 2 else []
+        if len(filled) < 2 or any(own[m].axis in ("y", "z") for m in filled):
             filled = []
         units, headers, label = self.find_units(n + 1), list[Header](), ""
         for m, one in enumerate(own):
@@ -189,17 +182,30 @@ class _TableReader:
             one = one if one.meaning or not label else read_header(f"{label} {one.text}".strip())
             headers.append(replace(one, unit=one.unit or units.get(m, "")))
         headers = self.apply_columns(headers)
-        found = self.find_groups(headers, n)
-        starts = sorted(min(group.columns) for group in found)
-        for group in found:
-            first = min(group.columns)
-            end = next((m for m in starts if m > first), self.width)
-            span = {*range(starts[0]), *range(first, end)}  # what stands before the first is common to all
-            name = group.name if len(found) > 1 else own[first].group
-            self.heads.setdefault(n, []).append(replace(group, name=name, span=span))
+        # a letter that comes again begins another curve
+        found: dict[tuple[int, str], dict[str, int]] = {}
+        for m, one in enumerate(headers):
+            if one.axis and one.group not in _VECTORS:
+                turn = next(k for k in count() if one.axis not in found.get((k, one.group), ()))
+                found.setdefault((turn, one.group), {})[one.axis] = m
+        tips = [m for what in ("depth", "deflection") for m, one in enumerate(headers) if one.meaning == what]
+        if not found and len(tips) == 2:
+            found[0, ""] = dict(zip("xy", tips, strict=True))
+        found = {key: axes for key, axes in found.items() if len(axes) > 1}
+        starts = sorted(min(axes.values()) for axes in found.values())
+        for (_, name), axes in found.items():
+            columns = tuple(axes[one] for one in "xyz" if one in axes)
+            if len({headers[m].unit for m in columns}) > 1:
+                what = f"the coordinates are {', '.join(headers[m].text for m in columns)}"
+                where = self.cells.where(max(n, 0), columns[0])
+                raise DataError(what, where=where, expected="one unit", fix=COLUMNS_FIX)
+            end = next((m for m in starts if m > min(columns)), width)
+            span = {*range(starts[0]), *range(min(columns), end)}  # what stands before the first is of all
+            name = name if len(found) > 1 else own[min(columns)].group
+            self.heads.setdefault(n, []).append(_Group(n, headers, span, columns, name))
             self.require_single(self.heads[n][-1])
         if found:
-            self.use(n, *range(self.width))
+            self.use(n, *range(width))
             self.use(n + 1, *units)
             self.use(above, *(m for m in filled if headers[m].text != own[m].text))
 
@@ -215,51 +221,25 @@ class _TableReader:
         """Return headers with the meanings that `--columns` states, which no other column then has."""
         texts, places = [one.text for one in headers], dict[int, str]()
         for meaning, name in self.content.columns.items():
-            if name in texts:
-                places[texts.index(name)] = meaning
-            elif name.isdecimal() and 0 < int(name) <= len(texts):
-                places[int(name) - 1] = meaning
+            m = texts.index(name) if name in texts else int(name) - 1 if name.isdecimal() else -1
+            if 0 <= m < len(texts):
+                places[m] = meaning
         self.content.columns_found |= {*places.values()}
+        taken = {*places.values(), *("xyz" if "x" in places.values() else "")}
         found = []
         for m, one in enumerate(headers):
             own, unit = places.get(m, ""), one.unit or split_unit(one.text)[1]
             if own:
-                is_axis = own in ("x", "y", "z")
-                one = Header(one.text, "" if is_axis else own, own if is_axis else "", unit=unit)
-            elif one.meaning in places.values() or (one.axis and "x" in places.values()):
-                one = Header(one.text)
-            found.append(one)
+                one = Header(one.text, *(("", own) if own in "xyz" else (own, "")), unit=unit)
+            found.append(Header(one.text) if not own and (one.meaning or one.axis) in taken else one)
         return found
-
-    def find_groups(self, headers: Sequence[Header], n: int) -> list[_Group]:
-        """Return the columns of each curve; a letter that comes again begins another one."""
-        found: dict[tuple[int, str], dict[str, int]] = {}
-        for m, one in enumerate(headers):
-            if one.axis and one.group not in _VECTORS:
-                turn = next(k for k in count() if one.axis not in found.get((k, one.group), ()))
-                found.setdefault((turn, one.group), {})[one.axis] = m
-        tips = [m for what in ("depth", "deflection") for m, one in enumerate(headers) if one.meaning == what]
-        if not found and len(tips) == 2:
-            found[0, ""] = dict(zip("xy", tips, strict=True))
-        groups = []
-        for (_, name), places in found.items():
-            columns = tuple(places[one] for one in "xyz" if one in places)
-            units = {headers[m].unit for m in columns}
-            if len(units) > 1 or (len(found) > 1 and [*columns] != sorted(columns)):
-                what = f"the coordinates are {', '.join(headers[m].text for m in columns)}"
-                where, expected = self.cells.where(max(n, 0), columns[0]), "x, y, z in order, of one unit"
-                raise DataError(what, where=where, expected=expected, fix=COLUMNS_FIX)
-            if len(columns) > 1:
-                groups.append(_Group(n, headers, (), columns, name, units.pop()))
-        return groups
 
     def require_single(self, group: _Group) -> None:
         """DataError if two columns state the same of a curve."""
         for meaning in ("needle", "sd", *ATTRIBUTES):
-            columns = group.find(meaning)
-            if len(columns) > 1:
-                what = f"{' and '.join(repr(group.headers[m].text) for m in columns)} may state the {meaning}"
-                fix = f"state which one does: --columns {meaning}=HEADER"
+            texts = [repr(group.headers[m].text) for m in group.find(meaning)]
+            if len(texts) > 1:
+                what, fix = f"{' and '.join(texts)} may state the {meaning}", f"--columns {meaning}=HEADER"
                 raise DataError(what, where=self.cells.where(max(group.row, 0)), expected="one", fix=fix)
 
     def find_pairs(self, n: int, filled: Sequence[int]) -> list[tuple[list[int], Header, str]]:
@@ -276,43 +256,39 @@ class _TableReader:
         pairs = [([a, b], texts[a].rstrip(":=： "), texts[b]) for a, b in couples]
         if all(len(parts) == 2 for parts in split.values()):
             pairs = [([m], parts[0], parts[1]) for m, parts in split.items()]
+        values = [read_header(split_unit(value)[0]) for *_, value in pairs]
+        if any(one.meaning or one.axis or find_meaning("filler", one.text) for one in values):
+            return []
         found = [(places, read_header(name), value) for places, name, value in pairs]
-        values = [read_header(split_unit(value)[0]) for *_, value in found]
-        is_name = any(one.meaning or one.axis or find_meaning("filler", one.text) for one in values)
-        return [] if is_name else [one for one in found if one[1].meaning in ("needle", *ATTRIBUTES)]
+        return [one for one in found if one[1].meaning in ("needle", *ATTRIBUTES)]
 
     # ---- curves
 
-    def find_blocks(self) -> Iterator[tuple[list[_Group], list[int], list[int]]]:
-        """Yield the curves of the headers, the rows of text above, and the rows of each block of points."""
-        groups, above, rows = self.heads.get(-1, []), list[int](), list[int]()
-        for n, row in enumerate([*self.cells.rows, []]):
-            is_head = n in self.heads
-            is_point = any(row) and not is_head and self.is_point(groups, n, bool(rows))
-            if rows and not is_point:
-                yield groups, above, rows
-                above, rows = [], []
-            groups = self.heads.get(n, groups)
-            if is_point:
-                self.require_width(groups[0].row, n)
-                rows.append(n)
-            elif any(row) and not is_head:
-                above.append(n)
-
-    def require_width(self, head: int, n: int) -> None:
-        """DataError where the cells of a row of text do not stand under those of its header."""
-        row, width = self.cells.rows[n], len(self.cells.rows[head])
-        is_longer = self.cells.separator == "," and any(row[width:])
-        if head >= 0 and (is_longer or (self.cells.separator == " " and len(row) != width)):
-            what = f"has {len(row)} cells under {width} columns"
-            expected, fix = "as many cells as the header", "save it with semicolons or tabs between"
-            raise DataError(what, where=self.cells.where(n), expected=expected, fix=fix)
+    def find_curves(self) -> list[tuple[_Found, str]]:
+        """Return the curves, each with its name in a column: one for each name, or each block of rows."""
+        found: dict[tuple[object, ...], _Found] = {}
+        names: dict[tuple[int, int], str] = {}  # they stand in each row, or in the first one
+        groups, above, labels, block = self.heads.get(-1, []), list[int](), list[dict[str, Stated]](), 0
+        for n, row in enumerate(self.cells.rows):
+            if n in self.heads or not self.is_point(groups, n, bool(labels)):
+                above = [*([] if labels else above), *([n] if any(row) and n not in self.heads else [])]
+                groups, labels = self.heads.get(n, groups), []
+                continue
+            if not labels:
+                labels, block = [self.read_labels(one, above) for one in groups], block + 1
+            self.require_width(groups[0].row, n)
+            for group, label in zip(groups, labels, strict=True):
+                keys = [m for what in _KEYS for m in group.find(what)]
+                names |= {(group.row, m): text for m in keys if (text := self.cells.cell(n, m))}
+                own = tuple(names.get((group.row, m), "") for m in keys)
+                key = (group.name, group.columns, own, bool(group.find("needle")) or block)
+                found.setdefault(key, _Found(group, own, label)).rows.append(n)
+        ones = [one for one in found.values() if self.list_filled(one)]
+        is_unique = len({(one.group.name, *one.names[-1:]) for one in ones}) == len(ones)
+        return [(one, "-".join(filter(None, one.names[-1:] if is_unique else one.names))) for one in ones]
 
     def is_point(self, groups: Sequence[_Group], n: int, is_open: bool) -> bool:
-        """Whether a row has coordinates, or cells under known headers alone; not one of labels.
-
-        `is_open`: coordinates stand in the row above.
-        """
+        """Whether a row has coordinates, in part where `is_open` (the row above has), or only names."""
         texts = [[self.cells.cell(n, m) for m in one.columns] for one in groups]
         numbers = max((sum(self.cells.number(text) is not None for text in one) for one in texts), default=0)
         filled = self.cells.filled(n)
@@ -322,24 +298,13 @@ class _TableReader:
             return True
         return not any(map(any, texts)) and any(groups[0].headers[m].meaning for m in filled)
 
-    def read_curves(self) -> Iterator[ImportedCurve]:
-        """Yield the curves of the table: one for each name, or, without names, for each block of rows."""
-        found: dict[tuple[object, ...], _Found] = {}
-        last: dict[tuple[int, int], str] = {}  # names stand in each row, or in the first one
-        for block, (groups, above, rows) in enumerate(self.find_blocks()):
-            for group in groups:
-                labels = self.read_labels(group, above)
-                keys = [m for what in _KEYS for m in group.find(what)]
-                is_named = bool(group.find("needle"))
-                for n in rows:
-                    last |= {(group.row, m): text for m in keys if (text := self.cells.cell(n, m))}
-                    names = tuple(last.get((group.row, m), "") for m in keys)
-                    key = (group.name, group.columns, names, is_named or block)
-                    found.setdefault(key, _Found(group, names, labels)).rows.append(n)
-        ones = [one for one in found.values() if any(self.list_filled(one))]
-        is_unique = len({(one.group.name, *one.names[-1:]) for one in ones}) == len(ones)
-        for one in ones:
-            yield self.read_curve(one, "-".join(filter(None, one.names[-1:] if is_unique else one.names)))
+    def require_width(self, head: int, n: int) -> None:
+        """DataError where the cells of a row of text do not stand under those of its header."""
+        row, width = self.cells.rows[n], len(self.cells.rows[head])
+        is_longer = self.cells.separator == "," and any(row[width:])
+        if head >= 0 and (is_longer or (self.cells.separator == " " and len(row) != width)):
+            what, fix = f"has {len(row)} cells under {width} columns", "save it with semicolons or tabs"
+            raise DataError(what, where=self.cells.where(n), expected="as many as the header", fix=fix)
 
     def list_filled(self, one: _Found) -> list[int]:
         """Return the rows of a curve in which not all coordinates are missing."""
@@ -350,8 +315,9 @@ class _TableReader:
         """Return what pairs of cells above a block state of a curve in it, and titles name."""
         stated: dict[str, Stated] = {}
         for n in rows:
-            filled = [m for m in self.cells.filled(n) if m in group.span]
-            for places, header, text in self.find_pairs(n, filled):
+            for places, header, text in self.find_pairs(
+                n, [m for m in self.cells.filled(n) if m in group.span]
+            ):
                 stated[header.meaning] = Stated(text, header.unit, self.cells.where(n, places[-1]))
                 self.use(n, *places)
         return stated
@@ -361,57 +327,48 @@ class _TableReader:
         group, rows = found.group, self.list_filled(found)
         for n in {*rows, *found.rows[:1]}:
             self.use(n, *group.find(*_KEYS))
-        values = np.zeros((len(rows), 3))
+        unit, values = group.headers[group.columns[0]].unit, np.zeros((len(rows), 3))
         values[:, : len(group.columns)] = self.read_numbers(rows, group.columns)
         points = Points(self.cells.path, values, np.array(rows, dtype=np.int64) + 1)
         for m in group.find("sd"):
-            unit = group.headers[m].unit or group.unit
-            factor = UNITS_MM.get(unit, 1.0) / UNITS_MM.get(group.unit or unit, 1.0)
+            of_sd = group.headers[m].unit or unit
+            factor = UNITS_MM.get(of_sd, 1.0) / UNITS_MM.get(unit or of_sd, 1.0)
             points = replace(points, sd=factor * self.read_numbers(rows, [m])[:, 0])
         stated = {**found.above, **self.read_attributes(found)}
-        title = stated.pop("needle", None)
-        beside = group.name or (title.text if title and not own else "")
-        header = f"header: {Path(self.cells.where(max(group.row, 0))).name}"
-        axes = "--columns" if "x" in self.content.columns else header
-        axes += ", z = 0" if len(group.columns) == 2 else ""
-        readings = self.read_readings(group, rows)
-        name = "-".join(filter(None, (own, beside)))
-        return ImportedCurve(name, points, group.unit, None, stated, axes, readings)
+        title = stated.pop("needle", Stated("")).text
+        name = "-".join(filter(None, (own, group.name or ("" if own else title))))
+        axes = "x, y, z" if len(group.columns) == 3 else "x, y; z is 0"
+        return ImportedCurve(name, points, unit, None, stated, axes, self.read_readings(group, rows))
 
     def read_numbers(self, rows: Sequence[int], columns: Sequence[int]) -> Floats:
         """Return the numbers in some columns (N, M); DataError at the first cell that is none."""
         values = np.zeros((len(rows), len(columns)))
-        for k, n in enumerate(rows):
-            for i, m in enumerate(columns):
-                text = self.cells.cell(n, m)
-                number = self.cells.number(text)
-                if number is None:  # errors such as #REF! are read as empty cells
-                    what = f"a number is {repr(text[:40]) if text else 'empty'}"
-                    expected = f"numbers with a decimal {'comma' if self.cells.decimal == ',' else 'point'}"
-                    fix = "correct the cell, or empty all coordinates of its row"
-                    raise DataError(what, where=self.cells.where(n, m), expected=expected, fix=fix)
-                values[k, i] = number
-            self.use(n, *columns)
+        for (k, n), (i, m) in product(enumerate(rows), enumerate(columns)):
+            if (number := self.cells.number(text := self.cells.cell(n, m))) is None:
+                what, fix = f"a number is {text[:40]!r}", "correct the cell, or empty those of the row"
+                expected = f"numbers with a decimal {'comma' if self.cells.decimal == ',' else 'point'}"
+                raise DataError(what, where=self.cells.where(n, m), expected=expected, fix=fix)
+            values[k, i] = number
+            self.use(n, m)
         return values
 
     def read_attributes(self, found: _Found) -> dict[str, Stated]:
         """Return what columns state once for a curve; DataError if two cells of one contradict each other."""
         stated: dict[str, Stated] = {}
-        for meaning in ATTRIBUTES:
-            for m in found.group.find(meaning):
-                header = found.group.headers[m]
-                cells = [(self.cells.cell(n, m), n) for n in found.rows if self.cells.cell(n, m)]
-                other = next(((text, n) for text, n in cells if text != cells[0][0]), None)
-                if not cells or (other and meaning == "depth"):
-                    continue  # that of each reading
-                if other:
-                    what = f"{header.text} is both {cells[0][0][:40]!r} and {other[0][:40]!r}"
-                    expected = f"the same in each row of {'-'.join(found.names) or 'the curve'}"
-                    fix = f"correct the cell; if other columns tell the needles apart, {COLUMNS_FIX}"
-                    raise DataError(what, where=self.cells.where(other[1], m), expected=expected, fix=fix)
-                for _, n in cells:
-                    self.use(n, m)
-                stated[meaning] = Stated(cells[0][0], header.unit, self.cells.where(cells[0][1], m))
+        for meaning, m in ((one, m) for one in ATTRIBUTES for m in found.group.find(one)):
+            cells = {n: text for n in found.rows if (text := self.cells.cell(n, m))}
+            first = next(iter(cells), 0)
+            other = next((n for n, text in cells.items() if text != cells[first]), None)
+            if not cells or (other is not None and meaning == "depth"):
+                continue  # that of each reading
+            where = self.cells.where(first if other is None else other, m)
+            if other is not None:
+                what, expected = f"{meaning} is {cells[first][:40]!r} and {cells[other][:40]!r}", "one value"
+                fix = f"correct the cell; if other columns tell the needles apart, {COLUMNS_FIX}"
+                raise DataError(what, where=where, expected=expected, fix=fix)
+            for n in cells:
+                self.use(n, m)
+            stated[meaning] = Stated(cells[first], found.group.headers[m].unit, where)
         return stated
 
     def read_readings(self, group: _Group, rows: Sequence[int]) -> Readings | None:
@@ -420,25 +377,14 @@ class _TableReader:
         is_log = bool(group.find("time", "quaternion"))
         columns = group.columns[:1] if is_deflection else group.find("depth")
         if len({self.cells.cell(n, m) for n in rows for m in columns}) < 2:
-            return Readings(np.empty(0), "", None, is_log, False) if is_log else None
-        guides, guide = group.find("guide"), None
-        if guides:  # x, y and z of one that rests, or its place along one axis
-            places = self.read_numbers(rows, guides)
-            guide = places[:, 0] - places[0, 0]
-            if np.ptp(places, axis=0).any() and group.headers[guides[0]].axis:
-                what, fix = f"{group.headers[guides[0]].text} changes", "name it: --columns guide=HEADER"
-                expected = "one column with the lateral position of the guide"
-                raise DataError(what, where=self.cells.where(rows[0], guides[0]), expected=expected, fix=fix)
-        depth, unit = self.read_numbers(rows, columns)[:, 0], group.headers[columns[0]].unit
-        return Readings(depth, unit or group.unit, guide, is_log, is_deflection)
+            return Readings(np.empty(0), "", is_log, False) if is_log else None
+        unit = group.headers[columns[0]].unit or group.headers[group.columns[0]].unit
+        return Readings(self.read_numbers(rows, columns)[:, 0], unit, is_log, is_deflection)
 
     # ---- needles, and what is left
 
     def read_needles(self) -> None:
-        """Add what a table without coordinates states of needles, one a row.
-
-        UnclearColumnsError if it does not name needles. DataError if one is listed twice.
-        """
+        """Add what a table without coordinates states of needles; UnclearColumnsError if it names none."""
         for n, row in enumerate(self.cells.rows):
             group = _Group(n, self.apply_columns([read_header(text) for text in row]), range(len(row)))
             if keys := group.find("needle") if group.find(*ATTRIBUTES) else []:
@@ -449,20 +395,14 @@ class _TableReader:
             expected = "columns called x, y, z, or depth and deflection"
             raise UnclearColumnsError(what, where=self.cells.where(0), expected=expected, fix=COLUMNS_FIX)
         self.require_single(group)
-        listed, units = set[str](), self.find_units(n + 1)
         self.heads[n] = [group]
-        self.use(n, *range(self.width))
+        units = self.find_units(n + 1)
+        self.use(n, *range(len(row)))
         self.use(n + 1, *units)
         for m in range(n + 1 + bool(units), len(self.cells.rows)):
-            name, where = self.cells.cell(m, keys[0]), self.cells.where(m, keys[0])
-            if name in listed:
-                what, fix = f"needle {name!r} is listed twice", "remove the row, or correct its name"
-                raise DataError(what, where=where, expected="one row for each needle", fix=fix)
-            if name:
-                listed.add(name)
+            if name := self.cells.cell(m, keys[0]):
                 self.use(m, keys[0])
-                stated = self.read_attributes(_Found(group, (name,), rows=[m]))
-                self.content.needles.append((name, stated))
+                self.content.needles.append((name, self.read_attributes(_Found(group, (name,), rows=[m]))))
 
     def list_unused(self) -> Iterator[tuple[str, str]]:
         """Yield what is not used: columns by their headers, and other cells by their rows."""
@@ -473,12 +413,6 @@ class _TableReader:
                 if body and not body & cells.used and (header.text or n < 0):
                     cells.used.update(body)
                     yield f"column {header.text or m + 1}", Path(cells.where(max(n, 0))).name
-        left: dict[int, list[str]] = {}
         for n, row in enumerate(cells.rows):
-            for m, text in enumerate(row):
-                if text and (n, m) not in cells.used:
-                    left.setdefault(n, []).append(text)
-        for n, texts in [*left.items()][:MAX_LISTED]:
-            yield f"row {', '.join(texts)}"[:MAX_LISTED_CHARS], Path(cells.where(n)).name
-        if len(left) > MAX_LISTED:
-            yield f"cells of {len(left) - MAX_LISTED} more rows", cells.path.name
+            if texts := [text for m, text in enumerate(row) if text and (n, m) not in cells.used]:
+                yield f"row {', '.join(texts)}"[:MAX_LISTED_CHARS], Path(cells.where(n)).name

@@ -37,9 +37,9 @@ from needlefit.geometry.surfaces import (
 )
 from needlefit.project.input_files import is_dir, path_exists
 
-# Sheets of the workbook to fill in: of examples (a beginning of names), answers, an explanation, points.
+# Sheets of the workbook to fill in: of examples (a beginning of names), answers, and an explanation.
 WORKBOOK_FILE = Path(__file__).with_name("workbook.xlsx")
-EXAMPLE_SHEET, SETUP_SHEET, GUIDE_SHEET, EMPTY_SHEETS = "example", "setup", "read me", ("points", "needles")
+EXAMPLE_SHEET, SETUP_SHEET, GUIDE_SHEET = "example", "setup", "read me"
 MAX_FILES, MAX_CURVES, MAX_NAME_CHARS = 2000, 2000, 60
 
 
@@ -56,8 +56,7 @@ def read_content(paths: Sequence[Path], columns: str = "") -> ImportContent:
     if not content.curves and content.unclear is not None:
         raise content.unclear
     if not 0 < len(content.curves) <= MAX_CURVES or len(content.files) == MAX_FILES:
-        left = ", ".join(what for what, _ in content.unused[:3])
-        what = f"holds {len(content.curves)} curves of needles" + (f"; not read: {left}" if left else "")
+        what = f"holds {len(content.curves)} curves of needles"
         expected = f"1 to {MAX_CURVES} needles in files that end in {', '.join(list_import_suffixes())}"
         raise DataError(what, where=str(paths[0]), expected=expected, fix="name their files or folder")
     if faults := [fault for one in content.curves for fault in one.points.find_faults(one.name)]:
@@ -69,8 +68,13 @@ def read_content(paths: Sequence[Path], columns: str = "") -> ImportContent:
     for one in content.curves:
         name = _make_unique(make_id(one.name, "curve")[:MAX_NAME_CHARS], curves)
         curves[name] = replace(one, name=name)
+    by_name = {name.lower(): one for name, one in curves.items()}
+    for name, stated in content.needles:
+        if (own := by_name.get(make_id(name, name)[:MAX_NAME_CHARS].lower())) is None:
+            content.unused.append((f"row of needle {name}", "no curve has its name"))
+        else:
+            add_stated(own.stated, stated)
     content.curves = [*curves.values()]
-    _add_needles(content)
     return content
 
 
@@ -78,28 +82,6 @@ def _make_unique(name: str, taken: Container[str]) -> str:
     """Return a name, numbered from 2 where it is taken."""
     numbered = (f"{name}-{count}" for count in itertools.count(2))
     return next(one for one in itertools.chain([name], numbered) if one not in taken)
-
-
-def _add_needles(content: ImportContent) -> None:
-    """Add to the curves what tables state of needles, by their names.
-
-    DataError if tables state something of needles, and of none that has a curve.
-    """
-    places = {one.name.lower(): n for n, one in enumerate(content.curves)}
-    missed = []
-    for name, stated in content.needles:
-        n = places.get(make_id(name, name)[:MAX_NAME_CHARS].lower())
-        if n is None:
-            missed.append((f"row of needle {name}", "no curve has its name"))
-        else:
-            known = dict(content.curves[n].stated)
-            add_stated(known, stated)
-            content.curves[n] = replace(content.curves[n], stated=known)
-    if missed and len(missed) == len(content.needles):
-        what, fix = f"{missed[0][0]}: {missed[0][1]}", "give needles and curves the same names"
-        expected = f"names of curves: {', '.join([*places][:8])}"
-        raise DataError(what, where=str(content.files[0]), expected=expected, fix=fix)
-    content.unused += missed
 
 
 def list_import_suffixes() -> tuple[str, ...]:
@@ -137,8 +119,7 @@ def _read_file(path: Path, content: ImportContent) -> None:
     elif suffix in READ_SUFFIXES:
         surface, stated = read_surface(path, "sheet", 2), read_coordinate_system(path)
         surface = transform_surface(surface, RAS_TO_LPS) if stated == "RAS" else surface
-        plain = "".join(letter for letter in surface.name if letter.isprintable())[:MAX_NAME_CHARS]
-        name = _make_unique(plain or "surface", [one.name for one, *_ in content.surfaces])
+        name = _make_unique(surface.name[:MAX_NAME_CHARS], [one.name for one, *_ in content.surfaces])
         content.surfaces.append((replace(surface, name=name), path, "LPS" if stated else None))
     elif not path_exists(path):
         raise DataError("there is no such file", where=str(path), fix="check the name and the path")
@@ -154,73 +135,54 @@ def _read_format(path: Path, content: ImportContent) -> None:
         raise DataError(what, where=str(path), expected=expected, fix="export the points to one of these")
     found, remarks = format_.read_curves(path)
     unused = dict.fromkeys(remark.removesuffix(" ignored") for remark in remarks)
-    titles = [
-        points.stated[key]
-        for points in found.values()
-        for key in points.stated
-        if read_header(key).meaning == "needle"
-    ]
-    is_named = len({*titles}) == len(found)  # one name of all is that of the experiment
     for name, points in found.items():
-        axes = "the format" if format_.in_scan else "fields x, y, z" if NAMED_FIELDS in points.stated else ""
-        stated: dict[str, Stated] = {}
+        is_named = format_.in_scan or NAMED_FIELDS in points.stated
+        axes = "x, y, z" if is_named else "columns 1, 2, 3"
+        stated = dict[str, Stated]()
         for key, text in points.stated.items():
             header = read_header(key)
-            if is_named and header.meaning == "needle":
-                name = text
-            elif text and header.meaning in ATTRIBUTES and header.meaning not in stated:
+            if text and header.meaning in ("needle", *ATTRIBUTES) and header.meaning not in stated:
                 stated[header.meaning] = Stated(text, header.unit, f"{path}, field {key} of {name}")
             elif text:
                 unused[f"field {key}"] = None
+        title = stated.pop("needle", Stated(name)).text
         unit, system = ("mm", "LPS") if format_.in_scan else ("", None)
-        content.curves.append(ImportedCurve(name, points, unit, system, stated, axes))  # type: ignore[arg-type]
+        content.curves.append(ImportedCurve(title, points, unit, system, stated, axes))  # type: ignore[arg-type]
     content.unused += [(what, path.name) for what in unused]
 
 
 def _read_workbook(path: Path, content: ImportContent) -> None:
     """Add what all sheets hold, and the answers of the sheet `setup`.
 
-    Sheets called `example` are those of the workbook to fill in: they are read where `points` is empty.
+    Sheets that begin with `example` are read where no other one holds rows below a header.
     """
     sheets = [one for one in read_sheets(path) if one.sheet.lower() != GUIDE_SHEET]
-    plain = {one.sheet: one.sheet.lower() for one in sheets}
-    filled = {one.sheet: sum(map(any, one.rows)) for one in sheets}
-    if examples := [name for name in plain if plain[name].startswith(EXAMPLE_SHEET)]:
-        own = [name for name in plain if name not in examples and plain[name] != SETUP_SHEET]
-        is_empty = all(filled[name] < 2 for name in own)
-        sheets = [
-            one for one in sheets if (one.sheet in examples) == is_empty or one.sheet not in [*examples, *own]
-        ]
-        why = "read: no other sheet holds points" if is_empty else "not read: other sheets hold points"
-        content.notes.append(f"{path.name}: examples ({', '.join(examples)}) are {why}")
-    for cells in sheets:
-        try:
-            if plain[cells.sheet].removeprefix(EXAMPLE_SHEET).strip() == SETUP_SHEET:
-                _read_setup(cells, content)
-            elif not filled[cells.sheet]:
-                content.unused.append((f"sheet {cells.sheet}", "it is empty"))
-            elif filled[cells.sheet] > 1 or plain[cells.sheet] not in EMPTY_SHEETS:
+    plain = [one.sheet.lower() for one in sheets]
+    own = [one for one, name in zip(sheets, plain, strict=True) if not name.startswith(EXAMPLE_SHEET)]
+    points = [one for one in own if one.sheet.lower() != SETUP_SHEET]
+    is_filled = len(own) == len(sheets) or any(sum(map(any, one.rows)) > 1 for one in points)
+    for cells, name in zip(sheets, plain, strict=True):
+        is_setup = name.removeprefix(EXAMPLE_SHEET).strip() == SETUP_SHEET
+        if (cells not in own) == is_filled and not (is_setup and cells in own):
+            if is_filled:
+                content.unused.append((f"sheet {cells.sheet}", "other sheets hold points"))
+        elif is_setup:
+            _read_setup(cells, content)
+        else:
+            try:
                 read_table(cells, content)
-        except UnclearColumnsError as error:
-            content.leave_out(f"sheet {cells.sheet}", error)
+            except UnclearColumnsError as error:
+                content.leave_out(f"sheet {cells.sheet}", error)
 
 
 def _read_setup(cells: CellTable, content: ImportContent) -> None:
-    """Add the answers of a sheet with a row for each question: its name, value and unit.
-
-    DataError if a unit is not that of the question.
-    """
+    """Add the answers of a sheet with a row for each question: its name, value and unit."""
     for n, row in enumerate(cells.rows):
         name, value, unit = (*row, "", "", "")[:3]
         what = " ".join(name.lower().replace("_", " ").split())
         what = what if what in QUESTIONS else find_meaning("column", name)
-        if not value or (n == 0 and value.lower() == "value"):
-            continue
-        if what not in QUESTIONS:
+        if value and what in QUESTIONS:
+            stated = Stated(value, find_meaning("unit", unit) or unit, cells.where(n, 1))
+            add_stated(content.setup, {what: stated})
+        elif value and n:
             content.unused.append((f"row {name} = {value}"[:MAX_NAME_CHARS], Path(cells.where(n)).name))
-            continue
-        expected = QUESTIONS[what].unit
-        if unit and find_meaning("unit", unit) != expected:
-            text, fix = f"the unit of {what} is {unit[:40]!r}", "convert the value, and restore the unit"
-            raise DataError(text, where=cells.where(n, 2), expected=expected or "no unit", fix=fix)
-        add_stated(content.setup, {what: Stated(value, unit, cells.where(n, 1))})

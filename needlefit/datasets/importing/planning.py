@@ -67,11 +67,8 @@ class Planner:
         """
         for what, where in self.content.unused:
             self.keep("not used", what, where)
-        for note in self.content.notes:
-            self.keep("read", note)
         for axes in dict.fromkeys(one.axes for one in self.curves):
-            source: ImportSource = "file" if axes else "assumption"
-            self.keep("axes", "x, y, z" if axes else "columns 1, 2, 3", axes or "nothing names them", source)
+            self.keep("axes", axes, "", "assumption" if "columns" in axes else "file")
         is_track = self.settle_observable() == "tracks"
         self.convert_units()
         sd = self.settle("point sd").to_number("point sd", is_above=True)
@@ -112,6 +109,7 @@ class Planner:
         """Turn the curves to mm; a unit that no header states must give the length of a needle."""
         units = {one.unit for one in self.curves}
         unknown, is_stated = units - {*UNITS_MM}, "units" in self.answers.stated
+        answer = ""
         if unknown or is_stated:
             wrong = max(unknown, default="")
             reason = f"a header states {wrong[:20]!r}" if wrong else ""
@@ -130,12 +128,10 @@ class Planner:
 
     def settle_frame(self) -> None:
         """Take coordinates as they are, LPS where any file states its system, and put the entry first."""
-        surfaces = self.content.surfaces
-        systems = {one.system for one in self.curves} | {system for *_, system in surfaces}
-        reason = "some files state no system" if len(systems) > 1 else "one of all files"
-        value = "LPS" if "LPS" in systems else "as in the files"
-        self.keep("frame", value, reason, "assumption" if len(systems) > 1 else "file")
-        for surface, path, _ in surfaces:
+        systems = {one.system for one in self.curves} | {system for *_, system in self.content.surfaces}
+        source: ImportSource = "assumption" if len(systems) > 1 else "file"
+        self.keep("frame", "LPS" if "LPS" in systems else "as in the files", "one of all files", source)
+        for surface, path, _ in self.content.surfaces:
             surface = replace(surface, kind="solid" if surface.mesh.is_watertight else "sheet")
             if faults := list(find_surface_faults(surface, path)):
                 raise as_error(faults, path)
@@ -144,9 +140,8 @@ class Planner:
         against = [self.curves[n].name for n in np.flatnonzero(chords @ chords.sum(axis=0) < 0)]
         reason = f"{join_names(against, 5)} runs against the others" if against else "the order of the file"
         answer = self.settle("entry", "" if against else "first", reason, choices=("first", "last"))
-        if answer.text == "last":
-            for one in self.curves:
-                one.points = one.points.part(np.arange(len(one.line))[::-1])
+        for one in self.curves if answer.text == "last" else ():
+            one.points = one.points.part(np.arange(len(one.line))[::-1])
 
     # ---- entry and pose
 
@@ -162,49 +157,54 @@ class Planner:
 
     def settle_entry_point(self, pose: Stated) -> Floats | None:
         """Return where all tips first touched the tissue, None: at the first point; cut the curves there."""
-        stated = [(one, one.stated["depth"]) for one in self.curves if "depth" in one.stated]
-        depths = {one.name: cell.to_number("depth", "mm", one.unit) for one, cell in stated}
+        stated = {one.name: one.stated["depth"] for one in self.curves if "depth" in one.stated}
+        depths = {one.name: stated[one.name].to_number("depth", "mm", one.unit)
+                  for one in self.curves if one.name in stated}  # fmt: skip
         surfaces = {one.name: one for one in self.surfaces}
+        longer = [
+            one
+            for one in self.curves
+            if one.name in depths and one.length - depths[one.name] > find_length_tolerance(depths[one.name])
+        ]
         guess, reason = "first", "the first point of each needle, with its error"
-        if pose.text == "shaft" or surfaces:
+        if longer:
+            guess = "depth" if pose.text == "shaft" else ""
+            place = f"its depth {depths[longer[0].name]:g} mm in {stated[longer[0].name].where}"
+            reason = f"{longer[0].name} is {longer[0].length:.1f} mm long, and {place}"
+        elif pose.text == "shaft" or surfaces:
             guess, reason = "", "nothing states where the tissue begins"
-        for one, cell in stated:
-            if one.length - depths[one.name] > find_length_tolerance(depths[one.name]):
-                guess = "depth" if pose.text == "shaft" else ""
-                place = f"its depth {depths[one.name]:g} mm in {cell.where}"
-                reason = f"{one.name} is {one.length:.1f} mm long, and {place}"
-                break
-        source: ImportSource = "file" if guess == "depth" else "assumption"
-        answer, entry = self.settle("entry point", guess, reason, source), None
+        answer = self.settle("entry point", guess, reason, "file" if guess == "depth" else "assumption")
+        entry = None
         if answer.text not in ("first", "depth", *surfaces):
             entry = answer.to_vector("entry point", is_direction=False)
-        if answer.text == "depth" and len(depths) < len(self.curves):
-            missing = [one.name for one in self.curves if one.name not in depths]
-            raise answer.error("entry point", f"X,Y,Z, or a depth of {join_names(missing, 5)}, too")
         cut = list[float]()
         for one in self.curves if answer.text != "first" else ():
-            along = np.arange(0.0, one.length, STEP_MM)
-            arc = one.length - depths.get(one.name, 0.0)
             if answer.text in surfaces:
                 arc = min(find_surface_hits(one.line, surfaces[answer.text]), default=0.0)
-            elif entry is not None:
+            elif entry is None:
+                if one.name not in depths:
+                    raise answer.error("entry point", f"X,Y,Z, or a depth of {one.name}, too")
+                arc = one.length - depths[one.name]
+            else:
+                along = np.arange(0.0, one.length, STEP_MM)
                 gaps = np.linalg.norm(interpolate_at_arc(one.line, along) - entry, axis=1)
                 arc = float(along[np.argmin(gaps)])
-                arc = arc if arc > MIN_CUT_MM else 0.0
-            cut_shaft(one, arc)
-            cut.append(max(arc, 0.0))
-        if any(cut):
+            if arc > MIN_CUT_MM:
+                cut_shaft(one, arc)
+                cut.append(arc)
+        if cut:
             self.keep("shaft", f"{min(cut):.1f} to {max(cut):.1f} mm cut off", "before the entry point")
-        if answer.text in surfaces and not any(cut):
+        elif answer.text in surfaces:
             expected = "a surface that needles cross on their way in; is there a hole where they enter?"
             raise answer.error("entry point", expected)
         self.surfaces = [one for one in self.surfaces if one.name != answer.text]
-        for one, cell in stated:
-            if abs(depths[one.name] - one.length) > find_length_tolerance(depths[one.name]):
+        for one in self.curves:
+            depth = depths.get(one.name, one.length)
+            if abs(depth - one.length) > find_length_tolerance(depth):
                 expected = (
                     f"the length of {one.name}, {one.length:.1f} mm; or --entry-point, to cut its shaft"
                 )
-                raise cell.error("depth", expected)
+                raise stated[one.name].error("depth", expected)
         return entry
 
     def make_rows(
@@ -212,10 +212,12 @@ class Planner:
     ) -> list[InsertionRow]:
         """Return the rows with entry poses and bevels, without medium and specimen."""
         angles = self.settle_sides()
-        rows = []
-        for one, side in zip(self.curves, to_sides(angles or [0.0] * len(self.curves))[0], strict=True):
-            met = select_layers(np.array(depths), one.length)[1]
-            rows.append(InsertionRow(one.name, "", len(met), one.length, side=side))
+        sides = to_sides(angles or [0.0] * len(self.curves))[0]
+        reached = [len(select_layers(np.array(depths), one.length)[1]) for one in self.curves]
+        rows = [
+            InsertionRow(one.name, "", layers, one.length, side=side)
+            for one, layers, side in zip(self.curves, reached, sides, strict=True)
+        ]
         if pose.text == "free":
             source: ImportSource = "guess" if angles else "assumption"
             self.keep("bevel", "bend", "a free shape bends toward its bevel", source)
@@ -223,14 +225,9 @@ class Planner:
         source = "guess" if entry is None else "assumption"  # the entry is a measured point
         shift = self.settle("pose shift sd", f"{point_sd:g}", "", source).to_number("pose shift sd")
         if pose.text == "shaft":
-            for one in self.curves:
-                if len(one.shaft) < MIN_SHAFT_POINTS or arc_length(one.shaft)[-1] < MIN_SHAFT_MM:
-                    expected = f"{MIN_SHAFT_POINTS} points over {MIN_SHAFT_MM:g} mm before each entry"
-                    raise pose.error("pose", expected)
-            centred = [one.shaft - one.shaft.mean(axis=0) for one in self.curves]
-            axes = [np.linalg.svd(one, full_matrices=False)[2][0] for one in centred]
-            ways = np.array([way * np.sign(way @ one[-1]) for way, one in zip(axes, centred, strict=True)])
-            sds = [float(point_sd / np.linalg.norm(one)) for one in centred]
+            lines = [fit_shaft(one, pose) for one in self.curves]
+            ways = np.array([way for way, _ in lines])
+            sds = [point_sd / length for _, length in lines]
             reason = f"error of a point over each shaft: at most {np.degrees(max(sds)):.2g} degrees"
             answer = self.settle("pose angle sd", "shaft", reason, "file")
         else:
@@ -276,24 +273,15 @@ class Planner:
         """
         cells = {one.name: one.stated["bevel side"] for one in self.curves if "bevel side" in one.stated}
         missing = [one.name for one in self.curves if one.name not in cells]
-        pairs: dict[str, Stated] = {}
         if "bevel side" in self.answers.stated or (cells and missing):
             answer = self.settle("bevel side", "", f"not stated of {join_names(missing, 5)}")
-            parts = (part.rpartition("=") for part in answer.text.split(","))
-            pairs = {name.strip(): replace(answer, text=side.strip()) for name, _, side in parts}
+            cells |= dict.fromkeys(missing or cells, answer)
         elif missing:
             return None
         else:
             texts = dict.fromkeys(f"{cell.text} {cell.unit}".strip() for cell in cells.values())
             self.keep("bevel side", ", ".join(texts), "degrees and clock positions: clockwise from up")
-        angles = []
-        for name in (one.name for one in self.curves):
-            cell = cells.get(name)
-            own = pairs.get(name) or pairs.get(cell.text if cell else "") or pairs.get("") or cell
-            if own is None:
-                raise answer.error("bevel side", f"1, -1, or NAME=1,NAME=-1; {name} has none")
-            angles.append(own.to_angle())
-        return angles
+        return [cells[one.name].to_angle() for one in self.curves]
 
     def settle_bevel(
         self, bends: Floats, along: Floats, angles: Sequence[float] | None
@@ -307,23 +295,17 @@ class Planner:
         bends = bends - np.sum(bends * along, axis=1)[:, None] * along
         back = Rotation.from_rotvec(-np.array(turns)[:, None] * along)
         toward = np.array(sides)[:, None] * back.apply(bends)
-        mean, total = (
-            np.mean([one / (np.linalg.norm(one) or 1.0) for one in toward], axis=0),
-            toward.sum(axis=0),
-        )
+        units = toward / np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-9)
         source: ImportSource = "assumption"
         guess, reason = "bend", "every needle is taken to bend toward its bevel"
-        differ = len({*sides}) > 1 or len({*turns}) > 1 or min(sides) < 0
-        if differ:
-            is_same = np.linalg.norm(mean) > MIN_SAME_SIDE
-            source, guess = "guess", format_direction(normalize(total)) if is_same else ""
-            reason = (
-                f"{(toward @ total > 0).sum()} of {len(bends)} needles bend to one direction from their sides"
-            )
+        if differ := len({*sides}) > 1 or len({*turns}) > 1 or min(sides) < 0:
+            is_same = np.linalg.norm(units.mean(axis=0)) > MIN_SAME_SIDE
+            source, guess = "guess", format_direction(normalize(toward.sum(axis=0))) if is_same else ""
+            reason = "the mean direction in which needles bend from their sides"
         answer = self.settle("bevel", guess, reason, source)
-        if answer.text == "bend" and differ:
-            raise answer.error("bevel", "X,Y,Z: bevels differ")
         if answer.text == "bend":
+            if differ:
+                raise answer.error("bevel", "X,Y,Z: bevels differ")
             return [None] * len(bends)
         bevel = answer.to_vector("bevel")
         if angles is None:
@@ -357,10 +339,9 @@ class Planner:
         length, outer = self.settle("needle length", least), self.settle("diameter")
         inner, modulus = self.settle("inner diameter"), self.settle("modulus")
         number, unit = read_quantity(outer.text) or (0.0, "")
-        if unit == "G" and number not in GAUGES_MM:
-            raise outer.error("diameter", f"mm, or a gauge from {min(GAUGES_MM)}G to {max(GAUGES_MM)}G")
-        diameter = GAUGES_MM[int(number)] if unit == "G" else outer.to_number("diameter", is_above=True)
-        bore = inner.to_number("inner diameter")
+        if unit == "G":
+            outer = replace(outer, text=f"{GAUGES_MM.get(int(number), 0.0)}")
+        diameter, bore = outer.to_number("diameter", is_above=True), inner.to_number("inner diameter")
         if bore >= diameter:
             raise inner.error("inner diameter", f"less than {diameter:g} mm")
         material = find_meaning("value", modulus.text)
@@ -381,22 +362,20 @@ class Planner:
         if any(turns):
             what, fix = "bevels of tip tracks are at right angles", "import the runs of each plane"
             raise DataError(what, where=self.curves[0].points.where(), expected="sides 1 and -1", fix=fix)
+        self.keep("guide", "at rest", "a guide that moves is stated in tracks.csv", "assumption")
         rows, bends, ways = [], [], []
         for one, side in zip(self.curves, sides, strict=True):
             assert one.readings is not None, "a track has readings"
-            own, factor = one.readings, UNITS_MM[one.readings.unit or one.unit]
-            guide = UNITS_MM[one.unit] * (np.zeros(len(one.line)) if own.guide is None else own.guide)
-            if own.guide is None:
-                self.keep(f"guide of {one.name}", "at rest", "no column states where it is", "assumption")
-            one.readings = replace(own, depth=factor * own.depth, guide=guide)
-            fit = np.polyfit(one.readings.depth, one.line, 2)
-            bends.append(fit[0] * np.ptp(one.readings.depth) ** 2)
+            depth = UNITS_MM[one.readings.unit or one.unit] * one.readings.depth
+            one.readings = replace(one.readings, depth=depth)
+            fit = np.polyfit(depth, one.line, 2)
+            bends.append(fit[0] * np.ptp(depth) ** 2)
             ways.append(normalize(fit[1]))
-            rows.append(InsertionRow(one.name, "", 1, float(one.readings.depth[-1]), side=side))
+            rows.append(InsertionRow(one.name, "", 1, float(depth[-1]), side=side))
         bevel: Floats | None = np.array([0.0, 1.0, 0.0])
         if not all(one.readings and one.readings.is_deflection for one in self.curves):
             bevel = self.settle_bevel(np.array(bends), np.array(ways), angles)[0]
-        bevel = normalize(np.sum(bends, axis=0)) if bevel is None else normalize(bevel)
+        bevel = normalize(np.sum(bends, axis=0) if bevel is None else bevel)
         for one in self.curves:
             one.points = replace(one.points, values=one.line @ np.outer(bevel, [1, 0, 0]))
         return rows
@@ -408,8 +387,6 @@ class Planner:
 def cut_shaft(curve: ImportedCurve, arc: float) -> None:
     """Cut a curve at this length from its first point, mm, and keep the points before as its shaft."""
     points, along = curve.points, arc_length(curve.line)
-    if arc <= 0:
-        return
     after = np.flatnonzero(along > arc + 10 * SAME_POINT_MM)
     if len(after) < MIN_POINTS - 1:
         what = f"curve {curve.name!r} has only {len(after)} points behind its entry"
@@ -418,6 +395,15 @@ def cut_shaft(curve: ImportedCurve, arc: float) -> None:
     values = np.vstack([interpolate_at_arc(points.values, [arc]), points.values[after]])
     curve.shaft = np.vstack([points.values[along < arc], values[:1]])
     curve.points = replace(points.part(np.concatenate([after[:1], after])), values=values)
+
+
+def fit_shaft(curve: ImportedCurve, pose: Stated) -> tuple[Floats, float]:
+    """Return the direction of a curve's shaft, and the norm of its points along it, mm."""
+    if len(curve.shaft) < MIN_SHAFT_POINTS or arc_length(curve.shaft)[-1] < MIN_SHAFT_MM:
+        raise pose.error("pose", f"{MIN_SHAFT_POINTS} points over {MIN_SHAFT_MM:g} mm before each entry")
+    centred = curve.shaft - curve.shaft.mean(axis=0)
+    axis = np.linalg.svd(centred, full_matrices=False)[2][0]
+    return axis * np.sign(axis @ centred[-1]), float(np.linalg.norm(centred))
 
 
 def to_sides(angles: Sequence[float]) -> tuple[list[int], list[float]]:

@@ -10,7 +10,7 @@ from datetime import date, time, timedelta
 from pathlib import Path
 from typing import Any
 
-from needlefit.datasets.formats.csv import MAX_COLUMNS, check_extent
+from needlefit.datasets.formats.csv import check_extent
 from needlefit.datasets.importing.synonyms import read_header
 from needlefit.datasets.points import MAX_COORDINATE
 from needlefit.errors import DataError
@@ -21,7 +21,6 @@ TEXT_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc")
 SHEET_SUFFIXES = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 
 MAX_TABLE_BYTES, MAX_TABLE_CELLS = 16 * 2**20, 1_000_000  # of a text table; empty cells count
-MAX_SHEETS, MAX_SHEET_CELLS = 200, 500_000  # sheets of a workbook that are read, and cells of all of them
 MAX_SHEET_BYTES = 64 * 2**20
 SHEET_BYTES_PER_SECOND = 2**20
 MAX_CELL_CHARS = 500  # longer text is no header and no number; the rest of it is dropped
@@ -33,8 +32,7 @@ _NUMBERS = {
     ",": re.compile(r"[-+]?(\d{1,3}(\.\d{3})+,\d+|\d+,?\d*|,\d+)(e[-+]?\d+)?", re.IGNORECASE),
 }
 _LAYOUTS = (  # separators and decimal signs, in the order in which equally good ones are taken
-    *((";", ","), (";", "."), ("\t", ","), ("\t", "."), ("|", ","), ("|", ".")),
-    *((",", "."), (" ", ","), (" ", ".")),
+    *((";", ","), (";", "."), ("\t", ","), ("\t", "."), (",", "."), (" ", ","), (" ", ".")),
 )
 
 
@@ -42,7 +40,7 @@ class UnclearColumnsError(DataError):
     """No columns of a table are known to be coordinates: it may hold something else."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CellTable:
     """The cells of a text table or of one sheet, as stripped text, and which of them were used."""
 
@@ -55,9 +53,12 @@ class CellTable:
 
     def where(self, row: int, column: int | None = None) -> str:
         """Return the place of a row, or of its cell in a column, for a message."""
-        if self.sheet and column is not None:
-            return f"{self.path}, sheet {self.sheet!r}, cell {_name_column(column + 1)}{row + 1}"
-        return f"{self.path}, sheet {self.sheet!r}, row {row + 1}" if self.sheet else f"{self.path}:{row + 1}"
+        cell = "" if column is None else f", column {column + 1}"
+        return (
+            f"{self.path}, sheet {self.sheet}, row {row + 1}{cell}"
+            if self.sheet
+            else f"{self.path}:{row + 1}"
+        )
 
     def cell(self, row: int, column: int) -> str:
         """Return a cell; empty where its row ends before it."""
@@ -75,15 +76,6 @@ class CellTable:
     def count_numbers(self, row: int) -> int:
         """Return how many cells of a row are numbers."""
         return sum(self.number(text) is not None for text in self.rows[row] if text)
-
-
-def _name_column(number: int) -> str:
-    """Return the letters of a column of a sheet, from 1: A to Z, AA."""
-    letters = ""
-    while number:
-        number, rest = divmod(number - 1, 26)
-        letters = chr(ord("A") + rest) + letters
-    return letters
 
 
 def parse_number(text: str, decimal: str) -> float | None:
@@ -178,7 +170,7 @@ def read_sheets(path: Path) -> tuple[CellTable, ...]:
 
 
 def _workbook_error(path: Path, what: str) -> DataError:
-    expected = f"an Excel or OpenDocument workbook of at most {MAX_SHEET_CELLS:,} cells, without password"
+    expected = "an Excel or OpenDocument workbook without password"
     fix = "save the sheet with the coordinates again, or export it as CSV"
     return DataError(what, where=str(path), expected=expected, fix=fix)
 
@@ -187,17 +179,13 @@ def read_workbook(_arrays: Arrays, path: str) -> list[tuple[str, list[list[str]]
     """Return name and rows of each sheet, from its first cell on; in the child process."""
     from python_calamine import CalamineWorkbook
 
-    file, sheets, count = Path(path), [], 0
+    file, sheets = Path(path), []
     try:
         book = CalamineWorkbook.from_filelike(io.BytesIO(read_bytes(file, MAX_SHEET_BYTES)))
-        if len(book.sheet_names) > MAX_SHEETS:
-            raise _workbook_error(file, f"has {len(book.sheet_names)} sheets")
         for name in book.sheet_names:
             sheet = book.get_sheet_by_name(name)
             above, left = sheet.start or (0, 0)
-            count += (above + sheet.height) * (left + sheet.width)
-            if count > MAX_SHEET_CELLS or left + sheet.width > MAX_COLUMNS:
-                raise _workbook_error(file, f"is too large: sheet {name[:60]!r} has {count:,} cells")
+            check_extent(above + sheet.height, left + sheet.width, path, MAX_TABLE_CELLS)
             rows = [[_sheet_text(cell) for cell in row] for row in sheet.to_python(skip_empty_area=False)]
             sheets.append((name[:MAX_CELL_CHARS], rows))
     except (MemoryError, DataError):

@@ -62,17 +62,16 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, answers: 
 
 def _write_tracks(folder: Path, content: ImportContent, plan: ImportPlan, draft: dict[str, object]) -> Path:
     """Write a dataset of tip tracks."""
-    lines, media = ["id,medium,depth_mm,tip_mm,guide_mm,bevel_side\n"], dict[str, object]()
+    lines, media = ["id,medium,depth_mm,tip_mm,bevel_side\n"], dict[str, object]()
     medium = {"layers": [*range(1, len(plan.depths_mm) + 2)], "boundaries_mm": [*plan.depths_mm]}
     for row, curve in zip(plan.rows, content.curves, strict=True):
         media[row.medium] = medium | {"specimen": row.specimen}
-        assert curve.readings is not None and curve.readings.guide is not None, "a track has readings"
-        for depth, tip, place in zip(
-            curve.readings.depth, curve.line[:, 0], curve.readings.guide, strict=True
-        ):
-            lines.append(f"{row.id},{row.medium},{depth:.4f},{tip:.4f},{place:.4f},{row.side}\n")
+        assert curve.readings is not None, "a track has readings"
+        for depth, tip in zip(curve.readings.depth, curve.line[:, 0], strict=True):
+            lines.append(f"{row.id},{row.medium},{depth:.4f},{tip:.4f},{row.side}\n")
     own = {key: value for key, value in draft.items() if key not in ("frame", "insertions", "centerlines")}
-    tables = {"tip_tracks": {"file": TRACKS_FILE}, "media": media}
+    source = {"file": TRACKS_FILE, "constants": {"guide_mm": 0.0}}  # at rest
+    tables = {"tip_tracks": source, "media": media}
     record = check_record(own | tables, TrackDatasetRecord, folder)
     (folder / TRACKS_FILE).write_bytes("".join(lines).encode("utf-8"))
     file = folder / "dataset.toml"
