@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.importing.answers import Stated
+from needlefit.datasets.importing.answers import Stated, add_stated
 from needlefit.datasets.importing.synonyms import (
-    UNITS_MM,
     Header,
     find_meaning,
     list_meanings,
@@ -202,8 +201,10 @@ class _TableReader:
             end = next((m for m in starts if m > min(columns)), width)
             span = {*range(starts[0]), *range(min(columns), end)}  # what stands before the first is of all
             name = name if len(found) > 1 else own[min(columns)].group
-            self.heads.setdefault(n, []).append(_Group(n, headers, span, columns, name))
-            self.require_single(self.heads[n][-1])
+            self.heads.setdefault(n, []).append(group := _Group(n, headers, span, columns, name))
+            if len(texts := [headers[m].text for m in group.find("needle")]) > 1:
+                what, fix = f"{' and '.join(texts)} may name needles", "state --columns needle=HEADER"
+                raise DataError(what, where=self.cells.where(max(n, 0)), expected="one column", fix=fix)
         if found:
             self.use(n, *range(width))
             self.use(n + 1, *units)
@@ -233,14 +234,6 @@ class _TableReader:
                 one = Header(one.text, *(("", own) if own in "xyz" else (own, "")), unit=unit)
             found.append(Header(one.text) if not own and (one.meaning or one.axis) in taken else one)
         return found
-
-    def require_single(self, group: _Group) -> None:
-        """DataError if two columns state the same of a curve."""
-        for meaning in ("needle", "sd", *ATTRIBUTES):
-            texts = [repr(group.headers[m].text) for m in group.find(meaning)]
-            if len(texts) > 1:
-                what, fix = f"{' and '.join(texts)} may state the {meaning}", f"--columns {meaning}=HEADER"
-                raise DataError(what, where=self.cells.where(max(group.row, 0)), expected="one", fix=fix)
 
     def find_pairs(self, n: int, filled: Sequence[int]) -> list[tuple[list[int], Header, str]]:
         """Return the pairs of a known name and a value among some cells of a row, if it is none of headers.
@@ -330,10 +323,6 @@ class _TableReader:
         unit, values = group.headers[group.columns[0]].unit, np.zeros((len(rows), 3))
         values[:, : len(group.columns)] = self.read_numbers(rows, group.columns)
         points = Points(self.cells.path, values, np.array(rows, dtype=np.int64) + 1)
-        for m in group.find("sd"):
-            of_sd = group.headers[m].unit or unit
-            factor = UNITS_MM.get(of_sd, 1.0) / UNITS_MM.get(unit or of_sd, 1.0)
-            points = replace(points, sd=factor * self.read_numbers(rows, [m])[:, 0])
         stated = {**found.above, **self.read_attributes(found)}
         title = stated.pop("needle", Stated("")).text
         name = "-".join(filter(None, (own, group.name or ("" if own else title))))
@@ -368,7 +357,7 @@ class _TableReader:
                 raise DataError(what, where=where, expected=expected, fix=fix)
             for n in cells:
                 self.use(n, m)
-            stated[meaning] = Stated(cells[first], found.group.headers[m].unit, where)
+            add_stated(stated, {meaning: Stated(cells[first], found.group.headers[m].unit, where)})
         return stated
 
     def read_readings(self, group: _Group, rows: Sequence[int]) -> Readings | None:
@@ -394,7 +383,6 @@ class _TableReader:
             what = f"no header names coordinates: {names[:MAX_LISTED_CHARS]}"
             expected = "columns called x, y, z, or depth and deflection"
             raise UnclearColumnsError(what, where=self.cells.where(0), expected=expected, fix=COLUMNS_FIX)
-        self.require_single(group)
         self.heads[n] = [group]
         units = self.find_units(n + 1)
         self.use(n, *range(len(row)))

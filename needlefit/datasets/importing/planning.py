@@ -35,8 +35,7 @@ ASSUMED_MM, STATED_MM = (20.0, 1000.0), (1.0, 2000.0)
 MIN_SHAFT_MM, MIN_SHAFT_POINTS = 10.0, 3  # of a needle up to its entry, from which its direction is taken
 MIN_CUT_MM, STEP_MM = 1.0, 0.01  # of a needle before the stated entry, from which on, and in steps of which
 MIN_NEEDLE_MM, BEYOND_DEPTH_MM = 150.0, 50.0  # length assumed of a needle, and how much more than the depth
-# Length of the mean of the unit deflections, each toward its bevel, from which a direction is read of them.
-MIN_SAME_SIDE = 0.9
+MIN_SAME_SIDE = 0.9  # length of the mean of unit deflections from which on they have one direction
 SAME_AXIS_DEG = 10.0  # within which a proposed direction, or one of a picture, is a world axis
 
 
@@ -109,16 +108,16 @@ class Planner:
         """Turn the curves to mm; a unit that no header states must give the length of a needle."""
         units = {one.unit for one in self.curves}
         unknown, is_stated = units - {*UNITS_MM}, "units" in self.answers.stated
-        answer = ""
         if unknown or is_stated:
             wrong = max(unknown, default="")
             reason = f"a header states {wrong[:20]!r}" if wrong else ""
             answer = self.settle("units", "" if wrong else None, reason, choices=tuple(UNITS_MM)).text
+            for one in self.curves:
+                if one.unit in unknown or one.system is None:  # no file format is corrected
+                    one.unit = answer if is_stated or one.unit in unknown else one.unit
         else:
             self.keep("units", ", ".join(sorted(units)), "header or format")
         for one in self.curves:
-            if one.unit in unknown or (is_stated and one.system is None):  # no file format is corrected
-                one.unit = answer
             one.points = one.points.scale(UNITS_MM[one.unit])
         low, high = ASSUMED_MM if unknown and not is_stated else STATED_MM
         if not low <= (longest := max(one.length for one in self.curves)) <= high:
@@ -288,30 +287,27 @@ class Planner:
     ) -> Sequence[Floats | None]:
         """Return the direction toward which side 1 of each needle deflects; None: it bends toward its bevel.
 
-        `bends` (N, 3), mm, deflect from the directions `along` (N, 3). This alone is read of the shapes: the
-        direction in which they bend from their sides.
+        `bends` (N, 3): from the directions `along` (N, 3), mm. Their mean is all that is read of the shapes.
         """
         sides, turns = to_sides(angles or [0.0] * len(bends))
-        bends = bends - np.sum(bends * along, axis=1)[:, None] * along
-        back = Rotation.from_rotvec(-np.array(turns)[:, None] * along)
-        toward = np.array(sides)[:, None] * back.apply(bends)
-        units = toward / np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-9)
+        turned = Rotation.from_rotvec(np.array(turns)[:, None] * along)
         source: ImportSource = "assumption"
         guess, reason = "bend", "every needle is taken to bend toward its bevel"
-        if differ := len({*sides}) > 1 or len({*turns}) > 1 or min(sides) < 0:
-            is_same = np.linalg.norm(units.mean(axis=0)) > MIN_SAME_SIDE
-            source, guess = "guess", format_direction(normalize(toward.sum(axis=0))) if is_same else ""
+        if differ := len({*sides}) > 1 or any(turns) or min(sides) < 0:
+            across = bends - np.sum(bends * along, axis=1)[:, None] * along
+            toward = np.array(sides)[:, None] * turned.inv().apply(across)
+            mean = np.mean([one / (np.linalg.norm(one) or 1.0) for one in toward], axis=0)
+            source, guess = "guess", format_direction(normalize(toward.sum(axis=0)))
+            guess = guess if np.linalg.norm(mean) > MIN_SAME_SIDE else ""
             reason = "the mean direction in which needles bend from their sides"
         answer = self.settle("bevel", guess, reason, source)
         if answer.text == "bend":
             if differ:
                 raise answer.error("bevel", "X,Y,Z: bevels differ")
             return [None] * len(bends)
-        bevel = answer.to_vector("bevel")
         if angles is None:
-            reason = f"not stated; {sum(bends @ bevel < 0)} of {len(bends)} needles bend away from side 1"
-            self.keep("bevel side", "1", reason, "assumption")
-        return list(back.inv().apply(bevel))
+            self.keep("bevel side", "1", "not stated", "assumption")
+        return list(turned.apply(answer.to_vector("bevel")))
 
     # ---- names and needle
 
@@ -363,19 +359,20 @@ class Planner:
             what, fix = "bevels of tip tracks are at right angles", "import the runs of each plane"
             raise DataError(what, where=self.curves[0].points.where(), expected="sides 1 and -1", fix=fix)
         self.keep("guide", "at rest", "a guide that moves is stated in tracks.csv", "assumption")
-        rows, bends, ways = [], [], []
+        bends, rows = np.zeros(3), []
         for one, side in zip(self.curves, sides, strict=True):
             assert one.readings is not None, "a track has readings"
             depth = UNITS_MM[one.readings.unit or one.unit] * one.readings.depth
             one.readings = replace(one.readings, depth=depth)
-            fit = np.polyfit(depth, one.line, 2)
-            bends.append(fit[0] * np.ptp(depth) ** 2)
-            ways.append(normalize(fit[1]))
+            if len(depth) > 2:
+                bends += side * np.polyfit(depth, one.line, 2)[0] * np.ptp(depth) ** 2
             rows.append(InsertionRow(one.name, "", 1, float(depth[-1]), side=side))
-        bevel: Floats | None = np.array([0.0, 1.0, 0.0])
+        bevel = np.array([0.0, 1.0, 0.0])
         if not all(one.readings and one.readings.is_deflection for one in self.curves):
-            bevel = self.settle_bevel(np.array(bends), np.array(ways), angles)[0]
-        bevel = normalize(np.sum(bends, axis=0) if bevel is None else bevel)
+            answer = self.settle(
+                "bevel", "bend", "the mean direction in which the tips bend from their sides"
+            )
+            bevel = normalize(bends if answer.text == "bend" else answer.to_vector("bevel"))
         for one in self.curves:
             one.points = replace(one.points, values=one.line @ np.outer(bevel, [1, 0, 0]))
         return rows
