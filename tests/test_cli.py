@@ -45,7 +45,7 @@ def test_every_command_has_help(capsys):
     assert run("--help") == 0
     out = capsys.readouterr().out
     assert all(f"\n  {command} " in out for command in COMMANDS)
-    for command in (*COMMANDS, "paper", "twin ct", "new dataset"):
+    for command in (*COMMANDS, "paper", "twin ct", "new workbook"):
         assert run(*command.split(), "--help") == 0
         assert f"Usage: needlefit {command}" in capsys.readouterr().out
 

@@ -11,6 +11,7 @@ import typer
 from light_runs import draw_blank
 from reporting_results import skip_figures, study
 from test_cli import run
+from test_datasets import write_mine
 from test_viewer_recording import recorded
 from world import build_project
 
@@ -77,7 +78,6 @@ CASES = {
     "new project": Case("new project out/project", "project/data project/configs project/studies"),
     "twin build": Case("twin build --out out/twin -q", "twin"),
     "twin ct": Case("twin ct sample --out out/ct -q --jobs 1", "ct"),
-    "new dataset": Case("new dataset out/data", "data"),
     "new workbook": Case("new workbook out/own.xlsx"),
     "view --recording": Case("view --recording log.csv --no-browser --out out"),
     "simulate --recording": Case(
@@ -275,7 +275,7 @@ def test_a_recording_and_the_dataset_that_it_is_of_are_not_replaced(tmp_path, mo
     recorded(log)
     log.write_text(log.read_text().replace('target = "study2"', 'target = "./data/example1"'))
     monkeypatch.chdir(tmp_path)
-    assert run("new", "dataset", "data") == 0
+    write_mine(tmp_path / "data")
     for path in (log, tmp_path / "data/insertions.csv", tmp_path / "data/centerlines/example1.csv"):
         before = path.read_bytes()
         assert run("simulate", "--recording", "log.csv", "--csv", str(path)) == 3

@@ -17,7 +17,6 @@ from needlefit.datasets.insertion import Noise
 from needlefit.datasets.noise import draw_point_noise, estimate_noise_floor
 from needlefit.datasets.read import check, read
 from needlefit.datasets.select import select_insertions
-from needlefit.datasets.template import write_template
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.frames import Frame
@@ -78,6 +77,14 @@ def block(folder, **changes):
         row("c", medium="given", layers=2, depth=50.0, specimen="two", bevel=np.array([0, -1.0, 0]), side=-1),
     ]
     return write_dataset(folder, record(**changes), rows, dict.fromkeys("abc", CURVE), SURFACES)
+
+
+def write_mine(folder):
+    """Write two needles, `example1` and `example2`, through one boundary; return the file."""
+    tables = record(name="mine", media={"medium1": {"boundaries_mm": [20.0]}}, noise={"point_sd_mm": 0.1})
+    curves = {f"example{n}": CURVE * [1, n, 1] for n in (1, 2)}
+    rows = [row(name, "medium1", layers=2, bevel=np.array([0, 1.0, 0])) for name in curves]
+    return write_dataset(folder, tables, rows, curves, {}, checksums=False)
 
 
 def test_a_written_dataset_is_read_back(tmp_path):
@@ -378,15 +385,6 @@ def test_matlab_faults(tmp_path):
         [fault] = check(file)
         assert fault.where.startswith(str(path)) and words in fault.what
     assert fault.where.endswith("point 5")
-
-
-def test_a_template_passes_check(tmp_path):
-    file = write_template(tmp_path / "mine")
-    assert check(tmp_path / "mine") == []
-    dataset = read(file)
-    assert dataset.origin == "synthetic" and "made-up" in file.read_text()
-    assert [i.sequence for i in dataset.insertions] == [(1, 2), (1, 2)]
-    refusal(ConfigError, "exists already", write_template, tmp_path / "mine")
 
 
 @pytest.mark.skipif("NEEDLEFIT_REAL_DATA" not in os.environ, reason="NEEDLEFIT_REAL_DATA is not set")

@@ -144,7 +144,7 @@ def test_fcsv_of_every_version(tmp_path, version, system, sign):
         ("# Markups fiducial file version = 4.11\n" + COLUMNS + BODY, "coordinate system"),
         ("# columns = label,x,y,z,sel,vis\nF,1,2,3,1,1\n", "coordinate system"),
         (HEADER.format("4.4", "2") + COLUMNS + BODY, "'2': voxels"),
-        (HEADER.format("4.11", "LPS") + "# columns = id,x,y,label\n" + BODY, "lack z"),
+        (HEADER.format("4.11", "LPS") + "# columns = id,x,y,label\n" + BODY, ":4: the position is"),
         *(
             (
                 HEADER.format("4.11", "LPS") + COLUMNS + BODY + BODY.replace("2", cell, 1),

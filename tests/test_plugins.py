@@ -13,9 +13,9 @@ from light_runs import draw_blank, predict_by_few_draws
 from plugin_cases import EXAMPLE, VERSION, install, plugin_folder
 from reporting_results import skip_figures
 from test_cli import run
+from test_datasets import write_mine
 
 from needlefit import plugins
-from needlefit.datasets.template import write_template
 from needlefit.errors import ConfigError
 from needlefit.mechanics.laws import LAWS
 from needlefit.plugins import PLUGINS_VARIABLE, use_plugins
@@ -154,7 +154,7 @@ def law_project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for folder in ("configs/media", "configs/recipes", "studies", "data"):
         (here / folder).mkdir(parents=True)
     monkeypatch.chdir(here)
-    dataset = write_template(here / "data" / "mine")
+    dataset = write_mine(here / "data" / "mine")
     dataset.write_text(dataset.read_text().replace("{id}.csv", "{id}.xyz"))
     for table in (dataset.parent / "centerlines").glob("*.csv"):
         np.savetxt(table.with_suffix(".xyz"), pd.read_csv(table).to_numpy())

@@ -5,9 +5,9 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from refusals import refusal
+from test_datasets import write_mine
 
 from needlefit.datasets.read import check, read
-from needlefit.datasets.template import write_template
 from needlefit.errors import ConfigError, DataError
 from needlefit.schemas.names import file_name_fault, name_fault
 
@@ -38,7 +38,7 @@ def test_names_that_a_spreadsheet_a_terminal_or_a_file_system_would_act_on():
 
 
 def with_specimen(folder: Path, name: str) -> Path:
-    write_template(folder)
+    write_mine(folder)
     table = pd.read_csv(folder / "insertions.csv", dtype=str, keep_default_na=False)
     table.loc[1, "specimen"] = name
     table.to_csv(folder / "insertions.csv", index=False)
@@ -53,10 +53,10 @@ def test_a_specimen_is_refused_with_file_and_line(name, tmp_path):
 
 @pytest.mark.parametrize("key", ['name = "{}"', '[media."{}"]'])
 def test_the_name_and_the_media_of_a_dataset_are_refused_with_file_and_key(key, tmp_path):
-    file = write_template(tmp_path / "mine")
+    file = write_mine(tmp_path / "mine")
     old = 'name = "mine"' if key.startswith("name") else "[media.medium1]"
     text = file.read_text()
     assert old in text
-    file.write_text(text.replace(old, key.format("=cmd"), 1).replace("[[media.medium1", '[[media."=cmd"'))
+    file.write_text(text.replace(old, key.format("=cmd"), 1))
     error = refusal((ConfigError, DataError), "", read, file)
     assert "dataset.toml" in str(error) and "=cmd" in str(error)

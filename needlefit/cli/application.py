@@ -22,7 +22,6 @@ _COMMANDS: tuple[tuple[str, Callable[..., None], str], ...] = (
     ("diff", results.diff, "reports/study3 old/study3"),
     ("reconstruct", reconstruct.reconstruct, "scans.csv --out data/mine"),
     ("new project", data.new_project, "myproject"),
-    ("new dataset", data.new_dataset, "data/mine"),
     ("new workbook", data.new_workbook, "needles.xlsx"),
     ("twin build", twin.build, "--out data/twin2 --seed 2"),
     ("twin ct", twin.render_ct, "phantom2-14 --out twin_ct"),
@@ -32,7 +31,7 @@ _COMMANDS: tuple[tuple[str, Callable[..., None], str], ...] = (
 """Name, function and words of an example; those most used come first."""
 
 _GROUPS = {
-    "new": "Write files to edit: a project, a dataset, or a workbook.",
+    "new": "Write files to edit: a project, or a workbook.",
     "twin": "Build the synthetic dataset, or render its CT volumes.",
 }
 

@@ -39,18 +39,6 @@ def new_project(
     screen.print_note(f"edit them, then: {shlex.join(('cd', str(folder)))} && needlefit validate study3")
 
 
-def new_dataset(folder: Annotated[Path, argument("DIR", "A folder that does not exist yet.")]) -> None:
-    """Write an example dataset to DIR, to be filled with your own measurements.
-
-    It passes `needlefit check`; what you must fill in is marked TO FILL IN.
-    """
-    from needlefit.datasets.template import write_template
-
-    screen.print_line(str(write_template(folder)))
-    path = str(folder) if folder.is_absolute() else f"./{folder}"
-    screen.print_note(f"fill it in, then: {shlex.join(('needlefit', 'check', path))}")
-
-
 def new_workbook(
     file: Annotated[Path, argument("FILE", "A workbook (.xlsx) that does not exist yet.")],
 ) -> None:
@@ -145,12 +133,12 @@ def import_data(
     lists every decision under [import], with all columns, rows, fields and sheets that are not used. DIR also
     gets a picture, a first study and a scene.
     """
+    from needlefit.datasets.first_study import SCENE_FILE, name_study_file
     from needlefit.datasets.importing.answers import Answers
     from needlefit.datasets.importing.files import read_content
     from needlefit.datasets.importing.planning import Planner
     from needlefit.datasets.importing.tables import UnclearColumnsError
     from needlefit.datasets.read import check_all
-    from needlefit.datasets.template import SCENE_FILE, name_study_file
     from needlefit.project.folders import require_new, require_no_inputs_within
     from needlefit.reporting.dataset_import import (
         PICTURE_FILE,

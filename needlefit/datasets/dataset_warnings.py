@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Literal
@@ -30,6 +30,7 @@ from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.unit_warnings import (
     ANGLE_SD_DEG,
     ANGLE_UNITS,
+    LENGTH_UNITS,
     FormatPlace,
     doubt_layers,
     doubt_range,
@@ -40,7 +41,6 @@ from needlefit.project.unit_warnings import (
 from needlefit.schemas.dataset import DatasetRecord, TrackDatasetRecord
 
 PLACEHOLDER = "TO FILL IN"  # marks values that a template cannot know
-_PLACEHOLDER_PATTERN = re.compile(r"to[ _-]?fill[ _-]?in", re.IGNORECASE)
 _PLACEHOLDER_FIX = "write what was measured; reports print it"
 
 # Least plausible standard deviation of a centreline's points; a smaller one was written in another unit.
@@ -82,7 +82,8 @@ def _warn(checks: Iterable[Check], where: FormatPlace) -> Iterator[ResultWarning
 def find_record_warnings(record: DatasetRecord | TrackDatasetRecord, file: Path) -> Iterator[ResultWarning]:
     """Yield the warnings about a `dataset.toml`, without regard to its tables."""
     where = format_place(file)
-    keys = list(_iterate_placeholder_keys(record.model_dump(by_alias=True)))
+    texts = {key: getattr(record, key) for key in ("title", "license", "source", "notes")}
+    keys = [key for key, text in texts.items() if PLACEHOLDER in text]
     decisions = () if record.import_ is None else record.import_.decisions
     assumed = [f"{one.what} = {one.value}" for one in decisions if one.source == "assumption"]
     left = f'"{PLACEHOLDER}" is left in {", ".join(f"`{key}`" for key in keys)}'
@@ -91,40 +92,22 @@ def find_record_warnings(record: DatasetRecord | TrackDatasetRecord, file: Path)
     what = f"the import assumed {'; '.join(assumed)}"
     fix = 'correct what is wrong, and write source = "confirmed" in its line of [import]'
     yield from _warn([(bool(assumed), "assumed", "import.decisions", what, fix)], where)
-    noise = record.noise
-    for name in ("heading_sd_deg", "slope_sd_deg"):
-        if sd := getattr(noise, name, 0.0):
-            yield from warn(doubt_range(sd, ANGLE_SD_DEG, ANGLE_UNITS, f"noise.{name}", "degrees"), where)
-    point, shift = max(noise.point_sd_mm, noise.correlated_sd_mm), noise.registration_mean_mm
-    length, needle = noise.correlation_length_mm, record.needle.length_mm
-    metres = "mm, less than any needle is measured to: this looks like metres"
-    um = "mm, more than any error of registration: this looks like um"
-    point_key = "point_sd_mm" if point == noise.point_sd_mm else "correlated_sd_mm"
-    for is_so, name, value, fix in (
-        (0 < point < MIN_POINT_SD_MM, point_key, f"{point:g} {metres}", f"write {1e3 * point:g}"),
-        (0 < shift < MIN_POSE_SD_MM, "registration_mean_mm", f"{shift:g} {metres}", f"write {1e3 * shift:g}"),
-        (shift > MAX_POSE_SD_MM, "registration_mean_mm", f"{shift:g} {um}", f"write {1e-3 * shift:g}"),
-        (
-            noise.correlated_sd_mm > 0 and length > needle,
-            "correlation_length_mm",
-            f"{length:g}, longer than the needle, {needle:g} mm",
-            CHECK_UNIT,
-        ),
+    pose_sd, noise = (MIN_POSE_SD_MM, MAX_POSE_SD_MM), record.noise
+    for name, plausible, units in (
+        ("registration_mean_mm", pose_sd, LENGTH_UNITS),
+        ("point_sd_mm", (MIN_POINT_SD_MM, MAX_POSE_SD_MM), LENGTH_UNITS),
+        ("correlated_sd_mm", (MIN_POINT_SD_MM, MAX_POSE_SD_MM), LENGTH_UNITS),
+        ("heading_sd_deg", ANGLE_SD_DEG, ANGLE_UNITS),
+        ("slope_sd_deg", ANGLE_SD_DEG, ANGLE_UNITS),
     ):
-        yield from _warn([(is_so, "units", key := f"noise.{name}", f"`{key}` is {value}", fix)], where)
-
-
-def _iterate_placeholder_keys(value: object, key: str = "") -> Iterator[str]:
-    """Yield the keys of the texts that hold the mark, however deep."""
-    if isinstance(value, str) and _PLACEHOLDER_PATTERN.search(value):
-        yield key
-    members: Iterable[tuple[object, object]] = ()
-    if isinstance(value, Mapping):
-        members = value.items()
-    elif isinstance(value, list | tuple):
-        members = enumerate(value, start=1)
-    for name, inner in members:
-        yield from _iterate_placeholder_keys(inner, f"{key}.{name}" if key else str(name))
+        if value := getattr(noise, name):
+            yield from warn(
+                doubt_range(value, plausible, units, f"noise.{name}", name[-3:].strip("_")), where
+            )
+    longest = (0.0, record.needle.length_mm)
+    if noise.correlated_sd_mm:
+        key = "noise.correlation_length_mm"
+        yield from warn(doubt_range(noise.correlation_length_mm, longest, LENGTH_UNITS, key, "mm"), where)
 
 
 # ---- bevel sides
@@ -178,8 +161,7 @@ def measure_out_of_plane(dataset: Dataset) -> list[tuple[str, float, float]]:
 def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
     """Yield a warning that names the insertions whose tips leave the planes of their bevels.
 
-    It proposes the direction of side 1 that fits their tips; one for each where those of single insertions
-    differ.
+    It proposes the direction of side 1 that fits their tips, and says whether one fits all.
     """
     tips: dict[str, Floats] = {}  # across the needle, turned to side 1, in the world
     places, worst = [], 0.0
@@ -192,13 +174,12 @@ def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
             places.append(where)
             worst = max(worst, away)
     if tips:
-        units = [normalize(tip) for tip in tips.values()]
-        is_one = float(np.linalg.norm(np.mean(units, axis=0))) > MIN_SAME_DIRECTION
-        found = {"of all": np.sum([*tips.values()], axis=0)} if is_one else tips
         shown = [
-            f"{', '.join(f'{value:z.2f}' for value in normalize(tip).round(2))} ({name})"
-            for name, tip in found.items()
+            f"{', '.join(f'{x:z.2f}' for x in normalize(tip).round(2))} ({id_})" for id_, tip in tips.items()
         ]
+        mean = np.mean([normalize(tip) for tip in tips.values()], axis=0)
+        if np.linalg.norm(mean) > MIN_SAME_DIRECTION:
+            shown = [", ".join(f"{x:z.2f}" for x in normalize(mean).round(2))]
         what = (
             f"{join_names([*tips], MAX_NAMED_INSERTIONS)} leave the planes of their bevels, by up to "
             f"{worst:.1f} mm at the tip, more than {SIGNIFICANT_SD:g} standard deviations of points and pose"

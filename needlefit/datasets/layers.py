@@ -293,16 +293,11 @@ def find_layer_faults(
     """Return the insertions that do not meet their listed layers; one reason if all miss all surfaces."""
     for name in dict.fromkeys(one.insertion.medium for one in listed):
         group = [one for one in listed if one.insertion.medium == name]
-        names_by_mesh: dict[bytes, str] = {}
-        copies = []
-        for surface in group[0].insertion.surfaces:
-            key = np.ascontiguousarray(surface.mesh.vertices).tobytes()
-            copies += [(names_by_mesh[key], surface.name)] if key in names_by_mesh else []
-            names_by_mesh.setdefault(key, surface.name)
-        if copies:  # their layers cannot be counted
-            yield from (
-                _make_repeat_fault(locate_key(file, f"media.{name}.surfaces"), name, *pair) for pair in copies
-            )
+        files = [one.file for one in record.media[name].surfaces]
+        if len({*files}) < len(files):
+            what = f"medium {name} lists a surface twice: {', '.join(files)}"
+            where, fix = locate_key(file, f"media.{name}.surfaces"), "name the right file, or remove one"
+            yield Fault(where, what, "a surface of its own for every boundary", fix)
             continue
         if all(
             one.insertion.surfaces and one.insertion.sequence == (1,) and one.insertion.layers > 1
@@ -314,12 +309,6 @@ def find_layer_faults(
             yield Fault(where, what, "surfaces that needles cross, or one layer", fix)
         else:
             yield from (fault for one in group for fault in _find_count_fault(one))
-
-
-def _make_repeat_fault(where: str, medium: str, one: str, other: str) -> Fault:
-    listed = f"lists surface {one} twice" if one == other else f"lists one surface as {one} and as {other}"
-    expected = "a surface of its own for every boundary"
-    return Fault(where, f"medium {medium} {listed}", expected, "name the right file, or remove one")
 
 
 def _find_count_fault(one: ListedInsertion) -> Iterator[Fault]:

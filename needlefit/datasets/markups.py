@@ -91,7 +91,7 @@ def require_points(markups: Markups) -> Markups:
 
 
 def make_markups_format(
-    name: str, suffixes: tuple[str, ...], description: str, read_lists: Callable[[Path], tuple[Markups, ...]]
+    name: str, suffixes: tuple[str, ...], read_lists: Callable[[Path], tuple[Markups, ...]]
 ) -> FileFormat:
     """Return a file format of 3D Slicer, whose files hold lists."""
 
@@ -118,7 +118,7 @@ def make_markups_format(
         markups = pick_list(read_lists(path), path)
         return Points(path, markups.points, markups.lines)
 
-    return FileFormat(name, suffixes, description, read_curves, read_centerline, read_markers, in_scan=True)
+    return FileFormat(name, suffixes, read_curves, read_centerline, read_markers, in_scan=True)
 
 
 def pick_list(lists: Sequence[Markups], path: Path) -> Markups:

@@ -176,31 +176,17 @@ def make_noise(record: NoiseRecord) -> Noise:
 def find_record_faults(record: DatasetRecord | TrackDatasetRecord, file: Path) -> Iterator[Fault]:
     """Yield what is wrong with a `dataset.toml` by itself."""
     modulus, shapes = record.needle.youngs_modulus_gpa or 0.0, isinstance(record, DatasetRecord)
-    key, sd = "needle.youngs_modulus_gpa", "noise.point_sd_mm"
-    checks = [
-        (
-            modulus > MAX_MODULUS_GPA,
-            key,
-            f"{key} is {modulus:g}",
-            "GPa: about 200 for steel, 40 to 80 for nitinol",
-            "write it in GPa",
-        ),
-        (
-            not shapes and record.noise.point_sd_mm <= 0,  # every fit of tip tracks samples a posterior
-            sd,
-            "no noise of the readings is stated",
-            f"{sd} above 0",
-            "write the standard deviation of a reading, mm",
-        ),
-    ]
-    for name in ("heading_sd_deg", "slope_sd_deg"):
-        is_so, key = shapes and getattr(record.noise, name) > 0, f"noise.{name}"
-        what = f"{key} is of tip tracks, and this dataset holds shapes"
-        expected = "pose_angle_sd_deg in the table of insertions, for the direction of an entry pose"
-        checks.append((is_so, key, what, expected, "remove the key"))
-    for is_so, key, what, expected, fix in checks:
-        if is_so:
-            yield Fault(locate_key(file, key), what, expected, fix)
+    if modulus > MAX_MODULUS_GPA:
+        key = "needle.youngs_modulus_gpa"
+        expected = "GPa: about 200 for steel, 40 to 80 for nitinol"
+        yield Fault(locate_key(file, key), f"{key} is {modulus:g}", expected, "write it in GPa")
+    if not shapes and record.noise.point_sd_mm <= 0:  # every fit of tip tracks samples a posterior
+        key, what = "noise.point_sd_mm", "no noise of the readings is stated"
+        yield Fault(locate_key(file, key), what, "a standard deviation above 0, mm", f"write {key}")
+    for key in ("noise.heading_sd_deg", "noise.slope_sd_deg"):
+        if shapes and getattr(record.noise, key.removeprefix("noise.")) > 0:
+            what, expected = f"{key} is of tip tracks", "pose_angle_sd_deg in the table of insertions"
+            yield Fault(locate_key(file, key), what, expected, "remove the key")
     if isinstance(record, DatasetRecord):
         yield from find_media_faults(record, file)
 

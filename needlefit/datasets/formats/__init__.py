@@ -23,9 +23,7 @@ class FileFormat:
         Its own.
     suffixes : tuple of str
         Endings of its files, in lower case.
-    description : str
-        What of such a file is read, for messages.
-    read_curves : callable
+    read_curves : callable or None
         Path -> every curve of the file, mm, and remarks. Reading must be safe: the file may be anything.
     read_centerline : callable or None
         Path, the dataset's names of columns, and a list for faults -> the one curve of a file, or None after
@@ -38,8 +36,7 @@ class FileFormat:
 
     name: str
     suffixes: tuple[str, ...]
-    description: str
-    read_curves: Callable[[Path], ReadCurves]
+    read_curves: Callable[[Path], ReadCurves] | None = None
     read_centerline: Callable[[Path, Mapping[str, str], list[Fault]], Points | None] | None = None
     read_markers: Callable[[Path], Points] | None = None
     in_scan: bool = False
@@ -48,8 +45,8 @@ class FileFormat:
         """Return the one curve of a file; None after a fault, which is added to `found`."""
         if self.read_centerline is not None:
             return self.read_centerline(path, columns, found)
-        curves, _ = self.read_curves(path)
-        if len(curves) > 1:
+        curves = {} if self.read_curves is None else self.read_curves(path)[0]
+        if len(curves) != 1:
             what = f"holds {len(curves)} curves: {', '.join(curves)}"
             raise DataError(what, where=str(path), expected="one curve", fix="save one insertion a file")
         return next(iter(curves.values()))

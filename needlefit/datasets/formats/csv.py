@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import POINT_COLUMNS, SD_COLUMN
 from needlefit.datasets.faults import Fault, as_error
-from needlefit.datasets.formats import FileFormat, ReadCurves
+from needlefit.datasets.formats import FileFormat
 from needlefit.datasets.points import MAX_COORDINATE, Points
 from needlefit.errors import DataError
 from needlefit.project.input_files import read_text
@@ -216,23 +216,6 @@ def _check_header(header: list[str], where: str) -> None:
         )
 
 
-def _read_curves(path: Path) -> ReadCurves:
-    """Return the curves of a long table by its column `id`; without one, all rows are one curve."""
-    table = read_table(path)
-    found: list[Fault] = []
-    points = read_curve(table, {}, found, RENAME_FIX)
-    if points is None:
-        raise as_error(found, path)
-    ignored = [f"`{name}`" for name in table.cells if name not in ("id", *POINT_COLUMNS, SD_COLUMN)]
-    notes = [f"column{'s' if len(ignored) > 1 else ''} {', '.join(ignored)} ignored"] if ignored else []
-    if "id" not in table.cells:
-        notes.append(f"no column `id`: all {len(points.values)} rows are one curve")
-        return {path.stem: points}, notes
-    ids = table.cells["id"]
-    rows = {str(name): np.flatnonzero((ids == name).to_numpy()) for name in ids.unique()}
-    return {name: points.part(n) for name, n in rows.items()}, notes
-
-
 def _read_markers(path: Path) -> Points:
     found: list[Fault] = []
     points = read_points(read_table(path, "docs/reconstruction.md"), POINT_COLUMNS, {}, found, RENAME_FIX)
@@ -244,9 +227,6 @@ def _read_markers(path: Path) -> Points:
 CSV = FileFormat(
     "csv",
     (".csv",),
-    "a CSV with the columns x_mm, y_mm, z_mm, sd_mm if known and, for more than one curve, id (without id "
-    "the whole table is one curve; other columns are ignored)",
-    _read_curves,
-    lambda path, columns, found: read_curve(read_table(path), columns, found),
-    _read_markers,
+    read_centerline=lambda path, columns, found: read_curve(read_table(path), columns, found),
+    read_markers=_read_markers,
 )

@@ -6,7 +6,7 @@ scipy and h5py read them, in a child process: scipy crashes on some damaged file
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,16 +24,9 @@ SIGNATURE, SIGNATURE_OFFSETS = b"\x89HDF\r\n\x1a\n", (0, 512, 1024, 2048)
 MAX_TEXT_CHARS, MAX_STATED_NUMBERS = 200, 20  # of a text, and numbers in a vector, that are stated of a curve
 NAMED_FIELDS = "x, y, z"  # stated, without a text, of a curve whose coordinates are fields of these names
 MAX_SHOWN_VARIABLES = 20  # number of variables that a message lists
-ELEMENT_TYPES = range(1, 19)
-COMPRESSED_TYPE = 15  # types of elements in versions 5 to 7: numbers, matrices, compressed data, text
-HEADER_BYTES = 128
-# Length of the header in versions 5 to 7, and the position of version and byte order in it.
-VERSION_OFFSET = 124
-MIN_BYTES = 20  # size of the header of one matrix in version 4
 MAX_EXPANSION = 8  # memory that the content of a file may take, as a multiple of the file's size
 READ_BYTES_PER_SECOND = 2**20
 EXPECTED_ARRAYS = "N x 3 arrays of numbers, or structs with x, y and z, mm, entry first"
-EXPECTED_FILE = "a MATLAB .mat file"
 SAVE_FIX = "save it again, e.g. save(file, 'x', '-v7')"
 
 
@@ -48,8 +41,6 @@ def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
     DataError if the file is missing, is no MATLAB file, or holds no such array.
     """
     data = read_bytes(path)
-    if not _is_hdf(data):
-        _check_elements(data, path)
     memory = stated_memory_bytes() or MAX_EXPANSION * len(data)
     reader, seconds = f"{__name__}:read_variables", len(data) / READ_BYTES_PER_SECOND
     (variables, stated, unused), found = read_in_process(
@@ -78,36 +69,14 @@ def read_variables(arrays: Arrays, path: str) -> tuple[list[str], dict[str, dict
     except MemoryError:
         raise
     except Exception as error:  # the readers raise whatever the bytes provoke
-        raise _read_error(Path(path), f"({type(error).__name__})") from None
+        what = f"cannot be read ({type(error).__name__})"
+        raise DataError(what, where=path, expected="a MATLAB .mat file", fix=SAVE_FIX) from None
     stated: dict[str, dict[str, str]] = {}
     unused: list[str] = []
     for name, array, texts in _iterate_curves("", variables, {}, unused):
         arrays[name] = np.asarray(array, np.float64)
         stated[name] = texts
     return list(variables), stated, unused
-
-
-def _check_elements(data: bytes, path: Path) -> None:
-    """See that every element of a file of versions 5 to 7 ends within it.
-
-    DataError if one does not, or the file is too short for any version.
-    """
-    if len(data) < MIN_BYTES:
-        raise _read_error(path, "it is too short")
-    if 0 in data[:4] or len(data) < HEADER_BYTES:  # version 4 begins with a number
-        return
-    order: Literal["little", "big"] = "little" if data[VERSION_OFFSET + 2 : HEADER_BYTES] == b"IM" else "big"
-    place = HEADER_BYTES
-    while place + 8 <= len(data):
-        kind, size = (int.from_bytes(data[at : at + 4], order) for at in (place, place + 4))
-        if kind not in ELEMENT_TYPES or place + 8 + size > len(data):
-            raise _read_error(path, f"the element at byte {place} is of no kind, or reaches beyond the end")
-        # Elements are padded to 8 bytes, except compressed ones.
-        place += 8 + size + (0 if kind == COMPRESSED_TYPE else -size % 8)
-
-
-def _read_error(path: Path, reason: str) -> DataError:
-    return DataError(f"cannot be read: {reason}", where=str(path), expected=EXPECTED_FILE, fix=SAVE_FIX)
 
 
 def _iterate_curves(
@@ -236,4 +205,4 @@ def _read_hdf_value(file: Any, item: Any) -> Any:  # noqa: ANN401 - h5py has no 
     return np.asarray(item[()]).T
 
 
-MAT = FileFormat("mat", (".mat",), "the N x 3 arrays of a .mat, by their names", read_curves)
+MAT = FileFormat("mat", (".mat",), read_curves)

@@ -165,37 +165,23 @@ def _format_markups(markups: Markups, style: CurveStyle) -> str:
         )
     ]
     listed = ",\n".join(_to_json(point) for point in points)
-    display = ", ".join(f"{_to_json(key)}: {_to_json(value)}" for key, value in _make_display(style).items())
-    start = _to_json(head)[:-1]
-    return f'{start}, "controlPoints": [\n{listed}\n], "measurements": [], "display": {{{display}}}}}'
-
-
-def _make_display(style: CurveStyle) -> dict[str, object]:
-    colour = list(style.colour)
-    return {
-        "visibility": True,
-        "opacity": 1.0,
-        "color": colour,
-        "selectedColor": colour,  # every point is selected, and this is what shows
-        "activeColor": colour,
+    display = {
+        "color": [*style.colour],
+        "selectedColor": [*style.colour],  # every point is selected, and this is what shows
+        "activeColor": [*style.colour],
         "propertiesLabelVisibility": False,
         "pointLabelsVisibility": not style.locked,
         "textScale": 3.0,
         "glyphType": "Sphere3D",
-        "glyphScale": 1.0,
         "glyphSize": style.thickness,
         "useGlyphScale": False,
-        "sliceProjection": True,
-        "sliceProjectionUseFiducialColor": True,
-        "sliceProjectionOpacity": 0.6,
         "lineThickness": 1.0,  # relative to glyphSize
     }
+    return f'{_to_json(head)[:-1]}, "controlPoints": [\n{listed}\n], "display": {_to_json(display)}}}'
 
 
 def _to_json(value: object) -> str:
     return json.dumps(value, ensure_ascii=False, allow_nan=False)
 
 
-MRK_JSON = make_markups_format(
-    "mrk_json", (".json",), "the curves and point lists of a .mrk.json of 3D Slicer (LPS)", read_mrk_json
-)
+MRK_JSON = make_markups_format("mrk_json", (".json",), read_mrk_json)

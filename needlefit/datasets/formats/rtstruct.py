@@ -70,6 +70,4 @@ def read_contours(arrays: Arrays, path: str) -> tuple[list[str], list[str]]:
     return numbered, left
 
 
-RTSTRUCT = FileFormat(
-    "rtstruct", (".dcm",), "the open contours of an RT structure set (LPS)", read_curves, in_scan=True
-)
+RTSTRUCT = FileFormat("rtstruct", (".dcm",), read_curves, in_scan=True)

@@ -130,7 +130,7 @@ def _read_file(path: Path, content: ImportContent) -> None:
 def _read_format(path: Path, content: ImportContent) -> None:
     """Add the curves of a file format of points, with what fields beside the points state."""
     format_ = find_format(path)
-    if format_ is None:
+    if format_ is None or format_.read_curves is None:
         what, expected = f"has the ending {path.suffix!r}", ", ".join(list_import_suffixes())
         raise DataError(what, where=str(path), expected=expected, fix="export the points to one of these")
     found, remarks = format_.read_curves(path)

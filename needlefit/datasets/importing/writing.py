@@ -4,6 +4,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+from needlefit.datasets.dataset_warnings import PLACEHOLDER
 from needlefit.datasets.faults import as_error
 from needlefit.datasets.importing.answers import Answers
 from needlefit.datasets.importing.curves import ImportContent
@@ -11,7 +12,6 @@ from needlefit.datasets.importing.planning import ImportPlan
 from needlefit.datasets.importing.questions import QUESTIONS
 from needlefit.datasets.points import trace_fault
 from needlefit.datasets.read import check
-from needlefit.datasets.template import draft_record
 from needlefit.datasets.write import write_dataset
 from needlefit.project.folders import sha256
 from needlefit.project.toml import check as check_record
@@ -27,17 +27,20 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, answers: 
 
     DataError listing the faults that `check` finds, at their places in the imported files.
     """
-    imported = ImportRecord(
-        files={one.name: sha256(one) for one in content.files}, decisions=tuple(answers.made)
-    )
-    draft = draft_record(
-        folder.name,
-        plan.pose,
-        needle=plan.needle.model_dump(),
-        noise={"point_sd_mm": plan.point_sd_mm, "note": "see the table import of dataset.toml"},
-        **{"import": imported.model_dump()},
+    files = {one.name: sha256(one) for one in content.files}
+    imported = ImportRecord(files=files, decisions=tuple(answers.made))
+    draft: dict[str, object] = {
+        "schema": 1,
+        "name": folder.name,
+        "title": f"{PLACEHOLDER}: what was inserted into what",
+        "origin": "measured",
+        "license": PLACEHOLDER,
+        "source": f"{PLACEHOLDER}: who measured this, when, how",
+        "needle": plan.needle.model_dump(),
+        "noise": {"point_sd_mm": plan.point_sd_mm, "note": "see the table import of dataset.toml"},
+        "import": imported.model_dump(),
         **{what: one.text for what, one in answers.stated.items() if not QUESTIONS[what].is_asked},
-    )
+    }
     points = {one.name: one.points for one in content.curves}
     if plan.pose == "tracker":
         file = _write_tracks(folder, content, plan, draft)
@@ -46,6 +49,8 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, answers: 
         parts = [{"file": name, "kind": one.kind, "into": one.into} for name, one in surfaces.items()]
         medium = {"surfaces": parts} if parts else {"boundaries_mm": [*plan.depths_mm]}
         draft["media"] = {row.medium: medium for row in plan.rows}
+        draft |= {"frame": {"pose": plan.pose}, "insertions": {"file": "insertions.csv"}}
+        draft["centerlines"] = {"pattern": "centerlines/{id}.csv"}
         record = check_record(draft, DatasetRecord, str(content.files[0]))
         curves = {name: one.to_columns() for name, one in points.items()}
         file = write_dataset(folder, record, plan.rows, curves, surfaces, checksums=False)
@@ -69,10 +74,9 @@ def _write_tracks(folder: Path, content: ImportContent, plan: ImportPlan, draft:
         assert curve.readings is not None, "a track has readings"
         for depth, tip in zip(curve.readings.depth, curve.line[:, 0], strict=True):
             lines.append(f"{row.id},{row.medium},{depth:.4f},{tip:.4f},{row.side}\n")
-    own = {key: value for key, value in draft.items() if key not in ("frame", "insertions", "centerlines")}
     source = {"file": TRACKS_FILE, "constants": {"guide_mm": 0.0}}  # at rest
     tables = {"tip_tracks": source, "media": media}
-    record = check_record(own | tables, TrackDatasetRecord, folder)
+    record = check_record(draft | tables, TrackDatasetRecord, folder)
     (folder / TRACKS_FILE).write_bytes("".join(lines).encode("utf-8"))
     file = folder / "dataset.toml"
     file.write_bytes(dumps(record.model_dump(mode="json", by_alias=True)).encode("utf-8"))

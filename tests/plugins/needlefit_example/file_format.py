@@ -19,4 +19,4 @@ def read_curves(path):
     return {path.stem: Points(path, values, np.arange(len(values)) + 1)}, ()
 
 
-XYZ = FileFormat("xyz", (".xyz",), "the points of a .xyz, three numbers a line", read_curves)
+XYZ = FileFormat("xyz", (".xyz",), read_curves)
